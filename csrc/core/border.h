@@ -1,0 +1,62 @@
+// What a stencil reads beyond the image: the index rule and its transpose.
+//
+//   constant   0 0 | a b c d | 0 0
+//   reflect    c b | a b c d | c b     the rim is not repeated; needs fewer border pixels than the axis has
+//   replicate  a a | a b c d | d d
+//   circular   c d | a b c d | a b     needs no more border pixels than the axis has
+//
+// Forward passes ask border_index which pixel stands at a position. Backward passes gather: each pixel asks
+// for_each_position at which positions it stands, and sums the gradient of those. No atomics, the same bits every run.
+#pragma once
+
+#include "hd.h"
+
+namespace kv {
+
+enum class Border : int { constant = 0, reflect = 1, replicate = 2, circular = 3 };
+
+// The pixel at position i of an axis of n pixels, or -1 for the constant 0. One reflection or period each way is enough:
+// the operators refuse wider borders.
+template <class Int>
+KV_HD Int border_index(Border border, Int i, Int n) {
+  if (i >= 0 && i < n) return i;
+  switch (border) {
+    case Border::reflect:
+      i = i < 0 ? -i : 2 * (n - 1) - i;
+      break;
+    case Border::circular:
+      i = i < 0 ? i + n : i - n;
+      break;
+    case Border::replicate:
+      break;
+    case Border::constant:
+      return -1;
+  }
+  return clamp(i, Int(0), n - 1);  // what remains outside is a caller's mistake; stay inside the memory
+}
+
+// Calls f(i) for every position i in [-before, n + after) at which pixel j of n stands, itself first.
+template <class Int, class F>
+KV_HD void for_each_position(Border border, Int j, Int n, Int before, Int after, F f) {
+  f(j);
+  switch (border) {
+    case Border::reflect:
+      if (j > 0 && j <= before) f(-j);
+      if (j < n - 1 && n - 1 - j <= after) f(2 * (n - 1) - j);
+      break;
+    case Border::circular:
+      if (n - j <= before) f(j - n);
+      if (j < after) f(j + n);
+      break;
+    case Border::replicate:
+      if (j == 0)
+        for (Int i = 1; i <= before; ++i) f(-i);
+      if (j == n - 1)
+        for (Int i = 0; i < after; ++i) f(n + i);
+      break;
+    case Border::constant:
+      break;
+  }
+}
+
+}  // namespace kv

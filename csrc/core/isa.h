@@ -1,0 +1,62 @@
+// Instruction sets. Every *_cpu.cpp is compiled once for each, into its own namespace KV_ISA; the best one that the
+// processor has is chosen when the library is loaded, and can be chosen by name (environment KVISION_ISA, kvision._C).
+//
+// An operator's header declares its kernel once, for CPU and CUDA:
+//
+//   KV_KERNEL(sobel, Sobel)     // template <class T> void sobel(Sobel<T> const&, int64_t begin, int64_t end) on CPU,
+//                               // template <class T> int sobel(Sobel<T> const&, CUstream_st*) on CUDA
+//
+// *_cpu.cpp defines it inside `namespace kv::KV_ISA`, *.cu inside `namespace kv::cuda`; each ends in KV_INSTANTIATE(...).
+// The glue calls KV_RUN (glue.h), which picks the namespace.
+#pragma once
+
+#include "half.h"
+
+struct CUstream_st;  // what cudaStream_t points to; the glue needs no CUDA header for it
+
+namespace kv {
+
+enum class Isa : int { baseline = 0, avx2 = 1, avx512 = 2 };
+
+Isa active_isa();  // module.cpp
+
+#define KV_DECLARE_CPU(isa, name, Params)                                  \
+  namespace isa {                                                          \
+  template <class T>                                                       \
+  void name(Params<T> const& params, int64_t begin, int64_t end);          \
+  }
+#if defined(__x86_64__)
+#define KV_DECLARE_ALL_CPU(name, Params) \
+  KV_DECLARE_CPU(baseline, name, Params) KV_DECLARE_CPU(avx2, name, Params) KV_DECLARE_CPU(avx512, name, Params)
+#define KV_FOR_ISA(name, ...)                                            \
+  (::kv::active_isa() == ::kv::Isa::avx512 ? ::kv::avx512::name(__VA_ARGS__) \
+   : ::kv::active_isa() == ::kv::Isa::avx2 ? ::kv::avx2::name(__VA_ARGS__)   \
+                                           : ::kv::baseline::name(__VA_ARGS__))
+#else  // the baseline of aarch64 is NEON already
+#define KV_DECLARE_ALL_CPU(name, Params) KV_DECLARE_CPU(baseline, name, Params)
+#define KV_FOR_ISA(name, ...) ::kv::baseline::name(__VA_ARGS__)
+#endif
+
+#define KV_KERNEL(name, Params)                          \
+  KV_DECLARE_ALL_CPU(name, Params)                       \
+  namespace cuda {                                       \
+  template <class T>                                     \
+  int name(Params<T> const& params, CUstream_st* stream); \
+  }
+
+#if defined(__CUDACC__)
+#define KV_INSTANTIATE_ONE(name, Params, T) template int name<T>(Params<T> const&, CUstream_st*);
+#else
+#define KV_INSTANTIATE_ONE(name, Params, T) template void name<T>(Params<T> const&, int64_t, int64_t);
+#endif
+// The storage types an operator serves: all of them have the floats, some of them bytes too.
+#define KV_INSTANTIATE(name, Params)         \
+  KV_INSTANTIATE_ONE(name, Params, float)    \
+  KV_INSTANTIATE_ONE(name, Params, double)   \
+  KV_INSTANTIATE_ONE(name, Params, ::kv::Half) \
+  KV_INSTANTIATE_ONE(name, Params, ::kv::BFloat16)
+#define KV_INSTANTIATE_WITH_BYTES(name, Params) \
+  KV_INSTANTIATE(name, Params)                  \
+  KV_INSTANTIATE_ONE(name, Params, uint8_t)
+
+}  // namespace kv

@@ -1,0 +1,190 @@
+// SIMD values. Included by *_cpu.cpp files, which are compiled once per instruction set.
+//
+// Lanes<F, N> is the compiler's vector of N numbers, and F itself for N = 1, so a formula templated on its value type
+// serves the interior of a row (N = kLanes) and its tail and rim (N = 1). Operators (+, *, <, ?:) are the language's own.
+#pragma once
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+#include "half.h"
+
+namespace kv {
+
+#if defined(__AVX512F__)
+constexpr int kVectorBytes = 64;
+#elif defined(__AVX2__)
+constexpr int kVectorBytes = 32;
+#else
+constexpr int kVectorBytes = 16;
+#endif
+
+template <class F, int N>
+struct lanes_of {
+  typedef F type __attribute__((vector_size(N * sizeof(F)), aligned(alignof(F)), may_alias));
+};
+template <class F>
+struct lanes_of<F, 1> {
+  using type = F;
+};
+template <class F, int N>
+using Lanes = typename lanes_of<F, N>::type;
+
+// How many pixels stored as T one vector computes.
+template <class T>
+constexpr int kLanes = kVectorBytes / int(sizeof(Compute<T>));
+
+template <int N, class F>
+KV_HD Lanes<F, N> broadcast(F x) {
+  if constexpr (N == 1)
+    return x;
+  else
+    return x - Lanes<F, N>{};
+}
+
+// --- memory -> lanes ---------------------------------------------------------------------------------------------------
+
+template <int N>
+KV_HD Lanes<float, N> load(float const* p) {
+  return *reinterpret_cast<Lanes<float, N> const*>(p);
+}
+template <int N>
+KV_HD Lanes<double, N> load(double const* p) {
+  return *reinterpret_cast<Lanes<double, N> const*>(p);
+}
+template <int N>
+KV_HD Lanes<float, N> load(uint8_t const* p) {
+  if constexpr (N == 1)
+    return float(*p);
+  else
+    return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(p), Lanes<int32_t, N>),
+                                   Lanes<float, N>);
+}
+template <int N>
+KV_HD Lanes<float, N> load(BFloat16 const* p) {
+  if constexpr (N == 1)
+    return to_float(*p);
+  else
+    return reinterpret_cast<Lanes<float, N>>(
+        __builtin_convertvector(*reinterpret_cast<Lanes<uint16_t, N> const*>(p), Lanes<uint32_t, N>) << 16);
+}
+template <int N>
+KV_HD Lanes<float, N> load(Half const* p) {
+  if constexpr (N == 1) {
+#if defined(__F16C__)
+    return _cvtsh_ss(p->bits);
+#else
+    return to_float(*p);
+#endif
+  } else {
+#if defined(__F16C__)
+    if constexpr (N == 8) return (Lanes<float, N>)_mm256_cvtph_ps(_mm_loadu_si128((__m128i const*)p));
+    if constexpr (N == 4) return (Lanes<float, N>)_mm_cvtph_ps(_mm_loadl_epi64((__m128i const*)p));
+#endif
+#if defined(__AVX512F__)
+    if constexpr (N == 16) return (Lanes<float, N>)_mm512_cvtph_ps(_mm256_loadu_si256((__m256i const*)p));
+#endif
+    Lanes<float, N> v;
+    for (int i = 0; i < N; ++i) v[i] = to_float(p[i]);
+    return v;
+  }
+}
+
+// --- lanes -> memory ---------------------------------------------------------------------------------------------------
+
+template <int N>
+KV_HD void store(float* p, Lanes<float, N> v) {
+  *reinterpret_cast<Lanes<float, N>*>(p) = v;
+}
+template <int N>
+KV_HD void store(double* p, Lanes<double, N> v) {
+  *reinterpret_cast<Lanes<double, N>*>(p) = v;
+}
+// Bytes saturate and round half to even, as OpenCV does; NaN becomes 0.
+template <int N>
+KV_HD void store(uint8_t* p, Lanes<float, N> v) {
+  v = v > 0.f ? v : v * 0.f;
+  v = v > 0.f ? v : broadcast<N>(0.f);  // NaN * 0 is NaN
+  v = v < 255.f ? v : broadcast<N>(255.f);
+  v = v + 0x1.8p23f;  // the integer part moves to the low bits of the mantissa
+  if constexpr (N == 1)
+    *p = uint8_t(float_to_bits(v));
+  else
+    *reinterpret_cast<Lanes<uint8_t, N>*>(p) =
+        __builtin_convertvector(reinterpret_cast<Lanes<int32_t, N>>(v) & 0xff, Lanes<uint8_t, N>);
+}
+template <int N>
+KV_HD void store(BFloat16* p, Lanes<float, N> v) {
+  if constexpr (N == 1) {
+    *p = to_bfloat16(v);
+  } else {
+    auto const bits = reinterpret_cast<Lanes<uint32_t, N>>(v);
+    auto const rounded = (bits + 0x7fff + ((bits >> 16) & 1)) >> 16;
+    auto const kept = v == v ? rounded : Lanes<uint32_t, N>{} + 0x7fc0;
+    *reinterpret_cast<Lanes<uint16_t, N>*>(p) = __builtin_convertvector(kept, Lanes<uint16_t, N>);
+  }
+}
+template <int N>
+KV_HD void store(Half* p, Lanes<float, N> v) {
+  if constexpr (N == 1) {
+#if defined(__F16C__)
+    p->bits = _cvtss_sh(v, _MM_FROUND_TO_NEAREST_INT);
+#else
+    *p = to_half(v);
+#endif
+  } else {
+#if defined(__F16C__)
+    if constexpr (N == 8) return _mm_storeu_si128((__m128i*)p, _mm256_cvtps_ph((__m256)v, _MM_FROUND_TO_NEAREST_INT));
+    if constexpr (N == 4) return _mm_storel_epi64((__m128i*)p, _mm_cvtps_ph((__m128)v, _MM_FROUND_TO_NEAREST_INT));
+#endif
+#if defined(__AVX512F__)
+    if constexpr (N == 16) {
+      _mm256_storeu_si256((__m256i*)p, _mm512_cvtps_ph((__m512)v, _MM_FROUND_TO_NEAREST_INT));
+      return;
+    }
+#endif
+    for (int i = 0; i < N; ++i) p[i] = to_half(v[i]);
+  }
+}
+
+// --- what the language has no operator for -----------------------------------------------------------------------------
+
+// min, max and clamp of hd.h work on lanes as they are. A NaN operand gives the other one or itself, as minps does.
+
+template <class V>
+KV_HD V vsqrt(V v) {
+  if constexpr (__is_same(V, float) || __is_same(V, double)) {
+    return sqrt(v);
+  } else {
+#if defined(__AVX512F__)
+    if constexpr (__is_same(V, Lanes<float, 16>)) return (V)_mm512_sqrt_ps((__m512)v);
+    if constexpr (__is_same(V, Lanes<double, 8>)) return (V)_mm512_sqrt_pd((__m512d)v);
+#elif defined(__AVX2__)
+    if constexpr (__is_same(V, Lanes<float, 8>)) return (V)_mm256_sqrt_ps((__m256)v);
+    if constexpr (__is_same(V, Lanes<double, 4>)) return (V)_mm256_sqrt_pd((__m256d)v);
+#endif
+    for (int i = 0; i < int(sizeof(V) / sizeof(v[0])); ++i) v[i] = sqrt(v[i]);
+    return v;
+  }
+}
+
+// Calls f(index constant N, element) over [begin, end): vectors of kLanes<T>, the last one overlapping the one before it
+// (so f must not read what it writes), and single elements where the range is shorter than a vector.
+template <int N>
+struct Width {
+  static constexpr int value = N;
+};
+template <class T, class F>
+KV_HD void for_each_vector(int64_t begin, int64_t end, F f) {
+  constexpr int N = kLanes<T>;
+  if (end - begin < N) {
+    for (int64_t e = begin; e < end; ++e) f(Width<1>{}, e);
+    return;
+  }
+  int64_t e = begin;
+  for (; e + N <= end; e += N) f(Width<N>{}, e);
+  if (e < end) f(Width<N>{}, end - N);
+}
+
+}  // namespace kv

@@ -1,0 +1,375 @@
+"""The operator path: the only module that loads kvision's libraries or talks to torch.library.
+
+An operator is its reference, written in plain torch, plus kernels registered under the same name as
+`torch.ops.kvision.<name>`. `register` ties them together and returns the function everything in kvision calls:
+
+    call ──► reference                      no kernel for this device or dtype, or the user asked for it
+        ├──► torch.ops.kvision.<name>       while compiling or exporting: register_fake and register_autograd serve it
+        ├──► autograd.Function ──► kernel   a graph is wanted: requires_grad, torch.func, forward-mode
+        └──► kernel                         otherwise
+
+Four routes because each is the fast one where it applies, and because torch.func works only through the third and
+torch.compile only through the second (docs/design.md has the measurements).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.autograd.forward_ad as forward_ad
+from torch import Tensor
+
+from kvision.core.exceptions import ValueCheckError
+
+FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
+_HALVES = (torch.float16, torch.bfloat16)
+
+# --- libraries ------------------------------------------------------------------------------------------------------
+
+_LIBRARIES = {"cpu": "libkvision.so", "cuda": "libkvision_cuda.so"}
+LIBRARY_FOLDER = Path(__file__).parent / "lib"
+
+# device type -> why its kernels are not there; a device missing here is served.
+unserved: dict[str, str] = {}
+
+
+def _load() -> None:
+    for device, name in _LIBRARIES.items():
+        path = LIBRARY_FOLDER / name
+        if device == "cuda" and not torch.backends.cuda.is_built():
+            unserved[device] = "this torch was built without CUDA"
+        elif device == "cuda" and "cpu" in unserved:
+            unserved[device] = "libkvision.so, which declares the operators, is not loaded"
+        elif not path.exists():
+            unserved[device] = f"{name} was not built: reinstall kvision on a machine with {_compiler(device)}"
+        else:
+            try:
+                torch.ops.load_library(path)
+            except OSError as error:
+                unserved[device] = f"{name} does not load: {error}"
+
+
+def _compiler(device: str) -> str:
+    return "nvcc and a C++20 compiler" if device == "cuda" else "a C++20 compiler"
+
+
+_load()
+
+# --- which backend serves a call ------------------------------------------------------------------------------------
+
+_BACKENDS = ("auto", "native", "reference")
+
+
+def _checked_backend(name: str) -> str:
+    if name not in _BACKENDS:
+        raise ValueCheckError(f"backend: expected one of {', '.join(_BACKENDS)}; got {name!r}", actual_value=name)
+    return name
+
+
+_backend = _checked_backend(os.environ.get("KVISION_BACKEND", "auto"))
+
+
+@contextlib.contextmanager
+def backend(name: str) -> Iterator[None]:
+    """Choose what serves kvision's operators inside a `with` block.
+
+    Args:
+        name: "auto" takes the kernel where there is one and the reference elsewhere; "reference" always takes the
+            pure-torch reference; "native" makes a missing kernel an error that says what is missing. The environment
+            variable KVISION_BACKEND sets the choice for the whole process.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> with K.backend("reference"):
+        ...     K.filters.sobel(torch.zeros(1, 1, 2, 2))
+        tensor([[[[0.0010, 0.0010],
+                  [0.0010, 0.0010]]]])
+    """
+    global _backend
+    previous, _backend = _backend, _checked_backend(name)
+    try:
+        yield
+    finally:
+        _backend = previous
+
+
+operators: dict[str, Operator] = {}
+
+
+def serves(name: str, x: Tensor) -> str:
+    """Which backend serves operator `name` on a tensor like `x`: "native" or "reference"."""
+    return "native" if operators[name].is_native(x) else "reference"
+
+
+# --- operators ------------------------------------------------------------------------------------------------------
+
+
+def register(name: str, reference: Callable[..., Any], **rules: Any) -> Operator:
+    """Tie the kernels of `torch.ops.kvision.<name>` to their reference; see Operator for the rules."""
+    operators[name] = Operator(name, reference, **rules)
+    return operators[name]
+
+
+class Operator:
+    """One operator: tensors first, then plain arguments, in the order of its schema.
+
+    Every tensor argument is an image batch or parameters of its samples: axis 0 is the batch, or has size 1 and serves
+    all of it. An optional tensor may be None.
+
+    Args:
+        name: name of the operator, `torch.ops.kvision.<name>`.
+        reference: the definition in plain torch, in float32 or float64. Half types and bytes are computed in float32
+            and rounded to the type of the first tensor (bytes: half to even, saturated).
+        fake: shape rule, the result's sizes from the arguments; default: the sizes of the first tensor. May return a
+            list of sizes for several results.
+        backward: `backward(needs, grads..., *args) -> gradients of the tensor arguments`, written with registered
+            operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted, and None
+            stands for one that is not. Default: the reference is differentiated.
+        linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
+            is saved for backward (`args[0]` is None there).
+        bytes: the kernels take uint8, too.
+        autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
+            which is safe for filters: they store half types but compute in float32.
+        deterministic: False when a kernel may give other bits on a second run; torch.use_deterministic_algorithms then
+            raises or warns as it does for torch's own operators.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        reference: Callable[..., Any],
+        *,
+        fake: Callable[..., Sequence[Any]] | None = None,
+        backward: Callable[..., Sequence[Tensor | None]] | None = None,
+        linear: bool = False,
+        bytes: bool = False,
+        autocast: torch.dtype | None = None,
+        deterministic: bool = True,
+    ) -> None:
+        self.name = name
+        self.definition = reference
+        self.reference = _as_stored(reference)
+        self.backward = backward or self._differentiate_reference
+        self.linear = linear
+        self.dtypes = (*FLOATS, torch.uint8) if bytes else FLOATS
+        self.autocast = autocast
+        self.deterministic = deterministic
+        self._fake_sizes = fake
+        self.kernel = self._bind()
+        self.function = self._make_function()
+
+    def __call__(self, *args: Any) -> Any:
+        x = args[0]
+        if self.autocast is not None and torch.is_autocast_enabled(x.device.type):
+            args = tuple(a.to(self.autocast) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
+            x = args[0]
+        if not self.is_native(x):
+            return self.reference(*args)
+        if torch.compiler.is_compiling():
+            return self.kernel(*args)
+        if not self.deterministic and torch.are_deterministic_algorithms_enabled():
+            self._alert_not_deterministic()
+        if (
+            (torch.is_grad_enabled() and any(isinstance(a, Tensor) and a.requires_grad for a in args))
+            or torch._C._are_functorch_transforms_active()
+            or forward_ad._current_level >= 0
+        ):
+            return self.function.apply(*args)
+        with torch._C._AutoDispatchBelowAutograd():
+            return self.kernel(*args)
+
+    # The one predicate.
+    def is_native(self, x: Tensor) -> bool:
+        """Whether the kernels serve a call on `x`; raises under backend("native") where they do not."""
+        if _backend == "reference":
+            return False
+        device = x.device.type
+        if device in _LIBRARIES and device not in unserved and x.dtype in self.dtypes:
+            return True
+        if _backend == "native":
+            reason = unserved.get(device) or f"there is no kernel for {x.dtype} on {device}"
+            raise RuntimeError(f"{self.name}: backend 'native' was asked for, but {reason}; see kvision.info()")
+        return False
+
+    # --- registration with torch ---
+
+    def _bind(self) -> Any:
+        if "cpu" in unserved:
+            return None
+        qualified = f"kvision::{self.name}"
+        try:
+            kernel = getattr(torch.ops.kvision, self.name).default
+        except AttributeError:
+            raise RuntimeError(f"{qualified} is not in {_LIBRARIES['cpu']}: rebuild kvision") from None
+        torch.library.register_fake(qualified, self._fake)
+        torch.library.register_vmap(qualified, functools.partial(_fold, kernel))
+        torch.library.register_autograd(qualified, self._backward, setup_context=self._setup_context)
+        return kernel
+
+    def _make_function(self) -> type[torch.autograd.Function]:
+        operator = self
+
+        def forward(*args: Any) -> Any:
+            with torch._C._AutoDispatchBelowAutograd():
+                return operator.kernel(*args)
+
+        rules = {
+            "forward": forward,
+            "setup_context": self._setup_context,
+            "backward": self._backward,
+            "jvp": self._jvp,
+            "vmap": functools.partial(_fold, self),
+        }
+        return type(self.name, (torch.autograd.Function,), {k: staticmethod(v) for k, v in rules.items()})
+
+    def _fake(self, *args: Any) -> Any:
+        x = args[0]
+        sizes = x.shape if self._fake_sizes is None else self._fake_sizes(*args)
+        if isinstance(sizes, list):
+            return tuple(_empty(x, s) for s in sizes)
+        return _empty(x, sizes)
+
+    # --- derivatives ---
+
+    def _setup_context(self, ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        tensors = [isinstance(a, Tensor) for a in inputs]
+        saved = [a if is_tensor else None for a, is_tensor in zip(inputs, tensors)]
+        if self.linear and sum(tensors) == 1:
+            saved[0] = None
+        ctx.save_for_backward(*saved)
+        ctx.save_for_forward(*saved)
+        ctx.tensors = tensors
+        ctx.plain = [None if is_tensor else a for a, is_tensor in zip(inputs, tensors)]
+
+    @staticmethod
+    def _inputs(ctx: Any) -> list[Any]:
+        return [s if is_tensor else p for s, p, is_tensor in zip(ctx.saved_tensors, ctx.plain, ctx.tensors)]
+
+    def _backward(self, ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        found = iter(self.backward(ctx.needs_input_grad, *grads, *self._inputs(ctx)))
+        return tuple(next(found) if is_tensor else None for is_tensor in ctx.tensors)
+
+    def _jvp(self, ctx: Any, *tangents: Tensor | None) -> Any:
+        args = self._inputs(ctx)
+        if self.linear and sum(ctx.tensors) == 1:
+            return self(tangents[0], *args[1:])
+        where = [i for i, t in enumerate(tangents) if t is not None]
+        # J t as the derivative of u -> J^T u: works under every transform, also inside plain forward-mode.
+        output, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
+        _, pushforward = torch.func.vjp(pullback, _map(torch.zeros_like, output))
+        return pushforward(tuple(tangents[i] for i in where))[0]
+
+    def _differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+        args = grads_and_args[-len(needs) :]
+        grads = grads_and_args[: -len(needs)]
+        where = [i for i, need in enumerate(needs) if need]
+        _, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
+        found = dict(zip(where, pullback(grads[0] if len(grads) == 1 else grads)))
+        return [found.get(i) for i, a in enumerate(args) if isinstance(a, Tensor)]
+
+    def _of_tensors(self, args: Sequence[Any], where: Sequence[int]) -> Callable[..., Any]:
+        def f(*values: Tensor) -> Any:
+            full = list(args)
+            for i, value in zip(where, values):
+                full[i] = value
+            return self.reference(*full)
+
+        return f
+
+    def _alert_not_deterministic(self) -> None:
+        if torch.is_deterministic_algorithms_warn_only_enabled():
+            import warnings
+
+            warnings.warn(f"{self.name} does not have a deterministic implementation", stacklevel=3)
+        else:
+            raise RuntimeError(
+                f"{self.name} does not have a deterministic implementation, but you set "
+                "'torch.use_deterministic_algorithms(True)'"
+            )
+
+
+def transpose(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """The transpose of a reference that is linear in its first tensor and keeps its shape: gradient in, gradient out."""
+
+    def transposed(grad: Tensor, *args: Any) -> Tensor:
+        _, pullback = torch.func.vjp(lambda x: reference(x, *args), torch.zeros_like(grad))
+        return pullback(grad)[0]
+
+    return transposed
+
+
+def vjp(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """The gradient of a reference for its first tensor: `vjp(f)(grad, x, *args)`."""
+
+    def pulled(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
+        _, pullback = torch.func.vjp(lambda x: reference(x, *args), x)
+        return pullback(grad)[0]
+
+    return pulled
+
+
+# --- helpers --------------------------------------------------------------------------------------------------------
+
+
+def _map(f: Callable[[Any], Any], output: Any) -> Any:
+    return tuple(map(f, output)) if isinstance(output, (tuple, list)) else f(output)
+
+
+def _empty(x: Tensor, sizes: Sequence[int]) -> Tensor:
+    """What the kernels allocate: dense, channels-last for an image that is channels-last, as glue.h's layout_of has it."""
+    if len(sizes) == 4 and x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:
+        if x.stride(3) == x.shape[1] and x.stride(2) == x.shape[1] * x.shape[3]:
+            return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
+    return x.new_empty(sizes)
+
+
+def saturate_to_byte(x: Tensor) -> Tensor:
+    """Round half to even and saturate, as OpenCV stores bytes."""
+    return x.round().clamp(0, 255).to(torch.uint8)
+
+
+def _as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
+    """The reference with the kernels' number rules: half types and bytes compute in float32, autocast is off."""
+
+    @functools.wraps(reference)
+    def wrapped(*args: Any) -> Any:
+        x = args[0]
+        device = x.device.type
+        if torch.is_autocast_enabled(device):
+            with torch.autocast(device, enabled=False):
+                return wrapped(*args)
+        stored = x.dtype
+        if stored == torch.float64:
+            return reference(*(a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args))
+        widened = (a.float() if isinstance(a, Tensor) and a.dtype != torch.float32 else a for a in args)
+        output = reference(*widened)
+        if stored == torch.float32:
+            return output
+        return _map(saturate_to_byte if stored == torch.uint8 else lambda y: y.to(stored), output)
+
+    return wrapped
+
+
+def _fold(operator: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any) -> tuple[Any, Any]:
+    """vmap: the mapped axis joins the batch, which every tensor has in front."""
+    n = info.batch_size
+    tensors = [i for i, a in enumerate(args) if isinstance(a, Tensor)]
+    sizes = {i: args[i].shape[1 if in_dims[i] == 0 else 0] for i in tensors}
+    batch = max(sizes.values())
+    folded = list(args)
+    for i in tensors:
+        a, dim = args[i], in_dims[i]
+        if dim is None and a.shape[0] == 1 and i != tensors[0]:
+            continue  # one for all samples stays one for all
+        a = a.unsqueeze(0).expand(n, *a.shape) if dim is None else a.movedim(dim, 0)
+        if a.shape[1] != batch:
+            a = a.expand(n, batch, *a.shape[2:])
+        folded[i] = a.reshape(n * batch, *a.shape[2:])
+    output = operator(*folded)
+    return _map(lambda y: y.reshape(n, batch, *y.shape[1:]), output), _map(lambda y: 0, output)

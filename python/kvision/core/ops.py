@@ -1,0 +1,72 @@
+"""Constant tensors that take batch size, device and dtype from another tensor."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+__all__ = ["eye_like", "vec_like"]
+
+
+def eye_like(n: int, input: Tensor, shared_memory: bool = False) -> Tensor:
+    """Identity matrices, one for each sample of `input`.
+
+    Args:
+        n: rows and columns of a matrix, at least 1.
+        input: any tensor of shape (B, ...); gives batch size, device and dtype.
+        shared_memory: all matrices are one piece of memory. Saves memory; the result must then not be written to.
+
+    Returns:
+        (B, n, n).
+
+    Raises:
+        TypeCheckError: `n` is no int or `input` no tensor.
+        ValueCheckError: `n` is less than 1.
+        ShapeError: `input` has no axis.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.core.eye_like(2, torch.zeros(3, 5)).shape
+        torch.Size([3, 2, 2])
+    """
+    _check_batch("eye_like", n, "input", input)
+    matrices = input.new_zeros(1 if shared_memory else len(input), n, n)
+    matrices.diagonal(dim1=1, dim2=2).fill_(1)
+    return matrices.expand(len(input), n, n)
+
+
+def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:
+    """Zero column vectors, one for each sample of `tensor`.
+
+    Args:
+        n: rows of a vector, at least 1.
+        tensor: any tensor of shape (B, ...); gives batch size, device and dtype.
+        shared_memory: all vectors are one piece of memory. Saves memory; the result must then not be written to.
+
+    Returns:
+        (B, n, 1).
+
+    Raises:
+        TypeCheckError: `n` is no int or `tensor` no tensor.
+        ValueCheckError: `n` is less than 1.
+        ShapeError: `tensor` has no axis.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.core.vec_like(3, torch.zeros(2, 5)).shape
+        torch.Size([2, 3, 1])
+    """
+    _check_batch("vec_like", n, "tensor", tensor)
+    return tensor.new_zeros(1 if shared_memory else len(tensor), n, 1).expand(len(tensor), n, 1)
+
+
+def _check_batch(op: str, n: int, name: str, x: Tensor) -> None:
+    _check.is_tensor(op, name, x)
+    if x.dim() == 0:
+        raise ShapeError(f"{op}: expected {name} of shape (B, ...), got ()", actual_shape=x.shape)
+    if not isinstance(n, int) or isinstance(n, bool):
+        raise TypeCheckError(f"{op}: expected n to be an int, got {n!r}", actual_type=type(n))
+    if n < 1:
+        raise ValueCheckError(f"{op}: expected n of at least 1, got {n}", actual_value=n)

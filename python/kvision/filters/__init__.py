@@ -1,0 +1,1 @@
+from kvision.filters.sobel import Sobel, sobel

@@ -1,0 +1,134 @@
+"""Cross-correlation and convolution of images with any small kernel."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check as check
+from kvision._dtype import compute_dtype, pixels, widened
+
+from .border import pad, same_pads
+
+
+def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
+    """Cross-correlate every channel of `x` (B, C, *S) with `kernel` (B or 1, *K), where the kernel fits inside; 2-D or 3-D."""
+    b, c, *size = x.shape
+    n, *taps = kernel.shape
+    if n * c == 0:  # a convolution has at least one group; without planes any crop of the right size will do
+        crop = tuple(slice(k - 1, None, stride) for k in taps)
+        return x[(..., *crop)] * kernel.sum()
+    convolve = F.conv2d if len(size) == 2 else F.conv3d
+    weight = kernel[:, None].expand(n, c, *taps).reshape(n * c, 1, *taps)
+    y = convolve(x.reshape(b // n, n * c, *size), weight, stride=stride, groups=n * c)
+    return y.reshape(b, c, *y.shape[2:])
+
+
+@widened
+def _reference(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
+    if same:
+        x = pad(x, same_pads(kernel.shape[1:]), border)
+    return correlate(x, kernel)
+
+
+def filter2d(
+    input: Tensor,
+    kernel: Tensor,
+    border_type: str = "reflect",
+    normalized: bool = False,
+    padding: str = "same",
+    behaviour: str = "corr",
+) -> Tensor:
+    """Filter every channel of an image with one kernel.
+
+    Cross-correlation: the kernel lies on the image unflipped, its tap (kH - 1) // 2, (kW - 1) // 2 on the pixel computed.
+
+    Args:
+        input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.
+        kernel: (1, kH, kW), or (B, kH, kW) with a kernel for every image; sizes may be even.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        normalized: divide the kernel by the sum of its absolute values.
+        padding: 'same' keeps the size, 'valid' gives (B, C, H - kH + 1, W - kW + 1) and reads no border.
+        behaviour: 'corr', or 'conv' to flip the kernel first (convolution).
+
+    Returns:
+        The filtered image; differentiable in image and kernel.
+
+    Raises:
+        TypeCheckError: input or kernel is no real tensor.
+        ShapeError: wrong ranks or batch sizes, a 'valid' kernel larger than the image, or a border wider than the image.
+        ValueCheckError: an unknown border_type, padding or behaviour.
+        DeviceError: input and kernel are on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[1., 2., 3.]]]])
+        >>> K.filters.filter2d(x, torch.tensor([[[1., 0., 0.]]]), border_type="replicate")
+        tensor([[[[1., 1., 2.]]]])
+    """
+    check.images("filter2d", "input", input)
+    check.shape("filter2d", "kernel", kernel, "B or 1", "kH", "kW")
+    kernel = prepare_kernel("filter2d", input, kernel, normalized, behaviour)
+    same = check_padding("filter2d", input, kernel, border_type, padding)
+    return _reference(pixels(input), kernel, border_type, same)
+
+
+def correlate2d(
+    input: Tensor, kernel: Tensor, border_type: str = "reflect", normalized: bool = False, padding: str = "same"
+) -> Tensor:
+    """Cross-correlate an image with a kernel: `filter2d` with behaviour 'corr'; same arguments, result and errors.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 1., 0.]]]])
+        >>> K.filters.correlate2d(x, torch.tensor([[[1., 2., 3.]]]))
+        tensor([[[[3., 2., 1.]]]])
+    """
+    return filter2d(input, kernel, border_type, normalized, padding, "corr")
+
+
+def convolve2d(
+    input: Tensor, kernel: Tensor, border_type: str = "reflect", normalized: bool = False, padding: str = "same"
+) -> Tensor:
+    """Convolve an image with a kernel: `filter2d` with behaviour 'conv'; same arguments, result and errors.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 1., 0.]]]])
+        >>> K.filters.convolve2d(x, torch.tensor([[[1., 2., 3.]]]), border_type="constant")
+        tensor([[[[1., 2., 3.]]]])
+    """
+    return filter2d(input, kernel, border_type, normalized, padding, "conv")
+
+
+def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: str) -> Tensor:
+    """The checked `kernel` (B or 1, *K) as the operators take it: unit absolute sum and flipped where asked."""
+    n = kernel.shape[0]
+    if n not in (1, x.shape[0]):
+        raise check.ShapeError(
+            f"{op}: expected a kernel batch of 1 or the {x.shape[0]} of the input, got {n}", actual_shape=kernel.shape
+        )
+    if 0 in kernel.shape[1:]:
+        raise check.ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
+    check.same_device(op, input=x, kernel=kernel)
+    check.choice(op, "behaviour", behaviour, ("corr", "conv"))
+    kernel = kernel.to(compute_dtype(x))
+    axes = tuple(range(1, kernel.dim()))
+    if normalized:
+        kernel = kernel / kernel.abs().sum(axes, keepdim=True)
+    return kernel.flip(axes) if behaviour == "conv" else kernel
+
+
+def check_padding(op: str, x: Tensor, kernel: Tensor, border_type: str, padding: str) -> bool:
+    """Whether `padding` is 'same'; raise where the border or, for 'valid', the kernel does not fit the image."""
+    check.border(op, border_type)
+    check.choice(op, "padding", padding, ("same", "valid"))
+    taps = kernel.shape[1:]
+    if padding == "same":
+        check.reflectable(op, x, [size // 2 for size in taps], border_type)
+    elif any(k > n for k, n in zip(taps, x.shape[2:])):
+        raise check.ShapeError(
+            f"{op}: expected a 'valid' kernel no larger than the input, got {tuple(taps)} for {tuple(x.shape)}"
+        )
+    return padding == "same"

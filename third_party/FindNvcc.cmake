@@ -1,0 +1,15 @@
+# nvcc, NVIDIA's CUDA compiler (part of the CUDA toolkit, NVIDIA's licence). Sets NVCC_FOUND and CMake's CUDA variables.
+include(CheckLanguage)
+if(NOT DEFINED CMAKE_CUDA_ARCHITECTURES)
+  if(DEFINED ENV{KVISION_CUDA_ARCHITECTURES})  # release builds: "75-real;80-real;86-real;89-real;90-real;100-real;120"
+    set(CMAKE_CUDA_ARCHITECTURES $ENV{KVISION_CUDA_ARCHITECTURES})
+  else()
+    set(CMAKE_CUDA_ARCHITECTURES 90)
+  endif()
+endif()
+check_language(CUDA)
+if(CMAKE_CUDA_COMPILER)
+  set(NVCC_FOUND TRUE)
+else()
+  set(NVCC_FOUND FALSE)
+endif()

@@ -15,8 +15,8 @@ namespace kv {
 
 enum class Border : int { constant = 0, reflect = 1, replicate = 2, circular = 3 };
 
-// The pixel at position i of an axis of n pixels, or -1 for the constant 0. One reflection or period each way is enough:
-// the operators refuse wider borders.
+// The pixel at position i of an axis of n pixels, or -1 for the constant 0. One reflection or period each way is
+// enough: the operators refuse wider borders.
 template <class Int>
 KV_HD Int border_index(Border border, Int i, Int n) {
   if (i >= 0 && i < n) return i;

@@ -6,8 +6,8 @@
 //   KV_KERNEL(sobel, Sobel)     // template <class T> void sobel(Sobel<T> const&, int64_t begin, int64_t end) on CPU,
 //                               // template <class T> int sobel(Sobel<T> const&, CUstream_st*) on CUDA
 //
-// *_cpu.cpp defines it inside `namespace kv::KV_ISA`, *.cu inside `namespace kv::cuda`; each ends in KV_INSTANTIATE(...).
-// The glue calls KV_RUN (glue.h), which picks the namespace.
+// *_cpu.cpp defines it inside `namespace kv::KV_ISA`, *.cu inside `namespace kv::cuda`; each ends in
+// KV_INSTANTIATE(...). The glue calls KV_RUN (glue.h), which picks the namespace.
 #pragma once
 
 #include "half.h"
@@ -20,15 +20,15 @@ enum class Isa : int { baseline = 0, avx2 = 1, avx512 = 2 };
 
 Isa active_isa();  // module.cpp
 
-#define KV_DECLARE_CPU(isa, name, Params)                                  \
-  namespace isa {                                                          \
-  template <class T>                                                       \
-  void name(Params<T> const& params, int64_t begin, int64_t end);          \
+#define KV_DECLARE_CPU(isa, name, Params)                         \
+  namespace isa {                                                 \
+  template <class T>                                              \
+  void name(Params<T> const& params, int64_t begin, int64_t end); \
   }
 #if defined(__x86_64__)
 #define KV_DECLARE_ALL_CPU(name, Params) \
   KV_DECLARE_CPU(baseline, name, Params) KV_DECLARE_CPU(avx2, name, Params) KV_DECLARE_CPU(avx512, name, Params)
-#define KV_FOR_ISA(name, ...)                                            \
+#define KV_FOR_ISA(name, ...)                                                \
   (::kv::active_isa() == ::kv::Isa::avx512 ? ::kv::avx512::name(__VA_ARGS__) \
    : ::kv::active_isa() == ::kv::Isa::avx2 ? ::kv::avx2::name(__VA_ARGS__)   \
                                            : ::kv::baseline::name(__VA_ARGS__))
@@ -37,10 +37,10 @@ Isa active_isa();  // module.cpp
 #define KV_FOR_ISA(name, ...) ::kv::baseline::name(__VA_ARGS__)
 #endif
 
-#define KV_KERNEL(name, Params)                          \
-  KV_DECLARE_ALL_CPU(name, Params)                       \
-  namespace cuda {                                       \
-  template <class T>                                     \
+#define KV_KERNEL(name, Params)                           \
+  KV_DECLARE_ALL_CPU(name, Params)                        \
+  namespace cuda {                                        \
+  template <class T>                                      \
   int name(Params<T> const& params, CUstream_st* stream); \
   }
 
@@ -50,9 +50,9 @@ Isa active_isa();  // module.cpp
 #define KV_INSTANTIATE_ONE(name, Params, T) template void name<T>(Params<T> const&, int64_t, int64_t);
 #endif
 // The storage types an operator serves: all of them have the floats, some of them bytes too.
-#define KV_INSTANTIATE(name, Params)         \
-  KV_INSTANTIATE_ONE(name, Params, float)    \
-  KV_INSTANTIATE_ONE(name, Params, double)   \
+#define KV_INSTANTIATE(name, Params)           \
+  KV_INSTANTIATE_ONE(name, Params, float)      \
+  KV_INSTANTIATE_ONE(name, Params, double)     \
   KV_INSTANTIATE_ONE(name, Params, ::kv::Half) \
   KV_INSTANTIATE_ONE(name, Params, ::kv::BFloat16)
 #define KV_INSTANTIATE_WITH_BYTES(name, Params) \

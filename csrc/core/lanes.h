@@ -1,7 +1,8 @@
 // SIMD values. Included by *_cpu.cpp files, which are compiled once per instruction set.
 //
 // Lanes<F, N> is the compiler's vector of N numbers, and F itself for N = 1, so a formula templated on its value type
-// serves the interior of a row (N = kLanes) and its tail and rim (N = 1). Operators (+, *, <, ?:) are the language's own.
+// serves the interior of a row (N = kLanes) and its tail and rim (N = 1). Operators (+, *, <, ?:) are the language's
+// own.
 #pragma once
 
 #if defined(__x86_64__)
@@ -43,7 +44,8 @@ KV_HD Lanes<F, N> broadcast(F x) {
     return x - Lanes<F, N>{};
 }
 
-// --- memory -> lanes ---------------------------------------------------------------------------------------------------
+// --- memory -> lanes
+// ---------------------------------------------------------------------------------------------------
 
 template <int N>
 KV_HD Lanes<float, N> load(float const* p) {
@@ -58,8 +60,8 @@ KV_HD Lanes<float, N> load(uint8_t const* p) {
   if constexpr (N == 1)
     return float(*p);
   else
-    return __builtin_convertvector(__builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(p), Lanes<int32_t, N>),
-                                   Lanes<float, N>);
+    return __builtin_convertvector(
+        __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(p), Lanes<int32_t, N>), Lanes<float, N>);
 }
 template <int N>
 KV_HD Lanes<float, N> load(BFloat16 const* p) {
@@ -91,7 +93,8 @@ KV_HD Lanes<float, N> load(Half const* p) {
   }
 }
 
-// --- lanes -> memory ---------------------------------------------------------------------------------------------------
+// --- lanes -> memory
+// ---------------------------------------------------------------------------------------------------
 
 template <int N>
 KV_HD void store(float* p, Lanes<float, N> v) {
@@ -148,7 +151,8 @@ KV_HD void store(Half* p, Lanes<float, N> v) {
   }
 }
 
-// --- what the language has no operator for -----------------------------------------------------------------------------
+// --- what the language has no operator for
+// -----------------------------------------------------------------------------
 
 // min, max and clamp of hd.h work on lanes as they are. A NaN operand gives the other one or itself, as minps does.
 
@@ -169,8 +173,8 @@ KV_HD V vsqrt(V v) {
   }
 }
 
-// Calls f(index constant N, element) over [begin, end): vectors of kLanes<T>, the last one overlapping the one before it
-// (so f must not read what it writes), and single elements where the range is shorter than a vector.
+// Calls f(index constant N, element) over [begin, end): vectors of kLanes<T>, the last one overlapping the one before
+// it (so f must not read what it writes), and single elements where the range is shorter than a vector.
 template <int N>
 struct Width {
   static constexpr int value = N;

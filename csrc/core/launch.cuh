@@ -13,7 +13,8 @@ namespace kv {
 
 constexpr int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
-// --- storage <-> compute type ------------------------------------------------------------------------------------------
+// --- storage <-> compute type
+// ------------------------------------------------------------------------------------------
 
 __device__ __forceinline__ float read(float x) { return x; }
 __device__ __forceinline__ double read(double x) { return x; }
@@ -33,7 +34,8 @@ __device__ __forceinline__ T round_to(Compute<T> x) {
     return {__bfloat16_as_ushort(__float2bfloat16_rn(x))};
 }
 
-// --- four neighbouring elements ----------------------------------------------------------------------------------------
+// --- four neighbouring elements
+// ----------------------------------------------------------------------------------------
 
 // One access where the address allows it: 16 bytes of float, 8 of the half types, 4 of bytes.
 template <class T>
@@ -75,11 +77,13 @@ __device__ __forceinline__ void store_four(T* row, int x, int size, bool aligned
   }
 }
 
-// --- strips: a warp's row of 128 elements, each thread's four with R neighbours on either side --------------------------
+// --- strips: a warp's row of 128 elements, each thread's four with R neighbours on either side
+// --------------------------
 
-// The values at elements x - R ... x + 3 + R of a row into v, x being four times the thread's place in the row, for planar
-// images (step 1). Neighbours come from the neighbouring threads; only a warp's ends and the image's rim read memory again. All
-// 32 threads must call it, those beyond the row included; R <= 4. With border constant, what is outside is 0.
+// The values at elements x - R ... x + 3 + R of a row into v, x being four times the thread's place in the row, for
+// planar images (step 1). Neighbours come from the neighbouring threads; only a warp's ends and the image's rim read
+// memory again. All 32 threads must call it, those beyond the row included; R <= 4. With border constant, what is
+// outside is 0.
 template <int R, class T>
 __device__ __forceinline__ void load_strip(Compute<T> (&v)[4 + 2 * R], T const* row, int x, int width, bool aligned,
                                            Border border) {

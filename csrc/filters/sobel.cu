@@ -1,5 +1,5 @@
-// Sobel on CUDA. Each warp walks down a strip of 128 columns with three rows in registers, so a pixel is read from device
-// memory once; channels-last images and strips take a plain kernel, one thread an element.
+// Sobel on CUDA. Each warp walks down a strip of 128 columns with three rows in registers, so a pixel is read from
+// device memory once; channels-last images and strips take a plain kernel, one thread an element.
 #include "core/launch.cuh"
 #include "sobel.h"
 
@@ -43,11 +43,12 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips strips, bo
   }
 }
 
-// u = g gx / magnitude and v = g gy / magnitude at one row, for the six columns a strip needs, from the rows of x around it.
+// u = g gx / magnitude and v = g gy / magnitude at one row, for the six columns a strip needs, from the rows of x
+// around it.
 template <class T>
 __device__ __forceinline__ void weigh(SobelBackward<T> const& p, Compute<T> const (&a)[8], Compute<T> const (&b)[8],
-                                      Compute<T> const (&c)[8], Compute<T> const (&g)[6], int x, int width, Compute<T> odd,
-                                      Compute<T> (&u)[6], Compute<T> (&v)[6]) {
+                                      Compute<T> const (&c)[8], Compute<T> const (&g)[6], int x, int width,
+                                      Compute<T> odd, Compute<T> (&u)[6], Compute<T> (&v)[6]) {
   using F = Compute<T>;
 #pragma unroll
   for (int i = 0; i < 6; ++i) {
@@ -119,11 +120,12 @@ __global__ void __launch_bounds__(256) sobel_backward_strip(SobelBackward<T> p, 
   }
 }
 
-// --- any layout: one thread an element ---------------------------------------------------------------------------------
+// --- any layout: one thread an element
+// ---------------------------------------------------------------------------------
 
 template <class T>
-__device__ __forceinline__ void gradients_at(Planes<T const> const& x, Compute<T> scale, int64_t plane, int64_t y, int64_t e,
-                                             Compute<T>& gx, Compute<T>& gy) {
+__device__ __forceinline__ void gradients_at(Planes<T const> const& x, Compute<T> scale, int64_t plane, int64_t y,
+                                             int64_t e, Compute<T>& gx, Compute<T>& gy) {
   int64_t const left = e >= x.step ? e - x.step : e, right = e + x.step < x.row_size() ? e + x.step : e;
   T const* const b = x.row(plane, y);
   T const* const a = y > 0 ? b - x.row_stride : b;
@@ -160,9 +162,9 @@ __global__ void sobel_backward_any(SobelBackward<T> p) {
       u[dy][dx] = gx * (outside_x ? -s : s);
       v[dy][dx] = gy * (outside_y ? -s : s);
     }
-  p.grad_x.row(plane, y)[e] = round_to<T>(
-      sobel_gradients_vjp(u[0][0], u[0][2], u[1][0], u[1][2], u[2][0], u[2][2], v[0][0], v[0][1], v[0][2], v[2][0], v[2][1],
-                          v[2][2], p.scale));
+  p.grad_x.row(plane, y)[e] =
+      round_to<T>(sobel_gradients_vjp(u[0][0], u[0][2], u[1][0], u[1][2], u[2][0], u[2][2], v[0][0], v[0][1], v[0][2],
+                                      v[2][0], v[2][1], v[2][2], p.scale));
 }
 
 }  // namespace
@@ -182,8 +184,8 @@ template <class T>
 int sobel_backward(SobelBackward<T> const& p, CUstream_st* stream) {
   if (p.x.step == 1) {
     Strips const strips(p.x.count(), p.x.height, p.x.width, kRows);
-    sobel_backward_strip<<<strips.blocks(), 256, 0, stream>>>(p, strips,
-                                                              is_aligned(p.x) && is_aligned(p.grad) && is_aligned(p.grad_x));
+    sobel_backward_strip<<<strips.blocks(), 256, 0, stream>>>(
+        p, strips, is_aligned(p.x) && is_aligned(p.grad) && is_aligned(p.grad_x));
   } else {
     sobel_backward_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
   }

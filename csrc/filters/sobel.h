@@ -36,16 +36,17 @@ KV_HD void sobel_gradients(V a0, V a1, V a2, V b0, V b2, V c0, V c1, V c2, S sca
   gy = ((c0 - a0) + (c2 - a2) + (c1 - a1) * S(2)) * scale;
 }
 
-// Their transpose: the gradient of a pixel from u = dL/dgx (left and right columns) and v = dL/dgy (rows above and below)
-// at its neighbours. At the rim, replicating a pixel reads as: what lies outside is the rim's own value, negated across
-// the axis that is differentiated. So u continues odd in x and even in y, v even in x and odd in y.
+// Their transpose: the gradient of a pixel from u = dL/dgx (left and right columns) and v = dL/dgy (rows above and
+// below) at its neighbours. At the rim, replicating a pixel reads as: what lies outside is the rim's own value, negated
+// across the axis that is differentiated. So u continues odd in x and even in y, v even in x and odd in y.
 template <class V, class S>
-KV_HD V sobel_gradients_vjp(V ua0, V ua2, V ub0, V ub2, V uc0, V uc2, V va0, V va1, V va2, V vc0, V vc1, V vc2, S scale) {
+KV_HD V sobel_gradients_vjp(V ua0, V ua2, V ub0, V ub2, V uc0, V uc2, V va0, V va1, V va2, V vc0, V vc1, V vc2,
+                            S scale) {
   return ((ua0 - ua2) + (uc0 - uc2) + (ub0 - ub2) * S(2) + (va0 - vc0) + (va2 - vc2) + (va1 - vc1) * S(2)) * scale;
 }
 
-// d magnitude / d (gx, gy) times the incoming gradient g: g / magnitude, to be multiplied with gx and gy. With eps = 0 a
-// flat image has no direction; its gradient is 0 as for |x| at 0.
+// d magnitude / d (gx, gy) times the incoming gradient g: g / magnitude, to be multiplied with gx and gy. With eps = 0
+// a flat image has no direction; its gradient is 0 as for |x| at 0.
 template <class V>
 KV_HD V sobel_magnitude_vjp(V g, V magnitude) {
   return magnitude > V{} ? g / magnitude : V{};

@@ -1,9 +1,9 @@
-// The only door between torch and the kernels. Included by *_op.cpp files and by nothing else; speaks torch's stable ABI
-// only, so one build serves every torch from 2.11 on.
+// The only door between torch and the kernels. Included by *_op.cpp files and by nothing else; speaks torch's stable
+// ABI only, so one build serves every torch from 2.11 on.
 //
-// Each *_op.cpp is compiled twice, into libkvision.so and (with KV_CUDA) into libkvision_cuda.so. The entry it defines is
-// the same for both: check, lay out, allocate, KV_RUN. Types and ranges were checked in Python; here only what memory
-// safety needs is repeated.
+// Each *_op.cpp is compiled twice, into libkvision.so and (with KV_CUDA) into libkvision_cuda.so. The entry it defines
+// is the same for both: check, lay out, allocate, KV_RUN. Types and ranges were checked in Python; here only what
+// memory safety needs is repeated.
 #pragma once
 
 #include <torch/csrc/inductor/aoti_torch/c/shim.h>
@@ -26,7 +26,8 @@ namespace kv {
 using torch::headeronly::ScalarType;
 using torch::stable::Tensor;
 
-// --- checks ------------------------------------------------------------------------------------------------------------
+// --- checks
+// ------------------------------------------------------------------------------------------------------------
 
 #define KV_CHECK(condition, ...) STD_TORCH_CHECK(condition, __VA_ARGS__)
 
@@ -55,7 +56,8 @@ inline void check_border(char const* op, Border border, int64_t pad, int64_t siz
   KV_CHECK(pad <= limit, op, ": a border of ", pad, " pixels does not fit an axis of ", size);
 }
 
-// --- layouts -----------------------------------------------------------------------------------------------------------
+// --- layouts
+// -----------------------------------------------------------------------------------------------------------
 
 // How the kernels read an image tensor. planar: rows of neighbouring pixels, whatever the strides of B, C and H.
 // channels_last: rows of neighbouring pixels with their channels inside.
@@ -91,8 +93,8 @@ inline Tensor empty(std::vector<int64_t> const& sizes, Tensor const& like, Layou
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_dtype(like.get(), &dtype));
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));
   AtenTensorHandle handle;
-  TORCH_ERROR_CODE_CHECK(aoti_torch_empty_strided(int64_t(sizes.size()), sizes.data(), strides.data(), dtype, device_type,
-                                                  like.get_device_index(), &handle));
+  TORCH_ERROR_CODE_CHECK(aoti_torch_empty_strided(int64_t(sizes.size()), sizes.data(), strides.data(), dtype,
+                                                  device_type, like.get_device_index(), &handle));
   return Tensor(handle);
 }
 
@@ -109,7 +111,8 @@ Planes<T> planes(Tensor const& x, Layout layout) {
   return {data, b, c, x.stride(0), x.stride(1), x.stride(2), h, w, 1};
 }
 
-// --- dtypes ------------------------------------------------------------------------------------------------------------
+// --- dtypes
+// ------------------------------------------------------------------------------------------------------------
 
 template <class T>
 struct Type {
@@ -138,7 +141,8 @@ void for_floats_and_bytes(char const* op, Tensor const& x, F f) {
   for_floats(op, x, f);
 }
 
-// --- running -----------------------------------------------------------------------------------------------------------
+// --- running
+// -----------------------------------------------------------------------------------------------------------
 
 #if defined(KV_CUDA)
 
@@ -151,13 +155,13 @@ inline CUstream_st* current_stream(Tensor const& x) {
 }
 
 // Runs kernel `name` over the whole work on the device and current stream of tensor `x`.
-#define KV_RUN(name, x, params, rows, row_cost)                                        \
-  do {                                                                                 \
-    if ((rows) > 0) {                                                                  \
-      torch::stable::accelerator::DeviceGuard guard((x).get_device_index());           \
-      int const error = ::kv::cuda::name(params, ::kv::current_stream(x));             \
-      KV_CHECK(error == 0, #name, ": CUDA error: ", ::kv::cuda_error_string(error));   \
-    }                                                                                  \
+#define KV_RUN(name, x, params, rows, row_cost)                                      \
+  do {                                                                               \
+    if ((rows) > 0) {                                                                \
+      torch::stable::accelerator::DeviceGuard guard((x).get_device_index());         \
+      int const error = ::kv::cuda::name(params, ::kv::current_stream(x));           \
+      KV_CHECK(error == 0, #name, ": CUDA error: ", ::kv::cuda_error_string(error)); \
+    }                                                                                \
   } while (0)
 
 #define KV_OPERATOR(entry, schema) \
@@ -167,19 +171,19 @@ inline CUstream_st* current_stream(Tensor const& x) {
 
 // Runs kernel `name` over [0, rows) with torch's threads. `row_cost` is about how many elements a row of work touches:
 // less than a few ten thousand are not worth a second thread.
-#define KV_RUN(name, x, params, rows, row_cost)                                                             \
-  do {                                                                                                      \
-    int64_t const kv_grain = 1 + 32768 / (1 + int64_t(row_cost));                                           \
-    if ((rows) <= kv_grain) {                                                                               \
-      KV_FOR_ISA(name, params, 0, rows);                                                                    \
-    } else {                                                                                                \
-      torch::stable::parallel_for(0, rows, kv_grain,                                                        \
+#define KV_RUN(name, x, params, rows, row_cost)                                                               \
+  do {                                                                                                        \
+    int64_t const kv_grain = 1 + 32768 / (1 + int64_t(row_cost));                                             \
+    if ((rows) <= kv_grain) {                                                                                 \
+      KV_FOR_ISA(name, params, 0, rows);                                                                      \
+    } else {                                                                                                  \
+      torch::stable::parallel_for(0, rows, kv_grain,                                                          \
                                   [&](int64_t begin, int64_t end) { KV_FOR_ISA(name, params, begin, end); }); \
-    }                                                                                                       \
+    }                                                                                                         \
   } while (0)
 
-#define KV_OPERATOR(entry, schema)                                               \
-  STABLE_TORCH_LIBRARY_FRAGMENT(kvision, m) { m.def(#entry schema); }            \
+#define KV_OPERATOR(entry, schema)                                    \
+  STABLE_TORCH_LIBRARY_FRAGMENT(kvision, m) { m.def(#entry schema); } \
   STABLE_TORCH_LIBRARY_IMPL(kvision, CPU, m) { m.impl(#entry, TORCH_BOX(&entry)); }
 
 #endif

@@ -1,5 +1,5 @@
-// What libkvision.so says about itself and which instruction set is active; plain C functions, called by kvision._C and by
-// C++ users. Compiled into the CPU library only.
+// What libkvision.so says about itself and which instruction set is active; plain C functions, called by kvision._C and
+// by C++ users. Compiled into the CPU library only.
 #include <atomic>
 #include <cstdlib>
 #include <cstring>
@@ -16,8 +16,8 @@ bool supported(Isa isa) {
   __builtin_cpu_init();
   switch (isa) {
     case Isa::avx512:
-      return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") &&
-             __builtin_cpu_supports("avx512vl") && supported(Isa::avx2);
+      return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+             __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") && supported(Isa::avx2);
     case Isa::avx2:
       return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("f16c");
     case Isa::baseline:

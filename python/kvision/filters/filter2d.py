@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import torch
+from collections.abc import Sequence
+
 import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check as check
 from kvision._dtype import compute_dtype, pixels, widened
+from kvision.core.exceptions import ShapeError
 
 from .border import pad, same_pads
 
@@ -70,7 +72,7 @@ def filter2d(
     check.images("filter2d", "input", input)
     check.shape("filter2d", "kernel", kernel, "B or 1", "kH", "kW")
     kernel = prepare_kernel("filter2d", input, kernel, normalized, behaviour)
-    same = check_padding("filter2d", input, kernel, border_type, padding)
+    same = check_padding("filter2d", input, kernel.shape[1:], border_type, padding)
     return _reference(pixels(input), kernel, border_type, same)
 
 
@@ -106,11 +108,11 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
     """The checked `kernel` (B or 1, *K) as the operators take it: unit absolute sum and flipped where asked."""
     n = kernel.shape[0]
     if n not in (1, x.shape[0]):
-        raise check.ShapeError(
+        raise ShapeError(
             f"{op}: expected a kernel batch of 1 or the {x.shape[0]} of the input, got {n}", actual_shape=kernel.shape
         )
     if 0 in kernel.shape[1:]:
-        raise check.ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
+        raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
     check.same_device(op, input=x, kernel=kernel)
     check.choice(op, "behaviour", behaviour, ("corr", "conv"))
     kernel = kernel.to(compute_dtype(x))
@@ -120,15 +122,14 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
     return kernel.flip(axes) if behaviour == "conv" else kernel
 
 
-def check_padding(op: str, x: Tensor, kernel: Tensor, border_type: str, padding: str) -> bool:
-    """Whether `padding` is 'same'; raise where the border or, for 'valid', the kernel does not fit the image."""
+def check_padding(op: str, x: Tensor, taps: Sequence[int], border_type: str, padding: str) -> bool:
+    """Whether `padding` is 'same'; raise where the border or, for 'valid', a kernel of these sizes does not fit the image."""
     check.border(op, border_type)
     check.choice(op, "padding", padding, ("same", "valid"))
-    taps = kernel.shape[1:]
     if padding == "same":
         check.reflectable(op, x, [size // 2 for size in taps], border_type)
     elif any(k > n for k, n in zip(taps, x.shape[2:])):
-        raise check.ShapeError(
+        raise ShapeError(
             f"{op}: expected a 'valid' kernel no larger than the input, got {tuple(taps)} for {tuple(x.shape)}"
         )
     return padding == "same"

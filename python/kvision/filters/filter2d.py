@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import torch.nn.functional as F
 from torch import Tensor
 
-from kvision import _check as check
-from kvision._dtype import compute_dtype, pixels, widened
+from kvision import _check
+from kvision._dtype import compute_dtype, pixels
+from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
-
-from .border import pad, same_pads
+from kvision.filters.border import pad, same_pads
 
 
 def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
@@ -27,11 +27,13 @@ def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
     return y.reshape(b, c, *y.shape[2:])
 
 
-@widened
 def _reference(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     if same:
         x = pad(x, same_pads(kernel.shape[1:]), border)
     return correlate(x, kernel)
+
+
+_filter2d = as_stored(_reference)
 
 
 def filter2d(
@@ -69,11 +71,11 @@ def filter2d(
         >>> K.filters.filter2d(x, torch.tensor([[[1., 0., 0.]]]), border_type="replicate")
         tensor([[[[1., 1., 2.]]]])
     """
-    check.images("filter2d", "input", input)
-    check.shape("filter2d", "kernel", kernel, "B or 1", "kH", "kW")
+    _check.images("filter2d", "input", input)
+    _check.shape("filter2d", "kernel", kernel, "B or 1", "kH", "kW")
     kernel = prepare_kernel("filter2d", input, kernel, normalized, behaviour)
     same = check_padding("filter2d", input, kernel.shape[1:], border_type, padding)
-    return _reference(pixels(input), kernel, border_type, same)
+    return _filter2d(pixels(input), kernel, border_type, same)
 
 
 def correlate2d(
@@ -113,8 +115,8 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
         )
     if 0 in kernel.shape[1:]:
         raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
-    check.same_device(op, input=x, kernel=kernel)
-    check.choice(op, "behaviour", behaviour, ("corr", "conv"))
+    _check.same_device(op, input=x, kernel=kernel)
+    _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
     kernel = kernel.to(compute_dtype(x))
     axes = tuple(range(1, kernel.dim()))
     if normalized:
@@ -124,10 +126,10 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
 
 def check_padding(op: str, x: Tensor, taps: Sequence[int], border_type: str, padding: str) -> bool:
     """Whether `padding` is 'same'; raise where the border or, for 'valid', a kernel of these sizes does not fit the image."""
-    check.border(op, border_type)
-    check.choice(op, "padding", padding, ("same", "valid"))
+    _check.border(op, border_type)
+    _check.choice(op, "padding", padding, ("same", "valid"))
     if padding == "same":
-        check.reflectable(op, x, [size // 2 for size in taps], border_type)
+        _check.reflectable(op, x, [size // 2 for size in taps], border_type)
     elif any(k > n for k, n in zip(taps, x.shape[2:])):
         raise ShapeError(
             f"{op}: expected a 'valid' kernel no larger than the input, got {tuple(taps)} for {tuple(x.shape)}"

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from kvision.core.exceptions import ValueCheckError
 
@@ -323,9 +323,9 @@ def _map(f: Callable[[Any], Any], output: Any) -> Any:
 
 def _empty(x: Tensor, sizes: Sequence[int]) -> Tensor:
     """What the kernels allocate: dense, channels-last for an image that is channels-last, as glue.h's layout_of has it."""
-    if len(sizes) == 4 and x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:
-        if x.stride(3) == x.shape[1] and x.stride(2) == x.shape[1] * x.shape[3]:
-            return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
+    c = x.shape[1] if x.dim() == len(sizes) == 4 else 0
+    if c > 1 and (x.stride(1), x.stride(3), x.stride(2)) == (1, c, c * x.shape[3]):
+        return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
     return x.new_empty(sizes)
 
 

@@ -51,6 +51,7 @@ from kvision.filters.motion import (
     motion_blur,
     motion_blur3d,
 )
+from kvision.filters.otsu import OtsuThreshold, otsu_threshold
 from kvision.filters.separable import filter2d_separable
 from kvision.filters.sobel import Sobel, sobel
 from kvision.filters.spatial_gradient import SpatialGradient, SpatialGradient3d, spatial_gradient, spatial_gradient3d

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.filter2d import filter2d
@@ -43,7 +45,7 @@ def get_motion_kernel2d(
                  [0.6667, 0.3333, 0.0000],
                  [0.0000, 0.0000, 0.0000]]])
     """
-    return _motion_kernel("get_motion_kernel2d", kernel_size, angle, direction, mode, 2, None)
+    return _motion_kernel("get_motion_kernel2d", kernel_size, angle, direction, mode, 2)
 
 
 def get_motion_kernel3d(
@@ -74,7 +76,7 @@ def get_motion_kernel3d(
                 [1, 1, 1],
                 [1, 2, 1]])
     """
-    return _motion_kernel("get_motion_kernel3d", kernel_size, angle, direction, mode, 3, None)
+    return _motion_kernel("get_motion_kernel3d", kernel_size, angle, direction, mode, 3)
 
 
 def motion_blur(
@@ -109,7 +111,7 @@ def motion_blur(
         tensor([[[[0., 1., 1., 1., 0.]]]])
     """
     _check.images("motion_blur", "input", input)
-    kernel = _motion_kernel("motion_blur", kernel_size, angle, direction, mode, 2, input.device)
+    kernel = _motion_kernel("motion_blur", kernel_size, angle, direction, mode, 2, input)
     return filter2d(input, kernel, border_type)
 
 
@@ -140,7 +142,7 @@ def motion_blur3d(
         torch.Size([2, 3, 4, 8, 8])
     """
     _check.volumes("motion_blur3d", "input", input)
-    kernel = _motion_kernel("motion_blur3d", kernel_size, angle, direction, mode, 3, input.device)
+    kernel = _motion_kernel("motion_blur3d", kernel_size, angle, direction, mode, 3, input)
     return filter3d(input, kernel, border_type)
 
 
@@ -165,13 +167,13 @@ def _motion_kernel(
     direction: Tensor | float,
     mode: str,
     axes: int,
-    device: torch.device | None,
+    image: Tensor | None = None,
 ) -> Tensor:
     """(B, kernel_size, ...): every pixel of the kernel looks up its weight on the line before it was turned."""
     (size,) = _check.ints(op, "kernel_size", kernel_size, 1, minimum=3)
     _check.odd(op, "kernel_size", (size,))
     _check.choice(op, "mode", mode, ("nearest", "bilinear", "bicubic") if axes == 2 else ("nearest", "bilinear"))
-    angle, direction, dtype = _parameters(op, angle, direction, axes, device)
+    angle, direction, dtype = _parameters(op, angle, direction, axes, image)
     if mode == "nearest":
         angle = angle.detach().double()  # which of two pixels is nearer can be a matter of the last bits
     centre = size // 2
@@ -195,15 +197,19 @@ def _parameters(
     angle: Tensor | tuple[float, ...] | float,
     direction: Tensor | float,
     axes: int,
-    device: torch.device | None,
+    image: Tensor | None,
 ) -> tuple[Tensor, Tensor, torch.dtype]:
-    """angle (B or 1, 1 or 3) and direction (B or 1, 1) in float32 or wider, and the type the kernel shall have."""
+    """angle (B or 1, 1 or 3) and direction (B or 1, 1) in float32 or wider, and the type the kernel shall have.
+
+    Numbers become tensors beside the tensor parameters, or beside the image and in the type it is computed in.
+    """
     tensors = {name: p for name, p in (("angle", angle), ("direction", direction)) if isinstance(p, Tensor)}
     _check.same_device(op, **tensors)
-    types = [p.dtype for p in tensors.values() if p.is_floating_point()] or [torch.get_default_dtype()]
-    dtype = types[0] if len(types) == 1 else torch.promote_types(*types)
+    types = [p.dtype for p in tensors.values() if p.is_floating_point()]
+    default = torch.get_default_dtype() if image is None else compute_dtype(image)
+    dtype = functools.reduce(torch.promote_types, types) if types else default
     wide = torch.promote_types(dtype, torch.float32)
-    device = next((p.device for p in tensors.values()), device)
+    device = next((p.device for p in (*tensors.values(), image) if p is not None), None)
     angle = _rows(op, "angle", angle, 1 if axes == 2 else 3, device, wide)
     direction = _rows(op, "direction", direction, 1, device, wide)
     if len({angle.shape[0], direction.shape[0]} - {1}) > 1:

@@ -8,7 +8,7 @@ TESTS ?=
 ARGS ?=
 
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip install --quiet --constraint constraints.txt
+PIP := $(BIN)/python -m pip install --constraint constraints.txt
 READY := .venv/.ready
 
 .PHONY: demo test bench lint build clean distclean
@@ -36,7 +36,7 @@ $(READY): constraints.txt pyproject.toml setup.py
 	$(PYTHON) -m venv .venv
 	$(PIP) setuptools cmake ninja pybind11 torch
 	$(PIP) --no-build-isolation --editable '.[dev]'
-	@$(BIN)/python -m kvision.info
+	$(BIN)/python -m kvision.info
 	@touch $@
 
 clean:

@@ -11,7 +11,6 @@ Environment:
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import shlex
 import shutil
@@ -52,24 +51,25 @@ class BuildNative(Command):
     editable_mode = False
 
     def initialize_options(self) -> None:
-        self.build_lib = ""
-        self.build_temp = ""
+        self.build_lib: str | None = None
 
     def finalize_options(self) -> None:
-        self.set_undefined_options("build", ("build_lib", "build_lib"), ("build_temp", "build_temp"))
+        self.set_undefined_options("build", ("build_lib", "build_lib"))
 
     def get_source_files(self) -> list[str]:
         return []  # MANIFEST.in lists them
 
     def run(self) -> None:
-        package = ROOT / "python/kvision" if self.editable_mode else Path(self.build_lib, "kvision").resolve()
+        package = ROOT / "python/kvision" if self.editable_mode else Path(self.build_lib or "", "kvision").resolve()
+        record = package / "lib/pure_python.txt"  # read by kvision.info
+        record.unlink(missing_ok=True)
         reason = "KVISION_BUILD=reference asked for it" if BUILD == "reference" else self.build(package)
         if reason is None:
             return
         if BUILD == "native":
             sys.exit(f"kvision: KVISION_BUILD=native, but {reason}")
-        (package / "lib").mkdir(parents=True, exist_ok=True)
-        (package / "lib/build.json").write_text(json.dumps({"pure python": reason}))
+        record.parent.mkdir(parents=True, exist_ok=True)
+        record.write_text(reason)
         print(f"\n*** kvision is installed as pure Python, without its fast kernels: {reason}. ***\n", file=sys.stderr)
 
     def build(self, package: Path) -> str | None:
@@ -79,9 +79,9 @@ class BuildNative(Command):
             return "there is no torch >= 2.11 to take the headers from"
         if cmake is None or ninja is None:
             return "cmake or ninja is missing"
-        folder = ROOT / "build/cmake" if self.editable_mode else Path(self.build_temp).resolve()
+        folder = ROOT / "build" / ("cmake" if self.editable_mode else "wheel")
         if not self.editable_mode:
-            shutil.rmtree(folder, ignore_errors=True)
+            shutil.rmtree(ROOT / "build/wheel", ignore_errors=True)
         configure = [
             *(cmake, "-S", ROOT, "-B", folder, "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={ninja}"),
             *("-U", "TorchStable_*", f"-DTORCH_ROOT={torch}", f"-DPython_EXECUTABLE={sys.executable}"),
@@ -102,7 +102,7 @@ class Build(build):
     sub_commands = [*build.sub_commands, ("build_native", None)]
 
     def run(self) -> None:
-        shutil.rmtree(self.build_lib, ignore_errors=True)  # modules deleted since the last build
+        shutil.rmtree(ROOT / "build/pip", ignore_errors=True)  # modules deleted since the last build
         super().run()
 
 

@@ -19,7 +19,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from setuptools import Command, setup
+from setuptools import Command, Distribution, setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build import build
 
@@ -41,6 +41,11 @@ def torch_root() -> Path | None:
 def program(name: str) -> str | None:
     """A program installed by pip, for this Python or in the build environment, else one of the system."""
     return shutil.which(name, path=os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")]))
+
+
+class NativeDistribution(Distribution):
+    def has_ext_modules(self) -> bool:
+        return True  # "holds machine code": what is packed belongs in platlib
 
 
 class BuildNative(Command):
@@ -99,7 +104,7 @@ class BuildNative(Command):
 
 
 class Build(build):
-    sub_commands = [*build.sub_commands, ("build_native", None)]
+    sub_commands = [("build_py", None), ("build_native", None)]
 
     def run(self) -> None:
         shutil.rmtree(ROOT / "build/pip", ignore_errors=True)  # modules deleted since the last build
@@ -109,16 +114,13 @@ class Build(build):
 class BdistWheel(bdist_wheel):
     """The libraries serve every Python; kvision._C serves the one it was built with, and kvision works without it."""
 
-    def finalize_options(self) -> None:
-        super().finalize_options()
-        self.root_is_pure = False
-
     def get_tag(self) -> tuple[str, str, str]:
         native = any(Path(self.bdist_dir).glob("kvision/lib/*.so"))
         return "py3", "none", super().get_tag()[2] if native else "any"
 
 
 setup(
+    distclass=NativeDistribution,
     cmdclass={"build": Build, "build_native": BuildNative, "bdist_wheel": BdistWheel},
     options={"build": {"build_base": "build/pip"}},
     # For an isolated build where no torch is installed: any will do, so none is fetched where one is.

@@ -28,6 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         print(f"benchmarks: no case called {', '.join(unknown)}; there are {', '.join(ALL)}", file=sys.stderr)
         return 2
+    if options.device == "cuda" and not torch.cuda.is_available():
+        print("benchmarks: --device cuda: this torch sees no CUDA device", file=sys.stderr)
+        return 2
     cases = [ALL[name] for name in options.names or ALL]
     device = torch.device(options.device)
     set_threads(options.threads)

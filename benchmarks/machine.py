@@ -14,9 +14,8 @@ from typing import Any
 import torch
 
 import kvision
-from kvision._ops import unserved
-
 from benchmarks.peers import PEERS
+from kvision._ops import unserved
 
 
 def describe(device: torch.device, peers: Iterable[str]) -> dict[str, Any]:

@@ -60,6 +60,9 @@ def measure(
 ) -> Iterator[Row]:
     """Measure `case` at one size. `bandwidth`, bytes a second, makes its floors; `batch_one` adds the host's time."""
     where = (case.name, "x".join(map(str, size)), name_of(dtype))
+    on_gpu = device.type == "cuda"
+    if on_gpu:
+        torch.cuda.empty_cache()  # the last case's blocks would count against this one's
     inputs = case.inputs(size, dtype, device)
     outputs = _tensors(case.call(*inputs))
     floors = {
@@ -82,7 +85,6 @@ def measure(
             yield Row(*where, peer.name, FORWARD, failure=_words(error))
     del ours
 
-    on_gpu = device.type == "cuda"
     for library, measured in zip(bound, clock.race([b.call for b in bound.values()])):
         call = bound[library].call
         yield Row(

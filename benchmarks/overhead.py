@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from kvision import _ops, filters
 from torch import Tensor
 
 from benchmarks import machine
 from benchmarks.timing import Call
+from kvision import _ops, filters
 
 BARS = {"forward": 12.0, "with gradient": 20.0, "forward+backward": 60.0}  # us
 

@@ -138,7 +138,7 @@ def agreement(ours: Tensor, theirs: Tensor, rim: int) -> str:
     if ours.shape != theirs.shape:
         return "x"
     exact = 1e-3 if torch.finfo(ours.dtype).bits >= 32 else 1e-2
-    ours, theirs = ours.to("cpu", torch.float64), theirs.to("cpu", torch.float64)
+    ours, theirs = ours.double(), theirs.to(ours.device, torch.float64)
     error = (ours - theirs).abs() / (ours.max() - ours.min())
     inner = error[..., rim:-rim, rim:-rim] if rim else error
     for sign, figure, limit in (("=", error.max(), exact), ("b", _max(inner), exact), ("~", error.mean(), 1e-2)):

@@ -70,6 +70,7 @@ def plot(rows: Sequence[dict[str, Any]], title: str, path: Path) -> None:
     ticks = sorted({row["batch"] for row in rows})
     axes.set_xscale("log", base=2)
     axes.set_xticks(ticks, list(map(str, ticks)))
+    axes.yaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("batch size (RGB, 256x256)")
     axes.set_ylabel("ms a batch, median")
     axes.set_title(title, fontsize=10)
@@ -85,7 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parse.add_argument("--repeats", type=int, default=500)
     parse.add_argument("--seconds", type=float, default=20, help="most time for one cell; then fewer repeats are taken")
     parse.add_argument("--threads", type=int, default=os.cpu_count(), help="of torch and OpenCV; default: all cores")
-    parse.add_argument("--batches", type=lambda text: [int(n) for n in text.split(",")], default=[2**n for n in range(8)])
+    parse.add_argument(
+        "--batches", type=lambda text: [int(n) for n in text.split(",")], default=[2**n for n in range(8)]
+    )
     parse.add_argument("--side", type=int, default=256, help=argparse.SUPPRESS)  # for tests
     options = parse.parse_args(arguments)
     peers.set_threads(options.threads)
@@ -97,7 +100,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for batch in options.batches:
         for library, call in contestants(batch, options.side):
             times = wall_times(call, options.repeats, options.seconds)
-            rows.append({"library": library, "batch": batch, "ms": statistics.median(times) * 1e3, "repeats": len(times)})
+            rows.append(
+                {"library": library, "batch": batch, "ms": statistics.median(times) * 1e3, "repeats": len(times)}
+            )
             print(f"\r{library} batch {batch}" + " " * 20, end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
 
@@ -108,8 +113,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         own = [row for row in rows if row["library"] == library]
         cells = (f"{number(row['ms'])}{'*' if row['repeats'] < options.repeats else ' '}" for row in own)
         print(f"{library:16}" + "".join(f"{cell:>10}" for cell in cells))
-    fewer = [row["repeats"] for row in rows if row["repeats"] < options.repeats]
-    print(f"\n{options.repeats} repeats" + (f"; * as many as fitted in {options.seconds:g} s, at least {min(fewer)}" if fewer else ""))
+    fewest = min(row["repeats"] for row in rows)
+    short = f"; * as many as fitted in {options.seconds:g} s, at least {fewest}" if fewest < options.repeats else ""
+    print(f"\n{options.repeats} repeats{short}")
 
     with (options.out / "sobel.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, ["library", "batch", "ms", "repeats"])

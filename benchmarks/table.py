@@ -95,7 +95,9 @@ def summary(verdicts: Sequence[Verdict], lost: Sequence[Loss]) -> str:
     lines.append("kvision is slower than" if lost else "kvision is nowhere slower than a peer")
     for place in dict.fromkeys((loss.case, loss.stage, loss.size, loss.dtype) for loss in lost):
         here = [loss for loss in lost if (loss.case, loss.stage, loss.size, loss.dtype) == place]
-        faster = ", ".join(f"{loss.peer}{f' [{loss.agreement}]' if loss.agreement else ''} {loss.factor:.2f}x" for loss in here)
+        faster = ", ".join(
+            f"{loss.peer}{f' [{loss.agreement}]' if loss.agreement else ''} {loss.factor:.2f}x" for loss in here
+        )
         lines.append("  {:17}{:17}{:18}{:9}".format(*place) + faster)
     return "\n".join(lines)
 

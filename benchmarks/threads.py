@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for size in options.sizes:
         for name in options.names or ALL:
             case = ALL[name]
-            inputs = case.inputs(size, torch.float32, torch.device("cpu"))
-            contestants = [with_threads(n, lambda: case.call(*inputs)) for n in (1, options.threads)]
+            call = partial(case.call, *case.inputs(size, torch.float32, torch.device("cpu")))
+            contestants = [with_threads(n, call) for n in (1, options.threads)]
             one, many = (clock.value(t) * 1e3 for t in clock.race(contestants))
             text = "x".join(map(str, size))
             rows.append({"case": name, "size": text, "one": one, "many": many, "speed_up": one / many})
@@ -53,7 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\n" + (f"below the bar: {', '.join(missed)}" if missed else "every case meets the bar"))
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps({"machine": about, "threads": options.threads, "rows": rows}, indent=1) + "\n")
+        options.json.write_text(
+            json.dumps({"machine": about, "threads": options.threads, "rows": rows}, indent=1) + "\n"
+        )
     return 0
 
 

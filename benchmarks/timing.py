@@ -166,7 +166,7 @@ def clock(device: torch.device, seconds: float = 0.5) -> Clock:
     return CudaClock(seconds) if device.type == "cuda" else CpuClock(seconds)
 
 
-def host_seconds(call: Call, calls: int = 100, blocks: int = 9) -> float:
+def host_seconds(call: Call, calls: int = 25, blocks: int = 15) -> float:
     """Wall time per call while the device runs behind: what a call costs the host."""
     call()
     seconds = []

@@ -111,9 +111,9 @@ def _operators() -> Iterator[str]:
     yield f"Operators (backend {_ops._backend!r}): what the kernels serve, gradients likewise"
     yield f"  {'':{width}}  {'cpu':42}  cuda"
     for name in names:
-        served = [" ".join(_served(name, device)) or "-" for device in ("cpu", "cuda")]
+        served = [" ".join(_served(name, device)) or "reference" for device in ("cpu", "cuda")]
         yield f"  {name:{width}}  {served[0]:42}  {served[1]}"
-    yield "All other devices and dtypes are served by the reference: the same results from plain torch, slower."
+    yield "Everything else is served by the reference: the same results from plain torch, slower."
 
 
 def _served(name: str, device: str) -> list[str]:

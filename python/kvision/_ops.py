@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,14 @@ def _checked_backend(name: str) -> str:
 
 
 _backend = _checked_backend(os.environ.get("KVISION_BACKEND", "auto"))
+
+if "cpu" in unserved and _backend == "auto":
+    warnings.warn(
+        f"kvision computes everything in plain torch, which is slower: {unserved['cpu']}. `python -m kvision.info` says "
+        "what to do; KVISION_BACKEND=reference in the environment accepts it.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 @contextlib.contextmanager
@@ -284,8 +293,6 @@ class Operator:
 
     def _alert_not_deterministic(self) -> None:
         if torch.is_deterministic_algorithms_warn_only_enabled():
-            import warnings
-
             warnings.warn(f"{self.name} does not have a deterministic implementation", stacklevel=3)
         else:
             raise RuntimeError(

@@ -16,33 +16,29 @@ KV_HD void load_weights(Taps<F> const& taps, int64_t sample, F scale, F* weights
   for (int t = 0; t < taps.size; ++t) weights[t] *= scale;
 }
 
-// Calls put(width, e, sum over i of weights[i] * rows[i][e]) for e in [begin, end). One axis is as good as the other:
-// for y the rows are those of the image, for x they are one row, shifted.
-template <class T, class Put>
-KV_HD void sum_rows(T const* const* rows, Compute<T> const* weights, int64_t count, int64_t begin, int64_t end,
-                    Put put) {
+// Calls put(width, r, e, sum over i of weights[i] * rows[r + i][e]) for r < R and e in [begin, end). One axis is as
+// good as the other: for y the rows are those of the image, for x they are one row, shifted. R results share their
+// loads.
+template <int R, class T, class Put>
+KV_HD void sum_rows(T const* const* rows, Compute<T> const* weights, int count, int64_t begin, int64_t end, Put put) {
   using F = Compute<T>;
-  constexpr int N = kLanes<T>, U = 8;  // sums in flight: the latency of one addition times two of them a cycle
-  for (; begin + U * N <= end; begin += U * N) {
-    Lanes<F, N> sum[U] = {};
-    for (int64_t i = 0; i < count; ++i)
-      for (int u = 0; u < U; ++u) sum[u] += load<N>(rows[i] + begin + u * N) * weights[i];
-    for (int u = 0; u < U; ++u) put(Width<N>{}, begin + u * N, sum[u]);
-  }
-  if (begin < end)
-    for_each_vector<T>(begin, end, [&](auto width, int64_t e) {
-      constexpr int M = decltype(width)::value;
-      Lanes<F, M> sum = {};
-      for (int64_t i = 0; i < count; ++i) sum += load<M>(rows[i] + e) * weights[i];
-      put(width, e, sum);
-    });
-}
-
-// The same for every e of a row, into a buffer of its own.
-template <class T>
-KV_HD void sum_rows_to(Compute<T>* to, T const* const* rows, Compute<T> const* weights, int64_t count, int64_t size) {
-  sum_rows(rows, weights, count, 0, size,
-           [&](auto width, int64_t e, auto sum) { store<decltype(width)::value>(to + e, sum); });
+  constexpr int N = kLanes<T>,
+                U = (kVectorBytes == 64 ? 16 : 8) / (R > 2 ? R : 2);  // as many sums as fit the registers
+  auto const block = [&](auto width, auto unroll, int64_t e) {
+    constexpr int M = decltype(width)::value, V = decltype(unroll)::value;
+    Lanes<F, M> sum[R][V] = {};
+    for (int i = 0; i < count + R - 1; ++i) {
+      Lanes<F, M> pixels[V];
+      for (int v = 0; v < V; ++v) pixels[v] = load<M>(rows[i] + e + v * M);
+      for (int r = 0; r < R; ++r)
+        if (R == 1 || unsigned(i - r) < unsigned(count))
+          for (int v = 0; v < V; ++v) sum[r][v] += pixels[v] * weights[i - r];
+    }
+    for (int r = 0; r < R; ++r)
+      for (int v = 0; v < V; ++v) put(width, r, e + v * M, sum[r][v]);
+  };
+  for (; begin + U * N <= end; begin += U * N) block(Width<N>{}, Width<U>{}, begin);
+  if (begin < end) for_each_vector<T>(begin, end, [&](auto width, int64_t e) { block(width, Width<1>{}, e); });
 }
 
 // A row of `width` pixels continued by `left` and `right` pixels.
@@ -58,10 +54,10 @@ KV_HD void extend(F* row, int64_t width, int64_t step, int64_t left, int64_t rig
 
 // The rows of the image that output row y is made of, with their weights. Returns how many they are.
 template <class T>
-KV_HD int64_t rows_of(Separable<T> const& p, int64_t plane, int64_t y, Compute<T> const* ky, T const** rows,
-                      Compute<T>* weights) {
+KV_HD int rows_of(Separable<T> const& p, int64_t plane, int64_t y, Compute<T> const* ky, T const** rows,
+                  Compute<T>* weights) {
   int64_t const height = p.x.height, size = p.ky.size, before = p.ky.before;
-  int64_t count = 0;
+  int count = 0;
   if (p.fold == Border::constant) {
     for (int64_t t = 0; t < size; ++t) {
       int64_t const inside = border_index(p.border, y - before + t, height);
@@ -114,67 +110,91 @@ KV_HD void add_products(F const* a, F const* const* rows, int64_t count, int64_t
 template <class T>
 void separable(Separable<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const step = p.x.step, width = p.y.width, taps = p.kx.size, margin = taps * step;
+  constexpr int kRows = 4;  // at once, where no folding makes each row a case of its own
+  int const taps_x = p.kx.size, taps_y = p.ky.size;
+  int64_t const step = p.x.step, width = p.y.width, height = p.y.height, size = p.x.row_size();
   bool const folds = p.fold != Border::constant;
   int64_t const front = folds ? p.kx.front() : 0, back = folds ? p.kx.back() : 0;
-  int64_t const left = p.kx.before + front, right = max(width - p.x.width + taps - 1 - p.kx.before, int64_t(0)) + back;
+  int64_t const left = p.kx.before + front,
+                right = max(width - p.x.width + taps_x - 1 - p.kx.before, int64_t(0)) + back;
 
-  int64_t const padded = p.x.row_size() + 2 * margin;
-  Scratch<F> scratch(taps + 3 * (p.ky.size + 1) + padded + (folds ? width * step + 2 * margin : 0));
-  F *const kx = scratch.data, *const ky = kx + taps, *const weights = ky + p.ky.size;
-  F *const row = weights + 2 * (p.ky.size + 1) + margin, *const full = row + padded;
-  Scratch<T const*> pointers(2 * (p.ky.size + 1));
-  Scratch<F const*> shifted(taps);
-  for (int64_t t = 0; t < taps; ++t) shifted.data[t] = row + (t - p.kx.before) * step;
+  int64_t const margin = taps_x * step, padded = size + 2 * margin;
+  Scratch<F> scratch(taps_x + 3 * taps_y + 2 + kRows * padded + width * step + 2 * margin);
+  F *const kx = scratch.data, *const ky = kx + taps_x, *const weights = ky + taps_y;
+  F *const row = weights + 2 * taps_y + 2 + margin, *const position = row + kRows * padded;
+  Scratch<T const*> pointers(2 * taps_y + kRows);
+  Scratch<F const*> shifted(taps_x);
+  for (int t = 0; t < taps_x; ++t) shifted.data[t] = row + (t - p.kx.before) * step;
+  Scratch<T> zeros(size);
+  for (int64_t e = 0; e < size; ++e) zeros.data[e] = T{};
 
-  int64_t sample = -1;
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const plane = r / p.y.height, y = r % p.y.height;
-    if (sample != plane / p.planes) {
-      sample = plane / p.planes;
-      load_weights(p.kx, sample, F(1), kx);
-      load_weights(p.ky, sample, p.alpha, ky);
-    }
-    sum_rows_to(row, pointers.data, weights, rows_of(p, plane, y, ky, pointers.data, weights), p.x.row_size());
-    extend(row, p.x.width, step, left, right, p.border);
-
-    T const* const in = p.x.row(plane, y);
-    T* const out = p.y.row(plane, y);
+  // Along x: row k of the buffer to output row `out`; `in` is the input row there.
+  auto const along_x = [&](int k, T const* in, T* out) {
+    int64_t const offset = k * padded;
+    extend(row + offset, p.x.width, step, left, right, p.border);
     auto const put = [&](auto n, int64_t e, auto sum) {
       constexpr int N = decltype(n)::value;
       if (p.beta != 0) sum += load<N>(in + e) * p.beta;
       store<N>(out + e, sum);
     };
-    // Pixels [from, to) of the row and all positions folded onto them.
-    auto const put_folded = [&](int64_t from, int64_t to) {
+    auto const filter = [&](int64_t from, int64_t to, auto put) {
+      sum_rows<1>(shifted.data, kx, taps_x, offset + from * step, offset + to * step,
+                  [&](auto n, int, int64_t e, auto sum) { put(n, e - offset, sum); });
+    };
+    // Pixels [from, to) with all positions that are folded onto them.
+    auto const filter_folded = [&](int64_t from, int64_t to) {
       int64_t const first = from > 0 ? from : -front, last = to < width ? to : width + back;
-      sum_rows(shifted.data, kx, taps, first * step, last * step,
-               [&](auto n, int64_t e, auto sum) { store<decltype(n)::value>(full + e, sum); });
+      filter(first, last, [&](auto n, int64_t e, auto sum) { store<decltype(n)::value>(position + e, sum); });
       auto const fold = [&](int64_t q) {
         int64_t const onto = border_index(p.fold, q, width);
-        for (int64_t c = 0; c < step; ++c) full[onto * step + c] += full[q * step + c];
+        for (int64_t c = 0; c < step; ++c) position[onto * step + c] += position[q * step + c];
       };
       for (int64_t q = first; q < 0; ++q) fold(q);
       for (int64_t q = width; q < last; ++q) fold(q);
       for_each_vector<T>(from * step, to * step,
-                         [&](auto n, int64_t e) { put(n, e, load<decltype(n)::value>(full + e)); });
+                         [&](auto n, int64_t e) { put(n, e, load<decltype(n)::value>(position + e)); });
     };
     if (!folds) {
-      sum_rows(shifted.data, kx, taps, 0, width * step, put);
-    } else if (width <= 2 * taps) {
-      put_folded(0, width);
+      filter(0, width, put);
+    } else if (width <= 2 * taps_x) {
+      filter_folded(0, width);
     } else {
-      put_folded(0, taps);
-      sum_rows(shifted.data, kx, taps, taps * step, (width - taps) * step, put);
-      put_folded(width - taps, width);
+      filter_folded(0, taps_x);
+      filter(taps_x, width - taps_x, put);
+      filter_folded(width - taps_x, width);
     }
+  };
+
+  int64_t sample = -1;
+  for (int64_t r = begin, count; r < end; r += count) {
+    int64_t const plane = r / height, y = r % height;
+    if (sample != plane / p.planes) {
+      sample = plane / p.planes;
+      load_weights(p.kx, sample, F(1), kx);
+      load_weights(p.ky, sample, p.alpha, ky);
+    }
+    bool const rim = folds && (y <= p.ky.front() || y + kRows - 1 >= height - 1 - p.ky.back());
+    count = !rim && y + kRows <= height && r + kRows <= end ? kRows : 1;
+    auto const put = [&](auto n, int k, int64_t e, auto sum) { store<decltype(n)::value>(row + k * padded + e, sum); };
+    if (count == kRows) {
+      for (int i = 0; i < taps_y + kRows - 1; ++i) {
+        int64_t const inside = border_index(p.border, y - p.ky.before + i, p.x.height);
+        pointers.data[i] = inside < 0 ? zeros.data : p.x.row(plane, inside);
+      }
+      sum_rows<kRows>(pointers.data, ky, taps_y, 0, size, put);
+    } else {
+      int const rows = rows_of(p, plane, y, ky, pointers.data, weights);
+      sum_rows<1>(pointers.data, weights, rows, 0, size, put);
+    }
+    for (int k = 0; k < count; ++k) along_x(k, p.x.row(plane, y + k), p.y.row(plane, y + k));
   }
 }
 
 template <class T>
 void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const step = p.x.step, size = p.grad.row_size(), taps_x = p.kx.size, taps_y = p.ky.size;
+  int const taps_x = p.kx.size, taps_y = p.ky.size;
+  int64_t const step = p.x.step, size = p.grad.row_size();
   int64_t const left = p.kx.before, right = max(p.grad.width - p.x.width + taps_x - 1 - left, int64_t(0));
   int64_t const padded = p.x.row_size() + 2 * taps_x * step;
   Scratch<F> scratch(taps_x + 2 * taps_y + padded + size * (taps_y + 1));
@@ -184,6 +204,10 @@ void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end)
   Scratch<T const*> pointers(taps_y);
   Scratch<F const*> shifted(taps_x), filtered(taps_y);
   for (int64_t t = 0; t < taps_x; ++t) shifted.data[t] = row + (t - left) * step;
+
+  auto const store_to = [](F* to) {
+    return [to](auto n, int, int64_t e, auto sum) { store<decltype(n)::value>(to + e, sum); };
+  };
 
   int64_t sample = -1;
   for (int64_t tile = begin; tile < end; ++tile) {
@@ -205,19 +229,19 @@ void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end)
         int64_t const r = border_index(p.border, i, p.x.height);
         F const one = 1;
         T const* const source = p.x.row(plane, r);
-        sum_rows_to(row, &source, &one, r < 0 ? 0 : 1, p.x.row_size());
+        sum_rows<1>(&source, &one, r < 0 ? 0 : 1, 0, p.x.row_size(), store_to(row));
         extend(row, p.x.width, step, left, right, p.border);
-        sum_rows_to(to, shifted.data, kx, taps_x, size);
+        sum_rows<1>(shifted.data, kx, taps_x, 0, size, store_to(to));
       }
-      int64_t count = 0;
-      for (int64_t t = 0; t < taps_y; ++t) {
+      int count = 0;
+      for (int t = 0; t < taps_y; ++t) {
         filtered.data[t] = ring + (top + t + taps_y) % taps_y * size;
         int64_t const r = border_index(p.border, top + t, p.x.height);
         if (r < 0) continue;
         pointers.data[count] = p.x.row(plane, r);
         weights[count++] = ky[t];
       }
-      sum_rows_to(row, pointers.data, weights, count, p.x.row_size());
+      sum_rows<1>(pointers.data, weights, count, 0, p.x.row_size(), store_to(row));
       extend(row, p.x.width, step, left, right, p.border);
 
       T const* const g = p.grad.row(plane, y);

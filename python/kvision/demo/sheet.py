@@ -48,7 +48,7 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Column:
-    """A step done: pictures (B, 1 or 3, H, W), what served it, and the milliseconds it took, and OpenCV for the same."""
+    """A step done: pictures (B, 1 or 3, H, W), what served it, and the milliseconds it and OpenCV took."""
 
     title: str
     pictures: Tensor

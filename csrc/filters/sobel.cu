@@ -92,14 +92,14 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     for (int i = 0; i < 6; ++i) a[i] = b[i], b[i] = c[i];
     a_beyond = b_beyond, b_beyond = c_beyond;
     T const* const row = rows_x.next();
-    strip.load(c, row);
     if (more_left || more_right) c_beyond = read(row[beyond]);
+    strip.load(c, row);
   };
-  auto const down = [&] {
-    down_x();
+  auto const down = [&] {  // loads before shuffles: a shuffle waits, and nothing is moved across it
     T const* const row = rows_g.next();
     strip_g.load(g, row);
     if (more_left || more_right) g_more = read(row[more]);
+    down_x();
   };
 
   // What the row whose window is a, b, c gives to the gradients of the rows around it.

@@ -36,6 +36,11 @@ inline void check_images(char const* op, char const* name, Tensor const& x) {
   KV_CHECK(x.numel() == 0 || (x.size(2) > 0 && x.size(3) > 0), op, ": ", name, " has no pixels");
 }
 
+inline void check_volumes(char const* op, char const* name, Tensor const& x) {
+  KV_CHECK(x.dim() == 5, op, ": expected ", name, " of 5 axes, got ", x.dim());
+  KV_CHECK(x.numel() == 0 || (x.size(2) > 0 && x.size(3) > 0 && x.size(4) > 0), op, ": ", name, " has no voxels");
+}
+
 inline void check_like(char const* op, char const* name, Tensor const& x, Tensor const& like) {
   bool same = x.dim() == like.dim() && x.scalar_type() == like.scalar_type() && x.device() == like.device();
   for (int64_t i = 0; same && i < x.dim(); ++i) same = x.size(i) == like.size(i);
@@ -109,6 +114,14 @@ Planes<T> planes(Tensor const& x, Layout layout) {
   int64_t const b = x.size(0), c = x.size(1), h = x.size(2), w = x.size(3);
   if (layout == Layout::channels_last) return {data, b, 1, x.stride(0), 0, x.stride(2), h, w, c};
   return {data, b, c, x.stride(0), x.stride(1), x.stride(2), h, w, 1};
+}
+
+// The rows of a contiguous (B, C, D, H, W) tensor: D planes after each other for each of the B * C volumes.
+template <class T>
+Planes<T> volumes(Tensor const& x) {
+  auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
+  int64_t const d = x.size(2), h = x.size(3), w = x.size(4);
+  return {data, x.size(0) * x.size(1), d, d * h * w, h * w, w, h, w, 1};
 }
 
 // --- dtypes

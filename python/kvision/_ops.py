@@ -154,7 +154,7 @@ class Operator:
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = _as_stored(reference)
+        self.reference = as_stored(reference)
         self.backward = backward or self._differentiate_reference
         self.linear = linear
         self.dtypes = (*FLOATS, torch.uint8) if bytes else FLOATS
@@ -334,7 +334,7 @@ def saturate_to_byte(x: Tensor) -> Tensor:
     return x.round().clamp(0, 255).to(torch.uint8)
 
 
-def _as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
+def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
     """The reference with the kernels' number rules: half types and bytes compute in float32, autocast is off."""
 
     @functools.wraps(reference)

@@ -1,5 +1,6 @@
-// Derivative kernels. Each is a product of rows, one for every axis, that smooth (order 0) or differentiate (order 1, 2)
-// along it: the family is one code and a set of rows per member. Included by spatial_gradient* and spatial_gradient3d*.
+// Derivative kernels. Each is a product of rows, one for every axis, that smooth (order 0) or differentiate (order 1,
+// 2) along it: the family is one code and a set of rows per member. Included by spatial_gradient* and
+// spatial_gradient3d*.
 #pragma once
 
 #include <type_traits>

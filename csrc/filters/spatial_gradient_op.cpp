@@ -19,7 +19,7 @@ Tensor spatial_gradient(Tensor const& input, std::string const& mode, int64_t or
   Tensor const x = conform(input, Layout::planar), y = empty({b, c, order + 1, h, w}, x);
   for_floats("spatial_gradient", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    SpatialGradient<T> const params{planes<T const>(x, Layout::planar), volumes<T>(y), kind, normalized};
+    SpatialGradient<T> const params{planes<T const>(x, Layout::planar), stacked_planes<T>(y), kind, normalized};
     KV_RUN(spatial_gradient, x, params, params.x.rows(), w * (order + 2));
   });
   return y;
@@ -34,7 +34,8 @@ Tensor spatial_gradient_backward(Tensor const& grad, std::string const& mode, in
   Tensor const grad_x = empty({g.size(0), g.size(1), g.size(3), g.size(4)}, g);
   for_floats("spatial_gradient_backward", g, [&](auto type) {
     using T = typename decltype(type)::type;
-    SpatialGradientBackward<T> const params{volumes<T const>(g), planes<T>(grad_x, Layout::planar), kind, normalized};
+    SpatialGradientBackward<T> const params{stacked_planes<T const>(g), planes<T>(grad_x, Layout::planar), kind,
+                                            normalized};
     KV_RUN(spatial_gradient_backward, g, params, params.grad_x.rows(), g.size(4) * (order + 2));
   });
   return grad_x;

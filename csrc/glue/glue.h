@@ -117,12 +117,12 @@ Planes<T> planes(Tensor const& x, Layout layout) {
   return {data, b, c, x.stride(0), x.stride(1), x.stride(2), h, w, 1};
 }
 
-// The rows of a contiguous (B, C, D, H, W) tensor: D planes after each other for each of the B * C volumes.
+// The rows of a contiguous tensor of any rank: its last two axes are planes, stacked along the others.
 template <class T>
-Planes<T> volumes(Tensor const& x) {
+Planes<T> stacked_planes(Tensor const& x) {
   auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
-  int64_t const d = x.size(2), h = x.size(3), w = x.size(4);
-  return {data, x.size(0) * x.size(1), d, d * h * w, h * w, w, h, w, 1};
+  int64_t const h = x.size(x.dim() - 2), w = x.size(x.dim() - 1);
+  return {data, x.numel() ? x.numel() / (h * w) : 0, 1, h * w, 0, w, h, w, 1};
 }
 
 // --- dtypes

@@ -29,7 +29,7 @@ if BUILD not in ("auto", "native", "reference"):
 
 
 def torch_root() -> Path | None:
-    """The folder of a torch whose headers will do; the environment's own, too, which build isolation hides from import."""
+    """The folder of a torch whose headers will do, hidden from import by build isolation or not."""
     spec = importlib.util.find_spec("torch")
     folders = [Path(spec.origin).parent] if spec and spec.origin else []
     folders += [Path(sysconfig.get_path(name), "torch") for name in ("purelib", "platlib")]

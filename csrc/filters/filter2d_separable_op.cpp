@@ -8,7 +8,7 @@ namespace {
 #if defined(KV_CUDA)
 int64_t tile_width(int64_t) { return kWeightsTileWidth; }
 #else
-int64_t tile_width(int64_t row_size) { return row_size; }
+int64_t tile_width(int64_t width) { return width; }
 #endif
 
 Tensor run(char const* op, Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y,
@@ -45,7 +45,7 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
     check_border(op, border, taps_y / 2, input.size(2));
     check_border(op, border, taps_x / 2, input.size(3));
   }
-  Layout const layout = layout_of(input);
+  Layout const layout = Layout::planar;
   Tensor const g = conform(grad, layout), x = conform(input, layout);
   Tensor sums;
   for_floats(op, x, [&](auto type) {
@@ -55,15 +55,15 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
                                planes<T const>(x, layout),
                                Axis{&row_x, taps_x}.template taps<F>(same, false),
                                Axis{&row_y, taps_y}.template taps<F>(same, false),
-                               planes_of_sample(x, layout),
+                               x.size(1),
                                border,
                                64,
                                1,
                                nullptr};
-    params.tile_width = tile_width(params.grad.row_size());
+    params.tile_width = tile_width(params.grad.width);
     sums = empty({x.size(0), params.tiles(), taps_x + taps_y}, row_x);
     params.sums = static_cast<F*>(sums.mutable_data_ptr());
-    KV_RUN(separable_weights, x, params, x.size(0) * params.tiles(), params.grad.row_size() * 16 * (taps_x + taps_y));
+    KV_RUN(separable_weights, x, params, x.size(0) * params.tiles(), params.grad.width * 16 * (taps_x + taps_y));
   });
   int64_t const tiles[] = {1};
   return torch::stable::sum(sums, tiles);

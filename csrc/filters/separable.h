@@ -70,18 +70,19 @@ constexpr int kWeightsTileWidth = 128;  // of the CUDA kernel below
 //   dkx[j] = sum over r, c of g(r, c) v(r, c - before_x + j)      dky[i] = sum over r, c of g(r, c) h(r - before_y + i,
 //   c)
 //
-// Planes are cut into tiles; each writes its sums, kx before ky, to its row of `sums` (samples, tiles, kx + ky).
+// Images are planar. Planes are cut into tiles; each writes its sums, kx before ky, to its row of `sums` (samples,
+// tiles, kx + ky).
 template <class T>
 struct SeparableWeights {
   Planes<T const> grad, x;
   Taps<Compute<T>> kx, ky;
   int64_t planes;  // of a sample
   Border border;
-  int64_t tile_height, tile_width;  // in rows, in elements
+  int64_t tile_height, tile_width;
   Compute<T>* sums;
 
   KV_HD int64_t down() const { return (grad.height + tile_height - 1) / tile_height; }
-  KV_HD int64_t across() const { return (grad.row_size() + tile_width - 1) / tile_width; }
+  KV_HD int64_t across() const { return (grad.width + tile_width - 1) / tile_width; }
   KV_HD int64_t tiles() const { return planes * down() * across(); }  // of a sample
 };
 

@@ -194,16 +194,16 @@ template <class T>
 void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int const taps_x = p.kx.size, taps_y = p.ky.size;
-  int64_t const step = p.x.step, size = p.grad.row_size();
+  int64_t const size = p.grad.width;
   int64_t const left = p.kx.before, right = max(p.grad.width - p.x.width + taps_x - 1 - left, int64_t(0));
-  int64_t const padded = p.x.row_size() + 2 * taps_x * step;
+  int64_t const padded = p.x.width + 2 * taps_x;
   Scratch<F> scratch(taps_x + 2 * taps_y + padded + size * (taps_y + 1));
   F *const kx = scratch.data, *const ky = kx + taps_x, *const weights = ky + taps_y;
-  F *const row = weights + taps_y + taps_x * step, *const grad = row + (padded - taps_x * step);
+  F *const row = weights + taps_y + taps_x, *const grad = row + (padded - taps_x);
   F* const ring = grad + size;  // rows filtered along x, that of position i at i modulo taps_y
   Scratch<T const*> pointers(taps_y);
   Scratch<F const*> shifted(taps_x), filtered(taps_y);
-  for (int64_t t = 0; t < taps_x; ++t) shifted.data[t] = row + (t - left) * step;
+  for (int64_t t = 0; t < taps_x; ++t) shifted.data[t] = row + t - left;
 
   auto const store_to = [](F* to) {
     return [to](auto n, int, int64_t e, auto sum) { store<decltype(n)::value>(to + e, sum); };
@@ -229,8 +229,8 @@ void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end)
         int64_t const r = border_index(p.border, i, p.x.height);
         F const one = 1;
         T const* const source = p.x.row(plane, r);
-        sum_rows<1>(&source, &one, r < 0 ? 0 : 1, 0, p.x.row_size(), store_to(row));
-        extend(row, p.x.width, step, left, right, p.border);
+        sum_rows<1>(&source, &one, r < 0 ? 0 : 1, 0, p.x.width, store_to(row));
+        extend(row, p.x.width, 1, left, right, p.border);
         sum_rows<1>(shifted.data, kx, taps_x, 0, size, store_to(to));
       }
       int count = 0;
@@ -241,8 +241,8 @@ void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end)
         pointers.data[count] = p.x.row(plane, r);
         weights[count++] = ky[t];
       }
-      sum_rows<1>(pointers.data, weights, count, 0, p.x.row_size(), store_to(row));
-      extend(row, p.x.width, step, left, right, p.border);
+      sum_rows<1>(pointers.data, weights, count, 0, p.x.width, store_to(row));
+      extend(row, p.x.width, 1, left, right, p.border);
 
       T const* const g = p.grad.row(plane, y);
       for_each_vector<T>(0, size, [&](auto n, int64_t e) {

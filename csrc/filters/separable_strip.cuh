@@ -177,21 +177,10 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P, Folds>)
     for (int i = 0; i < P; ++i) h[i] += shared.folded[0][P * lane + i] + shared.folded[1][P * lane + i];
   };
 
-  int const x = x0 + P * lane;
-  T* out = p.y.row(plane, y0) + x;
-  bool const packed = aligned && x + P <= width;
-  auto const put = [&](float const(&v)[P]) {
-    if (packed) {
-      Pack<T, P> pack;
-#pragma unroll
-      for (int i = 0; i < P; ++i) pack.v[i] = round_to<T>(v[i]);
-      *reinterpret_cast<Pack<T, P>*>(out) = pack;
-    } else {
-#pragma unroll
-      for (int i = 0; i < P; ++i)
-        if (x + i < width) out[i] = round_to<T>(v[i]);
-    }
-  };
+  T* out = p.y.row(plane, y0);
+  Strip<0, true, P> const packs(x0 + P * lane, width, Border::constant);
+  Strip<0, false, P> const pixels(x0 + P * lane, width, Border::constant);
+  auto const put = [&](float const(&v)[P]) { aligned ? packs.store(out, v) : pixels.store(out, v); };
 
   float sums[K - 1][P] = {};
   float rim[P] = {};

@@ -39,10 +39,16 @@ def _transposed_backward(needs, gradgrad, grad, sigma, *plain):
 def sigma_gradient(
     grad: Tensor, x: Tensor, sigma: Tensor, ky: int, kx: int, sigma_y: float, sigma_x: float, border: str
 ) -> Tensor:
-    """The gradient to sigma from the gradient to the blurred `x`, through the weights."""
-    (kernel_y, kernel_x), pullback = torch.func.vjp(lambda s: axis_kernels(x, s, ky, kx, sigma_y, sigma_x), sigma)
-    grad_x, grad_y = weight_gradients((True, True), grad, x, kernel_x, kernel_y, border)
-    return pullback((grad_y, grad_x))[0]
+    """The gradient to sigma from the gradient to the blurred `x`, through the weights.
+
+    The weights sum to 1, so most of their gradient cancels: it goes on in float64.
+    """
+    (kernel_y, kernel_x), pullback = torch.func.vjp(
+        lambda s: axis_kernels(x, s, ky, kx, sigma_y, sigma_x, torch.float64), sigma.double()
+    )
+    dtype = compute_dtype(x)
+    grad_x, grad_y = weight_gradients((True, True), grad, x, kernel_x.to(dtype), kernel_y.to(dtype), border)
+    return pullback((grad_y.double(), grad_x.double()))[0].to(sigma.dtype)
 
 
 _gaussian_blur2d = register("gaussian_blur2d", _reference, backward=_backward, linear=True, bytes=True)
@@ -141,13 +147,20 @@ def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:
 
 
 def axis_kernels(
-    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float
+    x: Tensor,
+    sigma: Tensor | None,
+    ky: int,
+    kx: int,
+    sigma_y: float,
+    sigma_x: float,
+    dtype: torch.dtype | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """The Gaussian kernels (B or 1, ky) and (B or 1, kx) for images `x`."""
+    """The Gaussian kernels (B or 1, ky) and (B or 1, kx) for images `x`, by default in the type that is computed in."""
     columns = (sigma_y, sigma_x) if sigma is None else positive(sigma)[:, :, None].unbind(1)
+    dtype = dtype or compute_dtype(x)
     return (
-        gaussian(ky, columns[0], device=x.device, dtype=compute_dtype(x)),
-        gaussian(kx, columns[1], device=x.device, dtype=compute_dtype(x)),
+        gaussian(ky, columns[0], device=x.device, dtype=dtype),
+        gaussian(kx, columns[1], device=x.device, dtype=dtype),
     )
 
 

@@ -1,4 +1,4 @@
-"""What every filter without kernels of its own inherits from torch and from the operators it is made of, and must keep."""
+"""What every filter without kernels of its own inherits from torch and the operators it is made of, and must keep."""
 
 from __future__ import annotations
 

@@ -84,7 +84,9 @@ def test_gradients_of_the_parameters(device):
     direction = torch.tensor([0.2, -0.7], dtype=torch.float64, device=device, requires_grad=True)
     angle = torch.tensor([15.0, 100.0], dtype=torch.float64, device=device, requires_grad=True)
     for mode in ("bilinear", "bicubic"):
-        assert torch.autograd.gradcheck(lambda a, d: F.get_motion_kernel2d(5, a, d, mode), (angle, direction))
+        assert torch.autograd.gradcheck(
+            lambda a, d, mode=mode: F.get_motion_kernel2d(5, a, d, mode), (angle, direction)
+        )
     assert torch.autograd.gradcheck(lambda d: F.get_motion_kernel2d(5, 33.0, d), direction)
     turned = torch.tensor(
         [[15.0, 0.0, 100.0], [3.0, 30.0, 5.0]], dtype=torch.float64, device=device, requires_grad=True

@@ -47,8 +47,9 @@ def sigma_gradient(
         lambda s: axis_kernels(x, s, ky, kx, sigma_y, sigma_x, torch.float64), sigma.double()
     )
     dtype = compute_dtype(x)
-    grad_x, grad_y = weight_gradients((True, True), grad, x, kernel_x.to(dtype), kernel_y.to(dtype), border)
-    return pullback((grad_y.double(), grad_x.double()))[0].to(sigma.dtype)
+    gradients = weight_gradients((True, True), grad, x, kernel_x.to(dtype), kernel_y.to(dtype), border)
+    grad_x, grad_y = (g.double() for g in gradients if g is not None)
+    return pullback((grad_y, grad_x))[0].to(sigma.dtype)
 
 
 _gaussian_blur2d = register("gaussian_blur2d", _reference, backward=_backward, linear=True, bytes=True)

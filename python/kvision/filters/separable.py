@@ -29,12 +29,10 @@ def _transposed_reference(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, bord
     return pullback(grad)[0]
 
 
-def _weights_reference(
-    kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, x: Tensor, border: str, same: bool
-) -> Tensor:
+def _weights_reference(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
     """(B, kW + kH): for each image the gradient to its kernel_x, then that to its kernel_y."""
     kernels = [kernel.expand(x.shape[0], -1) for kernel in (kernel_x, kernel_y)]
-    _, pullback = torch.func.vjp(lambda *kernels: _reference(x, *kernels, border, same), *kernels)
+    _, pullback = torch.func.vjp(lambda kx, ky: _reference(x, kx, ky, border, same), *kernels)
     return torch.cat(pullback(grad), 1)
 
 

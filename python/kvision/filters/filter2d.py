@@ -123,6 +123,7 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
     if 0 in kernel.shape[1:]:
         raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
     _check.same_device(op, input=x, kernel=kernel)
+    _check.flag(op, "normalized", normalized)
     _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
     kernel = kernel.to(compute_dtype(x))
     axes = tuple(range(1, kernel.dim()))

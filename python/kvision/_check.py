@@ -35,8 +35,8 @@ def is_tensor(op: str, name: str, x: Any) -> None:
 
 def numbers(op: str, name: str, x: Any) -> None:
     """Raise TypeCheckError unless `x` is a tensor of numbers that torch computes with: no float8, nothing quantized."""
-    is_tensor(op, name, x)
-    if x.dtype not in COMPUTED:
+    if not isinstance(x, Tensor) or x.dtype not in COMPUTED or x.layout is not torch.strided:
+        is_tensor(op, name, x)
         raise TypeCheckError(f"{op}: expected {name} of a type that torch computes with, got {x.dtype}")
 
 
@@ -55,7 +55,8 @@ def images(op: str, name: str, x: Any) -> None:
     numbers(op, name, x)
     if x.dim() != 4:
         raise ShapeError(f"{op}: expected {name} of shape (B, C, H, W), got {tuple(x.shape)}", actual_shape=x.shape)
-    if x.shape[2] == 0 or x.shape[3] == 0:
+    _, _, h, w = x.shape
+    if h == 0 or w == 0:
         raise ShapeError(f"{op}: expected {name} with H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape)
 
 
@@ -140,22 +141,22 @@ def pair(op: str, name: str, value: Any, minimum: int = 1) -> tuple[int, int]:
 
 def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[int, ...]:
     """`value`, an int or `count` of them, as a tuple of `count` ints from `minimum` to LARGEST_INT."""
-    given, kind = value, "an int" if count == 1 else f"an int or {count} ints"
-    if type(value) is int:
-        value = (value,) * count
-    elif isinstance(value, torch.Size):
-        value = tuple(value)
-    if not isinstance(value, (tuple, list)) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
-        raise TypeCheckError(f"{op}: expected {name} to be {kind}, got {given!r}", actual_type=type(given))
-    if len(value) != count or any(v < minimum for v in value):
+    given = (value,) * count if type(value) is int else value
+    if not isinstance(given, (tuple, list)) or set(map(type, given)) != {int}:
+        raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
+    if len(given) != count or min(given) < minimum:
         raise ValueCheckError(
-            f"{op}: expected {name} to be {kind} of at least {minimum}, got {given!r}", actual_value=given
+            f"{op}: expected {name} to be {_ints(count)} of at least {minimum}, got {value!r}", actual_value=value
         )
-    if any(v > LARGEST_INT for v in value):
+    if max(given) > LARGEST_INT:
         raise ValueCheckError(
-            f"{op}: expected {name} to be {kind} of at most {LARGEST_INT}, got {given!r}", actual_value=given
+            f"{op}: expected {name} to be {_ints(count)} of at most {LARGEST_INT}, got {value!r}", actual_value=value
         )
-    return tuple(value)
+    return tuple(given)
+
+
+def _ints(count: int) -> str:
+    return "an int" if count == 1 else f"an int or {count} ints"
 
 
 def odd(op: str, name: str, sizes: Sequence[int]) -> None:

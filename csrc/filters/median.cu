@@ -1,5 +1,5 @@
-// Median blur on CUDA. 3x3 and 5x5 windows: each warp walks down a strip with the sorted rows of its pixels in registers,
-// two outputs a step. Others, and channels-last images: a plain kernel, one thread an element.
+// Median blur on CUDA. 3x3 and 5x5 windows: each warp walks down a strip with the sorted rows of its pixels in
+// registers, two outputs a step. Others, and channels-last images: a plain kernel, one thread an element.
 #include "core/launch.cuh"
 #include "median.h"
 
@@ -11,7 +11,8 @@ template <int K>
 constexpr int kMedianPixels = K == 3 ? 4 : 2;
 constexpr int kRows = 32;
 
-// The sorted rows, one row of the image, of the windows of a thread's pixels. Neighbours share what they have in common.
+// The sorted rows, one row of the image, of the windows of a thread's pixels. Neighbours share what they have in
+// common.
 template <int K, int P, class F>
 struct Runs {
   F v[P][K];
@@ -66,7 +67,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 2)
     sort(now0, next0);
     sort(now1, next1);
   };
-  auto const store = [&](F const (&first)[P], F const (&second)[P], int y) {
+  auto const store = [&](F const(&first)[P], F const(&second)[P], int y) {
     strip.store(out, first);
     if (y + 1 < y1) strip.store(out + p.y.row_stride, second);
     out += 2 * p.y.row_stride;

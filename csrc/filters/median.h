@@ -1,15 +1,14 @@
 // Median blur: every pixel becomes the median of its window, for an even count the lower of the two in the middle.
 // Included by median_cpu.cpp, median.cu, median_backward.cu and median_op.cpp.
 //
-// Windows of 3x3 and 5x5 take a selection network over whatever value type has a min and a max: lanes on the CPU, floats
-// on CUDA. Sorted pieces are shared by the windows that overlap in them:
+// Windows of 3x3 and 5x5 take a selection network over whatever value type has a min and a max: lanes on the CPU,
+// floats on CUDA. Sorted pieces are shared by the windows that overlap in them:
 //
 //   row y - 2   . . . . .  ┐
-//   row y - 1   . . . . .  │ ┐      1. each row of a window is sorted: its run, shared by the K windows above each other;
-//   row y       . . o . .  │ │      2. the rows that the windows of two outputs o have in common are merged, and only
-//   row y + 1   . . o . .  │ │         the ranks that can be a median of either are kept;
-//   row y + 2   . . . . .  ┘ │      3. each output merges those with its own last row and takes the middle.
-//   row y + 3   . . . . .    ┘
+//   row y - 1   . . . . .  │ ┐      1. each row of a window is sorted: its run, shared by the K windows above each
+//   other; row y       . . o . .  │ │      2. the rows that the windows of two outputs o have in common are merged, and
+//   only row y + 1   . . o . .  │ │         the ranks that can be a median of either are kept; row y + 2   . . . . .  ┘
+//   │      3. each output merges those with its own last row and takes the middle. row y + 3   . . . . .    ┘
 //
 // That is 16 and 54 operations a pixel. Larger windows are searched bit by bit: the median is the largest key that
 // enough keys are not below.
@@ -53,8 +52,8 @@ KV_HD int64_t median_after(int64_t k) { return k / 2; }
 #define KV_UNROLL _Pragma("GCC unroll 32")
 #endif
 
-// On CUDA a NaN wins every exchange and so reaches the median, which depends on each value. Lanes drop it: the CPU marks
-// the windows with NaN itself.
+// On CUDA a NaN wins every exchange and so reaches the median, which depends on each value. Lanes drop it: the CPU
+// marks the windows with NaN itself.
 template <class V>
 KV_HD V lower(V a, V b) {
 #if defined(__CUDA_ARCH__)
@@ -91,8 +90,8 @@ KV_HD void exchange(V& a, V& b) {
   a = low;
 }
 
-// A row of a window is sorted in two steps, the first of which neighbouring windows can share: what they have in common,
-// v[1 ... K - 1], then v[0].
+// A row of a window is sorted in two steps, the first of which neighbouring windows can share: what they have in
+// common, v[1 ... K - 1], then v[0].
 template <int K, class V>
 KV_HD void sort_common(V (&v)[K]) {
   static_assert(K == 3 || K == 5);

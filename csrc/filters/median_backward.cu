@@ -17,8 +17,8 @@ struct Share {
 
 // K: the size of a square window known at compile time, or 0.
 template <int K, class T>
-__global__ void __launch_bounds__(kTile* kRowsOfThreads) median_backward_tile(MedianBlurBackward<T> p, unsigned across,
-                                                                              unsigned down) {
+__global__ void __launch_bounds__(kTile* kRowsOfThreads)
+    median_backward_tile(MedianBlurBackward<T> p, unsigned across, unsigned down) {
   using F = Compute<T>;
   __shared__ Share<F> chunk[kChunkHeight][kChunkWidth];
 

@@ -37,9 +37,13 @@ Tensor median_blur_backward(Tensor const& grad, Tensor const& input, Tensor cons
                grad_x = empty_like(x, layout);
   for_floats("median_blur_backward", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    MedianBlurBackward<T> const params{
-        planes<T const>(g, layout), planes<T const>(x, layout), planes<T const>(y, layout), planes<T>(grad_x, layout), ky,
-        kx,                         border};
+    MedianBlurBackward<T> const params{planes<T const>(g, layout),
+                                       planes<T const>(x, layout),
+                                       planes<T const>(y, layout),
+                                       planes<T>(grad_x, layout),
+                                       ky,
+                                       kx,
+                                       border};
     KV_RUN(median_blur_backward, x, params, params.x.rows(), params.x.row_size() * ky * kx / 4);
   });
   return grad_x;

@@ -35,7 +35,7 @@ _median_blur_backward = register("median_blur_backward", _backward_reference)
 
 
 def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> Tensor:
-    """Replace every pixel by the median of its window, for an even count of pixels by the lower of the two in the middle.
+    """Replace every pixel by the median of its window, for an even count of pixels by the lower middle one.
 
     The gradient goes to the pixel that is the median; where several pixels of a window equal it, they share it evenly.
 

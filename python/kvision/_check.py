@@ -100,15 +100,16 @@ def pair(op: str, name: str, value: Any, minimum: int = 1) -> tuple[int, int]:
 
 def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[int, ...]:
     """`value`, an int or `count` of them, as a tuple of `count` ints of at least `minimum`."""
+    given, kind = value, "an int" if count == 1 else f"an int or {count} ints"
     if type(value) is int:
         value = (value,) * count
     elif isinstance(value, torch.Size):
         value = tuple(value)
     if not isinstance(value, (tuple, list)) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
-        raise TypeCheckError(f"{op}: expected {name} to be an int or {count} ints, got {value!r}", actual_type=type(value))
+        raise TypeCheckError(f"{op}: expected {name} to be {kind}, got {given!r}", actual_type=type(given))
     if len(value) != count or any(v < minimum for v in value):
         raise ValueCheckError(
-            f"{op}: expected {name} to be an int or {count} ints of at least {minimum}, got {value!r}", actual_value=value
+            f"{op}: expected {name} to be {kind} of at least {minimum}, got {given!r}", actual_value=given
         )
     return tuple(value)
 

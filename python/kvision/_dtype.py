@@ -1,14 +1,9 @@
-"""Number types: what an image operator takes, computes in and stores."""
+"""The number types an operator on images takes and computes in; _ops.as_stored has how it stores its result."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-
 import torch
 from torch import Tensor
-
-_COMPUTED_IN_FLOAT32 = (torch.float16, torch.bfloat16, torch.uint8)
 
 
 def floats(x: Tensor) -> Tensor:
@@ -22,26 +17,5 @@ def pixels(x: Tensor) -> Tensor:
 
 
 def compute_dtype(x: Tensor) -> torch.dtype:
-    """The type an operator on image `x` computes in: float64 for float64, otherwise float32."""
+    """The type an operator on images `x` computes in: float64 for float64, otherwise float32."""
     return torch.float64 if x.dtype == torch.float64 else torch.float32
-
-
-def store(y: Tensor, dtype: torch.dtype) -> Tensor:
-    """A computed result as `dtype`; uint8 rounds half to even and saturates, as OpenCV does."""
-    return y.round().clamp(0, 255).to(dtype) if dtype == torch.uint8 else y.to(dtype)
-
-
-def widened(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """`reference`, written for float32 and float64, extended to half types and uint8: compute in float32, then store.
-
-    The result has the type of the first argument.
-    """
-
-    @functools.wraps(reference)
-    def run(x: Tensor, *arguments: object) -> Tensor:
-        def wide(value: object) -> object:
-            return value.float() if isinstance(value, Tensor) and value.dtype in _COMPUTED_IN_FLOAT32 else value
-
-        return store(reference(wide(x), *map(wide, arguments)), x.dtype)
-
-    return run

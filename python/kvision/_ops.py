@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from kvision.core.exceptions import ValueCheckError
 
@@ -154,7 +154,7 @@ class Operator:
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = _as_stored(reference)
+        self.reference = as_stored(reference)
         self.backward = backward or self._differentiate_reference
         self.linear = linear
         self.dtypes = (*FLOATS, torch.uint8) if bytes else FLOATS
@@ -323,9 +323,9 @@ def _map(f: Callable[[Any], Any], output: Any) -> Any:
 
 def _empty(x: Tensor, sizes: Sequence[int]) -> Tensor:
     """What the kernels allocate: dense, channels-last for an image that is channels-last, as glue.h's layout_of has it."""
-    if len(sizes) == 4 and x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:
-        if x.stride(3) == x.shape[1] and x.stride(2) == x.shape[1] * x.shape[3]:
-            return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
+    c = x.shape[1] if x.dim() == len(sizes) == 4 else 0
+    if c > 1 and (x.stride(1), x.stride(3), x.stride(2)) == (1, c, c * x.shape[3]):
+        return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
     return x.new_empty(sizes)
 
 
@@ -334,7 +334,7 @@ def saturate_to_byte(x: Tensor) -> Tensor:
     return x.round().clamp(0, 255).to(torch.uint8)
 
 
-def _as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
+def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
     """The reference with the kernels' number rules: half types and bytes compute in float32, autocast is off."""
 
     @functools.wraps(reference)

@@ -1,0 +1,7 @@
+"""What the other modules share: exceptions, constant tensors, tensor-like classes, modules that take pictures."""
+
+from kvision.core.image_module import ImageModule, ImageModuleMixIn, ImageSequential
+from kvision.core.ops import eye_like, vec_like
+from kvision.core.tensor_wrapper import TensorWrapper
+
+__all__ = ["ImageModule", "ImageModuleMixIn", "ImageSequential", "TensorWrapper", "eye_like", "vec_like"]

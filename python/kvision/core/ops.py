@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ShapeError
 
 __all__ = ["eye_like", "vec_like"]
 
@@ -31,7 +31,7 @@ def eye_like(n: int, input: Tensor, shared_memory: bool = False) -> Tensor:
         >>> K.core.eye_like(2, torch.zeros(3, 5)).shape
         torch.Size([3, 2, 2])
     """
-    _check_batch("eye_like", n, "input", input)
+    n = _check_batch("eye_like", n, "input", input)
     matrices = input.new_zeros(1 if shared_memory else len(input), n, n)
     matrices.diagonal(dim1=1, dim2=2).fill_(1)
     return matrices.expand(len(input), n, n)
@@ -58,15 +58,12 @@ def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:
         >>> K.core.vec_like(3, torch.zeros(2, 5)).shape
         torch.Size([2, 3, 1])
     """
-    _check_batch("vec_like", n, "tensor", tensor)
+    n = _check_batch("vec_like", n, "tensor", tensor)
     return tensor.new_zeros(1 if shared_memory else len(tensor), n, 1).expand(len(tensor), n, 1)
 
 
-def _check_batch(op: str, n: int, name: str, x: Tensor) -> None:
+def _check_batch(op: str, n: int, name: str, x: Tensor) -> int:
     _check.is_tensor(op, name, x)
     if x.dim() == 0:
         raise ShapeError(f"{op}: expected {name} of shape (B, ...), got ()", actual_shape=x.shape)
-    if not isinstance(n, int) or isinstance(n, bool):
-        raise TypeCheckError(f"{op}: expected n to be an int, got {n!r}", actual_type=type(n))
-    if n < 1:
-        raise ValueCheckError(f"{op}: expected n of at least 1, got {n}", actual_value=n)
+    return _check.ints(op, "n", n, 1)[0]

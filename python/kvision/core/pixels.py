@@ -24,7 +24,8 @@ def to_uint8(x: Tensor) -> Tensor:
     x = to_unit(x)
     if x.dtype in (torch.float16, torch.bfloat16):
         x = x.float()  # a half type cannot hold 255 * x exactly enough to round it
-    return (x.nan_to_num().clamp(0, 1) * 255).round().to(torch.uint8)
+    levels: Tensor = x.nan_to_num().clamp(0, 1) * 255
+    return levels.round().to(torch.uint8)
 
 
 def luma(rgb: Tensor) -> Tensor:
@@ -34,10 +35,12 @@ def luma(rgb: Tensor) -> Tensor:
     """
     if rgb.dtype == torch.uint8:
         r, g, b = rgb.int()
-        return ((9798 * r + 19235 * g + 3735 * b + (1 << 14)) >> 15).to(torch.uint8)[None]
+        grey: Tensor = (9798 * r + 19235 * g + 3735 * b + (1 << 14)) >> 15
+        return grey.to(torch.uint8)[None]
     if not rgb.is_floating_point():
         raise TypeCheckError(
             f"luma: expected rgb to be uint8 or floating point, got {rgb.dtype}", actual_type=rgb.dtype
         )
     r, g, b = rgb
-    return (0.299 * r + 0.587 * g + 0.114 * b)[None]
+    grey = 0.299 * r + 0.587 * g + 0.114 * b
+    return grey[None]

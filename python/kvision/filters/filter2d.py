@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import torch.nn.functional as F
 from torch import Tensor
 
-from kvision import _check as check
-from kvision._dtype import compute_dtype, pixels, widened
+from kvision import _check
+from kvision._dtype import compute_dtype, pixels
+from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
-
-from .border import pad, same_pads
+from kvision.filters.border import pad, same_pads
 
 
 def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
-    """Cross-correlate every channel of `x` (B, C, *S) with `kernel` (B or 1, *K), where the kernel fits inside; 2-D or 3-D."""
+    """Cross-correlate the channels of `x` (B, C, *S) with `kernel` (B or 1, *K) where it fits inside; 2-D or 3-D."""
     b, c, *size = x.shape
     n, *taps = kernel.shape
     if n * c == 0:  # a convolution has at least one group; without planes any crop of the right size will do
@@ -27,11 +27,13 @@ def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
     return y.reshape(b, c, *y.shape[2:])
 
 
-@widened
 def _reference(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     if same:
         x = pad(x, same_pads(kernel.shape[1:]), border)
     return correlate(x, kernel)
+
+
+_filter2d = as_stored(_reference)
 
 
 def filter2d(
@@ -44,7 +46,7 @@ def filter2d(
 ) -> Tensor:
     """Filter every channel of an image with one kernel.
 
-    Cross-correlation: the kernel lies on the image unflipped, its tap (kH - 1) // 2, (kW - 1) // 2 on the pixel computed.
+    The kernel lies on the image unflipped, with its tap (kH - 1) // 2, (kW - 1) // 2 on the pixel that is computed.
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.
@@ -59,7 +61,7 @@ def filter2d(
 
     Raises:
         TypeCheckError: input or kernel is no real tensor.
-        ShapeError: wrong ranks or batch sizes, a 'valid' kernel larger than the image, or a border wider than the image.
+        ShapeError: wrong ranks or batch sizes; a 'valid' kernel larger than the image, a border wider than it.
         ValueCheckError: an unknown border_type, padding or behaviour.
         DeviceError: input and kernel are on different devices.
 
@@ -69,11 +71,7 @@ def filter2d(
         >>> K.filters.filter2d(x, torch.tensor([[[1., 0., 0.]]]), border_type="replicate")
         tensor([[[[1., 1., 2.]]]])
     """
-    check.images("filter2d", "input", input)
-    check.shape("filter2d", "kernel", kernel, "B or 1", "kH", "kW")
-    kernel = prepare_kernel("filter2d", input, kernel, normalized, behaviour)
-    same = check_padding("filter2d", input, kernel.shape[1:], border_type, padding)
-    return _reference(pixels(input), kernel, border_type, same)
+    return filter_images("filter2d", input, kernel, border_type, normalized, padding, behaviour)
 
 
 def correlate2d(
@@ -84,10 +82,10 @@ def correlate2d(
     Example:
         >>> import torch, kvision as K
         >>> x = torch.tensor([[[[0., 1., 0.]]]])
-        >>> K.filters.correlate2d(x, torch.tensor([[[1., 2., 3.]]]))
+        >>> K.filters.correlate2d(x, torch.tensor([[[1., 2., 3.]]]), border_type="constant")
         tensor([[[[3., 2., 1.]]]])
     """
-    return filter2d(input, kernel, border_type, normalized, padding, "corr")
+    return filter_images("correlate2d", input, kernel, border_type, normalized, padding, "corr")
 
 
 def convolve2d(
@@ -101,7 +99,18 @@ def convolve2d(
         >>> K.filters.convolve2d(x, torch.tensor([[[1., 2., 3.]]]), border_type="constant")
         tensor([[[[1., 2., 3.]]]])
     """
-    return filter2d(input, kernel, border_type, normalized, padding, "conv")
+    return filter_images("convolve2d", input, kernel, border_type, normalized, padding, "conv")
+
+
+def filter_images(
+    op: str, input: Tensor, kernel: Tensor, border_type: str, normalized: bool, padding: str, behaviour: str
+) -> Tensor:
+    """:func:`filter2d`, under the name of the function that was called."""
+    _check.images(op, "input", input)
+    _check.shape(op, "kernel", kernel, "B or 1", "kH", "kW")
+    kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
+    same = check_padding(op, input, kernel.shape[1:], border_type, padding)
+    return _filter2d(pixels(input), kernel, border_type, same)
 
 
 def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: str) -> Tensor:
@@ -113,8 +122,8 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
         )
     if 0 in kernel.shape[1:]:
         raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
-    check.same_device(op, input=x, kernel=kernel)
-    check.choice(op, "behaviour", behaviour, ("corr", "conv"))
+    _check.same_device(op, input=x, kernel=kernel)
+    _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
     kernel = kernel.to(compute_dtype(x))
     axes = tuple(range(1, kernel.dim()))
     if normalized:
@@ -123,11 +132,11 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
 
 
 def check_padding(op: str, x: Tensor, taps: Sequence[int], border_type: str, padding: str) -> bool:
-    """Whether `padding` is 'same'; raise where the border or, for 'valid', a kernel of these sizes does not fit the image."""
-    check.border(op, border_type)
-    check.choice(op, "padding", padding, ("same", "valid"))
+    """Whether `padding` is 'same'; raise where the border or, for 'valid', a kernel of these sizes does not fit."""
+    _check.border(op, border_type)
+    _check.choice(op, "padding", padding, ("same", "valid"))
     if padding == "same":
-        check.reflectable(op, x, [size // 2 for size in taps], border_type)
+        _check.reflectable(op, x, [size // 2 for size in taps], border_type)
     elif any(k > n for k, n in zip(taps, x.shape[2:])):
         raise ShapeError(
             f"{op}: expected a 'valid' kernel no larger than the input, got {tuple(taps)} for {tuple(x.shape)}"

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from kvision import _check as check
-from kvision._dtype import pixels, widened
+from kvision import _check
+from kvision._dtype import pixels
+from kvision._ops import as_stored
+from kvision.filters.border import pad, same_pads
+from kvision.filters.filter2d import check_padding, correlate, prepare_kernel
 
-from .border import pad, same_pads
-from .filter2d import check_padding, correlate, prepare_kernel
 
-
-@widened
 def _reference(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> Tensor:
     for kernel in (kernel_x[:, None, :], kernel_y[:, :, None]):
         if same:
             x = pad(x, same_pads(kernel.shape[1:]), border)
         x = correlate(x, kernel)
     return x
+
+
+_filter2d_separable = as_stored(_reference)
 
 
 def filter2d_separable(
@@ -53,11 +55,11 @@ def filter2d_separable(
         tensor([[[[ 3.,  6.,  5.],
                   [ 9., 15., 11.]]]])
     """
-    check.images("filter2d_separable", "input", input)
-    check.shape("filter2d_separable", "kernel_x", kernel_x, "B or 1", "kW")
-    check.shape("filter2d_separable", "kernel_y", kernel_y, "B or 1", "kH")
+    _check.images("filter2d_separable", "input", input)
+    _check.shape("filter2d_separable", "kernel_x", kernel_x, "B or 1", "kW")
+    _check.shape("filter2d_separable", "kernel_y", kernel_y, "B or 1", "kH")
     kernel_x = prepare_kernel("filter2d_separable", input, kernel_x, normalized, "corr")
     kernel_y = prepare_kernel("filter2d_separable", input, kernel_y, normalized, "corr")
     taps = (kernel_y.shape[1], kernel_x.shape[1])
     same = check_padding("filter2d_separable", input, taps, border_type, padding)
-    return _reference(pixels(input), kernel_x, kernel_y, border_type, same)
+    return _filter2d_separable(pixels(input), kernel_x, kernel_y, border_type, same)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
 from kvision._ops import register, vjp
+from kvision.filters.border import pad
 
 __all__ = ["Sobel", "sobel"]
 
 
 def _reference(x: Tensor, normalized: bool, eps: float) -> Tensor:
-    p = F.pad(x, (1, 1, 1, 1), mode="replicate")
+    p = pad(x, ((1, 1), (1, 1)), "replicate")
     dx = p[..., 2:] - p[..., :-2]
     dy = p[..., 2:, :] - p[..., :-2, :]
     gx = dx[..., :-2, :] + 2 * dx[..., 1:-1, :] + dx[..., 2:, :]

@@ -1,0 +1,107 @@
+"""Rows, verdicts and losses as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from benchmarks.measure import KVISION, Row
+from benchmarks.verdict import Loss, Verdict
+
+LEGEND = """\
+ms: median, min: minimum, +-: interquartile range over median; floor: ms that the bytes to read and write once take at
+copy bandwidth; xfloor: time over floor; xkv: time over kvision's; eq: = equal to kvision, b but for the border, ~ close,
+x different"""
+CUDA_LEGEND = """\
+extra: GPU memory beyond input and output (and gradients), in units of input + output; launches: kernels, fills and
+copies of one call; host: us of host time for one call on 1x3x256x256"""
+
+COLUMNS = (
+    ("case", 17), ("stage", 17), ("library", 12), ("ms", 9), ("min", 9), ("+-", 6), ("floor", 8), ("xfloor", 8),
+    ("xkv", 8), ("eq", 3),
+)  # fmt: skip
+CUDA_COLUMNS = (*COLUMNS, ("extra", 7), ("launches", 9), ("host", 7))
+
+
+class Table:
+    """Lays rows out as they come; a row that repeats the case or the stage of the row above leaves that cell empty."""
+
+    def __init__(self, cuda: bool) -> None:
+        self._columns = CUDA_COLUMNS if cuda else COLUMNS
+        self._above: tuple[str, str] = ("", "")
+        self._kvision: dict[tuple[str, ...], float] = {}
+
+    def header(self) -> str:
+        self._above = ("", "")
+        return self._line(name for name, _ in self._columns)
+
+    def line(self, row: Row) -> str:
+        place = (row.case, row.size, row.dtype, row.stage)
+        if row.library == KVISION and row.value is not None:
+            self._kvision[place] = row.value
+        case = row.case if row.case != self._above[0] else ""
+        stage = row.stage if case or row.stage != self._above[1] else ""
+        self._above = (row.case, row.stage)
+        if row.failure is not None:
+            return self._line((case, stage, row.library)) + f"  FAILED {row.failure}"
+        ours = self._kvision.get(place)
+        return self._line((
+            case,
+            stage,
+            row.library,
+            number(row.timing.median * 1e3),
+            number(row.timing.minimum * 1e3),
+            f"{row.timing.spread:.0%}",
+            number(row.floor * 1e3),
+            number(row.value / row.floor),
+            number(ours and row.value / ours),
+            row.agreement,
+            None if row.extra is None else f"{row.extra:.2f}",
+            row.launches,
+            None if row.host is None else f"{row.host * 1e6:.1f}",
+        ))  # fmt: skip
+
+    def _line(self, cells: Iterable[Any]) -> str:
+        texts = ("-" if cell is None else str(cell) for cell in cells)
+        return "".join(
+            f"{text:{'<' if index < 3 else '>'}{width}}"
+            for index, (text, (_, width)) in enumerate(zip(texts, self._columns))
+        ).rstrip()
+
+
+def number(x: float | None) -> str | None:
+    """Three significant digits, without an exponent."""
+    if x is None:
+        return None
+    return f"{x:.3g}" if x < 999.5 else f"{x:.0f}"
+
+
+def heading(machine: dict[str, Any], bandwidth: float) -> str:
+    """Where the figures come from, in three lines."""
+    versions = "  ".join(f"{name} {version}" for name, version in machine["peers"].items())
+    return (
+        f"{machine['hardware']}  copy {bandwidth / 1e9:.4g} GB/s  threads {machine['threads']}  {machine['date']}\n"
+        f"kvision {machine['kvision']} ({machine['commit'] or 'no git'}, kernels: {machine['kernels']})"
+        f"  torch {machine['torch']}  {versions}\n$ {machine['command']}"
+    )
+
+
+def summary(verdicts: Sequence[Verdict], lost: Sequence[Loss]) -> str:
+    """Bars, one line a case and size, missed ones in capitals; then every peer that is faster than kvision."""
+    lines = [f"bars: {sum(v.met for v in verdicts)} met, {sum(not v.met for v in verdicts)} missed (measured/bar)"]
+    for place in dict.fromkeys((v.case, v.size, v.dtype) for v in verdicts):
+        here = (v for v in verdicts if (v.case, v.size, v.dtype) == place)
+        lines.append(f"  {place[0]:17}{place[1]:18}{place[2]:9}" + "  ".join(map(_bar, here)))
+    lines.append("kvision is slower than" if lost else "kvision is nowhere slower than a peer")
+    for place in dict.fromkeys((loss.case, loss.stage, loss.size, loss.dtype) for loss in lost):
+        here = [loss for loss in lost if (loss.case, loss.stage, loss.size, loss.dtype) == place]
+        faster = ", ".join(
+            f"{loss.peer}{f' [{loss.agreement}]' if loss.agreement else ''} {loss.factor:.2f}x" for loss in here
+        )
+        lines.append("  {:17}{:17}{:18}{:9}".format(*place) + faster)
+    return "\n".join(lines)
+
+
+def _bar(verdict: Verdict) -> str:
+    text = f"{verdict.what} {number(verdict.measured)}/{number(verdict.limit)}"
+    return text if verdict.met else f"MISSED {text}"

@@ -1,0 +1,257 @@
+"""Modules that also take and give NumPy arrays, PIL images and file names, and remember their last picture."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable, Sequence
+from functools import wraps
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.core.pixels import to_uint8, to_unit
+
+__all__ = ["ImageModule", "ImageModuleMixIn", "ImageSequential"]
+
+_OUTPUT_TYPES = ("pt", "numpy", "pil")
+
+
+class ImageModuleMixIn:
+    """Conversions between tensors, arrays, PIL images and files, and a look at the last result.
+
+    Arrays and PIL images are (H, W), (H, W, C) or (B, H, W, C); integers among them become floating point in [0, 1].
+    In a module with parameters or buffers the tensors made of them go to their device and dtype.
+    """
+
+    _output_image: Any = None
+
+    def convert_input_output(
+        self, input_names_to_handle: Sequence[str] | None = None, output_type: str = "pt", *, cache_output: bool = False
+    ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        """A decorator for functions of tensors.
+
+        Args:
+            input_names_to_handle: the parameters to convert; by default every array and PIL image, and a string where
+                it is the first argument.
+            output_type: what results become: "pt" (tensor), "numpy" or "pil".
+            cache_output: keep the result for `show` and `save`.
+
+        Raises:
+            ValueCheckError: another `output_type`.
+        """
+        _check.choice("convert_input_output", "output_type", output_type, _OUTPUT_TYPES)
+
+        def decorate(func: Callable[..., Any]) -> Callable[..., Any]:
+            @wraps(func)
+            def wrapper(*args: Any, **kwargs: Any) -> Any:
+                args, kwargs = self._admit_all(func, args, kwargs, input_names_to_handle)
+                return self._release(func(*args, **kwargs), output_type, cache_output)
+
+            return wrapper
+
+        return decorate
+
+    def to_tensor(self, x: Any) -> Tensor:
+        """A file name, array or PIL image as (C, H, W) or (B, C, H, W); a tensor as it is.
+
+        Raises:
+            TypeCheckError: `x` is none of these.
+            OSError, ImageError: the file cannot be read.
+        """
+        from kvision.image import image_to_tensor
+        from kvision.io import ImageLoadType, load_image
+
+        if isinstance(x, Tensor):
+            return x
+        if isinstance(x, (str, os.PathLike)):
+            image = load_image(x, ImageLoadType.UNCHANGED)
+        elif isinstance(x, np.ndarray):
+            image = image_to_tensor(x)
+        elif _is_pil(x):
+            if x.mode in ("P", "PA"):  # numbers of colours, not brightness
+                x = x.convert("RGBA" if x.mode == "PA" or "transparency" in x.info else "RGB")
+            image = image_to_tensor(np.array(x))
+        else:
+            raise TypeCheckError(
+                f"to_tensor: expected x to be a Tensor, an array, a PIL image or a path, got {type(x).__name__}",
+                actual_type=type(x),
+            )
+        image = to_unit(image)
+        state = chain(self.parameters(), self.buffers()) if isinstance(self, nn.Module) else ()
+        like = next((p for p in state if p.is_floating_point()), None)
+        return image if like is None else image.to(like)
+
+    def to_numpy(self, x: Any) -> np.ndarray[Any, Any]:
+        """A tensor as an array with the channels last (where it has three or four axes); an array as it is.
+
+        Raises:
+            TypeCheckError: `x` is neither of these, nor a PIL image.
+        """
+        if isinstance(x, Tensor):
+            x = x.detach().cpu()
+            x = (x.float() if x.dtype == torch.bfloat16 else x).numpy()
+            return np.ascontiguousarray(np.moveaxis(x, -3, -1)) if x.ndim in (3, 4) else x
+        if isinstance(x, np.ndarray) or _is_pil(x):
+            return np.asarray(x)
+        raise TypeCheckError(
+            f"to_numpy: expected x to be a Tensor, an array or a PIL image, got {type(x).__name__}", actual_type=type(x)
+        )
+
+    def to_pil(self, x: Any) -> Any:
+        """A tensor (C, H, W) as a PIL image in 8 bits, one of (B, C, H, W) as a list of them; a PIL image as it is.
+
+        Raises:
+            TypeCheckError: `x` is neither of these.
+            ShapeError: another shape.
+        """
+        import PIL.Image
+
+        from kvision.image import tensor_to_image
+
+        if _is_pil(x):
+            return x
+        _check.is_tensor("to_pil", "x", x)
+        if x.dim() == 4:
+            return [self.to_pil(image) for image in x]
+        if x.dim() != 3:
+            raise ShapeError(
+                f"to_pil: expected x of shape (C, H, W) or (B, C, H, W), got {tuple(x.shape)}", actual_shape=x.shape
+            )
+        return PIL.Image.fromarray(tensor_to_image(to_uint8(x.detach()), force_contiguous=True))
+
+    def show(self, n_row: int | None = None, backend: str = "pil", display: bool = True) -> Any:
+        """The last result as a PIL image, a batch as a grid; displayed, or returned where `display` is False.
+
+        Raises:
+            ValueCheckError: there is no result yet, or another `backend` than "pil".
+            ShapeError: the result is no image.
+        """
+        _check.choice("show", "backend", backend, ("pil",))
+        picture = self.to_pil(self._last_picture("show", n_row))
+        return picture.show() if display else picture
+
+    def save(self, name: str | os.PathLike[str] | None = None, n_row: int | None = None) -> None:
+        """Write the last result, a batch as a grid, to the file `name`, by default "kvision.jpg".
+
+        Raises:
+            ValueCheckError: there is no result yet.
+            ShapeError: the result is no image.
+        """
+        from kvision.io import write_image
+
+        write_image("kvision.jpg" if name is None else name, to_uint8(self._last_picture("save", n_row)))
+
+    def _last_picture(self, op: str, n_row: int | None) -> Tensor:
+        from kvision.image import make_grid
+
+        output = self._output_image
+        if isinstance(output, tuple) and len(output) == 1:
+            (output,) = output
+        if output is None:
+            raise ValueCheckError(f"{op}: expected a result to show, got none: call the module first")
+        if not isinstance(output, Tensor) or output.dim() not in (3, 4):
+            raise ShapeError(f"{op}: expected the last result to be (C, H, W) or (B, C, H, W)")
+        return make_grid(output, n_row) if output.dim() == 4 else output
+
+    def _admit_all(
+        self, func: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], names: Sequence[str] | None
+    ) -> tuple[tuple[Any, ...], dict[str, Any]]:
+        """The arguments of `func` with those called `names` as tensors, or by default those that look like pictures."""
+        if names is None:
+            args = tuple(self._admit(arg, i == 0) for i, arg in enumerate(args))
+            return args, {name: self._admit(arg, False) for name, arg in kwargs.items()}
+        bound = inspect.signature(func).bind(*args, **kwargs)
+        for name in bound.arguments.keys() & set(names):
+            bound.arguments[name] = self.to_tensor(bound.arguments[name])
+        return bound.args, bound.kwargs
+
+    def _admit(self, arg: Any, first: bool) -> Any:
+        """`arg` as a tensor if it looks like a picture; only the first argument may be the name of a file."""
+        is_picture = isinstance(arg, np.ndarray) or _is_pil(arg) or (first and isinstance(arg, (str, os.PathLike)))
+        return self.to_tensor(arg) if is_picture else arg
+
+    def _release(self, output: Any, output_type: str, cache_output: bool) -> Any:
+        if cache_output:
+            self._output_image = _map_tensors(Tensor.detach, output)
+        if output_type == "pt":
+            return output
+        return _map_tensors(self.to_numpy if output_type == "numpy" else self.to_pil, output)
+
+
+class _PictureCalls(ImageModuleMixIn):
+    """The call of `ImageModule` and `ImageSequential`, which stands in front of the one of their torch class."""
+
+    _disable_features = False
+
+    @property
+    def disable_features(self) -> bool:
+        """True makes a call the plain call of a torch module: nothing is converted, and no result is kept."""
+        return self._disable_features
+
+    @disable_features.setter
+    def disable_features(self, value: bool = True) -> None:
+        self._disable_features = value
+        if value:
+            self._output_image = None
+
+    def __call__(
+        self,
+        *inputs: Any,
+        input_names_to_handle: Sequence[str] | None = None,
+        output_type: str = "pt",
+        **kwargs: Any,
+    ) -> Any:
+        call = super().__call__  # type: ignore[misc]  # nn.Module's
+        if self._disable_features:
+            return call(*inputs, **kwargs)
+        _check.choice(type(self).__name__, "output_type", output_type, _OUTPUT_TYPES)
+        forward = self.forward  # type: ignore[attr-defined]  # nn.Module's
+        inputs, kwargs = self._admit_all(forward, inputs, kwargs, input_names_to_handle)
+        return self._release(call(*inputs, **kwargs), output_type, cache_output=True)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k != "_output_image"}
+
+
+class ImageModule(_PictureCalls, nn.Module):
+    """An `nn.Module` from picture to picture that also takes arrays, PIL images and file names.
+
+    A call takes two more keywords: `output_type`, "pt", "numpy" or "pil", and `input_names_to_handle`, the parameters
+    of `forward` to convert (all that look like pictures by default). The last result stays for `show` and `save`.
+
+    Example:
+        >>> import numpy as np, kvision as K
+        >>> class Invert(K.core.ImageModule):
+        ...     def forward(self, x):
+        ...         return 1 - x
+        >>> Invert()(np.zeros((4, 5, 3), np.uint8), output_type="numpy").shape
+        (4, 5, 3)
+    """
+
+
+class ImageSequential(_PictureCalls, nn.Sequential):
+    """An `nn.Sequential` from picture to picture, with the conveniences of `ImageModule`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.core.ImageSequential(torch.nn.ReLU())(torch.rand(3, 4, 5), output_type="pil").size
+        (5, 4)
+    """
+
+
+def _is_pil(x: Any) -> bool:
+    return type(x).__module__.startswith("PIL.")  # without importing it: PIL is optional
+
+
+def _map_tensors(f: Callable[[Tensor], Any], output: Any) -> Any:
+    if isinstance(output, Tensor):
+        return f(output)
+    if type(output) in (list, tuple):
+        return type(output)(_map_tensors(f, item) for item in output)
+    return output

@@ -1,0 +1,154 @@
+"""`python -m kvision.demo [IMAGE ...]`: photographs in, a gallery of filtered ones out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import cv2
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+from tqdm import tqdm
+
+import kvision
+from kvision._trace import native_operators
+from kvision.core.exceptions import DeviceError, ImageError
+from kvision.demo import filters, gallery
+from kvision.demo.restore import Restoration, blur, restore
+from kvision.demo.sheet import Column, Sheet, run
+from kvision.io import get_sample_images, load_image, write_image
+
+SHEETS = [filters.SHEET]
+SAMPLES = ("astronaut", "chelsea", "coffee", "rocket")
+SIDE = 320  # pixels; photos are cropped to a square and brought to this size
+STEPS = 150  # of the restoration
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    options = parser().parse_args(arguments)
+    try:
+        device = chosen_device(options.device)
+        names, photos = load(options.images)
+        options.out.mkdir(parents=True, exist_ok=True)
+    except (OSError, ImportError, DeviceError, ImageError) as error:
+        print(f"kvision.demo: {error}", file=sys.stderr)
+        return 2
+    photos = photos.to(device)
+    cv2.setNumThreads(torch.get_num_threads())
+    about = f"{len(photos)} photos of {SIDE}x{SIDE} on {device}, {torch.get_num_threads()} CPU threads"
+    print(about)
+    done: list[tuple[Sheet, list[Column]]] = []
+    with tqdm(total=sum(len(sheet.steps) for sheet in SHEETS) + STEPS, unit="step") as bar:
+        for sheet in SHEETS:
+            columns = []
+            for step in sheet.steps:
+                bar.set_description(f"{step.title:14}")
+                columns.append(run(step, photos))
+                bar.update()
+            done.append((sheet, columns))
+        bar.set_description(f"{'restoring':14}")
+        restored = restore(photos[:2], counted(bar, STEPS))
+
+    sections = [section(sheet, columns, names, photos) for sheet, columns in done]
+    sections.append(restoration(restored, names, photos, width=max(len(s.columns) for s in sections)))
+    path = options.out / "gallery.png"
+    gallery.page(f"kvision {kvision.__version__}", about, sections).save(path)
+    save_results(options.out, names, done, restored)
+    print_table([column for _, columns in done for column in columns])
+    backend = "native" if native_operators(lambda: blur(photos)) else "reference"
+    print(
+        f"\nrestored through gaussian_blur2d ({backend}) in {STEPS} steps: "
+        f"loss {restored.losses[0]:.1e} -> {restored.losses[-1]:.1e}, "
+        f"{decibels(restored)}\ngallery: {path}"
+    )
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    parse = argparse.ArgumentParser(prog="python -m kvision.demo", description=__doc__)
+    parse.add_argument("images", nargs="*", type=Path, metavar="IMAGE", help="any file OpenCV reads; default: samples")
+    parse.add_argument("--out", type=Path, default=Path("demo_output"), metavar="DIR", help="default: demo_output")
+    parse.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    return parse
+
+
+def chosen_device(name: str) -> torch.device:
+    if name == "cuda" and not torch.cuda.is_available():
+        raise DeviceError("--device cuda: this torch sees no CUDA device")
+    return torch.device("cuda" if name == "auto" and torch.cuda.is_available() else name.replace("auto", "cpu"))
+
+
+def load(paths: Sequence[Path]) -> tuple[list[str], Tensor]:
+    """Names and a batch (B, 3, SIDE, SIDE) of the photos in these files, or of the samples if there are none."""
+    pictures = [load_image(path) for path in paths] or get_sample_images(paths=SAMPLES)
+    names = [path.stem for path in paths] or list(SAMPLES)
+    return names, torch.stack([square(picture) for picture in pictures])
+
+
+def square(picture: Tensor) -> Tensor:
+    """The middle of a picture (3, H, W) as (3, SIDE, SIDE)."""
+    height, width = picture.shape[1:]
+    side = min(height, width)
+    top, left = (height - side) // 2, (width - side) // 2
+    middle = picture[None, :, top : top + side, left : left + side]
+    return F.interpolate(middle, (SIDE, SIDE), mode="bilinear", antialias=True)[0]
+
+
+def section(sheet: Sheet, columns: Sequence[Column], names: Sequence[str], photos: Tensor) -> gallery.Section:
+    """A sheet as a grid: the photos, then for each step what it was given, if not the photos, and what it made."""
+    shown = [("photo", "", photos)]
+    for column in columns:
+        if column.given is not None:
+            shown.append((column.given[0], "", column.given[1]))
+        shown.append((column.title, f"{column.ms:.2f} ms", column.pictures))
+    rows = [(name, [gallery.picture(pictures[i]) for *_, pictures in shown]) for i, name in enumerate(names)]
+    return gallery.Section(sheet.title, [(title, note) for title, note, _ in shown], rows)
+
+
+def restoration(restored: Restoration, names: Sequence[str], photos: Tensor, width: int) -> gallery.Section:
+    """The restored photos side by side, and the curve of the loss in the rest of a row of `width` pictures."""
+    columns, cells = [], []
+    for i, name in enumerate(names[: len(restored.restored)]):
+        columns += [(name, ""), ("blurred", ""), ("restored", "")]
+        cells += [gallery.picture(x[i]) for x in (photos, restored.blurred, restored.restored)]
+    left = width - len(cells)
+    columns.append(("loss: squared difference of the blurred pictures", ""))
+    cells.append(gallery.curve(restored.losses, left * SIDE + (left - 1) * gallery.GAP, SIDE))
+    title = f"Restored by gradient descent through gaussian_blur2d: {decibels(restored)}"
+    return gallery.Section(title, columns, [("", cells)])
+
+
+def decibels(restored: Restoration) -> str:
+    return f"PSNR {restored.blurred_psnr:.1f} -> {restored.restored_psnr:.1f} dB"
+
+
+def save_results(
+    folder: Path, names: Sequence[str], done: Sequence[tuple[Sheet, Sequence[Column]]], restored: Restoration
+) -> None:
+    """One PNG per photo and result, named by both."""
+    results = {column.title: column.pictures for _, columns in done for column in columns}
+    for title, pictures in {**results, "restored": restored.restored}.items():
+        for i, (name, picture) in enumerate(zip(names, pictures)):
+            write_image(folder / f"{i + 1}_{name}_{title.replace(' ', '_')}.png", picture)
+
+
+def print_table(columns: Sequence[Column]) -> None:
+    print(f"\n{'operator':16}{'backend':12}{'ms':>9}{'OpenCV ms':>12}")
+    for column in columns:
+        opencv = "-" if column.opencv_ms is None else f"{column.opencv_ms:.2f}"
+        print(f"{column.title:16}{column.backend:12}{column.ms:9.2f}{opencv:>12}")
+
+
+def counted(bar: tqdm[NoReturn], steps: int) -> Iterator[int]:
+    """0 to steps, each counted on the bar once it is done."""
+    for step in range(steps):
+        yield step
+        bar.update()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,81 @@
+"""The sheet of the filters module."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import torch
+from torch import Tensor
+
+from kvision import filters
+from kvision.demo.sheet import Given, Image, Sheet, Step
+
+
+def salt_and_pepper(photos: Tensor, share: float = 0.1) -> Tensor:
+    """Every tenth pixel white or black."""
+    generator = torch.Generator().manual_seed(0)
+    draw = torch.rand(len(photos), 1, *photos.shape[2:], generator=generator).to(photos.device)
+    return photos.masked_fill(draw < share / 2, 0).masked_fill(draw > 1 - share / 2, 1)
+
+
+MOTION = filters.get_motion_kernel2d(21, 35.0, 0.0)
+
+
+def sobel_opencv(image: Image) -> Any:
+    gx, gy = (
+        cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE) for dx in (1, 0)
+    )
+    return cv2.magnitude(gx, gy)
+
+
+def canny_opencv(image: Image) -> Any:
+    grey = cv2.convertScaleAbs(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), alpha=255)
+    return cv2.Canny(cv2.GaussianBlur(grey, (5, 5), 1), 25.5, 51, L2gradient=True)
+
+
+def unsharp_opencv(image: Image) -> Any:
+    return cv2.addWeighted(image, 2, cv2.GaussianBlur(image, (9, 9), 2), -1, 0)
+
+
+LAPLACIAN = filters.get_laplacian_kernel2d(3).numpy() / 16
+
+SHEET = Sheet(
+    "Filters",
+    [
+        Step(
+            "gaussian blur",
+            lambda x: filters.gaussian_blur2d(x, (21, 21), (4.0, 4.0)),
+            lambda image: cv2.GaussianBlur(image, (21, 21), 4),
+        ),
+        Step(
+            "motion blur",
+            lambda x: filters.motion_blur(x, 21, 35.0, 0.0),
+            lambda image: cv2.filter2D(image, -1, MOTION[0].numpy()),
+        ),
+        Step("sobel", filters.sobel, sobel_opencv, lambda y: 4 * y),
+        Step(
+            "laplacian",
+            lambda x: filters.laplacian(x, 3),
+            lambda image: cv2.filter2D(image, -1, LAPLACIAN),
+            lambda y: 0.5 + 8 * y,
+        ),
+        Step("canny", lambda x: filters.canny(x)[1], canny_opencv),
+        Step(
+            "median",
+            lambda x: filters.median_blur(x, 3),
+            lambda image: cv2.medianBlur(image, 3),
+            given=Given("salt and pepper", salt_and_pepper),
+        ),
+        Step(
+            "bilateral",
+            lambda x: filters.bilateral_blur(x, (9, 9), 0.3, (3.0, 3.0)),
+            lambda image: cv2.bilateralFilter(image, 9, 0.3, 3),
+        ),
+        Step(
+            "unsharp mask",
+            lambda x: filters.unsharp_mask(x, (9, 9), (2.0, 2.0)),
+            unsharp_opencv,
+        ),
+    ],
+)

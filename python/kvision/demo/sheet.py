@@ -1,0 +1,89 @@
+"""What a sheet of the gallery is: steps, each of which makes a picture of every photo."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from kvision._trace import native_operators
+from kvision.image import tensor_to_image
+
+Image = np.ndarray[Any, Any]
+
+
+class Given(NamedTuple):
+    """What a step gets instead of the photos; shown in a column of its own, left of the result."""
+
+    title: str
+    make: Callable[[Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One column: `call` takes the batch of photos (B, 3, H, W) in [0, 1], and `show` makes its result a picture.
+
+    `opencv` does the same work to one (H, W, 3) image.
+    """
+
+    title: str
+    call: Callable[[Tensor], Tensor]
+    opencv: Callable[[Image], Any] | None = None
+    show: Callable[[Tensor], Tensor] = lambda result: result
+    given: Given | None = None
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A part of the gallery."""
+
+    title: str
+    steps: Sequence[Step]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A step done: pictures (B, 1 or 3, H, W), what served it, and the milliseconds it took, and OpenCV for the same."""
+
+    title: str
+    pictures: Tensor
+    given: tuple[str, Tensor] | None
+    backend: str
+    ms: float
+    opencv_ms: float | None
+
+
+def run(step: Step, photos: Tensor) -> Column:
+    """Do one step and time it, and OpenCV at the same work: the quickest of three calls each, after one to warm up."""
+    x = photos if step.given is None else step.given.make(photos)
+    result = step.call(x)
+    opencv_ms = None
+    if step.opencv is not None:
+        images = [np.ascontiguousarray(tensor_to_image(image)) for image in x]
+        work = step.opencv
+        opencv_ms = quickest(lambda: [work(image) for image in images])
+    return Column(
+        title=step.title,
+        pictures=step.show(result).clamp(0, 1),
+        given=None if step.given is None else (step.given.title, x),
+        backend="native" if native_operators(lambda: step.call(x)) else "reference",
+        ms=quickest(lambda: step.call(x), x.device),
+        opencv_ms=opencv_ms,
+    )
+
+
+def quickest(call: Callable[[], Any], device: torch.device | None = None) -> float:
+    """Milliseconds of the quickest of three calls, each counted until its result is there; one more warms up."""
+    found = []
+    for _ in range(4):
+        start = time.perf_counter()
+        call()
+        if device is not None and device.type == "cuda":
+            torch.cuda.synchronize(device)
+        found.append(time.perf_counter() - start)
+    return min(found[1:]) * 1e3

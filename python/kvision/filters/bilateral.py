@@ -1,0 +1,223 @@
+"""Bilateral blur, plain and guided by a second image."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, pixels
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.filters.border import windows
+from kvision.filters.gaussian import axis_kernels, batch_of, positive, sigma_arguments
+
+
+def _reference(
+    x: Tensor,
+    guidance: Tensor | None,
+    sigma_color: Tensor | None,
+    sigma_space: Tensor | None,
+    ky: int,
+    kx: int,
+    sigma_color_number: float,
+    sigma_y: float,
+    sigma_x: float,
+    border: str,
+    distance: str,
+) -> Tensor:
+    guide = x if guidance is None else guidance
+    color = sigma_color_number if sigma_color is None else positive(sigma_color)[:, None, None, None]
+    taps = windows(x, ky, kx, border)
+    difference = ((taps if guidance is None else windows(guide, ky, kx, border)) - guide) / color
+    if distance == "l1":
+        squared = difference.abs().sum(2, keepdim=True) ** 2
+    else:
+        squared = (difference**2).sum(2, keepdim=True)
+    kernel_y, kernel_x = axis_kernels(x, sigma_space, ky, kx, sigma_y, sigma_x)
+    space = (kernel_y[:, :, None] * kernel_x[:, None, :]).flatten(1).t()[:, :, None, None, None]
+    weights = space * torch.exp(-squared / 2)
+    return (weights * taps).sum(0) / weights.sum(0)
+
+
+_bilateral_blur = as_stored(_reference)
+
+
+def bilateral_blur(
+    input: Tensor,
+    kernel_size: tuple[int, int] | int,
+    sigma_color: Tensor | float,
+    sigma_space: tuple[float, float] | Tensor | float,
+    border_type: str = "reflect",
+    color_distance_type: str = "l1",
+) -> Tensor:
+    """Blur an image with weights that fall with the distance in space and in colour, which keeps edges.
+
+    A pixel of the window at distance d in space and c in colour weighs
+    exp(-d^2 / (2 sigma_space^2)) exp(-c^2 / (2 sigma_color^2)); the weights are divided by their sum.
+
+    Args:
+        input: image (B, C, H, W). uint8 gives uint8 (rounded half to even), other integers give float32.
+        kernel_size: size of the window, an odd int or (y, x).
+        sigma_color: standard deviation in colour, in units of the input; a number or a tensor (1,) or (B,).
+        sigma_space: standard deviation in pixels; a number, (y, x), or a tensor (1, 2) or (B, 2). Tensors may carry
+            gradients; where one is not positive the result is NaN, as its values are not read on the host.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        color_distance_type: 'l1', the sum of |difference| over the channels, or 'l2', the Euclidean distance.
+
+    Returns:
+        The blurred image; differentiable in image and sigmas.
+
+    Raises:
+        TypeCheckError: input is no real tensor; an argument of a wrong kind.
+        ShapeError: wrong ranks or batch sizes; a border wider than the image.
+        ValueCheckError: an even kernel size, a sigma that is not positive, an unknown border_type or distance.
+        DeviceError: tensors on different devices.
+
+    Source: C. Tomasi and R. Manduchi, "Bilateral filtering for gray and color images" (1998).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 0.1, 1., 0.9]]]])
+        >>> K.filters.bilateral_blur(x, (1, 3), 0.1, (1.0, 1.0))
+        tensor([[[[0.0424, 0.0731, 0.9731, 0.9424]]]])
+    """
+    return _checked(
+        "bilateral_blur", input, None, kernel_size, sigma_color, sigma_space, border_type, color_distance_type
+    )
+
+
+def joint_bilateral_blur(
+    input: Tensor,
+    guidance: Tensor,
+    kernel_size: tuple[int, int] | int,
+    sigma_color: Tensor | float,
+    sigma_space: tuple[float, float] | Tensor | float,
+    border_type: str = "reflect",
+    color_distance_type: str = "l1",
+) -> Tensor:
+    """Blur an image with weights that fall with the distance in space and in the colours of a second image.
+
+    Args:
+        input: image (B, C, H, W).
+        guidance: image (B, any channels, H, W) whose colours are compared, in units of its own.
+        kernel_size, sigma_color, sigma_space, border_type, color_distance_type: as :func:`bilateral_blur`.
+
+    Returns:
+        The blurred image; differentiable in both images and the sigmas.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`bilateral_blur`; also where guidance differs
+            from input in batch, height or width.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x, flat = torch.tensor([[[[0., 1., 0., 1.]]]]), torch.zeros(1, 1, 1, 4)
+        >>> K.filters.joint_bilateral_blur(x, flat, (1, 3), 0.1, (1.0, 1.0))
+        tensor([[[[0.5481, 0.4519, 0.5481, 0.4519]]]])
+    """
+    _check.images("joint_bilateral_blur", "guidance", guidance)
+    return _checked(
+        "joint_bilateral_blur", input, guidance, kernel_size, sigma_color, sigma_space, border_type, color_distance_type
+    )
+
+
+def _checked(
+    op: str,
+    input: Tensor,
+    guidance: Tensor | None,
+    kernel_size: tuple[int, int] | int,
+    sigma_color: Tensor | float,
+    sigma_space: tuple[float, float] | Tensor | float,
+    border_type: str,
+    color_distance_type: str,
+) -> Tensor:
+    _check.images(op, "input", input)
+    if guidance is not None:
+        b, _, h, w = input.shape
+        if (guidance.shape[0], *guidance.shape[2:]) != (b, h, w):
+            raise ShapeError(
+                f"{op}: expected guidance of shape ({b}, C, {h}, {w}), got {tuple(guidance.shape)}",
+                actual_shape=guidance.shape,
+            )
+        _check.same_device(op, input=input, guidance=guidance)
+        guidance = guidance.to(compute_dtype(input))
+    ky, kx = _check.pair(op, "kernel_size", kernel_size)
+    _check.odd(op, "kernel_size", (ky, kx))
+    color, number = _sigma_color(op, input, sigma_color)
+    space, sigma_y, sigma_x = sigma_arguments(op, "sigma_space", input, sigma_space)
+    _check.border(op, border_type)
+    _check.reflectable(op, input, (ky // 2, kx // 2), border_type)
+    _check.choice(op, "color_distance_type", color_distance_type, ("l1", "l2"))
+    return _bilateral_blur(
+        pixels(input), guidance, color, space, ky, kx, number, sigma_y, sigma_x, border_type, color_distance_type
+    )
+
+
+def _sigma_color(op: str, x: Tensor, value: Tensor | float) -> tuple[Tensor | None, float]:
+    """sigma_color for images `x`: (tensor (B or 1,), 0) or (None, number)."""
+    if isinstance(value, Tensor):
+        _check.shape(op, "sigma_color", value, "B")
+        return batch_of(op, "sigma_color", x, value), 0.0
+    if not isinstance(value, (int, float)):
+        raise TypeCheckError(
+            f"{op}: expected sigma_color to be a number or a Tensor (B,), got {value!r}", actual_type=type(value)
+        )
+    if not value > 0:  # also refuses NaN
+        raise ValueCheckError(f"{op}: expected sigma_color to be a positive number, got {value!r}", actual_value=value)
+    return None, float(value)
+
+
+class _Bilateral(FunctionModule):
+    def __init__(
+        self,
+        kernel_size: tuple[int, int] | int,
+        sigma_color: Tensor | float,
+        sigma_space: tuple[float, float] | Tensor | float,
+        border_type: str = "reflect",
+        color_distance_type: str = "l1",
+    ) -> None:
+        super().__init__(
+            kernel_size=kernel_size,
+            sigma_color=sigma_color,
+            sigma_space=sigma_space,
+            border_type=border_type,
+            color_distance_type=color_distance_type,
+        )
+
+
+class BilateralBlur(_Bilateral):
+    """Module form of :func:`bilateral_blur`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.filters.BilateralBlur(3, 0.1, (1.5, 1.5))(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def forward(self, input: Tensor) -> Tensor:
+        return bilateral_blur(
+            input, self.kernel_size, self.sigma_color, self.sigma_space, self.border_type, self.color_distance_type
+        )
+
+
+class JointBilateralBlur(_Bilateral):
+    """Module form of :func:`joint_bilateral_blur`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.filters.JointBilateralBlur(3, 0.1, (1.5, 1.5))(torch.rand(2, 3, 8, 8), torch.rand(2, 1, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def forward(self, input: Tensor, guidance: Tensor) -> Tensor:
+        return joint_bilateral_blur(
+            input,
+            guidance,
+            self.kernel_size,
+            self.sigma_color,
+            self.sigma_space,
+            self.border_type,
+            self.color_distance_type,
+        )

@@ -1,0 +1,73 @@
+"""Box blur: the mean of every window."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import pixels
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.filters.separable import _reference as filter_separably
+
+
+def window_sum(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
+    """The sum of the ky x kx window around every pixel; exact for integers below 2^24."""
+    return filter_separably(x, x.new_ones(1, kx), x.new_ones(1, ky), border, True)
+
+
+def _reference(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
+    return window_sum(x, ky, kx, border) / (ky * kx)
+
+
+_box_blur = as_stored(_reference)
+
+
+def box_blur(
+    input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect", separable: bool = True
+) -> Tensor:
+    """Replace every pixel by the mean of its window.
+
+    Args:
+        input: image (B, C, H, W). uint8 gives uint8 (rounded half to even), other integers give float32.
+        kernel_size: size of the window, an int or (y, x). An even one reaches one pixel further right and down.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        separable: for compatibility; the result is the same.
+
+    Returns:
+        The blurred image.
+
+    Raises:
+        TypeCheckError: input is no real tensor; kernel_size is not of ints.
+        ShapeError: input is not (B, C, H, W); a border wider than the image.
+        ValueCheckError: a kernel_size below 1, an unknown border_type.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 3., 6., 0.]]]])
+        >>> K.filters.box_blur(x, (1, 3), "replicate")
+        tensor([[[[1., 3., 3., 2.]]]])
+    """
+    _check.images("box_blur", "input", input)
+    ky, kx = _check.pair("box_blur", "kernel_size", kernel_size)
+    _check.border("box_blur", border_type)
+    _check.reflectable("box_blur", input, (ky // 2, kx // 2), border_type)
+    return _box_blur(pixels(input), ky, kx, border_type)
+
+
+class BoxBlur(FunctionModule):
+    """Module form of :func:`box_blur`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.filters.BoxBlur(5)(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self, kernel_size: tuple[int, int] | int, border_type: str = "reflect", separable: bool = True
+    ) -> None:
+        super().__init__(kernel_size=kernel_size, border_type=border_type, separable=separable)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return box_blur(input, self.kernel_size, self.border_type, self.separable)

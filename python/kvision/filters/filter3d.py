@@ -1,0 +1,84 @@
+"""Cross-correlation and convolution of volumes with any small kernel."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+from kvision.filters.border import pad, same_pads
+from kvision.filters.filter2d import check_padding, correlate, prepare_kernel
+
+
+def _reference(x: Tensor, kernel: Tensor, border: str) -> Tensor:
+    return correlate(pad(x, same_pads(kernel.shape[1:]), border), kernel)
+
+
+_filter3d = as_stored(_reference)
+
+
+def filter3d(
+    input: Tensor,
+    kernel: Tensor,
+    border_type: str = "replicate",
+    normalized: bool = False,
+    behaviour: str = "corr",
+) -> Tensor:
+    """Filter every channel of a volume with one kernel.
+
+    Args:
+        input: volume (B, C, D, H, W); integers give float32.
+        kernel: (1, kD, kH, kW), or (B, kD, kH, kW) with a kernel for every volume; sizes may be even.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        normalized: divide the kernel by the sum of its absolute values.
+        behaviour: 'corr' for cross-correlation, 'conv' to flip the kernel first (convolution).
+
+    Returns:
+        The filtered volume, of the input's size; differentiable in volume and kernel.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as `filter2d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([1., 2., 4.]).reshape(1, 1, 3, 1, 1)
+        >>> K.filters.filter3d(x, torch.ones(1, 3, 1, 1)).flatten()
+        tensor([ 4.,  7., 10.])
+    """
+    return filter_volumes("filter3d", input, kernel, border_type, normalized, behaviour)
+
+
+def correlate3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
+    """Cross-correlate a volume with a kernel: `filter3d` with behaviour 'corr'; same arguments, result and errors.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([0., 1., 0.]).reshape(1, 1, 3, 1, 1)
+        >>> K.filters.correlate3d(x, torch.tensor([1., 2., 3.]).reshape(1, 3, 1, 1)).flatten()
+        tensor([3., 2., 1.])
+    """
+    return filter_volumes("correlate3d", input, kernel, border_type, normalized, "corr")
+
+
+def convolve3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
+    """Convolve a volume with a kernel: `filter3d` with behaviour 'conv'; same arguments, result and errors.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([0., 1., 0.]).reshape(1, 1, 3, 1, 1)
+        >>> K.filters.convolve3d(x, torch.tensor([1., 2., 3.]).reshape(1, 3, 1, 1)).flatten()
+        tensor([1., 2., 3.])
+    """
+    return filter_volumes("convolve3d", input, kernel, border_type, normalized, "conv")
+
+
+def filter_volumes(
+    op: str, input: Tensor, kernel: Tensor, border_type: str, normalized: bool, behaviour: str
+) -> Tensor:
+    """:func:`filter3d`, under the name of the function that was called."""
+    _check.volumes(op, "input", input)
+    _check.shape(op, "kernel", kernel, "B or 1", "kD", "kH", "kW")
+    kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
+    check_padding(op, input, kernel.shape[1:], border_type, "same")
+    return _filter3d(floats(input), kernel, border_type)

@@ -1,0 +1,130 @@
+"""Gaussian blur."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, pixels
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError
+from kvision.filters.kernels import gaussian, sigmas
+from kvision.filters.separable import _reference as filter_separably
+
+
+def _reference(
+    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float, border: str
+) -> Tensor:
+    kernel_y, kernel_x = axis_kernels(x, sigma, ky, kx, sigma_y, sigma_x)
+    return filter_separably(x, kernel_x, kernel_y, border, True)
+
+
+_gaussian_blur2d = as_stored(_reference)
+
+
+def gaussian_blur2d(
+    input: Tensor,
+    kernel_size: tuple[int, int] | int,
+    sigma: tuple[float, float] | Tensor | float,
+    border_type: str = "reflect",
+    separable: bool = True,
+) -> Tensor:
+    """Blur an image with a Gaussian: weights exp(-d^2 / (2 sigma^2)), divided by their sum.
+
+    Args:
+        input: image (B, C, H, W). uint8 gives uint8 (rounded half to even), other integers give float32.
+        kernel_size: size of the window, an odd int or (y, x).
+        sigma: standard deviation in pixels, a number, (y, x), or a tensor (1, 2) or (B, 2), which may carry a gradient.
+            Where a tensor is not positive the result is NaN, as its values are not read on the host.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        separable: for compatibility; the result is the same.
+
+    Returns:
+        The blurred image; differentiable in image and sigma.
+
+    Raises:
+        TypeCheckError: input is no real tensor; kernel_size or sigma of a wrong kind.
+        ShapeError: wrong ranks or batch sizes; a border wider than the image.
+        ValueCheckError: an even kernel size, a sigma that is not positive, an unknown border_type.
+        DeviceError: input and sigma are on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 0., 1., 0., 0.]]]])
+        >>> K.filters.gaussian_blur2d(x, (1, 3), (1.0, 1.0))
+        tensor([[[[0.0000, 0.2741, 0.4519, 0.2741, 0.0000]]]])
+    """
+    return _gaussian_blur2d(*blur_arguments("gaussian_blur2d", input, kernel_size, sigma, border_type))
+
+
+class GaussianBlur2d(FunctionModule):
+    """Module form of :func:`gaussian_blur2d`; a sigma that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.filters.GaussianBlur2d(5, (1.5, 1.5))(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(
+        self,
+        kernel_size: tuple[int, int] | int,
+        sigma: tuple[float, float] | Tensor | float,
+        border_type: str = "reflect",
+        separable: bool = True,
+    ) -> None:
+        super().__init__(kernel_size=kernel_size, sigma=sigma, border_type=border_type, separable=separable)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return gaussian_blur2d(input, self.kernel_size, self.sigma, self.border_type, self.separable)
+
+
+def blur_arguments(
+    op: str, input: Tensor, kernel_size: tuple[int, int] | int, sigma: tuple[float, float] | Tensor | float, border: str
+) -> tuple[Tensor, Tensor | None, int, int, float, float, str]:
+    """The checked arguments of a Gaussian as its operators take them: sigma as a tensor, or as two floats with None."""
+    _check.images(op, "input", input)
+    ky, kx = _check.pair(op, "kernel_size", kernel_size)
+    _check.odd(op, "kernel_size", (ky, kx))
+    sigma, sigma_y, sigma_x = sigma_arguments(op, "sigma", input, sigma)
+    _check.border(op, border)
+    _check.reflectable(op, input, (ky // 2, kx // 2), border)
+    return pixels(input), sigma, ky, kx, sigma_y, sigma_x, border
+
+
+def sigma_arguments(
+    op: str, name: str, x: Tensor, value: tuple[float, float] | Tensor | float
+) -> tuple[Tensor | None, float, float]:
+    """Sigmas for images `x`: (tensor (B or 1, 2), 0, 0) or (None, sigma_y, sigma_x)."""
+    checked = sigmas(op, name, value, 2)
+    if isinstance(checked, Tensor):
+        return batch_of(op, name, x, checked), 0.0, 0.0
+    return None, *checked
+
+
+def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:
+    """`values` in the type that images `x` are computed in; raise unless there is one row, or one for each image."""
+    if values.shape[0] not in (1, x.shape[0]):
+        raise ShapeError(
+            f"{op}: expected {name} with 1 or {x.shape[0]} rows, got {tuple(values.shape)}", actual_shape=values.shape
+        )
+    _check.same_device(op, input=x, **{name: values})
+    return values.to(compute_dtype(x))
+
+
+def axis_kernels(
+    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float
+) -> tuple[Tensor, Tensor]:
+    """The Gaussian kernels (B or 1, ky) and (B or 1, kx) for images `x`."""
+    columns = (sigma_y, sigma_x) if sigma is None else positive(sigma)[:, :, None].unbind(1)
+    return (
+        gaussian(ky, columns[0], device=x.device, dtype=x.dtype),
+        gaussian(kx, columns[1], device=x.device, dtype=x.dtype),
+    )
+
+
+def positive(values: Tensor) -> Tensor:
+    """`values`, NaN where they are not positive: a bad sigma spoils its images without a look from the host."""
+    return torch.where(values > 0, values, torch.nan)

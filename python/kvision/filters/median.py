@@ -1,0 +1,72 @@
+"""Median blur."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import pixels
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.filters.border import windows
+
+
+def _reference(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
+    taps = windows(x, ky, kx, border)
+    median = taps.detach().sort(0).values[ky * kx // 2]
+    at_median = taps == median
+    # 0, but with the gradient: the mean of the pixels that are the median
+    share = torch.where(at_median, taps - median, 0).sum(0) / at_median.sum(0)
+    return torch.where(taps.isfinite().all(0), median + share, torch.nan)
+
+
+_median_blur = as_stored(_reference)
+
+
+def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> Tensor:
+    """Replace every pixel by the median of its window.
+
+    The gradient goes to the pixel that is the median; where several pixels of a window equal it, they share it evenly.
+
+    Args:
+        input: image (B, C, H, W). uint8 gives uint8, other integers give float32.
+        kernel_size: size of the window, an odd int or (y, x).
+        border_type: 'constant' (zeros, which take part in the median), 'reflect', 'replicate' or 'circular'.
+
+    Returns:
+        The filtered image; NaN where the window holds a NaN or an infinity.
+
+    Raises:
+        TypeCheckError: input is no real tensor; kernel_size is not of ints.
+        ShapeError: input is not (B, C, H, W); a border wider than the image.
+        ValueCheckError: an even kernel size, an unknown border_type.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[1., 9., 2., 3., 3.]]]])
+        >>> K.filters.median_blur(x, (1, 3))
+        tensor([[[[9., 2., 3., 3., 3.]]]])
+    """
+    _check.images("median_blur", "input", input)
+    ky, kx = _check.pair("median_blur", "kernel_size", kernel_size)
+    _check.odd("median_blur", "kernel_size", (ky, kx))
+    _check.border("median_blur", border_type)
+    _check.reflectable("median_blur", input, (ky // 2, kx // 2), border_type)
+    return _median_blur(pixels(input), ky, kx, border_type)
+
+
+class MedianBlur(FunctionModule):
+    """Module form of :func:`median_blur`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.filters.MedianBlur(3)(torch.rand(2, 3, 8, 8)).shape
+        torch.Size([2, 3, 8, 8])
+    """
+
+    def __init__(self, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> None:
+        super().__init__(kernel_size=kernel_size, border_type=border_type)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return median_blur(input, self.kernel_size, self.border_type)

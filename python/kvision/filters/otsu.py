@@ -1,0 +1,130 @@
+"""Otsu's threshold between the dark and the bright pixels of an image."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+# For the gradient: how far a pixel spreads over the bins, and how close to the best variance counts as good.
+_BANDWIDTH = 0.5
+_TEMPERATURE = 0.01
+
+
+def otsu_threshold(
+    x: Tensor, nbins: int = 256, slow_and_differentiable: bool = False, return_mask: bool = False
+) -> tuple[Tensor, Tensor]:
+    """Split every image plane in two by the threshold that maximises the variance between the parts.
+
+    The values from the smallest to the largest are counted in nbins bins of equal width. The threshold is the upper
+    edge of the best bin, or the largest dark value where a bright one lies on that edge. A plane of one value has that
+    value as its threshold.
+
+    Args:
+        x: a plane (H, W), or planes (C, H, W), (B, C, H, W) or (F, B, C, H, W); any real type but bool.
+        nbins: number of bins, at least 2.
+        slow_and_differentiable: give the thresholds a gradient, that of a soft maximum over a smooth histogram. Needs
+            memory for nbins numbers a pixel.
+        return_mask: give the mask x > threshold instead of the thresholded image.
+
+    Returns:
+        x with 0 for the values that are not above their plane's threshold (or the mask), of the shape of x; and the
+        thresholds (planes,), in the type of x.
+
+    Raises:
+        TypeCheckError: x is no tensor of real numbers, nbins no int.
+        ShapeError: x has more than 5 axes or no pixels.
+        ValueCheckError: nbins below 2.
+
+    Source: N. Otsu, "A threshold selection method from gray-level histograms" (1979).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> mask, threshold = K.filters.otsu_threshold(torch.tensor([[1, 2, 2], [8, 9, 9]]), return_mask=True)
+        >>> mask
+        tensor([[False, False, False],
+                [ True,  True,  True]])
+    """
+    planes = _planes(x)
+    (nbins,) = _check.ints("otsu_threshold", "nbins", nbins, 1, minimum=2)
+    thresholds = _thresholds(planes.detach(), nbins)
+    if slow_and_differentiable and x.is_floating_point() and planes.shape[0]:
+        wide = planes if x.dtype == torch.float64 else planes.float()
+        soft = torch.stack([_soft_threshold(plane, nbins) for plane in wide]).to(x.dtype)
+        thresholds = thresholds + (soft - soft.detach())
+    mask = (planes > thresholds[:, None]).reshape(x.shape)
+    return (mask if return_mask else torch.where(mask, x, 0)), thresholds
+
+
+def _thresholds(planes: Tensor, nbins: int) -> Tensor:
+    exact = torch.float64 if planes.dtype in (torch.float64, torch.int32, torch.int64) else torch.float32
+    values = planes.to(exact)
+    low, high = values.aminmax(dim=1, keepdim=True)
+    span = high - low
+    bins = ((values - low) * nbins / torch.where(span > 0, span, 1)).long().clamp(0, nbins - 1)
+    histogram = torch.zeros_like(bins[:, :1]).repeat(1, nbins).scatter_add_(1, bins, torch.ones_like(bins))
+    variance = _variance_between(histogram.double())
+    variance = torch.where(histogram[:, :-1] > 0, variance, -torch.inf)  # a gap is cut at its lower end
+    best = variance.argmax(1, keepdim=True)
+
+    bright = bins > best
+    largest_dark = torch.where(bright, -torch.inf, values).amax(1, keepdim=True)
+    smallest_bright = torch.where(bright, values, torch.inf).amin(1, keepdim=True)
+    edge = low + (best + 1) * span / nbins
+    edge = edge.to(planes.dtype).to(exact) if planes.is_floating_point() else edge.ceil() - 1
+    edge = torch.where(edge < smallest_bright, torch.maximum(edge, largest_dark), largest_dark)
+    return torch.where(span > 0, edge, low)[:, 0].to(planes.dtype)
+
+
+def _variance_between(histogram: Tensor) -> Tensor:
+    """(N, bins - 1): the variance between the classes when (N, bins) is cut after each bin, -inf where one is empty."""
+    position = torch.arange(histogram.shape[1], device=histogram.device, dtype=histogram.dtype)
+    weight, moment = histogram.cumsum(1), (histogram * position).cumsum(1)
+    dark, dark_moment = weight[:, :-1], moment[:, :-1]
+    bright, bright_moment = weight[:, -1:] - dark, moment[:, -1:] - dark_moment
+    product = dark * bright
+    occupied = product > 0
+    difference = dark_moment * bright - bright_moment * dark
+    return torch.where(occupied, difference**2 / torch.where(occupied, product, 1), -torch.inf)
+
+
+def _soft_threshold(plane: Tensor, nbins: int) -> Tensor:
+    """A smooth function of (pixels,) near the threshold: edges averaged with weights that fall with their variance."""
+    low, high = plane.amin(), plane.amax()
+    span = torch.where(high > low, high - low, 1)
+    edges = torch.arange(1, nbins, device=plane.device, dtype=plane.dtype)
+    above = torch.special.ndtr(((plane[:, None] - low) / span * nbins - edges) / _BANDWIDTH).mean(0)
+    histogram = -torch.cat([above.new_ones(1), above, above.new_zeros(1)]).diff()
+    variance = _variance_between(histogram[None])[0]
+    weights = torch.softmax(variance / (_TEMPERATURE * variance.amax().clamp(min=1e-12)), 0)
+    return low + (weights * edges).sum() / nbins * span
+
+
+def _planes(x: Tensor) -> Tensor:
+    """(planes, pixels)."""
+    _check.is_tensor("otsu_threshold", "x", x)
+    if x.dtype == torch.bool:
+        raise TypeCheckError("otsu_threshold: expected x to hold numbers, got torch.bool", actual_type=x.dtype)
+    if x.dim() > 5 or 0 in x.shape[-2:]:
+        raise ShapeError(f"otsu_threshold: expected x of shape (F, B, C, H, W) or less, got {tuple(x.shape)}")
+    return x.reshape(1, -1) if x.dim() <= 2 else x.flatten(-2).flatten(0, -2)
+
+
+class OtsuThreshold(nn.Module):
+    """Module form of :func:`otsu_threshold`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> thresholded, thresholds = K.filters.OtsuThreshold()(torch.rand(2, 3, 8, 8))
+        >>> thresholds.shape
+        torch.Size([6])
+    """
+
+    def forward(self, x: Tensor, nbins: int = 256, slow_and_differentiable: bool = False) -> tuple[Tensor, Tensor]:
+        return otsu_threshold(x, nbins, slow_and_differentiable)
+
+    def transform_input(self, x: Tensor, original_shape: torch.Size | None = None) -> tuple[Tensor, torch.Size]:
+        """The planes of an image as rows (planes, pixels), and the shape to give them back."""
+        return _planes(x), x.shape if original_shape is None else original_shape

@@ -1,0 +1,139 @@
+"""First and second derivatives of images and volumes."""
+
+from __future__ import annotations
+
+import functools
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.filters.border import pad
+from kvision.filters.kernels import check_derivative, derivative_rows
+
+
+def _along(x: Tensor, axis: int, row: tuple[int, ...]) -> Tensor:
+    """Cross-correlate one axis with a row of small numbers, where it fits inside; pixels under a zero are not read."""
+    n = x.shape[axis] - len(row) + 1
+    return functools.reduce(torch.add, [weight * x.narrow(axis, i, n) for i, weight in enumerate(row) if weight])
+
+
+def derivatives(x: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
+    """(B, C, N, *S): the N derivatives of an image or volume (B, C, *S), with a replicated border."""
+    axes = x.dim() - 2
+    reach = 2 if (mode, order) == ("sobel", 2) else 1
+    padded = pad(x, ((reach, reach),) * axes, "replicate")
+    channels = []
+    for rows, unit in derivative_rows(mode, order, axes):
+        y = padded
+        for axis, row in enumerate(rows, 1):  # rows are along x, y, z
+            y = _along(y, -axis, row)
+        channels.append(y / unit if normalized else y)
+    return torch.stack(channels, 2)
+
+
+def _reference(x: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
+    return derivatives(x, mode, order, normalized)
+
+
+_spatial_gradient = as_stored(_reference)
+
+
+def spatial_gradient(input: Tensor, mode: str = "sobel", order: int = 1, normalized: bool = True) -> Tensor:
+    """Derivatives of an image, with a replicated border.
+
+    Args:
+        input: image (B, C, H, W); integers give float32.
+        mode: 'sobel' also smooths across the derivative, 'diff' is the central difference.
+        order: 1 or 2.
+        normalized: give true derivatives: 1 on a ramp of slope 1 and, for order 2, on x^2 / 2 and on x y. Otherwise the
+            kernels are whole numbers, see :func:`get_spatial_gradient_kernel2d`.
+
+    Returns:
+        (B, C, 2, H, W), derivatives (x, y), or for order 2 (B, C, 3, H, W), derivatives (xx, xy, yy).
+
+    Raises:
+        TypeCheckError: input is no real tensor.
+        ShapeError: input is not (B, C, H, W).
+        ValueCheckError: an unknown mode or order.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> ramp = torch.arange(4.0).expand(1, 1, 3, 4)
+        >>> K.filters.spatial_gradient(ramp)[0, 0, 0, 1]
+        tensor([0.5000, 1.0000, 1.0000, 0.5000])
+    """
+    _check.images("spatial_gradient", "input", input)
+    check_derivative("spatial_gradient", mode, order)
+    return _spatial_gradient(floats(input), mode, order, normalized)
+
+
+class SpatialGradient(FunctionModule):
+    """Module form of :func:`spatial_gradient`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.filters.SpatialGradient(order=2)(torch.rand(2, 1, 8, 8)).shape
+        torch.Size([2, 1, 3, 8, 8])
+    """
+
+    def __init__(self, mode: str = "sobel", order: int = 1, normalized: bool = True) -> None:
+        super().__init__(mode=mode, order=order, normalized=normalized)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return spatial_gradient(input, self.mode, self.order, self.normalized)
+
+
+def _reference3d(x: Tensor, order: int) -> Tensor:
+    return derivatives(x, "diff", order, True)
+
+
+_spatial_gradient3d = as_stored(_reference3d)
+
+
+def spatial_gradient3d(input: Tensor, mode: str = "diff", order: int = 1) -> Tensor:
+    """Derivatives of a volume by central differences, with a replicated border.
+
+    Args:
+        input: volume (B, C, D, H, W); integers give float32.
+        mode: 'diff'.
+        order: 1 or 2.
+
+    Returns:
+        (B, C, 3, D, H, W), derivatives (x, y, z), or for order 2 (B, C, 6, D, H, W), derivatives
+        (xx, yy, zz, xy, yz, xz); 1 on a ramp of slope 1, on x^2 / 2 and on x y.
+
+    Raises:
+        TypeCheckError: input is no real tensor.
+        ShapeError: input is not (B, C, D, H, W).
+        ValueCheckError: an unknown mode or order.
+        NotImplementedError: mode 'sobel'.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> ramp = torch.arange(4.0).expand(1, 1, 2, 3, 4)
+        >>> K.filters.spatial_gradient3d(ramp)[0, 0, 0, 0, 0]
+        tensor([0.5000, 1.0000, 1.0000, 0.5000])
+    """
+    _check.volumes("spatial_gradient3d", "input", input)
+    check_derivative("spatial_gradient3d", mode, order, axes=3)
+    return _spatial_gradient3d(floats(input), order)
+
+
+class SpatialGradient3d(FunctionModule):
+    """Module form of :func:`spatial_gradient3d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.filters.SpatialGradient3d(order=2)(torch.rand(1, 1, 4, 4, 4)).shape
+        torch.Size([1, 1, 6, 4, 4, 4])
+    """
+
+    def __init__(self, mode: str = "diff", order: int = 1) -> None:
+        super().__init__(mode=mode, order=order)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return spatial_gradient3d(input, self.mode, self.order)

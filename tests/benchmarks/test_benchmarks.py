@@ -1,0 +1,257 @@
+"""The benchmarks measure what they say: floors, agreement, bars, losses, and the shape of what they print."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks import __main__ as command
+from benchmarks import overhead, sobel_figure, threads
+from benchmarks.case import Bars, Case, dead_leaves, nonlinear_backward, photographs
+from benchmarks.cases import ALL
+from benchmarks.measure import BACKWARD, BOTH, FORWARD, KVISION, Row, measure
+from benchmarks.peers import PEERS, agreement
+from benchmarks.table import Table, summary
+from benchmarks.timing import CpuClock, Timing
+from benchmarks.verdict import EXTRA, judge, losses
+
+CPU = torch.device("cpu")
+SIZE = (2, 3, 8, 9)
+BYTES = 4 * 2 * 3 * 8 * 9
+
+
+def rows_of(case: Case, peers: Sequence[str] = (), **options) -> list[Row]:
+    return list(measure(case, SIZE, torch.float32, CPU, peers, CpuClock(0.003), 1e9, **options))
+
+
+# -- floors
+
+
+def test_floors_are_bytes_over_bandwidth():
+    square = Case("square", lambda x: x * x, backward=nonlinear_backward)
+    floors = {row.stage: row.floor for row in rows_of(square, backward=True)}
+    assert floors == pytest.approx({FORWARD: 2 * BYTES / 1e9, BACKWARD: 3 * BYTES / 1e9, BOTH: 5 * BYTES / 1e9})
+
+
+def test_every_output_of_a_call_counts():
+    halves = Case("halves", lambda x: (x[:, :1].clone(), x[:, 1:].clone()), result=lambda y: y[1])
+    (row,) = rows_of(halves)
+    assert row.floor == pytest.approx(2 * BYTES / 1e9)
+
+
+@pytest.mark.parametrize("name, forward, both", [("sobel", 2, 5), ("spatial_gradient", 3, 6), ("gauss5", 2, 4)])
+def test_floors_of_the_filters(name, forward, both):
+    rows = {row.stage: row for row in rows_of(ALL[name], backward=True)}
+    assert rows[FORWARD].floor == pytest.approx(forward * BYTES / 1e9)
+    assert rows[BOTH].floor == pytest.approx(both * BYTES / 1e9)
+
+
+# -- clocks
+
+
+def test_the_cpu_clock_tells_the_slower_contestant():
+    quick, slow = CpuClock(0.02).race([lambda: time.sleep(0.001), lambda: time.sleep(0.004)])
+    assert 0.001 <= quick.minimum <= quick.median < 0.004 <= slow.minimum
+    assert quick.repeats > slow.repeats >= 3
+
+
+def test_setup_is_not_timed():
+    (timing,) = CpuClock(0.02).race([(lambda: time.sleep(0.005), lambda _: None)])
+    assert timing.median < 0.001
+
+
+# -- agreement
+
+
+@pytest.mark.parametrize(
+    "change, sign",
+    [
+        (lambda y: y + 1e-6, "="),
+        (lambda y: torch.nn.functional.pad(y[..., 2:-2, 2:-2], (2, 2, 2, 2)), "b"),
+        (lambda y: y + 5e-3, "~"),
+        (lambda y: 2 * y, "x"),
+        (lambda y: y[..., 1:], "x"),
+        (lambda y: torch.where(y == y.max(), torch.nan, y), "x"),
+    ],
+)
+def test_agreement(change, sign):
+    ours = photographs((1, 3, 20, 20), torch.float32, CPU)[0]
+    assert agreement(ours, change(ours), rim=2) == sign
+
+
+def double_opencv(image, out=None, scratch=None):
+    scratch = np.add(image, 0, out=scratch)
+    return np.add(scratch, image, out=out), scratch
+
+
+def test_a_wrong_result_and_a_failing_peer_show():
+    peers = {
+        "kornia": lambda x: 3 * x,
+        "opencv": double_opencv,
+        "skimage": lambda image: image + image,
+        "scipy": lambda image: image.no_such_thing(),
+    }
+    for peer in peers:
+        pytest.importorskip(PEERS[peer].module)
+    rows = {row.library: row for row in rows_of(Case("double", lambda x: 2 * x, peers), list(peers))}
+    assert {name: row.agreement for name, row in rows.items()} == {
+        KVISION: None, "kornia": "x", "opencv": "=", "skimage": "=", "scipy": None
+    }  # fmt: skip
+    assert rows["scipy"].value is None and "no_such_thing" in rows["scipy"].failure
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_cases_do_the_same_work_as_their_peers(name):
+    case = ALL[name]
+    exact = (
+        "kornia",
+        "torchvision",
+        "opencv",
+        "scipy",
+    )  # PIL rounds to 8 bits, scikit-image has definitions of its own
+    peers = [peer for peer in exact if peer in case.peers and PEERS[peer].installed]
+    for row in measure(case, (2, 3, 64, 80), torch.float32, CPU, peers, CpuClock(0.001), 1e9):
+        assert row.failure is None
+        if row.library != KVISION:
+            assert row.agreement in ("=" if row.library == "kornia" else "=b~"), row.library
+
+
+# -- bars and losses
+
+
+def row(library: str, stage: str = FORWARD, value: float = 1.0, dtype: str = "float32", **more) -> Row:
+    return Row(
+        "work", "1x3x8x8", dtype, library, stage, value, Timing(value, value, 0.0, 9), more.pop("floor", 1.0), **more
+    )
+
+
+def judged(bars: Bars, rows: list[Row], cuda: bool) -> dict[str, bool]:
+    return {verdict.what: verdict.met for verdict in judge([Case("work", torch.neg, bars=bars)], rows, cuda)}
+
+
+def test_bars_on_a_cpu():
+    rows = [row(KVISION, value=1.0), row("opencv", value=1.5), row("kornia", value=0.9), row("scipy", value=0.1)]
+    assert judged(Bars(opencv=0.5), rows, cuda=False) == {"of opencv's time": False, "of kornia's time": False}
+    assert judged(Bars(opencv=0.7, kornia=None), rows, cuda=False) == {"of opencv's time": True}
+    assert judged(Bars(opencv=1.0, kornia=None), rows[:1], cuda=False) == {}
+
+
+def test_bars_on_a_gpu():
+    bars = Bars(floor=1.2, both=1.4, backward=1.3, half=1.7)
+    rows = [
+        row(KVISION, value=1.1, launches=1, host=14e-6),
+        row(KVISION, BACKWARD, value=1.5),
+        row(KVISION, BOTH, value=2.6, floor=2.0, extra=EXTRA / 2),
+        row(KVISION, value=0.6, dtype="float16"),
+    ]
+    assert judged(bars, rows, cuda=True) == {
+        "floor": True,
+        "f+b floor": True,
+        "backward/forward": False,
+        "f+b extra memory": True,
+        "launches": True,
+        "host us": True,
+        "float16 speed-up": True,
+    }
+    worse = [row(KVISION, value=1.3, launches=2, host=16e-6), row(KVISION, value=0.9, dtype="float16")]
+    assert not any(judged(bars, worse, cuda=True).values())
+
+
+def test_losses_name_the_faster_peers_the_worst_first():
+    rows = [row(KVISION), row("kornia", value=0.99), row("opencv", value=0.5, agreement="="), row("pil", value=0.25)]
+    assert [(loss.peer, loss.factor, loss.agreement) for loss in losses(rows)] == [
+        ("pil", 4.0, None),
+        ("opencv", 2.0, "="),
+    ]
+    assert "opencv [=] 2.00x" in summary([], losses(rows))
+    assert "nowhere slower" in summary([], losses(rows[:2]))
+
+
+# -- what is printed and written
+
+
+@pytest.mark.parametrize("cuda", [False, True])
+def test_table_lines_fit_the_header(cuda):
+    table = Table(cuda)
+    header = table.header()
+    lines = [
+        table.line(r)
+        for r in (row(KVISION, value=2e-3, floor=1e-3), row("opencv", value=1e-3, floor=1e-3, agreement="="))
+    ]
+    assert all(len(line) <= len(header) + 1 for line in lines)
+    case, stage, library, ms, _, _, floor, over_floor, over_kvision, _ = lines[0].split()[:10]
+    assert (case, stage, library, ms, floor, over_floor, over_kvision) == ("work", FORWARD, KVISION, "2", "1", "2", "1")
+    assert lines[1].split()[0] == "opencv" and lines[1].split()[6:8] == ["0.5", "="]
+
+
+def test_command_line(tmp_path, capsys):
+    out = tmp_path / "deep" / "result.json"
+    options = [
+        "--sizes",
+        "1x3x16x16",
+        "--seconds",
+        "0.003",
+        "--peers",
+        "opencv,scipy",
+        "--backward",
+        "--json",
+        str(out),
+    ]
+    assert command.main(["sobel", "box5", *options]) == 0
+    printed = capsys.readouterr().out
+    assert "GB/s" in printed and "xfloor" in printed and "bars: " in printed
+    report = json.loads(out.read_text())
+    assert report["machine"]["threads"] == 1 and report["machine"]["copy_bandwidth"] > 1e8
+    assert {"hardware", "torch", "kvision", "peers", "command", "date", "commit"} <= report["machine"].keys()
+    assert {row["case"] for row in report["rows"]} == {"sobel", "box5"}
+    assert {row["stage"] for row in report["rows"] if row["library"] == KVISION} == {FORWARD, BACKWARD, BOTH}
+    assert {bar["what"] for bar in report["bars"]} <= {"of opencv's time"}
+
+
+def test_command_line_refuses_what_it_does_not_know(capsys):
+    assert command.main(["no_such_case"]) == 2
+    for wrong in (["--peers", "photoshop"], ["--sizes", "3x4"], ["--dtype", "int8"]):
+        with pytest.raises(SystemExit):
+            command.main(wrong)
+
+
+def test_photographs_are_the_same_every_time_and_fill_the_range():
+    (first,), (second,) = (photographs((3, 3, 32, 48), torch.float32, CPU) for _ in range(2))
+    assert torch.equal(first, second) and not torch.equal(first[0], first[1])
+    assert first.min() >= 0 and first.max() <= 1 and dead_leaves((3, 32, 48)).std() > 0.1
+
+
+# -- the other commands
+
+
+def test_overhead(tmp_path, capsys):
+    out = tmp_path / "overhead.json"
+    assert overhead.main(["--calls", "2", "--blocks", "1", "--json", str(out)]) == 0
+    rows = json.loads(out.read_text())["rows"]
+    assert rows[0]["operator"] == "aten mul" and all(r["forward"] > 0 for r in rows)
+
+
+def test_sobel_figure(tmp_path, capsys):
+    options = ["--repeats", "5", "--batches", "1,2", "--side", "16", "--seconds", "0.05", "--threads", "1"]
+    assert sobel_figure.main([*options, "--out", str(tmp_path)]) == 0
+    rows = list(csv.DictReader((tmp_path / "sobel.csv").open()))
+    assert {(r["library"], r["batch"]) for r in rows} >= {("kvision cpu", "1"), ("kvision cpu", "2")}
+    assert all(float(r["ms"]) > 0 and 3 <= int(r["repeats"]) <= 5 for r in rows)
+
+
+def test_threads(capsys):
+    assert threads.main(["sobel", "--sizes", "1x3x16x16", "--seconds", "0.003"]) == 0
+    assert "speed-up" in capsys.readouterr().out
+
+
+@pytest.fixture(autouse=True)
+def same_threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)

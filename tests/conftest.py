@@ -1,0 +1,60 @@
+"""Options of the suite: `--device cuda`, `--backend reference`; hypothesis profiles by HYPOTHESIS_PROFILE."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import hypothesis
+import kvision as K
+import pytest
+import torch
+from op_tests import OpTests
+
+hypothesis.settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
+hypothesis.settings.register_profile("ci", max_examples=200, deadline=None, print_blob=True)
+hypothesis.settings.register_profile("thorough", max_examples=5000, deadline=None, print_blob=True)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--device", default="cpu", choices=("cpu", "cuda"), help="where the tensors of the tests live")
+    parser.addoption("--backend", default="native", choices=("native", "reference", "auto"), help="what is tested")
+
+
+@pytest.fixture(scope="session")
+def device(request: pytest.FixtureRequest) -> torch.device:
+    return torch.device(request.config.getoption("--device"))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def backend(request: pytest.FixtureRequest):
+    """Everything runs on this backend; "native" makes a silent fall-back to the reference an error where it matters."""
+    name = request.config.getoption("--backend")
+    with K.backend("reference" if name == "reference" else "auto"):
+        yield name
+
+
+@pytest.fixture(autouse=True)
+def seed() -> None:
+    torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The optional folder of sample pictures beside the repository."""
+    folder = Path(__file__).parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("the optional sample data is not there")
+    return folder
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Tests of an OpTests class run once for every variant it declares."""
+    if metafunc.cls is not None and issubclass(metafunc.cls, OpTests) and "variant" in metafunc.fixturenames:
+        variants = metafunc.cls.variants
+        metafunc.parametrize("variant", variants, ids=["-".join(f"{k}={_short(v)}" for k, v in kw.items()) for kw in variants])
+
+
+def _short(value: object) -> str:
+    return "tensor" if callable(value) else str(value).replace(" ", "")

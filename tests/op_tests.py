@@ -1,0 +1,546 @@
+"""What every operator must satisfy. An operator's test file subclasses OpTests and states its calls; it inherits the rest.
+
+    class TestSobel(OpTests):
+        function = staticmethod(K.filters.sobel)
+        module = K.filters.Sobel
+        operators = ("sobel", "sobel_backward")
+        variants = [{}, {"normalized": False}]
+
+A variant is a dict of keyword arguments. A value that is callable is called with the input and makes a tensor for it, say
+`"kernel": lambda x: torch.rand(x.shape[0], 3, 3)`; it is moved to the input's device and takes part in the gradient tests.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import hypothesis.strategies as st
+import kvision as K
+import pytest
+import torch
+from hypothesis import given
+from kvision import _ops
+from torch import Tensor
+
+# The one table of tolerances: (relative, absolute) by the type results are stored in.
+TOLERANCES = {
+    torch.float64: (1e-9, 1e-9),
+    torch.float32: (2e-5, 2e-6),
+    torch.float16: (2e-3, 2e-3),
+    torch.bfloat16: (1.6e-2, 1.6e-2),
+    torch.uint8: (0, 0),
+}
+# What a sum over thousands of products in float32 may lose, relative to the largest result: gradients of parameters.
+PARAMETER_TOLERANCE = 1e-4
+
+LAYOUTS = ("contiguous", "channels_last", "row_slice", "column_slice", "transposed", "expanded", "misaligned")
+
+
+def assert_close(actual: Any, expected: Any, rtol: float | None = None, atol: float | None = None) -> None:
+    """Equal within the table, NaN equal to NaN, type, shape and device included."""
+    if isinstance(actual, (tuple, list)):
+        assert len(actual) == len(expected)
+        for a, e in zip(actual, expected):
+            assert_close(a, e, rtol, atol)
+        return
+    r, a = TOLERANCES.get(actual.dtype, (0, 0))
+    rtol, atol = r if rtol is None else rtol, a if atol is None else atol
+    torch.testing.assert_close(actual, expected, rtol=rtol, atol=atol, equal_nan=True)
+
+
+def with_layout(x: Tensor, layout: str) -> Tensor:
+    """The values of (B, C, H, W) tensor `x` with other strides."""
+    if layout == "channels_last":
+        return x.contiguous(memory_format=torch.channels_last)
+    if layout == "row_slice":
+        return x.repeat_interleave(2, dim=2)[:, :, ::2]
+    if layout == "column_slice":
+        return x.repeat_interleave(2, dim=3)[..., ::2]
+    if layout == "transposed":
+        return x.transpose(2, 3).contiguous().transpose(2, 3)
+    if layout == "expanded":
+        return x[:1].expand_as(x)
+    if layout == "misaligned":
+        storage = torch.empty(x.numel() + 1, dtype=x.dtype, device=x.device)[1:]
+        return storage.copy_(x.flatten()).view(x.shape)
+    return x.contiguous()
+
+
+def as_tuple(output: Any) -> tuple[Tensor, ...]:
+    return tuple(output) if isinstance(output, (tuple, list)) else (output,)
+
+
+class OpTests:
+    function: Any  # the public function
+    module: Any = None  # its module form
+    operators: tuple[str, ...] = ()  # names in torch.ops.kvision that a call with gradient goes through
+    variants: list[dict[str, Any]] = [{}]
+    errors: list[tuple[dict[str, Any], type[Exception], str]] = []  # keyword arguments, exception, part of the message
+    differentiable = True
+    bytes = False  # uint8 in, uint8 out
+    max_size = 33  # all sizes up to this are swept
+    shape: tuple[int, ...] = (2, 3, 13, 18)
+    small: tuple[int, ...] = (1, 2, 4, 5)  # for numerical derivatives
+    tolerances: dict[torch.dtype, tuple[float, float]] = {}  # where an operator needs its own, with the reason beside it
+
+    # --- what a subclass may override ---
+
+    def input(self, shape: tuple[int, ...], dtype: torch.dtype, device: torch.device | str) -> Tensor:
+        if dtype == torch.uint8:
+            return torch.randint(0, 256, shape, dtype=dtype).to(device)
+        return torch.rand(shape, dtype=torch.float64).to(dtype).to(device)
+
+    # --- helpers ---
+
+    def arguments(self, variant: dict[str, Any], x: Tensor) -> dict[str, Any]:
+        def made(value: Any) -> Any:
+            if not callable(value):
+                return value
+            tensor = value(x)
+            wide = tensor.to(torch.float64 if x.dtype == torch.float64 else torch.float32)
+            return (wide if tensor.is_floating_point() else tensor).to(x.device)
+
+        return {k: made(v) for k, v in variant.items()}
+
+    def call(self, x: Tensor, kwargs: dict[str, Any]) -> Any:
+        return self.function(x, **kwargs)
+
+    def expected(self, x: Tensor, kwargs: dict[str, Any]) -> Any:
+        """The reference in float64, stored in the type of x."""
+        wide = {k: v.double() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}
+        if not x.is_floating_point() and x.dtype != torch.uint8:
+            wide["input"] = x.double()
+        with K.backend("reference"):
+            if x.dtype == torch.uint8:
+                return self.call(x, kwargs)
+            output = self.call(x.double(), wide)
+        stored = [o.to(x.dtype) if o.is_floating_point() else o for o in as_tuple(output)]
+        return tuple(stored) if isinstance(output, (tuple, list)) else stored[0]
+
+    def check(self, actual: Any, expected: Any) -> None:
+        for a, e in zip(as_tuple(actual), as_tuple(expected), strict=True):
+            assert_close(a, e, *self.tolerances.get(a.dtype, (None, None)))
+
+    def tensors(self, x: Tensor, kwargs: dict[str, Any]) -> tuple[list[str], list[Tensor]]:
+        names = [k for k, v in kwargs.items() if isinstance(v, Tensor) and v.is_floating_point()]
+        return names, [x, *(kwargs[n] for n in names)]
+
+    def of_tensors(self, kwargs: dict[str, Any], names: list[str]) -> Any:
+        """The call as a function of its tensors; several results are joined by those that carry a gradient."""
+
+        def f(x: Tensor, *values: Tensor) -> Any:
+            output = as_tuple(self.call(x, {**kwargs, **dict(zip(names, values))}))
+            return output[0] if len(output) == 1 else output
+
+        return f
+
+    def gradients(self, x: Tensor, kwargs: dict[str, Any], weights: list[Tensor]) -> list[Tensor]:
+        names, values = self.tensors(x, kwargs)
+        values = [v.detach().requires_grad_() for v in values]
+        outputs = as_tuple(self.of_tensors(kwargs, names)(*values))
+        loss = sum((o * w).sum() for o, w in zip(outputs, weights) if o.requires_grad)
+        return list(torch.autograd.grad(loss, values))
+
+    def setup(self, variant: dict[str, Any], device: Any, dtype: torch.dtype = torch.float64, shape: Any = None) -> Any:
+        x = self.input(shape or self.shape, dtype, device)
+        return x, self.arguments(variant, x)
+
+    def needs_native(self, backend: str) -> None:
+        if backend == "reference":
+            pytest.skip("this test is about the kernels")
+
+    # --- values ---
+
+    @pytest.mark.parametrize("dtype", _ops.FLOATS, ids=str)
+    def test_value(self, variant, dtype, device):
+        x, kwargs = self.setup(variant, device, dtype)
+        self.check(self.call(x, kwargs), self.expected(x, kwargs))
+
+    def test_value_of_bytes(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.uint8)
+        output = as_tuple(self.call(x, kwargs))[0]
+        if self.bytes:
+            assert output.dtype == torch.uint8
+            self.check(output, self.expected(x, kwargs))
+        else:
+            assert_close(output, as_tuple(self.call(x.float(), kwargs))[0])
+
+    def test_other_integers_become_float32(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.uint8)
+        assert_close(self.call(x.to(torch.int32), kwargs), self.call(x.float(), kwargs))
+
+    @pytest.mark.parametrize("layout", LAYOUTS)
+    def test_layout(self, variant, layout, device):
+        x, kwargs = self.setup(variant, device, torch.float32)
+        if x.dim() != 4:
+            pytest.skip("layouts are of images")
+        if layout == "expanded":
+            x = x[:1].expand_as(x).contiguous()
+        strided = with_layout(x, layout)
+        output = self.call(strided, kwargs)
+        assert_close(output, self.call(x, kwargs))
+        if layout == "channels_last" and as_tuple(output)[0].dim() == 4:
+            assert as_tuple(output)[0].is_contiguous(memory_format=torch.channels_last)
+
+    def test_all_small_sizes(self, variant, device):
+        """Values and gradients at every height and width up to max_size."""
+        ran = 0
+        for h in range(1, self.max_size + 1):
+            # A few widths for every height, and every width for a few heights: all sizes of both axes meet both cases.
+            widths = range(1, self.max_size + 1) if h in (1, 2, 5, self.max_size) else {1, h, (h * 7) % self.max_size + 1}
+            for w in widths:
+                x = self.input((1, 2, *self.shape[2:-2], h, w), torch.float32, device)
+                kwargs = self.arguments(variant, x)
+                try:
+                    expected = self.expected(x, kwargs)
+                except K.core.exceptions.ShapeError:
+                    with pytest.raises(K.core.exceptions.ShapeError):
+                        self.call(x, kwargs)
+                    continue
+                ran += 1
+                try:
+                    self.check(self.call(x, kwargs), expected)
+                    if self.differentiable:
+                        self.check_gradients(x, kwargs)
+                except AssertionError as error:
+                    raise AssertionError(f"at {h} x {w}: {error}") from error
+        assert ran > self.max_size
+
+    @pytest.mark.parametrize("shape", [(0, 3), (2, 0)], ids=["no images", "no channels"])
+    def test_empty(self, variant, shape, device):
+        x, kwargs = self.setup(variant, device, torch.float32, (*shape, *self.shape[2:]))
+        with K.backend("reference"):
+            expected = self.call(x, kwargs)
+        assert_close(self.call(x, kwargs), expected)
+
+    def test_nan_stays_in_its_window(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.float32)
+        x[0, 1, ..., 6, 7] = float("nan")
+        self.check(self.call(x, kwargs), self.expected(x, kwargs))
+
+    def test_input_is_not_modified(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.float32)
+        _, values = self.tensors(x, kwargs)
+        before = [v.clone() for v in values]
+        versions = [v._version for v in values]
+        self.call(x, kwargs)
+        assert versions == [v._version for v in values]
+        assert all(torch.equal(a, b) for a, b in zip(before, values))
+
+    def test_module(self, variant, device):
+        if self.module is None:
+            pytest.skip("no module form")
+        x, kwargs = self.setup(variant, device, torch.float32)
+        in_forward = {k: v for k, v in kwargs.items() if k in self.forward_arguments}
+        module = self.module(**{k: v for k, v in kwargs.items() if k not in in_forward})
+        assert_close(module(x, **in_forward), self.call(x, kwargs))
+        assert self.module.__name__ in repr(module)
+
+    forward_arguments: tuple[str, ...] = ()  # keyword arguments that the module takes in forward
+
+    # --- kernels ---
+
+    @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+    def test_instruction_sets(self, variant, isa, device, backend):
+        self.needs_native(backend)
+        if device.type != "cpu":
+            pytest.skip("instruction sets are the CPU's")
+        from kvision import _C
+
+        if not _C.isa_supported(isa):
+            pytest.skip(f"this processor has no {isa}")
+        active = _C.active_isa()
+        try:
+            assert _C.set_isa(isa)
+            for dtype in _ops.FLOATS + ((torch.uint8,) if self.bytes else ()):
+                x, kwargs = self.setup(variant, device, dtype)
+                self.check(self.call(x, kwargs), self.expected(x, kwargs))
+            if self.differentiable:
+                x, kwargs = self.setup(variant, device, torch.float32)
+                self.check_gradients(x, kwargs)
+        finally:
+            _C.set_isa(active)
+
+    def test_threads_and_runs_give_the_same_bits(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.float32, (2, 3, *self.shape[2:-2], 61, 67))
+        outputs = []
+        threads = torch.get_num_threads()
+        try:
+            for n in (1, 2, 2):
+                torch.set_num_threads(n)
+                found = list(as_tuple(self.call(x, kwargs)))
+                if self.differentiable:
+                    weights = [torch.ones_like(o) for o in found]
+                    found += self.gradients(x, kwargs, weights)
+                outputs.append(found)
+        finally:
+            torch.set_num_threads(threads)
+        for other in outputs[1:]:
+            assert all(torch.equal(a, b) for a, b in zip(outputs[0], other))
+
+    def test_serves_natively(self, variant, device, backend):
+        """No fall-back in disguise: with backend "native" a missing kernel would raise."""
+        self.needs_native(backend)
+        x, kwargs = self.setup(variant, device, torch.float32)
+        with K.backend("native"):
+            self.call(x.requires_grad_(self.differentiable), kwargs)
+
+    def test_opcheck(self, variant, device, backend):
+        self.needs_native(backend)
+        x, kwargs = self.setup(variant, device, torch.float32)
+        with recorded(self.operators) as calls:
+            self.call(x, kwargs)
+            if self.differentiable:
+                self.gradients(x, kwargs, [torch.ones_like(o) for o in as_tuple(self.call(x, kwargs))])
+        assert {name for name, _ in calls} <= set(self.operators)
+        for name, args in dict(calls).items():
+            detached = tuple(a.detach() if isinstance(a, Tensor) else a for a in args)
+            if self.differentiable and not name.endswith("backward"):
+                detached = (detached[0].requires_grad_(), *detached[1:])
+            torch.library.opcheck(getattr(torch.ops.kvision, name).default, detached)
+
+    # --- gradients ---
+
+    def check_gradients(self, x: Tensor, kwargs: dict[str, Any]) -> None:
+        """Gradients in x's type against the reference's in float64."""
+        wide = {k: v.double() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}
+        with K.backend("reference"):
+            outputs = as_tuple(self.call(x.double(), wide))
+            weights = [torch.rand_like(o) - 0.3 for o in outputs]
+            expected = self.gradients(x.double(), wide, weights)
+        actual = self.gradients(x, kwargs, [w.to(x.dtype) for w in weights])
+        for i, (a, e) in enumerate(zip(actual, expected, strict=True)):
+            rtol, atol = self.tolerances.get(a.dtype, TOLERANCES[a.dtype])
+            scale = max(1.0, float(e.abs().nan_to_num().max())) if e.numel() else 1.0
+            if i > 0:
+                rtol, atol = PARAMETER_TOLERANCE, PARAMETER_TOLERANCE * scale
+            assert_close(a, e.to(a.dtype), rtol, atol * scale)
+
+    def needs_gradient(self) -> None:
+        if not self.differentiable:
+            pytest.skip("not differentiable")
+
+    @pytest.mark.parametrize("layout", ["contiguous", "channels_last", "row_slice"])
+    def test_gradient_against_reference(self, variant, layout, device):
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device, torch.float32)
+        self.check_gradients(with_layout(x, layout) if x.dim() == 4 else x, kwargs)
+
+    @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=str)
+    def test_gradient_in_half(self, variant, dtype, device):
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device, dtype)
+        kwargs = {k: v.to(dtype).float() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}
+        weights = [torch.rand_like(o) for o in as_tuple(self.call(x, kwargs))]
+        actual = self.gradients(x, kwargs, weights)[0]
+        wide = {k: v.double() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}
+        with K.backend("reference"):
+            expected = self.gradients(x.double(), wide, [w.double() for w in weights])[0]
+        rtol, atol = TOLERANCES[dtype]
+        assert actual.dtype == dtype
+        assert_close(actual, expected.to(dtype), 2 * rtol, 2 * atol * max(1.0, float(expected.abs().max())))
+
+    def test_gradcheck(self, variant, device):
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device, shape=self.small)
+        names, values = self.tensors(x, kwargs)
+        values = [v.requires_grad_() for v in values]
+        f = self.of_tensors(kwargs, names)
+        assert torch.autograd.gradcheck(f, values, nondet_tol=0.0)
+        # Second derivatives may be the reference's, and torch's padding sums its gradient in any order on CUDA.
+        assert torch.autograd.gradgradcheck(f, values, nondet_tol=0.0 if device.type == "cpu" else 1e-9)
+
+    def test_only_what_is_asked_for(self, variant, device):
+        """Gradients of the parameters alone equal those asked for together."""
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device)
+        names, values = self.tensors(x, kwargs)
+        if len(values) == 1:
+            pytest.skip("one tensor only")
+        both = self.gradients(x, kwargs, [torch.ones_like(o) for o in as_tuple(self.call(x, kwargs))])
+        for i in range(len(values)):
+            leaves = [v.detach().requires_grad_(i == k) for k, v in enumerate(values)]
+            outputs = as_tuple(self.of_tensors(kwargs, names)(*leaves))
+            (alone,) = torch.autograd.grad(sum(o.sum() for o in outputs if o.requires_grad), leaves[i])
+            assert_close(alone, both[i])
+
+    # --- transforms ---
+
+    def test_vmap(self, variant, device):
+        x, kwargs = self.setup(variant, device, shape=(2, 2, *self.shape[1:]))
+        for in_dim in (0, 1):
+            mapped = torch.func.vmap(lambda s: self.call(s, self.arguments(variant, x[0])), in_dim, randomness="same")
+            torch.manual_seed(1)
+            actual = mapped(x.movedim(0, in_dim))
+            torch.manual_seed(1)
+            kwargs = self.arguments(variant, x[0])
+            each = [as_tuple(self.call(s, kwargs)) for s in x]
+            self.check(actual, tuple(torch.stack(parts) for parts in zip(*each)))
+
+    def test_func_grad_and_jvp(self, variant, device):
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device, shape=self.small)
+
+        def loss(s: Tensor) -> Tensor:
+            return (as_tuple(self.call(s, kwargs))[0] ** 2).sum()
+
+        leaf = x.clone().requires_grad_()
+        (expected,) = torch.autograd.grad(loss(leaf), leaf)
+        assert_close(torch.func.grad(loss)(x), expected)
+        tangent = torch.rand_like(x)
+        _, directional = torch.func.jvp(loss, (x,), (tangent,))
+        assert_close(directional, (expected * tangent).sum(), 1e-7, 1e-7)
+        per_sample = torch.func.vmap(torch.func.grad(loss))(x[None].repeat(3, *[1] * x.dim()))
+        assert_close(per_sample[1], expected)
+
+    def test_hessian(self, variant, device):
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device, shape=self.small)
+
+        def loss(s: Tensor) -> Tensor:
+            return (as_tuple(self.call(s, kwargs))[0] ** 2).sum()
+
+        with K.backend("reference"):
+            expected = torch.autograd.functional.hessian(loss, x)
+        assert_close(torch.func.hessian(loss)(x), expected, 1e-6, 1e-7)
+
+    def test_autocast_changes_nothing(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.float32)
+        plain = self.call(x, kwargs)
+        with torch.autocast(device.type, dtype=torch.bfloat16):
+            assert_close(self.call(x, kwargs), plain)
+
+    # --- production ---
+
+    def test_compile(self, device):
+        """fullgraph with a dynamic batch; values and gradients by inductor."""
+        variant = self.variants[0]
+        x, kwargs = self.setup(variant, device, torch.float32)
+        torch._dynamo.reset()
+        compiled = torch.compile(lambda s: self.call(s, kwargs), fullgraph=True, dynamic=True)
+        for batch in (2, 3):
+            x = self.input((batch, *self.shape[1:]), torch.float32, device)
+            if any(isinstance(v, Tensor) and v.shape[0] > 1 for v in kwargs.values()):
+                x = self.input(self.shape, torch.float32, device)
+            self.check(compiled(x), self.call(x, kwargs))
+            if self.differentiable:
+                a, b = x.clone().requires_grad_(), x.clone().requires_grad_()
+                (as_tuple(compiled(a))[0] ** 2).sum().backward()
+                (as_tuple(self.call(b, kwargs))[0] ** 2).sum().backward()
+                assert_close(a.grad, b.grad)
+
+    def test_export(self, device):
+        variant = self.variants[0]
+        x, kwargs = self.setup(variant, device, torch.float32)
+        call = self.call
+
+        class Program(torch.nn.Module):
+            def forward(self, s: Tensor) -> Any:
+                return call(s, kwargs)
+
+        shared = all(not isinstance(v, Tensor) or v.shape[0] == 1 for v in kwargs.values())
+        batch = {0: torch.export.Dim("batch")} if shared else None
+        program = torch.export.export(Program(), (x,), dynamic_shapes=(batch,) if batch else None)
+        y = self.input((3, *self.shape[1:]), torch.float32, device) if shared else x
+        self.check(program.module()(y), self.call(y, kwargs))
+
+    def test_cuda_graph(self, variant, device):
+        if device.type != "cuda":
+            pytest.skip("needs --device cuda")
+        x, kwargs = self.setup(variant, device, torch.float32)
+        x.requires_grad_(self.differentiable)
+
+        def step() -> tuple[Tensor, ...]:
+            outputs = as_tuple(self.call(x, kwargs))
+            if not self.differentiable:
+                return outputs
+            loss = sum(o.sum() for o in outputs if o.requires_grad)
+            return (*outputs, *torch.autograd.grad(loss, [x]))
+
+        side = torch.cuda.Stream()
+        with torch.cuda.stream(side):
+            step()
+        torch.cuda.synchronize()
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            captured = step()
+        with torch.no_grad():
+            x.copy_(self.input(self.shape, torch.float32, device))
+        graph.replay()
+        assert_close(tuple(c.detach() for c in captured), tuple(e.detach() for e in step()))
+
+    # --- bad input ---
+
+    def test_wrong_kinds(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.float32)
+        name = self.function.__name__
+        for wrong, error in [
+            ([[1.0]], TypeError),
+            (None, TypeError),
+            (x.to(torch.complex64), TypeError),
+            (x[0, 0, 0], ValueError),
+            (x[None, None], ValueError),
+            (x[..., :0], ValueError),
+        ]:
+            with pytest.raises(error, match=f"^{name}: ") as caught:
+                self.call(wrong, kwargs)
+            assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+    def test_errors(self, device):
+        x = self.input(self.shape, torch.float32, device)
+        for kwargs, error, message in self.errors:
+            with pytest.raises(error, match=message) as caught:
+                self.call(x, {**self.arguments(self.variants[0], x), **self.arguments(kwargs, x)})
+            assert str(caught.value).startswith(self.function.__name__ + ": "), str(caught.value)
+
+    # --- fuzzing ---
+
+    def fuzz_arguments(self) -> st.SearchStrategy[dict[str, Any]]:
+        """Keyword arguments to fuzz with; the declared variants unless a subclass draws more."""
+        return st.sampled_from(self.variants)
+
+    def test_fuzz(self, device):
+        strides = st.sampled_from(LAYOUTS)
+        sizes = st.tuples(st.integers(0, 3), st.integers(0, 5), *[st.integers(1, 40)] * (len(self.shape) - 2))
+        dtypes = st.sampled_from(_ops.FLOATS + ((torch.uint8,) if self.bytes else ()))
+
+        @given(shape=sizes, layout=strides, dtype=dtypes, variant=self.fuzz_arguments(), seed=st.integers(0, 2**31))
+        def run(shape, layout, dtype, variant, seed):
+            torch.manual_seed(seed)
+            x = self.input(shape, dtype, device)
+            if len(shape) == 4 and x.numel():
+                x = with_layout(x, layout)
+            try:
+                kwargs = self.arguments(variant, x)
+                expected = self.expected(x, kwargs)
+            except (TypeError, ValueError) as error:
+                assert isinstance(error, K.core.exceptions.BaseError), repr(error)
+                with pytest.raises(type(error)):
+                    self.call(x, kwargs)
+                return
+            self.check(self.call(x, kwargs), expected)
+
+        run()
+
+
+@contextlib.contextmanager
+def recorded(names: tuple[str, ...]):
+    """Collects (operator, arguments) of every kernel call."""
+    calls: list[tuple[str, tuple[Any, ...]]] = []
+    originals = {name: operator.kernel for name, operator in _ops.operators.items()}
+
+    def recorder(name: str, kernel: Any) -> Any:
+        def record(*args: Any) -> Any:
+            calls.append((name, args))
+            return kernel(*args)
+
+        return record
+
+    try:
+        for name, kernel in originals.items():
+            _ops.operators[name].kernel = recorder(name, kernel)
+        yield calls
+    finally:
+        for name, kernel in originals.items():
+            _ops.operators[name].kernel = kernel

@@ -1,0 +1,99 @@
+"""The demo, start to end, on small pictures."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+import kvision as K
+
+pytest.importorskip("cv2")
+pytest.importorskip("PIL")
+pytest.importorskip("tqdm")
+
+from kvision.demo import __main__ as demo  # noqa: E402
+from kvision.demo.restore import restore  # noqa: E402
+from kvision.io import load_image, write_image  # noqa: E402
+
+OPERATORS = ["gaussian blur", "motion blur", "sobel", "laplacian", "canny", "median", "bilateral", "unsharp mask"]
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "SIDE", 48)
+    monkeypatch.setattr(demo, "STEPS", 10)
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> list[Path]:
+    paths = [tmp_path / "wide picture.png", tmp_path / "tall.jpg"]
+    write_image(paths[0], torch.rand(3, 30, 70))
+    write_image(paths[1], torch.rand(3, 90, 50))
+    return paths
+
+
+def test_makes_a_gallery_a_file_per_result_and_a_table(photos, tmp_path, device, capsys):
+    out = tmp_path / "results" / "here"
+    assert demo.main([*map(str, photos), "--out", str(out), "--device", device.type]) == 0
+
+    made = {path.name for path in out.iterdir()}
+    results = [name.replace(" ", "_") for name in [*OPERATORS, "restored"]]
+    names = [f"{photo}_{result}.png" for photo in ("1_wide picture", "2_tall") for result in results]
+    assert made == {"gallery.png", *names}
+    assert load_image(out / "2_tall_sobel.png").shape == (3, 48, 48)
+    gallery = load_image(out / "gallery.png")
+    assert gallery.shape[2] > 10 * 48 and gallery.std() > 0.05
+
+    printed = capsys.readouterr().out
+    rows = re.findall(r"^(\S.*?) {2,}(native|reference) +([\d.]+) +([\d.]+|-)$", printed, re.MULTILINE)
+    assert [row[0] for row in rows] == OPERATORS
+    assert all(float(ms) > 0 and float(opencv) > 0 for _, _, ms, opencv in rows)
+    before, after = map(float, re.search(r"loss (\S+) -> (\S+),", printed).groups())
+    assert after < before
+    assert printed.rstrip().endswith(str(out / "gallery.png"))
+
+
+def test_says_which_backend_served(photos, tmp_path, capsys):
+    with K.backend("reference"):
+        demo.main([str(photos[0]), "--out", str(tmp_path / "out"), "--device", "cpu"])
+    printed = capsys.readouterr().out
+    assert "native" not in printed and printed.count("reference") == len(OPERATORS) + 1
+
+
+def test_takes_sample_photographs_by_default(tmp_path, capsys):
+    pytest.importorskip("skimage")
+    assert demo.main(["--out", str(tmp_path)]) == 0
+    assert (tmp_path / "1_astronaut_canny.png").exists()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a picture", b"\x89PNG\r\n\x1a\n cut short"])
+def test_a_bad_file_is_named_without_a_traceback(content, photos, tmp_path, capsys):
+    bad = tmp_path / "bad.png"
+    if content is not None:
+        bad.write_bytes(content)
+    assert demo.main([str(photos[0]), str(bad), "--out", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("kvision.demo: ") and str(bad) in message and message.count("\n") == 1
+
+
+def test_an_output_folder_that_is_a_file_is_named(photos, capsys):
+    assert demo.main([str(photos[0]), "--out", str(photos[1])]) == 2
+    assert str(photos[1]) in capsys.readouterr().err
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_a_missing_device_is_said(photos, capsys):
+    assert demo.main([str(photos[0]), "--device", "cuda"]) == 2
+    assert "CUDA" in capsys.readouterr().err
+
+
+def test_restoring_lowers_the_loss_and_brings_the_photo_back():
+    x = torch.zeros(1, 3, 40, 40)
+    x[..., 10:30, 10:30] = 1
+    restored = restore(x, range(60))
+    assert len(restored.losses) == 61 and restored.losses[-1] < restored.losses[0] / 100
+    assert restored.restored_psnr > restored.blurred_psnr + 3
+    assert restored.restored.min() >= 0 and restored.restored.max() <= 1

@@ -33,11 +33,11 @@ KV_KERNEL(box_backward, Box)
 struct BoxAxis {
   int64_t size, before, after;
   Border border;
-  bool doubled;  // D^-1 A D; D^-1 and D are the caller's
-  int64_t rim;
+  int64_t rim;   // how many pixels at either end are not just a window sum
+  bool doubled;  // they count twice as sources and half as results
 
   KV_HD BoxAxis(int64_t k, int64_t n, Border rule, bool transposed)
-      : size(n), before((k - 1) / 2), after(k / 2), border(rule), doubled(false), rim(0) {
+      : size(n), before((k - 1) / 2), after(k / 2), border(rule), rim(0), doubled(false) {
     if (!transposed || k == 1) return;
     before = k / 2;
     after = (k - 1) / 2;

@@ -7,51 +7,95 @@
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int kDirect = 7;  // windows up to this size are summed one by one
+// Calls f(width, e) for vectors and then single elements of [0, size), each element once: for results that replace what
+// they are made of.
+template <class T, class F>
+KV_HD void for_each_once(int64_t size, F f) {
+  constexpr int N = kLanes<T>;
+  int64_t e = 0;
+  for (; e + N <= size; e += N) f(Width<N>{}, e);
+  for (; e < size; ++e) f(Width<1>{}, e);
+}
 
-// Calls f(Width<k>{}) for k up to kDirect.
-template <int K = 1, class F>
-KV_HD void with_size(int64_t k, F f) {
-  if constexpr (K <= kDirect) {
-    if (k == K)
-      f(Width<K>{});
-    else
-      with_size<K + 1>(k, f);
+// Calls emit(width, e, terms[0][e] + terms[1][e] + ...) for e in [0, size), as for_each_vector does. A few vectors at a
+// time, so that the pointers are not what takes time.
+template <class T, class Emit>
+KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>, kBlock = 4;
+  int64_t e = 0;
+  for (; e + kBlock * N <= size; e += kBlock * N) {
+    Lanes<F, N> sums[kBlock];
+    for (int i = 0; i < kBlock; ++i) sums[i] = load<N>(terms[0] + e + i * N);
+    for (int t = 1; t < count; ++t)
+      for (int i = 0; i < kBlock; ++i) sums[i] += load<N>(terms[t] + e + i * N);
+    for (int i = 0; i < kBlock; ++i) emit(Width<N>{}, e + i * N, sums[i]);
   }
+  if (e == size) return;
+  for_each_vector<T>(size < N ? 0 : min(e, size - N), size, [=](auto width, int64_t e) {
+    constexpr int M = decltype(width)::value;
+    Lanes<F, M> sum = load<M>(terms[0] + e);
+    for (int t = 1; t < count; ++t) sum += load<M>(terms[t] + e);
+    emit(width, e, sum);
+  });
 }
 
 // The sums of a plane's rows over the windows of one row after another.
 //
-// Large windows: the positions of the axis are cut into blocks of the window's size, so that a window is the end of one
-// block and the beginning of the next. The sums of all ends of a block are made when the window reaches it, the sum of
-// the beginning grows row by row: two additions an element and row, and one for the two together.
+// The positions of the axis are cut into blocks of the window's size, so that a window is the end of one block and the
+// beginning of the next. The sums of all ends of a block are made when the window reaches it, the sum of the beginning
+// grows row by row: two additions an element and row, and one for the two together. Windows of three rows and less are
+// summed as they are.
 template <class T>
 class ColumnSums {
   using F = Compute<T>;
+  static constexpr int kDirect = 3;
+
   Planes<T const> const& x_;
   BoxAxis const axis_;
   int64_t const size_, k_;
   Scratch<T> zeros_;
-  Scratch<F> ends_;  // row m of it: the sum of the block's rows from m on
+  Scratch<F> ends_;  // row i of it: the sum of the block's rows from i on
   Scratch<F> beginning_;
 
-  struct Row {
-    T const* data;
-    F weight;
-  };
-  KV_HD Row row(int64_t plane, int64_t position) const {
+  KV_HD T const* row(int64_t plane, int64_t position) const {
     int64_t const y = border_index(axis_.border, position, axis_.size);
-    if (y < 0) return {zeros_.data, F(1)};
-    return {x_.row(plane, y), F(axis_.doubled && axis_.is_rim(y) ? 2 : 1)};
+    return y < 0 ? zeros_.data : x_.row(plane, y);
+  }
+  // How often a row counts.
+  KV_HD int weight(int64_t position) const {
+    return axis_.doubled && axis_.is_rim(border_index(axis_.border, position, axis_.size)) ? 2 : 1;
   }
 
-  // sum = a + row, or the row alone.
-  KV_HD void add(F* sum, F const* a, Row row) const {
-    for_each_vector<T>(0, size_, [&](auto width, int64_t e) {
+  KV_HD void clear(F* sum) const {
+    for (int64_t e = 0; e < size_; ++e) sum[e] = 0;
+  }
+  // sum = a + weight * row
+  KV_HD void add(F* sum, F const* a, F weight, T const* row) const {
+    for_each_once<T>(size_, [=](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
-      Lanes<F, N> s = load<N>(row.data + e) * row.weight;
-      if (a) s += load<N>(a + e);
-      store<N>(sum + e, s);
+      store<N>(sum + e, Lanes<F, N>(load<N>(a + e) + load<N>(row + e) * weight));
+    });
+  }
+
+  KV_HD void slide(F* sum, int64_t plane, int64_t y, bool fresh) {
+    int64_t const m = y % k_, block = y - m - axis_.before;  // the block's first position
+    auto const end = [&](int64_t i) { return ends_.data + i * size_; };
+    F* const beginning = beginning_.data;
+    if (fresh || m == 0) {
+      for (int64_t i = k_; i-- > m;) add(end(i), end(i + 1), F(weight(block + i)), row(plane, block + i));
+      clear(beginning);
+      for (int64_t i = block + k_; i + 1 < block + k_ + m; ++i) add(beginning, beginning, F(weight(i)), row(plane, i));
+    }
+    if (m == 0) return add(sum, end(0), 0, zeros_.data);
+    F const* const rest = end(m);
+    T const* const next = row(plane, block + k_ + m - 1);
+    F const times = weight(block + k_ + m - 1);
+    for_each_once<T>(size_, [=](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      Lanes<F, N> const b = load<N>(beginning + e) + load<N>(next + e) * times;
+      store<N>(beginning + e, b);
+      store<N>(sum + e, Lanes<F, N>(load<N>(rest + e) + b));
     });
   }
 
@@ -62,164 +106,173 @@ class ColumnSums {
         size_(x.row_size()),
         k_(axis.count()),
         zeros_(size_),
-        ends_(k_ > kDirect ? k_ * size_ : 0),
-        beginning_(size_) {
+        ends_(k_ > kDirect ? (k_ + 1) * size_ : 0),
+        beginning_(k_ > kDirect ? size_ : 0) {
     for (int64_t e = 0; e < size_; ++e) zeros_.data[e] = T{};
+    if (k_ > kDirect) clear(ends_.data + k_ * size_);
   }
 
   // The sums of the window of row y. `fresh`: the call before was not for the row above.
   KV_HD void window(F* sum, int64_t plane, int64_t y, bool fresh) {
     if (k_ > kDirect) return slide(sum, plane, y, fresh);
-    with_size(k_, [&](auto size) {
-      constexpr int K = decltype(size)::value;
-      Row rows[K];
-      for (int i = 0; i < K; ++i) rows[i] = row(plane, y - axis_.before + i);
-      for_each_vector<T>(0, size_, [&](auto width, int64_t e) {
-        constexpr int N = decltype(width)::value;
-        Lanes<F, N> s = load<N>(rows[0].data + e) * rows[0].weight;
-        for (int i = 1; i < K; ++i) s += load<N>(rows[i].data + e) * rows[i].weight;
-        store<N>(sum + e, s);
-      });
-    });
+    T const* terms[kDirect + 2];  // a row that counts twice stands there twice
+    int count = 0;
+    for (int64_t i = y - axis_.before; i <= y + axis_.after; ++i)
+      for (int times = weight(i); times > 0; --times) terms[count++] = row(plane, i);
+    add_up(terms, count, size_, [=](auto width, int64_t e, auto s) { store<decltype(width)::value>(sum + e, s); });
   }
 
   // The sum of the rows that read row j, which is one of a transposed axis' rim.
   KV_HD void gather(F* sum, int64_t plane, int64_t j, Border border) const {
     int64_t const n = axis_.size, radius = axis_.before;
-    F const* so_far = nullptr;
-    for (int64_t r = max(int64_t(0), j - radius); r <= min(n - 1, j + radius); ++r) {
-      int64_t const times = reads(border, r, j, n, axis_.after, axis_.before);
-      if (times == 0) continue;
-      add(sum, so_far, {x_.row(plane, r), F(times)});
-      so_far = sum;
-    }
+    clear(sum);
+    for (int64_t r = max(int64_t(0), j - radius); r <= min(n - 1, j + radius); ++r)
+      if (int64_t const times = reads(border, r, j, n, axis_.after, axis_.before))
+        add(sum, sum, F(times), x_.row(plane, r));
   }
 
- private:
-  KV_HD void slide(F* sum, int64_t plane, int64_t y, bool fresh) {
-    int64_t const m = y % k_, block = y - m - axis_.before;  // position of the block's first row
-    auto const end = [&](int64_t i) { return ends_.data + i * size_; };
-    F* const beginning = beginning_.data;
-    if (fresh || m == 0)
-      for (int64_t i = k_ - 1; i >= m; --i) add(end(i), i + 1 < k_ ? end(i + 1) : nullptr, row(plane, block + i));
-    for (int64_t i = fresh ? 1 : m; i <= m; ++i)
-      if (i > 0) add(beginning, i > 1 ? beginning : nullptr, row(plane, block + k_ + i - 1));
-    for_each_vector<T>(0, size_, [&](auto width, int64_t e) {
-      constexpr int N = decltype(width)::value;
-      Lanes<F, N> s = load<N>(end(m) + e);
-      if (m > 0) s += load<N>(beginning + e);
-      store<N>(sum + e, s);
-    });
+  // Asks for a row that windows will need, a quarter faster at large images than waiting for it.
+  KV_HD void prefetch(int64_t plane, int64_t y) const {
+    if (y >= axis_.size) return;
+    for (int64_t e = 0; e < size_; e += 64 / sizeof(T)) __builtin_prefetch(x_.row(plane, y) + e);
   }
 };
 
-// Calls emit(width, e, sum of s[e], s[e + step], ... s[e + (k - 1) step]) for e in [0, size). Leaves s undefined.
+// Sums over k neighbours, `step` apart, along a row of `size` elements and (k - 1) step more.
 //
-// Large windows: the sums of 1, 2, 4, ... neighbours are made in place of s, and `sums` puts the window together from
-// those in the binary digits of its size. Both have room for a vector more than size + (k - 1) step elements, because
-// the loops run over the end; what they read there is not used.
-template <class F, class Emit>
-KV_HD void sum_along(F* s, F* sums, int64_t size, int64_t k, int64_t step, Emit emit) {
-  if (k <= kDirect) {
-    with_size(k, [&](auto count) {
-      constexpr int K = decltype(count)::value;
-      for_each_vector<F>(0, size, [&](auto width, int64_t e) {
-        constexpr int N = decltype(width)::value;
-        Lanes<F, N> sum = load<N>(s + e);
-        for (int i = 1; i < K; ++i) sum += load<N>(s + e + i * step);
-        emit(width, e, sum);
-      });
-    });
-    return;
+// The sums of 4, 16, ... neighbours are made first, and the window is put together from those in the digits of its
+// size, the first of which may be up to 7.
+template <class F>
+class RowSums {
+  static constexpr int kDigit = 7, kLevels = 32;
+
+  int64_t const size_, k_, step_, room_;
+  Scratch<F> sums_;  // level after level, from the elements themselves on
+
+  KV_HD static int levels(int64_t k) {
+    int count = 1;
+    for (; k > kDigit; k /= 4) ++count;
+    return count;
   }
-  constexpr int N = kLanes<F>;
-  int64_t power = 1, done = 0;
-  for (int64_t rest = k; rest > 1; power *= 2, rest /= 2) {
-    int64_t const double_size = size + (k - 2 * power) * step;
-    for (int64_t e = 0; e < double_size; e += N) {
-      Lanes<F, N> const one = load<N>(s + e);
-      if (rest % 2 == 1) {
-        if (done == 0)
-          store<N>(sums + e, one);
-        else
-          store<N>(sums + e, Lanes<F, N>(load<N>(sums + e) + load<N>(s + e + done * step)));
-      }
-      store<N>(s + e, Lanes<F, N>(one + load<N>(s + e + power * step)));
+
+ public:
+  KV_HD RowSums(int64_t size, int64_t k, int64_t step)
+      : size_(size), k_(k), step_(step), room_(size + (k - 1) * step), sums_(levels(k) * room_) {}
+
+  KV_HD F* elements() const { return sums_.data; }
+
+  // emit(width, e, elements()[e] + elements()[e + step] + ...) for e in [0, size)
+  template <class Emit>
+  KV_HD void sums(Emit emit) const {
+    F const* terms[kDigit + 3 * kLevels];
+    int count = 0;
+    int64_t power = 1, done = 0, rest = k_;
+    F* level = sums_.data;
+    for (;; rest /= 4, power *= 4, level += room_) {
+      bool const last = rest <= kDigit;
+      for (int64_t i = last ? rest : rest % 4; i > 0; --i, done += power) terms[count++] = level + done * step_;
+      if (last) break;
+      F const* four[4];
+      for (int i = 0; i < 4; ++i) four[i] = level + i * power * step_;
+      F* const above = level + room_;
+      add_up(four, 4, size_ + (k_ - 4 * power) * step_,
+             [=](auto width, int64_t e, auto s) { store<decltype(width)::value>(above + e, s); });
     }
-    if (rest % 2 == 1) done += power;
+    add_up(terms, count, size_, emit);
   }
-  for_each_vector<F>(0, size, [&](auto width, int64_t e) {
-    constexpr int M = decltype(width)::value;
-    Lanes<F, M> sum = load<M>(s + e + done * step);
-    if (done > 0) sum += load<M>(sums + e);
-    emit(width, e, sum);
-  });
-}
+};
+
+// What a row of column sums needs at the rim of the image: a continuation, and the sums of the pixels that gather.
+template <class F>
+class Rim {
+  BoxAxis const axis_;
+  int64_t const step_, count_, radius_;
+  Scratch<F> weights_, sums_;
+
+  KV_HD int64_t pixel(int64_t i) const { return i < axis_.rim ? i : axis_.size - count_ + i; }
+  // Calls f(r, weight) for the pixels r that may read pixel(i).
+  template <class Call>
+  KV_HD void for_each_reader(int64_t i, Call f) const {
+    int64_t const j = pixel(i);
+    F* const weights = weights_.data + i * (2 * radius_ + 1) + radius_ - j;
+    for (int64_t r = max(int64_t(0), j - radius_); r <= min(axis_.size - 1, j + radius_); ++r) f(r, weights[r]);
+  }
+
+ public:
+  KV_HD Rim(BoxAxis const& axis, Border border, int64_t step)
+      : axis_(axis),
+        step_(step),
+        count_(min(2 * axis.rim, axis.size)),
+        radius_(axis.before),
+        weights_(count_ * (2 * radius_ + 1)),
+        sums_(count_ * step) {
+    for (int64_t i = 0; i < count_; ++i)
+      for_each_reader(i, [&](int64_t r, F& weight) {
+        weight = F(reads(border, r, pixel(i), axis_.size, axis_.after, axis_.before));
+      });
+  }
+
+  // Row s has room for before and after more pixels around it.
+  KV_HD void complete(F* s) const {
+    for (int64_t i = 0; i < count_; ++i)
+      for (int64_t c = 0; c < step_; ++c) {
+        F sum = 0;
+        for_each_reader(i, [&](int64_t r, F weight) { sum += weight * s[r * step_ + c]; });
+        sums_.data[i * step_ + c] = sum;
+      }
+    if (axis_.doubled)
+      for (int64_t i = 0; i < count_; ++i)
+        for (int64_t c = 0; c < step_; ++c) s[pixel(i) * step_ + c] *= 2;
+    auto const extend = [&](int64_t position) {
+      int64_t const j = border_index(axis_.border, position, axis_.size);
+      for (int64_t c = 0; c < step_; ++c) s[position * step_ + c] = j < 0 ? F(0) : s[j * step_ + c];
+    };
+    for (int64_t i = 1; i <= axis_.before; ++i) extend(-i);
+    for (int64_t i = 0; i < axis_.after; ++i) extend(axis_.size + i);
+  }
+
+  template <class Emit>
+  KV_HD void sums(Emit emit) const {
+    for (int64_t i = 0; i < count_; ++i)
+      for (int64_t c = 0; c < step_; ++c) emit(Width<1>{}, pixel(i) * step_ + c, sums_.data[i * step_ + c]);
+  }
+};
 
 template <class T>
 KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const step = p.x.step, size = p.x.row_size(), height = p.x.height, width = p.x.width;
-  BoxAxis const ay(p.ky, height, p.border, transposed), ax(p.kx, width, p.border, transposed);
-  ColumnSums<T> columns(p.x, ay);
+  int64_t const height = p.x.height, size = p.x.row_size();
+  BoxAxis const down(p.ky, height, p.border, transposed), along(p.kx, p.x.width, p.border, transposed);
+  ColumnSums<T> columns(p.x, down);
+  RowSums<F> const row(size, p.kx, p.x.step);
+  Rim<F> const rim(along, p.border, p.x.step);
+  F* const s = row.elements() + along.before * p.x.step;
 
-  int64_t const padded = size + (p.kx - 1) * step, room = padded + kLanes<F>, radius = ax.before;
-  int64_t const rims = min(2 * ax.rim, width);
-  Scratch<F> rows(2 * room), rim(rims * step), weights(rims * (2 * radius + 1));
-  F* const s = rows.data;                  // the column sums of a row, with what continues it
-  F* const inside = s + ax.before * step;  // those of the row itself
-  auto const rim_pixel = [&](int64_t i) { return i < ax.rim ? i : width - rims + i; };
-  for (int64_t i = 0; i < rims; ++i)
-    for (int64_t d = -radius; d <= radius; ++d) {
-      int64_t const j = rim_pixel(i), r = j + d;
-      weights.data[i * (2 * radius + 1) + d + radius] =
-          r < 0 || r >= width ? F(0) : F(reads(p.border, r, j, width, ax.after, ax.before));
-    }
-
-  F const scale = 1 / p.divisor;
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, y = r % height;
-    columns.window(inside, plane, y, r == begin || y == 0);
-    if (ay.is_rim(y) && !ay.doubled) columns.gather(inside, plane, y, p.border);
-
-    for (int64_t i = 0; i < rims; ++i) {
-      int64_t const j = rim_pixel(i);
-      for (int64_t c = 0; c < step; ++c) {
-        F sum = 0;
-        for (int64_t q = max(int64_t(0), j - radius); q <= min(width - 1, j + radius); ++q)
-          sum += weights.data[i * (2 * radius + 1) + q - j + radius] * inside[q * step + c];
-        rim.data[i * step + c] = sum;
-      }
-    }
-    if (ax.doubled)
-      for (int64_t c = 0; c < step; ++c) {
-        inside[c] *= 2;
-        if (width > 1) inside[size - step + c] *= 2;
-      }
-    auto const continue_row = [&](int64_t position) {
-      int64_t const q = border_index(ax.border, position, width);
-      for (int64_t c = 0; c < step; ++c) inside[position * step + c] = q < 0 ? F(0) : inside[q * step + c];
-    };
-    for (int64_t i = 1; i <= ax.before; ++i) continue_row(-i);
-    for (int64_t i = 0; i < ax.after; ++i) continue_row(width + i);
+    columns.prefetch(plane, y + down.after + 2);
+    columns.window(s, plane, y, r == begin || y == 0);
+    if (down.is_rim(y) && !down.doubled) columns.gather(s, plane, y, p.border);
+    rim.complete(s);
 
     T const* const x = p.x.row(plane, y);
     T* const out = p.y.row(plane, y);
-    F const row_scale = ay.doubled && ay.is_rim(y) ? scale / 2 : scale;
-    auto const emit = [&](auto lanes, int64_t e, auto sum) {
-      constexpr int N = decltype(lanes)::value;
-      if constexpr (sizeof(T) == 1) {  // the quotient's ties round as OpenCV's: no reciprocal
-        if (p.centre != 0) sum += load<N>(x + e) * p.centre;
-        sum /= p.divisor;
+    F const centre = p.centre, divisor = p.divisor, scale = 1 / divisor;
+    F const sum_scale = down.doubled && down.is_rim(y) ? scale / 2 : scale, centre_scale = centre * scale;
+    bool const centred = centre != 0;  // 0 times an infinite pixel is not 0
+    auto const emit = [=](auto width, int64_t e, auto sum) {
+      constexpr int N = decltype(width)::value;
+      if constexpr (sizeof(T) == 1) {  // a quotient's ties are ties, those of a product with the reciprocal need not be
+        if (centred) sum += load<N>(x + e) * centre;
+        sum /= divisor;
       } else {
-        sum *= row_scale;
-        if (p.centre != 0) sum += load<N>(x + e) * (p.centre * scale);
+        sum *= sum_scale;
+        if (centred) sum += load<N>(x + e) * centre_scale;
       }
       store<N>(out + e, sum);
     };
-    sum_along(s, s + room, size, p.kx, step, emit);
-    for (int64_t i = 0; i < rims; ++i)
-      for (int64_t c = 0; c < step; ++c) emit(Width<1>{}, rim_pixel(i) * step + c, rim.data[i * step + c]);
+    row.sums(emit);
+    rim.sums(emit);
   }
 }
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import kornia
+import kvision as K
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-
-import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
@@ -54,6 +53,13 @@ def test_layouts_gradient_and_untouched_input(device):
     assert torch.equal(K.image.make_grid(images.repeat(1, 1, 1, 2)[..., :6]), expected)
     assert torch.equal(images, before)
     assert torch.autograd.gradcheck(K.image.make_grid, images.requires_grad_())
+
+
+def test_compiles_for_any_batch():
+    compiled = torch.compile(K.image.make_grid, fullgraph=True, dynamic=True, backend="eager")
+    for batch in (2, 3, 10):
+        images = torch.rand(batch, 3, 4, 6)
+        assert torch.equal(compiled(images), K.image.make_grid(images))
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import kornia
+import kvision as K
 import pytest
 import torch
-
-import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -30,6 +29,14 @@ def test_agrees_with_kornia(name, rank, extra, device):
 def test_empty_batches_pass():
     assert K.image.perform_keep_shape_image(halve)(torch.zeros(0, 3, 4, 6)).shape == (0, 3, 2, 3)
     assert K.image.perform_keep_shape_image(halve)(torch.zeros(2, 0, 3, 4, 6)).shape == (2, 0, 3, 2, 3)
+
+
+def test_compiles_for_any_shape():
+    crop = K.image.perform_keep_shape_image(lambda input: input[..., :2, ::2])
+    compiled = torch.compile(crop, fullgraph=True, dynamic=True, backend="eager")
+    for shape in [(4, 6), (2, 4, 6), (5, 2, 4, 6), (3, 5, 2, 4, 6)]:
+        x = torch.rand(shape)
+        assert torch.equal(compiled(x), crop(x))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 // Window sums on CUDA. Small windows: each warp walks down a strip of the image with the rows of its window in
 // registers. All others: a block walks down a tile in batches of eight rows, and sums along the rows and down the columns
 // from the sums of beginnings and ends of blocks of eight pixels, at a cost that hardly depends on the window's size.
+#include <cuda_pipeline.h>
+
 #include "box.h"
 #include "core/launch.cuh"
 
@@ -9,11 +11,13 @@ namespace {
 
 constexpr int kStripRows = 16;  // of a strip
 
-// --- windows of up to 7 x 7 pixels
+// --- windows of 3 x 3 and 5 x 5 pixels
 // ------------------------------------------------------------------------------------
 
-template <class T, int K>
-__global__ void __launch_bounds__(256) box_strip(Box<T> p, Border border, bool doubled, Strips<kPixels<T>> strips) {
+// Doubled: the transpose of a reflected border; see BoxAxis.
+template <class T, int K, bool Doubled>
+__global__ void __launch_bounds__(256, kPixels<T> == 4 ? 3 : 2)
+    box_strip(Box<T> p, Border border, Strips<kPixels<T>> strips) {
   constexpr int P = kPixels<T>, R = K / 2;
   using F = Compute<T>;
   int64_t plane;
@@ -24,9 +28,8 @@ __global__ void __launch_bounds__(256) box_strip(Box<T> p, Border border, bool d
   T const* const in = p.x.plane(plane);
   T* out = p.y.row(plane, y0);
   auto const is_rim = [](int i, int n) { return i == 0 || i == n - 1; };
-  // The columns of the rim count twice; see BoxAxis. Bit i: the value at x - R + i is one of them.
-  unsigned twice = 0;
-  if (doubled)
+  unsigned twice = 0;  // bit i: the value at x - R + i counts twice
+  if (Doubled)
 #pragma unroll
     for (int i = 0; i < P + 2 * R; ++i)
       if (x - R + i < width + R && is_rim(border_index(border, x - R + i, width), width)) twice |= 1u << i;
@@ -39,16 +42,13 @@ __global__ void __launch_bounds__(256) box_strip(Box<T> p, Border border, bool d
     int const at = y < y1 + R ? border_index(border, y, height) : -1;
     Row row{};
     if (at >= 0) row.fetched = strip.fetch(in + at * p.x.row_stride);
-    row.weight = doubled && is_rim(at, height) ? F(2) : F(1);
+    row.weight = Doubled && is_rim(at, height) ? F(2) : F(1);
     return row;
   };
-  // A row's sums along x, and its own pixels.
-  auto const along = [&](Row const& row, F(&sums)[P], F(&own)[P]) {
+  auto const sum_along = [&](Row const& row, F(&sums)[P]) {
     F v[P + 2 * R];
     strip.spread(row.fetched, v);
-#pragma unroll
-    for (int i = 0; i < P; ++i) own[i] = v[R + i];
-    if (twice)
+    if (Doubled && twice)
 #pragma unroll
       for (int i = 0; i < P + 2 * R; ++i)
         if (twice >> i & 1) v[i] *= 2;
@@ -57,76 +57,83 @@ __global__ void __launch_bounds__(256) box_strip(Box<T> p, Border border, bool d
       sums[i] = v[i];
 #pragma unroll
       for (int t = 1; t < K; ++t) sums[i] += v[i + t];
-      sums[i] *= row.weight;
+      if (Doubled) sums[i] *= row.weight;
     }
   };
 
-  F sums[K][P], own[R + 1][P];  // of the rows around y, and of y to y + R
+  F sums[K][P];  // along the rows around y
 #pragma unroll
-  for (int i = 0; i < K - 1; ++i) {
-    F centre[P];
-    along(fetch(y0 - R + i), sums[i], centre);
-    if (i >= R)
-#pragma unroll
-      for (int c = 0; c < P; ++c) own[i - R][c] = centre[c];
-  }
-  F const scale = 1 / p.divisor;
+  for (int t = 0; t < K - 1; ++t) sum_along(fetch(y0 - R + t), sums[t]);
+  F const reciprocal = 1 / p.divisor;
   Row ahead = fetch(y0 + R);
 #pragma unroll K
   for (int y = y0; y < y1; ++y) {
     Row const now = ahead;
     ahead = fetch(y + R + 1);
-    along(now, sums[K - 1], own[R]);
-    F const row_scale = doubled && is_rim(y, height) ? scale / 2 : scale;
+    sum_along(now, sums[K - 1]);
     F result[P];
 #pragma unroll
     for (int i = 0; i < P; ++i) {
-      F sum = sums[0][i];
+      result[i] = sums[0][i];
 #pragma unroll
-      for (int t = 1; t < K; ++t) sum += sums[t][i];
-      result[i] = box_value<T>(sum, own[0][i], p.centre, p.divisor, scale,
-                               doubled && is_rim(x + i, width) ? row_scale / 2 : row_scale);
+      for (int t = 1; t < K; ++t) result[i] += sums[t][i];
+      if (Doubled) result[i] *= (is_rim(y, height) ? F(0.5) : F(1)) * (is_rim(x + i, width) ? F(0.5) : F(1));
     }
+    if (p.centre != 0 && strip.inside) {  // 0 times an infinite pixel is not 0
+      Pack<T, P> const own = *reinterpret_cast<Pack<T, P> const*>(in + y * p.x.row_stride + x);
+#pragma unroll
+      for (int i = 0; i < P; ++i) result[i] += read(own.v[i]) * p.centre;
+    }
+#pragma unroll
+    for (int i = 0; i < P; ++i) result[i] = quotient<T>(result[i], p.divisor, reciprocal);
     strip.store(out, result);
     out += p.y.row_stride;
 #pragma unroll
     for (int t = 0; t + 1 < K; ++t)
 #pragma unroll
       for (int i = 0; i < P; ++i) sums[t][i] = sums[t + 1][i];
-#pragma unroll
-    for (int t = 0; t < R; ++t)
-#pragma unroll
-      for (int i = 0; i < P; ++i) own[t][i] = own[t + 1][i];
   }
 }
 
 // --- windows of any size
 // ----------------------------------------------------------------------------------------------
 
-constexpr int kBlock = 8;   // pixels of a block along either axis; also warps of a thread block, one a row of a batch
-constexpr int kRounds = 2;  // blocks of a row that a thread makes
+constexpr int kRows = 8;       // of a batch, a warp each; and of a block of column sums
+constexpr int kPart = 9;       // pixels of a row that a thread sums; odd, which keeps threads on different banks
+constexpr int kBatches = 3;    // on their way at a time
+constexpr int kSpan = 32 * kPart;
+constexpr int kPitch = kSpan + 16;  // with what is skipped to begin at a multiple of 16 bytes
 
 // A tile is `width` columns of pixels by `height` rows.
 struct Tiles {
   int width, height, across, down;
-  int pitch;  // blocks that a row of sums has room for
   int depth;  // blocks of column sums that are kept
 
-  // Windows of up to kBlock pixels may lie inside one block; those are summed pixel by pixel from two blocks.
-  static int blocks_kept(int64_t k) { return k > kBlock ? int(ceil_div(k - 1, kBlock)) : 2; }
-  int64_t bytes(int size) const { return (2 * kBlock * kBlock * int64_t(pitch) + int64_t(depth) * kBlock * width) * size; }
+  template <class F>
+  int64_t bytes() const {
+    return (int64_t(kBatches) * kRows * kPitch + int64_t(depth) * kRows * width) * sizeof(F);
+  }
 };
 
+template <class T>
+__device__ __forceinline__ void copy_later(T* to, T const* from) {
+  if constexpr (sizeof(T) >= 4)
+    __pipeline_memcpy_async(to, from, sizeof(T));
+  else
+    *to = *from;
+}
+
+// The sums of windows of one axis from those of blocks: a window begins in one block and ends in another, so it is the
+// end of the first (`tail`), the whole blocks between them, and the beginning of the last (`head`).
 template <class T>
 __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     box_tile(Box<T> p, BoxAxis across, BoxAxis down, Tiles tiles, bool packed) {
   using F = Compute<T>;
+  constexpr int kPack = 16 / sizeof(T);
   extern __shared__ __align__(16) unsigned char memory[];
-  int const pitch = tiles.pitch, warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  // Sums of rows, of one batch: [row][pixel of the block][block], which keeps threads on different banks.
-  F* const sums = reinterpret_cast<F*>(memory);
-  F* const heads = sums + kBlock * kBlock * pitch;   // the same for a block's pixels up to one
-  F* const tails = heads + kBlock * kBlock * pitch;  // column sums of a block's rows from one on: [block][row][column]
+  F* const rows = reinterpret_cast<F*>(memory);          // [batch][row][element]
+  F* const tails = rows + kBatches * kRows * kPitch;  // [block][row][column]
+  int const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
 
   int const q = blockIdx.x / tiles.across, x0 = (blockIdx.x - q * tiles.across) * tiles.width;
   int const plane = q / tiles.down, y0 = (q - plane * tiles.down) * tiles.height;
@@ -134,183 +141,157 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   T const* const in = p.x.plane(plane / step) + plane % step;
   T* const out = p.y.plane(plane / step) + plane % step;
 
-  // Where the transpose folds, the positions around the image have their sums, too, which go to the rim.
-  bool const fold_x = across.rim > 0 && !across.doubled, fold_y = down.rim > 0 && !down.doubled;
+  // Where the transpose gathers, the positions around the image have their sums, too, and the rim gets them.
   int const x1 = min(x0 + tiles.width, width), y1 = min(y0 + tiles.height, height);
-  int const first_x = x0 == 0 && fold_x ? -int(across.after) : x0;
-  int const last_x = x1 == width && fold_x ? width + int(across.before) : x1;
-  int const first_y = y0 == 0 && fold_y ? -int(down.after) : y0;
-  int const last_y = y1 == height && fold_y ? height + int(down.before) : y1;
-
-  // Blocks begin at multiples of their size; block b makes the sums of the windows that begin in it.
+  int const first_x = x0 == 0 && across.gathers() ? -int(across.after) : x0;
+  int const last_x = x1 == width && across.gathers() ? width + int(across.before) : x1;
+  int const first_y = y0 == 0 && down.gathers() ? -int(down.after) : y0;
+  int const last_y = y1 == height && down.gathers() ? height + int(down.before) : y1;
   int const kx = int(across.count()), ky = int(down.count());
-  int const left = (first_x - int(across.before)) & -kBlock, shift = first_x - int(across.before) - left;
-  int const blocks = (last_x + int(across.after) - left + kBlock - 1) / kBlock;
-  int const results = (last_x - first_x + shift + kBlock - 1) / kBlock;
   int const top = first_y - int(down.before), bottom = last_y + int(down.after);
 
-  bool whole[kRounds];           // the block is inside the image and can be read at once,
-  int columns[kRounds][kBlock];  // else its pixels, -1 for the constant
-  unsigned twice[kRounds];       // the pixels that count twice
-#pragma unroll
-  for (int r = 0; r < kRounds; ++r) {
-    int const b = lane + 32 * r, x = left + b * kBlock;
-    whole[r] = packed && b < blocks && x >= 0 && x + kBlock <= width;
-    twice[r] = 0;
-#pragma unroll
-    for (int i = 0; i < kBlock; ++i) {
-      int const at = b < blocks && x + i < last_x + int(across.after) ? border_index(across.border, x + i, width) : -1;
-      columns[r][i] = at < 0 ? -1 : at * step;
-      if (across.doubled && (at == 0 || at == width - 1)) twice[r] |= 1u << i;
-    }
-  }
-
-  struct Row {
-    Pack<T, kBlock> block[kRounds];
-    F weight;
-  };
-  auto const fetch = [&](int y) {
-    int const at = y < bottom ? border_index(down.border, y, height) : -1;
-    Row row{};
-    row.weight = down.doubled && (at == 0 || at == height - 1) ? F(2) : F(1);
-    if (at < 0) return row;
+  // Positions of a row: what windows read from `left` to `right`, of which packs are read from pack_left to pack_right.
+  int const left = first_x - int(across.before), right = last_x + int(across.after);
+  int const origin = left & -kPack;
+  int const pack_left = packed ? max(left + kPack - 1, 0) & -kPack : right;
+  int const pack_right = packed ? max(min(right, width) & -kPack, pack_left) : right;
+  auto const row_of = [&](int batch) { return rows + (batch % kBatches * kRows + warp) * kPitch; };
+  auto const stage = [&](int batch) {
+    int const y = top + batch * kRows + warp, at = y < bottom ? border_index(down.border, y, height) : -1;
+    T* const to = reinterpret_cast<T*>(row_of(batch)) - origin;
     T const* const from = in + at * p.x.row_stride;
-#pragma unroll
-    for (int r = 0; r < kRounds; ++r) {
-      if (whole[r])
-        row.block[r] = *reinterpret_cast<Pack<T, kBlock> const*>(from + left + (lane + 32 * r) * kBlock);
+    auto const element = [&](int x) {
+      int const column = at < 0 ? -1 : border_index(across.border, x, width);
+      if (column < 0)
+        to[x] = T{};
       else
-#pragma unroll
-        for (int i = 0; i < kBlock; ++i)
-          if (columns[r][i] >= 0) row.block[r].v[i] = from[columns[r][i]];
+        copy_later(to + x, from + column * step);
+    };
+    if (at < 0) {
+      for (int x = left + lane; x < right; x += 32) to[x] = T{};
+    } else {
+      for (int x = pack_left + lane * kPack; x < pack_right; x += 32 * kPack)
+        __pipeline_memcpy_async(to + x, from + x, 16);
+      for (int x = left + lane; x < pack_left; x += 32) element(x);
+      for (int x = pack_right + lane; x < right; x += 32) element(x);
     }
-    return row;
+    __pipeline_commit();
   };
 
-  F const scale = 1 / p.divisor;
+  unsigned twice = 0;  // which of the thread's pixels count twice
+  if (across.doubled)
+#pragma unroll
+    for (int i = 0; i < kPart; ++i) {
+      int const at = border_index(across.border, left + lane * kPart + i, width);
+      if (at == 0 || at == width - 1) twice |= 1u << i;
+    }
   int const column = threadIdx.x, x = x0 + column;
-  F const column_scale = across.doubled && (x == 0 || x == width - 1) ? scale / 2 : scale;
-  F* const tail = tails + column;  // of this thread's column
-  F carry = 0;                     // what the rim is still to get
-  int oldest = 0;
-  Row ahead = fetch(top + warp);
-  for (int batch = top; batch < bottom; batch += kBlock) {
-    Row const now = ahead;
-    ahead = fetch(batch + kBlock + warp);
+  F const share = across.doubled && (x == 0 || x == width - 1) ? F(0.5) : F(1);
+  F const reciprocal = 1 / p.divisor;
+  F* const tail = tails + column;
+  F carry = 0;     // what the rim is still to get
+  int oldest = 0;  // of the blocks of column sums
 
-    // 1. Along the rows: warp by warp.
-    F v[kRounds][kBlock];
-    F* const head = heads + warp * kBlock * pitch;
-    F* const sum = sums + warp * kBlock * pitch;
 #pragma unroll
-    for (int r = 0; r < kRounds; ++r) {
-      int const b = lane + 32 * r;
+  for (int i = 0; i + 1 < kBatches; ++i) stage(i);
+  for (int batch = 0; top + batch * kRows < bottom; ++batch) {
+    // 1. Along the rows: a warp each, in place.
+    __pipeline_wait_prior(kBatches - 2);
+    __syncwarp();
+    F* const row = row_of(batch);
+    F v[kPart];
 #pragma unroll
-      for (int i = 0; i < kBlock; ++i) v[r][i] = read(now.block[r].v[i]) * (twice[r] >> i & 1 ? 2 * now.weight : now.weight);
-      if (b >= blocks) continue;
-      F before = 0;
+    for (int i = 0; i < kPart; ++i) v[i] = read(reinterpret_cast<T const*>(row)[left - origin + lane * kPart + i]);
+    if (across.doubled || down.doubled) {
+      int const y = border_index(down.border, top + batch * kRows + warp, height);
+      F const weight = down.doubled && (y == 0 || y == height - 1) ? F(2) : F(1);
 #pragma unroll
-      for (int i = 0; i < kBlock; ++i) head[i * pitch + b] = before = kx > kBlock ? before + v[r][i] : v[r][i];
-      if (kx > kBlock)
+      for (int i = 0; i < kPart; ++i) v[i] *= twice >> i & 1 ? 2 * weight : weight;
+    }
+    __syncwarp();
+    F* const part = row + lane * kPart;
+    F head = 0;
 #pragma unroll
-        for (int i = kBlock - 1; i > 0; --i) v[r][i - 1] += v[r][i];
+    for (int i = 0; i < kPart; ++i) part[i] = head = kx > kPart ? head + v[i] : v[i];
+    __syncwarp();
+    if (kx > kPart) {
+      int const whole = (kx - 1) / kPart, past = (kx - 1) % kPart, limit = kPitch - lane * kPart - 1;
+#pragma unroll
+      for (int i = kPart - 1; i > 0; --i) v[i - 1] += v[i];
+      F middle = 0;
+      for (int m = 1; m < whole; ++m) middle += part[min((m + 1) * kPart - 1, limit)];
+      F const longer = middle + part[min((whole + 1) * kPart - 1, limit)];
+#pragma unroll
+      for (int i = 0; i < kPart; ++i) v[i] += (i + past >= kPart ? longer : middle) + part[min(i + kx - 1, limit)];
+    } else {
+#pragma unroll
+      for (int i = 0; i < kPart; ++i)
+        for (int t = 1; t < kx; ++t) v[i] += part[i + t];
     }
     __syncwarp();
 #pragma unroll
-    for (int r = 0; r < kRounds; ++r) {
-      int const b = lane + 32 * r, far = (kx - 1) / kBlock, past = (kx - 1) % kBlock;
-      if (b >= results) continue;
-      if (kx > kBlock) {
-        F middle = 0;
-        for (int m = 1; m < far; ++m) middle += head[(kBlock - 1) * pitch + b + m];
-        F const longer = middle + head[(kBlock - 1) * pitch + b + far];
-#pragma unroll
-        for (int i = 0; i < kBlock; ++i) {
-          bool const over = i + past >= kBlock;
-          sum[i * pitch + b] = v[r][i] + (over ? longer : middle) + head[(i + past) % kBlock * pitch + b + far + over];
-        }
-      } else {
-#pragma unroll
-        for (int i = 0; i < kBlock; ++i) {
-          F s = v[r][i];
-          for (int t = i + 1; t < i + kx; ++t) s += head[t % kBlock * pitch + b + t / kBlock];
-          sum[i * pitch + b] = s;
-        }
-      }
-    }
-    auto const of = [&](int position) {
-      int const i = position - first_x + shift;
-      return i % kBlock * pitch + i / kBlock;
-    };
-    auto const fold = [&](int from, int to, int pixel) {
+    for (int i = 0; i < kPart; ++i) part[i] = v[i];
+    auto const gather = [&](int from, int to, int pixel) {
       __syncwarp();
       F s = 0;
-      for (int i = from + lane; i < to; i += 32) s += sum[of(i)];
+      for (int i = from + lane; i < to; i += 32) s += row[i - first_x];
 #pragma unroll
       for (int d = 16; d > 0; d /= 2) s += __shfl_xor_sync(0xffffffffu, s, d);
-      if (lane == 0) sum[of(pixel)] = s;
+      __syncwarp();
+      if (lane == 0) row[pixel - first_x] = s;
     };
-    if (width == 1 && first_x < last_x - 1) {
-      fold(first_x, last_x, 0);
-    } else {
-      if (first_x < x0) fold(first_x, 1, 0);
-      if (last_x > x1) fold(width - 1, last_x, width - 1);
-    }
+    if (first_x < x0) gather(first_x, width == 1 ? last_x : 1, 0);
+    if (last_x > x1 && (width > 1 || first_x == x0)) gather(width - 1, last_x, width - 1);
     __syncthreads();
-
-    // 2. Down the columns: thread by thread.
-    F h[kBlock];
-#pragma unroll
-    for (int j = 0; j < kBlock; ++j) h[j] = x < x1 ? sums[j * kBlock * pitch + of(x)] : F(0);
-    __syncthreads();
+    stage(batch + kBatches - 1);
     if (x >= x1) continue;
-    if (ky > kBlock) {
-      int const stride = kBlock * tiles.width, past = tiles.depth * kBlock - (ky - 1);
+
+    // 2. Down the columns: a thread each.
+    F const* const sums = rows + batch % kBatches * kRows * kPitch + x - first_x;
+    int const block = kRows * tiles.width;
+    F h[kRows];
+#pragma unroll
+    for (int j = 0; j < kRows; ++j) h[j] = sums[j * kPitch];
+    if (ky > kRows) {
+      int const past = tiles.depth * kRows - (ky - 1), next = oldest + 1 == tiles.depth ? 0 : oldest + 1;
       F longer = 0, middle = 0;
-      for (int m = 1, at = oldest; m < tiles.depth; ++m) {
-        at = at + 1 == tiles.depth ? 0 : at + 1;
-        (m == 1 ? longer : middle) += tail[at * stride];
-      }
+      for (int m = 1, at = next; m < tiles.depth; ++m, at = at + 1 == tiles.depth ? 0 : at + 1)
+        (m == 1 ? longer : middle) += tail[at * block];
       longer += middle;
-      int const next = oldest + 1 == tiles.depth ? 0 : oldest + 1;
-      F before = 0, result[kBlock];
+      F below[kRows], after = 0;
 #pragma unroll
-      for (int j = 0; j < kBlock; ++j) {
-        bool const over = j + past >= kBlock;
+      for (int j = kRows - 1; j >= 0; --j) below[j] = after += h[j];
+      F before = 0;
+#pragma unroll
+      for (int j = 0; j < kRows; ++j) {
+        bool const over = j + past >= kRows;
         before += h[j];
-        result[j] = tail[(over ? next : oldest) * stride + (j + past) % kBlock * tiles.width] + (over ? middle : longer) +
-                    before;
+        h[j] = tail[(over ? next : oldest) * block + (j + past) % kRows * tiles.width] + (over ? middle : longer) + before;
       }
-      F after = 0;
 #pragma unroll
-      for (int j = kBlock - 1; j >= 0; --j) tail[oldest * stride + j * tiles.width] = after += h[j];
+      for (int j = 0; j < kRows; ++j) tail[oldest * block + j * tiles.width] = below[j];
       oldest = next;
+    } else {  // pixel by pixel, from this block and the one before it
 #pragma unroll
-      for (int j = 0; j < kBlock; ++j) h[j] = result[j];
-    } else {
-      int const stride = kBlock * tiles.width;
+      for (int j = 0; j < kRows; ++j) tail[oldest * block + j * tiles.width] = h[j];
 #pragma unroll
-      for (int j = 0; j < kBlock; ++j) tail[oldest * stride + j * tiles.width] = h[j];
-#pragma unroll
-      for (int j = 0; j < kBlock; ++j) {
+      for (int j = 0; j < kRows; ++j)
         for (int t = 1; t < ky; ++t)
-          h[j] += tail[(t <= j ? oldest : 1 - oldest) * stride + (j - t + kBlock) % kBlock * tiles.width];
-      }
+          h[j] += tail[(t <= j ? oldest : 1 - oldest) * block + (j - t + kRows) % kRows * tiles.width];
       oldest = 1 - oldest;
     }
 #pragma unroll
-    for (int j = 0; j < kBlock; ++j) {
-      int const y = batch + j - int(down.after);
+    for (int j = 0; j < kRows; ++j) {
+      int const y = top + batch * kRows + j - (ky - 1) + int(down.before);
       if (y < first_y || y >= last_y) continue;
-      F const total = h[j] + carry;
+      F total = h[j] + carry;
       bool const more = y < 0 || (y >= height - 1 && y + 1 < last_y);
       carry = more ? total : F(0);
       if (more) continue;
-      int const row = min(y, height - 1);
-      F const own = p.centre != 0 ? read(in[row * p.x.row_stride + x * step]) : F(0);
-      bool const half = down.doubled && (row == 0 || row == height - 1);
-      out[row * p.y.row_stride + x * step] = round_to<T>(
-          box_value<T>(total, own, p.centre, p.divisor, scale, half ? column_scale / 2 : column_scale));
+      int const at = min(y, height - 1);
+      if (across.doubled || down.doubled) total *= down.doubled && (at == 0 || at == height - 1) ? share / 2 : share;
+      if (p.centre != 0) total += read(in[at * p.x.row_stride + x * step]) * p.centre;
+      out[at * p.y.row_stride + x * step] = round_to<T>(quotient<T>(total, p.divisor, reciprocal));
     }
   }
 }
@@ -344,8 +325,8 @@ __global__ void box_any(Box<T> p, bool transposed) {
     for_each(across, x, [&](int64_t at_x, F times_x) { s += times_x * read(row[at_x * step + c]); });
     sum += times_y * s;
   });
-  F const scale = 1 / p.divisor;
-  p.y.row(plane, y)[e] = round_to<T>(box_value<T>(sum, read(p.x.row(plane, y)[e]), p.centre, p.divisor, scale, scale));
+  if (p.centre != 0) sum += read(p.x.row(plane, y)[e]) * p.centre;
+  p.y.row(plane, y)[e] = round_to<T>(quotient<T>(sum, p.divisor, 1 / p.divisor));
 }
 
 // --- launchers
@@ -354,7 +335,10 @@ __global__ void box_any(Box<T> p, bool transposed) {
 template <int K, class T>
 int launch_strip(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream) {
   Strips<kPixels<T>> const strips(p.x.count(), p.x.height, p.x.width, kStripRows);
-  box_strip<T, K><<<strips.blocks(), 256, 0, stream>>>(p, axis.border, axis.doubled, strips);
+  if (!axis.doubled)
+    box_strip<T, K, false><<<strips.blocks(), 256, 0, stream>>>(p, axis.border, strips);
+  else if constexpr (sizeof(T) > 1)
+    box_strip<T, K, true><<<strips.blocks(), 256, 0, stream>>>(p, axis.border, strips);
   return cudaGetLastError();
 }
 
@@ -363,40 +347,35 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   using F = Compute<T>;
   constexpr int64_t kShared = 224 * 1024, kPreferred = 112 * 1024;  // of a multiprocessor, of a block
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
-  bool const folds = across.rim + down.rim > 0 && !(across.doubled && down.doubled);
+  bool const gathers = across.gathers() || down.gathers();
 
   if constexpr (sizeof(T) <= 4)
-    if (p.kx == p.ky && !folds && is_strip<kPixels<T>>(p.x) && is_strip<kPixels<T>>(p.y)) {
+    if (p.kx == p.ky && !gathers && is_strip<kPixels<T>>(p.x) && is_strip<kPixels<T>>(p.y)) {
       if (p.kx == 3) return launch_strip<3>(p, across, stream);
       if (p.kx == 5) return launch_strip<5>(p, across, stream);
-      if (p.kx == 7) return launch_strip<7>(p, across, stream);
     }
 
-  int64_t const planes = p.x.count() * p.x.step;
+  bool const even_reflect = gathers && p.border == Border::reflect;
+  int64_t const planes = p.x.count() * p.x.step, beside = p.kx - 1 + (across.gathers() ? p.kx - 1 : 0);
   Tiles tiles{};
-  tiles.depth = Tiles::blocks_kept(p.ky);
-  int64_t blocks = 0;
-  for (tiles.width = 256; tiles.width >= 32; tiles.width /= 2) {
-    tiles.across = int(ceil_div(p.x.width, tiles.width));
-    blocks = ceil_div(ceil_div(p.x.width, tiles.across) + 2 * p.kx + kBlock, kBlock) + 2;
-    tiles.pitch = int(ceil_div(blocks, kBlock) * kBlock + kBlock / 2);
-    if (blocks <= 32 * kRounds && tiles.bytes(sizeof(F)) <= (tiles.width > 32 ? kPreferred : kShared)) break;
-  }
-  bool const even_reflect = transposed && p.border == Border::reflect && folds;
-  if (tiles.width < 32 || even_reflect) {
+  tiles.depth = p.ky > kRows ? int(ceil_div(p.ky - 1, kRows)) : 2;
+  auto const fits = [&](int64_t shared) { return tiles.width + beside <= kSpan && tiles.bytes<F>() <= shared; };
+  for (tiles.width = 256; tiles.width > 32 && !fits(kPreferred);) tiles.width -= 32;
+  if (even_reflect || !fits(kShared)) {
     box_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p, transposed);
     return cudaGetLastError();
   }
+  tiles.across = int(ceil_div(p.x.width, tiles.width));
   tiles.width = int(ceil_div(p.x.width, tiles.across));
   // Enough tiles for all multiprocessors, as long as the rows above a tile, which are summed again, are not most of it.
   int64_t const wanted = ceil_div(3 * 132, planes * tiles.across), most = ceil_div(p.x.height, max(p.ky, int64_t(32)));
   tiles.height = int(ceil_div(p.x.height, clamp(wanted, int64_t(1), most)));
   tiles.down = int(ceil_div(p.x.height, tiles.height));
-  int64_t const bytes = tiles.bytes(sizeof(F));
+  int64_t const bytes = tiles.bytes<F>();
   if (int const error = cudaFuncSetAttribute(box_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   box_tile<<<unsigned(planes * tiles.across * tiles.down), 256, unsigned(bytes), stream>>>(p, across, down, tiles,
-                                                                                           is_pack<kBlock>(p.x));
+                                                                                           is_strip<16 / sizeof(T)>(p.x));
   return cudaGetLastError();
 }
 

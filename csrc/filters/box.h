@@ -47,6 +47,7 @@ struct BoxAxis {
   }
   KV_HD int64_t count() const { return before + after + 1; }
   KV_HD bool is_rim(int64_t i) const { return i < rim || i >= size - rim; }
+  KV_HD bool gathers() const { return rim > 0 && !doubled; }
 };
 
 // At how many positions of the window [r - before, r + after] of a forward sum pixel j of n stands.
@@ -58,6 +59,15 @@ KV_HD int64_t reads(Border border, int64_t r, int64_t j, int64_t n, int64_t befo
   if (border == Border::reflect) count += (j > 0 && low <= -j) + (j < n - 1 && 2 * (n - 1) - j <= high);
   if (border == Border::circular) count += (low <= j - n) + (j + n <= high);
   return count;
+}
+
+// sum / divisor. A tie between two bytes must be one, which the product with a rounded reciprocal need not be.
+template <class T, class V, class F>
+KV_HD V quotient(V sum, F divisor, F reciprocal) {
+  if constexpr (sizeof(T) == 1)
+    return sum / divisor;
+  else
+    return sum * reciprocal;
 }
 
 }  // namespace kv

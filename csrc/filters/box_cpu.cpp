@@ -252,24 +252,19 @@ KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end
     int64_t const plane = r / height, y = r % height;
     columns.prefetch(plane, y + down.after + 2);
     columns.window(s, plane, y, r == begin || y == 0);
-    if (down.is_rim(y) && !down.doubled) columns.gather(s, plane, y, p.border);
+    if (down.is_rim(y) && down.gathers()) columns.gather(s, plane, y, p.border);
     rim.complete(s);
 
     T const* const x = p.x.row(plane, y);
     T* const out = p.y.row(plane, y);
-    F const centre = p.centre, divisor = p.divisor, scale = 1 / divisor;
-    F const sum_scale = down.doubled && down.is_rim(y) ? scale / 2 : scale, centre_scale = centre * scale;
+    F const centre = p.centre, divisor = p.divisor, reciprocal = 1 / divisor;
+    F const share = down.doubled && down.is_rim(y) ? F(0.5) : F(1);
     bool const centred = centre != 0;  // 0 times an infinite pixel is not 0
     auto const emit = [=](auto width, int64_t e, auto sum) {
       constexpr int N = decltype(width)::value;
-      if constexpr (sizeof(T) == 1) {  // a quotient's ties are ties, those of a product with the reciprocal need not be
-        if (centred) sum += load<N>(x + e) * centre;
-        sum /= divisor;
-      } else {
-        sum *= sum_scale;
-        if (centred) sum += load<N>(x + e) * centre_scale;
-      }
-      store<N>(out + e, sum);
+      sum *= share;
+      if (centred) sum += load<N>(x + e) * centre;
+      store<N>(out + e, quotient<T>(sum, divisor, reciprocal));
     };
     row.sums(emit);
     rim.sums(emit);

@@ -173,6 +173,40 @@ KV_HD V vsqrt(V v) {
   }
 }
 
+// c[0] x^(n-1) + ... + c[n-1]
+template <class V, class F, int n>
+KV_HD V polynomial(V x, F const (&c)[n]) {
+  V sum = x * c[0] + c[1];
+  for (int i = 2; i < n; ++i) sum = sum * x + c[i];
+  return sum;
+}
+
+// 2^x within 2 units in the last place: 2^n p(x - n) with n the nearest integer, and p(f) = 2^f on [-1/2, 1/2] within
+// 3e-9 (float) or 2e-17 (double), p(0) = 1. Below the normal numbers it is 0, from 2^127.5 (2^1023.5) on inf; NaN stays.
+template <class F, int N>
+KV_HD Lanes<F, N> vexp2(Lanes<F, N> x) {
+  using V = Lanes<F, N>;
+  // Adding `shift` rounds x and leaves n + bias in the low bits, from where they move to the exponent.
+  if constexpr (sizeof(F) == 4) {
+    constexpr float bias = 127, shift = 0x1.8p23f + bias;
+    constexpr float c[] = {1.55946874e-4f, 1.34066444e-3f, 9.61769296e-3f, 5.55031055e-2f,
+                           2.40226528e-1f, 6.93147215e-1f, 1.f};
+    x = clamp(x, broadcast<N>(-bias), broadcast<N>(bias + 1));
+    V const shifted = x + shift;
+    auto const exponent = __builtin_bit_cast(Lanes<int32_t, N>, shifted) << 23;
+    return polynomial(V(x - (shifted - shift)), c) * __builtin_bit_cast(V, exponent);
+  } else {
+    constexpr double bias = 1023, shift = 0x1.8p52 + bias;
+    constexpr double c[] = {4.0779938562463538e-10, 7.0725704454692941e-9, 1.0180648196555812e-7, 1.3215442675115585e-6,
+                            1.5252727383872463e-5,  1.5403530441572599e-4, 1.3333558153441335e-3, 9.6181291076070020e-3,
+                            5.5504108664790389e-2,  2.4022650695910098e-1, 6.9314718055994570e-1, 1.};
+    x = clamp(x, broadcast<N>(-bias), broadcast<N>(bias + 1));
+    V const shifted = x + shift;
+    auto const exponent = __builtin_bit_cast(Lanes<int64_t, N>, shifted) << 52;
+    return polynomial(V(x - (shifted - shift)), c) * __builtin_bit_cast(V, exponent);
+  }
+}
+
 // Calls f(index constant N, element) over [begin, end): vectors of kLanes<T>, the last one overlapping the one before
 // it (so f must not read what it writes), and single elements where the range is shorter than a vector.
 template <int N>

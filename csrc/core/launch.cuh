@@ -34,101 +34,166 @@ __device__ __forceinline__ T round_to(Compute<T> x) {
     return {__bfloat16_as_ushort(__float2bfloat16_rn(x))};
 }
 
-// --- four neighbouring elements
+// --- neighbouring elements
 // ----------------------------------------------------------------------------------------
 
-// One access where the address allows it: 16 bytes of float, 8 of the half types, 4 of bytes.
-template <class T>
-struct alignas(4 * sizeof(T) > 16 ? 16 : 4 * sizeof(T)) Four {
-  T v[4];
+// P elements in as few accesses as the hardware has: 16 bytes each.
+template <class T, int P>
+struct alignas(P * sizeof(T) > 16 ? 16 : P * sizeof(T)) Pack {
+  T v[P];
 };
 
+// How many pixels a thread takes: 16 bytes of them where that is 4 or 8.
 template <class T>
-__host__ __device__ inline bool is_aligned(Planes<T> const& p) {
-  constexpr int64_t bytes = alignof(Four<std::remove_const_t<T>>), size = sizeof(T);
-  return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
-         p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0;
-}
-
-// `aligned`: rows start at multiples of the vector's size (is_aligned), and x is a multiple of 4.
-template <class T>
-__device__ __forceinline__ void load_four(Compute<T> (&v)[4], T const* row, int x, int size, bool aligned) {
-  if (aligned && x + 4 <= size) {
-    Four<T> const four = *reinterpret_cast<Four<T> const*>(row + x);
-#pragma unroll
-    for (int i = 0; i < 4; ++i) v[i] = read(four.v[i]);
-  } else {
-#pragma unroll
-    for (int i = 0; i < 4; ++i) v[i] = x + i < size ? read(row[x + i]) : Compute<T>(0);
-  }
-}
-
-template <class T>
-__device__ __forceinline__ void store_four(T* row, int x, int size, bool aligned, Compute<T> const (&v)[4]) {
-  if (aligned && x + 4 <= size) {
-    Four<T> four;
-#pragma unroll
-    for (int i = 0; i < 4; ++i) four.v[i] = round_to<T>(v[i]);
-    *reinterpret_cast<Four<T>*>(row + x) = four;
-  } else {
-#pragma unroll
-    for (int i = 0; i < 4; ++i)
-      if (x + i < size) row[x + i] = round_to<T>(v[i]);
-  }
-}
+constexpr int kPixels = sizeof(T) == 2 ? 8 : 4;
 
 // --- strips: a warp's row of 128 elements, each thread's four with R neighbours on either side
 // --------------------------
 
-// The values at elements x - R ... x + 3 + R of a row into v, x being four times the thread's place in the row, for
-// planar images (step 1). Neighbours come from the neighbouring threads; only a warp's ends and the image's rim read
-// memory again. All 32 threads must call it, those beyond the row included; R <= 4. With border constant, what is
-// outside is 0.
-template <int R, class T>
-__device__ __forceinline__ void load_strip(Compute<T> (&v)[4 + 2 * R], T const* row, int x, int width, bool aligned,
-                                           Border border) {
-  static_assert(R <= 4, "a neighbour holds four elements");
-  int const lane = threadIdx.x % 32;
-  auto const outside = [&](int i) {
-    int const inside = border_index(border, i, width);
-    return inside < 0 ? Compute<T>(0) : read(row[inside]);
-  };
-  Compute<T> four[4];
-  if (x + 4 <= width)
-    load_four<T>(four, row, x, width, aligned);
-  else
+// Cheaper than the rounded functions by an order of magnitude, and right to about 1 in 2^22.
+__device__ __forceinline__ float fast_sqrt(float x) {
+  float y;
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+__device__ __forceinline__ double fast_sqrt(double x) { return ::sqrt(x); }
+__device__ __forceinline__ float fast_rsqrt(float x) {
+  float y;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+__device__ __forceinline__ double fast_rsqrt(double x) { return 1 / ::sqrt(x); }
+
+// Reads rows of a planar image (step 1): the elements x - R ... x + P - 1 + R, x being P times the thread's place in
+// the row. Neighbours come from the neighbouring threads by shuffles; only a warp's ends and the image's rim read
+// memory again. What lies outside follows the border rule; constant is 0. R <= P.
+//
+// Aligned: rows start at multiples of the pack's size and their width is a multiple of P (is_strip), so each thread is
+// inside or outside as a whole. The other form reads element by element.
+template <int R, bool Aligned, int P = 4>
+struct Strip {
+  static_assert(R >= 0 && R <= P, "a neighbour holds P elements");
+  int x, width;
+  Border border;
+  bool inside, left_end, right_end;
+  int left[R > 0 ? R : 1], right[R > 0 ? R : 1];  // columns that an end reads itself, -1 for the constant
+
+  __device__ __forceinline__ Strip(int x, int width, Border border)
+      : x(x),
+        width(width),
+        border(border),
+        inside(x < width),
+        left_end(inside && threadIdx.x % 32 == 0),
+        right_end(inside && (threadIdx.x % 32 == 31 || x + P >= width)) {
 #pragma unroll
-    for (int i = 0; i < 4; ++i) four[i] = x + i < width + R ? outside(x + i) : Compute<T>(0);
-#pragma unroll
-  for (int i = 0; i < 4; ++i) v[R + i] = four[i];
-#pragma unroll
-  for (int i = 0; i < R; ++i) {
-    v[i] = __shfl_up_sync(0xffffffffu, four[4 - R + i], 1);
-    v[R + 4 + i] = __shfl_down_sync(0xffffffffu, four[i], 1);
+    for (int i = 0; i < R; ++i) {
+      left[i] = border_index(border, x - R + i, width);
+      right[i] = border_index(border, x + P + i, width);
+    }
   }
-  if (lane == 0 && x < width)
+
+  // A row in two steps, so that the memory of the next row can be asked for before this one is worked on.
+  template <class T>
+  struct Fetched {
+    Pack<T, P> own;
+    T left[R > 0 ? R : 1], right[R > 0 ? R : 1];
+  };
+  template <class T>
+  __device__ __forceinline__ Fetched<T> fetch(T const* row) const {
+    Fetched<T> f{};
+    if constexpr (Aligned) {
+      if (inside) f.own = *reinterpret_cast<Pack<T, P> const*>(row + x);
 #pragma unroll
-    for (int i = 0; i < R; ++i) v[i] = outside(x - R + i);
-  if (lane == 31)
+      for (int i = 0; i < R; ++i) {
+        if (left_end && left[i] >= 0) f.left[i] = row[left[i]];
+        if (right_end && right[i] >= 0) f.right[i] = row[right[i]];
+      }
+    } else {
 #pragma unroll
-    for (int i = 0; i < R; ++i) v[R + 4 + i] = x + 4 + i < width + R ? outside(x + 4 + i) : Compute<T>(0);
+      for (int i = 0; i < P + 2 * R; ++i) {
+        int const at = x - R + i < width + R ? border_index(border, x - R + i, width) : -1;
+        T& to = i < R ? f.left[i] : i < R + P ? f.own.v[i - R] : f.right[i - R - P];
+        if (inside && at >= 0) to = row[at];
+      }
+    }
+    return f;
+  }
+  // All 32 threads must call it, those beyond the row included.
+  template <class T>
+  __device__ __forceinline__ void spread(Fetched<T> const& f, Compute<T> (&v)[P + 2 * R]) const {
+#pragma unroll
+    for (int i = 0; i < P; ++i) v[R + i] = read(f.own.v[i]);
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      Compute<T> const from_left = __shfl_up_sync(0xffffffffu, v[P + i], 1);
+      Compute<T> const from_right = __shfl_down_sync(0xffffffffu, v[R + i], 1);
+      v[i] = left_end || !Aligned ? read(f.left[i]) : from_left;
+      v[R + P + i] = right_end || !Aligned ? read(f.right[i]) : from_right;
+    }
+  }
+  template <class T>
+  __device__ __forceinline__ void load(Compute<T> (&v)[P + 2 * R], T const* row) const {
+    spread(fetch(row), v);
+  }
+  template <class T>
+  __device__ __forceinline__ void store(T* row, Compute<T> const (&v)[P]) const {
+    if constexpr (Aligned) {
+      Pack<T, P> pack;
+#pragma unroll
+      for (int i = 0; i < P; ++i) pack.v[i] = round_to<T>(v[i]);
+      if (inside) *reinterpret_cast<Pack<T, P>*>(row + x) = pack;
+    } else {
+#pragma unroll
+      for (int i = 0; i < P; ++i)
+        if (x + i < width) row[x + i] = round_to<T>(v[i]);
+    }
+  }
+};
+
+// Whether images can be read and written by Strip<R, true, P>: the one question a launcher asks about each of its
+// tensors.
+template <int P, class T>
+inline bool is_strip(Planes<T> const& p) {
+  constexpr int64_t bytes = alignof(Pack<std::remove_const_t<T>, P>), size = sizeof(T);
+  return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
+         p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0 && p.width % P == 0 && p.step == 1;
 }
 
-// Splits planes into strips of 128 elements by `Rows` rows, one a warp, x fastest: whole warps of one block read
+// Rows y of a plane from `first` on, one after the other; above and below the image stands its rim.
+template <class T>
+struct RowsDown {
+  T const* at;
+  int64_t stride;
+  int y, last;
+  __device__ __forceinline__ RowsDown(Planes<T const> const& p, int64_t plane, int first)
+      : at(p.row(plane, clamp(first, 0, int(p.height) - 1))), stride(p.row_stride), y(first), last(int(p.height) - 1) {}
+  __device__ __forceinline__ T const* next() {
+    T const* const row = at;
+    if (y >= 0 && y < last) at += stride;
+    ++y;
+    return row;
+  }
+};
+
+// Splits planes into strips of 32 P elements by `rows` rows, one a warp, x fastest: the warps of one block read
 // neighbouring memory. Blocks of 256 threads.
+template <int P = 4>
 struct Strips {
-  int64_t across, down, count;
-  KV_HD Strips(int64_t planes, int64_t height, int64_t width, int rows)
-      : across((width + 127) / 128), down((height + rows - 1) / rows), count(planes * across * down) {}
-  unsigned blocks() const { return unsigned((count + 7) / 8); }
+  unsigned across, down, count, rows;
+  Strips(int64_t planes, int64_t height, int64_t width, int rows)
+      : across(unsigned(ceil_div(width, 32 * P))),
+        down(unsigned(ceil_div(height, rows))),
+        count(unsigned(planes * across * down)),
+        rows(rows) {}
+  unsigned blocks() const { return (count + 7) / 8; }
   // The warp's strip: false beyond the last one.
-  __device__ __forceinline__ bool place(int rows, int64_t& plane, int& x, int& y) const {
-    int64_t const warp = int64_t(blockIdx.x) * 8 + threadIdx.x / 32;
+  __device__ __forceinline__ bool place(int64_t& plane, int& x, int& y) const {
+    unsigned const warp = blockIdx.x * 8 + threadIdx.x / 32;
     if (warp >= count) return false;
-    int64_t const q = warp / across;
-    x = int(warp - q * across) * 128 + (threadIdx.x % 32) * 4;
-    plane = q / down;
-    y = int(q - plane * down) * rows;
+    unsigned const q = warp / across, p = q / down;
+    x = int(warp - q * across) * 32 * P + (threadIdx.x % 32) * P;
+    y = int((q - p * down) * rows);
+    plane = p;
     return true;
   }
 };

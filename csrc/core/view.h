@@ -20,7 +20,10 @@ struct Planes {
   KV_HD int64_t count() const { return outer * inner; }
   KV_HD int64_t rows() const { return count() * height; }
   KV_HD int64_t row_size() const { return width * step; }
-  KV_HD T* plane(int64_t p) const { return data + (p / inner) * outer_stride + (p % inner) * inner_stride; }
+  KV_HD T* plane(int64_t p) const {
+    if (inner == 1) return data + p * outer_stride;  // dense images: no 64-bit division on the GPU
+    return data + (p / inner) * outer_stride + (p % inner) * inner_stride;
+  }
   KV_HD T* row(int64_t p, int64_t y) const { return plane(p) + y * row_stride; }
 };
 

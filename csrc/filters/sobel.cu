@@ -1,137 +1,151 @@
-// Sobel on CUDA. Each warp walks down a strip of 128 columns with three rows in registers, so a pixel is read from
-// device memory once; channels-last images and strips take a plain kernel, one thread an element.
+// Sobel on CUDA. Each warp walks down a strip of 128 columns with its rows in registers, so a pixel is read from device
+// memory once. Channels-last images take a plain kernel, one thread an element.
 #include "core/launch.cuh"
 #include "sobel.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kRows = 16;
+// Rows of a strip, measured on an H200. The backward pass has more to set up and more rows to share.
+constexpr int kRows = 8, kBackwardRows = 32;
 
-template <class F>
-__device__ __forceinline__ F magnitude(F gx, F gy, F eps) {
-  return sqrt(gx * gx + gy * gy + eps);
-}
-
-template <class T>
-__global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips strips, bool aligned) {
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>> strips) {
+  constexpr int P = kPixels<T>;
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(kRows, plane, x, y0)) return;
-  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + kRows, height);
-  T const* const in = p.x.plane(plane);
-  T* const out = p.y.plane(plane);
-  auto const row = [&](int y) { return in + clamp(y, 0, height - 1) * p.x.row_stride; };
+  if (!strips.place(plane, x, y0)) return;
+  Strip<1, Aligned, P> const strip(x, int(p.x.width), Border::replicate);
+  RowsDown<T> rows(p.x, plane, y0 - 1);
+  T* out = p.y.row(plane, y0);
+  F const scale = p.scale * p.scale;
+  int const y1 = min(y0 + int(strips.rows), int(p.x.height));
 
-  F a[6], b[6], c[6];
-  load_strip<1>(a, row(y0 - 1), x, width, aligned, Border::replicate);
-  load_strip<1>(b, row(y0), x, width, aligned, Border::replicate);
-#pragma unroll 4
+  F a[P + 2], b[P + 2], c[P + 2];
+  strip.load(a, rows.next());
+  strip.load(b, rows.next());
+  auto ahead = strip.fetch(rows.next());
+#pragma unroll 3
   for (int y = y0; y < y1; ++y) {
-    load_strip<1>(c, row(y + 1), x, width, aligned, Border::replicate);
-    F result[4];
+    auto const now = ahead;
+    ahead = strip.fetch(rows.next());
+    strip.spread(now, c);
+    SobelColumn<F> columns[P + 2];
 #pragma unroll
-    for (int i = 0; i < 4; ++i) {
+    for (int i = 0; i < P + 2; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
+    F result[P];
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
       F gx, gy;
-      sobel_gradients(a[i], a[i + 1], a[i + 2], b[i], b[i + 2], c[i], c[i + 1], c[i + 2], p.scale, gx, gy);
-      result[i] = magnitude(gx, gy, p.eps);
+      sobel_gradients(columns[i], columns[i + 1], columns[i + 2], F(1), gx, gy);
+      result[i] = fast_sqrt((gx * gx + gy * gy) * scale + p.eps);
     }
-    store_four<T>(out + y * p.y.row_stride, x, width, aligned, result);
+    strip.store(out, result);
+    out += p.y.row_stride;
 #pragma unroll
-    for (int i = 0; i < 6; ++i) a[i] = b[i], b[i] = c[i];
+    for (int i = 0; i < P + 2; ++i) a[i] = b[i], b[i] = c[i];
   }
 }
 
-// u = g gx / magnitude and v = g gy / magnitude at one row, for the six columns a strip needs, from the rows of x
-// around it.
+// What one row gives to the gradients of the rows around it, for a strip's four pixels: u = g gx / magnitude and
+// v = g gy / magnitude at its six columns, from the rows of x around it. `odd` is -1 for the continuation above and
+// below the image.
 template <class T>
-__device__ __forceinline__ void weigh(SobelBackward<T> const& p, Compute<T> const (&a)[8], Compute<T> const (&b)[8],
-                                      Compute<T> const (&c)[8], Compute<T> const (&g)[6], int x, int width,
-                                      Compute<T> odd, Compute<T> (&u)[6], Compute<T> (&v)[6]) {
+__device__ __forceinline__ void row_vjp(SobelBackward<T> const& p, Compute<T> const (&a)[8], Compute<T> const (&b)[8],
+                                        Compute<T> const (&c)[8], Compute<T> const (&g)[6], int x, Compute<T> odd,
+                                        SobelRow<Compute<T>> (&row)[4]) {
   using F = Compute<T>;
+  F u[6], v[6];
+  SobelColumn<F> columns[8];
+#pragma unroll
+  for (int i = 0; i < 8; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
 #pragma unroll
   for (int i = 0; i < 6; ++i) {
     F gx, gy;
-    sobel_gradients(a[i], a[i + 1], a[i + 2], b[i], b[i + 2], c[i], c[i + 1], c[i + 2], p.scale, gx, gy);
-    F const s = sobel_magnitude_vjp(g[i], magnitude(gx, gy, p.eps));
+    sobel_gradients(columns[i], columns[i + 1], columns[i + 2], p.scale, gx, gy);
+    F const squared = gx * gx + gy * gy + p.eps;
+    F const s = squared > 0 ? g[i] * fast_rsqrt(squared) : F(0);
     u[i] = gx * s;
-    v[i] = gy * s * odd;
+    v[i] = gy * s;
   }
   // The continuation beyond the left and right rim; see sobel.h.
+  int const width = int(p.x.width);
   if (x == 0) u[0] = -u[1], v[0] = v[1];
 #pragma unroll
   for (int i = 2; i < 6; ++i)
     if (x + i - 1 == width) u[i] = -u[i - 1], v[i] = v[i - 1];
+#pragma unroll
+  for (int i = 0; i < 4; ++i) {
+    row[i] = sobel_row_vjp(u[i], u[i + 2], v[i], v[i + 1], v[i + 2]);
+    row[i].along *= odd;
+  }
 }
 
-template <class T>
-__global__ void __launch_bounds__(256) sobel_backward_strip(SobelBackward<T> p, Strips strips, bool aligned) {
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 2)
+    sobel_backward_strip(SobelBackward<T> p, Strips<> strips) {
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(kRows, plane, x, y0)) return;
-  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + kRows, height);
-  T const* const in = p.x.plane(plane);
-  T const* const grad = p.grad.plane(plane);
-  T* const out = p.grad_x.plane(plane);
-  // Row y of u and v needs rows y - 1 to y + 1 of x around the row nearest to y inside the image.
-  auto const load_x = [&](F(&v)[8], int y) {
-    load_strip<2>(v, in + clamp(y, 0, height - 1) * p.x.row_stride, x, width, aligned, Border::replicate);
-  };
+  if (!strips.place(plane, x, y0)) return;
+  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  Strip<2, Aligned> const strip_x(x, width, Border::replicate);
+  Strip<1, Aligned> const strip_g(x, width, Border::replicate);
+  // A row comes from the rows of x above, beside and below it. The row above the first one continues it, so its window
+  // is the first row's: the walk starts one row later there, and stays one row longer at the end.
+  int const first = max(y0 - 1, 0);
+  RowsDown<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
+  T* out = p.grad_x.row(plane, y0);
+
   F a[8], b[8], c[8], g[6];
-  F ua[6], ub[6], uc[6], va[6], vb[6], vc[6];
-  auto const fill = [&](int y, F(&u)[6], F(&v)[6]) {
-    load_strip<1>(g, grad + clamp(y, 0, height - 1) * p.grad.row_stride, x, width, aligned, Border::replicate);
-    weigh(p, a, b, c, g, x, width, y < 0 || y >= height ? F(-1) : F(1), u, v);
-  };
-  if (y0 == 0) {
-    load_x(a, 0);
-    load_x(b, 0);
-    load_x(c, 1);
-    fill(-1, ua, va);
-    fill(0, ub, vb);
-  } else {
-    load_x(a, y0 - 2);
-    load_x(b, y0 - 1);
-    load_x(c, y0);
-    fill(y0 - 1, ua, va);
+  SobelRow<F> above[4], beside[4], below[4];
+  strip_x.load(b, rows_x.next());
+  strip_x.load(c, rows_x.next());
+  auto ahead_x = strip_x.fetch(rows_x.next());
+  auto ahead_g = strip_g.fetch(rows_g.next());
+  auto const down = [&] {
+    auto const now_x = ahead_x;
+    auto const now_g = ahead_g;
+    ahead_x = strip_x.fetch(rows_x.next());
+    ahead_g = strip_g.fetch(rows_g.next());
 #pragma unroll
     for (int i = 0; i < 8; ++i) a[i] = b[i], b[i] = c[i];
-    load_x(c, y0 + 1);
-    fill(y0, ub, vb);
-  }
-#pragma unroll 2
+    strip_x.spread(now_x, c);
+    strip_g.spread(now_g, g);
+  };
+  down();
+  row_vjp(p, a, b, c, g, x, y0 == 0 ? F(-1) : F(1), above);
+  if (y0 > 0) down();
+  row_vjp(p, a, b, c, g, x, F(1), beside);
   for (int y = y0; y < y1; ++y) {
-    if (y + 1 < height) {
-#pragma unroll
-      for (int i = 0; i < 8; ++i) a[i] = b[i], b[i] = c[i];
-      load_x(c, y + 2);
-    }
-    fill(y + 1, uc, vc);
+    bool const last = y + 1 == height;
+    if (!last) down();
+    row_vjp(p, a, b, c, g, x, last ? F(-1) : F(1), below);
     F result[4];
 #pragma unroll
-    for (int i = 0; i < 4; ++i)
-      result[i] = sobel_gradients_vjp(ua[i], ua[i + 2], ub[i], ub[i + 2], uc[i], uc[i + 2], va[i], va[i + 1], va[i + 2],
-                                      vc[i], vc[i + 1], vc[i + 2], p.scale);
-    store_four<T>(out + y * p.grad_x.row_stride, x, width, aligned, result);
-#pragma unroll
-    for (int i = 0; i < 6; ++i) ua[i] = ub[i], ub[i] = uc[i], va[i] = vb[i], vb[i] = vc[i];
+    for (int i = 0; i < 4; ++i) {
+      result[i] = sobel_gradients_vjp(above[i], beside[i], below[i], p.scale);
+      above[i] = beside[i];
+      beside[i] = below[i];
+    }
+    strip_x.store(out, result);
+    out += p.grad_x.row_stride;
   }
 }
 
-// --- any layout: one thread an element
-// ---------------------------------------------------------------------------------
+// --- channels-last: one thread an element
+// -----------------------------------------------------------------------------
 
 template <class T>
 __device__ __forceinline__ void gradients_at(Planes<T const> const& x, Compute<T> scale, int64_t plane, int64_t y,
                                              int64_t e, Compute<T>& gx, Compute<T>& gy) {
-  int64_t const left = e >= x.step ? e - x.step : e, right = e + x.step < x.row_size() ? e + x.step : e;
   T const* const b = x.row(plane, y);
   T const* const a = y > 0 ? b - x.row_stride : b;
   T const* const c = y + 1 < x.height ? b + x.row_stride : b;
-  sobel_gradients(read(a[left]), read(a[e]), read(a[right]), read(b[left]), read(b[right]), read(c[left]), read(c[e]),
-                  read(c[right]), scale, gx, gy);
+  auto const column = [&](int64_t i) { return sobel_column(read(a[i]), read(b[i]), read(c[i])); };
+  sobel_gradients(column(e >= x.step ? e - x.step : e), column(e), column(e + x.step < x.row_size() ? e + x.step : e),
+                  scale, gx, gy);
 }
 
 template <class T>
@@ -141,7 +155,7 @@ __global__ void sobel_any(Sobel<T> p) {
   int64_t const e = i % size, r = i / size, plane = r / p.x.height, y = r % p.x.height;
   Compute<T> gx, gy;
   gradients_at<T>(p.x, p.scale, plane, y, e, gx, gy);
-  p.y.row(plane, y)[e] = round_to<T>(magnitude(gx, gy, p.eps));
+  p.y.row(plane, y)[e] = round_to<T>(fast_sqrt(gx * gx + gy * gy + p.eps));
 }
 
 template <class T>
@@ -150,45 +164,51 @@ __global__ void sobel_backward_any(SobelBackward<T> p) {
   int64_t const i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x, size = p.x.row_size(), step = p.x.step;
   if (i >= p.x.rows() * size) return;
   int64_t const e = i % size, r = i / size, plane = r / p.x.height, y = r % p.x.height;
-  F u[3][3], v[3][3];
-  for (int dy = 0; dy < 3; ++dy)
+  SobelRow<F> rows[3];
+  for (int dy = 0; dy < 3; ++dy) {
+    int64_t const yy = y + dy - 1;
+    bool const outside_y = yy < 0 || yy >= p.x.height;
+    F u[3], v[3];
     for (int dx = 0; dx < 3; ++dx) {
-      int64_t const yy = y + dy - 1, ee = e + (dx - 1) * step;
-      bool const outside_y = yy < 0 || yy >= p.x.height, outside_x = ee < 0 || ee >= size;
+      int64_t const ee = e + (dx - 1) * step;
+      bool const outside_x = ee < 0 || ee >= size;
       int64_t const iy = outside_y ? y : yy, ie = outside_x ? e : ee;
       F gx, gy;
       gradients_at<T>(p.x, p.scale, plane, iy, ie, gx, gy);
-      F const s = sobel_magnitude_vjp(read(p.grad.row(plane, iy)[ie]), magnitude(gx, gy, p.eps));
-      u[dy][dx] = gx * (outside_x ? -s : s);
-      v[dy][dx] = gy * (outside_y ? -s : s);
+      F const squared = gx * gx + gy * gy + p.eps;
+      F const s = squared > 0 ? read(p.grad.row(plane, iy)[ie]) * fast_rsqrt(squared) : F(0);
+      u[dx] = gx * (outside_x ? -s : s);
+      v[dx] = gy * (outside_y ? -s : s);
     }
-  p.grad_x.row(plane, y)[e] =
-      round_to<T>(sobel_gradients_vjp(u[0][0], u[0][2], u[1][0], u[1][2], u[2][0], u[2][2], v[0][0], v[0][1], v[0][2],
-                                      v[2][0], v[2][1], v[2][2], p.scale));
+    rows[dy] = sobel_row_vjp(u[0], u[2], v[0], v[1], v[2]);
+  }
+  p.grad_x.row(plane, y)[e] = round_to<T>(sobel_gradients_vjp(rows[0], rows[1], rows[2], p.scale));
 }
 
 }  // namespace
 
 template <class T>
 int sobel(Sobel<T> const& p, CUstream_st* stream) {
-  if (p.x.step == 1) {
-    Strips const strips(p.x.count(), p.x.height, p.x.width, kRows);
-    sobel_strip<<<strips.blocks(), 256, 0, stream>>>(p, strips, is_aligned(p.x) && is_aligned(p.y));
-  } else {
+  constexpr int P = kPixels<T>;
+  Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  if (is_strip<P>(p.x) && is_strip<P>(p.y))
+    sobel_strip<T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  else if (p.x.step == 1)
+    sobel_strip<T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  else
     sobel_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
-  }
   return cudaGetLastError();
 }
 
 template <class T>
 int sobel_backward(SobelBackward<T> const& p, CUstream_st* stream) {
-  if (p.x.step == 1) {
-    Strips const strips(p.x.count(), p.x.height, p.x.width, kRows);
-    sobel_backward_strip<<<strips.blocks(), 256, 0, stream>>>(
-        p, strips, is_aligned(p.x) && is_aligned(p.grad) && is_aligned(p.grad_x));
-  } else {
+  Strips<> const strips(p.x.count(), p.x.height, p.x.width, kBackwardRows);
+  if (is_strip<4>(p.x) && is_strip<4>(p.grad) && is_strip<4>(p.grad_x))
+    sobel_backward_strip<T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  else if (p.x.step == 1)
+    sobel_backward_strip<T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  else
     sobel_backward_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
-  }
   return cudaGetLastError();
 }
 

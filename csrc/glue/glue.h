@@ -108,6 +108,7 @@ Planes<T> planes(Tensor const& x, Layout layout) {
   auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
   int64_t const b = x.size(0), c = x.size(1), h = x.size(2), w = x.size(3);
   if (layout == Layout::channels_last) return {data, b, 1, x.stride(0), 0, x.stride(2), h, w, c};
+  if (x.stride(0) == c * x.stride(1) || b == 1) return {data, b * c, 1, x.stride(1), 0, x.stride(2), h, w, 1};
   return {data, b, c, x.stride(0), x.stride(1), x.stride(2), h, w, 1};
 }
 

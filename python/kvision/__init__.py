@@ -3,10 +3,56 @@
     >>> import torch, kvision as K
     >>> K.filters.sobel(torch.rand(1, 3, 8, 8)).shape
     torch.Size([1, 3, 8, 8])
+
+`kvision.info()` tells what was built and what serves which device.
 """
 
-from kvision import filters
+from kvision import constants, core, filters, image, io, utils
 from kvision._ops import backend
 from kvision._version import __version__
 
-__all__ = ["__version__", "backend", "filters"]
+# The names that have a home at the top level, too: those of the Kornia paper's examples and those Kornia 0.9 has there.
+from kvision.filters import gaussian_blur2d, sobel
+from kvision.image import (
+    draw_convex_polygon,
+    draw_line,
+    draw_point2d,
+    draw_rectangle,
+    image_to_string,
+    image_to_tensor,
+    print_image,
+    tensor_to_image,
+)
+from kvision.utils import (
+    get_cuda_device_if_available,
+    get_cuda_or_mps_device_if_available,
+    get_mps_device_if_available,
+    is_autocast_enabled,
+    xla_is_available,
+)
+
+__all__ = [
+    "__version__",
+    "backend",
+    "constants",
+    "core",
+    "draw_convex_polygon",
+    "draw_line",
+    "draw_point2d",
+    "draw_rectangle",
+    "filters",
+    "gaussian_blur2d",
+    "get_cuda_device_if_available",
+    "get_cuda_or_mps_device_if_available",
+    "get_mps_device_if_available",
+    "image",
+    "image_to_string",
+    "image_to_tensor",
+    "io",
+    "is_autocast_enabled",
+    "print_image",
+    "sobel",
+    "tensor_to_image",
+    "utils",
+    "xla_is_available",
+]

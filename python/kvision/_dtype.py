@@ -1,4 +1,4 @@
-"""Number types of images: what an operator takes and what it computes in. How results are stored is in _ops.as_stored."""
+"""The number types an operator on images takes and computes in; _ops.as_stored has how it stores its result."""
 
 from __future__ import annotations
 

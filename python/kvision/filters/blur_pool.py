@@ -122,9 +122,9 @@ def edge_aware_blur_pool2d(
 
     Example:
         >>> import torch, kvision as K
-        >>> x = torch.tensor([1., 1., 1., 1., 1., 1., 9.]).expand(1, 1, 3, 7)
+        >>> x = torch.tensor([1., 1., 1., 1., 9., 9., 9., 9.]).expand(1, 1, 3, 8)
         >>> K.filters.edge_aware_blur_pool2d(x, 3)[0, 0, 0]
-        tensor([1., 1., 1., 1., 1., 1., 9.])
+        tensor([1., 1., 1., 1., 9., 9., 9., 9.])
     """
     x, ky, kx, _ = _arguments("edge_aware_blur_pool2d", input, kernel_size, 1)
     (dilation,) = _check.ints("edge_aware_blur_pool2d", "edge_dilation_kernel_size", edge_dilation_kernel_size, 1)

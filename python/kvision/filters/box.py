@@ -30,7 +30,7 @@ def box_blur(
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even), other integers give float32.
-        kernel_size: size of the window, an int or (y, x). A window of even size reaches one pixel further right and down.
+        kernel_size: size of the window, an int or (y, x). An even one reaches one pixel further right and down.
         border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
         separable: for compatibility; the result is the same.
 

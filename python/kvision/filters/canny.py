@@ -51,7 +51,7 @@ _canny_suppress = as_stored(_reference_suppress)
 
 
 def _reference_hysteresis(edges: Tensor) -> Tensor:
-    """1 on strong edges (1) and on the weak ones (0.5) that touch them, in 8 directions and through each other; else 0."""
+    """1 on strong edges (1) and on weak ones (0.5) that touch them in 8 directions, also through each other; else 0."""
     candidates, strong = (edges > 0).to(edges.dtype), (edges == 1).to(edges.dtype)
     while True:
         grown = candidates * F.max_pool2d(strong, 3, stride=1, padding=1)
@@ -74,8 +74,8 @@ def canny(
 ) -> tuple[Tensor, Tensor]:
     """Find edges: thin lines along the ridges of the gradient magnitude.
 
-    The image, made grey, is blurred with a Gaussian; its unnormalised Sobel gradient gives the magnitude
-    sqrt(gx^2 + gy^2 + eps); a magnitude that is no maximum along its gradient becomes 0; what is above high_threshold is
+    The image, made grey, is blurred with a Gaussian. Its unnormalised Sobel gradient has the magnitude
+    sqrt(gx^2 + gy^2 + eps), which becomes 0 where it is no maximum along the gradient. What is above high_threshold is
     a strong edge, what is above low_threshold a weak one.
 
     Args:

@@ -15,7 +15,7 @@ from kvision.filters.border import pad, same_pads
 
 
 def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
-    """Cross-correlate every channel of `x` (B, C, *S) with `kernel` (B or 1, *K), where the kernel fits inside; 2-D or 3-D."""
+    """Cross-correlate the channels of `x` (B, C, *S) with `kernel` (B or 1, *K) where it fits inside; 2-D or 3-D."""
     b, c, *size = x.shape
     n, *taps = kernel.shape
     if n * c == 0:  # a convolution has at least one group; without planes any crop of the right size will do
@@ -46,7 +46,7 @@ def filter2d(
 ) -> Tensor:
     """Filter every channel of an image with one kernel.
 
-    Cross-correlation: the kernel lies on the image unflipped, its tap (kH - 1) // 2, (kW - 1) // 2 on the pixel computed.
+    The kernel lies on the image unflipped, with its tap (kH - 1) // 2, (kW - 1) // 2 on the pixel that is computed.
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.
@@ -61,7 +61,7 @@ def filter2d(
 
     Raises:
         TypeCheckError: input or kernel is no real tensor.
-        ShapeError: wrong ranks or batch sizes, a 'valid' kernel larger than the image, or a border wider than the image.
+        ShapeError: wrong ranks or batch sizes; a 'valid' kernel larger than the image, a border wider than it.
         ValueCheckError: an unknown border_type, padding or behaviour.
         DeviceError: input and kernel are on different devices.
 
@@ -86,7 +86,7 @@ def correlate2d(
     Example:
         >>> import torch, kvision as K
         >>> x = torch.tensor([[[[0., 1., 0.]]]])
-        >>> K.filters.correlate2d(x, torch.tensor([[[1., 2., 3.]]]))
+        >>> K.filters.correlate2d(x, torch.tensor([[[1., 2., 3.]]]), border_type="constant")
         tensor([[[[3., 2., 1.]]]])
     """
     return filter2d(input, kernel, border_type, normalized, padding, "corr")
@@ -125,7 +125,7 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
 
 
 def check_padding(op: str, x: Tensor, taps: Sequence[int], border_type: str, padding: str) -> bool:
-    """Whether `padding` is 'same'; raise where the border or, for 'valid', a kernel of these sizes does not fit the image."""
+    """Whether `padding` is 'same'; raise where the border or, for 'valid', a kernel of these sizes does not fit."""
     _check.border(op, border_type)
     _check.choice(op, "padding", padding, ("same", "valid"))
     if padding == "same":

@@ -126,5 +126,5 @@ def axis_kernels(
 
 
 def positive(values: Tensor) -> Tensor:
-    """`values`, with NaN for those that are not positive: a bad sigma spoils its images without a look from the host."""
+    """`values`, NaN where they are not positive: a bad sigma spoils its images without a look from the host."""
     return torch.where(values > 0, values, torch.nan)

@@ -25,8 +25,8 @@ def guided_blur(
 ) -> Tensor:
     """Blur an image but keep the edges of a guidance image, which may be the image itself.
 
-    In every window the result is the linear function of the guidance that fits the input best; a pixel takes the mean of
-    the functions of the windows it is in.
+    For every window the linear function of the guidance is found that fits the input best; a pixel takes the mean of
+    the functions of all windows it is in.
 
     Args:
         guidance: image (B, C, H, W); the fit is to all its channels together.
@@ -53,7 +53,7 @@ def guided_blur(
         >>> import torch, kvision as K
         >>> x = torch.tensor([[[[0., 0.1, 1., 0.9]]]])
         >>> K.filters.guided_blur(x, x, (1, 3), 0.01, "replicate")
-        tensor([[[[0.0494, 0.0812, 0.9188, 0.9506]]]])
+        tensor([[[[0.0239, 0.0970, 0.9654, 0.9137]]]])
     """
     _check.images("guided_blur", "guidance", guidance)
     _check.images("guided_blur", "input", input)
@@ -92,8 +92,7 @@ def guided_blur(
     offset = mean_x - (slope * mean_guide[:, :, None]).sum(1)
     slope, offset = mean(slope), mean(offset)
     if subsample > 1:
-        slope = F.interpolate(slope.flatten(1, 2), (h, w), mode="bilinear").reshape(*slope.shape[:3], h, w)
-        offset = F.interpolate(offset, (h, w), mode="bilinear")
+        slope, offset = _enlarged(slope, h, w), _enlarged(offset, h, w)
     return ((slope * full_guide[:, :, None]).sum(1) + offset).to(stored)
 
 
@@ -117,6 +116,11 @@ def _every(size: int, step: int, device: torch.device) -> Tensor:
     return (((2 * i + 1) * size + parts * (1 - step)) // (2 * parts)).clamp(0, size - 1)
 
 
+def _enlarged(planes: Tensor, h: int, w: int) -> Tensor:
+    """(*, H, W) resized bilinearly."""
+    return F.interpolate(planes.flatten(0, -3)[:, None], (h, w), mode="bilinear").reshape(*planes.shape[:-2], h, w)
+
+
 def _solve(a: Tensor, y: Tensor) -> Tensor:
     """The solution (B, C, N, H, W) of a s = y in every pixel, `a` (B, C, C, H, W) symmetric and positive definite.
 
@@ -124,6 +128,8 @@ def _solve(a: Tensor, y: Tensor) -> Tensor:
     gather a matrix for each pixel and wait for the device.
     """
     rows = list(torch.cat((a, y), 2).unbind(1))
+    if not rows:
+        return y
     for i in range(len(rows)):
         pivot = rows[i] / rows[i][:, i : i + 1]
         rows = [pivot if j == i else row - row[:, i : i + 1] * pivot for j, row in enumerate(rows)]

@@ -137,10 +137,9 @@ def get_gaussian_discrete_kernel1d(
     device: torch.device | None = None,
     dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """The discrete analogue of the Gaussian: weights exp(-t) I_n(t) with t = sigma^2 and I_n the modified Bessel functions.
+    """The discrete analogue of the Gaussian: weights exp(-t) I_n(t), t = sigma^2 and I_n the modified Bessel functions.
 
-    Two blurs with sigmas a and b equal one with sqrt(a^2 + b^2) exactly, which a sampled Gaussian misses for small sigmas
-    (Lindeberg, Scale-Space for Discrete Signals, 1990).
+    Blurs with sigmas a and b make exactly one with sqrt(a^2 + b^2), which sampled Gaussians miss where sigma is small.
 
     Args:
         kernel_size: odd.
@@ -155,6 +154,8 @@ def get_gaussian_discrete_kernel1d(
     Raises:
         TypeCheckError, ShapeError, ValueCheckError: as `gaussian`, or an even size.
 
+    Source: T. Lindeberg, "Scale-space for discrete signals" (1990).
+
     Example:
         >>> import kvision as K
         >>> K.filters.get_gaussian_discrete_kernel1d(3, 1.0)
@@ -162,8 +163,8 @@ def get_gaussian_discrete_kernel1d(
     """
     (size,) = _sizes("get_gaussian_discrete_kernel1d", kernel_size, 1)
     (sigma,), dtype = _sigma_columns("get_gaussian_discrete_kernel1d", sigma, 1, device, dtype)
-    # The kernel's Fourier transform is exp(-2 t sin^2(w / 2)): transform back by the midpoint rule. Beyond w = 14 / sigma
-    # nothing is left of it in float64, and this many nodes resolve the rest.
+    # The kernel's Fourier transform is exp(-2 t sin^2(w / 2)): transform back by the midpoint rule. In float64 nothing
+    # is left of it beyond w = 14 / sigma, and this many nodes resolve the rest.
     sigma = sigma.double()
     nodes = size + 40
     reach = (14 / sigma.detach()).clamp(max=math.pi)
@@ -182,7 +183,7 @@ def get_gaussian_erf_kernel1d(
     device: torch.device | None = None,
     dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """Integrate a Gaussian over every pixel, by the error function, and divide by the sum; even sizes only with force_even.
+    """Integrate a Gaussian over every pixel and divide by the sum; even sizes only with force_even.
 
     Args and errors as `gaussian`; sigma must be positive.
 
@@ -192,7 +193,7 @@ def get_gaussian_erf_kernel1d(
     Example:
         >>> import kvision as K
         >>> K.filters.get_gaussian_erf_kernel1d(3, 1.0)
-        tensor([[0.2790, 0.4421, 0.2790]])
+        tensor([[0.2790, 0.4420, 0.2790]])
     """
     (size,) = _sizes("get_gaussian_erf_kernel1d", kernel_size, 1, force_even)
     (sigma,), dtype = _sigma_columns("get_gaussian_erf_kernel1d", sigma, 1, device, dtype, zero=False)
@@ -202,7 +203,7 @@ def get_gaussian_erf_kernel1d(
 
 
 def sigmas(op: str, name: str, value: object, count: int, *, zero: bool = False) -> Tensor | tuple[float, ...]:
-    """`value` checked: a tensor (B, count) as it is, its values unread; one or `count` numbers as `count` positive floats."""
+    """`value` checked: a tensor (B, count) as it is, its values unread; numbers as `count` positive floats."""
     if isinstance(value, Tensor):
         _check.shape(op, name, value, "B", count)
         return value
@@ -312,7 +313,7 @@ def laplacian_1d(window_size: int, *, device: torch.device | None = None, dtype:
     """Ones around a centre of 1 - window_size: (window_size,) of sum 0.
 
     Raises:
-        TypeCheckError, ValueCheckError: a window_size that is no int of at least 1, a dtype that cannot hold the centre.
+        TypeCheckError, ValueCheckError: a window_size that is no int of at least 1, a dtype too small for the centre.
 
     Example:
         >>> import kvision as K
@@ -402,7 +403,7 @@ def derivative_rows(mode: str, order: int, axes: int) -> list[tuple[tuple[tuple[
     """For every channel of the gradient, the rows along x, y, z and the unit of their product."""
     rows = _ROWS[mode, order]
     channels = [[rows[n] for n in orders] for orders in _CHANNELS[axes, order]]
-    return [(tuple(row for row, _ in channel), math.prod(unit for _, unit in channel)) for channel in channels]
+    return [(tuple(row for row, _ in channel), math.prod([unit for _, unit in channel])) for channel in channels]
 
 
 def get_sobel_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:

@@ -58,8 +58,8 @@ def get_motion_kernel3d(
 
     Args:
         kernel_size: length of the line, an odd int of at least 3.
-        angle: degrees (yaw, pitch, roll), the components along x, y, z of the rotation vector; three numbers or a tensor
-            (3,) or (B, 3).
+        angle: degrees (yaw, pitch, roll), the components along x, y, z of the rotation vector; three numbers, or a
+            tensor (3,) or (B, 3).
         direction: as in :func:`get_motion_kernel2d`.
         mode: 'nearest' or 'bilinear'.
 
@@ -212,10 +212,9 @@ def _parameters(
     device = next((p.device for p in (*tensors.values(), image) if p is not None), None)
     angle = _rows(op, "angle", angle, 1 if axes == 2 else 3, device, wide)
     direction = _rows(op, "direction", direction, 1, device, wide)
-    if len({angle.shape[0], direction.shape[0]} - {1}) > 1:
-        raise ShapeError(
-            f"{op}: expected angle and direction of one length, got {angle.shape[0]} and {direction.shape[0]}"
-        )
+    lengths = (angle.shape[0], direction.shape[0])
+    if lengths[0] != lengths[1] and 1 not in lengths:
+        raise ShapeError(f"{op}: expected angle and direction of one length, got {lengths[0]} and {lengths[1]}")
     return angle, direction, dtype
 
 
@@ -236,7 +235,7 @@ def _rows(op: str, name: str, value: object, count: int, device: torch.device | 
 
 
 def _turned_back(angle: Tensor, centre: int) -> list[Tensor]:
-    """x, y (, z) of every pixel of a kernel, from its centre, turned back by `angle` (B, 1 or 3) radians; each (B, ...)."""
+    """x, y (, z) from the centre of every pixel of a kernel, turned back by `angle` (B, 1 or 3) radians."""
     offsets = torch.arange(-centre, centre + 1, device=angle.device, dtype=angle.dtype)
     if angle.shape[1] == 1:
         y, x = offsets[:, None], offsets
@@ -257,7 +256,7 @@ def _turned_back(angle: Tensor, centre: int) -> list[Tensor]:
 
 
 def _to_nearest(position: Tensor, centre: int) -> Tensor:
-    """The whole pixel nearest to a position; halves, whatever their last bits, go to the even index, counted from the rim."""
+    """The nearest whole pixel; halves, whatever their last bits, go to the even index as counted from the rim."""
     return ((position * 2**20).round() / 2**20 + centre).round() - centre
 
 

@@ -18,9 +18,9 @@ def otsu_threshold(
 ) -> tuple[Tensor, Tensor]:
     """Split every image plane in two by the threshold that maximises the variance between the parts.
 
-    The values from the smallest to the largest are counted in nbins bins of equal width. The threshold is the upper edge
-    of the best bin, or the largest dark value where rounding would put a bright one on the wrong side. A plane of one
-    value has that value as its threshold.
+    The values from the smallest to the largest are counted in nbins bins of equal width. The threshold is the upper
+    edge of the best bin, or the largest dark value where a bright one lies on that edge. A plane of one value has that
+    value as its threshold.
 
     Args:
         x: a plane (H, W), or planes (C, H, W), (B, C, H, W) or (F, B, C, H, W); any real type but bool.

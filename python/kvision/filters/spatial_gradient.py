@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import torch
 from torch import Tensor
 
@@ -16,8 +18,7 @@ from kvision.filters.kernels import check_derivative, derivative_rows
 def _along(x: Tensor, axis: int, row: tuple[int, ...]) -> Tensor:
     """Cross-correlate one axis with a row of small numbers, where it fits inside; pixels under a zero are not read."""
     n = x.shape[axis] - len(row) + 1
-    first, *rest = (weight * x.narrow(axis, i, n) for i, weight in enumerate(row) if weight)
-    return sum(rest, first)
+    return functools.reduce(torch.add, [weight * x.narrow(axis, i, n) for i, weight in enumerate(row) if weight])
 
 
 def derivatives(x: Tensor, mode: str, order: int, normalized: bool) -> Tensor:

@@ -16,13 +16,12 @@ import contextlib
 from typing import Any
 
 import hypothesis.strategies as st
+import kvision as K
 import pytest
 import torch
 from hypothesis import given
-from torch import Tensor
-
-import kvision as K
 from kvision import _ops
+from torch import Tensor
 
 # The one table of tolerances: (relative, absolute) by the type results are stored in.
 TOLERANCES = {
@@ -222,7 +221,7 @@ class OpTests:
 
     def test_input_is_not_modified(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
-        names, values = self.tensors(x, kwargs)
+        _, values = self.tensors(x, kwargs)
         before = [v.clone() for v in values]
         versions = [v._version for v in values]
         self.call(x, kwargs)
@@ -295,7 +294,7 @@ class OpTests:
             if self.differentiable:
                 self.gradients(x, kwargs, [torch.ones_like(o) for o in as_tuple(self.call(x, kwargs))])
         assert {name for name, _ in calls} <= set(self.operators)
-        for name, args in {(name): (name, args) for name, args in calls}.values():
+        for name, args in dict(calls).items():
             detached = tuple(a.detach() if isinstance(a, Tensor) else a for a in args)
             if self.differentiable and not name.endswith("backward"):
                 detached = (detached[0].requires_grad_(), *detached[1:])
@@ -349,7 +348,8 @@ class OpTests:
         values = [v.requires_grad_() for v in values]
         f = self.of_tensors(kwargs, names)
         assert torch.autograd.gradcheck(f, values, nondet_tol=0.0)
-        assert torch.autograd.gradgradcheck(f, values, nondet_tol=0.0)
+        # Second derivatives may be the reference's, and torch's padding sums its gradient in any order on CUDA.
+        assert torch.autograd.gradgradcheck(f, values, nondet_tol=0.0 if device.type == "cpu" else 1e-9)
 
     def test_only_what_is_asked_for(self, variant, device):
         """Gradients of the parameters alone equal those asked for together."""
@@ -389,7 +389,7 @@ class OpTests:
         (expected,) = torch.autograd.grad(loss(leaf), leaf)
         assert_close(torch.func.grad(loss)(x), expected)
         tangent = torch.rand_like(x)
-        value, directional = torch.func.jvp(loss, (x,), (tangent,))
+        _, directional = torch.func.jvp(loss, (x,), (tangent,))
         assert_close(directional, (expected * tangent).sum(), 1e-7, 1e-7)
         per_sample = torch.func.vmap(torch.func.grad(loss))(x[None].repeat(3, *[1] * x.dim()))
         assert_close(per_sample[1], expected)
@@ -441,7 +441,7 @@ class OpTests:
 
         shared = all(not isinstance(v, Tensor) or v.shape[0] == 1 for v in kwargs.values())
         batch = {0: torch.export.Dim("batch")} if shared else None
-        program = torch.export.export(Program(), (x,), dynamic_shapes=({**batch},) if batch else None)
+        program = torch.export.export(Program(), (x,), dynamic_shapes=(batch,) if batch else None)
         y = self.input((3, *self.shape[1:]), torch.float32, device) if shared else x
         self.check(program.module()(y), self.call(y, kwargs))
 

@@ -7,6 +7,9 @@
 `kvision.info()` tells what was built and what serves which device.
 """
 
+import importlib
+from typing import Any
+
 from kvision import constants, core, filters, image, io, utils
 from kvision._ops import backend
 from kvision._version import __version__
@@ -48,6 +51,7 @@ __all__ = [
     "image",
     "image_to_string",
     "image_to_tensor",
+    "info",
     "io",
     "is_autocast_enabled",
     "print_image",
@@ -56,3 +60,9 @@ __all__ = [
     "utils",
     "xla_is_available",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "info":  # imported late, because `python -m kvision.info` warns when it is loaded before it runs
+        return importlib.import_module("kvision.info")
+    raise AttributeError(f"module 'kvision' has no attribute {name!r}")

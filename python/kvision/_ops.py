@@ -17,13 +17,14 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from kvision.core.exceptions import ValueCheckError
 
@@ -73,6 +74,14 @@ def _checked_backend(name: str) -> str:
 
 
 _backend = _checked_backend(os.environ.get("KVISION_BACKEND", "auto"))
+
+if "cpu" in unserved and _backend == "auto":
+    warnings.warn(
+        f"kvision computes everything in plain torch, which is slower: {unserved['cpu']}. `python -m kvision.info` says "
+        "what to do; KVISION_BACKEND=reference in the environment accepts it.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
 
 
 @contextlib.contextmanager
@@ -284,8 +293,6 @@ class Operator:
 
     def _alert_not_deterministic(self) -> None:
         if torch.is_deterministic_algorithms_warn_only_enabled():
-            import warnings
-
             warnings.warn(f"{self.name} does not have a deterministic implementation", stacklevel=3)
         else:
             raise RuntimeError(
@@ -323,9 +330,9 @@ def _map(f: Callable[[Any], Any], output: Any) -> Any:
 
 def _empty(x: Tensor, sizes: Sequence[int]) -> Tensor:
     """What the kernels allocate: dense, channels-last for an image that is channels-last, as glue.h's layout_of has it."""
-    if len(sizes) == 4 and x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:
-        if x.stride(3) == x.shape[1] and x.stride(2) == x.shape[1] * x.shape[3]:
-            return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
+    c = x.shape[1] if x.dim() == len(sizes) == 4 else 0
+    if c > 1 and (x.stride(1), x.stride(3), x.stride(2)) == (1, c, c * x.shape[3]):
+        return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
     return x.new_empty(sizes)
 
 

@@ -234,7 +234,7 @@ def test_overhead(tmp_path, capsys):
     out = tmp_path / "overhead.json"
     assert overhead.main(["--calls", "2", "--blocks", "1", "--json", str(out)]) == 0
     rows = json.loads(out.read_text())["rows"]
-    assert rows[0]["operator"] == "aten mul" and all(r["forward"] > 0 for r in rows)
+    assert rows[0]["call"] == "aten mul" and all(r["forward"] > 0 for r in rows)
 
 
 def test_sobel_figure(tmp_path, capsys):

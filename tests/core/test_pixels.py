@@ -12,7 +12,7 @@ from kvision.core.pixels import to_uint8, to_unit
 def test_ends_of_the_range(dtype, device):
     top = 1 if dtype == torch.bool else torch.iinfo(dtype).max
     x = torch.tensor([0, top], device=device).to(dtype)
-    assert to_unit(x).tolist() == [0, 1] and to_uint8(x).tolist() == [0, 255]
+    assert to_unit(x).tolist() == pytest.approx([0, 1]) and to_uint8(x).tolist() == [0, 255]
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.float32, torch.float64])

@@ -56,7 +56,11 @@ def test_line_is_symmetric_and_connected(seed):
 def test_points_agree_with_kornia(device, seed):
     generator = torch.Generator().manual_seed(seed)
     points, color = random_points(generator, 5), torch.rand(3, generator=generator)
-    for image, value in [(torch.zeros(3, H, W), color), (torch.zeros(1, H, W), color[:1]), (torch.zeros(H, W), color[:1])]:
+    for image, value in [
+        (torch.zeros(3, H, W), color),
+        (torch.zeros(1, H, W), color[:1]),
+        (torch.zeros(H, W), color[:1]),
+    ]:
         want = kornia.image.draw_point2d(image.clone(), points, value)
         assert torch.equal(K.image.draw_point2d(*on(device, image, points, value)).cpu(), want)
 
@@ -184,7 +188,12 @@ BOX = torch.zeros(1, 1, 4)
         ("draw_point2d", (IMAGE, torch.tensor([-0.6, 0]), 1), ValueCheckError, r"got \(-1, 0\)"),
         ("draw_point2d", (IMAGE, P * torch.nan, 1), ValueCheckError, "points without NaN"),
         ("draw_point2d", (IMAGE, P * torch.inf, 1), ValueCheckError, "points inside the image"),
-        ("draw_point2d", (IMAGE, P, torch.zeros(2)), ShapeError, r"color of shape \(\) or \(1,\) or \(3,\), got \(2,\)"),
+        (
+            "draw_point2d",
+            (IMAGE, P, torch.zeros(2)),
+            ShapeError,
+            r"color of shape \(\) or \(1,\) or \(3,\), got \(2,\)",
+        ),
         ("draw_point2d", (IMAGE, P, "red"), TypeCheckError, "expected color to be a Tensor or numbers, got 'red'"),
         ("draw_line", (BATCH, P, P, 1), ShapeError, r"draw_line: expected image of shape \(C, H, W\)"),
         ("draw_line", (IMAGE, P, P[None], 1), ShapeError, r"p2 of the shape of p1, \(2,\), got \(1, 2\)"),
@@ -192,7 +201,12 @@ BOX = torch.zeros(1, 1, 4)
         ("draw_line", (IMAGE, P, None, 1), TypeCheckError, "expected p2 to be a Tensor, got NoneType"),
         ("draw_rectangle", (IMAGE, BOX), ShapeError, r"image of shape \(B, C, H, W\)"),
         ("draw_rectangle", (BATCH, BOX[0]), ShapeError, r"rectangle of shape \(1, N, 4\), got \(1, 4\)"),
-        ("draw_rectangle", (BATCH, BOX.expand(2, 1, 4)), ShapeError, r"rectangle of shape \(1, N, 4\), got \(2, 1, 4\)"),
+        (
+            "draw_rectangle",
+            (BATCH, BOX.expand(2, 1, 4)),
+            ShapeError,
+            r"rectangle of shape \(1, N, 4\), got \(2, 1, 4\)",
+        ),
         ("draw_rectangle", (BATCH, BOX, torch.zeros(1, 2, 3)), ShapeError, "expected color of shape"),
         ("draw_rectangle", (BATCH, BOX, 1, False, 0), ValueCheckError, "line_width to be an int of at least 1, got 0"),
         ("draw_rectangle", (BATCH, BOX, 1, False, True), ValueCheckError, "line_width .* got True"),
@@ -200,7 +214,12 @@ BOX = torch.zeros(1, 1, 4)
         ("draw_convex_polygon", (IMAGE, BOX, 1), ShapeError, r"images of shape \(B, C, H, W\)"),
         ("draw_convex_polygon", (BATCH, BOX, 1), ShapeError, r"polygons of shape \(1, K, 2\), got \(1, 1, 4\)"),
         ("draw_convex_polygon", (BATCH, [P], 1), ShapeError, r"polygons\[0\] of shape \(K, 2\), got \(2,\)"),
-        ("draw_convex_polygon", (BATCH, [P[None]] * 2, 1), ShapeError, r"polygons of shape \(1, K, 2\), got \(2, 1, 2\)"),
+        (
+            "draw_convex_polygon",
+            (BATCH, [P[None]] * 2, 1),
+            ShapeError,
+            r"polygons of shape \(1, K, 2\), got \(2, 1, 2\)",
+        ),
         ("draw_convex_polygon", (BATCH, "abc", 1), TypeCheckError, "expected polygons to be a Tensor, got str"),
         ("draw_convex_polygon", (BATCH, [P[None]], torch.zeros(2, 3)), ShapeError, "expected colors of shape"),
     ],

@@ -56,6 +56,13 @@ def test_layouts_gradient_and_untouched_input(device):
     assert torch.autograd.gradcheck(K.image.make_grid, images.requires_grad_())
 
 
+def test_compiles_for_any_batch():
+    compiled = torch.compile(K.image.make_grid, fullgraph=True, dynamic=True, backend="eager")
+    for batch in (2, 3, 10):
+        images = torch.rand(batch, 3, 4, 6)
+        assert torch.equal(compiled(images), K.image.make_grid(images))
+
+
 @pytest.mark.parametrize(
     ("args", "error", "text"),
     [

@@ -93,8 +93,16 @@ def test_files_and_terminal(tmp_path, capsys):
         (lambda: Image.from_numpy([1]), TypeCheckError, "Image.from_numpy: expected data to be a numpy.ndarray"),
         (lambda: Image.from_numpy(np.zeros(3)), ShapeError, r"data of three axes, got \(3,\)"),
         (lambda: Image.from_numpy(np.zeros((1, 3, 4, 5))), ShapeError, r"got \(1, 3, 4, 5\)"),
-        (lambda: Image.from_numpy(np.zeros((4, 5, 3)), ColorSpace.GRAY), ValueCheckError, "channels of 1 for GRAY, got 3"),
-        (lambda: Image.from_numpy(np.zeros((4, 5, 3)), None, "last"), TypeCheckError, "to be a ChannelsOrder, got 'last'"),
+        (
+            lambda: Image.from_numpy(np.zeros((4, 5, 3)), ColorSpace.GRAY),
+            ValueCheckError,
+            "channels of 1 for GRAY, got 3",
+        ),
+        (
+            lambda: Image.from_numpy(np.zeros((4, 5, 3)), None, "last"),
+            TypeCheckError,
+            "to be a ChannelsOrder, got 'last'",
+        ),
         (lambda: Image.from_numpy(np.zeros((4, 5, 2))).to_rgb(), ValueCheckError, "to convert to RGB, got UNKNOWN"),
         (lambda: make(dtype=np.uint16).to_gray(), TypeCheckError, "uint8 or floating point, got torch.uint16"),
         (

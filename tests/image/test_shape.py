@@ -32,6 +32,13 @@ def test_empty_batches_pass():
     assert K.image.perform_keep_shape_image(halve)(torch.zeros(2, 0, 3, 4, 6)).shape == (2, 0, 3, 2, 3)
 
 
+def test_compiles_for_any_shape():
+    compiled = torch.compile(K.image.perform_keep_shape_image(halve), fullgraph=True, dynamic=True, backend="eager")
+    for shape in [(4, 6), (2, 4, 6), (5, 2, 4, 6), (3, 5, 2, 4, 6)]:
+        x = torch.rand(shape)
+        assert torch.equal(compiled(x), K.image.perform_keep_shape_image(halve)(x))
+
+
 @pytest.mark.parametrize(
     ("x", "error", "text"),
     [

@@ -27,7 +27,12 @@ def test_every_grey_agrees_with_kornia():
 
 def test_codes_are_the_nearest_of_the_palette():
     """Against all 240 colours, written out."""
-    cube = [(r, g, b) for r in (0, 95, 135, 175, 215, 255) for g in (0, 95, 135, 175, 215, 255) for b in (0, 95, 135, 175, 215, 255)]
+    cube = [
+        (r, g, b)
+        for r in (0, 95, 135, 175, 215, 255)
+        for g in (0, 95, 135, 175, 215, 255)
+        for b in (0, 95, 135, 175, 215, 255)
+    ]
     palette = torch.tensor(cube + [(8 + 10 * k,) * 3 for k in range(24)])
     image = torch.randint(0, 256, (3, 40, 40))
     codes = [int(code) for code in re.findall(r"48;5;(\d+)m", K.image.image_to_string(image))]
@@ -63,7 +68,11 @@ def test_print_image(capsys, tmp_path):
         (lambda: K.image.image_to_string(torch.full((1, 2, 2), -1)), ValueCheckError, r"in \[0, 255\], got .* from -1"),
         (lambda: K.image.image_to_string(torch.full((1, 2, 2), torch.nan)), ValueCheckError, "from nan to nan"),
         (lambda: K.image.image_to_string(torch.zeros(1, 2, 2), 0), ValueCheckError, "max_width"),
-        (lambda: K.image.print_image(3), TypeCheckError, "print_image: expected image to be a Tensor or a path, got int"),
+        (
+            lambda: K.image.print_image(3),
+            TypeCheckError,
+            "print_image: expected image to be a Tensor or a path, got int",
+        ),
         (lambda: K.image.print_image("/none/such.png"), FileNotFoundError, "/none/such.png"),
     ],
 )

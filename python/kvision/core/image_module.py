@@ -27,6 +27,11 @@ class ImageModuleMixIn:
 
     Arrays and PIL images are (H, W), (H, W, C) or (B, H, W, C); integers among them become floating point in [0, 1].
     In a module with parameters or buffers the tensors made of them go to their device and dtype.
+
+    Example:
+        >>> import numpy as np, kvision as K
+        >>> K.core.ImageModuleMixIn().to_tensor(np.full((4, 5), 255, np.uint8)).max()
+        tensor(1.)
     """
 
     _output_image: Any = None

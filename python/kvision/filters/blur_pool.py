@@ -12,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ValueCheckError
 from kvision.filters.border import pad, same_pads
 from kvision.filters.filter2d import correlate
 from kvision.filters.kernels import binomial

@@ -23,8 +23,8 @@ def pad(x: Tensor, pads: Sequence[tuple[int, int]], border_type: str) -> Tensor:
     circular   c d | a b c d | a b
     """
     last_axis_first = [pixels for front_back in reversed(pads) for pixels in front_back]
-    planes = x.reshape(-1, 1, *x.shape[2:]) if x.numel() else x.reshape(0, 1, *x.shape[2:])  # torch pads no 0 channels
-    y = F.pad(planes, last_axis_first, mode=border_type)
+    images = x if x.numel() else x.reshape(0, 1, *x.shape[2:])  # torch pads 0 images, but not 0 channels
+    y = F.pad(images, last_axis_first, mode=border_type)
     return y.reshape(*x.shape[:2], *y.shape[2:])
 
 

@@ -13,7 +13,7 @@ from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
 from kvision.core.exceptions import ImageError, ValueCheckError
-from kvision.filters.gaussian import gaussian_blur2d
+from kvision.filters.gaussian import _gaussian_blur2d, blur_arguments
 from kvision.filters.spatial_gradient import derivatives
 
 _TAN_22_5 = math.sqrt(2) - 1
@@ -27,7 +27,7 @@ def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple
     """
     h, w = x.shape[-2:]
     gx, gy = derivatives(x, "sobel", 1, normalized=False).unbind(2)
-    padded = torch.sqrt(F.pad(gx**2 + gy**2, (1, 1, 1, 1)) + eps)
+    padded = _root(F.pad(gx**2 + gy**2, (1, 1, 1, 1)) + eps)
 
     def at(dy: int, dx: int) -> Tensor:
         return padded[..., 1 + dy : 1 + dy + h, 1 + dx : 1 + dx + w]
@@ -45,6 +45,12 @@ def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple
     magnitude = magnitude * ridge
     edges = 0.5 * ((magnitude > low).to(x.dtype) + (magnitude > high).to(x.dtype))
     return magnitude, edges
+
+
+def _root(x: Tensor) -> Tensor:
+    """The square root, with gradient 0 at 0."""
+    zero = x == 0
+    return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
 
 
 _canny_suppress = as_stored(_reference_suppress)
@@ -117,7 +123,7 @@ def canny(
     if x.shape[1] == 3:
         red, green, blue = x.split(1, 1)
         x = 0.299 * red + 0.587 * green + 0.114 * blue
-    x = gaussian_blur2d(x, kernel_size, sigma)
+    x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
     magnitude, edges = _canny_suppress(x, float(low_threshold), float(high_threshold), float(eps))
     if hysteresis:
         edges = _canny_hysteresis(edges)

@@ -71,11 +71,7 @@ def filter2d(
         >>> K.filters.filter2d(x, torch.tensor([[[1., 0., 0.]]]), border_type="replicate")
         tensor([[[[1., 1., 2.]]]])
     """
-    _check.images("filter2d", "input", input)
-    _check.shape("filter2d", "kernel", kernel, "B or 1", "kH", "kW")
-    kernel = prepare_kernel("filter2d", input, kernel, normalized, behaviour)
-    same = check_padding("filter2d", input, kernel.shape[1:], border_type, padding)
-    return _filter2d(pixels(input), kernel, border_type, same)
+    return filter_images("filter2d", input, kernel, border_type, normalized, padding, behaviour)
 
 
 def correlate2d(
@@ -89,7 +85,7 @@ def correlate2d(
         >>> K.filters.correlate2d(x, torch.tensor([[[1., 2., 3.]]]), border_type="constant")
         tensor([[[[3., 2., 1.]]]])
     """
-    return filter2d(input, kernel, border_type, normalized, padding, "corr")
+    return filter_images("correlate2d", input, kernel, border_type, normalized, padding, "corr")
 
 
 def convolve2d(
@@ -103,7 +99,18 @@ def convolve2d(
         >>> K.filters.convolve2d(x, torch.tensor([[[1., 2., 3.]]]), border_type="constant")
         tensor([[[[1., 2., 3.]]]])
     """
-    return filter2d(input, kernel, border_type, normalized, padding, "conv")
+    return filter_images("convolve2d", input, kernel, border_type, normalized, padding, "conv")
+
+
+def filter_images(
+    op: str, input: Tensor, kernel: Tensor, border_type: str, normalized: bool, padding: str, behaviour: str
+) -> Tensor:
+    """:func:`filter2d`, under the name of the function that was called."""
+    _check.images(op, "input", input)
+    _check.shape(op, "kernel", kernel, "B or 1", "kH", "kW")
+    kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
+    same = check_padding(op, input, kernel.shape[1:], border_type, padding)
+    return _filter2d(pixels(input), kernel, border_type, same)
 
 
 def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: str) -> Tensor:

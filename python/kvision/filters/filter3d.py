@@ -46,11 +46,7 @@ def filter3d(
         >>> K.filters.filter3d(x, torch.ones(1, 3, 1, 1)).flatten()
         tensor([ 4.,  7., 10.])
     """
-    _check.volumes("filter3d", "input", input)
-    _check.shape("filter3d", "kernel", kernel, "B or 1", "kD", "kH", "kW")
-    kernel = prepare_kernel("filter3d", input, kernel, normalized, behaviour)
-    check_padding("filter3d", input, kernel.shape[1:], border_type, "same")
-    return _filter3d(floats(input), kernel, border_type)
+    return filter_volumes("filter3d", input, kernel, border_type, normalized, behaviour)
 
 
 def correlate3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
@@ -62,7 +58,7 @@ def correlate3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", n
         >>> K.filters.correlate3d(x, torch.tensor([1., 2., 3.]).reshape(1, 3, 1, 1)).flatten()
         tensor([3., 2., 1.])
     """
-    return filter3d(input, kernel, border_type, normalized, "corr")
+    return filter_volumes("correlate3d", input, kernel, border_type, normalized, "corr")
 
 
 def convolve3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
@@ -74,4 +70,15 @@ def convolve3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", no
         >>> K.filters.convolve3d(x, torch.tensor([1., 2., 3.]).reshape(1, 3, 1, 1)).flatten()
         tensor([1., 2., 3.])
     """
-    return filter3d(input, kernel, border_type, normalized, "conv")
+    return filter_volumes("convolve3d", input, kernel, border_type, normalized, "conv")
+
+
+def filter_volumes(
+    op: str, input: Tensor, kernel: Tensor, border_type: str, normalized: bool, behaviour: str
+) -> Tensor:
+    """:func:`filter3d`, under the name of the function that was called."""
+    _check.volumes(op, "input", input)
+    _check.shape(op, "kernel", kernel, "B or 1", "kD", "kH", "kW")
+    kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
+    check_padding(op, input, kernel.shape[1:], border_type, "same")
+    return _filter3d(floats(input), kernel, border_type)

@@ -43,7 +43,7 @@ def gaussian(
         >>> K.filters.gaussian(3, 1.0)
         tensor([[0.2741, 0.4519, 0.2741]])
     """
-    _check.ints("gaussian", "window_size", window_size, 1)
+    (window_size,) = _check.ints("gaussian", "window_size", window_size, 1)
     (sigma,), dtype = _sigma_columns("gaussian", sigma, 1, device, dtype)
     if isinstance(mean, Tensor):
         _check.shape("gaussian", "mean", mean, "B or 1", 1)
@@ -71,8 +71,7 @@ def get_gaussian_kernel1d(
         >>> K.filters.get_gaussian_kernel1d(5, 1.5)
         tensor([[0.1201, 0.2339, 0.2921, 0.2339, 0.1201]])
     """
-    _sizes("get_gaussian_kernel1d", kernel_size, 1, force_even)
-    return gaussian(kernel_size, sigma, device=device, dtype=dtype)
+    return _gaussian_product("get_gaussian_kernel1d", 1, kernel_size, sigma, force_even, device, dtype)
 
 
 def get_gaussian_kernel2d(
@@ -209,14 +208,16 @@ def sigmas(op: str, name: str, value: object, count: int, *, zero: bool = False)
         return value
     numbers = (value,) * count if isinstance(value, (int, float)) else value
     if not isinstance(numbers, (tuple, list)) or not all(isinstance(v, (int, float)) for v in numbers):
-        raise TypeCheckError(
-            f"{op}: expected {name} to be {count} numbers or a Tensor (B, {count}), got {value!r}",
-            actual_type=type(value),
-        )
+        raise TypeCheckError(_refused(op, name, value, count, zero), actual_type=type(value))
     if len(numbers) != count or not all(v > 0 or (zero and v == 0) for v in numbers):  # also refuses NaN
-        kind = "non-negative" if zero else "positive"
-        raise ValueCheckError(f"{op}: expected {name} to be {count} {kind} numbers, got {value!r}", actual_value=value)
+        raise ValueCheckError(_refused(op, name, value, count, zero), actual_value=value)
     return tuple(map(float, numbers))
+
+
+def _refused(op: str, name: str, value: object, count: int, zero: bool) -> str:
+    kind = "non-negative" if zero else "positive"
+    numbers = f"a {kind} number" if count == 1 else f"{count} {kind} numbers"
+    return f"{op}: expected {name} to be {numbers} or a Tensor (B, {count}), got {value!r}"
 
 
 def _sigma_columns(

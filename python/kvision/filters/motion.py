@@ -12,8 +12,8 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.filters.filter2d import filter2d
-from kvision.filters.filter3d import filter3d
+from kvision.filters.filter2d import filter_images
+from kvision.filters.filter3d import filter_volumes
 
 
 def get_motion_kernel2d(
@@ -112,7 +112,7 @@ def motion_blur(
     """
     _check.images("motion_blur", "input", input)
     kernel = _motion_kernel("motion_blur", kernel_size, angle, direction, mode, 2, input)
-    return filter2d(input, kernel, border_type)
+    return filter_images("motion_blur", input, kernel, border_type, False, "same", "corr")
 
 
 def motion_blur3d(
@@ -143,7 +143,7 @@ def motion_blur3d(
     """
     _check.volumes("motion_blur3d", "input", input)
     kernel = _motion_kernel("motion_blur3d", kernel_size, angle, direction, mode, 3, input)
-    return filter3d(input, kernel, border_type)
+    return filter_volumes("motion_blur3d", input, kernel, border_type, False, "corr")
 
 
 # The taps around a position, as offsets from its whole part, and the weight of a tap at distance d from it; positions

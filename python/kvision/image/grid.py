@@ -41,8 +41,9 @@ def make_grid(tensor: Tensor, n_row: int | None = None, padding: int = 2) -> Ten
         )
     b, c, h, w = tensor.shape
     if n_row is None:
-        n_row = math.isqrt(max(b, 1) - 1) + 1  # the square root, rounded up
-    (columns,) = _check.ints("make_grid", "n_row", n_row, 1)
+        columns = max(math.ceil(math.sqrt(b)), 1)
+    else:
+        (columns,) = _check.ints("make_grid", "n_row", n_row, 1)
     (padding,) = _check.ints("make_grid", "padding", padding, 1, minimum=0)
     rows = -(-b // columns)
     h, w = h + padding, w + padding

@@ -22,7 +22,13 @@ __all__ = ["ChannelsOrder", "ColorSpace", "Image", "ImageLayout", "ImageSize", "
 
 
 class ColorSpace(Enum):
-    """What the channels stand for; UNKNOWN is any number of channels of anything."""
+    """What the channels stand for; UNKNOWN is any number of channels of anything.
+
+    Example:
+        >>> import kvision as K
+        >>> [space.name for space in K.image.ColorSpace]
+        ['UNKNOWN', 'GRAY', 'RGB', 'BGR']
+    """
 
     UNKNOWN = 0
     GRAY = 1
@@ -31,7 +37,13 @@ class ColorSpace(Enum):
 
 
 class ChannelsOrder(Enum):
-    """The order of the axes: CHANNELS_FIRST is (C, H, W), CHANNELS_LAST is (H, W, C)."""
+    """The order of the axes: CHANNELS_FIRST is (C, H, W), CHANNELS_LAST is (H, W, C).
+
+    Example:
+        >>> import kvision as K
+        >>> [order.name for order in K.image.ChannelsOrder]
+        ['CHANNELS_FIRST', 'CHANNELS_LAST']
+    """
 
     CHANNELS_FIRST = 0
     CHANNELS_LAST = 1
@@ -53,7 +65,13 @@ class ImageSize:
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """Colour space and bits of one channel's value (8 for uint8, 32 for float32)."""
+    """Colour space and bits of one channel's value (8 for uint8, 32 for float32).
+
+    Example:
+        >>> import kvision as K
+        >>> K.image.PixelFormat(K.image.ColorSpace.RGB, 8).bit_depth
+        8
+    """
 
     color_space: ColorSpace
     bit_depth: int
@@ -61,7 +79,13 @@ class PixelFormat:
 
 @dataclass(frozen=True)
 class ImageLayout:
-    """Size, number of channels and order of the axes."""
+    """Size, number of channels and order of the axes.
+
+    Example:
+        >>> import kvision as K
+        >>> K.image.ImageLayout(K.image.ImageSize(480, 640), 3, K.image.ChannelsOrder.CHANNELS_FIRST).image_size
+        ImageSize(height=480, width=640)
+    """
 
     image_size: ImageSize
     channels: int

@@ -59,7 +59,7 @@ def image_to_string(image: Tensor, max_width: int = 256) -> str:
 
 
 def print_image(image: Tensor | str | os.PathLike[str], max_width: int = 96) -> None:
-    r"""Print a picture, a tensor or a file, to a terminal of 256 colours; see `image_to_string`.
+    """Print a picture, a tensor or a file, to a terminal of 256 colours; see `image_to_string`.
 
     Args:
         image: what `image_to_string` takes, or the path of a file `kvision.io.load_image` reads.
@@ -71,7 +71,8 @@ def print_image(image: Tensor | str | os.PathLike[str], max_width: int = 96) -> 
 
     Example:
         >>> import torch, kvision as K
-        >>> K.image.print_image(torch.zeros(1, 1, 1))  # doctest: +SKIP
+        >>> K.image.print_image(torch.zeros(1, 1, 1))
+        \x1b[48;5;16m  \x1b[0m
     """
     if isinstance(image, (str, os.PathLike)):
         from kvision.io import ImageLoadType, load_image

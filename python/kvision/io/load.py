@@ -140,9 +140,9 @@ def _decode(path: Path) -> np.ndarray[Any, Any]:
         raise ImageError(f"load_image: cannot decode '{path}': {reason}")
     metadata = dict(zip(np.ravel(kinds).tolist(), blocks))
     exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))
-    planes = np.moveaxis(np.atleast_3d(_turn_upright(pixels, _orientation(exif))), 2, 0)
-    rgb = {3: [2, 1, 0], 4: [2, 1, 0, 3]}.get(len(planes), slice(None))
-    return np.ascontiguousarray(planes[rgb])
+    planes = cv2.split(_turn_upright(pixels, _orientation(exif)))
+    rgb = {3: (2, 1, 0), 4: (2, 1, 0, 3)}.get(len(planes), range(len(planes)))
+    return np.stack([planes[c] for c in rgb])
 
 
 def _turn_upright(pixels: np.ndarray[Any, Any], orientation: int) -> np.ndarray[Any, Any]:
@@ -151,12 +151,15 @@ def _turn_upright(pixels: np.ndarray[Any, Any], orientation: int) -> np.ndarray[
     EXIF says which sides of the picture the first row and the first column are:
     1 top left, 2 top right, 3 bottom right, 4 bottom left, 5 left top, 6 right top, 7 right bottom, 8 left bottom.
     """
+    cv2 = opencv()
     if orientation >= 5:
-        pixels = pixels.swapaxes(0, 1)
-    if orientation in (3, 4, 7, 8):
-        pixels = pixels[::-1]
-    if orientation in (2, 3, 6, 7):
-        pixels = pixels[:, ::-1]
+        pixels = cv2.transpose(pixels)
+    if orientation in (4, 8):
+        pixels = cv2.flip(pixels, 0)
+    elif orientation in (2, 6):
+        pixels = cv2.flip(pixels, 1)
+    elif orientation in (3, 7):
+        pixels = cv2.flip(pixels, -1)
     return pixels
 
 

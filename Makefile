@@ -1,0 +1,46 @@
+# make demo, make test, make bench, make lint: each prepares .venv with the versions of constraints.txt, builds what is out
+# of date, and runs. TESTS chooses tests, ARGS goes to the program:
+#
+#   make demo ARGS="photo.jpg --device cuda"        make test TESTS=tests/filters ARGS="-k sobel -x"
+#   make bench ARGS="sobel box_blur"                make clean, make distclean (with .venv)
+PYTHON ?= python3
+TESTS ?=
+ARGS ?=
+
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --constraint constraints.txt
+READY := .venv/.ready
+
+.PHONY: demo test bench lint build clean distclean
+
+demo: build
+	$(BIN)/python -m kvision.demo $(ARGS)
+
+test: build
+	$(BIN)/python -m pytest -m "not slow" $(TESTS) $(ARGS)
+
+bench: build
+	$(BIN)/python -m benchmarks $(ARGS)
+
+lint: $(READY)
+	$(BIN)/ruff check
+	$(BIN)/mypy
+	git ls-files '*.h' '*.cuh' '*.cpp' '*.cu' | xargs $(BIN)/clang-format --dry-run --Werror
+
+# Nothing to do takes a moment: ninja looks for changed sources. A pure-Python install has no build folder.
+build: $(READY)
+	@if [ -f build/cmake/build.ninja ]; then $(BIN)/ninja -C build/cmake --quiet; fi
+
+$(READY): constraints.txt pyproject.toml setup.py
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(f"kvision needs Python 3.10 or newer; $(PYTHON) is {v.major}.{v.minor}: set PYTHON=" if v < (3, 10) else 0)'
+	$(PYTHON) -m venv .venv
+	$(PIP) setuptools cmake ninja pybind11 torch
+	$(PIP) --no-build-isolation --editable '.[dev]'
+	$(BIN)/python -m kvision.info
+	@touch $@
+
+clean:
+	rm -rf build python/kvision/lib python/kvision/include python/kvision/_C.* .venv/.ready
+
+distclean: clean
+	rm -rf .venv

@@ -1,0 +1,169 @@
+"""What this kvision is made of and what serves which call: `kvision.info()` and `python -m kvision.info`.
+
+The module itself can be called, so that the two are one name; kvision/__init__.py imports it when it is first asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import platform
+import shutil
+import sys
+import types
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+
+from kvision import _ops
+from kvision._version import __version__
+
+try:
+    from kvision import _C
+except ImportError:  # not built, or built for another Python; only what is reported here depends on it
+    _C = None
+
+_PACKAGE = Path(__file__).parent
+_DTYPES = (*_ops.FLOATS, torch.uint8)
+
+
+def report() -> str:
+    """The text that `kvision.info()` prints.
+
+    Example:
+        >>> import kvision as K
+        >>> print(K.info.report())  # doctest: +ELLIPSIS
+        kvision ...
+    """
+    return "\n".join([*_versions(), "", *_libraries(), "", *_operators(), "", *_next_steps()])
+
+
+def _versions() -> Iterator[str]:
+    yield f"kvision {__version__}  ({_PACKAGE})"
+    yield f"torch {torch.__version__}, Python {platform.python_version()}, {platform.machine()}"
+
+
+def _libraries() -> Iterator[str]:
+    yield "Libraries"
+    yield f"  cpu   {_ops.unserved.get('cpu') or _cpu_library()}{_why_pure()}"
+    yield f"  cuda  {_ops.unserved.get('cuda') or _cuda_library()}"
+    if "cuda" not in _ops.unserved:
+        yield from (f"        {line}" for line in _gpus())
+
+
+def _cpu_library() -> str:
+    if _C is None:
+        return "libkvision.so; no details, as kvision._C was not built for this Python"
+    sets = ", ".join(
+        name + (" (in use)" if name == _C.active_isa() else "")
+        for name in ("baseline", "avx2", "avx512")
+        if _C.isa_supported(name)
+    )
+    return f"libkvision.so {_C.version()}, compiler {_C.compiler()}; instruction sets here: {sets}; KVISION_ISA chooses"
+
+
+def _why_pure() -> str:
+    record = _ops.LIBRARY_FOLDER / "pure_python.txt"  # written by setup.py
+    return f"\n        installed as pure Python: {record.read_text()}" if record.exists() else ""
+
+
+def _cuda_library() -> str:
+    runtime = _cuda().kvision_cuda_runtime()
+    return f"libkvision_cuda.so, CUDA {runtime // 1000}.{runtime % 1000 // 10}, architectures {_architectures()}"
+
+
+def _cuda() -> ctypes.CDLL:
+    library = ctypes.CDLL(str(_ops.LIBRARY_FOLDER / "libkvision_cuda.so"))
+    library.kvision_cuda_architectures.restype = ctypes.c_char_p
+    return library
+
+
+def _architectures() -> str:
+    return _cuda().kvision_cuda_architectures().decode()
+
+
+def _gpus() -> Iterator[str]:
+    for i in range(torch.cuda.device_count()):
+        major, minor = torch.cuda.get_device_capability(i)
+        fits = "" if _has_code_for(_architectures(), 10 * major + minor) else ": NO KERNELS for it, see below"
+        yield f"{torch.cuda.get_device_name(i)}, architecture {major}{minor}{fits}"
+    if not torch.cuda.is_available():
+        yield "no GPU is visible"
+
+
+def _has_code_for(architectures: str, capability: int) -> bool:
+    """Whether one of CMake's architectures, say "80-real;90", runs on a GPU of this compute capability.
+
+    Machine code serves its generation from its number on; PTX, which "90" contains and "90-real" does not, all later ones.
+    """
+    for architecture in architectures.split(";"):
+        number, _, kind = architecture.partition("-")
+        code = int(number.rstrip("af"))
+        if code <= capability and (kind != "real" or code // 10 == capability // 10):
+            return True
+    return False
+
+
+def _operators() -> Iterator[str]:
+    names = sorted(name for name in _ops.operators if "backward" not in name)
+    width = max(map(len, names), default=0)
+    yield f"Operators (backend {_ops._backend!r}): what the kernels serve, gradients likewise"
+    yield f"  {'':{width}}  {'cpu':42}  cuda"
+    for name in names:
+        served = [" ".join(_served(name, device)) or "reference" for device in ("cpu", "cuda")]
+        yield f"  {name:{width}}  {served[0]:42}  {served[1]}"
+    yield "Everything else is served by the reference: the same results from plain torch, slower."
+
+
+def _served(name: str, device: str) -> list[str]:
+    if device in _ops.unserved or _ops._backend == "reference":
+        return []
+    return [str(dtype).removeprefix("torch.") for dtype in _DTYPES if dtype in _ops.operators[name].dtypes]
+
+
+def _next_steps() -> Iterator[str]:
+    steps = []
+    if _ops._backend == "reference":
+        steps.append("backend 'reference' was chosen: unset KVISION_BACKEND or leave the `with kvision.backend(...)` block.")
+    if "cpu" in _ops.unserved:
+        steps.append(
+            "for the kernels, install a C++20 compiler (GCC >= 11 or Clang >= 14) and install kvision again; "
+            "KVISION_BUILD=native then makes a build that cannot be done an error that says why."
+        )
+    if "cuda" in _ops.unserved:
+        if shutil.which("nvidia-smi") is None:
+            steps.append("there is no NVIDIA driver here, so nothing is lost without CUDA.")
+        elif not torch.backends.cuda.is_built():
+            steps.append("to use the GPU, install a torch with CUDA: https://pytorch.org/get-started")
+        else:
+            steps.append("to use the GPU, put nvcc (CUDA >= 12) on the PATH or name it in CUDACXX, and install kvision again.")
+    elif any("NO KERNELS" in line for line in _gpus()):
+        steps.append("install kvision again on this machine, or with CUDAARCHS set to the GPU's architecture.")
+    yield "What to do"
+    yield from (f"  {step}" for step in steps or ["nothing: every kernel this machine can use is in use."])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m kvision.info", description="What serves which call, and why not the rest.")
+    parser.add_argument(
+        "--cmake-prefix-path",
+        action="store_true",
+        help="print the folders where CMake's find_package finds kvision and torch, for -DCMAKE_PREFIX_PATH",
+    )
+    if parser.parse_args().cmake_prefix_path:
+        print(f"{_PACKAGE};{torch.utils.cmake_prefix_path}")
+    else:
+        print(report())
+
+
+class _Callable(types.ModuleType):
+    def __call__(self) -> None:
+        """Print what was built, what serves which device and dtype, why not the rest, and what to do about it."""
+        print(report())
+
+
+if __name__ == "__main__":
+    main()
+else:
+    sys.modules[__name__].__class__ = _Callable

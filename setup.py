@@ -1,0 +1,128 @@
+"""Builds kvision for pip: CMake and ninja make the libraries, setuptools packs them. All metadata is in pyproject.toml.
+
+Environment:
+    KVISION_BUILD   auto: pure Python, saying why, where the libraries cannot be built for want of a compiler or of torch;
+                    native: that is an error; reference: pure Python. Default auto. Code that does not compile is an
+                    error always.
+    CMAKE_ARGS      passed on to CMake, say "-DKVISION_CUDA=OFF" or "-DCMAKE_CUDA_ARCHITECTURES=89".
+    CXX, CUDACXX    the compilers, read by CMake.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+from setuptools import Command, Distribution, setup
+from setuptools.command.bdist_wheel import bdist_wheel
+from setuptools.command.build import build
+
+ROOT = Path(__file__).parent.resolve()
+BUILD = os.environ.get("KVISION_BUILD", "auto")
+if BUILD not in ("auto", "native", "reference"):
+    sys.exit(f"KVISION_BUILD must be one of auto, native, reference; got {BUILD!r}")
+
+
+def torch_root() -> Path | None:
+    """The folder of a torch whose headers will do. Build isolation hides the environment's torch from import, not from here."""
+    spec = importlib.util.find_spec("torch")
+    folders = [Path(spec.origin).parent] if spec and spec.origin else []
+    folders += [Path(sysconfig.get_path(name), "torch") for name in ("purelib", "platlib")]
+    stable = [folder for folder in folders if (folder / "include/torch/csrc/stable/library.h").exists()]
+    return stable[0] if stable else None
+
+
+def program(name: str) -> str | None:
+    """A program installed by pip, for this Python or in the build environment, else one of the system."""
+    return shutil.which(name, path=os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")]))
+
+
+class NativeDistribution(Distribution):
+    def has_ext_modules(self) -> bool:
+        return True  # "holds machine code": what is packed belongs in platlib
+
+
+class BuildNative(Command):
+    """Build the libraries into the package: `build/cmake` and python/kvision when editable, else from scratch and installed."""
+
+    description = "build the C++ and CUDA libraries with CMake"
+    user_options: list[tuple[str, str, str]] = []
+    editable_mode = False
+
+    def initialize_options(self) -> None:
+        self.build_lib: str | None = None
+
+    def finalize_options(self) -> None:
+        self.set_undefined_options("build", ("build_lib", "build_lib"))
+
+    def get_source_files(self) -> list[str]:
+        return []  # MANIFEST.in lists them
+
+    def run(self) -> None:
+        package = ROOT / "python/kvision" if self.editable_mode else Path(self.build_lib or "", "kvision").resolve()
+        record = package / "lib/pure_python.txt"  # read by kvision.info
+        record.unlink(missing_ok=True)
+        reason = "KVISION_BUILD=reference asked for it" if BUILD == "reference" else self.build(package)
+        if reason is None:
+            return
+        if BUILD == "native":
+            sys.exit(f"kvision: KVISION_BUILD=native, but {reason}")
+        record.parent.mkdir(parents=True, exist_ok=True)
+        record.write_text(reason)
+        print(f"\n*** kvision is installed as pure Python, without its fast kernels: {reason}. ***\n", file=sys.stderr)
+
+    def build(self, package: Path) -> str | None:
+        """Build and install into `package`; where that cannot be done here, the reason."""
+        cmake, ninja, torch = program("cmake"), program("ninja"), torch_root()
+        if torch is None:
+            return "there is no torch >= 2.11 to take the headers from"
+        if cmake is None or ninja is None:
+            return "cmake or ninja is missing"
+        folder = ROOT / "build" / ("cmake" if self.editable_mode else "wheel")
+        if not self.editable_mode:
+            shutil.rmtree(ROOT / "build/wheel", ignore_errors=True)
+        configure = [
+            *(cmake, "-S", ROOT, "-B", folder, "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={ninja}"),
+            *("-U", "TorchStable_*", f"-DTORCH_ROOT={torch}", f"-DPython_EXECUTABLE={sys.executable}"),
+            *("-DCMAKE_INSTALL_LIBDIR=lib", f"-DKVISION_INPLACE={'ON' if self.editable_mode else 'OFF'}"),
+            *shlex.split(os.environ.get("CMAKE_ARGS", "")),
+        ]
+        if subprocess.run(configure).returncode != 0:
+            return "CMake found no C++20 compiler or no torch it can build with (its output: pip install -v)"
+        if subprocess.run([cmake, "--build", folder]).returncode != 0:
+            sys.exit("kvision: the build failed. KVISION_BUILD=reference installs pure Python instead.")
+        if not self.editable_mode:
+            for component in ([], ["--component", "python"]):
+                subprocess.run([cmake, "--install", folder, "--prefix", package, *component], check=True)
+        return None
+
+
+class Build(build):
+    sub_commands = [("build_py", None), ("build_native", None)]
+
+    def run(self) -> None:
+        shutil.rmtree(ROOT / "build/pip", ignore_errors=True)  # modules deleted since the last build
+        super().run()
+
+
+class BdistWheel(bdist_wheel):
+    """The libraries serve every Python; kvision._C serves the one it was built with, and kvision works without it."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        native = any(Path(self.bdist_dir).glob("kvision/lib/*.so"))
+        return "py3", "none", super().get_tag()[2] if native else "any"
+
+
+setup(
+    distclass=NativeDistribution,
+    cmdclass={"build": Build, "build_native": BuildNative, "bdist_wheel": BdistWheel},
+    options={"build": {"build_base": "build/pip"}},
+    # For an isolated build where no torch is installed: any will do, so none is fetched where one is.
+    setup_requires=["torch>=2.11"] if BUILD != "reference" and torch_root() is None else [],
+)

@@ -173,6 +173,18 @@ KV_HD V vsqrt(V v) {
   }
 }
 
+template <class V>
+KV_HD V vabs(V v) {
+  if constexpr (__is_same(V, float))
+    return __builtin_fabsf(v);
+  else if constexpr (__is_same(V, double))
+    return __builtin_fabs(v);
+  else if constexpr (sizeof(v[0]) == 4)
+    return __builtin_bit_cast(V, __builtin_bit_cast(Lanes<uint32_t, sizeof(V) / 4>, v) & 0x7fffffffu);
+  else
+    return __builtin_bit_cast(V, __builtin_bit_cast(Lanes<uint64_t, sizeof(V) / 8>, v) & 0x7fffffffffffffffu);
+}
+
 // c[0] x^(n-1) + ... + c[n-1]
 template <class V, class F, int n>
 KV_HD V polynomial(V x, F const (&c)[n]) {

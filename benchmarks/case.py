@@ -88,7 +88,7 @@ class Bars:
 class Case:
     """One piece of work and everybody's way to do it.
 
-    `call` is kvision's public call on the tensors of `inputs(size, dtype, device)`; the first of them gets the gradient.
+    `call` is kvision's public call on the tensors of `inputs(size, dtype, device)`; the first one gets the gradient.
     `peers` maps a peer's name to the same work written for it (peers.py says what each is handed). `result` picks the
     tensor that peers are compared with where a call returns several. A backward's bytes are stated by `backward`.
     """

@@ -152,7 +152,7 @@ def _max(x: Tensor) -> Tensor:
 
 
 def _samples(inputs: Sequence[Tensor]) -> list[tuple[np.ndarray, ...]]:
-    """Per sample its arrays: (H, W, C) for an image, (H, W) where C is 1; an input of batch 1 goes with every sample."""
+    """Per sample its arrays: (H, W, C) for an image, (H, W) if C is 1. An input of batch 1 goes with every sample."""
     batch = max(map(len, inputs))
     return list(zip(*([_array(sample) for sample in x.expand(batch, *x.shape[1:])] for x in inputs)))
 

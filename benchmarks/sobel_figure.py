@@ -82,7 +82,7 @@ def plot(rows: Sequence[dict[str, Any]], title: str, path: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parse = argparse.ArgumentParser(prog="python -m benchmarks.sobel_figure", description=__doc__)
-    parse.add_argument("--out", type=Path, default=Path("sobel_figure"), metavar="DIR")
+    parse.add_argument("--out", type=Path, default=Path("out/sobel_figure"), metavar="DIR")
     parse.add_argument("--repeats", type=int, default=500)
     parse.add_argument("--seconds", type=float, default=20, help="most time for one cell; then fewer repeats are taken")
     parse.add_argument("--threads", type=int, default=os.cpu_count(), help="of torch and OpenCV; default: all cores")

@@ -10,8 +10,8 @@ from benchmarks.verdict import Loss, Verdict
 
 LEGEND = """\
 ms: median, min: minimum, +-: interquartile range over median; floor: ms that the bytes to read and write once take at
-copy bandwidth; xfloor: time over floor; xkv: time over kvision's; eq: = equal to kvision, b but for the border, ~ close,
-x different"""
+copy bandwidth; xfloor: time over floor; xkv: time over kvision's; eq: = equal to kvision, b but for the border,
+~ close, x different"""
 CUDA_LEGEND = """\
 extra: GPU memory beyond input and output (and gradients), in units of input + output; launches: kernels, fills and
 copies of one call; host: us of host time for one call on 1x3x256x256"""

@@ -1,6 +1,6 @@
 """Time, memory and launches of a call, and the copy bandwidth that times are held against.
 
-GPU times are CUDA events around one call that starts with none of its data in the L2 cache, while the host is far ahead.
+GPU times are CUDA events around one call that starts with none of its data in the L2 cache and the host far ahead.
 CPU times are wall time of one call after another, in whatever state that leaves the caches.
 """
 

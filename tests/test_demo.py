@@ -14,9 +14,9 @@ pytest.importorskip("cv2")
 pytest.importorskip("PIL")
 pytest.importorskip("tqdm")
 
-from kvision.demo import __main__ as demo  # noqa: E402
-from kvision.demo.restore import restore  # noqa: E402
-from kvision.io import load_image, write_image  # noqa: E402
+from kvision.demo import __main__ as demo
+from kvision.demo.restore import restore
+from kvision.io import load_image, write_image
 
 OPERATORS = ["gaussian blur", "motion blur", "sobel", "laplacian", "canny", "median", "bilateral", "unsharp mask"]
 

@@ -48,80 +48,98 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
   }
 }
 
-// What one row gives to the gradients of the rows around it, for a strip's four pixels: u = g gx / magnitude and
-// v = g gy / magnitude at its six columns, from the rows of x around it. `odd` is -1 for the continuation above and
-// below the image.
-template <class T>
-__device__ __forceinline__ void row_vjp(SobelBackward<T> const& p, Compute<T> const (&a)[8], Compute<T> const (&b)[8],
-                                        Compute<T> const (&c)[8], Compute<T> const (&g)[6], int x, Compute<T> odd,
-                                        SobelRow<Compute<T>> (&row)[4]) {
-  using F = Compute<T>;
-  F u[6], v[6];
-  SobelColumn<F> columns[8];
-#pragma unroll
-  for (int i = 0; i < 8; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
-#pragma unroll
-  for (int i = 0; i < 6; ++i) {
-    F gx, gy;
-    sobel_gradients(columns[i], columns[i + 1], columns[i + 2], p.scale, gx, gy);
-    F const squared = gx * gx + gy * gy + p.eps;
-    F const s = squared > 0 ? g[i] * fast_rsqrt(squared) : F(0);
-    u[i] = gx * s;
-    v[i] = gy * s;
-  }
-  // The continuation beyond the left and right rim; see sobel.h.
-  int const width = int(p.x.width);
-  if (x == 0) u[0] = -u[1], v[0] = v[1];
-#pragma unroll
-  for (int i = 2; i < 6; ++i)
-    if (x + i - 1 == width) u[i] = -u[i - 1], v[i] = v[i - 1];
-#pragma unroll
-  for (int i = 0; i < 4; ++i) {
-    row[i] = sobel_row_vjp(u[i], u[i + 2], v[i], v[i + 1], v[i + 2]);
-    row[i].along *= odd;
-  }
+// u = g gx / magnitude and v = g gy / magnitude of one pixel.
+template <class F>
+struct Weighed {
+  F u, v;
+};
+template <class F>
+__device__ __forceinline__ Weighed<F> weigh(SobelColumn<F> left, SobelColumn<F> middle, SobelColumn<F> right, F g,
+                                            F scale, F eps) {
+  F gx, gy;
+  sobel_gradients(left, middle, right, scale, gx, gy);
+  F const squared = gx * gx + gy * gy + eps;
+  F const s = squared > 0 ? g * fast_rsqrt(squared) : F(0);
+  return {gx * s, gy * s};
 }
 
+// Each thread weighs its own four pixels and gets its neighbours' by shuffle. Where a warp ends inside the image, its
+// end thread weighs one pixel more, for which it reads one column of x beyond.
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 2)
+__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     sobel_backward_strip(SobelBackward<T> p, Strips<> strips) {
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
-  Strip<2, Aligned> const strip_x(x, width, Border::replicate);
-  Strip<1, Aligned> const strip_g(x, width, Border::replicate);
+  Strip<1, Aligned> const strip(x, width, Border::replicate);
+  Strip<0, Aligned> const strip_g(x, width, Border::replicate);
+  bool const more_left = strip.left_end && x > 0, more_right = strip.right_end && x + 4 < width;
+  int const more = more_left ? x - 1 : x + 4;
+  int const beyond = clamp(more_left ? more - 1 : more + 1, 0, width - 1);
+
   // A row comes from the rows of x above, beside and below it. The row above the first one continues it, so its window
   // is the first row's: the walk starts one row later there, and stays one row longer at the end.
   int const first = max(y0 - 1, 0);
   RowsDown<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
   T* out = p.grad_x.row(plane, y0);
 
-  F a[8], b[8], c[8], g[6];
-  SobelRow<F> above[4], beside[4], below[4];
-  strip_x.load(b, rows_x.next());
-  strip_x.load(c, rows_x.next());
-  auto ahead_x = strip_x.fetch(rows_x.next());
-  auto ahead_g = strip_g.fetch(rows_g.next());
-  auto const down = [&] {
-    auto const now_x = ahead_x;
-    auto const now_g = ahead_g;
-    ahead_x = strip_x.fetch(rows_x.next());
-    ahead_g = strip_g.fetch(rows_g.next());
+  // No row is fetched ahead: the registers for it would cost more warps than it saves waiting.
+  F a[6], b[6], c[6], g[4], a_beyond, b_beyond, c_beyond{}, g_more{};
+  auto const down_x = [&] {
 #pragma unroll
-    for (int i = 0; i < 8; ++i) a[i] = b[i], b[i] = c[i];
-    strip_x.spread(now_x, c);
-    strip_g.spread(now_g, g);
+    for (int i = 0; i < 6; ++i) a[i] = b[i], b[i] = c[i];
+    a_beyond = b_beyond, b_beyond = c_beyond;
+    T const* const row = rows_x.next();
+    if (more_left || more_right) c_beyond = read(row[beyond]);
+    strip.load(c, row);
   };
+  auto const down = [&] {  // loads before shuffles: a shuffle waits, and nothing is moved across it
+    T const* const row = rows_g.next();
+    strip_g.load(g, row);
+    if (more_left || more_right) g_more = read(row[more]);
+    down_x();
+  };
+
+  // What the row whose window is a, b, c gives to the gradients of the rows around it.
+  auto const give = [&](F odd, SobelRow<F>(&row)[4]) {
+    SobelColumn<F> columns[6];
+#pragma unroll
+    for (int i = 0; i < 6; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
+    SobelColumn<F> const far = sobel_column(a_beyond, b_beyond, c_beyond);
+    Weighed<F> w[6];
+#pragma unroll
+    for (int i = 1; i < 5; ++i) w[i] = weigh(columns[i - 1], columns[i], columns[i + 1], g[i - 1], p.scale, p.eps);
+    Weighed<F> const end = weigh(more_left ? far : columns[4], more_left ? columns[0] : columns[5],
+                                 more_left ? columns[1] : far, g_more, p.scale, p.eps);
+    // The continuation beyond the rim is odd for u and even for v; see sobel.h.
+    if (!Aligned)
+#pragma unroll
+      for (int i = 2; i < 5; ++i)
+        if (x + i - 1 == width) w[i] = {-w[i - 1].u, w[i - 1].v};
+    w[0] = {__shfl_up_sync(0xffffffffu, w[4].u, 1), __shfl_up_sync(0xffffffffu, w[4].v, 1)};
+    w[5] = {__shfl_down_sync(0xffffffffu, w[1].u, 1), __shfl_down_sync(0xffffffffu, w[1].v, 1)};
+    if (strip.left_end) w[0] = more_left ? end : Weighed<F>{-w[1].u, w[1].v};
+    if (strip.right_end) w[5] = more_right ? end : Weighed<F>{-w[4].u, w[4].v};
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      row[i] = sobel_row_vjp(w[i].u, w[i + 2].u, w[i].v, w[i + 1].v, w[i + 2].v);
+      row[i].along *= odd;
+    }
+  };
+
+  SobelRow<F> above[4], beside[4], below[4];
+  down_x();
+  down_x();
   down();
-  row_vjp(p, a, b, c, g, x, y0 == 0 ? F(-1) : F(1), above);
+  give(y0 == 0 ? F(-1) : F(1), above);
   if (y0 > 0) down();
-  row_vjp(p, a, b, c, g, x, F(1), beside);
+  give(F(1), beside);
   for (int y = y0; y < y1; ++y) {
     bool const last = y + 1 == height;
     if (!last) down();
-    row_vjp(p, a, b, c, g, x, last ? F(-1) : F(1), below);
+    give(last ? F(-1) : F(1), below);
     F result[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
@@ -129,7 +147,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 2)
       above[i] = beside[i];
       beside[i] = below[i];
     }
-    strip_x.store(out, result);
+    strip.store(out, result);
     out += p.grad_x.row_stride;
   }
 }

@@ -36,6 +36,11 @@ inline void check_images(char const* op, char const* name, Tensor const& x) {
   KV_CHECK(x.numel() == 0 || (x.size(2) > 0 && x.size(3) > 0), op, ": ", name, " has no pixels");
 }
 
+inline void check_volumes(char const* op, char const* name, Tensor const& x) {
+  KV_CHECK(x.dim() == 5, op, ": expected ", name, " of 5 axes, got ", x.dim());
+  KV_CHECK(x.numel() == 0 || (x.size(2) > 0 && x.size(3) > 0 && x.size(4) > 0), op, ": ", name, " has no voxels");
+}
+
 inline void check_like(char const* op, char const* name, Tensor const& x, Tensor const& like) {
   bool same = x.dim() == like.dim() && x.scalar_type() == like.scalar_type() && x.device() == like.device();
   for (int64_t i = 0; same && i < x.dim(); ++i) same = x.size(i) == like.size(i);
@@ -110,6 +115,14 @@ Planes<T> planes(Tensor const& x, Layout layout) {
   if (layout == Layout::channels_last) return {data, b, 1, x.stride(0), 0, x.stride(2), h, w, c};
   if (x.stride(0) == c * x.stride(1) || b == 1) return {data, b * c, 1, x.stride(1), 0, x.stride(2), h, w, 1};
   return {data, b, c, x.stride(0), x.stride(1), x.stride(2), h, w, 1};
+}
+
+// The rows of a contiguous tensor of any rank: its last two axes are planes, stacked along the others.
+template <class T>
+Planes<T> stacked_planes(Tensor const& x) {
+  auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
+  int64_t const h = x.size(x.dim() - 2), w = x.size(x.dim() - 1);
+  return {data, x.numel() ? x.numel() / (h * w) : 0, 1, h * w, 0, w, h, w, 1};
 }
 
 // --- dtypes

@@ -137,9 +137,9 @@ class Operator:
             and rounded to the type of the first tensor (bytes: half to even, saturated).
         fake: shape rule, the result's sizes from the arguments; default: the sizes of the first tensor. May return a
             list of sizes for several results.
-        backward: `backward(needs, grads..., *args) -> gradients of the tensor arguments`, written with registered
-            operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted, and None
-            stands for one that is not. Default: the reference is differentiated.
+        backward: `backward(needs, grads..., *args) -> gradients of the tensor arguments`, in order, written with
+            registered operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted,
+            and None stands for one that is not. Default: the reference is differentiated.
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too.
@@ -171,7 +171,12 @@ class Operator:
         self.deterministic = deterministic
         self._fake_sizes = fake
         self.kernel = self._bind()
+        self.tensors = self._count_tensors()
         self.function = self._make_function()
+        # Function.apply without its Python part, which binds the arguments to their names and serves torch.func only.
+        self._apply = super(torch.autograd.Function, self.function).apply
+        # Device by device, the types that kernels serve; looked up on every call.
+        self._served = {d: frozenset(self.dtypes if d not in unserved else ()) for d in _LIBRARIES}
 
     def __call__(self, *args: Any) -> Any:
         x = args[0]
@@ -184,12 +189,10 @@ class Operator:
             return self.kernel(*args)
         if not self.deterministic and torch.are_deterministic_algorithms_enabled():
             self._alert_not_deterministic()
-        if (
-            (torch.is_grad_enabled() and any(isinstance(a, Tensor) and a.requires_grad for a in args))
-            or torch._C._are_functorch_transforms_active()
-            or forward_ad._current_level >= 0
-        ):
+        if torch._C._are_functorch_transforms_active():
             return self.function.apply(*args)
+        if self._wants_graph(args):
+            return self._apply(*args)
         with torch._C._AutoDispatchBelowAutograd():
             return self.kernel(*args)
 
@@ -198,13 +201,26 @@ class Operator:
         """Whether the kernels serve a call on `x`; raises under backend("native") where they do not."""
         if _backend == "reference":
             return False
-        device = x.device.type
-        if device in _LIBRARIES and device not in unserved and x.dtype in self.dtypes:
+        if x.is_cpu:
+            served = self._served["cpu"]
+        elif x.is_cuda:
+            served = self._served["cuda"]
+        else:
+            served = ()
+        if x.dtype in served:
             return True
         if _backend == "native":
+            device = x.device.type
             reason = unserved.get(device) or f"there is no kernel for {x.dtype} on {device}"
             raise RuntimeError(f"{self.name}: backend 'native' was asked for, but {reason}; see kvision.info()")
         return False
+
+    def _wants_graph(self, args: tuple[Any, ...]) -> bool:
+        if torch.is_grad_enabled():
+            for a in args[: self.tensors]:
+                if a is not None and a.requires_grad:
+                    return True
+        return forward_ad._current_level >= 0
 
     # --- registration with torch ---
 
@@ -246,28 +262,34 @@ class Operator:
 
     # --- derivatives ---
 
-    def _setup_context(self, ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-        tensors = [isinstance(a, Tensor) for a in inputs]
-        saved = [a if is_tensor else None for a, is_tensor in zip(inputs, tensors)]
-        if self.linear and sum(tensors) == 1:
-            saved[0] = None
-        ctx.save_for_backward(*saved)
-        ctx.save_for_forward(*saved)
-        ctx.tensors = tensors
-        ctx.plain = [None if is_tensor else a for a, is_tensor in zip(inputs, tensors)]
+    def _count_tensors(self) -> int:
+        """How many arguments are tensors or None; they come first."""
+        if self.kernel is None:
+            return 0
+        return sum("Tensor" in str(a.type) for a in self.kernel._schema.arguments)
 
-    @staticmethod
-    def _inputs(ctx: Any) -> list[Any]:
-        return [s if is_tensor else p for s, p, is_tensor in zip(ctx.saved_tensors, ctx.plain, ctx.tensors)]
+    def _setup_context(self, ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        tensors = inputs[: self.tensors]
+        if self._is_linear_map(tensors):
+            tensors = (None, *tensors[1:])
+        ctx.save_for_backward(*tensors)
+        ctx.save_for_forward(*tensors)
+        ctx.plain = inputs[self.tensors :]
+
+    def _is_linear_map(self, tensors: Sequence[Tensor | None]) -> bool:
+        """Whether the result is linear in all the tensors there are, that is, in the first one."""
+        return self.linear and all(t is None for t in tensors[1:])
 
     def _backward(self, ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        found = iter(self.backward(ctx.needs_input_grad, *grads, *self._inputs(ctx)))
-        return tuple(next(found) if is_tensor else None for is_tensor in ctx.tensors)
+        needs = ctx.needs_input_grad
+        found = self.backward(needs, *grads, *ctx.saved_tensors, *ctx.plain)
+        return (*found, *(None,) * (len(needs) - len(found)))
 
     def _jvp(self, ctx: Any, *tangents: Tensor | None) -> Any:
-        args = self._inputs(ctx)
-        if self.linear and sum(ctx.tensors) == 1:
-            return self(tangents[0], *args[1:])
+        tensors = ctx.saved_tensors
+        if self._is_linear_map(tensors):
+            return self(tangents[0], *tensors[1:], *ctx.plain)
+        args = (*tensors, *ctx.plain)
         where = [i for i, t in enumerate(tangents) if t is not None]
         # J t as the derivative of u -> J^T u: works under every transform, also inside plain forward-mode.
         output, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
@@ -280,7 +302,7 @@ class Operator:
         where = [i for i, need in enumerate(needs) if need]
         _, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
         found = dict(zip(where, pullback(grads[0] if len(grads) == 1 else grads)))
-        return [found.get(i) for i, a in enumerate(args) if isinstance(a, Tensor)]
+        return [found.get(i) for i in range(self.tensors)]
 
     def _of_tensors(self, args: Sequence[Any], where: Sequence[int]) -> Callable[..., Any]:
         def f(*values: Tensor) -> Any:

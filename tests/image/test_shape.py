@@ -33,10 +33,11 @@ def test_empty_batches_pass():
 
 
 def test_compiles_for_any_shape():
-    compiled = torch.compile(K.image.perform_keep_shape_image(halve), fullgraph=True, dynamic=True, backend="eager")
+    crop = K.image.perform_keep_shape_image(lambda input: input[..., :2, ::2])
+    compiled = torch.compile(crop, fullgraph=True, dynamic=True, backend="eager")
     for shape in [(4, 6), (2, 4, 6), (5, 2, 4, 6), (3, 5, 2, 4, 6)]:
         x = torch.rand(shape)
-        assert torch.equal(compiled(x), K.image.perform_keep_shape_image(halve)(x))
+        assert torch.equal(compiled(x), crop(x))
 
 
 @pytest.mark.parametrize(

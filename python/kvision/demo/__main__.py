@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     parse = argparse.ArgumentParser(prog="python -m kvision.demo", description=__doc__)
     parse.add_argument("images", nargs="*", type=Path, metavar="IMAGE", help="any file OpenCV reads; default: samples")
-    parse.add_argument("--out", type=Path, default=Path("demo_output"), metavar="DIR", help="default: demo_output")
+    parse.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo")
     parse.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     return parse
 

@@ -29,7 +29,7 @@ def blur(photos: Tensor) -> Tensor:
 
 
 def restore(photos: Tensor, steps: Iterable[int]) -> Restoration:
-    """Blur the photos, then search the pictures that, when blurred, look the same: one descent step per item of `steps`.
+    """Blur the photos, then find pictures that, when blurred, look the same: one descent step for each of `steps`.
 
     The loss is the squared difference between the two blurred pictures. Its gradient reaches the sharp one through
     gaussian_blur2d; momentum carries it along the fine structure, where the blur leaves next to no gradient.

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register
 from kvision.filters.border import pad
 from kvision.filters.kernels import check_derivative, derivative_rows
 
@@ -35,11 +35,26 @@ def derivatives(x: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
     return torch.stack(channels, 2)
 
 
-def _reference(x: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
-    return derivatives(x, mode, order, normalized)
+def _transposed(grad: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
+    x = grad.new_zeros(grad.shape[:2] + grad.shape[3:])
+    _, pullback = torch.func.vjp(lambda x: derivatives(x, mode, order, normalized), x)
+    return pullback(grad)[0]
 
 
-_spatial_gradient = as_stored(_reference)
+_spatial_gradient = register(
+    "spatial_gradient",
+    derivatives,
+    fake=lambda x, mode, order, normalized: (*x.shape[:2], order + 1, *x.shape[2:]),
+    backward=lambda needs, grad, x, *args: [_spatial_gradient_backward(grad, *args)],
+    linear=True,
+)
+_spatial_gradient_backward = register(
+    "spatial_gradient_backward",
+    _transposed,
+    fake=lambda grad, mode, order, normalized: (*grad.shape[:2], *grad.shape[3:]),
+    backward=lambda needs, grad, x, *args: [_spatial_gradient(grad, *args)],
+    linear=True,
+)
 
 
 def spatial_gradient(input: Tensor, mode: str = "sobel", order: int = 1, normalized: bool = True) -> Tensor:
@@ -87,11 +102,20 @@ class SpatialGradient(FunctionModule):
         return spatial_gradient(input, self.mode, self.order, self.normalized)
 
 
-def _reference3d(x: Tensor, order: int) -> Tensor:
-    return derivatives(x, "diff", order, True)
-
-
-_spatial_gradient3d = as_stored(_reference3d)
+_spatial_gradient3d = register(
+    "spatial_gradient3d",
+    lambda x, order: derivatives(x, "diff", order, True),
+    fake=lambda x, order: (*x.shape[:2], 3 * order, *x.shape[2:]),
+    backward=lambda needs, grad, x, order: [_spatial_gradient3d_backward(grad, order)],
+    linear=True,
+)
+_spatial_gradient3d_backward = register(
+    "spatial_gradient3d_backward",
+    lambda grad, order: _transposed(grad, "diff", order, True),
+    fake=lambda grad, order: (*grad.shape[:2], *grad.shape[3:]),
+    backward=lambda needs, grad, x, order: [_spatial_gradient3d(grad, order)],
+    linear=True,
+)
 
 
 def spatial_gradient3d(input: Tensor, mode: str = "diff", order: int = 1) -> Tensor:

@@ -207,8 +207,7 @@ def _vertices(op: str, polygons: Any, images: Tensor) -> Tensor:
             _check.shape(op, f"polygons[{i}]", polygon, "K", 2)
         k = max(map(len, polygons), default=0)
         none = torch.full((1, 2), torch.nan, device=images.device)
-        filler = [p[-1:] if len(p) else none for p in polygons]
-        padded = [torch.cat((p, last.expand(k - len(p), 2))) for p, last in zip(polygons, filler)]
+        padded = [torch.cat((p, (p[-1:] if len(p) else none).expand(k - len(p), 2))) for p in polygons]
         polygons = torch.stack(padded) if padded else images.new_empty(0, 0, 2)
     _check.shape(op, "polygons", polygons, len(images), "K", 2)
     vertices: Tensor = polygons.to(images.device, torch.promote_types(polygons.dtype, torch.float32))

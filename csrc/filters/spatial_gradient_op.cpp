@@ -1,0 +1,49 @@
+// Derivatives of an image: schemas and entries, for CPU and CUDA alike.
+#include "glue/glue.h"
+#include "spatial_gradient.h"
+
+namespace kv {
+namespace {
+
+Gradient gradient_of(char const* op, std::string const& mode, int64_t order) {
+  KV_CHECK(mode == "sobel" || mode == "diff", op, ": mode must be one of sobel, diff; got '", mode, "'");
+  KV_CHECK(order == 1 || order == 2, op, ": order must be 1 or 2; got ", order);
+  if (mode == "sobel") return order == 1 ? Gradient::sobel1 : Gradient::sobel2;
+  return order == 1 ? Gradient::diff1 : Gradient::diff2;
+}
+
+Tensor spatial_gradient(Tensor const& input, std::string const& mode, int64_t order, bool normalized) {
+  check_images("spatial_gradient", "input", input);
+  Gradient const kind = gradient_of("spatial_gradient", mode, order);
+  int64_t const b = input.size(0), c = input.size(1), h = input.size(2), w = input.size(3);
+  Tensor const x = conform(input, Layout::planar), y = empty({b, c, order + 1, h, w}, x);
+  for_floats("spatial_gradient", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    SpatialGradient<T> const params{planes<T const>(x, Layout::planar), stacked_planes<T>(y), kind, normalized};
+    KV_RUN(spatial_gradient, x, params, params.x.rows(), w * (order + 2));
+  });
+  return y;
+}
+
+Tensor spatial_gradient_backward(Tensor const& grad, std::string const& mode, int64_t order, bool normalized) {
+  check_volumes("spatial_gradient_backward", "grad", grad);
+  Gradient const kind = gradient_of("spatial_gradient_backward", mode, order);
+  KV_CHECK(grad.size(2) == order + 1, "spatial_gradient_backward: expected grad of ", order + 1, " channels, got ",
+           grad.size(2));
+  Tensor const g = torch::stable::contiguous(grad);
+  Tensor const grad_x = empty({g.size(0), g.size(1), g.size(3), g.size(4)}, g);
+  for_floats("spatial_gradient_backward", g, [&](auto type) {
+    using T = typename decltype(type)::type;
+    SpatialGradientBackward<T> const params{stacked_planes<T const>(g), planes<T>(grad_x, Layout::planar), kind,
+                                            normalized};
+    KV_RUN(spatial_gradient_backward, g, params, params.grad_x.rows(), g.size(4) * (order + 2));
+  });
+  return grad_x;
+}
+
+}  // namespace
+
+KV_OPERATOR(spatial_gradient, "(Tensor input, str mode, int order, bool normalized) -> Tensor")
+KV_OPERATOR(spatial_gradient_backward, "(Tensor grad, str mode, int order, bool normalized) -> Tensor")
+
+}  // namespace kv

@@ -1,0 +1,73 @@
+"""What the built libraries may contain and need; tools/audit_symbols.py says why."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from kvision import _ops
+
+ROOT = Path(__file__).parents[2]
+spec = importlib.util.spec_from_file_location("audit_symbols", ROOT / "tools/audit_symbols.py")
+audit_symbols = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(audit_symbols)
+
+CPU = _ops.LIBRARY_FOLDER / "libkvision.so"
+CUDA = _ops.LIBRARY_FOLDER / "libkvision_cuda.so"
+
+built = pytest.mark.skipif(not CPU.exists() or shutil.which("nm") is None, reason="no library, or no nm to read it")
+built_for_cuda = pytest.mark.skipif(not CUDA.exists() or shutil.which("nm") is None, reason="no CUDA library, or no nm")
+
+
+def test_torch_is_included_by_the_glue_alone() -> None:
+    assert not list(audit_symbols.torch_includes())
+
+
+@built
+def test_cpu_library_needs_stable_symbols_only() -> None:
+    assert not list(audit_symbols.undefined_symbols(CPU))
+    assert not list(audit_symbols.needed_libraries(CPU, {"libtorch_cpu.so"}))
+
+
+@built_for_cuda
+def test_cuda_library_needs_stable_symbols_only() -> None:
+    assert not list(audit_symbols.undefined_symbols(CUDA))
+    assert not list(audit_symbols.needed_libraries(CUDA, {"libtorch_cpu.so", "libtorch_cuda.so"}))
+
+
+@built
+def test_instruction_sets_share_no_symbols() -> None:
+    folder = audit_symbols.build_folder()
+    if folder is None:
+        pytest.skip("the objects are not here, this is an installed package")
+    assert not list(audit_symbols.shared_symbols(folder))
+
+
+@built
+def test_the_audit_sees_what_it_is_for(tmp_path: Path) -> None:
+    """A library with an unstable symbol is found out."""
+    if shutil.which("c++") is None:
+        pytest.skip("there is no C++ compiler")
+    source = tmp_path / "unstable.cpp"
+    source.write_text("namespace c10 { void get_backtrace(); } void f() { c10::get_backtrace(); }")
+    subprocess.run(["c++", "-shared", "-fPIC", source, "-o", tmp_path / "unstable.so"], check=True)
+    assert list(audit_symbols.undefined_symbols(tmp_path / "unstable.so")) == [
+        "unstable.so: needs c10::get_backtrace(), which is not part of the stable interface"
+    ]
+    assert list(audit_symbols.needed_libraries(tmp_path / "unstable.so", {"libtorch_cpu.so"}))
+
+
+@built
+def test_cpu_library_loads_without_cuda() -> None:
+    program = """
+import torch
+torch.ops.load_library(LIBRARY)
+assert torch.ops.kvision.sobel(torch.zeros(1, 1, 4, 4), True, 1e-6).shape == (1, 1, 4, 4)
+assert not any("kvision_cuda" in line for line in open("/proc/self/maps"))
+"""
+    subprocess.run([sys.executable, "-c", program.replace("LIBRARY", repr(str(CPU)))], check=True, env={"CUDA_VISIBLE_DEVICES": ""})

@@ -1,0 +1,102 @@
+"""Proves from the built files what the design promises: `python tools/audit_symbols.py`, exit status 1 where it is broken.
+
+- The libraries need torch's stable C interface and the C and C++ runtimes, nothing else of torch or CUDA. So one build
+  serves every torch from 2.11 on, and the CPU library loads where there is no CUDA.
+- No two instruction sets share a symbol. The linker keeps one of equal symbols, and code for AVX-512 must not run on a
+  processor without it.
+- torch is included by csrc/glue and the *_op.cpp files alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import re
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+LIBRARIES = ROOT / "python/kvision/lib"
+
+# Versioned symbols of the C, C++ and compiler runtimes; torch's C interface; hooks every library of GCC may leave open.
+ALLOWED = re.compile(
+    r".+@(GLIBC|GLIBCXX|CXXABI|GCC)_[\w.]+|(aoti_)?torch_\w+|_ITM_(de)?registerTMCloneTable|__gmon_start__|__cxa_finalize"
+)
+RUNTIMES = re.compile(r"(libc|libm|libstdc\+\+|libgcc_s|libpthread|libdl|librt|ld-linux[\w-]*)\.so\.\d+")
+
+
+def run(*command: str | Path, input: str | None = None) -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True, input=input).stdout
+
+
+def demangled(symbols: Iterable[str]) -> list[str]:
+    return run("c++filt", input="\n".join(symbols)).splitlines()
+
+
+def undefined_symbols(library: Path) -> Iterator[str]:
+    """Symbols of torch or others that another version may not have."""
+    symbols = [line.split()[-1] for line in run("nm", "-D", "--undefined-only", library).splitlines()]
+    for symbol in demangled(symbol for symbol in symbols if not ALLOWED.fullmatch(symbol)):
+        yield f"{library.name}: needs {symbol}, which is not part of the stable interface"
+
+
+def needed_libraries(library: Path, torch: set[str]) -> Iterator[str]:
+    """The libraries it names: `torch` exactly, besides the runtimes."""
+    needed = set(re.findall(r"\(NEEDED\).*\[(.*)\]", run("readelf", "-d", library)))
+    for name in sorted(needed - torch):
+        if not RUNTIMES.fullmatch(name):
+            yield f"{library.name}: names {name} as needed"
+    for name in sorted(torch - needed):
+        yield f"{library.name}: does not name {name} as needed"
+
+
+def build_folder() -> Path | None:
+    """The CMake folder of an editable install, or of a build by hand."""
+    return next((f for f in (ROOT / "build/cmake", ROOT / "build") if (f / "CMakeFiles/kvision_baseline.dir").is_dir()), None)
+
+
+def shared_symbols(build: Path) -> Iterator[str]:
+    """Symbols that the objects of two instruction sets define, and ones outside of their set's namespace."""
+    defined: dict[str, set[str]] = {}
+    for isa in ("baseline", "avx2", "avx512"):
+        objects = sorted((build / f"CMakeFiles/kvision_{isa}.dir").rglob("*_cpu.cpp.o"))
+        if objects:
+            lines = run("nm", "--defined-only", "--extern-only", *objects).splitlines()
+            defined[isa] = {line.split()[2] for line in lines if len(line.split()) == 3}
+            for symbol in demangled(sorted(defined[isa])):
+                if f"kv::{isa}::" not in symbol:
+                    yield f"{isa}: defines {symbol} outside of namespace kv::{isa}"
+    for a, b in itertools.combinations(defined, 2):
+        for symbol in demangled(sorted(defined[a] & defined[b])):
+            yield f"{a} and {b} both define {symbol}"
+
+
+def torch_includes() -> Iterator[str]:
+    """Files that include torch though they are no door to it."""
+    for path in sorted((ROOT / "csrc").rglob("*.*")):
+        if path.parent.name == "glue" or path.name.endswith("_op.cpp"):
+            continue
+        if re.search(r"#include\s*[<\"](torch|ATen|c10)/", path.read_text()):
+            yield f"{path.relative_to(ROOT)}: includes torch"
+
+
+def audit() -> Iterator[str]:
+    """One line for each promise that is broken."""
+    cpu, cuda = LIBRARIES / "libkvision.so", LIBRARIES / "libkvision_cuda.so"
+    yield from torch_includes()
+    yield from undefined_symbols(cpu)
+    yield from needed_libraries(cpu, {"libtorch_cpu.so"})
+    if cuda.exists():
+        yield from undefined_symbols(cuda)
+        yield from needed_libraries(cuda, {"libtorch_cpu.so", "libtorch_cuda.so"})
+    if build := build_folder():
+        yield from shared_symbols(build)
+
+
+if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    problems = list(audit())
+    print("\n".join(problems) or "audit: the libraries keep their promises")
+    sys.exit(bool(problems))

@@ -122,13 +122,11 @@ struct Window {
       for (int64_t dx = -rx; dx <= rx; ++dx) *to++ = falloff.space_y * F(dy * dy) + falloff.space_x * F(dx * dx);
   }
 
-  // Calls body(tap, row, dx) for the taps of the window at `place`.
+  // Calls body(tap, dx) for the taps in row `row` of the window at `place`.
   template <class Body>
-  KV_HD void for_each_tap(Place const& place, Body body) const {
-    for (int64_t row = place.first; row <= place.last; ++row) {
-      int64_t const middle = (row - place.at + ry) * (2 * rx + 1) + rx;
-      for (int64_t dx = -rx; dx <= rx; ++dx) body(middle + dx, row, dx);
-    }
+  KV_HD void for_each_tap(Place const& place, int64_t row, Body body) const {
+    int64_t const rx = this->rx, middle = (row - place.at + ry) * (2 * rx + 1) + rx;
+    for (int64_t dx = -rx; dx <= rx; ++dx) body(middle + dx, dx);
   }
 };
 
@@ -148,28 +146,35 @@ enum class Extra {
 };
 
 // The weights of the window's taps; returns their sum.
-template <int G, Extra extra, class F>
+template <int G, bool l1, Extra extra, class F>
 Vector<F> weigh(Window<F> const& w, Rows<F> const& guide, Place const& place) {
   constexpr int N = kLanes<F>;
   int const channels = G ? G : guide.channels;
+  int64_t const stride = guide.stride;
   F const* const centre = guide.row(place.y) + place.x;
-  F const rate = F(-2 * 0.69314718055994530942) * w.color;
+  F const color = w.color, rate = F(-2 * 0.69314718055994530942) * color;
   Vector<F> total{};
-  w.for_each_tap(place, [&](int64_t tap, int64_t row, int64_t dx) {
-    F const* const pixel = guide.row(row) + place.x + dx;
-    Vector<F> distance{};
-    for (int c = 0; c < channels; ++c) {
-      Vector<F> const difference = load<N>(pixel + c * guide.stride) - load<N>(centre + c * guide.stride);
-      distance += w.l1 ? vabs(difference) : difference * difference;
-    }
-    Vector<F> const square = w.l1 ? distance * distance : distance;
-    Vector<F> const weight = vexp2<F, N>(w.space.data[tap] - square * w.color);
-    store<N>(w.weights.data + tap * N, weight);
-    if constexpr (extra == Extra::slope) store<N>(w.extras.data + tap * N, (w.l1 ? weight * distance : weight) * rate);
-    if constexpr (extra == Extra::square) store<N>(w.extras.data + tap * N, square);
-    total += weight;
-  });
+  for (int64_t row = place.first; row <= place.last; ++row) {
+    F const* const pixel = guide.row(row) + place.x;
+    w.for_each_tap(place, row, [&](int64_t tap, int64_t dx) {
+      Vector<F> distance{};
+      for (int c = 0; c < channels; ++c) {
+        Vector<F> const difference = load<N>(pixel + c * stride + dx) - load<N>(centre + c * stride);
+        distance += l1 ? vabs(difference) : difference * difference;
+      }
+      Vector<F> const square = l1 ? distance * distance : distance;
+      Vector<F> const weight = vexp2<F, N>(w.space.data[tap] - square * color);
+      store<N>(w.weights.data + tap * N, weight);
+      if constexpr (extra == Extra::slope) store<N>(w.extras.data + tap * N, (l1 ? weight * distance : weight) * rate);
+      if constexpr (extra == Extra::square) store<N>(w.extras.data + tap * N, square);
+      total += weight;
+    });
+  }
   return total;
+}
+template <int G, Extra extra, class F>
+KV_HD Vector<F> weigh(Window<F> const& w, Rows<F> const& guide, Place const& place) {
+  return w.l1 ? weigh<G, true, extra>(w, guide, place) : weigh<G, false, extra>(w, guide, place);
 }
 template <Extra extra, class F>
 Vector<F> weigh(Window<F> const& w, Rows<F> const& guide, Place const& place) {
@@ -182,11 +187,14 @@ Vector<F> weigh(Window<F> const& w, Rows<F> const& guide, Place const& place) {
 template <int K, class F>
 KV_HD void add_weighted(Window<F> const& w, Rows<F> const& image, int c, Place const& place, Vector<F> (&sum)[K]) {
   constexpr int N = kLanes<F>;
-  w.for_each_tap(place, [&](int64_t tap, int64_t row, int64_t dx) {
-    F const* const pixel = image.row(row, c) + place.x + dx;
-    Vector<F> const weight = load<N>(w.weights.data + tap * N);
-    for (int k = 0; k < K; ++k) sum[k] += weight * load<N>(pixel + k * image.stride);
-  });
+  int64_t const stride = image.stride;
+  for (int64_t row = place.first; row <= place.last; ++row) {
+    F const* const pixel = image.row(row, c) + place.x;
+    w.for_each_tap(place, row, [&](int64_t tap, int64_t dx) {
+      Vector<F> const weight = load<N>(w.weights.data + tap * N);
+      for (int k = 0; k < K; ++k) sum[k] += weight * load<N>(pixel + k * stride + dx);
+    });
+  }
 }
 
 // Multiplies the slopes with d loss / d weight, as bilateral.h has it. `own` is false where the place is outside of the
@@ -195,21 +203,25 @@ template <int C, class F>
 void multiply_slopes(Window<F> const& w, Rows<F> const& x, Rows<F> const& ab, bool own, Place const& place) {
   constexpr int N = kLanes<F>;
   int const channels = C ? C : x.channels;
+  int64_t const stride_x = x.stride, stride_ab = ab.stride;
   F const* const x_centre = x.row(place.y) + place.x;
   F const* const ab_centre = ab.row(place.y) + place.x;
-  w.for_each_tap(place, [&](int64_t tap, int64_t row, int64_t dx) {
-    F const* const x_pixel = x.row(row) + place.x + dx;
-    F const* const ab_pixel = ab.row(row) + place.x + dx;
-    Vector<F> sum = -load<N>(ab_pixel + channels * ab.stride);
-    for (int c = 0; c < channels; ++c) sum += load<N>(ab_pixel + c * ab.stride) * load<N>(x_centre + c * x.stride);
-    if (own) {
-      sum -= load<N>(ab_centre + channels * ab.stride);
-      for (int c = 0; c < channels; ++c) sum += load<N>(ab_centre + c * ab.stride) * load<N>(x_pixel + c * x.stride);
-    }
-    store<N>(w.extras.data + tap * N, load<N>(w.extras.data + tap * N) * sum);
-  });
+  for (int64_t row = place.first; row <= place.last; ++row) {
+    F const* const x_pixel = x.row(row) + place.x;
+    F const* const ab_pixel = ab.row(row) + place.x;
+    w.for_each_tap(place, row, [&](int64_t tap, int64_t dx) {
+      Vector<F> sum = -load<N>(ab_pixel + channels * stride_ab + dx);
+      for (int c = 0; c < channels; ++c)
+        sum += load<N>(ab_pixel + c * stride_ab + dx) * load<N>(x_centre + c * stride_x);
+      if (own) {
+        sum -= load<N>(ab_centre + channels * stride_ab);
+        for (int c = 0; c < channels; ++c)
+          sum += load<N>(ab_centre + c * stride_ab) * load<N>(x_pixel + c * stride_x + dx);
+      }
+      store<N>(w.extras.data + tap * N, load<N>(w.extras.data + tap * N) * sum);
+    });
+  }
 }
-
 template <class F>
 void multiply_slopes(Window<F> const& w, Rows<F> const& x, Rows<F> const& ab, bool own, Place const& place) {
   return x.channels == 3   ? multiply_slopes<3>(w, x, ab, own, place)
@@ -222,14 +234,17 @@ template <int K, class F>
 KV_HD void add_pull(Window<F> const& w, Rows<F> const& guide, int c, Place const& place, Vector<F> (&sum)[K]) {
   constexpr int N = kLanes<F>;
   F const* const centre = guide.row(place.y, c) + place.x;
-  w.for_each_tap(place, [&](int64_t tap, int64_t row, int64_t dx) {
-    F const* const pixel = guide.row(row, c) + place.x + dx;
-    Vector<F> const slope = load<N>(w.extras.data + tap * N);
-    for (int k = 0; k < K; ++k) {
-      Vector<F> const difference = load<N>(centre + k * guide.stride) - load<N>(pixel + k * guide.stride);
-      sum[k] += w.l1 ? (difference > 0 ? slope : difference < 0 ? -slope : Vector<F>{}) : slope * difference;
-    }
-  });
+  int64_t const stride = guide.stride;
+  for (int64_t row = place.first; row <= place.last; ++row) {
+    F const* const pixel = guide.row(row, c) + place.x;
+    w.for_each_tap(place, row, [&](int64_t tap, int64_t dx) {
+      Vector<F> const slope = load<N>(w.extras.data + tap * N);
+      for (int k = 0; k < K; ++k) {
+        Vector<F> const difference = load<N>(centre + k * stride) - load<N>(pixel + k * stride + dx);
+        sum[k] += w.l1 ? (difference > 0 ? slope : difference < 0 ? -slope : Vector<F>{}) : slope * difference;
+      }
+    });
+  }
 }
 
 }  // namespace
@@ -407,18 +422,20 @@ void bilateral_blur_sigma_sums(BilateralSigmas<T> const& p, int64_t begin, int64
         Vector<F> sum[1]{};
         add_weighted(w, x, c, place, sum);
         Vector<F> const mean = sum[0] / total, a = load<N>(grad.row(y, c) + e) / total;
-        w.for_each_tap(place, [&](int64_t tap, int64_t row, int64_t dx) {
-          F* const slope = slopes.data + tap * N;
-          store<N>(slope, load<N>(slope) + a * (load<N>(x.row(row, c) + e + dx) - mean));
-        });
+        for (int64_t row = place.first; row <= place.last; ++row)
+          w.for_each_tap(place, row, [&](int64_t tap, int64_t dx) {
+            F* const slope = slopes.data + tap * N;
+            store<N>(slope, load<N>(slope) + a * (load<N>(x.row(row, c) + e + dx) - mean));
+          });
       }
       Vector<F> found[3]{};
-      w.for_each_tap(place, [&](int64_t tap, int64_t row, int64_t dx) {
-        Vector<F> const slope = load<N>(slopes.data + tap * N) * load<N>(w.weights.data + tap * N);
-        found[0] += slope * load<N>(w.extras.data + tap * N);
-        found[1] += slope * F((row - y) * (row - y));
-        found[2] += slope * F(dx * dx);
-      });
+      for (int64_t row = place.first; row <= place.last; ++row)
+        w.for_each_tap(place, row, [&](int64_t tap, int64_t dx) {
+          Vector<F> const slope = load<N>(slopes.data + tap * N) * load<N>(w.weights.data + tap * N);
+          found[0] += slope * load<N>(w.extras.data + tap * N);
+          found[1] += slope * F((row - y) * (row - y));
+          found[2] += slope * F(dx * dx);
+        });
       for (int i = 0; i < 3; ++i)
         for (int64_t lane = 0; lane < min(int64_t(N), width - e); ++lane) sums[i] += found[i][lane];
     }

@@ -183,19 +183,88 @@ Vector<F> weigh(Window<F> const& w, Rows<F> const& guide, Place const& place) {
                                : weigh<0, extra>(w, guide, place);
 }
 
-// The sums of K channels of `image` from c on, weighted.
-template <int K, class F>
-KV_HD void add_weighted(Window<F> const& w, Rows<F> const& image, int c, Place const& place, Vector<F> (&sum)[K]) {
-  constexpr int N = kLanes<F>;
+// The sums of K channels of `image` from c on, weighted with weights(tap); returns the sum of the weights.
+template <int K, class F, class Weights>
+KV_HD Vector<F> add_weighted(Window<F> const& w, Weights weights, Rows<F> const& image, int c, Place const& place,
+                             Vector<F> (&sum)[K]) {
   int64_t const stride = image.stride;
+  Vector<F> total{};
   for (int64_t row = place.first; row <= place.last; ++row) {
     F const* const pixel = image.row(row, c) + place.x;
     w.for_each_tap(place, row, [&](int64_t tap, int64_t dx) {
-      Vector<F> const weight = load<N>(w.weights.data + tap * N);
-      for (int k = 0; k < K; ++k) sum[k] += weight * load<N>(pixel + k * stride + dx);
+      Vector<F> const weight = weights(tap);
+      total += weight;
+      for (int k = 0; k < K; ++k) sum[k] += weight * load<kLanes<F>>(pixel + k * stride + dx);
     });
   }
+  return total;
 }
+template <int K, class F>
+KV_HD Vector<F> add_weighted(Window<F> const& w, Rows<F> const& image, int c, Place const& place,
+                             Vector<F> (&sum)[K]) {
+  return add_weighted(w, [&](int64_t tap) { return load<kLanes<F>>(w.weights.data + tap * kLanes<F>); }, image, c, place, sum);
+}
+
+// The weights of pairs of pixels (y, x) and (y + dy, x + dx), dy > 0 or dy = 0 <= dx. Each serves two windows: that of
+// (y, x) now and that of (y + dy, x + dx) later, so a ring of dy + 1 rows is kept of it.
+template <class F>
+struct Pairs {
+  int64_t ry, rx, stride;
+  Scratch<F> memory;
+  Scratch<F const*> taps;  // where the weights of a row's taps are
+
+  static int64_t rows(int64_t ry, int64_t rx) { return before(ry + 1, rx); }
+  Pairs(int64_t ry, int64_t rx, int64_t stride)
+      : ry(ry), rx(rx), stride(stride), memory(rows(ry, rx) * stride), taps((2 * ry + 1) * (2 * rx + 1)) {}
+
+  F* row(int64_t y, int64_t dy, int64_t dx) const {
+    int64_t const ring = before(dy, rx) + (dy > 0 ? dx + rx : dx) * (dy + 1);
+    return memory.data + (ring + (y + ry) % (dy + 1)) * stride + rx;
+  }
+  // Computes row y, of the pairs with rows `from_dy` and more below.
+  template <int G, bool l1>
+  void fill(Window<F> const& w, Rows<F> const& guide, int64_t y, int64_t from_dy) {
+    constexpr int N = kLanes<F>;
+    int const channels = G ? G : guide.channels;
+    int64_t const stride = guide.stride, end = guide.width + rx;
+    F const color = w.color;
+    for (int64_t dy = from_dy; dy <= ry; ++dy)
+      for (int64_t dx = dy > 0 ? -rx : 0; dx <= rx; ++dx) {
+        F const* const p = guide.row(y);
+        F const* const q = guide.row(y + dy) + dx;
+        F* const out = row(y, dy, dx);
+        F const space = w.space.data[(dy + ry) * (2 * rx + 1) + dx + rx];
+        for (int64_t x = -rx; x < end; x += N) {
+          Vector<F> distance{};
+          for (int c = 0; c < channels; ++c) {
+            Vector<F> const difference = load<N>(q + c * stride + x) - load<N>(p + c * stride + x);
+            distance += l1 ? vabs(difference) : difference * difference;
+          }
+          store<N>(out + x, vexp2<F, N>(space - (l1 ? distance * distance : distance) * color));
+        }
+      }
+  }
+  void fill(Window<F> const& w, Rows<F> const& guide, int64_t y, int64_t from_dy) {
+    if (guide.channels == 3)
+      w.l1 ? fill<3, true>(w, guide, y, from_dy) : fill<3, false>(w, guide, y, from_dy);
+    else if (guide.channels == 1)
+      fill<1, false>(w, guide, y, from_dy);
+    else
+      w.l1 ? fill<0, true>(w, guide, y, from_dy) : fill<0, false>(w, guide, y, from_dy);
+  }
+  // Finds the taps of row y.
+  void find(int64_t y) {
+    F const** tap = taps.data;
+    for (int64_t dy = -ry; dy <= ry; ++dy)
+      for (int64_t dx = -rx; dx <= rx; ++dx)
+        *tap++ = dy > 0 || (dy == 0 && dx >= 0) ? row(y, dy, dx) : row(y + dy, -dy, -dx) + dx;
+  }
+
+ private:
+  static int64_t before(int64_t dy, int64_t rx) {
+    return dy > 0 ? rx + 1 + (2 * rx + 1) * (dy - 1) * (dy + 2) / 2 : 0;
+  }
+};
 
 // Multiplies the slopes with d loss / d weight, as bilateral.h has it. `own` is false where the place is outside of the
 // image. The last channel of `ab` is b.
@@ -255,13 +324,16 @@ void bilateral_blur(Bilateral<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<F>;
   int64_t const height = p.x.planes.height, width = p.x.planes.width;
   Window<F> w(p.ky, p.kx, p.l1);
-  Rows<F> const x(p.x.count, p.ky, w.rx, width), other(p.joint ? p.guide.count : 0, p.ky, w.rx, width);
+  Rows<F> const x(p.x.count, p.ky, 2 * w.rx, width), other(p.joint ? p.guide.count : 0, p.ky, 2 * w.rx, width);
   Rows<F> const& guide = p.joint ? other : x;
   Rows<F> const y(p.x.count, 1, 0, width);
+  bool const shared = Pairs<F>::rows(w.ry, w.rx) * x.stride * sizeof(F) <= (1 << 20);
+  Pairs<F> pairs(shared ? w.ry : 0, shared ? w.rx : 0, x.stride);
   int64_t next = 0;  // row to load
   for (int64_t r = begin; r < end; ++r) {
     int64_t const b = r / height, row = r % height;
-    if (r == begin || row == 0) {
+    bool const first = r == begin || row == 0;
+    if (first) {
       w.set(p.sigma.at(b));
       next = row - w.ry;
     }
@@ -269,13 +341,21 @@ void bilateral_blur(Bilateral<T> const& p, int64_t begin, int64_t end) {
       load_row(x, p.x, b, next, p.border);
       if (p.joint) load_row(other, p.guide, b, next, p.border);
     }
+    if (shared) {
+      if (first)
+        for (int64_t dy = w.ry; dy > 0; --dy) pairs.fill(w, guide, row - dy, dy);
+      pairs.fill(w, guide, row, 0);
+      pairs.find(row);
+    }
     for (int64_t e = 0; e < width; e += N) {
       Place const place{e, row, row, row - w.ry, row + w.ry};
-      Vector<F> const total = weigh<Extra::none>(w, guide, place);
+      if (!shared) weigh<Extra::none>(w, guide, place);
       for_each_three(x.channels, [&](auto k, int c) {
         constexpr int K = decltype(k)::value;
         Vector<F> sum[K]{};
-        add_weighted(w, x, c, place, sum);
+        auto const of_pair = [&](int64_t tap) { return load<N>(pairs.taps.data[tap] + e); };
+        Vector<F> const total =
+            shared ? add_weighted(w, of_pair, x, c, place, sum) : add_weighted(w, x, c, place, sum);
         for (int i = 0; i < K; ++i) store<N>(y.row(row, c + i) + e, sum[i] / total);
       });
     }

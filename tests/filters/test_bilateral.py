@@ -2,6 +2,7 @@ import cv2
 import kornia
 import numpy as np
 import pytest
+import skimage.restoration
 import torch
 from torch import Tensor
 
@@ -33,7 +34,6 @@ class TestBilateralBlur(OpTests):
         {"kernel_size": (9, 7), "sigma_color": 0.5, "sigma_space": 3.0, "border_type": "replicate"},
         {"kernel_size": 3, "sigma_color": sigma_color, "sigma_space": sigma_space},
     ]
-    small = (1, 2, 4, 5)
     errors = [
         ({"kernel_size": 4}, ValueError, "kernel_size to be odd"),
         ({"kernel_size": "5"}, TypeError, "kernel_size"),
@@ -48,14 +48,13 @@ class TestBilateralBlur(OpTests):
         ({"color_distance_type": "l3"}, ValueError, "color_distance_type must be one of l1, l2; got 'l3'"),
     ]
 
-    def input(self, shape, dtype, device):
-        return super().input(shape, dtype, device)
-
     @pytest.mark.parametrize("channels", [1, 2, 4, 7])
     @pytest.mark.parametrize("distance", ["l1", "l2"])
     def test_any_number_of_channels(self, channels, distance, device):
         x = torch.rand(2, channels, 11, 21, device=device)
-        self.check_gradients(x, {"kernel_size": 5, "sigma_color": 0.4, "sigma_space": 1.5, "color_distance_type": distance})
+        self.check_gradients(
+            x, {"kernel_size": 5, "sigma_color": 0.4, "sigma_space": 1.5, "color_distance_type": distance}
+        )
 
     @pytest.mark.parametrize("kernel_size", [1, (1, 9), (31, 3), (13, 33)])
     def test_sizes_of_the_window(self, kernel_size, device):
@@ -96,23 +95,24 @@ class TestBilateralBlur(OpTests):
         assert_close(K.filters.bilateral_blur(*args), kornia.filters.bilateral_blur(*args))
 
     def test_against_opencv(self, device):
-        """OpenCV's window is a disc: of a 3x3 window it takes the middle row and column."""
+        """OpenCV's window is a disc, so sigma_space is small enough for the square's corners not to matter."""
         image = np.random.default_rng(0).random((37, 41, 3), dtype=np.float32)
-        theirs = cv2.bilateralFilter(image, d=3, sigmaColor=0.3, sigmaSpace=1e3, borderType=cv2.BORDER_REFLECT_101)
-        padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="reflect")
-        total, weights = np.zeros_like(image), np.zeros((37, 41, 1), np.float32)
-        for dy, dx in ((1, 1), (0, 1), (2, 1), (1, 0), (1, 2)):
-            pixel = padded[dy : dy + 37, dx : dx + 41]
-            weight = np.exp(-(np.abs(pixel - image).sum(2, keepdims=True) ** 2) / (2 * 0.3**2))
-            total, weights = total + weight * pixel, weights + weight
-        assert np.allclose(theirs, total / weights, atol=1e-4)  # it interpolates its table of weights
-        # A row is a disc and a square at once.
-        row = image[:1]
-        x = torch.from_numpy(row).permute(2, 0, 1)[None].to(device)
-        theirs = cv2.bilateralFilter(row, d=3, sigmaColor=0.3, sigmaSpace=1e3, borderType=cv2.BORDER_REPLICATE)
-        middle = np.pad(row, ((0, 0), (1, 1), (0, 0)), mode="edge")
-        weight = [np.exp(-(np.abs(middle[:, i : i + 41] - row).sum(2, keepdims=True) ** 2) / 0.18) for i in range(3)]
-        del x, weight, theirs
+        theirs = cv2.bilateralFilter(image, d=9, sigmaColor=0.3, sigmaSpace=0.8, borderType=cv2.BORDER_REFLECT_101)
+        x = torch.from_numpy(image).permute(2, 0, 1)[None]
+        ours = K.filters.bilateral_blur(x.to(device), 9, 0.3, (0.8, 0.8))
+        assert_close(ours.cpu(), torch.from_numpy(theirs).permute(2, 0, 1)[None], 0, 2e-4)  # its weights are a table
+
+    def test_against_skimage(self, device):
+        image = np.random.default_rng(0).random((37, 41))
+        theirs = skimage.restoration.denoise_bilateral(image, 5, sigma_color=0.3, sigma_spatial=1.5, mode="edge")
+        ours = K.filters.bilateral_blur(torch.from_numpy(image)[None, None].to(device), 5, 0.3, (1.5, 1.5), "replicate")
+        assert_close(ours[0, 0].cpu(), torch.from_numpy(theirs), 0, 2e-4)  # its weights are a table
+
+    def test_bytes_are_the_rounded_float_result(self, device):
+        x = torch.randint(0, 256, (2, 3, 21, 30), dtype=torch.uint8, device=device)
+        wide = K.filters.bilateral_blur(x.double(), 5, 30.0, (1.5, 1.5))
+        difference = (K.filters.bilateral_blur(x, 5, 30.0, (1.5, 1.5)).double() - wide).abs()
+        assert difference.max() <= 0.5 + 1e-4
 
 
 class TestJointBilateralBlur(OpTests):

@@ -80,18 +80,17 @@ def _reference_sigma_sums(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
 
 
 def _backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
-    x, _, *sigmas = args[:4]
+    x, _, sigma_color, sigma_space = args[:4]
     found: list[Any] = [None] * 4
     if needs[0] or needs[1]:
         found[:2] = _bilateral_blur_backward(grad, *args, needs[0], needs[1])
     if needs[2] or needs[3]:
         wide = compute_dtype(x)  # sums of many products
         sums = _bilateral_blur_sigma_sums(grad.to(wide), x.to(wide), *args[1:]).sum(2)
-        found[2:] = [s if sigma is None else s / sigma**3 for s, sigma in zip((sums[:, 0], sums[:, 1:]), sigmas)]
+        found[2] = sums[:, 0] / sigma_color**3 if needs[2] else None
+        found[3] = sums[:, 1:] / sigma_space**3 if needs[3] else None
     # One guidance or sigma may have served the whole batch.
-    return [
-        g.sum_to_size(a.shape) if need else None for a, g, need in zip(args, found, needs) if isinstance(a, Tensor)
-    ]
+    return [g.sum_to_size(a.shape) if need else None for g, a, need in zip(found, args[:4], needs[:4], strict=True)]
 
 
 _bilateral_blur = register("bilateral_blur", _reference, backward=_backward, bytes=True)

@@ -209,15 +209,16 @@ KV_HD V polynomial(V x, F const (&c)[n]) {
 }
 
 // 2^x within 2 units in the last place: 2^n p(x - n) with n the nearest integer, and p(f) = 2^f on [-1/2, 1/2] within
-// 3e-9 (float) or 2e-17 (double), p(0) = 1. Below the normal numbers it is 0, from 2^127.5 (2^1023.5) on inf; NaN stays.
+// 3e-9 (float) or 2e-17 (double), p(0) = 1. Below the normal numbers it is 0, from 2^127.5 (2^1023.5) on inf; NaN
+// stays.
 template <class F, int N>
 KV_HD Lanes<F, N> vexp2(Lanes<F, N> x) {
   using V = Lanes<F, N>;
   // Adding `shift` rounds x and leaves n + bias in the low bits, from where they move to the exponent.
   if constexpr (sizeof(F) == 4) {
     constexpr float bias = 127, shift = 0x1.8p23f + bias;
-    constexpr float c[] = {1.55946874e-4f, 1.34066444e-3f, 9.61769296e-3f, 5.55031055e-2f,
-                           2.40226528e-1f, 6.93147215e-1f, 1.f};
+    constexpr float c[] = {
+        1.55946874e-4f, 1.34066444e-3f, 9.61769296e-3f, 5.55031055e-2f, 2.40226528e-1f, 6.93147215e-1f, 1.f};
     x = min(max(x, broadcast<N>(-bias)), broadcast<N>(bias + 1));
     V const shifted = x + shift;
     auto const exponent = __builtin_bit_cast(Lanes<int32_t, N>, shifted) << 23;

@@ -1,9 +1,10 @@
 // Bilateral blur: a pixel becomes the mean of its window, weighted by nearness in space and in colour,
 //
-//   y[c,p] = sum_t w(p, p+t) x[c,p+t] / n(p)     n(p) = sum_t w(p, p+t)     w(p,q) = 2^(space(q-p) - |g[p]-g[q]|^2 color)
+//   y[c,p] = sum_t w(p, p+t) x[c,p+t] / n(p)     n(p) = sum_t w(p, p+t)     w(p,q) = 2^(space(q-p) - |g[p]-g[q]|^2
+//   color)
 //
-// The guide g is x itself or, for the joint blur, another image; |.| is the sum of absolute differences over its channels
-// (l1) or the Euclidean distance (l2). Included by bilateral_cpu.cpp, bilateral.cu and bilateral_op.cpp.
+// The guide g is x itself or, for the joint blur, another image; |.| is the sum of absolute differences over its
+// channels (l1) or the Euclidean distance (l2). Included by bilateral_cpu.cpp, bilateral.cu and bilateral_op.cpp.
 //
 // The gradient. With a[c,p] = grad[c,p] / n(p) and b(p) = sum_c a[c,p] y[c,p], the weight w(p,q) has the gradient
 // sum_c a[c,p] x[c,q] - b(p). It depends on g through the distance of p and q alone, and so does w(q,p), which is the
@@ -12,8 +13,9 @@
 //   for x[c]:  w a[c,p]
 //   for g[k]:  w (sum_c (a[c,p] x[c,q] + a[c,q] x[c,p]) - b(p) - b(q)) d(-|g[p]-g[q]|^2 color) / d g[k,q]
 //
-// where what lies outside of the image has the pixels of the border and a = b = 0 (or their own, where the image goes on
-// in circles). A pixel then sums over the positions at which it stands. No atomics, and every weight is computed once.
+// where what lies outside of the image has the pixels of the border and a = b = 0 (or their own, where the image goes
+// on in circles). A pixel then sums over the positions at which it stands. No atomics, and every weight is computed
+// once.
 #pragma once
 
 #include "core/border.h"
@@ -46,8 +48,8 @@ struct Falloff {
 template <class F>
 struct Sigmas {
   F color, y, x;
-  F const *colors, *spaces;             // (B) or (1), (B, 2) or (1, 2), or null
-  int64_t color_stride, space_stride;   // 0 where one serves the batch
+  F const *colors, *spaces;            // (B) or (1), (B, 2) or (1, 2), or null
+  int64_t color_stride, space_stride;  // 0 where one serves the batch
 
   KV_HD Falloff<F> at(int64_t b) const {
     F const* const space = spaces ? spaces + b * space_stride : nullptr;

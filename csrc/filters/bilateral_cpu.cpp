@@ -200,9 +200,9 @@ KV_HD Vector<F> add_weighted(Window<F> const& w, Weights weights, Rows<F> const&
   return total;
 }
 template <int K, class F>
-KV_HD Vector<F> add_weighted(Window<F> const& w, Rows<F> const& image, int c, Place const& place,
-                             Vector<F> (&sum)[K]) {
-  return add_weighted(w, [&](int64_t tap) { return load<kLanes<F>>(w.weights.data + tap * kLanes<F>); }, image, c, place, sum);
+KV_HD Vector<F> add_weighted(Window<F> const& w, Rows<F> const& image, int c, Place const& place, Vector<F> (&sum)[K]) {
+  return add_weighted(
+      w, [&](int64_t tap) { return load<kLanes<F>>(w.weights.data + tap * kLanes<F>); }, image, c, place, sum);
 }
 
 // The weights of pairs of pixels (y, x) and (y + dy, x + dx), dy > 0 or dy = 0 <= dx. Each serves two windows: that of
@@ -261,9 +261,7 @@ struct Pairs {
   }
 
  private:
-  static int64_t before(int64_t dy, int64_t rx) {
-    return dy > 0 ? rx + 1 + (2 * rx + 1) * (dy - 1) * (dy + 2) / 2 : 0;
-  }
+  static int64_t before(int64_t dy, int64_t rx) { return dy > 0 ? rx + 1 + (2 * rx + 1) * (dy - 1) * (dy + 2) / 2 : 0; }
 };
 
 // Multiplies the slopes with d loss / d weight, as bilateral.h has it. `own` is false where the place is outside of the
@@ -354,8 +352,7 @@ void bilateral_blur(Bilateral<T> const& p, int64_t begin, int64_t end) {
         constexpr int K = decltype(k)::value;
         Vector<F> sum[K]{};
         auto const of_pair = [&](int64_t tap) { return load<N>(pairs.taps.data[tap] + e); };
-        Vector<F> const total =
-            shared ? add_weighted(w, of_pair, x, c, place, sum) : add_weighted(w, x, c, place, sum);
+        Vector<F> const total = shared ? add_weighted(w, of_pair, x, c, place, sum) : add_weighted(w, x, c, place, sum);
         for (int i = 0; i < K; ++i) store<N>(y.row(row, c + i) + e, sum[i] / total);
       });
     }

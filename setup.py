@@ -1,9 +1,8 @@
 """Builds kvision for pip: CMake and ninja make the libraries, setuptools packs them. All metadata is in pyproject.toml.
 
 Environment:
-    KVISION_BUILD   auto: pure Python, saying why, where the libraries cannot be built for want of a compiler or of torch;
-                    native: that is an error; reference: pure Python. Default auto. Code that does not compile is an
-                    error always.
+    KVISION_BUILD   auto (the default): pure Python, saying why, where there is no compiler or no torch to build with;
+                    native: that is an error; reference: pure Python. Code that does not compile is always an error.
     CMAKE_ARGS      passed on to CMake, say "-DKVISION_CUDA=OFF" or "-DCMAKE_CUDA_ARCHITECTURES=89".
     CXX, CUDACXX    the compilers, read by CMake.
 """
@@ -30,7 +29,7 @@ if BUILD not in ("auto", "native", "reference"):
 
 
 def torch_root() -> Path | None:
-    """The folder of a torch whose headers will do. Build isolation hides the environment's torch from import, not from here."""
+    """The folder of a torch whose headers will do, hidden from import by build isolation or not."""
     spec = importlib.util.find_spec("torch")
     folders = [Path(spec.origin).parent] if spec and spec.origin else []
     folders += [Path(sysconfig.get_path(name), "torch") for name in ("purelib", "platlib")]
@@ -49,7 +48,7 @@ class NativeDistribution(Distribution):
 
 
 class BuildNative(Command):
-    """Build the libraries into the package: `build/cmake` and python/kvision when editable, else from scratch and installed."""
+    """Build the libraries into the package: for an editable one in build/cmake, kept for ninja; else from scratch."""
 
     description = "build the C++ and CUDA libraries with CMake"
     user_options: list[tuple[str, str, str]] = []

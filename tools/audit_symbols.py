@@ -1,4 +1,4 @@
-"""Proves from the built files what the design promises: `python tools/audit_symbols.py`, exit status 1 where it is broken.
+"""Proves from the built files what the design promises; exit status 1 where a promise is broken.
 
 - The libraries need torch's stable C interface and the C and C++ runtimes, nothing else of torch or CUDA. So one build
   serves every torch from 2.11 on, and the CPU library loads where there is no CUDA.
@@ -54,7 +54,8 @@ def needed_libraries(library: Path, torch: set[str]) -> Iterator[str]:
 
 def build_folder() -> Path | None:
     """The CMake folder of an editable install, or of a build by hand."""
-    return next((f for f in (ROOT / "build/cmake", ROOT / "build") if (f / "CMakeFiles/kvision_baseline.dir").is_dir()), None)
+    folders = (ROOT / "build/cmake", ROOT / "build")
+    return next((folder for folder in folders if (folder / "CMakeFiles/kvision_baseline.dir").is_dir()), None)
 
 
 def shared_symbols(build: Path) -> Iterator[str]:

@@ -141,7 +141,13 @@ struct Strip {
       Pack<T, P> pack;
 #pragma unroll
       for (int i = 0; i < P; ++i) pack.v[i] = round_to<T>(v[i]);
-      if (inside) *reinterpret_cast<Pack<T, P>*>(row + x) = pack;
+      if (inside) {
+        if constexpr (sizeof(pack) ==
+                      16)  // streaming: nobody reads it soon, and it should not push inputs out of the L2
+          __stcs(reinterpret_cast<uint4*>(row + x), *reinterpret_cast<uint4 const*>(&pack));
+        else
+          *reinterpret_cast<Pack<T, P>*>(row + x) = pack;
+      }
     } else {
 #pragma unroll
       for (int i = 0; i < P; ++i)

@@ -25,12 +25,19 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
   F a[P + 2], b[P + 2], c[P + 2];
   strip.load(a, rows.next());
   strip.load(b, rows.next());
-  auto ahead = strip.fetch(rows.next());
+  // Half types have twice the pixels a thread: there more warps hide the wait better than a row fetched ahead.
+  constexpr bool kAhead = P == 4;
+  [[maybe_unused]] typename Strip<1, Aligned, P>::template Fetched<T> ahead;
+  if constexpr (kAhead) ahead = strip.fetch(rows.next());
 #pragma unroll 3
   for (int y = y0; y < y1; ++y) {
-    auto const now = ahead;
-    ahead = strip.fetch(rows.next());
-    strip.spread(now, c);
+    if constexpr (kAhead) {
+      auto const now = ahead;
+      ahead = strip.fetch(rows.next());
+      strip.spread(now, c);
+    } else {
+      strip.load(c, rows.next());
+    }
     SobelColumn<F> columns[P + 2];
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);

@@ -1,6 +1,6 @@
-"""What this kvision is made of and what serves which call: `kvision.info()` and `python -m kvision.info`.
+"""What this kvision is made of, and what serves which call: `kvision.info()` and `python -m kvision.info`.
 
-The module itself can be called, so that the two are one name; kvision/__init__.py imports it when it is first asked for.
+The module itself can be called, so the two are one name; kvision/__init__.py imports it when it is first asked for.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _gpus() -> Iterator[str]:
 def _has_code_for(architectures: str, capability: int) -> bool:
     """Whether one of CMake's architectures, say "80-real;90", runs on a GPU of this compute capability.
 
-    Machine code serves its generation from its number on; PTX, which "90" contains and "90-real" does not, all later ones.
+    Machine code serves its generation from its number on; PTX, which is in "90" and not in "90-real", all later ones.
     """
     for architecture in architectures.split(";"):
         number, _, kind = architecture.partition("-")
@@ -125,7 +125,7 @@ def _served(name: str, device: str) -> list[str]:
 def _next_steps() -> Iterator[str]:
     steps = []
     if _ops._backend == "reference":
-        steps.append("backend 'reference' was chosen: unset KVISION_BACKEND or leave the `with kvision.backend(...)` block.")
+        steps.append("for the kernels, unset KVISION_BACKEND or leave the block `with kvision.backend('reference')`.")
     if "cpu" in _ops.unserved:
         steps.append(
             "for the kernels, install a C++20 compiler (GCC >= 11 or Clang >= 14) and install kvision again; "
@@ -137,7 +137,7 @@ def _next_steps() -> Iterator[str]:
         elif not torch.backends.cuda.is_built():
             steps.append("to use the GPU, install a torch with CUDA: https://pytorch.org/get-started")
         else:
-            steps.append("to use the GPU, put nvcc (CUDA >= 12) on the PATH or name it in CUDACXX, and install kvision again.")
+            steps.append("to use the GPU, put nvcc (CUDA >= 12) on the PATH and install kvision again.")
     elif any("NO KERNELS" in line for line in _gpus()):
         steps.append("install kvision again on this machine, or with CUDAARCHS set to the GPU's architecture.")
     yield "What to do"
@@ -145,7 +145,7 @@ def _next_steps() -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m kvision.info", description="What serves which call, and why not the rest.")
+    parser = argparse.ArgumentParser(prog="python -m kvision.info", description=__doc__.partition("\n")[0])
     parser.add_argument(
         "--cmake-prefix-path",
         action="store_true",

@@ -70,4 +70,6 @@ torch.ops.load_library(LIBRARY)
 assert torch.ops.kvision.sobel(torch.zeros(1, 1, 4, 4), True, 1e-6).shape == (1, 1, 4, 4)
 assert not any("kvision_cuda" in line for line in open("/proc/self/maps"))
 """
-    subprocess.run([sys.executable, "-c", program.replace("LIBRARY", repr(str(CPU)))], check=True, env={"CUDA_VISIBLE_DEVICES": ""})
+    subprocess.run(
+        [sys.executable, "-c", program.replace("LIBRARY", repr(str(CPU)))], check=True, env={"CUDA_VISIBLE_DEVICES": ""}
+    )

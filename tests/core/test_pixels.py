@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-
 from kvision.core.pixels import to_uint8, to_unit
 
 

@@ -14,6 +14,8 @@ class TestSobel(OpTests):
     module = K.filters.Sobel
     operators = ("sobel", "sobel_backward")
     variants = [{}, {"normalized": False}, {"eps": 1e-2}]
+    # Where both gradients nearly vanish, rounding decides their direction, and the gradient follows it.
+    tolerances = {torch.float32: (5e-4, 5e-6)}
 
     def test_flat_image_gives_the_root_of_eps(self, device):
         assert_close(K.filters.sobel(torch.full((1, 1, 4, 4), 0.3, device=device)), torch.full((1, 1, 4, 4), 1e-3, device=device))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import kornia
+import kvision as K
 import pytest
 import torch
-
-import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple, Optional
 
+import kvision as K
 import pytest
 import torch
-
-import kvision as K
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 
@@ -60,8 +59,8 @@ def test_autocast(device):
 def test_legacy_names(tmp_path):
     x, y = torch.arange(2), torch.arange(3)
     for indexing in ("ij", "xy"):
-        for got, want in zip(K.utils.torch_meshgrid([x, y], indexing), torch.meshgrid(x, y, indexing=indexing)):
-            assert torch.equal(got, want)
+        pairs = zip(K.utils.torch_meshgrid([x, y], indexing), torch.meshgrid(x, y, indexing=indexing), strict=True)
+        assert all(torch.equal(got, want) for got, want in pairs)
     torch.save(x, tmp_path / "x.pt")
     assert torch.equal(torch.load(tmp_path / "x.pt", map_location=K.utils.map_location_to_cpu), x)
 

@@ -52,7 +52,7 @@ class TensorWrapper:
         return f"{type(self).__name__}({self._data})"
 
     def __getattr__(self, name: str) -> Any:
-        # Only names this class lacks arrive here. Special ones belong to copy and pickle, which ask before _data is set.
+        # Only names this class lacks arrive here. Special ones are asked for by copy and pickle, before _data is set.
         if name == "_data" or name.startswith("__"):
             raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
         value = getattr(self._data, name)

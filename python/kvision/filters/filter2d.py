@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch.nn.functional as F
 from torch import Tensor
@@ -19,8 +20,8 @@ def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
     b, c, *size = x.shape
     n, *taps = kernel.shape
     if n * c == 0:  # a convolution has at least one group; without planes any crop of the right size will do
-        crop = tuple(slice(k - 1, None, stride) for k in taps)
-        return x[(..., *crop)] * kernel.sum()
+        crop: tuple[Any, ...] = (..., *(slice(k - 1, None, stride) for k in taps))
+        return x[crop] * kernel.sum()
     convolve = F.conv2d if len(size) == 2 else F.conv3d
     weight = kernel[:, None].expand(n, c, *taps).reshape(n * c, 1, *taps)
     y = convolve(x.reshape(b // n, n * c, *size), weight, stride=stride, groups=n * c)

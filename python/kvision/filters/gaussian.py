@@ -88,10 +88,10 @@ def blur_arguments(
     _check.images(op, "input", input)
     ky, kx = _check.pair(op, "kernel_size", kernel_size)
     _check.odd(op, "kernel_size", (ky, kx))
-    sigma, sigma_y, sigma_x = sigma_arguments(op, "sigma", input, sigma)
+    tensor, sigma_y, sigma_x = sigma_arguments(op, "sigma", input, sigma)
     _check.border(op, border)
     _check.reflectable(op, input, (ky // 2, kx // 2), border)
-    return pixels(input), sigma, ky, kx, sigma_y, sigma_x, border
+    return pixels(input), tensor, ky, kx, sigma_y, sigma_x, border
 
 
 def sigma_arguments(
@@ -101,7 +101,8 @@ def sigma_arguments(
     checked = sigmas(op, name, value, 2)
     if isinstance(checked, Tensor):
         return batch_of(op, name, x, checked), 0.0, 0.0
-    return None, *checked
+    sigma_y, sigma_x = checked
+    return None, sigma_y, sigma_x
 
 
 def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:

@@ -231,8 +231,9 @@ def _sigma_columns(
     """The sigma of each axis as (B, 1) in float32 or wider, and the type the kernel shall have."""
     checked = sigmas(op, "sigma", sigma, count, zero=zero)
     if dtype is None:
-        given = isinstance(checked, Tensor) and checked.is_floating_point()
-        dtype = checked.dtype if given else torch.get_default_dtype()
+        dtype = torch.get_default_dtype()
+        if isinstance(checked, Tensor) and checked.is_floating_point():
+            dtype = checked.dtype
     _fractions(op, dtype)
     wide = torch.promote_types(dtype, torch.float32)
     if isinstance(checked, Tensor):

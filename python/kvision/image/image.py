@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.dlpack import from_dlpack, to_dlpack  # type: ignore[attr-defined]  # to_dlpack is public
+from torch.utils.dlpack import from_dlpack, to_dlpack
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError

@@ -138,7 +138,7 @@ def _decode(path: Path) -> np.ndarray[Any, Any]:
         known = cv2.haveImageReader(str(path))
         reason = "the file is damaged or cut short" if known else "it is in no format OpenCV knows"
         raise ImageError(f"load_image: cannot decode '{path}': {reason}")
-    metadata = dict(zip(np.ravel(kinds).tolist(), blocks))
+    metadata = dict(zip(np.ravel(kinds).tolist(), blocks, strict=True))
     exif = bytes(np.ravel(metadata.get(cv2.IMAGE_METADATA_EXIF, np.empty(0, np.uint8))))
     planes = cv2.split(_turn_upright(pixels, _orientation(exif)))
     rgb = {3: (2, 1, 0), 4: (2, 1, 0, 3)}.get(len(planes), range(len(planes)))

@@ -1,0 +1,59 @@
+// Blurs a photograph, finds its edges, checks the gradient of it all numerically: edges IN.ppm OUT.ppm
+#include <kvision/kvision.h>
+#include <torch/types.h>
+
+#include <cmath>
+#include <fstream>
+#include <iostream>
+#include <stdexcept>
+#include <string>
+
+namespace {
+
+// A binary PPM as a (1, 3, H, W) tensor in [0, 1].
+torch::Tensor read_ppm(std::string const& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::string magic;
+  int64_t width = 0, height = 0, largest = 0;
+  file >> magic >> width >> height >> largest;
+  file.get();
+  if (!file || magic != "P6" || largest != 255) throw std::runtime_error(path + ": not a binary PPM of 8 bits");
+  torch::Tensor pixels = torch::empty({1, height, width, 3}, torch::kByte);
+  if (!file.read(static_cast<char*>(pixels.data_ptr()), pixels.numel())) throw std::runtime_error(path + ": too short");
+  return pixels.permute({0, 3, 1, 2}).to(torch::kFloat) / 255;  // channels-last in memory, as kvision reads it
+}
+
+void write_ppm(std::string const& path, torch::Tensor const& image) {
+  torch::Tensor const pixels = (image[0].permute({1, 2, 0}) * 255).round().clamp(0, 255).to(torch::kByte).contiguous();
+  std::ofstream file(path, std::ios::binary);
+  file << "P6\n" << pixels.size(1) << " " << pixels.size(0) << "\n255\n";
+  file.write(static_cast<char const*>(pixels.data_ptr()), pixels.numel());
+  if (!file) throw std::runtime_error(path + ": cannot be written");
+}
+
+torch::Tensor edges(torch::Tensor const& image) { return kvision::sobel(image); }
+
+// The derivative along a random direction, by autograd and by a central difference.
+void check_gradient(torch::Tensor const& image) {
+  torch::Tensor const x = image.to(torch::kDouble).requires_grad_();
+  edges(x).sum().backward();
+  torch::Tensor const direction = torch::randn_like(x), step = 1e-6 * direction;
+  double const analytic = (x.grad() * direction).sum().item<double>();
+  torch::NoGradGuard no_grad;
+  double const numeric = ((edges(x + step) - edges(x - step)).sum() / 2e-6).item<double>();
+  std::cout << "derivative along a random direction: autograd " << analytic << ", numeric " << numeric << "\n";
+  if (!(std::abs(analytic - numeric) < 1e-4 * std::abs(numeric))) throw std::runtime_error("the gradient is wrong");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) try {
+  if (argc != 3) throw std::runtime_error("usage: edges IN.ppm OUT.ppm");
+  torch::Tensor const image = read_ppm(argv[1]), found = edges(image);
+  write_ppm(argv[2], found / found.max());
+  std::cout << argv[1] << " -> " << argv[2] << ", " << image.sizes() << "\n";
+  check_gradient(image.slice(2, 0, 64).slice(3, 0, 64));
+} catch (std::exception const& error) {
+  std::cerr << "edges: " << error.what() << "\n";
+  return 1;
+}

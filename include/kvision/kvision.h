@@ -1,0 +1,5 @@
+// The C++ API of kvision: its operators on LibTorch tensors, on CPU and GPU, with gradients. Header-only; link
+// kvision::kvision from find_package(kvision), see examples/cpp.
+#pragma once
+
+#include "kvision/filters.h"

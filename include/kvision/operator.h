@@ -1,0 +1,105 @@
+// How C++ reaches an operator of kvision and gives it a gradient. Included by the header of each module.
+//
+//   call<"sobel">(input, normalized, eps)                       the operator, through torch's dispatcher
+//   differentiable(tensors, compute, saved, gradient)           what autograd sees of it
+//
+// Argument types are those of the schema: Tensor, std::optional<Tensor>, int64_t, double, bool, and std::string for
+// str.
+#pragma once
+
+#include <ATen/core/LegacyTypeDispatch.h>
+#include <ATen/core/dispatch/Dispatcher.h>
+#include <torch/csrc/autograd/custom_function.h>
+
+#include <algorithm>
+#include <functional>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+
+namespace kvision {
+
+using at::Tensor;
+using torch::autograd::variable_list;
+
+namespace detail {
+
+template <size_t N>
+struct Name {
+  char text[N];
+  consteval Name(char const (&literal)[N]) { std::copy_n(literal, N, text); }
+};
+
+// What the dispatcher takes for an argument: strings as views, all else as it is.
+template <class T>
+T const& as_argument(T const& value) {
+  return value;
+}
+inline std::string_view as_argument(std::string const& value) { return value; }
+
+template <Name name, class Result = Tensor, class... Args>
+Result call(Args const&... args) {
+  using Signature = Result(decltype(as_argument(args))...);
+  static auto const op = c10::Dispatcher::singleton()
+                             .findSchemaOrThrow((std::string("kvision::") + name.text).c_str(), "")
+                             .template typed<Signature>();
+  return op.call(as_argument(args)...);
+}
+
+// What a gradient is computed from. `wanted(i)`: whether the i-th tensor needs its gradient.
+struct Backward {
+  variable_list grads, saved;
+  std::function<bool(size_t)> wanted;
+};
+// Gives the gradients of the tensors in their order; an undefined Tensor for one that is not wanted. Made of
+// differentiable functions, it can itself be differentiated.
+using Gradient = std::function<variable_list(Backward const&)>;
+using Compute = std::function<variable_list()>;
+
+// One autograd function for all operators: what it computes and how that is differentiated are arguments.
+struct Function : torch::autograd::Function<Function> {
+  struct Capsule : torch::CustomClassHolder {
+    Gradient gradient;
+    size_t tensors;
+    Capsule(Gradient gradient, size_t tensors) : gradient(std::move(gradient)), tensors(tensors) {}
+  };
+
+  static variable_list forward(torch::autograd::AutogradContext* ctx, at::TensorList tensors, Compute const& compute,
+                               variable_list const& saved, Gradient const& gradient) {
+    ctx->save_for_backward(saved);
+    ctx->saved_data["capsule"] = c10::IValue::make_capsule(c10::make_intrusive<Capsule>(gradient, tensors.size()));
+    at::AutoDispatchBelowADInplaceOrView below_autograd;
+    return compute();
+  }
+
+  static variable_list backward(torch::autograd::AutogradContext* ctx, variable_list grads) {
+    auto const holder = ctx->saved_data["capsule"].toCapsule();
+    auto const& capsule = static_cast<Capsule const&>(*holder);
+    variable_list found = capsule.gradient(
+        {std::move(grads), ctx->get_saved_variables(), [ctx](size_t i) { return ctx->needs_input_grad(i); }});
+    found.resize(capsule.tensors + 3);  // forward's other three arguments have none
+    return found;
+  }
+};
+
+// The results of `compute`, which depends on `tensors` (an undefined one stands for an optional one that is not there).
+// Backward calls `gradient` with what was `saved`; it must hold no tensor itself.
+inline variable_list differentiable(variable_list const& tensors, Compute const& compute, variable_list const& saved,
+                                    Gradient const& gradient) {
+  auto const requires_grad = [](Tensor const& t) { return t.defined() && t.requires_grad(); };
+  if (at::GradMode::is_enabled() && std::any_of(tensors.begin(), tensors.end(), requires_grad))
+    return Function::apply(at::TensorList(tensors), compute, saved, gradient);
+  at::AutoDispatchBelowADInplaceOrView below_autograd;
+  return compute();
+}
+
+// For a gradient whose own derivative has no kernel.
+inline Gradient no_second_derivative(char const* op) {
+  return [op](Backward const&) -> variable_list {
+    TORCH_CHECK_NOT_IMPLEMENTED(false, op, ": C++ has no second derivative of it; Python's kvision has");
+  };
+}
+
+}  // namespace detail
+}  // namespace kvision

@@ -1,0 +1,116 @@
+"""Wheels with and without a compiler, and the C++ API as a CMake project finds it in them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+
+ROOT = Path(__file__).parents[2]
+
+pytestmark = pytest.mark.slow
+
+
+def run(*command: object, **environment: str) -> str:
+    """What the command prints."""
+    words, pipe = [str(word) for word in command], subprocess.PIPE
+    result = subprocess.run(
+        words, cwd=ROOT, env={**os.environ, **environment}, stdout=pipe, stderr=subprocess.STDOUT, text=True
+    )
+    assert result.returncode == 0, result.stdout
+    return result.stdout
+
+
+def build_wheel(folder: Path, **environment: str) -> Path:
+    pip = (sys.executable, "-m", "pip")
+    print(run(*pip, "wheel", "-v", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, ROOT, **environment))
+    return next(folder.glob("*.whl"))
+
+
+def unpack(wheel: Path, folder: Path) -> dict[str, str]:
+    """What pip would install, and the environment that finds it first."""
+    zipfile.ZipFile(wheel).extractall(folder)
+    return {"PYTHONPATH": str(folder)}
+
+
+@pytest.fixture(scope="module")
+def wheel(cmake: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_wheel(tmp_path_factory.mktemp("native"), KVISION_BUILD="native", CMAKE_ARGS="-DKVISION_CUDA=OFF")
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return unpack(wheel, tmp_path_factory.mktemp("installed"))
+
+
+def test_wheel_serves_every_python(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert "-py3-none-linux_" in wheel.name
+    assert {"kvision/lib/libkvision.so", "kvision/lib/cmake/kvision/kvision-config.cmake", "kvision/py.typed"} <= names
+    assert {f"kvision/include/kvision/{path.name}" for path in (ROOT / "include/kvision").iterdir()} <= names
+    assert not [name for name in names if name.startswith("tests/") or "csrc" in name]
+
+
+def test_wheel_works(installed: dict[str, str]) -> None:
+    program = "import torch, kvision as K, kvision._C; print(K.__file__, K.sobel(torch.zeros(1, 1, 2, 2)).max().item())"
+    path, value = run(sys.executable, "-c", program, KVISION_BACKEND="native", **installed).split()[-2:]
+    assert path.startswith(installed["PYTHONPATH"]) and abs(float(value) - 1e-3) < 1e-9
+
+
+def test_without_the_module_of_this_python(installed: dict[str, str]) -> None:
+    """_C serves one Python; where it cannot be imported, the operators still run."""
+    for module in Path(installed["PYTHONPATH"], "kvision").glob("_C.*"):
+        module.rename(module.with_suffix(".aside"))
+    try:
+        assert "kvision._C was not built for this Python" in run(sys.executable, "-m", "kvision.info", **installed)
+        program = "import torch, kvision as K; K.sobel(torch.zeros(1, 1, 2, 2))"
+        run(sys.executable, "-c", program, KVISION_BACKEND="native", **installed)
+    finally:
+        for module in Path(installed["PYTHONPATH"], "kvision").glob("_C.*"):
+            module.rename(module.with_suffix(".so"))
+
+
+def test_cpp_example(cmake: str, installed: dict[str, str], tmp_path: Path) -> None:
+    """examples/cpp links the installed wheel, filters a photograph and checks its gradient."""
+    cv2, data = pytest.importorskip("cv2"), pytest.importorskip("skimage.data")
+    cv2.imwrite(str(tmp_path / "photo.ppm"), data.astronaut()[..., ::-1])
+    prefixes = run(sys.executable, "-m", "kvision.info", "--cmake-prefix-path", **installed).splitlines()[-1]
+    assert prefixes.startswith(installed["PYTHONPATH"])
+    run(cmake, "-S", ROOT / "examples/cpp", "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={prefixes}")
+    run(cmake, "--build", tmp_path)
+    print(run(tmp_path / "edges", tmp_path / "photo.ppm", tmp_path / "edges.ppm"))
+    edges = cv2.imread(str(tmp_path / "edges.ppm"))
+    assert edges.shape == (512, 512, 3) and edges.max() == 255 and 0 < edges.mean() < 64
+
+
+def test_cmake_install_is_found(cmake: str, wheel: Path, tmp_path: Path) -> None:
+    """The folder the wheel was built in, installed by CMake as a C++ user would."""
+    prefix = tmp_path / "prefix"
+    run(cmake, "--install", ROOT / "build/wheel", "--prefix", prefix)
+    prefixes = f"{prefix};{torch.utils.cmake_prefix_path}"
+    output = run(cmake, "-S", ROOT / "examples/cpp", "-B", tmp_path / "build", f"-DCMAKE_PREFIX_PATH={prefixes}")
+    assert "Configuring done" in output and not list(prefix.glob("_C*"))
+
+
+def test_without_a_compiler_it_is_pure_python(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    wheel = build_wheel(tmp_path, CXX="/nonexistent", KVISION_BUILD="auto")
+    assert "installed as pure Python" in capfd.readouterr().out
+    assert wheel.name.endswith("-py3-none-any.whl")
+    environment = unpack(wheel, tmp_path)
+    assert "installed as pure Python: CMake found no C++20 compiler" in run(
+        sys.executable, "-m", "kvision.info", **environment
+    )
+    program = "import torch, kvision as K; K.sobel(torch.zeros(1, 1, 2, 2))"
+    run(sys.executable, "-c", program, **environment)
+    with pytest.raises(AssertionError, match="backend 'native' was asked for, but libkvision.so was not built"):
+        run(sys.executable, "-c", program, KVISION_BACKEND="native", **environment)
+
+
+def test_native_can_be_demanded(tmp_path: Path) -> None:
+    with pytest.raises(AssertionError, match="KVISION_BUILD=native, but"):
+        build_wheel(tmp_path, CXX="/nonexistent", KVISION_BUILD="native")

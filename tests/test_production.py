@@ -1,0 +1,77 @@
+"""From Python to production: programs of torch.export, and AOTInductor packages that run without kvision's Python."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+import kvision as K
+from kvision import _ops
+from op_tests import assert_close
+
+
+class Sharpness(nn.Module):
+    """A pipeline as an application has it: filters, a learnt threshold, a reduction."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.filters = nn.Sequential(
+            K.filters.GaussianBlur2d((5, 5), (1.0, 1.0)), K.filters.BoxBlur(3), K.filters.Sobel()
+        )
+        self.threshold = nn.Parameter(torch.tensor(0.1))
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        edges = self.filters(image)
+        return edges, torch.sigmoid(50 * (edges - self.threshold)).mean(dim=(1, 2, 3))
+
+
+@pytest.fixture
+def model(device: torch.device) -> nn.Module:
+    return Sharpness().to(device)
+
+
+@pytest.fixture
+def program(model: nn.Module, device: torch.device) -> torch.export.ExportedProgram:
+    """The model as a graph of operators, for any batch size."""
+    image = torch.rand(2, 3, 16, 20, device=device)
+    return torch.export.export(model, (image,), dynamic_shapes=({0: torch.export.Dim.DYNAMIC},))
+
+
+def test_export_with_a_dynamic_batch(
+    model: nn.Module, program: torch.export.ExportedProgram, device: torch.device
+) -> None:
+    for batch in (1, 2, 5):
+        image = torch.rand(batch, 3, 16, 20, device=device)
+        assert_close(program.module()(image), model(image))
+
+
+def test_exported_program_calls_the_operators(program: torch.export.ExportedProgram, backend: str) -> None:
+    if backend == "reference" or _ops.unserved.get("cpu"):
+        pytest.skip("the reference is traced into torch's own operators")
+    called = {str(node.target) for node in program.graph.nodes if node.op == "call_function"}
+    assert "kvision.sobel.default" in called and "kvision.box_blur.default" in called
+
+
+@pytest.mark.slow
+def test_aoti_package_runs_without_python_code(
+    model: nn.Module, program: torch.export.ExportedProgram, device: torch.device, tmp_path: Path
+) -> None:
+    package = torch._inductor.aoti_compile_and_package(program, package_path=str(tmp_path / "model.pt2"))
+    image = torch.rand(5, 3, 16, 20, device=device)
+    torch.save({"image": image, "expected": model(image)}, tmp_path / "case.pt")
+    script = """
+import sys, torch
+package, case, *libraries = sys.argv[1:]
+for library in libraries:
+    torch.ops.load_library(library)
+case = torch.load(case)
+torch.testing.assert_close(torch._inductor.aoti_load_package(package)(case["image"]), case["expected"])
+assert not any(name.startswith("kvision") for name in sys.modules)
+"""
+    libraries = [_ops.LIBRARY_FOLDER / _ops._LIBRARIES[d] for d in {"cpu", device.type} if d not in _ops.unserved]
+    subprocess.run([sys.executable, "-c", script, package, tmp_path / "case.pt", *sorted(libraries)], check=True)

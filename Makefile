@@ -17,7 +17,7 @@ demo: build
 	$(BIN)/python -m kvision.demo $(ARGS)
 
 test: build
-	$(BIN)/python -m pytest -m "not slow" $(TESTS) $(ARGS)
+	$(BIN)/python -m pytest --quiet --numprocesses auto --maxprocesses 8 -m "not slow" $(TESTS) $(ARGS)
 
 bench: build
 	$(BIN)/python -m benchmarks $(ARGS)

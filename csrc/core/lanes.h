@@ -57,11 +57,20 @@ KV_HD Lanes<double, N> load(double const* p) {
 }
 template <int N>
 KV_HD Lanes<float, N> load(uint8_t const* p) {
-  if constexpr (N == 1)
+  if constexpr (N == 1) {
     return float(*p);
-  else
-    return __builtin_convertvector(
-        __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(p), Lanes<int32_t, N>), Lanes<float, N>);
+  } else {
+#if defined(__AVX512F__)
+    if constexpr (N == 16)
+      return (Lanes<float, N>)_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((__m128i const*)p)));
+#elif defined(__AVX2__)
+    if constexpr (N == 8)
+      return (Lanes<float, N>)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((__m128i const*)p)));
+#endif
+    // Through 16 bits: GCC takes a wider step byte by byte.
+    auto const half = __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(p), Lanes<uint16_t, N>);
+    return __builtin_convertvector(__builtin_convertvector(half, Lanes<int32_t, N>), Lanes<float, N>);
+  }
 }
 template <int N>
 KV_HD Lanes<float, N> load(BFloat16 const* p) {
@@ -114,8 +123,8 @@ KV_HD void store(uint8_t* p, Lanes<float, N> v) {
   if constexpr (N == 1)
     *p = uint8_t(float_to_bits(v));
   else
-    *reinterpret_cast<Lanes<uint8_t, N>*>(p) =
-        __builtin_convertvector(reinterpret_cast<Lanes<int32_t, N>>(v) & 0xff, Lanes<uint8_t, N>);
+    *reinterpret_cast<Lanes<uint8_t, N>*>(p) = __builtin_convertvector(
+        __builtin_convertvector(reinterpret_cast<Lanes<int32_t, N>>(v) & 0xff, Lanes<uint16_t, N>), Lanes<uint8_t, N>);
 }
 template <int N>
 KV_HD void store(BFloat16* p, Lanes<float, N> v) {

@@ -8,10 +8,11 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, transpose
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian, sigmas
 from kvision.filters.separable import _reference as filter_separably
+from kvision.filters.separable import weight_gradients
 
 
 def _reference(
@@ -21,7 +22,38 @@ def _reference(
     return filter_separably(x, kernel_x, kernel_y, border, True)
 
 
-_gaussian_blur2d = as_stored(_reference)
+def _backward(needs, grad, x, sigma, *plain):
+    return [
+        _transposed(grad, sigma, *plain) if needs[0] else None,
+        sigma_gradient(grad, x, sigma, *plain) if needs[1] else None,
+    ]
+
+
+def _transposed_backward(needs, gradgrad, grad, sigma, *plain):
+    return [
+        _gaussian_blur2d(gradgrad, sigma, *plain) if needs[0] else None,
+        sigma_gradient(grad, gradgrad, sigma, *plain) if needs[1] else None,
+    ]
+
+
+def sigma_gradient(
+    grad: Tensor, x: Tensor, sigma: Tensor, ky: int, kx: int, sigma_y: float, sigma_x: float, border: str
+) -> Tensor:
+    """The gradient to sigma from the gradient to the blurred `x`, through the weights.
+
+    The weights sum to 1, so most of their gradient cancels: it goes on in float64.
+    """
+    (kernel_y, kernel_x), pullback = torch.func.vjp(
+        lambda s: axis_kernels(x, s, ky, kx, sigma_y, sigma_x, torch.float64), sigma.double()
+    )
+    dtype = compute_dtype(x)
+    gradients = weight_gradients((True, True), grad, x, kernel_x.to(dtype), kernel_y.to(dtype), border)
+    grad_x, grad_y = (g.double() for g in gradients if g is not None)
+    return pullback((grad_y, grad_x))[0].to(sigma.dtype)
+
+
+_gaussian_blur2d = register("gaussian_blur2d", _reference, backward=_backward, linear=True, bytes=True)
+_transposed = register("gaussian_blur2d_backward", transpose(_reference), backward=_transposed_backward, linear=True)
 
 
 def gaussian_blur2d(
@@ -116,13 +148,20 @@ def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:
 
 
 def axis_kernels(
-    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float
+    x: Tensor,
+    sigma: Tensor | None,
+    ky: int,
+    kx: int,
+    sigma_y: float,
+    sigma_x: float,
+    dtype: torch.dtype | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """The Gaussian kernels (B or 1, ky) and (B or 1, kx) for images `x`."""
+    """The Gaussian kernels (B or 1, ky) and (B or 1, kx) for images `x`, by default in the type that is computed in."""
     columns = (sigma_y, sigma_x) if sigma is None else positive(sigma)[:, :, None].unbind(1)
+    dtype = dtype or compute_dtype(x)
     return (
-        gaussian(ky, columns[0], device=x.device, dtype=x.dtype),
-        gaussian(kx, columns[1], device=x.device, dtype=x.dtype),
+        gaussian(ky, columns[0], device=x.device, dtype=dtype),
+        gaussian(kx, columns[1], device=x.device, dtype=dtype),
     )
 
 

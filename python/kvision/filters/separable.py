@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
-from kvision._ops import as_stored
+from kvision._ops import register
 from kvision.filters.border import pad, same_pads
 from kvision.filters.filter2d import check_padding, correlate, prepare_kernel
 
@@ -19,7 +23,66 @@ def _reference(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same:
     return x
 
 
-_filter2d_separable = as_stored(_reference)
+def _transposed_reference(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> Tensor:
+    x = grad.new_zeros(_transposed_size(grad, kernel_x, kernel_y, border, same))
+    _, pullback = torch.func.vjp(lambda x: _reference(x, kernel_x, kernel_y, border, same), x)
+    return pullback(grad)[0]
+
+
+def _weights_reference(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
+    """(B, kW + kH): for each image the gradient to its kernel_x, then that to its kernel_y."""
+    kernels = [kernel.expand(x.shape[0], -1) for kernel in (kernel_x, kernel_y)]
+    _, pullback = torch.func.vjp(lambda kx, ky: _reference(x, kx, ky, border, same), *kernels)
+    return torch.cat(pullback(grad), 1)
+
+
+def _size(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> tuple[int, ...]:
+    b, c, h, w = x.shape
+    return (b, c, h, w) if same else (b, c, h - kernel_y.shape[1] + 1, w - kernel_x.shape[1] + 1)
+
+
+def _transposed_size(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> tuple[int, ...]:
+    b, c, h, w = grad.shape
+    return (b, c, h, w) if same else (b, c, h + kernel_y.shape[1] - 1, w + kernel_x.shape[1] - 1)
+
+
+def _weights_size(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, *_: Any) -> tuple[int, ...]:
+    return (grad.shape[0], kernel_x.shape[1] + kernel_y.shape[1])
+
+
+def _backward(needs, grad, x, kernel_x, kernel_y, border, same):
+    return [
+        _transposed(grad, kernel_x, kernel_y, border, same) if needs[0] else None,
+        *weight_gradients(needs[1:], grad, x, kernel_x, kernel_y, border, same),
+    ]
+
+
+def _transposed_backward(needs, gradgrad, grad, kernel_x, kernel_y, border, same):
+    return [
+        _filter2d_separable(gradgrad, kernel_x, kernel_y, border, same) if needs[0] else None,
+        *weight_gradients(needs[1:], grad, gradgrad, kernel_x, kernel_y, border, same),
+    ]
+
+
+def weight_gradients(
+    needs: Sequence[bool], grad: Tensor, x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool = True
+) -> list[Tensor | None]:
+    """The gradients to kernel_x and kernel_y, those that are needed, from the gradient to the filtered `x`."""
+    if not (needs[0] or needs[1]):
+        return [None, None]
+    both = _weights_backward(kernel_x, kernel_y, grad, x, border, same)
+    each = both.split((kernel_x.shape[1], kernel_y.shape[1]), 1)
+    return [
+        (part.sum(0, keepdim=True) if kernel.shape[0] == 1 else part) if need else None
+        for need, part, kernel in zip(needs, each, (kernel_x, kernel_y))
+    ]
+
+
+_filter2d_separable = register("filter2d_separable", _reference, fake=_size, backward=_backward, bytes=True)
+_transposed = register(
+    "filter2d_separable_backward", _transposed_reference, fake=_transposed_size, backward=_transposed_backward
+)
+_weights_backward = register("filter2d_separable_weights_backward", _weights_reference, fake=_weights_size)
 
 
 def filter2d_separable(

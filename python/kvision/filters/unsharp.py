@@ -5,9 +5,9 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, transpose
 from kvision.filters.gaussian import _reference as blur
-from kvision.filters.gaussian import blur_arguments
+from kvision.filters.gaussian import blur_arguments, sigma_gradient
 
 
 def _reference(
@@ -16,7 +16,22 @@ def _reference(
     return 2 * x - blur(x, sigma, ky, kx, sigma_y, sigma_x, border)
 
 
-_unsharp_mask = as_stored(_reference)
+def _backward(needs, grad, x, sigma, *plain):
+    return [
+        _transposed(grad, sigma, *plain) if needs[0] else None,
+        -sigma_gradient(grad, x, sigma, *plain) if needs[1] else None,
+    ]
+
+
+def _transposed_backward(needs, gradgrad, grad, sigma, *plain):
+    return [
+        _unsharp_mask(gradgrad, sigma, *plain) if needs[0] else None,
+        -sigma_gradient(grad, gradgrad, sigma, *plain) if needs[1] else None,
+    ]
+
+
+_unsharp_mask = register("unsharp_mask", _reference, backward=_backward, linear=True, bytes=True)
+_transposed = register("unsharp_mask_backward", transpose(_reference), backward=_transposed_backward, linear=True)
 
 
 def unsharp_mask(

@@ -1,0 +1,261 @@
+// Separable filters on the CPU: output rows [begin, end) of all planes in order. A row is filtered along y straight
+// from the image into a buffer, which the border then extends, and along x from there. Compiled once per instruction
+// set.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "separable.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+template <class F>
+KV_HD void load_weights(Taps<F> const& taps, int64_t sample, F scale, F* weights) {
+  F sum = 0;
+  for (int t = 0; t < taps.size; ++t) sum += weights[t] = tap(taps, sample, t);
+  if (taps.gaussian) scale /= sum;
+  for (int t = 0; t < taps.size; ++t) weights[t] *= scale;
+}
+
+// Calls put(width, r, e, sum over i of weights[i] * rows[r + i][e]) for r < R and e in [begin, end). One axis is as
+// good as the other: for y the rows are those of the image, for x they are one row, shifted. R results share their
+// loads.
+template <int R, class T, class Put>
+KV_HD void sum_rows(T const* const* rows, Compute<T> const* weights, int count, int64_t begin, int64_t end, Put put) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>,
+                U = (kVectorBytes == 64 ? 16 : 8) / (R > 2 ? R : 2);  // as many sums as fit the registers
+  auto const block = [&](auto width, auto unroll, int64_t e) {
+    constexpr int M = decltype(width)::value, V = decltype(unroll)::value;
+    Lanes<F, M> sum[R][V] = {};
+    for (int i = 0; i < count + R - 1; ++i) {
+      Lanes<F, M> pixels[V];
+      for (int v = 0; v < V; ++v) pixels[v] = load<M>(rows[i] + e + v * M);
+      for (int r = 0; r < R; ++r)
+        if (R == 1 || unsigned(i - r) < unsigned(count))
+          for (int v = 0; v < V; ++v) sum[r][v] += pixels[v] * weights[i - r];
+    }
+    for (int r = 0; r < R; ++r)
+      for (int v = 0; v < V; ++v) put(width, r, e + v * M, sum[r][v]);
+  };
+  for (; begin + U * N <= end; begin += U * N) block(Width<N>{}, Width<U>{}, begin);
+  if (begin < end) for_each_vector<T>(begin, end, [&](auto width, int64_t e) { block(width, Width<1>{}, e); });
+}
+
+// A row of `width` pixels continued by `left` and `right` pixels.
+template <class F>
+KV_HD void extend(F* row, int64_t width, int64_t step, int64_t left, int64_t right, Border border) {
+  auto const copy = [&](int64_t i) {
+    int64_t const inside = border_index(border, i, width);
+    for (int64_t c = 0; c < step; ++c) row[i * step + c] = inside < 0 ? F(0) : row[inside * step + c];
+  };
+  for (int64_t i = -left; i < 0; ++i) copy(i);
+  for (int64_t i = width; i < width + right; ++i) copy(i);
+}
+
+// The rows of the image that output row y is made of, with their weights. Returns how many they are.
+template <class T>
+KV_HD int rows_of(Separable<T> const& p, int64_t plane, int64_t y, Compute<T> const* ky, T const** rows,
+                  Compute<T>* weights) {
+  int64_t const height = p.x.height, size = p.ky.size, before = p.ky.before;
+  int count = 0;
+  if (p.fold == Border::constant) {
+    for (int64_t t = 0; t < size; ++t) {
+      int64_t const inside = border_index(p.border, y - before + t, height);
+      if (inside < 0) continue;
+      rows[count] = p.x.row(plane, inside);
+      weights[count++] = ky[t];
+    }
+  } else {  // the positions at which row y stands all read rows around y itself
+    int64_t const first = max(y - size, int64_t(0)), last = min(y + size, height - 1);
+    for (int64_t r = first; r <= last; ++r) weights[r - first] = 0;
+    int64_t low = last, high = first;
+    for_each_position(p.fold, y, height, int64_t(p.ky.front()), int64_t(p.ky.back()), [&](int64_t q) {
+      int64_t const begin = max(q - before, int64_t(0)), end = min(q - before + size, height);
+      for (int64_t r = begin; r < end; ++r) weights[r - first] += ky[r - q + before];
+      if (begin < end) low = min(low, begin), high = max(high, end - 1);
+    });
+    for (int64_t r = low; r <= high; ++r) {
+      rows[count] = p.x.row(plane, r);
+      weights[count++] = weights[r - first];
+    }
+  }
+  return count;
+}
+
+// sums[i] += sum over e of a[e] * rows[i][e]
+template <class F>
+KV_HD void add_products(F const* a, F const* const* rows, int64_t count, int64_t size, F* sums) {
+  constexpr int N = kLanes<F>;
+  auto const products = [&](auto unroll, int64_t i) {
+    constexpr int U = decltype(unroll)::value;
+    Lanes<F, N> sum[U] = {};
+    F rest[U] = {};
+    int64_t e = 0;
+    for (; e + N <= size; e += N)
+      for (int u = 0; u < U; ++u) sum[u] += load<N>(a + e) * load<N>(rows[i + u] + e);
+    for (; e < size; ++e)
+      for (int u = 0; u < U; ++u) rest[u] += a[e] * rows[i + u][e];
+    for (int u = 0; u < U; ++u) {
+      for (int l = 0; l < N; ++l) rest[u] += sum[u][l];
+      sums[i + u] += rest[u];
+    }
+  };
+  int64_t i = 0;
+  for (; i + 4 <= count; i += 4) products(Width<4>{}, i);
+  for (; i < count; ++i) products(Width<1>{}, i);
+}
+
+}  // namespace
+
+template <class T>
+void separable(Separable<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int kRows = 4;  // at once, where no folding makes each row a case of its own
+  int const taps_x = p.kx.size, taps_y = p.ky.size;
+  int64_t const step = p.x.step, width = p.y.width, height = p.y.height, size = p.x.row_size();
+  bool const folds = p.fold != Border::constant;
+  int64_t const front = folds ? p.kx.front() : 0, back = folds ? p.kx.back() : 0;
+  int64_t const left = p.kx.before + front,
+                right = max(width - p.x.width + taps_x - 1 - p.kx.before, int64_t(0)) + back;
+
+  int64_t const margin = taps_x * step, padded = size + 2 * margin;
+  Scratch<F> scratch(taps_x + 3 * taps_y + 2 + kRows * padded + width * step + 2 * margin);
+  F *const kx = scratch.data, *const ky = kx + taps_x, *const weights = ky + taps_y;
+  F *const row = weights + 2 * taps_y + 2 + margin, *const position = row + kRows * padded;
+  Scratch<T const*> pointers(2 * taps_y + kRows);
+  Scratch<F const*> shifted(taps_x);
+  for (int t = 0; t < taps_x; ++t) shifted.data[t] = row + (t - p.kx.before) * step;
+  Scratch<T> zeros(size);
+  for (int64_t e = 0; e < size; ++e) zeros.data[e] = T{};
+
+  // Along x: row k of the buffer to output row `out`; `in` is the input row there.
+  auto const along_x = [&](int k, T const* in, T* out) {
+    int64_t const offset = k * padded;
+    extend(row + offset, p.x.width, step, left, right, p.border);
+    auto const put = [&](auto n, int64_t e, auto sum) {
+      constexpr int N = decltype(n)::value;
+      if (p.beta != 0) sum += load<N>(in + e) * p.beta;
+      store<N>(out + e, sum);
+    };
+    auto const filter = [&](int64_t from, int64_t to, auto put) {
+      sum_rows<1>(shifted.data, kx, taps_x, offset + from * step, offset + to * step,
+                  [&](auto n, int, int64_t e, auto sum) { put(n, e - offset, sum); });
+    };
+    // Pixels [from, to) with all positions that are folded onto them.
+    auto const filter_folded = [&](int64_t from, int64_t to) {
+      int64_t const first = from > 0 ? from : -front, last = to < width ? to : width + back;
+      filter(first, last, [&](auto n, int64_t e, auto sum) { store<decltype(n)::value>(position + e, sum); });
+      auto const fold = [&](int64_t q) {
+        int64_t const onto = border_index(p.fold, q, width);
+        for (int64_t c = 0; c < step; ++c) position[onto * step + c] += position[q * step + c];
+      };
+      for (int64_t q = first; q < 0; ++q) fold(q);
+      for (int64_t q = width; q < last; ++q) fold(q);
+      for_each_vector<T>(from * step, to * step,
+                         [&](auto n, int64_t e) { put(n, e, load<decltype(n)::value>(position + e)); });
+    };
+    if (!folds) {
+      filter(0, width, put);
+    } else if (width <= 2 * taps_x) {
+      filter_folded(0, width);
+    } else {
+      filter_folded(0, taps_x);
+      filter(taps_x, width - taps_x, put);
+      filter_folded(width - taps_x, width);
+    }
+  };
+
+  int64_t sample = -1;
+  for (int64_t r = begin, count; r < end; r += count) {
+    int64_t const plane = r / height, y = r % height;
+    if (sample != plane / p.planes) {
+      sample = plane / p.planes;
+      load_weights(p.kx, sample, F(1), kx);
+      load_weights(p.ky, sample, p.alpha, ky);
+    }
+    bool const rim = folds && (y <= p.ky.front() || y + kRows - 1 >= height - 1 - p.ky.back());
+    count = !rim && y + kRows <= height && r + kRows <= end ? kRows : 1;
+    auto const put = [&](auto n, int k, int64_t e, auto sum) { store<decltype(n)::value>(row + k * padded + e, sum); };
+    if (count == kRows) {
+      for (int i = 0; i < taps_y + kRows - 1; ++i) {
+        int64_t const inside = border_index(p.border, y - p.ky.before + i, p.x.height);
+        pointers.data[i] = inside < 0 ? zeros.data : p.x.row(plane, inside);
+      }
+      sum_rows<kRows>(pointers.data, ky, taps_y, 0, size, put);
+    } else {
+      int const rows = rows_of(p, plane, y, ky, pointers.data, weights);
+      sum_rows<1>(pointers.data, weights, rows, 0, size, put);
+    }
+    for (int k = 0; k < count; ++k) along_x(k, p.x.row(plane, y + k), p.y.row(plane, y + k));
+  }
+}
+
+template <class T>
+void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int const taps_x = p.kx.size, taps_y = p.ky.size;
+  int64_t const size = p.grad.width;
+  int64_t const left = p.kx.before, right = max(p.grad.width - p.x.width + taps_x - 1 - left, int64_t(0));
+  int64_t const padded = p.x.width + 2 * taps_x;
+  Scratch<F> scratch(taps_x + 2 * taps_y + padded + size * (taps_y + 1));
+  F *const kx = scratch.data, *const ky = kx + taps_x, *const weights = ky + taps_y;
+  F *const row = weights + taps_y + taps_x, *const grad = row + (padded - taps_x);
+  F* const ring = grad + size;  // rows filtered along x, that of position i at i modulo taps_y
+  Scratch<T const*> pointers(taps_y);
+  Scratch<F const*> shifted(taps_x), filtered(taps_y);
+  for (int64_t t = 0; t < taps_x; ++t) shifted.data[t] = row + t - left;
+
+  auto const store_to = [](F* to) {
+    return [to](auto n, int, int64_t e, auto sum) { store<decltype(n)::value>(to + e, sum); };
+  };
+
+  int64_t sample = -1;
+  for (int64_t tile = begin; tile < end; ++tile) {
+    if (sample != tile / p.tiles()) {
+      sample = tile / p.tiles();
+      load_weights(p.kx, sample, F(1), kx);
+      load_weights(p.ky, sample, F(1), ky);
+    }
+    int64_t const plane = tile / p.down(), y0 = tile % p.down() * p.tile_height;
+    int64_t const y1 = min(y0 + p.tile_height, p.grad.height);
+    F* const sums = p.sums + tile * (taps_x + taps_y);
+    for (int64_t t = 0; t < taps_x + taps_y; ++t) sums[t] = 0;
+
+    for (int64_t y = y0; y < y1; ++y) {
+      // Row r of the image filtered along x, for the positions that enter with row y.
+      int64_t const top = y - p.ky.before;
+      for (int64_t i = y == y0 ? top : top + taps_y - 1; i < top + taps_y; ++i) {
+        F* const to = ring + (i + taps_y) % taps_y * size;
+        int64_t const r = border_index(p.border, i, p.x.height);
+        F const one = 1;
+        T const* const source = p.x.row(plane, r);
+        sum_rows<1>(&source, &one, r < 0 ? 0 : 1, 0, p.x.width, store_to(row));
+        extend(row, p.x.width, 1, left, right, p.border);
+        sum_rows<1>(shifted.data, kx, taps_x, 0, size, store_to(to));
+      }
+      int count = 0;
+      for (int t = 0; t < taps_y; ++t) {
+        filtered.data[t] = ring + (top + t + taps_y) % taps_y * size;
+        int64_t const r = border_index(p.border, top + t, p.x.height);
+        if (r < 0) continue;
+        pointers.data[count] = p.x.row(plane, r);
+        weights[count++] = ky[t];
+      }
+      sum_rows<1>(pointers.data, weights, count, 0, p.x.width, store_to(row));
+      extend(row, p.x.width, 1, left, right, p.border);
+
+      T const* const g = p.grad.row(plane, y);
+      for_each_vector<T>(0, size, [&](auto n, int64_t e) {
+        constexpr int N = decltype(n)::value;
+        store<N>(grad + e, load<N>(g + e));
+      });
+      add_products<F>(grad, shifted.data, taps_x, size, sums);
+      add_products<F>(grad, filtered.data, taps_y, size, sums + taps_x);
+    }
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(separable, Separable)
+KV_INSTANTIATE(separable_weights, SeparableWeights)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,91 @@
+// What the entries of filter2d_separable, gaussian_blur2d and unsharp_mask share. Included by their *_op.cpp.
+#pragma once
+
+#include "glue/glue.h"
+#include "separable.h"
+
+namespace kv {
+
+// The weights along one axis of a call: a tensor (B or 1, size), or those of a Gaussian whose sigma is a column of a
+// tensor (B or 1, 2) or a number.
+struct Axis {
+  Tensor const* tensor;
+  int64_t size;
+  bool gaussian = false;
+  int64_t column = 0;
+  double sigma = 0;
+
+  template <class F>
+  Taps<F> taps(bool same, bool transposed) const {
+    int64_t const before = same ? (size - 1) / 2 : 0;
+    Taps<F> taps{nullptr, 0, F(sigma), int(size), int(transposed ? size - 1 - before : before), gaussian, transposed};
+    if (tensor) {
+      taps.data = static_cast<F const*>(tensor->const_data_ptr()) + column;
+      taps.stride = tensor->size(0) > 1 ? tensor->size(1) : 0;
+    }
+    return taps;
+  }
+};
+
+// Weights or sigmas for images `x`, as rows in the type that images are computed in.
+inline Tensor checked_rows(char const* op, Tensor const& rows, Tensor const& x) {
+  auto const computed = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+  KV_CHECK(rows.dim() == 2 && rows.size(1) > 0 && (rows.size(0) == 1 || rows.size(0) == x.size(0)), op,
+           ": expected weights or sigmas of shape (B or 1, n)");
+  KV_CHECK(rows.scalar_type() == computed && rows.device() == x.device(), op,
+           ": weights or sigmas differ in dtype or device from what the input is computed in");
+  return torch::stable::contiguous(rows);
+}
+
+inline int64_t planes_of_sample(Tensor const& x, Layout layout) {
+  return layout == Layout::channels_last ? 1 : x.size(1);
+}
+
+// alpha * filtered + beta * input, or the transpose of that.
+inline Tensor run_separable(char const* op, Tensor const& input, Axis const& kx, Axis const& ky, Border border,
+                            bool same, bool transposed, double alpha = 1, double beta = 0) {
+  check_images(op, "input", input);
+  int64_t const grow_y = same ? 0 : transposed ? ky.size - 1 : 1 - ky.size;
+  int64_t const grow_x = same ? 0 : transposed ? kx.size - 1 : 1 - kx.size;
+  int64_t const height = input.size(2) + grow_y, width = input.size(3) + grow_x;
+  KV_CHECK(height > 0 && width > 0, op, ": the kernel is larger than the input");
+  if (same) {
+    check_border(op, border, ky.size / 2, height);
+    check_border(op, border, kx.size / 2, width);
+  }
+  bool const folds = same && transposed && (border == Border::reflect || border == Border::replicate);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
+  for_floats_and_bytes(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Separable<T> const params{planes<T const>(x, layout),
+                              planes<T>(y, layout),
+                              kx.template taps<F>(same, transposed),
+                              ky.template taps<F>(same, transposed),
+                              planes_of_sample(x, layout),
+                              F(alpha),
+                              F(beta),
+                              same && !folds ? border : Border::constant,
+                              folds ? border : Border::constant};
+    KV_RUN(separable, x, params, params.y.rows(), params.y.row_size() * (kx.size + ky.size) / 4);
+  });
+  return y;
+}
+
+// alpha * Gaussian blur + beta * input, or the transpose of that. sigma: (B or 1, 2) in (y, x) order, else the numbers.
+inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Tensor> const& sigma, int64_t ky,
+                           int64_t kx, double sigma_y, double sigma_x, std::string const& border, bool transposed,
+                           double alpha, double beta) {
+  KV_CHECK(ky > 0 && kx > 0, op, ": expected kernel sizes of at least 1");
+  std::optional<Tensor> rows;
+  if (sigma) {
+    rows = checked_rows(op, *sigma, input);
+    KV_CHECK(rows->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
+  }
+  Tensor const* const tensor = rows ? &*rows : nullptr;
+  return run_separable(op, input, {tensor, kx, true, 1, sigma_x}, {tensor, ky, true, 0, sigma_y}, border_of(op, border),
+                       true, transposed, alpha, beta);
+}
+
+}  // namespace kv

@@ -1,40 +1,37 @@
 // Bilateral blur: a pixel becomes the mean of its window, weighted by nearness in space and in colour,
 //
-//   y[c,p] = sum_t w(p, p+t) x[c,p+t] / n(p)     n(p) = sum_t w(p, p+t)     w(p,q) = 2^(space(q-p) - |g[p]-g[q]|^2
-//   color)
+//   y[c,p] = sum_t w(p, p+t) x[c,p+t] / n(p)           n(p) = sum_t w(p, p+t)
+//   w(p,q) = 2^(space(q-p) - color |g[p]-g[q]|^2)
 //
 // The guide g is x itself or, for the joint blur, another image; |.| is the sum of absolute differences over its
-// channels (l1) or the Euclidean distance (l2). Included by bilateral_cpu.cpp, bilateral.cu and bilateral_op.cpp.
+// channels (l1) or the Euclidean distance (l2). Included by bilateral_cpu.cpp, bilateral*.cu and bilateral_op.cpp.
 //
 // The gradient. With a[c,p] = grad[c,p] / n(p) and b(p) = sum_c a[c,p] y[c,p], the weight w(p,q) has the gradient
 // sum_c a[c,p] x[c,q] - b(p). It depends on g through the distance of p and q alone, and so does w(q,p), which is the
 // same number. So a position q collects from every position p of its window
 //
 //   for x[c]:  w a[c,p]
-//   for g[k]:  w (sum_c (a[c,p] x[c,q] + a[c,q] x[c,p]) - b(p) - b(q)) d(-|g[p]-g[q]|^2 color) / d g[k,q]
+//   for g[k]:  w (sum_c (a[c,p] x[c,q] + a[c,q] x[c,p]) - b(p) - b(q)) d(-color |g[p]-g[q]|^2) / d g[k,q]
 //
-// where what lies outside of the image has the pixels of the border and a = b = 0 (or their own, where the image goes
-// on in circles). A pixel then sums over the positions at which it stands. No atomics, and every weight is computed
-// once.
+// where outside of the image g and x have the pixels of the border and a = b = 0 (circular: their own, the image goes
+// on). A pixel then sums over the positions at which it stands. No atomics, and every weight is computed once.
 #pragma once
 
 #include "core/border.h"
 #include "core/isa.h"
-#include "core/view.h"
 
 namespace kv {
 
-// The channels of a batch one by one, whatever the memory layout.
+// Images with any strides, in elements; planar and channels-last alike.
 template <class T>
-struct Channels {
-  Planes<T> planes;
-  int count;
-  bool shared;  // one image for the whole batch
+struct Images {
+  T* data;
+  int64_t batch_stride, channel_stride, row_stride, step;  // batch_stride 0: one image serves the batch
+  int64_t batch, height, width;
+  int channels;
 
-  // Pixel x of row y of a channel stands at channel(b, c)[y * planes.row_stride + x * planes.step].
-  KV_HD T* channel(int64_t b, int c) const {
-    if (shared) b = 0;
-    return planes.step == 1 ? planes.plane(b * count + c) : planes.plane(b) + c;
+  KV_HD T* row(int64_t b, int c, int64_t y) const {
+    return data + b * batch_stride + c * channel_stride + y * row_stride;
   }
 };
 
@@ -67,9 +64,9 @@ struct Sigmas {
 // The guide of a joint blur comes in the type that computes, as the sigmas do.
 template <class T>
 struct Bilateral {
-  Channels<T const> x;
-  Channels<Compute<T> const> guide;
-  Channels<T> y;
+  Images<T const> x;
+  Images<Compute<T> const> guide;
+  Images<T> y;
   Sigmas<Compute<T>> sigma;
   int ky, kx;
   Border border;
@@ -78,9 +75,9 @@ struct Bilateral {
 
 template <class T>
 struct BilateralBackward {
-  Channels<T const> grad, x;
-  Channels<Compute<T> const> guide;
-  Channels<T> grad_x, grad_guide;  // all of the gradient is in grad_x where x guides itself
+  Images<T const> grad, x;
+  Images<Compute<T> const> guide;
+  Images<T> grad_x, grad_guide;  // all of the gradient is in grad_x where x guides itself
   Sigmas<Compute<T>> sigma;
   int ky, kx;
   Border border;
@@ -91,8 +88,8 @@ struct BilateralBackward {
 // times the squared distance in colour, in y and in x.
 template <class T>
 struct BilateralSigmas {
-  Channels<T const> grad, x;
-  Channels<Compute<T> const> guide;
+  Images<T const> grad, x;
+  Images<Compute<T> const> guide;
   T* sums;  // (B, 3, H)
   Sigmas<Compute<T>> sigma;
   int ky, kx;

@@ -57,37 +57,35 @@ void Rows<F>::extend(int64_t y, Border border) const {
 
 // Row y of image b, or the border's if y is outside.
 template <class F, class T>
-void load_row(Rows<F> const& to, Channels<T const> const& from, int64_t b, int64_t y, Border border) {
-  Planes<T const> const& p = from.planes;
-  int64_t const inside = pixel_at(border, y, p.height);
+void load_row(Rows<F> const& to, Images<T const> const& from, int64_t b, int64_t y, Border border) {
+  int64_t const inside = pixel_at(border, y, from.height);
   if (inside < 0) return to.zero(y);
   for (int c = 0; c < to.channels; ++c) {
     F* const out = to.row(y, c);
-    T const* const in = from.channel(b, c) + inside * p.row_stride;
-    if (p.step == 1)
+    T const* const in = from.row(b, c, inside);
+    if (from.step == 1)
       for_each_vector<T>(0, to.width, [&](auto width, int64_t x) {
         constexpr int N = decltype(width)::value;
         store<N>(out + x, load<N>(in + x));
       });
     else
-      for (int64_t x = 0; x < to.width; ++x) out[x] = load<1>(in + x * p.step);
+      for (int64_t x = 0; x < to.width; ++x) out[x] = load<1>(in + x * from.step);
   }
   to.extend(y, border);
 }
 
 template <class F, class T>
-void store_row(Rows<F> const& from, Channels<T> const& to, int64_t b, int64_t y) {
-  Planes<T> const& p = to.planes;
+void store_row(Rows<F> const& from, Images<T> const& to, int64_t b, int64_t y) {
   for (int c = 0; c < from.channels; ++c) {
     F const* const in = from.row(y, c);
-    T* const out = to.channel(b, c) + y * p.row_stride;
-    if (p.step == 1)
-      for_each_vector<T>(0, p.width, [&](auto width, int64_t x) {
+    T* const out = to.row(b, c, y);
+    if (to.step == 1)
+      for_each_vector<T>(0, from.width, [&](auto width, int64_t x) {
         constexpr int N = decltype(width)::value;
         store<N>(out + x, load<N>(in + x));
       });
     else
-      for (int64_t x = 0; x < p.width; ++x) store<1>(out + x * p.step, in[x]);
+      for (int64_t x = 0; x < from.width; ++x) store<1>(out + x * to.step, in[x]);
   }
 }
 
@@ -320,11 +318,11 @@ template <class T>
 void bilateral_blur(Bilateral<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<F>;
-  int64_t const height = p.x.planes.height, width = p.x.planes.width;
+  int64_t const height = p.x.height, width = p.x.width;
   Window<F> w(p.ky, p.kx, p.l1);
-  Rows<F> const x(p.x.count, p.ky, 2 * w.rx, width), other(p.joint ? p.guide.count : 0, p.ky, 2 * w.rx, width);
+  Rows<F> const x(p.x.channels, p.ky, 2 * w.rx, width), other(p.joint ? p.guide.channels : 0, p.ky, 2 * w.rx, width);
   Rows<F> const& guide = p.joint ? other : x;
-  Rows<F> const y(p.x.count, 1, 0, width);
+  Rows<F> const y(p.x.channels, 1, 0, width);
   bool const shared = Pairs<F>::rows(w.ry, w.rx) * x.stride * sizeof(F) <= (1 << 20);
   Pairs<F> pairs(shared ? w.ry : 0, shared ? w.rx : 0, x.stride);
   int64_t next = 0;  // row to load
@@ -364,15 +362,15 @@ template <class T>
 void bilateral_blur_backward(BilateralBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<F>;
-  int64_t const height = p.x.planes.height, width = p.x.planes.width;
+  int64_t const height = p.x.height, width = p.x.width;
   bool const circular = p.border == Border::circular, wants_guide = !p.joint || p.wants_guide;
   Window<F> w(p.ky, p.kx, p.l1);
   int64_t const rx = w.rx, ry = w.ry;
-  Rows<F> const x(p.x.count, 4 * ry + 1, 2 * rx, width);
-  Rows<F> const other(p.joint ? p.guide.count : 0, 4 * ry + 1, 2 * rx, width);
+  Rows<F> const x(p.x.channels, 4 * ry + 1, 2 * rx, width);
+  Rows<F> const other(p.joint ? p.guide.channels : 0, 4 * ry + 1, 2 * rx, width);
   Rows<F> const& guide = p.joint ? other : x;
-  Rows<F> const ab(p.x.count + 1, 2 * ry + 1, 2 * rx, width), grad(p.x.count, 1, 0, width);
-  Rows<F> const grad_x(p.x.count, 1, rx, width), grad_guide(other.channels, 1, rx, width);
+  Rows<F> const ab(p.x.channels + 1, 2 * ry + 1, 2 * rx, width), grad(p.x.channels, 1, 0, width);
+  Rows<F> const grad_x(p.x.channels, 1, rx, width), grad_guide(other.channels, 1, rx, width);
 
   // a and b of row y of image b; see bilateral.h
   auto const forward = [&](int64_t b, int64_t y) {
@@ -432,7 +430,7 @@ void bilateral_blur_backward(BilateralBackward<T> const& p, int64_t begin, int64
 
   // In circles a and b go on themselves, and a pixel stands at its own position only.
   Border const fold = circular ? Border::constant : p.border;
-  auto const finish = [&](Rows<F> const& from, Channels<T> const& to, int64_t b, int64_t y) {
+  auto const finish = [&](Rows<F> const& from, Images<T> const& to, int64_t b, int64_t y) {
     for (int c = 0; c < from.channels; ++c) {
       F* const out = from.row(y, c);
       auto const collect_columns = [&](int64_t x) {
@@ -472,10 +470,10 @@ template <class T>
 void bilateral_blur_sigma_sums(BilateralSigmas<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<F>;
-  int64_t const height = p.x.planes.height, width = p.x.planes.width;
+  int64_t const height = p.x.height, width = p.x.width;
   Window<F> w(p.ky, p.kx, p.l1);
-  Rows<F> const x(p.x.count, p.ky, w.rx, width), other(p.joint ? p.guide.count : 0, p.ky, w.rx, width);
-  Rows<F> const grad(p.x.count, 1, 0, width);
+  Rows<F> const x(p.x.channels, p.ky, w.rx, width), other(p.joint ? p.guide.channels : 0, p.ky, w.rx, width);
+  Rows<F> const grad(p.x.channels, 1, 0, width);
   Rows<F> const& guide = p.joint ? other : x;
   Scratch<F> slopes(p.ky * p.kx * N);  // d loss / d log weight
   int64_t next = 0;

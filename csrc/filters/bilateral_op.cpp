@@ -6,8 +6,16 @@ namespace kv {
 namespace {
 
 template <class T>
-Channels<T> channels(Tensor const& x, int64_t batch) {
-  return {planes<T>(x, layout_of(x)), int(x.size(1)), x.size(0) == 1 && batch > 1};
+Images<T> images(Tensor const& x, int64_t batch) {
+  return {static_cast<T*>(const_cast<void*>(x.const_data_ptr())),
+          x.size(0) == 1 && batch > 1 ? 0 : x.stride(0),
+          x.stride(1),
+          x.stride(2),
+          x.stride(3),
+          batch,
+          x.size(2),
+          x.size(3),
+          int(x.size(1))};
 }
 
 // What forward and backward have in common, checked.
@@ -20,8 +28,8 @@ struct Arguments {
   Arguments(char const* op, Tensor const& input, std::optional<Tensor> const& guidance,
             std::optional<Tensor> const& colors, std::optional<Tensor> const& spaces, int64_t ky, int64_t kx,
             std::string const& border, std::string const& distance)
-      : x(conform(input, layout_of(input))),
-        guide(guidance ? conform(*guidance, layout_of(*guidance)) : x),
+      : x(input),
+        guide(guidance ? *guidance : x),
         sigma_color(colors ? torch::stable::contiguous(*colors) : x),
         sigma_space(spaces ? torch::stable::contiguous(*spaces) : x),
         joint(guidance.has_value()),
@@ -73,9 +81,9 @@ Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& guidance
   for_floats_and_bytes("bilateral_blur", a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Bilateral<T> const params{channels<T const>(a.x, batch),
-                              a.joint ? channels<F const>(a.guide, batch) : Channels<F const>{},
-                              channels<T>(y, batch),
+    Bilateral<T> const params{images<T const>(a.x, batch),
+                              a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
+                              images<T>(y, batch),
                               a.sigmas<F>(color, space_y, space_x),
                               a.ky,
                               a.kx,
@@ -101,17 +109,16 @@ std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor co
   int64_t const batch = a.x.size(0), h = a.x.size(2), w = a.x.size(3);
   wants_guide = wants_guide && a.joint;
   Layout const layout = layout_of(grad);
-  Tensor const g = conform(grad, layout);
-  Tensor const grad_x = empty({batch, wants_x ? a.x.size(1) : 0, h, w}, g, layout);
-  Tensor const grad_guide = empty({batch, wants_guide ? a.guide.size(1) : 0, h, w}, g, layout);
+  Tensor const grad_x = empty({batch, wants_x ? a.x.size(1) : 0, h, w}, grad, layout);
+  Tensor const grad_guide = empty({batch, wants_guide ? a.guide.size(1) : 0, h, w}, grad, layout);
   for_floats(op, a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    BilateralBackward<T> const params{channels<T const>(g, batch),
-                                      channels<T const>(a.x, batch),
-                                      a.joint ? channels<F const>(a.guide, batch) : Channels<F const>{},
-                                      channels<T>(grad_x, batch),
-                                      channels<T>(grad_guide, batch),
+    BilateralBackward<T> const params{images<T const>(grad, batch),
+                                      images<T const>(a.x, batch),
+                                      a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
+                                      images<T>(grad_x, batch),
+                                      images<T>(grad_guide, batch),
                                       a.sigmas<F>(color, space_y, space_x),
                                       a.ky,
                                       a.kx,
@@ -135,13 +142,13 @@ Tensor bilateral_blur_sigma_sums(Tensor const& grad, Tensor const& input, std::o
   check_like(op, "grad", grad, input);
   Arguments const a(op, input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
   int64_t const batch = a.x.size(0), h = a.x.size(2);
-  Tensor const g = conform(grad, layout_of(grad)), sums = empty({batch, 3, h}, g);
+  Tensor const sums = empty({batch, 3, h}, grad);
   for_floats(op, a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    BilateralSigmas<T> const params{channels<T const>(g, batch),
-                                    channels<T const>(a.x, batch),
-                                    a.joint ? channels<F const>(a.guide, batch) : Channels<F const>{},
+    BilateralSigmas<T> const params{images<T const>(grad, batch),
+                                    images<T const>(a.x, batch),
+                                    a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
                                     static_cast<T*>(sums.mutable_data_ptr()),
                                     a.sigmas<F>(color, space_y, space_x),
                                     a.ky,

@@ -220,7 +220,7 @@ def _sigma_color(op: str, x: Tensor, value: Tensor | float) -> tuple[Tensor | No
         raise TypeCheckError(
             f"{op}: expected sigma_color to be a number or a Tensor (B,), got {value!r}", actual_type=type(value)
         )
-    if not value > 0:  # also refuses NaN
+    if not value > 0 or not _check.fits_float(value):  # also refuses NaN
         raise ValueCheckError(f"{op}: expected sigma_color to be a positive number, got {value!r}", actual_value=value)
     return None, float(value)
 

@@ -100,7 +100,8 @@ def canny(
     Raises:
         TypeCheckError, ShapeError, DeviceError: as :func:`gaussian_blur2d`.
         ImageError: input has neither 1 nor 3 channels.
-        ValueCheckError: as :func:`gaussian_blur2d`; thresholds that are not 0 < low_threshold <= high_threshold.
+        ValueCheckError: as :func:`gaussian_blur2d`; thresholds that are not 0 < low_threshold <= high_threshold, a
+            negative eps.
 
     Source: J. Canny, "A computational approach to edge detection" (1986).
 
@@ -114,17 +115,21 @@ def canny(
     _check.images("canny", "input", input)
     if input.shape[1] not in (1, 3):
         raise ImageError(f"canny: expected input with 1 or 3 channels, got {tuple(input.shape)}")
-    if not 0 < low_threshold <= high_threshold:  # also refuses NaN
+    low_threshold = _check.number("canny", "low_threshold", low_threshold)
+    high_threshold = _check.number("canny", "high_threshold", high_threshold)
+    if not 0 < low_threshold <= high_threshold:
         raise ValueCheckError(
             f"canny: expected 0 < low_threshold <= high_threshold, got {low_threshold} and {high_threshold}"
         )
+    _check.flag("canny", "hysteresis", hysteresis)
+    eps = _check.number("canny", "eps", eps, minimum=0)
     dtype = input.dtype if input.is_floating_point() else torch.float32
     x = input.to(compute_dtype(input))
     if x.shape[1] == 3:
         red, green, blue = x.split(1, 1)
         x = 0.299 * red + 0.587 * green + 0.114 * blue
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
-    magnitude, edges = _canny_suppress(x, float(low_threshold), float(high_threshold), float(eps))
+    magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)
     if hysteresis:
         edges = _canny_hysteresis(edges)
     return magnitude.to(dtype), edges.to(dtype)

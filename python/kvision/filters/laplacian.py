@@ -48,6 +48,7 @@ def laplacian(
     """
     _check.images("laplacian", "input", input)
     ky, kx = laplacian_sizes("laplacian", kernel_size, 2)
+    _check.flag("laplacian", "normalized", normalized)
     _check.border("laplacian", border_type)
     _check.reflectable("laplacian", input, (ky // 2, kx // 2), border_type)
     return _laplacian(pixels(input), ky, kx, normalized, border_type)

@@ -8,39 +8,49 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import pixels
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, vjp
 from kvision.filters.border import windows
 
 
 def _reference(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
     taps = windows(x, ky, kx, border)
-    median = taps.detach().sort(0).values[ky * kx // 2]
-    at_median = taps == median
-    # 0, but with the gradient: the mean of the pixels that are the median
-    share = torch.where(at_median, taps - median, 0).sum(0) / at_median.sum(0)
-    return torch.where(taps.isfinite().all(0), median + share, torch.nan)
+    median = taps.detach().sort(0).values[(ky * kx - 1) // 2]
+    # amax shares its gradient evenly; with the median's sign, so that no median ties with the filling.
+    sign = torch.where(median < 0, -1, 1)
+    at_median = sign * torch.where(taps == median, sign * taps, -torch.inf).amax(0)
+    return torch.where(taps.isnan().any(0), torch.nan, at_median)
 
 
-_median_blur = as_stored(_reference)
+def _backward(needs, grad, x, ky, kx, border):
+    y = _median_blur(x.detach(), ky, kx, border)
+    return [_median_blur_backward(grad, x, y, ky, kx, border)]
+
+
+def _backward_reference(grad: Tensor, x: Tensor, y: Tensor, ky: int, kx: int, border: str) -> Tensor:
+    return vjp(_reference)(grad, x, ky, kx, border)
+
+
+_median_blur = register("median_blur", _reference, backward=_backward, bytes=True)
+_median_blur_backward = register("median_blur_backward", _backward_reference)
 
 
 def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> Tensor:
-    """Replace every pixel by the median of its window.
+    """Replace every pixel by the median of its window, for an even count of pixels by the lower middle one.
 
     The gradient goes to the pixel that is the median; where several pixels of a window equal it, they share it evenly.
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8, other integers give float32.
-        kernel_size: size of the window, an odd int or (y, x).
+        kernel_size: size of the window, an int or (y, x); an even window reaches one pixel further right and down.
         border_type: 'constant' (zeros, which take part in the median), 'reflect', 'replicate' or 'circular'.
 
     Returns:
-        The filtered image; NaN where the window holds a NaN or an infinity.
+        The filtered image; NaN where the window holds a NaN. Infinities are ordinary values.
 
     Raises:
         TypeCheckError: input is no real tensor; kernel_size is not of ints.
         ShapeError: input is not (B, C, H, W); a border wider than the image.
-        ValueCheckError: an even kernel size, an unknown border_type.
+        ValueCheckError: a kernel size below 1, an unknown border_type.
 
     Example:
         >>> import torch, kvision as K
@@ -50,7 +60,6 @@ def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: 
     """
     _check.images("median_blur", "input", input)
     ky, kx = _check.pair("median_blur", "kernel_size", kernel_size)
-    _check.odd("median_blur", "kernel_size", (ky, kx))
     _check.border("median_blur", border_type)
     _check.reflectable("median_blur", input, (ky // 2, kx // 2), border_type)
     return _median_blur(pixels(input), ky, kx, border_type)

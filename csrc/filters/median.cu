@@ -1,0 +1,188 @@
+// Median blur on CUDA. 3x3 and 5x5 windows: each warp walks down a strip with the sorted rows of its pixels in
+// registers, two outputs a step. Others, and channels-last images: a plain kernel, one thread an element.
+#include "core/launch.cuh"
+#include "median.h"
+
+namespace kv::cuda {
+namespace {
+
+// Pixels a thread takes: more would not fit into its registers.
+template <int K>
+constexpr int kMedianPixels = K == 3 ? 4 : 2;
+constexpr int kRows = 32;
+
+// The sorted rows, one row of the image, of the windows of a thread's pixels. Neighbours share what they have in
+// common.
+template <int K, int P, class F>
+struct Runs {
+  F v[P][K];
+  __device__ __forceinline__ void sort(F const (&row)[P + K - 1]) {
+#pragma unroll
+    for (int i = 0; i < P; i += 2) {
+#pragma unroll
+      for (int k = 1; k < K; ++k) v[i][k] = row[i + k];
+      sort_common<K>(v[i]);
+#pragma unroll
+      for (int k = 1; k < K; ++k) v[i + 1][k] = v[i][k];
+      v[i][0] = row[i];
+      v[i + 1][0] = row[i + K];
+      insert_first<K>(v[i]);
+      insert_first<K>(v[i + 1]);
+    }
+  }
+};
+
+template <int K, class T, bool Aligned>
+__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 2)
+    median_strip(MedianBlur<T> p, Strips<kMedianPixels<K>> strips) {
+  constexpr int P = kMedianPixels<K>, R = K / 2;
+  using F = Compute<T>;
+  using Rows = Runs<K, P, F>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  Strip<R, Aligned, P> const strip(x, int(p.x.width), p.border);
+  T const* const in = p.x.plane(plane);
+  T* out = p.y.row(plane, y0);
+
+  using Fetched = typename Strip<R, Aligned, P>::template Fetched<T>;
+  auto const fetch = [&](int y) {
+    int const inside = border_index(p.border, y, height);
+    return inside < 0 ? Fetched{} : strip.fetch(in + inside * p.x.row_stride);
+  };
+  auto const sort = [&](Fetched const& fetched, Rows& runs) {
+    F row[P + 2 * R];
+    strip.spread(fetched, row);
+    runs.sort(row);
+  };
+  // The next two rows are asked for before these are worked on.
+  Fetched ahead0 = fetch(y0 + R), ahead1 = fetch(y0 + R + 1);
+  auto const down = [&](int y, Rows& next0, Rows& next1) {
+    Fetched const now0 = ahead0, now1 = ahead1;
+    if (y + 2 < y1) {
+      ahead0 = fetch(y + R + 2);
+      ahead1 = fetch(y + R + 3);
+    }
+    sort(now0, next0);
+    sort(now1, next1);
+  };
+  auto const store = [&](F const(&first)[P], F const(&second)[P], int y) {
+    strip.store(out, first);
+    if (y + 1 < y1) strip.store(out + p.y.row_stride, second);
+    out += 2 * p.y.row_stride;
+  };
+
+  if constexpr (K == 3) {
+    Rows a, b, c, d;  // rows y - 1 ... y + 2
+    sort(fetch(y0 - 1), a);
+    sort(fetch(y0), b);
+    for (int y = y0; y < y1; y += 2) {
+      down(y, c, d);
+      F first[P], second[P];
+#pragma unroll
+      for (int i = 0; i < P; ++i) {
+        F middle[K + 1];
+        middle_of_two<K>(b.v[i], c.v[i], middle);
+        first[i] = median_of<K>(middle, a.v[i]);
+        second[i] = median_of<K>(middle, d.v[i]);
+      }
+      store(first, second, y);
+      a = c;
+      b = d;
+    }
+  } else {
+    Rows before, same, after, next0, next1;  // rows y - 2, y, y + 1, y + 2, y + 3
+    F above[P][2 * K], below[P][2 * K];      // rows y - 1 and y, y + 1 and y + 2, merged
+    sort(fetch(y0 - 2), before);
+    sort(fetch(y0 - 1), after);
+    sort(fetch(y0), same);
+#pragma unroll
+    for (int i = 0; i < P; ++i) merge<K, K>(after.v[i], same.v[i], above[i]);
+    sort(fetch(y0 + 1), after);
+    for (int y = y0; y < y1; y += 2) {
+      down(y, next0, next1);
+      F first[P], second[P];
+#pragma unroll
+      for (int i = 0; i < P; ++i) {
+        merge<K, K>(after.v[i], next0.v[i], below[i]);
+        F middle[K + 1];
+        middle_of_two<K>(above[i], below[i], middle);
+        first[i] = median_of<K>(middle, before.v[i]);
+        second[i] = median_of<K>(middle, next1.v[i]);
+#pragma unroll
+        for (int k = 0; k < 2 * K; ++k) above[i][k] = below[i][k];
+      }
+      store(first, second, y);
+      before = same;
+      same = next0;
+      after = next1;
+    }
+  }
+}
+
+template <class T>
+__global__ void median_any(MedianBlur<T> p) {
+  using Key = MedianKey<T>;
+  int64_t const i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x, size = p.x.row_size(), step = p.x.step;
+  if (i >= p.x.rows() * size) return;
+  int64_t const e = i % size, r = i / size, plane = r / p.x.height;
+  int const y = int(r % p.x.height), x = int(e / step), channel = int(e % step);
+  int const height = int(p.x.height), width = int(p.x.width);
+  int const top = y - int(median_before(p.ky)), left = x - int(median_before(p.kx));
+  int const bottom = y + int(median_after(p.ky)), right = x + int(median_after(p.kx));
+  bool const interior = left >= 0 && right < width;
+  T const* const in = p.x.plane(plane) + channel;
+
+  auto const count = [&](auto counts) {
+    Key n = 0;
+    for (int yy = top; yy <= bottom; ++yy) {
+      int const inside = border_index(p.border, yy, height);
+      if (inside < 0) {
+        n += counts(to_key(T{})) ? Key(p.kx) : Key(0);
+        continue;
+      }
+      T const* const row = in + inside * p.x.row_stride;
+      if (interior)
+        for (int xx = left; xx <= right; ++xx) n += counts(to_key(row[xx * step]));
+      else
+        for (int xx = left; xx <= right; ++xx) {
+          int const at = border_index(p.border, xx, width);
+          n += counts(to_key(at < 0 ? T{} : row[at * step]));
+        }
+    }
+    return n;
+  };
+  Key median = kMedianKeyOfNan<T>;
+  if (sizeof(T) == 1 || count([](Key key) { return key == kMedianKeyOfNan<T>; }) == 0)
+    median = select_key<T>(kLowestMedianKey<T>, Key((p.ky * p.kx - 1) / 2),
+                           [&](Key candidate) { return count([=](Key key) { return key < candidate; }); });
+  p.y.row(plane, y)[e] = from_key<T>(median);
+}
+
+template <int K, class T>
+void launch_strip(MedianBlur<T> const& p, CUstream_st* stream) {
+  constexpr int P = kMedianPixels<K>;
+  Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  if (is_strip<P>(p.x) && is_strip<P>(p.y))
+    median_strip<K, T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  else
+    median_strip<K, T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+}
+
+}  // namespace
+
+template <class T>
+int median_blur(MedianBlur<T> const& p, CUstream_st* stream) {
+  if (p.ky == p.kx && p.kx == 3 && p.x.step == 1)
+    launch_strip<3>(p, stream);
+  else if (p.ky == p.kx && p.kx == 5 && p.x.step == 1)
+    launch_strip<5>(p, stream);
+  else
+    median_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_WITH_BYTES(median_blur, MedianBlur)
+
+}  // namespace kv::cuda

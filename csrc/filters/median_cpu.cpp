@@ -1,0 +1,367 @@
+// Median blur on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
+//
+// Planes are walked in blocks of columns so narrow that their rows, with the border around them, stay in the first
+// cache. Loops run over whole vectors: rows in scratch have room for what is too much.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "median.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// What rows in scratch hold: bytes as bytes, and keys for the windows that are searched bit by bit.
+template <class T>
+struct network_value {
+  using type = Compute<T>;
+};
+template <>
+struct network_value<uint8_t> {
+  using type = uint8_t;
+};
+
+template <class F>
+constexpr int kWidth = kVectorBytes / int(sizeof(F));
+template <class F>
+using Vector = Lanes<F, kWidth<F>>;
+
+template <class F>
+KV_HD Vector<F>& at(F* p) {
+  return *reinterpret_cast<Vector<F>*>(p);
+}
+
+template <class F>
+KV_HD int64_t whole_vectors(int64_t size) {
+  return (size + kWidth<F> - 1) / kWidth<F> * kWidth<F>;
+}
+
+// Stored pixels -> what the rows in scratch hold, and back.
+template <class T, class F>
+KV_HD void unpack(T const* in, int64_t size, F* out) {
+  if constexpr (__is_same(T, F))
+    __builtin_memcpy(out, in, size * sizeof(T));
+  else if constexpr (__is_same(F, Compute<T>))
+    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      store<N>(out + e, load<N>(in + e));
+    });
+  else
+    for (int64_t e = 0; e < size; ++e) out[e] = to_key(in[e]);
+}
+template <class T, class F>
+KV_HD void pack(F const* in, int64_t size, T* out) {
+  if constexpr (__is_same(T, F))
+    __builtin_memcpy(out, in, size * sizeof(T));
+  else if constexpr (__is_same(F, Compute<T>))
+    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      store<N>(out + e, load<N>(in + e));
+    });
+  else
+    for (int64_t e = 0; e < size; ++e) out[e] = from_key<T>(in[e]);
+}
+
+template <class T, class F>
+KV_HD bool is_nan(F x) {
+  if constexpr (__is_same(F, Compute<T>))
+    return x != x;
+  else
+    return x == kMedianKeyOfNan<T>;
+}
+template <class T, class F>
+KV_HD bool has_nan(F const* values, int64_t size) {
+  int32_t nans = 0;  // a count, so that the loop becomes lanes
+  if constexpr (!__is_same(T, uint8_t))
+    for (int64_t e = 0; e < size; ++e) nans += is_nan<T>(values[e]);
+  return nans > 0;
+}
+
+// The last `count` rows of a walk down. Row y takes a division to find, the one below it does not.
+template <class F>
+struct Ring {
+  F* data;
+  int64_t count, stride;
+  KV_HD F* row(int64_t y) const { return data + (y + count) % count * stride; }  // y > -count
+  KV_HD F* below(F* row) const { return row + stride == data + count * stride ? data : row + stride; }
+};
+
+// A ring of rows of a block of columns, each with its border: `before` pixels to the left, `after` to the right.
+template <class T, class F>
+struct BorderedRows {
+  Planes<T const> const& x;
+  Border border;
+  int64_t ky, kx;
+  int64_t plane = 0, first = 0, size = 0;  // the block: elements [first, first + size) of rows
+  Scratch<F> pixels;
+  Scratch<uint8_t> flags;
+  Ring<F> rows;       // from the leftmost pixel of the block's first window on
+  Ring<uint8_t> nan;  // whether a row holds NaN
+
+  KV_HD BorderedRows(Planes<T const> const& x, Border border, int64_t ky, int64_t kx, int64_t block)
+      : x(x),
+        border(border),
+        ky(ky),
+        kx(kx),
+        pixels((ky + 1) * (whole_vectors<F>(block) + (kx - 1) * x.step)),
+        flags(ky + 1),
+        rows{pixels.data, ky + 1, whole_vectors<F>(block) + (kx - 1) * x.step},
+        nan{flags.data, ky + 1, 1} {}
+
+  KV_HD void fill(int64_t y) const {
+    F* const out = rows.row(y);
+    int64_t const count = size + (kx - 1) * x.step, start = first - median_before(kx) * x.step;
+    int64_t const inside = border_index(border, y, x.height);
+    if (inside < 0) {
+      unpack_zeros(out, 0, count);
+    } else {
+      T const* const in = x.row(plane, inside);
+      int64_t const low = max(-start, int64_t(0)), high = min(x.row_size() - start, count);
+      unpack(in + start + low, high - low, out + low);
+      auto const beyond = [&](int64_t e) {
+        int64_t const from_left = start + e + median_before(kx) * x.step;  // not negative
+        int64_t const pixel = from_left / x.step - median_before(kx), channel = from_left % x.step;
+        int64_t const source = border_index(border, pixel, x.width);
+        if (source < 0)
+          unpack_zeros(out, e, e + 1);
+        else
+          unpack(in + source * x.step + channel, 1, out + e);
+      };
+      for (int64_t e = 0; e < low; ++e) beyond(e);
+      for (int64_t e = high; e < count; ++e) beyond(e);
+    }
+    *nan.row(y) = has_nan<T>(out, count);
+  }
+  KV_HD void unpack_zeros(F* out, int64_t begin, int64_t end) const {
+    T const zero{};
+    for (int64_t e = begin; e < end; ++e) unpack(&zero, 1, out + e);
+  }
+
+  // Writes row y of the result; windows with NaN give NaN.
+  KV_HD void write(F* medians, int64_t y, T* out) const {
+    if constexpr (!__is_same(T, uint8_t))
+      for (int64_t yy = y - median_before(ky); yy <= y + median_after(ky); ++yy)
+        if (*nan.row(yy))
+          for (int64_t dx = 0; dx < kx; ++dx)
+            for (int64_t e = 0; e < size; ++e) {
+              F const value = rows.row(yy)[e + dx * x.step];
+              medians[e] = is_nan<T>(value) ? value : medians[e];
+            }
+    pack(medians, size, out);
+  }
+};
+
+// Calls f(plane, first row, end of rows) for the pieces of planes that rows [begin, end) are.
+template <class F>
+KV_HD void for_each_plane(int64_t height, int64_t begin, int64_t end, F f) {
+  while (begin < end) {
+    int64_t const y = begin % height, y_end = min(height, y + end - begin);
+    f(begin / height, y, y_end);
+    begin += y_end - y;
+  }
+}
+
+// Elements of a block: what fills the first cache with the rows of a 5x5 network.
+template <class F>
+KV_HD int64_t block_size(int64_t row_size, int64_t step) {
+  return min(row_size, max(int64_t(1024 / sizeof(F)), 8 * step));
+}
+
+template <int K, class T>
+void by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
+  using F = typename network_value<T>::type;
+  using V = Vector<F>;
+  constexpr int R = K / 2;
+  int64_t const block = block_size<F>(p.x.row_size(), p.x.step), stride = whole_vectors<F>(block);
+  BorderedRows<T, F> rows(p.x, p.border, K, K, block);
+  Scratch<F> scratch((K + 1) * K * stride), medians(2 * stride);
+  Ring<F> const runs{scratch.data, K + 1, K * stride};
+  auto const sort = [&](int64_t y) {
+    rows.fill(y);
+    F *const from = rows.rows.row(y), *const to = runs.row(y);
+    for (int64_t e = 0; e < rows.size; e += kWidth<F>) {
+      V v[K];
+      KV_UNROLL
+      for (int i = 0; i < K; ++i) v[i] = at(from + e + i * p.x.step);
+      sort_common<K>(v);
+      insert_first<K>(v);
+      KV_UNROLL
+      for (int i = 0; i < K; ++i) at(to + e + i * stride) = v[i];
+    }
+  };
+
+  for_each_plane(p.x.height, begin, end, [&](int64_t plane, int64_t y_begin, int64_t y_end) {
+    rows.plane = plane;
+    for (rows.first = 0; rows.first < p.x.row_size(); rows.first += block) {
+      rows.size = min(block, p.x.row_size() - rows.first);
+      for (int64_t y = y_begin - R; y < y_begin + R; ++y) sort(y);
+      for (int64_t y = y_begin; y < y_end; y += 2) {
+        sort(y + R);
+        sort(y + R + 1);
+        F* run[K + 1];
+        run[0] = runs.row(y - R);
+        KV_UNROLL
+        for (int i = 0; i < K; ++i) run[i + 1] = runs.below(run[i]);
+        for (int64_t e = 0; e < rows.size; e += kWidth<F>) {
+          auto const load_run = [&](int i, V(&v)[K]) {
+            KV_UNROLL
+            for (int k = 0; k < K; ++k) v[k] = at(run[i] + e + k * stride);
+          };
+          V middle[K + 1], a[K], b[K];
+          load_run(1, a);
+          load_run(2, b);
+          if constexpr (K == 3) {
+            middle_of_two<K>(a, b, middle);
+          } else {
+            V c[K], d[K], ab[2 * K], cd[2 * K];
+            load_run(3, c);
+            load_run(4, d);
+            merge<K, K>(a, b, ab);
+            merge<K, K>(c, d, cd);
+            middle_of_two<K>(ab, cd, middle);
+          }
+          load_run(0, a);
+          load_run(K, b);
+          at(medians.data + e) = median_of<K>(middle, a);
+          at(medians.data + stride + e) = median_of<K>(middle, b);
+        }
+        rows.write(medians.data, y, p.y.row(plane, y) + rows.first);
+        if (y + 1 < y_end) rows.write(medians.data + stride, y + 1, p.y.row(plane, y + 1) + rows.first);
+      }
+    }
+  });
+}
+
+template <class T>
+void by_search(MedianBlur<T> const& p, int64_t begin, int64_t end) {
+  using F = MedianKey<T>;
+  using V = Vector<F>;
+  int64_t const block = block_size<F>(p.x.row_size(), p.x.step);
+  BorderedRows<T, F> rows(p.x, p.border, p.ky, p.kx, block);
+  Scratch<F> medians(whole_vectors<F>(block));
+  F const rank = F((p.ky * p.kx - 1) / 2);
+
+  for_each_plane(p.x.height, begin, end, [&](int64_t plane, int64_t y_begin, int64_t y_end) {
+    rows.plane = plane;
+    for (rows.first = 0; rows.first < p.x.row_size(); rows.first += block) {
+      rows.size = min(block, p.x.row_size() - rows.first);
+      int64_t const before = median_before(p.ky), after = median_after(p.ky);
+      for (int64_t y = y_begin - before; y < y_begin + after; ++y) rows.fill(y);
+      for (int64_t y = y_begin; y < y_end; ++y) {
+        rows.fill(y + after);
+        F* const top = rows.rows.row(y - before);
+        for (int64_t e = 0; e < rows.size; e += kWidth<F>)
+          at(medians.data + e) = select_key<T>(V{} + kLowestMedianKey<T>, rank, [&](V candidate) {
+            V below{};
+            F* row = top;
+            for (int64_t dy = 0; dy < p.ky; ++dy, row = rows.rows.below(row))
+              for (int64_t dx = 0; dx < p.kx; ++dx) below -= at(row + e + dx * p.x.step) < candidate;  // true is -1
+            return below;
+          });
+        rows.write(medians.data, y, p.y.row(plane, y) + rows.first);
+      }
+    }
+  });
+}
+
+}  // namespace
+
+template <class T>
+void median_blur(MedianBlur<T> const& p, int64_t begin, int64_t end) {
+  if (p.ky == 3 && p.kx == 3) return by_network<3>(p, begin, end);
+  if (p.ky == 5 && p.kx == 5) return by_network<5>(p, begin, end);
+  by_search(p, begin, end);
+}
+
+// Streams down the rows. Of each output row its medians and their shares g / (pixels of the window that are the median)
+// go into rings whose rows have a border of r pixels, in which no pixel finds its value: NaN, or the other rim's
+// outputs where the border is circular. A pixel gathers the shares around it; at the rim it counts how often each
+// window reads it.
+template <class T>
+void median_blur_backward(MedianBlurBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const step = p.x.step, size = p.x.row_size(), width = p.x.width, height = p.x.height;
+  int64_t const before_y = median_before(p.ky), after_y = median_after(p.ky);
+  int64_t const before_x = median_before(p.kx), after_x = median_after(p.kx), ry = after_y, rx = after_x;
+  int64_t const ring = 2 * ry + 1, padded = size + 2 * rx * step;  // the outputs that may read a pixel
+  BorderedRows<T, F> rows(p.x, p.border, p.ky, p.kx, size);
+  rows.size = size;
+  Scratch<F> scratch(2 * ring * padded);
+  Ring<F> const medians{scratch.data + rx * step, ring, padded};
+  int64_t const to_share = ring * padded;  // from a median to its share
+
+  int64_t filled = 0;  // rows of x before this one are in `rows`
+  auto const fill = [&](int64_t plane, int64_t q) {
+    F *const m = medians.row(q), *const s = m + to_share;
+    int64_t const at_row = p.border == Border::circular ? (q + height) % height : q;
+    if (at_row < 0 || at_row >= height) {
+      for (int64_t e = -rx * step; e < size + rx * step; ++e) m[e] = F(__builtin_nan(""));
+      return;
+    }
+    if (at_row != filled - after_y)
+      for (filled = at_row - before_y; filled < at_row + after_y;) rows.fill(filled++);
+    for (; filled <= at_row + after_y; ++filled) rows.fill(filled);
+    F* const top = rows.rows.row(at_row - before_y);
+    T const *const y = p.y.row(plane, at_row), *const g = p.grad.row(plane, at_row);
+    for_each_vector<T>(0, size, [&](auto lanes, int64_t e) {
+      constexpr int N = decltype(lanes)::value;
+      using V = Lanes<F, N>;
+      V const median = load<N>(y + e);
+      V equal{};
+      F* row = top;
+      for (int64_t dy = 0; dy < p.ky; ++dy, row = rows.rows.below(row))
+        for (int64_t dx = 0; dx < p.kx; ++dx)
+          equal += load<N>(row + e + dx * step) == median ? broadcast<N>(F(1)) : V{};
+      store<N>(m + e, median);
+      store<N>(s + e, load<N>(g + e) / equal);
+    });
+    for (int64_t e = 0; e < rx * step; ++e) {
+      bool const repeats = p.border == Border::circular;
+      m[e - rx * step] = repeats ? m[e - rx * step + size] : F(__builtin_nan(""));
+      s[e - rx * step] = s[e - rx * step + size];
+      m[size + e] = repeats ? m[e] : F(__builtin_nan(""));
+      s[size + e] = s[e];
+    }
+  };
+
+  for_each_plane(height, begin, end, [&](int64_t plane, int64_t y_begin, int64_t y_end) {
+    rows.plane = plane;
+    filled = -after_y - 2 * height;  // none of this plane
+    for (int64_t q = y_begin - ry; q < y_begin + ry; ++q) fill(plane, q);
+    for (int64_t j = y_begin; j < y_end; ++j) {
+      fill(plane, j + ry);
+      F* const top = medians.row(j - ry);
+      T const* const x = p.x.row(plane, j);
+      T* const out = p.grad_x.row(plane, j);
+      // reads(dx): how often the output dx pixels away reads the pixel, in its row
+      auto const gather = [&](auto lanes, int64_t e, auto reads) {
+        constexpr int N = decltype(lanes)::value;
+        using V = Lanes<F, N>;
+        V const value = load<N>(x + e);
+        V sum{};
+        F* median = top + e;
+        for (int64_t q = j - ry; q <= j + ry; ++q, median = medians.below(median - e) + e) {
+          F const times = F(median_reads(p.border, q, j, height, before_y, after_y));
+          for (int64_t dx = -rx; dx <= rx; ++dx)
+            sum += load<N>(median + dx * step) == value ? load<N>(median + to_share + dx * step) * (times * reads(dx))
+                                                        : V{};
+        }
+        store<N>(out + e, sum);
+      };
+      int64_t const low = min(rx + 1, width) * step, high = max(low, size - (rx + 1) * step);
+      auto const rim = [&](int64_t e) {
+        int64_t const i = e / step;
+        gather(Width<1>{}, e,
+               [&](int64_t dx) { return F(median_reads(p.border, i + dx, i, width, before_x, after_x)); });
+      };
+      for (int64_t e = 0; e < low; ++e) rim(e);
+      for_each_vector<T>(low, high, [&](auto lanes, int64_t e) {
+        gather(lanes, e, [&](int64_t dx) { return F(dx >= -after_x && dx <= before_x); });
+      });
+      for (int64_t e = high; e < size; ++e) rim(e);
+    }
+  });
+}
+
+KV_INSTANTIATE_WITH_BYTES(median_blur, MedianBlur)
+KV_INSTANTIATE(median_blur_backward, MedianBlurBackward)
+
+}  // namespace kv::KV_ISA

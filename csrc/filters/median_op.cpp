@@ -1,0 +1,57 @@
+// Median blur: schemas and entries, for CPU and CUDA alike.
+#include "glue/glue.h"
+#include "median.h"
+
+namespace kv {
+namespace {
+
+Border check_window(char const* op, Tensor const& x, int64_t ky, int64_t kx, std::string const& border_name) {
+  KV_CHECK(ky > 0 && kx > 0 && ky < (1 << 15) && kx < (1 << 15), op, ": a window of ", ky, " x ", kx);
+  Border const border = border_of(op, border_name);
+  check_border(op, border, median_after(ky), x.size(2));
+  check_border(op, border, median_after(kx), x.size(3));
+  return border;
+}
+
+Tensor median_blur(Tensor const& input, int64_t ky, int64_t kx, std::string border_name) {
+  check_images("median_blur", "input", input);
+  Border const border = check_window("median_blur", input, ky, kx, border_name);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), y = empty_like(x, layout);
+  for_floats_and_bytes("median_blur", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    MedianBlur<T> const params{planes<T const>(x, layout), planes<T>(y, layout), ky, kx, border};
+    KV_RUN(median_blur, x, params, params.y.rows(), params.y.row_size() * ky * kx / 4);
+  });
+  return y;
+}
+
+Tensor median_blur_backward(Tensor const& grad, Tensor const& input, Tensor const& output, int64_t ky, int64_t kx,
+                            std::string border_name) {
+  check_images("median_blur_backward", "input", input);
+  check_like("median_blur_backward", "grad", grad, input);
+  check_like("median_blur_backward", "output", output, input);
+  Border const border = check_window("median_blur_backward", input, ky, kx, border_name);
+  Layout const layout = layout_of(input);
+  Tensor const g = conform(grad, layout), x = conform(input, layout), y = conform(output, layout),
+               grad_x = empty_like(x, layout);
+  for_floats("median_blur_backward", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    MedianBlurBackward<T> const params{planes<T const>(g, layout),
+                                       planes<T const>(x, layout),
+                                       planes<T const>(y, layout),
+                                       planes<T>(grad_x, layout),
+                                       ky,
+                                       kx,
+                                       border};
+    KV_RUN(median_blur_backward, x, params, params.x.rows(), params.x.row_size() * ky * kx / 4);
+  });
+  return grad_x;
+}
+
+}  // namespace
+
+KV_OPERATOR(median_blur, "(Tensor input, int ky, int kx, str border) -> Tensor")
+KV_OPERATOR(median_blur_backward, "(Tensor grad, Tensor input, Tensor output, int ky, int kx, str border) -> Tensor")
+
+}  // namespace kv

@@ -52,6 +52,8 @@ KV_HD F tap(Taps<F> const& taps, int64_t sample, int t) {
   return excess == 0 ? F(1) : exp(-excess / (2 * sigma * sigma));
 }
 
+constexpr int kMostTaps = 701;  // of the CUDA kernel below, by the rows that shared memory holds
+
 template <class T>
 struct Separable {
   Planes<T const> x;

@@ -49,6 +49,10 @@ inline Tensor run_separable(char const* op, Tensor const& input, Axis const& kx,
   int64_t const grow_x = same ? 0 : transposed ? kx.size - 1 : 1 - kx.size;
   int64_t const height = input.size(2) + grow_y, width = input.size(3) + grow_x;
   KV_CHECK(height > 0 && width > 0, op, ": the kernel is larger than the input");
+#if defined(KV_CUDA)
+  KV_CHECK(ky.size <= kMostTaps && kx.size <= kMostTaps, op, ": expected a kernel of at most ", kMostTaps,
+           " weights a side on CUDA, got (", ky.size, ", ", kx.size, ")");
+#endif
   if (same) {
     check_border(op, border, ky.size / 2, height);
     check_border(op, border, kx.size / 2, width);

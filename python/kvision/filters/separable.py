@@ -70,7 +70,10 @@ def weight_gradients(
     """The gradients to kernel_x and kernel_y, those that are needed, from the gradient to the filtered `x`."""
     if not (needs[0] or needs[1]):
         return [None, None]
-    both = _weights_backward(kernel_x, kernel_y, grad, x, border, same)
+    largest = max(kernel_x.shape[1], kernel_y.shape[1])
+    fits = grad.device.type == "cpu" or largest <= 128  # a GPU's shared memory holds the rows of g and the sums
+    operator = _weights_backward if fits else _weights_backward.reference
+    both = operator(kernel_x, kernel_y, grad, x, border, same)
     each = both.split((kernel_x.shape[1], kernel_y.shape[1]), 1)
     return [
         (part.sum(0, keepdim=True) if kernel.shape[0] == 1 else part) if need else None

@@ -164,6 +164,21 @@ KV_HD void store(Half* p, Lanes<float, N> v) {
 // -----------------------------------------------------------------------------
 
 // min, max and clamp of hd.h work on lanes as they are. A NaN operand gives the other one or itself, as minps does.
+// For AVX-512 GCC makes two instructions of that, so there min and max are spelt out.
+#if defined(__AVX512F__)
+KV_HD Lanes<float, 16> min(Lanes<float, 16> a, Lanes<float, 16> b) {
+  return (Lanes<float, 16>)_mm512_min_ps((__m512)b, (__m512)a);
+}
+KV_HD Lanes<float, 16> max(Lanes<float, 16> a, Lanes<float, 16> b) {
+  return (Lanes<float, 16>)_mm512_max_ps((__m512)b, (__m512)a);
+}
+KV_HD Lanes<double, 8> min(Lanes<double, 8> a, Lanes<double, 8> b) {
+  return (Lanes<double, 8>)_mm512_min_pd((__m512d)b, (__m512d)a);
+}
+KV_HD Lanes<double, 8> max(Lanes<double, 8> a, Lanes<double, 8> b) {
+  return (Lanes<double, 8>)_mm512_max_pd((__m512d)b, (__m512d)a);
+}
+#endif
 
 template <class V>
 KV_HD V vsqrt(V v) {
@@ -179,6 +194,53 @@ KV_HD V vsqrt(V v) {
 #endif
     for (int i = 0; i < int(sizeof(V) / sizeof(v[0])); ++i) v[i] = sqrt(v[i]);
     return v;
+  }
+}
+
+template <class V>
+KV_HD V vabs(V v) {
+  if constexpr (__is_same(V, float))
+    return __builtin_fabsf(v);
+  else if constexpr (__is_same(V, double))
+    return __builtin_fabs(v);
+  else if constexpr (sizeof(v[0]) == 4)
+    return __builtin_bit_cast(V, __builtin_bit_cast(Lanes<uint32_t, sizeof(V) / 4>, v) & 0x7fffffffu);
+  else
+    return __builtin_bit_cast(V, __builtin_bit_cast(Lanes<uint64_t, sizeof(V) / 8>, v) & 0x7fffffffffffffffu);
+}
+
+// c[0] x^(n-1) + ... + c[n-1]
+template <class V, class F, int n>
+KV_HD V polynomial(V x, F const (&c)[n]) {
+  V sum = x * c[0] + c[1];
+  for (int i = 2; i < n; ++i) sum = sum * x + c[i];
+  return sum;
+}
+
+// 2^x within 2 units in the last place: 2^n p(x - n) with n the nearest integer, and p(f) = 2^f on [-1/2, 1/2] within
+// 3e-9 (float) or 2e-17 (double), p(0) = 1. Below the normal numbers it is 0, from 2^127.5 (2^1023.5) on inf; NaN
+// stays.
+template <class F, int N>
+KV_HD Lanes<F, N> vexp2(Lanes<F, N> x) {
+  using V = Lanes<F, N>;
+  // Adding `shift` rounds x and leaves n + bias in the low bits, from where they move to the exponent.
+  if constexpr (sizeof(F) == 4) {
+    constexpr float bias = 127, shift = 0x1.8p23f + bias;
+    constexpr float c[] = {
+        1.55946874e-4f, 1.34066444e-3f, 9.61769296e-3f, 5.55031055e-2f, 2.40226528e-1f, 6.93147215e-1f, 1.f};
+    x = min(max(x, broadcast<N>(-bias)), broadcast<N>(bias + 1));
+    V const shifted = x + shift;
+    auto const exponent = __builtin_bit_cast(Lanes<int32_t, N>, shifted) << 23;
+    return polynomial(V(x - (shifted - shift)), c) * __builtin_bit_cast(V, exponent);
+  } else {
+    constexpr double bias = 1023, shift = 0x1.8p52 + bias;
+    constexpr double c[] = {4.0779938562463538e-10, 7.0725704454692941e-9, 1.0180648196555812e-7, 1.3215442675115585e-6,
+                            1.5252727383872463e-5,  1.5403530441572599e-4, 1.3333558153441335e-3, 9.6181291076070020e-3,
+                            5.5504108664790389e-2,  2.4022650695910098e-1, 6.9314718055994570e-1, 1.};
+    x = min(max(x, broadcast<N>(-bias)), broadcast<N>(bias + 1));
+    V const shifted = x + shift;
+    auto const exponent = __builtin_bit_cast(Lanes<int64_t, N>, shifted) << 52;
+    return polynomial(V(x - (shifted - shift)), c) * __builtin_bit_cast(V, exponent);
   }
 }
 

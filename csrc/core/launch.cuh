@@ -64,6 +64,13 @@ __device__ __forceinline__ float fast_rsqrt(float x) {
 }
 __device__ __forceinline__ double fast_rsqrt(double x) { return 1 / ::sqrt(x); }
 
+__device__ __forceinline__ float fast_exp2(float x) {
+  float y;
+  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+__device__ __forceinline__ double fast_exp2(double x) { return ::exp2(x); }
+
 // Reads rows of a planar image (step 1): the elements x - R ... x + P - 1 + R, x being P times the thread's place in
 // the row. Neighbours come from the neighbouring threads by shuffles; only a warp's ends and the image's rim read
 // memory again. What lies outside follows the border rule; constant is 0. R <= P.

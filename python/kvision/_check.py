@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,19 +12,37 @@ from torch import Tensor
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 
 BORDERS = ("constant", "reflect", "replicate", "circular")
+# What the kernels compute with: an axis is counted in int, a parameter of float32 images is a float.
+LARGEST_INT = 2**31 - 1
+LARGEST_FLOAT = torch.finfo(torch.float32).max
+COMPUTED = frozenset(
+    (
+        *(torch.float16, torch.bfloat16, torch.float32, torch.float64, torch.bool),
+        *(torch.uint8, torch.uint16, torch.uint32, torch.uint64, torch.int8, torch.int16, torch.int32, torch.int64),
+    )
+)
 
 
 def is_tensor(op: str, name: str, x: Any) -> None:
-    """Raise TypeCheckError unless `x` is a tensor of real numbers."""
+    """Raise TypeCheckError unless `x` is a dense tensor of real numbers."""
     if not isinstance(x, Tensor):
         raise TypeCheckError(f"{op}: expected {name} to be a Tensor, got {type(x).__name__}", actual_type=type(x))
     if x.dtype.is_complex:
         raise TypeCheckError(f"{op}: expected {name} to be real, got {x.dtype}", actual_type=x.dtype)
+    if x.layout is not torch.strided:
+        raise TypeCheckError(f"{op}: expected {name} to be dense, got {x.layout}", actual_type=x.layout)
+
+
+def numbers(op: str, name: str, x: Any) -> None:
+    """Raise TypeCheckError unless `x` is a tensor of numbers that torch computes with: no float8, nothing quantized."""
+    if not isinstance(x, Tensor) or x.dtype not in COMPUTED or x.layout is not torch.strided:
+        is_tensor(op, name, x)
+        raise TypeCheckError(f"{op}: expected {name} of a type that torch computes with, got {x.dtype}")
 
 
 def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a tensor with one axis per entry of `expected`; an int entry fixes the size of its axis."""
-    is_tensor(op, name, x)
+    numbers(op, name, x)
     if x.dim() != len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, x.shape)):
         want = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
         raise ShapeError(
@@ -33,16 +52,17 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
 
 def images(op: str, name: str, x: Any) -> None:
     """Raise unless `x` is a (B, C, H, W) tensor with at least one pixel an image."""
-    is_tensor(op, name, x)
+    numbers(op, name, x)
     if x.dim() != 4:
         raise ShapeError(f"{op}: expected {name} of shape (B, C, H, W), got {tuple(x.shape)}", actual_shape=x.shape)
-    if x.shape[2] == 0 or x.shape[3] == 0:
+    _, _, h, w = x.shape
+    if h == 0 or w == 0:
         raise ShapeError(f"{op}: expected {name} with H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape)
 
 
 def volumes(op: str, name: str, x: Any) -> None:
     """Raise unless `x` is a (B, C, D, H, W) tensor with at least one voxel a volume."""
-    is_tensor(op, name, x)
+    numbers(op, name, x)
     if x.dim() != 5:
         raise ShapeError(f"{op}: expected {name} of shape (B, C, D, H, W), got {tuple(x.shape)}", actual_shape=x.shape)
     if 0 in x.shape[2:]:
@@ -65,15 +85,36 @@ def same_device(op: str, **tensors: Tensor) -> None:
 
 def choice(op: str, name: str, value: Any, options: Sequence[Any]) -> None:
     """Raise ValueCheckError unless `value` is one of `options`."""
-    if value not in options:
+    if not isinstance(value, type(options[0])) or value not in options:
         listed = ", ".join(map(str, options))
         raise ValueCheckError(f"{op}: {name} must be one of {listed}; got {value!r}", actual_value=value)
 
 
 def border(op: str, border_type: Any) -> None:
     """Raise ValueCheckError unless `border_type` names a border rule."""
-    if border_type not in BORDERS:
+    if not isinstance(border_type, str) or border_type not in BORDERS:
         choice(op, "border_type", border_type, BORDERS)
+
+
+def flag(op: str, name: str, value: Any) -> None:
+    """Raise TypeCheckError unless `value` is a bool."""
+    if not isinstance(value, bool):
+        raise TypeCheckError(f"{op}: expected {name} to be a bool, got {value!r}", actual_type=type(value))
+
+
+def number(op: str, name: str, value: Any, minimum: float = -math.inf) -> float:
+    """`value` as a float; raise unless it is a number of at least `minimum`."""
+    if not isinstance(value, (int, float)):
+        raise TypeCheckError(f"{op}: expected {name} to be a number, got {value!r}", actual_type=type(value))
+    if not value >= minimum or not fits_float(value):  # also refuses NaN
+        least = f" of at least {minimum:g}" if minimum > -math.inf else ""
+        raise ValueCheckError(f"{op}: expected {name} to be a float32 number{least}, got {value!r}", actual_value=value)
+    return float(value)
+
+
+def fits_float(value: float) -> bool:
+    """Whether float32 has the number, up to rounding, or it is infinite."""
+    return -LARGEST_FLOAT <= value <= LARGEST_FLOAT or value in (math.inf, -math.inf)
 
 
 def reflectable(op: str, x: Tensor, pads: Sequence[int], border_type: str) -> None:
@@ -99,19 +140,23 @@ def pair(op: str, name: str, value: Any, minimum: int = 1) -> tuple[int, int]:
 
 
 def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[int, ...]:
-    """`value`, an int or `count` of them, as a tuple of `count` ints of at least `minimum`."""
-    given, kind = value, "an int" if count == 1 else f"an int or {count} ints"
-    if type(value) is int:
-        value = (value,) * count
-    elif isinstance(value, torch.Size):
-        value = tuple(value)
-    if not isinstance(value, (tuple, list)) or any(isinstance(v, bool) or not isinstance(v, int) for v in value):
-        raise TypeCheckError(f"{op}: expected {name} to be {kind}, got {given!r}", actual_type=type(given))
-    if len(value) != count or any(v < minimum for v in value):
+    """`value`, an int or `count` of them, as a tuple of `count` ints from `minimum` to LARGEST_INT."""
+    given = (value,) * count if type(value) is int else value
+    if not isinstance(given, (tuple, list)) or set(map(type, given)) != {int}:
+        raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
+    if len(given) != count or min(given) < minimum:
         raise ValueCheckError(
-            f"{op}: expected {name} to be {kind} of at least {minimum}, got {given!r}", actual_value=given
+            f"{op}: expected {name} to be {_ints(count)} of at least {minimum}, got {value!r}", actual_value=value
         )
-    return tuple(value)
+    if max(given) > LARGEST_INT:
+        raise ValueCheckError(
+            f"{op}: expected {name} to be {_ints(count)} of at most {LARGEST_INT}, got {value!r}", actual_value=value
+        )
+    return tuple(given)
+
+
+def _ints(count: int) -> str:
+    return "an int" if count == 1 else f"an int or {count} ints"
 
 
 def odd(op: str, name: str, sizes: Sequence[int]) -> None:

@@ -2,46 +2,102 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.border import windows
 from kvision.filters.gaussian import axis_kernels, batch_of, positive, sigma_arguments
 
 
-def _reference(
+def _reference(x: Tensor, *args: Any) -> Tensor:
+    weights, taps, _ = _weights(x, *args)
+    return (weights * taps).sum(0) / weights.sum(0)
+
+
+def _weights(
     x: Tensor,
     guidance: Tensor | None,
     sigma_color: Tensor | None,
     sigma_space: Tensor | None,
     ky: int,
     kx: int,
-    sigma_color_number: float,
+    color: float,
     sigma_y: float,
     sigma_x: float,
     border: str,
     distance: str,
-) -> Tensor:
+) -> tuple[Tensor, Tensor, Tensor]:
+    """For each tap of the windows its weight, its pixel of `x` and its squared distance in colour."""
     guide = x if guidance is None else guidance
-    color = sigma_color_number if sigma_color is None else positive(sigma_color)[:, None, None, None]
     taps = windows(x, ky, kx, border)
-    difference = ((taps if guidance is None else windows(guide, ky, kx, border)) - guide) / color
+    difference = (taps if guidance is None else windows(guide, ky, kx, border)) - guide
     if distance == "l1":
         squared = difference.abs().sum(2, keepdim=True) ** 2
     else:
         squared = (difference**2).sum(2, keepdim=True)
+    color = color if sigma_color is None else positive(sigma_color)[:, None, None, None]
     kernel_y, kernel_x = axis_kernels(x, sigma_space, ky, kx, sigma_y, sigma_x)
     space = (kernel_y[:, :, None] * kernel_x[:, None, :]).flatten(1).t()[:, :, None, None, None]
-    weights = space * torch.exp(-squared / 2)
-    return (weights * taps).sum(0) / weights.sum(0)
+    return space * torch.exp(-squared / (2 * color**2)), taps, squared
 
 
-_bilateral_blur = as_stored(_reference)
+def _reference_backward(grad: Tensor, x: Tensor, guidance: Tensor | None, *args: Any) -> tuple[Tensor, Tensor]:
+    """The gradients to image and guidance; one that is not wanted has no channels."""
+    *args, wants_x, wants_guidance = args
+    nothing = grad.new_empty(grad.shape[0], 0, *grad.shape[2:])
+    if guidance is None:
+        _, pullback = torch.func.vjp(lambda x: _reference(x, None, *args), x)
+        return pullback(grad)[0] if wants_x else nothing, nothing
+    guidance = guidance.expand(x.shape[0], -1, -1, -1)
+    _, pullback = torch.func.vjp(lambda x, guidance: _reference(x, guidance, *args), x, guidance)
+    grad_x, grad_guidance = pullback(grad)
+    return grad_x if wants_x else nothing, grad_guidance if wants_guidance else nothing
+
+
+def _backward_sizes(grad: Tensor, x: Tensor, guidance: Tensor | None, *args: Any) -> list[tuple[int, ...]]:
+    *_, wants_x, wants_guidance = args
+    channels = (x.shape[1] if wants_x else 0, guidance.shape[1] if wants_guidance else 0)
+    return [(x.shape[0], c, *x.shape[2:]) for c in channels]
+
+
+def _reference_sigma_sums(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
+    """(B, 3, H): the gradients to (sigma_color, sigma_y, sigma_x) times sigma^3, row by row."""
+    weights, taps, squared = _weights(x, *args)
+    _, _, _, ky, kx, *_ = args
+    total = weights.sum(0)
+    slopes = (grad / total * (taps - (weights * taps).sum(0) / total)).sum(2, keepdim=True) * weights
+    dy, dx = (torch.arange(k, device=x.device, dtype=x.dtype) - k // 2 for k in (ky, kx))
+    dy, dx = (d.flatten()[:, None, None, None, None] for d in torch.meshgrid(dy, dx, indexing="ij"))
+    return torch.stack([(slopes * square).sum((0, 2, 4)) for square in (squared, dy**2, dx**2)], 1)
+
+
+def _backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
+    x, _, sigma_color, sigma_space = args[:4]
+    found: list[Any] = [None] * 4
+    if needs[0] or needs[1]:
+        found[:2] = _bilateral_blur_backward(grad, *args, needs[0], needs[1])
+    if needs[2] or needs[3]:
+        wide = compute_dtype(x)  # sums of many products
+        sums = _bilateral_blur_sigma_sums(grad.to(wide), x.to(wide), *args[1:]).sum(2)
+        found[2] = sums[:, 0] / sigma_color**3 if needs[2] else None
+        found[3] = sums[:, 1:] / sigma_space**3 if needs[3] else None
+    # One guidance or sigma may have served the whole batch.
+    return [g.sum_to_size(a.shape) if need else None for g, a, need in zip(found, args[:4], needs[:4], strict=True)]
+
+
+_bilateral_blur = register("bilateral_blur", _reference, backward=_backward, bytes=True)
+_bilateral_blur_backward = register("bilateral_blur_backward", _reference_backward, fake=_backward_sizes)
+_bilateral_blur_sigma_sums = register(
+    "bilateral_blur_sigma_sums", _reference_sigma_sums, fake=lambda grad, *_: (grad.shape[0], 3, grad.shape[2])
+)
 
 
 def bilateral_blur(
@@ -164,7 +220,7 @@ def _sigma_color(op: str, x: Tensor, value: Tensor | float) -> tuple[Tensor | No
         raise TypeCheckError(
             f"{op}: expected sigma_color to be a number or a Tensor (B,), got {value!r}", actual_type=type(value)
         )
-    if not value > 0:  # also refuses NaN
+    if not value > 0 or not _check.fits_float(value):  # also refuses NaN
         raise ValueCheckError(f"{op}: expected sigma_color to be a positive number, got {value!r}", actual_value=value)
     return None, float(value)
 

@@ -129,7 +129,9 @@ def edge_aware_blur_pool2d(
     x, ky, kx, _ = _arguments("edge_aware_blur_pool2d", input, kernel_size, 1)
     (dilation,) = _check.ints("edge_aware_blur_pool2d", "edge_dilation_kernel_size", edge_dilation_kernel_size, 1)
     _check.odd("edge_aware_blur_pool2d", "edge_dilation_kernel_size", (dilation,))
-    if not edge_threshold > 1:  # also refuses NaN
+    edge_threshold = _check.number("edge_aware_blur_pool2d", "edge_threshold", edge_threshold)
+    epsilon = _check.number("edge_aware_blur_pool2d", "epsilon", epsilon, minimum=0)
+    if not edge_threshold > 1:
         raise ValueCheckError(f"edge_aware_blur_pool2d: expected edge_threshold above 1, got {edge_threshold!r}")
     _check.reflectable("edge_aware_blur_pool2d", x, (max(2, ky // 2), max(2, kx // 2)), "reflect")
     return _edge_aware_blur(x, ky, kx, math.log2(edge_threshold), dilation, epsilon)

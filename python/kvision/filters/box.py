@@ -7,7 +7,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import pixels
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, transpose
 from kvision.filters.separable import _reference as filter_separably
 
 
@@ -20,7 +20,18 @@ def _reference(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
     return window_sum(x, ky, kx, border) / (ky * kx)
 
 
-_box_blur = as_stored(_reference)
+def _backward(needs, grad, x, ky, kx, border):
+    return [_box_blur_backward(grad, ky, kx, border)]
+
+
+def _backward_of_backward(needs, grad, g, ky, kx, border):
+    return [_box_blur(grad, ky, kx, border)]
+
+
+_box_blur = register("box_blur", _reference, backward=_backward, linear=True, bytes=True)
+_box_blur_backward = register(
+    "box_blur_backward", transpose(_reference), backward=_backward_of_backward, linear=True
+)
 
 
 def box_blur(

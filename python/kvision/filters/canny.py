@@ -11,9 +11,10 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register
 from kvision.core.exceptions import ImageError, ValueCheckError
 from kvision.filters.gaussian import _gaussian_blur2d, blur_arguments
+from kvision.filters.sobel import _sobel_backward
 from kvision.filters.spatial_gradient import derivatives
 
 _TAN_22_5 = math.sqrt(2) - 1
@@ -53,7 +54,15 @@ def _root(x: Tensor) -> Tensor:
     return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
 
 
-_canny_suppress = as_stored(_reference_suppress)
+def _suppress_backward(needs, grad, _, x, low, high, eps):  # type: ignore[no-untyped-def]
+    """Where the magnitude was kept, its gradient is that of the Sobel magnitude."""
+    magnitude, _ = _canny_suppress(x.detach(), low, high, eps)
+    return [_sobel_backward(grad * (magnitude > 0), x, False, eps)]
+
+
+_canny_suppress = register(
+    "canny_suppress", _reference_suppress, fake=lambda x, *_: [x.shape, x.shape], backward=_suppress_backward
+)
 
 
 def _reference_hysteresis(edges: Tensor) -> Tensor:
@@ -66,7 +75,7 @@ def _reference_hysteresis(edges: Tensor) -> Tensor:
         strong = grown
 
 
-_canny_hysteresis = as_stored(_reference_hysteresis)
+_canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, backward=lambda needs, grad, edges: [None])
 
 
 def canny(
@@ -100,7 +109,8 @@ def canny(
     Raises:
         TypeCheckError, ShapeError, DeviceError: as :func:`gaussian_blur2d`.
         ImageError: input has neither 1 nor 3 channels.
-        ValueCheckError: as :func:`gaussian_blur2d`; thresholds that are not 0 < low_threshold <= high_threshold.
+        ValueCheckError: as :func:`gaussian_blur2d`; thresholds that are not 0 < low_threshold <= high_threshold, a
+            negative eps.
 
     Source: J. Canny, "A computational approach to edge detection" (1986).
 
@@ -114,17 +124,22 @@ def canny(
     _check.images("canny", "input", input)
     if input.shape[1] not in (1, 3):
         raise ImageError(f"canny: expected input with 1 or 3 channels, got {tuple(input.shape)}")
-    if not 0 < low_threshold <= high_threshold:  # also refuses NaN
+    low_threshold = _check.number("canny", "low_threshold", low_threshold)
+    high_threshold = _check.number("canny", "high_threshold", high_threshold)
+    if not 0 < low_threshold <= high_threshold:
         raise ValueCheckError(
             f"canny: expected 0 < low_threshold <= high_threshold, got {low_threshold} and {high_threshold}"
         )
+    _check.flag("canny", "hysteresis", hysteresis)
+    eps = _check.number("canny", "eps", eps, minimum=0)
     dtype = input.dtype if input.is_floating_point() else torch.float32
     x = input.to(compute_dtype(input))
     if x.shape[1] == 3:
         red, green, blue = x.split(1, 1)
         x = 0.299 * red + 0.587 * green + 0.114 * blue
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
-    magnitude, edges = _canny_suppress(x, float(low_threshold), float(high_threshold), float(eps))
+    magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)
+    edges = edges.detach()
     if hysteresis:
         edges = _canny_hysteresis(edges)
     return magnitude.to(dtype), edges.to(dtype)

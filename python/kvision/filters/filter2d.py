@@ -124,8 +124,12 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
     if 0 in kernel.shape[1:]:
         raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
     _check.same_device(op, input=x, kernel=kernel)
+    _check.flag(op, "normalized", normalized)
     _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
-    kernel = kernel.to(compute_dtype(x))
+    if kernel.dtype != compute_dtype(x):
+        kernel = kernel.to(compute_dtype(x))
+    if not normalized and behaviour == "corr":
+        return kernel
     axes = tuple(range(1, kernel.dim()))
     if normalized:
         kernel = kernel / kernel.abs().sum(axes, keepdim=True)

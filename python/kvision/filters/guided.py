@@ -104,7 +104,7 @@ def _checked_eps(guide: Tensor, eps: float | Tensor) -> Tensor | float:
         raise TypeCheckError(
             f"guided_blur: expected eps to be a number or a Tensor (B,), got {eps!r}", actual_type=type(eps)
         )
-    if not eps >= 0:  # also refuses NaN
+    if not eps >= 0 or not _check.fits_float(eps):  # also refuses NaN
         raise ValueCheckError(f"guided_blur: expected eps of at least 0, got {eps!r}", actual_value=eps)
     return eps
 

@@ -41,11 +41,10 @@ def in_range(
         tensor([[[0.0000, 0.5000],
                  [0.6000, 0.0000]]])
     """
-    _check.is_tensor("in_range", "input", input)
+    _check.numbers("in_range", "input", input)
     if not 2 <= input.dim() <= 4:
         raise ShapeError(f"in_range: expected input of shape (B, C, H, W), got {tuple(input.shape)}")
-    if not isinstance(return_mask, bool):
-        raise TypeCheckError(f"in_range: expected return_mask to be a bool, got {return_mask!r}")
+    _check.flag("in_range", "return_mask", return_mask)
     channels = input if input.dim() > 2 else input[None]
     if isinstance(lower, tuple) and isinstance(upper, tuple):
         inside = _between_numbers(channels, lower, upper)
@@ -69,6 +68,8 @@ def _between_numbers(channels: Tensor, lower: tuple[float, ...], upper: tuple[fl
         raise ValueCheckError(
             f"in_range: expected lower and upper of {count} numbers, one a channel, got {len(lower)} and {len(upper)}"
         )
+    if not all(isinstance(bound, (int, float)) for bound in (*lower, *upper)):
+        raise TypeCheckError(f"in_range: expected lower and upper to hold numbers, got {lower} and {upper}")
     values = channels if channels.is_floating_point() else channels.double()  # any bound is then representable
     inside = torch.ones_like(values[..., :1, :, :], dtype=torch.bool)
     for channel, low, high in zip(values.split(1, -3), lower, upper):
@@ -77,7 +78,7 @@ def _between_numbers(channels: Tensor, lower: tuple[float, ...], upper: tuple[fl
 
 
 def _bound(name: str, bound: Tensor, channels: Tensor) -> Tensor:
-    _check.is_tensor("in_range", name, bound)
+    _check.numbers("in_range", name, bound)
     _check.same_device("in_range", input=channels, **{name: bound})
     aligned = bound[:, None, None] if bound.dim() == 1 else bound
     if aligned.dim() > channels.dim() or any(

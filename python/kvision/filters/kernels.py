@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 # ---------------------------------------------------------------------------------------------------- Gaussian
 
@@ -47,7 +47,15 @@ def gaussian(
     (sigma,), dtype = _sigma_columns("gaussian", sigma, 1, device, dtype)
     if isinstance(mean, Tensor):
         _check.shape("gaussian", "mean", mean, "B or 1", 1)
+        if mean.shape[0] != sigma.shape[0] and 1 not in (mean.shape[0], sigma.shape[0]):
+            raise ShapeError(
+                f"gaussian: expected mean with 1 or {sigma.shape[0]} rows, got {tuple(mean.shape)}",
+                actual_shape=mean.shape,
+            )
+        _check.same_device("gaussian", sigma=sigma, mean=mean)
         mean = mean.to(sigma)
+    elif mean is not None:
+        mean = _check.number("gaussian", "mean", mean)
     return _sampled(window_size, sigma, mean).to(dtype)
 
 
@@ -209,7 +217,8 @@ def sigmas(op: str, name: str, value: object, count: int, *, zero: bool = False)
     numbers = (value,) * count if isinstance(value, (int, float)) else value
     if not isinstance(numbers, (tuple, list)) or not all(isinstance(v, (int, float)) for v in numbers):
         raise TypeCheckError(_refused(op, name, value, count, zero), actual_type=type(value))
-    if len(numbers) != count or not all(v > 0 or (zero and v == 0) for v in numbers):  # also refuses NaN
+    in_range = all((v > 0 or (zero and v == 0)) and _check.fits_float(v) for v in numbers)  # also refuses NaN
+    if len(numbers) != count or not in_range:
         raise ValueCheckError(_refused(op, name, value, count, zero), actual_value=value)
     return tuple(map(float, numbers))
 
@@ -373,6 +382,8 @@ def laplacian_sizes(op: str, kernel_size: tuple[int, ...] | int, axes: int) -> t
 
 def _ones_around(op: str, sizes: tuple[int, ...], device: torch.device | None, dtype: torch.dtype) -> Tensor:
     centre = 1 - math.prod(sizes)
+    _real(op, dtype)
+    dtype = dtype or torch.get_default_dtype()
     if not dtype.is_floating_point and (dtype == torch.bool or torch.iinfo(dtype).min > centre):
         raise ValueCheckError(f"{op}: expected a dtype that holds {centre}, got {dtype}", actual_value=dtype)
     kernel = torch.ones(sizes, device=device, dtype=dtype)
@@ -418,6 +429,7 @@ def get_sobel_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype
                 [-2.,  0.,  2.],
                 [-1.,  0.,  1.]])
     """
+    _real("get_sobel_kernel2d", dtype)
     return _derivative_kernels("sobel", 1, 2, device, dtype)
 
 
@@ -431,6 +443,7 @@ def get_diff_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype 
                 [ 0.,  0.,  0.],
                 [ 0.,  1.,  0.]])
     """
+    _real("get_diff_kernel2d", dtype)
     return _derivative_kernels("diff", 1, 2, device, dtype)
 
 
@@ -459,6 +472,7 @@ def get_spatial_gradient_kernel2d(
                 [ 0.,  0.,  0.]])
     """
     check_derivative("get_spatial_gradient_kernel2d", mode, order)
+    _real("get_spatial_gradient_kernel2d", dtype)
     return _derivative_kernels(mode, order, 2, device, dtype)
 
 
@@ -546,6 +560,7 @@ def get_binary_kernel2d(
                 [[[0., 1.]]]])
     """
     ky, kx = _check.pair("get_binary_kernel2d", "window_size", window_size)
+    _real("get_binary_kernel2d", dtype)
     return torch.eye(ky * kx, device=device, dtype=dtype).reshape(ky * kx, 1, ky, kx)
 
 
@@ -583,6 +598,7 @@ def get_hanning_kernel2d(
                 [0.0000, 0.0000, 0.0000, 0.0000, 0.0000]])
     """
     ky, kx = _check.pair("get_hanning_kernel2d", "kernel_size", kernel_size, minimum=3)
+    _fractions("get_hanning_kernel2d", dtype)
     return get_hanning_kernel1d(ky, device, dtype)[:, None] * get_hanning_kernel1d(kx, device, dtype)
 
 
@@ -595,12 +611,20 @@ def binomial(size: int, device: torch.device, dtype: torch.dtype) -> Tensor:
 
 def _sizes(op: str, kernel_size: tuple[int, ...] | int, axes: int, even: bool = False) -> tuple[int, ...]:
     sizes = _check.ints(op, "kernel_size", kernel_size, axes)
+    _check.flag(op, "force_even", even)
     if not even:
         _check.odd(op, "kernel_size", sizes)
     return sizes
 
 
+def _real(op: str, dtype: torch.dtype | None) -> None:
+    """Raise unless `dtype` is a type of real numbers or None."""
+    if dtype is not None and (not isinstance(dtype, torch.dtype) or dtype.is_complex):
+        raise TypeCheckError(f"{op}: expected dtype to be a real torch.dtype, got {dtype!r}", actual_type=dtype)
+
+
 def _fractions(op: str, dtype: torch.dtype | None) -> None:
     """Raise unless a kernel of this type can hold fractions."""
+    _real(op, dtype)
     if dtype is not None and not dtype.is_floating_point:
         raise TypeCheckError(f"{op}: expected a floating-point dtype, got {dtype}", actual_type=dtype)

@@ -7,7 +7,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import pixels
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, transpose
 from kvision.filters.box import window_sum
 from kvision.filters.kernels import laplacian_sizes
 
@@ -18,7 +18,18 @@ def _reference(x: Tensor, ky: int, kx: int, normalized: bool, border: str) -> Te
     return y / (2 * (n - 1)) if normalized else y
 
 
-_laplacian = as_stored(_reference)
+def _backward(needs, grad, x, ky, kx, normalized, border):
+    return [_laplacian_backward(grad, ky, kx, normalized, border)]
+
+
+def _backward_of_backward(needs, grad, g, ky, kx, normalized, border):
+    return [_laplacian(grad, ky, kx, normalized, border)]
+
+
+_laplacian = register("laplacian", _reference, backward=_backward, linear=True, bytes=True)
+_laplacian_backward = register(
+    "laplacian_backward", transpose(_reference), backward=_backward_of_backward, linear=True
+)
 
 
 def laplacian(
@@ -48,6 +59,7 @@ def laplacian(
     """
     _check.images("laplacian", "input", input)
     ky, kx = laplacian_sizes("laplacian", kernel_size, 2)
+    _check.flag("laplacian", "normalized", normalized)
     _check.border("laplacian", border_type)
     _check.reflectable("laplacian", input, (ky // 2, kx // 2), border_type)
     return _laplacian(pixels(input), ky, kx, normalized, border_type)

@@ -229,7 +229,7 @@ def _rows(op: str, name: str, value: object, count: int, device: torch.device | 
     numbers = (value,) * count if isinstance(value, (int, float)) else value
     if not isinstance(numbers, (tuple, list)) or not all(isinstance(v, (int, float)) for v in numbers):
         raise TypeCheckError(f"{op}: expected {name} to be a Tensor or numbers, got {value!r}", actual_type=type(value))
-    if len(numbers) != count or not all(-math.inf < v < math.inf for v in numbers):
+    if len(numbers) != count or not all(_check.fits_float(v) and math.isfinite(v) for v in numbers):
         raise ValueCheckError(f"{op}: expected {name} to be {count} finite numbers, got {value!r}", actual_value=value)
     return torch.stack([torch.full((1,), float(v), device=device, dtype=dtype) for v in numbers], 1)
 

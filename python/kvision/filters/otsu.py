@@ -49,6 +49,8 @@ def otsu_threshold(
     """
     planes = _planes(x)
     (nbins,) = _check.ints("otsu_threshold", "nbins", nbins, 1, minimum=2)
+    _check.flag("otsu_threshold", "slow_and_differentiable", slow_and_differentiable)
+    _check.flag("otsu_threshold", "return_mask", return_mask)
     thresholds = _thresholds(planes.detach(), nbins)
     if slow_and_differentiable and x.is_floating_point() and planes.shape[0]:
         wide = planes if x.dtype == torch.float64 else planes.float()
@@ -104,7 +106,7 @@ def _soft_threshold(plane: Tensor, nbins: int) -> Tensor:
 
 def _planes(x: Tensor) -> Tensor:
     """(planes, pixels)."""
-    _check.is_tensor("otsu_threshold", "x", x)
+    _check.numbers("otsu_threshold", "x", x)
     if x.dtype == torch.bool:
         raise TypeCheckError("otsu_threshold: expected x to hold numbers, got torch.bool", actual_type=x.dtype)
     if x.dim() > 5 or 0 in x.shape[-2:]:

@@ -44,8 +44,8 @@ def sobel(input: Tensor, normalized: bool = True, eps: float = 1e-6) -> Tensor:
         Magnitudes of shape (B, C, H, W).
 
     Raises:
-        TypeError: `input` is not a tensor of real numbers.
-        ValueError: `input` is not of shape (B, C, H, W).
+        TypeError: `input` is not a tensor of real numbers, `normalized` no bool, `eps` no number.
+        ValueError: `input` is not of shape (B, C, H, W), `eps` is negative.
 
     Source: I. Sobel and G. Feldman, "A 3x3 isotropic gradient operator for image processing" (1968).
 
@@ -56,6 +56,8 @@ def sobel(input: Tensor, normalized: bool = True, eps: float = 1e-6) -> Tensor:
         tensor([0.5000, 1.0000, 1.0000, 0.5000])
     """
     _check.images("sobel", "input", input)
+    _check.flag("sobel", "normalized", normalized)
+    eps = _check.number("sobel", "eps", eps, minimum=0)
     if not input.is_floating_point():
         input = input.float()
     return _sobel(input, normalized, eps)

@@ -83,6 +83,7 @@ def spatial_gradient(input: Tensor, mode: str = "sobel", order: int = 1, normali
     """
     _check.images("spatial_gradient", "input", input)
     check_derivative("spatial_gradient", mode, order)
+    _check.flag("spatial_gradient", "normalized", normalized)
     return _spatial_gradient(floats(input), mode, order, normalized)
 
 

@@ -1,0 +1,210 @@
+// What the CUDA kernels of the bilateral blur share. Included by bilateral.cu and bilateral_backward.cu.
+//
+// Images of 1 or 3 channels that guide themselves, computed in float, are served from tiles in shared memory; all
+// others by plain kernels.
+#pragma once
+
+#include "bilateral.h"
+#include "core/launch.cuh"
+
+namespace kv::cuda {
+namespace {
+
+// Where the border rule finds position i, or -1 for the constant 0. Images that go on in circles may do so more than
+// once.
+__device__ __forceinline__ int pixel_at(Border border, int i, int n) {
+  if (border != Border::circular) return border_index(border, i, n);
+  int const r = i % n;
+  return r < 0 ? r + n : r;
+}
+
+// --- tiles
+// --------------------------------------------------------------------------------------------------------------------
+
+// Blocks of 256 threads, tiles of 64 columns; a thread computes a run of `Run` pixels down a column.
+constexpr int kThreads = 256, kColumns = 64;
+constexpr int rows_of(int run) { return kThreads / kColumns * run; }
+
+// A tile of an image batch, from a block's index.
+template <int Run>
+struct Tiles {
+  unsigned across, down, count;
+  Tiles(int64_t batch, int64_t height, int64_t width)
+      : across(unsigned(ceil_div(width, kColumns))),
+        down(unsigned(ceil_div(height, rows_of(Run)))),
+        count(unsigned(batch * across * down)) {}
+  __device__ __forceinline__ void place(int64_t& b, int& y, int& x) const {
+    unsigned const q = blockIdx.x / across, image = q / down;
+    x = int(blockIdx.x - q * across) * kColumns;
+    y = int(q - image * down) * rows_of(Run);
+    b = image;
+  }
+};
+
+// Whether blocks of a kernel can have this much shared memory; asks for it where it is more than they have by default.
+template <class Kernel>
+bool fits(Kernel kernel, int64_t bytes) {
+  if (bytes <= 48 * 1024) return true;
+  if (bytes <= 227 * 1024 &&
+      cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)) == cudaSuccess)
+    return true;
+  cudaGetLastError();  // a refusal is no error of the call
+  return false;
+}
+
+// Planes of floats in shared memory, whose element (0, 0) is pixel (y, x) of the image.
+struct SharedPlanes {
+  float* data;
+  int y, x, rows, columns;
+  __device__ __forceinline__ int size() const { return rows * columns; }
+  __device__ __forceinline__ float const* at(int row, int column) const {
+    return data + (row - y) * columns + (column - x);
+  }
+};
+
+// Fills the first C planes with the channels of an image, times `scale`. A warp takes strips of rows.
+template <int C, class T>
+__device__ __forceinline__ void load_planes(SharedPlanes const& s, Images<T const> const& image, int64_t b,
+                                            Border border, float scale) {
+  for (int column = threadIdx.x % 32; column < s.columns; column += 32) {
+    int const x = pixel_at(border, s.x + column, int(image.width));
+    for (int row = threadIdx.x / 32; row < s.rows; row += kThreads / 32) {
+      int const y = pixel_at(border, s.y + row, int(image.height));
+      T const* const pixel = image.row(b, 0, y) + x * image.step;
+      float* const to = s.data + row * s.columns + column;
+#pragma unroll
+      for (int c = 0; c < C; ++c)
+        to[c * s.size()] = y < 0 || x < 0 ? 0.f : read(pixel[c * image.channel_stride]) * scale;
+    }
+  }
+}
+
+// The logarithm of a weight, from that of its place in the window and two pixels of unit falloff in colour.
+template <int C, bool L1>
+__device__ __forceinline__ float log_weight(float space, float const (&p)[C], float const (&q)[C]) {
+  if constexpr (L1) {
+    float sum = fabsf(p[0] - q[0]);
+#pragma unroll
+    for (int c = 1; c < C; ++c) sum += fabsf(p[c] - q[c]);
+    return space - sum * sum;
+  }
+#pragma unroll
+  for (int c = 0; c < C; ++c) space -= (p[c] - q[c]) * (p[c] - q[c]);
+  return space;
+}
+
+// The weighted sums of C channels, and the sums of the weights, for the run of pixels that begins at (y, x). With R > 0
+// the window has 2 R + 1 rows and columns, known to the compiler, and the weight 1 of its centre is not computed.
+template <int C, bool L1, int R, int Run>
+__device__ __forceinline__ void sum_run(SharedPlanes const& s, int ry, [[maybe_unused]] int rx,
+                                        Falloff<float> const& falloff, int y, int x, float (&sum)[Run][C],
+                                        float (&total)[Run]) {
+  float centre[Run][C];
+#pragma unroll
+  for (int i = 0; i < Run; ++i) {
+    total[i] = 0;
+#pragma unroll
+    for (int c = 0; c < C; ++c) {
+      sum[i][c] = 0;
+      centre[i][c] = s.at(y + i, x)[c * s.size()];
+    }
+  }
+  auto const column = [&](int dx) {
+    float const space_x = falloff.space_x * float(dx * dx);
+    auto const pixel_row = [&](int row) {  // serves the pixels of the run that have it in their windows
+      float pixel[C];
+#pragma unroll
+      for (int c = 0; c < C; ++c) pixel[c] = s.at(y + row, x + dx)[c * s.size()];
+#pragma unroll
+      for (int i = 0; i < Run; ++i) {
+        int const dy = row - i;
+        if (dy < -(R > 0 ? R : ry) || dy > (R > 0 ? R : ry)) continue;
+        float weight = 1;
+        if (R == 0 || dy != 0 || dx != 0)
+          weight = fast_exp2(log_weight<C, L1>(falloff.space_y * float(dy * dy) + space_x, pixel, centre[i]));
+        total[i] += weight;
+#pragma unroll
+        for (int c = 0; c < C; ++c) sum[i][c] += weight * pixel[c];
+      }
+    };
+    if constexpr (R > 0) {
+#pragma unroll
+      for (int row = -R; row < Run + R; ++row) pixel_row(row);
+    } else {
+      for (int row = -ry; row < Run + ry; ++row) pixel_row(row);
+    }
+  };
+  if constexpr (R > 0) {
+#pragma unroll
+    for (int dx = -R; dx <= R; ++dx) column(dx);
+  } else {
+    for (int dx = -rx; dx <= rx; ++dx) column(dx);
+  }
+}
+
+// --- plain kernels
+// ------------------------------------------------------------------------------------------------------------
+
+// A pixel's first channel, or null for the constant 0.
+template <class T>
+__device__ __forceinline__ T* pixel(Images<T> const& image, int64_t b, Border border, int y, int x) {
+  y = pixel_at(border, y, int(image.height));
+  x = pixel_at(border, x, int(image.width));
+  return y < 0 || x < 0 ? nullptr : image.row(b, 0, y) + x * image.step;
+}
+
+template <class T>
+__device__ __forceinline__ auto value(Images<T> const& image, T* pixel, int c) {
+  using F = Compute<std::remove_const_t<T>>;
+  return pixel ? read(pixel[c * image.channel_stride]) : F(0);
+}
+
+// The distance of two pixels of the guide: the sum of absolute or squared differences.
+template <class T>
+__device__ __forceinline__ auto distance(Images<T> const& guide, bool l1, T* p, T* q) {
+  auto sum = value(guide, p, 0);
+  sum = 0;
+  for (int c = 0; c < guide.channels; ++c) {
+    auto const difference = value(guide, p, c) - value(guide, q, c);
+    sum += l1 ? fabs(difference) : difference * difference;
+  }
+  return sum;
+}
+
+// The guide of a call: x, or the other image of a joint blur.
+template <bool Joint, class Params>
+__device__ __forceinline__ auto const& guide_of(Params const& p) {
+  if constexpr (Joint)
+    return p.guide;
+  else
+    return p.x;
+}
+
+// Channels that a thread of a plain kernel sums at a time.
+constexpr int kChunk = 4;
+
+// As sum_run, for chunk of channels from c on and the window around pixel (y, x).
+template <bool Joint, class Params, class F>
+__device__ __forceinline__ F sum_window(Params const& p, Falloff<F> const& falloff, int64_t b, int c, int y, int x,
+                                        F (&sum)[kChunk]) {
+  auto const& guide = guide_of<Joint>(p);
+  int const ry = p.ky / 2, rx = p.kx / 2;
+  auto const* const centre = pixel(guide, b, p.border, y, x);
+  F total = 0;
+  for (int k = 0; k < kChunk; ++k) sum[k] = 0;
+  for (int dy = -ry; dy <= ry; ++dy)
+    for (int dx = -rx; dx <= rx; ++dx) {
+      F const d = distance(guide, p.l1, pixel(guide, b, p.border, y + dy, x + dx), centre);
+      F const space = falloff.space_y * F(dy * dy) + falloff.space_x * F(dx * dx);
+      F const weight = fast_exp2(space - (p.l1 ? d * d : d) * falloff.color);
+      total += weight;
+      auto const* const from = pixel(p.x, b, p.border, y + dy, x + dx);
+#pragma unroll
+      for (int k = 0; k < kChunk; ++k)
+        if (c + k < p.x.channels) sum[k] += weight * value(p.x, from, c + k);
+    }
+  return total;
+}
+
+}  // namespace
+}  // namespace kv::cuda

@@ -1,0 +1,177 @@
+// Bilateral blur: schemas and entries, for CPU and CUDA alike.
+#include "bilateral.h"
+#include "glue/glue.h"
+
+namespace kv {
+namespace {
+
+template <class T>
+Images<T> images(Tensor const& x, int64_t batch) {
+  return {static_cast<T*>(const_cast<void*>(x.const_data_ptr())),
+          x.size(0) == 1 && batch > 1 ? 0 : x.stride(0),
+          x.stride(1),
+          x.stride(2),
+          x.stride(3),
+          batch,
+          x.size(2),
+          x.size(3),
+          int(x.size(1))};
+}
+
+// What forward and backward have in common, checked.
+struct Arguments {
+  Tensor x, guide, sigma_color, sigma_space;
+  bool joint, l1;
+  int ky, kx;
+  Border border;
+
+  Arguments(char const* op, Tensor const& input, std::optional<Tensor> const& guidance,
+            std::optional<Tensor> const& colors, std::optional<Tensor> const& spaces, int64_t ky, int64_t kx,
+            std::string const& border, std::string const& distance)
+      : x(input),
+        guide(guidance ? *guidance : x),
+        sigma_color(colors ? torch::stable::contiguous(*colors) : x),
+        sigma_space(spaces ? torch::stable::contiguous(*spaces) : x),
+        joint(guidance.has_value()),
+        l1(distance == "l1"),
+        ky(int(ky)),
+        kx(int(kx)),
+        border(border_of(op, border)) {
+    KV_CHECK(l1 || distance == "l2", op, ": distance must be one of l1, l2; got '", distance, "'");
+    KV_CHECK(ky > 0 && kx > 0 && ky % 2 == 1 && kx % 2 == 1, op, ": expected odd kernel sizes, got ", ky, ", ", kx);
+    check_border(op, this->border, ky / 2, x.size(2));
+    check_border(op, this->border, kx / 2, x.size(3));
+    auto const fits = [&](Tensor const& t, int64_t dims) {
+      ScalarType const computed = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+      return t.dim() == dims && t.scalar_type() == computed && t.device() == x.device() &&
+             (t.size(0) == 1 || t.size(0) == x.size(0));
+    };
+    KV_CHECK(!joint || (fits(guide, 4) && guide.size(2) == x.size(2) && guide.size(3) == x.size(3)), op,
+             ": guidance does not fit input");
+    KV_CHECK(!colors || fits(sigma_color, 1), op, ": sigma_color does not fit input");
+    KV_CHECK(!spaces || (fits(sigma_space, 2) && sigma_space.size(1) == 2), op, ": sigma_space does not fit input");
+    has_colors = colors.has_value();
+    has_spaces = spaces.has_value();
+  }
+
+  template <class F>
+  Sigmas<F> sigmas(double color, double y, double x) const {
+    auto const data = [](Tensor const& t) { return static_cast<F const*>(t.const_data_ptr()); };
+    return {F(color),
+            F(y),
+            F(x),
+            has_colors ? data(sigma_color) : nullptr,
+            has_spaces ? data(sigma_space) : nullptr,
+            sigma_color.size(0) == 1 ? 0 : 1,
+            sigma_space.size(0) == 1 ? 0 : 2};
+  }
+
+ private:
+  bool has_colors, has_spaces;
+};
+
+Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& guidance,
+                      std::optional<Tensor> const& sigma_color, std::optional<Tensor> const& sigma_space, int64_t ky,
+                      int64_t kx, double color, double space_y, double space_x, std::string const& border,
+                      std::string const& distance) {
+  check_images("bilateral_blur", "input", input);
+  Arguments const a("bilateral_blur", input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
+  Tensor const y = empty_like(a.x, layout_of(a.x));
+  int64_t const batch = a.x.size(0);
+  for_floats_and_bytes("bilateral_blur", a.x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Bilateral<T> const params{images<T const>(a.x, batch),
+                              a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
+                              images<T>(y, batch),
+                              a.sigmas<F>(color, space_y, space_x),
+                              a.ky,
+                              a.kx,
+                              a.border,
+                              a.l1,
+                              a.joint};
+    KV_RUN(bilateral_blur, a.x, params, y.numel() > 0 ? batch * y.size(2) : 0, y.size(1) * y.size(3) * ky * kx);
+  });
+  return y;
+}
+
+std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor const& input,
+                                                   std::optional<Tensor> const& guidance,
+                                                   std::optional<Tensor> const& sigma_color,
+                                                   std::optional<Tensor> const& sigma_space, int64_t ky, int64_t kx,
+                                                   double color, double space_y, double space_x,
+                                                   std::string const& border, std::string const& distance, bool wants_x,
+                                                   bool wants_guide) {
+  char const* const op = "bilateral_blur_backward";
+  check_images(op, "input", input);
+  check_like(op, "grad", grad, input);
+  Arguments const a(op, input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
+  int64_t const batch = a.x.size(0), h = a.x.size(2), w = a.x.size(3);
+  wants_guide = wants_guide && a.joint;
+  Layout const layout = layout_of(grad);
+  Tensor const grad_x = empty({batch, wants_x ? a.x.size(1) : 0, h, w}, grad, layout);
+  Tensor const grad_guide = empty({batch, wants_guide ? a.guide.size(1) : 0, h, w}, grad, layout);
+  for_floats(op, a.x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    BilateralBackward<T> const params{images<T const>(grad, batch),
+                                      images<T const>(a.x, batch),
+                                      a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
+                                      images<T>(grad_x, batch),
+                                      images<T>(grad_guide, batch),
+                                      a.sigmas<F>(color, space_y, space_x),
+                                      a.ky,
+                                      a.kx,
+                                      a.border,
+                                      a.l1,
+                                      a.joint,
+                                      wants_x,
+                                      wants_guide};
+    int64_t const rows = grad_x.numel() + grad_guide.numel() > 0 ? batch * h : 0;
+    KV_RUN(bilateral_blur_backward, a.x, params, rows, 4 * a.x.size(1) * w * ky * kx);
+  });
+  return {grad_x, grad_guide};
+}
+
+Tensor bilateral_blur_sigma_sums(Tensor const& grad, Tensor const& input, std::optional<Tensor> const& guidance,
+                                 std::optional<Tensor> const& sigma_color, std::optional<Tensor> const& sigma_space,
+                                 int64_t ky, int64_t kx, double color, double space_y, double space_x,
+                                 std::string const& border, std::string const& distance) {
+  char const* const op = "bilateral_blur_sigma_sums";
+  check_images(op, "input", input);
+  check_like(op, "grad", grad, input);
+  Arguments const a(op, input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
+  int64_t const batch = a.x.size(0), h = a.x.size(2);
+  Tensor const sums = empty({batch, 3, h}, grad);
+  for_floats(op, a.x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    BilateralSigmas<T> const params{images<T const>(grad, batch),
+                                    images<T const>(a.x, batch),
+                                    a.joint ? images<F const>(a.guide, batch) : Images<F const>{},
+                                    static_cast<T*>(sums.mutable_data_ptr()),
+                                    a.sigmas<F>(color, space_y, space_x),
+                                    a.ky,
+                                    a.kx,
+                                    a.border,
+                                    a.l1,
+                                    a.joint};
+    KV_RUN(bilateral_blur_sigma_sums, a.x, params, batch * h, 2 * a.x.size(1) * a.x.size(3) * ky * kx);
+  });
+  return sums;
+}
+
+}  // namespace
+
+KV_OPERATOR(bilateral_blur,
+            "(Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, float color, "
+            "float space_y, float space_x, str border, str distance) -> Tensor")
+KV_OPERATOR(bilateral_blur_backward,
+            "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, "
+            "float color, float space_y, float space_x, str border, str distance, bool wants_input, "
+            "bool wants_guidance) -> (Tensor, Tensor)")
+KV_OPERATOR(bilateral_blur_sigma_sums,
+            "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, "
+            "float color, float space_y, float space_x, str border, str distance) -> Tensor")
+
+}  // namespace kv

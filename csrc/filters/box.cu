@@ -1,0 +1,396 @@
+// Window sums on CUDA. Small windows: each warp walks down a strip of the image with the rows of its window in
+// registers. All others: a block walks down a tile in batches of eight rows, and sums along the rows and down the columns
+// from the sums of beginnings and ends of blocks of eight pixels, at a cost that hardly depends on the window's size.
+#include <cuda_pipeline.h>
+
+#include "box.h"
+#include "core/launch.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kStripRows = 16;  // of a strip
+
+// --- windows of 3 x 3 and 5 x 5 pixels
+// ------------------------------------------------------------------------------------
+
+// Doubled: the transpose of a reflected border; see BoxAxis.
+template <class T, int K, bool Doubled>
+__global__ void __launch_bounds__(256, kPixels<T> == 4 ? 3 : 2)
+    box_strip(Box<T> p, Border border, Strips<kPixels<T>> strips) {
+  constexpr int P = kPixels<T>, R = K / 2;
+  using F = Compute<T>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  Strip<R, true, P> const strip(x, width, border);
+  T const* const in = p.x.plane(plane);
+  T* out = p.y.row(plane, y0);
+  auto const is_rim = [](int i, int n) { return i == 0 || i == n - 1; };
+  unsigned twice = 0;  // bit i: the value at x - R + i counts twice
+  if (Doubled)
+#pragma unroll
+    for (int i = 0; i < P + 2 * R; ++i)
+      if (x - R + i < width + R && is_rim(border_index(border, x - R + i, width), width)) twice |= 1u << i;
+
+  struct Row {
+    typename Strip<R, true, P>::template Fetched<T> fetched;
+    F weight;
+  };
+  auto const fetch = [&](int y) {
+    int const at = y < y1 + R ? border_index(border, y, height) : -1;
+    Row row{};
+    if (at >= 0) row.fetched = strip.fetch(in + at * p.x.row_stride);
+    row.weight = Doubled && is_rim(at, height) ? F(2) : F(1);
+    return row;
+  };
+  auto const sum_along = [&](Row const& row, F(&sums)[P]) {
+    F v[P + 2 * R];
+    strip.spread(row.fetched, v);
+    if (Doubled && twice)
+#pragma unroll
+      for (int i = 0; i < P + 2 * R; ++i)
+        if (twice >> i & 1) v[i] *= 2;
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      sums[i] = v[i];
+#pragma unroll
+      for (int t = 1; t < K; ++t) sums[i] += v[i + t];
+      if (Doubled) sums[i] *= row.weight;
+    }
+  };
+
+  F sums[K][P];  // along the rows around y
+#pragma unroll
+  for (int t = 0; t < K - 1; ++t) sum_along(fetch(y0 - R + t), sums[t]);
+  F const reciprocal = 1 / p.divisor;
+  Row ahead = fetch(y0 + R);
+#pragma unroll K
+  for (int y = y0; y < y1; ++y) {
+    Row const now = ahead;
+    ahead = fetch(y + R + 1);
+    sum_along(now, sums[K - 1]);
+    F result[P];
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      result[i] = sums[0][i];
+#pragma unroll
+      for (int t = 1; t < K; ++t) result[i] += sums[t][i];
+      if (Doubled) result[i] *= (is_rim(y, height) ? F(0.5) : F(1)) * (is_rim(x + i, width) ? F(0.5) : F(1));
+    }
+    if (p.centre != 0 && strip.inside) {  // 0 times an infinite pixel is not 0
+      Pack<T, P> const own = *reinterpret_cast<Pack<T, P> const*>(in + y * p.x.row_stride + x);
+#pragma unroll
+      for (int i = 0; i < P; ++i) result[i] += read(own.v[i]) * p.centre;
+    }
+#pragma unroll
+    for (int i = 0; i < P; ++i) result[i] = quotient<T>(result[i], p.divisor, reciprocal);
+    strip.store(out, result);
+    out += p.y.row_stride;
+#pragma unroll
+    for (int t = 0; t + 1 < K; ++t)
+#pragma unroll
+      for (int i = 0; i < P; ++i) sums[t][i] = sums[t + 1][i];
+  }
+}
+
+// --- windows of any size
+// ----------------------------------------------------------------------------------------------
+
+constexpr int kRows = 8;       // of a batch, a warp each; and of a block of column sums
+constexpr int kPart = 9;       // pixels of a row that a thread sums; odd, which keeps threads on different banks
+constexpr int kBatches = 3;    // on their way at a time
+constexpr int kSpan = 32 * kPart;
+constexpr int kPitch = kSpan + 16;  // with what is skipped to begin at a multiple of 16 bytes
+
+// A tile is `width` columns of pixels by `height` rows.
+struct Tiles {
+  int width, height, across, down;
+  int depth;  // blocks of column sums that are kept
+
+  template <class F>
+  int64_t bytes() const {
+    return (int64_t(kBatches) * kRows * kPitch + int64_t(depth) * kRows * width) * sizeof(F);
+  }
+};
+
+template <class T>
+__device__ __forceinline__ void copy_later(T* to, T const* from) {
+  if constexpr (sizeof(T) >= 4)
+    __pipeline_memcpy_async(to, from, sizeof(T));
+  else
+    *to = *from;
+}
+
+// The sums of windows of one axis from those of blocks: a window begins in one block and ends in another, so it is the
+// end of the first (`tail`), the whole blocks between them, and the beginning of the last (`head`).
+template <class T>
+__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
+    box_tile(Box<T> p, BoxAxis across, BoxAxis down, Tiles tiles, bool packed) {
+  using F = Compute<T>;
+  constexpr int kPack = 16 / sizeof(T);
+  extern __shared__ __align__(16) unsigned char memory[];
+  F* const rows = reinterpret_cast<F*>(memory);          // [batch][row][element]
+  F* const tails = rows + kBatches * kRows * kPitch;  // [block][row][column]
+  int const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+
+  int const q = blockIdx.x / tiles.across, x0 = (blockIdx.x - q * tiles.across) * tiles.width;
+  int const plane = q / tiles.down, y0 = (q - plane * tiles.down) * tiles.height;
+  int const width = int(across.size), height = int(down.size), step = int(p.x.step);
+  T const* const in = p.x.plane(plane / step) + plane % step;
+  T* const out = p.y.plane(plane / step) + plane % step;
+
+  // Where the transpose gathers, the positions around the image have their sums, too, and the rim gets them.
+  int const x1 = min(x0 + tiles.width, width), y1 = min(y0 + tiles.height, height);
+  int const first_x = x0 == 0 && across.gathers() ? -int(across.after) : x0;
+  int const last_x = x1 == width && across.gathers() ? width + int(across.before) : x1;
+  int const first_y = y0 == 0 && down.gathers() ? -int(down.after) : y0;
+  int const last_y = y1 == height && down.gathers() ? height + int(down.before) : y1;
+  int const kx = int(across.count()), ky = int(down.count());
+  int const top = first_y - int(down.before), bottom = last_y + int(down.after);
+
+  // Positions of a row: what windows read from `left` to `right`, of which packs are read from pack_left to pack_right.
+  int const left = first_x - int(across.before), right = last_x + int(across.after);
+  int const origin = left & -kPack;
+  int const pack_left = packed ? max(left + kPack - 1, 0) & -kPack : right;
+  int const pack_right = packed ? max(min(right, width) & -kPack, pack_left) : right;
+  auto const row_of = [&](int batch) { return rows + (batch % kBatches * kRows + warp) * kPitch; };
+  auto const stage = [&](int batch) {
+    int const y = top + batch * kRows + warp, at = y < bottom ? border_index(down.border, y, height) : -1;
+    T* const to = reinterpret_cast<T*>(row_of(batch)) - origin;
+    T const* const from = in + at * p.x.row_stride;
+    auto const element = [&](int x) {
+      int const column = at < 0 ? -1 : border_index(across.border, x, width);
+      if (column < 0)
+        to[x] = T{};
+      else
+        copy_later(to + x, from + column * step);
+    };
+    if (at < 0) {
+      for (int x = left + lane; x < right; x += 32) to[x] = T{};
+    } else {
+      for (int x = pack_left + lane * kPack; x < pack_right; x += 32 * kPack)
+        __pipeline_memcpy_async(to + x, from + x, 16);
+      for (int x = left + lane; x < pack_left; x += 32) element(x);
+      for (int x = pack_right + lane; x < right; x += 32) element(x);
+    }
+    __pipeline_commit();
+  };
+
+  unsigned twice = 0;  // which of the thread's pixels count twice
+  if (across.doubled)
+#pragma unroll
+    for (int i = 0; i < kPart; ++i) {
+      int const at = border_index(across.border, left + lane * kPart + i, width);
+      if (at == 0 || at == width - 1) twice |= 1u << i;
+    }
+  int const column = threadIdx.x, x = x0 + column;
+  F const share = across.doubled && (x == 0 || x == width - 1) ? F(0.5) : F(1);
+  F const reciprocal = 1 / p.divisor;
+  F* const tail = tails + column;
+  F carry = 0;     // what the rim is still to get
+  int oldest = 0;  // of the blocks of column sums
+
+#pragma unroll
+  for (int i = 0; i + 1 < kBatches; ++i) stage(i);
+  for (int batch = 0; top + batch * kRows < bottom; ++batch) {
+    // 1. Along the rows: a warp each, in place.
+    __pipeline_wait_prior(kBatches - 2);
+    __syncwarp();
+    F* const row = row_of(batch);
+    F v[kPart];
+#pragma unroll
+    for (int i = 0; i < kPart; ++i) v[i] = read(reinterpret_cast<T const*>(row)[left - origin + lane * kPart + i]);
+    if (across.doubled || down.doubled) {
+      int const y = border_index(down.border, top + batch * kRows + warp, height);
+      F const weight = down.doubled && (y == 0 || y == height - 1) ? F(2) : F(1);
+#pragma unroll
+      for (int i = 0; i < kPart; ++i) v[i] *= twice >> i & 1 ? 2 * weight : weight;
+    }
+    __syncwarp();
+    F* const part = row + lane * kPart;
+    F head = 0;
+#pragma unroll
+    for (int i = 0; i < kPart; ++i) part[i] = head = kx > kPart ? head + v[i] : v[i];
+    __syncwarp();
+    if (kx > kPart) {
+      int const whole = (kx - 1) / kPart, past = (kx - 1) % kPart, limit = kPitch - lane * kPart - 1;
+#pragma unroll
+      for (int i = kPart - 1; i > 0; --i) v[i - 1] += v[i];
+      F middle = 0;
+      for (int m = 1; m < whole; ++m) middle += part[min((m + 1) * kPart - 1, limit)];
+      F const longer = middle + part[min((whole + 1) * kPart - 1, limit)];
+#pragma unroll
+      for (int i = 0; i < kPart; ++i) v[i] += (i + past >= kPart ? longer : middle) + part[min(i + kx - 1, limit)];
+    } else {
+#pragma unroll
+      for (int i = 0; i < kPart; ++i)
+        for (int t = 1; t < kx; ++t) v[i] += part[i + t];
+    }
+    __syncwarp();
+#pragma unroll
+    for (int i = 0; i < kPart; ++i) part[i] = v[i];
+    auto const gather = [&](int from, int to, int pixel) {
+      __syncwarp();
+      F s = 0;
+      for (int i = from + lane; i < to; i += 32) s += row[i - first_x];
+#pragma unroll
+      for (int d = 16; d > 0; d /= 2) s += __shfl_xor_sync(0xffffffffu, s, d);
+      __syncwarp();
+      if (lane == 0) row[pixel - first_x] = s;
+    };
+    if (first_x < x0) gather(first_x, width == 1 ? last_x : 1, 0);
+    if (last_x > x1 && (width > 1 || first_x == x0)) gather(width - 1, last_x, width - 1);
+    __syncthreads();
+    stage(batch + kBatches - 1);
+    if (x >= x1) continue;
+
+    // 2. Down the columns: a thread each.
+    F const* const sums = rows + batch % kBatches * kRows * kPitch + x - first_x;
+    int const block = kRows * tiles.width;
+    F h[kRows];
+#pragma unroll
+    for (int j = 0; j < kRows; ++j) h[j] = sums[j * kPitch];
+    if (ky > kRows) {
+      int const past = tiles.depth * kRows - (ky - 1), next = oldest + 1 == tiles.depth ? 0 : oldest + 1;
+      F longer = 0, middle = 0;
+      for (int m = 1, at = next; m < tiles.depth; ++m, at = at + 1 == tiles.depth ? 0 : at + 1)
+        (m == 1 ? longer : middle) += tail[at * block];
+      longer += middle;
+      F below[kRows], after = 0;
+#pragma unroll
+      for (int j = kRows - 1; j >= 0; --j) below[j] = after += h[j];
+      F before = 0;
+#pragma unroll
+      for (int j = 0; j < kRows; ++j) {
+        bool const over = j + past >= kRows;
+        before += h[j];
+        h[j] = tail[(over ? next : oldest) * block + (j + past) % kRows * tiles.width] + (over ? middle : longer) + before;
+      }
+#pragma unroll
+      for (int j = 0; j < kRows; ++j) tail[oldest * block + j * tiles.width] = below[j];
+      oldest = next;
+    } else {  // pixel by pixel, from this block and the one before it
+#pragma unroll
+      for (int j = 0; j < kRows; ++j) tail[oldest * block + j * tiles.width] = h[j];
+#pragma unroll
+      for (int j = 0; j < kRows; ++j)
+        for (int t = 1; t < ky; ++t)
+          h[j] += tail[(t <= j ? oldest : 1 - oldest) * block + (j - t + kRows) % kRows * tiles.width];
+      oldest = 1 - oldest;
+    }
+#pragma unroll
+    for (int j = 0; j < kRows; ++j) {
+      int const y = top + batch * kRows + j - (ky - 1) + int(down.before);
+      if (y < first_y || y >= last_y) continue;
+      F total = h[j] + carry;
+      bool const more = y < 0 || (y >= height - 1 && y + 1 < last_y);
+      carry = more ? total : F(0);
+      if (more) continue;
+      int const at = min(y, height - 1);
+      if (across.doubled || down.doubled) total *= down.doubled && (at == 0 || at == height - 1) ? share / 2 : share;
+      if (p.centre != 0) total += read(in[at * p.x.row_stride + x * step]) * p.centre;
+      out[at * p.y.row_stride + x * step] = round_to<T>(quotient<T>(total, p.divisor, reciprocal));
+    }
+  }
+}
+
+// --- what is left: windows that no tile has room for, and the transpose of even windows with a reflected border
+// ---------
+
+template <class T>
+__global__ void box_any(Box<T> p, bool transposed) {
+  using F = Compute<T>;
+  int64_t const i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x, size = p.x.row_size(), step = p.x.step;
+  if (i >= p.x.rows() * size) return;
+  int64_t const e = i % size, r = i / size, plane = r / p.x.height, y = r % p.x.height, x = e / step, c = e % step;
+  BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
+  // Calls f(pixel, how often) for the pixels that the window of pixel j reads, or that read it.
+  auto const for_each = [&](BoxAxis const& axis, int64_t j, auto f) {
+    for (int64_t q = j - axis.before; q <= j + max(axis.before, axis.after); ++q) {
+      if (!transposed || axis.rim == 0) {
+        int64_t const at = q <= j + axis.after ? border_index(axis.border, q, axis.size) : -1;
+        if (at >= 0) f(at, F(1));
+      } else if (q >= 0 && q < axis.size) {
+        int64_t const times = reads(p.border, q, j, axis.size, axis.after, axis.before);
+        if (times > 0) f(q, F(times));
+      }
+    }
+  };
+  F sum = 0;
+  for_each(down, y, [&](int64_t at_y, F times_y) {
+    T const* const row = p.x.row(plane, at_y);
+    F s = 0;
+    for_each(across, x, [&](int64_t at_x, F times_x) { s += times_x * read(row[at_x * step + c]); });
+    sum += times_y * s;
+  });
+  if (p.centre != 0) sum += read(p.x.row(plane, y)[e]) * p.centre;
+  p.y.row(plane, y)[e] = round_to<T>(quotient<T>(sum, p.divisor, 1 / p.divisor));
+}
+
+// --- launchers
+// --------------------------------------------------------------------------------------------------------
+
+template <int K, class T>
+int launch_strip(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream) {
+  Strips<kPixels<T>> const strips(p.x.count(), p.x.height, p.x.width, kStripRows);
+  if (!axis.doubled)
+    box_strip<T, K, false><<<strips.blocks(), 256, 0, stream>>>(p, axis.border, strips);
+  else if constexpr (sizeof(T) > 1)
+    box_strip<T, K, true><<<strips.blocks(), 256, 0, stream>>>(p, axis.border, strips);
+  return cudaGetLastError();
+}
+
+template <class T>
+int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
+  using F = Compute<T>;
+  constexpr int64_t kShared = 224 * 1024, kPreferred = 112 * 1024;  // of a multiprocessor, of a block
+  BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
+  bool const gathers = across.gathers() || down.gathers();
+
+  if constexpr (sizeof(T) <= 4)
+    if (p.kx == p.ky && !gathers && is_strip<kPixels<T>>(p.x) && is_strip<kPixels<T>>(p.y)) {
+      if (p.kx == 3) return launch_strip<3>(p, across, stream);
+      if (p.kx == 5) return launch_strip<5>(p, across, stream);
+    }
+
+  bool const even_reflect = gathers && p.border == Border::reflect;
+  int64_t const planes = p.x.count() * p.x.step, beside = p.kx - 1 + (across.gathers() ? p.kx - 1 : 0);
+  Tiles tiles{};
+  tiles.depth = p.ky > kRows ? int(ceil_div(p.ky - 1, kRows)) : 2;
+  auto const fits = [&](int64_t shared) { return tiles.width + beside <= kSpan && tiles.bytes<F>() <= shared; };
+  for (tiles.width = 256; tiles.width > 32 && !fits(kPreferred);) tiles.width -= 32;
+  if (even_reflect || !fits(kShared)) {
+    box_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p, transposed);
+    return cudaGetLastError();
+  }
+  tiles.across = int(ceil_div(p.x.width, tiles.width));
+  tiles.width = int(ceil_div(p.x.width, tiles.across));
+  // Enough tiles for all multiprocessors, as long as the rows above a tile, which are summed again, are not most of it.
+  int64_t const wanted = ceil_div(3 * 132, planes * tiles.across), most = ceil_div(p.x.height, max(p.ky, int64_t(32)));
+  tiles.height = int(ceil_div(p.x.height, clamp(wanted, int64_t(1), most)));
+  tiles.down = int(ceil_div(p.x.height, tiles.height));
+  int64_t const bytes = tiles.bytes<F>();
+  if (int const error = cudaFuncSetAttribute(box_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+    return error;
+  box_tile<<<unsigned(planes * tiles.across * tiles.down), 256, unsigned(bytes), stream>>>(p, across, down, tiles,
+                                                                                           is_strip<16 / sizeof(T)>(p.x));
+  return cudaGetLastError();
+}
+
+}  // namespace
+
+template <class T>
+int box(Box<T> const& p, CUstream_st* stream) {
+  return launch(p, false, stream);
+}
+template <class T>
+int box_backward(Box<T> const& p, CUstream_st* stream) {
+  return launch(p, true, stream);
+}
+
+KV_INSTANTIATE_WITH_BYTES(box, Box)
+KV_INSTANTIATE(box_backward, Box)
+
+}  // namespace kv::cuda

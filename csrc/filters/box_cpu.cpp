@@ -1,0 +1,288 @@
+// Window sums on the CPU: rows [begin, end) of all planes in order, first down the columns, then along the row.
+// Compiled once per instruction set.
+#include "box.h"
+#include "core/lanes.h"
+#include "core/scratch.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// Calls f(width, e) for vectors and then single elements of [0, size), each element once: for results that replace what
+// they are made of.
+template <class T, class F>
+KV_HD void for_each_once(int64_t size, F f) {
+  constexpr int N = kLanes<T>;
+  int64_t e = 0;
+  for (; e + N <= size; e += N) f(Width<N>{}, e);
+  for (; e < size; ++e) f(Width<1>{}, e);
+}
+
+// Calls emit(width, e, terms[0][e] + terms[1][e] + ...) for e in [0, size), as for_each_vector does. A few vectors at a
+// time, so that the pointers are not what takes time.
+template <class T, class Emit>
+KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>, kBlock = 4;
+  int64_t e = 0;
+  for (; e + kBlock * N <= size; e += kBlock * N) {
+    Lanes<F, N> sums[kBlock];
+    for (int i = 0; i < kBlock; ++i) sums[i] = load<N>(terms[0] + e + i * N);
+    for (int t = 1; t < count; ++t)
+      for (int i = 0; i < kBlock; ++i) sums[i] += load<N>(terms[t] + e + i * N);
+    for (int i = 0; i < kBlock; ++i) emit(Width<N>{}, e + i * N, sums[i]);
+  }
+  if (e == size) return;
+  for_each_vector<T>(size < N ? 0 : min(e, size - N), size, [=](auto width, int64_t e) {
+    constexpr int M = decltype(width)::value;
+    Lanes<F, M> sum = load<M>(terms[0] + e);
+    for (int t = 1; t < count; ++t) sum += load<M>(terms[t] + e);
+    emit(width, e, sum);
+  });
+}
+
+// The sums of a plane's rows over the windows of one row after another.
+//
+// The positions of the axis are cut into blocks of the window's size, so that a window is the end of one block and the
+// beginning of the next. The sums of all ends of a block are made when the window reaches it, the sum of the beginning
+// grows row by row: two additions an element and row, and one for the two together. Windows of three rows and less are
+// summed as they are.
+template <class T>
+class ColumnSums {
+  using F = Compute<T>;
+  static constexpr int kDirect = 3;
+
+  Planes<T const> const& x_;
+  BoxAxis const axis_;
+  int64_t const size_, k_;
+  Scratch<T> zeros_;
+  Scratch<F> ends_;  // row i of it: the sum of the block's rows from i on
+  Scratch<F> beginning_;
+
+  KV_HD T const* row(int64_t plane, int64_t position) const {
+    int64_t const y = border_index(axis_.border, position, axis_.size);
+    return y < 0 ? zeros_.data : x_.row(plane, y);
+  }
+  // How often a row counts.
+  KV_HD int weight(int64_t position) const {
+    return axis_.doubled && axis_.is_rim(border_index(axis_.border, position, axis_.size)) ? 2 : 1;
+  }
+
+  KV_HD void clear(F* sum) const {
+    for (int64_t e = 0; e < size_; ++e) sum[e] = 0;
+  }
+  // sum = a + weight * row
+  KV_HD void add(F* sum, F const* a, F weight, T const* row) const {
+    for_each_once<T>(size_, [=](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      store<N>(sum + e, Lanes<F, N>(load<N>(a + e) + load<N>(row + e) * weight));
+    });
+  }
+
+  KV_HD void slide(F* sum, int64_t plane, int64_t y, bool fresh) {
+    int64_t const m = y % k_, block = y - m - axis_.before;  // the block's first position
+    auto const end = [&](int64_t i) { return ends_.data + i * size_; };
+    F* const beginning = beginning_.data;
+    if (fresh || m == 0) {
+      for (int64_t i = k_; i-- > m;) add(end(i), end(i + 1), F(weight(block + i)), row(plane, block + i));
+      clear(beginning);
+      for (int64_t i = block + k_; i + 1 < block + k_ + m; ++i) add(beginning, beginning, F(weight(i)), row(plane, i));
+    }
+    if (m == 0) return add(sum, end(0), 0, zeros_.data);
+    F const* const rest = end(m);
+    T const* const next = row(plane, block + k_ + m - 1);
+    F const times = weight(block + k_ + m - 1);
+    for_each_once<T>(size_, [=](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      Lanes<F, N> const b = load<N>(beginning + e) + load<N>(next + e) * times;
+      store<N>(beginning + e, b);
+      store<N>(sum + e, Lanes<F, N>(load<N>(rest + e) + b));
+    });
+  }
+
+ public:
+  KV_HD ColumnSums(Planes<T const> const& x, BoxAxis const& axis)
+      : x_(x),
+        axis_(axis),
+        size_(x.row_size()),
+        k_(axis.count()),
+        zeros_(size_),
+        ends_(k_ > kDirect ? (k_ + 1) * size_ : 0),
+        beginning_(k_ > kDirect ? size_ : 0) {
+    for (int64_t e = 0; e < size_; ++e) zeros_.data[e] = T{};
+    if (k_ > kDirect) clear(ends_.data + k_ * size_);
+  }
+
+  // The sums of the window of row y. `fresh`: the call before was not for the row above.
+  KV_HD void window(F* sum, int64_t plane, int64_t y, bool fresh) {
+    if (k_ > kDirect) return slide(sum, plane, y, fresh);
+    T const* terms[kDirect + 2];  // a row that counts twice stands there twice
+    int count = 0;
+    for (int64_t i = y - axis_.before; i <= y + axis_.after; ++i)
+      for (int times = weight(i); times > 0; --times) terms[count++] = row(plane, i);
+    add_up(terms, count, size_, [=](auto width, int64_t e, auto s) { store<decltype(width)::value>(sum + e, s); });
+  }
+
+  // The sum of the rows that read row j, which is one of a transposed axis' rim.
+  KV_HD void gather(F* sum, int64_t plane, int64_t j, Border border) const {
+    int64_t const n = axis_.size, radius = axis_.before;
+    clear(sum);
+    for (int64_t r = max(int64_t(0), j - radius); r <= min(n - 1, j + radius); ++r)
+      if (int64_t const times = reads(border, r, j, n, axis_.after, axis_.before))
+        add(sum, sum, F(times), x_.row(plane, r));
+  }
+
+  // Asks for a row that windows will need, a quarter faster at large images than waiting for it.
+  KV_HD void prefetch(int64_t plane, int64_t y) const {
+    if (y >= axis_.size) return;
+    for (int64_t e = 0; e < size_; e += 64 / sizeof(T)) __builtin_prefetch(x_.row(plane, y) + e);
+  }
+};
+
+// Sums over k neighbours, `step` apart, along a row of `size` elements and (k - 1) step more.
+//
+// The sums of 4, 16, ... neighbours are made first, and the window is put together from those in the digits of its
+// size, the first of which may be up to 7.
+template <class F>
+class RowSums {
+  static constexpr int kDigit = 7, kLevels = 32;
+
+  int64_t const size_, k_, step_, room_;
+  Scratch<F> sums_;  // level after level, from the elements themselves on
+
+  KV_HD static int levels(int64_t k) {
+    int count = 1;
+    for (; k > kDigit; k /= 4) ++count;
+    return count;
+  }
+
+ public:
+  KV_HD RowSums(int64_t size, int64_t k, int64_t step)
+      : size_(size), k_(k), step_(step), room_(size + (k - 1) * step), sums_(levels(k) * room_) {}
+
+  KV_HD F* elements() const { return sums_.data; }
+
+  // emit(width, e, elements()[e] + elements()[e + step] + ...) for e in [0, size)
+  template <class Emit>
+  KV_HD void sums(Emit emit) const {
+    F const* terms[kDigit + 3 * kLevels];
+    int count = 0;
+    int64_t power = 1, done = 0, rest = k_;
+    F* level = sums_.data;
+    for (;; rest /= 4, power *= 4, level += room_) {
+      bool const last = rest <= kDigit;
+      for (int64_t i = last ? rest : rest % 4; i > 0; --i, done += power) terms[count++] = level + done * step_;
+      if (last) break;
+      F const* four[4];
+      for (int i = 0; i < 4; ++i) four[i] = level + i * power * step_;
+      F* const above = level + room_;
+      add_up(four, 4, size_ + (k_ - 4 * power) * step_,
+             [=](auto width, int64_t e, auto s) { store<decltype(width)::value>(above + e, s); });
+    }
+    add_up(terms, count, size_, emit);
+  }
+};
+
+// What a row of column sums needs at the rim of the image: a continuation, and the sums of the pixels that gather.
+template <class F>
+class Rim {
+  BoxAxis const axis_;
+  int64_t const step_, count_, radius_;
+  Scratch<F> weights_, sums_;
+
+  KV_HD int64_t pixel(int64_t i) const { return i < axis_.rim ? i : axis_.size - count_ + i; }
+  // Calls f(r, weight) for the pixels r that may read pixel(i).
+  template <class Call>
+  KV_HD void for_each_reader(int64_t i, Call f) const {
+    int64_t const j = pixel(i);
+    F* const weights = weights_.data + i * (2 * radius_ + 1) + radius_ - j;
+    for (int64_t r = max(int64_t(0), j - radius_); r <= min(axis_.size - 1, j + radius_); ++r) f(r, weights[r]);
+  }
+
+ public:
+  KV_HD Rim(BoxAxis const& axis, Border border, int64_t step)
+      : axis_(axis),
+        step_(step),
+        count_(min(2 * axis.rim, axis.size)),
+        radius_(axis.before),
+        weights_(count_ * (2 * radius_ + 1)),
+        sums_(count_ * step) {
+    for (int64_t i = 0; i < count_; ++i)
+      for_each_reader(i, [&](int64_t r, F& weight) {
+        weight = F(reads(border, r, pixel(i), axis_.size, axis_.after, axis_.before));
+      });
+  }
+
+  // Row s has room for before and after more pixels around it.
+  KV_HD void complete(F* s) const {
+    for (int64_t i = 0; i < count_; ++i)
+      for (int64_t c = 0; c < step_; ++c) {
+        F sum = 0;
+        for_each_reader(i, [&](int64_t r, F weight) { sum += weight * s[r * step_ + c]; });
+        sums_.data[i * step_ + c] = sum;
+      }
+    if (axis_.doubled)
+      for (int64_t i = 0; i < count_; ++i)
+        for (int64_t c = 0; c < step_; ++c) s[pixel(i) * step_ + c] *= 2;
+    auto const extend = [&](int64_t position) {
+      int64_t const j = border_index(axis_.border, position, axis_.size);
+      for (int64_t c = 0; c < step_; ++c) s[position * step_ + c] = j < 0 ? F(0) : s[j * step_ + c];
+    };
+    for (int64_t i = 1; i <= axis_.before; ++i) extend(-i);
+    for (int64_t i = 0; i < axis_.after; ++i) extend(axis_.size + i);
+  }
+
+  template <class Emit>
+  KV_HD void sums(Emit emit) const {
+    for (int64_t i = 0; i < count_; ++i)
+      for (int64_t c = 0; c < step_; ++c) emit(Width<1>{}, pixel(i) * step_ + c, sums_.data[i * step_ + c]);
+  }
+};
+
+template <class T>
+KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const height = p.x.height, size = p.x.row_size();
+  BoxAxis const down(p.ky, height, p.border, transposed), along(p.kx, p.x.width, p.border, transposed);
+  ColumnSums<T> columns(p.x, down);
+  RowSums<F> const row(size, p.kx, p.x.step);
+  Rim<F> const rim(along, p.border, p.x.step);
+  F* const s = row.elements() + along.before * p.x.step;
+
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / height, y = r % height;
+    columns.prefetch(plane, y + down.after + 2);
+    columns.window(s, plane, y, r == begin || y == 0);
+    if (down.is_rim(y) && down.gathers()) columns.gather(s, plane, y, p.border);
+    rim.complete(s);
+
+    T const* const x = p.x.row(plane, y);
+    T* const out = p.y.row(plane, y);
+    F const centre = p.centre, divisor = p.divisor, reciprocal = 1 / divisor;
+    F const share = down.doubled && down.is_rim(y) ? F(0.5) : F(1);
+    bool const centred = centre != 0;  // 0 times an infinite pixel is not 0
+    auto const emit = [=](auto width, int64_t e, auto sum) {
+      constexpr int N = decltype(width)::value;
+      sum *= share;
+      if (centred) sum += load<N>(x + e) * centre;
+      store<N>(out + e, quotient<T>(sum, divisor, reciprocal));
+    };
+    row.sums(emit);
+    rim.sums(emit);
+  }
+}
+
+}  // namespace
+
+template <class T>
+void box(Box<T> const& p, int64_t begin, int64_t end) {
+  box_rows(p, false, begin, end);
+}
+template <class T>
+void box_backward(Box<T> const& p, int64_t begin, int64_t end) {
+  box_rows(p, true, begin, end);
+}
+
+KV_INSTANTIATE_WITH_BYTES(box, Box)
+KV_INSTANTIATE(box_backward, Box)
+
+}  // namespace kv::KV_ISA

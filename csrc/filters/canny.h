@@ -1,0 +1,43 @@
+// The two steps that make Canny edges of a smooth grey image: thinning the gradient magnitude to its ridges, and
+// keeping weak edges that hang together with strong ones. Included by canny_cpu.cpp, canny.cu and canny_op.cpp.
+#pragma once
+
+#include "sobel.h"
+
+namespace kv {
+
+// magnitude: sqrt(gx^2 + gy^2 + eps) of the unnormalised Sobel gradient on ridges, else 0.
+// edges: 0 below `low`, 0.5 between, 1 above `high`.
+template <class T>
+struct CannySuppress {
+  Planes<T const> x;
+  Planes<T> magnitude, edges;
+  Compute<T> low, high, eps;
+};
+
+// Of `edges` (0, 0.5 or 1) those that are 1 or touch one that is kept, in 8 directions.
+template <class T>
+struct CannyHysteresis {
+  Planes<T const> edges;
+  Planes<T> kept;
+  int32_t* labels;  // one a pixel, on CUDA only
+};
+
+KV_KERNEL(canny_suppress, CannySuppress)
+KV_KERNEL(canny_hysteresis, CannyHysteresis)
+
+// Whether a pixel is a ridge: no neighbour along its gradient, rounded to 45 degrees, is stronger. Along x and y the
+// first of two equal neighbours stays, on a diagonal none. `a`, `b`, `c` are squared magnitudes of the rows above,
+// beside and below at the columns left, middle, right; outside of the image there is no gradient, and they are eps.
+template <class V, class S>
+KV_HD auto is_ridge(V gx, V gy, V a0, V a1, V a2, V b0, V b1, V b2, V c0, V c1, V c2, S eps) {
+  S const tan_22_5 = S(0.41421356237309504880);
+  V const x = max(gx, -gx), y = max(gy, -gy);
+  auto const along_x = (b1 > b0) & (b1 >= b2), along_y = (b1 > a1) & (b1 >= c1);
+  auto const falling = (b1 > a0) & (b1 > c2), rising = (b1 > c0) & (b1 > a2);
+  auto const diagonal = (gx > 0) == (gy > 0) ? falling : rising;
+  auto const upright = x < y * tan_22_5 ? along_y : diagonal;
+  return (y <= x * tan_22_5 ? along_x : upright) & (b1 > eps);
+}
+
+}  // namespace kv

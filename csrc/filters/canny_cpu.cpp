@@ -1,0 +1,107 @@
+// Canny's thinning and hysteresis on the CPU. Compiled once per instruction set.
+#include "canny.h"
+#include "core/lanes.h"
+#include "core/scratch.h"
+
+namespace kv::KV_ISA {
+
+// Streams down the rows with the squared magnitudes of three rows, each with one pixel more at either end, and the
+// gradients of two.
+template <class T>
+void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const step = p.x.step, size = p.x.row_size(), height = p.x.height, padded = size + 2 * step;
+  Scratch<F> scratch(3 * padded + 4 * size);
+  auto const squared = [&](int64_t y) { return scratch.data + (y + 3) % 3 * padded + step; };
+  auto const gradient = [&](int64_t y, int which) {
+    return scratch.data + 3 * padded + ((y + 2) % 2 * 2 + which) * size;
+  };
+  F const eps = p.eps;
+
+  auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one outside the image
+    F* const q = squared(y);
+    if (y < 0 || y >= height) {
+      for (int64_t e = -step; e < size + step; ++e) q[e] = eps;
+      return;
+    }
+    for (int64_t e = 0; e < step; ++e) q[e - step] = q[size + e] = eps;
+    T const* const b = p.x.row(plane, y);
+    T const* const a = y > 0 ? b - p.x.row_stride : b;
+    T const* const c = y + 1 < height ? b + p.x.row_stride : b;
+    auto const pixel = [&](auto width, int64_t e, int64_t left, int64_t right) {
+      constexpr int N = decltype(width)::value;
+      auto const at = [&](int64_t i) { return sobel_column(load<N>(a + i), load<N>(b + i), load<N>(c + i)); };
+      Lanes<F, N> gx, gy;
+      sobel_gradients(at(left), at(e), at(right), F(1), gx, gy);
+      store<N>(gradient(y, 0) + e, gx);
+      store<N>(gradient(y, 1) + e, gy);
+      store<N>(q + e, gx * gx + gy * gy + eps);
+    };
+    for (int64_t e = 0; e < step; ++e) pixel(Width<1>{}, e, e, e + step < size ? e + step : e);
+    for_each_vector<T>(step, size - step, [&](auto width, int64_t e) { pixel(width, e, e - step, e + step); });
+    for (int64_t e = max(step, size - step); e < size; ++e) pixel(Width<1>{}, e, e - step, e);
+  };
+
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / height, y = r % height;
+    if (r == begin || y == 0) {
+      fill(plane, y - 1);
+      fill(plane, y);
+    }
+    fill(plane, y + 1);
+    F const *const a = squared(y - 1), *const b = squared(y), *const c = squared(y + 1);
+    T* const magnitudes = p.magnitude.row(plane, y);
+    T* const edges = p.edges.row(plane, y);
+    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      V const q = load<N>(b + e), gx = load<N>(gradient(y, 0) + e), gy = load<N>(gradient(y, 1) + e);
+      auto const ridge =
+          is_ridge(gx, gy, load<N>(a + e - step), load<N>(a + e), load<N>(a + e + step), load<N>(b + e - step), q,
+                   load<N>(b + e + step), load<N>(c + e - step), load<N>(c + e), load<N>(c + e + step), eps);
+      V const magnitude = ridge ? V(vsqrt(q)) : V{};
+      V const half = broadcast<N>(F(0.5));
+      store<N>(magnitudes + e, magnitude);
+      store<N>(edges + e, V((magnitude > p.low ? half : V{}) + (magnitude > p.high ? half : V{})));
+    });
+  }
+}
+
+// Planes [begin, end): a flood from the strong pixels, each pixel visited once.
+template <class T>
+void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const height = p.edges.height, width = p.edges.width;
+  Scratch<int64_t> scratch(height * width);
+  int64_t* const stack = scratch.data;
+  for (int64_t plane = begin; plane < end; ++plane) {
+    int64_t top = 0;
+    auto const keep = [&](int64_t y, int64_t x) {
+      store<1>(p.kept.row(plane, y) + x, F(1));
+      stack[top++] = y * width + x;
+    };
+    for (int64_t y = 0; y < height; ++y)
+      for_each_vector<T>(0, width, [&](auto lanes, int64_t x) {
+        constexpr int N = decltype(lanes)::value;
+        store<N>(p.kept.row(plane, y) + x, Lanes<F, N>{});
+      });
+    for (int64_t y = 0; y < height; ++y) {
+      T const* const row = p.edges.row(plane, y);
+      for (int64_t x = 0; x < width; ++x) {
+        if (!(load<1>(row + x) == 1) || load<1>(p.kept.row(plane, y) + x) > 0) continue;
+        keep(y, x);
+        while (top > 0) {
+          int64_t const at = stack[--top], ay = at / width, ax = at % width;
+          for (int64_t ny = max(ay - 1, int64_t(0)); ny <= min(ay + 1, height - 1); ++ny)
+            for (int64_t nx = max(ax - 1, int64_t(0)); nx <= min(ax + 1, width - 1); ++nx)
+              if (load<1>(p.edges.row(plane, ny) + nx) > 0 && !(load<1>(p.kept.row(plane, ny) + nx) > 0)) keep(ny, nx);
+        }
+      }
+    }
+  }
+}
+
+KV_INSTANTIATE(canny_suppress, CannySuppress)
+KV_INSTANTIATE(canny_hysteresis, CannyHysteresis)
+
+}  // namespace kv::KV_ISA

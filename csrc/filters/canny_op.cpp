@@ -1,0 +1,46 @@
+// Canny: schemas and entries, for CPU and CUDA alike. Images are read plane by plane; they have one channel as a rule.
+#include "canny.h"
+#include "glue/glue.h"
+
+namespace kv {
+namespace {
+
+std::tuple<Tensor, Tensor> canny_suppress(Tensor const& input, double low, double high, double eps) {
+  check_images("canny_suppress", "input", input);
+  Layout const layout = Layout::planar;
+  Tensor const x = conform(input, layout), magnitude = empty_like(x, layout), edges = empty_like(x, layout);
+  for_floats("canny_suppress", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    CannySuppress<T> const params{
+        planes<T const>(x, layout), planes<T>(magnitude, layout), planes<T>(edges, layout), F(low), F(high), F(eps)};
+    KV_RUN(canny_suppress, x, params, params.x.rows(), params.x.row_size());
+  });
+  return {magnitude, edges};
+}
+
+Tensor canny_hysteresis(Tensor const& edges) {
+  check_images("canny_hysteresis", "edges", edges);
+  KV_CHECK(edges.size(2) * edges.size(3) <= INT32_MAX, "canny_hysteresis: expected at most 2^31 pixels a plane");
+  Layout const layout = Layout::planar;
+  Tensor const e = conform(edges, layout), kept = empty_like(e, layout);
+#if defined(KV_CUDA)
+  Tensor const labels = torch::stable::new_empty(e, e.sizes(), ScalarType::Int);
+  auto* const memory = static_cast<int32_t*>(labels.mutable_data_ptr());
+#else
+  int32_t* const memory = nullptr;
+#endif
+  for_floats("canny_hysteresis", e, [&](auto type) {
+    using T = typename decltype(type)::type;
+    CannyHysteresis<T> const params{planes<T const>(e, layout), planes<T>(kept, layout), memory};
+    KV_RUN(canny_hysteresis, e, params, params.edges.count(), params.edges.height * params.edges.width);
+  });
+  return kept;
+}
+
+}  // namespace
+
+KV_OPERATOR(canny_suppress, "(Tensor input, float low, float high, float eps) -> (Tensor magnitude, Tensor edges)")
+KV_OPERATOR(canny_hysteresis, "(Tensor edges) -> Tensor")
+
+}  // namespace kv

@@ -23,7 +23,7 @@ template <int R, class T, class Put>
 KV_HD void sum_rows(T const* const* rows, Compute<T> const* weights, int count, int64_t begin, int64_t end, Put put) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>,
-                U = (kVectorBytes == 64 ? 16 : 8) / (R > 2 ? R : 2);  // as many sums as fit the registers
+                U = R == 1 ? 8 : kVectorBytes == 64 ? 4 : 2;  // as many sums as there are registers
   auto const block = [&](auto width, auto unroll, int64_t e) {
     constexpr int M = decltype(width)::value, V = decltype(unroll)::value;
     Lanes<F, M> sum[R][V] = {};
@@ -41,16 +41,31 @@ KV_HD void sum_rows(T const* const* rows, Compute<T> const* weights, int count, 
   if (begin < end) for_each_vector<T>(begin, end, [&](auto width, int64_t e) { block(width, Width<1>{}, e); });
 }
 
-// A row of `width` pixels continued by `left` and `right` pixels.
-template <class F>
-KV_HD void extend(F* row, int64_t width, int64_t step, int64_t left, int64_t right, Border border) {
-  auto const copy = [&](int64_t i) {
-    int64_t const inside = border_index(border, i, width);
-    for (int64_t c = 0; c < step; ++c) row[i * step + c] = inside < 0 ? F(0) : row[inside * step + c];
-  };
-  for (int64_t i = -left; i < 0; ++i) copy(i);
-  for (int64_t i = width; i < width + right; ++i) copy(i);
-}
+// The pixels beside a row: `left` before it, then `right` behind it, and which pixel of the row the border puts there.
+struct Beside {
+  int64_t width, left, count;
+  Scratch<int64_t> table;
+
+  KV_HD Beside(Border border, int64_t width, int64_t left, int64_t right)
+      : width(width), left(left), count(left + right), table(left + right) {
+    for (int64_t i = 0; i < count; ++i) table.data[i] = border_index(border, position(i), width);
+  }
+  KV_HD int64_t position(int64_t i) const { return i < left ? i - left : width + i - left; }
+
+  // Fills them from the row.
+  template <class F>
+  KV_HD void extend(F* row, int64_t step) const {
+    for (int64_t i = 0; i < count; ++i)
+      for (int64_t c = 0; c < step; ++c)
+        row[position(i) * step + c] = table.data[i] < 0 ? F(0) : row[table.data[i] * step + c];
+  }
+  // Adds them to the row, the transpose of extend.
+  template <class F>
+  KV_HD void fold(F* row, int64_t step) const {
+    for (int64_t i = 0; i < count; ++i)
+      for (int64_t c = 0; c < step; ++c) row[table.data[i] * step + c] += row[position(i) * step + c];
+  }
+};
 
 // The rows of the image that output row y is made of, with their weights. Returns how many they are.
 template <class T>
@@ -81,6 +96,8 @@ KV_HD int rows_of(Separable<T> const& p, int64_t plane, int64_t y, Compute<T> co
   }
   return count;
 }
+
+constexpr int64_t round_up(int64_t elements) { return (elements + 15) / 16 * 16; }  // to 64 bytes and more
 
 // sums[i] += sum over e of a[e] * rows[i][e]
 template <class F>
@@ -114,55 +131,39 @@ void separable(Separable<T> const& p, int64_t begin, int64_t end) {
   int const taps_x = p.kx.size, taps_y = p.ky.size;
   int64_t const step = p.x.step, width = p.y.width, height = p.y.height, size = p.x.row_size();
   bool const folds = p.fold != Border::constant;
-  int64_t const front = folds ? p.kx.front() : 0, back = folds ? p.kx.back() : 0;
-  int64_t const left = p.kx.before + front,
-                right = max(width - p.x.width + taps_x - 1 - p.kx.before, int64_t(0)) + back;
+  int64_t const front = folds ? p.kx.front() : 0, back = folds ? p.kx.back() : 0, before = p.kx.before;
+  Beside const outside(p.border, p.x.width, before + front,
+                       max(width - p.x.width + taps_x - 1 - before, int64_t(0)) + back);
+  Beside const folded(p.fold, width, front, back);
 
-  int64_t const margin = taps_x * step, padded = size + 2 * margin;
-  Scratch<F> scratch(taps_x + 3 * taps_y + 2 + kRows * padded + width * step + 2 * margin);
-  F *const kx = scratch.data, *const ky = kx + taps_x, *const weights = ky + taps_y;
-  F *const row = weights + 2 * taps_y + 2 + margin, *const position = row + kRows * padded;
+  // Rows start at whole vectors, with room for what lies beside them.
+  int64_t const margin = round_up(taps_x * step), padded = round_up(max(size, width * step)) + 2 * margin;
+  Scratch<F> rows((kRows + 1) * padded), weights(taps_x + 3 * taps_y + 2);
+  F *const row = rows.data + margin, *const position = row + kRows * padded;
+  F *const kx = weights.data, *const ky = kx + taps_x, *const ky_of_row = ky + taps_y;
   Scratch<T const*> pointers(2 * taps_y + kRows);
   Scratch<F const*> shifted(taps_x);
-  for (int t = 0; t < taps_x; ++t) shifted.data[t] = row + (t - p.kx.before) * step;
+  for (int t = 0; t < taps_x; ++t) shifted.data[t] = row + (t - before) * step;
   Scratch<T> zeros(size);
   for (int64_t e = 0; e < size; ++e) zeros.data[e] = T{};
 
   // Along x: row k of the buffer to output row `out`; `in` is the input row there.
   auto const along_x = [&](int k, T const* in, T* out) {
     int64_t const offset = k * padded;
-    extend(row + offset, p.x.width, step, left, right, p.border);
+    outside.extend(row + offset, step);
     auto const put = [&](auto n, int64_t e, auto sum) {
       constexpr int N = decltype(n)::value;
       if (p.beta != 0) sum += load<N>(in + e) * p.beta;
       store<N>(out + e, sum);
     };
-    auto const filter = [&](int64_t from, int64_t to, auto put) {
-      sum_rows<1>(shifted.data, kx, taps_x, offset + from * step, offset + to * step,
+    auto const filter = [&](auto put) {
+      sum_rows<1>(shifted.data, kx, taps_x, offset - front * step, offset + (width + back) * step,
                   [&](auto n, int, int64_t e, auto sum) { put(n, e - offset, sum); });
     };
-    // Pixels [from, to) with all positions that are folded onto them.
-    auto const filter_folded = [&](int64_t from, int64_t to) {
-      int64_t const first = from > 0 ? from : -front, last = to < width ? to : width + back;
-      filter(first, last, [&](auto n, int64_t e, auto sum) { store<decltype(n)::value>(position + e, sum); });
-      auto const fold = [&](int64_t q) {
-        int64_t const onto = border_index(p.fold, q, width);
-        for (int64_t c = 0; c < step; ++c) position[onto * step + c] += position[q * step + c];
-      };
-      for (int64_t q = first; q < 0; ++q) fold(q);
-      for (int64_t q = width; q < last; ++q) fold(q);
-      for_each_vector<T>(from * step, to * step,
-                         [&](auto n, int64_t e) { put(n, e, load<decltype(n)::value>(position + e)); });
-    };
-    if (!folds) {
-      filter(0, width, put);
-    } else if (width <= 2 * taps_x) {
-      filter_folded(0, width);
-    } else {
-      filter_folded(0, taps_x);
-      filter(taps_x, width - taps_x, put);
-      filter_folded(width - taps_x, width);
-    }
+    if (!folds) return filter(put);
+    filter([&](auto n, int64_t e, auto sum) { store<decltype(n)::value>(position + e, sum); });
+    folded.fold(position, step);
+    for_each_vector<T>(0, width * step, [&](auto n, int64_t e) { put(n, e, load<decltype(n)::value>(position + e)); });
   };
 
   int64_t sample = -1;
@@ -183,8 +184,8 @@ void separable(Separable<T> const& p, int64_t begin, int64_t end) {
       }
       sum_rows<kRows>(pointers.data, ky, taps_y, 0, size, put);
     } else {
-      int const rows = rows_of(p, plane, y, ky, pointers.data, weights);
-      sum_rows<1>(pointers.data, weights, rows, 0, size, put);
+      int const count_of_row = rows_of(p, plane, y, ky, pointers.data, ky_of_row);
+      sum_rows<1>(pointers.data, ky_of_row, count_of_row, 0, size, put);
     }
     for (int k = 0; k < count; ++k) along_x(k, p.x.row(plane, y + k), p.y.row(plane, y + k));
   }
@@ -195,7 +196,8 @@ void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end)
   using F = Compute<T>;
   int const taps_x = p.kx.size, taps_y = p.ky.size;
   int64_t const size = p.grad.width;
-  int64_t const left = p.kx.before, right = max(p.grad.width - p.x.width + taps_x - 1 - left, int64_t(0));
+  int64_t const left = p.kx.before;
+  Beside const outside(p.border, p.x.width, left, max(p.grad.width - p.x.width + taps_x - 1 - left, int64_t(0)));
   int64_t const padded = p.x.width + 2 * taps_x;
   Scratch<F> scratch(taps_x + 2 * taps_y + padded + size * (taps_y + 1));
   F *const kx = scratch.data, *const ky = kx + taps_x, *const weights = ky + taps_y;
@@ -230,7 +232,7 @@ void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end)
         F const one = 1;
         T const* const source = p.x.row(plane, r);
         sum_rows<1>(&source, &one, r < 0 ? 0 : 1, 0, p.x.width, store_to(row));
-        extend(row, p.x.width, 1, left, right, p.border);
+        outside.extend(row, 1);
         sum_rows<1>(shifted.data, kx, taps_x, 0, size, store_to(to));
       }
       int count = 0;
@@ -242,7 +244,7 @@ void separable_weights(SeparableWeights<T> const& p, int64_t begin, int64_t end)
         weights[count++] = ky[t];
       }
       sum_rows<1>(pointers.data, weights, count, 0, p.x.width, store_to(row));
-      extend(row, p.x.width, 1, left, right, p.border);
+      outside.extend(row, 1);
 
       T const* const g = p.grad.row(plane, y);
       for_each_vector<T>(0, size, [&](auto n, int64_t e) {

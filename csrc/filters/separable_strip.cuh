@@ -1,8 +1,8 @@
 // The fast separable filter on CUDA: planar images, kernels of equal odd sizes from 3 to 31. Included by
 // separable_<type>.cu, which say for which types it is compiled.
 //
-// Each warp walks down a strip of columns. Of every row its threads fetch P neighbouring pixels each, two rows ahead of
-// their use, and share them through shared memory, where each thread finds its window of P + K - 1 pixels:
+// Each warp walks down a strip of columns. Of every row its threads fetch P neighbouring pixels each, some rows ahead
+// of their use, and share them through shared memory, where each thread finds its window of P + K - 1 pixels:
 //
 //   fetched       16 pixels | thread 0 | thread 1 | ...           | thread 31 | 16 pixels
 //   along x          ...<-------- window of thread 1 -------->...
@@ -39,9 +39,16 @@ constexpr int kWarps = 4;  // of a block, which work alone
 template <class T, int K>
 constexpr int kStripPixels = sizeof(T) < 4 && K <= 11 ? 8 : 4;
 
-// Blocks on a multiprocessor: what its registers, 512 for each thread of a block, have room for.
+// Rows fetched ahead, while the sums leave room for more of them: what is on its way hides the latency of memory.
+template <int K, int P>
+constexpr int kAhead = P * (K - 1) <= 40 ? 4 : 2;
+
+// Blocks on a multiprocessor: what its registers, 512 for each thread of a block, have room for; three where a thread
+// may have fewer than it would like.
 template <int K, int P, bool Folds>
-constexpr int kResident = K == kLargest ? 3 : 512 / (P * (K + 5) + (Folds ? 34 : 24));
+constexpr int kRegisters = P * (K + 5) + 5 * kAhead<K, P> + (Folds ? 32 : 14);
+template <int K, int P, bool Folds>
+constexpr int kResident = 512 / (kRegisters<K, P, Folds> < 170 ? kRegisters<K, P, Folds> : 170);
 
 template <class T, int P, bool Folds>
 struct alignas(16) WarpMemory {
@@ -134,7 +141,9 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P, Folds>)
   };
 
   int const first = y0 - R, last = y1 + (replicates && y1 == height ? 2 * R : R);
-  Row ahead[2] = {fetch(first), fetch(first + 1)};
+  Row ahead[kAhead<K, P>];
+#pragma unroll
+  for (int i = 0; i < kAhead<K, P>; ++i) ahead[i] = fetch(first + i);
 
   {
     int64_t const sample = plane / p.planes;
@@ -184,15 +193,15 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P, Folds>)
 
   float sums[K - 1][P] = {};
   float rim[P] = {};
-  for (int q = first; q < last; q += 2) {
+  for (int q = first; q < last; q += kAhead<K, P>) {
 #pragma unroll
-    for (int b = 0; b < 2; ++b) {
+    for (int b = 0; b < kAhead<K, P>; ++b) {
       int const now = q + b;
       if (now >= last) break;
-      T* const row = shared.row[b];
+      T* const row = shared.row[b % 2];
       share(ahead[b], row);
       __syncwarp();
-      if (now + 2 < last) ahead[b] = fetch(now + 2);
+      if (now + kAhead<K, P> < last) ahead[b] = fetch(now + kAhead<K, P>);
 
       // Along x, from packs of P pixels.
       constexpr int kBefore = (R + P - 1) / P * P;

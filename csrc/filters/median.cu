@@ -33,8 +33,9 @@ struct Runs {
 };
 
 template <int K, class T, bool Aligned>
-__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 2)
-    median_strip(MedianBlur<T> p, Strips<kMedianPixels<K>> strips) {
+__global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
+                                       : K == 3                ? 3
+                                                : 2) median_strip(MedianBlur<T> p, Strips<kMedianPixels<K>> strips) {
   constexpr int P = kMedianPixels<K>, R = K / 2;
   using F = Compute<T>;
   using Rows = Runs<K, P, F>;

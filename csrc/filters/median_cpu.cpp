@@ -1,7 +1,7 @@
 // Median blur on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
 //
-// Planes are walked in blocks of columns so narrow that their rows, with the border around them, stay in the first
-// cache. Loops run over whole vectors: rows in scratch have room for what is too much.
+// Planes are walked in blocks of columns so narrow that their rows, with the border around them, stay in the cache.
+// Loops run over whole vectors: rows in scratch have room for what is too much.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "median.h"
@@ -114,6 +114,7 @@ struct BorderedRows {
       unpack_zeros(out, 0, count);
     } else {
       T const* const in = x.row(plane, inside);
+      prefetch(in + clamp(y + 2, int64_t(0), x.height - 1) * x.row_stride - inside * x.row_stride);
       int64_t const low = max(-start, int64_t(0)), high = min(x.row_size() - start, count);
       unpack(in + start + low, high - low, out + low);
       auto const beyond = [&](int64_t e) {
@@ -130,12 +131,16 @@ struct BorderedRows {
     }
     *nan.row(y) = has_nan<T>(out, count);
   }
+  // The processor does not foresee where a walk down in blocks reads next.
+  KV_HD void prefetch(T const* row) const {
+    for (int64_t e = 0; e < size; e += 64 / int64_t(sizeof(T))) __builtin_prefetch(row + first + e);
+  }
   KV_HD void unpack_zeros(F* out, int64_t begin, int64_t end) const {
     T const zero{};
     for (int64_t e = begin; e < end; ++e) unpack(&zero, 1, out + e);
   }
 
-  // Writes row y of the result; windows with NaN give NaN.
+  // Writes row y of the result, unless it stands there already; windows with NaN give NaN.
   KV_HD void write(F* medians, int64_t y, T* out) const {
     if constexpr (!__is_same(T, uint8_t))
       for (int64_t yy = y - median_before(ky); yy <= y + median_after(ky); ++yy)
@@ -145,7 +150,7 @@ struct BorderedRows {
               F const value = rows.row(yy)[e + dx * x.step];
               medians[e] = is_nan<T>(value) ? value : medians[e];
             }
-    pack(medians, size, out);
+    if ((void*)medians != out) pack(medians, size, out);
   }
 };
 
@@ -159,10 +164,10 @@ KV_HD void for_each_plane(int64_t height, int64_t begin, int64_t end, F f) {
   }
 }
 
-// Elements of a block: what fills the first cache with the rows of a 5x5 network.
+// Elements of a block: long reads, and rows of a 5x5 network that fit into the second cache.
 template <class F>
 KV_HD int64_t block_size(int64_t row_size, int64_t step) {
-  return min(row_size, max(int64_t(1024 / sizeof(F)), 8 * step));
+  return min(row_size, max(int64_t(8192 / sizeof(F)), 8 * step));
 }
 
 template <int K, class T>
@@ -177,14 +182,16 @@ void by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   auto const sort = [&](int64_t y) {
     rows.fill(y);
     F *const from = rows.rows.row(y), *const to = runs.row(y);
-    for (int64_t e = 0; e < rows.size; e += kWidth<F>) {
+    int64_t const size = rows.size, from_step = p.x.step,
+                  to_step = stride;  // copies: what is stored may alias the others
+    for (int64_t e = 0; e < size; e += kWidth<F>) {
       V v[K];
       KV_UNROLL
-      for (int i = 0; i < K; ++i) v[i] = at(from + e + i * p.x.step);
+      for (int i = 0; i < K; ++i) v[i] = at(from + e + i * from_step);
       sort_common<K>(v);
       insert_first<K>(v);
       KV_UNROLL
-      for (int i = 0; i < K; ++i) at(to + e + i * stride) = v[i];
+      for (int i = 0; i < K; ++i) at(to + e + i * to_step) = v[i];
     }
   };
 
@@ -200,7 +207,16 @@ void by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
         run[0] = runs.row(y - R);
         KV_UNROLL
         for (int i = 0; i < K; ++i) run[i + 1] = runs.below(run[i]);
-        for (int64_t e = 0; e < rows.size; e += kWidth<F>) {
+        T *const out0 = p.y.row(plane, y) + rows.first, *const out1 = out0 + p.y.row_stride;
+        bool const second = y + 1 < y_end;
+        F *medians0 = medians.data, *medians1 = medians0 + stride;
+        if constexpr (__is_same(T, F))
+          if (rows.size % kWidth<F> == 0) {
+            medians0 = out0;
+            if (second) medians1 = out1;
+          }
+        int64_t const size = rows.size;
+        for (int64_t e = 0; e < size; e += kWidth<F>) {
           auto const load_run = [&](int i, V(&v)[K]) {
             KV_UNROLL
             for (int k = 0; k < K; ++k) v[k] = at(run[i] + e + k * stride);
@@ -220,11 +236,11 @@ void by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
           }
           load_run(0, a);
           load_run(K, b);
-          at(medians.data + e) = median_of<K>(middle, a);
-          at(medians.data + stride + e) = median_of<K>(middle, b);
+          at(medians0 + e) = median_of<K>(middle, a);
+          at(medians1 + e) = median_of<K>(middle, b);
         }
-        rows.write(medians.data, y, p.y.row(plane, y) + rows.first);
-        if (y + 1 < y_end) rows.write(medians.data + stride, y + 1, p.y.row(plane, y + 1) + rows.first);
+        rows.write(medians0, y, out0);
+        if (second) rows.write(medians1, y + 1, out1);
       }
     }
   });

@@ -6,9 +6,10 @@ import os
 from pathlib import Path
 
 import hypothesis
-import kvision as K
 import pytest
 import torch
+
+import kvision as K
 from op_tests import OpTests
 
 hypothesis.settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)

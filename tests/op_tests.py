@@ -16,12 +16,13 @@ import contextlib
 from typing import Any
 
 import hypothesis.strategies as st
-import kvision as K
 import pytest
 import torch
 from hypothesis import given
-from kvision import _ops
 from torch import Tensor
+
+import kvision as K
+from kvision import _ops
 
 # The one table of tolerances: (relative, absolute) by the type results are stored in.
 TOLERANCES = {

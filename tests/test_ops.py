@@ -6,9 +6,10 @@ import os
 import subprocess
 import sys
 
-import kvision as K
 import pytest
 import torch
+
+import kvision as K
 from kvision import _ops
 
 

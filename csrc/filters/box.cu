@@ -1,6 +1,7 @@
 // Window sums on CUDA. Small windows: each warp walks down a strip of the image with the rows of its window in
-// registers. All others: a block walks down a tile in batches of eight rows, and sums along the rows and down the columns
-// from the sums of beginnings and ends of blocks of eight pixels, at a cost that hardly depends on the window's size.
+// registers. All others: a block walks down a tile in batches of eight rows, and sums along the rows and down the
+// columns from the sums of beginnings and ends of blocks of eight pixels, at a cost that hardly depends on the window's
+// size.
 #include <cuda_pipeline.h>
 
 #include "box.h"
@@ -98,9 +99,9 @@ __global__ void __launch_bounds__(256, kPixels<T> == 4 ? 3 : 2)
 // --- windows of any size
 // ----------------------------------------------------------------------------------------------
 
-constexpr int kRows = 8;       // of a batch, a warp each; and of a block of column sums
-constexpr int kPart = 9;       // pixels of a row that a thread sums; odd, which keeps threads on different banks
-constexpr int kBatches = 3;    // on their way at a time
+constexpr int kRows = 8;     // of a batch, a warp each; and of a block of column sums
+constexpr int kPart = 9;     // pixels of a row that a thread sums; odd, which keeps threads on different banks
+constexpr int kBatches = 3;  // on their way at a time
 constexpr int kSpan = 32 * kPart;
 constexpr int kPitch = kSpan + 16;  // with what is skipped to begin at a multiple of 16 bytes
 
@@ -131,7 +132,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   using F = Compute<T>;
   constexpr int kPack = 16 / sizeof(T);
   extern __shared__ __align__(16) unsigned char memory[];
-  F* const rows = reinterpret_cast<F*>(memory);          // [batch][row][element]
+  F* const rows = reinterpret_cast<F*>(memory);       // [batch][row][element]
   F* const tails = rows + kBatches * kRows * kPitch;  // [block][row][column]
   int const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
 
@@ -266,7 +267,8 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
       for (int j = 0; j < kRows; ++j) {
         bool const over = j + past >= kRows;
         before += h[j];
-        h[j] = tail[(over ? next : oldest) * block + (j + past) % kRows * tiles.width] + (over ? middle : longer) + before;
+        h[j] =
+            tail[(over ? next : oldest) * block + (j + past) % kRows * tiles.width] + (over ? middle : longer) + before;
       }
 #pragma unroll
       for (int j = 0; j < kRows; ++j) tail[oldest * block + j * tiles.width] = below[j];
@@ -374,8 +376,8 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   int64_t const bytes = tiles.bytes<F>();
   if (int const error = cudaFuncSetAttribute(box_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
-  box_tile<<<unsigned(planes * tiles.across * tiles.down), 256, unsigned(bytes), stream>>>(p, across, down, tiles,
-                                                                                           is_strip<16 / sizeof(T)>(p.x));
+  box_tile<<<unsigned(planes * tiles.across * tiles.down), 256, unsigned(bytes), stream>>>(
+      p, across, down, tiles, is_strip<16 / sizeof(T)>(p.x));
   return cudaGetLastError();
 }
 

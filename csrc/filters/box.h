@@ -28,7 +28,8 @@ KV_KERNEL(box_backward, Box)
 //   constant, circular   The window turned round: before and after change places.
 //   reflect, odd         D^-1 A D, where D doubles the first and the last pixel: every other pixel near the rim stands
 //                        at one position inside and at one outside, so A is symmetric but for those two.
-//   the rest             The window turned round over zeros, except for the `rim` pixels at either end, which gather the
+//   the rest             The window turned round over zeros, except for the `rim` pixels at either end, which gather
+//   the
 //                        sums that read them, each as often as `reads` says.
 struct BoxAxis {
   int64_t size, before, after;

@@ -7,6 +7,7 @@ import math
 import kornia
 import pytest
 import torch
+
 from kvision import constants
 from kvision.core.exceptions import TypeCheckError
 

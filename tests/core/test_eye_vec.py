@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import kornia
-import kvision as K
 import pytest
 import torch
+
+import kvision as K
 from kvision.core.exceptions import BaseError, ShapeError, TypeCheckError, ValueCheckError
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pickle
 
-import kvision as K
 import numpy as np
 import PIL.Image
 import pytest
 import torch
+
+import kvision as K
 from kvision.core import ImageModule, ImageModuleMixIn, ImageSequential
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+
 from kvision.core.pixels import to_uint8, to_unit
 
 

@@ -9,6 +9,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+
 from kvision.core import TensorWrapper
 from kvision.core.exceptions import TypeCheckError
 

@@ -1,10 +1,11 @@
 import cv2
 import kornia
-import kvision as K
 import pytest
 import scipy.ndimage
 import skimage.data
 import torch
+
+import kvision as K
 from kvision import _ops
 from op_tests import OpTests, assert_close
 

@@ -1,11 +1,12 @@
 import cv2
 import kornia
-import kvision as K
 import numpy as np
 import pytest
 import scipy.ndimage
 import skimage.filters
 import torch
+
+import kvision as K
 from op_tests import OpTests, assert_close
 
 

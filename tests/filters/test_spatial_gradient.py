@@ -1,8 +1,9 @@
 import cv2
 import kornia
-import kvision as K
 import pytest
 import torch
+
+import kvision as K
 from op_tests import OpTests, assert_close
 
 

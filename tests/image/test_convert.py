@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 
 import kornia
-import kvision as K
 import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+
+import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 DTYPES = ("uint8", "int8", "uint16", "int32", "int64", "bool", "float16", "float32", "float64")

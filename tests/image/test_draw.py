@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import cv2
 import kornia
-import kvision as K
 import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+
+import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 H, W = 17, 23

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import kornia
-import kvision as K
 import numpy as np
 import pytest
 import torch
+
+import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.image import ChannelsOrder, ColorSpace, Image, ImageLayout, ImageSize, PixelFormat
 

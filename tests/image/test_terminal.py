@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 
 import kornia
-import kvision as K
 import pytest
 import torch
+
+import kvision as K
 from kvision.core.exceptions import ImageError, TypeCheckError, ValueCheckError
 
 

@@ -8,13 +8,14 @@ import sys
 
 import cv2
 import kornia
-import kvision as K
 import numpy as np
 import PIL.Image
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+
+import kvision as K
 from kvision.core.exceptions import BaseError, ImageError, TypeCheckError
 from kvision.io import ImageLoadType
 from kvision.io.load import _orientation

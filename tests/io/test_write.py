@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import cv2
 import kornia
-import kvision as K
 import numpy as np
 import PIL.Image
 import pytest
 import torch
+
+import kvision as K
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
 from kvision.io import ImageLoadType
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import kornia
-import kvision as K
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+
+import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 

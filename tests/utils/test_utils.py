@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple, Optional
 
-import kvision as K
 import pytest
 import torch
+
+import kvision as K
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 

@@ -43,28 +43,28 @@ def _weights(
         squared = difference.abs().sum(2, keepdim=True) ** 2
     else:
         squared = (difference**2).sum(2, keepdim=True)
-    color = color if sigma_color is None else positive(sigma_color)[:, None, None, None]
+    width: Any = color if sigma_color is None else positive(sigma_color)[:, None, None, None]
     kernel_y, kernel_x = axis_kernels(x, sigma_space, ky, kx, sigma_y, sigma_x)
     space = (kernel_y[:, :, None] * kernel_x[:, None, :]).flatten(1).t()[:, :, None, None, None]
-    return space * torch.exp(-squared / (2 * color**2)), taps, squared
+    return space * torch.exp(-squared / (2 * width**2)), taps, squared
 
 
 def _reference_backward(grad: Tensor, x: Tensor, guidance: Tensor | None, *args: Any) -> tuple[Tensor, Tensor]:
     """The gradients to image and guidance; one that is not wanted has no channels."""
-    *args, wants_x, wants_guidance = args
+    *rest, wants_x, wants_guidance = args
     nothing = grad.new_empty(grad.shape[0], 0, *grad.shape[2:])
     if guidance is None:
-        _, pullback = torch.func.vjp(lambda x: _reference(x, None, *args), x)
+        _, pullback = torch.func.vjp(lambda x: _reference(x, None, *rest), x)
         return pullback(grad)[0] if wants_x else nothing, nothing
     guidance = guidance.expand(x.shape[0], -1, -1, -1)
-    _, pullback = torch.func.vjp(lambda x, guidance: _reference(x, guidance, *args), x, guidance)
+    _, pullback = torch.func.vjp(lambda x, guidance: _reference(x, guidance, *rest), x, guidance)
     grad_x, grad_guidance = pullback(grad)
     return grad_x if wants_x else nothing, grad_guidance if wants_guidance else nothing
 
 
 def _backward_sizes(grad: Tensor, x: Tensor, guidance: Tensor | None, *args: Any) -> list[tuple[int, ...]]:
     *_, wants_x, wants_guidance = args
-    channels = (x.shape[1] if wants_x else 0, guidance.shape[1] if wants_guidance else 0)
+    channels = (x.shape[1] if wants_x else 0, guidance.shape[1] if wants_guidance and guidance is not None else 0)
     return [(x.shape[0], c, *x.shape[2:]) for c in channels]
 
 

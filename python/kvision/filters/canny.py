@@ -54,7 +54,7 @@ def _root(x: Tensor) -> Tensor:
     return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
 
 
-def _suppress_backward(needs, grad, _, x, low, high, eps):  # type: ignore[no-untyped-def]
+def _suppress_backward(needs, grad, _, x, low, high, eps):
     """Where the magnitude was kept, its gradient is that of the Sobel magnitude."""
     magnitude, _ = _canny_suppress(x.detach(), low, high, eps)
     return [_sobel_backward(grad * (magnitude > 0), x, False, eps)]

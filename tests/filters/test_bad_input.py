@@ -153,6 +153,8 @@ BORDER = names("reflect", "constant", "replicate", "circular")
 MODE_3D = names("nearest", "bilinear")
 MODE = MODE_3D.but(good=("nearest", "bilinear", "bicubic"))
 DERIVATIVE = names("sobel", "diff")
+# The median of an even window is the lower one of its two middle values.
+MEDIAN_WINDOW = WINDOW.but(good=(2, 4, (4, 3)))
 DERIVATIVE_3D = names("diff").but(odd=("sobel",))  # NotImplementedError, as documented
 ORDER = Kind((1, 2), (0, 3, -1, "1", None, [1], 1.0, torch.zeros(2)), (True,))
 
@@ -314,7 +316,7 @@ FUNCTIONS = {
     "unsharp_mask": function(same, input=IMAGE, **GAUSSIAN),
     "box_blur": function(same, input=IMAGE, kernel_size=SIZE, border_type=BORDER, separable=UNREAD),
     "median_blur": function(
-        same, input=IMAGE, kernel_size=WINDOW, border_type=BORDER
+        same, input=IMAGE, kernel_size=MEDIAN_WINDOW, border_type=BORDER
     ),
     "laplacian": function(same, input=IMAGE, kernel_size=ODD_SIZE.but(refused=(1, (1, 1))), **FILTER),
     "sobel": function(same, input=IMAGE, normalized=FLAG, eps=EPS),

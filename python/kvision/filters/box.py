@@ -29,9 +29,7 @@ def _backward_of_backward(needs, grad, g, ky, kx, border):
 
 
 _box_blur = register("box_blur", _reference, backward=_backward, linear=True, bytes=True)
-_box_blur_backward = register(
-    "box_blur_backward", transpose(_reference), backward=_backward_of_backward, linear=True
-)
+_box_blur_backward = register("box_blur_backward", transpose(_reference), backward=_backward_of_backward, linear=True)
 
 
 def box_blur(

@@ -27,9 +27,7 @@ def _backward_of_backward(needs, grad, g, ky, kx, normalized, border):
 
 
 _laplacian = register("laplacian", _reference, backward=_backward, linear=True, bytes=True)
-_laplacian_backward = register(
-    "laplacian_backward", transpose(_reference), backward=_backward_of_backward, linear=True
-)
+_laplacian_backward = register("laplacian_backward", transpose(_reference), backward=_backward_of_backward, linear=True)
 
 
 def laplacian(

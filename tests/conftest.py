@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import sysconfig
 from pathlib import Path
 
 import hypothesis
@@ -48,6 +50,15 @@ def data() -> Path:
     if not folder.is_dir():
         pytest.skip("the optional sample data is not there")
     return folder
+
+
+@pytest.fixture(scope="session")
+def cmake() -> str:
+    """CMake, for the tests that compile C++."""
+    if shutil.which(os.environ.get("CXX", "c++")) is None:
+        pytest.skip("there is no C++ compiler")
+    folders = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
+    return shutil.which("cmake", path=folders) or pytest.skip("cmake is not installed")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -83,8 +83,8 @@ struct Function : torch::autograd::Function<Function> {
   }
 };
 
-// The results of `compute`, which depends on `tensors` (an undefined one stands for an optional one that is not there).
-// Backward calls `gradient` with what was `saved`; it must hold no tensor itself.
+// The results of `compute`, which depends on `tensors`. Backward calls `gradient` with what was `saved`; of tensors,
+// that may hold constants only.
 inline variable_list differentiable(variable_list const& tensors, Compute const& compute, variable_list const& saved,
                                     Gradient const& gradient) {
   auto const requires_grad = [](Tensor const& t) { return t.defined() && t.requires_grad(); };
@@ -92,6 +92,14 @@ inline variable_list differentiable(variable_list const& tensors, Compute const&
     return Function::apply(at::TensorList(tensors), compute, saved, gradient);
   at::AutoDispatchBelowADInplaceOrView below_autograd;
   return compute();
+}
+
+// An operator that is linear in `x` and has no gradient to other tensors; `transpose` takes the gradient back.
+template <Name name, class... Args>
+Tensor linear(Tensor const& x, std::function<Tensor(Tensor const&)> const& transpose, Args const&... args) {
+  auto const compute = [&] { return variable_list{call<name>(x, args...)}; };
+  auto const gradient = [=](Backward const& b) { return variable_list{transpose(b.grads[0])}; };
+  return differentiable({x}, compute, {}, gradient)[0];
 }
 
 // For a gradient whose own derivative has no kernel.

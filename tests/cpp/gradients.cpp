@@ -1,0 +1,128 @@
+// Every function of the C++ API on small tensors: its gradients against central differences, and, where it has them,
+// its second derivatives. Prints the names of those that fail.
+#include <kvision/kvision.h>
+#include <torch/csrc/autograd/autograd.h>
+#include <torch/types.h>
+
+#include <cmath>
+#include <functional>
+#include <iostream>
+
+using torch::Tensor;
+using torch::autograd::variable_list;
+using Function = std::function<Tensor(variable_list const&)>;
+
+namespace {
+
+int checks = 0, failures = 0;
+
+// The gradients of sum(w f(x)^2) for fixed random weights w.
+variable_list gradients(Function const& f, variable_list const& inputs, bool create_graph = false) {
+  torch::manual_seed(1);
+  Tensor const y = f(inputs);
+  Tensor const loss = (torch::rand_like(y) * y * y).sum();
+  return torch::autograd::grad({loss}, inputs, {}, std::nullopt, create_graph);
+}
+
+// The derivative of scalar function `f` along random directions, against what `slopes` says of it.
+void compare(std::string const& name, std::function<double(variable_list const&)> const& f, variable_list const& inputs,
+             variable_list const& slopes) {
+  for (size_t i = 0; i < inputs.size(); ++i, ++checks) {
+    torch::NoGradGuard no_grad;
+    Tensor const step = 1e-5 * torch::randn_like(inputs[i]);
+    variable_list before = inputs, after = inputs;
+    before[i] = (inputs[i] - step).requires_grad_();
+    after[i] = (inputs[i] + step).requires_grad_();
+    double const numeric = (f(after) - f(before)) / 2, analytic = (slopes[i] * step).sum().item<double>();
+    if (!(std::abs(numeric - analytic) <= 1e-5 * std::abs(numeric) + 1e-10) && ++failures)
+      std::cout << name << ", argument " << i << ": " << analytic << ", expected " << numeric << "\n";
+  }
+}
+
+void check(std::string const& name, Function const& f, variable_list inputs, bool twice = true) {
+  for (Tensor& x : inputs) x = x.to(torch::kDouble).requires_grad_();
+  auto const loss = [&](variable_list const& x) {
+    torch::manual_seed(1);
+    Tensor const y = f(x);
+    return (torch::rand_like(y) * y * y).sum().item<double>();
+  };
+  variable_list const first = gradients(f, inputs, true);
+  compare(name, loss, inputs, first);
+
+  // sum(grad^2) differentiates the gradient.
+  auto const square = [](variable_list const& grads) {
+    Tensor sum = torch::zeros({}, torch::kDouble);
+    for (Tensor const& g : grads) sum = sum + (g * g).sum();
+    return sum;
+  };
+  if (!twice) {
+    try {
+      torch::autograd::grad({square(first)}, inputs);
+      std::cout << name << ": a second derivative without an error\n";
+      ++failures;
+    } catch (c10::NotImplementedError const&) {
+    }
+    return;
+  }
+  variable_list const second = torch::autograd::grad({square(first)}, inputs);
+  auto const squared = [&](variable_list const& x) {
+    torch::AutoGradMode enable(true);
+    return square(gradients(f, x)).item<double>();
+  };
+  compare(name + " twice", squared, inputs, second);
+}
+
+}  // namespace
+
+int main() {
+  torch::manual_seed(0);
+  Tensor const x = torch::rand({2, 2, 7, 6}), volume = torch::rand({1, 2, 5, 4, 6});
+  Tensor const row = torch::rand({1, 3}), column = torch::rand({2, 5}), sigma = torch::rand({2, 2}) + 0.5;
+
+  check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
+  for (auto const* mode : {"sobel", "diff"})
+    for (int order : {1, 2})
+      check("spatial_gradient", [=](auto const& t) { return kvision::spatial_gradient(t[0], mode, order); }, {x});
+  for (int order : {1, 2})
+    check("spatial_gradient3d", [=](auto const& t) { return kvision::spatial_gradient3d(t[0], order); }, {volume});
+
+  for (auto const* border : {"constant", "reflect", "replicate", "circular"}) {
+    check("box_blur", [=](auto const& t) { return kvision::box_blur(t[0], 5, 3, border); }, {x});
+    check("laplacian", [=](auto const& t) { return kvision::laplacian(t[0], 3, 5, true, border); }, {x});
+    check("median_blur", [=](auto const& t) { return kvision::median_blur(t[0], 3, 3, border); }, {x}, false);
+    auto const bilateral = [=](auto const& t) {
+      return kvision::bilateral_blur(t[0], {}, {}, {}, 3, 5, 0.4, 1.5, 0.9, border);
+    };
+    check("bilateral_blur", bilateral, {x}, false);
+    auto const joint = [=](auto const& t) {
+      return kvision::bilateral_blur(t[0], t[1], t[2], t[3], 3, 5, 0, 0, 0, border, "l2");
+    };
+    check("bilateral_blur of all", joint, {x, torch::rand({1, 3, 7, 6}), sigma.select(1, 0), sigma}, false);
+    auto const separable = [=](auto const& t) { return kvision::filter2d_separable(t[0], t[1], t[2], border); };
+    check("filter2d_separable", separable, {x, row, column}, false);
+    auto const constant = [=](auto const& t) {
+      return kvision::filter2d_separable(t[0], row.to(torch::kDouble), column.to(torch::kDouble), border);
+    };
+    check("filter2d_separable of constant kernels", constant, {x});
+    auto const blur = [=](auto const& t) { return kvision::gaussian_blur2d(t[0], {}, 5, 3, 1.5, 0.7, border); };
+    check("gaussian_blur2d", blur, {x});
+    auto const blur_of_variable = [=](auto const& t) {
+      return kvision::gaussian_blur2d(t[0], t[1], 5, 3, 0, 0, border);
+    };
+    check("gaussian_blur2d of sigma", blur_of_variable, {x, sigma}, false);
+    auto const sharpen = [=](auto const& t) { return kvision::unsharp_mask(t[0], {}, 5, 3, 1.5, 0.7, border); };
+    check("unsharp_mask", sharpen, {x});
+  }
+  auto const ridges = [](auto const& t) { return std::get<0>(kvision::canny_suppress(t[0], 0.1, 0.2, 1e-6)); };
+  check("canny_suppress", ridges, {x}, false);
+  Tensor const edges = kvision::canny_hysteresis(torch::tensor({0.5f, 1.f, 0.f, 0.5f}).view({1, 1, 1, 4}));
+  if (!torch::equal(edges, torch::tensor({1.f, 1.f, 0.f, 0.f}).view({1, 1, 1, 4})) && ++failures)
+    std::cout << "canny_hysteresis: " << edges << "\n";
+
+  // A sigma as a tensor and as numbers are the same blur.
+  Tensor const by_tensor = kvision::gaussian_blur2d(x, torch::tensor({{1.5f, 0.7f}}), 5, 3, 0, 0);
+  if (!torch::allclose(by_tensor, kvision::gaussian_blur2d(x, {}, 5, 3, 1.5, 0.7)) && ++failures)
+    std::cout << "gaussian_blur2d: sigma as a tensor differs\n";
+  std::cout << checks << " derivatives, " << failures << " failures\n";
+  return failures > 0;
+}

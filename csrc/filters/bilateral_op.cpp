@@ -38,7 +38,8 @@ struct Arguments {
         kx(int(kx)),
         border(border_of(op, border)) {
     KV_CHECK(l1 || distance == "l2", op, ": distance must be one of l1, l2; got '", distance, "'");
-    KV_CHECK(ky > 0 && kx > 0 && ky % 2 == 1 && kx % 2 == 1, op, ": expected odd kernel sizes, got ", ky, ", ", kx);
+    check_window(op, ky, kx);
+    KV_CHECK(ky % 2 == 1 && kx % 2 == 1, op, ": expected odd kernel sizes, got ", ky, ", ", kx);
     check_border(op, this->border, ky / 2, x.size(2));
     check_border(op, this->border, kx / 2, x.size(3));
     auto const fits = [&](Tensor const& t, int64_t dims) {

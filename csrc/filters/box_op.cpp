@@ -7,7 +7,7 @@ namespace {
 
 void check(char const* op, Tensor const& x, int64_t ky, int64_t kx, Border border) {
   check_images(op, "input", x);
-  KV_CHECK(ky > 0 && kx > 0, op, ": expected a kernel of at least one pixel, got ", ky, " x ", kx);
+  check_window(op, ky, kx);
   if (x.numel() == 0) return;
   check_border(op, border, ky / 2, x.size(2));
   check_border(op, border, kx / 2, x.size(3));

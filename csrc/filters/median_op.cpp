@@ -5,8 +5,8 @@
 namespace kv {
 namespace {
 
-Border check_window(char const* op, Tensor const& x, int64_t ky, int64_t kx, std::string const& border_name) {
-  KV_CHECK(ky > 0 && kx > 0 && ky < (1 << 15) && kx < (1 << 15), op, ": a window of ", ky, " x ", kx);
+Border checked_border(char const* op, Tensor const& x, int64_t ky, int64_t kx, std::string const& border_name) {
+  check_window(op, ky, kx);
   Border const border = border_of(op, border_name);
   check_border(op, border, median_after(ky), x.size(2));
   check_border(op, border, median_after(kx), x.size(3));
@@ -15,7 +15,7 @@ Border check_window(char const* op, Tensor const& x, int64_t ky, int64_t kx, std
 
 Tensor median_blur(Tensor const& input, int64_t ky, int64_t kx, std::string border_name) {
   check_images("median_blur", "input", input);
-  Border const border = check_window("median_blur", input, ky, kx, border_name);
+  Border const border = checked_border("median_blur", input, ky, kx, border_name);
   Layout const layout = layout_of(input);
   Tensor const x = conform(input, layout), y = empty_like(x, layout);
   for_floats_and_bytes("median_blur", x, [&](auto type) {
@@ -31,7 +31,7 @@ Tensor median_blur_backward(Tensor const& grad, Tensor const& input, Tensor cons
   check_images("median_blur_backward", "input", input);
   check_like("median_blur_backward", "grad", grad, input);
   check_like("median_blur_backward", "output", output, input);
-  Border const border = check_window("median_blur_backward", input, ky, kx, border_name);
+  Border const border = checked_border("median_blur_backward", input, ky, kx, border_name);
   Layout const layout = layout_of(input);
   Tensor const g = conform(grad, layout), x = conform(input, layout), y = conform(output, layout),
                grad_x = empty_like(x, layout);

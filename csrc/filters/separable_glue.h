@@ -81,7 +81,7 @@ inline Tensor run_separable(char const* op, Tensor const& input, Axis const& kx,
 inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Tensor> const& sigma, int64_t ky,
                            int64_t kx, double sigma_y, double sigma_x, std::string const& border, bool transposed,
                            double alpha, double beta) {
-  KV_CHECK(ky > 0 && kx > 0, op, ": expected kernel sizes of at least 1");
+  check_window(op, ky, kx);
   std::optional<Tensor> rows;
   if (sigma) {
     rows = checked_rows(op, *sigma, input);

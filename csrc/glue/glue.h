@@ -61,6 +61,14 @@ inline void check_border(char const* op, Border border, int64_t pad, int64_t siz
   KV_CHECK(pad <= limit, op, ": a border of ", pad, " pixels does not fit an axis of ", size);
 }
 
+// The area of a window, and all positions in and around a row, then fit an int.
+constexpr int64_t kLargestWindow = (1 << 15) - 1;
+
+inline void check_window(char const* op, int64_t ky, int64_t kx) {
+  KV_CHECK(ky > 0 && kx > 0 && ky <= kLargestWindow && kx <= kLargestWindow, op, ": expected a window of 1 to ",
+           kLargestWindow, " pixels along each axis, got ", ky, " x ", kx);
+}
+
 // --- layouts
 // -----------------------------------------------------------------------------------------------------------
 

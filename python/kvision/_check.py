@@ -14,6 +14,7 @@ from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, Val
 BORDERS = ("constant", "reflect", "replicate", "circular")
 # What the kernels compute with: an axis is counted in int, a parameter of float32 images is a float.
 LARGEST_INT = 2**31 - 1
+LARGEST_WINDOW = 2**15 - 1  # so that its area is an int, too; kLargestWindow in csrc/glue/glue.h
 LARGEST_FLOAT = torch.finfo(torch.float32).max
 COMPUTED = frozenset(
     (
@@ -140,7 +141,11 @@ def pair(op: str, name: str, value: Any, minimum: int = 1) -> tuple[int, int]:
 
 
 def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[int, ...]:
-    """`value`, an int or `count` of them, as a tuple of `count` ints from `minimum` to LARGEST_INT."""
+    """`value`, an int or `count` of them, as a tuple of `count` ints of at least `minimum`.
+
+    The largest is LARGEST_INT, and LARGEST_WINDOW for the sizes of a window.
+    """
+    largest = LARGEST_INT if count == 1 else LARGEST_WINDOW
     given = (value,) * count if type(value) is int else value
     if not isinstance(given, (tuple, list)) or set(map(type, given)) != {int}:
         raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
@@ -148,9 +153,9 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[
         raise ValueCheckError(
             f"{op}: expected {name} to be {_ints(count)} of at least {minimum}, got {value!r}", actual_value=value
         )
-    if max(given) > LARGEST_INT:
+    if max(given) > largest:
         raise ValueCheckError(
-            f"{op}: expected {name} to be {_ints(count)} of at most {LARGEST_INT}, got {value!r}", actual_value=value
+            f"{op}: expected {name} to be {_ints(count)} of at most {largest}, got {value!r}", actual_value=value
         )
     return tuple(given)
 

@@ -134,7 +134,10 @@ NO_INT = (None, "3", 3.0, True, 2 + 0j, NAN, torch.tensor(3), torch.float32)
 NO_SIZE = (*NO_INT, "33", [], {3: 3}, (3.0, 3.0), (True, 3), (None, 3), (3,) * 5)
 LENGTH = Kind((3, 5), (*NO_SIZE, 0, -1, -3, -(2**40), *HUGE), (1, 2, 4, 501))
 ODD_LENGTH = LENGTH.but(refused=(2, 4))
-SIZE = LENGTH.but(good=((3, 3), (1, 5), [3, 1], torch.Size((3, 3))), refused=((3, 0), (3, 10**30), (3,), (3, 3, 3)))
+SIZE = LENGTH.but(
+    good=((3, 3), (1, 5), [3, 1], torch.Size((3, 3))),
+    refused=((3, 0), (3, 2**15), (1, 32769), (3,), (3, 3, 3)),
+)
 SIZE = SIZE.but(odd=((4, 3), 101, (1, 501)))
 ODD_SIZE = SIZE.but(refused=(2, 4, (4, 3)))
 WINDOW = Kind(ODD_SIZE.good, ODD_SIZE.refused, (1, 31, (1, 501)))  # for what costs as much as there are taps

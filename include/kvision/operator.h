@@ -17,6 +17,7 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 namespace kvision {
 
@@ -61,14 +62,17 @@ using Compute = std::function<variable_list()>;
 struct Function : torch::autograd::Function<Function> {
   struct Capsule : torch::CustomClassHolder {
     Gradient gradient;
-    size_t tensors;
-    Capsule(Gradient gradient, size_t tensors) : gradient(std::move(gradient)), tensors(tensors) {}
+    std::vector<int64_t> places;
+    Capsule(Gradient gradient, std::vector<int64_t> places)
+        : gradient(std::move(gradient)), places(std::move(places)) {}
   };
 
-  static variable_list forward(torch::autograd::AutogradContext* ctx, at::TensorList tensors, Compute const& compute,
-                               variable_list const& saved, Gradient const& gradient) {
+  // `tensors` are the defined ones, autograd takes no others; `places` has where each argument stands there, or -1.
+  static variable_list forward(torch::autograd::AutogradContext* ctx, at::TensorList,
+                               std::vector<int64_t> const& places, Compute const& compute, variable_list const& saved,
+                               Gradient const& gradient) {
     ctx->save_for_backward(saved);
-    ctx->saved_data["capsule"] = c10::IValue::make_capsule(c10::make_intrusive<Capsule>(gradient, tensors.size()));
+    ctx->saved_data["capsule"] = c10::IValue::make_capsule(c10::make_intrusive<Capsule>(gradient, places));
     at::AutoDispatchBelowADInplaceOrView below_autograd;
     return compute();
   }
@@ -76,9 +80,13 @@ struct Function : torch::autograd::Function<Function> {
   static variable_list backward(torch::autograd::AutogradContext* ctx, variable_list grads) {
     auto const holder = ctx->saved_data["capsule"].toCapsule();
     auto const& capsule = static_cast<Capsule const&>(*holder);
-    variable_list found = capsule.gradient(
-        {std::move(grads), ctx->get_saved_variables(), [ctx](size_t i) { return ctx->needs_input_grad(i); }});
-    found.resize(capsule.tensors + 3);  // forward's other three arguments have none
+    auto const wanted = [&](size_t i) { return capsule.places[i] >= 0 && ctx->needs_input_grad(capsule.places[i]); };
+    variable_list all = capsule.gradient({std::move(grads), ctx->get_saved_variables(), wanted});
+    all.resize(capsule.places.size());
+    variable_list found;
+    for (size_t i = 0; i < all.size(); ++i)
+      if (capsule.places[i] >= 0) found.push_back(all[i]);
+    found.resize(found.size() + 4);  // forward's other four arguments have none
     return found;
   }
 };
@@ -88,8 +96,15 @@ struct Function : torch::autograd::Function<Function> {
 inline variable_list differentiable(variable_list const& tensors, Compute const& compute, variable_list const& saved,
                                     Gradient const& gradient) {
   auto const requires_grad = [](Tensor const& t) { return t.defined() && t.requires_grad(); };
-  if (at::GradMode::is_enabled() && std::any_of(tensors.begin(), tensors.end(), requires_grad))
-    return Function::apply(at::TensorList(tensors), compute, saved, gradient);
+  if (at::GradMode::is_enabled() && std::any_of(tensors.begin(), tensors.end(), requires_grad)) {
+    variable_list defined;
+    std::vector<int64_t> places;
+    for (Tensor const& t : tensors) {
+      places.push_back(t.defined() ? int64_t(defined.size()) : -1);
+      if (t.defined()) defined.push_back(t);
+    }
+    return Function::apply(at::TensorList(defined), places, compute, saved, gradient);
+  }
   at::AutoDispatchBelowADInplaceOrView below_autograd;
   return compute();
 }

@@ -1,6 +1,6 @@
-// Cross-correlation with any kernel on CUDA. Images go by tiles in shared memory, with every tap of a kernel from there;
-// 3x3 and 5x5 kernels are in registers. Volumes, float64 and kernels that shared memory has no room for take one thread
-// an element.
+// Cross-correlation with any kernel on CUDA. Images go by tiles in shared memory, with every tap of a kernel from
+// there; 3x3 and 5x5 kernels are in registers. Volumes, float64 and kernels that shared memory has no room for take one
+// thread an element.
 #include <cuda_pipeline.h>
 
 #include "core/launch.cuh"
@@ -150,7 +150,7 @@ struct Rim {
 };
 
 template <class T, int K>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, 5)
     filter_tile(__grid_constant__ Filter2d<T> const p, __grid_constant__ Tiles const tiles, bool packed) {
   extern __shared__ __align__(16) float shared[];
   float *const tile = shared, *const weights = tile + tiles.rows * tiles.pitch;
@@ -208,7 +208,8 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll 1
   for (int i = threadIdx.x; i < pixels; i += kThreads) {
     bool const in_row = i < in_rows;
-    int const k = in_row ? i : i - in_rows, line = k / (in_row ? wide : high), along = k - line * (in_row ? wide : high);
+    int const k = in_row ? i : i - in_rows, line = k / (in_row ? wide : high),
+              along = k - line * (in_row ? wide : high);
     fold_pixel(in_row ? x0 + along : columns.at(line), in_row ? rows.at(line) : y0 + along);
   }
 }
@@ -216,7 +217,8 @@ __global__ void __launch_bounds__(kThreads)
 template <int K, class T>
 int launch_tiles(Filter2d<T> const& p, Tiles const& tiles, CUstream_st* stream) {
   int64_t const bytes = tiles.bytes(p.taps()), blocks = p.y.count() * p.y.step * tiles.across * tiles.down;
-  if (int const error = cudaFuncSetAttribute(filter_tile<T, K>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+  if (int const error =
+          cudaFuncSetAttribute(filter_tile<T, K>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   filter_tile<T, K><<<unsigned(blocks), kThreads, bytes, stream>>>(p, tiles, is_strip<kAcross>(p.y));
   return cudaGetLastError();
@@ -275,7 +277,7 @@ __device__ __forceinline__ float warp_sums(float (&v)[8]) {
 // One block a part, tile by tile of the gradient, whose pixels are in registers. Below them the rows of the image pass:
 // each meets N rows of the kernel at once.
 template <class T, int N>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, 3)
     taps_tile(__grid_constant__ Filter2dTaps<T> const p, __grid_constant__ Tiles const tiles) {
   extern __shared__ __align__(16) float shared[];
   int const kx = p.axis_x.size, ky = p.axis_y.size, taps = kx * ky, lane = threadIdx.x % 32, warp = threadIdx.x / 32;

@@ -115,7 +115,8 @@ Tensor kernel_gradient(char const* op, int64_t axes, Tensor const& kernel, Tenso
   for (int64_t axis = 1; axis <= axes; ++axis) sizes[axis] = kernel.size(axis);
   Tensor const grad_kernel = empty(sizes, kernel);
   // Parts have twenty pixels a tap: what they give takes a twentieth of the memory of an image.
-  int64_t const pixels = 20 * window.taps(), part_rows = max(int64_t(32), pixels / max(int64_t(1), g.size(g.dim() - 1)));
+  int64_t const pixels = 20 * window.taps(),
+                part_rows = max(int64_t(32), pixels / max(int64_t(1), g.size(g.dim() - 1)));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;

@@ -2,9 +2,9 @@ import kornia
 import pytest
 import scipy.ndimage
 import torch
-from op_tests import OpTests, assert_close
 
 import kvision as K
+from op_tests import OpTests, assert_close
 
 BORDERS = ("constant", "reflect", "replicate", "circular")
 

@@ -54,7 +54,7 @@ def lines(name: str, value: Any) -> Iterator[str]:
     else:
         yield name + arguments(value.__init__)
         for attribute, member in inspect.getmembers(value):
-            inherited = attribute != "forward" and hasattr(nn.Module, attribute) or hasattr(Exception, attribute)
+            inherited = (attribute != "forward" and hasattr(nn.Module, attribute)) or hasattr(Exception, attribute)
             if attribute.startswith("_") or inherited:
                 continue
             if isinstance(member, property):

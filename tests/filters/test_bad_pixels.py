@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from op_tests import as_tuple, assert_close
+from op_tests import assert_close
 
 F = K.filters
 

@@ -54,14 +54,18 @@ def _root(x: Tensor) -> Tensor:
     return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
 
 
-def _suppress_backward(needs, grad, _, x, low, high, eps):
+def _suppress_backward(needs, grad, _, magnitude, edges, x, low, high, eps):
     """Where the magnitude was kept, its gradient is that of the Sobel magnitude."""
-    magnitude, _ = _canny_suppress(x.detach(), low, high, eps)
     return [_sobel_backward(grad * (magnitude > 0), x, False, eps)]
 
 
 _canny_suppress = register(
-    "canny_suppress", _reference_suppress, fake=lambda x, *_: [x.shape, x.shape], backward=_suppress_backward
+    "canny_suppress",
+    _reference_suppress,
+    fake=lambda x, *_: [x.shape, x.shape],
+    backward=_suppress_backward,
+    saves_results=True,
+    constant=(1,),
 )
 
 
@@ -75,7 +79,7 @@ def _reference_hysteresis(edges: Tensor) -> Tensor:
         strong = grown
 
 
-_canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, backward=lambda needs, grad, edges: [None])
+_canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, constant=(0,))
 
 
 def canny(
@@ -139,7 +143,6 @@ def canny(
         x = 0.299 * red + 0.587 * green + 0.114 * blue
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
     magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)
-    edges = edges.detach()
     if hysteresis:
         edges = _canny_hysteresis(edges)
     return magnitude.to(dtype), edges.to(dtype)

@@ -22,6 +22,7 @@ from hypothesis import given
 from torch import Tensor
 
 import kvision as K
+import raw_calls
 from kvision import _ops
 
 # The one table of tolerances: (relative, absolute) by the type results are stored in.
@@ -497,6 +498,23 @@ class OpTests:
             with pytest.raises(error, match=message) as caught:
                 self.call(x, {**self.arguments(self.variants[0], x), **self.arguments(kwargs, x)})
             assert str(caught.value).startswith(self.function.__name__ + ": "), str(caught.value)
+
+    def test_operators_refuse_bad_arguments(self, device, backend):
+        """Called without their Python functions, as C++ and exported programs do."""
+        self.needs_native(backend)
+        with recorded(self.operators) as calls:
+            for variant in self.variants:
+                x, kwargs = self.setup(variant, device, torch.float32)
+                outputs = as_tuple(self.call(x, kwargs))
+                if self.differentiable:
+                    self.gradients(x, kwargs, [torch.ones_like(o) for o in outputs])
+        taken = []
+        for name, args in dict(calls).items():
+            operator = getattr(torch.ops.kvision, name).default
+            args = [a.detach() if isinstance(a, Tensor) else a for a in args]
+            wrong = list(raw_calls.wrong_calls(operator, args))
+            taken += [f"{name}: {call}" for call in raw_calls.taken(operator, wrong)]
+        assert not taken, "\n".join(taken)
 
     # --- fuzzing ---
 

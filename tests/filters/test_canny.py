@@ -36,6 +36,18 @@ class TestCanny(OpTests):
         turned = ((magnitude > 0) != (expected_magnitude > 0)).sum() + (edges != expected_edges).sum()
         assert turned <= (0 if magnitude.dtype == torch.float64 else 2 + edges.numel() // 100), int(turned)
 
+    def test_vmap(self, variant, device, backend):
+        self.needs_native_hysteresis(variant, backend)
+        super().test_vmap(variant, device)
+
+    def test_func_grad_and_jvp(self, variant, device, backend):
+        self.needs_native_hysteresis(variant, backend)
+        super().test_func_grad_and_jvp(variant, device)
+
+    def needs_native_hysteresis(self, variant, backend):
+        if variant.get("hysteresis", True):
+            self.needs_native(backend)  # the reference looks at the edges, which vmap hides
+
     def test_wrong_channels(self, device):
         with pytest.raises(K.core.exceptions.ImageError, match="^canny: expected input with 1 or 3 channels"):
             K.filters.canny(torch.rand(1, 2, 8, 8, device=device))

@@ -14,7 +14,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ImageError, ValueCheckError
 from kvision.filters.gaussian import _gaussian_blur2d, blur_arguments
-from kvision.filters.sobel import _sobel_backward
+from kvision.filters.sobel import _sobel_backward, root
 from kvision.filters.spatial_gradient import derivatives
 
 _TAN_22_5 = math.sqrt(2) - 1
@@ -28,7 +28,7 @@ def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple
     """
     h, w = x.shape[-2:]
     gx, gy = derivatives(x, "sobel", 1, normalized=False).unbind(2)
-    padded = _root(F.pad(gx**2 + gy**2, (1, 1, 1, 1)) + eps)
+    padded = root(F.pad(gx**2 + gy**2, (1, 1, 1, 1)) + eps)
 
     def at(dy: int, dx: int) -> Tensor:
         return padded[..., 1 + dy : 1 + dy + h, 1 + dx : 1 + dx + w]
@@ -48,12 +48,6 @@ def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple
     return magnitude, edges
 
 
-def _root(x: Tensor) -> Tensor:
-    """The square root, with gradient 0 at 0."""
-    zero = x == 0
-    return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
-
-
 def _suppress_backward(needs, grad, _, magnitude, edges, x, low, high, eps):
     """Where the magnitude was kept, its gradient is that of the Sobel magnitude."""
     return [_sobel_backward(grad * (magnitude > 0), x, False, eps)]
@@ -70,7 +64,10 @@ _canny_suppress = register(
 
 
 def _reference_hysteresis(edges: Tensor) -> Tensor:
-    """1 on strong edges (1) and on weak ones (0.5) that touch them in 8 directions, also through each other; else 0."""
+    """1 on strong edges (1) and on weak ones (0.5) that touch them in 8 directions, also through each other; else 0.
+
+    How long it takes depends on the edges, so vmap, which hides them, needs the kernels.
+    """
     candidates, strong = (edges > 0).to(edges.dtype), (edges == 1).to(edges.dtype)
     while True:
         grown = candidates * F.max_pool2d(strong, 3, stride=1, padding=1)

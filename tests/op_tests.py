@@ -416,12 +416,13 @@ class OpTests:
 
     # --- production ---
 
-    def test_compile(self, device):
-        """fullgraph with a dynamic batch; values and gradients by inductor."""
+    def test_compile(self, device, backend):
+        """fullgraph with a dynamic batch; values and gradients by inductor, which need not compile the reference."""
         variant = self.variants[0]
         x, kwargs = self.setup(variant, device, torch.float32)
         torch._dynamo.reset()
-        compiled = torch.compile(lambda s: self.call(s, kwargs), fullgraph=True)
+        compiler = "aot_eager" if backend == "reference" else "inductor"
+        compiled = torch.compile(lambda s: self.call(s, kwargs), fullgraph=True, backend=compiler)
         shared = all(not isinstance(v, Tensor) or v.shape[0] == 1 for v in kwargs.values())
         for batch in (2, 3) if shared else self.shape[:1]:
             x = self.input((batch, *self.shape[1:]), torch.float32, device)

@@ -477,6 +477,21 @@ class OpTests:
         graph.replay()
         assert_close(tuple(c.detach() for c in captured), tuple(e.detach() for e in step()))
 
+    def test_current_stream(self, variant, device):
+        """Kernels wait for what is before them on the stream they are called on, and for nothing else."""
+        if device.type != "cuda":
+            pytest.skip("needs --device cuda")
+        x, kwargs = self.setup(variant, device, torch.float32)
+        expected = self.call(x, kwargs)
+        late = torch.zeros_like(x)
+        torch.cuda.synchronize()
+        with torch.cuda.stream(torch.cuda.Stream()):
+            torch.cuda._sleep(20_000_000)  # some 10 ms, in which another stream would read the zeros
+            late.copy_(x)
+            output = self.call(late, kwargs)
+            torch.cuda.current_stream().synchronize()
+        assert_close(output, expected)
+
     # --- bad input ---
 
     def test_wrong_kinds(self, variant, device):

@@ -25,14 +25,19 @@ LIST = Path(__file__).with_name("public_api.txt")
 
 def public_modules() -> Iterator[ModuleType]:
     yield K
-    yield from (getattr(K, name) for name in K.__all__ if inspect.ismodule(getattr(K, name)))
+    yield from (getattr(K, name) for name in K.__all__ if is_plain_module(getattr(K, name)))
     yield from map(importlib.import_module, ("kvision.core.exceptions", "kvision.core.ops"))  # homes in Kornia, too
 
 
 def public_names(module: ModuleType) -> list[str]:
     """What `from module import *` brings, less modules and what is imported from elsewhere."""
     names = getattr(module, "__all__", None) or [n for n, v in vars(module).items() if n[0] != "_" and is_ours(v)]
-    return [name for name in names if not inspect.ismodule(getattr(module, name))]
+    return [name for name in names if not is_plain_module(getattr(module, name))]
+
+
+def is_plain_module(value: Any) -> bool:
+    """kvision.info is one that is called."""
+    return inspect.ismodule(value) and not callable(value)
 
 
 def is_ours(value: Any) -> bool:
@@ -48,19 +53,22 @@ def arguments(function: Any) -> str:
 def lines(name: str, value: Any) -> Iterator[str]:
     """A function or class with its arguments; a class with its members as well."""
     if not inspect.isclass(value):
-        yield name + (arguments(value) if inspect.isroutine(value) else "")
-    elif issubclass(value, Enum):
+        yield name + (arguments(value) if callable(value) else "")
+        return
+    if issubclass(value, Enum):
         yield from (f"{name}.{member.name} = {member.value!r}" for member in value)
     else:
         yield name + arguments(value.__init__)
-        for attribute, member in inspect.getmembers(value):
-            inherited = (attribute != "forward" and hasattr(nn.Module, attribute)) or hasattr(Exception, attribute)
-            if attribute.startswith("_") or inherited:
-                continue
-            if isinstance(member, property):
-                yield f"{name}.{attribute}"
-            elif inspect.isroutine(member) and is_ours(member):
-                yield f"{name}.{attribute}{arguments(member)}"
+    own = {attribute for base in value.__mro__ if is_ours(base) for attribute in vars(base)}
+    for attribute in sorted(own):
+        member = getattr(value, attribute)
+        inherited = (attribute != "forward" and hasattr(nn.Module, attribute)) or hasattr(Exception, attribute)
+        if attribute.startswith("_") or inherited:
+            continue
+        if isinstance(member, property):
+            yield f"{name}.{attribute}"
+        elif inspect.isroutine(member) and is_ours(member):
+            yield f"{name}.{attribute}{arguments(member)}"
 
 
 def surface() -> list[str]:
@@ -85,7 +93,7 @@ def test_top_level_names_are_those_of_their_modules() -> None:
     """A flat name is a second place of the same thing, never a second behaviour."""
     homes = [importlib.import_module(name) for name in ("kvision.filters", "kvision.image", "kvision.utils")]
     for name in public_names(K):
-        if not name.startswith("_") and name != "backend":
+        if name not in ("__version__", "backend", "info"):  # whose place is the top level
             assert any(getattr(home, name, None) is getattr(K, name) for home in homes), name
 
 

@@ -10,11 +10,12 @@
 import importlib
 from typing import Any
 
-from kvision import constants, core, filters, image, io, utils
+from kvision import constants, core, enhance, filters, image, io, utils
 from kvision._ops import backend
 from kvision._version import __version__
 
 # The names that have a home at the top level, too: those of the Kornia paper's examples and those Kornia 0.9 has there.
+from kvision.enhance import normalize
 from kvision.filters import gaussian_blur2d, sobel
 from kvision.image import (
     draw_convex_polygon,
@@ -43,6 +44,7 @@ __all__ = [
     "draw_line",
     "draw_point2d",
     "draw_rectangle",
+    "enhance",
     "filters",
     "gaussian_blur2d",
     "get_cuda_device_if_available",
@@ -54,6 +56,7 @@ __all__ = [
     "info",
     "io",
     "is_autocast_enabled",
+    "normalize",
     "print_image",
     "sobel",
     "tensor_to_image",

@@ -1,0 +1,97 @@
+"""Weighted sum of two images."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError
+from kvision.enhance.batch import chosen
+
+
+def _reference(
+    x: Tensor,
+    y: Tensor,
+    alpha: Tensor | None,
+    beta: Tensor | None,
+    gamma: Tensor | None,
+    alpha_number: float,
+    beta_number: float,
+    gamma_number: float,
+) -> Tensor:
+    return x * chosen(alpha, alpha_number) + y * chosen(beta, beta_number) + chosen(gamma, gamma_number)
+
+
+_add_weighted = as_stored(_reference)
+
+
+def add_weighted(
+    src1: Tensor, alpha: float | Tensor, src2: Tensor, beta: float | Tensor, gamma: float | Tensor
+) -> Tensor:
+    """Mix two images: src1 * alpha + src2 * beta + gamma.
+
+    Args:
+        src1: an image of any shape; integers are computed in float32.
+        alpha: a number, or a tensor that broadcasts to src1 as torch does: from the last axis, so that one weight a
+            sample is (B, 1, 1, 1).
+        src2: an image of the same shape.
+        beta: of the same kinds as alpha.
+        gamma: of the same kinds as alpha.
+
+    Returns:
+        The mix, not clamped, in the type of src1; differentiable in all five.
+
+    Raises:
+        TypeCheckError: an image is no real tensor; a weight is neither number nor tensor.
+        ShapeError: src1 and src2 differ in shape; a weight does not broadcast to them.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.add_weighted(torch.ones(2), 0.5, torch.tensor([0.0, 1.0]), 0.25, 1.0)
+        tensor([1.5000, 1.7500])
+    """
+    _check.numbers("add_weighted", "src1", src1)
+    _check.numbers("add_weighted", "src2", src2)
+    _check.same_device("add_weighted", src1=src1, src2=src2)
+    if src1.shape != src2.shape:
+        raise ShapeError(
+            f"add_weighted: expected src2 of the shape of src1, {tuple(src1.shape)}, got {tuple(src2.shape)}",
+            actual_shape=src2.shape,
+            expected_shape=src1.shape,
+        )
+    tensors, numbers = zip(*(_weight(n, w, src1) for n, w in (("alpha", alpha), ("beta", beta), ("gamma", gamma))))
+    return _add_weighted(floats(src1), src2, *tensors, *numbers)
+
+
+def _weight(name: str, weight: float | Tensor, x: Tensor) -> tuple[Tensor | None, float]:
+    if not isinstance(weight, Tensor):
+        return None, _check.number("add_weighted", name, weight)
+    _check.numbers("add_weighted", name, weight)
+    _check.same_device("add_weighted", src1=x, **{name: weight})
+    trailing = x.shape[x.dim() - weight.dim() :] if weight.dim() <= x.dim() else ()
+    if weight.dim() > x.dim() or any(n not in (1, m) for n, m in zip(weight.shape, trailing)):
+        raise ShapeError(
+            f"add_weighted: expected {name} to broadcast to {tuple(x.shape)}, got {tuple(weight.shape)}",
+            actual_shape=weight.shape,
+        )
+    return weight, 0.0
+
+
+class AddWeighted(FunctionModule):
+    """Module form of :func:`add_weighted`; a weight that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.AddWeighted(0.5, 0.5, 0.0)(torch.ones(2), torch.zeros(2))
+        tensor([0.5000, 0.5000])
+    """
+
+    def __init__(self, alpha: float | Tensor, beta: float | Tensor, gamma: float | Tensor) -> None:
+        super().__init__(alpha=alpha, beta=beta, gamma=gamma)
+
+    def forward(self, src1: Tensor, src2: Tensor) -> Tensor:
+        return add_weighted(src1, self.alpha, src2, self.beta, self.gamma)

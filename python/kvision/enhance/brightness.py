@@ -1,0 +1,108 @@
+"""Brightness: a number added or multiplied."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.enhance.batch import as_batch, chosen, floats, parameter
+
+
+def _sum(x: Tensor, factor: Tensor | None, number: float, clip: bool) -> Tensor:
+    y = x + chosen(factor, number)
+    return y.clamp(0, 1) if clip else y
+
+
+def _product(x: Tensor, factor: Tensor | None, number: float, clip: bool) -> Tensor:
+    y = x * chosen(factor, number)
+    return y.clamp(0, 1) if clip else y
+
+
+shifted = as_stored(_sum)
+scaled = as_stored(_product)
+
+
+def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
+    """Add a number to an image.
+
+    Args:
+        image: (*, C, H, W), floating point, in [0, 1].
+        factor: what is added, 0 for no change: a number, or a tensor with the first axes of the image, (B,) or (B, C).
+        clip_output: clamp the result to [0, 1].
+
+    Returns:
+        The image, brighter or darker, differentiable in image and factor.
+
+    Raises:
+        TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
+        ShapeError: factor has axes that the image has not.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.adjust_brightness(torch.tensor([[0.0, 0.5, 0.9]]), 0.2)
+        tensor([[0.2000, 0.7000, 1.0000]])
+    """
+    floats("adjust_brightness", "image", image)
+    amount = parameter("adjust_brightness", "factor", factor, image)
+    _check.flag("adjust_brightness", "clip_output", clip_output)
+    return shifted(as_batch(image), *amount, clip_output).reshape(image.shape)
+
+
+def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
+    """Multiply an image by a number, which is what PIL and torchvision call brightness.
+
+    Args:
+        image: (*, C, H, W), floating point, in [0, 1].
+        factor: 1 for no change, 0 for black: a number, or a tensor with the first axes of the image, (B,) or (B, C).
+        clip_output: clamp the result to [0, 1].
+
+    Returns:
+        The image, brighter or darker, differentiable in image and factor.
+
+    Raises:
+        TypeCheckError, ShapeError, DeviceError: as :func:`adjust_brightness`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.adjust_brightness_accumulative(torch.tensor([[0.0, 0.3, 0.9]]), 2.0)
+        tensor([[0.0000, 0.6000, 1.0000]])
+    """
+    floats("adjust_brightness_accumulative", "image", image)
+    amount = parameter("adjust_brightness_accumulative", "factor", factor, image)
+    _check.flag("adjust_brightness_accumulative", "clip_output", clip_output)
+    return scaled(as_batch(image), *amount, clip_output).reshape(image.shape)
+
+
+class AdjustBrightness(FunctionModule):
+    """Module form of :func:`adjust_brightness`; a factor that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.AdjustBrightness(0.5)(torch.zeros(1, 3, 1, 1)).flatten()
+        tensor([0.5000, 0.5000, 0.5000])
+    """
+
+    def __init__(self, brightness_factor: float | Tensor) -> None:
+        super().__init__(brightness_factor=brightness_factor)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return adjust_brightness(input, self.brightness_factor)
+
+
+class AdjustBrightnessAccumulative(FunctionModule):
+    """Module form of :func:`adjust_brightness_accumulative`; a factor that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.AdjustBrightnessAccumulative(0.5)(torch.ones(1, 3, 1, 1)).flatten()
+        tensor([0.5000, 0.5000, 0.5000])
+    """
+
+    def __init__(self, brightness_factor: float | Tensor) -> None:
+        super().__init__(brightness_factor=brightness_factor)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return adjust_brightness_accumulative(input, self.brightness_factor)

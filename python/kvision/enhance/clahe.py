@@ -1,0 +1,129 @@
+"""Contrast-limited adaptive histogram equalisation."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import TypeCheckError
+from kvision.enhance.batch import as_batch, images
+from kvision.enhance.equalize import LEVELS, level_counts, levels
+from kvision.enhance.histogram import kernel_counts
+
+_BANDWIDTH = 0.001  # of the smooth histogram; neighbouring levels are 0.0039 apart
+
+
+def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, smooth: bool) -> Tensor:
+    """(N, H, W): every plane by itself."""
+    n, h, w = x.shape
+    tile = -(-h // rows), -(-w // columns)
+    tiles = _split(x, rows, columns, tile)
+    counts = _smooth_counts(tiles) if smooth else level_counts(levels(tiles), ~tiles.isnan()).to(_wide(x))
+    tables = _tables(counts, clip_limit, tile[0] * tile[1])
+    tables = (tables if smooth else tables.round()).reshape(n, rows * columns * LEVELS)
+
+    # Each pixel is mapped by the tables of the four tiles whose centres surround it.
+    y0, y1, wy = _neighbours(h, rows, tile[0], tables)
+    x0, x1, wx = _neighbours(w, columns, tile[1], tables)
+    level = levels(x)
+
+    def mapped(ty: Tensor, tx: Tensor) -> Tensor:
+        index = (ty[:, None] * columns + tx) * LEVELS + level
+        return tables.gather(1, index.flatten(1)).reshape(n, h, w)
+
+    top = mapped(y0, x0).lerp(mapped(y0, x1), wx)
+    bottom = mapped(y1, x0).lerp(mapped(y1, x1), wx)
+    y = (top.lerp(bottom, wy[:, None]) / 255).to(x.dtype)
+    return torch.where(x.isnan(), x, y)
+
+
+def _wide(x: Tensor) -> torch.dtype:
+    return torch.float64 if x.dtype == torch.float64 else torch.float32
+
+
+def _split(x: Tensor, rows: int, columns: int, tile: tuple[int, int]) -> Tensor:
+    """(N, H, W), continued by reflection, as (N * rows * columns, pixels of a tile)."""
+    n, h, w = x.shape
+    x = x[:, _reflected(h, rows * tile[0], x)][:, :, _reflected(w, columns * tile[1], x)]
+    return x.reshape(n, rows, tile[0], columns, tile[1]).transpose(2, 3).reshape(n * rows * columns, tile[0] * tile[1])
+
+
+def _reflected(size: int, padded: int, x: Tensor) -> Tensor:
+    """Indices 0 to padded - 1, folded at both ends of `size` pixels as often as it takes."""
+    period = max(2 * (size - 1), 1)
+    i = torch.arange(padded, device=x.device) % period
+    return torch.minimum(i, period - i) if size > 1 else torch.zeros_like(i)
+
+
+def _neighbours(size: int, count: int, tile: int, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """For every pixel of an axis: the tiles before and after it, and the weight of the second one."""
+    centre = (torch.arange(size, device=like.device, dtype=like.dtype) + 0.5) / tile - 0.5
+    before = centre.floor()
+    first, second = before.long().clamp(min=0), (before.long() + 1).clamp(max=count - 1)
+    return first, second, centre - before
+
+
+def _tables(counts: Tensor, clip_limit: float, pixels: int) -> Tensor:
+    """(T, 256) counts as tables from level to level: what exceeds the limit is spread over all levels, then summed up."""
+    if clip_limit > 0:
+        limit = max(clip_limit * pixels // LEVELS, 1)
+        excess = (counts - limit).relu().sum(1, keepdim=True)
+        rest = excess % LEVELS
+        # As OpenCV does: an equal share for every level, and the rest one by one to levels at equal distances.
+        distance = torch.div(LEVELS, rest.detach().clamp(min=1), rounding_mode="floor").clamp(min=1)
+        level = torch.arange(LEVELS, device=counts.device)
+        spared = (level % distance == 0) & (torch.div(level, distance, rounding_mode="floor") < rest)
+        counts = counts.clamp(max=limit) + torch.div(excess - rest, LEVELS) + spared.to(counts.dtype)
+    return (counts.cumsum(1) * (255 / pixels)).clamp(0, 255)
+
+
+def _smooth_counts(tiles: Tensor) -> Tensor:
+    bins = torch.linspace(0, 1, LEVELS, device=tiles.device, dtype=_wide(tiles))
+    counts = (
+        kernel_counts(tiles.to(bins.dtype), bins, torch.full_like(bins[0], _BANDWIDTH), "gaussian") / tiles.shape[1]
+    )
+    return counts / (counts.sum(1, keepdim=True) + 1e-10) * tiles.shape[1]
+
+
+def equalize_clahe(
+    input: Tensor,
+    clip_limit: float = 40.0,
+    grid_size: tuple[int, int] = (8, 8),
+    slow_and_differentiable: bool = False,
+) -> Tensor:
+    """Equalise every image plane region by region, without making more of noise than a limit allows.
+
+    The plane, continued by reflection, is covered by a grid of tiles of equal size. A pixel is mapped by the tables of
+    the four nearest tiles, mixed by its distance from their centres.
+
+    Args:
+        input: (*, C, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0
+            or 1, and NaN does not count.
+        clip_limit: how many times the mean count a level of a tile may count; 0 for no limit.
+        grid_size: tiles along (y, x). Any grid fits any image.
+        slow_and_differentiable: count with a smooth kernel, so that the tables have a gradient.
+
+    Returns:
+        The equalised image, in [0, 1].
+
+    Raises:
+        TypeCheckError: input is no floating-point tensor; clip_limit no number; grid_size is not of ints.
+        ShapeError: input is not (*, C, H, W), or has no pixels.
+        ValueCheckError: clip_limit below 0; grid_size below 1.
+
+    Source: K. Zuiderveld, "Contrast limited adaptive histogram equalization" (1994).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.equalize_clahe(torch.rand(2, 3, 40, 60), 4.0, (4, 4)).shape
+        torch.Size([2, 3, 40, 60])
+    """
+    images("equalize_clahe", "input", input)
+    limit = _check.number("equalize_clahe", "clip_limit", clip_limit, minimum=0)
+    if not isinstance(grid_size, (tuple, list)):
+        raise TypeCheckError(f"equalize_clahe: expected grid_size to be (y, x), got {grid_size!r}")
+    rows, columns = _check.pair("equalize_clahe", "grid_size", tuple(grid_size))
+    _check.flag("equalize_clahe", "slow_and_differentiable", slow_and_differentiable)
+    planes = as_batch(input).flatten(0, 1)
+    return _reference(planes, limit, rows, columns, slow_and_differentiable).reshape(input.shape)

@@ -1,0 +1,109 @@
+"""Contrast: the distance of every value from 0, or from the mean of its image."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.enhance.batch import as_batch, chosen, floats, images, parameter
+from kvision.enhance.brightness import scaled
+from kvision.enhance.saturation import luma
+
+
+def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+    f = chosen(factor, number)
+    grey = luma(x) if x.shape[1] == 3 else x
+    mean = grey.mean((1, 2, 3), keepdim=True)
+    return (mean + (x - mean) * f).clamp(0, 1)
+
+
+_around_mean = as_stored(_reference)
+
+
+def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
+    """Multiply an image by a number that is not negative.
+
+    Args:
+        image: (*, C, H, W), floating point, in [0, 1].
+        factor: 1 for no change, 0 for black: a number, or a tensor with the first axes of the image, (B,) or (B, C).
+        clip_output: clamp the result to [0, 1].
+
+    Returns:
+        The image with more or less contrast, differentiable in image and factor.
+
+    Raises:
+        TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
+        ShapeError: factor has axes that the image has not.
+        ValueCheckError: a number below 0. Tensors are not checked by value.
+        DeviceError: tensors on different devices.
+
+    Source: R. Szeliski, "Computer Vision: Algorithms and Applications" (2010), section 3.1.1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.adjust_contrast(torch.tensor([[0.0, 0.3, 0.9]]), 2.0)
+        tensor([[0.0000, 0.6000, 1.0000]])
+    """
+    floats("adjust_contrast", "image", image)
+    amount = parameter("adjust_contrast", "factor", factor, image, minimum=0)
+    _check.flag("adjust_contrast", "clip_output", clip_output)
+    return scaled(as_batch(image), *amount, clip_output).reshape(image.shape)
+
+
+def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
+    """Move the values of an image away from its mean grey, or towards it, which is what PIL and torchvision call contrast.
+
+    Args:
+        image: (*, C, H, W), floating point, in [0, 1]. The grey of three channels is 0.299 R + 0.587 G + 0.114 B, that
+            of any other number their mean.
+        factor: 1 for no change, 0 for plain grey: a number, or a tensor with the first axes of the image.
+
+    Returns:
+        mean + (image - mean) * factor, clamped to [0, 1], differentiable in image and factor.
+
+    Raises:
+        TypeCheckError, DeviceError: as :func:`adjust_contrast`.
+        ShapeError: image is not (*, C, H, W); factor has axes that the image has not.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.adjust_contrast_with_mean_subtraction(torch.tensor([[[0.2, 0.4, 0.6]]]), 2.0)
+        tensor([[[0.0000, 0.4000, 0.8000]]])
+    """
+    images("adjust_contrast_with_mean_subtraction", "image", image)
+    amount = parameter("adjust_contrast_with_mean_subtraction", "factor", factor, image)
+    return _around_mean(as_batch(image), *amount).reshape(image.shape)
+
+
+class AdjustContrast(FunctionModule):
+    """Module form of :func:`adjust_contrast`; a factor that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.AdjustContrast(0.5)(torch.ones(1, 3, 1, 1)).flatten()
+        tensor([0.5000, 0.5000, 0.5000])
+    """
+
+    def __init__(self, contrast_factor: float | Tensor) -> None:
+        super().__init__(contrast_factor=contrast_factor)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return adjust_contrast(input, self.contrast_factor)
+
+
+class AdjustContrastWithMeanSubtraction(FunctionModule):
+    """Module form of :func:`adjust_contrast_with_mean_subtraction`; a factor that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.AdjustContrastWithMeanSubtraction(0.0)(torch.tensor([[[0.2, 0.6]]]))
+        tensor([[[0.4000, 0.4000]]])
+    """
+
+    def __init__(self, contrast_factor: float | Tensor) -> None:
+        super().__init__(contrast_factor=contrast_factor)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return adjust_contrast_with_mean_subtraction(input, self.contrast_factor)

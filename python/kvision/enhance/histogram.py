@@ -1,0 +1,259 @@
+"""Histograms as kernel density estimates: smooth counts, with gradients."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype
+from kvision.core.exceptions import ShapeError, ValueCheckError
+
+_KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
+    "triangular": lambda u: (1 - u).clamp(min=0),
+    "gaussian": lambda u: torch.exp(-0.5 * u * u),
+    "uniform": lambda u: (u <= 1).to(u.dtype),
+    "epanechnikov": lambda u: (1 - u * u).clamp(min=0),
+}
+
+
+class _Recomputed(torch.autograd.Function):
+    """`f(*tensors)`, computed again for its gradient, so that nothing between is kept."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+        return f(*tensors)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+        ctx.f = inputs[0]
+        ctx.save_for_backward(*inputs[1:])
+        ctx.save_for_forward(*inputs[1:])
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        _, pullback = torch.func.vjp(ctx.f, *ctx.saved_tensors)
+        return (None, *pullback(grad))
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, *tangents: Tensor | None) -> Tensor:
+        tensors = ctx.saved_tensors
+        full = tuple(torch.zeros_like(x) if t is None else t for x, t in zip(tensors, tangents))
+        # J t as the derivative of u -> J^T u: plain forward mode cannot be nested in itself.
+        output, pullback = torch.func.vjp(ctx.f, *tensors)
+        _, pushforward = torch.func.vjp(pullback, torch.zeros_like(output))
+        return pushforward(full)[0]
+
+
+def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+    # torch.compile plans itself what to keep, and cannot follow a Function with forward mode.
+    return f(*tensors) if torch.compiler.is_compiling() else _Recomputed.apply(f, *tensors)
+
+
+def pieces(pixels: int, bins: int) -> int:
+    """Into how many pieces to cut the pixels, so that one of them times the bins is no more than a few images."""
+    return max(min(pixels, bins // 8), 1)
+
+
+def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) -> Tensor:
+    """(N, P) values and (K,) centers to (N, K): the sums of the kernel at (x - center) / bandwidth."""
+    shape = _KERNELS[kernel]
+
+    def counts(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
+        return shape((x[:, None] - centers[:, None]).abs() / bandwidth).sum(2)
+
+    x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # too far away to count
+    parts = x.chunk(pieces(x.shape[1], centers.shape[0]), 1)
+    return _total([recomputed(counts, part, centers, bandwidth) for part in parts])
+
+
+def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Tensor:
+    """(N, P) twice and (K,) bins to (N, K, K): the sums of the products of two Gaussians."""
+    gaussian = _KERNELS["gaussian"]
+
+    def counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Tensor:
+        k1, k2 = (gaussian((x[:, None] - bins[:, None]) / bandwidth) for x in (x1, x2))
+        return k1 @ k2.mT
+
+    n = pieces(x1.shape[1], bins.shape[0])
+    return _total([recomputed(counts, a, b, bins, bandwidth) for a, b in zip(x1.chunk(n, 1), x2.chunk(n, 1))])
+
+
+def _total(parts: Sequence[Tensor]) -> Tensor:
+    return functools.reduce(torch.add, parts)
+
+
+def _grid_counts(x: Tensor, low: float, width: float, bins: int, kernel: str) -> Tensor:
+    """kernel_counts of (N, P) at centers one bandwidth apart, by a kernel that ends there: three bins a value at most."""
+    shape = _KERNELS[kernel]
+    near = ((x.detach() - low) / width - 0.5).round()
+    counts = torch.zeros_like(x[:, :1]).expand(-1, bins)
+    for offset in (-1, 0, 1):
+        bin = near + offset
+        u = (x - (low + width * (bin + 0.5))).abs() / width
+        counted = (u <= 1) & (bin >= 0) & (bin < bins)  # not NaN
+        weight = torch.where(counted, shape(torch.where(counted, u, 1)), 0)
+        counts = counts.scatter_add(1, torch.where(counted, bin, 0).long(), weight)
+    return counts
+
+
+def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10) -> Tensor:
+    """Estimate the density of values at given points, with a Gaussian kernel.
+
+    Args:
+        x: samples (B, D).
+        bins: the points (K,).
+        bandwidth: standard deviation of the kernel, a tensor without axes, positive, or a number.
+        epsilon: added to the sum that the result is divided by.
+
+    Returns:
+        (B, K), each row of sum 1; differentiable in x, bins and bandwidth. Memory grows with the samples, not with
+        samples times bins. Half types are computed in float32.
+
+    Raises:
+        TypeCheckError: x or bins is no real tensor, bandwidth neither tensor nor number.
+        ShapeError: x is not (B, D) with at least one sample, bins is not (K,), bandwidth has axes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.histogram(torch.tensor([[0.0, 1.0, 1.0]]), torch.tensor([0.0, 1.0]), torch.tensor(0.1))
+        tensor([[0.3333, 0.6667]])
+    """
+    _check.shape("histogram", "x", x, "B", "D")
+    wide, centers, width, dtype = _arguments("histogram", x, bins, bandwidth)
+    epsilon = _check.number("histogram", "epsilon", epsilon, minimum=0)
+    density = kernel_counts(wide, centers, width, "gaussian") / x.shape[1]
+    return (density / (density.sum(1, keepdim=True) + epsilon)).to(dtype)
+
+
+def histogram2d(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10) -> Tensor:
+    """Estimate the joint density of pairs of values on a grid of given points, with a Gaussian kernel.
+
+    Args:
+        x1: the first values of the samples (B, D).
+        x2: the second values (B, D).
+        bins: the points along both axes (K,).
+        bandwidth: standard deviation of the kernel, a tensor without axes, positive, or a number.
+        epsilon: added to the sum that the result is divided by.
+
+    Returns:
+        (B, K, K), rows for x1 and columns for x2, each matrix of sum 1; differentiable in all four tensors. Memory is as
+        for :func:`histogram`.
+
+    Raises:
+        TypeCheckError, DeviceError: as :func:`histogram`.
+        ShapeError: as :func:`histogram`, or x1 and x2 of different shapes.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[0.0, 1.0]])
+        >>> K.enhance.histogram2d(x, 1 - x, torch.tensor([0.0, 1.0]), torch.tensor(0.5))
+        tensor([[[0.1050, 0.3950],
+                 [0.3950, 0.1050]]])
+    """
+    _check.shape("histogram2d", "x1", x1, "B", "D")
+    _check.shape("histogram2d", "x2", x2, *x1.shape)
+    _check.same_device("histogram2d", x1=x1, x2=x2)
+    wide, centers, width, dtype = _arguments("histogram2d", x1, bins, bandwidth)
+    epsilon = _check.number("histogram2d", "epsilon", epsilon, minimum=0)
+    with torch.autocast(x1.device.type, enabled=False):
+        counts = joint_counts(wide, x2.to(wide.dtype), centers, width)
+    return (counts / (counts.sum((1, 2), keepdim=True) + epsilon)).to(dtype)
+
+
+def _arguments(op: str, x: Tensor, bins: Tensor, bandwidth: Tensor) -> tuple[Tensor, Tensor, Tensor, torch.dtype]:
+    """Samples, bins and bandwidth in the type to compute in, and the type of the result."""
+    _check.shape(op, "bins", bins, "K")
+    if not isinstance(bandwidth, Tensor):
+        bandwidth = torch.full((), _check.number(op, "bandwidth", bandwidth), device=x.device)
+    _check.shape(op, "bandwidth", bandwidth)
+    _check.same_device(op, x=x, bins=bins, bandwidth=bandwidth)
+    if x.shape[1] == 0:
+        raise ShapeError(f"{op}: expected at least one sample, got {tuple(x.shape)}", actual_shape=x.shape)
+    dtype = torch.promote_types(x.dtype, bins.dtype)
+    dtype = dtype if dtype.is_floating_point else torch.float32
+    wide = torch.float64 if dtype == torch.float64 else torch.float32
+    return x.to(wide), bins.to(wide), bandwidth.to(wide), dtype
+
+
+def image_histogram2d(
+    image: Tensor,
+    min: float = 0.0,
+    max: float = 255.0,
+    n_bins: int = 256,
+    bandwidth: float | None = None,
+    centers: Tensor | None = None,
+    return_pdf: bool = False,
+    kernel: str = "triangular",
+    eps: float = 1e-10,
+) -> tuple[Tensor, Tensor]:
+    """Count the values of every image plane with a smooth kernel.
+
+    Args:
+        image: (H, W), (C, H, W) or (B, C, H, W). NaN does not count.
+        min: where the first bin begins.
+        max: where the last bin ends; sets the bandwidth.
+        n_bins: number of bins.
+        bandwidth: where the kernel has fallen to 0, or the standard deviation of a Gaussian one; by default (or -1) the
+            width of a bin, (max - min) / n_bins.
+        centers: centers of the bins (n_bins,); by default min + (i + 0.5) * bandwidth. With them min, max and n_bins
+            count for the bandwidth only.
+        return_pdf: give the densities as well.
+        kernel: 'triangular', 'gaussian', 'uniform' or 'epanechnikov', of height 1.
+        eps: added to the sum that the densities are divided by.
+
+    Returns:
+        Counts and densities, (n_bins,), (C, n_bins) or (B, C, n_bins), differentiable in image and centers, in float32,
+        or in float64 for float64 images. Densities are zeros unless asked for.
+
+    Raises:
+        TypeCheckError: image is no real tensor; a number, bool or int of another kind.
+        ShapeError: image has another rank or no pixels; centers is not (n_bins,).
+        ValueCheckError: max not above min, n_bins below 1, bandwidth not positive, an unknown kernel.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> counts, _ = K.enhance.image_histogram2d(torch.tensor([[0.5, 1.5, 1.5]]), 0.0, 3.0, 3)
+        >>> counts
+        tensor([1., 2., 0.])
+    """
+    op = "image_histogram2d"
+    _check.numbers(op, "image", image)
+    if not 2 <= image.dim() <= 4 or 0 in image.shape[-2:]:
+        raise ShapeError(
+            f"{op}: expected image of shape (B, C, H, W), got {tuple(image.shape)}", actual_shape=image.shape
+        )
+    low, high = _check.number(op, "min", min), _check.number(op, "max", max)
+    (n_bins,) = _check.ints(op, "n_bins", n_bins, 1)
+    _check.choice(op, "kernel", kernel, tuple(_KERNELS))
+    _check.flag(op, "return_pdf", return_pdf)
+    eps = _check.number(op, "eps", eps, minimum=0)
+    if not low < high:
+        raise ValueCheckError(f"{op}: expected max above min, got {max!r} and {min!r}")
+    width = (high - low) / n_bins if bandwidth in (None, -1) else _check.number(op, "bandwidth", bandwidth)
+    if not 0 < width < float("inf"):
+        raise ValueCheckError(f"{op}: expected a bandwidth above 0, got {width!r}", actual_value=width)
+
+    dtype = compute_dtype(image)
+    x = image.to(dtype).flatten(-2).reshape(-1, image.shape[-2:].numel())
+    if centers is not None:
+        _check.shape(op, "centers", centers, "n_bins")
+        _check.same_device(op, image=image, centers=centers)
+        counts = kernel_counts(x, centers.to(dtype), x.new_full((), width), kernel)
+    elif kernel == "gaussian":
+        middles = low + width * (torch.arange(n_bins, device=x.device, dtype=dtype) + 0.5)
+        counts = kernel_counts(x, middles, x.new_full((), width), kernel)
+    else:
+        counts = _grid_counts(x, low, width, n_bins, kernel)
+    counts = counts.reshape(*image.shape[:-2], counts.shape[1])
+    if not return_pdf:
+        return counts, torch.zeros_like(counts)
+    return counts, counts / (counts.sum(-1, keepdim=True) + eps)

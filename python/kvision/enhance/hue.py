@@ -1,0 +1,108 @@
+"""Hue: colours turned around the grey axis of HSV."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.enhance.batch import as_batch, chosen, colours, per_pixel
+
+_TURN = 2 * math.pi
+
+
+def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+    r, g, b = x.split(1, 1)
+    v = x.amax(1, keepdim=True)
+    span = v - x.amin(1, keepdim=True)
+    width = torch.where(span > 0, span, 1)
+    # In sixths of a turn: red is 0, green 2, blue 4.
+    hue = torch.where(v == r, (g - b) / width, torch.where(v == g, 2 + (b - r) / width, 4 + (r - g) / width))
+    hue = hue + chosen(factor, number) * (6 / _TURN)
+    # A channel is v up to one sixth from its own hue, falls to v - span at two sixths from it, and is flat again.
+    #        k:  0    1    2    3    4    5    6
+    #   v             ________________                 away = clamp(min(k, 4 - k), 0, 1), with k from 5, 3, 1 for r, g, b
+    from_hue = 5 - 2 * torch.arange(3, dtype=x.dtype, device=x.device).view(3, 1, 1)
+    k = torch.remainder(hue + from_hue, 6)
+    return v - span * torch.minimum(k, 4 - k).clamp(0, 1)
+
+
+def _in_hsv(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+    h, s, v = x.split(1, 1)
+    turned = torch.remainder(h + chosen(factor, number), _TURN)
+    turned = torch.where(turned < _TURN, turned, turned - _TURN)  # a tiny negative hue is rounded up to a whole turn
+    return torch.cat([turned, s, v], 1)
+
+
+_adjust_hue = as_stored(_reference)
+_adjust_hue_raw = as_stored(_in_hsv)
+
+
+def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
+    """Turn the hue of an RGB image by an angle.
+
+    Args:
+        image: (*, 3, H, W), floating point, in [0, 1].
+        factor: angle in radians, 0 for no change, 2 pi / 3 from red to green: a number, or a tensor with the first axes
+            of the image, such as (B,).
+
+    Returns:
+        The image with other hues and the same saturation and value, differentiable in image and factor.
+
+    Raises:
+        TypeCheckError: image is no floating-point tensor; factor is neither number nor tensor.
+        ImageError: image is not (*, 3, H, W).
+        ShapeError: factor has axes that the image has not, or differs between channels.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import math, torch, kvision as K
+        >>> red = torch.tensor([1.0, 0.0, 0.0]).view(3, 1, 1)
+        >>> K.enhance.adjust_hue(red, math.pi).flatten()
+        tensor([0., 1., 1.])
+    """
+    colours("adjust_hue", "image", image)
+    amount = per_pixel("adjust_hue", "factor", factor, image)
+    return _adjust_hue(as_batch(image), *amount).reshape(image.shape)
+
+
+def adjust_hue_raw(image: Tensor, factor: float | Tensor) -> Tensor:
+    """Add an angle to the hue of an HSV image, wrapped to [0, 2 pi).
+
+    Args:
+        image: (*, 3, H, W), floating point: hue in radians, saturation, value.
+        factor: angle in radians: a number, or a tensor with the first axes of the image, such as (B,).
+
+    Returns:
+        The HSV image with other hues, differentiable in image and factor.
+
+    Raises:
+        TypeCheckError, ImageError, ShapeError, DeviceError: as :func:`adjust_hue`.
+
+    Example:
+        >>> import math, torch, kvision as K
+        >>> K.enhance.adjust_hue_raw(torch.tensor([6.0, 0.4, 0.6]).view(3, 1, 1), 1.0).flatten()
+        tensor([0.7168, 0.4000, 0.6000])
+    """
+    colours("adjust_hue_raw", "image", image)
+    amount = per_pixel("adjust_hue_raw", "factor", factor, image)
+    return _adjust_hue_raw(as_batch(image), *amount).reshape(image.shape)
+
+
+class AdjustHue(FunctionModule):
+    """Module form of :func:`adjust_hue`; a factor that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.AdjustHue(0.1)(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def __init__(self, hue_factor: float | Tensor) -> None:
+        super().__init__(hue_factor=hue_factor)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return adjust_hue(input, self.hue_factor)

@@ -1,0 +1,54 @@
+"""Inversion of values."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+
+
+def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
+    """Subtract an image from its largest possible value.
+
+    Args:
+        image: a tensor of any shape and real type.
+        max_val: the value that becomes 0, by default 1: a number, or a tensor that broadcasts to the image. Give 255
+            for uint8 images.
+
+    Returns:
+        max_val - image, in the type of the image.
+
+    Raises:
+        TypeCheckError: image is no real tensor; max_val is neither number nor tensor.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.invert(torch.tensor([0, 100], dtype=torch.uint8), 255)
+        tensor([255, 155], dtype=torch.uint8)
+    """
+    _check.numbers("invert", "image", image)
+    if isinstance(max_val, Tensor):
+        _check.numbers("invert", "max_val", max_val)
+        _check.same_device("invert", image=image, max_val=max_val)
+    else:
+        max_val = torch.as_tensor(1 if max_val is None else _check.number("invert", "max_val", max_val))
+    return max_val.to(image.dtype) - image
+
+
+class Invert(FunctionModule):
+    """Module form of :func:`invert`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.Invert()(torch.tensor([0.25, 1.0]))
+        tensor([0.7500, 0.0000])
+    """
+
+    def __init__(self, max_val: float | Tensor | None = None) -> None:
+        super().__init__(max_val=max_val)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return invert(input, self.max_val)

@@ -1,0 +1,198 @@
+"""What JPEG does to an image, with gradients."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.enhance.batch import as_batch, colours
+from kvision.filters.border import pad
+
+# The example tables of ISO/IEC 10918-1, annex K, which most encoders scale by their quality.
+_LUMINANCE = (
+    (16, 11, 10, 16, 24, 40, 51, 61),
+    (12, 12, 14, 19, 26, 58, 60, 55),
+    (14, 13, 16, 24, 40, 57, 69, 56),
+    (14, 17, 22, 29, 51, 87, 80, 62),
+    (18, 22, 37, 56, 68, 109, 103, 77),
+    (24, 35, 55, 64, 81, 104, 113, 92),
+    (49, 64, 78, 87, 103, 121, 120, 101),
+    (72, 92, 95, 98, 112, 100, 103, 99),
+)
+_CHROMINANCE = (
+    (17, 18, 24, 47, 99, 99, 99, 99),
+    (18, 21, 26, 66, 99, 99, 99, 99),
+    (24, 26, 56, 99, 99, 99, 99, 99),
+    (47, 66, 99, 99, 99, 99, 99, 99),
+    *((99,) * 8,) * 4,
+)
+
+
+def _reference(x: Tensor, quality: Tensor, table_y: Tensor | None, table_c: Tensor | None) -> Tensor:
+    h, w = x.shape[2:]
+    y, cb, cr = _to_ycbcr(255 * pad(x, ((0, -h % 16), (0, -w % 16)), "replicate"))
+    chroma = _halved(torch.stack([cb, cr], 1))
+    y = _through_blocks(y[:, None], _steps(quality, _table(_LUMINANCE, table_y, x)))
+    chroma = _through_blocks(chroma, _steps(quality, _table(_CHROMINANCE, table_c, x)))
+    chroma = F.interpolate(chroma, scale_factor=2.0, mode="bilinear", align_corners=False)
+    rgb = _to_rgb(y[:, 0], chroma[:, 0], chroma[:, 1])
+    return _soft_clip(rgb[..., :h, :w], 0, 255) / 255
+
+
+def _to_ycbcr(rgb: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """ITU-R BT.601, in levels."""
+    r, g, b = rgb.unbind(1)
+    y = 0.299 * r + 0.587 * g + 0.114 * b
+    return y, 0.564 * (b - y) + 127.5, 0.713 * (r - y) + 127.5
+
+
+def _to_rgb(y: Tensor, cb: Tensor, cr: Tensor) -> Tensor:
+    cb, cr = cb - 127.5, cr - 127.5
+    return torch.stack([y + 1.403 * cr, y - 0.714 * cr - 0.344 * cb, y + 1.773 * cb], 1)
+
+
+def _halved(x: Tensor) -> Tensor:
+    """Every second pixel along both axes, between which a Gaussian of sigma 0.5 and the mean of 2 x 2 has smoothed."""
+    side = math.exp(-2.0)
+    x = pad(x, ((1, 1), (1, 1)), "reflect")
+    x = (side * (x[..., :-2, :] + x[..., 2:, :]) + x[..., 1:-1, :]) / (1 + 2 * side)
+    x = (side * (x[..., :-2] + x[..., 2:]) + x[..., 1:-1]) / (1 + 2 * side)
+    return F.avg_pool2d(x, 2)
+
+
+def _through_blocks(x: Tensor, steps: Tensor) -> Tensor:
+    """(B, C, H, W) levels, rounded to whole steps (B, 8, 8) in the cosine transform of every 8 x 8 block."""
+    b, c, h, w = x.shape
+    dct = _dct(x)
+    steps = steps[:, None, None, None]
+    blocks = x.reshape(b, c, h // 8, 8, w // 8, 8).transpose(3, 4) - 128
+    coefficients = _soft_round(dct @ blocks @ dct.mT / steps) * steps
+    return (dct.mT @ coefficients @ dct + 128).transpose(3, 4).reshape(b, c, h, w)
+
+
+def _dct(like: Tensor) -> Tensor:
+    """The orthonormal cosine transform of 8 values: a row for every frequency."""
+    i = torch.arange(8, device=like.device, dtype=like.dtype)
+    rows = torch.cos((2 * i + 1) * i[:, None] * (math.pi / 16)) / 2
+    return torch.where(i[:, None] == 0, math.sqrt(1 / 8), rows)
+
+
+def _table(standard: tuple[tuple[int, ...], ...], given: Tensor | None, x: Tensor) -> Tensor:
+    """(B, 8, 8) or (1, 8, 8)."""
+    return torch.tensor(standard, device=x.device, dtype=x.dtype)[None] if given is None else given
+
+
+def _steps(quality: Tensor, table: Tensor) -> Tensor:
+    """The table scaled as libjpeg does: to 100% at quality 50, to 1 at 100, and to ever more below."""
+    q = quality.clamp(1, 100)
+    percent = _soft_floor(torch.where(q < 50, 5000 / q, 200 - 2 * q))[:, None, None]
+    return _soft_floor(_soft_clip((table * percent + 50) / 100, 1, 255))
+
+
+def _soft_round(x: Tensor) -> Tensor:
+    whole = x.round().detach()
+    return whole + (x - whole) ** 3
+
+
+def _soft_floor(x: Tensor) -> Tensor:
+    whole = x.floor().detach()
+    return whole + (x - whole - 0.5) ** 3
+
+
+def _soft_clip(x: Tensor, low: float, high: float) -> Tensor:
+    """Values outside end at most 0.02 beyond, and keep some gradient."""
+    inside = x.clamp(low, high)
+    return inside + 0.02 * (torch.sign(x - inside) * (1 - torch.exp(-(x - inside).abs())))
+
+
+_jpeg = as_stored(_reference)
+
+
+def jpeg_codec_differentiable(
+    input: Tensor,
+    jpeg_quality: float | Tensor,
+    quantization_table_y: Tensor | None = None,
+    quantization_table_c: Tensor | None = None,
+) -> Tensor:
+    """Lose what JPEG loses: chroma at half size (4:2:0), and 8 x 8 cosine coefficients rounded to multiples of a table.
+
+    Rounding is x -> round(x) + (x - round(x)) ** 3, and its like for the table, so that there is a gradient. The sides
+    are continued to multiples of 16 by their last pixels.
+
+    Args:
+        input: (*, 3, H, W), floating point, RGB in [0, 1].
+        jpeg_quality: 0 (coarsest) to 100, one for all images or one each: a number, or a tensor (1,) or (B,), B being
+            the product of the axes in front. Below 1 counts as 1, as libjpeg has it.
+        quantization_table_y: table for luminance at quality 50, (8, 8) or (B, 8, 8); by default that of the standard.
+        quantization_table_c: table for chrominance.
+
+    Returns:
+        The decoded images, in [0, 1] up to 0.02 / 255; differentiable in all four.
+
+    Raises:
+        TypeCheckError: input is no floating-point tensor; another argument is none either.
+        ImageError: input is not (*, 3, H, W).
+        ShapeError: no pixels; a quality or table that does not fit.
+        ValueCheckError: a number outside 0 to 100. Tensors are not checked by value; they are clamped.
+        DeviceError: tensors on different devices.
+
+    Source: ISO/IEC 10918-1 (1994); C. Reich et al., "Differentiable JPEG: the devil is in the details" (2024).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.full((1, 3, 16, 16), 0.5)
+        >>> y = K.enhance.jpeg_codec_differentiable(x, torch.tensor([90.0]))
+        >>> bool((x - y).abs().amax() < 0.01)
+        True
+    """
+    op = "jpeg_codec_differentiable"
+    colours(op, "input", input)
+    if 0 in input.shape[-2:]:
+        raise ShapeError(f"{op}: expected input with H, W of at least 1, got {tuple(input.shape)}")
+    x = as_batch(input)
+    if isinstance(jpeg_quality, Tensor):
+        _check.numbers(op, "jpeg_quality", jpeg_quality)
+        quality = jpeg_quality
+    else:
+        number = _check.number(op, "jpeg_quality", jpeg_quality, minimum=0)
+        if number > 100:
+            raise ValueCheckError(f"{op}: expected jpeg_quality in [0, 100], got {jpeg_quality!r}")
+        quality = torch.full((1,), number, device=x.device)
+    given = {"jpeg_quality": quality}
+    for name, table in (("quantization_table_y", quantization_table_y), ("quantization_table_c", quantization_table_c)):
+        if table is not None:
+            _check.numbers(op, name, table)
+            given[name] = table[None] if table.dim() == 2 else table
+    _check.same_device(op, input=x, **given)
+    for name, tensor in given.items():
+        inner = () if name == "jpeg_quality" else (8, 8)
+        if tensor.dim() == 0 or tensor.shape[0] not in (1, x.shape[0]) or tensor.shape[1:] != inner:
+            want = ", ".join(map(str, ("B", *inner)))
+            raise ShapeError(
+                f"{op}: expected {name} of shape ({want},) for B = {x.shape[0]}, got {tuple(tensor.shape)}"
+            )
+    y = _jpeg(x, quality, given.get("quantization_table_y"), given.get("quantization_table_c"))
+    return y.reshape(input.shape)
+
+
+class JPEGCodecDifferentiable(FunctionModule):
+    """Module form of :func:`jpeg_codec_differentiable`; a table that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.JPEGCodecDifferentiable()(torch.rand(2, 3, 20, 30), torch.tensor([10.0, 90.0])).shape
+        torch.Size([2, 3, 20, 30])
+    """
+
+    def __init__(self, quantization_table_y: Tensor | None = None, quantization_table_c: Tensor | None = None) -> None:
+        super().__init__(quantization_table_y=quantization_table_y, quantization_table_c=quantization_table_c)
+
+    def forward(self, image_rgb: Tensor, jpeg_quality: float | Tensor) -> Tensor:
+        return jpeg_codec_differentiable(image_rgb, jpeg_quality, self.quantization_table_y, self.quantization_table_c)

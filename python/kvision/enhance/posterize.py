@@ -1,0 +1,51 @@
+"""Posterisation: fewer levels."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.enhance.batch import as_batch, images, parameter
+from kvision.enhance.equalize import levels
+
+
+def _reference(x: Tensor, bits: Tensor | None, number: float) -> Tensor:
+    kept = number if bits is None else bits.to(x.dtype).clamp(0, 8)
+    step = 2.0 ** (8 - kept)
+    coarse = torch.floor(levels(x).to(x.dtype) / step) * step / 255
+    return torch.where((kept < 8) & ~x.isnan(), coarse, x)
+
+
+def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
+    """Keep the high bits of the 8-bit levels of an image.
+
+    Args:
+        input: (*, C, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0
+            or 1.
+        bits: how many bits stay, 0 (black) to 8 (the image as it is): an int, or a tensor of whole numbers with the
+            first axes of the image, (B,) or (B, C).
+
+    Returns:
+        The image with levels that are multiples of 2 ** (8 - bits), divided by 255. Its gradient is 0 below 8 bits.
+
+    Raises:
+        TypeCheckError: input is no floating-point tensor; bits is neither int nor tensor.
+        ShapeError: input is not (*, C, H, W); bits has axes that the image has not.
+        ValueCheckError: an int outside 0 to 8. Tensors are not checked by value; they are clamped.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.posterize(torch.tensor([[0.2, 0.6, 1.0]]), 1) * 255
+        tensor([[  0., 128., 128.]])
+    """
+    images("posterize", "input", input)
+    if isinstance(bits, Tensor):
+        kept, _ = parameter("posterize", "bits", bits, input)
+        return _reference(as_batch(input), kept, 0).reshape(input.shape)
+    if type(bits) is not int:
+        raise TypeCheckError(f"posterize: expected bits to be an int or a Tensor, got {bits!r}", actual_type=type(bits))
+    if not 0 <= bits <= 8:
+        raise ValueCheckError(f"posterize: expected bits of 0 to 8, got {bits}", actual_value=bits)
+    return _reference(as_batch(input), None, bits).reshape(input.shape)

@@ -1,0 +1,36 @@
+"""A factor as a module."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision.core.exceptions import TypeCheckError
+
+
+class Rescale(FunctionModule):
+    """Multiply by a factor. Sizes are rescaled elsewhere.
+
+    Args:
+        factor: a number, or a tensor without axes; an nn.Parameter is learnt.
+
+    Raises:
+        TypeCheckError: factor is neither; the input is no real tensor.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.Rescale(1 / 255)(torch.tensor([0, 255]))
+        tensor([0., 1.])
+    """
+
+    def __init__(self, factor: float | Tensor) -> None:
+        if isinstance(factor, bool) or not isinstance(factor, (int, float, Tensor)):
+            raise TypeCheckError(f"Rescale: expected factor to be a number or a Tensor, got {factor!r}")
+        if isinstance(factor, Tensor) and factor.dim() > 0:
+            raise TypeCheckError(f"Rescale: expected factor without axes, got shape {tuple(factor.shape)}")
+        super().__init__(factor=factor)
+
+    def forward(self, input: Tensor) -> Tensor:
+        _check.numbers("Rescale", "input", input)
+        return input * self.factor

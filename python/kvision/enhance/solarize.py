@@ -1,0 +1,55 @@
+"""Solarisation: bright pixels inverted."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision._ops import as_stored
+from kvision.core.exceptions import ValueCheckError
+from kvision.enhance.batch import as_batch, chosen, floats, parameter
+
+
+def _reference(
+    x: Tensor, threshold: Tensor | None, addition: Tensor | None, threshold_number: float, addition_number: float | None
+) -> Tensor:
+    if addition is not None or addition_number is not None:
+        x = (x + chosen(addition, addition_number)).clamp(0, 1)
+    return torch.where(x < chosen(threshold, threshold_number), x, 1 - x)
+
+
+_solarize = as_stored(_reference)
+
+
+def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float | Tensor | None = None) -> Tensor:
+    """Invert the pixels that reach a threshold.
+
+    Args:
+        input: (*, C, H, W), floating point, in [0, 1].
+        thresholds: pixels of at least this value become one minus it: a number, or a tensor with the first axes of the
+            image, (B,) or (B, C).
+        additions: added first, and the sum clamped to [0, 1]: a number in [-0.5, 0.5], or a tensor as for thresholds.
+
+    Returns:
+        The image, differentiable in image and additions.
+
+    Raises:
+        TypeCheckError: input is no floating-point tensor; a parameter is neither number nor tensor.
+        ShapeError: a tensor has axes that the image has not.
+        ValueCheckError: additions is a number outside [-0.5, 0.5]. Tensors are not checked by value.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.solarize(torch.tensor([[0.1, 0.5, 0.9]]))
+        tensor([[0.1000, 0.5000, 0.1000]])
+    """
+    floats("solarize", "input", input)
+    threshold, threshold_number = parameter("solarize", "thresholds", thresholds, input)
+    addition, addition_number = None, None
+    if additions is not None:
+        addition, addition_number = parameter("solarize", "additions", additions, input, minimum=-0.5)
+        if addition_number > 0.5:
+            raise ValueCheckError(f"solarize: expected additions in [-0.5, 0.5], got {additions!r}")
+    y = _solarize(as_batch(input), threshold, addition, threshold_number, addition_number)
+    return y.reshape(input.shape)

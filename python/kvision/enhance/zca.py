@@ -1,0 +1,254 @@
+"""ZCA whitening: the rotation and scaling nearest to none that leaves features uncorrelated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import compute_dtype, floats
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+
+class _Root(torch.autograd.Function):
+    """The square root R of a symmetric matrix without negative eigenvalues, and its inverse.
+
+    The gradient of an eigendecomposition is infinite where eigenvalues are equal; that of a root is not. It solves
+    R X + X R = G, and so does the gradient of that, hence derivatives of every order.
+    """
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(a: Tensor, eps: float) -> tuple[Tensor, Tensor]:
+        values, vectors = torch.linalg.eigh(a)
+        root = (values.clamp(min=0) + eps).sqrt()
+        return (vectors * root) @ vectors.mT, (vectors / root) @ vectors.mT
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+        ctx.save_for_backward(*output)
+
+    @staticmethod
+    def backward(ctx: Any, grad_root: Tensor, grad_inverse: Tensor) -> tuple[Tensor, None]:
+        root, inverse = ctx.saved_tensors
+        return _Solution.apply(root, grad_root - inverse @ grad_inverse @ inverse), None
+
+
+class _Solution(torch.autograd.Function):
+    """X with R X + X R = G, for a symmetric positive R."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(root: Tensor, g: Tensor) -> Tensor:
+        values, vectors = torch.linalg.eigh(root)
+        inner = vectors.mT @ g @ vectors
+        return vectors @ (inner / (values[:, None] + values)) @ vectors.mT
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:
+        ctx.save_for_backward(inputs[0], output)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor]:
+        root, x = ctx.saved_tensors
+        y = _Solution.apply(root, grad)
+        return -(y @ x.mT + x.mT @ y), y
+
+
+def zca_mean(
+    inp: Tensor, dim: int = 0, unbiased: bool = True, eps: float = 1e-6, return_inverse: bool = False
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Find the ZCA transform of data: the inverse square root of its covariance.
+
+    Args:
+        inp: data of any shape; integers are computed in float32.
+        dim: the axis of the samples; the D entries of the others are the features.
+        unbiased: divide the covariance by the number of samples less one.
+        eps: added to the eigenvalues of the covariance.
+        return_inverse: give the inverse of the transform, too.
+
+    Returns:
+        The symmetric transform (D, D), the mean (1, D), and the inverse (D, D) or None. Differentiable to any order,
+        also where eigenvalues are equal. Half types give float32.
+
+    Raises:
+        TypeCheckError: inp is no real tensor; another argument of another kind.
+        IndexError: inp has no axis dim.
+        ShapeError: no sample, or with unbiased only one.
+
+    Source: A. J. Bell and T. J. Sejnowski, "The independent components of natural scenes are edge filters" (1997).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> transform, mean, _ = K.enhance.zca_mean(torch.tensor([[0., 1.], [1., 0.], [-1., 0.], [0., -1.]]))
+        >>> transform
+        tensor([[1.2247, 0.0000],
+                [0.0000, 1.2247]])
+    """
+    _check.numbers("zca_mean", "inp", inp)
+    dim = _axis("zca_mean", inp, dim)
+    _check.flag("zca_mean", "unbiased", unbiased)
+    eps = _check.number("zca_mean", "eps", eps, minimum=0)
+    _check.flag("zca_mean", "return_inverse", return_inverse)
+    if inp.shape[dim] < 1 + unbiased:
+        raise ShapeError(f"zca_mean: expected at least {1 + unbiased} samples along axis {dim}, got {tuple(inp.shape)}")
+    with torch.autocast(inp.device.type, enabled=False):
+        samples = inp.to(compute_dtype(inp)).movedim(dim, 0).flatten(1)
+        mean = samples.mean(0, keepdim=True)
+        centred = samples - mean
+        covariance = centred.mT @ centred / (inp.shape[dim] - unbiased)
+        root, inverse = _Root.apply(covariance, eps)
+    return inverse, mean, root if return_inverse else None
+
+
+def zca_whiten(inp: Tensor, dim: int = 0, unbiased: bool = True, eps: float = 1e-6) -> Tensor:
+    """Make the features of data uncorrelated and of variance 1, with the transform of `zca_mean`.
+
+    Args:
+        inp: data of any shape; integers are computed in float32.
+        dim: the axis of the samples; the entries of the others are the features.
+        unbiased: divide the covariance by the number of samples less one.
+        eps: added to the eigenvalues of the covariance.
+
+    Returns:
+        The whitened data, of the shape of inp.
+
+    Raises:
+        TypeCheckError, IndexError, ShapeError: as :func:`zca_mean`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.zca_whiten(torch.tensor([[0., 1.], [1., 0.], [-1., 0.], [0., -1.]]))
+        tensor([[ 0.0000,  1.2247],
+                [ 1.2247,  0.0000],
+                [-1.2247,  0.0000],
+                [ 0.0000, -1.2247]])
+    """
+    transform, mean, _ = zca_mean(inp, dim, unbiased, eps)
+    return linear_transform(inp, transform, mean, dim)
+
+
+def linear_transform(inp: Tensor, transform_matrix: Tensor, mean_vector: Tensor, dim: int = 0) -> Tensor:
+    """Subtract a mean from every sample and multiply by a matrix: (x - mean) @ transform.
+
+    Args:
+        inp: data of any shape; integers are computed in float32.
+        transform_matrix: (D, D), D being the number of features.
+        mean_vector: (1, D).
+        dim: the axis of the samples; the entries of the others are the features.
+
+    Returns:
+        The transformed data, of the shape of inp; differentiable in all three tensors.
+
+    Raises:
+        TypeCheckError: an argument is no real tensor; dim no int.
+        IndexError: inp has no axis dim.
+        ShapeError: matrix or mean does not fit the data.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.linear_transform(torch.ones(1, 2), 3 * torch.eye(2), torch.tensor([[0.0, 1.0]]))
+        tensor([[3., 0.]])
+    """
+    _check.numbers("linear_transform", "inp", inp)
+    dim = _axis("linear_transform", inp, dim)
+    samples = inp.to(compute_dtype(inp)).movedim(dim, 0)
+    features = samples.shape[1:].numel()
+    _check.shape("linear_transform", "transform_matrix", transform_matrix, features, features)
+    _check.shape("linear_transform", "mean_vector", mean_vector, 1, features)
+    _check.same_device("linear_transform", inp=inp, transform_matrix=transform_matrix, mean_vector=mean_vector)
+    with torch.autocast(inp.device.type, enabled=False):
+        y = (samples.reshape(-1, features) - mean_vector.to(samples.dtype)) @ transform_matrix.to(samples.dtype)
+    return y.reshape(samples.shape).movedim(0, dim).to(floats(inp).dtype)
+
+
+def _axis(op: str, inp: Tensor, dim: int) -> int:
+    if type(dim) is not int:
+        raise TypeCheckError(f"{op}: expected dim to be an int, got {dim!r}", actual_type=type(dim))
+    if not -inp.dim() <= dim < inp.dim():
+        raise IndexError(f"{op}: expected dim to be an axis of {inp.dim()}, got {dim}")
+    return dim % inp.dim()
+
+
+class ZCAWhitening(nn.Module):
+    """Learn a ZCA transform from data, and apply it.
+
+    Args:
+        dim: the axis of the samples; the entries of the others are the features.
+        eps: added to the eigenvalues of the covariance.
+        unbiased: divide the covariance by the number of samples less one.
+        detach_transforms: learn without gradient.
+        compute_inv: learn the inverse, too.
+
+    The buffers mean_vector, transform_matrix and transform_inv are None until `fit`, and part of the state dict after it.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(20, 3)
+        >>> whiten = K.enhance.ZCAWhitening(compute_inv=True).fit(x)
+        >>> torch.allclose(whiten.inverse_transform(whiten(x)), x, atol=1e-4)
+        True
+    """
+
+    def __init__(
+        self,
+        dim: int = 0,
+        eps: float = 1e-6,
+        unbiased: bool = True,
+        detach_transforms: bool = True,
+        compute_inv: bool = False,
+    ) -> None:
+        super().__init__()
+        self.dim = dim
+        self.eps = eps
+        self.unbiased = unbiased
+        self.detach_transforms = detach_transforms
+        self.compute_inv = compute_inv
+        for name in ("mean_vector", "transform_matrix", "transform_inv"):
+            self.register_buffer(name, None)
+
+    def extra_repr(self) -> str:
+        return f"dim={self.dim}, eps={self.eps}, unbiased={self.unbiased}"
+
+    @property
+    def fitted(self) -> bool:
+        """Whether there is a transform."""
+        return self.transform_matrix is not None
+
+    def fit(self, x: Tensor) -> ZCAWhitening:
+        """Learn mean and transform of the data, and give the module back."""
+        transform, mean, inverse = zca_mean(x, self.dim, self.unbiased, self.eps, self.compute_inv)
+        if self.detach_transforms:
+            transform, mean, inverse = transform.detach(), mean.detach(), None if inverse is None else inverse.detach()
+        self.transform_matrix, self.mean_vector, self.transform_inv = transform, mean, inverse
+        return self
+
+    def forward(self, x: Tensor, include_fit: bool = False) -> Tensor:
+        """Whiten the data; with include_fit, fit to them first. RuntimeError without any fit."""
+        if include_fit:
+            self.fit(x)
+        self._need_fit()
+        return linear_transform(x, self.transform_matrix, self.mean_vector, self.dim)
+
+    def inverse_transform(self, x: Tensor) -> Tensor:
+        """Undo `forward`. RuntimeError without fit or without compute_inv."""
+        self._need_fit()
+        if self.transform_inv is None:
+            raise RuntimeError("ZCAWhitening: there is no inverse without compute_inv=True")
+        shift = -self.mean_vector @ self.transform_matrix
+        return linear_transform(x, self.transform_inv, shift, self.dim)
+
+    def _need_fit(self) -> None:
+        if not self.fitted:
+            raise RuntimeError("ZCAWhitening: call fit first, or give include_fit=True")
+
+    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *args: Any) -> None:
+        for name in ("mean_vector", "transform_matrix", "transform_inv"):
+            if prefix + name in state_dict and getattr(self, name) is None:
+                setattr(self, name, torch.empty_like(state_dict[prefix + name]))
+        super()._load_from_state_dict(state_dict, prefix, *args)

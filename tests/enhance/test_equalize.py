@@ -1,0 +1,132 @@
+"""equalize and equalize_clahe beside PIL, OpenCV and a plain loop."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+from op_tests import assert_close
+
+E = K.enhance
+
+
+def photo(h: int, w: int, seed: int = 0) -> np.ndarray:
+    """Smooth and noisy, with levels that miss and one that prevails."""
+    generator = np.random.default_rng(seed)
+    y, x = np.mgrid[:h, :w]
+    values = 90 + 60 * np.sin(x / 9) * np.cos(y / 7) + generator.normal(0, 8, (h, w))
+    values[: h // 4, : w // 4] = 30
+    return values.clip(0, 255).astype(np.uint8)
+
+
+def unit(levels: np.ndarray) -> Tensor:
+    return torch.from_numpy(levels).float()[None, None] / 255
+
+
+def to_levels(x: Tensor) -> np.ndarray:
+    return (x[0, 0] * 255).round().byte().numpy()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 300), (16, 16), (40, 50), (120, 160)], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16], ids=str)
+def test_equalize_is_pils(size, dtype):
+    image, ops = pytest.importorskip("PIL.Image"), pytest.importorskip("PIL.ImageOps")
+    for seed in range(3):
+        levels = photo(*size, seed)
+        expected = np.asarray(ops.equalize(image.fromarray(levels)))
+        assert np.array_equal(to_levels(E.equalize(unit(levels).to(dtype))), expected)
+
+
+def test_equalize_and_opencv():
+    """OpenCV leaves the darkest bin out, PIL the brightest: the curves are close, not equal."""
+    levels = photo(120, 160)
+    apart = np.abs(to_levels(E.equalize(unit(levels))).astype(int) - cv2.equalizeHist(levels))
+    assert np.median(apart) < 12
+
+
+def test_equalize3d_counts_whole_volumes(device):
+    x = torch.rand(2, 1, 4, 20, 30, device=device)
+    flat = E.equalize(x.reshape(2, 1, 80, 30)).reshape(x.shape)
+    assert_close(E.equalize3d(x), flat)
+    assert_close(E.equalize3d(x[0]), flat[0])
+
+
+def test_values_outside_count_as_the_nearest():
+    x = torch.rand(1, 1, 40, 40) * 1.4 - 0.2
+    assert_close(E.equalize(x), E.equalize(x.clamp(0, 1)))
+    assert_close(E.equalize_clahe(x, 3.0, (2, 2)), E.equalize_clahe(x.clamp(0, 1), 3.0, (2, 2)))
+
+
+@pytest.mark.parametrize("size, grid", [((64, 64), (8, 8)), ((48, 96), (2, 4)), ((60, 44), (3, 2)), ((64, 64), (1, 1))])
+@pytest.mark.parametrize("clip", [2.0, 40.0])
+def test_clahe_is_opencvs(size, grid, clip):
+    """Up to OpenCV's rounding and its tile centres, half a pixel away."""
+    levels = photo(*size)
+    expected = cv2.createCLAHE(clip, grid[::-1]).apply(levels)
+    apart = np.abs(255 * E.equalize_clahe(unit(levels), clip, grid)[0, 0].numpy() - expected)
+    step = 255 / 2 / min(size[0] // grid[0], size[1] // grid[1])  # what half a pixel can make, from black to white
+    assert apart.max() < 0.5 + 2 * step and apart.mean() < 2
+    if grid == (1, 1):
+        assert apart.max() < 1e-3
+
+
+def clahe_by_hand(levels: np.ndarray, clip: float, grid: tuple[int, int]) -> np.ndarray:
+    """The definition, pixel by pixel."""
+    (h, w), (rows, columns) = levels.shape, grid
+    th, tw = -(-h // rows), -(-w // columns)
+    padded = np.pad(levels, ((0, th * rows - h), (0, tw * columns - w)), "reflect" if min(h, w) > 1 else "edge")
+    tables = np.empty((rows, columns, 256))
+    for r in range(rows):
+        for c in range(columns):
+            counts = np.bincount(padded[r * th : (r + 1) * th, c * tw : (c + 1) * tw].ravel(), minlength=256)
+            limit = max(int(clip * th * tw // 256), 1)
+            excess = int(np.maximum(counts - limit, 0).sum())
+            counts = np.minimum(counts, limit) + excess // 256
+            rest = excess % 256
+            if rest:
+                counts[:: max(256 // rest, 1)][:rest] += 1
+            tables[r, c] = np.round(np.cumsum(counts).astype(np.float32) * np.float32(255 / (th * tw))).clip(0, 255)
+    result = np.empty((h, w))
+    for y in range(h):
+        for x in range(w):
+            fy, fx = (y + 0.5) / th - 0.5, (x + 0.5) / tw - 0.5
+            y0, x0 = int(np.floor(fy)), int(np.floor(fx))
+            wy, wx = fy - y0, fx - x0
+            result[y, x] = sum(
+                weight * tables[min(max(r, 0), rows - 1), min(max(c, 0), columns - 1), levels[y, x]]
+                for r, c, weight in (
+                    (y0, x0, (1 - wy) * (1 - wx)),
+                    (y0, x0 + 1, (1 - wy) * wx),
+                    (y0 + 1, x0, wy * (1 - wx)),
+                    (y0 + 1, x0 + 1, wy * wx),
+                )
+            )
+    return result
+
+
+@pytest.mark.parametrize(
+    "size, grid", [((17, 23), (3, 4)), ((9, 30), (1, 5)), ((5, 4), (8, 8)), ((1, 1), (2, 3)), ((3, 20), (4, 1))]
+)
+def test_clahe_by_hand(size, grid):
+    levels = photo(*size)
+    for clip in (1.0, 7.5):
+        expected = clahe_by_hand(levels, clip, grid)
+        assert_close(
+            255 * E.equalize_clahe(unit(levels), clip, grid)[0, 0].double(), torch.from_numpy(expected), 0, 1e-3
+        )
+
+
+def test_clahe_of_the_transposed_image(device):
+    x = torch.rand(2, 3, 40, 60, device=device)
+    assert_close(E.equalize_clahe(x.mT, 3.0, (5, 3)).mT, E.equalize_clahe(x, 3.0, (3, 5)))
+
+
+def test_clahe_has_a_gradient_where_asked_for(device):
+    x = torch.rand(1, 1, 16, 16, device=device, requires_grad=True)
+    assert not E.equalize_clahe(x, 2.0, (2, 2)).requires_grad
+    E.equalize_clahe(x, 0.0, (2, 2), slow_and_differentiable=True).square().sum().backward()
+    assert x.grad.isfinite().all() and x.grad.abs().sum() > 0

@@ -1,0 +1,57 @@
+"""The codec beside a real one."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import skimage.data
+import torch
+
+import kvision as K
+from op_tests import assert_close
+
+E = K.enhance
+
+
+@pytest.mark.parametrize("quality", [10, 50, 90])
+def test_real_jpeg(quality):
+    """The same losses as libjpeg, which rounds harder: the pictures are alike by far more than either is to the original."""
+    image = np.ascontiguousarray(skimage.data.astronaut()[100:228, 150:278])
+    data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    real = torch.from_numpy(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1].copy()).permute(2, 0, 1).float()
+    x = torch.from_numpy(image).permute(2, 0, 1).float()
+    ours = 255 * E.jpeg_codec_differentiable(x / 255, float(quality))
+    assert (ours - real).abs().mean() < 0.6 * (x - real).abs().mean()
+
+
+def test_coarser_is_worse(device):
+    x = torch.rand(5, 3, 32, 32, device=device)[:1].expand(5, -1, -1, -1)
+    quality = torch.tensor([5.0, 20.0, 50.0, 80.0, 100.0], device=device)
+    loss = (E.jpeg_codec_differentiable(x, quality) - x).square().mean((1, 2, 3))
+    assert (loss.diff() < 0).all()
+
+
+def test_sizes_that_are_no_blocks(device):
+    for h, w in ((1, 1), (15, 17), (16, 33)):
+        x = torch.rand(2, 3, h, w, device=device)
+        y = E.jpeg_codec_differentiable(x, 70.0)
+        assert y.shape == x.shape and -1e-4 < y.min() and y.max() < 1 + 1e-4
+        assert_close(E.jpeg_codec_differentiable(x[0], 70.0), y[0])
+
+
+def test_tables(device):
+    x = torch.rand(2, 3, 16, 16, device=device)
+    flat = torch.full((8, 8), 10.0, device=device, requires_grad=True)
+    one = E.jpeg_codec_differentiable(x, 50.0, flat, flat)
+    each = E.jpeg_codec_differentiable(x, 50.0, flat.expand(2, 8, 8), flat[None])
+    assert_close(one, each)
+    (one - x).square().sum().backward()
+    assert flat.grad.isfinite().all() and flat.grad.abs().sum() > 0
+
+
+def test_quality_has_a_finite_gradient_at_both_ends(device):
+    quality = torch.tensor([0.0, 1e-30, 50.0, 100.0], device=device, requires_grad=True)
+    y = E.jpeg_codec_differentiable(torch.rand(4, 3, 16, 16, device=device), quality)
+    y.square().sum().backward()
+    assert y.isfinite().all() and quality.grad.isfinite().all()

@@ -22,6 +22,7 @@ from hypothesis import given
 from torch import Tensor
 
 import kvision as K
+import raw_calls
 from kvision import _ops
 
 # The one table of tolerances: (relative, absolute) by the type results are stored in.
@@ -471,6 +472,21 @@ class OpTests:
         graph.replay()
         assert_close(tuple(c.detach() for c in captured), tuple(e.detach() for e in step()))
 
+    def test_current_stream(self, variant, device):
+        """Kernels wait for what is before them on the stream they are called on, and for nothing else."""
+        if device.type != "cuda":
+            pytest.skip("needs --device cuda")
+        x, kwargs = self.setup(variant, device, torch.float32)
+        expected = self.call(x, kwargs)
+        late = torch.zeros_like(x)
+        torch.cuda.synchronize()
+        with torch.cuda.stream(torch.cuda.Stream()):
+            torch.cuda._sleep(20_000_000)  # some 10 ms, in which another stream would read the zeros
+            late.copy_(x)
+            output = self.call(late, kwargs)
+            torch.cuda.current_stream().synchronize()
+        assert_close(output, expected)
+
     # --- bad input ---
 
     def test_wrong_kinds(self, variant, device):
@@ -494,6 +510,23 @@ class OpTests:
             with pytest.raises(error, match=message) as caught:
                 self.call(x, {**self.arguments(self.variants[0], x), **self.arguments(kwargs, x)})
             assert str(caught.value).startswith(self.function.__name__ + ": "), str(caught.value)
+
+    def test_operators_refuse_bad_arguments(self, device, backend):
+        """Called without their Python functions, as C++ and exported programs do."""
+        self.needs_native(backend)
+        with recorded(self.operators) as calls:
+            for variant in self.variants:
+                x, kwargs = self.setup(variant, device, torch.float32)
+                outputs = as_tuple(self.call(x, kwargs))
+                if self.differentiable:
+                    self.gradients(x, kwargs, [torch.ones_like(o) for o in outputs])
+        taken = []
+        for name, args in dict(calls).items():
+            operator = getattr(torch.ops.kvision, name).default
+            args = [a.detach() if isinstance(a, Tensor) else a for a in args]
+            wrong = list(raw_calls.wrong_calls(operator, args))
+            taken += [f"{name}: {call}" for call in raw_calls.taken(operator, wrong)]
+        assert not taken, "\n".join(taken)
 
     # --- fuzzing ---
 

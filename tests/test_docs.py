@@ -1,16 +1,21 @@
-"""The Python examples and the links of the pages a reader meets first."""
+"""The pages of the documentation: examples that run, links and paths that lead somewhere, every public name with its arguments."""
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
 import pytest
+import torch
 
 import kvision as K
+from test_public_api import arguments, public_modules, public_names, surface
 
 ROOT = Path(__file__).parents[1]
-PAGES = ["README.md", "CONTRIBUTING.md", "docs/README.md", "docs/design.md", "third_party/README.md"]
+FOLDERS = ("", "benchmarks", "docs", "docs/reference", "examples/cpp", "third_party")
+PAGES = [str(path.relative_to(ROOT)) for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
+REFERENCE = "".join(path.read_text() for path in sorted((ROOT / "docs" / "reference").glob("*.md")))
 
 
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,6 +27,12 @@ def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     exec(example, names)
     assert names["image"].grad.abs().sum() > 0
     assert K.io.load_image("edges.png").shape == (3, 512, 512)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_python_is_python(page: str) -> None:
+    for example in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL):
+        compile(example, page, "exec")
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -38,3 +49,26 @@ def test_paths_exist(page: str) -> None:
     folders = "|".join(path.name for path in ROOT.iterdir() if path.is_dir() and path.name not in ("build", "out"))
     for path in re.findall(rf"`((?:{folders})/[\w./-]*\w)`", (ROOT / page).read_text()):
         assert (ROOT / path).exists() or list(ROOT.glob(path + "*")), path
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    """Functions with their arguments as they are."""
+    described = set(re.findall(r"`([^`\n]+)`", REFERENCE.replace('"', "'")))
+    names = {entry.partition("(")[0] for entry in described}
+    missing = []
+    for module in public_modules():
+        for name in public_names(module):
+            value = getattr(module, name)
+            if name not in names:
+                missing.append(f"{module.__name__}.{name}")
+            elif inspect.isfunction(value):
+                call = name + re.sub(r"<([\w.]+): [^>]*>", r"\1", arguments(value))  # a default that is an Enum
+                missing += [call] if call not in described else []
+    assert not missing, "not in docs/reference, or with other arguments: " + ", ".join(missing)
+
+
+def test_the_reference_has_no_other_names() -> None:
+    public = {line.partition("(")[0].rpartition(".")[2] for line in surface()}
+    documented = set(re.findall(r"^\| `([A-Za-z_]\w*)\(", REFERENCE, re.MULTILINE))
+    of_tensors = set(dir(torch.Tensor))  # which an Image has, too
+    assert documented <= public | of_tensors, documented - public

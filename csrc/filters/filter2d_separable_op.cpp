@@ -40,7 +40,7 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
                grad.size(2) == input.size(2) - (same ? 0 : taps_y - 1) &&
                grad.size(3) == input.size(3) - (same ? 0 : taps_x - 1),
            op, ": grad does not fit input");
-  Border const border = same ? border_of(op, border_name) : Border::constant;
+  Border const named = border_of(op, border_name), border = same ? named : Border::constant;
   if (same) {
     check_border(op, border, taps_y / 2, input.size(2));
     check_border(op, border, taps_x / 2, input.size(3));

@@ -27,6 +27,7 @@ Tensor spatial_gradient3d_backward(Tensor const& grad, int64_t order) {
   check_order("spatial_gradient3d_backward", order);
   KV_CHECK(grad.dim() == 6 && grad.size(2) == 3 * order, "spatial_gradient3d_backward: expected grad of shape (B, C, ",
            3 * order, ", D, H, W)");
+  KV_CHECK(grad.size(3) > 0 && grad.size(4) > 0 && grad.size(5) > 0, "spatial_gradient3d_backward: grad has no voxels");
   Tensor const g = torch::stable::contiguous(grad);
   int64_t const depth = g.size(3), width = g.size(5);
   Tensor const grad_x = empty({g.size(0), g.size(1), depth, g.size(4), width}, g);

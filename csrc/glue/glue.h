@@ -14,6 +14,8 @@
 
 #include <initializer_list>
 #include <optional>
+#include <sstream>
+#include <stdexcept>
 #include <string>
 #include <tuple>
 #include <vector>
@@ -34,16 +36,29 @@ using torch::stable::Tensor;
 // --- checks
 // ------------------------------------------------------------------------------------------------------------
 
-#define KV_CHECK(condition, ...) STD_TORCH_CHECK(condition, __VA_ARGS__)
+template <class... Parts>
+[[noreturn]] void fail(Parts const&... parts) {
+  std::ostringstream message;
+  (message << ... << parts);
+  throw std::runtime_error(message.str());
+}
 
+// Not STD_TORCH_CHECK, whose messages begin with the path of this file instead of the operator.
+#define KV_CHECK(condition, ...)   \
+  do {                             \
+    if (!(condition)) [[unlikely]] \
+      ::kv::fail(__VA_ARGS__);     \
+  } while (0)
+
+// Batches without images or channels are fine, images without pixels are not: every window needs a pixel to read.
 inline void check_images(char const* op, char const* name, Tensor const& x) {
   KV_CHECK(x.dim() == 4, op, ": expected ", name, " of shape (B, C, H, W), got ", x.dim(), " axes");
-  KV_CHECK(x.numel() == 0 || (x.size(2) > 0 && x.size(3) > 0), op, ": ", name, " has no pixels");
+  KV_CHECK(x.size(2) > 0 && x.size(3) > 0, op, ": ", name, " has no pixels");
 }
 
 inline void check_volumes(char const* op, char const* name, Tensor const& x) {
   KV_CHECK(x.dim() == 5, op, ": expected ", name, " of 5 axes, got ", x.dim());
-  KV_CHECK(x.numel() == 0 || (x.size(2) > 0 && x.size(3) > 0 && x.size(4) > 0), op, ": ", name, " has no voxels");
+  KV_CHECK(x.size(2) > 0 && x.size(3) > 0 && x.size(4) > 0, op, ": ", name, " has no voxels");
 }
 
 inline void check_like(char const* op, char const* name, Tensor const& x, Tensor const& like) {

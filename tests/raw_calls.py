@@ -1,0 +1,99 @@
+"""Wrong calls of torch.ops.kvision.*, as C++ and exported programs may make them: the Python functions' checks are not there.
+
+A kernel that runs on bad arguments may end the process, so on the CPU calls are tried in a forked one.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+Call = tuple[str, list[Any]]  # what is wrong with it, its arguments
+
+SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
+NAMES = ("", "mirror", "Reflect", "constant ")
+DTYPES = (torch.int64, torch.bool, torch.complex64, torch.float8_e4m3fn)
+
+
+def wrong_calls(operator: Any, args: Sequence[Any]) -> Iterator[Call]:
+    """Calls that the operator has to refuse, made out of one that works."""
+    names = [a.name for a in operator._schema.arguments]
+    tensors = [i for i, a in enumerate(args) if isinstance(a, Tensor)]
+    rank = max(args[i].dim() for i in tensors)
+    images = [i for i in tensors if args[i].dim() == rank]
+
+    def call(what: str, values: dict[int, Any]) -> Call:
+        return what, [values.get(i, a) for i, a in enumerate(args)]
+
+    for i, argument in enumerate(operator._schema.arguments):
+        for what, value in wrong_values(str(argument.type), args[i], i in images):
+            yield call(f"{argument.name} {what}", {i: value})
+
+    # Right by themselves, but not beside the others.
+    for i in tensors if len(tensors) > 1 else []:
+        x, batch = args[i], max(args[k].shape[0] for k in tensors if k != i)
+        yield call(f"{names[i]} of another dtype", {i: x.double()})
+        if batch > 1:
+            yield call(f"{names[i]} of another batch", {i: x.new_ones(batch + x.shape[0], *x.shape[1:])})
+    for i in images if len(images) > 1 else []:
+        for axis in (-1, -2):
+            yield call(f"{names[i]} cut along axis {axis}", {i: args[i].narrow(axis, 0, args[i].shape[axis] - 1)})
+    if "border" in names and all(args[i] for i, name in enumerate(names) if name == "same"):
+        pixels = {i: args[i][..., :1, :1] for i in images}
+        yield call("border reflect around a pixel", {**pixels, names.index("border"): "reflect"})
+
+
+def wrong_values(kind: str, value: Any, is_image: bool) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Tensor):
+        yield from ((f"of {dtype}", value.to(dtype)) for dtype in DTYPES)
+        yield "without axes", value.new_ones(())
+        yield "of one axis less", value.select(-1, 0)
+        yield "of one axis more", value[None]
+        if is_image:
+            yield "without rows", value[..., :0, :]
+            yield "without columns", value[..., :0]
+    elif "Tensor" in kind:
+        yield from ((f"of {n} axes", torch.ones((1,) * n)) for n in (0, 5))
+    elif kind == "int":
+        yield from ((str(n), n) for n in SIZES)
+    elif kind == "str":
+        yield from ((repr(name), name) for name in NAMES)
+
+
+def taken(operator: Any, calls: Sequence[Call]) -> list[str]:
+    """The calls that do not end in a RuntimeError that begins with the operator's name, and what they end in."""
+    if any(isinstance(a, Tensor) and a.is_cuda for _, args in calls for a in args):
+        return [f"{what}: {end}" for what, args in calls if (end := how_it_ends(operator, args))]
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        faulthandler.disable()
+        torch.set_num_threads(1)  # torch's other threads are not in this process
+        signal.alarm(60)
+        for what, args in calls:
+            os.write(writer, f"{what}: ".encode())
+            os.write(writer, f"{how_it_ends(operator, args)}\n".encode())
+        os._exit(0)
+    os.close(writer)
+    with open(reader) as pipe:
+        lines = pipe.read().splitlines()
+    _, status = os.waitpid(child, 0)
+    return [line for line in lines if not line.endswith(": ")] + ([f"{lines[-1]}status {status}"] if status else [])
+
+
+def how_it_ends(operator: Any, args: Sequence[Any]) -> str:
+    """Empty where it ends as it should."""
+    name = operator._schema.name.removeprefix("kvision::")
+    try:
+        operator(*args)
+        if args[0].is_cuda:
+            torch.cuda.synchronize()
+    except RuntimeError as error:
+        return "" if str(error).startswith(f"{name}: ") else " ".join(repr(error).split())[:200]
+    return "no error"

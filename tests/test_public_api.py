@@ -1,0 +1,101 @@
+"""The public names, where they are found, and their arguments are those of public_api.txt: what users' code relies on.
+
+A deliberate change comes with a new list, a line in CHANGELOG.md, and one in docs/differences.md where it departs from
+Kornia:
+
+    python tests/test_public_api.py > tests/public_api.txt
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Iterator
+from enum import Enum
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from torch import nn
+
+import kvision as K
+
+LIST = Path(__file__).with_name("public_api.txt")
+
+
+def public_modules() -> Iterator[ModuleType]:
+    yield K
+    yield from (getattr(K, name) for name in K.__all__ if is_plain_module(getattr(K, name)))
+    yield from map(importlib.import_module, ("kvision.core.exceptions", "kvision.core.ops"))  # homes in Kornia, too
+
+
+def public_names(module: ModuleType) -> list[str]:
+    """What `from module import *` brings, less modules and what is imported from elsewhere."""
+    names = getattr(module, "__all__", None) or [n for n, v in vars(module).items() if n[0] != "_" and is_ours(v)]
+    return [name for name in names if not is_plain_module(getattr(module, name))]
+
+
+def is_plain_module(value: Any) -> bool:
+    """kvision.info is one that is called."""
+    return inspect.ismodule(value) and not callable(value)
+
+
+def is_ours(value: Any) -> bool:
+    return getattr(value, "__module__", "").startswith("kvision")
+
+
+def arguments(function: Any) -> str:
+    signature = inspect.signature(function)
+    plain = [p.replace(annotation=p.empty) for p in signature.parameters.values() if p.name != "self"]
+    return str(signature.replace(parameters=plain, return_annotation=signature.empty))
+
+
+def lines(name: str, value: Any) -> Iterator[str]:
+    """A function or class with its arguments; a class with its members as well."""
+    if not inspect.isclass(value):
+        yield name + (arguments(value) if callable(value) else "")
+        return
+    if issubclass(value, Enum):
+        yield from (f"{name}.{member.name} = {member.value!r}" for member in value)
+    else:
+        yield name + arguments(value.__init__)
+    own = {attribute for base in value.__mro__ if is_ours(base) for attribute in vars(base)}
+    for attribute in sorted(own):
+        member = getattr(value, attribute)
+        inherited = (attribute != "forward" and hasattr(nn.Module, attribute)) or hasattr(Exception, attribute)
+        if attribute.startswith("_") or inherited:
+            continue
+        if isinstance(member, property):
+            yield f"{name}.{attribute}"
+        elif inspect.isroutine(member) and is_ours(member):
+            yield f"{name}.{attribute}{arguments(member)}"
+
+
+def surface() -> list[str]:
+    return sorted(
+        line
+        for module in public_modules()
+        for name in public_names(module)
+        for line in lines(f"{module.__name__}.{name}", getattr(module, name))
+    )
+
+
+def test_the_public_api_is_the_listed_one() -> None:
+    listed, found = LIST.read_text().splitlines(), surface()
+    gone = sorted(set(listed) - set(found))
+    new = sorted(set(found) - set(listed))
+    assert not gone and not new, "\n".join(
+        ["gone or changed:", *gone, "new or changed:", *new, "", "If that is meant, see the top of this file."]
+    )
+
+
+def test_top_level_names_are_those_of_their_modules() -> None:
+    """A flat name is a second place of the same thing, never a second behaviour."""
+    homes = [importlib.import_module(name) for name in ("kvision.filters", "kvision.image", "kvision.utils")]
+    for name in public_names(K):
+        if name not in ("__version__", "backend", "info"):  # whose place is the top level
+            assert any(getattr(home, name, None) is getattr(K, name) for home in homes), name
+
+
+if __name__ == "__main__":
+    print(*surface(), sep="\n")

@@ -67,6 +67,22 @@ def test_without_libraries_the_reference_serves():
     assert "does not load: broken" in result.stdout and "True" in result.stdout
 
 
+def test_an_older_library_lacks_an_operator():
+    """The reference serves it, kvision.info() says why, and only backend "native" makes it an error."""
+    code = (
+        "import torch, kvision as K\n"
+        "twice, x = K._ops.register('twice', lambda x: 2 * x), torch.ones(1, 1, 2, 2)\n"
+        "print(twice(x).sum().item(), K._ops.serves('twice', x))\n"
+        "K.info()\n"
+        "with K.backend('native'): twice(x)"
+    )
+    result = run(code, KVISION_BACKEND="auto")
+    if "cpu" not in _ops.unserved:
+        assert "twice is not in libkvision.so, which is older: build kvision again" in result.stdout
+    assert result.stdout.splitlines()[0] == "8.0 reference"
+    assert "twice: backend 'native' was asked for, but" in result.stderr
+
+
 def test_cuda_library_is_not_loaded_without_cuda():
     if torch.backends.cuda.is_built():
         pytest.skip("this torch has CUDA")
@@ -89,6 +105,14 @@ def test_functional_transforms_compose(device):
     x = torch.rand(3, 1, 1, 4, 4, dtype=torch.float64, device=device)
     jacobian = torch.func.vmap(torch.func.jacrev(torch.func.grad(loss)))(x)
     assert jacobian.shape == (3, 1, 1, 4, 4, 1, 1, 4, 4)
+
+
+def test_a_constant_result_carries_no_gradient(device):
+    x = torch.rand(1, 1, 6, 6, device=device, requires_grad=True)
+    magnitude, edges = K.filters.canny(x)
+    assert magnitude.requires_grad and not edges.requires_grad
+    (_, edges), (_, tangent) = torch.func.jvp(K.filters.canny, (x.detach(),), (torch.ones_like(x),))
+    assert torch.equal(tangent, torch.zeros_like(edges))
 
 
 def test_fake_tensors_and_make_fx(device):

@@ -142,10 +142,19 @@ def canny_skimage(x):
 # -- any kernel
 
 
-def with_kernel(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    """Images and one 5x5 kernel of full rank."""
-    kernel = torch.rand(1, 5, 5, generator=torch.Generator().manual_seed(1))
-    return (*photographs(size, dtype, device), (kernel / kernel.sum()).to(device, dtype))
+def any_kernel(name: str, size: int, bars: Bars, shared: bool = True) -> Case:
+    """One kernel of full rank for all images, or one each."""
+
+    def inputs(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+        kernel = torch.rand(1 if shared else images[0], size, size, generator=torch.Generator().manual_seed(1))
+        return (*photographs(images, dtype, device), (kernel / kernel.sum((1, 2), keepdim=True)).to(device, dtype))
+
+    one_for_all = {
+        "opencv": lambda x, k, out=None: cv2.filter2D(x, -1, k, out, borderType=cv2.BORDER_REFLECT_101),
+        "scipy": lambda x, k: ndimage.correlate(x, k, mode="mirror", axes=(0, 1)),
+    }
+    more = {"inputs": inputs, "rim": size // 2}
+    return case(name, lambda K, x, k: K.filters.filter2d(x, k), bars, one_for_all if shared else {}, **more)
 
 
 CASES = [
@@ -213,15 +222,8 @@ CASES = [
         backward=nonlinear_backward,
         rim=3,
     ),
-    case(
-        "filter2d_5x5",
-        lambda K, x, kernel: K.filters.filter2d(x, kernel),
-        linear(floor=1.6),
-        {
-            "opencv": lambda x, k, out=None: cv2.filter2D(x, -1, k, out, borderType=cv2.BORDER_REFLECT_101),
-            "scipy": lambda x, k: ndimage.correlate(x, k, mode="mirror", axes=(0, 1)),
-        },
-        inputs=with_kernel,
-        rim=2,
-    ),
+    any_kernel("filter2d_3x3", 3, linear(opencv=1.0)),
+    any_kernel("filter2d_5x5", 5, linear(floor=1.6, opencv=1.0)),
+    any_kernel("filter2d_11x11", 11, linear()),
+    any_kernel("filter2d_5x5_each", 5, linear(), shared=False),
 ]

@@ -43,6 +43,18 @@ struct alignas(P * sizeof(T) > 16 ? 16 : P * sizeof(T)) Pack {
   T v[P];
 };
 
+// Rounds and stores P elements to an address that is a multiple of their size.
+template <class T, int P, class F>
+__device__ __forceinline__ void store_pack(T* to, F const (&v)[P]) {
+  Pack<T, P> pack;
+#pragma unroll
+  for (int i = 0; i < P; ++i) pack.v[i] = round_to<T>(v[i]);
+  if constexpr (sizeof(pack) == 16)  // streaming: nobody reads it soon, and it should not push inputs out of the L2
+    __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&pack));
+  else
+    *reinterpret_cast<Pack<T, P>*>(to) = pack;
+}
+
 // How many pixels a thread takes: 16 bytes of them where that is 4 or 8.
 template <class T>
 constexpr int kPixels = sizeof(T) == 2 ? 8 : 4;
@@ -145,16 +157,7 @@ struct Strip {
   template <class T>
   __device__ __forceinline__ void store(T* row, Compute<T> const (&v)[P]) const {
     if constexpr (Aligned) {
-      Pack<T, P> pack;
-#pragma unroll
-      for (int i = 0; i < P; ++i) pack.v[i] = round_to<T>(v[i]);
-      if (inside) {
-        if constexpr (sizeof(pack) ==
-                      16)  // streaming: nobody reads it soon, and it should not push inputs out of the L2
-          __stcs(reinterpret_cast<uint4*>(row + x), *reinterpret_cast<uint4 const*>(&pack));
-        else
-          *reinterpret_cast<Pack<T, P>*>(row + x) = pack;
-      }
+      if (inside) store_pack(row + x, v);
     } else {
 #pragma unroll
       for (int i = 0; i < P; ++i)

@@ -7,7 +7,7 @@ namespace {
 constexpr int kRun = 8;
 
 template <class T, int C, bool L1, int R>
-__global__ void __launch_bounds__(kThreads) bilateral_tile(Bilateral<T> p, Tiles<kRun> tiles) {
+__global__ void __launch_bounds__(kThreads, 3) bilateral_tile(Bilateral<T> p, Tiles<kRun> tiles) {
   extern __shared__ float memory[];
   int const ry = R > 0 ? R : p.ky / 2, rx = R > 0 ? R : p.kx / 2;
   int64_t b;
@@ -16,7 +16,7 @@ __global__ void __launch_bounds__(kThreads) bilateral_tile(Bilateral<T> p, Tiles
   SharedPlanes const s{memory, y0 - ry, x0 - rx, rows_of(kRun) + 2 * ry, kColumns + 2 * rx};
   Falloff<float> const falloff = p.sigma.at(b);
   float const scale = sqrtf(falloff.color);
-  load_planes<C>(s, p.x, b, p.border, scale);
+  load_planes<C>(s, p.x, b, p.border, rx, scale);
   __syncthreads();
 
   int const x = x0 + threadIdx.x % kColumns, y = y0 + threadIdx.x / kColumns * kRun;

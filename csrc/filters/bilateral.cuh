@@ -62,20 +62,38 @@ struct SharedPlanes {
   }
 };
 
-// Fills the first C planes with the channels of an image, times `scale`. A warp takes strips of rows.
+// Fills the first C planes with the channels of an image, times `scale`. `reach` columns on either side are beyond the
+// tile's own, which threads take as they compute them; each asks for much memory before it waits for it.
 template <int C, class T>
 __device__ __forceinline__ void load_planes(SharedPlanes const& s, Images<T const> const& image, int64_t b,
-                                            Border border, float scale) {
-  for (int column = threadIdx.x % 32; column < s.columns; column += 32) {
-    int const x = pixel_at(border, s.x + column, int(image.width));
-    for (int row = threadIdx.x / 32; row < s.rows; row += kThreads / 32) {
-      int const y = pixel_at(border, s.y + row, int(image.height));
-      T const* const pixel = image.row(b, 0, y) + x * image.step;
-      float* const to = s.data + row * s.columns + column;
+                                            Border border, int reach, float scale) {
+  constexpr int kStep = kThreads / kColumns, kBatch = 9;
+  auto const fetch = [&](int row, int x, float(&v)[C]) {
+    int const y = pixel_at(border, s.y + row, int(image.height));
+    T const* const from = image.row(b, 0, y) + x * image.step;
 #pragma unroll
-      for (int c = 0; c < C; ++c)
-        to[c * s.size()] = y < 0 || x < 0 ? 0.f : read(pixel[c * image.channel_stride]) * scale;
-    }
+    for (int c = 0; c < C; ++c) v[c] = y < 0 || x < 0 ? 0.f : read(from[c * image.channel_stride]);
+  };
+  auto const put = [&](int row, int column, float const(&v)[C]) {
+#pragma unroll
+    for (int c = 0; c < C; ++c) s.data[c * s.size() + row * s.columns + column] = v[c] * scale;
+  };
+  int const own = reach + threadIdx.x % kColumns, x = pixel_at(border, s.x + own, int(image.width));
+  for (int first = threadIdx.x / kColumns; first < s.rows; first += kBatch * kStep) {
+    float v[kBatch][C];
+#pragma unroll
+    for (int i = 0; i < kBatch; ++i)
+      if (first + i * kStep < s.rows) fetch(first + i * kStep, x, v[i]);
+#pragma unroll
+    for (int i = 0; i < kBatch; ++i)
+      if (first + i * kStep < s.rows) put(first + i * kStep, own, v[i]);
+  }
+  for (int i = threadIdx.x; i < s.rows * 2 * reach; i += kThreads) {
+    int const row = unsigned(i) / unsigned(2 * reach), k = i - row * 2 * reach;
+    int const column = k < reach ? k : kColumns + k;
+    float v[C];
+    fetch(row, pixel_at(border, s.x + column, int(image.width)), v);
+    put(row, column, v);
   }
 }
 

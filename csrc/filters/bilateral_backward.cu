@@ -66,10 +66,11 @@ __device__ __forceinline__ void collect(float space, float const (&p)[C], float 
 }
 
 // Phases: the tile's pixels with two windows' reach around it; a and b with one window's reach; the gradients.
-template <class T, int C, bool L1>
-__global__ void __launch_bounds__(kThreads) bilateral_backward_tile(BilateralBackward<T> p, Tiles<kRun> tiles) {
+template <class T, int C, bool L1, int R>
+__global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(BilateralBackward<T> p, Tiles<kRun> tiles) {
   extern __shared__ float memory[];
-  int const ry = p.ky / 2, rx = p.kx / 2, height = int(p.x.height), width = int(p.x.width);
+  int const ry = R > 0 ? R : p.ky / 2, rx = R > 0 ? R : p.kx / 2;
+  int const height = int(p.x.height), width = int(p.x.width);
   int64_t b;
   int y0, x0;
   tiles.place(b, y0, x0);
@@ -77,7 +78,7 @@ __global__ void __launch_bounds__(kThreads) bilateral_backward_tile(BilateralBac
   SharedPlanes const ab{memory + C * s.size(), y0 - ry, x0 - rx, rows_of(kRun) + 2 * ry, kColumns + 2 * rx};
   Falloff<float> const falloff = p.sigma.at(b);
   float const scale = sqrtf(falloff.color);
-  load_planes<C>(s, p.x, b, p.border, scale);
+  load_planes<C>(s, p.x, b, p.border, 2 * rx, scale);
   __syncthreads();
 
   int const runs = (ab.rows + kRun - 1) / kRun;
@@ -85,7 +86,7 @@ __global__ void __launch_bounds__(kThreads) bilateral_backward_tile(BilateralBac
     int const run = unsigned(task) / unsigned(ab.columns), x = ab.x + task - run * ab.columns;
     int const y = ab.y + min(run * kRun, ab.rows - kRun);  // the last run overlaps the one before
     float sum[kRun][C], total[kRun];
-    sum_run<C, L1, 0>(s, ry, rx, falloff, y, x, sum, total);
+    sum_run<C, L1, R>(s, ry, rx, falloff, y, x, sum, total);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
       bool const inside = p.border == Border::circular || (y + i >= 0 && y + i < height && x >= 0 && x < width);
@@ -126,8 +127,8 @@ __global__ void __launch_bounds__(kThreads) bilateral_backward_tile(BilateralBac
     }
     pixel_ab[C] = ab.at(row, column)[C * ab.size()];
   };
-  for (int dx = -rx; dx <= rx; ++dx)
-    for (int row = -ry; row < kRun + ry; ++row) {
+  for (int dx = -rx; dx <= rx; ++dx) {
+    auto const pixel_row = [&](int row) {
       float pixel[C], pixel_ab[C + 1];
       load(y + row, x + dx, pixel, pixel_ab);
 #pragma unroll
@@ -137,7 +138,14 @@ __global__ void __launch_bounds__(kThreads) bilateral_backward_tile(BilateralBac
         float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
         collect<C, L1>(space, pixel, pixel_ab, centre[i], centre_ab[i], true, grad[i]);
       }
+    };
+    if constexpr (R > 0) {
+#pragma unroll
+      for (int row = -R; row < kRun + R; ++row) pixel_row(row);
+    } else {
+      for (int row = -ry; row < kRun + ry; ++row) pixel_row(row);
     }
+  }
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     if (y + i >= height) return;
@@ -296,9 +304,9 @@ __global__ void __launch_bounds__(kThreads) bilateral_sigma_sums(BilateralSigmas
 }
 
 // False where the tile does not fit into shared memory.
-template <int C, bool L1, class T>
+template <int C, bool L1, int R, class T>
 bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
-  auto const kernel = bilateral_backward_tile<T, C, L1>;
+  auto const kernel = bilateral_backward_tile<T, C, L1, R>;
   int64_t const ry = p.ky / 2, rx = p.kx / 2;
   int64_t const bytes = sizeof(float) * (C * (rows_of(kRun) + 4 * ry) * (kColumns + 4 * rx) +
                                          (C + 1) * (rows_of(kRun) + 2 * ry) * (kColumns + 2 * rx));
@@ -306,6 +314,10 @@ bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
   Tiles<kRun> const tiles(p.x.batch, p.x.height, p.x.width);
   kernel<<<tiles.count, kThreads, bytes, stream>>>(p, tiles);
   return true;
+}
+template <int C, bool L1, class T>
+bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
+  return p.ky == 5 && p.kx == 5 ? launch_tile<C, L1, 2>(p, stream) : launch_tile<C, L1, 0>(p, stream);
 }
 template <class T>
 bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {

@@ -1,100 +1,14 @@
-// Window sums on CUDA. Small windows: each warp walks down a strip of the image with the rows of its window in
-// registers. All others: a block walks down a tile in batches of eight rows, and sums along the rows and down the
-// columns from the sums of beginnings and ends of blocks of eight pixels, at a cost that hardly depends on the window's
-// size.
+// Window sums on CUDA. Odd square windows to 31 x 31 are separable filters with weights of 1. All others: a block walks
+// down a tile in batches of eight rows, and sums along the rows and down the columns from the sums of beginnings and
+// ends of blocks of eight pixels, at a cost that hardly depends on the window's size.
 #include <cuda_pipeline.h>
 
 #include "box.h"
 #include "core/launch.cuh"
+#include "separable_strip.cuh"
 
 namespace kv::cuda {
 namespace {
-
-constexpr int kStripRows = 16;  // of a strip
-
-// --- windows of 3 x 3 and 5 x 5 pixels
-// ------------------------------------------------------------------------------------
-
-// Doubled: the transpose of a reflected border; see BoxAxis.
-template <class T, int K, bool Doubled>
-__global__ void __launch_bounds__(256, kPixels<T> == 4 ? 3 : 2)
-    box_strip(Box<T> p, Border border, Strips<kPixels<T>> strips) {
-  constexpr int P = kPixels<T>, R = K / 2;
-  using F = Compute<T>;
-  int64_t plane;
-  int x, y0;
-  if (!strips.place(plane, x, y0)) return;
-  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
-  Strip<R, true, P> const strip(x, width, border);
-  T const* const in = p.x.plane(plane);
-  T* out = p.y.row(plane, y0);
-  auto const is_rim = [](int i, int n) { return i == 0 || i == n - 1; };
-  unsigned twice = 0;  // bit i: the value at x - R + i counts twice
-  if (Doubled)
-#pragma unroll
-    for (int i = 0; i < P + 2 * R; ++i)
-      if (x - R + i < width + R && is_rim(border_index(border, x - R + i, width), width)) twice |= 1u << i;
-
-  struct Row {
-    typename Strip<R, true, P>::template Fetched<T> fetched;
-    F weight;
-  };
-  auto const fetch = [&](int y) {
-    int const at = y < y1 + R ? border_index(border, y, height) : -1;
-    Row row{};
-    if (at >= 0) row.fetched = strip.fetch(in + at * p.x.row_stride);
-    row.weight = Doubled && is_rim(at, height) ? F(2) : F(1);
-    return row;
-  };
-  auto const sum_along = [&](Row const& row, F(&sums)[P]) {
-    F v[P + 2 * R];
-    strip.spread(row.fetched, v);
-    if (Doubled && twice)
-#pragma unroll
-      for (int i = 0; i < P + 2 * R; ++i)
-        if (twice >> i & 1) v[i] *= 2;
-#pragma unroll
-    for (int i = 0; i < P; ++i) {
-      sums[i] = v[i];
-#pragma unroll
-      for (int t = 1; t < K; ++t) sums[i] += v[i + t];
-      if (Doubled) sums[i] *= row.weight;
-    }
-  };
-
-  F sums[K][P];  // along the rows around y
-#pragma unroll
-  for (int t = 0; t < K - 1; ++t) sum_along(fetch(y0 - R + t), sums[t]);
-  F const reciprocal = 1 / p.divisor;
-  Row ahead = fetch(y0 + R);
-#pragma unroll K
-  for (int y = y0; y < y1; ++y) {
-    Row const now = ahead;
-    ahead = fetch(y + R + 1);
-    sum_along(now, sums[K - 1]);
-    F result[P];
-#pragma unroll
-    for (int i = 0; i < P; ++i) {
-      result[i] = sums[0][i];
-#pragma unroll
-      for (int t = 1; t < K; ++t) result[i] += sums[t][i];
-      if (Doubled) result[i] *= (is_rim(y, height) ? F(0.5) : F(1)) * (is_rim(x + i, width) ? F(0.5) : F(1));
-    }
-    if (p.centre != 0 && strip.inside) {  // 0 times an infinite pixel is not 0
-      Pack<T, P> const own = *reinterpret_cast<Pack<T, P> const*>(in + y * p.x.row_stride + x);
-#pragma unroll
-      for (int i = 0; i < P; ++i) result[i] += read(own.v[i]) * p.centre;
-    }
-#pragma unroll
-    for (int i = 0; i < P; ++i) result[i] = quotient<T>(result[i], p.divisor, reciprocal);
-    strip.store(out, result);
-    out += p.y.row_stride;
-#pragma unroll
-    for (int t = 0; t + 1 < K; ++t)
-#pragma unroll
-      for (int i = 0; i < P; ++i) sums[t][i] = sums[t + 1][i];
-  }
-}
 
 // --- windows of any size
 // ----------------------------------------------------------------------------------------------
@@ -334,14 +248,14 @@ __global__ void box_any(Box<T> p, bool transposed) {
 // --- launchers
 // --------------------------------------------------------------------------------------------------------
 
-template <int K, class T>
-int launch_strip(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream) {
-  Strips<kPixels<T>> const strips(p.x.count(), p.x.height, p.x.width, kStripRows);
-  if (!axis.doubled)
-    box_strip<T, K, false><<<strips.blocks(), 256, 0, stream>>>(p, axis.border, strips);
-  else if constexpr (sizeof(T) > 1)
-    box_strip<T, K, true><<<strips.blocks(), 256, 0, stream>>>(p, axis.border, strips);
-  return cudaGetLastError();
+// The window as a separable filter; the mirrored form is the transpose of a reflected border, which doubles its rim.
+template <class T>
+int launch_strips(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream) {
+  Taps<float> const ones{nullptr, 0, 0, int(p.kx), int(p.kx / 2), false, false};
+  Separable<T> const sums{p.x, p.y, ones, ones, p.x.count(), 1, p.centre, axis.border, Border::constant};
+  if constexpr (sizeof(T) > 1)
+    if (axis.doubled) return separable_mirrors(sums, p.divisor, stream);
+  return separable_strips(sums, p.divisor, stream);
 }
 
 template <class T>
@@ -352,10 +266,7 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   bool const gathers = across.gathers() || down.gathers();
 
   if constexpr (sizeof(T) <= 4)
-    if (p.kx == p.ky && !gathers && is_strip<kPixels<T>>(p.x) && is_strip<kPixels<T>>(p.y)) {
-      if (p.kx == 3) return launch_strip<3>(p, across, stream);
-      if (p.kx == 5) return launch_strip<5>(p, across, stream);
-    }
+    if (!gathers && has_strips(p.x, p.ky, p.kx)) return launch_strips(p, across, stream);
 
   bool const even_reflect = gathers && p.border == Border::reflect;
   int64_t const planes = p.x.count() * p.x.step, beside = p.kx - 1 + (across.gathers() ? p.kx - 1 : 0);

@@ -71,90 +71,120 @@ __global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips
   }
 }
 
-// Hysteresis is labelling: pixels of an edge that hang together get one root by union-find, the lowest index among
-// them. label[i] is the index of a pixel nearer to the root, i itself at the root, kNone off the edges, and kStrong at
-// a root once a strong pixel was found below it. Which thread comes first changes the trees, not the roots.
-constexpr int kNone = -1, kStrong = -2;
+// Hysteresis is labelling by union-find: in tiles of 32 x 32 pixels in shared memory, then across their borders. A
+// pixel off the edges has the label kNone. The others have the number, from 1 on, of a pixel of their edge that is
+// nearer to the root, their own at the root, or 0 where the edge is known to be strong: all strong edges have one root.
+// Smaller numbers win, so which thread comes first changes the ways to the roots, but not the roots.
+constexpr int kSide = 32, kNone = -1;
 
-__device__ __forceinline__ int find(int const volatile* labels, int i) {
-  for (int next = labels[i]; next != i && next >= 0; next = labels[i]) i = next;
-  return i;
+__device__ __forceinline__ int root(int const volatile* labels, int label) {
+  while (label > 0) {
+    int const next = labels[label - 1];
+    if (next == label) break;
+    label = next;
+  }
+  return label;
 }
 
 __device__ __forceinline__ void unite(int* labels, int i, int j) {
-  while (true) {
-    i = find(labels, i);
-    j = find(labels, j);
-    if (i == j) return;
-    if (i < j) {
-      int const t = i;
-      i = j, j = t;
+  int const volatile* const seen = labels;
+  int a = root(labels, seen[i]), b = root(labels, seen[j]);
+  while (a != b) {
+    if (a < b) {
+      int const t = a;
+      a = b, b = t;
     }
-    int const before = atomicMin(labels + i, j);
-    if (before == i) return;  // i was a root and now hangs below j
-    i = before;
+    int const before = atomicMin(labels + a - 1, b);
+    if (before == a) return;  // a was a root and now hangs below b
+    a = root(labels, before);
   }
 }
 
-// Calls f(plane's labels, plane, y, x, index, whether x is inside) for 32 pixels of a row a warp.
-template <class T, class F>
-__device__ __forceinline__ void for_each_pixel(CannyHysteresis<T> const& p, F f) {
-  int const height = int(p.edges.height), width = int(p.edges.width);
-  unsigned const across = unsigned(width + 31) / 32;
-  int64_t const warps = p.edges.rows() * across, all = int64_t(gridDim.x) * (blockDim.x / 32);
-  for (int64_t warp = int64_t(blockIdx.x) * (blockDim.x / 32) + threadIdx.x / 32; warp < warps; warp += all) {
-    int64_t const row = warp / across, plane = row / height;
-    int const x = int(warp - row * across) * 32 + threadIdx.x % 32, y = int(row - plane * height);
-    f(p.labels + plane * height * width, plane, y, x, y * width + x, x < width);
+// Unites pixel i with its neighbours above, `up` being as many elements. Where the pixel right above is an edge, its
+// own neighbours are united with it already, and where pixels beside are, they see to theirs.
+template <class IsEdge>
+__device__ __forceinline__ void unite_above(int* labels, int i, int up, int x, int width, IsEdge is_edge) {
+  bool const left = x > 0, right = x + 1 < width;
+  if (is_edge(i - up)) {
+    if (!(left && is_edge(i - 1) && is_edge(i - up - 1))) unite(labels, i, i - up);
+    return;
+  }
+  if (left && !is_edge(i - 1) && is_edge(i - up - 1)) unite(labels, i, i - up - 1);
+  if (right && !is_edge(i + 1) && is_edge(i - up + 1)) unite(labels, i, i - up + 1);
+}
+
+// One block a tile, a warp four of its rows. Runs of pixels get their first pixel as root at once, or 0.
+template <class T>
+__global__ void __launch_bounds__(256) label_tiles(CannyHysteresis<T> p, unsigned across, unsigned down) {
+  __shared__ int labels[kSide * kSide];
+  int const width = int(p.edges.width), height = int(p.edges.height), lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  unsigned const above = blockIdx.x / across;
+  int64_t const plane = above / down;
+  int const y0 = int(above % down) * kSide, x = int(blockIdx.x % across) * kSide + lane;
+  Compute<T> edge[4];
+#pragma unroll
+  for (int k = 0; k < 4; ++k) {
+    int const y = y0 + warp + 8 * k;
+    edge[k] = x < width && y < height ? read(p.edges.row(plane, y)[x]) : Compute<T>(0);
+  }
+#pragma unroll
+  for (int k = 0; k < 4; ++k) {
+    unsigned const edges = __ballot_sync(0xffffffffu, edge[k] > 0), strong = __ballot_sync(0xffffffffu, edge[k] == 1);
+    unsigned const before = ~edges & ((1u << lane) - 1), after = ~edges & ~((2u << lane) - 1);
+    int const first = 32 - __clz(before), last = after ? __ffs(after) - 2 : 31;  // of the run
+    unsigned const run = (0xffffffffu >> (31 - last)) & (0xffffffffu << first);
+    int const i = (warp + 8 * k) * kSide;
+    labels[i + lane] = !(edge[k] > 0) ? kNone : strong & run ? 0 : i + first + 1;
+  }
+  __syncthreads();
+  auto const is_edge = [&](int i) { return labels[i] != kNone; };
+#pragma unroll
+  for (int k = 0; k < 4; ++k) {
+    int const y = warp + 8 * k, i = y * kSide + lane;
+    if (y > 0 && edge[k] > 0) unite_above(labels, i, kSide, lane, kSide, is_edge);
+  }
+  __syncthreads();
+  if (x >= width) return;
+#pragma unroll
+  for (int k = 0; k < 4; ++k) {
+    int const row = warp + 8 * k, y = y0 + row;
+    if (y >= height) return;
+    int const label = root(labels, labels[row * kSide + lane]), at = label - 1;
+    p.labels[plane * height * width + int64_t(y) * width + x] =
+        label <= 0 ? label : (y0 + at / kSide) * width + (x - lane + at % kSide) + 1;
   }
 }
 
-// Runs of a warp's pixels get their first pixel as root at once.
+// One thread a pixel of the first rows and columns of tiles.
 template <class T>
-__global__ void label_runs(CannyHysteresis<T> p) {
-  for_each_pixel(p, [&](int* labels, int64_t plane, int y, int x, int i, bool inside) {
-    bool const candidate = inside && read(p.edges.row(plane, y)[x]) > 0;
-    unsigned const candidates = __ballot_sync(0xffffffffu, candidate);
-    int const lane = threadIdx.x % 32;
-    unsigned const gaps_before = ~candidates & ((1u << lane) - 1);
-    int const first = gaps_before ? 32 - __clz(gaps_before) : 0;
-    if (inside) labels[i] = candidate ? i - (lane - first) : kNone;
-  });
-}
-
-// Joins each pixel with the row above, and runs across the ends of warps. Where the pixel above is an edge, its own
-// neighbours are joined with it already.
-template <class T>
-__global__ void join_rows(CannyHysteresis<T> p) {
-  int const width = int(p.edges.width);
-  for_each_pixel(p, [&](int* labels, int64_t, int y, int x, int i, bool inside) {
-    if (!inside || labels[i] == kNone) return;
-    auto const join = [&](int other) {
-      if (labels[other] == kNone) return false;
-      unite(labels, i, other);
-      return true;
-    };
-    if (x % 32 == 0 && x > 0) join(i - 1);
-    if (y == 0 || join(i - width)) return;
-    if (x > 0) join(i - width - 1);
-    if (x + 1 < width) join(i - width + 1);
-  });
+__global__ void join_tiles(CannyHysteresis<T> p) {
+  unsigned const width = unsigned(p.edges.width), height = unsigned(p.edges.height);
+  unsigned const on_rows = (height - 1) / kSide * width, each = on_rows + (width - 1) / kSide * height;
+  unsigned const n = blockIdx.x * blockDim.x + threadIdx.x, plane = n / each, k = n - plane * each;
+  if (plane >= p.edges.count()) return;
+  int* const labels = p.labels + plane * p.edges.height * p.edges.width;
+  int const volatile* const seen = labels;
+  auto const is_edge = [&](int i) { return seen[i] != kNone; };
+  if (k < on_rows) {
+    int const x = int(k % width), i = int((k / width + 1) * kSide * width) + x;
+    if (is_edge(i)) unite_above(labels, i, int(width), x, int(width), is_edge);
+  } else {
+    unsigned const y = (k - on_rows) % height;
+    int const i = int(y * width + ((k - on_rows) / height + 1) * kSide), up = int(width);
+    if (!is_edge(i)) return;
+    if (is_edge(i - 1)) return unite(labels, i, i - 1);
+    if (y > 0 && is_edge(i - up - 1)) unite(labels, i, i - up - 1);
+    if (y + 1 < height && is_edge(i + up - 1)) unite(labels, i, i + up - 1);
+  }
 }
 
 template <class T>
-__global__ void mark_strong(CannyHysteresis<T> p) {
-  for_each_pixel(p, [&](int* labels, int64_t plane, int y, int x, int i, bool inside) {
-    if (inside && read(p.edges.row(plane, y)[x]) == 1) labels[find(labels, i)] = kStrong;
-  });
-}
-
-template <class T>
-__global__ void keep_marked(CannyHysteresis<T> p) {
-  for_each_pixel(p, [&](int* labels, int64_t plane, int y, int x, int i, bool inside) {
-    if (!inside) return;
-    bool const kept = labels[i] != kNone && labels[find(labels, i)] == kStrong;
-    p.kept.row(plane, y)[x] = round_to<T>(kept ? 1 : 0);
-  });
+__global__ void __launch_bounds__(256) keep_strong(CannyHysteresis<T> p, unsigned across) {
+  unsigned const row = blockIdx.x / across, plane = row / unsigned(p.edges.height);
+  unsigned const y = row - plane * unsigned(p.edges.height), x = (blockIdx.x - row * across) * 256 + threadIdx.x;
+  if (x >= p.edges.width) return;
+  int const* const labels = p.labels + plane * p.edges.height * p.edges.width;
+  p.kept.row(plane, y)[x] = round_to<T>(root(labels, labels[y * p.edges.width + x]) == 0 ? 1 : 0);
 }
 
 }  // namespace
@@ -171,12 +201,13 @@ int canny_suppress(CannySuppress<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int canny_hysteresis(CannyHysteresis<T> const& p, CUstream_st* stream) {
-  int64_t const warps = p.edges.rows() * ceil_div(p.edges.width, 32);
-  unsigned const blocks = unsigned(min(ceil_div(warps, 8), int64_t(1) << 30));
-  label_runs<<<blocks, 256, 0, stream>>>(p);
-  join_rows<<<blocks, 256, 0, stream>>>(p);
-  mark_strong<<<blocks, 256, 0, stream>>>(p);
-  keep_marked<<<blocks, 256, 0, stream>>>(p);
+  int64_t const planes = p.edges.count(), height = p.edges.height, width = p.edges.width;
+  unsigned const across = unsigned(ceil_div(width, kSide)), down = unsigned(ceil_div(height, kSide));
+  label_tiles<<<unsigned(planes * across * down), 256, 0, stream>>>(p, across, down);
+  int64_t const borders = planes * ((height - 1) / kSide * width + (width - 1) / kSide * height);
+  if (borders > 0) join_tiles<<<unsigned(ceil_div(borders, 256)), 256, 0, stream>>>(p);
+  unsigned const blocks = unsigned(ceil_div(width, 256));
+  keep_strong<<<unsigned(planes * height * blocks), 256, 0, stream>>>(p, blocks);
   return cudaGetLastError();
 }
 

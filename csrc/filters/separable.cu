@@ -91,7 +91,7 @@ int launch_any(Separable<T> const& p, CUstream_st* stream) {
   if (int error = cudaFuncSetAttribute(separable_any<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes(threads)))
     return error;
   int64_t const lines = p.y.count() * ceil_div(p.y.row_size(), threads);
-  int const rows = rows_of_strips(lines, p.y.height, p.ky.size, 1024);
+  int const rows = rows_of_strips(lines, p.y.height, max(p.ky.size, 8), 1024, 1024);
   int64_t const blocks = lines * ceil_div(p.y.height, rows);
   separable_any<<<unsigned(blocks), threads, bytes(threads), stream>>>(p, rows, reach);
   return cudaGetLastError();
@@ -164,10 +164,12 @@ __global__ void __launch_bounds__(kThreads) weights_of_tiles(SeparableWeights<T>
 template <class T>
 int separable(Separable<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
-    int const size = p.kx.size;
-    bool const fits = size == p.ky.size && size % 2 == 1 && size >= 3 && size <= kLargest;
-    if (fits && p.x.step == 1 && p.x.row_stride * int64_t(sizeof(T)) <= INT32_MAX && p.x.width <= INT32_MAX / 2)
-      return separable_strips(p, stream);
+    bool const symmetric = p.kx.gaussian && p.ky.gaussian;
+    if (has_strips(p.x, p.ky.size, p.kx.size)) {
+      if (p.fold == Border::constant) return separable_strips(p, 1, stream);
+      if constexpr (sizeof(T) > 1)
+        return p.fold == Border::reflect && symmetric ? separable_mirrors(p, 1, stream) : separable_folds(p, stream);
+    }
   }
   return launch_any(p, stream);
 }

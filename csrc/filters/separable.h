@@ -24,7 +24,8 @@ namespace kv {
 // The weights along one axis.
 template <class F>
 struct Taps {
-  F const* data;   // those of sample b at data + b * stride; of a Gaussian its sigma, or null when `sigma` serves all
+  F const* data;   // those of sample b at data + b * stride, or null when all are 1; of a Gaussian its sigma, or null
+                   // when `sigma` serves all
   int64_t stride;  // 0 when one serves all samples
   F sigma;
   int size;
@@ -44,7 +45,7 @@ KV_HD double exp(double x) { return __builtin_exp(x); }
 template <class F>
 KV_HD F tap(Taps<F> const& taps, int64_t sample, int t) {
   F const* const data = taps.data + sample * taps.stride;
-  if (!taps.gaussian) return data[taps.reversed ? taps.size - 1 - t : t];
+  if (!taps.gaussian) return taps.data ? data[taps.reversed ? taps.size - 1 - t : t] : F(1);
   F const sigma = taps.data ? *data : taps.sigma;
   if (!(sigma > 0)) return F(__builtin_nanf(""));
   F const d = F(t) - F(taps.size - 1) / 2, nearest = F(taps.size % 2 ? 0 : 0.5);

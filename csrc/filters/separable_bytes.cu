@@ -1,11 +1,11 @@
-// The strip kernel of separable_strip.cuh for uint8_t.
+// The strip kernel of separable_strip.cuh, for uint8_t.
 #include "separable_strip.cuh"
 
 namespace kv::cuda {
 
 template <>
-int separable_strips(Separable<uint8_t> const& p, CUstream_st* stream) {
-  launch_strip_of_size(p, stream);
+int separable_strips(Separable<uint8_t> const& p, float divisor, CUstream_st* stream) {
+  launch_strip_of_size<uint8_t, false>(p, divisor, stream);
   return cudaGetLastError();
 }
 

@@ -196,6 +196,83 @@ inline Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& g
   return differentiable(tensors, compute, tensors, gradient)[0];
 }
 
+// --- any kernel
+// ---------------------------------------------------------------------------------------------------------------
+
+namespace detail {
+
+// A filter, its transpose and its gradient to the kernel: the derivatives, for grad, input and kernel, of the sum over
+// pixels of grad * filter(input, kernel), and so of each other.
+template <Name filter, Name transpose, Name to_kernel>
+struct Correlation {
+  static Tensor forward(Tensor const& input, Tensor const& kernel, std::string const& border, bool same) {
+    auto const compute = [&] { return variable_list{call<filter>(input, kernel, border, same)}; };
+    auto const gradient = [=](Backward const& b) {
+      Tensor const &x = b.saved[0], &k = b.saved[1], &g = b.grads[0];
+      return variable_list{b.wanted(0) ? transposed(g, k, border, same) : Tensor(),
+                           b.wanted(1) ? at::sum_to(kernel_gradient(k, g, x, border, same), k.sizes()) : Tensor()};
+    };
+    return differentiable({input, kernel}, compute, {input, kernel}, gradient)[0];
+  }
+
+  static Tensor transposed(Tensor const& grad, Tensor const& kernel, std::string const& border, bool same) {
+    auto const compute = [&] { return variable_list{call<transpose>(grad, kernel, border, same)}; };
+    auto const gradient = [=](Backward const& b) {
+      Tensor const &g = b.saved[0], &k = b.saved[1], &x = b.grads[0];
+      return variable_list{b.wanted(0) ? forward(x, k, border, same) : Tensor(),
+                           b.wanted(1) ? at::sum_to(kernel_gradient(k, g, x, border, same), k.sizes()) : Tensor()};
+    };
+    return differentiable({grad, kernel}, compute, {grad, kernel}, gradient)[0];
+  }
+
+  static Tensor kernel_gradient(Tensor const& kernel, Tensor const& grad, Tensor const& input,
+                                std::string const& border, bool same) {
+    auto const compute = [&] { return variable_list{call<to_kernel>(kernel, grad, input, border, same)}; };
+    auto const gradient = [=](Backward const& b) {
+      Tensor const &g = b.saved[0], &x = b.saved[1], &k = b.grads[0];
+      return variable_list{b.wanted(0) ? forward(x, k, border, same) : Tensor(),
+                           b.wanted(1) ? transposed(g, k, border, same) : Tensor()};
+    };
+    return differentiable({grad, input}, compute, {grad, input}, gradient)[0];
+  }
+};
+
+using Correlation2d = Correlation<"filter2d", "filter2d_backward", "filter2d_kernel_backward">;
+using Correlation3d = Correlation<"filter3d", "filter3d_backward", "filter3d_kernel_backward">;
+
+}  // namespace detail
+
+// Kernels (B or 1, kH, kW) in the type that is computed in; same = false keeps only where the kernel fits inside.
+inline Tensor filter2d(Tensor const& input, Tensor const& kernel, std::string const& border = "reflect",
+                       bool same = true) {
+  return detail::Correlation2d::forward(input, kernel, border, same);
+}
+
+inline Tensor filter2d_backward(Tensor const& grad, Tensor const& kernel, std::string const& border, bool same) {
+  return detail::Correlation2d::transposed(grad, kernel, border, same);
+}
+
+// (B, kH, kW): the gradient to the kernel of each image; of `kernel` only sizes and type count.
+inline Tensor filter2d_kernel_backward(Tensor const& kernel, Tensor const& grad, Tensor const& input,
+                                       std::string const& border, bool same) {
+  return detail::Correlation2d::kernel_gradient(kernel, grad, input, border, same);
+}
+
+// Kernels (B or 1, kD, kH, kW).
+inline Tensor filter3d(Tensor const& input, Tensor const& kernel, std::string const& border = "replicate",
+                       bool same = true) {
+  return detail::Correlation3d::forward(input, kernel, border, same);
+}
+
+inline Tensor filter3d_backward(Tensor const& grad, Tensor const& kernel, std::string const& border, bool same) {
+  return detail::Correlation3d::transposed(grad, kernel, border, same);
+}
+
+inline Tensor filter3d_kernel_backward(Tensor const& kernel, Tensor const& grad, Tensor const& input,
+                                       std::string const& border, bool same) {
+  return detail::Correlation3d::kernel_gradient(kernel, grad, input, border, same);
+}
+
 // --- separable kernels
 // --------------------------------------------------------------------------------------------------
 

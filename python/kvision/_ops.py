@@ -111,6 +111,18 @@ def backend(name: str) -> Iterator[None]:
 operators: dict[str, Operator] = {}
 
 
+def _unserved(name: str) -> dict[str, str]:
+    """Device type -> why no kernel serves operator `name` there: the whole library, or an older one that lacks it."""
+    found = dict(unserved)
+    for device, library in _LIBRARIES.items():
+        if "cpu" in unserved or device in unserved:
+            continue
+        declared = hasattr(torch.ops.kvision, name)
+        if not declared or not torch._C._dispatch_has_kernel_for_dispatch_key(f"kvision::{name}", device.upper()):
+            found[device] = f"{name} is not in {library}, which is older: build kvision again"
+    return found
+
+
 def serves(name: str, x: Tensor) -> str:
     """Which backend serves operator `name` on a tensor like `x`: "native" or "reference"."""
     return "native" if operators[name].is_native(x) else "reference"
@@ -140,6 +152,8 @@ class Operator:
         backward: `backward(needs, grads..., *args) -> gradients of the tensor arguments`, in order, written with
             registered operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted,
             and None stands for one that is not. Default: the reference is differentiated.
+        saves_results: backward needs the results: `backward(needs, grads..., results..., *args)`.
+        constant: the results, by index, that carry no gradient.
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too.
@@ -156,6 +170,8 @@ class Operator:
         *,
         fake: Callable[..., Sequence[Any]] | None = None,
         backward: Callable[..., Sequence[Tensor | None]] | None = None,
+        saves_results: bool = False,
+        constant: Sequence[int] = (),
         linear: bool = False,
         bytes: bool = False,
         autocast: torch.dtype | None = None,
@@ -165,18 +181,21 @@ class Operator:
         self.definition = reference
         self.reference = as_stored(reference)
         self.backward = backward or self._differentiate_reference
+        self.saves_results = saves_results
+        self.constant = constant
         self.linear = linear
         self.dtypes = (*FLOATS, torch.uint8) if bytes else FLOATS
         self.autocast = autocast
         self.deterministic = deterministic
         self._fake_sizes = fake
+        self.unserved = _unserved(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
         self.function = self._make_function()
         # Function.apply without its Python part, which binds the arguments to their names and serves torch.func only.
         self._apply = super(torch.autograd.Function, self.function).apply
         # Device by device, the types that kernels serve; looked up on every call.
-        self._served = {d: frozenset(self.dtypes if d not in unserved else ()) for d in _LIBRARIES}
+        self._served = {d: frozenset(() if d in self.unserved else self.dtypes) for d in _LIBRARIES}
 
     def __call__(self, *args: Any) -> Any:
         x = args[0]
@@ -211,7 +230,7 @@ class Operator:
             return True
         if _backend == "native":
             device = x.device.type
-            reason = unserved.get(device) or f"there is no kernel for {x.dtype} on {device}"
+            reason = self.unserved.get(device) or f"there is no kernel for {x.dtype} on {device}"
             raise RuntimeError(f"{self.name}: backend 'native' was asked for, but {reason}; see kvision.info()")
         return False
 
@@ -225,13 +244,10 @@ class Operator:
     # --- registration with torch ---
 
     def _bind(self) -> Any:
-        if "cpu" in unserved:
+        if "cpu" in self.unserved:
             return None
         qualified = f"kvision::{self.name}"
-        try:
-            kernel = getattr(torch.ops.kvision, self.name).default
-        except AttributeError:
-            raise RuntimeError(f"{qualified} is not in {_LIBRARIES['cpu']}: rebuild kvision") from None
+        kernel = getattr(torch.ops.kvision, self.name).default
         torch.library.register_fake(qualified, self._fake)
         torch.library.register_vmap(qualified, functools.partial(_fold, kernel))
         torch.library.register_autograd(qualified, self._backward, setup_context=self._setup_context)
@@ -272,6 +288,10 @@ class Operator:
         tensors = inputs[: self.tensors]
         if self._is_linear_map(tensors):
             tensors = (None, *tensors[1:])
+        if self.saves_results:
+            tensors = (*_as_tuple(output), *tensors)
+        if self.constant:
+            ctx.mark_non_differentiable(*(_as_tuple(output)[i] for i in self.constant))
         ctx.save_for_backward(*tensors)
         ctx.save_for_forward(*tensors)
         ctx.plain = inputs[self.tensors :]
@@ -286,7 +306,7 @@ class Operator:
         return (*found, *(None,) * (len(needs) - len(found)))
 
     def _jvp(self, ctx: Any, *tangents: Tensor | None) -> Any:
-        tensors = ctx.saved_tensors
+        tensors = ctx.saved_tensors[-self.tensors :]  # after the results, where they are saved
         if self._is_linear_map(tensors):
             return self(tangents[0], *tensors[1:], *ctx.plain)
         args = (*tensors, *ctx.plain)
@@ -294,14 +314,18 @@ class Operator:
         # J t as the derivative of u -> J^T u: works under every transform, also inside plain forward-mode.
         output, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
         _, pushforward = torch.func.vjp(pullback, _map(torch.zeros_like, output))
-        return pushforward(tuple(tangents[i] for i in where))[0]
+        (found,) = pushforward(tuple(tangents[i] for i in where))
+        if not self.constant:
+            return found
+        return tuple(None if i in self.constant else t for i, t in enumerate(_as_tuple(found)))
 
     def _differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
         args = grads_and_args[-len(needs) :]
         grads = grads_and_args[: -len(needs)]
         where = [i for i, need in enumerate(needs) if need]
-        _, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
-        found = dict(zip(where, pullback(grads[0] if len(grads) == 1 else grads)))
+        with _without_tf32():
+            _, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
+            found = dict(zip(where, pullback(grads[0] if len(grads) == 1 else grads)))
         return [found.get(i) for i in range(self.tensors)]
 
     def _of_tensors(self, args: Sequence[Any], where: Sequence[int]) -> Callable[..., Any]:
@@ -346,16 +370,38 @@ def vjp(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
 # --- helpers --------------------------------------------------------------------------------------------------------
 
 
+def _as_tuple(output: Any) -> tuple[Tensor, ...]:
+    return tuple(output) if isinstance(output, (tuple, list)) else (output,)
+
+
 def _map(f: Callable[[Any], Any], output: Any) -> Any:
     return tuple(map(f, output)) if isinstance(output, (tuple, list)) else f(output)
 
 
 def _empty(x: Tensor, sizes: Sequence[int]) -> Tensor:
-    """What the kernels allocate: dense, channels-last for an image that is channels-last, as glue.h's layout_of has it."""
-    c = x.shape[1] if x.dim() == len(sizes) == 4 else 0
+    """What the kernels allocate."""
+    return _laid_out(x.new_empty(sizes), x)
+
+
+def _laid_out(y: Tensor, x: Tensor) -> Tensor:
+    """`y` as the kernels write it: dense, channels-last where `x` is an image that is, as glue.h's layout_of has it."""
+    c = x.shape[1] if x.dim() == y.dim() == 4 else 0
     if c > 1 and (x.stride(1), x.stride(3), x.stride(2)) == (1, c, c * x.shape[3]):
-        return x.new_empty(sizes).contiguous(memory_format=torch.channels_last)
-    return x.new_empty(sizes)
+        return y.movedim(1, -1).contiguous().movedim(-1, 1)  # vmap knows no memory formats
+    return y.contiguous()
+
+
+_cudnn_conv = torch.backends.cudnn.conv  # type: ignore[attr-defined]  # made when torch is imported
+
+
+@contextlib.contextmanager
+def _without_tf32() -> Iterator[None]:
+    """cuDNN's convolutions in float32, not in TF32, which torch lets them round to unless told otherwise."""
+    previous, _cudnn_conv.fp32_precision = _cudnn_conv.fp32_precision, "ieee"
+    try:
+        yield
+    finally:
+        _cudnn_conv.fp32_precision = previous
 
 
 def saturate_to_byte(x: Tensor) -> Tensor:
@@ -364,7 +410,7 @@ def saturate_to_byte(x: Tensor) -> Tensor:
 
 
 def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
-    """The reference with the kernels' number rules: half types and bytes compute in float32, autocast is off."""
+    """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout."""
 
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
@@ -373,14 +419,16 @@ def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
         if device != "meta" and torch.is_autocast_enabled(device):  # torch has no answer for meta
             with torch.autocast(device, enabled=False):
                 return wrapped(*args)
+        if x.is_cuda and not torch.compiler.is_compiling() and _cudnn_conv.fp32_precision != "ieee":
+            with _without_tf32():
+                return wrapped(*args)
         stored = x.dtype
         if stored == torch.float64:
-            return reference(*(a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args))
-        widened = (a.float() if isinstance(a, Tensor) and a.dtype != torch.float32 else a for a in args)
-        output = reference(*widened)
-        if stored == torch.float32:
-            return output
-        return _map(saturate_to_byte if stored == torch.uint8 else lambda y: y.to(stored), output)
+            widened = (a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
+        else:
+            widened = (a.float() if isinstance(a, Tensor) and a.dtype != torch.float32 else a for a in args)
+        store = saturate_to_byte if stored == torch.uint8 else lambda y: y.to(stored)
+        return _map(lambda y: _laid_out(store(y), x), reference(*widened))
 
     return wrapped
 

@@ -113,13 +113,16 @@ def _operators() -> Iterator[str]:
     for name in names:
         served = [" ".join(_served(name, device)) or "reference" for device in ("cpu", "cuda")]
         yield f"  {name:{width}}  {served[0]:42}  {served[1]}"
+    for operator in _ops.operators.values():  # those for backward, too, which the table leaves out
+        yield from (f"  {reason}" for device, reason in operator.unserved.items() if device not in _ops.unserved)
     yield "Everything else is served by the reference: the same results from plain torch, slower."
 
 
 def _served(name: str, device: str) -> list[str]:
-    if device in _ops.unserved or _ops._backend == "reference":
+    operator = _ops.operators[name]
+    if device in operator.unserved or _ops._backend == "reference":
         return []
-    return [str(dtype).removeprefix("torch.") for dtype in _DTYPES if dtype in _ops.operators[name].dtypes]
+    return [str(dtype).removeprefix("torch.") for dtype in _DTYPES if dtype in operator.dtypes]
 
 
 def _next_steps() -> Iterator[str]:

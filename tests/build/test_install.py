@@ -40,7 +40,8 @@ def unpack(wheel: Path, folder: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def wheel(cmake: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return build_wheel(tmp_path_factory.mktemp("native"), KVISION_BUILD="native", CMAKE_ARGS="-DKVISION_CUDA=OFF")
+    quick = "-DKVISION_CUDA=OFF -DCMAKE_BUILD_TYPE=None"  # no optimisation: this is about what is in it
+    return build_wheel(tmp_path_factory.mktemp("native"), KVISION_BUILD="native", CMAKE_ARGS=quick)
 
 
 @pytest.fixture(scope="module")

@@ -98,6 +98,11 @@ int main() {
       return kvision::bilateral_blur(t[0], t[1], t[2], t[3], 3, 5, 0, 0, 0, border, "l2");
     };
     check("bilateral_blur of all", joint, {x, torch::rand({1, 3, 7, 6}), sigma.select(1, 0), sigma}, false);
+    auto const filter = [=](auto const& t) { return kvision::filter2d(t[0], t[1], border); };
+    check("filter2d", filter, {x, torch::rand({1, 3, 4}) - 0.3});
+    check("filter2d of a kernel each", filter, {x, torch::rand({2, 5, 3}) - 0.3});
+    auto const filter_volume = [=](auto const& t) { return kvision::filter3d(t[0], t[1], border); };
+    check("filter3d", filter_volume, {volume, torch::rand({1, 3, 2, 3}) - 0.3});
     auto const separable = [=](auto const& t) { return kvision::filter2d_separable(t[0], t[1], t[2], border); };
     check("filter2d_separable", separable, {x, row, column}, false);
     auto const constant = [=](auto const& t) {

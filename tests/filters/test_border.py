@@ -26,8 +26,17 @@ def test_empty(border, shape, device):
 @pytest.mark.parametrize("border", NUMPY_MODES)
 def test_channels_last_is_kept(border, device):
     x = torch.rand(2, 3, 4, 5, device=device).contiguous(memory_format=torch.channels_last)
-    if border != "circular":  # torch writes that one anew
-        assert pad(x, ((1, 1), (1, 1)), border).is_contiguous(memory_format=torch.channels_last)
+    assert pad(x, ((1, 1), (1, 1)), border).is_contiguous(memory_format=torch.channels_last)
+
+
+@pytest.mark.parametrize("border", NUMPY_MODES)
+def test_gradient_is_deterministic(border, device):
+    x = torch.rand(1, 2, 3, 4, 5, dtype=torch.float64, device=device, requires_grad=True)
+    torch.use_deterministic_algorithms(True)
+    try:
+        assert torch.autograd.gradcheck(lambda x: pad(x, ((1, 2), (2, 0), (0, 3)), border), x)
+    finally:
+        torch.use_deterministic_algorithms(False)
 
 
 def test_even_kernels_reach_further_back():

@@ -46,7 +46,7 @@ def _weights(
     width: Any = color if sigma_color is None else positive(sigma_color)[:, None, None, None]
     kernel_y, kernel_x = axis_kernels(x, sigma_space, ky, kx, sigma_y, sigma_x)
     space = (kernel_y[:, :, None] * kernel_x[:, None, :]).flatten(1).t()[:, :, None, None, None]
-    return space * torch.exp(-squared / (2 * width**2)), taps, squared
+    return space * torch.exp(squared / width / width / -2), taps, squared  # the square of a small width may be 0
 
 
 def _reference_backward(grad: Tensor, x: Tensor, guidance: Tensor | None, *args: Any) -> tuple[Tensor, Tensor]:

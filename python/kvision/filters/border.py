@@ -22,10 +22,18 @@ def pad(x: Tensor, pads: Sequence[tuple[int, int]], border_type: str) -> Tensor:
     replicate  a a | a b c d | d d
     circular   c d | a b c d | a b
     """
-    last_axis_first = [pixels for front_back in reversed(pads) for pixels in front_back]
-    images = x if x.numel() else x.reshape(0, 1, *x.shape[2:])  # torch pads 0 images, but not 0 channels
-    y = F.pad(images, last_axis_first, mode=border_type)
-    return y.reshape(*x.shape[:2], *y.shape[2:])
+    if border_type == "constant":
+        return F.pad(x, [pixels for front_back in reversed(pads) for pixels in front_back])
+    for axis, (front, back) in enumerate(pads, 2):  # torch's other modes sum their gradients in any order on CUDA
+        n = x.shape[axis]
+        if border_type == "reflect":
+            parts = [x.narrow(axis, 1, front).flip(axis), x, x.narrow(axis, n - 1 - back, back).flip(axis)]
+        elif border_type == "replicate":
+            parts = [x.narrow(axis, 0, 1)] * front + [x] + [x.narrow(axis, n - 1, 1)] * back
+        else:
+            parts = [x.narrow(axis, n - front, front), x, x.narrow(axis, 0, back)]
+        x = torch.cat(parts, axis)
+    return x
 
 
 def windows(x: Tensor, ky: int, kx: int, border_type: str) -> Tensor:

@@ -14,7 +14,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ImageError, ValueCheckError
 from kvision.filters.gaussian import _gaussian_blur2d, blur_arguments
-from kvision.filters.sobel import _sobel_backward
+from kvision.filters.sobel import _sobel_backward, root
 from kvision.filters.spatial_gradient import derivatives
 
 _TAN_22_5 = math.sqrt(2) - 1
@@ -28,7 +28,7 @@ def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple
     """
     h, w = x.shape[-2:]
     gx, gy = derivatives(x, "sobel", 1, normalized=False).unbind(2)
-    padded = _root(F.pad(gx**2 + gy**2, (1, 1, 1, 1)) + eps)
+    padded = root(F.pad(gx**2 + gy**2, (1, 1, 1, 1)) + eps)
 
     def at(dy: int, dx: int) -> Tensor:
         return padded[..., 1 + dy : 1 + dy + h, 1 + dx : 1 + dx + w]
@@ -48,25 +48,26 @@ def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple
     return magnitude, edges
 
 
-def _root(x: Tensor) -> Tensor:
-    """The square root, with gradient 0 at 0."""
-    zero = x == 0
-    return torch.where(zero, 0, torch.where(zero, 1, x).sqrt())
-
-
-def _suppress_backward(needs, grad, _, x, low, high, eps):
+def _suppress_backward(needs, grad, _, magnitude, edges, x, low, high, eps):
     """Where the magnitude was kept, its gradient is that of the Sobel magnitude."""
-    magnitude, _ = _canny_suppress(x.detach(), low, high, eps)
     return [_sobel_backward(grad * (magnitude > 0), x, False, eps)]
 
 
 _canny_suppress = register(
-    "canny_suppress", _reference_suppress, fake=lambda x, *_: [x.shape, x.shape], backward=_suppress_backward
+    "canny_suppress",
+    _reference_suppress,
+    fake=lambda x, *_: [x.shape, x.shape],
+    backward=_suppress_backward,
+    saves_results=True,
+    constant=(1,),
 )
 
 
 def _reference_hysteresis(edges: Tensor) -> Tensor:
-    """1 on strong edges (1) and on weak ones (0.5) that touch them in 8 directions, also through each other; else 0."""
+    """1 on strong edges (1) and on weak ones (0.5) that touch them in 8 directions, also through each other; else 0.
+
+    How long it takes depends on the edges, so vmap, which hides them, needs the kernels.
+    """
     candidates, strong = (edges > 0).to(edges.dtype), (edges == 1).to(edges.dtype)
     while True:
         grown = candidates * F.max_pool2d(strong, 3, stride=1, padding=1)
@@ -75,7 +76,7 @@ def _reference_hysteresis(edges: Tensor) -> Tensor:
         strong = grown
 
 
-_canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, backward=lambda needs, grad, edges: [None])
+_canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, constant=(0,))
 
 
 def canny(
@@ -139,7 +140,6 @@ def canny(
         x = (0.299 * red).add_(green, alpha=0.587).add_(blue, alpha=0.114)
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
     magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)
-    edges = edges.detach()
     if hysteresis:
         edges = _canny_hysteresis(edges)
     return magnitude.to(dtype), edges.to(dtype)

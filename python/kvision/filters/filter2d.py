@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
-from kvision._ops import as_stored
+from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.filters.border import pad, same_pads
 
@@ -34,7 +35,76 @@ def _reference(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     return correlate(x, kernel)
 
 
-_filter2d = as_stored(_reference)
+def _transposed(grad: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
+    x = grad.new_zeros(_size(grad, kernel, 0 if same else 1))
+    _, pullback = torch.func.vjp(lambda x: _reference(x, kernel, border, same), x)
+    return pullback(grad)[0]
+
+
+def _kernel_gradient(kernel: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
+    zeros = kernel.new_zeros(x.shape[0], *kernel.shape[1:])
+    _, pullback = torch.func.vjp(lambda kernel: _reference(x, kernel, border, same), zeros)
+    return pullback(grad)[0]
+
+
+def _size(x: Tensor, kernel: Tensor, sign: int) -> tuple[int, ...]:
+    return (*x.shape[:2], *(n + sign * (k - 1) for n, k in zip(x.shape[2:], kernel.shape[1:])))
+
+
+def register_filter(name: str, bytes: bool = False) -> Operator:
+    """Register the filter `name` of images or volumes, its transpose and its gradient to the kernel; return the first.
+
+    The three are the derivatives of each other: of the sum over pixels of grad * filter(x, kernel), they are the
+    derivatives for grad, x and kernel.
+    """
+
+    def to_kernel(kernel: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
+        gradients = kernel_gradient(kernel, grad, x, border, same)
+        return gradients.sum(0, keepdim=True) if kernel.shape[0] == 1 else gradients
+
+    def backward(needs, grad, x, kernel, *args):
+        return [
+            transposed(grad, kernel, *args) if needs[0] else None,
+            to_kernel(kernel, grad, x, *args) if needs[1] else None,
+        ]
+
+    def transposed_backward(needs, x, grad, kernel, *args):
+        return [
+            forward(x, kernel, *args) if needs[0] else None,
+            to_kernel(kernel, grad, x, *args) if needs[1] else None,
+        ]
+
+    def kernel_gradient_backward(needs, kernel, _, grad, x, *args):
+        return [
+            None,  # of the kernel only the size and the type matter
+            forward(x, kernel, *args) if needs[1] else None,
+            transposed(grad, kernel, *args) if needs[2] else None,
+        ]
+
+    forward = register(
+        name,
+        _reference,
+        fake=lambda x, kernel, border, same: _size(x, kernel, 0 if same else -1),
+        backward=backward,
+        bytes=bytes,
+    )
+    transposed = register(
+        f"{name}_backward",
+        _transposed,
+        fake=lambda grad, kernel, border, same: _size(grad, kernel, 0 if same else 1),
+        backward=transposed_backward,
+    )
+    # The kernel comes first: the gradient to it has its type, not that of the images.
+    kernel_gradient = register(
+        f"{name}_kernel_backward",
+        _kernel_gradient,
+        fake=lambda kernel, grad, x, border, same: (x.shape[0], *kernel.shape[1:]),
+        backward=kernel_gradient_backward,
+    )
+    return forward
+
+
+_filter2d = register_filter("filter2d", bytes=True)
 
 
 def filter2d(

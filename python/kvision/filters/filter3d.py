@@ -6,16 +6,9 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
-from kvision.filters.border import pad, same_pads
-from kvision.filters.filter2d import check_padding, correlate, prepare_kernel
+from kvision.filters.filter2d import check_padding, prepare_kernel, register_filter
 
-
-def _reference(x: Tensor, kernel: Tensor, border: str) -> Tensor:
-    return correlate(pad(x, same_pads(kernel.shape[1:]), border), kernel)
-
-
-_filter3d = as_stored(_reference)
+_filter3d = register_filter("filter3d")
 
 
 def filter3d(
@@ -81,4 +74,4 @@ def filter_volumes(
     _check.shape(op, "kernel", kernel, "B or 1", "kD", "kH", "kW")
     kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
     check_padding(op, input, kernel.shape[1:], border_type, "same")
-    return _filter3d(floats(input), kernel, border_type)
+    return _filter3d(floats(input), kernel, border_type, True)

@@ -28,7 +28,7 @@ def gaussian(
         sigma: standard deviation in pixels, a number or a tensor (B, 1); 0 gives an impulse.
         mean: where the peak is, in samples from the first, a number or (B, 1); by default window_size // 2. For an even
             window the peak is half a sample further left.
-        device: of the result; by default that of sigma.
+        device: of the result; by default that of sigma, or of mean where only that is a tensor.
         dtype: of the result, floating point; by default that of sigma.
 
     Returns:
@@ -37,6 +37,7 @@ def gaussian(
     Raises:
         TypeCheckError, ShapeError, ValueCheckError: sigma is no number or (B, 1) tensor, is negative or NaN; a
             window_size below 1; an integer dtype.
+        DeviceError: a mean that is not on the device of the result.
 
     Example:
         >>> import kvision as K
@@ -44,6 +45,8 @@ def gaussian(
         tensor([[0.2741, 0.4519, 0.2741]])
     """
     (window_size,) = _check.ints("gaussian", "window_size", window_size, 1)
+    if device is None and isinstance(mean, Tensor) and not isinstance(sigma, Tensor):
+        device = mean.device
     (sigma,), dtype = _sigma_columns("gaussian", sigma, 1, device, dtype)
     if isinstance(mean, Tensor):
         _check.shape("gaussian", "mean", mean, "B or 1", 1)

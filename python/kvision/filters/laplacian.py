@@ -8,14 +8,14 @@ from kvision import _check
 from kvision._dtype import pixels
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
-from kvision.filters.box import window_sum
+from kvision.filters.box import divided, window_sum
 from kvision.filters.kernels import laplacian_sizes
 
 
 def _reference(x: Tensor, ky: int, kx: int, normalized: bool, border: str) -> Tensor:
     n = ky * kx
     y = window_sum(x, ky, kx, border) - n * x
-    return y / (2 * (n - 1)) if normalized else y
+    return divided(y, 2 * (n - 1)) if normalized else y
 
 
 def _backward(needs, grad, x, ky, kx, normalized, border):

@@ -21,16 +21,15 @@ def _reference(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
     return torch.where(taps.isnan().any(0), torch.nan, at_median)
 
 
-def _backward(needs, grad, x, ky, kx, border):
-    y = _median_blur(x.detach(), ky, kx, border)
-    return [_median_blur_backward(grad, x, y, ky, kx, border)]
+def _backward(needs, grad, y, x, ky, kx, border):
+    return [_median_blur_backward(grad, x, y.detach(), ky, kx, border)]
 
 
 def _backward_reference(grad: Tensor, x: Tensor, y: Tensor, ky: int, kx: int, border: str) -> Tensor:
     return vjp(_reference)(grad, x, ky, kx, border)
 
 
-_median_blur = register("median_blur", _reference, backward=_backward, bytes=True)
+_median_blur = register("median_blur", _reference, backward=_backward, saves_results=True, bytes=True)
 _median_blur_backward = register("median_blur_backward", _backward_reference)
 
 

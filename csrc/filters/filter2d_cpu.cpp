@@ -1,0 +1,397 @@
+// Cross-correlation with any kernel on the CPU: one loop over blocks of rows in float32 or float64. It reads the image
+// itself where it can; other types and what touches the border are copied into a padded tile first. Rows [begin, end)
+// of all planes in order; compiled once per instruction set.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "filter2d.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+constexpr int kBlockRows = 8;  // results that are worked on together
+constexpr int kRows = 4;       // results that share what is loaded into registers
+
+#define KV_INLINE __attribute__((always_inline))
+
+// Calls f(Width<0>{}) ... f(Width<N - 1>{}): loops that the compiler sees through from the start, so that arrays
+// indexed by them live in registers.
+template <int N, class F>
+KV_HD void unroll(F f) {
+  if constexpr (N > 0) {
+    unroll<N - 1>(f);
+    f(Width<N - 1>{});
+  }
+}
+
+// Keeps a value in its register: GCC would read it from memory again for every use.
+template <class V>
+KV_HD void keep([[maybe_unused]] V& v) {
+#if defined(__x86_64__)
+  asm("" : "+v"(v));
+#endif
+}
+
+// out[o][e] = the sum over ky taps k and kx taps i of weights[i][k] * rows[o + k][e + i * step], for `count` rows o of
+// at most kRows, and `size` elements e; added to what is there unless `fresh`. KY is ky where that is small, else 0.
+// The last vector of a row overlaps the one before it, or, where that is not allowed, goes beyond the row.
+template <int KY, class F>
+void correlate(F const* const* rows, F const* weights, int ky, int kx, int64_t step, F* out, int64_t out_stride,
+               int count, int64_t size, bool fresh, bool overlap) {
+  constexpr int N = kLanes<F>;
+  using V = Lanes<F, N>;
+  auto const vectors = [&](auto how_many, int64_t e) KV_INLINE {
+    constexpr int M = decltype(how_many)::value;
+    V sum[kRows][M];
+    unroll<kRows>([&](auto o) KV_INLINE {
+      unroll<M>([&](auto v) KV_INLINE {
+        sum[o.value][v.value] = fresh || o.value >= count ? V{} : load<N>(out + o.value * out_stride + e + v.value * N);
+      });
+    });
+    for (int i = 0; i < kx; ++i) {
+      F const* const w = weights + i * ky;
+      auto const add_row = [&](int r, auto first,
+                               auto last) KV_INLINE {  // row r is a tap of the results first ... last - 1
+        V x[M];
+        unroll<M>([&](auto v) KV_INLINE {
+          x[v.value] = load<N>(rows[r] + e + i * step + v.value * N);
+          keep(x[v.value]);
+        });
+        unroll<kRows>([&](auto o) KV_INLINE {
+          if constexpr (o.value >= first.value && o.value < last.value)
+            unroll<M>([&](auto v) KV_INLINE { sum[o.value][v.value] += x[v.value] * w[r - o.value]; });
+        });
+      };
+      if constexpr (KY > 0) {
+        unroll<KY + kRows - 1>([&](auto r)
+                                   KV_INLINE { add_row(r.value, Width<r.value - KY + 1>{}, Width<r.value + 1>{}); });
+      } else {
+        unroll<kRows - 1>([&](auto r) KV_INLINE { add_row(r.value, Width<0>{}, Width<r.value + 1>{}); });
+        for (int r = kRows - 1; r < ky; ++r) add_row(r, Width<0>{}, Width<kRows>{});
+        unroll<kRows - 1>([&](auto r) KV_INLINE { add_row(ky + r.value, Width<r.value + 1>{}, Width<kRows>{}); });
+      }
+    }
+    unroll<kRows>([&](auto o) KV_INLINE {
+      if (o.value < count)
+        unroll<M>([&](auto v)
+                      KV_INLINE { store<N>(out + o.value * out_stride + e + v.value * N, sum[o.value][v.value]); });
+    });
+  };
+  int64_t e = 0;
+  for (; e + 2 * N <= size; e += 2 * N) vectors(Width<2>{}, e);
+  for (; e < size; e += N) vectors(Width<1>{}, overlap ? min(e, size - N) : e);
+}
+
+template <class F>
+auto correlate_for(int ky) {
+  switch (ky) {
+    case 1:
+      return &correlate<1, F>;
+    case 2:
+      return &correlate<2, F>;
+    case 3:
+      return &correlate<3, F>;
+    case 4:
+      return &correlate<4, F>;
+    case 5:
+      return &correlate<5, F>;
+    case 6:
+      return &correlate<6, F>;
+    case 7:
+      return &correlate<7, F>;
+    default:
+      return &correlate<0, F>;
+  }
+}
+
+// The pixels first ... first + count - 1 of row y of a plane; both may lie outside.
+template <class T>
+KV_HD void copy_pixels(Planes<T const> const& x, int64_t plane, int64_t y, Border border, int64_t first, int64_t count,
+                       Compute<T>* to) {
+  int64_t const step = x.step, inside = border_index(border, y, x.height);
+  if (inside < 0) {
+    for (int64_t e = 0; e < count * step; ++e) to[e] = 0;
+    return;
+  }
+  T const* const row = x.row(plane, inside);
+  to -= first * step;  // pixel 0
+  auto const copy_outside = [&](int64_t from, int64_t to_pixel) {
+    for (int64_t pixel = from; pixel < to_pixel; ++pixel) {
+      int64_t const i = border_index(border, pixel, x.width);
+      for (int64_t c = 0; c < step; ++c) to[pixel * step + c] = i < 0 ? Compute<T>(0) : load<1>(row + i * step + c);
+    }
+  };
+  int64_t const last = first + count;
+  copy_outside(first, min(last, int64_t(0)));
+  for_each_vector<T>(max(first, int64_t(0)) * step, min(last, x.width) * step, [&](auto lanes, int64_t e) {
+    constexpr int N = decltype(lanes)::value;
+    store<N>(to + e, load<N>(row + e));
+  });
+  copy_outside(max(first, x.width), last);
+}
+
+}  // namespace
+
+template <class T>
+void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<F>;
+  KernelAxis const tx = p.axis_x, ty = p.axis_y, tz = p.axis_z;
+  int64_t const step = p.x.step, width = p.y.width, height = p.y.height, overhang = tx.size - 1;
+  struct Span {
+    int64_t first, count;  // pixels
+  };
+  // The pixels whose taps reach beyond the image, and those between them.
+  int64_t const after = max(int64_t(0), width - p.x.width + overhang - tx.before);
+  Span const left_rim{0, tx.before}, right_rim{width - after, after}, inside{tx.before, width - after - tx.before};
+  // Where results are folded: the positions beyond the image at which pixels stand, too.
+  bool const folds = p.fold != Border::constant;
+  Span const left{folds ? tx.before - overhang : 0, folds ? overhang - tx.before : 0},
+      right{width, folds ? tx.before : 0};
+  int64_t const above = folds ? ty.size - 1 - ty.before : 0, below = folds ? ty.before : 0;
+
+  int64_t const sum_stride = max(width, 2 * overhang + overhang) * step + 2 * N,
+                tile_stride = sum_stride + overhang * step;
+  int64_t const tile_rows = kBlockRows + ty.size - 1;
+  Scratch<F> scratch(tile_rows * tile_stride + 2 * kBlockRows * sum_stride + p.x.row_size() + p.taps());
+  F *const tile = scratch.data, *const sums = tile + tile_rows * tile_stride,
+           *const more = sums + kBlockRows * sum_stride, *const zeros = more + kBlockRows * sum_stride,
+           *const weights = zeros + p.x.row_size();
+  for (int64_t e = 0; e < p.x.row_size(); ++e) zeros[e] = 0;
+  Scratch<F const*> rows(tile_rows + kRows);
+  auto const correlate = correlate_for<F>(ty.size);
+
+  F const* kernel = nullptr;  // whose taps `weights` holds, column by column and flipped where that is asked for
+  auto const arrange_weights = [&](F const* given) {
+    if (given == kernel) return;
+    kernel = given;
+    for (int z = 0; z < tz.size; ++z)
+      for (int y = 0; y < ty.size; ++y)
+        for (int x = 0; x < tx.size; ++x) {
+          int const tap = (z * ty.size + y) * tx.size + x;
+          weights[(z * tx.size + x) * ty.size + y] = kernel[p.flip ? p.taps() - 1 - tap : tap];
+        }
+  };
+
+  // out = the results of `count` rows from the rows of pixels at row_at(r).
+  auto const filter_rows = [&](auto row_at, int64_t count, int kz, F* out, int64_t out_stride, int64_t size, bool fresh,
+                               bool overlap) {
+    int64_t const last = count + ty.size - 2;
+    for (int64_t r = 0; r <= last + kRows; ++r) rows.data[r] = row_at(min(r, last));
+    for (int64_t o = 0; o < count; o += kRows)
+      correlate(rows.data + o, weights + kz * ty.size * tx.size, ty.size, tx.size, step, out + o * out_stride,
+                out_stride, int(min(count - o, int64_t(kRows))), size, fresh, overlap);
+  };
+
+  // The results of rows y ... y + count - 1 at two spans, one after the other with a gap of `overhang` pixels. All of
+  // it may lie outside the image.
+  auto const filter_spans = [&](int64_t plane, int64_t y, int64_t count, Span a, Span b, F* out) {
+    int64_t const z = plane % p.depth;
+    Span const spans[] = {a, b};
+    bool fresh = true;
+    auto const filter_plane = [&](int64_t from, int kz) {
+      for (int64_t r = 0; r < count + ty.size - 1; ++r) {
+        F* to = tile + r * tile_stride;
+        for (Span const span : spans) {
+          if (span.count == 0) continue;
+          copy_pixels<T>(p.x, from, y - ty.before + r, p.border, span.first - tx.before, span.count + overhang, to);
+          to += (span.count + overhang) * step;
+        }
+      }
+      int64_t const pixels = a.count && b.count ? a.count + overhang + b.count : a.count + b.count;
+      filter_rows([&](int64_t r) { return tile + r * tile_stride; }, count, kz, out, sum_stride, pixels * step, fresh,
+                  false);
+      fresh = false;
+    };
+    for_each_position(p.fold, z, int64_t(p.depth), int64_t(tz.size - 1 - tz.before), int64_t(tz.before),
+                      [&](int64_t at) {
+                        for (int kz = 0; kz < tz.size; ++kz) {
+                          int64_t const from = border_index(p.border, at + kz - tz.before, int64_t(p.depth));
+                          if (from >= 0) filter_plane(plane - z + from, kz);
+                        }
+                      });
+  };
+
+  // Results go to the image itself where its numbers are those computed with and whole vectors of them are there.
+  bool const direct = __is_same(T, F) && tz.size == 1 && inside.count * step >= N;
+
+  for (int64_t r = begin; r < end;) {
+    int64_t const plane = r / height, y = r % height, count = min(min(height - y, end - r), int64_t(kBlockRows));
+    arrange_weights(p.kernel_of(plane));
+    F* out = sums;
+    int64_t out_stride = sum_stride;
+
+    // Adds or stores what two spans of rows q ... q + n - 1 give to the rows of this block.
+    auto const merge = [&](int64_t q, int64_t n, Span a, Span b, bool add) {
+      if (a.count + b.count == 0) return;
+      Span const spans[] = {a, b};
+      filter_spans(plane, q, n, a, b, more);
+      for (int64_t o = 0; o < n; ++o) {
+        int64_t const row = border_index(p.fold, q + o, height) - y;
+        if (row < 0 || row >= count) continue;
+        F const* from = more + o * sum_stride;
+        for (Span const span : spans) {
+          if (span.count == 0) continue;
+          for (int64_t i = 0; i < span.count; ++i) {
+            F* const to = out + row * out_stride + border_index(p.fold, span.first + i, width) * step;
+            for (int64_t c = 0; c < step; ++c) to[c] = add ? to[c] + from[i * step + c] : from[i * step + c];
+          }
+          from += (span.count + overhang) * step;
+        }
+      }
+    };
+    auto const fold_rows = [&](int64_t first, int64_t last) {
+      for (int64_t q = first; q < last; q += kBlockRows) {
+        int64_t const n = min(last - q, int64_t(kBlockRows));
+        bool meets = false;
+        for (int64_t o = 0; o < n; ++o) {
+          int64_t const row = border_index(p.fold, q + o, height) - y;
+          meets |= row >= 0 && row < count;
+        }
+        if (!meets) continue;
+        merge(q, n, {0, width}, {0, 0}, true);
+        merge(q, n, left, right, true);
+      }
+    };
+
+    if constexpr (__is_same(T, F)) {
+      if (direct) {
+        out = p.y.row(plane, y), out_stride = p.y.row_stride;
+        auto const row_at = [&](int64_t r) -> F const* {
+          int64_t const from = border_index(p.border, y - ty.before + r, p.x.height);
+          return from < 0 ? zeros : p.x.row(plane, from);
+        };
+        filter_rows(row_at, count, 0, out + inside.first * step, out_stride, inside.count * step, true, true);
+        merge(y, count, left_rim, right_rim, false);
+      }
+    }
+    if (!direct) filter_spans(plane, y, count, {0, width}, {0, 0}, sums);
+    merge(y, count, left, right, true);
+    fold_rows(-above, 0);
+    fold_rows(height, height + below);
+    if (!direct)
+      for (int64_t o = 0; o < count; ++o)
+        for_each_vector<T>(0, width * step, [&](auto lanes, int64_t e) {
+          constexpr int N = decltype(lanes)::value;
+          store<N>(p.y.row(plane, y + o) + e, load<N>(sums + o * sum_stride + e));
+        });
+    r += count;
+  }
+}
+
+namespace {
+
+constexpr int kGradRows = 16;  // rows of the gradient that share a tile
+
+// products[k * kx + i] += the sum over elements of grad[y] * rows[y + k], shifted by i pixels, for KY by KX taps.
+template <int KY, int KX, class F>
+void multiply(F const* grad, int64_t grad_stride, int64_t count, F const* rows, int64_t row_stride, int64_t step,
+              int64_t size, F* products, int kx) {
+  constexpr int N = kLanes<F>;
+  using V = Lanes<F, N>;
+  V sum[KY][KX]{};
+  V index;
+  for (int n = 0; n < N; ++n) index[n] = F(n);
+  int64_t const whole = size / N * N;
+  auto const inside = index < F(size - whole);
+  for (int64_t r = 0; r < count + KY - 1; ++r) {  // row r of the image is a tap of the rows r - k of the gradient
+    F const* const x = rows + r * row_stride;
+    F const* const g = grad + r * grad_stride;
+    auto const add = [&](auto first, auto last) KV_INLINE {  // the taps first ... last - 1
+      auto const add_vector = [&](int64_t e, auto load_x) KV_INLINE {
+        V gs[KY];
+        unroll<KY>([&](auto k) KV_INLINE { gs[k.value] = load<N>(g - k.value * grad_stride + e); });
+        unroll<KX>([&](auto i) KV_INLINE {
+          V const xs = load_x(x + i.value * step + e);
+          unroll<KY>([&](auto k) KV_INLINE {
+            if constexpr (k.value >= first.value && k.value < last.value) sum[k.value][i.value] += gs[k.value] * xs;
+          });
+        });
+      };
+      for (int64_t e = 0; e < whole; e += N) add_vector(e, [&](F const* at) KV_INLINE { return load<N>(at); });
+      if (whole < size)  // the gradient ends in zeros, but 0 times what follows in the image may be NaN
+        add_vector(whole, [&](F const* at) KV_INLINE { return inside ? load<N>(at) : V{}; });
+    };
+    if (r >= KY - 1 && r < count)
+      add(Width<0>{}, Width<KY>{});
+    else
+      unroll<KY>([&](auto k) KV_INLINE {
+        if (r >= k.value && r - k.value < count) add(k, Width<k.value + 1>{});
+      });
+  }
+  unroll<KY>([&](auto k) KV_INLINE {
+    unroll<KX>([&](auto i) KV_INLINE {
+      for (int n = 0; n < N; ++n) products[k.value * kx + i.value] += sum[k.value][i.value][n];
+    });
+  });
+}
+
+// Calls f with min(n, 3), known to the compiler.
+template <class F>
+KV_HD void up_to_three(int n, F f) {
+  if (n >= 3)
+    f(Width<3>{});
+  else if (n == 2)
+    f(Width<2>{});
+  else
+    f(Width<1>{});
+}
+
+}  // namespace
+
+template <class T>
+void filter2d_taps(Filter2dTaps<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<F>;
+  KernelAxis const tx = p.axis_x, ty = p.axis_y, tz = p.axis_z;
+  int64_t const step = p.x.step, width = p.grad.width, height = p.grad.height;
+  int64_t const grad_stride = (width * step + N - 1) / N * N, row_stride = grad_stride + (tx.size - 1) * step;
+  int64_t const tile_size = kGradRows * grad_stride + (kGradRows + ty.size - 1) * row_stride;
+  Scratch<F> scratch(tile_size);
+  for (int64_t e = 0; e < tile_size; ++e) scratch.data[e] = 0;  // what follows the rows stays 0
+  F *const grads = scratch.data, *const rows = grads + kGradRows * grad_stride;
+
+  for (int64_t part = begin; part < end; ++part) {
+    F* const products = p.parts + part * p.taps();
+    for (int t = 0; t < p.taps(); ++t) products[t] = 0;
+    int64_t const plane = part / p.parts_down(), first = part % p.parts_down() * p.part_rows;
+    int64_t const z = plane % p.depth, last = min(first + p.part_rows, height);
+    for (int64_t y = first; y < last; y += kGradRows) {
+      int64_t const count = min(last - y, int64_t(kGradRows));
+      for (int64_t r = 0; r < count; ++r)
+        copy_pixels<T>(p.grad, plane, y + r, Border::constant, 0, width, grads + r * grad_stride);
+      for (int kz = 0; kz < tz.size; ++kz) {
+        int64_t const inside = border_index(p.border, z + kz - tz.before, int64_t(p.depth));
+        if (inside < 0) continue;
+        for (int64_t r = 0; r < count + ty.size - 1; ++r)
+          copy_pixels<T>(p.x, plane - z + inside, y - ty.before + r, p.border, -tx.before, width + tx.size - 1,
+                         rows + r * row_stride);
+        for (int ky = 0; ky < ty.size; ky += 3)
+          for (int kx = 0; kx < tx.size; kx += 3)
+            up_to_three(ty.size - ky, [&](auto across_y) {
+              up_to_three(tx.size - kx, [&](auto across_x) {
+                multiply<across_y.value, across_x.value>(grads, grad_stride, count, rows + ky * row_stride + kx * step,
+                                                         row_stride, step, width * step,
+                                                         products + (kz * ty.size + ky) * tx.size + kx, tx.size);
+              });
+            });
+      }
+    }
+  }
+}
+
+template <class F>
+void sum_parts(SumParts<F> const& p, int64_t begin, int64_t end) {
+  for (int64_t i = begin; i < end; ++i) {
+    F const* const terms = p.terms + i / p.size * p.parts * p.size + i % p.size;
+    double sum = 0;
+    for (int64_t part = 0; part < p.parts; ++part) sum += terms[part * p.size];
+    p.sums[i] = F(sum);
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(filter2d, Filter2d)
+KV_INSTANTIATE(filter2d_taps, Filter2dTaps)
+KV_INSTANTIATE_ONE(sum_parts, SumParts, float)
+KV_INSTANTIATE_ONE(sum_parts, SumParts, double)
+
+}  // namespace kv::KV_ISA

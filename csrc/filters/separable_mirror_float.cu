@@ -1,0 +1,12 @@
+// The mirrored strip kernel of separable_strip.cuh, for float.
+#include "separable_strip.cuh"
+
+namespace kv::cuda {
+
+template <>
+int separable_mirrors(Separable<float> const& p, float divisor, CUstream_st* stream) {
+  launch_strip_of_size<float, true>(p, divisor, stream);
+  return cudaGetLastError();
+}
+
+}  // namespace kv::cuda

@@ -12,7 +12,6 @@
 #include <torch/csrc/stable/ops.h>
 #include <torch/csrc/stable/tensor.h>
 
-#include <initializer_list>
 #include <optional>
 #include <sstream>
 #include <stdexcept>
@@ -112,21 +111,23 @@ inline Tensor conform(Tensor const& x, Layout layout) {
 
 // Asks for large pages, as NumPy does: memory fresh from the system costs a fault for each of its pages when it is
 // first written, and with pages of 4 KB that takes longer than most filters.
-inline void advise_large_pages([[maybe_unused]] void* data, [[maybe_unused]] int64_t bytes) {
+inline void advise_large_pages([[maybe_unused]] Tensor const& x) {
 #if defined(__linux__) && !defined(KV_CUDA)
   constexpr int64_t worth_a_system_call = 1 << 22, page = 4096;
+  int64_t const bytes = x.numel() * int64_t(x.element_size());
   if (bytes < worth_a_system_call) return;
-  auto* const begin = static_cast<char*>(data);
+  auto* const begin = static_cast<char*>(x.mutable_data_ptr());
   auto* const first = begin + (page - reinterpret_cast<uintptr_t>(begin) % page) % page;
   madvise(first, begin + bytes - first, MADV_HUGEPAGE);  // only a hint: where it is refused nothing changes
 #endif
 }
 
 // Uninitialised memory of the device and dtype of `like`, dense. `sizes` of four axes are laid out as `layout` says.
-inline Tensor empty(std::initializer_list<int64_t> sizes, Tensor const& like, Layout layout = Layout::planar) {
+inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like,
+                    Layout layout = Layout::planar) {
   int64_t strides[8], stride = 1;  // not on the heap: a small block held here would stand in the way of reusing images
   auto const add = [&](size_t axis) {
-    int64_t const size = sizes.begin()[axis];
+    int64_t const size = sizes[axis];
     strides[axis] = stride;
     stride *= size > 1 ? size : 1;
   };
@@ -138,11 +139,11 @@ inline Tensor empty(std::initializer_list<int64_t> sizes, Tensor const& like, La
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_dtype(like.get(), &dtype));
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));
   AtenTensorHandle handle;
-  TORCH_ERROR_CODE_CHECK(aoti_torch_empty_strided(int64_t(sizes.size()), sizes.begin(), strides, dtype, device_type,
+  TORCH_ERROR_CODE_CHECK(aoti_torch_empty_strided(int64_t(sizes.size()), sizes.data(), strides, dtype, device_type,
                                                   like.get_device_index(), &handle));
-  Tensor const result(handle);
-  advise_large_pages(result.mutable_data_ptr(), result.numel() * int64_t(result.element_size()));
-  return result;
+  Tensor x(handle);
+  advise_large_pages(x);
+  return x;
 }
 
 inline Tensor empty_like(Tensor const& x, Layout layout) {

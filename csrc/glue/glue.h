@@ -12,12 +12,18 @@
 #include <torch/csrc/stable/ops.h>
 #include <torch/csrc/stable/tensor.h>
 
+#include <cstdlib>
+#include <new>
 #include <optional>
 #include <sstream>
 #include <stdexcept>
 #include <string>
 #include <tuple>
 #include <vector>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
 
 #include "core/border.h"
 #include "core/isa.h"
@@ -105,13 +111,38 @@ inline Tensor conform(Tensor const& x, Layout layout) {
   return x.stride(3) == 1 || x.size(3) == 1 ? x : torch::stable::contiguous(x);
 }
 
+#if defined(KV_CUDA)
+constexpr int64_t kLargeResult = INT64_MAX;
+#else
+constexpr int64_t kLargeResult = 1 << 22;  // bytes
+#endif
+
+// Memory of a large result on the CPU. Not from torch's allocator, because that asks glibc for an address of a certain
+// alignment, and glibc before 2.38 may never use such a block again: small blocks that it cuts off at both ends stay in
+// use, and the process grows by a result a call. An ordinary block is used again by the next result of its size.
+inline void* large_block(int64_t bytes, void*& data) {
+  constexpr int64_t alignment = 64;
+  char* const block = static_cast<char*>(malloc(size_t(bytes + alignment)));
+  if (!block) throw std::bad_alloc();
+  data = block + (alignment - reinterpret_cast<uintptr_t>(block) % alignment);
+#if defined(__linux__)
+  // Large pages, as NumPy asks for them: memory fresh from the system costs a fault for each of its pages when it is
+  // first written, and with pages of 4 KB that takes longer than most filters. Only a hint.
+  constexpr int64_t page = 4096;
+  char* const first = block + (page - reinterpret_cast<uintptr_t>(block) % page) % page;
+  madvise(first, size_t(block + bytes - first), MADV_HUGEPAGE);
+#endif
+  return block;
+}
+
 // Uninitialised memory of the device and dtype of `like`, dense. `sizes` of four axes are laid out as `layout` says.
-inline Tensor empty(std::vector<int64_t> const& sizes, Tensor const& like, Layout layout = Layout::planar) {
-  std::vector<int64_t> strides(sizes.size());
-  int64_t stride = 1;
+inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like,
+                    Layout layout = Layout::planar) {
+  int64_t strides[8], stride = 1;  // not on the heap: a small block held here would stand in the way of reusing images
   auto const add = [&](size_t axis) {
+    int64_t const size = sizes[axis];
     strides[axis] = stride;
-    stride *= sizes[axis] > 1 ? sizes[axis] : 1;
+    stride *= size > 1 ? size : 1;
   };
   if (layout == Layout::channels_last)
     for (size_t axis : {1, 3, 2, 0}) add(axis);
@@ -121,8 +152,19 @@ inline Tensor empty(std::vector<int64_t> const& sizes, Tensor const& like, Layou
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_dtype(like.get(), &dtype));
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));
   AtenTensorHandle handle;
-  TORCH_ERROR_CODE_CHECK(aoti_torch_empty_strided(int64_t(sizes.size()), sizes.data(), strides.data(), dtype,
-                                                  device_type, like.get_device_index(), &handle));
+  int64_t const axes = int64_t(sizes.size());
+  int64_t bytes = like.element_size();
+  for (int64_t size : sizes) bytes *= size;
+  if (bytes < kLargeResult) {
+    TORCH_ERROR_CODE_CHECK(
+        aoti_torch_empty_strided(axes, sizes.data(), strides, dtype, device_type, like.get_device_index(), &handle));
+  } else {
+    void* data;
+    void* const block = large_block(bytes, data);
+    auto const release = [](void*, void* block) { free(block); };
+    TORCH_ERROR_CODE_CHECK(torch_from_blob(data, axes, sizes.data(), strides, 0, dtype, device_type, -1, &handle,
+                                           aoti_torch_layout_strided(), nullptr, 0, release, block));
+  }
   return Tensor(handle);
 }
 

@@ -69,7 +69,7 @@ def test_clahe_is_opencvs(size, grid, clip):
     expected = cv2.createCLAHE(clip, grid[::-1]).apply(levels)
     apart = np.abs(255 * E.equalize_clahe(unit(levels), clip, grid)[0, 0].numpy() - expected)
     step = 255 / 2 / min(size[0] // grid[0], size[1] // grid[1])  # what half a pixel can make, from black to white
-    assert apart.max() < 0.5 + 2 * step and apart.mean() < 2
+    assert apart.max() < 0.5 + 2 * step and apart.mean() < 0.5 + step / 2
     if grid == (1, 1):
         assert apart.max() < 1e-3
 
@@ -127,6 +127,7 @@ def test_clahe_of_the_transposed_image(device):
 
 def test_clahe_has_a_gradient_where_asked_for(device):
     x = torch.rand(1, 1, 16, 16, device=device, requires_grad=True)
-    assert not E.equalize_clahe(x, 2.0, (2, 2)).requires_grad
+    (none,) = torch.autograd.grad(E.equalize_clahe(x, 2.0, (2, 2)).sum(), x)
+    assert not none.any()
     E.equalize_clahe(x, 0.0, (2, 2), slow_and_differentiable=True).square().sum().backward()
     assert x.grad.isfinite().all() and x.grad.abs().sum() > 0

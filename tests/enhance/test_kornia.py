@@ -61,11 +61,10 @@ def test_factors(name, factor, x):
         ("posterize", (torch.tensor([[1, 2, 3], [8, 0, 5]]),)),
         ("shift_rgb", (F, 0.2 * F, -F)),
         ("solarize", (0.4 * F, 0.2 * F)),
-        ("zca_whiten", ()),
     ],
 )
 def test_functions(name, arguments, x):
-    tolerance = {"zca_whiten": 2e-3, "integral_image": 1e-3}.get(name, 5e-6)
+    tolerance = 1e-3 if "integral" in name else 5e-6
     expected = getattr(kornia, name)(x, *arguments)
     assert_close(getattr(E, name)(x, *arguments), expected, 2e-5, tolerance)
 
@@ -114,10 +113,10 @@ def test_image_histogram2d(kernel, bandwidth, x):
 
 @pytest.mark.parametrize("quality", [0.0, 1.0, 10.0, 49.0, 50.0, 75.0, 100.0])
 def test_jpeg(quality, x):
-    """Kornia's values outside [0, 1] are other ones."""
+    """Kornia rounds the factors of its YCbCr to three digits."""
     each = torch.tensor([quality, 100 - quality])
-    expected = kornia.jpeg_codec_differentiable(x, each).clamp(0, 1)
-    assert_close(E.jpeg_codec_differentiable(x, each), expected, 0, 2e-4)
+    expected = kornia.jpeg_codec_differentiable(x, each)
+    assert_close(E.jpeg_codec_differentiable(x, each), expected, 0, 5e-4)
 
 
 def test_threshold_of_every_type(x):

@@ -7,14 +7,13 @@ import math
 from torch import Tensor
 
 from kvision import _check
+from kvision._leading import flat
 from kvision.core.exceptions import ImageError, ShapeError
 
 
 def as_batch(x: Tensor) -> Tensor:
     """(*, C, H, W) as (B, C, H, W): the axes in front joined, or added where there are fewer than four."""
-    if x.dim() == 4:
-        return x
-    return x.flatten(0, -4) if x.dim() > 4 else x.reshape((1,) * (4 - x.dim()) + x.shape)
+    return flat(x if x.dim() > 2 else x.reshape((1,) * (3 - x.dim()) + x.shape))
 
 
 def parameter(
@@ -76,7 +75,5 @@ def images(op: str, name: str, x: Tensor, spatial: int = 2) -> None:
 
 def colours(op: str, name: str, x: Tensor) -> None:
     """Raise unless `x` holds floating-point images of three channels, (*, 3, H, W)."""
-    _check.numbers(op, name, x)
+    _check.channels(op, name, x, 3, ImageError)
     _check.floating(op, name, x)
-    if x.dim() < 3 or x.shape[-3] != 3:
-        raise ImageError(f"{op}: expected {name} of shape (*, 3, H, W), got {tuple(x.shape)}")

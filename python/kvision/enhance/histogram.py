@@ -38,7 +38,7 @@ class _Recomputed(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        _, pullback = torch.func.vjp(ctx.f, *ctx.saved_tensors)
+        pullback = torch.func.vjp(ctx.f, *ctx.saved_tensors)[1]
         return (None, *pullback(grad))
 
     @staticmethod
@@ -46,8 +46,8 @@ class _Recomputed(torch.autograd.Function):
         tensors = ctx.saved_tensors
         full = tuple(torch.zeros_like(x) if t is None else t for x, t in zip(tensors, tangents))
         # J t as the derivative of u -> J^T u: plain forward mode cannot be nested in itself.
-        output, pullback = torch.func.vjp(ctx.f, *tensors)
-        _, pushforward = torch.func.vjp(pullback, torch.zeros_like(output))
+        output, pullback = torch.func.vjp(ctx.f, *tensors)[:2]
+        pushforward = torch.func.vjp(pullback, torch.zeros_like(output))[1]
         return pushforward(full)[0]
 
 

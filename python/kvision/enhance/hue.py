@@ -9,25 +9,17 @@ from torch import Tensor
 
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
+from kvision.color.hue import hue, lack
 from kvision.enhance.batch import as_batch, chosen, colours, per_pixel
 
 _TURN = 2 * math.pi
 
 
 def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
-    r, g, b = x.split(1, 1)
-    v = x.amax(1, keepdim=True)
-    span = v - x.amin(1, keepdim=True)
-    width = torch.where(span > 0, span, 1)
-    # In sixths of a turn: red is 0, green 2, blue 4.
-    hue = torch.where(v == r, (g - b) / width, torch.where(v == g, 2 + (b - r) / width, 4 + (r - g) / width))
-    hue = hue + chosen(factor, number) * (6 / _TURN)
-    # A channel is v up to one sixth from its own hue, falls to v - span at two sixths from it, and is flat again.
-    #        k:  0    1    2    3    4    5    6
-    #   v             ________________                 away = clamp(min(k, 4 - k), 0, 1), with k from 5, 3, 1 for r, g, b
-    from_hue = 5 - 2 * torch.arange(3, dtype=x.dtype, device=x.device).view(3, 1, 1)
-    k = torch.remainder(hue + from_hue, 6)
-    return v - span * torch.minimum(k, 4 - k).clamp(0, 1)
+    highest = x.amax(1)
+    chroma = highest - x.amin(1)
+    turned = hue(x, highest, chroma)[:, None] + chosen(factor, number)
+    return highest[:, None] - chroma[:, None] * lack(turned[:, 0])
 
 
 def _in_hsv(x: Tensor, factor: Tensor | None, number: float) -> Tensor:

@@ -11,6 +11,8 @@ from torch import Tensor
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
+from kvision.color.ycbcr import _inverse as to_rgb
+from kvision.color.ycbcr import _reference as to_ycbcr
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colours
 from kvision.filters.border import pad
@@ -37,25 +39,11 @@ _CHROMINANCE = (
 
 def _reference(x: Tensor, quality: Tensor, table_y: Tensor | None, table_c: Tensor | None) -> Tensor:
     h, w = x.shape[2:]
-    y, cb, cr = _to_ycbcr(255 * pad(x, ((0, -h % 16), (0, -w % 16)), "replicate"))
-    chroma = _halved(torch.stack([cb, cr], 1))
-    y = _through_blocks(y[:, None], _steps(quality, _table(_LUMINANCE, table_y, x)))
-    chroma = _through_blocks(chroma, _steps(quality, _table(_CHROMINANCE, table_c, x)))
+    ycbcr = 255 * to_ycbcr(pad(x, ((0, -h % 16), (0, -w % 16)), "replicate"))
+    y = _through_blocks(ycbcr[:, :1], _steps(quality, _table(_LUMINANCE, table_y, x)))
+    chroma = _through_blocks(_halved(ycbcr[:, 1:]), _steps(quality, _table(_CHROMINANCE, table_c, x)))
     chroma = F.interpolate(chroma, scale_factor=2.0, mode="bilinear", align_corners=False)
-    rgb = _to_rgb(y[:, 0], chroma[:, 0], chroma[:, 1])
-    return _soft_clip(rgb[..., :h, :w], 0, 255) / 255
-
-
-def _to_ycbcr(rgb: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """ITU-R BT.601, in levels."""
-    r, g, b = rgb.unbind(1)
-    y = 0.299 * r + 0.587 * g + 0.114 * b
-    return y, 0.564 * (b - y) + 127.5, 0.713 * (r - y) + 127.5
-
-
-def _to_rgb(y: Tensor, cb: Tensor, cr: Tensor) -> Tensor:
-    cb, cr = cb - 127.5, cr - 127.5
-    return torch.stack([y + 1.403 * cr, y - 0.714 * cr - 0.344 * cb, y + 1.773 * cb], 1)
+    return to_rgb(torch.cat([y, chroma], 1) / 255)[..., :h, :w]
 
 
 def _halved(x: Tensor) -> Tensor:
@@ -134,7 +122,7 @@ def jpeg_codec_differentiable(
         quantization_table_c: table for chrominance.
 
     Returns:
-        The decoded images, in [0, 1] up to 0.02 / 255; differentiable in all four.
+        The decoded images, clamped to [0, 1]; differentiable in all four.
 
     Raises:
         TypeCheckError: input is no floating-point tensor; another argument is none either.

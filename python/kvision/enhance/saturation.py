@@ -8,14 +8,9 @@ from torch import Tensor
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
+from kvision.color.ycbcr import _luma as luma
 from kvision.core.exceptions import ImageError
 from kvision.enhance.batch import as_batch, chosen, colours, per_pixel
-
-
-def luma(x: Tensor) -> Tensor:
-    """Grey of RGB: (B, 3, H, W) to (B, 1, H, W)."""
-    r, g, b = x.split(1, 1)
-    return 0.299 * r + 0.587 * g + 0.114 * b
 
 
 def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:

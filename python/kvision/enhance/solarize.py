@@ -13,8 +13,10 @@ from kvision.enhance.batch import as_batch, chosen, floats, parameter
 def _reference(
     x: Tensor, threshold: Tensor | None, addition: Tensor | None, threshold_number: float, addition_number: float | None
 ) -> Tensor:
-    if addition is not None or addition_number is not None:
-        x = (x + chosen(addition, addition_number)).clamp(0, 1)
+    if addition is not None:
+        x = (x + addition).clamp(0, 1)
+    elif addition_number is not None:
+        x = (x + addition_number).clamp(0, 1)
     return torch.where(x < chosen(threshold, threshold_number), x, 1 - x)
 
 

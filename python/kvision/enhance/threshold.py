@@ -79,15 +79,16 @@ def threshold(
     if not input.is_floating_point():
         thresh = torch.as_tensor(thresh, dtype=torch.float64).floor()
     above = (input if input.is_floating_point() else input.double()) > thresh
+    zero = input.new_zeros(())
     if type == ThresholdType.THRESH_BINARY:
-        return torch.where(above, _stored(maxval, input), 0)
+        return torch.where(above, _stored(maxval, input), zero)
     if type == ThresholdType.THRESH_BINARY_INV:
-        return torch.where(above, 0, _stored(maxval, input))
+        return torch.where(above, zero, _stored(maxval, input))
     if type == ThresholdType.THRESH_TRUNC:
         return torch.where(above, _stored(thresh, input), input)
     if type == ThresholdType.THRESH_TOZERO:
-        return torch.where(above, input, 0)
-    return torch.where(above, 0, input)
+        return torch.where(above, input, zero)
+    return torch.where(above, zero, input)
 
 
 def _stored(value: float | Tensor, x: Tensor) -> Tensor:
@@ -117,4 +118,4 @@ class Threshold(FunctionModule):
         super().__init__(thresh=thresh, maxval=maxval, type=type)
 
     def forward(self, input: Tensor) -> Tensor:
-        return threshold(input, self.thresh, self.maxval, self.type)
+        return threshold(input, self.thresh, self.maxval, self.type)  # type: ignore[arg-type]  # not nn.Module's type

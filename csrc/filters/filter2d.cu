@@ -1,8 +1,6 @@
 // Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not serve go by tiles in shared memory,
-// with every tap of a kernel from there; 3x3 and 5x5 kernels are in registers. Volumes, float64 and kernels that shared
-// memory has no room for take one thread an element.
-#include <cuda_pipeline.h>
-
+// with every tap of a kernel from there. Volumes, float64 and kernels that shared memory has no room for take one
+// thread an element.
 #include "core/launch.cuh"
 #include "filter2d.h"
 
@@ -19,45 +17,58 @@ constexpr int kWarps = 4, kThreads = 32 * kWarps;
 constexpr int kDown = kHeight / kWarps, kAcross = kWidth / 32;  // pixels of a thread
 constexpr int64_t kMostShared = 100 << 10;                      // bytes of a block: two of them share a multiprocessor
 
-// The tiles of one channel of a plane, and the pixels around a tile that are read with it: from pixel -before on,
-// `pitch` columns of `rows` rows.
+// The tiles of one channel of a plane, and the pixels around a tile that are read with it: `rows` rows of `pitch`
+// columns, of which `lead` are to the left of the tile.
 struct Tiles {
-  int across, down, pitch, rows;
+  int across, down, lead, pitch, rows;
 
   template <class T>
-  Tiles(Planes<T> const& p, int columns, int rows)
+  Tiles(Planes<T> const& p, int before, int after, int rows)
       : across(int(ceil_div(p.width, kWidth))),
         down(int(ceil_div(p.height, kHeight))),
-        pitch((kWidth + columns + 3) / 4 * 4),
+        lead((before + 7) / 8 * 8),
+        pitch(lead + (kWidth + after + 7) / 8 * 8),
         rows(kHeight + rows) {}
   int64_t bytes(int64_t numbers) const { return 4 * (int64_t(pitch) * rows + rows + numbers); }
 };
 
-// Fills a tile whose first pixel is (x0, y0) of a plane; `sources` has room for a number for each row.
-template <class T>
+// Fills a tile whose first row is y0 of a plane; `sources` has room for a number for each row. V pixels at a time: 1,
+// or kPixels<T> where rows are packs of as many.
+template <int V, class T>
 __device__ __forceinline__ void load_tile(float* tile, int* sources, Tiles const& tiles, Planes<T const> const& p,
                                           int64_t plane, int64_t channel, Border border, int x0, int y0) {
-  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   for (int row = threadIdx.x; row < tiles.rows; row += kThreads)
     sources[row] = border_index(border, y0 + row, int(p.height));
   __syncthreads();
   T const* const in = p.plane(plane) + channel;
-  for (int i = lane; i < tiles.pitch; i += 32) {
-    int const column = border_index(border, x0 + i, int(p.width));
-    T const* const top = in + int64_t(column) * p.step;
-#pragma unroll 8
-    for (int row = warp; row < tiles.rows; row += kWarps) {
-      int const source = sources[row];
-      bool const outside = column < 0 || source < 0;
-      float* const to = tile + row * tiles.pitch + i;
-      if constexpr (__is_same(T, float))
-        __pipeline_memcpy_async(to, outside ? in : top + source * p.row_stride, 4, outside ? 4 : 0);
-      else
-        *to = outside ? 0.f : read(top[source * p.row_stride]);
+  int const width = int(p.width), across = tiles.pitch / V, count = tiles.rows * across;
+  auto const fetch = [&](int i) {
+    int const row = i / across, x = x0 - tiles.lead + (i - row * across) * V;
+    Pack<T, V> pack{};
+    if (i >= count || sources[row] < 0) return pack;
+    T const* const from = in + sources[row] * p.row_stride;
+    if (V > 1 && x >= 0 && x < width) return *reinterpret_cast<Pack<T, V> const*>(from + x);
+#pragma unroll
+    for (int k = 0; k < V; ++k) {
+      int const column = border_index(border, x + k, width);
+      if (column >= 0) pack.v[k] = from[column * (V > 1 ? 1 : p.step)];
+    }
+    return pack;
+  };
+  constexpr int kFlying = V > 1 ? 4 : 8;  // reads of a thread on their way
+  for (int first = threadIdx.x; first < count; first += kFlying * kThreads) {
+    Pack<T, V> packs[kFlying];
+#pragma unroll
+    for (int n = 0; n < kFlying; ++n) packs[n] = fetch(first + n * kThreads);
+#pragma unroll
+    for (int n = 0; n < kFlying; ++n) {
+      int const i = first + n * kThreads;
+      Pack<float, V> numbers;
+#pragma unroll
+      for (int k = 0; k < V; ++k) numbers.v[k] = read(packs[n].v[k]);
+      if (i < count) *reinterpret_cast<Pack<float, V>*>(tile + i * V) = numbers;
     }
   }
-  __pipeline_commit();
-  __pipeline_wait_prior(0);
   __syncthreads();
 }
 
@@ -80,39 +91,12 @@ __device__ __forceinline__ void visit_positions(Border fold, KernelAxis axis, in
 // --- filtering
 // ----------------------------------------------------------------------------------------------------------
 
-// What a warp's threads sum, `window` being the first pixel that is read for the first of its pixels. Weights are in
-// shared memory, column by column.
-//
-// Small kernels: neighbouring pixels a thread, so that a row of its window is two reads; the weights in registers.
-template <int K>
-__device__ __forceinline__ void correlate(float const* window, int pitch, float const* weights, int, int,
+// What a warp's threads sum, `window` being the first pixel that is read for the first of its pixels. Every 32nd pixel
+// a thread, so that reads of a warp are neighbours wherever they start. Going down a column of the kernel, whose
+// weights are in shared memory column by column, the last kDown rows of the window stay in registers, row r in v[r %
+// kDown].
+__device__ __forceinline__ void correlate(float const* window, int pitch, float const* weights, int ky, int kx,
                                           float (&sums)[kDown][kAcross]) {
-  static_assert(kAcross == 4 && K <= 5, "a row of the window is eight numbers");
-  float w[K][K];
-#pragma unroll
-  for (int i = 0; i < K * K; ++i) w[i % K][i / K] = weights[i];
-  float const* const first = window + kAcross * (threadIdx.x % 32);
-#pragma unroll
-  for (int row = 0; row < kDown + K - 1; ++row) {
-    Pack<float, 8> v;
-    *reinterpret_cast<float4*>(v.v) = *reinterpret_cast<float4 const*>(first + row * pitch);
-    *reinterpret_cast<float4*>(v.v + 4) = *reinterpret_cast<float4 const*>(first + row * pitch + 4);
-#pragma unroll
-    for (int o = 0; o < kDown; ++o) {
-      if (row < o || row >= o + K) continue;
-#pragma unroll
-      for (int kx = 0; kx < K; ++kx)
-#pragma unroll
-        for (int i = 0; i < kAcross; ++i) sums[o][i] += w[row - o][kx] * v.v[i + kx];
-    }
-  }
-}
-
-// Any kernel: every 32nd pixel a thread, so that reads of a warp are neighbours wherever they start. Going down a
-// column of the kernel, the last kDown rows of the window stay in registers, row r in v[r % kDown].
-template <>
-__device__ __forceinline__ void correlate<0>(float const* window, int pitch, float const* weights, int ky, int kx,
-                                             float (&sums)[kDown][kAcross]) {
   for (int x = 0; x < kx; ++x, weights += ky) {
     float const* next = window + threadIdx.x % 32 + x;
     float v[kDown][kAcross];
@@ -154,9 +138,9 @@ struct Rim {
   __device__ __forceinline__ int at(int i) const { return i < low_count ? low + i : high + i - low_count; }
 };
 
-template <class T, int K>
+template <class T, int V>
 __global__ void __launch_bounds__(kThreads, 5)
-    filter_tile(__grid_constant__ Filter2d<T> const p, __grid_constant__ Tiles const tiles, bool packed) {
+    filter_tile(__grid_constant__ Filter2d<T> const p, __grid_constant__ Tiles const tiles) {
   extern __shared__ __align__(16) float shared[];
   float *const tile = shared, *const weights = tile + tiles.rows * tiles.pitch;
   int* const sources = reinterpret_cast<int*>(weights + p.taps());
@@ -170,24 +154,20 @@ __global__ void __launch_bounds__(kThreads, 5)
     int const tap = i % ky * kx + i / ky;
     weights[i] = kernel[p.flip ? kx * ky - 1 - tap : tap];
   }
-  load_tile(tile, sources, tiles, p.x, plane, channel, p.border, x0 - p.axis_x.before, y0 - p.axis_y.before);
+  load_tile<V>(tile, sources, tiles, p.x, plane, channel, p.border, x0, y0 - p.axis_y.before);
 
   int const lane = threadIdx.x % 32, row = threadIdx.x / 32 * kDown;
+  float const* const window = tile + tiles.lead - p.axis_x.before;
   float sums[kDown][kAcross] = {};
-  correlate<K>(tile + row * tiles.pitch, tiles.pitch, weights, ky, kx, sums);
-  Strip<0, true, kAcross> const pack(x0 + kAcross * lane, width, Border::constant);
+  correlate(window + row * tiles.pitch, tiles.pitch, weights, ky, kx, sums);
 #pragma unroll
   for (int o = 0; o < kDown; ++o) {
     if (y0 + row + o >= height) break;
     T* const out = p.y.row(plane, y0 + row + o) + channel;
-    if (K > 0 && packed) {
-      pack.store(out, sums[o]);
-    } else {
 #pragma unroll
-      for (int i = 0; i < kAcross; ++i) {
-        int const x = x0 + (K > 0 ? kAcross * lane + i : 32 * i + lane);
-        if (x < width) out[x * step] = round_to<T>(sums[o][i]);
-      }
+    for (int i = 0; i < kAcross; ++i) {
+      int const x = x0 + 32 * i + lane;
+      if (x < width) out[x * step] = round_to<T>(sums[o][i]);
     }
   }
   if (p.fold == Border::constant) return;
@@ -202,7 +182,7 @@ __global__ void __launch_bounds__(kThreads, 5)
         int const first_x = at_x - p.axis_x.before, from_x = max(0, -first_x), to_x = min(kx, width - first_x);
         for (int j = from_x; j < to_x; ++j)
           for (int i = from_y; i < to_y; ++i)
-            sum += weights[j * ky + i] * tile[(at_y + i - y0) * tiles.pitch + at_x + j - x0];
+            sum += weights[j * ky + i] * window[(at_y + i - y0) * tiles.pitch + at_x + j - x0];
       });
     });
     p.y.row(plane, y)[x * step + channel] = round_to<T>(sum);
@@ -219,13 +199,13 @@ __global__ void __launch_bounds__(kThreads, 5)
   }
 }
 
-template <int K, class T>
+template <class T>
 int launch_tiles(Filter2d<T> const& p, Tiles const& tiles, CUstream_st* stream) {
   int64_t const bytes = tiles.bytes(p.taps()), blocks = p.y.count() * p.y.step * tiles.across * tiles.down;
-  if (int const error =
-          cudaFuncSetAttribute(filter_tile<T, K>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+  auto const kernel = is_strip<kPixels<T>>(p.x) ? filter_tile<T, kPixels<T>> : filter_tile<T, 1>;
+  if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
-  filter_tile<T, K><<<unsigned(blocks), kThreads, bytes, stream>>>(p, tiles, is_strip<kAcross>(p.y));
+  kernel<<<unsigned(blocks), kThreads, bytes, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 
@@ -281,7 +261,7 @@ __device__ __forceinline__ float warp_sums(float (&v)[8]) {
 
 // One block a part, tile by tile of the gradient, whose pixels are in registers. Below them the rows of the image pass:
 // each meets N rows of the kernel at once.
-template <class T, int N>
+template <class T, int N, int V>
 __global__ void __launch_bounds__(kThreads, 3)
     taps_tile(__grid_constant__ Filter2dTaps<T> const p, __grid_constant__ Tiles const tiles) {
   extern __shared__ __align__(16) float shared[];
@@ -305,12 +285,13 @@ __global__ void __launch_bounds__(kThreads, 3)
           g[o][c] = y + o < last && x < width ? read(p.grad.row(plane, y + o)[int64_t(x) * step + channel]) : 0.f;
         }
       __syncthreads();  // the tile before this one is done with
-      load_tile(tile, sources, tiles, p.x, plane, channel, p.border, x0 - p.axis_x.before, y0 - p.axis_y.before);
+      load_tile<V>(tile, sources, tiles, p.x, plane, channel, p.border, x0, y0 - p.axis_y.before);
 
+      float const* const window = tile + tiles.lead - p.axis_x.before + lane;
       auto const add = [&](auto whole) {
         for (int first_tap = 0; first_tap < ky; first_tap += N)
           for (int x = 0; x < kx; ++x) {
-            float const* row = tile + (warp * kDown + first_tap) * tiles.pitch + lane + x;
+            float const* row = window + (warp * kDown + first_tap) * tiles.pitch + x;
             float products[8] = {};
 #pragma unroll
             for (int r = 0; r < kDown + N - 1; ++r, row += tiles.pitch)
@@ -344,9 +325,10 @@ __global__ void __launch_bounds__(kThreads, 3)
 template <int N, class T>
 int launch_taps(Filter2dTaps<T> const& p, Tiles const& tiles, CUstream_st* stream) {
   int64_t const bytes = tiles.bytes(kWarps * p.taps());
-  if (int const error = cudaFuncSetAttribute(taps_tile<T, N>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+  auto const kernel = is_strip<kPixels<T>>(p.x) ? taps_tile<T, N, kPixels<T>> : taps_tile<T, N, 1>;
+  if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
-  taps_tile<T, N><<<unsigned(p.count()), kThreads, bytes, stream>>>(p, tiles);
+  kernel<<<unsigned(p.count()), kThreads, bytes, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 
@@ -411,17 +393,11 @@ int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
     if (filter2d_strips(p, stream)) return cudaGetLastError();
     // A pixel of the rim is folded from the tile that it is in.
     bool const folds = p.fold != Border::constant;
-    auto const beside = [&](KernelAxis axis) {
-      int const after = axis.size - 1 - axis.before;
-      return axis.before + (folds ? max(axis.before, after) : after);
-    };
+    auto const after = [&](KernelAxis axis) { return max(axis.size - 1 - axis.before, folds ? axis.before : 0); };
+    auto const beside = [&](KernelAxis axis) { return axis.before + after(axis); };
     bool const foldable = !folds || (beside(p.axis_x) < 2 * kWidth && beside(p.axis_y) < 2 * kHeight);
-    Tiles const tiles(p.y, beside(p.axis_x), beside(p.axis_y));
-    if (p.axis_z.size == 1 && foldable && tiles.bytes(p.taps()) <= kMostShared) {
-      if (p.axis_x.size == 3 && p.axis_y.size == 3) return launch_tiles<3>(p, tiles, stream);
-      if (p.axis_x.size == 5 && p.axis_y.size == 5) return launch_tiles<5>(p, tiles, stream);
-      return launch_tiles<0>(p, tiles, stream);
-    }
+    Tiles const tiles(p.y, p.axis_x.before, after(p.axis_x), beside(p.axis_y));
+    if (p.axis_z.size == 1 && foldable && tiles.bytes(p.taps()) <= kMostShared) return launch_tiles(p, tiles, stream);
   }
   filter_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();
@@ -431,7 +407,8 @@ template <class T>
 int filter2d_taps(Filter2dTaps<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
     int const together = p.axis_y.size <= 5 ? 5 : 8;  // rows of the kernel; the image's below the last one are not used
-    Tiles const tiles(p.grad, p.axis_x.size - 1, int(ceil_div(p.axis_y.size, together)) * together - 1);
+    Tiles const tiles(p.grad, p.axis_x.before, p.axis_x.size - 1 - p.axis_x.before,
+                      int(ceil_div(p.axis_y.size, together)) * together - 1);
     if (p.axis_z.size == 1 && tiles.bytes(kWarps * p.taps()) <= kMostShared)
       return together == 5 ? launch_taps<5>(p, tiles, stream) : launch_taps<8>(p, tiles, stream);
   }

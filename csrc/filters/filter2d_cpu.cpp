@@ -129,6 +129,25 @@ KV_HD void copy_pixels(Planes<T const> const& x, int64_t plane, int64_t y, Borde
   copy_outside(max(first, x.width), last);
 }
 
+// The same pixels of `rows` rows from y on, where they are few: column by column, so that the border is asked once.
+template <class T>
+KV_HD void copy_columns(Planes<T const> const& x, int64_t plane, int64_t y, int64_t rows, Border border, int64_t first,
+                        int64_t count, Compute<T>* to, int64_t to_stride) {
+  int64_t const step = x.step, above = clamp(-y, int64_t(0), rows), below = clamp(x.height - y, above, rows);
+  T const* const top = x.plane(plane);
+  for (int64_t i = 0; i < count; ++i, to += step) {
+    int64_t const column = border_index(border, first + i, x.width);
+    auto const copy = [&](int64_t r, int64_t row) {
+      for (int64_t c = 0; c < step; ++c)
+        to[r * to_stride + c] =
+            row < 0 || column < 0 ? Compute<T>(0) : load<1>(top + row * x.row_stride + column * step + c);
+    };
+    for (int64_t r = 0; r < above; ++r) copy(r, border_index(border, y + r, x.height));
+    for (int64_t r = above; r < below; ++r) copy(r, y + r);
+    for (int64_t r = below; r < rows; ++r) copy(r, border_index(border, y + r, x.height));
+  }
+}
+
 }  // namespace
 
 template <class T>
@@ -157,6 +176,7 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
            *const more = sums + kBlockRows * sum_stride, *const zeros = more + kBlockRows * sum_stride,
            *const weights = zeros + p.x.row_size();
   for (int64_t e = 0; e < p.x.row_size(); ++e) zeros[e] = 0;
+  for (int64_t e = 0; e < tile_rows * tile_stride; ++e) tile[e] = 0;  // vectors go beyond rows; denormals would be slow
   Scratch<F const*> rows(tile_rows + kRows);
   auto const correlate = correlate_for<F>(ty.size);
 
@@ -189,13 +209,17 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
     Span const spans[] = {a, b};
     bool fresh = true;
     auto const filter_plane = [&](int64_t from, int kz) {
-      for (int64_t r = 0; r < count + ty.size - 1; ++r) {
-        F* to = tile + r * tile_stride;
-        for (Span const span : spans) {
-          if (span.count == 0) continue;
-          copy_pixels<T>(p.x, from, y - ty.before + r, p.border, span.first - tx.before, span.count + overhang, to);
-          to += (span.count + overhang) * step;
-        }
+      int64_t const tile_count = count + ty.size - 1;
+      F* to = tile;
+      for (Span const span : spans) {
+        if (span.count == 0) continue;
+        int64_t const first = span.first - tx.before, pixels = span.count + overhang;
+        if (span.count < width)
+          copy_columns<T>(p.x, from, y - ty.before, tile_count, p.border, first, pixels, to, tile_stride);
+        else
+          for (int64_t r = 0; r < tile_count; ++r)
+            copy_pixels<T>(p.x, from, y - ty.before + r, p.border, first, pixels, to + r * tile_stride);
+        to += pixels * step;
       }
       int64_t const pixels = a.count && b.count ? a.count + overhang + b.count : a.count + b.count;
       filter_rows([&](int64_t r) { return tile + r * tile_stride; }, count, kz, out, sum_stride, pixels * step, fresh,

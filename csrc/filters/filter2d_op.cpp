@@ -66,7 +66,8 @@ Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::ve
               Window const& window, bool transposed) {
   check_weights(op, kernel, input);
   Layout const layout = readable_layout(input);
-  Tensor const x = readable(input, layout), y = empty(sizes, x, layout), weights = torch::stable::contiguous(kernel);
+  Tensor const x = readable(input, layout), y = empty(sizes, x, layout),
+               weights = kernel.is_contiguous() ? kernel : torch::stable::contiguous(kernel);
   auto const taps = [&](KernelAxis t) { return transposed ? flipped(t) : t; };
   bool const folds = transposed && window.border != Border::circular;
   for_floats_and_bytes(op, x, [&](auto type) {

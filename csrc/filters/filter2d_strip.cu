@@ -1,4 +1,4 @@
-// Cross-correlation with small kernels on CUDA: planar images in packs of pixels, square kernels of 3, 5 or 7 with
+// Cross-correlation with small kernels on CUDA: planar images, square kernels of 3, 5 or 7 with
 // their middle on the pixel.
 //
 // Each warp walks down a strip of 32 P columns, whose rows come by strip_rows.cuh. Nothing else is stored: a row adds
@@ -36,7 +36,8 @@ struct alignas(16) StripMemory {
   Pack<float, P> rim[Folds ? K / 2 + 1 : 1][32];  // results that wait for more, by their distance from the edge
 };
 
-template <class T, int K, int P, bool Folds>
+// Aligned: rows of input and output are packs of P pixels, at the same places.
+template <class T, int K, int P, bool Aligned, bool Folds>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips) {
   constexpr int R = K / 2;
@@ -47,12 +48,13 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   if (warp >= strips.count) return;
   unsigned const line = warp / strips.across, plane = line / strips.down;
   int const x0 = int(warp - line * strips.across) * 32 * P, y0 = int((line - plane * strips.down) * strips.rows);
+  int const before = Aligned ? R : p.axis_x.before, above = Aligned ? R : p.axis_y.before;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
   // The first row read and the last row completed. Where results are folded, there is nothing above the image.
-  int const first = Folds ? max(y0 - R, 0) : y0 - R, last = Folds && y1 == height ? height - 1 + R : y1 - 1;
-  int const count = last + R - first + 1;
-  StripRows<T, P, R, kRing, true> rows(shared.rows, p.x, plane, p.border, x0, first, count);
+  int const first = Folds ? max(y0 - R, 0) : y0 - above, last = Folds && y1 == height ? height - 1 + R : y1 - 1;
+  int const count = last + K - above - first;
+  StripRows<T, P, R, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, x0 + R - before, first, count);
 
   float const* const kernel = p.kernel_of(plane);
   float w[K][K];
@@ -67,7 +69,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   float sums[K - 1][P] = {};
 #pragma unroll 1
   for (int i = 0; i < count; ++i) {
-    int const y = first + i - R;  // the row that this one completes
+    int const y = first + i + above - (K - 1);  // the row that this one completes
     T const* const row = rows.row(i);
     constexpr int kBefore = (R + P - 1) / P * P;
     float v[P + 2 * kBefore];
@@ -121,7 +123,15 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
       }
       if (y < 0) continue;
     }
-    if (y >= y0 && x < width) store_pack(row_below(out, to, out_stride), with[0]);
+    if (y < y0) continue;
+    T* const pixels = row_below(out, to, out_stride);
+    if constexpr (Aligned) {
+      if (x < width) store_pack(pixels, with[0]);
+    } else {
+#pragma unroll
+      for (int j = 0; j < P; ++j)
+        if (x + j < width) pixels[j] = round_to<T>(with[0][j]);
+    }
   }
 }
 
@@ -129,16 +139,16 @@ template <int K, class T>
 bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>, R = K / 2;
   bool const folds = p.fold != Border::constant;
-  if (p.axis_x.before != R || p.axis_y.before != R || !is_strip<P>(p.x) || !is_strip<P>(p.y)) return false;
-  if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX || p.x.width > INT32_MAX / 2) return false;
-  if (folds && p.y.height < 2 * (R + 1)) return false;  // both edges fold to the same rows
+  bool const aligned = p.axis_x.before == R && p.axis_y.before == R && is_strip<P>(p.x) && is_strip<P>(p.y);
+  if (folds && (!aligned || p.y.height < 2 * (R + 1))) return false;  // lower rows of the rim would be upper ones
   int rows = kStripRows<K, P>;
   while (folds && p.y.height % rows > 0 && p.y.height % rows <= R) ++rows;  // an edge and what folds to it in one strip
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, rows);
+  auto const kernel = !aligned ? filter_strip<T, K, P, false, false> : filter_strip<T, K, P, true, false>;
   unsigned const blocks = unsigned(ceil_div(strips.count, kWarps));
   if constexpr (sizeof(T) > 1)  // bytes have no gradient
-    if (folds) return filter_strip<T, K, P, true><<<blocks, 32 * kWarps, 0, stream>>>(p, strips), true;
-  filter_strip<T, K, P, false><<<blocks, 32 * kWarps, 0, stream>>>(p, strips);
+    if (folds) return filter_strip<T, K, P, true, true><<<blocks, 32 * kWarps, 0, stream>>>(p, strips), true;
+  kernel<<<blocks, 32 * kWarps, 0, stream>>>(p, strips);
   return true;
 }
 
@@ -146,7 +156,8 @@ bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
 
 template <class T>
 bool filter2d_strips(Filter2d<T> const& p, CUstream_st* stream) {
-  if (p.axis_z.size != 1 || p.axis_x.size != p.axis_y.size) return false;
+  bool const square = p.axis_z.size == 1 && p.axis_x.size == p.axis_y.size, planar = p.x.step == 1;
+  if (!square || !planar || p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX || p.x.width > INT32_MAX / 2) return false;
   return (p.axis_x.size == 3 && launch_strips<3>(p, stream)) || (p.axis_x.size == 5 && launch_strips<5>(p, stream)) ||
          (p.axis_x.size == 7 && launch_strips<7>(p, stream));
 }

@@ -186,18 +186,20 @@ def filter_images(
 
 def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: str) -> Tensor:
     """The checked `kernel` (B or 1, *K) as the operators take it: unit absolute sum and flipped where asked."""
-    n = kernel.shape[0]
-    if n not in (1, x.shape[0]):
+    sizes = kernel.shape
+    if sizes[0] != 1 and sizes[0] != x.shape[0]:
         raise ShapeError(
-            f"{op}: expected a kernel batch of 1 or the {x.shape[0]} of the input, got {n}", actual_shape=kernel.shape
+            f"{op}: expected a kernel batch of 1 or the {x.shape[0]} of the input, got {sizes[0]}", actual_shape=sizes
         )
-    if 0 in kernel.shape[1:]:
-        raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(kernel.shape)}")
-    _check.same_device(op, input=x, kernel=kernel)
+    if 0 in sizes[1:]:
+        raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(sizes)}")
+    if x.device != kernel.device:
+        _check.same_device(op, input=x, kernel=kernel)
     _check.flag(op, "normalized", normalized)
     _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
-    if kernel.dtype != compute_dtype(x):
-        kernel = kernel.to(compute_dtype(x))
+    dtype = compute_dtype(x)
+    if kernel.dtype != dtype:
+        kernel = kernel.to(dtype)
     if not normalized and behaviour == "corr":
         return kernel
     axes = tuple(range(1, kernel.dim()))

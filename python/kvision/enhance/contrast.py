@@ -14,9 +14,9 @@ from kvision.enhance.brightness import scaled
 
 def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
     f = chosen(factor, number)
-    grey = luma(x) if x.shape[1] == 3 else x
-    mean = grey.mean((1, 2, 3), keepdim=True)
-    return (mean + (x - mean) * f).clamp(0, 1)
+    means = x.mean((2, 3), keepdim=True)
+    mean = luma(means) if x.shape[1] == 3 else means.mean(1, keepdim=True)
+    return (x * f + mean * (1 - f)).clamp(0, 1)
 
 
 _around_mean = as_stored(_reference)
@@ -61,7 +61,7 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
         factor: 1 for no change, 0 for plain grey: a number, or a tensor with the first axes of the image.
 
     Returns:
-        mean + (image - mean) * factor, clamped to [0, 1], differentiable in image and factor.
+        image * factor + mean * (1 - factor), clamped to [0, 1], differentiable in image and factor.
 
     Raises:
         TypeCheckError, DeviceError: as :func:`adjust_contrast`.

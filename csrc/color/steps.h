@@ -88,15 +88,17 @@ KV_HD V hue_of(V const (&c)[3], V const& most, V const& range) {
   V const reciprocal = constant<V>(F(1)) / select(grey, constant<V>(F(1)), range);
   V const sixths = select(most == c[0], (c[1] - c[2]) * reciprocal,
                           select(most == c[1], (c[2] - c[0]) * reciprocal + F(2), (c[0] - c[1]) * reciprocal + F(4)));
-  V const hue = modulo(sixths * F(1. / 6), F(1)) * F(kTurn);
+  V const positive = select(sixths < F(0), sixths + F(6), sixths);
+  V const hue = select(positive >= F(6), positive - F(6), positive) * F(kTurn / 6);  // what rounds up to a turn
   return select(grey, constant<V>(F(0)), hue);
 }
 
 template <class V>
 KV_HD void rgb_to_hsv(V (&c)[3], Scalar<V> eps) {
+  using F = Scalar<V>;
   V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
   V const hue = hue_of(c, most, range);
-  c[1] = range / (most + eps);
+  c[1] = range / select(most == F(0), constant<V>(F(1)), most + eps);
   c[0] = hue;
   c[2] = most;
 }

@@ -305,15 +305,14 @@ KV_HD V vfloor(V v) {
   }
 }
 
-// Calls f(index constant N, element) over [begin, end): vectors of kLanes<T>, the last one overlapping the one before
-// it (so f must not read what it writes), and single elements where the range is shorter than a vector.
+// Calls f(index constant N, element) over [begin, end): vectors of N, by default kLanes<T>, the last one overlapping
+// the one before it (so f must not read what it writes), and single elements where the range is shorter than a vector.
 template <int N>
 struct Width {
   static constexpr int value = N;
 };
-template <class T, class F>
+template <class T, int N = kLanes<T>, class F>
 KV_HD void for_each_vector(int64_t begin, int64_t end, F f) {
-  constexpr int N = kLanes<T>;
   if (end - begin < N) {
     for (int64_t e = begin; e < end; ++e) f(Width<1>{}, e);
     return;

@@ -115,7 +115,7 @@ class ColumnSums {
   // The sums of the window of row y. `fresh`: the call before was not for the row above.
   KV_HD void window(F* sum, int64_t plane, int64_t y, bool fresh) {
     if (k_ > kDirect) return slide(sum, plane, y, fresh);
-    T const* terms[kDirect + 2];  // a row that counts twice stands there twice
+    T const* terms[2 * kDirect];  // a row that counts twice stands there twice, and of two rows both may be rim
     int count = 0;
     for (int64_t i = y - axis_.before; i <= y + axis_.after; ++i)
       for (int times = weight(i); times > 0; --times) terms[count++] = row(plane, i);

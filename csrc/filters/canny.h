@@ -33,11 +33,11 @@ template <class V, class S>
 KV_HD auto is_ridge(V gx, V gy, V a0, V a1, V a2, V b0, V b1, V b2, V c0, V c1, V c2, S eps) {
   S const tan_22_5 = S(0.41421356237309504880);
   V const x = max(gx, -gx), y = max(gy, -gy);
-  auto const along_x = (b1 > b0) & (b1 >= b2), along_y = (b1 > a1) & (b1 >= c1);
-  auto const falling = (b1 > a0) & (b1 > c2), rising = (b1 > c0) & (b1 > a2);
-  auto const diagonal = (gx > 0) == (gy > 0) ? falling : rising;
-  auto const upright = x < y * tan_22_5 ? along_y : diagonal;
-  return (y <= x * tan_22_5 ? along_x : upright) & (b1 > eps);
+  auto const mostly_x = y <= x * tan_22_5, mostly_y = x < y * tan_22_5;
+  auto const falling = (gx > 0) == (gy > 0);
+  V const first = mostly_x ? b0 : mostly_y ? a1 : falling ? a0 : c0;
+  V const second = mostly_x ? b2 : mostly_y ? c1 : falling ? c2 : a2;
+  return (b1 > first) & ((b1 > second) | ((b1 == second) & (mostly_x | mostly_y))) & (b1 > eps);
 }
 
 }  // namespace kv

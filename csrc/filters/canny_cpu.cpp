@@ -67,36 +67,49 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// Planes [begin, end): a flood from the strong pixels, each pixel visited once.
+// Planes [begin, end): a flood from the strong pixels that visits each weak pixel once. It runs on a byte a pixel
+// (twice the edge: 0, 1 weak, 2 strong or kept) with a rim of zeros, so neighbours need no cases, and words of eight
+// bytes tell where strong pixels are.
 template <class T>
 void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const height = p.edges.height, width = p.edges.width;
-  Scratch<int64_t> scratch(height * width);
-  int64_t* const stack = scratch.data;
+  int64_t const height = p.edges.height, width = p.edges.width, stride = width + 8;
+  Scratch<uint8_t> bytes((height + 2) * stride + 8);
+  Scratch<uint8_t*> stack(height * width);  // of weak pixels to go on from
+  uint8_t* const pixels = bytes.data + stride + 1;
+  for (int64_t i = 0; i < (height + 2) * stride + 8; ++i) bytes.data[i] = 0;
+
+  int64_t top = 0;
+  auto const keep_around = [&](uint8_t* pixel) {
+    for (uint8_t* at = pixel - stride - 1; at <= pixel + stride; at += stride) {
+      uint32_t three;
+      __builtin_memcpy(&three, at, 4);
+      if ((three & 0x010101) == 0) continue;
+      for (int i = 0; i < 3; ++i)
+        if (at[i] == 1) {
+          at[i] = 2;
+          stack.data[top++] = at + i;
+        }
+    }
+  };
   for (int64_t plane = begin; plane < end; ++plane) {
-    int64_t top = 0;
-    auto const keep = [&](int64_t y, int64_t x) {
-      store<1>(p.kept.row(plane, y) + x, F(1));
-      stack[top++] = y * width + x;
-    };
-    for (int64_t y = 0; y < height; ++y)
-      for_each_vector<T>(0, width, [&](auto lanes, int64_t x) {
-        constexpr int N = decltype(lanes)::value;
-        store<N>(p.kept.row(plane, y) + x, Lanes<F, N>{});
-      });
     for (int64_t y = 0; y < height; ++y) {
       T const* const row = p.edges.row(plane, y);
-      for (int64_t x = 0; x < width; ++x) {
-        if (!(load<1>(row + x) == 1) || load<1>(p.kept.row(plane, y) + x) > 0) continue;
-        keep(y, x);
-        while (top > 0) {
-          int64_t const at = stack[--top], ay = at / width, ax = at % width;
-          for (int64_t ny = max(ay - 1, int64_t(0)); ny <= min(ay + 1, height - 1); ++ny)
-            for (int64_t nx = max(ax - 1, int64_t(0)); nx <= min(ax + 1, width - 1); ++nx)
-              if (load<1>(p.edges.row(plane, ny) + nx) > 0 && !(load<1>(p.kept.row(plane, ny) + nx) > 0)) keep(ny, nx);
+      for (int64_t x = 0; x < width; ++x) pixels[y * stride + x] = uint8_t(load<1>(row + x) * 2);
+    }
+    for (int64_t y = 0; y < height; ++y)
+      for (int64_t x = 0; x < width; x += 8) {
+        uint8_t* const eight = pixels + y * stride + x;
+        uint64_t strong;
+        __builtin_memcpy(&strong, eight, 8);
+        for (strong &= 0x0202020202020202; strong; strong &= strong - 1) {
+          keep_around(eight + __builtin_ctzll(strong) / 8);
+          while (top > 0) keep_around(stack.data[--top]);
         }
       }
+    for (int64_t y = 0; y < height; ++y) {
+      T* const row = p.kept.row(plane, y);
+      for (int64_t x = 0; x < width; ++x) store<1>(row + x, F(pixels[y * stride + x] >> 1));
     }
   }
 }

@@ -299,7 +299,10 @@ void multiply(F const* grad, int64_t grad_stride, int64_t count, F const* rows, 
     auto const add = [&](auto first, auto last) KV_INLINE {  // the taps first ... last - 1
       auto const add_vector = [&](int64_t e, auto load_x) KV_INLINE {
         V gs[KY];
-        unroll<KY>([&](auto k) KV_INLINE { gs[k.value] = load<N>(g - k.value * grad_stride + e); });
+        unroll<KY>([&](auto k) KV_INLINE {
+          if constexpr (k.value >= first.value && k.value < last.value)
+            gs[k.value] = load<N>(g - k.value * grad_stride + e);
+        });
         unroll<KX>([&](auto i) KV_INLINE {
           V const xs = load_x(x + i.value * step + e);
           unroll<KY>([&](auto k) KV_INLINE {

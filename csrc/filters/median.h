@@ -139,6 +139,11 @@ KV_HD void merge(V const (&a)[N], V const (&b)[M], V (&z)[N + M]) {
   }
 }
 
+template <class V>
+KV_HD V median_of_three(V a, V b, V c) {
+  return upper(lower(a, b), lower(upper(a, b), c));
+}
+
 // What two outputs have in common. Of the K (K - 1) values, the median of all K K is one of the K + 1 in the middle,
 // since only K are missing.
 template <int K, class V>

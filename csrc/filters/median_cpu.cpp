@@ -278,11 +278,94 @@ void by_search(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
+// 3x3 of types that are computed as they are stored, straight from the image. The median of nine is that of three: the
+// largest minimum, the middle median and the smallest maximum of the columns. Two rows of results share the order of
+// the two pixels that they both have in a column. Rows with NaN are marked afterwards.
+template <class T>
+void straight(MedianBlur<T> const& p, int64_t begin, int64_t end) {
+  int64_t const step = p.x.step, size = p.x.row_size(), width = p.x.width;
+  Scratch<T> scratch(2 * size);
+  T *const zeros = scratch.data, *const spare = zeros + size;
+  for (int64_t e = 0; e < size; ++e) zeros[e] = T{};
+
+  // Calls f(width, left, e, right) for all elements of a row with their neighbours' places; -1 is a border of zeros.
+  auto const for_each_element = [=, border = p.border](auto f) {
+    auto const rim = [=](int64_t pixel) {
+      int64_t const left = border_index(border, pixel - 1, width), right = border_index(border, pixel + 1, width);
+      for (int64_t c = 0; c < step; ++c)
+        f(Width<1>{}, left < 0 ? -1 : left * step + c, pixel * step + c, right < 0 ? -1 : right * step + c);
+    };
+    rim(0);
+    for_each_vector<T, kWidth<T>>(step, size - step, [=](auto lanes, int64_t e) { f(lanes, e - step, e, e + step); });
+    rim(width - 1);
+  };
+  auto const pixel = [](auto lanes, T const* row, int64_t at) {
+    constexpr int N = decltype(lanes)::value;
+    if constexpr (N == 1)
+      if (at < 0) return T{};
+    return *reinterpret_cast<Lanes<T, N> const*>(row + at);
+  };
+
+  for_each_plane(p.x.height, begin, end, [&](int64_t plane, int64_t y_begin, int64_t y_end) {
+    auto const row = [&](int64_t y) -> T const* {
+      int64_t const inside = border_index(p.border, y, p.x.height);
+      return inside < 0 ? zeros : p.x.row(plane, inside);
+    };
+    T const* rows[4] = {nullptr, nullptr, row(y_begin - 1), row(y_begin)};
+    bool nan[4] = {false, false, has_nan<T>(rows[2], size), has_nan<T>(rows[3], size)};
+    for (int64_t y = y_begin; y < y_end; y += 2) {
+      for (int i = 0; i < 2; ++i) {
+        rows[i] = rows[i + 2];
+        nan[i] = nan[i + 2];
+        rows[i + 2] = row(min(y + 1 + i, y_end));
+        nan[i + 2] = has_nan<T>(rows[i + 2], size);
+      }
+      T* const out[] = {p.y.row(plane, y), y + 1 < y_end ? p.y.row(plane, y + 1) : spare};
+      for_each_element([=](auto lanes, int64_t left, int64_t e, int64_t right) {
+        using V = Lanes<T, decltype(lanes)::value>;
+        int64_t const columns[] = {left, e, right};
+        V largest_low[2], smallest_high[2], middle[2][3];
+        KV_UNROLL
+        for (int i = 0; i < 3; ++i) {
+          V const b = pixel(lanes, rows[1], columns[i]), c = pixel(lanes, rows[2], columns[i]);
+          V const shared_low = lower(b, c), shared_high = upper(b, c);
+          KV_UNROLL
+          for (int k = 0; k < 2; ++k) {
+            V const own = pixel(lanes, rows[3 * k], columns[i]);
+            V const low = lower(shared_low, own), rest = upper(shared_low, own);
+            V const high = upper(rest, shared_high);
+            middle[k][i] = lower(rest, shared_high);
+            largest_low[k] = i == 0 ? low : upper(largest_low[k], low);
+            smallest_high[k] = i == 0 ? high : lower(smallest_high[k], high);
+          }
+        }
+        KV_UNROLL
+        for (int k = 0; k < 2; ++k)
+          *reinterpret_cast<V*>(out[k] + e) = median_of_three(
+              largest_low[k], median_of_three(middle[k][0], middle[k][1], middle[k][2]), smallest_high[k]);
+      });
+      for (int k = 0; k < 2; ++k)
+        for (int i = k; i < k + 3; ++i)
+          if (nan[i])
+            for_each_element([=](auto lanes, int64_t left, int64_t e, int64_t right) {
+              int64_t const columns[] = {left, e, right};
+              for (int64_t l = 0; l < decltype(lanes)::value; ++l)
+                for (int64_t at : columns)
+                  if (at >= 0 && has_nan<T>(rows[i] + at + l, 1)) out[k][e + l] = rows[i][at + l];
+            });
+    }
+  });
+}
+
 }  // namespace
 
 template <class T>
 void median_blur(MedianBlur<T> const& p, int64_t begin, int64_t end) {
-  if (p.ky == 3 && p.kx == 3) return by_network<3>(p, begin, end);
+  if (p.ky == 3 && p.kx == 3) {
+    if constexpr (__is_same(T, typename network_value<T>::type))
+      if (p.x.row_size() >= kWidth<T> + 2 * p.x.step) return straight(p, begin, end);
+    return by_network<3>(p, begin, end);
+  }
   if (p.ky == 5 && p.kx == 5) return by_network<5>(p, begin, end);
   by_search(p, begin, end);
 }

@@ -187,6 +187,12 @@ void separable(Separable<T> const& p, int64_t begin, int64_t end) {
       int const count_of_row = rows_of(p, plane, y, ky, pointers.data, ky_of_row);
       sum_rows<1>(pointers.data, ky_of_row, count_of_row, 0, size, put);
     }
+    // The rows that the next results add.
+    for (int64_t i = 0; i < count; ++i) {
+      int64_t const next = y + count + taps_y - 1 - p.ky.before + i;
+      if (next < p.x.height)
+        for (int64_t e = 0; e < size; e += 64 / int64_t(sizeof(T))) __builtin_prefetch(p.x.row(plane, next) + e);
+    }
     for (int k = 0; k < count; ++k) along_x(k, p.x.row(plane, y + k), p.y.row(plane, y + k));
   }
 }

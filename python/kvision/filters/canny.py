@@ -137,7 +137,7 @@ def canny(
     x = input.to(compute_dtype(input))
     if x.shape[1] == 3:
         red, green, blue = x.split(1, 1)
-        x = 0.299 * red + 0.587 * green + 0.114 * blue
+        x = (0.299 * red).add_(green, alpha=0.587).add_(blue, alpha=0.114)
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
     magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)
     if hysteresis:

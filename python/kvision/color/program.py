@@ -1,0 +1,95 @@
+"""Colour programs: a chain of per-pixel steps as one operator, one pass over the image. A conversion is a program of one.
+
+A step is its reference, written beside the public function it serves, and a formula in csrc/color/steps.h. `step` ties
+them together by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from kvision._ops import register, vjp
+
+# The enum Step of csrc/color/program.h, and how many numbers each step takes.
+_PARAMETERS = {
+    "affine": 12,
+    "clip": 2,
+    "rgb_to_hsv": 1,
+    "hsv_to_rgb": 0,
+    "rgb_to_hls": 1,
+    "hls_to_rgb": 0,
+    "rgb_to_linear_rgb": 0,
+    "linear_rgb_to_rgb": 0,
+    "rgb_to_lab": 0,
+    "lab_to_rgb": 0,
+    "rgb_to_luv": 1,
+    "luv_to_rgb": 1,
+    "weighted_sum": 3,
+}
+_NAMES = tuple(_PARAMETERS)
+_references: dict[str, Callable[..., Tensor]] = {}
+
+
+def _reference(x: Tensor, steps: Sequence[int], parameters: Sequence[float]) -> Tensor:
+    for name in (_NAMES[i] for i in steps):
+        count = _PARAMETERS[name]
+        x = _references[name](x, *parameters[:count])
+        parameters = parameters[count:]
+    return x
+
+
+def _sizes(x: Tensor, steps: Sequence[int], parameters: Sequence[float]) -> tuple[int, ...]:
+    channels = 1 if steps and _NAMES[steps[-1]] == "weighted_sum" else x.shape[1]
+    return (x.shape[0], channels, *x.shape[2:])
+
+
+def _backward(needs, grad, x, steps, parameters):
+    return [_program_backward(grad, x, steps, parameters)]
+
+
+_program = register("color_program", _reference, fake=_sizes, backward=_backward)
+_program_backward = register(
+    "color_program_backward", vjp(_reference), fake=lambda grad, x, steps, parameters: x.shape
+)
+
+
+def step(name: str, reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """The step `name`, defined by `reference(x, *numbers)` on images (B, 3, H, W), as a function of the same arguments."""
+    _references[name] = reference
+    steps = [_NAMES.index(name)]
+
+    def of_one_step(x: Tensor, *numbers: float) -> Tensor:
+        return _program(x, steps, list(numbers))
+
+    return of_one_step
+
+
+def program(*calls: tuple[str, Sequence[float]]) -> Callable[[Tensor], Tensor]:
+    """Steps with their numbers, one after the other, as one function."""
+    steps = [_NAMES.index(name) for name, _ in calls]
+    parameters = [float(number) for _, numbers in calls for number in numbers]
+
+    def run(x: Tensor) -> Tensor:
+        return _program(x, steps, parameters)
+
+    return run
+
+
+def _affine(x: Tensor, *numbers: float) -> Tensor:
+    """The channels weighted by the rows of a 3 x 3 matrix, the first nine numbers, plus the last three."""
+    r, g, b = x.unbind(1)
+    rows = [numbers[3 * i] * r + numbers[3 * i + 1] * g + numbers[3 * i + 2] * b + numbers[9 + i] for i in range(3)]
+    return torch.stack(rows, 1)
+
+
+def _weighted_sum(x: Tensor, *weights: float) -> Tensor:
+    r, g, b = x.split(1, 1)
+    return weights[0] * r + weights[1] * g + weights[2] * b
+
+
+step("affine", _affine)
+step("clip", lambda x, low, high: x.clamp(low, high))
+step("weighted_sum", _weighted_sum)

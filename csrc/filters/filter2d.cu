@@ -1,12 +1,17 @@
-// Cross-correlation with any kernel on CUDA. Images go by tiles in shared memory, with every tap of a kernel from
-// there; 3x3 and 5x5 kernels are in registers. Volumes, float64 and kernels that shared memory has no room for take one
-// thread an element.
+// Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not serve go by tiles in shared memory,
+// with every tap of a kernel from there; 3x3 and 5x5 kernels are in registers. Volumes, float64 and kernels that shared
+// memory has no room for take one thread an element.
 #include <cuda_pipeline.h>
 
 #include "core/launch.cuh"
 #include "filter2d.h"
 
 namespace kv::cuda {
+
+// Launches the kernel of filter2d_strip.cu if it serves p, and says so.
+template <class T>
+bool filter2d_strips(Filter2d<T> const& p, CUstream_st* stream);
+
 namespace {
 
 constexpr int kWidth = 128, kHeight = 32;  // of a tile, in pixels computed
@@ -403,6 +408,7 @@ __global__ void sum_of_parts(SumParts<F> p) {
 template <class T>
 int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
+    if (filter2d_strips(p, stream)) return cudaGetLastError();
     // A pixel of the rim is folded from the tile that it is in.
     bool const folds = p.fold != Border::constant;
     auto const beside = [&](KernelAxis axis) {

@@ -1,25 +1,16 @@
 // The fast separable filter on CUDA: planar images, kernels of equal odd sizes from 3 to 31. Included by
 // separable_<type>.cu and symmetric_<type>.cu, which say for which types it is compiled.
 //
-// Each warp walks down a strip of 32 P columns. Its rows are copied to a ring in shared memory some rows ahead of their
-// use, by asynchronous copies that take no registers, and each thread finds there its window of P + K - 1 pixels:
-//
-//   a row         16 pixels | P of thread 0 | P of thread 1 | ...           | P of thread 31 | 16 pixels
-//   along x          ...<------------ window of thread 1 ------------>...
+// Each warp walks down a strip of 32 P columns, whose rows come by strip_rows.cuh.
 //
 // Along y nothing is stored but running sums: of the K - 1 output rows that a row still belongs to, each has had its
 // weighted share of the rows above. A new row adds to all of them, the first one is complete, and the others move up,
 // which costs nothing: sum[i] = sum[i + 1] + weight * row.
-//
-// What limits small kernels is how many instructions a warp spends on a row besides the arithmetic, so the loop has no
-// border rule in it: a thread knows the row of one of 32 positions, and which pixel beside the image it fills in.
 #pragma once
 
-#include <cuda_pipeline.h>
-
 #include "box.h"
-#include "core/launch.cuh"
 #include "separable.h"
+#include "strip_rows.cuh"
 
 namespace kv::cuda {
 
@@ -45,7 +36,6 @@ bool has_strips(Planes<T const> const& x, int64_t ky, int64_t kx) {
 namespace {
 
 constexpr int kLargest = 31;  // has_strips
-constexpr int kHalo = 16;     // pixels beside a strip, one for each thread
 constexpr int kWarps = 4;     // of a block, which work alone
 
 // Half types and bytes take 8 pixels a thread as long as the sums of 8 fit the registers.
@@ -90,25 +80,6 @@ __device__ __forceinline__ float weight_at(float const* weights, int i, float4& 
   return i % 4 == 0 ? four.x : i % 4 == 1 ? four.y : i % 4 == 2 ? four.z : four.w;
 }
 
-// Copies `Bytes` to shared memory some time before the wait for them; zeros instead if `zero`, and nothing unless
-// `wanted`. One instruction: the library's form has a branch for each of the two.
-template <int Bytes>
-__device__ __forceinline__ void copy_later(uint32_t to, void const* from, bool wanted, bool zero) {
-  static_assert(Bytes == 4 || Bytes == 8 || Bytes == 16);
-  if constexpr (Bytes == 16)
-    asm volatile(
-        "{.reg .pred w, z; setp.ne.s32 w, %2, 0; setp.ne.s32 z, %3, 0; @w cp.async.cg.shared.global [%0], [%1], 16, "
-        "z;}" ::"r"(to),
-        "l"(__cvta_generic_to_global(from)), "r"(int(wanted)), "r"(int(zero))
-        : "memory");
-  else
-    asm volatile(
-        "{.reg .pred w, z; setp.ne.s32 w, %2, 0; setp.ne.s32 z, %3, 0; @w cp.async.ca.shared.global [%0], [%1], %4, "
-        "z;}" ::"r"(to),
-        "l"(__cvta_generic_to_global(from)), "r"(int(wanted)), "r"(int(zero)), "n"(Bytes)
-        : "memory");
-}
-
 // Aligned: rows of input and output are packs of P pixels, at the same places. Mirrored: the transpose of a reflected
 // border with symmetric weights, D^-1 A D, where A is the forward pass and D doubles the first and the last pixel of an
 // axis; box.h has the reason.
@@ -124,69 +95,10 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   unsigned const line = warp / strips.across, plane = line / strips.down;
   int const x0 = int(warp - line * strips.across) * 32 * P, y0 = int((line - plane * strips.down) * strips.rows);
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
-  int const in_width = int(p.x.width), in_height = int(p.x.height);
 
-  // The thread's part of copying a row: P neighbours if Aligned, else every 32nd pixel; and of the 16 pixels on either
-  // side, P of them or one. What is outside the image stays zero, or is filled in from its source.
-  int const left = x0 + R - p.kx.before;  // the strip's first pixel as windows see it
-  int const side = lane < 16 ? left - kHalo : left + 32 * P;
-  int const beside = side + lane % 16 * (Aligned ? P : 1), own = left + lane * (Aligned ? P : 1);
-  bool const has_beside = (Aligned ? lane % 16 < kHalo / P : true) && beside >= 0 && beside < in_width;
-  bool const has_own = Aligned && own < in_width;
-  T const* const in = p.x.plane(plane);
-  int const in_stride = int(p.x.row_stride * sizeof(T)), out_stride = int(p.y.row_stride * sizeof(T));
-  auto const row_of = [](auto* of_first_row, int y, int stride) {  // one instruction
-    return reinterpret_cast<decltype(of_first_row)>(reinterpret_cast<uintptr_t>(of_first_row) + int64_t(y) * stride);
-  };
-  constexpr uint32_t kRowBytes = sizeof(shared.rows[0]);
-  auto const slot = [](int i) { return uint32_t(i & (kRing<K> - 1)) * kRowBytes; };
-  auto const place = [&](int x) { return uint32_t(__cvta_generic_to_shared(shared.rows[0] + kHalo - left + x)); };
-  uint32_t const own_to = place(own), beside_to = place(beside);
-  T const *const own_from = in + own, *const beside_from = in + beside;
-  for (int i = lane; i < kRing<K> * (32 * P + 2 * kHalo); i += 32) shared.rows[0][i] = T{};
-  __syncwarp();
-
-  int const filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
-  bool const reached = filled >= left - R && filled < left + 32 * P + R && (filled < 0 || filled >= in_width);
-  int const source = reached ? border_index(p.border, filled, in_width) : -1;
-  bool const fills = __any_sync(0xffffffffu, source >= 0);
-  bool const near = source >= max(left - kHalo, 0) && source < left + 32 * P + kHalo;
-
-  // Each thread knows the row of one of the next 32 positions, -1 for the constant.
-  int const count = y1 - y0 + K - 1, first = y0 - p.ky.before;
-  int next = 0, known;
-  auto const fetch = [&] {
-    if (next % 32 == 0) known = border_index(p.border, first + next + lane, in_height);
-    int const y = __shfl_sync(0xffffffffu, known, next);
-    bool const more = next < count, zero = y < 0;
-    uint32_t const to = slot(next++);
-    T const* const from = row_of(own_from, max(y, 0), in_stride);
-    T const* const from_beside = row_of(beside_from, max(y, 0), in_stride);
-    if constexpr (Aligned) {
-      copy_later<P * sizeof(T)>(own_to + to, from, more && has_own, zero);
-      copy_later<P * sizeof(T)>(beside_to + to, from_beside, more && has_beside, zero);
-    } else {
-      auto const inside = [&](int i) { return more && own + 32 * i >= 0 && own + 32 * i < in_width; };
-      if constexpr (sizeof(T) == 4) {
-#pragma unroll
-        for (int i = 0; i < P; ++i) copy_later<4>(own_to + to + 128 * i, from + 32 * i, inside(i), zero);
-        copy_later<4>(beside_to + to, from_beside, more && has_beside, zero);
-      } else {  // too small for an asynchronous copy
-        T* const row = shared.rows[(next - 1) & (kRing<K> - 1)] + kHalo - left;
-        T pixels[P + 1];
-#pragma unroll
-        for (int i = 0; i < P; ++i) pixels[i] = inside(i) && !zero ? from[32 * i] : T{};
-        pixels[P] = more && has_beside && !zero ? *from_beside : T{};
-#pragma unroll
-        for (int i = 0; i < P; ++i)
-          if (inside(i)) row[own + 32 * i] = pixels[i];
-        if (more && has_beside) row[beside] = pixels[P];
-      }
-    }
-    __pipeline_commit();
-  };
-#pragma unroll 1
-  for (int i = 0; i < kRing<K> - 1; ++i) fetch();
+  int const left = x0 + R - p.kx.before, out_stride = int(p.y.row_stride * sizeof(T));  // left as windows see it
+  StripRows<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, left, y0 - p.ky.before,
+                                             y1 - y0 + K - 1);
 
   int64_t const sample = plane / p.planes;
   shared.x[lane] = weight_of_lane(p.kx, sample, lane);
@@ -232,21 +144,9 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   float const reciprocal = 1 / divisor;
   float sums[K - 1][P] = {};
 #pragma unroll 1
-  for (int i = 0; i < count; ++i) {
+  for (int i = 0; i < rows.count; ++i) {
     int const y = y0 + i - (K - 1);  // the row that this one completes
-    T* const row = shared.rows[i & (kRing<K> - 1)];
-    __pipeline_wait_prior(kRing<K> - 2);
-    __syncwarp();
-    fetch();
-    if (fills) {
-      if (near) {
-        row[kHalo + filled - left] = row[kHalo + source - left];
-      } else if (source >= 0) {
-        int const from = border_index(p.border, first + i, in_height);
-        row[kHalo + filled - left] = from < 0 ? T{} : in[from * p.x.row_stride + source];
-      }
-      __syncwarp();
-    }
+    T const* const row = rows.row(i);
 
     // Along x, from packs of P pixels.
     constexpr int kBefore = (R + P - 1) / P * P;
@@ -310,7 +210,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
 #pragma unroll
       for (int j = 0; j < P; ++j) result[j] = quotient<T>(result[j], divisor, reciprocal);
     }
-    T* const to = row_of(out, y, out_stride);
+    T* const to = row_below(out, y, out_stride);
     if constexpr (Aligned) {
       if (x < width) store_pack(to, result);
     } else {
@@ -321,28 +221,11 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   }
 }
 
-// Rows of a strip, which takes K - 1 rows more than it completes: the least work for the waves in which `lines` columns
-// of strips go through the machine; a wave takes less time as it has fewer strips, down to `busy`, which keep the
-// machine busy alone.
-inline int rows_of_strips(int64_t lines, int64_t height, int taps, int64_t resident, int64_t busy) {
-  double best = INFINITY;
-  int64_t rows = height;
-  for (int64_t down = ceil_div(height, 16 * taps); down <= (height + 7) / 8 && down <= 256; ++down) {
-    int64_t const each = ceil_div(height, down), strips = lines * ceil_div(height, each), rest = strips % resident;
-    double const work = double(strips - rest + (rest > 0 ? max(rest, busy) : 0)) * double(each + taps - 1);
-    if (work < best) best = work, rows = each;
-  }
-  return int(rows);
-}
-
 template <int K, int P, class T>
 int strip_rows(Planes<T> const& y, int64_t blocks_resident) {
-  int device = 0, multiprocessors = 1;
-  cudaGetDevice(&device);
-  cudaDeviceGetAttribute(&multiprocessors, cudaDevAttrMultiProcessorCount, device);
   if (K <= 7) return (K <= 5 ? 3 : 4) * P;  // bound by memory, which likes the warps to be close together
-  int64_t const resident = multiprocessors * blocks_resident * kWarps, lines = y.count() * ceil_div(y.width, 32 * P);
-  return rows_of_strips(lines, y.height, K, resident, min(resident, int64_t(multiprocessors) * 10));
+  int64_t const machine = multiprocessors(), resident = machine * blocks_resident * kWarps;
+  return rows_of_strips(y.count() * ceil_div(y.width, 32 * P), y.height, K, resident, min(resident, machine * 10));
 }
 
 template <class T, int K, bool Mirrored>

@@ -12,6 +12,8 @@
 #include <torch/csrc/stable/ops.h>
 #include <torch/csrc/stable/tensor.h>
 
+#include <cstdlib>
+#include <new>
 #include <optional>
 #include <sstream>
 #include <stdexcept>
@@ -109,17 +111,28 @@ inline Tensor conform(Tensor const& x, Layout layout) {
   return x.stride(3) == 1 || x.size(3) == 1 ? x : torch::stable::contiguous(x);
 }
 
-// Asks for large pages, as NumPy does: memory fresh from the system costs a fault for each of its pages when it is
-// first written, and with pages of 4 KB that takes longer than most filters.
-inline void advise_large_pages([[maybe_unused]] Tensor const& x) {
-#if defined(__linux__) && !defined(KV_CUDA)
-  constexpr int64_t worth_a_system_call = 1 << 22, page = 4096;
-  int64_t const bytes = x.numel() * int64_t(x.element_size());
-  if (bytes < worth_a_system_call) return;
-  auto* const begin = static_cast<char*>(x.mutable_data_ptr());
-  auto* const first = begin + (page - reinterpret_cast<uintptr_t>(begin) % page) % page;
-  madvise(first, begin + bytes - first, MADV_HUGEPAGE);  // only a hint: where it is refused nothing changes
+#if defined(KV_CUDA)
+constexpr int64_t kLargeResult = INT64_MAX;
+#else
+constexpr int64_t kLargeResult = 1 << 22;  // bytes
 #endif
+
+// Memory of a large result on the CPU. Not from torch's allocator, because that asks glibc for an address of a certain
+// alignment, and glibc before 2.38 may never use such a block again: small blocks that it cuts off at both ends stay in
+// use, and the process grows by a result a call. An ordinary block is used again by the next result of its size.
+inline void* large_block(int64_t bytes, void*& data) {
+  constexpr int64_t alignment = 64;
+  char* const block = static_cast<char*>(malloc(size_t(bytes + alignment)));
+  if (!block) throw std::bad_alloc();
+  data = block + (alignment - reinterpret_cast<uintptr_t>(block) % alignment);
+#if defined(__linux__)
+  // Large pages, as NumPy asks for them: memory fresh from the system costs a fault for each of its pages when it is
+  // first written, and with pages of 4 KB that takes longer than most filters. Only a hint.
+  constexpr int64_t page = 4096;
+  char* const first = block + (page - reinterpret_cast<uintptr_t>(block) % page) % page;
+  madvise(first, size_t(block + bytes - first), MADV_HUGEPAGE);
+#endif
+  return block;
 }
 
 // Uninitialised memory of the device and dtype of `like`, dense. `sizes` of four axes are laid out as `layout` says.
@@ -139,11 +152,20 @@ inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_dtype(like.get(), &dtype));
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));
   AtenTensorHandle handle;
-  TORCH_ERROR_CODE_CHECK(aoti_torch_empty_strided(int64_t(sizes.size()), sizes.data(), strides, dtype, device_type,
-                                                  like.get_device_index(), &handle));
-  Tensor x(handle);
-  advise_large_pages(x);
-  return x;
+  int64_t const axes = int64_t(sizes.size());
+  int64_t bytes = like.element_size();
+  for (int64_t size : sizes) bytes *= size;
+  if (bytes < kLargeResult) {
+    TORCH_ERROR_CODE_CHECK(
+        aoti_torch_empty_strided(axes, sizes.data(), strides, dtype, device_type, like.get_device_index(), &handle));
+  } else {
+    void* data;
+    void* const block = large_block(bytes, data);
+    auto const release = [](void*, void* block) { free(block); };
+    TORCH_ERROR_CODE_CHECK(torch_from_blob(data, axes, sizes.data(), strides, 0, dtype, device_type, -1, &handle,
+                                           aoti_torch_layout_strided(), nullptr, 0, release, block));
+  }
+  return Tensor(handle);
 }
 
 inline Tensor empty_like(Tensor const& x, Layout layout) {

@@ -10,11 +10,12 @@
 import importlib
 from typing import Any
 
-from kvision import constants, core, filters, image, io, utils
+from kvision import color, constants, core, filters, image, io, utils
 from kvision._ops import backend
 from kvision._version import __version__
 
 # The names that have a home at the top level, too: those of the Kornia paper's examples and those Kornia 0.9 has there.
+from kvision.color import bgr_to_rgb, rgb_to_grayscale
 from kvision.filters import gaussian_blur2d, sobel
 from kvision.image import (
     draw_convex_polygon,
@@ -37,6 +38,8 @@ from kvision.utils import (
 __all__ = [
     "__version__",
     "backend",
+    "bgr_to_rgb",
+    "color",
     "constants",
     "core",
     "draw_convex_polygon",
@@ -55,6 +58,7 @@ __all__ = [
     "io",
     "is_autocast_enabled",
     "print_image",
+    "rgb_to_grayscale",
     "sobel",
     "tensor_to_image",
     "utils",

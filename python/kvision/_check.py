@@ -61,6 +61,13 @@ def images(op: str, name: str, x: Any) -> None:
         raise ShapeError(f"{op}: expected {name} with H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape)
 
 
+def channels(op: str, name: str, x: Any, count: int, error: type[Exception] = ShapeError) -> None:
+    """Raise unless `x` is a (*, C, H, W) tensor with `count` channels; `error` is the class for another shape."""
+    numbers(op, name, x)
+    if x.dim() < 3 or x.shape[-3] != count:
+        raise error(f"{op}: expected {name} of shape (*, {count}, H, W), got {tuple(x.shape)}")
+
+
 def volumes(op: str, name: str, x: Any) -> None:
     """Raise unless `x` is a (B, C, D, H, W) tensor with at least one voxel a volume."""
     numbers(op, name, x)

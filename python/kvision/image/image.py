@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.utils.dlpack import from_dlpack, to_dlpack
 
 from kvision import _check
+from kvision.color import bgr_to_grayscale, rgb_to_grayscale
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.core.pixels import luma
 from kvision.image.convert import view_array
 from kvision.image.terminal import image_to_string
 
@@ -319,7 +319,7 @@ class Image:
             )
         planes = self._planes()
         if target is ColorSpace.GRAY:
-            planes = luma(planes if source is ColorSpace.RGB else planes.flip(0))
+            planes = rgb_to_grayscale(planes) if source is ColorSpace.RGB else bgr_to_grayscale(planes)
         elif source is ColorSpace.GRAY:
             planes = planes.repeat(3, 1, 1)
         else:

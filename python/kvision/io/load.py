@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from kvision.color import rgb_to_grayscale
 from kvision.core.exceptions import ImageError, TypeCheckError
-from kvision.core.pixels import luma, to_uint8, to_unit
+from kvision.core.pixels import to_uint8, to_unit
 from kvision.io._opencv import opencv
 
 __all__ = ["ImageLoadType", "load_image"]
@@ -114,7 +115,7 @@ def convert(pixels: Tensor, desired_type: ImageLoadType) -> Tensor:
         color, alpha = pixels[:3], pixels[3:]
         pixels = color * alpha + (1 - alpha)
     if len(pixels) == 3 and channels == 1:
-        pixels = luma(pixels)
+        pixels = rgb_to_grayscale(pixels)
     elif len(pixels) == 1 and channels > 1:
         pixels = pixels.expand(3, -1, -1)
     if len(pixels) == 3 and channels == 4:

@@ -1,0 +1,26 @@
+"""Images with any leading axes, (*, C, H, W), for operators on batches (B, C, H, W)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from torch import Tensor
+
+
+def on_batch(operator: Callable[..., Any], image: Tensor, *args: Any) -> Any:
+    """`operator(image, *args)` with the leading axes of `image` as one; its result, or each of them, has them again."""
+    if image.dim() == 4:
+        return operator(image, *args)
+    leading = image.shape[:-3]
+
+    def unflattened(y: Tensor) -> Tensor:
+        return y.reshape(*leading, *y.shape[1:])
+
+    output = operator(flat(image), *args)
+    return tuple(map(unflattened, output)) if isinstance(output, tuple) else unflattened(output)
+
+
+def flat(image: Tensor) -> Tensor:
+    """(*, C, H, W) as (B, C, H, W)."""
+    return image if image.dim() == 4 else image.unsqueeze(0).flatten(0, -4)

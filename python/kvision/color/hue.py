@@ -1,0 +1,37 @@
+"""Hue, an angle on the colour wheel: red 0, green 2 pi / 3, blue 4 pi / 3. What HSV and HLS have in common.
+
+b - r + 2 c     green is highest        c: chroma, the highest less the lowest channel
+g - b           red is highest          hue: pi / 3 times this over c
+r - g + 4 c     blue is highest
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+SIXTH = math.pi / 3
+
+
+def hue(x: Tensor, highest: Tensor, chroma: Tensor, eps: float = 0.0) -> Tensor:
+    """Hue (B, H, W) in [0, 2 pi) of colours `x` (B, 3, H, W); `eps` adds to the chroma. Greys: 0, with gradient 0."""
+    r, g, b = x.unbind(1)
+    grey = chroma == 0
+    c = torch.where(grey, 1, chroma + eps)
+    sixths = torch.where(r == highest, (g - b) / c, torch.where(g == highest, (b - r) / c + 2, (r - g) / c + 4))
+    sixths = torch.where(sixths < 0, sixths + 6, sixths)
+    sixths = torch.where(sixths >= 6, sixths - 6, sixths)  # what rounds up to a full turn
+    return torch.where(grey, 0, sixths * SIXTH)
+
+
+def lack(h: Tensor) -> Tensor:
+    """How much of the chroma each channel lacks at hue `h` (B, H, W): (B, 3, H, W) in [0, 1].
+
+    1 ____          ____
+          \\        /          red, from hue 0 to 2 pi; green and blue are the same, a third of a turn later
+    0      \\______/           each, upside down
+    """
+    sixths = torch.stack([h / SIXTH + shift for shift in (5, 3, 1)], 1).remainder(6)
+    return torch.minimum(sixths, 4 - sixths).clamp(0, 1)

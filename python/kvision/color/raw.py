@@ -1,0 +1,215 @@
+"""Bayer mosaics, the raw pictures of sensors: a colour a pixel, repeating every 2 x 2 pixels."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import pixels
+from kvision._leading import on_batch
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.filters.border import pad
+
+
+class CFA(Enum):
+    """Colour filter array: how a sensor's colours repeat, named as in OpenCV by the second row's second and third pixel.
+
+        BG: R G R G    GB: G R G R    RG: B G B G    GR: G B G B
+            G B G B        B G B G        G R G R        R G R G
+
+    Example:
+        >>> import kvision as K
+        >>> [cfa.name for cfa in K.color.CFA]
+        ['BG', 'GB', 'RG', 'GR']
+    """
+
+    BG = 0
+    GB = 1
+    RG = 2
+    GR = 3
+
+
+# (row, column) of red in a cell; blue is diagonal to it, green in the two others.
+_RED = {CFA.BG: (0, 0), CFA.GB: (0, 1), CFA.RG: (1, 1), CFA.GR: (1, 0)}
+
+
+def _sites(x: Tensor, row: int, column: int) -> Tensor:
+    """Where `x` (..., H, W) has the pixel of this row and column in every cell."""
+    h, w = x.shape[-2:]
+    rows, columns = torch.arange(h, device=x.device) % 2, torch.arange(w, device=x.device) % 2
+    return (rows == row)[:, None] & (columns == column)
+
+
+def _mosaic(x: Tensor, row: int, column: int) -> Tensor:
+    r, g, b = x.split(1, 1)
+    return torch.where(_sites(x, row, column), r, torch.where(_sites(x, 1 - row, 1 - column), b, g))
+
+
+def _reference(x: Tensor, row: int, column: int) -> Tensor:
+    red, blue = _sites(x, row, column), _sites(x, 1 - row, 1 - column)
+    # A border that mirrors the mosaic repeats each colour's own outermost row and column.
+    r, b = (pad(torch.where(own, x, 0), ((1, 1), (1, 1)), "reflect") for own in (red, blue))
+    g = pad(torch.where(red | blue, 0, x), ((1, 1), (1, 1)), "reflect")
+    green = g[..., 1:-1, 1:-1] + (g[..., :-2, 1:-1] + g[..., 2:, 1:-1] + g[..., 1:-1, :-2] + g[..., 1:-1, 2:]) / 4
+    return torch.cat([_between(r), green, _between(b)], 1)
+
+
+def _between(p: Tensor) -> Tensor:
+    """Linear between every second row and column of the padded plane `p`, which is 0 elsewhere."""
+    p = p[..., 1:-1, :] + (p[..., :-2, :] + p[..., 2:, :]) / 2
+    return p[..., 1:-1] + (p[..., :-2] + p[..., 2:]) / 2
+
+
+def _binned(x: Tensor, row: int, column: int) -> Tensor:
+    def site(i: int, j: int) -> Tensor:
+        return x[..., i::2, j::2]
+
+    green = (site(row, 1 - column) + site(1 - row, column)) / 2
+    return torch.cat([site(row, column), green, site(1 - row, 1 - column)], 1)
+
+
+_raw_to_rgb = as_stored(_reference)
+_raw_to_rgb_2x2_downscaled = as_stored(_binned)
+
+
+def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
+    """Keep of every pixel the colour that a sensor's filter lets through.
+
+    Args:
+        image: RGB images (*, 3, H, W) of any type.
+        cfa: the filter.
+
+    Returns:
+        Mosaics (*, 1, H, W) of the same type.
+
+    Raises:
+        TypeCheckError: image is no tensor, cfa no CFA.
+        ShapeError: image is not (*, 3, H, W).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> red = torch.tensor([1.0, 0.0, 0.0]).view(3, 1, 1).expand(3, 2, 4)
+        >>> K.color.rgb_to_raw(red, K.color.CFA.BG)
+        tensor([[[1., 0., 1., 0.],
+                 [0., 0., 0., 0.]]])
+    """
+    _check.channels("rgb_to_raw", "image", image, 3)
+    return on_batch(_mosaic, image, *_red("rgb_to_raw", cfa))
+
+
+def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
+    """Fill in the colours that a sensor's filter held back, linearly between the nearest pixels that have them.
+
+    Red and blue are means of 2 or 4 neighbours, green of 4. The border mirrors the mosaic. What was measured is kept.
+
+    Args:
+        image: mosaics (*, 1, H, W), H and W even. uint8 gives uint8 (rounded half to even), other integers float32.
+        cfa: the filter.
+
+    Returns:
+        RGB images (*, 3, H, W).
+
+    Raises:
+        TypeCheckError: image is no tensor, cfa no CFA.
+        ShapeError: image is not (*, 1, H, W), or H or W is odd or 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> mosaic = torch.tensor([[[1.0, 0.2, 0.0, 0.2], [0.2, 0.4, 0.2, 0.4]]])
+        >>> K.color.raw_to_rgb(mosaic, K.color.CFA.BG)[:, 0]
+        tensor([[1.0000, 0.5000, 0.0000, 0.0000],
+                [0.2000, 0.2000, 0.2000, 0.2000],
+                [0.4000, 0.4000, 0.4000, 0.4000]])
+    """
+    _check_mosaic("raw_to_rgb", image)
+    return on_batch(_raw_to_rgb, pixels(image), *_red("raw_to_rgb", cfa))
+
+
+def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
+    """Make one colour of every 2 x 2 pixels: their red, their blue, and the mean of their greens.
+
+    Args:
+        image: mosaics (*, 1, H, W), H and W even. uint8 gives uint8 (rounded half to even), other integers float32.
+        cfa: the filter.
+
+    Returns:
+        RGB images (*, 3, H / 2, W / 2).
+
+    Raises:
+        TypeCheckError: image is no tensor, cfa no CFA.
+        ShapeError: image is not (*, 1, H, W), or H or W is odd or 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.raw_to_rgb_2x2_downscaled(torch.tensor([[[1.0, 0.2], [0.4, 0.8]]]), K.color.CFA.BG).flatten()
+        tensor([1.0000, 0.3000, 0.8000])
+    """
+    _check_mosaic("raw_to_rgb_2x2_downscaled", image)
+    return on_batch(_raw_to_rgb_2x2_downscaled, pixels(image), *_red("raw_to_rgb_2x2_downscaled", cfa))
+
+
+def _check_mosaic(op: str, image: Any) -> None:
+    _check.channels(op, "image", image, 1)
+    h, w = image.shape[-2:]
+    if h == 0 or w == 0 or h % 2 or w % 2:
+        raise ShapeError(f"{op}: expected image with even H and W of at least 2, got {tuple(image.shape)}")
+
+
+def _red(op: str, cfa: Any) -> tuple[int, int]:
+    if not isinstance(cfa, CFA):
+        raise TypeCheckError(f"{op}: expected cfa to be a CFA, got {cfa!r}", actual_type=type(cfa))
+    return _RED[cfa]
+
+
+class RgbToRaw(FunctionModule):
+    """Module form of :func:`rgb_to_raw`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RgbToRaw(K.color.CFA.RG)(torch.rand(2, 3, 4, 6)).shape
+        torch.Size([2, 1, 4, 6])
+    """
+
+    def __init__(self, cfa: CFA) -> None:
+        super().__init__(cfa=cfa)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return rgb_to_raw(image, self.cfa)
+
+
+class RawToRgb(FunctionModule):
+    """Module form of :func:`raw_to_rgb`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RawToRgb(K.color.CFA.RG)(torch.rand(2, 1, 4, 6)).shape
+        torch.Size([2, 3, 4, 6])
+    """
+
+    def __init__(self, cfa: CFA) -> None:
+        super().__init__(cfa=cfa)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return raw_to_rgb(image, self.cfa)
+
+
+class RawToRgb2x2Downscaled(FunctionModule):
+    """Module form of :func:`raw_to_rgb_2x2_downscaled`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RawToRgb2x2Downscaled(K.color.CFA.RG)(torch.rand(2, 1, 4, 6)).shape
+        torch.Size([2, 3, 2, 3])
+    """
+
+    def __init__(self, cfa: CFA) -> None:
+        super().__init__(cfa=cfa)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return raw_to_rgb_2x2_downscaled(image, self.cfa)

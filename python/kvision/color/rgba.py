@@ -1,0 +1,221 @@
+"""Adding an alpha channel, and composing with a background to lose it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._leading import flat, on_batch
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+def _reference(x: Tensor, background: Tensor | None, color: tuple[float, float, float]) -> Tensor:
+    *channels, alpha = x.unbind(1)
+    behind: Sequence[float | Tensor] = color if background is None else background.unbind(1)
+    return torch.stack([c * alpha + d * (1 - alpha) for c, d in zip(channels, behind)], 1)
+
+
+_rgba_to_rgb = as_stored(_reference)
+
+
+def rgb_to_rgba(image: Tensor, alpha_val: float | Tensor) -> Tensor:
+    """Append an alpha channel.
+
+    Args:
+        image: RGB images (*, 3, H, W) of any type.
+        alpha_val: opacity, a float for all pixels or a tensor (*, 1, H, W): 1 is opaque, 0 transparent.
+
+    Returns:
+        RGBA images (*, 4, H, W) in the type of the image.
+
+    Raises:
+        TypeCheckError: image is no tensor; alpha_val is neither a float nor a tensor.
+        ShapeError: image is not (*, 3, H, W); a tensor alpha_val of another shape than one channel of it.
+        DeviceError: image and alpha_val on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.rgb_to_rgba(torch.zeros(3, 1, 1), 0.5).flatten()
+        tensor([0.0000, 0.0000, 0.0000, 0.5000])
+    """
+    _check.channels("rgb_to_rgba", "image", image, 3)
+    return torch.cat([image, _alpha("rgb_to_rgba", image, alpha_val)], -3)
+
+
+def bgr_to_rgba(image: Tensor, alpha_val: float | Tensor) -> Tensor:
+    """Reverse the channels and append an alpha channel.
+
+    Args:
+        image: BGR images (*, 3, H, W) of any type.
+        alpha_val: opacity, a float for all pixels or a tensor (*, 1, H, W): 1 is opaque, 0 transparent.
+
+    Returns:
+        RGBA images (*, 4, H, W), red first, in the type of the image.
+
+    Raises:
+        TypeCheckError: image is no tensor; alpha_val is neither a float nor a tensor.
+        ShapeError: image is not (*, 3, H, W); a tensor alpha_val of another shape than one channel of it.
+        DeviceError: image and alpha_val on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.bgr_to_rgba(torch.tensor([0.1, 0.2, 0.3]).view(3, 1, 1), 1.0).flatten()
+        tensor([0.3000, 0.2000, 0.1000, 1.0000])
+    """
+    _check.channels("bgr_to_rgba", "image", image, 3)
+    return torch.cat([image.flip(-3), _alpha("bgr_to_rgba", image, alpha_val)], -3)
+
+
+def _alpha(op: str, image: Tensor, alpha: float | Tensor) -> Tensor:
+    channel = image[..., :1, :, :]
+    if isinstance(alpha, float):
+        return torch.full_like(channel, alpha)
+    if not isinstance(alpha, Tensor):
+        raise TypeCheckError(f"{op}: expected alpha_val to be a float or a Tensor, got {alpha!r}")
+    _check.numbers(op, "alpha_val", alpha)
+    if alpha.shape != channel.shape:
+        raise ShapeError(f"{op}: expected alpha_val of shape {tuple(channel.shape)}, got {tuple(alpha.shape)}")
+    _check.same_device(op, image=image, alpha_val=alpha)
+    return alpha.to(image.dtype)
+
+
+def rgba_to_rgb(image: Tensor, background_color: tuple[float, float, float] | Tensor | None = None) -> Tensor:
+    """Compose with a background: alpha * color + (1 - alpha) * background.
+
+    Args:
+        image: RGBA images (*, 4, H, W), the alpha in [0, 1]. Integers are computed in float32.
+        background_color: three numbers, or a tensor that broadcasts to the result and has three channels; default:
+            white, 1.
+
+    Returns:
+        RGB images (*, 3, H, W).
+
+    Raises:
+        TypeCheckError: image is no tensor; background_color of another kind.
+        ShapeError: image is not (*, 4, H, W); a tensor background_color that does not fit it.
+        ValueCheckError: a background_color that is not of three numbers.
+        DeviceError: image and background_color on different devices.
+
+    Source: T. Porter and T. Duff, "Compositing digital images" (1984).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> red = torch.tensor([1.0, 0.0, 0.0, 0.5]).view(4, 1, 1)
+        >>> K.color.rgba_to_rgb(red).flatten()
+        tensor([1.0000, 0.5000, 0.5000])
+        >>> K.color.rgba_to_rgb(red, (0.0, 0.0, 1.0)).flatten()
+        tensor([0.5000, 0.0000, 0.5000])
+    """
+    _check.channels("rgba_to_rgb", "image", image, 4)
+    if background_color is None or isinstance(background_color, (tuple, list)):
+        color = WHITE if background_color is None else _color(background_color)
+        return on_batch(_rgba_to_rgb, floats(image), None, color)
+    _check.channels("rgba_to_rgb", "background_color", background_color, 3)
+    _check.same_device("rgba_to_rgb", image=image, background_color=background_color)
+    return on_batch(_rgba_to_rgb, floats(image), _background(background_color, image), WHITE)
+
+
+def _color(color: tuple[float, ...] | list[float]) -> tuple[float, ...]:
+    if len(color) != 3:
+        raise ValueCheckError(f"rgba_to_rgb: expected background_color to be three numbers, got {color!r}")
+    return tuple(_check.number("rgba_to_rgb", "background_color", c) for c in color)
+
+
+def _background(background: Tensor, image: Tensor) -> Tensor:
+    """`background` as (B, 3, H, W), or with axes of size 1 that serve the whole image."""
+    *leading, _, h, w = image.shape
+    own = background.shape
+    fits = own[-2] in (1, h) and own[-1] in (1, w) and len(own) <= image.dim()
+    if not fits or any(n not in (1, m) for n, m in zip(reversed(own[:-3]), reversed(leading))):
+        raise ShapeError(
+            f"rgba_to_rgb: expected background_color to broadcast to {(*leading, 3, h, w)}, got {tuple(own)}"
+        )
+    return background[None] if background.dim() == 3 else flat(background.expand(*leading, *own[-3:]))
+
+
+def rgba_to_bgr(image: Tensor) -> Tensor:
+    """Compose with white, 1, and reverse the channels.
+
+    Args:
+        image: RGBA images (*, 4, H, W), the alpha in [0, 1]. Integers are computed in float32.
+
+    Returns:
+        BGR images (*, 3, H, W).
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 4, H, W).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.rgba_to_bgr(torch.tensor([1.0, 0.0, 0.0, 0.5]).view(4, 1, 1)).flatten()
+        tensor([0.5000, 0.5000, 1.0000])
+    """
+    _check.channels("rgba_to_bgr", "image", image, 4)
+    return on_batch(_rgba_to_rgb, floats(image), None, WHITE).flip(-3)
+
+
+class RgbToRgba(FunctionModule):
+    """Module form of :func:`rgb_to_rgba`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RgbToRgba(1.0)(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 4, 4, 5])
+    """
+
+    def __init__(self, alpha_val: float | Tensor) -> None:
+        super().__init__(alpha_val=alpha_val)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return rgb_to_rgba(image, self.alpha_val)
+
+
+class BgrToRgba(FunctionModule):
+    """Module form of :func:`bgr_to_rgba`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.BgrToRgba(1.0)(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 4, 4, 5])
+    """
+
+    def __init__(self, alpha_val: float | Tensor) -> None:
+        super().__init__(alpha_val=alpha_val)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return bgr_to_rgba(image, self.alpha_val)
+
+
+class RgbaToRgb(nn.Module):
+    """Module form of :func:`rgba_to_rgb`, on white.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RgbaToRgb()(torch.rand(2, 4, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def forward(self, image: Tensor) -> Tensor:
+        return rgba_to_rgb(image)
+
+
+class RgbaToBgr(nn.Module):
+    """Module form of :func:`rgba_to_bgr`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RgbaToBgr()(torch.rand(2, 4, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def forward(self, image: Tensor) -> Tensor:
+        return rgba_to_bgr(image)

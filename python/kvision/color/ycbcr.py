@@ -1,0 +1,136 @@
+"""Luma and its differences from blue and red."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._leading import on_batch
+from kvision._ops import as_stored
+from kvision.color.gray import LUMA
+
+# How much b - y and r - y are scaled by to fit [-0.5, 0.5].
+BLUE, RED = 0.564, 0.713
+
+
+def _luma(x: Tensor) -> Tensor:
+    r, g, b = x.split(1, 1)
+    return LUMA[0] * r + LUMA[1] * g + LUMA[2] * b
+
+
+def _reference(x: Tensor) -> Tensor:
+    y = _luma(x)
+    r, _, b = x.split(1, 1)
+    return torch.cat([y, BLUE * (b - y) + 0.5, RED * (r - y) + 0.5], 1)
+
+
+def _inverse(x: Tensor) -> Tensor:
+    y, cb, cr = x.unbind(1)
+    blue, red = (cb - 0.5) / BLUE, (cr - 0.5) / RED
+    green = -(LUMA[0] * red + LUMA[2] * blue) / LUMA[1]  # so that the luma is y
+    return torch.stack([y + red, y + green, y + blue], 1).clamp(0, 1)
+
+
+_rgb_to_y = as_stored(_luma)
+_rgb_to_ycbcr = as_stored(_reference)
+_ycbcr_to_rgb = as_stored(_inverse)
+
+
+def rgb_to_ycbcr(image: Tensor) -> Tensor:
+    """RGB to luma and chroma: y = 0.299 r + 0.587 g + 0.114 b, cb = 0.564 (b - y) + 0.5, cr = 0.713 (r - y) + 0.5.
+
+    Args:
+        image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+
+    Returns:
+        YCbCr images of the same shape, in [0, 1] up to the rounding of 0.564 and 0.713; greys have chroma 0.5.
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 3, H, W).
+
+    Source: ITU-R BT.601.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.rgb_to_ycbcr(torch.tensor([1.0, 0.0, 0.0]).view(3, 1, 1)).flatten()
+        tensor([0.2990, 0.3314, 0.9998])
+    """
+    _check.channels("rgb_to_ycbcr", "image", image, 3)
+    return on_batch(_rgb_to_ycbcr, floats(image))
+
+
+def ycbcr_to_rgb(image: Tensor) -> Tensor:
+    """Luma and chroma to RGB: the inverse of :func:`rgb_to_ycbcr`, clamped.
+
+    Args:
+        image: YCbCr images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+
+    Returns:
+        RGB images of the same shape, clamped to [0, 1].
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 3, H, W).
+
+    Source: ITU-R BT.601.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.ycbcr_to_rgb(torch.tensor([0.3, 0.5, 0.5]).view(3, 1, 1)).flatten()
+        tensor([0.3000, 0.3000, 0.3000])
+    """
+    _check.channels("ycbcr_to_rgb", "image", image, 3)
+    return on_batch(_ycbcr_to_rgb, floats(image))
+
+
+def rgb_to_y(image: Tensor) -> Tensor:
+    """The luma of :func:`rgb_to_ycbcr`: 0.299 r + 0.587 g + 0.114 b.
+
+    Args:
+        image: RGB images (*, 3, H, W), in any range. Integers give float32; :func:`rgb_to_grayscale` keeps uint8.
+
+    Returns:
+        Luma (*, 1, H, W).
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 3, H, W).
+
+    Source: ITU-R BT.601.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.rgb_to_y(torch.eye(3)[:, None])
+        tensor([[[0.2990, 0.5870, 0.1140]]])
+    """
+    _check.channels("rgb_to_y", "image", image, 3)
+    return on_batch(_rgb_to_y, floats(image))
+
+
+class RgbToYcbcr(nn.Module):
+    """Module form of :func:`rgb_to_ycbcr`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RgbToYcbcr()(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def forward(self, image: Tensor) -> Tensor:
+        return rgb_to_ycbcr(image)
+
+
+class YcbcrToRgb(nn.Module):
+    """Module form of :func:`ycbcr_to_rgb`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.YcbcrToRgb()(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def forward(self, image: Tensor) -> Tensor:
+        return ycbcr_to_rgb(image)

@@ -1,0 +1,295 @@
+"""YUV: luma and its differences from blue and red, in full and with the chroma at half the resolution."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._leading import flat, on_batch
+from kvision._ops import as_stored
+from kvision.color.matrix import inverse, mixed
+from kvision.core.exceptions import ShapeError
+
+YUV_FROM_RGB = (
+    (0.299, 0.587, 0.114),
+    (-0.147, -0.289, 0.436),
+    (0.615, -0.515, -0.100),
+)
+RGB_FROM_YUV = inverse(YUV_FROM_RGB)
+
+
+def _reference(x: Tensor) -> Tensor:
+    return mixed(x, YUV_FROM_RGB)
+
+
+def _inverse(x: Tensor) -> Tensor:
+    return mixed(x, RGB_FROM_YUV)
+
+
+def _subsampled(x: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
+    """Luma, and the chroma as the mean of cells of rows x columns pixels."""
+    yuv = _reference(x)
+    return yuv[:, :1], F.avg_pool2d(yuv[:, 1:], (rows, columns))
+
+
+def _upsampled(luma: Tensor, chroma: Tensor, rows: int, columns: int) -> Tensor:
+    """RGB, with the chroma repeated over its cell."""
+    return _inverse(torch.cat([luma, chroma.repeat_interleave(rows, 2).repeat_interleave(columns, 3)], 1))
+
+
+_rgb_to_yuv = as_stored(_reference)
+_yuv_to_rgb = as_stored(_inverse)
+_rgb_to_yuv_subsampled = as_stored(_subsampled)
+_yuv_subsampled_to_rgb = as_stored(_upsampled)
+
+
+def rgb_to_yuv(image: Tensor) -> Tensor:
+    """RGB to YUV, as analogue television has it.
+
+    Args:
+        image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
+
+    Returns:
+        Images of the same shape: y in [0, 1], u in [-0.436, 0.436], v in [-0.615, 0.615]; greys have u = v = 0.
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 3, H, W).
+
+    Source: ITU-R BT.601, BT.470.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.rgb_to_yuv(torch.tensor([1.0, 0.0, 0.0]).view(3, 1, 1)).flatten()
+        tensor([ 0.2990, -0.1470,  0.6150])
+    """
+    _check.channels("rgb_to_yuv", "image", image, 3)
+    return on_batch(_rgb_to_yuv, floats(image))
+
+
+def yuv_to_rgb(image: Tensor) -> Tensor:
+    """YUV to RGB, the inverse of :func:`rgb_to_yuv`.
+
+    Args:
+        image: YUV images (*, 3, H, W): y in [0, 1], u in [-0.436, 0.436], v in [-0.615, 0.615].
+
+    Returns:
+        RGB images of the same shape, not clamped.
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 3, H, W).
+
+    Source: ITU-R BT.601, BT.470.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.yuv_to_rgb(torch.tensor([0.3, 0.0, 0.0]).view(3, 1, 1)).flatten()
+        tensor([0.3000, 0.3000, 0.3000])
+    """
+    _check.channels("yuv_to_rgb", "image", image, 3)
+    return on_batch(_yuv_to_rgb, floats(image))
+
+
+def rgb_to_yuv420(image: Tensor) -> tuple[Tensor, Tensor]:
+    """RGB to YUV 4:2:0: the chroma is the mean of 2 x 2 pixels.
+
+    Args:
+        image: RGB images (*, 3, H, W) in [0, 1], H and W even. Integers are computed in float32, unscaled.
+
+    Returns:
+        y (*, 1, H, W) and uv (*, 2, H / 2, W / 2), in the ranges of :func:`rgb_to_yuv`.
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 3, H, W), or H or W is odd.
+
+    Source: ITU-R BT.601, BT.470.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> y, uv = K.color.rgb_to_yuv420(torch.rand(2, 3, 4, 6))
+        >>> y.shape, uv.shape
+        (torch.Size([2, 1, 4, 6]), torch.Size([2, 2, 2, 3]))
+    """
+    _check.channels("rgb_to_yuv420", "image", image, 3)
+    _whole_cells("rgb_to_yuv420", "image", image, 2, 2)
+    return on_batch(_rgb_to_yuv_subsampled, floats(image), 2, 2)
+
+
+def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
+    """RGB to YUV 4:2:2: the chroma is the mean of 2 pixels side by side.
+
+    Args:
+        image: RGB images (*, 3, H, W) in [0, 1], W even. Integers are computed in float32, unscaled.
+
+    Returns:
+        y (*, 1, H, W) and uv (*, 2, H, W / 2), in the ranges of :func:`rgb_to_yuv`.
+
+    Raises:
+        TypeCheckError: image is no tensor.
+        ShapeError: image is not (*, 3, H, W), or W is odd.
+
+    Source: ITU-R BT.601, BT.470.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> y, uv = K.color.rgb_to_yuv422(torch.rand(2, 3, 4, 6))
+        >>> y.shape, uv.shape
+        (torch.Size([2, 1, 4, 6]), torch.Size([2, 2, 4, 3]))
+    """
+    _check.channels("rgb_to_yuv422", "image", image, 3)
+    _whole_cells("rgb_to_yuv422", "image", image, 1, 2)
+    return on_batch(_rgb_to_yuv_subsampled, floats(image), 1, 2)
+
+
+def yuv420_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
+    """YUV 4:2:0 to RGB: each chroma serves 2 x 2 pixels.
+
+    Args:
+        imagey: y (*, 1, H, W) in [0, 1], H and W even.
+        imageuv: uv (*, 2, H / 2, W / 2), in the ranges of :func:`rgb_to_yuv`.
+
+    Returns:
+        RGB images (*, 3, H, W) in the type of imagey, not clamped.
+
+    Raises:
+        TypeCheckError: imagey or imageuv is no tensor.
+        ShapeError: imagey is not (*, 1, H, W) with even H and W; imageuv does not fit it.
+        DeviceError: imagey and imageuv on different devices.
+
+    Source: ITU-R BT.601, BT.470.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.yuv420_to_rgb(torch.rand(2, 1, 4, 6), torch.rand(2, 2, 2, 3)).shape
+        torch.Size([2, 3, 4, 6])
+    """
+    return _joined("yuv420_to_rgb", imagey, imageuv, 2, 2)
+
+
+def yuv422_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
+    """YUV 4:2:2 to RGB: each chroma serves 2 pixels side by side.
+
+    Args:
+        imagey: y (*, 1, H, W) in [0, 1], W even.
+        imageuv: uv (*, 2, H, W / 2), in the ranges of :func:`rgb_to_yuv`.
+
+    Returns:
+        RGB images (*, 3, H, W) in the type of imagey, not clamped.
+
+    Raises:
+        TypeCheckError: imagey or imageuv is no tensor.
+        ShapeError: imagey is not (*, 1, H, W) with even W; imageuv does not fit it.
+        DeviceError: imagey and imageuv on different devices.
+
+    Source: ITU-R BT.601, BT.470.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.yuv422_to_rgb(torch.rand(2, 1, 4, 6), torch.rand(2, 2, 4, 3)).shape
+        torch.Size([2, 3, 4, 6])
+    """
+    return _joined("yuv422_to_rgb", imagey, imageuv, 1, 2)
+
+
+def _joined(op: str, luma: Tensor, chroma: Tensor, rows: int, columns: int) -> Tensor:
+    _check.channels(op, "imagey", luma, 1)
+    _check.channels(op, "imageuv", chroma, 2)
+    _whole_cells(op, "imagey", luma, rows, columns)
+    *leading, _, h, w = luma.shape
+    expected = (*leading, 2, h // rows, w // columns)
+    if chroma.shape != expected:
+        raise ShapeError(
+            f"{op}: expected imageuv of shape {expected} for imagey of shape {tuple(luma.shape)}, got "
+            f"{tuple(chroma.shape)}"
+        )
+    _check.same_device(op, imagey=luma, imageuv=chroma)
+    return on_batch(_yuv_subsampled_to_rgb, floats(luma), flat(chroma), rows, columns)
+
+
+def _whole_cells(op: str, name: str, x: Tensor, rows: int, columns: int) -> None:
+    if x.shape[-2] % rows or x.shape[-1] % columns:
+        even = "H and W" if rows == 2 else "W"
+        raise ShapeError(f"{op}: expected {name} with even {even}, got {tuple(x.shape)}")
+
+
+class RgbToYuv(nn.Module):
+    """Module form of :func:`rgb_to_yuv`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.RgbToYuv()(torch.rand(2, 3, 4, 6)).shape
+        torch.Size([2, 3, 4, 6])
+    """
+
+    def forward(self, input: Tensor) -> Tensor:
+        return rgb_to_yuv(input)
+
+
+class YuvToRgb(nn.Module):
+    """Module form of :func:`yuv_to_rgb`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.YuvToRgb()(torch.rand(2, 3, 4, 6)).shape
+        torch.Size([2, 3, 4, 6])
+    """
+
+    def forward(self, input: Tensor) -> Tensor:
+        return yuv_to_rgb(input)
+
+
+class RgbToYuv420(nn.Module):
+    """Module form of :func:`rgb_to_yuv420`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> [plane.shape for plane in K.color.RgbToYuv420()(torch.rand(2, 3, 4, 6))]
+        [torch.Size([2, 1, 4, 6]), torch.Size([2, 2, 2, 3])]
+    """
+
+    def forward(self, yuvinput: Tensor) -> tuple[Tensor, Tensor]:
+        return rgb_to_yuv420(yuvinput)
+
+
+class RgbToYuv422(nn.Module):
+    """Module form of :func:`rgb_to_yuv422`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> [plane.shape for plane in K.color.RgbToYuv422()(torch.rand(2, 3, 4, 6))]
+        [torch.Size([2, 1, 4, 6]), torch.Size([2, 2, 4, 3])]
+    """
+
+    def forward(self, yuvinput: Tensor) -> tuple[Tensor, Tensor]:
+        return rgb_to_yuv422(yuvinput)
+
+
+class Yuv420ToRgb(nn.Module):
+    """Module form of :func:`yuv420_to_rgb`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.Yuv420ToRgb()(torch.rand(2, 1, 4, 6), torch.rand(2, 2, 2, 3)).shape
+        torch.Size([2, 3, 4, 6])
+    """
+
+    def forward(self, inputy: Tensor, inputuv: Tensor) -> Tensor:
+        return yuv420_to_rgb(inputy, inputuv)
+
+
+class Yuv422ToRgb(nn.Module):
+    """Module form of :func:`yuv422_to_rgb`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.color.Yuv422ToRgb()(torch.rand(2, 1, 4, 6), torch.rand(2, 2, 4, 3)).shape
+        torch.Size([2, 3, 4, 6])
+    """
+
+    def forward(self, inputy: Tensor, inputuv: Tensor) -> Tensor:
+        return yuv422_to_rgb(inputy, inputuv)

@@ -11,8 +11,7 @@ namespace kv {
 
 // The names in python/kvision/color/program.py, in this order.
 enum class Step : int {
-  affine,      // 12 parameters: a 3 x 3 matrix by rows, and what is added
-  clip,        // 2: from, to
+  affine,      // 13: a 3 x 3 matrix by rows, what is added, and whether to clip to [0, 1]
   rgb_to_hsv,  // 1: eps
   hsv_to_rgb,
   rgb_to_hls,  // 1: eps
@@ -20,7 +19,7 @@ enum class Step : int {
   rgb_to_linear_rgb,
   linear_rgb_to_rgb,
   rgb_to_lab,
-  lab_to_rgb,
+  lab_to_rgb,    // 1: whether to clip to [0, 1]
   rgb_to_luv,    // 1: eps
   luv_to_rgb,    // 1: eps
   weighted_sum,  // 3; the result has one channel, so it comes last
@@ -29,13 +28,12 @@ enum class Step : int {
 KV_HD int parameters_of(Step step) {
   switch (step) {
     case Step::affine:
-      return 12;
-    case Step::clip:
-      return 2;
+      return 13;
     case Step::weighted_sum:
       return 3;
     case Step::rgb_to_hsv:
     case Step::rgb_to_hls:
+    case Step::lab_to_rgb:
     case Step::rgb_to_luv:
     case Step::luv_to_rgb:
       return 1;

@@ -82,10 +82,10 @@ constexpr double kTurn = 6.283185307179586476925;
 
 // Hue in radians from the largest channel and how far it is above the smallest; 0 for greys.
 template <class V>
-KV_HD V hue_of(V const (&c)[3], V const& most, V const& range) {
+KV_HD V hue_of(V const (&c)[3], V const& most, V const& range, Scalar<V> eps) {
   using F = Scalar<V>;
   auto const grey = range == F(0);
-  V const reciprocal = constant<V>(F(1)) / select(grey, constant<V>(F(1)), range);
+  V const reciprocal = constant<V>(F(1)) / select(grey, constant<V>(F(1)), range + eps);
   V const sixths = select(most == c[0], (c[1] - c[2]) * reciprocal,
                           select(most == c[1], (c[2] - c[0]) * reciprocal + F(2), (c[0] - c[1]) * reciprocal + F(4)));
   V const positive = select(sixths < F(0), sixths + F(6), sixths);
@@ -97,7 +97,7 @@ template <class V>
 KV_HD void rgb_to_hsv(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
   V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
-  V const hue = hue_of(c, most, range);
+  V const hue = hue_of(c, most, range, F(0));
   c[1] = range / select(most == F(0), constant<V>(F(1)), most + eps);
   c[0] = hue;
   c[2] = most;
@@ -118,13 +118,11 @@ template <class V>
 KV_HD void rgb_to_hls(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
   V const most = larger(larger(c[0], c[1]), c[2]), least = smaller(smaller(c[0], c[1]), c[2]);
-  V const range = most - least, sum = most + least, lightness = sum * F(0.5);
-  V const hue = hue_of(c, most, range), below = select(lightness < F(0.5), sum, F(2) - sum);
-  auto const none = below == F(0);
-  V const saturation = range / select(none, constant<V>(F(1)), below + eps);
+  V const range = most - least, sum = most + least;
+  V const hue = hue_of(c, most, range, eps), room = select(sum < F(1), sum, F(2) - sum);
   c[0] = hue;
-  c[1] = lightness;
-  c[2] = select(none, constant<V>(F(0)), saturation);
+  c[1] = sum * F(0.5);
+  c[2] = range / select(room == F(0), constant<V>(F(1)), room + eps);
 }
 
 // l - s min(l, 1 - l) max(-1, min(k - 3, 9 - k, 1)), k = 0, 8, 4 twelfths of a turn from the hue.
@@ -155,6 +153,12 @@ KV_HD V encode(V const& x) {
 }
 
 template <class V>
+KV_HD void clip(V (&c)[3], Scalar<V> wanted) {
+  using F = Scalar<V>;
+  if (wanted != 0)
+    for (int i = 0; i < 3; ++i) c[i] = at_most(at_least(c[i], F(0)), F(1));
+}
+template <class V>
 KV_HD void affine(V (&c)[3], Scalar<V> const* m) {
   V const a = c[0], b = c[1], d = c[2];
   for (int i = 0; i < 3; ++i) c[i] = a * m[3 * i] + b * m[3 * i + 1] + d * m[3 * i + 2] + m[9 + i];
@@ -169,14 +173,14 @@ KV_HD void linear_to_xyz(V (&c)[3]) {
 template <class V>
 KV_HD void xyz_to_linear(V (&c)[3]) {
   using F = Scalar<V>;
-  constexpr F m[] = {F(3.2404813432005266),
+  constexpr F m[] = {F(3.240481343200526),
                      F(-1.5371515162713183),
                      F(-0.49853632616888777),
-                     F(-0.9692549499965684),
+                     F(-0.9692549499965681),
                      F(1.8759900014898907),
-                     F(0.04155592655829284),
-                     F(0.05564663913517716),
-                     F(-0.20404133836651123),
+                     F(0.04155592655829283),
+                     F(0.05564663913517714),
+                     F(-0.2040413383665112),
                      F(1.0573110696453443),
                      0,
                      0,
@@ -222,7 +226,8 @@ KV_HD void rgb_to_luv(V (&c)[3], Scalar<V> eps) {
   linear_to_xyz(c);
   V const y = c[1];
   V const l = select(y > F(kThreshold), power(at_least(y, F(kThreshold)), F(1. / 3)) * F(116) - F(16), y * F(903.3));
-  V const reciprocal = constant<V>(F(1)) / (c[0] + c[1] * F(15) + c[2] * F(3) + eps);
+  V const total = c[0] + c[1] * F(15) + c[2] * F(3) + eps;
+  V const reciprocal = constant<V>(F(1)) / select(total == F(0), constant<V>(F(1)), total);
   V const u = c[0] * F(4) * reciprocal, v = c[1] * F(9) * reciprocal;
   c[0] = l;
   c[1] = l * (u - F(kWhiteU)) * F(13);
@@ -234,9 +239,10 @@ KV_HD void luv_to_rgb(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
   V const l = c[0], root = (l + F(16)) * F(1. / 116);
   V const y = select(l > F(7.999625), root * root * root, l * F(1 / 903.3));
-  V const reciprocal = constant<V>(F(1)) / (l * F(13) + eps);
+  V const scale = l * F(13) + eps;
+  V const reciprocal = constant<V>(F(1)) / select(scale == F(0), constant<V>(F(1)), scale);
   V const a = c[1] * reciprocal + F(kWhiteU), d = c[2] * reciprocal + F(kWhiteV);
-  V const y_of_v = y * F(0.25) / (d + eps);
+  V const y_of_v = y / (d * F(4) + eps);
   c[0] = a * y_of_v * F(9);
   c[1] = y;
   c[2] = (F(12) - a * F(3) - d * F(20)) * y_of_v;
@@ -250,10 +256,8 @@ template <class V>
 KV_HD void run_step(Step step, Scalar<V> const* p, V (&c)[3]) {
   switch (step) {
     case Step::affine:
-      return affine(c, p);
-    case Step::clip:
-      for (int i = 0; i < 3; ++i) c[i] = at_most(at_least(c[i], p[0]), p[1]);
-      return;
+      affine(c, p);
+      return clip(c, p[12]);
     case Step::rgb_to_hsv:
       return rgb_to_hsv(c, p[0]);
     case Step::hsv_to_rgb:
@@ -271,7 +275,8 @@ KV_HD void run_step(Step step, Scalar<V> const* p, V (&c)[3]) {
     case Step::rgb_to_lab:
       return rgb_to_lab(c);
     case Step::lab_to_rgb:
-      return lab_to_rgb(c);
+      lab_to_rgb(c);
+      return clip(c, p[0]);
     case Step::rgb_to_luv:
       return rgb_to_luv(c, p[0]);
     case Step::luv_to_rgb:

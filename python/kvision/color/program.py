@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import torch
 from torch import Tensor
 
 from kvision._ops import register, vjp
 
 # The enum Step of csrc/color/program.h, and how many numbers each step takes.
 _PARAMETERS = {
-    "affine": 12,
-    "clip": 2,
+    "affine": 13,
     "rgb_to_hsv": 1,
     "hsv_to_rgb": 0,
     "rgb_to_hls": 1,
@@ -24,7 +22,7 @@ _PARAMETERS = {
     "rgb_to_linear_rgb": 0,
     "linear_rgb_to_rgb": 0,
     "rgb_to_lab": 0,
-    "lab_to_rgb": 0,
+    "lab_to_rgb": 1,
     "rgb_to_luv": 1,
     "luv_to_rgb": 1,
     "weighted_sum": 3,
@@ -65,31 +63,3 @@ def step(name: str, reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
         return _program(x, steps, list(numbers))
 
     return of_one_step
-
-
-def program(*calls: tuple[str, Sequence[float]]) -> Callable[[Tensor], Tensor]:
-    """Steps with their numbers, one after the other, as one function."""
-    steps = [_NAMES.index(name) for name, _ in calls]
-    parameters = [float(number) for _, numbers in calls for number in numbers]
-
-    def run(x: Tensor) -> Tensor:
-        return _program(x, steps, parameters)
-
-    return run
-
-
-def _affine(x: Tensor, *numbers: float) -> Tensor:
-    """The channels weighted by the rows of a 3 x 3 matrix, the first nine numbers, plus the last three."""
-    r, g, b = x.unbind(1)
-    rows = [numbers[3 * i] * r + numbers[3 * i + 1] * g + numbers[3 * i + 2] * b + numbers[9 + i] for i in range(3)]
-    return torch.stack(rows, 1)
-
-
-def _weighted_sum(x: Tensor, *weights: float) -> Tensor:
-    r, g, b = x.split(1, 1)
-    return weights[0] * r + weights[1] * g + weights[2] * b
-
-
-step("affine", _affine)
-step("clip", lambda x, low, high: x.clamp(low, high))
-step("weighted_sum", _weighted_sum)

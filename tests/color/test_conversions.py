@@ -186,6 +186,16 @@ def test_no_images(case, convert, shape, device):
     y.sum().backward()
 
 
+@pytest.mark.parametrize("shape", [(2, 3, 0, 5), (3, 4, 0)], ids=str)
+def test_no_pixels(name, case, convert, shape, device):
+    if name == "sepia":
+        pytest.skip("needs an image's maximum")
+    x = case.of_rgb(torch.rand(shape, device=device)).requires_grad_()
+    y = convert(x)
+    assert y.shape[-2:] == shape[-2:]
+    y.sum().backward()
+
+
 def test_transforms(case, convert, device):
     x = case.of_rgb(colors((3, 2, 3, 4, 5), device))
     assert_close(torch.func.vmap(convert)(x), torch.stack([convert(image) for image in x]))

@@ -74,6 +74,7 @@ def test_derivatives_types_and_transforms(split, join, splitter, joiner, rows, d
     assert_close(split(half), tuple(p.half() for p in split(half.float())))
     assert join(*split(half)).dtype == torch.float16
     assert [p.numel() for p in split(stack[:0])] == [0, 0]
+    assert join(*split(stack[..., :0])).shape == (3, 2, 3, 4, 0)
 
 
 @pytest.mark.parametrize("split, join, splitter, joiner, rows", SPLITS)

@@ -1,8 +1,10 @@
 """Hue, an angle on the colour wheel: red 0, green 2 pi / 3, blue 4 pi / 3. What HSV and HLS have in common.
 
-b - r + 2 c     green is highest        c: chroma, the highest less the lowest channel
-g - b           red is highest          hue: pi / 3 times this over c
-r - g + 4 c     blue is highest
+In sixths of a turn, with the chroma c, the highest less the lowest channel:
+
+    red is highest      (g - b) / c
+    green is highest    (b - r) / c + 2
+    blue is highest     (r - g) / c + 4
 """
 
 from __future__ import annotations
@@ -29,9 +31,9 @@ def hue(x: Tensor, highest: Tensor, chroma: Tensor, eps: float = 0.0) -> Tensor:
 def lack(h: Tensor) -> Tensor:
     """How much of the chroma each channel lacks at hue `h` (B, H, W): (B, 3, H, W) in [0, 1].
 
-    1 ____          ____
-          \\        /          red, from hue 0 to 2 pi; green and blue are the same, a third of a turn later
-    0      \\______/           each, upside down
+    1        ______
+            /      \\              red, from hue 0 to 2 pi; green and blue are the same,
+    0 _____/        \\_____        one and two thirds of a turn later
     """
     sixths = torch.stack([h / SIXTH + shift for shift in (5, 3, 1)], 1).remainder(6)
     return torch.minimum(sixths, 4 - sixths).clamp(0, 1)

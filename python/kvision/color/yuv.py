@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
@@ -32,7 +31,9 @@ def _inverse(x: Tensor) -> Tensor:
 def _subsampled(x: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
     """Luma, and the chroma as the mean of cells of rows x columns pixels."""
     yuv = _reference(x)
-    return yuv[:, :1], F.avg_pool2d(yuv[:, 1:], (rows, columns))
+    b, _, h, w = x.shape
+    cells = yuv[:, 1:].reshape(b, 2, h // rows, rows, w // columns, columns)
+    return yuv[:, :1], cells.mean((3, 5))
 
 
 def _upsampled(luma: Tensor, chroma: Tensor, rows: int, columns: int) -> Tensor:

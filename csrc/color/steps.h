@@ -48,13 +48,14 @@ KV_HD V floor_of(Dual<V, N> const& a) {
   return floor_of(a.value);
 }
 
+// The smaller and the larger of two; NaN if one of them is.
 template <class V>
 KV_HD V smaller(V const& a, V const& b) {
-  return select(b < a, b, a);
+  return select(b >= a, a, select(a == a, b, a));
 }
 template <class V>
 KV_HD V larger(V const& a, V const& b) {
-  return select(b > a, b, a);
+  return select(b <= a, a, select(a == a, b, a));
 }
 template <class V, class F = Scalar<V>>
 KV_HD V at_least(V const& a, F low) {

@@ -116,6 +116,7 @@ KV_DUAL_WITH(double)
 
 KV_DUAL auto operator<(Dual<V, N> const& a, Dual<V, N> const& b) { return a.value < b.value; }
 KV_DUAL auto operator>(Dual<V, N> const& a, Dual<V, N> const& b) { return a.value > b.value; }
+KV_DUAL auto operator<=(Dual<V, N> const& a, Dual<V, N> const& b) { return a.value <= b.value; }
 KV_DUAL auto operator>=(Dual<V, N> const& a, Dual<V, N> const& b) { return a.value >= b.value; }
 KV_DUAL auto operator==(Dual<V, N> const& a, Dual<V, N> const& b) { return a.value == b.value; }
 

@@ -82,6 +82,7 @@ class OpTests:
     differentiable = True
     bytes = False  # uint8 in, uint8 out
     max_size = 33  # all sizes up to this are swept
+    channels: int | None = None  # the only number of them that the function takes
     shape: tuple[int, ...] = (2, 3, 13, 18)
     small: tuple[int, ...] = (1, 2, 4, 5)  # for numerical derivatives
     tolerances: dict[torch.dtype, tuple[float, float]] = {}  # where an operator needs its own, with the reason beside it
@@ -192,7 +193,7 @@ class OpTests:
             # A few widths for every height, and every width for a few heights: all sizes of both axes meet both cases.
             widths = range(1, self.max_size + 1) if h in (1, 2, 5, self.max_size) else {1, h, (h * 7) % self.max_size + 1}
             for w in widths:
-                x = self.input((1, 2, *self.shape[2:-2], h, w), torch.float32, device)
+                x = self.input((1, self.channels or 2, *self.shape[2:-2], h, w), torch.float32, device)
                 kwargs = self.arguments(variant, x)
                 try:
                     expected = self.expected(x, kwargs)
@@ -211,6 +212,8 @@ class OpTests:
 
     @pytest.mark.parametrize("shape", [(0, 3), (2, 0)], ids=["no images", "no channels"])
     def test_empty(self, variant, shape, device):
+        if shape[1] != (self.channels or shape[1]):
+            pytest.skip("takes no other number of channels")
         x, kwargs = self.setup(variant, device, torch.float32, (*shape, *self.shape[2:]))
         with K.backend("reference"):
             expected = self.call(x, kwargs)
@@ -541,7 +544,8 @@ class OpTests:
 
     def test_fuzz(self, device):
         strides = st.sampled_from(LAYOUTS)
-        sizes = st.tuples(st.integers(0, 3), st.integers(0, 5), *[st.integers(1, 40)] * (len(self.shape) - 2))
+        channels = st.just(self.channels) if self.channels else st.integers(0, 5)
+        sizes = st.tuples(st.integers(0, 3), channels, *[st.integers(1, 40)] * (len(self.shape) - 2))
         dtypes = st.sampled_from(_ops.FLOATS + ((torch.uint8,) if self.bytes else ()))
 
         @given(shape=sizes, layout=strides, dtype=dtypes, variant=self.fuzz_arguments(), seed=st.integers(0, 2**31))

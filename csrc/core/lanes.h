@@ -244,6 +244,67 @@ KV_HD Lanes<F, N> vexp2(Lanes<F, N> x) {
   }
 }
 
+template <int bytes>
+struct integer_of {
+  using type = int64_t;
+};
+template <>
+struct integer_of<4> {
+  using type = int32_t;
+};
+
+// log2 x of normal numbers, within 2 units in the last place or 1e-7 (1e-16) near 1: x = 2^n m with m in [sqrt(1/2),
+// sqrt(2)), and log2 m = 2 / ln 2 artanh((m - 1) / (m + 1)) by its series. NaN and inf stay; of other numbers the
+// result is some finite one.
+template <class F, int N>
+KV_HD Lanes<F, N> vlog2(Lanes<F, N> x) {
+  using V = Lanes<F, N>;
+  constexpr bool kFloat = sizeof(F) == 4;
+  using I = typename integer_of<sizeof(F)>::type;
+  using Bits = Lanes<I, N>;
+  constexpr int mantissa = kFloat ? 23 : 52;
+  constexpr I bias = kFloat ? 127 : 1023, one = bias << mantissa, root = kFloat ? I(0x3f3504f3) : I(0x3fe6a09e667f3bcd);
+  Bits const bits = __builtin_bit_cast(Bits, x) + (one - root);
+  Bits const exponent = (bits >> mantissa) - bias;
+  V const m = __builtin_bit_cast(V, Bits((bits & ((I(1) << mantissa) - 1)) + root));
+  V const t = (m - 1) / (m + 1), square = t * t;
+  constexpr F k = F(2.88539008177792681472);
+  V series;
+  if constexpr (kFloat) {
+    constexpr float c[] = {k / 9, k / 7, k / 5, k / 3, k};
+    series = polynomial(square, c);
+  } else {
+    constexpr double c[] = {k / 21, k / 19, k / 17, k / 15, k / 13, k / 11, k / 9, k / 7, k / 5, k / 3, k};
+    series = polynomial(square, c);
+  }
+  V n;
+  if constexpr (N == 1)
+    n = F(exponent);
+  else
+    n = __builtin_convertvector(exponent, V);
+  V const y = t * series + n;
+  return x - x == 0 ? y : x;
+}
+
+template <class V>
+KV_HD V vfloor(V v) {
+  if constexpr (__is_same(V, float)) {
+    return __builtin_floorf(v);
+  } else if constexpr (__is_same(V, double)) {
+    return __builtin_floor(v);
+  } else {
+#if defined(__AVX512F__)
+    if constexpr (__is_same(V, Lanes<float, 16>)) return (V)_mm512_floor_ps((__m512)v);
+    if constexpr (__is_same(V, Lanes<double, 8>)) return (V)_mm512_floor_pd((__m512d)v);
+#elif defined(__AVX2__)
+    if constexpr (__is_same(V, Lanes<float, 8>)) return (V)_mm256_floor_ps((__m256)v);
+    if constexpr (__is_same(V, Lanes<double, 4>)) return (V)_mm256_floor_pd((__m256d)v);
+#endif
+    for (int i = 0; i < int(sizeof(V) / sizeof(v[0])); ++i) v[i] = vfloor(v[i]);
+    return v;
+  }
+}
+
 // Calls f(index constant N, element) over [begin, end): vectors of N, by default kLanes<T>, the last one overlapping
 // the one before it (so f must not read what it writes), and single elements where the range is shorter than a vector.
 template <int N>

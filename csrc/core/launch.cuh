@@ -82,6 +82,8 @@ __device__ __forceinline__ float fast_exp2(float x) {
   return y;
 }
 __device__ __forceinline__ double fast_exp2(double x) { return ::exp2(x); }
+__device__ __forceinline__ float fast_log2(float x) { return __log2f(x); }
+__device__ __forceinline__ double fast_log2(double x) { return ::log2(x); }
 
 // Reads rows of a planar image (step 1): the elements x - R ... x + P - 1 + R, x being P times the thread's place in
 // the row. Neighbours come from the neighbouring threads by shuffles; only a warp's ends and the image's rim read

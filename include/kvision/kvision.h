@@ -2,4 +2,5 @@
 // kvision::kvision from find_package(kvision), see examples/cpp.
 #pragma once
 
+#include "kvision/color.h"
 #include "kvision/filters.h"

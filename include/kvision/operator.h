@@ -3,8 +3,8 @@
 //   call<"sobel">(input, normalized, eps)                       the operator, through torch's dispatcher
 //   differentiable(tensors, compute, saved, gradient)           what autograd sees of it
 //
-// Argument types are those of the schema: Tensor, std::optional<Tensor>, int64_t, double, bool, and std::string for
-// str.
+// Argument types are those of the schema: Tensor, std::optional<Tensor>, int64_t, double, bool, std::string for str,
+// and std::vector for lists.
 #pragma once
 
 #include <ATen/core/LegacyTypeDispatch.h>
@@ -32,12 +32,16 @@ struct Name {
   consteval Name(char const (&literal)[N]) { std::copy_n(literal, N, text); }
 };
 
-// What the dispatcher takes for an argument: strings as views, all else as it is.
+// What the dispatcher takes for an argument: strings and lists as views, all else as it is.
 template <class T>
 T const& as_argument(T const& value) {
   return value;
 }
 inline std::string_view as_argument(std::string const& value) { return value; }
+template <class T>
+at::ArrayRef<T> as_argument(std::vector<T> const& values) {
+  return values;
+}
 
 template <Name name, class Result = Tensor, class... Args>
 Result call(Args const&... args) {

@@ -22,6 +22,8 @@ TYPES = {
     "int64_t": "int",
     "double": "float",
     "bool": "bool",
+    "std::vector<int64_t> const&": "List[int]",
+    "std::vector<double> const&": "List[float]",
 }
 
 built = pytest.mark.skipif("cpu" in _ops.unserved, reason="the operators are declared by libkvision.so")

@@ -9,15 +9,19 @@ from kvision import _check
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
+from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
 
 
-def _reference(x: Tensor, weights: Tensor | None, bgr: bool) -> Tensor:
-    r, g, b = (x.flip(1) if bgr else x).unbind(1)
-    wr, wg, wb = LUMA if weights is None else weights[:, :, None, None].unbind(1)
-    return (wr * r + wg * g + wb * b)[:, None]
+def _weighted(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
+    r, g, b = x.split(1, 1)
+    return wr * r + wg * g + wb * b
+
+
+def _weighted_by(x: Tensor, weights: Tensor) -> Tensor:
+    return (x * weights[:, :, None, None]).sum(1, keepdim=True)
 
 
 def _fixed_point(x: Tensor, bgr: bool) -> Tensor:
@@ -26,7 +30,8 @@ def _fixed_point(x: Tensor, bgr: bool) -> Tensor:
     return ((9798 * r + 19235 * g + 3735 * b + 16384) / 32768).floor()[:, None]
 
 
-_rgb_to_grayscale = as_stored(_reference)
+weighted_sum = step("weighted_sum", _weighted)
+_rgb_to_grayscale = as_stored(_weighted_by)
 _bytes_to_grayscale = as_stored(_fixed_point)
 
 
@@ -61,10 +66,10 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
     if rgb_weights is not None:
         _check.shape("rgb_to_grayscale", "rgb_weights", rgb_weights, 3)
         _check.same_device("rgb_to_grayscale", image=image, rgb_weights=rgb_weights)
-        rgb_weights = rgb_weights[None]
-    elif image.dtype == torch.uint8:
+        return on_batch(_rgb_to_grayscale, image, rgb_weights[None])
+    if image.dtype == torch.uint8:
         return on_batch(_bytes_to_grayscale, image, False)
-    return on_batch(_rgb_to_grayscale, image, rgb_weights, False)
+    return on_batch(weighted_sum, image, *LUMA)
 
 
 def bgr_to_grayscale(image: Tensor) -> Tensor:
@@ -92,7 +97,7 @@ def bgr_to_grayscale(image: Tensor) -> Tensor:
     _floats_or_bytes("bgr_to_grayscale", image)
     if image.dtype == torch.uint8:
         return on_batch(_bytes_to_grayscale, image, True)
-    return on_batch(_rgb_to_grayscale, image, None, True)
+    return on_batch(weighted_sum, image, *reversed(LUMA))
 
 
 def _floats_or_bytes(op: str, image: Tensor) -> None:

@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
-from kvision._ops import as_stored
 from kvision.color.hue import hue, lack
+from kvision.color.program import step
 
 
 def _reference(x: Tensor, eps: float) -> Tensor:
@@ -26,8 +26,8 @@ def _inverse(x: Tensor) -> Tensor:
     return (lightness + half_chroma)[:, None] - 2 * half_chroma[:, None] * lack(h)
 
 
-_rgb_to_hls = as_stored(_reference)
-_hls_to_rgb = as_stored(_inverse)
+_rgb_to_hls = step("rgb_to_hls", _reference)
+_hls_to_rgb = step("hls_to_rgb", _inverse)
 
 
 def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:

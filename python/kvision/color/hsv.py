@@ -9,8 +9,8 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
 from kvision.color.hue import hue, lack
+from kvision.color.program import step
 
 
 def _reference(x: Tensor, eps: float) -> Tensor:
@@ -25,8 +25,8 @@ def _inverse(x: Tensor) -> Tensor:
     return value[:, None] - (value * saturation)[:, None] * lack(h)
 
 
-_rgb_to_hsv = as_stored(_reference)
-_hsv_to_rgb = as_stored(_inverse)
+_rgb_to_hsv = step("rgb_to_hsv", _reference)
+_hsv_to_rgb = step("hsv_to_rgb", _inverse)
 
 
 def rgb_to_hsv(image: Tensor, eps: float = 1e-8) -> Tensor:

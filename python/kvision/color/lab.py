@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
-from kvision._ops import as_stored
 from kvision.color.linear import decoded, encoded
+from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
 
 # The cube root, with a straight line below this. The line's numbers are rounded as OpenCV has them.
@@ -39,8 +39,8 @@ def _inverse(x: Tensor, clip: bool) -> Tensor:
     return rgb.clamp(0, 1) if clip else rgb
 
 
-_rgb_to_lab = as_stored(_reference)
-_lab_to_rgb = as_stored(_inverse)
+_rgb_to_lab = step("rgb_to_lab", _reference)
+_lab_to_rgb = step("lab_to_rgb", _inverse)
 
 
 def rgb_to_lab(image: Tensor) -> Tensor:

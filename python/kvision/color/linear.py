@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
-from kvision._ops import as_stored
+from kvision.color.program import step
 
 # The clamps keep the root's and the power's gradients finite where the other branch is taken.
 
@@ -25,8 +25,8 @@ def encoded(x: Tensor) -> Tensor:
     return torch.where(x > 0.0031308, bright, 12.92 * x)
 
 
-_rgb_to_linear_rgb = as_stored(decoded)
-_linear_rgb_to_rgb = as_stored(encoded)
+_rgb_to_linear_rgb = step("rgb_to_linear_rgb", decoded)
+_linear_rgb_to_rgb = step("linear_rgb_to_rgb", encoded)
 
 
 def rgb_to_linear_rgb(image: Tensor) -> Tensor:

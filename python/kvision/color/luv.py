@@ -8,8 +8,8 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
-from kvision._ops import as_stored
 from kvision.color.linear import decoded, encoded
+from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
 
 # Lightness is a cube root, with a straight line for luminance below this.
@@ -40,8 +40,8 @@ def _inverse(luv: Tensor, eps: float) -> Tensor:
     return encoded(rgb_of_xyz(torch.stack([x, y, z], 1)))
 
 
-_rgb_to_luv = as_stored(_reference)
-_luv_to_rgb = as_stored(_inverse)
+_rgb_to_luv = step("rgb_to_luv", _reference)
+_luv_to_rgb = step("luv_to_rgb", _inverse)
 
 
 def rgb_to_luv(image: Tensor, eps: float = 1e-12) -> Tensor:

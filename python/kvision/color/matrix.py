@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
+
+from kvision.color.program import step
 
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -25,3 +29,20 @@ def inverse(m: Matrix) -> Matrix:
     determinant = sum(m[0][j] * cofactor(0, j) for j in range(3))
     rows = (tuple(cofactor(j, i) / determinant for j in range(3)) for i in range(3))
     return tuple(rows)  # type: ignore[return-value]  # three rows of three by construction
+
+
+def _affine(x: Tensor, *numbers: float) -> Tensor:
+    rows = numbers[0:3], numbers[3:6], numbers[6:9]
+    y = mixed(x, rows) + x.new_tensor(numbers[9:12])[:, None, None]
+    return y.clamp(0, 1) if numbers[12] else y
+
+
+_step = step("affine", _affine)
+
+
+def affine(
+    matrix: Matrix, offset: tuple[float, float, float] = (0, 0, 0), clip: bool = False
+) -> Callable[[Tensor], Tensor]:
+    """The function that mixes channels by `matrix`, adds `offset`, and may clip to [0, 1]."""
+    numbers = [float(number) for numbers in (*matrix, offset, (clip,)) for number in numbers]
+    return lambda x: _step(x, *numbers)

@@ -7,8 +7,7 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
-from kvision._ops import as_stored
-from kvision.color.matrix import inverse, mixed
+from kvision.color.matrix import affine, inverse, mixed
 
 XYZ_FROM_RGB = (
     (0.412453, 0.357580, 0.180423),
@@ -27,8 +26,8 @@ def rgb_of_xyz(x: Tensor) -> Tensor:
     return mixed(x, RGB_FROM_XYZ)
 
 
-_rgb_to_xyz = as_stored(xyz_of_rgb)
-_xyz_to_rgb = as_stored(rgb_of_xyz)
+_rgb_to_xyz = affine(XYZ_FROM_RGB)
+_xyz_to_rgb = affine(RGB_FROM_XYZ)
 
 
 def rgb_to_xyz(image: Tensor) -> Tensor:

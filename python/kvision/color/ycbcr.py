@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
-from kvision._ops import as_stored
-from kvision.color.gray import LUMA
+from kvision.color.gray import LUMA, weighted_sum
+from kvision.color.matrix import affine
 
 # How much b - y and r - y are scaled by to fit [-0.5, 0.5].
 BLUE, RED = 0.564, 0.713
 
 
-def _luma(x: Tensor) -> Tensor:
-    r, g, b = x.split(1, 1)
-    return LUMA[0] * r + LUMA[1] * g + LUMA[2] * b
+_R, _G, _B = LUMA
+# Of r, g and b, and back; green is such that the luma is y.
+YCBCR_FROM_RGB = (LUMA, (-BLUE * _R, -BLUE * _G, BLUE * (1 - _B)), (RED * (1 - _R), -RED * _G, -RED * _B))
+RGB_FROM_YCBCR = ((1.0, 0.0, 1 / RED), (1.0, -_B / _G / BLUE, -_R / _G / RED), (1.0, 1 / BLUE, 0.0))
+_CENTRE = tuple(-(cb + cr) / 2 for _, cb, cr in RGB_FROM_YCBCR)
 
-
-def _reference(x: Tensor) -> Tensor:
-    y = _luma(x)
-    r, _, b = x.split(1, 1)
-    return torch.cat([y, BLUE * (b - y) + 0.5, RED * (r - y) + 0.5], 1)
-
-
-def _inverse(x: Tensor) -> Tensor:
-    y, cb, cr = x.unbind(1)
-    blue, red = (cb - 0.5) / BLUE, (cr - 0.5) / RED
-    green = -(LUMA[0] * red + LUMA[2] * blue) / LUMA[1]  # so that the luma is y
-    return torch.stack([y + red, y + green, y + blue], 1).clamp(0, 1)
-
-
-_rgb_to_y = as_stored(_luma)
-_rgb_to_ycbcr = as_stored(_reference)
-_ycbcr_to_rgb = as_stored(_inverse)
+_rgb_to_ycbcr = affine(YCBCR_FROM_RGB, (0.0, 0.5, 0.5))
+_ycbcr_to_rgb = affine(RGB_FROM_YCBCR, _CENTRE, clip=True)
 
 
 def rgb_to_ycbcr(image: Tensor) -> Tensor:
@@ -107,7 +93,7 @@ def rgb_to_y(image: Tensor) -> Tensor:
         tensor([[[0.2990, 0.5870, 0.1140]]])
     """
     _check.channels("rgb_to_y", "image", image, 3)
-    return on_batch(_rgb_to_y, floats(image))
+    return on_batch(weighted_sum, floats(image), *LUMA)
 
 
 class RgbToYcbcr(nn.Module):

@@ -9,7 +9,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import flat, on_batch
 from kvision._ops import as_stored
-from kvision.color.matrix import inverse, mixed
+from kvision.color.matrix import affine, inverse, mixed
 from kvision.core.exceptions import ShapeError
 
 YUV_FROM_RGB = (
@@ -41,8 +41,8 @@ def _upsampled(luma: Tensor, chroma: Tensor, rows: int, columns: int) -> Tensor:
     return _inverse(torch.cat([luma, chroma.repeat_interleave(rows, 2).repeat_interleave(columns, 3)], 1))
 
 
-_rgb_to_yuv = as_stored(_reference)
-_yuv_to_rgb = as_stored(_inverse)
+_rgb_to_yuv = affine(YUV_FROM_RGB)
+_yuv_to_rgb = affine(RGB_FROM_YUV)
 _rgb_to_yuv_subsampled = as_stored(_subsampled)
 _yuv_subsampled_to_rgb = as_stored(_upsampled)
 

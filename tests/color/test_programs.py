@@ -1,0 +1,141 @@
+"""Conversions that are colour programs: everything the shared suite asks of an operator."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import kvision as K
+from kvision import _ops
+from op_tests import OpTests
+
+C = K.color
+
+
+class ConversionTests(OpTests):
+    operators = ("color_program", "color_program_backward")
+    channels = 3
+    small = (1, 3, 3, 4)
+    max_size = 12  # a pixel knows no neighbours: what matters is how many there are
+    # Of a hue or a root, half types keep the digits of the number it is taken from.
+    tolerances = {torch.float16: (4e-3, 4e-3), torch.bfloat16: (3e-2, 3e-2)}
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of the channels that are converted
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def input(self, shape, dtype, device):
+        """Colours away from greys and from ties of their channels, where gradients jump."""
+        x = torch.rand(shape, dtype=torch.float64)
+        if len(shape) > 3 and shape[-3] == 3 and self.scale == (1.0, 1.0, 1.0):
+            x = 0.05 + 0.3 * x + torch.tensor([0.3, 0.0, 0.6], dtype=torch.float64)[:, None, None]
+        elif len(shape) > 3 and shape[-3] == 3:
+            scale, shift = (torch.tensor(v, dtype=torch.float64)[:, None, None] for v in (self.scale, self.shift))
+            x = (0.05 + 0.9 * x) * scale + shift
+        return x.to(dtype).to(device)
+
+    def test_wrong_kinds(self, variant, device):
+        """Of colours any number of leading axes is right, and no pixels are, too."""
+        x, kwargs = self.setup(variant, device, torch.float32)
+        name = self.function.__name__
+        for wrong, error in [([[1.0]], TypeError), (None, TypeError), (x[0, 0], ValueError), (x[:, :2], ValueError)]:
+            with pytest.raises(error, match=f"^{name}: ") as caught:
+                self.call(wrong, kwargs)
+            assert isinstance(caught.value, K.core.exceptions.BaseError)
+        assert self.call(x[..., :0], kwargs).shape[-1] == 0
+
+
+class TestRgbToHsv(ConversionTests):
+    function = staticmethod(C.rgb_to_hsv)
+    module = C.RgbToHsv
+
+
+class TestHsvToRgb(ConversionTests):
+    function = staticmethod(C.hsv_to_rgb)
+    module = C.HsvToRgb
+    scale = (math.pi / 3, 1.0, 1.0)  # one sector of the wheel
+
+
+class TestRgbToHls(ConversionTests):
+    function = staticmethod(C.rgb_to_hls)
+    module = C.RgbToHls
+
+    def test_value_of_bytes(self, variant, device):
+        with pytest.raises(TypeError, match="rgb_to_hls: "):
+            self.call(self.input(self.shape, torch.uint8, device), {})
+
+    test_other_integers_become_float32 = test_value_of_bytes
+
+
+class TestHlsToRgb(ConversionTests):
+    function = staticmethod(C.hls_to_rgb)
+    module = C.HlsToRgb
+    scale = (math.pi / 3, 0.5, 1.0)
+
+
+class TestRgbToXyz(ConversionTests):
+    function = staticmethod(C.rgb_to_xyz)
+    module = C.RgbToXyz
+
+
+class TestYcbcrToRgb(ConversionTests):
+    function = staticmethod(C.ycbcr_to_rgb)
+    module = C.YcbcrToRgb
+    scale = (0.5, 0.1, 0.1)
+    shift = (0.25, 0.45, 0.45)
+
+
+class TestRgbToLab(ConversionTests):
+    function = staticmethod(C.rgb_to_lab)
+    module = C.RgbToLab
+    tolerances = {
+        **ConversionTests.tolerances,
+        torch.float32: (1e-4, 1e-4),
+        torch.float16: (4e-3, 0.1),
+        torch.bfloat16: (3e-2, 1.0),
+    }
+
+
+class TestLabToRgb(ConversionTests):
+    function = staticmethod(C.lab_to_rgb)  # its module takes `clip` when called
+    variants = [{}, {"clip": False}]
+    scale = (40.0, 20.0, 20.0)
+    shift = (40.0, -10.0, -10.0)
+    tolerances = {**ConversionTests.tolerances, torch.float32: (1e-4, 1e-5)}
+
+
+class TestRgbToLuv(ConversionTests):
+    function = staticmethod(C.rgb_to_luv)
+    module = C.RgbToLuv
+    tolerances = TestRgbToLab.tolerances
+
+
+class TestLuvToRgb(ConversionTests):
+    function = staticmethod(C.luv_to_rgb)
+    module = C.LuvToRgb
+    scale = (40.0, 20.0, 20.0)
+    shift = (40.0, -10.0, -10.0)
+    tolerances = TestLabToRgb.tolerances
+
+
+class TestRgbToLinearRgb(ConversionTests):
+    function = staticmethod(C.rgb_to_linear_rgb)
+    module = C.RgbToLinearRgb
+
+
+class TestRgbToGrayscale(ConversionTests):
+    function = staticmethod(C.rgb_to_grayscale)
+    module = C.RgbToGrayscale
+    bytes = True
+
+    def test_other_integers_become_float32(self, variant, device):
+        with pytest.raises(TypeError, match="rgb_to_grayscale: "):
+            self.call(self.input(self.shape, torch.uint8, device).int(), {})
+
+
+@pytest.mark.parametrize("steps, parameters", [([99], []), ([-1], []), ([0], [1.0]), ([12, 1], [1.0] * 4)], ids=str)
+def test_a_program_that_is_none_is_refused(steps, parameters):
+    if "cpu" in _ops.unserved:
+        pytest.skip("the operators are declared by libkvision.so")
+    with pytest.raises(RuntimeError, match="color_program: "):
+        torch.ops.kvision.color_program(torch.rand(1, 3, 4, 4), steps, parameters)

@@ -7,7 +7,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
-from kvision.color.ycbcr import _luma as luma
+from kvision.color import rgb_to_grayscale as luma
 from kvision.enhance.batch import as_batch, chosen, floats, images, parameter
 from kvision.enhance.brightness import scaled
 

@@ -11,8 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
-from kvision.color.ycbcr import _inverse as to_rgb
-from kvision.color.ycbcr import _reference as to_ycbcr
+from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colours
 from kvision.filters.border import pad
@@ -39,11 +38,11 @@ _CHROMINANCE = (
 
 def _reference(x: Tensor, quality: Tensor, table_y: Tensor | None, table_c: Tensor | None) -> Tensor:
     h, w = x.shape[2:]
-    ycbcr = 255 * to_ycbcr(pad(x, ((0, -h % 16), (0, -w % 16)), "replicate"))
+    ycbcr = 255 * rgb_to_ycbcr(pad(x, ((0, -h % 16), (0, -w % 16)), "replicate"))
     y = _through_blocks(ycbcr[:, :1], _steps(quality, _table(_LUMINANCE, table_y, x)))
     chroma = _through_blocks(_halved(ycbcr[:, 1:]), _steps(quality, _table(_CHROMINANCE, table_c, x)))
     chroma = F.interpolate(chroma, scale_factor=2.0, mode="bilinear", align_corners=False)
-    return to_rgb(torch.cat([y, chroma], 1) / 255)[..., :h, :w]
+    return ycbcr_to_rgb(torch.cat([y, chroma], 1) / 255)[..., :h, :w]
 
 
 def _halved(x: Tensor) -> Tensor:

@@ -82,8 +82,10 @@ def test_derivatives(case, device):
     if not case.differentiable:
         pytest.skip("not differentiable")
     values = [v.requires_grad_() for v in tensors(case, device, size=(3, 4))]
-    assert torch.autograd.gradcheck(case.call, values, check_forward_ad=True, fast_mode=True)
-    assert torch.autograd.gradgradcheck(case.call, values, fast_mode=True)
+    # On CUDA torch adds up some gradients in any order: that of jpeg's chroma, which is enlarged.
+    noise = 1e-10
+    assert torch.autograd.gradcheck(case.call, values, check_forward_ad=True, fast_mode=True, nondet_tol=noise)
+    assert torch.autograd.gradgradcheck(case.call, values, fast_mode=True, nondet_tol=noise)
 
 
 def test_transforms(case, device):
@@ -292,7 +294,10 @@ def test_refuses_what_is_no_image(function, arguments):
         function(torch.tensor(0.5), *arguments)
 
 
-@pytest.mark.parametrize("function, arguments", [c for c in ADJUST if c[1] == (0.1,)], ids=str)
+ONE_FACTOR = [case for case in ADJUST if case[1] == (0.1,)]
+
+
+@pytest.mark.parametrize("function, arguments", ONE_FACTOR, ids=[f.__name__ for f, _ in ONE_FACTOR])
 def test_refuses_wrong_parameters(function, arguments):
     with pytest.raises(TypeCheckError, match="to be a number, got '1'"):
         function(X, "1")

@@ -32,9 +32,9 @@ def inverse(m: Matrix) -> Matrix:
 
 
 def _affine(x: Tensor, *numbers: float) -> Tensor:
-    rows = numbers[0:3], numbers[3:6], numbers[6:9]
-    y = mixed(x, rows) + x.new_tensor(numbers[9:12])[:, None, None]
-    return y.clamp(0, 1) if numbers[12] else y
+    a, b, c, d, e, f, g, h, i, *offset, clip = numbers
+    y = mixed(x, ((a, b, c), (d, e, f), (g, h, i))) + x.new_tensor(offset)[:, None, None]
+    return y.clamp(0, 1) if clip else y
 
 
 _step = step("affine", _affine)

@@ -12,13 +12,11 @@ from kvision.color.matrix import affine
 
 # How much b - y and r - y are scaled by to fit [-0.5, 0.5].
 BLUE, RED = 0.564, 0.713
-
-
 _R, _G, _B = LUMA
 # Of r, g and b, and back; green is such that the luma is y.
 YCBCR_FROM_RGB = (LUMA, (-BLUE * _R, -BLUE * _G, BLUE * (1 - _B)), (RED * (1 - _R), -RED * _G, -RED * _B))
 RGB_FROM_YCBCR = ((1.0, 0.0, 1 / RED), (1.0, -_B / _G / BLUE, -_R / _G / RED), (1.0, 1 / BLUE, 0.0))
-_CENTRE = tuple(-(cb + cr) / 2 for _, cb, cr in RGB_FROM_YCBCR)
+_CENTRE = (-0.5 / RED, (_B / BLUE + _R / RED) / (2 * _G), -0.5 / BLUE)
 
 _rgb_to_ycbcr = affine(YCBCR_FROM_RGB, (0.0, 0.5, 0.5))
 _ycbcr_to_rgb = affine(RGB_FROM_YCBCR, _CENTRE, clip=True)

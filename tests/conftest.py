@@ -7,6 +7,11 @@ import shutil
 import sysconfig
 from pathlib import Path
 
+# Tests run side by side: one thread each, or half of the time goes into threads that wait for one another. What depends
+# on their number sets it. Before torch is imported, and for the processes that tests start.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ["OMP_NUM_THREADS"] = "1"
+
 import hypothesis
 import pytest
 import torch

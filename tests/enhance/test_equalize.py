@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from op_tests import assert_close
+from op_tests import OpTests, assert_close
 
 E = K.enhance
 
@@ -29,6 +31,61 @@ def unit(levels: np.ndarray) -> Tensor:
 
 def to_levels(x: Tensor) -> np.ndarray:
     return (x[0, 0] * 255).round().byte().numpy()
+
+
+class LevelTests(OpTests):
+    """Results jump from level to level, so the reference computes in the type of the image."""
+
+    differentiable = False
+    shape = (2, 3, 23, 28)
+    max_size = 21
+
+    def expected(self, x: Tensor, kwargs: dict[str, Any]) -> Tensor:
+        with K.backend("reference"):
+            return self.call(x, kwargs)
+
+    # Other than filters, these refuse integers and take images of two axes and more.
+
+    def test_value_of_bytes(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.uint8)
+        with pytest.raises(K.core.exceptions.TypeCheckError, match="floating"):
+            self.call(x, kwargs)
+
+    test_other_integers_become_float32 = None
+
+    def test_wrong_kinds(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.float32)
+        for wrong, error in [(None, TypeError), (x.to(torch.complex64), TypeError), (x[0, 0, 0, 0], ValueError)]:
+            with pytest.raises(error, match=f"^{self.function.__name__}: "):
+                self.call(wrong, kwargs)
+
+
+class TestEqualize(LevelTests):
+    function = staticmethod(E.equalize)
+    operators = ("equalize",)
+
+    @pytest.mark.parametrize("size", [(256, 256), (301, 333), (700, 320)], ids=str)
+    @pytest.mark.parametrize("planes", [1, 70])
+    def test_large_planes(self, size, planes, device):
+        """One block a plane or several, in packs or not; with flat and NaN planes among them."""
+        x = torch.rand(planes, 1, *size, device=device) ** 3
+        x[-1] = 0.3
+        x[0, 0, 5, 6] = torch.nan
+        assert_close(E.equalize(x), self.expected(x, {}))
+
+    def test_gradient_of_what_stays(self, device):
+        """Nothing but NaN and planes that come back as they are."""
+        x = torch.rand(2, 1, 20, 20, device=device)
+        x[0] = 0.5
+        x[1, 0, 3, 4] = torch.nan
+        stays = torch.zeros_like(x)
+        stays[0], stays[1, 0, 3, 4] = 1, 1
+        for backend in ("auto", "reference"):
+            with K.backend(backend):
+                (grad,) = torch.autograd.grad(E.equalize(x.requires_grad_()).sum(), x)
+                assert_close(grad, stays)
+                tangent = torch.func.jvp(E.equalize, (x.detach(),), (torch.ones_like(x),))[1]
+                assert_close(tangent, stays)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (16, 16), (40, 50), (120, 160)], ids=str)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision._ops import register
 from kvision.enhance.batch import as_batch, images
 
 LEVELS = 256
@@ -20,23 +21,40 @@ def levels(x: Tensor) -> Tensor:
 
 
 def level_counts(level: Tensor, counted: Tensor) -> Tensor:
-    """How often each level occurs: (N, P) levels and which of them count, as (N, 256)."""
-    zero = torch.zeros_like(level[:, :1]).expand(-1, LEVELS)
-    return zero.scatter_add(1, level, counted.to(level.dtype))
+    """How often each level occurs: (*, P) levels and which of them count, as (*, 256)."""
+    zero = torch.zeros_like(level[..., :1]).expand(*level.shape[:-1], LEVELS)
+    return zero.scatter_add(-1, level, counted.to(level.dtype))
 
 
-def _reference(x: Tensor) -> Tensor:
-    """(N, P): every row by itself."""
-    level, number = levels(x), ~x.isnan()
+def _reference(x: Tensor) -> tuple[Tensor, Tensor]:
+    """(B, C, H, W) planes by themselves, and (B, C): 1 for planes that change, 0 for those that stay as they are."""
+    flat = x.flatten(2)
+    level, number = levels(flat), ~flat.isnan()
     counts = level_counts(level, number)
     # As PIL does: a whole number of pixels makes one output level, and the brightest bin that is not empty is left out.
     bins = torch.arange(LEVELS, device=x.device)
-    brightest = torch.where(counts > 0, bins, 0).amax(1, keepdim=True)
-    step = (counts.sum(1, keepdim=True) - counts.gather(1, brightest)) // 255
-    darker = counts.cumsum(1) - counts
+    brightest = torch.where(counts > 0, bins, 0).amax(-1, keepdim=True)
+    step = (counts.sum(-1, keepdim=True) - counts.gather(-1, brightest)) // 255
+    darker = counts.cumsum(-1) - counts
     table = ((darker + step // 2) // step.clamp(min=1)).clamp(max=255)
-    equalized = (table.gather(1, level).to(x.dtype)) / 255
-    return torch.where((step > 0) & number, equalized, x)
+    equalized = (table.gather(-1, level).to(x.dtype)) / 255
+    return torch.where((step > 0) & number, equalized, flat).reshape(x.shape), (step > 0).to(x.dtype).squeeze(-1)
+
+
+def _backward(needs, grad, _, output, changed, x):
+    """Levels have no gradient; what comes back as it is has its own."""
+    return [grad.masked_fill((changed > 0)[..., None, None] & ~output.isnan(), 0)]
+
+
+_equalize = register(
+    "equalize",
+    _reference,
+    fake=lambda x: [x.shape, x.shape[:2]],
+    backward=_backward,
+    saves_results=True,
+    constant=(1,),
+    halves=True,
+)
 
 
 def equalize(input: Tensor) -> Tensor:
@@ -62,7 +80,7 @@ def equalize(input: Tensor) -> Tensor:
         (tensor(0.), tensor(1.))
     """
     images("equalize", "input", input)
-    return _reference(as_batch(input).flatten(-2).flatten(0, 1)).reshape(input.shape)
+    return _equalize(as_batch(input))[0].reshape(input.shape)
 
 
 def equalize3d(input: Tensor) -> Tensor:
@@ -84,5 +102,4 @@ def equalize3d(input: Tensor) -> Tensor:
         torch.Size([2, 1, 4, 16, 16])
     """
     images("equalize3d", "input", input, spatial=3)
-    volumes = input[None] if input.dim() == 3 else input
-    return _reference(volumes.flatten(-3).flatten(0, -2)).reshape(input.shape)
+    return _equalize(as_batch(input.flatten(-3, -2)))[0].reshape(input.shape)

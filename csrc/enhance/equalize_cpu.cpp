@@ -1,0 +1,63 @@
+// Equalisation on the CPU: count, make the table, map. Levels are found twice instead of kept.
+#include "equalize.h"
+#include "levels_cpu.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// What every level becomes, and NaN. False where the plane stays as it is.
+template <class T>
+KV_HD bool equalized(LevelCounts const& counts, T (&table)[kLevels + 1]) {
+  using F = Compute<T>;
+  int64_t pixels = 0, brightest = 0;
+  for (int i = 0; i < kLevels; ++i) {
+    pixels += counts[i];
+    if (counts[i] > 0) brightest = counts[i];
+  }
+  int64_t const step = (pixels - brightest) / 255;
+  if (step == 0) return false;
+  int64_t darker = 0;
+  for (int i = 0; i < kLevels; ++i) {
+    store<1>(table + i, F(equalized_level(darker, step)) / 255);
+    darker += counts[i];
+  }
+  store<1>(table + kNanLevel, F(__builtin_nanf("")));
+  return true;
+}
+
+}  // namespace
+
+template <class T>
+void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
+  uint16_t level[kPiece];
+  T table[kLevels + 1];
+  int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
+  for (int64_t plane = begin; plane < end; ++plane) {
+    T const* const x = p.x.plane(plane);
+    T* const y = p.y.plane(plane);
+    LevelCounts counts;
+    for (int64_t i = 0; i < pixels; i += kPiece) {
+      int64_t const n = min(kPiece, pixels - i);
+      levels_of(x + i * from, from, n, level);
+      counts.add(level, n);
+    }
+    bool const changed = equalized(counts, table);
+    store<1>(p.changed + plane, Compute<T>(changed));
+    if (!changed) {
+      for (int64_t i = 0; i < pixels; ++i) y[i * to] = x[i * from];
+      continue;
+    }
+    for (int64_t i = 0; i < pixels; i += kPiece) {
+      int64_t const n = min(kPiece, pixels - i);
+      levels_of(x + i * from, from, n, level);
+      if (to == 1)
+        for (int64_t k = 0; k < n; ++k) y[i + k] = table[level[k]];
+      else
+        for (int64_t k = 0; k < n; ++k) y[(i + k) * to] = table[level[k]];
+    }
+  }
+}
+
+KV_INSTANTIATE(equalize, Equalize)
+
+}  // namespace kv::KV_ISA

@@ -7,7 +7,8 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = 384;
-constexpr int kCountBytes = kLevels * kCopies * int(sizeof(int32_t));
+using Counter = LevelCounter<8>;
+constexpr int kCountBytes = Counter::kSize * int(sizeof(int32_t));
 template <class T>
 constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // a multiprocessor
 
@@ -24,27 +25,27 @@ struct Table {
   __device__ __forceinline__ F operator[](int level) const { return values[level * kTables + threadIdx.x % kTables]; }
 };
 
-// From the count of thread i's level, for i < kLevels, to the table, in `memory`. Gives the step; 0 where there is no
-// table.
+// From the count of thread i's level, for i < kLevels, to the table, in `memory`. False where the plane stays as it is.
 template <class F>
-__device__ __forceinline__ int make_table(int count, void* memory) {
-  __shared__ int brightest;
+__device__ __forceinline__ bool make_table(int count, bool opencv, void* memory) {
+  __shared__ int darkest, brightest;
   int const level = threadIdx.x;
-  if (level == 0) brightest = 0;
+  if (level == 0) darkest = brightest = 0;
   if (level >= kLevels) count = 0;
   int total;
   int const up_to = sum_up_to<kThreads>(count, total);
-  if (count > 0 && up_to == total) brightest = count;  // all brighter ones are empty
+  if (count > 0 && up_to == count) darkest = count;  // all darker ones are empty
+  if (count > 0 && up_to == total) brightest = count;
   __syncthreads();
-  int const step = (total - brightest) / 255;
-  if (level < kLevels && step > 0) {
-    F const value = F(equalized_level(up_to - count, step)) / 255;
+  Curve const curve{opencv, total, darkest, brightest};
+  if (level < kLevels && curve.changes()) {
+    F const value = F(curve(up_to, count)) / 255;
     F* const values = static_cast<F*>(memory) + level * Table<F>::kTables;
 #pragma unroll
     for (int i = 0; i < Table<F>::kTables; ++i) values[i] = value;
   }
   __syncthreads();
-  return step;
+  return curve.changes();
 }
 
 // Maps the pixels [begin, end) of a plane; without a table they stay as they are.
@@ -69,7 +70,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
   extern __shared__ __align__(16) unsigned char memory[];
-  LevelCounter const counter{reinterpret_cast<int32_t*>(memory)};
+  Counter const counter{reinterpret_cast<int32_t*>(memory)};
   unsigned char* const levels = memory + kCountBytes;  // one a pixel, in packs
   int const n = int(p.x.width);
 
@@ -90,12 +91,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   has_nan = __syncthreads_or(has_nan);
   int const count = threadIdx.x < kLevels ? counter[threadIdx.x] : 0;
   __syncthreads();
-  int const step = make_table<F>(count, memory);
+  bool const changes = make_table<F>(count, p.opencv, memory);
   Table<F> const table{reinterpret_cast<F*>(memory)};
-  if (threadIdx.x == 0) p.changed[blockIdx.x] = round_to<T>(F(step > 0));
+  if (threadIdx.x == 0) p.changed[blockIdx.x] = round_to<T>(F(changes));
 
   // A byte has no room for NaN.
-  if (has_nan || step == 0) return map_pixels<true>(p, blockIdx.x, 0, n, step > 0, table);
+  if (has_nan || !changes) return map_pixels<true>(p, blockIdx.x, 0, n, changes, table);
   T* const y = p.y.plane(blockIdx.x);
   for (int i = int(threadIdx.x) * P; i < n; i += kThreads * P) {
     Pack<unsigned char, P> const bytes = *reinterpret_cast<Pack<unsigned char, P> const*>(levels + i);
@@ -110,8 +111,8 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
 template <class T, bool Packed>
 __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned pieces, int each) {
   constexpr int P = kPixels<T>;
-  __shared__ int32_t counts[kLevels * kCopies];
-  LevelCounter const counter{counts};
+  __shared__ int32_t counts[Counter::kSize];
+  Counter const counter{counts};
   unsigned const plane = blockIdx.x / pieces;
   int64_t const begin = int64_t(blockIdx.x % pieces) * each;
   int const end = int(min(begin + each, p.x.width));
@@ -133,9 +134,9 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p
   unsigned const plane = blockIdx.x / pieces;
   int64_t const begin = int64_t(blockIdx.x % pieces) * each;
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
-  int const step = make_table<F>(count, memory);
-  if (begin == 0 && threadIdx.x == 0) p.changed[plane] = round_to<T>(F(step > 0));
-  map_pixels<Packed>(p, plane, int(begin), int(min(begin + each, p.x.width)), step > 0,
+  bool const changes = make_table<F>(count, p.opencv, memory);
+  if (begin == 0 && threadIdx.x == 0) p.changed[plane] = round_to<T>(F(changes));
+  map_pixels<Packed>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
                      Table<F>{reinterpret_cast<F*>(memory)});
 }
 

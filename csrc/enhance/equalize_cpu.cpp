@@ -7,19 +7,19 @@ namespace {
 
 // What every level becomes, and NaN. False where the plane stays as it is.
 template <class T>
-KV_HD bool equalized(LevelCounts const& counts, T (&table)[kLevels + 1]) {
+KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels + 1]) {
   using F = Compute<T>;
-  int64_t pixels = 0, brightest = 0;
+  Curve curve{opencv, 0, 0, 0};
   for (int i = 0; i < kLevels; ++i) {
-    pixels += counts[i];
-    if (counts[i] > 0) brightest = counts[i];
+    if (curve.pixels == 0) curve.darkest = counts[i];
+    if (counts[i] > 0) curve.brightest = counts[i];
+    curve.pixels += counts[i];
   }
-  int64_t const step = (pixels - brightest) / 255;
-  if (step == 0) return false;
-  int64_t darker = 0;
+  if (!curve.changes()) return false;
+  int32_t up_to = 0;
   for (int i = 0; i < kLevels; ++i) {
-    store<1>(table + i, F(equalized_level(darker, step)) / 255);
-    darker += counts[i];
+    up_to += counts[i];
+    store<1>(table + i, F(curve(up_to, counts[i])) / 255);
   }
   store<1>(table + kNanLevel, F(__builtin_nanf("")));
   return true;
@@ -30,6 +30,7 @@ KV_HD bool equalized(LevelCounts const& counts, T (&table)[kLevels + 1]) {
 template <class T>
 void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
   uint16_t level[kPiece];
+  T memory[kPiece];
   T table[kLevels + 1];
   int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
   for (int64_t plane = begin; plane < end; ++plane) {
@@ -38,10 +39,10 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
     LevelCounts counts;
     for (int64_t i = 0; i < pixels; i += kPiece) {
       int64_t const n = min(kPiece, pixels - i);
-      levels_of(x + i * from, from, n, level);
+      levels_of(gathered(x + i * from, from, n, memory), n, level);
       counts.add(level, n);
     }
-    bool const changed = equalized(counts, table);
+    bool const changed = make_table(counts, p.opencv, table);
     store<1>(p.changed + plane, Compute<T>(changed));
     if (!changed) {
       for (int64_t i = 0; i < pixels; ++i) y[i * to] = x[i * from];
@@ -49,7 +50,7 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
     }
     for (int64_t i = 0; i < pixels; i += kPiece) {
       int64_t const n = min(kPiece, pixels - i);
-      levels_of(x + i * from, from, n, level);
+      levels_of(gathered(x + i * from, from, n, memory), n, level);
       if (to == 1)
         for (int64_t k = 0; k < n; ++k) y[i + k] = table[level[k]];
       else

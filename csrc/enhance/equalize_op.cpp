@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-std::tuple<Tensor, Tensor> equalize(Tensor const& input) {
+std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
   check_flat("equalize", input);
   Layout const layout = layout_of(input);
   Tensor const x = dense(input, layout), y = empty_like(x, layout), changed = empty({x.size(0), x.size(1)}, x);
@@ -18,7 +18,7 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input) {
   for_floats("equalize", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Equalize<T> const params{flat_planes<T const>(x, layout), flat_planes<T>(y, layout),
-                             static_cast<T*>(changed.mutable_data_ptr()), counts};
+                             static_cast<T*>(changed.mutable_data_ptr()), opencv, counts};
     KV_RUN(equalize, x, params, params.x.count(), 2 * params.x.width);
   });
   return {y, changed};
@@ -26,6 +26,6 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input) {
 
 }  // namespace
 
-KV_OPERATOR(equalize, "(Tensor input) -> (Tensor output, Tensor changed)")
+KV_OPERATOR(equalize, "(Tensor input, bool opencv) -> (Tensor output, Tensor changed)")
 
 }  // namespace kv

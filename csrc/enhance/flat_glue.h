@@ -1,4 +1,4 @@
-// Image planes without rows, for statistics of whole planes. Included by *_op.cpp files.
+// Image planes channel by channel, with or without rows, for statistics of planes. Included by *_op.cpp files.
 #pragma once
 
 #include "glue/glue.h"
@@ -12,14 +12,22 @@ inline Tensor dense(Tensor const& x, Layout layout) {
   return last ? conform(torch::stable::contiguous(x), layout) : torch::stable::contiguous(x);
 }
 
-// The planes of a dense image tensor, each as one row: pixel i is i * step elements behind the first one.
+// The planes of an image tensor, each channel by itself in both layouts.
+template <class T>
+Planes<T> channel_planes(Tensor const& x, Layout layout) {
+  Planes<T> p = planes<T>(x, layout);
+  if (layout == Layout::channels_last) p.inner = p.step, p.inner_stride = 1;
+  return p;
+}
+
+// Those of a dense tensor, each as one row: pixel i is i * step elements behind the first one.
 template <class T>
 Planes<T> flat_planes(Tensor const& x, Layout layout) {
-  auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
-  int64_t const b = x.size(0), c = x.size(1), n = x.size(2) * x.size(3);
-  if (layout == Layout::channels_last) return {data, b, c, x.stride(0), 1, n * c, 1, n, c};
-  if (x.stride(0) == c * x.stride(1) || b == 1) return {data, b * c, 1, x.stride(1), 0, n, 1, n, 1};
-  return {data, b, c, x.stride(0), x.stride(1), n, 1, n, 1};
+  Planes<T> p = channel_planes<T>(x, layout);
+  p.width *= p.height;
+  p.height = 1;
+  p.row_stride = p.row_size();
+  return p;
 }
 
 // Pixels of a plane are counted in ints.

@@ -60,21 +60,22 @@ __device__ __forceinline__ void for_each_pack(T const* x, int64_t step, int begi
   }
 }
 
-// Counts of levels in shared memory, kCopies of each: pixels beside each other are alike, and threads that count the
+// Counts of levels in shared memory, `Copies` of each: pixels beside each other are alike, and threads that count the
 // same level in the same copy wait for each other. The copies of a level are neighbours, so in different banks.
-constexpr int kCopies = 8;
+template <int Copies>
 struct LevelCounter {
-  int32_t* counts;  // kLevels * kCopies
+  static constexpr int kSize = kLevels * Copies;
+  int32_t* counts;
   __device__ __forceinline__ void clear() const {
-    for (int i = threadIdx.x; i < kLevels * kCopies; i += blockDim.x) counts[i] = 0;
+    for (int i = threadIdx.x; i < kSize; i += blockDim.x) counts[i] = 0;
   }
   __device__ __forceinline__ void add(int level) const {
-    if (level < kLevels) atomicAdd(counts + level * kCopies + threadIdx.x % kCopies, 1);
+    if (level < kLevels) atomicAdd(counts + level * Copies + threadIdx.x % Copies, 1);
   }
   __device__ __forceinline__ int operator[](int level) const {
     int sum = 0;
 #pragma unroll
-    for (int i = 0; i < kCopies; ++i) sum += counts[level * kCopies + i];
+    for (int i = 0; i < Copies; ++i) sum += counts[level * Copies + i];
     return sum;
   }
 };
@@ -90,6 +91,7 @@ __device__ __forceinline__ int sum_up_to(int count, int& total) {
     int const before = __shfl_up_sync(0xffffffffu, sum, d);
     if (lane >= d) sum += before;
   }
+  __syncthreads();  // the memory may be in use for another sum
   if (lane == 31) sums[warp] = sum;
   __syncthreads();
   total = 0;

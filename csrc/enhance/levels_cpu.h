@@ -25,14 +25,16 @@ KV_HD Lanes<int32_t, N> levels_of(Lanes<Compute<T>, N> x) {
     return __builtin_convertvector(is_nan ? broadcast<N>(F(kNanLevel)) : x, Lanes<int32_t, N>);
 }
 
-// The levels of n <= kPiece pixels, `step` elements apart.
+// n <= kPiece pixels that are `step` elements apart, beside each other.
 template <class T>
-KV_HD void levels_of(T const* x, int64_t step, int64_t n, uint16_t* level) {
-  T gathered[kPiece];
-  if (step != 1) {
-    for (int64_t i = 0; i < n; ++i) gathered[i] = x[i * step];
-    x = gathered;
-  }
+KV_HD T const* gathered(T const* x, int64_t step, int64_t n, T* memory) {
+  if (step == 1) return x;
+  for (int64_t i = 0; i < n; ++i) memory[i] = x[i * step];
+  return memory;
+}
+
+template <class T>
+KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
   for_each_vector<T>(0, n, [&](auto width, int64_t i) {
     constexpr int N = decltype(width)::value;
     auto const v = levels_of<T, N>(load<N>(x + i));

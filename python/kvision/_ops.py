@@ -18,7 +18,7 @@ import contextlib
 import functools
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +157,7 @@ class Operator:
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too.
+        halves: the reference takes half types as they are, because how they round is part of the result.
         autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
             which is safe for filters: they store half types but compute in float32.
         deterministic: False when a kernel may give other bits on a second run; torch.use_deterministic_algorithms then
@@ -174,12 +175,13 @@ class Operator:
         constant: Sequence[int] = (),
         linear: bool = False,
         bytes: bool = False,
+        halves: bool = False,
         autocast: torch.dtype | None = None,
         deterministic: bool = True,
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = as_stored(reference)
+        self.reference = as_stored(reference, halves)
         self.backward = backward or self._differentiate_reference
         self.saves_results = saves_results
         self.constant = constant
@@ -409,8 +411,11 @@ def saturate_to_byte(x: Tensor) -> Tensor:
     return x.round().clamp(0, 255).to(torch.uint8)
 
 
-def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
-    """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout."""
+def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[..., Any]:
+    """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
+
+    With `halves` the reference takes half types as they are.
+    """
 
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
@@ -423,7 +428,10 @@ def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
             with _without_tf32():
                 return wrapped(*args)
         stored = x.dtype
-        if stored == torch.float64:
+        widened: Iterable[Any]
+        if halves and stored in _HALVES:
+            widened = args
+        elif stored == torch.float64:
             widened = (a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
         else:
             widened = (a.float() if isinstance(a, Tensor) and a.dtype != torch.float32 else a for a in args)

@@ -37,9 +37,9 @@ struct alignas(16) StripMemory {
 };
 
 // `aligned`: rows of input and output are packs of P pixels, at the same places.
-template <class T, int K, int P, bool Folds>
+template <class T, int K, int P, bool Folds, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
-    filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips, bool aligned) {
+    filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips, Aligned aligned) {
   constexpr int R = K / 2;
   __shared__ StripMemory<T, K, P, Folds> memory[kWarps];
   StripMemory<T, K, P, Folds>& shared = memory[threadIdx.x / 32];
@@ -52,8 +52,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   // The first row read and the last row completed. Where results are folded, there is nothing above the image.
   int const first = Folds ? max(y0 - R, 0) : y0 - above, last = Folds && y1 == height ? height - 1 + R : y1 - 1;
   int const count = last + K - above - first;
-  StripRows<T, P, R, kRing> rows(shared.rows, p.x, plane, p.border, p.border, aligned, x0 + R - p.axis_x.before, first,
-                                 count);
+  StripRows<T, P, R, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned,
+                                          x0 + R - p.axis_x.before, first, count);
 
   float const* const kernel = p.kernel_of(plane);
   float w[K][K];
@@ -130,10 +130,12 @@ bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   int rows = kStripRows<K, P>;
   while (folds && p.y.height % rows > 0 && p.y.height % rows <= R) ++rows;  // an edge and what folds to it in one strip
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, rows);
-  auto kernel = filter_strip<T, K, P, false>;
+  auto const launch = [&](auto aligned, auto folds) {
+    filter_strip<T, K, P, folds><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, aligned);
+  };
   if constexpr (sizeof(T) > 1)  // bytes have no gradient
-    if (folds) kernel = filter_strip<T, K, P, true>;
-  kernel<<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, aligned);
+    if (folds) return launch(std::true_type{}, std::true_type{}), true;
+  aligned ? launch(std::true_type{}, std::false_type{}) : launch(std::false_type{}, std::false_type{});
   return true;
 }
 

@@ -111,10 +111,10 @@ __device__ __forceinline__ void add_row(float const (&h)[P], W weight, float (&s
 // `aligned`: rows of input and output are packs of P pixels, at the same places. Mirrored: the transpose of a reflected
 // border with symmetric weights, D^-1 A D, where A is the forward pass and D doubles the first and the last pixel of an
 // axis; box.h has the reason.
-template <class T, int K, int P, bool Mirrored>
+template <class T, int K, int P, bool Mirrored, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,
-                    bool aligned) {
+                    Aligned aligned) {
   constexpr int R = K / 2;
   __shared__ WarpMemory<T, K, P, Mirrored> memory[kWarps];
   WarpMemory<T, K, P, Mirrored>& shared = memory[threadIdx.x / 32];
@@ -125,8 +125,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
   int const left = x0 + R - p.kx.before, out_stride = int(p.y.row_stride * sizeof(T));  // left as windows see it
-  StripRows<T, P, R, kRing<K>> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left, y0 - p.ky.before,
-                                    y1 - y0 + K - 1);
+  StripRows<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left,
+                                             y0 - p.ky.before, y1 - y0 + K - 1);
 
   int64_t const sample = plane / p.planes;
   shared.x[lane] = weight_of_lane(p.kx, sample, lane);
@@ -227,8 +227,10 @@ void launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>;
   if (Mirrored) p.border = Border::reflect;
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, strip_rows<K, P>(p.y, kResident<K, P>));
-  bool const aligned = is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2;
-  separable_strip<T, K, P, Mirrored><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
+  auto const launch = [&](auto aligned) {
+    separable_strip<T, K, P, Mirrored><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
+  };
+  is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2 ? launch(std::true_type{}) : launch(std::false_type{});
 }
 
 template <class T, bool Mirrored, int K = 3>

@@ -44,8 +44,8 @@ __device__ __forceinline__ T* row_below(T* first_row, int y, int stride) {
 
 // Rows from `first` on, `count` of them, for 32 P pixels from `left` on and `Radius` beside them. `Rows` is the size of
 // the ring; all but one are on their way. What is outside follows the borders `across` and `down`. `aligned`: rows are
-// packs of P pixels, `left` at one of them.
-template <class T, int P, int Radius, int Rows>
+// packs of P pixels, `left` at one of them; as std::true_type or std::false_type it costs no branches.
+template <class T, int P, int Radius, int Rows, class Aligned>
 struct StripRows {
   using Ring = T[Rows][32 * P + 2 * kHalo];
   T (*const ring)[32 * P + 2 * kHalo];
@@ -53,7 +53,7 @@ struct StripRows {
   Border const across, down;
   int const in_width, in_height, left, first, count, in_stride, lane;
   int own, filled, source, next = 0, known;
-  bool const aligned;
+  Aligned const aligned;
   bool has_beside, has_own, fills, near;
   int beside;
   uint32_t own_to, beside_to;
@@ -62,7 +62,7 @@ struct StripRows {
   static constexpr uint32_t kRowBytes = sizeof(Ring) / Rows;
 
   __device__ __forceinline__ StripRows(Ring& memory, Planes<T const> const& x, int64_t plane, Border across,
-                                       Border down, bool aligned, int left, int first, int count)
+                                       Border down, Aligned aligned, int left, int first, int count)
       : ring(memory),
         in(x.plane(plane)),
         across(across),
@@ -164,8 +164,8 @@ __device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kB
 }
 
 // Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. `aligned`: as in StripRows.
-template <class T, int P>
-__device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, int width, bool aligned) {
+template <class T, int P, class Aligned>
+__device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
   if (aligned) {
     if (x < width) store_pack(to, v);
   } else {

@@ -112,11 +112,10 @@ inline Tensor conform(Tensor const& x, Layout layout) {
 }
 
 #if defined(KV_CUDA)
-constexpr bool kOwnBlocks = false;
+constexpr int64_t kLargeResult = INT64_MAX;
 #else
-constexpr bool kOwnBlocks = true;
-#endif
 constexpr int64_t kLargeResult = 1 << 22;  // bytes
+#endif
 
 // Memory of a large result on the CPU. Not from torch's allocator, because that asks glibc for an address of a certain
 // alignment, and glibc before 2.38 may never use such a block again: small blocks that it cuts off at both ends stay in
@@ -156,7 +155,7 @@ inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const
   int64_t const axes = int64_t(sizes.size());
   int64_t bytes = like.element_size();
   for (int64_t size : sizes) bytes *= size;
-  if (!kOwnBlocks || bytes < kLargeResult) {
+  if (kLargeResult == INT64_MAX || bytes < kLargeResult) {
     TORCH_ERROR_CODE_CHECK(
         aoti_torch_empty_strided(axes, sizes.data(), strides, dtype, device_type, like.get_device_index(), &handle));
   } else {

@@ -182,7 +182,7 @@ class Operator:
         self.name = name
         self.definition = reference
         self.reference = as_stored(reference, halves)
-        self.backward = backward or self._differentiate_reference
+        self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
         self.constant = constant
         self.linear = linear
@@ -321,7 +321,8 @@ class Operator:
             return found
         return tuple(None if i in self.constant else t for i, t in enumerate(_as_tuple(found)))
 
-    def _differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+    def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+        """The default backward; of use in others for gradients that have no kernel."""
         args = grads_and_args[-len(needs) :]
         grads = grads_and_args[: -len(needs)]
         where = [i for i, need in enumerate(needs) if need]

@@ -1,4 +1,4 @@
-"""Normalisation by given statistics, back, and by the range of every plane."""
+"""Normalisation by given statistics, and back."""
 
 from __future__ import annotations
 
@@ -23,15 +23,8 @@ def _from_unit(x: Tensor, mean: Tensor | None, std: Tensor | None, mean_number: 
     return x * chosen(std, std_number) + chosen(mean, mean_number)
 
 
-def _stretch(x: Tensor, low: float, high: float, eps: float) -> Tensor:
-    darkest = x.amin((-2, -1), keepdim=True)
-    span = x.amax((-2, -1), keepdim=True) - darkest
-    return (high - low) * (x - darkest) / (span + eps) + low
-
-
 _normalize = as_stored(_to_unit)
 _denormalize = as_stored(_from_unit)
-_normalize_min_max = as_stored(_stretch)
 
 
 def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -82,40 +75,6 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
         tensor([[0.5000, 1.0000]])
     """
     return _denormalize(*_arguments("denormalize", data, mean, std))
-
-
-def normalize_min_max(input: Tensor, min_val: float = 0.0, max_val: float = 1.0, eps: float = 1e-6) -> Tensor:
-    """Map the range of every image plane to [min_val, max_val].
-
-    Args:
-        input: (*, H, W); integers are computed in float32.
-        min_val: what the smallest value of a plane becomes.
-        max_val: what the largest one becomes, up to eps.
-        eps: added to the range of the plane, so that a flat one becomes min_val.
-
-    Returns:
-        (max_val - min_val) * (input - smallest) / (largest - smallest + eps) + min_val, differentiable; several
-        smallest or largest pixels share their gradient.
-
-    Raises:
-        TypeCheckError: input is no real tensor; min_val, max_val or eps no number.
-        ShapeError: input has less than two axes, or planes without pixels.
-        ValueCheckError: eps below 0.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> K.enhance.normalize_min_max(torch.tensor([[2.0, 3.0, 4.0]]), 0.0, 10.0)
-        tensor([[ 0.0000,  5.0000, 10.0000]])
-    """
-    _check.numbers("normalize_min_max", "input", input)
-    if input.dim() < 2 or 0 in input.shape[-2:]:
-        raise ShapeError(
-            f"normalize_min_max: expected input of shape (*, H, W) with H, W of at least 1, got {tuple(input.shape)}",
-            actual_shape=input.shape,
-        )
-    low = _check.number("normalize_min_max", "min_val", min_val)
-    high = _check.number("normalize_min_max", "max_val", max_val)
-    return _normalize_min_max(floats(input), low, high, _check.number("normalize_min_max", "eps", eps, minimum=0))
 
 
 def _arguments(op: str, data: Tensor, mean: float | Tensor, std: float | Tensor) -> tuple:

@@ -28,6 +28,7 @@ from kvision.enhance.invert import Invert, invert
 from kvision.enhance.jpeg import JPEGCodecDifferentiable, jpeg_codec_differentiable
 from kvision.enhance.normalize import Denormalize, Normalize, denormalize, normalize, normalize_min_max
 from kvision.enhance.posterize import posterize
+from kvision.enhance.program import ColorProgram
 from kvision.enhance.rescale import Rescale
 from kvision.enhance.saturation import (
     AdjustSaturation,

@@ -247,10 +247,12 @@ KV_HD Lanes<F, N> vexp2(Lanes<F, N> x) {
 template <int bytes>
 struct integer_of {
   using type = int64_t;
+  using bits = uint64_t;
 };
 template <>
 struct integer_of<4> {
   using type = int32_t;
+  using bits = uint32_t;
 };
 
 // log2 x of normal numbers, within 2 units in the last place or 1e-7 (1e-16) near 1: x = 2^n m with m in [sqrt(1/2),
@@ -264,7 +266,9 @@ KV_HD Lanes<F, N> vlog2(Lanes<F, N> x) {
   using Bits = Lanes<I, N>;
   constexpr int mantissa = kFloat ? 23 : 52;
   constexpr I bias = kFloat ? 127 : 1023, one = bias << mantissa, root = kFloat ? I(0x3f3504f3) : I(0x3fe6a09e667f3bcd);
-  Bits const bits = __builtin_bit_cast(Bits, x) + (one - root);
+  using Unsigned = typename integer_of<sizeof(F)>::bits;
+  auto const shifted = __builtin_bit_cast(Lanes<Unsigned, N>, x) + Unsigned(one - root);  // of NaN it wraps around
+  Bits const bits = __builtin_bit_cast(Bits, shifted);
   Bits const exponent = (bits >> mantissa) - bias;
   V const m = __builtin_bit_cast(V, Bits((bits & ((I(1) << mantissa) - 1)) + root));
   V const t = (m - 1) / (m + 1), square = t * t;

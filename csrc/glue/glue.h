@@ -169,7 +169,7 @@ inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const
   int64_t const axes = int64_t(sizes.size());
   int64_t bytes = type ? bytes_of(*type) : like.element_size();
   for (int64_t size : sizes) bytes *= size;
-  if (bytes < kLargeResult) {
+  if (kLargeResult == INT64_MAX || bytes < kLargeResult) {
     TORCH_ERROR_CODE_CHECK(
         aoti_torch_empty_strided(axes, sizes.data(), strides, dtype, device_type, like.get_device_index(), &handle));
   } else {

@@ -18,7 +18,7 @@ import contextlib
 import functools
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +157,7 @@ class Operator:
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too.
+        halves: the reference takes half types as they are, because how they round is part of the result.
         autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
             which is safe for filters: they store half types but compute in float32.
         stores: the reference itself stores its results as the kernels do, say in another type than the first tensor's.
@@ -175,14 +176,15 @@ class Operator:
         constant: Sequence[int] = (),
         linear: bool = False,
         bytes: bool = False,
+        halves: bool = False,
         autocast: torch.dtype | None = None,
         stores: bool = False,
         deterministic: bool = True,
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = reference if stores else as_stored(reference)
-        self.backward = backward or self._differentiate_reference
+        self.reference = reference if stores else as_stored(reference, halves)
+        self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
         self.constant = constant
         self.linear = linear
@@ -321,7 +323,8 @@ class Operator:
             return found
         return tuple(None if i in self.constant else t for i, t in enumerate(_as_tuple(found)))
 
-    def _differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+    def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
+        """The default backward; of use in others for gradients that have no kernel."""
         args = grads_and_args[-len(needs) :]
         grads = grads_and_args[: -len(needs)]
         where = [i for i, need in enumerate(needs) if need]
@@ -411,8 +414,11 @@ def saturate_to_byte(x: Tensor) -> Tensor:
     return x.round().clamp(0, 255).to(torch.uint8)
 
 
-def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
-    """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout."""
+def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[..., Any]:
+    """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
+
+    With `halves` the reference takes half types as they are.
+    """
 
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
@@ -425,7 +431,10 @@ def as_stored(reference: Callable[..., Any]) -> Callable[..., Any]:
             with _without_tf32():
                 return wrapped(*args)
         stored = x.dtype
-        if stored == torch.float64:
+        widened: Iterable[Any]
+        if halves and stored in _HALVES:
+            widened = args
+        elif stored == torch.float64:
             widened = (a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
         else:
             widened = (a.float() if isinstance(a, Tensor) and a.dtype != torch.float32 else a for a in args)

@@ -3,214 +3,131 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 import kvision as K
+from composition_tests import Case, CompositionTests
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 from op_tests import assert_close
 
 E = K.enhance
 
 
-class Case(NamedTuple):
-    call: Callable[..., Tensor]
-    parameters: tuple[
-        tuple[int, ...], ...
-    ] = ()  # shapes of its other tensors, with the batch in front; all in [0.1, 1)
-    channels: int = 3
-    differentiable: bool = True
-    any_rank: bool = True
+def of_image(call: Callable[..., Tensor], *parameters: tuple[int, ...], channels: int = 3, **more: Any) -> Case:
+    """A case of two small images and of parameters of these shapes."""
+    return Case(call, ((2, channels, 5, 6), *parameters), **more)
 
 
-CASES = {
-    "add_weighted": Case(lambda x, a: E.add_weighted(x, a, x * x, 0.3, 0.1), ((2, 1, 1, 1),), any_rank=False),
-    "adjust_brightness": Case(lambda x, f: E.adjust_brightness(x, f - 0.5), ((2,),)),
-    "adjust_brightness_accumulative": Case(E.adjust_brightness_accumulative, ((2, 3),)),
-    "adjust_brightness_of_channels": Case(lambda x, f: E.adjust_brightness(x, f, False), ((2, 2, 1, 1),), channels=2),
-    "adjust_contrast": Case(E.adjust_contrast, ((2,),)),
-    "adjust_contrast_with_mean_subtraction": Case(E.adjust_contrast_with_mean_subtraction, ((2,),)),
-    "adjust_contrast_with_mean_subtraction_of_two": Case(
-        E.adjust_contrast_with_mean_subtraction, ((2,),), channels=2, any_rank=False
-    ),
-    "adjust_gamma": Case(lambda x, g, a: E.adjust_gamma(x, 2 * g, a), ((2,), (2,))),
-    "adjust_hue": Case(lambda x, f: E.adjust_hue(x, 6 * f), ((2,),)),
-    "adjust_hue_raw": Case(E.adjust_hue_raw, ((2,),)),
-    "adjust_log": Case(lambda x, f: E.adjust_log(x, f, inv=True), ((2,),)),
-    "adjust_saturation": Case(lambda x, f: E.adjust_saturation(x, 2 * f), ((2,),)),
-    "adjust_saturation_raw": Case(lambda x, f: E.adjust_saturation_raw(x, 2 * f), ((2,),)),
-    "adjust_saturation_with_gray_subtraction": Case(E.adjust_saturation_with_gray_subtraction, ((2,),)),
-    "adjust_sigmoid": Case(lambda x, c, g: E.adjust_sigmoid(x, c, 9 * g), ((2,), (2,))),
-    "denormalize": Case(E.denormalize, ((2, 3), (2, 3)), any_rank=False),
-    "equalize": Case(E.equalize, differentiable=False),
-    "equalize3d": Case(E.equalize3d, differentiable=False),
-    "equalize_clahe": Case(lambda x: E.equalize_clahe(x, 2.0, (3, 2)), differentiable=False),
-    "equalize_clahe_differentiable": Case(lambda x: E.equalize_clahe(x, 200.0, (2, 1), True), channels=1),
-    "image_histogram2d": Case(lambda x: E.image_histogram2d(x, 0.0, 1.0, 7, return_pdf=True)[1], any_rank=False),
-    "image_histogram2d_gaussian": Case(
-        lambda x: E.image_histogram2d(x, 0.0, 1.0, 16, kernel="gaussian")[0], any_rank=False
-    ),
-    "integral_image": Case(E.integral_image),
-    "invert": Case(lambda x: E.invert(x, 0.7)),
-    "jpeg_codec_differentiable": Case(lambda x, q: E.jpeg_codec_differentiable(x, 90 * q), ((2,),), any_rank=False),
-    "normalize": Case(E.normalize, ((2, 3), (2, 3)), any_rank=False),
-    "normalize_min_max": Case(lambda x: E.normalize_min_max(x, -1.0, 2.0)),
-    "posterize": Case(lambda x: E.posterize(x, 3), differentiable=False),
-    "sharpness": Case(lambda x, f: E.sharpness(x, 2 * f), ((2,),)),
-    "shift_rgb": Case(lambda x, f: E.shift_rgb(x, f, 0.1, -f), ((2,),), any_rank=False),
-    "solarize": Case(lambda x, a: E.solarize(x, 0.6, a / 2), ((2,),)),
-    "threshold": Case(lambda x: E.threshold(x, 0.5, 0.7, 3)),
-}
+class TestFunctions(CompositionTests):
+    cases = {
+        "add_weighted": of_image(lambda x, a: E.add_weighted(x, a, x * x, 0.3, 0.1), (2, 1, 1, 1)),
+        "adjust_brightness": of_image(lambda x, f: E.adjust_brightness(x, f - 0.5), (2,)),
+        "adjust_brightness_accumulative": of_image(E.adjust_brightness_accumulative, (2, 3)),
+        "adjust_brightness_of_channels": of_image(
+            lambda x, f: E.adjust_brightness(x, f, False), (2, 2, 1, 1), channels=2
+        ),
+        "adjust_contrast": of_image(E.adjust_contrast, (2,)),
+        "adjust_contrast_with_mean_subtraction": of_image(E.adjust_contrast_with_mean_subtraction, (2,)),
+        "adjust_contrast_with_mean_subtraction_of_two": of_image(
+            E.adjust_contrast_with_mean_subtraction, (2,), channels=2
+        ),
+        "adjust_gamma": of_image(lambda x, g, a: E.adjust_gamma(x, 2 * g, a), (2,), (2,)),
+        "adjust_hue": of_image(lambda x, f: E.adjust_hue(x, 6 * f), (2,)),
+        "adjust_hue_raw": of_image(E.adjust_hue_raw, (2,)),
+        "adjust_log": of_image(lambda x, f: E.adjust_log(x, f, inv=True), (2,)),
+        "adjust_saturation": of_image(lambda x, f: E.adjust_saturation(x, 2 * f), (2,)),
+        "adjust_saturation_raw": of_image(lambda x, f: E.adjust_saturation_raw(x, 2 * f), (2,)),
+        "adjust_saturation_with_gray_subtraction": of_image(E.adjust_saturation_with_gray_subtraction, (2,)),
+        "adjust_sigmoid": of_image(lambda x, c, g: E.adjust_sigmoid(x, c, 9 * g), (2,), (2,)),
+        "denormalize": of_image(E.denormalize, (2, 3), (2, 3)),
+        "equalize": of_image(E.equalize, differentiable=False),
+        "equalize3d": of_image(E.equalize3d, differentiable=False),
+        "equalize_clahe": of_image(lambda x: E.equalize_clahe(x, 2.0, (3, 2)), differentiable=False),
+        "equalize_clahe_differentiable": of_image(lambda x: E.equalize_clahe(x, 200.0, (2, 1), True), channels=1),
+        "image_histogram2d": of_image(lambda x: E.image_histogram2d(x, 0.0, 1.0, 7, return_pdf=True)[1]),
+        "image_histogram2d_gaussian": of_image(lambda x: E.image_histogram2d(x, 0.0, 1.0, 16, kernel="gaussian")[0]),
+        "integral_image": of_image(E.integral_image),
+        "invert": of_image(lambda x: E.invert(x, 0.7)),
+        "jpeg_codec_differentiable": of_image(lambda x, q: E.jpeg_codec_differentiable(x, 90 * q), (2,)),
+        "normalize": of_image(E.normalize, (2, 3), (2, 3)),
+        "normalize_min_max": of_image(lambda x: E.normalize_min_max(x, -1.0, 2.0)),
+        "posterize": of_image(lambda x: E.posterize(x, 3), differentiable=False),
+        "sharpness": of_image(lambda x, f: E.sharpness(x, 2 * f), (2,)),
+        "shift_rgb": of_image(lambda x, f: E.shift_rgb(x, f, 0.1, -f), (2,)),
+        "solarize": of_image(lambda x, a: E.solarize(x, 0.6, a / 2), (2,)),
+        "threshold": of_image(lambda x: E.threshold(x, 0.5, 0.7, 3)),
+    }
+    compiled = "adjust_gamma", "equalize_clahe", "sharpness"
+    of_batches = {  # what takes no other axes in front, or has parameters that do not follow them
+        "add_weighted",
+        "adjust_contrast_with_mean_subtraction_of_two",
+        "denormalize",
+        "equalize3d",
+        "image_histogram2d",
+        "image_histogram2d_gaussian",
+        "jpeg_codec_differentiable",
+        "normalize",
+        "shift_rgb",
+    }
 
+    def test_samples_are_independent(self, case, device):
+        values = self.values(case, device)
+        whole = case.call(*values)
+        for i in range(2):
+            assert_close(case.call(*(v[i : i + 1] for v in values)), whole[i : i + 1])
 
-@pytest.fixture(params=CASES)
-def case(request: pytest.FixtureRequest) -> Case:
-    return CASES[request.param]
+    def test_any_rank(self, name, case, device):
+        """Axes in front are a batch, with parameters for the first of them or for all; without a batch it is one image."""
+        if name in self.of_batches:
+            pytest.skip("takes batches, or its parameters differ")
+        x, *parameters = self.values(case, device)
+        each = [p[:, None] for p in parameters]
+        expected = case.call(x, *parameters)
+        assert_close(case.call(x[0], *(p[0] for p in parameters)), expected[0])
+        assert_close(case.call(x[:, None], *each), expected[:, None])
+        assert_close(case.call(x[:, None].expand(2, 3, *x.shape[1:]), *each)[:, 1], expected)
 
+    @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=str)
+    def test_halves(self, name, case, dtype, device):
+        x, *parameters = (v.float() for v in self.values(case, device, dtype))
+        y = case.call(x.to(dtype), *parameters)
+        if name.startswith("image_histogram2d"):  # counts need more than a half
+            assert_close(y, case.call(x, *parameters))
+            return
+        assert y.dtype == dtype
+        if (
+            case.differentiable and name != "equalize_clahe_differentiable"
+        ):  # the others jump where a product is rounded
+            assert_close(y, case.call(x, *parameters).to(dtype))
 
-def tensors(
-    case: Case, device: Any, dtype: torch.dtype = torch.float64, size: tuple[int, int] = (5, 6)
-) -> list[Tensor]:
-    shapes = (2, case.channels, *size), *case.parameters
-    return [(torch.rand(shape, dtype=torch.float64) * 0.9 + 0.1).to(dtype).to(device) for shape in shapes]
+    def test_gradients_are_finite_on_plain_colours(self, case, device):
+        """Black, white, greys, saturated primaries: where maxima tie and powers have no slope."""
+        self.needs_gradient(case)
+        like, *parameters = self.values(case, device, torch.float32)
+        primary = torch.tensor([1.0, 0, 0][: like.shape[1]], device=device).view(-1, 1, 1)
+        grey = torch.tensor([0.0, 1.0, 0.5, 1 / 3], device=device).view(4, 1, 1, 1)
+        for colour in torch.cat([grey.expand(4, len(primary), 1, 1), primary[None], 1 - primary[None]]):
+            x = colour.expand_as(like).clone().requires_grad_()
+            values = [x, *(p.clone().requires_grad_() for p in parameters)]
+            y = case.call(*values)
+            grads = torch.autograd.grad(y.sum(), values, allow_unused=True)
+            assert y.isfinite().all()
+            assert all(g is None or g.isfinite().all() for g in grads)
 
-
-def test_derivatives(case, device):
-    if not case.differentiable:
-        pytest.skip("not differentiable")
-    values = [v.requires_grad_() for v in tensors(case, device, size=(3, 4))]
-    # On CUDA torch adds up some gradients in any order: that of jpeg's chroma, which is enlarged.
-    noise = 1e-10
-    assert torch.autograd.gradcheck(case.call, values, check_forward_ad=True, fast_mode=True, nondet_tol=noise)
-    assert torch.autograd.gradgradcheck(case.call, values, fast_mode=True, nondet_tol=noise)
-
-
-def test_transforms(case, device):
-    first, second = tensors(case, device), tensors(case, device)
-    mapped = torch.func.vmap(case.call)(*map(torch.stack, zip(first, second)))
-    assert_close(mapped, torch.stack([case.call(*first), case.call(*second)]))
-    if case.differentiable:
-        leaf = first[0].clone().requires_grad_()
-        (expected,) = torch.autograd.grad(case.call(leaf, *first[1:]).square().sum(), leaf)
-        assert_close(torch.func.grad(lambda *values: case.call(*values).square().sum())(*first), expected)
-
-
-def test_samples_are_independent(case, device):
-    values = tensors(case, device)
-    whole = case.call(*values)
-    for i in range(2):
-        assert_close(case.call(*(v[i : i + 1] for v in values)), whole[i : i + 1])
-
-
-def test_any_rank(case, device):
-    """Axes in front are a batch, with parameters for the first of them or for all; without a batch it is one image."""
-    if not case.any_rank:
-        pytest.skip("takes batches, or its parameters differ")
-    x, *parameters = tensors(case, device)
-    if case is CASES["equalize3d"]:
-        pytest.skip("takes volumes")
-    single = [p[0] for p in parameters]
-    expected = case.call(x, *parameters)
-    assert_close(case.call(x[0], *single), expected[0])
-    assert_close(case.call(x[:, None], *(p[:, None] for p in parameters)), expected[:, None])
-    assert_close(case.call(x[:, None].expand(2, 3, *x.shape[1:]), *(p[:, None] for p in parameters))[:, 1], expected)
-
-
-@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=str)
-def test_halves(case, dtype, device):
-    x, *parameters = (v.float() for v in tensors(case, device, dtype))
-    y = case.call(x.to(dtype), *parameters)
-    if case in (CASES["image_histogram2d"], CASES["image_histogram2d_gaussian"]):  # counts need more than a half
-        assert_close(y, case.call(x, *parameters))
-        return
-    assert y.dtype == dtype
-    if (
-        case.differentiable and case is not CASES["equalize_clahe_differentiable"]
-    ):  # the others jump where a product is rounded
-        assert_close(y, case.call(x, *parameters).to(dtype))
-
-
-def test_autocast_changes_nothing(case, device):
-    values = tensors(case, device, torch.float32)
-    expected = case.call(*values)
-    with torch.autocast(device.type, dtype=torch.bfloat16):
-        assert_close(case.call(*values), expected)
-
-
-def test_no_images(case, device):
-    x, *parameters = (v[:0].requires_grad_() for v in tensors(case, device))
-    y = case.call(x, *parameters)
-    assert y.shape[0] == 0
-    if y.requires_grad:
-        y.sum().backward()
-        assert x.grad.shape == x.shape
-
-
-def test_input_is_not_modified(case, device):
-    values = tensors(case, device)
-    before = [v.clone() for v in values]
-    case.call(*values)
-    assert all(torch.equal(a, b) for a, b in zip(values, before))
-
-
-@pytest.mark.parametrize("layout", ["channels_last", "strided"])
-def test_layouts(case, layout, device):
-    x, *parameters = tensors(case, device)
-    expected = case.call(x, *parameters)
-    if layout == "strided":
-        strided = x.repeat_interleave(2, -1)[..., ::2]
-    else:
-        strided = x.contiguous(memory_format=torch.channels_last)
-    assert_close(case.call(strided, *parameters), expected)
-
-
-def test_gradients_are_finite_on_plain_colours(case, device):
-    """Black, white, greys, saturated primaries: where maxima tie and powers have no slope."""
-    if not case.differentiable:
-        pytest.skip("not differentiable")
-    _, *parameters = tensors(case, device, torch.float32)
-    primary = torch.tensor([1.0, 0, 0][: case.channels], device=device).view(-1, 1, 1)
-    grey = torch.tensor([0.0, 1.0, 0.5, 1 / 3], device=device).view(4, 1, 1, 1)
-    plain = torch.cat([grey.expand(4, case.channels, 1, 1), primary[None], 1 - primary[None]])
-    for colour in plain:
-        x = colour.expand(2, -1, 5, 6).clone().requires_grad_()
-        values = [x, *(p.clone().requires_grad_() for p in parameters)]
-        y = case.call(*values)
-        grads = torch.autograd.grad(y.sum(), values, allow_unused=True)
-        assert y.isfinite().all()
-        assert all(g is None or g.isfinite().all() for g in grads)
-
-
-def test_nan_stays_where_it_is(case, device):
-    x, *parameters = tensors(case, device)
-    spread = "mean_subtraction", "min_max", "jpeg", "integral", "sharpness", "histogram"
-    if any(word in name for name, c in CASES.items() if c is case for word in spread):
-        pytest.skip("its pixels depend on others")
-    x[0, :, 2, 3] = torch.nan
-    y = case.call(x, *parameters)
-    expected = torch.zeros_like(x[:, :1], dtype=torch.bool)
-    expected[0, :, 2, 3] = case is not CASES["threshold"]  # which keeps no value it cannot compare
-    assert torch.equal(y.isnan().any(1, keepdim=True), expected)
-
-
-@pytest.mark.parametrize("name", ["adjust_gamma", "equalize_clahe", "sharpness"])
-def test_compiles_whole_with_any_batch(name, device):
-    torch._dynamo.reset()
-    case = CASES[name]
-    compiled = torch.compile(case.call, fullgraph=True, backend="aot_eager")
-    values = tensors(case, device, torch.float32)
-    for v in values:
-        torch._dynamo.mark_dynamic(v, 0)
-    for given in (values, [torch.cat([v, v[:1]]) for v in values]):
-        leaves = [v.clone().requires_grad_(case.differentiable) for v in given]
-        expected, actual = case.call(*leaves), compiled(*leaves)
-        assert_close(actual, expected)
-        if case.differentiable:
-            for a, e in zip(*(torch.autograd.grad(y.square().sum(), leaves) for y in (actual, expected))):
-                assert_close(a, e, 1e-4, 1e-5)
+    def test_nan_stays_where_it_is(self, name, case, device):
+        spread = "mean_subtraction", "min_max", "jpeg", "integral", "sharpness", "histogram"
+        if any(word in name for word in spread):
+            pytest.skip("its pixels depend on others")
+        x, *parameters = self.values(case, device)
+        x[0, :, 2, 3] = torch.nan
+        y = case.call(x, *parameters)
+        expected = torch.zeros_like(x[:, :1], dtype=torch.bool)
+        expected[0, :, 2, 3] = name != "threshold"  # which keeps no value it cannot compare
+        assert torch.equal(y.isnan().any(1, keepdim=True), expected)
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
+import skimage.data
 import torch
 from torch import Tensor
 
 import kvision as K
-from op_tests import assert_close
+from op_tests import OpTests, assert_close
 
 E = K.enhance
 
@@ -31,6 +34,94 @@ def to_levels(x: Tensor) -> np.ndarray:
     return (x[0, 0] * 255).round().byte().numpy()
 
 
+class LevelTests(OpTests):
+    """Results jump from level to level, so the reference computes in the type of the image."""
+
+    differentiable = False
+    shape = (2, 3, 23, 28)
+    max_size = 21
+
+    def expected(self, x: Tensor, kwargs: dict[str, Any]) -> Tensor:
+        with K.backend("reference"):
+            return self.call(x, kwargs)
+
+    # Other than filters, these refuse integers and take images of two axes and more.
+
+    def test_value_of_bytes(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.uint8)
+        with pytest.raises(K.core.exceptions.TypeCheckError, match="floating"):
+            self.call(x, kwargs)
+
+    test_other_integers_become_float32 = None
+
+    def test_wrong_kinds(self, variant, device):
+        x, kwargs = self.setup(variant, device, torch.float32)
+        for wrong, error in [(None, TypeError), (x.to(torch.complex64), TypeError), (x[0, 0, 0, 0], ValueError)]:
+            with pytest.raises(error, match=f"^{self.function.__name__}: "):
+                self.call(wrong, kwargs)
+
+
+class TestEqualize(LevelTests):
+    function = staticmethod(E.equalize)
+    operators = ("equalize",)
+    variants = [{}, {"opencv": True}]
+    errors = [({"opencv": 1}, TypeError, "opencv to be a bool")]
+
+    @pytest.mark.parametrize("size", [(256, 256), (301, 333), (700, 320)], ids=str)
+    @pytest.mark.parametrize("planes", [1, 70])
+    def test_large_planes(self, size, planes, device):
+        """One block a plane or several, in packs or not; with flat and NaN planes among them."""
+        x = torch.rand(planes, 1, *size, device=device) ** 3
+        x[-1] = 0.3
+        x[0, 0, 5, 6] = torch.nan
+        assert_close(E.equalize(x), self.expected(x, {}))
+
+    def test_gradient_of_what_stays(self, device):
+        """Nothing but NaN and planes that come back as they are."""
+        x = torch.rand(2, 1, 20, 20, device=device)
+        x[0] = 0.5
+        x[1, 0, 3, 4] = torch.nan
+        stays = torch.zeros_like(x)
+        stays[0], stays[1, 0, 3, 4] = 1, 1
+        for backend in ("auto", "reference"):
+            with K.backend(backend):
+                (grad,) = torch.autograd.grad(E.equalize(x.requires_grad_()).sum(), x)
+                assert_close(grad, stays)
+                tangent = torch.func.jvp(E.equalize, (x.detach(),), (torch.ones_like(x),))[1]
+                assert_close(tangent, stays)
+
+
+class TestClahe(LevelTests):
+    function = staticmethod(E.equalize_clahe)
+    operators = ("equalize_clahe",)
+    variants = [
+        {"clip_limit": 2.0, "grid_size": (3, 2)},
+        {"clip_limit": 0.0, "grid_size": (1, 1)},
+        {"clip_limit": 3.5, "grid_size": (5, 9)},
+        {"clip_limit": 3.5, "grid_size": (5, 9), "opencv": True},
+    ]
+    errors = [
+        ({"clip_limit": -1.0}, ValueError, "clip_limit"),
+        ({"grid_size": (0, 2)}, ValueError, "grid_size"),
+        ({"opencv": 1}, TypeError, "opencv to be a bool"),
+        ({"opencv": True, "slow_and_differentiable": True}, ValueError, "opencv without"),
+    ]
+
+    @pytest.mark.parametrize("size, grid", [((240, 320), (2, 2)), ((199, 203), (1, 3)), ((256, 256), (8, 8))], ids=str)
+    def test_large_tiles(self, size, grid, device):
+        x = torch.rand(2, 2, *size, device=device) ** 3
+        x[0, 0], x[0, 1, 5, 6] = 0.3, torch.nan
+        kwargs = {"clip_limit": 4.0, "grid_size": grid}
+        self.check(E.equalize_clahe(x, **kwargs), self.expected(x, kwargs))
+
+    def test_more_tiles_than_pixels(self, device):
+        x = torch.rand(1, 2, 7, 5, device=device)
+        for grid in ((1, 1), (7, 5), (11, 2), (3, 40)):
+            for opencv in (False, True):
+                kwargs = {"clip_limit": 2.0, "grid_size": grid, "opencv": opencv}
+                self.check(E.equalize_clahe(x, **kwargs), self.expected(x, kwargs))
+
+
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (16, 16), (40, 50), (120, 160)], ids=str)
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16], ids=str)
 def test_equalize_is_pils(size, dtype):
@@ -41,11 +132,21 @@ def test_equalize_is_pils(size, dtype):
         assert np.array_equal(to_levels(E.equalize(unit(levels).to(dtype))), expected)
 
 
-def test_equalize_and_opencv():
+@pytest.mark.parametrize("size", [(1, 1), (1, 300), (16, 16), (40, 50), (120, 160)], ids=str)
+def test_equalize_equals_opencvs_where_asked_to(size, device):
     """OpenCV leaves the darkest bin out, PIL the brightest: the curves are close, not equal."""
-    levels = photo(120, 160)
-    apart = np.abs(to_levels(E.equalize(unit(levels))).astype(int) - cv2.equalizeHist(levels))
-    assert np.median(apart) < 12
+    for seed in range(3):
+        levels = photo(*size, seed)
+        expected = cv2.equalizeHist(levels)
+        assert np.array_equal(to_levels(E.equalize(unit(levels).to(device), opencv=True).cpu()), expected)
+        if size == (120, 160):
+            assert 0 < np.median(np.abs(to_levels(E.equalize(unit(levels))).astype(int) - expected)) < 12
+
+
+def test_equalize_equals_opencvs_on_photographs(device):
+    for picture in (skimage.data.camera(), skimage.data.moon(), skimage.data.coffee()[..., 1]):
+        actual = to_levels(E.equalize(unit(picture).to(device), opencv=True).cpu())
+        assert np.array_equal(actual, cv2.equalizeHist(np.ascontiguousarray(picture)))
 
 
 def test_equalize3d_counts_whole_volumes(device):
@@ -72,6 +173,24 @@ def test_clahe_is_opencvs(size, grid, clip):
     assert apart.max() < 0.5 + 2 * step and apart.mean() < 0.5 + step / 2
     if grid == (1, 1):
         assert apart.max() < 1e-3
+
+
+@pytest.mark.parametrize("size, grid", [((64, 64), (8, 8)), ((63, 96), (2, 4)), ((61, 45), (3, 2)), ((50, 9), (1, 5))])
+@pytest.mark.parametrize("clip", [0.0, 2.0, 40.0])
+def test_clahe_equals_opencvs_where_asked_to(size, grid, clip, device):
+    for seed in range(3):
+        levels = photo(*size, seed)
+        expected = cv2.createCLAHE(clip, grid[::-1]).apply(levels)
+        actual = to_levels(E.equalize_clahe(unit(levels).to(device), clip, grid, opencv=True).cpu())
+        assert np.array_equal(actual, expected)
+
+
+@pytest.mark.parametrize("clip, grid", [(40.0, (8, 8)), (2.0, (8, 8)), (3.0, (5, 7)), (0.0, (6, 10))])
+def test_clahe_equals_opencvs_on_photographs(clip, grid, device):
+    for picture in (skimage.data.camera(), skimage.data.moon()[:301, :403], skimage.data.coffee()[..., 1]):
+        expected = cv2.createCLAHE(clip, grid[::-1]).apply(picture)
+        actual = to_levels(E.equalize_clahe(unit(picture).to(device), clip, grid, opencv=True).cpu())
+        assert np.array_equal(actual, expected)
 
 
 def clahe_by_hand(levels: np.ndarray, clip: float, grid: tuple[int, int]) -> np.ndarray:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 import kvision as K
-from op_tests import assert_close
+import raw_calls
+from kvision.enhance.histogram import kernel_counts
+from op_tests import assert_close, recorded
 
 E = K.enhance
 
@@ -98,3 +101,130 @@ def test_memory_grows_with_the_pixels_alone(call):
         call(x).sum().backward()
     assert largest.numel <= 10 * x.numel()
     assert x.grad.isfinite().all()
+
+
+# --- kernels --------------------------------------------------------------------------------------------------------
+
+OPERATORS = ("gaussian_counts", "gaussian_counts_backward")
+CENTERS = {
+    "even": torch.linspace(-1, 2, 50),
+    "uneven": torch.linspace(0, 1.4, 50) ** 2 - 0.5,
+    "unsorted": torch.rand(50, generator=torch.Generator().manual_seed(1)),
+    "one": torch.tensor([0.3]),
+}
+
+
+def counts_and_gradient(x: Tensor, centers: Tensor, width: float, weights: Tensor) -> tuple[Tensor, Tensor]:
+    x = x.detach().requires_grad_()
+    counts = kernel_counts(x, centers, x.new_full((), width), "gaussian")
+    return counts.detach(), torch.autograd.grad((counts * weights).sum(), x)[0]
+
+
+@pytest.mark.parametrize("centers", CENTERS)
+@pytest.mark.parametrize("width", [1e-5, 0.0007, 0.004, 0.02, 0.3, 20.0])
+@pytest.mark.parametrize("samples", [1, 100, 1000, 70_000])
+def test_counts_against_the_reference(samples, width, centers, device):
+    """Few samples and many, in one block and in several; kernels that no grid fits, and those it takes in parts."""
+    centers = CENTERS[centers].to(device)
+    x = torch.rand(2, samples, device=device) * 1.4 - 0.2
+    x[0] = (x[0] * 255).floor() / 255
+    x[1, : samples // 2], x[1, -1] = 0.3, torch.nan
+    weights = torch.rand(2, len(centers), device=device) - 0.3
+    with K.backend("reference"):
+        expected = counts_and_gradient(x.double(), centers.double(), width, weights.double())
+    for dtype, tolerance in ((torch.float64, 1e-12), (torch.float32, 1e-5)):
+        actual = counts_and_gradient(x.to(dtype), centers.to(dtype), width, weights.to(dtype))
+        for a, e, unit in zip(actual, expected, (1, 1 / width)):
+            if width == 1e-5 and dtype == torch.float32:  # (x - center) / width is not exact, and steep
+                tolerance = 2e-2
+            assert_close(a, e.to(dtype), 0, tolerance * max(float(e.abs().max()), unit / 100))
+
+
+def test_kernels_of_strange_numbers(device):
+    x = torch.rand(2, 300, device=device)
+    for centers in ([0.1, torch.nan], [torch.inf, 0.5], [3e38, -3e38], []):
+        for width in (0.1, 0.0, -0.1, torch.nan, torch.inf, 1e-44):
+            c, h = torch.tensor(centers, device=device), torch.tensor(width, device=device)
+            with K.backend("reference"):
+                expected = kernel_counts(x, c, h, "gaussian")
+            assert_close(kernel_counts(x, c, h, "gaussian"), expected, 1e-4, 1e-3)
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_instruction_sets(isa, device, backend):
+    if backend == "reference" or device.type != "cpu":
+        pytest.skip("this test is about the kernels of the CPU")
+    from kvision import _C
+
+    if not _C.isa_supported(isa):
+        pytest.skip(f"this processor has no {isa}")
+    active = _C.active_isa()
+    try:
+        assert _C.set_isa(isa)
+        test_counts_against_the_reference(1000, 0.02, "even", device)
+    finally:
+        _C.set_isa(active)
+
+
+def test_runs_give_the_same_bits(device):
+    x, centers = torch.rand(3, 100_000, device=device), torch.linspace(0, 1, 256, device=device)
+    weights = torch.rand(3, 256, device=device)
+    first, second = (counts_and_gradient(x, centers, 0.004, weights) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(first, second))
+
+
+def test_operators(device, backend):
+    """Native, as torch wants operators to be, and not to be broken by wrong arguments."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    x, centers = torch.rand(2, 500, device=device), torch.linspace(0, 1, 9, device=device)
+    with recorded(OPERATORS) as calls, K.backend("native"):
+        counts_and_gradient(x, centers, 0.1, torch.rand(2, 9, device=device))
+    assert {name for name, _ in calls} == set(OPERATORS)
+    for name, args in calls:
+        args = [a.detach() for a in args]
+        torch.library.opcheck(getattr(torch.ops.kvision, name).default, tuple(args))
+        operator, fine = getattr(torch.ops.kvision, name).default, ("without rows", "without columns", "cut along")
+        wrong = [call for call in raw_calls.wrong_calls(operator, args) if not any(word in call[0] for word in fine)]
+        assert not raw_calls.taken(operator, wrong)
+
+
+def test_derivatives_of_the_kernels():
+    """More samples than are counted directly; float32, as only that has cells."""
+    x, weights = torch.rand(1, 600), torch.rand(1, 20)
+    centers, width = torch.linspace(0, 1, 20), torch.tensor(0.08)
+
+    def loss(x: Tensor, centers: Tensor, width: Tensor) -> Tensor:
+        return (kernel_counts(x, centers, width, "gaussian") / 600 * weights).square().sum()
+
+    actual = torch.func.grad(loss, argnums=(0, 1, 2))(x, centers, width)
+    second = torch.func.hessian(loss, argnums=2)(x, centers, width)
+    with K.backend("reference"):
+        expected = torch.func.grad(loss, argnums=(0, 1, 2))(x, centers, width)
+        for a, e in zip(actual, expected):
+            assert_close(a, e, 0, 2e-5 * float(e.abs().max()))
+        assert_close(second, torch.func.hessian(loss, argnums=2)(x, centers, width), 1e-4, 1e-4)
+    per_sample = torch.func.vmap(torch.func.grad(loss), (0, 0, 0))(
+        x[None].repeat(3, 1, 1), centers.repeat(3, 1), width.repeat(3)
+    )
+    assert_close(per_sample[2], actual[0], 0, 2e-5 * float(actual[0].abs().max()))
+
+
+def test_compile_and_graph(device):
+    x, centers = torch.rand(2, 400, device=device), torch.linspace(0, 1, 9, device=device)
+    torch._dynamo.reset()
+    call = lambda x: E.histogram(x, centers, 0.1)  # noqa: E731
+    compiled = torch.compile(call, fullgraph=True, backend="aot_eager")
+    a, b = x.clone().requires_grad_(), x.clone().requires_grad_()
+    assert_close(compiled(a), call(b))
+    compiled(a).square().sum().backward()
+    call(b).square().sum().backward()
+    assert_close(a.grad, b.grad)
+    if device.type == "cuda":
+        graph = torch.cuda.CUDAGraph()
+        call(x)
+        with torch.cuda.graph(graph):
+            captured = call(x)
+        x.copy_(torch.rand_like(x))
+        graph.replay()
+        assert_close(captured, call(x))

@@ -26,7 +26,8 @@ from kvision.enhance.hue import AdjustHue, adjust_hue, adjust_hue_raw
 from kvision.enhance.integral import IntegralImage, IntegralTensor, integral_image, integral_tensor
 from kvision.enhance.invert import Invert, invert
 from kvision.enhance.jpeg import JPEGCodecDifferentiable, jpeg_codec_differentiable
-from kvision.enhance.normalize import Denormalize, Normalize, denormalize, normalize, normalize_min_max
+from kvision.enhance.min_max import normalize_min_max
+from kvision.enhance.normalize import Denormalize, Normalize, denormalize, normalize
 from kvision.enhance.posterize import posterize
 from kvision.enhance.program import ColorProgram
 from kvision.enhance.rescale import Rescale

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.core.exceptions import TypeCheckError
+from kvision._ops import as_stored, register
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images
 from kvision.enhance.equalize import LEVELS, level_counts, levels
 from kvision.enhance.histogram import kernel_counts
@@ -14,27 +15,59 @@ from kvision.enhance.histogram import kernel_counts
 _BANDWIDTH = 0.001  # of the smooth histogram; neighbouring levels are 0.0039 apart
 
 
-def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, smooth: bool) -> Tensor:
-    """(N, H, W): every plane by itself."""
-    n, h, w = x.shape
-    tile = -(-h // rows), -(-w // columns)
-    tiles = _split(x, rows, columns, tile)
-    counts = _smooth_counts(tiles) if smooth else level_counts(levels(tiles), ~tiles.isnan()).to(_wide(x))
-    tables = _tables(counts, clip_limit, tile[0] * tile[1])
-    tables = (tables if smooth else tables.round()).reshape(n, rows * columns * LEVELS)
+def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, opencv: bool) -> Tensor:
+    """(B, C, H, W): every plane by itself."""
+    tile = _tile(x, rows, columns, opencv)
+    tiles = _split(x.flatten(0, 1), rows, columns, tile)
+    counts = level_counts(levels(tiles), ~tiles.isnan()).to(_wide(x))
+    return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]).round(), rows, columns, tile, opencv)
 
-    # Each pixel is mapped by the tables of the four tiles whose centres surround it.
-    y0, y1, wy = _neighbours(h, rows, tile[0], tables)
-    x0, x1, wx = _neighbours(w, columns, tile[1], tables)
-    level = levels(x)
+
+def _backward(needs, grad, output, *_):
+    """Levels have no gradient; NaN, which comes back as it is, has its own."""
+    return [grad.masked_fill(~output.isnan(), 0)]
+
+
+_equalize_clahe = register("equalize_clahe", _reference, backward=_backward, saves_results=True, halves=True)
+
+
+def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> Tensor:
+    """The same from smooth counts, whose tables are not rounded: they have a gradient."""
+    tile = _tile(x, rows, columns, False)
+    counts = _smooth_counts(_split(x.flatten(0, 1), rows, columns, tile))
+    return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]), rows, columns, tile, False)
+
+
+_equalize_clahe_smooth = as_stored(_reference_smooth, halves=True)
+
+
+def _tile(x: Tensor, rows: int, columns: int, opencv: bool) -> tuple[int, int]:
+    """The size of the tiles. Where they do not fit, OpenCV continues both axes, also the one that they fit."""
+    h, w = x.shape[2:]
+    if opencv and (h % rows or w % columns):
+        return h // rows + 1, w // columns + 1
+    return -(-h // rows), -(-w // columns)
+
+
+def _mapped(x: Tensor, tables: Tensor, rows: int, columns: int, tile: tuple[int, int], opencv: bool) -> Tensor:
+    """Each pixel by the tables of the four tiles whose centres surround it; (B * C * tiles, 256) tables."""
+    planes = x.flatten(0, 1)
+    n, h, w = planes.shape
+    tables = tables.reshape(n, rows * columns * LEVELS)
+    place = 0.0 if opencv else 0.5
+    y0, y1, wy = _neighbours(h, rows, tile[0], place, tables)
+    x0, x1, wx = _neighbours(w, columns, tile[1], place, tables)
+    level = levels(planes)
 
     def mapped(ty: Tensor, tx: Tensor) -> Tensor:
         index = (ty[:, None] * columns + tx) * LEVELS + level
         return tables.gather(1, index.flatten(1)).reshape(n, h, w)
 
-    top = mapped(y0, x0).lerp(mapped(y0, x1), wx)
-    bottom = mapped(y1, x0).lerp(mapped(y1, x1), wx)
-    y = (top.lerp(bottom, wy[:, None]) / 255).to(x.dtype)
+    top = mapped(y0, x0) * (1 - wx) + mapped(y0, x1) * wx
+    bottom = mapped(y1, x0) * (1 - wx) + mapped(y1, x1) * wx
+    wy = wy[:, None]
+    mixed = top * (1 - wy) + bottom * wy  # in OpenCV's order: it may end half-way between two levels
+    y = ((mixed.round() if opencv else mixed) / 255).to(x.dtype).reshape(x.shape)
     return torch.where(x.isnan(), x, y)
 
 
@@ -56,9 +89,9 @@ def _reflected(size: int, padded: int, x: Tensor) -> Tensor:
     return torch.minimum(i, period - i) if size > 1 else torch.zeros_like(i)
 
 
-def _neighbours(size: int, count: int, tile: int, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _neighbours(size: int, count: int, tile: int, place: float, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """For every pixel of an axis: the tiles before and after it, and the weight of the second one."""
-    centre = (torch.arange(size, device=like.device, dtype=like.dtype) + 0.5) / tile - 0.5
+    centre = (torch.arange(size, device=like.device, dtype=like.dtype) + place) * (1 / tile) - 0.5
     before = centre.floor()
     first, second = before.long().clamp(min=0), (before.long() + 1).clamp(max=count - 1)
     return first, second, centre - before
@@ -91,6 +124,7 @@ def equalize_clahe(
     clip_limit: float = 40.0,
     grid_size: tuple[int, int] = (8, 8),
     slow_and_differentiable: bool = False,
+    opencv: bool = False,
 ) -> Tensor:
     """Equalise every image plane region by region, without making more of noise than a limit allows.
 
@@ -103,6 +137,9 @@ def equalize_clahe(
         clip_limit: how many times the mean count a level of a tile may count; 0 for no limit.
         grid_size: tiles along (y, x). Any grid fits any image.
         slow_and_differentiable: count with a smooth kernel, so that the tables have a gradient.
+        opencv: give what `cv2.createCLAHE` gives for the bytes 255 x, divided by 255: centres of tiles are taken half
+            a pixel further on, an axis whose tiles fit is continued where those of the other one do not, and the
+            result is rounded to a level. Not with slow_and_differentiable.
 
     Returns:
         The equalised image, in [0, 1].
@@ -110,7 +147,7 @@ def equalize_clahe(
     Raises:
         TypeCheckError: input is no floating-point tensor; clip_limit no number; grid_size is not of ints.
         ShapeError: input is not (*, C, H, W), or has no pixels.
-        ValueCheckError: clip_limit below 0; grid_size below 1.
+        ValueCheckError: clip_limit below 0; grid_size below 1; opencv with slow_and_differentiable.
 
     Source: K. Zuiderveld, "Contrast limited adaptive histogram equalization" (1994).
 
@@ -125,5 +162,10 @@ def equalize_clahe(
         raise TypeCheckError(f"equalize_clahe: expected grid_size to be (y, x), got {grid_size!r}")
     rows, columns = _check.pair("equalize_clahe", "grid_size", tuple(grid_size))
     _check.flag("equalize_clahe", "slow_and_differentiable", slow_and_differentiable)
-    planes = as_batch(input).flatten(0, 1)
-    return _reference(planes, limit, rows, columns, slow_and_differentiable).reshape(input.shape)
+    _check.flag("equalize_clahe", "opencv", opencv)
+    x = as_batch(input)
+    if not slow_and_differentiable:
+        return _equalize_clahe(x, limit, rows, columns, opencv).reshape(input.shape)
+    if opencv:
+        raise ValueCheckError("equalize_clahe: expected opencv without slow_and_differentiable, got both")
+    return _equalize_clahe_smooth(x, limit, rows, columns).reshape(input.shape)

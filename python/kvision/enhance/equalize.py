@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision import _check
+from kvision._ops import register
 from kvision.enhance.batch import as_batch, images
 
 LEVELS = 256
@@ -20,38 +22,69 @@ def levels(x: Tensor) -> Tensor:
 
 
 def level_counts(level: Tensor, counted: Tensor) -> Tensor:
-    """How often each level occurs: (N, P) levels and which of them count, as (N, 256)."""
-    zero = torch.zeros_like(level[:, :1]).expand(-1, LEVELS)
-    return zero.scatter_add(1, level, counted.to(level.dtype))
+    """How often each level occurs: (*, P) levels and which of them count, as (*, 256)."""
+    zero = torch.zeros_like(level[..., :1]).expand(*level.shape[:-1], LEVELS)
+    return zero.scatter_add(-1, level, counted.to(level.dtype))
 
 
-def _reference(x: Tensor) -> Tensor:
-    """(N, P): every row by itself."""
-    level, number = levels(x), ~x.isnan()
-    counts = level_counts(level, number)
-    # As PIL does: a whole number of pixels makes one output level, and the brightest bin that is not empty is left out.
-    bins = torch.arange(LEVELS, device=x.device)
-    brightest = torch.where(counts > 0, bins, 0).amax(1, keepdim=True)
-    step = (counts.sum(1, keepdim=True) - counts.gather(1, brightest)) // 255
-    darker = counts.cumsum(1) - counts
-    table = ((darker + step // 2) // step.clamp(min=1)).clamp(max=255)
-    equalized = (table.gather(1, level).to(x.dtype)) / 255
-    return torch.where((step > 0) & number, equalized, x)
+def _reference(x: Tensor, opencv: bool) -> tuple[Tensor, Tensor]:
+    """(B, C, H, W) planes by themselves, and (B, C): 1 for planes that change, 0 for those that stay as they are."""
+    flat = x.flatten(2)
+    level, number = levels(flat), ~flat.isnan()
+    table, changes = (_opencv_table if opencv else _pil_table)(level_counts(level, number))
+    equalized = table.gather(-1, level).to(x.dtype) / 255
+    return torch.where(changes & number, equalized, flat).reshape(x.shape), changes.to(x.dtype).squeeze(-1)
 
 
-def equalize(input: Tensor) -> Tensor:
+def _pil_table(counts: Tensor) -> tuple[Tensor, Tensor]:
+    """A whole number of pixels makes one output level, and the brightest level that is not empty is left out."""
+    bins = torch.arange(LEVELS, device=counts.device)
+    brightest = torch.where(counts > 0, bins, 0).amax(-1, keepdim=True)
+    step = (counts.sum(-1, keepdim=True) - counts.gather(-1, brightest)) // 255
+    darker = counts.cumsum(-1) - counts
+    return ((darker + step // 2) // step.clamp(min=1)).clamp(max=255), step > 0
+
+
+def _opencv_table(counts: Tensor) -> tuple[Tensor, Tensor]:
+    """The darkest level that is not empty is left out, and levels are rounded."""
+    darkest = counts.gather(-1, (counts > 0).int().argmax(-1, keepdim=True))
+    counted = counts.sum(-1, keepdim=True) - darkest
+    up_to = (counts.cumsum(-1) - darkest).clamp(min=0)
+    scale = torch.full_like(counted, 255, dtype=torch.float32) / counted.clamp(min=1)  # 255 / x multiplies by 1 / x
+    return (up_to * scale).round(), counted > 0
+
+
+def _backward(needs, grad, _, output, changed, *args):
+    """Levels have no gradient; what comes back as it is has its own."""
+    return [grad.masked_fill((changed > 0)[..., None, None] & ~output.isnan(), 0)]
+
+
+_equalize = register(
+    "equalize",
+    _reference,
+    fake=lambda x, _: [x.shape, x.shape[:2]],
+    backward=_backward,
+    saves_results=True,
+    constant=(1,),
+    halves=True,
+)
+
+
+def equalize(input: Tensor, opencv: bool = False) -> Tensor:
     """Spread the values of every image plane evenly over [0, 1]; PIL's equalize.
 
     Args:
         input: (*, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0 or
             1, and NaN does not count.
+        opencv: give what `cv2.equalizeHist` gives for the bytes 255 x, divided by 255, in place of PIL's.
 
     Returns:
-        The image with equalised levels, divided by 255. A plane that has no 255 pixels below its brightest level comes
-        back as it is. There is no gradient, except that of the pixels that come back as they are.
+        The image with equalised levels, divided by 255. A plane that has no 255 pixels below its brightest level, or
+        with opencv all pixels in one level, comes back as it is. There is no gradient, except that of the pixels that
+        come back as they are.
 
     Raises:
-        TypeCheckError: input is no floating-point tensor.
+        TypeCheckError: input is no floating-point tensor, opencv no bool.
         ShapeError: input is not (*, H, W), or has no pixels.
 
     Example:
@@ -62,7 +95,8 @@ def equalize(input: Tensor) -> Tensor:
         (tensor(0.), tensor(1.))
     """
     images("equalize", "input", input)
-    return _reference(as_batch(input).flatten(-2).flatten(0, 1)).reshape(input.shape)
+    _check.flag("equalize", "opencv", opencv)
+    return _equalize(as_batch(input), opencv)[0].reshape(input.shape)
 
 
 def equalize3d(input: Tensor) -> Tensor:
@@ -84,5 +118,4 @@ def equalize3d(input: Tensor) -> Tensor:
         torch.Size([2, 1, 4, 16, 16])
     """
     images("equalize3d", "input", input, spatial=3)
-    volumes = input[None] if input.dim() == 3 else input
-    return _reference(volumes.flatten(-3).flatten(0, -2)).reshape(input.shape)
+    return _equalize(as_batch(input.flatten(-3, -2)), False)[0].reshape(input.shape)

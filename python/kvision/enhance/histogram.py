@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
 _KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
@@ -63,14 +64,43 @@ def pieces(pixels: int, bins: int) -> int:
 
 def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) -> Tensor:
     """(N, P) values and (K,) centers to (N, K): the sums of the kernel at (x - center) / bandwidth."""
-    shape = _KERNELS[kernel]
+    centers, bandwidth = centers[None], bandwidth.reshape(1)
+    if kernel == "gaussian":
+        return _gaussian_counts(x, centers, bandwidth)
+    return _counts_in_pieces(_KERNELS[kernel], x, centers, bandwidth)
+
+
+def _counts_in_pieces(shape: Callable[[Tensor], Tensor], x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
+    """As kernel_counts, with centers (N, K) or (1, K) and bandwidths (N,) or (1,)."""
 
     def counts(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
-        return shape((x[:, None] - centers[:, None]).abs() / bandwidth).sum(2)
+        return shape((x[:, None] - centers[..., None]).abs() / bandwidth[:, None, None]).sum(2)
 
     x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # too far away to count
-    parts = x.chunk(pieces(x.shape[1], centers.shape[0]), 1)
+    parts = x.chunk(pieces(x.shape[1], centers.shape[1]), 1)
     return _total([recomputed(counts, part, centers, bandwidth) for part in parts])
+
+
+def _reference(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
+    return _counts_in_pieces(_KERNELS["gaussian"], x, centers, bandwidth)
+
+
+_gaussian_counts_backward = register("gaussian_counts_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
+
+
+def _backward(needs, grad, x, centers, bandwidth):
+    """Centers and bandwidth are few, and seldom learnt: theirs is the reference's."""
+    found = [None] * 3
+    if any(needs[1:]):
+        found = _gaussian_counts.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
+    if needs[0]:
+        found[0] = _gaussian_counts_backward(grad, x, centers, bandwidth)
+    return found
+
+
+_gaussian_counts = register(
+    "gaussian_counts", _reference, fake=lambda x, centers, _: (x.shape[0], centers.shape[1]), backward=_backward
+)
 
 
 def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Tensor:

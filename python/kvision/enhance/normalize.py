@@ -1,4 +1,4 @@
-"""Normalisation by given statistics, back, and by the range of every plane."""
+"""Normalisation by given statistics, and back."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
 from kvision.color.program import step
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.brightness import line
@@ -18,12 +17,6 @@ from kvision.enhance.brightness import line
 
 def _to_unit(x: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
     return (x - mean) / std
-
-
-def _stretch(x: Tensor, low: float, high: float, eps: float) -> Tensor:
-    darkest = x.amin((-2, -1), keepdim=True)
-    span = x.amax((-2, -1), keepdim=True) - darkest
-    return (high - low) * (x - darkest) / (span + eps) + low
 
 
 def _by_channel(formula: Callable[..., Tensor]) -> Callable[..., Tensor]:
@@ -34,7 +27,6 @@ def _by_channel(formula: Callable[..., Tensor]) -> Callable[..., Tensor]:
 _normalize = step("standardize", _to_unit)
 step("standardize_rgb", _by_channel(_to_unit))
 step("line_rgb", _by_channel(lambda x, factor, shift: x * factor + shift))
-_normalize_min_max = as_stored(_stretch)
 
 
 def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -87,40 +79,6 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
     """
     x, m, s = _arguments("denormalize", data, mean, std)
     return line(x, s, m, False).reshape(data.shape)
-
-
-def normalize_min_max(input: Tensor, min_val: float = 0.0, max_val: float = 1.0, eps: float = 1e-6) -> Tensor:
-    """Map the range of every image plane to [min_val, max_val].
-
-    Args:
-        input: (*, H, W); integers are computed in float32.
-        min_val: what the smallest value of a plane becomes.
-        max_val: what the largest one becomes, up to eps.
-        eps: added to the range of the plane, so that a flat one becomes min_val.
-
-    Returns:
-        (max_val - min_val) * (input - smallest) / (largest - smallest + eps) + min_val, differentiable; several
-        smallest or largest pixels share their gradient.
-
-    Raises:
-        TypeCheckError: input is no real tensor; min_val, max_val or eps no number.
-        ShapeError: input has less than two axes, or planes without pixels.
-        ValueCheckError: eps below 0.
-
-    Example:
-        >>> import torch, kvision as K
-        >>> K.enhance.normalize_min_max(torch.tensor([[2.0, 3.0, 4.0]]), 0.0, 10.0)
-        tensor([[ 0.0000,  5.0000, 10.0000]])
-    """
-    _check.numbers("normalize_min_max", "input", input)
-    if input.dim() < 2 or 0 in input.shape[-2:]:
-        raise ShapeError(
-            f"normalize_min_max: expected input of shape (*, H, W) with H, W of at least 1, got {tuple(input.shape)}",
-            actual_shape=input.shape,
-        )
-    low = _check.number("normalize_min_max", "min_val", min_val)
-    high = _check.number("normalize_min_max", "max_val", max_val)
-    return _normalize_min_max(floats(input), low, high, _check.number("normalize_min_max", "eps", eps, minimum=0))
 
 
 def _arguments(

@@ -1,0 +1,162 @@
+"""The enhance module: adjustments, statistics of whole images, and chains of steps in one pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+
+import kvision
+from benchmarks.case import Bars, Case, nonlinear_backward
+from benchmarks.peers import optional
+
+cv2 = optional("cv2")
+kornia = optional("kornia")
+skexposure = optional("skimage.exposure")
+tvision = optional("torchvision.transforms.functional")
+
+nonlinear = {"backward": nonlinear_backward}
+MEAN, STD = torch.tensor([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])
+
+
+def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Callable[..., Any]], **more: Any) -> Case:
+    """A case whose `call(library, input)` reads the same in kvision and in Kornia."""
+    return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
+
+
+# -- adjustments. What OpenCV has no function for is made of those it has.
+
+
+def brightness_opencv(x, out=None):
+    out = cv2.add(x, (0.2,) * 4, out)
+    return cv2.min(out, (1,) * 4, out)
+
+
+def contrast_opencv(x, out=None):
+    out = cv2.multiply(x, (1.3,) * 4, out)
+    return cv2.min(out, (1,) * 4, out)
+
+
+def contrast_mean_opencv(x, out=None, grey=None):
+    grey = cv2.cvtColor(x, cv2.COLOR_RGB2GRAY, grey)
+    out = cv2.addWeighted(x, 1.3, x, 0, -0.3 * cv2.mean(grey)[0], out)
+    return cv2.max(cv2.min(out, (1,) * 4, out), (0,) * 4, out), grey
+
+
+# -- statistics of whole images, one plane after the other
+
+
+def of_planes(equalize: Callable[[Any], Any]) -> Callable[..., Any]:
+    """OpenCV equalizes planes of bytes; from the same float image, whose levels are floor(255 x)."""
+
+    def work(x, out=None, levels=None):
+        levels = np.empty(x.shape, np.uint8) if levels is None else levels
+        np.multiply(x, 255, levels, casting="unsafe")
+        for channel in range(levels.shape[2]):
+            cv2.insertChannel(equalize(cv2.extractChannel(levels, channel)), levels, channel)
+        return np.multiply(levels, np.float32(1 / 255), out), levels
+
+    return work
+
+
+def clahe_opencv(plane):
+    return cv2.createCLAHE(40.0, (8, 8)).apply(plane)
+
+
+CASES = [
+    case(
+        "brightness",
+        lambda K, x: K.enhance.adjust_brightness(x, 0.2),
+        Bars(floor=1.1, both=1.3, half=1.7, opencv=1.0),
+        {"opencv": brightness_opencv},
+        **nonlinear,
+    ),
+    case(
+        "contrast",
+        lambda K, x: K.enhance.adjust_contrast(x, 1.3),
+        Bars(floor=1.1, both=1.3, half=1.7, opencv=1.0),
+        {"opencv": contrast_opencv},
+        **nonlinear,
+    ),
+    case(
+        "contrast_mean",
+        lambda K, x: K.enhance.adjust_contrast_with_mean_subtraction(x, 1.3),
+        Bars(floor=1.7, launches=2, opencv=1.0),
+        {"opencv": contrast_mean_opencv, "torchvision": lambda x: tvision.adjust_contrast(x, 1.3)},
+        **nonlinear,
+    ),
+    case(
+        "saturation",
+        lambda K, x: K.enhance.adjust_saturation(x, 1.3),
+        Bars(floor=1.12, both=1.3, half=1.7),
+        {},
+        **nonlinear,
+    ),
+    case(
+        "saturation_grey",
+        lambda K, x: K.enhance.adjust_saturation_with_gray_subtraction(x, 1.3),
+        Bars(floor=1.12, both=1.3, half=1.7),
+        {"torchvision": lambda x: tvision.adjust_saturation(x, 1.3)},
+        **nonlinear,
+    ),
+    case(
+        "hue",
+        lambda K, x: K.enhance.adjust_hue(x, 0.6),
+        Bars(floor=1.12, both=1.3, half=1.7),
+        {"torchvision": lambda x: tvision.adjust_hue(x, 0.3 / math.pi)},
+        **nonlinear,
+    ),
+    case(
+        "gamma",
+        lambda K, x: K.enhance.adjust_gamma(x, 2.2),
+        Bars(floor=1.15, both=1.3, half=1.7, opencv=1.0),
+        {
+            "opencv": lambda x, out=None: cv2.pow(x, 2.2, out),
+            "skimage": lambda x: skexposure.adjust_gamma(x, 2.2),
+            "torchvision": lambda x: tvision.adjust_gamma(x, 2.2),
+        },
+        **nonlinear,
+    ),
+    case(
+        "invert",
+        lambda K, x: K.enhance.invert(x),
+        Bars(floor=1.1, half=1.7),
+        {"torchvision": lambda x: tvision.invert(x)},
+    ),
+    case(
+        "normalize",
+        lambda K, x: K.enhance.normalize(x, MEAN.to(x), STD.to(x)),
+        Bars(floor=1.12, both=1.3, half=1.7),
+        {"torchvision": lambda x: tvision.normalize(x, MEAN.tolist(), STD.tolist())},
+    ),
+    case(
+        "equalize",
+        lambda K, x: K.enhance.equalize(x),
+        Bars(floor=2.0),
+        {},
+    ),
+    Case(
+        "equalize_opencv",
+        lambda x: kvision.enhance.equalize(x, opencv=True),
+        {"opencv": of_planes(lambda plane: cv2.equalizeHist(plane))},
+        Bars(floor=2.0, opencv=1.0),
+    ),
+    case("clahe", lambda K, x: K.enhance.equalize_clahe(x), Bars(floor=4.0, launches=None), {}),
+    Case(
+        "clahe_opencv",
+        lambda x: kvision.enhance.equalize_clahe(x, opencv=True),
+        {"opencv": of_planes(clahe_opencv)},
+        Bars(floor=4.0, launches=None, opencv=1.0),
+    ),
+    case(
+        "histogram",
+        lambda K, x: K.enhance.image_histogram2d(x, 0.0, 1.0, 256)[0],
+        Bars(floor=6.0, launches=None),
+        {},
+        **nonlinear,
+    ),
+]

@@ -1,0 +1,51 @@
+// CLAHE: schema and entry, for CPU and CUDA alike.
+#include "clahe.h"
+#include "flat_glue.h"
+
+namespace kv {
+namespace {
+
+constexpr int64_t kMostTiles = (1 << 15) - 1;  // along an axis
+
+// Tiles of equal size; where they do not fit the pixels, OpenCV continues the other axis as well.
+TileAxis axis_of(int64_t pixels, int64_t tiles, bool fits, bool opencv) {
+  int64_t const size = opencv && !fits ? pixels / tiles + 1 : (pixels + tiles - 1) / tiles;
+  return {int(tiles), int(size), int(pixels), !opencv};
+}
+
+Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int64_t columns, bool opencv) {
+  constexpr char const* op = "equalize_clahe";
+  check_flat(op, input);
+  int64_t const h = input.size(2), w = input.size(3);
+  KV_CHECK(rows > 0 && columns > 0 && rows <= kMostTiles && columns <= kMostTiles, op, ": expected a grid of 1 to ",
+           kMostTiles, " tiles along each axis, got ", rows, " x ", columns);
+  bool const fits = h % rows == 0 && w % columns == 0;
+  TileAxis const down = axis_of(h, rows, fits, opencv), across = axis_of(w, columns, fits, opencv);
+  int64_t const pixels = int64_t(down.size) * across.size;
+  KV_CHECK(pixels <= INT32_MAX, op, ": expected tiles of fewer than 2^31 pixels");
+  double const most = clip_limit * double(pixels) / kLevels;
+  int32_t const limit = clip_limit > 0 && most < INT32_MAX ? max(int32_t(most), 1) : INT32_MAX;
+
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), y = empty_like(x, layout);
+#if defined(KV_CUDA)
+  Tensor const memory =
+      torch::stable::new_empty(x, {x.size(0) * x.size(1), rows * columns * kLevels}, ScalarType::Byte);
+  auto* const tables = static_cast<uint8_t*>(memory.mutable_data_ptr());
+#else
+  uint8_t* const tables = nullptr;
+#endif
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Clahe<T> const params{
+        channel_planes<T const>(x, layout), channel_planes<T>(y, layout), down, across, limit, opencv, tables};
+    KV_RUN(clahe, x, params, params.x.count(), 4 * h * w);
+  });
+  return y;
+}
+
+}  // namespace
+
+KV_OPERATOR(equalize_clahe, "(Tensor input, float clip_limit, int rows, int columns, bool opencv) -> Tensor")
+
+}  // namespace kv

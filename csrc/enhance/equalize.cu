@@ -1,0 +1,172 @@
+// Equalisation on CUDA. A plane that fits one multiprocessor as bytes is read once: the block that counts its levels
+// keeps them, and maps them when the table is there. Others are counted by several blocks and read again.
+#include "equalize.h"
+#include "levels.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 384;
+using Counter = LevelCounter<8>;
+constexpr int kCountBytes = Counter::kSize * int(sizeof(int32_t));
+template <class T>
+constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // a multiprocessor
+
+// A few large planes keep more multiprocessors busy in pieces.
+constexpr bool fits_one_block(int64_t planes, int64_t pixels) {
+  return pixels <= (planes >= 64 ? 192 << 10 : 16 << 10);
+}
+
+// The table from level to value, as many copies of it as fit the memory of the counts.
+template <class F>
+struct Table {
+  static constexpr int kTables = kCountBytes / (kLevels * int(sizeof(F)));
+  F const* values;
+  __device__ __forceinline__ F operator[](int level) const { return values[level * kTables + threadIdx.x % kTables]; }
+};
+
+// From the count of thread i's level, for i < kLevels, to the table, in `memory`. False where the plane stays as it is.
+template <class F>
+__device__ __forceinline__ bool make_table(int count, bool opencv, void* memory) {
+  __shared__ int darkest, brightest;
+  int const level = threadIdx.x;
+  if (level == 0) darkest = brightest = 0;
+  if (level >= kLevels) count = 0;
+  int total;
+  int const up_to = sum_up_to<kThreads>(count, total);
+  if (count > 0 && up_to == count) darkest = count;  // all darker ones are empty
+  if (count > 0 && up_to == total) brightest = count;
+  __syncthreads();
+  Curve const curve{opencv, total, darkest, brightest};
+  if (level < kLevels && curve.changes()) {
+    F const value = F(curve(up_to, count)) / 255;
+    F* const values = static_cast<F*>(memory) + level * Table<F>::kTables;
+#pragma unroll
+    for (int i = 0; i < Table<F>::kTables; ++i) values[i] = value;
+  }
+  __syncthreads();
+  return curve.changes();
+}
+
+// Maps the pixels [begin, end) of a plane; without a table they stay as they are.
+template <bool Packed, class T>
+__device__ __forceinline__ void map_pixels(Equalize<T> const& p, int64_t plane, int begin, int end, bool has_table,
+                                           Table<Compute<T>> table) {
+  constexpr int P = kPixels<T>;
+  T* const y = p.y.plane(plane);
+  for_each_pack<kThreads, Packed, P>(p.x.plane(plane), p.x.step, begin, end, [&](Pack<T, P> const& pack, int i) {
+    Compute<T> v[P];
+#pragma unroll
+    for (int k = 0; k < P; ++k) {
+      int const level = level_of(pack.v[k]);
+      v[k] = has_table && level < kLevels ? table[level] : read(pack.v[k]);
+    }
+    store_pixels<Packed>(y, p.y.step, i, end, v);
+  });
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<T> p) {
+  using F = Compute<T>;
+  constexpr int P = kPixels<T>;
+  extern __shared__ __align__(16) unsigned char memory[];
+  Counter const counter{reinterpret_cast<int32_t*>(memory)};
+  unsigned char* const levels = memory + kCountBytes;  // one a pixel, in packs
+  int const n = int(p.x.width);
+
+  counter.clear();
+  __syncthreads();
+  bool has_nan = false;
+  for_each_pack<kThreads, true, P>(p.x.plane(blockIdx.x), 1, 0, n, [&](Pack<T, P> const& pack, int i) {
+    Pack<unsigned char, P> bytes;
+#pragma unroll
+    for (int k = 0; k < P; ++k) {
+      int const level = level_of(pack.v[k]);
+      counter.add(level);
+      has_nan = has_nan || level == kNanLevel;
+      bytes.v[k] = static_cast<unsigned char>(level);
+    }
+    *reinterpret_cast<Pack<unsigned char, P>*>(levels + i) = bytes;
+  });
+  has_nan = __syncthreads_or(has_nan);
+  int const count = threadIdx.x < kLevels ? counter[threadIdx.x] : 0;
+  __syncthreads();
+  bool const changes = make_table<F>(count, p.opencv, memory);
+  Table<F> const table{reinterpret_cast<F*>(memory)};
+  if (threadIdx.x == 0) p.changed[blockIdx.x] = round_to<T>(F(changes));
+
+  // A byte has no room for NaN.
+  if (has_nan || !changes) return map_pixels<true>(p, blockIdx.x, 0, n, changes, table);
+  T* const y = p.y.plane(blockIdx.x);
+  for (int i = int(threadIdx.x) * P; i < n; i += kThreads * P) {
+    Pack<unsigned char, P> const bytes = *reinterpret_cast<Pack<unsigned char, P> const*>(levels + i);
+    F v[P];
+#pragma unroll
+    for (int k = 0; k < P; ++k) v[k] = table[bytes.v[k]];
+    store_pack(y + i, v);
+  }
+}
+
+// Pieces of planes, `each` pixels a block.
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned pieces, int each) {
+  constexpr int P = kPixels<T>;
+  __shared__ int32_t counts[Counter::kSize];
+  Counter const counter{counts};
+  unsigned const plane = blockIdx.x / pieces;
+  int64_t const begin = int64_t(blockIdx.x % pieces) * each;
+  int const end = int(min(begin + each, p.x.width));
+  counter.clear();
+  __syncthreads();
+  for_each_pack<kThreads, Packed, P>(p.x.plane(plane), p.x.step, int(begin), end, [&](Pack<T, P> const& pack, int i) {
+#pragma unroll
+    for (int k = 0; k < P; ++k)
+      if (Packed || i + k < end) counter.add(level_of(pack.v[k]));
+  });
+  __syncthreads();
+  if (threadIdx.x < kLevels) atomicAdd(p.counts + int64_t(plane) * kLevels + threadIdx.x, counter[threadIdx.x]);
+}
+
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p, unsigned pieces, int each) {
+  using F = Compute<T>;
+  __shared__ __align__(16) unsigned char memory[kCountBytes];
+  unsigned const plane = blockIdx.x / pieces;
+  int64_t const begin = int64_t(blockIdx.x % pieces) * each;
+  int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
+  bool const changes = make_table<F>(count, p.opencv, memory);
+  if (begin == 0 && threadIdx.x == 0) p.changed[plane] = round_to<T>(F(changes));
+  map_pixels<Packed>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
+                     Table<F>{reinterpret_cast<F*>(memory)});
+}
+
+template <bool Packed, class T>
+int equalize_in_pieces(Equalize<T> const& p, CUstream_st* stream) {
+  int64_t const planes = p.x.count(), pixels = p.x.width;
+  // Small enough that all multiprocessors have several, large enough that tables are a small part of the work.
+  int64_t const each = clamp((planes * pixels) >> 10, int64_t(8) << 10, int64_t(64) << 10) / 4096 * 4096;
+  unsigned const pieces = unsigned(ceil_div(pixels, each)), blocks = unsigned(planes) * pieces;
+  if (int const error = cudaMemsetAsync(p.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;
+  count_levels<T, Packed><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+  map_levels<T, Packed><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+  return cudaGetLastError();
+}
+
+}  // namespace
+
+template <class T>
+int equalize(Equalize<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  if (!is_strip<P>(p.x) || !is_strip<P>(p.y)) return equalize_in_pieces<false>(p, stream);
+  int64_t const planes = p.x.count(), pixels = p.x.width;
+  if (!fits_one_block(planes, pixels)) return equalize_in_pieces<true>(p, stream);
+  int const bytes = kCountBytes + int(pixels);
+  if (int const error = cudaFuncSetAttribute(equalize_plane<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+    return error;
+  equalize_plane<<<unsigned(planes), kThreads, bytes, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(equalize, Equalize)
+
+}  // namespace kv::cuda

@@ -1,0 +1,64 @@
+// Equalisation on the CPU: count, make the table, map. Levels are found twice instead of kept.
+#include "equalize.h"
+#include "levels_cpu.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// What every level becomes, and NaN. False where the plane stays as it is.
+template <class T>
+KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels + 1]) {
+  using F = Compute<T>;
+  Curve curve{opencv, 0, 0, 0};
+  for (int i = 0; i < kLevels; ++i) {
+    if (curve.pixels == 0) curve.darkest = counts[i];
+    if (counts[i] > 0) curve.brightest = counts[i];
+    curve.pixels += counts[i];
+  }
+  if (!curve.changes()) return false;
+  int32_t up_to = 0;
+  for (int i = 0; i < kLevels; ++i) {
+    up_to += counts[i];
+    store<1>(table + i, F(curve(up_to, counts[i])) / 255);
+  }
+  store<1>(table + kNanLevel, F(__builtin_nanf("")));
+  return true;
+}
+
+}  // namespace
+
+template <class T>
+void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
+  uint16_t level[kPiece];
+  T memory[kPiece];
+  T table[kLevels + 1];
+  int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
+  for (int64_t plane = begin; plane < end; ++plane) {
+    T const* const x = p.x.plane(plane);
+    T* const y = p.y.plane(plane);
+    LevelCounts counts;
+    for (int64_t i = 0; i < pixels; i += kPiece) {
+      int64_t const n = min(kPiece, pixels - i);
+      levels_of(gathered(x + i * from, from, n, memory), n, level);
+      counts.add(level, n);
+    }
+    bool const changed = make_table(counts, p.opencv, table);
+    store<1>(p.changed + plane, Compute<T>(changed));
+    if (!changed) {
+      for (int64_t i = 0; i < pixels; ++i) y[i * to] = x[i * from];
+      continue;
+    }
+    for (int64_t i = 0; i < pixels; i += kPiece) {
+      int64_t const n = min(kPiece, pixels - i);
+      levels_of(gathered(x + i * from, from, n, memory), n, level);
+      if (to == 1)
+        for (int64_t k = 0; k < n; ++k) y[i + k] = table[level[k]];
+      else
+        for (int64_t k = 0; k < n; ++k) y[(i + k) * to] = table[level[k]];
+    }
+  }
+}
+
+KV_INSTANTIATE(equalize, Equalize)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,39 @@
+// Image planes channel by channel, with or without rows, for statistics of planes. Included by *_op.cpp files.
+#pragma once
+
+#include "glue/glue.h"
+
+namespace kv {
+
+// `x` itself, or a dense copy: all pixels of a plane are then one row.
+inline Tensor dense(Tensor const& x, Layout layout) {
+  bool const last = layout == Layout::channels_last;
+  if (last ? x.stride(2) == x.size(3) * x.size(1) : x.stride(3) == 1 && x.stride(2) == x.size(3)) return x;
+  return last ? conform(torch::stable::contiguous(x), layout) : torch::stable::contiguous(x);
+}
+
+// The planes of an image tensor, each channel by itself in both layouts.
+template <class T>
+Planes<T> channel_planes(Tensor const& x, Layout layout) {
+  Planes<T> p = planes<T>(x, layout);
+  if (layout == Layout::channels_last) p.inner = p.step, p.inner_stride = 1;
+  return p;
+}
+
+// Those of a dense tensor, each as one row: pixel i is i * step elements behind the first one.
+template <class T>
+Planes<T> flat_planes(Tensor const& x, Layout layout) {
+  Planes<T> p = channel_planes<T>(x, layout);
+  p.width *= p.height;
+  p.height = 1;
+  p.row_stride = p.row_size();
+  return p;
+}
+
+// Pixels of a plane are counted in ints.
+inline void check_flat(char const* op, Tensor const& x) {
+  check_images(op, "input", x);
+  KV_CHECK(x.size(2) <= INT32_MAX / x.size(3), op, ": expected fewer than 2^31 pixels a plane");
+}
+
+}  // namespace kv

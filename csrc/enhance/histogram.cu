@@ -1,0 +1,263 @@
+// Sums of Gaussians on CUDA: a block counts a piece of a row. Moments are in shared memory, in fixed point, so that
+// atomic sums of them do not depend on their order.
+#include "core/launch.cuh"
+#include "histogram.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 1024, kWarps = kThreads / 32, kCells = 4096, kMostParts = 4;
+template <class T>
+constexpr int kBytes = sizeof(T) == sizeof(float) ? 4 * kCells * int(sizeof(int)) : 0;  // of shared memory
+constexpr unsigned kAll = 0xffffffffu;
+
+template <class T>
+__device__ __forceinline__ T warp_sum(T x) {
+#pragma unroll
+  for (int d = 16; d > 0; d /= 2) x += __shfl_xor_sync(kAll, x, d);
+  return x;
+}
+
+// The grid of a row, without cells where they do not fit. `sorted`: whether centers ascend.
+__device__ __forceinline__ MomentGrid grid_of(float const* centers, int bins, float h, bool& sorted) {
+  __shared__ float low[kWarps], high[kWarps];
+  bool finite = true;
+  float lowest, highest;
+  sorted = true;
+  lowest = highest = centers[0];
+  for (int k = threadIdx.x; k < bins; k += kThreads) {
+    float const c = centers[k];
+    finite = finite && c - c == 0;
+    sorted = sorted && (k == 0 || centers[k - 1] <= c);
+    lowest = c < lowest ? c : lowest, highest = c > highest ? c : highest;
+  }
+#pragma unroll
+  for (int d = 16; d > 0; d /= 2) {
+    lowest = min(lowest, __shfl_xor_sync(kAll, lowest, d));
+    highest = max(highest, __shfl_xor_sync(kAll, highest, d));
+  }
+  if (threadIdx.x % 32 == 0) low[threadIdx.x / 32] = lowest, high[threadIdx.x / 32] = highest;
+  finite = __syncthreads_and(finite);
+  sorted = __syncthreads_and(sorted);
+#pragma unroll
+  for (int i = 0; i < kWarps; ++i) lowest = min(lowest, low[i]), highest = max(highest, high[i]);
+  return MomentGrid(lowest, highest, h, finite ? kCells * kMostParts : 0);
+}
+
+// A warp a center.
+template <class T>
+__device__ __forceinline__ void count_directly(T const* x, int samples, T const* centers, T h, int bins, T* counts) {
+  for (int k = threadIdx.x / 32; k < bins; k += kWarps) {
+    T const center = centers[k];
+    T sum = 0;
+    for (int i = threadIdx.x % 32; i < samples; i += 32) {
+      T const u = (x[i] - center) / h, g = fast_exp2(u * u * T(-kHalfLog2E));
+      sum += x[i] == x[i] ? g : T(0);
+    }
+    sum = warp_sum(sum);
+    if (threadIdx.x % 32 == 0) counts[k] = sum;
+  }
+}
+
+// Moments of the cells of one part of the grid, each kCells of them.
+struct Moments {
+  int* sums;
+  static constexpr float kScale1 = 1 << 15, kScale2 = 1 << 16, kScale3 = 1 << 17;  // |t| <= 1/2: none exceeds 2^14
+
+  // All threads of a warp; those without a sample have a cell below 0. Where samples are alike, so are their cells, and
+  // threads that add to the same one wait for each other: then one adds for all.
+  __device__ __forceinline__ void add(int cell, float t) const {
+    bool const alike = __all_sync(kAll, cell == __shfl_sync(kAll, cell, 0));
+    if (cell < 0) return;
+    float const square = t * t;
+    int m0 = 1, m1 = __float2int_rn(t * kScale1), m2 = __float2int_rn(square * kScale2),
+        m3 = __float2int_rn(square * t * kScale3);
+    if (alike) {
+      m0 = 32, m1 = __reduce_add_sync(kAll, m1), m2 = __reduce_add_sync(kAll, m2), m3 = __reduce_add_sync(kAll, m3);
+      if (threadIdx.x % 32 != 0) return;
+    }
+    atomicAdd(sums + cell, m0);
+    atomicAdd(sums + cell + kCells, m1);
+    atomicAdd(sums + cell + 2 * kCells, m2);
+    atomicAdd(sums + cell + 3 * kCells, m3);
+  }
+  __device__ __forceinline__ float weighted(int cell, float u, float w) const {
+    return kv::weighted(u, w, float(sums[cell]), float(sums[cell + kCells]) * (1 / kScale1),
+                        float(sums[cell + 2 * kCells]) * (1 / kScale2), float(sums[cell + 3 * kCells]) * (1 / kScale3));
+  }
+};
+
+__device__ __forceinline__ void count_by_cells(float const* x, int samples, float const* centers, int bins,
+                                               MomentGrid const& grid, float* counts) {
+  extern __shared__ __align__(16) int memory[];
+  Moments const moments{memory};
+  float const per = 1 / grid.bandwidth, w = grid.width * per;
+  int const lane = threadIdx.x % 32;
+  for (int part = 0; part < grid.cells; part += kCells) {
+    int const cells = min(kCells, grid.cells - part);
+    __syncthreads();
+    for (int i = threadIdx.x; i < 4 * kCells; i += kThreads) memory[i] = 0;
+    __syncthreads();
+    constexpr int kAtOnce = 4;
+    float const first = float(grid.first + part);
+    for (int i = int(threadIdx.x); i - lane < samples; i += kThreads * kAtOnce) {
+      float v[kAtOnce];
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k) {
+        int const at = i + k * kThreads;
+        v[k] = at < samples ? x[at] : __int_as_float(0x7fffffff);  // NaN, which is in no cell
+      }
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k) {
+        float const place = v[k] * grid.inverse, whole = floorf(place), at = whole - first;
+        moments.add(at >= 0 && at < float(cells) ? int(at) : -1, place - whole - 0.5f);
+      }
+    }
+    __syncthreads();
+    for (int k = threadIdx.x / 32; k < bins; k += kWarps) {
+      float const center = centers[k];
+      int const end = min(grid.end(center) - part, cells);
+      float sum = 0;
+      for (int i = max(grid.begin(center) - part, 0) + lane; i < end; i += 32) {
+        float const u = (grid.middle(part + i) - center) * per;
+        sum += fast_exp2(u * u * float(-kHalfLog2E)) * moments.weighted(i, u, w);
+      }
+      sum = warp_sum(sum);
+      if (lane == 0) counts[k] = part == 0 ? sum : counts[k] + sum;
+    }
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) count_piece(GaussianCounts<T> p) {
+  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces;
+  T const *const x = p.x + row * p.samples + piece * p.piece, *const centers = p.centers + row * p.center_stride;
+  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+  T const h = p.bandwidth[row * p.bandwidth_stride];
+  T* const counts = p.partial + int64_t(blockIdx.x) * p.bins;
+  if constexpr (sizeof(T) == sizeof(float)) {
+    bool sorted;
+    MomentGrid const grid = grid_of(centers, bins, h, sorted);
+    if (grid.cells > 0) return count_by_cells(x, samples, centers, bins, grid, counts);
+  }
+  count_directly(x, samples, centers, h, bins, counts);
+}
+
+// A thread a sample.
+template <class T>
+__device__ __forceinline__ void differentiate_directly(T const* x, int samples, T const* centers, T h, int bins,
+                                                       T const* grad, T* grad_x) {
+  for (int i = threadIdx.x; i < samples; i += kThreads) {
+    T sum = 0;
+    for (int k = 0; k < bins; ++k) {
+      T const u = (x[i] - centers[k]) / h;
+      sum -= fast_exp2(u * u * T(-kHalfLog2E)) * u * grad[k];
+    }
+    grad_x[i] = x[i] == x[i] ? sum / h : T(0);
+  }
+}
+
+// The first of ascending centers that is not below x.
+__device__ __forceinline__ int first_from(float const* centers, int bins, float x) {
+  int begin = 0, end = bins;
+  while (begin < end) {
+    int const middle = (begin + end) / 2;
+    if (centers[middle] < x)
+      begin = middle + 1;
+    else
+      end = middle;
+  }
+  return begin;
+}
+
+__device__ __forceinline__ void differentiate_by_cells(float const* x, int samples, float const* centers, int bins,
+                                                       bool sorted, MomentGrid const& grid, float const* grad,
+                                                       float* grad_x) {
+  extern __shared__ __align__(16) int memory[];
+  float4* const table = reinterpret_cast<float4*>(memory);
+  float const per = 1 / grid.bandwidth, w = grid.width * per, reach = kReach * grid.bandwidth + grid.width;
+  for (int part = 0; part < grid.cells; part += kCells) {
+    int const cells = min(kCells, grid.cells - part);
+    __syncthreads();
+    for (int i = threadIdx.x; i < cells; i += kThreads) {
+      float const middle = grid.middle(part + i);
+      float sum[4] = {};
+      for (int k = sorted ? first_from(centers, bins, middle - reach) : 0; k < bins; ++k) {
+        float const center = centers[k];
+        if (sorted && center > middle + reach) break;
+        float const u = (middle - center) * per, g = fast_exp2(u * u * float(-kHalfLog2E)) * (grad[k] * per);
+        float c[4];
+        derivative(u, w, c);
+#pragma unroll
+        for (int j = 0; j < 4; ++j) sum[j] += g * c[j];
+      }
+      table[i] = {sum[0], sum[1], sum[2], sum[3]};
+    }
+    __syncthreads();
+    float const first = float(grid.first + part);
+#pragma unroll 4
+    for (int i = threadIdx.x; i < samples; i += kThreads) {
+      float const place = x[i] * grid.inverse, whole = floorf(place), at = whole - first;
+      if (at >= 0 && at < float(cells)) {
+        float4 const c = table[int(at)];
+        float const t = place - whole - 0.5f;
+        grad_x[i] = c.x + t * (c.y + t * (c.z + t * c.w));
+      } else if (part == 0) {
+        grad_x[i] = 0;
+      }
+    }
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) differentiate_piece(GaussianCountsBackward<T> b) {
+  GaussianCounts<T> const& p = b.forward;
+  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces,
+                at = row * p.samples + piece * p.piece;
+  T const *const x = p.x + at, *const centers = p.centers + row * p.center_stride, *const grad = b.grad + row * p.bins;
+  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+  T const h = p.bandwidth[row * p.bandwidth_stride];
+  if constexpr (sizeof(T) == sizeof(float)) {
+    bool sorted;
+    MomentGrid const grid = grid_of(centers, bins, h, sorted);
+    if (grid.cells > 0) return differentiate_by_cells(x, samples, centers, bins, sorted, grid, grad, b.grad_x + at);
+  }
+  differentiate_directly(x, samples, centers, h, bins, grad, b.grad_x + at);
+}
+
+template <class T>
+__global__ void add_pieces(GaussianCounts<T> p) {
+  int64_t const i = blockIdx.x * int64_t(256) + threadIdx.x, row = i / p.bins, k = i - row * p.bins;
+  if (row >= p.rows) return;
+  T const* const partial = p.partial + row * p.pieces * p.bins + k;
+  T sum = 0;
+  for (int64_t piece = 0; piece < p.pieces; ++piece) sum += partial[piece * p.bins];
+  p.counts[i] = sum;
+}
+
+}  // namespace
+
+template <class T>
+int gaussian_counts(GaussianCounts<T> const& p, CUstream_st* stream) {
+  if (int const error = cudaFuncSetAttribute(count_piece<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, kBytes<T>))
+    return error;
+  count_piece<<<unsigned(p.rows * p.pieces), kThreads, kBytes<T>, stream>>>(p);
+  if (p.pieces > 1) add_pieces<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int gaussian_counts_backward(GaussianCountsBackward<T> const& p, CUstream_st* stream) {
+  if (int const error =
+          cudaFuncSetAttribute(differentiate_piece<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, kBytes<T>))
+    return error;
+  differentiate_piece<<<unsigned(p.forward.rows * p.forward.pieces), kThreads, kBytes<T>, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, float)
+KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, double)
+KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, float)
+KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, double)
+
+}  // namespace kv::cuda

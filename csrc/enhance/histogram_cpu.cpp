@@ -1,0 +1,213 @@
+// Sums of Gaussians on the CPU.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "histogram.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+constexpr int kPiece = 512, kMostCells = 1 << 16;
+constexpr int64_t kFewSamples = 256;  // that cells are not worth the trouble for
+
+// Center by center and sample by sample.
+template <class T>
+KV_HD void count_directly(GaussianCounts<T> const& p, T const* x, T const* centers, T h, T* counts) {
+  for (int64_t k = 0; k < p.bins; ++k) {
+    T const center = centers[k];
+    double total = 0;
+    auto const gaussian = [&](auto width, int64_t i) {
+      constexpr int N = decltype(width)::value;
+      Lanes<T, N> const v = load<N>(x + i), u = (v - center) / h, g = vexp2<T, N>(u * u * T(-kHalfLog2E));
+      return v == v ? g : broadcast<N>(T(0));
+    };
+    constexpr int N = kLanes<T>;
+    int64_t i = 0;
+    while (i + N <= p.samples) {
+      Lanes<T, N> sum{};
+      for (int64_t const end = min(i + 64 * N, p.samples); i + N <= end; i += N) sum = sum + gaussian(Width<N>{}, i);
+      for (int k = 0; k < N; ++k) total += sum[k];
+    }
+    for (; i < p.samples; ++i) total += gaussian(Width<1>{}, i);
+    counts[k] = T(total);
+  }
+}
+
+// The cells of n <= kPiece samples, and their places there; of those outside, the cell behind the last.
+KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* cell, float* t) {
+  for_each_vector<float>(0, n, [&](auto width, int64_t i) {
+    constexpr int N = decltype(width)::value;
+    using V = Lanes<float, N>;
+    V const place = load<N>(x + i) * grid.inverse, whole = vfloor(place), at = whole - float(grid.first);
+    auto const inside = (at >= 0) & (at < float(grid.cells));
+    V const place_or_behind = inside ? at : broadcast<N>(float(grid.cells));
+    store<N>(t + i, inside ? V(place - whole - 0.5f) : broadcast<N>(0.f));
+    if constexpr (N == 1)
+      cell[i] = int32_t(place_or_behind);
+    else
+      *reinterpret_cast<Lanes<int32_t, N>*>(cell + i) = __builtin_convertvector(place_or_behind, Lanes<int32_t, N>);
+  });
+}
+
+// Adds samples to the moments of their cells, four beside each other.
+KV_HD void add_moments(MomentGrid const& grid, float const* x, int64_t n, float* moments) {
+  int32_t cell[kPiece];
+  float t[kPiece];
+  for (int64_t begin = 0; begin < n; begin += kPiece) {
+    int64_t const count = min(int64_t(kPiece), n - begin);
+    cells_of(grid, x + begin, count, cell, t);
+    for (int64_t i = 0; i < count; ++i) {
+      float* const to = moments + 4 * cell[i];
+      float const square = t[i] * t[i];
+      store<4>(to, load<4>(to) + Lanes<float, 4>{1, t[i], square, square * t[i]});
+    }
+  }
+}
+
+KV_HD void count_cells(MomentGrid const& grid, float const* const (&m)[4], float const* centers, int64_t bins,
+                       double* counts) {
+  constexpr int N = kLanes<float>;
+  using V = Lanes<float, N>;
+  float const per = 1 / grid.bandwidth, w = grid.width * per;
+  V step;
+  for (int i = 0; i < N; ++i) step[i] = float(i) * grid.width;
+  for (int64_t k = 0; k < bins; ++k) {
+    V sum{};
+    for (int i = grid.begin(centers[k]), end = grid.end(centers[k]); i < end; i += N) {  // further cells do no harm
+      V const u = (step + (grid.middle(i) - centers[k])) * per;
+      sum = sum + vexp2<float, N>(u * u * float(-kHalfLog2E)) *
+                      weighted(u, w, load<N>(m[0] + i), load<N>(m[1] + i), load<N>(m[2] + i), load<N>(m[3] + i));
+    }
+    for (int i = 0; i < N; ++i) counts[k] += sum[i];
+  }
+}
+
+// The grid of a row, without cells where they do not fit or are not worth the trouble.
+KV_HD MomentGrid grid_of(GaussianCounts<float> const& p, float const* centers, float h) {
+  float lowest = centers[0], highest = centers[0];
+  bool useful = p.samples > kFewSamples;
+  for (int64_t k = 0; k < p.bins; ++k) {
+    useful = useful && centers[k] - centers[k] == 0;
+    lowest = centers[k] < lowest ? centers[k] : lowest;
+    highest = centers[k] > highest ? centers[k] : highest;
+  }
+  return MomentGrid(lowest, highest, h, useful ? kMostCells : 0);
+}
+
+// Four numbers for every cell, for the one behind the last, and for a vector that reaches beyond it; zero at first.
+struct CellMemory {
+  int64_t size;
+  Scratch<float> memory;
+  KV_HD CellMemory(MomentGrid const& grid) : size(grid.cells + 1 + kLanes<float>), memory(4 * size) { clear(); }
+  KV_HD void clear() const {
+    for (int64_t i = 0; i < 4 * size; ++i) memory.data[i] = 0;
+  }
+  KV_HD float* apart(int kind) const { return memory.data + kind * size; }
+};
+
+KV_HD void count_by_cells(GaussianCounts<float> const& p, MomentGrid const& grid, float const* x, float const* centers,
+                          float* counts) {
+  CellMemory const moments(grid), apart(grid);
+  Scratch<double> const sums(p.bins);
+  for (int64_t k = 0; k < p.bins; ++k) sums.data[k] = 0;
+  float* const m[4] = {apart.apart(0), apart.apart(1), apart.apart(2), apart.apart(3)};
+  for (int64_t i = 0; i < p.samples; i += kMostSamples) {
+    if (i > 0) moments.clear();
+    add_moments(grid, x + i, min(int64_t(kMostSamples), p.samples - i), moments.memory.data);
+    for (int64_t k = 0; k < grid.cells; ++k)
+      for (int j = 0; j < 4; ++j) m[j][k] = moments.memory.data[4 * k + j];
+    count_cells(grid, m, centers, p.bins, sums.data);
+  }
+  for (int64_t k = 0; k < p.bins; ++k) counts[k] = float(sums.data[k]);
+}
+
+// Sample by sample and center by center.
+template <class T>
+KV_HD void differentiate_directly(GaussianCounts<T> const& p, T const* x, T const* centers, T h, T const* grad,
+                                  T* grad_x) {
+  for_each_vector<T>(0, p.samples, [&](auto width, int64_t i) {
+    constexpr int N = decltype(width)::value;
+    Lanes<T, N> const v = load<N>(x + i);
+    Lanes<T, N> sum{};
+    for (int64_t k = 0; k < p.bins; ++k) {
+      Lanes<T, N> const u = (v - centers[k]) / h;
+      sum = sum - vexp2<T, N>(u * u * T(-kHalfLog2E)) * u * grad[k];
+    }
+    store<N>(grad_x + i, v == v ? Lanes<T, N>(sum / h) : broadcast<N>(T(0)));
+  });
+}
+
+KV_HD void differentiate_by_cells(GaussianCounts<float> const& p, MomentGrid const& grid, float const* x,
+                                  float const* centers, float const* grad, float* grad_x) {
+  constexpr int N = kLanes<float>;
+  using V = Lanes<float, N>;
+  CellMemory const apart(grid), table(grid);
+  float const per = 1 / grid.bandwidth, w = grid.width * per;
+  V step;
+  for (int i = 0; i < N; ++i) step[i] = float(i) * grid.width;
+  for (int64_t k = 0; k < p.bins; ++k)
+    for (int i = grid.begin(centers[k]), end = grid.end(centers[k]); i < end; i += N) {
+      V const u = (step + (grid.middle(i) - centers[k])) * per;
+      V const g = vexp2<float, N>(u * u * float(-kHalfLog2E)) * (grad[k] * per);
+      V c[4];
+      derivative(u, w, c);
+      for (int j = 0; j < 4; ++j) store<N>(apart.apart(j) + i, load<N>(apart.apart(j) + i) + g * c[j]);
+    }
+  for (int64_t i = 0; i < grid.cells; ++i)
+    for (int j = 0; j < 4; ++j) table.memory.data[4 * i + j] = apart.apart(j)[i];
+
+  int32_t cell[kPiece];
+  float t[kPiece];
+  for (int64_t begin = 0; begin < p.samples; begin += kPiece) {
+    int64_t const count = min(int64_t(kPiece), p.samples - begin);
+    cells_of(grid, x + begin, count, cell, t);
+    for (int64_t i = 0; i < count; ++i) {
+      float const* const c = table.memory.data + 4 * cell[i];
+      grad_x[begin + i] = c[0] + t[i] * (c[1] + t[i] * (c[2] + t[i] * c[3]));
+    }
+  }
+}
+
+}  // namespace
+
+template <class T>
+void gaussian_counts(GaussianCounts<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t row = begin; row < end; ++row) {
+    T const *const x = p.x + row * p.samples, *const centers = p.centers + row * p.center_stride;
+    T const h = p.bandwidth[row * p.bandwidth_stride];
+    T* const counts = p.counts + row * p.bins;
+    if constexpr (sizeof(T) == sizeof(float)) {
+      MomentGrid const grid = grid_of(p, centers, h);
+      if (grid.cells > 0) {
+        count_by_cells(p, grid, x, centers, counts);
+        continue;
+      }
+    }
+    count_directly(p, x, centers, h, counts);
+  }
+}
+
+template <class T>
+void gaussian_counts_backward(GaussianCountsBackward<T> const& b, int64_t begin, int64_t end) {
+  GaussianCounts<T> const& p = b.forward;
+  for (int64_t row = begin; row < end; ++row) {
+    T const *const x = p.x + row * p.samples, *const centers = p.centers + row * p.center_stride;
+    T const h = p.bandwidth[row * p.bandwidth_stride];
+    T const* const grad = b.grad + row * p.bins;
+    T* const grad_x = b.grad_x + row * p.samples;
+    if constexpr (sizeof(T) == sizeof(float)) {
+      MomentGrid const grid = grid_of(p, centers, h);
+      if (grid.cells > 0) {
+        differentiate_by_cells(p, grid, x, centers, grad, grad_x);
+        continue;
+      }
+    }
+    differentiate_directly(p, x, centers, h, grad, grad_x);
+  }
+}
+
+KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, float)
+KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, double)
+KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, float)
+KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, double)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,106 @@
+// Levels on CUDA: pixels by packs, and histograms in shared memory. Included by *.cu files.
+#pragma once
+
+#include "core/launch.cuh"
+#include "levels.h"
+
+namespace kv {
+
+template <class T>
+__device__ __forceinline__ int level_of(T stored) {
+  using F = Compute<T>;
+  F x = read(stored);
+  if (x != x) return kNanLevel;
+  x = (x > 0 ? x : 0) * 255;
+  if constexpr (sizeof(T) == 2) x = read(round_to<T>(x));
+  return x < 255 ? int(x) : 255;
+}
+
+// P pixels of a flat plane from the i-th on, those from `end` on 0. Packed: they are aligned, and none is missing.
+template <bool Packed, int P, class T>
+__device__ __forceinline__ Pack<T, P> load_pixels(T const* x, int64_t step, int i, int end) {
+  Pack<T, P> pack{};
+  if constexpr (Packed) {
+    pack = *reinterpret_cast<Pack<T, P> const*>(x + i);
+  } else {
+#pragma unroll
+    for (int k = 0; k < P; ++k)
+      if (i + k < end) pack.v[k] = x[(i + k) * step];
+  }
+  return pack;
+}
+
+template <bool Packed, int P, class T>
+__device__ __forceinline__ void store_pixels(T* y, int64_t step, int i, int end, Compute<T> const (&v)[P]) {
+  if constexpr (Packed) {
+    store_pack(y + i, v);
+  } else {
+#pragma unroll
+    for (int k = 0; k < P; ++k)
+      if (i + k < end) y[(i + k) * step] = round_to<T>(v[k]);
+  }
+}
+
+// Calls f(pack, i) for the pixels [begin, end) of a plane, a pack a thread and several of them asked for at once.
+template <int Threads, bool Packed, int P, class T, class F>
+__device__ __forceinline__ void for_each_pack(T const* x, int64_t step, int begin, int end, F f) {
+  constexpr int kAtOnce = Packed ? 4 : 1;
+  for (int64_t first = begin + int(threadIdx.x) * P; first < end; first += Threads * P * kAtOnce) {
+    Pack<T, P> packs[kAtOnce];
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k) {
+      int64_t const i = first + k * Threads * P;
+      if (i < end) packs[k] = load_pixels<Packed, P>(x, step, int(i), end);
+    }
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k) {
+      int64_t const i = first + k * Threads * P;
+      if (i < end) f(packs[k], int(i));
+    }
+  }
+}
+
+// Counts of levels in shared memory, `Copies` of each: pixels beside each other are alike, and threads that count the
+// same level in the same copy wait for each other. The copies of a level are neighbours, so in different banks.
+template <int Copies>
+struct LevelCounter {
+  static constexpr int kSize = kLevels * Copies;
+  int32_t* counts;
+  __device__ __forceinline__ void clear() const {
+    for (int i = threadIdx.x; i < kSize; i += blockDim.x) counts[i] = 0;
+  }
+  __device__ __forceinline__ void add(int level) const {
+    if (level < kLevels) atomicAdd(counts + level * Copies + threadIdx.x % Copies, 1);
+  }
+  __device__ __forceinline__ int operator[](int level) const {
+    int sum = 0;
+#pragma unroll
+    for (int i = 0; i < Copies; ++i) sum += counts[level * Copies + i];
+    return sum;
+  }
+};
+
+// The sum of `count` over the threads of the block up to this one, and over all of them.
+template <int Threads>
+__device__ __forceinline__ int sum_up_to(int count, int& total) {
+  __shared__ int sums[Threads / 32];
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  int sum = count;
+#pragma unroll
+  for (int d = 1; d < 32; d *= 2) {
+    int const before = __shfl_up_sync(0xffffffffu, sum, d);
+    if (lane >= d) sum += before;
+  }
+  __syncthreads();  // the memory may be in use for another sum
+  if (lane == 31) sums[warp] = sum;
+  __syncthreads();
+  total = 0;
+#pragma unroll
+  for (int i = 0; i < Threads / 32; ++i) {
+    if (i < warp) sum += sums[i];
+    total += sums[i];
+  }
+  return sum;
+}
+
+}  // namespace kv

@@ -1,0 +1,60 @@
+// Levels on the CPU, a piece of a plane at a time. Included by *_cpu.cpp files.
+#pragma once
+
+#include "core/lanes.h"
+#include "levels.h"
+
+namespace kv {
+
+constexpr int64_t kPiece = 512;  // pixels
+
+template <class T, int N>
+KV_HD Lanes<int32_t, N> levels_of(Lanes<Compute<T>, N> x) {
+  using F = Compute<T>;
+  auto const is_nan = x != x;
+  x = (x > 0 ? x : broadcast<N>(F(0))) * 255;
+  if constexpr (sizeof(T) == 2) {
+    T stored[N];
+    store<N>(stored, x);
+    x = load<N>(stored);
+  }
+  x = min(x, broadcast<N>(F(255)));
+  if constexpr (N == 1)
+    return is_nan ? kNanLevel : int32_t(x);
+  else
+    return __builtin_convertvector(is_nan ? broadcast<N>(F(kNanLevel)) : x, Lanes<int32_t, N>);
+}
+
+// n <= kPiece pixels that are `step` elements apart, beside each other.
+template <class T>
+KV_HD T const* gathered(T const* x, int64_t step, int64_t n, T* memory) {
+  if (step == 1) return x;
+  for (int64_t i = 0; i < n; ++i) memory[i] = x[i * step];
+  return memory;
+}
+
+template <class T>
+KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
+  for_each_vector<T>(0, n, [&](auto width, int64_t i) {
+    constexpr int N = decltype(width)::value;
+    auto const v = levels_of<T, N>(load<N>(x + i));
+    if constexpr (N == 1)
+      level[i] = uint16_t(v);
+    else
+      *reinterpret_cast<Lanes<uint16_t, N>*>(level + i) = __builtin_convertvector(v, Lanes<uint16_t, N>);
+  });
+}
+
+// Counts levels in four tables in turns: a count that waits for the one before it, of the same level, is slow.
+struct LevelCounts {
+  int32_t of[4][kLevels + 1] = {};
+  KV_HD void add(uint16_t const* level, int64_t n) {
+    int64_t i = 0;
+    for (; i + 4 <= n; i += 4)
+      for (int k = 0; k < 4; ++k) ++of[k][level[i + k]];
+    for (; i < n; ++i) ++of[0][level[i]];
+  }
+  KV_HD int32_t operator[](int level) const { return of[0][level] + of[1][level] + of[2][level] + of[3][level]; }
+};
+
+}  // namespace kv

@@ -1,0 +1,200 @@
+// Ranges of planes on CUDA. Two launches: every block gives what it finds in its piece of a plane, then puts together
+// what all blocks of the plane found, and maps its piece. The second one goes through the pieces backwards, so that it
+// meets first what the first one read last, and finds as much of it in the L2 as that holds.
+#include "levels.cuh"
+#include "min_max.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256, kWarps = kThreads / 32;
+constexpr unsigned kAll = 0xffffffffu;
+
+// The one of both that is smaller, or NaN.
+template <class F>
+__device__ __forceinline__ F smaller(F a, F b) {
+  return a < b || a != a ? a : b;
+}
+template <class F>
+__device__ __forceinline__ F larger(F a, F b) {
+  return a > b || a != a ? a : b;
+}
+
+template <class F>
+struct Range {
+  F smallest, largest;
+  static constexpr int kValues = 2;
+  __device__ __forceinline__ static Range none() {
+    return {F(__int_as_float(0x7f800000)), -F(__int_as_float(0x7f800000))};
+  }
+  __device__ __forceinline__ void add(Range const& other) {
+    smallest = smaller(smallest, other.smallest), largest = larger(largest, other.largest);
+  }
+};
+
+template <class F>
+struct Sums : RangeSums<F> {
+  static constexpr int kValues = 4;
+  __device__ __forceinline__ static Sums none() { return {}; }
+  __device__ __forceinline__ void add(Sums const& other) {
+    this->grad += other.grad, this->product += other.product;
+    this->smallest += other.smallest, this->largest += other.largest;
+  }
+};
+
+// Puts together what all threads of the block have, in an order that is always the same.
+template <class S, class F>
+__device__ __forceinline__ S of_block(S mine) {
+  static_assert(sizeof(S) == S::kValues * sizeof(F));
+  __shared__ S warps[kWarps];
+#pragma unroll
+  for (int d = 16; d > 0; d /= 2) {
+    S other;
+#pragma unroll
+    for (int i = 0; i < S::kValues; ++i)
+      reinterpret_cast<F*>(&other)[i] = __shfl_xor_sync(kAll, reinterpret_cast<F const*>(&mine)[i], d);
+    mine.add(other);
+  }
+  if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32] = mine;
+  __syncthreads();
+  S all = warps[0];
+#pragma unroll
+  for (int i = 1; i < kWarps; ++i) all.add(warps[i]);
+  return all;
+}
+
+// The same for the pieces of a plane.
+template <class S, class F>
+__device__ __forceinline__ S of_plane(F const* partial, int64_t pieces) {
+  S mine = S::none();
+  for (int64_t i = threadIdx.x; i < pieces; i += kThreads) mine.add(reinterpret_cast<S const*>(partial)[i]);
+  return of_block<S, F>(mine);
+}
+
+struct Place {
+  int64_t plane, piece;
+  int begin, end;
+  __device__ __forceinline__ Place(unsigned block, int64_t size, int64_t pieces, int64_t pixels)
+      : plane(block / pieces),
+        piece(block - plane * pieces),
+        begin(int(piece * size)),
+        end(int(min(piece * size + size, pixels))) {}
+};
+
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
+  using F = Compute<T>;
+  constexpr int P = kPixels<T>;
+  Place const at(blockIdx.x, p.piece, p.pieces, p.x.width);
+  Range<F> range = Range<F>::none();
+  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
+                                     [&](Pack<T, P> const& pack, int i) {
+#pragma unroll
+                                       for (int k = 0; k < P; ++k)
+                                         if (Packed || i + k < at.end) range.add({read(pack.v[k]), read(pack.v[k])});
+                                     });
+  range = of_block<Range<F>, F>(range);
+  if (threadIdx.x == 0) reinterpret_cast<Range<F>*>(p.partial)[blockIdx.x] = range;
+}
+
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
+  using F = Compute<T>;
+  constexpr int P = kPixels<T>;
+  Place const at(gridDim.x - 1 - blockIdx.x, p.piece, p.pieces, p.x.width);
+  auto const range = of_plane<Range<F>>(p.partial + 2 * at.plane * p.pieces, p.pieces);
+  F const smallest = range.smallest, low = p.low, factor = p.scale / (range.largest - smallest + p.eps);
+  if (at.piece == 0 && threadIdx.x == 0) {
+    p.range[2 * at.plane] = round_to<T>(smallest);
+    p.range[2 * at.plane + 1] = round_to<T>(range.largest);
+  }
+  T* const y = p.y.plane(at.plane);
+  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
+                                     [&](Pack<T, P> const& pack, int i) {
+                                       F v[P];
+#pragma unroll
+                                       for (int k = 0; k < P; ++k) v[k] = (read(pack.v[k]) - smallest) * factor + low;
+                                       store_pixels<Packed>(y, p.y.step, i, at.end, v);
+                                     });
+}
+
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
+  using F = Compute<T>;
+  constexpr int P = kPixels<T>;
+  Place const at(blockIdx.x, p.piece, p.pieces, p.x.width);
+  F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
+  T const* const grad = p.grad.plane(at.plane);
+  Sums<F> sums{};
+  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
+                                     [&](Pack<T, P> const& pack, int i) {
+                                       Pack<T, P> const grads = load_pixels<Packed, P>(grad, p.grad.step, i, at.end);
+#pragma unroll
+                                       for (int k = 0; k < P; ++k) {
+                                         F const g = read(grads.v[k]), x = read(pack.v[k]);
+                                         if (Packed || i + k < at.end)
+                                           sums.add({{g, g * (x - smallest), F(x == smallest), F(x == largest)}});
+                                       }
+                                     });
+  sums = of_block<Sums<F>, F>(sums);
+  if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
+}
+
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
+  using F = Compute<T>;
+  constexpr int P = kPixels<T>;
+  Place const at(gridDim.x - 1 - blockIdx.x, p.piece, p.pieces, p.x.width);
+  F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
+  RangeGradient<F> const to(of_plane<Sums<F>>(p.partial + 4 * at.plane * p.pieces, p.pieces), smallest, largest,
+                            p.scale, p.eps);
+  T const* const grad = p.grad.plane(at.plane);
+  T* const grad_x = p.grad_x.plane(at.plane);
+  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
+                                     [&](Pack<T, P> const& pack, int i) {
+                                       Pack<T, P> const grads = load_pixels<Packed, P>(grad, p.grad.step, i, at.end);
+                                       F v[P];
+#pragma unroll
+                                       for (int k = 0; k < P; ++k) {
+                                         F const x = read(pack.v[k]);
+                                         v[k] = read(grads.v[k]) * to.factor + (x == smallest ? to.to_smallest : F(0)) +
+                                                (x == largest ? to.to_largest : F(0));
+                                       }
+                                       store_pixels<Packed>(grad_x, p.grad_x.step, i, at.end, v);
+                                     });
+}
+
+}  // namespace
+
+template <class T>
+int min_max(MinMax<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  unsigned const blocks = unsigned(p.x.count() * p.pieces);
+  if (is_strip<P>(p.x) && is_strip<P>(p.y)) {
+    find_range<T, true><<<blocks, kThreads, 0, stream>>>(p);
+    map_range<T, true><<<blocks, kThreads, 0, stream>>>(p);
+  } else {
+    find_range<T, false><<<blocks, kThreads, 0, stream>>>(p);
+    map_range<T, false><<<blocks, kThreads, 0, stream>>>(p);
+  }
+  return cudaGetLastError();
+}
+
+template <class T>
+int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  unsigned const blocks = unsigned(p.x.count() * p.pieces);
+  if (is_strip<P>(p.x) && is_strip<P>(p.grad) && is_strip<P>(p.grad_x)) {
+    find_sums<T, true><<<blocks, kThreads, 0, stream>>>(p);
+    map_gradient<T, true><<<blocks, kThreads, 0, stream>>>(p);
+  } else {
+    find_sums<T, false><<<blocks, kThreads, 0, stream>>>(p);
+    map_gradient<T, false><<<blocks, kThreads, 0, stream>>>(p);
+  }
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(min_max, MinMax)
+KV_INSTANTIATE(min_max_backward, MinMaxBackward)
+
+}  // namespace kv::cuda

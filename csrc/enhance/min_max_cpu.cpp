@@ -1,0 +1,119 @@
+// Ranges of planes on the CPU.
+#include "core/lanes.h"
+#include "min_max.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// Calls f(width, k, vector of x...) for n pixels `step` elements apart; k counts vectors.
+template <class T, class F>
+KV_HD void for_each_pixel(int64_t n, int64_t step, F f) {
+  constexpr int N = kLanes<T>;
+  int64_t i = 0;
+  if (step == 1)
+    for (; i + N <= n; i += N) f(Width<N>{}, i);
+  for (; i < n; ++i) f(Width<1>{}, i * step);
+}
+
+// The sum of a vector's lanes, in their order.
+template <class V, int N>
+KV_HD double sum_of(V const& v) {
+  if constexpr (N == 1) {
+    return v;
+  } else {
+    double sum = 0;
+    for (int i = 0; i < N; ++i) sum += v[i];
+    return sum;
+  }
+}
+
+}  // namespace
+
+template <class T>
+void min_max(MinMax<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
+  using V = Lanes<F, N>;
+  int64_t const n = p.x.width, step = p.x.step;
+  for (int64_t plane = begin; plane < end; ++plane) {
+    T const* const x = p.x.plane(plane);
+    T* const y = p.y.plane(plane);
+    F const first = load<1>(x);
+    V low = broadcast<N>(first), high = low;
+    F smallest = first, largest = first;
+    bool is_number = true;
+    auto numbers = low == low;
+    for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
+      constexpr int M = decltype(width)::value;
+      auto const v = load<M>(x + i);
+      if constexpr (M == N && N > 1) {
+        low = min(low, v), high = max(high, v);
+        numbers = numbers & (v == v);
+      } else {
+        smallest = min(smallest, v), largest = max(largest, v);
+        is_number = is_number && v == v;
+      }
+    });
+    for (int i = 0; i < N; ++i) {
+      smallest = min(smallest, F(low[i])), largest = max(largest, F(high[i]));
+      is_number = is_number && numbers[i];
+    }
+    if (!is_number) smallest = largest = F(__builtin_nanf(""));
+    store<1>(p.range + 2 * plane, smallest);
+    store<1>(p.range + 2 * plane + 1, largest);
+    F const factor = p.scale / (largest - smallest + p.eps);
+    for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
+      constexpr int M = decltype(width)::value;
+      store<M>(y + i, (load<M>(x + i) - smallest) * factor + p.low);
+    });
+  }
+}
+
+template <class T>
+void min_max_backward(MinMaxBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
+  int64_t const n = p.x.width, step = p.x.step;
+  for (int64_t plane = begin; plane < end; ++plane) {
+    T const *const x = p.x.plane(plane), *const g = p.grad.plane(plane);
+    T* const grad_x = p.grad_x.plane(plane);
+    F const smallest = load<1>(p.range + 2 * plane), largest = load<1>(p.range + 2 * plane + 1);
+    RangeSums<double> all{};
+    Lanes<F, N> grad{}, product{}, low{}, high{};
+    int pending = 0;
+    auto const add_up = [&] {
+      all.grad += sum_of<Lanes<F, N>, N>(grad), all.product += sum_of<Lanes<F, N>, N>(product);
+      all.smallest += sum_of<Lanes<F, N>, N>(low), all.largest += sum_of<Lanes<F, N>, N>(high);
+      grad = product = low = high = Lanes<F, N>{};
+      pending = 0;
+    };
+    for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
+      constexpr int M = decltype(width)::value;
+      auto const v = load<M>(x + i), u = load<M>(g + i);
+      if constexpr (M == N && N > 1) {
+        grad = grad + u, product = product + u * (v - smallest);
+        low = low + (v == smallest ? broadcast<N>(F(1)) : broadcast<N>(F(0)));
+        high = high + (v == largest ? broadcast<N>(F(1)) : broadcast<N>(F(0)));
+        if (++pending == 64) add_up();
+      } else {
+        all.grad += u, all.product += double(u) * (v - smallest);
+        all.smallest += v == smallest, all.largest += v == largest;
+      }
+    });
+    add_up();
+    RangeGradient<double> const to(all, smallest, largest, p.scale, p.eps);
+    F const factor = F(to.factor), to_smallest = F(to.to_smallest), to_largest = F(to.to_largest);
+    for_each_pixel<T>(n, step, [&](auto width, int64_t i) {
+      constexpr int M = decltype(width)::value;
+      auto const v = load<M>(x + i);
+      auto const zero = broadcast<M>(F(0));
+      store<M>(grad_x + i, load<M>(g + i) * factor + (v == smallest ? broadcast<M>(to_smallest) : zero) +
+                               (v == largest ? broadcast<M>(to_largest) : zero));
+    });
+  }
+}
+
+KV_INSTANTIATE(min_max, MinMax)
+KV_INSTANTIATE(min_max_backward, MinMaxBackward)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,87 @@
+// Ranges of planes: schemas and entries, for CPU and CUDA alike.
+#include "flat_glue.h"
+#include "min_max.h"
+
+namespace kv {
+namespace {
+
+// How CUDA cuts planes into blocks' work: enough for all multiprocessors, not too many for the block that adds them up.
+struct Pieces {
+  int64_t size, count;
+  Pieces(int64_t planes, int64_t pixels)
+      : size(max(clamp(planes * pixels / 1024, int64_t(4096), int64_t(16384)), (pixels + 1023) / 1024)),
+        count((pixels + size - 1) / size) {
+    size = (size + 7) / 8 * 8;
+  }
+};
+
+// Working memory for CUDA: numbers in the type that T computes in.
+template <class F>
+Tensor working_memory([[maybe_unused]] Tensor const& like, [[maybe_unused]] int64_t count) {
+#if defined(KV_CUDA)
+  return torch::stable::new_empty(like, {count}, sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
+#else
+  return torch::stable::new_empty(like, {0}, ScalarType::Float);
+#endif
+}
+
+std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, double high, double eps) {
+  check_flat("normalize_min_max", input);
+  Layout const layout = layout_of(input);
+  Tensor const x = dense(input, layout), y = empty_like(x, layout), range = empty({x.size(0), x.size(1), 2}, x);
+  for_floats("normalize_min_max", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Pieces const pieces(x.size(0) * x.size(1), x.size(2) * x.size(3));
+    Tensor const memory = working_memory<F>(x, 2 * x.size(0) * x.size(1) * pieces.count);
+    MinMax<T> const params{flat_planes<T const>(x, layout),
+                           flat_planes<T>(y, layout),
+                           static_cast<T*>(range.mutable_data_ptr()),
+                           F(low),
+                           F(high - low),
+                           F(eps),
+                           pieces.size,
+                           pieces.count,
+                           static_cast<F*>(memory.mutable_data_ptr())};
+    KV_RUN(min_max, x, params, params.x.count(), params.x.width);
+  });
+  return {y, range};
+}
+
+Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tensor const& range, double low, double high,
+                                  double eps) {
+  constexpr char const* op = "normalize_min_max_backward";
+  check_flat(op, input);
+  check_like(op, "grad", grad, input);
+  KV_CHECK(range.dim() == 3 && range.size(0) == input.size(0) && range.size(1) == input.size(1) && range.size(2) == 2 &&
+               range.scalar_type() == input.scalar_type() && range.device() == input.device(),
+           op, ": expected range to be that of input's planes");
+  Layout const layout = layout_of(input);
+  Tensor const x = dense(input, layout), g = dense(conform(grad, layout), layout), grad_x = empty_like(x, layout),
+               r = torch::stable::contiguous(range);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Pieces const pieces(x.size(0) * x.size(1), x.size(2) * x.size(3));
+    Tensor const memory = working_memory<F>(x, 4 * x.size(0) * x.size(1) * pieces.count);
+    MinMaxBackward<T> const params{flat_planes<T const>(g, layout),
+                                   flat_planes<T const>(x, layout),
+                                   static_cast<T const*>(r.const_data_ptr()),
+                                   flat_planes<T>(grad_x, layout),
+                                   F(high - low),
+                                   F(eps),
+                                   pieces.size,
+                                   pieces.count,
+                                   static_cast<F*>(memory.mutable_data_ptr())};
+    KV_RUN(min_max_backward, x, params, params.x.count(), 2 * params.x.width);
+  });
+  return grad_x;
+}
+
+}  // namespace
+
+KV_OPERATOR(normalize_min_max, "(Tensor input, float low, float high, float eps) -> (Tensor output, Tensor range)")
+KV_OPERATOR(normalize_min_max_backward,
+            "(Tensor grad, Tensor input, Tensor range, float low, float high, float eps) -> Tensor")
+
+}  // namespace kv

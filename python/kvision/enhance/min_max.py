@@ -1,0 +1,80 @@
+"""Normalisation by the range of every plane."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import register, vjp
+from kvision.core.exceptions import ShapeError
+from kvision.enhance.batch import as_batch
+
+
+def _stretch(x: Tensor, low: float, high: float, eps: float) -> Tensor:
+    darkest = x.amin((-2, -1), keepdim=True)
+    span = x.amax((-2, -1), keepdim=True) - darkest
+    return (high - low) * (x - darkest) / (span + eps) + low
+
+
+def _reference(x: Tensor, low: float, high: float, eps: float) -> tuple[Tensor, Tensor]:
+    """(B, C, H, W) planes by themselves, and their ranges (B, C, 2), which only the gradient asks for."""
+    return _stretch(x, low, high, eps), torch.stack([x.amin((-2, -1)), x.amax((-2, -1))], -1)
+
+
+def _reference_backward(grad: Tensor, x: Tensor, range: Tensor, low: float, high: float, eps: float) -> Tensor:
+    return vjp(_stretch)(grad, x, low, high, eps)
+
+
+_normalize_min_max_backward = register("normalize_min_max_backward", _reference_backward)
+
+
+def _backward(needs, grad, _, output, range, *args):
+    x, *numbers = args
+    return [_normalize_min_max_backward(grad, x, range, *numbers)]
+
+
+_normalize_min_max = register(
+    "normalize_min_max",
+    _reference,
+    fake=lambda x, *_: [x.shape, (*x.shape[:2], 2)],
+    backward=_backward,
+    saves_results=True,
+    constant=(1,),
+)
+
+
+def normalize_min_max(input: Tensor, min_val: float = 0.0, max_val: float = 1.0, eps: float = 1e-6) -> Tensor:
+    """Map the range of every image plane to [min_val, max_val].
+
+    Args:
+        input: (*, H, W); integers are computed in float32.
+        min_val: what the smallest value of a plane becomes.
+        max_val: what the largest one becomes, up to eps.
+        eps: added to the range of the plane, so that a flat one becomes min_val.
+
+    Returns:
+        (max_val - min_val) * (input - smallest) / (largest - smallest + eps) + min_val, differentiable; several
+        smallest or largest pixels share their gradient.
+
+    Raises:
+        TypeCheckError: input is no real tensor; min_val, max_val or eps no number.
+        ShapeError: input has less than two axes, or planes without pixels.
+        ValueCheckError: eps below 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.enhance.normalize_min_max(torch.tensor([[2.0, 3.0, 4.0]]), 0.0, 10.0)
+        tensor([[ 0.0000,  5.0000, 10.0000]])
+    """
+    _check.numbers("normalize_min_max", "input", input)
+    if input.dim() < 2 or 0 in input.shape[-2:]:
+        raise ShapeError(
+            f"normalize_min_max: expected input of shape (*, H, W) with H, W of at least 1, got {tuple(input.shape)}",
+            actual_shape=input.shape,
+        )
+    low = _check.number("normalize_min_max", "min_val", min_val)
+    high = _check.number("normalize_min_max", "max_val", max_val)
+    eps = _check.number("normalize_min_max", "eps", eps, minimum=0)
+    return _normalize_min_max(as_batch(floats(input)), low, high, eps)[0].reshape(input.shape)

@@ -1,0 +1,146 @@
+"""What every function made of other operators must satisfy. Functions with kernels of their own: op_tests.py.
+
+    class TestCompositions(CompositionTests):
+        cases = {"guided_blur": Case(lambda g, x: F.guided_blur(g, x, 3, 0.1), (IMAGE, IMAGE))}
+
+A case is a call and the shapes of its tensors. Every test that takes `case` runs once for each, those of a subclass too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from torch import Tensor
+
+from op_tests import assert_close
+
+
+class Case(NamedTuple):
+    call: Callable[..., Tensor]
+    shapes: tuple[tuple[int, ...], ...]  # of its tensors; the first is an image and sets the type of the result
+    shared: tuple[int, ...] = ()  # those that serve the whole batch, by index; the others have it in front
+    differentiable: bool = True
+
+
+class CompositionTests:
+    cases: dict[str, Case]
+    compiled: tuple[str, ...] | None = None  # the cases that are compiled; default: all
+
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
+        if "name" in metafunc.fixturenames:
+            metafunc.parametrize("name", self.cases)
+
+    @pytest.fixture
+    def case(self, name: str) -> Case:
+        return self.cases[name]
+
+    def values(self, case: Case, device: Any, dtype: torch.dtype = torch.float64) -> list[Tensor]:
+        """Random tensors in [0.1, 1)."""
+        return [(0.9 * torch.rand(shape, dtype=torch.float64) + 0.1).to(dtype).to(device) for shape in case.shapes]
+
+    def needs_gradient(self, case: Case) -> None:
+        if not case.differentiable:
+            pytest.skip("not differentiable")
+
+    def test_derivatives(self, case, device):
+        self.needs_gradient(case)
+        values = [v.requires_grad_() for v in self.values(case, device)]
+        # Along random directions, which a wrong gradient does not survive. On CUDA torch adds up some of them in any order.
+        noise = 0.0 if device.type == "cpu" else 1e-9
+        assert torch.autograd.gradcheck(case.call, values, check_forward_ad=True, fast_mode=True, nondet_tol=noise)
+        assert torch.autograd.gradgradcheck(case.call, values, fast_mode=True, nondet_tol=noise)
+
+    def test_transforms(self, case, device):
+        first, second = self.values(case, device), self.values(case, device)
+        mapped = torch.func.vmap(case.call)(*map(torch.stack, zip(first, second)))
+        assert_close(mapped, torch.stack([case.call(*first), case.call(*second)]))
+        if not case.differentiable:
+            return
+
+        def loss(*values: Tensor) -> Tensor:
+            return case.call(*values).square().sum()
+
+        leaf = first[0].clone().requires_grad_()
+        assert_close(torch.func.grad(loss)(*first), torch.autograd.grad(loss(leaf, *first[1:]), leaf)[0])
+
+    @pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
+    def test_compiles_and_exports_whole_with_any_batch(self, name, case, device):
+        if name not in (self.compiled or self.cases):
+            pytest.skip("others stand for it")
+        torch._dynamo.reset()
+        compiled = torch.compile(case.call, fullgraph=True, backend="aot_eager")
+
+        class Program(torch.nn.Module):
+            def forward(self, *values: Tensor) -> Tensor:
+                return case.call(*values)
+
+        values = self.values(case, device)
+        axes, batches = None, [values]
+        if case.shapes[0][0] > 1:
+            batched = [i not in case.shared for i in range(len(values))]
+            axes = {"values": tuple({0: torch.export.Dim("batch")} if b else None for b in batched)}
+            batches.append([torch.cat([v, v[:1]]) if b else v for v, b in zip(values, batched)])
+            for v, b in zip(values, batched):
+                if b:
+                    torch._dynamo.mark_dynamic(v, 0)
+        program = torch.export.export(Program(), tuple(values), dynamic_shapes=axes).module()
+        for given in batches:
+            leaves = [v.clone().requires_grad_(case.differentiable) for v in given]
+            expected, actual = case.call(*leaves), compiled(*leaves)
+            assert_close(actual, expected)
+            assert_close(program(*given), expected.detach())
+            if case.differentiable:
+                assert_close(*(torch.autograd.grad(y.square().sum(), leaves) for y in (actual, expected)))
+
+    def test_autocast_changes_nothing(self, case, device):
+        values = self.values(case, device, torch.float32)
+        expected = case.call(*values)
+        with torch.autocast(device.type, dtype=torch.bfloat16):
+            assert_close(case.call(*values), expected)
+
+    def test_no_images(self, case, device):
+        values = [v if i in case.shared else v[:0] for i, v in enumerate(self.values(case, device))]
+        values = [v.requires_grad_() for v in values]
+        y = case.call(*values)
+        assert y.shape[0] == 0
+        if y.requires_grad:
+            y.sum().backward()
+            assert values[0].grad.shape == values[0].shape
+
+    def test_input_is_not_modified(self, case, device):
+        """Nor is a result the memory of its input."""
+        values = self.values(case, device)
+        before, versions = [v.clone() for v in values], [v._version for v in values]
+        case.call(*values).add_(1)
+        assert versions == [v._version for v in values]
+        assert all(torch.equal(a, b) for a, b in zip(values, before))
+
+    @pytest.mark.parametrize("layout", ["channels_last", "strided"])
+    def test_layouts(self, case, layout, device):
+        values = self.values(case, device)
+        expected = case.call(*values)
+        for i, v in enumerate(values):
+            if layout == "strided":
+                values[i] = v.repeat_interleave(2, -1)[..., ::2]
+            elif v.dim() == 4:
+                values[i] = v.contiguous(memory_format=torch.channels_last)
+        assert_close(case.call(*values), expected)
+
+    def test_cuda_graph(self, case, device):
+        if device.type != "cuda":
+            pytest.skip("needs --device cuda")
+        values = self.values(case, device, torch.float32)
+        side = torch.cuda.Stream()
+        with torch.cuda.stream(side):
+            case.call(*values)
+        torch.cuda.synchronize()
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            captured = case.call(*values)
+        for v, new in zip(values, self.values(case, device, torch.float32)):
+            v.copy_(new)
+        graph.replay()
+        assert_close(captured, case.call(*values))

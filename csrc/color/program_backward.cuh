@@ -61,7 +61,8 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Progr
           for (int k = 0; k < C; ++k)
 #pragma unroll
             for (int j = 0; j < P; ++j)
-              g[k][j] += sample.mean_slope * F(C == 1 ? 1 : k == 0 ? 0.299 : k == 1 ? 0.587 : 0.114);
+              if (i + j < q.pixels)  // what is beyond adds nothing to the gradients of parameters
+                g[k][j] += sample.mean_slope * F(C == 1 ? 1 : k == 0 ? 0.299 : k == 1 ? 0.587 : 0.114);
         if (s > 0)
 #pragma unroll
           for (int k = 0; k < C; ++k)

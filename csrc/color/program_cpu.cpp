@@ -303,7 +303,8 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       run_step(q.step[k], pullback);
       if (k == q.contrast) {
         F const of_grey[] = {F(C == 3 ? 0.299 : 1), F(0.587), F(0.114)};
-        for (int64_t j = 0; j < size; ++j) g[j] += of_grey[j / kChunk<F>] * s.mean_slope;
+        for (int d = 0; d < C; ++d)
+          for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += of_grey[d] * s.mean_slope;
       }
     }
     if (p.wants_x) store_chunk(p.grad_x, b, first, count, g);

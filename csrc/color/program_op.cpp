@@ -213,7 +213,7 @@ std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Tensors cons
     Program<F> p = program_of<F>(a, samples, numbers, columns);
     p.x = samples.pixels_of(op, x, in);
     p.y = samples.pixels_of(op, y, out);
-    int64_t const cost = 3 * min(kChunk<F>, p.pixels);
+    [[maybe_unused]] int64_t const cost = 3 * min(kChunk<F>, p.pixels);
     if (around_mean) {
       p.parts = static_cast<F*>(parts.mutable_data_ptr());
       p.means = static_cast<F*>(means.mutable_data_ptr());
@@ -277,7 +277,8 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     p.grad = samples.pixels_of(op, g, out);
     p.wants_x = of_image;
     if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
-    int64_t const cost = 12 * min(kChunk<F>, samples.pixels), chunks = chunks_of<F>(samples.pixels);
+    int64_t const chunks = chunks_of<F>(samples.pixels);
+    [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);
     Tensor slopes, dense_means;
     if (around_mean) {
       dense_means = torch::stable::contiguous(*means);

@@ -76,7 +76,9 @@ def _sequential(
     calls, first = [], 0
     for name in (_NAMES[i] for i in steps):
         slots = range(first, first := first + _PARAMETERS[name])
-        of_step = [parameters[..., columns[i], None, None] if columns and columns[i] >= 0 else numbers[i] for i in slots]
+        of_step = [
+            parameters[..., columns[i], None, None] if columns and columns[i] >= 0 else numbers[i] for i in slots
+        ]
         calls.append((name, of_step))
     mean = x.new_zeros(x.shape[0], 1)
     for k in range(len(calls) if order is None else order.shape[1]):

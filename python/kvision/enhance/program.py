@@ -91,7 +91,11 @@ class ColorProgram(nn.Module):
         super().__init__()
         if len(steps) > MOST_STEPS:
             raise ValueCheckError(f"ColorProgram: expected at most {MOST_STEPS} steps, got {len(steps)}")
-        if dtype is not None and dtype != torch.uint8 and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point):
+        if (
+            dtype is not None
+            and dtype != torch.uint8
+            and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point)
+        ):
             raise TypeCheckError(f"ColorProgram: expected dtype to be floating point or uint8, got {dtype!r}")
         if memory_format not in (None, torch.contiguous_format, torch.channels_last):
             raise ValueCheckError(
@@ -148,7 +152,9 @@ class ColorProgram(nn.Module):
         slots: list[float | Tensor] = []
         for name, *values in steps:
             kind = _KINDS[name]
-            numbers = [n for (p, size), v in zip(kind.parameters.items(), values) for n in _numbers(name, p, size, v, image)]
+            numbers = [
+                n for (p, size), v in zip(kind.parameters.items(), values) for n in _numbers(name, p, size, v, image)
+            ]
             slots += kind.arguments(*numbers)
         dtype = "same" if self.dtype is None else str(self.dtype).removeprefix("torch.")
         layout = {None: "same", torch.contiguous_format: "NCHW"}.get(self.memory_format, "NHWC")
@@ -171,7 +177,9 @@ class ColorProgram(nn.Module):
 
     def extra_repr(self) -> str:
         steps = [f"{name}({', '.join(map(_short, values))})" for name, *values in self.steps]
-        steps += [f"{k}={v}" for k, v in (("dtype", self.dtype), ("memory_format", self.memory_format)) if v is not None]
+        steps += [
+            f"{k}={v}" for k, v in (("dtype", self.dtype), ("memory_format", self.memory_format)) if v is not None
+        ]
         return ", ".join(steps)
 
 

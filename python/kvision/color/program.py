@@ -73,13 +73,11 @@ def _sequential(
     columns: Sequence[int],
 ) -> tuple[Tensor, Tensor]:
     """The steps one after the other, or as `order` has them, and the mean around which there was contrast."""
+    tensors = () if parameters is None else parameters[..., None, None].unbind(2)
     calls, first = [], 0
     for name in (_NAMES[i] for i in steps):
         slots = range(first, first := first + _PARAMETERS[name])
-        of_step = [
-            parameters[..., columns[i], None, None] if columns and columns[i] >= 0 else numbers[i] for i in slots
-        ]
-        calls.append((name, of_step))
+        calls.append((name, [numbers[i] if not columns or columns[i] < 0 else tensors[columns[i]] for i in slots]))
     mean = x.new_zeros(x.shape[0], 1)
     for k in range(len(calls) if order is None else order.shape[1]):
         for i, (name, of_step) in enumerate(calls) if order is not None else [(k, calls[k])]:
@@ -137,7 +135,7 @@ def _pulled_back(
         return _computed(x, rows, order, steps, numbers, columns)[0]
 
     rows = () if parameters is None else (parameters.expand(x.shape[0], -1, -1),)  # a gradient for each sample
-    _, pullback = torch.func.vjp(result, wide, *rows)
+    pullback = torch.func.vjp(result, wide, *rows)[1]
     of_x, *of_rows = pullback(grad.to(wide.dtype))
     none = wide[:, :0, 0, 0]
     return laid_out(of_x.to(x.dtype), x) if of_image else none.to(x.dtype), of_rows[0] if of_parameters else none
@@ -223,11 +221,11 @@ def run(
         table = _table(tensors, _computing(x.dtype))
         columns = [next(places) if isinstance(p, Tensor) else -1 for p in parameters]
         numbers = [0.0 if isinstance(p, Tensor) else p for p in parameters]
-    program = _program_around_mean if _AROUND_MEAN in steps else _program
+    operator = _program_around_mean if _AROUND_MEAN in steps else _program
     stored = _stored(x, dtype)
-    if steps.count(_AROUND_MEAN) > 1 or (x.dtype == torch.float64) != (stored == torch.float64):
-        program = program.reference  # kernels take one mean, and compute in one type
-    y = program(x, table, order, steps, numbers, columns, dtype, layout)
+    # Kernels take one mean, and compute in one type.
+    fits = steps.count(_AROUND_MEAN) < 2 and (x.dtype == torch.float64) == (stored == torch.float64)
+    y = (operator if fits else operator.reference)(x, table, order, steps, numbers, columns, dtype, layout)
     return y[0] if _AROUND_MEAN in steps else y
 
 

@@ -91,7 +91,7 @@ def _arguments(
 
 
 def _with_four_axes(x: Tensor) -> Tensor:
-    return x.flatten(2, -2) if x.dim() > 4 else x[(..., *(None,) * (4 - x.dim()))]
+    return x.flatten(2, -2) if x.dim() > 4 else x.reshape(*x.shape, *(1,) * (4 - x.dim()))
 
 
 def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float | Tensor:
@@ -109,7 +109,7 @@ def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float
             f"for {tuple(data.shape)}",
             actual_shape=value.shape,
         )
-    aligned = aligned[(..., *(None,) * (data.dim() - aligned.dim()))]
+    aligned = aligned.reshape(*aligned.shape, *(1,) * (data.dim() - aligned.dim()))
     if aligned.dim() > 4 and aligned.shape[2:].numel() > 1:
         aligned = aligned.expand(*aligned.shape[:2], *data.shape[2:])
     return _with_four_axes(aligned)

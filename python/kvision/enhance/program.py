@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -77,7 +78,7 @@ class ColorProgram(nn.Module):
         ColorProgram(brightness(1.2), saturation(0.5), dtype=torch.float16)
         >>> image = torch.full((2, 3, 4, 5), 100, dtype=torch.uint8)
         >>> jitter(image)[0, 0, 0, 0]
-        tensor(0.4705, dtype=torch.float16)
+        tensor(0.4707, dtype=torch.float16)
         >>> jitter(image, {"brightness": torch.tensor([1.0, 0.0])}).amax((1, 2, 3))
         tensor([0.3921, 0.0000], dtype=torch.float16)
     """
@@ -147,7 +148,6 @@ class ColorProgram(nn.Module):
             raise TypeCheckError(f"ColorProgram: expected image to be floating point or uint8, got {image.dtype}")
         if 0 in image.shape[-2:]:
             raise ShapeError(f"ColorProgram: expected image with H, W of at least 1, got {tuple(image.shape)}")
-        batch = image.shape[:-3].numel()
         steps = self._with(parameters) if parameters else self.steps
         slots: list[float | Tensor] = []
         for name, *values in steps:
@@ -159,7 +159,7 @@ class ColorProgram(nn.Module):
         dtype = "same" if self.dtype is None else str(self.dtype).removeprefix("torch.")
         layout = {None: "same", torch.contiguous_format: "NCHW"}.get(self.memory_format, "NHWC")
         program = [STEPS[_KINDS[name].step] for name, *_ in steps]
-        return on_batch(run, image, program, slots, _order(order, enabled, len(program), batch, image), dtype, layout)
+        return on_batch(run, image, program, slots, _order(order, enabled, len(program), image), dtype, layout)
 
     def _with(self, parameters: Mapping[str | int, Any]) -> tuple[tuple[Any, ...], ...]:
         if not isinstance(parameters, Mapping):
@@ -213,32 +213,33 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
 def _numbers(name: str, parameter: str, size: int, value: Value, image: Tensor) -> Sequence[float | Tensor]:
     """A parameter as `size` numbers, or tensors (B or 1, 1, 1, 1)."""
     if not isinstance(value, Tensor):
-        return [float(v) for v in value] if isinstance(value, (tuple, list)) else [float(value)] * size
+        return [float(v) for v in value] if isinstance(value, Sequence) else [float(value)] * size
     _check.same_device("ColorProgram", image=image, **{parameter: value})
-    batch = image.shape[:-3].numel()
+    batch = math.prod(image.shape[:-3])
     rows = value if size > 1 and value.dim() > 0 else value[..., None]
-    if rows.dim() > 2 or rows.shape[-1] not in (1, size) or rows.shape[:-1].numel() not in (1, batch):
+    if rows.dim() > 2 or rows.shape[-1] not in (1, size) or math.prod(rows.shape[:-1]) not in (1, batch):
         expected = f"() or ({batch},)" if size == 1 else f"({size},) or ({batch}, {size})"
         raise ShapeError(f"ColorProgram: expected {parameter} of {name} of shape {expected}, got {tuple(value.shape)}")
     return [row.reshape(-1, 1, 1, 1) for row in rows.expand(*rows.shape[:-1], size).unbind(-1)]
 
 
-def _order(order: Tensor | None, enabled: Tensor | None, steps: int, batch: int, image: Tensor) -> Tensor | None:
+def _order(order: Tensor | None, enabled: Tensor | None, steps: int, image: Tensor) -> Tensor | None:
     """The step of each position, (B or 1, S), -1 for none; None for all of them as they come."""
+    batch = math.prod(image.shape[:-3])
     for name, x, kind in (("order", order, torch.int64), ("enabled", enabled, torch.bool)):
         if x is None:
             continue
         if not isinstance(x, Tensor) or x.dtype != kind:
             raise TypeCheckError(f"ColorProgram: expected {name} to be a Tensor of {kind}, got {x!r}")
         _check.same_device("ColorProgram", image=image, **{name: x})
-        if x.dim() not in (1, 2) or x.shape[-1] != steps or x.shape[:-1].numel() not in (1, batch):
+        if x.dim() not in (1, 2) or x.shape[-1] != steps or math.prod(x.shape[:-1]) not in (1, batch):
             raise ShapeError(
                 f"ColorProgram: expected {name} of shape ({steps},) or ({batch}, {steps}), got {tuple(x.shape)}"
             )
     if enabled is not None:
         enabled = enabled.reshape(-1, steps)
         order = torch.arange(steps, device=image.device) if order is None else order
-        rows = order.reshape(-1, steps).expand(max(enabled.shape[0], order[..., :1].numel()), -1)
+        rows = order.reshape(-1, steps).expand(max(enabled.shape[0], math.prod(order.shape[:-1])), -1)
         done = enabled.expand(rows.shape[0], -1).gather(1, rows.clamp(min=0))
         order = torch.where(done, rows, -1)
     return None if order is None else order.reshape(-1, steps)

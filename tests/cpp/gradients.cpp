@@ -119,7 +119,12 @@ int main() {
     check("unsharp_mask", sharpen, {x});
   }
   Tensor const colors = torch::rand({2, 3, 4, 5}) * 0.3 + torch::tensor({0.3f, 0.f, 0.6f}).view({3, 1, 1});
-  check("color_program", [](auto const& t) { return kvision::color_program(t[0], {1}, {1e-8}); }, {colors}, false);
+  check("color_program", [](auto const& t) { return kvision::color_program(t[0], {{1}, {1e-8}}); }, {colors}, false);
+  auto const contrast = [](auto const& t) {  // and gamma
+    kvision::ColorProgram const program{{20, 23}, {0, 0, 0, 0.9}, t[1], {0, -1, 1, -1}};
+    return std::get<0>(kvision::color_program_around_mean(t[0], program));
+  };
+  check("color_program_around_mean", contrast, {colors, 0.7 + 0.5 * torch::rand({2, 1, 2})}, false);
   auto const ridges = [](auto const& t) { return std::get<0>(kvision::canny_suppress(t[0], 0.1, 0.2, 1e-6)); };
   check("canny_suppress", ridges, {x}, false);
   Tensor const edges = kvision::canny_hysteresis(torch::tensor({0.5f, 1.f, 0.f, 0.5f}).view({1, 1, 1, 4}));

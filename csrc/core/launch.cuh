@@ -1,8 +1,6 @@
 // What every CUDA kernel needs: 16-bit storage, vectors of four pixels, grid arithmetic. Included by *.cu files.
 #pragma once
 
-#include <cuda_bf16.h>
-#include <cuda_fp16.h>
 #include <cuda_runtime.h>
 
 #include "border.h"
@@ -19,8 +17,28 @@ constexpr int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
 __device__ __forceinline__ float read(float x) { return x; }
 __device__ __forceinline__ double read(double x) { return x; }
 __device__ __forceinline__ float read(uint8_t x) { return float(x); }
-__device__ __forceinline__ float read(Half x) { return __half2float(__ushort_as_half(x.bits)); }
+// The instructions themselves: CUDA's headers of 16-bit types would add a second to the compilation of every file.
+__device__ __forceinline__ float read(Half x) {
+  float y;
+  asm("cvt.f32.f16 %0, %1;" : "=f"(y) : "h"(x.bits));
+  return y;
+}
 __device__ __forceinline__ float read(BFloat16 x) { return __uint_as_float(uint32_t(x.bits) << 16); }
+
+__device__ __forceinline__ Half round_to_half(float x) {
+  Half y;
+  asm("cvt.rn.f16.f32 %0, %1;" : "=h"(y.bits) : "f"(x));
+  return y;
+}
+__device__ __forceinline__ BFloat16 round_to_bfloat16(float x) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+  return to_bfloat16(x);
+#else
+  BFloat16 y;
+  asm("cvt.rn.bf16.f32 %0, %1;" : "=h"(y.bits) : "f"(x));
+  return y;
+#endif
+}
 
 template <class T>
 __device__ __forceinline__ T round_to(Compute<T> x) {
@@ -29,9 +47,9 @@ __device__ __forceinline__ T round_to(Compute<T> x) {
   else if constexpr (sizeof(T) == 1)
     return uint8_t(min(max(__float2int_rn(x), 0), 255));  // saturates; NaN is 0
   else if constexpr (__is_same(T, Half))
-    return {__half_as_ushort(__float2half_rn(x))};
+    return round_to_half(x);
   else
-    return {__bfloat16_as_ushort(__float2bfloat16_rn(x))};
+    return round_to_bfloat16(x);
 }
 
 // --- neighbouring elements
@@ -194,7 +212,7 @@ struct RowsDown {
 };
 
 // Splits planes into strips of 32 P elements by `rows` rows, one a warp, x fastest: the warps of one block read
-// neighbouring memory. Blocks of 256 threads.
+// neighbouring memory.
 template <int P = 4>
 struct Strips {
   unsigned across, down, count, rows;
@@ -203,10 +221,10 @@ struct Strips {
         down(unsigned(ceil_div(height, rows))),
         count(unsigned(planes * across * down)),
         rows(rows) {}
-  unsigned blocks() const { return (count + 7) / 8; }
-  // The warp's strip: false beyond the last one.
+  unsigned blocks(unsigned warps = 8) const { return (count + warps - 1) / warps; }
+  // The plane of the warp's strip, the first of the thread's columns, the first row: false beyond the last strip.
   __device__ __forceinline__ bool place(int64_t& plane, int& x, int& y) const {
-    unsigned const warp = blockIdx.x * 8 + threadIdx.x / 32;
+    unsigned const warp = blockIdx.x * (blockDim.x / 32) + threadIdx.x / 32;
     if (warp >= count) return false;
     unsigned const q = warp / across, p = q / down;
     x = int(warp - q * across) * 32 * P + (threadIdx.x % 32) * P;

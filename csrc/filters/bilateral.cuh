@@ -105,10 +105,11 @@ __device__ __forceinline__ float log_weight(float space, float const (&p)[C], fl
 #pragma unroll
     for (int c = 1; c < C; ++c) sum += fabsf(p[c] - q[c]);
     return space - sum * sum;
-  }
+  } else {
 #pragma unroll
-  for (int c = 0; c < C; ++c) space -= (p[c] - q[c]) * (p[c] - q[c]);
-  return space;
+    for (int c = 0; c < C; ++c) space -= (p[c] - q[c]) * (p[c] - q[c]);
+    return space;
+  }
 }
 
 // The weighted sums of C channels, and the sums of the weights, for the run of pixels that begins at (y, x). With R > 0

@@ -30,14 +30,6 @@ struct Tiles {
   }
 };
 
-template <class T>
-__device__ __forceinline__ void copy_later(T* to, T const* from) {
-  if constexpr (sizeof(T) >= 4)
-    __pipeline_memcpy_async(to, from, sizeof(T));
-  else
-    *to = *from;
-}
-
 // The sums of windows of one axis from those of blocks: a window begins in one block and ends in another, so it is the
 // end of the first (`tail`), the whole blocks between them, and the beginning of the last (`head`).
 template <class T>
@@ -79,8 +71,10 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
       int const column = at < 0 ? -1 : border_index(across.border, x, width);
       if (column < 0)
         to[x] = T{};
-      else
-        copy_later(to + x, from + column * step);
+      else if constexpr (sizeof(T) >= 4)
+        __pipeline_memcpy_async(to + x, from + column * step, sizeof(T));
+      else  // too small for an asynchronous copy
+        to[x] = from[column * step];
     };
     if (at < 0) {
       for (int x = left + lane; x < right; x += 32) to[x] = T{};

@@ -71,6 +71,8 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
 // (twice the edge: 0, 1 weak, 2 strong or kept) with a rim of zeros, so neighbours need no cases, and words of eight
 // bytes tell where strong pixels are.
 template <class T>
+constexpr int kBytesAtOnce = __is_same(Compute<T>, float) ? kLanes<T> : 1;  // bytes are loaded as floats
+template <class T>
 void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const height = p.edges.height, width = p.edges.width, stride = width + 8;
@@ -95,7 +97,11 @@ void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
   for (int64_t plane = begin; plane < end; ++plane) {
     for (int64_t y = 0; y < height; ++y) {
       T const* const row = p.edges.row(plane, y);
-      for (int64_t x = 0; x < width; ++x) pixels[y * stride + x] = uint8_t(load<1>(row + x) * 2);
+      uint8_t* const to = pixels + y * stride;
+      for_each_vector<T, kBytesAtOnce<T>>(0, width, [&](auto vector, int64_t x) {
+        constexpr int N = decltype(vector)::value;
+        store<N>(to + x, load<N>(row + x) * F(2));
+      });
     }
     for (int64_t y = 0; y < height; ++y)
       for (int64_t x = 0; x < width; x += 8) {
@@ -109,7 +115,11 @@ void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
       }
     for (int64_t y = 0; y < height; ++y) {
       T* const row = p.kept.row(plane, y);
-      for (int64_t x = 0; x < width; ++x) store<1>(row + x, F(pixels[y * stride + x] >> 1));
+      uint8_t const* const from = pixels + y * stride;
+      for_each_vector<T, kBytesAtOnce<T>>(0, width, [&](auto vector, int64_t x) {
+        constexpr int N = decltype(vector)::value;
+        store<N>(row + x, load<N>(from + x) > 1 ? broadcast<N>(F(1)) : Lanes<F, N>{});
+      });
     }
   }
 }

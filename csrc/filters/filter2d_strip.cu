@@ -36,25 +36,24 @@ struct alignas(16) StripMemory {
   Pack<float, P> rim[Folds ? K / 2 + 1 : 1][32];  // results that wait for more, by their distance from the edge
 };
 
-// Aligned: rows of input and output are packs of P pixels, at the same places.
-template <class T, int K, int P, bool Aligned, bool Folds>
+// `aligned`: rows of input and output are packs of P pixels, at the same places.
+template <class T, int K, int P, bool Folds, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
-    filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips) {
+    filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips, Aligned aligned) {
   constexpr int R = K / 2;
   __shared__ StripMemory<T, K, P, Folds> memory[kWarps];
   StripMemory<T, K, P, Folds>& shared = memory[threadIdx.x / 32];
-  int const lane = threadIdx.x % 32;
-  unsigned const warp = blockIdx.x * kWarps + threadIdx.x / 32;
-  if (warp >= strips.count) return;
-  unsigned const line = warp / strips.across, plane = line / strips.down;
-  int const x0 = int(warp - line * strips.across) * 32 * P, y0 = int((line - plane * strips.down) * strips.rows);
-  int const before = Aligned ? R : p.axis_x.before, above = Aligned ? R : p.axis_y.before;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const lane = threadIdx.x % 32, x0 = x - P * lane, above = p.axis_y.before;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
   // The first row read and the last row completed. Where results are folded, there is nothing above the image.
   int const first = Folds ? max(y0 - R, 0) : y0 - above, last = Folds && y1 == height ? height - 1 + R : y1 - 1;
   int const count = last + K - above - first;
-  StripRows<T, P, R, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, x0 + R - before, first, count);
+  StripRows<T, P, R, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned,
+                                          x0 + R - p.axis_x.before, first, count);
 
   float const* const kernel = p.kernel_of(plane);
   float w[K][K];
@@ -63,7 +62,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   if constexpr (Folds)
     for (int i = 0; i <= R; ++i) shared.rim[i][lane] = {};
 
-  int const x = x0 + P * lane, out_stride = int(p.y.row_stride * sizeof(T));
+  int const out_stride = int(p.y.row_stride * sizeof(T));
   T* const out = p.y.plane(plane) + x;
   [[maybe_unused]] bool const reflects = p.fold == Border::reflect;
   float sums[K - 1][P] = {};
@@ -71,14 +70,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   for (int i = 0; i < count; ++i) {
     int const y = first + i + above - (K - 1);  // the row that this one completes
     T const* const row = rows.row(i);
-    constexpr int kBefore = (R + P - 1) / P * P;
-    float v[P + 2 * kBefore];
-#pragma unroll
-    for (int j = 0; j < P + 2 * kBefore; j += P) {
-      Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(row + kHalo + P * lane - kBefore + j);
-#pragma unroll
-      for (int k = 0; k < P; ++k) v[j + k] = read(pack.v[k]);
-    }
+    float v[P + 2 * kBefore<K, P>];
+    read_windows<K, P>(row, v);
 
     float with[K][P];  // the sums with this row; the first is complete
 #pragma unroll
@@ -87,7 +80,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
       for (int j = 0; j < P; ++j) {
         with[t][j] = t < K - 1 ? sums[t < K - 1 ? t : 0][j] : 0;
 #pragma unroll
-        for (int k = 0; k < K; ++k) with[t][j] = fmaf(w[K - 1 - t][k], v[kBefore - R + j + k], with[t][j]);
+        for (int k = 0; k < K; ++k) with[t][j] = fmaf(w[K - 1 - t][k], v[kBefore<K, P> - R + j + k], with[t][j]);
       }
     if constexpr (Folds) {
       // What stands q pixels before the first pixel, or after the last one, reads R + 1 - q pixels.
@@ -99,7 +92,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
             float& to = with[t][left ? (reflects ? q : 0) : P - 1 - (reflects ? q : 0)];
 #pragma unroll
             for (int k = 0; k <= R - q; ++k)
-              to = fmaf(w[K - 1 - t][left ? R + q + k : R - q - k], v[kBefore + (left ? k : P - 1 - k)], to);
+              to = fmaf(w[K - 1 - t][left ? R + q + k : R - q - k], v[kBefore<K, P> + (left ? k : P - 1 - k)], to);
           }
       };
       if (x == 0) reflects ? fold(true, true) : fold(false, true);
@@ -124,14 +117,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
       if (y < 0) continue;
     }
     if (y < y0) continue;
-    T* const pixels = row_below(out, to, out_stride);
-    if constexpr (Aligned) {
-      if (x < width) store_pack(pixels, with[0]);
-    } else {
-#pragma unroll
-      for (int j = 0; j < P; ++j)
-        if (x + j < width) pixels[j] = round_to<T>(with[0][j]);
-    }
+    store_pixels(row_below(out, to, out_stride), with[0], x, width, aligned);
   }
 }
 
@@ -144,11 +130,12 @@ bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   int rows = kStripRows<K, P>;
   while (folds && p.y.height % rows > 0 && p.y.height % rows <= R) ++rows;  // an edge and what folds to it in one strip
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, rows);
-  auto const kernel = !aligned ? filter_strip<T, K, P, false, false> : filter_strip<T, K, P, true, false>;
-  unsigned const blocks = unsigned(ceil_div(strips.count, kWarps));
+  auto const launch = [&](auto aligned, auto folds) {
+    filter_strip<T, K, P, folds><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, aligned);
+  };
   if constexpr (sizeof(T) > 1)  // bytes have no gradient
-    if (folds) return filter_strip<T, K, P, true, true><<<blocks, 32 * kWarps, 0, stream>>>(p, strips), true;
-  kernel<<<blocks, 32 * kWarps, 0, stream>>>(p, strips);
+    if (folds) return launch(std::true_type{}, std::true_type{}), true;
+  aligned ? launch(std::true_type{}, std::false_type{}) : launch(std::false_type{}, std::false_type{});
   return true;
 }
 

@@ -28,6 +28,10 @@ template <class F>
 KV_HD Vector<F>& at(F* p) {
   return *reinterpret_cast<Vector<F>*>(p);
 }
+template <class F>
+KV_HD Vector<F> const& at(F const* p) {
+  return *reinterpret_cast<Vector<F> const*>(p);
+}
 
 template <class F>
 KV_HD int64_t whole_vectors(int64_t size) {
@@ -60,19 +64,28 @@ KV_HD void pack(F const* in, int64_t size, T* out) {
     for (int64_t e = 0; e < size; ++e) out[e] = from_key<T>(in[e]);
 }
 
-template <class T, class F>
-KV_HD bool is_nan(F x) {
-  if constexpr (__is_same(F, Compute<T>))
-    return x != x;
-  else
+// Of a value or of a vector.
+template <class T, class V>
+KV_HD auto is_nan(V x) {
+  if constexpr (__is_same(V, MedianKey<T>) || __is_same(V, Vector<MedianKey<T>>))
     return x == kMedianKeyOfNan<T>;
+  else
+    return x != x;
 }
 template <class T, class F>
 KV_HD bool has_nan(F const* values, int64_t size) {
-  int32_t nans = 0;  // a count, so that the loop becomes lanes
-  if constexpr (!__is_same(T, uint8_t))
-    for (int64_t e = 0; e < size; ++e) nans += is_nan<T>(values[e]);
-  return nans > 0;
+  bool found = false;
+  if constexpr (!__is_same(T, uint8_t)) {
+    auto nans = Vector<F>{} != Vector<F>{};
+    for_each_vector<T, kWidth<F>>(0, size, [&](auto vector, int64_t e) {
+      if constexpr (decltype(vector)::value == 1)
+        found |= is_nan<T>(values[e]);
+      else
+        nans |= is_nan<T>(at(values + e));
+    });
+    for (int i = 0; i < kWidth<F>; ++i) found |= nans[i] != 0;
+  }
+  return found;
 }
 
 // The last `count` rows of a walk down. Row y takes a division to find, the one below it does not.

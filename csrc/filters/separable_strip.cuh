@@ -1,5 +1,5 @@
 // The fast separable filter on CUDA: planar images, kernels of equal odd sizes from 3 to 31. Included by
-// separable_<type>.cu and symmetric_<type>.cu, which say for which types it is compiled.
+// separable_<type>.cu and separable_mirror_<type>.cu, which say for which types it is compiled.
 //
 // Each warp walks down a strip of 32 P columns, whose rows come by strip_rows.cuh.
 //
@@ -80,25 +80,53 @@ __device__ __forceinline__ float weight_at(float const* weights, int i, float4& 
   return i % 4 == 0 ? four.x : i % 4 == 1 ? four.y : i % 4 == 2 ? four.z : four.w;
 }
 
-// Aligned: rows of input and output are packs of P pixels, at the same places. Mirrored: the transpose of a reflected
+// Along x: the sums over the windows in v. `weight` is a function of the tap.
+template <int K, int P, int N, class W>
+__device__ __forceinline__ void filter_row(float const (&v)[N], W weight, float (&h)[P]) {
+#pragma unroll
+  for (int t = 0; t < K; ++t) {
+    float const w = weight(t);
+#pragma unroll
+    for (int j = 0; j < P; ++j) {
+      float const pixel = v[kBefore<K, P> - K / 2 + t + j];
+      h[j] = t == 0 ? w * pixel : fmaf(w, pixel, h[j]);
+    }
+  }
+}
+
+// Along y: adds a row to the sums that it belongs to, of which the first is complete.
+template <int K, int P, class W>
+__device__ __forceinline__ void add_row(float const (&h)[P], W weight, float (&sums)[K - 1][P], float (&complete)[P]) {
+#pragma unroll
+  for (int t = 0; t < K; ++t) {
+    float const w = weight(t);
+#pragma unroll
+    for (int j = 0; j < P; ++j) {
+      float const sum = t < K - 1 ? fmaf(w, h[j], sums[t][j]) : w * h[j];
+      (t == 0 ? complete[j] : sums[max(t - 1, 0)][j]) = sum;
+    }
+  }
+}
+
+// `aligned`: rows of input and output are packs of P pixels, at the same places. Mirrored: the transpose of a reflected
 // border with symmetric weights, D^-1 A D, where A is the forward pass and D doubles the first and the last pixel of an
 // axis; box.h has the reason.
-template <class T, int K, int P, bool Aligned, bool Mirrored>
+template <class T, int K, int P, bool Mirrored, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
-    separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor) {
+    separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,
+                    Aligned aligned) {
   constexpr int R = K / 2;
   __shared__ WarpMemory<T, K, P, Mirrored> memory[kWarps];
   WarpMemory<T, K, P, Mirrored>& shared = memory[threadIdx.x / 32];
-  int const lane = threadIdx.x % 32;
-  unsigned const warp = blockIdx.x * kWarps + threadIdx.x / 32;
-  if (warp >= strips.count) return;
-  unsigned const line = warp / strips.across, plane = line / strips.down;
-  int const x0 = int(warp - line * strips.across) * 32 * P, y0 = int((line - plane * strips.down) * strips.rows);
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const lane = threadIdx.x % 32, x0 = x - P * lane;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
   int const left = x0 + R - p.kx.before, out_stride = int(p.y.row_stride * sizeof(T));  // left as windows see it
-  StripRows<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, left, y0 - p.ky.before,
-                                             y1 - y0 + K - 1);
+  StripRows<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left,
+                                             y0 - p.ky.before, y1 - y0 + K - 1);
 
   int64_t const sample = plane / p.planes;
   shared.x[lane] = weight_of_lane(p.kx, sample, lane);
@@ -119,12 +147,14 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   if (Mirrored && (near_first || near_last)) {
 #pragma unroll
     for (int j = 0; j < P; ++j) {
-      int const i = P * lane + j, x = x0 + i, n = width - 1;
-      auto const weight_for = [&](int at) { return at >= x - R && at <= x + R ? shared.x[at - x + R] : 0.f; };
+      int const i = P * lane + j, n = width - 1;
+      auto const weight_for = [&](int at) {
+        return at >= x + j - R && at <= x + j + R ? shared.x[at - x - j + R] : 0.f;
+      };
       float const first = weight_for(0) + weight_for(2 * n), last = weight_for(n) + weight_for(-n);
       reads_first |= near_first && first != 0;
       reads_last |= near_last && last != 0;
-      on_rim |= x == 0 || x == n;
+      on_rim |= x + j == 0 || x + j == n;
       shared.first[Mirrored ? i : 0] = first;
       shared.last[Mirrored ? i : 0] = last;
     }
@@ -139,7 +169,6 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   };
   auto const is_end = [](int i, int n) { return i == 0 || i == n - 1; };
 
-  int const x = x0 + P * lane;
   T* const out = p.y.plane(plane) + x;
   float const reciprocal = 1 / divisor;
   float sums[K - 1][P] = {};
@@ -148,51 +177,23 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     int const y = y0 + i - (K - 1);  // the row that this one completes
     T const* const row = rows.row(i);
 
-    // Along x, from packs of P pixels.
-    constexpr int kBefore = (R + P - 1) / P * P;
-    float v[P + 2 * kBefore], h[P];
-#pragma unroll
-    for (int j = 0; j < P + 2 * kBefore; j += P) {
-      Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(row + kHalo + P * lane - kBefore + j);
-#pragma unroll
-      for (int k = 0; k < P; ++k) v[j + k] = read(pack.v[k]);
-    }
+    float v[P + 2 * kBefore<K, P>], h[P], result[P];
     [[maybe_unused]] float4 four;
-#pragma unroll
-    for (int t = 0; t < K; ++t) {
-      float const weight = kHeld ? held_x[kHeld ? t : 0] : weight_at(shared.x, t, four);
-#pragma unroll
-      for (int j = 0; j < P; ++j) {
-        float const pixel = v[kBefore - R + t + j];
-        h[j] = t == 0 ? weight * pixel : fmaf(weight, pixel, h[j]);
-      }
-    }
+    read_windows<K, P>(row, v);
+    filter_row<K>(v, [&](int t) { return kHeld ? held_x[kHeld ? t : 0] : weight_at(shared.x, t, four); }, h);
     if (reads_first) read_again(shared.first, row[kHalo], h);
     if (reads_last) read_again(shared.last, row[kHalo + width - 1 - x0], h);
 
-    // Along y.
     [[maybe_unused]] bool const row_twice = Mirrored && is_end(border_index(Border::reflect, y + R, height), height);
     if (row_twice) {
 #pragma unroll
       for (int j = 0; j < P; ++j) h[j] *= 2;
     }
-    float result[P];
-#pragma unroll
-    for (int t = 0; t < K; ++t) {
-      float const weight = kHeld ? held_y[kHeld ? t : 0] : weight_at(shared.y, t, four);
-#pragma unroll
-      for (int j = 0; j < P; ++j) {
-        float const sum = t < K - 1 ? fmaf(weight, h[j], sums[t][j]) : weight * h[j];
-        if (t == 0)
-          result[j] = sum;
-        else
-          sums[t - 1][j] = sum;
-      }
-    }
+    add_row<K>(h, [&](int t) { return kHeld ? held_y[kHeld ? t : 0] : weight_at(shared.y, t, four); }, sums, result);
     if (p.beta != 0) {
 #pragma unroll
       for (int j = 0; j < P; ++j) {
-        float pixel = v[kBefore + j];
+        float pixel = v[kBefore<K, P> + j];
         if (row_twice) pixel *= 2;
         if (on_rim && is_end(x + j, width)) pixel *= 2;
         sums[R - 1][j] = fmaf(p.beta, pixel, sums[R - 1][j]);
@@ -210,14 +211,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
 #pragma unroll
       for (int j = 0; j < P; ++j) result[j] = quotient<T>(result[j], divisor, reciprocal);
     }
-    T* const to = row_below(out, y, out_stride);
-    if constexpr (Aligned) {
-      if (x < width) store_pack(to, result);
-    } else {
-#pragma unroll
-      for (int j = 0; j < P; ++j)
-        if (x + j < width) to[j] = round_to<T>(result[j]);
-    }
+    store_pixels(row_below(out, y, out_stride), result, x, width, aligned);
   }
 }
 
@@ -233,11 +227,10 @@ void launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>;
   if (Mirrored) p.border = Border::reflect;
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, strip_rows<K, P>(p.y, kResident<K, P>));
-  unsigned const blocks = unsigned(ceil_div(strips.count, kWarps));
-  if (is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2)
-    separable_strip<T, K, P, true, Mirrored><<<blocks, 32 * kWarps, 0, stream>>>(p, strips, divisor);
-  else
-    separable_strip<T, K, P, false, Mirrored><<<blocks, 32 * kWarps, 0, stream>>>(p, strips, divisor);
+  auto const launch = [&](auto aligned) {
+    separable_strip<T, K, P, Mirrored><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
+  };
+  is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2 ? launch(std::true_type{}) : launch(std::false_type{});
 }
 
 template <class T, bool Mirrored, int K = 3>

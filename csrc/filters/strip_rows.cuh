@@ -43,15 +43,17 @@ __device__ __forceinline__ T* row_below(T* first_row, int y, int stride) {
 }
 
 // Rows from `first` on, `count` of them, for 32 P pixels from `left` on and `Radius` beside them. `Rows` is the size of
-// the ring; all but one are on their way. Aligned: rows are packs of P pixels, `left` at one of them.
-template <class T, int P, int Radius, int Rows, bool Aligned>
+// the ring; all but one are on their way. What is outside follows the borders `across` and `down`. `aligned`: rows are
+// packs of P pixels, `left` at one of them; as std::true_type or std::false_type it costs no branches.
+template <class T, int P, int Radius, int Rows, class Aligned>
 struct StripRows {
   using Ring = T[Rows][32 * P + 2 * kHalo];
   T (*const ring)[32 * P + 2 * kHalo];
   T const* const in;
-  Border const border;
+  Border const across, down;
   int const in_width, in_height, left, first, count, in_stride, lane;
   int own, filled, source, next = 0, known;
+  Aligned const aligned;
   bool has_beside, has_own, fills, near;
   int beside;
   uint32_t own_to, beside_to;
@@ -59,24 +61,26 @@ struct StripRows {
 
   static constexpr uint32_t kRowBytes = sizeof(Ring) / Rows;
 
-  __device__ __forceinline__ StripRows(Ring& memory, Planes<T const> const& x, int64_t plane, Border border, int left,
-                                       int first, int count)
+  __device__ __forceinline__ StripRows(Ring& memory, Planes<T const> const& x, int64_t plane, Border across,
+                                       Border down, Aligned aligned, int left, int first, int count)
       : ring(memory),
         in(x.plane(plane)),
-        border(border),
+        across(across),
+        down(down),
         in_width(int(x.width)),
         in_height(int(x.height)),
         left(left),
         first(first),
         count(count),
         in_stride(int(x.row_stride * sizeof(T))),
-        lane(threadIdx.x % 32) {
-    // The thread's part of copying a row: P neighbours if Aligned, else every 32nd pixel; and of the 16 pixels on
+        lane(threadIdx.x % 32),
+        aligned(aligned) {
+    // The thread's part of copying a row: P neighbours if aligned, else every 32nd pixel; and of the 16 pixels on
     // either side, P of them or one. What is outside the image stays zero, or is filled in from its source.
     int const side = lane < 16 ? left - kHalo : left + 32 * P;
-    beside = side + lane % 16 * (Aligned ? P : 1), own = left + lane * (Aligned ? P : 1);
-    has_beside = (Aligned ? lane % 16 < kHalo / P : true) && beside >= 0 && beside < in_width;
-    has_own = Aligned && own < in_width;
+    beside = side + lane % 16 * (aligned ? P : 1), own = left + lane * (aligned ? P : 1);
+    has_beside = (!aligned || lane % 16 < kHalo / P) && beside >= 0 && beside < in_width;
+    has_own = own < in_width;
     auto const place = [&](int x) { return uint32_t(__cvta_generic_to_shared(ring[0] + kHalo - left + x)); };
     own_to = place(own), beside_to = place(beside);
     own_from = in + own, beside_from = in + beside;
@@ -86,7 +90,7 @@ struct StripRows {
     filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
     bool const reached =
         filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
-    source = reached ? border_index(border, filled, in_width) : -1;
+    source = reached ? border_index(across, filled, in_width) : -1;
     fills = __any_sync(0xffffffffu, source >= 0);
     near = source >= max(left - kHalo, 0) && source < left + 32 * P + kHalo;
 #pragma unroll 1
@@ -95,14 +99,14 @@ struct StripRows {
 
   // Asks for one row more. Each thread knows the row of one of the next 32 positions, -1 for the constant.
   __device__ __forceinline__ void fetch() {
-    if (next % 32 == 0) known = border_index(border, first + next + lane, in_height);
+    if (next % 32 == 0) known = border_index(down, first + next + lane, in_height);
     int const y = __shfl_sync(0xffffffffu, known, next);
     bool const more = next < count, zero = y < 0;
     uint32_t const slot = next & (Rows - 1), to = slot * kRowBytes;
     ++next;
     T const* const from = row_below(own_from, max(y, 0), in_stride);
     T const* const from_beside = row_below(beside_from, max(y, 0), in_stride);
-    if constexpr (Aligned) {
+    if (aligned) {
       copy_later<P * sizeof(T)>(own_to + to, from, more && has_own, zero);
       copy_later<P * sizeof(T)>(beside_to + to, from_beside, more && has_beside, zero);
     } else {
@@ -136,7 +140,7 @@ struct StripRows {
       if (near) {
         row[kHalo + filled - left] = row[kHalo + source - left];
       } else if (source >= 0) {
-        int const from = border_index(border, first + i, in_height);
+        int const from = border_index(down, first + i, in_height);
         row[kHalo + filled - left] = from < 0 ? T{} : *(row_below(in, from, in_stride) + source);
       }
       __syncwarp();
@@ -144,6 +148,32 @@ struct StripRows {
     return row;
   }
 };
+
+// What the windows of K pixels around a thread's P pixels read of a row, whose pixel 0 is v[kBefore].
+template <int K, int P>
+constexpr int kBefore = (K / 2 + P - 1) / P * P;
+template <int K, int P, class T>
+__device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kBefore<K, P>]) {
+  T const* const first = row + kHalo + P * (threadIdx.x % 32) - kBefore<K, P>;
+#pragma unroll
+  for (int j = 0; j < P + 2 * kBefore<K, P>; j += P) {
+    Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(first + j);
+#pragma unroll
+    for (int k = 0; k < P; ++k) v[j + k] = read(pack.v[k]);
+  }
+}
+
+// Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. `aligned`: as in StripRows.
+template <class T, int P, class Aligned>
+__device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
+  if (aligned) {
+    if (x < width) store_pack(to, v);
+  } else {
+#pragma unroll
+    for (int j = 0; j < P; ++j)
+      if (x + j < width) to[j] = round_to<T>(v[j]);
+  }
+}
 
 // Rows of a strip, which takes K - 1 rows more than it completes: the least work for the waves in which `lines` columns
 // of strips go through the machine; a wave takes less time as it has fewer strips, down to `busy`, which keep the

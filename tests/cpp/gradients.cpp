@@ -126,6 +126,20 @@ int main() {
   if (!torch::equal(edges, torch::tensor({1.f, 1.f, 0.f, 0.f}).view({1, 1, 1, 4})) && ++failures)
     std::cout << "canny_hysteresis: " << edges << "\n";
 
+  auto const stretch = [](auto const& t) { return std::get<0>(kvision::normalize_min_max(t[0], -1, 2)); };
+  check("normalize_min_max", stretch, {x}, false);
+  auto const counts = [&](auto const& t) {
+    return kvision::gaussian_counts(t[0], row.to(torch::kDouble), torch::full({1}, 0.2, torch::kDouble));
+  };
+  check("gaussian_counts", counts, {column}, false);
+  // Levels have no gradient, and a plane of one level comes back with its own.
+  Tensor const planes = torch::cat({x, torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();
+  auto const slope = [&](Tensor const& y) { return torch::autograd::grad({y.sum()}, {planes})[0].mean({0, 2, 3}); };
+  if (!torch::equal(slope(std::get<0>(kvision::equalize(planes, true))), torch::tensor({0.f, 0.f, 1.f})) && ++failures)
+    std::cout << "equalize: the gradient is not that of the flat plane alone\n";
+  if (slope(kvision::equalize_clahe(planes)).any().item<bool>() && ++failures)
+    std::cout << "equalize_clahe: a gradient\n";
+
   // A sigma as a tensor and as numbers are the same blur.
   Tensor const by_tensor = kvision::gaussian_blur2d(x, torch::tensor({{1.5f, 0.7f}}), 5, 3, 0, 0);
   if (!torch::allclose(by_tensor, kvision::gaussian_blur2d(x, {}, 5, 3, 1.5, 0.7)) && ++failures)

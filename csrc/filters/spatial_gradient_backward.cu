@@ -1,0 +1,92 @@
+// The gradient of derivatives of an image on CUDA; the walk of spatial_gradient.cu.
+#include "core/launch.cuh"
+#include "spatial_gradient.h"
+
+namespace kv::cuda {
+namespace {
+
+template <class Member>
+constexpr int kRows = Member::reach == 1 ? 16 : 32;
+
+// The transpose, in the same order: along the rows of each channel, then down.
+template <class Member, class T, bool Aligned>
+__global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T> p, Strips<> strips) {
+  constexpr int R = Member::reach, channels = Member::order + 1;
+  using F = Compute<T>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height), y1 = min(y0 + int(strips.rows), height);
+  using Strip = Strip<R, Aligned>;
+  Strip const strip(x, width, Border::constant);
+  int64_t const channel_stride = p.grad.outer_stride;
+  T const* const grad = p.grad.plane(plane * channels);
+  T* out = p.grad_x.row(plane, y0);
+
+  int next_y = y0 - R;
+  typename Strip::Fetched<T> ahead[channels];
+  auto const fetch = [&] {  // outside the image there is no gradient
+#pragma unroll
+    for (int c = 0; c < channels; ++c) {
+      ahead[c] = {};
+      if (next_y >= 0 && next_y < height)
+        ahead[c] = strip.fetch(grad + c * channel_stride + next_y * p.grad.row_stride);
+    }
+    ++next_y;
+  };
+  F along[2 * R + 1][channels][4];  // rows y - R ... y + R
+  auto const next = [&](F(&to)[channels][4]) {
+    F v[channels][4 + 2 * R];
+#pragma unroll
+    for (int c = 0; c < channels; ++c) strip.spread(ahead[c], v[c]);
+    fetch();
+    for_each_channel<Member>([&](auto c) {
+#pragma unroll
+      for (int i = 0; i < 4; ++i) {
+        bool const first = i == 0 && x == 0, last = (i == 3 || !Aligned) && x + i == width - 1;
+        to[c.value][i] = c.along().dot_vjp([&](int k) { return v[c.value][i + k]; }, first, last);
+      }
+    });
+  };
+  fetch();
+#pragma unroll
+  for (int k = 0; k < 2 * R; ++k) next(along[k]);
+#pragma unroll 1
+  for (int y = y0; y < y1; ++y) {
+    next(along[2 * R]);
+    F result[4]{};
+    for_each_channel<Member>([&](auto c) {
+#pragma unroll
+      for (int i = 0; i < 4; ++i)
+        result[i] += c.down().dot_vjp([&](int k) { return along[k][c.value][i]; }, y == 0, y == height - 1) *
+                     c.template scale<F>(p.normalized);
+    });
+    strip.store(out, result);
+    out += p.grad_x.row_stride;
+#pragma unroll
+    for (int k = 0; k < 2 * R; ++k)
+#pragma unroll
+      for (int c = 0; c < channels; ++c)
+#pragma unroll
+        for (int i = 0; i < 4; ++i) along[k][c][i] = along[k + 1][c][i];
+  }
+}
+
+}  // namespace
+
+template <class T>
+int spatial_gradient_backward(SpatialGradientBackward<T> const& p, CUstream_st* stream) {
+  with_member(p.kind, [&](auto member) {
+    using Member = decltype(member);
+    Strips<> const strips(p.grad_x.count(), p.grad_x.height, p.grad_x.width, kRows<Member>);
+    if (is_strip<4>(p.grad) && is_strip<4>(p.grad_x))
+      backward_strip<Member, T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    else
+      backward_strip<Member, T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(spatial_gradient_backward, SpatialGradientBackward)
+
+}  // namespace kv::cuda

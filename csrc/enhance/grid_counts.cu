@@ -24,7 +24,7 @@ template <class T>
 __device__ __forceinline__ void place_of(GridCounts<T> const& p, T x, int& bin, T& t) {
   T const place = (x - p.low) * p.inverse + T(0.5), whole = floor(place);
   t = place - whole;
-  bin = whole >= 0 && whole <= T(p.bins) ? int(whole) - 1 : -2;  // NaN is in no bin
+  bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
 }
 
 // Counts in shared memory, kCopies of each where they fit: neighbouring threads, whose samples are often alike, add to

@@ -19,7 +19,7 @@ KV_HD void for_each_sample(GridCounts<T> const& p, T const* x, F f) {
       constexpr int N = decltype(width)::value;
       using V = Lanes<T, N>;
       V const place = (load<N>(x + begin + i) - p.low) * p.inverse + T(0.5), whole = vfloor(place);
-      V const inside = (whole >= 0) & (whole <= T(p.bins)) ? whole : broadcast<N>(T(-1));
+      V const inside = (whole >= 0) & (whole <= T(p.bins + 1)) ? whole : broadcast<N>(T(-1));
       store<N>(t + i, V(place - whole));
       if constexpr (N == 1)
         bin[i] = int32_t(inside);
@@ -34,10 +34,10 @@ KV_HD void for_each_sample(GridCounts<T> const& p, T const* x, F f) {
 
 template <class T>
 void grid_counts(GridCounts<T> const& p, int64_t begin, int64_t end) {
-  Scratch<double> const sums(p.bins + 3);  // a bin more at both ends, and one before those
+  Scratch<double> const sums(p.bins + 4);  // two bins more at either end
   double* const count = sums.data + 1;
   for (int64_t row = begin; row < end; ++row) {
-    for (int64_t k = 0; k < p.bins + 3; ++k) sums.data[k] = 0;
+    for (int64_t k = 0; k < p.bins + 4; ++k) sums.data[k] = 0;
     for_each_sample(p, p.x + row * p.samples, [&](int64_t, int32_t bin, T t) {
       if (bin < 0) return;
       Between<T> const b(t, p.kernel);
@@ -52,10 +52,10 @@ void grid_counts(GridCounts<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void grid_counts_backward(GridCountsBackward<T> const& b, int64_t begin, int64_t end) {
   GridCounts<T> const& p = b.forward;
-  Scratch<T> const grads(p.bins + 3);
+  Scratch<T> const grads(p.bins + 4);
   T* const grad = grads.data + 1;
   for (int64_t row = begin; row < end; ++row) {
-    grad[-1] = grad[0] = grad[p.bins + 1] = 0;
+    grad[-1] = grad[0] = grad[p.bins + 1] = grad[p.bins + 2] = 0;
     for (int64_t k = 0; k < p.bins; ++k) grad[k + 1] = b.grad[row * p.bins + k];
     T* const grad_x = b.grad_x + row * p.samples;
     for_each_sample(p, p.x + row * p.samples, [&](int64_t i, int32_t bin, T t) {

@@ -1,28 +1,177 @@
-// Colour programs: chains of per-pixel steps, which csrc/color/program.h lists with their parameters; the conversions
-// of python/kvision/color are programs of one step. Images are (B, 3, H, W). A second derivative is an error.
+// Colour programs, chains of per-pixel steps in one pass over the image, and the conversions of python/kvision/color,
+// which are programs of one step. Images are (B, 3, H, W), floating point. A second derivative is an error.
 #pragma once
 
+#include <memory>
+#include <optional>
+#include <string>
+#include <tuple>
+#include <utility>
 #include <vector>
 
 #include "kvision/operator.h"
 
 namespace kvision {
 
-inline Tensor color_program_backward(Tensor const& grad, Tensor const& input, std::vector<int64_t> const& steps,
-                                     std::vector<double> const& parameters) {
+// The steps and all their parameters as `numbers`. A parameter that is a tensor has its column of `parameters`, (B or
+// 1, C or 1, P) of float, or double for double images, in `columns`, and the others have -1 there. `order` (B or 1, S)
+// of int64 has the step of each position, or -1 for none. The result has the dtype, as torch names it, and the layout,
+// "NCHW" or "NHWC", that are asked for; bytes are 255ths.
+struct ColorProgram {
+  // With their parameters, as csrc/color/program.h explains them.
+  enum Step : int64_t {
+    affine,
+    rgb_to_hsv,
+    hsv_to_rgb,
+    rgb_to_hls,
+    hls_to_rgb,
+    rgb_to_linear_rgb,
+    linear_rgb_to_rgb,
+    rgb_to_lab,
+    lab_to_rgb,
+    rgb_to_luv,
+    luv_to_rgb,
+    byte_luma,
+    weighted_sum,
+    line_rgb,
+    standardize_rgb,
+    saturation,
+    saturation_raw,
+    saturation_grey,
+    hue,
+    hue_raw,
+    contrast,
+    line,
+    standardize,
+    gamma,
+    log,
+    sigmoid,
+    solarize,
+    posterize,
+  };
+  std::vector<int64_t> steps;
+  std::vector<double> numbers;
+  std::optional<Tensor> parameters = {};
+  std::vector<int64_t> columns = {};
+  std::optional<Tensor> order = {};
+  std::string dtype = "same";
+  std::string layout = "same";
+};
+
+// The gradients of the image and of the parameters, the latter for each sample; without elements where not wanted.
+inline std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor const& input, ColorProgram const& p,
+                                                         std::optional<Tensor> const& means, bool of_image,
+                                                         bool of_parameters) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"color_program_backward">(grad, input, steps, parameters)}; };
-  return differentiable({grad, input}, compute, {}, no_second_derivative("color_program"))[0];
+  auto const compute = [&] {
+    auto const [of_x, of_rows] = call<"color_program_backward", std::tuple<Tensor, Tensor>>(
+        grad, input, p.parameters, p.order, means, p.steps, p.numbers, p.columns, of_image, of_parameters);
+    return variable_list{of_x, of_rows};
+  };
+  auto const found = differentiable({grad, input, p.parameters.value_or(Tensor())}, compute, {},
+                                    no_second_derivative("color_program"));
+  return {found[0], found[1]};
 }
 
-inline Tensor color_program(Tensor const& input, std::vector<int64_t> const& steps,
-                            std::vector<double> const& parameters) {
+namespace detail {
+
+inline variable_list color_gradients(Backward const& b, ColorProgram const& p, std::optional<Tensor> const& mean) {
+  bool const of_parameters = p.parameters && b.wanted(1);
+  auto const [of_x, of_rows] = color_program_backward(b.grads[0], b.saved[0], p, mean, b.wanted(0), of_parameters);
+  bool const shared = of_parameters && p.parameters->size(0) == 1;
+  return {b.wanted(0) ? of_x : Tensor(), !of_parameters ? Tensor() : shared ? of_rows.sum({0}, true) : of_rows};
+}
+
+}  // namespace detail
+
+inline Tensor color_program(Tensor const& input, ColorProgram const& p) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"color_program">(input, steps, parameters)}; };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{color_program_backward(b.grads[0], b.saved[0], steps, parameters)};
+  auto const compute = [&] {
+    return variable_list{
+        call<"color_program">(input, p.parameters, p.order, p.steps, p.numbers, p.columns, p.dtype, p.layout)};
   };
-  return differentiable({input}, compute, {input}, gradient)[0];
+  auto const gradient = [=](Backward const& b) { return color_gradients(b, p, {}); };
+  return differentiable({input, p.parameters.value_or(Tensor())}, compute, {input}, gradient)[0];
+}
+
+// With a step `contrast`, and the mean of each sample around which there was contrast as the second result.
+inline std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input, ColorProgram const& p) {
+  using namespace detail;
+  Tensor mean;
+  auto const compute = [&] {
+    auto const [y, found] = call<"color_program_around_mean", std::tuple<Tensor, Tensor>>(
+        input, p.parameters, p.order, p.steps, p.numbers, p.columns, p.dtype, p.layout);
+    mean = found;
+    return variable_list{y};
+  };
+  // The mean is there only when the gradient is: it is kept by reference until then.
+  auto const kept = std::make_shared<Tensor>();
+  auto const gradient = [=](Backward const& b) { return color_gradients(b, p, *kept); };
+  Tensor const y = differentiable({input, p.parameters.value_or(Tensor())}, compute, {input}, gradient)[0];
+  *kept = mean;
+  return {y, mean};
+}
+
+// --- conversions
+
+namespace detail {
+
+inline Tensor converted(Tensor const& image, ColorProgram::Step step, std::vector<double> numbers = {}) {
+  return color_program(image, {{step}, std::move(numbers)});
+}
+
+}  // namespace detail
+
+// The channels mixed by a matrix, given by rows; `offset` is added, and the result may be clipped to [0, 1].
+inline Tensor mix_channels(Tensor const& image, std::vector<double> matrix,
+                           std::vector<double> const& offset = {0, 0, 0}, bool clip = false) {
+  matrix.insert(matrix.end(), offset.begin(), offset.end());
+  matrix.push_back(clip);
+  return detail::converted(image, ColorProgram::affine, std::move(matrix));
+}
+
+inline Tensor rgb_to_grayscale(Tensor const& image, std::vector<double> const& weights = {0.299, 0.587, 0.114}) {
+  return detail::converted(image, ColorProgram::weighted_sum, weights);
+}
+
+inline Tensor rgb_to_hsv(Tensor const& image, double eps = 1e-8) {
+  return detail::converted(image, ColorProgram::rgb_to_hsv, {eps});
+}
+inline Tensor hsv_to_rgb(Tensor const& image) { return detail::converted(image, ColorProgram::hsv_to_rgb); }
+
+inline Tensor rgb_to_hls(Tensor const& image, double eps = 1e-8) {
+  return detail::converted(image, ColorProgram::rgb_to_hls, {eps});
+}
+inline Tensor hls_to_rgb(Tensor const& image) { return detail::converted(image, ColorProgram::hls_to_rgb); }
+
+inline Tensor rgb_to_linear_rgb(Tensor const& image) {
+  return detail::converted(image, ColorProgram::rgb_to_linear_rgb);
+}
+inline Tensor linear_rgb_to_rgb(Tensor const& image) {
+  return detail::converted(image, ColorProgram::linear_rgb_to_rgb);
+}
+
+inline Tensor rgb_to_lab(Tensor const& image) { return detail::converted(image, ColorProgram::rgb_to_lab); }
+inline Tensor lab_to_rgb(Tensor const& image, bool clip = true) {
+  return detail::converted(image, ColorProgram::lab_to_rgb, {double(clip)});
+}
+
+inline Tensor rgb_to_luv(Tensor const& image, double eps = 1e-12) {
+  return detail::converted(image, ColorProgram::rgb_to_luv, {eps});
+}
+inline Tensor luv_to_rgb(Tensor const& image, double eps = 1e-12) {
+  return detail::converted(image, ColorProgram::luv_to_rgb, {eps});
+}
+
+inline Tensor rgb_to_ycbcr(Tensor const& image) {
+  double const r = 0.299, g = 0.587, b = 0.114, blue = 0.564, red = 0.713;
+  return mix_channels(image, {r, g, b, -blue * r, -blue * g, blue * (1 - b), red * (1 - r), -red * g, -red * b},
+                      {0, 0.5, 0.5});
+}
+inline Tensor ycbcr_to_rgb(Tensor const& image) {
+  double const r = 0.299, g = 0.587, b = 0.114, blue = 0.564, red = 0.713;
+  return mix_channels(image, {1, 0, 1 / red, 1, -b / g / blue, -r / g / red, 1, 1 / blue, 0},
+                      {-0.5 / red, (b / blue + r / red) / (2 * g), -0.5 / blue}, true);
 }
 
 }  // namespace kvision

@@ -1,22 +1,23 @@
-// Included by program_<type>.cu. Colour programs on CUDA: a thread takes a few pixels, by packs of 16 bytes. Programs
-// of one step are compiled for it; the others read their steps one by one.
+// Included by program.cu, program_backward.cu and program_double.cu. Colour programs on CUDA: a thread takes P pixels
+// in registers from step to step, and the steps are read one by one, by all threads of a block alike: they are in one
+// sample. What is stored is a matter of loading and storing, by packs of 16 bytes or less where memory allows it.
 #pragma once
 
 #include "core/launch.cuh"
 
 namespace kv {
 
-// What steps.h needs of numbers; for the CPU it is in core/lanes.h.
-template <class F, int N>
-__device__ __forceinline__ F vexp2(F x) {
-  return fast_exp2(x);
-}
-template <class F, int N>
-__device__ __forceinline__ F vlog2(F x) {
+// What steps.h needs of numbers.
+template <class F>
+__device__ __forceinline__ F log2_of(F x) {
   return fast_log2(x);
 }
-__device__ __forceinline__ float vfloor(float x) { return floorf(x); }
-__device__ __forceinline__ double vfloor(double x) { return floor(x); }
+template <class F>
+__device__ __forceinline__ F exp2_of(F x) {
+  return fast_exp2(x);
+}
+__device__ __forceinline__ float floor_of(float x) { return floorf(x); }
+__device__ __forceinline__ double floor_of(double x) { return floor(x); }
 
 }  // namespace kv
 
@@ -25,133 +26,248 @@ __device__ __forceinline__ double vfloor(double x) { return floor(x); }
 namespace kv::cuda {
 namespace {
 
-// P pixels of C channels, as C packs: one of each channel, or one after the other with channels inside.
-template <class T, int C, int P, bool Inside>
-struct Group {
-  Pack<T, P> pack[C];
+constexpr int kThreads = 256;
+template <class F>
+constexpr int kTaken = int(kChunk<F> / kThreads);
 
-  template <class U>
-  static __device__ __forceinline__ U* address(Pixels<U> const& x, int64_t b, int64_t i, int k) {
-    return x.sample(b) + (Inside ? C * i + k * P : i + k * x.channel_stride);
-  }
-  __device__ __forceinline__ void load(Pixels<T const> const& x, int64_t b, int64_t i) {
+// --- a step over the pixels of a thread
+// ---------------------------------------------------------------------------------
+
+template <class F, int C>
+struct Values {
+  static constexpr int kChannels = C;
+  static constexpr bool kOfParameters = false;
+  F (&c)[C][kTaken<F>];
+  F const* p;
+
+  template <class Formula>
+  __device__ __forceinline__ void each(Formula f) {
 #pragma unroll
-    for (int k = 0; k < C; ++k) pack[k] = *reinterpret_cast<Pack<T, P> const*>(address(x, b, i, k));
-  }
-  __device__ __forceinline__ void store(Pixels<T> const& y, int64_t b, int64_t i) const {
-#pragma unroll
-    for (int k = 0; k < C; ++k) *reinterpret_cast<Pack<T, P>*>(address(y, b, i, k)) = pack[k];
-  }
-  __device__ __forceinline__ void get(int j, Compute<T> (&c)[3]) const {
-#pragma unroll
-    for (int k = 0; k < C; ++k) c[k] = read(Inside ? pack[(C * j + k) / P].v[(C * j + k) % P] : pack[k].v[j]);
-  }
-  __device__ __forceinline__ void put(int j, Compute<T> const (&c)[3]) {
-#pragma unroll
-    for (int k = 0; k < C; ++k) (Inside ? pack[(C * j + k) / P].v[(C * j + k) % P] : pack[k].v[j]) = round_to<T>(c[k]);
+    for (int j = 0; j < kTaken<F>; ++j) {
+      F v[C];
+      for (int k = 0; k < C; ++k) v[k] = c[k][j];
+      f(v, p, p);
+      for (int k = 0; k < C; ++k) c[k][j] = v[k];
+    }
   }
 };
 
-// Calls f(sample, first pixel) for the groups of P pixels.
-template <int P, class F>
-__device__ __forceinline__ void for_each_group(int64_t samples, int64_t pixels, F f) {
-  int64_t const i = (int64_t(blockIdx.x) * blockDim.x + threadIdx.x) * P;
+// g <- g J
+template <class F, int C>
+struct Pullback {
+  static constexpr int kChannels = C;
+  static constexpr bool kOfParameters = false;
+  F const (&c)[C][kTaken<F>];
+  F (&g)[C][kTaken<F>];
+  F const* p;
+
+  template <class Formula>
+  __device__ __forceinline__ void each(Formula f) {
+#pragma unroll
+    for (int j = 0; j < kTaken<F>; ++j) {
+      Dual<F, C> v[C];
+      for (int k = 0; k < C; ++k) {
+        v[k].value = c[k][j];
+        for (int d = 0; d < C; ++d) v[k].d[d] = F(k == d);
+      }
+      f(v, p, p);
+      F pulled[C]{};
+      for (int k = 0; k < C; ++k)
+        for (int d = 0; d < C; ++d) pulled[d] += g[k][j] * v[k].d[d];
+      for (int k = 0; k < C; ++k) g[k][j] = pulled[k];
+    }
+  }
+};
+
+// The gradient of parameter `wanted` of the step, summed over the pixels.
+template <class F, int C>
+struct Slope {
+  static constexpr int kChannels = C;
+  static constexpr bool kOfParameters = true;
+  F const (&c)[C][kTaken<F>];
+  F const (&g)[C][kTaken<F>];
+  F const* p;
+  int wanted;
+  F sum;
+
+  template <class Formula>
+  __device__ __forceinline__ void each(Formula f) {
+    Dual<F, 1> q[kMostOfAStep];
+    for (int k = 0; k < kMostOfAStep; ++k) q[k] = {p[k], {F(k == wanted)}};
+#pragma unroll
+    for (int j = 0; j < kTaken<F>; ++j) {
+      Dual<F, 1> v[C];
+      for (int k = 0; k < C; ++k) v[k] = {c[k][j], {F(0)}};
+      f(v, q, p);
+      for (int k = 0; k < C; ++k) sum += g[k][j] * v[k].d[0];
+    }
+  }
+};
+
+// --- memory <-> registers
+// -----------------------------------------------------------------------------------------------
+
+// F computes with what T stores.
+template <class F, class T>
+constexpr bool kFits = sizeof(F) == 8 || sizeof(T) < 8;
+template <class T>
+constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
+
+// Whether P pixels are packs in memory.
+template <class F>
+__device__ __forceinline__ bool is_packed(Pixels const& x, int64_t pixels) {
+  int64_t const odd = pixels | x.outer_stride | x.inner_stride | (x.step == 1 ? x.channel_stride : 0);
+  return odd % kTaken<F> == 0 && reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && (x.step == 1 || x.step == x.channels);
+}
+
+// Channels that there are not, and what is beyond the end, become `rest`.
+template <class F, int C>
+__device__ __forceinline__ void load_pixels(Pixels const& x, int64_t b, int64_t i, int64_t pixels, F rest,
+                                            F (&c)[C][kTaken<F>]) {
+  constexpr int P = kTaken<F>;
+  bool const packed = is_packed<F>(x, pixels), inside = x.step != 1;
+#pragma unroll
+  for (int k = 0; k < C; ++k)
+#pragma unroll
+    for (int j = 0; j < P; ++j) c[k][j] = rest;
   if (i >= pixels) return;
-  for (int64_t b = blockIdx.y; b < samples; b += gridDim.y) f(b, i);
-}
-
-template <class T, int C, int P, bool Inside, Step Only>
-__global__ void __launch_bounds__(256) program_groups(__grid_constant__ Program<T> const p) {
-  for_each_group<P>(p.x.samples, p.x.pixels, [&](int64_t b, int64_t i) {
-    Group<T, 3, P, Inside> from;
-    Group<T, C, P, Inside> to;
-    from.load(p.x, b, i);
+  for_storage(x.type, [&](auto stored) {
+    using T = decltype(stored);
+    if constexpr (kFits<F, T>) {
+      constexpr F unit = F(1. / kUnit<T>);
+      T const* const from = static_cast<T const*>(x.data) + x.offset(b);
+      if (packed && inside && x.channels == C) {
+        Pack<T, P> pack[C];
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      Compute<T> c[3];
-      from.get(j, c);
-      run_program<Only>(p, c);
-      to.put(j, c);
+        for (int k = 0; k < C; ++k) pack[k] = *reinterpret_cast<Pack<T, P> const*>(from + C * i + k * P);
+#pragma unroll
+        for (int k = 0; k < C; ++k)
+#pragma unroll
+          for (int j = 0; j < P; ++j) c[k][j] = F(read(pack[(C * j + k) / P].v[(C * j + k) % P])) * unit;
+      } else if (packed && !inside) {
+#pragma unroll
+        for (int k = 0; k < C; ++k) {
+          if (k >= x.channels) break;
+          auto const pack = *reinterpret_cast<Pack<T, P> const*>(from + k * x.channel_stride + i);
+#pragma unroll
+          for (int j = 0; j < P; ++j) c[k][j] = F(read(pack.v[j])) * unit;
+        }
+      } else {
+#pragma unroll
+        for (int k = 0; k < C; ++k)
+#pragma unroll
+          for (int j = 0; j < P; ++j)
+            if (k < x.channels && i + j < pixels)
+              c[k][j] = F(read(from[k * x.channel_stride + (i + j) * x.step])) * unit;
+      }
     }
-    to.store(p.y, b, i);
   });
 }
 
-template <class T, int C, int P, bool Inside, Step Only>
-__global__ void __launch_bounds__(256) program_backward_groups(__grid_constant__ ProgramBackward<T> const p) {
-  for_each_group<P>(p.grad.samples, p.grad.pixels, [&](int64_t b, int64_t i) {
-    Group<T, 3, P, Inside> x;
-    Group<T, C, P, Inside> grad;
-    x.load(p.forward.x, b, i);
-    grad.load(p.grad, b, i);
+template <class F, int C>
+__device__ __forceinline__ void store_pixels(Pixels const& y, int64_t b, int64_t i, int64_t pixels,
+                                             F const (&c)[C][kTaken<F>]) {
+  constexpr int P = kTaken<F>;
+  bool const packed = is_packed<F>(y, pixels), inside = y.step != 1;
+  if (i >= pixels) return;
+  for_storage(y.type, [&](auto stored) {
+    using T = decltype(stored);
+    if constexpr (kFits<F, T>) {
+      constexpr F unit = kUnit<T>;
+      auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * unit)); };
+      T* const to = static_cast<T*>(y.data) + y.offset(b);
+      if (packed && inside && y.channels == C) {
+        Pack<T, P> pack[C];
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      Compute<T> c[3], g[3]{};
-      x.get(j, c);
-      grad.get(j, g);
-      run_program_backward<Only>(p.forward, c, C, g);
-      x.put(j, g);
+        for (int k = 0; k < C; ++k)
+#pragma unroll
+          for (int j = 0; j < P; ++j) pack[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
+#pragma unroll
+        for (int k = 0; k < C; ++k) *reinterpret_cast<Pack<T, P>*>(to + C * i + k * P) = pack[k];
+      } else if (packed && !inside) {
+#pragma unroll
+        for (int k = 0; k < C; ++k) {
+          if (k >= y.channels) break;
+          Pack<T, P> pack;
+#pragma unroll
+          for (int j = 0; j < P; ++j) pack.v[j] = rounded(c[k][j]);
+          *reinterpret_cast<Pack<T, P>*>(to + k * y.channel_stride + i) = pack;
+        }
+      } else {
+#pragma unroll
+        for (int k = 0; k < C; ++k)
+#pragma unroll
+          for (int j = 0; j < P; ++j)
+            if (k < y.channels && i + j < pixels) to[k * y.channel_stride + (i + j) * y.step] = rounded(c[k][j]);
+      }
     }
-    x.store(p.grad_x, b, i);
   });
 }
 
-// Whether groups of P pixels are packs in memory.
-template <int P, class T>
-bool is_packed(Pixels<T> const& x) {
-  constexpr int64_t bytes = alignof(Pack<std::remove_const_t<T>, P>);
-  return reinterpret_cast<uintptr_t>(x.data) % bytes == 0 && x.pixels % P == 0;
+// --- what is the same for all pixels of a sample, and sums over a block
+// ---------------------------------------------------
+
+template <class F>
+__device__ __forceinline__ F sum_of_warp(F v) {
+#pragma unroll
+  for (int lane = 16; lane > 0; lane /= 2) v += __shfl_xor_sync(0xffffffffu, v, lane);
+  return v;
 }
 
-template <int P>
-dim3 grid_of(int64_t samples, int64_t pixels) {
-  return dim3(unsigned(ceil_div(pixels, int64_t(256) * P)), unsigned(min(samples, int64_t(65535))));
-}
+template <class F>
+struct Sample {
+  F p[kMostParameters + kMostOfAStep];
+  int order[kMostSteps], length;
+  F mean, mean_slope;  // and the mean's gradient, for each pixel
+  F sums[kThreads / 32];
 
-template <auto value>
-struct Constant {
-  static constexpr auto v = value;
+  // Of all threads, to all threads.
+  __device__ __forceinline__ F sum_of_block(F v) {
+    v = sum_of_warp(v);
+    __syncthreads();
+    if (threadIdx.x % 32 == 0) sums[threadIdx.x / 32] = v;
+    __syncthreads();
+    F total = 0;
+#pragma unroll
+    for (int i = 0; i < kThreads / 32; ++i) total += sums[i];
+    return total;
+  }
+
+  __device__ __forceinline__ void prepare(Program<F> const& program, int64_t b, bool backward) {
+    __syncthreads();  // the sample before may be in use
+    int const t = int(threadIdx.x);
+    int const of_mean = program.contrast < 0 ? -1 : program.first[program.contrast] + 1;
+    if (t < kMostParameters + kMostOfAStep && t != of_mean) p[t] = t < program.count ? program.parameter(b, t) : F(0);
+    bool found = false;
+    if (t == 0 || program.contrast >= 0) {
+      int n = 0;
+      for (int i = 0; i < program.length; ++i) {
+        int const step = program.step_at(b, i);
+        if (step < 0) continue;
+        found = found || step == program.contrast;
+        if (t == 0) order[n++] = step;
+      }
+      if (t == 0) length = n;
+    }
+    if (found && !(program.measures && !backward)) {
+      F sum = 0;
+      int64_t const parts = parts_of(program.pixels);
+      if (!program.measures) sum = sum_of_block(t < parts ? program.parts[b * parts + t] / F(program.pixels) : F(0));
+      if (t == 0) {
+        mean = backward ? program.means[b] : sum;
+        mean_slope = sum;
+        p[of_mean] = mean;
+      }
+    } else if (t == 0) {
+      mean = mean_slope = 0;
+    }
+    __syncthreads();
+  }
 };
 
-// Calls launch(C, P, Inside, Only as Constants) for the kernel that fits.
-template <class T, Step Only = Step(0), class F>
-void choose(Program<T> const& p, int channels, bool packed, bool inside, F launch) {
-  if constexpr (Only == Step::count || sizeof(T) == 8) {
-    auto const of_channels = [&](auto c) {
-      inside ? launch(c, Constant<1>{}, Constant<true>{}, Constant<Step::count>{})
-             : launch(c, Constant<1>{}, Constant<false>{}, Constant<Step::count>{});
-    };
-    channels == 1 ? of_channels(Constant<1>{}) : of_channels(Constant<3>{});
-  } else {
-    if (!packed || p.steps != 1) return choose<T, Step::count>(p, channels, packed, inside, launch);
-    if (p.step[0] != Only) return choose<T, Step(int(Only) + 1)>(p, channels, packed, inside, launch);
-    constexpr Constant<Only == Step::weighted_sum ? 1 : 3> c{};
-    inside ? launch(c, Constant<kPixels<T>>{}, Constant<true>{}, Constant<Only>{})
-           : launch(c, Constant<kPixels<T>>{}, Constant<false>{}, Constant<Only>{});
-  }
+inline dim3 grid_of(int64_t samples, int64_t across) {
+  return dim3(unsigned(across), unsigned(min(samples, int64_t(65535))));
 }
 
 }  // namespace
-
-template <class T>
-int program(Program<T> const& p, CUstream_st* stream) {
-  bool const packed = is_packed<kPixels<T>>(p.x) && is_packed<kPixels<T>>(p.y);
-  choose(p, p.y.channels, packed, p.x.step != 1, [&](auto c, auto pixels, auto inside, auto only) {
-    program_groups<T, c.v, pixels.v, inside.v, only.v>
-        <<<grid_of<pixels.v>(p.x.samples, p.x.pixels), 256, 0, stream>>>(p);
-  });
-  return cudaGetLastError();
-}
-
-template <class T>
-int program_backward(ProgramBackward<T> const& p, CUstream_st* stream) {
-  Pixels<T const> const& x = p.forward.x;
-  bool const packed = is_packed<kPixels<T>>(x) && is_packed<kPixels<T>>(p.grad) && is_packed<kPixels<T>>(p.grad_x);
-  choose(p.forward, p.grad.channels, packed, x.step != 1, [&](auto c, auto pixels, auto inside, auto only) {
-    program_backward_groups<T, c.v, pixels.v, inside.v, only.v>
-        <<<grid_of<pixels.v>(x.samples, x.pixels), 256, 0, stream>>>(p);
-  });
-  return cudaGetLastError();
-}
-
 }  // namespace kv::cuda

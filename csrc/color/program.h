@@ -1,8 +1,12 @@
 // Colour programs: a chain of per-pixel steps in one pass over the image. A conversion is a program of one step.
 //
-// A pixel is C channels, which may be planes (NCHW) or neighbours (NHWC); all pixels of a sample are one row here, for
-// nothing depends on where they are. The gradient comes from the same formulas on dual numbers: with derivatives along
-// the three channels, the program yields its Jacobian at each pixel, whatever its length, and nothing is stored.
+// A pixel is three channels, which may be planes (NCHW) or neighbours (NHWC); all pixels of a sample are one row here,
+// for nothing depends on where they are. Where every step treats the channels alike, a pixel is one value and a sample
+// may be a plane, an image or all of them. What memory holds is a matter of loading and storing: programs compute in F,
+// float or double, on a chunk of pixels that stays in registers (CUDA) or in the L1 cache (CPU) from step to step.
+//
+// The gradient comes from the same formulas on dual numbers: with derivatives along the channels, a step yields its
+// Jacobian at each pixel; with a derivative along one of its parameters, how the pixel answers to that.
 #pragma once
 
 #include "core/isa.h"
@@ -11,6 +15,7 @@ namespace kv {
 
 // The names in python/kvision/color/program.py, in this order.
 enum class Step : int {
+  // Conversions, of three channels.
   affine,      // 13: a 3 x 3 matrix by rows, what is added, and whether to clip to [0, 1]
   rgb_to_hsv,  // 1: eps
   hsv_to_rgb,
@@ -19,61 +24,141 @@ enum class Step : int {
   rgb_to_linear_rgb,
   linear_rgb_to_rgb,
   rgb_to_lab,
-  lab_to_rgb,    // 1: whether to clip to [0, 1]
-  rgb_to_luv,    // 1: eps
-  luv_to_rgb,    // 1: eps
-  weighted_sum,  // 3; the result has one channel, so it comes last
+  lab_to_rgb,  // 1: whether to clip to [0, 1]
+  rgb_to_luv,  // 1: eps
+  luv_to_rgb,  // 1: eps
+  byte_luma,   // 3 weights, of 15 bits; the result has one channel, so it comes last
+  // Of three channels, with parameters that may be tensors.
+  weighted_sum,     // 3; the result has one channel, so it comes last
+  line_rgb,         // 6: factors, what is added
+  standardize_rgb,  // 6: means, standard deviations
+  saturation,       // 1: factor, in HSV
+  saturation_raw,   // 1: factor, of HSV
+  saturation_grey,  // 1: factor of the distance from the luma
+  hue,              // 1: angle in radians
+  hue_raw,          // 1: angle in radians, of HSV
+  // Of any channels.
+  contrast,     // 2: factor of the distance from the mean, the mean as it is at this step (found by the program)
+  line,         // 3: factor, what is added, whether to clip
+  standardize,  // 2: mean, standard deviation
+  gamma,        // 2: exponent, gain
+  log,          // 3: gain, whether to take the inverse, whether to clip
+  sigmoid,      // 3: cutoff, gain, whether to fall
+  solarize,     // 3: threshold, what is added first, whether to add
+  posterize,    // 2: bits, how to round to the stored type
   count
 };
 KV_HD int parameters_of(Step step) {
-  switch (step) {
-    case Step::affine:
-      return 13;
-    case Step::weighted_sum:
-      return 3;
-    case Step::rgb_to_hsv:
-    case Step::rgb_to_hls:
-    case Step::lab_to_rgb:
-    case Step::rgb_to_luv:
-    case Step::luv_to_rgb:
-      return 1;
-    default:
-      return 0;
+  constexpr int8_t counts[] = {13, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 3, 3, 6, 6, 1, 1, 1, 1, 1, 2, 3, 2, 2, 3, 3, 3, 2};
+  static_assert(sizeof(counts) == size_t(Step::count), "one for each step");
+  return counts[int(step)];
+}
+KV_HD bool takes_tensors(Step step) { return step >= Step::weighted_sum; }
+KV_HD bool is_of_values(Step step) { return step >= Step::contrast; }
+KV_HD bool is_sum(Step step) { return step == Step::weighted_sum || step == Step::byte_luma; }
+
+constexpr int kMostSteps = 16, kMostParameters = 64, kMostOfAStep = 6;  // of a step: parameters that can be tensors
+
+enum class Storage : int { byte, half, bfloat16, single, wide };
+template <class F>
+KV_HD void for_storage(Storage type, F f) {
+  switch (type) {
+    case Storage::byte:
+      return f(uint8_t{});
+    case Storage::half:
+      return f(Half{});
+    case Storage::bfloat16:
+      return f(BFloat16{});
+    case Storage::single:
+      return f(float{});
+    case Storage::wide:
+      return f(double{});
   }
 }
 
-// Pixel i of sample b has its channel c at data + b * sample_stride + c * channel_stride + i * step.
-template <class T>
+// Sample b is (b / inner, b % inner). Its pixel i has channel c at data + outer_stride * (b / inner) + inner_stride *
+// (b % inner) + channel_stride * c + step * i. Bytes are 255ths.
 struct Pixels {
-  T* data;
-  int channels;  // 3, or 1 after a weighted sum
-  int64_t samples, pixels, sample_stride, channel_stride, step;
+  void* data;
+  Storage type;
+  int channels;
+  int64_t inner, outer_stride, inner_stride, channel_stride, step;
 
-  KV_HD T* sample(int64_t b) const { return data + b * sample_stride; }
+  KV_HD int64_t offset(int64_t b) const { return b / inner * outer_stride + b % inner * inner_stride; }
 };
 
-// The unit of work on the CPU.
-constexpr int64_t kChunk = 1024;
-KV_HD int64_t chunks_of(int64_t pixels) { return (pixels + kChunk - 1) / kChunk; }
+// The unit of work: pixels of one sample.
+#if defined(KV_CUDA) || defined(__CUDACC__)
+template <class F>
+constexpr int64_t kChunk = sizeof(F) == 4 ? 1024 : 256;
+#else
+template <class F>
+constexpr int64_t kChunk = 512;
+#endif
+template <class F>
+KV_HD int64_t chunks_of(int64_t pixels) {
+  return (pixels + kChunk<F> - 1) / kChunk<F>;
+}
+// What is summed up over a sample before its pixels are worked on is kept in so many parts.
+KV_HD int64_t parts_of(int64_t pixels) { return min(int64_t(256), (pixels + 1023) / 1024); }
 
-constexpr int kMostSteps = 16, kMostParameters = 64;
-
-template <class T>
+template <class F>
 struct Program {
-  Pixels<T const> x;
-  Pixels<T> y;
+  Pixels x, y;
+  int64_t samples, pixels;  // pixels of a sample
   int steps;
   Step step[kMostSteps];
-  Compute<T> parameters[kMostParameters];
-};
-template <class T>
-struct ProgramBackward {
-  Program<T> forward;  // its y is not written
-  Pixels<T const> grad;
-  Pixels<T> grad_x;
+  int first[kMostSteps];  // of its parameters
+  int count;              // of all parameters
+  F numbers[kMostParameters];
+  int column[kMostParameters];  // of the tensor of parameters, or -1 for the number
+
+  int64_t inner;  // samples of an image
+  F const* parameters;
+  int64_t image_stride, channel_stride;  // of their rows
+  int64_t const* order;                  // an image's steps by position, -1 for none; null: all, one after the other
+  int64_t order_stride;
+  int length;
+
+  // Around the mean: a first run `measures` what goes into that step, as `parts` of a sum; the second one adds them up
+  // and keeps the means of the samples, where the backward pass, which has no parts, finds them.
+  int contrast;  // where it is among the steps, or -1
+  bool measures;
+  F* parts;
+  F* means;
+
+  KV_HD F parameter(int64_t b, int i) const {
+    if (column[i] < 0) return numbers[i];
+    return parameters[b / inner * image_stride + b % inner * channel_stride + column[i]];
+  }
+  KV_HD int step_at(int64_t b, int i) const {
+    int64_t const at = order ? order[b / inner * order_stride + i] : i;
+    return at >= 0 && at < steps ? int(at) : -1;
+  }
 };
 
+template <class F>
+struct ProgramBackward {
+  Program<F> forward;  // its y is not written; what it measures is the gradient of the mean
+  Pixels grad, grad_x;
+  bool wants_x;
+  F* slopes;  // of the parameters: (samples, chunks, columns); null: not wanted
+  int columns;
+};
+
+// Sums slopes (N, summands, columns) to (N, columns), `count` of them.
+template <class F>
+struct ProgramReduce {
+  F const* slopes;
+  F* y;
+  int64_t count, summands, columns;
+
+  KV_HD F const* first(int64_t i) const { return slopes + i / columns * summands * columns + i % columns; }
+};
+
+// F is float or double here, whatever is stored.
 KV_KERNEL(program, Program)
 KV_KERNEL(program_backward, ProgramBackward)
+KV_KERNEL(program_reduce, ProgramReduce)
 
 }  // namespace kv

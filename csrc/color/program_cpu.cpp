@@ -1,73 +1,340 @@
-// Colour programs on the CPU: chunks [begin, end) of all samples in order. Compiled once per instruction set.
+// Colour programs on the CPU: a step at a time over a chunk of pixels, which stays in the L1 cache. Compiled once per
+// instruction set.
 #include "core/lanes.h"
+#include "core/scratch.h"
+
+namespace kv {
+namespace {
+
+// What steps.h needs of Lanes. In double logarithms and powers are called: inlined, they take longer to compile than
+// all the rest of this file.
+template <class V>
+__attribute__((noinline)) V called_log2(V x) {
+  return vlog2<double, sizeof(V) / sizeof(double)>(x);
+}
+template <class V>
+__attribute__((noinline)) V called_exp2(V x) {
+  return vexp2<double, sizeof(V) / sizeof(double)>(x);
+}
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V log2_of(V x) {
+  if constexpr (sizeof(F) == 8)
+    return called_log2(x);
+  else
+    return vlog2<F, sizeof(V) / sizeof(F)>(x);
+}
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V exp2_of(V x) {
+  if constexpr (sizeof(F) == 8)
+    return called_exp2(x);
+  else
+    return vexp2<F, sizeof(V) / sizeof(F)>(x);
+}
+KV_HD float exp2_of(float x) { return vexp2<float, 1>(x); }
+KV_HD double exp2_of(double x) { return vexp2<double, 1>(x); }
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V floor_of(V x) {
+  return vfloor(x);
+}
+
+}  // namespace
+}  // namespace kv
+
 #include "steps.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-template <int N, class T>
-KV_HD void load_pixels(Pixels<T const> const& x, T const* sample, int64_t i, Lanes<Compute<T>, N> (&c)[3]) {
-  for (int k = 0; k < x.channels; ++k) {
-    T const* const from = sample + k * x.channel_stride + i * x.step;
-    if (x.step == 1) {
-      c[k] = load<N>(from);
-    } else if constexpr (N == 1) {
-      c[k] = load<1>(from);
-    } else {
-      for (int j = 0; j < N; ++j) c[k][j] = load<1>(from + j * x.step);
+template <class F>
+using Vector = Lanes<F, kLanes<F>>;
+
+template <class V>
+KV_HD Scalar<V> sum_of(V const& v) {
+  Scalar<V> sum = 0;
+  for (int i = 0; i < int(sizeof(V) / sizeof(v[0])); ++i) sum += v[i];
+  return sum;
+}
+
+// --- a step over a chunk: channel k of it at k * kChunk, whole vectors up to n
+// --------------------------------------------
+
+template <class F, int C>
+struct Values {
+  static constexpr int kChannels = C;
+  static constexpr bool kOfParameters = false;
+  F const* c;
+  F* to;  // may be c
+  int64_t n;
+  F const* p;
+
+  template <class Formula>
+  KV_HD void each(Formula f) {
+    constexpr int N = kLanes<F>;
+    for (int64_t i = 0; i < n; i += N) {
+      Vector<F> v[C];
+      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i);
+      f(v, p, p);
+      for (int k = 0; k < C; ++k) store<N>(to + k * kChunk<F> + i, v[k]);
     }
   }
-}
-template <int N, class T>
-KV_HD void store_pixels(Pixels<T> const& y, T* sample, int64_t i, Lanes<Compute<T>, N> const (&c)[3]) {
-  for (int k = 0; k < y.channels; ++k) {
-    T* const to = sample + k * y.channel_stride + i * y.step;
-    if (y.step == 1) {
-      store<N>(to, c[k]);
-    } else if constexpr (N == 1) {
-      store<1>(to, c[k]);
-    } else {
-      for (int j = 0; j < N; ++j) store<1>(to + j * y.step, Compute<T>(c[k][j]));
+};
+
+// g <- g J
+template <class F, int C>
+struct Pullback {
+  static constexpr int kChannels = C;
+  static constexpr bool kOfParameters = false;
+  F const* c;
+  F* g;
+  int64_t n;
+  F const* p;
+
+  template <class Formula>
+  KV_HD void each(Formula f) {
+    constexpr int N = kLanes<F>;
+    for (int64_t i = 0; i < n; i += N) {
+      Dual<Vector<F>, C> v[C];
+      Vector<F> pulled[C]{};
+      for (int k = 0; k < C; ++k) {
+        v[k].value = load<N>(c + k * kChunk<F> + i);
+        for (int d = 0; d < C; ++d) v[k].d[d] = broadcast<N>(F(k == d));
+      }
+      f(v, p, p);
+      for (int k = 0; k < C; ++k) {
+        auto const above = load<N>(g + k * kChunk<F> + i);
+        for (int d = 0; d < C; ++d) pulled[d] = pulled[d] + above * v[k].d[d];
+      }
+      for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, pulled[k]);
     }
+  }
+};
+
+// The gradient of parameter `wanted` of the step, summed over the chunk.
+template <class F, int C>
+struct Slope {
+  static constexpr int kChannels = C;
+  static constexpr bool kOfParameters = true;
+  F const* c;
+  F const* g;
+  int64_t n;
+  F const* p;
+  int wanted;
+  F sum;
+
+  template <class Formula>
+  KV_HD void each(Formula f) {
+    constexpr int N = kLanes<F>;
+    using D = Dual<Vector<F>, 1>;
+    D q[kMostOfAStep];
+    for (int k = 0; k < kMostOfAStep; ++k) q[k] = {broadcast<N>(p[k]), {broadcast<N>(F(k == wanted))}};
+    Vector<F> total{};
+    for (int64_t i = 0; i < n; i += N) {
+      D v[C];
+      for (int k = 0; k < C; ++k) v[k] = {load<N>(c + k * kChunk<F> + i), {Vector<F>{}}};
+      f(v, q, p);
+      for (int k = 0; k < C; ++k) total = total + load<N>(g + k * kChunk<F> + i) * v[k].d[0];
+    }
+    sum = sum_of(total);
+  }
+};
+
+// --- memory <-> chunks
+// --------------------------------------------------------------------------------------------------
+
+// F computes with what T stores.
+template <class F, class T>
+constexpr bool kFits = sizeof(F) == 8 || sizeof(T) < 8;
+template <class T>
+constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
+
+// Channels that there are not, and what is beyond the end, become `rest`.
+template <class F>
+__attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t b, int64_t first, int64_t count,
+                                          F rest, F* c) {
+  constexpr int N = kLanes<F>;
+  int64_t const n = (count + N - 1) / N * N;
+  for (int k = 0; k < channels; ++k)
+    for (int64_t i = k < x.channels ? n - N : 0; i < n; i += N) store<N>(c + k * kChunk<F> + i, broadcast<N>(rest));
+  for_storage(x.type, [&](auto stored) {
+    using T = decltype(stored);
+    if constexpr (kFits<F, T>) {
+      constexpr F unit = F(1. / kUnit<T>);
+      for (int k = 0; k < x.channels; ++k) {
+        T const* const from = static_cast<T const*>(x.data) + x.offset(b) + k * x.channel_stride + first * x.step;
+        F* const to = c + k * kChunk<F>;
+        if (__is_same(F, Compute<T>) && x.step == 1)
+          for_each_vector<T>(0, count, [&](auto width, int64_t i) {
+            constexpr int M = decltype(width)::value;
+            if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
+          });
+        else
+          for (int64_t i = 0; i < count; ++i) to[i] = F(load<1>(from + i * x.step)) * unit;
+      }
+    }
+  });
+}
+
+template <class F>
+__attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t first, int64_t count, F const* c) {
+  for_storage(y.type, [&](auto stored) {
+    using T = decltype(stored);
+    if constexpr (kFits<F, T>) {
+      constexpr F unit = kUnit<T>;
+      for (int k = 0; k < y.channels; ++k) {
+        T* const to = static_cast<T*>(y.data) + y.offset(b) + k * y.channel_stride + first * y.step;
+        F const* const from = c + k * kChunk<F>;
+        if (__is_same(F, Compute<T>) && y.step == 1)
+          for_each_vector<T>(0, count, [&](auto width, int64_t i) {
+            constexpr int M = decltype(width)::value;
+            if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
+          });
+        else
+          for (int64_t i = 0; i < count; ++i) store<1>(to + i * y.step, Compute<T>(from[i] * unit));
+      }
+    }
+  });
+}
+
+// --- programs
+// -----------------------------------------------------------------------------------------------------------
+
+// What is the same for all pixels of a sample.
+template <class F>
+struct Sample {
+  F p[kMostParameters + kMostOfAStep]{};
+  int order[kMostSteps], length;
+  F mean = 0, mean_slope = 0;  // and the mean's gradient, for each pixel
+
+  KV_HD Sample(Program<F> const& program, int64_t b, bool backward) : length(0) {
+    for (int i = 0; i < program.count; ++i) p[i] = program.parameter(b, i);
+    bool found = false;
+    for (int i = 0; i < program.length; ++i)
+      if (int const step = program.step_at(b, i); step >= 0) {
+        order[length++] = step;
+        found = found || step == program.contrast;
+      }
+    if (!found || (program.measures && !backward)) return;
+    F sum = 0;
+    for (int64_t i = 0; !program.measures && i < parts_of(program.pixels); ++i)
+      sum += program.parts[b * parts_of(program.pixels) + i] / F(program.pixels);
+    mean = backward ? program.means[b] : sum;
+    mean_slope = sum;
+    p[program.first[program.contrast] + 1] = mean;
+  }
+};
+
+// Calls f(sample, b, first pixel, pixels, chunk or part) for the work [begin, end): chunks, or parts for what measures.
+template <class F, class Work>
+KV_HD void for_each_chunk(Program<F> const& p, bool backward, int64_t begin, int64_t end, Work f) {
+  if (p.measures)
+    for (int64_t part = begin; part < end; ++part) p.parts[part] = 0;
+  int64_t const chunks = chunks_of<F>(p.pixels), across = p.measures ? parts_of(p.pixels) : chunks;
+  while (begin < end) {
+    int64_t const b = begin / across, last = min(end, (b + 1) * across);
+    Sample<F> const s(p, b, backward);
+    for (; begin < last; ++begin)
+      for (int64_t k = begin - b * across; k < chunks; k += p.measures ? across : chunks)
+        f(s, b, k * kChunk<F>, min(kChunk<F>, p.pixels - k * kChunk<F>), begin);
   }
 }
 
-// Calls f(width, sample, pixel) for the pixels of chunks [begin, end).
-template <class T, class F>
-KV_HD void for_each_pixel(int64_t pixels, int64_t begin, int64_t end, F f) {
-  int64_t const chunks = chunks_of(pixels);
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const b = r / chunks, first = (r - b * chunks) * kChunk;
-    for_each_vector<T>(first, min(first + kChunk, pixels), [&](auto width, int64_t i) { f(width, b, i); });
-  }
+template <class F, int C>
+void run(Program<F> const& p, int64_t begin, int64_t end) {
+  constexpr int N = kLanes<F>;
+  Scratch<F> scratch(C * kChunk<F>);
+  F* const c = scratch.data;
+  for_each_chunk(p, false, begin, end, [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
+    load_chunk(p.x, C, b, first, count, F(0), c);
+    for (int i = 0; i < s.length; ++i) {
+      int const k = s.order[i];
+      if (p.measures && k == p.contrast) break;
+      Values<F, C> values{c, c, count, s.p + p.first[k]};
+      run_step(p.step[k], values);
+    }
+    if (p.contrast >= 0 && !p.measures && first == 0) p.means[b] = s.mean;
+    if (!p.measures) return store_chunk(p.y, b, first, count, c);
+    Vector<F> sum{};
+    int64_t i = 0;
+    for (; i + N <= count; i += N) {
+      Vector<F> v[C];
+      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i);
+      sum = sum + luma(v);
+    }
+    for (; i < count; ++i) {
+      F v[C];
+      for (int k = 0; k < C; ++k) v[k] = c[k * kChunk<F> + i];
+      p.parts[part] += luma(v);
+    }
+    p.parts[part] += sum_of(sum);
+  });
+}
+
+template <class F, int C>
+void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
+  constexpr int64_t size = C * kChunk<F>;
+  Program<F> const& q = p.forward;
+  Scratch<F> scratch(size * (q.length + 1));
+  F* const g = scratch.data + size * q.length;
+  for_each_chunk(q, true, begin, end, [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
+    load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
+    load_chunk(p.grad, C, b, first, count, F(0), g);
+    for (int i = 0; i + 1 < s.length; ++i) {
+      F* const c = scratch.data + size * i;
+      Values<F, C> values{c, c + size, count, s.p + q.first[s.order[i]]};
+      run_step(q.step[s.order[i]], values);
+    }
+    for (int i = 0; p.slopes && i < p.columns; ++i) p.slopes[part * p.columns + i] = 0;
+    for (int i = s.length; i-- > 0;) {
+      int const k = s.order[i];
+      F const* const c = scratch.data + size * i;
+      Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
+      if (q.measures && k == q.contrast) {
+        run_step(q.step[k], slope);
+        q.parts[part] += slope.sum;
+        return;
+      }
+      for (int j = 0; p.slopes && takes_tensors(q.step[k]) && j < parameters_of(q.step[k]); ++j) {
+        if (q.column[q.first[k] + j] < 0) continue;
+        slope.wanted = j;
+        run_step(q.step[k], slope);
+        p.slopes[part * p.columns + q.column[q.first[k] + j]] += slope.sum;
+      }
+      Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
+      run_step(q.step[k], pullback);
+      if (k == q.contrast) {
+        F const of_grey[] = {F(C == 3 ? 0.299 : 1), F(0.587), F(0.114)};
+        for (int d = 0; d < C; ++d)
+          for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += of_grey[d] * s.mean_slope;
+      }
+    }
+    if (p.wants_x) store_chunk(p.grad_x, b, first, count, g);
+  });
 }
 
 }  // namespace
 
-template <class T>
-void program(Program<T> const& p, int64_t begin, int64_t end) {
-  for_each_pixel<T>(p.x.pixels, begin, end, [&](auto width, int64_t b, int64_t i) {
-    constexpr int N = decltype(width)::value;
-    Lanes<Compute<T>, N> c[3];
-    load_pixels<N>(p.x, p.x.sample(b), i, c);
-    run_program<Step::count>(p, c);
-    store_pixels<N>(p.y, p.y.sample(b), i, c);
-  });
+template <class F>
+void program(Program<F> const& p, int64_t begin, int64_t end) {
+  p.x.channels == 1 ? run<F, 1>(p, begin, end) : run<F, 3>(p, begin, end);
+}
+template <class F>
+void program_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
+  p.forward.x.channels == 1 ? run_backward<F, 1>(p, begin, end) : run_backward<F, 3>(p, begin, end);
 }
 
-template <class T>
-void program_backward(ProgramBackward<T> const& p, int64_t begin, int64_t end) {
-  for_each_pixel<T>(p.grad.pixels, begin, end, [&](auto width, int64_t b, int64_t i) {
-    constexpr int N = decltype(width)::value;
-    Lanes<Compute<T>, N> c[3], g[3]{};
-    load_pixels<N>(p.forward.x, p.forward.x.sample(b), i, c);
-    load_pixels<N>(p.grad, p.grad.sample(b), i, g);
-    run_program_backward<Step::count>(p.forward, c, p.grad.channels, g);
-    store_pixels<N>(p.grad_x, p.grad_x.sample(b), i, g);
-  });
+template <class F>
+void program_reduce(ProgramReduce<F> const& p, int64_t begin, int64_t end) {
+  for (int64_t i = begin; i < end; ++i) {
+    F sum = 0;
+    for (int64_t k = 0; k < p.summands; ++k) sum += p.first(i)[k * p.columns];
+    p.y[i] = sum;
+  }
 }
 
-KV_INSTANTIATE(program, Program)
-KV_INSTANTIATE(program_backward, ProgramBackward)
+#define KV_INSTANTIATE_PROGRAMS(name, Params) \
+  KV_INSTANTIATE_ONE(name, Params, float) KV_INSTANTIATE_ONE(name, Params, double)
+KV_INSTANTIATE_PROGRAMS(program, Program)
+KV_INSTANTIATE_PROGRAMS(program_backward, ProgramBackward)
+KV_INSTANTIATE_PROGRAMS(program_reduce, ProgramReduce)
 
 }  // namespace kv::KV_ISA

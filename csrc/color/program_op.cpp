@@ -1,13 +1,71 @@
 // Colour programs: schemas and entries, for CPU and CUDA alike.
+#include <algorithm>
+
 #include "glue/glue.h"
 #include "program.h"
 
 namespace kv {
 namespace {
 
-void check_colors(char const* op, char const* name, Tensor const& x) {
-  check_images(op, name, x);
-  KV_CHECK(x.size(1) == 3, op, ": expected ", name, " of 3 channels, got ", x.size(1));
+using Tensors = std::optional<Tensor>;
+
+// --- what the program is
+// ------------------------------------------------------------------------------------------------
+
+struct Plan {
+  std::vector<Step> steps;
+  int contrast = -1;   // where it is
+  bool values = true;  // every step treats the channels alike, if there is only one or no mean of them
+  bool sums = false;   // one channel comes out
+  int64_t parameters = 0;
+};
+
+Plan plan_of(char const* op, std::vector<int64_t> const& steps, size_t numbers, size_t columns) {
+  KV_CHECK(steps.size() <= kMostSteps, op, ": expected at most ", kMostSteps, " steps, got ", steps.size());
+  Plan plan;
+  for (int64_t number : steps) {
+    KV_CHECK(number >= 0 && number < int64_t(Step::count), op, ": there is no step ", number);
+    KV_CHECK(!plan.sums, op, ": what gives one channel must be the last step");
+    Step const step = Step(number);
+    KV_CHECK(step != Step::contrast || plan.contrast < 0, op, ": expected one step around a mean at most");
+    if (step == Step::contrast) plan.contrast = int(plan.steps.size());
+    plan.values = plan.values && is_of_values(step);
+    plan.sums = is_sum(step);
+    plan.parameters += parameters_of(step);
+    plan.steps.push_back(step);
+  }
+  KV_CHECK(int64_t(numbers) == plan.parameters && plan.parameters <= kMostParameters, op, ": expected ",
+           plan.parameters, " numbers and at most ", kMostParameters, ", got ", numbers);
+  KV_CHECK(columns == 0 || columns == numbers, op, ": expected a column for each of ", numbers, " numbers, got ",
+           columns);
+  return plan;
+}
+
+constexpr struct {
+  char const* name;
+  ScalarType type;
+} kTypes[] = {{"uint8", ScalarType::Byte},
+              {"float16", ScalarType::Half},
+              {"bfloat16", ScalarType::BFloat16},
+              {"float32", ScalarType::Float},
+              {"float64", ScalarType::Double}};
+
+ScalarType type_of(char const* op, std::string const& dtype, Tensor const& x) {
+  if (dtype == "same") return x.scalar_type();
+  for (auto const& known : kTypes)
+    if (dtype == known.name) return known.type;
+  fail(op, ": there is no dtype '", dtype, "'");
+}
+Layout layout_of(char const* op, std::string const& layout, Tensor const& x) {
+  if (layout == "same") return kv::layout_of(x);
+  KV_CHECK(layout == "NCHW" || layout == "NHWC", op, ": layout must be one of same, NCHW, NHWC; got '", layout, "'");
+  return layout == "NCHW" ? Layout::planar : Layout::channels_last;
+}
+
+Storage storage_of(char const* op, Tensor const& x) {
+  for (int i = 0; i < 5; ++i)
+    if (x.scalar_type() == kTypes[i].type) return Storage(i);
+  fail(op, ": no kernel for this dtype");
 }
 
 // `x` itself, or a dense copy: pixels are then one row.
@@ -17,75 +75,241 @@ Tensor dense(Tensor const& x, Layout layout) {
   return torch::stable::contiguous(x);
 }
 
-template <class T>
-Pixels<T> pixels(Tensor const& x, Layout layout) {
-  auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
-  int64_t const n = x.size(2) * x.size(3), c = x.size(1);
-  bool const last = layout == Layout::channels_last;
-  return {data, int(c), x.size(0), n, n * c, last ? 1 : n, last ? c : 1};
-}
+// --- how its tensors are seen
+// -------------------------------------------------------------------------------------------
 
-template <class T>
-Program<T> program_of(char const* op, std::vector<int64_t> const& steps, std::vector<double> const& parameters) {
-  KV_CHECK(steps.size() <= kMostSteps, op, ": expected at most ", kMostSteps, " steps, got ", steps.size());
-  Program<T> p{};
-  size_t needed = 0;
-  for (int64_t step : steps) {
-    KV_CHECK(step >= 0 && step < int64_t(Step::count), op, ": there is no step ", step);
-    KV_CHECK(p.steps == 0 || p.step[p.steps - 1] != Step::weighted_sum, op, ": a weighted sum must be the last step");
-    p.step[p.steps++] = Step(step);
-    needed += parameters_of(Step(step));
+// A sample is an image of three channels; or, for steps that treat channels alike, a plane, an image, or everything, as
+// the parameters have it.
+struct Samples {
+  int64_t count, inner, pixels;
+  bool of_values, of_planes;
+
+  Pixels pixels_of(char const* op, Tensor const& x, Layout layout) const {
+    auto* const data = const_cast<void*>(x.const_data_ptr());
+    bool const last = layout == Layout::channels_last;
+    int64_t const c = x.size(1), n = x.size(2) * x.size(3);
+    Storage const type = storage_of(op, x);
+    if (!of_values) return {data, type, int(c), 1, n * c, 0, last ? 1 : n, last ? c : 1};
+    if (!of_planes) return {data, type, 1, 1, pixels, 0, 0, 1};
+    return {data, type, 1, inner, n * c, last ? 1 : n, 0, last ? c : 1};
   }
-  KV_CHECK(parameters.size() == needed && needed <= kMostParameters, op, ": expected ", needed,
-           " parameters and at most ", kMostParameters, ", got ", parameters.size());
-  for (size_t i = 0; i < needed; ++i) p.parameters[i] = Compute<T>(parameters[i]);
+};
+
+// The tensors beside an image, contiguous, or an error.
+struct Arguments {
+  Plan plan;
+  Tensors parameters, order;
+  bool of_values;
+  bool wide;  // computes in double
+
+  Arguments(char const* op, Tensor const& x, Tensors const& parameters, Tensors const& order,
+            std::vector<int64_t> const& steps, std::vector<double> const& numbers, std::vector<int64_t> const& columns,
+            ScalarType result)
+      : plan(plan_of(op, steps, numbers.size(), columns.size())) {
+    check_images(op, "input", x);
+    int64_t const b = x.size(0), c = x.size(1);
+    of_values = plan.values && (plan.contrast < 0 || c == 1);
+    KV_CHECK(of_values || c == 3, op, ": expected input of 3 channels, got ", c);
+    wide = x.scalar_type() == ScalarType::Double;
+    KV_CHECK(wide == (result == ScalarType::Double), op, ": float64 goes with float64 only");
+    int64_t most = -1;
+    for (int64_t column : columns) most = max(most, column);
+    KV_CHECK(parameters.has_value() || most < 0, op, ": there are no parameters for the columns that are asked for");
+    if (parameters) {
+      KV_CHECK(parameters->dim() == 3, op, ": expected parameters of shape (B, C, P), got ", parameters->dim(),
+               " axes");
+      int64_t const rows = parameters->size(0), channels = parameters->size(1), p = parameters->size(2);
+      KV_CHECK((rows == 1 || rows == b) && (channels == 1 || (channels == c && of_values)) && most < p &&
+                   p <= kMostParameters,
+               op, ": parameters of shape (", rows, ", ", channels, ", ", p, ") do not fit the images or the columns");
+      KV_CHECK(parameters->device() == x.device() &&
+                   parameters->scalar_type() == (wide ? ScalarType::Double : ScalarType::Float),
+               op, ": expected parameters of the type that is computed in, on the device of input");
+      size_t at = 0;
+      for (Step const step : plan.steps)
+        for (int i = 0; i < parameters_of(step); ++i, ++at)
+          KV_CHECK(columns[at] < 0 || takes_tensors(step), op, ": step ", int(step), " takes numbers only");
+      this->parameters = torch::stable::contiguous(*parameters);
+    }
+    if (!order) return;
+    KV_CHECK(order->dim() == 2 && (order->size(0) == 1 || order->size(0) == b) && order->size(1) <= kMostSteps, op,
+             ": expected order of shape (B, S) with at most ", kMostSteps, " positions");
+    KV_CHECK(order->scalar_type() == ScalarType::Long && order->device() == x.device(), op,
+             ": expected order of int64, on the device of input");
+    KV_CHECK(!plan.sums, op, ": what gives one channel has no order");
+    this->order = torch::stable::contiguous(*order);
+  }
+
+  template <class Run>
+  void for_computed(Run run) const {
+    wide ? run(Type<double>{}) : run(Type<float>{});
+  }
+
+  Samples samples(Tensor const& x, bool same_layout) const {
+    int64_t const b = x.size(0), c = x.size(1), n = x.size(2) * x.size(3);
+    bool const by_channel = parameters && parameters->size(1) > 1;
+    if (!of_values || (c == 3 && !same_layout && !by_channel)) return {b, 1, n, false, false};
+    if (by_channel || !same_layout) return {b * c, c, n, true, true};
+    bool const by_image = plan.contrast >= 0 || parameters || order;
+    return by_image ? Samples{b, 1, c * n, true, false} : Samples{1, 1, b * c * n, true, false};
+  }
+};
+
+template <class F>
+Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<double> const& numbers,
+                      std::vector<int64_t> const& columns) {
+  Plan const& plan = a.plan;
+  Tensors const &parameters = a.parameters, &order = a.order;
+  Program<F> p{};
+  p.samples = samples.count;
+  p.pixels = samples.pixels;
+  p.inner = samples.inner;
+  p.steps = int(plan.steps.size());
+  p.count = int(numbers.size());
+  p.contrast = plan.contrast;
+  for (int i = 0, at = 0; i < p.steps; at += parameters_of(p.step[i++])) {
+    p.step[i] = plan.steps[size_t(i)];
+    p.first[i] = at;
+  }
+  for (int i = 0; i < p.count; ++i) {
+    p.numbers[i] = F(numbers[size_t(i)]);
+    p.column[i] = columns.empty() ? -1 : int(columns[size_t(i)]);
+  }
+  if (parameters) {
+    p.parameters = static_cast<F const*>(parameters->const_data_ptr());
+    p.image_stride = parameters->size(0) == 1 ? 0 : parameters->size(1) * parameters->size(2);
+    p.channel_stride = parameters->size(1) == 1 ? 0 : parameters->size(2);
+  }
+  p.length = p.steps;
+  if (order) {
+    p.order = static_cast<int64_t const*>(order->const_data_ptr());
+    p.order_stride = order->size(0) == 1 ? 0 : order->size(1);
+    p.length = int(order->size(1));
+  }
   return p;
 }
 
-// Channels of the result.
-int64_t channels_of(std::vector<int64_t> const& steps) {
-  return !steps.empty() && Step(steps.back()) == Step::weighted_sum ? 1 : 3;
-}
+// --- entries
+// ------------------------------------------------------------------------------------------------------------
 
-Tensor color_program(Tensor const& input, std::vector<int64_t> steps, std::vector<double> parameters) {
-  check_colors("color_program", "input", input);
-  Layout const layout = layout_of(input);
-  Tensor const x = dense(input, layout), y = empty({x.size(0), channels_of(steps), x.size(2), x.size(3)}, x, layout);
-  for_floats("color_program", x, [&](auto type) {
-    using T = typename decltype(type)::type;
-    Program<T> params = program_of<T>("color_program", steps, parameters);
-    params.x = pixels<T const>(x, layout);
-    params.y = pixels<T>(y, y.size(1) == 1 ? Layout::planar : layout);
-    KV_RUN(program, x, params, params.x.samples * chunks_of(params.x.pixels), 3 * min(kChunk, params.x.pixels));
+// The result and the means that it took.
+std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Tensors const& parameters, Tensors const& order,
+                               std::vector<int64_t> const& steps, std::vector<double> const& numbers,
+                               std::vector<int64_t> const& columns, std::string const& dtype,
+                               std::string const& layout) {
+  ScalarType const type = type_of(op, dtype, input);
+  Arguments const a(op, input, parameters, order, steps, numbers, columns, type);
+  Layout const in = kv::layout_of(input), out = layout_of(op, layout, input);
+  Tensor const x = dense(input, in);
+  int64_t const channels = a.plan.sums ? 1 : x.size(1);
+  Tensor const y = empty({x.size(0), channels, x.size(2), x.size(3)}, x, channels == 1 ? Layout::planar : out, type);
+  Samples const samples = a.samples(x, in == out);
+  ScalarType const computes = a.wide ? ScalarType::Double : ScalarType::Float;
+  bool const around_mean = a.plan.contrast >= 0;
+  Tensor const means = around_mean ? empty({samples.count, 1}, x, Layout::planar, computes) : x;
+  Tensor const parts = around_mean ? empty({samples.count, parts_of(samples.pixels)}, x, Layout::planar, computes) : x;
+  a.for_computed([&](auto type) {
+    using F = typename decltype(type)::type;
+    Program<F> p = program_of<F>(a, samples, numbers, columns);
+    p.x = samples.pixels_of(op, x, in);
+    p.y = samples.pixels_of(op, y, out);
+    [[maybe_unused]] int64_t const cost = 3 * min(kChunk<F>, p.pixels);
+    if (around_mean) {
+      p.parts = static_cast<F*>(parts.mutable_data_ptr());
+      p.means = static_cast<F*>(means.mutable_data_ptr());
+      p.measures = true;
+      KV_RUN(program, x, p, p.samples * parts_of(p.pixels), cost);
+      p.measures = false;
+    }
+    KV_RUN(program, x, p, p.samples * chunks_of<F>(p.pixels), cost);
   });
-  return y;
+  return {y, means};
 }
 
-Tensor color_program_backward(Tensor const& grad, Tensor const& input, std::vector<int64_t> steps,
-                              std::vector<double> parameters) {
-  check_colors("color_program_backward", "input", input);
-  bool same = grad.dim() == 4 && grad.size(1) == channels_of(steps) && grad.scalar_type() == input.scalar_type() &&
-              grad.device() == input.device();
+Tensor color_program(Tensor const& input, Tensors const& parameters, Tensors const& order, std::vector<int64_t> steps,
+                     std::vector<double> numbers, std::vector<int64_t> columns, std::string dtype, std::string layout) {
+  KV_CHECK(!std::count(steps.begin(), steps.end(), int64_t(Step::contrast)),
+           "color_program: a step around a mean is for color_program_around_mean");
+  return std::get<0>(run("color_program", input, parameters, order, steps, numbers, columns, dtype, layout));
+}
+std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input, Tensors const& parameters,
+                                                     Tensors const& order, std::vector<int64_t> steps,
+                                                     std::vector<double> numbers, std::vector<int64_t> columns,
+                                                     std::string dtype, std::string layout) {
+  char const* const op = "color_program_around_mean";
+  KV_CHECK(std::count(steps.begin(), steps.end(), int64_t(Step::contrast)), op, ": there is no step around a mean");
+  return run(op, input, parameters, order, steps, numbers, columns, dtype, layout);
+}
+
+// The gradients of the image and, for each sample of the batch, of the parameters; without elements where they are not
+// wanted.
+std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor const& input, Tensors const& parameters,
+                                                  Tensors const& order, Tensors const& means,
+                                                  std::vector<int64_t> steps, std::vector<double> numbers,
+                                                  std::vector<int64_t> columns, bool of_image, bool of_parameters) {
+  char const* const op = "color_program_backward";
+  Arguments const a(op, input, parameters, order, steps, numbers, columns, grad.scalar_type());
+  bool same = grad.dim() == 4 && grad.size(1) == (a.plan.sums ? 1 : input.size(1)) && grad.device() == input.device();
   for (int64_t i : {0, 2, 3}) same = same && grad.size(i) == input.size(i);
-  KV_CHECK(same, "color_program_backward: grad differs in shape, dtype or device from the result of input");
-  Layout const layout = layout_of(input);
-  Tensor const x = dense(input, layout),
-               g = grad.size(1) == 1 ? torch::stable::contiguous(grad) : dense(conform(grad, layout), layout),
-               grad_x = empty_like(x, layout);
-  for_floats("color_program_backward", x, [&](auto type) {
-    using T = typename decltype(type)::type;
-    ProgramBackward<T> params{program_of<T>("color_program_backward", steps, parameters),
-                              pixels<T const>(g, g.size(1) == 1 ? Layout::planar : layout), pixels<T>(grad_x, layout)};
-    params.forward.x = pixels<T const>(x, layout);
-    KV_RUN(program_backward, x, params, params.grad.samples * chunks_of(params.grad.pixels),
-           12 * min(kChunk, params.grad.pixels));
+  KV_CHECK(same, op, ": grad differs in shape or device from the result of input");
+  KV_CHECK(grad.scalar_type() != ScalarType::Byte && !(of_image && input.scalar_type() == ScalarType::Byte), op,
+           ": bytes have no gradient");
+  KV_CHECK(!of_parameters || a.parameters, op, ": there are no parameters that a gradient is wanted of");
+  Layout const in = kv::layout_of(input), out = kv::layout_of(grad);
+  Tensor const x = dense(input, in), g = dense(grad, out);
+  Samples const samples = a.samples(x, in == out || grad.size(1) != x.size(1));
+  ScalarType const computes = a.wide ? ScalarType::Double : ScalarType::Float;
+  bool const around_mean = a.plan.contrast >= 0;
+  KV_CHECK(around_mean ? (means && means->dim() == 2 && means->size(0) == samples.count && means->size(1) == 1 &&
+                          means->scalar_type() == computes && means->device() == x.device())
+                       : !means,
+           op, ": expected means as color_program_around_mean gives them");
+  int64_t const b = x.size(0);
+  Tensor const grad_x = of_image ? empty_like(x, in) : empty({b, 0}, x);
+  Tensor const parts = around_mean ? empty({samples.count, parts_of(samples.pixels)}, x, Layout::planar, computes) : x;
+  Tensor const of_rows = of_parameters ? empty({b, a.parameters->size(1), a.parameters->size(2)}, *a.parameters)
+                                       : empty({b, 0}, x, Layout::planar, computes);
+  a.for_computed([&](auto type) {
+    using F = typename decltype(type)::type;
+    ProgramBackward<F> p{};
+    p.forward = program_of<F>(a, samples, numbers, columns);
+    p.forward.x = samples.pixels_of(op, x, in);
+    p.grad = samples.pixels_of(op, g, out);
+    p.wants_x = of_image;
+    if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
+    int64_t const chunks = chunks_of<F>(samples.pixels);
+    [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);
+    Tensor slopes, dense_means;
+    if (around_mean) {
+      dense_means = torch::stable::contiguous(*means);
+      p.forward.means = static_cast<F*>(const_cast<void*>(dense_means.const_data_ptr()));
+      p.forward.parts = static_cast<F*>(parts.mutable_data_ptr());
+      p.forward.measures = true;
+      KV_RUN(program_backward, x, p, samples.count * parts_of(samples.pixels), cost);
+      p.forward.measures = false;
+    }
+    if (of_parameters) {
+      p.columns = int(of_rows.size(2));
+      slopes = empty({samples.count, chunks, p.columns}, of_rows);
+      p.slopes = static_cast<F*>(slopes.mutable_data_ptr());
+    }
+    KV_RUN(program_backward, x, p, samples.count * chunks, cost);
+    if (!of_parameters) return;
+    ProgramReduce<F> const sums{p.slopes, static_cast<F*>(of_rows.mutable_data_ptr()), b * of_rows.size(1) * p.columns,
+                                samples.inner / of_rows.size(1) * chunks, p.columns};
+    KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
   });
-  return grad_x;
+  return {grad_x, of_rows};
 }
 
 }  // namespace
 
-KV_OPERATOR(color_program, "(Tensor input, int[] steps, float[] parameters) -> Tensor")
-KV_OPERATOR(color_program_backward, "(Tensor grad, Tensor input, int[] steps, float[] parameters) -> Tensor")
+#define KV_PROGRAM "Tensor? parameters, Tensor? order, "
+#define KV_STEPS "int[] steps, float[] numbers, int[] columns, "
+KV_OPERATOR(color_program, "(Tensor input, " KV_PROGRAM KV_STEPS "str dtype, str layout) -> Tensor")
+KV_OPERATOR(color_program_around_mean,
+            "(Tensor input, " KV_PROGRAM KV_STEPS "str dtype, str layout) -> (Tensor, Tensor)")
+KV_OPERATOR(color_program_backward, "(Tensor grad, Tensor input, " KV_PROGRAM "Tensor? means, " KV_STEPS
+                                    "bool of_image, bool of_parameters) -> (Tensor, Tensor)")
 
 }  // namespace kv

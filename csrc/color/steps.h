@@ -1,6 +1,7 @@
 // What the steps of a colour program do to a pixel c, as formulas on a value type V: a number, Lanes, or Duals of
-// either, whose derivatives then are those of the step. Included by program_cpu.cpp after core/lanes.h, and by
-// program.cu, which bring vlog2, vexp2, vfloor and vabs for numbers.
+// either, whose derivatives then are those of the step. Parameters that can be learnt are of a type U: numbers, or V
+// where the derivative along one of them is wanted. Included by program_cpu.cpp and program.cuh, which
+// bring log2_of, exp2_of and floor_of for numbers and Lanes.
 //
 // Derivatives stay finite: where a branch is not taken, what it divides by or raises to a power is replaced first.
 #pragma once
@@ -10,24 +11,6 @@
 
 namespace kv {
 
-template <class V, int N>
-KV_HD Dual<V, N> log2_of(Dual<V, N> a);
-template <class V, int N>
-KV_HD Dual<V, N> exp2_of(Dual<V, N> a);
-template <class V>
-KV_HD V log2_of(V a) {
-  using F = Scalar<V>;
-  return vlog2<F, sizeof(V) / sizeof(F)>(a);
-}
-template <class V>
-KV_HD V exp2_of(V a) {
-  using F = Scalar<V>;
-  return vexp2<F, sizeof(V) / sizeof(F)>(a);
-}
-template <class V>
-KV_HD V floor_of(V a) {
-  return vfloor(a);
-}
 template <class V, int N>
 KV_HD Dual<V, N> log2_of(Dual<V, N> a) {
   V const slope = Scalar<V>(1.44269504088896340736) / a.value;
@@ -104,15 +87,21 @@ KV_HD void rgb_to_hsv(V (&c)[3], Scalar<V> eps) {
   c[2] = most;
 }
 
-// v - v s max(0, min(k, 4 - k, 1)) with k = 5, 3, 1 sixths of a turn from the hue (A. R. Smith's sectors as one line).
+// v - chroma max(0, min(k, 4 - k, 1)) with k = 5, 3, 1 sixths of a turn from the hue (A. R. Smith's sectors as one
+// line).
 template <class V>
-KV_HD void hsv_to_rgb(V (&c)[3]) {
+KV_HD void color_of(V (&c)[3], V const& hue, V const& v, V const& chroma) {
   using F = Scalar<V>;
-  V const sixths = c[0] * F(6 / kTurn), depth = c[2] * c[1], v = c[2];
+  V const sixths = hue * F(6 / kTurn);
   for (int i = 0; i < 3; ++i) {
     V const k = modulo(sixths + F(5 - 2 * i), F(6));
-    c[i] = v - depth * at_least(at_most(smaller(k, F(4) - k), F(1)), F(0));
+    c[i] = v - chroma * at_least(at_most(smaller(k, F(4) - k), F(1)), F(0));
   }
+}
+template <class V>
+KV_HD void hsv_to_rgb(V (&c)[3]) {
+  V const hue = c[0], v = c[2];
+  color_of(c, hue, v, v * c[1]);
 }
 
 template <class V>
@@ -153,11 +142,11 @@ KV_HD V encode(V const& x) {
   return select(x > F(0.0031308), high, x * F(12.92));
 }
 
-template <class V>
-KV_HD void clip(V (&c)[3], Scalar<V> wanted) {
+template <int C, class V>
+KV_HD void clip(V (&c)[C], bool wanted) {
   using F = Scalar<V>;
-  if (wanted != 0)
-    for (int i = 0; i < 3; ++i) c[i] = at_most(at_least(c[i], F(0)), F(1));
+  if (wanted)
+    for (int i = 0; i < C; ++i) c[i] = at_most(at_least(c[i], F(0)), F(1));
 }
 template <class V>
 KV_HD void affine(V (&c)[3], Scalar<V> const* m) {
@@ -251,74 +240,183 @@ KV_HD void luv_to_rgb(V (&c)[3], Scalar<V> eps) {
   for (int i = 0; i < 3; ++i) c[i] = encode(c[i]);
 }
 
-// --- a program ------------------------------------------------------------------------------------------------------
+// --- adjustments ----------------------------------------------------------------------------------------------------
+
+// A parameter as V.
+template <class V, class U>
+KV_HD V as(U const& p) {
+  if constexpr (__is_same(U, V))
+    return p;
+  else
+    return constant<V>(p);
+}
+
+// OpenCV's luma of bytes, in fixed point of 15 bits; no sum reaches 2^24, so float has it exactly.
+template <class V>
+KV_HD void byte_luma(V (&c)[3], Scalar<V> const* weights) {
+  using F = Scalar<V>;
+  V sum = constant<V>(F(16384));
+  for (int i = 0; i < 3; ++i) sum = sum + minus(V{}, -floor_of(c[i] * F(255) + F(0.5))) * weights[i];
+  c[0] = minus(V{}, -floor_of(sum * F(1. / 32768))) * F(1. / 255);
+}
 
 template <class V>
-KV_HD void run_step(Step step, Scalar<V> const* p, V (&c)[3]) {
-  switch (step) {
-    case Step::affine:
-      affine(c, p);
-      return clip(c, p[12]);
-    case Step::rgb_to_hsv:
-      return rgb_to_hsv(c, p[0]);
-    case Step::hsv_to_rgb:
-      return hsv_to_rgb(c);
-    case Step::rgb_to_hls:
-      return rgb_to_hls(c, p[0]);
-    case Step::hls_to_rgb:
-      return hls_to_rgb(c);
-    case Step::rgb_to_linear_rgb:
-      for (int i = 0; i < 3; ++i) c[i] = decode(c[i]);
-      return;
-    case Step::linear_rgb_to_rgb:
-      for (int i = 0; i < 3; ++i) c[i] = encode(c[i]);
-      return;
-    case Step::rgb_to_lab:
-      return rgb_to_lab(c);
-    case Step::lab_to_rgb:
-      lab_to_rgb(c);
-      return clip(c, p[0]);
-    case Step::rgb_to_luv:
-      return rgb_to_luv(c, p[0]);
-    case Step::luv_to_rgb:
-      return luv_to_rgb(c, p[0]);
-    case Step::weighted_sum:
-      c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2];
-      return;
-    case Step::count:
-      return;
-  }
+KV_HD V luma(V const (&c)[3]) {
+  using F = Scalar<V>;
+  return c[0] * F(0.299) + c[1] * F(0.587) + c[2] * F(0.114);
+}
+template <class V>
+KV_HD V luma(V const (&c)[1]) {
+  return c[0];
 }
 
-// Only: the one step of the program, when it is known while compiling.
-template <Step Only, class V, class P>
-KV_HD void run_program(P const& program, V (&c)[3]) {
-  Scalar<V> const* p = program.parameters;
-  if constexpr (Only != Step::count) {
-    run_step(Only, p, c);
-  } else {
-    for (int i = 0; i < program.steps; ++i) {
-      run_step(program.step[i], p, c);
-      p += parameters_of(program.step[i]);
+// HSV keeps the largest channel v and measures the others by their distance from it: that of the smallest is s v. To
+// scale s is to scale the distances, until the smallest channel reaches 0.
+template <class V, class U>
+KV_HD void adjust_saturation(V (&c)[3], U const& factor) {
+  using F = Scalar<V>;
+  V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
+  auto const grey = range == F(0);
+  V const one = constant<V>(F(1)), limit = select(grey, one, at_least(most, F(0)) / select(grey, one, range));
+  V const wanted = at_least(as<V>(factor), F(0)), scale = select(limit > wanted, wanted, limit);
+  for (int i = 0; i < 3; ++i) c[i] = most - (most - c[i]) * scale;
+}
+
+template <class V, class U>
+KV_HD void adjust_hue(V (&c)[3], U const& angle) {
+  using F = Scalar<V>;
+  V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
+  V const hue = hue_of(c, most, range, F(0)) + angle;
+  color_of(c, hue, most, range);
+}
+
+// Stays in [0, a turn) however it rounds.
+template <class V, class U>
+KV_HD V turned(V const& hue, U const& angle) {
+  using F = Scalar<V>;
+  V const rest = modulo(hue + angle, F(kTurn)), positive = select(rest < F(0), rest + F(kTurn), rest);
+  return select(positive >= F(kTurn), positive - F(kTurn), positive);
+}
+
+template <class V, class U>
+KV_HD V scaled_saturation(V const& saturation, U const& factor) {
+  using F = Scalar<V>;
+  return at_most(at_least(saturation * factor, F(0)), F(1));
+}
+
+template <int C, class V, class G, class U>
+KV_HD void blend(V (&c)[C], G const& grey, U const& factor) {
+  for (int i = 0; i < C; ++i) c[i] = (c[i] - grey) * factor + grey;
+  clip(c, true);
+}
+
+// gain x^exponent. Black has no finite slope below an exponent of 1, so it has none at all; only 0 lifts it.
+template <class V, class U>
+KV_HD V gamma(V const& x, U const& exponent, U const& gain) {
+  using F = Scalar<V>;
+  V const e = as<V>(exponent), one = constant<V>(F(1));
+  auto const dark = x <= F(0);  // NaN is not, and stays
+  V const black = select(e > F(0), constant<V>(F(0)), select(e < F(0), constant<V>(F(2)), one));
+  return select(dark, black, exp2_of(log2_of(select(dark, one, x)) * e)) * gain;
+}
+
+template <class V, class U>
+KV_HD V logarithm(V const& x, U const& gain, bool inverse) {
+  using F = Scalar<V>;
+  if (inverse) return (exp2_of(x) - F(1)) * gain;
+  V const t = x + F(1);
+  V const none = select(t == F(0), constant<V>(-F(__builtin_inf())), constant<V>(F(__builtin_nan(""))));
+  return select(t > F(0), log2_of(select(t > F(0), t, constant<V>(F(1)))), none) * gain;
+}
+
+// Flat from 2^100 on, where the square in its derivative still is a number.
+template <class V, class U>
+KV_HD V sigmoid(V const& x, U const& cutoff, U const& gain, bool inverse) {
+  using F = Scalar<V>;
+  V const bits = (x - cutoff) * gain * F(inverse ? 1.44269504088896340736 : -1.44269504088896340736);
+  return constant<V>(F(1)) / (exp2_of(at_most(at_least(bits, F(-100)), F(100))) + F(1));
+}
+
+template <class V, class U>
+KV_HD V solarize(V x, U const& threshold, U const& addition, bool adds) {
+  using F = Scalar<V>;
+  if (adds) x = at_most(at_least(x + addition, F(0)), F(1));
+  return select(x < threshold, x, F(1) - x);
+}
+
+// The high `bits` bits of the level 255 x, over 255. The product is rounded to the digits of the stored type, so that
+// levels over 255 are found again: `split` is 2^n + 1 for a type with n digits less than F (T. J. Dekker, "A
+// floating-point technique for extending the available precision", 1971).
+template <class V>
+KV_HD V posterize(V const& x, Scalar<V> bits, Scalar<V> split) {
+  using F = Scalar<V>;
+  if (bits >= F(8)) return x;
+  F const step = exp2_of(F(8) - (bits > F(0) ? bits : F(0)));
+  V const level = at_most(at_least(x, F(0)), F(1)) * F(255);
+  V const high = at_least(level * split, F(0)), rounded = high - (high - level);  // at_least: no fused multiply-add
+  return select(x == x, minus(V{}, -(floor_of(rounded * (F(1) / step)) * (step / F(255)))), x);
+}
+
+// --- a program ------------------------------------------------------------------------------------------------------
+
+// Does a step to all pixels there are: `pixels.each(f)` calls f(c, p, n) for each one, with the step's parameters p,
+// one of which may be differentiated, and n, the same as numbers. What chooses between formulas is the same for all
+// pixels.
+template <class P>
+KV_HD void run_step(Step step, P& pixels) {
+  constexpr int C = P::kChannels;
+#define KV_STEP(name, ...)                                                                                          \
+  case Step::name:                                                                                                  \
+    return pixels.each([]([[maybe_unused]] auto& c, [[maybe_unused]] auto const* p, [[maybe_unused]] auto const* n) \
+                           __attribute__((always_inline)) { __VA_ARGS__; });
+#define KV_CHANNELS(formula) \
+  for (int i = 0; i < C; ++i) c[i] = formula
+  switch (step) {
+    KV_STEP(line, KV_CHANNELS(c[i] * p[0] + p[1]); clip(c, n[2] != 0))
+    KV_STEP(standardize, KV_CHANNELS((c[i] - p[0]) / p[1]))
+    KV_STEP(gamma, KV_CHANNELS(gamma(c[i], p[0], p[1])); clip(c, true))
+    KV_STEP(log, KV_CHANNELS(logarithm(c[i], p[0], n[1] != 0)); clip(c, n[2] != 0))
+    KV_STEP(sigmoid, KV_CHANNELS(sigmoid(c[i], p[0], p[1], n[2] != 0)))
+    KV_STEP(solarize, KV_CHANNELS(solarize(c[i], p[0], p[1], n[2] != 0)))
+    KV_STEP(posterize, KV_CHANNELS(posterize(c[i], n[0], n[1])))
+    KV_STEP(contrast, blend(c, p[1], p[0]))
+    default:
+      break;
+  }
+  if constexpr (C == 3) {
+    switch (step) {
+      KV_STEP(weighted_sum, c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2])
+      KV_STEP(line_rgb, KV_CHANNELS(c[i] * p[i] + p[3 + i]))
+      KV_STEP(standardize_rgb, KV_CHANNELS((c[i] - p[i]) / p[3 + i]))
+      KV_STEP(saturation, adjust_saturation(c, p[0]))
+      KV_STEP(saturation_raw, c[1] = scaled_saturation(c[1], p[0]))
+      KV_STEP(saturation_grey, blend(c, luma(c), p[0]))
+      KV_STEP(hue, adjust_hue(c, p[0]))
+      KV_STEP(hue_raw, c[0] = turned(c[0], p[0]))
+      default:
+        break;
+    }
+    if constexpr (!P::kOfParameters) {
+      switch (step) {
+        KV_STEP(affine, affine(c, n); clip(c, n[12] != 0))
+        KV_STEP(rgb_to_hsv, rgb_to_hsv(c, n[0]))
+        KV_STEP(hsv_to_rgb, hsv_to_rgb(c))
+        KV_STEP(rgb_to_hls, rgb_to_hls(c, n[0]))
+        KV_STEP(hls_to_rgb, hls_to_rgb(c))
+        KV_STEP(rgb_to_linear_rgb, KV_CHANNELS(decode(c[i])))
+        KV_STEP(linear_rgb_to_rgb, KV_CHANNELS(encode(c[i])))
+        KV_STEP(rgb_to_lab, rgb_to_lab(c))
+        KV_STEP(lab_to_rgb, lab_to_rgb(c); clip(c, n[0] != 0))
+        KV_STEP(rgb_to_luv, rgb_to_luv(c, n[0]))
+        KV_STEP(luv_to_rgb, luv_to_rgb(c, n[0]))
+        KV_STEP(byte_luma, byte_luma(c, n))
+        default:
+          break;
+      }
     }
   }
-}
-
-// The gradient of a pixel c from that of its result, of one channel or three: g J.
-template <Step Only, class V, class P>
-KV_HD void run_program_backward(P const& program, V const (&c)[3], int channels, V (&g)[3]) {
-  Dual<V, 3> dual[3];
-  for (int i = 0; i < 3; ++i) {
-    dual[i].value = c[i];
-    for (int k = 0; k < 3; ++k) dual[i].d[k] = V{} + Scalar<V>(i == k);
-  }
-  run_program<Only>(program, dual);
-  V result[3];
-  for (int k = 0; k < 3; ++k) {
-    result[k] = g[0] * dual[0].d[k];
-    if (channels == 3) result[k] = result[k] + g[1] * dual[1].d[k] + g[2] * dual[2].d[k];
-  }
-  for (int k = 0; k < 3; ++k) g[k] = result[k];
+#undef KV_CHANNELS
+#undef KV_STEP
 }
 
 }  // namespace kv

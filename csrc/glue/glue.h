@@ -135,9 +135,22 @@ inline void* large_block(int64_t bytes, void*& data) {
   return block;
 }
 
-// Uninitialised memory of the device and dtype of `like`, dense. `sizes` of four axes are laid out as `layout` says.
-inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like,
-                    Layout layout = Layout::planar) {
+inline int64_t bytes_of(ScalarType image_type) {
+  switch (image_type) {
+    case ScalarType::Byte:
+      return 1;
+    case ScalarType::Half:
+    case ScalarType::BFloat16:
+      return 2;
+    default:
+      return image_type == ScalarType::Float ? 4 : 8;
+  }
+}
+
+// Uninitialised memory of the device and, unless told otherwise, the dtype of `like`, dense. `sizes` of four axes are
+// laid out as `layout` says.
+inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like, Layout layout = Layout::planar,
+                    std::optional<ScalarType> type = {}) {
   int64_t strides[8], stride = 1;  // not on the heap: a small block held here would stand in the way of reusing images
   auto const add = [&](size_t axis) {
     int64_t const size = sizes[axis];
@@ -151,9 +164,10 @@ inline Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const
   int32_t dtype, device_type;
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_dtype(like.get(), &dtype));
   TORCH_ERROR_CODE_CHECK(aoti_torch_get_device_type(like.get(), &device_type));
+  if (type) dtype = torch::stable::detail::to<int32_t>(torch::stable::detail::from(*type));
   AtenTensorHandle handle;
   int64_t const axes = int64_t(sizes.size());
-  int64_t bytes = like.element_size();
+  int64_t bytes = type ? bytes_of(*type) : like.element_size();
   for (int64_t size : sizes) bytes *= size;
   if (kLargeResult == INT64_MAX || bytes < kLargeResult) {
     TORCH_ERROR_CODE_CHECK(

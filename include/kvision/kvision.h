@@ -3,4 +3,5 @@
 #pragma once
 
 #include "kvision/color.h"
+#include "kvision/enhance.h"
 #include "kvision/filters.h"

@@ -148,7 +148,7 @@ class Operator:
         reference: the definition in plain torch, in float32 or float64. Half types and bytes are computed in float32
             and rounded to the type of the first tensor (bytes: half to even, saturated).
         fake: shape rule, the result's sizes from the arguments; default: the sizes of the first tensor. May return a
-            list of sizes for several results.
+            list of sizes for several results, and an empty tensor instead of sizes where more than these differs.
         backward: `backward(needs, grads..., *args) -> gradients of the tensor arguments`, in order, written with
             registered operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted,
             and None stands for one that is not. Default: the reference is differentiated.
@@ -160,6 +160,7 @@ class Operator:
         halves: the reference takes half types as they are, because how they round is part of the result.
         autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
             which is safe for filters: they store half types but compute in float32.
+        stores: the reference itself stores its results as the kernels do, say in another type than the first tensor's.
         deterministic: False when a kernel may give other bits on a second run; torch.use_deterministic_algorithms then
             raises or warns as it does for torch's own operators.
     """
@@ -177,11 +178,12 @@ class Operator:
         bytes: bool = False,
         halves: bool = False,
         autocast: torch.dtype | None = None,
+        stores: bool = False,
         deterministic: bool = True,
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = as_stored(reference, halves)
+        self.reference = reference if stores else as_stored(reference, halves)
         self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
         self.constant = constant
@@ -381,12 +383,12 @@ def _map(f: Callable[[Any], Any], output: Any) -> Any:
     return tuple(map(f, output)) if isinstance(output, (tuple, list)) else f(output)
 
 
-def _empty(x: Tensor, sizes: Sequence[int]) -> Tensor:
+def _empty(x: Tensor, sizes: Sequence[int] | Tensor) -> Tensor:
     """What the kernels allocate."""
-    return _laid_out(x.new_empty(sizes), x)
+    return sizes if isinstance(sizes, Tensor) else laid_out(x.new_empty(sizes), x)
 
 
-def _laid_out(y: Tensor, x: Tensor) -> Tensor:
+def laid_out(y: Tensor, x: Tensor) -> Tensor:
     """`y` as the kernels write it: dense, channels-last where `x` is an image that is, as glue.h's layout_of has it."""
     c = x.shape[1] if x.dim() == y.dim() == 4 else 0
     if c > 1 and (x.stride(1), x.stride(3), x.stride(2)) == (1, c, c * x.shape[3]):
@@ -437,7 +439,7 @@ def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[.
         else:
             widened = (a.float() if isinstance(a, Tensor) and a.dtype != torch.float32 else a for a in args)
         store = saturate_to_byte if stored == torch.uint8 else lambda y: y.to(stored)
-        return _map(lambda y: _laid_out(store(y), x), reference(*widened))
+        return _map(lambda y: laid_out(store(y), x), reference(*widened))
 
     return wrapped
 

@@ -119,12 +119,31 @@ int main() {
     check("unsharp_mask", sharpen, {x});
   }
   Tensor const colors = torch::rand({2, 3, 4, 5}) * 0.3 + torch::tensor({0.3f, 0.f, 0.6f}).view({3, 1, 1});
-  check("color_program", [](auto const& t) { return kvision::color_program(t[0], {1}, {1e-8}); }, {colors}, false);
+  check("color_program", [](auto const& t) { return kvision::color_program(t[0], {{1}, {1e-8}}); }, {colors}, false);
+  auto const contrast = [](auto const& t) {  // and gamma
+    kvision::ColorProgram const program{{20, 23}, {0, 0, 0, 0.9}, t[1], {0, -1, 1, -1}};
+    return std::get<0>(kvision::color_program_around_mean(t[0], program));
+  };
+  check("color_program_around_mean", contrast, {colors, 0.7 + 0.5 * torch::rand({2, 1, 2})}, false);
   auto const ridges = [](auto const& t) { return std::get<0>(kvision::canny_suppress(t[0], 0.1, 0.2, 1e-6)); };
   check("canny_suppress", ridges, {x}, false);
   Tensor const edges = kvision::canny_hysteresis(torch::tensor({0.5f, 1.f, 0.f, 0.5f}).view({1, 1, 1, 4}));
   if (!torch::equal(edges, torch::tensor({1.f, 1.f, 0.f, 0.f}).view({1, 1, 1, 4})) && ++failures)
     std::cout << "canny_hysteresis: " << edges << "\n";
+
+  auto const stretch = [](auto const& t) { return std::get<0>(kvision::normalize_min_max(t[0], -1, 2)); };
+  check("normalize_min_max", stretch, {x}, false);
+  auto const counts = [&](auto const& t) {
+    return kvision::gaussian_counts(t[0], row.to(torch::kDouble), torch::full({1}, 0.2, torch::kDouble));
+  };
+  check("gaussian_counts", counts, {column}, false);
+  // Levels have no gradient, and a plane of one level comes back with its own.
+  Tensor const planes = torch::cat({x, torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();
+  auto const slope = [&](Tensor const& y) { return torch::autograd::grad({y.sum()}, {planes})[0].mean({0, 2, 3}); };
+  if (!torch::equal(slope(std::get<0>(kvision::equalize(planes, true))), torch::tensor({0.f, 0.f, 1.f})) && ++failures)
+    std::cout << "equalize: the gradient is not that of the flat plane alone\n";
+  if (slope(kvision::equalize_clahe(planes)).any().item<bool>() && ++failures)
+    std::cout << "equalize_clahe: a gradient\n";
 
   // A sigma as a tensor and as numbers are the same blur.
   Tensor const by_tensor = kvision::gaussian_blur2d(x, torch::tensor({{1.5f, 0.7f}}), 5, 3, 0, 0);

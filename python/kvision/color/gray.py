@@ -13,6 +13,7 @@ from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
+_BYTE_LUMA = (9798.0, 19235.0, 3735.0)  # the same in 32768ths
 
 
 def _weighted(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
@@ -24,15 +25,15 @@ def _weighted_by(x: Tensor, weights: Tensor) -> Tensor:
     return (x * weights[:, :, None, None]).sum(1, keepdim=True)
 
 
-def _fixed_point(x: Tensor, bgr: bool) -> Tensor:
-    """OpenCV's 15-bit luma of bytes; no sum reaches 2^24, so float32 has it exactly."""
-    r, g, b = (x.flip(1) if bgr else x).unbind(1)
-    return ((9798 * r + 19235 * g + 3735 * b + 16384) / 32768).floor()[:, None]
+def _fixed_point(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
+    """OpenCV's 15-bit luma of bytes over 255; no sum reaches 2^24, so float32 has it exactly."""
+    r, g, b = (255 * x).round().split(1, 1)
+    return ((wr * r + wg * g + wb * b + 16384) / 32768).floor() / 255
 
 
 weighted_sum = step("weighted_sum", _weighted)
+_byte_luma = step("byte_luma", _fixed_point)
 _rgb_to_grayscale = as_stored(_weighted_by)
-_bytes_to_grayscale = as_stored(_fixed_point)
 
 
 def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor:
@@ -68,7 +69,7 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
         _check.same_device("rgb_to_grayscale", image=image, rgb_weights=rgb_weights)
         return on_batch(_rgb_to_grayscale, image, rgb_weights[None])
     if image.dtype == torch.uint8:
-        return on_batch(_bytes_to_grayscale, image, False)
+        return on_batch(_byte_luma, image, *_BYTE_LUMA)
     return on_batch(weighted_sum, image, *LUMA)
 
 
@@ -96,7 +97,7 @@ def bgr_to_grayscale(image: Tensor) -> Tensor:
     _check.channels("bgr_to_grayscale", "image", image, 3)
     _floats_or_bytes("bgr_to_grayscale", image)
     if image.dtype == torch.uint8:
-        return on_batch(_bytes_to_grayscale, image, True)
+        return on_batch(_byte_luma, image, *reversed(_BYTE_LUMA))
     return on_batch(weighted_sum, image, *reversed(LUMA))
 
 

@@ -17,12 +17,12 @@ from tqdm import tqdm
 import kvision
 from kvision._trace import native_operators
 from kvision.core.exceptions import DeviceError, ImageError
-from kvision.demo import filters, gallery
+from kvision.demo import color, filters, gallery
 from kvision.demo.restore import Restoration, blur, restore
 from kvision.demo.sheet import Column, Sheet, run
 from kvision.io import get_sample_images, load_image, write_image
 
-SHEETS = [filters.SHEET]
+SHEETS = [filters.SHEET, color.SHEET]
 SAMPLES = ("astronaut", "chelsea", "coffee", "rocket")
 SIDE = 320  # pixels; photos are cropped to a square and brought to this size
 STEPS = 150  # of the restoration
@@ -54,7 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         restored = restore(photos[:2], counted(bar, STEPS))
 
     sections = [section(sheet, columns, names, photos) for sheet, columns in done]
-    sections.append(restoration(restored, names, photos, width=max(len(s.columns) for s in sections)))
+    width = max(len(section.columns) for section in sections)
+    sections += [wheel(photos[0], names[0], width), restoration(restored, names, photos, width)]
     path = options.out / "gallery.png"
     gallery.page(f"kvision {kvision.__version__}", about, sections).save(path)
     save_results(options.out, names, done, restored)
@@ -107,6 +108,15 @@ def section(sheet: Sheet, columns: Sequence[Column], names: Sequence[str], photo
         shown.append((column.title, f"{column.ms:.2f} ms", column.pictures))
     rows = [(name, [gallery.picture(pictures[i]) for *_, pictures in shown]) for i, name in enumerate(names)]
     return gallery.Section(sheet.title, [(title, note) for title, note, _ in shown], rows)
+
+
+def wheel(photo: Tensor, name: str, width: int) -> gallery.Section:
+    """A row of `width` pictures of one photo, its hues turned once around."""
+    columns = [(f"{round(360 * i / width)}°", "") for i in range(width)]
+    cells = [gallery.picture(picture) for picture in color.hue_wheel(photo, width)]
+    return gallery.Section(
+        "Hues turned by adjust_hue, by another angle for each picture of the batch", columns, [(name, cells)]
+    )
 
 
 def restoration(restored: Restoration, names: Sequence[str], photos: Tensor, width: int) -> gallery.Section:

@@ -29,6 +29,7 @@ from kvision.enhance.jpeg import JPEGCodecDifferentiable, jpeg_codec_differentia
 from kvision.enhance.min_max import normalize_min_max
 from kvision.enhance.normalize import Denormalize, Normalize, denormalize, normalize
 from kvision.enhance.posterize import posterize
+from kvision.enhance.program import ColorProgram
 from kvision.enhance.rescale import Rescale
 from kvision.enhance.saturation import (
     AdjustSaturation,

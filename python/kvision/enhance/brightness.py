@@ -6,22 +6,16 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision.color.program import step
 from kvision.enhance.batch import as_batch, chosen, floats, parameter
 
 
-def _sum(x: Tensor, factor: Tensor | None, number: float, clip: bool) -> Tensor:
-    y = x + chosen(factor, number)
+def _line(x: Tensor, factor: float | Tensor, shift: float | Tensor, clip: float) -> Tensor:
+    y = x * factor + shift
     return y.clamp(0, 1) if clip else y
 
 
-def _product(x: Tensor, factor: Tensor | None, number: float, clip: bool) -> Tensor:
-    y = x * chosen(factor, number)
-    return y.clamp(0, 1) if clip else y
-
-
-shifted = as_stored(_sum)
-scaled = as_stored(_product)
+line = step("line", _line)
 
 
 def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -48,7 +42,7 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
     floats("adjust_brightness", "image", image)
     amount = parameter("adjust_brightness", "factor", factor, image)
     _check.flag("adjust_brightness", "clip_output", clip_output)
-    return shifted(as_batch(image), *amount, clip_output).reshape(image.shape)
+    return line(as_batch(image), 1.0, chosen(*amount), clip_output).reshape(image.shape)
 
 
 def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -73,7 +67,7 @@ def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_o
     floats("adjust_brightness_accumulative", "image", image)
     amount = parameter("adjust_brightness_accumulative", "factor", factor, image)
     _check.flag("adjust_brightness_accumulative", "clip_output", clip_output)
-    return scaled(as_batch(image), *amount, clip_output).reshape(image.shape)
+    return line(as_batch(image), chosen(*amount), 0.0, clip_output).reshape(image.shape)
 
 
 class AdjustBrightness(FunctionModule):

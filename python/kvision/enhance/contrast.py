@@ -6,20 +6,22 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
 from kvision.color import rgb_to_grayscale as luma
+from kvision.color.program import step
 from kvision.enhance.batch import as_batch, chosen, floats, images, parameter
-from kvision.enhance.brightness import scaled
+from kvision.enhance.brightness import line
 
 
-def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
-    f = chosen(factor, number)
+def _mean_grey(x: Tensor) -> Tensor:
     means = x.mean((2, 3), keepdim=True)
-    mean = luma(means) if x.shape[1] == 3 else means.mean(1, keepdim=True)
-    return (x * f + mean * (1 - f)).clamp(0, 1)
+    return luma(means) if x.shape[1] == 3 else means.mean(1, keepdim=True)
 
 
-_around_mean = as_stored(_reference)
+def _reference(x: Tensor, factor: float | Tensor, mean: Tensor) -> Tensor:
+    return (x * factor + mean * (1 - factor)).clamp(0, 1)
+
+
+_around_mean = step("contrast", _reference, found=_mean_grey)
 
 
 def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -49,7 +51,7 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
     floats("adjust_contrast", "image", image)
     amount = parameter("adjust_contrast", "factor", factor, image, minimum=0)
     _check.flag("adjust_contrast", "clip_output", clip_output)
-    return scaled(as_batch(image), *amount, clip_output).reshape(image.shape)
+    return line(as_batch(image), chosen(*amount), 0.0, clip_output).reshape(image.shape)
 
 
 def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -73,8 +75,11 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
         tensor([[[0.0000, 0.4000, 0.8000]]])
     """
     images("adjust_contrast_with_mean_subtraction", "image", image)
-    amount = parameter("adjust_contrast_with_mean_subtraction", "factor", factor, image)
-    return _around_mean(as_batch(image), *amount).reshape(image.shape)
+    amount = chosen(*parameter("adjust_contrast_with_mean_subtraction", "factor", factor, image))
+    batch = as_batch(image)
+    if batch.shape[1] not in (1, 3) and (not isinstance(amount, Tensor) or amount.shape[1:].numel() == 1):
+        batch = batch.flatten(1, 2)[:, None]  # the mean of all channels is that of one large one
+    return _around_mean(batch, amount).reshape(image.shape)
 
 
 class AdjustContrast(FunctionModule):

@@ -7,34 +7,31 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision.color.program import step
 from kvision.enhance.batch import as_batch, chosen, floats, parameter
 
 
-def _power(x: Tensor, gamma: Tensor | None, gain: Tensor | None, gamma_number: float, gain_number: float) -> Tensor:
-    exponent = chosen(gamma, gamma_number)
+def _power(x: Tensor, exponent: float | Tensor, gain: float | Tensor) -> Tensor:
     bright = ~(x <= 0)  # NaN counts as bright and stays
     y = torch.where(bright, x, 1) ** exponent
     # Black has no finite slope below gamma 1, so it has none at all; only gamma 0 lifts it.
     black = 1 - torch.sign(exponent.detach()) if isinstance(exponent, Tensor) else float(exponent == 0)
-    return (chosen(gain, gain_number) * torch.where(bright, y, black)).clamp(0, 1)
+    return (gain * torch.where(bright, y, black)).clamp(0, 1)
 
 
-def _log(x: Tensor, gain: Tensor | None, gain_number: float, inv: bool, clip: bool) -> Tensor:
-    y = chosen(gain, gain_number) * (torch.exp2(x) - 1 if inv else torch.log2(1 + x))
+def _log(x: Tensor, gain: float | Tensor, inv: float, clip: float) -> Tensor:
+    y = gain * (torch.exp2(x) - 1 if inv else torch.log2(1 + x))
     return y.clamp(0, 1) if clip else y
 
 
-def _sigmoid(
-    x: Tensor, cutoff: Tensor | None, gain: Tensor | None, cutoff_number: float, gain_number: float, inv: bool
-) -> Tensor:
-    y = chosen(gain, gain_number) * (x - chosen(cutoff, cutoff_number))
+def _sigmoid(x: Tensor, cutoff: float | Tensor, gain: float | Tensor, inv: float) -> Tensor:
+    y = gain * (x - cutoff)
     return torch.sigmoid(-y if inv else y)
 
 
-_adjust_gamma = as_stored(_power)
-_adjust_log = as_stored(_log)
-_adjust_sigmoid = as_stored(_sigmoid)
+_adjust_gamma = step("gamma", _power)
+_adjust_log = step("log", _log)
+_adjust_sigmoid = step("sigmoid", _sigmoid)
 
 
 def adjust_gamma(input: Tensor, gamma: float | Tensor, gain: float | Tensor = 1.0) -> Tensor:
@@ -61,9 +58,9 @@ def adjust_gamma(input: Tensor, gamma: float | Tensor, gain: float | Tensor = 1.
         tensor([[0.0000, 0.2500, 1.0000]])
     """
     floats("adjust_gamma", "input", input)
-    power, power_number = parameter("adjust_gamma", "gamma", gamma, input, minimum=0)
-    factor, factor_number = parameter("adjust_gamma", "gain", gain, input, minimum=0)
-    return _adjust_gamma(as_batch(input), power, factor, power_number, factor_number).reshape(input.shape)
+    exponent = chosen(*parameter("adjust_gamma", "gamma", gamma, input, minimum=0))
+    factor = chosen(*parameter("adjust_gamma", "gain", gain, input, minimum=0))
+    return _adjust_gamma(as_batch(input), exponent, factor).reshape(input.shape)
 
 
 def adjust_log(image: Tensor, gain: float | Tensor = 1, inv: bool = False, clip_output: bool = True) -> Tensor:
@@ -90,7 +87,7 @@ def adjust_log(image: Tensor, gain: float | Tensor = 1, inv: bool = False, clip_
     factor = parameter("adjust_log", "gain", gain, image)
     _check.flag("adjust_log", "inv", inv)
     _check.flag("adjust_log", "clip_output", clip_output)
-    return _adjust_log(as_batch(image), *factor, inv, clip_output).reshape(image.shape)
+    return _adjust_log(as_batch(image), chosen(*factor), inv, clip_output).reshape(image.shape)
 
 
 def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Tensor = 10, inv: bool = False) -> Tensor:
@@ -114,10 +111,10 @@ def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Te
         tensor([[0.0067, 0.5000, 0.9933]])
     """
     floats("adjust_sigmoid", "image", image)
-    middle, middle_number = parameter("adjust_sigmoid", "cutoff", cutoff, image)
-    factor, factor_number = parameter("adjust_sigmoid", "gain", gain, image)
+    middle = chosen(*parameter("adjust_sigmoid", "cutoff", cutoff, image))
+    factor = chosen(*parameter("adjust_sigmoid", "gain", gain, image))
     _check.flag("adjust_sigmoid", "inv", inv)
-    return _adjust_sigmoid(as_batch(image), middle, factor, middle_number, factor_number, inv).reshape(image.shape)
+    return _adjust_sigmoid(as_batch(image), middle, factor, inv).reshape(image.shape)
 
 
 class AdjustGamma(FunctionModule):

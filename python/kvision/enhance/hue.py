@@ -8,29 +8,29 @@ import torch
 from torch import Tensor
 
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
 from kvision.color.hue import hue, lack
+from kvision.color.program import step
 from kvision.enhance.batch import as_batch, chosen, colours, per_pixel
 
 _TURN = 2 * math.pi
 
 
-def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+def _reference(x: Tensor, angle: float | Tensor) -> Tensor:
     highest = x.amax(1)
     chroma = highest - x.amin(1)
-    turned = hue(x, highest, chroma)[:, None] + chosen(factor, number)
+    turned = hue(x, highest, chroma)[:, None] + angle
     return highest[:, None] - chroma[:, None] * lack(turned[:, 0])
 
 
-def _in_hsv(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+def _in_hsv(x: Tensor, angle: float | Tensor) -> Tensor:
     h, s, v = x.split(1, 1)
-    turned = torch.remainder(h + chosen(factor, number), _TURN)
+    turned = torch.remainder(h + angle, _TURN)
     turned = torch.where(turned < _TURN, turned, turned - _TURN)  # a tiny negative hue is rounded up to a whole turn
     return torch.cat([turned, s, v], 1)
 
 
-_adjust_hue = as_stored(_reference)
-_adjust_hue_raw = as_stored(_in_hsv)
+_adjust_hue = step("hue", _reference)
+_adjust_hue_raw = step("hue_raw", _in_hsv)
 
 
 def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -58,7 +58,7 @@ def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_hue", "image", image)
     amount = per_pixel("adjust_hue", "factor", factor, image)
-    return _adjust_hue(as_batch(image), *amount).reshape(image.shape)
+    return _adjust_hue(as_batch(image), chosen(*amount)).reshape(image.shape)
 
 
 def adjust_hue_raw(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -81,7 +81,7 @@ def adjust_hue_raw(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_hue_raw", "image", image)
     amount = per_pixel("adjust_hue_raw", "factor", factor, image)
-    return _adjust_hue_raw(as_batch(image), *amount).reshape(image.shape)
+    return _adjust_hue_raw(as_batch(image), chosen(*amount)).reshape(image.shape)
 
 
 class AdjustHue(FunctionModule):

@@ -7,6 +7,8 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
+from kvision.enhance.batch import as_batch
+from kvision.enhance.brightness import line
 
 
 def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
@@ -34,7 +36,10 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
         _check.numbers("invert", "max_val", max_val)
         _check.same_device("invert", image=image, max_val=max_val)
     else:
-        max_val = torch.as_tensor(1 if max_val is None else _check.number("invert", "max_val", max_val))
+        max_val = 1.0 if max_val is None else _check.number("invert", "max_val", max_val)
+        if image.is_floating_point():
+            return line(as_batch(image), -1.0, max_val, False).reshape(image.shape)
+        max_val = torch.as_tensor(max_val)
     return max_val.to(image.dtype) - image
 
 

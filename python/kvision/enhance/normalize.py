@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -10,21 +10,23 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision.color.program import step
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.enhance.batch import chosen
+from kvision.enhance.brightness import line
 
 
-def _to_unit(x: Tensor, mean: Tensor | None, std: Tensor | None, mean_number: float, std_number: float) -> Tensor:
-    return (x - chosen(mean, mean_number)) / chosen(std, std_number)
+def _to_unit(x: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
+    return (x - mean) / std
 
 
-def _from_unit(x: Tensor, mean: Tensor | None, std: Tensor | None, mean_number: float, std_number: float) -> Tensor:
-    return x * chosen(std, std_number) + chosen(mean, mean_number)
+def _by_channel(formula: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """With two numbers for each of three channels."""
+    return lambda x, *p: torch.cat([formula(c, a, b) for c, a, b in zip(x.split(1, 1), p[:3], p[3:])], 1)
 
 
-_normalize = as_stored(_to_unit)
-_denormalize = as_stored(_from_unit)
+_normalize = step("standardize", _to_unit)
+step("standardize_rgb", _by_channel(_to_unit))
+step("line_rgb", _by_channel(lambda x, factor, shift: x * factor + shift))
 
 
 def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -52,7 +54,8 @@ def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor
         >>> K.enhance.normalize(torch.tensor([[0, 255]], dtype=torch.uint8), 0.0, 255.0)
         tensor([[0., 1.]])
     """
-    return _normalize(*_arguments("normalize", data, mean, std))
+    x, m, s = _arguments("normalize", data, mean, std)
+    return _normalize(x, m, s).reshape(data.shape)
 
 
 def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -74,24 +77,31 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
         >>> K.enhance.denormalize(torch.tensor([[0.0, 2.0]]), 0.5, 0.25)
         tensor([[0.5000, 1.0000]])
     """
-    return _denormalize(*_arguments("denormalize", data, mean, std))
+    x, m, s = _arguments("denormalize", data, mean, std)
+    return line(x, s, m, False).reshape(data.shape)
 
 
-def _arguments(op: str, data: Tensor, mean: float | Tensor, std: float | Tensor) -> tuple:
+def _arguments(
+    op: str, data: Tensor, mean: float | Tensor, std: float | Tensor
+) -> tuple[Tensor, float | Tensor, float | Tensor]:
+    """The data as (B, C, H, W), and the statistics as numbers or tensors that broadcast to it."""
     _check.numbers(op, "data", data)
-    m, m_number = _statistic(op, "mean", mean, data)
-    s, s_number = _statistic(op, "std", std, data)
-    return floats(data), m, s, m_number, s_number
+    m, s = (_statistic(op, name, value, data) for name, value in (("mean", mean), ("std", std)))
+    return _with_four_axes(floats(data)), m, s
 
 
-def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> tuple[Tensor | None, float]:
-    """A tensor with as many axes as the data, or a number."""
+def _with_four_axes(x: Tensor) -> Tensor:
+    return x.flatten(2, -2) if x.dim() > 4 else x.reshape(*x.shape, *(1,) * (4 - x.dim()))
+
+
+def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float | Tensor:
+    """A number, or a tensor that broadcasts to the data with four axes."""
     if not isinstance(value, Tensor):
-        return None, _check.number(op, name, value)
+        return _check.number(op, name, value)
     _check.numbers(op, name, value)
     _check.same_device(op, data=data, **{name: value})
     if value.dim() <= 1 and value.numel() == 1:
-        return value.reshape((1,) * data.dim()), 0.0
+        return value.reshape(1, 1, 1, 1)
     aligned = value[None] if value.dim() == 1 else value
     if aligned.dim() > data.dim() or any(n not in (1, m) for n, m in zip(aligned.shape, data.shape)):
         raise ShapeError(
@@ -99,7 +109,10 @@ def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> tuple
             f"for {tuple(data.shape)}",
             actual_shape=value.shape,
         )
-    return aligned.reshape(*aligned.shape, *(1,) * (data.dim() - aligned.dim())), 0.0
+    aligned = aligned.reshape(*aligned.shape, *(1,) * (data.dim() - aligned.dim()))
+    if aligned.dim() > 4 and aligned.shape[2:].numel() > 1:
+        aligned = aligned.expand(*aligned.shape[:2], *data.shape[2:])
+    return _with_four_axes(aligned)
 
 
 class _Statistics(FunctionModule):

@@ -5,16 +5,24 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images, parameter
-from kvision.enhance.equalize import levels
+
+# 2^n + 1 for n binary digits less than float32 has: how to round to the digits of a type (T. J. Dekker's splitting).
+_SPLIT = {torch.float16: 2.0**13 + 1, torch.bfloat16: 2.0**16 + 1}
 
 
-def _reference(x: Tensor, bits: Tensor | None, number: float) -> Tensor:
-    kept = number if bits is None else bits.to(x.dtype).clamp(0, 8)
+def _reference(x: Tensor, bits: float | Tensor, split: float) -> Tensor:
+    kept = bits.detach().clamp(0, 8) if isinstance(bits, Tensor) else bits
     step = 2.0 ** (8 - kept)
-    coarse = torch.floor(levels(x).to(x.dtype) / step) * step / 255
-    return torch.where((kept < 8) & ~x.isnan(), coarse, x)
+    level = x.detach().nan_to_num(0.0).clamp(0, 1) * 255
+    high = level * split
+    coarse = torch.floor((high - (high - level)).floor() / step) * step / 255
+    return torch.where((torch.as_tensor(kept, device=x.device) < 8) & ~x.isnan(), coarse, x)
+
+
+_posterize = step("posterize", _reference)
 
 
 def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
@@ -43,9 +51,9 @@ def posterize(input: Tensor, bits: int | Tensor) -> Tensor:
     images("posterize", "input", input)
     if isinstance(bits, Tensor):
         kept, _ = parameter("posterize", "bits", bits, input)
-        return _reference(as_batch(input), kept, 0).reshape(input.shape)
+        return _posterize(as_batch(input), kept, _SPLIT.get(input.dtype, 1.0)).reshape(input.shape)
     if type(bits) is not int:
         raise TypeCheckError(f"posterize: expected bits to be an int or a Tensor, got {bits!r}", actual_type=type(bits))
     if not 0 <= bits <= 8:
         raise ValueCheckError(f"posterize: expected bits of 0 to 8, got {bits}", actual_value=bits)
-    return _reference(as_batch(input), None, bits).reshape(input.shape)
+    return _posterize(as_batch(input), bits, _SPLIT.get(input.dtype, 1.0)).reshape(input.shape)

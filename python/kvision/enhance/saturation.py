@@ -7,36 +7,36 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
 from kvision.color import rgb_to_grayscale as luma
+from kvision.color.program import step
 from kvision.core.exceptions import ImageError
 from kvision.enhance.batch import as_batch, chosen, colours, per_pixel
 
 
-def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
     # HSV keeps the largest channel v and measures the others by their distance from it: that of the smallest is s * v.
     # To scale s is to scale the distances, until the smallest channel reaches 0.
     v = x.amax(1, keepdim=True)
     span = v - x.amin(1, keepdim=True)
     colourful = span > 0
     most = torch.where(colourful, v.clamp(min=0) / torch.where(colourful, span, 1), 1)
-    f = max(number, 0) if factor is None else factor.clamp(min=0)
+    f = factor.clamp(min=0) if isinstance(factor, Tensor) else max(factor, 0)
     return v - (v - x) * most.clamp(max=f)
 
 
-def _in_hsv(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+def _in_hsv(x: Tensor, factor: float | Tensor) -> Tensor:
     h, s, v = x.split(1, 1)
-    return torch.cat([h.expand_as(x[:, :1]), (s * chosen(factor, number)).clamp(0, 1), v], 1)
+    return torch.cat([h, (s * factor).clamp(0, 1), v], 1)
 
 
-def _from_grey(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+def _from_grey(x: Tensor, factor: float | Tensor) -> Tensor:
     grey = luma(x)
-    return (grey + (x - grey) * chosen(factor, number)).clamp(0, 1)
+    return (grey + (x - grey) * factor).clamp(0, 1)
 
 
-_adjust_saturation = as_stored(_reference)
-_adjust_saturation_raw = as_stored(_in_hsv)
-_adjust_saturation_from_grey = as_stored(_from_grey)
+_adjust_saturation = step("saturation", _reference)
+_adjust_saturation_raw = step("saturation_raw", _in_hsv)
+_adjust_saturation_from_grey = step("saturation_grey", _from_grey)
 
 
 def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -63,7 +63,7 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_saturation", "image", image)
     amount = per_pixel("adjust_saturation", "factor", factor, image)
-    return _adjust_saturation(as_batch(image), *amount).reshape(image.shape)
+    return _adjust_saturation(as_batch(image), chosen(*amount)).reshape(image.shape)
 
 
 def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -86,7 +86,7 @@ def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_saturation_raw", "image", image)
     amount = per_pixel("adjust_saturation_raw", "factor", factor, image)
-    return _adjust_saturation_raw(as_batch(image), *amount).reshape(image.shape)
+    return _adjust_saturation_raw(as_batch(image), chosen(*amount)).reshape(image.shape)
 
 
 def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -118,7 +118,7 @@ def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tenso
     amount = per_pixel(op, "factor", factor, image)
     if image.shape[-3] == 1:
         return image
-    return _adjust_saturation_from_grey(as_batch(image), *amount).reshape(image.shape)
+    return _adjust_saturation_from_grey(as_batch(image), chosen(*amount)).reshape(image.shape)
 
 
 class AdjustSaturation(FunctionModule):

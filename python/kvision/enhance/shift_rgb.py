@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ImageError, ShapeError
 from kvision.enhance.batch import parameter
-from kvision.enhance.brightness import shifted
+from kvision.enhance.brightness import line
 
 
 def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b_shift: float | Tensor) -> Tensor:
@@ -39,7 +39,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
     if image.dim() != 4 or image.shape[1] != 3:
         raise ImageError(f"shift_rgb: expected image of shape (B, 3, H, W), got {tuple(image.shape)}")
     shifts = [_shift(n, s, image) for n, s in (("r_shift", r_shift), ("g_shift", g_shift), ("b_shift", b_shift))]
-    return shifted(image, torch.cat(torch.broadcast_tensors(*shifts), 1), 0.0, True)
+    return line(image, 1.0, torch.cat(torch.broadcast_tensors(*shifts), 1), True)
 
 
 def _shift(name: str, shift: float | Tensor, image: Tensor) -> Tensor:

@@ -5,22 +5,18 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from kvision._ops import as_stored
+from kvision.color.program import step
 from kvision.core.exceptions import ValueCheckError
 from kvision.enhance.batch import as_batch, chosen, floats, parameter
 
 
-def _reference(
-    x: Tensor, threshold: Tensor | None, addition: Tensor | None, threshold_number: float, addition_number: float | None
-) -> Tensor:
-    if addition is not None:
+def _reference(x: Tensor, threshold: float | Tensor, addition: float | Tensor, adds: float) -> Tensor:
+    if adds:
         x = (x + addition).clamp(0, 1)
-    elif addition_number is not None:
-        x = (x + addition_number).clamp(0, 1)
-    return torch.where(x < chosen(threshold, threshold_number), x, 1 - x)
+    return torch.where(x < threshold, x, 1 - x)
 
 
-_solarize = as_stored(_reference)
+_solarize = step("solarize", _reference)
 
 
 def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float | Tensor | None = None) -> Tensor:
@@ -47,11 +43,10 @@ def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float |
         tensor([[0.1000, 0.5000, 0.1000]])
     """
     floats("solarize", "input", input)
-    threshold, threshold_number = parameter("solarize", "thresholds", thresholds, input)
-    addition, addition_number = None, None
+    threshold = chosen(*parameter("solarize", "thresholds", thresholds, input))
+    addition: float | Tensor = 0.0
     if additions is not None:
-        addition, addition_number = parameter("solarize", "additions", additions, input, minimum=-0.5)
-        if addition_number > 0.5:
+        addition = chosen(*parameter("solarize", "additions", additions, input, minimum=-0.5))
+        if not isinstance(addition, Tensor) and addition > 0.5:
             raise ValueCheckError(f"solarize: expected additions in [-0.5, 0.5], got {additions!r}")
-    y = _solarize(as_batch(input), threshold, addition, threshold_number, addition_number)
-    return y.reshape(input.shape)
+    return _solarize(as_batch(input), threshold, addition, additions is not None).reshape(input.shape)

@@ -1,0 +1,8 @@
+// Colour programs on CUDA, computing in float.
+#include "program_forward.cuh"
+
+namespace kv::cuda {
+
+KV_INSTANTIATE_ONE(program, Program, float)
+
+}  // namespace kv::cuda

@@ -1,0 +1,117 @@
+// Included by program_backward.cu and program_double.cu: gradients of colour programs on CUDA. What went into each step
+// is computed again and kept by the thread, but for the last step, where it still is in registers: one step keeps
+// nothing.
+#pragma once
+
+#include "program.cuh"
+
+namespace kv::cuda {
+namespace {
+
+template <class F, int C>
+__global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ ProgramBackward<F> const p) {
+  constexpr int P = kTaken<F>;
+  Program<F> const& q = p.forward;
+  __shared__ Sample<F> sample;
+  __shared__ F slopes[kThreads / 32][kMostParameters];
+  for (int64_t b = blockIdx.y; b < q.samples; b += gridDim.y) {
+    F measured = 0;
+    for (int64_t chunk = blockIdx.x; chunk < chunks_of<F>(q.pixels); chunk += gridDim.x) {
+      int64_t const i = chunk * kChunk<F> + threadIdx.x * P;
+      F c[C][P], g[C][P], kept[kMostSteps - 1][C][P];
+      load_pixels(q.x, b, i, q.pixels, F(0.5), c);
+      load_pixels(p.grad, b, i, q.pixels, F(0), g);
+      if (chunk == blockIdx.x) {
+        sample.prepare(q, b, true);
+        for (int k = int(threadIdx.x % 32); k < kMostParameters; k += 32) slopes[threadIdx.x / 32][k] = 0;
+        __syncwarp();
+      }
+      for (int s = 0; s + 1 < sample.length; ++s) {
+#pragma unroll
+        for (int k = 0; k < C; ++k)
+#pragma unroll
+          for (int j = 0; j < P; ++j) kept[s][k][j] = c[k][j];
+        Values<F, C> values{c, sample.p + q.first[sample.order[s]]};
+        run_step(q.step[sample.order[s]], values);
+      }
+      for (int s = sample.length; s-- > 0;) {
+        int const at = sample.order[s];
+        Step const step = q.step[at];
+        F const* const parameters = sample.p + q.first[at];
+        bool const ends = q.measures && at == q.contrast;
+        if (ends || (p.slopes && takes_tensors(step))) {
+          for (int wanted = 0; wanted < parameters_of(step); ++wanted) {
+            int const column = q.column[q.first[at] + wanted];
+            if (ends ? wanted != 1 : column < 0) continue;
+            Slope<F, C> slope{c, g, parameters, wanted, 0};
+            run_step(step, slope);
+            if (ends) {
+              measured += slope.sum;
+              continue;
+            }
+            F const sum = sum_of_warp(slope.sum);
+            if (threadIdx.x % 32 == 0) slopes[threadIdx.x / 32][column] += sum;
+          }
+        }
+        if (ends) break;
+        Pullback<F, C> pullback{c, g, parameters};
+        run_step(step, pullback);
+        if (at == q.contrast)
+#pragma unroll
+          for (int k = 0; k < C; ++k)
+#pragma unroll
+            for (int j = 0; j < P; ++j)
+              if (i + j < q.pixels)  // what is beyond adds nothing to the gradients of parameters
+                g[k][j] += sample.mean_slope * F(C == 1 ? 1 : k == 0 ? 0.299 : k == 1 ? 0.587 : 0.114);
+        if (s > 0)
+#pragma unroll
+          for (int k = 0; k < C; ++k)
+#pragma unroll
+            for (int j = 0; j < P; ++j) c[k][j] = kept[s - 1][k][j];
+      }
+      if (p.wants_x && !q.measures) store_pixels(p.grad_x, b, i, q.pixels, g);
+    }
+    if (q.measures) {
+      measured = sample.sum_of_block(measured);
+      if (threadIdx.x == 0) q.parts[b * gridDim.x + blockIdx.x] = measured;
+    } else if (p.slopes) {
+      __syncthreads();
+      if (int(threadIdx.x) < p.columns) {
+        F sum = 0;
+        for (int warp = 0; warp < kThreads / 32; ++warp) sum += slopes[warp][threadIdx.x];
+        p.slopes[(b * gridDim.x + blockIdx.x) * p.columns + threadIdx.x] = sum;
+      }
+    }
+  }
+}
+
+// A block for each number of the result.
+template <class F>
+__global__ void __launch_bounds__(kThreads) reduce(ProgramReduce<F> const p) {
+  __shared__ Sample<F> sample;
+  F sum = 0;
+  for (int64_t k = threadIdx.x; k < p.summands; k += kThreads) sum += p.first(blockIdx.x)[k * p.columns];
+  sum = sample.sum_of_block(sum);
+  if (threadIdx.x == 0) p.y[blockIdx.x] = sum;
+}
+
+}  // namespace
+
+template <class F>
+int program_backward(ProgramBackward<F> const& p, CUstream_st* stream) {
+  Program<F> const& q = p.forward;
+  dim3 const grid = grid_of(q.samples, q.measures ? parts_of(q.pixels) : chunks_of<F>(q.pixels));
+  if (q.x.channels == 1)
+    run_backward<F, 1><<<grid, kThreads, 0, stream>>>(p);
+  else
+    run_backward<F, 3><<<grid, kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class F>
+int program_reduce(ProgramReduce<F> const& p, CUstream_st* stream) {
+  reduce<<<unsigned(p.count), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+}  // namespace kv::cuda

@@ -1,0 +1,57 @@
+// Included by program.cu and program_double.cu: colour programs on CUDA, and the mean that goes into one.
+#pragma once
+
+#include "program.cuh"
+
+namespace kv::cuda {
+namespace {
+
+template <class F, int C>
+__global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> const p) {
+  __shared__ Sample<F> sample;
+  for (int64_t b = blockIdx.y; b < p.samples; b += gridDim.y) {
+    F measured = 0;
+    for (int64_t k = blockIdx.x; k < chunks_of<F>(p.pixels); k += gridDim.x) {
+      int64_t const i = k * kChunk<F> + threadIdx.x * kTaken<F>;
+      F c[C][kTaken<F>];
+      load_pixels(p.x, b, i, p.pixels, F(0), c);
+      if (k == blockIdx.x) sample.prepare(p, b, false);
+      for (int s = 0; s < sample.length; ++s) {
+        int const at = sample.order[s];
+        if (p.measures && at == p.contrast) break;
+        Values<F, C> values{c, sample.p + p.first[at]};
+        run_step(p.step[at], values);
+      }
+      if (!p.measures) {
+        store_pixels(p.y, b, i, p.pixels, c);
+        continue;
+      }
+#pragma unroll
+      for (int j = 0; j < kTaken<F>; ++j) {
+        F v[C];
+        for (int d = 0; d < C; ++d) v[d] = c[d][j];
+        if (i + j < p.pixels) measured += luma(v);
+      }
+    }
+    if (p.measures) {
+      measured = sample.sum_of_block(measured);
+      if (threadIdx.x == 0) p.parts[b * gridDim.x + blockIdx.x] = measured;
+    } else if (p.contrast >= 0 && blockIdx.x == 0 && threadIdx.x == 0) {
+      p.means[b] = sample.mean;
+    }
+  }
+}
+
+}  // namespace
+
+template <class F>
+int program(Program<F> const& p, CUstream_st* stream) {
+  dim3 const grid = grid_of(p.samples, p.measures ? parts_of(p.pixels) : chunks_of<F>(p.pixels));
+  if (p.x.channels == 1)
+    run<F, 1><<<grid, kThreads, 0, stream>>>(p);
+  else
+    run<F, 3><<<grid, kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+}  // namespace kv::cuda

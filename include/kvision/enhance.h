@@ -1,0 +1,85 @@
+// Statistics of whole images. Each function has the arguments of the operator torch.ops.kvision.<name>, which
+// python/kvision/enhance explains, and gradients. Images are (B, C, H, W). A second derivative is an error.
+#pragma once
+
+#include <ATen/Functions.h>
+#include <ATen/TensorOperators.h>
+
+#include <tuple>
+
+#include "kvision/operator.h"
+
+namespace kvision {
+
+// The image and, for every plane, whether it was changed: (B, C). Levels have no gradient; what comes back as it is,
+// a plane of one level or NaN, has its own.
+inline std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [output, changed] = call<"equalize", std::tuple<Tensor, Tensor>>(input, opencv);
+    return variable_list{output, changed};
+  };
+  auto const gradient = [=](Backward const& b) {
+    auto const [output, changed] = equalize(b.saved[0].detach(), opencv);
+    Tensor const planes = (changed > 0).unsqueeze(-1).unsqueeze(-1);
+    return variable_list{b.grads[0].masked_fill(planes & ~output.isnan(), 0)};
+  };
+  variable_list const found = differentiable({input}, compute, {input}, gradient);
+  return {found[0], found[1].detach()};
+}
+
+inline Tensor equalize_clahe(Tensor const& input, double clip_limit = 40, int64_t rows = 8, int64_t columns = 8,
+                             bool opencv = false) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"equalize_clahe">(input, clip_limit, rows, columns, opencv)}; };
+  auto const gradient = [](Backward const& b) { return variable_list{b.grads[0].masked_fill(~b.saved[0].isnan(), 0)}; };
+  return differentiable({input}, compute, {input}, gradient)[0];
+}
+
+inline Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tensor const& range, double low,
+                                         double high, double eps) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"normalize_min_max_backward">(grad, input, range, low, high, eps)};
+  };
+  return differentiable({grad, input}, compute, {}, no_second_derivative("normalize_min_max"))[0];
+}
+
+// The image, and the smallest and largest value of every plane: (B, C, 2), without a gradient.
+inline std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low = 0, double high = 1,
+                                                    double eps = 1e-6) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [output, range] = call<"normalize_min_max", std::tuple<Tensor, Tensor>>(input, low, high, eps);
+    return variable_list{output, range};
+  };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const range = std::get<1>(normalize_min_max(b.saved[0].detach(), low, high, eps));
+    return variable_list{normalize_min_max_backward(b.grads[0], b.saved[0], range, low, high, eps)};
+  };
+  variable_list const found = differentiable({input}, compute, {input}, gradient);
+  return {found[0], found[1].detach()};
+}
+
+inline Tensor gaussian_counts_backward(Tensor const& grad, Tensor const& x, Tensor const& centers,
+                                       Tensor const& bandwidth) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"gaussian_counts_backward">(grad, x, centers, bandwidth)}; };
+  return differentiable({grad, x, centers, bandwidth}, compute, {}, no_second_derivative("gaussian_counts"))[0];
+}
+
+// Of values (N, P), centers (N or 1, K) and bandwidths (N or 1), the sums of Gaussians (N, K). The gradient is that of
+// the values.
+inline Tensor gaussian_counts(Tensor const& x, Tensor const& centers, Tensor const& bandwidth) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"gaussian_counts">(x, centers, bandwidth)}; };
+  auto const gradient = [](Backward const& b) {
+    TORCH_CHECK_NOT_IMPLEMENTED(!b.wanted(1) && !b.wanted(2),
+                                "gaussian_counts: C++ has no gradient of centers or "
+                                "bandwidth; Python's kvision has");
+    return variable_list{gaussian_counts_backward(b.grads[0], b.saved[0], b.saved[1], b.saved[2]), {}, {}};
+  };
+  return differentiable({x, centers, bandwidth}, compute, {x, centers, bandwidth}, gradient)[0];
+}
+
+}  // namespace kvision

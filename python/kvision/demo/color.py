@@ -1,0 +1,67 @@
+"""The sheet of the color and enhance modules, and one photo in all hues."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import torch
+from torch import Tensor
+
+from kvision import color, enhance
+from kvision.demo.sheet import Image, Sheet, Step
+
+
+def hues_alone(hsv: Tensor) -> Tensor:
+    """Every pixel in its hue, fully saturated and bright."""
+    return color.hsv_to_rgb(torch.cat([hsv[:, :1], torch.ones_like(hsv[:, 1:])], 1))
+
+
+def at_one_lightness(lab: Tensor) -> Tensor:
+    return color.lab_to_rgb(torch.cat([torch.full_like(lab[:, :1], 65.0), lab[:, 1:]], 1))
+
+
+def plasma(photos: Tensor) -> Tensor:
+    """Every grey as a colour of the map of that name."""
+    return color.apply_colormap(color.rgb_to_grayscale(photos), PLASMA)
+
+
+PLASMA = color.ColorMap("plasma", 256)
+
+
+def of_planes(equalize: Callable[[Image], Any]) -> Callable[[Image], Any]:
+    """OpenCV equalizes planes of bytes."""
+
+    def work(image: Image) -> Any:
+        levels = cv2.convertScaleAbs(image, alpha=255)
+        return cv2.merge([equalize(plane) for plane in cv2.split(levels)])
+
+    return work
+
+
+SHEET = Sheet(
+    "Colour",
+    [
+        Step("hue", color.rgb_to_hsv, lambda image: cv2.cvtColor(image, cv2.COLOR_RGB2HSV), hues_alone),
+        Step("lab", color.rgb_to_lab, lambda image: cv2.cvtColor(image, cv2.COLOR_RGB2LAB), at_one_lightness),
+        Step("plasma", plasma),
+        Step("sepia", color.sepia),
+        Step("saturation", lambda x: enhance.adjust_saturation(x, 1.8)),
+        Step("contrast", lambda x: enhance.adjust_contrast_with_mean_subtraction(x, 1.6)),
+        Step("gamma", lambda x: enhance.adjust_gamma(x, 0.5), lambda image: cv2.pow(image, 0.5)),
+        Step("equalize", lambda x: enhance.equalize(x, opencv=True), of_planes(cv2.equalizeHist)),
+        Step(
+            "clahe",
+            lambda x: enhance.equalize_clahe(x, 4.0, opencv=True),
+            of_planes(lambda plane: cv2.createCLAHE(4.0).apply(plane)),
+        ),
+    ],
+)
+
+
+def hue_wheel(photo: Tensor, turns: int) -> Tensor:
+    """A photo (3, H, W) with its hues turned by equal steps of a whole turn: (turns, 3, H, W), in one call."""
+    angles = torch.arange(turns, device=photo.device) * (2 * math.pi / turns)
+    return enhance.adjust_hue(photo.expand(turns, -1, -1, -1), angles)

@@ -1,0 +1,245 @@
+"""A chain of colour steps as one module and one pass over the image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._leading import on_batch
+from kvision.color.program import MOST_STEPS, STEPS, run
+from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
+
+Value = float | Sequence[float] | Tensor
+Slots = Sequence[float | Tensor]
+
+
+class _Kind(NamedTuple):
+    step: str
+    parameters: dict[str, int] = {}  # by name, and how many numbers each one is
+    arguments: Callable[..., Slots] = lambda *values: values  # of the step, from the numbers of all parameters
+
+
+_KINDS = {
+    "brightness": _Kind("line", {"factor": 1}, lambda f: (f, 0.0, 1.0)),
+    "shift": _Kind("line", {"shift": 1}, lambda s: (1.0, s, 1.0)),
+    "contrast": _Kind("contrast", {"factor": 1}, lambda f: (f, 0.0)),
+    "saturation": _Kind("saturation_grey", {"factor": 1}),
+    "hue": _Kind("hue", {"angle": 1}),
+    "gamma": _Kind("gamma", {"gamma": 1}, lambda g: (g, 1.0)),
+    "solarize": _Kind("solarize", {"threshold": 1}, lambda t: (t, 0.0, 0.0)),
+    "posterize": _Kind("posterize", {"bits": 1}, lambda b: (b, 1.0)),
+    "invert": _Kind("line", {}, lambda: (-1.0, 1.0, 0.0)),
+    "normalize": _Kind("standardize_rgb", {"mean": 3, "std": 3}),
+    "denormalize": _Kind("line_rgb", {"mean": 3, "std": 3}, lambda *m: (*m[3:], *m[:3])),
+}
+
+
+class ColorProgram(nn.Module):
+    """A chain of colour steps on RGB images, computed in one pass over memory (two with contrast), with its gradient.
+
+    Every step is a name and its parameters:
+
+        ("brightness", factor)      factor * x, clamped: adjust_brightness_accumulative
+        ("shift", shift)            x + shift, clamped: adjust_brightness
+        ("contrast", factor)        away from the mean grey: adjust_contrast_with_mean_subtraction
+        ("saturation", factor)      away from the grey: adjust_saturation_with_gray_subtraction
+        ("hue", angle)              turned by an angle in radians: adjust_hue
+        ("gamma", gamma)            x ** gamma: adjust_gamma
+        ("solarize", threshold)     1 - x from the threshold on: solarize
+        ("posterize", bits)         the high bits of the levels: posterize
+        ("invert",)                 1 - x: invert
+        ("normalize", mean, std)    (x - mean) / std, three numbers each: normalize
+        ("denormalize", mean, std)  x * std + mean, three numbers each: denormalize
+
+    The first four with normalize are torchvision's ColorJitter, but for the hue, which has turns there. The result is that
+    of the functions named, one after the other in float32.
+
+    Args:
+        steps: tuples as above, at most 16. A parameter is a number, or three in a tuple; or a tensor () or (B,), (3,) or
+            (B, 3), of one a sample. An nn.Parameter is learnt.
+        dtype: type of the result, floating point or uint8; default: that of the image.
+        memory_format: torch.contiguous_format or torch.channels_last, of the result; default: that of the image.
+
+    Attributes:
+        steps: the steps as they were given.
+
+    Raises:
+        TypeCheckError, ValueCheckError: an unknown step, wrong parameters, more than 16 steps.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> jitter = K.enhance.ColorProgram(("brightness", 1.2), ("saturation", 0.5), dtype=torch.float16)
+        >>> jitter
+        ColorProgram(brightness(1.2), saturation(0.5), dtype=torch.float16)
+        >>> image = torch.full((2, 3, 4, 5), 100, dtype=torch.uint8)
+        >>> jitter(image)[0, 0, 0, 0]
+        tensor(0.4707, dtype=torch.float16)
+        >>> jitter(image, {"brightness": torch.tensor([1.0, 0.0])}).amax((1, 2, 3))
+        tensor([0.3921, 0.0000], dtype=torch.float16)
+    """
+
+    def __init__(
+        self,
+        *steps: Sequence[Any],
+        dtype: torch.dtype | None = None,
+        memory_format: torch.memory_format | None = None,
+    ) -> None:
+        super().__init__()
+        if len(steps) > MOST_STEPS:
+            raise ValueCheckError(f"ColorProgram: expected at most {MOST_STEPS} steps, got {len(steps)}")
+        if (
+            dtype is not None
+            and dtype != torch.uint8
+            and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point)
+        ):
+            raise TypeCheckError(f"ColorProgram: expected dtype to be floating point or uint8, got {dtype!r}")
+        if memory_format not in (None, torch.contiguous_format, torch.channels_last):
+            raise ValueCheckError(
+                f"ColorProgram: memory_format must be torch.contiguous_format or torch.channels_last; got {memory_format!r}"
+            )
+        self.dtype, self.memory_format = dtype, memory_format
+        self._values: list[tuple[str, list[str]]] = []  # of every step its name, and those of its attributes
+        for i, given in enumerate(steps):
+            name, values = _checked(given)
+            attributes = [f"{parameter}_{i}" for parameter in _KINDS[name].parameters]
+            for attribute, value in zip(attributes, values):
+                if isinstance(value, Tensor) and not isinstance(value, nn.Parameter):
+                    self.register_buffer(attribute, value, persistent=False)
+                else:
+                    setattr(self, attribute, value)
+            self._values.append((name, attributes))
+
+    @property
+    def steps(self) -> tuple[tuple[Any, ...], ...]:
+        return tuple((name, *(getattr(self, a) for a in attributes)) for name, attributes in self._values)
+
+    def forward(
+        self,
+        image: Tensor,
+        parameters: Mapping[str | int, Value | Sequence[Value]] | None = None,
+        order: Tensor | None = None,
+        enabled: Tensor | None = None,
+    ) -> Tensor:
+        """Run the program.
+
+        Args:
+            image: RGB images (*, 3, H, W), floating point in [0, 1], or uint8, whose levels are 255ths.
+            parameters: other parameters for this call, by the name of a step or its position: a value, or for steps of
+                several a tuple of them.
+            order: (S,) or (B, S), int64: which step comes at each position, -1 for none; default: as they were given.
+            enabled: (S,) or (B, S), bool: which steps are done.
+
+        Returns:
+            The images, differentiable in image and parameters.
+
+        Raises:
+            TypeCheckError, ValueCheckError: arguments of other kinds.
+            ImageError: image is not (*, 3, H, W).
+            ShapeError: no pixels; parameters, order or enabled that do not fit the image or the steps.
+            DeviceError: tensors on different devices.
+        """
+        _check.channels("ColorProgram", "image", image, 3, ImageError)
+        if not image.is_floating_point() and image.dtype != torch.uint8:
+            raise TypeCheckError(f"ColorProgram: expected image to be floating point or uint8, got {image.dtype}")
+        if 0 in image.shape[-2:]:
+            raise ShapeError(f"ColorProgram: expected image with H, W of at least 1, got {tuple(image.shape)}")
+        steps = self._with(parameters) if parameters else self.steps
+        slots: list[float | Tensor] = []
+        for name, *values in steps:
+            kind = _KINDS[name]
+            numbers = [
+                n for (p, size), v in zip(kind.parameters.items(), values) for n in _numbers(name, p, size, v, image)
+            ]
+            slots += kind.arguments(*numbers)
+        dtype = "same" if self.dtype is None else str(self.dtype).removeprefix("torch.")
+        layout = {None: "same", torch.contiguous_format: "NCHW"}.get(self.memory_format, "NHWC")
+        program = [STEPS[_KINDS[name].step] for name, *_ in steps]
+        return on_batch(run, image, program, slots, _order(order, enabled, len(program), image), dtype, layout)
+
+    def _with(self, parameters: Mapping[str | int, Any]) -> tuple[tuple[Any, ...], ...]:
+        if not isinstance(parameters, Mapping):
+            raise TypeCheckError(f"ColorProgram: expected parameters by the names of steps, got {parameters!r}")
+        steps = list(self.steps)
+        names = [name for name, *_ in steps]
+        for key, value in parameters.items():
+            places = [key] if isinstance(key, int) else [i for i, name in enumerate(names) if name == key]
+            if len(places) != 1 or not -len(steps) <= places[0] < len(steps):
+                raise ValueCheckError(f"ColorProgram: there is not one step {key!r} among {', '.join(names)}")
+            name = names[places[0]]
+            several = len(_KINDS[name].parameters) != 1
+            steps[places[0]] = (name, *_checked((name, *value) if several else (name, value))[1])
+        return tuple(steps)
+
+    def extra_repr(self) -> str:
+        steps = [f"{name}({', '.join(map(_short, values))})" for name, *values in self.steps]
+        steps += [
+            f"{k}={v}" for k, v in (("dtype", self.dtype), ("memory_format", self.memory_format)) if v is not None
+        ]
+        return ", ".join(steps)
+
+
+def _short(value: Any) -> str:
+    return f"{type(value).__name__}{tuple(value.shape)}" if isinstance(value, Tensor) else repr(value)
+
+
+def _checked(step: Any) -> tuple[str, list[Any]]:
+    """The name of a step and its parameters."""
+    if not isinstance(step, (tuple, list)) or not step or not isinstance(step[0], str):
+        raise TypeCheckError(f"ColorProgram: expected steps to be tuples of a name and parameters, got {step!r}")
+    name, *values = step
+    _check.choice("ColorProgram", "step", name, list(_KINDS))
+    wanted = _KINDS[name].parameters
+    if len(values) != len(wanted):
+        raise ValueCheckError(
+            f"ColorProgram: {name} takes {', '.join(wanted) or 'no parameters'}; got {len(values)} of them"
+        )
+    for (parameter, size), value in zip(wanted.items(), values):
+        if isinstance(value, Tensor):
+            _check.numbers("ColorProgram", f"{parameter} of {name}", value)
+            continue
+        several = isinstance(value, (tuple, list))
+        if several and (size == 1 or len(value) != size):
+            raise ValueCheckError(f"ColorProgram: expected {parameter} of {name} to be {size} numbers, got {value!r}")
+        for number in value if several else [value]:
+            _check.number("ColorProgram", f"{parameter} of {name}", number)
+    return name, values
+
+
+def _numbers(name: str, parameter: str, size: int, value: Value, image: Tensor) -> Sequence[float | Tensor]:
+    """A parameter as `size` numbers, or tensors (B or 1, 1, 1, 1)."""
+    if not isinstance(value, Tensor):
+        return [float(v) for v in value] if isinstance(value, Sequence) else [float(value)] * size
+    _check.same_device("ColorProgram", image=image, **{parameter: value})
+    batch = math.prod(image.shape[:-3])
+    rows = value if size > 1 and value.dim() > 0 else value[..., None]
+    if rows.dim() > 2 or rows.shape[-1] not in (1, size) or math.prod(rows.shape[:-1]) not in (1, batch):
+        expected = f"() or ({batch},)" if size == 1 else f"({size},) or ({batch}, {size})"
+        raise ShapeError(f"ColorProgram: expected {parameter} of {name} of shape {expected}, got {tuple(value.shape)}")
+    return [row.reshape(-1, 1, 1, 1) for row in rows.expand(*rows.shape[:-1], size).unbind(-1)]
+
+
+def _order(order: Tensor | None, enabled: Tensor | None, steps: int, image: Tensor) -> Tensor | None:
+    """The step of each position, (B or 1, S), -1 for none; None for all of them as they come."""
+    batch = math.prod(image.shape[:-3])
+    for name, x, kind in (("order", order, torch.int64), ("enabled", enabled, torch.bool)):
+        if x is None:
+            continue
+        if not isinstance(x, Tensor) or x.dtype != kind:
+            raise TypeCheckError(f"ColorProgram: expected {name} to be a Tensor of {kind}, got {x!r}")
+        _check.same_device("ColorProgram", image=image, **{name: x})
+        if x.dim() not in (1, 2) or x.shape[-1] != steps or math.prod(x.shape[:-1]) not in (1, batch):
+            raise ShapeError(
+                f"ColorProgram: expected {name} of shape ({steps},) or ({batch}, {steps}), got {tuple(x.shape)}"
+            )
+    if enabled is not None:
+        enabled = enabled.reshape(-1, steps)
+        order = torch.arange(steps, device=image.device) if order is None else order
+        rows = order.reshape(-1, steps).expand(max(enabled.shape[0], math.prod(order.shape[:-1])), -1)
+        done = enabled.expand(rows.shape[0], -1).gather(1, rows.clamp(min=0))
+        order = torch.where(done, rows, -1)
+    return None if order is None else order.reshape(-1, steps)

@@ -1,5 +1,4 @@
-// Window sums on CUDA. Odd square windows to 7 x 7 are separable filters with weights of 1, those to 31 x 31 have
-// box_strip.cu. All others: a block walks
+// Window sums on CUDA. Odd square windows to 31 x 31 are separable filters with weights of 1. All others: a block walks
 // down a tile in batches of eight rows, and sums along the rows and down the columns from the sums of beginnings and
 // ends of blocks of eight pixels, at a cost that hardly depends on the window's size.
 #include <cuda_pipeline.h>
@@ -9,11 +8,6 @@
 #include "separable_strip.cuh"
 
 namespace kv::cuda {
-
-// The launcher of box_strip.cu.
-template <class T>
-int box_strips(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream);
-
 namespace {
 
 // --- windows of any size
@@ -266,8 +260,7 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   bool const gathers = across.gathers() || down.gathers();
 
   if constexpr (sizeof(T) <= 4)
-    if (!gathers && has_strips(p.x, p.ky, p.kx))
-      return p.kx <= 7 ? launch_strips(p, across, stream) : box_strips(p, across, stream);
+    if (!gathers && has_strips(p.x, p.ky, p.kx)) return launch_strips(p, across, stream);
 
   bool const even_reflect = gathers && p.border == Border::reflect;
   int64_t const planes = p.x.count() * p.x.step, beside = p.kx - 1 + (across.gathers() ? p.kx - 1 : 0);

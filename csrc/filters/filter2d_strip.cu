@@ -52,8 +52,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   // The first row read and the last row completed. Where results are folded, there is nothing above the image.
   int const first = Folds ? max(y0 - R, 0) : y0 - above, last = Folds && y1 == height ? height - 1 + R : y1 - 1;
   int const count = last + K - above - first;
-  StripRows<T, P, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, x0 + R - p.axis_x.before,
-                                       R, first, count);
+  StripRows<T, P, R, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned,
+                                          x0 + R - p.axis_x.before, first, count);
 
   float const* const kernel = p.kernel_of(plane);
   float w[K][K];

@@ -36,9 +36,9 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   bool const reflects = p.fold == Border::reflect, replicates = !reflects;
 
   int const first = y0 - R, last = y1 + (replicates && y1 == height ? 2 * R : R);
-  StripRows<T, P, kRing<K>, bool> rows(shared.rows, p.x, plane, Border::constant,
-                                       reflects ? Border::reflect : Border::constant, aligned, x0, R, first,
-                                       last - first);
+  StripRows<T, P, R, kRing<K>, bool> rows(shared.rows, p.x, plane, Border::constant,
+                                          reflects ? Border::reflect : Border::constant, aligned, x0, first,
+                                          last - first);
 
   {
     int64_t const sample = plane / p.planes;

@@ -125,8 +125,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
   int const left = x0 + R - p.kx.before, out_stride = int(p.y.row_stride * sizeof(T));  // left as windows see it
-  StripRows<T, P, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left, R,
-                                          y0 - p.ky.before, y1 - y0 + K - 1);
+  StripRows<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left,
+                                             y0 - p.ky.before, y1 - y0 + K - 1);
 
   int64_t const sample = plane / p.planes;
   shared.x[lane] = weight_of_lane(p.kx, sample, lane);

@@ -42,10 +42,10 @@ __device__ __forceinline__ T* row_below(T* first_row, int y, int stride) {
   return reinterpret_cast<T*>(reinterpret_cast<uintptr_t>(first_row) + int64_t(y) * stride);
 }
 
-// Rows from `first` on, `count` of them, for 32 P pixels from `left` on and `radius` beside them. `Rows` is the size of
+// Rows from `first` on, `count` of them, for 32 P pixels from `left` on and `Radius` beside them. `Rows` is the size of
 // the ring; all but one are on their way. What is outside follows the borders `across` and `down`. `aligned`: rows are
 // packs of P pixels, `left` at one of them; as std::true_type or std::false_type it costs no branches.
-template <class T, int P, int Rows, class Aligned>
+template <class T, int P, int Radius, int Rows, class Aligned>
 struct StripRows {
   using Ring = T[Rows][32 * P + 2 * kHalo];
   T (*const ring)[32 * P + 2 * kHalo];
@@ -62,7 +62,7 @@ struct StripRows {
   static constexpr uint32_t kRowBytes = sizeof(Ring) / Rows;
 
   __device__ __forceinline__ StripRows(Ring& memory, Planes<T const> const& x, int64_t plane, Border across,
-                                       Border down, Aligned aligned, int left, int radius, int first, int count)
+                                       Border down, Aligned aligned, int left, int first, int count)
       : ring(memory),
         in(x.plane(plane)),
         across(across),
@@ -89,7 +89,7 @@ struct StripRows {
 
     filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
     bool const reached =
-        filled >= left - radius && filled < left + 32 * P + radius && (filled < 0 || filled >= in_width);
+        filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
     source = reached ? border_index(across, filled, in_width) : -1;
     fills = __any_sync(0xffffffffu, source >= 0);
     near = source >= max(left - kHalo, 0) && source < left + 32 * P + kHalo;

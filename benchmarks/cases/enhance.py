@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 import kvision
-from benchmarks.case import Bars, Case, nonlinear_backward
+from benchmarks.case import Bars, Case, Size, nonlinear_backward, photographs
 from benchmarks.peers import optional
 
 cv2 = optional("cv2")
@@ -20,7 +21,8 @@ skexposure = optional("skimage.exposure")
 tvision = optional("torchvision.transforms.functional")
 
 nonlinear = {"backward": nonlinear_backward}
-MEAN, STD = torch.tensor([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])
+IMAGENET = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
+MEAN, STD = map(torch.tensor, IMAGENET)
 
 
 def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Callable[..., Any]], **more: Any) -> Case:
@@ -45,6 +47,55 @@ def contrast_mean_opencv(x, out=None, grey=None):
     grey = cv2.cvtColor(x, cv2.COLOR_RGB2GRAY, grey)
     out = cv2.addWeighted(x, 1.3, x, 0, -0.3 * cv2.mean(grey)[0], out)
     return cv2.max(cv2.min(out, (1,) * 4, out), (0,) * 4, out), grey
+
+
+# -- chains of steps: augmentation as it is before a network
+
+
+def jitter(name: str, contrast: bool, bars: Bars) -> Case:
+    """Brightness, maybe contrast, saturation, hue, and the normalisation of ImageNet; the same for all images."""
+    steps = (
+        ("brightness", 1.2),
+        ("contrast", 0.7),
+        ("saturation", 1.4),
+        ("hue", 0.3),
+        ("normalize", *map(tuple, IMAGENET)),
+    )
+    program = kvision.enhance.ColorProgram(*(step for step in steps if contrast or step[0] != "contrast"))
+
+    def in_kornia(x):
+        E = kornia.enhance
+        x = E.adjust_brightness_accumulative(x, 1.2)
+        x = E.adjust_contrast_with_mean_subtraction(x, 0.7) if contrast else x
+        x = E.adjust_hue(E.adjust_saturation_with_gray_subtraction(x, 1.4), 0.3)
+        return E.normalize(x, MEAN.to(x), STD.to(x))
+
+    def in_torchvision(x):
+        x = tvision.adjust_brightness(x, 1.2)
+        x = tvision.adjust_contrast(x, 0.7) if contrast else x
+        x = tvision.adjust_hue(tvision.adjust_saturation(x, 1.4), 0.15 / math.pi)
+        return tvision.normalize(x, *IMAGENET)
+
+    return Case(name, program, {"kornia": in_kornia, "torchvision": in_torchvision}, bars, **nonlinear)
+
+
+def jitter_each() -> Case:
+    """Other factors for each image."""
+    program = kvision.enhance.ColorProgram(("brightness", 1.0), ("saturation", 1.0), ("hue", 0.0), ("gamma", 1.0))
+
+    def inputs(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+        factors = torch.linspace(0.6, 1.4, size[0], dtype=dtype, device=device)
+        return (*photographs(size, dtype, device), factors, factors.flip(0), factors - 1)
+
+    def call(x, brightness, saturation, hue):
+        return program(x, {"brightness": brightness, "saturation": saturation, "hue": hue, "gamma": brightness})
+
+    def in_kornia(x, brightness, saturation, hue):
+        E = kornia.enhance
+        x = E.adjust_saturation_with_gray_subtraction(E.adjust_brightness_accumulative(x, brightness), saturation)
+        return E.adjust_gamma(E.adjust_hue(x, hue), brightness)
+
+    return Case("jitter_each", call, {"kornia": in_kornia}, Bars(floor=1.2, both=1.3), inputs, **nonlinear)
 
 
 # -- statistics of whole images, one plane after the other
@@ -131,8 +182,11 @@ CASES = [
         "normalize",
         lambda K, x: K.enhance.normalize(x, MEAN.to(x), STD.to(x)),
         Bars(floor=1.12, both=1.3, half=1.7),
-        {"torchvision": lambda x: tvision.normalize(x, MEAN.tolist(), STD.tolist())},
+        {"torchvision": lambda x: tvision.normalize(x, *IMAGENET)},
     ),
+    jitter("jitter", False, Bars(floor=1.2, both=1.3, half=1.7)),
+    jitter("jitter_contrast", True, Bars(floor=1.8, launches=2)),
+    jitter_each(),
     case(
         "equalize",
         lambda K, x: K.enhance.equalize(x),

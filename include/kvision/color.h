@@ -1,9 +1,12 @@
-// Colour programs: chains of per-pixel steps, which csrc/color/program.h lists with their parameters; the conversions
-// of python/kvision/color and the adjustments of python/kvision/enhance are programs of one step. A second derivative
-// is an error.
+// Colour programs, chains of per-pixel steps in one pass over the image, and the conversions of python/kvision/color,
+// which are programs of one step. Images are (B, 3, H, W), floating point. A second derivative is an error.
 #pragma once
 
+#include <memory>
+#include <optional>
+#include <string>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "kvision/operator.h"
@@ -15,22 +18,54 @@ namespace kvision {
 // of int64 has the step of each position, or -1 for none. The result has the dtype, as torch names it, and the layout,
 // "NCHW" or "NHWC", that are asked for; bytes are 255ths.
 struct ColorProgram {
+  // With their parameters, as csrc/color/program.h explains them.
+  enum Step : int64_t {
+    affine,
+    rgb_to_hsv,
+    hsv_to_rgb,
+    rgb_to_hls,
+    hls_to_rgb,
+    rgb_to_linear_rgb,
+    linear_rgb_to_rgb,
+    rgb_to_lab,
+    lab_to_rgb,
+    rgb_to_luv,
+    luv_to_rgb,
+    byte_luma,
+    weighted_sum,
+    line_rgb,
+    standardize_rgb,
+    saturation,
+    saturation_raw,
+    saturation_grey,
+    hue,
+    hue_raw,
+    contrast,
+    line,
+    standardize,
+    gamma,
+    log,
+    sigmoid,
+    solarize,
+    posterize,
+  };
   std::vector<int64_t> steps;
   std::vector<double> numbers;
   std::optional<Tensor> parameters = {};
   std::vector<int64_t> columns = {};
   std::optional<Tensor> order = {};
-  std::string dtype = "same", layout = "same";
+  std::string dtype = "same";
+  std::string layout = "same";
 };
 
 // The gradients of the image and of the parameters, the latter for each sample; without elements where not wanted.
 inline std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor const& input, ColorProgram const& p,
-                                                         std::optional<Tensor> const& mean, bool of_image,
+                                                         std::optional<Tensor> const& means, bool of_image,
                                                          bool of_parameters) {
   using namespace detail;
   auto const compute = [&] {
     auto const [of_x, of_rows] = call<"color_program_backward", std::tuple<Tensor, Tensor>>(
-        grad, input, p.parameters, p.order, mean, p.steps, p.numbers, p.columns, of_image, of_parameters);
+        grad, input, p.parameters, p.order, means, p.steps, p.numbers, p.columns, of_image, of_parameters);
     return variable_list{of_x, of_rows};
   };
   auto const found = differentiable({grad, input, p.parameters.value_or(Tensor())}, compute, {},
@@ -75,6 +110,68 @@ inline std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input,
   Tensor const y = differentiable({input, p.parameters.value_or(Tensor())}, compute, {input}, gradient)[0];
   *kept = mean;
   return {y, mean};
+}
+
+// --- conversions
+
+namespace detail {
+
+inline Tensor converted(Tensor const& image, ColorProgram::Step step, std::vector<double> numbers = {}) {
+  return color_program(image, {{step}, std::move(numbers)});
+}
+
+}  // namespace detail
+
+// The channels mixed by a matrix, given by rows; `offset` is added, and the result may be clipped to [0, 1].
+inline Tensor mix_channels(Tensor const& image, std::vector<double> matrix,
+                           std::vector<double> const& offset = {0, 0, 0}, bool clip = false) {
+  matrix.insert(matrix.end(), offset.begin(), offset.end());
+  matrix.push_back(clip);
+  return detail::converted(image, ColorProgram::affine, std::move(matrix));
+}
+
+inline Tensor rgb_to_grayscale(Tensor const& image, std::vector<double> const& weights = {0.299, 0.587, 0.114}) {
+  return detail::converted(image, ColorProgram::weighted_sum, weights);
+}
+
+inline Tensor rgb_to_hsv(Tensor const& image, double eps = 1e-8) {
+  return detail::converted(image, ColorProgram::rgb_to_hsv, {eps});
+}
+inline Tensor hsv_to_rgb(Tensor const& image) { return detail::converted(image, ColorProgram::hsv_to_rgb); }
+
+inline Tensor rgb_to_hls(Tensor const& image, double eps = 1e-8) {
+  return detail::converted(image, ColorProgram::rgb_to_hls, {eps});
+}
+inline Tensor hls_to_rgb(Tensor const& image) { return detail::converted(image, ColorProgram::hls_to_rgb); }
+
+inline Tensor rgb_to_linear_rgb(Tensor const& image) {
+  return detail::converted(image, ColorProgram::rgb_to_linear_rgb);
+}
+inline Tensor linear_rgb_to_rgb(Tensor const& image) {
+  return detail::converted(image, ColorProgram::linear_rgb_to_rgb);
+}
+
+inline Tensor rgb_to_lab(Tensor const& image) { return detail::converted(image, ColorProgram::rgb_to_lab); }
+inline Tensor lab_to_rgb(Tensor const& image, bool clip = true) {
+  return detail::converted(image, ColorProgram::lab_to_rgb, {double(clip)});
+}
+
+inline Tensor rgb_to_luv(Tensor const& image, double eps = 1e-12) {
+  return detail::converted(image, ColorProgram::rgb_to_luv, {eps});
+}
+inline Tensor luv_to_rgb(Tensor const& image, double eps = 1e-12) {
+  return detail::converted(image, ColorProgram::luv_to_rgb, {eps});
+}
+
+inline Tensor rgb_to_ycbcr(Tensor const& image) {
+  double const r = 0.299, g = 0.587, b = 0.114, blue = 0.564, red = 0.713;
+  return mix_channels(image, {r, g, b, -blue * r, -blue * g, blue * (1 - b), red * (1 - r), -red * g, -red * b},
+                      {0, 0.5, 0.5});
+}
+inline Tensor ycbcr_to_rgb(Tensor const& image) {
+  double const r = 0.299, g = 0.587, b = 0.114, blue = 0.564, red = 0.713;
+  return mix_channels(image, {1, 0, 1 / red, 1, -b / g / blue, -r / g / red, 1, 1 / blue, 0},
+                      {-0.5 / red, (b / blue + r / red) / (2 * g), -0.5 / blue}, true);
 }
 
 }  // namespace kvision

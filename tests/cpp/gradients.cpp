@@ -119,7 +119,23 @@ int main() {
     check("unsharp_mask", sharpen, {x});
   }
   Tensor const colors = torch::rand({2, 3, 4, 5}) * 0.3 + torch::tensor({0.3f, 0.f, 0.6f}).view({3, 1, 1});
-  check("color_program", [](auto const& t) { return kvision::color_program(t[0], {{1}, {1e-8}}); }, {colors}, false);
+  using Conversion = Tensor (*)(Tensor const&);
+  Conversion const there_and_back[][2] = {
+      {[](Tensor const& x) { return kvision::rgb_to_hsv(x); }, kvision::hsv_to_rgb},
+      {[](Tensor const& x) { return kvision::rgb_to_hls(x); }, kvision::hls_to_rgb},
+      {kvision::rgb_to_linear_rgb, kvision::linear_rgb_to_rgb},
+      {kvision::rgb_to_lab, [](Tensor const& x) { return kvision::lab_to_rgb(x); }},
+      {[](Tensor const& x) { return kvision::rgb_to_luv(x); }, [](Tensor const& x) { return kvision::luv_to_rgb(x); }},
+      {kvision::rgb_to_ycbcr, kvision::ycbcr_to_rgb},
+  };
+  for (auto const [there, back] : there_and_back) {
+    check("a conversion", [=](auto const& t) { return there(t[0]); }, {colors}, false);
+    check("its inverse", [=](auto const& t) { return back(t[0]); }, {there(colors)}, false);
+    if (!torch::allclose(back(there(colors)), colors, 0, 1e-3) && ++failures) std::cout << "a conversion and back\n";
+  }
+  check("rgb_to_grayscale", [](auto const& t) { return kvision::rgb_to_grayscale(t[0]); }, {colors}, false);
+  Tensor const luma = kvision::rgb_to_ycbcr(colors).slice(1, 0, 1);
+  if (!torch::allclose(kvision::rgb_to_grayscale(colors), luma) && ++failures) std::cout << "grey is not luma\n";
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{20, 23}, {0, 0, 0, 0.9}, t[1], {0, -1, 1, -1}};
     return std::get<0>(kvision::color_program_around_mean(t[0], program));

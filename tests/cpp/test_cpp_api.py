@@ -12,6 +12,7 @@ import torch
 
 import kvision  # noqa: F401  declares the operators
 from kvision import _ops
+from kvision.color.program import STEPS
 
 ROOT = Path(__file__).parents[2]
 HEADERS = {path: path.read_text() for path in sorted((ROOT / "include/kvision").glob("*.h"))}
@@ -34,16 +35,32 @@ def functions() -> dict[str, list[tuple[str, str]]]:
     found = {}
     for text in HEADERS.values():
         for name, arguments in re.findall(r"^inline [^()]*?(\w+)\(([^()]*)\) \{", text, re.MULTILINE):
-            pairs = [re.fullmatch(r"(.*?)\s*(\w+)(\s*=.*)?", a.strip(), re.DOTALL) for a in arguments.split(",")]
+            plain = re.sub(r"\s*= (\{[^}]*\}|[^,]*)", "", arguments)  # without defaults
+            pairs = [re.fullmatch(r"(.*?)\s*(\w+)", a.strip(), re.DOTALL) for a in plain.split(",")]
             found[name] = [(TYPES.get(p[1], p[1]), p[2]) for p in pairs]
     return found
+
+
+PROGRAM = re.search(
+    r"^struct ColorProgram \{(.*?)^\};", HEADERS[ROOT / "include/kvision/color.h"], re.DOTALL | re.MULTILINE
+)[1]
 
 
 @built
 @pytest.mark.parametrize("name", sorted(_ops.operators))
 def test_operator_has_its_function(name: str) -> None:
-    schema = getattr(torch.ops.kvision, name).default._schema
-    assert functions().get(name) == [(str(a.type), a.name) for a in schema.arguments]
+    schema = [(str(a.type), a.name) for a in getattr(torch.ops.kvision, name).default._schema.arguments]
+    found = functions().get(name)
+    if name.startswith("color_program"):  # a struct stands for the arguments that say what is to be computed
+        fields = re.findall(r"^  (std::\S+) (\w+)( = .*)?;", PROGRAM, re.MULTILINE)
+        struct = {(TYPES[f"{kind} const&"], field) for kind, field, _ in fields}
+        found = [a for a in schema if a in struct or a in found]
+    assert found == schema
+
+
+def test_steps_of_colour_programs() -> None:
+    steps = re.search(r"enum Step : int64_t \{(.*?)\}", PROGRAM, re.DOTALL)[1]
+    assert re.findall(r"\w+", steps) == list(STEPS)
 
 
 @pytest.mark.slow

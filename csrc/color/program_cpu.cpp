@@ -165,6 +165,7 @@ __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t
         if (__is_same(F, Compute<T>) && x.step == 1)
           for_each_vector<T>(0, count, [&](auto width, int64_t i) {
             constexpr int M = decltype(width)::value;
+            __builtin_prefetch(from + i + kChunk<F>);  // the next chunk, while the steps go over this one
             if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
           });
         else
@@ -186,6 +187,7 @@ __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t f
         if (__is_same(F, Compute<T>) && y.step == 1)
           for_each_vector<T>(0, count, [&](auto width, int64_t i) {
             constexpr int M = decltype(width)::value;
+            __builtin_prefetch(to + i + kChunk<F>, 1);
             if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
           });
         else

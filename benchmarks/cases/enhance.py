@@ -213,4 +213,12 @@ CASES = [
         {},
         **nonlinear,
     ),
+    case(
+        "histogram_gaussian",
+        lambda K, x: K.enhance.image_histogram2d(x, 0.0, 1.0, 256, kernel="gaussian")[0],
+        Bars(floor=6.0, launches=None),
+        {},
+        **nonlinear,
+    ),
+    case("min_max", lambda K, x: K.enhance.normalize_min_max(x), Bars(floor=2.0, launches=2), {}, **nonlinear),
 ]

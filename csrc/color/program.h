@@ -84,7 +84,10 @@ struct Pixels {
   int channels;
   int64_t inner, outer_stride, inner_stride, channel_stride, step;
 
-  KV_HD int64_t offset(int64_t b) const { return b / inner * outer_stride + b % inner * inner_stride; }
+  KV_HD int64_t offset(int64_t b) const {
+    if (inner == 1) return b * outer_stride;  // no 64-bit division on the GPU
+    return b / inner * outer_stride + b % inner * inner_stride;
+  }
 };
 
 // The unit of work: pixels of one sample.

@@ -138,6 +138,12 @@ struct Slope {
   }
 };
 
+// Out of line: it is long, and each kind of it is called from several places.
+template <class P>
+__attribute__((noinline)) void step_over(Step step, P& chunk) {
+  run_step(step, chunk);
+}
+
 // --- memory <-> chunks
 // --------------------------------------------------------------------------------------------------
 
@@ -165,6 +171,7 @@ __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t
         if (__is_same(F, Compute<T>) && x.step == 1)
           for_each_vector<T>(0, count, [&](auto width, int64_t i) {
             constexpr int M = decltype(width)::value;
+            __builtin_prefetch(from + i + kChunk<F>);  // the next chunk, while the steps go over this one
             if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
           });
         else
@@ -186,6 +193,7 @@ __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t f
         if (__is_same(F, Compute<T>) && y.step == 1)
           for_each_vector<T>(0, count, [&](auto width, int64_t i) {
             constexpr int M = decltype(width)::value;
+            __builtin_prefetch(to + i + kChunk<F>, 1);
             if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
           });
         else
@@ -249,7 +257,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
       int const k = s.order[i];
       if (p.measures && k == p.contrast) break;
       Values<F, C> values{c, c, count, s.p + p.first[k]};
-      run_step(p.step[k], values);
+      step_over(p.step[k], values);
     }
     if (p.contrast >= 0 && !p.measures && first == 0) p.means[b] = s.mean;
     if (!p.measures) return store_chunk(p.y, b, first, count, c);
@@ -281,7 +289,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
     for (int i = 0; i + 1 < s.length; ++i) {
       F* const c = scratch.data + size * i;
       Values<F, C> values{c, c + size, count, s.p + q.first[s.order[i]]};
-      run_step(q.step[s.order[i]], values);
+      step_over(q.step[s.order[i]], values);
     }
     for (int i = 0; p.slopes && i < p.columns; ++i) p.slopes[part * p.columns + i] = 0;
     for (int i = s.length; i-- > 0;) {
@@ -289,18 +297,18 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       F const* const c = scratch.data + size * i;
       Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
       if (q.measures && k == q.contrast) {
-        run_step(q.step[k], slope);
+        step_over(q.step[k], slope);
         q.parts[part] += slope.sum;
         return;
       }
       for (int j = 0; p.slopes && takes_tensors(q.step[k]) && j < parameters_of(q.step[k]); ++j) {
         if (q.column[q.first[k] + j] < 0) continue;
         slope.wanted = j;
-        run_step(q.step[k], slope);
+        step_over(q.step[k], slope);
         p.slopes[part * p.columns + q.column[q.first[k] + j]] += slope.sum;
       }
       Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
-      run_step(q.step[k], pullback);
+      step_over(q.step[k], pullback);
       if (k == q.contrast) {
         F const of_grey[] = {F(C == 3 ? 0.299 : 1), F(0.587), F(0.114)};
         for (int d = 0; d < C; ++d)

@@ -7,21 +7,35 @@
 namespace kv::KV_ISA {
 namespace {
 
-KV_HD float round_even(float x) { return __builtin_rintf(x); }
-KV_HD double round_even(double x) { return __builtin_rint(x); }
+template <class V, class F>
+KV_HD V round_even(V v, F) {
+  constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);  // whose last place is 1
+  return (v + shift) - shift;
+}
 
 template <class F>
 KV_HD void make_table(LevelCounts const& counts, int32_t limit, F scale, uint8_t* table) {
-  int32_t count[kLevels], excess = 0;
-  for (int i = 0; i < kLevels; ++i) {
-    count[i] = min(counts[i], limit);
-    excess += counts[i] - count[i];
+  constexpr int N = kLanes<F>;
+  using I = Lanes<int32_t, N>;
+  using V = Lanes<F, N>;
+  int32_t count[kLevels];
+  counts.sum_up(count);
+  auto const at = [&](int i) -> I& { return *reinterpret_cast<I*>(count + i); };
+  I above{};
+  for (int i = 0; i < kLevels; i += N) {
+    I const all = at(i);
+    at(i) = all < limit ? all : I{} + limit;
+    above += all - at(i);
   }
+  int32_t excess = 0, sum = 0;
+  for (int i = 0; i < N; ++i) excess += above[i];
   Excess const spread(excess);
   for (int i = 0; i < spread.rest; ++i) ++count[i * spread.distance];
-  int32_t sum = 0;
-  for (int i = 0; i < kLevels; ++i) count[i] = sum += count[i] + spread.share;
-  for (int i = 0; i < kLevels; ++i) table[i] = uint8_t(round_even(min(F(count[i]) * scale, F(255))));
+  for (int32_t& n : count) n = sum += n + spread.share;
+  for (int i = 0; i < kLevels; i += N) {
+    V const level = round_even(product(__builtin_convertvector(at(i), V), scale), F());
+    store<N>(table + i, __builtin_convertvector(level, Lanes<float, N>));  // at most 255
+  }
 }
 
 template <class T>
@@ -73,7 +87,13 @@ KV_HD void map_cell(Clahe<T> const& p, int64_t plane, int cy, int cx, uint8_t co
                        *const b = table(p.down.before(cy), p.across.after(cx)),
                        *const c = table(p.down.after(cy), p.across.before(cx)),
                        *const d = table(p.down.after(cy), p.across.after(cx));
-  for (int i = 0; i < kLevels; ++i) cell[i] = a[i] | b[i] << 8 | c[i] << 16 | uint32_t(d[i]) << 24;
+  using Four = Lanes<uint32_t, 8>;
+  auto const bytes = [](uint8_t const* p) {  // through 16 bits: GCC takes a wider step byte by byte
+    auto const half = __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, 8> const*>(p), Lanes<uint16_t, 8>);
+    return __builtin_convertvector(half, Four);
+  };
+  for (int i = 0; i < kLevels; i += 8)
+    *reinterpret_cast<Four*>(cell + i) = bytes(a + i) | bytes(b + i) << 8 | bytes(c + i) << 16 | bytes(d + i) << 24;
   cell[kNanLevel] = 0;
 
   uint16_t level[kPiece];
@@ -95,10 +115,7 @@ KV_HD void map_cell(Clahe<T> const& p, int64_t plane, int cy, int cx, uint8_t co
         using V = Lanes<F, N>;
         V v = mixed(byte_of<F, N>(four + i, 0), byte_of<F, N>(four + i, 1), byte_of<F, N>(four + i, 2),
                     byte_of<F, N>(four + i, 3), load<N>(weight + i), broadcast<N>(wy));
-        if (p.to_levels) {
-          constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);  // whose last place is 1
-          v = (v + shift) - shift;
-        }
+        if (p.to_levels) v = round_even(v, F());
         V const own = load<N>(pixels + i);
         store<N>(results + i, own == own ? V(v / 255) : own);
       });

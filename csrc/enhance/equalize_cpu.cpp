@@ -9,17 +9,19 @@ namespace {
 template <class T>
 KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels + 1]) {
   using F = Compute<T>;
+  int32_t count[kLevels];
+  counts.sum_up(count);
   Curve curve{opencv, 0, 0, 0};
-  for (int i = 0; i < kLevels; ++i) {
-    if (curve.pixels == 0) curve.darkest = counts[i];
-    if (counts[i] > 0) curve.brightest = counts[i];
-    curve.pixels += counts[i];
+  for (int32_t n : count) {
+    if (curve.pixels == 0) curve.darkest = n;
+    if (n > 0) curve.brightest = n;
+    curve.pixels += n;
   }
   if (!curve.changes()) return false;
   int32_t up_to = 0;
   for (int i = 0; i < kLevels; ++i) {
-    up_to += counts[i];
-    store<1>(table + i, F(curve(up_to, counts[i])) / 255);
+    up_to += count[i];
+    store<1>(table + i, F(curve(up_to, count[i])) / 255);
   }
   store<1>(table + kNanLevel, F(__builtin_nanf("")));
   return true;

@@ -1,7 +1,7 @@
 // Sums of Gaussians on CUDA: a block counts a piece of a row. Moments are in shared memory, in fixed point, so that
 // atomic sums of them do not depend on their order.
-#include "core/launch.cuh"
 #include "histogram.h"
+#include "pieces.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -225,16 +225,6 @@ __global__ void __launch_bounds__(kThreads) differentiate_piece(GaussianCountsBa
   differentiate_directly(x, samples, centers, h, bins, grad, b.grad_x + at);
 }
 
-template <class T>
-__global__ void add_pieces(GaussianCounts<T> p) {
-  int64_t const i = blockIdx.x * int64_t(256) + threadIdx.x, row = i / p.bins, k = i - row * p.bins;
-  if (row >= p.rows) return;
-  T const* const partial = p.partial + row * p.pieces * p.bins + k;
-  T sum = 0;
-  for (int64_t piece = 0; piece < p.pieces; ++piece) sum += partial[piece * p.bins];
-  p.counts[i] = sum;
-}
-
 }  // namespace
 
 template <class T>
@@ -242,7 +232,9 @@ int gaussian_counts(GaussianCounts<T> const& p, CUstream_st* stream) {
   if (int const error = cudaFuncSetAttribute(count_piece<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, kBytes<T>))
     return error;
   count_piece<<<unsigned(p.rows * p.pieces), kThreads, kBytes<T>, stream>>>(p);
-  if (p.pieces > 1) add_pieces<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p);
+  if (p.pieces > 1)
+    add_pieces<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p.partial, p.rows, p.pieces, p.bins,
+                                                                             p.counts);
   return cudaGetLastError();
 }
 

@@ -1,11 +1,11 @@
 // Sums of Gaussians: schema and entry, for CPU and CUDA alike.
-#include "glue/glue.h"
 #include "histogram.h"
+#include "rows_glue.h"
 
 namespace kv {
 namespace {
 
-void check_rows(char const* op, char const* name, Tensor const& t, Tensor const& x, int64_t axes) {
+void check_beside(char const* op, char const* name, Tensor const& t, Tensor const& x, int64_t axes) {
   KV_CHECK(t.dim() == axes && (t.size(0) == 1 || t.size(0) == x.size(0)), op, ": expected ", name, " of ", axes,
            " axes, the first of size 1 or that of x");
   KV_CHECK(t.scalar_type() == x.scalar_type() && t.device() == x.device(), op, ": ", name,
@@ -18,11 +18,9 @@ struct Samples {
   int64_t rows, samples, bins;
 
   Samples(char const* op, Tensor const& x, Tensor const& centers, Tensor const& bandwidth) {
-    KV_CHECK(x.dim() == 2, op, ": expected x of 2 axes, got ", x.dim());
-    KV_CHECK(x.scalar_type() == ScalarType::Float || x.scalar_type() == ScalarType::Double, op,
-             ": no kernel for this dtype");
-    check_rows(op, "centers", centers, x, 2);
-    check_rows(op, "bandwidth", bandwidth, x, 1);
+    check_rows(op, x);
+    check_beside(op, "centers", centers, x, 2);
+    check_beside(op, "bandwidth", bandwidth, x, 1);
     KV_CHECK(centers.size(1) <= INT32_MAX, op, ": expected fewer than 2^31 centers");
     this->x = torch::stable::contiguous(x);
     this->centers = torch::stable::contiguous(centers);
@@ -33,11 +31,11 @@ struct Samples {
   template <class T>
   GaussianCounts<T> params() const {
     int64_t const piece = min(max(rows * samples / 128, int64_t(8192)), int64_t(kMostSamples));
-    return {data<T>(x),
+    return {row_data<T>(x),
             rows,
             samples,
-            data<T>(centers),
-            data<T>(bandwidth),
+            row_data<T>(centers),
+            row_data<T>(bandwidth),
             bins,
             centers.size(0) > 1 ? bins : 0,
             bandwidth.size(0) > 1 ? 1 : 0,
@@ -46,31 +44,20 @@ struct Samples {
             max((samples + piece - 1) / piece, int64_t(1)),
             nullptr};
   }
-  template <class T>
-  static T* data(Tensor const& t) {
-    return static_cast<T*>(const_cast<void*>(t.const_data_ptr()));
-  }
-  template <class F>
-  void for_type(F f) const {
-    if (x.scalar_type() == ScalarType::Double)
-      f(Type<double>{});
-    else
-      f(Type<float>{});
-  }
 };
 
 Tensor gaussian_counts(Tensor const& x, Tensor const& centers, Tensor const& bandwidth) {
   Samples const s("gaussian_counts", x, centers, bandwidth);
   Tensor const counts = empty({s.rows, s.bins}, s.x);
-  s.for_type([&](auto type) {
+  for_row_type(s.x, [&](auto type) {
     using T = typename decltype(type)::type;
     GaussianCounts<T> params = s.params<T>();
-    params.counts = params.partial = Samples::data<T>(counts);
+    params.counts = params.partial = row_data<T>(counts);
 #if defined(KV_CUDA)
     Tensor memory;
     if (params.pieces > 1) {
       memory = empty({s.rows, params.pieces, s.bins}, s.x);
-      params.partial = Samples::data<T>(memory);
+      params.partial = row_data<T>(memory);
     }
 #endif
     KV_RUN(gaussian_counts, s.x, params, s.bins > 0 ? s.rows : 0, 8 * s.samples + 256 * s.bins);
@@ -81,14 +68,12 @@ Tensor gaussian_counts(Tensor const& x, Tensor const& centers, Tensor const& ban
 Tensor gaussian_counts_backward(Tensor const& grad, Tensor const& x, Tensor const& centers, Tensor const& bandwidth) {
   constexpr char const* op = "gaussian_counts_backward";
   Samples const s(op, x, centers, bandwidth);
-  KV_CHECK(grad.dim() == 2 && grad.size(0) == s.rows && grad.size(1) == s.bins &&
-               grad.scalar_type() == x.scalar_type() && grad.device() == x.device(),
-           op, ": grad differs in shape, dtype or device from the counts of x");
+  check_row_grad(op, grad, x, s.bins);
   KV_CHECK(s.bins > 0, op, ": expected at least one center");
   Tensor const g = torch::stable::contiguous(grad), grad_x = empty({s.rows, s.samples}, s.x);
-  s.for_type([&](auto type) {
+  for_row_type(s.x, [&](auto type) {
     using T = typename decltype(type)::type;
-    GaussianCountsBackward<T> const params{s.params<T>(), Samples::data<T>(g), Samples::data<T>(grad_x)};
+    GaussianCountsBackward<T> const params{s.params<T>(), row_data<T>(g), row_data<T>(grad_x)};
     KV_RUN(gaussian_counts_backward, s.x, params, s.samples > 0 ? s.rows : 0, 8 * s.samples + 256 * s.bins);
   });
   return grad_x;

@@ -54,7 +54,11 @@ struct LevelCounts {
       for (int k = 0; k < 4; ++k) ++of[k][level[i + k]];
     for (; i < n; ++i) ++of[0][level[i]];
   }
-  KV_HD int32_t operator[](int level) const { return of[0][level] + of[1][level] + of[2][level] + of[3][level]; }
+  KV_HD void sum_up(int32_t (&count)[kLevels]) const {
+    auto const row = [&](int k, int i) { return *reinterpret_cast<Lanes<int32_t, 8> const*>(of[k] + i); };
+    for (int i = 0; i < kLevels; i += 8)
+      *reinterpret_cast<Lanes<int32_t, 8>*>(count + i) = row(0, i) + row(1, i) + row(2, i) + row(3, i);
+  }
 };
 
 }  // namespace kv

@@ -140,6 +140,10 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
 }
 
+// Not to be fused with the sum that it goes into: in a flat plane terms of the size of 1 / eps cancel.
+__device__ __forceinline__ float product(float a, float b) { return __fmul_rn(a, b); }
+__device__ __forceinline__ double product(double a, double b) { return __dmul_rn(a, b); }
+
 template <class T, bool Packed>
 __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
   using F = Compute<T>;
@@ -150,18 +154,18 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
                             p.scale, p.eps);
   T const* const grad = p.grad.plane(at.plane);
   T* const grad_x = p.grad_x.plane(at.plane);
-  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
-                                     [&](Pack<T, P> const& pack, int i) {
-                                       Pack<T, P> const grads = load_pixels<Packed, P>(grad, p.grad.step, i, at.end);
-                                       F v[P];
+  for_each_pack<kThreads, Packed, P>(
+      p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](Pack<T, P> const& pack, int i) {
+        Pack<T, P> const grads = load_pixels<Packed, P>(grad, p.grad.step, i, at.end);
+        F v[P];
 #pragma unroll
-                                       for (int k = 0; k < P; ++k) {
-                                         F const x = read(pack.v[k]);
-                                         v[k] = read(grads.v[k]) * to.factor + (x == smallest ? to.to_smallest : F(0)) +
-                                                (x == largest ? to.to_largest : F(0));
-                                       }
-                                       store_pixels<Packed>(grad_x, p.grad_x.step, i, at.end, v);
-                                     });
+        for (int k = 0; k < P; ++k) {
+          F const x = read(pack.v[k]);
+          v[k] = product(read(grads.v[k]), to.factor) + (x == smallest ? to.to_smallest : F(0)) +
+                 (x == largest ? to.to_largest : F(0));
+        }
+        store_pixels<Packed>(grad_x, p.grad_x.step, i, at.end, v);
+      });
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <ATen/Functions.h>
 #include <ATen/TensorOperators.h>
 
+#include <string>
 #include <tuple>
 
 #include "kvision/operator.h"
@@ -80,6 +81,25 @@ inline Tensor gaussian_counts(Tensor const& x, Tensor const& centers, Tensor con
     return variable_list{gaussian_counts_backward(b.grads[0], b.saved[0], b.saved[1], b.saved[2]), {}, {}};
   };
   return differentiable({x, centers, bandwidth}, compute, {x, centers, bandwidth}, gradient)[0];
+}
+
+inline Tensor grid_counts_backward(Tensor const& grad, Tensor const& x, double low, double width, int64_t bins,
+                                   std::string const& kernel) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"grid_counts_backward">(grad, x, low, width, bins, kernel)}; };
+  return differentiable({grad, x}, compute, {}, no_second_derivative("grid_counts"))[0];
+}
+
+// Of values (N, P), the counts in bins of a width, the first of which begins at `low`: (N, bins). kernel: "triangular",
+// "epanechnikov" or "uniform".
+inline Tensor grid_counts(Tensor const& x, double low, double width, int64_t bins,
+                          std::string const& kernel = "triangular") {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"grid_counts">(x, low, width, bins, kernel)}; };
+  auto const gradient = [=](Backward const& b) {
+    return variable_list{grid_counts_backward(b.grads[0], b.saved[0], low, width, bins, kernel)};
+  };
+  return differentiable({x}, compute, {x}, gradient)[0];
 }
 
 }  // namespace kvision

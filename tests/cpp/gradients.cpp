@@ -153,6 +153,7 @@ int main() {
     return kvision::gaussian_counts(t[0], row.to(torch::kDouble), torch::full({1}, 0.2, torch::kDouble));
   };
   check("gaussian_counts", counts, {column}, false);
+  check("grid_counts", [](auto const& t) { return kvision::grid_counts(t[0], 0, 0.25, 4); }, {column}, false);
   // Levels have no gradient, and a plane of one level comes back with its own.
   Tensor const planes = torch::cat({x, torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();
   auto const slope = [&](Tensor const& y) { return torch::autograd::grad({y.sum()}, {planes})[0].mean({0, 2, 3}); };

@@ -105,7 +105,7 @@ def test_memory_grows_with_the_pixels_alone(call):
 
 # --- kernels --------------------------------------------------------------------------------------------------------
 
-OPERATORS = ("gaussian_counts", "gaussian_counts_backward")
+OPERATORS = ("gaussian_counts", "gaussian_counts_backward", "grid_counts", "grid_counts_backward")
 CENTERS = {
     "even": torch.linspace(-1, 2, 50),
     "uneven": torch.linspace(0, 1.4, 50) ** 2 - 0.5,
@@ -178,13 +178,18 @@ def test_operators(device, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     x, centers = torch.rand(2, 500, device=device), torch.linspace(0, 1, 9, device=device)
+    image = x[:, None].clone().requires_grad_()
     with recorded(OPERATORS) as calls, K.backend("native"):
         counts_and_gradient(x, centers, 0.1, torch.rand(2, 9, device=device))
+        E.image_histogram2d(image, 0.0, 1.0, 9)[0].square().sum().backward()
     assert {name for name, _ in calls} == set(OPERATORS)
     for name, args in calls:
-        args = [a.detach() for a in args]
+        args = [a.detach() if isinstance(a, Tensor) else a for a in args]
         torch.library.opcheck(getattr(torch.ops.kvision, name).default, tuple(args))
-        operator, fine = getattr(torch.ops.kvision, name).default, ("without rows", "without columns", "cut along")
+        operator, fine = (
+            getattr(torch.ops.kvision, name).default,
+            ("without rows", "without columns", "cut along", "bins 32768"),
+        )
         wrong = [call for call in raw_calls.wrong_calls(operator, args) if not any(word in call[0] for word in fine)]
         assert not raw_calls.taken(operator, wrong)
 
@@ -228,3 +233,39 @@ def test_compile_and_graph(device):
         x.copy_(torch.rand_like(x))
         graph.replay()
         assert_close(captured, call(x))
+
+
+GRIDS = [
+    ("triangular", 5),
+    ("epanechnikov", 5),
+    ("uniform", 5),
+    ("triangular", 256),
+    ("uniform", 256),
+    ("triangular", 20_000),
+]
+
+
+@pytest.mark.parametrize("kernel, bins", GRIDS)
+@pytest.mark.parametrize("samples", [1, 700, 40_000])
+def test_bins_against_the_reference(samples, kernel, bins, device):
+    """In one block and in several, with all bins at once and in parts; on the middles of bins and between."""
+    width = 2.0 ** (-(bins.bit_length() - 1))
+    x = torch.rand(2, samples, device=device) * (width * bins + 0.2) - 0.1
+    x[0] = ((x[0] / width * 2).floor() + 0.5 * (torch.rand(samples, device=device) < 0.5)) / 2 * width
+    x[1, : samples // 2], x[1, -1] = 0.3, torch.nan
+    weights = torch.rand(2, bins, device=device) - 0.3
+
+    def result(x: Tensor, weights: Tensor) -> tuple[Tensor, ...]:
+        x = x.detach().requires_grad_()
+        counts = E.image_histogram2d(x[:, None, None], 0.0, width * bins, bins, kernel=kernel)[0][:, 0]
+        if kernel == "uniform":  # without a gradient
+            return (counts.detach(),)
+        return counts.detach(), torch.autograd.grad((counts * weights).sum(), x)[0]
+
+    with K.backend("reference"):
+        expected = result(x.double(), weights.double())
+    for dtype, tolerance in ((torch.float64, 1e-10), (torch.float32, 2e-5)):
+        first, second = result(x.to(dtype), weights.to(dtype)), result(x.to(dtype), weights.to(dtype))
+        for a, b, e in zip(first, second, expected):
+            assert torch.equal(a, b)
+            assert_close(a, e.to(dtype), tolerance, tolerance * float(e.abs().max()))

@@ -55,3 +55,18 @@ def test_quality_has_a_finite_gradient_at_both_ends(device):
     y = E.jpeg_codec_differentiable(torch.rand(4, 3, 16, 16, device=device), quality)
     y.square().sum().backward()
     assert y.isfinite().all() and quality.grad.isfinite().all()
+
+
+def test_tables_are_copied_once(device):
+    """And are of use in every mode, whichever came first."""
+    x = torch.rand(1, 3, 16, 16, device=device, requires_grad=True)
+    with torch.inference_mode():
+        E.jpeg_codec_differentiable(x, 50.0)
+    E.jpeg_codec_differentiable(x, 50.0).sum().backward()
+    torch.func.grad(lambda x: E.jpeg_codec_differentiable(x, 50.0).sum())(x)
+    if device.type == "cuda":
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph), torch.no_grad():
+            captured = E.jpeg_codec_differentiable(x, 50.0)
+        graph.replay()
+        assert_close(captured, E.jpeg_codec_differentiable(x, 50.0).detach())

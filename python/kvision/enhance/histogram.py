@@ -119,7 +119,7 @@ def _total(parts: Sequence[Tensor]) -> Tensor:
     return functools.reduce(torch.add, parts)
 
 
-def _grid_counts(x: Tensor, low: float, width: float, bins: int, kernel: str) -> Tensor:
+def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: str) -> Tensor:
     """kernel_counts of (N, P) at centers one bandwidth apart, by a kernel that ends there: three bins a value at most."""
     shape = _KERNELS[kernel]
     near = ((x.detach() - low) / width - 0.5).round()
@@ -131,6 +131,15 @@ def _grid_counts(x: Tensor, low: float, width: float, bins: int, kernel: str) ->
         weight = torch.where(counted, shape(torch.where(counted, u, 1)), 0)
         counts = counts.scatter_add(1, torch.where(counted, bin, 0).long(), weight)
     return counts
+
+
+_grid_counts_backward = register("grid_counts_backward", vjp(_reference_grid), fake=lambda grad, x, *_: x.shape)
+_grid_counts = register(
+    "grid_counts",
+    _reference_grid,
+    fake=lambda x, low, width, bins, kernel: (x.shape[0], bins),
+    backward=lambda needs, grad, *args: [_grid_counts_backward(grad, *args)],
+)
 
 
 def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10) -> Tensor:

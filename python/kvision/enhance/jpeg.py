@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
@@ -73,7 +74,18 @@ def _dct(like: Tensor) -> Tensor:
 
 def _table(standard: tuple[tuple[int, ...], ...], given: Tensor | None, x: Tensor) -> Tensor:
     """(B, 8, 8) or (1, 8, 8)."""
-    return torch.tensor(standard, device=x.device, dtype=x.dtype)[None] if given is None else given
+    if given is not None:
+        return given
+    if type(x) is Tensor and not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active():
+        return _kept_table(standard, x.device, x.dtype)
+    return torch.tensor(standard, device=x.device, dtype=x.dtype)[None]  # tracers keep it themselves
+
+
+@functools.cache
+def _kept_table(standard: tuple[tuple[int, ...], ...], device: torch.device, dtype: torch.dtype) -> Tensor:
+    """Copied to its device once: every copy waits for the device, and a CUDA graph cannot hold one."""
+    with torch.inference_mode(False):
+        return torch.tensor(standard, device=device, dtype=dtype)[None]
 
 
 def _steps(quality: Tensor, table: Tensor) -> Tensor:

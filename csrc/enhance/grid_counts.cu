@@ -1,0 +1,122 @@
+// Counts in bins on CUDA: a block counts a piece of a row in shared memory, in fixed point, so that atomic sums do not
+// depend on their order. Bins that do not fit there are counted part by part.
+#include "grid_counts.h"
+#include "pieces.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256, kBytes = 32 << 10;
+
+// Fixed point: 2^14 samples of at most 1 fit.
+template <class T>
+struct Fixed {
+  using type = unsigned;
+  static constexpr T kScale = T(1 << 17);
+};
+template <>
+struct Fixed<double> {
+  using type = unsigned long long;
+  static constexpr double kScale = double(1ll << 48);
+};
+
+template <class T>
+__device__ __forceinline__ void place_of(GridCounts<T> const& p, T x, int& bin, T& t) {
+  T const place = (x - p.low) * p.inverse + T(0.5), whole = floor(place);
+  t = place - whole;
+  bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
+}
+
+// Counts in shared memory, kCopies of each where they fit: neighbouring threads, whose samples are often alike, add to
+// different ones.
+template <class T>
+__global__ void __launch_bounds__(kThreads) count_piece(GridCounts<T> p, int part, int copies) {
+  using Sum = typename Fixed<T>::type;
+  __shared__ __align__(16) unsigned char memory[kBytes];
+  Sum* const counts = reinterpret_cast<Sum*>(memory);
+  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces;
+  T const* const x = p.x + row * p.samples + piece * p.piece;
+  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+  for (int first = 0; first < bins; first += part) {
+    __syncthreads();
+    for (int i = threadIdx.x; i < part * copies; i += kThreads) counts[i] = 0;
+    __syncthreads();
+    auto const add = [&](int bin, T weight) {
+      if (bin < first || bin >= min(first + part, bins)) return;
+      Sum const fixed = sizeof(T) == 4 ? Sum(__float2uint_rn(float(weight * Fixed<T>::kScale)))
+                                       : Sum(weight * Fixed<T>::kScale + T(0.5));
+      atomicAdd(counts + (bin - first) * copies + threadIdx.x % copies, fixed);
+    };
+    constexpr int kAtOnce = 4;
+    for (int i = threadIdx.x; i < samples; i += kThreads * kAtOnce) {
+      T v[kAtOnce];
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k)
+        if (i + k * kThreads < samples) v[k] = x[i + k * kThreads];
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k) {
+        if (i + k * kThreads >= samples) break;
+        int bin;
+        T t;
+        place_of(p, v[k], bin, t);
+        if (bin < -1) continue;
+        Between<T> const b(t, p.kernel);
+        add(bin, b.first_weight);
+        add(bin + 1, b.next_weight);
+        if (t == 0 && p.kernel == CountKernel::uniform) add(bin - 1, 1);
+      }
+    }
+    __syncthreads();
+    for (int k = threadIdx.x; k < min(part, bins - first); k += kThreads) {
+      Sum sum = 0;
+      for (int i = 0; i < copies; ++i) sum += counts[k * copies + i];
+      p.partial[int64_t(blockIdx.x) * p.bins + first + k] = T(sum) * (1 / Fixed<T>::kScale);
+    }
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) differentiate(GridCountsBackward<T> b) {
+  GridCounts<T> const& p = b.forward;
+  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces,
+                at = row * p.samples + piece * p.piece;
+  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+  T const* const grad = b.grad + row * p.bins;
+  auto const grad_of = [&](int bin) { return bin >= 0 && bin < bins ? grad[bin] : T(0); };
+#pragma unroll 4
+  for (int i = threadIdx.x; i < samples; i += kThreads) {
+    int bin;
+    T t;
+    place_of(p, p.x[at + i], bin, t);
+    T const before = t == 0 ? grad_of(bin - 1) : T(0);
+    b.grad_x[at + i] =
+        bin < -1 ? T(0) : p.inverse * between_backward(t, p.kernel, before, grad_of(bin), grad_of(bin + 1));
+  }
+}
+
+}  // namespace
+
+template <class T>
+int grid_counts(GridCounts<T> const& p, CUstream_st* stream) {
+  int const fit = kBytes / int(sizeof(typename Fixed<T>::type)), part = int(min(p.bins, int64_t(fit)));
+  int copies = 1;
+  while (copies < 16 && 2 * copies * part <= fit) copies *= 2;
+  count_piece<<<unsigned(p.rows * p.pieces), kThreads, 0, stream>>>(p, part, copies);
+  if (p.pieces > 1)
+    add_pieces<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p.partial, p.rows, p.pieces, p.bins,
+                                                                             p.counts);
+  return cudaGetLastError();
+}
+
+template <class T>
+int grid_counts_backward(GridCountsBackward<T> const& p, CUstream_st* stream) {
+  differentiate<<<unsigned(p.forward.rows * p.forward.pieces), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_ONE(grid_counts, GridCounts, float)
+KV_INSTANTIATE_ONE(grid_counts, GridCounts, double)
+KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, float)
+KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, double)
+
+}  // namespace kv::cuda

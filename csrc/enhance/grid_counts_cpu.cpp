@@ -1,0 +1,72 @@
+// Counts in bins on the CPU.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "grid_counts.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+constexpr int kPiece = 512;
+
+// Calls f(i, bin + 1, t) for the samples that count: `bin`, from -1 on, has its middle below sample i, by t bins.
+template <class T, class F>
+KV_HD void for_each_sample(GridCounts<T> const& p, T const* x, F f) {
+  int32_t bin[kPiece];
+  T t[kPiece];
+  for (int64_t begin = 0; begin < p.samples; begin += kPiece) {
+    int64_t const n = min(int64_t(kPiece), p.samples - begin);
+    for_each_vector<T>(0, n, [&](auto width, int64_t i) {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<T, N>;
+      V const place = (load<N>(x + begin + i) - p.low) * p.inverse + T(0.5), whole = vfloor(place);
+      V const inside = (whole >= 0) & (whole <= T(p.bins + 1)) ? whole : broadcast<N>(T(-1));
+      store<N>(t + i, V(place - whole));
+      if constexpr (N == 1)
+        bin[i] = int32_t(inside);
+      else
+        *reinterpret_cast<Lanes<int32_t, N>*>(bin + i) = __builtin_convertvector(inside, Lanes<int32_t, N>);
+    });
+    for (int64_t i = 0; i < n; ++i) f(begin + i, bin[i], t[i]);
+  }
+}
+
+}  // namespace
+
+template <class T>
+void grid_counts(GridCounts<T> const& p, int64_t begin, int64_t end) {
+  Scratch<double> const sums(p.bins + 4);  // two bins more at either end
+  double* const count = sums.data + 1;
+  for (int64_t row = begin; row < end; ++row) {
+    for (int64_t k = 0; k < p.bins + 4; ++k) sums.data[k] = 0;
+    for_each_sample(p, p.x + row * p.samples, [&](int64_t, int32_t bin, T t) {
+      if (bin < 0) return;
+      Between<T> const b(t, p.kernel);
+      count[bin] += b.first_weight;
+      count[bin + 1] += b.next_weight;
+      if (t == 0 && p.kernel == CountKernel::uniform) count[bin - 1] += 1;
+    });
+    for (int64_t k = 0; k < p.bins; ++k) p.counts[row * p.bins + k] = T(count[k + 1]);
+  }
+}
+
+template <class T>
+void grid_counts_backward(GridCountsBackward<T> const& b, int64_t begin, int64_t end) {
+  GridCounts<T> const& p = b.forward;
+  Scratch<T> const grads(p.bins + 4);
+  T* const grad = grads.data + 1;
+  for (int64_t row = begin; row < end; ++row) {
+    grad[-1] = grad[0] = grad[p.bins + 1] = grad[p.bins + 2] = 0;
+    for (int64_t k = 0; k < p.bins; ++k) grad[k + 1] = b.grad[row * p.bins + k];
+    T* const grad_x = b.grad_x + row * p.samples;
+    for_each_sample(p, p.x + row * p.samples, [&](int64_t i, int32_t bin, T t) {
+      grad_x[i] = bin < 0 ? T(0) : p.inverse * between_backward(t, p.kernel, grad[bin - 1], grad[bin], grad[bin + 1]);
+    });
+  }
+}
+
+KV_INSTANTIATE_ONE(grid_counts, GridCounts, float)
+KV_INSTANTIATE_ONE(grid_counts, GridCounts, double)
+KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, float)
+KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, double)
+
+}  // namespace kv::KV_ISA

@@ -138,6 +138,12 @@ struct Slope {
   }
 };
 
+// Out of line: it is long, and each kind of it is called from several places.
+template <class P>
+__attribute__((noinline)) void step_over(Step step, P& chunk) {
+  run_step(step, chunk);
+}
+
 // --- memory <-> chunks
 // --------------------------------------------------------------------------------------------------
 
@@ -251,7 +257,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
       int const k = s.order[i];
       if (p.measures && k == p.contrast) break;
       Values<F, C> values{c, c, count, s.p + p.first[k]};
-      run_step(p.step[k], values);
+      step_over(p.step[k], values);
     }
     if (p.contrast >= 0 && !p.measures && first == 0) p.means[b] = s.mean;
     if (!p.measures) return store_chunk(p.y, b, first, count, c);
@@ -283,7 +289,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
     for (int i = 0; i + 1 < s.length; ++i) {
       F* const c = scratch.data + size * i;
       Values<F, C> values{c, c + size, count, s.p + q.first[s.order[i]]};
-      run_step(q.step[s.order[i]], values);
+      step_over(q.step[s.order[i]], values);
     }
     for (int i = 0; p.slopes && i < p.columns; ++i) p.slopes[part * p.columns + i] = 0;
     for (int i = s.length; i-- > 0;) {
@@ -291,18 +297,18 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       F const* const c = scratch.data + size * i;
       Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
       if (q.measures && k == q.contrast) {
-        run_step(q.step[k], slope);
+        step_over(q.step[k], slope);
         q.parts[part] += slope.sum;
         return;
       }
       for (int j = 0; p.slopes && takes_tensors(q.step[k]) && j < parameters_of(q.step[k]); ++j) {
         if (q.column[q.first[k] + j] < 0) continue;
         slope.wanted = j;
-        run_step(q.step[k], slope);
+        step_over(q.step[k], slope);
         p.slopes[part * p.columns + q.column[q.first[k] + j]] += slope.sum;
       }
       Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
-      run_step(q.step[k], pullback);
+      step_over(q.step[k], pullback);
       if (k == q.contrast) {
         F const of_grey[] = {F(C == 3 ? 0.299 : 1), F(0.587), F(0.114)};
         for (int d = 0; d < C; ++d)

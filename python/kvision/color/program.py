@@ -233,8 +233,7 @@ def _table(tensors: Sequence[Tensor], dtype: torch.dtype) -> Tensor:
     """(B or 1, C or 1, P)"""
     if len(tensors) == 1:
         return tensors[0][..., 0].to(dtype)
-    shape = torch.broadcast_shapes(*(t.shape for t in tensors))
-    return torch.cat([t.to(dtype).expand(shape) for t in tensors], -1)[:, :, 0]
+    return torch.cat(torch.broadcast_tensors(*(t.to(dtype) for t in tensors)), -1)[:, :, 0]
 
 
 def step(

@@ -103,20 +103,30 @@ class ColorProgram(nn.Module):
                 f"ColorProgram: memory_format must be torch.contiguous_format or torch.channels_last; got {memory_format!r}"
             )
         self.dtype, self.memory_format = dtype, memory_format
-        self._values: list[tuple[str, list[str]]] = []  # of every step its name, and those of its attributes
+        self._stored = "same" if dtype is None else str(dtype).removeprefix("torch.")
+        self._layout = {None: "same", torch.contiguous_format: "NCHW"}.get(memory_format, "NHWC")
+        self._steps: list[tuple[str, list[Any]]] = []  # with the names of their attributes for tensors
         for i, given in enumerate(steps):
             name, values = _checked(given)
-            attributes = [f"{parameter}_{i}" for parameter in _KINDS[name].parameters]
-            for attribute, value in zip(attributes, values):
-                if isinstance(value, Tensor) and not isinstance(value, nn.Parameter):
-                    self.register_buffer(attribute, value, persistent=False)
+            for k, parameter in enumerate(_KINDS[name].parameters):
+                value, attribute = values[k], f"{parameter}_{i}"
+                if not isinstance(value, Tensor):
+                    continue
+                values[k] = attribute
+                if isinstance(value, nn.Parameter):
+                    self.register_parameter(attribute, value)
                 else:
-                    setattr(self, attribute, value)
-            self._values.append((name, attributes))
+                    self.register_buffer(attribute, value, persistent=False)
+            self._steps.append((name, values))
+        self._program = [STEPS[_KINDS[name].step] for name, _ in self._steps]
+        plain = not any(isinstance(value, str) for _, values in self._steps for value in values)
+        self._slots = _slots(self.steps, None) if plain else None  # they do not change
 
     @property
     def steps(self) -> tuple[tuple[Any, ...], ...]:
-        return tuple((name, *(getattr(self, a) for a in attributes)) for name, attributes in self._values)
+        return tuple(
+            (name, *(getattr(self, v) if isinstance(v, str) else v for v in values)) for name, values in self._steps
+        )
 
     def forward(
         self,
@@ -148,18 +158,12 @@ class ColorProgram(nn.Module):
             raise TypeCheckError(f"ColorProgram: expected image to be floating point or uint8, got {image.dtype}")
         if 0 in image.shape[-2:]:
             raise ShapeError(f"ColorProgram: expected image with H, W of at least 1, got {tuple(image.shape)}")
-        steps = self._with(parameters) if parameters else self.steps
-        slots: list[float | Tensor] = []
-        for name, *values in steps:
-            kind = _KINDS[name]
-            numbers = [
-                n for (p, size), v in zip(kind.parameters.items(), values) for n in _numbers(name, p, size, v, image)
-            ]
-            slots += kind.arguments(*numbers)
-        dtype = "same" if self.dtype is None else str(self.dtype).removeprefix("torch.")
-        layout = {None: "same", torch.contiguous_format: "NCHW"}.get(self.memory_format, "NHWC")
-        program = [STEPS[_KINDS[name].step] for name, *_ in steps]
-        return on_batch(run, image, program, slots, _order(order, enabled, len(program), image), dtype, layout)
+        if parameters or self._slots is None:
+            slots = _slots(self._with(parameters) if parameters else self.steps, image)
+        else:
+            slots = self._slots
+        order = _order(order, enabled, len(self._program), image)
+        return on_batch(run, image, self._program, slots, order, self._stored, self._layout)
 
     def _with(self, parameters: Mapping[str | int, Any]) -> tuple[tuple[Any, ...], ...]:
         if not isinstance(parameters, Mapping):
@@ -210,7 +214,19 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
     return name, values
 
 
-def _numbers(name: str, parameter: str, size: int, value: Value, image: Tensor) -> Sequence[float | Tensor]:
+def _slots(steps: Sequence[tuple[Any, ...]], image: Tensor | None) -> list[float | Tensor]:
+    """The parameters of the program: numbers, or tensors (B or 1, 1, 1, 1) that fit the image."""
+    slots: list[float | Tensor] = []
+    for name, *values in steps:
+        kind = _KINDS[name]
+        numbers = [
+            n for (p, size), v in zip(kind.parameters.items(), values) for n in _numbers(name, p, size, v, image)
+        ]
+        slots += kind.arguments(*numbers)
+    return slots
+
+
+def _numbers(name: str, parameter: str, size: int, value: Value, image: Any) -> Sequence[float | Tensor]:
     """A parameter as `size` numbers, or tensors (B or 1, 1, 1, 1)."""
     if not isinstance(value, Tensor):
         return [float(v) for v in value] if isinstance(value, Sequence) else [float(value)] * size
@@ -220,6 +236,8 @@ def _numbers(name: str, parameter: str, size: int, value: Value, image: Tensor) 
     if rows.dim() > 2 or rows.shape[-1] not in (1, size) or math.prod(rows.shape[:-1]) not in (1, batch):
         expected = f"() or ({batch},)" if size == 1 else f"({size},) or ({batch}, {size})"
         raise ShapeError(f"ColorProgram: expected {parameter} of {name} of shape {expected}, got {tuple(value.shape)}")
+    if size == 1:
+        return [value.reshape(-1, 1, 1, 1)]
     return [row.reshape(-1, 1, 1, 1) for row in rows.expand(*rows.shape[:-1], size).unbind(-1)]
 
 

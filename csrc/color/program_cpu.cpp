@@ -58,12 +58,20 @@ KV_HD Scalar<V> sum_of(V const& v) {
 // --- a step over a chunk: channel k of it at k * kChunk, whole vectors up to n
 // --------------------------------------------
 
+template <class F>
+struct Chunk {
+  F* data;
+  int64_t stride = kChunk<F>;  // from channel to channel
+
+  KV_HD F* channel(int k) const { return data + k * stride; }
+};
+
 template <class F, int C>
 struct Values {
   static constexpr int kChannels = C;
   static constexpr bool kOfParameters = false;
-  F const* c;
-  F* to;  // may be c
+  Chunk<F const> c;
+  Chunk<F> to;  // may be c
   int64_t n;
   F const* p;
 
@@ -72,9 +80,9 @@ struct Values {
     constexpr int N = kLanes<F>;
     for (int64_t i = 0; i < n; i += N) {
       Vector<F> v[C];
-      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i);
+      for (int k = 0; k < C; ++k) v[k] = load<N>(c.channel(k) + i);
       f(v, p, p);
-      for (int k = 0; k < C; ++k) store<N>(to + k * kChunk<F> + i, v[k]);
+      for (int k = 0; k < C; ++k) store<N>(to.channel(k) + i, v[k]);
     }
   }
 };
@@ -203,6 +211,16 @@ __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t f
   });
 }
 
+// Whether whole vectors of F make up `count` pixels in memory.
+template <class F>
+KV_HD bool is_chunk(Pixels const& x, int64_t count) {
+  return x.type == (sizeof(F) == 4 ? Storage::single : Storage::wide) && x.step == 1 && count % kLanes<F> == 0;
+}
+template <class F>
+KV_HD Chunk<F> chunk_of(Pixels const& x, int64_t b, int64_t first) {
+  return {static_cast<F*>(x.data) + x.offset(b) + first, x.channel_stride};
+}
+
 // --- programs
 // -----------------------------------------------------------------------------------------------------------
 
@@ -252,14 +270,20 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   Scratch<F> scratch(C * kChunk<F>);
   F* const c = scratch.data;
   for_each_chunk(p, false, begin, end, [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
-    load_chunk(p.x, C, b, first, count, F(0), c);
+    // The first step reads the image and the last one writes the result themselves, where these hold F as chunks do.
+    bool const reads = is_chunk<F>(p.x, count) && s.length > 0 && !p.measures;
+    bool const writes = is_chunk<F>(p.y, count) && s.length > 0 && !p.measures && p.y.channels == C;
+    if (!reads) load_chunk(p.x, C, b, first, count, F(0), c);
     for (int i = 0; i < s.length; ++i) {
       int const k = s.order[i];
       if (p.measures && k == p.contrast) break;
-      Values<F, C> values{c, c, count, s.p + p.first[k]};
+      Values<F, C> values{{c}, {c}, count, s.p + p.first[k]};
+      if (reads && i == 0) values.c = chunk_of<F const>(p.x, b, first);
+      if (writes && i + 1 == s.length) values.to = chunk_of<F>(p.y, b, first);
       step_over(p.step[k], values);
     }
     if (p.contrast >= 0 && !p.measures && first == 0) p.means[b] = s.mean;
+    if (writes) return;
     if (!p.measures) return store_chunk(p.y, b, first, count, c);
     Vector<F> sum{};
     int64_t i = 0;
@@ -288,7 +312,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
     load_chunk(p.grad, C, b, first, count, F(0), g);
     for (int i = 0; i + 1 < s.length; ++i) {
       F* const c = scratch.data + size * i;
-      Values<F, C> values{c, c + size, count, s.p + q.first[s.order[i]]};
+      Values<F, C> values{{c}, {c + size}, count, s.p + q.first[s.order[i]]};
       step_over(q.step[s.order[i]], values);
     }
     for (int i = 0; p.slopes && i < p.columns; ++i) p.slopes[part * p.columns + i] = 0;

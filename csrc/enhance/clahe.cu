@@ -6,7 +6,8 @@
 namespace kv::cuda {
 namespace {
 
-// Calls f(i, x, y, pixel) for four pixels at once of a rectangle, row by row, i < 4. at(x, y) is where a pixel is.
+// Calls f(x, y, pixel) for the pixels of a rectangle, row by row, a thread four of them at once; at(x, y) is where a
+// pixel is.
 template <int Threads, class T, class At, class F>
 __device__ __forceinline__ void for_each_pixel(int x0, int y0, int width, int height, At at, F f) {
   constexpr int kAtOnce = 4;

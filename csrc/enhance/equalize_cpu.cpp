@@ -1,4 +1,5 @@
-// Equalisation on the CPU: count, make the table, map. Levels are found twice instead of kept.
+// Equalisation on the CPU: count, make the table, map.
+#include "core/scratch.h"
 #include "equalize.h"
 #include "levels_cpu.h"
 
@@ -31,18 +32,18 @@ KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels
 
 template <class T>
 void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
-  uint16_t level[kPiece];
-  T memory[kPiece];
-  T table[kLevels + 1];
+  T memory[kPiece], table[kLevels + 1];
   int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
+  Scratch<uint16_t> const levels(pixels);  // of a plane: to keep them takes less time than to find them again
+  uint16_t const* const level = levels.data;
   for (int64_t plane = begin; plane < end; ++plane) {
     T const* const x = p.x.plane(plane);
     T* const y = p.y.plane(plane);
     LevelCounts counts;
     for (int64_t i = 0; i < pixels; i += kPiece) {
       int64_t const n = min(kPiece, pixels - i);
-      levels_of(gathered(x + i * from, from, n, memory), n, level);
-      counts.add(level, n);
+      levels_of(gathered(x + i * from, from, n, memory), n, levels.data + i);
+      counts.add(level + i, n);
     }
     bool const changed = make_table(counts, p.opencv, table);
     store<1>(p.changed + plane, Compute<T>(changed));
@@ -50,14 +51,12 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
       for (int64_t i = 0; i < pixels; ++i) y[i * to] = x[i * from];
       continue;
     }
-    for (int64_t i = 0; i < pixels; i += kPiece) {
-      int64_t const n = min(kPiece, pixels - i);
-      levels_of(gathered(x + i * from, from, n, memory), n, level);
-      if (to == 1)
-        for (int64_t k = 0; k < n; ++k) y[i + k] = table[level[k]];
-      else
-        for (int64_t k = 0; k < n; ++k) y[(i + k) * to] = table[level[k]];
+    int64_t i = 0;
+    for (; to == 1 && i + 4 <= pixels; i += 4) {  // four look-ups on their way at once
+      T const a = table[level[i]], b = table[level[i + 1]], c = table[level[i + 2]], d = table[level[i + 3]];
+      y[i] = a, y[i + 1] = b, y[i + 2] = c, y[i + 3] = d;
     }
+    for (; i < pixels; ++i) y[i * to] = table[level[i]];
   }
 }
 

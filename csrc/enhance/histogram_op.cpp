@@ -1,4 +1,4 @@
-// Sums of Gaussians: schema and entry, for CPU and CUDA alike.
+// Sums of Gaussians: schemas and entries, for CPU and CUDA alike.
 #include "histogram.h"
 #include "rows_glue.h"
 

@@ -5,7 +5,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Calls f(width, k, vector of x...) for n pixels `step` elements apart; k counts vectors.
+// Calls f(index constant N, element) for n pixels `step` elements apart: whole vectors, then single ones.
 template <class T, class F>
 KV_HD void for_each_pixel(int64_t n, int64_t step, F f) {
   constexpr int N = kLanes<T>;

@@ -162,7 +162,7 @@ PROGRAMS = [
     JITTER,
     (("shift", 0.1), ("gamma", 1.4), ("solarize", 0.6), ("invert",)),
     (("normalize", 0.5, 0.25), ("denormalize", MEAN, STD)),
-    (("contrast", 0.5), ("posterize", 5), ("contrast", 1.5)),
+    (("posterize", 5), ("contrast", 0.5), ("shift", 0.1), ("contrast", 1.5)),  # first, for its levels jump
     (("hue", torch.tensor([0.1, -2.0, 3.0, 9.0])), ("saturation", torch.tensor(0.3))),
     (),
 ]

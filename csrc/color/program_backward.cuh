@@ -9,7 +9,7 @@ namespace kv::cuda {
 namespace {
 
 template <class F, int C>
-__global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ ProgramBackward<F> const p) {
+__global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ ProgramBackward<F> const p) {
   constexpr int P = kTaken<F>;
   Program<F> const& q = p.forward;
   __shared__ Sample<F> sample;
@@ -100,7 +100,9 @@ __global__ void __launch_bounds__(kThreads) reduce(ProgramReduce<F> const p) {
 template <class F>
 int program_backward(ProgramBackward<F> const& p, CUstream_st* stream) {
   Program<F> const& q = p.forward;
-  dim3 const grid = grid_of(q.samples, q.measures ? parts_of(q.pixels) : chunks_of<F>(q.pixels));
+  int64_t const chunks = chunks_of<F>(q.pixels);
+  int64_t const blocks = p.slopes ? chunks : blocks_of(q.samples, chunks);  // of slopes each chunk has its own
+  dim3 const grid = grid_of(q.samples, q.measures ? parts_of(q.pixels) : blocks);
   if (q.x.channels == 1)
     run_backward<F, 1><<<grid, kThreads, 0, stream>>>(p);
   else

@@ -11,11 +11,17 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
   __shared__ Sample<F> sample;
   for (int64_t b = blockIdx.y; b < p.samples; b += gridDim.y) {
     F measured = 0;
-    for (int64_t k = blockIdx.x; k < chunks_of<F>(p.pixels); k += gridDim.x) {
-      int64_t const i = k * kChunk<F> + threadIdx.x * kTaken<F>;
+    int64_t const first = blockIdx.x * kChunk<F> + threadIdx.x * kTaken<F>, stride = gridDim.x * kChunk<F>;
+    F ahead[C][kTaken<F>];
+    load_pixels(p.x, b, first, p.pixels, F(0), ahead);
+    sample.prepare(p, b, false);
+    for (int64_t i = first; i - threadIdx.x * kTaken<F> < p.pixels; i += stride) {
       F c[C][kTaken<F>];
-      load_pixels(p.x, b, i, p.pixels, F(0), c);
-      if (k == blockIdx.x) sample.prepare(p, b, false);
+#pragma unroll
+      for (int k = 0; k < C; ++k)
+#pragma unroll
+        for (int j = 0; j < kTaken<F>; ++j) c[k][j] = ahead[k][j];
+      load_pixels(p.x, b, i + stride, p.pixels, F(0), ahead);
       for (int s = 0; s < sample.length; ++s) {
         int const at = sample.order[s];
         if (p.measures && at == p.contrast) break;
@@ -46,7 +52,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
 
 template <class F>
 int program(Program<F> const& p, CUstream_st* stream) {
-  dim3 const grid = grid_of(p.samples, p.measures ? parts_of(p.pixels) : chunks_of<F>(p.pixels));
+  dim3 const grid = grid_of(p.samples, p.measures ? parts_of(p.pixels) : blocks_of(p.samples, chunks_of<F>(p.pixels)));
   if (p.x.channels == 1)
     run<F, 1><<<grid, kThreads, 0, stream>>>(p);
   else

@@ -218,8 +218,8 @@ template <class F>
 struct Sample {
   F p[kMostParameters + kMostOfAStep];
   int order[kMostSteps], length;
-  F mean, mean_slope;  // and the mean's gradient, for each pixel
-  F sums[kThreads / 32];
+  alignas(16) F sums[kThreads / 32];  // read by vectors, with nothing else in them
+  F mean, mean_slope;                 // and the mean's gradient, for each pixel
 
   // Of all threads, to all threads.
   __device__ __forceinline__ F sum_of_block(F v) {

@@ -46,7 +46,7 @@ KV_HD void make_tables(Clahe<T> const& p, int64_t plane, uint8_t* tables) {
   T memory[kPiece];
   for (int tile = 0; tile < p.down.count * p.across.count; ++tile) {
     int const y0 = tile / p.across.count * p.down.size, x0 = tile % p.across.count * p.across.size;
-    LevelCounts counts;
+    LevelCounts counts{};
     for (int y = y0; y < y0 + p.down.size; ++y) {
       T const* const row = p.x.row(plane, p.down.reflected(y));
       for (int x = x0; x < x0 + p.across.size; x += kPiece) {

@@ -39,7 +39,7 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
   for (int64_t plane = begin; plane < end; ++plane) {
     T const* const x = p.x.plane(plane);
     T* const y = p.y.plane(plane);
-    LevelCounts counts;
+    LevelCounts counts{};
     for (int64_t i = 0; i < pixels; i += kPiece) {
       int64_t const n = min(kPiece, pixels - i);
       levels_of(gathered(x + i * from, from, n, memory), n, levels.data + i);

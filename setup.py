@@ -94,9 +94,7 @@ class BuildNative(Command):
         ]
         if subprocess.run(configure).returncode != 0:
             return "CMake found no C++20 compiler or no torch it can build with (its output: pip install -v)"
-        # ninja's own choice, two jobs more than there are cores, takes a fifth longer where the caches are small.
-        jobs = os.environ.get("CMAKE_BUILD_PARALLEL_LEVEL") or str(os.cpu_count() or 1)
-        if subprocess.run([cmake, "--build", folder, "--parallel", jobs]).returncode != 0:
+        if subprocess.run([cmake, "--build", folder]).returncode != 0:
             sys.exit("kvision: the build failed. KVISION_BUILD=reference installs pure Python instead.")
         if not self.editable_mode:
             for component in ([], ["--component", "python"]):

@@ -208,13 +208,6 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t b, int64_t
 // ---------------------------------------------------
 
 template <class F>
-__device__ __forceinline__ F sum_of_warp(F v) {
-#pragma unroll
-  for (int lane = 16; lane > 0; lane /= 2) v += __shfl_xor_sync(0xffffffffu, v, lane);
-  return v;
-}
-
-template <class F>
 struct Sample {
   F p[kMostParameters + kMostOfAStep];
   int order[kMostSteps], length;
@@ -223,7 +216,7 @@ struct Sample {
 
   // Of all threads, to all threads.
   __device__ __forceinline__ F sum_of_block(F v) {
-    v = sum_of_warp(v);
+    v = warp_sum(v);
     __syncthreads();
     if (threadIdx.x % 32 == 0) sums[threadIdx.x / 32] = v;
     __syncthreads();

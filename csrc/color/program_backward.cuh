@@ -49,7 +49,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
               measured += slope.sum;
               continue;
             }
-            F const sum = sum_of_warp(slope.sum);
+            F const sum = warp_sum(slope.sum);
             if (threadIdx.x % 32 == 0) slopes[threadIdx.x / 32][column] += sum;
           }
         }

@@ -52,6 +52,17 @@ __device__ __forceinline__ T round_to(Compute<T> x) {
     return round_to_bfloat16(x);
 }
 
+// --- a warp
+// ---------------------------------------------------------------------------------------------------
+
+// The sum over its threads, to all of them.
+template <class F>
+__device__ __forceinline__ F warp_sum(F x) {
+#pragma unroll
+  for (int lane = 16; lane > 0; lane /= 2) x += __shfl_xor_sync(0xffffffffu, x, lane);
+  return x;
+}
+
 // --- neighbouring elements
 // ----------------------------------------------------------------------------------------
 

@@ -11,13 +11,6 @@ template <class T>
 constexpr int kBytes = sizeof(T) == sizeof(float) ? 4 * kCells * int(sizeof(int)) : 0;  // of shared memory
 constexpr unsigned kAll = 0xffffffffu;
 
-template <class T>
-__device__ __forceinline__ T warp_sum(T x) {
-#pragma unroll
-  for (int d = 16; d > 0; d /= 2) x += __shfl_xor_sync(kAll, x, d);
-  return x;
-}
-
 // The grid of a row, without cells where they do not fit. `sorted`: whether centers ascend.
 __device__ __forceinline__ MomentGrid grid_of(float const* centers, int bins, float h, bool& sorted) {
   __shared__ float low[kWarps], high[kWarps];

@@ -144,8 +144,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
       __syncwarp();
       F s = 0;
       for (int i = from + lane; i < to; i += 32) s += row[i - first_x];
-#pragma unroll
-      for (int d = 16; d > 0; d /= 2) s += __shfl_xor_sync(0xffffffffu, s, d);
+      s = warp_sum(s);
       __syncwarp();
       if (lane == 0) row[pixel - first_x] = s;
     };

@@ -122,7 +122,7 @@ __global__ void __launch_bounds__(256) taps_any(__grid_constant__ Filter2dTaps<T
   __shared__ F of_warps[kTapsTogether][8];
 #pragma unroll
   for (int t = 0; t < kTapsTogether; ++t) {
-    for (int lane = 16; lane > 0; lane /= 2) sums[t] += __shfl_xor_sync(0xffffffffu, sums[t], lane);
+    sums[t] = warp_sum(sums[t]);
     if (threadIdx.x % 32 == 0) of_warps[t][threadIdx.x / 32] = sums[t];
   }
   __syncthreads();
@@ -141,7 +141,7 @@ __global__ void sum_of_parts(SumParts<F> p) {
   F const* const terms = p.terms + i / p.size * p.parts * p.size + i % p.size;
   double sum = 0;
   for (int64_t part = threadIdx.x % 32; part < p.parts; part += 32) sum += terms[part * p.size];
-  for (int lane = 16; lane > 0; lane /= 2) sum += __shfl_xor_sync(0xffffffffu, sum, lane);
+  sum = warp_sum(sum);
   if (threadIdx.x % 32 == 0) p.sums[i] = F(sum);
 }
 

@@ -60,13 +60,6 @@ struct alignas(16) WarpMemory {
   float last[Mirrored ? 32 * P : 1];   // and the last
 };
 
-template <class F>
-__device__ __forceinline__ F warp_sum(F x) {
-#pragma unroll
-  for (int lane = 16; lane > 0; lane /= 2) x += __shfl_xor_sync(0xffffffffu, x, lane);
-  return x;
-}
-
 // The thread's weight, or 0.
 template <class F>
 __device__ __forceinline__ F weight_of_lane(Taps<F> const& taps, int64_t sample, int lane) {

@@ -10,7 +10,7 @@
 import importlib
 from typing import Any
 
-from kvision import color, constants, core, enhance, filters, image, io, utils
+from kvision import color, constants, core, enhance, filters, geometry, image, io, utils
 from kvision._ops import backend
 from kvision._version import __version__
 
@@ -50,6 +50,7 @@ __all__ = [
     "enhance",
     "filters",
     "gaussian_blur2d",
+    "geometry",
     "get_cuda_device_if_available",
     "get_cuda_or_mps_device_if_available",
     "get_mps_device_if_available",

@@ -91,7 +91,7 @@ def test_the_public_api_is_the_listed_one() -> None:
 
 def test_top_level_names_are_those_of_their_modules() -> None:
     """A flat name is a second place of the same thing, never a second behaviour."""
-    homes = [K.color, K.enhance, K.filters, K.image, K.utils]
+    homes = [K.color, K.contrib, K.enhance, K.filters, K.image, K.losses, K.utils]
     for name in public_names(K):
         if name not in ("__version__", "backend", "info"):  # whose place is the top level
             assert any(getattr(home, name, None) is getattr(K, name) for home in homes), name

@@ -425,10 +425,8 @@ void program_reduce(ProgramReduce<F> const& p, int64_t begin, int64_t end) {
   }
 }
 
-#define KV_INSTANTIATE_PROGRAMS(name, Params) \
-  KV_INSTANTIATE_ONE(name, Params, float) KV_INSTANTIATE_ONE(name, Params, double)
-KV_INSTANTIATE_PROGRAMS(program, Program)
-KV_INSTANTIATE_PROGRAMS(program_backward, ProgramBackward)
-KV_INSTANTIATE_PROGRAMS(program_reduce, ProgramReduce)
+KV_INSTANTIATE_COMPUTED(program, Program)
+KV_INSTANTIATE_COMPUTED(program_backward, ProgramBackward)
+KV_INSTANTIATE_COMPUTED(program_reduce, ProgramReduce)
 
 }  // namespace kv::KV_ISA

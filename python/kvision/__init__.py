@@ -10,12 +10,13 @@
 import importlib
 from typing import Any
 
-from kvision import color, constants, core, enhance, filters, image, io, utils
+from kvision import color, constants, contrib, core, enhance, filters, image, io, losses, metrics, morphology, utils
 from kvision._ops import backend
 from kvision._version import __version__
 
 # The names that have a home at the top level, too: those of the Kornia paper's examples and those Kornia 0.9 has there.
 from kvision.color import bgr_to_rgb, rgb_to_grayscale
+from kvision.contrib import extract_tensor_patches
 from kvision.enhance import normalize
 from kvision.filters import gaussian_blur2d, sobel
 from kvision.image import (
@@ -28,6 +29,7 @@ from kvision.image import (
     print_image,
     tensor_to_image,
 )
+from kvision.losses import dice_loss, focal_loss, psnr_loss, ssim_loss, tversky_loss
 from kvision.utils import (
     get_cuda_device_if_available,
     get_cuda_or_mps_device_if_available,
@@ -42,13 +44,17 @@ __all__ = [
     "bgr_to_rgb",
     "color",
     "constants",
+    "contrib",
     "core",
+    "dice_loss",
     "draw_convex_polygon",
     "draw_line",
     "draw_point2d",
     "draw_rectangle",
     "enhance",
+    "extract_tensor_patches",
     "filters",
+    "focal_loss",
     "gaussian_blur2d",
     "get_cuda_device_if_available",
     "get_cuda_or_mps_device_if_available",
@@ -59,11 +65,17 @@ __all__ = [
     "info",
     "io",
     "is_autocast_enabled",
+    "losses",
+    "metrics",
+    "morphology",
     "normalize",
     "print_image",
+    "psnr_loss",
     "rgb_to_grayscale",
     "sobel",
+    "ssim_loss",
     "tensor_to_image",
+    "tversky_loss",
     "utils",
     "xla_is_available",
 ]

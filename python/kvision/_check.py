@@ -47,7 +47,9 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     if x.dim() != len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, x.shape)):
         want = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
         raise ShapeError(
-            f"{op}: expected {name} of shape ({want}), got {tuple(x.shape)}", actual_shape=x.shape, expected_shape=expected
+            f"{op}: expected {name} of shape ({want}), got {tuple(x.shape)}",
+            actual_shape=x.shape,
+            expected_shape=expected,
         )
 
 
@@ -74,7 +76,9 @@ def volumes(op: str, name: str, x: Any) -> None:
     if x.dim() != 5:
         raise ShapeError(f"{op}: expected {name} of shape (B, C, D, H, W), got {tuple(x.shape)}", actual_shape=x.shape)
     if 0 in x.shape[2:]:
-        raise ShapeError(f"{op}: expected {name} with D, H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape)
+        raise ShapeError(
+            f"{op}: expected {name} with D, H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape
+        )
 
 
 def floating(op: str, name: str, x: Tensor) -> None:
@@ -96,6 +100,29 @@ def choice(op: str, name: str, value: Any, options: Sequence[Any]) -> None:
     if not isinstance(value, type(options[0])) or value not in options:
         listed = ", ".join(map(str, options))
         raise ValueCheckError(f"{op}: {name} must be one of {listed}; got {value!r}", actual_value=value)
+
+
+class UnknownChoiceError(ValueCheckError, NotImplementedError):
+    """A choice that is none of those there are, where Kornia raises NotImplementedError."""
+
+
+def known(op: str, name: str, value: Any, options: Sequence[str]) -> None:
+    """Raise UnknownChoiceError unless `value` is one of `options`."""
+    if value not in options:
+        raise UnknownChoiceError(f"{op}: {name} must be one of {', '.join(options)}; got {value!r}", actual_value=value)
+
+
+def reduction(op: str, value: Any, options: Sequence[str] = ("none", "mean", "sum")) -> None:
+    """Raise UnknownChoiceError unless `value` names a reduction."""
+    known(op, "reduction", value, options)
+
+
+def same_shape(op: str, **tensors: Tensor) -> None:
+    """Raise ShapeError unless all the named tensors have the same shape."""
+    shapes = [x.shape for x in tensors.values()]
+    if any(shape != shapes[0] for shape in shapes):
+        got = ", ".join(f"{name} {tuple(shape)}" for name, shape in zip(tensors, shapes))
+        raise ShapeError(f"{op}: expected tensors of one shape, got {got}", actual_shape=shapes)
 
 
 def border(op: str, border_type: Any) -> None:

@@ -30,6 +30,7 @@ from kvision.core.exceptions import ValueCheckError
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
 _HALVES = (torch.float16, torch.bfloat16)
+_TO_FLOAT = (*_HALVES, torch.float64, torch.uint8)  # before a reference computes; labels and masks stay as they are
 
 # --- libraries ------------------------------------------------------------------------------------------------------
 
@@ -437,7 +438,7 @@ def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[.
         elif stored == torch.float64:
             widened = (a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
         else:
-            widened = (a.float() if isinstance(a, Tensor) and a.dtype != torch.float32 else a for a in args)
+            widened = (a.float() if isinstance(a, Tensor) and a.dtype in _TO_FLOAT else a for a in args)
         store = saturate_to_byte if stored == torch.uint8 else lambda y: y.to(stored)
         return _map(lambda y: laid_out(store(y), x), reference(*widened))
 

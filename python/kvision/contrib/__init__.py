@@ -1,0 +1,15 @@
+"""Patches, regions, distances, noise, histograms and clusters."""
+
+from kvision.contrib.connected_components import connected_components, connected_components_union_find
+from kvision.contrib.diamond_square import diamond_square
+from kvision.contrib.distance_transform import DistanceTransform, distance_transform
+from kvision.contrib.histogram_matching import histogram_matching, interp
+from kvision.contrib.kmeans import KMeans
+from kvision.contrib.lambda_module import Lambda
+from kvision.contrib.patches import (
+    CombineTensorPatches,
+    ExtractTensorPatches,
+    combine_tensor_patches,
+    compute_padding,
+    extract_tensor_patches,
+)

@@ -1,0 +1,92 @@
+"""Connected regions of masks."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+
+
+def _reference(x: Tensor) -> Tensor:
+    """int64 labels of masks (B, 1, H, W): 1 + the first pixel's index in the batch, 0 where the mask is not 1.
+
+    Every pixel has a root, at first itself. A root moves to the lowest root beside its region, and every pixel to the
+    root of its root, until nothing moves.
+    """
+    inside = x == 1
+    nothing = x.numel()
+    roots = torch.arange(nothing, device=x.device).view(x.shape)
+    while True:
+        lowest = _lowest_around(torch.where(inside, roots, nothing))
+        lowest = torch.where(inside, lowest, roots)
+        merged = roots.flatten().scatter_reduce(0, roots.flatten(), lowest.flatten(), "amin")
+        while not torch.equal(merged, further := merged[merged]):
+            merged = further
+        if torch.equal(merged, roots.flatten()):
+            return torch.where(inside, roots + 1, 0)
+        roots = merged.view(x.shape)
+
+
+def _lowest_around(x: Tensor) -> Tensor:
+    for axis, pads in ((3, (1, 1)), (2, (0, 0, 1, 1))):
+        padded = F.pad(x, pads, value=x.numel())
+        x = torch.minimum(
+            torch.minimum(x, padded.narrow(axis, 0, x.shape[axis])), padded.narrow(axis, 2, x.shape[axis])
+        )
+    return x
+
+
+def connected_components(image: Tensor, num_iterations: int = 100) -> Tensor:
+    """Number the connected regions of masks, corners included (8-connected).
+
+    Args:
+        image: masks (*, 1, H, W), 1 inside of regions; every other value is outside.
+        num_iterations: for compatibility, at least 1; the regions are complete whatever it is.
+
+    Returns:
+        int64 labels (*, 1, H, W): 0 outside, and for each region 1 + the index that its first pixel has in the batch, so
+        that no two regions of a batch share a label.
+
+    Raises:
+        TypeCheckError: image is no real tensor; num_iterations no int.
+        ShapeError: image is not (*, 1, H, W).
+        ValueCheckError: num_iterations below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.contrib.connected_components(torch.tensor([[[1., 0., 1.], [0., 0., 1.]]]))
+        tensor([[[1, 0, 3],
+                 [0, 0, 3]]])
+    """
+    _check.ints("connected_components", "num_iterations", num_iterations, 1)
+    return _labels("connected_components", image)
+
+
+def connected_components_union_find(image: Tensor) -> Tensor:
+    """Number the connected regions of masks; the same as :func:`connected_components`.
+
+    Args:
+        image: masks (*, 1, H, W), 1 inside of regions.
+
+    Returns:
+        int64 labels (*, 1, H, W).
+
+    Raises:
+        TypeCheckError, ShapeError: as :func:`connected_components`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.contrib.connected_components_union_find(torch.tensor([[[1., 0., 1.]]]))
+        tensor([[[1, 0, 3]]])
+    """
+    return _labels("connected_components_union_find", image)
+
+
+def _labels(op: str, image: Tensor) -> Tensor:
+    _check.channels(op, "image", image, 1, ShapeError)
+    if image.numel() == 0:
+        return torch.zeros_like(image, dtype=torch.int64)
+    return _reference(image.reshape(-1, 1, *image.shape[-2:])).view(image.shape)

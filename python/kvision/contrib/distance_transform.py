@@ -1,0 +1,113 @@
+"""How far it is to the nearest pixel of a mask."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.filters.filter2d import filter2d
+from kvision.filters.filter3d import filter3d
+
+
+def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exact: bool = False) -> Tensor:
+    """Compute the distance of every pixel to the nearest 1.
+
+    By default distances are approximate and differentiable: masks grow step by step, by kernel_size // 2 pixels, and
+    within a step the distance is -h log of the mask blurred with exp(-distance / h).
+
+    Args:
+        image: masks (B, C, H, W) or (B, C, D, H, W), floating point, 1 at the sources and 0 elsewhere.
+        kernel_size: window of a step, odd and at least 3.
+        h: how soft it is: small is closer to the true distance, too small is not precise.
+        exact: compute the Euclidean distance instead, which has no gradient; infinity where there is no source.
+
+    Returns:
+        Pixels, in the shape of the image. Where the approximation reaches no source it is 0.
+
+    Raises:
+        TypeCheckError: image is no floating-point tensor; arguments of other kinds.
+        ShapeError: image of another rank.
+        ValueCheckError: an even or too small kernel_size; an h that is not above 0, too small or too large for it.
+
+    Source: D. Pham et al., "Differentiable distance transform" (2021); P. Felzenszwalb, D. Huttenlocher, "Distance
+    transforms of sampled functions" (2012).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[1., 0., 0., 0.]]]])
+        >>> K.contrib.distance_transform(x, exact=True)
+        tensor([[[[0., 1., 2., 3.]]]])
+    """
+    op = "distance_transform"
+    _check.numbers(op, "image", image)
+    _check.floating(op, "image", image)
+    if image.dim() not in (4, 5) or 0 in image.shape[2:]:
+        raise ShapeError(
+            f"{op}: expected image of shape (B, C, H, W) or (B, C, D, H, W) with pixels, got {tuple(image.shape)}",
+            actual_shape=image.shape,
+        )
+    (size,) = _check.ints(op, "kernel_size", kernel_size, 1, 3)
+    _check.odd(op, "kernel_size", (size,))
+    h = _check.number(op, "h", h)
+    _check.flag(op, "exact", exact)
+    if exact:
+        return _exact(image.detach())
+    axes = image.dim() - 2
+    distances = [math.hypot(*place) for place in product(range(-(size // 2), size // 2 + 1), repeat=axes)]
+    if not h > 0 or math.exp(-max(distances) / h) < torch.finfo(torch.float32).tiny:
+        raise ValueCheckError(f"{op}: expected a larger h for a kernel_size of {size}, got {h!r}", actual_value=h)
+    if sum(math.exp(-d / h) for d in distances) - 1 > 0.999:  # a source all around would seem to be at the pixel
+        raise ValueCheckError(f"{op}: expected a smaller h for a kernel_size of {size}, got {h!r}", actual_value=h)
+    return _approximate(image, size, h, distances)
+
+
+@as_stored
+def _approximate(x: Tensor, size: int, h: float, distances: list[float]) -> Tensor:
+    blur = filter2d if x.dim() == 4 else filter3d
+    kernel = torch.tensor([math.exp(-d / h) for d in distances], dtype=x.dtype, device=x.device)
+    kernel = kernel.view(1, *(size,) * (x.dim() - 2))
+    grown, total = x.clamp(0, 1), torch.zeros_like(x)
+    for step in range(math.ceil(max(x.shape[2:]) / (size // 2))):
+        near = blur(grown, kernel, "replicate")
+        reached = (near > 0) & (near < 1)
+        within = -h * torch.where(reached, near, 0.5).log()
+        total = total + torch.where(reached, step * (size // 2) + within, 0)
+        grown = torch.where(reached, 1, grown)
+    return total
+
+
+@as_stored
+def _exact(x: Tensor) -> Tensor:
+    """The squared distance along one axis after the other: each the lower envelope of parabolas over the one before."""
+    squared = torch.where(x == 1, torch.zeros_like(x), torch.inf)
+    for axis in range(2, x.dim()):
+        n, below = x.shape[axis], squared
+        for d in range(1, n):
+            nearer = below.narrow(axis, 0, n - d) + d * d, below.narrow(axis, d, n - d) + d * d
+            far = torch.full_like(below.narrow(axis, 0, d), torch.inf)
+            squared = torch.minimum(squared, torch.cat([far, nearer[0]], axis))
+            squared = torch.minimum(squared, torch.cat([nearer[1], far], axis))
+    return squared.sqrt()
+
+
+class DistanceTransform(FunctionModule):
+    """Module form of :func:`distance_transform`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.contrib.DistanceTransform()(torch.eye(4)[None, None]).shape
+        torch.Size([1, 1, 4, 4])
+    """
+
+    def __init__(self, kernel_size: int = 3, h: float = 0.35, exact: bool = False) -> None:
+        super().__init__(kernel_size=kernel_size, h=h, exact=exact)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return distance_transform(image, self.kernel_size, self.h, self.exact)

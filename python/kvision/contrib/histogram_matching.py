@@ -1,0 +1,91 @@
+"""The values of one image distributed as those of another."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype
+from kvision.core.exceptions import ShapeError
+
+
+def interp(x: Tensor, xp: Tensor, fp: Tensor) -> Tensor:
+    """Interpolate linearly between points; beyond the ends their segments go on.
+
+    Args:
+        x: where, of any shape.
+        xp: places of the points (N,), increasing; which is not checked. N is at least 2.
+        fp: their values (N,).
+
+    Returns:
+        Values in the shape of x; at a point its value, and at several in one place that of the last.
+
+    Raises:
+        TypeCheckError: not three real tensors.
+        ShapeError: xp and fp not of one shape (N,), N at least 2.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.contrib.interp(torch.tensor([0.5, 3.0]), torch.tensor([0.0, 1.0, 2.0]), torch.tensor([0.0, 2.0, 3.0]))
+        tensor([1., 4.])
+    """
+    for name, value in (("x", x), ("xp", xp), ("fp", fp)):
+        _check.numbers("interp", name, value)
+    if xp.dim() != 1 or xp.shape != fp.shape or xp.numel() < 2:
+        raise ShapeError(
+            f"interp: expected xp and fp of shape (N,) with N of at least 2, got {tuple(xp.shape)} and {tuple(fp.shape)}"
+        )
+    _check.same_device("interp", x=x, xp=xp, fp=fp)
+    dtype = torch.promote_types(torch.promote_types(x.dtype, xp.dtype), fp.dtype)
+    dtype = dtype if dtype.is_floating_point else torch.get_default_dtype()
+    wide = torch.promote_types(dtype, torch.float32)
+    x, xp, fp = x.to(wide), xp.to(wide).contiguous(), fp.to(wide)
+    upper = torch.searchsorted(xp, x.detach().contiguous(), right=True).clamp(1, xp.numel() - 1)
+    x0, x1, f0, f1 = xp[upper - 1], xp[upper], fp[upper - 1], fp[upper]
+    point = x1 == x0
+    share = torch.where(point, 1, (x - x0) / torch.where(point, 1, x1 - x0))
+    return torch.lerp(f0, f1, share).to(dtype)
+
+
+def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
+    """Replace every value of an image by the one of the same rank in another image.
+
+    All values of a tensor are one distribution. The rank of a value is the share of values up to it; between the ranks of
+    the template its values are interpolated.
+
+    Args:
+        source: an image of any shape.
+        template: another one, with at least one value.
+
+    Returns:
+        The source with the template's values, floating point; differentiable in the template.
+
+    Raises:
+        TypeCheckError: not two real tensors.
+        ShapeError: an empty template.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.contrib.histogram_matching(torch.tensor([3.0, 1.0, 2.0]), torch.tensor([10.0, 20.0, 30.0]))
+        tensor([30., 10., 20.])
+    """
+    _check.numbers("histogram_matching", "source", source)
+    _check.numbers("histogram_matching", "template", template)
+    if template.numel() == 0:
+        raise ShapeError("histogram_matching: expected a template with values, got none", actual_shape=template.shape)
+    _check.same_device("histogram_matching", source=source, template=template)
+    stored = source.dtype if source.is_floating_point() else torch.float32
+    if source.numel() == 0:
+        return source.to(stored)
+    wide = compute_dtype(source)
+    values = template.flatten().to(wide).sort().values
+    places = torch.cat([values.new_zeros(1), _ranks(values.detach(), values.detach(), wide)])
+    ranks = _ranks(source.detach().flatten().to(wide).sort().values, source.detach().to(wide), wide)
+    return interp(ranks, places, torch.cat([values[:1], values])).to(stored)
+
+
+def _ranks(ordered: Tensor, x: Tensor, dtype: torch.dtype) -> Tensor:
+    return torch.searchsorted(ordered, x.contiguous(), right=True).to(dtype) / ordered.numel()

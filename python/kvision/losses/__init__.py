@@ -1,0 +1,46 @@
+"""Losses: of segmentations, images, probability maps and signals.
+
+Segmentations are logits (B, C, H, W) with int64 labels (B, H, W). Every loss is differentiable, in half types too, which it
+computes in float32, and waits for no device.
+"""
+
+from kvision.losses.divergence import js_div_loss_2d, kl_div_loss_2d
+from kvision.losses.focal import BinaryFocalLossWithLogits, FocalLoss, binary_focal_loss_with_logits, focal_loss
+from kvision.losses.hausdorff import HausdorffERLoss, HausdorffERLoss3D
+from kvision.losses.lovasz import LovaszHingeLoss, LovaszSoftmaxLoss, lovasz_hinge_loss, lovasz_softmax_loss
+from kvision.losses.ms_ssim import MS_SSIMLoss
+from kvision.losses.mutual_information import (
+    MIKernel,
+    MILossFromRef,
+    MILossFromRef2D,
+    MILossFromRef3D,
+    NMILossFromRef,
+    NMILossFromRef2D,
+    NMILossFromRef3D,
+    mutual_information_loss,
+    mutual_information_loss_2d,
+    mutual_information_loss_3d,
+    normalized_mutual_information_loss,
+    normalized_mutual_information_loss_2d,
+    normalized_mutual_information_loss_3d,
+)
+from kvision.losses.one_hot import one_hot
+from kvision.losses.overlap import DiceLoss, TverskyLoss, dice_loss, tversky_loss
+from kvision.losses.psnr import PSNRLoss, psnr_loss
+from kvision.losses.robust import (
+    CauchyLoss,
+    CharbonnierLoss,
+    GemanMcclureLoss,
+    WelschLoss,
+    cauchy_loss,
+    charbonnier_loss,
+    geman_mcclure_loss,
+    welsch_loss,
+)
+from kvision.losses.smoothness import (
+    InverseDepthSmoothnessLoss,
+    TotalVariation,
+    inverse_depth_smoothness_loss,
+    total_variation,
+)
+from kvision.losses.ssim import SSIM3DLoss, SSIMLoss, ssim3d_loss, ssim_loss

@@ -1,0 +1,116 @@
+"""A Hausdorff distance that one can minimise, from erosions of what differs."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.losses.reduction import reduced, selected
+
+
+def _eroded(pred: Tensor, target: Tensor, alpha: float, k: int) -> Tensor:
+    """(B, C, *): how much of (pred - target)^2 survives k soft erosions, the i-th one weighing i ** alpha."""
+    classes, axes = pred.shape[1], tuple(range(2, pred.dim()))
+    index, counts = selected(target[:, 0], classes, None, pred.dtype)
+    own = index[:, None] == torch.arange(classes, device=pred.device).view(-1, *(1,) * len(axes))
+    bound = (pred - own.to(pred.dtype)).square() * counts[:, None]
+    total = torch.zeros_like(bound)
+    for i in range(1, k + 1):
+        bound = (_cross_mean(bound, axes) - 0.5).clamp_min(0)
+        low = bound.amin(axes, keepdim=True)
+        span = bound.amax(axes, keepdim=True) - low
+        flat = span == 0
+        bound = torch.where(flat, bound, (bound - low) / torch.where(flat, 1, span))
+        total = total + bound * i**alpha
+    return total
+
+
+def _cross_mean(x: Tensor, axes: tuple[int, ...]) -> Tensor:
+    """The mean of every pixel and its direct neighbours, zeros beyond the image."""
+    total = x
+    for axis in axes:
+        beside = [0, 0] * (x.dim() - 1 - axis) + [1, 1]
+        padded = F.pad(x, beside)
+        n = x.shape[axis]
+        total = total + padded.narrow(axis, 0, n) + padded.narrow(axis, 2, n)
+    return total / (1 + 2 * len(axes))
+
+
+@as_stored
+def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) -> Tensor:
+    return reduced(_eroded(pred, target, alpha, k).movedim(1, 0)[:, :, None], reduction)
+
+
+class HausdorffERLoss(FunctionModule):
+    """Estimate the Hausdorff distance of predicted and labelled regions by eroding their difference.
+
+    Each class is compared with its own labels: (pred - target)^2 goes through k soft erosions with a cross, after each of
+    which it is stretched to [0, 1], and what survives the i-th one weighs i ** alpha.
+
+    Args:
+        alpha: how fast the weight of an erosion grows.
+        k: how many erosions, at least 1.
+        reduction: 'none', 'mean' or 'sum'.
+
+    Its call takes probabilities pred (B, C, H, W) and labels target (B, 1, H, W) in [0, C), int64; another label makes the
+    loss NaN, as labels are not read on the host. It returns a number, or for 'none' (C, B, 1, H, W).
+
+    Raises:
+        TypeCheckError: pred is no floating-point tensor; k is no int.
+        ValueCheckError: target not int64; k below 1; an unknown reduction, which is a NotImplementedError, too.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Source: D. Karimi, S. Salcudean, "Reducing the Hausdorff distance in medical image segmentation with convolutional
+    neural networks" (2019).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.HausdorffERLoss()(torch.ones(1, 1, 8, 8), torch.zeros(1, 1, 8, 8, dtype=torch.int64))
+        tensor(0.)
+    """
+
+    _axes: tuple[str, ...] = ("H", "W")
+
+    def __init__(self, alpha: float = 2.0, k: int = 10, reduction: str = "mean") -> None:
+        op = type(self).__name__
+        _check.number(op, "alpha", alpha)
+        _check.ints(op, "k", k, 1)
+        _check.reduction(op, reduction)
+        super().__init__(alpha=alpha, k=k, reduction=reduction)
+
+    def forward(self, pred: Tensor, target: Tensor) -> Tensor:
+        op = type(self).__name__
+        _check.shape(op, "pred", pred, "B", "C", *self._axes)
+        _check.floating(op, "pred", pred)
+        if pred.shape[1] == 0 or 0 in pred.shape[2:]:
+            raise ShapeError(f"{op}: expected pred with classes and pixels, got {tuple(pred.shape)}")
+        _check.shape(op, "target", target, pred.shape[0], 1, *pred.shape[2:])
+        if target.dtype != torch.int64:
+            raise ValueCheckError(f"{op}: expected target to hold int64 labels, got {target.dtype}")
+        _check.same_device(op, pred=pred, target=target)
+        return _loss(pred, target, self.alpha, self.k, self.reduction)
+
+
+class HausdorffERLoss3D(HausdorffERLoss):
+    """Estimate the Hausdorff distance of regions of volumes; see :class:`HausdorffERLoss`.
+
+    Args:
+        alpha: how fast the weight of an erosion grows.
+        k: how many erosions, at least 1.
+        reduction: 'none', 'mean' or 'sum'.
+
+    Its call takes pred (B, C, D, H, W) and target (B, 1, D, H, W), and returns a number, or for 'none' (C, B, 1, D, H, W).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.HausdorffERLoss3D(k=3)(torch.ones(1, 1, 4, 4, 4), torch.zeros(1, 1, 4, 4, 4, dtype=torch.int64))
+        tensor(0.)
+    """
+
+    _axes = ("D", "H", "W")

@@ -1,0 +1,118 @@
+"""Structural similarity at several scales, mixed with absolute differences."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.filters.kernels import gaussian
+from kvision.filters.separable import filter2d_separable
+from kvision.losses.reduction import reduced
+from kvision.metrics.ssim import similarity
+
+
+class MS_SSIMLoss(FunctionModule):
+    """Mix the structural similarity at several scales with absolute differences, both in Gaussian windows.
+
+    The similarity is the product of the structure at every scale with the luminance at the last one, and its mean over the
+    channels; the loss is compensation * (alpha * (1 - similarity) + (1 - alpha) * difference / data_range). The windows
+    have 2 * int(2 * sigmas[-1]) + 1 pixels a side and end at the image, which is surrounded by zeros.
+
+    Args:
+        sigmas: standard deviations of the windows, in pixels.
+        data_range: largest value that there can be, above 0.
+        K: the constants of the similarity, which are (K * data_range)^2.
+        alpha: share of the similarity.
+        compensation: factor of the loss.
+        reduction: 'none', 'mean' or 'sum'.
+
+    Its call takes two images (B, C, H, W), one of which may have B = 1 and serves all of the other; integers are computed
+    in float32. It returns a number, or for 'none' (B, H, W).
+
+    Raises:
+        TypeCheckError: arguments of other kinds; not two real tensors.
+        ShapeError: not (B, C, H, W), or different shapes.
+        ValueCheckError: sigmas or data_range not above 0; an unknown reduction, which is a NotImplementedError, too.
+        DeviceError: tensors on different devices.
+
+    Source: H. Zhao et al., "Loss functions for image restoration with neural networks" (2017).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(1, 3, 8, 8)
+        >>> K.losses.MS_SSIMLoss()(x, x)
+        tensor(0.)
+    """
+
+    def __init__(
+        self,
+        sigmas: Sequence[float] = (0.5, 1.0, 2.0, 4.0, 8.0),
+        data_range: float = 1.0,
+        K: tuple[float, float] = (0.01, 0.03),
+        alpha: float = 0.025,
+        compensation: float = 200.0,
+        reduction: str = "mean",
+    ) -> None:
+        op = "MS_SSIMLoss"
+        for name, values in (("sigmas", sigmas), ("K", K)):
+            if not isinstance(values, (tuple, list)):
+                raise TypeCheckError(f"{op}: expected {name} to be a tuple of numbers, got {values!r}")
+        numbers = [_check.number(op, "sigmas", sigma) for sigma in sigmas]
+        numbers.append(_check.number(op, "data_range", data_range))
+        if len(sigmas) == 0 or not min(numbers) > 0:
+            raise ValueCheckError(f"{op}: expected sigmas and data_range above 0, got {sigmas!r} and {data_range!r}")
+        if len(K) != 2:
+            raise ValueCheckError(f"{op}: expected K of two numbers, got {K!r}")
+        for name, value in (("K", K[0]), ("K", K[1]), ("alpha", alpha), ("compensation", compensation)):
+            _check.number(op, name, value)
+        _check.reduction(op, reduction)
+        super().__init__(
+            sigmas=tuple(sigmas),
+            data_range=data_range,
+            K=tuple(K),
+            alpha=alpha,
+            compensation=compensation,
+            reduction=reduction,
+        )
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        _check.images("MS_SSIMLoss", "img1", img1)
+        _check.images("MS_SSIMLoss", "img2", img2)
+        _check.same_device("MS_SSIMLoss", img1=img1, img2=img2)
+        if img1.shape[1:] != img2.shape[1:] or (img1.shape[0] != img2.shape[0] and 1 not in (len(img1), len(img2))):
+            raise ShapeError(
+                f"MS_SSIMLoss: expected img2 of shape {tuple(img1.shape)} as img1, or one of both with a batch of 1, "
+                f"got {tuple(img2.shape)}",
+                actual_shape=img2.shape,
+            )
+        img1, img2 = torch.broadcast_tensors(floats(img1), floats(img2))
+        return _loss(img1, img2, self.sigmas, self.data_range, self.K, self.alpha, self.compensation, self.reduction)
+
+
+@as_stored
+def _loss(
+    x: Tensor,
+    y: Tensor,
+    sigmas: tuple[float, ...],
+    data_range: float,
+    K: tuple[float, float],
+    alpha: float,
+    compensation: float,
+    reduction: str,
+) -> Tensor:
+    size = 2 * int(2 * sigmas[-1]) + 1
+    c1, c2 = ((k * data_range) ** 2 for k in K)
+    similar = similarity(x, y, size, sigmas[-1], c1, c2, 0.0, "constant", True)
+    for sigma in sigmas[:-1]:
+        similar = similar * similarity(x, y, size, sigma, c1, c2, 0.0, "constant", False)
+    kernel = gaussian(size, sigmas[-1], device=x.device, dtype=x.dtype)
+    difference = filter2d_separable((x - y).abs(), kernel, kernel, "constant")
+    loss = alpha * (1 - similar) + (1 - alpha) / data_range * difference
+    return reduced(compensation * loss.mean(1), reduction)

@@ -1,0 +1,60 @@
+"""What losses have in common: how a map becomes a number, and what a label selects."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+
+def reduced(loss: Tensor, reduction: str) -> Tensor:
+    """The mean or the sum of a loss, or the loss itself."""
+    return loss.mean() if reduction == "mean" else loss.sum() if reduction == "sum" else loss
+
+
+def check_labels(op: str, pred: Tensor, target: Tensor, images: bool = True) -> None:
+    """Raise unless `pred` (B, C, *) are floating-point scores, with `images` (B, C, H, W), and `target` (B, *) their labels."""
+    _check.numbers(op, "pred", pred)
+    _check.floating(op, "pred", pred)
+    _check.numbers(op, "target", target)
+    if pred.dim() != 4 if images else pred.dim() < 2:
+        axes = "(B, C, H, W)" if images else "(B, C, *)"
+        raise ShapeError(f"{op}: expected pred of shape {axes}, got {tuple(pred.shape)}", actual_shape=pred.shape)
+    if pred.shape[1] < 1:
+        raise ShapeError(
+            f"{op}: expected pred with at least one class, got {tuple(pred.shape)}", actual_shape=pred.shape
+        )
+    expected = (pred.shape[0], *pred.shape[2:])
+    if target.shape != expected:
+        raise ShapeError(
+            f"{op}: expected target of shape {tuple(expected)}, got {tuple(target.shape)}", actual_shape=target.shape
+        )
+    if target.dtype != torch.int64:
+        raise TypeCheckError(
+            f"{op}: expected target to hold int64 labels, got {target.dtype}", actual_type=target.dtype
+        )
+    _check.same_device(op, pred=pred, target=target)
+
+
+def check_weight(op: str, name: str, weight: Tensor | None, pred: Tensor) -> None:
+    """Raise unless `weight` is None or a tensor with a number for each class of `pred`."""
+    if weight is not None:
+        _check.shape(op, name, weight, pred.shape[1])
+        _check.same_device(op, pred=pred, **{name: weight})
+
+
+def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """The labels as indices of `classes`, and how much each pixel counts: 1, where ignored 0, NaN for no class at all.
+
+    A label that is none spoils the loss instead of raising: a look at the labels would wait for their device.
+    """
+    index = target.clamp(0, classes - 1)
+    counts = torch.where(index == target, 1.0, torch.nan).to(dtype)
+    return index, counts if ignore_index is None else counts.masked_fill(target == ignore_index, 0)
+
+
+def masked(pred: Tensor, counts: Tensor) -> Tensor:
+    """The scores, 0 for all classes where a pixel is ignored: nothing of it reaches the loss, not even a NaN."""
+    return pred.masked_fill((counts == 0)[:, None], 0)

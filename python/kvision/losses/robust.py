@@ -1,0 +1,201 @@
+"""Losses of differences that care less about large ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.losses.reduction import reduced
+
+
+def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+    """Compute the Charbonnier loss sqrt(d^2 + 1) - 1 of differences d.
+
+    Args:
+        img1: a tensor of any shape.
+        img2: another one of the same shape.
+        reduction: 'none', 'mean' or 'sum'.
+
+    Returns:
+        A number, or for 'none' the loss of every element.
+
+    Raises:
+        TypeCheckError: not two floating-point tensors.
+        ShapeError: different shapes.
+        ValueCheckError: an unknown reduction, which is a NotImplementedError, too.
+        DeviceError: tensors on different devices.
+
+    Source: J. T. Barron, "A general and adaptive robust loss function" (2019), as the other three.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.charbonnier_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor([0.0000, 2.1623])
+    """
+    return _loss("charbonnier_loss", _charbonnier, img1, img2, reduction)
+
+
+def welsch_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+    """Compute the Welsch loss 1 - exp(-d^2 / 2) of differences d.
+
+    Args:
+        img1: a tensor of any shape.
+        img2: another one of the same shape.
+        reduction: 'none', 'mean' or 'sum'.
+
+    Returns:
+        A number, or for 'none' the loss of every element.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`charbonnier_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.welsch_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor([0.0000, 0.9889])
+    """
+    return _loss("welsch_loss", _welsch, img1, img2, reduction)
+
+
+def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+    """Compute the Cauchy loss log(d^2 / 2 + 1) of differences d.
+
+    Args:
+        img1: a tensor of any shape.
+        img2: another one of the same shape.
+        reduction: 'none', 'mean' or 'sum'.
+
+    Returns:
+        A number, or for 'none' the loss of every element.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`charbonnier_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.cauchy_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor([0.0000, 1.7047])
+    """
+    return _loss("cauchy_loss", _cauchy, img1, img2, reduction)
+
+
+def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
+    """Compute the Geman-McClure loss 2 d^2 / (d^2 + 4) of differences d.
+
+    Args:
+        img1: a tensor of any shape.
+        img2: another one of the same shape.
+        reduction: 'none', 'mean' or 'sum'.
+
+    Returns:
+        A number, or for 'none' the loss of every element.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`charbonnier_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.geman_mcclure_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor([0.0000, 1.3846])
+    """
+    return _loss("geman_mcclure_loss", _geman_mcclure, img1, img2, reduction)
+
+
+def _charbonnier(d: Tensor) -> Tensor:
+    return d * (d / (torch.hypot(d, torch.ones_like(d)) + 1))  # sqrt(...) - 1 would lose the small ones
+
+
+def _welsch(d: Tensor) -> Tensor:
+    return -torch.expm1(-(d**2) / 2)
+
+
+def _cauchy(d: Tensor) -> Tensor:
+    return torch.log1p(d**2 / 2)
+
+
+def _geman_mcclure(d: Tensor) -> Tensor:
+    return 2 * (d / torch.hypot(d, torch.full_like(d, 2))) ** 2
+
+
+def _loss(op: str, f: Callable[[Tensor], Tensor], img1: Tensor, img2: Tensor, reduction: str) -> Tensor:
+    for name, x in (("img1", img1), ("img2", img2)):
+        _check.numbers(op, name, x)
+        _check.floating(op, name, x)
+    _check.same_shape(op, img1=img1, img2=img2)
+    _check.same_device(op, img1=img1, img2=img2)
+    _check.reduction(op, reduction)
+    return _of_differences(img1, img2, f, reduction)
+
+
+@as_stored
+def _of_differences(a: Tensor, b: Tensor, f: Callable[[Tensor], Tensor], reduction: str) -> Tensor:
+    return reduced(f(a - b), reduction)
+
+
+class CharbonnierLoss(FunctionModule):
+    """Module form of :func:`charbonnier_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.CharbonnierLoss("mean")(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor(1.0811)
+    """
+
+    def __init__(self, reduction: str = "none") -> None:
+        super().__init__(reduction=reduction)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return charbonnier_loss(img1, img2, self.reduction)
+
+
+class WelschLoss(FunctionModule):
+    """Module form of :func:`welsch_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.WelschLoss("mean")(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor(0.4944)
+    """
+
+    def __init__(self, reduction: str = "none") -> None:
+        super().__init__(reduction=reduction)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return welsch_loss(img1, img2, self.reduction)
+
+
+class CauchyLoss(FunctionModule):
+    """Module form of :func:`cauchy_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.CauchyLoss("mean")(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor(0.8524)
+    """
+
+    def __init__(self, reduction: str = "none") -> None:
+        super().__init__(reduction=reduction)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return cauchy_loss(img1, img2, self.reduction)
+
+
+class GemanMcclureLoss(FunctionModule):
+    """Module form of :func:`geman_mcclure_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.GemanMcclureLoss("mean")(torch.tensor([0.0, 3.0]), torch.zeros(2))
+        tensor(0.6923)
+    """
+
+    def __init__(self, reduction: str = "none") -> None:
+        super().__init__(reduction=reduction)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return geman_mcclure_loss(img1, img2, self.reduction)

@@ -1,0 +1,129 @@
+"""Losses of how much neighbouring pixels differ."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+
+def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
+    """Compute the total variation of every plane: the absolute differences of neighbours along x and along y, added up.
+
+    Args:
+        img: (*, H, W); integers are computed in float32.
+        reduction: 'sum', or 'mean' for the mean difference along x plus that along y.
+
+    Returns:
+        (*), a number for each plane.
+
+    Raises:
+        TypeCheckError: img is no real tensor.
+        ShapeError: img has less than two axes.
+        ValueCheckError: an unknown reduction, which is a NotImplementedError, too.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.total_variation(torch.tensor([[[0.0, 1.0], [0.0, 3.0]]]))
+        tensor([6.])
+    """
+    _check.numbers("total_variation", "img", img)
+    if img.dim() < 2:
+        raise ShapeError(
+            f"total_variation: expected img of shape (*, H, W), got {tuple(img.shape)}", actual_shape=img.shape
+        )
+    _check.reduction("total_variation", reduction, ("sum", "mean"))
+    return _total_variation(floats(img), reduction == "mean")
+
+
+@as_stored
+def _total_variation(x: Tensor, mean: bool) -> Tensor:
+    along_y, along_x = x.diff(dim=-2).abs(), x.diff(dim=-1).abs()
+    if not mean:
+        return along_y.sum((-2, -1)) + along_x.sum((-2, -1))
+    return _mean(along_y) + _mean(along_x)
+
+
+def _mean(x: Tensor) -> Tensor:
+    """The mean of every plane, 0 where it is empty."""
+    return x.sum((-2, -1)) / max(1, x.shape[-2] * x.shape[-1])
+
+
+def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:
+    """Compute how rough an inverse depth map is where the image has no edges.
+
+    It is the mean of abs(dx d) exp(-mean_c abs(dx I)), plus the same along y, with differences of neighbours.
+
+    Args:
+        idepth: inverse depth d (B, 1, H, W).
+        image: image I (B, C, H, W), of the same type.
+
+    Returns:
+        A number.
+
+    Raises:
+        TypeCheckError: not two floating-point tensors of one type.
+        ShapeError: not (B, C, H, W), or different B, H or W.
+        DeviceError: tensors on different devices.
+
+    Source: C. Godard et al., "Unsupervised monocular depth estimation with left-right consistency" (2017).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> d = torch.tensor([[[[0.0, 1.0, 2.0]]]])
+        >>> K.losses.inverse_depth_smoothness_loss(d, torch.tensor([[[[0.0, 0.0, 100.0]]]]))
+        tensor(0.5000)
+    """
+    op = "inverse_depth_smoothness_loss"
+    for name, x in (("idepth", idepth), ("image", image)):
+        _check.shape(op, name, x, "B", "C", "H", "W")
+        _check.floating(op, name, x)
+    if idepth.shape[0] != image.shape[0] or idepth.shape[2:] != image.shape[2:]:
+        raise ShapeError(
+            f"{op}: expected idepth with the B, H, W of image {tuple(image.shape)}, got {tuple(idepth.shape)}",
+            actual_shape=idepth.shape,
+        )
+    if idepth.dtype != image.dtype:
+        raise TypeCheckError(f"{op}: expected idepth and image of one type, got {idepth.dtype} and {image.dtype}")
+    _check.same_device(op, idepth=idepth, image=image)
+    return _smoothness(idepth, image)
+
+
+@as_stored
+def _smoothness(idepth: Tensor, image: Tensor) -> Tensor:
+    def along(axis: int) -> Tensor:
+        edges = image.diff(dim=axis).abs().mean(1, keepdim=True)
+        rough = idepth.diff(dim=axis).abs() * (-edges).exp()
+        return rough.sum() / max(1, rough.numel())
+
+    return along(3) + along(2)
+
+
+class TotalVariation(FunctionModule):
+    """Module form of :func:`total_variation`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.TotalVariation()(torch.ones(2, 3, 4, 4)).shape
+        torch.Size([2, 3])
+    """
+
+    def forward(self, img: Tensor) -> Tensor:
+        return total_variation(img)
+
+
+class InverseDepthSmoothnessLoss(FunctionModule):
+    """Module form of :func:`inverse_depth_smoothness_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.InverseDepthSmoothnessLoss()(torch.ones(1, 1, 4, 4), torch.rand(1, 3, 4, 4))
+        tensor(0.)
+    """
+
+    def forward(self, idepth: Tensor, image: Tensor) -> Tensor:
+        return inverse_depth_smoothness_loss(idepth, image)

@@ -1,0 +1,135 @@
+"""Structural dissimilarity."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.losses.reduction import reduced
+from kvision.metrics.ssim import ssim3d_map, ssim_map
+
+
+@as_stored
+def _dissimilarity(similarity: Tensor, reduction: str) -> Tensor:
+    return reduced(((1 - similarity) / 2).clamp(0, 1), reduction)
+
+
+def ssim_loss(
+    img1: Tensor,
+    img2: Tensor,
+    window_size: int,
+    max_val: float = 1.0,
+    eps: float = 1e-12,
+    reduction: str = "mean",
+    padding: str = "same",
+) -> Tensor:
+    """Compute the structural dissimilarity (1 - ssim) / 2; see :func:`kvision.metrics.ssim`.
+
+    Args:
+        img1: image (B, C, H, W); integers are computed in float32.
+        img2: image of the same shape; the gradient goes to both.
+        window_size: size of the window, odd.
+        max_val: largest value that there can be.
+        eps: added to both sides of the similarity's fraction.
+        reduction: 'none', 'mean' or 'sum'.
+        padding: 'same' or 'valid'.
+
+    Returns:
+        A number from 0 to 1, or for 'none' a map as that of the similarity.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`kvision.metrics.ssim`; an unknown reduction
+            is a NotImplementedError, too.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(1, 1, 8, 8)
+        >>> K.losses.ssim_loss(x, x, 5)
+        tensor(0.)
+    """
+    _check.reduction("ssim_loss", reduction)
+    return _dissimilarity(ssim_map("ssim_loss", img1, img2, window_size, max_val, eps, padding), reduction)
+
+
+def ssim3d_loss(
+    img1: Tensor,
+    img2: Tensor,
+    window_size: int,
+    max_val: float = 1.0,
+    eps: float = 1e-12,
+    reduction: str = "mean",
+    padding: str = "same",
+) -> Tensor:
+    """Compute the structural dissimilarity (1 - ssim) / 2 of volumes; see :func:`kvision.metrics.ssim3d`.
+
+    Args:
+        img1: volume (B, C, D, H, W); integers are computed in float32.
+        img2: volume of the same shape.
+        window_size: size of the window, odd.
+        max_val: largest value that there can be.
+        eps: added to both sides of the similarity's fraction.
+        reduction: 'none', 'mean' or 'sum'.
+        padding: 'same' or 'valid'.
+
+    Returns:
+        A number from 0 to 1, or for 'none' a map as that of the similarity.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`ssim_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(1, 1, 6, 7, 8)
+        >>> K.losses.ssim3d_loss(x, x, 5)
+        tensor(0.)
+    """
+    _check.reduction("ssim3d_loss", reduction)
+    return _dissimilarity(ssim3d_map("ssim3d_loss", img1, img2, window_size, max_val, eps, padding), reduction)
+
+
+class SSIMLoss(FunctionModule):
+    """Module form of :func:`ssim_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.SSIMLoss(5)(torch.ones(1, 3, 8, 8), torch.ones(1, 3, 8, 8))
+        tensor(0.)
+    """
+
+    def __init__(
+        self,
+        window_size: int,
+        max_val: float = 1.0,
+        eps: float = 1e-12,
+        reduction: str = "mean",
+        padding: str = "same",
+    ) -> None:
+        super().__init__(window_size=window_size, max_val=max_val, eps=eps, reduction=reduction, padding=padding)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return ssim_loss(img1, img2, self.window_size, self.max_val, self.eps, self.reduction, self.padding)
+
+
+class SSIM3DLoss(FunctionModule):
+    """Module form of :func:`ssim3d_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.SSIM3DLoss(3)(torch.ones(1, 1, 4, 5, 6), torch.ones(1, 1, 4, 5, 6))
+        tensor(0.)
+    """
+
+    def __init__(
+        self,
+        window_size: int,
+        max_val: float = 1.0,
+        eps: float = 1e-12,
+        reduction: str = "mean",
+        padding: str = "same",
+    ) -> None:
+        super().__init__(window_size=window_size, max_val=max_val, eps=eps, reduction=reduction, padding=padding)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return ssim3d_loss(img1, img2, self.window_size, self.max_val, self.eps, self.reduction, self.padding)

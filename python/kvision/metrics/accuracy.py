@@ -1,0 +1,46 @@
+"""How often the right class is among the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+
+
+def accuracy(pred: Tensor, target: Tensor, topk: Sequence[int] = (1,)) -> list[Tensor]:
+    """Compute how many per cent of the samples have their class among the k best, for every k.
+
+    Args:
+        pred: scores (B, C).
+        target: classes, B of them.
+        topk: the ks, each at least 1; more than C count as C.
+
+    Returns:
+        For each k a tensor with one number.
+
+    Raises:
+        TypeCheckError: not two tensors.
+        ShapeError: other shapes.
+        ValueCheckError: a k below 1.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.metrics.accuracy(torch.tensor([[0.1, 0.9], [0.8, 0.2]]), torch.tensor([1, 1]))
+        [tensor(50.)]
+    """
+    _check.shape("accuracy", "pred", pred, "B", "C")
+    _check.numbers("accuracy", "target", target)
+    if target.numel() != pred.shape[0]:
+        raise ShapeError(
+            f"accuracy: expected target with {pred.shape[0]} classes, got {tuple(target.shape)}",
+            actual_shape=target.shape,
+        )
+    _check.same_device("accuracy", pred=pred, target=target)
+    ks = [_check.ints("accuracy", "topk", k, 1)[0] for k in topk]
+    best = pred.topk(min(max(ks), pred.shape[1]), 1).indices
+    hits = best == target.reshape(-1, 1)
+    return [hits[:, :k].sum().float() * 100 / pred.shape[0] for k in ks]

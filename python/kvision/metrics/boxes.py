@@ -1,0 +1,161 @@
+"""Overlap of boxes, and how well detections find them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+from kvision.core.exceptions import ValueCheckError
+
+
+def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") -> Tensor:
+    """Compute the intersection over union of every box of one set with every box of another.
+
+    Args:
+        boxes_1: (N, 4); integers are computed in float32.
+        boxes_2: (M, 4).
+        box_format: 'xyxy' for two corners, 'xywh' for the first corner and the size, 'cxcywh' for centre and size.
+
+    Returns:
+        (N, M), from 0 to 1; NaN for a box whose width or height is not positive, as boxes are not read on the host.
+
+    Raises:
+        TypeCheckError: not two real tensors.
+        ShapeError: other shapes.
+        ValueCheckError: an unknown box_format.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.metrics.mean_iou_bbox(torch.tensor([[0.0, 0.0, 2.0, 2.0]]), torch.tensor([[1.0, 1.0, 2.0, 2.0]]))
+        tensor([[0.2500]])
+    """
+    _check.shape("mean_iou_bbox", "boxes_1", boxes_1, "N", 4)
+    _check.shape("mean_iou_bbox", "boxes_2", boxes_2, "M", 4)
+    _check.same_device("mean_iou_bbox", boxes_1=boxes_1, boxes_2=boxes_2)
+    _check.choice("mean_iou_bbox", "box_format", box_format, ("xyxy", "xywh", "cxcywh"))
+    a, b = floats(boxes_1), floats(boxes_2)
+    dtype = torch.promote_types(a.dtype, b.dtype)
+    return _iou(a.to(dtype), b.to(dtype), box_format)
+
+
+@as_stored
+def _iou(a: Tensor, b: Tensor, box_format: str) -> Tensor:
+    (low_a, high_a), (low_b, high_b) = _corners(a, box_format), _corners(b, box_format)
+    both = _area(torch.minimum(high_a[:, None], high_b) - torch.maximum(low_a[:, None], low_b), 0)
+    return both / (_area(high_a - low_a)[:, None] + _area(high_b - low_b) - both)
+
+
+def _corners(boxes: Tensor, box_format: str) -> tuple[Tensor, Tensor]:
+    first, second = boxes.split(2, 1)
+    if box_format == "xywh":
+        return first, first + second
+    return (first - second / 2, first + second / 2) if box_format == "cxcywh" else (first, second)
+
+
+def _area(size: Tensor, otherwise: float = torch.nan) -> Tensor:
+    return torch.where((size > 0).all(-1), size.prod(-1), otherwise)
+
+
+def mean_average_precision(
+    pred_boxes: Sequence[Tensor],
+    pred_labels: Sequence[Tensor],
+    pred_scores: Sequence[Tensor],
+    gt_boxes: Sequence[Tensor],
+    gt_labels: Sequence[Tensor],
+    n_classes: int,
+    threshold: float = 0.5,
+) -> tuple[Tensor, dict[int, float]]:
+    """Compute the average precision of detections for every class, as Pascal VOC 2007 does, and its mean.
+
+    From the best score on, a detection is right when the true box of its class and image that overlaps it most does so by
+    more than the threshold, and no earlier detection had that box. The average is over the recalls 0, 0.1, ..., 1.
+
+    Args:
+        pred_boxes: for each image the detected boxes (N, 4) as two corners.
+        pred_labels: their classes (N,); 0 is the background, which does not count.
+        pred_scores: their scores (N,).
+        gt_boxes: for each image the true boxes (M, 4).
+        gt_labels: their classes (M,).
+        n_classes: how many classes there are, with the background.
+        threshold: the overlap that a right detection exceeds.
+
+    Returns:
+        The mean over the classes that have a true box, -1 where none has one, and the average precision of each class
+        from 1 on, -1 for those without a true box. The dict waits for the device.
+
+    Raises:
+        TypeCheckError: other kinds of arguments.
+        ShapeError: boxes, labels and scores that do not fit together.
+        ValueCheckError: lists of different lengths or without images; a label outside [0, n_classes).
+
+    Source: M. Everingham et al., "The Pascal visual object classes challenge" (2010).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> boxes, labels = [torch.tensor([[0.0, 0.0, 9.0, 9.0]])], [torch.tensor([1])]
+        >>> K.metrics.mean_average_precision(boxes, labels, [torch.tensor([0.7])], boxes, labels, 2)
+        (tensor(1.), {1: 1.0})
+    """
+    op = "mean_average_precision"
+    lists = {"pred_boxes": pred_boxes, "pred_labels": pred_labels, "pred_scores": pred_scores}
+    lists |= {"gt_boxes": gt_boxes, "gt_labels": gt_labels}
+    if len(pred_boxes) == 0 or len({len(values) for values in lists.values()}) != 1:
+        got = ", ".join(f"{name} of {len(values)}" for name, values in lists.items())
+        raise ValueCheckError(f"{op}: expected an entry of every list for each image, got {got}")
+    for detected, labels, scores, true, true_labels in zip(*lists.values()):
+        _check.shape(op, "pred_boxes", detected, "N", 4)
+        _check.shape(op, "gt_boxes", true, "M", 4)
+        for name, values, boxes in (("pred_labels", labels, detected), ("pred_scores", scores, detected)):
+            _check.shape(op, name, values, boxes.shape[0])
+        _check.shape(op, "gt_labels", true_labels, true.shape[0])
+    (n_classes,) = _check.ints(op, "n_classes", n_classes, 1, 2)
+    threshold = _check.number(op, "threshold", threshold)
+
+    image, true_image = _images(pred_boxes), _images(gt_boxes)
+    label, true_label = torch.cat(list(pred_labels)), torch.cat(list(gt_labels))
+    if bool(((torch.cat([label, true_label]) < 0) | (torch.cat([label, true_label]) >= n_classes)).any()):
+        raise ValueCheckError(f"{op}: expected labels in [0, {n_classes})")
+    order = torch.cat(list(pred_scores)).argsort(descending=True, stable=True)
+    detected, label, image = floats(torch.cat(list(pred_boxes)))[order], label[order], image[order]
+    right = _right(
+        detected,
+        floats(torch.cat(list(gt_boxes))),
+        (label[:, None] == true_label) & (image[:, None] == true_image),
+        threshold,
+    )
+    precisions = torch.stack([_average(right, label == c, (true_label == c).sum()) for c in range(1, n_classes)])
+    there = precisions >= 0
+    mean = torch.where(there.any(), precisions.where(there, 0).sum() / there.sum().clamp_min(1), -1)
+    return mean, dict(enumerate(precisions.tolist(), 1))
+
+
+def _images(boxes: Sequence[Tensor]) -> Tensor:
+    return torch.cat([torch.full((len(b),), i, device=b.device) for i, b in enumerate(boxes)])
+
+
+def _right(detected: Tensor, true: Tensor, possible: Tensor, threshold: float) -> Tensor:
+    """Which detections, from the best one on, are the first of a true box that they overlap."""
+    if true.shape[0] == 0:
+        return torch.zeros_like(detected[:, 0])
+    overlap, box = mean_iou_bbox(detected, true).where(possible, -1).max(1)
+    found = overlap > threshold
+    rank = torch.arange(len(detected), device=detected.device)
+    none = torch.full_like(true[:, 0], len(detected), dtype=rank.dtype)
+    first = none.scatter_reduce(0, box, torch.where(found, rank, len(detected)), "amin")
+    return (found & (first[box] == rank)).to(detected.dtype)
+
+
+def _average(right: Tensor, mine: Tensor, count: Tensor) -> Tensor:
+    """The mean over eleven recalls of the best precision with at least that recall; -1 without a true box."""
+    hits = (right * mine).cumsum(0)
+    precision = torch.where(mine, hits / mine.cumsum(0).clamp_min(1), 0)
+    recalls = torch.arange(11, device=right.device, dtype=right.dtype)[:, None] / 10
+    reached = torch.where(hits / count.clamp_min(1) >= recalls, precision, 0)
+    best = reached.amax(1) if len(right) else recalls[:, 0] * 0
+    return torch.where(count > 0, best.mean(), -1)

@@ -1,0 +1,81 @@
+"""Which labels are taken for which, and the overlap of classes that follows from it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+
+def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized: bool = False) -> Tensor:
+    """Count for every pair of classes the pixels of the one that are taken for the other.
+
+    Args:
+        pred: labels (B, *) in [0, num_classes), integers. A pixel with another label, in pred or target, is not counted:
+            labels are not read on the host.
+        target: true labels in the same shape.
+        num_classes: at least 2.
+        normalized: divide each row by its sum.
+
+    Returns:
+        (B, num_classes, num_classes) of float32, rows for the classes of target and columns for those of pred.
+
+    Raises:
+        TypeCheckError: not two tensors of integers.
+        ShapeError: different shapes, or no batch.
+        ValueCheckError: num_classes below 2.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.metrics.confusion_matrix(torch.tensor([[0, 1, 1]]), torch.tensor([[0, 0, 1]]), 2)
+        tensor([[[1., 1.],
+                 [0., 1.]]])
+    """
+    counts = _counts("confusion_matrix", pred, target, num_classes)
+    return counts / (counts.sum(2, keepdim=True) + 1e-6) if normalized else counts
+
+
+def mean_iou(pred: Tensor, target: Tensor, num_classes: int, eps: float = 1e-6) -> Tensor:
+    """Compute the intersection over union of every class in every sample.
+
+    Args:
+        pred: labels (B, *) in [0, num_classes), integers; see :func:`confusion_matrix` for others.
+        target: true labels in the same shape.
+        num_classes: at least 2.
+        eps: added to both sides of the fraction, so that a class that nobody has gets 1.
+
+    Returns:
+        (B, num_classes).
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`confusion_matrix`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.metrics.mean_iou(torch.tensor([[0, 1, 1]]), torch.tensor([[0, 0, 1]]), 2)
+        tensor([[0.5000, 0.5000]])
+    """
+    counts = _counts("mean_iou", pred, target, num_classes)
+    eps = _check.number("mean_iou", "eps", eps, minimum=0)
+    both = counts.diagonal(dim1=1, dim2=2)
+    return (both + eps) / (counts.sum(1) + counts.sum(2) - both + eps)
+
+
+def _counts(op: str, pred: Tensor, target: Tensor, num_classes: int) -> Tensor:
+    for name, x in (("pred", pred), ("target", target)):
+        _check.numbers(op, name, x)
+        if x.is_floating_point() or x.dtype == torch.bool:
+            raise TypeCheckError(f"{op}: expected {name} to hold integer labels, got {x.dtype}", actual_type=x.dtype)
+    if pred.dim() == 0:
+        raise ShapeError(f"{op}: expected pred of shape (B, *), got ()", actual_shape=pred.shape)
+    _check.same_shape(op, pred=pred, target=target)
+    _check.same_device(op, pred=pred, target=target)
+    (n,) = _check.ints(op, "num_classes", num_classes, 1, 2)
+    pred, target = (x.reshape(x.shape[0], -1 if x.numel() else 0).long() for x in (pred, target))
+    counted = (pred >= 0) & (pred < n) & (target >= 0) & (target < n)
+    cells = torch.where(counted, target * n + pred, n * n)  # the last one is thrown away
+    counts = torch.zeros(pred.shape[0], n * n + 1, dtype=torch.int64, device=pred.device)
+    return counts.scatter_add(1, cells, torch.ones_like(cells))[:, :-1].reshape(-1, n, n).float()

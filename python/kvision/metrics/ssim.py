@@ -1,0 +1,199 @@
+"""Structural similarity.
+
+With the Gaussian means of a window, E, the two factors of the similarity are written so that neither exceeds 1, whatever
+is rounded, and equal images have exactly 1:
+
+    luminance   1 - (E x - E y)^2 / (E x^2 + E y^2 + c1), the squares being those of the means
+    structure   1 - var(x - y) / (var x + var y + c2)
+
+That takes four means, of x, y, x^2 + y^2 and (x - y)^2, where the textbook's form takes five.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._modules import FunctionModule
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError
+from kvision.filters.kernels import gaussian
+from kvision.filters.separable import filter2d_separable
+
+SIGMA = 1.5  # of the window, in pixels
+
+
+def _similarity(
+    mean: Callable[[Tensor], Tensor], x: Tensor, y: Tensor, c1: float, c2: float, eps: float, luminance: bool
+) -> Tensor:
+    mx, my = mean(x), mean(y)
+    squares, apart = mx**2 + my**2, (mx - my) ** 2
+    variance = (mean(x**2 + y**2) - squares).clamp_min(0) + c2
+    different = (mean((x - y) ** 2) - apart).clamp_min(0)
+    if not luminance:
+        return (variance - different + eps) / (variance + eps)
+    squares = squares + c1
+    return ((squares - apart) * (variance - different) + eps) / (squares * variance + eps)
+
+
+@as_stored
+def similarity(
+    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
+) -> Tensor:
+    """The similarity of images (B, C, H, W); of its structure alone without `luminance`. Border 'valid': none."""
+    kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
+    rule, padding = ("reflect", "valid") if border == "valid" else (border, "same")
+    return _similarity(
+        lambda z: filter2d_separable(z, kernel, kernel, rule, padding=padding), x, y, c1, c2, eps, luminance
+    )
+
+
+def ssim(
+    img1: Tensor, img2: Tensor, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same"
+) -> Tensor:
+    """Compute the structural similarity of two images around every pixel.
+
+    The window is a Gaussian of 1.5 pixels, the constants are (0.01 max_val)^2 and (0.03 max_val)^2, variances are those of
+    the population.
+
+    Args:
+        img1: image (B, C, H, W); integers are computed in float32.
+        img2: image of the same shape.
+        window_size: size of the window, odd.
+        max_val: largest value that there can be.
+        eps: added to both sides of the fraction, so that it is 1 for equal images of any brightness.
+        padding: 'same' reflects the images at their border; 'valid' leaves out pixels whose window passes it.
+
+    Returns:
+        (B, C, H, W), for 'valid' window_size - 1 pixels less along both axes; from -1 to 1, which equal images have.
+
+    Raises:
+        TypeCheckError: not two real tensors.
+        ShapeError: not (B, C, H, W), different shapes, images too small for the window.
+        ValueCheckError: an even window_size, a negative eps, an unknown padding.
+        DeviceError: tensors on different devices.
+
+    Source: Z. Wang et al., "Image quality assessment: from error visibility to structural similarity" (2004).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(1, 1, 8, 8)
+        >>> K.metrics.ssim(x, x, 5).min()
+        tensor(1.)
+    """
+    return ssim_map("ssim", img1, img2, window_size, max_val, eps, padding)
+
+
+def ssim_map(op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: str) -> Tensor:
+    _check.images(op, "img1", img1)
+    arguments = _arguments(op, img1, img2, window_size, max_val, eps, padding)
+    return similarity(floats(img1), floats(img2), window_size, SIGMA, *arguments, True)
+
+
+def ssim3d(
+    img1: Tensor, img2: Tensor, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same"
+) -> Tensor:
+    """Compute the structural similarity of two volumes around every voxel; see :func:`ssim`.
+
+    Args:
+        img1: volume (B, C, D, H, W); integers are computed in float32.
+        img2: volume of the same shape.
+        window_size: size of the window, odd.
+        max_val: largest value that there can be.
+        eps: added to both sides of the fraction.
+        padding: 'same' or 'valid'.
+
+    Returns:
+        (B, C, D, H, W), for 'valid' window_size - 1 voxels less along each axis.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`ssim`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.metrics.ssim3d(torch.rand(1, 1, 6, 7, 8), torch.rand(1, 1, 6, 7, 8), 5, padding="valid").shape
+        torch.Size([1, 1, 2, 3, 4])
+    """
+    return ssim3d_map("ssim3d", img1, img2, window_size, max_val, eps, padding)
+
+
+def ssim3d_map(
+    op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: str
+) -> Tensor:
+    _check.volumes(op, "img1", img1)
+    arguments = _arguments(op, img1, img2, window_size, max_val, eps, padding)
+    return _similarity_of_volumes(floats(img1), floats(img2), window_size, *arguments)
+
+
+@as_stored
+def _similarity_of_volumes(x: Tensor, y: Tensor, size: int, c1: float, c2: float, eps: float, border: str) -> Tensor:
+    kernel = gaussian(size, SIGMA, device=x.device, dtype=x.dtype)
+    one = torch.ones_like(kernel[:, :1])
+    padding = "valid" if border == "valid" else "same"
+
+    def mean(z: Tensor) -> Tensor:
+        b, c, d, h, w = z.shape
+        z = filter2d_separable(z.flatten(1, 2), kernel, kernel, "reflect", padding=padding)
+        h, w = z.shape[2:]
+        z = z.reshape(b, c, d, h * w)  # slices as rows, which leaves the axis across them to the column
+        return filter2d_separable(z, one, kernel, "reflect", padding=padding).unflatten(3, (h, w))
+
+    return _similarity(mean, x, y, c1, c2, eps, True)
+
+
+def _arguments(
+    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
+) -> tuple[float, float, float, str]:
+    """c1, c2, eps and the border."""
+    _check.numbers(op, "img2", img2)
+    _check.same_shape(op, img1=img1, img2=img2)
+    _check.same_device(op, img1=img1, img2=img2)
+    _check.odd(op, "window_size", _check.ints(op, "window_size", size, 1))
+    max_val = _check.number(op, "max_val", max_val)
+    eps = _check.number(op, "eps", eps, minimum=0)
+    _check.choice(op, "padding", padding, ("same", "valid"))
+    axes = img1.shape[2:]
+    if padding == "same":
+        _check.reflectable(op, img1, (size // 2,) * len(axes), "reflect")
+    elif min(axes) < size:
+        raise ShapeError(
+            f"{op}: expected images no smaller than the window of {size}, got {tuple(img1.shape)}",
+            actual_shape=img1.shape,
+        )
+    return (0.01 * max_val) ** 2, (0.03 * max_val) ** 2, eps, "valid" if padding == "valid" else "reflect"
+
+
+class SSIM(FunctionModule):
+    """Module form of :func:`ssim`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.metrics.SSIM(5)(torch.rand(1, 3, 8, 8), torch.rand(1, 3, 8, 8)).shape
+        torch.Size([1, 3, 8, 8])
+    """
+
+    def __init__(self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same") -> None:
+        super().__init__(window_size=window_size, max_val=max_val, eps=eps, padding=padding)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return ssim(img1, img2, self.window_size, self.max_val, self.eps, self.padding)
+
+
+class SSIM3D(FunctionModule):
+    """Module form of :func:`ssim3d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.metrics.SSIM3D(3)(torch.rand(1, 1, 4, 5, 6), torch.rand(1, 1, 4, 5, 6)).shape
+        torch.Size([1, 1, 4, 5, 6])
+    """
+
+    def __init__(self, window_size: int, max_val: float = 1.0, eps: float = 1e-12, padding: str = "same") -> None:
+        super().__init__(window_size=window_size, max_val=max_val, eps=eps, padding=padding)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return ssim3d(img1, img2, self.window_size, self.max_val, self.eps, self.padding)

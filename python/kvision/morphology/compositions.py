@@ -1,0 +1,209 @@
+"""What dilations and erosions make together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from kvision.morphology.dilation import checked, dilated, eroded
+
+
+def opening(
+    tensor: Tensor,
+    kernel: Tensor,
+    structuring_element: Tensor | None = None,
+    origin: Sequence[int] | None = None,
+    border_type: str = "geodesic",
+    border_value: float = 0.0,
+    max_val: float = 1e4,
+    engine: str = "auto",
+) -> Tensor:
+    """Erode, then dilate: what is smaller than the structuring element goes, the rest keeps its size.
+
+    Args:
+        tensor: images (B, C, H, W), floating point.
+        kernel: the element's members are where this (kH, kW) is not 0.
+        structuring_element: its heights (kH, kW), None for a flat element.
+        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        border_type: 'geodesic' or 'constant'.
+        border_value: what lies beyond the image for 'constant'.
+        max_val: for compatibility, without effect.
+        engine: for compatibility; the result is the same.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`dilation`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 5., 0., 5., 5., 5., 0.]]]])
+        >>> K.morphology.opening(x, torch.ones(1, 3))
+        tensor([[[[0., 0., 0., 5., 5., 5., 0.]]]])
+    """
+    element = checked(
+        "opening", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
+    )
+    return dilated(eroded(tensor, *element), *element)
+
+
+def closing(
+    tensor: Tensor,
+    kernel: Tensor,
+    structuring_element: Tensor | None = None,
+    origin: Sequence[int] | None = None,
+    border_type: str = "geodesic",
+    border_value: float = 0.0,
+    max_val: float = 1e4,
+    engine: str = "auto",
+) -> Tensor:
+    """Dilate, then erode: gaps that are smaller than the structuring element are filled.
+
+    Args:
+        tensor: images (B, C, H, W), floating point.
+        kernel: the element's members are where this (kH, kW) is not 0.
+        structuring_element: its heights (kH, kW), None for a flat element.
+        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        border_type: 'geodesic' or 'constant'.
+        border_value: what lies beyond the image for 'constant'.
+        max_val: for compatibility, without effect.
+        engine: for compatibility; the result is the same.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`dilation`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[5., 5., 0., 5., 5.]]]])
+        >>> K.morphology.closing(x, torch.ones(1, 3))
+        tensor([[[[5., 5., 5., 5., 5.]]]])
+    """
+    element = checked(
+        "closing", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
+    )
+    return eroded(dilated(tensor, *element), *element)
+
+
+def gradient(
+    tensor: Tensor,
+    kernel: Tensor,
+    structuring_element: Tensor | None = None,
+    origin: Sequence[int] | None = None,
+    border_type: str = "geodesic",
+    border_value: float = 0.0,
+    max_val: float = 1e4,
+    engine: str = "auto",
+) -> Tensor:
+    """Subtract the erosion from the dilation: the height of edges.
+
+    Args:
+        tensor: images (B, C, H, W), floating point.
+        kernel: the element's members are where this (kH, kW) is not 0.
+        structuring_element: its heights (kH, kW), None for a flat element.
+        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        border_type: 'geodesic' or 'constant'.
+        border_value: what lies beyond the image for 'constant'.
+        max_val: for compatibility, without effect.
+        engine: for compatibility; the result is the same.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`dilation`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 0., 5., 5., 5.]]]])
+        >>> K.morphology.gradient(x, torch.ones(1, 3))
+        tensor([[[[0., 5., 5., 0., 0.]]]])
+    """
+    element = checked(
+        "gradient", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
+    )
+    return dilated(tensor, *element) - eroded(tensor, *element)
+
+
+def top_hat(
+    tensor: Tensor,
+    kernel: Tensor,
+    structuring_element: Tensor | None = None,
+    origin: Sequence[int] | None = None,
+    border_type: str = "geodesic",
+    border_value: float = 0.0,
+    max_val: float = 1e4,
+    engine: str = "auto",
+) -> Tensor:
+    """Subtract the opening from the image: what is bright and smaller than the structuring element.
+
+    Args:
+        tensor: images (B, C, H, W), floating point.
+        kernel: the element's members are where this (kH, kW) is not 0.
+        structuring_element: its heights (kH, kW), None for a flat element.
+        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        border_type: 'geodesic' or 'constant'.
+        border_value: what lies beyond the image for 'constant'.
+        max_val: for compatibility, without effect.
+        engine: for compatibility; the result is the same.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`dilation`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 5., 0., 5., 5., 5., 0.]]]])
+        >>> K.morphology.top_hat(x, torch.ones(1, 3))
+        tensor([[[[0., 5., 0., 0., 0., 0., 0.]]]])
+    """
+    element = checked(
+        "top_hat", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
+    )
+    return tensor - dilated(eroded(tensor, *element), *element)
+
+
+def bottom_hat(
+    tensor: Tensor,
+    kernel: Tensor,
+    structuring_element: Tensor | None = None,
+    origin: Sequence[int] | None = None,
+    border_type: str = "geodesic",
+    border_value: float = 0.0,
+    max_val: float = 1e4,
+    engine: str = "auto",
+) -> Tensor:
+    """Subtract the image from the closing: what is dark and smaller than the structuring element.
+
+    Args:
+        tensor: images (B, C, H, W), floating point.
+        kernel: the element's members are where this (kH, kW) is not 0.
+        structuring_element: its heights (kH, kW), None for a flat element.
+        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        border_type: 'geodesic' or 'constant'.
+        border_value: what lies beyond the image for 'constant'.
+        max_val: for compatibility, without effect.
+        engine: for compatibility; the result is the same.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`dilation`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[5., 5., 0., 5., 5.]]]])
+        >>> K.morphology.bottom_hat(x, torch.ones(1, 3))
+        tensor([[[[0., 0., 5., 0., 0.]]]])
+    """
+    element = checked(
+        "bottom_hat", tensor, kernel, structuring_element, origin, border_type, border_value, max_val, engine
+    )
+    return eroded(dilated(tensor, *element), *element) - tensor

@@ -1,0 +1,90 @@
+"""Morphological reconstruction."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ValueCheckError
+from kvision.morphology.dilation import dilated
+
+
+def reconstruction(
+    seed: Tensor,
+    mask: Tensor,
+    kernel: Tensor | None = None,
+    method: str = "dilation",
+    num_iters: int | None = None,
+    check_every: int = 4,
+    engine: str = "auto",
+) -> Tensor:
+    """Let a seed grow under a mask: dilate it and take the smaller one of both, again and again.
+
+    Args:
+        seed: images (B, C, H, W), floating point; where they exceed the mask they are cut to it first.
+        mask: images in the same shape.
+        kernel: members of the flat structuring element, of odd size and with its centre; None for 3 x 3.
+        method: 'dilation', or 'erosion' for a seed that shrinks above the mask.
+        num_iters: how often; None for as often as something changes, which waits for the device.
+        check_every: how many steps there are from one look at that to the next.
+        engine: for compatibility, 'auto', 'unfold' or 'shift'; the result is the same.
+
+    Returns:
+        (B, C, H, W).
+
+    Raises:
+        TypeCheckError: not two floating-point tensors.
+        ShapeError: not (B, C, H, W), or different shapes; kernel of other than two axes.
+        ValueCheckError: an even kernel; an unknown method or engine; num_iters or check_every too small.
+        DeviceError: tensors on different devices.
+
+    Source: L. Vincent, "Morphological grayscale reconstruction in image analysis" (1993).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> mask = torch.tensor([[[[5., 3., 4., 0., 9.]]]])
+        >>> K.morphology.reconstruction(torch.tensor([[[[5., 0., 0., 0., 0.]]]]), mask)
+        tensor([[[[5., 3., 3., 0., 0.]]]])
+    """
+    op = "reconstruction"
+    for name, x in (("seed", seed), ("mask", mask)):
+        _check.images(op, name, x)
+        _check.floating(op, name, x)
+    _check.same_shape(op, seed=seed, mask=mask)
+    _check.same_device(op, seed=seed, mask=mask)
+    if kernel is None:
+        kernel = torch.ones(3, 3, dtype=torch.bool, device=seed.device)
+    _check.shape(op, "kernel", kernel, "kH", "kW")
+    _check.odd(op, "kernel", kernel.shape)
+    _check.same_device(op, seed=seed, kernel=kernel)
+    _check.choice(op, "method", method, ("dilation", "erosion"))
+    if engine not in ("auto", "unfold", "shift"):
+        raise ValueCheckError(f"{op}: engine must be one of auto, unfold, shift; got {engine!r}", actual_value=engine)
+    if num_iters is not None:
+        _check.ints(op, "num_iters", num_iters, 1, 0)
+    _check.ints(op, "check_every", check_every, 1)
+    origin = (kernel.shape[0] // 2, kernel.shape[1] // 2)
+    dtype = torch.float64 if seed.dtype == torch.float64 else torch.float32
+    offsets = torch.where(kernel != 0, torch.zeros((), dtype=dtype, device=seed.device), -torch.inf)
+    if method == "erosion":
+        return -_grown(-seed, -mask, offsets, origin, num_iters, check_every)
+    return _grown(seed, mask, offsets, origin, num_iters, check_every)
+
+
+def _grown(
+    seed: Tensor, mask: Tensor, offsets: Tensor, origin: tuple[int, int], steps: int | None, check_every: int
+) -> Tensor:
+    y = torch.minimum(seed, mask)
+
+    def after(y: Tensor, steps: int) -> Tensor:
+        for _ in range(steps):
+            y = torch.minimum(torch.maximum(y, dilated(y, offsets, origin, None)), mask)
+        return y
+
+    if steps is not None:
+        return after(y, steps)
+    while True:
+        previous, y = y, after(y, check_every)
+        if not (y > previous).any():
+            return y

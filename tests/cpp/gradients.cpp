@@ -137,7 +137,7 @@ int main() {
   Tensor const luma = kvision::rgb_to_ycbcr(colors).slice(1, 0, 1);
   if (!torch::allclose(kvision::rgb_to_grayscale(colors), luma) && ++failures) std::cout << "grey is not luma\n";
   auto const contrast = [](auto const& t) {  // and gamma
-    kvision::ColorProgram const program{{20, 23}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};
+    kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};
     return std::get<0>(kvision::color_program_around_mean(t[0], program));
   };
   check("color_program_around_mean", contrast, {colors, 0.7 + 0.5 * torch::rand({2, 1, 1}), torch::ones({1, 1, 1})}, false);

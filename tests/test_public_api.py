@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
@@ -47,7 +48,8 @@ def is_ours(value: Any) -> bool:
 def arguments(function: Any) -> str:
     signature = inspect.signature(function)
     plain = [p.replace(annotation=p.empty) for p in signature.parameters.values() if p.name != "self"]
-    return str(signature.replace(parameters=plain, return_annotation=signature.empty))
+    text = str(signature.replace(parameters=plain, return_annotation=signature.empty))
+    return re.sub(r"<(?:function|class) '?([\w.]+)'?[^>]*>", r"\1", text)  # defaults by their names, not their addresses
 
 
 def lines(name: str, value: Any) -> Iterator[str]:

@@ -130,7 +130,6 @@ int matrix_gradient(MatrixGradient<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE(sample_slopes, SampleSlopes)
-KV_INSTANTIATE_ONE(matrix_gradient, MatrixGradient, float)
-KV_INSTANTIATE_ONE(matrix_gradient, MatrixGradient, double)
+KV_INSTANTIATE_COMPUTED(matrix_gradient, MatrixGradient)
 
 }  // namespace kv::cuda

@@ -139,7 +139,6 @@ void matrix_gradient(MatrixGradient<T> const& p, int64_t begin, int64_t end) {
 }
 
 KV_INSTANTIATE(sample_slopes, SampleSlopes)
-KV_INSTANTIATE_ONE(matrix_gradient, MatrixGradient, float)
-KV_INSTANTIATE_ONE(matrix_gradient, MatrixGradient, double)
+KV_INSTANTIATE_COMPUTED(matrix_gradient, MatrixGradient)
 
 }  // namespace kv::KV_ISA

@@ -152,7 +152,6 @@ int sample_transpose(SampleTranspose<F> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_ONE(sample_transpose, SampleTranspose, float)
-KV_INSTANTIATE_ONE(sample_transpose, SampleTranspose, double)
+KV_INSTANTIATE_COMPUTED(sample_transpose, SampleTranspose)
 
 }  // namespace kv::cuda

@@ -70,7 +70,6 @@ void sample_transpose(SampleTranspose<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-KV_INSTANTIATE_ONE(sample_transpose, SampleTranspose, float)
-KV_INSTANTIATE_ONE(sample_transpose, SampleTranspose, double)
+KV_INSTANTIATE_COMPUTED(sample_transpose, SampleTranspose)
 
 }  // namespace kv::KV_ISA

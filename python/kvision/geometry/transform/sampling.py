@@ -16,6 +16,8 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._ops import register
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform import matrices
 
 INTERPOLATIONS = ("bilinear", "nearest", "bicubic")
 PADDINGS = ("zeros", "border", "reflection", "fill")
@@ -103,16 +105,11 @@ def _places(
     matrix: Tensor, output: Sequence[int], source: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
 ) -> list[Tensor]:
     """Where the pixels of the output lie in the source: x and y, (B, h, w)."""
-    wide = matrix if matrix.device.type == "mps" else matrix.double()  # which has no double
+    wide = matrices.wide(matrix)
     if wide.shape[1] == 2:
-        last = wide.new_zeros(3)
-        last[2] = 1
-        wide = torch.cat([wide, last.expand(len(wide), 1, 3)], 1)
+        wide = matrices.homogeneous(wide)
     if inverse:
-        a, b, c = wide.unbind(1)
-        # The adjugate: the inverse up to a factor, which a homography does not have.
-        columns = [torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)]
-        wide = torch.stack(columns, -1)
+        wide = matrices.adjugate(wide)
     if normalized:
         wide = from_unit(source, align_corners, wide) @ wide @ to_unit(output, align_corners, wide)
     wide = wide / _scale(wide.detach())
@@ -332,7 +329,19 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
         fill_value = fill_value.reshape(1, -1)
     b, c = image.shape[:2]
     if fill_value.dim() != 2 or fill_value.shape[0] not in (1, b) or fill_value.shape[1] not in (1, c):
-        raise _check.ShapeError(
+        raise ShapeError(
             f"{op}: expected fill_value of shape (), ({c},) or ({b}, {c}, 1, 1), got {tuple(shape)}", actual_shape=shape
         )
     return "fill", fill_value.to(dtype)
+
+
+def for_images(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
+    """A matrix, map or parameter of images as the operators take it: in the type that computes, one for all or for each."""
+    if image.device != x.device:
+        _check.same_device(op, image=image, **{name: x})
+    if x.shape[0] not in (1, image.shape[0]):
+        raise ShapeError(
+            f"{op}: expected {name} with 1 or {image.shape[0]} rows, got {tuple(x.shape)}", actual_shape=x.shape
+        )
+    dtype = compute_dtype(image)
+    return x if x.dtype == dtype else x.to(dtype)

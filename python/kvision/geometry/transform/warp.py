@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats, pixels
+from kvision._dtype import floats, pixels
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform import sampling
 
@@ -84,28 +84,17 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_how(op, mode, padding_mode, align_corners)
-    src, M = together(op, "src", src, "M", M)
+    src, M = together(op, src, "M", M)
     padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value)
     return sampling.warp(src, M, fill, list(size), mode, padding, align_corners, True, False)
 
 
-def together(op: str, name: str, image: Tensor, other_name: str, other: Tensor) -> tuple[Tensor, Tensor]:
-    """The image and its matrix or map as the operators take them: on one device, in their types, batches that fit."""
+def together(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, Tensor]:
+    """Images and their matrices or maps as the operators take them; one image is made to serve many of these."""
     image = pixels(image)
-    if image.device != other.device:
-        _check.same_device(op, **{name: image, other_name: other})
-    dtype = compute_dtype(image)
-    if other.dtype != dtype:
-        other = other.to(dtype)
-    batch, others = image.shape[0], other.shape[0]
-    if others not in (1, batch):
-        if batch != 1:
-            raise ShapeError(
-                f"{op}: expected {other_name} with 1 or {batch} rows as {name} has, got {tuple(other.shape)}",
-                actual_shape=other.shape,
-            )
-        image = image.expand(others, -1, -1, -1)
-    return image, other
+    if image.shape[0] == 1 != other.shape[0]:
+        image = image.expand(other.shape[0], -1, -1, -1)
+    return image, sampling.for_images(op, image, name, other)
 
 
 def homography_warp(
@@ -129,9 +118,8 @@ def homography_warp(
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
-        normalized_coordinates: the result's places run from -1 to 1. Else they are pixels, and the homography goes from
-            pixels to [-1, 1]. Of no effect without `normalized_homography`.
-        normalized_homography: as above. Else the homography goes from pixels to pixels.
+        normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
+        normalized_homography: the same; both have to be set.
 
     Returns:
         (B, C, h, w), of the type of `patch_src`.
@@ -157,9 +145,7 @@ def homography_warp(
         _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     _check.flag(op, "normalized_homography", normalized_homography)
-    image, matrix = together(op, "patch_src", patch_src, "src_homo_dst", src_homo_dst)
-    if normalized_homography and not normalized_coordinates:
-        matrix = sampling.from_unit(image.shape[2:], align_corners, matrix) @ matrix
+    image, matrix = together(op, patch_src, "src_homo_dst", src_homo_dst)
     normalized = normalized_coordinates and normalized_homography
     padding, _ = sampling.padding_and_fill(op, image, padding_mode, None)
     return sampling.warp(image, matrix, None, list(size), mode, padding, align_corners, False, normalized)
@@ -211,8 +197,8 @@ def remap(
     if padding_mode == "fill":
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
-    _, map_x = together("remap", "image", image, "map_x", map_x)
-    image, map_y = together("remap", "image", image, "map_y", map_y)
+    _, map_x = together("remap", image, "map_x", map_x)
+    image, map_y = together("remap", image, "map_y", map_y)
     padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
     return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates)
 

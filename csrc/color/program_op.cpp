@@ -293,7 +293,7 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     for (int i = 0; i < p.forward.steps; ++i)
       p.reads_x = p.reads_x || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);
     if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
-    int64_t const chunks = chunks_of<F>(samples.pixels);
+    int64_t const chunks = chunks_of<F>(samples.pixels), shares = shares_of<F>(samples.count, samples.pixels);
     [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);
     Tensor slopes, dense_means;
     if (around_mean) {
@@ -306,13 +306,13 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     }
     if (of_parameters) {
       p.columns = int(a.columns);
-      slopes = empty({samples.count, chunks, p.columns}, of_rows);
+      slopes = empty({samples.count, shares, p.columns}, of_rows);
       p.slopes = static_cast<F*>(slopes.mutable_data_ptr());
     }
     KV_RUN(program_backward, x, p, samples.count * chunks, cost);
     if (!of_parameters) return;
     ProgramReduce<F> const sums{p.slopes, static_cast<F*>(of_rows.mutable_data_ptr()), b * rows * p.columns,
-                                samples.inner / rows * chunks, p.columns};
+                                samples.inner / rows * shares, p.columns};
     KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
   });
   return {grad_x, of_rows};

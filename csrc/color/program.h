@@ -9,6 +9,7 @@
 // Jacobian at each pixel; with a derivative along one of its parameters, how the pixel answers to that.
 #pragma once
 
+#include "core/half.h"
 #include "core/isa.h"
 
 namespace kv {
@@ -30,7 +31,7 @@ enum class Step : int {
   byte_luma,   // 3 weights, of 15 bits; the result has one channel, so it comes last
   // Of three channels, with parameters that may be tensors.
   weighted_sum,     // 3; the result has one channel, so it comes last
-  line_rgb,         // 6: factors, what is added
+  line_rgb,         // 7: factors, what is added, whether to clip
   standardize_rgb,  // 6: means, standard deviations
   saturation,       // 1: factor, in HSV
   saturation_raw,   // 1: factor, of HSV
@@ -46,18 +47,28 @@ enum class Step : int {
   sigmoid,      // 3: cutoff, gain, whether to fall
   solarize,     // 3: threshold, what is added first, whether to add
   posterize,    // 2: bits, how to round to the stored type
+  threshold,    // 5: threshold, what is above it, what is not, whether the value itself is kept above it, and below it
   count
 };
 KV_HD int parameters_of(Step step) {
-  constexpr int8_t counts[] = {13, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 3, 3, 6, 6, 1, 1, 1, 1, 1, 2, 3, 2, 2, 3, 3, 3, 2};
+  constexpr int8_t counts[] = {13, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 3, 3, 7, 6, 1, 1, 1, 1, 1, 2, 3, 2, 2, 3, 3, 3, 2, 5};
   static_assert(sizeof(counts) == size_t(Step::count), "one for each step");
   return counts[int(step)];
 }
 KV_HD bool takes_tensors(Step step) { return step >= Step::weighted_sum; }
 KV_HD bool is_of_values(Step step) { return step >= Step::contrast; }
 KV_HD bool is_sum(Step step) { return step == Step::weighted_sum || step == Step::byte_luma; }
+// Whether the step, with these parameters, has the same Jacobian everywhere.
+template <class F>
+KV_HD bool is_affine(Step step, F const* parameters) {
+  if (step == Step::affine) return parameters[12] == 0;
+  if (step == Step::line) return parameters[2] == 0;
+  if (step == Step::line_rgb) return parameters[6] == 0;
+  return step == Step::weighted_sum || step == Step::standardize_rgb || step == Step::standardize;
+}
 
-constexpr int kMostSteps = 16, kMostParameters = 64, kMostOfAStep = 6;  // of a step: parameters that can be tensors
+constexpr int kMostSteps = 16, kMostParameters = 64, kMostTensors = 6;
+constexpr int kMostOfAStep = 6;  // parameters that can be tensors
 
 enum class Storage : int { byte, half, bfloat16, single, wide };
 template <class F>
@@ -105,6 +116,24 @@ KV_HD int64_t chunks_of(int64_t pixels) {
 // What is summed up over a sample before its pixels are worked on is kept in so many parts.
 KV_HD int64_t parts_of(int64_t pixels) { return min(int64_t(256), (pixels + 1023) / 1024); }
 
+// Parameters of the samples, a tensor (B or 1, C or 1, columns), as it is in memory: strides are 0 along axes of
+// size 1.
+struct Rows {
+  void const* data;
+  Storage type;
+  int first;  // of its columns among those of all tensors
+  int64_t image_stride, channel_stride, stride;
+
+  template <class F>
+  KV_HD F at(int64_t image, int64_t channel, int column) const {
+    int64_t const i = image * image_stride + channel * channel_stride + (column - first) * stride;
+    if (type == Storage::half) return F(to_float(static_cast<Half const*>(data)[i]));
+    if (type == Storage::bfloat16) return F(to_float(static_cast<BFloat16 const*>(data)[i]));
+    if (type == Storage::single) return F(static_cast<float const*>(data)[i]);
+    return F(static_cast<double const*>(data)[i]);
+  }
+};
+
 template <class F>
 struct Program {
   Pixels x, y;
@@ -114,12 +143,12 @@ struct Program {
   int first[kMostSteps];  // of its parameters
   int count;              // of all parameters
   F numbers[kMostParameters];
-  int column[kMostParameters];  // of the tensor of parameters, or -1 for the number
+  int column[kMostParameters];  // of the tensors, or -1 for the number
 
   int64_t inner;  // samples of an image
-  F const* parameters;
-  int64_t image_stride, channel_stride;  // of their rows
-  int64_t const* order;                  // an image's steps by position, -1 for none; null: all, one after the other
+  int tensors;
+  Rows rows[kMostTensors];
+  int64_t const* order;  // an image's steps by position, -1 for none; null: all, one after the other
   int64_t order_stride;
   int length;
 
@@ -127,12 +156,15 @@ struct Program {
   // and keeps the means of the samples, where the backward pass, which has no parts, finds them.
   int contrast;  // where it is among the steps, or -1
   bool measures;
+  F grey[3];  // how much of the mean each channel is
   F* parts;
   F* means;
 
   KV_HD F parameter(int64_t b, int i) const {
     if (column[i] < 0) return numbers[i];
-    return parameters[b / inner * image_stride + b % inner * channel_stride + column[i]];
+    int k = tensors - 1;
+    while (rows[k].first > column[i]) --k;
+    return rows[k].template at<F>(b / inner, b % inner, column[i]);
   }
   KV_HD int step_at(int64_t b, int i) const {
     int64_t const at = order ? order[b / inner * order_stride + i] : i;
@@ -144,8 +176,8 @@ template <class F>
 struct ProgramBackward {
   Program<F> forward;  // its y is not written; what it measures is the gradient of the mean
   Pixels grad, grad_x;
-  bool wants_x;
-  F* slopes;  // of the parameters: (samples, chunks, columns); null: not wanted
+  bool wants_x, reads_x;  // no pixel is needed where every step is affine
+  F* slopes;              // of the parameters: (samples, chunks, columns); null: not wanted
   int columns;
 };
 
@@ -158,6 +190,11 @@ struct ProgramReduce {
 
   KV_HD F const* first(int64_t i) const { return slopes + i / columns * summands * columns + i % columns; }
 };
+
+// How many channels a value is worked on as: in double, which is rare, pixels without the other channels save the
+// compilation of kernels for values.
+template <class F>
+constexpr int kValue = sizeof(F) == 4 ? 1 : 3;
 
 // F is float or double here, whatever is stored.
 KV_KERNEL(program, Program)

@@ -19,14 +19,14 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
     for (int64_t chunk = blockIdx.x; chunk < chunks_of<F>(q.pixels); chunk += gridDim.x) {
       int64_t const i = chunk * kChunk<F> + threadIdx.x * P;
       F c[C][P], g[C][P], kept[kMostSteps - 1][C][P];
-      load_pixels(q.x, b, i, q.pixels, F(0.5), c);
+      load_pixels(q.x, b, p.reads_x ? i : q.pixels, q.pixels, F(0.5), c);
       load_pixels(p.grad, b, i, q.pixels, F(0), g);
       if (chunk == blockIdx.x) {
         sample.prepare(q, b, true);
         for (int k = int(threadIdx.x % 32); k < kMostParameters; k += 32) slopes[threadIdx.x / 32][k] = 0;
         __syncwarp();
       }
-      for (int s = 0; s + 1 < sample.length; ++s) {
+      for (int s = 0; p.reads_x && s + 1 < sample.length; ++s) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
@@ -62,8 +62,8 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
 #pragma unroll
             for (int j = 0; j < P; ++j)
               if (i + j < q.pixels)  // what is beyond adds nothing to the gradients of parameters
-                g[k][j] += sample.mean_slope * F(C == 1 ? 1 : k == 0 ? 0.299 : k == 1 ? 0.587 : 0.114);
-        if (s > 0)
+                g[k][j] += sample.mean_slope * q.grey[k];
+        if (p.reads_x && s > 0)
 #pragma unroll
           for (int k = 0; k < C; ++k)
 #pragma unroll
@@ -104,7 +104,7 @@ int program_backward(ProgramBackward<F> const& p, CUstream_st* stream) {
   int64_t const blocks = p.slopes ? chunks : blocks_of(q.samples, chunks);  // of slopes each chunk has its own
   dim3 const grid = grid_of(q.samples, q.measures ? parts_of(q.pixels) : blocks);
   if (q.x.channels == 1)
-    run_backward<F, 1><<<grid, kThreads, 0, stream>>>(p);
+    run_backward<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
   else
     run_backward<F, 3><<<grid, kThreads, 0, stream>>>(p);
   return cudaGetLastError();

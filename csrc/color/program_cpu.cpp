@@ -36,6 +36,25 @@ template <class V, class F = decltype(V{}[0] + 0)>
 KV_HD V floor_of(V x) {
   return vfloor(x);
 }
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V magnitude(V x) {
+  return vabs(x);
+}
+KV_HD float reciprocal(float x) { return 1 / x; }
+KV_HD double reciprocal(double x) { return 1 / x; }
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V reciprocal(V x) {
+  return 1 / x;
+}
+// min and max keep a first operand that is NaN.
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V larger(V a, V b) {
+  return b == b ? max(a, b) : b;
+}
+template <class V, class F = decltype(V{}[0] + 0)>
+KV_HD V smaller(V a, V b) {
+  return b == b ? min(a, b) : b;
+}
 
 }  // namespace
 }  // namespace kv
@@ -85,6 +104,16 @@ struct Values {
       for (int k = 0; k < C; ++k) store<N>(to.channel(k) + i, v[k]);
     }
   }
+  template <class Formula>
+  KV_HD void each_value(Formula f) {
+    constexpr int N = kLanes<F>;
+    for (int k = 0; k < C; ++k)
+      for (int64_t i = 0; i < n; i += N) {
+        auto v = load<N>(c.channel(k) + i);
+        f(v, k, p, p);
+        store<N>(to.channel(k) + i, v);
+      }
+  }
 };
 
 // g <- g J
@@ -115,6 +144,16 @@ struct Pullback {
       for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, pulled[k]);
     }
   }
+  template <class Formula>
+  KV_HD void each_value(Formula f) {
+    constexpr int N = kLanes<F>;
+    for (int k = 0; k < C; ++k)
+      for (int64_t i = k * kChunk<F>; i < k * kChunk<F> + n; i += N) {
+        Dual<Vector<F>, 1> v{load<N>(c + i), {broadcast<N>(F(1))}};
+        f(v, k, p, p);
+        store<N>(g + i, Vector<F>(load<N>(g + i) * v.d[0]));
+      }
+  }
 };
 
 // The gradient of parameter `wanted` of the step, summed over the chunk.
@@ -129,19 +168,40 @@ struct Slope {
   int wanted;
   F sum;
 
+  using D = Dual<Vector<F>, 1>;
+  struct Parameters {
+    D q[kMostOfAStep];
+  };
+  KV_HD Parameters parameters() const {
+    constexpr int N = kLanes<F>;
+    Parameters all;
+    for (int k = 0; k < kMostOfAStep; ++k) all.q[k] = {broadcast<N>(p[k]), {broadcast<N>(F(k == wanted))}};
+    return all;
+  }
   template <class Formula>
   KV_HD void each(Formula f) {
     constexpr int N = kLanes<F>;
-    using D = Dual<Vector<F>, 1>;
-    D q[kMostOfAStep];
-    for (int k = 0; k < kMostOfAStep; ++k) q[k] = {broadcast<N>(p[k]), {broadcast<N>(F(k == wanted))}};
+    Parameters const all = parameters();
     Vector<F> total{};
     for (int64_t i = 0; i < n; i += N) {
       D v[C];
       for (int k = 0; k < C; ++k) v[k] = {load<N>(c + k * kChunk<F> + i), {Vector<F>{}}};
-      f(v, q, p);
+      f(v, all.q, p);
       for (int k = 0; k < C; ++k) total = total + load<N>(g + k * kChunk<F> + i) * v[k].d[0];
     }
+    sum = sum_of(total);
+  }
+  template <class Formula>
+  KV_HD void each_value(Formula f) {
+    constexpr int N = kLanes<F>;
+    Parameters const all = parameters();
+    Vector<F> total{};
+    for (int k = 0; k < C; ++k)
+      for (int64_t i = k * kChunk<F>; i < k * kChunk<F> + n; i += N) {
+        D v{load<N>(c + i), {Vector<F>{}}};
+        f(v, k, all.q, p);
+        total = total + load<N>(g + i) * v.d[0];
+      }
     sum = sum_of(total);
   }
 };
@@ -287,16 +347,10 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
     if (!p.measures) return store_chunk(p.y, b, first, count, c);
     Vector<F> sum{};
     int64_t i = 0;
-    for (; i + N <= count; i += N) {
-      Vector<F> v[C];
-      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i);
-      sum = sum + luma(v);
-    }
-    for (; i < count; ++i) {
-      F v[C];
-      for (int k = 0; k < C; ++k) v[k] = c[k * kChunk<F> + i];
-      p.parts[part] += luma(v);
-    }
+    for (; i + N <= count; i += N)
+      for (int k = 0; k < C; ++k) sum = sum + load<N>(c + k * kChunk<F> + i) * p.grey[k];
+    for (; i < count; ++i)
+      for (int k = 0; k < C; ++k) p.parts[part] += c[k * kChunk<F> + i] * p.grey[k];
     p.parts[part] += sum_of(sum);
   });
 }
@@ -308,9 +362,9 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
   Scratch<F> scratch(size * (q.length + 1));
   F* const g = scratch.data + size * q.length;
   for_each_chunk(q, true, begin, end, [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
-    load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
     load_chunk(p.grad, C, b, first, count, F(0), g);
-    for (int i = 0; i + 1 < s.length; ++i) {
+    if (p.reads_x) load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
+    for (int i = 0; p.reads_x && i + 1 < s.length; ++i) {
       F* const c = scratch.data + size * i;
       Values<F, C> values{{c}, {c + size}, count, s.p + q.first[s.order[i]]};
       step_over(q.step[s.order[i]], values);
@@ -333,11 +387,9 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       }
       Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
       step_over(q.step[k], pullback);
-      if (k == q.contrast) {
-        F const of_grey[] = {F(C == 3 ? 0.299 : 1), F(0.587), F(0.114)};
+      if (k == q.contrast)
         for (int d = 0; d < C; ++d)
-          for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += of_grey[d] * s.mean_slope;
-      }
+          for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += q.grey[d] * s.mean_slope;
     }
     if (p.wants_x) store_chunk(p.grad_x, b, first, count, g);
   });
@@ -347,11 +399,11 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
 
 template <class F>
 void program(Program<F> const& p, int64_t begin, int64_t end) {
-  p.x.channels == 1 ? run<F, 1>(p, begin, end) : run<F, 3>(p, begin, end);
+  p.x.channels == 1 ? run<F, kValue<F>>(p, begin, end) : run<F, 3>(p, begin, end);
 }
 template <class F>
 void program_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
-  p.forward.x.channels == 1 ? run_backward<F, 1>(p, begin, end) : run_backward<F, 3>(p, begin, end);
+  p.forward.x.channels == 1 ? run_backward<F, kValue<F>>(p, begin, end) : run_backward<F, 3>(p, begin, end);
 }
 
 template <class F>
@@ -363,10 +415,8 @@ void program_reduce(ProgramReduce<F> const& p, int64_t begin, int64_t end) {
   }
 }
 
-#define KV_INSTANTIATE_PROGRAMS(name, Params) \
-  KV_INSTANTIATE_ONE(name, Params, float) KV_INSTANTIATE_ONE(name, Params, double)
-KV_INSTANTIATE_PROGRAMS(program, Program)
-KV_INSTANTIATE_PROGRAMS(program_backward, ProgramBackward)
-KV_INSTANTIATE_PROGRAMS(program_reduce, ProgramReduce)
+KV_INSTANTIATE_COMPUTED(program, Program)
+KV_INSTANTIATE_COMPUTED(program_backward, ProgramBackward)
+KV_INSTANTIATE_COMPUTED(program_reduce, ProgramReduce)
 
 }  // namespace kv::KV_ISA

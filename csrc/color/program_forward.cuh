@@ -33,11 +33,10 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
         continue;
       }
 #pragma unroll
-      for (int j = 0; j < kTaken<F>; ++j) {
-        F v[C];
-        for (int d = 0; d < C; ++d) v[d] = c[d][j];
-        if (i + j < p.pixels) measured += luma(v);
-      }
+      for (int k = 0; k < C; ++k)
+#pragma unroll
+        for (int j = 0; j < kTaken<F>; ++j)
+          if (i + j < p.pixels) measured += c[k][j] * p.grey[k];
     }
     if (p.measures) {
       measured = sample.sum_of_block(measured);
@@ -54,7 +53,7 @@ template <class F>
 int program(Program<F> const& p, CUstream_st* stream) {
   dim3 const grid = grid_of(p.samples, p.measures ? parts_of(p.pixels) : blocks_of(p.samples, chunks_of<F>(p.pixels)));
   if (p.x.channels == 1)
-    run<F, 1><<<grid, kThreads, 0, stream>>>(p);
+    run<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
   else
     run<F, 3><<<grid, kThreads, 0, stream>>>(p);
   return cudaGetLastError();

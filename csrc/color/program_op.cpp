@@ -7,10 +7,12 @@
 namespace kv {
 namespace {
 
-using Tensors = std::optional<Tensor>;
+using Maybe = std::optional<Tensor>;
 
 // --- what the program is
 // ------------------------------------------------------------------------------------------------
+
+using Parameters = std::initializer_list<Maybe const*>;
 
 struct Plan {
   std::vector<Step> steps;
@@ -84,6 +86,7 @@ struct Samples {
   int64_t count, inner, pixels;
   bool of_values, of_planes;
 
+  int channels() const { return of_values ? 1 : 3; }
   Pixels pixels_of(char const* op, Tensor const& x, Layout layout) const {
     auto* const data = const_cast<void*>(x.const_data_ptr());
     bool const last = layout == Layout::channels_last;
@@ -95,42 +98,34 @@ struct Samples {
   }
 };
 
-// The tensors beside an image, contiguous, or an error.
+// The tensors beside an image, or an error.
 struct Arguments {
   Plan plan;
-  Tensors parameters, order;
+  Maybe order;
+  std::vector<Rows> rows;  // of the parameters
+  int64_t columns = 0;     // of all of them
+  bool by_channel = false;
   bool of_values;
   bool wide;  // computes in double
 
-  Arguments(char const* op, Tensor const& x, Tensors const& parameters, Tensors const& order,
-            std::vector<int64_t> const& steps, std::vector<double> const& numbers, std::vector<int64_t> const& columns,
-            ScalarType result)
-      : plan(plan_of(op, steps, numbers.size(), columns.size())) {
+  Arguments(char const* op, Tensor const& x, Parameters const& given, Maybe const& order,
+            std::vector<int64_t> const& steps, std::vector<double> const& numbers,
+            std::vector<int64_t> const& columns_of_steps, ScalarType result)
+      : plan(plan_of(op, steps, numbers.size(), columns_of_steps.size())) {
     check_images(op, "input", x);
     int64_t const b = x.size(0), c = x.size(1);
     of_values = plan.values && (plan.contrast < 0 || c == 1);
     KV_CHECK(of_values || c == 3, op, ": expected input of 3 channels, got ", c);
     wide = x.scalar_type() == ScalarType::Double;
     KV_CHECK(wide == (result == ScalarType::Double), op, ": float64 goes with float64 only");
-    int64_t most = -1;
-    for (int64_t column : columns) most = max(most, column);
-    KV_CHECK(parameters.has_value() || most < 0, op, ": there are no parameters for the columns that are asked for");
-    if (parameters) {
-      KV_CHECK(parameters->dim() == 3, op, ": expected parameters of shape (B, C, P), got ", parameters->dim(),
-               " axes");
-      int64_t const rows = parameters->size(0), channels = parameters->size(1), p = parameters->size(2);
-      KV_CHECK((rows == 1 || rows == b) && (channels == 1 || (channels == c && of_values)) && most < p &&
-                   p <= kMostParameters,
-               op, ": parameters of shape (", rows, ", ", channels, ", ", p, ") do not fit the images or the columns");
-      KV_CHECK(parameters->device() == x.device() &&
-                   parameters->scalar_type() == (wide ? ScalarType::Double : ScalarType::Float),
-               op, ": expected parameters of the type that is computed in, on the device of input");
-      size_t at = 0;
-      for (Step const step : plan.steps)
-        for (int i = 0; i < parameters_of(step); ++i, ++at)
-          KV_CHECK(columns[at] < 0 || takes_tensors(step), op, ": step ", int(step), " takes numbers only");
-      this->parameters = torch::stable::contiguous(*parameters);
-    }
+    for (Maybe const* p : given)
+      if (*p) take(op, x, **p);
+    size_t at = 0;
+    for (Step const step : plan.steps)
+      for (int i = 0; i < parameters_of(step) && !columns_of_steps.empty(); ++i, ++at) {
+        KV_CHECK(columns_of_steps[at] < columns, op, ": there are no parameters for the columns that are asked for");
+        KV_CHECK(columns_of_steps[at] < 0 || takes_tensors(step), op, ": step ", int(step), " takes numbers only");
+      }
     if (!order) return;
     KV_CHECK(order->dim() == 2 && (order->size(0) == 1 || order->size(0) == b) && order->size(1) <= kMostSteps, op,
              ": expected order of shape (B, S) with at most ", kMostSteps, " positions");
@@ -140,6 +135,21 @@ struct Arguments {
     this->order = torch::stable::contiguous(*order);
   }
 
+  void take(char const* op, Tensor const& x, Tensor const& p) {
+    KV_CHECK(p.dim() == 3, op, ": expected parameters of shape (B, C, P), got ", p.dim(), " axes");
+    int64_t const images = p.size(0), channels = p.size(1), here = p.size(2);
+    KV_CHECK((images == 1 || images == x.size(0)) && (channels == 1 || (channels == x.size(1) && of_values)) &&
+                 columns + here <= kMostParameters,
+             op, ": parameters of shape (", images, ", ", channels, ", ", here, ") do not fit the images");
+    Storage const type = storage_of(op, p);
+    KV_CHECK(p.device() == x.device() && type != Storage::byte, op,
+             ": expected parameters of floating-point numbers, on the device of input");
+    auto const stride = [&](int64_t axis) { return p.size(axis) == 1 ? 0 : p.stride(axis); };
+    rows.push_back({p.const_data_ptr(), type, int(columns), stride(0), stride(1), stride(2)});
+    columns += here;
+    by_channel = by_channel || channels > 1;
+  }
+
   template <class Run>
   void for_computed(Run run) const {
     wide ? run(Type<double>{}) : run(Type<float>{});
@@ -147,10 +157,9 @@ struct Arguments {
 
   Samples samples(Tensor const& x, bool same_layout) const {
     int64_t const b = x.size(0), c = x.size(1), n = x.size(2) * x.size(3);
-    bool const by_channel = parameters && parameters->size(1) > 1;
     if (!of_values || (c == 3 && !same_layout && !by_channel)) return {b, 1, n, false, false};
     if (by_channel || !same_layout) return {b * c, c, n, true, true};
-    bool const by_image = plan.contrast >= 0 || parameters || order;
+    bool const by_image = plan.contrast >= 0 || !rows.empty() || order;
     return by_image ? Samples{b, 1, c * n, true, false} : Samples{1, 1, b * c * n, true, false};
   }
 };
@@ -159,7 +168,7 @@ template <class F>
 Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<double> const& numbers,
                       std::vector<int64_t> const& columns) {
   Plan const& plan = a.plan;
-  Tensors const &parameters = a.parameters, &order = a.order;
+  Maybe const& order = a.order;
   Program<F> p{};
   p.samples = samples.count;
   p.pixels = samples.pixels;
@@ -175,11 +184,10 @@ Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<do
     p.numbers[i] = F(numbers[size_t(i)]);
     p.column[i] = columns.empty() ? -1 : int(columns[size_t(i)]);
   }
-  if (parameters) {
-    p.parameters = static_cast<F const*>(parameters->const_data_ptr());
-    p.image_stride = parameters->size(0) == 1 ? 0 : parameters->size(1) * parameters->size(2);
-    p.channel_stride = parameters->size(1) == 1 ? 0 : parameters->size(2);
-  }
+  p.tensors = int(a.rows.size());
+  std::copy(a.rows.begin(), a.rows.end(), p.rows);
+  bool const rgb = samples.channels() == 3;
+  for (int k = 0; k < 3; ++k) p.grey[k] = F(rgb ? (k == 0 ? 0.299 : k == 1 ? 0.587 : 0.114) : k == 0);
   p.length = p.steps;
   if (order) {
     p.order = static_cast<int64_t const*>(order->const_data_ptr());
@@ -193,7 +201,7 @@ Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<do
 // ------------------------------------------------------------------------------------------------------------
 
 // The result and the means that it took.
-std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Tensors const& parameters, Tensors const& order,
+std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters const& parameters, Maybe const& order,
                                std::vector<int64_t> const& steps, std::vector<double> const& numbers,
                                std::vector<int64_t> const& columns, std::string const& dtype,
                                std::string const& layout) {
@@ -226,35 +234,39 @@ std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Tensors cons
   return {y, means};
 }
 
-Tensor color_program(Tensor const& input, Tensors const& parameters, Tensors const& order, std::vector<int64_t> steps,
+#define KV_PARAMETERS \
+  Maybe const &p0, Maybe const &p1, Maybe const &p2, Maybe const &p3, Maybe const &p4, Maybe const &p5
+#define KV_GIVEN {&p0, &p1, &p2, &p3, &p4, &p5}
+
+Tensor color_program(Tensor const& input, KV_PARAMETERS, Maybe const& order, std::vector<int64_t> steps,
                      std::vector<double> numbers, std::vector<int64_t> columns, std::string dtype, std::string layout) {
   KV_CHECK(!std::count(steps.begin(), steps.end(), int64_t(Step::contrast)),
            "color_program: a step around a mean is for color_program_around_mean");
-  return std::get<0>(run("color_program", input, parameters, order, steps, numbers, columns, dtype, layout));
+  return std::get<0>(run("color_program", input, KV_GIVEN, order, steps, numbers, columns, dtype, layout));
 }
-std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input, Tensors const& parameters,
-                                                     Tensors const& order, std::vector<int64_t> steps,
-                                                     std::vector<double> numbers, std::vector<int64_t> columns,
-                                                     std::string dtype, std::string layout) {
+std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input, KV_PARAMETERS, Maybe const& order,
+                                                     std::vector<int64_t> steps, std::vector<double> numbers,
+                                                     std::vector<int64_t> columns, std::string dtype,
+                                                     std::string layout) {
   char const* const op = "color_program_around_mean";
   KV_CHECK(std::count(steps.begin(), steps.end(), int64_t(Step::contrast)), op, ": there is no step around a mean");
-  return run(op, input, parameters, order, steps, numbers, columns, dtype, layout);
+  return run(op, input, KV_GIVEN, order, steps, numbers, columns, dtype, layout);
 }
 
 // The gradients of the image and, for each sample of the batch, of the parameters; without elements where they are not
 // wanted.
-std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor const& input, Tensors const& parameters,
-                                                  Tensors const& order, Tensors const& means,
-                                                  std::vector<int64_t> steps, std::vector<double> numbers,
-                                                  std::vector<int64_t> columns, bool of_image, bool of_parameters) {
+std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor const& input, KV_PARAMETERS,
+                                                  Maybe const& order, Maybe const& means, std::vector<int64_t> steps,
+                                                  std::vector<double> numbers, std::vector<int64_t> columns,
+                                                  bool of_image, bool of_parameters) {
   char const* const op = "color_program_backward";
-  Arguments const a(op, input, parameters, order, steps, numbers, columns, grad.scalar_type());
+  Arguments const a(op, input, KV_GIVEN, order, steps, numbers, columns, grad.scalar_type());
   bool same = grad.dim() == 4 && grad.size(1) == (a.plan.sums ? 1 : input.size(1)) && grad.device() == input.device();
   for (int64_t i : {0, 2, 3}) same = same && grad.size(i) == input.size(i);
   KV_CHECK(same, op, ": grad differs in shape or device from the result of input");
   KV_CHECK(grad.scalar_type() != ScalarType::Byte && !(of_image && input.scalar_type() == ScalarType::Byte), op,
            ": bytes have no gradient");
-  KV_CHECK(!of_parameters || a.parameters, op, ": there are no parameters that a gradient is wanted of");
+  KV_CHECK(!of_parameters || !a.rows.empty(), op, ": there are no parameters that a gradient is wanted of");
   Layout const in = kv::layout_of(input), out = kv::layout_of(grad);
   Tensor const x = dense(input, in), g = dense(grad, out);
   Samples const samples = a.samples(x, in == out || grad.size(1) != x.size(1));
@@ -267,7 +279,8 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
   int64_t const b = x.size(0);
   Tensor const grad_x = of_image ? empty_like(x, in) : empty({b, 0}, x);
   Tensor const parts = around_mean ? empty({samples.count, parts_of(samples.pixels)}, x, Layout::planar, computes) : x;
-  Tensor const of_rows = of_parameters ? empty({b, a.parameters->size(1), a.parameters->size(2)}, *a.parameters)
+  int64_t const rows = a.by_channel ? x.size(1) : 1;  // of parameters, of an image
+  Tensor const of_rows = of_parameters ? empty({b, rows, a.columns}, x, Layout::planar, computes)
                                        : empty({b, 0}, x, Layout::planar, computes);
   a.for_computed([&](auto type) {
     using F = typename decltype(type)::type;
@@ -276,6 +289,9 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     p.forward.x = samples.pixels_of(op, x, in);
     p.grad = samples.pixels_of(op, g, out);
     p.wants_x = of_image;
+    p.reads_x = of_parameters;
+    for (int i = 0; i < p.forward.steps; ++i)
+      p.reads_x = p.reads_x || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);
     if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
     int64_t const chunks = chunks_of<F>(samples.pixels);
     [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);
@@ -289,14 +305,14 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
       p.forward.measures = false;
     }
     if (of_parameters) {
-      p.columns = int(of_rows.size(2));
+      p.columns = int(a.columns);
       slopes = empty({samples.count, chunks, p.columns}, of_rows);
       p.slopes = static_cast<F*>(slopes.mutable_data_ptr());
     }
     KV_RUN(program_backward, x, p, samples.count * chunks, cost);
     if (!of_parameters) return;
-    ProgramReduce<F> const sums{p.slopes, static_cast<F*>(of_rows.mutable_data_ptr()), b * of_rows.size(1) * p.columns,
-                                samples.inner / of_rows.size(1) * chunks, p.columns};
+    ProgramReduce<F> const sums{p.slopes, static_cast<F*>(of_rows.mutable_data_ptr()), b * rows * p.columns,
+                                samples.inner / rows * chunks, p.columns};
     KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
   });
   return {grad_x, of_rows};
@@ -304,7 +320,7 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
 
 }  // namespace
 
-#define KV_PROGRAM "Tensor? parameters, Tensor? order, "
+#define KV_PROGRAM "Tensor? p0, Tensor? p1, Tensor? p2, Tensor? p3, Tensor? p4, Tensor? p5, Tensor? order, "
 #define KV_STEPS "int[] steps, float[] numbers, int[] columns, "
 KV_OPERATOR(color_program, "(Tensor input, " KV_PROGRAM KV_STEPS "str dtype, str layout) -> Tensor")
 KV_OPERATOR(color_program_around_mean,

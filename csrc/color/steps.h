@@ -1,7 +1,8 @@
 // What the steps of a colour program do to a pixel c, as formulas on a value type V: a number, Lanes, or Duals of
 // either, whose derivatives then are those of the step. Parameters that can be learnt are of a type U: numbers, or V
-// where the derivative along one of them is wanted. Included by program_cpu.cpp and program.cuh, which
-// bring log2_of, exp2_of and floor_of for numbers and Lanes.
+// where the derivative along one of them is wanted. Included by program_cpu.cpp and program.cuh, which bring log2_of,
+// exp2_of, floor_of, magnitude, reciprocal, and larger and smaller, which are NaN if one of two is, for numbers and
+// Lanes.
 //
 // Derivatives stay finite: where a branch is not taken, what it divides by or raises to a power is replaced first.
 #pragma once
@@ -13,7 +14,7 @@ namespace kv {
 
 template <class V, int N>
 KV_HD Dual<V, N> log2_of(Dual<V, N> a) {
-  V const slope = Scalar<V>(1.44269504088896340736) / a.value;
+  V const slope = reciprocal(a.value) * Scalar<V>(1.44269504088896340736);
   a.value = log2_of(a.value);
   for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * slope;
   return a;
@@ -25,28 +26,63 @@ KV_HD Dual<V, N> exp2_of(Dual<V, N> a) {
   for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * slope;
   return a;
 }
+template <class V, int N>
+KV_HD Dual<V, N> reciprocal(Dual<V, N> a) {
+  a.value = reciprocal(a.value);
+  V const slope = -a.value * a.value;
+  for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * slope;
+  return a;
+}
+template <class V, int N>
+KV_HD Dual<V, N> magnitude(Dual<V, N> const& a) {
+  return select(a.value < Scalar<V>(0), -a, a);
+}
 // The floor as a plain value: its derivative is 0.
 template <class V, int N>
 KV_HD V floor_of(Dual<V, N> const& a) {
   return floor_of(a.value);
 }
 
-// The smaller and the larger of two; NaN if one of them is.
-template <class V>
-KV_HD V smaller(V const& a, V const& b) {
-  return select(b >= a, a, select(a == a, b, a));
+template <class V, int N>
+KV_HD Dual<V, N> larger(Dual<V, N> const& a, Dual<V, N> const& b) {
+  Dual<V, N> c = select(b.value <= a.value, a, b);
+  c.value = larger(a.value, b.value);
+  return c;
 }
-template <class V>
-KV_HD V larger(V const& a, V const& b) {
-  return select(b <= a, a, select(a == a, b, a));
+template <class V, int N>
+KV_HD Dual<V, N> smaller(Dual<V, N> const& a, Dual<V, N> const& b) {
+  Dual<V, N> c = select(b.value >= a.value, a, b);
+  c.value = smaller(a.value, b.value);
+  return c;
 }
+// a, which may be NaN, within limits.
 template <class V, class F = Scalar<V>>
 KV_HD V at_least(V const& a, F low) {
-  return select(a < low, constant<V>(low), a);
+  if constexpr (kIsDual<V>)
+    return select(a < low, constant<V>(low), a);
+  else
+    return larger(a, constant<V>(low));
 }
 template <class V, class F = Scalar<V>>
 KV_HD V at_most(V const& a, F high) {
-  return select(a > high, constant<V>(high), a);
+  if constexpr (kIsDual<V>)
+    return select(a > high, constant<V>(high), a);
+  else
+    return smaller(a, constant<V>(high));
+}
+
+// f(x) of one number, with one derivative inside however many x has.
+template <class V, class Formula>
+KV_HD V of_one(V x, Formula f) {
+  if constexpr (kIsDual<V>) {
+    using Value = decltype(x.value);
+    Dual<Value, 1> const y = f(Dual<Value, 1>{x.value, {constant<Value>(Scalar<V>(1))}});
+    x.value = y.value;
+    for (auto& d : x.d) d = d * y.d[0];
+    return x;
+  } else {
+    return f(x);
+  }
 }
 // x^exponent of positive numbers.
 template <class V>
@@ -69,9 +105,10 @@ template <class V>
 KV_HD V hue_of(V const (&c)[3], V const& most, V const& range, Scalar<V> eps) {
   using F = Scalar<V>;
   auto const grey = range == F(0);
-  V const reciprocal = constant<V>(F(1)) / select(grey, constant<V>(F(1)), range + eps);
-  V const sixths = select(most == c[0], (c[1] - c[2]) * reciprocal,
-                          select(most == c[1], (c[2] - c[0]) * reciprocal + F(2), (c[0] - c[1]) * reciprocal + F(4)));
+  auto const red = most == c[0], green = most == c[1];
+  V const ahead = select(red, c[1] - c[2], select(green, c[2] - c[0], c[0] - c[1]));
+  V const scaled = ahead * reciprocal(select(grey, constant<V>(F(1)), range + eps));
+  V const sixths = select(red, scaled, select(green, scaled + F(2), scaled + F(4)));
   V const positive = select(sixths < F(0), sixths + F(6), sixths);
   V const hue = select(positive >= F(6), positive - F(6), positive) * F(kTurn / 6);  // what rounds up to a turn
   return select(grey, constant<V>(F(0)), hue);
@@ -82,21 +119,27 @@ KV_HD void rgb_to_hsv(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
   V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
   V const hue = hue_of(c, most, range, F(0));
-  c[1] = range / select(most == F(0), constant<V>(F(1)), most + eps);
+  c[1] = range * reciprocal(select(most == F(0), constant<V>(F(1)), most + eps));
   c[0] = hue;
   c[2] = most;
 }
 
-// v - chroma max(0, min(k, 4 - k, 1)) with k = 5, 3, 1 sixths of a turn from the hue (A. R. Smith's sectors as one
-// line).
+// How much of red, green and blue is in a hue: 1 within a sixth of a turn from the channel's own, 0 from two sixths on,
+// and linear between (A. R. Smith's sectors as one line each).
+template <class V>
+KV_HD void parts_of_hue(V (&c)[3], V const& hue) {
+  using F = Scalar<V>;
+  V const sixths = modulo(hue * F(6 / kTurn), F(6));
+  c[0] = magnitude(sixths - F(3)) - F(1);
+  c[1] = F(2) - magnitude(sixths - F(2));
+  c[2] = F(2) - magnitude(sixths - F(4));
+  for (int i = 0; i < 3; ++i) c[i] = at_most(at_least(c[i], F(0)), F(1));
+}
 template <class V>
 KV_HD void color_of(V (&c)[3], V const& hue, V const& v, V const& chroma) {
-  using F = Scalar<V>;
-  V const sixths = hue * F(6 / kTurn);
-  for (int i = 0; i < 3; ++i) {
-    V const k = modulo(sixths + F(5 - 2 * i), F(6));
-    c[i] = v - chroma * at_least(at_most(smaller(k, F(4) - k), F(1)), F(0));
-  }
+  V const least = v - chroma;
+  parts_of_hue(c, hue);
+  for (int i = 0; i < 3; ++i) c[i] = least + chroma * c[i];
 }
 template <class V>
 KV_HD void hsv_to_rgb(V (&c)[3]) {
@@ -112,41 +155,39 @@ KV_HD void rgb_to_hls(V (&c)[3], Scalar<V> eps) {
   V const hue = hue_of(c, most, range, eps), room = select(sum < F(1), sum, F(2) - sum);
   c[0] = hue;
   c[1] = sum * F(0.5);
-  c[2] = range / select(room == F(0), constant<V>(F(1)), room + eps);
+  c[2] = range * reciprocal(select(room == F(0), constant<V>(F(1)), room + eps));
 }
-
-// l - s min(l, 1 - l) max(-1, min(k - 3, 9 - k, 1)), k = 0, 8, 4 twelfths of a turn from the hue.
 template <class V>
 KV_HD void hls_to_rgb(V (&c)[3]) {
   using F = Scalar<V>;
-  V const twelfths = c[0] * F(12 / kTurn), l = c[1], depth = c[2] * smaller(l, F(1) - l);
-  for (int i = 0; i < 3; ++i) {
-    V const k = modulo(twelfths + F(i == 0 ? 0 : i == 1 ? 8 : 4), F(12));
-    c[i] = l - depth * at_least(at_most(smaller(k - F(3), F(9) - k), F(1)), F(-1));
-  }
+  V const hue = c[0], l = c[1], depth = c[2] * smaller(l, F(1) - l);
+  color_of(c, hue, l + depth, depth * F(2));
 }
 
 // --- sRGB (IEC 61966-2-1), CIE XYZ, Lab and Luv (CIE 15)
 // ----------------------------------------------------------------
 
-template <class V>
-KV_HD V decode(V const& x) {
-  using F = Scalar<V>;
-  V const high = power((at_least(x, F(0.04045)) + F(0.055)) * F(1 / 1.055), F(2.4));
-  return select(x > F(0.04045), high, x * F(1 / 12.92));
-}
-template <class V>
-KV_HD V encode(V const& x) {
-  using F = Scalar<V>;
-  V const high = power(at_least(x, F(0.0031308)), F(1 / 2.4)) * F(1.055) - F(0.055);
-  return select(x > F(0.0031308), high, x * F(12.92));
-}
+struct Decode {
+  template <class V>
+  KV_HD V operator()(V const& x) const {
+    using F = Scalar<V>;
+    V const high = power((at_least(x, F(0.04045)) + F(0.055)) * F(1 / 1.055), F(2.4));
+    return select(x > F(0.04045), high, x * F(1 / 12.92));
+  }
+};
+struct Encode {
+  template <class V>
+  KV_HD V operator()(V const& x) const {
+    using F = Scalar<V>;
+    V const high = power(at_least(x, F(0.0031308)), F(1 / 2.4)) * F(1.055) - F(0.055);
+    return select(x > F(0.0031308), high, x * F(12.92));
+  }
+};
 
-template <int C, class V>
-KV_HD void clip(V (&c)[C], bool wanted) {
+template <class V>
+KV_HD V clip(V const& x, bool wanted) {
   using F = Scalar<V>;
-  if (wanted)
-    for (int i = 0; i < C; ++i) c[i] = at_most(at_least(c[i], F(0)), F(1));
+  return wanted ? at_most(at_least(x, F(0)), F(1)) : x;
 }
 template <class V>
 KV_HD void affine(V (&c)[3], Scalar<V> const* m) {
@@ -180,17 +221,30 @@ KV_HD void xyz_to_linear(V (&c)[3]) {
 
 KV_HD constexpr double white(int i) { return i == 0 ? 0.95047 : i == 1 ? 1 : 1.08883; }  // D65
 constexpr double kThreshold = 0.008856;
+// The cube root of a number that is not small, and of others.
+struct Root {
+  template <class V>
+  KV_HD V operator()(V const& t) const {
+    using F = Scalar<V>;
+    return select(t > F(kThreshold), power(at_least(t, F(kThreshold)), F(1. / 3)), t * F(7.787) + F(4. / 29));
+  }
+};
+struct Lightness {
+  template <class V>
+  KV_HD V operator()(V const& y) const {
+    using F = Scalar<V>;
+    V const high = power(at_least(y, F(kThreshold)), F(1. / 3)) * F(116) - F(16);
+    return select(y > F(kThreshold), high, y * F(903.3));
+  }
+};
 
 template <class V>
 KV_HD void rgb_to_lab(V (&c)[3]) {
   using F = Scalar<V>;
-  for (int i = 0; i < 3; ++i) c[i] = decode(c[i]);
+  for (int i = 0; i < 3; ++i) c[i] = of_one(c[i], Decode());
   linear_to_xyz(c);
   V f[3];
-  for (int i = 0; i < 3; ++i) {
-    V const t = c[i] * F(1 / white(i));
-    f[i] = select(t > F(kThreshold), power(at_least(t, F(kThreshold)), F(1. / 3)), t * F(7.787) + F(4. / 29));
-  }
+  for (int i = 0; i < 3; ++i) f[i] = of_one(c[i] * F(1 / white(i)), Root());
   c[0] = f[1] * F(116) - F(16);
   c[1] = (f[0] - f[1]) * F(500);
   c[2] = (f[1] - f[2]) * F(200);
@@ -204,7 +258,7 @@ KV_HD void lab_to_rgb(V (&c)[3]) {
   for (int i = 0; i < 3; ++i)
     c[i] = select(f[i] > F(0.2068966), f[i] * f[i] * f[i], (f[i] - F(4. / 29)) * F(1 / 7.787)) * F(white(i));
   xyz_to_linear(c);
-  for (int i = 0; i < 3; ++i) c[i] = encode(c[i]);
+  for (int i = 0; i < 3; ++i) c[i] = of_one(c[i], Encode());
 }
 
 constexpr double kWhiteU = 4 * 0.95047 / (0.95047 + 15 + 3 * 1.08883), kWhiteV = 9 / (0.95047 + 15 + 3 * 1.08883);
@@ -212,13 +266,12 @@ constexpr double kWhiteU = 4 * 0.95047 / (0.95047 + 15 + 3 * 1.08883), kWhiteV =
 template <class V>
 KV_HD void rgb_to_luv(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
-  for (int i = 0; i < 3; ++i) c[i] = decode(c[i]);
+  for (int i = 0; i < 3; ++i) c[i] = of_one(c[i], Decode());
   linear_to_xyz(c);
-  V const y = c[1];
-  V const l = select(y > F(kThreshold), power(at_least(y, F(kThreshold)), F(1. / 3)) * F(116) - F(16), y * F(903.3));
+  V const l = of_one(c[1], Lightness());
   V const total = c[0] + c[1] * F(15) + c[2] * F(3) + eps;
-  V const reciprocal = constant<V>(F(1)) / select(total == F(0), constant<V>(F(1)), total);
-  V const u = c[0] * F(4) * reciprocal, v = c[1] * F(9) * reciprocal;
+  V const scale = reciprocal(select(total == F(0), constant<V>(F(1)), total));
+  V const u = c[0] * F(4) * scale, v = c[1] * F(9) * scale;
   c[0] = l;
   c[1] = l * (u - F(kWhiteU)) * F(13);
   c[2] = l * (v - F(kWhiteV)) * F(13);
@@ -230,14 +283,14 @@ KV_HD void luv_to_rgb(V (&c)[3], Scalar<V> eps) {
   V const l = c[0], root = (l + F(16)) * F(1. / 116);
   V const y = select(l > F(7.999625), root * root * root, l * F(1 / 903.3));
   V const scale = l * F(13) + eps;
-  V const reciprocal = constant<V>(F(1)) / select(scale == F(0), constant<V>(F(1)), scale);
-  V const a = c[1] * reciprocal + F(kWhiteU), d = c[2] * reciprocal + F(kWhiteV);
-  V const y_of_v = y / (d * F(4) + eps);
+  V const of_l = reciprocal(select(scale == F(0), constant<V>(F(1)), scale));
+  V const a = c[1] * of_l + F(kWhiteU), d = c[2] * of_l + F(kWhiteV);
+  V const y_of_v = y * reciprocal(d * F(4) + eps);
   c[0] = a * y_of_v * F(9);
   c[1] = y;
   c[2] = (F(12) - a * F(3) - d * F(20)) * y_of_v;
   xyz_to_linear(c);
-  for (int i = 0; i < 3; ++i) c[i] = encode(c[i]);
+  for (int i = 0; i < 3; ++i) c[i] = of_one(c[i], Encode());
 }
 
 // --- adjustments ----------------------------------------------------------------------------------------------------
@@ -277,7 +330,8 @@ KV_HD void adjust_saturation(V (&c)[3], U const& factor) {
   using F = Scalar<V>;
   V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
   auto const grey = range == F(0);
-  V const one = constant<V>(F(1)), limit = select(grey, one, at_least(most, F(0)) / select(grey, one, range));
+  V const one = constant<V>(F(1)),
+          limit = select(grey, one, at_least(most, F(0)) * reciprocal(select(grey, one, range)));
   V const wanted = at_least(as<V>(factor), F(0)), scale = select(limit > wanted, wanted, limit);
   for (int i = 0; i < 3; ++i) c[i] = most - (most - c[i]) * scale;
 }
@@ -304,10 +358,9 @@ KV_HD V scaled_saturation(V const& saturation, U const& factor) {
   return at_most(at_least(saturation * factor, F(0)), F(1));
 }
 
-template <int C, class V, class G, class U>
-KV_HD void blend(V (&c)[C], G const& grey, U const& factor) {
-  for (int i = 0; i < C; ++i) c[i] = (c[i] - grey) * factor + grey;
-  clip(c, true);
+template <class V, class G, class U>
+KV_HD V blend(V const& x, G const& grey, U const& factor) {
+  return clip((x - grey) * factor + grey, true);
 }
 
 // gain x^exponent. Black has no finite slope below an exponent of 1, so it has none at all; only 0 lifts it.
@@ -334,7 +387,7 @@ template <class V, class U>
 KV_HD V sigmoid(V const& x, U const& cutoff, U const& gain, bool inverse) {
   using F = Scalar<V>;
   V const bits = (x - cutoff) * gain * F(inverse ? 1.44269504088896340736 : -1.44269504088896340736);
-  return constant<V>(F(1)) / (exp2_of(at_most(at_least(bits, F(-100)), F(100))) + F(1));
+  return reciprocal(exp2_of(at_most(at_least(bits, F(-100)), F(100))) + F(1));
 }
 
 template <class V, class U>
@@ -357,66 +410,75 @@ KV_HD V posterize(V const& x, Scalar<V> bits, Scalar<V> split) {
   return select(x == x, minus(V{}, -(floor_of(rounded * (F(1) / step)) * (step / F(255)))), x);
 }
 
+template <class V, class U>
+KV_HD V threshold(V const& x, U const& threshold, U const& above, U const& below, bool keeps_above, bool keeps_below) {
+  V const high = keeps_above ? x : as<V>(above), low = keeps_below ? x : as<V>(below);
+  return select(x > as<V>(threshold), high, low);
+}
+
 // --- a program ------------------------------------------------------------------------------------------------------
 
 // Does a step to all pixels there are: `pixels.each(f)` calls f(c, p, n) for each one, with the step's parameters p,
-// one of which may be differentiated, and n, the same as numbers. What chooses between formulas is the same for all
-// pixels.
+// one of which may be differentiated, and n, the same as numbers. Where channels do not mix, `pixels.each_value(f)`
+// calls f(x, i, p, n) for each channel i, with one derivative instead of three. What chooses between formulas is the
+// same for all pixels.
 template <class P>
 KV_HD void run_step(Step step, P& pixels) {
-  constexpr int C = P::kChannels;
-#define KV_STEP(name, ...)                                                                                          \
+#define KV_VALUES(name, formula)                                                                 \
+  case Step::name:                                                                               \
+    return pixels.each_value([](auto& x, [[maybe_unused]] int i, [[maybe_unused]] auto const* p, \
+                                [[maybe_unused]] auto const* n) __attribute__((always_inline)) { x = formula; });
+#define KV_PIXELS(name, ...)                                                                                        \
   case Step::name:                                                                                                  \
     return pixels.each([]([[maybe_unused]] auto& c, [[maybe_unused]] auto const* p, [[maybe_unused]] auto const* n) \
                            __attribute__((always_inline)) { __VA_ARGS__; });
-#define KV_CHANNELS(formula) \
-  for (int i = 0; i < C; ++i) c[i] = formula
   switch (step) {
-    KV_STEP(line, KV_CHANNELS(c[i] * p[0] + p[1]); clip(c, n[2] != 0))
-    KV_STEP(standardize, KV_CHANNELS((c[i] - p[0]) / p[1]))
-    KV_STEP(gamma, KV_CHANNELS(gamma(c[i], p[0], p[1])); clip(c, true))
-    KV_STEP(log, KV_CHANNELS(logarithm(c[i], p[0], n[1] != 0)); clip(c, n[2] != 0))
-    KV_STEP(sigmoid, KV_CHANNELS(sigmoid(c[i], p[0], p[1], n[2] != 0)))
-    KV_STEP(solarize, KV_CHANNELS(solarize(c[i], p[0], p[1], n[2] != 0)))
-    KV_STEP(posterize, KV_CHANNELS(posterize(c[i], n[0], n[1])))
-    KV_STEP(contrast, blend(c, p[1], p[0]))
+    KV_VALUES(line, clip(x * p[0] + p[1], n[2] != 0))
+    KV_VALUES(standardize, (x - p[0]) * reciprocal(p[1]))
+    KV_VALUES(gamma, clip(gamma(x, p[0], p[1]), true))
+    KV_VALUES(log, clip(logarithm(x, p[0], n[1] != 0), n[2] != 0))
+    KV_VALUES(sigmoid, sigmoid(x, p[0], p[1], n[2] != 0))
+    KV_VALUES(solarize, solarize(x, p[0], p[1], n[2] != 0))
+    KV_VALUES(posterize, posterize(x, n[0], n[1]))
+    KV_VALUES(contrast, blend(x, p[1], p[0]))
+    KV_VALUES(threshold, threshold(x, p[0], p[1], p[2], n[3] != 0, n[4] != 0))
     default:
       break;
   }
-  if constexpr (C == 3) {
+  if constexpr (P::kChannels == 3) {
     switch (step) {
-      KV_STEP(weighted_sum, c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2])
-      KV_STEP(line_rgb, KV_CHANNELS(c[i] * p[i] + p[3 + i]))
-      KV_STEP(standardize_rgb, KV_CHANNELS((c[i] - p[i]) / p[3 + i]))
-      KV_STEP(saturation, adjust_saturation(c, p[0]))
-      KV_STEP(saturation_raw, c[1] = scaled_saturation(c[1], p[0]))
-      KV_STEP(saturation_grey, blend(c, luma(c), p[0]))
-      KV_STEP(hue, adjust_hue(c, p[0]))
-      KV_STEP(hue_raw, c[0] = turned(c[0], p[0]))
+      KV_VALUES(line_rgb, clip(x * p[i] + p[3 + i], n[6] != 0))
+      KV_VALUES(standardize_rgb, (x - p[i]) * reciprocal(p[3 + i]))
+      KV_PIXELS(weighted_sum, c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2])
+      KV_PIXELS(saturation, adjust_saturation(c, p[0]))
+      KV_PIXELS(saturation_raw, c[1] = scaled_saturation(c[1], p[0]))
+      KV_PIXELS(saturation_grey, auto const grey = luma(c); for (auto& x : c) x = blend(x, grey, p[0]))
+      KV_PIXELS(hue, adjust_hue(c, p[0]))
+      KV_PIXELS(hue_raw, c[0] = turned(c[0], p[0]))
       default:
         break;
     }
     if constexpr (!P::kOfParameters) {
       switch (step) {
-        KV_STEP(affine, affine(c, n); clip(c, n[12] != 0))
-        KV_STEP(rgb_to_hsv, rgb_to_hsv(c, n[0]))
-        KV_STEP(hsv_to_rgb, hsv_to_rgb(c))
-        KV_STEP(rgb_to_hls, rgb_to_hls(c, n[0]))
-        KV_STEP(hls_to_rgb, hls_to_rgb(c))
-        KV_STEP(rgb_to_linear_rgb, KV_CHANNELS(decode(c[i])))
-        KV_STEP(linear_rgb_to_rgb, KV_CHANNELS(encode(c[i])))
-        KV_STEP(rgb_to_lab, rgb_to_lab(c))
-        KV_STEP(lab_to_rgb, lab_to_rgb(c); clip(c, n[0] != 0))
-        KV_STEP(rgb_to_luv, rgb_to_luv(c, n[0]))
-        KV_STEP(luv_to_rgb, luv_to_rgb(c, n[0]))
-        KV_STEP(byte_luma, byte_luma(c, n))
+        KV_VALUES(rgb_to_linear_rgb, Decode()(x))
+        KV_VALUES(linear_rgb_to_rgb, Encode()(x))
+        KV_PIXELS(affine, affine(c, n); for (auto& x : c) x = clip(x, n[12] != 0))
+        KV_PIXELS(rgb_to_hsv, rgb_to_hsv(c, n[0]))
+        KV_PIXELS(hsv_to_rgb, hsv_to_rgb(c))
+        KV_PIXELS(rgb_to_hls, rgb_to_hls(c, n[0]))
+        KV_PIXELS(hls_to_rgb, hls_to_rgb(c))
+        KV_PIXELS(rgb_to_lab, rgb_to_lab(c))
+        KV_PIXELS(lab_to_rgb, lab_to_rgb(c); for (auto& x : c) x = clip(x, n[0] != 0))
+        KV_PIXELS(rgb_to_luv, rgb_to_luv(c, n[0]))
+        KV_PIXELS(luv_to_rgb, luv_to_rgb(c, n[0]))
+        KV_PIXELS(byte_luma, byte_luma(c, n))
         default:
           break;
       }
     }
   }
-#undef KV_CHANNELS
-#undef KV_STEP
+#undef KV_PIXELS
+#undef KV_VALUES
 }
 
 }  // namespace kv

@@ -28,14 +28,29 @@ Isa active_isa();  // module.cpp
 #if defined(__x86_64__)
 #define KV_DECLARE_ALL_CPU(name, Params) \
   KV_DECLARE_CPU(baseline, name, Params) KV_DECLARE_CPU(avx2, name, Params) KV_DECLARE_CPU(avx512, name, Params)
-#define KV_FOR_ISA(name, ...)                                                \
-  (::kv::active_isa() == ::kv::Isa::avx512 ? ::kv::avx512::name(__VA_ARGS__) \
-   : ::kv::active_isa() == ::kv::Isa::avx2 ? ::kv::avx2::name(__VA_ARGS__)   \
-                                           : ::kv::baseline::name(__VA_ARGS__))
+#define KV_FOR_ISA(name, params, begin, end)                           \
+  do {                                                                 \
+    if constexpr (::kv::kHasAvx512<decltype(::kv::stored_in(params))>) \
+      if (::kv::active_isa() == ::kv::Isa::avx512) {                   \
+        ::kv::avx512::name(params, begin, end);                        \
+        break;                                                         \
+      }                                                                \
+    if (::kv::active_isa() == ::kv::Isa::baseline)                     \
+      ::kv::baseline::name(params, begin, end);                        \
+    else                                                               \
+      ::kv::avx2::name(params, begin, end);                            \
+  } while (0)
 #else  // the baseline of aarch64 is NEON already
 #define KV_DECLARE_ALL_CPU(name, Params) KV_DECLARE_CPU(baseline, name, Params)
 #define KV_FOR_ISA(name, ...) ::kv::baseline::name(__VA_ARGS__)
 #endif
+
+// AVX-512 serves the types that most images have; compiled for all of them it would take a sixth of the whole build.
+// The others gain little by it over AVX2, which serves them.
+template <class T>
+constexpr bool kHasAvx512 = __is_same(T, float) || __is_same(T, uint8_t);
+template <template <class> class Params, class T>
+T stored_in(Params<T> const&);
 
 #define KV_KERNEL(name, Params)                           \
   KV_DECLARE_ALL_CPU(name, Params)                        \
@@ -49,12 +64,20 @@ Isa active_isa();  // module.cpp
 #else
 #define KV_INSTANTIATE_ONE(name, Params, T) template void name<T>(Params<T> const&, int64_t, int64_t);
 #endif
-// The storage types an operator serves: all of them have the floats, some of them bytes too.
+// The storage types an operator serves: all of them have the floats, some of them bytes too; others compute in one of
+// the two wide floats whatever is stored.
+#if defined(__AVX512F__) && !defined(__CUDACC__)
+#define KV_INSTANTIATE(name, Params) KV_INSTANTIATE_ONE(name, Params, float)
+#define KV_INSTANTIATE_COMPUTED(name, Params) KV_INSTANTIATE_ONE(name, Params, float)
+#else
 #define KV_INSTANTIATE(name, Params)           \
-  KV_INSTANTIATE_ONE(name, Params, float)      \
-  KV_INSTANTIATE_ONE(name, Params, double)     \
+  KV_INSTANTIATE_COMPUTED(name, Params)        \
   KV_INSTANTIATE_ONE(name, Params, ::kv::Half) \
   KV_INSTANTIATE_ONE(name, Params, ::kv::BFloat16)
+#define KV_INSTANTIATE_COMPUTED(name, Params) \
+  KV_INSTANTIATE_ONE(name, Params, float)     \
+  KV_INSTANTIATE_ONE(name, Params, double)
+#endif
 #define KV_INSTANTIATE_WITH_BYTES(name, Params) \
   KV_INSTANTIATE(name, Params)                  \
   KV_INSTANTIATE_ONE(name, Params, uint8_t)

@@ -114,9 +114,7 @@ int grid_counts_backward(GridCountsBackward<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_ONE(grid_counts, GridCounts, float)
-KV_INSTANTIATE_ONE(grid_counts, GridCounts, double)
-KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, float)
-KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, double)
+KV_INSTANTIATE_COMPUTED(grid_counts, GridCounts)
+KV_INSTANTIATE_COMPUTED(grid_counts_backward, GridCountsBackward)
 
 }  // namespace kv::cuda

@@ -64,9 +64,7 @@ void grid_counts_backward(GridCountsBackward<T> const& b, int64_t begin, int64_t
   }
 }
 
-KV_INSTANTIATE_ONE(grid_counts, GridCounts, float)
-KV_INSTANTIATE_ONE(grid_counts, GridCounts, double)
-KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, float)
-KV_INSTANTIATE_ONE(grid_counts_backward, GridCountsBackward, double)
+KV_INSTANTIATE_COMPUTED(grid_counts, GridCounts)
+KV_INSTANTIATE_COMPUTED(grid_counts_backward, GridCountsBackward)
 
 }  // namespace kv::KV_ISA

@@ -240,9 +240,7 @@ int gaussian_counts_backward(GaussianCountsBackward<T> const& p, CUstream_st* st
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, float)
-KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, double)
-KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, float)
-KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, double)
+KV_INSTANTIATE_COMPUTED(gaussian_counts, GaussianCounts)
+KV_INSTANTIATE_COMPUTED(gaussian_counts_backward, GaussianCountsBackward)
 
 }  // namespace kv::cuda

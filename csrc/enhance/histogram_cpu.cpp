@@ -205,9 +205,7 @@ void gaussian_counts_backward(GaussianCountsBackward<T> const& b, int64_t begin,
   }
 }
 
-KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, float)
-KV_INSTANTIATE_ONE(gaussian_counts, GaussianCounts, double)
-KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, float)
-KV_INSTANTIATE_ONE(gaussian_counts_backward, GaussianCountsBackward, double)
+KV_INSTANTIATE_COMPUTED(gaussian_counts, GaussianCounts)
+KV_INSTANTIATE_COMPUTED(gaussian_counts_backward, GaussianCountsBackward)
 
 }  // namespace kv::KV_ISA

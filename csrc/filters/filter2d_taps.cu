@@ -168,7 +168,6 @@ int sum_parts(SumParts<F> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE(filter2d_taps, Filter2dTaps)
-KV_INSTANTIATE_ONE(sum_parts, SumParts, float)
-KV_INSTANTIATE_ONE(sum_parts, SumParts, double)
+KV_INSTANTIATE_COMPUTED(sum_parts, SumParts)
 
 }  // namespace kv::cuda

@@ -118,7 +118,6 @@ void sum_parts(SumParts<F> const& p, int64_t begin, int64_t end) {
 }
 
 KV_INSTANTIATE(filter2d_taps, Filter2dTaps)
-KV_INSTANTIATE_ONE(sum_parts, SumParts, float)
-KV_INSTANTIATE_ONE(sum_parts, SumParts, double)
+KV_INSTANTIATE_COMPUTED(sum_parts, SumParts)
 
 }  // namespace kv::KV_ISA

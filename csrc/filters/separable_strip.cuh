@@ -223,7 +223,11 @@ void launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   auto const launch = [&](auto aligned) {
     separable_strip<T, K, P, Mirrored><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
   };
-  is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2 ? launch(std::true_type{}) : launch(std::false_type{});
+  bool const aligned = is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2;
+  if constexpr (K > 11 && (sizeof(T) < 4 || Mirrored))  // arithmetic hides the branches; half the kernels to compile
+    launch(aligned);
+  else
+    aligned ? launch(std::true_type{}) : launch(std::false_type{});
 }
 
 template <class T, bool Mirrored, int K = 3>

@@ -13,10 +13,10 @@
 
 namespace kvision {
 
-// The steps and all their parameters as `numbers`. A parameter that is a tensor has its column of `parameters`, (B or
-// 1, C or 1, P) of float, or double for double images, in `columns`, and the others have -1 there. `order` (B or 1, S)
-// of int64 has the step of each position, or -1 for none. The result has the dtype, as torch names it, and the layout,
-// "NCHW" or "NHWC", that are asked for; bytes are 255ths.
+// The steps and all their parameters as `numbers`. Those that are tensors stand in p0, p1 and so on, (B or 1, C or 1,
+// P) of floating-point numbers; `columns` has their places, counted along the last axes of all tensors, and -1 for
+// numbers. `order` (B or 1, S) of int64 has the step of each position, or -1 for none. The result has the dtype, as
+// torch names it, and the layout, "NCHW" or "NHWC", that are asked for; bytes are 255ths.
 struct ColorProgram {
   // With their parameters, as csrc/color/program.h explains them.
   enum Step : int64_t {
@@ -48,38 +48,73 @@ struct ColorProgram {
     sigmoid,
     solarize,
     posterize,
+    threshold,
   };
   std::vector<int64_t> steps;
   std::vector<double> numbers;
-  std::optional<Tensor> parameters = {};
   std::vector<int64_t> columns = {};
+  std::optional<Tensor> p0 = {};
+  std::optional<Tensor> p1 = {};
+  std::optional<Tensor> p2 = {};
+  std::optional<Tensor> p3 = {};
+  std::optional<Tensor> p4 = {};
+  std::optional<Tensor> p5 = {};
   std::optional<Tensor> order = {};
   std::string dtype = "same";
   std::string layout = "same";
+
+  // An undefined Tensor for what there is not.
+  std::vector<Tensor> parameters() const {
+    std::vector<Tensor> all;
+    for (auto const* p : {&p0, &p1, &p2, &p3, &p4, &p5}) all.push_back(p->value_or(Tensor()));
+    return all;
+  }
 };
 
-// The gradients of the image and of the parameters, the latter for each sample; without elements where not wanted.
+namespace detail {
+
+inline variable_list with_parameters(variable_list tensors, ColorProgram const& p) {
+  for (Tensor const& parameter : p.parameters()) tensors.push_back(parameter);
+  return tensors;
+}
+
+}  // namespace detail
+
+// The gradients of the image and of all columns of the parameters, the latter for each sample; without elements where
+// not wanted.
 inline std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor const& input, ColorProgram const& p,
                                                          std::optional<Tensor> const& means, bool of_image,
                                                          bool of_parameters) {
   using namespace detail;
   auto const compute = [&] {
     auto const [of_x, of_rows] = call<"color_program_backward", std::tuple<Tensor, Tensor>>(
-        grad, input, p.parameters, p.order, means, p.steps, p.numbers, p.columns, of_image, of_parameters);
+        grad, input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, means, p.steps, p.numbers, p.columns, of_image,
+        of_parameters);
     return variable_list{of_x, of_rows};
   };
-  auto const found = differentiable({grad, input, p.parameters.value_or(Tensor())}, compute, {},
-                                    no_second_derivative("color_program"));
+  auto const found =
+      differentiable(with_parameters({grad, input}, p), compute, {}, no_second_derivative("color_program"));
   return {found[0], found[1]};
 }
 
 namespace detail {
 
 inline variable_list color_gradients(Backward const& b, ColorProgram const& p, std::optional<Tensor> const& mean) {
-  bool const of_parameters = p.parameters && b.wanted(1);
+  variable_list const parameters = p.parameters();
+  bool of_parameters = false;
+  for (size_t i = 0; i < parameters.size(); ++i) of_parameters = of_parameters || b.wanted(1 + i);
   auto const [of_x, of_rows] = color_program_backward(b.grads[0], b.saved[0], p, mean, b.wanted(0), of_parameters);
-  bool const shared = of_parameters && p.parameters->size(0) == 1;
-  return {b.wanted(0) ? of_x : Tensor(), !of_parameters ? Tensor() : shared ? of_rows.sum({0}, true) : of_rows};
+  variable_list found{b.wanted(0) ? of_x : Tensor()};
+  int64_t first = 0;
+  for (size_t i = 0; i < parameters.size(); ++i) {
+    Tensor const& own = parameters[i];
+    int64_t const columns = own.defined() ? own.size(2) : 0;
+    bool const wanted = b.wanted(1 + i);
+    found.push_back(wanted ? of_rows.narrow(2, first, columns).sum_to_size(own.sizes()).to(own.scalar_type())
+                           : Tensor());
+    first += columns;
+  }
+  return found;
 }
 
 }  // namespace detail
@@ -87,11 +122,11 @@ inline variable_list color_gradients(Backward const& b, ColorProgram const& p, s
 inline Tensor color_program(Tensor const& input, ColorProgram const& p) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{
-        call<"color_program">(input, p.parameters, p.order, p.steps, p.numbers, p.columns, p.dtype, p.layout)};
+    return variable_list{call<"color_program">(input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.steps, p.numbers,
+                                               p.columns, p.dtype, p.layout)};
   };
   auto const gradient = [=](Backward const& b) { return color_gradients(b, p, {}); };
-  return differentiable({input, p.parameters.value_or(Tensor())}, compute, {input}, gradient)[0];
+  return differentiable(with_parameters({input}, p), compute, {input}, gradient)[0];
 }
 
 // With a step `contrast`, and the mean of each sample around which there was contrast as the second result.
@@ -100,14 +135,14 @@ inline std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input,
   Tensor mean;
   auto const compute = [&] {
     auto const [y, found] = call<"color_program_around_mean", std::tuple<Tensor, Tensor>>(
-        input, p.parameters, p.order, p.steps, p.numbers, p.columns, p.dtype, p.layout);
+        input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.steps, p.numbers, p.columns, p.dtype, p.layout);
     mean = found;
     return variable_list{y};
   };
   // The mean is there only when the gradient is: it is kept by reference until then.
   auto const kept = std::make_shared<Tensor>();
   auto const gradient = [=](Backward const& b) { return color_gradients(b, p, *kept); };
-  Tensor const y = differentiable({input, p.parameters.value_or(Tensor())}, compute, {input}, gradient)[0];
+  Tensor const y = differentiable(with_parameters({input}, p), compute, {input}, gradient)[0];
   *kept = mean;
   return {y, mean};
 }

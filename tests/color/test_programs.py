@@ -138,4 +138,4 @@ def test_a_program_that_is_none_is_refused(steps, parameters):
     if "cpu" in _ops.unserved:
         pytest.skip("the operators are declared by libkvision.so")
     with pytest.raises(RuntimeError, match="color_program: "):
-        torch.ops.kvision.color_program(torch.rand(1, 3, 4, 4), None, None, steps, parameters, [], "same", "same")
+        torch.ops.kvision.color_program(torch.rand(1, 3, 4, 4), *[None] * 7, steps, parameters, [], "same", "same")

@@ -50,7 +50,13 @@ def colours(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) ->
     return x.to(dtype).to(device)
 
 
+@pytest.fixture
+def image(device) -> Tensor:
+    return torch.rand(4, 3, 20, 31, device=device)
+
+
 class ProgramTests(OpTests):
+    mixed = ("input", "p0", "p1", "p2")
     channels = 3
     shape = (2, 3, 9, 14)
     small = (2, 3, 2, 3)
@@ -150,12 +156,31 @@ class TestAdjustContrast(AdjustmentTests):
     test_layout = None  # joining channels takes a copy, which is planar
 
 
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64, torch.int64], ids=str)
+def test_parameters_as_they_are(dtype, device):
+    """Of any type and any strides, of some or all of images and channels, and their gradients in their types."""
+    x = torch.rand(2, 3, 5, 7, device=device)
+    mean = (4 * torch.rand(3, 2, device=device)).to(dtype).t()
+    std = (4 * torch.rand(1, 3, device=device) + 1).to(dtype).expand(2, 3)
+    expected = (x - mean.float()[..., None, None]) / std.float()[..., None, None]
+    assert_close(E.normalize(x, mean, std), expected, 1e-6, 1e-6)
+    if dtype.is_floating_point:
+        leaf = mean.clone().requires_grad_()
+        (found,) = torch.autograd.grad(E.normalize(x, leaf, std).sum(), leaf)
+        assert found.dtype == dtype
+        assert_close(found.float(), -35 / std.float(), 1e-2, 0)
+
+
+def test_more_tensors_than_the_kernels_take(image, device):
+    factors = [torch.rand(4 if i % 2 else (), device=device) + 0.5 for i in range(8)]
+    program = E.ColorProgram(*(("brightness", f) for f in factors))
+    product = image
+    for f in factors:
+        product = (product * f.reshape(-1, 1, 1, 1)).clamp(0, 1)
+    assert_close(program(image), product, 1e-5, 1e-6)
+
+
 # --- ColorProgram ---------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def image(device) -> Tensor:
-    return torch.rand(4, 3, 20, 31, device=device)
 
 
 PROGRAMS = [

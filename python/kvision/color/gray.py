@@ -8,7 +8,6 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
 from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
 
@@ -21,10 +20,6 @@ def _weighted(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
     return wr * r + wg * g + wb * b
 
 
-def _weighted_by(x: Tensor, weights: Tensor) -> Tensor:
-    return (x * weights[:, :, None, None]).sum(1, keepdim=True)
-
-
 def _fixed_point(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
     """OpenCV's 15-bit luma of bytes over 255; no sum reaches 2^24, so float32 has it exactly."""
     r, g, b = (255 * x).round().split(1, 1)
@@ -33,7 +28,6 @@ def _fixed_point(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
 
 weighted_sum = step("weighted_sum", _weighted)
 _byte_luma = step("byte_luma", _fixed_point)
-_rgb_to_grayscale = as_stored(_weighted_by)
 
 
 def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor:
@@ -67,7 +61,7 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
     if rgb_weights is not None:
         _check.shape("rgb_to_grayscale", "rgb_weights", rgb_weights, 3)
         _check.same_device("rgb_to_grayscale", image=image, rgb_weights=rgb_weights)
-        return on_batch(_rgb_to_grayscale, image, rgb_weights[None])
+        return on_batch(weighted_sum, image, rgb_weights.reshape(1, 1, 3))
     if image.dtype == torch.uint8:
         return on_batch(_byte_luma, image, *_BYTE_LUMA)
     return on_batch(weighted_sum, image, *LUMA)

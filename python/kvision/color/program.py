@@ -31,7 +31,7 @@ _PARAMETERS = {
     "byte_luma": 3,
     # With parameters that may be tensors.
     "weighted_sum": 3,
-    "line_rgb": 6,
+    "line_rgb": 7,
     "standardize_rgb": 6,
     "saturation": 1,
     "saturation_raw": 1,
@@ -47,9 +47,10 @@ _PARAMETERS = {
     "sigmoid": 3,
     "solarize": 3,
     "posterize": 2,
+    "threshold": 5,
 }
 _NAMES = tuple(_PARAMETERS)
-MOST_STEPS, MOST_NUMBERS = 16, 64  # of a program: kMostSteps and kMostParameters
+MOST_STEPS, MOST_NUMBERS, MOST_TENSORS = 16, 64, 6  # of a program: kMostSteps, kMostParameters and kMostTensors
 _AROUND_MEAN = _NAMES.index("contrast")
 _OF_VALUES = _NAMES[_AROUND_MEAN + 1 :]
 _ONE_CHANNEL = ("byte_luma", "weighted_sum")
@@ -59,21 +60,16 @@ _findings: dict[str, Callable[[Tensor], Tensor]] = {}  # what a step's last para
 
 # --- the operators --------------------------------------------------------------------------------------------------
 #
-# Tensors: the image (B, C, H, W), parameters (B or 1, C or 1, P), order (B or 1, S). Then the program: `numbers` has all
-# parameters of all steps, `columns` where in the tensor those stand that are not numbers, or -1, and is empty where there
-# are none. Then dtype, as torch names it, and layout, "NCHW" or "NHWC"; "same" for those of the image.
+# Tensors: the image (B, C, H, W), six for parameters (B or 1, C or 1, P) or None, order (B or 1, S). Then the program:
+# `numbers` has all parameters of all steps; `columns` where those stand that are not numbers, counted along the last axes
+# of all tensors, or -1, and is empty where there are none. Then dtype, as torch names it, and layout, "NCHW" or "NHWC";
+# "same" for those of the image.
 
 
-def _sequential(
-    x: Tensor,
-    parameters: Tensor | None,
-    order: Tensor | None,
-    steps: Sequence[int],
-    numbers: Sequence[float],
-    columns: Sequence[int],
-) -> tuple[Tensor, Tensor]:
+def _sequential(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
     """The steps one after the other, or as `order` has them, and the mean around which there was contrast."""
-    tensors = () if parameters is None else parameters[..., None, None].unbind(2)
+    *parameters, order, steps, numbers, columns = arguments
+    tensors = _slots([p for p in parameters if p is not None])
     calls, first = [], 0
     for name in (_NAMES[i] for i in steps):
         slots = range(first, first := first + _PARAMETERS[name])
@@ -90,6 +86,14 @@ def _sequential(
     return x, mean
 
 
+def _slots(parameters: Sequence[float | Tensor]) -> list[float | Tensor]:
+    """Parameters with every column of a tensor by itself, as (B or 1, C or 1, 1, 1)."""
+    slots: list[float | Tensor] = []
+    for p in parameters:
+        slots += p[..., None, None].unbind(2) if isinstance(p, Tensor) and p.dim() == 3 else [p]
+    return slots
+
+
 def _where(here: Tensor | None, new: Tensor, old: Tensor) -> Tensor:
     return new if here is None else torch.where(here, new, old)
 
@@ -97,18 +101,10 @@ def _where(here: Tensor | None, new: Tensor, old: Tensor) -> Tensor:
 _computed = as_stored(_sequential)
 
 
-def _reference_around_mean(
-    x: Tensor,
-    parameters: Tensor | None,
-    order: Tensor | None,
-    steps: Sequence[int],
-    numbers: Sequence[float],
-    columns: Sequence[int],
-    dtype: str,
-    layout: str,
-) -> tuple[Tensor, Tensor]:
+def _reference_around_mean(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
+    *program, dtype, layout = arguments
     stored = _stored(x, dtype)
-    y, mean = _computed(_widened(x, stored), parameters, order, steps, numbers, columns)
+    y, mean = _computed(_widened(x, stored), *program)
     y = saturate_to_byte(255 * y) if stored == torch.uint8 else y.to(stored)
     return _arranged(y, x, layout), mean
 
@@ -117,28 +113,23 @@ def _reference(x: Tensor, *arguments: Any) -> Tensor:
     return _reference_around_mean(x, *arguments)[0]
 
 
-def _pulled_back(
-    grad: Tensor,
-    x: Tensor,
-    parameters: Tensor | None,
-    order: Tensor | None,
-    mean: Tensor | None,
-    steps: Sequence[int],
-    numbers: Sequence[float],
-    columns: Sequence[int],
-    of_image: bool,
-    of_parameters: bool,
-) -> tuple[Tensor, Tensor]:
+def _pulled_back(grad: Tensor, x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
+    *parameters, order, _, steps, numbers, columns, of_image, of_parameters = arguments
+    given = [p for p in parameters if p is not None]
     wide = _widened(x, grad.dtype)
 
-    def result(x: Tensor, rows: Tensor | None = None) -> Tensor:
-        return _computed(x, rows, order, steps, numbers, columns)[0]
+    def result(x: Tensor, *rows: Tensor) -> Tensor:
+        return _computed(x, *rows, order, steps, numbers, columns)[0]
 
-    rows = () if parameters is None else (parameters.expand(x.shape[0], -1, -1),)  # a gradient for each sample
+    channels = max((p.shape[1] for p in given), default=1)
+    rows = [p.to(wide.dtype).expand(x.shape[0], channels, -1) for p in given]  # a gradient for each sample
     pullback = torch.func.vjp(result, wide, *rows)[1]
     of_x, *of_rows = pullback(grad.to(wide.dtype))
     none = wide[:, :0, 0, 0]
-    return laid_out(of_x.to(x.dtype), x) if of_image else none.to(x.dtype), of_rows[0] if of_parameters else none
+    return (
+        laid_out(of_x.to(x.dtype), x) if of_image else none.to(x.dtype),
+        torch.cat(of_rows, 2) if of_parameters else none,
+    )
 
 
 def _widened(x: Tensor, other: torch.dtype) -> Tensor:
@@ -157,32 +148,45 @@ def _arranged(y: Tensor, x: Tensor, layout: str) -> Tensor:
     return y.contiguous() if layout == "NCHW" else y.movedim(1, -1).contiguous().movedim(-1, 1)
 
 
-def _result(x, parameters, order, steps, numbers, columns, dtype, layout):
+def _result(x: Tensor, *arguments: Any) -> Tensor:
+    *_, steps, _, _, dtype, layout = arguments
     channels = 1 if steps and _NAMES[steps[-1]] in _ONE_CHANNEL else x.shape[1]
     sizes = (x.shape[0], channels, *x.shape[2:])
     return _arranged(x.new_empty(sizes, dtype=_stored(x, dtype)), x, layout)
 
 
-def _result_and_mean(x, parameters, order, steps, numbers, columns, dtype, layout):
-    y = _result(x, parameters, order, steps, numbers, columns, dtype, layout)
+def _result_and_mean(x: Tensor, *arguments: Any) -> list[Tensor]:
+    y = _result(x, *arguments)
     return [y, x.new_empty((x.shape[0], 1), dtype=_computing(x.dtype, y.dtype))]
 
 
-def _gradients(grad, x, parameters, order, mean, steps, numbers, columns, of_image, of_parameters):
+def _gradients(grad: Tensor, x: Tensor, *arguments: Any) -> list[Tensor]:
+    *parameters, _, _, _, _, _, of_image, of_parameters = arguments
+    given = [p for p in parameters if p is not None]
     of_x = laid_out(torch.empty_like(x), x) if of_image else x.new_empty((x.shape[0], 0))
-    sizes = (x.shape[0], *parameters.shape[1:]) if of_parameters else (x.shape[0], 0)
-    return [of_x, x.new_empty(sizes, dtype=_computing(x.dtype, grad.dtype))]
+    sizes: tuple[int, ...] = (0,)
+    if of_parameters:
+        sizes = (max(p.shape[1] for p in given), sum(p.shape[2] for p in given))
+    return [of_x, x.new_empty((x.shape[0], *sizes), dtype=_computing(x.dtype, grad.dtype))]
 
 
 def _computing(*types: torch.dtype) -> torch.dtype:
     return torch.float64 if torch.float64 in types else torch.float32
 
 
-def _backward(needs, grad, x, parameters, order, steps, numbers, columns, dtype, layout, mean=None):
-    of_x, of_rows = _program_backward(grad, x, parameters, order, mean, steps, numbers, columns, *needs[:2])
-    if needs[1] and parameters.shape[0] == 1:
-        of_rows = of_rows.sum(0, keepdim=True)
-    return [of_x if needs[0] else None, of_rows if needs[1] else None, None]
+def _backward(
+    needs: Sequence[bool], grad: Tensor, x: Tensor, *arguments: Any, mean: Tensor | None = None
+) -> list[Tensor | None]:
+    *parameters, order, steps, numbers, columns, _, _ = arguments
+    wanted = needs[1 : 1 + MOST_TENSORS]
+    of_x, of_rows = _program_backward(grad, x, *parameters, order, mean, steps, numbers, columns, needs[0], any(wanted))
+    found: list[Tensor | None] = [of_x if needs[0] else None]
+    first = 0
+    for p, wants in zip(parameters, wanted):
+        own = of_rows.narrow(2, first, p.shape[2]) if wants else None
+        found.append(None if own is None else own.sum_to_size(p.shape).to(p.dtype))
+        first += 0 if p is None else p.shape[2]
+    return found
 
 
 def _backward_around_mean(needs, grad, _, y, mean, *arguments):
@@ -213,27 +217,38 @@ def run(
     dtype: str = "same",
     layout: str = "same",
 ) -> Tensor:
-    """A program on images (B, C, H, W), whose parameters are numbers or tensors (B or 1, C or 1, 1, 1)."""
-    table, columns, numbers = None, [], parameters
-    tensors = [p for p in parameters if isinstance(p, Tensor)]
-    if tensors:
-        places = iter(range(len(tensors)))
-        table = _table(tensors, _computing(x.dtype))
-        columns = [next(places) if isinstance(p, Tensor) else -1 for p in parameters]
-        numbers = [0.0 if isinstance(p, Tensor) else p for p in parameters]
+    """A program on images (B, C, H, W), whose parameters are numbers, or tensors (B or 1, C or 1, P) for P of them."""
+    numbers: list[float] = []
+    columns: list[int] = []
+    tensors: list[Tensor | None] = []
+    first = 0
+    for p in parameters:
+        if isinstance(p, Tensor):
+            tensors.append(p if p.is_floating_point() else p.float())
+            last = first + p.shape[2]
+            columns += range(first, last)
+            numbers += [0.0] * (last - first)
+            first = last
+        else:
+            columns.append(-1)
+            numbers.append(p)
+    if len(tensors) > MOST_TENSORS:
+        tensors[MOST_TENSORS - 1 :] = [_joined(tensors[MOST_TENSORS - 1 :])]
+    tensors += [None] * (MOST_TENSORS - len(tensors))
     operator = _program_around_mean if _AROUND_MEAN in steps else _program
     stored = _stored(x, dtype)
     # Kernels take one mean, and compute in one type.
     fits = steps.count(_AROUND_MEAN) < 2 and (x.dtype == torch.float64) == (stored == torch.float64)
-    y = (operator if fits else operator.reference)(x, table, order, steps, numbers, columns, dtype, layout)
+    y = (operator if fits else operator.reference)(
+        x, *tensors, order, steps, numbers, columns if first else [], dtype, layout
+    )
     return y[0] if _AROUND_MEAN in steps else y
 
 
-def _table(tensors: Sequence[Tensor], dtype: torch.dtype) -> Tensor:
-    """(B or 1, C or 1, P)"""
-    if len(tensors) == 1:
-        return tensors[0][..., 0].to(dtype)
-    return torch.cat(torch.broadcast_tensors(*(t.to(dtype) for t in tensors)), -1)[:, :, 0]
+def _joined(tensors: Sequence[Any]) -> Tensor:
+    """Their columns side by side."""
+    sizes = torch.broadcast_shapes(*(t.shape[:2] for t in tensors))
+    return torch.cat([t.expand(*sizes, -1) for t in tensors], 2)
 
 
 def step(
@@ -241,7 +256,8 @@ def step(
 ) -> Callable[..., Tensor]:
     """The step `name`, defined by `reference(x, *parameters)` on images (B, C, H, W), as a function of the same arguments.
 
-    Parameters are numbers or tensors that broadcast to the image; the last one is `found(x)` where that is given.
+    Parameters are numbers, or tensors that broadcast to the image; or tensors (B or 1, C or 1, P) for P parameters. The
+    last one is `found(x)` where that is given.
     """
     _references[name] = reference
     composed = as_stored(reference)
@@ -254,7 +270,7 @@ def step(
         fits = 0 not in x.shape[2:]  # the kernels take no images without pixels
         for p in parameters:
             if isinstance(p, Tensor):
-                fits = fits and p.shape[2:].numel() == 1 and (of_values or p.shape[1] == 1)
-        return run(x, steps, [*parameters, *rest]) if fits else composed(x, *parameters)
+                fits = fits and p.dim() == 3 and (of_values or p.shape[1] == 1)
+        return run(x, steps, [*parameters, *rest]) if fits else composed(x, *_slots(parameters))
 
     return of_one_step

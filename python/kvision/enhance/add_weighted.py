@@ -9,20 +9,11 @@ from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
-from kvision.enhance.batch import chosen
+from kvision.enhance.batch import check_broadcast
 
 
-def _reference(
-    x: Tensor,
-    y: Tensor,
-    alpha: Tensor | None,
-    beta: Tensor | None,
-    gamma: Tensor | None,
-    alpha_number: float,
-    beta_number: float,
-    gamma_number: float,
-) -> Tensor:
-    return x * chosen(alpha, alpha_number) + y * chosen(beta, beta_number) + chosen(gamma, gamma_number)
+def _reference(x: Tensor, alpha: float | Tensor, y: Tensor, beta: float | Tensor, gamma: float | Tensor) -> Tensor:
+    return x * alpha + y * beta + gamma
 
 
 _add_weighted = as_stored(_reference)
@@ -63,22 +54,15 @@ def add_weighted(
             actual_shape=src2.shape,
             expected_shape=src1.shape,
         )
-    tensors, numbers = zip(*(_weight(n, w, src1) for n, w in (("alpha", alpha), ("beta", beta), ("gamma", gamma))))
-    return _add_weighted(floats(src1), src2, *tensors, *numbers)
+    a, b, c = (_weight(n, w, src1) for n, w in (("alpha", alpha), ("beta", beta), ("gamma", gamma)))
+    return _add_weighted(floats(src1), a, src2, b, c)
 
 
-def _weight(name: str, weight: float | Tensor, x: Tensor) -> tuple[Tensor | None, float]:
+def _weight(name: str, weight: float | Tensor, x: Tensor) -> float | Tensor:
     if not isinstance(weight, Tensor):
-        return None, _check.number("add_weighted", name, weight)
-    _check.numbers("add_weighted", name, weight)
-    _check.same_device("add_weighted", src1=x, **{name: weight})
-    trailing = x.shape[x.dim() - weight.dim() :] if weight.dim() <= x.dim() else ()
-    if weight.dim() > x.dim() or any(n not in (1, m) for n, m in zip(weight.shape, trailing)):
-        raise ShapeError(
-            f"add_weighted: expected {name} to broadcast to {tuple(x.shape)}, got {tuple(weight.shape)}",
-            actual_shape=weight.shape,
-        )
-    return weight, 0.0
+        return _check.number("add_weighted", name, weight)
+    check_broadcast("add_weighted", name, weight, x)
+    return weight
 
 
 class AddWeighted(FunctionModule):

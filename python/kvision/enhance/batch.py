@@ -16,41 +16,65 @@ def as_batch(x: Tensor) -> Tensor:
     return flat(x if x.dim() > 2 else x.reshape((1,) * (3 - x.dim()) + x.shape))
 
 
-def parameter(
-    op: str, name: str, value: float | Tensor, x: Tensor, minimum: float = -math.inf
-) -> tuple[Tensor | None, float]:
-    """A parameter of images `x` as (tensor beside as_batch(x), 0), or as (None, number).
+def shaped(y: Tensor, x: Tensor) -> Tensor:
+    """The result of a step on as_batch(x) with the axes of `x`."""
+    return y if y.dim() == x.dim() else y.reshape(x.shape)
+
+
+def parameter(op: str, name: str, value: float | Tensor, x: Tensor, minimum: float = -math.inf) -> float | Tensor:
+    """A parameter of images `x` as a step on as_batch(x) takes it: a number, or a tensor (B or 1, C or 1, 1).
 
     The axes of a tensor are the first ones of `x`, of the same size or 1: (B,) has one value a sample, (B, C) one a
-    channel. Only numbers are compared with `minimum`: a look at a tensor would wait for its device.
+    channel; one a pixel gives (B, C, H, W). Only numbers are compared with `minimum`: a look at a tensor would wait for
+    its device.
     """
     if not isinstance(value, Tensor):
-        return None, _check.number(op, name, value, minimum)
+        return _check.number(op, name, value, minimum)
     _check.numbers(op, name, value)
     _check.same_device(op, **{"the images": x, name: value})
-    if value.dim() > x.dim() or any(n not in (1, m) for n, m in zip(value.shape, x.shape)):
+    axes, sizes = x.dim(), value.shape
+    if len(sizes) > axes or any(n not in (1, m) for n, m in zip(sizes, x.shape)):
         raise ShapeError(
             f"{op}: expected {name} with the first axes of the images {tuple(x.shape)}, or axes of size 1, "
-            f"got {tuple(value.shape)}",
+            f"got {tuple(sizes)}",
+            actual_shape=sizes,
+        )
+    if sizes[axes - 2 :].numel() > 1:
+        return as_batch(value.reshape(*sizes, *(1,) * (axes - len(sizes))).expand(*x.shape[:-3], *(-1,) * min(axes, 3)))
+    channels = sizes[axes - 3] if 0 <= axes - 3 < len(sizes) else 1
+    if axes > 4 and sizes[: axes - 3].numel() > 1:
+        value = value.reshape(*sizes[: axes - 3], *(1,) * (axes - 3 - len(sizes)), channels)
+        value = value.expand(*x.shape[:-3], channels)
+    return value.reshape(-1, channels, 1)
+
+
+def check_broadcast(op: str, name: str, value: Tensor, x: Tensor) -> None:
+    """Raise unless `value` is a tensor of numbers that broadcasts to `x` as torch does, from the last axis."""
+    _check.numbers(op, name, value)
+    _check.same_device(op, **{"the images": x, name: value})
+    if value.dim() > x.dim() or any(n not in (1, m) for n, m in zip(reversed(value.shape), reversed(x.shape))):
+        raise ShapeError(
+            f"{op}: expected {name} to broadcast to {tuple(x.shape)}, got {tuple(value.shape)}",
             actual_shape=value.shape,
         )
-    value = value.reshape(*value.shape, *(1,) * (x.dim() - value.dim()))
-    if x.dim() > 4 and value.shape[:-3].numel() > 1:
+
+
+def broadcast(value: Tensor, x: Tensor) -> Tensor:
+    """What broadcasts to images `x`, as a step on as_batch(x) takes it."""
+    missing = (1,) * (max(x.dim(), 3) - value.dim())
+    value = value.reshape(*missing, *value.shape)
+    if value.dim() > 4 and value.shape[:-3].numel() > 1:
         value = value.expand(*x.shape[:-3], *value.shape[-3:])
-    return as_batch(value), 0.0
+    value = flat(value)
+    return value[..., 0] if value.shape[2:].numel() == 1 else value
 
 
-def per_pixel(op: str, name: str, value: float | Tensor, x: Tensor) -> tuple[Tensor | None, float]:
+def per_pixel(op: str, name: str, value: float | Tensor, x: Tensor) -> float | Tensor:
     """A parameter that all channels of a pixel share."""
-    tensor, number = parameter(op, name, value, x)
-    if tensor is not None and tensor.shape[1] != 1:
+    found = parameter(op, name, value, x)
+    if isinstance(found, Tensor) and found.shape[1] != 1:
         raise ShapeError(f"{op}: expected one {name} for all channels, got {tuple(value.shape)}")  # type: ignore[union-attr]
-    return tensor, number
-
-
-def chosen(tensor: Tensor | None, number: float) -> Tensor | float:
-    """The one of both that `parameter` found."""
-    return number if tensor is None else tensor
+    return found
 
 
 def floats(op: str, name: str, x: Tensor) -> None:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision.color.program import step
-from kvision.enhance.batch import as_batch, chosen, floats, parameter
+from kvision.enhance.batch import as_batch, floats, parameter, shaped
 
 
-def _line(x: Tensor, factor: float | Tensor, shift: float | Tensor, clip: float) -> Tensor:
+def _line(x: Tensor, factor: float | Tensor, shift: float | Tensor, clip: float | Tensor) -> Tensor:
     y = x * factor + shift
     return y.clamp(0, 1) if clip else y
 
 
+def _line_rgb(x: Tensor, *numbers: float | Tensor) -> Tensor:
+    *p, clip = numbers
+    return torch.cat([_line(c, p[i], p[3 + i], clip) for i, c in enumerate(x.split(1, 1))], 1)
+
+
 line = step("line", _line)
+line_rgb = step("line_rgb", _line_rgb)
 
 
 def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -42,7 +49,7 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
     floats("adjust_brightness", "image", image)
     amount = parameter("adjust_brightness", "factor", factor, image)
     _check.flag("adjust_brightness", "clip_output", clip_output)
-    return line(as_batch(image), 1.0, chosen(*amount), clip_output).reshape(image.shape)
+    return shaped(line(as_batch(image), 1.0, amount, clip_output), image)
 
 
 def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -67,7 +74,7 @@ def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_o
     floats("adjust_brightness_accumulative", "image", image)
     amount = parameter("adjust_brightness_accumulative", "factor", factor, image)
     _check.flag("adjust_brightness_accumulative", "clip_output", clip_output)
-    return line(as_batch(image), chosen(*amount), 0.0, clip_output).reshape(image.shape)
+    return shaped(line(as_batch(image), amount, 0.0, clip_output), image)
 
 
 class AdjustBrightness(FunctionModule):

@@ -5,15 +5,16 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision.color import rgb_to_grayscale as luma
 from kvision.color.program import step
-from kvision.enhance.batch import as_batch, chosen, floats, images, parameter
+from kvision.enhance.batch import as_batch, floats, images, parameter, shaped
 from kvision.enhance.brightness import line
 
 
 def _mean_grey(x: Tensor) -> Tensor:
-    means = x.mean((2, 3), keepdim=True)
+    means = x.mean((2, 3), keepdim=True, dtype=compute_dtype(x))
     return luma(means) if x.shape[1] == 3 else means.mean(1, keepdim=True)
 
 
@@ -22,6 +23,11 @@ def _reference(x: Tensor, factor: float | Tensor, mean: Tensor) -> Tensor:
 
 
 _around_mean = step("contrast", _reference, found=_mean_grey)
+
+
+def _by_channel(x: Tensor, factor: Tensor) -> Tensor:
+    """With a factor (B or 1, C, 1) for each channel, but one mean."""
+    return line(x, factor, _mean_grey(x)[..., 0] * (1 - factor), True)
 
 
 def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -51,7 +57,7 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
     floats("adjust_contrast", "image", image)
     amount = parameter("adjust_contrast", "factor", factor, image, minimum=0)
     _check.flag("adjust_contrast", "clip_output", clip_output)
-    return line(as_batch(image), chosen(*amount), 0.0, clip_output).reshape(image.shape)
+    return shaped(line(as_batch(image), amount, 0.0, clip_output), image)
 
 
 def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -75,9 +81,12 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
         tensor([[[0.0000, 0.4000, 0.8000]]])
     """
     images("adjust_contrast_with_mean_subtraction", "image", image)
-    amount = chosen(*parameter("adjust_contrast_with_mean_subtraction", "factor", factor, image))
+    amount = parameter("adjust_contrast_with_mean_subtraction", "factor", factor, image)
     batch = as_batch(image)
-    if batch.shape[1] not in (1, 3) and (not isinstance(amount, Tensor) or amount.shape[1:].numel() == 1):
+    of_pixels = isinstance(amount, Tensor) and amount.dim() == 4
+    if isinstance(amount, Tensor) and amount.shape[1] > 1 and not of_pixels:
+        return shaped(_by_channel(batch, amount), image)
+    if batch.shape[1] not in (1, 3) and not of_pixels:
         batch = batch.flatten(1, 2)[:, None]  # the mean of all channels is that of one large one
     return _around_mean(batch, amount).reshape(image.shape)
 

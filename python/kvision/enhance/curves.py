@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision.color.program import step
-from kvision.enhance.batch import as_batch, chosen, floats, parameter
+from kvision.enhance.batch import as_batch, floats, parameter, shaped
 
 
 def _power(x: Tensor, exponent: float | Tensor, gain: float | Tensor) -> Tensor:
@@ -58,9 +58,9 @@ def adjust_gamma(input: Tensor, gamma: float | Tensor, gain: float | Tensor = 1.
         tensor([[0.0000, 0.2500, 1.0000]])
     """
     floats("adjust_gamma", "input", input)
-    exponent = chosen(*parameter("adjust_gamma", "gamma", gamma, input, minimum=0))
-    factor = chosen(*parameter("adjust_gamma", "gain", gain, input, minimum=0))
-    return _adjust_gamma(as_batch(input), exponent, factor).reshape(input.shape)
+    exponent = parameter("adjust_gamma", "gamma", gamma, input, minimum=0)
+    factor = parameter("adjust_gamma", "gain", gain, input, minimum=0)
+    return shaped(_adjust_gamma(as_batch(input), exponent, factor), input)
 
 
 def adjust_log(image: Tensor, gain: float | Tensor = 1, inv: bool = False, clip_output: bool = True) -> Tensor:
@@ -87,7 +87,7 @@ def adjust_log(image: Tensor, gain: float | Tensor = 1, inv: bool = False, clip_
     factor = parameter("adjust_log", "gain", gain, image)
     _check.flag("adjust_log", "inv", inv)
     _check.flag("adjust_log", "clip_output", clip_output)
-    return _adjust_log(as_batch(image), chosen(*factor), inv, clip_output).reshape(image.shape)
+    return shaped(_adjust_log(as_batch(image), factor, inv, clip_output), image)
 
 
 def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Tensor = 10, inv: bool = False) -> Tensor:
@@ -111,10 +111,10 @@ def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Te
         tensor([[0.0067, 0.5000, 0.9933]])
     """
     floats("adjust_sigmoid", "image", image)
-    middle = chosen(*parameter("adjust_sigmoid", "cutoff", cutoff, image))
-    factor = chosen(*parameter("adjust_sigmoid", "gain", gain, image))
+    middle = parameter("adjust_sigmoid", "cutoff", cutoff, image)
+    factor = parameter("adjust_sigmoid", "gain", gain, image)
     _check.flag("adjust_sigmoid", "inv", inv)
-    return _adjust_sigmoid(as_batch(image), middle, factor, inv).reshape(image.shape)
+    return shaped(_adjust_sigmoid(as_batch(image), middle, factor, inv), image)
 
 
 class AdjustGamma(FunctionModule):

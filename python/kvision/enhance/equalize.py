@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._ops import register
-from kvision.enhance.batch import as_batch, images
+from kvision.enhance.batch import as_batch, images, shaped
 
 LEVELS = 256
 
@@ -96,7 +96,7 @@ def equalize(input: Tensor, opencv: bool = False) -> Tensor:
     """
     images("equalize", "input", input)
     _check.flag("equalize", "opencv", opencv)
-    return _equalize(as_batch(input), opencv)[0].reshape(input.shape)
+    return shaped(_equalize(as_batch(input), opencv)[0], input)
 
 
 def equalize3d(input: Tensor) -> Tensor:

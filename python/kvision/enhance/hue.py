@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision._modules import FunctionModule
 from kvision.color.hue import hue, lack
 from kvision.color.program import step
-from kvision.enhance.batch import as_batch, chosen, colours, per_pixel
+from kvision.enhance.batch import as_batch, colours, per_pixel, shaped
 
 _TURN = 2 * math.pi
 
@@ -58,7 +58,7 @@ def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_hue", "image", image)
     amount = per_pixel("adjust_hue", "factor", factor, image)
-    return _adjust_hue(as_batch(image), chosen(*amount)).reshape(image.shape)
+    return shaped(_adjust_hue(as_batch(image), amount), image)
 
 
 def adjust_hue_raw(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -81,7 +81,7 @@ def adjust_hue_raw(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_hue_raw", "image", image)
     amount = per_pixel("adjust_hue_raw", "factor", factor, image)
-    return _adjust_hue_raw(as_batch(image), chosen(*amount)).reshape(image.shape)
+    return shaped(_adjust_hue_raw(as_batch(image), amount), image)
 
 
 class AdjustHue(FunctionModule):

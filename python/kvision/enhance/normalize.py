@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -12,6 +12,7 @@ from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision.color.program import step
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.enhance.batch import shaped
 from kvision.enhance.brightness import line
 
 
@@ -19,14 +20,12 @@ def _to_unit(x: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
     return (x - mean) / std
 
 
-def _by_channel(formula: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """With two numbers for each of three channels."""
-    return lambda x, *p: torch.cat([formula(c, a, b) for c, a, b in zip(x.split(1, 1), p[:3], p[3:])], 1)
+def _to_unit_rgb(x: Tensor, *p: float | Tensor) -> Tensor:
+    return torch.cat([_to_unit(c, p[i], p[3 + i]) for i, c in enumerate(x.split(1, 1))], 1)
 
 
 _normalize = step("standardize", _to_unit)
-step("standardize_rgb", _by_channel(_to_unit))
-step("line_rgb", _by_channel(lambda x, factor, shift: x * factor + shift))
+step("standardize_rgb", _to_unit_rgb)
 
 
 def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -55,7 +54,7 @@ def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor
         tensor([[0., 1.]])
     """
     x, m, s = _arguments("normalize", data, mean, std)
-    return _normalize(x, m, s).reshape(data.shape)
+    return shaped(_normalize(x, m, s), data)
 
 
 def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -78,7 +77,7 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
         tensor([[0.5000, 1.0000]])
     """
     x, m, s = _arguments("denormalize", data, mean, std)
-    return line(x, s, m, False).reshape(data.shape)
+    return shaped(line(x, s, m, False), data)
 
 
 def _arguments(
@@ -91,17 +90,19 @@ def _arguments(
 
 
 def _with_four_axes(x: Tensor) -> Tensor:
+    if x.dim() == 4:
+        return x
     return x.flatten(2, -2) if x.dim() > 4 else x.reshape(*x.shape, *(1,) * (4 - x.dim()))
 
 
 def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float | Tensor:
-    """A number, or a tensor that broadcasts to the data with four axes."""
+    """As a step on the data with four axes takes it: a number, or a tensor (B or 1, C or 1, 1), or one of as many axes."""
     if not isinstance(value, Tensor):
         return _check.number(op, name, value)
     _check.numbers(op, name, value)
     _check.same_device(op, data=data, **{name: value})
     if value.dim() <= 1 and value.numel() == 1:
-        return value.reshape(1, 1, 1, 1)
+        return value.reshape(1, 1, 1)
     aligned = value[None] if value.dim() == 1 else value
     if aligned.dim() > data.dim() or any(n not in (1, m) for n, m in zip(aligned.shape, data.shape)):
         raise ShapeError(
@@ -109,8 +110,10 @@ def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float
             f"for {tuple(data.shape)}",
             actual_shape=value.shape,
         )
+    if aligned.shape[2:].numel() == 1:
+        return aligned.reshape(*aligned.shape[:2], 1)  # data with parameters has at least two axes
     aligned = aligned.reshape(*aligned.shape, *(1,) * (data.dim() - aligned.dim()))
-    if aligned.dim() > 4 and aligned.shape[2:].numel() > 1:
+    if aligned.dim() > 4:
         aligned = aligned.expand(*aligned.shape[:2], *data.shape[2:])
     return _with_four_axes(aligned)
 

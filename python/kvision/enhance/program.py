@@ -15,13 +15,12 @@ from kvision.color.program import MOST_STEPS, STEPS, run
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
 
 Value = float | Sequence[float] | Tensor
-Slots = Sequence[float | Tensor]
 
 
 class _Kind(NamedTuple):
     step: str
     parameters: dict[str, int] = {}  # by name, and how many numbers each one is
-    arguments: Callable[..., Slots] = lambda *values: values  # of the step, from the numbers of all parameters
+    arguments: Callable[..., tuple[Any, ...]] = lambda *values: values  # of the step, from its parameters
 
 
 _KINDS = {
@@ -35,7 +34,7 @@ _KINDS = {
     "posterize": _Kind("posterize", {"bits": 1}, lambda b: (b, 1.0)),
     "invert": _Kind("line", {}, lambda: (-1.0, 1.0, 0.0)),
     "normalize": _Kind("standardize_rgb", {"mean": 3, "std": 3}),
-    "denormalize": _Kind("line_rgb", {"mean": 3, "std": 3}, lambda *m: (*m[3:], *m[:3])),
+    "denormalize": _Kind("line_rgb", {"mean": 3, "std": 3}, lambda mean, std: (std, mean, 0.0)),
 }
 
 
@@ -215,30 +214,29 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
 
 
 def _slots(steps: Sequence[tuple[Any, ...]], image: Tensor | None) -> list[float | Tensor]:
-    """The parameters of the program: numbers, or tensors (B or 1, 1, 1, 1) that fit the image."""
+    """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""
     slots: list[float | Tensor] = []
     for name, *values in steps:
         kind = _KINDS[name]
-        numbers = [
-            n for (p, size), v in zip(kind.parameters.items(), values) for n in _numbers(name, p, size, v, image)
-        ]
-        slots += kind.arguments(*numbers)
+        fitting = [_fitting(name, p, size, v, image) for (p, size), v in zip(kind.parameters.items(), values)]
+        for argument in kind.arguments(*fitting):
+            slots += argument if isinstance(argument, tuple) else [argument]
     return slots
 
 
-def _numbers(name: str, parameter: str, size: int, value: Value, image: Any) -> Sequence[float | Tensor]:
-    """A parameter as `size` numbers, or tensors (B or 1, 1, 1, 1)."""
+def _fitting(name: str, parameter: str, size: int, value: Value, image: Any) -> float | tuple[float, ...] | Tensor:
+    """A parameter as a number or `size` of them, or as a tensor (B or 1, 1, size)."""
     if not isinstance(value, Tensor):
-        return [float(v) for v in value] if isinstance(value, Sequence) else [float(value)] * size
+        if isinstance(value, Sequence):
+            return tuple(map(float, value))
+        return float(value) if size == 1 else (float(value),) * size
     _check.same_device("ColorProgram", image=image, **{parameter: value})
     batch = math.prod(image.shape[:-3])
     rows = value if size > 1 and value.dim() > 0 else value[..., None]
     if rows.dim() > 2 or rows.shape[-1] not in (1, size) or math.prod(rows.shape[:-1]) not in (1, batch):
         expected = f"() or ({batch},)" if size == 1 else f"({size},) or ({batch}, {size})"
         raise ShapeError(f"ColorProgram: expected {parameter} of {name} of shape {expected}, got {tuple(value.shape)}")
-    if size == 1:
-        return [value.reshape(-1, 1, 1, 1)]
-    return [row.reshape(-1, 1, 1, 1) for row in rows.expand(*rows.shape[:-1], size).unbind(-1)]
+    return rows.expand(*rows.shape[:-1], size).reshape(-1, 1, size)
 
 
 def _order(order: Tensor | None, enabled: Tensor | None, steps: int, image: Tensor) -> Tensor | None:

@@ -10,7 +10,7 @@ from kvision._modules import FunctionModule
 from kvision.color import rgb_to_grayscale as luma
 from kvision.color.program import step
 from kvision.core.exceptions import ImageError
-from kvision.enhance.batch import as_batch, chosen, colours, per_pixel
+from kvision.enhance.batch import as_batch, colours, per_pixel, shaped
 
 
 def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
@@ -63,7 +63,7 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_saturation", "image", image)
     amount = per_pixel("adjust_saturation", "factor", factor, image)
-    return _adjust_saturation(as_batch(image), chosen(*amount)).reshape(image.shape)
+    return shaped(_adjust_saturation(as_batch(image), amount), image)
 
 
 def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -86,7 +86,7 @@ def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
     """
     colours("adjust_saturation_raw", "image", image)
     amount = per_pixel("adjust_saturation_raw", "factor", factor, image)
-    return _adjust_saturation_raw(as_batch(image), chosen(*amount)).reshape(image.shape)
+    return shaped(_adjust_saturation_raw(as_batch(image), amount), image)
 
 
 def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -118,7 +118,7 @@ def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tenso
     amount = per_pixel(op, "factor", factor, image)
     if image.shape[-3] == 1:
         return image
-    return _adjust_saturation_from_grey(as_batch(image), chosen(*amount)).reshape(image.shape)
+    return shaped(_adjust_saturation_from_grey(as_batch(image), amount), image)
 
 
 class AdjustSaturation(FunctionModule):

@@ -6,10 +6,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._ops import as_stored
-from kvision.enhance.batch import as_batch, chosen, images, parameter
+from kvision.enhance.batch import as_batch, images, parameter, shaped
 
 
-def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
     if min(x.shape[2:]) < 3:  # nothing but rim
         return x.clamp(0, 1)
     rows = x[..., :-2, :] + x[..., 1:-1, :] + x[..., 2:, :]
@@ -18,8 +18,7 @@ def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
     # | 1 5 1 | / 13
     # | 1 1 1 |
     smooth = ((rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:] + 4 * inner) / 13).clamp(0, 1)
-    f = chosen(factor, number)
-    return (x + F.pad((inner - smooth) * (f - 1), (1, 1, 1, 1))).clamp(0, 1)
+    return (x + F.pad((inner - smooth) * (factor - 1), (1, 1, 1, 1))).clamp(0, 1)
 
 
 _sharpness = as_stored(_reference)
@@ -54,4 +53,6 @@ def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
     """
     images("sharpness", "input", input)
     amount = parameter("sharpness", "factor", factor, input)
-    return _sharpness(as_batch(input), *amount).reshape(input.shape)
+    if isinstance(amount, Tensor) and amount.dim() == 3:
+        amount = amount[..., None]
+    return shaped(_sharpness(as_batch(input), amount), input)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ImageError, ShapeError
 from kvision.enhance.batch import parameter
-from kvision.enhance.brightness import line
+from kvision.enhance.brightness import line_rgb
 
 
 def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b_shift: float | Tensor) -> Tensor:
@@ -39,14 +38,11 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
     if image.dim() != 4 or image.shape[1] != 3:
         raise ImageError(f"shift_rgb: expected image of shape (B, 3, H, W), got {tuple(image.shape)}")
     shifts = [_shift(n, s, image) for n, s in (("r_shift", r_shift), ("g_shift", g_shift), ("b_shift", b_shift))]
-    return line(image, 1.0, torch.cat(torch.broadcast_tensors(*shifts), 1), True)
+    return line_rgb(image, 1.0, 1.0, 1.0, *shifts, 1.0)
 
 
-def _shift(name: str, shift: float | Tensor, image: Tensor) -> Tensor:
-    """(B, 1, 1, 1) or (1, 1, 1, 1)."""
-    tensor, number = parameter("shift_rgb", name, shift, image)
-    if tensor is None:
-        return torch.full((1, 1, 1, 1), number, device=image.device)
-    if tensor.shape[1:].numel() != 1:
+def _shift(name: str, shift: float | Tensor, image: Tensor) -> float | Tensor:
+    found = parameter("shift_rgb", name, shift, image)
+    if isinstance(found, Tensor) and found.shape[1:].numel() != 1:
         raise ShapeError(f"shift_rgb: expected {name} of shape (B,), got {tuple(shift.shape)}")  # type: ignore[union-attr]
-    return tensor
+    return found

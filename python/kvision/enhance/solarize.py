@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision.color.program import step
 from kvision.core.exceptions import ValueCheckError
-from kvision.enhance.batch import as_batch, chosen, floats, parameter
+from kvision.enhance.batch import as_batch, floats, parameter, shaped
 
 
 def _reference(x: Tensor, threshold: float | Tensor, addition: float | Tensor, adds: float) -> Tensor:
@@ -43,10 +43,10 @@ def solarize(input: Tensor, thresholds: float | Tensor = 0.5, additions: float |
         tensor([[0.1000, 0.5000, 0.1000]])
     """
     floats("solarize", "input", input)
-    threshold = chosen(*parameter("solarize", "thresholds", thresholds, input))
+    threshold = parameter("solarize", "thresholds", thresholds, input)
     addition: float | Tensor = 0.0
     if additions is not None:
-        addition = chosen(*parameter("solarize", "additions", additions, input, minimum=-0.5))
+        addition = parameter("solarize", "additions", additions, input, minimum=-0.5)
         if not isinstance(addition, Tensor) and addition > 0.5:
             raise ValueCheckError(f"solarize: expected additions in [-0.5, 0.5], got {additions!r}")
-    return _solarize(as_batch(input), threshold, addition, additions is not None).reshape(input.shape)
+    return shaped(_solarize(as_batch(input), threshold, addition, additions is not None), input)

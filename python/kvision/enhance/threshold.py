@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 
 import torch
@@ -9,7 +10,21 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
+from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
+from kvision.enhance.batch import as_batch, broadcast, check_broadcast, shaped
+
+Value = float | Tensor
+
+
+def _reference(x: Tensor, limit: Value, above: Value, below: Value, keeps_above: float, keeps_below: float) -> Tensor:
+    def value(kept: float, other: Value) -> Tensor:
+        return x if kept else other if isinstance(other, Tensor) else x.new_full((), other)
+
+    return torch.where(x > limit, value(keeps_above, above), value(keeps_below, below))
+
+
+_threshold = step("threshold", _reference)
 
 
 class ThresholdType(IntEnum):
@@ -55,6 +70,7 @@ def threshold(
 
     Raises:
         TypeCheckError: input is no real tensor; thresh or maxval is neither number nor tensor; type is no int.
+        ShapeError: thresh or maxval does not broadcast to the input.
         ValueCheckError: an unknown type.
         NotImplementedError: THRESH_OTSU, which is :func:`kvision.filters.otsu_threshold`.
         DeviceError: tensors on different devices.
@@ -69,35 +85,45 @@ def threshold(
         if not isinstance(value, Tensor):
             _check.number("threshold", name, value)
             continue
-        _check.numbers("threshold", name, value)
-        _check.same_device("threshold", input=input, **{name: value})
+        check_broadcast("threshold", name, value, input)
     if not isinstance(type, int):
         raise TypeCheckError(f"threshold: expected type to be a ThresholdType, got {type!r}")
     if type & ThresholdType.THRESH_OTSU:
         raise NotImplementedError("threshold: THRESH_OTSU is kvision.filters.otsu_threshold")
     _check.choice("threshold", "type", int(type), [int(t) for t in ThresholdType if t < ThresholdType.THRESH_OTSU])
-    if not input.is_floating_point():
-        thresh = torch.as_tensor(thresh, dtype=torch.float64).floor()
-    above = (input if input.is_floating_point() else input.double()) > thresh
-    zero = input.new_zeros(())
-    if type == ThresholdType.THRESH_BINARY:
-        return torch.where(above, _stored(maxval, input), zero)
-    if type == ThresholdType.THRESH_BINARY_INV:
-        return torch.where(above, zero, _stored(maxval, input))
-    if type == ThresholdType.THRESH_TRUNC:
-        return torch.where(above, _stored(thresh, input), input)
-    if type == ThresholdType.THRESH_TOZERO:
-        return torch.where(above, input, zero)
-    return torch.where(above, zero, input)
+    if input.is_floating_point():
+        values = _values(type, thresh, maxval)
+        slots = [broadcast(v, input) if isinstance(v, Tensor) else v for v in values]
+        return shaped(_threshold(as_batch(input), *slots, *_kept(type)), input)
+    if input.dtype == torch.uint8 and not isinstance(thresh, Tensor) and not isinstance(maxval, Tensor):
+        level = math.floor(max(-1.0, min(thresh, 255.0)))
+        above, below = (math.floor(max(0.0, min(v, 255.0))) / 255 for v in _values(type, level, maxval)[1:])
+        return shaped(_threshold(as_batch(input), (level + 0.5) / 255, above, below, *_kept(type)), input)
+    floored = torch.as_tensor(thresh, dtype=torch.float64).floor()
+    limit, high, low = (torch.as_tensor(value) for value in _values(type, floored, maxval))
+    keeps_above, keeps_below = _kept(type)
+    return torch.where(
+        input.double() > limit,
+        input if keeps_above else _stored(high, input.dtype),
+        input if keeps_below else _stored(low, input.dtype),
+    )
 
 
-def _stored(value: float | Tensor, x: Tensor) -> Tensor:
-    """A value in the type of `x`: rounded, or saturated where it holds integers."""
-    value = torch.as_tensor(value)
-    if x.is_floating_point():
-        return value.to(x.dtype)
-    low, high = (0, 1) if x.dtype == torch.bool else (torch.iinfo(x.dtype).min, torch.iinfo(x.dtype).max)
-    return value.clamp(low, high).to(x.dtype)
+def _values(type: int, thresh: Value, maxval: Value) -> tuple[Value, Value, Value]:
+    """The threshold, and what the result is above it and elsewhere, where that is not the input."""
+    above = maxval if type == ThresholdType.THRESH_BINARY else thresh if type == ThresholdType.THRESH_TRUNC else 0.0
+    return thresh, above, maxval if type == ThresholdType.THRESH_BINARY_INV else 0.0
+
+
+def _kept(type: int) -> tuple[bool, bool]:
+    """Whether the input is kept above the threshold, and elsewhere."""
+    return type == ThresholdType.THRESH_TOZERO, type in (ThresholdType.THRESH_TRUNC, ThresholdType.THRESH_TOZERO_INV)
+
+
+def _stored(value: Tensor, dtype: torch.dtype) -> Tensor:
+    """A value in a type of integers, which saturates."""
+    low, high = (0, 1) if dtype == torch.bool else (torch.iinfo(dtype).min, torch.iinfo(dtype).max)
+    return value.clamp(low, high).to(dtype)
 
 
 class Threshold(FunctionModule):

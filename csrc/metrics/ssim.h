@@ -96,10 +96,9 @@ struct SsimBackward {
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
 };
 
-// What the CUDA kernel is compiled for; what else there is takes filter2d_separable, in Python.
-constexpr bool has_ssim_strips(bool is_double, bool is_channels_last, int64_t size) {
-  return !is_double && !is_channels_last && (size == 5 || size == 7 || size == 11);
-}
+// The windows of the CUDA kernels, which take planar images that are no smaller than the window and not of double. What
+// else there is takes filter2d_separable, in Python.
+constexpr bool has_ssim_strips(int64_t size) { return size == 5 || size == 7 || size == 11; }
 
 KV_KERNEL(ssim, Ssim)
 KV_KERNEL(ssim_backward, SsimBackward)

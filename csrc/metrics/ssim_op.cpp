@@ -35,8 +35,9 @@ struct Window {
       check_border(op, border, size / 2, n);
     }
 #if defined(KV_CUDA)
-    KV_CHECK(has_ssim_strips(x.scalar_type() == ScalarType::Double, is_channels_last(x), size), op,
-             ": no kernel for these images or this window on CUDA");
+    bool const served = has_ssim_strips(size) && min(x.size(2), x.size(3)) >= size && !is_channels_last(x) &&
+                        x.scalar_type() != ScalarType::Double;
+    KV_CHECK(served, op, ": no kernel for these images or this window on CUDA");
 #endif
   }
   int64_t less() const { return valid ? size - 1 : 0; }

@@ -56,8 +56,9 @@ def _reference(
 
 
 def _reference_of_both(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
-    _, pullback = torch.func.vjp(lambda x, y: _reference(x, y, *plain), *(x, y.expand_as(x)))
-    return pullback(grad)
+    pullback = torch.func.vjp(lambda x, y: _reference(x, y, *plain), x, y.expand_as(x))[1]
+    grad_x, grad_y = pullback(grad)
+    return grad_x, grad_y
 
 
 def _backward(needs, grad, x, y, *plain):
@@ -82,17 +83,19 @@ _ssim_backward = register("ssim_backward", vjp(_reference), fake=lambda grad, x,
 _ssim_backward_both = register("ssim_backward_both", _reference_of_both, fake=lambda grad, x, *_: [x.shape, x.shape])
 _ssim = register("ssim", _reference, fake=_size, backward=_backward)
 
-STRIPS = (5, 7, 11)  # the windows of the CUDA kernel; csrc/metrics/ssim.h
-
 
 def similarity(
     x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
 ) -> Tensor:
     """The similarity of floating-point images (B, C, H, W); see `_reference`."""
-    planar = x.shape[1] == 1 or x.stride(1) > 1
-    served = not x.is_cuda or (size in STRIPS and planar and x.dtype != torch.float64)
-    call = _ssim if served else _composed
+    call = _ssim if not x.is_cuda or _has_strips(x, size) else _composed
     return call(x, y.to(x.dtype), size, sigma, c1, c2, eps, border, luminance)
+
+
+def _has_strips(x: Tensor, size: int) -> bool:
+    """Whether the CUDA kernels take these images and this window; csrc/metrics/ssim.h."""
+    planar = x.shape[1] == 1 or x.stride(1) > 1
+    return size in (5, 7, 11) and min(x.shape[2:]) >= size and planar and x.dtype != torch.float64
 
 
 @as_stored

@@ -11,8 +11,8 @@ namespace kv {
 // all the rest.
 __device__ __forceinline__ float log2_of(float x) { return fast_log2(x); }
 __device__ __forceinline__ float exp2_of(float x) { return fast_exp2(x); }
-__device__ __noinline__ double log2_of(double x) { return fast_log2(x); }
-__device__ __noinline__ double exp2_of(double x) { return fast_exp2(x); }
+inline __device__ __noinline__ double log2_of(double x) { return fast_log2(x); }
+inline __device__ __noinline__ double exp2_of(double x) { return fast_exp2(x); }
 __device__ __forceinline__ float floor_of(float x) { return floorf(x); }
 __device__ __forceinline__ double floor_of(double x) { return floor(x); }
 __device__ __forceinline__ float magnitude(float x) { return fabsf(x); }

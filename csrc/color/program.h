@@ -29,8 +29,10 @@ enum class Step : int {
   rgb_to_luv,  // 1: eps
   luv_to_rgb,  // 1: eps
   byte_luma,   // 3 weights, of 15 bits; the result has one channel, so it comes last
+  byte_hsv,
   // Of three channels, with parameters that may be tensors.
   weighted_sum,     // 3; the result has one channel, so it comes last
+  byte_sum,         // 3; the same of bytes, rounded half to even; it comes last, too
   line_rgb,         // 7: factors, what is added, whether to clip
   standardize_rgb,  // 6: means, standard deviations
   saturation,       // 1: factor, in HSV
@@ -51,13 +53,14 @@ enum class Step : int {
   count
 };
 KV_HD int parameters_of(Step step) {
-  constexpr int8_t counts[] = {13, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 3, 3, 7, 6, 1, 1, 1, 1, 1, 2, 3, 2, 2, 3, 3, 3, 2, 5};
+  constexpr int8_t counts[] = {13, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 3, 0, 3, 3, 7,
+                               6,  1, 1, 1, 1, 1, 2, 3, 2, 2, 3, 3, 3, 2, 5};
   static_assert(sizeof(counts) == size_t(Step::count), "one for each step");
   return counts[int(step)];
 }
 KV_HD bool takes_tensors(Step step) { return step >= Step::weighted_sum; }
 KV_HD bool is_of_values(Step step) { return step >= Step::contrast; }
-KV_HD bool is_sum(Step step) { return step == Step::weighted_sum || step == Step::byte_luma; }
+KV_HD bool is_sum(Step step) { return step == Step::weighted_sum || step == Step::byte_sum || step == Step::byte_luma; }
 // Whether the step, with these parameters, has the same Jacobian everywhere.
 template <class F>
 KV_HD bool is_affine(Step step, F const* parameters) {
@@ -69,23 +72,6 @@ KV_HD bool is_affine(Step step, F const* parameters) {
 
 constexpr int kMostSteps = 16, kMostParameters = 64, kMostTensors = 6;
 constexpr int kMostOfAStep = 6;  // parameters that can be tensors
-
-enum class Storage : int { byte, half, bfloat16, single, wide };
-template <class F>
-KV_HD void for_storage(Storage type, F f) {
-  switch (type) {
-    case Storage::byte:
-      return f(uint8_t{});
-    case Storage::half:
-      return f(Half{});
-    case Storage::bfloat16:
-      return f(BFloat16{});
-    case Storage::single:
-      return f(float{});
-    case Storage::wide:
-      return f(double{});
-  }
-}
 
 // Sample b is (b / inner, b % inner). Its pixel i has channel c at data + outer_stride * (b / inner) + inner_stride *
 // (b % inner) + channel_stride * c + step * i. Bytes are 255ths.

@@ -304,13 +304,43 @@ KV_HD V as(U const& p) {
     return constant<V>(p);
 }
 
+// The floor without derivatives, which bytes have not.
+template <class V>
+KV_HD V whole(V const& x) {
+  return minus(V{}, -floor_of(x));
+}
 // OpenCV's luma of bytes, in fixed point of 15 bits; no sum reaches 2^24, so float has it exactly.
 template <class V>
 KV_HD void byte_luma(V (&c)[3], Scalar<V> const* weights) {
   using F = Scalar<V>;
   V sum = constant<V>(F(16384));
-  for (int i = 0; i < 3; ++i) sum = sum + minus(V{}, -floor_of(c[i] * F(255) + F(0.5))) * weights[i];
-  c[0] = minus(V{}, -floor_of(sum * F(1. / 32768))) * F(1. / 255);
+  for (int i = 0; i < 3; ++i) sum = sum + whole(c[i] * F(255) + F(0.5)) * weights[i];
+  c[0] = whole(sum * F(1. / 32768)) * F(1. / 255);
+}
+// OpenCV's HSV of bytes: the hue in 180ths of a turn, and quotients from tables in 4096ths, whose entries are rounded.
+// All numbers are whole and less than 2^24; none of the tables' has a fraction of a half.
+template <class V>
+KV_HD void byte_hsv(V (&c)[3]) {
+  using F = Scalar<V>;
+  for (int i = 0; i < 3; ++i) c[i] = whole(c[i] * F(255) + F(0.5));
+  V const v = larger(larger(c[0], c[1]), c[2]), range = v - smaller(smaller(c[0], c[1]), c[2]);
+  V const of_v = whole(reciprocal(at_least(v, F(1))) * F(255 * 4096) + F(0.5));
+  V const of_range = whole(reciprocal(at_least(range, F(1))) * F(30 * 4096) + F(0.5));
+  V const high = whole(of_v * F(1. / 4096)), low = of_v - high * F(4096);  // their product would have 28 bits
+  V const ahead =
+      select(v == c[0], c[1] - c[2], select(v == c[1], c[2] - c[0] + range * F(2), c[0] - c[1] + range * F(4)));
+  V const hue = whole(ahead * of_range * F(1. / 4096) + F(0.5));
+  c[0] = select(hue < F(0), hue + F(180), hue) * F(1. / 255);
+  c[1] = (range * high + whole(range * low * F(1. / 4096) + F(0.5))) * F(1. / 255);
+  c[2] = v * F(1. / 255);
+}
+template <class V>
+KV_HD void byte_sum(V (&c)[3], Scalar<V> const* weights) {
+  using F = Scalar<V>;
+  V sum{};
+  for (int i = 0; i < 3; ++i) sum = sum + whole(c[i] * F(255) + F(0.5)) * weights[i];
+  V const up = whole(sum + F(0.5)), even = whole(up * F(0.5)) * F(2);
+  c[0] = select(up - sum == F(0.5), even, up) * F(1. / 255);  // a half goes to the even one of two
 }
 
 template <class V>
@@ -472,6 +502,8 @@ KV_HD void run_step(Step step, P& pixels) {
         KV_PIXELS(rgb_to_luv, rgb_to_luv(c, n[0]))
         KV_PIXELS(luv_to_rgb, luv_to_rgb(c, n[0]))
         KV_PIXELS(byte_luma, byte_luma(c, n))
+        KV_PIXELS(byte_hsv, byte_hsv(c))
+        KV_PIXELS(byte_sum, byte_sum(c, n))
         default:
           break;
       }

@@ -3,6 +3,8 @@
 
 #include <cuda_runtime.h>
 
+#include <type_traits>
+
 #include "border.h"
 #include "half.h"
 #include "view.h"
@@ -204,6 +206,16 @@ inline bool is_strip(Planes<T> const& p) {
   constexpr int64_t bytes = alignof(Pack<std::remove_const_t<T>, P>), size = sizeof(T);
   return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
          p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0 && p.width % P == 0 && p.step == 1;
+}
+
+// Calls f with std::true_type or std::false_type: whether the images are strips, for the compiler to know. Doubles have
+// one form of a kernel, the one that serves them all: each costs time to compile.
+template <class T, class F>
+void with_alignment(bool aligned, F f) {
+  if constexpr (sizeof(T) == 8)
+    f(std::false_type{});
+  else
+    aligned ? f(std::true_type{}) : f(std::false_type{});
 }
 
 // Rows y of a plane from `first` on, one after the other; above and below the image stands its rim.

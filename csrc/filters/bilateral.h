@@ -33,6 +33,10 @@ struct Images {
   KV_HD T* row(int64_t b, int c, int64_t y) const {
     return data + b * batch_stride + c * channel_stride + y * row_stride;
   }
+  template <class U>  // the same, of what is known by now to be stored
+  KV_HD Images<U> as() const {
+    return {static_cast<U*>(data), batch_stride, channel_stride, row_stride, step, batch, height, width, channels};
+  }
 };
 
 // How fast weights fall: 2^(space_y dy^2 + space_x dx^2 - color d^2).

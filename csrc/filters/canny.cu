@@ -192,10 +192,9 @@ __global__ void __launch_bounds__(256) keep_strong(CannyHysteresis<T> p, unsigne
 template <class T>
 int canny_suppress(CannySuppress<T> const& p, CUstream_st* stream) {
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-  if (is_strip<4>(p.x) && is_strip<4>(p.magnitude) && is_strip<4>(p.edges))
-    suppress_strip<T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-  else
-    suppress_strip<T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  with_alignment<T>(is_strip<4>(p.x) && is_strip<4>(p.magnitude) && is_strip<4>(p.edges), [&](auto aligned) {
+    suppress_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  });
   return cudaGetLastError();
 }
 

@@ -165,10 +165,9 @@ template <int K, class T>
 void launch_strip(MedianBlur<T> const& p, CUstream_st* stream) {
   constexpr int P = kMedianPixels<K>;
   Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-  if (is_strip<P>(p.x) && is_strip<P>(p.y))
-    median_strip<K, T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-  else
-    median_strip<K, T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+    median_strip<K, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  });
 }
 
 }  // namespace

@@ -216,10 +216,10 @@ template <class T>
 int sobel(Sobel<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-  if (is_strip<P>(p.x) && is_strip<P>(p.y))
-    sobel_strip<T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-  else if (p.x.step == 1)
-    sobel_strip<T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  if (p.x.step == 1)
+    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+      sobel_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    });
   else
     sobel_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();
@@ -228,10 +228,10 @@ int sobel(Sobel<T> const& p, CUstream_st* stream) {
 template <class T>
 int sobel_backward(SobelBackward<T> const& p, CUstream_st* stream) {
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, kBackwardRows);
-  if (is_strip<4>(p.x) && is_strip<4>(p.grad) && is_strip<4>(p.grad_x))
-    sobel_backward_strip<T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-  else if (p.x.step == 1)
-    sobel_backward_strip<T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+  if (p.x.step == 1)
+    with_alignment<T>(is_strip<4>(p.x) && is_strip<4>(p.grad) && is_strip<4>(p.grad_x), [&](auto aligned) {
+      sobel_backward_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    });
   else
     sobel_backward_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();

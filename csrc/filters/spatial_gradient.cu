@@ -13,8 +13,8 @@ template <class Member>
 constexpr int kRows = Member::reach == 1 ? 8 : 16;
 
 // Rows move down by renaming registers where the loop is unrolled; the forms that are not the fast path stay small.
-template <class Member, class T, bool Aligned>
-constexpr int kUnroll = Aligned && sizeof(T) < 8 ? 2 * Member::reach + 1 : 1;
+template <class Member, bool Aligned>
+constexpr int kUnroll = Aligned ? 2 * Member::reach + 1 : 1;
 
 template <class Member, class T, bool Aligned>
 __global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strips<kColumns<Member, T>> strips) {
@@ -43,7 +43,7 @@ __global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strip
   };
 #pragma unroll
   for (int k = 0; k < 2 * R; ++k) next(along[k]);
-#pragma unroll(kUnroll<Member, T, Aligned>)
+#pragma unroll(kUnroll<Member, Aligned>)
   for (int y = y0; y < y1; ++y) {
     next(along[2 * R]);
     for_each_channel<Member>([&](auto c) {
@@ -71,10 +71,9 @@ int spatial_gradient(SpatialGradient<T> const& p, CUstream_st* stream) {
     using Member = decltype(member);
     constexpr int P = kColumns<Member, T>;
     Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows<Member>);
-    if (is_strip<P>(p.x) && is_strip<P>(p.y))
-      forward_strip<Member, T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-    else
-      forward_strip<Member, T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+      forward_strip<Member, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    });
   });
   return cudaGetLastError();
 }

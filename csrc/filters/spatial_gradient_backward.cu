@@ -79,10 +79,9 @@ int spatial_gradient_backward(SpatialGradientBackward<T> const& p, CUstream_st* 
   with_member(p.kind, [&](auto member) {
     using Member = decltype(member);
     Strips<> const strips(p.grad_x.count(), p.grad_x.height, p.grad_x.width, kRows<Member>);
-    if (is_strip<4>(p.grad) && is_strip<4>(p.grad_x))
-      backward_strip<Member, T, true><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-    else
-      backward_strip<Member, T, false><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    with_alignment<T>(is_strip<4>(p.grad) && is_strip<4>(p.grad_x), [&](auto aligned) {
+      backward_strip<Member, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+    });
   });
   return cudaGetLastError();
 }

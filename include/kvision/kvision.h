@@ -5,3 +5,5 @@
 #include "kvision/color.h"
 #include "kvision/enhance.h"
 #include "kvision/filters.h"
+#include "kvision/metrics.h"
+#include "kvision/morphology.h"

@@ -54,6 +54,15 @@ def test_weights_of_any_scale(device):
     assert torch.autograd.gradcheck(C.rgb_to_grayscale, (x, weights))
 
 
+@pytest.mark.parametrize("weights", [(0.5, 0.5, 0.0), (0.25, 0.25, 0.5), (0.125, 0.75, 0.125)])
+def test_halves_of_bytes_are_exact(weights, device):
+    levels = torch.arange(256, device=device)
+    x = torch.stack(torch.meshgrid(levels, levels, levels[::37], indexing="ij")).flatten(2).byte()
+    weights = torch.tensor(weights, device=device)
+    expected = (x * weights[:, None, None]).sum(0, keepdim=True).round().clamp(0, 255).byte()
+    assert torch.equal(C.rgb_to_grayscale(x, weights), expected)
+
+
 def test_weights_of_bytes_round_and_saturate(device):
     x = torch.tensor([1, 2, 200], dtype=torch.uint8, device=device).view(3, 1, 1)
     for weights, expected in (

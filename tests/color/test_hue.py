@@ -131,3 +131,35 @@ def test_every_colour_of_bytes_survives(device):
         x = torch.stack([torch.full_like(g, red), g, b]).float() / 255
         for there, back in ((C.rgb_to_hsv, C.hsv_to_rgb), (C.rgb_to_hls, C.hls_to_rgb)):
             assert torch.equal((back(there(x)) * 255).round(), x * 255)
+
+
+def check_bytes(first: int, device) -> None:
+    """All levels of two channels beside one of the first, as OpenCV has them; and back, where it rounds down."""
+    levels = np.arange(256, dtype=np.uint8)
+    array = np.stack(np.meshgrid(np.uint8(first), levels, levels, indexing="ij"), -1)[0]
+    x = K.image_to_tensor(array).to(device)
+    hsv = C.rgb_to_hsv(x, opencv=True)
+    assert hsv.dtype == torch.uint8
+    assert np.array_equal(K.tensor_to_image(hsv), cv2.cvtColor(array, cv2.COLOR_RGB2HSV))
+    if first < 180:  # a hue
+        back = K.tensor_to_image(C.hsv_to_rgb(x, opencv=True)).astype(int)
+        assert abs(back - cv2.cvtColor(array, cv2.COLOR_HSV2RGB)).max() <= 1
+
+
+def test_bytes_are_opencvs(device):
+    for first in (0, 1, 127, 179, 255):
+        check_bytes(first, device)
+
+
+@pytest.mark.slow
+def test_all_bytes_are_opencvs(device):
+    for first in range(256):
+        check_bytes(first, device)
+
+
+def test_opencv_takes_bytes(device):
+    x = torch.rand(3, 2, 2, device=device)
+    assert C.RgbToHsv(opencv=True)(x.byte()).dtype == C.HsvToRgb(opencv=True)(x.byte()).dtype == torch.uint8
+    for convert in (C.rgb_to_hsv, C.hsv_to_rgb):
+        with pytest.raises(K.core.exceptions.TypeCheckError, match=f"{convert.__name__}: expected image to be uint8"):
+            convert(x, opencv=True)

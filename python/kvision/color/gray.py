@@ -15,7 +15,7 @@ LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
 _BYTE_LUMA = (9798.0, 19235.0, 3735.0)  # the same in 32768ths
 
 
-def _weighted(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
+def _weighted(x: Tensor, wr: float | Tensor, wg: float | Tensor, wb: float | Tensor) -> Tensor:
     r, g, b = x.split(1, 1)
     return wr * r + wg * g + wb * b
 
@@ -26,8 +26,14 @@ def _fixed_point(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
     return ((wr * r + wg * g + wb * b + 16384) / 32768).floor() / 255
 
 
+def _rounded(x: Tensor, wr: Tensor, wg: Tensor, wb: Tensor) -> Tensor:
+    """The sum of bytes over 255, whose halves then are exact."""
+    return _weighted((255 * x).round(), wr, wg, wb).round() / 255
+
+
 weighted_sum = step("weighted_sum", _weighted)
 _byte_luma = step("byte_luma", _fixed_point)
+_byte_sum = step("byte_sum", _rounded)
 
 
 def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor:
@@ -61,7 +67,8 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
     if rgb_weights is not None:
         _check.shape("rgb_to_grayscale", "rgb_weights", rgb_weights, 3)
         _check.same_device("rgb_to_grayscale", image=image, rgb_weights=rgb_weights)
-        return on_batch(weighted_sum, image, rgb_weights.reshape(1, 1, 3))
+        weighted = _byte_sum if image.dtype == torch.uint8 else weighted_sum
+        return on_batch(weighted, image, rgb_weights.reshape(1, 1, 3))
     if image.dtype == torch.uint8:
         return on_batch(_byte_luma, image, *_BYTE_LUMA)
     return on_batch(weighted_sum, image, *LUMA)

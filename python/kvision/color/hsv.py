@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
 from kvision.color.hue import hue, lack
-from kvision.color.program import step
+from kvision.color.program import STEPS, run, step
+from kvision.core.exceptions import TypeCheckError
 
 
 def _reference(x: Tensor, eps: float) -> Tensor:
@@ -25,23 +28,44 @@ def _inverse(x: Tensor) -> Tensor:
     return value[:, None] - (value * saturation)[:, None] * lack(h)
 
 
+def _of_bytes(x: Tensor) -> Tensor:
+    """OpenCV's HSV of bytes over 255: its quotients are products with rounded tables in 4096ths."""
+    levels = (255 * x).round()
+    value = levels.amax(1)
+    chroma = value - levels.amin(1)
+    r, g, b = levels.unbind(1)
+    ahead = torch.where(value == r, g - b, torch.where(value == g, b - r + 2 * chroma, r - g + 4 * chroma))
+    hue = _quotient(ahead, (30 * 4096 / chroma.clamp(min=1)).round())
+    saturation = _quotient(chroma, (255 * 4096 / value.clamp(min=1)).round())
+    return torch.stack([torch.where(hue < 0, hue + 180, hue), saturation, value], 1) / 255
+
+
+def _quotient(x: Tensor, table: Tensor) -> Tensor:
+    """floor(x * table / 4096 + 1 / 2), in two parts, for float32 has no numbers of 28 bits."""
+    high = (table / 4096).floor()
+    return x * high + (x * (table - 4096 * high) / 4096 + 0.5).floor()
+
+
 _rgb_to_hsv = step("rgb_to_hsv", _reference)
+_byte_hsv = step("byte_hsv", _of_bytes)
 _hsv_to_rgb = step("hsv_to_rgb", _inverse)
 
 
-def rgb_to_hsv(image: Tensor, eps: float = 1e-8) -> Tensor:
+def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor:
     """RGB to hue, saturation and value.
 
     Args:
         image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
         eps: added to the value where the chroma is divided by it.
+        opencv: take uint8 images and give what `cv2.cvtColor` gives with COLOR_RGB2HSV: hue in [0, 180), saturation and
+            value in [0, 255], as uint8.
 
     Returns:
         Images of the same shape: hue in radians in [0, 2 pi), saturation and value in [0, 1]. Greys have hue 0, black has
         saturation 0. Where channels tie for the highest, red counts before green and green before blue.
 
     Raises:
-        TypeCheckError: image is no tensor, eps no number.
+        TypeCheckError: image is no tensor, or not uint8 with opencv; eps no number, opencv no bool.
         ShapeError: image is not (*, 3, H, W).
         ValueCheckError: eps is negative.
 
@@ -54,21 +78,24 @@ def rgb_to_hsv(image: Tensor, eps: float = 1e-8) -> Tensor:
     """
     _check.channels("rgb_to_hsv", "image", image, 3)
     eps = _check.number("rgb_to_hsv", "eps", eps, minimum=0)
+    if _as_opencv("rgb_to_hsv", image, opencv):
+        return on_batch(_byte_hsv, image)
     return on_batch(_rgb_to_hsv, floats(image), eps)
 
 
-def hsv_to_rgb(image: Tensor) -> Tensor:
+def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
     """Hue, saturation and value to RGB.
 
     Args:
         image: HSV images (*, 3, H, W): hue in radians, taken modulo 2 pi, saturation and value in [0, 1]. Integers are
             computed in float32.
+        opencv: take and give uint8 images in the ranges of `cv2.cvtColor`: hue in [0, 180), all others in [0, 255].
 
     Returns:
         RGB images of the same shape, in [0, 1].
 
     Raises:
-        TypeCheckError: image is no tensor.
+        TypeCheckError: image is no tensor, or not uint8 with opencv; opencv no bool.
         ShapeError: image is not (*, 3, H, W).
 
     Source: A. R. Smith, "Color gamut transform pairs" (1978).
@@ -79,7 +106,20 @@ def hsv_to_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.5000, 0.5000])
     """
     _check.channels("hsv_to_rgb", "image", image, 3)
+    if _as_opencv("hsv_to_rgb", image, opencv):
+        return on_batch(_byte_hsv_to_rgb, image)
     return on_batch(_hsv_to_rgb, floats(image))
+
+
+def _byte_hsv_to_rgb(x: Tensor) -> Tensor:
+    return run(x, [STEPS["line_rgb"], STEPS["hsv_to_rgb"]], [math.tau * 255 / 180, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def _as_opencv(op: str, image: Tensor, opencv: bool) -> bool:
+    _check.flag(op, "opencv", opencv)
+    if opencv and image.dtype != torch.uint8:
+        raise TypeCheckError(f"{op}: expected image to be uint8 with opencv, got {image.dtype}")
+    return opencv
 
 
 class RgbToHsv(FunctionModule):
@@ -91,14 +131,14 @@ class RgbToHsv(FunctionModule):
         torch.Size([2, 3, 4, 5])
     """
 
-    def __init__(self, eps: float = 1e-8) -> None:
-        super().__init__(eps=eps)
+    def __init__(self, eps: float = 1e-8, opencv: bool = False) -> None:
+        super().__init__(eps=eps, opencv=opencv)
 
     def forward(self, image: Tensor) -> Tensor:
-        return rgb_to_hsv(image, self.eps)
+        return rgb_to_hsv(image, self.eps, self.opencv)
 
 
-class HsvToRgb(nn.Module):
+class HsvToRgb(FunctionModule):
     """Module form of :func:`hsv_to_rgb`.
 
     Example:
@@ -107,5 +147,8 @@ class HsvToRgb(nn.Module):
         torch.Size([2, 3, 4, 5])
     """
 
+    def __init__(self, opencv: bool = False) -> None:
+        super().__init__(opencv=opencv)
+
     def forward(self, image: Tensor) -> Tensor:
-        return hsv_to_rgb(image)
+        return hsv_to_rgb(image, self.opencv)

@@ -29,8 +29,10 @@ _PARAMETERS = {
     "rgb_to_luv": 1,
     "luv_to_rgb": 1,
     "byte_luma": 3,
+    "byte_hsv": 0,
     # With parameters that may be tensors.
     "weighted_sum": 3,
+    "byte_sum": 3,
     "line_rgb": 7,
     "standardize_rgb": 6,
     "saturation": 1,
@@ -53,7 +55,7 @@ _NAMES = tuple(_PARAMETERS)
 MOST_STEPS, MOST_NUMBERS, MOST_TENSORS = 16, 64, 6  # of a program: kMostSteps, kMostParameters and kMostTensors
 _AROUND_MEAN = _NAMES.index("contrast")
 _OF_VALUES = _NAMES[_AROUND_MEAN + 1 :]
-_ONE_CHANNEL = ("byte_luma", "weighted_sum")
+_ONE_CHANNEL = ("byte_luma", "weighted_sum", "byte_sum")
 STEPS = {name: i for i, name in enumerate(_PARAMETERS)}
 _references: dict[str, Callable[..., Tensor]] = {}
 _findings: dict[str, Callable[[Tensor], Tensor]] = {}  # what a step's last parameter is, of the image as it is then
@@ -218,6 +220,8 @@ def run(
     layout: str = "same",
 ) -> Tensor:
     """A program on images (B, C, H, W), whose parameters are numbers, or tensors (B or 1, C or 1, P) for P of them."""
+    if order is None and steps.count(_AROUND_MEAN) > 1:
+        return _in_two(x, steps, parameters, dtype, layout)
     numbers: list[float] = []
     columns: list[int] = []
     tensors: list[Tensor | None] = []
@@ -237,12 +241,26 @@ def run(
     tensors += [None] * (MOST_TENSORS - len(tensors))
     operator = _program_around_mean if _AROUND_MEAN in steps else _program
     stored = _stored(x, dtype)
-    # Kernels take one mean, and compute in one type.
+    # Kernels find one mean, and compute in one type.
     fits = steps.count(_AROUND_MEAN) < 2 and (x.dtype == torch.float64) == (stored == torch.float64)
     y = (operator if fits else operator.reference)(
         x, *tensors, order, steps, numbers, columns if first else [], dtype, layout
     )
     return y[0] if _AROUND_MEAN in steps else y
+
+
+def _in_two(x: Tensor, steps: Sequence[int], parameters: Sequence[float | Tensor], dtype: str, layout: str) -> Tensor:
+    """A program with several means as two, of which the first one stores what it computes in."""
+    second = steps.index(_AROUND_MEAN, steps.index(_AROUND_MEAN) + 1)
+    slots, count = sum(_PARAMETERS[_NAMES[i]] for i in steps[:second]), 0
+    while slots > 0:
+        p = parameters[count]
+        slots -= p.shape[2] if isinstance(p, Tensor) else 1
+        count += 1
+    stored = _stored(x, dtype)
+    between, last = (str(t).removeprefix("torch.") for t in (_computing(x.dtype, stored), stored))
+    x = run(x, steps[:second], parameters[:count], dtype=between)
+    return run(x, steps[second:], parameters[count:], dtype=last, layout=layout)
 
 
 def _joined(tensors: Sequence[Any]) -> Tensor:

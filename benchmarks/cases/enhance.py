@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,13 @@ tvision = optional("torchvision.transforms.functional")
 
 nonlinear = {"backward": nonlinear_backward}
 IMAGENET = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
-MEAN, STD = map(torch.tensor, IMAGENET)
+
+
+@cache
+def imagenet(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """ImageNet's mean and standard deviation where the images are, as a training loop keeps them."""
+    mean, std = (torch.tensor(values, dtype=dtype, device=device) for values in IMAGENET)
+    return mean, std
 
 
 def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Callable[..., Any]], **more: Any) -> Case:
@@ -68,7 +74,7 @@ def jitter(name: str, contrast: bool, bars: Bars) -> Case:
         x = E.adjust_brightness_accumulative(x, 1.2)
         x = E.adjust_contrast_with_mean_subtraction(x, 0.7) if contrast else x
         x = E.adjust_hue(E.adjust_saturation_with_gray_subtraction(x, 1.4), 0.3)
-        return E.normalize(x, MEAN.to(x), STD.to(x))
+        return E.normalize(x, *imagenet(x.dtype, x.device))
 
     def in_torchvision(x):
         x = tvision.adjust_brightness(x, 1.2)
@@ -180,7 +186,7 @@ CASES = [
     ),
     case(
         "normalize",
-        lambda K, x: K.enhance.normalize(x, MEAN.to(x), STD.to(x)),
+        lambda K, x: K.enhance.normalize(x, *imagenet(x.dtype, x.device)),
         Bars(floor=1.12, both=1.3, half=1.7),
         {"torchvision": lambda x: tvision.normalize(x, *IMAGENET)},
     ),

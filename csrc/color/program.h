@@ -73,6 +73,23 @@ KV_HD bool is_affine(Step step, F const* parameters) {
 constexpr int kMostSteps = 16, kMostParameters = 64, kMostTensors = 6;
 constexpr int kMostOfAStep = 6;  // parameters that can be tensors
 
+enum class Storage : int { byte, half, bfloat16, single, wide };
+template <class F>
+KV_HD void for_storage(Storage type, F f) {
+  switch (type) {
+    case Storage::byte:
+      return f(uint8_t{});
+    case Storage::half:
+      return f(Half{});
+    case Storage::bfloat16:
+      return f(BFloat16{});
+    case Storage::single:
+      return f(float{});
+    case Storage::wide:
+      return f(double{});
+  }
+}
+
 // Sample b is (b / inner, b % inner). Its pixel i has channel c at data + outer_stride * (b / inner) + inner_stride *
 // (b % inner) + channel_stride * c + step * i. Bytes are 255ths.
 struct Pixels {

@@ -13,30 +13,6 @@ struct BFloat16 {
   uint16_t bits;
 };
 
-// What an image stores, where a kernel learns it when it runs: calls f with a value of that type.
-enum class Storage : int { byte, half, bfloat16, single, wide };
-template <class F>
-KV_HD void for_storage(Storage type, F f) {
-  switch (type) {
-    case Storage::byte:
-      return f(uint8_t{});
-    case Storage::half:
-      return f(Half{});
-    case Storage::bfloat16:
-      return f(BFloat16{});
-    case Storage::single:
-      return f(float{});
-    case Storage::wide:
-      return f(double{});
-  }
-}
-template <class T>
-constexpr Storage kStorage = __is_same(T, double)     ? Storage::wide
-                             : __is_same(T, float)    ? Storage::single
-                             : __is_same(T, BFloat16) ? Storage::bfloat16
-                             : __is_same(T, Half)     ? Storage::half
-                                                      : Storage::byte;
-
 KV_HD float bits_to_float(uint32_t bits) {
   float f;
   __builtin_memcpy(&f, &bits, 4);

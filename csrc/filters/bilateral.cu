@@ -6,9 +6,8 @@ namespace {
 
 constexpr int kRun = 8;
 
-template <int C, bool L1, int R>
-__global__ void __launch_bounds__(kThreads, 3)
-    bilateral_tile(TileCall p, Images<void const> image, Images<void> result, Tiles<kRun> tiles) {
+template <class T, int C, bool L1, int R>
+__global__ void __launch_bounds__(kThreads, 3) bilateral_tile(Bilateral<T> p, Tiles<kRun> tiles) {
   extern __shared__ float memory[];
   int const ry = R > 0 ? R : p.ky / 2, rx = R > 0 ? R : p.kx / 2;
   int64_t b;
@@ -17,25 +16,22 @@ __global__ void __launch_bounds__(kThreads, 3)
   SharedPlanes const s{memory, y0 - ry, x0 - rx, rows_of(kRun) + 2 * ry, kColumns + 2 * rx};
   Falloff<float> const falloff = p.sigma.at(b);
   float const scale = sqrtf(falloff.color);
-  p.for_stored([&](auto stored) { load_planes<C>(s, image.as<decltype(stored) const>(), b, p.border, rx, scale); });
+  load_planes<C>(s, p.x, b, p.border, rx, scale);
   __syncthreads();
 
   int const x = x0 + threadIdx.x % kColumns, y = y0 + threadIdx.x / kColumns * kRun;
   float sum[kRun][C], total[kRun];
   sum_run<C, L1, R>(s, ry, rx, falloff, y, x, sum, total);
-  if (x >= image.width) return;
-  p.for_stored([&](auto stored) {
-    using T = decltype(stored);
-    T* out = result.as<T>().row(b, 0, y) + x * result.step;
+  if (x >= p.x.width) return;
+  T* out = p.y.row(b, 0, y) + x * p.y.step;
 #pragma unroll
-    for (int i = 0; i < kRun; ++i) {
-      if (y + i >= image.height) return;
-      float const inverse = __fdividef(1.f, total[i] * scale);
+  for (int i = 0; i < kRun; ++i) {
+    if (y + i >= p.x.height) return;
+    float const inverse = __fdividef(1.f, total[i] * scale);
 #pragma unroll
-      for (int c = 0; c < C; ++c) out[c * result.channel_stride] = round_to<T>(sum[i][c] * inverse);
-      out += result.row_stride;
-    }
-  });
+    for (int c = 0; c < C; ++c) out[c * p.y.channel_stride] = round_to<T>(sum[i][c] * inverse);
+    out += p.y.row_stride;
+  }
 }
 
 // One thread a pixel and four of its channels.
@@ -57,12 +53,11 @@ __global__ void bilateral_any(Bilateral<T> p) {
 // False where the tile does not fit into shared memory.
 template <int C, bool L1, int R, class T>
 bool launch_tile(Bilateral<T> const& p, CUstream_st* stream) {
-  auto const kernel = bilateral_tile<C, L1, R>;
+  auto const kernel = bilateral_tile<T, C, L1, R>;
   int64_t const bytes = C * int64_t(rows_of(kRun) + p.ky - 1) * (kColumns + p.kx - 1) * sizeof(float);
   if (!fits(kernel, bytes)) return false;
   Tiles<kRun> const tiles(p.x.batch, p.x.height, p.x.width);
-  kernel<<<tiles.count, kThreads, bytes, stream>>>(TileCall(p, kStorage<T>), p.x.template as<void const>(),
-                                                   p.y.template as<void>(), tiles);
+  kernel<<<tiles.count, kThreads, bytes, stream>>>(p, tiles);
   return true;
 }
 template <int C, bool L1, class T>

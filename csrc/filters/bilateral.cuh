@@ -20,26 +20,6 @@ __device__ __forceinline__ int pixel_at(Border border, int i, int n) {
 
 // --- tiles
 // --------------------------------------------------------------------------------------------------------------------
-//
-// What images store is known when a tile runs: arithmetic takes most of its time, and most of the time to compile.
-
-// A call as a tile's kernel sees it.
-struct TileCall {
-  Storage storage;
-  Sigmas<float> sigma;
-  int ky, kx;
-  Border border;
-  template <class Params>
-  explicit TileCall(Params const& p, Storage storage)
-      : storage(storage), sigma(p.sigma), ky(p.ky), kx(p.kx), border(p.border) {}
-
-  template <class F>  // calls f with a value of the type that is stored
-  __device__ __forceinline__ void for_stored(F f) const {
-    for_storage(storage, [&](auto stored) {
-      if constexpr (sizeof(stored) <= 4) f(stored);
-    });
-  }
-};
 
 // Blocks of 256 threads, tiles of 64 columns; a thread computes a run of `Run` pixels down a column.
 constexpr int kThreads = 256, kColumns = 64;
@@ -83,11 +63,10 @@ struct SharedPlanes {
 };
 
 // Fills the first C planes with the channels of an image, times `scale`. `reach` columns on either side are beyond the
-// tile's own, which threads take as they compute them; each asks for much memory before it waits for it. A function of
-// its own, as all kernels share it.
+// tile's own, which threads take as they compute them; each asks for much memory before it waits for it.
 template <int C, class T>
-__device__ __noinline__ void load_planes(SharedPlanes const s, Images<T const> const& image, int64_t b, Border border,
-                                         int reach, float scale) {
+__device__ __forceinline__ void load_planes(SharedPlanes const& s, Images<T const> const& image, int64_t b,
+                                            Border border, int reach, float scale) {
   constexpr int kStep = kThreads / kColumns, kBatch = 9;
   auto const fetch = [&](int row, int x, float(&v)[C]) {
     int const y = pixel_at(border, s.y + row, int(image.height));

@@ -14,10 +14,10 @@ __device__ __forceinline__ void for_each_place(Border border, int j, int n, int 
     if (k == 0 || border_index(border, i, n) == j) body(i);
   }
 }
-template <class Params, class T, class Body>
-__device__ __forceinline__ void for_each_place(Params const& p, Images<T> const& image, int y, int x, Body body) {
-  for_each_place(p.border, y, int(image.height), p.ky / 2, [&](int at_y) {
-    for_each_place(p.border, x, int(image.width), p.kx / 2, [&](int at_x) { body(at_y, at_x); });
+template <class Params, class Body>
+__device__ __forceinline__ void for_each_place(Params const& p, int y, int x, Body body) {
+  for_each_place(p.border, y, int(p.x.height), p.ky / 2, [&](int at_y) {
+    for_each_place(p.border, x, int(p.x.width), p.kx / 2, [&](int at_x) { body(at_y, at_x); });
   });
 }
 
@@ -25,14 +25,14 @@ __device__ __forceinline__ void for_each_place(Params const& p, Images<T> const&
 // around another position at which it stands.
 struct Window {
   int top, bottom, left, right;
-  template <class Params, class T>
-  __device__ __forceinline__ Window(Params const& p, Images<T> const& image, int y, int x, bool own)
+  template <class Params>
+  __device__ __forceinline__ Window(Params const& p, int y, int x, bool own)
       : top(y - p.ky / 2), bottom(y + p.ky / 2), left(x - p.kx / 2), right(x + p.kx / 2) {
     if (own) return;
     top = max(top, 0);
     left = max(left, 0);
-    bottom = min(bottom, int(image.height) - 1);
-    right = min(right, int(image.width) - 1);
+    bottom = min(bottom, int(p.x.height) - 1);
+    right = min(right, int(p.x.width) - 1);
   }
 };
 
@@ -66,13 +66,11 @@ __device__ __forceinline__ void collect(float space, float const (&p)[C], float 
 }
 
 // Phases: the tile's pixels with two windows' reach around it; a and b with one window's reach; the gradients.
-template <int C, bool L1, int R>
-__global__ void __launch_bounds__(kThreads, 3)
-    bilateral_backward_tile(TileCall p, Images<void const> grads, Images<void const> image, Images<void> result,
-                            Tiles<kRun> tiles) {
+template <class T, int C, bool L1, int R>
+__global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(BilateralBackward<T> p, Tiles<kRun> tiles) {
   extern __shared__ float memory[];
   int const ry = R > 0 ? R : p.ky / 2, rx = R > 0 ? R : p.kx / 2;
-  int const height = int(image.height), width = int(image.width);
+  int const height = int(p.x.height), width = int(p.x.width);
   int64_t b;
   int y0, x0;
   tiles.place(b, y0, x0);
@@ -80,7 +78,7 @@ __global__ void __launch_bounds__(kThreads, 3)
   SharedPlanes const ab{memory + C * s.size(), y0 - ry, x0 - rx, rows_of(kRun) + 2 * ry, kColumns + 2 * rx};
   Falloff<float> const falloff = p.sigma.at(b);
   float const scale = sqrtf(falloff.color);
-  p.for_stored([&](auto stored) { load_planes<C>(s, image.as<decltype(stored) const>(), b, p.border, 2 * rx, scale); });
+  load_planes<C>(s, p.x, b, p.border, 2 * rx, scale);
   __syncthreads();
 
   int const runs = (ab.rows + kRun - 1) / kRun;
@@ -94,17 +92,12 @@ __global__ void __launch_bounds__(kThreads, 3)
       bool const inside = p.border == Border::circular || (y + i >= 0 && y + i < height && x >= 0 && x < width);
       float const inverse = __fdividef(1.f, total[i]);
       float* const to = ab.data + (y + i - ab.y) * ab.columns + x - ab.x;
-      float grad[C]{}, last = 0;
-      p.for_stored([&](auto stored) {
-        auto const* const from = grads.as<decltype(stored) const>().row(b, 0, pixel_at(p.border, y + i, height)) +
-                                 pixel_at(p.border, x, width) * grads.step;
-#pragma unroll
-        for (int c = 0; c < C; ++c)
-          if (inside) grad[c] = read(from[c * grads.channel_stride]);
-      });
+      T const* const grad =
+          p.grad.row(b, 0, pixel_at(p.border, y + i, height)) + pixel_at(p.border, x, width) * p.grad.step;
+      float last = 0;
 #pragma unroll
       for (int c = 0; c < C; ++c) {
-        float const a = grad[c] * inverse;
+        float const a = inside ? read(grad[c * p.grad.channel_stride]) * inverse : 0.f;
         to[c * ab.size()] = a;
         last += a * (sum[i][c] * inverse);
       }
@@ -156,9 +149,9 @@ __global__ void __launch_bounds__(kThreads, 3)
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     if (y + i >= height) return;
-    for_each_place(p, image, y + i, x, [&](int at_y, int at_x) {
+    for_each_place(p, y + i, x, [&](int at_y, int at_x) {
       if (at_y == y + i && at_x == x) return;
-      Window const window(p, image, at_y, at_x, false);
+      Window const window(p, at_y, at_x, false);
       for (int row = window.top; row <= window.bottom; ++row)
         for (int column = window.left; column <= window.right; ++column) {
           float pixel[C], pixel_ab[C + 1];
@@ -168,12 +161,9 @@ __global__ void __launch_bounds__(kThreads, 3)
           collect<C, L1>(space, pixel, pixel_ab, centre[i], centre_ab[i], false, grad[i]);
         }
     });
-    p.for_stored([&](auto stored) {
-      using T = decltype(stored);
-      T* const out = result.as<T>().row(b, 0, y + i) + x * result.step;
+    T* const out = p.grad_x.row(b, 0, y + i) + x * p.grad_x.step;
 #pragma unroll
-      for (int c = 0; c < C; ++c) out[c * result.channel_stride] = round_to<T>(grad[i][c]);
-    });
+    for (int c = 0; c < C; ++c) out[c * p.grad_x.channel_stride] = round_to<T>(grad[i][c]);
   }
 }
 
@@ -227,9 +217,9 @@ __global__ void __launch_bounds__(kThreads)
   bool const wants_guide = !Joint || p.wants_guide;
   for (int c = 0; c < max(p.x.channels, guide.channels); c += kChunk) {
     F values[kChunk] = {}, pulls[kChunk] = {};
-    for_each_place(p, p.x, y, x, [&](int at_y, int at_x) {
+    for_each_place(p, y, x, [&](int at_y, int at_x) {
       bool const own = at_y == y && at_x == x;
-      Window const window(p, p.x, at_y, at_x, own);
+      Window const window(p, at_y, at_x, own);
       for (int row = window.top; row <= window.bottom; ++row)
         for (int column = window.left; column <= window.right; ++column) {
           int const dy = row - at_y, dx = column - at_x, there = (row - y0) * columns + column - x0;
@@ -268,14 +258,13 @@ __global__ void __launch_bounds__(kThreads)
 // False where the tile does not fit into shared memory.
 template <int C, bool L1, int R, class T>
 bool launch_tile(BilateralBackward<T> const& p, CUstream_st* stream) {
-  auto const kernel = bilateral_backward_tile<C, L1, R>;
+  auto const kernel = bilateral_backward_tile<T, C, L1, R>;
   int64_t const ry = p.ky / 2, rx = p.kx / 2;
   int64_t const bytes = sizeof(float) * (C * (rows_of(kRun) + 4 * ry) * (kColumns + 4 * rx) +
                                          (C + 1) * (rows_of(kRun) + 2 * ry) * (kColumns + 2 * rx));
   if (!fits(kernel, bytes)) return false;
   Tiles<kRun> const tiles(p.x.batch, p.x.height, p.x.width);
-  kernel<<<tiles.count, kThreads, bytes, stream>>>(TileCall(p, kStorage<T>), p.grad.template as<void const>(),
-                                                   p.x.template as<void const>(), p.grad_x.template as<void>(), tiles);
+  kernel<<<tiles.count, kThreads, bytes, stream>>>(p, tiles);
   return true;
 }
 template <int C, bool L1, class T>

@@ -211,4 +211,23 @@ inline Tensor ycbcr_to_rgb(Tensor const& image) {
                       {-0.5 / red, (b / blue + r / red) / (2 * g), -0.5 / blue}, true);
 }
 
+// --- mosaics
+
+inline Tensor raw_to_rgb(Tensor const& input, std::string const& cfa);
+
+// Linear, as is its transpose.
+inline Tensor raw_to_rgb_backward(Tensor const& grad, std::string const& cfa) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"raw_to_rgb_backward">(grad, cfa)}; };
+  auto const gradient = [=](Backward const& b) { return variable_list{raw_to_rgb(b.grads[0], cfa)}; };
+  return differentiable({grad}, compute, {}, gradient)[0];
+}
+// RGB images of Bayer mosaics (B, 1, H, W) with even H and W, whose colour filter array is named as in OpenCV.
+inline Tensor raw_to_rgb(Tensor const& input, std::string const& cfa) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"raw_to_rgb">(input, cfa)}; };
+  auto const gradient = [=](Backward const& b) { return variable_list{raw_to_rgb_backward(b.grads[0], cfa)}; };
+  return differentiable({input}, compute, {}, gradient)[0];
+}
+
 }  // namespace kvision

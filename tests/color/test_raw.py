@@ -9,7 +9,7 @@ import torch
 
 import kvision as K
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from op_tests import assert_close
+from op_tests import OpTests, assert_close
 
 C = K.color
 # Colours of a cell, row by row.
@@ -65,6 +65,26 @@ def test_demosaic(cfa, size, device):
     assert_close(C.rgb_to_raw(y, cfa), x)
     small = C.raw_to_rgb_2x2_downscaled(x.to(device), cfa).cpu()
     assert_close(small, kornia.color.raw_to_rgb_2x2_downscaled(x, theirs))
+
+
+class TestRawToRgb(OpTests):
+    function = staticmethod(C.raw_to_rgb)
+    module = C.RawToRgb
+    operators = ("raw_to_rgb", "raw_to_rgb_backward")
+    variants = [{"cfa": cfa} for cfa in CELLS]
+    channels = 1
+    shape = (2, 1, 14, 18)
+    small = (1, 1, 4, 6)
+    bytes = True
+
+    def input(self, shape, dtype, device):
+        """Of even height and width."""
+        return super().input((*shape[:-2], *(n + n % 2 for n in shape[-2:])), dtype, device)
+
+    test_nan_stays_in_its_window = None  # of two channels; test_nan_reaches_what_is_made_of_it below
+
+    def test_wrong_kinds(self, variant, device):
+        """test_errors below; any number of leading axes is right."""
 
 
 def test_opencv_inside(cfa, device):

@@ -12,7 +12,15 @@ from op_tests import OpTests, assert_close
 class TestCanny(OpTests):
     function = staticmethod(K.filters.canny)
     module = K.filters.Canny
-    operators = ("canny_suppress", "canny_hysteresis", "gaussian_blur2d", "gaussian_blur2d_backward", "sobel_backward")
+    operators = (
+        "color_program",
+        "color_program_backward",
+        "gaussian_blur2d",
+        "gaussian_blur2d_backward",
+        "canny_suppress",
+        "sobel_backward",
+        "canny_hysteresis",
+    )
     variants = [
         {"hysteresis": False},
         {},

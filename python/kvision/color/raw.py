@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._dtype import pixels
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import as_stored, register
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.border import pad
 
@@ -47,11 +47,14 @@ def _sites(x: Tensor, row: int, column: int) -> Tensor:
 
 
 def _mosaic(x: Tensor, row: int, column: int) -> Tensor:
-    r, g, b = x.split(1, 1)
-    return torch.where(_sites(x, row, column), r, torch.where(_sites(x, 1 - row, 1 - column), b, g))
+    mosaic = x[:, 1:2].clone(memory_format=torch.contiguous_format)
+    mosaic[..., row::2, column::2] = x[:, :1, row::2, column::2]
+    mosaic[..., 1 - row :: 2, 1 - column :: 2] = x[:, 2:, 1 - row :: 2, 1 - column :: 2]
+    return mosaic
 
 
-def _reference(x: Tensor, row: int, column: int) -> Tensor:
+def _reference(x: Tensor, cfa: str) -> Tensor:
+    row, column = _RED[CFA[cfa]]
     red, blue = _sites(x, row, column), _sites(x, 1 - row, 1 - column)
     # A border that mirrors the mosaic repeats each colour's own outermost row and column.
     r, b = (pad(torch.where(own, x, 0), ((1, 1), (1, 1)), "reflect") for own in (red, blue))
@@ -74,7 +77,34 @@ def _binned(x: Tensor, row: int, column: int) -> Tensor:
     return torch.cat([site(row, column), green, site(1 - row, 1 - column)], 1)
 
 
-_raw_to_rgb = as_stored(_reference)
+def _transposed(grad: Tensor, cfa: str) -> Tensor:
+    pullback = torch.func.vjp(lambda x: _reference(x, cfa), torch.zeros_like(grad[:, :1]))[1]
+    return pullback(grad)[0]
+
+
+def _backward(needs, grad, x, cfa):
+    return [_raw_to_rgb_backward(grad, cfa)]
+
+
+def _backward_of_backward(needs, grad, g, cfa):
+    return [_raw_to_rgb(grad, cfa)]
+
+
+_raw_to_rgb = register(
+    "raw_to_rgb",
+    _reference,
+    fake=lambda x, cfa: (x.shape[0], 3, *x.shape[2:]),
+    backward=_backward,
+    linear=True,
+    bytes=True,
+)
+_raw_to_rgb_backward = register(
+    "raw_to_rgb_backward",
+    _transposed,
+    fake=lambda grad, cfa: (grad.shape[0], 1, *grad.shape[2:]),
+    backward=_backward_of_backward,
+    linear=True,
+)
 _raw_to_rgb_2x2_downscaled = as_stored(_binned)
 
 
@@ -100,7 +130,8 @@ def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
                  [0., 0., 0., 0.]]])
     """
     _check.channels("rgb_to_raw", "image", image, 3)
-    return on_batch(_mosaic, image, *_red("rgb_to_raw", cfa))
+    _check_cfa("rgb_to_raw", cfa)
+    return on_batch(_mosaic, image, *_RED[cfa])
 
 
 def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
@@ -128,7 +159,8 @@ def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
                 [0.4000, 0.4000, 0.4000, 0.4000]])
     """
     _check_mosaic("raw_to_rgb", image)
-    return on_batch(_raw_to_rgb, pixels(image), *_red("raw_to_rgb", cfa))
+    _check_cfa("raw_to_rgb", cfa)
+    return on_batch(_raw_to_rgb, pixels(image), cfa.name)
 
 
 def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
@@ -151,7 +183,8 @@ def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
         tensor([1.0000, 0.3000, 0.8000])
     """
     _check_mosaic("raw_to_rgb_2x2_downscaled", image)
-    return on_batch(_raw_to_rgb_2x2_downscaled, pixels(image), *_red("raw_to_rgb_2x2_downscaled", cfa))
+    _check_cfa("raw_to_rgb_2x2_downscaled", cfa)
+    return on_batch(_raw_to_rgb_2x2_downscaled, pixels(image), *_RED[cfa])
 
 
 def _check_mosaic(op: str, image: Any) -> None:
@@ -161,10 +194,9 @@ def _check_mosaic(op: str, image: Any) -> None:
         raise ShapeError(f"{op}: expected image with even H and W of at least 2, got {tuple(image.shape)}")
 
 
-def _red(op: str, cfa: Any) -> tuple[int, int]:
+def _check_cfa(op: str, cfa: Any) -> None:
     if not isinstance(cfa, CFA):
         raise TypeCheckError(f"{op}: expected cfa to be a CFA, got {cfa!r}", actual_type=type(cfa))
-    return _RED[cfa]
 
 
 class RgbToRaw(FunctionModule):

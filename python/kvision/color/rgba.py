@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._leading import flat, on_batch
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
-WHITE = (1.0, 1.0, 1.0)
 
-
-def _reference(x: Tensor, background: Tensor | None, color: tuple[float, float, float]) -> Tensor:
-    *channels, alpha = x.unbind(1)
-    behind: Sequence[float | Tensor] = color if background is None else background.unbind(1)
-    return torch.stack([c * alpha + d * (1 - alpha) for c, d in zip(channels, behind)], 1)
+def _reference(x: Tensor, background: Tensor) -> Tensor:
+    return torch.lerp(background, x[:, :3], x[:, 3:])
 
 
 _rgba_to_rgb = as_stored(_reference)
@@ -71,7 +65,8 @@ def bgr_to_rgba(image: Tensor, alpha_val: float | Tensor) -> Tensor:
         tensor([0.3000, 0.2000, 0.1000, 1.0000])
     """
     _check.channels("bgr_to_rgba", "image", image, 3)
-    return torch.cat([image.flip(-3), _alpha("bgr_to_rgba", image, alpha_val)], -3)
+    blue, green, red = image.split(1, -3)
+    return torch.cat([red, green, blue, _alpha("bgr_to_rgba", image, alpha_val)], -3)
 
 
 def _alpha(op: str, image: Tensor, alpha: float | Tensor) -> Tensor:
@@ -115,18 +110,27 @@ def rgba_to_rgb(image: Tensor, background_color: tuple[float, float, float] | Te
         tensor([0.5000, 0.0000, 0.5000])
     """
     _check.channels("rgba_to_rgb", "image", image, 4)
-    if background_color is None or isinstance(background_color, (tuple, list)):
-        color = WHITE if background_color is None else _color(background_color)
-        return on_batch(_rgba_to_rgb, floats(image), None, color)
-    _check.channels("rgba_to_rgb", "background_color", background_color, 3)
-    _check.same_device("rgba_to_rgb", image=image, background_color=background_color)
-    return on_batch(_rgba_to_rgb, floats(image), _background(background_color, image), WHITE)
+    if background_color is None:
+        return _on_white(image)
+    if isinstance(background_color, (tuple, list)):
+        background = _color(background_color, image)
+    else:
+        _check.channels("rgba_to_rgb", "background_color", background_color, 3)
+        _check.same_device("rgba_to_rgb", image=image, background_color=background_color)
+        background = _background(background_color, image)
+    return on_batch(_rgba_to_rgb, floats(image), background)
 
 
-def _color(color: tuple[float, ...] | list[float]) -> tuple[float, ...]:
+def _on_white(image: Tensor) -> Tensor:
+    return on_batch(_rgba_to_rgb, floats(image), image.new_ones((1, 1, 1, 1), dtype=compute_dtype(image)))
+
+
+def _color(color: tuple[float, ...] | list[float], image: Tensor) -> Tensor:
     if len(color) != 3:
         raise ValueCheckError(f"rgba_to_rgb: expected background_color to be three numbers, got {color!r}")
-    return tuple(_check.number("rgba_to_rgb", "background_color", c) for c in color)
+    numbers = [_check.number("rgba_to_rgb", "background_color", c) for c in color]
+    # Filled on the device: a copy to it would be waited for.
+    return torch.cat([image.new_full((1, 1, 1, 1), n, dtype=compute_dtype(image)) for n in numbers], 1)
 
 
 def _background(background: Tensor, image: Tensor) -> Tensor:
@@ -160,7 +164,7 @@ def rgba_to_bgr(image: Tensor) -> Tensor:
         tensor([0.5000, 0.5000, 1.0000])
     """
     _check.channels("rgba_to_bgr", "image", image, 4)
-    return on_batch(_rgba_to_rgb, floats(image), None, WHITE).flip(-3)
+    return _on_white(image).flip(-3)
 
 
 class RgbToRgba(FunctionModule):

@@ -5,11 +5,10 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
-from kvision.color.matrix import mixed
+from kvision.color.matrix import affine
 from kvision.core.exceptions import ShapeError
 
 SEPIA = (
@@ -19,12 +18,14 @@ SEPIA = (
 )
 
 
-def _reference(x: Tensor, rescale: bool, eps: float) -> Tensor:
-    y = mixed(x, SEPIA)
-    return y / (y.amax((1, 2, 3), keepdim=True) + eps) if rescale else y
+_toned = affine(SEPIA)
 
 
-_sepia = as_stored(_reference)
+def _sepia(x: Tensor, rescale: bool, eps: float) -> Tensor:
+    if not rescale:
+        return _toned(x)
+    y = _toned(x.to(compute_dtype(x)))
+    return (y / (y.amax((1, 2, 3), keepdim=True) + eps)).to(x.dtype)
 
 
 def sepia(input: Tensor, rescale: bool = True, eps: float = 1e-6) -> Tensor:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._leading import flat, on_batch
-from kvision._ops import as_stored
-from kvision.color.matrix import affine, inverse, mixed
+from kvision.color.gray import weighted_sum
+from kvision.color.matrix import affine, inverse
 from kvision.core.exceptions import ShapeError
 
 YUV_FROM_RGB = (
@@ -20,31 +20,23 @@ YUV_FROM_RGB = (
 RGB_FROM_YUV = inverse(YUV_FROM_RGB)
 
 
-def _reference(x: Tensor) -> Tensor:
-    return mixed(x, YUV_FROM_RGB)
-
-
-def _inverse(x: Tensor) -> Tensor:
-    return mixed(x, RGB_FROM_YUV)
-
-
-def _subsampled(x: Tensor, rows: int, columns: int) -> tuple[Tensor, Tensor]:
-    """Luma, and the chroma as the mean of cells of rows x columns pixels."""
-    yuv = _reference(x)
-    b, _, h, w = x.shape
-    cells = yuv[:, 1:].reshape(b, 2, h // rows, rows, w // columns, columns)
-    return yuv[:, :1], cells.mean((3, 5))
-
-
-def _upsampled(luma: Tensor, chroma: Tensor, rows: int, columns: int) -> Tensor:
-    """RGB, with the chroma repeated over its cell."""
-    return _inverse(torch.cat([luma, chroma.repeat_interleave(rows, 2).repeat_interleave(columns, 3)], 1))
-
-
 _rgb_to_yuv = affine(YUV_FROM_RGB)
 _yuv_to_rgb = affine(RGB_FROM_YUV)
-_rgb_to_yuv_subsampled = as_stored(_subsampled)
-_yuv_subsampled_to_rgb = as_stored(_upsampled)
+
+
+def _subsampled(x: Tensor, rows: int) -> tuple[Tensor, Tensor]:
+    """Luma, and the chroma of the mean of cells of rows x 2 pixels, which is the mean of the chroma."""
+    wide = x.to(compute_dtype(x))
+    means = F.avg_pool2d(wide, (rows, 2)) if x.shape[2:].numel() else wide[..., ::rows, ::2]
+    return weighted_sum(x, *YUV_FROM_RGB[0]), _rgb_to_yuv(means)[:, 1:].to(x.dtype).contiguous()
+
+
+def _upsampled(luma: Tensor, chroma: Tensor, rows: int) -> Tensor:
+    """RGB, with the chroma repeated over its cell: what it adds to luma, whose factor is 1 in each of the channels."""
+    b, _, h, w = luma.shape
+    added = _yuv_to_rgb(F.pad(chroma.to(compute_dtype(luma)), (0, 0, 0, 0, 1, 0)))
+    cells = luma.reshape(b, 1, h // rows, rows, w // 2, 2)
+    return (cells + added[:, :, :, None, :, None]).reshape(b, 3, h, w).to(luma.dtype)
 
 
 def rgb_to_yuv(image: Tensor) -> Tensor:
@@ -118,7 +110,7 @@ def rgb_to_yuv420(image: Tensor) -> tuple[Tensor, Tensor]:
     """
     _check.channels("rgb_to_yuv420", "image", image, 3)
     _whole_cells("rgb_to_yuv420", "image", image, 2, 2)
-    return on_batch(_rgb_to_yuv_subsampled, floats(image), 2, 2)
+    return on_batch(_subsampled, floats(image), 2)
 
 
 def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -144,7 +136,7 @@ def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
     """
     _check.channels("rgb_to_yuv422", "image", image, 3)
     _whole_cells("rgb_to_yuv422", "image", image, 1, 2)
-    return on_batch(_rgb_to_yuv_subsampled, floats(image), 1, 2)
+    return on_batch(_subsampled, floats(image), 1)
 
 
 def yuv420_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
@@ -209,7 +201,7 @@ def _joined(op: str, luma: Tensor, chroma: Tensor, rows: int, columns: int) -> T
             f"{tuple(chroma.shape)}"
         )
     _check.same_device(op, imagey=luma, imageuv=chroma)
-    return on_batch(_yuv_subsampled_to_rgb, floats(luma), flat(chroma), rows, columns)
+    return on_batch(_upsampled, floats(luma), flat(chroma), rows)
 
 
 def _whole_cells(op: str, name: str, x: Tensor, rows: int, columns: int) -> None:

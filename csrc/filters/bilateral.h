@@ -18,22 +18,10 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/images.h"
 #include "core/isa.h"
 
 namespace kv {
-
-// Images with any strides, in elements; planar and channels-last alike.
-template <class T>
-struct Images {
-  T* data;
-  int64_t batch_stride, channel_stride, row_stride, step;  // batch_stride 0: one image serves the batch
-  int64_t batch, height, width;
-  int channels;
-
-  KV_HD T* row(int64_t b, int c, int64_t y) const {
-    return data + b * batch_stride + c * channel_stride + y * row_stride;
-  }
-};
 
 // How fast weights fall: 2^(space_y dy^2 + space_x dx^2 - color d^2).
 template <class F>

@@ -1,22 +1,9 @@
 // Bilateral blur: schemas and entries, for CPU and CUDA alike.
 #include "bilateral.h"
-#include "glue/glue.h"
+#include "glue/images.h"
 
 namespace kv {
 namespace {
-
-template <class T>
-Images<T> images(Tensor const& x, int64_t batch) {
-  return {static_cast<T*>(const_cast<void*>(x.const_data_ptr())),
-          x.size(0) == 1 && batch > 1 ? 0 : x.stride(0),
-          x.stride(1),
-          x.stride(2),
-          x.stride(3),
-          batch,
-          x.size(2),
-          x.size(3),
-          int(x.size(1))};
-}
 
 // What forward and backward have in common, checked.
 struct Arguments {

@@ -10,7 +10,21 @@
 import importlib
 from typing import Any
 
-from kvision import color, constants, contrib, core, enhance, filters, image, io, losses, metrics, morphology, utils
+from kvision import (
+    color,
+    constants,
+    contrib,
+    core,
+    enhance,
+    filters,
+    geometry,
+    image,
+    io,
+    losses,
+    metrics,
+    morphology,
+    utils,
+)
 from kvision._ops import backend
 from kvision._version import __version__
 
@@ -19,6 +33,14 @@ from kvision.color import bgr_to_rgb, rgb_to_grayscale
 from kvision.contrib import extract_tensor_patches
 from kvision.enhance import normalize
 from kvision.filters import gaussian_blur2d, sobel
+from kvision.geometry import (
+    HomographyWarper,
+    ScalePyramid,
+    get_perspective_transform,
+    homography_warp,
+    pyrdown,
+    warp_perspective,
+)
 from kvision.image import (
     draw_convex_polygon,
     draw_line,
@@ -39,6 +61,8 @@ from kvision.utils import (
 )
 
 __all__ = [
+    "HomographyWarper",
+    "ScalePyramid",
     "__version__",
     "backend",
     "bgr_to_rgb",
@@ -56,9 +80,12 @@ __all__ = [
     "filters",
     "focal_loss",
     "gaussian_blur2d",
+    "geometry",
     "get_cuda_device_if_available",
     "get_cuda_or_mps_device_if_available",
     "get_mps_device_if_available",
+    "get_perspective_transform",
+    "homography_warp",
     "image",
     "image_to_string",
     "image_to_tensor",
@@ -71,12 +98,14 @@ __all__ = [
     "normalize",
     "print_image",
     "psnr_loss",
+    "pyrdown",
     "rgb_to_grayscale",
     "sobel",
     "ssim_loss",
     "tensor_to_image",
     "tversky_loss",
     "utils",
+    "warp_perspective",
     "xla_is_available",
 ]
 

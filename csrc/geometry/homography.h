@@ -1,0 +1,182 @@
+// The map of a warp, from pixels of the output to pixels of the source, out of the matrix that a caller gives; and the
+// gradient back to it. In double, once a sample: what matters is that coordinates, in float, are right to their last
+// bits.
+#pragma once
+
+#include "core/hd.h"
+
+namespace kv {
+
+struct Size {
+  int64_t height, width;
+};
+
+// What a caller's matrix means.
+struct MatrixUse {
+  int rows;      // 3, or 2 for an affine one
+  bool inverse;  // it maps source to output
+  // It maps [-1, 1] to [-1, 1]: from the middle of the first pixel to that of the last one with align_corners, from
+  // edge to edge without.
+  bool normalized, align_corners;
+  Size source, output;
+};
+
+// (x, y, 1) goes to m (x, y, 1), divided by its last number.
+template <class F>
+struct Homography {
+  F m[9];
+  bool affine;  // the last row is 0, 0, 1
+
+  template <class V>
+  KV_HD void at(V x, F y, V& u, V& v) const {
+    u = x * m[0] + (y * m[1] + m[2]);
+    v = x * m[3] + (y * m[4] + m[5]);
+    if (affine) return;
+    V const scale = 1 / weight(x, y);
+    u = u * scale;
+    v = v * scale;
+  }
+  template <class V>
+  KV_HD V weight(V x, F y) const {
+    return x * m[6] + (y * m[7] + m[8]);
+  }
+};
+
+namespace matrix {
+
+KV_HD void cross(double const* a, double const* b, double* c) {
+  c[0] = a[1] * b[2] - a[2] * b[1];
+  c[1] = a[2] * b[0] - a[0] * b[2];
+  c[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+KV_HD void transpose(double* m) {
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < i; ++k) {
+      double const t = m[3 * i + k];
+      m[3 * i + k] = m[3 * k + i];
+      m[3 * k + i] = t;
+    }
+}
+
+// The inverse up to a factor, which a homography does not have: the cross products of the rows are its columns.
+KV_HD void adjugate(double const* m, double* a) {
+  cross(m + 3, m + 6, a);
+  cross(m + 6, m, a + 3);
+  cross(m, m + 3, a + 6);
+  transpose(a);
+}
+// The gradient to m from that to its adjugate: row r0 is in r2 x r0 and r0 x r1, and so on.
+KV_HD void adjugate_vjp(double const* m, double* g, double* grad) {
+  transpose(g);
+  for (int i = 0; i < 3; ++i) {
+    int const j = (i + 1) % 3, k = (i + 2) % 3;
+    double a[3], b[3];
+    cross(g + 3 * j, m + 3 * k, a);
+    cross(m + 3 * j, g + 3 * k, b);
+    for (int e = 0; e < 3; ++e) grad[3 * i + e] = a[e] + b[e];
+  }
+}
+
+// x in pixels is scale * n + offset, n in [-1, 1].
+struct Unit {
+  double scale, offset;
+  KV_HD Unit(int64_t size, bool align_corners)
+      : scale((align_corners ? double(size - 1) : double(size)) / 2), offset(double(size - 1) / 2) {}
+};
+
+// m, from [-1, 1] to [-1, 1], as a map from pixels to pixels.
+KV_HD void to_pixels(double* m, MatrixUse const& use) {
+  Unit const from[] = {{use.output.width, use.align_corners}, {use.output.height, use.align_corners}};
+  Unit const to[] = {{use.source.width, use.align_corners}, {use.source.height, use.align_corners}};
+  for (int row = 0; row < 9; row += 3)
+    for (int i = 0; i < 2; ++i) {
+      m[row + i] =
+          from[i].scale > 0 ? m[row + i] / from[i].scale : 0;  // the only pixel of an axis stands in its middle
+      m[row + 2] -= m[row + i] * from[i].offset;
+    }
+  for (int k = 0; k < 3; ++k)
+    for (int i = 0; i < 2; ++i) m[3 * i + k] = m[3 * i + k] * to[i].scale + m[6 + k] * to[i].offset;
+}
+KV_HD void to_pixels_vjp(double* g, MatrixUse const& use) {
+  Unit const from[] = {{use.output.width, use.align_corners}, {use.output.height, use.align_corners}};
+  Unit const to[] = {{use.source.width, use.align_corners}, {use.source.height, use.align_corners}};
+  for (int k = 0; k < 3; ++k)
+    for (int i = 0; i < 2; ++i) {
+      g[6 + k] += g[3 * i + k] * to[i].offset;
+      g[3 * i + k] *= to[i].scale;
+    }
+  for (int row = 0; row < 9; row += 3)
+    for (int i = 0; i < 2; ++i) {
+      g[row + i] -= g[row + 2] * from[i].offset;
+      g[row + i] = from[i].scale > 0 ? g[row + i] / from[i].scale : 0;
+    }
+}
+
+template <class F>
+KV_HD void load(F const* given, int rows, double* m) {
+  for (int i = 0; i < 9; ++i) m[i] = i < 3 * rows ? double(given[i]) : i == 8;
+}
+
+// A factor that leaves coordinates in the range of float: the map does not depend on it, nor does its gradient. The
+// last number becomes 1 where it can, so that affine maps stay so and whole numbers stay whole.
+KV_HD double scale_of(double const* m) {
+  double largest = 0;
+  for (int i = 0; i < 9; ++i) largest = max(largest, m[i] < 0 ? -m[i] : m[i]);
+  double const last = m[8] < 0 ? -m[8] : m[8];
+  double const chosen = last > 1e-6 * largest ? m[8] : largest;
+  return chosen != 0 ? 1 / chosen : 1;
+}
+
+}  // namespace matrix
+
+// From pixels of the output to pixels of the source.
+template <class F>
+KV_HD Homography<F> homography(F const* given, MatrixUse const& use) {
+  double m[9], a[9];
+  matrix::load(given, use.rows, m);
+  if (use.inverse) {
+    matrix::adjugate(m, a);
+    for (int i = 0; i < 9; ++i) m[i] = a[i];
+  }
+  if (use.normalized) matrix::to_pixels(m, use);
+  double const scale = matrix::scale_of(m);
+  Homography<F> h;
+  for (int i = 0; i < 9; ++i) h.m[i] = F(m[i] * scale);
+  h.affine = h.m[6] == 0 && h.m[7] == 0 && h.m[8] == 1;
+  return h;
+}
+
+// From pixels of the source to pixels of the output, the other way round.
+template <class F>
+KV_HD Homography<F> inverse_homography(F const* given, MatrixUse use) {
+  use.inverse = !use.inverse;
+  Size const source = use.source;
+  use.source = use.output;
+  use.output = source;
+  return homography(given, use);
+}
+
+// The gradient to the matrix that a caller gives, from that to the numbers of homography(given, use).
+template <class F>
+KV_HD void homography_vjp(F const* given, MatrixUse const& use, double* g, F* grad) {
+  double m[9], a[9], to_given[9];
+  matrix::load(given, use.rows, m);
+  if (use.inverse)
+    matrix::adjugate(m, a);
+  else
+    for (int i = 0; i < 9; ++i) a[i] = m[i];
+  double pixels[9];
+  for (int i = 0; i < 9; ++i) pixels[i] = a[i];
+  if (use.normalized) matrix::to_pixels(pixels, use);
+  double const scale = matrix::scale_of(pixels);
+  for (int i = 0; i < 9; ++i) g[i] *= scale;
+  if (use.normalized) matrix::to_pixels_vjp(g, use);
+  if (use.inverse)
+    matrix::adjugate_vjp(m, g, to_given);
+  else
+    for (int i = 0; i < 9; ++i) to_given[i] = g[i];
+  for (int i = 0; i < 3 * use.rows; ++i) grad[i] = F(to_given[i]);
+}
+
+}  // namespace kv

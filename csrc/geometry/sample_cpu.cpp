@@ -1,0 +1,101 @@
+// Sampling on the CPU: rows [begin, end) of all outputs in order. Compiled once per instruction set.
+//
+// First the places of a row, then its pixels by vectors: taps and weights once, then channel by channel. Where all taps
+// are inside of the image they are read as they are; elsewhere each finds its pixel or the fill.
+#include "sample_cpu.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// The value in one channel. A tap of weight 0 is no part of it, whatever it holds. Where taps are multiplied anyway,
+// NaN and inf show in the sum, which is then done again.
+template <int K, int N, class T>
+struct Value : Window<K, N, T> {
+  using typename Window<K, N, T>::F;
+  using typename Window<K, N, T>::V;
+  V wx[K], wy[K];
+
+  KV_HD Value(Sample<T> const& p, V u, V v) : Window<K, N, T>(p, u, v, p.x.row_stride, p.x.step) {
+    tap_weights(this->tx, wx);
+    tap_weights(this->ty, wy);
+  }
+  KV_HD V at(Images<T const> const& image, T const* plane, F fill) const {
+    if (this->inside) {
+      V const sum = inner(image, plane);
+      if (sizeof(T) == 1 || K == 1 || all<N>(sum - sum == 0)) return sum;
+    }
+    return outer(image, plane, fill);
+  }
+
+ private:
+  KV_HD V inner(Images<T const> const& image, T const* plane) const {
+    if constexpr (K == 1) {
+      return this->read(image, plane, 0, 0);
+    } else if constexpr (K == 2) {
+      V a, b, c, d;
+      gather_two<N>(plane, this->first, image.step, a, b);
+      gather_two<N>(plane + image.row_stride, this->first, image.step, c, d);
+      return (a * wx[0] + b * wx[1]) * wy[0] + (c * wx[0] + d * wx[1]) * wy[1];
+    } else {
+      V sum{};
+#pragma GCC unroll 1
+      for (int j = 0; j < K; ++j) {
+        V row{};
+        for (int i = 0; i < K; ++i) row += this->read(image, plane, j, i) * wx[i];
+        sum += row * wy[j];
+      }
+      return sum;
+    }
+  }
+  V outer(Images<T const> const& image, T const* plane, F fill) const {
+    V sum{};
+#pragma GCC unroll 1
+    for (int j = 0; j < K; ++j)
+#pragma GCC unroll 1
+      for (int i = 0; i < K; ++i) {
+        V const weight = wx[i] * wy[j], value = this->find(image, plane, fill, j, i);
+        sum += weight == 0 ? V{} : V(weight * value);
+      }
+    return sum;
+  }
+};
+
+template <int K, class T>
+void sample_rows(Sample<T> const& p, int64_t begin, int64_t end) {
+  PlaceRow<Compute<T>> places(p.y.width);
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const b = r / p.y.height, y = r % p.y.height;
+    places.fill(p.places, b, y);
+    for_each_place(p.x, p.y.width, [&](auto lanes, int64_t e) {
+      constexpr int N = decltype(lanes)::value;
+      Value<K, N, T> const value(p, load<N>(places.u + e), load<N>(places.v + e));
+      for (int c = 0; c < p.x.channels; ++c) {
+        auto const found = value.at(p.x, p.x.row(b, c, 0), p.fill_of(b, c));
+        T* const out = p.y.row(b, c, y) + e * p.y.step;
+        if (N == 1 || p.y.step == 1) {
+          store<N>(out, found);
+        } else if constexpr (N > 1) {
+          for (int i = 0; i < N; ++i) store<1>(out + i * p.y.step, found[i]);
+        }
+      }
+    });
+  }
+}
+
+}  // namespace
+
+template <class T>
+void sample(Sample<T> const& p, int64_t begin, int64_t end) {
+  switch (p.interpolation) {
+    case Interpolation::nearest:
+      return sample_rows<1>(p, begin, end);
+    case Interpolation::bilinear:
+      return sample_rows<2>(p, begin, end);
+    case Interpolation::bicubic:
+      return sample_rows<4>(p, begin, end);
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(sample, Sample)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,102 @@
+// What the operators that sample have in common: names, checks, axes and fills. Included by warp_op.cpp and
+// remap_op.cpp.
+#pragma once
+
+#include "glue/images.h"
+#include "sample.h"
+
+namespace kv {
+
+inline Interpolation interpolation_of(char const* op, std::string const& name) {
+  if (name == "nearest") return Interpolation::nearest;
+  if (name == "bilinear") return Interpolation::bilinear;
+  KV_CHECK(name == "bicubic", op, ": interpolation must be one of nearest, bilinear, bicubic; got '", name, "'");
+  return Interpolation::bicubic;
+}
+
+inline Padding padding_of(char const* op, std::string const& name) {
+  if (name == "fill") return Padding::fill;
+  if (name == "border") return Padding::border;
+  KV_CHECK(name == "reflection", op, ": padding must be one of fill, border, reflection; got '", name, "'");
+  return Padding::reflection;
+}
+
+// Sides of images fit an int with what lies around them, and a float's whole numbers nearly so.
+constexpr int64_t kLargestSide = 1 << 30;
+
+inline Size size_of(char const* op, std::vector<int64_t> const& size) {
+  KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
+  for (int64_t side : size)
+    KV_CHECK(side > 0 && side <= kLargestSide, op, ": expected a size of 1 to ", kLargestSide, " pixels, got ", side);
+  return {size[0], size[1]};
+}
+
+inline Size size_of(char const* op, Tensor const& x) { return size_of(op, {x.size(2), x.size(3)}); }
+
+// Into how many sums the slopes of an output go: one a tile on CUDA, one a row on the CPU.
+inline int64_t slope_parts(Size output) {
+#if defined(KV_CUDA)
+  auto const tiles = [](int64_t side) { return (side + kTile - 1) / kTile; };
+  return tiles(output.height) * tiles(output.width);
+#else
+  return output.height;
+#endif
+}
+
+inline ScalarType computed_type(Tensor const& x) {
+  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+}
+
+// Whether t has what an image x goes with: numbers in the type that computes, for each sample or for all.
+inline bool goes_with(Tensor const& t, Tensor const& x, int64_t axes) {
+  return t.dim() == axes && t.scalar_type() == computed_type(x) && t.device() == x.device() &&
+         (t.size(0) == 1 || t.size(0) == x.size(0));
+}
+
+// Gradients to images are summed and returned in the type that computes.
+template <class F>
+void for_computed(char const* op, Tensor const& x, F f) {
+  if (x.scalar_type() == ScalarType::Float) return f(Type<float>{});
+  KV_CHECK(x.scalar_type() == ScalarType::Double, op, ": expected float32 or float64");
+  f(Type<double>{});
+}
+
+template <class T>
+T* data_of(Tensor const& x) {
+  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
+}
+
+// How an image of `source` is read, and for which gradient; what is read of it is up to the caller.
+struct SamplingArguments {
+  char const* op;
+  Interpolation interpolation;
+  Padding padding;
+  bool align_corners;
+  std::optional<Tensor> fill;
+
+  SamplingArguments(char const* op, std::string const& interpolation, std::string const& padding, bool align_corners,
+                    Tensor const& x, std::optional<Tensor> const& fill)
+      : op(op),
+        interpolation(interpolation_of(op, interpolation)),
+        padding(padding_of(op, padding)),
+        align_corners(align_corners),
+        fill(fill) {
+    if (!fill) return;
+    KV_CHECK(goes_with(*fill, x, 2) && (fill->size(1) == 1 || fill->size(1) == x.size(1)), op,
+             ": fill does not fit the image");
+  }
+
+  template <class T>
+  Sampling<T> of(Size source, Places<Compute<T>> const& places) const {
+    using F = Compute<T>;
+    return {interpolation,
+            {int(source.width), padding, align_corners},
+            {int(source.height), padding, align_corners},
+            places,
+            fill ? data_of<F const>(*fill) : nullptr,
+            fill && fill->size(0) > 1 ? fill->stride(0) : 0,
+            fill && fill->size(1) > 1 ? fill->stride(1) : 0};
+  }
+};
+
+}  // namespace kv

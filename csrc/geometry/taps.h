@@ -1,0 +1,132 @@
+// The taps of a place along an axis: which pixels, their weights and the derivatives of these; sample.h has the rules.
+// Included by kernels. V is F or lanes of it, I int or lanes of it.
+#pragma once
+
+#include "sample.h"
+#if !defined(__CUDACC__)
+#include "core/lanes.h"
+#endif
+
+namespace kv {
+
+#if defined(__CUDACC__)
+#define KV_TAPS __device__ __forceinline__
+KV_TAPS float vfloor(float x) { return ::floorf(x); }
+KV_TAPS double vfloor(double x) { return ::floor(x); }
+template <class F>
+KV_TAPS int floor_to_int(float x) {
+  return __float2int_rd(x);
+}
+template <class F>
+KV_TAPS int floor_to_int(double x) {
+  return __double2int_rd(x);
+}
+template <class F>
+KV_TAPS F to_number(int i) {
+  return F(i);
+}
+#else
+#define KV_TAPS KV_HD
+template <class F, class I>
+KV_HD auto to_number(I i) {
+  if constexpr (sizeof(I) == sizeof(int))
+    return F(i);
+  else
+    return __builtin_convertvector(i, Lanes<F, sizeof(I) / sizeof(int)>);
+}
+template <class F, class V>
+KV_HD auto floor_to_int(V x) {
+  if constexpr (sizeof(V) == sizeof(F)) {
+    int const i = int(x);
+    return i - (F(i) > x);
+  } else {
+    using I = Lanes<int, sizeof(V) / sizeof(F)>;
+    I const i = __builtin_convertvector(x, I);  // towards 0
+    return I(i + __builtin_convertvector(to_number<F>(i) > x, I));
+  }
+}
+#endif
+
+// --- places and pixels
+// ---------------------------------------------------------------------------------------------------
+
+// A place of the same value that is near the image, so that its taps are ints. NaN lies far outside, to the left.
+template <class F, class V>
+KV_TAPS V near_image(Axis<F> const& axis, V x) {
+  V const zero{};
+  if (axis.padding != Padding::reflection) return min(V(zero + F(axis.size + 3)), max(V(zero - 4), x));
+  F const period = F(2 * (axis.align_corners ? axis.size - 1 : axis.size));
+  if (period == 0) return zero;
+  x = x - period * vfloor(V(x / period));
+  return min(V(zero + period), max(zero, x));
+}
+
+// The pixel at tap i, or i itself where it is outside and shows the fill.
+template <class F, class I>
+KV_TAPS I pixel_at(Axis<F> const& axis, I i) {
+  if (axis.padding == Padding::fill) return i;
+  I const zero{}, last = zero + (axis.size - 1);
+  if (axis.padding == Padding::reflection) {
+    int const edge = axis.align_corners ? 0 : 1;
+    i = i < 0 ? I(-i - edge) : i;
+    i = i > last ? I(2 * (axis.size - 1) + edge - i) : i;
+    i = i < 0 ? I(-i - edge) : i;
+  }
+  return min(last, max(zero, i));
+}
+
+// --- weights
+// -------------------------------------------------------------------------------------------------------------
+
+// The first of K taps, and what is left of x, which is near the image.
+template <int K, class F, class V>
+KV_TAPS auto first_tap(V x, V& t) {
+  if constexpr (K == 1) {
+    constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);  // rounds a number less than a quarter of it
+    t = V{};
+    return floor_to_int<F>(V((x + shift) - shift));
+  } else {
+    auto const whole = floor_to_int<F>(x);
+    t = x - to_number<F>(whole);
+    return K == 4 ? whole - 1 : whole;
+  }
+}
+
+template <int K, class V>
+KV_TAPS void tap_weights(V t, V (&w)[K]) {
+  V const one = V{} + 1;
+  if constexpr (K == 1) {
+    w[0] = one;
+  } else if constexpr (K == 2) {
+    w[0] = one - t;
+    w[1] = t;
+  } else {
+    V const s = one - t;
+    w[0] = t * s * s * -0.75f;
+    w[1] = (t * 1.25f - 2.25f) * t * t + 1;
+    w[2] = (s * 1.25f - 2.25f) * s * s + 1;
+    w[3] = t * t * s * -0.75f;
+  }
+}
+
+// Their derivatives.
+template <int K, class V>
+KV_TAPS void tap_slopes(V t, V (&d)[K]) {
+  V const one = V{} + 1;
+  if constexpr (K == 1) {
+    d[0] = V{};
+  } else if constexpr (K == 2) {
+    d[0] = -one;
+    d[1] = one;
+  } else {
+    V const s = one - t;
+    d[0] = s * (t * 3 - 1) * 0.75f;
+    d[1] = (t * 3.75f - 4.5f) * t;
+    d[2] = (s * -3.75f + 4.5f) * s;
+    d[3] = t * (t * 3 - 2) * 0.75f;
+  }
+}
+
+#undef KV_TAPS
+
+}  // namespace kv

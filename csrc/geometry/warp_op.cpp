@@ -1,0 +1,108 @@
+// Warps by a matrix: schemas and entries, for CPU and CUDA alike.
+#include "sample_glue.h"
+
+namespace kv {
+namespace {
+
+struct Matrix {
+  Tensor matrix;
+  MatrixUse use;
+
+  Matrix(char const* op, Tensor const& given, Tensor const& x, bool inverse, bool normalized, bool align_corners,
+         Size source, Size output)
+      : matrix(given) {
+    KV_CHECK(goes_with(given, x, 3) && (given.size(1) == 2 || given.size(1) == 3) && given.size(2) == 3, op,
+             ": matrix does not fit the image");
+    matrix = torch::stable::contiguous(given);
+    use = {int(matrix.size(1)), inverse, normalized, align_corners, source, output};
+  }
+  template <class F>
+  Places<F> places() const {
+    Places<F> p{};
+    p.matrices = data_of<F const>(matrix);
+    p.matrix_stride = matrix.size(0) == 1 ? 0 : 3 * use.rows;
+    p.use = use;
+    return p;
+  }
+};
+
+Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill, std::vector<int64_t> size,
+            std::string const& interpolation, std::string const& padding, bool align_corners, bool inverse,
+            bool normalized) {
+  check_images("warp", "image", image);
+  Size const output = size_of("warp", size), source = size_of("warp", image);
+  SamplingArguments const a("warp", interpolation, padding, align_corners, image, fill);
+  Matrix const m("warp", matrix, image, inverse, normalized, align_corners, source, output);
+  int64_t const batch = image.size(0), channels = image.size(1);
+  Tensor const y = empty({batch, channels, output.height, output.width}, image, layout_of(image));
+  for_floats_and_bytes("warp", image, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Sample<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(image, batch), images<T>(y, batch)};
+    KV_RUN(sample, image, params, y.numel() > 0 ? batch * output.height : 0, 4 * channels * output.width);
+  });
+  return y;
+}
+
+Tensor warp_image_gradient(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
+                           std::string const& interpolation, std::string const& padding, bool align_corners,
+                           bool inverse, bool normalized) {
+  char const* const op = "warp_image_gradient";
+  check_images(op, "grad", grad);
+  Size const source = size_of(op, size), output = size_of(op, grad);
+  SamplingArguments const a(op, interpolation, padding, align_corners, grad, {});
+  Matrix const m(op, matrix, grad, inverse, normalized, align_corners, source, output);
+  int64_t const batch = grad.size(0), channels = grad.size(1);
+  Tensor const grad_x = empty({batch, channels, source.height, source.width}, grad);
+  for_computed(op, grad, [&](auto type) {
+    using F = typename decltype(type)::type;
+    SampleTranspose<F> const params{a.of<F>(source, m.places<F>()), images<F const>(grad, batch),
+                                    images<F>(grad_x, batch)};
+    KV_RUN(sample_transpose, grad, params, batch * channels, 8 * output.height * output.width);
+  });
+  return grad_x;
+}
+
+Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor const& matrix,
+                            std::optional<Tensor> const& fill, std::string const& interpolation,
+                            std::string const& padding, bool align_corners, bool inverse, bool normalized) {
+  char const* const op = "warp_matrix_gradient";
+  check_images(op, "image", image);
+  check_images(op, "grad", grad);
+  Size const source = size_of(op, image), output = size_of(op, grad);
+  KV_CHECK(grad.size(0) == image.size(0) && grad.size(1) == image.size(1) &&
+               grad.scalar_type() == image.scalar_type() && grad.device() == image.device(),
+           op, ": grad does not fit the image");
+  SamplingArguments const a(op, interpolation, padding, align_corners, image, fill);
+  Matrix const m(op, matrix, image, inverse, normalized, align_corners, source, output);
+  int64_t const batch = image.size(0), parts = slope_parts(output);
+  Tensor const sums = empty({batch, parts, 9}, grad, Layout::planar, ScalarType::Double);
+  Tensor const grad_matrix = empty({batch, m.use.rows, 3}, m.matrix);
+  for_floats(op, image, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Places<F> const places = m.places<F>();
+    SampleSlopes<T> const slopes{a.of<T>(source, places),
+                                 images<T const>(image, batch),
+                                 images<T const>(grad, batch),
+                                 {},
+                                 {},
+                                 data_of<double>(sums),
+                                 parts};
+    KV_RUN(sample_slopes, image, slopes, batch * output.height, 8 * image.size(1) * output.width);
+    MatrixGradient<F> const gradient{places, data_of<double const>(sums), parts, batch, data_of<F>(grad_matrix)};
+    KV_RUN(matrix_gradient, image, gradient, batch, 9 * parts);
+  });
+  return grad_matrix;
+}
+
+}  // namespace
+
+#define KV_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
+
+KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, int[] size, " KV_HOW ") -> Tensor")
+KV_OPERATOR(warp_image_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_HOW ") -> Tensor")
+KV_OPERATOR(warp_matrix_gradient, "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, " KV_HOW ") -> Tensor")
+
+#undef KV_HOW
+
+}  // namespace kv

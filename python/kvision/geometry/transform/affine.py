@@ -1,0 +1,392 @@
+"""Rotation, translation, scale and shear of images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, pixels
+from kvision._modules import FunctionModule
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform import matrices, sampling
+
+__all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate", "scale", "shear", "translate"]
+
+
+def affine(
+    tensor: Tensor, matrix: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = True
+) -> Tensor:
+    """Warp images by affine maps, keeping their size.
+
+    Args:
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        matrix: (B, 2, 3), or (1, 2, 3) for all images: image pixels (x, y) to result pixels.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Returns:
+        The shape and type of `tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> right = torch.tensor([[[1.0, 0, 1], [0, 1, 0]]])
+        >>> K.geometry.affine(torch.arange(3.0).reshape(1, 1, 3), right)
+        tensor([[[0., 0., 1.]]])
+    """
+    images = _images("affine", tensor)
+    _check.shape("affine", "matrix", matrix, "B", 2, 3)
+    return _affine("affine", tensor, images, matrix, mode, padding_mode, align_corners)
+
+
+def rotate(
+    tensor: Tensor,
+    angle: Tensor,
+    center: Tensor | None = None,
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Turn images counter-clockwise, as one sees them, keeping their size.
+
+    Args:
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        angle: degrees (B,), or one for all images. Quarter turns are exact.
+        center: (B, 2) or (1, 2) as (x, y); None for the middle of the image.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Returns:
+        The shape and type of `tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.rotate(torch.tensor([[[1.0, 2], [3, 4]]]), torch.tensor(90.0))
+        tensor([[[2., 4.],
+                 [1., 3.]]])
+    """
+    images = _images("rotate", tensor)
+    (angle,) = _vectors("rotate", images, angle=(angle, 0))
+    middle = _center("rotate", images, center, angle)
+    matrix = matrices.get_rotation_matrix2d(middle, angle, torch.ones_like(middle))
+    return _affine("rotate", tensor, images, matrix, mode, padding_mode, align_corners)
+
+
+def translate(
+    tensor: Tensor,
+    translation: Tensor,
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Move images by pixels, keeping their size.
+
+    Args:
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        translation: (B, 2), or (1, 2) for all images: to the right and down.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Returns:
+        The shape and type of `tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.translate(torch.tensor([[[1.0, 2], [3, 4]]]), torch.tensor([[0.5, 1]]))
+        tensor([[[0.0000, 0.0000],
+                 [0.5000, 1.5000]]])
+    """
+    images = _images("translate", tensor)
+    (translation,) = _vectors("translate", images, translation=(translation, 2))
+    matrix = matrices.get_translation_matrix2d(translation)[:, :2]
+    return _affine("translate", tensor, images, matrix, mode, padding_mode, align_corners)
+
+
+def scale(
+    tensor: Tensor,
+    scale_factor: Tensor,
+    center: Tensor | None = None,
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Magnify images about a centre, keeping their size.
+
+    Args:
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        scale_factor: (B, 2) along x and y, or (B, 1) or (B,) for both; one row serves all images.
+        center: (B, 2) or (1, 2) as (x, y); None for the middle of the image.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Returns:
+        The shape and type of `tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.scale(torch.arange(5.0).reshape(1, 1, 5), torch.tensor([2.0]))
+        tensor([[[1.0000, 1.5000, 2.0000, 2.5000, 3.0000]]])
+    """
+    images = _images("scale", tensor)
+    _check.numbers("scale", "scale_factor", scale_factor)
+    if scale_factor.dim() < 2:
+        scale_factor = scale_factor.reshape(-1, 1)
+    if scale_factor.shape[-1] == 1:
+        scale_factor = scale_factor.expand(*scale_factor.shape[:-1], 2)
+    (scale_factor,) = _vectors("scale", images, scale_factor=(scale_factor, 2))
+    middle = _center("scale", images, center, scale_factor)
+    matrix = matrices.about(torch.diag_embed(scale_factor), middle)
+    return _affine("scale", tensor, images, matrix, mode, padding_mode, align_corners)
+
+
+def shear(
+    tensor: Tensor, shear: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = False
+) -> Tensor:
+    """Shear images about their first pixel: x + shear_x * y, y + shear_y * x.
+
+    Args:
+        tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
+        shear: (B, 2), or (1, 2) for all images: pixels by which a row moves against the one above, and a column against
+            the one to the left.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Returns:
+        The shape and type of `tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.shear(torch.tensor([[[1.0, 2], [3, 4]]]), torch.tensor([[1.0, 0]]))
+        tensor([[[1., 2.],
+                 [0., 3.]]])
+    """
+    images = _images("shear", tensor)
+    (shear,) = _vectors("shear", images, shear=(shear, 2))
+    x, y = shear.unbind(-1)
+    matrix = matrices.matrix_of([[1, x, 0], [y, 1, 0]], shear)
+    return _affine("shear", tensor, images, matrix, mode, padding_mode, align_corners)
+
+
+# --- what they share ------------------------------------------------------------------------------------------------
+
+
+def _images(op: str, tensor: Any) -> Tensor:
+    """(B, C, H, W) of images or of one."""
+    _check.numbers(op, "tensor", tensor)
+    if tensor.dim() not in (3, 4) or 0 in tensor.shape[-2:]:
+        raise ShapeError(f"{op}: expected tensor of shape (B, C, H, W) or (C, H, W), got {tuple(tensor.shape)}")
+    return pixels(tensor[None] if tensor.dim() == 3 else tensor)
+
+
+def _affine(op, tensor, images, matrix, mode, padding_mode, align_corners):
+    sampling.check_how(op, mode, padding_mode, align_corners)
+    matrix = sampling.for_images(op, images, "matrix", matrix)
+    padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
+    size = list(images.shape[2:])
+    result = sampling.warp(images, matrix, None, size, mode, padding, align_corners, True, False)
+    return result[0] if tensor.dim() == 3 else result
+
+
+def _vectors(op: str, images: Tensor, **vectors: tuple[Any, int]) -> list[Tensor]:
+    """Parameters (B, width) or, for width 0, (B,), in the type that computes; scalars and (width,) are one for all."""
+    found = []
+    for name, (x, width) in vectors.items():
+        _check.numbers(op, name, x)
+        if x.dim() == (1 if width else 0):
+            x = x[None]
+        _check.shape(op, name, x, *(("B", width) if width else ("B",)))
+        found.append(sampling.for_images(op, images, name, x))
+    return found
+
+
+def _center(op: str, images: Tensor, center: Any, like: Tensor) -> Tensor:
+    """Centres (B, 2), as many as `like` has rows: those given, or the middle of the image."""
+    if center is None:
+        h, w = images.shape[2:]
+        x, y = (like.new_full(like.shape[:1], (n - 1) / 2) for n in (w, h))
+        return torch.stack([x, y], -1)
+    (center,) = _vectors(op, images, center=(center, 2))
+    return center.expand(max(len(center), len(like)), -1)
+
+
+# --- modules --------------------------------------------------------------------------------------------------------
+
+
+class Rotate(FunctionModule):
+    """Module form of :func:`rotate`; an `angle` that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.Rotate(torch.tensor([90.0]))(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def __init__(
+        self,
+        angle: Tensor,
+        center: Tensor | None = None,
+        mode: str = "bilinear",
+        padding_mode: str = "zeros",
+        align_corners: bool = True,
+    ) -> None:
+        super().__init__(angle=angle, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return rotate(input, self.angle, self.center, self.mode, self.padding_mode, self.align_corners)
+
+
+class Translate(FunctionModule):
+    """Module form of :func:`translate`; a `translation` that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.Translate(torch.ones(1, 2))(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def __init__(
+        self,
+        translation: Tensor,
+        mode: str = "bilinear",
+        padding_mode: str = "zeros",
+        align_corners: bool = True,
+    ) -> None:
+        super().__init__(translation=translation, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return translate(input, self.translation, self.mode, self.padding_mode, self.align_corners)
+
+
+class Scale(FunctionModule):
+    """Module form of :func:`scale`; a `scale_factor` that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.Scale(torch.tensor([[2.0, 1]]))(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def __init__(
+        self,
+        scale_factor: Tensor,
+        center: Tensor | None = None,
+        mode: str = "bilinear",
+        padding_mode: str = "zeros",
+        align_corners: bool = True,
+    ) -> None:
+        super().__init__(
+            scale_factor=scale_factor, center=center, mode=mode, padding_mode=padding_mode, align_corners=align_corners
+        )
+
+    def forward(self, input: Tensor) -> Tensor:
+        return scale(input, self.scale_factor, self.center, self.mode, self.padding_mode, self.align_corners)
+
+
+class Shear(FunctionModule):
+    """Module form of :func:`shear`; a `shear` that is an nn.Parameter is learnt.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.Shear(torch.tensor([[0.5, 0]]))(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def __init__(
+        self, shear: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = True
+    ) -> None:
+        super().__init__(shear=shear, mode=mode, padding_mode=padding_mode, align_corners=align_corners)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return shear(input, self.shear, self.mode, self.padding_mode, self.align_corners)
+
+
+class Affine(FunctionModule):
+    """Shear, scale, turn and move images; what is an nn.Parameter is learnt.
+
+    Args:
+        angle: (B,) in degrees, counter-clockwise.
+        translation: (B, 2) in pixels.
+        scale_factor: (B, 2).
+        shear: (B, 2) in radians; see :func:`get_shear_matrix2d`.
+        center: (B, 2); None for the middle of the image.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Raises:
+        RuntimeError: none of the first four is given, or their batch sizes differ.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.Affine(angle=torch.tensor([30.0]))(torch.rand(2, 3, 4, 5)).shape
+        torch.Size([2, 3, 4, 5])
+    """
+
+    def __init__(
+        self,
+        angle: Tensor | None = None,
+        translation: Tensor | None = None,
+        scale_factor: Tensor | None = None,
+        shear: Tensor | None = None,
+        center: Tensor | None = None,
+        mode: str = "bilinear",
+        padding_mode: str = "zeros",
+        align_corners: bool = True,
+    ) -> None:
+        given = [x for x in (angle, translation, scale_factor, shear) if x is not None]
+        if not given:
+            raise RuntimeError("Affine: expected at least one of angle, translation, scale_factor and shear")
+        batches = [len(x) for x in given]
+        if len(set(batches)) > 1:
+            raise RuntimeError(f"Affine: expected parameters of one batch size, got {batches}")
+        super().__init__(
+            angle=angle,
+            translation=translation,
+            scale_factor=scale_factor,
+            shear=shear,
+            center=center,
+            mode=mode,
+            padding_mode=padding_mode,
+            align_corners=align_corners,
+        )
+
+    def forward(self, input: Tensor) -> Tensor:
+        images = _images("Affine", input)
+        given = next(x for x in (self.angle, self.translation, self.scale_factor, self.shear) if x is not None)
+        zero = torch.zeros(len(given), device=images.device, dtype=compute_dtype(images))
+        zeros = zero[:, None].expand(-1, 2)
+        angle, translation, factor = (
+            default if x is None else x.to(zero.dtype)
+            for x, default in ((self.angle, zero), (self.translation, zeros), (self.scale_factor, zeros + 1))
+        )
+        middle = _center("Affine", images, self.center, zero).expand(len(given), -1)
+        sx, sy = (None, None) if self.shear is None else self.shear.to(zero.dtype).unbind(-1)
+        matrix = matrices.get_affine_matrix2d(translation, middle, factor, -angle, sx, sy)[:, :2]
+        return _affine("Affine", input, images, matrix, self.mode, self.padding_mode, self.align_corners)

@@ -1,0 +1,309 @@
+"""Crops of images. Boxes are (B, 4, 2): corners (x, y) in order from the top left, clockwise, the last pixels included."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, pixels
+from kvision._modules import FunctionModule
+from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.geometry.transform import matrices, sampling
+from kvision.geometry.transform.resize import resize
+from kvision.geometry.transform.warp import warp_affine, warp_perspective
+
+__all__ = [
+    "CenterCrop2D",
+    "center_crop",
+    "crop_and_resize",
+    "crop_by_boxes",
+    "crop_by_indices",
+    "crop_by_transform_mat",
+]
+
+
+def crop_and_resize(
+    input_tensor: Tensor,
+    boxes: Tensor,
+    size: tuple[int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Show what is in a quadrangle of each image at a size: its corners go to the corner pixels of the result.
+
+    Args:
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        boxes: (B, 4, 2), or (1, 4, 2) for all images.
+        size: height and width of the result.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection', for boxes that reach outside.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Returns:
+        (B, C, h, w), of the type of `input_tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(16.0).reshape(1, 1, 4, 4)
+        >>> box = torch.tensor([[[1.0, 1], [3, 1], [3, 3], [1, 3]]])
+        >>> K.geometry.crop_and_resize(image, box, (2, 2))
+        tensor([[[[ 5.,  7.],
+                  [13., 15.]]]])
+    """
+    op = "crop_and_resize"
+    size = _check.ints(op, "size", size, 2)  # type: ignore[assignment]  # two entries by construction
+    return _crop(op, input_tensor, boxes, None, size, mode, padding_mode, align_corners)
+
+
+def crop_by_boxes(
+    input_tensor: Tensor,
+    src_box: Tensor,
+    dst_box: Tensor,
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+    validate_boxes: bool = True,
+) -> Tensor:
+    """Show what is in one box of each image in another box of the result, which is as large as that box.
+
+    The size of the result is read from `dst_box`, which waits for the device; :func:`crop_and_resize` does not.
+
+    Args:
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        src_box: (B, 4, 2), or (1, 4, 2) for all images.
+        dst_box: (B, 4, 2), or (1, 4, 2), of one size.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        validate_boxes: refuse boxes that are no rectangles.
+
+    Returns:
+        (B, C, h, w), of the type of `input_tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above, the boxes are no rectangles, or `dst_box` has several sizes.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(16.0).reshape(1, 1, 4, 4)
+        >>> box = torch.tensor([[[1.0, 1], [2, 1], [2, 2], [1, 2]]])
+        >>> K.geometry.crop_by_boxes(image, box, box - 1)
+        tensor([[[[ 5.,  6.],
+                  [ 9., 10.]]]])
+    """
+    op = "crop_by_boxes"
+    for name, box in (("src_box", src_box), ("dst_box", dst_box)):
+        _check.shape(op, name, box, "B", 4, 2)
+        if validate_boxes and not _is_rectangle(box):
+            raise ValueCheckError(f"{op}: expected {name} of rectangles, got {box.tolist()}")
+    extents = dst_box[:, 2] - dst_box[:, 0]
+    if (extents != extents[:1]).any():
+        raise ValueCheckError(
+            f"{op}: expected dst_box of one size, got widths and heights less 1 of {extents.tolist()}"
+        )
+    w, h = (int(side) + 1 for side in extents[0].tolist())
+    return _crop(op, input_tensor, src_box, dst_box[:, 0], (h, w), mode, padding_mode, align_corners)
+
+
+def _is_rectangle(boxes: Tensor) -> bool:
+    """Whether opposite sides are of one length, within 1e-4, as Kornia has it. Waits for the device."""
+    a, b, c, d = boxes.unbind(1)
+    uneven = torch.stack([(b - a - c + d)[:, 0], (c - b - d + a)[:, 1]]).abs()
+    return bool((uneven <= 1e-4).all())
+
+
+def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners):
+    """The quadrangles `boxes` on the rectangle of `size` that begins at `first` (B, 2), None for the first pixel."""
+    _check.images(op, "input_tensor", input_tensor)
+    _check.shape(op, "boxes", boxes, "B", 4, 2)
+    sampling.check_how(op, mode, padding_mode, align_corners)
+    images = pixels(input_tensor)
+    boxes = sampling.for_images(op, images, "boxes", boxes)
+    # From the result, so that a side of one pixel, which has no length, needs no case.
+    scaled = matrices.from_unit_square(matrices.wide(boxes)) / _far(size, images)
+    origin = scaled[..., 2:]
+    if first is not None:
+        origin = origin - scaled[..., :2] @ matrices.wide(first)[..., None]
+    matrix = torch.cat([scaled[..., :2], origin], -1)
+    padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
+    matrix = matrix.to(boxes.dtype)
+    return sampling.warp(images, matrix, None, list(size), mode, padding, align_corners, False, False)
+
+
+def _far(size: tuple[int, int], like: Tensor) -> Tensor:
+    """What divides the columns of a homography from the unit square to make it one from a rectangle."""
+    h, w = size
+    return matrices.wide(torch.tensor([max(w - 1, 1), max(h - 1, 1), 1.0], device=like.device))
+
+
+def crop_by_transform_mat(
+    input_tensor: Tensor,
+    transform: Tensor,
+    out_size: tuple[int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Warp images by (B, 3, 3) or (B, 2, 3) and keep the first rows and columns of the result: another name for warps.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(16.0).reshape(1, 1, 4, 4)
+        >>> up_left = torch.tensor([[[1.0, 0, -1], [0, 1, -1], [0, 0, 1]]])
+        >>> K.geometry.crop_by_transform_mat(image, up_left, (2, 2))
+        tensor([[[[ 5.,  6.],
+                  [ 9., 10.]]]])
+    """
+    _check.numbers("crop_by_transform_mat", "transform", transform)
+    if transform.dim() != 3 or transform.shape[1:] not in ((2, 3), (3, 3)):
+        raise ShapeError(
+            f"crop_by_transform_mat: expected transform of shape (B, 3, 3) or (B, 2, 3), got {tuple(transform.shape)}"
+        )
+    warp = warp_affine if transform.shape[1] == 2 else warp_perspective
+    return warp(input_tensor, transform, out_size, mode, padding_mode, align_corners)
+
+
+def center_crop(
+    input_tensor: Tensor,
+    size: tuple[int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Keep what is around the middle of images; between pixels where the sizes differ by an odd number.
+
+    Args:
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        size: height and width of the result.
+        mode: 'bilinear', 'nearest' or 'bicubic', for what is between pixels.
+        padding_mode: 'zeros', 'border' or 'reflection', for sizes larger than the image.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+
+    Returns:
+        (B, C, h, w), of the type of `input_tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.center_crop(torch.arange(16.0).reshape(1, 1, 4, 4), (2, 2))
+        tensor([[[[ 5.,  6.],
+                  [ 9., 10.]]]])
+    """
+    _check.images("center_crop", "input_tensor", input_tensor)
+    h, w = _check.ints("center_crop", "size", size, 2)
+    sampling.check_how("center_crop", mode, padding_mode, align_corners)
+    images = pixels(input_tensor)
+    y, x = images.shape[2] - h, images.shape[3] - w
+    if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
+        return images[..., y // 2 : y // 2 + h, x // 2 : x // 2 + w].clone()
+    padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
+    matrix = torch.tensor([[[1, 0, x / 2], [0, 1, y / 2]]], dtype=compute_dtype(images), device=images.device)
+    return sampling.warp(images, matrix, None, [h, w], mode, padding, align_corners, False, False)
+
+
+def crop_by_indices(
+    input_tensor: Tensor,
+    src_box: Tensor,
+    size: tuple[int, int] | None = None,
+    interpolation: str = "bilinear",
+    align_corners: bool | None = None,
+    antialias: bool = False,
+    shape_compensation: str = "resize",
+) -> Tensor:
+    """Cut rectangles of whole pixels out of images. Reads the boxes, which waits for the device.
+
+    Args:
+        input_tensor: images (B, C, H, W).
+        src_box: (B, 4, 2) in whole pixels.
+        size: height and width of the result; None takes the boxes', which must be of one size.
+        interpolation: see :func:`resize`.
+        align_corners: see :func:`resize`.
+        antialias: see :func:`resize`.
+        shape_compensation: for boxes of another size than `size`: 'resize' them, or 'pad' with zeros on the right and below.
+
+    Returns:
+        (B, C, h, w), of the type of `input_tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(16).reshape(1, 1, 4, 4)
+        >>> K.geometry.crop_by_indices(image, torch.tensor([[[1, 1], [2, 1], [2, 2], [1, 2]]]))
+        tensor([[[[ 5,  6],
+                  [ 9, 10]]]])
+    """
+    op = "crop_by_indices"
+    _check.images(op, "input_tensor", input_tensor)
+    _check.shape(op, "src_box", src_box, len(input_tensor), 4, 2)
+    _check.choice(op, "shape_compensation", shape_compensation, ("resize", "pad"))
+    boxes = src_box.long()
+    corners = torch.cat([boxes[:, 0], boxes[:, 2] + 1], -1).tolist()
+    crops = [image[None, :, y0:y1, x0:x1] for image, (x0, y0, x1, y1) in zip(input_tensor, corners)]
+    sizes = {tuple(crop.shape[2:]) for crop in crops}
+    if size is None:
+        if len(sizes) != 1:
+            raise ValueCheckError(f"{op}: expected boxes of one size where none is given, got {sorted(sizes)}")
+        (target,) = sizes
+    else:
+        target = _check.ints(op, "size", size, 2)
+    h, w = target
+    for i, crop in enumerate(crops):
+        if tuple(crop.shape[2:]) == (h, w):
+            continue
+        if shape_compensation == "pad":
+            crops[i] = F.pad(crop, (0, w - crop.shape[3], 0, h - crop.shape[2]))
+        else:
+            crops[i] = resize(crop, (h, w), interpolation, align_corners, "short", antialias)
+    return torch.cat(crops)
+
+
+class CenterCrop2D(FunctionModule):
+    """Keep what is around the middle of images.
+
+    Args:
+        size: height and width, or one number for both.
+        align_corners: see :func:`center_crop`.
+        resample: 'nearest', 'bilinear' or 'bicubic' in any case, or a name of an enumeration, for `cropping_mode` 'resample'.
+        cropping_mode: 'slice' for whole pixels, towards the top left; 'resample' for :func:`center_crop`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.CenterCrop2D((2, 3))(torch.rand(1, 3, 5, 5)).shape
+        torch.Size([1, 3, 2, 3])
+    """
+
+    def __init__(
+        self,
+        size: int | tuple[int, int],
+        align_corners: bool = True,
+        resample: str = "BILINEAR",
+        cropping_mode: str = "slice",
+    ) -> None:
+        _check.choice("CenterCrop2D", "cropping_mode", cropping_mode, ("slice", "resample"))
+        size = _check.pair("CenterCrop2D", "size", size)
+        super().__init__(size=size, align_corners=align_corners, resample=resample, cropping_mode=cropping_mode)
+
+    def forward(self, input: Tensor) -> Tensor:
+        if self.cropping_mode == "resample":
+            mode = getattr(self.resample, "name", self.resample).lower()
+            return center_crop(input, self.size, mode, "zeros", self.align_corners)
+        _check.images("CenterCrop2D", "input", input)
+        (h, w), (height, width) = self.size, input.shape[2:]
+        if h > height or w > width:
+            raise ShapeError(f"CenterCrop2D: expected input of at least {self.size} pixels, got {tuple(input.shape)}")
+        y, x = (height - h) // 2, (width - w) // 2
+        return input[..., y : y + h, x : x + w]

@@ -1,0 +1,164 @@
+"""Crops of volumes. Boxes are (B, 8, 3): front four corners (x, y, z) from the top left, clockwise, then the back four."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, floats
+from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.geometry.transform import matrices
+from kvision.geometry.transform.warp3d import warp_affine3d, warp_perspective3d
+
+__all__ = ["center_crop3d", "crop_and_resize3d", "crop_by_boxes3d", "crop_by_transform_mat3d"]
+
+
+def crop_and_resize3d(
+    tensor: Tensor,
+    boxes: Tensor,
+    size: tuple[int, int, int],
+    interpolation: str = "bilinear",
+    align_corners: bool = False,
+) -> Tensor:
+    """Show what is in a box of each volume at a size: its corners go to the corner voxels of the result.
+
+    Args:
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        boxes: (B, 8, 3), or (1, 8, 3) for all volumes, with some extent along every axis.
+        size: depth, height and width of the result.
+        interpolation: 'bilinear', in all three directions, or 'nearest'.
+        align_corners: of no effect; the corners are middles of voxels.
+
+    Returns:
+        (B, C, d, h, w).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> volume = torch.arange(8.0).reshape(1, 1, 2, 2, 2)
+        >>> x, y, z = [0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4
+        >>> box = torch.tensor([x, y, z]).T[None]
+        >>> K.geometry.crop_and_resize3d(volume, box, (1, 1, 2)).flatten().round(decimals=3)
+        tensor([0., 1.])
+    """
+    op = "crop_and_resize3d"
+    _check.volumes(op, "tensor", tensor)
+    d, h, w = _check.ints(op, "size", size, 3)
+    to = _box(torch.zeros(3), torch.tensor([max(n - 1, 1) for n in (w, h, d)])).to(tensor.device)
+    return _crop(op, tensor, boxes, to, (d, h, w), interpolation, align_corners)
+
+
+def crop_by_boxes3d(
+    tensor: Tensor, src_box: Tensor, dst_box: Tensor, interpolation: str = "bilinear", align_corners: bool = False
+) -> Tensor:
+    """Show what is in one box of each volume in another box of the result, which is as large as that box.
+
+    The size of the result is read from `dst_box`, which waits for the device.
+
+    Args:
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        src_box: (B, 8, 3), or (1, 8, 3) for all volumes.
+        dst_box: (B, 8, 3), or (1, 8, 3), of one size.
+        interpolation: 'bilinear', in all three directions, or 'nearest'.
+        align_corners: of no effect; the corners are middles of voxels.
+
+    Returns:
+        (B, C, d, h, w).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above, or `dst_box` has several sizes.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x, y, z = [1.0, 2, 2, 1] * 2, [1.0, 1, 2, 2] * 2, [0.0] * 4 + [1.0] * 4
+        >>> box = torch.tensor([x, y, z]).T[None]
+        >>> K.geometry.crop_by_boxes3d(torch.rand(1, 1, 3, 4, 5), box, box).shape
+        torch.Size([1, 1, 2, 2, 2])
+    """
+    op = "crop_by_boxes3d"
+    _check.volumes(op, "tensor", tensor)
+    _check.shape(op, "dst_box", dst_box, "B", 8, 3)
+    extents = dst_box[:, 6] - dst_box[:, 0]
+    if (extents != extents[:1]).any():
+        raise ValueCheckError(f"{op}: expected dst_box of one size, got extents of {extents.tolist()}")
+    w, h, d = (int(side) + 1 for side in extents[0].tolist())
+    return _crop(op, tensor, src_box, dst_box, (d, h, w), interpolation, align_corners)
+
+
+def crop_by_transform_mat3d(
+    tensor: Tensor,
+    transform: Tensor,
+    out_size: tuple[int, int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Warp volumes by (B, 4, 4) or (B, 3, 4) and keep the first voxels of the result: another name for warps.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.crop_by_transform_mat3d(torch.rand(1, 1, 3, 4, 5), torch.eye(4)[None], (1, 2, 2)).shape
+        torch.Size([1, 1, 1, 2, 2])
+    """
+    _check.numbers("crop_by_transform_mat3d", "transform", transform)
+    if transform.dim() != 3 or transform.shape[1:] not in ((3, 4), (4, 4)):
+        raise ShapeError(
+            f"crop_by_transform_mat3d: expected transform of shape (B, 4, 4) or (B, 3, 4), got {tuple(transform.shape)}"
+        )
+    warp = warp_affine3d if transform.shape[1] == 3 else warp_perspective3d
+    return warp(tensor, transform, out_size, mode, padding_mode, align_corners)
+
+
+def center_crop3d(
+    tensor: Tensor, size: tuple[int, int, int], interpolation: str = "bilinear", align_corners: bool = True
+) -> Tensor:
+    """Keep what is around the middle of volumes; between voxels where the sizes differ by an odd number.
+
+    Args:
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        size: depth, height and width of the result.
+        interpolation: 'bilinear', in all three directions, or 'nearest'.
+        align_corners: of no effect.
+
+    Returns:
+        (B, C, d, h, w).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.center_crop3d(torch.arange(5.0).reshape(1, 1, 1, 1, 5), (1, 1, 3)).flatten()
+        tensor([1., 2., 3.])
+    """
+    op = "center_crop3d"
+    _check.volumes(op, "tensor", tensor)
+    size = _check.ints(op, "size", size, 3)  # type: ignore[assignment]  # three entries by construction
+    volumes = floats(tensor)
+    offsets = [(n - k) / 2 for n, k in zip(reversed(volumes.shape[2:]), reversed(size))]
+    matrix = torch.eye(3, 4)
+    matrix[:, 3] = -torch.tensor(offsets)
+    matrix = matrix[None].to(volumes.device, compute_dtype(volumes))
+    return warp_affine3d(volumes, matrix, size, interpolation, "zeros", align_corners)
+
+
+def _box(first: Tensor, extent: Tensor) -> Tensor:
+    """(1, 8, 3)"""
+    unit = torch.tensor([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    return (first + unit * extent)[None]
+
+
+def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
+    _check.shape(op, "src_box", src_box, "B", 8, 3)
+    volumes = floats(tensor)
+    dtype = compute_dtype(volumes)
+    batch = max(len(src_box), len(dst_box))
+    src, dst = (box.to(dtype).expand(batch, -1, -1) for box in (src_box, dst_box))
+    matrix = matrices.get_perspective_transform3d(src, dst)
+    return warp_perspective3d(volumes, matrix, size, interpolation, "zeros", align_corners)

@@ -1,0 +1,93 @@
+"""Flips and half turns."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision.core.exceptions import ShapeError
+
+__all__ = ["Hflip", "Rot180", "Vflip", "hflip", "rot180", "vflip"]
+
+
+def hflip(input: Tensor) -> Tensor:
+    """Reverse the columns of images (*, H, W).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.hflip(torch.tensor([[1, 2], [3, 4]]))
+        tensor([[2, 1],
+                [4, 3]])
+    """
+    return _flip("hflip", input, (-1,))
+
+
+def vflip(input: Tensor) -> Tensor:
+    """Reverse the rows of images (*, H, W).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.vflip(torch.tensor([[1, 2], [3, 4]]))
+        tensor([[3, 4],
+                [1, 2]])
+    """
+    return _flip("vflip", input, (-2,))
+
+
+def rot180(input: Tensor) -> Tensor:
+    """Turn images (*, H, W) by 180 degrees.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.rot180(torch.tensor([[1, 2], [3, 4]]))
+        tensor([[4, 3],
+                [2, 1]])
+    """
+    return _flip("rot180", input, (-2, -1))
+
+
+def _flip(op: str, input: Tensor, axes: tuple[int, ...]) -> Tensor:
+    _check.is_tensor(op, "input", input)
+    if input.dim() < 2:
+        raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
+    return input.flip(axes)
+
+
+class Hflip(FunctionModule):
+    """Module form of :func:`hflip`.
+
+    Example:
+        >>> import kvision as K
+        >>> K.geometry.Hflip()
+        Hflip()
+    """
+
+    def forward(self, input: Tensor) -> Tensor:
+        return hflip(input)
+
+
+class Vflip(FunctionModule):
+    """Module form of :func:`vflip`.
+
+    Example:
+        >>> import kvision as K
+        >>> K.geometry.Vflip()
+        Vflip()
+    """
+
+    def forward(self, input: Tensor) -> Tensor:
+        return vflip(input)
+
+
+class Rot180(FunctionModule):
+    """Module form of :func:`rot180`.
+
+    Example:
+        >>> import kvision as K
+        >>> K.geometry.Rot180()
+        Rot180()
+    """
+
+    def forward(self, input: Tensor) -> Tensor:
+        return rot180(input)

@@ -1,0 +1,91 @@
+"""Warpers: homographies applied to images at a size that is known before."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision.geometry.transform.warp import homography_warp
+
+__all__ = ["BaseWarper", "HomographyWarper"]
+
+
+class BaseWarper(nn.Module):
+    """What :class:`ImageRegistrator` makes to warp images of one size; `forward(patch_src, src_homo_dst)` is for subclasses.
+
+    Example:
+        >>> import kvision as K
+        >>> K.geometry.BaseWarper(4, 5).width
+        5
+    """
+
+    def __init__(self, height: int, width: int, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.height = height
+        self.width = width
+
+    def forward(self, patch_src: Tensor, src_homo_dst: Tensor | None = None) -> Tensor:
+        raise NotImplementedError(f"{type(self).__name__}: forward is for subclasses to define")
+
+
+class HomographyWarper(BaseWarper):
+    """Module form of :func:`homography_warp`, for results of one size.
+
+    Args:
+        height: of the result.
+        width: of the result.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
+        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.rand(1, 3, 4, 5)
+        >>> K.geometry.HomographyWarper(4, 5)(image, torch.eye(3)[None]).shape
+        torch.Size([1, 3, 4, 5])
+    """
+
+    def __init__(
+        self,
+        height: int,
+        width: int,
+        mode: str = "bilinear",
+        padding_mode: str = "zeros",
+        normalized_coordinates: bool = True,
+        align_corners: bool = False,
+    ) -> None:
+        super().__init__(height, width)
+        self.mode = mode
+        self.padding_mode = padding_mode
+        self.normalized_coordinates = normalized_coordinates
+        self.align_corners = align_corners
+        self._homography: Tensor | None = None
+
+    def extra_repr(self) -> str:
+        return (
+            f"height={self.height}, width={self.width}, mode={self.mode!r}, padding_mode={self.padding_mode!r}, "
+            f"normalized_coordinates={self.normalized_coordinates}, align_corners={self.align_corners}"
+        )
+
+    def precompute_warp_grid(self, src_homo_dst: Tensor) -> None:
+        """Keep a homography (B, 3, 3) for calls without one. No grid is made: it would take longer to read."""
+        _check.shape("HomographyWarper", "src_homo_dst", src_homo_dst, "B", 3, 3)
+        self._homography = src_homo_dst
+
+    def forward(self, patch_src: Tensor, src_homo_dst: Tensor | None = None) -> Tensor:
+        """Warp images (B, C, H, W) by homographies (B, 3, 3), by default the kept ones."""
+        homography = self._homography if src_homo_dst is None else src_homo_dst
+        if homography is None:
+            raise RuntimeError("HomographyWarper: expected src_homo_dst, or a call of precompute_warp_grid before")
+        return homography_warp(
+            patch_src,
+            homography,
+            (self.height, self.width),
+            self.mode,
+            self.padding_mode,
+            self.align_corners,
+            self.normalized_coordinates,
+        )

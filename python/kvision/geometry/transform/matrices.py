@@ -1,0 +1,478 @@
+"""Matrices of geometric transforms, as the warps take them.
+
+Angles and shears that are tensors (B,), centres and translations (B, 2) or (B, 3) as (x, y) or (x, y, z). Everything is
+differentiable and nothing waits for the device.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, TypeCheckError
+
+__all__ = [
+    "get_affine_matrix2d",
+    "get_affine_matrix3d",
+    "get_perspective_transform",
+    "get_perspective_transform3d",
+    "get_projective_transform",
+    "get_rotation_matrix2d",
+    "get_shear_matrix2d",
+    "get_shear_matrix3d",
+    "get_translation_matrix2d",
+    "invert_affine_transform",
+    "projection_from_Rt",
+]
+
+# --- building blocks ------------------------------------------------------------------------------------------------
+
+
+def matrix_of(rows: list[list[Tensor | float]], like: Tensor) -> Tensor:
+    """A matrix for each sample of `like` (B, ...), from its entries, each (B,) or a number."""
+    shape = like.shape[:1]
+
+    def entry(value: Tensor | float) -> Tensor:
+        return value if isinstance(value, Tensor) else like.new_full(shape, value)
+
+    return torch.stack([torch.stack([entry(value) for value in row], -1) for row in rows], -2)
+
+
+def homogeneous(matrix: Tensor) -> Tensor:
+    """(B, n, n + 1) with the row 0 ... 0 1 below."""
+    last = matrix.new_zeros(len(matrix), 1, matrix.shape[-1])
+    last[..., -1] = 1
+    return torch.cat([matrix, last], -2)
+
+
+def adjugate(matrix: Tensor) -> Tensor:
+    """The inverse of (*, 3, 3) up to a factor, which a homography does not have."""
+    a, b, c = matrix.unbind(-2)
+    columns = [torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)]
+    return torch.stack(columns, -1)
+
+
+def cos_sin(degrees: Tensor) -> tuple[Tensor, Tensor]:
+    """Cosine and sine, exact at quarter turns."""
+    quarters = (degrees.detach() / 90).round()
+    rest = torch.deg2rad(degrees - 90 * quarters)
+    c, s = rest.cos(), rest.sin()
+    turn = quarters.remainder(4)
+    cosine = torch.where(turn == 0, c, torch.where(turn == 1, -s, torch.where(turn == 2, -c, s)))
+    sine = torch.where(turn == 0, s, torch.where(turn == 1, c, torch.where(turn == 2, -s, -c)))
+    return cosine + 0, sine + 0  # no negative zeros
+
+
+def about(linear: Tensor, center: Tensor) -> Tensor:
+    """The affine map (B, n, n + 1) that is `linear` (B, n, n) about `center` (B, n)."""
+    moved = center - (linear @ center[..., None])[..., 0]
+    return torch.cat([linear, moved[..., None]], -1)
+
+
+def _batch(op: str, **vectors: tuple[Tensor, int]) -> None:
+    """Raise unless all tensors are (B,) (for width 0) or (B, width), of one batch size, type and device."""
+    for name, (x, width) in vectors.items():
+        _check.shape(op, name, x, *(("B", width) if width else ("B",)))
+        _check.floating(op, name, x)
+    tensors = {name: x for name, (x, _) in vectors.items()}
+    _check.same_device(op, **tensors)
+    shapes = {name: tuple(x.shape) for name, x in tensors.items()}
+    if len({shape[0] for shape in shapes.values()}) > 1:
+        raise ShapeError(f"{op}: expected tensors of one batch size, got {shapes}")
+    dtypes = {name: x.dtype for name, x in tensors.items()}
+    if len(set(dtypes.values())) > 1:
+        raise TypeCheckError(f"{op}: expected tensors of one type, got {dtypes}")
+
+
+def _given(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
+    return {name: (x, 0) for name, x in vectors.items() if x is not None}
+
+
+# --- two dimensions -------------------------------------------------------------------------------------------------
+
+
+def get_rotation_matrix2d(center: Tensor, angle: Tensor, scale: Tensor) -> Tensor:
+    """The affine map that scales, then turns about a centre.
+
+    Args:
+        center: (B, 2) as (x, y).
+        angle: (B,) in degrees, counter-clockwise as one sees it. Quarter turns are exact.
+        scale: (B, 2) along x and y.
+
+    Returns:
+        (B, 2, 3), source pixels to result pixels.
+
+    Raises:
+        TypeError: not tensors of one floating-point type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.get_rotation_matrix2d(torch.tensor([[1.0, 0]]), torch.tensor([90.0]), torch.ones(1, 2))
+        tensor([[[ 0.,  1.,  1.],
+                 [-1.,  0.,  1.]]])
+    """
+    _batch("get_rotation_matrix2d", center=(center, 2), angle=(angle, 0), scale=(scale, 2))
+    c, s = cos_sin(angle)
+    x, y = scale.unbind(-1)
+    return about(matrix_of([[c * x, s * y], [-s * x, c * y]], center), center) + 0
+
+
+def get_translation_matrix2d(translations: Tensor) -> Tensor:
+    """The homography that moves by (x, y) pixels: (B, 2) gives (B, 3, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.get_translation_matrix2d(torch.tensor([[2.0, 3]]))
+        tensor([[[1., 0., 2.],
+                 [0., 1., 3.],
+                 [0., 0., 1.]]])
+    """
+    _batch("get_translation_matrix2d", translations=(translations, 2))
+    x, y = translations.unbind(-1)
+    return matrix_of([[1, 0, x], [0, 1, y], [0, 0, 1]], translations)
+
+
+def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | None = None) -> Tensor:
+    """The homography that shears along x, then along y, about a centre.
+
+    Args:
+        center: (B, 2) as (x, y).
+        sx: (B,) angles in radians, None for 0.
+        sy: the same.
+
+    Returns:
+        (B, 3, 3) with the linear part [[1, -tan sx], [-tan sy, 1 + tan sx tan sy]].
+
+    Raises:
+        TypeError: not tensors of one floating-point type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.get_shear_matrix2d(torch.zeros(1, 2), torch.tensor([0.5]))[0, 0]
+        tensor([ 1.0000, -0.5463,  0.0000])
+    """
+    _batch("get_shear_matrix2d", center=(center, 2), **_given(sx=sx, sy=sy))
+    zero = torch.zeros_like(center[:, 0])
+    a, b = (zero if s is None else s.tan() for s in (sx, sy))
+    return homogeneous(about(matrix_of([[1, -a], [-b, 1 + a * b]], center), center))
+
+
+def get_affine_matrix2d(
+    translations: Tensor,
+    center: Tensor,
+    scale: Tensor,
+    angle: Tensor,
+    sx: Tensor | None = None,
+    sy: Tensor | None = None,
+) -> Tensor:
+    """The homography that shears, scales and turns about a centre, then moves.
+
+    Args:
+        translations: (B, 2) in pixels as (x, y).
+        center: (B, 2).
+        scale: (B, 2) along x and y.
+        angle: (B,) in degrees, clockwise as one sees it.
+        sx: (B,) shear in radians; see :func:`get_shear_matrix2d`.
+        sy: the same.
+
+    Returns:
+        (B, 3, 3), source pixels to result pixels.
+
+    Raises:
+        TypeError: not tensors of one floating-point type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> zero, one = torch.zeros(1, 2), torch.ones(1, 2)
+        >>> K.geometry.get_affine_matrix2d(one, zero, 2 * one, torch.tensor([90.0]))
+        tensor([[[ 0., -2.,  1.],
+                 [ 2.,  0.,  1.],
+                 [ 0.,  0.,  1.]]])
+    """
+    parts = {"translations": (translations, 2), "center": (center, 2), "scale": (scale, 2), "angle": (angle, 0)}
+    _batch("get_affine_matrix2d", **parts, **_given(sx=sx, sy=sy))
+    turned = get_rotation_matrix2d(center, -angle, scale)
+    matrix = homogeneous(torch.cat([turned[..., :2], turned[..., 2:] + translations[..., None]], -1))
+    return matrix if sx is None and sy is None else matrix @ get_shear_matrix2d(center, sx, sy)
+
+
+def invert_affine_transform(matrix: Tensor) -> Tensor:
+    """Invert affine maps.
+
+    Args:
+        matrix: (B, 2, 3).
+
+    Returns:
+        (B, 2, 3); inf or NaN where there is no inverse.
+
+    Raises:
+        TypeError: no floating-point tensor.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.invert_affine_transform(torch.tensor([[[2.0, 0, 1], [0, 4, 0]]]))
+        tensor([[[ 0.5000,  0.0000, -0.5000],
+                 [ 0.0000,  0.2500,  0.0000]]])
+    """
+    _check.shape("invert_affine_transform", "matrix", matrix, "B", 2, 3)
+    _check.floating("invert_affine_transform", "matrix", matrix)
+    (a, b, x), (c, d, y) = (row.unbind(-1) for row in matrix.unbind(-2))
+    inverse = matrix_of([[d, -b, b * y - d * x], [-c, a, c * x - a * y]], matrix) / (a * d - b * c)[:, None, None]
+    return inverse + 0  # no negative zeros
+
+
+def get_perspective_transform(points_src: Tensor, points_dst: Tensor) -> Tensor:
+    """The homography that takes four points to four others, in closed form.
+
+    Args:
+        points_src: (B, 4, 2) as (x, y), in order around a quadrangle.
+        points_dst: where they go, (B, 4, 2).
+
+    Returns:
+        (B, 3, 3) whose last entry is 1. NaN or inf where three of four points are on a line.
+
+    Raises:
+        TypeError: no floating-point tensors, or of two types.
+        ValueError: other shapes, or not on one device.
+
+    Source: P. Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989), section 2.2.3.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> square = torch.tensor([[[0.0, 0], [1, 0], [1, 1], [0, 1]]])
+        >>> K.geometry.get_perspective_transform(square, 2 * square + 1)
+        tensor([[[2., 0., 1.],
+                 [0., 2., 1.],
+                 [0., 0., 1.]]])
+    """
+    op = "get_perspective_transform"
+    for name, points in (("points_src", points_src), ("points_dst", points_dst)):
+        _check.shape(op, name, points, "B", 4, 2)
+        _check.floating(op, name, points)
+    _check.shape(op, "points_dst", points_dst, *points_src.shape)
+    _check.same_device(op, points_src=points_src, points_dst=points_dst)
+    if points_src.dtype != points_dst.dtype:
+        raise TypeCheckError(f"{op}: expected points of one type, got {points_src.dtype} and {points_dst.dtype}")
+    matrix = from_unit_square(wide(points_dst)) @ adjugate(from_unit_square(wide(points_src)))
+    return (matrix / matrix[:, 2:, 2:] + 0).to(points_src.dtype)  # no negative zeros
+
+
+def wide(x: Tensor) -> Tensor:
+    """In double, where the device has it: products of coordinates cancel."""
+    return x if x.device.type == "mps" else x.double()
+
+
+def from_unit_square(points: Tensor) -> Tensor:
+    """A homography from (0, 0), (1, 0), (1, 1), (0, 1) to `points` (B, 4, 2), which may be in one line."""
+    p0, p1, p2, p3 = points.unbind(-2)
+
+    def area(a: Tensor, b: Tensor) -> Tensor:
+        return a[:, :1] * b[:, 1:] - a[:, 1:] * b[:, :1]
+
+    u, v, skew = p1 - p2, p3 - p2, p0 - p1 + p2 - p3
+    g, h, w = area(skew, v), area(u, skew), area(u, v)
+    # Of a box without area all three are 0; it goes on as a parallelogram does.
+    flat = (w == 0) & (skew == 0).all(-1, keepdim=True)
+    w = torch.where(flat, 1, w)
+    columns = [w * (p1 - p0) + g * p1, w * (p3 - p0) + h * p3, w * p0]
+    return torch.stack([torch.cat([c, d], -1) for c, d in zip(columns, (g, h, w))], -1)
+
+
+# --- three dimensions -----------------------------------------------------------------------------------------------
+
+
+def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> Tensor:
+    """The affine map of space that scales, then turns about a centre.
+
+    Args:
+        center: (B, 3) as (x, y, z).
+        angles: (B, 3), the axis of rotation times the angle in degrees.
+        scales: (B, 3) along x, y and z.
+
+    Returns:
+        (B, 3, 4).
+
+    Raises:
+        TypeError: not tensors of one floating-point type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> about_z = torch.tensor([[0.0, 0, 90]])
+        >>> K.geometry.get_projective_transform(torch.zeros(1, 3), about_z, torch.ones(1, 3)).round()[0, 0]
+        tensor([ 0., -1.,  0.,  0.])
+    """
+    _batch("get_projective_transform", center=(center, 3), angles=(angles, 3), scales=(scales, 3))
+    return about(_rotation(torch.deg2rad(angles)) * scales[:, None], center)
+
+
+def _rotation(v: Tensor) -> Tensor:
+    """Rotations (B, 3, 3) about axes (B, 3) by as many radians as these are long, by Rodrigues' formula."""
+    square = (v * v).sum(-1)
+    small = square < 1e-6
+    safe = torch.where(small, 1, square)
+    angle = safe.sqrt()
+    a = torch.where(small, 1 - square / 6, angle.sin() / angle)[:, None, None]
+    b = torch.where(small, 0.5 - square / 24, (1 - angle.cos()) / safe)[:, None, None]
+    x, y, z = v.unbind(-1)
+    k = matrix_of([[0, -z, y], [z, 0, -x], [-y, x, 0]], v)
+    return torch.eye(3, dtype=v.dtype, device=v.device) + a * k + b * (k @ k)
+
+
+def get_shear_matrix3d(
+    center: Tensor,
+    sxy: Tensor | None = None,
+    sxz: Tensor | None = None,
+    syx: Tensor | None = None,
+    syz: Tensor | None = None,
+    szx: Tensor | None = None,
+    szy: Tensor | None = None,
+) -> Tensor:
+    """The homography of space that shears along z, then y, then x, about a centre.
+
+    Args:
+        center: (B, 3) as (x, y, z).
+        sxy: (B,) angle in radians by which y moves with x, None for 0; the others likewise.
+        sxz: z with x.
+        syx: x with y.
+        syz: z with y.
+        szx: x with z.
+        szy: y with z.
+
+    Returns:
+        (B, 4, 4).
+
+    Raises:
+        TypeError: not tensors of one floating-point type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.get_shear_matrix3d(torch.zeros(1, 3), szx=torch.tensor([0.5]))[0, 0]
+        tensor([ 1.0000,  0.0000, -0.5463,  0.0000])
+    """
+    angles = {"sxy": sxy, "sxz": sxz, "syx": syx, "syz": syz, "szx": szx, "szy": szy}
+    _batch("get_shear_matrix3d", center=(center, 3), **_given(**angles))
+    zero = torch.zeros_like(center[:, 0])
+    xy, xz, yx, yz, zx, zy = (zero if s is None else -s.tan() for s in angles.values())
+    along_x = matrix_of([[1, 0, 0], [xy, 1, 0], [xz, 0, 1]], center)
+    along_y = matrix_of([[1, yx, 0], [0, 1, 0], [0, yz, 1]], center)
+    along_z = matrix_of([[1, 0, zx], [0, 1, zy], [0, 0, 1]], center)
+    return homogeneous(about(along_x @ along_y @ along_z, center))
+
+
+def get_affine_matrix3d(
+    translations: Tensor,
+    center: Tensor,
+    scale: Tensor,
+    angles: Tensor,
+    sxy: Tensor | None = None,
+    sxz: Tensor | None = None,
+    syx: Tensor | None = None,
+    syz: Tensor | None = None,
+    szx: Tensor | None = None,
+    szy: Tensor | None = None,
+) -> Tensor:
+    """The homography of space that shears, scales and turns about a centre, then moves.
+
+    Args:
+        translations: (B, 3) in voxels as (x, y, z).
+        center: (B, 3).
+        scale: (B, 3).
+        angles: (B, 3), the axis of rotation times the angle in degrees; it turns the other way than
+            :func:`get_projective_transform`.
+        sxy: (B,) shear in radians; see :func:`get_shear_matrix3d` for this and the others.
+        sxz: likewise.
+        syx: likewise.
+        syz: likewise.
+        szx: likewise.
+        szy: likewise.
+
+    Returns:
+        (B, 4, 4).
+
+    Raises:
+        TypeError: not tensors of one floating-point type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> zero, one = torch.zeros(1, 3), torch.ones(1, 3)
+        >>> K.geometry.get_affine_matrix3d(one, zero, 2 * one, zero)[0, 0]
+        tensor([2., 0., 0., 1.])
+    """
+    shears = {"sxy": sxy, "sxz": sxz, "syx": syx, "syz": syz, "szx": szx, "szy": szy}
+    parts = {"translations": (translations, 3), "center": (center, 3), "scale": (scale, 3), "angles": (angles, 3)}
+    _batch("get_affine_matrix3d", **parts, **_given(**shears))
+    turned = get_projective_transform(center, -angles, scale)
+    matrix = homogeneous(torch.cat([turned[..., :3], turned[..., 3:] + translations[..., None]], -1))
+    given = any(s is not None for s in shears.values())
+    return matrix @ get_shear_matrix3d(center, **shears) if given else matrix
+
+
+def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
+    """The homography of space that takes the corners of a box to others.
+
+    Five of the corners, the first three, the sixth and the eighth, determine it.
+
+    Args:
+        src: (B, 8, 3) as (x, y, z): the front four corners in order around, then the back four.
+        dst: where they go, (B, 8, 3).
+
+    Returns:
+        (B, 4, 4) whose last entry is 1. NaN or inf where four of the five corners are in a plane.
+
+    Raises:
+        TypeError: no floating-point tensors, or of two types.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x, y, z = [0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4
+        >>> cube = torch.tensor([x, y, z]).T[None]
+        >>> K.geometry.get_perspective_transform3d(cube, 2 * cube + 1).round(decimals=3)[0, 0]
+        tensor([2., 0., 0., 1.])
+    """
+    op = "get_perspective_transform3d"
+    for name, points in (("src", src), ("dst", dst)):
+        _check.shape(op, name, points, "B", 8, 3)
+        _check.floating(op, name, points)
+    _check.shape(op, "dst", dst, *src.shape)
+    _check.same_device(op, src=src, dst=dst)
+    if src.dtype != dst.dtype:
+        raise TypeCheckError(f"{op}: expected points of one type, got {src.dtype} and {dst.dtype}")
+    corners = [0, 1, 2, 5, 7]
+    p, q = wide(src[:, corners]), wide(dst[:, corners])
+    matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
+    return (matrix / matrix[:, 3:, 3:]).to(src.dtype)
+
+
+def _from_simplex(points: Tensor) -> Tensor:
+    """The homography from the unit vectors and their sum to five `points` (B, 5, 3)."""
+    p = torch.cat([points, torch.ones_like(points[..., :1])], -1).mT
+    weights = torch.linalg.inv_ex(p[..., :4])[0] @ p[..., 4:]
+    return p[..., :4] * weights.mT
+
+
+def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:
+    """Put a rotation (*, 3, 3) and a translation (*, 3, 1) side by side: (*, 3, 4).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.projection_from_Rt(torch.eye(3), torch.ones(3, 1))[0]
+        tensor([1., 0., 0., 1.])
+    """
+    for name, x, width in (("rmat", rmat, 3), ("tvec", tvec, 1)):
+        _check.numbers("projection_from_Rt", name, x)
+        if x.shape[-2:] != (3, width):
+            raise ShapeError(f"projection_from_Rt: expected {name} of shape (*, 3, {width}), got {tuple(x.shape)}")
+    if rmat.shape[:-2] != tvec.shape[:-2]:
+        raise ShapeError(
+            f"projection_from_Rt: expected tvec of shape {(*rmat.shape[:-2], 3, 1)}, got {tuple(tvec.shape)}"
+        )
+    return torch.cat([rmat, tvec], -1)

@@ -1,0 +1,274 @@
+"""Images at several scales."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._modules import FunctionModule
+from kvision.core.exceptions import ValueCheckError
+from kvision.filters import filter2d_separable, gaussian_blur2d
+from kvision.geometry.transform.resize import resize
+
+__all__ = [
+    "PyrDown",
+    "PyrUp",
+    "ScalePyramid",
+    "build_laplacian_pyramid",
+    "build_pyramid",
+    "pyrdown",
+    "pyrup",
+]
+
+
+def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = False, factor: float = 2.0) -> Tensor:
+    """Blur images with a binomial window of 5 x 5 and make them smaller, by bilinear interpolation.
+
+    Args:
+        input: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        border_type: of the blur, 'constant', 'reflect', 'replicate' or 'circular'.
+        align_corners: keep the middles of the corner pixels where they are, not the image's edges.
+        factor: by which both sides are divided, rounded down.
+
+    Returns:
+        (B, C, H / factor, W / factor), of the type of `input`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above, or a side would be 0.
+
+    Source: P. Burt and E. Adelson, "The Laplacian pyramid as a compact image code" (1983).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.pyrdown(torch.rand(1, 3, 11, 13)).shape
+        torch.Size([1, 3, 5, 6])
+    """
+    _check.images("pyrdown", "input", input)
+    _check.flag("pyrdown", "align_corners", align_corners)
+    factor = _check.number("pyrdown", "factor", factor)
+    size = [int(side / factor) if factor > 0 else 0 for side in input.shape[2:]]
+    if 0 in size:
+        raise ValueCheckError(f"pyrdown: expected factor to leave a pixel of {tuple(input.shape[2:])}, got {factor}")
+    return resize(_blur("pyrdown", input, border_type), (size[0], size[1]), align_corners=align_corners)
+
+
+def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = False) -> Tensor:
+    """Make images twice as large, by bilinear interpolation, and blur them with a binomial window of 5 x 5.
+
+    Args:
+        input: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        border_type: of the blur, 'constant', 'reflect', 'replicate' or 'circular'.
+        align_corners: keep the middles of the corner pixels where they are, not the image's edges.
+
+    Returns:
+        (B, C, 2 H, 2 W), of the type of `input`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.pyrup(torch.rand(1, 3, 5, 6)).shape
+        torch.Size([1, 3, 10, 12])
+    """
+    _check.images("pyrup", "input", input)
+    _check.flag("pyrup", "align_corners", align_corners)
+    h, w = input.shape[2:]
+    return _blur("pyrup", resize(input, (2 * h, 2 * w), align_corners=align_corners), border_type)
+
+
+def _blur(op: str, image: Tensor, border_type: str) -> Tensor:
+    _check.border(op, border_type)
+    _check.reflectable(op, image, (2, 2), border_type)
+    dtype = image.dtype if image.dtype == torch.float64 else torch.float32
+    kernel = torch.tensor([[1, 4, 6, 4, 1]], dtype=dtype, device=image.device) / 16
+    return filter2d_separable(image, kernel, kernel, border_type)
+
+
+def build_pyramid(
+    input: Tensor, max_level: int, border_type: str = "reflect", align_corners: bool = False
+) -> list[Tensor]:
+    """Images (B, C, H, W) and their :func:`pyrdown`, `max_level` of them, the largest first.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> [level.shape[-1] for level in K.geometry.build_pyramid(torch.rand(1, 3, 40, 40), 3)]
+        [40, 20, 10]
+    """
+    _check.images("build_pyramid", "input", input)
+    (count,) = _check.ints("build_pyramid", "max_level", max_level, 1)
+    levels = [input]
+    while len(levels) < count:
+        levels.append(pyrdown(levels[-1], border_type, align_corners))
+    return levels
+
+
+def build_laplacian_pyramid(
+    input: Tensor, max_level: int, border_type: str = "reflect", align_corners: bool = False
+) -> list[Tensor]:
+    """What each of `max_level` sizes of an image adds to the next smaller one, the largest first; the last one is an image.
+
+    Adding up, with :func:`pyrup`, gives the images back. Images that cannot be halved often enough are first reflected
+    to the next powers of 2 on the right and below.
+
+    Args:
+        input: images (B, C, H, W).
+        max_level: how many levels.
+        border_type: of the blur, 'constant', 'reflect', 'replicate' or 'circular'.
+        align_corners: see :func:`pyrdown`.
+
+    Returns:
+        A list of (B, C, h, w).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Source: P. Burt and E. Adelson, "The Laplacian pyramid as a compact image code" (1983).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.rand(1, 1, 16, 16)
+        >>> detail, rest = K.geometry.build_laplacian_pyramid(image, 2)
+        >>> torch.allclose(detail + K.geometry.pyrup(rest), image)
+        True
+    """
+    op = "build_laplacian_pyramid"
+    _check.images(op, "input", input)
+    (count,) = _check.ints(op, "max_level", max_level, 1)
+    image = input if input.is_floating_point() else input.float()
+    h, w = image.shape[2:]
+    powers = [1 << (side - 1).bit_length() for side in (h, w)]
+    halved = 2 ** (count - 1)
+    if h % halved or w % halved or (powers[0] != h and powers[1] != w):
+        image = F.pad(image, (0, powers[1] - w, 0, powers[0] - h), "reflect")
+    levels = build_pyramid(image, count, border_type, align_corners)
+    details = [level - pyrup(next_, border_type, align_corners) for level, next_ in pairwise(levels)]
+    return [*details, levels[-1]]
+
+
+class PyrDown(FunctionModule):
+    """Module form of :func:`pyrdown`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.PyrDown()(torch.rand(1, 3, 8, 8)).shape
+        torch.Size([1, 3, 4, 4])
+    """
+
+    def __init__(self, border_type: str = "reflect", align_corners: bool = False, factor: float = 2.0) -> None:
+        super().__init__(border_type=border_type, align_corners=align_corners, factor=factor)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return pyrdown(input, self.border_type, self.align_corners, self.factor)
+
+
+class PyrUp(FunctionModule):
+    """Module form of :func:`pyrup`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.PyrUp()(torch.rand(1, 3, 8, 8)).shape
+        torch.Size([1, 3, 16, 16])
+    """
+
+    def __init__(self, border_type: str = "reflect", align_corners: bool = False) -> None:
+        super().__init__(border_type=border_type, align_corners=align_corners)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return pyrup(input, self.border_type, self.align_corners)
+
+
+class ScalePyramid(nn.Module):
+    """Images blurred more and more, and halved whenever the blur has doubled: the scale space of SIFT.
+
+    Args:
+        n_levels: levels in which the blur doubles.
+        init_sigma: blur of the first level, in pixels of its octave; images are taken to have 0.5.
+        min_size: octaves end where the shorter side would not be longer than this.
+        double_image: start at twice the size.
+        extra_levels: levels of an octave beyond `n_levels`.
+
+    `forward` takes images (B, C, H, W) and returns three lists with an entry for each octave: its levels
+    (B, C, n_levels + extra_levels, h, w), their blur in pixels of the octave, (B, n_levels + extra_levels), and how many
+    pixels of the image one of the octave is, of the same shape.
+
+    Source: D. Lowe, "Distinctive image features from scale-invariant keypoints" (2004).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> levels, sigmas, distances = K.geometry.ScalePyramid(3, 1.6, 16)(torch.rand(1, 1, 64, 64))
+        >>> [octave.shape[-1] for octave in levels], distances[1][0, 0]
+        ([64, 32], tensor(2.))
+    """
+
+    def __init__(
+        self,
+        n_levels: int = 3,
+        init_sigma: float = 1.6,
+        min_size: int = 15,
+        double_image: bool = False,
+        extra_levels: int = 3,
+    ) -> None:
+        super().__init__()
+        (self.n_levels,) = _check.ints("ScalePyramid", "n_levels", n_levels, 1)
+        (self.extra_levels,) = _check.ints("ScalePyramid", "extra_levels", extra_levels, 1)
+        self.init_sigma = init_sigma
+        self.min_size = min_size
+        self.border = min_size // 2 - 1
+        self.sigma_step = 2 ** (1 / n_levels)
+        self.double_image = double_image
+
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}(n_levels={self.n_levels}, init_sigma={self.init_sigma}, min_size={self.min_size}, "
+            f"extra_levels={self.extra_levels}, border={self.border}, sigma_step={self.sigma_step}, "
+            f"double_image={self.double_image})"
+        )
+
+    def get_kernel_size(self, sigma: float) -> int:
+        """The odd size of the window for a blur: it ends four sigmas away."""
+        return int(8 * sigma + 1) // 2 * 2 + 1
+
+    def get_first_level(self, input: Tensor) -> tuple[Tensor, float, float]:
+        """The first level, its blur, and how many pixels of the image one of its is."""
+        image, sigma, distance = input, 0.5, 1.0
+        if self.double_image:
+            h, w = input.shape[2:]
+            image, sigma, distance = resize(input, (2 * h, 2 * w), align_corners=True), 1.0, 0.5
+        if self.init_sigma > sigma:
+            more = max(math.sqrt(self.init_sigma**2 - sigma**2), 0.01)
+            return self._blur(image, more), self.init_sigma, distance
+        return image, sigma, distance
+
+    def _blur(self, image: Tensor, sigma: float) -> Tensor:
+        shortest = min(image.shape[2:])
+        size = min(self.get_kernel_size(sigma), shortest if shortest % 2 else shortest - 1)
+        return gaussian_blur2d(image, (size, size), (sigma, sigma))
+
+    def forward(self, x: Tensor) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+        _check.images("ScalePyramid", "x", x)
+        level, base, distance = self.get_first_level(x if x.is_floating_point() else x.float())
+        octaves: tuple[list[Tensor], list[Tensor], list[Tensor]] = ([], [], [])
+        count = self.n_levels + self.extra_levels
+        scales = [base * self.sigma_step**i for i in range(count)]
+        while True:
+            levels = [level]
+            for sigma in scales[:-1]:
+                levels.append(self._blur(levels[-1], sigma * math.sqrt(self.sigma_step**2 - 1)))
+            octaves[0].append(torch.stack(levels, 2))
+            octaves[1].append(level.new_tensor(scales).expand(len(x), count))
+            octaves[2].append(level.new_full((len(x), count), distance))
+            level = levels[-self.extra_levels]
+            h, w = (side // 2 for side in level.shape[2:])
+            if min(h, w) <= self.min_size:
+                return octaves
+            level = resize(level, (h, w), align_corners=True)
+            distance *= 2

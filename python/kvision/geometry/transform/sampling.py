@@ -1,0 +1,347 @@
+"""Images at places between their pixels: what all warps and maps are made of.
+
+Places are in pixels, (0, 0) being the middle of the first one. `sample` is the definition, for images and volumes; the
+operators `warp` (places from a matrix) and `remap` (places from a map) have kernels. Rules of taps: csrc/geometry/sample.h.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype
+from kvision._ops import register
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform import matrices
+
+INTERPOLATIONS = ("bilinear", "nearest", "bicubic")
+PADDINGS = ("zeros", "border", "reflection", "fill")
+
+# --- the definition -------------------------------------------------------------------------------------------------
+
+
+def sample(
+    image: Tensor,
+    places: Sequence[Tensor],
+    interpolation: str,
+    padding: str,
+    align_corners: bool,
+    fill: Tensor | None = None,
+) -> Tensor:
+    """Values of `image` (B, C, *S) at `places`, one tensor (B, *O) for each axis of S, the last axis first.
+
+    `padding` is 'border', 'reflection', or 'fill' with the numbers `fill` (B or 1, C or 1), None for 0.
+    """
+    batch, channels, *sizes = image.shape
+    taps = [_taps(x, n, interpolation, padding, align_corners) for x, n in zip(reversed(places), sizes)]
+    pixels = image.flatten(2)
+    outside: Any = 0.0 if fill is None else fill[..., None]
+    total: Any = 0.0
+    for window in itertools.product(*taps):
+        index: Any = 0
+        weight: Any = 1.0
+        exists: Any = True
+        for size, (i, w, inside) in zip(sizes, window):
+            index, weight, exists = index * size + i, weight * w, exists & inside
+        flat = index.flatten(1)[:, None].expand(batch, channels, -1)
+        value = torch.where(exists.flatten(1)[:, None], pixels.gather(2, flat), outside)
+        weight = weight.flatten(1)[:, None]
+        # A tap of weight 0 is no part of the value, whatever it holds.
+        total = total + weight * torch.where((weight == 0) & ~value.isfinite(), 0.0, value)
+    result: Tensor = total.unflatten(2, places[0].shape[1:])
+    return result
+
+
+def _taps(
+    x: Tensor, size: int, interpolation: str, padding: str, align_corners: bool
+) -> list[tuple[Tensor, Tensor, Tensor]]:
+    """The taps of places along an axis: index of the pixel, weight, whether it exists."""
+    x = _near_image(x, size, padding, align_corners)
+    if interpolation == "nearest":
+        first, weights = x.detach().round(), [1 + 0 * x]  # a gradient of 0, where torch would have none
+    else:
+        first = x.detach().floor()
+        t = x - first
+        s = 1 - t
+        if interpolation == "bilinear":
+            weights = [s, t]
+        else:
+            first = first - 1
+            inner = [(1.25 * u - 2.25) * u * u + 1 for u in (t, s)]
+            weights = [-0.75 * t * s * s, *inner, -0.75 * s * t * t]
+    taps = []
+    for k, weight in enumerate(weights):
+        i = first.long() + k
+        if padding == "reflection":
+            edge = 0 if align_corners else 1
+            i = torch.where(i < 0, -i - edge, i)
+            i = torch.where(i >= size, 2 * (size - 1) + edge - i, i)
+            i = torch.where(i < 0, -i - edge, i)
+        pixel = i.clamp(0, size - 1)
+        taps.append((pixel, weight, (i == pixel) | (padding != "fill")))
+    return taps
+
+
+def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tensor:
+    """Places of the same value that are near the image; NaN lies far outside, to the left."""
+    if padding != "reflection":
+        return torch.where(x > -4, x, -4.0).clamp(max=size + 3)
+    period = 2 * (size - 1 if align_corners else size)
+    if period == 0:
+        return 0 * x.nan_to_num()  # one pixel is everywhere
+    folded = x - period * (x.detach() / period).floor()
+    return torch.where(folded.isfinite(), folded, 0.0).clamp(0, period)
+
+
+# --- places of a matrix ---------------------------------------------------------------------------------------------
+
+
+def _places(
+    matrix: Tensor, output: Sequence[int], source: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
+) -> list[Tensor]:
+    """Where the pixels of the output lie in the source: x and y, (B, h, w)."""
+    wide = matrices.wide(matrix)
+    if wide.shape[1] == 2:
+        wide = matrices.homogeneous(wide)
+    if inverse:
+        wide = matrices.adjugate(wide)
+    if normalized:
+        wide = from_unit(source, align_corners, wide) @ wide @ to_unit(output, align_corners, wide)
+    wide = wide / _scale(wide.detach())
+    (h, w), m = output, wide.to(matrix.dtype)[..., None, None]
+    x = torch.arange(w, dtype=matrix.dtype, device=matrix.device)
+    y = torch.arange(h, dtype=matrix.dtype, device=matrix.device)[:, None]
+    u, v, depth = (m[:, i, 0] * x + (m[:, i, 1] * y + m[:, i, 2]) for i in range(3))
+    horizon = depth == 0
+    depth = torch.where(horizon, 1, depth)
+    return [torch.where(horizon, torch.nan, u / depth), torch.where(horizon, torch.nan, v / depth)]
+
+
+def _scale(m: Tensor) -> Tensor:
+    largest = m.abs().amax((1, 2), keepdim=True)
+    last = m[:, 2:, 2:]
+    scale = torch.where(last.abs() > 1e-6 * largest, last, largest)
+    return torch.where(scale == 0, 1, scale)
+
+
+def from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
+    """Pixels from [-1, 1]: from the middle of the first to that of the last one, or from edge to edge."""
+    h, w = size
+    less = 1 if align_corners else 0
+    return like.new_tensor([[(w - less) / 2, 0, (w - 1) / 2], [0, (h - less) / 2, (h - 1) / 2], [0, 0, 1]])
+
+
+def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
+    h, w = size
+    less = 1 if align_corners else 0
+    # The only pixel of an axis stands in its middle.
+    a, b = (2 / (n - less) if n > less else 0.0 for n in (w, h))
+    return like.new_tensor([[a, 0, -a * (w - 1) / 2], [0, b, -b * (h - 1) / 2], [0, 0, 1]])
+
+
+# --- warp -----------------------------------------------------------------------------------------------------------
+
+
+def _warp_reference(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized):
+    matrix = matrix.expand(len(image), -1, -1)
+    places = _places(matrix, size, image.shape[2:], align_corners, inverse, normalized)
+    return sample(image, places, interpolation, padding, align_corners, fill)
+
+
+def _warp_backward(needs, grad, image, matrix, fill, size, *how):
+    if _is_unordered(grad, how[1]):
+        return warp.differentiate_reference(needs, grad, image, matrix, fill, size, *how)
+    grads = [None, None, None]
+    if needs[0]:
+        wide = grad.to(compute_dtype(grad))
+        grads[0] = _warp_image_gradient(wide, matrix, list(image.shape[2:]), *how).to(grad.dtype)
+    if needs[1]:
+        grads[1] = _warp_matrix_gradient(grad, image, matrix, fill, *how).sum_to_size(matrix.shape)
+    if needs[2]:
+        inside = warp(torch.ones_like(image[:, :1]), matrix, None, size, *how)
+        grads[2] = _to_fill(grad, inside, fill)
+    return grads
+
+
+def _is_unordered(grad: Tensor, padding: str) -> bool:
+    """Whether the gradient to the image would be summed by atomics although torch is asked for the same bits every run."""
+    return grad.is_cuda and padding != "fill" and torch.are_deterministic_algorithms_enabled()
+
+
+def _to_fill(grad: Tensor, inside: Tensor, fill: Tensor) -> Tensor:
+    wide = fill.dtype
+    return (grad.to(wide) * (1 - inside.to(wide))).sum((2, 3)).sum_to_size(fill.shape)
+
+
+def _image_gradient_reference(grad, matrix, size, *how):
+    def of_image(image: Tensor) -> Tensor:
+        return _warp_reference(image, matrix, None, grad.shape[2:], *how)
+
+    _, pullback = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
+    return pullback(grad)[0]
+
+
+def _image_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
+    found = _warp_image_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
+    if needs[0]:
+        found[0] = warp(grad_grad, matrix, None, list(grad.shape[2:]), *how)
+    return found
+
+
+def _matrix_gradient_reference(grad, image, matrix, fill, *how):
+    wide = matrix.dtype
+
+    def of_matrix(matrix: Tensor) -> Tensor:
+        return _warp_reference(image.to(wide), matrix, fill, grad.shape[2:], *how)
+
+    _, pullback = torch.func.vjp(of_matrix, matrix.expand(len(image), -1, -1))
+    return pullback(grad.to(wide))[0]
+
+
+warp = register(
+    "warp",
+    _warp_reference,
+    fake=lambda image, matrix, fill, size, *how: (*image.shape[:2], *size),
+    backward=_warp_backward,
+    bytes=True,
+)
+_warp_image_gradient = register(
+    "warp_image_gradient",
+    _image_gradient_reference,
+    fake=lambda grad, matrix, size, *how: grad.new_empty(*grad.shape[:2], *size),
+    backward=_image_gradient_backward,
+)
+_warp_matrix_gradient = register(
+    "warp_matrix_gradient",
+    _matrix_gradient_reference,
+    fake=lambda grad, image, matrix, *rest: matrix.new_empty(len(image), *matrix.shape[1:]),
+    stores=True,
+)
+
+# --- remap ----------------------------------------------------------------------------------------------------------
+
+
+def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized):
+    places = []
+    for places_, size in ((map_x, image.shape[3]), (map_y, image.shape[2])):
+        places_ = places_.expand(len(image), -1, -1)
+        if normalized:
+            places_ = places_ * ((size - 1 if align_corners else size) / 2) + (size - 1) / 2
+        places.append(places_)
+    return sample(image, places, interpolation, padding, align_corners, fill)
+
+
+def _remap_backward(needs, grad, image, map_x, map_y, fill, *how):
+    if grad.is_cuda and torch.are_deterministic_algorithms_enabled():
+        return remap.differentiate_reference(needs, grad, image, map_x, map_y, fill, *how)
+    grads = [None, None, None, None]
+    if needs[0]:
+        wide = grad.to(compute_dtype(grad))
+        grads[0] = _remap_image_gradient(wide, map_x, map_y, list(image.shape[2:]), *how).to(grad.dtype)
+    if needs[1] or needs[2]:
+        found = _remap_map_gradient(grad, image, map_x, map_y, fill, *how)
+        grads[1:3] = (g.sum_to_size(map_x.shape) for g in found)
+    if needs[3]:
+        inside = remap(torch.ones_like(image[:, :1]), map_x, map_y, None, *how)
+        grads[3] = _to_fill(grad, inside, fill)
+    return grads
+
+
+def _remap_image_gradient_reference(grad, map_x, map_y, size, *how):
+    def of_image(image: Tensor) -> Tensor:
+        return _remap_reference(image, map_x, map_y, None, *how)
+
+    _, pullback = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
+    return pullback(grad)[0]
+
+
+def _remap_image_gradient_backward(needs, grad_grad, grad, map_x, map_y, size, *how):
+    kept = (False, *needs[1:])
+    found = _remap_image_gradient.differentiate_reference(kept, grad_grad, grad, map_x, map_y, size, *how)
+    if needs[0]:
+        found[0] = remap(grad_grad, map_x, map_y, None, *how)
+    return found
+
+
+def _map_gradient_reference(grad, image, map_x, map_y, fill, *how):
+    wide = map_x.dtype
+
+    def of_map(map_x: Tensor, map_y: Tensor) -> Tensor:
+        return _remap_reference(image.to(wide), map_x, map_y, fill, *how)
+
+    maps = (m.expand(len(image), -1, -1) for m in (map_x, map_y))
+    _, pullback = torch.func.vjp(of_map, *maps)
+    return pullback(grad.to(wide))
+
+
+remap = register(
+    "remap",
+    _remap_reference,
+    fake=lambda image, map_x, *rest: (*image.shape[:2], *map_x.shape[1:]),
+    backward=_remap_backward,
+    bytes=True,
+)
+_remap_image_gradient = register(
+    "remap_image_gradient",
+    _remap_image_gradient_reference,
+    fake=lambda grad, map_x, map_y, size, *how: grad.new_empty(*grad.shape[:2], *size),
+    backward=_remap_image_gradient_backward,
+)
+_remap_map_gradient = register(
+    "remap_map_gradient",
+    _map_gradient_reference,
+    fake=lambda grad, image, map_x, *rest: [map_x.new_empty(len(image), *map_x.shape[1:]) for _ in range(2)],
+    stores=True,
+)
+
+# --- arguments ------------------------------------------------------------------------------------------------------
+
+
+def check_how(op: str, mode: Any, padding_mode: Any, align_corners: Any) -> None:
+    """Raise unless these are an interpolation, a padding and a bool."""
+    if mode not in INTERPOLATIONS:
+        _check.choice(op, "mode", mode, INTERPOLATIONS)
+    if padding_mode not in PADDINGS:
+        _check.choice(op, "padding_mode", padding_mode, PADDINGS)
+    _check.flag(op, "align_corners", align_corners)
+
+
+def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any) -> tuple[str, Tensor | None]:
+    """The padding and the fill as the operators take them."""
+    if padding_mode in ("border", "reflection"):
+        return padding_mode, None
+    if padding_mode == "zeros" or fill_value is None:
+        return "fill", None
+    dtype = compute_dtype(image)
+    if not isinstance(fill_value, Tensor):
+        fill_value = torch.as_tensor(fill_value, dtype=dtype, device=image.device)
+    _check.numbers(op, "fill_value", fill_value)
+    _check.same_device(op, src=image, fill_value=fill_value)
+    shape = fill_value.shape
+    if len(shape) == 4 and shape[2:] == (1, 1):
+        fill_value = fill_value[..., 0, 0]
+    elif len(shape) < 2:
+        fill_value = fill_value.reshape(1, -1)
+    b, c = image.shape[:2]
+    if fill_value.dim() != 2 or fill_value.shape[0] not in (1, b) or fill_value.shape[1] not in (1, c):
+        raise ShapeError(
+            f"{op}: expected fill_value of shape (), ({c},) or ({b}, {c}, 1, 1), got {tuple(shape)}", actual_shape=shape
+        )
+    return "fill", fill_value.to(dtype)
+
+
+def for_images(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
+    """A matrix, map or parameter of images as the operators take it: in the type that computes, one for all or for each."""
+    if image.device != x.device:
+        _check.same_device(op, image=image, **{name: x})
+    if x.shape[0] not in (1, image.shape[0]):
+        raise ShapeError(
+            f"{op}: expected {name} with 1 or {image.shape[0]} rows, got {tuple(x.shape)}", actual_shape=x.shape
+        )
+    dtype = compute_dtype(image)
+    return x if x.dtype == dtype else x.to(dtype)

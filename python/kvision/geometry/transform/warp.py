@@ -1,0 +1,235 @@
+"""Warps of images by matrices and maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats, pixels
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform import sampling
+
+__all__ = ["homography_warp", "remap", "warp_affine", "warp_grid", "warp_perspective"]
+
+
+def warp_perspective(
+    src: Tensor,
+    M: Tensor,
+    dsize: tuple[int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+    fill_value: Tensor | Sequence[float] | float | None = None,
+) -> Tensor:
+    """Warp images by homographies from their pixels to those of the result.
+
+    A pixel (x, y) of the result shows the place M^-1 (x, y, 1) of the image. A multiple of M is the same warp. Places are
+    computed in float32, in float64 for float64 images.
+
+    Args:
+        src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        M: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices. Pixels are (x, y), the middle of
+            the first one being (0, 0).
+        dsize: height and width of the result.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: what lies outside of the image: 'zeros', 'border' (the outermost pixels go on), 'reflection', or
+            'fill' for `fill_value`.
+        align_corners: reflect about the middles of the outermost pixels, not about their edges. No other mode cares.
+        fill_value: a number, (C,) for one a channel, or (B, C, 1, 1); None for 0.
+
+    Returns:
+        (B, C, h, w), of the type of `src`; uint8 is rounded half to even and saturated.
+
+    Raises:
+        TypeError: `src` or `M` is no tensor of real numbers, or another argument of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(6.0).reshape(1, 1, 2, 3)
+        >>> right = torch.tensor([[[1.0, 0, 1], [0, 1, 0], [0, 0, 1]]])
+        >>> K.geometry.warp_perspective(image, right, (2, 3))
+        tensor([[[[0., 0., 1.],
+                  [0., 3., 4.]]]])
+    """
+    return _warp("warp_perspective", src, M, 3, dsize, mode, padding_mode, align_corners, fill_value)
+
+
+def warp_affine(
+    src: Tensor,
+    M: Tensor,
+    dsize: tuple[int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+    fill_value: Tensor | Sequence[float] | float | None = None,
+) -> Tensor:
+    """Warp images by affine maps (B, 2, 3) from their pixels to those of the result; else as :func:`warp_perspective`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(6.0).reshape(1, 1, 2, 3)
+        >>> half_right = torch.tensor([[[1.0, 0, 0.5], [0, 1, 0]]])
+        >>> K.geometry.warp_affine(image, half_right, (2, 3), padding_mode="border")
+        tensor([[[[0.0000, 0.5000, 1.5000],
+                  [3.0000, 3.5000, 4.5000]]]])
+    """
+    return _warp("warp_affine", src, M, 2, dsize, mode, padding_mode, align_corners, fill_value)
+
+
+def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value):
+    _check.images(op, "src", src)
+    _check.shape(op, "M", M, "B", rows, 3)
+    size = _check.ints(op, "dsize", dsize, 2)
+    sampling.check_how(op, mode, padding_mode, align_corners)
+    src, M = together(op, src, "M", M)
+    padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value)
+    return sampling.warp(src, M, fill, list(size), mode, padding, align_corners, True, False)
+
+
+def together(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, Tensor]:
+    """Images and their matrices or maps as the operators take them; one image is made to serve many of these."""
+    image = pixels(image)
+    if image.shape[0] == 1 != other.shape[0]:
+        image = image.expand(other.shape[0], -1, -1, -1)
+    return image, sampling.for_images(op, image, name, other)
+
+
+def homography_warp(
+    patch_src: Tensor,
+    src_homo_dst: Tensor,
+    dsize: tuple[int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = False,
+    normalized_coordinates: bool = True,
+    normalized_homography: bool = True,
+) -> Tensor:
+    """Warp images by homographies from the result's places to the image's, in coordinates from -1 to 1.
+
+    This is the inverse of the matrix that :func:`warp_perspective` takes.
+
+    Args:
+        patch_src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        src_homo_dst: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices.
+        dsize: height and width of the result.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+        normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
+        normalized_homography: the same; both have to be set.
+
+    Returns:
+        (B, C, h, w), of the type of `patch_src`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(6.0).reshape(1, 1, 2, 3)
+        >>> mirror = torch.diag(torch.tensor([-1.0, 1, 1]))[None]
+        >>> K.geometry.homography_warp(image, mirror, (2, 3))
+        tensor([[[[2., 1., 0.],
+                  [5., 4., 3.]]]])
+    """
+    op = "homography_warp"
+    _check.images(op, "patch_src", patch_src)
+    _check.shape(op, "src_homo_dst", src_homo_dst, "B", 3, 3)
+    size = _check.ints(op, "dsize", dsize, 2)
+    sampling.check_how(op, mode, padding_mode, align_corners)
+    if padding_mode == "fill":
+        _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
+    _check.flag(op, "normalized_coordinates", normalized_coordinates)
+    _check.flag(op, "normalized_homography", normalized_homography)
+    image, matrix = together(op, patch_src, "src_homo_dst", src_homo_dst)
+    normalized = normalized_coordinates and normalized_homography
+    padding, _ = sampling.padding_and_fill(op, image, padding_mode, None)
+    return sampling.warp(image, matrix, None, list(size), mode, padding, align_corners, False, normalized)
+
+
+def remap(
+    image: Tensor,
+    map_x: Tensor,
+    map_y: Tensor,
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool | None = None,
+    normalized_coordinates: bool = False,
+) -> Tensor:
+    """Show at every pixel of the result the place of the image that a map names there.
+
+    Args:
+        image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        map_x: columns (B, h, w), or (1, h, w) for all images; one image also serves many maps.
+        map_y: rows, of the same shape.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost pixels, and let -1 and 1 be these middles, not the outer
+            edges. None is False.
+        normalized_coordinates: the map's numbers run from -1 to 1 over the image. Else they are pixels, the middle of the
+            first one being (0, 0).
+
+    Returns:
+        (B, C, h, w), of the type of `image`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.arange(6.0).reshape(1, 1, 2, 3)
+        >>> x, y = torch.tensor([[[0.0, 1.5]]]), torch.tensor([[[1.0, 0.0]]])
+        >>> K.geometry.remap(image, x, y)
+        tensor([[[[3.0000, 1.5000]]]])
+    """
+    _check.images("remap", "image", image)
+    _check.shape("remap", "map_x", map_x, "B", "H", "W")
+    _check.shape("remap", "map_y", map_y, *map_x.shape)
+    if 0 in map_x.shape[1:]:
+        raise ShapeError(f"remap: expected map_x with H, W of at least 1, got {tuple(map_x.shape)}")
+    align_corners = False if align_corners is None else align_corners
+    sampling.check_how("remap", mode, padding_mode, align_corners)
+    if padding_mode == "fill":
+        _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
+    _check.flag("remap", "normalized_coordinates", normalized_coordinates)
+    _, map_x = together("remap", image, "map_x", map_x)
+    image, map_y = together("remap", image, "map_y", map_y)
+    padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
+    return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates)
+
+
+def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
+    """Places of a grid after homographies.
+
+    Args:
+        grid: (x, y) places (1, H, W, 2), or (B, H, W, 2).
+        src_homo_dst: (B, 3, 3), or (1, 3, 3) for all grids.
+
+    Returns:
+        (B, H, W, 2). Where a place goes to infinity it is inf or NaN.
+
+    Raises:
+        TypeError: no tensors.
+        ValueError: other shapes.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.warp_grid(torch.ones(1, 1, 1, 2), torch.diag(torch.tensor([2.0, 3, 1]))[None])
+        tensor([[[[2., 3.]]]])
+    """
+    _check.shape("warp_grid", "grid", grid, "B", "H", "W", 2)
+    _check.shape("warp_grid", "src_homo_dst", src_homo_dst, "B", 3, 3)
+    return transform_grid(floats(grid), src_homo_dst)
+
+
+def transform_grid(grid: Tensor, matrix: Tensor) -> Tensor:
+    """Homogeneous maps (B, n + 1, n + 1) of places (B, *, n)."""
+    m = matrix.to(grid.dtype)
+    m = m.reshape(len(m), *(1,) * (grid.dim() - 2), *m.shape[1:])
+    moved = (m[..., :-1] * grid[..., None, :]).sum(-1) + m[..., -1]
+    return moved[..., :-1] / moved[..., -1:]

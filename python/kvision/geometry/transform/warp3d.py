@@ -1,0 +1,263 @@
+"""Warps of volumes (B, C, D, H, W). Places and matrices are (x, y, z), sizes (depth, height, width)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, floats
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform import matrices, sampling
+from kvision.geometry.transform.warp import transform_grid
+
+__all__ = [
+    "affine3d",
+    "homography_warp3d",
+    "rotate3d",
+    "warp_affine3d",
+    "warp_grid3d",
+    "warp_perspective3d",
+]
+
+
+def warp_perspective3d(
+    src: Tensor,
+    M: Tensor,
+    dsize: tuple[int, int, int],
+    flags: str = "bilinear",
+    border_mode: str = "zeros",
+    align_corners: bool = False,
+) -> Tensor:
+    """Warp volumes by homographies from their voxels to those of the result.
+
+    Args:
+        src: volumes (B, C, D, H, W). Integers are computed in float32.
+        M: (B, 4, 4), or (1, 4, 4) for all volumes, or (4, 4).
+        dsize: depth, height and width of the result.
+        flags: 'bilinear', in all three directions, or 'nearest'.
+        border_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost voxels, not about their edges.
+
+    Returns:
+        (B, C, d, h, w).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> volume = torch.arange(3.0).reshape(1, 1, 3, 1, 1)
+        >>> deeper = torch.eye(4)
+        >>> deeper[2, 3] = 1
+        >>> K.geometry.warp_perspective3d(volume, deeper, (3, 1, 1)).flatten()
+        tensor([0., 0., 1.])
+    """
+    op = "warp_perspective3d"
+    _check.volumes(op, "src", src)
+    _check.numbers(op, "M", M)
+    M = M[None] if M.dim() == 2 else M
+    _check.shape(op, "M", M, "B", 4, 4)
+    return _warp(op, src, M, dsize, flags, border_mode, align_corners)
+
+
+def warp_affine3d(
+    src: Tensor,
+    M: Tensor,
+    dsize: tuple[int, int, int],
+    flags: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = True,
+) -> Tensor:
+    """Warp volumes by affine maps (B, 3, 4) from their voxels to those of the result; else as :func:`warp_perspective3d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> volume = torch.arange(3.0).reshape(1, 1, 1, 1, 3)
+        >>> K.geometry.warp_affine3d(volume, torch.eye(3, 4)[None], (1, 1, 3)).flatten()
+        tensor([0., 1., 2.])
+    """
+    _check.volumes("warp_affine3d", "src", src)
+    _check.shape("warp_affine3d", "M", M, "B", 3, 4)
+    return _warp("warp_affine3d", src, matrices.homogeneous(M), dsize, flags, padding_mode, align_corners)
+
+
+def affine3d(
+    tensor: Tensor, matrix: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = False
+) -> Tensor:
+    """Warp volumes (B, C, D, H, W) or (C, D, H, W) by affine maps (B, 3, 4), keeping their size.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.affine3d(torch.rand(1, 2, 3, 4), torch.eye(3, 4)[None]).shape
+        torch.Size([1, 2, 3, 4])
+    """
+    volumes = _volumes("affine3d", tensor)
+    _check.shape("affine3d", "matrix", matrix, "B", 3, 4)
+    size = tuple(volumes.shape[2:])
+    result = _warp("affine3d", volumes, matrices.homogeneous(matrix), size, mode, padding_mode, align_corners)
+    return result[0] if tensor.dim() == 4 else result
+
+
+def rotate3d(
+    tensor: Tensor,
+    yaw: Tensor,
+    pitch: Tensor,
+    roll: Tensor,
+    center: Tensor | None = None,
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = False,
+) -> Tensor:
+    """Turn volumes about an axis through a centre, keeping their size.
+
+    Args:
+        tensor: volumes (B, C, D, H, W) or (C, D, H, W). Integers are computed in float32.
+        yaw: (B,) or one number: x of the axis of rotation times the angle in degrees.
+        pitch: y of it.
+        roll: z of it.
+        center: (B, 3) or (1, 3) as (x, y, z); None for the middle of the volume.
+        mode: 'bilinear' or 'nearest'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: reflect about the middles of the outermost voxels, not about their edges.
+
+    Returns:
+        The shape of `tensor`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> zero, quarter = torch.zeros(1), torch.tensor([90.0])
+        >>> K.geometry.rotate3d(torch.rand(1, 2, 3, 3), zero, zero, quarter).shape
+        torch.Size([1, 2, 3, 3])
+    """
+    volumes = _volumes("rotate3d", tensor)
+    batch, dtype = len(volumes), compute_dtype(volumes)
+    angles = []
+    for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
+        _check.numbers("rotate3d", name, angle)
+        if angle.numel() not in (1, batch):
+            raise ShapeError(f"rotate3d: expected {name} of shape ({batch},), got {tuple(angle.shape)}")
+        angles.append(angle.reshape(-1).to(dtype).expand(batch))
+    if center is None:
+        center = volumes.new_tensor([[(n - 1) / 2 for n in reversed(volumes.shape[2:])]], dtype=dtype)
+    _check.shape("rotate3d", "center", center, "B", 3)
+    stacked = torch.stack(angles, -1)
+    matrix = matrices.get_projective_transform(center.to(dtype).expand(batch, -1), stacked, torch.ones_like(stacked))
+    return affine3d(tensor, matrix, mode, padding_mode, align_corners)
+
+
+def homography_warp3d(
+    patch_src: Tensor,
+    src_homo_dst: Tensor,
+    dsize: tuple[int, int, int],
+    mode: str = "bilinear",
+    padding_mode: str = "zeros",
+    align_corners: bool = False,
+    normalized_coordinates: bool = True,
+) -> Tensor:
+    """Warp volumes by homographies from the result's places to the volume's, in coordinates from -1 to 1.
+
+    Args:
+        patch_src: volumes (B, C, D, H, W). Integers are computed in float32.
+        src_homo_dst: (B, 4, 4), or (1, 4, 4) for all volumes.
+        dsize: depth, height and width of the result.
+        mode: 'bilinear' or 'nearest'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: -1 and 1 are the middles of the outermost voxels, not their outer edges.
+        normalized_coordinates: else coordinates are voxels.
+
+    Returns:
+        (B, C, d, h, w).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape, size or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> volume = torch.rand(1, 1, 2, 3, 4)
+        >>> torch.allclose(K.geometry.homography_warp3d(volume, torch.eye(4)[None], (2, 3, 4)), volume, atol=1e-6)
+        True
+    """
+    op = "homography_warp3d"
+    _check.volumes(op, "patch_src", patch_src)
+    _check.shape(op, "src_homo_dst", src_homo_dst, "B", 4, 4)
+    _check.flag(op, "normalized_coordinates", normalized_coordinates)
+    return _warp(op, patch_src, src_homo_dst, dsize, mode, padding_mode, align_corners, False, normalized_coordinates)
+
+
+def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
+    """Places of a grid (1, D, H, W, 3) or (B, D, H, W, 3) after homographies (B, 4, 4): (B, D, H, W, 3) as (x, y, z).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.warp_grid3d(torch.ones(1, 1, 1, 1, 3), torch.diag(torch.tensor([2.0, 3, 4, 1]))[None]).flatten()
+        tensor([2., 3., 4.])
+    """
+    _check.shape("warp_grid3d", "grid", grid, "B", "D", "H", "W", 3)
+    _check.shape("warp_grid3d", "src_homo_dst", src_homo_dst, "B", 4, 4)
+    return transform_grid(floats(grid), src_homo_dst)
+
+
+# --- what they share ------------------------------------------------------------------------------------------------
+
+
+def _volumes(op: str, tensor: Tensor) -> Tensor:
+    """(B, C, D, H, W) of volumes or of one."""
+    _check.numbers(op, "tensor", tensor)
+    volumes = tensor[None] if tensor.dim() == 4 else tensor
+    _check.volumes(op, "tensor", volumes)
+    return volumes
+
+
+def _warp(
+    op: str,
+    volumes: Tensor,
+    matrix: Tensor,
+    dsize: tuple[int, ...],
+    mode: str,
+    padding_mode: str,
+    align_corners: bool,
+    inverse: bool = True,
+    normalized: bool = False,
+) -> Tensor:
+    size = _check.ints(op, "dsize", dsize, 3)
+    _check.choice(op, "mode", mode, sampling.INTERPOLATIONS[:2])
+    _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
+    _check.flag(op, "align_corners", align_corners)
+    volumes = floats(volumes)
+    matrix = sampling.for_images(op, volumes, "matrix", matrix)
+    return _sampled(volumes, matrix, size, mode, padding_mode, align_corners, inverse, normalized)
+
+
+@as_stored
+def _sampled(volumes, matrix, size, mode, padding_mode, align_corners, inverse, normalized):
+    m = matrices.wide(matrix)
+    if inverse:
+        m = torch.linalg.inv_ex(m)[0]
+    if normalized:
+        m = (
+            _from_unit(volumes.shape[2:], align_corners, m)
+            @ m
+            @ torch.linalg.inv_ex(_from_unit(size, align_corners, m))[0]
+        )
+    axes = [torch.arange(n, dtype=matrix.dtype, device=matrix.device) for n in size]
+    z, y, x = torch.meshgrid(*axes, indexing="ij")
+    places = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
+    places = [p.expand(len(volumes), -1, -1, -1) for p in places]
+    padding = "fill" if padding_mode == "zeros" else padding_mode
+    return sampling.sample(volumes, places, mode, padding, align_corners)
+
+
+def _from_unit(size: tuple[int, ...], align_corners: bool, like: Tensor) -> Tensor:
+    """Voxels from [-1, 1]; the only voxel of an axis is all of it."""
+    less = 1 if align_corners else 0
+    m = torch.diag(like.new_tensor([*(max(n - less, 1) / 2 for n in reversed(size)), 1]))
+    m[:3, 3] = like.new_tensor([(n - 1) / 2 for n in reversed(size)])
+    return m

@@ -1,0 +1,252 @@
+import cv2
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+import kvision as K
+from op_tests import assert_close
+from warp_tests import WarpTests, affine, homography, one
+
+G = K.geometry
+MODES = ("bilinear", "nearest", "bicubic")
+PADDINGS = ("zeros", "border", "reflection")
+WARP = ("warp", "warp_image_gradient", "warp_matrix_gradient")
+
+
+class TestWarpAffine(WarpTests):
+    function = staticmethod(G.warp_affine)
+    operators = WARP
+    max_size = 9
+    variants = [
+        {"M": affine, "dsize": (8, 11)},
+        {"M": one(affine), "dsize": (5, 21), "mode": "nearest", "padding_mode": "reflection"},
+        {"M": affine, "dsize": (7, 9), "mode": "bicubic", "padding_mode": "border"},
+    ]
+    errors = [
+        ({"M": lambda x: torch.eye(3)[None]}, ValueError, r"expected M of shape \(B, 2, 3\), got \(1, 3, 3\)"),
+        ({"M": lambda x: torch.ones(3, 2, 3)}, ValueError, "expected M with 1 or 2 rows"),
+        ({"M": [[1.0]]}, TypeError, "M to be a Tensor"),
+        ({"dsize": (0, 3)}, ValueError, "dsize to be an int or 2 ints of at least 1"),
+        ({"dsize": (1.5, 3)}, TypeError, "dsize"),
+        ({"mode": "linear"}, ValueError, "mode must be one of bilinear, nearest, bicubic; got 'linear'"),
+        ({"padding_mode": "wrap"}, ValueError, "padding_mode must be one of"),
+        ({"align_corners": None}, TypeError, "align_corners to be a bool"),
+        ({"padding_mode": "fill", "fill_value": lambda x: torch.ones(5)}, ValueError, "expected fill_value of shape"),
+    ]
+
+
+class TestWarpPerspective(WarpTests):
+    function = staticmethod(G.warp_perspective)
+    operators = WARP
+    max_size = 7
+    variants = [
+        {"M": homography, "dsize": (6, 10), "padding_mode": "fill", "fill_value": lambda x: torch.rand(x.shape[1])},
+    ]
+
+
+class TestHomographyWarp(WarpTests):
+    function = staticmethod(G.homography_warp)
+    operators = WARP
+    max_size = 7
+    variants = [
+        {"src_homo_dst": lambda x: unit_homography(x), "dsize": (7, 11)},
+    ]
+
+
+def unit_homography(x: Tensor) -> Tensor:
+    m = torch.tensor([[0.83, 0.17, 0.061], [-0.13, 0.91, -0.047], [0.11, -0.07, 1.03]], dtype=torch.float64)
+    return m + 0.013 * torch.arange(len(x))[:, None, None]
+
+
+class TestRemap(WarpTests):
+    function = staticmethod(G.remap)
+    operators = ("remap", "remap_image_gradient", "remap_map_gradient")
+    max_size = 7
+    variants = [
+        {"map_x": lambda x: places(x, 3), "map_y": lambda x: places(x, 2)},
+        {
+            "map_x": one(lambda x: places(x, 3) / 9),
+            "map_y": one(lambda x: places(x, 2) / 7),
+            "normalized_coordinates": True,
+            "mode": "bicubic",
+            "padding_mode": "border",
+        },
+    ]
+    errors = [
+        ({"map_y": lambda x: torch.ones(2, 3, 3)}, ValueError, "expected map_y of shape"),
+        ({"padding_mode": "fill"}, ValueError, "padding_mode must be one of zeros, border, reflection"),
+    ]
+
+
+def places(x: Tensor, axis: int) -> Tensor:
+    """In, around and between the pixels along an axis of x, (B, 5, 7); no place is close to where taps change."""
+    n = x.shape[axis]
+    whole = torch.randint(-2, n + 2, (len(x), 5, 7), generator=torch.Generator().manual_seed(axis))
+    return whole + 0.1 + 0.3 * torch.rand(len(x), 5, 7, dtype=torch.float64, generator=torch.Generator().manual_seed(7))
+
+
+# --- against torch and OpenCV ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("align_corners", [True, False])
+@pytest.mark.parametrize("padding", PADDINGS)
+@pytest.mark.parametrize("mode", MODES)
+def test_values_and_gradients_are_those_of_grid_sample(mode, padding, align_corners, device):
+    x = torch.rand(2, 3, 9, 12, dtype=torch.float64, device=device, requires_grad=True)
+    grid = (torch.rand(2, 8, 7, 2, dtype=torch.float64, device=device) * 6 - 3).requires_grad_()
+    weight = torch.rand(2, 3, 8, 7, dtype=torch.float64, device=device)
+    theirs = F.grid_sample(x, grid, mode, padding, align_corners)
+    ours = G.remap(x, grid[..., 0], grid[..., 1], mode, padding, align_corners, normalized_coordinates=True)
+    assert_close(ours, theirs)
+    for ours_, theirs_ in zip(*(torch.autograd.grad((y * weight).sum(), (x, grid)) for y in (ours, theirs))):
+        assert_close(ours_, theirs_)
+
+
+@pytest.mark.parametrize("align_corners", [True, False])
+@pytest.mark.parametrize("padding", PADDINGS)
+@pytest.mark.parametrize("mode", MODES)
+def test_a_warp_is_the_map_of_its_places(mode, padding, align_corners, device):
+    x = torch.rand(2, 3, 9, 12, dtype=torch.float64, device=device, requires_grad=True)
+    M = homography(x).to(device).requires_grad_()
+    x_, y_ = torch.arange(14.0, device=device).double(), torch.arange(10.0, device=device).double()[:, None]
+    inverse = torch.linalg.inv(M)[..., None, None]
+    u, v, w = (inverse[:, i, 0] * x_ + inverse[:, i, 1] * y_ + inverse[:, i, 2] for i in range(3))
+    weight = torch.rand(2, 3, 10, 14, dtype=torch.float64, device=device)
+    theirs = G.remap(x, u / w, v / w, mode, padding, align_corners)
+    ours = G.warp_perspective(x, M, (10, 14), mode, padding, align_corners)
+    assert_close(ours, theirs)
+    for ours_, theirs_ in zip(*(torch.autograd.grad((y * weight).sum(), (x, M)) for y in (ours, theirs))):
+        assert_close(ours_, theirs_)
+
+
+def test_against_opencv(device):
+    """OpenCV rounds places to 1/32 pixel in its older code, so the picture is smooth enough for that not to show."""
+    y, x = np.mgrid[:60, :80].astype(np.float32)
+    picture = np.sin(0.02 * x + 0.03 * y)[..., None] * np.float32([1, 0.5, 0.2]) + 1
+    h = homography(torch.zeros(1))[0].numpy()
+    ours = G.warp_perspective(
+        to_tensor(picture, device), torch.from_numpy(h)[None].to(device), (60, 80), padding_mode="border"
+    )
+    theirs = cv2.warpPerspective(picture, h, (80, 60), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    assert_close(ours.cpu(), to_tensor(theirs, "cpu"), 0, 2e-3)
+
+
+def to_tensor(picture: np.ndarray, device) -> Tensor:
+    return torch.from_numpy(picture).permute(2, 0, 1)[None].to(device)
+
+
+# --- exact results --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+@pytest.mark.parametrize("mode", MODES)
+def test_whole_shifts_and_quarter_turns_are_exact(mode, dtype, device):
+    x = (torch.rand(1, 2, 37, 53, device=device) * 255).to(dtype)
+
+    def warped(matrix: list[list[float]], size: tuple[int, int]) -> Tensor:
+        return G.warp_affine(x, torch.tensor([matrix], device=device), size, mode)
+
+    assert torch.equal(warped([[1.0, 0, 0], [0, 1, 0]], (37, 53)), x)
+    assert torch.equal(warped([[1.0, 0, 5], [0, 1, -3]], (37, 53))[..., :34, 5:], x[..., 3:, :48])
+    assert torch.equal(warped([[0.0, 1, 0], [-1, 0, 52]], (53, 37)), x.rot90(1, (2, 3)))
+    assert torch.equal(warped([[-1.0, 0, 52], [0, -1, 36]], (37, 53)), x.flip(2, 3))
+    assert torch.equal(warped([[1.0, 0, -9], [0, 1, -8]], (1, 1)), x[..., 8:9, 9:10])
+
+
+@pytest.mark.parametrize("align_corners", [True, False])
+@pytest.mark.parametrize("mode", MODES)
+def test_identities(mode, align_corners, device):
+    x = torch.rand(2, 3, 16, 32, device=device)
+    y, columns = torch.meshgrid(torch.arange(16.0), torch.arange(32.0), indexing="ij")
+    eye = torch.eye(3, device=device)[None]
+    how = {"mode": mode, "align_corners": align_corners}
+    assert torch.equal(G.remap(x, columns[None].to(device), y[None].to(device), **how), x)
+    assert_close(G.homography_warp(x, eye, (16, 32), **how), x, 0, 1e-6)
+    assert torch.equal(G.homography_warp(x, eye, (16, 32), normalized_homography=False, **how), x)
+    assert torch.equal(G.warp_perspective(x, -3 * eye, (16, 32), **how), x)  # a homography has no scale
+
+
+# --- places and pixels that are no numbers --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("padding", PADDINGS)
+@pytest.mark.parametrize("mode", MODES)
+def test_places_at_infinity(mode, padding, device):
+    x = torch.rand(1, 2, 5, 6, device=device).requires_grad_()
+    far = torch.tensor(
+        [[[float("nan"), float("inf"), -float("inf"), 1e30, -1e30, 3e9]]], device=device
+    ).requires_grad_()
+    for map_x, map_y in ((far, torch.ones_like(far)), (torch.ones_like(far), far)):
+        found = G.remap(x, map_x, map_y, mode, padding)
+        assert found.isfinite().all()
+        assert padding != "zeros" or not found.any()
+        assert all(g.isfinite().all() for g in torch.autograd.grad(found.sum(), (x, far)))
+    horizon = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0.5, 0, -1]]], device=device).requires_grad_()  # w = 0 at x = 2
+    found = G.homography_warp(x, horizon, (5, 6), mode, padding, normalized_homography=False)
+    assert found.isfinite().all()
+    assert all(g.isfinite().all() for g in torch.autograd.grad(found.sum(), (x, horizon)))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+@pytest.mark.parametrize("mode", MODES)
+def test_taps_of_weight_zero_are_harmless(mode, bad, device):
+    x = torch.rand(1, 2, 33, 40, device=device)
+    x[0, 1, 20, 19] = bad
+    identity = torch.tensor([[[1.0, 0, 0], [0, 1, 0]]], device=device)
+    assert_close(G.warp_affine(x, identity, (33, 40), mode), x, 0, 0)
+
+
+def test_singular_matrices(device):
+    x = torch.rand(1, 1, 4, 4, device=device, requires_grad=True)
+    M = torch.zeros(1, 3, 3, device=device, requires_grad=True)
+    found = G.warp_perspective(x, M, (4, 4))
+    assert all(g.isfinite().all() for g in torch.autograd.grad(found.sum(), (x, M)))
+
+
+# --- precision, layouts, batches ------------------------------------------------------------------------------------
+
+
+def test_half_images_have_places_in_float(device):
+    ramp = torch.arange(2048, device=device) / 2048
+    M = torch.tensor([[[0.9, 0.0, 100.3], [0, 1, 0]]], device=device)
+    wide = G.warp_affine(ramp.expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")
+    exact = ((torch.arange(1900, device=device).double() - 100.3) / 0.9).clamp(0, 2047) / 2048
+    assert (wide - exact).abs().max() * 2048 < 5e-4
+    half = G.warp_affine(ramp.half().expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")
+    assert (half.double() - exact).abs().max() < 5e-4  # half a step of float16 in, half a step out
+
+
+def test_one_image_serves_many_matrices(device):
+    x = torch.rand(1, 3, 9, 8, device=device, requires_grad=True)
+    M = affine(torch.zeros(4)).float().to(device)
+    many = G.warp_affine(x, M, (7, 9))
+    each = torch.cat([G.warp_affine(x, m[None], (7, 9)) for m in M])
+    assert torch.equal(many, each)
+    assert_close(torch.autograd.grad(many.sum(), x)[0], torch.autograd.grad(each.sum(), x)[0])
+
+
+def test_vmap_over_matrices(device):
+    x = torch.rand(1, 2, 9, 8, device=device)
+    M = homography(torch.zeros(4)).float().to(device)
+    assert_close(
+        torch.func.vmap(lambda m: G.warp_perspective(x, m[None], (7, 9)))(M)[:, 0], G.warp_perspective(x, M, (7, 9))
+    )
+
+
+def test_fill_shapes(device):
+    x, M = torch.rand(2, 3, 5, 6, device=device), affine(torch.zeros(2)).float().to(device)
+    number = G.warp_affine(x, M, (9, 9), padding_mode="fill", fill_value=0.5)
+    for fill in (torch.tensor(0.5), torch.full((1,), 0.5), torch.full((3,), 0.5), torch.full((2, 3, 1, 1), 0.5)):
+        assert torch.equal(G.warp_affine(x, M, (9, 9), padding_mode="fill", fill_value=fill.to(device)), number)
+    blended = G.warp_affine(x, M, (9, 9)) + 0.5 * (1 - G.warp_affine(torch.ones_like(x), M, (9, 9)))
+    assert_close(number, blended)
+    assert torch.equal(G.warp_affine(x, M, (9, 9), padding_mode="fill"), G.warp_affine(x, M, (9, 9)))
+
+
+def test_grids(device):
+    grid = torch.rand(1, 4, 5, 2, device=device)
+    M = homography(torch.zeros(3)).float().to(device)
+    homogeneous = torch.cat([grid, torch.ones_like(grid[..., :1])], -1) @ M.mT[:, None]
+    assert_close(G.warp_grid(grid, M), homogeneous[..., :2] / homogeneous[..., 2:])

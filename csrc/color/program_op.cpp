@@ -157,7 +157,9 @@ struct Arguments {
 
   Samples samples(Tensor const& x, bool same_layout) const {
     int64_t const b = x.size(0), c = x.size(1), n = x.size(2) * x.size(3);
-    if (!of_values || (c == 3 && !same_layout && !by_channel)) return {b, 1, n, false, false};
+    // Of pixels a thread takes three times as much as of values. Rows of other sizes begin where vectors do not.
+    bool const pixels = c == 3 && !by_channel && (!same_layout || n % 16 == 0);
+    if (!of_values || pixels) return {b, 1, n, false, false};
     if (by_channel || !same_layout) return {b * c, c, n, true, true};
     bool const by_image = plan.contrast >= 0 || !rows.empty() || order;
     return by_image ? Samples{b, 1, c * n, true, false} : Samples{1, 1, b * c * n, true, false};

@@ -1,4 +1,6 @@
-"""The examples reach what they say."""
+"""The examples in Python run, and show what they say."""
+
+from __future__ import annotations
 
 import importlib.util
 import sys
@@ -7,15 +9,24 @@ from types import ModuleType
 
 import pytest
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
 
 def example(name: str) -> ModuleType:
-    path = Path(__file__).parents[1] / "examples" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.mark.slow
+def test_segmentation_losses(tmp_path: Path) -> None:
+    losses = example("segmentation_losses")
+    reached = losses.main(["--out", str(tmp_path / "curves.png"), "--device", "cpu"])
+    assert reached.keys() == losses.LOSSES.keys()
+    assert min(reached.values()) > 0.9
+    assert (tmp_path / "curves.png").stat().st_size > 0
 
 
 @pytest.mark.parametrize("solver, iterations", [("gauss-newton", 20), ("adam", 150)])

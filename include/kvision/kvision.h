@@ -3,5 +3,8 @@
 #pragma once
 
 #include "kvision/color.h"
+#include "kvision/contrib.h"
 #include "kvision/enhance.h"
 #include "kvision/filters.h"
+#include "kvision/metrics.h"
+#include "kvision/morphology.h"

@@ -79,6 +79,10 @@ int main() {
   Tensor const x = torch::rand({2, 2, 7, 6}), volume = torch::rand({1, 2, 5, 4, 6});
   Tensor const row = torch::rand({1, 3}), column = torch::rand({2, 5}), sigma = torch::rand({2, 2}) + 0.5;
 
+  check("ssim", [](auto const& t) { return kvision::ssim(t[0], t[1], 5); }, {x, torch::rand_like(x)}, false);
+  check(
+      "dilation", [](auto const& t) { return kvision::dilation(t[0], torch::zeros({1, 3, 3}, torch::kDouble), 1, 1); },
+      {x}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})

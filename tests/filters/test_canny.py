@@ -12,7 +12,15 @@ from op_tests import OpTests, assert_close
 class TestCanny(OpTests):
     function = staticmethod(K.filters.canny)
     module = K.filters.Canny
-    operators = ("canny_suppress", "canny_hysteresis", "gaussian_blur2d", "gaussian_blur2d_backward", "sobel_backward")
+    operators = (
+        "color_program",
+        "color_program_backward",
+        "gaussian_blur2d",
+        "gaussian_blur2d_backward",
+        "canny_suppress",
+        "sobel_backward",
+        "canny_hysteresis",
+    )
     variants = [
         {"hysteresis": False},
         {},
@@ -63,7 +71,11 @@ class TestCanny(OpTests):
         super().test_empty(variant, (0, 3), device)  # an image without channels is refused
 
     def test_against_kornia_on_photographs(self, device):
-        photos = [skimage.data.astronaut()[:256, :256], skimage.data.coffee()[:256, :256], skimage.data.chelsea()[:256, :256]]
+        photos = [
+            skimage.data.astronaut()[:256, :256],
+            skimage.data.coffee()[:256, :256],
+            skimage.data.chelsea()[:256, :256],
+        ]
         x = torch.stack([K.image_to_tensor(p) for p in photos]).float().div(255).to(device)
         for hysteresis in (False, True):
             magnitude, edges = K.filters.canny(x, hysteresis=hysteresis)

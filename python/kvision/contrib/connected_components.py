@@ -7,11 +7,14 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import pixels
+from kvision._leading import on_batch
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 
 
 def _reference(x: Tensor) -> Tensor:
-    """int64 labels of masks (B, 1, H, W): 1 + the first pixel's index in the batch, 0 where the mask is not 1.
+    """int64 labels of masks (B, C, H, W): 1 + the index of the first pixel in its plane, 0 where the mask is not 1.
 
     Every pixel has a root, at first itself. A root moves to the lowest root beside its region, and every pixel to the
     root of its root, until nothing moves.
@@ -19,15 +22,16 @@ def _reference(x: Tensor) -> Tensor:
     inside = x == 1
     nothing = x.numel()
     roots = torch.arange(nothing, device=x.device).view(x.shape)
-    while True:
+    while nothing > 0:
         lowest = _lowest_around(torch.where(inside, roots, nothing))
         lowest = torch.where(inside, lowest, roots)
         merged = roots.flatten().scatter_reduce(0, roots.flatten(), lowest.flatten(), "amin")
         while not torch.equal(merged, further := merged[merged]):
             merged = further
         if torch.equal(merged, roots.flatten()):
-            return torch.where(inside, roots + 1, 0)
+            break
         roots = merged.view(x.shape)
+    return torch.where(inside, roots % (x.shape[-2] * x.shape[-1]) + 1, 0)
 
 
 def _lowest_around(x: Tensor) -> Tensor:
@@ -39,6 +43,13 @@ def _lowest_around(x: Tensor) -> Tensor:
     return x
 
 
+def _fake(x: Tensor) -> Tensor:
+    return x.new_empty(x.shape, dtype=torch.int64)
+
+
+_connected_components = register("connected_components", _reference, fake=_fake, constant=(0,), bytes=True, stores=True)
+
+
 def connected_components(image: Tensor, num_iterations: int = 100) -> Tensor:
     """Number the connected regions of masks, corners included (8-connected).
 
@@ -47,8 +58,7 @@ def connected_components(image: Tensor, num_iterations: int = 100) -> Tensor:
         num_iterations: for compatibility, at least 1; the regions are complete whatever it is.
 
     Returns:
-        int64 labels (*, 1, H, W): 0 outside, and for each region 1 + the index that its first pixel has in the batch, so
-        that no two regions of a batch share a label.
+        int64 labels (*, 1, H, W): 0 outside, and for each region 1 + the index that its first pixel has in its image.
 
     Raises:
         TypeCheckError: image is no real tensor; num_iterations no int.
@@ -87,6 +97,8 @@ def connected_components_union_find(image: Tensor) -> Tensor:
 
 def _labels(op: str, image: Tensor) -> Tensor:
     _check.channels(op, "image", image, 1, ShapeError)
-    if image.numel() == 0:
-        return torch.zeros_like(image, dtype=torch.int64)
-    return _reference(image.reshape(-1, 1, *image.shape[-2:])).view(image.shape)
+    if 0 in image.shape[-2:]:
+        raise ShapeError(
+            f"{op}: expected image with H, W of at least 1, got {tuple(image.shape)}", actual_shape=image.shape
+        )
+    return on_batch(_connected_components, pixels(image))

@@ -9,9 +9,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import register
+from kvision.color.gray import LUMA
+from kvision.color.program import STEPS, run
 from kvision.core.exceptions import ImageError, ValueCheckError
 from kvision.filters.gaussian import _gaussian_blur2d, blur_arguments
 from kvision.filters.sobel import _sobel_backward, root
@@ -133,11 +135,11 @@ def canny(
         )
     _check.flag("canny", "hysteresis", hysteresis)
     eps = _check.number("canny", "eps", eps, minimum=0)
-    dtype = input.dtype if input.is_floating_point() else torch.float32
-    x = input.to(compute_dtype(input))
+    x, computed = floats(input), compute_dtype(input)
+    dtype = x.dtype
     if x.shape[1] == 3:
-        red, green, blue = x.split(1, 1)
-        x = (0.299 * red).add_(green, alpha=0.587).add_(blue, alpha=0.114)
+        x = run(x, [STEPS["weighted_sum"]], LUMA, dtype=str(computed).removeprefix("torch."))
+    x = x.to(computed)
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
     magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)
     if hysteresis:

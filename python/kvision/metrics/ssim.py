@@ -12,6 +12,7 @@ That takes four means, of x, y, x^2 + y^2 and (x - y)^2, where the textbook's fo
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,9 +20,10 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian
+from kvision.filters.separable import _reference as filter_separably
 from kvision.filters.separable import filter2d_separable
 
 SIGMA = 1.5  # of the window, in pixels
@@ -40,16 +42,73 @@ def _similarity(
     return ((squares - apart) * (variance - different) + eps) / (squares * variance + eps)
 
 
-@as_stored
+def _reference(
+    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
+) -> Tensor:
+    """Of images (B, C, H, W); 'constant' borders are zeros, with 'valid' there are none."""
+    kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
+    rule, same = ("reflect", False) if border == "valid" else (border, True)
+
+    def mean(z: Tensor) -> Tensor:
+        return filter_separably(z, kernel, kernel, rule, same)
+
+    return _similarity(mean, x, y, c1, c2, eps, luminance)
+
+
+def _reference_of_both(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
+    pullback = torch.func.vjp(lambda x, y: _reference(x, y, *plain), x, y.expand_as(x))[1]
+    grad_x, grad_y = pullback(grad)
+    return grad_x, grad_y
+
+
+def _backward(needs, grad, x, y, *plain):
+    grad_x = grad_y = None
+    if needs[0] and needs[1]:
+        grad_x, grad_y = _ssim_backward_both(grad, x, y, *plain)
+    elif needs[0]:
+        grad_x = _ssim_backward(grad, x, y, *plain)
+    else:
+        grad_y = _ssim_backward(grad, y.expand_as(x), x, *plain)  # it is symmetric
+    if grad_y is not None and y.shape != x.shape:  # one serves all
+        grad_y = grad_y.sum(0, keepdim=True)
+    return [grad_x, grad_y]
+
+
+def _size(x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, _: bool) -> Any:
+    b, c, h, w = x.shape
+    return (b, c, h - size + 1, w - size + 1) if border == "valid" else x.shape
+
+
+_ssim_backward = register("ssim_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
+_ssim_backward_both = register("ssim_backward_both", _reference_of_both, fake=lambda grad, x, *_: [x.shape, x.shape])
+_ssim = register("ssim", _reference, fake=_size, backward=_backward)
+
+
 def similarity(
     x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
 ) -> Tensor:
-    """The similarity of images (B, C, H, W); of its structure alone without `luminance`. Border 'valid': none."""
+    """The similarity of floating-point images (B, C, H, W); see `_reference`."""
+    call = _ssim if not x.is_cuda or _has_strips(x, size) else _composed
+    return call(x, y.to(x.dtype), size, sigma, c1, c2, eps, border, luminance)
+
+
+def _has_strips(x: Tensor, size: int) -> bool:
+    """Whether the CUDA kernels take these images and this window; csrc/metrics/ssim.h."""
+    planar = x.shape[1] == 1 or x.stride(1) > 1
+    return size in (5, 7, 11) and min(x.shape[2:]) >= size and planar and x.dtype != torch.float64
+
+
+@as_stored
+def _composed(
+    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
+) -> Tensor:
     kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
     rule, padding = ("reflect", "valid") if border == "valid" else (border, "same")
-    return _similarity(
-        lambda z: filter2d_separable(z, kernel, kernel, rule, padding=padding), x, y, c1, c2, eps, luminance
-    )
+
+    def mean(z: Tensor) -> Tensor:
+        return filter2d_separable(z, kernel, kernel, rule, padding=padding)
+
+    return _similarity(mean, x, y, c1, c2, eps, luminance)
 
 
 def ssim(
@@ -62,7 +121,7 @@ def ssim(
 
     Args:
         img1: image (B, C, H, W); integers are computed in float32.
-        img2: image of the same shape.
+        img2: image of the same shape, computed in the type of img1.
         window_size: size of the window, odd.
         max_val: largest value that there can be.
         eps: added to both sides of the fraction, so that it is 1 for equal images of any brightness.

@@ -17,27 +17,35 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import as_stored
+from kvision._ops import register, vjp
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 
 def _reference(x: Tensor, offsets: Tensor, top: int, left: int, value: float, erode: bool) -> Tensor:
-    """`offsets` is (1, height, width), `value` what lies outside of the images."""
+    """`offsets` is (B or 1, height, width), `value` what lies outside of the images."""
     h, w = x.shape[-2:]
-    (window,) = offsets
-    ky, kx = window.shape
+    ky, kx = offsets.shape[1:]
     worst = torch.inf if erode else -torch.inf
     padded = F.pad(x, (left, kx - 1 - left, top, ky - 1 - top), value=value)
     taps = []
-    for i, row in enumerate(window):
-        for j, offset in enumerate(row):
-            pixels = padded[..., i : i + h, j : j + w]
+    for i in range(ky):
+        for j in range(kx):
+            pixels, offset = padded[..., i : i + h, j : j + w], offsets[:, i, j, None, None, None]
             tap = pixels - offset if erode else pixels + offset
             taps.append(torch.where(offset == -torch.inf, worst, tap))  # never chosen, an infinite pixel included
     return torch.stack(taps).amin(0) if erode else torch.stack(taps).amax(0)
 
 
-_dilation = as_stored(_reference)
+def _backward(needs, grad, x, offsets, *plain):
+    grad_offsets = None
+    if needs[1]:
+        only_offsets = (False, True, *(False for _ in plain))
+        grad_offsets = _dilation.differentiate_reference(only_offsets, grad, x, offsets, *plain)[1]
+    return [_dilation_backward(grad, x, offsets, *plain) if needs[0] else None, grad_offsets]
+
+
+_dilation_backward = register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
+_dilation = register("dilation", _reference, backward=_backward)
 
 
 def dilation(

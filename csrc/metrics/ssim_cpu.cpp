@@ -1,0 +1,213 @@
+// Structural similarity on the CPU. Rows of the two images become rows of the four means, along y straight from the
+// images and along x from there. The backward pass keeps the derivatives of as many rows as the window has, filtered
+// along x. Compiled once per instruction set.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "ssim.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// out[e] = sum over t of weights[t] * rows[t][e] for e < count. Along y the rows are those of an image, along x they
+// are one row, shifted. Not inline: it is most of the work, and used by both passes along both axes.
+template <class F>
+__attribute__((noinline)) void sum_rows(F const* const* rows, F const* weights, int size, int64_t count, F* out) {
+  constexpr int N = kLanes<F>, U = 6;
+  int64_t e = 0;
+  for (; e + U * N <= count; e += U * N) {
+    Lanes<F, N> sums[U] = {};
+    for (int t = 0; t < size; ++t)
+      for (int u = 0; u < U; ++u) sums[u] += load<N>(rows[t] + e + u * N) * weights[t];
+    for (int u = 0; u < U; ++u) store<N>(out + e + u * N, sums[u]);
+  }
+  if (e < count)
+    for_each_vector<F>(e, count, [&](auto width, int64_t e) {
+      constexpr int M = decltype(width)::value;
+      Lanes<F, M> sum{};
+      for (int t = 0; t < size; ++t) sum += load<M>(rows[t] + e) * weights[t];
+      store<M>(out + e, sum);
+    });
+}
+
+// Rows of numbers with room beside them, all of one size.
+template <class F>
+struct Rows {
+  int64_t const size, step, margin, stride;  // in numbers; step: from a pixel to the next one
+  Scratch<F> memory;
+
+  KV_HD Rows(int count, int64_t size, int64_t step, int64_t beside)
+      : size(size),
+        step(step),
+        margin((beside * step + 15) / 16 * 16),
+        stride((size + 15) / 16 * 16 + 2 * margin),
+        memory(count * stride) {}
+
+  KV_HD F* operator[](int64_t i) const { return memory.data + i * stride + margin; }
+
+  // Fills in what lies beside row i of `width` pixels, `left` and `right` of them.
+  KV_HD void extend(int64_t i, Border border, int64_t width, int64_t left, int64_t right) const {
+    F* const row = (*this)[i];
+    for (int64_t at = -left; at < width + right; at = at == -1 ? width : at + 1) {
+      int64_t const from = border_index(border, at, width);
+      for (int64_t c = 0; c < step; ++c) row[at * step + c] = from < 0 ? F(0) : row[from * step + c];
+    }
+  }
+
+  // Filters row i along x, with `before` pixels in front of each, to `count` numbers.
+  KV_HD void filter(int64_t i, F const* weights, int taps, int64_t before, F const** shifted, int64_t count,
+                    F* out) const {
+    for (int t = 0; t < taps; ++t) shifted[t] = (*this)[i] + (t - before) * step;
+    sum_rows(shifted, weights, taps, count, out);
+  }
+};
+
+enum { kX, kSquares, kApart, kY, kMeans };  // rows of means and of derivatives, in this order
+
+// The means of one row after the other.
+template <class T>
+struct MeansOfRows {
+  using F = Compute<T>;
+  SsimImages<T> const& p;
+  int64_t const count;  // of a row of means
+  Rows<F> along_y, means;
+  Scratch<F const*> shifted;
+  Scratch<T const*> pointers;
+  Scratch<T> zeros;
+
+  MeansOfRows(SsimImages<T> const& p, int64_t width)
+      : p(p),
+        count(width * p.x.step),
+        along_y(kMeans, p.x.row_size(), p.x.step, p.size),
+        means(kMeans, p.x.row_size(), p.x.step, 0),
+        shifted(p.size),
+        pointers(2 * p.size),
+        zeros(p.x.row_size()) {
+    for (int64_t e = 0; e < p.x.row_size(); ++e) zeros.data[e] = T{};
+  }
+
+  void row(int64_t plane, int64_t y) {
+    T const **const xs = pointers.data, **const ys = xs + p.size;
+    for (int t = 0; t < p.size; ++t) {
+      int64_t const inside = border_index(p.border, y - p.before() + t, p.x.height);
+      xs[t] = inside < 0 ? zeros.data : p.x.row(plane, inside);
+      ys[t] = inside < 0 ? zeros.data : p.y.row(plane, inside);
+    }
+    for_each_vector<T>(0, p.x.row_size(), [&](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      Lanes<F, N> sums[kMeans] = {};
+      for (int t = 0; t < p.size; ++t) {
+        Lanes<F, N> const a = load<N>(xs[t] + e), b = load<N>(ys[t] + e), d = a - b;
+        F const weight = p.weights[t];
+        sums[kX] += a * weight;
+        sums[kY] += b * weight;
+        sums[kSquares] += (a * a + b * b) * weight;
+        sums[kApart] += d * d * weight;
+      }
+      for (int m = 0; m < kMeans; ++m) store<N>(along_y[m] + e, sums[m]);
+    });
+    for (int m = 0; m < kMeans; ++m) {
+      if (!p.valid) along_y.extend(m, p.border, p.x.width, p.before(), p.before());
+      along_y.filter(m, p.weights, p.size, p.before(), shifted.data, count, means[m]);
+    }
+  }
+
+  template <int N>
+  KV_HD Means<Lanes<F, N>> at(int64_t e) const {
+    return {load<N>(means[kX] + e), load<N>(means[kY] + e), load<N>(means[kSquares] + e), load<N>(means[kApart] + e)};
+  }
+};
+
+}  // namespace
+
+template <class T>
+void ssim(Ssim<T> const& p, int64_t begin, int64_t end) {
+  MeansOfRows<T> means(p.images, p.similarity.width);
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / p.similarity.height, y = r % p.similarity.height;
+    T* const out = p.similarity.row(plane, y);
+    means.row(plane, y);
+    for_each_vector<T>(0, means.count, [&](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      store<N>(out + e, ssim_of_means(means.template at<N>(e), p.images.constants));
+    });
+  }
+}
+
+// Row y of the gradients reads the derivatives of rows y - lead ... y - lead + size - 1, which for a reflected border
+// mean those inside.
+template <class T>
+void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  SsimImages<T> const& images = p.images;
+  int const size = images.size, lead = images.valid ? size - 1 : size / 2;
+  int64_t const step = images.x.step, width = images.x.width, height = images.x.height;
+  int64_t const rows = p.grad.height, columns = p.grad.width;
+  bool const mirrored = images.border == Border::reflect;
+  int const used = p.grad_y.data ? kMeans : kY;
+  MeansOfRows<T> means(images, columns);
+  Rows<F> const derivatives(kMeans, images.x.row_size(), step, size), kept(kMeans * size, images.x.row_size(), step, 0);
+  Rows<F> const sums(kMeans, images.x.row_size(), step, 0);
+  Scratch<F const*> pointers(size);
+  Scratch<F> weights(size);
+  // D of the transpose; see ssim.h.
+  auto const at_rim = [&](int64_t i, int64_t n) { return mirrored && (i == 0 || i == n - 1); };
+  auto const scale_ends = [&](F* row, int64_t n, F factor) {
+    for (int64_t c = 0; mirrored && c < step; ++c) {
+      row[c] *= factor;
+      if (n > 1) row[(n - 1) * step + c] *= factor;
+    }
+  };
+
+  auto const fill = [&](int64_t plane, int64_t q) {
+    T const* const g = p.grad.row(plane, q);
+    F const twice = at_rim(q, rows) ? F(2) : F(1);
+    means.row(plane, q);
+    for_each_vector<T>(0, means.count, [&](auto n, int64_t e) {
+      constexpr int N = decltype(n)::value;
+      Lanes<F, N> const of_result = load<N>(g + e) * twice;
+      auto const d = ssim_of_means_vjp(means.template at<N>(e), images.constants, of_result);
+      store<N>(derivatives[kX] + e, d.x);
+      store<N>(derivatives[kY] + e, d.y);
+      store<N>(derivatives[kSquares] + e, d.squares);
+      store<N>(derivatives[kApart] + e, d.apart);
+    });
+    for (int m = 0; m < used; ++m) {
+      scale_ends(derivatives[m], columns, F(2));
+      derivatives.extend(m, images.border, columns, lead, width - columns + size - 1 - lead);
+      derivatives.filter(m, images.weights, size, lead, pointers.data, width * step, kept[q % size * kMeans + m]);
+    }
+  };
+
+  int64_t filled = -1;  // the last row of the plane whose derivatives are kept
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / height, y = r % height;
+    if (r == begin || y == 0) filled = max(y - lead, int64_t(0)) - 1;
+    for (int64_t const last = min(y - lead + size - 1, rows - 1); filled < last;) fill(plane, ++filled);
+
+    for (int m = 0; m < used; ++m) {
+      int count = 0;
+      for (int t = 0; t < size; ++t) {
+        int64_t const q = border_index(images.border, y - lead + t, rows);
+        if (q < 0) continue;
+        pointers.data[count] = kept[q % size * kMeans + m];
+        weights.data[count++] = images.weights[t] * (at_rim(y, height) ? F(0.5) : F(1));
+      }
+      sum_rows(pointers.data, weights.data, count, width * step, sums[m]);
+      scale_ends(sums[m], width, F(0.5));
+    }
+    T const *const x = images.x.row(plane, y), *const other = images.y.row(plane, y);
+    T *const to_x = p.grad_x.row(plane, y), *const to_y = used == kMeans ? p.grad_y.row(plane, y) : nullptr;
+    for_each_vector<T>(0, width * step, [&](auto n, int64_t e) {
+      constexpr int N = decltype(n)::value;
+      Lanes<F, N> const a = load<N>(x + e), b = load<N>(other + e), squares = load<N>(sums[kSquares] + e);
+      Lanes<F, N> const apart = (a - b) * load<N>(sums[kApart] + e);
+      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + 2 * (a * squares + apart)));
+      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + 2 * (b * squares - apart)));
+    });
+  }
+}
+
+KV_INSTANTIATE(ssim, Ssim)
+KV_INSTANTIATE(ssim_backward, SsimBackward)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,153 @@
+// Structural similarity: schemas and entries, for CPU and CUDA alike.
+#include "glue/glue.h"
+#include "ssim.h"
+
+namespace kv {
+namespace {
+
+// The window's weights, in the type that is computed in.
+template <class F>
+std::vector<F> gaussian_window(int64_t size, double sigma) {
+  std::vector<double> weights(size);
+  double sum = 0;
+  for (int64_t t = 0; t < size; ++t) {
+    double const d = double(t - size / 2) / sigma;
+    sum += weights[t] = __builtin_exp(-d * d / 2);
+  }
+  std::vector<F> rounded(size);
+  for (int64_t t = 0; t < size; ++t) rounded[t] = F(weights[t] / sum);
+  return rounded;
+}
+
+struct Window {
+  int64_t size;
+  bool valid;
+  Border border;
+
+  Window(char const* op, Tensor const& x, int64_t size, double sigma, std::string const& name)
+      : size(size), valid(name == "valid"), border(name == "constant" || valid ? Border::constant : Border::reflect) {
+    KV_CHECK(valid || name == "constant" || name == "reflect", op,
+             ": border must be one of reflect, constant, valid; got '", name, "'");
+    check_window(op, size, size);
+    KV_CHECK(size % 2 == 1 && sigma > 0, op, ": expected an odd size and a sigma above 0");
+    for (int64_t n : {x.size(2), x.size(3)}) {
+      KV_CHECK(!valid || n >= size, op, ": the window is larger than the images");
+      check_border(op, border, size / 2, n);
+    }
+#if defined(KV_CUDA)
+    bool const served = has_ssim_strips(size) && min(x.size(2), x.size(3)) >= size && !is_channels_last(x) &&
+                        x.scalar_type() != ScalarType::Double;
+    KV_CHECK(served, op, ": no kernel for these images or this window on CUDA");
+#endif
+  }
+  int64_t less() const { return valid ? size - 1 : 0; }
+};
+
+// One `other` may serve all images.
+void check_pair(char const* op, Tensor const& x, Tensor const& y) {
+  check_images(op, "input", x);
+  bool same = y.dim() == 4 && x.scalar_type() == y.scalar_type() && x.device() == y.device();
+  for (int64_t i = 0; same && i < 4; ++i) same = y.size(i) == x.size(i) || (i == 0 && y.size(0) == 1);
+  KV_CHECK(same, op, ": other differs in shape, dtype or device from input");
+}
+
+template <class T>
+Planes<T const> planes_for(Tensor const& y, int64_t batch, Layout layout) {
+  Planes<T const> p = planes<T const>(y, layout);
+  if (y.size(0) == batch) return p;
+  bool const planar = layout == Layout::planar;
+  p.outer = batch, p.outer_stride = 0;
+  p.inner = planar ? y.size(1) : 1, p.inner_stride = planar ? y.stride(1) : 0;
+  return p;
+}
+
+struct Constants {
+  double c1, c2, eps;
+  bool luminance;
+};
+
+template <class T>
+SsimImages<T> images(Tensor const& x, Tensor const& y, Layout layout, Window const& window, Compute<T> const* weights,
+                     Constants const& c) {
+  using F = Compute<T>;
+  return {planes<T const>(x, layout),
+          planes_for<T>(y, x.size(0), layout),
+          weights,
+          int(window.size),
+          window.border,
+          window.valid,
+          {F(c.c1), F(c.c2), F(c.eps), c.luminance}};
+}
+
+Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,
+            std::string const& border, bool luminance) {
+  check_pair("ssim", input, other);
+  Window const window("ssim", input, size, sigma, border);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), y = conform(other, layout);
+  Tensor const similarity =
+      empty({x.size(0), x.size(1), x.size(2) - window.less(), x.size(3) - window.less()}, x, layout);
+  for_floats("ssim", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    auto const weights = gaussian_window<F>(size, sigma);
+    Ssim<T> const params{images<T>(x, y, layout, window, weights.data(), {c1, c2, eps, luminance}),
+                         planes<T>(similarity, layout)};
+    KV_RUN(ssim, x, params, params.similarity.rows(), size * params.similarity.row_size());
+  });
+  return similarity;
+}
+
+// The gradient to the first image, and if `grad_other` is given to the second one.
+Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor const& other, Tensor* grad_other,
+                 int64_t size, double sigma, Constants const& c, std::string const& border) {
+  check_pair(op, input, other);
+  Window const window(op, input, size, sigma, border);
+  check_images(op, "grad", grad);
+  bool fits = grad.scalar_type() == input.scalar_type() && grad.device() == input.device();
+  for (int64_t i = 0; i < 4; ++i) fits = fits && grad.size(i) == input.size(i) - (i < 2 ? 0 : window.less());
+  KV_CHECK(fits, op, ": grad differs in shape, dtype or device from the similarity");
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), y = conform(other, layout), g = conform(grad, layout);
+  Tensor const grad_x = empty_like(x, layout);
+  if (grad_other) *grad_other = empty_like(x, layout);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    auto const weights = gaussian_window<F>(size, sigma);
+    Planes<T> grad_y = planes<T>(grad_other ? *grad_other : grad_x, layout);
+    if (!grad_other) grad_y.data = nullptr;
+    SsimBackward<T> const params{images<T>(x, y, layout, window, weights.data(), c), planes<T const>(g, layout),
+                                 planes<T>(grad_x, layout), grad_y};
+    KV_RUN(ssim_backward, x, params, params.grad_x.rows(), 2 * size * params.grad_x.row_size());
+  });
+  return grad_x;
+}
+
+Tensor ssim_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t size, double sigma,
+                     double c1, double c2, double eps, std::string const& border, bool luminance) {
+  return gradients("ssim_backward", grad, input, other, nullptr, size, sigma, {c1, c2, eps, luminance}, border);
+}
+
+std::tuple<Tensor, Tensor> ssim_backward_both(Tensor const& grad, Tensor const& input, Tensor const& other,
+                                              int64_t size, double sigma, double c1, double c2, double eps,
+                                              std::string const& border, bool luminance) {
+  Tensor grad_y = input;  // replaced
+  Tensor const grad_x =
+      gradients("ssim_backward_both", grad, input, other, &grad_y, size, sigma, {c1, c2, eps, luminance}, border);
+  return {grad_x, grad_y};
+}
+
+}  // namespace
+
+KV_OPERATOR(ssim,
+            "(Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, str border, "
+            "bool luminance) -> Tensor")
+KV_OPERATOR(ssim_backward,
+            "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
+            "str border, bool luminance) -> Tensor")
+KV_OPERATOR(ssim_backward_both,
+            "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
+            "str border, bool luminance) -> (Tensor grad_input, Tensor grad_other)")
+
+}  // namespace kv

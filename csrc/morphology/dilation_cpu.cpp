@@ -1,0 +1,271 @@
+// Dilation and erosion on the CPU. Flat windows take three maxima a pixel along y, whatever their height, and the
+// logarithm of their width along x; others keep the rows of their window and take a maximum for every tap. Compiled
+// once per instruction set.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "dilation.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+constexpr float kInfinity = __builtin_inff();
+
+// Rows of numbers, each with what lies outside of the image beside it: all of a window's reach.
+template <class F>
+struct Rows {
+  int64_t const before, stride;  // in numbers; room for a vector more
+  int const count;
+  Scratch<F> memory;
+
+  Rows(int count, int64_t size, int64_t before, int64_t after)
+      : before(before), stride((before + size + after + 79) / 16 * 16), count(count), memory(count * stride) {
+    for (int64_t i = 0; i < count * stride; ++i) memory.data[i] = 0;
+  }
+  // Row y of an image; the last `count` of them are kept.
+  KV_HD F* operator[](int64_t y) const { return memory.data + (y % count + count) % count * stride + before; }
+};
+
+// The members of one sample's window.
+template <class F>
+struct Taps {
+  Offsets<F> const& window;
+  Scratch<F> offset;
+  Scratch<int> row, column;
+  int count = 0;
+  bool flat = true;
+
+  explicit Taps(Offsets<F> const& window)
+      : window(window),
+        offset(window.height * window.width),
+        row(window.height * window.width),
+        column(window.height * window.width) {}
+
+  void read(int64_t sample) {
+    count = 0, flat = true;
+    for (int i = 0; i < window.height; ++i)
+      for (int j = 0; j < window.width; ++j) {
+        F const value = window.data[sample * window.stride + i * window.width + j];
+        flat = flat && value == 0;
+        if (value == -F(kInfinity)) continue;
+        offset.data[count] = value, row.data[count] = i, column.data[count] = j;
+        ++count;
+      }
+  }
+};
+
+// Rows of x as they are compared: negated for an erosion.
+template <class T>
+struct Source {
+  using F = Compute<T>;
+  Planes<T const> const& x;
+  F const sign, value;
+  Scratch<T> outside;
+
+  Source(Planes<T const> const& x, Offsets<F> const& window)
+      : x(x), sign(window.erode ? F(-1) : F(1)), value(window.value * sign), outside(x.row_size()) {
+    for (int64_t e = 0; e < x.row_size(); ++e) store<1>(outside.data + e, window.value);
+  }
+  KV_HD T const* row(int64_t plane, int64_t y) const { return y < 0 || y >= x.height ? outside.data : x.row(plane, y); }
+
+  // Row y into `to`, with the value beside it.
+  void copy(int64_t plane, int64_t y, F* to, int64_t before, int64_t after) const {
+    T const* const from = row(plane, y);
+    int64_t const size = x.row_size();
+    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      store<N>(to + e, Lanes<F, N>(load<N>(from + e) * sign));
+    });
+    for (int64_t e = -before; e < 0; ++e) to[e] = value;
+    for (int64_t e = size; e < size + after; ++e) to[e] = value;
+  }
+};
+
+// --- flat windows
+// --------------------------------------------------------------------------------------------------------------------
+
+// Output rows y0 ... y1 - 1 of a plane. Along y, each `height` rows of windows share what lies in them from the
+// window's first row up to a common row (`above`, suffix maxima), and have the rows behind that in common with the next
+// ones
+// (`below`, the maximum of these so far).
+template <class T>
+void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
+  Offsets<F> const& window = p.window;
+  int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
+  int64_t const after = (window.width - 1) * step - before, height = window.height;
+  Rows<F> const above(int(height), size, 0, 0), below(1, size, 0, 0), across(1, size, before, after);
+  F* const row = across[0];
+  auto const combine = [&](F* to, F const* with, T const* pixels) {
+    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      constexpr int M = decltype(width)::value;
+      Lanes<F, M> const v = load<M>(pixels + e) * source.sign;
+      store<M>(to + e, with ? larger(load<M>(with + e), v) : v);
+    });
+  };
+
+  for (int64_t block = y0; block < y1; block += height) {
+    int64_t const last = block - window.top + height - 1;
+    for (int64_t i = height; i-- > 0;)
+      combine(above[i], i + 1 < height ? above[i + 1] : nullptr, source.row(plane, last - height + 1 + i));
+    for (int64_t i = 0; i < height && block + i < y1; ++i) {
+      if (i > 0) {
+        T const* const next = source.row(plane, last + i);
+        if (i == 1)
+          combine(below[0], nullptr, next);
+        else  // in place, so not by vectors that overlap
+          for (int64_t e = 0; e < size; e += N)
+            if (e + N <= size)
+              store<N>(below[0] + e, larger(load<N>(below[0] + e), Lanes<F, N>(load<N>(next + e) * source.sign)));
+            else
+              for (int64_t rest = e; rest < size; ++rest)
+                below[0][rest] = larger(below[0][rest], F(load<1>(next + rest) * source.sign));
+      }
+      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+        constexpr int M = decltype(width)::value;
+        Lanes<F, M> const v = load<M>(above[i] + e);
+        store<M>(row + e, i == 0 ? v : larger(v, Lanes<F, M>(load<M>(below[0] + e))));
+      });
+
+      // Along x: maxima of 2, 4, 8 ... pixels, and of two of these that overlap.
+      for (int64_t e = -before; e < 0; ++e) row[e] = source.value;
+      for (int64_t e = size; e < size + after; ++e) row[e] = source.value;
+      F* const first = row - before;
+      int64_t reach = 1;
+      for (; 2 * reach <= window.width; reach *= 2)
+        for (int64_t e = 0; e < size + (window.width - 2 * reach) * step; e += N)
+          store<N>(first + e, larger(load<N>(first + e), load<N>(first + e + reach * step)));
+      T* const out = p.y.row(plane, block + i);
+      int64_t const rest = (window.width - reach) * step;
+      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+        constexpr int M = decltype(width)::value;
+        Lanes<F, M> const most = larger(load<M>(first + e), load<M>(first + e + rest));
+        store<M>(out + e, Lanes<F, M>(most * source.sign));
+      });
+    }
+  }
+}
+
+// --- any window
+// --------------------------------------------------------------------------------------------------------------------
+
+// Where each tap reads row y of the images.
+template <class F>
+KV_HD void find_rows(Taps<F> const& taps, Rows<F> const& rows, int64_t y, int64_t step, F const** pointers) {
+  for (int t = 0; t < taps.count; ++t)
+    pointers[t] = rows[y - taps.window.top + taps.row.data[t]] + (taps.column.data[t] - taps.window.left) * step;
+}
+
+template <class T>
+void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> const& taps, int64_t plane, int64_t y0,
+              int64_t y1) {
+  using F = Compute<T>;
+  Offsets<F> const& window = p.window;
+  int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
+  int64_t const after = (window.width - 1) * step - before;
+  Rows<F> const rows(window.height, size, before, after);
+  Scratch<F const*> pointers(taps.count);
+  for (int64_t y = y0; y < y1; ++y) {
+    int64_t const last = y - window.top + window.height - 1;
+    for (int64_t i = y == y0 ? last - window.height + 1 : last; i <= last; ++i)
+      source.copy(plane, i, rows[i], before, after);
+    find_rows(taps, rows, y, step, pointers.data);
+    T* const out = p.y.row(plane, y);
+    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      constexpr int N = decltype(width)::value;
+      Lanes<F, N> most = broadcast<N>(-F(kInfinity));
+      for (int t = 0; t < taps.count; ++t)
+        most = larger(most, Lanes<F, N>(load<N>(pointers.data[t] + e) + taps.offset.data[t]));
+      store<N>(out + e, Lanes<F, N>(most * source.sign));
+    });
+  }
+}
+
+// Calls f(plane, first row, last row + 1) for the parts of rows [begin, end) in each plane, with the taps of its
+// sample.
+template <class F, class Call>
+KV_HD void for_each_plane(Taps<F>& taps, int64_t height, int64_t planes, int64_t begin, int64_t end, Call call) {
+  int64_t sample = -1;
+  for (int64_t r = begin; r < end;) {
+    int64_t const plane = r / height, y0 = r % height, y1 = min(height, y0 + end - r);
+    if (plane / planes != sample) taps.read(sample = plane / planes);
+    call(plane, y0, y1);
+    r += y1 - y0;
+  }
+}
+
+}  // namespace
+
+template <class T>
+void dilation(Dilation<T> const& p, int64_t begin, int64_t end) {
+  Source<T> const source(p.x, p.window);
+  Taps<Compute<T>> taps(p.window);
+  for_each_plane(taps, p.y.height, p.planes, begin, end, [&](int64_t plane, int64_t y0, int64_t y1) {
+    if (taps.flat)
+      flat_rows(p, source, plane, y0, y1);
+    else
+      tap_rows(p, source, taps, plane, y0, y1);
+  });
+}
+
+template <class T>
+void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  Offsets<F> const& window = p.window;
+  int64_t const size = p.x.row_size(), step = p.x.step, height = p.x.height, before = window.left * step;
+  int64_t const after = (window.width - 1) * step - before;
+  Source<T> const source(p.x, window);
+  Taps<F> taps(window);
+  // Of the rows that windows around the current row have in the middle: maxima, and the parts of their gradients, which
+  // are 0 outside of the image.
+  Rows<F> const rows(window.height, size, before, after), most(window.height, size, after, before),
+      part(window.height, size, after, before);
+  Scratch<F const*> pointers(window.height * window.width), parts(window.height * window.width);
+  for_each_plane(taps, height, p.planes, begin, end, [&](int64_t plane, int64_t y0, int64_t y1) {
+    // Windows of row q read rows of x from q - top on; row y is read by those of rows y + top - (window.height - 1) on.
+    int64_t const first = y0 + window.top - window.height + 1;
+    int64_t copied = first - window.top - 1;
+    for (int64_t q = first; q < y1 + window.top; ++q) {
+      while (copied < q - window.top + window.height - 1)
+        ++copied, source.copy(plane, copied, rows[copied], before, after);
+      if (q < 0 || q >= height) {
+        for (int64_t e = 0; e < size; ++e) part[q][e] = most[q][e] = 0;
+      } else {
+        find_rows(taps, rows, q, step, pointers.data);
+        T const* const g = p.grad.row(plane, q);
+        for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+          constexpr int N = decltype(width)::value;
+          using V = Lanes<F, N>;
+          Ties<V> ties{broadcast<N>(-F(kInfinity)), V{}};
+          for (int t = 0; t < taps.count; ++t)
+            ties.add(load<N>(pointers.data[t] + e) + taps.offset.data[t], broadcast<N>(F(1)));
+          store<N>(most[q] + e, ties.most);
+          store<N>(part[q] + e, V(load<N>(g + e) / (ties.count > 0 ? ties.count : broadcast<N>(F(1)))));
+        });
+      }
+      int64_t const y = q - window.top;
+      if (y < y0) continue;
+      for (int t = 0; t < taps.count; ++t) {
+        int64_t const from = y + window.top - taps.row.data[t], shift = (window.left - taps.column.data[t]) * step;
+        pointers.data[t] = most[from] + shift;
+        parts.data[t] = part[from] + shift;
+      }
+      T const* const in = p.x.row(plane, y);
+      T* const out = p.grad_x.row(plane, y);
+      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+        constexpr int N = decltype(width)::value;
+        using V = Lanes<F, N>;
+        V const x = load<N>(in + e) * source.sign;
+        V sum{};
+        for (int t = 0; t < taps.count; ++t)
+          sum += x + taps.offset.data[t] == load<N>(pointers.data[t] + e) ? load<N>(parts.data[t] + e) : V{};
+        store<N>(out + e, sum);
+      });
+    }
+  });
+}
+
+KV_INSTANTIATE(dilation, Dilation)
+KV_INSTANTIATE(dilation_backward, DilationBackward)
+
+}  // namespace kv::KV_ISA

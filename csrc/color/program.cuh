@@ -313,13 +313,6 @@ struct Sample {
   }
 };
 
-// Blocks that share the chunks of a sample, several each, which prepare for the sample once: four rounds of the
-// machine.
-inline int64_t blocks_of(int64_t samples, int64_t chunks) {
-  int64_t const each = clamp(samples * chunks / (4 * 4 * 132), int64_t(1), int64_t(16));
-  return ceil_div(chunks, each);
-}
-
 inline dim3 grid_of(int64_t samples, int64_t across) {
   return dim3(unsigned(across), unsigned(min(samples, int64_t(65535))));
 }

@@ -116,6 +116,18 @@ template <class F>
 KV_HD int64_t chunks_of(int64_t pixels) {
   return (pixels + kChunk<F> - 1) / kChunk<F>;
 }
+// How many share the chunks of a sample. On CUDA blocks take several each, which prepare for the sample once: four
+// rounds of the machine.
+template <class F>
+KV_HD int64_t shares_of([[maybe_unused]] int64_t samples, int64_t pixels) {
+  int64_t const chunks = chunks_of<F>(pixels);
+#if defined(KV_CUDA) || defined(__CUDACC__)
+  int64_t const each = clamp(samples * chunks / (4 * 4 * 132), int64_t(1), int64_t(16));
+  return (chunks + each - 1) / each;
+#else
+  return chunks;
+#endif
+}
 // What is summed up over a sample before its pixels are worked on is kept in so many parts.
 KV_HD int64_t parts_of(int64_t pixels) { return min(int64_t(256), (pixels + 1023) / 1024); }
 
@@ -180,7 +192,7 @@ struct ProgramBackward {
   Program<F> forward;  // its y is not written; what it measures is the gradient of the mean
   Pixels grad, grad_x;
   bool wants_x, reads_x;  // no pixel is needed where every step is affine
-  F* slopes;              // of the parameters: (samples, chunks, columns); null: not wanted
+  F* slopes;              // of the parameters: (samples, shares, columns); null: not wanted
   int columns;
 };
 

@@ -100,9 +100,7 @@ __global__ void __launch_bounds__(kThreads) reduce(ProgramReduce<F> const p) {
 template <class F>
 int program_backward(ProgramBackward<F> const& p, CUstream_st* stream) {
   Program<F> const& q = p.forward;
-  int64_t const chunks = chunks_of<F>(q.pixels);
-  int64_t const blocks = p.slopes ? chunks : blocks_of(q.samples, chunks);  // of slopes each chunk has its own
-  dim3 const grid = grid_of(q.samples, q.measures ? parts_of(q.pixels) : blocks);
+  dim3 const grid = grid_of(q.samples, q.measures ? parts_of(q.pixels) : shares_of<F>(q.samples, q.pixels));
   if (q.x.channels == 1)
     run_backward<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
   else

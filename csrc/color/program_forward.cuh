@@ -51,7 +51,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
 
 template <class F>
 int program(Program<F> const& p, CUstream_st* stream) {
-  dim3 const grid = grid_of(p.samples, p.measures ? parts_of(p.pixels) : blocks_of(p.samples, chunks_of<F>(p.pixels)));
+  dim3 const grid = grid_of(p.samples, p.measures ? parts_of(p.pixels) : shares_of<F>(p.samples, p.pixels));
   if (p.x.channels == 1)
     run<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
   else

@@ -157,7 +157,9 @@ struct Arguments {
 
   Samples samples(Tensor const& x, bool same_layout) const {
     int64_t const b = x.size(0), c = x.size(1), n = x.size(2) * x.size(3);
-    if (!of_values || (c == 3 && !same_layout && !by_channel)) return {b, 1, n, false, false};
+    // Of pixels a thread takes three times as much as of values. Rows of other sizes begin where vectors do not.
+    bool const pixels = c == 3 && !by_channel && (!same_layout || n % 16 == 0);
+    if (!of_values || pixels) return {b, 1, n, false, false};
     if (by_channel || !same_layout) return {b * c, c, n, true, true};
     bool const by_image = plan.contrast >= 0 || !rows.empty() || order;
     return by_image ? Samples{b, 1, c * n, true, false} : Samples{1, 1, b * c * n, true, false};
@@ -293,7 +295,7 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     for (int i = 0; i < p.forward.steps; ++i)
       p.reads_x = p.reads_x || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);
     if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
-    int64_t const chunks = chunks_of<F>(samples.pixels);
+    int64_t const chunks = chunks_of<F>(samples.pixels), shares = shares_of<F>(samples.count, samples.pixels);
     [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);
     Tensor slopes, dense_means;
     if (around_mean) {
@@ -306,13 +308,13 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     }
     if (of_parameters) {
       p.columns = int(a.columns);
-      slopes = empty({samples.count, chunks, p.columns}, of_rows);
+      slopes = empty({samples.count, shares, p.columns}, of_rows);
       p.slopes = static_cast<F*>(slopes.mutable_data_ptr());
     }
     KV_RUN(program_backward, x, p, samples.count * chunks, cost);
     if (!of_parameters) return;
     ProgramReduce<F> const sums{p.slopes, static_cast<F*>(of_rows.mutable_data_ptr()), b * rows * p.columns,
-                                samples.inner / rows * chunks, p.columns};
+                                samples.inner / rows * shares, p.columns};
     KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
   });
   return {grad_x, of_rows};

@@ -5,8 +5,7 @@ namespace kv::cuda {
 
 template <>
 int separable_strips(Separable<BFloat16> const& p, float divisor, CUstream_st* stream) {
-  launch_strip_of_size<BFloat16, false>(p, divisor, stream);
-  return cudaGetLastError();
+  return launch_strip_of_size<BFloat16, false>(p, divisor, stream);
 }
 
 }  // namespace kv::cuda

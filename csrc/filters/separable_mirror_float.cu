@@ -5,8 +5,7 @@ namespace kv::cuda {
 
 template <>
 int separable_mirrors(Separable<float> const& p, float divisor, CUstream_st* stream) {
-  launch_strip_of_size<float, true>(p, divisor, stream);
-  return cudaGetLastError();
+  return launch_strip_of_size<float, true>(p, divisor, stream);
 }
 
 }  // namespace kv::cuda

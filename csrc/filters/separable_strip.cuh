@@ -17,7 +17,7 @@ namespace kv::cuda {
 // Launch kernels for the size of p.kx, which is that of p.ky. The result is divided by `divisor`.
 //
 //   separable_strips   forward passes and transposes of the like, by this file's kernel
-//   separable_mirrors  transposes of a reflected border with symmetric weights, by this file's kernel, too
+//   separable_mirrors  transposes of a reflected border with symmetric weights, by this file's kernel, too, or by folds
 //   separable_folds    all transposes that fold the result at the border; separable_fold.cuh
 template <class T>
 int separable_strips(Separable<T> const& p, float divisor, CUstream_st* stream);
@@ -216,26 +216,32 @@ int strip_rows(Planes<T> const& y, int64_t blocks_resident) {
 }
 
 template <class T, int K, bool Mirrored>
-void launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
+int launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>;
-  if (Mirrored) p.border = Border::reflect;
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, strip_rows<K, P>(p.y, kResident<K, P>));
   auto const launch = [&](auto aligned) {
     separable_strip<T, K, P, Mirrored><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
   };
   bool const aligned = is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2;
-  if constexpr (K > 11 && (sizeof(T) < 4 || Mirrored))  // arithmetic hides the branches; half the kernels to compile
-    launch(aligned);
-  else
+  if constexpr (Mirrored) {
+    p.border = p.fold = Border::reflect;
+    if (!aligned) {  // images of odd widths, say: not worth a kernel more for each size and type
+      p.border = Border::constant;
+      p.alpha /= divisor, p.beta /= divisor;
+      return separable_folds(p, stream);
+    }
+    launch(std::true_type{});
+  } else {
     aligned ? launch(std::true_type{}) : launch(std::false_type{});
+  }
+  return cudaGetLastError();
 }
 
 template <class T, bool Mirrored, int K = 3>
-void launch_strip_of_size(Separable<T> const& p, float divisor, CUstream_st* stream) {
-  if constexpr (K <= kLargest) {
+int launch_strip_of_size(Separable<T> const& p, float divisor, CUstream_st* stream) {
+  if constexpr (K < kLargest)
     if (p.kx.size != K) return launch_strip_of_size<T, Mirrored, K + 2>(p, divisor, stream);
-    launch_strip<T, K, Mirrored>(p, divisor, stream);
-  }
+  return launch_strip<T, K, Mirrored>(p, divisor, stream);
 }
 
 }  // namespace

@@ -44,8 +44,7 @@ __device__ __forceinline__ T* row_below(T* first_row, int y, int stride) {
 
 // Rows from `first` on, `count` of them, for 32 P pixels from `left` on and `Radius` beside them. `Rows` is the size of
 // the ring; all but one are on their way. What is outside follows the borders `across` and `down`. `aligned`: rows are
-// packs of P pixels, `left` at one of them; as std::true_type or std::false_type it costs no branches, as a bool what
-// is not aligned takes little room.
+// packs of P pixels, `left` at one of them; as std::true_type or std::false_type it costs no branches.
 template <class T, int P, int Radius, int Rows, class Aligned>
 struct StripRows {
   using Ring = T[Rows][32 * P + 2 * kHalo];
@@ -113,26 +112,19 @@ struct StripRows {
     } else {
       auto const inside = [&](int i) { return more && own + 32 * i >= 0 && own + 32 * i < in_width; };
       if constexpr (sizeof(T) == 4) {
-#pragma unroll(__is_same(Aligned, bool) ? 1 : P)
+#pragma unroll
         for (int i = 0; i < P; ++i) copy_later<4>(own_to + to + 128 * i, from + 32 * i, inside(i), zero);
         copy_later<4>(beside_to + to, from_beside, more && has_beside, zero);
       } else {  // too small for an asynchronous copy
         T* const row = ring[slot] + kHalo - left;
-        if constexpr (__is_same(Aligned, bool)) {
-#pragma unroll 1
-          for (int i = 0; i < P; ++i)
-            if (inside(i)) row[own + 32 * i] = zero ? T{} : from[32 * i];
-          if (more && has_beside) row[beside] = zero ? T{} : *from_beside;
-        } else {
-          T pixels[P + 1];
+        T pixels[P + 1];
 #pragma unroll
-          for (int i = 0; i < P; ++i) pixels[i] = inside(i) && !zero ? from[32 * i] : T{};
-          pixels[P] = more && has_beside && !zero ? *from_beside : T{};
+        for (int i = 0; i < P; ++i) pixels[i] = inside(i) && !zero ? from[32 * i] : T{};
+        pixels[P] = more && has_beside && !zero ? *from_beside : T{};
 #pragma unroll
-          for (int i = 0; i < P; ++i)
-            if (inside(i)) row[own + 32 * i] = pixels[i];
-          if (more && has_beside) row[beside] = pixels[P];
-        }
+        for (int i = 0; i < P; ++i)
+          if (inside(i)) row[own + 32 * i] = pixels[i];
+        if (more && has_beside) row[beside] = pixels[P];
       }
     }
     __pipeline_commit();

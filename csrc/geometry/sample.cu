@@ -19,7 +19,7 @@ __device__ __noinline__ F value_of_taps(Sampling<T> const& p, Window<K, F> const
 }
 
 template <class T, int K, bool matrix>
-__global__ void __launch_bounds__(kThreads) sample_tiles(Sample<T> p, Tiles tiles) {
+__global__ void __launch_bounds__(kThreads) sample_tiles(__grid_constant__ Sample<T> const p, Tiles tiles) {
   using F = Compute<T>;
   __shared__ Homography<F> map;
   int64_t b;

@@ -1,7 +1,7 @@
 // Sampling on the CPU: rows [begin, end) of all outputs in order. Compiled once per instruction set.
 //
-// First the places of a row, then its pixels by vectors: taps and weights once, then channel by channel. Where all taps
-// are inside of the image they are read as they are; elsewhere each finds its pixel or the fill.
+// First the places of a piece of a row, then its pixels by vectors: taps and weights once, then channel by channel.
+// Where all taps are inside of the image they are read as they are; elsewhere each finds its pixel or the fill.
 #include "sample_cpu.h"
 
 namespace kv::KV_ISA {
@@ -15,16 +15,17 @@ struct Value : Window<K, N, T> {
   using typename Window<K, N, T>::V;
   V wx[K], wy[K];
 
-  KV_HD Value(Sample<T> const& p, V u, V v) : Window<K, N, T>(p, u, v, p.x.row_stride, p.x.step) {
+  KV_HD void set(Sample<T> const& p, V u, V v) {
+    Window<K, N, T>::set(p, u, v, p.x.row_stride, p.x.step);
     tap_weights(this->tx, wx);
     tap_weights(this->ty, wy);
   }
-  KV_HD V at(Images<T const> const& image, T const* plane, F fill) const {
+  KV_HD V at(Sample<T> const& p, T const* plane, F fill) const {
     if (this->inside) {
-      V const sum = inner(image, plane);
+      V const sum = inner(p.x, plane);
       if (sizeof(T) == 1 || K == 1 || all<N>(sum - sum == 0)) return sum;
     }
-    return outer(image, plane, fill);
+    return this->outside ? V(V{} + fill) : outer(p, plane, fill);
   }
 
  private:
@@ -47,39 +48,51 @@ struct Value : Window<K, N, T> {
       return sum;
     }
   }
-  V outer(Images<T const> const& image, T const* plane, F fill) const {
+  V outer(Sample<T> const& p, T const* plane, F fill) const {
     V sum{};
 #pragma GCC unroll 1
     for (int j = 0; j < K; ++j)
 #pragma GCC unroll 1
       for (int i = 0; i < K; ++i) {
-        V const weight = wx[i] * wy[j], value = this->find(image, plane, fill, j, i);
+        V const weight = wx[i] * wy[j], value = this->find(p, p.x, plane, fill, j, i);
         sum += weight == 0 ? V{} : V(weight * value);
       }
     return sum;
   }
 };
 
+template <int K, int N, class T>
+void sample_piece(Sample<T> const& p, PlaceRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
+                  int64_t count) {
+  Value<K, N, T> values[kTileColumns / N];
+  int64_t const vectors = (count + N - 1) / N;
+  for (int64_t i = 0; i < vectors; ++i) {
+    int64_t const e = start_of<N>(i, count);
+    values[i].set(p, load<N>(places.u + e), load<N>(places.v + e));
+  }
+  for (int c = 0; c < p.x.channels; ++c) {
+    T const* const plane = p.x.row(b, c, 0);
+    Compute<T> const fill = p.fill_of(b, c);
+    T* const row = p.y.row(b, c, y) + first * p.y.step;
+    for (int64_t i = 0; i < vectors; ++i) {
+      auto const found = values[i].at(p, plane, fill);
+      T* const out = row + start_of<N>(i, count) * p.y.step;
+      if (N == 1 || p.y.step == 1) {
+        store<N>(out, found);
+      } else if constexpr (N > 1) {
+        for (int n = 0; n < N; ++n) store<1>(out + n * p.y.step, found[n]);
+      }
+    }
+  }
+}
+
 template <int K, class T>
 void sample_rows(Sample<T> const& p, int64_t begin, int64_t end) {
-  PlaceRow<Compute<T>> places(p.y.width);
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const b = r / p.y.height, y = r % p.y.height;
-    places.fill(p.places, b, y);
-    for_each_place(p.x, p.y.width, [&](auto lanes, int64_t e) {
-      constexpr int N = decltype(lanes)::value;
-      Value<K, N, T> const value(p, load<N>(places.u + e), load<N>(places.v + e));
-      for (int c = 0; c < p.x.channels; ++c) {
-        auto const found = value.at(p.x, p.x.row(b, c, 0), p.fill_of(b, c));
-        T* const out = p.y.row(b, c, y) + e * p.y.step;
-        if (N == 1 || p.y.step == 1) {
-          store<N>(out, found);
-        } else if constexpr (N > 1) {
-          for (int i = 0; i < N; ++i) store<1>(out + i * p.y.step, found[i]);
-        }
-      }
-    });
-  }
+  PlaceRow<Compute<T>> places;
+  for_each_piece(begin, end, p.y.height, p.y.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+    places.fill(p.places, b, y, first, count);
+    with_lanes(p.x, count, [&](auto lanes) { sample_piece<K, decltype(lanes)::value>(p, places, b, y, first, count); });
+  });
 }
 
 }  // namespace

@@ -1,8 +1,7 @@
-// Rows of places and windows of taps on the CPU. Included by sample*_cpu.cpp, inside of no namespace.
+// Pieces of rows of places, and windows of taps, on the CPU. Included by sample*_cpu.cpp, inside of no namespace.
 #pragma once
 
 #include "core/lanes.h"
-#include "core/scratch.h"
 #include "taps.h"
 
 namespace kv::KV_ISA {
@@ -22,38 +21,49 @@ KV_HD Lanes<F, N> count_from(int64_t first) {
   }
 }
 
-// The places of a row of the output.
+// Calls piece(sample, y, first column, columns) for rows [begin, end) of a batch, in tiles: a row of a turned image
+// shows pieces of many rows of its source, which the next row needs again, and which are more than the caches hold if
+// it is long.
+constexpr int64_t kTileRows = 32, kTileColumns = 128;
+template <class Piece>
+KV_HD void for_each_piece(int64_t begin, int64_t end, int64_t height, int64_t width, Piece piece) {
+  while (begin < end) {
+    int64_t const b = begin / height, last = min(min(end, (b + 1) * height), begin + kTileRows);
+    for (int64_t x = 0; x < width; x += kTileColumns)
+      for (int64_t r = begin; r < last; ++r) piece(b, r - b * height, x, min(width - x, kTileColumns));
+    begin = last;
+  }
+}
+
+// The places of a piece of a row of the output.
 template <class F>
 struct PlaceRow {
-  int64_t width;
-  Scratch<F> memory;
-  F* u;
-  F* v;
+  F u[kTileColumns], v[kTileColumns];
 
-  explicit PlaceRow(int64_t width) : width(width), memory(2 * width), u(memory.data), v(u + width) {}
-
-  void fill(Places<F> const& places, int64_t b, int64_t y) {
+  void fill(Places<F> const& places, int64_t b, int64_t y, int64_t first, int64_t count) {
     if (!places.matrices) {
-      copy(places.x.row(b, 0, y), places.x.step, places.scale[0], places.offset[0], u);
-      copy(places.y.row(b, 0, y), places.y.step, places.scale[1], places.offset[1], v);
+      copy(places.x, b, y, first, count, places.scale[0], places.offset[0], u);
+      copy(places.y, b, y, first, count, places.scale[1], places.offset[1], v);
       return;
     }
     auto const map = homography(places.matrices + b * places.matrix_stride, places.use);
-    for_each_vector<F>(0, width, [&](auto lanes, int64_t x) {
+    for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> to_u, to_v;
-      map.at(count_from<N, F>(x), F(y), to_u, to_v);
+      map.at(count_from<N, F>(first + x), F(y), to_u, to_v);
       store<N>(u + x, to_u);
       store<N>(v + x, to_v);
     });
   }
 
  private:
-  KV_HD void copy(F const* from, int64_t step, F scale, F offset, F* to) const {
-    if (step != 1)
-      for (int64_t x = 0; x < width; ++x) to[x] = from[x * step] * scale + offset;
+  KV_HD static void copy(Images<F const> const& map, int64_t b, int64_t y, int64_t first, int64_t count, F scale,
+                         F offset, F* to) {
+    F const* const from = map.row(b, 0, y) + first * map.step;
+    if (map.step != 1)
+      for (int64_t x = 0; x < count; ++x) to[x] = from[x * map.step] * scale + offset;
     else
-      for_each_vector<F>(0, width, [&](auto lanes, int64_t x) {
+      for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
         constexpr int N = decltype(lanes)::value;
         store<N>(to + x, Lanes<F, N>(load<N>(from + x) * scale + offset));
       });
@@ -64,15 +74,21 @@ struct PlaceRow {
 template <class T>
 constexpr int kPlaces = (kVectorBytes < 32 ? kVectorBytes : 32) / int(sizeof(Compute<T>));
 
-// Calls pixels(number of lanes, x) over a row. Offsets within a plane are ints in vectors, so huge planes go one by
-// one.
+// Calls windows(number of lanes) for a piece of a row. Offsets within a plane are ints in vectors, so huge planes go
+// one by one, as do pieces shorter than a vector.
 template <class T, class F>
-KV_HD void for_each_place(Images<T> const& x, int64_t width, F pixels) {
+KV_HD void with_lanes(Images<T> const& x, int64_t count, F windows) {
   int64_t const reach = x.height * x.row_stride + x.width * x.step;
-  if (reach > INT32_MAX || reach < INT32_MIN)
-    for (int64_t e = 0; e < width; ++e) pixels(Width<1>{}, e);
+  if (count < kPlaces<T> || reach > INT32_MAX || reach < INT32_MIN)
+    windows(Width<1>{});
   else
-    for_each_vector<T, kPlaces<T>>(0, width, pixels);
+    windows(Width<kPlaces<T>>{});
+}
+
+// Where the i-th vector of N out of `count` places begins; the last one overlaps the one before it.
+template <int N>
+KV_HD int64_t start_of(int64_t i, int64_t count) {
+  return min(i * N, count - N);
 }
 
 // --- reading by lanes
@@ -177,17 +193,19 @@ struct Window {
   using F = Compute<T>;
   using V = Lanes<F, N>;
   using I = Lanes<int, N>;
-  Axis<F> const &x_axis, &y_axis;
   V tx, ty;
   I x, y;            // the first taps
-  bool inside;       // all taps of all places are
+  bool inside;       // all taps of all places are pixels
+  bool outside;      // all of them are the fill
   Offsets<N> first;  // where the first taps are in a plane, if they are inside
 
-  KV_HD Window(Sampling<T> const& p, V u, V v, int64_t row_stride = 0, int64_t step = 0)
-      : x_axis(p.x_axis), y_axis(p.y_axis) {
-    x = first_tap<K, F>(near_image(x_axis, u), tx);
-    y = first_tap<K, F>(near_image(y_axis, v), ty);
-    inside = all<N>((x >= 0) & (x <= x_axis.size - K) & (y >= 0) & (y <= y_axis.size - K));
+  KV_HD void set(Sampling<T> const& p, V u, V v, int64_t row_stride = 0, int64_t step = 0) {
+    x = first_tap<K, F>(near_image(p.x_axis, u), tx);
+    y = first_tap<K, F>(near_image(p.y_axis, v), ty);
+    int const width = p.x_axis.size, height = p.y_axis.size;
+    inside = all<N>((x >= 0) & (x <= width - K) & (y >= 0) & (y <= height - K));
+    outside =
+        p.x_axis.padding == Padding::fill && !inside && all<N>((x <= -K) | (x >= width) | (y <= -K) | (y >= height));
     first.set(offset<N>(y, x, row_stride, step));
   }
 
@@ -196,9 +214,9 @@ struct Window {
     return gather<N>(plane + j * image.row_stride + i * image.step, first);
   }
   // Tap (j, i), whatever is there.
-  KV_HD V find(Images<T const> const& image, T const* plane, F fill, int j, int i) const {
-    I const px = pixel_at(x_axis, I(x + i)), py = pixel_at(y_axis, I(y + j));
-    I const zero{}, last_x = zero + (x_axis.size - 1), last_y = zero + (y_axis.size - 1);
+  KV_HD V find(Sampling<T> const& p, Images<T const> const& image, T const* plane, F fill, int j, int i) const {
+    I const px = pixel_at(p.x_axis, I(x + i)), py = pixel_at(p.y_axis, I(y + j));
+    I const zero{}, last_x = zero + (p.x_axis.size - 1), last_y = zero + (p.y_axis.size - 1);
     auto const exists = mask_for<F, N>((px >= 0) & (px <= last_x) & (py >= 0) & (py <= last_y));
     I const cx = min(last_x, max(zero, px)), cy = min(last_y, max(zero, py));
     Offsets<N> places;

@@ -11,17 +11,20 @@ struct Slope : Window<K, N, T> {
   using typename Window<K, N, T>::V;
   V wx[K], wy[K], dx[K], dy[K];
 
-  KV_HD Slope(SampleSlopes<T> const& p, V u, V v) : Window<K, N, T>(p, u, v, p.x.row_stride, p.x.step) {
+  KV_HD Slope(SampleSlopes<T> const& p, V u, V v) {
+    this->set(p, u, v, p.x.row_stride, p.x.step);
     tap_weights(this->tx, wx);
     tap_weights(this->ty, wy);
     tap_slopes(this->tx, dx);
     tap_slopes(this->ty, dy);
   }
-  KV_HD void at(Images<T const> const& image, T const* plane, F fill, V& along_x, V& along_y) const {
+  KV_HD void at(SampleSlopes<T> const& p, T const* plane, F fill, V& along_x, V& along_y) const {
     if (this->inside)
-      add([&](int j, int i) { return this->read(image, plane, j, i); }, along_x, along_y);
+      add([&](int j, int i) { return this->read(p.x, plane, j, i); }, along_x, along_y);
+    else if (this->outside)
+      along_x = along_y = V{};
     else
-      add([&](int j, int i) { return this->find(image, plane, fill, j, i); }, along_x, along_y);
+      add([&](int j, int i) { return this->find(p, p.x, plane, fill, j, i); }, along_x, along_y);
   }
 
  private:
@@ -43,61 +46,73 @@ struct Slope : Window<K, N, T> {
   }
 };
 
-// d loss / d place for a row of the output.
-template <int K, class T, class F>
-void slope_row(SampleSlopes<T> const& p, PlaceRow<F> const& places, int64_t b, int64_t y, F* to_u, F* to_v) {
-  for_each_place(p.x, p.grad.width, [&](auto lanes, int64_t e) {
-    constexpr int N = decltype(lanes)::value;
+// A piece of a row of the output, and the gradients d loss / d place there.
+template <class F>
+struct Piece {
+  int64_t b, y, first, count;
+  PlaceRow<F> places;
+  F to_u[kTileColumns], to_v[kTileColumns];
+};
+
+template <int K, int N, class T, class F>
+void find_slopes(SampleSlopes<T> const& p, Piece<F>& piece) {
+  for (int64_t i = 0; i * N < piece.count; ++i) {
+    int64_t const e = start_of<N>(i, piece.count);
     using V = Lanes<F, N>;
-    Slope<K, N, T> const slope(p, load<N>(places.u + e), load<N>(places.v + e));
+    Slope<K, N, T> const slope(p, load<N>(piece.places.u + e), load<N>(piece.places.v + e));
     V sum_x{}, sum_y{};
     for (int c = 0; c < p.x.channels; ++c) {
-      T const* const from = p.grad.row(b, c, y) + e * p.grad.step;
+      T const* const from = p.grad.row(piece.b, c, piece.y) + (piece.first + e) * p.grad.step;
       V grad{}, along_x, along_y;
       if (N == 1 || p.grad.step == 1) {
         grad = load<N>(from);
       } else if constexpr (N > 1) {
         for (int i = 0; i < N; ++i) grad[i] = load<1>(from + i * p.grad.step);
       }
-      slope.at(p.x, p.x.row(b, c, 0), p.fill_of(b, c), along_x, along_y);
+      slope.at(p, p.x.row(piece.b, c, 0), p.fill_of(piece.b, c), along_x, along_y);
       sum_x += grad * along_x;
       sum_y += grad * along_y;
     }
-    store<N>(to_u + e, sum_x);
-    store<N>(to_v + e, sum_y);
-  });
+    store<N>(piece.to_u + e, sum_x);
+    store<N>(piece.to_v + e, sum_y);
+  }
+}
+
+template <int K, class T, class F>
+void find_slopes(SampleSlopes<T> const& p, Piece<F>& piece) {
+  with_lanes(p.x, piece.count, [&](auto lanes) { find_slopes<K, decltype(lanes)::value>(p, piece); });
 }
 
 template <class T, class F>
-void slope_row(SampleSlopes<T> const& p, PlaceRow<F> const& places, int64_t b, int64_t y, F* to_u, F* to_v) {
+void find_slopes(SampleSlopes<T> const& p, Piece<F>& piece) {
   switch (p.interpolation) {
     case Interpolation::bilinear:
-      return slope_row<2>(p, places, b, y, to_u, to_v);
+      return find_slopes<2>(p, piece);
     case Interpolation::bicubic:
-      return slope_row<4>(p, places, b, y, to_u, to_v);
+      return find_slopes<4>(p, piece);
     case Interpolation::nearest:
-      for (int64_t x = 0; x < p.grad.width; ++x) to_u[x] = to_v[x] = 0;
+      for (int64_t i = 0; i < piece.count; ++i) piece.to_u[i] = piece.to_v[i] = 0;
   }
 }
 
-// What a row gives to the nine numbers of its matrix.
+// What it gives to the nine numbers of its matrix.
 template <class F>
-void add_row(Homography<F> const& map, PlaceRow<F> const& places, int64_t y, F const* to_u, F const* to_v,
-             double* sums) {
+void add_to_matrix(Homography<F> const& map, Piece<F> const& piece, double* sums) {
   double plain[3] = {}, by_x[3] = {};
-  for (int64_t x = 0; x < places.width; ++x) {
-    F const scale = 1 / map.weight(F(x), F(y));
-    F const g[] = {to_u[x] * scale, to_v[x] * scale, -(to_u[x] * places.u[x] + to_v[x] * places.v[x]) * scale};
-    for (int i = 0; i < 3; ++i) {
-      F const kept = g[i] - g[i] == 0 ? g[i] : F(0);  // a place at infinity has no slope
-      plain[i] += kept;
-      by_x[i] += kept * F(x);
+  for (int64_t i = 0; i < piece.count; ++i) {
+    F const x = F(piece.first + i), u = piece.to_u[i], v = piece.to_v[i];
+    F const scale = 1 / map.weight(x, F(piece.y));
+    F const g[] = {u * scale, v * scale, -(u * piece.places.u[i] + v * piece.places.v[i]) * scale};
+    for (int k = 0; k < 3; ++k) {
+      F const kept = g[k] - g[k] == 0 ? g[k] : F(0);  // a place at infinity has no slope
+      plain[k] += kept;
+      by_x[k] += kept * x;
     }
   }
-  for (int i = 0; i < 3; ++i) {
-    sums[3 * i] = by_x[i];
-    sums[3 * i + 1] = plain[i] * double(y);
-    sums[3 * i + 2] = plain[i];
+  for (int k = 0; k < 3; ++k) {
+    sums[3 * k] += by_x[k];
+    sums[3 * k + 1] += plain[k] * double(piece.y);
+    sums[3 * k + 2] += plain[k];
   }
 }
 
@@ -107,24 +122,26 @@ template <class T>
 void sample_slopes(SampleSlopes<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const height = p.grad.height, width = p.grad.width;
-  PlaceRow<F> places(width);
-  Scratch<F> slopes(p.sums ? 2 * width : 0);
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const b = r / height, y = r % height;
-    places.fill(p.places, b, y);
-    F* const to_u = p.sums ? slopes.data : p.grad_x.row(b, 0, y);
-    F* const to_v = p.sums ? to_u + width : p.grad_y.row(b, 0, y);
-    slope_row(p, places, b, y, to_u, to_v);
+  if (p.sums)
+    for (double *sum = p.sums + 9 * begin, *last = p.sums + 9 * end; sum < last; ++sum) *sum = 0;
+  Piece<F> piece;
+  for_each_piece(begin, end, height, width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+    piece.b = b;
+    piece.y = y;
+    piece.first = first;
+    piece.count = count;
+    piece.places.fill(p.places, b, y, first, count);
+    find_slopes(p, piece);
     if (p.sums) {
       auto const map = homography(p.places.matrices + b * p.places.matrix_stride, p.places.use);
-      add_row(map, places, y, to_u, to_v, p.sums + 9 * r);
+      add_to_matrix(map, piece, p.sums + 9 * (b * height + y));
     } else {
-      for (int64_t x = 0; x < width; ++x) {
-        to_u[x] *= p.places.scale[0];
-        to_v[x] *= p.places.scale[1];
+      for (int64_t i = 0; i < count; ++i) {
+        p.grad_x.row(b, 0, y)[first + i] = piece.to_u[i] * p.places.scale[0];
+        p.grad_y.row(b, 0, y)[first + i] = piece.to_v[i] * p.places.scale[1];
       }
     }
-  }
+  });
 }
 
 template <class T>

@@ -71,7 +71,11 @@ class TestCanny(OpTests):
         super().test_empty(variant, (0, 3), device)  # an image without channels is refused
 
     def test_against_kornia_on_photographs(self, device):
-        photos = [skimage.data.astronaut()[:256, :256], skimage.data.coffee()[:256, :256], skimage.data.chelsea()[:256, :256]]
+        photos = [
+            skimage.data.astronaut()[:256, :256],
+            skimage.data.coffee()[:256, :256],
+            skimage.data.chelsea()[:256, :256],
+        ]
         x = torch.stack([K.image_to_tensor(p) for p in photos]).float().div(255).to(device)
         for hysteresis in (False, True):
             magnitude, edges = K.filters.canny(x, hysteresis=hysteresis)

@@ -5,18 +5,11 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
-from kvision.enhance.batch import check_broadcast
-
-
-def _reference(x: Tensor, alpha: float | Tensor, y: Tensor, beta: float | Tensor, gamma: float | Tensor) -> Tensor:
-    return x * alpha + y * beta + gamma
-
-
-_add_weighted = as_stored(_reference)
+from kvision.enhance.batch import as_batch, broadcast, check_broadcast, shaped
+from kvision.enhance.brightness import line
 
 
 def add_weighted(
@@ -55,7 +48,11 @@ def add_weighted(
             expected_shape=src1.shape,
         )
     a, b, c = (_weight(n, w, src1) for n, w in (("alpha", alpha), ("beta", beta), ("gamma", gamma)))
-    return _add_weighted(floats(src1), a, src2, b, c)
+    x = floats(src1)
+    a, c = (broadcast(w, x) if isinstance(w, Tensor) else w for w in (a, c))
+    first = shaped(line(as_batch(x.to(compute_dtype(x))), a, c, False), x)
+    second = src2.to(first.dtype)
+    return (first + second * b if isinstance(b, Tensor) else first.add(second, alpha=b)).to(x.dtype)
 
 
 def _weight(name: str, weight: float | Tensor, x: Tensor) -> float | Tensor:

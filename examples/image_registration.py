@@ -1,0 +1,227 @@
+"""Find the homography between two pictures by descent on how much they differ, from coarse to fine.
+
+    python examples/image_registration.py                           synthetic pairs of scikit-image's photographs
+    python examples/image_registration.py --data FOLDER             real pairs as well: FOLDER/graf, boat, leuven, bikes
+    python examples/image_registration.py --solver gauss-newton     in fewer steps than Adam
+
+Every pair gives a figure, a row a level of the pyramid: source, destination, warped source, error. The error of a result
+is that of the corners of the picture, in pixels, against the known homography.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+import kvision as K
+
+LEVELS = 4
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Pictures (1, 1, H, W) and the homography from places of `target` to places of `source`, both in [-1, 1].
+
+    `start` is where the search begins, `limit` the largest mean error of the corners in pixels of the original, of which a
+    pixel here is `pixels`.
+    """
+
+    name: str
+    source: Tensor
+    target: Tensor
+    truth: Tensor
+    start: Tensor
+    limit: float
+    pixels: float = 1.0
+
+
+# --- pairs ----------------------------------------------------------------------------------------------------------
+
+
+def corners(device: torch.device | str = "cpu") -> Tensor:
+    return torch.tensor([[[-1.0, -1], [1, -1], [1, 1], [-1, 1]]], device=device)
+
+
+def synthetic(device: torch.device) -> Iterator[Pair]:
+    """Photographs beside themselves after a homography that moves their corners by up to 8% of their size."""
+    from skimage import data
+
+    generator = torch.Generator().manual_seed(0)
+    for name in ("astronaut", "coffee", "chelsea", "camera"):
+        picture = K.image_to_tensor(getattr(data, name)(), keepdim=False).float() / 255
+        source = gray(K.geometry.resize(picture, 320, antialias=True)).to(device)
+        moved = corners() + 0.16 * (torch.rand(1, 4, 2, generator=generator) - 0.5)
+        truth = K.get_perspective_transform(corners(), moved).to(device)
+        target = K.homography_warp(source, truth, tuple(source.shape[2:]), padding_mode="reflection")
+        yield Pair(name, source, target, truth, torch.eye(3, device=device)[None], 0.25)
+
+
+def real(folder: Path, device: torch.device) -> Iterator[Pair]:
+    """Pairs with a measured homography. The two with a large change of view start 10 pixels beside it at every corner."""
+    for name, k, far, limit in (
+        ("leuven", 4, 0, 1.0),
+        ("bikes", 3, 0, 1.0),
+        ("graf", 2, 10, 2.0),
+        ("boat", 3, 10, 2.0),
+    ):
+        place = folder / name
+        if not place.is_dir():
+            continue
+        first, second = (gray(K.io.load_image(place / f"img{i}.png")[None]).to(device) for i in (1, k))
+        numbers = [float(x) for x in (place / f"H_1_{k}.txt").read_text().split()]
+        truth = to_unit(torch.tensor(numbers, dtype=torch.float64).reshape(1, 3, 3), first, second).to(device)
+        half = [K.geometry.rescale(image, 0.5, antialias=True) for image in (second, first)]
+        signs = corners(device) * torch.tensor([1.0, -1], device=device)
+        beside = corners(device) + far * 2 * signs / torch.tensor(first.shape[:1:-1], device=device)
+        start = (
+            truth @ K.get_perspective_transform(corners(device), beside) if far else torch.eye(3, device=device)[None]
+        )
+        yield Pair(name, half[0], K.geometry.resize(half[1], tuple(half[0].shape[2:])), truth, start, limit, 2.0)
+
+
+def gray(image: Tensor) -> Tensor:
+    return image if image.shape[1] == 1 else K.color.rgb_to_grayscale(image)
+
+
+def to_unit(pixels: Tensor, source: Tensor, target: Tensor) -> Tensor:
+    """A homography between pixels of two images as one between [-1, 1], from edge to edge."""
+    first, second = (unit_of(*image.shape[2:]) for image in (source, target))
+    return (second @ pixels @ torch.linalg.inv(first)).float()
+
+
+def unit_of(h: int, w: int) -> Tensor:
+    """[-1, 1] from pixels."""
+    return torch.tensor([[2 / w, 0, 1 / w - 1], [0, 2 / h, 1 / h - 1], [0, 0, 1]], dtype=torch.float64)
+
+
+def normalized(image: Tensor) -> Tensor:
+    """Without what light and exposure change: each place against its surroundings."""
+    size = (2 * (min(image.shape[2:]) // 16) + 1,) * 2
+    mean = K.filters.box_blur(image, size, "replicate")
+    spread = K.filters.box_blur((image - mean) ** 2, size, "replicate")
+    return (image - mean) / (spread + 1e-3).sqrt()
+
+
+def corner_error(found: Tensor, pair: Pair) -> float:
+    """Mean distance of where the corners go, in pixels of the original source."""
+    h, w = pair.source.shape[2:]
+    at, expected = (K.geometry.warp_grid(corners(m.device)[:, None], m)[0, 0] for m in (found, pair.truth))
+    scale = torch.tensor([w / 2, h / 2], device=found.device) * pair.pixels
+    return float(((at - expected) * scale).norm(dim=-1).mean())
+
+
+# --- solvers --------------------------------------------------------------------------------------------------------
+
+
+def adam(source: Tensor, target: Tensor, iterations: int) -> tuple[Tensor, list[Tensor]]:
+    """`kvision.geometry.ImageRegistrator` as in the Kornia paper: L1, Adam with a rate of 1e-3."""
+    registrator = K.geometry.ImageRegistrator(
+        "homography", loss_fn=F.l1_loss, pyramid_levels=LEVELS, lr=1e-3, num_iterations=iterations, tolerance=0
+    ).to(source.device)
+    found, levels = registrator.register(source, target, output_intermediate_models=True)
+    return found.detach(), levels
+
+
+def gauss_newton(source: Tensor, target: Tensor, iterations: int) -> tuple[Tensor, list[Tensor]]:
+    """Reweighted least squares: the same loss, near enough, from its normal equations."""
+    found = torch.eye(3, device=source.device)[None]
+    levels = []
+    pyramids = (K.geometry.build_pyramid(image, LEVELS) for image in (source, target))
+    for small_source, small_target in reversed(list(zip(*pyramids))):
+        for _ in range(iterations):
+            found = gauss_newton_step(small_source, small_target, found)
+        levels.append(found)
+    return found, levels
+
+
+def gauss_newton_step(source: Tensor, target: Tensor, homography: Tensor) -> Tensor:
+    """A better homography: one step of Gauss and Newton for the sum of abs(warped - target) where the source is."""
+    h, w = source.shape[2:]
+    slopes = K.filters.spatial_gradient(source, "diff", normalized=False)[:, 0] / 2  # to the right and down, a pixel
+    stack = torch.cat([source, slopes, torch.ones_like(source)], 1)
+    warped, right, down, seen = K.homography_warp(stack, homography, (h, w))[0].flatten(1)
+    x = ((torch.arange(w, device=source.device) * 2 + 1) / w - 1).expand(h, w).flatten()
+    y = ((torch.arange(h, device=source.device) * 2 + 1) / h - 1)[:, None].expand(h, w).flatten()
+    one = torch.ones_like(x)
+    u, v, depth = homography[0] @ torch.stack([x, y, one])
+    right, down = right * (w / 2) / depth, down * (h / 2) / depth
+    both = -(right * u + down * v) / depth
+    jacobian = torch.stack([right * x, right * y, right, down * x, down * y, down, both * x, both * y]).double()
+    residual = (warped - target.flatten()).double()
+    weight = (seen > 0.99) / (residual**2 + 1e-2).sqrt()
+    normal = (jacobian * weight) @ jacobian.T
+    normal = normal + 1e-6 * torch.diag(normal.diagonal())
+    step = torch.linalg.solve_ex(normal, -(jacobian * weight) @ residual)[0]
+    moved = homography + F.pad(step, (0, 1)).reshape(1, 3, 3).to(homography.dtype)
+    return moved / moved[:, 2:, 2:]
+
+
+SOLVERS = {"adam": (adam, 200), "gauss-newton": (gauss_newton, 20)}
+
+# --- the run --------------------------------------------------------------------------------------------------------
+
+
+def register(pair: Pair, solver: str, iterations: int) -> tuple[Tensor, list[Tensor]]:
+    """The homography of a pair, and that after each level."""
+    closer = K.homography_warp(pair.source, pair.start, tuple(pair.target.shape[2:]), padding_mode="border")
+    found, levels = SOLVERS[solver][0](normalized(closer), normalized(pair.target), iterations)
+    return pair.start @ found, [pair.start @ level for level in levels]
+
+
+def draw(pair: Pair, levels: list[Tensor], path: Path) -> None:
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(len(levels), 4, figsize=(12, 2.4 * len(levels)), squeeze=False)
+    for row, found in zip(axes, levels):
+        warped = K.homography_warp(pair.source, found, tuple(pair.target.shape[2:]))
+        pictures = (pair.source, pair.target, warped, (warped - pair.target).abs())
+        for axis, picture, title in zip(row, pictures, ("source", "destination", "warped", "error")):
+            axis.imshow(picture[0, 0].cpu(), cmap="gray", vmin=0, vmax=1)
+            axis.set_title(
+                title if title != "warped" else f"warped, corners {corner_error(found, pair):.2f} px off", fontsize=9
+            )
+            axis.axis("off")
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
+    plt.close(figure)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--solver", choices=tuple(SOLVERS), default="adam")
+    parser.add_argument("--iterations", type=int, help="on each level; default: 200 of Adam, 20 of Gauss-Newton")
+    parser.add_argument("--data", type=Path, help="folder of real pairs")
+    parser.add_argument("--out", type=Path, default=Path("out/registration"), help="where the figures go")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    options = parser.parse_args()
+    device = torch.device(options.device)
+    iterations = options.iterations or SOLVERS[options.solver][1]
+    options.out.mkdir(parents=True, exist_ok=True)
+    missed = 0
+    pairs = [*synthetic(device), *(real(options.data, device) if options.data else ())]
+    for i, pair in enumerate(pairs):
+        begin = time.perf_counter()
+        found, levels = register(pair, options.solver, iterations)
+        error = corner_error(found, pair)
+        seconds = time.perf_counter() - begin
+        verdict = "" if error <= pair.limit else "  MISSED"
+        missed += error > pair.limit
+        before = corner_error(pair.start, pair)
+        print(
+            f"[{'#' * (i + 1):{len(pairs)}}] {pair.name:10} {before:6.2f} -> {error:5.2f} px (at most {pair.limit}) "
+            f"in {iterations} iterations on {LEVELS} levels, {seconds:.1f} s{verdict}",
+            flush=True,
+        )
+        draw(pair, levels, options.out / f"{pair.name}_{options.solver}.png")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -75,7 +75,7 @@ def morphology(name: str, height: int, width: int, bars: Bars) -> Case:
     )
 
 
-segmentations = {"inputs": segmentation, "backward": of_loss}
+segmentations = {"inputs": segmentation, "backward": of_loss, "rim": 0}
 images = {"inputs": pairs, "backward": of_loss}
 
 CASES = [
@@ -86,6 +86,7 @@ CASES = [
         Bars(floor=1.6, both=2.5, launches=None),
         {},
         **images,
+        rim=0,
     ),
     case(
         "psnr",
@@ -93,6 +94,7 @@ CASES = [
         Bars(floor=1.15, both=1.4, launches=None),
         {},
         **images,
+        rim=0,
     ),
     case(
         "total_variation",
@@ -100,6 +102,7 @@ CASES = [
         Bars(floor=1.2, both=1.4, launches=None),
         {},
         backward=of_loss,
+        rim=0,
     ),
     case(
         "focal",

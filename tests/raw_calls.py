@@ -17,7 +17,8 @@ from torch import Tensor
 Call = tuple[str, list[Any]]  # what is wrong with it, its arguments
 
 SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
-POSITIONS = ("top", "left")  # which may be 0
+# What arguments of these names may be.
+RIGHT = {"top": ["0"], "left": ["0"], "ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]}
 NAMES = ("", "mirror", "Reflect", "constant ")
 DTYPES = (torch.int64, torch.bool, torch.complex64, torch.float8_e4m3fn)
 
@@ -34,9 +35,8 @@ def wrong_calls(operator: Any, args: Sequence[Any]) -> Iterator[Call]:
 
     for i, argument in enumerate(operator._schema.arguments):
         for what, value in wrong_values(str(argument.type), args[i], i in images):
-            if argument.name in POSITIONS and type(value) is int and value == 0:
-                continue
-            yield call(f"{argument.name} {what}", {i: value})
+            if what not in RIGHT.get(argument.name, ()):
+                yield call(f"{argument.name} {what}", {i: value})
 
     # Right by themselves, but not beside the others.
     for i in tensors if len(tensors) > 1 else []:

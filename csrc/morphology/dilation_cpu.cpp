@@ -83,9 +83,11 @@ struct Source {
 // --- flat windows
 // --------------------------------------------------------------------------------------------------------------------
 
-// Output rows y0 ... y1 - 1 of a plane. Along y, each `height` rows of windows share what lies in them from the
-// window's first row up to a common row (`above`, suffix maxima), and have the rows behind that in common with the next
-// ones
+constexpr int kSmall = 4;  // windows up to this many pixels along an axis take them one by one there
+
+// Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is small, each `height` rows of windows share what
+// lies in them from the window's first row up to a common row (`above`, suffix maxima), and have the rows behind that
+// in common with the next ones
 // (`below`, the maximum of these so far).
 template <class T>
 void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
@@ -103,6 +105,47 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
       store<M>(to + e, with ? larger(load<M>(with + e), v) : v);
     });
   };
+
+  // From the maxima along y, in `row`, to output row y.
+  auto const along_x = [&](int64_t y) {
+    for (int64_t e = -before; e < 0; ++e) row[e] = source.value;
+    for (int64_t e = size; e < size + after; ++e) row[e] = source.value;
+    F* const first = row - before;
+    T* const out = p.y.row(plane, y);
+    if (window.width <= kSmall)
+      return for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+        constexpr int M = decltype(width)::value;
+        Lanes<F, M> most = load<M>(first + e);
+        for (int j = 1; j < window.width; ++j) most = larger(load<M>(first + e + j * step), most);
+        store<M>(out + e, Lanes<F, M>(most * source.sign));
+      });
+    // Maxima of 2, 4, 8 ... pixels, and of two of these that overlap.
+    int64_t reach = 1;
+    for (; 2 * reach <= window.width; reach *= 2)
+      for (int64_t e = 0; e < size + (window.width - 2 * reach) * step; e += N)
+        store<N>(first + e, larger(load<N>(first + e), load<N>(first + e + reach * step)));
+    int64_t const rest = (window.width - reach) * step;
+    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+      constexpr int M = decltype(width)::value;
+      Lanes<F, M> const most = larger(load<M>(first + e), load<M>(first + e + rest));
+      store<M>(out + e, Lanes<F, M>(most * source.sign));
+    });
+  };
+
+  if (height <= kSmall) {
+    for (int64_t y = y0; y < y1; ++y) {
+      T const* rows[kSmall];
+      for (int i = 0; i < height; ++i) rows[i] = source.row(plane, y - window.top + i);
+      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+        constexpr int M = decltype(width)::value;
+        Lanes<F, M> most = load<M>(rows[0] + e) * source.sign;
+        for (int i = 1; i < height; ++i) most = larger(Lanes<F, M>(load<M>(rows[i] + e) * source.sign), most);
+        store<M>(row + e, most);
+      });
+      along_x(y);
+    }
+    return;
+  }
 
   for (int64_t block = y0; block < y1; block += height) {
     int64_t const last = block - window.top + height - 1;
@@ -126,22 +169,7 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
         Lanes<F, M> const v = load<M>(above[i] + e);
         store<M>(row + e, i == 0 ? v : larger(v, Lanes<F, M>(load<M>(below[0] + e))));
       });
-
-      // Along x: maxima of 2, 4, 8 ... pixels, and of two of these that overlap.
-      for (int64_t e = -before; e < 0; ++e) row[e] = source.value;
-      for (int64_t e = size; e < size + after; ++e) row[e] = source.value;
-      F* const first = row - before;
-      int64_t reach = 1;
-      for (; 2 * reach <= window.width; reach *= 2)
-        for (int64_t e = 0; e < size + (window.width - 2 * reach) * step; e += N)
-          store<N>(first + e, larger(load<N>(first + e), load<N>(first + e + reach * step)));
-      T* const out = p.y.row(plane, block + i);
-      int64_t const rest = (window.width - reach) * step;
-      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
-        constexpr int M = decltype(width)::value;
-        Lanes<F, M> const most = larger(load<M>(first + e), load<M>(first + e + rest));
-        store<M>(out + e, Lanes<F, M>(most * source.sign));
-      });
+      along_x(block + i);
     }
   }
 }

@@ -6,5 +6,6 @@
 #include "kvision/contrib.h"
 #include "kvision/enhance.h"
 #include "kvision/filters.h"
+#include "kvision/losses.h"
 #include "kvision/metrics.h"
 #include "kvision/morphology.h"

@@ -2,14 +2,65 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import as_stored, laid_out, register, vjp
 from kvision.losses.reduction import check_labels, check_weight, masked, reduced, selected
+
+
+def _reference(
+    pred: Tensor,
+    target: Tensor,
+    weight: Tensor | None,
+    first: float,
+    other: float,
+    gamma: float,
+    ignored: int,
+    ignores: bool,
+) -> Tensor:
+    """(B, H, W) losses of logits (B, C, H, W); `first` weighs class 0, `other` the others, `weight` (1, C) all."""
+    wide = pred.to(compute_dtype(pred))
+    index, counts = selected(
+        target.expand(pred.shape[0], -1, -1), pred.shape[1], ignored if ignores else None, wide.dtype
+    )
+    log_p = masked(wide, counts).log_softmax(1).gather(1, index[:, None]).squeeze(1)
+    counts = counts * torch.where(index == 0, first, other).to(wide.dtype)
+    if weight is not None:
+        counts = counts * weight[0][index]
+    return -counts * _power(-torch.expm1(log_p), gamma) * log_p
+
+
+def _power(x: Tensor, gamma: float) -> Tensor:
+    """x ** gamma for x from 0 on, with a finite slope at 0."""
+    return x.clamp_min(torch.finfo(x.dtype).tiny) ** gamma
+
+
+def _fake(pred: Tensor, *_: Any) -> Tensor:
+    return pred.new_empty((pred.shape[0], *pred.shape[2:]), dtype=compute_dtype(pred))
+
+
+def _backward(needs, grad, pred, target, weight, *plain):
+    grad_weight = None
+    if needs[2]:
+        only_weight = (False, False, True, *(False for _ in plain))
+        grad_weight = _focal.differentiate_reference(only_weight, grad, pred, target, weight, *plain)[2]
+    return [_focal_backward(grad, pred, target, weight, *plain) if needs[0] else None, None, grad_weight]
+
+
+_focal_backward = register(
+    "focal_backward",
+    vjp(_reference),
+    fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
+    stores=True,
+)
+_focal = register("focal", _reference, fake=_fake, backward=_backward, stores=True)
 
 
 def focal_loss(
@@ -53,34 +104,22 @@ def focal_loss(
     alpha, gamma = _focus("focal_loss", alpha, gamma)
     _check.reduction("focal_loss", reduction)
     check_weight("focal_loss", "weight", weight, pred)
-    return _focal(pred, weight, target, alpha, gamma, reduction, ignore_index)
-
-
-@as_stored
-def _focal(
-    pred: Tensor,
-    weight: Tensor | None,
-    target: Tensor,
-    alpha: float | None,
-    gamma: float,
-    reduction: str,
-    ignore_index: int | None,
-) -> Tensor:
-    index, counts = selected(target, pred.shape[1], ignore_index, pred.dtype)
-    log_p = masked(pred, counts).log_softmax(1).gather(1, index[:, None]).squeeze(1)
-    if alpha is not None:
-        counts = counts * torch.where(index == 0, 1 - alpha, alpha).to(pred.dtype)
-    if weight is not None:
-        counts = counts * weight[index]
-    loss = -counts * _power(-torch.expm1(log_p), gamma) * log_p
+    first, other = (1.0, 1.0) if alpha is None else (1 - alpha, alpha)
+    weight = None if weight is None else weight[None].to(compute_dtype(pred))
+    ignored = ignore_index or 0, ignore_index is not None
+    loss = _focal(_as_images(pred, 2), _as_images(target, 1), weight, first, other, gamma, *ignored)
     if reduction == "none":
-        return torch.zeros_like(pred).scatter(1, index[:, None], loss[:, None])
-    return loss.sum() / pred.numel() if reduction == "mean" else loss.sum()
+        index = target.clamp(0, pred.shape[1] - 1)[:, None]
+        return laid_out(torch.zeros_like(pred).scatter(1, index, loss.reshape(index.shape).to(pred.dtype)), pred)
+    return (loss.sum() / pred.shape[1] / loss.numel() if reduction == "mean" else loss.sum()).to(pred.dtype)
 
 
-def _power(x: Tensor, gamma: float) -> Tensor:
-    """x ** gamma for x from 0 on, with a finite slope at 0."""
-    return x.clamp_min(torch.finfo(x.dtype).tiny) ** gamma
+def _as_images(x: Tensor, first: int) -> Tensor:
+    """The axes from `first` on as two."""
+    if x.dim() == first + 2:
+        return x
+    x = x.flatten(first) if x.dim() > first else x.unsqueeze(first)
+    return x.unsqueeze(first)
 
 
 def binary_focal_loss_with_logits(

@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, vjp
 from kvision.losses.reduction import check_labels, check_weight, masked, selected
 
 
-def _class_sums(pred: Tensor, target: Tensor, ignore_index: int | None) -> tuple[Tensor, Tensor, Tensor]:
-    """(B, C) each: for every class the sum of its probability where it is the label, that everywhere, its pixels."""
-    classes = pred.shape[1]
-    index, counts = selected(target, classes, ignore_index, pred.dtype)
-    counts = counts[:, None]
-    p = masked(pred, counts[:, 0]).softmax(1) * counts
+def _reference(pred: Tensor, target: Tensor, ignored: int, ignores: bool) -> Tensor:
+    """(B, 3, C): for every class the sum of its probability where it is the label, that everywhere, its pixels."""
+    classes, wide = pred.shape[1], pred.to(compute_dtype(pred))
+    index, counts = selected(target.expand(pred.shape[0], -1, -1), classes, ignored if ignores else None, wide.dtype)
+    p = masked(wide, counts).softmax(1) * counts[:, None]
     own = index[:, None] == torch.arange(classes, device=pred.device).view(-1, 1, 1)
-    return torch.where(own, p, 0).sum((2, 3)), p.sum((2, 3)), torch.where(own, counts, 0).sum((2, 3))
+    sums = torch.where(own, p, 0).sum((2, 3)), p.sum((2, 3)), torch.where(own, counts[:, None], 0).sum((2, 3))
+    return torch.stack(sums, 1)
+
+
+def _fake(pred: Tensor, *_: Any) -> Tensor:
+    return pred.new_empty((pred.shape[0], 3, pred.shape[1]), dtype=compute_dtype(pred))
+
+
+def _backward(needs, grad, *args):
+    return [_class_sums_backward(grad, *args), None]
+
+
+_class_sums_backward = register(
+    "class_sums_backward",
+    vjp(_reference),
+    fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
+    stores=True,
+)
+_class_sums = register("class_sums", _reference, fake=_fake, backward=_backward, stores=True)
+
+
+def _sums_of(pred: Tensor, target: Tensor, ignore_index: int | None) -> Tensor:
+    operator = _class_sums if pred.shape[1] <= 1024 else _class_sums.reference  # as many as a block of a GPU holds
+    return operator(pred, target, ignore_index or 0, ignore_index is not None)
 
 
 def dice_loss(
@@ -60,15 +85,13 @@ def dice_loss(
     _check.choice("dice_loss", "average", average, ("micro", "macro"))
     eps = _check.number("dice_loss", "eps", eps, minimum=0)
     check_weight("dice_loss", "weight", weight, pred)
-    return _dice(pred, weight, target, average, eps, ignore_index)
+    sums = _sums_of(pred, target, ignore_index)
+    weight = sums.new_ones(pred.shape[1]) if weight is None else weight.to(sums.dtype)
+    return _dice(sums, weight, average, eps).to(pred.dtype)
 
 
-@as_stored
-def _dice(
-    pred: Tensor, weight: Tensor | None, target: Tensor, average: str, eps: float, ignore_index: int | None
-) -> Tensor:
-    both, predicted, labelled = _class_sums(pred, target, ignore_index)
-    weight = pred.new_ones(pred.shape[1]) if weight is None else weight
+def _dice(sums: Tensor, weight: Tensor, average: str, eps: float) -> Tensor:
+    both, predicted, labelled = sums.unbind(1)
     if average == "micro":
         return (1 - _ratio(2 * (both * weight).sum(1), ((predicted + labelled) * weight).sum(1), eps)).mean()
     weight = torch.where(labelled == 0, 0, weight)
@@ -118,12 +141,11 @@ def tversky_loss(
     alpha = _check.number("tversky_loss", "alpha", alpha)
     beta = _check.number("tversky_loss", "beta", beta)
     eps = _check.number("tversky_loss", "eps", eps, minimum=0)
-    return _tversky(pred, target, alpha, beta, eps, ignore_index)
+    return _tversky(_sums_of(pred, target, ignore_index), alpha, beta, eps).to(pred.dtype)
 
 
-@as_stored
-def _tversky(pred: Tensor, target: Tensor, alpha: float, beta: float, eps: float, ignore_index: int | None) -> Tensor:
-    both, predicted, labelled = _class_sums(pred, target, ignore_index)
+def _tversky(sums: Tensor, alpha: float, beta: float, eps: float) -> Tensor:
+    both, predicted, labelled = sums.unbind(1)
     absent = labelled == 0
     divisor = both + alpha * (predicted - both) + beta * (labelled - both) + eps
     score = torch.where(absent, 0, both / torch.where(absent, 1, divisor))

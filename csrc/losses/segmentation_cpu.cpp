@@ -1,0 +1,251 @@
+// Losses of segmentations on the CPU, blocks of pixels at a time: a block's logits come class by class, its
+// exponentials stay in the cache. Compiled once per instruction set.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "segmentation.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+constexpr int kBlock = 256;  // pixels; divides kPiece
+
+// A block of pixels: the exponentials of their logits over the largest one, class by class, their sums, labels and
+// counts. What is ignored has logits of 0.
+template <class T>
+struct Block {
+  using F = Compute<T>;
+  Logits<T> const& logits;
+  Scratch<F> exponentials;
+  F most[kBlock], sum[kBlock], rest[kBlock];  // rest: the sum without the label's
+  F counts[kBlock], label[kBlock];            // label: -1 for none
+  int size = 0;
+
+  explicit Block(Logits<T> const& logits) : logits(logits), exponentials(logits.classes * kBlock) {
+    for (int i = 0; i < kBlock; ++i) most[i] = sum[i] = rest[i] = counts[i] = label[i] = 0;
+    for (int64_t i = 0; i < logits.classes * kBlock; ++i) exponentials.data[i] = 0;
+  }
+  KV_HD F* of_class(int64_t c) { return exponentials.data + c * kBlock; }
+
+  // Calls f(width, pixel) for all pixels of the block, by vectors that may reach behind its end.
+  template <class Call>
+  KV_HD void for_each(Call f) const {
+    for (int i = 0; i < size; i += kLanes<T>) f(Width<kLanes<T>>{}, i);
+  }
+
+  void read(int64_t sample, int64_t first, int64_t count) {
+    size = int(count);
+    int64_t const* const target = logits.labels(sample) + first;
+    for (int i = 0; i < size; ++i) {
+      counts[i] = logits.counts(target[i]);
+      label[i] = counts[i] == 1 ? F(target[i]) : F(-1);
+    }
+    for (int64_t c = 0; c < logits.classes; ++c) {
+      T const* const from = logits.data + (sample * logits.classes + c) * logits.pixels + first;
+      F* const to = of_class(c);
+      for_each_vector<T>(0, size, [&](auto width, int64_t i) {
+        constexpr int N = decltype(width)::value;
+        using V = Lanes<F, N>;
+        V const x = load<N>(counts + i) == 0 ? V{} : load<N>(from + i);
+        store<N>(to + i, x);
+      });
+      for_each([&](auto width, int i) {
+        constexpr int N = decltype(width)::value;
+        Lanes<F, N> const x = load<N>(to + i), before = load<N>(most + i);
+        store<N>(most + i, Lanes<F, N>(c == 0 ? x : x > before ? x : before));
+      });
+    }
+  }
+
+  // Logits to exponentials.
+  void exponentiate() {
+    for (int i = 0; i < kBlock; ++i) sum[i] = rest[i] = 0;
+    for (int64_t c = 0; c < logits.classes; ++c) {
+      F* const row = of_class(c);
+      for_each([&](auto width, int i) {
+        constexpr int N = decltype(width)::value;
+        using V = Lanes<F, N>;
+        V const e = vexp2<F, N>(V((load<N>(row + i) - load<N>(most + i)) * kLog2E<F>));
+        store<N>(row + i, e);
+        store<N>(sum + i, V(load<N>(sum + i) + e));
+        store<N>(rest + i, V(load<N>(rest + i) + (load<N>(label + i) == F(c) ? V{} : e)));
+      });
+    }
+  }
+};
+
+// Calls f(sample, first pixel, count) for the blocks of pixels [begin, end) of all samples.
+template <class T, class Call>
+KV_HD void for_each_block(Logits<T> const& logits, int64_t begin, int64_t end, Call f) {
+  for (int64_t i = begin; i < end;) {
+    int64_t const sample = i / logits.pixels, first = i - sample * logits.pixels;
+    int64_t const count = min(min(int64_t(kBlock), logits.pixels - first), end - i);
+    f(sample, first, count);
+    i += count;
+  }
+}
+
+template <class F, int N>
+struct Math {
+  KV_HD static Lanes<F, N> exp(Lanes<F, N> x) { return vexp2<F, N>(x * kLog2E<F>); }
+  KV_HD static Lanes<F, N> log(Lanes<F, N> x) { return vlog2<F, N>(x) / kLog2E<F>; }
+};
+
+// The focal losses of a block.
+template <class T>
+struct FocalPixels {
+  using F = Compute<T>;
+  FocalTerms<F> const& terms;
+  F label[kBlock], factor[kBlock], loss[kBlock], slope[kBlock], scale[kBlock];
+
+  explicit FocalPixels(FocalTerms<F> const& terms) : terms(terms) {
+    for (int i = 0; i < kBlock; ++i) label[i] = factor[i] = 0;
+  }
+  void evaluate(Block<T>& block) {
+    for (int i = 0; i < block.size; ++i) {
+      int64_t const c = block.label[i] < 0 ? 0 : int64_t(block.label[i]);
+      label[i] = block.of_class(c)[i];
+      factor[i] = block.counts[i] * (c == 0 ? terms.first : terms.other) * (terms.weight ? terms.weight[c] : F(1));
+    }
+    block.exponentiate();
+    block.for_each([&](auto width, int i) {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      V found, by_log, inverse;
+      focal_of_pixels(load<N>(factor + i), terms.gamma, load<N>(label + i), load<N>(block.most + i),
+                      load<N>(block.rest + i), Math<F, N>{}, found, by_log, inverse);
+      V const counts = load<N>(block.counts + i);
+      store<N>(loss + i, V(counts == 0 ? V{} : found));
+      store<N>(slope + i, V(counts == 0 ? V{} : by_log));
+      store<N>(scale + i, inverse);
+    });
+  }
+};
+
+}  // namespace
+
+template <class T>
+void class_sums(ClassSums<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
+  int64_t const classes = p.logits.classes;
+  Block<T> block(p.logits);
+  Scratch<F> sums(3 * classes * N);
+  for (int64_t piece = begin; piece < end; ++piece) {
+    int64_t const sample = piece / p.pieces, first = piece % p.pieces * kPiece;
+    int64_t const last = min(first + kPiece, p.logits.pixels);
+    for (int64_t i = 0; i < 3 * classes * N; ++i) sums.data[i] = 0;
+    for (int64_t at = first; at < last; at += kBlock) {
+      block.read(sample, at, min(int64_t(kBlock), last - at));
+      for (int i = block.size; i < kBlock; ++i) block.counts[i] = 0, block.label[i] = -1;  // vectors reach there
+      block.exponentiate();
+      block.for_each([&](auto, int i) {
+        using V = Lanes<F, N>;
+        V const counts = load<N>(block.counts + i), label = load<N>(block.label + i);
+        V const scale = counts == 0 ? V{} : V(counts / load<N>(block.sum + i));
+        for (int64_t c = 0; c < classes; ++c) {
+          V const x = load<N>(block.of_class(c) + i) * scale;
+          V const e = counts == 0 ? V{} : x;
+          F* const to = sums.data + 3 * c * N;
+          store<N>(to, V(load<N>(to) + (label == F(c) ? e : V{})));
+          store<N>(to + N, V(load<N>(to + N) + e));
+          store<N>(to + 2 * N, V(load<N>(to + 2 * N) + (label == F(c) ? counts : V{})));
+        }
+      });
+    }
+    F* const partial = p.partial + piece * 3 * classes;
+    for (int64_t c = 0; c < classes; ++c)
+      for (int k = 0; k < 3; ++k) {
+        F sum = 0;
+        for (int l = 0; l < N; ++l) sum += sums.data[(3 * c + k) * N + l];
+        partial[k * classes + c] = sum;
+      }
+  }
+}
+
+template <class T>
+void class_sums_backward(ClassSumsBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const classes = p.logits.classes;
+  Block<T> block(p.logits);
+  F dot[kBlock];
+  for_each_block(p.logits, begin, end, [&](int64_t sample, int64_t first, int64_t count) {
+    block.read(sample, first, count);
+    block.exponentiate();
+    F const* const of_both = p.grad + sample * 3 * classes;
+    F const* const of_all = of_both + classes;
+    auto const gradient = [&](auto width, int64_t c, int64_t i) {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      return V((load<N>(block.label + i) == F(c) ? broadcast<N>(of_both[c]) : V{}) + of_all[c]);
+    };
+    for (int i = 0; i < kBlock; ++i) dot[i] = 0;
+    for (int64_t c = 0; c < classes; ++c)
+      block.for_each([&](auto width, int i) {
+        constexpr int N = decltype(width)::value;
+        using V = Lanes<F, N>;
+        store<N>(dot + i, V(load<N>(dot + i) + load<N>(block.of_class(c) + i) * gradient(width, c, i)));
+      });
+    block.for_each([&](auto width, int i) {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      V const inverse = broadcast<N>(F(1)) / load<N>(block.sum + i);
+      store<N>(block.sum + i, inverse);  // no longer needed as it was
+      store<N>(dot + i, V(load<N>(dot + i) * inverse));
+    });
+    for (int64_t c = 0; c < classes; ++c) {
+      F const* const e = block.of_class(c);
+      T* const to = p.grad_logits + (sample * classes + c) * p.logits.pixels + first;
+      for_each_vector<T>(0, count, [&](auto width, int64_t i) {
+        constexpr int N = decltype(width)::value;
+        using V = Lanes<F, N>;
+        V const counts = load<N>(block.counts + i), share = load<N>(e + i) * load<N>(block.sum + i);
+        V const d = counts * share * (gradient(width, c, i) - load<N>(dot + i));
+        store<N>(to + i, V(counts == 0 ? V{} : d));
+      });
+    }
+  });
+}
+
+template <class T>
+void focal(Focal<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  Block<T> block(p.logits);
+  FocalPixels<T> pixels(p.terms);
+  for_each_block(p.logits, begin, end, [&](int64_t sample, int64_t first, int64_t count) {
+    block.read(sample, first, count);
+    pixels.evaluate(block);
+    F* const out = p.loss + sample * p.logits.pixels + first;
+    for (int i = 0; i < block.size; ++i) out[i] = pixels.loss[i];
+  });
+}
+
+template <class T>
+void focal_backward(FocalBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  Block<T> block(p.logits);
+  FocalPixels<T> pixels(p.terms);
+  for_each_block(p.logits, begin, end, [&](int64_t sample, int64_t first, int64_t count) {
+    block.read(sample, first, count);
+    pixels.evaluate(block);
+    F const* const g = p.grad + sample * p.logits.pixels + first;
+    for (int i = 0; i < block.size; ++i) pixels.slope[i] *= block.counts[i] == 0 ? F(0) : g[i];
+    for (int64_t c = 0; c < p.logits.classes; ++c) {
+      F const* const e = block.of_class(c);
+      T* const to = p.grad_logits + (sample * p.logits.classes + c) * p.logits.pixels + first;
+      for_each_vector<T>(0, count, [&](auto width, int64_t i) {
+        constexpr int N = decltype(width)::value;
+        using V = Lanes<F, N>;
+        V const own = load<N>(block.label + i) == F(c) ? broadcast<N>(F(1)) : V{};
+        V const d = load<N>(pixels.slope + i) * (own - load<N>(e + i) * load<N>(pixels.scale + i));
+        store<N>(to + i, V(load<N>(block.counts + i) == 0 ? V{} : d));
+      });
+    }
+  });
+}
+
+KV_INSTANTIATE(class_sums, ClassSums)
+KV_INSTANTIATE(class_sums_backward, ClassSumsBackward)
+KV_INSTANTIATE(focal, Focal)
+KV_INSTANTIATE(focal_backward, FocalBackward)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,70 @@
+"""Focal loss, and the sums that Dice and Tversky losses are made of: the kernels' tests."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+from op_tests import OpTests, assert_close
+
+L = K.losses
+
+
+def labels(x: Tensor) -> Tensor:
+    """A few of them ignored."""
+    shape = (x.shape[0], *x.shape[2:])
+    return torch.randint(-1, x.shape[1], shape, generator=torch.Generator().manual_seed(0))
+
+
+class Segmentation(OpTests):
+    channels = 4
+    mixed = ("pred", "grad")  # labels have a type of their own
+    shape = (2, 4, 13, 18)
+    small = (1, 4, 3, 4)
+    max_size = 9
+
+    def input(self, shape, dtype, device):
+        return (6 * torch.rand(shape, dtype=torch.float64) - 3).round(decimals=1).to(dtype).to(device)
+
+    def call(self, x, kwargs):
+        integers = isinstance(x, Tensor) and x.dtype in (torch.uint8, torch.int32)  # which the losses refuse
+        return self.function(x.float() if integers else x, **kwargs)
+
+
+class TestFocal(Segmentation):
+    function = staticmethod(L.focal_loss)
+    operators = ("focal", "focal_backward")
+    variants = [
+        {"target": labels, "ignore_index": -1},
+        {"target": labels, "ignore_index": -1, "alpha": None, "gamma": 0.0, "reduction": "mean"},
+        {"target": labels, "ignore_index": -1, "gamma": 1.5, "weight": lambda x: torch.linspace(0.5, 2, 4)},
+    ]
+    errors = [({"gamma": -1.0}, ValueError, "expected gamma"), ({"alpha": "a"}, TypeError, "expected alpha")]
+
+
+class TestTversky(Segmentation):
+    function = staticmethod(L.tversky_loss)
+    operators = ("class_sums", "class_sums_backward")
+    variants = [{"target": labels, "ignore_index": -1, "alpha": 0.3, "beta": 0.7}]
+    errors = [({"eps": -1.0}, ValueError, "expected eps"), ({"beta": None}, TypeError, "expected beta")]
+
+
+@pytest.mark.parametrize("classes", [1, 2, 21, 1500])
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (70, 131)], ids=str)
+def test_classes_and_pieces(classes, size, device):
+    """Any number of classes, and images that one piece does not hold."""
+    if classes * size[0] * size[1] > 1e6:
+        pytest.skip("large")
+    x = 20 * torch.rand(2, classes, *size, device=device) - 10
+    target = torch.randint(0, classes, (2, *size), device=device)
+    for loss in (L.dice_loss, lambda x, t: L.focal_loss(x, t, reduction="mean")):
+        found = []
+        for name, value in (("auto", x), ("reference", x.double())):
+            with K.backend(name):
+                leaf = value.clone().requires_grad_()
+                y = loss(leaf, target)
+                found.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
+        for actual, expected in zip(*found):
+            assert_close(actual, expected.float(), 2e-5, 1e-6 * float(expected.abs().max()) + 1e-8)

@@ -17,7 +17,7 @@ __device__ __forceinline__ float floor_of(float x) { return floorf(x); }
 __device__ __forceinline__ double floor_of(double x) { return floor(x); }
 __device__ __forceinline__ float magnitude(float x) { return fabsf(x); }
 __device__ __forceinline__ double magnitude(double x) { return fabs(x); }
-// Right to 1 in 2^23, and a fifth of the instructions of a division.
+// Right to 1 in 2^23, and a fifth of the instructions of a division; x times it may exceed 1.
 __device__ __forceinline__ float reciprocal(float x) {
   float y;
   asm("rcp.approx.f32 %0, %1;" : "=f"(y) : "f"(x));

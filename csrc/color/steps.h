@@ -119,7 +119,7 @@ KV_HD void rgb_to_hsv(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
   V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
   V const hue = hue_of(c, most, range, F(0));
-  c[1] = range * reciprocal(select(most == F(0), constant<V>(F(1)), most + eps));
+  c[1] = range / select(most == F(0), constant<V>(F(1)), most + eps);  // not above 1
   c[0] = hue;
   c[2] = most;
 }
@@ -155,7 +155,7 @@ KV_HD void rgb_to_hls(V (&c)[3], Scalar<V> eps) {
   V const hue = hue_of(c, most, range, eps), room = select(sum < F(1), sum, F(2) - sum);
   c[0] = hue;
   c[1] = sum * F(0.5);
-  c[2] = range * reciprocal(select(room == F(0), constant<V>(F(1)), room + eps));
+  c[2] = range / select(room == F(0), constant<V>(F(1)), room + eps);
 }
 template <class V>
 KV_HD void hls_to_rgb(V (&c)[3]) {
@@ -360,8 +360,7 @@ KV_HD void adjust_saturation(V (&c)[3], U const& factor) {
   using F = Scalar<V>;
   V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
   auto const grey = range == F(0);
-  V const one = constant<V>(F(1)),
-          limit = select(grey, one, at_least(most, F(0)) * reciprocal(select(grey, one, range)));
+  V const one = constant<V>(F(1)), limit = select(grey, one, at_least(most, F(0)) / select(grey, one, range));
   V const wanted = at_least(as<V>(factor), F(0)), scale = select(limit > wanted, wanted, limit);
   for (int i = 0; i < 3; ++i) c[i] = most - (most - c[i]) * scale;
 }
@@ -386,6 +385,12 @@ template <class V, class U>
 KV_HD V scaled_saturation(V const& saturation, U const& factor) {
   using F = Scalar<V>;
   return at_most(at_least(saturation * factor, F(0)), F(1));
+}
+
+// The division is the same for all pixels.
+template <class V, class U>
+KV_HD V standardized(V const& x, U const& mean, U const& deviation) {
+  return (x - mean) * (constant<U>(Scalar<U>(1)) / deviation);
 }
 
 template <class V, class G, class U>
@@ -464,7 +469,7 @@ KV_HD void run_step(Step step, P& pixels) {
                            __attribute__((always_inline)) { __VA_ARGS__; });
   switch (step) {
     KV_VALUES(line, clip(x * p[0] + p[1], n[2] != 0))
-    KV_VALUES(standardize, (x - p[0]) * reciprocal(p[1]))
+    KV_VALUES(standardize, standardized(x, p[0], p[1]))
     KV_VALUES(gamma, clip(gamma(x, p[0], p[1]), true))
     KV_VALUES(log, clip(logarithm(x, p[0], n[1] != 0), n[2] != 0))
     KV_VALUES(sigmoid, sigmoid(x, p[0], p[1], n[2] != 0))
@@ -478,7 +483,7 @@ KV_HD void run_step(Step step, P& pixels) {
   if constexpr (P::kChannels == 3) {
     switch (step) {
       KV_VALUES(line_rgb, clip(x * p[i] + p[3 + i], n[6] != 0))
-      KV_VALUES(standardize_rgb, (x - p[i]) * reciprocal(p[3 + i]))
+      KV_VALUES(standardize_rgb, standardized(x, p[i], p[3 + i]))
       KV_PIXELS(weighted_sum, c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2])
       KV_PIXELS(saturation, adjust_saturation(c, p[0]))
       KV_PIXELS(saturation_raw, c[1] = scaled_saturation(c[1], p[0]))

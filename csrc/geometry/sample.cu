@@ -19,7 +19,8 @@ __device__ __noinline__ F value_of_taps(Sampling<T> const& p, Window<K, F> const
 }
 
 template <class T, int K, bool matrix>
-__global__ void __launch_bounds__(kThreads) sample_tiles(__grid_constant__ Sample<T> const p, Tiles tiles) {
+__global__ void __launch_bounds__(kThreads, K == 4 ? 2 : 4)
+    sample_tiles(__grid_constant__ Sample<T> const p, Tiles tiles) {
   using F = Compute<T>;
   __shared__ Homography<F> map;
   int64_t b;
@@ -40,24 +41,33 @@ __global__ void __launch_bounds__(kThreads) sample_tiles(__grid_constant__ Sampl
     F wx[K], wy[K];
     tap_weights(window.tx, wx);
     tap_weights(window.ty, wy);
-    T const* from = source + window.y * row + window.x * step;
-    T* to = p.y.row(b, 0, y) + x * p.y.step;
-#pragma unroll 3
-    for (int c = 0; c < p.x.channels; ++c) {
-      F sum = 0;
+    T const* const from = source + window.y * row + window.x * step;
+    T* const to = p.y.row(b, 0, y) + x * p.y.step;
+#pragma unroll 1
+    for (int first = 0; first < p.x.channels; first += kChannels) {
+      F sums[kChannels] = {};
       if (window.inside) {
-        T const* at = from + c * p.x.channel_stride;
 #pragma unroll
-        for (int j = 0; j < K; ++j, at += row) {
-          F line = 0;
+        for (int j = 0; j < K; ++j) {
+          F values[kChannels][K];
+          read_taps(values, from + first * p.x.channel_stride + j * row, step, p.x, first);
 #pragma unroll
-          for (int i = 0; i < K; ++i) line += F(read(at[i * step])) * wx[i];
-          sum += line * wy[j];
+          for (int k = 0; k < kChannels; ++k) {
+            F line = 0;
+#pragma unroll
+            for (int i = 0; i < K; ++i) line += values[k][i] * wx[i];
+            sums[k] += line * wy[j];
+          }
         }
       }
-      if (!window.inside || sum - sum != 0)
-        sum = value_of_taps(p, window, source + c * p.x.channel_stride, row, step, p.fill_of(b, c));
-      to[c * p.y.channel_stride] = round_to<T>(sum);
+#pragma unroll
+      for (int k = 0; k < kChannels; ++k) {
+        int const c = first + k;
+        if (c >= p.x.channels) break;
+        if (!window.inside || sums[k] - sums[k] != 0)
+          sums[k] = value_of_taps(p, window, source + c * p.x.channel_stride, row, step, p.fill_of(b, c));
+        to[c * p.y.channel_stride] = round_to<T>(sums[k]);
+      }
     }
   }
 }

@@ -92,6 +92,19 @@ struct Window {
   }
 };
 
+constexpr int kChannels = 3;  // whose taps a thread asks for before it waits for them
+
+// A row of taps of channels `first` ... of an image, the first of them at `from`; 0 for channels that there are not.
+template <int K, class F, class T>
+__device__ __forceinline__ void read_taps(F (&values)[kChannels][K], T const* from, int64_t step,
+                                          Images<T const> const& image, int first) {
+#pragma unroll
+  for (int k = 0; k < kChannels; ++k)
+#pragma unroll
+    for (int i = 0; i < K; ++i)
+      values[k][i] = first + k < image.channels ? F(read(from[k * image.channel_stride + i * step])) : F(0);
+}
+
 // Calls run(by map or matrix, taps along an axis) with what p says, as types.
 template <class T, class F>
 void with_kind(Sampling<T> const& p, F run) {

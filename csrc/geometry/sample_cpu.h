@@ -77,7 +77,7 @@ constexpr int kPlaces = (kVectorBytes < 32 ? kVectorBytes : 32) / int(sizeof(Com
 // Calls windows(number of lanes) for a piece of a row. Offsets within a plane are ints in vectors, so huge planes go
 // one by one, as do pieces shorter than a vector.
 template <class T, class F>
-KV_HD void with_lanes(Images<T> const& x, int64_t count, F windows) {
+KV_HD void with_lanes(Images<T const> const& x, int64_t count, F windows) {
   int64_t const reach = x.height * x.row_stride + x.width * x.step;
   if (count < kPlaces<T> || reach > INT32_MAX || reach < INT32_MIN)
     windows(Width<1>{});

@@ -66,6 +66,29 @@ T* data_of(Tensor const& x) {
   return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
 }
 
+// The matrix of a warp, checked.
+struct Matrix {
+  Tensor matrix;
+  MatrixUse use;
+
+  Matrix(char const* op, Tensor const& given, Tensor const& x, bool inverse, bool normalized, bool align_corners,
+         Size source, Size output)
+      : matrix(given) {
+    KV_CHECK(goes_with(given, x, 3) && (given.size(1) == 2 || given.size(1) == 3) && given.size(2) == 3, op,
+             ": matrix does not fit the image");
+    matrix = torch::stable::contiguous(given);
+    use = {int(matrix.size(1)), inverse, normalized, align_corners, source, output};
+  }
+  template <class F>
+  Places<F> places() const {
+    Places<F> p{};
+    p.matrices = data_of<F const>(matrix);
+    p.matrix_stride = matrix.size(0) == 1 ? 0 : 3 * use.rows;
+    p.use = use;
+    return p;
+  }
+};
+
 // How an image of `source` is read, and for which gradient; what is read of it is up to the caller.
 struct SamplingArguments {
   char const* op;

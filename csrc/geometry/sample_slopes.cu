@@ -5,7 +5,8 @@ namespace kv::cuda {
 namespace {
 
 template <class T, int K, bool matrix>
-__global__ void __launch_bounds__(kThreads) slope_tiles(SampleSlopes<T> p, Tiles tiles) {
+__global__ void __launch_bounds__(kThreads, K == 4 ? 2 : 3)
+    slope_tiles(__grid_constant__ SampleSlopes<T> const p, Tiles tiles) {
   using F = Compute<T>;
   __shared__ Homography<F> map;
   int64_t b;
@@ -30,35 +31,47 @@ __global__ void __launch_bounds__(kThreads) slope_tiles(SampleSlopes<T> p, Tiles
     tap_slopes(window.ty, dy);
     T const* const grad = p.grad.row(b, 0, y) + x * p.grad.step;
     F to_u = 0, to_v = 0;
-#pragma unroll 3
-    for (int c = 0; c < p.x.channels; ++c) {
-      F along_x = 0, along_y = 0;
-      T const* const plane = source + c * p.x.channel_stride;
+#pragma unroll 1
+    for (int first = 0; first < p.x.channels; first += kChannels) {
+      F along_x[kChannels] = {}, along_y[kChannels] = {};
+      T const* const planes = source + first * p.x.channel_stride;
+      int const channels = min(kChannels, p.x.channels - first);
       if (window.inside) {
-        T const* at = plane + window.y * row + window.x * step;
+        T const* at = planes + window.y * row + window.x * step;
 #pragma unroll
         for (int j = 0; j < K; ++j, at += row) {
-          F line = 0, across = 0;
+          F values[kChannels][K];
+          read_taps(values, at, step, p.x, first);
 #pragma unroll
-          for (int i = 0; i < K; ++i) {
-            F const value = F(read(at[i * step]));
-            line += value * wx[i];
-            across += value * dx[i];
+          for (int k = 0; k < kChannels; ++k) {
+            F line = 0, across = 0;
+#pragma unroll
+            for (int i = 0; i < K; ++i) {
+              line += values[k][i] * wx[i];
+              across += values[k][i] * dx[i];
+            }
+            along_x[k] += across * wy[j];
+            along_y[k] += line * dy[j];
           }
-          along_x += across * wy[j];
-          along_y += line * dy[j];
         }
       } else {
-        F const fill = p.fill_of(b, c);
-        window.for_each(p, row, step, [&](int j, int i, int64_t at) {
-          F const value = at < 0 ? fill : F(read(plane[at]));
-          along_x += value * dx[i] * wy[j];
-          along_y += value * wx[i] * dy[j];
-        });
+#pragma unroll
+        for (int k = 0; k < kChannels; ++k) {
+          if (k >= channels) break;
+          F const fill = p.fill_of(b, first + k);
+          window.for_each(p, row, step, [&](int j, int i, int64_t at) {
+            F const value = at < 0 ? fill : F(read(planes[k * p.x.channel_stride + at]));
+            along_x[k] += value * dx[i] * wy[j];
+            along_y[k] += value * wx[i] * dy[j];
+          });
+        }
       }
-      F const g = F(read(grad[c * p.grad.channel_stride]));
-      to_u += g * along_x;
-      to_v += g * along_y;
+#pragma unroll
+      for (int k = 0; k < kChannels; ++k) {
+        F const g = k < channels ? F(read(grad[(first + k) * p.grad.channel_stride])) : F(0);
+        to_u += g * along_x[k];
+        to_v += g * along_y[k];
+      }
     }
     if constexpr (matrix) {
       F const scale = 1 / map.weight(F(x), F(y));

@@ -4,28 +4,6 @@
 namespace kv {
 namespace {
 
-struct Matrix {
-  Tensor matrix;
-  MatrixUse use;
-
-  Matrix(char const* op, Tensor const& given, Tensor const& x, bool inverse, bool normalized, bool align_corners,
-         Size source, Size output)
-      : matrix(given) {
-    KV_CHECK(goes_with(given, x, 3) && (given.size(1) == 2 || given.size(1) == 3) && given.size(2) == 3, op,
-             ": matrix does not fit the image");
-    matrix = torch::stable::contiguous(given);
-    use = {int(matrix.size(1)), inverse, normalized, align_corners, source, output};
-  }
-  template <class F>
-  Places<F> places() const {
-    Places<F> p{};
-    p.matrices = data_of<F const>(matrix);
-    p.matrix_stride = matrix.size(0) == 1 ? 0 : 3 * use.rows;
-    p.use = use;
-    return p;
-  }
-};
-
 Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill, std::vector<int64_t> size,
             std::string const& interpolation, std::string const& padding, bool align_corners, bool inverse,
             bool normalized) {

@@ -231,3 +231,12 @@ def test_registration_finds_the_transform(model, device):
     inside = (slice(None), slice(None), slice(8, -8), slice(8, -8))
     assert (registrator.warp_src_into_dst(source) - target)[inside].abs().mean() < 0.02
     assert (registrator.warp_dst_into_src(target) - source)[inside].abs().mean() < 0.02
+
+
+def test_registration_with_any_loss(device):
+    """Losses that are not computed in one pass are computed step by step, with nearly the same result."""
+    source, target = blobs(48, device), blobs(48, device).roll((1, 2), (2, 3))
+    model = torch.eye(3, device=device)[None]
+    fused = G.ImageRegistrator().get_single_level_loss(source, target, model)
+    plain = G.ImageRegistrator(loss_fn=lambda a, b, reduction: F.l1_loss(a, b, reduction=reduction))
+    assert_close(plain.get_single_level_loss(source, target, model), fused, 0.05, 0)

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 
 import kvision as K
-from composition_tests import Case, CompositionTests
+from composition_tests import Case, CompositionTests, on
 from op_tests import OpTests, assert_close
 
 L = K.losses
@@ -21,7 +21,7 @@ def with_labels(loss, *args, **kwargs):
     """A loss of logits alone: its labels are those of one sample, whatever the batch."""
 
     def call(pred):
-        labels = LABELS[:1].to(pred.device).expand(pred.shape[0], -1, -1)
+        labels = on(pred.device, LABELS)[:1].expand(pred.shape[0], -1, -1)
         return loss(pred, labels, *args, **kwargs)
 
     return call

@@ -13,11 +13,13 @@ from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.transform import matrices
 from kvision.geometry.transform.homography_warper import BaseWarper, HomographyWarper
+from kvision.geometry.transform.photometric import photometric_homography_loss
 from kvision.geometry.transform.pyramid import build_pyramid
 from kvision.geometry.transform.resize import resize
 
 __all__ = ["BaseModel", "Homography", "ImageRegistrator", "Similarity"]
 
+_FUSED = {F.l1_loss: "l1", F.mse_loss: "l2"}  # losses that one pass over both images gives
 _LOOK_EVERY = 10  # iterations after which the loss is read, which waits for the device
 
 
@@ -174,6 +176,7 @@ class ImageRegistrator(nn.Module):
             raise ValueCheckError("ImageRegistrator: expected a warper with a model of one's own, got None")
         self.model = model_type
         self.warper: Callable[[int, int], Any] = warper or HomographyWarper
+        self._distance = _FUSED.get(loss_fn) if self.warper is HomographyWarper else None
         self.optimizer = optimizer
         self.loss_fn = loss_fn
         self.pyramid_levels = pyramid_levels
@@ -192,6 +195,8 @@ class ImageRegistrator(nn.Module):
             raise ShapeError(
                 f"ImageRegistrator: expected images of one shape, got {tuple(img_src.shape)} and {tuple(img_dst.shape)}"
             )
+        if self._distance is not None:
+            return photometric_homography_loss(img_src, img_dst, transform_model, self._distance).mean()
         warper = self.warper(*img_dst.shape[-2:])
         loss = self.loss_fn(warper(img_src, transform_model), img_dst, reduction="none")
         with torch.no_grad():

@@ -101,7 +101,7 @@ def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tens
 # --- places of a matrix ---------------------------------------------------------------------------------------------
 
 
-def _places(
+def places_of(
     matrix: Tensor, output: Sequence[int], source: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
 ) -> list[Tensor]:
     """Where the pixels of the output lie in the source: x and y, (B, h, w)."""
@@ -149,7 +149,7 @@ def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
 
 def _warp_reference(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized):
     matrix = matrix.expand(len(image), -1, -1)
-    places = _places(matrix, size, image.shape[2:], align_corners, inverse, normalized)
+    places = places_of(matrix, size, image.shape[2:], align_corners, inverse, normalized)
     return sample(image, places, interpolation, padding, align_corners, fill)
 
 

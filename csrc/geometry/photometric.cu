@@ -1,0 +1,103 @@
+// The photometric distance on CUDA: a block a tile of the target, then one block a sample adds the tiles up.
+#include "photometric.h"
+#include "sample.cuh"
+
+namespace kv::cuda {
+namespace {
+
+// The sums of a block's threads, by its first ones.
+template <int N, class F>
+__device__ __forceinline__ void add_threads(F (&sums)[N], double* to) {
+  __shared__ F parts[N][kThreads / 32];
+#pragma unroll
+  for (int i = 0; i < N; ++i) {
+    F const sum = warp_sum(sums[i]);
+    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x < N) {
+    double sum = 0;
+    for (F const part : parts[threadIdx.x]) sum += part;
+    to[threadIdx.x] = sum;
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, Tiles tiles) {
+  using F = Compute<T>;
+  __shared__ Homography<F> map;
+  int64_t b;
+  int y0, x0;
+  tiles.place(b, y0, x0);
+  ByMatrix<F> const by(p.places, map, b);
+  int const x = x0 + column_in_tile();
+  int64_t const row = p.source.row_stride, step = p.source.step;
+  F sums[kPhotometricSums] = {};
+#pragma unroll 1
+  for (int run = 0; run < kRuns; ++run) {
+    int const y = y0 + row_in_tile(run);
+    if (x >= p.target.width || y >= p.target.height) break;
+    F u, v;
+    by.at(b, y, x, u, v);
+    Window<2, F> const window(p, u, v);
+    if (!window.inside) continue;
+    F wx[2], wy[2], to_u = 0, to_v = 0;
+    tap_weights(window.tx, wx);
+    tap_weights(window.ty, wy);
+    T const* from = p.source.row(b, 0, window.y) + window.x * step;
+    T const* target = p.target.row(b, 0, y) + x * p.target.step;
+#pragma unroll 3
+    for (int c = 0; c < p.source.channels; ++c) {
+      F const a00 = read(from[0]), a01 = read(from[step]), a10 = read(from[row]), a11 = read(from[row + step]);
+      F const value = (a00 * wx[0] + a01 * wx[1]) * wy[0] + (a10 * wx[0] + a11 * wx[1]) * wy[1];
+      F slope;
+      sums[9] += distance_of(p.distance, value - F(read(*target)), p.eps, slope);
+      to_u += slope * ((a01 - a00) * wy[0] + (a11 - a10) * wy[1]);
+      to_v += slope * ((a10 - a00) * wx[0] + (a11 - a01) * wx[1]);
+      from += p.source.channel_stride;
+      target += p.target.channel_stride;
+    }
+    F const scale = 1 / map.weight(F(x), F(y));
+    F const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
+#pragma unroll
+    for (int i = 0; i < 3; ++i) {
+      sums[3 * i] += g[i] * F(x);
+      sums[3 * i + 1] += g[i] * F(y);
+      sums[3 * i + 2] += g[i];
+    }
+    sums[10] += 1;
+  }
+  add_threads(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
+}
+
+template <class T>
+__global__ void photometric_samples(PhotometricTotal<T> p) {
+  __shared__ double total[kPhotometricSums];
+  int64_t const b = blockIdx.x;
+  double sums[kPhotometricSums] = {};
+  for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
+    for (int i = 0; i < kPhotometricSums; ++i) sums[i] += p.sums[(b * p.parts + part) * kPhotometricSums + i];
+  add_threads(sums, total);
+  __syncthreads();
+  if (threadIdx.x == 0) photometric_total_of(p, b, total);
+}
+
+}  // namespace
+
+template <class T>
+int photometric(Photometric<T> const& p, CUstream_st* stream) {
+  Tiles const tiles(p.target.batch, p.target.height, p.target.width);
+  photometric_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  return cudaGetLastError();
+}
+
+template <class T>
+int photometric_total(PhotometricTotal<T> const& p, CUstream_st* stream) {
+  photometric_samples<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(photometric, Photometric)
+KV_INSTANTIATE_COMPUTED(photometric_total, PhotometricTotal)
+
+}  // namespace kv::cuda

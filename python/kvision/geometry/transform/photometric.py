@@ -1,0 +1,135 @@
+"""How far a warped image is from another one, in one pass over both."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import register
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.transform import sampling
+
+__all__ = ["photometric_homography_loss"]
+
+_DISTANCES = ("l1", "l2", "charbonnier")
+
+
+def _loss(source, target, matrix, distance, eps, align_corners, normalized):
+    """(B,): the separate steps, of which csrc/geometry/photometric.h makes one."""
+    source, target = source.to(matrix.dtype), target.to(matrix.dtype)
+    places = sampling.places_of(
+        matrix.expand(len(source), -1, -1), target.shape[2:], source.shape[2:], align_corners, False, normalized
+    )
+    residual = sampling.sample(source, places, "bilinear", "fill", align_corners) - target
+    if distance == "l1":
+        found = residual.abs()
+    elif distance == "l2":
+        found = residual * residual
+    else:
+        found = (residual * residual + eps * eps).sqrt()
+    height, width = source.shape[2:]
+    u, v = (x.detach() for x in places)
+    seen = ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
+    total = torch.where(seen, found, 0).sum((1, 2, 3))
+    return total / (seen.sum((1, 2, 3)) * source.shape[1])
+
+
+def _reference(source, target, matrix, *how):
+    matrices = matrix.expand(len(source), -1, -1)
+    loss, pullback = torch.func.vjp(lambda m: _loss(source, target, m, *how), matrices)
+    return loss, pullback(torch.ones_like(loss))[0]
+
+
+def _backward(needs, grad, _, loss, slope, source, target, matrix, *how):
+    if not (needs[0] or needs[1] or torch.is_grad_enabled()):
+        return [None, None, (grad[:, None, None] * slope).sum_to_size(matrix.shape)]
+    tensors = (source, target, matrix)
+    where = [i for i, need in enumerate(needs) if need]
+
+    def f(*values: Tensor) -> Tensor:
+        full = list(tensors)
+        for i, value in zip(where, values):
+            full[i] = value
+        return _loss(*full, *how)
+
+    _, pullback = torch.func.vjp(f, *(tensors[i] for i in where))
+    found = dict(zip(where, pullback(grad)))
+    return [found.get(i) for i in range(3)]
+
+
+_photometric = register(
+    "photometric",
+    _reference,
+    fake=lambda source, target, matrix, *how: [matrix.new_empty(len(source)), matrix.new_empty(len(source), 3, 3)],
+    backward=_backward,
+    saves_results=True,
+    constant=(1,),
+    stores=True,
+)
+
+
+def photometric_homography_loss(
+    source: Tensor,
+    target: Tensor,
+    src_homo_dst: Tensor,
+    distance: str = "l1",
+    eps: float = 1e-3,
+    align_corners: bool = False,
+    normalized_coordinates: bool = True,
+) -> Tensor:
+    """The mean distance of a target from an image warped onto it, with its gradient to the homography, in one pass.
+
+    The mean is over the pixels of the target that the homography takes between four pixels of the source. How many
+    these are counts as constant for the gradient. Nothing as large as an image is written.
+
+    Args:
+        source: images (B, C, H, W), the ones that are warped. Integers are computed in float32.
+        target: images (B, C, h, w).
+        src_homo_dst: (B, 3, 3), or (1, 3, 3) for all images: places of the target to places of the source, as
+            :func:`homography_warp` takes it.
+        distance: of two values: 'l1', the absolute difference; 'l2', its square; 'charbonnier', sqrt(r^2 + eps^2).
+        eps: of the latter.
+        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+        normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
+
+    Returns:
+        (B,), of the type of `source`; NaN where no pixel of the target is in the source.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image = torch.rand(1, 3, 8, 8)
+        >>> homography = torch.eye(3)[None].requires_grad_()
+        >>> loss = K.geometry.photometric_homography_loss(image, image + 0.5, homography)
+        >>> loss.backward()
+        >>> loss.detach().round(decimals=4), homography.grad.shape
+        (tensor([0.5000]), torch.Size([1, 3, 3]))
+    """
+    op = "photometric_homography_loss"
+    _check.images(op, "source", source)
+    _check.images(op, "target", target)
+    _check.shape(op, "src_homo_dst", src_homo_dst, "B", 3, 3)
+    _check.choice(op, "distance", distance, _DISTANCES)
+    eps = _check.number(op, "eps", eps, minimum=0)
+    _check.flag(op, "align_corners", align_corners)
+    _check.flag(op, "normalized_coordinates", normalized_coordinates)
+    source, target = floats(source), floats(target)
+    _check.same_device(op, source=source, target=target)
+    stored, together = source.dtype, torch.promote_types(source.dtype, target.dtype)
+    source, target = source.to(together), target.to(together)
+    if source.shape[:2] != target.shape[:2]:
+        raise ShapeError(
+            f"{op}: expected target of shape {(*source.shape[:2], 'h', 'w')}, got {tuple(target.shape)}",
+            actual_shape=target.shape,
+        )
+    matrix = sampling.for_images(op, source, "src_homo_dst", src_homo_dst)
+    found: Any = _photometric(source, target, matrix, distance, eps, align_corners, normalized_coordinates)
+    loss: Tensor = found[0].to(stored)
+    return loss

@@ -9,6 +9,7 @@ A case is a call and the shapes of its tensors. Every test that takes `case` run
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import pytest
@@ -23,6 +24,12 @@ class Case(NamedTuple):
     shapes: tuple[tuple[int, ...], ...]  # of its tensors; the first is an image and sets the type of the result
     shared: tuple[int, ...] = ()  # those that serve the whole batch, by index; the others have it in front
     differentiable: bool = True
+
+
+@cache
+def on(device: torch.device, constant: Tensor) -> Tensor:
+    """A constant of a test on a device: copied once, since the capture of a CUDA graph allows no copy from the host."""
+    return constant.to(device)
 
 
 class CompositionTests:

@@ -26,9 +26,9 @@ def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Calla
     return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
 
 
-def number(y: Tensor) -> Tensor:
-    """A loss as an image of one pixel, which peers are compared by."""
-    return y.view(1, 1, 1, -1)
+def beside_zero(y: Tensor) -> Tensor:
+    """Losses as peers are compared by: relative to the range of the result, which a single number has none of."""
+    return torch.cat([y.new_zeros(1), y.flatten()])
 
 
 def of_loss(inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> int:
@@ -75,46 +75,47 @@ def morphology(name: str, height: int, width: int, bars: Bars) -> Case:
     )
 
 
-segmentations = {"inputs": segmentation, "backward": of_loss, "rim": 0}
+as_number = {"result": beside_zero, "rim": 0}
+segmentations = {"inputs": segmentation, "backward": of_loss, **as_number}
 images = {"inputs": pairs, "backward": of_loss}
 
 CASES = [
     case("ssim11", lambda K, x, y: K.metrics.ssim(x, y, 11), Bars(floor=1.6, both=2.5), {}, **images),
     case(
         "ssim_loss11",
-        lambda K, x, y: number(K.losses.ssim_loss(x, y, 11)),
+        lambda K, x, y: K.losses.ssim_loss(x, y, 11),
         Bars(floor=1.6, both=2.5, launches=None),
         {},
         **images,
-        rim=0,
+        **as_number,
     ),
     case(
         "psnr",
-        lambda K, x, y: number(K.metrics.psnr(x, y, 1.0)),
+        lambda K, x, y: K.metrics.psnr(x, y, 1.0),
         Bars(floor=1.15, both=1.4, launches=None),
         {},
         **images,
-        rim=0,
+        **as_number,
     ),
     case(
         "total_variation",
-        lambda K, x: number(K.losses.total_variation(x)),
+        lambda K, x: K.losses.total_variation(x),
         Bars(floor=1.2, both=1.4, launches=None),
         {},
         backward=of_loss,
-        rim=0,
+        **as_number,
     ),
     case(
         "focal",
-        lambda K, x, t: number(K.losses.focal_loss(x, t, 0.5, reduction="mean")),
+        lambda K, x, t: K.losses.focal_loss(x, t, 0.5, reduction="mean"),
         Bars(both=1.5, launches=None),
         {},
         **segmentations,
     ),
-    case("dice", lambda K, x, t: number(K.losses.dice_loss(x, t)), Bars(both=1.5, launches=None), {}, **segmentations),
+    case("dice", lambda K, x, t: K.losses.dice_loss(x, t), Bars(both=1.5, launches=None), {}, **segmentations),
     case(
         "tversky",
-        lambda K, x, t: number(K.losses.tversky_loss(x, t, 0.5, 0.5)),
+        lambda K, x, t: K.losses.tversky_loss(x, t, 0.5, 0.5),
         Bars(both=1.5, launches=None),
         {},
         **segmentations,

@@ -191,9 +191,17 @@ template <class F>
 struct ProgramBackward {
   Program<F> forward;  // its y is not written; what it measures is the gradient of the mean
   Pixels grad, grad_x;
-  bool wants_x, reads_x;  // no pixel is needed where every step is affine
-  F* slopes;              // of the parameters: (samples, shares, columns); null: not wanted
+  bool wants_x, reads_x;
+  bool needs_input[kMostSteps];  // of a step: not where its Jacobian is the same for all pixels
+  F* slopes;                     // of the parameters: (samples, shares, columns); null: not wanted
   int columns;
+
+  // Up to which of a sample's steps pixels have to be computed again.
+  KV_HD int last_input(int const* order, int length) const {
+    int last = length - 1;
+    while (last > 0 && !needs_input[order[last]]) --last;
+    return last;
+  }
 };
 
 // Sums slopes (N, summands, columns) to (N, columns), `count` of them.

@@ -16,6 +16,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
   __shared__ F slopes[kThreads / 32][kMostParameters];
   for (int64_t b = blockIdx.y; b < q.samples; b += gridDim.y) {
     F measured = 0;
+    int last = 0;
     for (int64_t chunk = blockIdx.x; chunk < chunks_of<F>(q.pixels); chunk += gridDim.x) {
       int64_t const i = chunk * kChunk<F> + threadIdx.x * P;
       F c[C][P], g[C][P], kept[kMostSteps - 1][C][P];
@@ -23,10 +24,11 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
       load_pixels(p.grad, b, i, q.pixels, F(0), g);
       if (chunk == blockIdx.x) {
         sample.prepare(q, b, true);
+        last = p.last_input(sample.order, sample.length);
         for (int k = int(threadIdx.x % 32); k < kMostParameters; k += 32) slopes[threadIdx.x / 32][k] = 0;
         __syncwarp();
       }
-      for (int s = 0; p.reads_x && s + 1 < sample.length; ++s) {
+      for (int s = 0; s < last; ++s) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
@@ -63,7 +65,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
             for (int j = 0; j < P; ++j)
               if (i + j < q.pixels)  // what is beyond adds nothing to the gradients of parameters
                 g[k][j] += sample.mean_slope * q.grey[k];
-        if (p.reads_x && s > 0)
+        if (s > 0 && s <= last)
 #pragma unroll
           for (int k = 0; k < C; ++k)
 #pragma unroll

@@ -338,30 +338,30 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   // The first step reads the image and the last one writes the result themselves, where these hold F as chunks do.
   bool const direct = !p.measures && !p.order && p.steps == 1 && p.y.channels == C && is_chunk<F>(p.x, p.pixels) &&
                       is_chunk<F>(p.y, p.pixels);
-  for_each_chunk(p, false, direct, begin, end,
-                 [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
-                   bool const reads = is_chunk<F>(p.x, count) && s.length > 0 && !p.measures;
-                   bool const writes = is_chunk<F>(p.y, count) && s.length > 0 && !p.measures && p.y.channels == C;
-                   if (!reads) load_chunk(p.x, C, b, first, count, F(0), c);
-                   for (int i = 0; i < s.length; ++i) {
-                     int const k = s.order[i];
-                     if (p.measures && k == p.contrast) break;
-                     Values<F, C> values{{c}, {c}, count, s.p + p.first[k]};
-                     if (reads && i == 0) values.c = chunk_of<F const>(p.x, b, first);
-                     if (writes && i + 1 == s.length) values.to = chunk_of<F>(p.y, b, first);
-                     step_over(p.step[k], values);
-                   }
-                   if (p.contrast >= 0 && !p.measures && first == 0) p.means[b] = s.mean;
-                   if (writes) return;
-                   if (!p.measures) return store_chunk(p.y, b, first, count, c);
-                   Vector<F> sum{};
-                   int64_t i = 0;
-                   for (; i + N <= count; i += N)
-                     for (int k = 0; k < C; ++k) sum = sum + load<N>(c + k * kChunk<F> + i) * p.grey[k];
-                   for (; i < count; ++i)
-                     for (int k = 0; k < C; ++k) p.parts[part] += c[k * kChunk<F> + i] * p.grey[k];
-                   p.parts[part] += sum_of(sum);
-                 });
+  auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
+    bool const reads = is_chunk<F>(p.x, count) && s.length > 0 && !p.measures;
+    bool const writes = is_chunk<F>(p.y, count) && s.length > 0 && !p.measures && p.y.channels == C;
+    if (!reads) load_chunk(p.x, C, b, first, count, F(0), c);
+    for (int i = 0; i < s.length; ++i) {
+      int const k = s.order[i];
+      if (p.measures && k == p.contrast) break;
+      Values<F, C> values{{c}, {c}, count, s.p + p.first[k]};
+      if (reads && i == 0) values.c = chunk_of<F const>(p.x, b, first);
+      if (writes && i + 1 == s.length) values.to = chunk_of<F>(p.y, b, first);
+      step_over(p.step[k], values);
+    }
+    if (p.contrast >= 0 && !p.measures && first == 0) p.means[b] = s.mean;
+    if (writes) return;
+    if (!p.measures) return store_chunk(p.y, b, first, count, c);
+    Vector<F> sum{};
+    int64_t i = 0;
+    for (; i + N <= count; i += N)
+      for (int k = 0; k < C; ++k) sum = sum + load<N>(c + k * kChunk<F> + i) * p.grey[k];
+    for (; i < count; ++i)
+      for (int k = 0; k < C; ++k) p.parts[part] += c[k * kChunk<F> + i] * p.grey[k];
+    p.parts[part] += sum_of(sum);
+  };
+  for_each_chunk(p, false, direct, begin, end, work);
 }
 
 template <class F, int C>
@@ -370,39 +370,40 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
   Program<F> const& q = p.forward;
   Scratch<F> scratch(size * (q.length + 1));
   F* const g = scratch.data + size * q.length;
-  for_each_chunk(q, true, false, begin, end,
-                 [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
-                   load_chunk(p.grad, C, b, first, count, F(0), g);
-                   if (p.reads_x) load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
-                   for (int i = 0; p.reads_x && i + 1 < s.length; ++i) {
-                     F* const c = scratch.data + size * i;
-                     Values<F, C> values{{c}, {c + size}, count, s.p + q.first[s.order[i]]};
-                     step_over(q.step[s.order[i]], values);
-                   }
-                   for (int i = 0; p.slopes && i < p.columns; ++i) p.slopes[part * p.columns + i] = 0;
-                   for (int i = s.length; i-- > 0;) {
-                     int const k = s.order[i];
-                     F const* const c = scratch.data + size * i;
-                     Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
-                     if (q.measures && k == q.contrast) {
-                       step_over(q.step[k], slope);
-                       q.parts[part] += slope.sum;
-                       return;
-                     }
-                     for (int j = 0; p.slopes && takes_tensors(q.step[k]) && j < parameters_of(q.step[k]); ++j) {
-                       if (q.column[q.first[k] + j] < 0) continue;
-                       slope.wanted = j;
-                       step_over(q.step[k], slope);
-                       p.slopes[part * p.columns + q.column[q.first[k] + j]] += slope.sum;
-                     }
-                     Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
-                     step_over(q.step[k], pullback);
-                     if (k == q.contrast)
-                       for (int d = 0; d < C; ++d)
-                         for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += q.grey[d] * s.mean_slope;
-                   }
-                   if (p.wants_x) store_chunk(p.grad_x, b, first, count, g);
-                 });
+  auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
+    if (p.reads_x) load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
+    load_chunk(p.grad, C, b, first, count, F(0), g);
+    int const last = p.last_input(s.order, s.length);
+    for (int i = 0; i < last; ++i) {
+      F* const c = scratch.data + size * i;
+      Values<F, C> values{{c}, {c + size}, count, s.p + q.first[s.order[i]]};
+      step_over(q.step[s.order[i]], values);
+    }
+    for (int i = 0; p.slopes && i < p.columns; ++i) p.slopes[part * p.columns + i] = 0;
+    for (int i = s.length; i-- > 0;) {
+      int const k = s.order[i];
+      F const* const c = scratch.data + size * min(i, last);
+      Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
+      if (q.measures && k == q.contrast) {
+        step_over(q.step[k], slope);
+        q.parts[part] += slope.sum;
+        return;
+      }
+      for (int j = 0; p.slopes && takes_tensors(q.step[k]) && j < parameters_of(q.step[k]); ++j) {
+        if (q.column[q.first[k] + j] < 0) continue;
+        slope.wanted = j;
+        step_over(q.step[k], slope);
+        p.slopes[part * p.columns + q.column[q.first[k] + j]] += slope.sum;
+      }
+      Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
+      step_over(q.step[k], pullback);
+      if (k == q.contrast)
+        for (int d = 0; d < C; ++d)
+          for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += q.grey[d] * s.mean_slope;
+    }
+    if (p.wants_x) store_chunk(p.grad_x, b, first, count, g);
+  };
+  for_each_chunk(q, true, false, begin, end, work);
 }
 
 }  // namespace

@@ -291,9 +291,10 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     p.forward.x = samples.pixels_of(op, x, in);
     p.grad = samples.pixels_of(op, g, out);
     p.wants_x = of_image;
-    p.reads_x = of_parameters;
-    for (int i = 0; i < p.forward.steps; ++i)
-      p.reads_x = p.reads_x || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);
+    for (int i = 0; i < p.forward.steps; ++i) {
+      p.needs_input[i] = of_parameters || !is_affine(p.forward.step[i], p.forward.numbers + p.forward.first[i]);
+      p.reads_x = p.reads_x || p.needs_input[i];
+    }
     if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
     int64_t const chunks = chunks_of<F>(samples.pixels), shares = shares_of<F>(samples.count, samples.pixels);
     [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);

@@ -1,6 +1,6 @@
-// Losses of segmentations. Each function has the arguments of the operator torch.ops.kvision.<name>, which
-// python/kvision/losses explains, and gradients to the logits (B, C, H, W). Labels (B, H, W) are int64; `ignores` says
-// whether `ignored` is one that does not count. A second derivative is an error.
+// Losses. Each function has the arguments of the operator torch.ops.kvision.<name>, which
+// python/kvision/losses explains, and gradients to logits and images (B, C, H, W). Labels (B, H, W) are int64;
+// `ignores` says whether `ignored` is one that does not count. A second derivative is an error.
 #pragma once
 
 #include <ATen/TensorOperators.h>
@@ -53,6 +53,22 @@ inline Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tens
                                         gamma, ignored, ignores)};
   };
   return differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient)[0];
+}
+
+inline Tensor total_variation_backward(Tensor const& grad, Tensor const& input) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"total_variation_backward">(grad, input)}; };
+  return differentiable({grad, input}, compute, {}, no_second_derivative("total_variation"))[0];
+}
+
+// (B, C, 2): for every plane the sums of absolute differences of neighbours along y and along x.
+inline Tensor total_variation(Tensor const& input) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"total_variation">(input)}; };
+  auto const gradient = [](Backward const& b) {
+    return variable_list{total_variation_backward(b.grads[0], b.saved[0])};
+  };
+  return differentiable({input}, compute, {input}, gradient)[0];
 }
 
 }  // namespace kvision

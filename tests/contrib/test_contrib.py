@@ -278,6 +278,14 @@ class TestConnectedComponents(OpTests):
         finally:
             torch.set_num_threads(1)
 
+    def test_vmap(self, variant, device, backend):
+        self.needs_native(backend)  # the reference goes on until nothing changes
+        super().test_vmap(variant, device)
+
+    def test_compile(self, device, backend):
+        self.needs_native(backend)
+        super().test_compile(device, backend)
+
     def test_wrong_kinds(self, variant, device):
         pass  # (*, 1, H, W) is fine with any number of axes; test_errors has the rest
 

@@ -239,6 +239,29 @@ def test_gradients_with_order(image, device):
             assert_close(a.double(), e.double(), 1e-3 if a.dtype == torch.float32 else 1e-6, 1e-4 * scale)
 
 
+@pytest.mark.parametrize(
+    "steps",
+    [
+        (("hue", 0.3), ("normalize", MEAN, STD), ("invert",)),
+        (("normalize", MEAN, STD), ("invert",)),
+        (("denormalize", MEAN, STD), ("gamma", 1.3), ("invert",)),
+        (("invert",), ("contrast", 0.7), ("normalize", MEAN, STD)),
+    ],
+    ids=lambda steps: "-".join(name for name, *_ in steps),
+)
+def test_gradients_where_steps_are_affine(steps, image, device):
+    """Of these the kernels need no pixels, in whatever order they come."""
+    x, order = image.double().requires_grad_(), torch.stack([torch.randperm(len(steps)) for _ in range(4)]).to(device)
+    weights = torch.rand_like(x)
+    for given in (None, order):
+        grads = []
+        for name in ("auto", "reference"):
+            with K.backend(name):
+                y = E.ColorProgram(*steps)(x, order=given)
+                grads.append(torch.autograd.grad((y * weights).sum(), x)[0])
+        assert_close(grads[0], grads[1], 1e-9, 1e-9)
+
+
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.float16, torch.bfloat16, torch.float32], ids=str)
 @pytest.mark.parametrize("memory_format", [None, torch.contiguous_format, torch.channels_last], ids=str)
 def test_types_and_layouts(dtype, memory_format, image, device):

@@ -9,8 +9,8 @@ import torch
 import torch.nn.functional as F
 
 import kvision as K
-from composition_tests import Case, CompositionTests
-from op_tests import assert_close
+from composition_tests import Case, CompositionTests, on
+from op_tests import OpTests, assert_close
 
 L = K.losses
 IMAGE, LOGITS = (2, 3, 9, 8), (2, 3, 6, 5)
@@ -21,7 +21,7 @@ def with_labels(loss, *args, **kwargs):
     """A loss of logits alone: its labels are those of one sample, whatever the batch."""
 
     def call(pred):
-        labels = LABELS[:1].to(pred.device).expand(pred.shape[0], -1, -1)
+        labels = on(pred.device, LABELS)[:1].expand(pred.shape[0], -1, -1)
         return loss(pred, labels, *args, **kwargs)
 
     return call
@@ -180,6 +180,33 @@ def test_total_variation(device):
     assert_close(L.total_variation(x), expected, 1e-5, 1e-5)
     assert_close(L.total_variation(torch.tensor([[255, 0]], dtype=torch.uint8)), torch.tensor(255.0))
     assert (L.total_variation(torch.ones(2, 1, 1), "mean") == 0).all()
+
+
+class TestTotalVariation(OpTests):
+    function = staticmethod(L.total_variation)
+    module = L.TotalVariation
+    operators = ("total_variation", "total_variation_backward")
+    variants = [{}]
+    errors = [({"reduction": "none"}, NotImplementedError, "reduction must be")]
+    mixed = ("input", "grad")  # the sums of half types are float32
+
+    def input(self, shape, dtype, device):
+        return (
+            (super().input(shape, dtype, device) * 8).round() / 8
+            if dtype.is_floating_point
+            else super().input(shape, dtype, device)
+        )
+
+    def test_wrong_kinds(self, variant, device):
+        for wrong, error in ((None, TypeError), (torch.rand(3).to(device), ValueError)):
+            with pytest.raises(error, match="^total_variation: "):
+                self.call(wrong, {})
+
+    def test_gradcheck(self, variant, device):
+        x = torch.rand(
+            self.small, dtype=torch.float64, device=device, requires_grad=True
+        )  # no two neighbours are equal
+        assert torch.autograd.gradcheck(L.total_variation, x) and torch.autograd.gradgradcheck(L.total_variation, x)
 
 
 def test_divergence_of_empty_pixels():

@@ -9,7 +9,7 @@ import scipy.ndimage
 import torch
 
 import kvision as K
-from composition_tests import Case, CompositionTests
+from composition_tests import Case, CompositionTests, on
 from op_tests import assert_close
 
 M = K.morphology
@@ -27,8 +27,8 @@ def kornia():
 class TestMorphology(CompositionTests):
     cases = {
         "dilation": Case(lambda x: M.dilation(x, torch.ones(3, 3, device=x.device)), ((2, 3, 7, 6),)),
-        "erosion": Case(lambda x: M.erosion(x, CROSS.to(x.device), border_type="constant"), ((2, 3, 7, 6),)),
-        "heights": Case(lambda x, h: M.dilation(x, CROSS.to(x.device), h), ((2, 1, 5, 4), (3, 3)), (1,)),
+        "erosion": Case(lambda x: M.erosion(x, on(x.device, CROSS), border_type="constant"), ((2, 3, 7, 6),)),
+        "heights": Case(lambda x, h: M.dilation(x, on(x.device, CROSS), h), ((2, 1, 5, 4), (3, 3)), (1,)),
         "opening": Case(lambda x: M.opening(x, torch.ones(2, 3, device=x.device)), ((2, 1, 5, 6),)),
         "reconstruction": Case(lambda x, m: M.reconstruction(x, m, num_iters=2), ((2, 1, 5, 6),) * 2),
     }

@@ -65,14 +65,15 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
         raise ValueCheckError(f"{op}: expected a larger h for a kernel_size of {size}, got {h!r}", actual_value=h)
     if sum(math.exp(-d / h) for d in distances) - 1 > 0.999:  # a source all around would seem to be at the pixel
         raise ValueCheckError(f"{op}: expected a smaller h for a kernel_size of {size}, got {h!r}", actual_value=h)
-    return _approximate(image, size, h, distances)
+    return _approximate(image, size, h)
 
 
 @as_stored
-def _approximate(x: Tensor, size: int, h: float, distances: list[float]) -> Tensor:
+def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     blur = filter2d if x.dim() == 4 else filter3d
-    kernel = torch.tensor([math.exp(-d / h) for d in distances], dtype=x.dtype, device=x.device)
-    kernel = kernel.view(1, *(size,) * (x.dim() - 2))
+    squares = (torch.arange(size, dtype=x.dtype, device=x.device) - size // 2) ** 2
+    places = torch.meshgrid(*[squares] * (x.dim() - 2), indexing="ij")
+    kernel = (sum(places[1:], places[0]).sqrt() / -h).exp()[None]
     grown, total = x.clamp(0, 1), torch.zeros_like(x)
     for step in range(math.ceil(max(x.shape[2:]) / (size // 2))):
         near = blur(grown, kernel, "replicate")

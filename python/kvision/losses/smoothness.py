@@ -2,13 +2,37 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
+
+
+def _reference(x: Tensor) -> Tensor:
+    """(B, C, 2): for every plane the sums of absolute differences along y and along x."""
+    wide = x.to(compute_dtype(x))
+    return torch.stack([wide.diff(dim=axis).abs().sum((-2, -1)) for axis in (-2, -1)], -1)
+
+
+def _fake(x: Tensor) -> Tensor:
+    return x.new_empty((*x.shape[:2], 2), dtype=compute_dtype(x))
+
+
+def _backward(needs, grad, x):
+    return [_total_variation_backward(grad, x)]
+
+
+_total_variation_backward = register(
+    "total_variation_backward",
+    vjp(_reference),
+    fake=lambda grad, x: torch.empty_like(x, memory_format=torch.contiguous_format),
+    stores=True,
+)
+_total_variation = register("total_variation", _reference, fake=_fake, backward=_backward, stores=True)
 
 
 def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
@@ -37,20 +61,15 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
             f"total_variation: expected img of shape (*, H, W), got {tuple(img.shape)}", actual_shape=img.shape
         )
     _check.reduction("total_variation", reduction, ("sum", "mean"))
-    return _total_variation(floats(img), reduction == "mean")
-
-
-@as_stored
-def _total_variation(x: Tensor, mean: bool) -> Tensor:
-    along_y, along_x = x.diff(dim=-2).abs(), x.diff(dim=-1).abs()
-    if not mean:
-        return along_y.sum((-2, -1)) + along_x.sum((-2, -1))
-    return _mean(along_y) + _mean(along_x)
-
-
-def _mean(x: Tensor) -> Tensor:
-    """The mean of every plane, 0 where it is empty."""
-    return x.sum((-2, -1)) / max(1, x.shape[-2] * x.shape[-1])
+    x = floats(img)
+    h, w = x.shape[-2:]
+    if h == 0 or w == 0:
+        return x.sum((-2, -1))
+    sums = _total_variation(x.reshape(1, -1, h, w) if x.dim() != 4 else x)
+    along_y, along_x = sums.unbind(-1)
+    if reduction == "mean":  # of no differences it is 0
+        along_y, along_x = along_y / max(1, (h - 1) * w), along_x / max(1, h * (w - 1))
+    return (along_y + along_x).reshape(x.shape[:-2]).to(x.dtype)
 
 
 def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:

@@ -1,0 +1,35 @@
+// Total variation of image planes: the sums of absolute differences of neighbours along y and along x, (planes, 2), and
+// their gradient, made of signs. Included by total_variation_cpu.cpp, total_variation.cu and total_variation_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "core/view.h"
+
+namespace kv {
+
+template <class T>
+struct TotalVariation {
+  Planes<T const> x;
+  Compute<T>* sums;
+  int rows;             // CUDA: of a piece, the work of one block
+  int64_t pieces;       // of a plane
+  Compute<T>* partial;  // CUDA: the sums of all pieces
+};
+
+template <class T>
+struct TotalVariationBackward {
+  Planes<T const> x;
+  Compute<T> const* grad;
+  Planes<T> grad_x;
+};
+
+KV_KERNEL(total_variation, TotalVariation)
+KV_KERNEL(total_variation_backward, TotalVariationBackward)
+
+// The sign of a difference; NaN stays.
+template <class V>
+KV_HD V sign_of(V d) {
+  return d > 0 ? V{} + 1 : d < 0 ? V{} - 1 : d;
+}
+
+}  // namespace kv

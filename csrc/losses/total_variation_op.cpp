@@ -1,0 +1,58 @@
+// Total variation: schemas and entries, for CPU and CUDA alike.
+#include "glue/glue.h"
+#include "total_variation.h"
+
+namespace kv {
+namespace {
+
+ScalarType computed(Tensor const& x) {
+  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+}
+
+Tensor total_variation(Tensor const& input) {
+  constexpr char const* op = "total_variation";
+  check_images(op, "input", input);
+  Tensor const x = conform(input, Layout::planar);
+  int64_t const height = x.size(2);
+  int const rows = 32;
+  int64_t const pieces = (height + rows - 1) / rows;
+  Tensor const sums = empty({x.size(0), x.size(1), 2}, x, Layout::planar, computed(x));
+#if defined(KV_CUDA)
+  Tensor const partial = empty({x.size(0), x.size(1), pieces, 2}, x, Layout::planar, computed(x));
+#else
+  Tensor const& partial = sums;  // not used
+#endif
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    TotalVariation<T> const params{planes<T const>(x, Layout::planar), static_cast<F*>(sums.mutable_data_ptr()), rows,
+                                   pieces, static_cast<F*>(partial.mutable_data_ptr())};
+    KV_RUN(total_variation, x, params, params.x.count(), height * params.x.width);
+  });
+  return sums;
+}
+
+Tensor total_variation_backward(Tensor const& grad, Tensor const& input) {
+  constexpr char const* op = "total_variation_backward";
+  check_images(op, "input", input);
+  KV_CHECK(grad.dim() == 3 && grad.size(0) == input.size(0) && grad.size(1) == input.size(1) && grad.size(2) == 2 &&
+               grad.scalar_type() == computed(input) && grad.device() == input.device(),
+           op, ": expected grad to be that of the sums");
+  Tensor const x = conform(input, Layout::planar), g = torch::stable::contiguous(grad),
+               grad_x = empty_like(x, Layout::planar);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    TotalVariationBackward<T> const params{planes<T const>(x, Layout::planar),
+                                           static_cast<Compute<T> const*>(g.const_data_ptr()),
+                                           planes<T>(grad_x, Layout::planar)};
+    KV_RUN(total_variation_backward, x, params, params.x.rows(), params.x.width);
+  });
+  return grad_x;
+}
+
+}  // namespace
+
+KV_OPERATOR(total_variation, "(Tensor input) -> Tensor")
+KV_OPERATOR(total_variation_backward, "(Tensor grad, Tensor input) -> Tensor")
+
+}  // namespace kv

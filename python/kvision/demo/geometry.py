@@ -46,7 +46,7 @@ def elastic(photos: Tensor) -> Tensor:
     generator = torch.Generator().manual_seed(0)
     noise = 2 * torch.rand(1, 2, *photos.shape[2:], generator=generator) - 1
     return geometry.elastic_transform2d(
-        photos, noise.to(photos.device), (63, 63), (8.0, 8.0), (2.0, 2.0), padding_mode="reflection"
+        photos, noise.to(photos.device), (63, 63), (10.0, 10.0), (1.2, 1.2), padding_mode="reflection"
     )
 
 

@@ -6,6 +6,7 @@
 #include "kvision/contrib.h"
 #include "kvision/enhance.h"
 #include "kvision/filters.h"
+#include "kvision/geometry.h"
 #include "kvision/losses.h"
 #include "kvision/metrics.h"
 #include "kvision/morphology.h"

@@ -83,6 +83,20 @@ int main() {
   check(
       "dilation", [](auto const& t) { return kvision::dilation(t[0], torch::zeros({1, 3, 3}, torch::kDouble), 1, 1); },
       {x}, false);
+  Tensor const matrix = torch::tensor({0.93, 0.21, 0.4, -0.17, 1.04, 0.3, 0.013, -0.011, 1.0}).view({1, 3, 3});
+  Tensor const map = torch::rand({2, 3, 4}) * 0.8 + torch::randint(0, 5, {2, 3, 4}) + 0.1;
+  for (auto const* interpolation : {"bilinear", "bicubic"}) {
+    check(
+        "warp", [&](auto const& t) { return kvision::warp(t[0], t[1], t[2], {5, 4}, interpolation); },
+        {x, matrix, torch::rand({1, 2})}, false);
+    check(
+        "remap", [&](auto const& t) { return kvision::remap(t[0], t[1], t[2], t[3], interpolation); },
+        {x, map, map.flip(1).contiguous(), torch::rand({2, 1})}, false);
+  }
+  check(
+      "photometric",
+      [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
+      {matrix}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})

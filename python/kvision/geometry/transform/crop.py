@@ -128,20 +128,15 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     images = pixels(input_tensor)
     boxes = sampling.for_images(op, images, "boxes", boxes)
     # From the result, so that a side of one pixel, which has no length, needs no case.
-    scaled = matrices.from_unit_square(matrices.wide(boxes)) / _far(size, images)
-    origin = scaled[..., 2:]
+    h, w = size
+    right, down, origin = matrices.from_unit_square(matrices.wide(boxes)).split(1, -1)
+    scaled = torch.cat([right / max(w - 1, 1), down / max(h - 1, 1)], -1)
     if first is not None:
-        origin = origin - scaled[..., :2] @ matrices.wide(first)[..., None]
-    matrix = torch.cat([scaled[..., :2], origin], -1)
+        origin = origin - scaled @ matrices.wide(first)[..., None]
+    matrix = torch.cat([scaled, origin], -1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     matrix = matrix.to(boxes.dtype)
     return sampling.warp(images, matrix, None, list(size), mode, padding, align_corners, False, False)
-
-
-def _far(size: tuple[int, int], like: Tensor) -> Tensor:
-    """What divides the columns of a homography from the unit square to make it one from a rectangle."""
-    h, w = size
-    return matrices.wide(torch.tensor([max(w - 1, 1), max(h - 1, 1), 1.0], device=like.device))
 
 
 def crop_by_transform_mat(
@@ -208,7 +203,8 @@ def center_crop(
     if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return images[..., y // 2 : y // 2 + h, x // 2 : x // 2 + w].clone()
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
-    matrix = torch.tensor([[[1, 0, x / 2], [0, 1, y / 2]]], dtype=compute_dtype(images), device=images.device)
+    matrix = torch.eye(2, 3, dtype=compute_dtype(images), device=images.device)[None]
+    matrix[:, 0, 2], matrix[:, 1, 2] = x / 2, y / 2
     return sampling.warp(images, matrix, None, [h, w], mode, padding, align_corners, False, False)
 
 

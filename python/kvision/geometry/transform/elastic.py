@@ -80,5 +80,5 @@ def _two(op: str, name: str, x: Tensor | Sequence[float], like: Tensor) -> Tenso
     if not isinstance(x, (tuple, list)) or len(x) != 2:
         raise TypeCheckError(f"{op}: expected {name} to be two numbers or a Tensor, got {x!r}")
     if all(isinstance(v, (int, float)) for v in x):
-        return torch.tensor([_check.number(op, name, v) for v in x], dtype=dtype, device=like.device)
+        return torch.cat([like.new_full((1,), _check.number(op, name, v), dtype=dtype) for v in x])
     return torch.stack([torch.as_tensor(v, dtype=dtype, device=like.device) for v in x])

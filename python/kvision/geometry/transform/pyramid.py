@@ -88,7 +88,8 @@ def _blur(op: str, image: Tensor, border_type: str) -> Tensor:
     _check.border(op, border_type)
     _check.reflectable(op, image, (2, 2), border_type)
     dtype = image.dtype if image.dtype == torch.float64 else torch.float32
-    kernel = torch.tensor([[1, 4, 6, 4, 1]], dtype=dtype, device=image.device) / 16
+    d = torch.arange(-2, 3, dtype=dtype, device=image.device).abs()
+    kernel = ((6 - 1.5 * d - 0.5 * d * d) / 16)[None]  # 1 4 6 4 1, made on the device
     return filter2d_separable(image, kernel, kernel, border_type)
 
 

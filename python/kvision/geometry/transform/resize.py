@@ -7,11 +7,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
 from kvision._ops import saturate_to_byte
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
+from kvision.geometry.transform import sampling
 
 __all__ = ["Rescale", "Resize", "rescale", "resize", "resize_to_be_divisible"]
 
@@ -71,11 +72,14 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
     else:
         height, width = _check.ints(op, "size", size, 2)
     images = input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]
-    wide = images.to(compute_dtype(images))
     shrinks = height < h or width < w
     if antialias == "gaussian" and shrinks:
-        wide = _blurred(wide, h / height, w / width)
+        images = _blurred(images.to(compute_dtype(images)), h / height, w / width)
     smooth = interpolation in ("bilinear", "bicubic")
+    if smooth and not (antialias is True and shrinks) and not (align_corners and 1 in (height, width)):
+        found = _sampled(images, height, width, interpolation, bool(align_corners))
+        return _stored(found, input).reshape(*input.shape[:-2], height, width)
+    wide = images.to(compute_dtype(images))
     found = F.interpolate(
         wide,
         (height, width),
@@ -83,11 +87,20 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         align_corners=align_corners if smooth else None,
         antialias=antialias is True and shrinks and smooth,
     )
+    return _stored(found, input).reshape(*input.shape[:-2], height, width)
+
+
+def _sampled(images: Tensor, height: int, width: int, interpolation: str, align_corners: bool) -> Tensor:
+    """The identity in [-1, 1], by the kernels of warps."""
+    images = pixels(images)
+    eye = torch.eye(3, dtype=compute_dtype(images), device=images.device)[None]
+    return sampling.warp(images, eye, None, [height, width], interpolation, "border", align_corners, False, True)
+
+
+def _stored(found: Tensor, input: Tensor) -> Tensor:
     if input.dtype == torch.uint8:
-        found = saturate_to_byte(found)
-    elif input.is_floating_point():
-        found = found.to(input.dtype)
-    return found.reshape(*input.shape[:-2], height, width)
+        return found if found.dtype == torch.uint8 else saturate_to_byte(found)
+    return found.to(input.dtype) if input.is_floating_point() else found
 
 
 def _check_images(op: str, input: Tensor) -> None:

@@ -1,0 +1,174 @@
+// Warps. Each function has the arguments of the operator torch.ops.kvision.<name>, which
+// python/kvision/geometry/transform explains, and gradients. Images are (B, C, H, W); matrices (B or 1, 3, 3) or (B or
+// 1, 2, 3), maps (B or 1, H, W) and fills (B or 1, C or 1), in float32, for float64 images in float64. interpolation:
+// "nearest", "bilinear" or "bicubic"; padding: "fill", "border" or "reflection". A second derivative is an error.
+#pragma once
+
+#include <ATen/Functions.h>
+#include <ATen/TensorOperators.h>
+
+#include <optional>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include "kvision/operator.h"
+
+namespace kvision {
+
+namespace detail {
+
+// Gradients to images are summed in the type that computes.
+inline Tensor computed(Tensor const& x) { return x.scalar_type() == at::kDouble ? x : x.to(at::kFloat); }
+
+inline std::vector<int64_t> image_size(Tensor const& x) { return {x.size(2), x.size(3)}; }
+
+// What one argument gets that served all samples.
+inline Tensor summed_to(Tensor const& grad, Tensor const& like) {
+  return like.size(0) < grad.size(0) ? grad.sum(0, true) : grad;
+}
+
+inline Tensor to_fill(Tensor const& grad, Tensor const& inside, Tensor const& fill) {
+  return at::sum_to(((1 - inside) * grad).to(fill.scalar_type()).sum({2, 3}), fill.sizes());
+}
+
+}  // namespace detail
+
+inline Tensor warp_image_gradient(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> const& size,
+                                  std::string const& interpolation, std::string const& padding, bool align_corners,
+                                  bool inverse, bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{
+        call<"warp_image_gradient">(grad, matrix, size, interpolation, padding, align_corners, inverse, normalized)};
+  };
+  return differentiable({grad, matrix}, compute, {}, no_second_derivative("warp"))[0];
+}
+
+// For each sample, also where one matrix serves all.
+inline Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor const& matrix,
+                                   std::optional<Tensor> const& fill, std::string const& interpolation,
+                                   std::string const& padding, bool align_corners, bool inverse, bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"warp_matrix_gradient">(grad, image, matrix, fill, interpolation, padding, align_corners,
+                                                      inverse, normalized)};
+  };
+  variable_list const tensors{grad, image, matrix, fill.value_or(Tensor())};
+  return differentiable(tensors, compute, {}, no_second_derivative("warp"))[0];
+}
+
+// The image at the places that a matrix gives: `matrix` from pixels of the result (x, y, 1) to pixels of the image, or
+// the other way round with `inverse`, or between [-1, 1] with `normalized`. What is outside is `fill`, or 0 without it.
+inline Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill,
+                   std::vector<int64_t> const& size, std::string const& interpolation = "bilinear",
+                   std::string const& padding = "fill", bool align_corners = true, bool inverse = true,
+                   bool normalized = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{
+        call<"warp">(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized)};
+  };
+  Tensor const given = fill.value_or(Tensor());
+  auto const gradient = [=](Backward const& b) {
+    Tensor const &grad = b.grads[0], &x = b.saved[0], &m = b.saved[1], &f = b.saved[2];
+    std::optional<Tensor> const filled = f.defined() ? std::optional(f) : std::nullopt;
+    variable_list found(3);
+    if (b.wanted(0))
+      found[0] = warp_image_gradient(computed(grad), m, image_size(x), interpolation, padding, align_corners, inverse,
+                                     normalized)
+                     .to(grad.scalar_type());
+    if (b.wanted(1))
+      found[1] = summed_to(
+          warp_matrix_gradient(grad, x, m, filled, interpolation, padding, align_corners, inverse, normalized), m);
+    if (b.wanted(2))
+      found[2] = to_fill(grad,
+                         warp(at::ones_like(x.narrow(1, 0, 1)), m, std::nullopt, size, interpolation, padding,
+                              align_corners, inverse, normalized),
+                         f);
+    return found;
+  };
+  return differentiable({image, matrix, given}, compute, {image, matrix, given}, gradient)[0];
+}
+
+inline Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor const& map_y,
+                                   std::vector<int64_t> const& size, std::string const& interpolation,
+                                   std::string const& padding, bool align_corners, bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{
+        call<"remap_image_gradient">(grad, map_x, map_y, size, interpolation, padding, align_corners, normalized)};
+  };
+  return differentiable({grad, map_x, map_y}, compute, {}, no_second_derivative("remap"))[0];
+}
+
+// For each sample, also where one map serves all.
+inline std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& image, Tensor const& map_x,
+                                                     Tensor const& map_y, std::optional<Tensor> const& fill,
+                                                     std::string const& interpolation, std::string const& padding,
+                                                     bool align_corners, bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_x, to_y] = call<"remap_map_gradient", std::tuple<Tensor, Tensor>>(
+        grad, image, map_x, map_y, fill, interpolation, padding, align_corners, normalized);
+    return variable_list{to_x, to_y};
+  };
+  variable_list const tensors{grad, image, map_x, map_y, fill.value_or(Tensor())};
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("remap"));
+  return {found[0], found[1]};
+}
+
+// The image at the places of a map, in pixels, or in [-1, 1] with `normalized`.
+inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std::optional<Tensor> const& fill,
+                    std::string const& interpolation = "bilinear", std::string const& padding = "fill",
+                    bool align_corners = true, bool normalized = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"remap">(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized)};
+  };
+  Tensor const given = fill.value_or(Tensor());
+  auto const gradient = [=](Backward const& b) {
+    Tensor const &grad = b.grads[0], &x = b.saved[0], &u = b.saved[1], &v = b.saved[2], &f = b.saved[3];
+    std::optional<Tensor> const filled = f.defined() ? std::optional(f) : std::nullopt;
+    variable_list found(4);
+    if (b.wanted(0))
+      found[0] =
+          remap_image_gradient(computed(grad), u, v, image_size(x), interpolation, padding, align_corners, normalized)
+              .to(grad.scalar_type());
+    if (b.wanted(1) || b.wanted(2)) {
+      auto const [to_x, to_y] =
+          remap_map_gradient(grad, x, u, v, filled, interpolation, padding, align_corners, normalized);
+      found[1] = summed_to(to_x, u);
+      found[2] = summed_to(to_y, v);
+    }
+    if (b.wanted(3))
+      found[3] = to_fill(grad,
+                         remap(at::ones_like(x.narrow(1, 0, 1)), u, v, std::nullopt, interpolation, padding,
+                               align_corners, normalized),
+                         f);
+    return found;
+  };
+  return differentiable({image, map_x, map_y, given}, compute, {image, map_x, map_y, given}, gradient)[0];
+}
+
+// The mean distance of `target` from `source` warped by `matrix`, from the target's places to the source's; (B). It has
+// a gradient to the matrix alone. distance: "l1", "l2" or "charbonnier".
+inline Tensor photometric(Tensor const& source, Tensor const& target, Tensor const& matrix,
+                          std::string const& distance = "l1", double eps = 1e-3, bool align_corners = false,
+                          bool normalized = true) {
+  using namespace detail;
+  auto const [loss, slope] = [&] {
+    at::NoGradGuard no_grad;
+    return call<"photometric", std::tuple<Tensor, Tensor>>(source, target, matrix.detach(), distance, eps,
+                                                           align_corners, normalized);
+  }();
+  auto const compute = [&] { return variable_list{loss}; };
+  auto const gradient = [](Backward const& b) {
+    Tensor const &grad = b.grads[0], &slopes = b.saved[0], &m = b.saved[1];
+    auto const found = [&] { return variable_list{summed_to(grad.view({-1, 1, 1}) * slopes, m)}; };
+    return differentiable({grad, m}, found, {}, no_second_derivative("photometric"));
+  };
+  return differentiable({matrix}, compute, {slope, matrix}, gradient)[0];
+}
+
+}  // namespace kvision

@@ -13,6 +13,8 @@ from kvision.metrics.ssim import ssim3d_map, ssim_map
 
 @as_stored
 def _dissimilarity(similarity: Tensor, reduction: str) -> Tensor:
+    if reduction == "mean":  # of the similarity, which is at most 1: no other map is made
+        return (1 - similarity.mean()) / 2
     return reduced(((1 - similarity) / 2).clamp(0, 1), reduction)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
@@ -50,6 +51,6 @@ def negative_psnr(op: str, image: Tensor, target: Tensor, max_val: float) -> Ten
 
 @as_stored
 def _negative_psnr(image: Tensor, target: Tensor, max_val: float) -> Tensor:
-    mse = (image - target).square().mean()
+    mse = F.mse_loss(image, target)
     equal = mse == 0
     return torch.where(equal, -torch.inf, 10 * torch.where(equal, 1, mse).log10() - 20 * math.log10(max_val))

@@ -18,7 +18,7 @@ WARP = ("warp", "warp_image_gradient", "warp_matrix_gradient")
 class TestWarpAffine(WarpTests):
     function = staticmethod(G.warp_affine)
     operators = WARP
-    max_size = 9
+    max_size = 7
     variants = [
         {"M": affine, "dsize": (8, 11)},
         {"M": one(affine), "dsize": (5, 21), "mode": "nearest", "padding_mode": "reflection"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -31,13 +32,13 @@ class WarpTests(OpTests):
     bytes = True
     tolerances = FLOAT_PLACES
 
-    def test_threads_and_runs_give_the_same_bits(self, variant, device, backend):
-        if device.type == "cuda" and variant.get("padding_mode") in ("border", "reflection"):
-            torch.use_deterministic_algorithms(True)
-        try:
-            super().test_threads_and_runs_give_the_same_bits(variant, device, backend)
-        finally:
-            torch.use_deterministic_algorithms(False)
+    @pytest.fixture(autouse=True)
+    def same_bits_where_asked(self, device, request):
+        """On CUDA some gradients to images are sums by atomics, unless torch is asked for the same bits every run."""
+        asks = request.function.__name__ in ("test_threads_and_runs_give_the_same_bits", "test_gradcheck")
+        torch.use_deterministic_algorithms(device.type == "cuda" and asks, warn_only=True)
+        yield
+        torch.use_deterministic_algorithms(False)
 
     def test_operators_refuse_bad_arguments(self, device, backend, monkeypatch):
         """An image may have any size beside its result's, so that neither is wrong when it is cut."""

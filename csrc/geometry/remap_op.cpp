@@ -50,6 +50,8 @@ Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std:
     using T = typename decltype(type)::type;
     Sample<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)), images<T const>(image, batch),
                            images<T>(y, batch)};
+    check_planes("remap", params.x);
+    check_planes("remap", params.y);
     KV_RUN(sample, image, params, y.numel() > 0 ? batch * height : 0, 4 * channels * width);
   });
   return y;
@@ -103,6 +105,8 @@ std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& 
                                  Map::plane<F>(grad_y, batch),
                                  nullptr,
                                  0};
+    check_planes(op, params.x);
+    check_planes(op, params.grad);
     KV_RUN(sample_slopes, image, params, batch * grad.size(2), 8 * image.size(1) * grad.size(3));
   });
   return {grad_x, grad_y};

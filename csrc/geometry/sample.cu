@@ -4,22 +4,27 @@
 namespace kv::cuda {
 namespace {
 
-// Tap by tap, for places at the rim, and where a tap of weight 0 may be NaN or inf: it is no part of the value.
+// A place tap by tap: at the rim, and where a tap of weight 0 may be NaN or inf, which is no part of the value.
 template <int K, class T, class F>
-__device__ __noinline__ F value_of_taps(Sampling<T> const& p, Window<K, F> const& window, T const* plane,
-                                        int64_t row_stride, int64_t step, F fill) {
-  F wx[K], wy[K], sum = 0;
+__device__ __noinline__ void sample_taps(Sample<T> const& p, Window<K, F> window, int64_t b, int y, int x) {
+  F wx[K], wy[K];
   tap_weights(window.tx, wx);
   tap_weights(window.ty, wy);
-  window.for_each(p, row_stride, step, [&](int j, int i, int64_t at) {
-    F const weight = wx[i] * wy[j];
-    if (weight != 0) sum += weight * (at < 0 ? fill : F(read(plane[at])));
-  });
-  return sum;
+#pragma unroll 1
+  for (int c = 0; c < p.x.channels; ++c) {
+    T const* const plane = p.x.row(b, c, 0);
+    F const fill = p.fill_of(b, c);
+    F sum = 0;
+    window.for_each(p, p.x.row_stride, p.x.step, [&](int j, int i, int64_t at) {
+      F const weight = wx[i] * wy[j];
+      if (weight != 0) sum += weight * (at < 0 ? fill : F(read(plane[at])));
+    });
+    p.y.row(b, c, y)[x * p.y.step] = round_to<T>(sum);
+  }
 }
 
 template <class T, int K, bool matrix>
-__global__ void __launch_bounds__(kThreads, K == 4 ? 2 : 4)
+__global__ void __launch_bounds__(kThreads, K == 4 ? 3 : 4)
     sample_tiles(__grid_constant__ Sample<T> const p, Tiles tiles) {
   using F = Compute<T>;
   __shared__ Homography<F> map;
@@ -30,7 +35,8 @@ __global__ void __launch_bounds__(kThreads, K == 4 ? 2 : 4)
   int const x = x0 + column_in_tile();
   if (x >= p.y.width) return;
   T const* const source = p.x.row(b, 0, 0);
-  int64_t const row = p.x.row_stride, step = p.x.step;
+  T* const result = p.y.row(b, 0, 0);
+  int const row = int(p.x.row_stride), step = int(p.x.step);  // a plane has less than 2^31 elements
 #pragma unroll 1
   for (int run = 0; run < kRuns; ++run) {
     int const y = y0 + row_in_tile(run);
@@ -38,37 +44,41 @@ __global__ void __launch_bounds__(kThreads, K == 4 ? 2 : 4)
     F u, v;
     by.at(b, y, x, u, v);
     Window<K, F> const window(p, u, v);
-    F wx[K], wy[K];
-    tap_weights(window.tx, wx);
-    tap_weights(window.ty, wy);
-    T const* const from = source + window.y * row + window.x * step;
-    T* const to = p.y.row(b, 0, y) + x * p.y.step;
+    bool plain = window.inside;
+    if (plain) {
+      F wx[K], wy[K];
+      tap_weights(window.tx, wx);
+      tap_weights(window.ty, wy);
+      int const from = window.y * row + window.x * step, to = y * int(p.y.row_stride) + x * int(p.y.step);
 #pragma unroll 1
-    for (int first = 0; first < p.x.channels; first += kChannels) {
-      F sums[kChannels] = {};
-      if (window.inside) {
+      for (int first = 0; first < p.x.channels; first += kAtOnce<K>) {
+        F values[kAtOnce<K>][K][K];
 #pragma unroll
-        for (int j = 0; j < K; ++j) {
-          F values[kChannels][K];
-          read_taps(values, from + first * p.x.channel_stride + j * row, step, p.x, first);
+        for (int k = 0; k < kAtOnce<K>; ++k) {
+          if (first + k >= p.x.channels) break;
+          T const* const plane = source + (first + k) * p.x.channel_stride;
 #pragma unroll
-          for (int k = 0; k < kChannels; ++k) {
+          for (int j = 0; j < K; ++j)
+#pragma unroll
+            for (int i = 0; i < K; ++i) values[k][j][i] = F(read(plane[from + j * row + i * step]));
+        }
+#pragma unroll
+        for (int k = 0; k < kAtOnce<K>; ++k) {
+          if (first + k >= p.x.channels) break;
+          F sum = 0;
+#pragma unroll
+          for (int j = 0; j < K; ++j) {
             F line = 0;
 #pragma unroll
-            for (int i = 0; i < K; ++i) line += values[k][i] * wx[i];
-            sums[k] += line * wy[j];
+            for (int i = 0; i < K; ++i) line += values[k][j][i] * wx[i];
+            sum += line * wy[j];
           }
+          plain = plain && sum - sum == 0;
+          result[(first + k) * p.y.channel_stride + to] = round_to<T>(sum);
         }
       }
-#pragma unroll
-      for (int k = 0; k < kChannels; ++k) {
-        int const c = first + k;
-        if (c >= p.x.channels) break;
-        if (!window.inside || sums[k] - sums[k] != 0)
-          sums[k] = value_of_taps(p, window, source + c * p.x.channel_stride, row, step, p.fill_of(b, c));
-        to[c * p.y.channel_stride] = round_to<T>(sums[k]);
-      }
     }
+    if (!plain) sample_taps(p, window, b, y, x);
   }
 }
 

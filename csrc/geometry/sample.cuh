@@ -18,12 +18,11 @@ constexpr int kRuns = kTile * kTile / kThreads;  // places a thread takes
 // A matrix, inverted in double by one thread of each block.
 template <class F>
 struct ByMatrix {
-  Places<F> const& places;
-  Homography<F>& map;  // in shared memory
-  __device__ __forceinline__ ByMatrix(Places<F> const& places, Homography<F>& map, int64_t b)
-      : places(places), map(map) {
-    if (threadIdx.x == 0) map = homography(places.matrices + b * places.matrix_stride, places.use);
+  Homography<F> map;
+  __device__ __forceinline__ ByMatrix(Places<F> const& places, Homography<F>& shared, int64_t b) {
+    if (threadIdx.x == 0) shared = homography(places.matrices + b * places.matrix_stride, places.use);
     __syncthreads();
+    map = shared;
   }
   __device__ __forceinline__ void at(int64_t, int y, int x, F& u, F& v) const { map.at(F(x), F(y), u, v); }
 };
@@ -92,18 +91,8 @@ struct Window {
   }
 };
 
-constexpr int kChannels = 3;  // whose taps a thread asks for before it waits for them
-
-// A row of taps of channels `first` ... of an image, the first of them at `from`; 0 for channels that there are not.
-template <int K, class F, class T>
-__device__ __forceinline__ void read_taps(F (&values)[kChannels][K], T const* from, int64_t step,
-                                          Images<T const> const& image, int first) {
-#pragma unroll
-  for (int k = 0; k < kChannels; ++k)
-#pragma unroll
-    for (int i = 0; i < K; ++i)
-      values[k][i] = first + k < image.channels ? F(read(from[k * image.channel_stride + i * step])) : F(0);
-}
+template <int K>
+constexpr int kAtOnce = K == 4 ? 1 : 3;  // channels whose taps a thread asks for before it waits for them
 
 // Calls run(by map or matrix, taps along an axis) with what p says, as types.
 template <class T, class F>

@@ -33,6 +33,15 @@ inline Size size_of(char const* op, std::vector<int64_t> const& size) {
 
 inline Size size_of(char const* op, Tensor const& x) { return size_of(op, {x.size(2), x.size(3)}); }
 
+// Kernels on CUDA count the elements of a plane in ints.
+template <class T>
+void check_planes([[maybe_unused]] char const* op, [[maybe_unused]] Images<T> const& x) {
+#if defined(KV_CUDA)
+  KV_CHECK(x.height * x.row_stride <= INT32_MAX, op, ": expected planes of less than 2^31 elements, got ", x.height,
+           " rows of ", x.row_stride);
+#endif
+}
+
 // Into how many sums the slopes of an output go: one a tile on CUDA, one a row on the CPU.
 inline int64_t slope_parts(Size output) {
 #if defined(KV_CUDA)

@@ -15,7 +15,8 @@ __global__ void __launch_bounds__(kThreads, K == 4 ? 2 : 3)
   By<matrix, F> const by(p.places, map, b);
   int const x = x0 + column_in_tile();
   T const* const source = p.x.row(b, 0, 0);
-  int64_t const row = p.x.row_stride, step = p.x.step;
+  T const* const grad = p.grad.row(b, 0, 0);
+  int const row = int(p.x.row_stride), step = int(p.x.step);  // a plane has less than 2^31 elements
   F sums[9] = {};
 #pragma unroll 1
   for (int run = 0; run < kRuns; ++run) {
@@ -29,48 +30,44 @@ __global__ void __launch_bounds__(kThreads, K == 4 ? 2 : 3)
     tap_weights(window.ty, wy);
     tap_slopes(window.tx, dx);
     tap_slopes(window.ty, dy);
-    T const* const grad = p.grad.row(b, 0, y) + x * p.grad.step;
+    int const from = window.y * row + window.x * step, to = y * int(p.grad.row_stride) + x * int(p.grad.step);
     F to_u = 0, to_v = 0;
 #pragma unroll 1
-    for (int first = 0; first < p.x.channels; first += kChannels) {
-      F along_x[kChannels] = {}, along_y[kChannels] = {};
-      T const* const planes = source + first * p.x.channel_stride;
-      int const channels = min(kChannels, p.x.channels - first);
-      if (window.inside) {
-        T const* at = planes + window.y * row + window.x * step;
+    for (int first = 0; first < p.x.channels; first += kAtOnce<K>) {
+      F values[kAtOnce<K>][K][K];
 #pragma unroll
-        for (int j = 0; j < K; ++j, at += row) {
-          F values[kChannels][K];
-          read_taps(values, at, step, p.x, first);
+      for (int k = 0; k < kAtOnce<K>; ++k) {
+        if (first + k >= p.x.channels) break;
+        T const* const plane = source + (first + k) * p.x.channel_stride;
+        if (window.inside) {
 #pragma unroll
-          for (int k = 0; k < kChannels; ++k) {
-            F line = 0, across = 0;
+          for (int j = 0; j < K; ++j)
 #pragma unroll
-            for (int i = 0; i < K; ++i) {
-              line += values[k][i] * wx[i];
-              across += values[k][i] * dx[i];
-            }
-            along_x[k] += across * wy[j];
-            along_y[k] += line * dy[j];
-          }
-        }
-      } else {
-#pragma unroll
-        for (int k = 0; k < kChannels; ++k) {
-          if (k >= channels) break;
+            for (int i = 0; i < K; ++i) values[k][j][i] = F(read(plane[from + j * row + i * step]));
+        } else {
           F const fill = p.fill_of(b, first + k);
-          window.for_each(p, row, step, [&](int j, int i, int64_t at) {
-            F const value = at < 0 ? fill : F(read(planes[k * p.x.channel_stride + at]));
-            along_x[k] += value * dx[i] * wy[j];
-            along_y[k] += value * wx[i] * dy[j];
-          });
+          window.for_each(p, row, step,
+                          [&](int j, int i, int64_t at) { values[k][j][i] = at < 0 ? fill : F(read(plane[at])); });
         }
       }
 #pragma unroll
-      for (int k = 0; k < kChannels; ++k) {
-        F const g = k < channels ? F(read(grad[(first + k) * p.grad.channel_stride])) : F(0);
-        to_u += g * along_x[k];
-        to_v += g * along_y[k];
+      for (int k = 0; k < kAtOnce<K>; ++k) {
+        if (first + k >= p.x.channels) break;
+        F along_x = 0, along_y = 0;
+#pragma unroll
+        for (int j = 0; j < K; ++j) {
+          F line = 0, across = 0;
+#pragma unroll
+          for (int i = 0; i < K; ++i) {
+            line += values[k][j][i] * wx[i];
+            across += values[k][j][i] * dx[i];
+          }
+          along_x += across * wy[j];
+          along_y += line * dy[j];
+        }
+        F const g = F(read(grad[(first + k) * p.grad.channel_stride + to]));
+        to_u += g * along_x;
+        to_v += g * along_y;
       }
     }
     if constexpr (matrix) {

@@ -16,6 +16,8 @@ Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> con
   for_floats_and_bytes("warp", image, [&](auto type) {
     using T = typename decltype(type)::type;
     Sample<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(image, batch), images<T>(y, batch)};
+    check_planes("warp", params.x);
+    check_planes("warp", params.y);
     KV_RUN(sample, image, params, y.numel() > 0 ? batch * output.height : 0, 4 * channels * output.width);
   });
   return y;
@@ -66,6 +68,8 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
                                  {},
                                  data_of<double>(sums),
                                  parts};
+    check_planes(op, slopes.x);
+    check_planes(op, slopes.grad);
     KV_RUN(sample_slopes, image, slopes, batch * output.height, 8 * image.size(1) * output.width);
     MatrixGradient<F> const gradient{places, data_of<double const>(sums), parts, batch, data_of<F>(grad_matrix)};
     KV_RUN(matrix_gradient, image, gradient, batch, 9 * parts);

@@ -17,12 +17,12 @@ from tqdm import tqdm
 import kvision
 from kvision._trace import native_operators
 from kvision.core.exceptions import DeviceError, ImageError
-from kvision.demo import color, filters, gallery, morphology
+from kvision.demo import color, filters, gallery, geometry, morphology
 from kvision.demo.restore import Restoration, blur, restore
 from kvision.demo.sheet import Column, Sheet, run
 from kvision.io import get_sample_images, load_image, write_image
 
-SHEETS = [filters.SHEET, color.SHEET, morphology.SHEET]
+SHEETS = [filters.SHEET, color.SHEET, geometry.SHEET, morphology.SHEET]
 SAMPLES = ("astronaut", "chelsea", "coffee", "rocket")
 SIDE = 320  # pixels; photos are cropped to a square and brought to this size
 STEPS = 150  # of the restoration

@@ -159,7 +159,7 @@ def _warp_backward(needs, grad, image, matrix, fill, size, *how):
     grads = [None, None, None]
     if needs[0]:
         wide = grad.to(compute_dtype(grad))
-        grads[0] = _warp_image_gradient(wide, matrix, list(image.shape[2:]), *how).to(grad.dtype)
+        grads[0] = warp_image_gradient(wide, matrix, list(image.shape[2:]), *how).to(grad.dtype)
     if needs[1]:
         grads[1] = _warp_matrix_gradient(grad, image, matrix, fill, *how).sum_to_size(matrix.shape)
     if needs[2]:
@@ -187,7 +187,7 @@ def _image_gradient_reference(grad, matrix, size, *how):
 
 
 def _image_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
-    found = _warp_image_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
+    found = warp_image_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
     if needs[0]:
         found[0] = warp(grad_grad, matrix, None, list(grad.shape[2:]), *how)
     return found
@@ -210,7 +210,7 @@ warp = register(
     backward=_warp_backward,
     bytes=True,
 )
-_warp_image_gradient = register(
+warp_image_gradient = register(
     "warp_image_gradient",
     _image_gradient_reference,
     fake=lambda grad, matrix, size, *how: grad.new_empty(*grad.shape[:2], *size),

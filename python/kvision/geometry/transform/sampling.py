@@ -131,17 +131,24 @@ def _scale(m: Tensor) -> Tensor:
 
 def from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     """Pixels from [-1, 1]: from the middle of the first to that of the last one, or from edge to edge."""
-    h, w = size
     less = 1 if align_corners else 0
-    return like.new_tensor([[(w - less) / 2, 0, (w - 1) / 2], [0, (h - less) / 2, (h - 1) / 2], [0, 0, 1]])
+    return _by_axis([((n - less) / 2, (n - 1) / 2) for n in size], like)
 
 
 def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
-    h, w = size
     less = 1 if align_corners else 0
     # The only pixel of an axis stands in its middle.
-    a, b = (2 / (n - less) if n > less else 0.0 for n in (w, h))
-    return like.new_tensor([[a, 0, -a * (w - 1) / 2], [0, b, -b * (h - 1) / 2], [0, 0, 1]])
+    scales = [2 / (n - less) if n > less else 0.0 for n in size]
+    return _by_axis([(scale, -scale * (n - 1) / 2) for scale, n in zip(scales, size)], like)
+
+
+def _by_axis(lines: Sequence[tuple[float, float]], like: Tensor) -> Tensor:
+    """The matrix that takes y and x to scale * y + offset and to the same of x, made where `like` is, number by number."""
+    matrix = torch.eye(3, dtype=like.dtype, device=like.device)
+    for axis, (scale, offset) in zip((1, 0), lines):
+        matrix[axis, axis] = scale
+        matrix[axis, 2] = offset
+    return matrix
 
 
 # --- warp -----------------------------------------------------------------------------------------------------------

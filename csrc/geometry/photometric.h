@@ -63,9 +63,9 @@ KV_HD V distance_of(Distance distance, V r, F eps, V& slope) {
 
 template <class T>
 KV_HD void photometric_total_of(PhotometricTotal<T> const& p, int64_t b, double* sums) {
-  double const mean = 1 / (sums[10] * double(p.channels));
-  p.loss[b] = T(sums[9] * mean);
-  for (int i = 0; i < 9; ++i) sums[i] *= mean;
+  double const terms = sums[10] * double(p.channels);
+  p.loss[b] = T(sums[9] / terms);
+  for (int i = 0; i < 9; ++i) sums[i] = terms > 0 ? sums[i] / terms : 0;  // a mean of nothing has no slope
   homography_vjp(p.places.matrices + b * p.places.matrix_stride, p.places.use, sums, p.grad + b * 9);
 }
 

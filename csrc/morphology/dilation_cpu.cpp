@@ -80,6 +80,23 @@ struct Source {
   }
 };
 
+// The larger one, for an erosion the smaller one; NaN wins.
+template <bool Erode, class V>
+KV_HD V extreme(V a, V b) {
+  V most;  // b where one is NaN
+#if defined(__AVX512F__)
+  if constexpr (__is_same(V, Lanes<float, 16>))
+    most = V(Erode ? _mm512_min_ps(__m512(a), __m512(b)) : _mm512_max_ps(__m512(a), __m512(b)));
+  else
+#elif defined(__AVX2__)
+  if constexpr (__is_same(V, Lanes<float, 8>))
+    most = V(Erode ? _mm256_min_ps(__m256(a), __m256(b)) : _mm256_max_ps(__m256(a), __m256(b)));
+  else
+#endif
+    most = (Erode ? a < b : a > b) ? a : b;
+  return a != a ? a : most;
+}
+
 // --- flat windows
 // --------------------------------------------------------------------------------------------------------------------
 
@@ -87,9 +104,8 @@ constexpr int kSmall = 4;  // windows up to this many pixels along an axis take 
 
 // Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is small, each `height` rows of windows share what
 // lies in them from the window's first row up to a common row (`above`, suffix maxima), and have the rows behind that
-// in common with the next ones
-// (`below`, the maximum of these so far).
-template <class T>
+// in common with the next ones (`below`, the maximum of these so far).
+template <bool Erode, class T>
 void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
@@ -101,34 +117,34 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
   auto const combine = [&](F* to, F const* with, T const* pixels) {
     for_each_vector<T>(0, size, [&](auto width, int64_t e) {
       constexpr int M = decltype(width)::value;
-      Lanes<F, M> const v = load<M>(pixels + e) * source.sign;
-      store<M>(to + e, with ? larger(load<M>(with + e), v) : v);
+      Lanes<F, M> const v = load<M>(pixels + e);
+      store<M>(to + e, with ? extreme<Erode>(load<M>(with + e), v) : v);
     });
   };
 
   // From the maxima along y, in `row`, to output row y.
   auto const along_x = [&](int64_t y) {
-    for (int64_t e = -before; e < 0; ++e) row[e] = source.value;
-    for (int64_t e = size; e < size + after; ++e) row[e] = source.value;
+    for (int64_t e = -before; e < 0; ++e) row[e] = window.value;
+    for (int64_t e = size; e < size + after; ++e) row[e] = window.value;
     F* const first = row - before;
     T* const out = p.y.row(plane, y);
     if (window.width <= kSmall)
       return for_each_vector<T>(0, size, [&](auto width, int64_t e) {
         constexpr int M = decltype(width)::value;
         Lanes<F, M> most = load<M>(first + e);
-        for (int j = 1; j < window.width; ++j) most = larger(load<M>(first + e + j * step), most);
-        store<M>(out + e, Lanes<F, M>(most * source.sign));
+        for (int j = 1; j < window.width; ++j) most = extreme<Erode>(load<M>(first + e + j * step), most);
+        store<M>(out + e, most);
       });
     // Maxima of 2, 4, 8 ... pixels, and of two of these that overlap.
     int64_t reach = 1;
     for (; 2 * reach <= window.width; reach *= 2)
       for (int64_t e = 0; e < size + (window.width - 2 * reach) * step; e += N)
-        store<N>(first + e, larger(load<N>(first + e), load<N>(first + e + reach * step)));
+        store<N>(first + e, extreme<Erode>(load<N>(first + e), load<N>(first + e + reach * step)));
     int64_t const rest = (window.width - reach) * step;
     for_each_vector<T>(0, size, [&](auto width, int64_t e) {
       constexpr int M = decltype(width)::value;
-      Lanes<F, M> const most = larger(load<M>(first + e), load<M>(first + e + rest));
-      store<M>(out + e, Lanes<F, M>(most * source.sign));
+      Lanes<F, M> const most = extreme<Erode>(load<M>(first + e), load<M>(first + e + rest));
+      store<M>(out + e, most);
     });
   };
 
@@ -138,8 +154,8 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
       for (int i = 0; i < height; ++i) rows[i] = source.row(plane, y - window.top + i);
       for_each_vector<T>(0, size, [&](auto width, int64_t e) {
         constexpr int M = decltype(width)::value;
-        Lanes<F, M> most = load<M>(rows[0] + e) * source.sign;
-        for (int i = 1; i < height; ++i) most = larger(Lanes<F, M>(load<M>(rows[i] + e) * source.sign), most);
+        Lanes<F, M> most = load<M>(rows[0] + e);
+        for (int i = 1; i < height; ++i) most = extreme<Erode>(load<M>(rows[i] + e), most);
         store<M>(row + e, most);
       });
       along_x(y);
@@ -159,15 +175,15 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
         else  // in place, so not by vectors that overlap
           for (int64_t e = 0; e < size; e += N)
             if (e + N <= size)
-              store<N>(below[0] + e, larger(load<N>(below[0] + e), Lanes<F, N>(load<N>(next + e) * source.sign)));
+              store<N>(below[0] + e, extreme<Erode>(load<N>(below[0] + e), load<N>(next + e)));
             else
               for (int64_t rest = e; rest < size; ++rest)
-                below[0][rest] = larger(below[0][rest], F(load<1>(next + rest) * source.sign));
+                below[0][rest] = extreme<Erode>(below[0][rest], load<1>(next + rest));
       }
       for_each_vector<T>(0, size, [&](auto width, int64_t e) {
         constexpr int M = decltype(width)::value;
         Lanes<F, M> const v = load<M>(above[i] + e);
-        store<M>(row + e, i == 0 ? v : larger(v, Lanes<F, M>(load<M>(below[0] + e))));
+        store<M>(row + e, i == 0 ? v : extreme<Erode>(v, load<M>(below[0] + e)));
       });
       along_x(block + i);
     }
@@ -203,7 +219,7 @@ void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> co
       constexpr int N = decltype(width)::value;
       Lanes<F, N> most = broadcast<N>(-F(kInfinity));
       for (int t = 0; t < taps.count; ++t)
-        most = larger(most, Lanes<F, N>(load<N>(pointers.data[t] + e) + taps.offset.data[t]));
+        most = extreme<false>(Lanes<F, N>(load<N>(pointers.data[t] + e) + taps.offset.data[t]), most);
       store<N>(out + e, Lanes<F, N>(most * source.sign));
     });
   }
@@ -229,8 +245,10 @@ void dilation(Dilation<T> const& p, int64_t begin, int64_t end) {
   Source<T> const source(p.x, p.window);
   Taps<Compute<T>> taps(p.window);
   for_each_plane(taps, p.y.height, p.planes, begin, end, [&](int64_t plane, int64_t y0, int64_t y1) {
-    if (taps.flat)
-      flat_rows(p, source, plane, y0, y1);
+    if (taps.flat && p.window.erode)
+      flat_rows<true>(p, source, plane, y0, y1);
+    else if (taps.flat)
+      flat_rows<false>(p, source, plane, y0, y1);
     else
       tap_rows(p, source, taps, plane, y0, y1);
   });

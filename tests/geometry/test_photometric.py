@@ -24,7 +24,7 @@ def target(x: Tensor) -> Tensor:
 
 class TestPhotometric(WarpTests):
     function = staticmethod(G.photometric_homography_loss)
-    operators = ("photometric",)
+    operators = ("photometric", "warp", "warp_image_gradient")
     max_size = 7
     bytes = False
     small = (1, 2, 5, 6)

@@ -31,11 +31,16 @@ def _loss(source, target, matrix, distance, eps, align_corners, normalized):
         found = residual * residual
     else:
         found = (residual * residual + eps * eps).sqrt()
-    height, width = source.shape[2:]
-    u, v = (x.detach() for x in places)
-    seen = ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
+    seen = _seen(places, source)
     total = torch.where(seen, found, 0).sum((1, 2, 3))
     return total / (seen.sum((1, 2, 3)) * source.shape[1])
+
+
+def _seen(places, source):
+    """Which places (B, 1, h, w) lie between four pixels."""
+    height, width = source.shape[2:]
+    u, v = (x.detach() for x in places)
+    return ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
 
 
 def _reference(source, target, matrix, *how):
@@ -45,8 +50,35 @@ def _reference(source, target, matrix, *how):
 
 
 def _backward(needs, grad, _, loss, slope, source, target, matrix, *how):
-    if not (needs[0] or needs[1] or torch.is_grad_enabled()):
-        return [None, None, (grad[:, None, None] * slope).sum_to_size(matrix.shape)]
+    if torch.is_grad_enabled():
+        return _differentiable_backward(needs, grad, source, target, matrix, *how)
+    of_source = of_target = of_matrix = None
+    if needs[0] or needs[1]:
+        of_source, of_target = _image_gradients(grad, source, target, matrix, *how)
+    if needs[2]:
+        of_matrix = (grad[:, None, None] * slope).sum_to_size(matrix.shape)
+    return [of_source if needs[0] else None, of_target if needs[1] else None, of_matrix]
+
+
+def _image_gradients(grad, source, target, matrix, distance, eps, align_corners, normalized):
+    x, y = source.to(matrix.dtype), target.to(matrix.dtype)
+    (*size,), matrices = y.shape[2:], matrix.expand(len(x), -1, -1)
+    sampled = "bilinear", "fill", align_corners, False, normalized
+    seen = _seen(sampling.places_of(matrices, size, x.shape[2:], *sampled[2:]), x)
+    residual = sampling.warp(x, matrices, None, size, *sampled) - y
+    if distance == "l1":
+        slope = residual.sign()
+    elif distance == "l2":
+        slope = 2 * residual
+    else:
+        slope = residual / (residual * residual + eps * eps).sqrt()
+    share = grad / (seen.sum((1, 2, 3)) * x.shape[1])
+    slope = torch.where(seen, slope * share[:, None, None, None], 0)
+    of_source = sampling.warp_image_gradient(slope, matrices, [*x.shape[2:]], *sampled)
+    return of_source.to(source.dtype), -slope.to(target.dtype)
+
+
+def _differentiable_backward(needs, grad, source, target, matrix, *how):
     tensors = (source, target, matrix)
     where = [i for i, need in enumerate(needs) if need]
 

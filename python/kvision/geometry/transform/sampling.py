@@ -131,17 +131,24 @@ def _scale(m: Tensor) -> Tensor:
 
 def from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     """Pixels from [-1, 1]: from the middle of the first to that of the last one, or from edge to edge."""
-    h, w = size
     less = 1 if align_corners else 0
-    return like.new_tensor([[(w - less) / 2, 0, (w - 1) / 2], [0, (h - less) / 2, (h - 1) / 2], [0, 0, 1]])
+    return _by_axis([((n - less) / 2, (n - 1) / 2) for n in size], like)
 
 
 def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
-    h, w = size
     less = 1 if align_corners else 0
     # The only pixel of an axis stands in its middle.
-    a, b = (2 / (n - less) if n > less else 0.0 for n in (w, h))
-    return like.new_tensor([[a, 0, -a * (w - 1) / 2], [0, b, -b * (h - 1) / 2], [0, 0, 1]])
+    scales = [2 / (n - less) if n > less else 0.0 for n in size]
+    return _by_axis([(scale, -scale * (n - 1) / 2) for scale, n in zip(scales, size)], like)
+
+
+def _by_axis(lines: Sequence[tuple[float, float]], like: Tensor) -> Tensor:
+    """The matrix that takes y and x to scale * y + offset and to the same of x, made where `like` is, number by number."""
+    matrix = torch.eye(3, dtype=like.dtype, device=like.device)
+    for axis, (scale, offset) in zip((1, 0), lines):
+        matrix[axis, axis] = scale
+        matrix[axis, 2] = offset
+    return matrix
 
 
 # --- warp -----------------------------------------------------------------------------------------------------------
@@ -159,7 +166,7 @@ def _warp_backward(needs, grad, image, matrix, fill, size, *how):
     grads = [None, None, None]
     if needs[0]:
         wide = grad.to(compute_dtype(grad))
-        grads[0] = _warp_image_gradient(wide, matrix, list(image.shape[2:]), *how).to(grad.dtype)
+        grads[0] = warp_image_gradient(wide, matrix, list(image.shape[2:]), *how).to(grad.dtype)
     if needs[1]:
         grads[1] = _warp_matrix_gradient(grad, image, matrix, fill, *how).sum_to_size(matrix.shape)
     if needs[2]:
@@ -187,7 +194,7 @@ def _image_gradient_reference(grad, matrix, size, *how):
 
 
 def _image_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
-    found = _warp_image_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
+    found = warp_image_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
     if needs[0]:
         found[0] = warp(grad_grad, matrix, None, list(grad.shape[2:]), *how)
     return found
@@ -210,7 +217,7 @@ warp = register(
     backward=_warp_backward,
     bytes=True,
 )
-_warp_image_gradient = register(
+warp_image_gradient = register(
     "warp_image_gradient",
     _image_gradient_reference,
     fake=lambda grad, matrix, size, *how: grad.new_empty(*grad.shape[:2], *size),

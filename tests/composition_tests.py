@@ -27,9 +27,13 @@ class Case(NamedTuple):
 
 
 @cache
+def _copied(device: torch.device, constant: Tensor) -> Tensor:
+    return constant.to(device)
+
+
 def on(device: torch.device, constant: Tensor) -> Tensor:
     """A constant of a test on a device: copied once, since the capture of a CUDA graph allows no copy from the host."""
-    return constant.to(device)
+    return constant.to(device) if torch.compiler.is_compiling() else _copied(device, constant)
 
 
 class CompositionTests:

@@ -143,11 +143,11 @@ def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
 
 
 def _by_axis(lines: Sequence[tuple[float, float]], like: Tensor) -> Tensor:
-    """The matrix that takes y and x to scale * y + offset and to the same of x, made where `like` is, number by number."""
+    """The matrix that takes y and x to scale * y + offset and to the same of x, filled in where `like` is."""
     matrix = torch.eye(3, dtype=like.dtype, device=like.device)
     for axis, (scale, offset) in zip((1, 0), lines):
-        matrix[axis, axis] = scale
-        matrix[axis, 2] = offset
+        matrix[axis, axis].fill_(scale)
+        matrix[axis, 2].fill_(offset)
     return matrix
 
 

@@ -1,5 +1,5 @@
 // Transposes that fold the result at the border, on CUDA: planar images, kernels of equal odd sizes from 3 to 31.
-// Included by separable_fold_<type>.cu, which say for which types it is compiled. separable.h says what is folded.
+// Included by separable_fold.cu, which says for which types it is compiled. separable.h says what is folded.
 //
 // The walk of separable_strip.cuh. Along x each of 15 threads a side computes one position outside the image. Along y,
 //

@@ -1,5 +1,5 @@
 // The fast separable filter on CUDA: planar images, kernels of equal odd sizes from 3 to 31. Included by
-// separable_<type>.cu and separable_mirror_<type>.cu, which say for which types it is compiled.
+// separable_<type>.cu and separable_mirror.cu, which say for which types it is compiled.
 //
 // Each warp walks down a strip of 32 P columns, whose rows come by strip_rows.cuh.
 //

@@ -4,7 +4,8 @@
 #include "core/lanes.h"
 #include "levels.h"
 
-namespace kv {
+namespace kv::KV_ISA {
+namespace {
 
 constexpr int64_t kPiece = 512;  // pixels
 
@@ -47,7 +48,7 @@ KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
 
 // Counts levels in four tables in turns: a count that waits for the one before it, of the same level, is slow.
 struct LevelCounts {
-  int32_t of[4][kLevels + 1];  // a default value would make a constructor, which instruction sets would share
+  int32_t of[4][kLevels + 1];
   KV_HD void add(uint16_t const* level, int64_t n) {
     int64_t i = 0;
     for (; i + 4 <= n; i += 4)
@@ -61,4 +62,5 @@ struct LevelCounts {
   }
 };
 
-}  // namespace kv
+}  // namespace
+}  // namespace kv::KV_ISA

@@ -174,13 +174,10 @@ template <class T>
 int min_max(MinMax<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.pieces);
-  if (is_strip<P>(p.x) && is_strip<P>(p.y)) {
-    find_range<T, true><<<blocks, kThreads, 0, stream>>>(p);
-    map_range<T, true><<<blocks, kThreads, 0, stream>>>(p);
-  } else {
-    find_range<T, false><<<blocks, kThreads, 0, stream>>>(p);
-    map_range<T, false><<<blocks, kThreads, 0, stream>>>(p);
-  }
+  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+    find_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
+    map_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
+  });
   return cudaGetLastError();
 }
 
@@ -188,13 +185,10 @@ template <class T>
 int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.pieces);
-  if (is_strip<P>(p.x) && is_strip<P>(p.grad) && is_strip<P>(p.grad_x)) {
-    find_sums<T, true><<<blocks, kThreads, 0, stream>>>(p);
-    map_gradient<T, true><<<blocks, kThreads, 0, stream>>>(p);
-  } else {
-    find_sums<T, false><<<blocks, kThreads, 0, stream>>>(p);
-    map_gradient<T, false><<<blocks, kThreads, 0, stream>>>(p);
-  }
+  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.grad) && is_strip<P>(p.grad_x), [&](auto aligned) {
+    find_sums<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
+    map_gradient<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
+  });
   return cudaGetLastError();
 }
 

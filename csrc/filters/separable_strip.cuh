@@ -232,7 +232,7 @@ int launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
     }
     launch(std::true_type{});
   } else {
-    aligned ? launch(std::true_type{}) : launch(std::false_type{});
+    with_alignment<T>(aligned, launch);
   }
   return cudaGetLastError();
 }

@@ -229,10 +229,9 @@ int dilation(Dilation<T> const& p, CUstream_st* stream) {
   } else if (window.height == 3 && window.width == 3 && window.top == 1 && window.left == 1 &&
              window.value == (window.erode ? F(INFINITY) : -F(INFINITY))) {
     Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-    if (is_strip<P>(p.x) && is_strip<P>(p.y))
-      dilation_3x3<T, true><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
-    else
-      dilation_3x3<T, false><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+      dilation_3x3<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+    });
   } else {
     int const across = int(ceil_div(p.y.width, kTileWidth)), down = int(ceil_div(p.y.height, kTileHeight));
     int const bytes = int(2 * sizeof(F)) * (kTileWidth + window.width - 1) * (kTileHeight + window.height - 1);

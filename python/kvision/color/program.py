@@ -140,6 +140,11 @@ def _widened(x: Tensor, other: torch.dtype) -> Tensor:
     return x.to(wide) / 255 if x.dtype == torch.uint8 else x.to(wide)
 
 
+def type_name(dtype: torch.dtype) -> str:
+    """A type as programs are told it."""
+    return str(dtype).removeprefix("torch.")
+
+
 def _stored(x: Tensor, dtype: str) -> torch.dtype:
     return x.dtype if dtype == "same" else getattr(torch, dtype)
 
@@ -258,9 +263,8 @@ def _in_two(x: Tensor, steps: Sequence[int], parameters: Sequence[float | Tensor
         slots -= p.shape[2] if isinstance(p, Tensor) else 1
         count += 1
     stored = _stored(x, dtype)
-    between, last = (str(t).removeprefix("torch.") for t in (_computing(x.dtype, stored), stored))
-    x = run(x, steps[:second], parameters[:count], dtype=between)
-    return run(x, steps[second:], parameters[count:], dtype=last, layout=layout)
+    x = run(x, steps[:second], parameters[:count], dtype=type_name(_computing(x.dtype, stored)))
+    return run(x, steps[second:], parameters[count:], dtype=type_name(stored), layout=layout)
 
 
 def _joined(tensors: Sequence[Any]) -> Tensor:

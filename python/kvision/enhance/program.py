@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._leading import on_batch
-from kvision.color.program import MOST_STEPS, STEPS, run
+from kvision.color.program import MOST_STEPS, STEPS, run, type_name
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
 
 Value = float | Sequence[float] | Tensor
@@ -102,7 +102,7 @@ class ColorProgram(nn.Module):
                 f"ColorProgram: memory_format must be torch.contiguous_format or torch.channels_last; got {memory_format!r}"
             )
         self.dtype, self.memory_format = dtype, memory_format
-        self._stored = "same" if dtype is None else str(dtype).removeprefix("torch.")
+        self._stored = "same" if dtype is None else type_name(dtype)
         self._layout = {None: "same", torch.contiguous_format: "NCHW"}.get(memory_format, "NHWC")
         self._steps: list[tuple[str, list[Any]]] = []  # with the names of their attributes for tensors
         for i, given in enumerate(steps):

@@ -87,6 +87,20 @@ def floating(op: str, name: str, x: Tensor) -> None:
         raise TypeCheckError(f"{op}: expected {name} to be floating point, got {x.dtype}", actual_type=x.dtype)
 
 
+def ending(op: str, name: str, x: Any, *expected: str | int) -> None:
+    """Raise unless `x` is a floating-point tensor whose last axes are `expected`; an int fixes the size of its axis."""
+    numbers(op, name, x)
+    sizes = x.shape[max(0, x.dim() - len(expected)) :]
+    if len(sizes) < len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, sizes)):
+        want = ", ".join(map(str, expected))
+        raise ShapeError(
+            f"{op}: expected {name} of shape (*, {want}), got {tuple(x.shape)}",
+            actual_shape=x.shape,
+            expected_shape=expected,
+        )
+    floating(op, name, x)
+
+
 def same_device(op: str, **tensors: Tensor) -> None:
     """Raise DeviceError unless all the named tensors are on one device."""
     devices = {name: x.device for name, x in tensors.items()}

@@ -36,8 +36,10 @@ from kvision.filters import gaussian_blur2d, sobel
 from kvision.geometry import (
     HomographyWarper,
     ScalePyramid,
+    find_homography_dlt_iterated,
     get_perspective_transform,
     homography_warp,
+    normal_transform_pixel,
     pyrdown,
     warp_perspective,
 )
@@ -78,6 +80,7 @@ __all__ = [
     "enhance",
     "extract_tensor_patches",
     "filters",
+    "find_homography_dlt_iterated",
     "focal_loss",
     "gaussian_blur2d",
     "geometry",
@@ -95,6 +98,7 @@ __all__ = [
     "losses",
     "metrics",
     "morphology",
+    "normal_transform_pixel",
     "normalize",
     "print_image",
     "psnr_loss",

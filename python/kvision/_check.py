@@ -53,6 +53,27 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
         )
 
 
+def ends(op: str, name: str, x: Any, *expected: str | int) -> None:
+    """Raise unless `x` is a tensor whose last axes are `expected`, after any others; an int fixes the size of its axis."""
+    numbers(op, name, x)
+    sizes = x.shape[max(0, x.dim() - len(expected)) :]
+    if len(sizes) < len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, sizes)):
+        raise ShapeError(
+            f"{op}: expected {name} of shape (*, {', '.join(map(str, expected))}), got {tuple(x.shape)}",
+            actual_shape=x.shape,
+        )
+
+
+def broadcastable(op: str, **shapes: Sequence[int]) -> None:
+    """Raise ShapeError unless the named leading shapes can be broadcast together."""
+    longest = max(map(len, shapes.values()))
+    for axis in range(1, longest + 1):
+        sizes = [shape[-axis] for shape in shapes.values() if axis <= len(shape) and shape[-axis] != 1]
+        if any(n != sizes[0] for n in sizes):
+            got = ", ".join(f"{tuple(shape)} of {name}" for name, shape in shapes.items())
+            raise ShapeError(f"{op}: expected leading axes that broadcast, got {got}")
+
+
 def images(op: str, name: str, x: Any) -> None:
     """Raise unless `x` is a (B, C, H, W) tensor with at least one pixel an image."""
     numbers(op, name, x)
@@ -87,17 +108,9 @@ def floating(op: str, name: str, x: Tensor) -> None:
         raise TypeCheckError(f"{op}: expected {name} to be floating point, got {x.dtype}", actual_type=x.dtype)
 
 
-def ending(op: str, name: str, x: Any, *expected: str | int) -> None:
-    """Raise unless `x` is a floating-point tensor whose last axes are `expected`; an int fixes the size of its axis."""
-    numbers(op, name, x)
-    sizes = x.shape[max(0, x.dim() - len(expected)) :]
-    if len(sizes) < len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, sizes)):
-        want = ", ".join(map(str, expected))
-        raise ShapeError(
-            f"{op}: expected {name} of shape (*, {want}), got {tuple(x.shape)}",
-            actual_shape=x.shape,
-            expected_shape=expected,
-        )
+def floating_ends(op: str, name: str, x: Any, *expected: str | int) -> None:
+    """Raise unless `x` is a floating-point tensor that ends in the axes `expected`."""
+    ends(op, name, x, *expected)
     floating(op, name, x)
 
 

@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
+from kvision.geometry.linalg import root
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _HALVES = (torch.float16, torch.bfloat16)
@@ -17,34 +19,33 @@ _HALVES = (torch.float16, torch.bfloat16)
 def in_full_precision(function: F) -> F:
     """`function` of tensors that computes half types in float32 and is left alone by autocast.
 
-    Results are stored in the type of its first tensor.
+    The first tensor sets the type: the others are converted to the one it is computed in, results are stored in its own.
     """
 
     @functools.wraps(function)
     def wrapped(*args: Any, **kwargs: Any) -> Any:
-        first = next((a for a in (*args, *kwargs.values()) if isinstance(a, Tensor)), None)
-        if first is None:
+        tensors = [a for a in (*args, *kwargs.values()) if isinstance(a, Tensor)]
+        if not tensors:
             return function(*args, **kwargs)  # which says what is wrong
+        first = tensors[0]
         device = first.device.type
         if device != "meta" and torch.is_autocast_enabled(device):
             with torch.autocast(device, enabled=False):
                 return wrapped(*args, **kwargs)
-        if first.dtype not in _HALVES:
+        computed = torch.float32 if first.dtype in _HALVES else first.dtype
+        if not first.is_floating_point() or all(t.dtype == computed or not t.is_floating_point() for t in tensors):
             return function(*args, **kwargs)
-        return _map(lambda y: y.to(first.dtype), function(*map(_widened, args), **_map(_widened, kwargs)))
+        output = function(*_map(lambda x: x.to(computed), args), **_map(lambda x: x.to(computed), kwargs))
+        return _map(lambda y: y.to(first.dtype), output)
 
     return wrapped  # type: ignore[return-value]
-
-
-def _widened(x: Any) -> Any:
-    return x.float() if isinstance(x, Tensor) and x.dtype in _HALVES else x
 
 
 def _map(f: Callable[[Any], Any], values: Any) -> Any:
     if isinstance(values, tuple):
         return tuple(_map(f, v) for v in values)
     if isinstance(values, dict):
-        return {k: f(v) for k, v in values.items()}
+        return {k: _map(f, v) for k, v in values.items()}
     return f(values) if isinstance(values, Tensor) and values.is_floating_point() else values
 
 
@@ -60,12 +61,6 @@ def quotient(a: Tensor, b: Tensor, otherwise: float) -> Tensor:
     """a / b, and `otherwise`, without a gradient, where b is 0."""
     zero = b == 0
     return torch.where(zero, otherwise, a / torch.where(zero, 1, b))
-
-
-def root(x: Tensor) -> Tensor:
-    """The square root, with gradient 0 at 0."""
-    positive = x > 0
-    return torch.where(positive, torch.where(positive, x, 1).sqrt(), x)
 
 
 def length(x: Tensor, keepdim: bool = False) -> Tensor:

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.geometry._precision import in_full_precision, quotient, root
+from kvision.geometry._precision import in_full_precision, quotient
 from kvision.geometry.epipolar.fundamental import check_points, lines
+from kvision.geometry.linalg import root
 
 __all__ = [
     "left_to_right_epipolar_distance",
@@ -148,7 +149,7 @@ def _lines(op: str, pts1: Tensor, pts2: Tensor, Fm: Tensor) -> tuple[Tensor, Ten
     """a^2 + b^2 of the lines in the second and in the first image, and x2^T F x1."""
     check_points(op, "pts1", pts1)
     check_points(op, "pts2", pts2)
-    _check.ending(op, "Fm", Fm, 3, 3)
+    _check.floating_ends(op, "Fm", Fm, 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)
     right, left = lines(pts1, Fm), lines(pts2, Fm.mT)[..., :2]
     residual = (right[..., : pts2.shape[-1]] * pts2).sum(-1)

@@ -7,10 +7,11 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, root, wide
+from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.epipolar.fundamental import epipolar_rows
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points
+from kvision.geometry.linalg import root
 from kvision.geometry.solvers.correspondences import check_correspondences
 from kvision.geometry.solvers.null_vector import null_space, null_vector_3x3
 from kvision.geometry.solvers.polynomials import (
@@ -146,7 +147,7 @@ def essential_from_fundamental(F_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
         tensor([2., 2., 2.])
     """
     for name, x in (("F_mat", F_mat), ("K1", K1), ("K2", K2)):
-        _check.ending("essential_from_fundamental", name, x, 3, 3)
+        _check.floating_ends("essential_from_fundamental", name, x, 3, 3)
     _check.same_device("essential_from_fundamental", F_mat=F_mat, K1=K1, K2=K2)
     return K2.mT @ F_mat @ K1
 
@@ -213,9 +214,9 @@ def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tu
 
 def _motion(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
     for name, x in (("R1", R1), ("R2", R2)):
-        _check.ending(op, name, x, 3, 3)
+        _check.floating_ends(op, name, x, 3, 3)
     for name, x in (("t1", t1), ("t2", t2)):
-        _check.ending(op, name, x, 3, 1)
+        _check.floating_ends(op, name, x, 3, 1)
     _check.same_device(op, R1=R1, t1=t1, R2=R2, t2=t2)
     R = R2 @ R1.mT
     return R, t2 - R @ t1
@@ -242,7 +243,7 @@ def project_to_essential(E_mat: Tensor) -> Tensor:
                 [0., 2., 0.],
                 [0., 0., 0.]])
     """
-    _check.ending("project_to_essential", "E_mat", E_mat, 3, 3)
+    _check.floating_ends("project_to_essential", "E_mat", E_mat, 3, 3)
     isometry, size = _polar(wide(E_mat))
     return (isometry * (size / 2)[..., None, None]).to(E_mat.dtype) + 0
 
@@ -286,7 +287,7 @@ def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         >>> direction.abs().flatten(), R1.diagonal().sum() + R2.diagonal().sum()
         (tensor([0., 0., 1.]), tensor(2.))
     """
-    _check.ending("decompose_essential_matrix", "E_mat", E_mat, 3, 3)
+    _check.floating_ends("decompose_essential_matrix", "E_mat", E_mat, 3, 3)
     E = wide(E_mat)
     isometry, _ = _polar(E)
     t = null_vector_3x3(E.mT)
@@ -322,7 +323,7 @@ def decompose_essential_matrix_no_svd(E_mat: Tensor) -> tuple[Tensor, Tensor, Te
         >>> K.geometry.decompose_essential_matrix_no_svd(torch.rand(2, 5, 3, 3))[0].shape
         torch.Size([10, 3, 3])
     """
-    _check.ending("decompose_essential_matrix_no_svd", "E_mat", E_mat, 3, 3)
+    _check.floating_ends("decompose_essential_matrix_no_svd", "E_mat", E_mat, 3, 3)
     return decompose_essential_matrix(E_mat.reshape(-1, 3, 3))
 
 
@@ -346,7 +347,7 @@ def motion_from_essential(E_mat: Tensor) -> tuple[Tensor, Tensor]:
         >>> R.shape, t.shape
         (torch.Size([2, 4, 3, 3]), torch.Size([2, 4, 3, 1]))
     """
-    _check.ending("motion_from_essential", "E_mat", E_mat, 3, 3)
+    _check.floating_ends("motion_from_essential", "E_mat", E_mat, 3, 3)
     R1, R2, t = decompose_essential_matrix(E_mat)
     return torch.stack([R1, R1, R2, R2], -3), torch.stack([t, -t, t, -t], -3)
 
@@ -387,9 +388,9 @@ def motion_from_essential_choose_solution(
     """
     op = "motion_from_essential_choose_solution"
     for name, x in (("E_mat", E_mat), ("K1", K1), ("K2", K2)):
-        _check.ending(op, name, x, 3, 3)
+        _check.floating_ends(op, name, x, 3, 3)
     for name, x in (("x1", x1), ("x2", x2)):
-        _check.ending(op, name, x, "N", 2)
+        _check.floating_ends(op, name, x, "N", 2)
     _check.same_shape(op, x1=x1, x2=x2)
     _check.same_device(op, E_mat=E_mat, K1=K1, K2=K2, x1=x1, x2=x2)
     if E_mat.dim() not in (2, 3) or x1.dim() != E_mat.dim() or not K1.dim() == K2.dim() == E_mat.dim():

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, length, quotient, root
-from kvision.geometry.transform.matrices import adjugate
+from kvision.geometry._precision import in_full_precision, length, quotient
+from kvision.geometry.linalg import adjugate, root
 
 __all__ = [
     "line_segment_transfer_error_one_way",
@@ -156,8 +156,8 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
     """
     op = "line_segment_transfer_error_one_way"
     for name, x in (("ls1", ls1), ("ls2", ls2)):
-        _check.ending(op, name, x, "B", "N", 2, 2)
-    _check.ending(op, "H", H, "B", 3, 3)
+        _check.floating_ends(op, name, x, "B", "N", 2, 2)
+    _check.floating_ends(op, "H", H, "B", 3, 3)
     _check.same_device(op, ls1=ls1, ls2=ls2, H=H)
     start, end = ls2.unbind(-2)
     along = end - start
@@ -218,12 +218,12 @@ def _turns(points: Tensor) -> Tensor:
 def _check_points(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
     """Both in pixels, (B, N, 2)."""
     for name, x in (("pts1", pts1), ("pts2", pts2)):
-        _check.ending(op, name, x, "B", "N", "2 or 3")
+        _check.floating_ends(op, name, x, "B", "N", "2 or 3")
         if x.shape[-1] not in (2, 3):
             raise ShapeError(
                 f"{op}: expected {name} of shape (B, N, 2 or 3), got {tuple(x.shape)}", actual_shape=x.shape
             )
-    _check.ending(op, "H", H, "B", 3, 3)
+    _check.floating_ends(op, "H", H, "B", 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, H=H)
     first, second = (p if p.shape[-1] == 2 else quotient(p[..., :2], p[..., 2:], torch.inf) for p in (pts1, pts2))
     return first, second

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.geometry._precision import in_full_precision, wide
-from kvision.geometry.transform.matrices import adjugate
+from kvision.geometry.linalg import adjugate
 
 __all__ = ["null_vector_3x4"]
 
@@ -32,7 +32,7 @@ def null_vector_3x4(A: Tensor) -> Tensor:
         >>> K.geometry.null_vector_3x4(torch.eye(3, 4)[None])
         tensor([[ 0.,  0.,  0., -1.]])
     """
-    _check.ending("null_vector_3x4", "A", A, 3, 4)
+    _check.floating_ends("null_vector_3x4", "A", A, 3, 4)
     a, b, c = A[..., :3].unbind(-2)
     last = A[..., 3:]
     ab, bc, ca = torch.linalg.cross(a, b), torch.linalg.cross(b, c), torch.linalg.cross(c, a)
@@ -102,7 +102,10 @@ def null_vector_3x3(matrix: Tensor) -> Tensor:
 
 
 def null_space(rows: Tensor, count: int) -> Tensor:
-    """`count` orthogonal vectors (*, n, count) that rows (*, m, n) take nearest to 0; NaN where there are more of them."""
+    """`count` orthogonal vectors (*, n, count) that rows (*, m, n) take nearest to 0, the nearest one last.
+
+    NaN where there are more of them.
+    """
     A = wide(rows)
     M = A.mT @ A
     size = M.detach().diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
@@ -110,8 +113,8 @@ def null_space(rows: Tensor, count: int) -> Tensor:
     finite = M.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
     M = torch.where(finite, M, 0)
     values, vectors = torch.linalg.eigh(M.detach())
-    N, outside = vectors[..., :count], vectors[..., count:]
-    gap = values[..., count:, None] - values[..., None, :count]
+    N, outside = vectors[..., :count].flip(-1), vectors[..., count:]
+    gap = values[..., count:, None] - values[..., None, :count].flip(-1)
     clear = gap > _GAP
     for _ in range(2):
         residual = outside.mT @ (M @ N - N @ (N.mT @ M @ N))

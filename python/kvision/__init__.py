@@ -38,6 +38,7 @@ from kvision.geometry import (
     ScalePyramid,
     get_perspective_transform,
     homography_warp,
+    normal_transform_pixel,
     pyrdown,
     warp_perspective,
 )
@@ -95,6 +96,7 @@ __all__ = [
     "losses",
     "metrics",
     "morphology",
+    "normal_transform_pixel",
     "normalize",
     "print_image",
     "psnr_loss",

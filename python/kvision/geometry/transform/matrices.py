@@ -11,6 +11,9 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry.conversions.angles import cos_sin
+from kvision.geometry.conversions.homogeneous import homogeneous
+from kvision.geometry.linalg import adjugate
 
 __all__ = [
     "get_affine_matrix2d",
@@ -37,31 +40,6 @@ def matrix_of(rows: list[list[Tensor | float]], like: Tensor) -> Tensor:
         return value if isinstance(value, Tensor) else like.new_full(shape, value)
 
     return torch.stack([torch.stack([entry(value) for value in row], -1) for row in rows], -2)
-
-
-def homogeneous(matrix: Tensor) -> Tensor:
-    """(B, n, n + 1) with the row 0 ... 0 1 below."""
-    last = matrix.new_zeros(len(matrix), 1, matrix.shape[-1])
-    last[..., -1] = 1
-    return torch.cat([matrix, last], -2)
-
-
-def adjugate(matrix: Tensor) -> Tensor:
-    """The inverse of (*, 3, 3) up to a factor, which a homography does not have."""
-    a, b, c = matrix.unbind(-2)
-    columns = [torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)]
-    return torch.stack(columns, -1)
-
-
-def cos_sin(degrees: Tensor) -> tuple[Tensor, Tensor]:
-    """Cosine and sine, exact at quarter turns."""
-    quarters = (degrees.detach() / 90).round()
-    rest = torch.deg2rad(degrees - 90 * quarters)
-    c, s = rest.cos(), rest.sin()
-    turn = quarters.remainder(4)
-    cosine = torch.where(turn == 0, c, torch.where(turn == 1, -s, torch.where(turn == 2, -c, s)))
-    sine = torch.where(turn == 0, s, torch.where(turn == 1, c, torch.where(turn == 2, -s, -c)))
-    return cosine + 0, sine + 0  # no negative zeros
 
 
 def about(linear: Tensor, center: Tensor) -> Tensor:

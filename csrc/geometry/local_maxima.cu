@@ -35,7 +35,7 @@ __global__ void __launch_bounds__(kThreads)
         below = below && v < other;
       }
     }
-  if (p.y.data) p.y.row(plane, y)[at] = round_to<T>(above ? v : F(0));
+  if (p.y.data) p.y.row(plane, y)[at] = above ? p.kept.row(plane, y)[at] : T{};
   if (p.maxima.data) p.maxima.row(plane, y)[at] = above;
   if (p.minima.data) p.minima.row(plane, y)[at] = below;
 }
@@ -69,7 +69,6 @@ __global__ void __launch_bounds__(kThreads)
     next(window[kWindow - 1]);
     int64_t first, last;
     p.fitting(plane, y, first, last);
-    F values[P];
     Pack<uint8_t, P> maxima, minima;
 #pragma unroll
     for (int n = 0; n < P; ++n) {
@@ -85,11 +84,19 @@ __global__ void __launch_bounds__(kThreads)
               above = above && v > window[j][k][n + i];
               below = below && v < window[j][k][n + i];
             }
-      values[n] = above ? v : F(0);
       maxima.v[n] = above;
       minima.v[n] = below;
     }
-    if (p.y.data) strip.store(p.y.row(plane, y), values);
+    if (p.y.data && strip.inside) {
+      Pack<T, P> values{};
+      bool some = false;
+#pragma unroll
+      for (int n = 0; n < P; ++n) some = some || maxima.v[n] != 0;
+      if (some) values = *reinterpret_cast<Pack<T, P> const*>(p.kept.row(plane, y) + x);
+#pragma unroll
+      for (int n = 0; n < P; ++n) values.v[n] = maxima.v[n] ? values.v[n] : T{};
+      *reinterpret_cast<Pack<T, P>*>(p.y.row(plane, y) + x) = values;
+    }
     if (p.maxima.data && strip.inside) *reinterpret_cast<Pack<uint8_t, P>*>(p.maxima.row(plane, y) + x) = maxima;
     if (p.minima.data && strip.inside) *reinterpret_cast<Pack<uint8_t, P>*>(p.minima.row(plane, y) + x) = minima;
 #pragma unroll
@@ -111,7 +118,7 @@ int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
            p.after[2] == r;
   };
   if constexpr (sizeof(T) < 8)
-    if (is_strip<P>(p.x) && (!p.y.data || is_strip<P>(p.y))) {
+    if (is_strip<P>(p.x) && (!p.y.data || (is_strip<P>(p.y) && is_strip<P>(p.kept)))) {
       Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
       auto const run = [&](auto r, auto d) {
         strips_down<T, r.value, d.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);

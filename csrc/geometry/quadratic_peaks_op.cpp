@@ -1,14 +1,9 @@
 // Peaks between voxels: schemas and entries, for CPU and CUDA alike. Volumes (B, C, D, H, W) are read contiguous.
-#include "glue/glue.h"
+#include "glue/batch.h"
 #include "quadratic_peaks.h"
 
 namespace kv {
 namespace {
-
-template <class T>
-T* data_of(Tensor const& x) {
-  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
-}
 
 // The arguments, checked and contiguous.
 struct Peaks {
@@ -18,19 +13,20 @@ struct Peaks {
   double largest_shift;
   bool along_scale;
 
-  Peaks(char const* op, Tensor const& input, std::optional<Tensor> const& which, int64_t steps, double largest_shift,
-        int64_t radius, bool along_scale)
+  Peaks(char const* op, Tensor const& input, int64_t batch, std::optional<Tensor> const& which, int64_t steps,
+        double largest_shift, int64_t radius, bool along_scale)
       : x(input), steps(steps), radius(radius), largest_shift(largest_shift), along_scale(along_scale) {
     check_volumes(op, "input", input);
     KV_CHECK(steps >= 0 && steps <= INT32_MAX && radius >= 0 && radius <= INT32_MAX, op,
              ": steps and radius must not be negative");
     KV_CHECK(input.size(2) * input.size(3) * input.size(4) <= INT32_MAX, op, ": volumes are too large");
-    x = torch::stable::contiguous(input);
+    check_fits(op, "input", input, input, {batch, input.size(1), input.size(2), input.size(3), input.size(4)});
+    x = for_batch(input, batch);
     if (!which) return;
-    bool same = which->dim() == 5 && which->scalar_type() == ScalarType::Byte && which->device() == input.device();
-    for (int64_t i = 0; same && i < 5; ++i) same = which->size(i) == input.size(i);
-    KV_CHECK(same, op, ": chosen does not fit the input");
-    chosen = torch::stable::contiguous(*which);
+    KV_CHECK(which->scalar_type() == ScalarType::Byte && which->device() == input.device() && which->dim() == 5, op,
+             ": chosen does not fit the input");
+    check_fits(op, "chosen", *which, *which, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
+    chosen = for_batch(*which, batch);
   }
   template <class T>
   QuadraticPeaks<T> of(T* places, T* values) const {
@@ -49,7 +45,8 @@ struct Peaks {
 
 std::tuple<Tensor, Tensor> quadratic_peaks(Tensor const& input, std::optional<Tensor> const& chosen, int64_t steps,
                                            double largest_shift, int64_t radius, bool along_scale) {
-  Peaks const peaks("quadratic_peaks", input, chosen, steps, largest_shift, radius, along_scale);
+  check_volumes("quadratic_peaks", "input", input);
+  Peaks const peaks("quadratic_peaks", input, input.size(0), chosen, steps, largest_shift, radius, along_scale);
   Tensor const& x = peaks.x;
   Tensor const places = empty({x.size(0), x.size(1), 3, x.size(2), x.size(3), x.size(4)}, x);
   Tensor const values = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x);
@@ -66,14 +63,13 @@ Tensor quadratic_peaks_backward(Tensor const& grad_places, Tensor const& grad_va
                                 std::optional<Tensor> const& chosen, int64_t steps, double largest_shift,
                                 int64_t radius, bool along_scale) {
   char const* const op = "quadratic_peaks_backward";
-  Peaks const peaks(op, input, chosen, steps, largest_shift, radius, along_scale);
-  check_like(op, "grad_values", grad_values, input);
-  bool same = grad_places.dim() == 6 && grad_places.scalar_type() == input.scalar_type() &&
-              grad_places.device() == input.device() && grad_places.size(2) == 3;
-  for (int64_t i = 0; same && i < 5; ++i) same = grad_places.size(i < 2 ? i : i + 1) == input.size(i);
-  KV_CHECK(same, op, ": grad_places does not fit the input");
+  KV_CHECK(grad_places.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_places.dim());
+  int64_t const batch = grad_places.size(0);
+  Peaks const peaks(op, input, batch, chosen, steps, largest_shift, radius, along_scale);
   Tensor const& x = peaks.x;
-  Tensor const to_places = torch::stable::contiguous(grad_places), to_values = torch::stable::contiguous(grad_values);
+  check_fits(op, "grad_places", grad_places, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
+  check_fits(op, "grad_values", grad_values, x, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
+  Tensor const to_places = for_batch(grad_places, batch), to_values = for_batch(grad_values, batch);
   bool const wide = x.scalar_type() == ScalarType::Double;
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x, Layout::planar,
                               wide ? ScalarType::Double : ScalarType::Float);

@@ -1,5 +1,5 @@
 // The soft argmax of windows: schemas and entries, for CPU and CUDA alike. Volumes are read contiguous.
-#include "glue/glue.h"
+#include "glue/batch.h"
 #include "soft_argmax.h"
 
 namespace kv {
@@ -36,11 +36,6 @@ void scales_of(Windows const& w, bool normalized, F (&scale)[3], F* offset = nul
   }
 }
 
-template <class T>
-T* data_of(Tensor const& x) {
-  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
-}
-
 std::tuple<Tensor, Tensor> soft_argmax(Tensor const& input, Ints window, Ints stride, Ints padding, double temperature,
                                        bool normalized, bool scale_too, bool with_values) {
   char const* const op = "soft_argmax";
@@ -69,19 +64,15 @@ Tensor soft_argmax_backward(Tensor const& grad_places, Tensor const& grad_values
                             Ints stride, Ints padding, double temperature, bool normalized, bool scale_too,
                             bool with_values) {
   char const* const op = "soft_argmax_backward";
-  Windows const w = windows_of(op, input, window, stride, padding, scale_too);
+  Windows w = windows_of(op, input, window, stride, padding, scale_too);
   KV_CHECK(temperature > 0, op, ": temperature must be positive, got ", temperature);
-  int64_t const b = input.size(0), c = input.size(1);
-  auto const fits = [&](Tensor const& g, Ints const& sizes) {
-    bool same =
-        g.dim() == int64_t(sizes.size()) && g.scalar_type() == input.scalar_type() && g.device() == input.device();
-    for (int64_t i = 0; same && i < g.dim(); ++i) same = g.size(i) == sizes[size_t(i)];
-    KV_CHECK(same, op, ": a gradient does not fit the input");
-  };
-  fits(grad_places, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
-  fits(grad_values, {b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]});
-  Tensor const x = torch::stable::contiguous(input), g = torch::stable::contiguous(grad_places),
-               v = torch::stable::contiguous(grad_values);
+  KV_CHECK(grad_places.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_places.dim());
+  int64_t const b = grad_places.size(0), c = input.size(1);
+  w.volumes = b * c;
+  check_fits(op, "input", input, grad_places, {b, c, w.size[0], w.size[1], w.size[2]});
+  check_fits(op, "grad_places", grad_places, input, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
+  check_fits(op, "grad_values", grad_values, input, {b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]});
+  Tensor const x = for_batch(input, b), g = for_batch(grad_places, b), v = for_batch(grad_values, b);
   Tensor const grad_x = empty({b, c, w.size[0], w.size[1], w.size[2]}, x);
   bool const wide = x.scalar_type() == ScalarType::Double;
   Tensor const records =

@@ -49,7 +49,11 @@ def _reference(x, window, volumes):
 
 
 def _backward(needs, grad, x, window, volumes):
-    return [torch.where(_mask(x, window, volumes), grad, 0)]
+    return [_maxima_backward(grad, x, window, volumes)]
+
+
+def _gradient(grad, x, window, volumes):
+    return torch.where(_is_maximum(x, window, volumes), grad, 0)
 
 
 def _flags(x, window, volumes):
@@ -62,6 +66,12 @@ def _empty_flags(x, *how):
 
 
 _maxima = register("local_maxima", _reference, backward=_backward)
+_maxima_backward = register(
+    "local_maxima_backward",
+    _gradient,
+    backward=lambda needs, grad_grad, grad, x, *how: [_maxima_backward(grad_grad, x, *how), None],
+    linear=True,
+)
 _maximum = register("is_local_maximum", _flags, fake=_empty_flags, stores=True)
 _extrema = register(
     "local_extrema",
@@ -72,7 +82,12 @@ _extrema = register(
 
 
 def _mask(x, window, volumes):
-    return _maximum(x.detach(), window, volumes).view(torch.bool)
+    return _as_bool(_maximum(x.detach(), window, volumes))
+
+
+def _as_bool(flags):
+    # inductor of torch 2.13 does not compile what comes after a view of bytes as bool
+    return flags != 0 if torch.compiler.is_compiling() else flags.view(torch.bool)
 
 
 def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) -> Tensor:
@@ -158,7 +173,7 @@ def nms3d_minmax(input: Tensor) -> tuple[Tensor, Tensor]:
     """
     _check.volumes("nms3d_minmax", "input", input)
     found: Any = _extrema(_stacked(input).detach(), [3, 3, 3], True)
-    maxima, minima = (x.view(torch.bool).reshape(input.shape) for x in found)
+    maxima, minima = (_as_bool(x).reshape(input.shape) for x in found)
     return maxima, minima
 
 

@@ -195,7 +195,8 @@ def _of_windows(
     _check.flag(op, "normalized_coordinates", normalized)
     _check.flag(op, "output_value", with_values)
     _check.number(op, "eps", eps)
-    _fit(op, window, padding, x.shape[2:])
+    axes = 3 if scale_too else 2
+    _fit(op, window[-axes:], padding[-axes:], x.shape[-axes:])
     x = floats(x)
     divisor = positive(op, x, temperature)
     if not isinstance(divisor, Tensor):

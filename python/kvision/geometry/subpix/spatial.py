@@ -98,7 +98,7 @@ def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) ->
 
 def _expectation(p: Tensor, normalized: bool) -> Tensor:
     x, y = (_axis(n, normalized, p) for n in (p.shape[3], p.shape[2]))
-    return torch.stack([p.sum(2) @ x, p.sum(3) @ y], -1)
+    return torch.stack([(p.sum(2) * x).sum(-1), (p.sum(3) * y).sum(-1)], -1)
 
 
 def _axis(n: int, normalized: bool, like: Tensor) -> Tensor:

@@ -56,6 +56,10 @@ def _gradient(grad, x, window, volumes):
     return torch.where(_is_maximum(x, window, volumes), grad, 0)
 
 
+def _gradient_backward(needs, grad_grad, grad, x, *how):
+    return [_maxima_backward(grad_grad, x, *how), None]
+
+
 def _flags(x, window, volumes):
     """The same as 0 and 1 of uint8."""
     return laid_out(_is_maximum(x, window, volumes).to(torch.uint8), x)
@@ -66,12 +70,7 @@ def _empty_flags(x, *how):
 
 
 _maxima = register("local_maxima", _reference, backward=_backward)
-_maxima_backward = register(
-    "local_maxima_backward",
-    _gradient,
-    backward=lambda needs, grad_grad, grad, x, *how: [_maxima_backward(grad_grad, x, *how), None],
-    linear=True,
-)
+_maxima_backward = register("local_maxima_backward", _gradient, backward=_gradient_backward, linear=True)
 _maximum = register("is_local_maximum", _flags, fake=_empty_flags, stores=True)
 _extrema = register(
     "local_extrema",

@@ -76,7 +76,7 @@ def _search(x, chosen, steps, largest_shift, radius, along_scale):
 
 def _quadratic(x, centre):
     """Value, slopes along scale, x, y and the Hessian of x at voxels `centre`, by differences."""
-    (d, h, w), (cz, cx, cy) = x.shape[2:], centre
+    (_, h, w), (cz, cx, cy) = x.shape[2:], centre
     flat, middle = x.flatten(2), ((cz * h + cy) * w + cx).flatten(2)
     units = (h * w, 1, w)
 
@@ -86,7 +86,7 @@ def _quadratic(x, centre):
     value = at(0)
     around = [(at(-u), at(u)) for u in units]
     slopes = [(after - before) / 2 for before, after in around]
-    hessian: list[list[Any]] = [[None] * 3 for _ in units]
+    hessian = [[None] * 3 for _ in units]
     for i, u in enumerate(units):
         hessian[i][i] = around[i][1] - 2 * value + around[i][0]
         for j, v in enumerate(units[:i]):
@@ -101,9 +101,7 @@ def _solve(hessian, right, wanted):
     unit = torch.where(wanted & (largest > 0), largest, 1)
     h = [[torch.where(wanted, v, 0) / unit for v in row] for row in h]
     after = (1, 2, 0), (2, 0, 1)
-    cofactors = [
-        [h[i1][j1] * h[i2][j2] - h[i1][j2] * h[i2][j1] for j1, j2 in zip(*after)] for i1, i2 in zip(*after)
-    ]
+    cofactors = [[h[i1][j1] * h[i2][j2] - h[i1][j2] * h[i2][j1] for j1, j2 in zip(*after)] for i1, i2 in zip(*after)]
     determinant = sum(v * c for v, c in zip(h[0], cofactors[0]))
     solved = wanted & (determinant.abs() > 1e-7)
     scale = torch.where(solved, 1, 0) / (torch.where(solved, determinant, 1) * unit)

@@ -38,7 +38,9 @@ def _reference(x, window, stride, padding, temperature, normalized, scale_too, w
         start = torch.arange(count, **like) * stride[axis] - padding[axis]
         index = (weights * within[axis].flatten()).sum(-1) + start.view([-1 if i == axis else 1 for i in range(3)])
         numbers.append(index * (2 / (size - 1) if size > 1 else 0) - 1 if normalized else index)
-    values = (weights * windows(0.0)).sum(-1) if with_values else weights.new_zeros(*x.shape[:2], 0, *weights.shape[3:5])
+    values = (
+        (weights * windows(0.0)).sum(-1) if with_values else weights.new_zeros(*x.shape[:2], 0, *weights.shape[3:5])
+    )
     return torch.stack(numbers, 2), values
 
 
@@ -220,7 +222,7 @@ class ConvSoftArgmax2d(FunctionModule):
 
     Example:
         >>> import torch, kvision as K
-        >>> K.ConvSoftArgmax2d((5, 5), padding=(2, 2))(torch.rand(1, 3, 8, 9)).shape
+        >>> K.geometry.ConvSoftArgmax2d((5, 5), padding=(2, 2))(torch.rand(1, 3, 8, 9)).shape
         torch.Size([1, 3, 2, 8, 9])
     """
 
@@ -262,7 +264,7 @@ class ConvSoftArgmax3d(FunctionModule):
 
     Example:
         >>> import torch, kvision as K
-        >>> places, values = K.ConvSoftArgmax3d()(torch.rand(1, 1, 3, 8, 9))
+        >>> places, values = K.geometry.ConvSoftArgmax3d()(torch.rand(1, 1, 3, 8, 9))
         >>> places.shape, values.shape
         (torch.Size([1, 1, 3, 3, 8, 9]), torch.Size([1, 1, 3, 8, 9]))
     """

@@ -136,9 +136,7 @@ def spatial_soft_argmax2d(
     return _expectation(_softmax(op, input, temperature), normalized_coordinates).to(floats(input).dtype)
 
 
-def render_gaussian2d(
-    mean: Tensor, std: Tensor, size: tuple[int, int], normalized_coordinates: bool = True
-) -> Tensor:
+def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normalized_coordinates: bool = True) -> Tensor:
     """Heat maps of Gaussians, each of which adds up to 1.
 
     Where the mean is far outside, all of the weight is on the pixels that are next to it.

@@ -34,6 +34,7 @@ from kvision.contrib import extract_tensor_patches
 from kvision.enhance import normalize
 from kvision.filters import gaussian_blur2d, sobel
 from kvision.geometry import (
+    ConvQuadInterp3d,
     HomographyWarper,
     ScalePyramid,
     find_homography_dlt_iterated,
@@ -63,6 +64,7 @@ from kvision.utils import (
 )
 
 __all__ = [
+    "ConvQuadInterp3d",
     "HomographyWarper",
     "ScalePyramid",
     "__version__",

@@ -7,3 +7,11 @@ from kvision.geometry.calibration.distortion import (
     undistort_points,
 )
 from kvision.geometry.calibration.pnp import solve_pnp_dlt
+
+__all__ = [
+    "distort_points",
+    "solve_pnp_dlt",
+    "tilt_projection",
+    "undistort_image",
+    "undistort_points",
+]

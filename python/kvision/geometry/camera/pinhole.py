@@ -47,9 +47,9 @@ class PinholeCamera:
         for name, matrix in (("intrinsics", intrinsics), ("extrinsics", extrinsics)):
             _check.shape(op, name, matrix, "B", 4, 4)
             _check.floating(op, name, matrix)
-        _check.shape(op, "extrinsics", extrinsics, len(intrinsics), 4, 4)
-        _check.shape(op, "height", height, len(intrinsics))
-        _check.shape(op, "width", width, len(intrinsics))
+        _check.shape(op, "extrinsics", extrinsics, intrinsics.shape[0], 4, 4)
+        _check.shape(op, "height", height, intrinsics.shape[0])
+        _check.shape(op, "width", width, intrinsics.shape[0])
         _check.same_device(op, intrinsics=intrinsics, extrinsics=extrinsics, height=height, width=width)
         self.height = height.clone()
         self.width = width.clone()
@@ -104,7 +104,7 @@ class PinholeCamera:
     @property
     def batch_size(self) -> int:
         """How many cameras there are."""
-        return len(self._intrinsics)
+        return self._intrinsics.shape[0]
 
     @property
     def fx(self) -> Tensor:
@@ -210,7 +210,7 @@ class PinholeCamera:
         op = f"{type(self).__name__}.{method}"
         _check.ends(op, name, points, axes)
         _check.same_device(op, intrinsics=self._intrinsics, **{name: points})
-        if self.batch_size != 1 and (points.dim() < 3 or len(points) != self.batch_size):
+        if self.batch_size != 1 and (points.dim() < 3 or points.shape[0] != self.batch_size):
             raise ShapeError(
                 f"{op}: expected {name} of shape ({self.batch_size}, *, {axes}), got {tuple(points.shape)}"
             )

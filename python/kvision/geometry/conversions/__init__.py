@@ -1,6 +1,8 @@
 """Conversions between representations of points, rotations, homographies and poses."""
 
 from kvision.geometry.conversions.angles import angle_to_rotation_matrix, cart2pol, deg2rad, pol2cart, rad2deg
+from kvision.geometry.conversions.colmap import ARKitQTVecs_to_ColmapQTVecs, ColmapQTVecs_to_ARKitQTVecs
+from kvision.geometry.conversions.euler import euler_from_quaternion, quaternion_from_euler
 from kvision.geometry.conversions.homogeneous import (
     convert_affinematrix_to_homography,
     convert_affinematrix_to_homography3d,
@@ -30,4 +32,20 @@ from kvision.geometry.conversions.poses import (
     camtoworld_vision_to_graphics_Rt,
     matrix4x4_to_Rt,
     worldtocam_to_camtoworld_Rt,
+)
+from kvision.geometry.conversions.rotations import (
+    angle_axis_to_quaternion,
+    angle_axis_to_rotation_matrix,
+    axis_angle_to_quaternion,
+    axis_angle_to_rotation_matrix,
+    normalize_quaternion,
+    quaternion_exp_to_log,
+    quaternion_log_to_exp,
+    quaternion_to_angle_axis,
+    quaternion_to_axis_angle,
+    quaternion_to_rotation_matrix,
+    rotation_matrix_to_angle_axis,
+    rotation_matrix_to_axis_angle,
+    rotation_matrix_to_quaternion,
+    vector_to_skew_symmetric_matrix,
 )

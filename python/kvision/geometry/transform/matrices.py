@@ -14,6 +14,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._precision import wide
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
+from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix
 from kvision.geometry.linalg import adjugate
 
 __all__ = [
@@ -278,24 +279,11 @@ def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> 
     Example:
         >>> import torch, kvision as K
         >>> about_z = torch.tensor([[0.0, 0, 90]])
-        >>> K.geometry.get_projective_transform(torch.zeros(1, 3), about_z, torch.ones(1, 3)).round()[0, 0]
-        tensor([ 0., -1.,  0.,  0.])
+        >>> K.geometry.get_projective_transform(torch.zeros(1, 3), about_z, torch.ones(1, 3)).round().long()[0, 0]
+        tensor([ 0, -1,  0,  0])
     """
     _batch("get_projective_transform", center=(center, 3), angles=(angles, 3), scales=(scales, 3))
-    return about(_rotation(torch.deg2rad(angles)) * scales[:, None], center)
-
-
-def _rotation(v: Tensor) -> Tensor:
-    """Rotations (B, 3, 3) about axes (B, 3) by as many radians as these are long, by Rodrigues' formula."""
-    square = (v * v).sum(-1)
-    small = square < 1e-6
-    safe = torch.where(small, 1, square)
-    angle = safe.sqrt()
-    a = torch.where(small, 1 - square / 6, angle.sin() / angle)[:, None, None]
-    b = torch.where(small, 0.5 - square / 24, (1 - angle.cos()) / safe)[:, None, None]
-    x, y, z = v.unbind(-1)
-    k = matrix_of([[0, -z, y], [z, 0, -x], [-y, x, 0]], v)
-    return torch.eye(3, dtype=v.dtype, device=v.device) + a * k + b * (k @ k)
+    return about(axis_angle_to_rotation_matrix(torch.deg2rad(angles)) * scales[:, None], center)
 
 
 def get_shear_matrix3d(

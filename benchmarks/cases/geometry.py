@@ -111,6 +111,9 @@ CASES = [
     ),
     resized("resize", 0.5, "bilinear", "INTER_LINEAR", Bars(floor=1.15, opencv=1.0)),
     resized("resize_up", 1.5, "bilinear", "INTER_LINEAR", Bars(floor=1.15, opencv=1.0)),
+    resized("resize_bicubic", 0.5, "bicubic", "INTER_CUBIC", Bars(opencv=1.0)),
+    resized("resize_antialias", 0.5, "bilinear", None, Bars(floor=1.3), antialias=True),
+    resized("thumbnail", 0.22, "bilinear", None, Bars(), antialias=True),
     case("hflip", lambda G, x: G.hflip(x), Bars(floor=1.08, opencv=1.0), lambda x, out=None: cv2.flip(x, 1, out)),
     case("center_crop", lambda G, x: G.center_crop(x, (200, 200)), Bars(floor=1.2), None),
     case(
@@ -120,5 +123,6 @@ CASES = [
         None,
         inputs=with_boxes,
     ),
-    case("pyrdown", lambda G, x: G.pyrdown(x), Bars(floor=1.3, launches=None), None),
+    case("pyrdown", lambda G, x: G.pyrdown(x), Bars(floor=1.3), None),
+    case("pyrup", lambda G, x: G.pyrup(x), Bars(floor=1.3), None),
 ]

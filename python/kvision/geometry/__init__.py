@@ -11,6 +11,7 @@ from kvision.geometry import (
     homography,
     keypoints,
     linalg,
+    ransac,
     solvers,
     subpix,
     transform,
@@ -25,6 +26,7 @@ from kvision.geometry.grid import *  # noqa: F403
 from kvision.geometry.homography import *  # noqa: F403
 from kvision.geometry.keypoints import *  # noqa: F403
 from kvision.geometry.linalg import *  # noqa: F403
+from kvision.geometry.ransac import *  # noqa: F403
 from kvision.geometry.solvers import *  # noqa: F403
 from kvision.geometry.subpix import *  # noqa: F403
 from kvision.geometry.transform import *  # noqa: F403

@@ -82,6 +82,7 @@ class TestDepthToNormals(TestDepthTo3d):
 
 class TestWarpFrameDepth(WarpTests):
     function = staticmethod(G.warp_frame_depth)
+    small = (1, 1, 4, 4)
     operators = ("depth_warp", "depth_warp_image_gradient", "depth_warp_slopes")
     bytes = False
     max_size = 7
@@ -141,7 +142,7 @@ class TestCompositions(CompositionTests):
 
 
 def views_of(x: Tensor) -> Tensor:
-    return torch.stack([x, x.flip(0), x.flip(3)], 1)
+    return torch.stack([x, x.flip(3)], 1)
 
 
 def target(x: Tensor) -> Tensor:
@@ -154,14 +155,14 @@ class TestPhotometricDepth(WarpTests):
     operators = ("photometric_depth", "depth_warp", "depth_warp_image_gradient")
     bytes = False
     max_size = 7
-    small = (1, 2, 5, 6)
+    small = (1, 1, 4, 4)
     tolerances = {**FLOAT_PLACES, torch.float32: (5e-5, 5e-5)}
     variants = [
-        {"target": target, "depth": depth, "projections": lambda x: torch.stack([projection(x)] * 3, 1)},
+        {"target": target, "depth": depth, "projections": lambda x: torch.stack([projection(x)] * 2, 1)},
         {
             "target": one(target),
             "depth": one(depth),
-            "projections": lambda x: torch.stack([projection(x)] * 3, 1),
+            "projections": lambda x: torch.stack([projection(x)] * 2, 1),
             "distance": "charbonnier",
         },
     ]
@@ -188,7 +189,6 @@ def test_is_the_mean_over_the_warped_views(distance, device):
     x = torch.rand(2, 3, 15, 19, dtype=torch.float64, device=device)
     views, y, d = views_of(x), torch.rand_like(x), depth(x).to(device).requires_grad_()
     projections = torch.stack([projection(x), projection(x).flip(0)], 1).to(device).requires_grad_()
-    views = views[:, :2]
     total = terms = 0
     for i in range(2):
         warped, seen = (

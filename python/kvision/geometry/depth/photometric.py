@@ -64,8 +64,8 @@ def _reference(views, target, depth, projections, *how):
     return loss, to_depth.nan_to_num() * of_sum, share, to_projections.nan_to_num()
 
 
-def _backward(needs, grad, *rest):
-    loss, to_depth, share, to_projections, views, target, depth, projections, *how = rest[3:]
+def _backward(needs, grad, _1, _2, _3, loss, to_depth, share, to_projections, *tensors_and_how):
+    views, target, depth, projections, *how = tensors_and_how
     if torch.is_grad_enabled():
         return _differentiable_backward(needs, grad, views, target, depth, projections, *how)
     found = [None, None, None, None]

@@ -166,7 +166,8 @@ def warp_frame_depth(
     dtype = compute_dtype(floats(image_src))
     camera, motion = camera_matrix.to(dtype), src_trans_dst.to(dtype)
     if normalize_points:
-        depth_dst = depth_dst * rays(camera, *depth_dst.shape[2:], True)[:, 2:].to(floats(depth_dst).dtype)
+        height, width = depth_dst.shape[2:]
+        depth_dst = depth_dst * rays(camera, height, width, True)[:, 2:]
     projection = _projection(_pinhole(camera), motion[:, :3], _pinhole(camera))
     return _warped(op, image_src, depth_dst, projection, "bilinear", "zeros", True)
 
@@ -343,4 +344,4 @@ def depth_warp(
         True
     """
     warper = DepthWarper(pinhole_dst, height, width, align_corners=align_corners)
-    return warper.compute_projection_matrix(pinhole_src)(depth_src, patch_dst)  # type: ignore[no-any-return]
+    return warper.compute_projection_matrix(pinhole_src)(depth_src, patch_dst)

@@ -1,6 +1,6 @@
 """Peaks of images and volumes: where they are, and where they are between pixels."""
 
-from kvision.geometry.subpix.nms import NonMaximaSuppression2d, NonMaximaSuppression3d, nms2d, nms3d, nms3d_minmax
+from kvision.geometry.subpix.maxima import NonMaximaSuppression2d, NonMaximaSuppression3d, nms2d, nms3d, nms3d_minmax
 from kvision.geometry.subpix.quadratic import (
     AdaptiveQuadInterp3d,
     ConvQuadInterp3d,

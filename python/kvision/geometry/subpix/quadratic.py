@@ -12,7 +12,7 @@ from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.geometry.subpix.nms import nms3d
+from kvision.geometry.subpix.maxima import nms3d
 from kvision.geometry.subpix.soft_argmax import warn_of_bonus
 
 __all__ = [

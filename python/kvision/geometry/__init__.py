@@ -1,6 +1,23 @@
 """Geometry: images moved, bent, resized, cropped and registered; points, poses, cameras and boxes."""
 
-from kvision.geometry import bbox, boxes, camera, conversions, grid, keypoints, linalg, subpix, transform
+from kvision.geometry import (
+    bbox,
+    boxes,
+    camera,
+    conversions,
+    grid,
+    keypoints,
+    linalg,
+    line,
+    plane,
+    pointcloud,
+    pose,
+    quaternion,
+    ray,
+    subpix,
+    transform,
+    vector,
+)
 from kvision.geometry.bbox import *  # noqa: F403
 from kvision.geometry.boxes import *  # noqa: F403
 from kvision.geometry.camera import *  # noqa: F403
@@ -8,5 +25,12 @@ from kvision.geometry.conversions import *  # noqa: F403
 from kvision.geometry.grid import *  # noqa: F403
 from kvision.geometry.keypoints import *  # noqa: F403
 from kvision.geometry.linalg import *  # noqa: F403
+from kvision.geometry.line import *  # noqa: F403
+from kvision.geometry.plane import *  # noqa: F403
+from kvision.geometry.pointcloud import *  # noqa: F403
+from kvision.geometry.pose import *  # noqa: F403
+from kvision.geometry.quaternion import *  # noqa: F403
+from kvision.geometry.ray import *  # noqa: F403
 from kvision.geometry.subpix import *  # noqa: F403
 from kvision.geometry.transform import *  # noqa: F403
+from kvision.geometry.vector import *  # noqa: F403

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry._precision import wide
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix

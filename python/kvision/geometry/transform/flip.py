@@ -16,14 +16,12 @@ def _reference(input, columns, rows):
     return input.flip([axis for axis, wanted in ((2, rows), (3, columns)) if wanted])
 
 
+def _backward(needs, grad, sizes, columns, rows):
+    return [flipped(grad, columns, rows)]
+
+
 # Without either it is a copy, of a part of an image for instance.
-flipped = register(
-    "flip",
-    _reference,
-    backward=lambda needs, grad, sizes, columns, rows: [flipped(grad, columns, rows)],
-    linear=True,
-    bytes=True,
-)
+flipped = register("flip", _reference, backward=_backward, linear=True, bytes=True)
 
 
 def hflip(input: Tensor) -> Tensor:

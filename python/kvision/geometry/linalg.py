@@ -181,11 +181,6 @@ def transformed(points: Tensor, matrix: Tensor) -> Tensor:
     return moved[..., :-1] / divisor(moved[..., -1:])
 
 
-def wide(x: Tensor) -> Tensor:
-    """In double, where the device has it: products of coordinates cancel."""
-    return x if x.device.type == "mps" else x.double()
-
-
 def adjugate(matrix: Tensor) -> Tensor:
     """The inverse of (*, 3, 3) up to its determinant, a factor which a homography does not have."""
     a, b, c = matrix.unbind(-2)

@@ -11,7 +11,8 @@ from kvision._modules import FunctionModule
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.tensor_wrapper import TensorWrapper
-from kvision.geometry.linalg import adjugate, batched_dot_product, dominant_eigenvector, normalized, wide
+from kvision.geometry._precision import wide
+from kvision.geometry.linalg import adjugate, batched_dot_product, dominant_eigenvector, normalized
 from kvision.geometry.vector import Scalar, Vector3
 
 __all__ = ["Hyperplane", "fit_plane"]

@@ -15,7 +15,7 @@ from kvision.geometry._precision import wide
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix
-from kvision.geometry.linalg import adjugate, wide
+from kvision.geometry.linalg import adjugate
 
 __all__ = [
     "get_affine_matrix2d",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision.metrics.pointwise import sum_of_maps
 from kvision.losses.reduction import reduced
+from kvision.metrics.pointwise import sum_of_maps
 
 
 def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:

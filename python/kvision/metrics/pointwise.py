@@ -65,7 +65,7 @@ def _map_reference(x: Tensor, y: Tensor, kind: str) -> Tensor:
 
 
 def _map_slope(grad: Tensor, x: Tensor, y: Tensor, kind: str, by_other: bool) -> Tensor:
-    _, pullback = torch.func.vjp(_LOSSES[kind], x.expand_as(grad), y.expand_as(grad))
+    pullback = torch.func.vjp(_LOSSES[kind], x.expand_as(grad), y.expand_as(grad))[1]
     return pullback(grad)[by_other]
 
 
@@ -96,7 +96,7 @@ def _sum_slope(
 ) -> Tensor:
     rows = grad.shape[0]
     x, y = x.expand(rows, -1), y.expand(rows, -1)
-    _, pullback = torch.func.vjp(lambda x, y: _sum_reference(x, y, kind, factor, decibels), x, y)
+    pullback = torch.func.vjp(lambda x, y: _sum_reference(x, y, kind, factor, decibels), x, y)[1]
     return pullback(grad)[by_other]
 
 

@@ -70,7 +70,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Tests of an OpTests class run once for every variant it declares."""
     if metafunc.cls is not None and issubclass(metafunc.cls, OpTests) and "variant" in metafunc.fixturenames:
         variants = metafunc.cls.variants
-        metafunc.parametrize("variant", variants, ids=["-".join(f"{k}={_short(v)}" for k, v in kw.items()) for kw in variants])
+        metafunc.parametrize(
+            "variant", variants, ids=["-".join(f"{k}={_short(v)}" for k, v in kw.items()) for kw in variants]
+        )
 
 
 def _short(value: object) -> str:

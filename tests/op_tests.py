@@ -86,7 +86,9 @@ class OpTests:
     channels: int | None = None  # the only number of them that the function takes
     shape: tuple[int, ...] = (2, 3, 13, 18)
     small: tuple[int, ...] = (1, 2, 4, 5)  # for numerical derivatives
-    tolerances: dict[torch.dtype, tuple[float, float]] = {}  # where an operator needs its own, with the reason beside it
+    tolerances: dict[
+        torch.dtype, tuple[float, float]
+    ] = {}  # where an operator needs its own, with the reason beside it
 
     # --- what a subclass may override ---
 
@@ -192,7 +194,9 @@ class OpTests:
         ran = 0
         for h in range(1, self.max_size + 1):
             # A few widths for every height, and every width for a few heights: all sizes of both axes meet both cases.
-            widths = range(1, self.max_size + 1) if h in (1, 2, 5, self.max_size) else {1, h, (h * 7) % self.max_size + 1}
+            widths = (
+                range(1, self.max_size + 1) if h in (1, 2, 5, self.max_size) else {1, h, (h * 7) % self.max_size + 1}
+            )
             for w in widths:
                 x = self.input((1, self.channels or 2, *self.shape[2:-2], h, w), torch.float32, device)
                 kwargs = self.arguments(variant, x)
@@ -338,7 +342,9 @@ class OpTests:
     def test_gradient_in_half(self, variant, dtype, device):
         self.needs_gradient()
         x, kwargs = self.setup(variant, device, dtype)
-        kwargs = {k: v.to(dtype).float() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}
+        kwargs = {
+            k: v.to(dtype).float() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()
+        }
         weights = [torch.rand_like(o) for o in as_tuple(self.call(x, kwargs))]
         actual = self.gradients(x, kwargs, weights)[0]
         wide = {k: v.double() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}

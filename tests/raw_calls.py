@@ -18,7 +18,10 @@ Call = tuple[str, list[Any]]  # what is wrong with it, its arguments
 
 SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
 # What arguments of these names may be.
-RIGHT = {"top": ["0"], "left": ["0"], "ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]}
+RIGHT = {
+    **{"top": ["0"], "left": ["0"], "steps": ["0", str(2**15)], "radius": ["0", str(2**15)]},
+    **{"ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]},
+}
 NAMES = ("", "mirror", "Reflect", "constant ")
 DTYPES = (torch.int64, torch.bool, torch.complex64, torch.float8_e4m3fn)
 

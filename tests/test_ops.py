@@ -37,7 +37,10 @@ def test_native_says_what_is_missing(backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     x = torch.zeros(1, 1, 4, 4, device="meta")
-    with K.backend("native"), pytest.raises(RuntimeError, match="^sobel: backend 'native' was asked for, but .* on meta"):
+    with (
+        K.backend("native"),
+        pytest.raises(RuntimeError, match="^sobel: backend 'native' was asked for, but .* on meta"),
+    ):
         K.filters.sobel(x)
 
 

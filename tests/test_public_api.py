@@ -49,7 +49,9 @@ def arguments(function: Any) -> str:
     signature = inspect.signature(function)
     plain = [p.replace(annotation=p.empty) for p in signature.parameters.values() if p.name != "self"]
     text = str(signature.replace(parameters=plain, return_annotation=signature.empty))
-    return re.sub(r"<(?:function|class) '?([\w.]+)'?[^>]*>", r"\1", text)  # defaults by their names, not their addresses
+    return re.sub(
+        r"<(?:function|class) '?([\w.]+)'?[^>]*>", r"\1", text
+    )  # defaults by their names, not their addresses
 
 
 def lines(name: str, value: Any) -> Iterator[str]:

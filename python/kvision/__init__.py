@@ -34,10 +34,12 @@ from kvision.contrib import extract_tensor_patches
 from kvision.enhance import normalize
 from kvision.filters import gaussian_blur2d, sobel
 from kvision.geometry import (
+    ConvQuadInterp3d,
     HomographyWarper,
     ScalePyramid,
     get_perspective_transform,
     homography_warp,
+    normal_transform_pixel,
     pyrdown,
     warp_perspective,
 )
@@ -61,6 +63,7 @@ from kvision.utils import (
 )
 
 __all__ = [
+    "ConvQuadInterp3d",
     "HomographyWarper",
     "ScalePyramid",
     "__version__",
@@ -95,6 +98,7 @@ __all__ = [
     "losses",
     "metrics",
     "morphology",
+    "normal_transform_pixel",
     "normalize",
     "print_image",
     "psnr_loss",

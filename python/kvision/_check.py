@@ -53,6 +53,26 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
         )
 
 
+def ends(op: str, name: str, x: Any, *expected: int) -> None:
+    """Raise unless `x` is a tensor whose last axes are of the sizes `expected`, after any others."""
+    numbers(op, name, x)
+    if x.shape[x.dim() - len(expected) :] != expected:
+        raise ShapeError(
+            f"{op}: expected {name} of shape (*, {', '.join(map(str, expected))}), got {tuple(x.shape)}",
+            actual_shape=x.shape,
+        )
+
+
+def broadcastable(op: str, **shapes: Sequence[int]) -> None:
+    """Raise ShapeError unless the named leading shapes can be broadcast together."""
+    longest = max(map(len, shapes.values()))
+    for axis in range(1, longest + 1):
+        sizes = [shape[-axis] for shape in shapes.values() if axis <= len(shape) and shape[-axis] != 1]
+        if any(n != sizes[0] for n in sizes):
+            got = ", ".join(f"{tuple(shape)} of {name}" for name, shape in shapes.items())
+            raise ShapeError(f"{op}: expected leading axes that broadcast, got {got}")
+
+
 def images(op: str, name: str, x: Any) -> None:
     """Raise unless `x` is a (B, C, H, W) tensor with at least one pixel an image."""
     numbers(op, name, x)

@@ -318,9 +318,7 @@ FUNCTIONS = {
     "gaussian_blur2d": function(same, input=IMAGE, **GAUSSIAN, separable=UNREAD),
     "unsharp_mask": function(same, input=IMAGE, **GAUSSIAN),
     "box_blur": function(same, input=IMAGE, kernel_size=SIZE, border_type=BORDER, separable=UNREAD),
-    "median_blur": function(
-        same, input=IMAGE, kernel_size=MEDIAN_WINDOW, border_type=BORDER
-    ),
+    "median_blur": function(same, input=IMAGE, kernel_size=MEDIAN_WINDOW, border_type=BORDER),
     "laplacian": function(same, input=IMAGE, kernel_size=ODD_SIZE.but(refused=(1, (1, 1))), **FILTER),
     "sobel": function(same, input=IMAGE, normalized=FLAG, eps=EPS),
     "spatial_gradient": function(
@@ -445,9 +443,7 @@ FUNCTIONS = {
         lambda a: [((3, 6)[a.order - 1], 1, 3, 3, 3)], mode=DERIVATIVE_3D, order=ORDER, **FACTORY
     ),
     "get_motion_kernel2d": function(lambda a: [(rows(a.angle, a.direction), *along(2, a.kernel_size))], **MOTION),
-    "get_motion_kernel3d": function(
-        lambda a: [(rows_3d(a), *along(3, a.kernel_size))], **MOTION_3D
-    ),
+    "get_motion_kernel3d": function(lambda a: [(rows_3d(a), *along(3, a.kernel_size))], **MOTION_3D),
 }
 
 

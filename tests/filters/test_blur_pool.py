@@ -86,7 +86,11 @@ def test_bad_input(name):
         (lambda x: F.blur_pool2d(x, 3, 0), ValueCheckError, "blur_pool2d: expected stride"),
         (lambda x: F.max_blur_pool2d(x, 3, 2, 7), ValueCheckError, "max_pool_size no larger than the input, got 7"),
         (lambda x: F.edge_aware_blur_pool2d(x, 3, 1.0), ValueCheckError, "edge_threshold above 1, got 1.0"),
-        (lambda x: F.edge_aware_blur_pool2d(x, 3, float("nan")), ValueCheckError, "edge_threshold to be a float32 number, got nan"),
+        (
+            lambda x: F.edge_aware_blur_pool2d(x, 3, float("nan")),
+            ValueCheckError,
+            "edge_threshold to be a float32 number, got nan",
+        ),
         (lambda x: F.edge_aware_blur_pool2d(x, 3, 1.25, 2), ValueCheckError, "edge_dilation_kernel_size to be odd"),
         (
             lambda x: F.edge_aware_blur_pool2d(x[..., :2], 3),

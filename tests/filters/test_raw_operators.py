@@ -47,7 +47,16 @@ def test_arguments_by_name(device: torch.device) -> None:
 def test_wrong_kinds_of_arguments(device: torch.device) -> None:
     """Torch itself compares arguments with the schema."""
     x = torch.rand(1, 1, 4, 4, device=device)
-    for args in [(), (x,), (x, True), (None, True, 1.0), ("x", True, 1.0), (x, "yes", 1.0), (x, True, "1"), (x, True, 1.0, 2)]:
+    for args in [
+        (),
+        (x,),
+        (x, True),
+        (None, True, 1.0),
+        ("x", True, 1.0),
+        (x, "yes", 1.0),
+        (x, True, "1"),
+        (x, True, 1.0, 2),
+    ]:
         with pytest.raises((RuntimeError, TypeError), match="sobel"):
             torch.ops.kvision.sobel(*args)
 

@@ -19,7 +19,9 @@ class TestSobel(OpTests):
     tolerances = {torch.float32: (5e-4, 5e-6)}
 
     def test_flat_image_gives_the_root_of_eps(self, device):
-        assert_close(K.filters.sobel(torch.full((1, 1, 4, 4), 0.3, device=device)), torch.full((1, 1, 4, 4), 1e-3, device=device))
+        assert_close(
+            K.filters.sobel(torch.full((1, 1, 4, 4), 0.3, device=device)), torch.full((1, 1, 4, 4), 1e-3, device=device)
+        )
 
     def test_flat_image_without_eps_has_gradient_zero(self, device):
         x = torch.full((1, 1, 4, 4), 0.3, device=device, requires_grad=True)
@@ -38,7 +40,9 @@ class TestSobel(OpTests):
             return torch.from_numpy(np.hypot(dx, dy))
 
         replicate = cv2.BORDER_REPLICATE
-        by_opencv = [cv2.Sobel(image, cv2.CV_32F, *d, ksize=3, scale=1 / 8, borderType=replicate) for d in [(1, 0), (0, 1)]]
+        by_opencv = [
+            cv2.Sobel(image, cv2.CV_32F, *d, ksize=3, scale=1 / 8, borderType=replicate) for d in [(1, 0), (0, 1)]
+        ]
         assert_close(ours, magnitude(*by_opencv))
         assert_close(ours, magnitude(*(scipy.ndimage.sobel(image, axis, mode="nearest") / 8 for axis in (0, 1))))
         # scikit-image divides by 4 and averages the two squares

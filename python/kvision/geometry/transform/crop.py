@@ -10,6 +10,7 @@ from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.geometry.bbox import validate_bbox
 from kvision.geometry.transform import matrices, sampling
 from kvision.geometry.transform.resize import resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
@@ -102,7 +103,7 @@ def crop_by_boxes(
     op = "crop_by_boxes"
     for name, box in (("src_box", src_box), ("dst_box", dst_box)):
         _check.shape(op, name, box, "B", 4, 2)
-        if validate_boxes and not _is_rectangle(box):
+        if validate_boxes and not validate_bbox(box):
             raise ValueCheckError(f"{op}: expected {name} of rectangles, got {box.tolist()}")
     extents = dst_box[:, 2] - dst_box[:, 0]
     if (extents != extents[:1]).any():
@@ -111,13 +112,6 @@ def crop_by_boxes(
         )
     w, h = (int(side) + 1 for side in extents[0].tolist())
     return _crop(op, input_tensor, src_box, dst_box[:, 0], (h, w), mode, padding_mode, align_corners)
-
-
-def _is_rectangle(boxes: Tensor) -> bool:
-    """Whether opposite sides are of one length, within 1e-4, as Kornia has it. Waits for the device."""
-    a, b, c, d = boxes.unbind(1)
-    uneven = torch.stack([(b - a - c + d)[:, 0], (c - b - d + a)[:, 1]]).abs()
-    return bool((uneven <= 1e-4).all())
 
 
 def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners):

@@ -8,6 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.geometry.bbox import corners
 from kvision.geometry.transform import matrices
 from kvision.geometry.transform.warp3d import warp_affine3d, warp_perspective3d
 
@@ -48,7 +49,7 @@ def crop_and_resize3d(
     op = "crop_and_resize3d"
     _check.volumes(op, "tensor", tensor)
     d, h, w = _check.ints(op, "size", size, 3)
-    to = _box(torch.zeros(3), torch.tensor([max(n - 1, 1) for n in (w, h, d)])).to(tensor.device)
+    to = corners(torch.zeros(3), torch.tensor([max(n - 1.0, 1.0) for n in (w, h, d)]))[None].to(tensor.device)
     return _crop(op, tensor, boxes, to, (d, h, w), interpolation, align_corners)
 
 
@@ -146,12 +147,6 @@ def center_crop3d(
     matrix[:, 3] = -torch.tensor(offsets)
     matrix = matrix[None].to(volumes.device, compute_dtype(volumes))
     return warp_affine3d(volumes, matrix, size, interpolation, "zeros", align_corners)
-
-
-def _box(first: Tensor, extent: Tensor) -> Tensor:
-    """(1, 8, 3)"""
-    unit = torch.tensor([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
-    return (first + unit * extent)[None]
 
 
 def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):

@@ -11,6 +11,10 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry.conversions.angles import cos_sin
+from kvision.geometry.conversions.homogeneous import homogeneous
+from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix
+from kvision.geometry.linalg import adjugate
 
 __all__ = [
     "get_affine_matrix2d",
@@ -37,31 +41,6 @@ def matrix_of(rows: list[list[Tensor | float]], like: Tensor) -> Tensor:
         return value if isinstance(value, Tensor) else like.new_full(shape, value)
 
     return torch.stack([torch.stack([entry(value) for value in row], -1) for row in rows], -2)
-
-
-def homogeneous(matrix: Tensor) -> Tensor:
-    """(B, n, n + 1) with the row 0 ... 0 1 below."""
-    last = matrix.new_zeros(len(matrix), 1, matrix.shape[-1])
-    last[..., -1] = 1
-    return torch.cat([matrix, last], -2)
-
-
-def adjugate(matrix: Tensor) -> Tensor:
-    """The inverse of (*, 3, 3) up to a factor, which a homography does not have."""
-    a, b, c = matrix.unbind(-2)
-    columns = [torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)]
-    return torch.stack(columns, -1)
-
-
-def cos_sin(degrees: Tensor) -> tuple[Tensor, Tensor]:
-    """Cosine and sine, exact at quarter turns."""
-    quarters = (degrees.detach() / 90).round()
-    rest = torch.deg2rad(degrees - 90 * quarters)
-    c, s = rest.cos(), rest.sin()
-    turn = quarters.remainder(4)
-    cosine = torch.where(turn == 0, c, torch.where(turn == 1, -s, torch.where(turn == 2, -c, s)))
-    sine = torch.where(turn == 0, s, torch.where(turn == 1, c, torch.where(turn == 2, -s, -c)))
-    return cosine + 0, sine + 0  # no negative zeros
 
 
 def about(linear: Tensor, center: Tensor) -> Tensor:
@@ -304,24 +283,11 @@ def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> 
     Example:
         >>> import torch, kvision as K
         >>> about_z = torch.tensor([[0.0, 0, 90]])
-        >>> K.geometry.get_projective_transform(torch.zeros(1, 3), about_z, torch.ones(1, 3)).round()[0, 0]
-        tensor([ 0., -1.,  0.,  0.])
+        >>> K.geometry.get_projective_transform(torch.zeros(1, 3), about_z, torch.ones(1, 3)).round().long()[0, 0]
+        tensor([ 0, -1,  0,  0])
     """
     _batch("get_projective_transform", center=(center, 3), angles=(angles, 3), scales=(scales, 3))
-    return about(_rotation(torch.deg2rad(angles)) * scales[:, None], center)
-
-
-def _rotation(v: Tensor) -> Tensor:
-    """Rotations (B, 3, 3) about axes (B, 3) by as many radians as these are long, by Rodrigues' formula."""
-    square = (v * v).sum(-1)
-    small = square < 1e-6
-    safe = torch.where(small, 1, square)
-    angle = safe.sqrt()
-    a = torch.where(small, 1 - square / 6, angle.sin() / angle)[:, None, None]
-    b = torch.where(small, 0.5 - square / 24, (1 - angle.cos()) / safe)[:, None, None]
-    x, y, z = v.unbind(-1)
-    k = matrix_of([[0, -z, y], [z, 0, -x], [-y, x, 0]], v)
-    return torch.eye(3, dtype=v.dtype, device=v.device) + a * k + b * (k @ k)
+    return about(axis_angle_to_rotation_matrix(torch.deg2rad(angles)) * scales[:, None], center)
 
 
 def get_shear_matrix3d(

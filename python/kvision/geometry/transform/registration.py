@@ -11,6 +11,9 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.geometry.conversions.angles import cos_sin
+from kvision.geometry.conversions.homogeneous import homogeneous
+from kvision.geometry.linalg import adjugate
 from kvision.geometry.transform import matrices
 from kvision.geometry.transform.homography_warper import BaseWarper, HomographyWarper
 from kvision.geometry.transform.photometric import photometric_homography_loss
@@ -67,7 +70,7 @@ class Homography(BaseModel):
 
     def forward_inverse(self) -> Tensor:
         """(1, 3, 3), its last number 1."""
-        inverse = matrices.adjugate(self.model)
+        inverse = adjugate(self.model)
         return (inverse / inverse[2, 2])[None]
 
 
@@ -112,13 +115,13 @@ class Similarity(BaseModel):
 
     def forward(self) -> Tensor:
         """(1, 3, 3)"""
-        c, s = matrices.cos_sin(self.rot)
+        c, s = cos_sin(self.rot)
         linear = matrices.matrix_of([[c, s * self._ratio], [-s / self._ratio, c]], self.rot) * self.scale
-        return matrices.homogeneous(torch.cat([linear, self.shift], -1))
+        return homogeneous(torch.cat([linear, self.shift], -1))
 
     def forward_inverse(self) -> Tensor:
         """(1, 3, 3)"""
-        inverse = matrices.adjugate(self())
+        inverse = adjugate(self())
         return inverse / inverse[:, 2:, 2:]
 
 

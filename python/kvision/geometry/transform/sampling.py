@@ -17,6 +17,9 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.conversions.homogeneous import homogeneous
+from kvision.geometry.conversions.pixels import by_axes
+from kvision.geometry.linalg import adjugate
 from kvision.geometry.transform import matrices
 
 INTERPOLATIONS = ("bilinear", "nearest", "bicubic")
@@ -107,9 +110,9 @@ def places_of(
     """Where the pixels of the output lie in the source: x and y, (B, h, w)."""
     wide = matrices.wide(matrix)
     if wide.shape[1] == 2:
-        wide = matrices.homogeneous(wide)
+        wide = homogeneous(wide)
     if inverse:
-        wide = matrices.adjugate(wide)
+        wide = adjugate(wide)
     if normalized:
         wide = from_unit(source, align_corners, wide) @ wide @ to_unit(output, align_corners, wide)
     wide = wide / _scale(wide.detach())
@@ -132,23 +135,15 @@ def _scale(m: Tensor) -> Tensor:
 def from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     """Pixels from [-1, 1]: from the middle of the first to that of the last one, or from edge to edge."""
     less = 1 if align_corners else 0
-    return _by_axis([((n - less) / 2, (n - 1) / 2) for n in size], like)
+    return by_axes([((n - less) / 2, (n - 1) / 2) for n in reversed(size)], like.device, like.dtype)
 
 
 def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     less = 1 if align_corners else 0
     # The only pixel of an axis stands in its middle.
     scales = [2 / (n - less) if n > less else 0.0 for n in size]
-    return _by_axis([(scale, -scale * (n - 1) / 2) for scale, n in zip(scales, size)], like)
-
-
-def _by_axis(lines: Sequence[tuple[float, float]], like: Tensor) -> Tensor:
-    """The matrix that takes y and x to scale * y + offset and to the same of x, filled in where `like` is."""
-    matrix = torch.eye(3, dtype=like.dtype, device=like.device)
-    for axis, (scale, offset) in zip((1, 0), lines):
-        matrix[axis, axis].fill_(scale)
-        matrix[axis, 2].fill_(offset)
-    return matrix
+    lines = [(scale, -scale * (n - 1) / 2) for scale, n in zip(scales, size)]
+    return by_axes(lines[::-1], like.device, like.dtype)
 
 
 # --- warp -----------------------------------------------------------------------------------------------------------

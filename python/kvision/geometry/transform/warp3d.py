@@ -9,6 +9,8 @@ from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.conversions.homogeneous import homogeneous
+from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.transform import matrices, sampling
 from kvision.geometry.transform.warp import transform_grid
 
@@ -81,7 +83,7 @@ def warp_affine3d(
     """
     _check.volumes("warp_affine3d", "src", src)
     _check.shape("warp_affine3d", "M", M, "B", 3, 4)
-    return _warp("warp_affine3d", src, matrices.homogeneous(M), dsize, flags, padding_mode, align_corners)
+    return _warp("warp_affine3d", src, homogeneous(M), dsize, flags, padding_mode, align_corners)
 
 
 def affine3d(
@@ -97,7 +99,7 @@ def affine3d(
     volumes = _volumes("affine3d", tensor)
     _check.shape("affine3d", "matrix", matrix, "B", 3, 4)
     size = tuple(volumes.shape[2:])
-    result = _warp("affine3d", volumes, matrices.homogeneous(matrix), size, mode, padding_mode, align_corners)
+    result = _warp("affine3d", volumes, homogeneous(matrix), size, mode, padding_mode, align_corners)
     return result[0] if tensor.dim() == 4 else result
 
 
@@ -258,6 +260,5 @@ def _sampled(volumes, matrix, size, mode, padding_mode, align_corners, inverse, 
 def _from_unit(size: tuple[int, ...], align_corners: bool, like: Tensor) -> Tensor:
     """Voxels from [-1, 1]; the only voxel of an axis is all of it."""
     less = 1 if align_corners else 0
-    m = torch.diag(like.new_tensor([*(max(n - less, 1) / 2 for n in reversed(size)), 1]))
-    m[:3, 3] = like.new_tensor([(n - 1) / 2 for n in reversed(size)])
-    return m
+    lines = [(max(n - less, 1) / 2, (n - 1) / 2) for n in reversed(size)]
+    return by_axes(lines, like.device, like.dtype)

@@ -1,0 +1,131 @@
+// The soft argmax of every window of a volume, an image being one of depth 1: under the weights
+//
+//   w(v) = exp(x(v) / temperature) / sum of these       over the voxels of the window that are in the volume
+//
+// the mean place, and the mean of x. Places are scale * index + offset.
+//
+// The gradient of a voxel v is a sum over the windows that it is in, of weights and records of these alone:
+//
+//   dx(v) = sum of w(v) (g_value + (g_place . (v - start) + g_value x(v) + rest) / temperature)
+//   rest  = -(g_place . (place - start) + g_value value)
+//
+// so a backward pass makes the records first, then gathers. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
+// soft_argmax_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+
+namespace kv {
+
+struct Windows {
+  int64_t volumes;
+  int axes;                                              // of a place: 2, (x, y), or 3, (z, x, y)
+  int size[3], out[3], window[3], stride[3], before[3];  // along z, y, x; padding is before and after
+
+  KV_HD int64_t voxels() const { return int64_t(size[0]) * size[1] * size[2]; }
+  KV_HD int64_t area() const { return int64_t(window[0]) * window[1] * window[2]; }
+  KV_HD int64_t places() const { return int64_t(out[0]) * out[1] * out[2]; }
+  // Of what axis (0, 1, 2 for z, y, x) a place's number tells.
+  KV_HD int axis_of(int number) const { return axes == 3 && number == 0 ? 0 : number == axes - 1 ? 1 : 2; }
+};
+
+template <class T>
+struct SoftArgmax {
+  Windows windows;
+  Compute<T> temperature;
+  Compute<T> scale[3], offset[3];
+  T const* x;          // (n, D, H, W)
+  T *places, *values;  // (n, axes, D', H', W'), (n, D', H', W') or null
+};
+
+// What of a window the gradients of its voxels need. `most` is the largest x, which the exponents are beside.
+template <class V>
+struct WindowRecord {
+  V most, place[3], value, rest;  // but most, divided by the sum of the exponentials
+};
+constexpr int kRecord = 6;
+
+template <class T>
+struct SoftArgmaxBackward {
+  Windows windows;
+  Compute<T> temperature;
+  Compute<T> scale[3];
+  T const *grad_places, *grad_values, *x;  // or null for no gradient of the values
+  T* grad_x;
+  Compute<T>* records;  // (6, n, D', H', W')
+};
+
+KV_KERNEL(soft_argmax, SoftArgmax)
+KV_KERNEL(soft_argmax_records, SoftArgmaxBackward)
+KV_KERNEL(soft_argmax_backward, SoftArgmaxBackward)
+
+// Indices [first, last) of a window that begins at `start`, counted from there, that are on an axis of n.
+struct Span {
+  int start, first, last;
+  KV_HD Span(int out, int stride, int before, int window, int n)
+      : start(out * stride - before), first(max(0, -start)), last(min(window, n - start)) {}
+};
+
+// The outputs [first, last) whose window has index i.
+struct Readers {
+  int first, last;
+  KV_HD Readers(int i, int stride, int before, int window, int out)
+      : first(max(0, (i + before - window) / stride + (i + before >= window))),
+        last(min(out, (i + before) / stride + 1)) {}
+};
+
+// The sums of a window. `at(k, j, i)` reads x there; exp2 is the caller's.
+template <class V>
+struct WindowSums {
+  V most, total, index[3], value;
+
+  template <class F, class At, class Exp2>
+  KV_HD WindowSums(Span const& z, Span const& y, Span const& x, F sharpness, At at, Exp2 exp2) {
+    most = at(z.first, y.first, x.first);
+    for (int k = z.first; k < z.last; ++k)
+      for (int j = y.first; j < y.last; ++j)
+        for (int i = x.first; i < x.last; ++i) most = max(most, V(at(k, j, i)));
+    total = value = index[0] = index[1] = index[2] = V{};
+    for (int k = z.first; k < z.last; ++k) {
+      V plane{};
+      for (int j = y.first; j < y.last; ++j) {
+        V row{};
+        for (int i = x.first; i < x.last; ++i) {
+          V const v = at(k, j, i), e = exp2(V((v - most) * sharpness));
+          row += e;
+          index[2] += e * F(i);
+          value += e * v;
+        }
+        plane += row;
+        index[1] += row * F(j);
+      }
+      total += plane;
+      index[0] += plane * F(k);
+    }
+  }
+};
+
+// The record of a window, `grad` being that to a place's axis.
+template <class V, class F>
+KV_HD WindowRecord<V> record_of(WindowSums<V> const& sums, V const (&grad)[3], V grad_value) {
+  V const scale = F(1) / sums.total;
+  WindowRecord<V> r;
+  r.most = sums.most;
+  r.rest = grad_value * sums.value;
+  for (int axis = 0; axis < 3; ++axis) {
+    r.place[axis] = grad[axis] * scale;
+    r.rest += grad[axis] * sums.index[axis];
+  }
+  r.value = grad_value * scale;
+  r.rest = -(r.rest * scale) * scale;
+  return r;
+}
+
+// What a window gives to the gradient of its voxel (k, j, i) with value v, e being its exponential.
+template <class V, class F>
+KV_HD V share_of(WindowRecord<V> const& r, V v, V e, F k, F j, F i, F per_temperature) {
+  V const slope = r.place[0] * k + r.place[1] * j + r.place[2] * i + r.value * v + r.rest;
+  return e * (r.value + slope * per_temperature);
+}
+
+}  // namespace kv

@@ -1,0 +1,397 @@
+"""Boxes as tensors of their corners (x, y) or (x, y, z), both ends included: a box of pixels 0 to 9 is 10 wide.
+
+The corners of a rectangle go clockwise from the top left; those of a box in space do so in front, then behind.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, floats
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry.linalg import transformed
+
+__all__ = [
+    "bbox_generator",
+    "bbox_generator3d",
+    "bbox_to_mask",
+    "bbox_to_mask3d",
+    "infer_bbox_shape",
+    "infer_bbox_shape3d",
+    "nms",
+    "transform_bbox",
+    "validate_bbox",
+    "validate_bbox3d",
+]
+
+# --- corners --------------------------------------------------------------------------------------------------------
+
+
+def corners(near: Tensor, far: Tensor) -> Tensor:
+    """The 4 or 8 corners (*, V, D) of boxes from their first to their last one, (*, D) each."""
+    x, y, *z = zip(near.unbind(-1), far.unbind(-1))
+    around = [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])]
+    vertices = [(*corner, *depth) for depth in itertools.product(*z) for corner in around]
+    return torch.stack([c for vertex in vertices for c in vertex], -1).unflatten(-1, (len(vertices), -1))
+
+
+def bbox_generator(x_start: Tensor, y_start: Tensor, width: Tensor, height: Tensor) -> Tensor:
+    """The corners of rectangles from where they begin and their sizes.
+
+    Args:
+        x_start: a number or (B,).
+        y_start: of the same shape and type.
+        width: a number or (B,), of the same type.
+        height: as `width`.
+
+    Returns:
+        (B, 4, 2); the last pixel of a box is at start + size - 1.
+
+    Raises:
+        TypeError: not tensors of real numbers of one type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.bbox_generator(*torch.tensor([0, 1, 5, 2]))
+        tensor([[[0, 1],
+                 [4, 1],
+                 [4, 2],
+                 [0, 2]]])
+    """
+    return _generated("bbox_generator", x_start=x_start, y_start=y_start, width=width, height=height)
+
+
+def bbox_generator3d(
+    x_start: Tensor, y_start: Tensor, z_start: Tensor, width: Tensor, height: Tensor, depth: Tensor
+) -> Tensor:
+    """The corners of boxes in space from where they begin and their sizes.
+
+    Args:
+        x_start: a number or (B,).
+        y_start: of the same shape and type.
+        z_start: of the same shape and type.
+        width: a number or (B,), of the same type.
+        height: as `width`.
+        depth: as `width`.
+
+    Returns:
+        (B, 8, 3); the last voxel of a box is at start + size - 1.
+
+    Raises:
+        TypeError: not tensors of real numbers of one type.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.bbox_generator3d(*torch.tensor([0, 1, 2, 5, 2, 3]))[0, 6]
+        tensor([4, 2, 4])
+    """
+    starts = {"x_start": x_start, "y_start": y_start, "z_start": z_start}
+    return _generated("bbox_generator3d", **starts, width=width, height=height, depth=depth)
+
+
+def _generated(op: str, **tensors: Tensor) -> Tensor:
+    for name, x in tensors.items():
+        _check.numbers(op, name, x)
+        if x.dim() > 1:
+            raise ShapeError(f"{op}: expected {name} of shape () or (B,), got {tuple(x.shape)}")
+    dtypes = {name: x.dtype for name, x in tensors.items()}
+    if len(set(dtypes.values())) > 1:
+        raise TypeCheckError(f"{op}: expected tensors of one type, got {dtypes}")
+    _check.same_device(op, **tensors)
+    _check.broadcastable(op, **{name: x.shape for name, x in tensors.items()})
+    values = torch.broadcast_tensors(*(x.reshape(-1) for x in tensors.values()))
+    axes = len(values) // 2
+    near, size = torch.stack(values[:axes], -1), torch.stack(values[axes:], -1)
+    return corners(near, near + size - 1)
+
+
+# --- shapes and masks -----------------------------------------------------------------------------------------------
+
+
+def infer_bbox_shape(boxes: Tensor) -> tuple[Tensor, Tensor]:
+    """The heights and widths (B,) of rectangles (B, 4, 2), both ends included.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.infer_bbox_shape(torch.tensor([[[1, 1], [3, 1], [3, 2], [1, 2]]]))
+        (tensor([2]), tensor([3]))
+    """
+    _check.shape("infer_bbox_shape", "boxes", boxes, "B", 4, 2)
+    width, height = (boxes[:, 2] - boxes[:, 0] + 1).unbind(-1)
+    return height, width
+
+
+def infer_bbox_shape3d(boxes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The depths, heights and widths (B,) of boxes in space (B, 8, 3), both ends included.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> box = K.geometry.bbox_generator3d(*torch.tensor([0, 1, 2, 5, 2, 3]))
+        >>> K.geometry.infer_bbox_shape3d(box)
+        (tensor([3]), tensor([2]), tensor([5]))
+    """
+    _check.shape("infer_bbox_shape3d", "boxes", boxes, "B", 8, 3)
+    width, height, depth = (boxes[:, 6] - boxes[:, 0] + 1).unbind(-1)
+    return depth, height, width
+
+
+def validate_bbox(boxes: Tensor) -> bool:
+    """Whether opposite sides of quadrangles are equal within 1e-4. Waits for the device.
+
+    Args:
+        boxes: (B, 4, 2) or (B, N, 4, 2).
+
+    Returns:
+        True for parallelograms alone; False for another shape, and for what is not finite.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.validate_bbox(torch.tensor([[[1, 1], [3, 1], [3, 2], [1, 2]]]))
+        True
+    """
+    _check.numbers("validate_bbox", "boxes", boxes)
+    if boxes.dim() not in (3, 4) or boxes.shape[-2:] != (4, 2):
+        return False
+    return bool((_uneven(boxes, [(0, 1, 3, 2)]) <= 1e-4).all())
+
+
+def validate_bbox3d(boxes: Tensor) -> bool:
+    """Raise unless parallel edges of boxes in space are equal within 1e-4. Waits for the device.
+
+    Args:
+        boxes: (B, 8, 3) or (B, N, 8, 3).
+
+    Returns:
+        True.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape, edges that differ, or what is not finite.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.validate_bbox3d(K.geometry.bbox_generator3d(*torch.tensor([0, 1, 2, 5, 2, 3])))
+        True
+    """
+    _check.ends("validate_bbox3d", "boxes", boxes, 8, 3)
+    if boxes.dim() not in (3, 4):
+        raise ShapeError(
+            f"validate_bbox3d: expected boxes of shape (B, 8, 3) or (B, N, 8, 3), got {tuple(boxes.shape)}"
+        )
+    # In front, behind, and from front to behind.
+    if not bool((_uneven(boxes, [(0, 1, 3, 2), (4, 5, 7, 6), (0, 4, 1, 5), (0, 4, 3, 7)]) <= 1e-4).all()):
+        raise ValueCheckError("validate_bbox3d: expected boxes with parallel edges of one length")
+    return True
+
+
+def _uneven(boxes: Tensor, edges: list[tuple[int, int, int, int]]) -> Tensor:
+    """By how much edges a b and c d differ, NaN where one is not finite."""
+    v = floats(boxes).unbind(-2)
+    return torch.stack([(v[b] - v[a] - v[d] + v[c]).abs() for a, b, c, d in edges])
+
+
+def bbox_to_mask(boxes: Tensor, width: int, height: int) -> Tensor:
+    """Masks of rectangles, 1 where they are, both ends included.
+
+    Args:
+        boxes: (B, 4, 2).
+        width: of the masks, in pixels.
+        height: of the masks, in pixels.
+
+    Returns:
+        (B, H, W), of the type of `boxes`. Without gradient.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: another shape, or a size below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.bbox_to_mask(torch.tensor([[[1, 0], [2, 0], [2, 1], [1, 1]]]), 4, 2)
+        tensor([[[0, 1, 1, 0],
+                 [0, 1, 1, 0]]])
+    """
+    _check.shape("bbox_to_mask", "boxes", boxes, "B", 4, 2)
+    for name, size in (("width", width), ("height", height)):
+        _check.ints("bbox_to_mask", name, size, 1)
+    return mask_between(boxes[:, 0], boxes[:, 2], (height, width)).to(boxes.dtype)
+
+
+def bbox_to_mask3d(boxes: Tensor, size: tuple[int, int, int]) -> Tensor:
+    """Masks of boxes in space, 1 where they are, both ends included.
+
+    Args:
+        boxes: (B, 8, 3).
+        size: depth, height and width of the masks, in voxels.
+
+    Returns:
+        (B, 1, D, H, W), of the type of `boxes`. Without gradient.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: another shape, or a size below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> box = K.geometry.bbox_generator3d(*torch.tensor([0, 1, 2, 5, 2, 3]))
+        >>> K.geometry.bbox_to_mask3d(box, (9, 9, 9)).sum()
+        tensor(30)
+    """
+    _check.shape("bbox_to_mask3d", "boxes", boxes, "B", 8, 3)
+    size = _check.ints("bbox_to_mask3d", "size", size, 3)  # type: ignore[assignment]  # three entries by construction
+    return mask_between(boxes[:, 0], boxes[:, 6], size)[:, None].to(boxes.dtype)
+
+
+def mask_between(near: Tensor, far: Tensor, size: tuple[int, ...]) -> Tensor:
+    """Which pixels of `size` are from `near` to `far`, (*, D) each as (x, y) or (x, y, z), both included: (*, *size)."""
+    near, far = near.detach().to(compute_dtype(near)), far.detach().to(compute_dtype(far))
+    mask = near.new_ones((), dtype=torch.bool)
+    for axis, n in enumerate(reversed(size)):
+        i = torch.arange(n, device=near.device)
+        inside = (i >= near[..., axis, None]) & (i <= far[..., axis, None])
+        others = [1] * len(size)
+        others[-1 - axis] = n
+        mask = mask & inside.unflatten(-1, others)
+    return mask
+
+
+# --- transformations and overlap ------------------------------------------------------------------------------------
+
+
+def transform_bbox(
+    trans_mat: Tensor, boxes: Tensor, mode: str = "xyxy", restore_coordinates: bool | None = None
+) -> Tensor:
+    """Boxes after homographies.
+
+    Args:
+        trans_mat: (B, 3, 3), or (1, 3, 3) for all boxes.
+        boxes: (B, N, 4), or (N, 4) with B equal to N or 1, in the form `mode`; or corners (B, N, 4, 2).
+        mode: 'xyxy' for the first and the last corner, 'xywh' for the first one and the size, that is, their difference.
+        restore_coordinates: None or True give the least box around the moved corners; False moves the first and the last
+            corner alone, whichever way they lie then. Corners (B, N, 4, 2) are moved in any case.
+
+    Returns:
+        The shape and form of `boxes`.
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, an unknown mode, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> mirror = torch.tensor([[[-1.0, 0, 10], [0, 1, 0], [0, 0, 1]]])
+        >>> K.geometry.transform_bbox(mirror, torch.tensor([[[1.0, 2, 4, 5]]]))
+        tensor([[[6., 2., 9., 5.]]])
+    """
+    op = "transform_bbox"
+    _check.shape(op, "trans_mat", trans_mat, "B", 3, 3)
+    _check.numbers(op, "boxes", boxes)
+    _check.choice(op, "mode", mode, ("xyxy", "xywh"))
+    polygons = boxes.dim() == 4
+    if boxes.shape[2:] != (4, 2) if polygons else boxes.dim() not in (2, 3) or boxes.shape[-1] != 4:
+        raise ShapeError(
+            f"{op}: expected boxes of shape (N, 4), (B, N, 4) or (B, N, 4, 2), got {tuple(boxes.shape)}",
+            actual_shape=boxes.shape,
+        )
+    _check.same_device(op, trans_mat=trans_mat, boxes=boxes)
+    if trans_mat.shape[0] not in (1, boxes.shape[0]):
+        raise ShapeError(
+            f"{op}: expected trans_mat with 1 or {boxes.shape[0]} matrices, got {tuple(trans_mat.shape)}",
+            actual_shape=trans_mat.shape,
+        )
+    boxes = floats(boxes)
+    if polygons:
+        return transformed(boxes, trans_mat)
+    first, last = boxes.split(2, -1)
+    if mode == "xywh":
+        last = first + last
+    if restore_coordinates is False:
+        first, last = transformed(torch.stack([first, last], -2), trans_mat).unbind(-2)
+    else:
+        moved = transformed(corners(first, last), trans_mat)
+        first, last = moved.amin(-2), moved.amax(-2)
+    return torch.cat([first, last - first if mode == "xywh" else last], -1)
+
+
+NMS_BLOCK = 1024  # boxes that are compared with one another at once
+
+
+def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
+    """Keep, from the best score on, the boxes that overlap none kept before by more than a threshold.
+
+    The result's size depends on the boxes, so this waits for the device, some ten times for a thousand boxes; and it cannot
+    be traced.
+
+    Args:
+        boxes: (N, 4), first and last corner as (x, y, x, y), whose difference is the size.
+        scores: (N,).
+        iou_threshold: the share of their union that two boxes may have in common. A box without area overlaps none.
+
+    Returns:
+        The indices of the kept boxes, int64, best first; of equal scores, in the order of `boxes`.
+
+    Raises:
+        TypeError: not two tensors of real numbers, or no number.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> boxes = torch.tensor([[0.0, 0, 10, 10], [1, 0, 11, 10], [20, 0, 30, 10]])
+        >>> K.geometry.nms(boxes, torch.tensor([0.5, 0.9, 0.7]), 0.5)
+        tensor([1, 2])
+    """
+    _check.shape("nms", "boxes", boxes, "N", 4)
+    _check.shape("nms", "scores", scores, boxes.shape[0])
+    _check.same_device("nms", boxes=boxes, scores=scores)
+    threshold = _check.number("nms", "iou_threshold", iou_threshold)
+    order = scores.detach().argsort(descending=True, stable=True)
+    wide = torch.float32 if boxes.is_floating_point() and boxes.dtype != torch.float64 else torch.float64
+    best = boxes.detach().to(wide)[order]
+    kept = best[:0]
+    chosen = []
+    for block in best.split(NMS_BLOCK):
+        free = ~_overlap(kept, block, threshold).any(0)
+        keep = _greedy(_overlap(block, block, threshold).triu(1), free)
+        kept = torch.cat([kept, block[keep]])
+        chosen.append(keep)
+    return order[torch.cat(chosen)] if chosen else order
+
+
+def _overlap(a: Tensor, b: Tensor, threshold: float) -> Tensor:
+    """Which boxes of `a` (N, 4) and `b` (M, 4) have more than a share of their union in common: (N, M)."""
+    low = torch.maximum(a[:, None, :2], b[:, :2])
+    high = torch.minimum(a[:, None, 2:], b[:, 2:])
+    both = (high - low).clamp_min(0).prod(-1)
+    areas = [(x[:, 2:] - x[:, :2]).prod(-1) for x in (a, b)]
+    return both / (areas[0][:, None] + areas[1] - both) > threshold
+
+
+def _greedy(overlaps: Tensor, free: Tensor) -> Tensor:
+    """Which of the boxes `free` (N,) are kept if each one excludes the later ones that it `overlaps` (N, N).
+
+    All at once and again until nothing changes: after k rounds the boxes are right whose chains of exclusions have k links.
+    """
+    excludes = overlaps.float().T
+    keep = free
+    while True:
+        for _ in range(4):
+            before, keep = keep, free & (excludes @ keep.float() == 0)
+        if torch.equal(before, keep):
+            return keep

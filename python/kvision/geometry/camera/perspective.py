@@ -1,0 +1,90 @@
+"""Points between a camera's frame and its pixels, by the camera matrix."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+from kvision.geometry.conversions.homogeneous import divisor
+from kvision.geometry.conversions.pixels import check_camera, focal_and_center
+
+__all__ = ["project_points", "unproject_points"]
+
+
+def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
+    """Project points of a camera's frame to its pixels: f * (x, y) / z + c. Skew is ignored.
+
+    Where z is 0 within 1e-8 the point is not divided.
+
+    Args:
+        point_3d: (*, 3) as (x, y, z), z forwards; integers give float32.
+        camera_matrix: (*, 3, 3), leading axes broadcast. With fewer of them than the points each matrix serves all points
+            of an axis before the coordinates: (B, 3, 3) goes with (B, N, 3).
+
+    Returns:
+        (*, 2) as (x, y), the middle of the first pixel being (0, 0).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[100.0, 0, 320], [0, 200, 240], [0, 0, 1]])
+        >>> K.geometry.project_points(torch.tensor([[2.0, 2.0, 2.0]]), camera)
+        tensor([[420., 440.]])
+    """
+    _check.ends("project_points", "point_3d", point_3d, 3)
+    check_camera("project_points", "point_3d", point_3d, camera_matrix)
+    return _projected(floats(point_3d), camera_matrix)
+
+
+@as_stored
+def _projected(points: Tensor, camera_matrix: Tensor) -> Tensor:
+    focal, center = focal_and_center(points, camera_matrix)
+    return points[..., :2] / divisor(points[..., 2:]) * focal + center
+
+
+def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, normalize: bool = False) -> Tensor:
+    """Find the points of a camera's frame that its pixels show at a depth. Skew is ignored.
+
+    Args:
+        point_2d: (*, 2) as (x, y) in pixels; integers give float32.
+        depth: (*, 1), z; leading axes broadcast.
+        camera_matrix: (*, 3, 3); see :func:`project_points`.
+        normalize: `depth` is the distance from the camera, not z.
+
+    Returns:
+        (*, 3) as (x, y, z).
+
+    Raises:
+        TypeError: not tensors of real numbers, or `normalize` is no bool.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[100.0, 0, 320], [0, 200, 240], [0, 0, 1]])
+        >>> K.geometry.unproject_points(torch.tensor([[420.0, 440.0]]), torch.tensor([[2.0]]), camera)
+        tensor([[2., 2., 2.]])
+    """
+    op = "unproject_points"
+    _check.ends(op, "point_2d", point_2d, 2)
+    _check.ends(op, "depth", depth, 1)
+    _check.flag(op, "normalize", normalize)
+    check_camera(op, "point_2d", point_2d, camera_matrix)
+    _check.same_device(op, point_2d=point_2d, depth=depth)
+    _check.broadcastable(op, point_2d=point_2d.shape[:-1], depth=depth.shape[:-1])
+    return _unprojected(floats(point_2d), floats(depth), camera_matrix, normalize)
+
+
+@as_stored
+def _unprojected(pixels: Tensor, depth: Tensor, camera_matrix: Tensor, normalize: bool) -> Tensor:
+    focal, center = focal_and_center(pixels, camera_matrix)
+    plane = (pixels - center) / focal
+    if normalize:
+        depth = depth / (1 + plane.square().sum(-1, keepdim=True)).sqrt()
+    moved = plane * depth
+    return torch.cat([moved, depth.expand(*moved.shape[:-1], 1)], -1)

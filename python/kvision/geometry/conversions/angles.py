@@ -1,0 +1,140 @@
+"""Angles: degrees and radians, polar coordinates, rotations of the plane."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+
+__all__ = ["angle_to_rotation_matrix", "cart2pol", "deg2rad", "pol2cart", "rad2deg"]
+
+
+def rad2deg(tensor: Tensor) -> Tensor:
+    """Radians to degrees: a tensor of any shape; integers give float32.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.rad2deg(torch.tensor(torch.pi))
+        tensor(180.)
+    """
+    _check.numbers("rad2deg", "tensor", tensor)
+    return floats(tensor) * (180 / math.pi)
+
+
+def deg2rad(tensor: Tensor) -> Tensor:
+    """Degrees to radians: a tensor of any shape; integers give float32.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.deg2rad(torch.tensor(180))
+        tensor(3.1416)
+    """
+    _check.numbers("deg2rad", "tensor", tensor)
+    return floats(tensor) * (math.pi / 180)
+
+
+def pol2cart(rho: Tensor, phi: Tensor) -> tuple[Tensor, Tensor]:
+    """Polar coordinates to x and y.
+
+    Args:
+        rho: distances from the origin, of any shape.
+        phi: angles in radians, of a shape that broadcasts with that of `rho`.
+
+    Returns:
+        x and y.
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: shapes that do not broadcast.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.pol2cart(torch.tensor(2.0), torch.tensor(0.0))
+        (tensor(2.), tensor(0.))
+    """
+    _check_pair("pol2cart", rho=rho, phi=phi)
+    rho, phi = floats(rho), floats(phi)
+    return rho * phi.cos(), rho * phi.sin()
+
+
+def cart2pol(x: Tensor, y: Tensor, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
+    """x and y to polar coordinates; the gradient at the origin is 0.
+
+    Args:
+        x: of any shape.
+        y: of a shape that broadcasts with that of `x`.
+        eps: not used; nothing has to be kept from 0.
+
+    Returns:
+        Distances from the origin and angles in radians, from -pi to pi.
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: shapes that do not broadcast.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.cart2pol(torch.tensor(3.0), torch.tensor(4.0))
+        (tensor(5.), tensor(0.9273))
+    """
+    _check_pair("cart2pol", x=x, y=y)
+    x, y = floats(x), floats(y)
+    origin = (x == 0) & (y == 0)
+    x = torch.where(origin, 1, x)  # neither function has a derivative there
+    return torch.where(origin, 0, torch.hypot(x, y)), torch.where(origin, 0, torch.atan2(y, x))
+
+
+def _check_pair(op: str, **tensors: Tensor) -> None:
+    for name, x in tensors.items():
+        _check.numbers(op, name, x)
+    _check.broadcastable(op, **{name: x.shape for name, x in tensors.items()})
+
+
+def angle_to_rotation_matrix(angle: Tensor) -> Tensor:
+    """Rotations of the plane, counter-clockwise as one sees it where y points down; quarter turns are exact.
+
+    Args:
+        angle: degrees, of any shape (*); integers give float32.
+
+    Returns:
+        (*, 2, 2), [[cos, sin], [-sin, cos]].
+
+    Raises:
+        TypeError: no tensor of real numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.angle_to_rotation_matrix(torch.tensor(90.0))
+        tensor([[ 0.,  1.],
+                [-1.,  0.]])
+    """
+    _check.numbers("angle_to_rotation_matrix", "angle", angle)
+    return _rotation2d(floats(angle))
+
+
+@as_stored
+def _rotation2d(angle: Tensor) -> Tensor:
+    c, s = cos_sin(angle)
+    return torch.stack([c, s, -s + 0, c], -1).unflatten(-1, (2, 2))  # no negative zeros
+
+
+def cos_sin(degrees: Tensor) -> tuple[Tensor, Tensor]:
+    """Cosine and sine, exact at quarter turns."""
+    quarters = (degrees.detach() / 90).round()
+    rest = torch.deg2rad(degrees - 90 * quarters)
+    c, s = rest.cos(), rest.sin()
+    turn = quarters.remainder(4)
+    cosine = torch.where(turn == 0, c, torch.where(turn == 1, -s, torch.where(turn == 2, -c, s)))
+    sine = torch.where(turn == 0, s, torch.where(turn == 1, c, torch.where(turn == 2, -s, -c)))
+    return cosine + 0, sine + 0  # no negative zeros

@@ -1,0 +1,111 @@
+"""Rotations of space as turns about the fixed axes x, y and z: roll, pitch and yaw."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+
+__all__ = ["euler_from_quaternion", "quaternion_from_euler"]
+
+
+def quaternion_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Unit quaternions of turns about the fixed axes x, then y, then z.
+
+    Args:
+        roll: about x, in radians, of any shape; integers give float32.
+        pitch: about y, of the same shape.
+        yaw: about z, of the same shape.
+
+    Returns:
+        w, x, y and z.
+
+    Raises:
+        TypeError: not tensors of real numbers.
+        ValueError: not of one shape, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> zero = torch.zeros(())
+        >>> K.geometry.quaternion_from_euler(zero, zero, torch.tensor(torch.pi))[3]
+        tensor(1.)
+    """
+    _check_same("quaternion_from_euler", roll=roll, pitch=pitch, yaw=yaw)
+    return _from_euler(floats(roll), floats(pitch), floats(yaw))
+
+
+@as_stored
+def _from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    (cr, sr), (cp, sp), (cy, sy) = (((a / 2).cos(), (a / 2).sin()) for a in (roll, pitch, yaw))
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def euler_from_quaternion(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Turns about the fixed axes x, then y, then z, of quaternions.
+
+    Where the pitch is a quarter turn only a sum of the others is determined: the roll is 0 then, and gradients go to the yaw.
+
+    Args:
+        w: the real part, of any shape; quaternions are of any length. Integers give float32.
+        x: of the same shape.
+        y: of the same shape.
+        z: of the same shape.
+
+    Returns:
+        Roll, pitch and yaw in radians: from -pi to pi, the pitch from -pi / 2 to pi / 2.
+
+    Raises:
+        TypeError: not tensors of real numbers.
+        ValueError: not of one shape, or not on one device.
+
+    Source: E. Bernardes, S. Viollet, "Quaternion to Euler angles conversion" (2022).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> one, zero = torch.ones(()), torch.zeros(())
+        >>> K.geometry.euler_from_quaternion(one, zero, zero, one)
+        (tensor(0.), tensor(0.), tensor(1.5708))
+    """
+    _check_same("euler_from_quaternion", w=w, x=x, y=y, z=z)
+    return _euler(floats(w), floats(x), floats(y), floats(z))
+
+
+@as_stored
+def _euler(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    # (yaw + roll) / 2 is the angle of (a, b), (yaw - roll) / 2 that of (c, d); of lengths p and m, the pitch is between them.
+    a, b, c, d = w - y, x + z, w + y, z - x
+    p, m = a * a + b * b, c * c + d * d
+    least = (4 * torch.finfo(w.dtype).eps) ** 2 * (p + m)
+    up, down = p <= least, m <= least  # locked, or both for the quaternion 0
+    total, difference = _angle(b, a, up), _angle(d, c, down)
+    total, difference = torch.where(up & ~down, difference, total), torch.where(down, total, difference)
+    locked = up | down
+    lengths = (torch.where(locked, 1, m).sqrt(), torch.where(locked, 1, p).sqrt())
+    pitch = 2 * torch.atan2(*lengths) - math.pi / 2
+    pole = (up.to(w.dtype) - down.to(w.dtype)) * (math.pi / 2)
+    return _within_pi(total - difference), torch.where(locked, pole, pitch), _within_pi(total + difference)
+
+
+def _within_pi(angle: Tensor) -> Tensor:
+    return angle - 2 * math.pi * (angle.detach() / (2 * math.pi)).round()
+
+
+def _angle(y: Tensor, x: Tensor, none: Tensor) -> Tensor:
+    return torch.atan2(torch.where(none, 0, y), torch.where(none, 1, x))
+
+
+def _check_same(op: str, **tensors: Tensor) -> None:
+    for name, x in tensors.items():
+        _check.numbers(op, name, x)
+    _check.same_shape(op, **tensors)
+    _check.same_device(op, **tensors)

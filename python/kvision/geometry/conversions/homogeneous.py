@@ -1,0 +1,115 @@
+"""Points and affine maps in homogeneous coordinates."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError
+
+__all__ = [
+    "convert_affinematrix_to_homography",
+    "convert_affinematrix_to_homography3d",
+    "convert_points_from_homogeneous",
+    "convert_points_to_homogeneous",
+]
+
+
+def convert_points_to_homogeneous(points: Tensor) -> Tensor:
+    """Append a coordinate 1 to points: (*, D) gives (*, D + 1).
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: no axis of coordinates.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.convert_points_to_homogeneous(torch.tensor([[2.0, 3.0]]))
+        tensor([[2., 3., 1.]])
+    """
+    _check.numbers("convert_points_to_homogeneous", "points", points)
+    if points.dim() == 0:
+        raise ShapeError("convert_points_to_homogeneous: expected points of shape (*, D), got ()")
+    return F.pad(points, (0, 1), value=1)
+
+
+def convert_points_from_homogeneous(points: Tensor, eps: float = 1e-8) -> Tensor:
+    """Divide points by their last coordinate and drop it.
+
+    Args:
+        points: (*, D) with D of at least 2; integers give float32.
+        eps: a last coordinate of at most this magnitude does not divide: such a point only loses it.
+
+    Returns:
+        (*, D - 1).
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.convert_points_from_homogeneous(torch.tensor([[4.0, 6.0, 2.0], [1.0, 2.0, 0.0]]))
+        tensor([[2., 3.],
+                [1., 2.]])
+    """
+    op = "convert_points_from_homogeneous"
+    _check.numbers(op, "points", points)
+    if points.dim() == 0 or points.shape[-1] < 2:
+        raise ShapeError(f"{op}: expected points of shape (*, D) with D of at least 2, got {tuple(points.shape)}")
+    return _divided(floats(points), _check.number(op, "eps", eps, 0))
+
+
+@as_stored
+def _divided(points: Tensor, eps: float) -> Tensor:
+    return points[..., :-1] / divisor(points[..., -1:], eps)
+
+
+def divisor(z: Tensor, eps: float = 1e-8) -> Tensor:
+    """What points are divided by: `z`, or 1 where it is 0 within `eps`, with a gradient of 0 there."""
+    return torch.where(z.abs() > eps, z, 1)
+
+
+def convert_affinematrix_to_homography(A: Tensor) -> Tensor:
+    """Affine maps (*, 2, 3) of the plane as homographies (*, 3, 3): with a row 0 0 1 below.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.convert_affinematrix_to_homography(torch.ones(1, 2, 3))
+        tensor([[[1., 1., 1.],
+                 [1., 1., 1.],
+                 [0., 0., 1.]]])
+    """
+    _check.ends("convert_affinematrix_to_homography", "A", A, 2, 3)
+    return homogeneous(A)
+
+
+def convert_affinematrix_to_homography3d(A: Tensor) -> Tensor:
+    """Affine maps (*, 3, 4) of space as homographies (*, 4, 4): with a row 0 0 0 1 below.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.convert_affinematrix_to_homography3d(torch.ones(1, 3, 4))[0, 3]
+        tensor([0., 0., 0., 1.])
+    """
+    _check.ends("convert_affinematrix_to_homography3d", "A", A, 3, 4)
+    return homogeneous(A)
+
+
+def homogeneous(matrix: Tensor) -> Tensor:
+    """(*, n, n + 1) with the row 0 ... 0 1 below."""
+    last = matrix.new_zeros(*matrix.shape[:-2], 1, matrix.shape[-1])
+    last[..., -1] = 1
+    return torch.cat([matrix, last], -2)

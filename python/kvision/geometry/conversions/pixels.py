@@ -1,0 +1,412 @@
+"""Pixel coordinates, coordinates in [-1, 1], and those of a camera's image plane at depth 1.
+
+The middle of the first pixel is (0, 0). -1 and 1 are the middles of the outermost pixels of an axis; an axis of one pixel has
+its origin there and keeps its scale, so that all these maps can be inverted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+
+__all__ = [
+    "denormalize_homography",
+    "denormalize_homography3d",
+    "denormalize_pixel_coordinates",
+    "denormalize_pixel_coordinates3d",
+    "denormalize_points_with_intrinsics",
+    "normal_transform_pixel",
+    "normal_transform_pixel3d",
+    "normalize_homography",
+    "normalize_homography3d",
+    "normalize_pixel_coordinates",
+    "normalize_pixel_coordinates3d",
+    "normalize_points_with_intrinsics",
+]
+
+Line = tuple[float, float]  # scale and offset
+
+
+def to_unit(size: int, align_corners: bool = True) -> Line:
+    """Pixels of an axis to [-1, 1]: from the middle of the first to that of the last one, or from edge to edge."""
+    length = max(size - 1, 0) if align_corners else size
+    scale = 2 / length if length > 0 else 1.0
+    return scale, -scale * (size - 1) / 2
+
+
+def inverted(line: Line) -> Line:
+    scale, offset = line
+    return 1 / scale, -offset / scale
+
+
+# --- points ---------------------------------------------------------------------------------------------------------
+
+
+def normalize_pixel_coordinates(pixel_coordinates: Tensor, height: int, width: int, eps: float = 1e-8) -> Tensor:
+    """Pixels to [-1, 1], the middles of the outermost ones; the only pixel of an axis is 0.
+
+    Args:
+        pixel_coordinates: (*, 2) as (x, y); integers give float32.
+        height: of the image, in pixels.
+        width: of the image, in pixels.
+        eps: not used; an axis of one pixel needs none.
+
+    Returns:
+        (*, 2).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: another shape, or a size below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.normalize_pixel_coordinates(torch.tensor([[0.0, 0.0], [3.0, 1.0]]), 3, 4)
+        tensor([[-1., -1.],
+                [ 1.,  0.]])
+    """
+    return _moved("normalize_pixel_coordinates", pixel_coordinates, False, width=width, height=height)
+
+
+def denormalize_pixel_coordinates(pixel_coordinates: Tensor, height: int, width: int, eps: float = 1e-8) -> Tensor:
+    """[-1, 1] to pixels (*, 2) as (x, y): the inverse of :func:`normalize_pixel_coordinates`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.denormalize_pixel_coordinates(torch.tensor([[-1.0, -1.0], [1.0, 0.0]]), 3, 4)
+        tensor([[0., 0.],
+                [3., 1.]])
+    """
+    return _moved("denormalize_pixel_coordinates", pixel_coordinates, True, width=width, height=height)
+
+
+def normalize_pixel_coordinates3d(
+    pixel_coordinates: Tensor, depth: int, height: int, width: int, eps: float = 1e-8
+) -> Tensor:
+    """Voxels to [-1, 1], the middles of the outermost ones; the only voxel of an axis is 0.
+
+    Args:
+        pixel_coordinates: (*, 3) as (z, x, y); integers give float32.
+        depth: of the volume, in voxels.
+        height: of the volume, in voxels.
+        width: of the volume, in voxels.
+        eps: not used; an axis of one voxel needs none.
+
+    Returns:
+        (*, 3) as (z, x, y).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: another shape, or a size below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.normalize_pixel_coordinates3d(torch.tensor([[0.0, 3.0, 1.0]]), 2, 3, 4)
+        tensor([[-1.,  1.,  0.]])
+    """
+    op = "normalize_pixel_coordinates3d"
+    return _moved(op, pixel_coordinates, False, depth=depth, width=width, height=height)
+
+
+def denormalize_pixel_coordinates3d(
+    pixel_coordinates: Tensor, depth: int, height: int, width: int, eps: float = 1e-8
+) -> Tensor:
+    """[-1, 1] to voxels (*, 3) as (z, x, y): the inverse of :func:`normalize_pixel_coordinates3d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.denormalize_pixel_coordinates3d(torch.tensor([[-1.0, 1.0, 0.0]]), 2, 3, 4)
+        tensor([[0., 3., 1.]])
+    """
+    op = "denormalize_pixel_coordinates3d"
+    return _moved(op, pixel_coordinates, True, depth=depth, width=width, height=height)
+
+
+def _moved(op: str, points: Tensor, back: bool, **sizes: int) -> Tensor:
+    _check.ends(op, "pixel_coordinates", points, len(sizes))
+    lines = [to_unit(_check.ints(op, name, n, 1)[0]) for name, n in sizes.items()]
+    return _along_axes(floats(points), [inverted(line) for line in lines] if back else lines)
+
+
+@as_stored
+def _along_axes(points: Tensor, lines: Sequence[Line]) -> Tensor:
+    moved = [x * scale + offset for x, (scale, offset) in zip(points.unbind(-1), lines)]
+    return torch.stack(moved, -1)
+
+
+# --- matrices -------------------------------------------------------------------------------------------------------
+
+
+def normal_transform_pixel(
+    height: int,
+    width: int,
+    eps: float = 1e-14,
+    device: torch.device | str | None = None,
+    dtype: torch.dtype | None = None,
+    align_corners: bool = True,
+) -> Tensor:
+    """The matrix that takes pixels to [-1, 1].
+
+    Args:
+        height: of the image, in pixels.
+        width: of the image, in pixels.
+        eps: not used; an axis of one pixel needs none.
+        device: of the result.
+        dtype: of the result.
+        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+
+    Returns:
+        (1, 3, 3), for columns (x, y, 1).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a size below 1.
+
+    Example:
+        >>> import kvision as K
+        >>> K.geometry.normal_transform_pixel(3, 5)
+        tensor([[[ 0.5000,  0.0000, -1.0000],
+                 [ 0.0000,  1.0000, -1.0000],
+                 [ 0.0000,  0.0000,  1.0000]]])
+    """
+    op = "normal_transform_pixel"
+    _check.flag(op, "align_corners", align_corners)
+    return by_axes(_lines(op, align_corners, height=height, width=width), device, dtype)[None]
+
+
+def normal_transform_pixel3d(
+    depth: int,
+    height: int,
+    width: int,
+    eps: float = 1e-14,
+    device: torch.device | str | None = None,
+    dtype: torch.dtype | None = None,
+) -> Tensor:
+    """The matrix (1, 4, 4) that takes voxels (x, y, z, 1) to [-1, 1], the middles of the outermost ones.
+
+    Args:
+        depth: of the volume, in voxels.
+        height: of the volume, in voxels.
+        width: of the volume, in voxels.
+        eps: not used; an axis of one voxel needs none.
+        device: of the result.
+        dtype: of the result.
+
+    Example:
+        >>> import kvision as K
+        >>> K.geometry.normal_transform_pixel3d(2, 3, 5)[0, :3, 3]
+        tensor([-1., -1., -1.])
+    """
+    lines = _lines("normal_transform_pixel3d", True, depth=depth, height=height, width=width)
+    return by_axes(lines, device, dtype)[None]
+
+
+def _lines(op: str, align_corners: bool, **sizes: int) -> list[Line]:
+    """Pixels to [-1, 1] for every axis, x first, of sizes that begin with the last axis."""
+    return [to_unit(_check.ints(op, name, n, 1)[0], align_corners) for name, n in reversed(sizes.items())]
+
+
+def by_axes(lines: Sequence[Line], device: torch.device | str | None, dtype: torch.dtype | None) -> Tensor:
+    """The matrix (n + 1, n + 1) that maps each of n axes by its line, filled in where it is: nothing is copied there."""
+    n = len(lines)
+    matrix = torch.eye(n + 1, device=device, dtype=dtype)
+    for axis, (scale, offset) in enumerate(lines):
+        matrix[axis, axis].fill_(scale)
+        matrix[axis, n].fill_(offset)
+    return matrix
+
+
+def normalize_homography(
+    dst_pix_trans_src_pix: Tensor,
+    dsize_src: tuple[int, int],
+    dsize_dst: tuple[int, int],
+    align_corners: bool = True,
+) -> Tensor:
+    """A homography between the pixels of two images as one between their coordinates in [-1, 1].
+
+    Args:
+        dst_pix_trans_src_pix: (*, 3, 3), source pixels (x, y, 1) to destination pixels.
+        dsize_src: height and width of the source image.
+        dsize_dst: height and width of the destination image.
+        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+
+    Returns:
+        (*, 3, 3), source to destination.
+
+    Raises:
+        TypeError: no floating-point tensor, or another argument of another kind.
+        ValueError: another shape, or a size below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.normalize_homography(torch.eye(3)[None], (3, 3), (3, 5))
+        tensor([[[ 0.5000,  0.0000, -0.5000],
+                 [ 0.0000,  1.0000,  0.0000],
+                 [ 0.0000,  0.0000,  1.0000]]])
+    """
+    return _converted("normalize_homography", dst_pix_trans_src_pix, dsize_src, dsize_dst, 2, align_corners, False)
+
+
+def denormalize_homography(
+    dst_pix_trans_src_pix: Tensor,
+    dsize_src: tuple[int, int],
+    dsize_dst: tuple[int, int],
+    align_corners: bool = True,
+) -> Tensor:
+    """A homography (*, 3, 3) in [-1, 1] as one between pixels: the inverse of :func:`normalize_homography`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.denormalize_homography(torch.eye(3)[None], (3, 3), (3, 5))[0, 0]
+        tensor([2., 0., 0.])
+    """
+    return _converted("denormalize_homography", dst_pix_trans_src_pix, dsize_src, dsize_dst, 2, align_corners, True)
+
+
+def normalize_homography3d(
+    dst_pix_trans_src_pix: Tensor, dsize_src: tuple[int, int, int], dsize_dst: tuple[int, int, int]
+) -> Tensor:
+    """A homography between the voxels of two volumes as one between their coordinates in [-1, 1].
+
+    Args:
+        dst_pix_trans_src_pix: (*, 4, 4), source voxels (x, y, z, 1) to destination voxels.
+        dsize_src: depth, height and width of the source volume.
+        dsize_dst: depth, height and width of the destination volume.
+
+    Returns:
+        (*, 4, 4), source to destination.
+
+    Raises:
+        TypeError: no floating-point tensor, or another argument of another kind.
+        ValueError: another shape, or a size below 1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.normalize_homography3d(torch.eye(4)[None], (2, 3, 3), (2, 3, 5))[0, 0]
+        tensor([ 0.5000,  0.0000,  0.0000, -0.5000])
+    """
+    return _converted("normalize_homography3d", dst_pix_trans_src_pix, dsize_src, dsize_dst, 3, True, False)
+
+
+def denormalize_homography3d(
+    dst_pix_trans_src_pix: Tensor, dsize_src: tuple[int, int, int], dsize_dst: tuple[int, int, int]
+) -> Tensor:
+    """A homography (*, 4, 4) in [-1, 1] as one between voxels: the inverse of :func:`normalize_homography3d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.denormalize_homography3d(torch.eye(4)[None], (2, 3, 3), (2, 3, 5))[0, 0]
+        tensor([2., 0., 0., 0.])
+    """
+    return _converted("denormalize_homography3d", dst_pix_trans_src_pix, dsize_src, dsize_dst, 3, True, True)
+
+
+def _converted(op, matrix, dsize_src, dsize_dst, axes, align_corners, back):
+    _check.ends(op, "dst_pix_trans_src_pix", matrix, axes + 1, axes + 1)
+    _check.floating(op, "dst_pix_trans_src_pix", matrix)
+    _check.flag(op, "align_corners", align_corners)
+    source, result = (
+        [to_unit(n, align_corners) for n in reversed(_check.ints(op, name, size, axes))]
+        for name, size in (("dsize_src", dsize_src), ("dsize_dst", dsize_dst))
+    )
+    if back:
+        return _between(matrix, source, [inverted(line) for line in result])
+    return _between(matrix, [inverted(line) for line in source], result)
+
+
+@as_stored
+def _between(matrix: Tensor, before: Sequence[Line], after: Sequence[Line]) -> Tensor:
+    return by_axes(after, matrix.device, matrix.dtype) @ matrix @ by_axes(before, matrix.device, matrix.dtype)
+
+
+# --- cameras --------------------------------------------------------------------------------------------------------
+
+
+def normalize_points_with_intrinsics(point_2d: Tensor, camera_matrix: Tensor) -> Tensor:
+    """Pixels to a camera's image plane at depth 1: (p - c) / f. Skew is ignored.
+
+    Args:
+        point_2d: (*, 2) as (x, y); integers give float32.
+        camera_matrix: (*, 3, 3), leading axes broadcast. With fewer of them than the points each matrix serves all points
+            of an axis before the coordinates: (B, 3, 3) goes with (B, N, 2).
+
+    Returns:
+        (*, 2).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[100.0, 0, 320], [0, 200, 240], [0, 0, 1]])
+        >>> K.geometry.normalize_points_with_intrinsics(torch.tensor([[420.0, 440.0]]), camera)
+        tensor([[1., 1.]])
+    """
+    _check.ends("normalize_points_with_intrinsics", "point_2d", point_2d, 2)
+    check_camera("normalize_points_with_intrinsics", "point_2d", point_2d, camera_matrix)
+    return _normalized(floats(point_2d), camera_matrix)
+
+
+def denormalize_points_with_intrinsics(point_2d_norm: Tensor, camera_matrix: Tensor) -> Tensor:
+    """Points of a camera's image plane at depth 1 to pixels: f * p + c. Skew is ignored.
+
+    Args:
+        point_2d_norm: (*, 2) as (x, y); integers give float32.
+        camera_matrix: (*, 3, 3); see :func:`normalize_points_with_intrinsics`.
+
+    Returns:
+        (*, 2).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[100.0, 0, 320], [0, 200, 240], [0, 0, 1]])
+        >>> K.geometry.denormalize_points_with_intrinsics(torch.ones(1, 2), camera)
+        tensor([[420., 440.]])
+    """
+    _check.ends("denormalize_points_with_intrinsics", "point_2d_norm", point_2d_norm, 2)
+    check_camera("denormalize_points_with_intrinsics", "point_2d_norm", point_2d_norm, camera_matrix)
+    return _denormalized(floats(point_2d_norm), camera_matrix)
+
+
+def check_camera(op: str, name: str, points: Tensor, camera_matrix: Tensor) -> None:
+    """Raise unless `camera_matrix` (*, 3, 3) fits points (*, D)."""
+    _check.ends(op, "camera_matrix", camera_matrix, 3, 3)
+    _check.same_device(op, **{name: points, "camera_matrix": camera_matrix})
+    leading = camera_matrix.shape[:-2]
+    _check.broadcastable(
+        op,
+        **{
+            name: points.shape[:-1],
+            "camera_matrix": (*leading, 1) if len(leading) < points.dim() - 1 else leading,
+        },
+    )
+
+
+@as_stored
+def _normalized(points: Tensor, camera_matrix: Tensor) -> Tensor:
+    focal, center = focal_and_center(points, camera_matrix)
+    return (points - center) / focal
+
+
+@as_stored
+def _denormalized(points: Tensor, camera_matrix: Tensor) -> Tensor:
+    focal, center = focal_and_center(points, camera_matrix)
+    return points * focal + center
+
+
+def focal_and_center(points: Tensor, camera_matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """Focal lengths and principal points, (*, 2), for points (*, D)."""
+    focal, center = camera_matrix[..., :2, :2].diagonal(dim1=-2, dim2=-1), camera_matrix[..., :2, 2]
+    if center.dim() < points.dim():
+        focal, center = focal.unsqueeze(-2), center.unsqueeze(-2)
+    return focal, center

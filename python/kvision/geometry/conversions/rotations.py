@@ -1,0 +1,384 @@
+"""Rotations of space as axis and angle, quaternions (w, x, y, z) and matrices.
+
+Everything has finite gradients, at no rotation and at half turns too: what is 0 / 0 there is a series or is
+left out by `where`, on both sides of it, so that no infinite derivative is multiplied by 0.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+from kvision.geometry.conversions.poses import check_is_rotation
+
+__all__ = [
+    "angle_axis_to_quaternion",
+    "angle_axis_to_rotation_matrix",
+    "axis_angle_to_quaternion",
+    "axis_angle_to_rotation_matrix",
+    "normalize_quaternion",
+    "quaternion_exp_to_log",
+    "quaternion_log_to_exp",
+    "quaternion_to_angle_axis",
+    "quaternion_to_axis_angle",
+    "quaternion_to_rotation_matrix",
+    "rotation_matrix_to_angle_axis",
+    "rotation_matrix_to_axis_angle",
+    "rotation_matrix_to_quaternion",
+    "vector_to_skew_symmetric_matrix",
+]
+
+# --- building blocks ------------------------------------------------------------------------------------------------
+
+
+def _sinc(square: Tensor) -> Tensor:
+    """sin(x) / x of x squared, which has derivatives at 0."""
+    small = square < 1e-3
+    x = torch.where(small, 1, square).sqrt()
+    series = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+    return torch.where(small, series, x.sin() / x)
+
+
+def _cos(square: Tensor) -> Tensor:
+    """cos(x) of x squared, which has derivatives at 0: 1 - 2 sin(x / 2)^2."""
+    return 1 - square / 2 * _sinc(square / 4).square()
+
+
+def _angle_per_sine(sine: Tensor, cosine: Tensor) -> Tensor:
+    """atan2(s, c) / s of `sine`, s squared, which has derivatives at 0; 0 where s is 0 and c is not positive."""
+    small = (cosine > 0) & (sine < 1e-4 * cosine.square())
+    c = torch.where(small, cosine, 1)
+    ratio = torch.where(small, sine, 0) / c.square()
+    series = (1 - ratio * (1 / 3 - ratio * (1 / 5 - ratio / 7))) / c
+    none = sine < torch.finfo(sine.dtype).tiny
+    s = torch.where(small | none, 1, sine).sqrt()
+    angle = torch.atan2(s, torch.where(none, 1, cosine))
+    return torch.where(small, series, torch.where(none, 0, angle / s))
+
+
+def _squared(x: Tensor) -> Tensor:
+    return x.square().sum(-1, keepdim=True)
+
+
+# --- axis and angle -------------------------------------------------------------------------------------------------
+
+
+def axis_angle_to_rotation_matrix(axis_angle: Tensor) -> Tensor:
+    """Rotation matrices of axes times angles, by Rodrigues' formula.
+
+    Args:
+        axis_angle: (*, 3), the axis, as long as the angle in radians; integers give float32.
+
+    Returns:
+        (*, 3, 3).
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.axis_angle_to_rotation_matrix(torch.tensor([0.0, 0.0, torch.pi / 2])).round().long()[0]
+        tensor([ 0, -1,  0])
+    """
+    _check.ends("axis_angle_to_rotation_matrix", "axis_angle", axis_angle, 3)
+    return _turn(floats(axis_angle))
+
+
+@as_stored
+def _turn(v: Tensor) -> Tensor:
+    square = _squared(v)
+    versine = _sinc(square / 4).square() / 2  # (1 - cos) / angle^2
+    xx, yy, zz = (v * v * versine).unbind(-1)
+    xy, yz, zx = (v * v.roll(-1, -1) * versine).unbind(-1)
+    ax, ay, az = (v * _sinc(square)).unbind(-1)
+    entries = [1 - yy - zz, xy - az, zx + ay, xy + az, 1 - zz - xx, yz - ax, zx - ay, yz + ax, 1 - xx - yy]
+    return torch.stack(entries, -1).unflatten(-1, (3, 3))
+
+
+def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
+    """Unit quaternions of axes times angles.
+
+    Args:
+        axis_angle: (*, 3), the axis, as long as the angle in radians; integers give float32.
+
+    Returns:
+        (*, 4) as (w, x, y, z), with w = cos(angle / 2), of either sign.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.axis_angle_to_quaternion(torch.tensor([0.0, 0.0, torch.pi / 2]))
+        tensor([0.7071, 0.0000, 0.0000, 0.7071])
+    """
+    _check.ends("axis_angle_to_quaternion", "axis_angle", axis_angle, 3)
+    return _exponential(floats(axis_angle), 0.5)
+
+
+@as_stored
+def _exponential(v: Tensor, part: float) -> Tensor:
+    """The quaternion that turns by twice `part` times the length of `v`."""
+    v = v * part
+    square = _squared(v)
+    return torch.cat([_cos(square), v * _sinc(square)], -1)
+
+
+def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
+    """Axes times angles of quaternions.
+
+    Args:
+        quaternion: (*, 4) as (w, x, y, z), of any length; integers give float32.
+
+    Returns:
+        (*, 3) of a length from 0 to pi; 0 for the quaternion 0.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.quaternion_to_axis_angle(torch.tensor([1.0, 0.0, 0.0, 1.0]))
+        tensor([0.0000, 0.0000, 1.5708])
+    """
+    _check.ends("quaternion_to_axis_angle", "quaternion", quaternion, 4)
+    return _axis_angle(floats(quaternion))
+
+
+@as_stored
+def _axis_angle(q: Tensor) -> Tensor:
+    w, v = q[..., :1], q[..., 1:]
+    back = torch.where(w < 0, -1, 1)  # q and -q are one rotation
+    return 2 * back * v * _angle_per_sine(_squared(v), back * w)
+
+
+# --- matrices -------------------------------------------------------------------------------------------------------
+
+
+def quaternion_to_rotation_matrix(quaternion: Tensor) -> Tensor:
+    """Rotation matrices of quaternions.
+
+    Args:
+        quaternion: (*, 4) as (w, x, y, z), of any length; integers give float32.
+
+    Returns:
+        (*, 3, 3); the identity for the quaternion 0.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.quaternion_to_rotation_matrix(torch.tensor([1.0, 0.0, 0.0, 1.0]))[0]
+        tensor([ 0., -1.,  0.])
+    """
+    _check.ends("quaternion_to_rotation_matrix", "quaternion", quaternion, 4)
+    return _matrix(floats(quaternion))
+
+
+@as_stored
+def _matrix(q: Tensor) -> Tensor:
+    square = _squared(q)
+    none = square < torch.finfo(q.dtype).tiny
+    twice = torch.where(none, 0, 2 / torch.where(none, 1, square))
+    x, y, z = q[..., 1:].unbind(-1)
+    sw, sx, sy, sz = (q * twice).unbind(-1)
+    wx, wy, wz, xx, xy, xz = sw * x, sw * y, sw * z, sx * x, sx * y, sx * z
+    yy, yz, zz = sy * y, sy * z, sz * z
+    entries = [1 - yy - zz, xy - wz, xz + wy, xy + wz, 1 - xx - zz, yz - wx, xz - wy, yz + wx, 1 - xx - yy]
+    return torch.stack(entries, -1).unflatten(-1, (3, 3))
+
+
+def rotation_matrix_to_quaternion(rotation_matrix: Tensor, eps: float = 1e-8, check_rotation: bool = False) -> Tensor:
+    """Unit quaternions of rotation matrices, computed from the largest of their components.
+
+    Args:
+        rotation_matrix: (*, 3, 3); integers give float32.
+        eps: not used; nothing small is divided by.
+        check_rotation: refuse matrices that are no rotations, which waits for the device.
+
+    Returns:
+        (*, 4) as (w, x, y, z); w is not negative up to an angle of 2 pi / 3, beyond that the largest of x, y and z is not.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape, or no rotations.
+
+    Source: S. W. Shepperd, "Quaternion from rotation matrix" (1978).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.rotation_matrix_to_quaternion(torch.eye(3))
+        tensor([1., 0., 0., 0.])
+    """
+    return _quaternion(_rotations("rotation_matrix_to_quaternion", rotation_matrix, check_rotation))
+
+
+def _rotations(op: str, matrix: Tensor, check_rotation: bool) -> Tensor:
+    _check.ends(op, "rotation_matrix", matrix, 3, 3)
+    _check.flag(op, "check_rotation", check_rotation)
+    if check_rotation:
+        check_is_rotation(op, "rotation_matrix", matrix)
+    return floats(matrix)
+
+
+@as_stored
+def _quaternion(R: Tensor) -> Tensor:
+    # Each row is the quaternion times 4 of its components: w, x, y, z.
+    a, b, c, d, e, f, g, h, i = R.flatten(-2).unbind(-1)
+    rows = torch.stack(
+        [
+            *(1 + a + e + i, h - f, c - g, d - b),
+            *(h - f, 1 + a - e - i, b + d, c + g),
+            *(c - g, b + d, 1 - a + e - i, f + h),
+            *(d - b, c + g, f + h, 1 - a - e + i),
+        ],
+        -1,
+    ).unflatten(-1, (4, 4))
+    largest = torch.stack([a, e, i], -1).argmax(-1) + 1
+    which = torch.where(a + e + i > 0, 0, largest)
+    row = rows.gather(-2, which[..., None, None].expand(*which.shape, 1, 4)).squeeze(-2)
+    square = row.gather(-1, which[..., None])  # at least 1
+    return row / (2 * square.sqrt())
+
+
+def rotation_matrix_to_axis_angle(rotation_matrix: Tensor, check_rotation: bool = False) -> Tensor:
+    """Axes times angles of rotation matrices.
+
+    Args:
+        rotation_matrix: (*, 3, 3); integers give float32.
+        check_rotation: refuse matrices that are no rotations, which waits for the device.
+
+    Returns:
+        (*, 3) of a length from 0 to pi, in radians.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape, or no rotations.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.rotation_matrix_to_axis_angle(torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+        tensor([0.0000, 0.0000, 1.5708])
+    """
+    matrix = _rotations("rotation_matrix_to_axis_angle", rotation_matrix, check_rotation)
+    return as_stored(lambda R: _axis_angle(_quaternion(R)))(matrix)
+
+
+def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
+    """The matrices of cross products: [v] x = v cross x.
+
+    Args:
+        vec: (*, 3).
+
+    Returns:
+        (*, 3, 3).
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.vector_to_skew_symmetric_matrix(torch.tensor([1.0, 2.0, 3.0]))
+        tensor([[ 0., -3.,  2.],
+                [ 3.,  0., -1.],
+                [-2.,  1.,  0.]])
+    """
+    _check.ends("vector_to_skew_symmetric_matrix", "vec", vec, 3)
+    x, y, z = vec.unbind(-1)
+    o = torch.zeros_like(x)
+    return torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
+
+
+# --- quaternions ----------------------------------------------------------------------------------------------------
+
+
+def normalize_quaternion(quaternion: Tensor, eps: float = 1e-12) -> Tensor:
+    """Divide quaternions (*, 4) by their length, or by `eps` where they are shorter; integers give float32.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape, or a negative `eps`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.normalize_quaternion(torch.tensor([3.0, 0.0, 4.0, 0.0]))
+        tensor([0.6000, 0.0000, 0.8000, 0.0000])
+    """
+    _check.ends("normalize_quaternion", "quaternion", quaternion, 4)
+    return _unit(floats(quaternion), _check.number("normalize_quaternion", "eps", eps, 0))
+
+
+@as_stored
+def _unit(q: Tensor, eps: float) -> Tensor:
+    square = _squared(q)
+    short = square <= eps * eps
+    return q / torch.where(short, eps, torch.where(short, 1, square).sqrt())
+
+
+def quaternion_log_to_exp(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
+    """Unit quaternions of their logarithms.
+
+    Args:
+        quaternion: (*, 3), the axis, as long as half the angle in radians; integers give float32.
+        eps: not used; nothing is divided by 0.
+
+    Returns:
+        (*, 4) as (w, x, y, z).
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.quaternion_log_to_exp(torch.tensor([0.0, 0.0, torch.pi / 4]))
+        tensor([0.7071, 0.0000, 0.0000, 0.7071])
+    """
+    _check.ends("quaternion_log_to_exp", "quaternion", quaternion, 3)
+    return _exponential(floats(quaternion), 1.0)
+
+
+def quaternion_exp_to_log(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
+    """Logarithms of quaternions.
+
+    Args:
+        quaternion: (*, 4) as (w, x, y, z), of any length; integers give float32.
+        eps: not used; nothing is divided by 0.
+
+    Returns:
+        (*, 3) of a length from 0 to pi: half the angle in radians. A negative w has more than a quarter turn of it; 0 for
+        (w, 0, 0, 0) of either sign.
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.quaternion_exp_to_log(torch.tensor([0.0, 0.0, 0.0, 1.0]))
+        tensor([0.0000, 0.0000, 1.5708])
+    """
+    _check.ends("quaternion_exp_to_log", "quaternion", quaternion, 4)
+    return _logarithm(floats(quaternion))
+
+
+@as_stored
+def _logarithm(q: Tensor) -> Tensor:
+    w, v = q[..., :1], q[..., 1:]
+    return v * _angle_per_sine(_squared(v), w)
+
+
+# The names of Kornia 0.4.
+angle_axis_to_quaternion = axis_angle_to_quaternion
+angle_axis_to_rotation_matrix = axis_angle_to_rotation_matrix
+quaternion_to_angle_axis = quaternion_to_axis_angle
+rotation_matrix_to_angle_axis = rotation_matrix_to_axis_angle

@@ -1,0 +1,325 @@
+"""Rigid and projective transformations of points, and distances."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.conversions.homogeneous import divisor, homogeneous
+
+__all__ = [
+    "batched_dot_product",
+    "batched_squared_norm",
+    "compose_transformations",
+    "euclidean_distance",
+    "inverse_transformation",
+    "point_line_distance",
+    "relative_transformation",
+    "squared_norm",
+    "transform_points",
+]
+
+# --- transformations ------------------------------------------------------------------------------------------------
+
+
+def compose_transformations(trans_01: Tensor, trans_12: Tensor) -> Tensor:
+    """Follow one transformation by another: T_01 T_12 = T_02, where T_ab takes points of frame b to frame a.
+
+    Args:
+        trans_01: (*, 4, 4); its last row is taken for 0 0 0 1.
+        trans_12: (*, 4, 4), leading axes broadcast.
+
+    Returns:
+        (*, 4, 4).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> move = torch.eye(4)
+        >>> move[0, 3] = 2
+        >>> K.geometry.compose_transformations(move, move)[0, 3]
+        tensor(4.)
+    """
+    _check_pair("compose_transformations", trans_01=trans_01, trans_12=trans_12)
+    return _composed(floats(trans_01), floats(trans_12))
+
+
+@as_stored
+def _composed(first: Tensor, second: Tensor) -> Tensor:
+    return homogeneous(first[..., :3, :3] @ second[..., :3, :] + _translation(first))
+
+
+def inverse_transformation(trans_12: Tensor) -> Tensor:
+    """Invert rigid transformations: R and t give R^T and -R^T t.
+
+    Args:
+        trans_12: (*, 4, 4), a rotation and a translation; its last row is taken for 0 0 0 1.
+
+    Returns:
+        (*, 4, 4).
+
+    Raises:
+        TypeError: no tensor of real numbers.
+        ValueError: another shape.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> move = torch.eye(4)
+        >>> move[0, 3] = 2
+        >>> K.geometry.inverse_transformation(move)[0, 3]
+        tensor(-2.)
+    """
+    _check.ends("inverse_transformation", "trans_12", trans_12, 4, 4)
+    return _inverted(floats(trans_12))
+
+
+@as_stored
+def _inverted(pose: Tensor) -> Tensor:
+    back = pose[..., :3, :3].mT
+    return homogeneous(torch.cat([back, -back @ pose[..., :3, 3:]], -1))
+
+
+def relative_transformation(trans_01: Tensor, trans_02: Tensor) -> Tensor:
+    """The transformation between two frames that are known from a third: T_01^-1 T_02 = T_12.
+
+    Args:
+        trans_01: (*, 4, 4), rigid; its last row is taken for 0 0 0 1.
+        trans_02: (*, 4, 4), leading axes broadcast.
+
+    Returns:
+        (*, 4, 4).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> a, b = torch.eye(4), torch.eye(4)
+        >>> a[0, 3], b[0, 3] = 2, 5
+        >>> K.geometry.relative_transformation(a, b)[0, 3]
+        tensor(3.)
+    """
+    _check_pair("relative_transformation", trans_01=trans_01, trans_02=trans_02)
+    return _relative(floats(trans_01), floats(trans_02))
+
+
+@as_stored
+def _relative(first: Tensor, second: Tensor) -> Tensor:
+    return homogeneous(first[..., :3, :3].mT @ (second[..., :3, :] - _translation(first)))
+
+
+def _translation(pose: Tensor) -> Tensor:
+    """(*, 3, 4), all 0 but the last column."""
+    return torch.cat([torch.zeros_like(pose[..., :3, :3]), pose[..., :3, 3:]], -1)
+
+
+def _check_pair(op: str, **poses: Tensor) -> None:
+    for name, pose in poses.items():
+        _check.ends(op, name, pose, 4, 4)
+    _check.same_device(op, **poses)
+    _check.broadcastable(op, **{name: pose.shape[:-2] for name, pose in poses.items()})
+
+
+def transform_points(trans_01: Tensor, points_1: Tensor) -> Tensor:
+    """Apply homogeneous transformations to points: multiply, then divide by the last coordinate.
+
+    Where that coordinate is 0 within 1e-8 the point stays undivided.
+
+    Args:
+        trans_01: (D + 1, D + 1), or (1, D + 1, D + 1) for all points, or (B, D + 1, D + 1).
+        points_1: (*, D), or (B, *, D) with a matrix for each sample. Integers give the type of the matrix.
+
+    Returns:
+        The shape of `points_1`.
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> matrix = torch.tensor([[[1.0, 0, 5], [0, 1, 0], [0, 0, 2]]])
+        >>> K.geometry.transform_points(matrix, torch.tensor([[[1.0, 4.0]]]))
+        tensor([[[3., 2.]]])
+    """
+    op = "transform_points"
+    _check.numbers(op, "trans_01", trans_01)
+    _check.numbers(op, "points_1", points_1)
+    if points_1.dim() == 0 or trans_01.dim() not in (2, 3) or trans_01.shape[-1] != trans_01.shape[-2]:
+        raise ShapeError(
+            f"{op}: expected trans_01 of shape (B, D + 1, D + 1) and points_1 of shape (B, *, D), "
+            f"got {tuple(trans_01.shape)} and {tuple(points_1.shape)}"
+        )
+    _check.ends(op, "points_1", points_1, trans_01.shape[-1] - 1)
+    _check.same_device(op, trans_01=trans_01, points_1=points_1)
+    batch = trans_01.shape[0] if trans_01.dim() == 3 else 1
+    if batch != 1 and (points_1.dim() < 3 or points_1.shape[0] != batch):
+        raise ShapeError(
+            f"{op}: expected points_1 of shape ({batch}, *, {points_1.shape[-1]}), got {tuple(points_1.shape)}"
+        )
+    if not points_1.is_floating_point():
+        points_1 = points_1.to(floats(trans_01).dtype)
+    return transformed(points_1, trans_01)
+
+
+@as_stored
+def transformed(points: Tensor, matrix: Tensor) -> Tensor:
+    """Points (B, *, n) by matrices (B, m + 1, n + 1), (1, ...) or (m + 1, n + 1): (B, *, m)."""
+    if matrix.dim() == 3:
+        matrix = matrix.reshape(-1, *(1,) * (points.dim() - 2), *matrix.shape[1:]) if points.dim() > 1 else matrix[0]
+    moved = matrix[..., -1]
+    for i, x in enumerate(points.split(1, -1)):  # no matrix product: it would round as torch is told to
+        moved = moved + x * matrix[..., i]
+    return moved[..., :-1] / divisor(moved[..., -1:])
+
+
+def adjugate(matrix: Tensor) -> Tensor:
+    """The inverse of (*, 3, 3) up to its determinant, a factor which a homography does not have."""
+    a, b, c = matrix.unbind(-2)
+    columns = [torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)]
+    return torch.stack(columns, -1)
+
+
+def inverse3x3(matrix: Tensor) -> Tensor:
+    """The inverse of (*, 3, 3) in closed form; inf or NaN where there is none."""
+    found = adjugate(matrix)
+    return found / (matrix[..., 0, :] * found[..., :, 0]).sum(-1)[..., None, None]
+
+
+# --- distances ------------------------------------------------------------------------------------------------------
+
+
+def point_line_distance(point: Tensor, line: Tensor, eps: float = 1e-9) -> Tensor:
+    """The distance of points from lines a x + b y + c = 0.
+
+    Args:
+        point: (*, 2) as (x, y), or (*, 3) as (x, y, w) in homogeneous coordinates.
+        line: (*, 3) as (a, b, c), of any length; leading axes broadcast.
+        eps: not used; the distance does not depend on the length of `line`.
+
+    Returns:
+        (*), inf for a point at infinity and for a line without a direction (a = b = 0).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.point_line_distance(torch.tensor([1.0, 2.0]), torch.tensor([0.0, 2.0, 2.0]))
+        tensor(3.)
+    """
+    op = "point_line_distance"
+    _check.numbers(op, "point", point)
+    if point.dim() == 0 or point.shape[-1] not in (2, 3):
+        raise ShapeError(f"{op}: expected point of shape (*, 2) or (*, 3), got {tuple(point.shape)}")
+    _check.ends(op, "line", line, 3)
+    _check.same_device(op, point=point, line=line)
+    _check.broadcastable(op, point=point.shape[:-1], line=line.shape[:-1])
+    return _point_line_distance(floats(point), floats(line))
+
+
+@as_stored
+def _point_line_distance(point: Tensor, line: Tensor) -> Tensor:
+    direction, offset = line[..., :2], line[..., 2]
+    above = (point[..., :2] * direction).sum(-1)
+    squared = direction.square().sum(-1)
+    if point.shape[-1] == 3:
+        w = point[..., 2]
+        above, squared = above + offset * w, squared * w * w
+    else:
+        above = above + offset
+    nowhere = squared == 0
+    return torch.where(nowhere, torch.inf, above.abs() / torch.where(nowhere, 1, squared).sqrt())
+
+
+def batched_dot_product(x: Tensor, y: Tensor, keepdim: bool = False) -> Tensor:
+    """The dot product along the last axis.
+
+    Args:
+        x: (*, D).
+        y: (*, D), leading axes broadcast.
+        keepdim: keep the axis, with one entry.
+
+    Returns:
+        (*), or (*, 1).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.linalg.batched_dot_product(torch.tensor([1.0, 2.0]), torch.tensor([3.0, 4.0]))
+        tensor(11.)
+    """
+    _check_vectors("batched_dot_product", x=x, y=y)
+    return (x * y).sum(-1, keepdim)
+
+
+def batched_squared_norm(x: Tensor, keepdim: bool = False) -> Tensor:
+    """The sum of squares along the last axis: (*, D) gives (*), or (*, 1) with `keepdim`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.linalg.batched_squared_norm(torch.tensor([3.0, 4.0]))
+        tensor(25.)
+    """
+    _check_vectors("batched_squared_norm", x=x)
+    return x.square().sum(-1, keepdim)
+
+
+squared_norm = batched_squared_norm
+
+
+def euclidean_distance(x: Tensor, y: Tensor, keepdim: bool = False, eps: float = 1e-6) -> Tensor:
+    """The distance of points, with a gradient of 0 where they are equal.
+
+    Args:
+        x: (*, D).
+        y: (*, D), leading axes broadcast.
+        keepdim: keep the last axis, with one entry.
+        eps: not used; the distance is exact.
+
+    Returns:
+        (*), or (*, 1).
+
+    Raises:
+        TypeError: not two tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.linalg.euclidean_distance(torch.tensor([1.0, 2.0]), torch.tensor([4.0, 6.0]))
+        tensor(5.)
+    """
+    _check_vectors("euclidean_distance", x=x, y=y)
+    return _distance(floats(x), floats(y), keepdim)
+
+
+@as_stored
+def _distance(x: Tensor, y: Tensor, keepdim: bool) -> Tensor:
+    return root((x - y).square().sum(-1, keepdim))
+
+
+def root(square: Tensor) -> Tensor:
+    """The square root, with a gradient of 0 at 0."""
+    zero = square <= 0
+    return torch.where(zero, 0, torch.where(zero, 1, square).sqrt())
+
+
+def _check_vectors(op: str, **vectors: Tensor) -> None:
+    for name, x in vectors.items():
+        _check.numbers(op, name, x)
+        if x.dim() == 0:
+            raise ShapeError(f"{op}: expected {name} of shape (*, D), got ()")
+    _check.same_device(op, **vectors)
+    _check.broadcastable(op, **{name: x.shape for name, x in vectors.items()})

@@ -1,0 +1,23 @@
+"""Peaks of images and volumes: where they are, and where they are between pixels."""
+
+from kvision.geometry.subpix.maxima import NonMaximaSuppression2d, NonMaximaSuppression3d, nms2d, nms3d, nms3d_minmax
+from kvision.geometry.subpix.quadratic import (
+    AdaptiveQuadInterp3d,
+    ConvQuadInterp3d,
+    IterativeQuadInterp3d,
+    conv_quad_interp3d,
+    iterative_quad_interp3d,
+)
+from kvision.geometry.subpix.soft_argmax import (
+    ConvSoftArgmax2d,
+    ConvSoftArgmax3d,
+    conv_soft_argmax2d,
+    conv_soft_argmax3d,
+)
+from kvision.geometry.subpix.spatial import (
+    SpatialSoftArgmax2d,
+    render_gaussian2d,
+    spatial_expectation2d,
+    spatial_soft_argmax2d,
+    spatial_softmax2d,
+)

@@ -1,0 +1,213 @@
+"""Non-maxima suppression: what is above all that is around it."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._modules import FunctionModule
+from kvision._ops import laid_out, register
+
+__all__ = ["NonMaximaSuppression2d", "NonMaximaSuppression3d", "nms2d", "nms3d", "nms3d_minmax"]
+
+
+def _is_maximum(x, window, volumes):
+    """Whether an element is above all others of its window (z, y, x). Images (B, C, H, W), or volumes (B, D, H, W)."""
+    before, after = [(k - 1) // 2 for k in window], [k // 2 for k in window]
+    sizes = x.shape[1:] if volumes else (1, *x.shape[2:])
+    if any(k > n for k, n in zip(window, sizes)):
+        return torch.zeros_like(x, dtype=torch.bool)
+
+    def shifted(offset):
+        axes = range(1, 4) if volumes else range(2, 4)
+        for axis, b, a, k in zip(axes, before[-len(axes) :], after[-len(axes) :], offset[-len(axes) :]):
+            yield axis, b + k, x.shape[axis] - b - a
+
+    def look(offset):
+        found = x
+        for axis, start, length in shifted(offset):
+            found = found.narrow(axis, start, length)
+        return found
+
+    centre = look((0, 0, 0))
+    above = torch.ones_like(centre, dtype=torch.bool)
+    for offset in itertools.product(*(range(-b, a + 1) for b, a in zip(before, after))):
+        if any(offset):
+            above = above & (centre > look(offset))
+    reach = [side for b, a in zip(reversed(before), reversed(after)) for side in (b, a)]
+    return F.pad(above, reach if volumes else reach[:4])
+
+
+def _reference(x, window, volumes):
+    return torch.where(_is_maximum(x, window, volumes), x, 0)
+
+
+def _backward(needs, grad, x, window, volumes):
+    return [_maxima_backward(grad, x, window, volumes)]
+
+
+def _gradient(grad, x, window, volumes):
+    return torch.where(_is_maximum(x, window, volumes), grad, 0)
+
+
+def _gradient_backward(needs, grad_grad, grad, x, *how):
+    return [_maxima_backward(grad_grad, x, *how), None]
+
+
+def _flags(x, window, volumes):
+    """The same as 0 and 1 of uint8."""
+    return laid_out(_is_maximum(x, window, volumes).to(torch.uint8), x)
+
+
+def _empty_flags(x, *how):
+    return laid_out(x.new_empty(x.shape, dtype=torch.uint8), x)
+
+
+_maxima = register("local_maxima", _reference, backward=_backward)
+_maxima_backward = register("local_maxima_backward", _gradient, backward=_gradient_backward, linear=True)
+_maximum = register("is_local_maximum", _flags, fake=_empty_flags, stores=True)
+_extrema = register(
+    "local_extrema",
+    lambda x, *how: tuple(_flags(v, *how) for v in (x, -x)),
+    fake=lambda x, *how: [_empty_flags(x), _empty_flags(x)],
+    stores=True,
+)
+
+
+def _mask(x, window, volumes):
+    return _as_bool(_maximum(x.detach(), window, volumes))
+
+
+def _as_bool(flags):
+    # inductor of torch 2.13 does not compile what comes after a view of bytes as bool
+    return flags != 0 if torch.compiler.is_compiling() else flags.view(torch.bool)
+
+
+def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) -> Tensor:
+    """Keep what is above all others of its window and set the rest to 0.
+
+    The window reaches (k - 1) // 2 pixels back and k // 2 ahead. Pixels whose window reaches out of the image are no
+    maxima, nor are equal neighbours, NaN, and what NaN is beside. The gradient goes to the maxima.
+
+    Args:
+        input: images (B, C, H, W). Integers are computed in float32.
+        kernel_size: height and width of the window.
+        mask_only: tell where the maxima are instead.
+
+    Returns:
+        (B, C, H, W), of the type of `input`, or bool with `mask_only`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: `input` is not (B, C, H, W); `kernel_size` is not two positive numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 0., 0., 0.], [0., 5., 4., 0.], [0., 0., 0., 0.]]]])
+        >>> K.geometry.nms2d(x, (3, 3))[0, 0, 1]
+        tensor([0., 5., 0., 0.])
+    """
+    _check.images("nms2d", "input", input)
+    window = [1, *_check.ints("nms2d", "kernel_size", kernel_size, 2)]
+    _check.flag("nms2d", "mask_only", mask_only)
+    found: Tensor = (_mask if mask_only else _maxima)(floats(input), window, False)
+    return found
+
+
+def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = False) -> Tensor:
+    """Keep what is above all others of its window of a volume and set the rest to 0; else as :func:`nms2d`.
+
+    Args:
+        input: volumes (B, C, D, H, W).
+        kernel_size: depth, height and width of the window.
+        mask_only: tell where the maxima are instead.
+
+    Returns:
+        (B, C, D, H, W), of the type of `input`, or bool with `mask_only`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: `input` is not (B, C, D, H, W); `kernel_size` is not three positive numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.zeros(1, 1, 3, 3, 3)
+        >>> x[0, 0, 1, 1, 1] = 2
+        >>> K.geometry.nms3d(x, (3, 3, 3), mask_only=True).nonzero()
+        tensor([[0, 0, 1, 1, 1]])
+    """
+    _check.volumes("nms3d", "input", input)
+    window = list(_check.ints("nms3d", "kernel_size", kernel_size, 3))
+    _check.flag("nms3d", "mask_only", mask_only)
+    found: Tensor = (_mask if mask_only else _maxima)(_stacked(input), window, True)
+    return found.reshape(input.shape)
+
+
+def nms3d_minmax(input: Tensor) -> tuple[Tensor, Tensor]:
+    """Where a volume is above, and where it is below all of the 26 voxels around, in one pass.
+
+    Args:
+        input: volumes (B, C, D, H, W). Integers are computed in float32.
+
+    Returns:
+        Whether a voxel is a maximum and whether it is a minimum, bool (B, C, D, H, W). None is on the volume's faces.
+
+    Raises:
+        TypeError: `input` is no tensor of real numbers.
+        ValueError: `input` is not (B, C, D, H, W).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.zeros(1, 1, 3, 3, 3)
+        >>> x[0, 0, 1, 1, 1] = -2
+        >>> maxima, minima = K.geometry.nms3d_minmax(x)
+        >>> int(maxima.sum()), int(minima.sum())
+        (0, 1)
+    """
+    _check.volumes("nms3d_minmax", "input", input)
+    found: Any = _extrema(_stacked(input).detach(), [3, 3, 3], True)
+    maxima, minima = (_as_bool(x).reshape(input.shape) for x in found)
+    return maxima, minima
+
+
+def _stacked(input: Tensor) -> Tensor:
+    """Volumes as the operators take them: (B * C, D, H, W)."""
+    return floats(input).flatten(0, 1).contiguous()
+
+
+class NonMaximaSuppression2d(FunctionModule):
+    """Module form of :func:`nms2d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.NonMaximaSuppression2d((3, 3))(torch.rand(1, 1, 6, 7)).shape
+        torch.Size([1, 1, 6, 7])
+    """
+
+    def __init__(self, kernel_size: tuple[int, int]) -> None:
+        super().__init__(kernel_size=kernel_size)
+
+    def forward(self, x: Tensor, mask_only: bool = False) -> Tensor:
+        return nms2d(x, self.kernel_size, mask_only)
+
+
+class NonMaximaSuppression3d(FunctionModule):
+    """Module form of :func:`nms3d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.NonMaximaSuppression3d((3, 3, 3))(torch.rand(1, 1, 5, 6, 7)).shape
+        torch.Size([1, 1, 5, 6, 7])
+    """
+
+    def __init__(self, kernel_size: tuple[int, int, int]) -> None:
+        super().__init__(kernel_size=kernel_size)
+
+    def forward(self, x: Tensor, mask_only: bool = False) -> Tensor:
+        return nms3d(x, self.kernel_size, mask_only)

@@ -1,0 +1,197 @@
+"""Heat maps and the places they stand for: softmax, expectation, and Gaussians drawn at a place.
+
+Source: A. Nibali et al., "Numerical coordinate regression with convolutional neural networks" (2018).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, floats
+from kvision._modules import FunctionModule
+from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+
+__all__ = [
+    "SpatialSoftArgmax2d",
+    "render_gaussian2d",
+    "spatial_expectation2d",
+    "spatial_soft_argmax2d",
+    "spatial_softmax2d",
+]
+
+
+def positive(op: str, x: Tensor, temperature: Any) -> Tensor | float:
+    """A temperature as a number, or as a tensor without axes, of the type and on the device that computes `x`."""
+    if not isinstance(temperature, Tensor):
+        found = _check.number(op, "temperature", temperature)
+        if not found > 0:
+            raise ValueCheckError(f"{op}: expected temperature to be positive, got {found}", actual_value=found)
+        return found
+    _check.numbers(op, "temperature", temperature)
+    if temperature.numel() != 1:
+        raise ShapeError(
+            f"{op}: expected temperature of one number, got {tuple(temperature.shape)}",
+            actual_shape=temperature.shape,
+        )
+    return temperature.reshape(()).to(x.device, compute_dtype(x))
+
+
+def spatial_softmax2d(input: Tensor, temperature: Tensor | float | None = None) -> Tensor:
+    """The softmax over the pixels of each channel.
+
+    Args:
+        input: heat maps (B, C, H, W). Integers are computed in float32.
+        temperature: values are divided by it, a positive number or a tensor of one, which is not checked; None for 1.
+
+    Returns:
+        (B, C, H, W); each channel adds up to 1.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: `input` is not (B, C, H, W); a temperature is not positive or not one number.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.spatial_softmax2d(torch.zeros(1, 1, 2, 2))
+        tensor([[[[0.2500, 0.2500],
+                  [0.2500, 0.2500]]]])
+    """
+    _check.images("spatial_softmax2d", "input", input)
+    return _softmax("spatial_softmax2d", input, temperature).to(floats(input).dtype)
+
+
+def _softmax(op: str, input: Tensor, temperature: Tensor | float | None) -> Tensor:
+    wide = input.to(compute_dtype(input))
+    divisor = 1.0 if temperature is None else positive(op, input, temperature)
+    return (wide / divisor).flatten(2).softmax(-1).view(input.shape)
+
+
+def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) -> Tensor:
+    """The mean place of the pixels of each channel, weighted by their values, which are taken as they are.
+
+    Args:
+        input: probabilities (B, C, H, W). Integers are computed in float32.
+        normalized_coordinates: coordinates from -1 to 1, the middles of the outermost pixels; else pixels.
+
+    Returns:
+        (B, C, 2), x before y.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: `input` is not (B, C, H, W).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.tensor([[[[0., 0., 0.], [0., 0., 1.]]]])
+        >>> K.geometry.spatial_expectation2d(x, normalized_coordinates=False)
+        tensor([[[2., 1.]]])
+    """
+    _check.images("spatial_expectation2d", "input", input)
+    _check.flag("spatial_expectation2d", "normalized_coordinates", normalized_coordinates)
+    wide = input.to(compute_dtype(input))
+    return _expectation(wide, normalized_coordinates).to(floats(input).dtype)
+
+
+def _expectation(p: Tensor, normalized: bool) -> Tensor:
+    x, y = (_axis(n, normalized, p) for n in (p.shape[3], p.shape[2]))
+    return torch.stack([(p.sum(2) * x).sum(-1), (p.sum(3) * y).sum(-1)], -1)
+
+
+def _axis(n: int, normalized: bool, like: Tensor) -> Tensor:
+    first, last = (-1.0, 1.0) if normalized else (0.0, n - 1.0)
+    return torch.linspace(first, last, n, dtype=like.dtype, device=like.device)
+
+
+def spatial_soft_argmax2d(
+    input: Tensor, temperature: Tensor | float | None = None, normalized_coordinates: bool = True
+) -> Tensor:
+    """The mean place in each channel under the softmax of its pixels: a maximum's place that has a gradient.
+
+    Args:
+        input: heat maps (B, C, H, W). Integers are computed in float32.
+        temperature: values are divided by it, a positive number or a tensor of one, which is not checked; None for 1.
+        normalized_coordinates: coordinates from -1 to 1, the middles of the outermost pixels; else pixels.
+
+    Returns:
+        (B, C, 2), x before y.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: `input` is not (B, C, H, W); a temperature is not positive or not one number.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.zeros(1, 1, 3, 4)
+        >>> x[0, 0, 1, 2] = 30
+        >>> K.geometry.spatial_soft_argmax2d(x, normalized_coordinates=False)
+        tensor([[[2., 1.]]])
+    """
+    op = "spatial_soft_argmax2d"
+    _check.images(op, "input", input)
+    _check.flag(op, "normalized_coordinates", normalized_coordinates)
+    return _expectation(_softmax(op, input, temperature), normalized_coordinates).to(floats(input).dtype)
+
+
+def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normalized_coordinates: bool = True) -> Tensor:
+    """Heat maps of Gaussians, each of which adds up to 1.
+
+    Where the mean is far outside, all of the weight is on the pixels that are next to it.
+
+    Args:
+        mean: (*, 2), x before y.
+        std: (*, 2) standard deviations along x and y, of the type and device of `mean`, to which it is broadcast.
+        size: height and width of the maps.
+        normalized_coordinates: `mean` and `std` are in coordinates from -1 to 1, the middles of the outermost pixels;
+            else in pixels.
+
+    Returns:
+        (*, H, W), of the type of `mean`.
+
+    Raises:
+        TypeError: an argument is of another kind, or `std` of another type than `mean`.
+        ValueError: the last axis of `mean` or `std` has not 2 numbers; they are on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.render_gaussian2d(torch.zeros(1, 2), torch.ones(1, 2), (3, 3)).sum().round(decimals=4)
+        tensor(1.)
+    """
+    op = "render_gaussian2d"
+    for name, x in (("mean", mean), ("std", std)):
+        _check.numbers(op, name, x)
+        _check.floating(op, name, x)
+        if x.dim() == 0 or x.shape[-1] != 2:
+            raise ShapeError(f"{op}: expected {name} of shape (*, 2), got {tuple(x.shape)}", actual_shape=x.shape)
+    if std.dtype != mean.dtype:
+        raise TypeCheckError(f"{op}: expected std of type {mean.dtype}, got {std.dtype}", actual_type=std.dtype)
+    _check.same_device(op, mean=mean, std=std)
+    _check.flag(op, "normalized_coordinates", normalized_coordinates)
+    height, width = _check.ints(op, "size", size, 2)
+    wide = compute_dtype(mean)
+    axes = []
+    for i, n in enumerate((width, height)):
+        centre, spread = (x[..., i, None].to(wide) for x in (mean, std))
+        distance = (_axis(n, normalized_coordinates, centre) - centre) / spread
+        axes.append((-0.5 * distance * distance).softmax(-1).to(mean.dtype))
+    x, y = axes
+    return y[..., :, None] * x[..., None, :]
+
+
+class SpatialSoftArgmax2d(FunctionModule):
+    """Module form of :func:`spatial_soft_argmax2d`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.SpatialSoftArgmax2d()(torch.rand(2, 3, 5, 6)).shape
+        torch.Size([2, 3, 2])
+    """
+
+    def __init__(self, temperature: Tensor | float | None = None, normalized_coordinates: bool = True) -> None:
+        super().__init__(temperature=temperature, normalized_coordinates=normalized_coordinates)
+
+    def forward(self, input: Tensor) -> Tensor:
+        return spatial_soft_argmax2d(input, self.temperature, self.normalized_coordinates)

@@ -49,4 +49,53 @@ inline Tensor ssim(Tensor const& input, Tensor const& other, int64_t size = 11, 
   return differentiable({input, other}, compute, {input, other}, gradient)[0];
 }
 
+inline Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other,
+                                      std::string const& kind, bool by_other) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"pointwise_loss_backward">(grad, input, other, kind, by_other)};
+  };
+  return differentiable({grad, input, other}, compute, {}, no_second_derivative("pointwise_loss"))[0];
+}
+
+// The loss of every element of input and other (rows, size). kind: "charbonnier", "welsch", "cauchy", "geman_mcclure",
+// "square", or "kl" and "js" of predicted and true probabilities.
+inline Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string const& kind) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"pointwise_loss">(input, other, kind)}; };
+  auto const gradient = [=](Backward const& b) {
+    auto const by = [&](bool other) {
+      return b.wanted(other) ? pointwise_loss_backward(b.grads[0], b.saved[0], b.saved[1], kind, other) : Tensor();
+    };
+    return variable_list{by(false), by(true)};
+  };
+  return differentiable({input, other}, compute, {input, other}, gradient)[0];
+}
+
+inline Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor const& input, Tensor const& other,
+                                     std::string const& kind, double factor, bool decibels, bool by_other) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"pointwise_sum_backward">(grad, sums, input, other, kind, factor, decibels, by_other)};
+  };
+  return differentiable({grad, sums, input, other}, compute, {}, no_second_derivative("pointwise_sum"))[0];
+}
+
+// (rows): factor times the sum of each row's losses, or with `decibels` 10 log10 of that, which has a gradient in
+// Python only.
+inline Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor = 1,
+                            bool decibels = false) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"pointwise_sum">(input, other, kind, factor, decibels)}; };
+  auto const gradient = [=](Backward const& b) {
+    TORCH_CHECK_NOT_IMPLEMENTED(!decibels, "pointwise_sum: C++ has no gradient of decibels; Python's kvision has");
+    auto const by = [&](bool other) {
+      if (!b.wanted(other)) return Tensor();
+      return pointwise_sum_backward(b.grads[0], b.grads[0], b.saved[0], b.saved[1], kind, factor, false, other);
+    };
+    return variable_list{by(false), by(true)};
+  };
+  return differentiable({input, other}, compute, {input, other}, gradient)[0];
+}
+
 }  // namespace kvision

@@ -80,6 +80,7 @@ int main() {
   Tensor const row = torch::rand({1, 3}), column = torch::rand({2, 5}), sigma = torch::rand({2, 2}) + 0.5;
 
   check("ssim", [](auto const& t) { return kvision::ssim(t[0], t[1], 5); }, {x, torch::rand_like(x)}, false);
+  check("ssim_loss", [](auto const& t) { return kvision::ssim_loss(t[0], t[1], 3); }, {x, torch::rand_like(x)}, false);
   check(
       "dilation",
       [](auto const& t) { return kvision::dilation(t[0], torch::ones({1, 3, 3}, torch::kDouble), {}, 1, 1); }, {x},

@@ -80,6 +80,11 @@ def resized(name: str, factor: float, mode: str, opencv: str | None, bars: Bars,
     return case(name, lambda G, x: G.resize(x, scaled(x), mode, **how), bars, peer or None)
 
 
+def antialiased(factor: float, x: Tensor) -> Tensor:
+    h, w = size_of(x)
+    return kvision.geometry.resize(x, (int(h * factor), int(w * factor)), antialias=True)
+
+
 CASES = [
     case(
         "warp_affine",
@@ -111,6 +116,10 @@ CASES = [
     ),
     resized("resize", 0.5, "bilinear", "INTER_LINEAR", Bars(floor=1.15, opencv=1.0)),
     resized("resize_up", 1.5, "bilinear", "INTER_LINEAR", Bars(floor=1.15, opencv=1.0)),
+    resized("resize_bicubic", 0.5, "bicubic", "INTER_CUBIC", Bars(opencv=1.0)),
+    # Kornia blurs instead.
+    Case("resize_antialias", partial(antialiased, 0.5), {}, Bars(floor=1.3)),
+    Case("thumbnail", partial(antialiased, 0.22), {}, Bars()),
     case("hflip", lambda G, x: G.hflip(x), Bars(floor=1.08, opencv=1.0), lambda x, out=None: cv2.flip(x, 1, out)),
     case("center_crop", lambda G, x: G.center_crop(x, (200, 200)), Bars(floor=1.2), None),
     case(
@@ -120,5 +129,6 @@ CASES = [
         None,
         inputs=with_boxes,
     ),
-    case("pyrdown", lambda G, x: G.pyrdown(x), Bars(floor=1.3, launches=None), None),
+    case("pyrdown", lambda G, x: G.pyrdown(x), Bars(floor=1.3), None),
+    case("pyrup", lambda G, x: G.pyrup(x), Bars(floor=1.3), None),
 ]

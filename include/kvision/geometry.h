@@ -1,7 +1,8 @@
-// Warps. Each function has the arguments of the operator torch.ops.kvision.<name>, which
+// Warps and resizing. Each function has the arguments of the operator torch.ops.kvision.<name>, which
 // python/kvision/geometry/transform explains, and gradients. Images are (B, C, H, W); matrices (B or 1, 3, 3) or (B or
 // 1, 2, 3), maps (B or 1, H, W) and fills (B or 1, C or 1), in float32, for float64 images in float64. interpolation:
-// "nearest", "bilinear" or "bicubic"; padding: "fill", "border" or "reflection". A second derivative is an error.
+// "nearest", "bilinear" or "bicubic"; padding: "fill", "border" or "reflection". A second derivative
+// of a warp is an error.
 #pragma once
 
 #include <ATen/Functions.h>
@@ -149,6 +150,27 @@ inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_
     return found;
   };
   return differentiable({image, map_x, map_y, given}, compute, {image, map_x, map_y, given}, gradient)[0];
+}
+
+Tensor resize_backward(Tensor const& grad, std::vector<int64_t> const& size, std::string const& window,
+                       bool align_corners, bool antialias, std::string const& border);
+
+// `window` is "nearest", "nearest-exact", "area", "bilinear", "bicubic", "lanczos", or "pyrdown" or "pyrup" with a
+// `border` that is not "circular".
+inline Tensor resize(Tensor const& input, std::vector<int64_t> const& size, std::string const& window = "bilinear",
+                     bool align_corners = false, bool antialias = false, std::string const& border = "reflect") {
+  auto const transpose = [=, source = detail::image_size(input)](Tensor const& g) {
+    return resize_backward(g, source, window, align_corners, antialias, border);
+  };
+  return detail::linear<"resize">(input, transpose, size, window, align_corners, antialias, border);
+}
+
+inline Tensor resize_backward(Tensor const& grad, std::vector<int64_t> const& size, std::string const& window,
+                              bool align_corners, bool antialias, std::string const& border) {
+  auto const transpose = [=, result = detail::image_size(grad)](Tensor const& g) {
+    return resize(g, result, window, align_corners, antialias, border);
+  };
+  return detail::linear<"resize_backward">(grad, transpose, size, window, align_corners, antialias, border);
 }
 
 // The mean distance of `target` from `source` warped by `matrix`, from the target's places to the source's; (B). It has

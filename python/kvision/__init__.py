@@ -35,8 +35,10 @@ from kvision.enhance import normalize
 from kvision.filters import gaussian_blur2d, sobel
 from kvision.geometry import (
     ConvQuadInterp3d,
+    DepthWarper,
     HomographyWarper,
     ScalePyramid,
+    find_homography_dlt_iterated,
     get_perspective_transform,
     homography_warp,
     normal_transform_pixel,
@@ -64,6 +66,7 @@ from kvision.utils import (
 
 __all__ = [
     "ConvQuadInterp3d",
+    "DepthWarper",
     "HomographyWarper",
     "ScalePyramid",
     "__version__",
@@ -81,6 +84,7 @@ __all__ = [
     "enhance",
     "extract_tensor_patches",
     "filters",
+    "find_homography_dlt_iterated",
     "focal_loss",
     "gaussian_blur2d",
     "geometry",

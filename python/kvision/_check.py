@@ -53,10 +53,11 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
         )
 
 
-def ends(op: str, name: str, x: Any, *expected: int) -> None:
-    """Raise unless `x` is a tensor whose last axes are of the sizes `expected`, after any others."""
+def ends(op: str, name: str, x: Any, *expected: str | int) -> None:
+    """Raise unless `x` is a tensor whose last axes are `expected`, after any others; an int fixes the size of its axis."""
     numbers(op, name, x)
-    if x.shape[x.dim() - len(expected) :] != expected:
+    sizes = x.shape[max(0, x.dim() - len(expected)) :]
+    if len(sizes) < len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, sizes)):
         raise ShapeError(
             f"{op}: expected {name} of shape (*, {', '.join(map(str, expected))}), got {tuple(x.shape)}",
             actual_shape=x.shape,
@@ -101,10 +102,21 @@ def volumes(op: str, name: str, x: Any) -> None:
         )
 
 
+def readable(x: Tensor) -> bool:
+    """Whether one may look at values without waiting for a device, and without breaking a trace or a transform."""
+    return x.device.type == "cpu" and not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
+
+
 def floating(op: str, name: str, x: Tensor) -> None:
     """Raise TypeCheckError unless `x` holds floating-point numbers."""
     if not x.is_floating_point():
         raise TypeCheckError(f"{op}: expected {name} to be floating point, got {x.dtype}", actual_type=x.dtype)
+
+
+def floating_ends(op: str, name: str, x: Any, *expected: str | int) -> None:
+    """Raise unless `x` is a floating-point tensor that ends in the axes `expected`."""
+    ends(op, name, x, *expected)
+    floating(op, name, x)
 
 
 def same_device(op: str, **tensors: Tensor) -> None:

@@ -292,6 +292,7 @@ class Operator:
     def _setup_context(self, ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         tensors = inputs[: self.tensors]
         if self._is_linear_map(tensors):
+            ctx.sizes = tensors[0].shape
             tensors = (None, *tensors[1:])
         if self.saves_results:
             tensors = (*_as_tuple(output), *tensors)
@@ -307,7 +308,10 @@ class Operator:
 
     def _backward(self, ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         needs = ctx.needs_input_grad
-        found = self.backward(needs, *grads, *ctx.saved_tensors, *ctx.plain)
+        saved = ctx.saved_tensors
+        if self._is_linear_map(saved):
+            saved = (ctx.sizes, *saved[1:])
+        found = self.backward(needs, *grads, *saved, *ctx.plain)
         return (*found, *(None,) * (len(needs) - len(found)))
 
     def _jvp(self, ctx: Any, *tangents: Tensor | None) -> Any:

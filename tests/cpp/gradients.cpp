@@ -106,6 +106,8 @@ int main() {
         "remap", [&](auto const& t) { return kvision::remap(t[0], t[1], t[2], t[3], interpolation); },
         {x, map, map.flip(1).contiguous(), torch::rand({2, 1})}, false);
   }
+  for (auto const* window : {"bilinear", "bicubic", "pyrdown"})
+    check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, window); }, {x});
   check(
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry._precision import wide
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix
@@ -239,11 +240,6 @@ def get_perspective_transform(points_src: Tensor, points_dst: Tensor) -> Tensor:
         raise TypeCheckError(f"{op}: expected points of one type, got {points_src.dtype} and {points_dst.dtype}")
     matrix = from_unit_square(wide(points_dst)) @ adjugate(from_unit_square(wide(points_src)))
     return (matrix / matrix[:, 2:, 2:] + 0).to(points_src.dtype)  # no negative zeros
-
-
-def wide(x: Tensor) -> Tensor:
-    """In double, where the device has it: products of coordinates cancel."""
-    return x if x.device.type == "mps" else x.double()
 
 
 def from_unit_square(points: Tensor) -> Tensor:

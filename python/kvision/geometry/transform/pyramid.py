@@ -10,10 +10,11 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._dtype import pixels
 from kvision._modules import FunctionModule
-from kvision.core.exceptions import ValueCheckError
+from kvision.core.exceptions import ShapeError
 from kvision.filters import filter2d_separable, gaussian_blur2d
-from kvision.geometry.transform.resize import resize
+from kvision.geometry.transform.resize import resize, resized
 
 __all__ = [
     "PyrDown",
@@ -54,8 +55,12 @@ def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = F
     factor = _check.number("pyrdown", "factor", factor)
     size = [int(side / factor) if factor > 0 else 0 for side in input.shape[2:]]
     if 0 in size:
-        raise ValueCheckError(f"pyrdown: expected factor to leave a pixel of {tuple(input.shape[2:])}, got {factor}")
-    return resize(_blur("pyrdown", input, border_type), (size[0], size[1]), align_corners=align_corners)
+        raise ShapeError(f"pyrdown: expected factor to leave a pixel of {tuple(input.shape[2:])}, got {factor}")
+    if border_type == "circular":
+        return resize(_blur("pyrdown", input, border_type), (size[0], size[1]), align_corners=align_corners)
+    _check.border("pyrdown", border_type)
+    _check.reflectable("pyrdown", input, (2, 2), border_type)
+    return resized(pixels(input), size, "pyrdown", align_corners, False, border_type)
 
 
 def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = False) -> Tensor:
@@ -80,12 +85,15 @@ def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = Fal
     """
     _check.images("pyrup", "input", input)
     _check.flag("pyrup", "align_corners", align_corners)
-    h, w = input.shape[2:]
-    return _blur("pyrup", resize(input, (2 * h, 2 * w), align_corners=align_corners), border_type)
+    size = [2 * side for side in input.shape[2:]]
+    if border_type == "circular":
+        return _blur("pyrup", resize(input, (size[0], size[1]), align_corners=align_corners), border_type)
+    _check.border("pyrup", border_type)
+    _check.reflectable("pyrup", input, (1, 1), border_type)  # 2 of the result's
+    return resized(pixels(input), size, "pyrup", align_corners, False, border_type)
 
 
 def _blur(op: str, image: Tensor, border_type: str) -> Tensor:
-    _check.border(op, border_type)
     _check.reflectable(op, image, (2, 2), border_type)
     dtype = image.dtype if image.dtype == torch.float64 else torch.float32
     d = torch.arange(-2, 3, dtype=dtype, device=image.device).abs()
@@ -260,12 +268,16 @@ class ScalePyramid(nn.Module):
         octaves: tuple[list[Tensor], list[Tensor], list[Tensor]] = ([], [], [])
         count = self.n_levels + self.extra_levels
         scales = [base * self.sigma_step**i for i in range(count)]
+        # Made on the device: nothing waits for a copy.
+        sigmas = (
+            (base * self.sigma_step ** torch.arange(count, device=level.device)).to(level.dtype).expand(len(x), count)
+        )
         while True:
             levels = [level]
             for sigma in scales[:-1]:
                 levels.append(self._blur(levels[-1], sigma * math.sqrt(self.sigma_step**2 - 1)))
             octaves[0].append(torch.stack(levels, 2))
-            octaves[1].append(level.new_tensor(scales).expand(len(x), count))
+            octaves[1].append(sigmas)
             octaves[2].append(level.new_full((len(x), count), distance))
             level = levels[-self.extra_levels]
             h, w = (side // 2 for side in level.shape[2:])

@@ -3,21 +3,129 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
-from kvision._ops import saturate_to_byte
+from kvision._ops import register, saturate_to_byte
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters import gaussian_blur2d
-from kvision.geometry.transform import sampling
 
 __all__ = ["Rescale", "Resize", "rescale", "resize", "resize_to_be_divisible"]
 
-_INTERPOLATIONS = ("bilinear", "nearest", "nearest-exact", "bicubic", "area")
+_INTERPOLATIONS = ("bilinear", "nearest", "nearest-exact", "bicubic", "area", "lanczos")
 _SIDES = ("short", "long", "vert", "horz")
+
+# --- the definition: csrc/geometry/resize.h has it in a table -------------------------------------------------------
+
+# Of a result's pixels: index (n, k) and weight (n, k) of the k pixels that each is made of.
+Taps = tuple[Tensor, Tensor]
+
+
+def _reference(input, size, window, align_corners, antialias, border):
+    for axis, result in ((2, size[0]), (3, size[1])):
+        n = input.shape[axis]
+        steps = [_taps("bilinear" if window.startswith("pyr") else window, n, result, align_corners, antialias, input)]
+        if window == "pyrdown":
+            steps.insert(0, _blur_taps(n, border, input))
+        if window == "pyrup":
+            steps.append(_blur_taps(result, border, input))
+        for taps in steps:
+            input = _weighted(input, axis, taps)
+    return input
+
+
+def _weighted(image: Tensor, axis: int, taps: Taps) -> Tensor:
+    shape = [1] * image.dim()
+    shape[axis] = -1
+    total = torch.zeros((), dtype=image.dtype, device=image.device)
+    for index, weight in zip(taps[0].unbind(1), taps[1].to(image.dtype).unbind(1)):
+        value, weight = image.index_select(axis, index), weight.reshape(shape)
+        # A tap of weight 0 is no part of the value, whatever it holds.
+        total = total + weight * torch.where((weight == 0) & ~value.isfinite(), 0.0, value)
+    return total
+
+
+def _taps(window: str, source: int, result: int, align_corners: bool, antialias: bool, like: Tensor) -> Taps:
+    """Places are fractions of integers, so that windows begin at the right pixel at any size."""
+    i = torch.arange(result, device=like.device)[:, None]
+    if window in ("nearest", "nearest-exact", "area"):
+        first, last = i * source // result, -((i + 1) * -source // result) - 1
+        if window != "area":
+            first = last = first if window == "nearest" else (2 * i + 1) * source // (2 * result)
+        index = first + torch.arange(1 if window != "area" else -(-source // result) + 1, device=like.device)
+        weight = (index <= last).to(like.dtype)
+        return index.clamp(max=source - 1), weight / weight.sum(1, keepdim=True)
+    if not align_corners:
+        origin, num, den = source - result, 2 * source, 2 * result
+    else:
+        origin, num, den = 0, *((source - 1, result - 1) if result > 1 else (0, 1))
+    place = origin + num * i
+    unit = max(num, den) if antialias else den
+    support = {"bilinear": 1, "bicubic": 2, "lanczos": 3}[window]
+    first = (place - support * unit) // den + 1
+    index = first + torch.arange(-(-2 * support * unit // den), device=like.device)
+    weight = _window(window, (index * den - place).to(like.dtype) / unit, antialias)
+    inside = index.clamp(0, source - 1)
+    if antialias or window == "lanczos":  # what is beyond the image is left out
+        weight = torch.where(index == inside, weight, 0.0)
+        weight = weight / weight.sum(1, keepdim=True)
+    return inside, weight
+
+
+def _window(window: str, x: Tensor, antialias: bool) -> Tensor:
+    x = x.abs()
+    if window == "bilinear":
+        return (1 - x).clamp(min=0)
+    if window == "lanczos":
+        # Exactly 0 at other pixels than the middle one.
+        return torch.where(x == x.round(), (x == 0).to(x.dtype), torch.sinc(x) * torch.sinc(x / 3) * (x < 3))
+    a = -0.5 if antialias else -0.75  # Pillow's and OpenCV's
+    near = ((a + 2) * x - (a + 3)) * x * x + 1
+    far = a * (((x - 5) * x + 8) * x - 4)
+    return torch.where(x <= 1, near, torch.where(x < 2, far, 0.0))
+
+
+def _blur_taps(n: int, border: str, like: Tensor) -> Taps:
+    """Of 1 4 6 4 1 on an axis of n pixels."""
+    d = torch.arange(-2, 3, device=like.device)
+    index = torch.arange(n, device=like.device)[:, None] + d
+    weight = ((6 - 1.5 * d.abs() - 0.5 * d * d) / 16).to(like.dtype).expand(n, 5)
+    inside = index.clamp(0, n - 1)
+    if border == "reflect":
+        inside = (n - 1 - (n - 1 - index.abs()).abs()).clamp(0, n - 1)
+    if border == "constant":
+        weight = torch.where(index == inside, weight, 0.0)
+    return inside, weight
+
+
+def _backward_reference(grad, size, *how):
+    def f(image: Tensor) -> Tensor:
+        return _reference(image, grad.shape[2:], *how)
+
+    _, pullback = torch.func.vjp(f, grad.new_zeros(*grad.shape[:2], *size))
+    return pullback(grad)[0]
+
+
+def _size(x, size, *how):
+    return (*x.shape[:2], *size)
+
+
+def _backward(needs, grad, sizes, size, *how):
+    return [_resized_backward(grad, list(sizes[2:]), *how)]
+
+
+def _backward_of_backward(needs, grad_grad, sizes, size, *how):
+    return [resized(grad_grad, list(sizes[2:]), *how)]
+
+
+resized = register("resize", _reference, fake=_size, backward=_backward, linear=True, bytes=True)
+_resized_backward = register(
+    "resize_backward", _backward_reference, fake=_size, backward=_backward_of_backward, linear=True
+)
+
+# --- functions ------------------------------------------------------------------------------------------------------
 
 
 def resize(
@@ -34,12 +142,13 @@ def resize(
         input: images (*, H, W), floating point or uint8. Other integers are computed in float32.
         size: height and width, or one side; the other one then keeps the image's proportions, rounded down.
         interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (of the nearest middle, as OpenCV's INTER_NEAREST_EXACT)
-            or 'area' (means).
-        align_corners: keep the middles of the corner pixels where they are, for 'bilinear' and 'bicubic'. None or False
-            keeps the image's edges.
+            'area' (means of whole pixels), or 'lanczos' (windows of 3 pixels either way, as Pillow).
+        align_corners: keep the middles of the corner pixels where they are, for 'bilinear', 'bicubic' and 'lanczos'. None
+            or False keeps the image's edges.
         side: which one an int is: 'short', 'long', 'vert' (height) or 'horz' (width).
-        antialias: where the image shrinks, widen the window of 'bilinear' and 'bicubic' as much, as torch and Pillow do;
-            'gaussian' blurs the image first instead, with sigma (factor - 1) / 2.
+        antialias: widen the window of 'bilinear', 'bicubic' and 'lanczos' as much as the image shrinks, as torch and
+            Pillow do; 'bicubic' then is theirs also where it does not. 'gaussian' blurs an image that shrinks, with sigma
+            (factor - 1) / 2.
 
     Returns:
         (*, h, w), of the type of `input`; uint8 is rounded half to even and saturated.
@@ -71,36 +180,20 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         height, width = _from_side(_check.ints(op, "size", size, 1)[0], h, w, side)
     else:
         height, width = _check.ints(op, "size", size, 2)
-    images = input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]
-    shrinks = height < h or width < w
-    if antialias == "gaussian" and shrinks:
-        images = _blurred(images.to(compute_dtype(images)), h / height, w / width)
-    smooth = interpolation in ("bilinear", "bicubic")
-    if smooth and not (antialias is True and shrinks) and not (align_corners and 1 in (height, width)):
-        found = _sampled(images, height, width, interpolation, bool(align_corners))
-        return _stored(found, input).reshape(*input.shape[:-2], height, width)
-    wide = images.to(compute_dtype(images))
-    found = F.interpolate(
-        wide,
-        (height, width),
-        mode=interpolation,
-        align_corners=align_corners if smooth else None,
-        antialias=antialias is True and shrinks and smooth,
+    images = (
+        input if input.dim() == 4 else input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]
     )
-    return _stored(found, input).reshape(*input.shape[:-2], height, width)
-
-
-def _sampled(images: Tensor, height: int, width: int, interpolation: str, align_corners: bool) -> Tensor:
-    """The identity in [-1, 1], by the kernels of warps."""
-    images = pixels(images)
-    eye = torch.eye(3, dtype=compute_dtype(images), device=images.device)[None]
-    return sampling.warp(images, eye, None, [height, width], interpolation, "border", align_corners, False, True)
-
-
-def _stored(found: Tensor, input: Tensor) -> Tensor:
-    if input.dtype == torch.uint8:
-        return found if found.dtype == torch.uint8 else saturate_to_byte(found)
-    return found.to(input.dtype) if input.is_floating_point() else found
+    if antialias == "gaussian":
+        if height < h or width < w:
+            images = _blurred(images.to(compute_dtype(images)), h / height, w / width)
+        antialias = False
+    found = resized(pixels(images), [height, width], interpolation, align_corners or False, antialias, "replicate")
+    if input.dtype == torch.uint8 and found.dtype != torch.uint8:
+        found = saturate_to_byte(found)
+    if found.dim() != input.dim():
+        found = found.reshape(*input.shape[:-2], height, width)
+    blurred_wide = input.is_floating_point() and found.dtype != input.dtype
+    return found.to(input.dtype) if blurred_wide else found
 
 
 def _check_images(op: str, input: Tensor) -> None:

@@ -1,0 +1,71 @@
+// Resizing: schemas and entries, for CPU and CUDA alike.
+#include "glue/glue.h"
+#include "resize.h"
+
+namespace kv {
+namespace {
+
+constexpr int64_t kLargestSide = 1 << 30;  // places are counted in fractions of pixels, in 64 bits
+
+Window window_of(char const* op, std::string const& name) {
+  constexpr char const* kNames[] = {"nearest", "nearest-exact", "area",    "bilinear",
+                                    "bicubic", "lanczos",       "pyrdown", "pyrup"};
+  for (int i = 0; i < 8; ++i)
+    if (name == kNames[i]) return Window(i);
+  KV_CHECK(false, op, ": no window is called '", name, "'");
+}
+
+// From images to images of `size`, or the gradient to images of `size`.
+Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& size, std::string const& name,
+               bool align_corners, bool antialias, std::string const& border_name, bool transposed) {
+  check_images(op, transposed ? "grad" : "input", input);
+  KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
+  Window const window = window_of(op, name);
+  Border const border = border_of(op, border_name);
+  auto const axis = [&](int64_t from, int64_t to) {
+    KV_CHECK(from <= kLargestSide && to > 0 && to <= kLargestSide, op, ": expected sides of 1 to ", kLargestSide,
+             " pixels, got ", from, " and ", to);
+    int64_t const source = transposed ? to : from, result = transposed ? from : to;
+    if (window == Window::pyrdown || window == Window::pyrup) {
+      // What a circular border finds is not near.
+      KV_CHECK(border != Border::circular, op, ": a pyramid's border must be constant, reflect or replicate");
+      check_border(op, border, 2, window == Window::pyrdown ? source : result);
+      KV_CHECK(window == Window::pyrdown || result == 2 * source, op, ": pyrup doubles sides, got ", source, " and ",
+               result);
+    }
+    return ResizeAxis(window, source, result, align_corners, antialias, transposed, border);
+  };
+  ResizeAxis const rows = axis(input.size(2), size[0]), columns = axis(input.size(3), size[1]);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout);
+  Tensor const y = empty({x.size(0), x.size(1), size[0], size[1]}, x, layout);
+  auto const run = [&](auto type) {
+    using T = typename decltype(type)::type;
+    Resize<T> const params{planes<T const>(x, layout), planes<T>(y, layout), rows, columns};
+    KV_RUN(resize, x, params, params.y.row_size() ? params.y.rows() : 0,
+           rows.most * params.x.row_size() + columns.most * params.y.row_size());
+  };
+  if (transposed)
+    for_floats(op, x, run);
+  else
+    for_floats_and_bytes(op, x, run);
+  return y;
+}
+
+Tensor resize(Tensor const& input, std::vector<int64_t> size, std::string const& window, bool align_corners,
+              bool antialias, std::string const& border) {
+  return resized("resize", input, size, window, align_corners, antialias, border, false);
+}
+
+Tensor resize_backward(Tensor const& grad, std::vector<int64_t> size, std::string const& window, bool align_corners,
+                       bool antialias, std::string const& border) {
+  return resized("resize_backward", grad, size, window, align_corners, antialias, border, true);
+}
+
+}  // namespace
+
+#define KV_HOW "int[] size, str window, bool align_corners, bool antialias, str border"
+KV_OPERATOR(resize, "(Tensor input, " KV_HOW ") -> Tensor")
+KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
+
+}  // namespace kv

@@ -1,0 +1,68 @@
+"""How the geometry of a few points computes: half types in float32, rounded once, and nothing else under autocast."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from kvision.geometry.linalg import root
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_HALVES = (torch.float16, torch.bfloat16)
+
+
+def in_full_precision(function: F) -> F:
+    """`function` of tensors that computes half types in float32 and is left alone by autocast.
+
+    The first tensor sets the type: the others are converted to the one it is computed in, results are stored in its own.
+    """
+
+    @functools.wraps(function)
+    def wrapped(*args: Any, **kwargs: Any) -> Any:
+        tensors = [a for a in (*args, *kwargs.values()) if isinstance(a, Tensor)]
+        if not tensors:
+            return function(*args, **kwargs)  # which says what is wrong
+        first = tensors[0]
+        device = first.device.type
+        if device != "meta" and torch.is_autocast_enabled(device):
+            with torch.autocast(device, enabled=False):
+                return wrapped(*args, **kwargs)
+        computed = torch.float32 if first.dtype in _HALVES else first.dtype
+        if not first.is_floating_point() or all(t.dtype == computed or not t.is_floating_point() for t in tensors):
+            return function(*args, **kwargs)
+        output = function(*_map(lambda x: x.to(computed), args), **_map(lambda x: x.to(computed), kwargs))
+        return _map(lambda y: y.to(first.dtype), output)
+
+    return wrapped  # type: ignore[return-value]
+
+
+def _map(f: Callable[[Any], Any], values: Any) -> Any:
+    if isinstance(values, tuple):
+        return tuple(_map(f, v) for v in values)
+    if isinstance(values, dict):
+        return {k: _map(f, v) for k, v in values.items()}
+    return f(values) if isinstance(values, Tensor) and values.is_floating_point() else values
+
+
+def wide(x: Tensor) -> Tensor:
+    """In double, where the device has it."""
+    return x if x.device.type == "mps" else x.double()
+
+
+# --- values at the rim of where a function is defined, with gradients that are finite ---------------------------------
+
+
+def quotient(a: Tensor, b: Tensor, otherwise: float) -> Tensor:
+    """a / b, and `otherwise`, without a gradient, where b is 0."""
+    zero = b == 0
+    return torch.where(zero, otherwise, a / torch.where(zero, 1, b))
+
+
+def length(x: Tensor, keepdim: bool = False) -> Tensor:
+    """Of the vectors along the last axis, with gradient 0 at 0."""
+    return root(x.square().sum(-1, keepdim=keepdim))

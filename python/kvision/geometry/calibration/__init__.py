@@ -1,0 +1,17 @@
+"""Lenses and poses of cameras."""
+
+from kvision.geometry.calibration.distortion import (
+    distort_points,
+    tilt_projection,
+    undistort_image,
+    undistort_points,
+)
+from kvision.geometry.calibration.pnp import solve_pnp_dlt
+
+__all__ = [
+    "distort_points",
+    "solve_pnp_dlt",
+    "tilt_projection",
+    "undistort_image",
+    "undistort_points",
+]

@@ -1,0 +1,249 @@
+"""What lenses do to pictures: radial, tangential, thin-prism and tilt distortion, OpenCV's model.
+
+A point (x, y) of the plane z = 1 before the camera goes to
+
+    (x, y) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+    + (2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4,  p1 (r^2 + 2 y^2) + 2 p2 x y + s3 r^2 + s4 r^4),  r^2 = x^2 + y^2
+
+and through the projection of a sensor that is tilted by tx and ty. Coefficients stand in the order k1, k2, p1, p2, k3,
+k4, k5, k6, s1, s2, s3, s4, tx, ty; the first 4, 5, 8, 12 or all 14 of them may be given.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry._precision import in_full_precision
+from kvision.geometry.transform import remap
+
+__all__ = ["distort_points", "tilt_projection", "undistort_image", "undistort_points"]
+
+_COUNTS = (4, 5, 8, 12, 14)
+
+
+@in_full_precision
+def tilt_projection(taux: Tensor, tauy: Tensor, return_inverse: bool = False) -> Tensor:
+    """Make the projections from a sensor's plane to that of one tilted about x, then about y.
+
+    Args:
+        taux: angles about x in radians, (*) or (*, 1), floating point.
+        tauy: angles about y, in the same shape.
+        return_inverse: the inverse projections instead.
+
+    Returns:
+        (*, 3, 3).
+
+    Raises:
+        TypeCheckError: no floating-point tensors, no bool.
+        ShapeError: different shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.tilt_projection(torch.zeros(1), torch.zeros(1))
+        tensor([[1., 0., 0.],
+                [0., 1., 0.],
+                [0., 0., 1.]])
+    """
+    for name, x in (("taux", taux), ("tauy", tauy)):
+        _check.floating_ends("tilt_projection", name, x)
+    _check.same_shape("tilt_projection", taux=taux, tauy=tauy)
+    _check.same_device("tilt_projection", taux=taux, tauy=tauy)
+    _check.flag("tilt_projection", "return_inverse", return_inverse)
+    if taux.dim() > 0 and taux.shape[-1] == 1:
+        taux, tauy = taux[..., 0], tauy[..., 0]
+    cx, sx, cy, sy = taux.cos(), taux.sin(), tauy.cos(), tauy.sin()
+    zero, one = torch.zeros_like(cx), torch.ones_like(cx)
+    R = [cy, sy * sx, -sy * cx, zero, cx, sx, sy, -cy * sx, cy * cx]
+    rotation = torch.stack(R, -1).unflatten(-1, (3, 3))
+    x, y, z = R[2], R[5], R[8]
+    if return_inverse:
+        return rotation.mT @ torch.stack([1 / z, zero, x / z, zero, 1 / z, y / z, zero, zero, one], -1).unflatten(
+            -1, (3, 3)
+        )
+    return torch.stack([z, zero, -x, zero, z, -y, zero, zero, one], -1).unflatten(-1, (3, 3)) @ rotation
+
+
+@in_full_precision
+def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None) -> Tensor:
+    """Move points to where a lens with distortion shows them.
+
+    Args:
+        points: (*, N, 2) as (x, y) in pixels, floating point.
+        K: camera matrices, (*, 3, 3).
+        dist: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty, of which 4, 5, 8, 12 or 14 are given, (*, n).
+        new_K: camera matrices of the given points, (*, 3, 3); default: `K`, which is that of the result.
+
+    Returns:
+        (*, N, 2) in pixels.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes, another number of coefficients.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[10.0, 0, 5], [0, 10, 5], [0, 0, 1]])
+        >>> K.geometry.distort_points(torch.tensor([[15.0, 5.0]]), camera, torch.tensor([0.1, 0, 0, 0]))
+        tensor([[16.,  5.]])
+    """
+    _check_lens("distort_points", points, K, dist, new_K)
+    x, y = _on_plane(points, K if new_K is None else new_K)
+    x, y = _distorted(x, y, dist)
+    return _in_pixels(x, y, K)
+
+
+def _distorted(x: Tensor, y: Tensor, dist: Tensor) -> tuple[Tensor, Tensor]:
+    c = _coefficients(dist)
+    r2 = x * x + y * y
+    dx, dy = _shift(x, y, r2, c)
+    radial = _radial(r2, c)
+    x, y = x * radial + dx, y * radial + dy
+    if dist.shape[-1] == 14:
+        x, y = _projected(x, y, tilt_projection(c[12], c[13]))
+    return x, y
+
+
+def _coefficients(dist: Tensor) -> tuple[Tensor, ...]:
+    """Each (*, 1), zeros for those that are not given."""
+    return torch.nn.functional.pad(dist, (0, 14 - dist.shape[-1])).split(1, -1)
+
+
+def _radial(r2: Tensor, c: tuple[Tensor, ...]) -> Tensor:
+    k1, k2, _, _, k3, k4, k5, k6 = c[:8]
+    return (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+
+
+def _shift(x: Tensor, y: Tensor, r2: Tensor, c: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+    p1, p2, (s1, s2, s3, s4) = c[2], c[3], c[8:12]
+    dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)
+    dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
+    return dx, dy
+
+
+def _on_plane(points: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
+    x, y = points.unbind(-1)
+    return (x - K[..., :1, 2]) / K[..., :1, 0], (y - K[..., 1:2, 2]) / K[..., 1:2, 1]
+
+
+def _in_pixels(x: Tensor, y: Tensor, K: Tensor) -> Tensor:
+    return torch.stack([K[..., :1, 0] * x + K[..., :1, 2], K[..., 1:2, 1] * y + K[..., 1:2, 2]], -1)
+
+
+def _projected(x: Tensor, y: Tensor, matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """By matrices (*, 3, 3), for x and y (*, N)."""
+    m = [[matrix[..., i, k, None] for k in range(3)] for i in range(3)]
+    u, v, w = (row[0] * x + row[1] * y + row[2] for row in m)
+    return u / w, v / w
+
+
+@in_full_precision
+def undistort_points(
+    points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None, num_iters: int = 5
+) -> Tensor:
+    """Move points from where a lens with distortion shows them to where one without would.
+
+    The inverse of `distort_points`, by as many steps of a fixed-point iteration as are asked for.
+
+    Args:
+        points: (*, N, 2) as (x, y) in pixels, floating point.
+        K: camera matrices, (*, 3, 3).
+        dist: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty, of which 4, 5, 8, 12 or 14 are given, (*, n).
+        new_K: camera matrices of the result, (*, 3, 3); default: `K`, which is that of the given points.
+        num_iters: how many steps, at least 0.
+
+    Returns:
+        (*, N, 2) in pixels.
+
+    Raises:
+        TypeCheckError: no floating-point tensors, no int.
+        ShapeError: other shapes, another number of coefficients.
+        ValueCheckError: `num_iters` is below 0.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[10.0, 0, 5], [0, 10, 5], [0, 0, 1]])
+        >>> K.geometry.undistort_points(torch.tensor([[16.0, 5.0]]), camera, torch.tensor([0.1, 0, 0, 0]), num_iters=20)
+        tensor([[15.,  5.]])
+    """
+    _check_lens("undistort_points", points, K, dist, new_K)
+    _check.ints("undistort_points", "num_iters", num_iters, 1, minimum=0)
+    x, y = _on_plane(points, K)
+    c = _coefficients(dist)
+    if dist.shape[-1] == 14:
+        x, y = _projected(x, y, tilt_projection(c[12], c[13], True))
+    x0, y0 = x, y
+    for _ in range(num_iters):
+        r2 = x * x + y * y
+        dx, dy = _shift(x, y, r2, c)
+        radial = _radial(r2, c)
+        x, y = (x0 - dx) / radial, (y0 - dy) / radial
+    return _in_pixels(x, y, K if new_K is None else new_K)
+
+
+def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
+    """Show images of a lens with distortion as one without would.
+
+    Args:
+        image: (*, C, H, W), floating point.
+        K: camera matrices, (*, 3, 3).
+        dist: coefficients as in `distort_points`, (*, n). One image (1, C, H, W) may come with (3, 3) and (n,).
+
+    Returns:
+        In the shape of `image`, bilinear, 0 outside of the image.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes, another number of coefficients.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[[10.0, 0, 2], [0, 10, 2], [0, 0, 1]]])
+        >>> K.geometry.undistort_image(torch.ones(1, 3, 5, 5), camera, torch.zeros(1, 4)).mean()
+        tensor(1.)
+    """
+    op = "undistort_image"
+    _check.floating_ends(op, "image", image, "C", "H", "W")
+    _check.floating_ends(op, "K", K, 3, 3)
+    _check_coefficients(op, dist)
+    _check.same_device(op, image=image, K=K, dist=dist)
+    leading, (h, w) = image.shape[:-3], image.shape[-2:]
+    one_for_all = leading == (1,) and K.dim() == 2 and dist.dim() == 1
+    if not one_for_all and not leading == K.shape[:-2] == dist.shape[:-1]:
+        raise ShapeError(
+            f"{op}: expected image, K and dist with the same leading axes, got {tuple(image.shape)}, {tuple(K.shape)} "
+            f"and {tuple(dist.shape)}"
+        )
+    dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
+    K, dist = K.reshape(-1, 3, 3).to(dtype), dist.reshape(-1, dist.shape[-1]).to(dtype)
+    y, x = torch.arange(h, device=image.device, dtype=dtype), torch.arange(w, device=image.device, dtype=dtype)
+    places = torch.stack([x.repeat(h), y.repeat_interleave(w)], -1)
+    maps = distort_points(places, K, dist).unflatten(-2, (h, w))
+    flat = image.reshape(-1, *image.shape[-3:])
+    return remap(flat, maps[..., 0], maps[..., 1], align_corners=True).reshape(image.shape)
+
+
+def _check_lens(op: str, points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None) -> None:
+    _check.floating_ends(op, "points", points, "N", 2)
+    _check.floating_ends(op, "K", K, 3, 3)
+    _check_coefficients(op, dist)
+    _check.same_device(op, points=points, K=K, dist=dist)
+    if new_K is not None:
+        _check.floating_ends(op, "new_K", new_K, 3, 3)
+        _check.same_device(op, points=points, new_K=new_K)
+
+
+def _check_coefficients(op: str, dist: Tensor) -> None:
+    _check.floating_ends(op, "dist", dist, "n")
+    if dist.shape[-1] not in _COUNTS:
+        listed = ", ".join(map(str, _COUNTS))
+        raise ShapeError(
+            f"{op}: expected dist of shape (*, n) with n one of {listed}, got {tuple(dist.shape)}",
+            actual_shape=dist.shape,
+        )

@@ -1,0 +1,122 @@
+"""Poses from points in space and their pictures."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry.epipolar.normalization import normalized
+from kvision.geometry.solvers.null_vector import null_vector
+
+__all__ = ["solve_pnp_dlt"]
+
+
+@in_full_precision
+def solve_pnp_dlt(
+    world_points: Tensor,
+    img_points: Tensor,
+    intrinsics: Tensor,
+    weights: Tensor | None = None,
+    svd_eps: float = 1e-4,
+) -> Tensor:
+    """Find the poses of cameras that show points in space where they are seen, by direct linear transformation.
+
+    Args:
+        world_points: (B, N, 3), floating point, at least six of them, not in one plane.
+        img_points: (B, N, 2) as (x, y) in pixels.
+        intrinsics: camera matrices, (B, 3, 3), upper triangular.
+        weights: of the errors (not of their squares), (B, N); a point of weight 0 does not count.
+        svd_eps: points count as in one plane when their smallest singular value is below that, after they were scaled
+            to a mean distance of sqrt(3) from their mean.
+
+    Returns:
+        [R | t] from world to camera, (B, 3, 4), R being a rotation. NaN for points in one plane, which takes no waiting
+        for the device.
+
+    Raises:
+        TypeCheckError: no floating-point tensors, no number.
+        ShapeError: other shapes, fewer than six points.
+        DeviceError: tensors on different devices.
+
+    Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), section 7.1.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 8, 3, dtype=torch.float64) + torch.tensor([0.0, 0.0, 2.0])
+        >>> pictures = points[..., :2] / points[..., 2:]
+        >>> pose = K.geometry.solve_pnp_dlt(points, pictures, torch.eye(3).double()[None])
+        >>> (pose - torch.eye(3, 4)).abs().max() < 1e-5
+        tensor(True)
+    """
+    op = "solve_pnp_dlt"
+    for name, x, sizes in (
+        ("world_points", world_points, ("B", "N", 3)),
+        ("img_points", img_points, ("B", "N", 2)),
+        ("intrinsics", intrinsics, ("B", 3, 3)),
+    ):
+        _check.shape(op, name, x, *sizes)
+        _check.floating(op, name, x)
+    batch, count = world_points.shape[:2]
+    if count < 6:
+        raise ShapeError(f"{op}: expected world_points of at least six points, got {tuple(world_points.shape)}")
+    _check.shape(op, "img_points", img_points, batch, count, 2)
+    _check.shape(op, "intrinsics", intrinsics, batch, 3, 3)
+    _check.same_device(op, world_points=world_points, img_points=img_points, intrinsics=intrinsics)
+    _check.number(op, "svd_eps", svd_eps)
+    if weights is not None:
+        _check.shape(op, "weights", weights, batch, count)
+        _check.same_device(op, world_points=world_points, weights=weights)
+
+    w = None if weights is None else _relative(wide(weights)).square()
+    X, T = normalized(wide(world_points), w)
+    x, U = normalized(_before_camera(wide(img_points), wide(intrinsics)), w)
+    p = torch.cat([X, torch.ones_like(X[..., :1])], -1)
+    zero = torch.zeros_like(p)
+    rows = torch.cat([torch.cat([p, zero, -x[..., :1] * p], -1), torch.cat([zero, p, -x[..., 1:] * p], -1)], 1)
+    P = null_vector(rows, None if w is None else w.repeat(1, 2)).unflatten(-1, (3, 4)) @ T
+    scale, shift = U[:, :1, :1], U[:, :2, 2:]
+    P = torch.cat([P[:, :2] - shift * P[:, 2:], scale * P[:, 2:]], 1)
+    pose = _pose(P)
+    flat = _extent(X, w) < svd_eps
+    return torch.where(flat[:, None, None], torch.nan, pose).to(world_points.dtype)
+
+
+def _relative(weights: Tensor) -> Tensor:
+    largest = weights.detach().abs().amax(-1, keepdim=True)
+    return weights / torch.where(largest > 0, largest, 1)
+
+
+def _before_camera(points: Tensor, K: Tensor) -> Tensor:
+    """K^-1 (x, y, 1) for an upper triangular K, at z = 1."""
+    z = K[:, 2, 2, None]
+    y = (points[..., 1] - K[:, 1, 2, None] / z) * z / K[:, 1, 1, None]
+    x = ((points[..., 0] - K[:, 0, 2, None] / z) * z - K[:, 0, 1, None] * y) / K[:, 0, 0, None]
+    return torch.stack([x, y], -1)
+
+
+def _pose(P: Tensor) -> Tensor:
+    """[R | t] of P up to its scale and sign: the columns of R one after the other, the first one giving the scale."""
+    a, b, c, t = P.unbind(-1)
+    mirrored = (torch.linalg.cross(a, b) * c).sum(-1, keepdim=True) < 0
+    a, b, c, t = (torch.where(mirrored, -v, v) for v in (a, b, c, t))
+    size = torch.linalg.vector_norm(a, dim=-1, keepdim=True)
+    first = a / size
+    second = b - (first * b).sum(-1, keepdim=True) * first
+    second = second / torch.linalg.vector_norm(second, dim=-1, keepdim=True)
+    return torch.stack([first, second, torch.linalg.cross(first, second), t / size], -1)
+
+
+def _extent(X: Tensor, weights: Tensor | None) -> Tensor:
+    """The smallest singular value (B,) of points (B, N, 3), where weights are 1 on average."""
+    X = X.detach()
+    if weights is None:
+        weighted = X
+    else:
+        used = (weights > 0).sum(-1, keepdim=True)
+        weighted = X * (weights.detach() * used / weights.detach().sum(-1, keepdim=True))[..., None]
+    M = weighted.mT @ X
+    v = null_vector(M)
+    return (v[:, None] @ M @ v[..., None])[:, 0, 0].clamp(min=0).sqrt()

@@ -1,0 +1,415 @@
+"""Essential matrices: x2^T E x1 = 0 for the pictures of one point in the coordinates of two cameras, E = [t]x R."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry.epipolar.fundamental import epipolar_rows
+from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
+from kvision.geometry.epipolar.triangulation import triangulate_points
+from kvision.geometry.linalg import root
+from kvision.geometry.solvers.correspondences import check_correspondences
+from kvision.geometry.solvers.null_vector import null_space, null_vector_3x3
+from kvision.geometry.solvers.polynomials import (
+    determinant_to_polynomial,
+    multiply_deg_one_poly,
+    multiply_deg_two_one_poly,
+)
+from kvision.geometry.solvers.roots import real_roots
+
+__all__ = [
+    "decompose_essential_matrix",
+    "decompose_essential_matrix_no_svd",
+    "essential_from_Rt",
+    "essential_from_fundamental",
+    "find_essential",
+    "motion_from_essential",
+    "motion_from_essential_choose_solution",
+    "project_to_essential",
+    "relative_camera_motion",
+]
+
+
+# --- from correspondences -------------------------------------------------------------------------------------------
+
+
+@in_full_precision
+def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Find the essential matrices of five correspondences or more.
+
+    Args:
+        points1: (B, N, 2) in the first camera's coordinates, that is K1^-1 (x, y, 1) for pixels, floating point.
+        points2: the same points in the second camera's, (B, N, 2).
+        weights: of no effect.
+
+    Returns:
+        (B, 10, 3, 3): up to ten candidates of norm 1, NaN for those that are missing. All of them fit five points; of
+        more points the four combinations that fit them best are searched.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes, fewer than five points.
+        DeviceError: tensors on different devices.
+
+    Source: D. Nister, "An Efficient Solution to the Five-Point Relative Pose Problem" (2004).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x1, x2 = torch.rand(2, 1, 5, 2, dtype=torch.float64)
+        >>> E = K.geometry.find_essential(x1, x2)
+        >>> E.shape, bool(torch.linalg.det(E).nan_to_num().abs().max() < 1e-9)
+        (torch.Size([1, 10, 3, 3]), True)
+    """
+    check_correspondences("find_essential", points1, points2, weights, least=5)
+    return five_points(points1, points2)
+
+
+def five_points(points1: Tensor, points2: Tensor) -> Tensor:
+    """det E = 0 and 2 E E^T E = tr(E E^T) E for E = x X + y Y + z Z + W, ten cubic equations in x, y and z."""
+    basis = null_space(epipolar_rows(wide(points1), wide(points2)), 4).unflatten(-2, (3, 3))  # (B, 3, 3, 4)
+    known = basis.isfinite().flatten(1).all(-1)[:, None]
+    E = torch.where(known[..., None, None], basis, 0)
+    # The first ten monomials, of which each equation keeps one: x^2 z, x^2, y^2 z, y^2, xyz, xy are the last of them.
+    equations = _constraints(E)
+    left, right = equations[..., :10], equations[..., 10:]
+    solved, info = torch.linalg.solve_ex(left, right)
+    known = known & (info == 0)[:, None] & solved.isfinite().flatten(1).all(-1)[:, None]
+    solved = torch.where(known[..., None], solved, 0)
+    # Those with z less z times those without leave three equations in x, y and 1, whose coefficients are polynomials.
+    top, bottom = (rows.split([3, 3, 4], -1) for rows in (solved[:, 4::2], solved[:, 5::2]))
+    pad = torch.nn.functional.pad
+    system = [pad(t, (1, 0)) - pad(b, (0, 1)) for t, b in zip(top, bottom)]
+    z = real_roots(determinant_to_polynomial(torch.cat(system, -1)).flip(-1))
+    found = known & z.isfinite()
+    z = torch.where(found, z, 0)
+    at_z = torch.stack([_polynomial(p, z) for p in system], -1)  # (B, 10, 3, 3)
+    a, b, c = at_z.unbind(-2)
+    crosses = torch.stack([torch.linalg.cross(a, b), torch.linalg.cross(b, c), torch.linalg.cross(c, a)], -2)
+    best = crosses.detach().square().sum(-1).argmax(-1)[..., None, None].expand(*z.shape, 1, 3)
+    xy1 = crosses.gather(-2, best)[..., 0, :]
+    found = found & (xy1[..., 2] != 0)
+    xy = xy1[..., :2] / torch.where(found, xy1[..., 2], 1)[..., None]
+    factors = torch.cat([xy, torch.stack([z, torch.ones_like(z)], -1)], -1)
+    candidates = (basis[:, None] * factors[..., None, None, :]).sum(-1)
+    candidates = candidates / torch.linalg.vector_norm(candidates, dim=(-2, -1), keepdim=True)
+    return torch.where(found[..., None, None], candidates, torch.nan).to(points1.dtype)
+
+
+def _constraints(E: Tensor) -> Tensor:
+    """(B, 10, 20), coefficients of monomials as `multiply_deg_two_one_poly` has them, for entries (B, 3, 3, 4)."""
+    EEt = multiply_deg_one_poly(E[:, :, None], E[:, None]).sum(3)  # (B, 3, 3, 10)
+    half_trace = EEt.diagonal(dim1=1, dim2=2).sum(-1) / 2
+    eye = torch.eye(3, device=E.device, dtype=E.dtype)
+    inner = EEt - eye[..., None] * half_trace[:, None, None]
+    trace = multiply_deg_two_one_poly(inner[:, :, :, None], E[:, None]).sum(2).flatten(1, 2)
+    first, second, third = E.unbind(1)
+
+    def minor(i: int, k: int) -> Tensor:
+        return multiply_deg_one_poly(first[:, i], second[:, k]) - multiply_deg_one_poly(first[:, k], second[:, i])
+
+    minors = torch.stack([minor(1, 2), minor(2, 0), minor(0, 1)], 1)
+    det = multiply_deg_two_one_poly(minors, third).sum(1, keepdim=True)
+    return torch.cat([trace, det], 1)
+
+
+def _polynomial(p: Tensor, z: Tensor) -> Tensor:
+    """Of polynomials (B, 3, n), the highest power first, at z (B, k): (B, k, 3)."""
+    value = torch.zeros_like(z)[..., None]
+    for c in p.unbind(-1):
+        value = value * z[..., None] + c[:, None]
+    return value
+
+
+@in_full_precision
+def essential_from_fundamental(F_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
+    """Turn fundamental matrices into essential ones: K2^T F K1.
+
+    Args:
+        F_mat: (*, 3, 3), floating point.
+        K1: camera matrices of the first image, (*, 3, 3).
+        K2: those of the second image, (*, 3, 3).
+
+    Returns:
+        (*, 3, 3).
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.essential_from_fundamental(torch.ones(3, 3), 2 * torch.eye(3), torch.eye(3))[0]
+        tensor([2., 2., 2.])
+    """
+    for name, x in (("F_mat", F_mat), ("K1", K1), ("K2", K2)):
+        _check.floating_ends("essential_from_fundamental", name, x, 3, 3)
+    _check.same_device("essential_from_fundamental", F_mat=F_mat, K1=K1, K2=K2)
+    return K2.mT @ F_mat @ K1
+
+
+# --- and poses ------------------------------------------------------------------------------------------------------
+
+
+@in_full_precision
+def essential_from_Rt(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> Tensor:
+    """Find the essential matrices of two cameras: [t]x R of the motion from the first to the second.
+
+    Args:
+        R1: rotations from the world to the first camera, (*, 3, 3), floating point.
+        t1: its translations, (*, 3, 1).
+        R2: rotations to the second camera, (*, 3, 3).
+        t2: its translations, (*, 3, 1).
+
+    Returns:
+        (*, 3, 3).
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> eye, t = torch.eye(3), torch.tensor([[1.0], [0.0], [0.0]])
+        >>> K.geometry.essential_from_Rt(eye, 0 * t, eye, t)
+        tensor([[ 0.,  0.,  0.],
+                [ 0.,  0., -1.],
+                [ 0.,  1.,  0.]])
+    """
+    R, t = _motion("essential_from_Rt", R1, t1, R2, t2)
+    return cross_product_matrix(t[..., 0]) @ R
+
+
+@in_full_precision
+def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
+    """Find the motion from a first camera to a second: R = R2 R1^T, t = t2 - R t1.
+
+    Args:
+        R1: rotations from the world to the first camera, (*, 3, 3), floating point.
+        t1: its translations, (*, 3, 1).
+        R2: rotations to the second camera, (*, 3, 3).
+        t2: its translations, (*, 3, 1).
+
+    Returns:
+        R, (*, 3, 3), and t, (*, 3, 1).
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> eye, t = torch.eye(3), torch.tensor([[1.0], [0.0], [0.0]])
+        >>> K.geometry.relative_camera_motion(eye, t, eye, 3 * t)[1].flatten()
+        tensor([2., 0., 0.])
+    """
+    return _motion("relative_camera_motion", R1, t1, R2, t2)
+
+
+def _motion(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
+    for name, x in (("R1", R1), ("R2", R2)):
+        _check.floating_ends(op, name, x, 3, 3)
+    for name, x in (("t1", t1), ("t2", t2)):
+        _check.floating_ends(op, name, x, 3, 1)
+    _check.same_device(op, R1=R1, t1=t1, R2=R2, t2=t2)
+    R = R2 @ R1.mT
+    return R, t2 - R @ t1
+
+
+@in_full_precision
+def project_to_essential(E_mat: Tensor) -> Tensor:
+    """Find the nearest essential matrices, whose singular values are s, s and 0.
+
+    Args:
+        E_mat: (*, 3, 3), floating point.
+
+    Returns:
+        (*, 3, 3), s being the mean of the two larger singular values.
+
+    Raises:
+        TypeCheckError: `E_mat` is no floating-point tensor.
+        ShapeError: `E_mat` is not (*, 3, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.epipolar.project_to_essential(torch.diag(torch.tensor([3.0, 1.0, 0.5])))
+        tensor([[2., 0., 0.],
+                [0., 2., 0.],
+                [0., 0., 0.]])
+    """
+    _check.floating_ends("project_to_essential", "E_mat", E_mat, 3, 3)
+    isometry, size = _polar(wide(E_mat))
+    return (isometry * (size / 2)[..., None, None]).to(E_mat.dtype) + 0
+
+
+def _polar(E: Tensor) -> tuple[Tensor, Tensor]:
+    """u1 v1^T + u2 v2^T of the singular vectors, and the sum of both singular values.
+
+    In closed form, because the vectors themselves have no derivative where the values are equal, as they should be.
+    In the plane that E keeps, S = E^T E has the root (S + d P) / s for the determinant d^2 of S, s = sqrt(tr S + 2 d),
+    and the plane's projection P.
+    """
+    v = null_vector_3x3(E)[..., None]
+    F = E - (E @ v) @ v.mT  # without the smallest one
+    S = F.mT @ F
+    trace = S.diagonal(dim1=-2, dim2=-1).sum(-1)
+    d = root(((trace.square() - S.square().sum((-2, -1))) / 2).clamp(min=0))
+    s = root(trace + 2 * d)
+    below = (d * s)[..., None, None]
+    isometry = ((trace + d)[..., None, None] * F - F @ S) / torch.where(below > 0, below, 1)
+    return isometry, s
+
+
+@in_full_precision
+def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Find the motions of an essential matrix: two rotations, and the direction of a translation.
+
+    Args:
+        E_mat: (*, 3, 3), floating point; others count as the nearest essential one.
+
+    Returns:
+        Both rotations, (*, 3, 3), and the direction, (*, 3, 1), of length 1 and either sign.
+
+    Raises:
+        TypeCheckError: `E_mat` is no floating-point tensor.
+        ShapeError: `E_mat` is not (*, 3, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> t = torch.tensor([0.0, 0.0, 2.0])
+        >>> R1, R2, direction = K.geometry.decompose_essential_matrix(K.geometry.cross_product_matrix(t))
+        >>> direction.abs().flatten(), R1.diagonal().sum() + R2.diagonal().sum()
+        (tensor([0., 0., 1.]), tensor(2.))
+    """
+    _check.floating_ends("decompose_essential_matrix", "E_mat", E_mat, 3, 3)
+    E = wide(E_mat)
+    isometry, _ = _polar(E)
+    t = null_vector_3x3(E.mT)
+    # A turn by a right angle about t either way, and along t what makes it a rotation.
+    turned = cross_product_matrix(t) @ isometry
+    axis = _completion(turned, t)
+    first, second = turned + axis, axis - turned
+    return first.to(E_mat.dtype), second.to(E_mat.dtype), t[..., None].to(E_mat.dtype)
+
+
+def _completion(A: Tensor, t: Tensor) -> Tensor:
+    """t v^T such that A, which takes the plane across v to that across t, becomes a rotation: its cofactors."""
+    a, b, c = A.unbind(-2)
+    return torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], -2)
+
+
+@in_full_precision
+def decompose_essential_matrix_no_svd(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Another name of `decompose_essential_matrix`, with all leading axes as one.
+
+    Args:
+        E_mat: (*, 3, 3), floating point.
+
+    Returns:
+        Both rotations, (B, 3, 3), and the direction, (B, 3, 1), of length 1 and either sign.
+
+    Raises:
+        TypeCheckError: `E_mat` is no floating-point tensor.
+        ShapeError: `E_mat` is not (*, 3, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.decompose_essential_matrix_no_svd(torch.rand(2, 5, 3, 3))[0].shape
+        torch.Size([10, 3, 3])
+    """
+    _check.floating_ends("decompose_essential_matrix_no_svd", "E_mat", E_mat, 3, 3)
+    return decompose_essential_matrix(E_mat.reshape(-1, 3, 3))
+
+
+@in_full_precision
+def motion_from_essential(E_mat: Tensor) -> tuple[Tensor, Tensor]:
+    """List the four motions of an essential matrix: (R1, t), (R1, -t), (R2, t), (R2, -t).
+
+    Args:
+        E_mat: (*, 3, 3), floating point.
+
+    Returns:
+        Rotations (*, 4, 3, 3) and translations (*, 4, 3, 1) of length 1.
+
+    Raises:
+        TypeCheckError: `E_mat` is no floating-point tensor.
+        ShapeError: `E_mat` is not (*, 3, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> R, t = K.geometry.motion_from_essential(torch.rand(2, 3, 3))
+        >>> R.shape, t.shape
+        (torch.Size([2, 4, 3, 3]), torch.Size([2, 4, 3, 1]))
+    """
+    _check.floating_ends("motion_from_essential", "E_mat", E_mat, 3, 3)
+    R1, R2, t = decompose_essential_matrix(E_mat)
+    return torch.stack([R1, R1, R2, R2], -3), torch.stack([t, -t, t, -t], -3)
+
+
+@in_full_precision
+def motion_from_essential_choose_solution(
+    E_mat: Tensor, K1: Tensor, K2: Tensor, x1: Tensor, x2: Tensor, mask: Tensor | None = None
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Find the motion of an essential matrix that leaves most points in front of both cameras.
+
+    Args:
+        E_mat: (3, 3) or (B, 3, 3), floating point.
+        K1: camera matrices of the first image, in the shape of `E_mat`.
+        K2: those of the second image.
+        x1: (N, 2) or (B, N, 2) as (x, y) in pixels.
+        x2: the same points in the second image.
+        mask: bool, (N,) or (B, N): which points count.
+
+    Returns:
+        R, (*, 3, 3); t, (*, 3, 1), of length 1; the points in the first camera's coordinates, (*, N, 3); how many of
+        them are in front, (*).
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> X = torch.rand(9, 3) + torch.tensor([0.0, 0.0, 2.0])
+        >>> t = torch.tensor([1.0, 0.0, 0.0])
+        >>> pictures = [Y[:, :2] / Y[:, 2:] for Y in (X, X + t)]
+        >>> E = K.geometry.cross_product_matrix(t)
+        >>> R, t, points, count = K.geometry.motion_from_essential_choose_solution(
+        ...     E, torch.eye(3), torch.eye(3), *pictures)
+        >>> t.flatten(), count
+        (tensor([1., 0., 0.]), tensor(9))
+    """
+    op = "motion_from_essential_choose_solution"
+    for name, x in (("E_mat", E_mat), ("K1", K1), ("K2", K2)):
+        _check.floating_ends(op, name, x, 3, 3)
+    for name, x in (("x1", x1), ("x2", x2)):
+        _check.floating_ends(op, name, x, "N", 2)
+    _check.same_shape(op, x1=x1, x2=x2)
+    _check.same_device(op, E_mat=E_mat, K1=K1, K2=K2, x1=x1, x2=x2)
+    if E_mat.dim() not in (2, 3) or x1.dim() != E_mat.dim() or not K1.dim() == K2.dim() == E_mat.dim():
+        got = ", ".join(str(tuple(x.shape)) for x in (E_mat, K1, K2, x1))
+        raise ShapeError(f"{op}: expected E_mat, K1, K2 and x1 with a batch or all without, got {got}")
+    if mask is not None:
+        _check.shape(op, "mask", mask, *x1.shape[:-1])
+    R, t = motion_from_essential(E_mat)
+    eye = torch.eye(3, device=R.device, dtype=R.dtype).expand_as(R)
+    K1, K2 = K1[..., None, :, :].to(R.dtype), K2[..., None, :, :].to(R.dtype)
+    P1, P2 = projection_from_KRt(K1, eye, torch.zeros_like(t)), projection_from_KRt(K2, R, t)
+    X = triangulate_points(P1, P2, x1[..., None, :, :], x2[..., None, :, :])  # (*, 4, N, 3)
+    in_front = (X[..., 2] > 0) & (depth_from_point(R, t, X) > 0)
+    if mask is not None:
+        in_front = in_front & mask[..., None, :]
+    count, best = in_front.sum(-1).max(-1)
+
+    def chosen(x: Tensor) -> Tensor:
+        where = best[..., None, None, None].expand(*best.shape, 1, *x.shape[-2:])
+        return x.gather(-3, where)[..., 0, :, :]
+
+    return chosen(R), chosen(t), chosen(X), count

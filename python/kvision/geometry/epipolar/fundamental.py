@@ -1,0 +1,293 @@
+"""Fundamental matrices: x2^T F x1 = 0 for the pictures x1 and x2 of one point, in pixels."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry._precision import in_full_precision, length, wide
+from kvision.geometry.epipolar.normalization import normalized, to_unit_last
+from kvision.geometry.linalg import adjugate
+from kvision.geometry.solvers.correspondences import check_correspondences
+from kvision.geometry.solvers.null_vector import null_space, null_vector, null_vector_3x3
+from kvision.geometry.solvers.roots import real_roots
+
+__all__ = [
+    "compute_correspond_epilines",
+    "find_fundamental",
+    "fundamental_from_essential",
+    "fundamental_from_projections",
+    "get_closest_point_on_epipolar_line",
+    "get_perpendicular",
+]
+
+
+@in_full_precision
+def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = None, method: str = "8POINT") -> Tensor:
+    """Find the fundamental matrices of correspondences.
+
+    Args:
+        points1: (B, N, 2) as (x, y) in the first image, floating point.
+        points2: the same points in the second image, (B, N, 2).
+        weights: of the squared errors of "8POINT", (B, N), at least 0; only their ratios matter.
+        method: "8POINT": least squares from at least eight points, of rank 2; "7POINT": the matrices of rank 2 that
+            seven points leave.
+
+    Returns:
+        "8POINT": (B, 3, 3); "7POINT": (B, 3, 3, 3), one to three matrices, zeros for those that are missing. Divided by
+        the last entry unless that is 0. NaN where points or weights are not finite.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes, too few points.
+        DeviceError: tensors on different devices.
+        ValueCheckError: another method.
+
+    Source: R. Hartley, "In defense of the eight-point algorithm" (1997).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> scene = K.geometry.epipolar.generate_scene(2, 20)
+        >>> x1, x2 = scene["points2d"].double().split(1)
+        >>> F = K.geometry.find_fundamental(x1, x2)
+        >>> K.geometry.sampson_epipolar_distance(x1, x2, F).max() < 1e-3
+        tensor(True)
+    """
+    op = "find_fundamental"
+    _check.choice(op, "method", method, ("8POINT", "7POINT"))
+    check_correspondences(op, points1, points2, weights, least=8 if method == "8POINT" else 7)
+    if method == "7POINT":
+        if points1.shape[1] != 7:
+            raise ShapeError(f"{op}: expected points1 of shape (B, 7, 2), got {tuple(points1.shape)}")
+        return seven_points(points1, points2).nan_to_num(0.0)
+    return eight_points(points1, points2, weights)
+
+
+def eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
+    w = None if weights is None else wide(weights)
+    x, T1 = normalized(wide(points1), w)
+    y, T2 = normalized(wide(points2), w)
+    F = null_vector(epipolar_rows(x, y), w).unflatten(-1, (3, 3))
+    return to_unit_last(T2.mT @ of_rank_two(F) @ T1).to(points1.dtype)
+
+
+def seven_points(points1: Tensor, points2: Tensor) -> Tensor:
+    """(B, 3, 3, 3), NaN for those that are missing: a F1 + (1 - a) F2 is of rank 2 for the roots a of a cubic."""
+    x, T1 = normalized(wide(points1), None)
+    y, T2 = normalized(wide(points2), None)
+    F1, F2 = null_space(epipolar_rows(x, y), 2).unflatten(-2, (3, 3)).unbind(-1)
+    D = F1 - F2
+    one, two = adjugate(D), adjugate(F2)
+    mixed = [(m.mT * n).sum((-2, -1)) for m, n in ((one, F2), (two, D))]
+    det = [(m * n.mT).sum((-2, -1)) / 3 for m, n in ((one, D), (two, F2))]
+    a = real_roots(torch.stack([det[0], mixed[0], mixed[1], det[1]], -1))[..., None, None]
+    F = a * D[:, None] + F2[:, None]
+    return to_unit_last(T2.mT[:, None] @ F @ T1[:, None]).to(points1.dtype)
+
+
+def epipolar_rows(x: Tensor, y: Tensor) -> Tensor:
+    """(B, N, 9): y^T F x is the product with the entries of F, row by row, for points (B, N, 2)."""
+    x, y = (torch.cat([p, torch.ones_like(p[..., :1])], -1) for p in (x, y))
+    return (y[..., None] * x[..., None, :]).flatten(-2)
+
+
+def of_rank_two(F: Tensor) -> Tensor:
+    """The nearest matrix of rank 2: without what F does to its smallest singular vector."""
+    v = null_vector_3x3(F)
+    return F - (F @ v[..., None]) * v[..., None, :]
+
+
+@in_full_precision
+def fundamental_from_essential(E_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
+    """Turn essential matrices into fundamental ones: K2^-T E K1^-1.
+
+    Args:
+        E_mat: (*, 3, 3), floating point.
+        K1: camera matrices of the first image, (*, 3, 3).
+        K2: those of the second image, (*, 3, 3).
+
+    Returns:
+        (*, 3, 3); NaN where a camera matrix has no inverse.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.fundamental_from_essential(torch.ones(3, 3), torch.diag(torch.tensor([2.0, 2, 1])), torch.eye(3))
+        tensor([[0.5000, 0.5000, 1.0000],
+                [0.5000, 0.5000, 1.0000],
+                [0.5000, 0.5000, 1.0000]])
+    """
+    for name, x in (("E_mat", E_mat), ("K1", K1), ("K2", K2)):
+        _check.floating_ends("fundamental_from_essential", name, x, 3, 3)
+    _check.same_device("fundamental_from_essential", E_mat=E_mat, K1=K1, K2=K2)
+    return _inverse(K2).mT @ E_mat @ _inverse(K1)
+
+
+def _inverse(K: Tensor) -> Tensor:
+    A = adjugate(K)
+    det = (K[..., 0, :] * A[..., :, 0]).sum(-1)[..., None, None]
+    return torch.where(det == 0, torch.nan, A / torch.where(det == 0, 1, det))
+
+
+@in_full_precision
+def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
+    """Find the fundamental matrices of two cameras.
+
+    Args:
+        P1: projections of the first image, (*, 3, 4), floating point.
+        P2: those of the second image, (*, 3, 4).
+
+    Returns:
+        (*, 3, 3), whose entries are 4 x 4 minors of both; 0 for two cameras at one place.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), equation 17.3.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> P2 = torch.eye(3, 4)
+        >>> P2[0, 3] = 1.0  # moved along x
+        >>> K.geometry.fundamental_from_projections(torch.eye(3, 4), P2)
+        tensor([[ 0.,  0.,  0.],
+                [ 0.,  0.,  1.],
+                [ 0., -1.,  0.]])
+    """
+    op = "fundamental_from_projections"
+    _check.floating_ends(op, "P1", P1, 3, 4)
+    _check.floating_ends(op, "P2", P2, 3, 4)
+    _check.same_device(op, P1=P1, P2=P2)
+    P1, P2 = torch.broadcast_tensors(P1, P2)
+    rows = []
+    for i in range(3):
+        y = P2[..., [(i + 1) % 3, (i + 2) % 3], :]
+        rows.append([torch.linalg.det(torch.cat([P1[..., [(k + 1) % 3, (k + 2) % 3], :], y], -2)) for k in range(3)])
+    return torch.stack([torch.stack(row, -1) for row in rows], -2) + 0  # no negative zeros
+
+
+# --- lines ----------------------------------------------------------------------------------------------------------
+
+
+@in_full_precision
+def compute_correspond_epilines(points: Tensor, F_mat: Tensor) -> Tensor:
+    """Find the lines on which points of one image are in the other one.
+
+    Args:
+        points: (*, N, 2) as (x, y), or (*, N, 3) homogeneous, floating point.
+        F_mat: from the image of the points to the other one, (*, 3, 3); its transpose goes the other way.
+
+    Returns:
+        (a, b, c) with a x + b y + c = 0 and a^2 + b^2 = 1, (*, N, 3); unscaled where a and b are 0.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> F = torch.tensor([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # moved along x
+        >>> K.geometry.compute_correspond_epilines(torch.tensor([[3.0, 7.0]]), F)
+        tensor([[ 0., -1.,  7.]])
+    """
+    check_points("compute_correspond_epilines", "points", points)
+    _check.floating_ends("compute_correspond_epilines", "F_mat", F_mat, 3, 3)
+    _check.same_device("compute_correspond_epilines", points=points, F_mat=F_mat)
+    return scaled_lines(lines(points, F_mat))
+
+
+def lines(points: Tensor, F: Tensor) -> Tensor:
+    """F x for points (*, N, 2 or 3)."""
+    if points.shape[-1] == 3:
+        return points @ F.mT
+    return points @ F[..., :2].mT + F[..., None, :, 2]
+
+
+def scaled_lines(line: Tensor) -> Tensor:
+    size = length(line[..., :2], keepdim=True)
+    return line / torch.where(size > 0, size, 1) + 0  # no negative zeros
+
+
+def check_points(op: str, name: str, x: Tensor) -> None:
+    _check.floating_ends(op, name, x, "N", "2 or 3")
+    if x.shape[-1] not in (2, 3):
+        raise ShapeError(f"{op}: expected {name} of shape (*, N, 2 or 3), got {tuple(x.shape)}", actual_shape=x.shape)
+
+
+@in_full_precision
+def get_perpendicular(lines: Tensor, points: Tensor) -> Tensor:
+    """Find the lines through points that cross others at a right angle.
+
+    Args:
+        lines: (a, b, c) with a x + b y + c = 0, (*, N, 3), floating point.
+        points: (*, N, 2) as (x, y), or (*, N, 3) homogeneous.
+
+    Returns:
+        (*, N, 3).
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.get_perpendicular(torch.tensor([[0.0, 1, -2]]), torch.tensor([[3.0, 7.0]]))  # y = 2
+        tensor([[-1.,  0.,  3.]])
+    """
+    _check.floating_ends("get_perpendicular", "lines", lines, "N", 3)
+    check_points("get_perpendicular", "points", points)
+    _check.same_device("get_perpendicular", lines=lines, points=points)
+    return _perpendicular(lines, points)
+
+
+def _perpendicular(line: Tensor, points: Tensor) -> Tensor:
+    """The cross product of the point and the direction (a, b, 0), a point at infinity."""
+    a, b = line[..., 0], line[..., 1]
+    x, y = points[..., 0], points[..., 1]
+    w = points[..., 2] if points.shape[-1] == 3 else torch.ones_like(x)
+    return torch.stack(torch.broadcast_tensors(-w * b, w * a, x * b - y * a), -1) + 0
+
+
+@in_full_precision
+def get_closest_point_on_epipolar_line(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> Tensor:
+    """Move points of the second image to where they are nearest on the lines of those of the first.
+
+    Args:
+        pts1: (*, N, 2) as (x, y), or (*, N, 3) homogeneous, floating point.
+        pts2: likewise, in the second image.
+        Fm: (*, 3, 3), from the first image to the second.
+
+    Returns:
+        (*, N, 2); where they are if there is no line.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> F = torch.tensor([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # moved along x
+        >>> K.geometry.get_closest_point_on_epipolar_line(torch.tensor([[3.0, 7.0]]), torch.tensor([[5.0, 8.0]]), F)
+        tensor([[5., 7.]])
+    """
+    op = "get_closest_point_on_epipolar_line"
+    check_points(op, "pts1", pts1)
+    check_points(op, "pts2", pts2)
+    _check.floating_ends(op, "Fm", Fm, 3, 3)
+    _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)
+    line = scaled_lines(lines(pts1, Fm))
+    point = pts2 if pts2.shape[-1] == 2 else pts2[..., :2] / pts2[..., 2:]
+    normal = line[..., :2]
+    away = ((normal * point).sum(-1, keepdim=True) + line[..., 2:]) * normal.square().sum(-1, keepdim=True)
+    return point - away * normal

@@ -1,0 +1,104 @@
+"""Points and matrices in the range in which linear equations about them are well conditioned."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry._precision import in_full_precision, length
+from kvision.geometry.solvers.correspondences import shares
+
+__all__ = ["normalize_points", "normalize_transformation"]
+
+
+@in_full_precision
+def normalize_points(points: Tensor, eps: float = 1e-8, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Move the mean of points to 0 and scale their mean distance from it to sqrt(2).
+
+    Args:
+        points: (B, N, 2) as (x, y), floating point.
+        eps: added to the mean distance, for points that are all one.
+        weights: of the points in both means, (B, N); those below 0 count as 0, and if all are 0 they count alike.
+
+    Returns:
+        The points, (B, N, 2), and the similarity (B, 3, 3) that takes the given ones there.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Source: R. Hartley, "In defense of the eight-point algorithm" (1997).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> square = torch.tensor([[[0.0, 0], [2, 0], [2, 2], [0, 2]]])
+        >>> points, T = K.geometry.normalize_points(square)
+        >>> points[0, 0].round(decimals=4), T[0].round(decimals=4)
+        (tensor([-1., -1.]), tensor([[ 1.,  0., -1.],
+                [ 0.,  1., -1.],
+                [ 0.,  0.,  1.]]))
+    """
+    _check.shape("normalize_points", "points", points, "B", "N", 2)
+    _check.floating("normalize_points", "points", points)
+    if weights is not None:
+        _check.shape("normalize_points", "weights", weights, *points.shape[:2])
+        _check.same_device("normalize_points", points=points, weights=weights)
+    return normalized(points, weights, eps)
+
+
+def normalized(points: Tensor, weights: Tensor | None, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
+    """`normalize_points` of points (B, N, D) of any dimension: mean distance sqrt(D), and a matrix (B, D + 1, D + 1)."""
+    share = shares(points, weights)
+    mean = (share * points).sum(1, keepdim=True)
+    centered = points - mean
+    scale = math.sqrt(points.shape[-1]) / ((share * length(centered, keepdim=True)).sum(1, keepdim=True) + eps)
+    eye = torch.eye(points.shape[-1], device=points.device, dtype=points.dtype)
+    T = torch.cat([scale * eye, (-scale * mean).mT], -1)
+    last = torch.zeros_like(T[:, :1])
+    last[..., -1] = 1
+    return scale * centered, torch.cat([T, last], 1)
+
+
+@in_full_precision
+def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
+    """Divide matrices by their last entry.
+
+    Args:
+        M: (*, m, n), at least 2 x 2, floating point.
+        eps: a matrix whose last entry is not larger than that stays as it is.
+
+    Returns:
+        In the shape of `M`.
+
+    Raises:
+        TypeCheckError: `M` is no floating-point tensor.
+        ShapeError: `M` has fewer than two axes, or fewer than two rows or columns.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.normalize_transformation(2 * torch.eye(3))
+        tensor([[1., 0., 0.],
+                [0., 1., 0.],
+                [0., 0., 1.]])
+    """
+    _check.floating_ends("normalize_transformation", "M", M, "m", "n")
+    if min(M.shape[-2:]) < 2:
+        raise ShapeError(
+            f"normalize_transformation: expected M of at least 2 x 2, got {tuple(M.shape)}", actual_shape=M.shape
+        )
+    last = M[..., -1:, -1:]
+    large = last.abs() > eps
+    return torch.where(large, M / torch.where(large, last, 1), M)
+
+
+def to_unit_last(M: Tensor, eps: float = 1e-12) -> Tensor:
+    """Divided by the last entry unless that is 0: within `eps` of the largest; then by the largest."""
+    largest = M.detach().abs().amax((-2, -1), keepdim=True)
+    last = M[..., -1:, -1:]
+    large = last.abs() > eps * largest
+    return M / torch.where(large, last, torch.where(largest > 0, largest, 1))

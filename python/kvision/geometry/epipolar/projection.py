@@ -1,0 +1,284 @@
+"""Cameras as projection matrices P = K [R | t], and what they are made of."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError, ValueCheckError
+from kvision.core.ops import eye_like
+from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry.solvers.null_vector import null_vector_3x3
+
+__all__ = [
+    "KRt_from_projection",
+    "cross_product_matrix",
+    "depth_from_point",
+    "intrinsics_like",
+    "projection_from_KRt",
+    "projections_from_fundamental",
+    "random_intrinsics",
+    "scale_intrinsics",
+]
+
+
+def cross_product_matrix(x: Tensor) -> Tensor:
+    """Write the cross product with vectors as matrices: [x]x y = x times y.
+
+    Args:
+        x: (*, 3), floating point.
+
+    Returns:
+        (*, 3, 3).
+
+    Raises:
+        TypeCheckError: `x` is no floating-point tensor.
+        ShapeError: `x` is not (*, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.cross_product_matrix(torch.tensor([1.0, 2.0, 3.0]))
+        tensor([[ 0., -3.,  2.],
+                [ 3.,  0., -1.],
+                [-2.,  1.,  0.]])
+    """
+    _check.floating_ends("cross_product_matrix", "x", x, 3)
+    a, b, c = x.unbind(-1)
+    zero = torch.zeros_like(a)
+    return torch.stack([zero, -c, b, c, zero, -a, -b, a, zero], -1).unflatten(-1, (3, 3))
+
+
+@in_full_precision
+def projection_from_KRt(K: Tensor, R: Tensor, t: Tensor) -> Tensor:
+    """Compose projections from world to image: K [R | t].
+
+    Args:
+        K: camera matrices, (*, 3, 3), floating point.
+        R: rotations from the world to the camera, (*, 3, 3).
+        t: translations, (*, 3, 1).
+
+    Returns:
+        (*, 3, 4).
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes, or not all with the same number of axes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.projection_from_KRt(torch.eye(3), torch.eye(3), torch.ones(3, 1))
+        tensor([[1., 0., 0., 1.],
+                [0., 1., 0., 1.],
+                [0., 0., 1., 1.]])
+    """
+    op = "projection_from_KRt"
+    _check.floating_ends(op, "K", K, 3, 3)
+    _check.floating_ends(op, "R", R, 3, 3)
+    _check.floating_ends(op, "t", t, 3, 1)
+    _check.same_device(op, K=K, R=R, t=t)
+    if not K.dim() == R.dim() == t.dim():
+        raise ShapeError(f"{op}: expected K, R and t with as many axes, got {K.dim()}, {R.dim()} and {t.dim()}")
+    return K @ torch.cat([R, t.expand(*R.shape[:-1], 1)], -1)
+
+
+@in_full_precision
+def KRt_from_projection(P: Tensor, eps: float = 1e-6) -> tuple[Tensor, Tensor, Tensor]:
+    """Decompose projections into what `projection_from_KRt` makes them of.
+
+    Args:
+        P: (B, 3, 4) of any scale, floating point.
+        eps: of no effect, since signs are exact.
+
+    Returns:
+        K, (B, 3, 3), upper triangular with a diagonal of at least 0; R, (B, 3, 3), a rotation; t, (B, 3, 1). K [R | t]
+        is P, or -P where the determinant of its first three columns is negative. NaN or inf where that is 0.
+
+    Raises:
+        TypeCheckError: `P` is no floating-point tensor.
+        ShapeError: `P` is not (B, 3, 4).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> P = torch.diag(torch.tensor([2.0, 3.0, 1.0])) @ torch.eye(3, 4)
+        >>> K.geometry.KRt_from_projection(P[None])[0][0]
+        tensor([[2., 0., 0.],
+                [0., 3., 0.],
+                [0., 0., 1.]])
+    """
+    _check.shape("KRt_from_projection", "P", P, "B", 3, 4)
+    _check.floating("KRt_from_projection", "P", P)
+    # From the last row on each is, up to a positive length, the part of a row across those below it.
+    a, b, c = wide(P)[..., :3].unbind(-2)
+    f, third = _unit(c)
+    e = (b * third).sum(-1)
+    d, second = _unit(b - e[:, None] * third)
+    m, n = (a * second).sum(-1), (a * third).sum(-1)
+    h, first = _unit(a - m[:, None] * second - n[:, None] * third)
+    turned = torch.where((torch.linalg.cross(first, second) * third).sum(-1) < 0, -1.0, 1.0).to(d.dtype)[:, None]
+    u, v, w = (wide(P)[..., 3] * turned).unbind(-1)
+    z = w / f
+    y = (v - e * z) / d
+    x = (u - m * y - n * z) / h
+    zero = torch.zeros_like(h)
+    K = torch.stack([h, m, n, zero, d, e, zero, zero, f], -1).unflatten(-1, (3, 3))
+    R = torch.stack([first, second, third], -2) * turned[..., None]
+    return K.to(P.dtype), R.to(P.dtype), torch.stack([x, y, z], -1)[..., None].to(P.dtype)
+
+
+def _unit(x: Tensor) -> tuple[Tensor, Tensor]:
+    size = torch.linalg.vector_norm(x, dim=-1)
+    return size, x / size[..., None]
+
+
+@in_full_precision
+def depth_from_point(R: Tensor, t: Tensor, X: Tensor) -> Tensor:
+    """Compute the depth of points before a camera: z of R X + t.
+
+    Args:
+        R: rotations from the world to the camera, (*, 3, 3), floating point.
+        t: translations, (*, 3, 1).
+        X: points, (*, N, 3).
+
+    Returns:
+        (*, N).
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.depth_from_point(torch.eye(3), torch.ones(3, 1), torch.zeros(2, 3))
+        tensor([1., 1.])
+    """
+    op = "depth_from_point"
+    _check.floating_ends(op, "R", R, 3, 3)
+    _check.floating_ends(op, "t", t, 3, 1)
+    _check.floating_ends(op, "X", X, "N", 3)
+    _check.same_device(op, R=R, t=t, X=X)
+    return (R[..., 2:, :] @ X.mT)[..., 0, :] + t[..., 2, :]
+
+
+@in_full_precision
+def projections_from_fundamental(F_mat: Tensor) -> Tensor:
+    """Find a pair of cameras that have given fundamental matrices: [I | 0] and [[e]x F | e], e being the epipole.
+
+    Args:
+        F_mat: (B, 3, 3), floating point.
+
+    Returns:
+        (B, 3, 4, 2): the projections of both images along the last axis. The epipole is that of the second image, of
+        length 1 and either sign.
+
+    Raises:
+        TypeCheckError: `F_mat` is no floating-point tensor.
+        ShapeError: `F_mat` is not (B, 3, 3).
+
+    Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), result 9.14.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.projections_from_fundamental(torch.rand(2, 3, 3)).shape
+        torch.Size([2, 3, 4, 2])
+    """
+    _check.shape("projections_from_fundamental", "F_mat", F_mat, "B", 3, 3)
+    _check.floating("projections_from_fundamental", "F_mat", F_mat)
+    e = null_vector_3x3(F_mat.mT)
+    first = torch.eye(3, 4, device=F_mat.device, dtype=F_mat.dtype).expand(len(F_mat), 3, 4)
+    second = torch.cat([cross_product_matrix(e) @ F_mat, e[..., None]], -1)
+    return torch.stack([first, second], -1)
+
+
+# --- camera matrices ------------------------------------------------------------------------------------------------
+
+
+def intrinsics_like(focal: float, input: Tensor) -> Tensor:
+    """Make the camera matrix of a focal length for each image, with the principal point at half of width and height.
+
+    Args:
+        focal: in pixels, above 0.
+        input: images (B, C, H, W), floating point; they give sizes, device and dtype.
+
+    Returns:
+        (B, 3, 3).
+
+    Raises:
+        TypeCheckError: focal is no number, input no floating-point tensor.
+        ShapeError: input is not (B, C, H, W).
+        ValueCheckError: focal is not above 0.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.intrinsics_like(100.0, torch.zeros(1, 3, 20, 30))
+        tensor([[[100.,   0.,  15.],
+                 [  0., 100.,  10.],
+                 [  0.,   0.,   1.]]])
+    """
+    _check.images("intrinsics_like", "input", input)
+    _check.floating("intrinsics_like", "input", input)
+    if not _check.number("intrinsics_like", "focal", focal) > 0:
+        raise ValueCheckError(f"intrinsics_like: expected focal above 0, got {focal!r}", actual_value=focal)
+    K = eye_like(3, input)
+    K[:, 0, 0] = K[:, 1, 1] = focal
+    K[:, 0, 2] = input.shape[3] / 2
+    K[:, 1, 2] = input.shape[2] / 2
+    return K
+
+
+def random_intrinsics(low: float | Tensor, high: float | Tensor) -> Tensor:
+    """Draw a camera matrix whose focal lengths and principal point are uniform in a range.
+
+    Args:
+        low: least value, a number or a tensor of one.
+        high: largest value.
+
+    Returns:
+        (1, 3, 3), in the type and on the device of a tensor that was given.
+
+    Raises:
+        TypeCheckError: no numbers.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.random_intrinsics(1.0, 2.0)[0, 2]
+        tensor([0., 0., 1.])
+    """
+    for name, value in (("low", low), ("high", high)):
+        if not isinstance(value, Tensor):
+            _check.number("random_intrinsics", name, value)
+    like = next((v for v in (low, high) if isinstance(v, Tensor)), torch.empty(0))
+    fx, fy, cx, cy = (low + (high - low) * torch.rand(4, device=like.device, dtype=like.dtype)).unbind()
+    zero = torch.zeros_like(fx)
+    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, zero + 1]).reshape(1, 3, 3)
+
+
+def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor) -> Tensor:
+    """Multiply focal lengths and principal points of camera matrices.
+
+    Args:
+        camera_matrix: (*, 3, 3), floating point.
+        scale_factor: a number, or a tensor (*) or of one number.
+
+    Returns:
+        (*, 3, 3).
+
+    Raises:
+        TypeCheckError: no floating-point tensor, or no number.
+        ShapeError: `camera_matrix` is not (*, 3, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.scale_intrinsics(torch.ones(1, 3, 3), 2.0)
+        tensor([[[2., 1., 2.],
+                 [1., 2., 2.],
+                 [1., 1., 1.]]])
+    """
+    _check.floating_ends("scale_intrinsics", "camera_matrix", camera_matrix, 3, 3)
+    if not isinstance(scale_factor, Tensor):
+        scale_factor = _check.number("scale_intrinsics", "scale_factor", scale_factor)
+    scaled = camera_matrix.new_tensor([[1, 0, 1], [0, 1, 1], [0, 0, 0]]).bool()
+    factor = scale_factor[..., None, None] if isinstance(scale_factor, Tensor) else scale_factor
+    return torch.where(scaled, camera_matrix * factor, camera_matrix)

@@ -1,0 +1,75 @@
+"""Points in space from their pictures in two images."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry.solvers.null_vector import smallest_eigenvector
+
+__all__ = ["triangulate_points"]
+
+
+@in_full_precision
+def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor, solver: str = "eigh") -> Tensor:
+    """Find points in space from their pictures in two images, in the sense of direct linear transformation.
+
+    Args:
+        P1: projections of the first image, (*, 3, 4), floating point.
+        P2: those of the second image, (*, 3, 4).
+        points1: (*, N, 2) as (x, y), in the coordinates of `P1`. Leading axes and N broadcast.
+        points2: the same points in the second image, (*, N, 2).
+        solver: "eigh", "svd" or "cofactor": kept for those who name one. The result is the same.
+
+    Returns:
+        (*, N, 3). NaN, without a gradient, for points at infinity.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+        NotImplementedError: another solver; also a ValueCheckError.
+
+    Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), section 12.2.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> P1, P2 = torch.eye(3, 4), torch.eye(3, 4)
+        >>> P2[0, 3] = -1.0  # moved by 1 along x
+        >>> x1, x2 = torch.tensor([[0.5, 0.25]]), torch.tensor([[0.25, 0.25]])
+        >>> K.geometry.triangulate_points(P1, P2, x1, x2).round(decimals=3)
+        tensor([[2., 1., 4.]])
+    """
+    op = "triangulate_points"
+    for name, x in (("P1", P1), ("P2", P2)):
+        _check.floating_ends(op, name, x, 3, 4)
+    for name, x in (("points1", points1), ("points2", points2)):
+        _check.floating_ends(op, name, x, "N", 2)
+    _check.same_device(op, P1=P1, P2=P2, points1=points1, points2=points2)
+    _check.known(op, "solver", solver, ("eigh", "svd", "cofactor"))
+    try:
+        leading = torch.broadcast_shapes(P1.shape[:-2], P2.shape[:-2], points1.shape[:-2], points2.shape[:-2])
+        count = torch.broadcast_shapes(points1.shape[-2:], points2.shape[-2:])
+    except RuntimeError:
+        got = ", ".join(str(tuple(x.shape)) for x in (P1, P2, points1, points2))
+        raise ShapeError(f"{op}: expected shapes that broadcast, got {got}") from None
+    batch = leading.numel()
+    x1, x2 = (x.expand(*leading, *count).reshape(batch, *count) for x in (points1, points2))
+    P1, P2 = (P.expand(*leading, 3, 4).reshape(batch, 3, 4) for P in (P1, P2))
+    return _reference(x1, x2, P1, P2).reshape(*leading, count[0], 3)
+
+
+def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
+    """(B, N, 3) of points (B, N, 2) and projections (B, 3, 4)."""
+    dtype = x1.dtype
+    rows = []
+    for x, P in ((wide(x1), wide(P1)), (wide(x2), wide(P2))):
+        rows.append(x[..., None] * P[:, None, 2:] - P[:, None, :2])  # (B, N, 2, 4)
+    A = torch.cat(rows, -2)
+    X = smallest_eigenvector(A.mT @ A)
+    w = X[..., 3:]
+    infinite = w.detach().abs() <= 1e-13 + 4 * torch.finfo(dtype).eps
+    return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(dtype)

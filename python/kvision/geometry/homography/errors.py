@@ -1,0 +1,241 @@
+"""How far correspondences are from homographies."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.core.exceptions import ShapeError
+from kvision.geometry._precision import in_full_precision, length, quotient
+from kvision.geometry.linalg import adjugate, root
+
+__all__ = [
+    "line_segment_transfer_error_one_way",
+    "oneway_transfer_error",
+    "sample_is_valid_for_homography",
+    "sampson_homography_distance",
+    "symmetric_transfer_error",
+]
+
+
+@in_full_precision
+def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool = True, eps: float = 1e-8) -> Tensor:
+    """Compute how far a homography takes points from where they should go, in the second image.
+
+    Args:
+        pts1: (B, N, 2) as (x, y), or (B, N, 3) homogeneous, floating point.
+        pts2: where they should go, likewise.
+        H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
+        squared: the squared distance instead of the distance.
+        eps: of no effect, since nothing has to be kept from 0.
+
+    Returns:
+        (B, N) in pixels, inf for points that go to infinity. Gradients are finite: 0 at a distance of 0 and at inf.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 5, 2)
+        >>> moved = points + torch.tensor([3.0, 4.0])
+        >>> K.geometry.oneway_transfer_error(points, moved, torch.eye(3)[None], squared=False).round()
+        tensor([[5., 5., 5., 5., 5.]])
+    """
+    first, second = _check_points("oneway_transfer_error", pts1, pts2, H)
+    squares = _squares(first, second, H)
+    return squares if squared else root(squares)
+
+
+@in_full_precision
+def symmetric_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool = True, eps: float = 1e-8) -> Tensor:
+    """Compute how far a homography takes points from where they should go, and its inverse the others back.
+
+    Args:
+        pts1: (B, N, 2) as (x, y), or (B, N, 3) homogeneous, floating point.
+        pts2: where they should go, likewise.
+        H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
+        squared: the sum of both squared distances instead of its root.
+        eps: of no effect, since nothing has to be kept from 0.
+
+    Returns:
+        (B, N) in pixels; the largest number of the type, without a gradient, where `H` has no inverse.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 5, 2)
+        >>> K.geometry.symmetric_transfer_error(points, points + 1, torch.eye(3)[None]).round()
+        tensor([[4., 4., 4., 4., 4.]])
+    """
+    first, second = _check_points("symmetric_transfer_error", pts1, pts2, H)
+    back = adjugate(H)  # the inverse up to a factor, of which the error does not depend
+    volume = (H[..., 0, :] * back[..., :, 0]).sum(-1).detach()  # the determinant
+    sides = torch.linalg.vector_norm(H.detach(), dim=-1).prod(-1)
+    singular = ~(volume.abs() > torch.finfo(H.dtype).eps * sides)[..., None, None]
+    eye = torch.eye(3, device=H.device, dtype=H.dtype)
+    there = _squares(first, second, torch.where(singular, eye, H))
+    again = _squares(second, first, torch.where(singular, eye, back))
+    error = there + again if squared else root(there + again)
+    return torch.where(singular[..., 0], torch.finfo(error.dtype).max, error)
+
+
+@in_full_precision
+def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool = True) -> Tensor:
+    """Compute how far points of both images have to move to fit a homography, to first order.
+
+    With p, q, w = H (x, y, 1) and r = (v w - q, p - u w), J being the derivative of r for (x, y, u, v): r (J J^T)^-1 r.
+
+    Args:
+        pts1: (x, y), (B, N, 2), or (B, N, 3) homogeneous, floating point.
+        pts2: (u, v), where they should go, likewise.
+        H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
+        squared: the squared distance instead of the distance.
+
+    Returns:
+        (B, N) in pixels, exact for affine maps; inf, without a gradient, where J J^T has no inverse.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), section 4.2.6.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> points = torch.rand(1, 5, 2)
+        >>> K.geometry.sampson_homography_distance(points, points + 1, torch.eye(3)[None]).round()
+        tensor([[1., 1., 1., 1., 1.]])
+    """
+    first, second = _check_points("sampson_homography_distance", pts1, pts2, H)
+    largest = H.detach().abs().amax((-2, -1), keepdim=True)
+    h = H / torch.where(largest > 0, largest, 1)
+    p, q, w = _image(h, first).unbind(-1)
+    u, v = second.unbind(-1)
+    r, s = v * w - q, p - u * w
+    # The derivatives of r and s for (x, y); for (u, v) they are (0, w) and (-w, 0).
+    rows = h[..., :, None, :2]
+    r_xy = v[..., None] * rows[..., 2, :, :] - rows[..., 1, :, :]
+    s_xy = rows[..., 0, :, :] - u[..., None] * rows[..., 2, :, :]
+    a, c, b = r_xy.square().sum(-1) + w * w, s_xy.square().sum(-1) + w * w, (r_xy * s_xy).sum(-1)
+    squares = quotient(c * r * r - 2 * b * r * s + a * s * s, (a * c - b * b).clamp(min=0), torch.inf).clamp(min=0)
+    return squares if squared else root(squares)
+
+
+@in_full_precision
+def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squared: bool = False) -> Tensor:
+    """Compute how far a homography takes the ends of line segments from the lines of others.
+
+    Args:
+        ls1: segments (B, N, 2, 2), two ends as (x, y), floating point.
+        ls2: the segments on whose lines they should be, likewise.
+        H: (B, 3, 3), from the first image to the second, of any scale. B of 1 serves all.
+        squared: the square of the error.
+
+    Returns:
+        (B, N): the mean distance of both ends in pixels. 0 for a segment of `ls2` without length, which has no line.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+        DeviceError: tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> segment = torch.tensor([[[[0.0, 0], [4, 0]]]])
+        >>> K.geometry.line_segment_transfer_error_one_way(segment, segment + 2, torch.eye(3)[None])
+        tensor([[2.]])
+    """
+    op = "line_segment_transfer_error_one_way"
+    for name, x in (("ls1", ls1), ("ls2", ls2)):
+        _check.floating_ends(op, name, x, "B", "N", 2, 2)
+    _check.floating_ends(op, "H", H, "B", 3, 3)
+    _check.same_device(op, ls1=ls1, ls2=ls2, H=H)
+    start, end = ls2.unbind(-2)
+    along = end - start
+    far = length(along.detach(), keepdim=True) > 0
+    normal = torch.stack([-along[..., 1], along[..., 0]], -1)
+    normal = torch.where(far, normal / torch.where(far, length(along, keepdim=True), 1), 0)
+    ends = _image(H[:, None], ls1)
+    moved = quotient(ends[..., :2], ends[..., 2:], torch.inf)
+    error = (normal[..., None, :] * (moved - start[..., None, :])).sum(-1).abs().mean(-1)
+    return error.square() if squared else error
+
+
+def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
+    """Tell whether a homography that has no line at infinity between four points can take them to four others.
+
+    Args:
+        points1: (B, 4, 2) as (x, y), floating point; of more points the first four count.
+        points2: where they go, in the same shape.
+
+    Returns:
+        (B,) bool: every three of them turn the same way round in both images.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes, fewer than four points.
+        DeviceError: tensors on different devices.
+
+    Source: P. Marquez-Neila et al., "Speeding-up homography estimation in mobile devices" (2015).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> square = torch.tensor([[[0.0, 0], [1, 0], [1, 1], [0, 1]]])
+        >>> mirrored = square * torch.tensor([-1.0, 1.0])
+        >>> K.geometry.sample_is_valid_for_homography(square, mirrored)
+        tensor([False])
+    """
+    op = "sample_is_valid_for_homography"
+    for name, x in (("points1", points1), ("points2", points2)):
+        _check.shape(op, name, x, "B", "N", 2)
+        _check.floating(op, name, x)
+    _check.same_shape(op, points1=points1, points2=points2)
+    _check.same_device(op, points1=points1, points2=points2)
+    if points1.shape[1] < 4:
+        raise ShapeError(f"{op}: expected points1 of at least four points, got {tuple(points1.shape)}")
+    return (_turns(points1) == _turns(points2)).all(-1)
+
+
+def _turns(points: Tensor) -> Tensor:
+    """Which way round the triangles of four points (B, 4, 2) go: (B, 4) of -1, 0, 1."""
+    a, b, c, d = points[:, :4].unbind(1)
+    signs = []
+    for p, q, r in ((a, b, c), (a, b, d), (a, c, d), (b, c, d)):
+        (x, y), (u, v) = (q - p).unbind(-1), (r - p).unbind(-1)
+        signs.append((x * v - y * u).sign())
+    return torch.stack(signs, -1)
+
+
+def _check_points(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
+    """Both in pixels, (B, N, 2)."""
+    for name, x in (("pts1", pts1), ("pts2", pts2)):
+        _check.floating_ends(op, name, x, "B", "N", "2 or 3")
+        if x.shape[-1] not in (2, 3):
+            raise ShapeError(
+                f"{op}: expected {name} of shape (B, N, 2 or 3), got {tuple(x.shape)}", actual_shape=x.shape
+            )
+    _check.floating_ends(op, "H", H, "B", 3, 3)
+    _check.same_device(op, pts1=pts1, pts2=pts2, H=H)
+    first, second = (p if p.shape[-1] == 2 else quotient(p[..., :2], p[..., 2:], torch.inf) for p in (pts1, pts2))
+    return first, second
+
+
+def _image(H: Tensor, points: Tensor) -> Tensor:
+    """H (x, y, 1) of points (B, N, 2)."""
+    return points @ H[..., :2].mT + H[..., None, :, 2]
+
+
+def _squares(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
+    moved = _image(H, first)
+    w = moved[..., 2]
+    there = moved[..., :2] / torch.where(w == 0, 1, w)[..., None]
+    return torch.where(w == 0, torch.inf, (there - second).square().sum(-1))

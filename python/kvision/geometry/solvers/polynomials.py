@@ -1,0 +1,140 @@
+"""Products of polynomials in three unknowns, and the determinant that leaves one: the algebra of five points.
+
+Monomials of degree two stand in the order x^2, xy, xz, x, y^2, yz, y, z^2, z, 1; those of degree three in the order x^3,
+y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2, z, 1.
+
+Source: D. Nister, "An Efficient Solution to the Five-Point Relative Pose Problem" (2004).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.geometry._precision import in_full_precision
+
+__all__ = ["determinant_to_polynomial", "multiply_deg_one_poly", "multiply_deg_two_one_poly"]
+
+_LINEAR = ("x", "y", "z", "")
+_QUADRATIC = ("xx", "xy", "xz", "x", "yy", "yz", "y", "zz", "z", "")
+_CUBIC = (
+    *("xxx", "yyy", "xxy", "xyy", "xxz", "xx", "yyz", "yy", "xyz", "xy"),
+    *("xzz", "xz", "x", "yzz", "yz", "y", "zzz", "zz", "z", ""),
+)
+
+
+def _terms(left: tuple[str, ...], right: tuple[str, ...], product: tuple[str, ...]) -> list[list[tuple[int, int]]]:
+    """For every monomial of the product the pairs of factors that it is made of."""
+    return [
+        [(i, k) for i, a in enumerate(left) for k, b in enumerate(right) if "".join(sorted(a + b)) == monomial]
+        for monomial in product
+    ]
+
+
+_TO_QUADRATIC = _terms(_LINEAR, _LINEAR, _QUADRATIC)
+_TO_CUBIC = _terms(_QUADRATIC, _LINEAR, _CUBIC)
+
+
+def product(a: Tensor, b: Tensor, terms: list[list[tuple[int, int]]]) -> Tensor:
+    """The coefficients of a product, from those of its factors along the last axes."""
+    p, q = a.unbind(-1), b.unbind(-1)
+    return torch.stack([torch.stack([p[i] * q[k] for i, k in pairs]).sum(0) for pairs in terms], -1)
+
+
+@in_full_precision
+def multiply_deg_one_poly(a: Tensor, b: Tensor) -> Tensor:
+    """Multiply two polynomials of degree one in x, y and z.
+
+    Args:
+        a: coefficients (*, 4) of x, y, z, 1, floating point.
+        b: likewise; leading axes broadcast.
+
+    Returns:
+        (*, 10), of x^2, xy, xz, x, y^2, yz, y, z^2, z, 1.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x_plus_1 = torch.tensor([[1.0, 0, 0, 1]])
+        >>> K.geometry.multiply_deg_one_poly(x_plus_1, x_plus_1)
+        tensor([[1., 0., 0., 2., 0., 0., 0., 0., 0., 1.]])
+    """
+    _check_factors("multiply_deg_one_poly", a, 4, b, 4)
+    return product(a, b, _TO_QUADRATIC)
+
+
+@in_full_precision
+def multiply_deg_two_one_poly(a: Tensor, b: Tensor) -> Tensor:
+    """Multiply a polynomial of degree two by one of degree one, both in x, y and z.
+
+    Args:
+        a: coefficients (*, 10) of x^2, xy, xz, x, y^2, yz, y, z^2, z, 1, floating point.
+        b: coefficients (*, 4) of x, y, z, 1; leading axes broadcast.
+
+    Returns:
+        (*, 20), of x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2, z, 1.
+
+    Raises:
+        TypeCheckError: no floating-point tensors.
+        ShapeError: other shapes.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> xy, z = torch.eye(10)[1:2], torch.eye(4)[2:3]
+        >>> K.geometry.multiply_deg_two_one_poly(xy, z).argmax()  # xyz
+        tensor(8)
+    """
+    _check_factors("multiply_deg_two_one_poly", a, 10, b, 4)
+    return product(a, b, _TO_CUBIC)
+
+
+def _check_factors(op: str, a: Tensor, a_size: int, b: Tensor, b_size: int) -> None:
+    _check.floating_ends(op, "a", a, a_size)
+    _check.floating_ends(op, "b", b, b_size)
+    _check.same_device(op, a=a, b=b)
+
+
+@in_full_precision
+def determinant_to_polynomial(A: Tensor) -> Tensor:
+    """The determinant of a 3 x 3 matrix of polynomials in z.
+
+    Args:
+        A: (*, 3, 13), floating point: each row two polynomials of degree three and one of degree four, the highest
+            power first.
+
+    Returns:
+        The coefficients of the determinant (*, 11), the lowest power first.
+
+    Raises:
+        TypeCheckError: `A` is no floating-point tensor.
+        ShapeError: `A` is not (*, 3, 13).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> A = torch.zeros(1, 3, 13)
+        >>> A[0, 0, 3] = A[0, 1, 7] = A[0, 2, 11] = 1  # diag(1, 1, z)
+        >>> K.geometry.determinant_to_polynomial(A)
+        tensor([[0., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.]])
+    """
+    _check.floating_ends("determinant_to_polynomial", "A", A, 3, 13)
+    first, second, third = (part.flip(-1) for part in A.split([4, 4, 5], -1))
+
+    def minor(i: int, k: int) -> Tensor:
+        return _in_z(first[..., i, :], second[..., k, :]) - _in_z(first[..., k, :], second[..., i, :])
+
+    return (
+        _in_z(minor(0, 1), third[..., 2, :])
+        + _in_z(minor(1, 2), third[..., 0, :])
+        + _in_z(minor(2, 0), third[..., 1, :])
+    )
+
+
+def _in_z(a: Tensor, b: Tensor) -> Tensor:
+    """The product of polynomials in one unknown."""
+    size = a.shape[-1] + b.shape[-1] - 1
+    shifted = [torch.nn.functional.pad(a * b[..., i : i + 1], (i, size - i - a.shape[-1])) for i in range(b.shape[-1])]
+    return torch.stack(shifted).sum(0)

@@ -1,0 +1,179 @@
+"""Real roots of polynomials."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry.linalg import root
+
+__all__ = ["solve_cubic", "solve_quadratic", "solve_quartic"]
+
+
+@in_full_precision
+def solve_quadratic(coeffs: Tensor) -> Tensor:
+    """Find the real roots of a x^2 + b x + c.
+
+    Args:
+        coeffs: (B, 3) as (a, b, c), floating point.
+
+    Returns:
+        (B, 2): (-b + sqrt(b^2 - 4 a c)) / (2 a), then the one with the other sign, in a form that does not cancel. A
+        double root stands there twice, zeros where there are none; the one root of b x + c comes first. Gradients are
+        those of the roots, 0 for what is missing and at double roots that of -b / (2 a).
+
+    Raises:
+        TypeCheckError: `coeffs` is no floating-point tensor.
+        ShapeError: `coeffs` is not (B, 3).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.solve_quadratic(torch.tensor([[1.0, -3.0, 2.0]]))
+        tensor([[2., 1.]])
+    """
+    _check.floating_ends("solve_quadratic", "coeffs", coeffs, "B", 3)
+    a, b, c = _scaled(coeffs).unbind(-1)
+    discriminant = b * b - 4 * a * c
+    q = -0.5 * (b + torch.where(b < 0, -1.0, 1.0).to(b.dtype) * root(discriminant.clamp(min=0)))
+    linear = a == 0
+    other = torch.where(q == 0, 0, c / torch.where(q == 0, 1, q))  # the root of the linear equation, too
+    one = q / torch.where(linear, 1, a)
+    first, second = torch.where(b < 0, one, other), torch.where(b < 0, other, one)
+    double = -b / (2 * torch.where(linear, 1, a))
+    flat = discriminant == 0
+    first, second = torch.where(flat, double, first), torch.where(flat, double, second)
+    first, second = torch.where(linear, other, first), torch.where(linear, 0, second)
+    return torch.where((discriminant < 0)[..., None], 0, torch.stack([first, second], -1))
+
+
+@in_full_precision
+def solve_cubic(coeffs: Tensor) -> Tensor:
+    """Find the real roots of a x^3 + b x^2 + c x + d.
+
+    Args:
+        coeffs: (B, 4) as (a, b, c, d), floating point; with leading zeros of a lower degree.
+
+    Returns:
+        (B, 3), in ascending order, repeated ones repeated, followed by zeros for those that are missing. Gradients are
+        those of the roots, 0 for what is missing and for repeated ones, which have none.
+
+    Raises:
+        TypeCheckError: `coeffs` is no floating-point tensor.
+        ShapeError: `coeffs` is not (B, 4).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.solve_cubic(torch.tensor([[1.0, 0.0, 0.0, -8.0]]))
+        tensor([[2., 0., 0.]])
+    """
+    _check.floating_ends("solve_cubic", "coeffs", coeffs, "B", 4)
+    return real_roots(coeffs).nan_to_num(0.0)
+
+
+@in_full_precision
+def solve_quartic(coeffs: Tensor) -> Tensor:
+    """Find the real roots of a x^4 + b x^3 + c x^2 + d x + e.
+
+    Args:
+        coeffs: (B, 5) as (a, b, c, d, e), floating point; with leading zeros of a lower degree.
+
+    Returns:
+        (B, 4), in ascending order, repeated ones repeated, followed by zeros for those that are missing. Gradients are
+        those of the roots, 0 for what is missing and for repeated ones, which have none.
+
+    Raises:
+        TypeCheckError: `coeffs` is no floating-point tensor.
+        ShapeError: `coeffs` is not (B, 5).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.solve_quartic(torch.tensor([[1.0, 0.0, -5.0, 0.0, 4.0]]))
+        tensor([[-2., -1.,  1.,  2.]])
+    """
+    _check.floating_ends("solve_quartic", "coeffs", coeffs, "B", 5)
+    return real_roots(coeffs).nan_to_num(0.0)
+
+
+def _scaled(coeffs: Tensor) -> Tensor:
+    """Divided by a power of two, so that products neither overflow nor vanish; a polynomial of zeros stays so."""
+    largest = coeffs.detach().abs().amax(-1, keepdim=True)
+    return coeffs / 2.0 ** torch.frexp(largest).exponent
+
+
+# --- any degree -----------------------------------------------------------------------------------------------------
+
+
+def real_roots(coeffs: Tensor) -> Tensor:
+    """Real roots (B, n) of polynomials (B, n + 1), highest power first, ascending; NaN for those that are missing."""
+    p = _scaled(wide(coeffs))
+    found = _isolated(p.detach())
+    missing = found.isnan() | (coeffs == 0).all(-1, keepdim=True)  # all numbers are roots of 0
+    x = torch.where(missing, 0, found)
+    for _ in range(2):  # Newton's method changes nothing but adds the first and the second derivative
+        value, slope = _value_and_slope(p, x)
+        steep = _value_and_slope(p.detach().abs(), x.detach().abs())[1]
+        simple = slope.detach().abs() > 1e-7 * steep
+        x = x - torch.where(simple, value / torch.where(simple, slope, 1), 0)
+    return torch.where(missing, torch.nan, x).to(coeffs.dtype)
+
+
+def _value_and_slope(p: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+    value = torch.zeros_like(x)
+    slope = torch.zeros_like(x)
+    for c in p.unbind(-1):
+        slope = slope * x + value
+        value = value * x + c[..., None]
+    return value, slope
+
+
+# Where a polynomial touches 0 between two roots or beside none is rounding: within this share of its terms' sum.
+_TOUCH = 1e-14
+_STEPS = 40
+
+
+def _isolated(p: Tensor) -> Tensor:
+    """As `real_roots`, to the last bits where roots are simple: outside of [-1, 1] they are those of the mirror's 1 / x."""
+    inside, outside = _in_unit(p), 1 / _in_unit(p.flip(-1))
+    beyond = torch.where((outside.abs() > 1) & outside.isfinite(), outside, torch.nan)
+    return torch.cat([inside, beyond], -1).sort(-1).values[..., : p.shape[-1] - 1]  # NaN at the end
+
+
+def _in_unit(p: Tensor) -> Tensor:
+    """Roots in [-1, 1]: between two neighbouring roots of its derivative a polynomial has one root or none."""
+    n = p.shape[-1] - 1
+    powers = torch.arange(n, -1, -1, device=p.device, dtype=p.dtype)
+    found = p.new_zeros(*p.shape[:-1], 0)
+    for degree in range(1, n + 1):
+        derivative = p[..., : degree + 1]
+        for i in range(n - degree):
+            derivative = derivative * (powers[: degree + 1] - i)
+        found = _between(_scaled(derivative), found)
+    return found
+
+
+def _between(p: Tensor, critical: Tensor) -> Tensor:
+    """Roots of p in [-1, 1] from those of its derivative, ascending, NaN at the end."""
+    rim = p.new_ones(*p.shape[:-1], 1)
+    ends = torch.cat([-rim, critical.nan_to_num(1.0), rim], -1)
+    value = _value_and_slope(p, ends)[0]
+    flat = value.abs() <= _TOUCH * _value_and_slope(p.abs(), ends.abs())[0]
+    sign = torch.where(flat, 0.0, value.sign())
+    low, high = ends[..., :-1], ends[..., 1:]
+    crosses = sign[..., :-1] * sign[..., 1:] < 0
+    rising = sign[..., 1:] > 0
+    x = (low + high) / 2
+    for _ in range(_STEPS):  # Newton's method, held between the ends
+        at, slope = _value_and_slope(p, x)
+        right = (at < 0) == rising
+        low, high = torch.where(right, x, low), torch.where(right, high, x)
+        step = x - at / torch.where(slope == 0, 1, slope)
+        x = torch.where((step >= low) & (step <= high) & (slope != 0), step, (low + high) / 2)
+    simple = torch.where(crosses, x, torch.nan)
+    # A root of the derivative that is one of p, too, counts once more than there.
+    touches = flat[..., 1:-1] & critical.isfinite()
+    repeated = torch.where(touches, critical, torch.nan)
+    again = torch.where(touches & (critical != ends[..., :-2]), critical, torch.nan)
+    rims = torch.where(flat & (ends.abs() == 1), ends, torch.nan)[..., [0, -1]]
+    return torch.cat([simple, repeated, again, rims], -1).sort(-1).values[..., : p.shape[-1] - 1]

@@ -102,6 +102,11 @@ def volumes(op: str, name: str, x: Any) -> None:
         )
 
 
+def readable(x: Tensor) -> bool:
+    """Whether one may look at values without waiting for a device, and without breaking a trace or a transform."""
+    return x.device.type == "cpu" and not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
+
+
 def floating(op: str, name: str, x: Tensor) -> None:
     """Raise TypeCheckError unless `x` holds floating-point numbers."""
     if not x.is_floating_point():

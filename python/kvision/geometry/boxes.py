@@ -65,7 +65,7 @@ class _Boxes(Collection):
                 actual_shape=boxes.shape,
             )
         boxes = floats(boxes)
-        readable = validate_boxes and boxes.device.type == "cpu" and not torch.compiler.is_compiling()
+        readable = validate_boxes and _check.readable(boxes)
         if readable and not boxes.isfinite().all():
             raise ValueCheckError(f"{cls.__name__}: expected boxes that are finite")
         if of_corners:

@@ -13,6 +13,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import as_stored
 from kvision.geometry.conversions.poses import check_is_rotation
+from kvision.geometry.conversions.series import angle_per_sine, cos, sinc, squared
 
 __all__ = [
     "angle_axis_to_quaternion",
@@ -30,38 +31,6 @@ __all__ = [
     "rotation_matrix_to_quaternion",
     "vector_to_skew_symmetric_matrix",
 ]
-
-# --- building blocks ------------------------------------------------------------------------------------------------
-
-
-def _sinc(square: Tensor) -> Tensor:
-    """sin(x) / x of x squared, which has derivatives at 0."""
-    small = square < 1e-3
-    x = torch.where(small, 1, square).sqrt()
-    series = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
-    return torch.where(small, series, x.sin() / x)
-
-
-def _cos(square: Tensor) -> Tensor:
-    """cos(x) of x squared, which has derivatives at 0: 1 - 2 sin(x / 2)^2."""
-    return 1 - square / 2 * _sinc(square / 4).square()
-
-
-def _angle_per_sine(sine: Tensor, cosine: Tensor) -> Tensor:
-    """atan2(s, c) / s of `sine`, s squared, which has derivatives at 0; 0 where s is 0 and c is not positive."""
-    small = (cosine > 0) & (sine < 1e-4 * cosine.square())
-    c = torch.where(small, cosine, 1)
-    ratio = torch.where(small, sine, 0) / c.square()
-    series = (1 - ratio * (1 / 3 - ratio * (1 / 5 - ratio / 7))) / c
-    none = sine < torch.finfo(sine.dtype).tiny
-    s = torch.where(small | none, 1, sine).sqrt()
-    angle = torch.atan2(s, torch.where(none, 1, cosine))
-    return torch.where(small, series, torch.where(none, 0, angle / s))
-
-
-def _squared(x: Tensor) -> Tensor:
-    return x.square().sum(-1, keepdim=True)
-
 
 # --- axis and angle -------------------------------------------------------------------------------------------------
 
@@ -90,11 +59,11 @@ def axis_angle_to_rotation_matrix(axis_angle: Tensor) -> Tensor:
 
 @as_stored
 def _turn(v: Tensor) -> Tensor:
-    square = _squared(v)
-    versine = _sinc(square / 4).square() / 2  # (1 - cos) / angle^2
+    square = squared(v)
+    versine = sinc(square / 4).square() / 2  # (1 - cos) / angle^2
     xx, yy, zz = (v * v * versine).unbind(-1)
     xy, yz, zx = (v * v.roll(-1, -1) * versine).unbind(-1)
-    ax, ay, az = (v * _sinc(square)).unbind(-1)
+    ax, ay, az = (v * sinc(square)).unbind(-1)
     entries = [1 - yy - zz, xy - az, zx + ay, xy + az, 1 - zz - xx, yz - ax, zx - ay, yz + ax, 1 - xx - yy]
     return torch.stack(entries, -1).unflatten(-1, (3, 3))
 
@@ -125,8 +94,8 @@ def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
 def _exponential(v: Tensor, part: float) -> Tensor:
     """The quaternion that turns by twice `part` times the length of `v`."""
     v = v * part
-    square = _squared(v)
-    return torch.cat([_cos(square), v * _sinc(square)], -1)
+    square = squared(v)
+    return torch.cat([cos(square), v * sinc(square)], -1)
 
 
 def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
@@ -155,7 +124,7 @@ def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
 def _axis_angle(q: Tensor) -> Tensor:
     w, v = q[..., :1], q[..., 1:]
     back = torch.where(w < 0, -1, 1)  # q and -q are one rotation
-    return 2 * back * v * _angle_per_sine(_squared(v), back * w)
+    return 2 * back * v * angle_per_sine(squared(v), back * w)
 
 
 # --- matrices -------------------------------------------------------------------------------------------------------
@@ -185,7 +154,7 @@ def quaternion_to_rotation_matrix(quaternion: Tensor) -> Tensor:
 
 @as_stored
 def _matrix(q: Tensor) -> Tensor:
-    square = _squared(q)
+    square = squared(q)
     none = square < torch.finfo(q.dtype).tiny
     twice = torch.where(none, 0, 2 / torch.where(none, 1, square))
     x, y, z = q[..., 1:].unbind(-1)
@@ -319,7 +288,7 @@ def normalize_quaternion(quaternion: Tensor, eps: float = 1e-12) -> Tensor:
 
 @as_stored
 def _unit(q: Tensor, eps: float) -> Tensor:
-    square = _squared(q)
+    square = squared(q)
     short = square <= eps * eps
     return q / torch.where(short, eps, torch.where(short, 1, square).sqrt())
 
@@ -374,7 +343,7 @@ def quaternion_exp_to_log(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
 @as_stored
 def _logarithm(q: Tensor) -> Tensor:
     w, v = q[..., :1], q[..., 1:]
-    return v * _angle_per_sine(_squared(v), w)
+    return v * angle_per_sine(squared(v), w)
 
 
 # The names of Kornia 0.4.

@@ -1,0 +1,82 @@
+"""Grids of pixels between an image and a camera's frame."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.linalg import transform_points
+
+__all__ = ["cam2pixel", "pixel2cam"]
+
+
+def pixel2cam(depth: Tensor, intrinsics_inv: Tensor, pixel_coords: Tensor) -> Tensor:
+    """Find the points of a camera's frame that pixels show at a depth.
+
+    Args:
+        depth: z, (B, 1, H, W).
+        intrinsics_inv: inverse camera matrices (B, 4, 4), or (1, 4, 4) for all.
+        pixel_coords: pixels as (x, y, 1), (B, H, W, 3).
+
+    Returns:
+        (B, H, W, 3).
+
+    Raises:
+        TypeError: not tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> pixels = torch.tensor([[[[4.0, 2.0, 1.0]]]])
+        >>> K.geometry.pixel2cam(torch.full((1, 1, 1, 1), 2.0), torch.eye(4)[None], pixels)
+        tensor([[[[8., 4., 2.]]]])
+    """
+    op = "pixel2cam"
+    _check.shape(op, "depth", depth, "B", 1, "H", "W")
+    _check_grid(op, "pixel_coords", pixel_coords, "intrinsics_inv", intrinsics_inv)
+    _check.shape(op, "pixel_coords", pixel_coords, depth.shape[0], *depth.shape[2:], 3)
+    _check.same_device(op, depth=depth, pixel_coords=pixel_coords)
+    rays = transform_points(intrinsics_inv, floats(pixel_coords))
+    return rays * depth.movedim(1, -1).to(rays.dtype)
+
+
+def cam2pixel(cam_coords_src: Tensor, dst_proj_src: Tensor, eps: float = 1e-12) -> Tensor:
+    """Project points of one camera's frame to the pixels of another camera.
+
+    Args:
+        cam_coords_src: (B, H, W, 3).
+        dst_proj_src: camera matrix times pose, (B, 4, 4), or (1, 4, 4) for all.
+        eps: what is added to the depth that divides; a point of depth 0 lands far outside.
+
+    Returns:
+        Pixels (B, H, W, 2) as (x, y).
+
+    Raises:
+        TypeError: not tensors of real numbers.
+        ValueError: other shapes, or not on one device.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.cam2pixel(torch.tensor([[[[8.0, 4.0, 2.0]]]]), torch.eye(4)[None])
+        tensor([[[[4., 2.]]]])
+    """
+    op = "cam2pixel"
+    _check_grid(op, "cam_coords_src", cam_coords_src, "dst_proj_src", dst_proj_src)
+    eps = _check.number(op, "eps", eps)
+    return _divided(transform_points(dst_proj_src, floats(cam_coords_src)), eps)
+
+
+def _check_grid(op: str, name: str, grid: Tensor, matrix_name: str, matrix: Tensor) -> None:
+    _check.shape(op, name, grid, "B", "H", "W", 3)
+    _check.shape(op, matrix_name, matrix, "B", 4, 4)
+    _check.same_device(op, **{name: grid, matrix_name: matrix})
+    if matrix.shape[0] not in (1, grid.shape[0]):
+        raise ShapeError(f"{op}: expected {matrix_name} with 1 or {grid.shape[0]} matrices, got {tuple(matrix.shape)}")
+
+
+@as_stored
+def _divided(points: Tensor, eps: float) -> Tensor:
+    return points[..., :2] / (points[..., 2:] + eps)

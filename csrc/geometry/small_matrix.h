@@ -28,14 +28,20 @@ KV_HD double magnitude(double x) { return x < 0 ? -x : x; }
 KV_HD bool finite(double x) { return x - x == 0; }
 KV_HD double nan() { return __builtin_nan(""); }
 
+// How often loops over large matrices are unrolled on CUDA: their code would be long, and long to compile.
+template <int N>
+constexpr int kUnrolled = N <= 4 ? N : 1;
+
 // --- symmetric matrices, all N x N numbers of them
 // -----------------------------------------------------------------------------------------------
 
 // Replaces a positive definite matrix by its inverse, sweeping one row after the other.
 template <int N>
 KV_HD void invert(double* m) {
+#pragma unroll 1
   for (int k = 0; k < N; ++k) {
     double const inverse = 1 / m[k * N + k];
+#pragma unroll(kUnrolled<N>)
     for (int i = 0; i < N; ++i) {
       if (i == k) continue;
       double const factor = m[i * N + k] * inverse;
@@ -75,7 +81,9 @@ KV_HD void largest_eigenvector(double* m, double* v) {
   double square[N * N];
   for (int step = 0; step < 40; ++step) {
     double trace = 0;
+#pragma unroll(kUnrolled<N>)
     for (int i = 0; i < N; ++i)
+#pragma unroll(kUnrolled<N>)
       for (int j = 0; j <= i; ++j) {
         double sum = 0;
         for (int k = 0; k < N; ++k) sum += m[i * N + k] * m[j * N + k];
@@ -149,7 +157,9 @@ KV_HD void diagonalize(double* m, double* vectors) {
     for (int i = 0; i < N; ++i)
       for (int k = 0; k < N; ++k) (i == k ? on : off) += m[i * N + k] * m[i * N + k];
     if (!(off > 1e-32 * on)) break;
+#pragma unroll 1
     for (int p = 0; p < N; ++p)
+#pragma unroll 1
       for (int q = p + 1; q < N; ++q) {
         double const between = m[p * N + q];
         if (between == 0) continue;

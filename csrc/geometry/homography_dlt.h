@@ -191,7 +191,7 @@ KV_HD void homography_dlt_backward_of(HomographyDlt<T> const& p, int64_t b, Team
     }
     to_h[r + 2] = g[r + 2];
   }
-  small::smallest_eigenvector_vjp<9>(m, to_h, u);
+  small::smallest_eigenvector_vjp<9>(m, h, to_h, u);
 
   // To the normalised points of a correspondence, of -u^T (sum w r r^T) h; gives the gradient to w.
   auto const to_normalized = [&](int64_t i, double* n1, double* n2, double* g1, double* g2) {

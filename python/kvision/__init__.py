@@ -35,6 +35,7 @@ from kvision.enhance import normalize
 from kvision.filters import gaussian_blur2d, sobel
 from kvision.geometry import (
     ConvQuadInterp3d,
+    DepthWarper,
     HomographyWarper,
     ScalePyramid,
     find_homography_dlt_iterated,
@@ -65,6 +66,7 @@ from kvision.utils import (
 
 __all__ = [
     "ConvQuadInterp3d",
+    "DepthWarper",
     "HomographyWarper",
     "ScalePyramid",
     "__version__",

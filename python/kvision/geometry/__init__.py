@@ -6,6 +6,7 @@ from kvision.geometry import (
     calibration,
     camera,
     conversions,
+    depth,
     epipolar,
     grid,
     homography,
@@ -27,6 +28,7 @@ from kvision.geometry.boxes import *  # noqa: F403
 from kvision.geometry.calibration import *  # noqa: F403
 from kvision.geometry.camera import *  # noqa: F403
 from kvision.geometry.conversions import *  # noqa: F403
+from kvision.geometry.depth import *  # noqa: F403
 from kvision.geometry.epipolar import *  # noqa: F403
 from kvision.geometry.grid import *  # noqa: F403
 from kvision.geometry.homography import *  # noqa: F403

@@ -9,9 +9,11 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.bbox import validate_bbox
 from kvision.geometry.transform import matrices, sampling
+from kvision.geometry.transform.flip import flipped
 from kvision.geometry.transform.resize import resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
 
@@ -23,6 +25,18 @@ __all__ = [
     "crop_by_indices",
     "crop_by_transform_mat",
 ]
+
+
+def _crop_matrix_reference(quads, size):
+    """From the result, so that a side of one pixel, which has no length, needs no case."""
+    matrix = matrices.from_unit_square(matrices.wide(quads))
+    last = matrix[:, 2:, 2:]
+    right, down, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
+    h, w = size
+    return torch.cat([right / max(w - 1, 1), down / max(h - 1, 1), origin], -1).to(quads.dtype)
+
+
+_crop_matrix = register("crop_matrix", _crop_matrix_reference, fake=lambda quads, size: (quads.shape[0], 3, 3))
 
 
 def crop_and_resize(
@@ -120,16 +134,10 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     _check.shape(op, "boxes", boxes, "B", 4, 2)
     sampling.check_how(op, mode, padding_mode, align_corners)
     images = pixels(input_tensor)
-    boxes = sampling.for_images(op, images, "boxes", boxes)
-    # From the result, so that a side of one pixel, which has no length, needs no case.
-    h, w = size
-    right, down, origin = matrices.from_unit_square(matrices.wide(boxes)).split(1, -1)
-    scaled = torch.cat([right / max(w - 1, 1), down / max(h - 1, 1)], -1)
+    matrix = _crop_matrix(sampling.for_images(op, images, "boxes", boxes), list(size))
     if first is not None:
-        origin = origin - scaled @ matrices.wide(first)[..., None]
-    matrix = torch.cat([scaled, origin], -1)
+        matrix = matrix @ matrices.get_translation_matrix2d(-first.to(matrix.dtype))
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    matrix = matrix.to(boxes.dtype)
     return sampling.warp(images, matrix, None, list(size), mode, padding, align_corners, False, False)
 
 
@@ -195,7 +203,8 @@ def center_crop(
     images = pixels(input_tensor)
     y, x = images.shape[2] - h, images.shape[3] - w
     if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
-        return images[..., y // 2 : y // 2 + h, x // 2 : x // 2 + w].clone()
+        part = images[..., y // 2 : y // 2 + h, x // 2 : x // 2 + w]
+        return flipped(part, False, False) if part.stride(3) == 1 else part.clone()
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
     matrix = torch.eye(2, 3, dtype=compute_dtype(images), device=images.device)[None]
     matrix[:, 0, 2], matrix[:, 1, 2] = x / 2, y / 2

@@ -6,9 +6,22 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 
 __all__ = ["Hflip", "Rot180", "Vflip", "hflip", "rot180", "vflip"]
+
+
+def _reference(input, columns, rows):
+    return input.flip([axis for axis, wanted in ((2, rows), (3, columns)) if wanted])
+
+
+def _backward(needs, grad, sizes, columns, rows):
+    return [flipped(grad, columns, rows)]
+
+
+# Without either it is a copy, of a part of an image for instance.
+flipped = register("flip", _reference, backward=_backward, linear=True, bytes=True)
 
 
 def hflip(input: Tensor) -> Tensor:
@@ -20,7 +33,7 @@ def hflip(input: Tensor) -> Tensor:
         tensor([[2, 1],
                 [4, 3]])
     """
-    return _flip("hflip", input, (-1,))
+    return _flip("hflip", input, True, False)
 
 
 def vflip(input: Tensor) -> Tensor:
@@ -32,7 +45,7 @@ def vflip(input: Tensor) -> Tensor:
         tensor([[3, 4],
                 [1, 2]])
     """
-    return _flip("vflip", input, (-2,))
+    return _flip("vflip", input, False, True)
 
 
 def rot180(input: Tensor) -> Tensor:
@@ -44,14 +57,19 @@ def rot180(input: Tensor) -> Tensor:
         tensor([[4, 3],
                 [2, 1]])
     """
-    return _flip("rot180", input, (-2, -1))
+    return _flip("rot180", input, True, True)
 
 
-def _flip(op: str, input: Tensor, axes: tuple[int, ...]) -> Tensor:
+def _flip(op: str, input: Tensor, columns: bool, rows: bool) -> Tensor:
     _check.is_tensor(op, "input", input)
     if input.dim() < 2:
         raise ShapeError(f"{op}: expected input of shape (*, H, W), got {tuple(input.shape)}", actual_shape=input.shape)
-    return input.flip(axes)
+    if input.dtype not in flipped.dtypes or 0 in input.shape[-2:]:
+        return input.flip([axis for axis, wanted in ((-2, rows), (-1, columns)) if wanted])
+    if input.dim() == 4:
+        return flipped(input, columns, rows)
+    images = input.reshape(-1, *input.shape[-3:]) if input.dim() > 2 else input[None, None]
+    return flipped(images, columns, rows).reshape(input.shape)
 
 
 class Hflip(FunctionModule):

@@ -1,0 +1,73 @@
+// Points and normals of depth images: schemas and entries, for CPU and CUDA alike.
+#include "depth_points.h"
+#include "sample_glue.h"
+
+namespace kv {
+namespace {
+
+// Cameras (B, 3, 3), one for all or for each image; contiguous.
+Tensor cameras_of(char const* op, Tensor const& camera, Tensor const& image) {
+  KV_CHECK(goes_with(camera, image, 3) && camera.size(1) == 3 && camera.size(2) == 3, op,
+           ": camera does not fit the images");
+  return torch::stable::contiguous(camera);
+}
+int64_t stride_of(Tensor const& cameras) { return cameras.size(0) == 1 ? 0 : 9; }
+
+template <class T>
+DepthPoints<T> points_of(Tensor const& depth, Tensor const& y, Tensor const& cameras, bool distance) {
+  int64_t const batch = depth.size(0);
+  return {images<T const>(depth, batch), images<T>(y, batch), data_of<Compute<T> const>(cameras), stride_of(cameras),
+          distance};
+}
+
+Tensor checked(char const* op, Tensor const& depth, Tensor const& camera) {
+  check_images(op, "depth", depth);
+  KV_CHECK(depth.size(1) == 1, op, ": expected depth of shape (B, 1, H, W), got ", depth.size(1), " channels");
+  size_of(op, depth);
+  return cameras_of(op, camera, depth);
+}
+
+Tensor depth_points(Tensor const& depth, Tensor const& camera, bool distance) {
+  Tensor const cameras = checked("depth_points", depth, camera);
+  Tensor const y = empty({depth.size(0), 3, depth.size(2), depth.size(3)}, depth);
+  for_floats("depth_points", depth, [&](auto type) {
+    auto const params = points_of<typename decltype(type)::type>(depth, y, cameras, distance);
+    KV_RUN(depth_points, depth, params, params.y.batch * params.y.height, 4 * params.y.width);
+  });
+  return y;
+}
+
+Tensor depth_points_backward(Tensor const& grad, Tensor const& camera, bool distance) {
+  char const* const op = "depth_points_backward";
+  check_images(op, "grad", grad);
+  KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
+  size_of(op, grad);
+  Tensor const cameras = cameras_of(op, camera, grad);
+  int64_t const batch = grad.size(0);
+  Tensor const to_depth = empty({batch, 1, grad.size(2), grad.size(3)}, grad);
+  for_floats(op, grad, [&](auto type) {
+    using T = typename decltype(type)::type;
+    DepthPointsBackward<T> const params{images<T const>(grad, batch), images<T>(to_depth, batch),
+                                        data_of<Compute<T> const>(cameras), stride_of(cameras), distance};
+    KV_RUN(depth_points_backward, grad, params, batch * params.grad.height, 4 * params.grad.width);
+  });
+  return to_depth;
+}
+
+Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance) {
+  Tensor const cameras = checked("depth_normals", depth, camera);
+  Tensor const y = empty({depth.size(0), 3, depth.size(2), depth.size(3)}, depth);
+  for_floats("depth_normals", depth, [&](auto type) {
+    auto const params = points_of<typename decltype(type)::type>(depth, y, cameras, distance);
+    KV_RUN(depth_normals, depth, params, params.y.batch * params.y.height, 64 * params.y.width);
+  });
+  return y;
+}
+
+}  // namespace
+
+KV_OPERATOR(depth_points, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_points_backward, "(Tensor grad, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_normals, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
+
+}  // namespace kv

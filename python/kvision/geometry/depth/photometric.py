@@ -1,0 +1,195 @@
+"""How far views of a scene, warped by its depth, are from another one, in one pass over all."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import compute_dtype, floats
+from kvision._ops import register
+from kvision.core.exceptions import ShapeError
+from kvision.geometry.depth.warp import depth_warp_of, image_gradient_of, places_of
+from kvision.geometry.transform import sampling
+from kvision.geometry.transform.sampling import for_images
+
+__all__ = ["photometric_depth_loss"]
+
+_DISTANCES = ("l1", "l2", "charbonnier")
+
+
+def _distance(residual, distance, eps):
+    if distance == "l1":
+        return residual.abs()
+    return residual * residual if distance == "l2" else (residual * residual + eps * eps).sqrt()
+
+
+def _slope(residual, distance, eps):
+    if distance == "l1":
+        return residual.sign()
+    return 2 * residual if distance == "l2" else residual / (residual * residual + eps * eps).sqrt()
+
+
+def _loss(views, target, depth, projections, distance, eps):
+    """(B,): the separate steps, of which csrc/geometry/photometric_depth.h makes one; and their number of terms."""
+    batch, count = views.shape[:2]
+    total: Any = 0.0
+    terms: Any = 0
+    for i in range(count):
+        view = views[:, i].to(depth.dtype)
+        places = places_of(depth.expand(batch, -1, -1, -1), projections[:, i].expand(batch, -1, -1))
+        residual = sampling.sample(view, places, "bilinear", "fill", True) - target.to(depth.dtype)
+        seen = _seen(places, view)
+        total = total + torch.where(seen, _distance(residual, distance, eps), 0).sum((1, 2, 3))
+        terms = terms + seen.sum((1, 2, 3)) * views.shape[2]
+    return total / terms, terms
+
+
+def _seen(places, view):
+    """Which places (B, 1, h, w) lie between four pixels."""
+    height, width = view.shape[2:]
+    u, v = (x.detach() for x in places)
+    return ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
+
+
+def _reference(views, target, depth, projections, *how):
+    batch = len(views)
+    places = depth.expand(batch, -1, -1, -1), projections.expand(batch, -1, -1, -1)
+    loss, pullback, terms = torch.func.vjp(lambda d, p: _loss(views, target, d, p, *how), *places, has_aux=True)
+    to_depth, to_projections = pullback(torch.ones_like(loss))
+    share = torch.where(terms > 0, 1, 0) / torch.where(terms > 0, terms, 1).to(loss.dtype)
+    of_sum = torch.where(terms > 0, terms, 0).to(loss.dtype)[:, None, None, None]
+    return loss, to_depth.nan_to_num() * of_sum, share, to_projections.nan_to_num()
+
+
+def _backward(needs, grad, _1, _2, _3, loss, to_depth, share, to_projections, *tensors_and_how):
+    views, target, depth, projections, *how = tensors_and_how
+    if torch.is_grad_enabled():
+        return _differentiable_backward(needs, grad, views, target, depth, projections, *how)
+    found = [None, None, None, None]
+    if needs[0] or needs[1]:
+        found[:2] = _image_gradients(needs, grad * share, views, target, depth, projections, *how)
+    if needs[2]:
+        found[2] = (to_depth * (grad * share)[:, None, None, None]).sum_to_size(depth.shape)
+    if needs[3]:
+        found[3] = (to_projections * grad[:, None, None, None]).sum_to_size(projections.shape)
+    return found
+
+
+def _image_gradients(needs, share, views, target, depth, projections, distance, eps):
+    batch, count = views.shape[:2]
+    wide = compute_dtype(views)
+    to_views, to_target = [], 0.0
+    for i in range(count):
+        view, projection = views[:, i].to(wide), projections[:, i]
+        places = places_of(depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
+        residual = depth_warp_of(view, depth, projection, "bilinear", "fill", True) - target.to(wide)
+        slope = _slope(residual, distance, eps) * share[:, None, None, None]
+        slope = torch.where(_seen(places, view), slope, 0)
+        to_target = to_target - slope
+        if needs[0]:
+            size = [*view.shape[2:]]
+            to_views.append(image_gradient_of(slope, depth, projection, size, "bilinear", "fill", True))
+    return (
+        torch.stack(to_views, 1).to(views.dtype) if needs[0] else None,
+        to_target.to(target.dtype).sum_to_size(target.shape) if needs[1] else None,
+    )
+
+
+def _differentiable_backward(needs, grad, *tensors_and_how):
+    tensors, how = tensors_and_how[:4], tensors_and_how[4:]
+    where = [i for i, need in enumerate(needs) if need]
+
+    def f(*values: Tensor) -> Tensor:
+        full = list(tensors)
+        for i, value in zip(where, values):
+            full[i] = value
+        return _loss(*full, *how)[0]
+
+    _, pullback = torch.func.vjp(f, *(tensors[i] for i in where))
+    found = dict(zip(where, pullback(grad)))
+    return [found.get(i) for i in range(4)]
+
+
+_photometric = register(
+    "photometric_depth",
+    _reference,
+    fake=lambda views, target, depth, projections, *how: [
+        depth.new_empty(len(views)),
+        depth.new_empty(len(views), *depth.shape[1:]),
+        depth.new_empty(len(views)),
+        depth.new_empty(len(views), *projections.shape[1:]),
+    ],
+    backward=_backward,
+    saves_results=True,
+    constant=(1, 2, 3),
+    stores=True,
+)
+
+
+def photometric_depth_loss(
+    views: Tensor,
+    target: Tensor,
+    depth: Tensor,
+    projections: Tensor,
+    distance: str = "l1",
+    eps: float = 1e-3,
+) -> Tensor:
+    """The mean distance of a target from views warped onto it by its depth, with gradients, in one pass over all.
+
+    The mean is over the views and those pixels of the target that are seen between four pixels of a view. How many
+    these are counts as constant for the gradient. Nothing as large as an image is written but the gradient to depth.
+
+    Args:
+        views: images (B, V, C, H, W), V of each sample. Integers are computed in float32.
+        target: images (B, C, h, w), one for all samples or one for each.
+        depth: of the target, z, (B, 1, h, w), likewise.
+        projections: (B, V, 3, 4), likewise: [A | b], where pixel (x, y) of the target at depth d is seen in a view at
+            (u, v), (u, v, 1) being proportional to d A (x, y, 1) + b. :attr:`DepthWarper.projection` has them.
+        distance: of two values: 'l1', the absolute difference; 'l2', its square; 'charbonnier', sqrt(r^2 + eps^2).
+        eps: of the latter.
+
+    Returns:
+        (B,), of the type of `views`; NaN where no pixel of the target is seen.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> target, depth = torch.rand(1, 3, 8, 8), torch.ones(1, 1, 8, 8, requires_grad=True)
+        >>> views = torch.stack([target, target + 0.5], 1)
+        >>> loss = K.geometry.photometric_depth_loss(views, target, depth, torch.eye(3, 4).expand(1, 2, 3, 4))
+        >>> loss.backward()
+        >>> loss.detach().round(decimals=4), depth.grad.shape
+        (tensor([0.2500]), torch.Size([1, 1, 8, 8]))
+    """
+    op = "photometric_depth_loss"
+    _check.shape(op, "views", views, "B", "V", "C", "H", "W")
+    if 0 in (views.shape[1], *views.shape[3:]):
+        raise ShapeError(f"{op}: expected views with pixels, got {tuple(views.shape)}", actual_shape=views.shape)
+    _check.images(op, "target", target)
+    _check.shape(op, "depth", depth, "B", 1, *target.shape[2:])
+    _check.shape(op, "projections", projections, "B", views.shape[1], 3, 4)
+    _check.choice(op, "distance", distance, _DISTANCES)
+    eps = _check.number(op, "eps", eps, minimum=0)
+    views, target = floats(views), floats(target)
+    stored = views.dtype
+    if stored != target.dtype:
+        together = torch.promote_types(stored, target.dtype)
+        views, target = views.to(together), target.to(together)
+    if target.shape[1] != views.shape[2] or target.shape[0] not in (1, views.shape[0]):
+        raise ShapeError(
+            f"{op}: expected target of shape {(views.shape[0], views.shape[2], 'h', 'w')}, got {tuple(target.shape)}",
+            actual_shape=target.shape,
+        )
+    if target.device != views.device:
+        _check.same_device(op, views=views, target=target)
+    depth = for_images(op, views, "depth", depth)
+    projections = for_images(op, views, "projections", projections)
+    found: Any = _photometric(views, target, depth, projections, distance, eps)
+    loss: Tensor = found[0].to(stored)
+    return loss

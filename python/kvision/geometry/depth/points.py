@@ -1,0 +1,377 @@
+"""From depth images to points and normals, and from other things to depth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision import _check
+from kvision._dtype import floats
+from kvision._ops import as_stored, register
+from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.filters.spatial_gradient import derivatives
+from kvision.geometry.transform.sampling import for_images
+
+__all__ = [
+    "depth_from_disparity",
+    "depth_from_plane_equation",
+    "depth_to_3d",
+    "depth_to_3d_v2",
+    "depth_to_normals",
+    "unproject_meshgrid",
+]
+
+# --- the definition -------------------------------------------------------------------------------------------------
+
+
+def rays(camera: Tensor, height: int, width: int, distance: bool) -> Tensor:
+    """What the pixels of cameras (*, 3, 3) see at depth 1, (*, 3, H, W): at z = 1, or at a distance of 1."""
+    like: dict[str, Any] = {"dtype": camera.dtype, "device": camera.device}
+    x, y = torch.arange(width, **like), torch.arange(height, **like)[:, None]
+    fx, fy, cx, cy = (camera[..., i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    across = ((x - cx) / fx).expand(*camera.shape[:-2], height, width)
+    down = ((y - cy) / fy).expand(*camera.shape[:-2], height, width)
+    seen = torch.stack([across, down, torch.ones_like(across)], -3)
+    return seen / (seen * seen).sum(-3, keepdim=True).sqrt() if distance else seen
+
+
+def _points(depth, camera, distance):
+    return depth * rays(camera, *depth.shape[2:], distance)
+
+
+def _points_transposed(grad, camera, distance):
+    return (grad * rays(camera, *grad.shape[2:], distance)).sum(1, keepdim=True)
+
+
+def _points_backward(needs, grad, depth, camera, distance):
+    found = [_to_depth(grad, camera, distance) if needs[0] else None, None]
+    if needs[1]:
+        found[1] = depth_points.differentiate_reference((False, True, False), grad, depth, camera, distance)[1]
+    return found
+
+
+def _to_depth_backward(needs, grad_grad, grad, camera, distance):
+    found = [depth_points(grad_grad, camera, distance) if needs[0] else None, None]
+    if needs[1]:
+        found[1] = _to_depth.differentiate_reference((False, True, False), grad_grad, grad, camera, distance)[1]
+    return found
+
+
+def _normals(depth, camera, distance):
+    along = derivatives(_points(depth, camera, distance), "sobel", 1, True)
+    normal = torch.linalg.cross(along[:, :, 0], along[:, :, 1], dim=1)
+    square = (normal * normal).sum(1, keepdim=True)
+    flat = square <= 1e-24
+    return normal / torch.where(flat, 1e-12, torch.where(flat, 1, square).sqrt())
+
+
+depth_points = register(
+    "depth_points",
+    _points,
+    fake=lambda depth, *how: depth.new_empty(len(depth), 3, *depth.shape[2:]),
+    backward=_points_backward,
+)
+_to_depth = register(
+    "depth_points_backward",
+    _points_transposed,
+    fake=lambda grad, *how: grad.new_empty(len(grad), 1, *grad.shape[2:]),
+    backward=_to_depth_backward,
+)
+_depth_normals = register(
+    "depth_normals", _normals, fake=lambda depth, *how: depth.new_empty(len(depth), 3, *depth.shape[2:])
+)
+
+# --- points ---------------------------------------------------------------------------------------------------------
+
+
+def _depth_and_camera(op: str, depth: Any, camera_matrix: Any, normalize_points: Any) -> tuple[Tensor, Tensor]:
+    """Depth, and cameras as the operators take them; one of either serves the other's batch."""
+    _check.shape(op, "depth", depth, "B", 1, "H", "W")
+    _check.images(op, "depth", depth)
+    _check.shape(op, "camera_matrix", camera_matrix, "B", 3, 3)
+    _check.flag(op, "normalize_points", normalize_points)
+    depth = floats(depth)
+    if depth.shape[0] == 1 and camera_matrix.shape[0] != 1:
+        depth = depth.expand(camera_matrix.shape[0], -1, -1, -1)
+    return depth, for_images(op, depth, "camera_matrix", camera_matrix)
+
+
+def depth_to_3d(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = False) -> Tensor:
+    """Find the point of the camera's frame that each pixel of a depth image shows.
+
+    Args:
+        depth: (B, 1, H, W), z in any unit. Integers are computed in float32.
+        camera_matrix: (B, 3, 3), of which the focal lengths and the principal point are used. One serves a batch of
+            depth images, and one depth image a batch of cameras.
+        normalize_points: depth is the distance from the camera, not z.
+
+    Returns:
+        (B, 3, H, W), x to the right, y down and z forwards, of the type of `depth`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> camera = torch.tensor([[[2.0, 0, 1], [0, 2, 0], [0, 0, 1]]])
+        >>> K.geometry.depth_to_3d(torch.full((1, 1, 1, 3), 4.0), camera)[0, :, 0]
+        tensor([[-2.,  0.,  2.],
+                [ 0.,  0.,  0.],
+                [ 4.,  4.,  4.]])
+    """
+    depth, camera = _depth_and_camera("depth_to_3d", depth, camera_matrix, normalize_points)
+    points: Tensor = depth_points(depth, camera, normalize_points)
+    return points
+
+
+def depth_to_normals(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = False) -> Tensor:
+    """Find the unit normal of the surface that each pixel of a depth image shows.
+
+    It is the cross product of the Sobel derivatives of the points to the right and down, so that a wall in front of the
+    camera has (0, 0, 1). It is 0 where these are.
+
+    Args:
+        depth: (B, 1, H, W), H and W at least 2. Integers are computed in float32.
+        camera_matrix: (B, 3, 3), as :func:`depth_to_3d` takes it.
+        normalize_points: depth is the distance from the camera, not z.
+
+    Returns:
+        (B, 3, H, W), of the type of `depth`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.depth_to_normals(torch.ones(1, 1, 4, 4), torch.eye(3)[None])[0, :, 2, 2]
+        tensor([0., 0., 1.])
+    """
+    depth, camera = _depth_and_camera("depth_to_normals", depth, camera_matrix, normalize_points)
+    if min(depth.shape[2:]) < 2:
+        raise ShapeError(
+            f"depth_to_normals: expected depth with H, W of at least 2, got {tuple(depth.shape)}",
+            actual_shape=depth.shape,
+        )
+    normals: Tensor = _depth_normals(depth, camera, normalize_points)
+    return normals
+
+
+def unproject_meshgrid(
+    height: int,
+    width: int,
+    camera_matrix: Tensor,
+    normalize_points: bool = False,
+    device: torch.device | None = None,
+    dtype: torch.dtype | None = None,
+) -> Tensor:
+    """The points that the pixels of cameras show at depth 1: :func:`depth_to_3d_v2` multiplies them by depths.
+
+    Args:
+        height: of the images.
+        width: of the images.
+        camera_matrix: (*, 3, 3).
+        normalize_points: at a distance of 1, not at z = 1.
+        device: of the result; None for that of `camera_matrix`.
+        dtype: of the result; None for that of `camera_matrix`.
+
+    Returns:
+        (*, H, W, 3) as (x, y, z).
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: `camera_matrix` is not (*, 3, 3); a size is not positive.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.unproject_meshgrid(1, 2, torch.eye(3)[None])
+        tensor([[[[0., 0., 1.],
+                  [1., 0., 1.]]]])
+    """
+    op = "unproject_meshgrid"
+    (height,), (width,) = _check.ints(op, "height", height, 1), _check.ints(op, "width", width, 1)
+    _check_cameras(op, camera_matrix)
+    _check.flag(op, "normalize_points", normalize_points)
+    camera = floats(camera_matrix).to(device=device, dtype=dtype)
+    return _rays_last(camera, height, width, normalize_points)
+
+
+@as_stored
+def _rays_last(camera: Tensor, height: int, width: int, distance: bool) -> Tensor:
+    return rays(camera, height, width, distance).movedim(-3, -1)
+
+
+def _check_cameras(op: str, camera_matrix: Any) -> None:
+    _check.numbers(op, "camera_matrix", camera_matrix)
+    if camera_matrix.dim() < 2 or camera_matrix.shape[-2:] != (3, 3):
+        raise ShapeError(
+            f"{op}: expected camera_matrix of shape (*, 3, 3), got {tuple(camera_matrix.shape)}",
+            actual_shape=camera_matrix.shape,
+        )
+
+
+def depth_to_3d_v2(
+    depth: Tensor, camera_matrix: Tensor, normalize_points: bool = False, xyz_grid: Tensor | None = None
+) -> Tensor:
+    """Find the point of the camera's frame that each pixel shows, coordinates last; see :func:`depth_to_3d`.
+
+    Args:
+        depth: (*, H, W), z. Integers are computed in float32.
+        camera_matrix: (*, 3, 3), leading axes broadcast.
+        normalize_points: depth is the distance from the camera, not z.
+        xyz_grid: (*, H, W, 3), what :func:`unproject_meshgrid` gives for the camera, which is not read then.
+
+    Returns:
+        (*, H, W, 3) as (x, y, z), of the type of `depth`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.depth_to_3d_v2(torch.rand(4, 5), torch.eye(3).repeat(2, 1, 1)).shape
+        torch.Size([2, 4, 5, 3])
+    """
+    op = "depth_to_3d_v2"
+    _check.numbers(op, "depth", depth)
+    if depth.dim() < 2 or 0 in depth.shape[-2:]:
+        raise ShapeError(f"{op}: expected depth of shape (*, H, W), got {tuple(depth.shape)}", actual_shape=depth.shape)
+    _check_cameras(op, camera_matrix)
+    _check.flag(op, "normalize_points", normalize_points)
+    _check.same_device(op, depth=depth, camera_matrix=camera_matrix)
+    depth = floats(depth)
+    if xyz_grid is None:
+        return _points_last(depth, camera_matrix, normalize_points)
+    _check.numbers(op, "xyz_grid", xyz_grid)
+    if xyz_grid.shape[-3:] != (*depth.shape[-2:], 3):
+        raise ShapeError(
+            f"{op}: expected xyz_grid of shape (*, {depth.shape[-2]}, {depth.shape[-1]}, 3), got {tuple(xyz_grid.shape)}",
+            actual_shape=xyz_grid.shape,
+        )
+    _check.same_device(op, depth=depth, xyz_grid=xyz_grid)
+    return (depth[..., None] * xyz_grid).to(depth.dtype)
+
+
+@as_stored
+def _points_last(depth: Tensor, camera: Tensor, distance: bool) -> Tensor:
+    height, width = depth.shape[-2:]
+    return depth[..., None] * rays(camera.to(depth.dtype), height, width, distance).movedim(-3, -1)
+
+
+# --- depth of other things ------------------------------------------------------------------------------------------
+
+
+def depth_from_disparity(disparity: Tensor, baseline: float | Tensor, focal: float | Tensor) -> Tensor:
+    """Depth of a stereo pair: baseline * focal / (disparity + 1e-8).
+
+    Args:
+        disparity: (*, H, W), in pixels. Integers are computed in float32.
+        baseline: distance between the cameras; a number, a tensor of one, or (B,), one for each along the first axis.
+        focal: focal length in pixels, likewise.
+
+    Returns:
+        (*, H, W), in the unit of `baseline` and of the type of `disparity`; far, but finite in float32, where the
+        disparity is 0.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.geometry.depth_from_disparity(torch.full((1, 1, 2), 2.0), 0.5, 100.0)
+        tensor([[[25., 25.]]])
+    """
+    op = "depth_from_disparity"
+    _check.numbers(op, "disparity", disparity)
+    if disparity.dim() < 2:
+        raise ShapeError(
+            f"{op}: expected disparity of shape (*, H, W), got {tuple(disparity.shape)}", actual_shape=disparity.shape
+        )
+    disparity = floats(disparity)
+    return _from_disparity(
+        disparity, _of_samples(op, "baseline", baseline, disparity), _of_samples(op, "focal", focal, disparity)
+    )
+
+
+@as_stored
+def _from_disparity(disparity: Tensor, baseline: float | Tensor, focal: float | Tensor) -> Tensor:
+    return baseline * focal / (disparity + 1e-8)
+
+
+def _of_samples(op: str, name: str, value: Any, x: Tensor) -> float | Tensor:
+    if not isinstance(value, Tensor):
+        if isinstance(value, bool):
+            raise TypeCheckError(f"{op}: expected {name} to be a number or a Tensor, got {value!r}")
+        return _check.number(op, name, value)
+    _check.numbers(op, name, value)
+    _check.same_device(op, disparity=x, **{name: value})
+    if value.dim() == 0 or value.shape == (1,):
+        return value.reshape(())
+    if value.dim() != 1 or x.dim() < 3 or value.shape[0] != x.shape[0]:
+        raise ShapeError(
+            f"{op}: expected {name} of shape (), (1,) or the first axis of {tuple(x.shape)}, got {tuple(value.shape)}",
+            actual_shape=value.shape,
+        )
+    return value.reshape(-1, *[1] * (x.dim() - 1))
+
+
+def depth_from_plane_equation(
+    plane_normals: Tensor, plane_offsets: Tensor, points_uv: Tensor, camera_matrix: Tensor, eps: float = 1e-8
+) -> Tensor:
+    """Depth z of planes n . X = d of the camera's frame where pixels see them.
+
+    A ray whose product with the normal is between -eps and eps takes eps with its sign for that, so that depth stays
+    finite.
+
+    Args:
+        plane_normals: n, (B, 3).
+        plane_offsets: d, (B, 1).
+        points_uv: (B, N, 2), (x, y) in pixels.
+        camera_matrix: (B, 3, 3).
+        eps: see above.
+
+    Returns:
+        (B, N), of the type of `plane_normals`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> normal, offset = torch.tensor([[0.0, 0, 1]]), torch.tensor([[2.0]])
+        >>> K.geometry.depth_from_plane_equation(normal, offset, torch.rand(1, 3, 2), torch.eye(3)[None])
+        tensor([[2., 2., 2.]])
+    """
+    op = "depth_from_plane_equation"
+    _check.shape(op, "plane_normals", plane_normals, "B", 3)
+    _check.shape(op, "plane_offsets", plane_offsets, "B", 1)
+    _check.shape(op, "points_uv", points_uv, "B", "N", 2)
+    _check.shape(op, "camera_matrix", camera_matrix, "B", 3, 3)
+    eps = _check.number(op, "eps", eps, minimum=0)
+    tensors = {
+        "plane_normals": plane_normals,
+        "plane_offsets": plane_offsets,
+        "points_uv": points_uv,
+        "camera_matrix": camera_matrix,
+    }
+    _check.same_device(op, **tensors)
+    batch = max(x.shape[0] for x in tensors.values())
+    if any(x.shape[0] not in (1, batch) for x in tensors.values()):
+        got = ", ".join(f"{name} {tuple(x.shape)}" for name, x in tensors.items())
+        raise ShapeError(f"{op}: expected tensors of one batch, got {got}")
+    return _from_plane(floats(plane_normals), plane_offsets, points_uv, camera_matrix, eps)
+
+
+@as_stored
+def _from_plane(normals: Tensor, offsets: Tensor, points: Tensor, camera: Tensor, eps: float) -> Tensor:
+    focal = torch.stack([camera[:, 0, 0], camera[:, 1, 1]], -1)[:, None]
+    seen = (points - camera[:, None, :2, 2]) / focal
+    along = (seen * normals[:, None, :2]).sum(-1) + normals[:, 2:]
+    grazing = along.abs() < eps
+    return offsets / torch.where(grazing, eps * torch.where(along < 0, -1, 1).to(along.dtype), along)

@@ -1,0 +1,347 @@
+"""Images seen from another camera, by the depth of what it sees."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from kvision import _check
+from kvision._dtype import compute_dtype, floats
+from kvision._ops import as_stored, register
+from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.geometry.camera import PinholeCamera
+from kvision.geometry.depth.points import rays
+from kvision.geometry.linalg import inverse3x3
+from kvision.geometry.transform import sampling
+
+__all__ = ["DepthWarper", "depth_warp", "warp_frame_depth"]
+
+_MODES = ("bilinear", "nearest")
+_PADDINGS = ("zeros", "border", "reflection")
+
+# --- the definition -------------------------------------------------------------------------------------------------
+
+
+def places_of(depth: Tensor, projection: Tensor) -> list[Tensor]:
+    """Where pixels of depth images (B, 1, h, w) lie in another one: u and v, (B, h, w); NaN behind its camera.
+
+    (u, v, 1) is proportional to d A (x, y, 1) + b with `projection` = [A | b], (B, 3, 4).
+    """
+    h, w = depth.shape[2:]
+    x = torch.arange(w, dtype=depth.dtype, device=depth.device)
+    y = torch.arange(h, dtype=depth.dtype, device=depth.device)[:, None]
+    m, d = projection[..., None, None], depth[:, 0]
+    u, v, z = ((m[:, k, 0] * x + (m[:, k, 1] * y + m[:, k, 2])) * d + m[:, k, 3] for k in range(3))
+    in_front = (z > 0) & (u / z).isfinite() & (v / z).isfinite()
+    u, v, z = (torch.where(in_front, value, 1) for value in (u, v, z))
+    return [torch.where(in_front, value / z, torch.nan) for value in (u, v)]
+
+
+def _reference(image, depth, projection, interpolation, padding, align_corners):
+    depth, projection = depth.expand(len(image), -1, -1, -1), projection.expand(len(image), -1, -1)
+    return sampling.sample(image, places_of(depth, projection), interpolation, padding, align_corners)
+
+
+def _backward(needs, grad, image, depth, projection, *how):
+    if needs[0] and grad.is_cuda and torch.are_deterministic_algorithms_enabled():  # the kernel adds by atomics
+        return depth_warp_of.differentiate_reference(needs, grad, image, depth, projection, *how)
+    found = [None, None, None]
+    if needs[0]:
+        wide = grad.to(compute_dtype(grad))
+        found[0] = image_gradient_of(wide, depth, projection, list(image.shape[2:]), *how).to(grad.dtype)
+    if needs[1] or needs[2]:
+        slopes = _slopes(grad, image, depth, projection, *how)
+        found[1:] = (g.sum_to_size(x.shape) for g, x in zip(slopes, (depth, projection)))
+    return found
+
+
+def _image_gradient_reference(grad, depth, projection, size, *how):
+    def of_image(image: Tensor) -> Tensor:
+        return _reference(image, depth, projection, *how)
+
+    _, pullback = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
+    return pullback(grad)[0]
+
+
+def _image_gradient_backward(needs, grad_grad, grad, depth, projection, size, *how):
+    kept = (False, *needs[1:])
+    found = image_gradient_of.differentiate_reference(kept, grad_grad, grad, depth, projection, size, *how)
+    if needs[0]:
+        found[0] = depth_warp_of(grad_grad, depth, projection, *how)
+    return found
+
+
+def _slopes_reference(grad, image, depth, projection, *how):
+    wide, batch = depth.dtype, len(grad)
+
+    def of_places(depth: Tensor, projection: Tensor) -> Tensor:
+        return _reference(image.to(wide).expand(batch, -1, -1, -1), depth, projection, *how)
+
+    expanded = depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1)
+    _, pullback = torch.func.vjp(of_places, *expanded)
+    return pullback(grad.to(wide))
+
+
+depth_warp_of = register(
+    "depth_warp",
+    _reference,
+    fake=lambda image, depth, *rest: (*image.shape[:2], *depth.shape[2:]),
+    backward=_backward,
+)
+image_gradient_of = register(
+    "depth_warp_image_gradient",
+    _image_gradient_reference,
+    fake=lambda grad, depth, projection, size, *how: grad.new_empty(*grad.shape[:2], *size),
+    backward=_image_gradient_backward,
+)
+_slopes = register(
+    "depth_warp_slopes",
+    _slopes_reference,
+    fake=lambda grad, image, depth, projection, *how: [
+        depth.new_empty(len(grad), *depth.shape[1:]),
+        projection.new_empty(len(grad), 3, 4),
+    ],
+    stores=True,
+)
+
+# --- functions ------------------------------------------------------------------------------------------------------
+
+
+def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str, padding: str, align: bool) -> Tensor:
+    """`image` (B, C, H, W) by `depth` (B, 1, h, w) and `projection` (B, 3, 4); one of each serves a batch."""
+    image = floats(image)
+    batch = max(image.shape[0], depth.shape[0], projection.shape[0]) if image.shape[0] else 0
+    if image.shape[0] == 1 and batch > 1:
+        image = image.expand(batch, -1, -1, -1)
+    depth = sampling.for_images(op, image, "depth", depth)
+    projection = sampling.for_images(op, image, "projection", projection)
+    found: Tensor = depth_warp_of(image, depth, projection, mode, "fill" if padding == "zeros" else padding, align)
+    return found
+
+
+def warp_frame_depth(
+    image_src: Tensor,
+    depth_dst: Tensor,
+    src_trans_dst: Tensor,
+    camera_matrix: Tensor,
+    normalize_points: bool = False,
+) -> Tensor:
+    """Show at every pixel of a destination what the source's image shows of the same point, by the destination's depth.
+
+    In one pass, without points or a grid. Bilinear; 0 outside of the image and for points behind the source's camera.
+
+    Args:
+        image_src: images (B, C, H, W) of the source. Integers are computed in float32.
+        depth_dst: depth (B, 1, h, w) of the destination, z.
+        src_trans_dst: (B, 4, 4), points of the destination's frame to the source's.
+        camera_matrix: (B, 3, 3), of both cameras; its focal lengths and principal point are used.
+        normalize_points: depth is the distance from the camera, not z.
+
+    Returns:
+        (B, C, h, w), of the type of `image_src`.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image, motion = torch.arange(4.0).expand(1, 1, 2, 4), torch.eye(4)[None].clone()
+        >>> motion[0, 0, 3] = 1
+        >>> K.geometry.warp_frame_depth(image, torch.ones(1, 1, 2, 4), motion, torch.eye(3)[None])[0, 0, 0]
+        tensor([1., 2., 3., 0.])
+    """
+    op = "warp_frame_depth"
+    _check.images(op, "image_src", image_src)
+    _check.shape(op, "depth_dst", depth_dst, "B", 1, "H", "W")
+    _check.images(op, "depth_dst", depth_dst)
+    _check.shape(op, "src_trans_dst", src_trans_dst, "B", 4, 4)
+    _check.shape(op, "camera_matrix", camera_matrix, "B", 3, 3)
+    _check.flag(op, "normalize_points", normalize_points)
+    _check.same_device(
+        op, image_src=image_src, depth_dst=depth_dst, src_trans_dst=src_trans_dst, camera_matrix=camera_matrix
+    )
+    dtype = compute_dtype(floats(image_src))
+    camera, motion = camera_matrix.to(dtype), src_trans_dst.to(dtype)
+    if normalize_points:
+        height, width = depth_dst.shape[2:]
+        depth_dst = depth_dst * rays(camera, height, width, True)[:, 2:]
+    projection = _projection(_pinhole(camera), motion[:, :3], _pinhole(camera))
+    return _warped(op, image_src, depth_dst, projection, "bilinear", "zeros", True)
+
+
+def _pinhole(camera: Tensor) -> Tensor:
+    """A camera matrix (B, 3, 3) with nothing but its focal lengths and principal point."""
+    fx, fy, cx, cy = (camera[:, i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
+    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], 1).unflatten(1, (3, 3))
+
+
+@as_stored
+def _projection(camera_to: Tensor, motion: Tensor, camera_from: Tensor) -> Tensor:
+    """(B, 3, 4): pixels at a depth to another camera's, as :func:`places_of` takes it."""
+    turned = camera_to @ motion[:, :, :3] @ inverse3x3(camera_from)
+    moved = camera_to @ motion[:, :, 3:]
+    return torch.cat([turned, moved.expand(turned.shape[0], -1, -1)], 2)
+
+
+@as_stored
+def _motion(pose_to: Tensor, pose_from: Tensor) -> Tensor:
+    """(B, 3, 4): points of a camera's frame to another's, both given from the world, rigid."""
+    turned = pose_to[:, :3, :3] @ pose_from[:, :3, :3].mT
+    return torch.cat([turned, pose_to[:, :3, 3:] - turned @ pose_from[:, :3, 3:]], 2)
+
+
+class DepthWarper(nn.Module):
+    """Warps an image of a destination's camera into a source's by the source's depth, in one pass and without a grid.
+
+    First :meth:`compute_projection_matrix` with the source's camera, then call it. Points behind the destination's
+    camera are outside of its image.
+
+    Args:
+        pinhole_dst: the destination's cameras, one for all images or one for each.
+        height: of the source's images.
+        width: of the source's images.
+        mode: 'bilinear' or 'nearest'.
+        padding_mode: what is outside of the image: 'zeros', its 'border' or its 'reflection'.
+        align_corners: the reflection is about the middles of the outermost pixels, not their outer edges.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: an unknown mode; called before the source's camera is known.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> size = torch.tensor([4.0])
+        >>> here = K.geometry.PinholeCamera(torch.eye(4)[None], torch.eye(4)[None], size, size)
+        >>> there = here.clone()
+        >>> there.tx = 1.0
+        >>> warper = K.DepthWarper(there, 4, 4).compute_projection_matrix(here)
+        >>> warper(torch.ones(1, 1, 4, 4), torch.arange(4.0).expand(1, 1, 4, 4))[0, 0, 0]
+        tensor([1., 2., 3., 0.])
+    """
+
+    def __init__(
+        self,
+        pinhole_dst: PinholeCamera,
+        height: int,
+        width: int,
+        mode: str = "bilinear",
+        padding_mode: str = "zeros",
+        align_corners: bool = True,
+    ) -> None:
+        super().__init__()
+        op = type(self).__name__
+        _check_camera(op, "pinhole_dst", pinhole_dst)
+        (self.height,), (self.width,) = _check.ints(op, "height", height, 1), _check.ints(op, "width", width, 1)
+        _check.choice(op, "mode", mode, _MODES)
+        _check.choice(op, "padding_mode", padding_mode, _PADDINGS)
+        _check.flag(op, "align_corners", align_corners)
+        self.mode = mode
+        self.padding_mode = padding_mode
+        self.align_corners = align_corners
+        self._pinhole_dst = pinhole_dst
+        self._projection: Tensor | None = None
+
+    def extra_repr(self) -> str:
+        return (
+            f"height={self.height}, width={self.width}, mode={self.mode!r}, padding_mode={self.padding_mode!r}, "
+            f"align_corners={self.align_corners}"
+        )
+
+    def compute_projection_matrix(self, pinhole_src: PinholeCamera) -> DepthWarper:
+        """Take the source's camera, and the way from its pixels to the destination's; returns the warper itself."""
+        _check_camera(type(self).__name__, "pinhole_src", pinhole_src)
+        motion = _motion(self._pinhole_dst.extrinsics, pinhole_src.extrinsics)
+        to, source = (camera.intrinsics[:, :3, :3] for camera in (self._pinhole_dst, pinhole_src))
+        self._projection = _projection(to, motion, source)
+        return self
+
+    @property
+    def projection(self) -> Tensor:
+        """(B, 3, 4): [A | b], with (u, v, 1) proportional to d A (x, y, 1) + b for a source's pixel at depth d."""
+        if self._projection is None:
+            raise ValueCheckError(
+                f"{type(self).__name__}: call compute_projection_matrix with the source's camera first"
+            )
+        return self._projection
+
+    def compute_subpixel_step(self) -> Tensor:
+        """The step of inverse depth, at 1, that moves the middle of the image by half a pixel in the camera that sees it
+        move most.
+
+        Source: R. Szeliski and D. Scharstein, "Symmetric sub-pixel stereo matching" (2002).
+        """
+        projection, step = self.projection, 0.01
+        ray = projection[:, :, 0] * (self.width / 2) + projection[:, :, 1] * (self.height / 2) + projection[:, :, 2]
+        before, after = (ray + (1 + d) * projection[:, :, 3] for d in (-step, step))
+        moved = after[:, :2] / after[:, 2:] - before[:, :2] / before[:, 2:]
+        return (step / moved.norm(dim=1)).min()
+
+    def warp_grid(self, depth_src: Tensor) -> Tensor:
+        """Where the source's pixels (B, 1, H, W) are seen, (B, H, W, 2) as (x, y), -1 and 1 being the middles of the
+        outermost pixels of an image of the warper's size; NaN behind the camera."""
+        depth_src = self._checked(depth_src)
+        projection = self.projection.to(depth_src.dtype)
+        batch = max(len(depth_src), len(projection))
+        places = places_of(depth_src.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
+        sizes = (self.width, self.height)
+        return torch.stack([2 * p / (n - 1) - 1 if n > 1 else p - 1 for p, n in zip(places, sizes)], -1)
+
+    def _checked(self, depth: Any) -> Tensor:
+        _check.shape(type(self).__name__, "depth_src", depth, "B", 1, self.height, self.width)
+        return floats(depth)
+
+    def forward(self, depth_src: Tensor, patch_dst: Tensor) -> Tensor:
+        """Warp images `patch_dst` (B, C, h, w) by depth (B, 1, H, W): (B, C, H, W)."""
+        depth_src = self._checked(depth_src)
+        op, projection = type(self).__name__, self.projection
+        _check.images(op, "patch_dst", patch_dst)
+        _check.same_device(op, depth_src=depth_src, patch_dst=patch_dst, projection=projection)
+        return _warped(op, patch_dst, depth_src, projection, self.mode, self.padding_mode, self.align_corners)
+
+
+def _check_camera(op: str, name: str, camera: Any) -> None:
+    if not isinstance(camera, PinholeCamera):
+        raise TypeCheckError(f"{op}: expected {name} to be a PinholeCamera, got {type(camera).__name__}")
+
+
+def depth_warp(
+    pinhole_dst: PinholeCamera,
+    pinhole_src: PinholeCamera,
+    depth_src: Tensor,
+    patch_dst: Tensor,
+    height: int,
+    width: int,
+    align_corners: bool = True,
+) -> Tensor:
+    """Warp images of a destination's camera into a source's by the source's depth: :class:`DepthWarper` in one call.
+
+    Args:
+        pinhole_dst: the destination's cameras.
+        pinhole_src: the source's cameras.
+        depth_src: (B, 1, H, W).
+        patch_dst: images (B, C, h, w). Integers are computed in float32.
+        height: H.
+        width: W.
+        align_corners: as :class:`DepthWarper` has it.
+
+    Returns:
+        (B, C, H, W), of the type of `patch_dst`; 0 outside of the images.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape is not as above; tensors on different devices.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> size = torch.tensor([4.0])
+        >>> camera = K.geometry.PinholeCamera(torch.eye(4)[None], torch.eye(4)[None], size, size)
+        >>> image = torch.rand(1, 3, 4, 4)
+        >>> torch.equal(K.geometry.depth_warp(camera, camera, torch.ones(1, 1, 4, 4), image, 4, 4), image)
+        True
+    """
+    warper = DepthWarper(pinhole_dst, height, width, align_corners=align_corners)
+    return warper.compute_projection_matrix(pinhole_src)(depth_src, patch_dst)

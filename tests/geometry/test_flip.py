@@ -1,0 +1,62 @@
+"""Flips, of any type, and crops of whole pixels, which are copies by the same kernel."""
+
+import pytest
+import torch
+
+import kvision as K
+from op_tests import OpTests
+
+G = K.geometry
+
+
+class FlipTests(OpTests):
+    operators = ("flip",)
+    bytes = True
+    max_size = 7
+    tolerances = dict.fromkeys((torch.float64, torch.float32, torch.float16, torch.bfloat16), (0, 0))
+    axes: tuple[int, ...]
+
+    def test_wrong_kinds(self, variant, device):
+        name = self.function.__name__
+        for wrong, error in [([[1.0]], TypeError), (None, TypeError), (torch.rand(3, device=device), ValueError)]:
+            with pytest.raises(error, match=f"^{name}: "):
+                self.function(wrong)
+
+    @pytest.mark.parametrize("dtype", [torch.int64, torch.int16, torch.bool, torch.uint8, torch.float64], ids=str)
+    def test_other_integers_become_float32(self, variant, dtype, device):
+        """Nothing becomes of them: flips are of any type, and of any number of axes."""
+        for shape in [(2, 3, 5, 37), (2, 2, 3, 4, 5), (3, 64, 48), (4, 5), (1, 1, 0, 4)]:
+            x = (torch.rand(shape, device=device) * 100).to(dtype)
+            found = self.function(x)
+            assert found.dtype == dtype and torch.equal(found, x.flip(self.axes))
+
+
+class TestHflip(FlipTests):
+    function = staticmethod(G.hflip)
+    module = G.Hflip
+    axes = (-1,)
+
+
+class TestVflip(FlipTests):
+    function = staticmethod(G.vflip)
+    module = G.Vflip
+    axes = (-2,)
+
+
+class TestRot180(FlipTests):
+    function = staticmethod(G.rot180)
+    module = G.Rot180
+    axes = (-2, -1)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+def test_crops_of_whole_pixels_are_slices(dtype, device):
+    x = (torch.rand(2, 3, 40, 56, device=device) * 255).to(dtype)
+    for size in ((8, 16), (20, 40), (2, 2), (40, 56)):
+        h, w = size
+        y0, x0 = (40 - h) // 2, (56 - w) // 2
+        found = G.center_crop(x, size)
+        assert torch.equal(found, x[..., y0 : y0 + h, x0 : x0 + w]) and found.is_contiguous()
+        last = x.contiguous(memory_format=torch.channels_last)
+        assert torch.equal(G.center_crop(last, size), found)
+    assert G.center_crop(x, (40, 56)).data_ptr() != x.data_ptr()

@@ -29,7 +29,7 @@ __global__ void __launch_bounds__(kThreads)
       Map::vjp(m, p.distance, points[i], grad[i], to_points[i], to_m);
 #pragma unroll
       for (int e = 0; e < Map::entries; ++e)
-        if (i < n) sums[e] += to_m[e];
+        if (i < n && p.partial) sums[e] += to_m[e];
     }
     if constexpr (__is_same(Map, Unproject)) {
       store_points<2>(p.to_points, first, n, fours, to_points);

@@ -89,6 +89,7 @@ void map_points_backward(PointsBackward<T> const& p, int64_t begin, int64_t end)
         } else {
           store_points<N, Map::in>(p.to_points + first * Map::in, to_points);
         }
+        if (!p.partial) return;
         for (int e = 0; e < Map::entries; ++e) {
           if constexpr (N == 1)
             sums[e][0] += to_m[e];

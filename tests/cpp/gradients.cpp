@@ -80,6 +80,9 @@ int main() {
   Tensor const row = torch::rand({1, 3}), column = torch::rand({2, 5}), sigma = torch::rand({2, 2}) + 0.5;
 
   check("ssim", [](auto const& t) { return kvision::ssim(t[0], t[1], 5); }, {x, torch::rand_like(x)}, false);
+  check(
+      "extract_patches",
+      [](auto const& t) { return kvision::extract_patches(t[0], {7, 6}, {3, 4}, {2, 3}, {1, 0, 2, 1}); }, {x}, true);
   check("ssim_loss", [](auto const& t) { return kvision::ssim_loss(t[0], t[1], 3); }, {x, torch::rand_like(x)}, false);
   check(
       "dilation",

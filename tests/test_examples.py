@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import torch
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -47,3 +48,26 @@ def test_registration_of_real_pairs(data, device):
         found, _ = registration.register(pair, "gauss-newton", 20)
         assert registration.corner_error(found, pair) < pair.limit, pair.name
     assert pairs
+
+
+def test_depth_of_a_stereo_pair(device):
+    pytest.importorskip("skimage")
+    depth = example("depth_estimation")
+    scene = depth.motorcycle(device, width=160)
+    found = [depth.quality(depth.errors(scene, d)) for d, _ in depth.descend(scene, 40, 4)]
+    start = depth.quality(depth.errors(scene, depth.depth_of(scene, 0.5 * torch.ones_like(scene.truth))))
+    assert found[-1][1] > max(0.6, start[1])
+    assert found[-1][0] < start[0]
+    assert found[-1][1] > found[0][1]
+
+
+def test_depth_of_a_room(data, device, tmp_path: Path):
+    pytest.importorskip("tqdm")
+    depth = example("depth_estimation")
+    scene = depth.livingroom(data / "rgbd_livingroom", device, width=160)
+    levels, _ = depth.estimate(scene, 150, 4, depth.K)
+    error = depth.errors(scene, levels[-1][0])
+    assert depth.quality(error)[1] > 0.7
+    assert "without texture" in depth.limits(scene, error)
+    depth.draw(scene, levels, tmp_path / "room.png")
+    assert (tmp_path / "room.png").stat().st_size > 0

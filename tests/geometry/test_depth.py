@@ -336,10 +336,11 @@ def test_true_depth_and_poses_explain_the_pictures(data: Path, device):
     scale = float((folder / "depth_scale.txt").read_text())
     images, depths, poses = [], [], []
     for i in range(5):
-        images.append(K.io.load_image(folder / f"color_{i}.jpg")[None].float().to(device))
-        depths.append((K.io.load_image(folder / f"depth_{i}.png", "unchanged")[None] / scale).float().to(device))
-        numbers = [float(v) for v in (folder / f"pose_{i}.txt").read_text().split()]
-        poses.append(torch.tensor(numbers, dtype=torch.float64).reshape(4, 4))
+        images.append(255 * K.io.load_image(folder / f"color_{i}.jpg", device=device)[None])
+        numbers = K.io.load_image(folder / f"depth_{i}.png", K.io.ImageLoadType.UNCHANGED, device)
+        depths.append(numbers[None].float() / scale)
+        pose = [float(v) for v in (folder / f"pose_{i}.txt").read_text().split()]
+        poses.append(torch.tensor(pose, dtype=torch.float64).reshape(4, 4))
     errors = []
     for i, j in ((0, 2), (4, 1)):
         relative = (torch.linalg.inv(poses[j]) @ poses[i]).float()[None].to(device)

@@ -1,0 +1,292 @@
+"""Find the depth of a picture by descent on how much other views, warped by it, differ from it: coarse to fine.
+
+    python examples/depth_estimation.py                    scikit-image's stereo pair of a motorcycle
+    python examples/depth_estimation.py --data FOLDER      five views of FOLDER/rgbd_livingroom as well
+    python examples/depth_estimation.py --kornia           the same loop with Kornia beside it, at the same iterations
+
+What is learnt is inverse depth, a number of [0, 1] for each pixel between the far and the near end of the scene. It begins
+as noise and descends, by SGD with momentum, on the weighted sum of the Kornia paper: SSIM and L1 between the picture and
+each warped view, and how rough inverse depth is where the picture has no edges. Every scene gives a figure, a row a level.
+Depth is measured where there is a true one: the mean of abs(depth - true) / true, and the share of pixels where that is less
+than 10%.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import torch
+from torch import Tensor
+
+import kvision as K
+
+LEVELS, ITERATIONS = 5, 120
+RATE, MOMENTUM = 0.001, 0.9
+STRUCTURE, SMOOTHNESS = 0.85, 0.15  # weight of SSIM, the rest being that of L1; weight of roughness
+WINDOW = 5  # of SSIM
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A picture (1, 3, H, W), V views of the same, and where all were taken: camera matrices (1, 3, 3) and (V, 3, 3), and
+    (V, 4, 4) from the picture's frame to the views'. `truth` (1, 1, H, W) is its depth, 0 where it is not known.
+
+    All depth is between `near` and `far`. At least `share` of the pixels shall be right to 10%.
+    """
+
+    name: str
+    picture: Tensor
+    views: Tensor
+    camera: Tensor
+    view_cameras: Tensor
+    motions: Tensor
+    truth: Tensor
+    near: float
+    far: float
+    share: float
+
+
+# --- scenes ---------------------------------------------------------------------------------------------------------
+
+
+def shrunk(image: Tensor, size: tuple[int, int]) -> Tensor:
+    """An image or a batch of them at a smaller size."""
+    return image if tuple(image.shape[2:]) == size else K.geometry.resize(image, size, antialias=True)
+
+
+def at_size(camera: Tensor, before: tuple[int, int], after: tuple[int, int]) -> Tensor:
+    """Camera matrices of images that are resized: from edge to edge, so that the middle of the first pixel moves."""
+    y, x = (b / a for b, a in zip(after, before))
+    scale = torch.tensor([[x, 0, (x - 1) / 2], [0, y, (y - 1) / 2], [0, 0, 1]], device=camera.device)
+    return scale @ camera
+
+
+def motorcycle(device: torch.device, width: int = 320) -> Scene:
+    """Two pictures of the Middlebury stereo data of 2014, of which scikit-image tells the calibration."""
+    from skimage import data
+
+    left, right, disparity = data.stereo_motorcycle()
+    focal, center, shift, baseline = 994.978, (311.193, 254.877), 31.086, 0.193001
+    before = disparity.shape
+    size = (round(before[0] * width / before[1]), width)
+    camera = torch.tensor([[[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1]]])
+    other = camera.clone()
+    other[:, 0, 2] += shift
+    motion = torch.eye(4)[None].clone()
+    motion[:, 0, 3] = -baseline
+    known = torch.from_numpy(disparity)[None, None]
+    known = K.geometry.resize(known, size, interpolation="nearest")
+    truth = torch.where(known.isfinite(), K.geometry.depth_from_disparity(known + shift, baseline, focal), 0)
+    pictures = [shrunk(K.image_to_tensor(x, keepdim=False).float() / 255, size) for x in (left, right)]
+    cameras = (at_size(x, before, size) for x in (camera, other))
+    tensors = (x.to(device) for x in (*pictures, *cameras, motion, truth))
+    return Scene("motorcycle", *tensors, near=1.5, far=8.0, share=0.7)
+
+
+def livingroom(folder: Path, device: torch.device, width: int = 320) -> Scene:
+    """Five views that were rendered a few centimetres apart, the third of which is the picture."""
+
+    def numbers(name: str, rows: int) -> Tensor:
+        return torch.tensor([float(x) for x in (folder / name).read_text().split()], dtype=torch.float64).view(rows, -1)
+
+    poses = [numbers(f"pose_{i}.txt", 4) for i in range(5)]
+    pictures = torch.stack([K.io.load_image(folder / f"color_{i}.jpg") for i in range(5)])
+    before = (pictures.shape[2], pictures.shape[3])
+    size = (before[0] * width // before[1], width)
+    pictures = shrunk(pictures, size)
+    camera = at_size(numbers("intrinsics.txt", 3)[None].float(), before, size)
+    depth = K.io.load_image(folder / "depth_2.png", K.io.ImageLoadType.UNCHANGED)[None].float()
+    truth = K.geometry.resize(depth, size, interpolation="nearest") / float((folder / "depth_scale.txt").read_text())
+    others = [0, 1, 3, 4]
+    motions = torch.stack([torch.linalg.inv(poses[i]) @ poses[2] for i in others]).float()
+    tensors = (pictures[2:3], pictures[others], camera, camera.expand(4, 3, 3), motions, truth)
+    return Scene("livingroom", *(x.to(device) for x in tensors), near=0.5, far=5.0, share=0.7)
+
+
+# --- descent --------------------------------------------------------------------------------------------------------
+
+
+def sizes(scene: Scene, levels: int) -> list[tuple[int, int]]:
+    """Those of the levels, from coarse to fine."""
+    h, w = scene.picture.shape[2:]
+    return [(h >> k, w >> k) for k in reversed(range(levels))]
+
+
+def warper_of(scene: Scene, size: tuple[int, int], library: ModuleType) -> Callable[[Tensor, Tensor], Tensor]:
+    """Takes depth (1, 1, h, w) and the views at that size, to the views as the picture's camera sees them."""
+    before = tuple(scene.picture.shape[2:])
+    count = len(scene.views)
+    height, width = (torch.full((count,), float(n), device=scene.views.device) for n in size)
+
+    def camera(matrix: Tensor, pose: Tensor):
+        intrinsics = torch.eye(4, device=matrix.device).repeat(count, 1, 1)
+        intrinsics[:, :3, :3] = at_size(matrix, before, size)
+        return library.geometry.PinholeCamera(intrinsics, pose, height, width)
+
+    here = camera(scene.camera, torch.eye(4, device=scene.views.device).repeat(count, 1, 1))
+    there = camera(scene.view_cameras, scene.motions)
+    warper = library.geometry.DepthWarper(there, *size, padding_mode="border").compute_projection_matrix(here)
+    return lambda depth, views: warper(depth.expand(count, -1, -1, -1), views)
+
+
+def depth_of(scene: Scene, place: Tensor) -> Tensor:
+    """Depth of numbers of [0, 1], evenly in inverse depth; outside of these as at the ends, near enough."""
+    far, near = 1 / scene.far, 1 / scene.near
+    return 1 / (far + place * (near - far)).clamp(0.5 * far, 2 * near)
+
+
+def objective(picture: Tensor, warped: Tensor, place: Tensor, library: ModuleType) -> Tensor:
+    """The paper's weighted sum."""
+    pictures = picture.expand_as(warped)
+    structure = (1 - library.metrics.ssim(pictures, warped, WINDOW)).mean() / 2
+    difference = (pictures - warped).abs().mean()
+    roughness = library.losses.inverse_depth_smoothness_loss(place / place.mean().detach(), picture)
+    return STRUCTURE * structure + (1 - STRUCTURE) * difference + SMOOTHNESS * roughness
+
+
+def descend(
+    scene: Scene, iterations: int, levels: int, library: ModuleType = K, step: Callable[[], object] = lambda: None
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Depth, and the views warped by it, after each level. `step` is called after each iteration."""
+    generator = torch.Generator().manual_seed(0)
+    place = torch.rand(1, 1, *sizes(scene, levels)[0], generator=generator).to(scene.picture.device)
+    for size in sizes(scene, levels):
+        picture, views = shrunk(scene.picture, size), shrunk(scene.views, size)
+        warp = warper_of(scene, size, library)
+        place = K.geometry.resize(place, size).detach().requires_grad_()
+        optimizer = torch.optim.SGD([place], RATE * place.numel(), MOMENTUM)  # the objective is a mean over pixels
+        for _ in range(iterations):
+            optimizer.zero_grad()
+            objective(picture, warp(depth_of(scene, place), views), place, library).backward()
+            optimizer.step()
+            step()
+        depth = depth_of(scene, place.detach())
+        yield depth, warp(depth, views)
+
+
+# --- what came of it ------------------------------------------------------------------------------------------------
+
+
+def errors(scene: Scene, depth: Tensor) -> Tensor:
+    """abs(depth - true) / true, NaN where the truth is not known."""
+    depth = K.geometry.resize(depth, tuple(scene.truth.shape[2:]))
+    return torch.where(scene.truth > 0, (depth - scene.truth).abs() / scene.truth, torch.nan)
+
+
+def quality(error: Tensor) -> tuple[float, float]:
+    """Mean error, share of pixels within 10%."""
+    known = error[error.isfinite()]
+    return float(known.mean()), float((known < 0.1).float().mean())
+
+
+def limits(scene: Scene, error: Tensor) -> str:
+    """Where depth is wrong: without texture nothing tells it, and at depth edges some view does not see it."""
+    edges = K.filters.sobel(K.color.rgb_to_grayscale(scene.picture))
+    around = torch.ones(7, 7, device=error.device)
+    furthest = K.morphology.dilation(scene.truth, around)
+    nearest = K.morphology.erosion(torch.where(scene.truth > 0, scene.truth, torch.inf), around)
+    near_jump = furthest - nearest > 0.15 * furthest
+    plain = (edges < edges.median()) & ~near_jump
+    kinds = {"at edges of depth": near_jump, "without texture": plain, "elsewhere": ~plain & ~near_jump}
+    return ", ".join(
+        f"{quality(error[mask])[1]:.0%} {name} ({mask.float().mean():.0%})" for name, mask in kinds.items()
+    )
+
+
+def draw(scene: Scene, levels: list[tuple[Tensor, Tensor]], path: Path) -> None:
+    import matplotlib.pyplot as plt
+
+    shown = min(2, len(scene.views))
+    figure, axes = plt.subplots(len(levels) + 1, shown + 3, figsize=(3 * (shown + 3), 2.4 * (len(levels) + 1)))
+    range_of_depth = {"cmap": "viridis", "vmin": scene.near, "vmax": min(scene.far, float(scene.truth.max()) * 1.1)}
+
+    def show(axis, image: Tensor, title: str, **how) -> None:
+        pixels = image[0].permute(1, 2, 0).squeeze(-1).cpu()
+        axis.imshow(pixels if how else pixels.clamp(0, 1), **how)
+        axis.set_title(title, fontsize=9)
+
+    pictures = [(scene.picture, "picture"), *((v[None], "view") for v in scene.views[:shown])]
+    for axis, (image, title) in zip(axes[0], pictures):
+        show(axis, image, title)
+    show(axes[0, shown + 1], scene.truth, "true depth", **range_of_depth)
+    for row, (depth, warped) in zip(axes[1:], levels):
+        error = errors(scene, depth)
+        mean, share = quality(error)
+        for i in range(shown):
+            show(row[i], warped[i : i + 1], "view, warped")
+        show(
+            row[shown], (warped.mean(0, keepdim=True) - shrunk(scene.picture, tuple(warped.shape[2:]))).abs() * 4, "x 4"
+        )
+        show(row[shown + 1], depth, f"depth, error {mean:.1%}", **range_of_depth)
+        show(row[shown + 2], error, f"error, {share:.0%} within 10%", cmap="magma", vmin=0, vmax=0.3)
+    for axis in axes.flat:
+        axis.axis("off")
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
+    plt.close(figure)
+
+
+def estimate(
+    scene: Scene, iterations: int, levels: int, library: ModuleType
+) -> tuple[list[tuple[Tensor, Tensor]], float]:
+    """What `descend` gives, and the seconds it took."""
+    from tqdm import tqdm
+
+    begin = time.perf_counter()
+    with tqdm(total=iterations * levels, desc=f"{scene.name}, {library.__name__}", unit="step", leave=False) as bar:
+        found = list(descend(scene, iterations, levels, library, bar.update))
+    if scene.picture.is_cuda:
+        torch.cuda.synchronize()
+    return found, time.perf_counter() - begin
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, help="folder with rgbd_livingroom")
+    parser.add_argument("--iterations", type=int, default=ITERATIONS, help="on each level")
+    parser.add_argument("--levels", type=int, default=LEVELS)
+    parser.add_argument("--width", type=int, default=320, help="of the pictures")
+    parser.add_argument("--kornia", action="store_true", help="run Kornia, too")
+    parser.add_argument("--out", type=Path, default=Path("out/depth"), help="where the figures go")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    options = parser.parse_args(arguments)
+    device = torch.device(options.device)
+    options.out.mkdir(parents=True, exist_ok=True)
+    scenes = [motorcycle(device, options.width)]
+    if options.data:
+        scenes.append(livingroom(options.data / "rgbd_livingroom", device, options.width))
+    libraries = [K]
+    if options.kornia:
+        import kornia
+
+        libraries.append(kornia)
+    missed = 0
+    for scene in scenes:
+        constant = depth_of(scene, torch.full_like(scene.truth, 0.5))
+        print(
+            "{:11} {:10} error {:6.1%}, within 10% {:4.0%}".format(
+                scene.name, "constant", *quality(errors(scene, constant))
+            )
+        )
+        for library in libraries:
+            levels, seconds = estimate(scene, options.iterations, options.levels, library)
+            error = errors(scene, levels[-1][0])
+            mean, share = quality(error)
+            steps = options.iterations * options.levels
+            print(
+                f"{scene.name:11} {library.__name__:10} error {mean:6.1%}, within 10% {share:4.0%}: {limits(scene, error)}; "
+                f"{seconds:.1f} s, {1000 * seconds / steps:.2f} ms a step"
+            )
+            if library is K:
+                missed += share < scene.share
+                draw(scene, levels, options.out / f"{scene.name}.png")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

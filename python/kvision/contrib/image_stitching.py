@@ -131,7 +131,8 @@ class ImageStitcher(nn.Module):
             raise ValueCheckError(f"ImageStitcher: expected at least two images, got {len(imgs)}")
         for i, x in enumerate(imgs):
             _check.images("ImageStitcher", f"image {i}", x)
-        panorama, mask = floats(imgs[0]), None
+        panorama = floats(imgs[0])
+        mask = torch.ones_like(panorama[:, :1])
         for x in imgs[1:]:
             panorama, mask = self.stitch_pair(panorama, floats(x), mask)
         return self.postprocess(panorama, mask)

@@ -56,6 +56,7 @@ def masks(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor,
 
 
 def window(height: int, width: int, x: Tensor) -> Tensor:
+    """Made in the call, as users do: one of its launches."""
     return torch.ones(height, width, device=x.device)
 
 
@@ -84,7 +85,24 @@ CASES = [
     case(
         "ssim_loss11",
         lambda K, x, y: K.losses.ssim_loss(x, y, 11),
-        Bars(floor=1.6, both=2.5, launches=None),
+        Bars(floor=1.6, both=2.5, launches=2),
+        {},
+        **images,
+        **as_number,
+    ),
+    Case(
+        "l1_ssim_loss11",
+        lambda x, y: kvision.losses.l1_ssim_loss(x, y, 11),
+        {},
+        Bars(floor=1.6, both=2.5, launches=2),
+        pairs,
+        backward=of_loss,
+        **as_number,
+    ),
+    case(
+        "charbonnier",
+        lambda K, x, y: K.losses.charbonnier_loss(x, y, "mean"),
+        Bars(floor=1.15, both=1.4, launches=2),
         {},
         **images,
         **as_number,
@@ -92,7 +110,7 @@ CASES = [
     case(
         "psnr",
         lambda K, x, y: K.metrics.psnr(x, y, 1.0),
-        Bars(floor=1.15, both=1.4, launches=None),
+        Bars(floor=1.15, both=1.4, launches=2),
         {},
         **images,
         **as_number,
@@ -100,7 +118,7 @@ CASES = [
     case(
         "total_variation",
         lambda K, x: K.losses.total_variation(x),
-        Bars(floor=1.2, both=1.4, launches=None),
+        Bars(floor=1.2, both=1.4, launches=2),
         {},
         backward=of_loss,
         **as_number,
@@ -120,9 +138,9 @@ CASES = [
         {},
         **segmentations,
     ),
-    morphology("dilation", 3, 3, Bars(floor=1.2, both=1.4, opencv=1.0)),
-    morphology("erosion", 3, 3, Bars(floor=1.2, both=1.4, opencv=1.0)),
-    morphology("dilation", 15, 15, Bars(floor=1.5, opencv=1.0)),
+    morphology("dilation", 3, 3, Bars(floor=1.2, both=1.4, launches=2, opencv=1.0)),
+    morphology("erosion", 3, 3, Bars(floor=1.2, both=1.4, launches=2, opencv=1.0)),
+    morphology("dilation", 15, 15, Bars(floor=1.5, both=1.4, launches=2, opencv=1.0)),
     case(
         "patches32",
         lambda K, x: K.contrib.extract_tensor_patches(x, 32, 32),

@@ -10,11 +10,6 @@
 namespace kv::KV_ISA {
 namespace {
 
-template <bool value_>
-struct Flag {
-  static constexpr bool value = value_;
-};
-
 template <int N, class V, class Index>
 KV_HD V permuted(V a, V b, Index index) {
   if constexpr (N == 1)
@@ -58,33 +53,31 @@ struct RowBands {
 // The weights of a row's elements in groups of N, the last of which overlaps the one before it.
 template <class F, int N>
 struct ColumnBands {
-  using Index = Lanes<typename integer_of<sizeof(F)>::type, N>;
+  using Int = typename integer_of<sizeof(F)>::type;
   int64_t size, groups;
-  int taps, spread = 0;      // the latter: largest distance within a group
-  Scratch<int64_t> from;     // the first element that a group reads
-  Scratch<Index> distances;  // from there to the first one that each of its elements reads
-  Scratch<Lanes<F, N>> weights;
+  int taps, spread = 0;    // the latter: largest distance within a group
+  Scratch<int64_t> from;   // the first element that a group reads
+  Scratch<Int> distances;  // from there to the first one that each of its elements reads
+  Scratch<F> weights;      // by group, tap and element
 
   ColumnBands(ResizeAxis const& axis, int64_t size, int64_t step)
       : size(size),
         groups((size + N - 1) / N),
         taps(axis.most),
         from(groups),
-        distances(groups),
-        weights(groups * taps) {
+        distances(groups * N),
+        weights(groups * taps * N) {
+    for (int64_t i = 0; i < groups * taps * N; ++i) weights.data[i] = 0;
     for (int64_t g = 0; g < groups; ++g) {
-      F* const w = reinterpret_cast<F*>(weights.data + g * taps);
-      for (int i = 0; i < N * taps; ++i) w[i] = 0;
       int64_t firsts[N], least = INT64_MAX;
       for (int i = 0; i < N; ++i) {
         int64_t const e = start(g) + i, x = e / step;
-        firsts[i] = write_weights(w + i, N, axis, x).first * step + e - x * step;
+        firsts[i] = write_weights(weights.data + g * taps * N + i, N, axis, x).first * step + e - x * step;
         least = min(least, firsts[i]);
       }
       from.data[g] = least;
-      auto* const distance = reinterpret_cast<typename integer_of<sizeof(F)>::type*>(distances.data + g);
       for (int i = 0; i < N; ++i) {
-        distance[i] = firsts[i] - least;
+        distances.data[g * N + i] = Int(firsts[i] - least);
         spread = max(spread, int(firsts[i] - least));
       }
     }
@@ -93,18 +86,19 @@ struct ColumnBands {
 };
 
 // A row of the result from its line. Vectors: how many loads hold what a group reads at a time, 0 for more than two.
-// Careful: what a tap of weight 0 holds is no part of the value, not even if it is NaN or inf. Whether a number that is
-// not careful may be one of these.
-template <int Vectors, bool careful, int N, class T, class F>
+// Taps: how many there are, 0 for any number. Says whether all of the row is finite.
+template <int Vectors, int Taps, int N, class T, class F>
 KV_HD bool write_row(T* out, F const* line, ColumnBands<F, N> const& columns, int64_t step) {
   using V = Lanes<F, N>;
+  int const taps = Taps ? Taps : columns.taps;
   V check{};
   for (int64_t g = 0; g < columns.groups; ++g) {
     F const* from = line + columns.from.data[g];
-    V const* const weights = columns.weights.data + g * columns.taps;
-    auto const distance = columns.distances.data[g];
+    F const* weights = columns.weights.data + g * taps * N;
+    auto const distance =
+        *reinterpret_cast<Lanes<typename ColumnBands<F, N>::Int, N> const*>(columns.distances.data + g * N);
     V sum{};
-    for (int k = 0; k < columns.taps; ++k, from += step) {
+    for (int k = 0; k < taps; ++k, from += step, weights += N) {
       V value;
       if constexpr (Vectors == 1) {
         value = permuted<N>(load<N>(from), distance);
@@ -113,21 +107,33 @@ KV_HD bool write_row(T* out, F const* line, ColumnBands<F, N> const& columns, in
       } else {
         for (int i = 0; i < N; ++i) value[i] = from[distance[i]];
       }
-      if constexpr (careful)
-        sum += weights[k] != 0 ? value * weights[k] : V{};
-      else
-        sum += value * weights[k];
+      sum += value * load<N>(weights);
     }
-    if constexpr (!careful) check += sum - sum;
+    check += sum - sum;
     store<N>(out + columns.start(g), sum);
   }
   if constexpr (N == 1) {
-    return !(check == 0);
+    return check == 0;
   } else {
     F total = 0;
     for (int i = 0; i < N; ++i) total += check[i];
-    return !(total == 0);
+    return total == 0;
   }
+}
+
+// The same, but what a tap of weight 0 holds is no part of the value, not even if it is NaN or inf.
+template <int N, class T, class F>
+[[gnu::noinline]] void write_row_with_care(T* out, F const* line, ColumnBands<F, N> const& columns, int64_t step) {
+  for (int64_t g = 0; g < columns.groups; ++g)
+    for (int i = 0; i < N; ++i) {
+      F const* from = line + columns.from.data[g] + columns.distances.data[g * N + i];
+      F sum = 0;
+      for (int k = 0; k < columns.taps; ++k, from += step) {
+        F const weight = columns.weights.data[(g * columns.taps + k) * N + i];
+        if (weight != 0) sum += *from * weight;
+      }
+      store<1>(out + columns.start(g) + i, sum);
+    }
 }
 
 template <int N, class T>
@@ -140,29 +146,47 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
   Scratch<F> line(size + beyond);
   for (int64_t e = size; e < size + beyond; ++e) line.data[e] = 0;
 
-  auto const write = [&](T* out, auto careful) {
-    if (columns.spread < N) return write_row<1, careful.value>(out, line.data, columns, step);
+  auto const write_with = [&](T* out, auto vectors) {
+    constexpr int M = decltype(vectors)::value;
+    if (columns.taps == 1) return write_row<M, 1>(out, line.data, columns, step);
+    if (columns.taps == 2) return write_row<M, 2>(out, line.data, columns, step);
+    if (columns.taps == 4) return write_row<M, 4>(out, line.data, columns, step);
+    return write_row<M, 0>(out, line.data, columns, step);
+  };
+  auto const write = [&](T* out) {
+    if (columns.spread < N) return write_with(out, Width<1>{});
     if constexpr (N > 1) {
-      if (columns.spread < 2 * N) return write_row<2, careful.value>(out, line.data, columns, step);
-      return write_row<0, careful.value>(out, line.data, columns, step);
+      if (columns.spread < 2 * N) return write_with(out, Width<2>{});
+      return write_row<0, 0>(out, line.data, columns, step);
     }
-    return false;
+    return true;
   };
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, i = rows.at(r);
     Reads<F> const band = rows.reads.data[i];
     F const* const weights = rows.weights.data + i * rows.taps;
     T const* const first = p.x.row(plane, band.first);
-    for_each_vector<T>(0, size, [&](auto width, int64_t e) {
-      constexpr int M = decltype(width)::value;
-      Lanes<F, M> sum{};
-      T const* from = first + e;
-      for (int k = 0; k < band.count; ++k, from += p.x.row_stride)
-        if (weights[k] != 0) sum += load<M>(from) * weights[k];
-      store<M>(line.data + e, sum);
-    });
+    auto const add_up = [&](auto sum_at) {
+      for_each_vector<T>(0, size, [&](auto width, int64_t e) {
+        constexpr int M = decltype(width)::value;
+        store<M>(line.data + e, Lanes<F, M>(sum_at(width, first + e)));
+      });
+    };
+    if (band.count == 2 && weights[0] != 0 && weights[1] != 0)
+      add_up([&](auto width, T const* from) {
+        constexpr int M = decltype(width)::value;
+        return load<M>(from) * weights[0] + load<M>(from + p.x.row_stride) * weights[1];
+      });
+    else
+      add_up([&](auto width, T const* from) {
+        constexpr int M = decltype(width)::value;
+        Lanes<F, M> sum{};
+        for (int k = 0; k < band.count; ++k, from += p.x.row_stride)
+          if (weights[k] != 0) sum += load<M>(from) * weights[k];
+        return sum;
+      });
     T* const out = p.y.row(plane, r - plane * height);
-    if (write(out, Flag<false>{})) write(out, Flag<true>{});
+    if (!write(out)) write_row_with_care(out, line.data, columns, step);
   }
 }
 

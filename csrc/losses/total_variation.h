@@ -1,5 +1,6 @@
-// Total variation of image planes: the sums of absolute differences of neighbours along y and along x, (planes, 2), and
-// their gradient, made of signs. Included by total_variation_cpu.cpp, total_variation.cu and total_variation_op.cpp.
+// Total variation of image planes: weighted sums of the absolute differences of neighbours along y and along x, a
+// number for each plane, and their gradient, made of signs. Included by total_variation_cpu.cpp, total_variation.cu and
+// total_variation_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -10,8 +11,9 @@ namespace kv {
 template <class T>
 struct TotalVariation {
   Planes<T const> x;
+  Compute<T> along_y, along_x;  // weights
   Compute<T>* sums;
-  int rows;             // CUDA: of a piece, the work of one block
+  int rows;             // CUDA: of a piece, which is what one warp sums
   int64_t pieces;       // of a plane
   Compute<T>* partial;  // CUDA: the sums of all pieces
 };
@@ -19,9 +21,15 @@ struct TotalVariation {
 template <class T>
 struct TotalVariationBackward {
   Planes<T const> x;
+  Compute<T> along_y, along_x;
   Compute<T> const* grad;
   Planes<T> grad_x;
 };
+
+// CUDA: what a warp sums.
+constexpr int kVariationRows = 16;
+template <class T>
+constexpr int kVariationColumns = 32 * (sizeof(T) == 2 ? 8 : 4);
 
 KV_KERNEL(total_variation, TotalVariation)
 KV_KERNEL(total_variation_backward, TotalVariationBackward)

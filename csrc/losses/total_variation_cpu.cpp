@@ -33,7 +33,7 @@ void total_variation(TotalVariation<T> const& p, int64_t begin, int64_t end) {
       along_x += sum_of_differences(row + 1, row, p.x.width - 1);
       if (y + 1 < p.x.height) along_y += sum_of_differences(row + p.x.row_stride, row, p.x.width);
     }
-    p.sums[2 * plane] = Compute<T>(along_y), p.sums[2 * plane + 1] = Compute<T>(along_x);
+    p.sums[plane] = Compute<T>(p.along_y * along_y + p.along_x * along_x);
   }
 }
 
@@ -46,7 +46,7 @@ void total_variation_backward(TotalVariationBackward<T> const& p, int64_t begin,
     T const* const row = p.x.row(plane, y);
     T const* const above = y > 0 ? row - p.x.row_stride : row;
     T const* const below = y + 1 < height ? row + p.x.row_stride : row;
-    F const of_y = p.grad[2 * plane], of_x = p.grad[2 * plane + 1];
+    F const of_y = p.along_y * p.grad[plane], of_x = p.along_x * p.grad[plane];
     T* const out = p.grad_x.row(plane, y);
     auto const at = [&](auto n, int64_t e, int64_t left, int64_t right) {
       constexpr int N = decltype(n)::value;

@@ -9,41 +9,43 @@ ScalarType computed(Tensor const& x) {
   return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
 }
 
-Tensor total_variation(Tensor const& input) {
+Tensor total_variation(Tensor const& input, double along_y, double along_x) {
   constexpr char const* op = "total_variation";
   check_images(op, "input", input);
   Tensor const x = conform(input, Layout::planar);
-  int64_t const height = x.size(2);
-  int const rows = 32;
-  int64_t const pieces = (height + rows - 1) / rows;
-  Tensor const sums = empty({x.size(0), x.size(1), 2}, x, Layout::planar, computed(x));
-#if defined(KV_CUDA)
-  Tensor const partial = empty({x.size(0), x.size(1), pieces, 2}, x, Layout::planar, computed(x));
-#else
-  Tensor const& partial = sums;  // not used
-#endif
+  int64_t const height = x.size(2), width = x.size(3);
+  Tensor const sums = empty({x.size(0), x.size(1)}, x, Layout::planar, computed(x));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    TotalVariation<T> const params{planes<T const>(x, Layout::planar), static_cast<F*>(sums.mutable_data_ptr()), rows,
-                                   pieces, static_cast<F*>(partial.mutable_data_ptr())};
-    KV_RUN(total_variation, x, params, params.x.count(), height * params.x.width);
+    int64_t const columns = kVariationColumns<T>, rows = kVariationRows;
+    int64_t const pieces = (height + rows - 1) / rows * ((width + columns - 1) / columns);
+#if defined(KV_CUDA)
+    Tensor const partial = empty({x.size(0), x.size(1), pieces}, x, Layout::planar, computed(x));
+#else
+    Tensor const& partial = sums;  // not used
+#endif
+    TotalVariation<T> const params{planes<T const>(x, Layout::planar),         F(along_y), F(along_x),
+                                   static_cast<F*>(sums.mutable_data_ptr()),   int(rows),  pieces,
+                                   static_cast<F*>(partial.mutable_data_ptr())};
+    KV_RUN(total_variation, x, params, params.x.count(), height * width);
   });
   return sums;
 }
 
-Tensor total_variation_backward(Tensor const& grad, Tensor const& input) {
+Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double along_y, double along_x) {
   constexpr char const* op = "total_variation_backward";
   check_images(op, "input", input);
-  KV_CHECK(grad.dim() == 3 && grad.size(0) == input.size(0) && grad.size(1) == input.size(1) && grad.size(2) == 2 &&
+  KV_CHECK(grad.dim() == 2 && grad.size(0) == input.size(0) && grad.size(1) == input.size(1) &&
                grad.scalar_type() == computed(input) && grad.device() == input.device(),
            op, ": expected grad to be that of the sums");
   Tensor const x = conform(input, Layout::planar), g = torch::stable::contiguous(grad),
                grad_x = empty_like(x, Layout::planar);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    TotalVariationBackward<T> const params{planes<T const>(x, Layout::planar),
-                                           static_cast<Compute<T> const*>(g.const_data_ptr()),
+    using F = Compute<T>;
+    TotalVariationBackward<T> const params{planes<T const>(x, Layout::planar), F(along_y), F(along_x),
+                                           static_cast<F const*>(g.const_data_ptr()),
                                            planes<T>(grad_x, Layout::planar)};
     KV_RUN(total_variation_backward, x, params, params.x.rows(), params.x.width);
   });
@@ -52,7 +54,7 @@ Tensor total_variation_backward(Tensor const& grad, Tensor const& input) {
 
 }  // namespace
 
-KV_OPERATOR(total_variation, "(Tensor input) -> Tensor")
-KV_OPERATOR(total_variation_backward, "(Tensor grad, Tensor input) -> Tensor")
+KV_OPERATOR(total_variation, "(Tensor input, float along_y, float along_x) -> Tensor")
+KV_OPERATOR(total_variation_backward, "(Tensor grad, Tensor input, float along_y, float along_x) -> Tensor")
 
 }  // namespace kv

@@ -4,8 +4,8 @@
 //   B = var x + var y + c2    b = var (x - y)                 structure 1 - b / B
 //   similarity = ((A - a) (B - b) + eps) / (A B + eps)        without luminance (B - b + eps) / (B + eps)
 //
-// Neither factor exceeds 1, whatever is rounded, and equal images have a = b = 0. Included by ssim_cpu.cpp, ssim*.cu
-// and ssim_op.cpp.
+// Neither factor exceeds 1, whatever is rounded, and equal images have a = b = 0. Included by ssim_cpu.cpp, ssim.cu and
+// ssim_op.cpp.
 //
 // The gradient takes the derivatives of the similarity by the means, times the gradient g of the result, through the
 // transpose of the means:
@@ -52,15 +52,15 @@ KV_HD Means<V> ssim_of_means_vjp(Means<V> const& m, SsimConstants<F> const& c, V
   V const B = max(raw_B, zero) + c.c2, b = max(raw_b, zero);
   V d_A = zero, d_a = zero, d_B, d_b;
   if (c.luminance) {
-    V const A = mean_squares + c.c1, scale = g / (A * B + c.eps);
-    V const similarity = ((A - a) * (B - b) + c.eps) / (A * B + c.eps);
+    V const A = mean_squares + c.c1, inverse = V{} + 1 / V(A * B + c.eps), scale = g * inverse;
+    V const similarity = ((A - a) * (B - b) + c.eps) * inverse;
     d_A = ((B - b) - similarity * B) * scale;
     d_a = -(B - b) * scale;
     d_B = ((A - a) - similarity * A) * scale;
     d_b = -(A - a) * scale;
   } else {
-    V const scale = g / (B + c.eps);
-    d_B = b / (B + c.eps) * scale;
+    V const inverse = V{} + 1 / V(B + c.eps), scale = g * inverse;
+    d_B = b * inverse * scale;
     d_b = -scale;
   }
   d_B = raw_B >= zero ? d_B : zero;
@@ -83,22 +83,39 @@ struct SsimImages {
   KV_HD int before() const { return valid ? 0 : size / 2; }
 };
 
+// A loss for each row of planes, one row behind the other: the sum of 1 - similarity times `structure`, and that of
+// abs(x - y) times `absolute`.
+template <class F>
+struct SsimLoss {
+  F structure, absolute;
+  int64_t planes;  // of a row
+};
+
+// Either the similarity, or where that has no data the loss.
 template <class T>
 struct Ssim {
   SsimImages<T> images;
   Planes<T> similarity;
+  SsimLoss<Compute<T>> loss;
+  Compute<T>* partial;  // what is summed: on the CPU a number for each row of the similarity, on CUDA for each warp
+  Compute<T>* sums;     // CUDA: of the rows
 };
 
 template <class T>
 struct SsimBackward {
   SsimImages<T> images;
-  Planes<T const> grad;
+  Planes<T const> grad;      // of the similarity; without data it is that of the loss
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
+  SsimLoss<Compute<T>> loss;
+  Compute<T> const* of_loss;  // the gradient of each row's
 };
+
+// CUDA: the most that `partial` has for a plane.
+inline int64_t most_ssim_pieces(int64_t height, int64_t width) { return (width / 32 + 2) * (height / 8 + 1); }
 
 // The windows of the CUDA kernels, which take planar images that are no smaller than the window and not of double. What
 // else there is takes filter2d_separable, in Python.
-constexpr bool has_ssim_strips(int64_t size) { return size == 5 || size == 7 || size == 11; }
+constexpr bool has_ssim_kernel(int64_t size) { return size == 5 || size == 7 || size == 11; }
 
 KV_KERNEL(ssim, Ssim)
 KV_KERNEL(ssim_backward, SsimBackward)

@@ -121,15 +121,33 @@ struct MeansOfRows {
 
 template <class T>
 void ssim(Ssim<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
   MeansOfRows<T> means(p.images, p.similarity.width);
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / p.similarity.height, y = r % p.similarity.height;
-    T* const out = p.similarity.row(plane, y);
     means.row(plane, y);
-    for_each_vector<T>(0, means.count, [&](auto width, int64_t e) {
-      constexpr int N = decltype(width)::value;
-      store<N>(out + e, ssim_of_means(means.template at<N>(e), p.images.constants));
-    });
+    auto const at = [&](auto width, int64_t e) {
+      return ssim_of_means(means.template at<decltype(width)::value>(e), p.images.constants);
+    };
+    if (p.similarity.data) {
+      T* const out = p.similarity.row(plane, y);
+      for_each_vector<T>(0, means.count,
+                         [&](auto width, int64_t e) { store<decltype(width)::value>(out + e, at(width, e)); });
+      continue;
+    }
+    T const *const a = p.images.x.row(plane, y), *const b = p.images.y.row(plane, y);
+    Lanes<F, N> unlike{}, apart{};
+    F sum = 0;
+    int64_t e = 0;
+    for (; e + N <= means.count; e += N) {
+      unlike += F(1) - at(Width<N>{}, e);
+      apart += vabs(Lanes<F, N>(load<N>(a + e) - load<N>(b + e)));
+    }
+    for (; e < means.count; ++e)
+      sum += p.loss.structure * (F(1) - at(Width<1>{}, e)) + p.loss.absolute * vabs(F(load<1>(a + e) - load<1>(b + e)));
+    for (int l = 0; l < N; ++l) sum += p.loss.structure * unlike[l] + p.loss.absolute * apart[l];
+    p.partial[r] = sum;
   }
 }
 
@@ -159,12 +177,13 @@ void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
   };
 
   auto const fill = [&](int64_t plane, int64_t q) {
-    T const* const g = p.grad.row(plane, q);
+    T const* const g = p.grad.data ? p.grad.row(plane, q) : nullptr;
+    F const of_pixel = g ? F(0) : -p.loss.structure * p.of_loss[plane / p.loss.planes];
     F const twice = at_rim(q, rows) ? F(2) : F(1);
     means.row(plane, q);
     for_each_vector<T>(0, means.count, [&](auto n, int64_t e) {
       constexpr int N = decltype(n)::value;
-      Lanes<F, N> const of_result = load<N>(g + e) * twice;
+      Lanes<F, N> const of_result = (g ? load<N>(g + e) : broadcast<N>(of_pixel)) * twice;
       auto const d = ssim_of_means_vjp(means.template at<N>(e), images.constants, of_result);
       store<N>(derivatives[kX] + e, d.x);
       store<N>(derivatives[kY] + e, d.y);
@@ -197,12 +216,17 @@ void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
     }
     T const *const x = images.x.row(plane, y), *const other = images.y.row(plane, y);
     T *const to_x = p.grad_x.row(plane, y), *const to_y = used == kMeans ? p.grad_y.row(plane, y) : nullptr;
+    F const absolute = p.grad.data ? F(0) : p.loss.absolute * p.of_loss[plane / p.loss.planes];
     for_each_vector<T>(0, width * step, [&](auto n, int64_t e) {
       constexpr int N = decltype(n)::value;
       Lanes<F, N> const a = load<N>(x + e), b = load<N>(other + e), squares = load<N>(sums[kSquares] + e);
-      Lanes<F, N> const apart = (a - b) * load<N>(sums[kApart] + e);
-      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + 2 * (a * squares + apart)));
-      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + 2 * (b * squares - apart)));
+      Lanes<F, N> const difference = a - b, apart = difference * load<N>(sums[kApart] + e);
+      Lanes<F, N> const one = broadcast<N>(F(1)), sign = difference > 0   ? one
+                                                         : difference < 0 ? Lanes<F, N>(-one)
+                                                                          : difference;
+      Lanes<F, N> const of_absolute = absolute * sign;
+      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + 2 * (a * squares + apart) + of_absolute));
+      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + 2 * (b * squares - apart) - of_absolute));
     });
   }
 }

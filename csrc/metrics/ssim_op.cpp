@@ -1,6 +1,7 @@
 // Structural similarity: schemas and entries, for CPU and CUDA alike.
 #include "glue/glue.h"
 #include "ssim.h"
+#include "sums.h"
 
 namespace kv {
 namespace {
@@ -35,7 +36,7 @@ struct Window {
       check_border(op, border, size / 2, n);
     }
 #if defined(KV_CUDA)
-    bool const served = has_ssim_strips(size) && min(x.size(2), x.size(3)) >= size && !is_channels_last(x) &&
+    bool const served = has_ssim_kernel(size) && min(x.size(2), x.size(3)) >= size && !is_channels_last(x) &&
                         x.scalar_type() != ScalarType::Double;
     KV_CHECK(served, op, ": no kernel for these images or this window on CUDA");
 #endif
@@ -92,24 +93,83 @@ Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma
     using F = Compute<T>;
     auto const weights = gaussian_window<F>(size, sigma);
     Ssim<T> const params{images<T>(x, y, layout, window, weights.data(), {c1, c2, eps, luminance}),
-                         planes<T>(similarity, layout)};
+                         planes<T>(similarity, layout),
+                         {},
+                         nullptr,
+                         nullptr};
     KV_RUN(ssim, x, params, params.similarity.rows(), size * params.similarity.row_size());
   });
   return similarity;
 }
 
-// The gradient to the first image, and if `grad_other` is given to the second one.
-Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor const& other, Tensor* grad_other,
-                 int64_t size, double sigma, Constants const& c, std::string const& border) {
+ScalarType computed(Tensor const& x) {
+  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+}
+
+template <class F>
+F* data(Tensor const& x) {
+  return static_cast<F*>(const_cast<void*>(x.const_data_ptr()));
+}
+
+// A number for each sample of planar images.
+Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,
+                 std::string const& border, double structure, double absolute) {
+  constexpr char const* op = "ssim_loss";
   check_pair(op, input, other);
   Window const window(op, input, size, sigma, border);
-  check_images(op, "grad", grad);
-  bool fits = grad.scalar_type() == input.scalar_type() && grad.device() == input.device();
-  for (int64_t i = 0; i < 4; ++i) fits = fits && grad.size(i) == input.size(i) - (i < 2 ? 0 : window.less());
-  KV_CHECK(fits, op, ": grad differs in shape, dtype or device from the similarity");
-  Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = conform(other, layout), g = conform(grad, layout);
-  Tensor const grad_x = empty_like(x, layout);
+  KV_CHECK(absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
+  Tensor const x = conform(input, Layout::planar), y = conform(other, Layout::planar);
+  int64_t const rows = x.size(0), channels = x.size(1), height = x.size(2), width = x.size(3);
+#if defined(KV_CUDA)
+  int64_t const pieces = channels * most_ssim_pieces(height, width);
+#else
+  int64_t const pieces = channels * (height - window.less());
+#endif
+  Tensor const sums = empty({rows}, x, Layout::planar, computed(x));
+  Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed(x));
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    auto const weights = gaussian_window<F>(size, sigma);
+    Planes<T> nothing{};
+    nothing.outer = rows, nothing.inner = channels;
+    nothing.height = height - window.less(), nothing.width = width - window.less(), nothing.step = 1;
+    Ssim<T> const params{images<T>(x, y, Layout::planar, window, weights.data(), {c1, c2, eps, true}),
+                         nothing,
+                         {F(structure), F(absolute), channels},
+                         data<F>(partial),
+                         data<F>(sums)};
+    KV_RUN(ssim, x, params, nothing.rows(), size * nothing.row_size());
+#if defined(KV_CUDA)
+    if (channels == 0) torch::stable::zero_(const_cast<Tensor&>(sums));
+#else
+    add_pieces(params.partial, rows, pieces, Finish<F>{F(0), F(1), false}, params.sums);
+#endif
+  });
+  return sums;
+}
+
+// The gradient to the first image, and if `grad_other` is given to the second one: with the similarity's, or with those
+// of the losses of the samples.
+Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor const& other, Tensor* grad_other,
+                 int64_t size, double sigma, Constants const& c, std::string const& border,
+                 std::optional<SsimLoss<double>> const& loss = {}) {
+  check_pair(op, input, other);
+  Window const window(op, input, size, sigma, border);
+  if (loss) {
+    KV_CHECK(grad.dim() == 1 && grad.size(0) == input.size(0) && grad.scalar_type() == computed(input) &&
+                 grad.device() == input.device(),
+             op, ": expected grad to be that of the losses");
+    KV_CHECK(loss->absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
+  } else {
+    check_images(op, "grad", grad);
+    bool fits = grad.scalar_type() == input.scalar_type() && grad.device() == input.device();
+    for (int64_t i = 0; i < 4; ++i) fits = fits && grad.size(i) == input.size(i) - (i < 2 ? 0 : window.less());
+    KV_CHECK(fits, op, ": grad differs in shape, dtype or device from the similarity");
+  }
+  Layout const layout = loss ? Layout::planar : layout_of(input);
+  Tensor const x = conform(input, layout), y = conform(other, layout);
+  Tensor const g = loss ? torch::stable::contiguous(grad) : conform(grad, layout), grad_x = empty_like(x, layout);
   if (grad_other) *grad_other = empty_like(x, layout);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -117,8 +177,18 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
     auto const weights = gaussian_window<F>(size, sigma);
     Planes<T> grad_y = planes<T>(grad_other ? *grad_other : grad_x, layout);
     if (!grad_other) grad_y.data = nullptr;
-    SsimBackward<T> const params{images<T>(x, y, layout, window, weights.data(), c), planes<T const>(g, layout),
-                                 planes<T>(grad_x, layout), grad_y};
+    SsimBackward<T> params{images<T>(x, y, layout, window, weights.data(), c),
+                           loss ? planes<T const>(x, layout) : planes<T const>(g, layout),
+                           planes<T>(grad_x, layout),
+                           grad_y,
+                           {},
+                           nullptr};
+    if (loss) {
+      params.grad.data = nullptr;
+      params.grad.height -= window.less(), params.grad.width -= window.less();
+      params.loss = {F(loss->structure), F(loss->absolute), x.size(1)};
+      params.of_loss = data<F>(g);
+    }
     KV_RUN(ssim_backward, x, params, params.grad_x.rows(), 2 * size * params.grad_x.row_size());
   });
   return grad_x;
@@ -138,6 +208,22 @@ std::tuple<Tensor, Tensor> ssim_backward_both(Tensor const& grad, Tensor const& 
   return {grad_x, grad_y};
 }
 
+Tensor ssim_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t size, double sigma,
+                          double c1, double c2, double eps, std::string const& border, double structure,
+                          double absolute) {
+  return gradients("ssim_loss_backward", grad, input, other, nullptr, size, sigma, {c1, c2, eps, true}, border,
+                   SsimLoss<double>{structure, absolute, 0});
+}
+
+std::tuple<Tensor, Tensor> ssim_loss_backward_both(Tensor const& grad, Tensor const& input, Tensor const& other,
+                                                   int64_t size, double sigma, double c1, double c2, double eps,
+                                                   std::string const& border, double structure, double absolute) {
+  Tensor grad_y = input;  // replaced
+  Tensor const grad_x = gradients("ssim_loss_backward_both", grad, input, other, &grad_y, size, sigma,
+                                  {c1, c2, eps, true}, border, SsimLoss<double>{structure, absolute, 0});
+  return {grad_x, grad_y};
+}
+
 }  // namespace
 
 KV_OPERATOR(ssim,
@@ -149,5 +235,15 @@ KV_OPERATOR(ssim_backward,
 KV_OPERATOR(ssim_backward_both,
             "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
             "str border, bool luminance) -> (Tensor grad_input, Tensor grad_other)")
+
+KV_OPERATOR(ssim_loss,
+            "(Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, str border, "
+            "float structure, float absolute) -> Tensor")
+KV_OPERATOR(ssim_loss_backward,
+            "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
+            "str border, float structure, float absolute) -> Tensor")
+KV_OPERATOR(ssim_loss_backward_both,
+            "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
+            "str border, float structure, float absolute) -> (Tensor grad_input, Tensor grad_other)")
 
 }  // namespace kv

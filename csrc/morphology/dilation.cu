@@ -1,6 +1,6 @@
-// Dilation and erosion on CUDA. What the offsets are is known on the device only: each block looks whether its window
-// is flat. Flat ones of 3 x 3 are walked down in registers, larger ones go through shared memory in steps of 1, 2, 4
-// ... pixels; for others, and for channels-last images, a thread takes the taps of one element.
+// Dilation and erosion on CUDA. Windows of 3 x 3 pixels, flat or not, are walked down in registers. Whether another one
+// is flat is known on the device only, so each block looks: flat ones take a tile along y and then along x, others, and
+// channels-last images, the taps of one element after the other.
 #include "core/launch.cuh"
 #include "dilation.h"
 
@@ -9,245 +9,479 @@ namespace {
 
 constexpr int kThreads = 256;
 
-// An element of a row, as kernels with a thread for each count them.
-struct Element {
-  int64_t plane, row, at;
-  int column;
-  bool there;
-  template <class T>
-  __device__ __forceinline__ Element(Planes<T> const& p, int64_t i) {
-    int64_t const size = p.row_size(), line = i / size;
-    there = line < p.rows();
-    plane = line / p.height, row = line - plane * p.height, at = i - line * size;
-    column = int(at / p.step);
-  }
-};
-
 template <class F>
 __device__ __forceinline__ F minus_infinity() {
   return -F(__int_as_float(0x7f800000));
 }
 
-// Calls f(offset, value) for the members of the window of an element, with values as they are compared.
-template <class T, class Call>
-__device__ __forceinline__ void for_each_tap(Planes<T const> const& x, Offsets<Compute<T>> const& window,
-                                             int64_t planes, Element const& e, Call f) {
-  using F = Compute<T>;
-  F const* const offsets = window.data + e.plane / planes * window.stride;
-  F const sign = window.erode ? F(-1) : F(1);
-  for (int i = 0; i < window.height; ++i) {
-    int64_t const y = e.row + i - window.top;
-    bool const inside = y >= 0 && y < x.height;
-    T const* const row = x.row(e.plane, inside ? y : 0) + e.at;
-    for (int j = 0; j < window.width; ++j) {
-      F const offset = offsets[i * window.width + j];
-      if (offset == minus_infinity<F>()) continue;
-      int const shift = j - window.left;
-      bool const in_row = inside && e.column + shift >= 0 && e.column + shift < x.width;
-      f(offset, (in_row ? read(row[shift * x.step]) : window.value) * sign + offset);
-    }
-  }
+// larger() in one instruction where there is one.
+__device__ __forceinline__ float join(float a, float b) {
+#if __CUDA_ARCH__ >= 800
+  float most;
+  asm("max.NaN.f32 %0, %1, %2;" : "=f"(most) : "f"(a), "f"(b));
+  return most;
+#else
+  return larger(a, b);
+#endif
+}
+__device__ __forceinline__ double join(double a, double b) { return larger(a, b); }
+template <class F>
+__device__ __forceinline__ Ties<F> join(Ties<F> const& a, Ties<F> const& b) {
+  F const most = join(a.most, b.most);
+  return {most, (a.most == most ? a.count : F(0)) + (b.most == most ? b.count : F(0))};
 }
 
-template <class T>
-__device__ __forceinline__ void dilate(Dilation<T> const& p, Element const& e) {
-  using F = Compute<T>;
-  F most = minus_infinity<F>();
-  for_each_tap<T>(p.x, p.window, p.planes, e, [&](F, F value) { most = larger(most, value); });
-  p.y.row(e.plane, e.row)[e.at] = round_to<T>(p.window.erode ? -most : most);
-}
+__device__ __forceinline__ float share(float g, float count) { return __fdividef(g, fmaxf(count, 1.f)); }
+__device__ __forceinline__ double share(double g, double count) { return g / fmax(count, 1.); }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) dilation_any(Dilation<T> const p) {
-  Element const e(p.y, blockIdx.x * int64_t(kThreads) + threadIdx.x);
-  if (e.there) dilate(p, e);
-}
-
-// --- flat 3 x 3 windows, geodesic
+// --- windows of 3 x 3 around the middle
 // --------------------------------------------------------------------------------------------------------------------
 
-constexpr int kRows = 8;  // of a strip
+constexpr int kRows = 16;  // of a strip
+constexpr int kStrip = 4;  // pixels of a thread
+using Strips4 = Strips<kStrip>;
 
-// A replicated pixel is in the window already, so it stands for what lies outside of the image.
+template <class F>
+struct NineTaps {
+  F offset[9];
+  unsigned members;  // bits
+
+  __device__ __forceinline__ NineTaps(Window<F> const& window, int64_t sample) {
+    int const lane = threadIdx.x % 32;
+    F const own = lane < 9 ? window.offset(sample, lane) : minus_infinity<F>();
+    members = __ballot_sync(0xffffffffu, own != minus_infinity<F>());
+#pragma unroll
+    for (int t = 0; t < 9; ++t) offset[t] = __shfl_sync(0xffffffffu, own, t);
+  }
+  __device__ __forceinline__ bool has(int t) const { return members >> t & 1; }
+};
+
+// Rows of x as they are compared, with R pixels beside the thread's and the value where they are outside.
+template <class T, int R, bool Aligned>
+struct ComparedRows {
+  using F = Compute<T>;
+  Strip<R, Aligned, kStrip> const strip;
+  Planes<T const> const& x;
+  int64_t const plane;
+  F const sign, outside;
+
+  __device__ __forceinline__ ComparedRows(Planes<T const> const& x, int64_t plane, int column, Window<F> const& window)
+      : strip(column, int(x.width), Border::constant),
+        x(x),
+        plane(plane),
+        sign(window.sign()),
+        outside(window.value * sign) {}
+
+  __device__ __forceinline__ void load(F (&v)[kStrip + 2 * R], int y) const {
+    bool const inside = y >= 0 && y < x.height;
+    if (inside) strip.load(v, x.row(plane, y));
+#pragma unroll
+    for (int i = 0; i < kStrip + 2 * R; ++i) {
+      int const column = strip.x - R + i;
+      bool const own = Aligned && i >= R && i < kStrip + R;  // where it is read at all, it is inside
+      v[i] = inside && (own || (column >= 0 && column < strip.width)) ? v[i] * sign : outside;
+    }
+  }
+};
+
+template <class F, int N>
+__device__ __forceinline__ void move_up(F (&rows)[3][N]) {
+#pragma unroll
+  for (int i = 0; i < N; ++i) rows[0][i] = rows[1][i], rows[1][i] = rows[2][i];
+}
+
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(kThreads) dilation_3x3(Dilation<T> const p, Strips<kPixels<T>> const strips) {
-  constexpr int P = kPixels<T>;
+__global__ void __launch_bounds__(kThreads)
+    dilation_3x3(__grid_constant__ Dilation<T> const p, __grid_constant__ Strips4 const strips) {
+  constexpr int P = kStrip;
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
-  F const* const offsets = p.window.data + plane / p.planes * p.window.stride;
-  bool flat = true;
-  for (int i = 0; i < 9; ++i) flat = flat && offsets[i] == 0;
-  if (!flat) {
-    for (int64_t y = y0; y < y1; ++y)
-      for (int j = 0; j < P && x + j < p.x.width; ++j)
-        dilate(p, Element(p.y, (plane * p.y.height + y) * p.y.width + x + j));
-    return;
-  }
-  F const sign = p.window.erode ? F(-1) : F(1);
-  Strip<1, Aligned, P> const strip(x, int(p.x.width), Border::replicate);
-  RowsDown<T> rows(p.x, plane, y0 - 1);
+  NineTaps<F> const taps(p.window, plane / p.planes);
+  ComparedRows<T, 1, Aligned> const rows(p.x, plane, x, p.window);
   T* out = p.y.row(plane, y0);
-  F above[P], middle[P];  // of a row, the maxima of three along x
-  auto const next = [&](F(&most)[P]) {
-    F v[P + 2];
-    strip.load(v, rows.next());
-#pragma unroll
-    for (int j = 0; j < P; ++j) most[j] = larger(larger(v[j] * sign, v[j + 1] * sign), v[j + 2] * sign);
-  };
-  next(above);
-  next(middle);
-#pragma unroll 2
+  F v[3][P + 2];
+  rows.load(v[0], y0 - 1);
+  rows.load(v[1], y0);
+#pragma unroll 3
   for (int y = y0; y < y1; ++y) {
-    F below[P], result[P];
-    next(below);
+    rows.load(v[2], y + 1);
+    F most[P];
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      result[j] = larger(larger(above[j], middle[j]), below[j]) * sign;
-      above[j] = middle[j], middle[j] = below[j];
-    }
-    strip.store(out, result);
+    for (int j = 0; j < P; ++j) most[j] = minus_infinity<F>();
+#pragma unroll
+    for (int t = 0; t < 9; ++t)
+      if (taps.has(t)) {
+#pragma unroll
+        for (int j = 0; j < P; ++j) most[j] = join(most[j], v[t / 3][j + t % 3] + taps.offset[t]);
+      }
+#pragma unroll
+    for (int j = 0; j < P; ++j) most[j] *= rows.sign;
+    rows.strip.store(out, most);
     out += p.y.row_stride;
+    move_up(v);
   }
 }
 
-// --- larger flat windows: a block makes a tile
-// --------------------------------------------------------------------------------------------------------------------
-
-constexpr int kTileWidth = 64, kTileHeight = 32, kLargestTile = 64;  // of a window
-
-// The maxima of `window` elements from each on, `step` apart, for the first `rows` x `columns` elements of a tile,
-// whose rows are `stride` apart: in `from`, which it leaves to `spare`.
-template <class F>
-__device__ __forceinline__ void maxima(F*& from, F*& spare, int window, int step, int rows, int columns, int stride,
-                                       bool along_y) {
-  int reach = 1;
-  auto const combine = [&](int distance, int more) {  // `more` elements than are wanted in the end
-    int const wide = columns + (along_y ? 0 : more), tall = rows + (along_y ? more : 0);
-    for (int i = threadIdx.x; i < wide * tall; i += kThreads) {
-      int const y = i / wide, at = y * stride + i - y * wide;
-      spare[at] = larger(from[at], from[at + distance * step]);
+// Row q of maxima and parts comes from the rows of x around it, row q - 1 of the gradient from the maxima around that.
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads)
+    dilation_3x3_backward(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
+  constexpr int P = kStrip;
+  using F = Compute<T>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  NineTaps<F> const taps(p.window, plane / p.planes);
+  ComparedRows<T, 2, Aligned> const rows(p.x, plane, x, p.window);
+  Strip<1, Aligned, P> const grads(x, int(p.x.width), Border::constant);
+  F v[3][P + 4], most[3][P + 2] = {}, part[3][P + 2] = {};
+  rows.load(v[0], y0 - 2);
+  rows.load(v[1], y0 - 1);
+#pragma unroll 1
+  for (int q = y0 - 1; q <= y1; ++q) {
+    rows.load(v[2], q + 1);
+    F g[P + 2] = {}, count[P + 2] = {};
+    if (q >= 0 && q < height) grads.load(g, p.grad.row(plane, q));
+#pragma unroll
+    for (int i = 0; i < P + 2; ++i) most[2][i] = minus_infinity<F>();
+#pragma unroll
+    for (int t = 0; t < 9; ++t)
+      if (taps.has(t)) {
+#pragma unroll
+        for (int i = 0; i < P + 2; ++i) most[2][i] = join(most[2][i], v[t / 3][i + t % 3] + taps.offset[t]);
+      }
+#pragma unroll
+    for (int t = 0; t < 9; ++t)
+      if (taps.has(t)) {
+#pragma unroll
+        for (int i = 0; i < P + 2; ++i) count[i] += v[t / 3][i + t % 3] + taps.offset[t] == most[2][i] ? F(1) : F(0);
+      }
+#pragma unroll
+    for (int i = 0; i < P + 2; ++i) part[2][i] = share(g[i], count[i]);
+    if (q > y0) {
+      F sum[P] = {};
+#pragma unroll
+      for (int t = 0; t < 9; ++t)
+        if (taps.has(t)) {
+#pragma unroll
+          for (int j = 0; j < P; ++j) {
+            int const row = 2 - t / 3, at = j + 2 - t % 3;
+            sum[j] += v[0][j + 2] + taps.offset[t] == most[row][at] ? part[row][at] : F(0);
+          }
+        }
+      grads.store(p.grad_x.row(plane, q - 1), sum);
     }
-    __syncthreads();
-    F* const done = spare;
-    spare = from, from = done;
-  };
-  for (; 2 * reach <= window; reach *= 2) combine(reach, window - 2 * reach);
-  if (reach < window) combine(window - reach, 0);
+    move_up(v);
+    move_up(most);
+    move_up(part);
+  }
 }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) dilation_tile(Dilation<T> const p, int across, int down) {
-  using F = Compute<T>;
-  extern __shared__ __align__(16) unsigned char bytes[];
-  Offsets<F> const& window = p.window;
-  int const height = int(p.y.height), width = int(p.y.width), stride = kTileWidth + window.width - 1;
-  int64_t const line = blockIdx.x / across, plane = line / down;
-  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * kTileHeight;
-  int const rows = min(kTileHeight, height - y0), columns = min(kTileWidth, width - x0);
+// --- other windows: what is to be done, by taps
+// --------------------------------------------------------------------------------------------------------------------
 
-  F const* const offsets = window.data + plane / p.planes * window.stride;
-  bool flat = true;
-  for (int i = threadIdx.x; i < window.height * window.width; i += kThreads) flat = flat && offsets[i] == 0;
-  if (!__syncthreads_and(flat)) {
-    for (int i = threadIdx.x; i < rows * columns; i += kThreads) {
-      int const y = i / columns;
-      dilate(p, Element(p.y, (plane * height + y0 + y) * width + x0 + i - y * columns));
+// An element of a row, as kernels with a thread for each count them.
+struct Element {
+  int64_t plane, row, at;
+  int column;
+  template <class T>
+  __device__ __forceinline__ Element(Planes<T> const& p, int64_t i) {
+    int64_t const size = p.row_size(), line = i / size;
+    plane = line / p.height, row = line - plane * p.height, at = i - line * size;
+    column = int(at / p.step);
+  }
+  __device__ __forceinline__ Element(int64_t plane, int row, int column)
+      : plane(plane), row(row), at(column), column(column) {}
+};
+
+// Calls f(value) for the members of the window of an element, with values as they are compared.
+template <class T, class Call>
+__device__ __forceinline__ void for_each_tap(Planes<T const> const& x, Window<Compute<T>> const& window, int64_t planes,
+                                             Element const& e, Call f) {
+  using F = Compute<T>;
+  int64_t const sample = e.plane / planes;
+  F const sign = window.sign();
+  T const* const from = x.plane(e.plane) + e.at;
+  for (int i = 0; i < window.height; ++i) {
+    int64_t const y = e.row + i - window.top;
+    bool const inside = y >= 0 && y < x.height;
+    T const* const row = from + (inside ? y : 0) * x.row_stride;
+    for (int j = 0; j < window.width; ++j) {
+      F const offset = window.offset(sample, i * window.width + j);
+      if (offset == minus_infinity<F>()) continue;
+      int const shift = j - window.left;
+      bool const in_row = inside && e.column + shift >= 0 && e.column + shift < x.width;
+      f((in_row ? read(row[shift * x.step]) : window.value) * sign + offset);
     }
+  }
+}
+
+// Each of the three says how it serves one element by taps, and for flat windows of planar images where the window
+// stands, what of a pixel goes into it, and what becomes of that.
+template <class T>
+struct Maximum {
+  using F = Compute<T>;
+  using Value = F;
+  Dilation<T> p;
+
+  KV_HD Planes<T const> const& image() const { return p.x; }
+  KV_HD int top() const { return p.window.top; }
+  KV_HD int left() const { return p.window.left; }
+
+  __device__ __forceinline__ Value outside() const { return p.window.value * p.window.sign(); }
+  __device__ __forceinline__ T const* source(int64_t plane) const { return p.x.plane(plane); }
+  __device__ __forceinline__ Value load(T const* plane, int y, int x) const {
+    return read(plane[y * p.x.row_stride + x]) * p.window.sign();
+  }
+  __device__ __forceinline__ void store(Element const& e, Value most) const {
+    p.y.row(e.plane, e.row)[e.at] = round_to<T>(most * p.window.sign());
+  }
+  __device__ __forceinline__ void by_taps(Element const& e) const {
+    F most = minus_infinity<F>();
+    for_each_tap<T>(p.x, p.window, p.planes, e, [&](F value) { most = join(most, value); });
+    store(e, most);
+  }
+};
+
+// The maximum of every window, and the part of its gradient that each of its ties gets.
+template <class T>
+struct FindTies {
+  using F = Compute<T>;
+  using Value = Ties<F>;
+  DilationBackward<T> p;
+
+  KV_HD Planes<T const> const& image() const { return p.x; }
+  KV_HD int top() const { return p.window.top; }
+  KV_HD int left() const { return p.window.left; }
+
+  __device__ __forceinline__ Value outside() const { return {p.window.value * p.window.sign(), F(1)}; }
+  __device__ __forceinline__ T const* source(int64_t plane) const { return p.x.plane(plane); }
+  __device__ __forceinline__ Value load(T const* plane, int y, int x) const {
+    return {read(plane[y * p.x.row_stride + x]) * p.window.sign(), F(1)};
+  }
+  __device__ __forceinline__ void store(Element const& e, Value const& ties) const {
+    F* const found = p.found + 2 * ((e.plane * p.x.height + e.row) * p.x.row_size() + e.at);
+    found[0] = ties.most;
+    found[1] = share(read(p.grad.row(e.plane, e.row)[e.at]), ties.count);
+  }
+  __device__ __forceinline__ void by_taps(Element const& e) const {
+    Value ties{minus_infinity<F>(), F(0)};
+    for_each_tap<T>(p.x, p.window, p.planes, e, [&](F value) { ties.add(value, F(1)); });
+    store(e, ties);
+  }
+};
+
+// Their sums. The minimum of maxima is the maximum of what is negated.
+template <class T>
+struct SumTies {
+  using F = Compute<T>;
+  using Value = Ties<F>;
+  DilationBackward<T> p;
+
+  KV_HD Planes<T const> const& image() const { return p.x; }
+  KV_HD int top() const { return p.window.height - 1 - p.window.top; }
+  KV_HD int left() const { return p.window.width - 1 - p.window.left; }
+
+  __device__ __forceinline__ Value outside() const { return {minus_infinity<F>(), F(0)}; }
+  __device__ __forceinline__ F const* source(int64_t plane) const {
+    return p.found + 2 * plane * p.x.height * p.x.row_size();
+  }
+  __device__ __forceinline__ Value load(F const* plane, int y, int x) const {
+    F const* const found = plane + 2 * (y * p.x.row_size() + x);
+    F const most = found[0];
+    return most == most ? Value{-most, found[1]} : outside();
+  }
+  __device__ __forceinline__ F own(Element const& e) const {
+    return read(p.x.row(e.plane, e.row)[e.at]) * p.window.sign();
+  }
+  __device__ __forceinline__ void store(Element const& e, Value const& ties) const {
+    p.grad_x.row(e.plane, e.row)[e.at] = round_to<T>(own(e) == -ties.most ? ties.count : F(0));
+  }
+  __device__ __forceinline__ void by_taps(Element const& e) const {
+    Window<F> const& window = p.window;
+    int64_t const sample = e.plane / p.planes;
+    F const* const from = source(e.plane);
+    F const x = own(e);
+    F sum = 0;
+    for (int i = 0; i < window.height; ++i) {
+      int const down = window.top - i;
+      if (e.row + down < 0 || e.row + down >= p.x.height) continue;
+      for (int j = 0; j < window.width; ++j) {
+        F const offset = window.offset(sample, i * window.width + j);
+        int const shift = window.left - j;
+        if (offset == minus_infinity<F>() || e.column + shift < 0 || e.column + shift >= p.x.width) continue;
+        F const* const found = from + 2 * ((e.row + down) * p.x.row_size() + e.at + shift * p.x.step);
+        sum += x + offset == found[0] ? found[1] : F(0);
+      }
+    }
+    p.grad_x.row(e.plane, e.row)[e.at] = round_to<T>(sum);
+  }
+};
+
+template <class Job>
+__global__ void __launch_bounds__(kThreads) by_taps(__grid_constant__ Job const job) {
+  int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
+  if (i < job.image().rows() * job.image().row_size()) job.by_taps(Element(job.image(), i));
+}
+
+// --- flat windows: a block makes a tile, along y from the image to shared memory, along x from there
+// --------------------------------------------------------------------------------------------------------------------
+
+constexpr int kTileWidth = 128, kLargestTile = 256;  // of a window
+template <class Value>
+constexpr int kTileHeight = sizeof(Value) == 4 ? 64 : 32;
+// Windows that a thread takes at once. Along x it is odd, so that the threads of a warp read different banks.
+constexpr int kDown = 8, kAcross = 7;
+
+// What the `size` elements from 0, from 1, ... from N - 1 on make: they have those from N - 1 to size - 1 in common.
+template <int N, class Read, class Write>
+__device__ __forceinline__ void join_windows(int size, Read read, Write write) {
+  auto common = read(N - 1);
+#pragma unroll 4
+  for (int i = N; i < size; ++i) common = join(common, read(i));
+  decltype(common) first[N];
+  first[N - 1] = common;
+#pragma unroll
+  for (int j = N - 2; j >= 0; --j) first[j] = join(read(j), first[j + 1]);
+  write(0, first[0]);
+  if constexpr (N > 1) {
+    auto behind = read(size);
+#pragma unroll
+    for (int j = 1; j < N; ++j) {
+      if (j > 1) behind = join(behind, read(size + j - 1));
+      write(j, join(first[j], behind));
+    }
+  }
+}
+
+constexpr int tile_stride(int window) { return kTileWidth + kAcross + window; }
+
+// Calls f(position, group) for all groups of N of `count` neighbours at `positions` places, by the threads of a block.
+template <class Call>
+__device__ __forceinline__ void for_each_group(int positions, int groups, Call f) {
+  for (int i = threadIdx.x; i < positions * groups; i += kThreads) {
+    int const group = i / positions;
+    f(i - group * positions, group);
+  }
+}
+
+template <class Job>
+__global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const job, int across, int down) {
+  using Value = typename Job::Value;
+  extern __shared__ __align__(16) unsigned char bytes[];
+  auto const& window = job.p.window;
+  auto const& image = job.image();
+  int const height = int(image.height), width = int(image.width), stride = tile_stride(window.width);
+  int64_t const line = blockIdx.x / across, plane = line / down;
+  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * kTileHeight<Value>;
+  int const rows = min(kTileHeight<Value>, height - y0), columns = min(kTileWidth, width - x0);
+
+  int64_t const sample = plane / job.p.planes;
+  bool flat = true;
+  for (int i = threadIdx.x; i < window.height * window.width; i += kThreads)
+    flat = flat && window.offset(sample, i) == 0;
+  auto const for_each_pixel = [&](auto f) {
+    for (int i = threadIdx.x; i < kTileWidth * rows; i += kThreads) {
+      int const y = i / kTileWidth, x = i % kTileWidth;
+      if (x < columns) f(Element(plane, y0 + y, x0 + x), y * kTileWidth + x);
+    }
+  };
+  if (!__syncthreads_and(flat)) {
+    for_each_pixel([&](Element const& e, int) { job.by_taps(e); });
     return;
   }
-  F const sign = window.erode ? F(-1) : F(1);
-  F* tile = reinterpret_cast<F*>(bytes);
-  F* spare = tile + stride * (kTileHeight + window.height - 1);
-  for (int i = threadIdx.x; i < stride * (rows + window.height - 1); i += kThreads) {
-    int const r = i / stride, y = y0 - window.top + r, x = x0 - window.left + i - r * stride;
-    bool const inside = y >= 0 && y < height && x >= 0 && x < width;
-    tile[i] = (inside ? read(p.x.row(plane, y)[x]) : window.value) * sign;
-  }
+
+  Value* const along_y = reinterpret_cast<Value*>(bytes);      // (rows, stride)
+  Value* const found = along_y + kTileHeight<Value> * stride;  // (rows, kTileWidth)
+  auto const* const source = job.source(plane);
+  int const top = y0 - job.top(), left = x0 - job.left();
+  auto const go_down = [&](auto width_of_group) {
+    constexpr int N = decltype(width_of_group)::value;
+    for_each_group(columns + window.width - 1, (rows + N - 1) / N, [&](int column, int group) {
+      int const x = left + column, y = top + group * N;
+      bool const inside = x >= 0 && x < width;
+      join_windows<N>(
+          window.height,
+          [&](int i) { return inside && y + i >= 0 && y + i < height ? job.load(source, y + i, x) : job.outside(); },
+          [&](int j, Value const& value) {
+            if (group * N + j < rows) along_y[(group * N + j) * stride + column] = value;
+          });
+    });
+  };
+  if (window.height >= kDown)
+    go_down(std::integral_constant<int, kDown>{});
+  else
+    go_down(std::integral_constant<int, 1>{});
   __syncthreads();
-  maxima(tile, spare, window.width, 1, rows + window.height - 1, columns, stride, false);
-  maxima(tile, spare, window.height, stride, rows, columns, stride, true);
-  for (int i = threadIdx.x; i < rows * columns; i += kThreads) {
-    int const y = i / columns, x = i - y * columns;
-    p.y.row(plane, y0 + y)[x0 + x] = round_to<T>(tile[y * stride + x] * sign);
-  }
+  auto const go_across = [&](auto width_of_group) {
+    constexpr int N = decltype(width_of_group)::value;
+    int const groups = (columns + N - 1) / N;
+    for_each_group(groups, rows, [&](int group, int row) {
+      Value const* const from = along_y + row * stride + group * N;
+      join_windows<N>(
+          window.width, [&](int i) { return from[i]; },
+          [&](int j, Value const& value) {
+            if (group * N + j < columns) found[row * kTileWidth + group * N + j] = value;
+          });
+    });
+  };
+  if (window.width >= kAcross)
+    go_across(std::integral_constant<int, kAcross>{});
+  else
+    go_across(std::integral_constant<int, 1>{});
+  __syncthreads();
+  for_each_pixel([&](Element const& e, int at) { job.store(e, found[at]); });
 }
 
-// --- gradients: the maximum of every window and the part of its gradient that each of its ties gets, then their sums
-// --------------------------------------------------------------------------------------------------------------------
-
-template <class T>
-__global__ void __launch_bounds__(kThreads) find_ties(DilationBackward<T> const p) {
-  using F = Compute<T>;
-  int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
-  Element const e(p.x, i);
-  if (!e.there) return;
-  Ties<F> ties{minus_infinity<F>(), F(0)};
-  for_each_tap<T>(p.x, p.window, p.planes, e, [&](F, F value) { ties.add(value, F(1)); });
-  F const g = read(p.grad.row(e.plane, e.row)[e.at]);
-  p.found[2 * i] = ties.most;
-  p.found[2 * i + 1] = g / max(ties.count, F(1));
-}
-
-template <class T>
-__global__ void __launch_bounds__(kThreads) sum_ties(DilationBackward<T> const p) {
-  using F = Compute<T>;
-  Element const e(p.x, blockIdx.x * int64_t(kThreads) + threadIdx.x);
-  if (!e.there) return;
-  Offsets<F> const& window = p.window;
-  F const* const offsets = window.data + e.plane / p.planes * window.stride;
-  F const x = read(p.x.row(e.plane, e.row)[e.at]) * (window.erode ? F(-1) : F(1));
-  F sum = 0;
-  for (int i = 0; i < window.height; ++i) {
-    int64_t const y = e.row + window.top - i;
-    if (y < 0 || y >= p.x.height) continue;
-    F const* const found = p.found + 2 * ((e.plane * p.x.height + y) * p.x.row_size() + e.at);
-    for (int j = 0; j < window.width; ++j) {
-      F const offset = offsets[i * window.width + j];
-      int const shift = window.left - j;
-      if (offset == minus_infinity<F>() || e.column + shift < 0 || e.column + shift >= p.x.width) continue;
-      F const* const at = found + 2 * shift * p.x.step;
-      sum += x + offset == at[0] ? at[1] : F(0);
+// Doubles go by taps: tiles of theirs would take a quarter of the time that this file takes to compile.
+template <class Job>
+int launch(Job const& job, CUstream_st* stream) {
+  auto const& image = job.image();
+  auto const& window = job.p.window;
+  if constexpr (sizeof(typename Job::F) == 4) {
+    if (image.step == 1 && max(window.height, window.width) <= kLargestTile) {
+      int const across = int(ceil_div(image.width, kTileWidth)),
+                down = int(ceil_div(image.height, kTileHeight<typename Job::Value>));
+      int const bytes = int(sizeof(typename Job::Value)) * kTileHeight<typename Job::Value> *
+                        (tile_stride(window.width) + kTileWidth);
+      if (int error = cudaFuncSetAttribute(by_tiles<Job>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+        return error;
+      by_tiles<<<unsigned(image.count() * across * down), kThreads, bytes, stream>>>(job, across, down);
+      return cudaGetLastError();
     }
   }
-  p.grad_x.row(e.plane, e.row)[e.at] = round_to<T>(sum);
+  unsigned const blocks = unsigned(ceil_div(image.rows() * image.row_size(), kThreads));
+  by_taps<<<blocks, kThreads, 0, stream>>>(job);
+  return cudaGetLastError();
 }
 
 }  // namespace
 
 template <class T>
 int dilation(Dilation<T> const& p, CUstream_st* stream) {
-  using F = Compute<T>;
-  constexpr int P = kPixels<T>;
-  Offsets<F> const& window = p.window;
-  int const largest = max(window.height, window.width);
-  if (p.x.step > 1 || largest > kLargestTile) {
-    unsigned const blocks = unsigned(ceil_div(p.y.rows() * p.y.row_size(), kThreads));
-    dilation_any<<<blocks, kThreads, 0, stream>>>(p);
-  } else if (window.height == 3 && window.width == 3 && window.top == 1 && window.left == 1 &&
-             window.value == (window.erode ? F(INFINITY) : -F(INFINITY))) {
-    Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
-      dilation_3x3<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
-    });
-  } else {
-    int const across = int(ceil_div(p.y.width, kTileWidth)), down = int(ceil_div(p.y.height, kTileHeight));
-    int const bytes = int(2 * sizeof(F)) * (kTileWidth + window.width - 1) * (kTileHeight + window.height - 1);
-    if (int error = cudaFuncSetAttribute(dilation_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
-      return error;
-    unsigned const blocks = unsigned(p.y.count() * across * down);
-    dilation_tile<<<blocks, kThreads, bytes, stream>>>(p, across, down);
-  }
+  if (p.x.step > 1 || !is_3x3(p.window)) return launch(Maximum<T>{p}, stream);
+  Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  with_alignment<T>(is_strip<kStrip>(p.x) && is_strip<kStrip>(p.y), [&](auto aligned) {
+    dilation_3x3<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+  });
   return cudaGetLastError();
 }
 
 template <class T>
 int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(ceil_div(p.x.rows() * p.x.row_size(), kThreads));
-  find_ties<<<blocks, kThreads, 0, stream>>>(p);
-  sum_ties<<<blocks, kThreads, 0, stream>>>(p);
+  if (p.found) {
+    if (int error = launch(FindTies<T>{p}, stream)) return error;
+    return launch(SumTies<T>{p}, stream);
+  }
+  Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  bool const aligned = is_strip<kStrip>(p.x) && is_strip<kStrip>(p.grad) && is_strip<kStrip>(p.grad_x);
+  with_alignment<T>(aligned, [&](auto aligned) {
+    dilation_3x3_backward<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+  });
   return cudaGetLastError();
 }
 

@@ -1,14 +1,19 @@
-// Dilation and erosion of images with a window of offsets:
+// Dilation and erosion of images with a structuring element, whose members are where `kernel` is not 0 and whose
+// heights are 0 unless there are some:
 //
-//   y(q) = max over i, j of x(q + (i - top, j - left)) + offsets(i, j), and for an erosion min of x(...) - offsets(i,
-//   j)
+//   erosion   y(q) = min over members i, j of x(q + (i, j) - origin) - height(i, j)
+//   dilation  y(q) = max over members i, j of x(q - (i, j) + origin) + height(i, j)
 //
-// An offset of minus infinity leaves its pixel out; where all are 0 the window is flat, and larger ones take one axis
-// after the other. An erosion is computed as the dilation of -x. NaN wins.
+// Both are computed as the maximum over a window of x(q + (i - top, j - left)) + offset(i, j), a dilation with the
+// element turned round, an erosion of -x; members are the offsets above minus infinity. Where all offsets are 0 the
+// window is flat, and larger ones take one axis after the other. NaN wins.
 //
 // The gradient of a maximum goes in equal parts to the taps of its window that have it:
 //
-//   dx(p) = sum over i, j with x(p) + offsets(i, j) = y(q) of g(q) / ties(q), where q = p - (i - top, j - left)
+//   dx(p) = sum over i, j with x(p) + offset(i, j) = y(q) of g(q) / ties(q), where q = p - (i - top, j - left)
+//
+// In a flat window x(p) <= y(q) for all these q, so equality means that y(q) is their minimum, and that is x(p): the
+// sum is one over a window again, of what belongs to the minimum.
 //
 // Included by dilation_cpu.cpp, dilation.cu and dilation_op.cpp.
 #pragma once
@@ -19,19 +24,26 @@
 namespace kv {
 
 template <class F>
-struct Offsets {
-  F const* data;  // those of sample b at data + b * stride
-  int64_t stride;
+struct Window {
+  F const *kernel, *heights;              // heights: null for a flat element
+  int64_t kernel_stride, heights_stride;  // from sample to sample
   int height, width, top, left;
   F value;  // of pixels outside of the images
   bool erode;
+
+  KV_HD F offset(int64_t sample, int i) const {
+    int const at = erode ? i : height * width - 1 - i;
+    if (kernel[sample * kernel_stride + at] == 0) return -F(__builtin_inff());
+    return heights ? heights[sample * heights_stride + at] : F(0);
+  }
+  KV_HD F sign() const { return erode ? F(-1) : F(1); }
 };
 
 template <class T>
 struct Dilation {
   Planes<T const> x;
   Planes<T> y;
-  Offsets<Compute<T>> window;
+  Window<Compute<T>> window;
   int64_t planes;  // of a sample
 };
 
@@ -39,10 +51,17 @@ template <class T>
 struct DilationBackward {
   Planes<T const> grad, x;
   Planes<T> grad_x;
-  Offsets<Compute<T>> window;
+  Window<Compute<T>> window;
   int64_t planes;
-  Compute<T>* found;  // CUDA: for every element of the rows in their order, its maximum and its gradient's part
+  Compute<T>*
+      found;  // CUDA: for every element of the rows in their order, its maximum and its gradient's part; or null
 };
+
+// Whether the gradient of images takes no other memory on CUDA: the windows of 3 x 3 pixels around the middle.
+template <class F>
+bool is_3x3(Window<F> const& window) {
+  return window.height == 3 && window.width == 3 && window.top == 1 && window.left == 1;
+}
 
 KV_KERNEL(dilation, Dilation)
 KV_KERNEL(dilation_backward, DilationBackward)
@@ -53,7 +72,7 @@ KV_HD V larger(V a, V b) {
   return a != a ? a : most;
 }
 
-// The maximum so far, and how many taps have it.
+// The maximum so far, and how many taps have it, or the sum of what they bring.
 template <class V>
 struct Ties {
   V most, count;

@@ -28,13 +28,13 @@ struct Rows {
 // The members of one sample's window.
 template <class F>
 struct Taps {
-  Offsets<F> const& window;
+  Window<F> const& window;
   Scratch<F> offset;
   Scratch<int> row, column;
   int count = 0;
   bool flat = true;
 
-  explicit Taps(Offsets<F> const& window)
+  explicit Taps(Window<F> const& window)
       : window(window),
         offset(window.height * window.width),
         row(window.height * window.width),
@@ -44,7 +44,7 @@ struct Taps {
     count = 0, flat = true;
     for (int i = 0; i < window.height; ++i)
       for (int j = 0; j < window.width; ++j) {
-        F const value = window.data[sample * window.stride + i * window.width + j];
+        F const value = window.offset(sample, i * window.width + j);
         flat = flat && value == 0;
         if (value == -F(kInfinity)) continue;
         offset.data[count] = value, row.data[count] = i, column.data[count] = j;
@@ -61,8 +61,8 @@ struct Source {
   F const sign, value;
   Scratch<T> outside;
 
-  Source(Planes<T const> const& x, Offsets<F> const& window)
-      : x(x), sign(window.erode ? F(-1) : F(1)), value(window.value * sign), outside(x.row_size()) {
+  Source(Planes<T const> const& x, Window<F> const& window)
+      : x(x), sign(window.sign()), value(window.value * sign), outside(x.row_size()) {
     for (int64_t e = 0; e < x.row_size(); ++e) store<1>(outside.data + e, window.value);
   }
   KV_HD T const* row(int64_t plane, int64_t y) const { return y < 0 || y >= x.height ? outside.data : x.row(plane, y); }
@@ -109,7 +109,7 @@ template <bool Erode, class T>
 void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
-  Offsets<F> const& window = p.window;
+  Window<F> const& window = p.window;
   int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before, height = window.height;
   Rows<F> const above(int(height), size, 0, 0), below(1, size, 0, 0), across(1, size, before, after);
@@ -204,7 +204,7 @@ template <class T>
 void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> const& taps, int64_t plane, int64_t y0,
               int64_t y1) {
   using F = Compute<T>;
-  Offsets<F> const& window = p.window;
+  Window<F> const& window = p.window;
   int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before;
   Rows<F> const rows(window.height, size, before, after);
@@ -257,7 +257,7 @@ void dilation(Dilation<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  Offsets<F> const& window = p.window;
+  Window<F> const& window = p.window;
   int64_t const size = p.x.row_size(), step = p.x.step, height = p.x.height, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before;
   Source<T> const source(p.x, window);

@@ -5,77 +5,101 @@
 namespace kv {
 namespace {
 
-// The offsets as the kernels read them: (B or 1, height, width), contiguous, in the type that images are computed in.
-Tensor checked(char const* op, Tensor const& offsets, Tensor const& x, int64_t top, int64_t left) {
+// A structuring element as the kernels read it: (B or 1, height, width), contiguous, in the type that images are
+// computed in.
+Tensor checked(char const* op, char const* name, Tensor const& element, Tensor const& x) {
   auto const computed = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-  KV_CHECK(offsets.dim() == 3 && (offsets.size(0) == 1 || offsets.size(0) == x.size(0)) &&
-               offsets.scalar_type() == computed && offsets.device() == x.device(),
-           op, ": expected offsets (B or 1, height, width) in the type that images are computed in");
-  check_window(op, offsets.size(1), offsets.size(2));
-  KV_CHECK(top >= 0 && top < offsets.size(1) && left >= 0 && left < offsets.size(2), op,
-           ": expected top and left inside of the window");
-  return torch::stable::contiguous(offsets);
+  KV_CHECK(element.dim() == 3 && (element.size(0) == 1 || element.size(0) == x.size(0)) &&
+               element.scalar_type() == computed && element.device() == x.device(),
+           op, ": expected ", name, " (B or 1, height, width) in the type that images are computed in");
+  check_window(op, element.size(1), element.size(2));
+  return torch::stable::contiguous(element);
 }
 
-template <class F>
-Offsets<F> window_of(Tensor const& offsets, int64_t top, int64_t left, double value, bool erode) {
-  int64_t const height = offsets.size(1), width = offsets.size(2);
-  return {static_cast<F const*>(offsets.const_data_ptr()),
-          offsets.size(0) > 1 ? height * width : 0,
-          int(height),
-          int(width),
-          int(top),
-          int(left),
-          F(value),
-          erode};
-}
+struct Element {
+  Tensor kernel;
+  std::optional<Tensor> heights;
+  int64_t height, width, top, left;  // of the window
+  double value;
+  bool erode;
+
+  Element(char const* op, Tensor const& x, Tensor const& of_kernel, std::optional<Tensor> const& of_heights, int64_t y,
+          int64_t x_of_origin, double value, bool erode)
+      : kernel(checked(op, "kernel", of_kernel, x)),
+        height(kernel.size(1)),
+        width(kernel.size(2)),
+        top(erode ? y : height - 1 - y),
+        left(erode ? x_of_origin : width - 1 - x_of_origin),
+        value(value),
+        erode(erode) {
+    if (of_heights) {
+      heights = checked(op, "heights", *of_heights, x);
+      KV_CHECK(heights->size(1) == height && heights->size(2) == width, op, ": expected heights of the kernel's size");
+    }
+    KV_CHECK(top >= 0 && top < height && left >= 0 && left < width, op, ": expected the origin inside of the kernel");
+  }
+
+  template <class F>
+  Window<F> window() const {
+    auto const data = [](Tensor const& t) { return static_cast<F const*>(t.const_data_ptr()); };
+    auto const stride = [&](Tensor const& t) { return t.size(0) > 1 ? height * width : int64_t(0); };
+    return {data(kernel),   heights ? data(*heights) : nullptr,
+            stride(kernel), heights ? stride(*heights) : 0,
+            int(height),    int(width),
+            int(top),       int(left),
+            F(value),       erode};
+  }
+};
 
 int64_t planes_of_sample(Tensor const& x, Layout layout) { return layout == Layout::channels_last ? 1 : x.size(1); }
 
-Tensor dilation(Tensor const& input, Tensor const& offsets, int64_t top, int64_t left, double value, bool erode) {
+Tensor dilation(Tensor const& input, Tensor const& kernel, std::optional<Tensor> const& heights, int64_t origin_y,
+                int64_t origin_x, double value, bool erode) {
   check_images("dilation", "input", input);
-  Tensor const window = checked("dilation", offsets, input, top, left);
+  Element const element("dilation", input, kernel, heights, origin_y, origin_x, value, erode);
   Layout const layout = layout_of(input);
   Tensor const x = conform(input, layout), y = empty_like(x, layout);
   for_floats("dilation", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    Dilation<T> const params{planes<T const>(x, layout), planes<T>(y, layout),
-                             window_of<Compute<T>>(window, top, left, value, erode), planes_of_sample(x, layout)};
+    Dilation<T> const params{planes<T const>(x, layout), planes<T>(y, layout), element.window<Compute<T>>(),
+                             planes_of_sample(x, layout)};
     KV_RUN(dilation, x, params, params.y.rows(), params.y.row_size());
   });
   return y;
 }
 
-Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& offsets, int64_t top, int64_t left,
-                         double value, bool erode) {
+Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& kernel,
+                         std::optional<Tensor> const& heights, int64_t origin_y, int64_t origin_x, double value,
+                         bool erode) {
   constexpr char const* op = "dilation_backward";
   check_images(op, "input", input);
   check_like(op, "grad", grad, input);
-  Tensor const window = checked(op, offsets, input, top, left);
+  Element const element(op, input, kernel, heights, origin_y, origin_x, value, erode);
   Layout const layout = layout_of(input);
   Tensor const g = conform(grad, layout), x = conform(input, layout), grad_x = empty_like(x, layout);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
+    DilationBackward<T> params{planes<T const>(g, layout), planes<T const>(x, layout),  planes<T>(grad_x, layout),
+                               element.window<F>(),        planes_of_sample(x, layout), nullptr};
 #if defined(KV_CUDA)
-    Tensor const found =
-        torch::stable::new_empty(x, {2 * x.numel()}, sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
-    F* const memory = static_cast<F*>(found.mutable_data_ptr());
-#else
-    F* const memory = nullptr;
+    bool const in_registers = layout == Layout::planar && is_3x3(params.window);
+    Tensor const found = empty({in_registers ? 0 : 2 * x.numel()}, x, Layout::planar,
+                               sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
+    if (!in_registers) params.found = static_cast<F*>(found.mutable_data_ptr());
 #endif
-    DilationBackward<T> const params{planes<T const>(g, layout),  planes<T const>(x, layout),
-                                     planes<T>(grad_x, layout),   window_of<F>(window, top, left, value, erode),
-                                     planes_of_sample(x, layout), memory};
-    KV_RUN(dilation_backward, x, params, params.x.rows(), params.x.row_size() * offsets.size(1) * offsets.size(2) / 4);
+    KV_RUN(dilation_backward, x, params, params.x.rows(), params.x.row_size() * element.height * element.width / 4);
   });
   return grad_x;
 }
 
 }  // namespace
 
-KV_OPERATOR(dilation, "(Tensor input, Tensor offsets, int top, int left, float value, bool erode) -> Tensor")
+KV_OPERATOR(dilation,
+            "(Tensor input, Tensor kernel, Tensor? heights, int top, int left, float value, bool erode) -> "
+            "Tensor")
 KV_OPERATOR(dilation_backward,
-            "(Tensor grad, Tensor input, Tensor offsets, int top, int left, float value, bool erode) -> Tensor")
+            "(Tensor grad, Tensor input, Tensor kernel, Tensor? heights, int top, int left, float value, "
+            "bool erode) -> Tensor")
 
 }  // namespace kv

@@ -55,18 +55,18 @@ inline Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tens
   return differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient)[0];
 }
 
-inline Tensor total_variation_backward(Tensor const& grad, Tensor const& input) {
+inline Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double along_y, double along_x) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"total_variation_backward">(grad, input)}; };
+  auto const compute = [&] { return variable_list{call<"total_variation_backward">(grad, input, along_y, along_x)}; };
   return differentiable({grad, input}, compute, {}, no_second_derivative("total_variation"))[0];
 }
 
-// (B, C, 2): for every plane the sums of absolute differences of neighbours along y and along x.
-inline Tensor total_variation(Tensor const& input) {
+// (B, C): for every plane the absolute differences of neighbours, those along y and along x each summed with a weight.
+inline Tensor total_variation(Tensor const& input, double along_y = 1, double along_x = 1) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"total_variation">(input)}; };
-  auto const gradient = [](Backward const& b) {
-    return variable_list{total_variation_backward(b.grads[0], b.saved[0])};
+  auto const compute = [&] { return variable_list{call<"total_variation">(input, along_y, along_x)}; };
+  auto const gradient = [=](Backward const& b) {
+    return variable_list{total_variation_backward(b.grads[0], b.saved[0], along_y, along_x)};
   };
   return differentiable({input}, compute, {input}, gradient)[0];
 }

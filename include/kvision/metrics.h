@@ -49,4 +49,98 @@ inline Tensor ssim(Tensor const& input, Tensor const& other, int64_t size = 11, 
   return differentiable({input, other}, compute, {input, other}, gradient)[0];
 }
 
+inline Tensor ssim_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t size,
+                                 double sigma, double c1, double c2, double eps, std::string const& border,
+                                 double structure, double absolute) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{
+        call<"ssim_loss_backward">(grad, input, other, size, sigma, c1, c2, eps, border, structure, absolute)};
+  };
+  return differentiable({grad, input, other}, compute, {}, no_second_derivative("ssim_loss"))[0];
+}
+
+inline std::tuple<Tensor, Tensor> ssim_loss_backward_both(Tensor const& grad, Tensor const& input, Tensor const& other,
+                                                          int64_t size, double sigma, double c1, double c2, double eps,
+                                                          std::string const& border, double structure,
+                                                          double absolute) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [of_input, of_other] = call<"ssim_loss_backward_both", std::tuple<Tensor, Tensor>>(
+        grad, input, other, size, sigma, c1, c2, eps, border, structure, absolute);
+    return variable_list{of_input, of_other};
+  };
+  variable_list const found = differentiable({grad, input, other}, compute, {}, no_second_derivative("ssim_loss"));
+  return {found[0], found[1]};
+}
+
+// (B): for every sample the sums of 1 - similarity and of abs(input - other), each times its weight.
+inline Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size = 11, double sigma = 1.5,
+                        double c1 = 1e-4, double c2 = 9e-4, double eps = 1e-12, std::string const& border = "reflect",
+                        double structure = 1, double absolute = 0) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"ssim_loss">(input, other, size, sigma, c1, c2, eps, border, structure, absolute)};
+  };
+  auto const gradient = [=](Backward const& b) {
+    if (!b.wanted(1))
+      return variable_list{
+          ssim_loss_backward(b.grads[0], b.saved[0], b.saved[1], size, sigma, c1, c2, eps, border, structure, absolute),
+          {}};
+    auto const [of_input, of_other] = ssim_loss_backward_both(b.grads[0], b.saved[0], b.saved[1], size, sigma, c1, c2,
+                                                              eps, border, structure, absolute);
+    return variable_list{of_input, of_other};
+  };
+  return differentiable({input, other}, compute, {input, other}, gradient)[0];
+}
+
+inline Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other,
+                                      std::string const& kind, bool by_other) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"pointwise_loss_backward">(grad, input, other, kind, by_other)};
+  };
+  return differentiable({grad, input, other}, compute, {}, no_second_derivative("pointwise_loss"))[0];
+}
+
+// The loss of every element of input and other (rows, size). kind: "charbonnier", "welsch", "cauchy", "geman_mcclure",
+// "square", or "kl" and "js" of predicted and true probabilities.
+inline Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string const& kind) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"pointwise_loss">(input, other, kind)}; };
+  auto const gradient = [=](Backward const& b) {
+    auto const by = [&](bool other) {
+      return b.wanted(other) ? pointwise_loss_backward(b.grads[0], b.saved[0], b.saved[1], kind, other) : Tensor();
+    };
+    return variable_list{by(false), by(true)};
+  };
+  return differentiable({input, other}, compute, {input, other}, gradient)[0];
+}
+
+inline Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor const& input, Tensor const& other,
+                                     std::string const& kind, double factor, bool decibels, bool by_other) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"pointwise_sum_backward">(grad, sums, input, other, kind, factor, decibels, by_other)};
+  };
+  return differentiable({grad, sums, input, other}, compute, {}, no_second_derivative("pointwise_sum"))[0];
+}
+
+// (rows): factor times the sum of each row's losses, or with `decibels` 10 log10 of that, which has a gradient in
+// Python only.
+inline Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor = 1,
+                            bool decibels = false) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"pointwise_sum">(input, other, kind, factor, decibels)}; };
+  auto const gradient = [=](Backward const& b) {
+    TORCH_CHECK_NOT_IMPLEMENTED(!decibels, "pointwise_sum: C++ has no gradient of decibels; Python's kvision has");
+    auto const by = [&](bool other) {
+      if (!b.wanted(other)) return Tensor();
+      return pointwise_sum_backward(b.grads[0], b.grads[0], b.saved[0], b.saved[1], kind, factor, false, other);
+    };
+    return variable_list{by(false), by(true)};
+  };
+  return differentiable({input, other}, compute, {input, other}, gradient)[0];
+}
+
 }  // namespace kvision

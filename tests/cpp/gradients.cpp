@@ -80,9 +80,22 @@ int main() {
   Tensor const row = torch::rand({1, 3}), column = torch::rand({2, 5}), sigma = torch::rand({2, 2}) + 0.5;
 
   check("ssim", [](auto const& t) { return kvision::ssim(t[0], t[1], 5); }, {x, torch::rand_like(x)}, false);
+  check("ssim_loss", [](auto const& t) { return kvision::ssim_loss(t[0], t[1], 3); }, {x, torch::rand_like(x)}, false);
   check(
-      "dilation", [](auto const& t) { return kvision::dilation(t[0], torch::zeros({1, 3, 3}, torch::kDouble), 1, 1); },
-      {x}, false);
+      "dilation",
+      [](auto const& t) { return kvision::dilation(t[0], torch::ones({1, 3, 3}, torch::kDouble), {}, 1, 1); }, {x},
+      false);
+  Tensor const labels = torch::randint(0, 2, {2, 7, 6});
+  check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x}, false);
+  check("class_sums", [&](auto const& t) { return kvision::class_sums(t[0], labels); }, {x}, false);
+  Tensor const rows = x.flatten(1), others = torch::rand_like(rows) + 0.5;
+  check(
+      "pointwise_loss", [](auto const& t) { return kvision::pointwise_loss(t[0], t[1], "welsch"); }, {rows, others},
+      false);
+  check(
+      "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
+      {rows + 0.5, others}, false);
+  check("total_variation", [](auto const& t) { return kvision::total_variation(t[0], 0.5, 2); }, {x}, false);
   Tensor const matrix = torch::tensor({0.93, 0.21, 0.4, -0.17, 1.04, 0.3, 0.013, -0.011, 1.0}).view({1, 3, 3});
   Tensor const map = torch::rand({2, 3, 4}) * 0.8 + torch::randint(0, 5, {2, 3, 4}) + 0.1;
   for (auto const* interpolation : {"bilinear", "bicubic"}) {

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -121,8 +123,38 @@ def test_a_warp_is_the_map_of_its_places(mode, padding, align_corners, device):
         assert_close(ours_, theirs_)
 
 
-def test_against_opencv(device):
-    """OpenCV rounds places to 1/32 pixel in its older code, so the picture is smooth enough for that not to show."""
+OPENCV = {"bilinear": (cv2.INTER_LINEAR, 5e-6), "nearest": (cv2.INTER_NEAREST, 0), "bicubic": (cv2.INTER_CUBIC, 7e-6)}
+# From pixels of the result to places that are multiples of 1/32: OpenCV's older code has tables of so many.
+TO_SOURCE = np.float64([[0.75, 0.125, 5 / 32], [-0.25, 0.875, 3 / 32 + 9]])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_values_of_opencv(mode, device):
+    flag, tolerance = OPENCV[mode]
+    picture = np.random.default_rng(0).random((60, 80, 3), np.float32)
+    homography = np.vstack([TO_SOURCE, [0, 0, 1]])
+    ours = G.homography_warp(
+        to_tensor(picture, device),
+        torch.from_numpy(homography).float()[None].to(device),
+        (70, 90),
+        mode,
+        align_corners=True,
+        normalized_homography=False,
+    )
+    for theirs in (
+        cv2.warpAffine(picture, TO_SOURCE, (90, 70), flags=flag | cv2.WARP_INVERSE_MAP),
+        cv2.warpPerspective(picture, homography, (90, 70), flags=flag | cv2.WARP_INVERSE_MAP),
+    ):
+        assert_close(ours.cpu(), to_tensor(theirs, "cpu"), 0, tolerance)
+    u, v = (np.random.default_rng(n).integers(-64, 32 * n, (50, 40)).astype(np.float32) / 32 for n in (82, 62))
+    ours = G.remap(
+        to_tensor(picture, device), *(torch.from_numpy(m)[None].to(device) for m in (u, v)), mode, align_corners=True
+    )
+    assert_close(ours.cpu(), to_tensor(cv2.remap(picture, u, v, flag), "cpu"), 0, tolerance)
+
+
+def test_values_of_opencv_anywhere(device):
+    """The picture is smooth enough for a rounding of places to 1/32 pixel not to show."""
     y, x = np.mgrid[:60, :80].astype(np.float32)
     picture = np.sin(0.02 * x + 0.03 * y)[..., None] * np.float32([1, 0.5, 0.2]) + 1
     h = homography(torch.zeros(1))[0].numpy()
@@ -131,6 +163,29 @@ def test_against_opencv(device):
     )
     theirs = cv2.warpPerspective(picture, h, (80, 60), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     assert_close(ours.cpu(), to_tensor(theirs, "cpu"), 0, 2e-3)
+
+
+@pytest.mark.parametrize(
+    "name, k, expected",
+    [
+        *[("graf", 2, 0.888), ("graf", 3, 0.855), ("wall", 3, 0.873), ("boat", 3, 0.939)],
+        *[("leuven", 4, 0.953), ("bikes", 3, 0.981), ("ubc", 4, 0.979)],
+    ],
+)
+def test_real_pairs(name, k, expected, data, device):
+    """Warped back by a measured homography, a photograph correlates with the other one as it did when that was measured."""
+    folder = data / "homography" / name
+    first, other = (K.color.rgb_to_grayscale(picture(folder / f"img{i}.png", device)) for i in (1, k))
+    numbers = [float(number) for number in (folder / f"H_1_{k}.txt").read_text().split()]
+    from_first = torch.tensor(numbers, device=device).reshape(1, 3, 3)
+    to_first = torch.linalg.inv(from_first.double()).float()
+    back, inside = (G.warp_perspective(x, to_first, tuple(first.shape[2:])) for x in (other, torch.ones_like(other)))
+    both = torch.stack([first[inside > 0.999], back[inside > 0.999]])
+    assert abs(torch.corrcoef(both)[0, 1].item() - expected) < 2e-3
+
+
+def picture(path: Path, device) -> Tensor:
+    return K.io.load_image(path, K.io.ImageLoadType.RGB32, device)[None]
 
 
 def to_tensor(picture: np.ndarray, device) -> Tensor:
@@ -208,14 +263,49 @@ def test_singular_matrices(device):
 # --- precision, layouts, batches ------------------------------------------------------------------------------------
 
 
-def test_half_images_have_places_in_float(device):
-    ramp = torch.arange(2048, device=device) / 2048
+@pytest.mark.parametrize("mode", MODES)
+def test_half_images_have_places_in_float(mode, device):
+    """The bits of a float32 image's result, rounded."""
+    x = torch.rand(1, 2, 6, 2048, device=device).half()
+    M = torch.tensor([[[0.9, 0.013, 100.3], [0.002, 1, -0.37]]], device=device)
+    half = G.warp_affine(x, M, (6, 1900), mode, "border")
+    assert torch.equal(half, G.warp_affine(x.float(), M, (6, 1900), mode, "border").half())
+
+
+def test_places_in_wide_images(device):
+    """A ramp shows them: within the rounding of float32 numbers of 2000, twice."""
+    ramp = torch.arange(2048, device=device) % 64
     M = torch.tensor([[[0.9, 0.0, 100.3], [0, 1, 0]]], device=device)
-    wide = G.warp_affine(ramp.expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")
-    exact = ((torch.arange(1900, device=device).double() - 100.3) / 0.9).clamp(0, 2047) / 2048
-    assert (wide - exact).abs().max() * 2048 < 5e-4
-    half = G.warp_affine(ramp.half().expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")
-    assert (half.double() - exact).abs().max() < 5e-4  # half a step of float16 in, half a step out
+    exact = (torch.arange(1900, device=device).double() - M[0, 0, 2].double()) / M[0, 0, 0].double()
+    found = G.warp_affine(ramp.float().expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")[0, 0, 0]
+    plain = (exact > 0) & (exact % 64 < 63) & (exact < 2047)
+    assert (found - exact % 64)[plain].abs().max() < 2.5e-4
+
+
+@pytest.mark.slow
+def test_more_elements_than_an_int_counts(device):
+    """Every kernel that writes images: what the last of three images gets is what it gets alone."""
+    side = 28000
+    if device.type != "cuda" or torch.cuda.mem_get_info()[0] < 24 << 30:
+        pytest.skip("needs a GPU with 24 GiB of free memory")
+    x = torch.zeros(3, 1, side, side, dtype=torch.uint8, device=device)
+    assert x.numel() > 2**31
+    x[2, :, -999:, -999:] = torch.randint(0, 256, (999, 999), dtype=torch.uint8, device=device)
+    M = torch.tensor([[[0.99, 0.02, -3.3], [-0.01, 1.0, 150.2]]], device=device)
+    v, u = torch.meshgrid(
+        *[torch.arange(side - 1500, side, device=device, dtype=torch.float32) - 0.3] * 2, indexing="ij"
+    )
+    for call in (
+        lambda x: G.warp_affine(x, M, (side, side)),
+        lambda x: G.remap(x, u[None], v[None], align_corners=True),
+        lambda x: G.resize(x, (side + 5, side - 3)),
+        lambda x: G.resize(x, (side // 3, side // 3), antialias=True),
+        lambda x: G.pyrdown(x),
+        lambda x: G.rot180(x),
+    ):
+        last = call(x)[2]
+        assert last.any() and torch.equal(last, call(x[2:])[0])
+        del last
 
 
 def test_one_image_serves_many_matrices(device):

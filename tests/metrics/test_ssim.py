@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import kvision as K
-from op_tests import OpTests
+from op_tests import OpTests, assert_close
 
 
 def other(x: torch.Tensor) -> torch.Tensor:
@@ -40,3 +40,49 @@ class TestSSIM(OpTests):
         if device.type == "cuda" and torch.__version__.startswith("2.11"):
             pytest.skip("torch 2.11: the second derivative of a convolution on CUDA takes no symbolic sizes")
         super().test_opcheck(variant, device, backend)
+
+
+class Losses(TestSSIM):
+    module = None
+    errors = TestSSIM.errors[:1] + TestSSIM.errors[2:]
+    forward_arguments = ()
+
+    def test_empty(self, variant, device):
+        """The mean of nothing."""
+        x = torch.rand(0, 3, 13, 18, device=device)
+        assert self.function(x, x, 5).isnan()
+
+
+class TestLoss(Losses):
+    function = staticmethod(K.losses.ssim_loss)
+    operators = ("ssim_loss", "ssim_loss_backward", "ssim_loss_backward_both")
+    variants = [{"img2": other, "window_size": 7, "padding": "valid", "max_val": 2.0}]
+
+
+class TestL1Loss(Losses):
+    function = staticmethod(K.losses.l1_ssim_loss)
+    operators = ("ssim_loss", "ssim_loss_backward", "ssim_loss_backward_both")
+    variants = [{"img2": other, "window_size": 5, "ssim_weight": 0.4}]
+
+
+@pytest.mark.parametrize("window", [5, 7, 9, 11])
+@pytest.mark.parametrize("size", [(11, 12), (40, 67), (33, 300), (90, 530)], ids=str)
+@pytest.mark.parametrize("padding", ["same", "valid"])
+def test_blocks_and_strips(window, size, padding, device):
+    """Images that one block does not hold, both gradients, and the loss against the mean of its map."""
+    x = torch.rand(1, 2, *size, device=device)
+    y = other(x)
+    weight = torch.rand(K.metrics.ssim(x, y, window, padding=padding).shape, device=device)
+    found = []
+    for name, dtype in (("auto", torch.float32), ("reference", torch.float64)):
+        with K.backend(name):
+            leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
+            similar = K.metrics.ssim(*leaves, window, padding=padding)
+            gradients = torch.autograd.grad((similar * weight).sum(), leaves)
+            loss = K.losses.ssim_loss(*leaves, window, padding=padding)
+            of_loss = torch.autograd.grad(loss * 1e4, leaves)
+            mixed = K.losses.l1_ssim_loss(*leaves, window)
+            of_mixed = torch.autograd.grad(mixed * 1e4, leaves[0])
+            found.append([similar.detach(), *gradients, loss.detach(), *of_loss, mixed.detach(), *of_mixed])
+    for actual, expected in zip(*found):
+        assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))

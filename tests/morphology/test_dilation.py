@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 import kvision as K
-from op_tests import OpTests
+from op_tests import OpTests, assert_close
 
 ERRORS = [
     ({"kernel": lambda x: torch.ones(3)}, ValueError, "expected kernel of shape"),
@@ -51,3 +52,25 @@ class TestDilation(Morphology):
 class TestErosion(Morphology):
     function = staticmethod(K.morphology.erosion)
     variants = [{"kernel": ones(3, 3)}, {"kernel": ones(1, 7), "origin": (0, 6)}, {"kernel": few}]
+
+
+@pytest.mark.parametrize("size", [(3, 3), (15, 15), (8, 7), (1, 9), (7, 1), (31, 2), (9, 70)], ids=str)
+@pytest.mark.parametrize("flat", [True, False], ids=["flat", "few"])
+@pytest.mark.parametrize("function", [K.morphology.dilation, K.morphology.erosion])
+def test_windows_of_many_sizes(function, size, flat, device):
+    """Values and gradients of images with many ties, which tiles and strips do not hold as a whole."""
+    kernel = torch.ones(size, device=device)
+    if not flat:
+        kernel[:, 0] = kernel[0, 0] = 0
+    more = {} if flat else {"origin": (size[0] - 1, 0), "border_type": "constant", "border_value": 0.5}
+    x = torch.rand(1, 2, 69, 261, device=device).mul(20).round().div(20)
+    x[0, 1, 5:9, 20] = torch.inf
+    weight = torch.rand_like(x) - 0.3
+    found = []
+    for name, values in (("auto", x), ("reference", x.double())):
+        with K.backend(name):
+            leaf = values.clone().requires_grad_()
+            y = function(leaf, kernel, **more)
+            y.backward(weight.to(y.dtype).where(y.isfinite(), 0))
+            found.append((y.detach().float(), leaf.grad.float()))
+    assert_close(found[0], found[1], 1e-5, 1e-4)

@@ -43,4 +43,4 @@ from kvision.losses.smoothness import (
     inverse_depth_smoothness_loss,
     total_variation,
 )
-from kvision.losses.ssim import SSIM3DLoss, SSIMLoss, ssim3d_loss, ssim_loss
+from kvision.losses.ssim import L1SSIMLoss, SSIM3DLoss, SSIMLoss, l1_ssim_loss, ssim3d_loss, ssim_loss

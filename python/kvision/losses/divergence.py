@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import as_stored
 from kvision.losses.reduction import reduced
+from kvision.metrics.pointwise import sum_of_maps
 
 
 def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
@@ -35,7 +35,7 @@ def kl_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Ten
         tensor(0.6931)
     """
     _check_maps("kl_div_loss_2d", pred, target, reduction)
-    return _kl_loss(pred, target, reduction)
+    return reduced(sum_of_maps("kl", pred, target), reduction).to(pred.dtype)
 
 
 def js_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
@@ -59,7 +59,7 @@ def js_div_loss_2d(pred: Tensor, target: Tensor, reduction: str = "mean") -> Ten
         tensor(0.6931)
     """
     _check_maps("js_div_loss_2d", pred, target, reduction)
-    return _js_loss(pred, target, reduction)
+    return reduced(sum_of_maps("js", pred, target), reduction).to(pred.dtype)
 
 
 def _check_maps(op: str, pred: Tensor, target: Tensor, reduction: str) -> None:
@@ -69,20 +69,3 @@ def _check_maps(op: str, pred: Tensor, target: Tensor, reduction: str) -> None:
     _check.same_shape(op, pred=pred, target=target)
     _check.same_device(op, pred=pred, target=target)
     _check.reduction(op, reduction)
-
-
-@as_stored
-def _kl_loss(pred: Tensor, target: Tensor, reduction: str) -> Tensor:
-    return reduced(_kl(target, pred), reduction)
-
-
-@as_stored
-def _js_loss(pred: Tensor, target: Tensor, reduction: str) -> Tensor:
-    middle = (pred + target) / 2
-    return reduced((_kl(target, middle) + _kl(pred, middle)) / 2, reduction)
-
-
-def _kl(p: Tensor, q: Tensor) -> Tensor:
-    nothing = (p == 0) & (q >= 0)  # neither a value nor a gradient, but a NaN in q stays one
-    p, q = p.masked_fill(nothing, 1), q.masked_fill(nothing, 1)
-    return (p * (p.log() - q.log())).sum((2, 3))

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
-from kvision.losses.reduction import reduced
+from kvision.metrics.pointwise import pointwise
 
 
 def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
@@ -37,7 +33,7 @@ def charbonnier_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Ten
         >>> K.losses.charbonnier_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
         tensor([0.0000, 2.1623])
     """
-    return _loss("charbonnier_loss", _charbonnier, img1, img2, reduction)
+    return _loss("charbonnier", img1, img2, reduction)
 
 
 def welsch_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
@@ -59,7 +55,7 @@ def welsch_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
         >>> K.losses.welsch_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
         tensor([0.0000, 0.9889])
     """
-    return _loss("welsch_loss", _welsch, img1, img2, reduction)
+    return _loss("welsch", img1, img2, reduction)
 
 
 def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
@@ -81,7 +77,7 @@ def cauchy_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
         >>> K.losses.cauchy_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
         tensor([0.0000, 1.7047])
     """
-    return _loss("cauchy_loss", _cauchy, img1, img2, reduction)
+    return _loss("cauchy", img1, img2, reduction)
 
 
 def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> Tensor:
@@ -103,38 +99,18 @@ def geman_mcclure_loss(img1: Tensor, img2: Tensor, reduction: str = "none") -> T
         >>> K.losses.geman_mcclure_loss(torch.tensor([0.0, 3.0]), torch.zeros(2))
         tensor([0.0000, 1.3846])
     """
-    return _loss("geman_mcclure_loss", _geman_mcclure, img1, img2, reduction)
+    return _loss("geman_mcclure", img1, img2, reduction)
 
 
-def _charbonnier(d: Tensor) -> Tensor:
-    return d * (d / (torch.hypot(d, torch.ones_like(d)) + 1))  # sqrt(...) - 1 would lose the small ones
-
-
-def _welsch(d: Tensor) -> Tensor:
-    return -torch.expm1(-(d**2) / 2)
-
-
-def _cauchy(d: Tensor) -> Tensor:
-    return torch.log1p(d**2 / 2)
-
-
-def _geman_mcclure(d: Tensor) -> Tensor:
-    return 2 * (d / torch.hypot(d, torch.full_like(d, 2))) ** 2
-
-
-def _loss(op: str, f: Callable[[Tensor], Tensor], img1: Tensor, img2: Tensor, reduction: str) -> Tensor:
+def _loss(kind: str, img1: Tensor, img2: Tensor, reduction: str) -> Tensor:
+    op = f"{kind}_loss"
     for name, x in (("img1", img1), ("img2", img2)):
         _check.numbers(op, name, x)
         _check.floating(op, name, x)
     _check.same_shape(op, img1=img1, img2=img2)
     _check.same_device(op, img1=img1, img2=img2)
     _check.reduction(op, reduction)
-    return _of_differences(img1, img2, f, reduction)
-
-
-@as_stored
-def _of_differences(a: Tensor, b: Tensor, f: Callable[[Tensor], Tensor], reduction: str) -> Tensor:
-    return reduced(f(a - b), reduction)
+    return pointwise(kind, img1, img2, reduction)
 
 
 class CharbonnierLoss(FunctionModule):

@@ -12,24 +12,24 @@ from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
-def _reference(x: Tensor) -> Tensor:
-    """(B, C, 2): for every plane the sums of absolute differences along y and along x."""
+def _reference(x: Tensor, along_y: float, along_x: float) -> Tensor:
+    """(B, C): for every plane the absolute differences of neighbours, those along y and x each summed with a weight."""
     wide = x.to(compute_dtype(x))
-    return torch.stack([wide.diff(dim=axis).abs().sum((-2, -1)) for axis in (-2, -1)], -1)
+    return along_y * wide.diff(dim=-2).abs().sum((-2, -1)) + along_x * wide.diff(dim=-1).abs().sum((-2, -1))
 
 
-def _fake(x: Tensor) -> Tensor:
-    return x.new_empty((*x.shape[:2], 2), dtype=compute_dtype(x))
+def _fake(x: Tensor, *_: float) -> Tensor:
+    return x.new_empty(x.shape[:2], dtype=compute_dtype(x))
 
 
-def _backward(needs, grad, x):
-    return [_total_variation_backward(grad, x)]
+def _backward(needs, grad, *args):
+    return [_total_variation_backward(grad, *args)]
 
 
 _total_variation_backward = register(
     "total_variation_backward",
     vjp(_reference),
-    fake=lambda grad, x: torch.empty_like(x, memory_format=torch.contiguous_format),
+    fake=lambda grad, x, *_: torch.empty_like(x, memory_format=torch.contiguous_format),
     stores=True,
 )
 _total_variation = register("total_variation", _reference, fake=_fake, backward=_backward, stores=True)
@@ -65,11 +65,11 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
     h, w = x.shape[-2:]
     if h == 0 or w == 0:
         return x.sum((-2, -1))
-    sums = _total_variation(x.reshape(1, -1, h, w) if x.dim() != 4 else x)
-    along_y, along_x = sums.unbind(-1)
+    weights = (1.0, 1.0)
     if reduction == "mean":  # of no differences it is 0
-        along_y, along_x = along_y / max(1, (h - 1) * w), along_x / max(1, h * (w - 1))
-    return (along_y + along_x).reshape(x.shape[:-2]).to(x.dtype)
+        weights = 1 / max(1, (h - 1) * w), 1 / max(1, h * (w - 1))
+    sums = _total_variation(x if x.dim() == 4 else x.reshape(1, -1, h, w), *weights)
+    return sums.reshape(x.shape[:-2]).to(x.dtype)
 
 
 def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:

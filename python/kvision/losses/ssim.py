@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
 from kvision.losses.reduction import reduced
-from kvision.metrics.ssim import ssim3d_map, ssim_map
+from kvision.metrics.ssim import checked, dissimilarity, ssim3d_map, ssim_map
 
 
 @as_stored
@@ -52,7 +55,57 @@ def ssim_loss(
         tensor(0.)
     """
     _check.reduction("ssim_loss", reduction)
-    return _dissimilarity(ssim_map("ssim_loss", img1, img2, window_size, max_val, eps, padding), reduction)
+    if reduction == "none":
+        return _dissimilarity(ssim_map("ssim_loss", img1, img2, window_size, max_val, eps, padding), reduction)
+    arguments = checked("ssim_loss", img1, img2, window_size, max_val, eps, padding)
+    less = window_size - 1 if padding == "valid" else 0
+    count = img1.shape[0] * img1.shape[1] * (img1.shape[2] - less) * (img1.shape[3] - less)
+    weight = 0.5 * _weight(reduction, count)
+    return dissimilarity(floats(img1), floats(img2), window_size, *arguments, weight)
+
+
+def _weight(reduction: str, count: int) -> float:
+    return 1.0 if reduction == "sum" else 1 / count if count else math.nan
+
+
+def l1_ssim_loss(
+    img1: Tensor,
+    img2: Tensor,
+    window_size: int = 11,
+    ssim_weight: float = 0.2,
+    max_val: float = 1.0,
+    eps: float = 1e-12,
+) -> Tensor:
+    """Mix absolute differences with structural similarity: (1 - ssim_weight) mean|x - y| + ssim_weight (1 - mean ssim).
+
+    The loss of reconstruction, of Gaussian splatting say, in one pass over the images each way, which keeps nothing.
+
+    Args:
+        img1: image (B, C, H, W); integers are computed in float32.
+        img2: image of the same shape; the gradient goes to both.
+        window_size: size of the similarity's window, odd; reflected at the border.
+        ssim_weight: share of the similarity.
+        max_val: largest value that there can be.
+        eps: added to both sides of the similarity's fraction.
+
+    Returns:
+        A number.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`kvision.metrics.ssim`.
+
+    Source: B. Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering" (2023).
+
+    Example:
+        >>> import torch, kvision as K
+        >>> x = torch.rand(1, 3, 16, 16)
+        >>> K.losses.l1_ssim_loss(x, x)
+        tensor(0.)
+    """
+    arguments = checked("l1_ssim_loss", img1, img2, window_size, max_val, eps, "same")
+    share = _check.number("l1_ssim_loss", "ssim_weight", ssim_weight)
+    weight = _weight("mean", img1.numel())
+    return dissimilarity(floats(img1), floats(img2), window_size, *arguments, share * weight, (1 - share) * weight)
 
 
 def ssim3d_loss(
@@ -135,3 +188,21 @@ class SSIM3DLoss(FunctionModule):
 
     def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
         return ssim3d_loss(img1, img2, self.window_size, self.max_val, self.eps, self.reduction, self.padding)
+
+
+class L1SSIMLoss(FunctionModule):
+    """Module form of :func:`l1_ssim_loss`.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> K.losses.L1SSIMLoss()(torch.zeros(1, 3, 16, 16), torch.zeros(1, 3, 16, 16))
+        tensor(0.)
+    """
+
+    def __init__(
+        self, window_size: int = 11, ssim_weight: float = 0.2, max_val: float = 1.0, eps: float = 1e-12
+    ) -> None:
+        super().__init__(window_size=window_size, ssim_weight=ssim_weight, max_val=max_val, eps=eps)
+
+    def forward(self, img1: Tensor, img2: Tensor) -> Tensor:
+        return l1_ssim_loss(img1, img2, self.window_size, self.ssim_weight, self.max_val, self.eps)

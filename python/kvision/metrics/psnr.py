@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 
-import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
+from kvision.metrics.pointwise import decibels
 
 
 def psnr(image: Tensor, target: Tensor, max_val: float) -> Tensor:
@@ -46,11 +44,6 @@ def negative_psnr(op: str, image: Tensor, target: Tensor, max_val: float) -> Ten
     _check.same_device(op, image=image, target=target)
     if not _check.number(op, "max_val", max_val) > 0:
         raise ValueCheckError(f"{op}: expected max_val above 0, got {max_val!r}", actual_value=max_val)
-    return _negative_psnr(floats(image), floats(target), float(max_val))
-
-
-@as_stored
-def _negative_psnr(image: Tensor, target: Tensor, max_val: float) -> Tensor:
-    mse = F.mse_loss(image, target)
-    equal = mse == 0
-    return torch.where(equal, -torch.inf, 10 * torch.where(equal, 1, mse).log10() - 20 * math.log10(max_val))
+    x = floats(image)
+    factor = 1 / (x.numel() * max_val**2) if x.numel() else math.nan
+    return decibels(x, floats(target), factor)

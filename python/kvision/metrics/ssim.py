@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError
@@ -84,15 +84,96 @@ _ssim_backward_both = register("ssim_backward_both", _reference_of_both, fake=la
 _ssim = register("ssim", _reference, fake=_size, backward=_backward)
 
 
+def _loss_reference(
+    x: Tensor,
+    y: Tensor,
+    size: int,
+    sigma: float,
+    c1: float,
+    c2: float,
+    eps: float,
+    border: str,
+    structure: float,
+    absolute: float,
+) -> Tensor:
+    """(B,): for every sample the sums of 1 - similarity and of abs(x - y), each times its weight."""
+    dtype = compute_dtype(x)
+    x, y = x.to(dtype), y.to(dtype)
+    similar = _reference(x, y, size, sigma, c1, c2, eps, border, True)
+    return structure * (1 - similar).sum((1, 2, 3)) + absolute * (x - y).abs().sum((1, 2, 3))
+
+
+def _loss_reference_of_both(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
+    pullback = torch.func.vjp(lambda x, y: _loss_reference(x, y, *plain), x, y.expand_as(x))[1]
+    grad_x, grad_y = pullback(grad)
+    return grad_x, grad_y
+
+
+def _loss_backward(needs, grad, x, y, *plain):
+    grad_x = grad_y = None
+    if needs[0] and needs[1]:
+        grad_x, grad_y = _ssim_loss_backward_both(grad, x, y, *plain)
+    elif needs[0]:
+        grad_x = _ssim_loss_backward(grad, x, y, *plain)
+    else:
+        grad_y = _ssim_loss_backward(grad, y.expand_as(x), x, *plain)
+    if grad_y is not None and y.shape != x.shape:
+        grad_y = grad_y.sum(0, keepdim=True)
+    return [grad_x, grad_y]
+
+
+def _like(x: Tensor) -> Tensor:
+    return torch.empty_like(x, memory_format=torch.contiguous_format)
+
+
+_ssim_loss_backward = register(
+    "ssim_loss_backward", vjp(_loss_reference), fake=lambda grad, x, *_: _like(x), stores=True
+)
+_ssim_loss_backward_both = register(
+    "ssim_loss_backward_both", _loss_reference_of_both, fake=lambda grad, x, *_: [_like(x), _like(x)], stores=True
+)
+_ssim_loss = register(
+    "ssim_loss",
+    _loss_reference,
+    fake=lambda x, *_: x.new_empty(x.shape[:1], dtype=compute_dtype(x)),
+    backward=_loss_backward,
+    stores=True,
+)
+
+
+def dissimilarity(
+    x: Tensor,
+    y: Tensor,
+    size: int,
+    c1: float,
+    c2: float,
+    eps: float,
+    border: str,
+    structure: float,
+    absolute: float = 0.0,
+) -> Tensor:
+    """Over all pixels of images (B, C, H, W) the sums of 1 - similarity and of abs(x - y), each times its weight."""
+    if x.shape[0] == 0 or x.shape[1] == 0:
+        return structure * x.sum()  # of nothing; of which the mean is NaN
+    planes = (1, -1, *x.shape[2:])
+    a, b = x.reshape(planes), y.to(x.dtype).reshape(planes)
+    if not x.is_cuda or _has_kernel(a, size):
+        loss = _ssim_loss(a, b, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
+    else:
+        similar = _composed(a, b, size, SIGMA, c1, c2, eps, border, True)
+        loss = structure * (1 - similar).sum() + absolute * (a - b).abs().sum()
+    return loss.to(x.dtype)
+
+
 def similarity(
     x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
 ) -> Tensor:
     """The similarity of floating-point images (B, C, H, W); see `_reference`."""
-    call = _ssim if not x.is_cuda or _has_strips(x, size) else _composed
+    call = _ssim if not x.is_cuda or _has_kernel(x, size) else _composed
     return call(x, y.to(x.dtype), size, sigma, c1, c2, eps, border, luminance)
 
 
-def _has_strips(x: Tensor, size: int) -> bool:
+def _has_kernel(x: Tensor, size: int) -> bool:
     """Whether the CUDA kernels take these images and this window; csrc/metrics/ssim.h."""
     planar = x.shape[1] == 1 or x.stride(1) > 1
     return size in (5, 7, 11) and min(x.shape[2:]) >= size and planar and x.dtype != torch.float64
@@ -148,8 +229,7 @@ def ssim(
 
 
 def ssim_map(op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: str) -> Tensor:
-    _check.images(op, "img1", img1)
-    arguments = _arguments(op, img1, img2, window_size, max_val, eps, padding)
+    arguments = checked(op, img1, img2, window_size, max_val, eps, padding)
     return similarity(floats(img1), floats(img2), window_size, SIGMA, *arguments, True)
 
 
@@ -202,6 +282,14 @@ def _similarity_of_volumes(x: Tensor, y: Tensor, size: int, c1: float, c2: float
         return filter2d_separable(z, one, kernel, "reflect", padding=padding).unflatten(3, (h, w))
 
     return _similarity(mean, x, y, c1, c2, eps, True)
+
+
+def checked(
+    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
+) -> tuple[float, float, float, str]:
+    """c1, c2, eps and the border of two images."""
+    _check.images(op, "img1", img1)
+    return _arguments(op, img1, img2, size, max_val, eps, padding)
 
 
 def _arguments(

@@ -1,11 +1,11 @@
 """Dilation and erosion, from which all of morphology is made.
 
-Both are one operator. With a window of offsets, minus infinity where the structuring element has no member,
+Both are one operator: with members i, j of an element where its kernel is not 0,
 
-    y(q) = max over i, j of x(q + (i - top, j - left)) + offsets(i, j)
+    erosion   y(q) = min over i, j of x(q + (i, j) - origin) - height(i, j)
+    dilation  y(q) = max over i, j of x(q - (i, j) + origin) + height(i, j)
 
-is a dilation with the element turned round, and min(x - offsets) an erosion. Pixels that share a maximum share its gradient
-evenly.
+Pixels that share a maximum share its gradient evenly.
 """
 
 from __future__ import annotations
@@ -17,31 +17,38 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision._ops import register, vjp
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 
 
-def _reference(x: Tensor, offsets: Tensor, top: int, left: int, value: float, erode: bool) -> Tensor:
-    """`offsets` is (B or 1, height, width), `value` what lies outside of the images."""
+def _reference(
+    x: Tensor, kernel: Tensor, heights: Tensor | None, origin_y: int, origin_x: int, value: float, erode: bool
+) -> Tensor:
+    """`kernel` and `heights` are (B or 1, height, width), `value` is what lies outside of the images."""
     h, w = x.shape[-2:]
-    ky, kx = offsets.shape[1:]
+    ky, kx = kernel.shape[1:]
     worst = torch.inf if erode else -torch.inf
+    top, left = (origin_y, origin_x) if erode else (ky - 1 - origin_y, kx - 1 - origin_x)
     padded = F.pad(x, (left, kx - 1 - left, top, ky - 1 - top), value=value)
     taps = []
     for i in range(ky):
         for j in range(kx):
-            pixels, offset = padded[..., i : i + h, j : j + w], offsets[:, i, j, None, None, None]
-            tap = pixels - offset if erode else pixels + offset
-            taps.append(torch.where(offset == -torch.inf, worst, tap))  # never chosen, an infinite pixel included
+            at = (slice(None), i, j, None, None, None)
+            y, x_ = (i, j) if erode else (ky - 1 - i, kx - 1 - j)
+            tap = padded[..., y : y + h, x_ : x_ + w]
+            if heights is not None:
+                tap = tap - heights[at] if erode else tap + heights[at]
+            taps.append(torch.where(kernel[at] == 0, worst, tap))  # never chosen, an infinite pixel included
     return torch.stack(taps).amin(0) if erode else torch.stack(taps).amax(0)
 
 
-def _backward(needs, grad, x, offsets, *plain):
-    grad_offsets = None
-    if needs[1]:
-        only_offsets = (False, True, *(False for _ in plain))
-        grad_offsets = _dilation.differentiate_reference(only_offsets, grad, x, offsets, *plain)[1]
-    return [_dilation_backward(grad, x, offsets, *plain) if needs[0] else None, grad_offsets]
+def _backward(needs, grad, x, kernel, heights, *plain):
+    grad_heights = None
+    if needs[2]:
+        only_heights = (False, False, True, *(False for _ in plain))
+        grad_heights = _dilation.differentiate_reference(only_heights, grad, x, kernel, heights, *plain)[2]
+    return [_dilation_backward(grad, x, kernel, heights, *plain) if needs[0] else None, None, grad_heights]
 
 
 _dilation_backward = register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
@@ -135,8 +142,8 @@ def erosion(
     return eroded(tensor, *element)
 
 
-# The element of a call: its offsets (kH, kW), its origin, and the number beyond the image or None.
-Element = tuple[Tensor, tuple[int, int], float | None]
+# The element of a call: its members and heights (1, kH, kW), its origin, and the number beyond the image or None.
+Element = tuple[Tensor, Tensor | None, tuple[int, int], float | None]
 
 
 def checked(
@@ -171,18 +178,17 @@ def checked(
     _check.known(op, "engine", engine, ("auto", "unfold", "convolution", "shift"))
     border_value = _check.number(op, "border_value", border_value)
     _check.number(op, "max_val", max_val)
-    dtype = torch.float64 if tensor.dtype == torch.float64 else torch.float32
-    heights = torch.zeros((), dtype=dtype, device=tensor.device)
-    if structuring_element is not None:
-        heights = structuring_element.to(dtype)
-    return torch.where(kernel != 0, heights, -torch.inf), (y, x), border_value if border_type == "constant" else None
+    dtype = compute_dtype(tensor)
+    heights = None if structuring_element is None else structuring_element.to(dtype)[None]
+    kernel = kernel if kernel.dtype == dtype else (kernel != 0).to(dtype)
+    return kernel[None], heights, (y, x), border_value if border_type == "constant" else None
 
 
-def dilated(x: Tensor, offsets: Tensor, origin: tuple[int, int], outside: float | None) -> Tensor:
-    ky, kx = offsets.shape
-    value = -torch.inf if outside is None else outside
-    return _dilation(x, offsets.flip(0, 1)[None], ky - 1 - origin[0], kx - 1 - origin[1], value, False)
+def dilated(
+    x: Tensor, kernel: Tensor, heights: Tensor | None, origin: tuple[int, int], outside: float | None
+) -> Tensor:
+    return _dilation(x, kernel, heights, *origin, -torch.inf if outside is None else outside, False)
 
 
-def eroded(x: Tensor, offsets: Tensor, origin: tuple[int, int], outside: float | None) -> Tensor:
-    return _dilation(x, offsets[None], *origin, torch.inf if outside is None else outside, True)
+def eroded(x: Tensor, kernel: Tensor, heights: Tensor | None, origin: tuple[int, int], outside: float | None) -> Tensor:
+    return _dilation(x, kernel, heights, *origin, torch.inf if outside is None else outside, True)

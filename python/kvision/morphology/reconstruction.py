@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import compute_dtype
 from kvision.core.exceptions import ValueCheckError
 from kvision.morphology.dilation import dilated
 
@@ -65,21 +66,20 @@ def reconstruction(
         _check.ints(op, "num_iters", num_iters, 1, 0)
     _check.ints(op, "check_every", check_every, 1)
     origin = (kernel.shape[0] // 2, kernel.shape[1] // 2)
-    dtype = torch.float64 if seed.dtype == torch.float64 else torch.float32
-    offsets = torch.where(kernel != 0, torch.zeros((), dtype=dtype, device=seed.device), -torch.inf)
+    members = (kernel != 0).to(compute_dtype(seed))[None]
     if method == "erosion":
-        return -_grown(-seed, -mask, offsets, origin, num_iters, check_every)
-    return _grown(seed, mask, offsets, origin, num_iters, check_every)
+        return -_grown(-seed, -mask, members, origin, num_iters, check_every)
+    return _grown(seed, mask, members, origin, num_iters, check_every)
 
 
 def _grown(
-    seed: Tensor, mask: Tensor, offsets: Tensor, origin: tuple[int, int], steps: int | None, check_every: int
+    seed: Tensor, mask: Tensor, members: Tensor, origin: tuple[int, int], steps: int | None, check_every: int
 ) -> Tensor:
     y = torch.minimum(seed, mask)
 
     def after(y: Tensor, steps: int) -> Tensor:
         for _ in range(steps):
-            y = torch.minimum(torch.maximum(y, dilated(y, offsets, origin, None)), mask)
+            y = torch.minimum(torch.maximum(y, dilated(y, members, None, origin, None)), mask)
         return y
 
     if steps is not None:

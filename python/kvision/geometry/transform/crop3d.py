@@ -9,6 +9,7 @@ from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.bbox import corners
+from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.transform import matrices
 from kvision.geometry.transform.warp3d import warp_affine3d, warp_perspective3d
 
@@ -49,7 +50,8 @@ def crop_and_resize3d(
     op = "crop_and_resize3d"
     _check.volumes(op, "tensor", tensor)
     d, h, w = _check.ints(op, "size", size, 3)
-    to = corners(torch.zeros(3), torch.tensor([max(n - 1.0, 1.0) for n in (w, h, d)]))[None].to(tensor.device)
+    first = torch.zeros(1, 3, device=tensor.device)
+    to = corners(first, matrices.matrix_of([[max(n - 1, 1) for n in (w, h, d)]], first)[:, 0])
     return _crop(op, tensor, boxes, to, (d, h, w), interpolation, align_corners)
 
 
@@ -142,11 +144,9 @@ def center_crop3d(
     _check.volumes(op, "tensor", tensor)
     size = _check.ints(op, "size", size, 3)  # type: ignore[assignment]  # three entries by construction
     volumes = floats(tensor)
-    offsets = [(n - k) / 2 for n, k in zip(reversed(volumes.shape[2:]), reversed(size))]
-    matrix = torch.eye(3, 4)
-    matrix[:, 3] = -torch.tensor(offsets)
-    matrix = matrix[None].to(volumes.device, compute_dtype(volumes))
-    return warp_affine3d(volumes, matrix, size, interpolation, "zeros", align_corners)
+    shifts = [(1.0, (k - n) / 2) for n, k in zip(reversed(volumes.shape[2:]), reversed(size))]
+    matrix = by_axes(shifts, volumes.device, compute_dtype(volumes))
+    return warp_affine3d(volumes, matrix[None, :3], size, interpolation, "zeros", align_corners)
 
 
 def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):

@@ -79,6 +79,10 @@ def _two(op: str, name: str, x: Tensor | Sequence[float], like: Tensor) -> Tenso
         return x.to(like.device, dtype).reshape(-1).expand(2)
     if not isinstance(x, (tuple, list)) or len(x) != 2:
         raise TypeCheckError(f"{op}: expected {name} to be two numbers or a Tensor, got {x!r}")
-    if all(isinstance(v, (int, float)) for v in x):
-        return torch.cat([like.new_full((1,), _check.number(op, name, v), dtype=dtype) for v in x])
-    return torch.stack([torch.as_tensor(v, dtype=dtype, device=like.device) for v in x])
+    return torch.stack([_number(op, name, v, like, dtype) for v in x])
+
+
+def _number(op: str, name: str, value: Tensor | float, like: Tensor, dtype: torch.dtype) -> Tensor:
+    if isinstance(value, Tensor):
+        return value.to(like.device, dtype)
+    return like.new_full((), _check.number(op, name, value), dtype=dtype)  # made there: a copy would wait

@@ -320,7 +320,9 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
     if padding_mode == "zeros" or fill_value is None:
         return "fill", None
     dtype = compute_dtype(image)
-    if not isinstance(fill_value, Tensor):
+    if isinstance(fill_value, (int, float)):
+        fill_value = image.new_full((), fill_value, dtype=dtype)  # made there: a copy would wait
+    elif not isinstance(fill_value, Tensor):
         fill_value = torch.as_tensor(fill_value, dtype=dtype, device=image.device)
     _check.numbers(op, "fill_value", fill_value)
     _check.same_device(op, src=image, fill_value=fill_value)

@@ -147,7 +147,8 @@ def rotate3d(
             raise ShapeError(f"rotate3d: expected {name} of shape ({batch},), got {tuple(angle.shape)}")
         angles.append(angle.reshape(-1).to(dtype).expand(batch))
     if center is None:
-        center = volumes.new_tensor([[(n - 1) / 2 for n in reversed(volumes.shape[2:])]], dtype=dtype)
+        middle: list[Tensor | float] = [(n - 1) / 2 for n in reversed(volumes.shape[2:])]
+        center = matrices.matrix_of([middle], volumes.new_empty(1, dtype=dtype))[:, 0]
     _check.shape("rotate3d", "center", center, "B", 3)
     stacked = torch.stack(angles, -1)
     matrix = matrices.get_projective_transform(center.to(dtype).expand(batch, -1), stacked, torch.ones_like(stacked))

@@ -1,0 +1,155 @@
+// Losses of two tensors, element by element, and their sums: robust losses of the difference d = x - y, its square, and
+// divergences of probabilities. Which one is known when it runs. Included by pointwise_cpu.cpp, pointwise.cu and
+// pointwise_op.cpp.
+//
+//   charbonnier    sqrt(d^2 + 1) - 1          kl   y log(y / x)
+//   welsch         1 - exp(-d^2 / 2)          js   (x log(x / m) + y log(y / m)) / 2 with m = (x + y) / 2
+//   cauchy         log(d^2 / 2 + 1)
+//   geman_mcclure  2 d^2 / (d^2 + 4)          a probability of 0 adds nothing
+//   square         d^2
+#pragma once
+
+#include "core/isa.h"
+#include "sums.h"
+
+namespace kv {
+
+enum class PointLoss : int { charbonnier, welsch, cauchy, geman_mcclure, square, kl, js };
+
+constexpr char const* kPointLosses[] = {"charbonnier", "welsch", "cauchy", "geman_mcclure", "square", "kl", "js"};
+
+// Two tensors (rows, size), one row of which may serve all: then its stride is 0.
+template <class T>
+struct Pair {
+  T const *x, *y;
+  int64_t x_stride, y_stride, rows, size;
+  PointLoss kind;
+};
+
+constexpr int64_t kPointPiece = 8192;  // elements that are summed together
+
+template <class T>
+struct PointwiseSum {
+  Pair<T> pair;
+  int64_t pieces;       // of a row
+  Compute<T>* partial;  // (rows, pieces)
+  Finish<Compute<T>> finish;
+  Compute<T>* sums;  // (rows), by CUDA's kernel; on the CPU the entry adds up the pieces
+};
+
+// What is written for every element: its loss; or its slope by x, or by y if `by_other`, times a gradient.
+template <class T>
+struct PointwiseMap {
+  Pair<T> pair;
+  T const* grad;                  // of every element, or null
+  Compute<T> const* grad_of_sum;  // of every row's sum, or null
+  Compute<T> const* sums;         // of every row, where decibels need it
+  Finish<Compute<T>> finish;
+  bool by_other;
+  T* out;
+
+  // The gradient of a row's plain sum. That of decibels is 10 / (log 10 * sum), and none where nothing differs.
+  KV_HD Compute<T> gradient(int64_t row) const {
+    using F = Compute<T>;
+    F const g = grad_of_sum[row];
+    if (!finish.decibels) return g * finish.factor;
+    F const decibels = sums[row];
+    constexpr double kSlope = 4.3429448190325183;  // 10 / log 10
+    return decibels - decibels == 0 ? F(g * finish.factor * kSlope / ::exp(double(decibels) / kSlope)) : F(0);
+  }
+};
+
+KV_KERNEL(pointwise_sum, PointwiseSum)
+KV_KERNEL(pointwise_map, PointwiseMap)
+
+// Beyond it 1 is nothing beside d^2, whose square still fits the type.
+template <class F>
+constexpr F kFar = sizeof(F) == 4 ? F(1e9) : F(1e70);
+
+template <class F, class V>
+KV_HD V not_far(V d) {
+  V const far = V{} + kFar<F>;
+  return d > far ? far : d < -far ? -far : d;
+}
+
+// 1 - exp(-t) and log(1 + t) for t from 0 on, which keep the digits of small t: an error of u = exp(-t) or 1 + t is
+// made up for by the same error of log u or u - 1. Math has exp and log of V.
+template <class F, class Math, class V>
+KV_HD V one_minus_exp(V t) {
+  V const one = V{} + F(1), most = V{} + F(80), bounded = t > most ? most : t, u = Math::exp(V(-bounded));
+  return u == one ? bounded : V((u - one) * bounded / Math::log(u));
+}
+template <class F, class Math, class V>
+KV_HD V log_one_plus(V t) {
+  V const one = V{} + F(1), u = one + t, log_u = Math::log(u);
+  V const found = u == one ? t : V(log_u * (t / (u - one)));
+  return t > kFar<F> ? log_u : found;
+}
+
+// What a true probability of 0 adds: nothing, unless the predicted one is none at all.
+template <class F, class V>
+KV_HD V of_nothing(V x) {
+  V const zero = V{}, nan = zero + F(__builtin_nan(""));
+  return x >= zero ? zero : nan;
+}
+
+template <class F, class Math, class V>
+KV_HD V point_loss(PointLoss kind, V x, V y) {
+  V const zero = V{}, one = zero + F(1), half = zero + F(0.5), d = x - y;
+  switch (kind) {
+    case PointLoss::charbonnier: {
+      V const size = d < zero ? V(-d) : d;
+      return size > kFar<F> ? V(size - one) : V(d * (d / (Math::sqrt(V(d * d + one)) + one)));
+    }
+    case PointLoss::welsch:
+      return one_minus_exp<F, Math>(V(half * d * d));
+    case PointLoss::cauchy:
+      return log_one_plus<F, Math>(V(half * d * d));
+    case PointLoss::geman_mcclure: {
+      V const c = not_far<F>(d), square = c * c;
+      return square * F(2) / (square + F(4));
+    }
+    case PointLoss::square:
+      return d * d;
+    case PointLoss::kl:
+      return y == zero ? of_nothing<F>(x) : V(y * (Math::log(y) - Math::log(x)));
+    default: {
+      V const log_m = Math::log(V(half * (x + y)));
+      V const of_x = x == zero ? zero : V(x * (Math::log(x) - log_m));
+      V const of_y = y == zero ? zero : V(y * (Math::log(y) - log_m));
+      return half * (of_x + of_y);
+    }
+  }
+}
+
+// The derivative by x, or by y.
+template <class F, class Math, class V>
+KV_HD V point_slope(PointLoss kind, bool by_y, V x, V y) {
+  V const zero = V{}, one = zero + F(1), half = zero + F(0.5), d = by_y ? V(y - x) : V(x - y);
+  switch (kind) {
+    case PointLoss::charbonnier: {
+      V const c = not_far<F>(d);
+      return c / Math::sqrt(V(c * c + one));
+    }
+    case PointLoss::welsch:
+      return d * Math::exp(V(-half * d * d));
+    case PointLoss::cauchy:
+      return d / (half * d * d + one);
+    case PointLoss::geman_mcclure: {
+      V const c = not_far<F>(d), divisor = c * c + F(4);
+      return c / divisor * (F(16) / divisor);
+    }
+    case PointLoss::square:
+      return F(2) * d;
+    case PointLoss::kl:
+      if (by_y) return y == zero ? zero : V(Math::log(y) - Math::log(x) + one);
+      return y == zero ? of_nothing<F>(x) : V(-y / x);
+    default: {
+      V const a = by_y ? y : x, b = by_y ? x : y, sum = a + b;
+      V const own = a == zero ? zero : V(Math::log(a) - Math::log(V(half * sum)) + one - a / sum);
+      return half * (own - (b == zero ? zero : V(b / sum)));
+    }
+  }
+}
+
+}  // namespace kv

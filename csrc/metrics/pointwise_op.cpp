@@ -1,0 +1,144 @@
+// Losses element by element: schemas and entries, for CPU and CUDA alike.
+#include "glue/glue.h"
+#include "pointwise.h"
+
+namespace kv {
+namespace {
+
+PointLoss kind_of(char const* op, std::string const& name) {
+  constexpr int count = sizeof(kPointLosses) / sizeof(*kPointLosses);
+  int kind = 0;
+  while (kind < count && name != kPointLosses[kind]) ++kind;
+  KV_CHECK(kind < count, op, ": there is no loss '", name, "'");
+  return PointLoss(kind);
+}
+
+ScalarType computed(Tensor const& x) {
+  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+}
+
+template <class T>
+T* data(Tensor const& x) {
+  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
+}
+
+// Of contiguous tensors.
+template <class T>
+Pair<T> pair_of(Tensor const& x, Tensor const& y, int64_t rows, PointLoss kind) {
+  int64_t const size = x.size(1);
+  return {
+      data<T const>(x), data<T const>(y), x.size(0) == rows ? size : 0, y.size(0) == rows ? size : 0, rows, size, kind};
+}
+
+// Of as many results as `like` has rows.
+int64_t check_pair(char const* op, Tensor const& x, Tensor const& y, Tensor const& like) {
+  KV_CHECK(like.dim() > 0 && x.dim() == 2 && y.dim() == 2 && x.size(1) == y.size(1) &&
+               x.scalar_type() == y.scalar_type() && x.device() == y.device(),
+           op, ": expected input and other (rows, size) of one type on one device");
+  int64_t const rows = like.size(0);
+  for (int64_t n : {x.size(0), y.size(0)})
+    KV_CHECK(n == rows || (n == 1 && rows > 0), op, ": expected one row, or one for each result");
+  return rows;
+}
+
+void check_of_sums(char const* op, char const* name, Tensor const& g, Tensor const& x, int64_t rows) {
+  KV_CHECK(g.dim() == 1 && g.size(0) == rows && g.scalar_type() == computed(x) && g.device() == x.device(), op,
+           ": expected ", name, " to be that of the sums");
+}
+
+template <class T>
+void run_map([[maybe_unused]] Tensor const& x, PointwiseMap<T> const& params) {
+  Pair<T> const& pair = params.pair;
+  if (pair.size == 0) return;
+  int64_t const pieces = (pair.size + kPointPiece - 1) / kPointPiece;
+  KV_RUN(pointwise_map, x, params, pair.rows * pieces, 8 * min(pair.size, kPointPiece));
+}
+
+Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string const& kind) {
+  constexpr char const* op = "pointwise_loss";
+  int64_t const rows = check_pair(op, input, other, input);
+  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other),
+               loss = empty({rows, x.size(1)}, x);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)), nullptr, nullptr, nullptr, {}, false, data<T>(loss)});
+  });
+  return loss;
+}
+
+// The gradient to `input`, or to `other`.
+Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other, std::string const& kind,
+                               bool by_other) {
+  constexpr char const* op = "pointwise_loss_backward";
+  int64_t const rows = check_pair(op, input, other, grad);
+  KV_CHECK(grad.dim() == 2 && grad.size(1) == input.size(1) && grad.scalar_type() == input.scalar_type() &&
+               grad.device() == input.device(),
+           op, ": expected grad to be that of the loss");
+  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other),
+               g = torch::stable::contiguous(grad), grad_x = empty({rows, x.size(1)}, x);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    run_map<T>(
+        x,
+        {pair_of<T>(x, y, rows, kind_of(op, kind)), data<T const>(g), nullptr, nullptr, {}, by_other, data<T>(grad_x)});
+  });
+  return grad_x;
+}
+
+Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor, bool decibels) {
+  constexpr char const* op = "pointwise_sum";
+  int64_t const rows = check_pair(op, input, other, input), size = input.size(1);
+  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other);
+  int64_t const pieces = max((size + kPointPiece - 1) / kPointPiece, int64_t(1));
+  Tensor const sums = empty({rows}, x, Layout::planar, computed(x));
+  Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed(x));
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    PointwiseSum<T> const params{pair_of<T>(x, y, rows, kind_of(op, kind)),
+                                 pieces,
+                                 data<F>(partial),
+                                 {F(0), F(factor), decibels},
+                                 data<F>(sums)};
+    KV_RUN(pointwise_sum, x, params, rows * pieces, 8 * min(size, kPointPiece));
+#if !defined(KV_CUDA)
+    add_pieces(params.partial, rows, pieces, params.finish, params.sums);
+#endif
+  });
+  return sums;
+}
+
+// The gradient to `input`, or to `other`; `sums` are the results.
+Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor const& input, Tensor const& other,
+                              std::string const& kind, double factor, bool decibels, bool by_other) {
+  constexpr char const* op = "pointwise_sum_backward";
+  int64_t const rows = check_pair(op, input, other, grad);
+  check_of_sums(op, "grad", grad, input, rows);
+  check_of_sums(op, "sums", sums, input, rows);
+  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other),
+               g = torch::stable::contiguous(grad), s = torch::stable::contiguous(sums),
+               grad_x = empty({rows, x.size(1)}, x);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)),
+                   nullptr,
+                   data<F const>(g),
+                   data<F const>(s),
+                   {F(0), F(factor), decibels},
+                   by_other,
+                   data<T>(grad_x)});
+  });
+  return grad_x;
+}
+
+}  // namespace
+
+KV_OPERATOR(pointwise_loss, "(Tensor input, Tensor other, str kind) -> Tensor")
+KV_OPERATOR(pointwise_loss_backward, "(Tensor grad, Tensor input, Tensor other, str kind, bool by_other) -> Tensor")
+KV_OPERATOR(pointwise_sum, "(Tensor input, Tensor other, str kind, float factor, bool decibels) -> Tensor")
+KV_OPERATOR(pointwise_sum_backward,
+            "(Tensor grad, Tensor sums, Tensor input, Tensor other, str kind, float factor, bool decibels, "
+            "bool by_other) -> Tensor")
+
+}  // namespace kv

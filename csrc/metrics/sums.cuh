@@ -1,0 +1,38 @@
+// Sums on CUDA: each block leaves one number for its piece of a row, and another kernel adds these up, always in the
+// same order. Included by *.cu files.
+#pragma once
+
+#include "core/launch.cuh"
+#include "metrics/sums.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kSumThreads = 256;
+
+// The sum over a block of kSumThreads, to its first thread.
+template <class F>
+__device__ __forceinline__ F block_sum(F x) {
+  constexpr int kWarps = kSumThreads / 32;
+  __shared__ F of_warps[kWarps];
+  x = warp_sum(x);
+  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = x;
+  __syncthreads();
+  F sum = 0;
+  for (int w = 0; w < kWarps; ++w) sum += of_warps[w];
+  return sum;
+}
+
+// partial (rows, pieces) to sums (rows): a block for each row.
+template <class F>
+__global__ void __launch_bounds__(kSumThreads)
+    finish_sums(F const* partial, int64_t pieces, Finish<F> const finish, F* sums) {
+  F sum = 0;
+  F const* const row = partial + blockIdx.x * pieces;
+  for (int64_t i = threadIdx.x; i < pieces; i += kSumThreads) sum += row[i];
+  sum = block_sum(sum);
+  if (threadIdx.x == 0) sums[blockIdx.x] = finish(sum);
+}
+
+}  // namespace
+}  // namespace kv::cuda

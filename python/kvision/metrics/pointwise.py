@@ -1,0 +1,152 @@
+"""Losses of two tensors element by element, and their sums, as kernels that make nothing else.
+
+The sum is the operator of every loss that is one number: `factor` times it, or with `decibels` 10 log10 of that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import compute_dtype
+from kvision._ops import register
+
+
+def _charbonnier(x: Tensor, y: Tensor) -> Tensor:
+    d = x - y
+    return d * (d / (torch.hypot(d, torch.ones_like(d)) + 1))  # sqrt(...) - 1 would lose the small ones
+
+
+def _welsch(x: Tensor, y: Tensor) -> Tensor:
+    return -torch.expm1(-((x - y) ** 2) / 2)
+
+
+def _cauchy(x: Tensor, y: Tensor) -> Tensor:
+    return torch.log1p((x - y) ** 2 / 2)
+
+
+def _geman_mcclure(x: Tensor, y: Tensor) -> Tensor:
+    d = x - y
+    return 2 * (d / torch.hypot(d, torch.full_like(d, 2))) ** 2
+
+
+def _square(x: Tensor, y: Tensor) -> Tensor:
+    return (x - y) ** 2
+
+
+def _kl(q: Tensor, p: Tensor) -> Tensor:
+    nothing = (p == 0) & (q >= 0)  # neither a value nor a gradient, but a NaN in q stays one
+    p, q = p.masked_fill(nothing, 1), q.masked_fill(nothing, 1)
+    return p * (p.log() - q.log())
+
+
+def _js(x: Tensor, y: Tensor) -> Tensor:
+    middle = (x + y) / 2
+    return (_kl(middle, x) + _kl(middle, y)) / 2
+
+
+_LOSSES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "charbonnier": _charbonnier,
+    "welsch": _welsch,
+    "cauchy": _cauchy,
+    "geman_mcclure": _geman_mcclure,
+    "square": _square,
+    "kl": _kl,
+    "js": _js,
+}
+
+
+def _map_reference(x: Tensor, y: Tensor, kind: str) -> Tensor:
+    return _LOSSES[kind](x, y)
+
+
+def _map_slope(grad: Tensor, x: Tensor, y: Tensor, kind: str, by_other: bool) -> Tensor:
+    pullback = torch.func.vjp(_LOSSES[kind], x.expand_as(grad), y.expand_as(grad))[1]
+    return pullback(grad)[by_other]
+
+
+def _map_backward(needs, grad, x, y, kind):
+    found = [_loss_backward(grad, x, y, kind, other) if needs[other] else None for other in (False, True)]
+    return _of_one_row(found, y)
+
+
+def _of_one_row(grads: list[Tensor | None], y: Tensor) -> list[Tensor | None]:
+    """The gradients, that to `y` summed where it has one row for all."""
+    of_y = grads[1]
+    if of_y is not None and of_y.shape != y.shape:
+        grads[1] = of_y.sum(0, keepdim=True)
+    return grads
+
+
+def _sum_reference(x: Tensor, y: Tensor, kind: str, factor: float, decibels: bool) -> Tensor:
+    dtype = compute_dtype(x)
+    total = factor * _LOSSES[kind](x.to(dtype), y.to(dtype)).sum(1)
+    if not decibels:
+        return total
+    nothing = total == 0
+    return torch.where(nothing, -torch.inf, 10 * torch.where(nothing, 1, total).log10())
+
+
+def _sum_slope(
+    grad: Tensor, sums: Tensor, x: Tensor, y: Tensor, kind: str, factor: float, decibels: bool, by_other: bool
+) -> Tensor:
+    rows = grad.shape[0]
+    x, y = x.expand(rows, -1), y.expand(rows, -1)
+    pullback = torch.func.vjp(lambda x, y: _sum_reference(x, y, kind, factor, decibels), x, y)[1]
+    return pullback(grad)[by_other]
+
+
+def _sum_backward(needs, grad, sums, x, y, *plain):
+    slopes = [_sum_slopes(grad, sums, x, y, *plain, other) if needs[other] else None for other in (False, True)]
+    return _of_one_row(slopes, y)
+
+
+def _fake_sum(x: Tensor, *_: Any) -> Tensor:
+    return x.new_empty(x.shape[:1], dtype=compute_dtype(x))
+
+
+_loss_backward = register("pointwise_loss_backward", _map_slope)
+_loss = register("pointwise_loss", _map_reference, backward=_map_backward)
+_sum_slopes = register(
+    "pointwise_sum_backward",
+    _sum_slope,
+    fake=lambda grad, sums, x, *_: x.new_empty((grad.shape[0], x.shape[1])),
+    stores=True,
+)
+_sum = register(
+    "pointwise_sum", _sum_reference, fake=_fake_sum, backward=_sum_backward, saves_results=True, stores=True
+)
+
+
+def _rows(x: Tensor, whole: bool) -> Tensor:
+    if whole or x.dim() == 0:
+        return x.reshape(1, -1)
+    return x.flatten(1) if x.dim() > 1 else x[:, None]
+
+
+def pointwise(kind: str, x: Tensor, y: Tensor, reduction: str) -> Tensor:
+    """The loss `kind` of floating-point tensors of one shape, in the type of x."""
+    y = y.to(x.dtype)
+    if reduction != "none":
+        count = x.numel()
+        factor = 1.0 if reduction == "sum" else 1 / count if count else math.nan
+        return _sum(_rows(x, True), _rows(y, True), kind, factor, False)[0].to(x.dtype)
+    if x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:  # channels-last: in the order of the memory
+        return pointwise(kind, x.movedim(1, -1), y.movedim(1, -1), reduction).movedim(-1, 1)
+    return _loss(_rows(x, False), _rows(y, False), kind).reshape(x.shape)
+
+
+def decibels(x: Tensor, y: Tensor, factor: float) -> Tensor:
+    """10 log10 of factor times the sum of (x - y)^2, minus infinity where nothing differs."""
+    return _sum(_rows(x, True), _rows(y.to(x.dtype), True), "square", factor, True)[0].to(x.dtype)
+
+
+def sum_of_maps(kind: str, x: Tensor, y: Tensor) -> Tensor:
+    """(B, N): the loss `kind` of maps (B, N, H, W), summed over their pixels."""
+    rows = x.shape[0] * x.shape[1]
+    flat = (z.reshape(rows, x.shape[2] * x.shape[3]) for z in (x, y.to(x.dtype)))
+    return _sum(*flat, kind, 1.0, False).view(x.shape[:2])

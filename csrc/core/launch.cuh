@@ -65,6 +65,17 @@ __device__ __forceinline__ F warp_sum(F x) {
   return x;
 }
 
+// The smallest of its threads' numbers, to all of them.
+__device__ __forceinline__ int warp_min(int x) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  return __reduce_min_sync(0xffffffffu, x);
+#else
+#pragma unroll
+  for (int lane = 16; lane > 0; lane /= 2) x = min(x, __shfl_xor_sync(0xffffffffu, x, lane));
+  return x;
+#endif
+}
+
 // --- neighbouring elements
 // ----------------------------------------------------------------------------------------
 

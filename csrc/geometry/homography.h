@@ -21,6 +21,20 @@ struct MatrixUse {
   Size source, output;
 };
 
+// 1 / x; of a float on CUDA without what numbers of no use as a weight would cost there.
+template <class V>
+KV_HD V reciprocal(V x) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (sizeof(V) == 4) {
+    float y;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+    float const rest = ::fmaf(-x, y, 1);
+    return rest == rest ? ::fmaf(y, rest, y) : y;  // 0 and inf have theirs
+  }
+#endif
+  return 1 / x;
+}
+
 // (x, y, 1) goes to m (x, y, 1), divided by its last number.
 template <class F>
 struct Homography {
@@ -32,7 +46,7 @@ struct Homography {
     u = x * m[0] + (y * m[1] + m[2]);
     v = x * m[3] + (y * m[4] + m[5]);
     if (affine) return;
-    V const scale = 1 / weight(x, y);
+    V const scale = reciprocal(weight(x, y));
     u = u * scale;
     v = v * scale;
   }

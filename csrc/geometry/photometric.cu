@@ -25,20 +25,19 @@ __device__ __forceinline__ void add_threads(F (&sums)[N], double* to) {
 template <class T>
 __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, Tiles tiles) {
   using F = Compute<T>;
-  __shared__ Homography<F> map;
-  int64_t b;
-  int y0, x0;
-  tiles.place(b, y0, x0);
-  ByMatrix<F> const by(p.places, map, b);
-  int const x = x0 + column_in_tile();
+  __shared__ Tile<F> tile;
+  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  __syncthreads();
+  PlacesOf<F> const places(p.places, tile);
+  int64_t const b = tile.b;
+  int const x = tile.x + column_in_tile();
   int64_t const row = p.source.row_stride, step = p.source.step;
   F sums[kPhotometricSums] = {};
 #pragma unroll 1
-  for (int run = 0; run < kRuns; ++run) {
-    int const y = y0 + row_in_tile(run);
-    if (x >= p.target.width || y >= p.target.height) break;
+  for (int y = tile.y + row_in_tile(); x < p.target.width && y < min(tile.y + kTile, int(p.target.height));
+       y += kRunRows) {
     F u, v;
-    by.at(b, y, x, u, v);
+    places.at(y, x, u, v);
     Window<2, F> const window(p, u, v);
     if (!window.inside) continue;
     F wx[2], wy[2], to_u = 0, to_v = 0;
@@ -57,7 +56,7 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
       from += p.source.channel_stride;
       target += p.target.channel_stride;
     }
-    F const scale = 1 / map.weight(F(x), F(y));
+    F const scale = reciprocal(places.map.weight(F(x), F(y)));
     F const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
 #pragma unroll
     for (int i = 0; i < 3; ++i) {
@@ -86,7 +85,7 @@ __global__ void photometric_samples(PhotometricTotal<T> p) {
 
 template <class T>
 int photometric(Photometric<T> const& p, CUstream_st* stream) {
-  Tiles const tiles(p.target.batch, p.target.height, p.target.width);
+  Tiles const tiles(p.target.batch, p.target.height, p.target.width, 1);
   photometric_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }

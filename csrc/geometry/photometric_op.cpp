@@ -24,7 +24,7 @@ std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& targe
   SamplingArguments const a(op, "bilinear", "fill", align_corners, source, {});
   Matrix const m(op, matrix, source, false, normalized, align_corners, from, to);
   KV_CHECK(m.use.rows == 3, op, ": expected matrix of shape (B, 3, 3)");
-  int64_t const batch = source.size(0), channels = source.size(1), parts = slope_parts(to);
+  int64_t const batch = source.size(0), channels = source.size(1), parts = slope_parts(to, 1);
   Tensor const sums = empty({batch, parts, kPhotometricSums}, source, Layout::planar, ScalarType::Double);
   Tensor const loss = empty({batch}, m.matrix), grad = empty({batch, 3, 3}, m.matrix);
   for_floats(op, source, [&](auto type) {

@@ -11,55 +11,63 @@ namespace kv::cuda {
 
 constexpr int kThreads = 256;
 constexpr int kRuns = kTile * kTile / kThreads;  // places a thread takes
-
-// --- where places come from
-// ----------------------------------------------------------------------------------------------
-
-// A matrix, inverted in double by one thread of each block.
-template <class F>
-struct ByMatrix {
-  Homography<F> map;
-  __device__ __forceinline__ ByMatrix(Places<F> const& places, Homography<F>& shared, int64_t b) {
-    if (threadIdx.x == 0) shared = homography(places.matrices + b * places.matrix_stride, places.use);
-    __syncthreads();
-    map = shared;
-  }
-  __device__ __forceinline__ void at(int64_t, int y, int x, F& u, F& v) const { map.at(F(x), F(y), u, v); }
-};
-
-template <class F>
-struct ByMap {
-  Places<F> const& places;
-  __device__ __forceinline__ ByMap(Places<F> const& places, Homography<F>&, int64_t) : places(places) {}
-  __device__ __forceinline__ void at(int64_t b, int y, int x, F& u, F& v) const {
-    u = places.x.row(b, 0, y)[x * places.x.step] * places.scale[0] + places.offset[0];
-    v = places.y.row(b, 0, y)[x * places.y.step] * places.scale[1] + places.offset[1];
-  }
-};
+constexpr int kRunRows = kTile / kRuns;          // rows from one to the next
 
 // --- tiles
 // ---------------------------------------------------------------------------------------------------
 
+// Of an output, in rows, which a block takes tile by tile: what precedes the first one costs as much time as a tile.
 struct Tiles {
-  unsigned across, down, count;
-  Tiles(int64_t batch, int64_t height, int64_t width)
-      : across(unsigned(ceil_div(width, kTile))),
+  unsigned row, across, down, count;
+  Tiles(int64_t batch, int64_t height, int64_t width, int row)
+      : row(unsigned(row)),
+        across(unsigned(ceil_div(width, row * kTile))),
         down(unsigned(ceil_div(height, kTile))),
         count(unsigned(batch * across * down)) {}
-  // The sample of the block's tile, and its first place.
-  __device__ __forceinline__ void place(int64_t& b, int& y, int& x) const {
-    unsigned const row = blockIdx.x / across;
-    b = row / down;
-    x = int(blockIdx.x - row * across) * kTile;
-    y = int(row - unsigned(b) * down) * kTile;
+};
+
+// A block's tiles, in shared memory: their sample, the first place, and the sample's matrix, inverted in double. One
+// thread makes it for all of them.
+template <class F>
+struct Tile {
+  Homography<F> map;
+  int64_t b;
+  int x, y;
+
+  __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places) {
+    unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
+    b = sample;
+    x = int((blockIdx.x - row * tiles.across) * tiles.row) * kTile;
+    y = int(row - sample * tiles.down) * kTile;
+    if (places.matrices) map = homography(places.matrices + b * places.matrix_stride, places.use);
   }
 };
 
-// The run-th place of a thread in its tile.
+// The first place of a thread in its tile; the others are kRunRows below each other.
 __device__ __forceinline__ int column_in_tile() { return threadIdx.x % 8 + threadIdx.x / 32 % 4 * 8; }
-__device__ __forceinline__ int row_in_tile(int run) {
-  return threadIdx.x % 32 / 8 + threadIdx.x / 128 * 4 + run * (kTile / kRuns);
-}
+__device__ __forceinline__ int row_in_tile() { return threadIdx.x % 32 / 8 + threadIdx.x / 128 * 4; }
+
+// --- places
+// --------------------------------------------------------------------------------------------------
+
+// Where the places of a sample are, from its matrix or the maps.
+template <class F>
+struct PlacesOf {
+  Places<F> const& places;
+  Homography<F> map;
+  int64_t b;
+  __device__ __forceinline__ PlacesOf(Places<F> const& places, Tile<F> const& tile) : places(places), b(tile.b) {
+    if (places.matrices) map = tile.map;
+  }
+  __device__ __forceinline__ void at(int y, int x, F& u, F& v) const {
+    if (places.matrices) {
+      map.at(F(x), F(y), u, v);
+    } else {
+      u = places.x.row(b, 0, y)[x * places.x.step] * places.scale[0] + places.offset[0];
+      v = places.y.row(b, 0, y)[x * places.y.step] * places.scale[1] + places.offset[1];
+    }
+  }
+};
 
 // --- windows
 // -------------------------------------------------------------------------------------------------------
@@ -73,8 +81,9 @@ struct Window {
 
   template <class T>
   __device__ __forceinline__ Window(Sampling<T> const& p, F u, F v) {
-    x = first_tap<K, F>(near_image(p.x_axis, u), tx);
-    y = first_tap<K, F>(near_image(p.y_axis, v), ty);
+    bool const reflects = p.x_axis.padding == Padding::reflection;  // and the other axis, too
+    x = first_tap<K, F>(reflects ? reflected(p.x_axis, u) : clamped(p.x_axis, u), tx);
+    y = first_tap<K, F>(reflects ? reflected(p.y_axis, v) : clamped(p.y_axis, v), ty);
     inside = x >= 0 && x <= p.x_axis.size - K && y >= 0 && y <= p.y_axis.size - K;
   }
   // Calls tap(j, i, offset in the plane) for all taps, offset -1 where there is the fill.
@@ -91,29 +100,17 @@ struct Window {
   }
 };
 
-template <int K>
-constexpr int kAtOnce = K == 4 ? 1 : 3;  // channels whose taps a thread asks for before it waits for them
-
-// Calls run(by map or matrix, taps along an axis) with what p says, as types.
-template <class T, class F>
-void with_kind(Sampling<T> const& p, F run) {
-  bool const by_matrix = p.places.matrices != nullptr;
-  auto const with_taps = [&](auto by) {
-    switch (p.interpolation) {
-      case Interpolation::nearest:
-        return run(by, std::integral_constant<int, 1>{});
-      case Interpolation::bilinear:
-        return run(by, std::integral_constant<int, 2>{});
-      case Interpolation::bicubic:
-        return run(by, std::integral_constant<int, 4>{});
-    }
-  };
-  if (by_matrix)
-    with_taps(std::true_type{});
-  else
-    with_taps(std::false_type{});
+// Calls run with the number of taps along an axis, as a type.
+template <class F>
+void with_taps(Interpolation interpolation, F run) {
+  switch (interpolation) {
+    case Interpolation::nearest:
+      return run(std::integral_constant<int, 1>{});
+    case Interpolation::bilinear:
+      return run(std::integral_constant<int, 2>{});
+    case Interpolation::bicubic:
+      return run(std::integral_constant<int, 4>{});
+  }
 }
-template <bool matrix, class F>
-using By = std::conditional_t<matrix, ByMatrix<F>, ByMap<F>>;
 
 }  // namespace kv::cuda

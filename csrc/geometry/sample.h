@@ -90,7 +90,13 @@ struct SampleTranspose : Sampling<T> {
   Images<T> grad_x;  // dense
 };
 
-constexpr int kTile = 32;  // pixels along both sides of what a block of threads takes
+// On CUDA a block of threads takes tiles of the output, up to kTileRow of them beside each other: fewer where all
+// together are few, for every multiprocessor to have some.
+constexpr int kTile = 32, kTileRow = 4;
+inline int tile_row(int64_t batch, int64_t height, int64_t width) {
+  int64_t const tiles = batch * ((height + kTile - 1) / kTile) * ((width + kTile - 1) / kTile);
+  return tiles >= 16384 ? kTileRow : tiles >= 4096 ? kTileRow / 2 : 1;
+}
 
 KV_KERNEL(sample, Sample)
 KV_KERNEL(sample_slopes, SampleSlopes)

@@ -42,11 +42,11 @@ void check_planes([[maybe_unused]] char const* op, [[maybe_unused]] Images<T> co
 #endif
 }
 
-// Into how many sums the slopes of an output go: one a tile on CUDA, one a row on the CPU.
-inline int64_t slope_parts(Size output) {
+// Into how many sums the slopes of an output go: one for a row of tiles on CUDA, one for each row of pixels on the CPU.
+inline int64_t slope_parts(Size output, [[maybe_unused]] int row) {
 #if defined(KV_CUDA)
-  auto const tiles = [](int64_t side) { return (side + kTile - 1) / kTile; };
-  return tiles(output.height) * tiles(output.width);
+  auto const parts = [](int64_t size, int64_t part) { return (size + part - 1) / part; };
+  return parts(output.height, kTile) * parts(output.width, row * kTile);
 #else
   return output.height;
 #endif

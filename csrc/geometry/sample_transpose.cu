@@ -5,7 +5,7 @@
 // whose outside is the fill: else pixels at the rim would be taps of places all around.
 //
 // Scatter: every place adds to its taps by atomics, into zeros.
-#include "sample.cuh"
+#include "patch.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -16,20 +16,23 @@ namespace {
 // Of a row or column of places: first, last + 1.
 struct Range {
   int first, last;
+  __device__ __forceinline__ Range within(Range const& other) const {
+    return {max(first, other.first), min(last, other.last)};
+  }
 };
 
-// The places near which the surroundings of a pixel are, all of them if the horizon runs through these.
+// The places near which an area of the source is, all of them if the horizon runs through it.
 template <class F>
-__device__ __forceinline__ void candidates(Homography<F> const& back, F x, F y, F reach, int64_t height, int64_t width,
-                                           Range& rows, Range& columns) {
+__device__ __forceinline__ void candidates(Homography<F> const& back, F left, F top, F right, F bottom, int64_t height,
+                                           int64_t width, Range& rows, Range& columns) {
   F low_u = F(width), high_u = -1, low_v = F(height), high_v = -1;
   int signs = 0;
 #pragma unroll
   for (int corner = 0; corner < 4; ++corner) {
-    F const cx = x + (corner & 1 ? reach : -reach), cy = y + (corner & 2 ? reach : -reach);
+    F const x = corner & 1 ? right : left, y = corner & 2 ? bottom : top;
     F u, v;
-    back.at(cx, cy, u, v);
-    signs += back.affine || back.weight(cx, cy) > 0 ? 1 : -1;
+    back.at(x, y, u, v);
+    signs += back.affine || back.weight(x, y) > 0 ? 1 : -1;
     low_u = min(low_u, u);
     high_u = max(high_u, u);
     low_v = min(low_v, v);
@@ -44,79 +47,91 @@ __device__ __forceinline__ void candidates(Homography<F> const& back, F x, F y, 
           all ? int(height) : int(min(F(height), ::floor(high_v + margin) + 1))};
 }
 
-constexpr int kChannels = 4;  // that a thread sums at once
-
 template <class F, int K>
-__global__ void __launch_bounds__(kThreads) gather_tiles(SampleTranspose<F> p, Tiles tiles) {
-  __shared__ Homography<F> map, back;
-  int64_t b;
-  int y0, x0;
-  tiles.place(b, y0, x0);
-  F const* const given = p.places.matrices + b * p.places.matrix_stride;
-  if (threadIdx.x == 0) map = homography(given, p.places.use);
-  if (threadIdx.x == 32) back = inverse_homography(given, p.places.use);
+__global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
+    gather_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles, bool aligned) {
+  using Gradients = Patch<F>;
+  __shared__ Tile<F> tile;
+  __shared__ Homography<F> shared_back;
+  __shared__ Range shared_rows[kTileRow], shared_columns[kTileRow];
+  extern __shared__ __align__(16) unsigned char shared_pixels[];
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
+  F const reach = F(K) / 2;
+  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  if (threadIdx.x == 32) {
+    unsigned const sample = blockIdx.x / (tiles.across * tiles.down);
+    shared_back = inverse_homography(p.places.matrices + sample * p.places.matrix_stride, p.places.use);
+  }
   __syncthreads();
-  int const x = x0 + column_in_tile();
-  if (x >= p.grad_x.width) return;
+  if (threadIdx.x < kTileRow) {
+    int const left = tile.x + int(threadIdx.x) * kTile;
+    candidates(shared_back, left - reach, tile.y - reach, min(left + kTile, width) - 1 + reach,
+               min(tile.y + kTile, height) - 1 + reach, p.grad.height, p.grad.width, shared_rows[threadIdx.x],
+               shared_columns[threadIdx.x]);
+  }
+  __syncthreads();
+  Homography<F> const map = tile.map, back = shared_back;
+  int64_t const b = tile.b;
+  Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
 #pragma unroll 1
-  for (int run = 0; run < kRuns; ++run) {
-    int const y = y0 + row_in_tile(run);
-    if (y >= p.grad_x.height) return;
-    Range rows, columns;
-    candidates(back, F(x), F(y), F(K) / 2, p.grad.height, p.grad.width, rows, columns);
+  for (int i = 0; i < int(tiles.row) && tile.x + i * kTile < width; ++i) {
+    int const x = tile.x + i * kTile + column_in_tile();
+    Range rows = shared_rows[i], columns = shared_columns[i];
+    Gradients const patch(shared_pixels, {columns.first, rows.first, columns.last - 1, rows.last - 1});
+    bool const patched = patch.fits && columns.first < columns.last && rows.first < rows.last;
+    in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto number) {
+      constexpr int N = number.value;
+      if (patched) patch.template load<N>(p.grad, b, first, x_axis, y_axis, aligned, [](int) { return F(0); });
+      F const* const plane = p.grad.row(b, first, 0);
 #pragma unroll 1
-    for (int c = 0; c < p.grad.channels; c += kChannels) {
-      F sums[kChannels] = {};
+      for (int y = tile.y + row_in_tile(); x < width && y < min(tile.y + kTile, height); y += kRunRows) {
+        candidates(back, x - reach, y - reach, x + reach, y + reach, p.grad.height, p.grad.width, rows, columns);
+        F sums[N] = {};
+        // Of gradients at rows and columns from an origin on, those of the next channel `apart`.
+        auto const gather = [&](F const* origin, int64_t row, int64_t step, int64_t apart) {
 #pragma unroll 1
-      for (int v = rows.first; v < rows.last; ++v)
+          for (int v = rows.first; v < rows.last; ++v)
 #pragma unroll 1
-        for (int u = columns.first; u < columns.last; ++u) {
-          F place_x, place_y;
-          map.at(F(u), F(v), place_x, place_y);
-          Window<K, F> const window(p, place_x, place_y);
-          unsigned const i = unsigned(x - window.x), j = unsigned(y - window.y);
-          if (i >= K || j >= K) continue;
-          F wx[K], wy[K], weight_x = 0, weight_y = 0;
-          tap_weights(window.tx, wx);
-          tap_weights(window.ty, wy);
+            for (int u = columns.first; u < columns.last; ++u) {
+              F place_x, place_y;
+              map.at(F(u), F(v), place_x, place_y);
+              F const weight = weight_at<K>(place_x, x) * weight_at<K>(place_y, y);
+              if (weight == 0) continue;
+              F const* const grad = origin + v * row + u * step;
 #pragma unroll
-          for (unsigned k = 0; k < K; ++k) {  // an index that is not known would put the weights into memory
-            weight_x = k == i ? wx[k] : weight_x;
-            weight_y = k == j ? wy[k] : weight_y;
-          }
-          F const weight = weight_x * weight_y;
-          if (weight == 0) continue;
-          F const* const grad = p.grad.row(b, c, v) + u * p.grad.step;
-#pragma unroll
-          for (int k = 0; k < kChannels; ++k)
-            if (c + k < p.grad.channels) sums[k] += weight * grad[k * p.grad.channel_stride];
+              for (int k = 0; k < N; ++k) sums[k] += weight * grad[k * apart];
+            }
+        };
+        if (patched) {
+          rows = rows.within(shared_rows[i]);  // what rounding adds to these is nothing's tap
+          columns = columns.within(shared_columns[i]);
+          gather(patch.pixels - (patch.top * Gradients::kPitch + patch.left), Gradients::kPitch, 1, Gradients::kSize);
+        } else {
+          gather(plane, p.grad.row_stride, p.grad.step, p.grad.channel_stride);
         }
 #pragma unroll
-      for (int k = 0; k < kChannels; ++k)
-        if (c + k < p.grad.channels) p.grad_x.row(b, c + k, y)[x] = sums[k];
-    }
+        for (int k = 0; k < N; ++k) p.grad_x.row(b, first + k, y)[x] = sums[k];
+      }
+    });
   }
 }
 
 // --- scatter
 // ------------------------------------------------------------------------------------------------------
 
-template <class F, int K, bool matrix>
-__global__ void __launch_bounds__(kThreads) scatter_tiles(SampleTranspose<F> p, Tiles tiles) {
-  __shared__ Homography<F> map;
-  int64_t b;
-  int y0, x0;
-  tiles.place(b, y0, x0);
-  By<matrix, F> const by(p.places, map, b);
-  int const x = x0 + column_in_tile();
-  if (x >= p.grad.width) return;
+template <class F, int K>
+__global__ void __launch_bounds__(kThreads) scatter_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles) {
+  __shared__ Tile<F> tile;
+  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  __syncthreads();
+  PlacesOf<F> const places(p.places, tile);
+  int64_t const b = tile.b;
+  int const x = tile.x + column_in_tile();
   F* const planes = p.grad_x.row(b, 0, 0);
 #pragma unroll 1
-  for (int run = 0; run < kRuns; ++run) {
-    int const y = y0 + row_in_tile(run);
-    if (y >= p.grad.height) return;
+  for (int y = tile.y + row_in_tile(); x < p.grad.width && y < min(tile.y + kTile, int(p.grad.height)); y += kRunRows) {
     F u, v;
-    by.at(b, y, x, u, v);
+    places.at(y, x, u, v);
     Window<K, F> const window(p, u, v);
     F wx[K], wy[K];
     tap_weights(window.tx, wx);
@@ -136,18 +151,21 @@ __global__ void __launch_bounds__(kThreads) scatter_tiles(SampleTranspose<F> p, 
 template <class F>
 int sample_transpose(SampleTranspose<F> const& p, CUstream_st* stream) {
   bool const gathers = p.places.matrices && p.x_axis.padding == Padding::fill;
-  auto const& tiled = gathers ? p.grad_x.height : p.grad.height;
-  Tiles const tiles(p.grad.batch, tiled, gathers ? p.grad_x.width : p.grad.width);
+  auto const over = [](auto const& images, int row) { return Tiles(images.batch, images.height, images.width, row); };
+  Tiles const tiles =
+      gathers ? over(p.grad_x, tile_row(p.grad_x.batch, p.grad_x.height, p.grad_x.width)) : over(p.grad, 1);
   if (!gathers) {
     int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
     cudaError_t const error = cudaMemsetAsync(p.grad_x.data, 0, size_t(count) * sizeof(F), stream);
     if (error != cudaSuccess) return error;
   }
-  with_kind(p, [&](auto matrix, auto taps) {
+  with_taps(p.interpolation, [&](auto taps) {
+    constexpr int K = taps.value;
+    size_t const bytes = Patch<F>::bytes(p.grad.channels);
     if (gathers)
-      gather_tiles<F, taps.value><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+      gather_tiles<F, K><<<tiles.count, kThreads, bytes, stream>>>(p, tiles, in_packs(p.grad));
     else
-      scatter_tiles<F, taps.value, matrix.value><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+      scatter_tiles<F, K><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   });
   return cudaGetLastError();
 }

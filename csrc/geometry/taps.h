@@ -13,6 +13,11 @@ namespace kv {
 #define KV_TAPS __device__ __forceinline__
 KV_TAPS float vfloor(float x) { return ::floorf(x); }
 KV_TAPS double vfloor(double x) { return ::floor(x); }
+// The nearest number above or between them; low for NaN.
+KV_TAPS float vabove(float x, float low) { return ::fmaxf(x, low); }
+KV_TAPS double vabove(double x, double low) { return ::fmax(x, low); }
+KV_TAPS float vclamp(float x, float low, float high) { return ::fminf(::fmaxf(x, low), high); }
+KV_TAPS double vclamp(double x, double low, double high) { return ::fmin(::fmax(x, low), high); }
 template <class F>
 KV_TAPS int floor_to_int(float x) {
   return __float2int_rd(x);
@@ -27,6 +32,14 @@ KV_TAPS F to_number(int i) {
 }
 #else
 #define KV_TAPS KV_HD
+template <class V>
+KV_HD V vabove(V x, V low) {
+  return max(low, x);
+}
+template <class V>
+KV_HD V vclamp(V x, V low, V high) {
+  return min(high, max(low, x));
+}
 template <class F, class I>
 KV_HD auto to_number(I i) {
   if constexpr (sizeof(I) == sizeof(int))
@@ -50,15 +63,24 @@ KV_HD auto floor_to_int(V x) {
 // --- places and pixels
 // ---------------------------------------------------------------------------------------------------
 
-// A place of the same value that is near the image, so that its taps are ints. NaN lies far outside, to the left.
+// A place of the same value that is near the image, so that its taps are ints: of the fill or the border, NaN lies far
+// outside, to the left; of the reflection.
 template <class F, class V>
-KV_TAPS V near_image(Axis<F> const& axis, V x) {
+KV_TAPS V clamped(Axis<F> const& axis, V x) {
   V const zero{};
-  if (axis.padding != Padding::reflection) return min(V(zero + F(axis.size + 3)), max(V(zero - 4), x));
+  return vclamp(x, V(zero - 4), V(zero + F(axis.size + 3)));
+}
+template <class F, class V>
+KV_TAPS V reflected(Axis<F> const& axis, V x) {
+  V const zero{};
   F const period = F(2 * (axis.align_corners ? axis.size - 1 : axis.size));
   if (period == 0) return zero;
   x = x - period * vfloor(V(x / period));
-  return min(V(zero + period), max(zero, x));
+  return vclamp(x, zero, V(zero + period));
+}
+template <class F, class V>
+KV_TAPS V near_image(Axis<F> const& axis, V x) {
+  return axis.padding == Padding::reflection ? reflected(axis, x) : clamped(axis, x);
 }
 
 // The pixel at tap i, or i itself where it is outside and shows the fill.
@@ -106,6 +128,21 @@ KV_TAPS void tap_weights(V t, V (&w)[K]) {
     w[1] = (t * 1.25f - 2.25f) * t * t + 1;
     w[2] = (s * 1.25f - 2.25f) * s * s + 1;
     w[3] = t * t * s * -0.75f;
+  }
+}
+
+// The weight that a place has for one pixel, as tap_weights has it; 0 where it is none of its taps.
+template <int K, class F>
+KV_TAPS F weight_at(F place, int pixel) {
+  if constexpr (K == 1) {
+    F t;
+    return first_tap<1, F>(vclamp(place, F(pixel - 1), F(pixel + 1)), t) == pixel;
+  } else {
+    F const d = place - F(pixel), distance = d < 0 ? -d : d;
+    if constexpr (K == 2) return vabove(1 - distance, F(0));
+    F const s = 2 - distance;
+    F const near = (distance * 1.25f - 2.25f) * distance * distance + 1, far = (1 - distance) * s * s * 0.75f;
+    return distance < 1 ? near : s > 0 ? far : 0;
   }
 }
 

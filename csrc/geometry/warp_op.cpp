@@ -54,7 +54,8 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
            op, ": grad does not fit the image");
   SamplingArguments const a(op, interpolation, padding, align_corners, image, fill);
   Matrix const m(op, matrix, image, inverse, normalized, align_corners, source, output);
-  int64_t const batch = image.size(0), parts = slope_parts(output);
+  int64_t const batch = image.size(0);
+  int64_t const parts = slope_parts(output, tile_row(batch, output.height, output.width));
   Tensor const sums = empty({batch, parts, 9}, grad, Layout::planar, ScalarType::Double);
   Tensor const grad_matrix = empty({batch, m.use.rows, 3}, m.matrix);
   for_floats(op, image, [&](auto type) {

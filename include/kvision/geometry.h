@@ -199,4 +199,36 @@ inline Tensor photometric(Tensor const& source, Tensor const& target, Tensor con
   return differentiable({matrix}, compute, {slope, matrix}, gradient)[0];
 }
 
+// The gradient to the matrix is of each sample, also where one matrix serves all; without `to_matrix` it has no rows.
+inline std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tensor const& points,
+                                                              std::optional<Tensor> const& depth, Tensor const& matrix,
+                                                              std::string const& kind, bool to_matrix) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points, to_depth, sums] =
+        call<"map_points_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, points, depth, matrix, kind, to_matrix);
+    return variable_list{to_points, to_depth, sums};
+  };
+  variable_list const tensors{grad, points, depth.value_or(Tensor()), matrix};
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("map_points"));
+  return {found[0], found[1], found[2]};
+}
+
+// Points (B, N, D) by matrices (B or 1, ., .), in float32, for float64 points in float64. kind: "transform" by
+// homographies (D + 1, D + 1) or projections (3, 4); by camera matrices (3, 3) "project" to pixels, or "unproject"
+// pixels at `depth` (B, N, 1), which is z, or for "unproject_distance" the distance.
+inline Tensor map_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix,
+                         std::string const& kind) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"map_points">(points, depth, matrix, kind)}; };
+  Tensor const given = depth.value_or(Tensor());
+  auto const gradient = [=](Backward const& b) {
+    Tensor const &p = b.saved[0], &d = b.saved[1], &m = b.saved[2];
+    std::optional<Tensor> const at = d.defined() ? std::optional(d) : std::nullopt;
+    auto const [to_points, to_depth, sums] = map_points_backward(b.grads[0], p, at, m, kind, b.wanted(2));
+    return variable_list{to_points, d.defined() ? to_depth : Tensor(), b.wanted(2) ? summed_to(sums, m) : Tensor()};
+  };
+  return differentiable({points, given, matrix}, compute, {points, given, matrix}, gradient)[0];
+}
+
 }  // namespace kvision

@@ -113,6 +113,13 @@ int main() {
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
+  Tensor const points = torch::rand({2, 5, 3}) + 0.5;
+  check(
+      "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },
+      {points, torch::rand({2, 4, 4}) + 0.5}, false);
+  check(
+      "map_points", [](auto const& t) { return kvision::map_points(t[0], t[1], t[2], "unproject_distance"); },
+      {torch::rand({2, 5, 2}), torch::rand({2, 5, 1}), matrix + 1}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})

@@ -17,6 +17,7 @@ from kvision.geometry import (
     pointcloud,
     pose,
     quaternion,
+    ransac,
     ray,
     solvers,
     subpix,
@@ -39,6 +40,7 @@ from kvision.geometry.plane import *  # noqa: F403
 from kvision.geometry.pointcloud import *  # noqa: F403
 from kvision.geometry.pose import *  # noqa: F403
 from kvision.geometry.quaternion import *  # noqa: F403
+from kvision.geometry.ransac import *  # noqa: F403
 from kvision.geometry.ray import *  # noqa: F403
 from kvision.geometry.solvers import *  # noqa: F403
 from kvision.geometry.subpix import *  # noqa: F403

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from kvision.geometry.linalg import root
 
@@ -52,6 +53,13 @@ def _map(f: Callable[[Any], Any], values: Any) -> Any:
 def wide(x: Tensor) -> Tensor:
     """In double, where the device has it."""
     return x if x.device.type == "mps" else x.double()
+
+
+def wants_derivative(*tensors: Tensor | None) -> bool:
+    """Whether a call on them is to be differentiated: then it is made of operators that have gradients of their own."""
+    if torch._C._are_functorch_transforms_active() or forward_ad._current_level >= 0:
+        return True
+    return torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
 
 
 # --- values at the rim of where a function is defined, with gradients that are finite ---------------------------------

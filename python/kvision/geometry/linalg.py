@@ -10,6 +10,7 @@ from kvision._dtype import floats
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import divisor, homogeneous
+from kvision.geometry.points import transformed
 
 __all__ = [
     "batched_dot_product",
@@ -168,17 +169,6 @@ def transform_points(trans_01: Tensor, points_1: Tensor) -> Tensor:
     if not points_1.is_floating_point():
         points_1 = points_1.to(floats(trans_01).dtype)
     return transformed(points_1, trans_01)
-
-
-@as_stored
-def transformed(points: Tensor, matrix: Tensor) -> Tensor:
-    """Points (B, *, n) by matrices (B, m + 1, n + 1), (1, ...) or (m + 1, n + 1): (B, *, m)."""
-    if matrix.dim() == 3:
-        matrix = matrix.reshape(-1, *(1,) * (points.dim() - 2), *matrix.shape[1:]) if points.dim() > 1 else matrix[0]
-    moved = matrix[..., -1]
-    for i, x in enumerate(points.split(1, -1)):  # no matrix product: it would round as torch is told to
-        moved = moved + x * matrix[..., i]
-    return moved[..., :-1] / divisor(moved[..., -1:])
 
 
 def adjugate(matrix: Tensor) -> Tensor:

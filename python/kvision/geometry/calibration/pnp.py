@@ -7,8 +7,8 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, wide
-from kvision.geometry.epipolar.normalization import normalized
+from kvision.geometry._normalization import normalized
+from kvision.geometry._precision import in_full_precision, length, wide
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["solve_pnp_dlt"]
@@ -102,11 +102,15 @@ def _pose(P: Tensor) -> Tensor:
     a, b, c, t = P.unbind(-1)
     mirrored = (torch.linalg.cross(a, b) * c).sum(-1, keepdim=True) < 0
     a, b, c, t = (torch.where(mirrored, -v, v) for v in (a, b, c, t))
-    size = torch.linalg.vector_norm(a, dim=-1, keepdim=True)
+    size = _nonzero(length(a, keepdim=True))
     first = a / size
     second = b - (first * b).sum(-1, keepdim=True) * first
-    second = second / torch.linalg.vector_norm(second, dim=-1, keepdim=True)
+    second = second / _nonzero(length(second, keepdim=True))
     return torch.stack([first, second, torch.linalg.cross(first, second), t / size], -1)
+
+
+def _nonzero(size: Tensor) -> Tensor:
+    return torch.where(size > 0, size, 1)
 
 
 def _extent(X: Tensor, weights: Tensor | None) -> Tensor:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
-from kvision.geometry.conversions.homogeneous import divisor
-from kvision.geometry.conversions.pixels import check_camera, focal_and_center
+from kvision.geometry.conversions.pixels import check_camera
+from kvision.geometry.points import seen
 
 __all__ = ["project_points", "unproject_points"]
 
@@ -39,13 +37,7 @@ def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
     """
     _check.ends("project_points", "point_3d", point_3d, 3)
     check_camera("project_points", "point_3d", point_3d, camera_matrix)
-    return _projected(floats(point_3d), camera_matrix)
-
-
-@as_stored
-def _projected(points: Tensor, camera_matrix: Tensor) -> Tensor:
-    focal, center = focal_and_center(points, camera_matrix)
-    return points[..., :2] / divisor(points[..., 2:]) * focal + center
+    return seen(floats(point_3d), None, camera_matrix, "project")
 
 
 def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, normalize: bool = False) -> Tensor:
@@ -77,14 +69,4 @@ def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, nor
     check_camera(op, "point_2d", point_2d, camera_matrix)
     _check.same_device(op, point_2d=point_2d, depth=depth)
     _check.broadcastable(op, point_2d=point_2d.shape[:-1], depth=depth.shape[:-1])
-    return _unprojected(floats(point_2d), floats(depth), camera_matrix, normalize)
-
-
-@as_stored
-def _unprojected(pixels: Tensor, depth: Tensor, camera_matrix: Tensor, normalize: bool) -> Tensor:
-    focal, center = focal_and_center(pixels, camera_matrix)
-    plane = (pixels - center) / focal
-    if normalize:
-        depth = depth / (1 + plane.square().sum(-1, keepdim=True)).sqrt()
-    moved = plane * depth
-    return torch.cat([moved, depth.expand(*moved.shape[:-1], 1)], -1)
+    return seen(floats(point_2d), depth, camera_matrix, "unproject_distance" if normalize else "unproject")

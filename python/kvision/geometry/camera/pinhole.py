@@ -12,7 +12,8 @@ from kvision._dtype import floats
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
-from kvision.geometry.linalg import inverse3x3, transformed
+from kvision.geometry.linalg import inverse3x3
+from kvision.geometry.points import transformed
 
 __all__ = ["PinholeCamera"]
 

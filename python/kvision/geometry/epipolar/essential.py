@@ -7,19 +7,13 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._minimal import five_points, minimal
 from kvision.geometry._precision import in_full_precision, wide
-from kvision.geometry.epipolar.fundamental import epipolar_rows
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points
 from kvision.geometry.linalg import root
 from kvision.geometry.solvers.correspondences import check_correspondences
-from kvision.geometry.solvers.null_vector import null_space, null_vector_3x3
-from kvision.geometry.solvers.polynomials import (
-    determinant_to_polynomial,
-    multiply_deg_one_poly,
-    multiply_deg_two_one_poly,
-)
-from kvision.geometry.solvers.roots import real_roots
+from kvision.geometry.solvers.null_vector import null_vector_3x3
 
 __all__ = [
     "decompose_essential_matrix",
@@ -65,63 +59,9 @@ def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = No
         (torch.Size([1, 10, 3, 3]), True)
     """
     check_correspondences("find_essential", points1, points2, weights, least=5)
+    if points1.shape[1] == 5:
+        return minimal(points1, points2, None, "essential")
     return five_points(points1, points2)
-
-
-def five_points(points1: Tensor, points2: Tensor) -> Tensor:
-    """det E = 0 and 2 E E^T E = tr(E E^T) E for E = x X + y Y + z Z + W, ten cubic equations in x, y and z."""
-    basis = null_space(epipolar_rows(wide(points1), wide(points2)), 4).unflatten(-2, (3, 3))  # (B, 3, 3, 4)
-    known = basis.isfinite().flatten(1).all(-1)[:, None]
-    E = torch.where(known[..., None, None], basis, 0)
-    # The first ten monomials, of which each equation keeps one: x^2 z, x^2, y^2 z, y^2, xyz, xy are the last of them.
-    equations = _constraints(E)
-    left, right = equations[..., :10], equations[..., 10:]
-    solved, info = torch.linalg.solve_ex(left, right)
-    known = known & (info == 0)[:, None] & solved.isfinite().flatten(1).all(-1)[:, None]
-    solved = torch.where(known[..., None], solved, 0)
-    # Those with z less z times those without leave three equations in x, y and 1, whose coefficients are polynomials.
-    top, bottom = (rows.split([3, 3, 4], -1) for rows in (solved[:, 4::2], solved[:, 5::2]))
-    pad = torch.nn.functional.pad
-    system = [pad(t, (1, 0)) - pad(b, (0, 1)) for t, b in zip(top, bottom)]
-    z = real_roots(determinant_to_polynomial(torch.cat(system, -1)).flip(-1))
-    found = known & z.isfinite()
-    z = torch.where(found, z, 0)
-    at_z = torch.stack([_polynomial(p, z) for p in system], -1)  # (B, 10, 3, 3)
-    a, b, c = at_z.unbind(-2)
-    crosses = torch.stack([torch.linalg.cross(a, b), torch.linalg.cross(b, c), torch.linalg.cross(c, a)], -2)
-    best = crosses.detach().square().sum(-1).argmax(-1)[..., None, None].expand(*z.shape, 1, 3)
-    xy1 = crosses.gather(-2, best)[..., 0, :]
-    found = found & (xy1[..., 2] != 0)
-    xy = xy1[..., :2] / torch.where(found, xy1[..., 2], 1)[..., None]
-    factors = torch.cat([xy, torch.stack([z, torch.ones_like(z)], -1)], -1)
-    candidates = (basis[:, None] * factors[..., None, None, :]).sum(-1)
-    candidates = candidates / torch.linalg.vector_norm(candidates, dim=(-2, -1), keepdim=True)
-    return torch.where(found[..., None, None], candidates, torch.nan).to(points1.dtype)
-
-
-def _constraints(E: Tensor) -> Tensor:
-    """(B, 10, 20), coefficients of monomials as `multiply_deg_two_one_poly` has them, for entries (B, 3, 3, 4)."""
-    EEt = multiply_deg_one_poly(E[:, :, None], E[:, None]).sum(3)  # (B, 3, 3, 10)
-    half_trace = EEt.diagonal(dim1=1, dim2=2).sum(-1) / 2
-    eye = torch.eye(3, device=E.device, dtype=E.dtype)
-    inner = EEt - eye[..., None] * half_trace[:, None, None]
-    trace = multiply_deg_two_one_poly(inner[:, :, :, None], E[:, None]).sum(2).flatten(1, 2)
-    first, second, third = E.unbind(1)
-
-    def minor(i: int, k: int) -> Tensor:
-        return multiply_deg_one_poly(first[:, i], second[:, k]) - multiply_deg_one_poly(first[:, k], second[:, i])
-
-    minors = torch.stack([minor(1, 2), minor(2, 0), minor(0, 1)], 1)
-    det = multiply_deg_two_one_poly(minors, third).sum(1, keepdim=True)
-    return torch.cat([trace, det], 1)
-
-
-def _polynomial(p: Tensor, z: Tensor) -> Tensor:
-    """Of polynomials (B, 3, n), the highest power first, at z (B, k): (B, k, 3)."""
-    value = torch.zeros_like(z)[..., None]
-    for c in p.unbind(-1):
-        value = value * z[..., None] + c[:, None]
-    return value
 
 
 @in_full_precision

@@ -7,12 +7,11 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, length, wide
-from kvision.geometry.epipolar.normalization import normalized, to_unit_last
+from kvision.geometry._minimal import eight_points, minimal
+from kvision.geometry._normalization import to_unit_last
+from kvision.geometry._precision import in_full_precision, length
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.solvers.correspondences import check_correspondences
-from kvision.geometry.solvers.null_vector import null_space, null_vector, null_vector_3x3
-from kvision.geometry.solvers.roots import real_roots
 
 __all__ = [
     "compute_correspond_epilines",
@@ -61,42 +60,8 @@ def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = 
     if method == "7POINT":
         if points1.shape[1] != 7:
             raise ShapeError(f"{op}: expected points1 of shape (B, 7, 2), got {tuple(points1.shape)}")
-        return seven_points(points1, points2).nan_to_num(0.0)
+        return to_unit_last(minimal(points1, points2, None, "fundamental")).nan_to_num(0.0)
     return eight_points(points1, points2, weights)
-
-
-def eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
-    w = None if weights is None else wide(weights)
-    x, T1 = normalized(wide(points1), w)
-    y, T2 = normalized(wide(points2), w)
-    F = null_vector(epipolar_rows(x, y), w).unflatten(-1, (3, 3))
-    return to_unit_last(T2.mT @ of_rank_two(F) @ T1).to(points1.dtype)
-
-
-def seven_points(points1: Tensor, points2: Tensor) -> Tensor:
-    """(B, 3, 3, 3), NaN for those that are missing: a F1 + (1 - a) F2 is of rank 2 for the roots a of a cubic."""
-    x, T1 = normalized(wide(points1), None)
-    y, T2 = normalized(wide(points2), None)
-    F1, F2 = null_space(epipolar_rows(x, y), 2).unflatten(-2, (3, 3)).unbind(-1)
-    D = F1 - F2
-    one, two = adjugate(D), adjugate(F2)
-    mixed = [(m.mT * n).sum((-2, -1)) for m, n in ((one, F2), (two, D))]
-    det = [(m * n.mT).sum((-2, -1)) / 3 for m, n in ((one, D), (two, F2))]
-    a = real_roots(torch.stack([det[0], mixed[0], mixed[1], det[1]], -1))[..., None, None]
-    F = a * D[:, None] + F2[:, None]
-    return to_unit_last(T2.mT[:, None] @ F @ T1[:, None]).to(points1.dtype)
-
-
-def epipolar_rows(x: Tensor, y: Tensor) -> Tensor:
-    """(B, N, 9): y^T F x is the product with the entries of F, row by row, for points (B, N, 2)."""
-    x, y = (torch.cat([p, torch.ones_like(p[..., :1])], -1) for p in (x, y))
-    return (y[..., None] * x[..., None, :]).flatten(-2)
-
-
-def of_rank_two(F: Tensor) -> Tensor:
-    """The nearest matrix of rank 2: without what F does to its smallest singular vector."""
-    v = null_vector_3x3(F)
-    return F - (F @ v[..., None]) * v[..., None, :]
 
 
 @in_full_precision

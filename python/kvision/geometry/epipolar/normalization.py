@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, length
-from kvision.geometry.solvers.correspondences import shares
+from kvision.geometry._normalization import normalized
+from kvision.geometry._precision import in_full_precision
 
 __all__ = ["normalize_points", "normalize_transformation"]
 
@@ -51,19 +49,6 @@ def normalize_points(points: Tensor, eps: float = 1e-8, weights: Tensor | None =
     return normalized(points, weights, eps)
 
 
-def normalized(points: Tensor, weights: Tensor | None, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
-    """`normalize_points` of points (B, N, D) of any dimension: mean distance sqrt(D), and a matrix (B, D + 1, D + 1)."""
-    share = shares(points, weights)
-    mean = (share * points).sum(1, keepdim=True)
-    centered = points - mean
-    scale = math.sqrt(points.shape[-1]) / ((share * length(centered, keepdim=True)).sum(1, keepdim=True) + eps)
-    eye = torch.eye(points.shape[-1], device=points.device, dtype=points.dtype)
-    T = torch.cat([scale * eye, (-scale * mean).mT], -1)
-    last = torch.zeros_like(T[:, :1])
-    last[..., -1] = 1
-    return scale * centered, torch.cat([T, last], 1)
-
-
 @in_full_precision
 def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
     """Divide matrices by their last entry.
@@ -94,11 +79,3 @@ def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
     last = M[..., -1:, -1:]
     large = last.abs() > eps
     return torch.where(large, M / torch.where(large, last, 1), M)
-
-
-def to_unit_last(M: Tensor, eps: float = 1e-12) -> Tensor:
-    """Divided by the last entry unless that is 0: within `eps` of the largest; then by the largest."""
-    largest = M.detach().abs().amax((-2, -1), keepdim=True)
-    last = M[..., -1:, -1:]
-    large = last.abs() > eps * largest
-    return M / torch.where(large, last, torch.where(largest > 0, largest, 1))

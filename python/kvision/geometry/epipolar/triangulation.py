@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, wide
-from kvision.geometry.solvers.null_vector import smallest_eigenvector
+from kvision.geometry._precision import in_full_precision, wants_derivative, wide
+from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["triangulate_points"]
 
@@ -56,20 +59,20 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
     except RuntimeError:
         got = ", ".join(str(tuple(x.shape)) for x in (P1, P2, points1, points2))
         raise ShapeError(f"{op}: expected shapes that broadcast, got {got}") from None
-    batch = leading.numel()
+    batch = math.prod(leading)
     x1, x2 = (x.expand(*leading, *count).reshape(batch, *count) for x in (points1, points2))
     P1, P2 = (P.expand(*leading, 3, 4).reshape(batch, 3, 4) for P in (P1, P2))
-    return _reference(x1, x2, P1, P2).reshape(*leading, count[0], 3)
+    call = _reference if wants_derivative(x1, x2, P1, P2) else _triangulate
+    return call(x1, x2, P1, P2).reshape(*leading, count[0], 3)
 
 
 def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     """(B, N, 3) of points (B, N, 2) and projections (B, 3, 4)."""
-    dtype = x1.dtype
-    rows = []
-    for x, P in ((wide(x1), wide(P1)), (wide(x2), wide(P2))):
-        rows.append(x[..., None] * P[:, None, 2:] - P[:, None, :2])  # (B, N, 2, 4)
-    A = torch.cat(rows, -2)
-    X = smallest_eigenvector(A.mT @ A)
+    rows = [wide(x)[..., None] * wide(P)[:, None, 2:] - wide(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))]
+    X = null_vector(torch.cat(rows, -2))
     w = X[..., 3:]
-    infinite = w.detach().abs() <= 1e-13 + 4 * torch.finfo(dtype).eps
-    return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(dtype)
+    infinite = w.detach().abs() <= 1e-13 + 4 * torch.finfo(x1.dtype).eps
+    return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(x1.dtype)
+
+
+_triangulate = register("triangulate", _reference, fake=lambda x1, x2, P1, P2: (*x1.shape[:2], 3))

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision.geometry._normalization import normalized, to_unit_last
 from kvision.geometry._precision import in_full_precision, wide
-from kvision.geometry.epipolar.normalization import normalized, to_unit_last
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, symmetric_transfer_error
 from kvision.geometry.solvers.correspondences import check_correspondences
 from kvision.geometry.solvers.null_vector import null_vector
@@ -148,10 +148,10 @@ def find_homography_lines_dlt(ls1: Tensor, ls2: Tensor, weights: Tensor | None =
                  [0., 0., 1.]]])
     """
     ls1, ls2 = _batched("find_homography_lines_dlt", ls1, ls2, weights)
-    return _of_lines(ls1, ls2, weights)
+    return of_lines(ls1, ls2, weights)
 
 
-def _of_lines(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor:
+def of_lines(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor:
     w = None if weights is None else wide(weights)
     of_ends = None if w is None else w.repeat_interleave(2, 1)
     x, T1 = normalized(wide(ls1).flatten(1, 2), of_ends)
@@ -198,11 +198,11 @@ def find_homography_lines_dlt_iterated(
     op = "find_homography_lines_dlt_iterated"
     ls1, ls2 = _batched(op, ls1, ls2, weights)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
-    H = _of_lines(ls1, ls2, weights)
+    H = of_lines(ls1, ls2, weights)
     some = (ls2[..., 0, :] != ls2[..., 1, :]).any(-1)
     for _ in range(n_iter - 1):
         error = line_segment_transfer_error_one_way(ls1, ls2, H, squared=True)
-        H = _of_lines(ls1, ls2, torch.where(some, torch.exp(-error / scale), 0))
+        H = of_lines(ls1, ls2, torch.where(some, torch.exp(-error / scale), 0))
     return H
 
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from kvision import _check
+from kvision._ops import register
 from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.linalg import adjugate
 
@@ -47,17 +51,18 @@ def null_vector_3x4(A: Tensor) -> Tensor:
 _GAP = 1e-13
 
 
-def _reference(rows: Tensor, weights: Tensor | None) -> Tensor:
+def _reference(rows: Tensor, weights: Tensor | None, found: Tensor | None = None) -> Tensor:
     A = wide(rows)
     weighted = A if weights is None else A * wide(weights)[..., None]
-    return smallest_eigenvector(weighted.mT @ A).to(rows.dtype)
+    return _smallest_eigenvector(weighted.mT @ A, found).to(rows.dtype)
 
 
-def smallest_eigenvector(matrix: Tensor) -> Tensor:
+def _smallest_eigenvector(matrix: Tensor, found: Tensor | None) -> Tensor:
     """The unit eigenvector (*, n) of symmetric matrices (*, n, n) for the smallest eigenvalue; NaN if not finite.
 
-    The decomposition itself carries no gradient, since that of its other vectors may not exist. Two steps of Newton's
-    method from its solution change nothing but add the first and the second derivative.
+    Where several are as good it is `found`, if that is given. The decomposition itself carries no gradient, since that of
+    its other vectors may not exist. Two steps of Newton's method from its solution change nothing but add the first and
+    the second derivative.
     """
     size = matrix.detach().diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
     M = matrix / torch.where(size > 0, size, 1)
@@ -67,7 +72,7 @@ def smallest_eigenvector(matrix: Tensor) -> Tensor:
     gap = values - values[..., :1]
     inverse = torch.where(gap > _GAP, 1 / torch.where(gap > _GAP, gap, 1), 0)
     pseudo_inverse = (vectors * inverse[..., None, :]) @ vectors.mT
-    v = vectors[..., :1] * _sign(vectors[..., 0])[..., None, None]
+    v = vectors[..., :1] * _sign(vectors[..., 0])[..., None, None] if found is None else wide(found.detach())[..., None]
     for _ in range(2):
         residual = M @ v - v * (v.mT @ M @ v)
         v = v - pseudo_inverse @ residual
@@ -81,24 +86,54 @@ def _sign(v: Tensor) -> Tensor:
     return torch.where(mixture < 0, -1.0, 1.0).to(v.dtype)
 
 
+def _backward_reference(grad: Tensor, vector: Tensor, rows: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
+    w = rows.new_ones(rows.shape[:2]) if weights is None else weights
+    return torch.func.vjp(lambda rows, w: _reference(rows, w, vector), rows, w)[1](grad)
+
+
+def _backward(
+    needs: Sequence[bool], grad: Tensor, vector: Tensor, rows: Tensor, weights: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
+    grad_rows, grad_weights = _null_vector_backward(grad, vector, rows, weights)
+    return grad_rows, None if weights is None else grad_weights
+
+
+_null_vector = register(
+    "null_vector",
+    _reference,
+    fake=lambda rows, weights: (rows.shape[0], rows.shape[2]),
+    backward=_backward,
+    saves_results=True,
+)
+_null_vector_backward = register(
+    "null_vector_backward",
+    _backward_reference,
+    fake=lambda grad, vector, rows, weights: [rows.shape, rows.shape[:2]],
+)
+
+
 def null_vector(rows: Tensor, weights: Tensor | None = None) -> Tensor:
     """The unit vector v (*, n) with the least sum of weights * (rows @ v)^2, for rows (*, m, n) and weights (*, m).
 
-    Where several are as good, one of them; NaN where rows or weights are not finite.
+    n is 3, 4, 9 or 12. Where several are as good, one of them; NaN where rows or weights are not finite.
     """
-    leading, (m, n) = rows.shape[:-2], rows.shape[-2:]
-    flat = None if weights is None else weights.reshape(-1, m)
-    return _reference(rows.reshape(-1, m, n), flat).reshape(*leading, n)
+    # Forward mode has no use for a kernel's result: of several as good it may be another one than the reference's tangent's.
+    call = _reference if forward_ad._current_level >= 0 else _null_vector
+    leading = rows.shape[:-2]
+    if len(leading) == 1:
+        return call(rows, weights)
+    flat = None if weights is None else weights.reshape(-1, weights.shape[-1])
+    return call(rows.reshape(-1, *rows.shape[-2:]), flat).reshape(*leading, rows.shape[-1])
 
 
 def null_vector_3x3(matrix: Tensor) -> Tensor:
-    """`null_vector` of (*, 3, 3) by its cofactors, which keeps digits that squares of a badly scaled matrix lose."""
-    cofactors = adjugate(matrix)
+    """`null_vector` of (*, 3, 3) as what is most parallel to its cofactors: squares lose digits of a badly scaled matrix."""
+    cofactors = adjugate(matrix).mT
     largest = cofactors.detach().abs().amax((-2, -1), keepdim=True)
     cofactors = cofactors / torch.where(largest > 0, largest, 1)
-    B = cofactors @ cofactors.mT
-    eye = torch.eye(3, device=B.device, dtype=B.dtype)
-    return smallest_eigenvector(B.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None] * eye - B)
+    x, y, z = cofactors.unbind(-1)
+    zero = torch.zeros_like(x)
+    return null_vector(torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3)).flatten(-3, -2))
 
 
 def null_space(rows: Tensor, count: int) -> Tensor:
@@ -106,17 +141,11 @@ def null_space(rows: Tensor, count: int) -> Tensor:
 
     NaN where there are more of them.
     """
-    A = wide(rows)
-    M = A.mT @ A
-    size = M.detach().diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
-    M = M / torch.where(size > 0, size, 1)
-    finite = M.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
-    M = torch.where(finite, M, 0)
-    values, vectors = torch.linalg.eigh(M.detach())
-    N, outside = vectors[..., :count].flip(-1), vectors[..., count:]
-    gap = values[..., count:, None] - values[..., None, :count].flip(-1)
-    clear = gap > _GAP
-    for _ in range(2):
-        residual = outside.mT @ (M @ N - N @ (N.mT @ M @ N))
-        N = N - outside @ torch.where(clear, residual / torch.where(clear, gap, 1), 0)
-    return torch.where(finite & clear.all(-1, keepdim=True).all(-2, keepdim=True), N, torch.nan).to(rows.dtype)
+    size = torch.linalg.vector_norm(rows.detach(), dim=(-2, -1), keepdim=True)
+    vectors: list[Tensor] = []
+    for _ in range(count):  # what was found before counts as a further equation
+        vectors.append(null_vector(torch.cat([rows, *(size * v[..., None, :] for v in vectors)], -2)))
+    found = torch.stack(vectors[::-1], -1)
+    spare = null_vector(torch.cat([rows, *(size * v[..., None, :] for v in vectors)], -2).detach())
+    left = torch.linalg.vector_norm(rows.detach() @ spare[..., None], dim=-2, keepdim=True)
+    return torch.where(left > size * _GAP**0.5, found, torch.nan)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register
 from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.linalg import root
 
@@ -105,15 +106,30 @@ def _scaled(coeffs: Tensor) -> Tensor:
 # --- any degree -----------------------------------------------------------------------------------------------------
 
 
+def _reference(coeffs: Tensor) -> Tensor:
+    found = _isolated(_scaled(wide(coeffs)))
+    return torch.where((coeffs == 0).all(-1, keepdim=True), torch.nan, found).to(
+        coeffs.dtype
+    )  # all numbers are roots of 0
+
+
+_real_roots = register(
+    "real_roots", _reference, fake=lambda coeffs: (coeffs.shape[0], coeffs.shape[1] - 1), constant=(0,)
+)
+
+
 def real_roots(coeffs: Tensor) -> Tensor:
-    """Real roots (B, n) of polynomials (B, n + 1), highest power first, ascending; NaN for those that are missing."""
+    """Real roots (B, n) of polynomials (B, n + 1), highest power first, ascending; NaN for those that are missing.
+
+    Two steps of Newton's method from what was found change nothing but add the first and the second derivative.
+    """
     p = _scaled(wide(coeffs))
-    found = _isolated(p.detach())
-    missing = found.isnan() | (coeffs == 0).all(-1, keepdim=True)  # all numbers are roots of 0
+    found = _real_roots(p.detach())
+    missing = found.isnan()
     x = torch.where(missing, 0, found)
-    for _ in range(2):  # Newton's method changes nothing but adds the first and the second derivative
+    steep = _value_and_slope(p.detach().abs(), x.abs())[1]
+    for _ in range(2):
         value, slope = _value_and_slope(p, x)
-        steep = _value_and_slope(p.detach().abs(), x.detach().abs())[1]
         simple = slope.detach().abs() > 1e-7 * steep
         x = x - torch.where(simple, value / torch.where(simple, slope, 1), 0)
     return torch.where(missing, torch.nan, x).to(coeffs.dtype)

@@ -1,0 +1,39 @@
+// Consensus on the CPU: models [begin, end), correspondences by vectors. Compiled once per instruction set.
+#include "core/lanes.h"
+// After it, for vectors.
+#include "consensus.h"
+
+namespace kv::KV_ISA {
+
+namespace {
+
+// What the correspondences from i on add to both scores.
+template <int N, class T>
+KV_HD void add_scores(Consensus<T> const& p, T const* m, int64_t i, Lanes<T, N>& score, Lanes<T, N>& count) {
+  using V = Lanes<T, N>;
+  V const none{}, e = error_of<V>(p, m, i, [&](T const* x, int k, int64_t i) { return load<N>(x + k * p.count + i); });
+  score += e <= p.limit ? V(1 - e * (1 / p.limit)) : none;
+  count += e <= p.limit ? V(none + 1) : none;
+}
+
+}  // namespace
+
+template <class T>
+void consensus(Consensus<T> const& p, int64_t begin, int64_t end) {
+  constexpr int N = kLanes<T>;
+  for (int64_t candidate = begin; candidate < end; ++candidate) {
+    T const* const m = p.models + candidate * 9;
+    Lanes<T, N> scores{}, counts{};
+    T score = 0, count = 0;
+    int64_t i = 0;
+    for (; i + N <= p.count; i += N) add_scores<N>(p, m, i, scores, counts);
+    for (; i < p.count; ++i) add_scores<1>(p, m, i, score, count);
+    for (int k = 0; k < N; ++k) score += scores[k], count += counts[k];
+    p.scores[2 * candidate] = score;
+    p.scores[2 * candidate + 1] = count;
+  }
+}
+
+KV_INSTANTIATE_COMPUTED(consensus, Consensus)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,73 @@
+// The vector v of length 1 with the least sum of weights * (rows v)^2, and its gradient: from M = sum w r r^T, whose
+// smallest eigenvector it is. Included by null_vector_cpu.cpp, null_vector.cu and null_vector_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "small_matrix.h"
+#include "team.h"
+
+namespace kv {
+
+template <class T>
+struct NullVector {
+  Reals rows, weights;  // (B, m, n), (B, m) or null
+  int64_t batch, m;
+  int n;
+  Reals vector;  // (B, n)
+  // For the gradient only:
+  Reals grad, grad_rows, grad_weights;  // (B, n), (B, m, n), (B, m)
+};
+
+KV_KERNEL(null_vector, NullVector)
+KV_KERNEL(null_vector_backward, NullVector)
+
+template <int N, class T, class Team>
+KV_HD void normal_matrix(NullVector<T> const& p, int64_t b, Team team, double* m) {
+  for (int i = 0; i < N * N; ++i) m[i] = 0;
+  for (int64_t r = team.first(); r < p.m; r += team.step()) {
+    double const w = p.weights.data ? p.weights[b * p.m + r] : 1;
+    double row[N];
+    for (int i = 0; i < N; ++i) row[i] = p.rows[(b * p.m + r) * N + i];
+    for (int i = 0; i < N; ++i)
+      for (int k = 0; k <= i; ++k) m[i * N + k] += w * row[i] * row[k];
+  }
+  for (int i = 0; i < N; ++i)
+    for (int k = 0; k <= i; ++k) m[i * N + k] = m[k * N + i] = team.sum(m[i * N + k]);
+}
+
+template <int N, class T, class Team>
+KV_HD void null_vector_of(NullVector<T> const& p, int64_t b, Team team) {
+  double m[N * N], v[N];
+  normal_matrix<N>(p, b, team, m);
+  small::smallest_eigenvector<N>(m, v);
+  if (team.first() == 0)
+    for (int i = 0; i < N; ++i) p.vector.set(b * N + i, v[i]);
+}
+
+template <int N, class T, class Team>
+KV_HD void null_vector_backward_of(NullVector<T> const& p, int64_t b, Team team) {
+  double m[N * N], v[N], g[N], u[N];
+  normal_matrix<N>(p, b, team, m);
+  for (int i = 0; i < N; ++i) v[i] = p.vector[b * N + i], g[i] = p.grad[b * N + i];
+  small::smallest_eigenvector_vjp<N>(m, g, u);
+  for (int64_t r = team.first(); r < p.m; r += team.step()) {
+    int64_t const at = b * p.m + r;
+    double const w = p.weights.data ? p.weights[at] : 1;
+    double by_v = 0, by_u = 0;
+    for (int i = 0; i < N; ++i) by_v += p.rows[at * N + i] * v[i], by_u += p.rows[at * N + i] * u[i];
+    for (int i = 0; i < N; ++i) p.grad_rows.set(at * N + i, -w * (by_v * u[i] + by_u * v[i]));
+    p.grad_weights.set(at, -by_u * by_v);
+  }
+}
+
+// Calls f with the number of unknowns, for the compiler to know.
+template <int N>
+struct Unknowns {
+  static constexpr int value = N;
+};
+template <class F>
+KV_HD void with_unknowns(int n, F f) {
+  n == 3 ? f(Unknowns<3>{}) : n == 4 ? f(Unknowns<4>{}) : n == 9 ? f(Unknowns<9>{}) : f(Unknowns<12>{});
+}
+
+}  // namespace kv

@@ -1,0 +1,32 @@
+// What the operators of several views share at the door to torch. Included by their *_op.cpp files.
+#pragma once
+
+#include "glue/glue.h"
+#include "minimal.h"
+
+namespace kv {
+
+inline Reals reals_of(char const* op, Tensor const& x) {
+  KV_CHECK(x.scalar_type() == ScalarType::Float || x.scalar_type() == ScalarType::Double, op,
+           ": expected float32 or float64");
+  return {x.const_data_ptr(), x.scalar_type() == ScalarType::Double};
+}
+
+// A tensor, or none, as the kernels read it.
+struct Contiguous {
+  Tensor tensor;
+  Reals reals = {nullptr, false};
+  Contiguous(char const* op, Tensor const& x) : tensor(torch::stable::contiguous(x)), reals(reals_of(op, tensor)) {}
+  Contiguous(char const* op, std::optional<Tensor> const& x) {
+    if (x) *this = Contiguous(op, *x);
+  }
+};
+
+inline Model model_of(char const* op, std::string const& name) {
+  constexpr char const* names[] = {"affine", "homography", "lines", "fundamental", "fundamental8", "essential"};
+  for (int i = 0; i < 6; ++i)
+    if (name == names[i]) return Model(i);
+  fail(op, ": model must be one of affine, homography, lines, fundamental, fundamental8, essential; got '", name, "'");
+}
+
+}  // namespace kv

@@ -1,0 +1,182 @@
+"""Models that as few correspondences as possible leave, by name: of given ones, or of samples drawn from all of them."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from kvision._ops import register
+from kvision.geometry._normalization import normalized, to_unit_last
+from kvision.geometry._precision import wants_derivative, wide
+from kvision.geometry.homography.dlt import of_lines
+from kvision.geometry.homography.errors import sample_is_valid_for_homography
+from kvision.geometry.linalg import adjugate
+from kvision.geometry.solvers.affine import find_affine
+from kvision.geometry.solvers.null_vector import null_space, null_vector, null_vector_3x3
+from kvision.geometry.solvers.polynomials import (
+    determinant_to_polynomial,
+    multiply_deg_one_poly,
+    multiply_deg_two_one_poly,
+)
+from kvision.geometry.solvers.roots import real_roots
+from kvision.geometry.transform.matrices import from_unit_square
+
+# How many points a sample has, and how many models it may leave.
+SIZES = {
+    "affine": (3, 1),
+    "homography": (4, 1),
+    "lines": (4, 1),
+    "fundamental": (7, 3),
+    "fundamental8": (8, 1),
+    "essential": (5, 10),
+}
+
+
+def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
+    """(S, candidates, 3, 3) of norm 1, affine maps as they are; NaN for what is missing.
+
+    Of samples (S, m, 2), or (S, m, 4) for line segments; or of points (1, N, ...) and `draws` (S, m + 1), whose rows are m
+    numbers in [0, 1) that choose from as many of the first points as the last number says.
+    """
+    if draws is not None:
+        chosen = _distinct(draws, points1.shape[1])
+        points1, points2 = points1[0][chosen], points2[0][chosen]
+    if model == "affine":
+        return find_affine(points1, points2)[:, None]
+    if model == "homography":
+        found = _four_points(points1, points2)
+    elif model == "lines":
+        found = of_lines(points1.unflatten(-1, (2, 2)), points2.unflatten(-1, (2, 2)), None)[:, None]
+    elif model == "fundamental":
+        found = seven_points(points1, points2)
+    elif model == "fundamental8":
+        found = eight_points(points1, points2, None)[:, None]
+    else:
+        return five_points(points1, points2)
+    return found / torch.linalg.vector_norm(found, dim=(-2, -1), keepdim=True)
+
+
+def _distinct(draws: Tensor, count: int) -> Tensor:
+    """Different ones of each row's population, each choice as likely as any other (R. Floyd's method): (S, m)."""
+    size = draws.shape[1] - 1
+    population = draws[:, size].long().clamp(size, count)
+    chosen: list[Tensor] = []
+    for i in range(size):
+        last = population - size + i
+        pick = torch.minimum((draws[:, i] * (last + 1)).long(), last)
+        for other in chosen:
+            pick = torch.where(other == pick, last, pick)
+        chosen.append(pick)
+    return torch.stack(chosen, -1)
+
+
+def _sizes(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> tuple[int, ...]:
+    return (points1 if draws is None else draws).shape[0], SIZES[model][1], 3, 3
+
+
+_minimal = register("minimal", _reference, fake=_sizes)
+
+
+def minimal(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
+    call = _reference if wants_derivative(points1, points2) else _minimal
+    return call(points1, points2, draws, model)
+
+
+def _four_points(points1: Tensor, points2: Tensor) -> Tensor:
+    """None where three points turn the other way round in the second image: a line between them would go to infinity."""
+    H = from_unit_square(wide(points2)) @ adjugate(from_unit_square(wide(points1)))
+    possible = sample_is_valid_for_homography(points1, points2)
+    return torch.where(possible[:, None, None], H, torch.nan)[:, None].to(points1.dtype)
+
+
+# --- epipolar geometry ------------------------------------------------------------------------------------------------
+
+
+def eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
+    w = None if weights is None else wide(weights)
+    x, T1 = normalized(wide(points1), w)
+    y, T2 = normalized(wide(points2), w)
+    F = null_vector(epipolar_rows(x, y), w).unflatten(-1, (3, 3))
+    return to_unit_last(T2.mT @ of_rank_two(F) @ T1).to(points1.dtype)
+
+
+def seven_points(points1: Tensor, points2: Tensor) -> Tensor:
+    """(B, 3, 3, 3), NaN for those that are missing: a F1 + (1 - a) F2 is of rank 2 for the roots a of a cubic."""
+    x, T1 = normalized(wide(points1), None)
+    y, T2 = normalized(wide(points2), None)
+    F1, F2 = null_space(epipolar_rows(x, y), 2).unflatten(-2, (3, 3)).unbind(-1)
+    D = F1 - F2
+    one, two = adjugate(D), adjugate(F2)
+    mixed = [(m.mT * n).sum((-2, -1)) for m, n in ((one, F2), (two, D))]
+    det = [(m * n.mT).sum((-2, -1)) / 3 for m, n in ((one, D), (two, F2))]
+    a = real_roots(torch.stack([det[0], mixed[0], mixed[1], det[1]], -1))[..., None, None]
+    F = a * D[:, None] + F2[:, None]
+    return (T2.mT[:, None] @ F @ T1[:, None]).to(points1.dtype)
+
+
+def epipolar_rows(x: Tensor, y: Tensor) -> Tensor:
+    """(B, N, 9): y^T F x is the product with the entries of F, row by row, for points (B, N, 2)."""
+    x, y = (torch.cat([p, torch.ones_like(p[..., :1])], -1) for p in (x, y))
+    return (y[..., None] * x[..., None, :]).flatten(-2)
+
+
+def of_rank_two(F: Tensor) -> Tensor:
+    """The nearest matrix of rank 2: without what F does to its smallest singular vector."""
+    v = null_vector_3x3(F)
+    return F - (F @ v[..., None]) * v[..., None, :]
+
+
+def five_points(points1: Tensor, points2: Tensor) -> Tensor:
+    """det E = 0 and 2 E E^T E = tr(E E^T) E for E = x X + y Y + z Z + W, ten cubic equations in x, y and z."""
+    basis = null_space(epipolar_rows(wide(points1), wide(points2)), 4).unflatten(-2, (3, 3))  # (B, 3, 3, 4)
+    known = basis.isfinite().flatten(1).all(-1)[:, None]
+    E = torch.where(known[..., None, None], basis, 0)
+    # The first ten monomials, of which each equation keeps one: x^2 z, x^2, y^2 z, y^2, xyz, xy are the last of them.
+    equations = _constraints(E)
+    left, right = equations[..., :10], equations[..., 10:]
+    solved, info = torch.linalg.solve_ex(left, right)
+    known = known & (info == 0)[:, None] & solved.isfinite().flatten(1).all(-1)[:, None]
+    solved = torch.where(known[..., None], solved, 0)
+    # Those with z less z times those without leave three equations in x, y and 1, whose coefficients are polynomials.
+    top, bottom = (rows.split([3, 3, 4], -1) for rows in (solved[:, 4::2], solved[:, 5::2]))
+    pad = torch.nn.functional.pad
+    system = [pad(t, (1, 0)) - pad(b, (0, 1)) for t, b in zip(top, bottom)]
+    z = real_roots(determinant_to_polynomial(torch.cat(system, -1)).flip(-1))
+    found = known & z.isfinite()
+    z = torch.where(found, z, 0)
+    at_z = torch.stack([_polynomial(p, z) for p in system], -1)  # (B, 10, 3, 3)
+    a, b, c = at_z.unbind(-2)
+    crosses = torch.stack([torch.linalg.cross(a, b), torch.linalg.cross(b, c), torch.linalg.cross(c, a)], -2)
+    best = crosses.detach().square().sum(-1).argmax(-1)[..., None, None].expand(*z.shape, 1, 3)
+    xy1 = crosses.gather(-2, best)[..., 0, :]
+    found = found & (xy1[..., 2] != 0)
+    xy = xy1[..., :2] / torch.where(found, xy1[..., 2], 1)[..., None]
+    factors = torch.cat([xy, torch.stack([z, torch.ones_like(z)], -1)], -1)
+    candidates = (basis[:, None] * factors[..., None, None, :]).sum(-1)
+    candidates = candidates / torch.linalg.vector_norm(candidates, dim=(-2, -1), keepdim=True)
+    return torch.where(found[..., None, None], candidates, torch.nan).to(points1.dtype)
+
+
+def _constraints(E: Tensor) -> Tensor:
+    """(B, 10, 20), coefficients of monomials as `multiply_deg_two_one_poly` has them, for entries (B, 3, 3, 4)."""
+    EEt = multiply_deg_one_poly(E[:, :, None], E[:, None]).sum(3)  # (B, 3, 3, 10)
+    half_trace = EEt.diagonal(dim1=1, dim2=2).sum(-1) / 2
+    eye = torch.eye(3, device=E.device, dtype=E.dtype)
+    inner = EEt - eye[..., None] * half_trace[:, None, None]
+    trace = multiply_deg_two_one_poly(inner[:, :, :, None], E[:, None]).sum(2).flatten(1, 2)
+    first, second, third = E.unbind(1)
+
+    def minor(i: int, k: int) -> Tensor:
+        return multiply_deg_one_poly(first[:, i], second[:, k]) - multiply_deg_one_poly(first[:, k], second[:, i])
+
+    minors = torch.stack([minor(1, 2), minor(2, 0), minor(0, 1)], 1)
+    det = multiply_deg_two_one_poly(minors, third).sum(1, keepdim=True)
+    return torch.cat([trace, det], 1)
+
+
+def _polynomial(p: Tensor, z: Tensor) -> Tensor:
+    """Of polynomials (B, 3, n), the highest power first, at z (B, k): (B, k, 3)."""
+    value = torch.zeros_like(z)[..., None]
+    for c in p.unbind(-1):
+        value = value * z[..., None] + c[:, None]
+    return value

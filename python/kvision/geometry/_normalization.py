@@ -1,0 +1,32 @@
+"""The range in which linear equations about points are well conditioned."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from kvision.geometry._precision import length
+from kvision.geometry.solvers.correspondences import shares
+
+
+def normalized(points: Tensor, weights: Tensor | None, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
+    """`normalize_points` of points (B, N, D) of any dimension: mean distance sqrt(D), and a matrix (B, D + 1, D + 1)."""
+    share = shares(points, weights)
+    mean = (share * points).sum(1, keepdim=True)
+    centered = points - mean
+    scale = math.sqrt(points.shape[-1]) / ((share * length(centered, keepdim=True)).sum(1, keepdim=True) + eps)
+    eye = torch.eye(points.shape[-1], device=points.device, dtype=points.dtype)
+    T = torch.cat([scale * eye, (-scale * mean).mT], -1)
+    last = torch.zeros_like(T[:, :1])
+    last[..., -1] = 1
+    return scale * centered, torch.cat([T, last], 1)
+
+
+def to_unit_last(M: Tensor, eps: float = 1e-12) -> Tensor:
+    """Divided by the last entry unless that is 0: within `eps` of the largest; then by the largest."""
+    largest = M.detach().abs().amax((-2, -1), keepdim=True)
+    last = M[..., -1:, -1:]
+    large = last.abs() > eps * largest
+    return M / torch.where(large, last, torch.where(largest > 0, largest, 1))

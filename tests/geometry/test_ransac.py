@@ -1,0 +1,240 @@
+"""RANSAC: models of points of which many are wrong, beside OpenCV and Kornia; its two operators."""
+
+import cv2
+import kornia
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+from kvision.geometry._minimal import SIZES, minimal
+from kvision.geometry.ransac import _consensus
+from op_tests import assert_close
+from view_tests import Scene, homographies, moved, on_planes, rand
+
+N = 400
+
+
+def correspondences(model: str, seed: int = 0) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Points of both images, who is right, and a threshold."""
+    wrong = rand(N, seed=seed + 5) < 0.4
+    if model in ("homography", "affine", "homography_from_linesegments"):
+        x, H = rand(1, N, 2, high=500, seed=seed), homographies(1)
+        if model == "affine":
+            H[:, 2] = torch.tensor([0.0, 0, 1])
+        H[:, 2, :2] /= 5
+        y = (moved(x, H) + 0.3 * rand(1, N, 2, low=-1, seed=seed + 1))[0]
+        x = x[0]
+        if model == "homography_from_linesegments":
+            x, y, wrong = x.view(-1, 2, 2), y.view(-1, 2, 2), wrong[: N // 2]
+        y[wrong] = rand(*y[wrong].shape, high=500, seed=seed + 2)
+        return x, y, ~wrong, 2.0
+    scene = Scene(1, N, noise=0.1, seed=seed)
+    x, y = scene.normalized() if model == "essential" else (scene.x1, scene.x2)
+    y = y[0].clone()
+    y[wrong] = y[wrong].flip(0)
+    return x[0], y, ~wrong, 0.5 / 80 if model == "essential" else 0.5
+
+
+MODELS = [
+    "homography",
+    "affine",
+    "homography_from_linesegments",
+    "fundamental",
+    "fundamental_7pt",
+    "fundamental_8pt",
+    "essential",
+]
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_finds_who_is_right(model, dtype, device):
+    x, y, right, threshold = correspondences(model)
+    x, y = x.to(device, dtype), y.to(device, dtype)
+    found, inliers = K.geometry.RANSAC(model, threshold, seed=0)(x, y)
+    inliers = inliers.cpu()
+    assert (inliers & right).sum() >= 0.97 * right.sum()
+    assert (inliers & ~right).sum() <= 0.2 * (~right).sum()  # some are right by chance
+    assert found.shape == (3, 3) and found.dtype == dtype and found.isfinite().all()
+    theirs = kornia.geometry.RANSAC(model, threshold, seed=0)(x.cpu(), y.cpu())[1]
+    assert inliers.sum() >= 0.98 * theirs.sum()
+
+
+def test_seeds(device):
+    x, y, _, threshold = (v.to(device) if isinstance(v, Tensor) else v for v in correspondences("homography"))
+    state = torch.get_rng_state()
+    ransac = K.geometry.RANSAC("homography", threshold, seed=3, max_samples=64)
+    assert_close(ransac(x, y), ransac(x, y), 0, 0)
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+@pytest.mark.parametrize(
+    "options", [{"prosac_sampling": True}, {"score_type": "ransac"}, {"batch_size": 100, "max_iter": 3}]
+)
+def test_options(options, device):
+    x, y, right, threshold = correspondences("homography")
+    order = right.to(torch.int8).argsort(descending=True)  # the right ones first, as PROSAC wants them
+    ransac = K.geometry.RANSAC("homography", threshold, seed=0, **options)
+    inliers = ransac(x[order].to(device), y[order].to(device))[1]
+    assert (inliers.cpu() & right[order]).sum() >= 0.97 * right.sum()
+    assert "homography" in repr(ransac)
+
+
+def test_nothing_to_find(device):
+    x, y = rand(30, 2, high=1000, seed=1).to(device), rand(30, 2, high=1000, seed=2).to(device)
+    H, inliers = K.geometry.RANSAC("homography", 0.01, seed=0, max_samples=300)(x, y)
+    assert not H.any() and not inliers.any()
+    x[3] = float("nan")
+    right = K.geometry.RANSAC("affine", 1.0, seed=0)(x, 2 * x)[1]
+    assert right.sum() == 29 and not right[3]
+
+
+def test_steps(device):
+    x, y, _, threshold = correspondences("fundamental")
+    x, y = x.to(device), y.to(device)
+    ransac = K.geometry.RANSAC("fundamental", threshold, seed=0, max_samples=500)
+    assert ransac.sample_budget == 500
+    chosen = ransac.sample(7, N, 50, 0, device)
+    assert chosen.shape == (50, 7) and all(len(set(row)) == 7 for row in chosen.tolist())
+    first, second = ransac.remove_bad_samples(x[chosen], y[chosen])
+    models = ransac.remove_bad_models(ransac.estimate_model_from_minsample(first, second).flatten(0, 1))
+    _, inliers, score, count = ransac.verify(x, y, models, threshold**2)
+    assert inliers.sum() == count >= score
+    assert ransac.polish_model(x, y, inliers).shape == (1, 3, 3)
+    assert ransac.max_samples_by_conf(50, 100, 4, 0.99) == kornia.geometry.RANSAC.max_samples_by_conf(50, 100, 4, 0.99)
+
+
+@pytest.mark.parametrize(
+    "options, error, message",
+    [
+        ({"model_type": "sphere"}, NotImplementedError, "model_type must be one of"),
+        ({"inl_th": 0.0}, ValueError, "expected inl_th above 0"),
+        ({"confidence": 1.5}, ValueError, "expected confidence"),
+        ({"score_type": "count"}, ValueError, "score_type must be one of"),
+        ({"degensac": True}, ValueError, "degensac must be one of"),
+        ({"max_iter": 0}, ValueError, "expected max_iter"),
+    ],
+)
+def test_errors(options, error, message):
+    with pytest.raises(error, match=f"RANSAC: {message}"):
+        K.geometry.RANSAC(**options)
+    with pytest.raises(ValueError, match="RANSAC: expected kp1 of at least 4"):
+        K.geometry.RANSAC()(torch.rand(3, 2), torch.rand(3, 2))
+
+
+# --- operators --------------------------------------------------------------------------------------------------------
+
+
+def invariant(models: Tensor) -> Tensor:
+    """Of candidates in any order and of any sign: sums of products of their entries, (S, 9, 9)."""
+    flat = models.flatten(2).nan_to_num(0.0)
+    return flat.mT @ flat
+
+
+@pytest.mark.parametrize("model", SIZES)
+def test_minimal_models_are_the_references(model, device):
+    scene, planes = Scene(1, 30, noise=0.3), on_planes(1, 30, noise=0.3)
+    x, y = scene.normalized() if model == "essential" else (scene.x1, scene.x2) if model[0] == "f" else planes[:2]
+    if model == "lines":
+        x, y = x.reshape(1, 15, 4), y.reshape(1, 15, 4)
+    size, count = SIZES[model]
+    draws = torch.cat([rand(64, size), torch.full((64, 1), float(x.shape[1])).double()], 1)
+    x, y, draws = (v.to(device) for v in (x, y, draws))
+    found = minimal(x, y, draws, model)
+    with K.backend("reference"):
+        expected = minimal(x, y, draws, model)
+    assert found.shape == expected.shape == (64, count, 3, 3)
+    assert torch.equal(found.isnan().flatten(2).any(-1).sum(1), expected.isnan().flatten(2).any(-1).sum(1))
+    if model == "affine":
+        found, expected = found.clamp(-1e3, 1e3), expected.clamp(-1e3, 1e3)
+    assert_close(invariant(found), invariant(expected), 1e-4, 1e-4)
+
+
+@pytest.mark.parametrize("model", ["affine", "homography", "lines", "fundamental", "essential"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_consensus_is_the_references(model, dtype, device):
+    numbers = 4 if model == "lines" else 2
+    x, y = (rand(numbers, 77, high=9, seed=s).to(device, dtype) for s in (1, 2))
+    models = rand(40, 3, 3, low=-1, seed=3).to(device, dtype)
+    models[7, 1, 1] = float("nan")
+    found = _consensus(models, x, y, 3.0, model)
+    with K.backend("reference"):
+        expected = _consensus(models, x, y, 3.0, model)
+    assert_close(found[:, 1], expected[:, 1])
+    assert_close(found, expected, 1e-4, 1e-3)
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_instruction_sets(isa, device, backend):
+    if backend == "reference" or device.type != "cpu":
+        pytest.skip("this test is about the CPU's kernels")
+    from kvision import _C
+
+    if not _C.isa_supported(isa):
+        pytest.skip(f"this processor has no {isa}")
+    active = _C.active_isa()
+    try:
+        assert _C.set_isa(isa)
+        for model in ("lines", "fundamental", "essential"):
+            test_minimal_models_are_the_references(model, device)
+            test_consensus_is_the_references(model, torch.float32, device)
+        scene = Scene(1, 9)
+        assert_close(K.geometry.triangulate_points(scene.P1, scene.P2, scene.x1, scene.x2), scene.points, 1e-7, 1e-7)
+    finally:
+        _C.set_isa(active)
+
+
+def test_operators_refuse_bad_arguments(backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    x, ops = torch.rand(1, 9, 2), torch.ops.kvision
+    for call in (
+        lambda: ops.minimal(x, x, None, "homography"),
+        lambda: ops.minimal(x, x[:, :3], None, "affine"),
+        lambda: ops.minimal(x, x, torch.rand(5, 4), "homography"),
+        lambda: ops.minimal(x.half(), x.half(), torch.rand(5, 5), "homography"),
+        lambda: ops.minimal(x, x, torch.rand(5, 5), "sphere"),
+        lambda: ops.consensus(torch.rand(4, 3, 3), x[0], x[0], 1.0, "homography"),
+        lambda: ops.consensus(torch.rand(4, 9), x[0].T, x[0].T, 1.0, "homography"),
+        lambda: ops.null_vector(torch.rand(2, 5, 7), None),
+        lambda: ops.null_vector(torch.rand(2, 5, 9), torch.rand(2, 4)),
+        lambda: ops.null_vector_backward(torch.rand(2, 9), torch.rand(2, 4), torch.rand(2, 5, 9), None),
+        lambda: ops.triangulate(x, x[:, :3], torch.rand(1, 3, 4), torch.rand(1, 3, 4)),
+        lambda: ops.triangulate(x, x, torch.rand(2, 3, 4), torch.rand(2, 3, 4)),
+        lambda: ops.real_roots(torch.rand(2, 12)),
+    ):
+        with pytest.raises(RuntimeError):
+            call()
+
+
+# --- photographs ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pair", ["graf/1/3", "wall/1/3", "boat/1/3", "leuven/1/4", "bikes/1/3", "ubc/1/4"])
+def test_photographs_beside_opencv(pair, data, device):
+    """Key points of both images, by the ratio test: as many agree as with OpenCV's, and the homography is the true one."""
+    name, i, k = pair.split("/")
+    folder = data / "homography" / name
+    images = [cv2.imread(str(folder / f"img{n}.png"), cv2.IMREAD_GRAYSCALE) for n in (i, k)]
+    (key1, d1), (key2, d2) = (cv2.SIFT_create(2000).detectAndCompute(image, None) for image in images)
+    pairs = [m for m, n in cv2.BFMatcher().knnMatch(d1, d2, k=2) if m.distance < 0.85 * n.distance]
+    x = np.float32([key1[m.queryIdx].pt for m in pairs])
+    y = np.float32([key2[m.trainIdx].pt for m in pairs])
+    H, inliers = K.geometry.RANSAC("homography", 3.0, seed=0)(*(torch.from_numpy(p).to(device) for p in (x, y)))
+    theirs = cv2.findHomography(x, y, cv2.RANSAC, 3.0, maxIters=10000, confidence=0.999)[1].ravel() > 0
+    inliers = inliers.cpu()
+    assert inliers.sum() >= 0.97 * theirs.sum()
+    assert (inliers & torch.from_numpy(theirs)).sum() >= 0.95 * theirs.sum()
+    truth = torch.from_numpy(np.loadtxt(folder / f"H_{i}_{k}.txt"))
+    h, w = images[0].shape
+    corners = torch.tensor([[[0.0, 0], [w, 0], [w, h], [0, h]]]).double()
+    assert (moved(corners, H.double().cpu()) - moved(corners, truth)).norm(dim=-1).mean() < 6  # pixels, of some 800
+
+
+def test_opencv_essential():
+    x, y, _, threshold = correspondences("essential")
+    inliers = K.geometry.RANSAC("essential", threshold, seed=0)(x, y)[1]
+    theirs = cv2.findEssentialMat(x.numpy(), y.numpy(), np.eye(3), cv2.RANSAC, 0.999, threshold)[1].ravel() > 0
+    assert inliers.sum() >= 0.97 * theirs.sum()

@@ -111,6 +111,7 @@ int main() {
   }
   for (auto const* window : {"bilinear", "bicubic", "pyrdown"})
     check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, window); }, {x});
+  check("flip", [](auto const& t) { return kvision::flip(t[0], true, false); }, {x});
   check(
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },

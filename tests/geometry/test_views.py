@@ -73,7 +73,7 @@ class TestViews(CompositionTests):
         "quartic": Case(lambda c: G.solve_quartic(c - on(c.device, torch.tensor([0, 0, 2.0, 0, 0]))), ((2, 5),)),
         "determinant": Case(G.determinant_to_polynomial, ((2, 3, 13),)),
     }  # fmt: skip
-    compiled = ("camera",)
+    compiled = ("weighted", "camera", "triangulated")
 
     def test_autocast_changes_nothing(self, case, device):
         values = self.values(case, device, torch.float32)

@@ -80,6 +80,9 @@ int main() {
   Tensor const row = torch::rand({1, 3}), column = torch::rand({2, 5}), sigma = torch::rand({2, 2}) + 0.5;
 
   check("ssim", [](auto const& t) { return kvision::ssim(t[0], t[1], 5); }, {x, torch::rand_like(x)}, false);
+  check(
+      "extract_patches",
+      [](auto const& t) { return kvision::extract_patches(t[0], {7, 6}, {3, 4}, {2, 3}, {1, 0, 2, 1}); }, {x}, true);
   check("ssim_loss", [](auto const& t) { return kvision::ssim_loss(t[0], t[1], 3); }, {x, torch::rand_like(x)}, false);
   check(
       "dilation",
@@ -108,6 +111,7 @@ int main() {
   }
   for (auto const* window : {"bilinear", "bicubic", "pyrdown"})
     check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, window); }, {x});
+  check("flip", [](auto const& t) { return kvision::flip(t[0], true, false); }, {x});
   check(
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },

@@ -134,6 +134,40 @@ struct Problem {
   }
 };
 
+// Of -u^T (sum w r r^T) h to a correspondence: gives it to w, and to the normalised points in g1 and g2.
+template <class T>
+KV_HD double normalized_vjp(Problem<T> const& problem, double const* u, double const* h, int64_t i, double* g1,
+                            double* g2) {
+  double n1[3], n2[2];
+  problem.normalized(i, n1, n2);
+  double const w = problem.weights[i], x = n2[0], y = n2[1], square = x * x + y * y;
+  double a[3], c[3];
+  for (int k = 0; k < 3; ++k) a[k] = small::dot3(u + 3 * k, n1), c[k] = small::dot3(h + 3 * k, n1);
+  double const cross_x = a[0] * c[2] + a[2] * c[0], cross_y = a[1] * c[2] + a[2] * c[1];
+  g2[0] = -w * (2 * x * a[2] * c[2] - cross_x);
+  g2[1] = -w * (2 * y * a[2] * c[2] - cross_y);
+  double const to_a[] = {c[0] - x * c[2], c[1] - y * c[2], square * c[2] - x * c[0] - y * c[1]};
+  double const to_c[] = {a[0] - x * a[2], a[1] - y * a[2], square * a[2] - x * a[0] - y * a[1]};
+  for (int k = 0; k < 2; ++k) {
+    g1[k] = 0;
+    for (int r = 0; r < 3; ++r) g1[k] -= w * (to_a[r] * u[3 * r + k] + to_c[r] * h[3 * r + k]);
+  }
+  return -(a[0] * c[0] + a[1] * c[1] + square * a[2] * c[2] - x * cross_x - y * cross_y);
+}
+
+// The gradient to a correspondence's share, from those to the distances and to the means.
+template <class T>
+KV_HD double share_vjp(Problem<T> const& problem, double const* to_distance, double const (*to_mean)[2], int64_t i) {
+  double sum = 0, at[2];
+  for (int image = 0; image < 2; ++image) {
+    Reals const& points = image ? problem.p.points2 : problem.p.points1;
+    int64_t const place = problem.weights.first + i;
+    sum += to_distance[image] * (image ? problem.two : problem.one).from_mean(points, place, at);
+    for (int k = 0; k < 2; ++k) sum += to_mean[image][k] * points[2 * place + k];
+  }
+  return sum;
+}
+
 // What a homography is divided by: its last number, or its largest one where that is 0.
 KV_HD double divisor(double const* h, bool& last) {
   double largest = 0;
@@ -193,29 +227,11 @@ KV_HD void homography_dlt_backward_of(HomographyDlt<T> const& p, int64_t b, Team
   }
   small::smallest_eigenvector_vjp<9>(m, h, to_h, u);
 
-  // To the normalised points of a correspondence, of -u^T (sum w r r^T) h; gives the gradient to w.
-  auto const to_normalized = [&](int64_t i, double* n1, double* n2, double* g1, double* g2) {
-    problem.normalized(i, n1, n2);
-    double const w = problem.weights[i], x = n2[0], y = n2[1], square = x * x + y * y;
-    double a[3], c[3];
-    for (int k = 0; k < 3; ++k) a[k] = small::dot3(u + 3 * k, n1), c[k] = small::dot3(h + 3 * k, n1);
-    double const cross_x = a[0] * c[2] + a[2] * c[0], cross_y = a[1] * c[2] + a[2] * c[1];
-    g2[0] = -w * (2 * x * a[2] * c[2] - cross_x);
-    g2[1] = -w * (2 * y * a[2] * c[2] - cross_y);
-    double const to_a[] = {c[0] - x * c[2], c[1] - y * c[2], square * c[2] - x * c[0] - y * c[1]};
-    double const to_c[] = {a[0] - x * a[2], a[1] - y * a[2], square * a[2] - x * a[0] - y * a[1]};
-    for (int k = 0; k < 2; ++k) {
-      g1[k] = 0;
-      for (int r = 0; r < 3; ++r) g1[k] -= w * (to_a[r] * u[3 * r + k] + to_c[r] * h[3 * r + k]);
-    }
-    return -(a[0] * c[0] + a[1] * c[1] + square * a[2] * c[2] - x * cross_x - y * cross_y);
-  };
-
   // First to the frames: n = s (p - m), s = sqrt(2) / (d + eps), d = sum share |p - m|.
   double direct[2][3] = {}, apart[2][2] = {};  // to m and s by n, and the mean of (p - m) / |p - m|
   for (int64_t i = team.first(); i < p.count; i += team.step()) {
-    double n[2][3], gn[2][2];
-    to_normalized(i, n[0], n[1], gn[0], gn[1]);
+    double gn[2][2];
+    dlt::normalized_vjp(problem, u, h, i, gn[0], gn[1]);
     for (int image = 0; image < 2; ++image) {
       dlt::Frame const& f = image ? two : one;
       double at[2], share = problem.weights.share(i);
@@ -237,24 +253,16 @@ KV_HD void homography_dlt_backward_of(HomographyDlt<T> const& p, int64_t b, Team
   }
 
   // Then to points and to shares, whose sum is 1.
-  auto const to_share = [&](int64_t i) {
-    double sum = 0, at[2];
-    for (int image = 0; image < 2; ++image) {
-      Reals const& points = image ? p.points2 : p.points1;
-      sum += to_distance[image] * (image ? two : one).from_mean(points, problem.weights.first + i, at);
-      for (int k = 0; k < 2; ++k) sum += to_mean[image][k] * points[2 * (problem.weights.first + i) + k];
-    }
-    return sum;
-  };
   double common = 0;
   if (problem.weights.shared()) {
-    for (int64_t i = team.first(); i < p.count; i += team.step()) common += problem.weights.share(i) * to_share(i);
+    for (int64_t i = team.first(); i < p.count; i += team.step())
+      common += problem.weights.share(i) * dlt::share_vjp(problem, to_distance, to_mean, i);
     common = team.sum(common);
   }
   for (int64_t i = team.first(); i < p.count; i += team.step()) {
     int64_t const place = problem.weights.first + i;
-    double n[2][3], gn[2][2];
-    double to_weight = to_normalized(i, n[0], n[1], gn[0], gn[1]);
+    double gn[2][2];
+    double to_weight = dlt::normalized_vjp(problem, u, h, i, gn[0], gn[1]);
     for (int image = 0; image < 2; ++image) {
       dlt::Frame const& f = image ? two : one;
       double at[2], share = problem.weights.share(i);
@@ -265,7 +273,7 @@ KV_HD void homography_dlt_backward_of(HomographyDlt<T> const& p, int64_t b, Team
       }
     }
     if (problem.weights.shared() && problem.weights[i] >= 0)
-      to_weight += (to_share(i) - common) / problem.weights.total;
+      to_weight += (dlt::share_vjp(problem, to_distance, to_mean, i) - common) / problem.weights.total;
     p.grad_weights.set(place, to_weight);
   }
 }

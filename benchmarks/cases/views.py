@@ -47,6 +47,13 @@ def views(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor,
     return tuple(x.to(device, dtype) for x in (*pictures, P1, P2))
 
 
+def lens(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    """100 000 points, a camera and five coefficients of its lens."""
+    points = torch.rand(1, 100_000, 2, generator=torch.Generator().manual_seed(0)) * 640
+    camera = torch.tensor([[[500.0, 0, 320], [0, 500, 320], [0, 0, 1]]])
+    return tuple(x.to(device, dtype) for x in (points, camera, torch.tensor([[0.1, -0.05, 0.01, 0.02, 0.03]])))
+
+
 def case(name: str, call: Any, bars: Bars, **more: Any) -> Case:
     """A case whose `call(geometry, input, ...)` reads the same in kvision and in Kornia."""
     peers = {"kornia": partial(call, kornia.geometry if kornia else None)}
@@ -71,5 +78,11 @@ CASES = [
         lambda G, x, y, P, Q: G.triangulate_points(P, Q, x, y),
         Bars(launches=1),
         inputs=views,
+    ),
+    case(
+        "undistort_points",
+        lambda G, x, K, d: G.undistort_points(x, K, d),
+        Bars(launches=None),
+        inputs=lens,
     ),
 ]

@@ -204,6 +204,12 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.triangulate(x, x[:, :3], torch.rand(1, 3, 4), torch.rand(1, 3, 4)),
         lambda: ops.triangulate(x, x, torch.rand(2, 3, 4), torch.rand(2, 3, 4)),
         lambda: ops.real_roots(torch.rand(2, 12)),
+        lambda: ops.undistort(x, torch.rand(1, 28), 5, False),
+        lambda: ops.undistort(x, torch.rand(1, 29), -1, False),
+        lambda: ops.undistort(x.half(), torch.rand(1, 29).half(), 5, False),
+        lambda: ops.homography_dlt(x, x[:, :3], None),
+        lambda: ops.homography_dlt(x, x, torch.rand(1, 8)),
+        lambda: ops.homography_dlt_backward(torch.rand(1, 9), x, x, None),
     ):
         with pytest.raises(RuntimeError):
             call()

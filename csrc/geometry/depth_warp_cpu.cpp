@@ -25,6 +25,14 @@ KV_HD auto value_of(DepthPlaces<T> const& p, Window<2, N, T> const& window, T co
   return kept;
 }
 
+template <int N, class V>
+KV_HD auto lane_of(V const& v, int n) {
+  if constexpr (N == 1)
+    return v;
+  else
+    return v[n];
+}
+
 template <int N, class T, class V>
 KV_HD void store_apart(T* to, int64_t step, V values) {
   if (N == 1 || step == 1) {
@@ -99,24 +107,28 @@ void depth_warp_transpose(DepthWarpTranspose<T> const& p, int64_t begin, int64_t
     T* const plane = p.grad_x.row(b, c, 0);
     for (T *at = plane, *last = plane + p.grad_x.height * p.grad_x.width; at < last; ++at) *at = 0;
     for (int64_t y = 0; y < p.grad.height; ++y)
-      for (int64_t x = 0; x < p.grad.width; ++x) {
-        auto const window = DepthPlace<1, T>(p, projection, b, y, x).window(p);
-        if (window.outside) continue;
-        T const g = p.grad.row(b, c, y)[x * p.grad.step];
-        T wx[2], wy[2];
+      for_each_place(p, 0, p.grad.width, [&](auto lanes, int64_t x) {
+        constexpr int N = decltype(lanes)::value;
+        auto const window = DepthPlace<N, T>(p, projection, b, y, x).window(p);
+        if (window.outside) return;
+        Lanes<T, N> wx[2], wy[2];
         tap_weights(window.tx, wx);
         tap_weights(window.ty, wy);
-        for (int j = 0; j < 2; ++j) {
-          int const row = pixel_at(p.y_axis, window.y + j);
-          if (unsigned(row) >= unsigned(p.y_axis.size)) continue;
-          for (int i = 0; i < 2; ++i) {
-            int const column = pixel_at(p.x_axis, window.x + i);
-            T const weight = wx[i] * wy[j];
-            if (unsigned(column) < unsigned(p.x_axis.size) && weight != 0)
-              plane[int64_t(row) * p.x_axis.size + column] += g * weight;
+        T const* const grad = p.grad.row(b, c, y) + x * p.grad.step;
+        for (int n = 0; n < N; ++n) {
+          T const g = grad[n * p.grad.step];
+          for (int j = 0; j < 2; ++j) {
+            int const row = pixel_at(p.y_axis, int(lane_of<N>(window.y, n)) + j);
+            if (unsigned(row) >= unsigned(p.y_axis.size)) continue;
+            for (int i = 0; i < 2; ++i) {
+              int const column = pixel_at(p.x_axis, int(lane_of<N>(window.x, n)) + i);
+              T const weight = lane_of<N>(wx[i], n) * lane_of<N>(wy[j], n);
+              if (unsigned(column) < unsigned(p.x_axis.size) && weight != 0)
+                plane[int64_t(row) * p.x_axis.size + column] += g * weight;
+            }
           }
         }
-      }
+      });
   }
 }
 

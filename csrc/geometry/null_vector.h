@@ -49,7 +49,7 @@ KV_HD void null_vector_backward_of(NullVector<T> const& p, int64_t b, Team team)
   double m[N * N], v[N], g[N], u[N];
   normal_matrix<N>(p, b, team, m);
   for (int i = 0; i < N; ++i) v[i] = p.vector[b * N + i], g[i] = p.grad[b * N + i];
-  small::smallest_eigenvector_vjp<N>(m, g, u);
+  small::smallest_eigenvector_vjp<N>(m, v, g, u);
   for (int64_t r = team.first(); r < p.m; r += team.step()) {
     int64_t const at = b * p.m + r;
     double const w = p.weights.data ? p.weights[at] : 1;

@@ -1,16 +1,10 @@
 // The photometric distance of views by depth: schema and entry, for CPU and CUDA alike.
 #include "depth_glue.h"
 #include "photometric_depth.h"
+#include "photometric_glue.h"
 
 namespace kv {
 namespace {
-
-Distance distance_of(char const* op, std::string const& name) {
-  if (name == "l1") return Distance::l1;
-  if (name == "l2") return Distance::l2;
-  KV_CHECK(name == "charbonnier", op, ": distance must be one of l1, l2, charbonnier; got '", name, "'");
-  return Distance::charbonnier;
-}
 
 // Views (B, V, C, H, W), targets (B, C, h, w), depths (B, 1, h, w), projections (B, V, 3, 4). The loss, its slopes to
 // depth times the number of terms, one over that number, and its slopes to the projections.

@@ -1,16 +1,9 @@
 // The photometric distance: schema and entry, for CPU and CUDA alike.
 #include "photometric.h"
-#include "sample_glue.h"
+#include "photometric_glue.h"
 
 namespace kv {
 namespace {
-
-Distance distance_of(char const* op, std::string const& name) {
-  if (name == "l1") return Distance::l1;
-  if (name == "l2") return Distance::l2;
-  KV_CHECK(name == "charbonnier", op, ": distance must be one of l1, l2, charbonnier; got '", name, "'");
-  return Distance::charbonnier;
-}
 
 std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& target, Tensor const& matrix,
                                        std::string const& distance, double eps, bool align_corners, bool normalized) {

@@ -31,7 +31,7 @@ template <int K>
 constexpr int kTurns = K ? 4 : 1;
 
 template <class T, int K>
-__global__ void __launch_bounds__(kThreads, K == 8 ? 3 : 4)
+__global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
     resize_tiles(__grid_constant__ Resize<T> const p, ResizeTiles tiles) {
   constexpr int P = kTurns<K>, W = 32 * P;
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, step = int(p.x.step), size = int(p.y.row_size());
@@ -169,7 +169,7 @@ bool launch_tiles(Resize<T> const& p, CUstream_st* stream) {
   // Tables serve more rows and planes where there is work for all of the device anyway.
   tiles.rows = p.y.rows() * tiles.across > (1 << 15) ? 32 : 8;
   tiles.down = unsigned(ceil_div(p.y.height, tiles.rows));
-  tiles.planes = int(clamp(p.y.count() * tiles.across * tiles.down >> 11, int64_t(1), int64_t(16)));
+  tiles.planes = int(clamp(p.y.count() * tiles.across * tiles.down >> 12, int64_t(1), int64_t(16)));
   // What is read with weight 0 beyond a band is the line's own.
   int64_t const span = span_of(p, W) + (K ? K : p.columns.most) * p.x.step;
   int64_t const numbers = int64_t(p.columns.most) * W + int64_t(p.rows.most) * tiles.rows + kWarps * span;
@@ -190,6 +190,7 @@ int resize(Resize<T> const& p, CUstream_st* stream) {
     int const most = max(p.rows.most, p.columns.most);
     done = most <= 2   ? launch_tiles<2>(p, stream)
            : most <= 4 ? launch_tiles<4>(p, stream)
+           : most <= 6 ? launch_tiles<6>(p, stream)  // pyrdown, lanczos
            : most <= 8 ? launch_tiles<8>(p, stream)
                        : launch_tiles<0>(p, stream);
   }

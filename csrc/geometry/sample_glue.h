@@ -2,6 +2,7 @@
 // remap_op.cpp.
 #pragma once
 
+#include "glue/batch.h"
 #include "glue/images.h"
 #include "sample.h"
 
@@ -68,11 +69,6 @@ void for_computed(char const* op, Tensor const& x, F f) {
   if (x.scalar_type() == ScalarType::Float) return f(Type<float>{});
   KV_CHECK(x.scalar_type() == ScalarType::Double, op, ": expected float32 or float64");
   f(Type<double>{});
-}
-
-template <class T>
-T* data_of(Tensor const& x) {
-  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
 }
 
 // The matrix of a warp, checked.

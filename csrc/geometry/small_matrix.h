@@ -28,14 +28,22 @@ KV_HD double magnitude(double x) { return x < 0 ? -x : x; }
 KV_HD bool finite(double x) { return x - x == 0; }
 KV_HD double nan() { return __builtin_nan(""); }
 
+// How often loops over large matrices are unrolled on CUDA: their code would be long, and long to compile.
+template <int N>
+constexpr int kUnrolled = N <= 4 ? N : 1;
+
 // --- symmetric matrices, all N x N numbers of them
 // -----------------------------------------------------------------------------------------------
 
-// Replaces a positive definite matrix by its inverse, sweeping one row after the other.
+// Replaces a positive definite matrix by its inverse, sweeping one row after the other; gives the smallest pivot.
 template <int N>
-KV_HD void invert(double* m) {
+KV_HD double invert(double* m) {
+  double least = m[0];
+#pragma unroll 1
   for (int k = 0; k < N; ++k) {
     double const inverse = 1 / m[k * N + k];
+    least = min(least, m[k * N + k]);
+#pragma unroll(kUnrolled<N>)
     for (int i = 0; i < N; ++i) {
       if (i == k) continue;
       double const factor = m[i * N + k] * inverse;
@@ -47,6 +55,7 @@ KV_HD void invert(double* m) {
     m[k * N + k] = -inverse;
   }
   for (int i = 0; i < N * N; ++i) m[i] = -m[i];
+  return least;
 }
 
 // Divides by the trace; false where that is not above 0 and finite.
@@ -75,7 +84,9 @@ KV_HD void largest_eigenvector(double* m, double* v) {
   double square[N * N];
   for (int step = 0; step < 40; ++step) {
     double trace = 0;
+#pragma unroll(kUnrolled<N>)
     for (int i = 0; i < N; ++i)
+#pragma unroll(kUnrolled<N>)
       for (int j = 0; j <= i; ++j) {
         double sum = 0;
         for (int k = 0; k < N; ++k) sum += m[i * N + k] * m[j * N + k];
@@ -148,8 +159,10 @@ KV_HD void diagonalize(double* m, double* vectors) {
     double off = 0, on = 0;
     for (int i = 0; i < N; ++i)
       for (int k = 0; k < N; ++k) (i == k ? on : off) += m[i * N + k] * m[i * N + k];
-    if (!(off > 1e-32 * on)) break;
+    if (!(off > 1e-29 * on)) break;
+#pragma unroll 1
     for (int p = 0; p < N; ++p)
+#pragma unroll 1
       for (int q = p + 1; q < N; ++q) {
         double const between = m[p * N + q];
         if (between == 0) continue;
@@ -172,19 +185,32 @@ KV_HD void diagonalize(double* m, double* vectors) {
 // The gradient to M, symmetric, of its smallest eigenvector v is -(u v^T + v u^T) / 2: gives u = (M - lambda)^+ g.
 // Where other eigenvalues are as small there is none: 0 in their directions. Destroys M.
 template <int N>
-KV_HD void smallest_eigenvector_vjp(double* m, double const* g, double* u) {
-  double vectors[N * N], least, trace = 0;
-  for (int i = 0; i < N; ++i) trace += m[i * N + i];
-  diagonalize<N>(m, vectors);
-  least = m[0];
-  for (int i = 1; i < N; ++i) least = min(least, m[i * N + i]);
+KV_HD void smallest_eigenvector_vjp(double* m, double const* v, double const* g, double* u) {
+  double trace = 0, value = 0, along = 0;
+  for (int i = 0; i < N; ++i) {
+    trace += m[i * N + i];
+    along += g[i] * v[i];
+    for (int k = 0; k < N; ++k) value += v[i] * m[i * N + k] * v[k];
+  }
+  double
+      matrix[N * N];  // the inverse of M - lambda + trace v v^T is the same across v, unless other directions are null
+  for (int i = 0; i < N; ++i)
+    for (int k = 0; k < N; ++k) matrix[i * N + k] = m[i * N + k] - (i == k ? value : 0) + trace * v[i] * v[k];
   for (int i = 0; i < N; ++i) u[i] = 0;
+  if (invert<N>(matrix) > 1e-7 * trace) {
+    for (int i = 0; i < N; ++i)
+      for (int k = 0; k < N; ++k) u[i] += matrix[i * N + k] * (g[k] - along * v[k]);
+    return;
+  }
+  diagonalize<N>(m, matrix);
+  double least = m[0];
+  for (int i = 1; i < N; ++i) least = min(least, m[i * N + i]);
   for (int k = 0; k < N; ++k) {
     double const gap = m[k * N + k] - least;
     if (!(gap > 1e-13 * trace)) continue;
-    double along = 0;
-    for (int i = 0; i < N; ++i) along += vectors[i * N + k] * g[i];
-    for (int i = 0; i < N; ++i) u[i] += vectors[i * N + k] * (along / gap);
+    double part = 0;
+    for (int i = 0; i < N; ++i) part += matrix[i * N + k] * g[i];
+    for (int i = 0; i < N; ++i) u[i] += matrix[i * N + k] * (part / gap);
   }
 }
 

@@ -7,7 +7,7 @@
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 256, kWarps = kThreads / 32, kEach = kPiece / kThreads;  // pixels of a thread
+constexpr int kThreads = 256, kWarps = kThreads / 32, kEach = 8;  // pixels of a thread at once
 
 struct Math {
   __device__ __forceinline__ float exp(float x) const { return __expf(x); }
@@ -16,21 +16,19 @@ struct Math {
   __device__ __forceinline__ double log(double x) const { return ::log(x); }
 };
 
-// The largest logit of a pixel and the sum of exp(logit - largest), in one pass. `at`: its logit of class 0.
+// The largest logit of a pixel. `at`: its logit of class 0. The loop has nothing to wait for but memory; what comes
+// after it reads the logits again, from the cache, which is cheaper than to rescale sums whenever a larger one is
+// found.
 template <class T>
-struct Softmax {
-  using F = Compute<T>;
-  F most, sum;
-  __device__ __forceinline__ void read(Logits<T> const& logits, T const* at) {
-    most = kv::read(at[0]), sum = 1;
+__device__ __forceinline__ Compute<T> largest(Logits<T> const& logits, T const* at) {
+  Compute<T> most = read(at[0]);
 #pragma unroll 4
-    for (int64_t c = 1; c < logits.classes; ++c) {
-      F const x = kv::read(at[c * logits.pixels]), larger = x > most ? x : most;
-      sum = sum * Math{}.exp(most - larger) + Math{}.exp(x - larger);
-      most = larger;
-    }
+  for (int64_t c = 1; c < logits.classes; ++c) {
+    Compute<T> const x = read(at[c * logits.pixels]);
+    most = x > most ? x : most;
   }
-};
+  return most;
+}
 
 // A thread's pixel: its label, and how much it counts.
 template <class T>
@@ -51,8 +49,8 @@ struct Pixel {
   }
 };
 
-// A block makes the sums of a piece: each thread has the softmax of its pixels in registers, and goes once more through
-// their classes.
+// A block makes the sums of a piece, some of its pixels after the other: few enough for their logits to be in the cache
+// when they are read again.
 template <class T>
 __global__ void __launch_bounds__(kThreads) sum_classes(ClassSums<T> const p) {
   using F = Compute<T>;
@@ -60,38 +58,49 @@ __global__ void __launch_bounds__(kThreads) sum_classes(ClassSums<T> const p) {
   F* const sums = reinterpret_cast<F*>(bytes);  // (warps, 3, classes)
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, classes = int(p.logits.classes);
   int64_t const sample = blockIdx.x / p.pieces, pixels = p.logits.pixels;
-  int64_t const first = (blockIdx.x - sample * p.pieces) * kPiece + threadIdx.x;
+  int64_t const piece = (blockIdx.x - sample * p.pieces) * kPiece, end = min(piece + kPiece, pixels);
   T const* const logits = p.logits.data + sample * classes * pixels;
   int64_t const* const target = p.logits.labels(sample);
 
-  F most[kEach], scale[kEach], counts[kEach];
-  int label[kEach];
-#pragma unroll
-  for (int k = 0; k < kEach; ++k) {
-    int64_t const i = first + k * kThreads;
-    most[k] = scale[k] = counts[k] = 0, label[k] = -1;
-    if (i >= pixels) continue;
-    counts[k] = p.logits.counts(target[i]);
-    if (counts[k] == 0) continue;
-    if (counts[k] == 1) label[k] = int(target[i]);
-    Softmax<T> softmax;
-    softmax.read(p.logits, logits + i);
-    most[k] = softmax.most, scale[k] = counts[k] / softmax.sum;
-  }
-  for (int c = 0; c < classes; ++c) {
-    F both = 0, all = 0, labelled = 0;
+#pragma unroll 1
+  for (int64_t at = piece; at < end; at += kEach * kThreads) {
+    // Class by class all of the thread's pixels, whose memory is asked for at once.
+    T const* const own = logits + at + threadIdx.x;
+    F most[kEach], scale[kEach], counts[kEach];
+    int label[kEach];
 #pragma unroll
     for (int k = 0; k < kEach; ++k) {
-      int64_t const i = first + k * kThreads;
-      if (i >= pixels || counts[k] == 0) continue;
-      F const share = Math{}.exp(read(logits[c * pixels + i]) - most[k]) * scale[k];
-      all += share;
-      if (label[k] == c) both += share, labelled += 1;
+      int64_t const i = at + threadIdx.x + k * kThreads;
+      counts[k] = i < end ? p.logits.counts(target[i]) : F(0), label[k] = counts[k] == 1 ? int(target[i]) : -1;
+      most[k] = -F(INFINITY), scale[k] = 0;
     }
-    both = warp_sum(both), all = warp_sum(all), labelled = warp_sum(labelled);
-    if (lane == 0) {
-      F* const to = sums + warp * 3 * classes + c;
-      to[0] = both, to[classes] = all, to[2 * classes] = labelled;
+    auto const for_each_logit = [&](int c, auto f) {
+#pragma unroll
+      for (int k = 0; k < kEach; ++k)
+        if (counts[k] != 0) f(k, read(own[c * pixels + k * kThreads]));
+    };
+#pragma unroll 1
+    for (int c = 0; c < classes; ++c) for_each_logit(c, [&](int k, F x) { most[k] = x > most[k] ? x : most[k]; });
+#pragma unroll 1
+    for (int c = 0; c < classes; ++c) for_each_logit(c, [&](int k, F x) { scale[k] += Math{}.exp(x - most[k]); });
+#pragma unroll
+    for (int k = 0; k < kEach; ++k) scale[k] = counts[k] / scale[k];
+#pragma unroll 1
+    for (int c = 0; c < classes; ++c) {
+      F both = 0, all = 0, labelled = 0;
+      for_each_logit(c, [&](int k, F x) {
+        F const share = Math{}.exp(x - most[k]) * scale[k];
+        all += share;
+        if (label[k] == c) both += share, labelled += 1;
+      });
+      both = warp_sum(both), all = warp_sum(all), labelled = warp_sum(labelled);
+      if (lane == 0) {
+        F* const to = sums + warp * 3 * classes + c;
+        bool const begins = at == piece;
+        to[0] = (begins ? F(0) : to[0]) + both;
+        to[classes] = (begins ? F(0) : to[classes]) + all;
+        to[2 * classes] = (begins ? F(0) : to[2 * classes]) + labelled;
+      }
     }
   }
   __syncthreads();
@@ -116,17 +125,20 @@ __global__ void __launch_bounds__(kThreads) sum_classes_backward(ClassSumsBackwa
   }
   F const* const of_both = p.grad + pixel.sample * 3 * logits.classes;
   F const* const of_all = of_both + logits.classes;
-  Softmax<T> softmax;
-  softmax.read(logits, at);
-  F const scale = 1 / softmax.sum;
-  auto const share = [&](int64_t c) { return Math{}.exp(read(at[c * logits.pixels]) - softmax.most) * scale; };
+  F const most = largest(logits, at);
+  auto const exponential = [&](int64_t c) { return Math{}.exp(read(at[c * logits.pixels]) - most); };
   auto const grad = [&](int64_t c) { return of_all[c] + (c == pixel.label ? of_both[c] : F(0)); };
-  F dot = 0;
+  F sum = 0, dot = 0;
 #pragma unroll 4
-  for (int64_t c = 0; c < logits.classes; ++c) dot += share(c) * grad(c);
+  for (int64_t c = 0; c < logits.classes; ++c) {
+    F const e = exponential(c);
+    sum += e, dot += e * grad(c);
+  }
+  F const scale = pixel.counts / sum;
+  dot /= sum;
 #pragma unroll 4
   for (int64_t c = 0; c < logits.classes; ++c)
-    to[c * logits.pixels] = round_to<T>(pixel.counts * share(c) * (grad(c) - dot));
+    to[c * logits.pixels] = round_to<T>(exponential(c) * scale * (grad(c) - dot));
 }
 
 // The focal loss of a pixel that counts, and its slope by log p.
@@ -138,13 +150,11 @@ __device__ __forceinline__ void evaluate(Logits<T> const& logits, FocalTerms<Com
   int64_t const c = pixel.counts == 1 ? pixel.label : 0;
   F const label = read(at[c * logits.pixels]);
   F rest = 0;  // of the other classes
-  most = label;
+  most = largest(logits, at);
 #pragma unroll 4
   for (int64_t k = 0; k < logits.classes; ++k) {
-    if (k == c) continue;
-    F const x = read(at[k * logits.pixels]), larger = x > most ? x : most;
-    rest = rest * Math{}.exp(most - larger) + Math{}.exp(x - larger);
-    most = larger;
+    F const e = Math{}.exp(read(at[k * logits.pixels]) - most);
+    rest += k == c ? F(0) : e;
   }
   F const factor = pixel.counts * (c == 0 ? terms.first : terms.other) * (terms.weight ? terms.weight[c] : F(1));
   focal_of_pixels(factor, terms.gamma, label, most, rest, Math{}, loss, slope, scale);

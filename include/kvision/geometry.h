@@ -173,6 +173,19 @@ inline Tensor resize_backward(Tensor const& grad, std::vector<int64_t> const& si
   return detail::linear<"resize_backward">(grad, transpose, size, window, align_corners, antialias, border);
 }
 
+// Homographies (B, 3, 3) from pixels of a result of `size` to the quadrangles (B, 4, 2) that it shows.
+inline Tensor crop_matrix(Tensor const& quads, std::vector<int64_t> const& size) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"crop_matrix">(quads, size)}; };
+  return differentiable({quads}, compute, {}, no_second_derivative("crop_matrix"))[0];
+}
+
+// Columns, rows or both reversed; neither is a copy.
+inline Tensor flip(Tensor const& input, bool columns, bool rows) {
+  auto const transpose = [=](Tensor const& g) { return flip(g, columns, rows); };
+  return detail::linear<"flip">(input, transpose, columns, rows);
+}
+
 // The mean distance of `target` from `source` warped by `matrix`, from the target's places to the source's; (B). It has
 // a gradient to the matrix alone. distance: "l1", "l2" or "charbonnier".
 inline Tensor photometric(Tensor const& source, Tensor const& target, Tensor const& matrix,

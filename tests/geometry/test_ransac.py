@@ -204,6 +204,12 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.triangulate(x, x[:, :3], torch.rand(1, 3, 4), torch.rand(1, 3, 4)),
         lambda: ops.triangulate(x, x, torch.rand(2, 3, 4), torch.rand(2, 3, 4)),
         lambda: ops.real_roots(torch.rand(2, 12)),
+        lambda: ops.undistort(x, torch.rand(1, 28), 5, False),
+        lambda: ops.undistort(x, torch.rand(1, 29), -1, False),
+        lambda: ops.undistort(x.half(), torch.rand(1, 29).half(), 5, False),
+        lambda: ops.homography_dlt(x, x[:, :3], None),
+        lambda: ops.homography_dlt(x, x, torch.rand(1, 8)),
+        lambda: ops.homography_dlt_backward(torch.rand(1, 9), x, x, None),
     ):
         with pytest.raises(RuntimeError):
             call()
@@ -222,7 +228,9 @@ def test_photographs_beside_opencv(pair, data, device):
     pairs = [m for m, n in cv2.BFMatcher().knnMatch(d1, d2, k=2) if m.distance < 0.85 * n.distance]
     x = np.float32([key1[m.queryIdx].pt for m in pairs])
     y = np.float32([key2[m.trainIdx].pt for m in pairs])
-    H, inliers = K.geometry.RANSAC("homography", 3.0, seed=0)(*(torch.from_numpy(p).to(device) for p in (x, y)))
+    H, inliers = K.geometry.RANSAC("homography", 3.0, seed=0, confidence=0.999)(
+        *(torch.from_numpy(p).to(device) for p in (x, y))
+    )
     theirs = cv2.findHomography(x, y, cv2.RANSAC, 3.0, maxIters=10000, confidence=0.999)[1].ravel() > 0
     inliers = inliers.cpu()
     assert inliers.sum() >= 0.97 * theirs.sum()

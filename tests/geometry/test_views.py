@@ -263,6 +263,23 @@ def test_opencv_decomposition():
     assert_close(-found[1][0].T @ found[2][0], torch.from_numpy(center[:3] / center[3]), 1e-9, 1e-9)
 
 
+@pytest.mark.parametrize("count", [5, 14])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_undistortion_broadcasts(count, dtype, device):
+    """One lens for several sets of points, and several for one; with the kernel as with the reference."""
+    many = rand(3, 37, 2, high=90).to(device, dtype)
+    camera, lens = CAMERA.to(device, dtype), LENS[:count].to(device, dtype)
+    lenses = lens * torch.tensor([[1.0], [0.5], [0.1]], device=device, dtype=dtype)
+    for points, K_, dist in ((many, camera, lens), (many[0], camera, lenses), (many, camera.expand(3, 3, 3), lenses)):
+        found = G.undistort_points(points, K_, dist, 2 * camera)
+        with K.backend("reference"):
+            assert_close(found, G.undistort_points(points, K_, dist, 2 * camera), 1e-5, 1e-4)
+        differentiated = G.undistort_points(points.clone().requires_grad_(), K_, dist, 2 * camera)
+        assert_close(found, differentiated.detach(), 1e-5, 1e-4)
+    assert G.undistort_points(many[:, :0], camera, lens).shape == (3, 0, 2)
+    assert G.undistort_points(many[:0], camera, lens).shape == (0, 37, 2)
+
+
 def test_distortion_and_back(device):
     lens = LENS.to(device) * torch.cat([torch.ones(12), torch.ones(2) * 0.1]).to(device)
     moved = G.distort_points(QUADS.to(device), CAMERA.to(device), lens)

@@ -4,6 +4,7 @@ from kvision.contrib.connected_components import connected_components, connected
 from kvision.contrib.diamond_square import diamond_square
 from kvision.contrib.distance_transform import DistanceTransform, distance_transform
 from kvision.contrib.histogram_matching import histogram_matching, interp
+from kvision.contrib.image_stitching import ImageStitcher
 from kvision.contrib.kmeans import KMeans
 from kvision.contrib.lambda_module import Lambda
 from kvision.contrib.patches import (

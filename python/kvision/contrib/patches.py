@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -10,9 +11,64 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 Pad = tuple[int, int, int, int]  # top, bottom, left, right
+
+
+def _extract_reference(
+    x: Tensor, size: Sequence[int], window: Sequence[int], stride: Sequence[int], padding: Sequence[int]
+) -> Tensor:
+    """(B, N, C, height, width), patches row by row; zeros beyond the images of that size."""
+    top, bottom, left, right = padding
+    x = F.pad(x, (left, right, top, bottom)) if any(padding) else x
+    patches = x.unfold(2, window[0], stride[0]).unfold(3, window[1], stride[1])  # a view
+    return patches.permute(0, 2, 3, 1, 4, 5).flatten(1, 2).contiguous()
+
+
+def _combine_reference(
+    patches: Tensor, size: Sequence[int], window: Sequence[int], stride: Sequence[int], padding: Sequence[int]
+) -> Tensor:
+    """(B, C, *size): the patches added up where they belong."""
+    top, bottom, left, right = padding
+    height, width = size[0] + top + bottom, size[1] + left + right
+    grid = patches.unflatten(1, ((height - window[0]) // stride[0] + 1, (width - window[1]) // stride[1] + 1))
+    total = _added(_added(grid, 1, 4, stride[0]), 1, 4, stride[1])  # (B, C, H, W)
+    total = F.pad(total, (0, width - total.shape[3], 0, height - total.shape[2]))
+    return total[..., top : top + size[0], left : left + size[1]]
+
+
+def _extracted_size(x: Tensor, size: Any, window: Any, stride: Any, padding: Any) -> tuple[int, ...]:
+    down, across = (
+        (n + a + b - k) // s + 1 for n, a, b, k, s in zip(size, padding[::2], padding[1::2], window, stride)
+    )
+    return (x.shape[0], down * across, x.shape[1], *window)
+
+
+def _extract_backward(needs, grad, _, *plain):
+    return [_combine(grad, *plain)]
+
+
+def _combine_backward(needs, grad, _, *plain):
+    return [_extract(grad, *plain)]
+
+
+_extract = register(
+    "extract_patches",
+    _extract_reference,
+    fake=_extracted_size,
+    backward=_extract_backward,
+    linear=True,
+    bytes=True,
+)
+_combine = register(
+    "combine_patches",
+    _combine_reference,
+    fake=lambda patches, size, *_: (patches.shape[0], patches.shape[2], *size),
+    backward=_combine_backward,
+    linear=True,
+)
 
 
 def compute_padding(
@@ -95,9 +151,7 @@ def extract_tensor_patches(
             f"{op}: expected an image no smaller than a window of {window}, got {tuple(input.shape)} and padding {pads}",
             actual_shape=input.shape,
         )
-    x = F.pad(input, (left, right, top, bottom)) if any(pads) else input
-    patches = x.unfold(2, window[0], step[0]).unfold(3, window[1], step[1])  # a view
-    return patches.permute(0, 2, 3, 1, 4, 5).flatten(1, 2).contiguous()
+    return _extract(input, (h, w), window, step, pads)
 
 
 def combine_tensor_patches(
@@ -154,26 +208,14 @@ def combine_tensor_patches(
             f"{op}: expected {down} x {across} patches for an image of {size}, got {patches.shape[1]}",
             actual_shape=patches.shape,
         )
-    grid = patches.unflatten(1, (down, across))
     if step == window:
-        image = grid.permute(0, 3, 1, 4, 2, 5).flatten(4, 5).flatten(2, 3)
-    else:
-        image = _mean(grid, step)
-    image = F.pad(image, (0, size[1] - image.shape[3], 0, size[0] - image.shape[2]))
-    return image[..., top : top + height, left : left + width].contiguous()
-
-
-def _mean(grid: Tensor, step: tuple[int, int]) -> Tensor:
-    """The mean of overlapping patches (B, down, across, C, height, width), along one axis after the other."""
-    exact = grid.dtype == torch.float64 or not grid.is_floating_point()
-    total = _added(grid.to(torch.float64 if exact else torch.float32), 1, 4, step[0])  # (B, across, C, H, width)
-    total = _added(total, 1, 4, step[1])  # (B, C, H, W)
-    counts = []
-    for axis, size, stride in ((1, grid.shape[4], step[0]), (2, grid.shape[5], step[1])):
-        windows = total.new_ones(1, grid.shape[axis], 1, size)
-        counts.append(_added(windows, 1, 3, stride).flatten())
-    mean = total / (counts[0][:, None] * counts[1])
-    return (mean if grid.is_floating_point() else mean.floor()).to(grid.dtype)
+        return _combine(patches, (height, width), window, step, pads)
+    exact = patches.dtype == torch.float64 or not patches.is_floating_point()
+    dtype = torch.float64 if exact else torch.float32
+    total = _combine(patches.to(dtype), (height, width), window, step, pads)
+    ones = patches.new_ones(1, patches.shape[1], 1, *window, dtype=dtype)
+    mean = total / _combine(ones, (height, width), window, step, pads).clamp_min(1)
+    return (mean if patches.is_floating_point() else mean.floor()).to(patches.dtype)
 
 
 def _added(x: Tensor, index: int, axis: int, step: int) -> Tensor:

@@ -174,7 +174,9 @@ class RANSAC(nn.Module):
             return int(self.batch_size)
         if device.type != "cpu":
             return self.sample_budget
-        return min(self.sample_budget, 64 if self.model == "essential" else 256)
+        # About as much work each: models of fewer points are made and tried faster, and more of them find a better one.
+        first = {"essential": 64, "fundamental": 256, "fundamental8": 256, "lines": 512}
+        return min(self.sample_budget, first.get(self.model, 1024))
 
     @staticmethod
     def max_samples_by_conf(n_inl: int, num_tc: int, sample_size: int, conf: float) -> int:

@@ -11,12 +11,15 @@ k4, k5, k6, s1, s2, s3, s4, tx, ty; the first 4, 5, 8, 12 or all 14 of them may 
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision
+from kvision.geometry._precision import in_full_precision, wants_derivative
 from kvision.geometry.transform import remap
 
 __all__ = ["distort_points", "tilt_projection", "undistort_image", "undistort_points"]
@@ -173,17 +176,53 @@ def undistort_points(
     """
     _check_lens("undistort_points", points, K, dist, new_K)
     _check.ints("undistort_points", "num_iters", num_iters, 1, minimum=0)
-    x, y = _on_plane(points, K)
+    new_K = K if new_K is None else new_K
     c = _coefficients(dist)
-    if dist.shape[-1] == 14:
-        x, y = _projected(x, y, tilt_projection(c[12], c[13], True))
+    tilted = dist.shape[-1] == 14
+    tilt = tilt_projection(c[12], c[13], True) if tilted else torch.zeros_like(K)
+    if wants_derivative(points, K, new_K, dist) or torch.compiler.is_compiling():
+        return _undistorted(points, K, new_K, c, tilt if tilted else None, num_iters)
+    leading = torch.broadcast_shapes(points.shape[:-2], K.shape[:-2], new_K.shape[:-2], dist.shape[:-1])
+    parts = [_pinhole(K), _pinhole(new_K), torch.cat(c[:12], -1), tilt.flatten(-2)]
+    cameras = torch.cat([x.expand(*leading, x.shape[-1]) for x in parts], -1).reshape(math.prod(leading), 29)
+    flat = points.expand(*leading, *points.shape[-2:]).reshape(math.prod(leading), *points.shape[-2:])
+    return _undistort(flat, cameras.to(points.dtype), num_iters, tilted).reshape(*leading, *points.shape[-2:])
+
+
+def _pinhole(K: Tensor) -> Tensor:
+    """fx, fy, cx, cy."""
+    return torch.stack([K[..., 0, 0], K[..., 1, 1], K[..., 0, 2], K[..., 1, 2]], -1)
+
+
+def _undistorted(
+    points: Tensor, K: Tensor, new_K: Tensor, c: tuple[Tensor, ...], tilt: Tensor | None, num_iters: int
+) -> Tensor:
+    x, y = _on_plane(points, K)
+    if tilt is not None:
+        x, y = _projected(x, y, tilt)
     x0, y0 = x, y
     for _ in range(num_iters):
         r2 = x * x + y * y
         dx, dy = _shift(x, y, r2, c)
         radial = _radial(r2, c)
         x, y = (x0 - dx) / radial, (y0 - dy) / radial
-    return _in_pixels(x, y, K if new_K is None else new_K)
+    return _in_pixels(x, y, new_K)
+
+
+def _reference(points: Tensor, cameras: Tensor, num_iters: int, tilted: bool) -> Tensor:
+    """Of points (B, N, 2) and cameras (B, 29): focal lengths and centres of both, 12 coefficients, a tilt's inverse."""
+    given, wanted, c, tilt = cameras.split([4, 4, 12, 9], -1)
+
+    def camera(numbers: Tensor) -> Tensor:
+        fx, fy, cx, cy = numbers.unbind(-1)
+        zero, one = torch.zeros_like(fx), torch.ones_like(fx)
+        return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], -1).unflatten(-1, (3, 3))
+
+    matrix = tilt.unflatten(-1, (3, 3)) if tilted else None
+    return _undistorted(points, camera(given), camera(wanted), c.split(1, -1), matrix, num_iters)
+
+
+_undistort = register("undistort", _reference)
 
 
 def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.geometry._precision import in_full_precision, quotient
-from kvision.geometry.epipolar.fundamental import check_points, lines
+from kvision.geometry.epipolar.fundamental import check_points
 from kvision.geometry.linalg import root
 
 __all__ = [
@@ -151,8 +151,15 @@ def _lines(op: str, pts1: Tensor, pts2: Tensor, Fm: Tensor) -> tuple[Tensor, Ten
     check_points(op, "pts2", pts2)
     _check.floating_ends(op, "Fm", Fm, 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)
-    right, left = lines(pts1, Fm), lines(pts2, Fm.mT)[..., :2]
-    residual = (right[..., : pts2.shape[-1]] * pts2).sum(-1)
-    if pts2.shape[-1] == 2:
-        residual = residual + right[..., 2]
-    return right[..., :2].square().sum(-1), left.square().sum(-1), residual
+    right, left = _across(Fm, pts1), _across(Fm.mT, pts2)
+    x, y = pts2[..., 0], pts2[..., 1]
+    last = right[2] if pts2.shape[-1] == 2 else right[2] * pts2[..., 2]
+    residual = right[0] * x + right[1] * y + last
+    return right[0].square() + right[1].square(), left[0].square() + left[1].square(), residual
+
+
+def _across(F: Tensor, points: Tensor) -> tuple[Tensor, ...]:
+    """F x of points (*, N, 2 or 3), number by number: rows of N are what a CPU adds fast."""
+    if points.shape[-1] == 3:
+        return (F @ points.mT).unbind(-2)
+    return (F[..., :2] @ points.mT + F[..., 2:]).unbind(-2)

@@ -8,10 +8,13 @@ Geometry" (2003), section 4.1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register
 from kvision.geometry._normalization import normalized, to_unit_last
 from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, symmetric_transfer_error
@@ -56,10 +59,10 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
     """
     check_correspondences("find_homography_dlt", points1, points2, weights, least=4)
     _check.known("find_homography_dlt", "solver", solver, ("lu", "svd"))
-    return _of_points(points1, points2, weights)
+    return _homography_dlt(points1, points2, weights)
 
 
-def _of_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
+def _reference(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
     w = None if weights is None else wide(weights)
     x, T1 = normalized(wide(points1), w)
     y, T2 = normalized(wide(points2), w)
@@ -68,6 +71,28 @@ def _of_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tens
     across = torch.cat([zero, -p, y[..., 1:] * p], -1)
     down = torch.cat([p, zero, -y[..., :1] * p], -1)
     return _homography(torch.cat([across, down], 1), None if w is None else w.repeat(1, 2), T1, T2, points1.dtype)
+
+
+def _backward_reference(grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
+    w = points1.new_ones(points1.shape[:2]) if weights is None else weights
+    return torch.func.vjp(_reference, points1, points2, w)[1](grad)
+
+
+def _backward(
+    needs: Sequence[bool], grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None
+) -> tuple[Tensor | None, ...]:
+    grad1, grad2, grad_weights = _homography_dlt_backward(grad, points1, points2, weights)
+    return grad1, grad2, None if weights is None else grad_weights
+
+
+_homography_dlt = register(
+    "homography_dlt", _reference, fake=lambda points1, points2, weights: (points1.shape[0], 3, 3), backward=_backward
+)
+_homography_dlt_backward = register(
+    "homography_dlt_backward",
+    _backward_reference,
+    fake=lambda grad, points1, points2, weights: [points1.shape, points1.shape, points1.shape[:2]],
+)
 
 
 def _homography(rows: Tensor, weights: Tensor | None, T1: Tensor, T2: Tensor, dtype: torch.dtype) -> Tensor:
@@ -113,10 +138,10 @@ def find_homography_dlt_iterated(
     op = "find_homography_dlt_iterated"
     check_correspondences(op, points1, points2, weights, least=4)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
-    H = _of_points(points1, points2, weights)
+    H = _homography_dlt(points1, points2, weights)
     for _ in range(n_iter - 1):
         error = symmetric_transfer_error(points1, points2, H)
-        H = _of_points(points1, points2, torch.exp(-error / scale))
+        H = _homography_dlt(points1, points2, torch.exp(-error / scale))
     return H
 
 

@@ -118,7 +118,7 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
     first, second = _check_points("sampson_homography_distance", pts1, pts2, H)
     largest = H.detach().abs().amax((-2, -1), keepdim=True)
     h = H / torch.where(largest > 0, largest, 1)
-    p, q, w = _image(h, first).unbind(-1)
+    p, q, w = _image(h, first)
     u, v = second.unbind(-1)
     r, s = v * w - q, p - u * w
     # The derivatives of r and s for (x, y); for (u, v) they are (0, w) and (-w, 0).
@@ -164,9 +164,11 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
     far = length(along.detach(), keepdim=True) > 0
     normal = torch.stack([-along[..., 1], along[..., 0]], -1)
     normal = torch.where(far, normal / torch.where(far, length(along, keepdim=True), 1), 0)
-    ends = _image(H[:, None], ls1)
-    moved = quotient(ends[..., :2], ends[..., 2:], torch.inf)
-    error = (normal[..., None, :] * (moved - start[..., None, :])).sum(-1).abs().mean(-1)
+    error: Tensor | float = 0.0
+    for p in ls1.unbind(-2):
+        u, v, w = _image(H, p)
+        x, y = quotient(u, w, torch.inf) - start[..., 0], quotient(v, w, torch.inf) - start[..., 1]
+        error = error + (normal[..., 0] * x + normal[..., 1] * y).abs() / 2
     return error.square() if squared else error
 
 
@@ -229,13 +231,13 @@ def _check_points(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> tuple[Tenso
     return first, second
 
 
-def _image(H: Tensor, points: Tensor) -> Tensor:
-    """H (x, y, 1) of points (B, N, 2)."""
-    return points @ H[..., :2].mT + H[..., None, :, 2]
+def _image(H: Tensor, points: Tensor) -> tuple[Tensor, ...]:
+    """H (x, y, 1) of points (B, N, 2), number by number: rows of N are what a CPU adds fast."""
+    return (H[..., :2] @ points.mT + H[..., 2:]).unbind(-2)
 
 
 def _squares(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
-    moved = _image(H, first)
-    w = moved[..., 2]
-    there = moved[..., :2] / torch.where(w == 0, 1, w)[..., None]
-    return torch.where(w == 0, torch.inf, (there - second).square().sum(-1))
+    u, v, w = _image(H, first)
+    finite = torch.where(w == 0, 1, w)
+    x, y = second.unbind(-1)
+    return torch.where(w == 0, torch.inf, (u / finite - x).square() + (v / finite - y).square())

@@ -1,0 +1,16 @@
+// What the photometric operators have in common. Included by photometric_op.cpp and photometric_depth_op.cpp.
+#pragma once
+
+#include "photometric.h"
+#include "sample_glue.h"
+
+namespace kv {
+
+inline Distance distance_of(char const* op, std::string const& name) {
+  if (name == "l1") return Distance::l1;
+  if (name == "l2") return Distance::l2;
+  KV_CHECK(name == "charbonnier", op, ": distance must be one of l1, l2, charbonnier; got '", name, "'");
+  return Distance::charbonnier;
+}
+
+}  // namespace kv

@@ -28,10 +28,10 @@ def case(name: str, call: Callable[..., Any], bars: Bars, **more: Any) -> Case:
 
 
 def volumes(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    """Five scales of a channel: most voxels of the middle ones are no maxima."""
+    """Five scales of a smooth channel, whose maxima are few and have one place each."""
     batch, _, h, w = images
-    (picture,) = photographs((batch, 1, h, w), dtype, device)
-    return (torch.stack([picture.roll((k, 2 * k), (2, 3)) * (5 - abs(k - 2)) for k in range(5)], 2),)
+    smooth = kvision.filters.gaussian_blur2d(photographs((batch, 1, h, w), dtype, device)[0], (13, 13), (2.0, 2.0))
+    return (torch.stack([scale * smooth for scale in (0.5, 0.8, 1.0, 0.85, 0.4)], 2),)
 
 
 def camera_of(images: Size, dtype: torch.dtype, device: torch.device) -> Tensor:

@@ -4,6 +4,7 @@
 
 #include "kvision/color.h"
 #include "kvision/contrib.h"
+#include "kvision/depth.h"
 #include "kvision/enhance.h"
 #include "kvision/filters.h"
 #include "kvision/geometry.h"

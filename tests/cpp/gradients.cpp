@@ -116,6 +116,35 @@ int main() {
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
+  check("local_maxima", [](auto const& t) { return kvision::local_maxima(t[0], {1, 3, 3}); }, {x});
+  check(
+      "soft_argmax",
+      [](auto const& t) {
+        auto const [places, values] = kvision::soft_argmax(t[0], {3, 3, 3}, {1, 2, 1}, {1, 1, 1}, 0.5);
+        return torch::cat({places.flatten(2, 3), values}, 2);
+      },
+      {torch::rand({1, 2, 3, 5, 4})}, false);
+  check(
+      "quadratic_peaks",
+      [](auto const& t) {
+        auto const [places, values] = kvision::quadratic_peaks(t[0]);
+        return torch::cat({places.flatten(2, 3), values}, 2);
+      },
+      {torch::rand({1, 2, 4, 6, 5})}, false);
+  Tensor const depth = torch::rand({2, 1, 5, 4}) + 1,
+               camera = torch::tensor({9.0, 0.0, 2.1, 0.0, 8.0, 2.4, 0.0, 0.0, 1.0});
+  check(
+      "depth_points",
+      [&](auto const& t) { return kvision::depth_points(t[0], camera.view({1, 3, 3}).to(torch::kDouble), true); },
+      {depth}, false);
+  Tensor const projection = torch::cat({matrix, torch::tensor({0.11, -0.07, 0.03}).view({1, 3, 1})}, 2);
+  check(
+      "depth_warp", [](auto const& t) { return kvision::depth_warp(t[0], t[1], t[2]); }, {x, depth, projection}, false);
+  Tensor const seen = torch::rand({2, 2, 3, 7, 6}, torch::kDouble), target = torch::rand({2, 3, 5, 4}, torch::kDouble);
+  check(
+      "photometric_depth",
+      [&](auto const& t) { return kvision::photometric_depth(seen, target, t[0], t[1].expand({-1, 2, -1, -1}), "l2"); },
+      {depth, projection.unsqueeze(1)}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },

@@ -55,7 +55,7 @@ class TestBoxes(CompositionTests):
         "bbox_to_mask": Case(lambda b: G.bbox_to_mask(4 * b, 5, 4), ((2, 4, 2),), differentiable=False),
         "bbox_to_mask3d": Case(lambda b: G.bbox_to_mask3d(4 * b, (3, 4, 5)), ((2, 8, 3),), differentiable=False),
     }
-    compiled = ("filtered", "merge", "mask", "keypoints")
+    compiled = ("filtered", "mask")
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from composition_tests import Case, CompositionTests
+from composition_tests import Case, CompositionTests, on
 from op_tests import assert_close
 
 G, C = K.geometry, K.geometry.camera
@@ -16,7 +16,7 @@ FISHEYE = torch.tensor([190.0, 180, 160, 120, 0.05, -0.03, 0.02, -0.004], dtype=
 
 def lens(k: Tensor) -> Tensor:
     """Parameters near those of a lens from random ones."""
-    return FISHEYE.to(k.device) * (0.9 + 0.2 * k)
+    return on(k.device, FISHEYE) * (0.9 + 0.2 * k)
 
 
 def pair(shift: Tensor) -> G.StereoCamera:

@@ -115,13 +115,13 @@ using Lines = float[2][M][kLine];
 template <int M, int K>
 struct Across {
   Lines<M>& lines;
-  int const at, inside;  // the thread's place in a line; how many of its columns are inside of the image
+  int const at, beyond;  // the thread's place in a line; how far the image's end is from its first column
   int mirrors[P][2];     // where else its numbers stand, or -1: a pixel's mirror images at both ends of a row
   bool mirrored = false;
   int next = 0;
 
   __device__ __forceinline__ Across(Lines<M>& lines, int x, int width, Border border)
-      : lines(lines), at(kBeside + P * int(threadIdx.x)), inside(max(0, min(P, width - x))) {
+      : lines(lines), at(kBeside + P * int(threadIdx.x)), beyond(width - x) {
     for (int i = threadIdx.x; i < 2 * M * kLine; i += blockDim.x) lines[0][0][i] = 0;
     int const left = x - at, end = left + kBeside + P * int(blockDim.x) + kBeside;  // columns of the line
 #pragma unroll
@@ -140,10 +140,10 @@ struct Across {
   __device__ __forceinline__ void filter(float const (&row)[M][P], float const (&weights)[K], float (&sums)[M][P]) {
     float(&line)[M][kLine] = lines[next];
     next ^= 1;
-    if (inside == P) {
+    if (beyond >= P) {
 #pragma unroll
       for (int m = 0; m < M; ++m) *reinterpret_cast<float2*>(&line[m][at]) = make_float2(row[m][0], row[m][1]);
-    } else if (inside == 1) {
+    } else if (beyond == 1) {
 #pragma unroll
       for (int m = 0; m < M; ++m) line[m][at] = row[m][0];
     }

@@ -123,7 +123,7 @@ def test_values_and_gradients_of_torch(name, align_corners, antialias, device):
 def lanczos_of_torch():
     try:
         F.interpolate(torch.zeros(1, 1, 2, 2), (1, 1), mode="lanczos", antialias=True)
-    except NotImplementedError:
+    except (NotImplementedError, ValueError):  # the latter up to torch 2.11, which knows no such mode
         return False
     return True
 
@@ -237,8 +237,10 @@ def test_one_operator_a_call(device, backend):
         call()
         with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profile:
             call()
-        names = [event.name for event in profile.events() if not event.name.startswith("aten::empty")]
-        assert names == ["kvision::resize"], names
+        names = [event.name for event in profile.events()]
+        operators = [name for name in names if "::" in name and not name.startswith("aten::empty")]
+        assert operators == ["kvision::resize"], operators
+        assert device.type == "cpu" or names.count("cudaLaunchKernel") == 1, names
 
 
 # --- pyramids -------------------------------------------------------------------------------------------------------

@@ -15,7 +15,9 @@ from view_tests import CAMERA, LENS, Scene, on_planes, rand
 G = K.geometry
 # Values of the tests are random in [0.1, 1); these are what they are added to.
 X, Y, H = on_planes(1, 12)
+X7, Y7, LINES_X, LINES_Y = X[:, :7], Y[:, :7], X.view(6, 2, 2), Y.view(6, 2, 2)
 QUADS = torch.tensor([[0.0, 0], [40, 3], [42, 41], [1, 44], [20, 9], [33, 27]]).double()
+QUARTIC = torch.tensor([0, 0, 2.0, 0, 0])
 SCENE = Scene(1, 8)
 POINTS = (2, 12, 2)
 
@@ -38,7 +40,7 @@ class TestViews(CompositionTests):
             (POINTS, (2, 12)),
         ),
         "lines": Case(
-            lambda x, w: G.find_homography_lines_dlt(points(x, X.view(6, 2, 2)), points(x, Y.view(6, 2, 2)), w),
+            lambda x, w: G.find_homography_lines_dlt(points(x, LINES_X), points(x, LINES_Y), w),
             ((2, 6, 2, 2), (2, 6)),
         ),
         "transfer": Case(lambda x, h: G.symmetric_transfer_error(x, x.flip(1), h), (POINTS, (2, 3, 3))),
@@ -46,7 +48,7 @@ class TestViews(CompositionTests):
         "segments": Case(lambda x, h: G.line_segment_transfer_error_one_way(x, x.flip(1), h), ((2, 5, 2, 2), (2, 3, 3))),
         "fundamental": Case(lambda x, y: G.find_fundamental(x, points(y, X)), (POINTS, POINTS)),
         "seven": Case(
-            lambda x: G.find_fundamental(points(x, X[:, :7]), points(x, Y[:, :7]).flip(1), None, "7POINT").sum(1),
+            lambda x: G.find_fundamental(points(x, X7), points(x, Y7).flip(1), None, "7POINT").sum(1),
             ((2, 7, 2),),
         ),
         "sampson": Case(lambda x, f: G.sampson_epipolar_distance(x, x.flip(1), f, False), (POINTS, (2, 3, 3))),
@@ -70,7 +72,7 @@ class TestViews(CompositionTests):
             lambda x, d: G.undistort_points(points(x, QUADS), camera(x), 0.1 * d), ((2, 6, 2), (2, 14))
         ),
         "affine": Case(lambda x, w: G.find_affine(x, x.square().flip(1), w), (POINTS, (2, 12))),
-        "quartic": Case(lambda c: G.solve_quartic(c - on(c.device, torch.tensor([0, 0, 2.0, 0, 0]))), ((2, 5),)),
+        "quartic": Case(lambda c: G.solve_quartic(c - on(c.device, QUARTIC)), ((2, 5),)),
         "determinant": Case(G.determinant_to_polynomial, ((2, 3, 13),)),
     }  # fmt: skip
     compiled = ("weighted", "camera", "triangulated")

@@ -32,9 +32,11 @@ def places_of(depth: Tensor, projection: Tensor) -> list[Tensor]:
     h, w = depth.shape[2:]
     x = torch.arange(w, dtype=depth.dtype, device=depth.device)
     y = torch.arange(h, dtype=depth.dtype, device=depth.device)[:, None]
-    m, d = projection[..., None, None], depth[:, 0]
+    # What is not finite leads nowhere. It is set to 0, for a gradient of 0 times it would be NaN.
+    known, regular = depth[:, 0].isfinite(), projection.isfinite().flatten(1).all(1)[:, None, None]
+    d, m = torch.where(known, depth[:, 0], 0), torch.where(regular, projection, 0)[..., None, None]
     u, v, z = ((m[:, k, 0] * x + (m[:, k, 1] * y + m[:, k, 2])) * d + m[:, k, 3] for k in range(3))
-    in_front = (z > 0) & (u / z).isfinite() & (v / z).isfinite()
+    in_front = known & (z > 0) & (u / z).isfinite() & (v / z).isfinite()
     u, v, z = (torch.where(in_front, value, 1) for value in (u, v, z))
     return [torch.where(in_front, value / z, torch.nan) for value in (u, v)]
 

@@ -85,8 +85,10 @@ def _mask(x, window, volumes):
 
 
 def _as_bool(flags):
-    # inductor of torch 2.13 does not compile what comes after a view of bytes as bool
-    return flags != 0 if torch.compiler.is_compiling() else flags.view(torch.bool)
+    # A view of bytes as bool costs nothing; but inductor does not compile what comes after it (torch 2.13), and vmap does
+    # not know it (torch 2.11).
+    viewable = not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
+    return flags.view(torch.bool) if viewable else flags != 0
 
 
 def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) -> Tensor:

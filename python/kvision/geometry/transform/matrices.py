@@ -408,8 +408,7 @@ def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
     _check.same_device(op, src=src, dst=dst)
     if src.dtype != dst.dtype:
         raise TypeCheckError(f"{op}: expected points of one type, got {src.dtype} and {dst.dtype}")
-    corners = [0, 1, 2, 5, 7]
-    p, q = wide(src[:, corners]), wide(dst[:, corners])
+    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (src, dst))  # five corners, no four in a plane
     matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
     return (matrix / matrix[:, 3:, 3:]).to(src.dtype)
 

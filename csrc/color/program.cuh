@@ -46,22 +46,22 @@ namespace {
 
 constexpr int kThreads = 256;
 template <class F>
-constexpr int kTaken = int(kChunk<F> / kThreads);
+constexpr int kTaken = int(kChunk<F> / kThreads);  // pixels of a thread, but twice as many of halves
 
 // --- a step over the pixels of a thread
 // ---------------------------------------------------------------------------------
 
-template <class F, int C>
+template <class F, int C, int P>
 struct Values {
   static constexpr int kChannels = C;
   static constexpr bool kOfParameters = false;
-  F (&c)[C][kTaken<F>];
+  F (&c)[C][P];
   F const* p;
 
   template <class Formula>
   __device__ __forceinline__ void each(Formula f) {
 #pragma unroll
-    for (int j = 0; j < kTaken<F>; ++j) {
+    for (int j = 0; j < P; ++j) {
       F v[C];
       for (int k = 0; k < C; ++k) v[k] = c[k][j];
       f(v, p, p);
@@ -73,23 +73,23 @@ struct Values {
 #pragma unroll
     for (int k = 0; k < C; ++k)
 #pragma unroll
-      for (int j = 0; j < kTaken<F>; ++j) f(c[k][j], k, p, p);
+      for (int j = 0; j < P; ++j) f(c[k][j], k, p, p);
   }
 };
 
 // g <- g J
-template <class F, int C>
+template <class F, int C, int P>
 struct Pullback {
   static constexpr int kChannels = C;
   static constexpr bool kOfParameters = false;
-  F const (&c)[C][kTaken<F>];
-  F (&g)[C][kTaken<F>];
+  F const (&c)[C][P];
+  F (&g)[C][P];
   F const* p;
 
   template <class Formula>
   __device__ __forceinline__ void each(Formula f) {
 #pragma unroll
-    for (int j = 0; j < kTaken<F>; ++j) {
+    for (int j = 0; j < P; ++j) {
       Dual<F, C> v[C];
       for (int k = 0; k < C; ++k) {
         v[k].value = c[k][j];
@@ -107,7 +107,7 @@ struct Pullback {
 #pragma unroll
     for (int k = 0; k < C; ++k)
 #pragma unroll
-      for (int j = 0; j < kTaken<F>; ++j) {
+      for (int j = 0; j < P; ++j) {
         Dual<F, 1> v{c[k][j], {F(1)}};
         f(v, k, p, p);
         g[k][j] *= v.d[0];
@@ -116,12 +116,12 @@ struct Pullback {
 };
 
 // The gradient of parameter `wanted` of the step, summed over the pixels.
-template <class F, int C>
+template <class F, int C, int P>
 struct Slope {
   static constexpr int kChannels = C;
   static constexpr bool kOfParameters = true;
-  F const (&c)[C][kTaken<F>];
-  F const (&g)[C][kTaken<F>];
+  F const (&c)[C][P];
+  F const (&g)[C][P];
   F const* p;
   int wanted;
   F sum;
@@ -138,7 +138,7 @@ struct Slope {
   __device__ __forceinline__ void each(Formula f) {
     Parameters const all = parameters();
 #pragma unroll
-    for (int j = 0; j < kTaken<F>; ++j) {
+    for (int j = 0; j < P; ++j) {
       Dual<F, 1> v[C];
       for (int k = 0; k < C; ++k) v[k] = {c[k][j], {F(0)}};
       f(v, all.q, p);
@@ -151,7 +151,7 @@ struct Slope {
 #pragma unroll
     for (int k = 0; k < C; ++k)
 #pragma unroll
-      for (int j = 0; j < kTaken<F>; ++j) {
+      for (int j = 0; j < P; ++j) {
         Dual<F, 1> v{c[k][j], {F(0)}};
         f(v, k, all.q, p);
         sum += g[k][j] * v.d[0];
@@ -162,25 +162,24 @@ struct Slope {
 // --- memory <-> registers
 // -----------------------------------------------------------------------------------------------
 
-// F computes with what T stores.
-template <class F, class T>
-constexpr bool kFits = sizeof(F) == 8 || sizeof(T) < 8;
+// F, by P pixels a thread, computes with what T stores.
+template <class F, int P, class T>
+constexpr bool kFits = sizeof(F) == 8 || sizeof(T) <= (P > 4 ? 2 : 4);
 template <class T>
 constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
 
 // Whether P pixels are packs in memory.
-template <class F>
-__device__ __forceinline__ bool is_packed(Pixels const& x, int64_t pixels) {
+template <int P>
+KV_HD bool is_packed(Pixels const& x, int64_t pixels) {
   int64_t const odd = pixels | x.outer_stride | x.inner_stride | (x.step == 1 ? x.channel_stride : 0);
-  return odd % kTaken<F> == 0 && reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && (x.step == 1 || x.step == x.channels);
+  return odd % P == 0 && reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && (x.step == 1 || x.step == x.channels);
 }
 
 // Channels that there are not, and what is beyond the end, become `rest`.
-template <class F, int C>
+template <class F, int C, int P>
 __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t b, int64_t i, int64_t pixels, F rest,
-                                            F (&c)[C][kTaken<F>]) {
-  constexpr int P = kTaken<F>;
-  bool const packed = is_packed<F>(x, pixels), inside = x.step != 1;
+                                            F (&c)[C][P]) {
+  bool const packed = is_packed<P>(x, pixels), inside = x.step != 1;
 #pragma unroll
   for (int k = 0; k < C; ++k)
 #pragma unroll
@@ -188,7 +187,7 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t b, int64_t 
   if (i >= pixels) return;
   for_storage(x.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, T>) {
+    if constexpr (kFits<F, P, T>) {
       constexpr F unit = F(1. / kUnit<T>);
       T const* const from = static_cast<T const*>(x.data) + x.offset(b);
       if (packed && inside && x.channels == C) {
@@ -219,15 +218,14 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t b, int64_t 
   });
 }
 
-template <class F, int C>
+template <class F, int C, int P>
 __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t b, int64_t i, int64_t pixels,
-                                             F const (&c)[C][kTaken<F>]) {
-  constexpr int P = kTaken<F>;
-  bool const packed = is_packed<F>(y, pixels), inside = y.step != 1;
+                                             F const (&c)[C][P]) {
+  bool const packed = is_packed<P>(y, pixels), inside = y.step != 1;
   if (i >= pixels) return;
   for_storage(y.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, T>) {
+    if constexpr (kFits<F, P, T>) {
       constexpr F unit = kUnit<T>;
       auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * unit)); };
       T* const to = static_cast<T*>(y.data) + y.offset(b);

@@ -33,7 +33,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
         for (int k = 0; k < C; ++k)
 #pragma unroll
           for (int j = 0; j < P; ++j) kept[s][k][j] = c[k][j];
-        Values<F, C> values{c, sample.p + q.first[sample.order[s]]};
+        Values<F, C, P> values{c, sample.p + q.first[sample.order[s]]};
         run_step(q.step[sample.order[s]], values);
       }
       for (int s = sample.length; s-- > 0;) {
@@ -45,7 +45,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
           for (int wanted = 0; wanted < parameters_of(step); ++wanted) {
             int const column = q.column[q.first[at] + wanted];
             if (ends ? wanted != 1 : column < 0) continue;
-            Slope<F, C> slope{c, g, parameters, wanted, 0};
+            Slope<F, C, P> slope{c, g, parameters, wanted, 0};
             run_step(step, slope);
             if (ends) {
               measured += slope.sum;
@@ -56,7 +56,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
           }
         }
         if (ends) break;
-        Pullback<F, C> pullback{c, g, parameters};
+        Pullback<F, C, P> pullback{c, g, parameters};
         run_step(step, pullback);
         if (at == q.contrast)
 #pragma unroll

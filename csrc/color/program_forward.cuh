@@ -6,26 +6,33 @@
 namespace kv::cuda {
 namespace {
 
-template <class F, int C>
+// Whether the next pixels are asked for before the steps go over these. Of halves, numbers are made at once, which
+// waits for them: many threads are better.
+template <class F, int P>
+constexpr bool kAhead = P == kTaken<F>;
+
+template <class F, int C, int P>
 __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> const p) {
   __shared__ Sample<F> sample;
   for (int64_t b = blockIdx.y; b < p.samples; b += gridDim.y) {
     F measured = 0;
-    int64_t const first = blockIdx.x * kChunk<F> + threadIdx.x * kTaken<F>, stride = gridDim.x * kChunk<F>;
-    F ahead[C][kTaken<F>];
-    load_pixels(p.x, b, first, p.pixels, F(0), ahead);
+    int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P,
+                  stride = gridDim.x * int64_t(kThreads * P);
+    F ahead[C][P];
+    if (kAhead<F, P>) load_pixels(p.x, b, first, p.pixels, F(0), ahead);
     sample.prepare(p, b, false);
-    for (int64_t i = first; i - threadIdx.x * kTaken<F> < p.pixels; i += stride) {
-      F c[C][kTaken<F>];
+    for (int64_t i = first; i - threadIdx.x * P < p.pixels; i += stride) {
+      F c[C][P];
+      if (!kAhead<F, P>) load_pixels(p.x, b, i, p.pixels, F(0), ahead);
 #pragma unroll
       for (int k = 0; k < C; ++k)
 #pragma unroll
-        for (int j = 0; j < kTaken<F>; ++j) c[k][j] = ahead[k][j];
-      load_pixels(p.x, b, i + stride, p.pixels, F(0), ahead);
+        for (int j = 0; j < P; ++j) c[k][j] = ahead[k][j];
+      if (kAhead<F, P>) load_pixels(p.x, b, i + stride, p.pixels, F(0), ahead);
       for (int s = 0; s < sample.length; ++s) {
         int const at = sample.order[s];
         if (p.measures && at == p.contrast) break;
-        Values<F, C> values{c, sample.p + p.first[at]};
+        Values<F, C, P> values{c, sample.p + p.first[at]};
         run_step(p.step[at], values);
       }
       if (!p.measures) {
@@ -35,7 +42,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
 #pragma unroll
       for (int k = 0; k < C; ++k)
 #pragma unroll
-        for (int j = 0; j < kTaken<F>; ++j)
+        for (int j = 0; j < P; ++j)
           if (i + j < p.pixels) measured += c[k][j] * p.grey[k];
     }
     if (p.measures) {
@@ -47,15 +54,31 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
   }
 }
 
+inline bool are_halves(Pixels const& x, int64_t pixels) {
+  return (x.type == Storage::half || x.type == Storage::bfloat16) && is_packed<8>(x, pixels);
+}
+
 }  // namespace
 
 template <class F>
 int program(Program<F> const& p, CUstream_st* stream) {
-  dim3 const grid = grid_of(p.samples, p.measures ? parts_of(p.pixels) : shares_of<F>(p.samples, p.pixels));
-  if (p.x.channels == 1)
-    run<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
-  else
-    run<F, 3><<<grid, kThreads, 0, stream>>>(p);
+  constexpr int kOne = kValue<F>;
+  auto const launch = [&](auto taken) {
+    constexpr int P = taken.value;
+    int64_t const shares = p.measures ? parts_of(p.pixels) : shares_of<F>(p.samples, p.pixels, kThreads * P);
+    dim3 const grid = grid_of(p.samples, shares);
+    if (p.x.channels == 1)
+      run<F, kOne, P><<<grid, kThreads, 0, stream>>>(p);
+    else
+      run<F, 3, P><<<grid, kThreads, 0, stream>>>(p);
+  };
+  if constexpr (sizeof(F) == 4) {
+    if (are_halves(p.x, p.pixels) && (p.measures || are_halves(p.y, p.pixels))) {
+      launch(std::integral_constant<int, 8>{});
+      return cudaGetLastError();
+    }
+  }
+  launch(std::integral_constant<int, kTaken<F>>{});
   return cudaGetLastError();
 }
 

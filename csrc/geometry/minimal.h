@@ -147,7 +147,7 @@ struct Similarity {
   }
 };
 
-KV_HD bool lines(Points& x, Points& y, double* m) {
+KV_CALLED bool lines(Points& x, Points& y, double* m) {
   Similarity const from(x, 4, 2), to(y, 4, 2);
   double rows[8][9], space[1][9];
   for (int i = 0; i < 4; ++i) {
@@ -175,7 +175,7 @@ KV_HD void epipolar_rows(Points const& x, Points const& y, int points, double (*
   }
 }
 
-KV_HD int fundamental(Points& x, Points& y, int points, double (*models)[9]) {
+KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9]) {
   Similarity const from(x, points, 1), to(y, points, 1);
   double rows[8][9], space[2][9];
   epipolar_rows(x, y, points, rows);
@@ -227,7 +227,7 @@ KV_HD void add_cubic(double const* a, double const* b, double* to) {
 }
 
 // det E = 0 and (E E^T - tr(E E^T) / 2) E = 0, for entries e (9, 4) that are linear in x, y, z.
-KV_HD void constraints(double const (*e)[4], double (*q)[20]) {
+KV_CALLED void constraints(double const (*e)[4], double (*q)[20]) {
   for (int r = 0; r < 10; ++r)
     for (int k = 0; k < 20; ++k) q[r][k] = 0;
   double half_trace[10] = {};
@@ -250,7 +250,7 @@ KV_HD void constraints(double const (*e)[4], double (*q)[20]) {
 }
 
 // Ten equations to the ten first monomials, one each; false where they depend on one another.
-KV_HD bool eliminate(double (*q)[20]) {
+KV_CALLED bool eliminate(double (*q)[20]) {
   for (int k = 0; k < 10; ++k) {
     int row = k;
     for (int i = k + 1; i < 10; ++i)
@@ -276,7 +276,7 @@ KV_HD void add_polynomials(double const* a, int na, double const* b, int nb, dou
     for (int k = 0; k < nb; ++k) to[i + k] += scale * a[i] * b[k];
 }
 
-KV_HD int essential(Points const& x, Points const& y, double (*models)[9]) {
+KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
   double rows[5][9], basis[4][9], e[9][4], q[10][20];
   epipolar_rows(x, y, 5, rows);
   if (!small::null_space(rows, 5, basis)) return 0;

@@ -22,6 +22,14 @@ struct Reals {
   }
 };
 
+// Long functions are called on CUDA: inlined into one kernel, the compiler of CUDA 13.0 makes NaN of 9 x 9 matrices and
+// no models of five points, where calls, and one statement more that looks at a matrix, have the CPU's results.
+#if defined(__CUDACC__)
+#define KV_CALLED inline __host__ __device__ __noinline__
+#else
+#define KV_CALLED KV_HD
+#endif
+
 namespace small {
 
 KV_HD double magnitude(double x) { return x < 0 ? -x : x; }
@@ -119,7 +127,7 @@ KV_HD void largest_eigenvector(double* m, double* v) {
 // of M + 1e-6, whose digits that shift keeps where several eigenvalues are 0. What rounding adds of others is taken
 // away by Newton's method. NaN where the matrix is not finite; a matrix of zeros has any.
 template <int N>
-KV_HD void smallest_eigenvector(double* m, double* v) {
+KV_CALLED void smallest_eigenvector(double* m, double* v) {
   bool known = true;
   for (int i = 0; i < N * N; ++i) known = known && finite(m[i]);
   if (!known) {
@@ -153,7 +161,7 @@ KV_HD void smallest_eigenvector(double* m, double* v) {
 // Turns a symmetric matrix into its eigenvalues, on its diagonal, and their vectors, the columns of `vectors`, by
 // rotations that make one number after the other 0 (C. Jacobi, 1846).
 template <int N>
-KV_HD void diagonalize(double* m, double* vectors) {
+KV_CALLED void diagonalize(double* m, double* vectors) {
   for (int i = 0; i < N * N; ++i) vectors[i] = i % (N + 1) == 0;
   for (int sweep = 0; sweep < 12; ++sweep) {
     double off = 0, on = 0;
@@ -185,7 +193,7 @@ KV_HD void diagonalize(double* m, double* vectors) {
 // The gradient to M, symmetric, of its smallest eigenvector v is -(u v^T + v u^T) / 2: gives u = (M - lambda)^+ g.
 // Where other eigenvalues are as small there is none: 0 in their directions. Destroys M.
 template <int N>
-KV_HD void smallest_eigenvector_vjp(double* m, double const* v, double const* g, double* u) {
+KV_CALLED void smallest_eigenvector_vjp(double* m, double const* v, double const* g, double* u) {
   double trace = 0, value = 0, along = 0;
   for (int i = 0; i < N; ++i) {
     trace += m[i * N + i];
@@ -255,7 +263,7 @@ KV_HD void to_rank_two(double* f) {
 
 // What `rows` equations in nine unknowns leave open: 9 - rows vectors, by elimination with the largest pivot of all.
 // False where the equations depend on one another. Destroys them.
-KV_HD bool null_space(double (*a)[9], int rows, double (*space)[9]) {
+KV_CALLED bool null_space(double (*a)[9], int rows, double (*space)[9]) {
   int column[9];
   for (int k = 0; k < 9; ++k) column[k] = k;
   double largest = 0;
@@ -332,7 +340,7 @@ KV_HD double root_between(double const* p, int degree, double low, double high, 
 
 // Roots in [-1, 1], ascending, repeated ones repeated: between two neighbouring roots of its derivative a polynomial
 // has one root or none.
-KV_HD int roots_in_unit(double const* p, int degree, double* roots) {
+KV_CALLED int roots_in_unit(double const* p, int degree, double* roots) {
   double critical[kMostRoots + 1], derivative[kMostRoots + 1];
   int count = 0;
   for (int d = 1; d <= degree; ++d) {
@@ -364,7 +372,7 @@ KV_HD int roots_in_unit(double const* p, int degree, double* roots) {
 }
 
 // All real roots, in no order; how many there are. Those outside of [-1, 1] are the mirrored polynomial's.
-KV_HD int real_roots(double const* given, int degree, double* roots) {
+KV_CALLED int real_roots(double const* given, int degree, double* roots) {
   double p[kMostRoots + 1], mirrored[kMostRoots + 1], more[kMostRoots];
   double largest = 0;
   for (int i = 0; i <= degree; ++i) largest = max(largest, magnitude(given[i]));

@@ -11,3 +11,4 @@
 #include "kvision/losses.h"
 #include "kvision/metrics.h"
 #include "kvision/morphology.h"
+#include "kvision/views.h"

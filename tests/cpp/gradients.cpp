@@ -152,6 +152,16 @@ int main() {
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], t[1], t[2], "unproject_distance"); },
       {torch::rand({2, 5, 2}), torch::rand({2, 5, 1}), matrix + 1}, false);
+  Tensor const equations = torch::rand({2, 11, 9}) - 0.5, from = torch::rand({2, 6, 2}),
+               to = from + 0.1 * torch::rand({2, 6, 2});
+  check("null_vector", [](auto const& t) { return kvision::null_vector(t[0]); }, {equations}, false);
+  check(
+      "null_vector of weights", [](auto const& t) { return kvision::null_vector(t[0], t[1]); },
+      {equations, torch::rand({2, 11}) + 0.5}, false);
+  check("homography_dlt", [](auto const& t) { return kvision::homography_dlt(t[0], t[1]); }, {from, to}, false);
+  check(
+      "homography_dlt of weights", [](auto const& t) { return kvision::homography_dlt(t[0], t[1], t[2]); },
+      {from, to, torch::rand({2, 6}) + 0.5}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})
@@ -229,6 +239,31 @@ int main() {
   };
   check("gaussian_counts", counts, {column}, false);
   check("grid_counts", [](auto const& t) { return kvision::grid_counts(t[0], 0, 0.25, 4); }, {column}, false);
+  // What has no gradient in C++ says so instead of giving none.
+  auto const without = [](std::string const& name, Tensor const& found, Tensor const& expected) {
+    if (!torch::allclose(found, expected, 0, 1e-5) && ++failures) std::cout << name << ": " << found << "\n";
+    try {
+      found.sum().backward();
+      std::cout << name << ": a gradient without an error\n";
+      ++failures;
+    } catch (c10::NotImplementedError const&) {
+    }
+  };
+  Tensor const places = from.clone().requires_grad_(), eye = torch::eye(3).unsqueeze(0);
+  without("real_roots", kvision::real_roots(torch::tensor({{1.f, -3.f, 2.f}}).requires_grad_()),
+          torch::tensor({{1.f, 2.f}}));
+  Tensor const lens = torch::cat({torch::tensor({2.f, 2.f, 0.f, 0.f, 4.f, 4.f, 1.f, 1.f}), torch::zeros(21)});
+  without("undistort", kvision::undistort(places, lens.expand({2, 29})), 2 * from + 1);
+  Tensor const still = torch::eye(3, 4).expand({2, 3, 4}),
+               moved = torch::cat({still.narrow(2, 0, 3), still.narrow(2, 0, 1)}, 2);
+  Tensor const shift = torch::tensor({0.5f, 0.f});
+  without("triangulate", kvision::triangulate(places, from + shift, still, moved),
+          torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2));
+  without("minimal", kvision::minimal(places.slice(1, 0, 3), from.slice(1, 0, 3), {}, "affine"),
+          eye.expand({2, 1, 3, 3}));
+  Tensor const agree = kvision::consensus(eye, from[0].t(), from[0].t(), 0.1, "homography");
+  if (!torch::equal(agree, torch::full({1, 2}, 6.f)) && ++failures) std::cout << "consensus: " << agree << "\n";
+
   // Levels have no gradient, and a plane of one level comes back with its own.
   Tensor const planes = torch::cat({x, torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();
   auto const slope = [&](Tensor const& y) { return torch::autograd::grad({y.sum()}, {planes})[0].mean({0, 2, 3}); };

@@ -164,7 +164,7 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
     far = length(along.detach(), keepdim=True) > 0
     normal = torch.stack([-along[..., 1], along[..., 0]], -1)
     normal = torch.where(far, normal / torch.where(far, length(along, keepdim=True), 1), 0)
-    error: Tensor | float = 0.0
+    error = torch.zeros_like(start[..., 0])
     for p in ls1.unbind(-2):
         u, v, w = _image(H, p)
         x, y = quotient(u, w, torch.inf) - start[..., 0], quotient(v, w, torch.inf) - start[..., 1]

@@ -1,0 +1,134 @@
+// Several views: points, homographies and models that relate images. Each function has the arguments of the operator
+// torch.ops.kvision.<name>, which python/kvision/geometry explains. All are in float32 or float64, points
+// (B, N, 2) as (x, y). Null vectors and homographies have gradients, consensus has none; those of the others, and
+// second derivatives, are errors.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <tuple>
+
+#include "kvision/operator.h"
+
+namespace kvision {
+
+namespace detail {
+
+// For what has no kernel for its gradient.
+inline Gradient no_gradient(char const* op) {
+  return [op](Backward const&) -> variable_list {
+    TORCH_CHECK_NOT_IMPLEMENTED(false, op, ": C++ has no gradient of it; Python's kvision has");
+  };
+}
+
+}  // namespace detail
+
+// --- least squares
+// ------------------------------------------------------------------------------------------------------------
+
+inline std::tuple<Tensor, Tensor> null_vector_backward(Tensor const& grad, Tensor const& vector, Tensor const& rows,
+                                                       std::optional<Tensor> const& weights) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_rows, to_weights] = call<"null_vector_backward", std::tuple<Tensor, Tensor>>(grad, vector, rows, weights);
+    return variable_list{to_rows, to_weights};
+  };
+  variable_list const found = differentiable({grad, vector, rows, weights.value_or(Tensor())}, compute, {},
+                                             no_second_derivative("null_vector"));
+  return {found[0], found[1]};
+}
+
+// The unit vectors v (B, n) with the least sum of weights * (rows v)^2, for rows (B, m, n) and weights (B, m); n is 3,
+// 4, 9 or 12.
+inline Tensor null_vector(Tensor const& rows, std::optional<Tensor> const& weights = {}) {
+  using namespace detail;
+  Tensor const given = weights.value_or(Tensor());
+  Tensor const vector = [&] {
+    at::AutoDispatchBelowADInplaceOrView below_autograd;
+    return call<"null_vector">(rows, weights);
+  }();
+  auto const compute = [&] { return variable_list{vector}; };
+  auto const gradient = [](Backward const& b) {
+    Tensor const &v = b.saved[0], &r = b.saved[1], &w = b.saved[2];
+    auto const [to_rows, to_weights] =
+        null_vector_backward(b.grads[0], v, r, w.defined() ? std::optional(w) : std::nullopt);
+    return variable_list{to_rows, w.defined() ? to_weights : Tensor()};
+  };
+  return differentiable({rows, given}, compute, {vector.detach(), rows, given}, gradient)[0];
+}
+
+inline std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& grad, Tensor const& points1,
+                                                                  Tensor const& points2,
+                                                                  std::optional<Tensor> const& weights) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points1, to_points2, to_weights] =
+        call<"homography_dlt_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, points1, points2, weights);
+    return variable_list{to_points1, to_points2, to_weights};
+  };
+  variable_list const tensors{grad, points1, points2, weights.value_or(Tensor())};
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("homography_dlt"));
+  return {found[0], found[1], found[2]};
+}
+
+// The homographies (B, 3, 3) that take points nearest to others, with weights (B, N), by direct linear transformation.
+inline Tensor homography_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights = {}) {
+  using namespace detail;
+  Tensor const given = weights.value_or(Tensor());
+  auto const compute = [&] { return variable_list{call<"homography_dlt">(points1, points2, weights)}; };
+  auto const gradient = [](Backward const& b) {
+    Tensor const &x = b.saved[0], &y = b.saved[1], &w = b.saved[2];
+    auto const [to_points1, to_points2, to_weights] =
+        homography_dlt_backward(b.grads[0], x, y, w.defined() ? std::optional(w) : std::nullopt);
+    return variable_list{to_points1, to_points2, w.defined() ? to_weights : Tensor()};
+  };
+  return differentiable({points1, points2, given}, compute, {points1, points2, given}, gradient)[0];
+}
+
+// Points in space (B, N, 3) from their pictures in two images of projections (B, 3, 4); NaN for points at infinity.
+inline Tensor triangulate(Tensor const& points1, Tensor const& points2, Tensor const& projections1,
+                          Tensor const& projections2) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"triangulate">(points1, points2, projections1, projections2)}; };
+  return differentiable({points1, points2, projections1, projections2}, compute, {}, no_gradient("triangulate"))[0];
+}
+
+// Points from where a lens shows them to where one without distortion would, by `steps` of a fixed-point iteration.
+// Cameras are (B, 29): fx, fy, cx, cy of the points, likewise of the result, k1, k2, p1, p2, k3, k4, k5, k6, s1, s2,
+// s3, s4, and the matrix (3, 3) that takes the plane of a sensor back if it is `tilted`.
+inline Tensor undistort(Tensor const& points, Tensor const& cameras, int64_t steps = 5, bool tilted = false) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"undistort">(points, cameras, steps, tilted)}; };
+  return differentiable({points, cameras}, compute, {}, no_gradient("undistort"))[0];
+}
+
+// --- samples and those who agree with them
+// ------------------------------------------------------------------------------------------------------------
+
+// Models (S, candidates, 3, 3) that as few correspondences as possible leave, NaN for what is missing. model: "affine",
+// "homography", "lines" of points (., ., 4), "fundamental", "fundamental8" or "essential". Samples are the points (S,
+// m, 2), or with `draws` (S, m + 1) chosen from points (1, N, 2): m numbers in [0, 1), and from how many of the first.
+inline Tensor minimal(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& draws,
+                      std::string const& model) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"minimal">(points1, points2, draws, model)}; };
+  return differentiable({points1, points2}, compute, {}, no_gradient("minimal"))[0];
+}
+
+// (M, 2) of models (M, 3, 3): the sum of 1 - e / threshold^2 over the correspondences, points (2 or 4, N), whose
+// squared error e is at most threshold^2, and their number. No gradient.
+inline Tensor consensus(Tensor const& models, Tensor const& points1, Tensor const& points2, double threshold,
+                        std::string const& model) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"consensus">(models, points1, points2, threshold, model)}; };
+  return differentiable({}, compute, {}, nullptr)[0];
+}
+
+// Real roots (B, n) of polynomials (B, n + 1), the highest power first, ascending; NaN for those that are missing.
+inline Tensor real_roots(Tensor const& coefficients) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"real_roots">(coefficients)}; };
+  return differentiable({coefficients}, compute, {}, no_gradient("real_roots"))[0];
+}
+
+}  // namespace kvision

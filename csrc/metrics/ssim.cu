@@ -118,7 +118,7 @@ struct Across {
   // The thread's place in a line; how far the image's end is from its first column. It is not clamped to what matters,
   // 0 to P: ptxas of CUDA 13.0 takes the wrong branch after that.
   int const at, beyond;
-  int mirrors[P][2];     // where else its numbers stand, or -1: a pixel's mirror images at both ends of a row
+  int mirrors[P][2];  // where else its numbers stand, or -1: a pixel's mirror images at both ends of a row
   bool mirrored = false;
   int next = 0;
 

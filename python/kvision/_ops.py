@@ -184,7 +184,7 @@ class Operator:
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = reference if stores else as_stored(reference, halves)
+        self.reference = in_its_own_types(reference) if stores else as_stored(reference, halves)
         self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
         self.constant = constant
@@ -419,22 +419,33 @@ def saturate_to_byte(x: Tensor) -> Tensor:
     return x.round().clamp(0, 255).to(torch.uint8)
 
 
+def in_its_own_types(reference: Callable[..., Any]) -> Callable[..., Any]:
+    """The reference as the kernels compute: no autocast, no TF32."""
+
+    @functools.wraps(reference)
+    def wrapped(*args: Any) -> Any:
+        device = args[0].device.type
+        if device != "meta" and torch.is_autocast_enabled(device):  # torch has no answer for meta
+            with torch.autocast(device, enabled=False):
+                return wrapped(*args)
+        if device == "cuda" and not torch.compiler.is_compiling() and _cudnn_conv.fp32_precision != "ieee":
+            with _without_tf32():
+                return wrapped(*args)
+        return reference(*args)
+
+    return wrapped
+
+
 def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[..., Any]:
     """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
 
     With `halves` the reference takes half types as they are.
     """
 
+    @in_its_own_types
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
         x = args[0]
-        device = x.device.type
-        if device != "meta" and torch.is_autocast_enabled(device):  # torch has no answer for meta
-            with torch.autocast(device, enabled=False):
-                return wrapped(*args)
-        if x.is_cuda and not torch.compiler.is_compiling() and _cudnn_conv.fp32_precision != "ieee":
-            with _without_tf32():
-                return wrapped(*args)
         stored = x.dtype
         widened: Iterable[Any]
         if halves and stored in _HALVES:

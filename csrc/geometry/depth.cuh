@@ -52,22 +52,4 @@ __device__ __forceinline__ void add_to_projection(F const (&g)[3], F x, F y, F d
   }
 }
 
-// The sums of a block's threads, by its first ones. All threads call it.
-template <int N, class F>
-__device__ __forceinline__ void add_block(F const (&sums)[N], double* to) {
-  __shared__ F parts[N][kThreads / 32];
-  __syncthreads();  // the sums before these have been read
-#pragma unroll
-  for (int i = 0; i < N; ++i) {
-    F const sum = warp_sum(sums[i]);
-    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sum;
-  }
-  __syncthreads();
-  if (threadIdx.x < N) {
-    double sum = 0;
-    for (F const part : parts[threadIdx.x]) sum += part;
-    to[threadIdx.x] = sum;
-  }
-}
-
 }  // namespace kv::cuda

@@ -5,23 +5,6 @@
 namespace kv::cuda {
 namespace {
 
-// The sums of a block's threads, by its first ones.
-template <int N, class F>
-__device__ __forceinline__ void add_threads(F (&sums)[N], double* to) {
-  __shared__ F parts[N][kThreads / 32];
-#pragma unroll
-  for (int i = 0; i < N; ++i) {
-    F const sum = warp_sum(sums[i]);
-    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sum;
-  }
-  __syncthreads();
-  if (threadIdx.x < N) {
-    double sum = 0;
-    for (F const part : parts[threadIdx.x]) sum += part;
-    to[threadIdx.x] = sum;
-  }
-}
-
 template <class T>
 __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, Tiles tiles) {
   using F = Compute<T>;
@@ -66,7 +49,7 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
     }
     sums[10] += 1;
   }
-  add_threads(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
+  add_block(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
 }
 
 template <class T>
@@ -76,7 +59,7 @@ __global__ void photometric_samples(PhotometricTotal<T> p) {
   double sums[kPhotometricSums] = {};
   for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
     for (int i = 0; i < kPhotometricSums; ++i) sums[i] += p.sums[(b * p.parts + part) * kPhotometricSums + i];
-  add_threads(sums, total);
+  add_block(sums, total);
   __syncthreads();
   if (threadIdx.x == 0) photometric_total_of(p, b, total);
 }

@@ -105,37 +105,20 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
     });
   }
   if (!p.places.matrices) return;
-  __shared__ F parts[9][kThreads / 32];
-  for (int i = 0; i < 9; ++i) {
-    F const sum = warp_sum(sums[i]);
-    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sum;
-  }
-  __syncthreads();
-  if (threadIdx.x < 9) {
-    double sum = 0;
-    for (F const part : parts[threadIdx.x]) sum += part;
-    p.sums[int64_t(blockIdx.x) * 9 + threadIdx.x] = sum;
-  }
+  add_block(sums, p.sums + int64_t(blockIdx.x) * 9);
 }
 
 // A block a sample.
 template <class T>
 __global__ void add_parts(MatrixGradient<T> p) {
-  __shared__ double parts[9][kThreads / 32], total[9];
+  __shared__ double total[9];
   int64_t const b = blockIdx.x;
   double sums[9] = {};
   for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
     for (int i = 0; i < 9; ++i) sums[i] += p.sums[(b * p.parts + part) * 9 + i];
-  for (int i = 0; i < 9; ++i) {
-    double const sum = warp_sum(sums[i]);
-    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sum;
-  }
+  add_block(sums, total);
   __syncthreads();
   if (threadIdx.x != 0) return;
-  for (int i = 0; i < 9; ++i) {
-    total[i] = 0;
-    for (double const part : parts[i]) total[i] += part;
-  }
   MatrixUse const& use = p.places.use;
   homography_vjp(p.places.matrices + b * p.places.matrix_stride, use, total, p.grad + b * 3 * use.rows);
 }

@@ -8,7 +8,7 @@ namespace {
 
 void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const& window, bool volumes,
                  Tensor const* values, Tensor const* maxima, Tensor const* minima, Layout layout) {
-  Tensor const x = volumes ? torch::stable::contiguous(input) : conform(input, layout);
+  Tensor const x = volumes ? dense(input) : conform(input, layout);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     LocalMaxima<T> params{};

@@ -185,9 +185,9 @@ inline bool is_packed(Pixels const& x, int64_t pixels) {
 template <class F, int P>
 inline void set_access(Pixels& x, int64_t pixels) {
   Storage const computed = sizeof(F) == 8 ? Storage::wide : Storage::single;
-  x.access = !is_packed<P>(x, pixels)               ? Access::each
+  x.access = !is_packed<P>(x, pixels)            ? Access::each
              : x.type == computed && x.step == 1 ? Access::plain
-                                                    : Access::packs;
+                                                 : Access::packs;
 }
 
 // Plain pixels as they come from memory: asked for in time, they are waited for where they become numbers.

@@ -90,8 +90,8 @@ KV_HD void for_storage(Storage type, F f) {
   }
 }
 
-// How a thread of CUDA takes its pixels: each number by itself, or packs of them, which may be of what is computed in and
-// planes, as most are.
+// How a thread of CUDA takes its pixels: each number by itself, or packs of them, which may be of what is computed in
+// and planes, as most are.
 enum class Access : int { each, packs, plain };
 
 // Sample b is (b / inner, b % inner). Its pixel i has channel c at data + outer_stride * (b / inner) + inner_stride *
@@ -183,7 +183,7 @@ struct Program {
   // and keeps the means of the samples, where the backward pass, which has no parts, finds them.
   int contrast;  // where it is among the steps, or -1
   bool measures;
-  F grey[3];      // how much of the mean each channel is
+  F grey[3];  // how much of the mean each channel is
   int64_t parts_count;
   F* parts;
   F* means;

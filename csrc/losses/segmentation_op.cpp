@@ -40,7 +40,7 @@ T* data(Tensor const& x) {
 Tensor class_sums(Tensor const& pred, Tensor const& target, int64_t ignored, bool ignores) {
   check_labels("class_sums", pred, target);
   KV_CHECK(pred.size(1) <= kMostClasses, "class_sums: expected at most ", kMostClasses, " classes");
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target);
+  Tensor const x = dense(pred), labels = dense(target);
   int64_t const batch = x.size(0), classes = x.size(1);
   int64_t const pieces = max((x.size(2) * x.size(3) + kPiece - 1) / kPiece, int64_t(1));
   Tensor const sums = empty({batch, 3, classes}, x, Layout::planar, computed(x));
@@ -70,8 +70,7 @@ Tensor class_sums_backward(Tensor const& grad, Tensor const& pred, Tensor const&
   KV_CHECK(grad.dim() == 3 && grad.size(0) == pred.size(0) && grad.size(1) == 3 && grad.size(2) == pred.size(1) &&
                grad.scalar_type() == computed(pred) && grad.device() == pred.device(),
            op, ": expected grad to be that of the sums");
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target),
-               g = torch::stable::contiguous(grad), grad_x = empty_like(x, Layout::planar);
+  Tensor const x = dense(pred), labels = dense(target), g = dense(grad), grad_x = empty_like(x, Layout::planar);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     ClassSumsBackward<T> const params{logits_of<T>(x, labels, ignored, ignores), data<Compute<T>>(g), data<T>(grad_x)};
@@ -90,14 +89,14 @@ std::optional<Tensor> checked_weight(char const* op, std::optional<Tensor> const
   KV_CHECK(weight->dim() == 2 && weight->size(0) == 1 && weight->size(1) == pred.size(1) &&
                weight->scalar_type() == computed(pred) && weight->device() == pred.device(),
            op, ": expected weight of shape (1, C) in the type that pred is computed in");
-  return torch::stable::contiguous(*weight);
+  return dense(*weight);
 }
 
 Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight, double first, double other,
              double gamma, int64_t ignored, bool ignores) {
   check_labels("focal", pred, target);
   std::optional<Tensor> const w = checked_weight("focal", weight, pred);
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target);
+  Tensor const x = dense(pred), labels = dense(target);
   Tensor const loss = empty({x.size(0), x.size(2), x.size(3)}, x, Layout::planar, computed(x));
   for_floats("focal", x, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -117,8 +116,7 @@ Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& targ
   KV_CHECK(grad.dim() == 3 && grad.size(0) == pred.size(0) && grad.size(1) == pred.size(2) &&
                grad.size(2) == pred.size(3) && grad.scalar_type() == computed(pred) && grad.device() == pred.device(),
            op, ": expected grad to be that of the loss");
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target),
-               g = torch::stable::contiguous(grad), grad_x = empty_like(x, Layout::planar);
+  Tensor const x = dense(pred), labels = dense(target), g = dense(grad), grad_x = empty_like(x, Layout::planar);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;

@@ -126,7 +126,8 @@ class ColorProgram(nn.Module):
             None if any(isinstance(value, str) for value in values) else _slots(name, values, None)
             for name, values in self._steps
         ]
-        self._arguments = None if None in self._numbers else arguments(sum(self._numbers, []))  # type: ignore[arg-type]
+        plain = [slots for slots in self._numbers if slots is not None]
+        self._arguments = arguments([n for slots in plain for n in slots]) if len(plain) == len(self._numbers) else None
 
     @property
     def steps(self) -> tuple[tuple[Any, ...], ...]:

@@ -9,7 +9,7 @@ namespace {
 Tensor cameras_of(char const* op, Tensor const& camera, Tensor const& image) {
   KV_CHECK(goes_with(camera, image, 3) && camera.size(1) == 3 && camera.size(2) == 3, op,
            ": camera does not fit the images");
-  return torch::stable::contiguous(camera);
+  return dense(camera);
 }
 int64_t stride_of(Tensor const& cameras) { return cameras.size(0) == 1 ? 0 : 9; }
 

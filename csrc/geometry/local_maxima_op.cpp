@@ -8,7 +8,7 @@ namespace {
 
 void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const& window, bool volumes,
                  Tensor const* kept, Tensor const* values, Tensor const* maxima, Tensor const* minima, Layout layout) {
-  auto const readable = [&](Tensor const& x) { return volumes ? torch::stable::contiguous(x) : conform(x, layout); };
+  auto const readable = [&](Tensor const& x) { return volumes ? dense(x) : conform(x, layout); };
   Tensor const x = readable(input), shown = kept ? readable(*kept) : x;
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;

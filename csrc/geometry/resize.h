@@ -56,6 +56,13 @@ struct Resize {
 
 KV_KERNEL(resize, Resize)
 
+namespace cuda {
+// By exactly two along both axes: resize_octave.cu.
+constexpr int kNotServed = -1;
+template <class T>
+int resize_octave(Resize<T> const& p, CUstream_st* stream);
+}  // namespace cuda
+
 // --- sizes
 // ---------------------------------------------------------------------------------------------------------
 

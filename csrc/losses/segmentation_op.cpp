@@ -26,10 +26,7 @@ struct Labelled {
 
   Labelled(char const* op, Tensor const& pred, Tensor const& labels, std::optional<Tensor> const& of_classes,
            int64_t ignored, bool ignores)
-      : logits(torch::stable::contiguous(pred)),
-        target(torch::stable::contiguous(labels)),
-        ignored(ignored),
-        ignores(ignores) {
+      : logits(dense(pred)), target(dense(labels)), ignored(ignored), ignores(ignores) {
     KV_CHECK(pred.dim() == 5 && pred.numel() > 0 && pred.size(2) <= kMostClasses, op,
              ": expected pred of shape (losses, B, C, H, W) with 1 to ", kMostClasses, " classes");
     losses = pred.size(0), batch = pred.size(1), classes = pred.size(2), pixels = pred.size(3) * pred.size(4);
@@ -38,7 +35,7 @@ struct Labelled {
                  labels.scalar_type() == ScalarType::Long && labels.device() == pred.device(),
              op, ": expected target of int64 labels (losses or 1, B, H, W) on the device of pred");
     if (!of_classes) return;
-    weight = torch::stable::contiguous(*of_classes);
+    weight = dense(*of_classes);
     KV_CHECK(weight->dim() == 2 && (weight->size(0) == losses || weight->size(0) == 1) && weight->size(1) == classes &&
                  weight->scalar_type() == computed(pred) && weight->device() == pred.device(),
              op, ": expected weight of shape (losses or 1, C) in the type that pred is computed in");
@@ -85,7 +82,7 @@ Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const
               x.device() == like.logits.device();
   for (size_t i = 0; fits && i < sizes.size(); ++i) fits = x.size(int64_t(i)) == sizes.begin()[i];
   KV_CHECK(fits, op, ": expected ", name, " to be that of the loss");
-  return torch::stable::contiguous(x);
+  return dense(x);
 }
 
 // The losses (losses), and of every sample (losses, B, 3, C) the sums that they are made of.

@@ -36,7 +36,7 @@ struct Window {
       check_border(op, border, size / 2, n);
     }
 #if defined(KV_CUDA)
-    bool const served = has_ssim_kernel(size) && min(x.size(2), x.size(3)) >= size && !is_channels_last(x) &&
+    bool const served = has_ssim_kernel(size) && min(x.size(2), x.size(3)) >= size && layout_of(x) == Layout::planar &&
                         x.scalar_type() != ScalarType::Double;
     KV_CHECK(served, op, ": no kernel for these images or this window on CUDA");
 #endif
@@ -169,7 +169,7 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
   }
   Layout const layout = loss ? Layout::planar : layout_of(input);
   Tensor const x = conform(input, layout), y = conform(other, layout);
-  Tensor const g = loss ? torch::stable::contiguous(grad) : conform(grad, layout), grad_x = empty_like(x, layout);
+  Tensor const g = loss ? dense(grad) : conform(grad, layout), grad_x = empty_like(x, layout);
   if (grad_other) *grad_other = empty_like(x, layout);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;

@@ -8,9 +8,9 @@ namespace {
 std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
   check_flat("equalize", input);
   Layout const layout = layout_of(input);
-  Tensor const x = dense(input, layout), y = empty_like(x, layout), changed = empty({x.size(0), x.size(1)}, x);
+  Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), changed = empty({x.size(0), x.size(1)}, x);
 #if defined(KV_CUDA)
-  Tensor const memory = torch::stable::new_empty(x, {x.size(0) * x.size(1), kLevels}, ScalarType::Int);
+  Tensor const memory = empty({x.size(0) * x.size(1), kLevels}, x, Layout::planar, ScalarType::Int);
   auto* const counts = static_cast<int32_t*>(memory.mutable_data_ptr());
 #else
   int32_t* const counts = nullptr;

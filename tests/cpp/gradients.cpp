@@ -116,7 +116,7 @@ int main() {
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
-  check("local_maxima", [](auto const& t) { return kvision::local_maxima(t[0], {1, 3, 3}); }, {x});
+  check("local_maxima", [](auto const& t) { return std::get<0>(kvision::local_maxima(t[0], {1, 3, 3})); }, {x});
   check(
       "soft_argmax",
       [](auto const& t) {
@@ -137,6 +137,10 @@ int main() {
       "depth_points",
       [&](auto const& t) { return kvision::depth_points(t[0], camera.view({1, 3, 3}).to(torch::kDouble), true); },
       {depth}, false);
+  check(
+      "depth_normals",
+      [&](auto const& t) { return kvision::depth_normals(t[0], camera.view({1, 3, 3}).to(torch::kDouble)); }, {depth},
+      false);
   Tensor const projection = torch::cat({matrix, torch::tensor({0.11, -0.07, 0.03}).view({1, 3, 1})}, 2);
   check(
       "depth_warp", [](auto const& t) { return kvision::depth_warp(t[0], t[1], t[2]); }, {x, depth, projection}, false);

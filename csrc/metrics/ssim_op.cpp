@@ -77,7 +77,7 @@ SsimImages<T> images(Tensor const& x, Tensor const& y, Layout layout, Window con
           int(window.size),
           window.border,
           window.valid,
-          {F(c.c1), F(c.c2), F(c.eps), c.luminance}};
+          {F(c.luminance ? c.c1 : 1.0), F(c.c2), F(c.eps), F(c.luminance)}};
 }
 
 Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,

@@ -88,9 +88,9 @@ int main() {
       "dilation",
       [](auto const& t) { return kvision::dilation(t[0], torch::ones({1, 3, 3}, torch::kDouble), {}, 1, 1); }, {x},
       false);
-  Tensor const labels = torch::randint(0, 2, {2, 7, 6});
-  check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x}, false);
-  check("class_sums", [&](auto const& t) { return kvision::class_sums(t[0], labels); }, {x}, false);
+  Tensor const labels = torch::randint(0, 2, {1, 2, 7, 6});
+  check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x.unsqueeze(0)}, false);
+  check("overlap", [&](auto const& t) { return std::get<0>(kvision::overlap(t[0], labels)); }, {x.unsqueeze(0)}, false);
   Tensor const rows = x.flatten(1), others = torch::rand_like(rows) + 0.5;
   check(
       "pointwise_loss", [](auto const& t) { return kvision::pointwise_loss(t[0], t[1], "welsch"); }, {rows, others},

@@ -245,19 +245,20 @@ __device__ __forceinline__ void take_rows(float const (&xs)[kRows], float const 
   int const at = int(threadIdx.x) + K / 2;
 #pragma unroll
   for (int r = 0; r < kRows; ++r) {
-    float const a = xs[r], b = ys[r], d = a - b;
-    float const complete[4] = {down.add(0, a, work.weights), down.add(1, b, work.weights),
-                               down.add(2, fmaf(a, a, b * b), work.weights), down.add(3, d * d, work.weights)};
-    if (place.column < place.width) {
+    float const a = xs[r], b = ys[r], d = a - b, values[4] = {a, b, fmaf(a, a, b * b), d * d};
 #pragma unroll
-      for (int m = 0; m < 4; ++m) rows[r][m][at] = complete[m];
+    for (int m = 0; m < 4; ++m) {
+      float const complete = down.add(m, values[m], work.weights);
+      if (place.column < place.width) rows[r][m][at] = complete;
     }
-    if (near_end)
-      place.for_each_mirror(place.column, [&](int to) {
-#pragma unroll
-        for (int m = 0; m < 4; ++m) rows[r][m][K / 2 + to] = complete[m];
-      });
   }
+  if (near_end)
+    place.for_each_mirror(place.column, [&](int to) {
+#pragma unroll
+      for (int r = 0; r < kRows; ++r)
+#pragma unroll
+        for (int m = 0; m < 4; ++m) rows[r][m][K / 2 + to] = rows[r][m][at];
+    });
 }
 
 // Columns that are not right beside a block whose windows go along x once.
@@ -407,17 +408,32 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   // Rows of the gradients from y on, from their pixels and the sums along x of the derivatives in the rows that
   // complete them.
   auto const finish = [&](int y, float(&a)[kRows], float(&b)[kRows], Rows<M> const& across) {
+    float signs[kRows] = {};
+    if (work.loss.absolute != 0) {
+#pragma unroll
+      for (int r = 0; r < kRows; ++r) {
+        float const d = a[r] - b[r];
+        signs[r] = work.loss.absolute * of_loss * (d > 0 ? 1.f : d < 0 ? -1.f : d);
+      }
+    }
 #pragma unroll
     for (int r = 0; r < kRows; ++r) {
       float gradients[M];
 #pragma unroll
       for (int m = 0; m < M; ++m) gradients[m] = back_down.add(m, across[r][m][threadIdx.x], work.weights);
-      float const scale = mirrored && at_end(y + r, height) ? 0.5f * column_scale : column_scale;
-      float const d = a[r] - b[r], apart = d * gradients[2], both = gradients[1];
-      float const sign = work.loss.absolute != 0 ? work.loss.absolute * of_loss * (d > 0 ? 1.f : d < 0 ? -1.f : d) : 0;
-      a[r] = fmaf(scale, fmaf(a[r], both, gradients[0] + apart), sign);
-      if (M == 4) b[r] = fmaf(scale, fmaf(b[r], both, gradients[M - 1] - apart), -sign);
+      float const d = a[r] - b[r];
+      a[r] = fmaf(d, gradients[2], fmaf(a[r], gradients[1], gradients[0]));
+      if (M == 4) b[r] = fmaf(-d, gradients[2], fmaf(b[r], gradients[1], gradients[M - 1]));
     }
+    if (mirrored && (column_scale != 1 || y <= 0 || y + kRows >= height)) {
+#pragma unroll
+      for (int r = 0; r < kRows; ++r) {
+        float const scale = at_end(y + r, height) ? 0.5f * column_scale : column_scale;
+        a[r] *= scale, b[r] *= scale;
+      }
+    }
+#pragma unroll
+    for (int r = 0; r < kRows; ++r) a[r] += signs[r], b[r] -= signs[r];
     if (!owns_column) return;
     with_type(work.stored, [&](auto type) {
       using T = decltype(type);
@@ -441,11 +457,11 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
     // The first row of means at the first stage. Rows before y0 - R are not needed, and nobody reads what becomes of
     // them.
     int const q = y0 - 3 * R + kRows * i, now = i % 2, before = 1 - now;
+    int const complete = q - 3 * kRows - R;
+    float own_a[kRows], own_b[kRows];
+    if (complete + kRows > y0 - 2 * R) pixels.from(complete).fetch(own_a, own_b);
     if (i < steps) take_rows<K>(a, b, work, place, near_end, down, memory.summed[now]);
-    if (int const row = q - 3 * kRows; row + kRows > y0 - R) {
-      pixels.from(row - R).fetch(a, b);
-      finish(row - R, a, b, memory.across[before]);
-    }
+    if (complete + kRows > y0 - 2 * R) finish(complete, own_a, own_b, memory.across[before]);
     if (i + 1 < steps) pixels.fetch(a, b);
     auto const is_needed = [&](int row) { return row >= y0 - R && row < y1 + R; };
     if (int const row = q - kRows + place.r; is_needed(row))

@@ -1,4 +1,5 @@
-// Structural similarity on CUDA: planar images, windows of 5, 7 and 11 pixels, one launch each way.
+// Structural similarity on CUDA: planar images, windows of 5, 7 and 11 pixels, one launch each way; ssim_any.cu has the
+// others.
 //
 // A block walks down its columns, four rows at a time. Along y each thread has a column, and running sums in registers:
 // a new row adds to all the rows that it belongs to, of which it completes the first. Those go to shared memory, and
@@ -6,8 +7,7 @@
 // its windows; what windows read beyond the image is filled in where the rows are written. The gradient does both
 // twice, with the means and with the derivatives by them. Nothing depends on how pixels are stored but reading and
 // writing them, so that is found out when it runs.
-#include "ssim.h"
-#include "sums.cuh"
+#include "ssim.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -16,44 +16,12 @@ constexpr int kThreads = 256;         // of a block, at most
 constexpr int kRows = 4;              // taken together, and as many columns of a thread along x
 constexpr int kLine = kThreads + 16;  // numbers of a row in shared memory
 
-enum class Stored : int { floats, halves, bfloats };
-template <class T>
-constexpr Stored kStored = sizeof(T) == 4       ? Stored::floats
-                           : __is_same(T, Half) ? Stored::halves
-                                                : Stored::bfloats;
-
-// Calls f with a value of the type that pixels are stored in.
-template <class F>
-__device__ __forceinline__ void with_type(Stored stored, F f) {
-  if (stored == Stored::floats)
-    f(float{});
-  else if (stored == Stored::halves)
-    f(Half{});
-  else
-    f(BFloat16{});
-}
-
-using Bytes = Planes<uint8_t>;
-template <class T>
-Bytes as_bytes(Planes<T> const& p) {
-  constexpr int64_t size = sizeof(T);
-  return {reinterpret_cast<uint8_t*>(const_cast<std::remove_const_t<T>*>(p.data)),
-          p.outer,
-          p.inner,
-          p.outer_stride * size,
-          p.inner_stride * size,
-          p.row_stride * size,
-          p.height,
-          p.width,
-          p.step};
-}
-
 // Rows and columns are those of the images throughout: of a 'valid' similarity the first is at `offset`.
 template <int K>
 struct Work {
-  Bytes x, y, result,
-      other_result;  // the similarity; or the gradients to x and to y, the latter without data if unwanted
-  Bytes grad;        // of the similarity
+  StoredPlanes x, y, result,
+      other_result;   // the similarity; or the gradients to x and to y, the latter without data if unwanted
+  StoredPlanes grad;  // of the similarity
   Border border;
   int offset;
   Stored stored;
@@ -512,7 +480,7 @@ bool has_vectors(Planes<T> const& p) {
 template <int K, class T>
 Work<K> work_of(SsimImages<T> const& images, Grid const& grid) {
   Work<K> work{};
-  work.x = as_bytes(images.x), work.y = as_bytes(images.y);
+  work.x = stored_planes(images.x), work.y = stored_planes(images.y);
   work.border = images.border, work.offset = images.valid ? K / 2 : 0;
   work.stored = kStored<T>;
   work.constants = images.constants;
@@ -526,7 +494,7 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
   Grid const grid(x.count(), x.height, x.width, kReach<K>, K - 1, 3);
   Work<K> work = work_of<K>(p.images, grid);
-  work.result = as_bytes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
+  work.result = stored_planes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
   work.loss = p.loss, work.partial = p.partial;
   ssim_forward<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
   if (!p.similarity.data) {
@@ -550,8 +518,8 @@ int launch(SsimBackward<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
   Grid const grid(x.count(), x.height, x.width, kReachOfGradients<K>, 2 * K + 10, 2);
   Work<K> work = work_of<K>(p.images, grid);
-  work.result = as_bytes(p.grad_x), work.other_result = as_bytes(p.grad_y);
-  work.grad = as_bytes(p.grad), work.vectors = work.offset == 0 && has_vectors(p.grad);
+  work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
+  work.grad = stored_planes(p.grad), work.vectors = work.offset == 0 && has_vectors(p.grad);
   work.loss = p.loss, work.of_loss = p.of_loss;
   return p.grad_y.data ? launch_gradients<K, 4>(work, grid, stream) : launch_gradients<K, 3>(work, grid, stream);
 }
@@ -560,13 +528,9 @@ int launch(SsimBackward<T> const& p, CUstream_st* stream) {
 template <class T, class Params>
 int launch_size(Params const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
-    Planes<T const> const& x = p.images.x;
-    if (x.step != 1 || max(x.width, x.height) > INT32_MAX / 2 ||
-        max(x.row_stride, p.images.y.row_stride) > INT32_MAX / 4)
-      return cudaErrorInvalidValue;
     if (p.images.size == 5) return launch<5>(p, stream);
     if (p.images.size == 7) return launch<7>(p, stream);
-    if (p.images.size == 11) return launch<11>(p, stream);
+    return launch<11>(p, stream);
   }
   return cudaErrorInvalidValue;
 }
@@ -575,12 +539,12 @@ int launch_size(Params const& p, CUstream_st* stream) {
 
 template <class T>
 int ssim(Ssim<T> const& p, CUstream_st* stream) {
-  return launch_size<T>(p, stream);
+  return has_ssim_strips(p.images) ? launch_size<T>(p, stream) : ssim_any(p, stream);
 }
 
 template <class T>
 int ssim_backward(SsimBackward<T> const& p, CUstream_st* stream) {
-  return launch_size<T>(p, stream);
+  return has_ssim_strips(p.images) ? launch_size<T>(p, stream) : ssim_any_backward(p, stream);
 }
 
 KV_INSTANTIATE(ssim, Ssim)

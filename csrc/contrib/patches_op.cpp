@@ -52,7 +52,7 @@ Tensor combine_patches(Tensor const& patches, std::vector<int64_t> size, std::ve
   KV_CHECK(patches.size(1) == int64_t(grid.down) * grid.across && patches.size(3) == grid.height &&
                patches.size(4) == grid.width,
            op, ": expected as many patches of that size as fit the images");
-  Tensor const x = torch::stable::contiguous(patches);
+  Tensor const x = dense(patches);
   Tensor const image = empty({x.size(0), x.size(2), size[0], size[1]}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;

@@ -29,8 +29,7 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
   Layout const layout = layout_of(input);
   Tensor const x = conform(input, layout), y = empty_like(x, layout);
 #if defined(KV_CUDA)
-  Tensor const memory =
-      torch::stable::new_empty(x, {x.size(0) * x.size(1), rows * columns * kLevels}, ScalarType::Byte);
+  Tensor const memory = empty({x.size(0) * x.size(1), rows * columns * kLevels}, x, Layout::planar, ScalarType::Byte);
   auto* const tables = static_cast<uint8_t*>(memory.mutable_data_ptr());
 #else
   uint8_t* const tables = nullptr;

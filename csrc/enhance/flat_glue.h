@@ -6,10 +6,10 @@
 namespace kv {
 
 // `x` itself, or a dense copy: all pixels of a plane are then one row.
-inline Tensor dense(Tensor const& x, Layout layout) {
+inline Tensor dense_planes(Tensor const& x, Layout layout) {
   bool const last = layout == Layout::channels_last;
   if (last ? x.stride(2) == x.size(3) * x.size(1) : x.stride(3) == 1 && x.stride(2) == x.size(3)) return x;
-  return last ? conform(torch::stable::contiguous(x), layout) : torch::stable::contiguous(x);
+  return last ? conform(dense(x), layout) : dense(x);
 }
 
 // The planes of an image tensor, each channel by itself in both layouts.

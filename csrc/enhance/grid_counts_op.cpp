@@ -41,7 +41,7 @@ Tensor grid_counts(Tensor const& input, double low, double width, int64_t bins, 
   constexpr char const* op = "grid_counts";
   check(op, input, width, bins);
   kernel_of(op, kernel);
-  Tensor const x = torch::stable::contiguous(input), counts = empty({x.size(0), bins}, x);
+  Tensor const x = dense(input), counts = empty({x.size(0), bins}, x);
   for_row_type(x, [&](auto type) {
     using T = typename decltype(type)::type;
     GridCounts<T> params = params_of<T>(op, x, low, width, bins, kernel);
@@ -64,8 +64,7 @@ Tensor grid_counts_backward(Tensor const& grad, Tensor const& input, double low,
   check(op, input, width, bins);
   kernel_of(op, kernel);
   check_row_grad(op, grad, input, bins);
-  Tensor const x = torch::stable::contiguous(input), g = torch::stable::contiguous(grad),
-               grad_x = empty({x.size(0), x.size(1)}, x);
+  Tensor const x = dense(input), g = dense(grad), grad_x = empty({x.size(0), x.size(1)}, x);
   for_row_type(x, [&](auto type) {
     using T = typename decltype(type)::type;
     GridCountsBackward<T> const params{params_of<T>(op, x, low, width, bins, kernel), row_data<T>(g),

@@ -22,9 +22,9 @@ struct Samples {
     check_beside(op, "centers", centers, x, 2);
     check_beside(op, "bandwidth", bandwidth, x, 1);
     KV_CHECK(centers.size(1) <= INT32_MAX, op, ": expected fewer than 2^31 centers");
-    this->x = torch::stable::contiguous(x);
-    this->centers = torch::stable::contiguous(centers);
-    this->bandwidth = torch::stable::contiguous(bandwidth);
+    this->x = dense(x);
+    this->centers = dense(centers);
+    this->bandwidth = dense(bandwidth);
     rows = x.size(0), samples = x.size(1), bins = centers.size(1);
   }
 
@@ -70,7 +70,7 @@ Tensor gaussian_counts_backward(Tensor const& grad, Tensor const& x, Tensor cons
   Samples const s(op, x, centers, bandwidth);
   check_row_grad(op, grad, x, s.bins);
   KV_CHECK(s.bins > 0, op, ": expected at least one center");
-  Tensor const g = torch::stable::contiguous(grad), grad_x = empty({s.rows, s.samples}, s.x);
+  Tensor const g = dense(grad), grad_x = empty({s.rows, s.samples}, s.x);
   for_row_type(s.x, [&](auto type) {
     using T = typename decltype(type)::type;
     GaussianCountsBackward<T> const params{s.params<T>(), row_data<T>(g), row_data<T>(grad_x)};

@@ -19,16 +19,16 @@ struct Pieces {
 template <class F>
 Tensor working_memory([[maybe_unused]] Tensor const& like, [[maybe_unused]] int64_t count) {
 #if defined(KV_CUDA)
-  return torch::stable::new_empty(like, {count}, sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
+  return empty({count}, like, Layout::planar, sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
 #else
-  return torch::stable::new_empty(like, {0}, ScalarType::Float);
+  return empty({0}, like, Layout::planar, ScalarType::Float);
 #endif
 }
 
 std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, double high, double eps) {
   check_flat("normalize_min_max", input);
   Layout const layout = layout_of(input);
-  Tensor const x = dense(input, layout), y = empty_like(x, layout), range = empty({x.size(0), x.size(1), 2}, x);
+  Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), range = empty({x.size(0), x.size(1), 2}, x);
   for_floats("normalize_min_max", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -57,8 +57,8 @@ Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tenso
                range.scalar_type() == input.scalar_type() && range.device() == input.device(),
            op, ": expected range to be that of input's planes");
   Layout const layout = layout_of(input);
-  Tensor const x = dense(input, layout), g = dense(conform(grad, layout), layout), grad_x = empty_like(x, layout),
-               r = torch::stable::contiguous(range);
+  Tensor const x = dense_planes(input, layout), g = dense_planes(conform(grad, layout), layout),
+               grad_x = empty_like(x, layout), r = dense(range);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;

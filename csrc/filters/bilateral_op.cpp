@@ -17,8 +17,8 @@ struct Arguments {
             std::string const& border, std::string const& distance)
       : x(input),
         guide(guidance ? *guidance : x),
-        sigma_color(colors ? torch::stable::contiguous(*colors) : x),
-        sigma_space(spaces ? torch::stable::contiguous(*spaces) : x),
+        sigma_color(colors ? dense(*colors) : x),
+        sigma_space(spaces ? dense(*spaces) : x),
         joint(guidance.has_value()),
         l1(distance == "l1"),
         ky(int(ky)),

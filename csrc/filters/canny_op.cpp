@@ -25,7 +25,7 @@ Tensor canny_hysteresis(Tensor const& edges) {
   Layout const layout = Layout::planar;
   Tensor const e = conform(edges, layout), kept = empty_like(e, layout);
 #if defined(KV_CUDA)
-  Tensor const labels = torch::stable::new_empty(e, e.sizes(), ScalarType::Int);
+  Tensor const labels = empty(e.sizes(), e, Layout::planar, ScalarType::Int);
   auto* const memory = static_cast<int32_t*>(labels.mutable_data_ptr());
 #else
   int32_t* const memory = nullptr;

@@ -52,9 +52,7 @@ std::vector<int64_t> sizes_with(char const* op, Tensor const& x, int64_t axes, T
 
 bool is_image(Tensor const& x) { return x.dim() == 4; }
 Layout readable_layout(Tensor const& x) { return is_image(x) ? layout_of(x) : Layout::planar; }
-Tensor readable(Tensor const& x, Layout layout) {
-  return is_image(x) ? conform(x, layout) : torch::stable::contiguous(x);
-}
+Tensor readable(Tensor const& x, Layout layout) { return is_image(x) ? conform(x, layout) : dense(x); }
 template <class T>
 Planes<T> rows_of(Tensor const& x, Layout layout) {
   return is_image(x) ? planes<T>(x, layout) : stacked_planes<T>(x);
@@ -67,7 +65,7 @@ Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::ve
   check_weights(op, kernel, input);
   Layout const layout = readable_layout(input);
   Tensor const x = readable(input, layout), y = empty(sizes, x, layout),
-               weights = kernel.is_contiguous() ? kernel : torch::stable::contiguous(kernel);
+               weights = kernel.is_contiguous() ? kernel : dense(kernel);
   auto const taps = [&](KernelAxis t) { return transposed ? flipped(t) : t; };
   bool const folds = transposed && window.border != Border::circular;
   for_floats_and_bytes(op, x, [&](auto type) {

@@ -34,7 +34,7 @@ inline Tensor checked_rows(char const* op, Tensor const& rows, Tensor const& x) 
            ": expected weights or sigmas of shape (B or 1, n)");
   KV_CHECK(rows.scalar_type() == computed && rows.device() == x.device(), op,
            ": weights or sigmas differ in dtype or device from what the input is computed in");
-  return torch::stable::contiguous(rows);
+  return dense(rows);
 }
 
 inline int64_t planes_of_sample(Tensor const& x, Layout layout) {

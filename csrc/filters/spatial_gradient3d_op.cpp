@@ -12,7 +12,7 @@ void check_order(char const* op, int64_t order) {
 Tensor spatial_gradient3d(Tensor const& input, int64_t order) {
   check_volumes("spatial_gradient3d", "input", input);
   check_order("spatial_gradient3d", order);
-  Tensor const x = torch::stable::contiguous(input);
+  Tensor const x = dense(input);
   int64_t const depth = x.size(2), width = x.size(4);
   Tensor const y = empty({x.size(0), x.size(1), 3 * order, depth, x.size(3), width}, x);
   for_floats("spatial_gradient3d", x, [&](auto type) {
@@ -28,7 +28,7 @@ Tensor spatial_gradient3d_backward(Tensor const& grad, int64_t order) {
   KV_CHECK(grad.dim() == 6 && grad.size(2) == 3 * order, "spatial_gradient3d_backward: expected grad of shape (B, C, ",
            3 * order, ", D, H, W)");
   KV_CHECK(grad.size(3) > 0 && grad.size(4) > 0 && grad.size(5) > 0, "spatial_gradient3d_backward: grad has no voxels");
-  Tensor const g = torch::stable::contiguous(grad);
+  Tensor const g = dense(grad);
   int64_t const depth = g.size(3), width = g.size(5);
   Tensor const grad_x = empty({g.size(0), g.size(1), depth, g.size(4), width}, g);
   for_floats("spatial_gradient3d_backward", g, [&](auto type) {

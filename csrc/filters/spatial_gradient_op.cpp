@@ -30,7 +30,7 @@ Tensor spatial_gradient_backward(Tensor const& grad, std::string const& mode, in
   Gradient const kind = gradient_of("spatial_gradient_backward", mode, order);
   KV_CHECK(grad.size(2) == order + 1, "spatial_gradient_backward: expected grad of ", order + 1, " channels, got ",
            grad.size(2));
-  Tensor const g = torch::stable::contiguous(grad);
+  Tensor const g = dense(grad);
   Tensor const grad_x = empty({g.size(0), g.size(1), g.size(3), g.size(4)}, g);
   for_floats("spatial_gradient_backward", g, [&](auto type) {
     using T = typename decltype(type)::type;

@@ -9,7 +9,7 @@ Tensor crop_matrix(Tensor const& quads, std::vector<int64_t> size) {
   KV_CHECK(quads.dim() == 3 && quads.size(1) == 4 && quads.size(2) == 2,
            "crop_matrix: expected quads of shape (B, 4, 2)");
   Size const result = size_of("crop_matrix", size);
-  Tensor const points = torch::stable::contiguous(quads);
+  Tensor const points = dense(quads);
   int64_t const batch = points.size(0);
   Tensor const matrices = empty({batch, 3, 3}, points);
   for_computed("crop_matrix", points, [&](auto type) {

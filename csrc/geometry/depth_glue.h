@@ -17,7 +17,7 @@ struct Depths {
     bool const fits =
         goes_with(projections, image, projections.dim()) && projections.size(-2) == 3 && projections.size(-1) == 4;
     KV_CHECK(fits, op, ": projection does not fit the image");
-    projection = torch::stable::contiguous(projections);
+    projection = dense(projections);
   }
   Size size() const { return {depth.size(2), depth.size(3)}; }
 

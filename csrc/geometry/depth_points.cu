@@ -121,18 +121,87 @@ __global__ void __launch_bounds__(kThreads)
   }
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
-    F normal[3];
+    F along_x[3], along_y[3], normal[3];
     auto const point = [&](int j, int k, F(&to)[3]) {
       rays.at(F(clamp(x + i + k - 1, 0, width - 1)), F(rows[j]), to);
 #pragma unroll
       for (int n = 0; n < 3; ++n) to[n] *= d[j][i + k];
     };
-    normal_of(point, normal);
+    slopes_of(point, along_x, along_y);
+    normal_of(along_x, along_y, normal);
 #pragma unroll
     for (int k = 0; k < 3; ++k) normals[k][i] = normal[k];
   }
 #pragma unroll
   for (int k = 0; k < 3; ++k) store_run(p.y.row(b, k, y), p.y.step, x, width, write_fours, normals[k]);
+}
+
+// A block takes a tile of kAcross x Tall pixels: first the gradients to the derivatives of it and of what is around it,
+// then, from those, a thread the gradient of Tall / 8 pixels below one another.
+constexpr int kAcross = 32;
+
+template <class T, int Tall>
+__global__ void __launch_bounds__(kThreads)
+    normals_backward(__grid_constant__ DepthNormalsBackward<T> const p, unsigned across, unsigned down) {
+  using F = Compute<T>;
+  constexpr int kWide = kAcross + 2, kHigh = Tall + 2, kRows = Tall / 8;
+  __shared__ F slopes[6][kHigh][kWide];
+  unsigned const line = blockIdx.x / across;
+  int64_t const b = line / down;
+  int const x0 = int(blockIdx.x - line * across) * kAcross, y0 = int(line - unsigned(b) * down) * Tall;
+  int const width = int(p.depth.width), height = int(p.depth.height);
+  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+#pragma unroll 1
+  for (int n = threadIdx.x; n < kHigh * kWide; n += kThreads) {
+    int const row = n / kWide, column = n - row * kWide, x = x0 - 1 + column, y = y0 - 1 + row;
+    F to_x[3] = {}, to_y[3] = {};
+    if (x >= 0 && x < width && y >= 0 && y < height) {
+      F along_x[3], along_y[3], grad[3];
+      auto const point = [&](int j, int i, F(&to)[3]) {
+        int const at = clamp(x + i - 1, 0, width - 1), below = clamp(y + j - 1, 0, height - 1);
+        rays.at(F(at), F(below), to);
+        F const d = read(p.depth.row(b, 0, below)[at * p.depth.step]);
+#pragma unroll
+        for (int k = 0; k < 3; ++k) to[k] *= d;
+      };
+      slopes_of(point, along_x, along_y);
+#pragma unroll
+      for (int k = 0; k < 3; ++k) grad[k] = read(p.grad.row(b, k, y)[x * p.grad.step]);
+      normal_vjp(along_x, along_y, grad, to_x, to_y);
+    }
+#pragma unroll
+    for (int k = 0; k < 3; ++k) slopes[k][row][column] = to_x[k], slopes[3 + k][row][column] = to_y[k];
+  }
+  __syncthreads();
+  int const left = threadIdx.x % 32, x = x0 + left, top = int(threadIdx.x / 32) * kRows;
+  if (x >= width) return;
+  Taken<F> const beside(x, width);
+  F ray[3], differences[kRows + 2][3], means[kRows + 2][3];  // of each row around the pixels
+#pragma unroll
+  for (int j = 0; j < kRows + 2; ++j)
+#pragma unroll
+    for (int k = 0; k < 3; ++k) {
+      differences[j][k] = means[j][k] = 0;
+#pragma unroll
+      for (int i = 0; i < 3; ++i) {
+        differences[j][k] += beside.difference[i] * slopes[k][top + j][left + i];
+        means[j][k] += beside.mean[i] * slopes[3 + k][top + j][left + i];
+      }
+    }
+#pragma unroll
+  for (int j = 0; j < kRows; ++j) {
+    int const y = y0 + top + j;
+    if (y >= height) return;
+    Taken<F> const above(y, height);
+    rays.at(F(x), F(y), ray);
+    F sum = 0;
+#pragma unroll
+    for (int k = 0; k < 3; ++k)
+#pragma unroll
+      for (int i = 0; i < 3; ++i)
+        sum += ray[k] * (above.mean[i] * differences[j + i][k] + above.difference[i] * means[j + i][k]);
+    p.to_depth.row(b, 0, y)[x * p.to_depth.step] = round_to<T>(sum);
+  }
 }
 
 }  // namespace
@@ -158,8 +227,17 @@ int depth_normals(DepthPoints<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int depth_normals_backward(DepthNormalsBackward<T> const& p, CUstream_st* stream) {
+  constexpr int kTall = sizeof(T) == 8 ? 16 : 32;  // 28 kB of shared memory
+  unsigned const across = unsigned(ceil_div(p.depth.width, kAcross)), down = unsigned(ceil_div(p.depth.height, kTall));
+  normals_backward<T, kTall><<<unsigned(p.depth.batch * across * down), kThreads, 0, stream>>>(p, across, down);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE(depth_points, DepthPoints)
 KV_INSTANTIATE(depth_points_backward, DepthPointsBackward)
 KV_INSTANTIATE(depth_normals, DepthPoints)
+KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
 
 }  // namespace kv::cuda

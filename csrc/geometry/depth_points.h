@@ -3,6 +3,8 @@
 //   point(x, y) = d ray,  ray = ((x - cx) / fx, (y - cy) / fy, 1), over its length where depth is the distance
 //   normal      = dx x dy over its length, the Sobel derivatives of the points, with the border replicated
 //
+// The gradient of normals goes to the derivatives of a pixel first, and from those around a pixel to its point.
+//
 // Included by depth_points_cpu.cpp, depth_points.cu and depth_points_op.cpp.
 #pragma once
 
@@ -32,9 +34,19 @@ struct DepthPointsBackward {
   bool distance;
 };
 
+template <class T>
+struct DepthNormalsBackward {
+  Images<T const> grad, depth;
+  Images<T> to_depth;
+  Compute<T> const* cameras;
+  int64_t camera_stride;
+  bool distance;
+};
+
 KV_KERNEL(depth_points, DepthPoints)
 KV_KERNEL(depth_points_backward, DepthPointsBackward)
 KV_KERNEL(depth_normals, DepthPoints)
+KV_KERNEL(depth_normals_backward, DepthNormalsBackward)
 
 template <class V>
 KV_HD V root_of(V x) {
@@ -62,23 +74,56 @@ struct Rays {
   }
 };
 
-// The normal of the points around, point(j, i)[k] being number k of the one i - 1 to the right and j - 1 below.
+// Eight times the derivatives of the points around, point(j, i)[k] being number k of the one i - 1 to the right and j -
+// 1 below.
 template <class V, class Point>
-KV_HD void normal_of(Point point, V (&normal)[3]) {
-  V p[3][3][3], along_x[3], along_y[3];
+KV_HD void slopes_of(Point point, V (&along_x)[3], V (&along_y)[3]) {
+  V p[3][3][3];
   for (int j = 0; j < 3; ++j)
     for (int i = 0; i < 3; ++i) point(j, i, p[j][i]);
   for (int k = 0; k < 3; ++k) {
     along_x[k] = (p[0][2][k] - p[0][0][k]) + 2 * (p[1][2][k] - p[1][0][k]) + (p[2][2][k] - p[2][0][k]);
     along_y[k] = (p[2][0][k] - p[0][0][k]) + 2 * (p[2][1][k] - p[0][1][k]) + (p[2][2][k] - p[0][2][k]);
   }
-  for (int k = 0; k < 3; ++k) {
-    int const a = (k + 1) % 3, b = (k + 2) % 3;
-    normal[k] = (along_x[a] * along_y[b] - along_x[b] * along_y[a]) * (1.f / 64);
-  }
-  V const length = root_of(V(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]));
-  V const scale = 1 / max(length, V(V{} + 1e-12f));
-  for (int k = 0; k < 3; ++k) normal[k] = normal[k] * scale;
 }
+
+template <class V>
+KV_HD void cross_of(V const (&a)[3], V const (&b)[3], V (&c)[3]) {
+  for (int k = 0; k < 3; ++k) c[k] = a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3];
+}
+template <class V>
+KV_HD V dot_of(V const (&a)[3], V const (&b)[3]) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+// Returns what the normal was divided by.
+template <class V>
+KV_HD V normal_of(V const (&along_x)[3], V const (&along_y)[3], V (&normal)[3]) {
+  cross_of(along_x, along_y, normal);
+  for (int k = 0; k < 3; ++k) normal[k] = normal[k] * (1.f / 64);
+  V const least = V{} + 1e-12f, length = max(root_of(dot_of(normal, normal)), least), scale = 1 / length;
+  for (int k = 0; k < 3; ++k) normal[k] = normal[k] * scale;
+  return length;
+}
+template <class V>
+KV_HD void normal_vjp(V const (&along_x)[3], V const (&along_y)[3], V const (&grad)[3], V (&to_x)[3], V (&to_y)[3]) {
+  V normal[3], g[3];
+  V const length = normal_of(along_x, along_y, normal), scale = (1.f / 64) / length;
+  V const along = length > V(V{} + 1e-12f) ? dot_of(normal, grad) : V{};
+  for (int k = 0; k < 3; ++k) g[k] = (grad[k] - normal[k] * along) * scale;
+  cross_of(along_y, g, to_x);
+  cross_of(g, along_x, to_y);
+}
+
+// How often the derivative at i - 1 to i + 1 along an axis takes the point at i, which stands beyond the rim as well:
+// by its differences and by its means.
+template <class F>
+struct Taken {
+  F difference[3], mean[3];
+  KV_HD Taken(int64_t i, int64_t size) : difference{1, 0, -1}, mean{1, 2, 1} {
+    if (i == 0) difference[1] -= 1, mean[1] += 1;
+    if (i == size - 1) difference[1] += 1, mean[1] += 1;
+  }
+};
 
 }  // namespace kv

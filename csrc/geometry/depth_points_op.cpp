@@ -9,7 +9,7 @@ namespace {
 Tensor cameras_of(char const* op, Tensor const& camera, Tensor const& image) {
   KV_CHECK(goes_with(camera, image, 3) && camera.size(1) == 3 && camera.size(2) == 3, op,
            ": camera does not fit the images");
-  return torch::stable::contiguous(camera);
+  return dense(camera);
 }
 int64_t stride_of(Tensor const& cameras) { return cameras.size(0) == 1 ? 0 : 9; }
 
@@ -64,10 +64,30 @@ Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance) {
   return y;
 }
 
+Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  char const* const op = "depth_normals_backward";
+  check_images(op, "grad", grad);
+  check_images(op, "depth", depth);
+  int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
+  KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
+  check_fits(op, "depth", depth, grad, {batch, 1, height, width});
+  size_of(op, grad);
+  Tensor const cameras = cameras_of(op, camera, grad), to_depth = empty({batch, 1, height, width}, grad);
+  for_floats(op, depth, [&](auto type) {
+    using T = typename decltype(type)::type;
+    DepthNormalsBackward<T> const params{images<T const>(grad, batch), images<T const>(depth, batch),
+                                         images<T>(to_depth, batch),   data_of<Compute<T> const>(cameras),
+                                         stride_of(cameras),           distance};
+    KV_RUN(depth_normals_backward, depth, params, batch * params.depth.height, 128 * params.depth.width);
+  });
+  return to_depth;
+}
+
 }  // namespace
 
 KV_OPERATOR(depth_points, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_points_backward, "(Tensor grad, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_normals, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_normals_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
 
 }  // namespace kv

@@ -35,76 +35,138 @@ __global__ void __launch_bounds__(kThreads)
         below = below && v < other;
       }
     }
-  if (p.y.data) p.y.row(plane, y)[at] = above ? p.kept.row(plane, y)[at] : T{};
+  if (p.y.data) p.y.row(plane, y)[at] = above ? *centre : T{};
   if (p.maxima.data) p.maxima.row(plane, y)[at] = above;
   if (p.minima.data) p.minima.row(plane, y)[at] = below;
 }
 
-// (2R + 1)^2 pixels, in one plane or, with D = 1, in three.
-template <class T, int R, int D>
+// The larger one, NaN where either is.
+__device__ __forceinline__ float larger(float a, float b) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  float y;
+  asm("max.NaN.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
+  return y;
+#else
+  return a > b || a != a ? a : b;
+#endif
+}
+
+// P pixels' way down windows of (2R + 1)^2 pixels of one plane or, with D = 1, of three: rows come from above, one
+// after the other.
+template <int R, int D, int P>
+struct Climb {
+  float candidates[R + 1][P];  // what is above all before it in its window and beside it, for R + 1 rows; NaN elsewhere
+  float above[P], previous[P];  // the largest of the last R rows, and of the last one
+
+  // A row of each plane, times the sign.
+  __device__ __forceinline__ void next(float const (&v)[2 * D + 1][P + 2 * R], float sign) {
+#pragma unroll
+    for (int n = 0; n < P; ++n) {
+      float beside[2 * D + 1], row[2 * D + 1];
+#pragma unroll
+      for (int k = 0; k <= 2 * D; ++k) {
+        auto const at = [&](int i) { return sign * v[k][n + i]; };
+        beside[k] = larger(at(0), at(2 * R));
+        if (R == 2) beside[k] = larger(larger(at(0), at(1)), larger(at(3), at(4)));  // pairs serve two pixels
+        row[k] = larger(beside[k], at(R));
+      }
+      if (D == 1) {
+        float const others = larger(row[0], row[2 * D]);
+        beside[D] = larger(beside[D], others), row[D] = larger(row[D], others);
+      }
+#pragma unroll
+      for (int j = 0; j < R; ++j) candidates[j][n] = candidates[j + 1][n];
+      float const middle = sign * v[D][n + R];
+      candidates[R][n] = middle > larger(beside[D], above[n]) ? middle : __uint_as_float(0x7fc00000);
+      above[n] = R == 1 ? row[D] : larger(row[D], previous[n]);
+      previous[n] = row[D];
+    }
+  }
+  // The pixel in the row R above the last.
+  __device__ __forceinline__ float middle(int n) const { return candidates[0][n]; }
+  __device__ __forceinline__ bool is_summit(int n) const { return candidates[0][n] > above[n]; }
+};
+
+// P elements of a row, and R on either side that the ends of a warp read themselves. What lies outside is NaN, which
+// nothing is above.
+template <class T, int R, int P>
+struct Row {
+  Pack<T, P> own;
+  Pack<T, R> left, right;
+
+  __device__ __forceinline__ Row() {
+#pragma unroll
+    for (int i = 0; i < R; ++i) left.v[i] = right.v[i] = none();
+  }
+  __device__ __forceinline__ static T none() { return round_to<T>(__uint_as_float(0x7fc00000)); }
+  __device__ __forceinline__ void fetch(T const* at, bool there, int x, int width) {
+#pragma unroll
+    for (int i = 0; i < P; ++i) own.v[i] = none();
+    if (!there) return;
+    if (x < width) own = *reinterpret_cast<Pack<T, P> const*>(at);
+    if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Pack<T, R> const*>(at - R);
+    if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Pack<T, R> const*>(at + P);
+  }
+  __device__ __forceinline__ void spread(float (&v)[P + 2 * R]) const {
+#pragma unroll
+    for (int i = 0; i < P; ++i) v[R + i] = read(own.v[i]);
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      float const before = __shfl_up_sync(0xffffffffu, v[P + i], 1), after = __shfl_down_sync(0xffffffffu, v[R + i], 1);
+      v[i] = threadIdx.x % 32 == 0 ? read(left.v[i]) : before;
+      v[R + P + i] = threadIdx.x % 32 == 31 ? read(right.v[i]) : after;
+    }
+  }
+};
+
+template <class T, int R, int D, bool Minima>
 __global__ void __launch_bounds__(kThreads)
     strips_down(__grid_constant__ LocalMaxima<T> const p, Strips<kPixels<T>> const strips) {
-  constexpr int P = kPixels<T>, kWindow = 2 * R + 1, kPlanes = 2 * D + 1;
-  using F = Compute<T>;
+  constexpr int P = kPixels<T>, kPlanes = 2 * D + 1;
   int64_t plane;
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
-  int const y1 = min(y0 + int(strips.rows), int(p.x.height));
-  Strip<R, true, P> const strip(x, int(p.x.width), Border::replicate);
-  int const z = D > 0 ? int(plane % p.depth) : 0;
-  auto const rows_of = [&](int k) { return RowsDown<T>(p.x, plane - z + clamp(z + k, 0, int(p.depth) - 1), y0 - R); };
-  RowsDown<T> before = rows_of(-1), same(p.x, plane, y0 - R), after = rows_of(1);
-  F window[kWindow][kPlanes][P + 2 * R];
-  auto const next = [&](F(&row)[kPlanes][P + 2 * R]) {
-    strip.load(row[D], same.next());
-    if constexpr (D > 0) {
-      strip.load(row[0], before.next());
-      strip.load(row[2], after.next());
-    }
-  };
+  int const width = int(p.x.width), height = int(p.x.height), z = D > 0 ? int(plane % p.depth) : 0;
+  T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride + x;
+  T* values = p.y.row(plane, y0) + x;
+  uint8_t *maxima = p.maxima.row(plane, y0) + x, *minima = p.minima.row(plane, y0) + x;
+  Row<T, R, P> ahead[kPlanes];
+  auto const fetch = [&](int y) {
 #pragma unroll
-  for (int j = 0; j < kWindow - 1; ++j) next(window[j]);
-#pragma unroll 1
-  for (int y = y0; y < y1; ++y) {
-    next(window[kWindow - 1]);
-    int64_t first, last;
-    p.fitting(plane, y, first, last);
-    Pack<uint8_t, P> maxima, minima;
+    for (int k = 0; k < kPlanes; ++k) {
+      bool const between = k == D || (z + k >= D && z + k < D + int(p.depth));
+      ahead[k].fetch(next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between, x, width);
+    }
+    next += p.x.row_stride;
+  };
+  fetch(y0 - R);
+  Climb<R, D, P> high{}, low{};
+#pragma unroll(R + 1)
+  for (int i = -2 * R; i < kRows; ++i) {
+    if (y0 + i >= height) break;
+    float v[kPlanes][P + 2 * R];
+#pragma unroll
+    for (int k = 0; k < kPlanes; ++k) ahead[k].spread(v[k]);
+    fetch(y0 + R + i + 1);
+    high.next(v, 1);
+    if constexpr (Minima) low.next(v, -1);
+    if (i < 0) continue;
+    Pack<T, P> shown;
+    Pack<uint8_t, P> is_maximum, is_minimum;
 #pragma unroll
     for (int n = 0; n < P; ++n) {
-      F const v = window[R][D][n + R];
-      bool above = x + n >= first && x + n < last, below = above;
-#pragma unroll
-      for (int j = 0; j < kWindow; ++j)
-#pragma unroll
-        for (int k = 0; k < kPlanes; ++k)
-#pragma unroll
-          for (int i = 0; i < kWindow; ++i)
-            if (j != R || k != D || i != R) {
-              above = above && v > window[j][k][n + i];
-              below = below && v < window[j][k][n + i];
-            }
-      maxima.v[n] = above;
-      minima.v[n] = below;
+      is_maximum.v[n] = high.is_summit(n);
+      shown.v[n] = high.is_summit(n) ? round_to<T>(high.middle(n)) : T{};
+      if constexpr (Minima) is_minimum.v[n] = low.is_summit(n);
     }
-    if (p.y.data && strip.inside) {
-      Pack<T, P> values{};
-      bool some = false;
-#pragma unroll
-      for (int n = 0; n < P; ++n) some = some || maxima.v[n] != 0;
-      if (some) values = *reinterpret_cast<Pack<T, P> const*>(p.kept.row(plane, y) + x);
-#pragma unroll
-      for (int n = 0; n < P; ++n) values.v[n] = maxima.v[n] ? values.v[n] : T{};
-      *reinterpret_cast<Pack<T, P>*>(p.y.row(plane, y) + x) = values;
+    if (x < width) {
+      if (p.y.data) *reinterpret_cast<Pack<T, P>*>(values) = shown;
+      if (p.maxima.data) *reinterpret_cast<Pack<uint8_t, P>*>(maxima) = is_maximum;
+      if constexpr (Minima) *reinterpret_cast<Pack<uint8_t, P>*>(minima) = is_minimum;
     }
-    if (p.maxima.data && strip.inside) *reinterpret_cast<Pack<uint8_t, P>*>(p.maxima.row(plane, y) + x) = maxima;
-    if (p.minima.data && strip.inside) *reinterpret_cast<Pack<uint8_t, P>*>(p.minima.row(plane, y) + x) = minima;
-#pragma unroll
-    for (int j = 0; j < kWindow - 1; ++j)
-#pragma unroll
-      for (int k = 0; k < kPlanes; ++k)
-#pragma unroll
-        for (int i = 0; i < P + 2 * R; ++i) window[j][k][i] = window[j + 1][k][i];
+    values += p.y.row_stride;
+    maxima += p.maxima.row_stride;
+    if constexpr (Minima) minima += p.minima.row_stride;
   }
 }
 
@@ -118,16 +180,15 @@ int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
            p.after[2] == r;
   };
   if constexpr (sizeof(T) < 8)
-    if (is_strip<P>(p.x) && (!p.y.data || (is_strip<P>(p.y) && is_strip<P>(p.kept)))) {
+    if (is_strip<P>(p.x) && (!p.y.data || is_strip<P>(p.y))) {
       Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-      auto const run = [&](auto r, auto d) {
-        strips_down<T, r.value, d.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+      auto const run = [&](auto kernel) {
+        kernel<<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
         return cudaGetLastError();
       };
-      using One = std::integral_constant<int, 1>;
-      if (reaches(0, 1)) return run(One{}, std::integral_constant<int, 0>{});
-      if (reaches(0, 2)) return run(std::integral_constant<int, 2>{}, std::integral_constant<int, 0>{});
-      if (reaches(1, 1)) return run(One{}, One{});
+      if (reaches(0, 1) && !p.minima.data) return run(strips_down<T, 1, 0, false>);
+      if (reaches(0, 2) && !p.minima.data) return run(strips_down<T, 2, 0, false>);
+      if (reaches(1, 1)) return p.minima.data ? run(strips_down<T, 1, 1, true>) : run(strips_down<T, 1, 1, false>);
     }
   unsigned const across = unsigned(ceil_div(p.x.row_size(), 32)), down = unsigned(ceil_div(p.x.height, 8));
   any_window<T><<<unsigned(p.x.count() * across * down), kThreads, 0, stream>>>(p, across, down);

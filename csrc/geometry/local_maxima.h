@@ -11,8 +11,7 @@ namespace kv {
 template <class T>
 struct LocalMaxima {
   Planes<T const> x;
-  Planes<T const> kept;            // what shows at the maxima: x itself, or the gradient that goes to them
-  Planes<T> y;                     // 0 elsewhere; or without data
+  Planes<T> y;                     // x at the maxima, 0 elsewhere; or without data
   Planes<uint8_t> maxima, minima;  // whether an element is one; or without data
   int64_t depth;                   // planes of a volume, 1 of an image
   int before[3], after[3];         // how far the window reaches along z, y, x

@@ -30,7 +30,6 @@ void local_maxima(LocalMaxima<T> const& p, int64_t begin, int64_t end) {
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / p.x.height, y = r % p.x.height;
     T const* const centre = p.x.row(plane, y);
-    T const* const kept = row_of(p.kept, plane, y);
     T* const values = row_of(p.y, plane, y);
     uint8_t *const maxima = row_of(p.maxima, plane, y), *const minima = row_of(p.minima, plane, y);
     int64_t first, last;
@@ -57,7 +56,7 @@ void local_maxima(LocalMaxima<T> const& p, int64_t begin, int64_t end) {
             below &= v < other;
           }
         }
-      if (values) store<N>(values + e, V(above ? V(load<N>(kept + e)) : V{}));
+      if (values) store<N>(values + e, V(above ? v : V{}));
       if (maxima) store_flags<N>(maxima + e, above);
       if (minima) store_flags<N>(minima + e, below);
     });

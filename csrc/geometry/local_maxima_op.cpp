@@ -7,14 +7,12 @@ namespace kv {
 namespace {
 
 void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const& window, bool volumes,
-                 Tensor const* kept, Tensor const* values, Tensor const* maxima, Tensor const* minima, Layout layout) {
-  auto const readable = [&](Tensor const& x) { return volumes ? torch::stable::contiguous(x) : conform(x, layout); };
-  Tensor const x = readable(input), shown = kept ? readable(*kept) : x;
+                 Tensor const* values, Tensor const* maxima, Tensor const* minima, Layout layout) {
+  Tensor const x = volumes ? dense(input) : conform(input, layout);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     LocalMaxima<T> params{};
     params.x = planes<T const>(x, layout);
-    params.kept = planes<T const>(shown, layout);
     if (values) params.y = planes<T>(*values, layout);
     if (maxima) params.maxima = planes<uint8_t>(*maxima, layout);
     if (minima) params.minima = planes<uint8_t>(*minima, layout);
@@ -38,49 +36,38 @@ Layout layout_for(char const* op, Tensor const& input, std::vector<int64_t> cons
   return volumes ? Layout::planar : layout_of(input);
 }
 
-Tensor local_maxima(Tensor const& input, std::vector<int64_t> window, bool volumes) {
-  Layout const layout = layout_for("local_maxima", input, window, volumes);
-  Tensor const values = empty_like(input, layout);
-  find_maxima("local_maxima", input, window, volumes, nullptr, &values, nullptr, nullptr, layout);
-  return values;
-}
-
-// The gradient, which has the layout of the input or is made to.
-Tensor local_maxima_backward(Tensor const& grad, Tensor const& input, std::vector<int64_t> window, bool volumes) {
-  char const* const op = "local_maxima_backward";
-  check_images(op, "grad", grad);
-  check_images(op, "input", input);
-  check_fits(op, "input", input, grad, {grad.size(0), grad.size(1), grad.size(2), grad.size(3)});
-  Tensor const x = input.size(0) == grad.size(0) ? input : for_batch(input, grad.size(0));
-  Layout const layout = layout_for(op, grad, window, volumes);
-  Tensor const grad_x = empty_like(grad, layout);
-  find_maxima(op, x, window, volumes, &grad, &grad_x, nullptr, nullptr, layout);
-  return grad_x;
-}
-
 // 0 and 1.
 Tensor flags_like(Tensor const& x, Layout layout) {
   return empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x, layout, ScalarType::Byte);
 }
 
+// The maxima, and where they are: none of that unless `marked`.
+std::tuple<Tensor, Tensor> local_maxima(Tensor const& input, std::vector<int64_t> window, bool volumes, bool marked) {
+  Layout const layout = layout_for("local_maxima", input, window, volumes);
+  Tensor const values = empty_like(input, layout);
+  Tensor const maxima =
+      marked ? flags_like(input, layout) : empty({input.size(0), 0}, input, Layout::planar, ScalarType::Byte);
+  find_maxima("local_maxima", input, window, volumes, &values, marked ? &maxima : nullptr, nullptr, layout);
+  return {values, maxima};
+}
+
 Tensor is_local_maximum(Tensor const& input, std::vector<int64_t> window, bool volumes) {
   Layout const layout = layout_for("is_local_maximum", input, window, volumes);
   Tensor const maxima = flags_like(input, layout);
-  find_maxima("is_local_maximum", input, window, volumes, nullptr, nullptr, &maxima, nullptr, layout);
+  find_maxima("is_local_maximum", input, window, volumes, nullptr, &maxima, nullptr, layout);
   return maxima;
 }
 
 std::tuple<Tensor, Tensor> local_extrema(Tensor const& input, std::vector<int64_t> window, bool volumes) {
   Layout const layout = layout_for("local_extrema", input, window, volumes);
   Tensor const maxima = flags_like(input, layout), minima = flags_like(input, layout);
-  find_maxima("local_extrema", input, window, volumes, nullptr, nullptr, &maxima, &minima, layout);
+  find_maxima("local_extrema", input, window, volumes, nullptr, &maxima, &minima, layout);
   return {maxima, minima};
 }
 
 }  // namespace
 
-KV_OPERATOR(local_maxima, "(Tensor input, int[] window, bool volumes) -> Tensor")
-KV_OPERATOR(local_maxima_backward, "(Tensor grad, Tensor input, int[] window, bool volumes) -> Tensor")
+KV_OPERATOR(local_maxima, "(Tensor input, int[] window, bool volumes, bool marked) -> (Tensor, Tensor)")
 KV_OPERATOR(is_local_maximum, "(Tensor input, int[] window, bool volumes) -> Tensor")
 KV_OPERATOR(local_extrema, "(Tensor input, int[] window, bool volumes) -> (Tensor, Tensor)")
 

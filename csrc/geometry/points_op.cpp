@@ -48,10 +48,10 @@ struct Given {
       bool const fits = d->dim() == 3 && d->size(0) == p.size(0) && d->size(1) == p.size(1) && d->size(2) == 1 &&
                         d->scalar_type() == p.scalar_type() && d->device() == p.device();
       KV_CHECK(fits, op, ": depth does not fit the points");
-      depth = torch::stable::contiguous(*d);
+      depth = dense(*d);
     }
-    points = torch::stable::contiguous(p);
-    matrix = torch::stable::contiguous(m);
+    points = dense(p);
+    matrix = dense(m);
   }
   int64_t matrices() const { return matrix.size(0); }
   int64_t entries() const { return matrix.size(1) * matrix.size(2); }
@@ -102,7 +102,7 @@ std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tenso
                grad.size(2) == given.out && grad.scalar_type() == points.scalar_type() &&
                grad.device() == points.device(),
            op, ": expected grad to be that of the points");
-  Tensor const g = torch::stable::contiguous(grad);
+  Tensor const g = dense(grad);
   // For each sample, also where one matrix serves all: whoever maps over samples needs it so.
   int64_t const count = points.size(1), matrices = points.size(0), entries = given.entries();
 #if defined(KV_CUDA)

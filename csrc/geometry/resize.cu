@@ -187,12 +187,10 @@ template <class T>
 int resize(Resize<T> const& p, CUstream_st* stream) {
   bool done = false;
   if constexpr (sizeof(T) < 8) {
+    if (int const error = resize_octave(p, stream); error != kNotServed) return error;
+    if (int const error = resize_linear(p, stream); error != kNotServed) return error;
     int const most = max(p.rows.most, p.columns.most);
-    done = most <= 2   ? launch_tiles<2>(p, stream)
-           : most <= 4 ? launch_tiles<4>(p, stream)
-           : most <= 6 ? launch_tiles<6>(p, stream)  // pyrdown, lanczos
-           : most <= 8 ? launch_tiles<8>(p, stream)
-                       : launch_tiles<0>(p, stream);
+    done = most <= 4 ? launch_tiles<4>(p, stream) : most <= 8 ? launch_tiles<8>(p, stream) : launch_tiles<0>(p, stream);
   }
   if (!done) resize_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();

@@ -56,6 +56,15 @@ struct Resize {
 
 KV_KERNEL(resize, Resize)
 
+namespace cuda {
+// For some sizes and windows; the others are not served.
+constexpr int kNotServed = -1;
+template <class T>
+int resize_octave(Resize<T> const& p, CUstream_st* stream);
+template <class T>
+int resize_linear(Resize<T> const& p, CUstream_st* stream);
+}  // namespace cuda
+
 // --- sizes
 // ---------------------------------------------------------------------------------------------------------
 

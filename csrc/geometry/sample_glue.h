@@ -81,7 +81,7 @@ struct Matrix {
       : matrix(given) {
     KV_CHECK(goes_with(given, x, 3) && (given.size(1) == 2 || given.size(1) == 3) && given.size(2) == 3, op,
              ": matrix does not fit the image");
-    matrix = torch::stable::contiguous(given);
+    matrix = dense(given);
     use = {int(matrix.size(1)), inverse, normalized, align_corners, source, output};
   }
   template <class F>

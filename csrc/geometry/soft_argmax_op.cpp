@@ -41,7 +41,7 @@ std::tuple<Tensor, Tensor> soft_argmax(Tensor const& input, Ints window, Ints st
   char const* const op = "soft_argmax";
   Windows const w = windows_of(op, input, window, stride, padding, scale_too);
   KV_CHECK(temperature > 0, op, ": temperature must be positive, got ", temperature);
-  Tensor const x = torch::stable::contiguous(input);
+  Tensor const x = dense(input);
   int64_t const b = x.size(0), c = x.size(1);
   Tensor const places = empty({b, c, w.axes, w.out[0], w.out[1], w.out[2]}, x);
   Tensor const values = empty({b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]}, x);

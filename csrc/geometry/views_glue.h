@@ -16,7 +16,7 @@ inline Reals reals_of(char const* op, Tensor const& x) {
 struct Contiguous {
   Tensor tensor;
   Reals reals = {nullptr, false};
-  Contiguous(char const* op, Tensor const& x) : tensor(torch::stable::contiguous(x)), reals(reals_of(op, tensor)) {}
+  Contiguous(char const* op, Tensor const& x) : tensor(dense(x)), reals(reals_of(op, tensor)) {}
   Contiguous(char const* op, std::optional<Tensor> const& x) {
     if (x) *this = Contiguous(op, *x);
   }
@@ -26,7 +26,8 @@ inline Model model_of(char const* op, std::string const& name) {
   constexpr char const* names[] = {"affine", "homography", "lines", "fundamental", "fundamental8", "essential"};
   for (int i = 0; i < 6; ++i)
     if (name == names[i]) return Model(i);
-  fail(op, ": model must be one of affine, homography, lines, fundamental, fundamental8, essential; got '", name, "'");
+  fail(
+      {op, ": model must be one of affine, homography, lines, fundamental, fundamental8, essential; got '", name, "'"});
 }
 
 }  // namespace kv

@@ -12,7 +12,7 @@ T* data_of(Tensor const& x) {
 
 // Contiguous, with as many samples: one serves all, as it may where vmap maps some of several tensors.
 inline Tensor for_batch(Tensor const& x, int64_t batch) {
-  if (x.size(0) != 1 || batch == 1) return torch::stable::contiguous(x);
+  if (x.size(0) != 1 || batch == 1) return dense(x);
   int64_t sizes[8] = {batch};
   for (int64_t i = 1; i < x.dim(); ++i) sizes[i] = x.size(i);
   Tensor all = empty({sizes, size_t(x.dim())}, x);

@@ -1,236 +1,384 @@
-// Losses of segmentations on CUDA: a thread takes whole pixels, so that a warp reads neighbouring logits of one class
-// after the other. What is read twice is in the cache the second time.
+// Losses of segmentations on CUDA. A thread takes neighbouring pixels, whose logits it reads once, class by class, into
+// a column of shared memory that no other thread looks at: there they become exponentials, and from there sums or
+// gradients.
 #include "core/launch.cuh"
-#include "enhance/pieces.cuh"
+#include "metrics/sums.cuh"
 #include "segmentation.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 256, kWarps = kThreads / 32, kEach = 8;  // pixels of a thread at once
+constexpr int kThreads = 128;      // of a block, or a half or a quarter, so that it takes
+constexpr int kBytes = 48 * 1024;  // of shared memory, or more with many classes
+constexpr int kAtOnce = 8;         // classes whose memory a thread asks for before it waits
+constexpr int kFinishThreads = 1024;
 
 struct Math {
-  __device__ __forceinline__ float exp(float x) const { return __expf(x); }
+  __device__ __forceinline__ float exp(float x) const { return fast_exp2(x * kLog2E<float>); }
   __device__ __forceinline__ double exp(double x) const { return ::exp(x); }
   __device__ __forceinline__ float log(float x) const { return logf(x); }
   __device__ __forceinline__ double log(double x) const { return ::log(x); }
 };
 
-// The largest logit of a pixel. `at`: its logit of class 0. The loop has nothing to wait for but memory; what comes
-// after it reads the logits again, from the cache, which is cheaper than to rescale sums whenever a larger one is
-// found.
-template <class T>
-__device__ __forceinline__ Compute<T> largest(Logits<T> const& logits, T const* at) {
-  Compute<T> most = read(at[0]);
-#pragma unroll 4
-  for (int64_t c = 1; c < logits.classes; ++c) {
-    Compute<T> const x = read(at[c * logits.pixels]);
-    most = x > most ? x : most;
-  }
-  return most;
-}
-
-// A thread's pixel: its label, and how much it counts.
-template <class T>
-struct Pixel {
+// A thread's P pixels of a sample: their labels, how much they count, and their column of shared memory.
+template <class T, int P>
+struct Pixels {
   using F = Compute<T>;
-  int64_t sample, place, label;
-  F counts;
-  bool there;
-  __device__ __forceinline__ explicit Pixel(Logits<T> const& logits) {
-    int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
-    sample = i / logits.pixels, place = i - sample * logits.pixels, there = sample < logits.batch;
-    label = there ? logits.labels(sample)[place] : -1;
-    counts = there ? logits.counts(label) : F(0);
-  }
-  template <class P>
-  __device__ __forceinline__ P* logit(Logits<T> const& logits, P* all) const {
-    return all + sample * logits.classes * logits.pixels + place;
-  }
-};
+  Logits<T> const& logits;
+  F* const column;
+  int const stride;
+  int label[P];
+  F counts[P], most[P], sum[P];
 
-// A block makes the sums of a piece, some of its pixels after the other: few enough for their logits to be in the cache
-// when they are read again.
-template <class T>
-__global__ void __launch_bounds__(kThreads) sum_classes(ClassSums<T> const p) {
-  using F = Compute<T>;
-  extern __shared__ __align__(16) unsigned char bytes[];
-  F* const sums = reinterpret_cast<F*>(bytes);  // (warps, 3, classes)
-  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, classes = int(p.logits.classes);
-  int64_t const sample = blockIdx.x / p.pieces, pixels = p.logits.pixels;
-  int64_t const piece = (blockIdx.x - sample * p.pieces) * kPiece, end = min(piece + kPiece, pixels);
-  T const* const logits = p.logits.data + sample * classes * pixels;
-  int64_t const* const target = p.logits.labels(sample);
+  __device__ __forceinline__ Pixels(Logits<T> const& logits, void* shared)
+      : logits(logits), column(static_cast<F*>(shared) + P * threadIdx.x), stride(P * int(blockDim.x)) {}
 
-#pragma unroll 1
-  for (int64_t at = piece; at < end; at += kEach * kThreads) {
-    // Class by class all of the thread's pixels, whose memory is asked for at once.
-    T const* const own = logits + at + threadIdx.x;
-    F most[kEach], scale[kEach], counts[kEach];
-    int label[kEach];
+  __device__ __forceinline__ Pack<F, P> get(int c) const {
+    return *reinterpret_cast<Pack<F, P> const*>(column + c * stride);
+  }
+  __device__ __forceinline__ void set(int c, Pack<F, P> const& v) const {
+    *reinterpret_cast<Pack<F, P>*>(column + c * stride) = v;
+  }
+  // A number of pixel i in class c, not as one of a pack.
+  __device__ __forceinline__ F& at(int c, int i) const { return column[c * stride + i]; }
+
+  // Logits of the pixels from `place` on to the column, 0 where they are ignored.
+  __device__ __forceinline__ void read_logits(int64_t sample, int64_t place) {
+    int const classes = int(logits.classes);
+    auto const labels = *reinterpret_cast<Pack<int64_t, P> const*>(logits.labels(sample) + place);
+    T const* from = logits.sample(sample) + place;
 #pragma unroll
-    for (int k = 0; k < kEach; ++k) {
-      int64_t const i = at + threadIdx.x + k * kThreads;
-      counts[k] = i < end ? p.logits.counts(target[i]) : F(0), label[k] = counts[k] == 1 ? int(target[i]) : -1;
-      most[k] = -F(INFINITY), scale[k] = 0;
+    for (int i = 0; i < P; ++i) most[i] = -F(INFINITY);
+    for (int c = 0; c < classes; c += kAtOnce, from += kAtOnce * logits.pixels) {
+      Pack<T, P> packs[kAtOnce];
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k)
+        if (c + k < classes) packs[k] = *reinterpret_cast<Pack<T, P> const*>(from + k * logits.pixels);
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k)
+        if (c + k < classes) {
+          Pack<F, P> x;
+#pragma unroll
+          for (int i = 0; i < P; ++i) x.v[i] = read(packs[k].v[i]), most[i] = x.v[i] > most[i] ? x.v[i] : most[i];
+          set(c + k, x);
+        }
     }
-    auto const for_each_logit = [&](int c, auto f) {
 #pragma unroll
-      for (int k = 0; k < kEach; ++k)
-        if (counts[k] != 0) f(k, read(own[c * pixels + k * kThreads]));
-    };
-#pragma unroll 1
-    for (int c = 0; c < classes; ++c) for_each_logit(c, [&](int k, F x) { most[k] = x > most[k] ? x : most[k]; });
-#pragma unroll 1
-    for (int c = 0; c < classes; ++c) for_each_logit(c, [&](int k, F x) { scale[k] += Math{}.exp(x - most[k]); });
-#pragma unroll
-    for (int k = 0; k < kEach; ++k) scale[k] = counts[k] / scale[k];
-#pragma unroll 1
-    for (int c = 0; c < classes; ++c) {
-      F both = 0, all = 0, labelled = 0;
-      for_each_logit(c, [&](int k, F x) {
-        F const share = Math{}.exp(x - most[k]) * scale[k];
-        all += share;
-        if (label[k] == c) both += share, labelled += 1;
-      });
-      both = warp_sum(both), all = warp_sum(all), labelled = warp_sum(labelled);
-      if (lane == 0) {
-        F* const to = sums + warp * 3 * classes + c;
-        bool const begins = at == piece;
-        to[0] = (begins ? F(0) : to[0]) + both;
-        to[classes] = (begins ? F(0) : to[classes]) + all;
-        to[2 * classes] = (begins ? F(0) : to[2 * classes]) + labelled;
+    for (int i = 0; i < P; ++i) {
+      label[i] = logits.class_of(labels.v[i]), counts[i] = logits.counts(labels.v[i]);
+      if (counts[i] == 0) {
+        most[i] = 0;
+        for (int c = 0; c < classes; ++c) at(c, i) = 0;
       }
     }
   }
+
+  // Logits to their exponentials over the largest one, each of which is given to f(class, pack) as well.
+  template <class Call>
+  __device__ __forceinline__ void exponentiate(Call f) {
+#pragma unroll
+    for (int i = 0; i < P; ++i) sum[i] = 0;
+#pragma unroll 2
+    for (int c = 0; c < int(logits.classes); ++c) {
+      Pack<F, P> e = get(c);
+#pragma unroll
+      for (int i = 0; i < P; ++i) e.v[i] = Math{}.exp(e.v[i] - most[i]), sum[i] += e.v[i];
+      set(c, e);
+      f(c, e);
+    }
+  }
+};
+
+// Calls f(sample, first pixel) for the packs of piece `piece` that the thread takes.
+template <int P, class T, class Call>
+__device__ __forceinline__ void for_each_pack(Logits<T> const& logits, int64_t sample, int64_t piece, Call f) {
+  int64_t const end = min((piece + 1) * kPiece, logits.pixels);
+#pragma unroll 1
+  for (int64_t place = piece * kPiece + P * int64_t(threadIdx.x); place < end; place += P * int64_t(blockDim.x))
+    f(sample, place);
+}
+
+// --- how much regions overlap
+// --------------------------------------------------------------------------------------------------------------------
+
+// Every thread has sums of its own, so that they are added up in the same order whatever the labels are.
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overlap<T> const p) {
+  using F = Compute<T>;
+  extern __shared__ __align__(16) unsigned char shared[];
+  int const classes = int(p.logits.classes), threads = int(blockDim.x), lane = threadIdx.x % 32;
+  int64_t const sample = blockIdx.x / p.pieces, piece = blockIdx.x - sample * p.pieces;
+  Pixels<T, P> pixels(p.logits, shared);
+  F* const sums = reinterpret_cast<F*>(shared) + classes * pixels.stride;  // (3, classes, threads)
+  for (int i = 0; i < 3 * classes; ++i) sums[i * threads + threadIdx.x] = 0;
+
+  for_each_pack<P>(p.logits, sample, piece, [&](int64_t sample, int64_t place) {
+    pixels.read_logits(sample, place);
+    pixels.exponentiate([](int, Pack<F, P> const&) {});
+    F scale[P];
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      scale[i] = pixels.counts[i] / pixels.sum[i];
+      int const own = pixels.label[i] * threads + threadIdx.x;
+      sums[own] += pixels.at(pixels.label[i], i) * scale[i];
+      sums[own + 2 * classes * threads] += pixels.counts[i];
+    }
+#pragma unroll 4
+    for (int c = 0; c < classes; ++c) {
+      Pack<F, P> const e = pixels.get(c);
+      F sum = 0;
+#pragma unroll
+      for (int i = 0; i < P; ++i) sum += e.v[i] * scale[i];
+      sums[(classes + c) * threads + threadIdx.x] += sum;
+    }
+  });
   __syncthreads();
-  for (int i = threadIdx.x; i < 3 * classes; i += kThreads) {
+  for (int i = threadIdx.x / 32; i < 3 * classes; i += threads / 32) {
     F sum = 0;
-    for (int w = 0; w < kWarps; ++w) sum += sums[w * 3 * classes + i];
-    p.partial[blockIdx.x * int64_t(3 * classes) + i] = sum;
+    for (int t = lane; t < threads; t += 32) sum += sums[i * threads + t];
+    sum = warp_sum(sum);
+    if (lane == 0) p.partial[blockIdx.x * int64_t(3 * classes) + i] = sum;
   }
 }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) sum_classes_backward(ClassSumsBackward<T> const p) {
+// The totals of a sample, by a warp, to all of its threads.
+template <class F>
+__device__ __forceinline__ OverlapTotals<F> totals_of(OverlapTerms<F> const& terms, F const* sums, int classes,
+                                                      int64_t loss) {
+  OverlapTotals<F> const own = OverlapTotals<F>::of(terms, sums, classes, loss, threadIdx.x % 32, 32);
+  return {{warp_sum(own.all.both), warp_sum(own.all.predicted), warp_sum(own.all.labelled)},
+          warp_sum(own.weight),
+          warp_sum(own.score)};
+}
+
+// A block for each loss: adds up the pieces, and has a warp for each sample.
+template <class F>
+__global__ void __launch_bounds__(kFinishThreads)
+    finish_overlap(OverlapTerms<F> const terms, int64_t batch, int classes, int64_t pieces, F const* partial, F* sums,
+                   F* loss) {
+  constexpr int kWarps = kFinishThreads / 32;
+  __shared__ F losses[kWarps];
+  int const bins = 3 * classes, warp = threadIdx.x / 32;
+  sums += blockIdx.x * batch * bins, partial += blockIdx.x * batch * pieces * bins;
+  for (int64_t i = threadIdx.x; i < batch * bins; i += kFinishThreads) {
+    F const* const from = partial + i / bins * pieces * bins + i % bins;
+    F sum = 0;
+#pragma unroll 16
+    for (int64_t piece = 0; piece < pieces; ++piece) sum += from[piece * bins];
+    sums[i] = sum;
+  }
+  __syncthreads();
+  F sum = 0;
+  for (int64_t b = warp; b < batch; b += kWarps)
+    sum += totals_of(terms, sums + b * bins, classes, blockIdx.x).loss(terms);
+  losses[warp] = sum;
+  __syncthreads();
+  if (threadIdx.x > 0) return;
+  for (int w = 1; w < kWarps; ++w) sum += losses[w];
+  loss[blockIdx.x] = sum / F(batch);
+}
+
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads)
+    find_overlap_backward(__grid_constant__ OverlapBackward<T> const p, int64_t pieces) {
   using F = Compute<T>;
-  Logits<T> const& logits = p.logits;
-  Pixel<T> const pixel(logits);
-  if (!pixel.there) return;
-  T const* const at = pixel.logit(logits, logits.data);
-  T* const to = pixel.logit(logits, p.grad_logits);
-  if (pixel.counts == 0) {
-    for (int64_t c = 0; c < logits.classes; ++c) to[c * logits.pixels] = round_to<T>(F(0));
-    return;
+  extern __shared__ __align__(16) unsigned char shared[];
+  int const classes = int(p.logits.classes);
+  int64_t const sample = blockIdx.x / pieces, loss = sample / p.logits.batch;
+  Pixels<T, P> pixels(p.logits, shared);
+  F* const of_both = reinterpret_cast<F*>(shared) + classes * pixels.stride;
+  F* const of_all = of_both + classes;
+  F const* const sums = p.sums + sample * 3 * classes;
+  OverlapTotals<F> const totals = totals_of(p.terms, sums, classes, loss);
+  F const grad = p.grad[loss] / F(p.logits.batch);
+  for (int c = threadIdx.x; c < classes; c += int(blockDim.x)) {
+    Region<F> const r = Region<F>::of(sums, classes, c);
+    totals.slopes(p.terms, grad, p.terms.weight_of(loss, c, r), r, of_both[c], of_all[c]);
   }
-  F const* const of_both = p.grad + pixel.sample * 3 * logits.classes;
-  F const* const of_all = of_both + logits.classes;
-  F const most = largest(logits, at);
-  auto const exponential = [&](int64_t c) { return Math{}.exp(read(at[c * logits.pixels]) - most); };
-  auto const grad = [&](int64_t c) { return of_all[c] + (c == pixel.label ? of_both[c] : F(0)); };
-  F sum = 0, dot = 0;
+  __syncthreads();
+
+  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * pieces, [&](int64_t sample, int64_t place) {
+    pixels.read_logits(sample, place);
+    F dot[P] = {}, scale[P];
+    pixels.exponentiate([&](int c, Pack<F, P> const& e) {
+#pragma unroll
+      for (int i = 0; i < P; ++i) dot[i] += e.v[i] * of_all[c];
+    });
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      dot[i] = (dot[i] + pixels.at(pixels.label[i], i) * of_both[pixels.label[i]]) / pixels.sum[i];
+      scale[i] = pixels.counts[i] / pixels.sum[i];
+    }
+    T* to = p.grad_logits + sample * classes * p.logits.pixels + place;
 #pragma unroll 4
-  for (int64_t c = 0; c < logits.classes; ++c) {
-    F const e = exponential(c);
-    sum += e, dot += e * grad(c);
-  }
-  F const scale = pixel.counts / sum;
-  dot /= sum;
-#pragma unroll 4
-  for (int64_t c = 0; c < logits.classes; ++c)
-    to[c * logits.pixels] = round_to<T>(exponential(c) * scale * (grad(c) - dot));
+    for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
+      Pack<F, P> const e = pixels.get(c);
+      F const all = of_all[c], own = all + of_both[c];
+      F d[P];
+#pragma unroll
+      for (int i = 0; i < P; ++i) {
+        F const slope = e.v[i] * scale[i] * ((c == pixels.label[i] ? own : all) - dot[i]);
+        d[i] = pixels.counts[i] == 0 ? F(0) : slope;
+      }
+      store_pack(to, d);
+    }
+  });
 }
 
-// The focal loss of a pixel that counts, and its slope by log p.
-template <class T>
-__device__ __forceinline__ void evaluate(Logits<T> const& logits, FocalTerms<Compute<T>> const& terms,
-                                         Pixel<T> const& pixel, T const* at, Compute<T>& most, Compute<T>& loss,
-                                         Compute<T>& slope, Compute<T>& scale) {
+// --- the focal loss
+// --------------------------------------------------------------------------------------------------------------------
+
+// Of the pixels from `place` on: their losses, slopes by log p, and 1 / the sums of exponentials.
+template <class T, int P>
+__device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Compute<T>> const& terms, int64_t sample,
+                                         int64_t place, Compute<T> (&loss)[P], Compute<T> (&slope)[P],
+                                         Compute<T> (&scale)[P]) {
   using F = Compute<T>;
-  int64_t const c = pixel.counts == 1 ? pixel.label : 0;
-  F const label = read(at[c * logits.pixels]);
-  F rest = 0;  // of the other classes
-  most = largest(logits, at);
-#pragma unroll 4
-  for (int64_t k = 0; k < logits.classes; ++k) {
-    F const e = Math{}.exp(read(at[k * logits.pixels]) - most);
-    rest += k == c ? F(0) : e;
+  pixels.read_logits(sample, place);
+  F label[P], rest[P] = {};  // rest: of the other classes
+#pragma unroll
+  for (int i = 0; i < P; ++i) label[i] = pixels.at(pixels.label[i], i);
+  pixels.exponentiate([&](int c, Pack<F, P> const& e) {
+#pragma unroll
+    for (int i = 0; i < P; ++i) rest[i] += c == pixels.label[i] ? F(0) : e.v[i];
+  });
+#pragma unroll
+  for (int i = 0; i < P; ++i) {
+    F const factor = pixels.counts[i] * terms.factor(sample / pixels.logits.batch, pixels.label[i]);
+    focal_of_pixels(factor, terms.gamma, label[i], pixels.most[i], rest[i], Math{}, loss[i], slope[i], scale[i]);
+    if (pixels.counts[i] == 0) loss[i] = slope[i] = 0;
   }
-  F const factor = pixel.counts * (c == 0 ? terms.first : terms.other) * (terms.weight ? terms.weight[c] : F(1));
-  focal_of_pixels(factor, terms.gamma, label, most, rest, Math{}, loss, slope, scale);
 }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) find_focal(Focal<T> const p) {
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T> const p) {
   using F = Compute<T>;
-  Pixel<T> const pixel(p.logits);
-  if (!pixel.there) return;
-  F most, loss = 0, slope, scale;
-  if (pixel.counts != 0)
-    evaluate(p.logits, p.terms, pixel, pixel.logit(p.logits, p.logits.data), most, loss, slope, scale);
-  p.loss[pixel.sample * p.logits.pixels + pixel.place] = loss;
+  extern __shared__ __align__(16) unsigned char shared[];
+  int64_t const sample = blockIdx.x / p.pieces;
+  Pixels<T, P> pixels(p.logits, shared);
+  F sum = 0;
+  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.pieces, [&](int64_t sample, int64_t place) {
+    F loss[P], slope[P], scale[P];
+    evaluate(pixels, p.terms, sample, place, loss, slope, scale);
+    if (p.map) store_pack(p.map + sample * p.logits.pixels + place, loss);
+#pragma unroll
+    for (int i = 0; i < P; ++i) sum += loss[i];
+  });
+  if (p.map) return;
+  __shared__ F of_warps[kThreads / 32];
+  sum = warp_sum(sum);
+  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = sum;
+  __syncthreads();
+  if (threadIdx.x > 0) return;
+  for (int w = 1; w < int(blockDim.x) / 32; ++w) sum += of_warps[w];
+  p.partial[blockIdx.x] = sum;
 }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) find_focal_backward(FocalBackward<T> const p) {
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads)
+    find_focal_backward(__grid_constant__ FocalBackward<T> const p, int64_t pieces) {
   using F = Compute<T>;
-  Logits<T> const& logits = p.logits;
-  Pixel<T> const pixel(logits);
-  if (!pixel.there) return;
-  T const* const at = pixel.logit(logits, logits.data);
-  T* const to = pixel.logit(logits, p.grad_logits);
-  F most = 0, loss, slope = 0, scale = 0;
-  if (pixel.counts != 0) {
-    evaluate(logits, p.terms, pixel, at, most, loss, slope, scale);
-    slope *= p.grad[pixel.sample * logits.pixels + pixel.place];
-  }
+  extern __shared__ __align__(16) unsigned char shared[];
+  int const classes = int(p.logits.classes);
+  int64_t const sample = blockIdx.x / pieces;
+  F const of_sum = p.of_sums ? p.grad[sample / p.logits.batch] : F(0);
+  Pixels<T, P> pixels(p.logits, shared);
+  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * pieces, [&](int64_t sample, int64_t place) {
+    F loss[P], slope[P], scale[P];
+    evaluate(pixels, p.terms, sample, place, loss, slope, scale);
+    F const* const grad = p.grad + sample * p.logits.pixels + place;
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      slope[i] = pixels.counts[i] == 0 ? F(0) : slope[i] * (p.of_sums ? of_sum : grad[i]);
+      scale[i] *= slope[i];
+    }
+    T* to = p.grad_logits + sample * classes * p.logits.pixels + place;
 #pragma unroll 4
-  for (int64_t c = 0; c < logits.classes; ++c) {
-    F const own = c == pixel.label ? F(1) : F(0);
-    F const d = slope * (own - Math{}.exp(read(at[c * logits.pixels]) - most) * scale);
-    to[c * logits.pixels] = round_to<T>(pixel.counts == 0 ? F(0) : d);
-  }
+    for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
+      Pack<F, P> const e = pixels.get(c);
+      F d[P];
+#pragma unroll
+      for (int i = 0; i < P; ++i) d[i] = (c == pixels.label[i] ? slope[i] : F(0)) - e.v[i] * scale[i];
+      store_pack(to, d);
+    }
+  });
 }
 
-template <class T>
-unsigned blocks_of(Logits<T> const& logits) {
-  return unsigned(ceil_div(logits.batch * logits.pixels, kThreads));
+// --- launching
+// --------------------------------------------------------------------------------------------------------------------
+
+// Calls f with how many pixels a thread takes: four where `other` and all that the logits are made of allow it.
+template <class T, class Call>
+int with_pack(Logits<T> const& logits, void const* other, Call f) {
+  auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % 16 == 0; };
+  if constexpr (sizeof(T) < 8)
+    if (logits.pixels % 4 == 0 && aligned(logits.data) && aligned(logits.target) && aligned(other))
+      return f(std::integral_constant<int, 4>{});
+  return f(std::integral_constant<int, 1>{});
+}
+
+// A kernel whose threads need `numbers` numbers of shared memory for each class, and its block `more`.
+template <class F, class Params, class... More>
+int launch(void (*kernel)(Params, More...), Params const& p, int64_t pieces, int numbers, int more, CUstream_st* stream,
+           More... arguments) {
+  int64_t const classes = p.logits.classes;
+  int threads = kThreads;
+  auto const bytes = [&] { return int(classes * sizeof(F) * (threads * numbers + more)); };
+  while (threads > 32 && bytes() > kBytes) threads /= 2;
+  if (bytes() > kBytes)
+    if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes())) return error;
+  kernel<<<unsigned(p.logits.samples() * pieces), threads, bytes(), stream>>>(p, arguments...);
+  return cudaGetLastError();
 }
 
 }  // namespace
 
 template <class T>
-int class_sums(ClassSums<T> const& p, CUstream_st* stream) {
-  using F = Compute<T>;
-  int const bins = int(3 * p.logits.classes), bytes = kWarps * bins * int(sizeof(F));
-  if (int error = cudaFuncSetAttribute(sum_classes<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
-    return error;
-  sum_classes<<<unsigned(p.logits.batch * p.pieces), kThreads, bytes, stream>>>(p);
-  unsigned const blocks = unsigned(ceil_div(p.logits.batch * bins, 256));
-  add_pieces<<<blocks, 256, 0, stream>>>(p.partial, p.logits.batch, p.pieces, int64_t(bins), p.sums);
+int overlap(Overlap<T> const& p, CUstream_st* stream) {
+  int const error = with_pack(p.logits, nullptr, [&](auto pixels) {
+    constexpr int P = decltype(pixels)::value;
+    return launch<Compute<T>>(sum_classes<T, P>, p, p.pieces, P + 3, 0, stream);
+  });
+  if (error) return error;
+  finish_overlap<<<unsigned(p.logits.losses), kFinishThreads, 0, stream>>>(
+      p.terms, p.logits.batch, int(p.logits.classes), p.pieces, p.partial, p.sums, p.loss);
   return cudaGetLastError();
 }
 
 template <class T>
-int class_sums_backward(ClassSumsBackward<T> const& p, CUstream_st* stream) {
-  sum_classes_backward<<<blocks_of(p.logits), kThreads, 0, stream>>>(p);
-  return cudaGetLastError();
+int overlap_backward(OverlapBackward<T> const& p, CUstream_st* stream) {
+  int64_t const pieces = ceil_div(p.logits.pixels, kPiece);
+  return with_pack(p.logits, p.grad_logits, [&](auto pixels) {
+    constexpr int P = decltype(pixels)::value;
+    return launch<Compute<T>>(find_overlap_backward<T, P>, p, pieces, P, 2, stream, pieces);
+  });
 }
 
 template <class T>
 int focal(Focal<T> const& p, CUstream_st* stream) {
-  find_focal<<<blocks_of(p.logits), kThreads, 0, stream>>>(p);
+  using F = Compute<T>;
+  int const error = with_pack(p.logits, p.map, [&](auto pixels) {
+    constexpr int P = decltype(pixels)::value;
+    return launch<F>(find_focal<T, P>, p, p.pieces, P, 0, stream);
+  });
+  if (error || p.map) return error;
+  Finish<F> const plain{F(0), F(1), false};
+  finish_sums<<<unsigned(p.logits.losses), kSumThreads, 0, stream>>>(p.partial, p.logits.batch * p.pieces, plain,
+                                                                     p.sums);
   return cudaGetLastError();
 }
 
 template <class T>
 int focal_backward(FocalBackward<T> const& p, CUstream_st* stream) {
-  find_focal_backward<<<blocks_of(p.logits), kThreads, 0, stream>>>(p);
-  return cudaGetLastError();
+  int64_t const pieces = ceil_div(p.logits.pixels, kPiece);
+  return with_pack(p.logits, p.grad_logits, [&](auto pixels) {
+    constexpr int P = decltype(pixels)::value;
+    return launch<Compute<T>>(find_focal_backward<T, P>, p, pieces, P, 0, stream, pieces);
+  });
 }
 
-KV_INSTANTIATE(class_sums, ClassSums)
-KV_INSTANTIATE(class_sums_backward, ClassSumsBackward)
+KV_INSTANTIATE(overlap, Overlap)
+KV_INSTANTIATE(overlap_backward, OverlapBackward)
 KV_INSTANTIATE(focal, Focal)
 KV_INSTANTIATE(focal_backward, FocalBackward)
 

@@ -1,6 +1,6 @@
-// Losses of logits (B, C, pixels) with labels (B, pixels): what Dice and Tversky losses are made of, and the focal loss
-// of every pixel. No softmax and no one-hot target is kept. Included by segmentation_cpu.cpp, segmentation.cu and
-// segmentation_op.cpp.
+// Losses of logits (losses, B, C, pixels) with labels (losses, B, pixels): Dice and Tversky losses, and the focal loss
+// of every pixel or its sum. No softmax and no one-hot target is kept. Included by segmentation_cpu.cpp,
+// segmentation.cu and segmentation_op.cpp.
 //
 // A label counts 1, an ignored one 0, and one that is no class NaN, which spoils what it is in.
 #pragma once
@@ -14,61 +14,147 @@ template <class T>
 struct Logits {
   T const* data;
   int64_t const* target;
-  int64_t target_stride;  // 0 when one image of labels serves all samples
-  int64_t batch, classes, pixels, ignored;
+  bool one_target;  // for all losses
+  int64_t losses, batch, classes, pixels, ignored;
   bool ignores;
 
-  KV_HD int64_t const* labels(int64_t sample) const { return target + sample * target_stride; }
+  KV_HD int64_t samples() const { return losses * batch; }
+  KV_HD T const* sample(int64_t i) const { return data + i * classes * pixels; }
+  KV_HD int64_t const* labels(int64_t i) const { return target + (one_target ? i % batch : i) * pixels; }
   KV_HD Compute<T> counts(int64_t label) const {
     using F = Compute<T>;
     return ignores && label == ignored ? F(0) : label >= 0 && label < classes ? F(1) : F(__builtin_nanf(""));
   }
+  KV_HD int class_of(int64_t label) const { return int(clamp(label, int64_t(0), classes - 1)); }
 };
 
-constexpr int kPiece = 4096;  // pixels that are summed together
+constexpr int kPiece = 2048;  // pixels that are summed together
 
-// For every class of a sample the sums of its probability where it is the label, of that everywhere, and of its pixels:
-// (B, 3, C), first for each piece.
-template <class T>
-struct ClassSums {
-  Logits<T> logits;
-  int64_t pieces;
-  Compute<T>* partial;
-  Compute<T>* sums;
+// --- how much regions overlap
+// --------------------------------------------------------------------------------------------------------------------
+
+// Of a class, or of all: the sums of its probability where it is the label and of that everywhere, and its pixels.
+template <class F>
+struct Region {
+  F both, predicted, labelled;
+
+  // Class c of sums (3, C).
+  KV_HD static Region of(F const* sums, int64_t classes, int64_t c) {
+    return {sums[c], sums[classes + c], sums[2 * classes + c]};
+  }
 };
 
-// With p the probabilities and G_c = grad(1, c) + [c is the label] grad(0, c), logit c gets p_c (G_c - sum_k p_k G_k).
+// The score of a region is both / (both + alpha (predicted - both) + beta (labelled - both) + eps), and 0 of nothing.
+// The loss of a sample is 1 - that of its weighed sums over the classes, or 1 - the weighed mean of the scores of the
+// classes that it has, which is 1 where it has none.
+template <class F>
+struct OverlapTerms {
+  F const* weight;        // of the classes, or null
+  int64_t weight_stride;  // from loss to loss
+  bool together;
+  F alpha, beta, eps;
+
+  KV_HD F weight_of(int64_t loss, int64_t c, Region<F> const& r) const {
+    F const w = weight ? weight[loss * weight_stride + c] : F(1);
+    return together || r.labelled != 0 ? w : F(0);
+  }
+  KV_HD F divisor(Region<F> const& r) const {
+    return r.both + alpha * (r.predicted - r.both) + beta * (r.labelled - r.both) + eps;
+  }
+  KV_HD F score(Region<F> const& r) const {
+    F const d = divisor(r);
+    return d == 0 ? F(0) : r.both / d;
+  }
+};
+
+// Sums over the classes of a sample.
+template <class F>
+struct OverlapTotals {
+  Region<F> all;    // together
+  F weight, score;  // or not
+
+  // Of every `step`-th class from `first` on.
+  KV_HD static OverlapTotals of(OverlapTerms<F> const& terms, F const* sums, int64_t classes, int64_t loss,
+                                int64_t first = 0, int64_t step = 1) {
+    OverlapTotals totals{};
+    for (int64_t c = first; c < classes; c += step) {
+      Region<F> const r = Region<F>::of(sums, classes, c);
+      totals.add(terms, terms.weight_of(loss, c, r), r);
+    }
+    return totals;
+  }
+  KV_HD void add(OverlapTerms<F> const& terms, F w, Region<F> const& r) {
+    all.both += w * r.both, all.predicted += w * r.predicted, all.labelled += w * r.labelled;
+    weight += w, score += terms.together || w == 0 ? F(0) : w * terms.score(r);
+  }
+  KV_HD F loss(OverlapTerms<F> const& terms) const {
+    return 1 - (terms.together ? terms.score(all) : weight == 0 ? F(0) : score / weight);
+  }
+  // g times the slopes of the loss by what a class has in both and predicted.
+  KV_HD void slopes(OverlapTerms<F> const& terms, F g, F w, Region<F> const& r, F& by_both, F& by_predicted) const {
+    Region<F> const& of = terms.together ? all : r;
+    F const d = terms.divisor(of), scale = terms.together ? w : weight == 0 ? F(0) : w / weight;
+    bool const flat = scale == 0 || d == 0;
+    F const s = flat ? F(0) : -g * scale / d, ratio = flat ? F(0) : of.both / d;
+    by_both = s * (1 - ratio * (1 - terms.alpha - terms.beta));
+    by_predicted = -s * ratio * terms.alpha;
+  }
+};
+
 template <class T>
-struct ClassSumsBackward {
+struct Overlap {
   Logits<T> logits;
-  Compute<T> const* grad;
+  OverlapTerms<Compute<T>> terms;
+  int64_t pieces;          // of a sample
+  Compute<T>* partial;     // (losses * B, pieces, 3, C)
+  Compute<T>*sums, *loss;  // (losses * B, 3, C) and (losses), by CUDA's kernel; on the CPU the entry makes them
+};
+
+// With p the probabilities and G_c = the slope by predicted + [c is the label] the slope by both, logit c gets
+// p_c (G_c - sum_k p_k G_k).
+template <class T>
+struct OverlapBackward {
+  Logits<T> logits;
+  OverlapTerms<Compute<T>> terms;
+  Compute<T> const *grad, *sums;
   T* grad_logits;
 };
+
+// --- the focal loss
+// --------------------------------------------------------------------------------------------------------------------
 
 // -f (1 - p)^gamma log p of the label's p, where f is `first` for class 0 and `other` for the others, times its weight.
 template <class F>
 struct FocalTerms {
-  F const* weight;  // of the classes, or null
+  F const* weight;        // of the classes, or null
+  int64_t weight_stride;  // from loss to loss
   F first, other, gamma;
+
+  KV_HD F factor(int64_t loss, int c) const {
+    return (c == 0 ? first : other) * (weight ? weight[loss * weight_stride + c] : F(1));
+  }
 };
 
 template <class T>
 struct Focal {
   Logits<T> logits;
   FocalTerms<Compute<T>> terms;
-  Compute<T>* loss;
+  Compute<T>* map;            // (losses, B, pixels), or null for sums
+  int64_t pieces;             // of a sample
+  Compute<T>*partial, *sums;  // (losses * B, pieces) and (losses); see Overlap
 };
 
 template <class T>
 struct FocalBackward {
   Logits<T> logits;
   FocalTerms<Compute<T>> terms;
-  Compute<T> const* grad;
+  Compute<T> const* grad;  // (losses, B, pixels) or (losses)
+  bool of_sums;
   T* grad_logits;
 };
 
-KV_KERNEL(class_sums, ClassSums)
-KV_KERNEL(class_sums_backward, ClassSumsBackward)
+KV_KERNEL(overlap, Overlap)
+KV_KERNEL(overlap_backward, OverlapBackward)
 KV_KERNEL(focal, Focal)
 KV_KERNEL(focal_backward, FocalBackward)
 

@@ -17,7 +17,7 @@ struct Block {
   Logits<T> const& logits;
   Scratch<F> exponentials;
   F most[kBlock], sum[kBlock], rest[kBlock];  // rest: the sum without the label's
-  F counts[kBlock], label[kBlock];            // label: -1 for none
+  F counts[kBlock], label[kBlock];
   int size = 0;
 
   explicit Block(Logits<T> const& logits) : logits(logits), exponentials(logits.classes * kBlock) {
@@ -35,12 +35,10 @@ struct Block {
   void read(int64_t sample, int64_t first, int64_t count) {
     size = int(count);
     int64_t const* const target = logits.labels(sample) + first;
-    for (int i = 0; i < size; ++i) {
-      counts[i] = logits.counts(target[i]);
-      label[i] = counts[i] == 1 ? F(target[i]) : F(-1);
-    }
+    for (int i = 0; i < size; ++i) counts[i] = logits.counts(target[i]), label[i] = F(logits.class_of(target[i]));
+    for (int i = size; i < kBlock; ++i) counts[i] = 0;  // vectors reach there
     for (int64_t c = 0; c < logits.classes; ++c) {
-      T const* const from = logits.data + (sample * logits.classes + c) * logits.pixels + first;
+      T const* const from = logits.sample(sample) + c * logits.pixels + first;
       F* const to = of_class(c);
       for_each_vector<T>(0, size, [&](auto width, int64_t i) {
         constexpr int N = decltype(width)::value;
@@ -73,15 +71,12 @@ struct Block {
   }
 };
 
-// Calls f(sample, first pixel, count) for the blocks of pixels [begin, end) of all samples.
+// Calls f(sample, first pixel, count) for the blocks of a piece, one after the other.
 template <class T, class Call>
-KV_HD void for_each_block(Logits<T> const& logits, int64_t begin, int64_t end, Call f) {
-  for (int64_t i = begin; i < end;) {
-    int64_t const sample = i / logits.pixels, first = i - sample * logits.pixels;
-    int64_t const count = min(min(int64_t(kBlock), logits.pixels - first), end - i);
-    f(sample, first, count);
-    i += count;
-  }
+KV_HD void for_each_block(Logits<T> const& logits, int64_t piece, Call f) {
+  int64_t const pieces = (logits.pixels + kPiece - 1) / kPiece, sample = piece / pieces;
+  int64_t const first = piece % pieces * kPiece, last = min(first + kPiece, logits.pixels);
+  for (int64_t at = first; at < last; at += kBlock) f(sample, at, min(int64_t(kBlock), last - at));
 }
 
 template <class F, int N>
@@ -100,11 +95,11 @@ struct FocalPixels {
   explicit FocalPixels(FocalTerms<F> const& terms) : terms(terms) {
     for (int i = 0; i < kBlock; ++i) label[i] = factor[i] = 0;
   }
-  void evaluate(Block<T>& block) {
+  void evaluate(Block<T>& block, int64_t loss_of) {
     for (int i = 0; i < block.size; ++i) {
-      int64_t const c = block.label[i] < 0 ? 0 : int64_t(block.label[i]);
+      int const c = int(block.label[i]);
       label[i] = block.of_class(c)[i];
-      factor[i] = block.counts[i] * (c == 0 ? terms.first : terms.other) * (terms.weight ? terms.weight[c] : F(1));
+      factor[i] = block.counts[i] * terms.factor(loss_of, c);
     }
     block.exponentiate();
     block.for_each([&](auto width, int i) {
@@ -124,19 +119,16 @@ struct FocalPixels {
 }  // namespace
 
 template <class T>
-void class_sums(ClassSums<T> const& p, int64_t begin, int64_t end) {
+void overlap(Overlap<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
   int64_t const classes = p.logits.classes;
   Block<T> block(p.logits);
   Scratch<F> sums(3 * classes * N);
   for (int64_t piece = begin; piece < end; ++piece) {
-    int64_t const sample = piece / p.pieces, first = piece % p.pieces * kPiece;
-    int64_t const last = min(first + kPiece, p.logits.pixels);
     for (int64_t i = 0; i < 3 * classes * N; ++i) sums.data[i] = 0;
-    for (int64_t at = first; at < last; at += kBlock) {
-      block.read(sample, at, min(int64_t(kBlock), last - at));
-      for (int i = block.size; i < kBlock; ++i) block.counts[i] = 0, block.label[i] = -1;  // vectors reach there
+    for_each_block(p.logits, piece, [&](int64_t sample, int64_t first, int64_t count) {
+      block.read(sample, first, count);
       block.exponentiate();
       block.for_each([&](auto, int i) {
         using V = Lanes<F, N>;
@@ -151,7 +143,7 @@ void class_sums(ClassSums<T> const& p, int64_t begin, int64_t end) {
           store<N>(to + 2 * N, V(load<N>(to + 2 * N) + (label == F(c) ? counts : V{})));
         }
       });
-    }
+    });
     F* const partial = p.partial + piece * 3 * classes;
     for (int64_t c = 0; c < classes; ++c)
       for (int k = 0; k < 3; ++k) {
@@ -163,20 +155,32 @@ void class_sums(ClassSums<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void class_sums_backward(ClassSumsBackward<T> const& p, int64_t begin, int64_t end) {
+void overlap_backward(OverlapBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const classes = p.logits.classes;
   Block<T> block(p.logits);
+  Scratch<F> of_both(classes), of_all(classes);
   F dot[kBlock];
-  for_each_block(p.logits, begin, end, [&](int64_t sample, int64_t first, int64_t count) {
+  int64_t known = -1;  // the sample whose slopes these are
+  auto const find_slopes = [&](int64_t sample) {
+    int64_t const loss = sample / p.logits.batch;
+    F const* const sums = p.sums + sample * 3 * classes;
+    OverlapTotals<F> const totals = OverlapTotals<F>::of(p.terms, sums, classes, loss);
+    for (int64_t c = 0; c < classes; ++c) {
+      Region<F> const r = Region<F>::of(sums, classes, c);
+      totals.slopes(p.terms, p.grad[loss] / F(p.logits.batch), p.terms.weight_of(loss, c, r), r, of_both.data[c],
+                    of_all.data[c]);
+    }
+    known = sample;
+  };
+  auto const work = [&](int64_t sample, int64_t first, int64_t count) {
+    if (sample != known) find_slopes(sample);
     block.read(sample, first, count);
     block.exponentiate();
-    F const* const of_both = p.grad + sample * 3 * classes;
-    F const* const of_all = of_both + classes;
     auto const gradient = [&](auto width, int64_t c, int64_t i) {
       constexpr int N = decltype(width)::value;
       using V = Lanes<F, N>;
-      return V((load<N>(block.label + i) == F(c) ? broadcast<N>(of_both[c]) : V{}) + of_all[c]);
+      return V((load<N>(block.label + i) == F(c) ? broadcast<N>(of_both.data[c]) : V{}) + of_all.data[c]);
     };
     for (int i = 0; i < kBlock; ++i) dot[i] = 0;
     for (int64_t c = 0; c < classes; ++c)
@@ -203,7 +207,8 @@ void class_sums_backward(ClassSumsBackward<T> const& p, int64_t begin, int64_t e
         store<N>(to + i, V(counts == 0 ? V{} : d));
       });
     }
-  });
+  };
+  for (int64_t piece = begin; piece < end; ++piece) for_each_block(p.logits, piece, work);
 }
 
 template <class T>
@@ -211,12 +216,20 @@ void focal(Focal<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   Block<T> block(p.logits);
   FocalPixels<T> pixels(p.terms);
-  for_each_block(p.logits, begin, end, [&](int64_t sample, int64_t first, int64_t count) {
-    block.read(sample, first, count);
-    pixels.evaluate(block);
-    F* const out = p.loss + sample * p.logits.pixels + first;
-    for (int i = 0; i < block.size; ++i) out[i] = pixels.loss[i];
-  });
+  for (int64_t piece = begin; piece < end; ++piece) {
+    double sum = 0;
+    for_each_block(p.logits, piece, [&](int64_t sample, int64_t first, int64_t count) {
+      block.read(sample, first, count);
+      pixels.evaluate(block, sample / p.logits.batch);
+      F* const out = p.map + sample * p.logits.pixels + first;
+      for (int i = 0; i < block.size; ++i)
+        if (p.map)
+          out[i] = pixels.loss[i];
+        else
+          sum += pixels.loss[i];
+    });
+    if (!p.map) p.partial[piece] = F(sum);
+  }
 }
 
 template <class T>
@@ -224,11 +237,12 @@ void focal_backward(FocalBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   Block<T> block(p.logits);
   FocalPixels<T> pixels(p.terms);
-  for_each_block(p.logits, begin, end, [&](int64_t sample, int64_t first, int64_t count) {
+  auto const work = [&](int64_t sample, int64_t first, int64_t count) {
+    int64_t const loss = sample / p.logits.batch;
     block.read(sample, first, count);
-    pixels.evaluate(block);
-    F const* const g = p.grad + sample * p.logits.pixels + first;
-    for (int i = 0; i < block.size; ++i) pixels.slope[i] *= block.counts[i] == 0 ? F(0) : g[i];
+    pixels.evaluate(block, loss);
+    F const* const g = p.of_sums ? p.grad + loss : p.grad + sample * p.logits.pixels + first;
+    for (int i = 0; i < block.size; ++i) pixels.slope[i] *= block.counts[i] == 0 ? F(0) : g[p.of_sums ? 0 : i];
     for (int64_t c = 0; c < p.logits.classes; ++c) {
       F const* const e = block.of_class(c);
       T* const to = p.grad_logits + (sample * p.logits.classes + c) * p.logits.pixels + first;
@@ -240,11 +254,12 @@ void focal_backward(FocalBackward<T> const& p, int64_t begin, int64_t end) {
         store<N>(to + i, V(load<N>(block.counts + i) == 0 ? V{} : d));
       });
     }
-  });
+  };
+  for (int64_t piece = begin; piece < end; ++piece) for_each_block(p.logits, piece, work);
 }
 
-KV_INSTANTIATE(class_sums, ClassSums)
-KV_INSTANTIATE(class_sums_backward, ClassSumsBackward)
+KV_INSTANTIATE(overlap, Overlap)
+KV_INSTANTIATE(overlap_backward, OverlapBackward)
 KV_INSTANTIATE(focal, Focal)
 KV_INSTANTIATE(focal_backward, FocalBackward)
 

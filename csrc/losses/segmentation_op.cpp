@@ -1,35 +1,15 @@
 // Losses of segmentations: schemas and entries, for CPU and CUDA alike.
 #include "glue/glue.h"
+#include "metrics/sums.h"
 #include "segmentation.h"
 
 namespace kv {
 namespace {
 
-constexpr int64_t kMostClasses = 1024;  // whose sums a block's shared memory holds
-
-void check_labels(char const* op, Tensor const& pred, Tensor const& target) {
-  KV_CHECK(pred.dim() == 4 && pred.size(1) > 0, op, ": expected pred of shape (B, C, H, W) with a class");
-  KV_CHECK(target.dim() == 3 && (target.size(0) == pred.size(0) || target.size(0) == 1) &&
-               target.size(1) == pred.size(2) && target.size(2) == pred.size(3) &&
-               target.scalar_type() == ScalarType::Long && target.device() == pred.device(),
-           op, ": expected target of int64 labels (B or 1, H, W) on the device of pred");
-}
+constexpr int64_t kMostClasses = 224;  // whose numbers a block's shared memory holds on CUDA; more take the reference
 
 ScalarType computed(Tensor const& x) {
   return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
-// Of contiguous tensors.
-template <class T>
-Logits<T> logits_of(Tensor const& pred, Tensor const& target, int64_t ignored, bool ignores) {
-  return {static_cast<T const*>(pred.const_data_ptr()),
-          static_cast<int64_t const*>(target.const_data_ptr()),
-          target.size(0) > 1 ? pred.size(2) * pred.size(3) : 0,
-          pred.size(0),
-          pred.size(1),
-          pred.size(2) * pred.size(3),
-          ignored,
-          ignores};
 }
 
 template <class T>
@@ -37,107 +17,177 @@ T* data(Tensor const& x) {
   return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
 }
 
-Tensor class_sums(Tensor const& pred, Tensor const& target, int64_t ignored, bool ignores) {
-  check_labels("class_sums", pred, target);
-  KV_CHECK(pred.size(1) <= kMostClasses, "class_sums: expected at most ", kMostClasses, " classes");
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target);
-  int64_t const batch = x.size(0), classes = x.size(1);
-  int64_t const pieces = max((x.size(2) * x.size(3) + kPiece - 1) / kPiece, int64_t(1));
-  Tensor const sums = empty({batch, 3, classes}, x, Layout::planar, computed(x));
-  Tensor const partial = empty({batch, pieces, 3, classes}, x, Layout::planar, computed(x));
-  for_floats("class_sums", x, [&](auto type) {
+// Logits (losses, B, C, H, W) and labels (losses or 1, B, H, W), and what comes with them, contiguous.
+struct Labelled {
+  Tensor logits, target;
+  std::optional<Tensor> weight;
+  int64_t losses, batch, classes, pixels, ignored;
+  bool ignores;
+
+  Labelled(char const* op, Tensor const& pred, Tensor const& labels, std::optional<Tensor> const& of_classes,
+           int64_t ignored, bool ignores)
+      : logits(dense(pred)), target(dense(labels)), ignored(ignored), ignores(ignores) {
+    KV_CHECK(pred.dim() == 5 && pred.numel() > 0 && pred.size(2) <= kMostClasses, op,
+             ": expected pred of shape (losses, B, C, H, W) with 1 to ", kMostClasses, " classes");
+    losses = pred.size(0), batch = pred.size(1), classes = pred.size(2), pixels = pred.size(3) * pred.size(4);
+    KV_CHECK(labels.dim() == 4 && (labels.size(0) == losses || labels.size(0) == 1) && labels.size(1) == batch &&
+                 labels.size(2) == pred.size(3) && labels.size(3) == pred.size(4) &&
+                 labels.scalar_type() == ScalarType::Long && labels.device() == pred.device(),
+             op, ": expected target of int64 labels (losses or 1, B, H, W) on the device of pred");
+    if (!of_classes) return;
+    weight = dense(*of_classes);
+    KV_CHECK(weight->dim() == 2 && (weight->size(0) == losses || weight->size(0) == 1) && weight->size(1) == classes &&
+                 weight->scalar_type() == computed(pred) && weight->device() == pred.device(),
+             op, ": expected weight of shape (losses or 1, C) in the type that pred is computed in");
+  }
+
+  int64_t pieces() const { return (pixels + kPiece - 1) / kPiece; }  // of a sample
+  int64_t cost() const { return 4 * min(pixels, int64_t(kPiece)) * classes; }
+  Tensor number(torch::headeronly::IntHeaderOnlyArrayRef sizes) const {
+    return empty(sizes, logits, Layout::planar, computed(logits));
+  }
+  Tensor gradient() const { return empty({losses, batch, classes, logits.size(3), logits.size(4)}, logits); }
+
+  template <class T>
+  Logits<T> of() const {
+    return {data<T const>(logits),
+            data<int64_t const>(target),
+            target.size(0) == 1,
+            losses,
+            batch,
+            classes,
+            pixels,
+            ignored,
+            ignores};
+  }
+  template <class F>
+  OverlapTerms<F> overlap_terms(bool together, double alpha, double beta, double eps) const {
+    return {weight_data<F>(), weight_stride(), together, F(alpha), F(beta), F(eps)};
+  }
+  template <class F>
+  FocalTerms<F> focal_terms(double first, double other, double gamma) const {
+    return {weight_data<F>(), weight_stride(), F(first), F(other), F(gamma)};
+  }
+  template <class F>
+  F const* weight_data() const {
+    return weight ? data<F const>(*weight) : nullptr;
+  }
+  int64_t weight_stride() const { return weight && weight->size(0) > 1 ? classes : 0; }
+};
+
+// A number for each of `sizes`, as the logits are computed.
+Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const& like,
+               std::initializer_list<int64_t> sizes) {
+  bool fits = x.dim() == int64_t(sizes.size()) && x.scalar_type() == computed(like.logits) &&
+              x.device() == like.logits.device();
+  for (size_t i = 0; fits && i < sizes.size(); ++i) fits = x.size(int64_t(i)) == sizes.begin()[i];
+  KV_CHECK(fits, op, ": expected ", name, " to be that of the loss");
+  return dense(x);
+}
+
+// The losses (losses), and of every sample (losses, B, 3, C) the sums that they are made of.
+std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
+                                   bool together, double alpha, double beta, double eps, int64_t ignored,
+                                   bool ignores) {
+  Labelled const x("overlap", pred, target, weight, ignored, ignores);
+  Tensor const loss = x.number({x.losses}), sums = x.number({x.losses, x.batch, 3, x.classes});
+  int64_t const samples = x.losses * x.batch, pieces = x.pieces(), bins = 3 * x.classes;
+  Tensor const partial = x.number({samples, pieces, bins});
+  for_floats("overlap", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    ClassSums<T> const params{logits_of<T>(x, labels, ignored, ignores), pieces, data<F>(partial), data<F>(sums)};
-    KV_RUN(class_sums, x, params, batch * pieces, 4 * min(params.logits.pixels, int64_t(kPiece)) * classes);
+    Overlap<T> const params{x.of<T>(),     x.overlap_terms<F>(together, alpha, beta, eps),
+                            pieces,        data<F>(partial),
+                            data<F>(sums), data<F>(loss)};
+    KV_RUN(overlap, pred, params, samples * pieces, x.cost());
 #if !defined(KV_CUDA)
-    for (int64_t i = 0; i < batch * 3 * classes; ++i) {
-      int64_t const sample = i / (3 * classes), k = i % (3 * classes);
+    for (int64_t i = 0; i < samples * bins; ++i) {
       double sum = 0;
       for (int64_t piece = 0; piece < pieces; ++piece)
-        sum += params.partial[(sample * pieces + piece) * 3 * classes + k];
+        sum += params.partial[(i / bins * pieces + piece) * bins + i % bins];
       params.sums[i] = F(sum);
+    }
+    for (int64_t r = 0; r < x.losses; ++r) {
+      double sum = 0;
+      for (int64_t b = 0; b < x.batch; ++b) {
+        F const* const of_sample = params.sums + (r * x.batch + b) * bins;
+        sum += OverlapTotals<F>::of(params.terms, of_sample, x.classes, r).loss(params.terms);
+      }
+      params.loss[r] = F(sum / double(x.batch));
     }
 #endif
   });
-  return sums;
+  return {loss, sums};
 }
 
-Tensor class_sums_backward(Tensor const& grad, Tensor const& pred, Tensor const& target, int64_t ignored,
-                           bool ignores) {
-  constexpr char const* op = "class_sums_backward";
-  check_labels(op, pred, target);
-  KV_CHECK(grad.dim() == 3 && grad.size(0) == pred.size(0) && grad.size(1) == 3 && grad.size(2) == pred.size(1) &&
-               grad.scalar_type() == computed(pred) && grad.device() == pred.device(),
-           op, ": expected grad to be that of the sums");
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target),
-               g = torch::stable::contiguous(grad), grad_x = empty_like(x, Layout::planar);
-  for_floats(op, x, [&](auto type) {
+Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pred, Tensor const& target,
+                        std::optional<Tensor> const& weight, bool together, double alpha, double beta, double eps,
+                        int64_t ignored, bool ignores) {
+  constexpr char const* op = "overlap_backward";
+  Labelled const x(op, pred, target, weight, ignored, ignores);
+  Tensor const g = checked(op, "grad", grad, x, {x.losses}),
+               of_samples = checked(op, "sums", sums, x, {x.losses, x.batch, 3, x.classes}), grad_x = x.gradient();
+  for_floats(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
-    ClassSumsBackward<T> const params{logits_of<T>(x, labels, ignored, ignores), data<Compute<T>>(g), data<T>(grad_x)};
-    KV_RUN(class_sums_backward, x, params, params.logits.batch * params.logits.pixels, 4 * x.size(1));
+    using F = Compute<T>;
+    OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data<F const>(g),
+                                    data<F const>(of_samples), data<T>(grad_x)};
+    KV_RUN(overlap_backward, pred, params, x.losses * x.batch * x.pieces(), x.cost());
   });
   return grad_x;
 }
 
-template <class F>
-FocalTerms<F> terms_of(std::optional<Tensor> const& weight, double first, double other, double gamma) {
-  return {weight ? data<F>(*weight) : nullptr, F(first), F(other), F(gamma)};
-}
-
-std::optional<Tensor> checked_weight(char const* op, std::optional<Tensor> const& weight, Tensor const& pred) {
-  if (!weight) return weight;
-  KV_CHECK(weight->dim() == 2 && weight->size(0) == 1 && weight->size(1) == pred.size(1) &&
-               weight->scalar_type() == computed(pred) && weight->device() == pred.device(),
-           op, ": expected weight of shape (1, C) in the type that pred is computed in");
-  return torch::stable::contiguous(*weight);
-}
-
+// (losses, B, H, W), or the sums of these.
 Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight, double first, double other,
-             double gamma, int64_t ignored, bool ignores) {
-  check_labels("focal", pred, target);
-  std::optional<Tensor> const w = checked_weight("focal", weight, pred);
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target);
-  Tensor const loss = empty({x.size(0), x.size(2), x.size(3)}, x, Layout::planar, computed(x));
-  for_floats("focal", x, [&](auto type) {
+             double gamma, int64_t ignored, bool ignores, bool summed) {
+  Labelled const x("focal", pred, target, weight, ignored, ignores);
+  int64_t const samples = x.losses * x.batch, pieces = x.pieces();
+  Tensor const loss = summed ? x.number({x.losses}) : x.number({x.losses, x.batch, pred.size(3), pred.size(4)});
+  Tensor const partial = x.number({summed ? samples * pieces : 0});
+  for_floats("focal", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Focal<T> const params{logits_of<T>(x, labels, ignored, ignores), terms_of<F>(w, first, other, gamma),
-                          data<F>(loss)};
-    KV_RUN(focal, x, params, params.logits.batch * params.logits.pixels, 4 * x.size(1));
+    Focal<T> const params{
+        x.of<T>(),        x.focal_terms<F>(first, other, gamma), summed ? nullptr : data<F>(loss), pieces,
+        data<F>(partial), summed ? data<F>(loss) : nullptr};
+    KV_RUN(focal, pred, params, samples * pieces, x.cost());
+#if !defined(KV_CUDA)
+    if (summed) add_pieces(params.partial, x.losses, x.batch * pieces, Finish<F>{F(0), F(1), false}, params.sums);
+#endif
   });
   return loss;
 }
 
 Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
-                      double first, double other, double gamma, int64_t ignored, bool ignores) {
+                      double first, double other, double gamma, int64_t ignored, bool ignores, bool summed) {
   constexpr char const* op = "focal_backward";
-  check_labels(op, pred, target);
-  std::optional<Tensor> const w = checked_weight(op, weight, pred);
-  KV_CHECK(grad.dim() == 3 && grad.size(0) == pred.size(0) && grad.size(1) == pred.size(2) &&
-               grad.size(2) == pred.size(3) && grad.scalar_type() == computed(pred) && grad.device() == pred.device(),
-           op, ": expected grad to be that of the loss");
-  Tensor const x = torch::stable::contiguous(pred), labels = torch::stable::contiguous(target),
-               g = torch::stable::contiguous(grad), grad_x = empty_like(x, Layout::planar);
-  for_floats(op, x, [&](auto type) {
+  Labelled const x(op, pred, target, weight, ignored, ignores);
+  Tensor const g = summed ? checked(op, "grad", grad, x, {x.losses})
+                          : checked(op, "grad", grad, x, {x.losses, x.batch, pred.size(3), pred.size(4)});
+  Tensor const grad_x = x.gradient();
+  for_floats(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    FocalBackward<T> const params{logits_of<T>(x, labels, ignored, ignores), terms_of<F>(w, first, other, gamma),
-                                  data<F>(g), data<T>(grad_x)};
-    KV_RUN(focal_backward, x, params, params.logits.batch * params.logits.pixels, 4 * x.size(1));
+    FocalBackward<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), data<F const>(g), summed,
+                                  data<T>(grad_x)};
+    KV_RUN(focal_backward, pred, params, x.losses * x.batch * x.pieces(), x.cost());
   });
   return grad_x;
 }
 
 }  // namespace
 
-KV_OPERATOR(class_sums, "(Tensor pred, Tensor target, int ignored, bool ignores) -> Tensor")
-KV_OPERATOR(class_sums_backward, "(Tensor grad, Tensor pred, Tensor target, int ignored, bool ignores) -> Tensor")
+KV_OPERATOR(overlap,
+            "(Tensor pred, Tensor target, Tensor? weight, bool together, float alpha, float beta, float eps, "
+            "int ignored, bool ignores) -> (Tensor, Tensor)")
+KV_OPERATOR(overlap_backward,
+            "(Tensor grad, Tensor sums, Tensor pred, Tensor target, Tensor? weight, bool together, float alpha, "
+            "float beta, float eps, int ignored, bool ignores) -> Tensor")
 KV_OPERATOR(focal,
             "(Tensor pred, Tensor target, Tensor? weight, float first, float other, float gamma, int ignored, "
-            "bool ignores) -> Tensor")
+            "bool ignores, bool summed) -> Tensor")
 KV_OPERATOR(focal_backward,
             "(Tensor grad, Tensor pred, Tensor target, Tensor? weight, float first, float other, float gamma, "
-            "int ignored, bool ignores) -> Tensor")
+            "int ignored, bool ignores, bool summed) -> Tensor")
 
 }  // namespace kv

@@ -39,8 +39,7 @@ Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double 
   KV_CHECK(grad.dim() == 2 && grad.size(0) == input.size(0) && grad.size(1) == input.size(1) &&
                grad.scalar_type() == computed(input) && grad.device() == input.device(),
            op, ": expected grad to be that of the sums");
-  Tensor const x = conform(input, Layout::planar), g = torch::stable::contiguous(grad),
-               grad_x = empty_like(x, Layout::planar);
+  Tensor const x = conform(input, Layout::planar), g = dense(grad), grad_x = empty_like(x, Layout::planar);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;

@@ -57,8 +57,7 @@ void run_map([[maybe_unused]] Tensor const& x, PointwiseMap<T> const& params) {
 Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string const& kind) {
   constexpr char const* op = "pointwise_loss";
   int64_t const rows = check_pair(op, input, other, input);
-  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other),
-               loss = empty({rows, x.size(1)}, x);
+  Tensor const x = dense(input), y = dense(other), loss = empty({rows, x.size(1)}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)), nullptr, nullptr, nullptr, {}, false, data<T>(loss)});
@@ -74,8 +73,7 @@ Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor c
   KV_CHECK(grad.dim() == 2 && grad.size(1) == input.size(1) && grad.scalar_type() == input.scalar_type() &&
                grad.device() == input.device(),
            op, ": expected grad to be that of the loss");
-  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other),
-               g = torch::stable::contiguous(grad), grad_x = empty({rows, x.size(1)}, x);
+  Tensor const x = dense(input), y = dense(other), g = dense(grad), grad_x = empty({rows, x.size(1)}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     run_map<T>(
@@ -88,7 +86,7 @@ Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor c
 Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor, bool decibels) {
   constexpr char const* op = "pointwise_sum";
   int64_t const rows = check_pair(op, input, other, input), size = input.size(1);
-  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other);
+  Tensor const x = dense(input), y = dense(other);
   int64_t const pieces = max((size + kPointPiece - 1) / kPointPiece, int64_t(1));
   Tensor const sums = empty({rows}, x, Layout::planar, computed(x));
   Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed(x));
@@ -115,8 +113,7 @@ Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor con
   int64_t const rows = check_pair(op, input, other, grad);
   check_of_sums(op, "grad", grad, input, rows);
   check_of_sums(op, "sums", sums, input, rows);
-  Tensor const x = torch::stable::contiguous(input), y = torch::stable::contiguous(other),
-               g = torch::stable::contiguous(grad), s = torch::stable::contiguous(sums),
+  Tensor const x = dense(input), y = dense(other), g = dense(grad), s = dense(sums),
                grad_x = empty({rows, x.size(1)}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;

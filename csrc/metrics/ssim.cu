@@ -1,20 +1,20 @@
 // Structural similarity on CUDA: planar images, windows of 5, 7 and 11 pixels, one launch each way.
 //
-// A block walks down its columns, two of them a thread. Along y there are running sums in registers: a new row adds to
-// all the rows that it belongs to, of which it completes the first. That row goes to shared memory, where the windows
-// along x read it; what they read beyond the image is filled in there. The gradient does that twice, with the means and
-// with the derivatives by them. Nothing depends on how pixels are stored but reading and writing them, so that is found
-// out when it runs.
+// A block walks down its columns, four rows at a time. Along y each thread has a column, and running sums in registers:
+// a new row adds to all the rows that it belongs to, of which it completes the first. Those go to shared memory, and
+// along x each thread has four columns of one of the four rows, so that it reads vectors there and shares them between
+// its windows; what windows read beyond the image is filled in where the rows are written. The gradient does both
+// twice, with the means and with the derivatives by them. Nothing depends on how pixels are stored but reading and
+// writing them, so that is found out when it runs.
 #include "ssim.h"
 #include "sums.cuh"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 128;  // of a block, at most
-constexpr int P = 2;           // columns of a thread
-constexpr int kBeside = 16;    // numbers beside the columns of a block in shared memory
-constexpr int kLine = P * kThreads + 2 * kBeside;
+constexpr int kThreads = 256;         // of a block, at most
+constexpr int kRows = 4;              // taken together, and as many columns of a thread along x
+constexpr int kLine = kThreads + 16;  // numbers of a row in shared memory
 
 enum class Stored : int { floats, halves, bfloats };
 template <class T>
@@ -22,18 +22,15 @@ constexpr Stored kStored = sizeof(T) == 4       ? Stored::floats
                            : __is_same(T, Half) ? Stored::halves
                                                 : Stored::bfloats;
 
-__device__ __forceinline__ float read_pixel(uint8_t const* row, int x, Stored stored) {
-  if (stored == Stored::floats) return reinterpret_cast<float const*>(row)[x];
-  if (stored == Stored::halves) return read(reinterpret_cast<Half const*>(row)[x]);
-  return read(reinterpret_cast<BFloat16 const*>(row)[x]);
-}
-__device__ __forceinline__ void write_pixel(uint8_t* row, int x, float value, Stored stored) {
+// Calls f with a value of the type that pixels are stored in.
+template <class F>
+__device__ __forceinline__ void with_type(Stored stored, F f) {
   if (stored == Stored::floats)
-    reinterpret_cast<float*>(row)[x] = value;
+    f(float{});
   else if (stored == Stored::halves)
-    reinterpret_cast<Half*>(row)[x] = round_to<Half>(value);
+    f(Half{});
   else
-    reinterpret_cast<BFloat16*>(row)[x] = round_to<BFloat16>(value);
+    f(BFloat16{});
 }
 
 using Bytes = Planes<uint8_t>;
@@ -60,6 +57,7 @@ struct Work {
   Border border;
   int offset;
   Stored stored;
+  bool vectors;  // results, and gradients of the similarity, can be written and read as vectors of kRows
   SsimConstants<float> constants;
   SsimLoss<float> loss;
   float* partial;
@@ -69,203 +67,258 @@ struct Work {
   float weights[K];       // as arguments of a kernel they are constants, which cost no registers
 };
 
-// Where a block stands. A thread's columns are x and x + 1. Blocks overlap by what their windows reach beyond them.
+// Where a block stands, and its threads: along y each has the column `column`, along x those from `x` on of row `r` of
+// the rows that are taken together. Blocks overlap by what their windows reach beyond them.
 template <int K>
 struct Place {
   int64_t plane;
-  int x, y0, y1, width, height, first, last;  // the block's own columns: from `first` to before `last`
+  int left, column, r, x, y0, y1, width, height, first, last;  // the block's own columns: from `first` to before `last`
 
-  // `reach`: columns on either side of the block whose results are not right; even.
+  // `reach`: columns on either side of the block whose results are not right; a multiple of kRows.
   __device__ __forceinline__ Place(Work<K> const& work, int reach)
       : width(int(work.x.width)), height(int(work.x.height)) {
-    unsigned const line = blockIdx.x / work.across, column = blockIdx.x - line * work.across;
+    unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
     plane = line / work.down;
-    int const columns = P * int(blockDim.x), left = int(column) * (columns - 2 * reach);
-    x = left + P * int(threadIdx.x);
-    first = column == 0 ? 0 : left + reach;
-    last = column + 1 == work.across ? width : left + columns - reach;
+    int const columns = int(blockDim.x);
+    left = int(block) * (columns - 2 * reach);
+    column = left + int(threadIdx.x);
+    r = int(threadIdx.x) / (columns / kRows);
+    x = left + kRows * (int(threadIdx.x) - r * (columns / kRows));
+    first = block == 0 ? 0 : left + reach;
+    last = block + 1 == work.across ? width : left + columns - reach;
     y0 = int(line - unsigned(plane) * work.down) * work.rows;
     y1 = min(y0 + work.rows, height);
   }
-  __device__ __forceinline__ bool owns(int column) const { return column >= first && column < last; }
+  __device__ __forceinline__ bool owns(int c, int offset = 0) const {
+    return c >= max(first, offset) && c < min(last, width - offset);
+  }
+  // Calls f(where else in its line the number of column `c` stands, from the block's left on) for a pixel's mirror
+  // images at both ends of a row.
+  template <class F>
+  __device__ __forceinline__ void for_each_mirror(int c, F f) const {
+    constexpr int R = K / 2;
+    int const n = width - 1;
+    if (c > 0 && c <= R && left == 0) f(-c);
+    if (c < n && n - c <= R && 2 * n - c < left + int(blockDim.x) + R) f(2 * n - c - left);
+  }
+  __device__ __forceinline__ bool is_near_end(int c, int count) const {
+    return c < width && (c <= K / 2 || c + count + K / 2 >= width);
+  }
 };
 
-// The sums along y: of the K - 1 rows that a row still belongs to, of which it completes the first.
+// The sums along y of a column: of the K - 1 rows that a row still belongs to, of which it completes the first.
 template <int M, int K>
 struct RunningSums {
-  float sums[M][K - 1][P] = {};
+  float sums[M][K - 1] = {};
 
-  __device__ __forceinline__ void add(float const (&row)[M][P], float const (&weights)[K], float (&complete)[M][P]) {
+  __device__ __forceinline__ float add(int m, float x, float const (&weights)[K]) {
+    float const complete = fmaf(weights[0], x, sums[m][0]);
 #pragma unroll
-    for (int m = 0; m < M; ++m)
-#pragma unroll
-      for (int t = 0; t < K; ++t)
-#pragma unroll
-        for (int j = 0; j < P; ++j) {
-          float const sum = t < K - 1 ? fmaf(weights[t], row[m][j], sums[m][t][j]) : weights[t] * row[m][j];
-          (t == 0 ? complete[m][j] : sums[m][max(t - 1, 0)][j]) = sum;
-        }
+    for (int t = 1; t < K; ++t) sums[m][t - 1] = t < K - 1 ? fmaf(weights[t], x, sums[m][t]) : weights[t] * x;
+    return complete;
   }
 };
 
-// Rows in shared memory: two, so that one can be written while the other is still read.
+// Four rows of M numbers a column.
 template <int M>
-using Lines = float[2][M][kLine];
+using Rows = float[kRows][M][kLine];
 
-template <int M, int K>
-struct Across {
-  Lines<M>& lines;
-  // The thread's place in a line; how far the image's end is from its first column. It is not clamped to what matters,
-  // 0 to P: ptxas of CUDA 13.0 takes the wrong branch after that.
-  int const at, beyond;
-  int mirrors[P][2];  // where else its numbers stand, or -1: a pixel's mirror images at both ends of a row
-  bool mirrored = false;
-  int next = 0;
+__device__ __forceinline__ float fast_reciprocal(float x) {
+  float y;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
 
-  __device__ __forceinline__ Across(Lines<M>& lines, int x, int width, Border border)
-      : lines(lines), at(kBeside + P * int(threadIdx.x)), beyond(width - x) {
-    for (int i = threadIdx.x; i < 2 * M * kLine; i += blockDim.x) lines[0][0][i] = 0;
-    int const left = x - at, end = left + kBeside + P * int(blockDim.x) + kBeside;  // columns of the line
+// The sums over the windows around kRows columns; the first is at line[m][at + Beside], `at` a multiple of kRows.
+template <int K, int Beside, int M>
+__device__ __forceinline__ void sum_across(float const (&line)[M][kLine], int at, float const (&weights)[K],
+                                           float (&sums)[M][kRows]) {
+  constexpr int kSkip = (Beside - K / 2) % 4, kFirst = Beside - K / 2 - kSkip;
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      int const column = x + j, n = width - 1;
-      mirrors[j][0] = mirrors[j][1] = -1;
-      if (border != Border::reflect || column >= width) continue;
-      if (column > 0 && column <= K / 2 && -column >= left) mirrors[j][0] = -column - left;
-      if (column < n && n - column <= K / 2 && 2 * n - column < end) mirrors[j][1] = 2 * n - column - left;
-      mirrored = mirrored || mirrors[j][0] >= 0 || mirrors[j][1] >= 0;
+  for (int m = 0; m < M; ++m)
+#pragma unroll
+    for (int i = 0; i < kSkip + kRows + K - 1; i += 4) {
+      Pack<float, 4> const pack = *reinterpret_cast<Pack<float, 4> const*>(&line[m][at + kFirst + i]);
+#pragma unroll
+      for (int e = 0; e < 4; ++e)
+#pragma unroll
+        for (int j = 0; j < kRows; ++j) {
+          int const t = i + e - kSkip - j;
+          if (t == 0) sums[m][j] = weights[0] * pack.v[e];
+          if (t > 0 && t < K) sums[m][j] = fmaf(weights[t], pack.v[e], sums[m][j]);
+        }
     }
-    __syncthreads();
-  }
+}
 
-  // The sums over the windows around the thread's columns of a row that all threads of the block have a part of.
-  __device__ __forceinline__ void filter(float const (&row)[M][P], float const (&weights)[K], float (&sums)[M][P]) {
-    float(&line)[M][kLine] = lines[next];
-    next ^= 1;
-    if (beyond >= P) {
-#pragma unroll
-      for (int m = 0; m < M; ++m) *reinterpret_cast<float2*>(&line[m][at]) = make_float2(row[m][0], row[m][1]);
-    } else if (beyond == 1) {
-#pragma unroll
-      for (int m = 0; m < M; ++m) line[m][at] = row[m][0];
-    }
-    if (mirrored) {
-#pragma unroll
-      for (int j = 0; j < P; ++j)
-#pragma unroll
-        for (int side = 0; side < 2; ++side)
-          if (mirrors[j][side] >= 0)
-#pragma unroll
-            for (int m = 0; m < M; ++m) line[m][mirrors[j][side]] = row[m][j];
-    }
-    __syncthreads();
-    constexpr int kBefore = (K / 2 + 1) / 2 * 2, kFirst = kBefore - K / 2;  // pairs are read
-#pragma unroll
-    for (int m = 0; m < M; ++m) {
-      float v[P + 2 * kBefore];
-#pragma unroll
-      for (int i = 0; i < P + 2 * kBefore; i += 2) {
-        float2 const pair = *reinterpret_cast<float2 const*>(&line[m][at - kBefore + i]);
-        v[i] = pair.x, v[i + 1] = pair.y;
-      }
-#pragma unroll
-      for (int t = 0; t < K; ++t)
-#pragma unroll
-        for (int j = 0; j < P; ++j)
-          sums[m][j] = t == 0 ? weights[0] * v[kFirst + j] : fmaf(weights[t], v[kFirst + t + j], sums[m][j]);
-    }
-  }
-};
-
-// The rows of both images, two of them on their way.
-struct PixelRows {
-  uint8_t const *const x, *const y;
+// A column of both images, from one row to the next; beyond them it is the last one, of which nothing is kept.
+struct Pixels {
+  uint8_t const *x, *y;  // in row `next`
   int64_t const x_stride, y_stride;
-  int const column, width, height;
+  int const height, last;
   Border const border;
   Stored const stored;
-  int row;
-  float a[3][P], b[3][P];
+  int next;
 
+  // From row `first` on; those behind `last` are not needed.
   template <int K>
-  __device__ __forceinline__ PixelRows(Work<K> const& work, Place<K> const& place, int first)
-      : x(work.x.plane(place.plane)),
-        y(work.y.plane(place.plane)),
-        x_stride(work.x.row_stride),
+  __device__ __forceinline__ Pixels(Work<K> const& work, Place<K> const& place, int first, int last)
+      : x_stride(work.x.row_stride),
         y_stride(work.y.row_stride),
-        column(place.x),
-        width(place.width),
         height(place.height),
+        last(last),
         border(work.border),
         stored(work.stored),
-        row(first) {
-    fetch(a[1], b[1]);
-    fetch(a[2], b[2]);
+        next(first) {
+    int64_t const offset = int64_t(min(place.column, place.width - 1)) * (stored == Stored::floats ? 4 : 2);
+    x = work.x.plane(place.plane) + offset + first * x_stride;
+    y = work.y.plane(place.plane) + offset + first * y_stride;
   }
-  __device__ __forceinline__ void fetch(float (&u)[P], float (&v)[P]) {
-    int const from = border_index(border, row++, height);
-    uint8_t const *const at_x = x + max(from, 0) * x_stride, *const at_y = y + max(from, 0) * y_stride;
+  __device__ __forceinline__ Pixels from(int row) const {
+    Pixels there = *this;
+    there.x += (row - next) * x_stride, there.y += (row - next) * y_stride, there.next = row;
+    return there;
+  }
+  __device__ __forceinline__ void fetch(float (&a)[kRows], float (&b)[kRows]) {
+    if (next >= 0 && next + kRows <= height) {
+      with_type(stored, [&](auto type) {
+        using T = decltype(type);
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      bool const there = from >= 0 && column + j < width;
-      u[j] = there ? read_pixel(at_x, column + j, stored) : 0.f;
-      v[j] = there ? read_pixel(at_y, column + j, stored) : 0.f;
+        for (int r = 0; r < kRows; ++r) {
+          a[r] = read(*reinterpret_cast<T const*>(x));
+          b[r] = read(*reinterpret_cast<T const*>(y));
+          x += x_stride, y += y_stride;
+        }
+      });
+      next += kRows;
+      return;
     }
-  }
-  // To the next row, the first time to the first one: a[0] and b[0].
-  __device__ __forceinline__ void advance() {
+#pragma unroll 1
+    for (int r = 0; r < kRows; ++r) {
 #pragma unroll
-    for (int j = 0; j < P; ++j) a[0][j] = a[1][j], b[0][j] = b[1][j], a[1][j] = a[2][j], b[1][j] = b[2][j];
-    fetch(a[2], b[2]);
-  }
-  // What goes into the four means.
-  __device__ __forceinline__ void values(float (&row)[4][P]) const {
-#pragma unroll
-    for (int j = 0; j < P; ++j) {
-      float const u = a[0][j], v = b[0][j], d = u - v;
-      row[0][j] = u, row[1][j] = v, row[2][j] = fmaf(u, u, v * v), row[3][j] = d * d;
+      for (int i = 0; i + 1 < kRows; ++i) a[i] = a[i + 1], b[i] = b[i + 1];
+      int const from = border_index(border, min(next, last), height);
+      with_type(stored, [&](auto type) {
+        using T = decltype(type);
+        a[kRows - 1] = from < 0 ? 0.f : read(*reinterpret_cast<T const*>(x + (from - next) * x_stride));
+        b[kRows - 1] = from < 0 ? 0.f : read(*reinterpret_cast<T const*>(y + (from - next) * y_stride));
+      });
+      x += x_stride, y += y_stride, ++next;
     }
   }
 };
+
+// Writes what a thread has of a row along x, of the columns that the block owns and that are in the result.
+template <int K>
+__device__ __forceinline__ void write_row(Work<K> const& work, Place<K> const& place, uint8_t* row,
+                                          float const (&values)[kRows]) {
+  with_type(work.stored, [&](auto type) {
+    using T = decltype(type);
+    T* const to = reinterpret_cast<T*>(row) + (place.x - work.offset);
+    if (work.vectors && place.x >= place.first && place.x + kRows <= place.last) {
+      store_pack(to, values);
+      return;
+    }
+#pragma unroll
+    for (int j = 0; j < kRows; ++j)
+      if (place.owns(place.x + j, work.offset)) to[j] = round_to<T>(values[j]);
+  });
+}
+
+// As much of a row of gradients, of which there are `offset` columns less on either side; the others stay as they are.
+template <int K>
+__device__ __forceinline__ void read_row(Work<K> const& work, Place<K> const& place, uint8_t const* row,
+                                         float (&values)[kRows]) {
+  with_type(work.stored, [&](auto type) {
+    using T = decltype(type);
+    T const* const from = reinterpret_cast<T const*>(row) + (place.x - work.offset);
+    if (work.vectors && place.x + kRows <= place.width) {
+      auto const pack = *reinterpret_cast<Pack<T, kRows> const*>(from);
+#pragma unroll
+      for (int j = 0; j < kRows; ++j) values[j] = read(pack.v[j]);
+      return;
+    }
+#pragma unroll
+    for (int j = 0; j < kRows; ++j)
+      if (place.x + j >= work.offset && place.x + j < place.width - work.offset) values[j] = read(from[j]);
+  });
+}
+
+// Along y: adds four rows of pixels and writes the rows that they complete.
+template <int K>
+__device__ __forceinline__ void take_rows(float const (&xs)[kRows], float const (&ys)[kRows], Work<K> const& work,
+                                          Place<K> const& place, bool near_end, RunningSums<4, K>& down,
+                                          Rows<4>& rows) {
+  int const at = int(threadIdx.x) + K / 2;
+#pragma unroll
+  for (int r = 0; r < kRows; ++r) {
+    float const a = xs[r], b = ys[r], d = a - b;
+    float const complete[4] = {down.add(0, a, work.weights), down.add(1, b, work.weights),
+                               down.add(2, fmaf(a, a, b * b), work.weights), down.add(3, d * d, work.weights)};
+    if (place.column < place.width) {
+#pragma unroll
+      for (int m = 0; m < 4; ++m) rows[r][m][at] = complete[m];
+    }
+    if (near_end)
+      place.for_each_mirror(place.column, [&](int to) {
+#pragma unroll
+        for (int m = 0; m < 4; ++m) rows[r][m][K / 2 + to] = complete[m];
+      });
+  }
+}
 
 // Columns that are not right beside a block whose windows go along x once.
 template <int K>
-constexpr int kReach = (K / 2 + 1) / 2 * 2;
+constexpr int kReach = (K / 2 + kRows - 1) / kRows * kRows;
+template <int K>
+constexpr int kReachOfGradients = (K - 1 + kRows - 1) / kRows * kRows;
 
 template <int K>
-__global__ void __launch_bounds__(kThreads) ssim_down(__grid_constant__ Work<K> const work) {
+__global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Work<K> const work) {
   constexpr int R = K / 2;
-  __shared__ __align__(16) Lines<4> lines;
+  __shared__ __align__(16) Rows<4> memory[2];
+  for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) memory[0][0][0][i] = 0;
+  __syncthreads();
   Place<K> const place(work, kReach<K>);
-  Across<4, K> across(lines, place.x, place.width, work.border);
+  Pixels pixels(work, place, place.y0 - R, place.y1 - 1 + R);
   RunningSums<4, K> down;
-  PixelRows pixels(work, place, place.y0 - R);
+  bool const near_end = work.border == Border::reflect && place.is_near_end(place.column, 1);
+  bool const owns_column = place.owns(place.column);
+  bool const whole = place.owns(place.x, work.offset) && place.owns(place.x + kRows - 1, work.offset);
   uint8_t* const out = work.result.data ? work.result.plane(place.plane) : nullptr;
-  float apart = 0, unlike = 0;
+  float apart = 0, unlike = 0, a[kRows], b[kRows];
+  pixels.fetch(a, b);
 #pragma unroll 1
-  for (int y = place.y0 - 2 * R; y < place.y1; ++y) {  // the row that is completed
-    pixels.advance();
-    float row[4][P], summed[4][P], means[4][P];
-    pixels.values(row);
-    if (!out && y + R >= place.y0 && y + R < place.y1) {
+  for (int y = place.y0 - 2 * R, next = 0; y < place.y1; y += kRows, next ^= 1) {  // the rows that are completed
+    Rows<4>& rows = memory[next];
+    if (work.loss.absolute != 0 && owns_column) {
 #pragma unroll
-      for (int j = 0; j < P; ++j) apart += place.owns(place.x + j) ? fabsf(pixels.a[0][j] - pixels.b[0][j]) : 0.f;
+      for (int r = 0; r < kRows; ++r)
+        if (y + R + r >= place.y0 && y + R + r < place.y1) apart += fabsf(a[r] - b[r]);
     }
-    down.add(row, work.weights, summed);
-    if (y < place.y0) continue;
-    across.filter(summed, work.weights, means);
-    if (y < work.offset || y >= place.height - work.offset) continue;
+    take_rows(a, b, work, place, near_end, down, rows);
+    pixels.fetch(a, b);
+    __syncthreads();
+    int const q = y + place.r;
+    if (q < max(place.y0, work.offset) || q >= min(place.y1, place.height - work.offset)) continue;
+    float means[4][kRows], found[kRows];
+    sum_across<K, R>(rows[place.r], place.x - place.left, work.weights, means);
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      int const x = place.x + j;
-      if (!place.owns(x) || x < work.offset || x >= place.width - work.offset) continue;
-      float const similarity =
-          ssim_of_means(Means<float>{means[0][j], means[1][j], means[2][j], means[3][j]}, work.constants);
-      if (out)
-        write_pixel(out + (y - work.offset) * work.result.row_stride, x - work.offset, similarity, work.stored);
-      else
-        unlike += 1 - similarity;
+    for (int j = 0; j < kRows; ++j) {
+      SsimTerms<float> const terms({means[0][j], means[1][j], means[2][j], means[3][j]}, work.constants);
+      found[j] = terms.numerator * fast_reciprocal(terms.denominator);
     }
+    if (whole) {
+      unlike += (found[0] + found[1]) + (found[2] + found[3]);
+    } else {
+#pragma unroll
+      for (int j = 0; j < kRows; ++j)
+        if (place.owns(place.x + j, work.offset)) unlike += found[j];
+    }
+    if (!out) continue;
+    float similarity[kRows];
+#pragma unroll
+    for (int j = 0; j < kRows; ++j) similarity[j] = 1 - found[j];
+    write_row(work, place, out + (q - work.offset) * work.result.row_stride, similarity);
   }
   if (!out) {
     float const sum = warp_sum(work.loss.structure * unlike + work.loss.absolute * apart);
@@ -273,74 +326,145 @@ __global__ void __launch_bounds__(kThreads) ssim_down(__grid_constant__ Work<K> 
   }
 }
 
-// M: 3 for the gradient to x, 4 for both.
+// Shared memory of the gradient, twice, so that everything between two barriers reads what was written before the
+// first.
+template <int M>
+struct GradientRows {
+  Rows<4> summed[2];       // along y: towards the means
+  Rows<M> derivatives[2];  // by the means
+  Rows<M> across[2];       // their sums along x
+};
+
+// M: 3 for the gradient to x, 4 for both. Four rows go through the stages one after the other: while they are at the
+// first one, the rows before are at the next one.
 template <int K, int M>
-__global__ void __launch_bounds__(kThreads) ssim_gradients(__grid_constant__ Work<K> const work) {
-  constexpr int R = K / 2;
-  __shared__ __align__(16) Lines<4> lines;
-  __shared__ __align__(16) Lines<M> lines_of_derivatives;
-  Place<K> const place(work, 2 * kReach<K>);
-  int const width = place.width, height = place.height;
-  Across<4, K> across(lines, place.x, width, work.border);
-  Across<M, K> back_across(lines_of_derivatives, place.x, width, work.border);
+__global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ Work<K> const work) {
+  constexpr int R = K / 2, kBeside = kReach<K>;
+  extern __shared__ __align__(16) float shared[];
+  GradientRows<M>& memory = *reinterpret_cast<GradientRows<M>*>(shared);
+  for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) shared[i] = 0;
+  __syncthreads();
+  Place<K> const place(work, kReachOfGradients<K>);
+  int const width = place.width, height = place.height, y0 = place.y0, y1 = place.y1;
+  Pixels pixels(work, place, y0 - 2 * R, y1 - 1 + 2 * R);
   RunningSums<4, K> down;
   RunningSums<M, K> back_down;
-  PixelRows pixels(work, place, place.y0 - 2 * R);
   bool const mirrored = work.border == Border::reflect;
+  bool const near_end = mirrored && place.is_near_end(place.column, 1);
+  bool const group_near_end = mirrored && place.is_near_end(place.x, kRows);
+  bool const special = place.x <= work.offset || place.x + kRows >= width - work.offset;  // columns that are
+  bool const owns_column = place.owns(place.column);
   auto const at_end = [](int i, int n) { return i == 0 || i == n - 1; };
+  float const column_scale = mirrored && at_end(place.column, width) ? 0.5f : 1.f;
   uint8_t const* const g = work.grad.data ? work.grad.plane(place.plane) : nullptr;
   float const of_loss = g ? 0.f : work.of_loss[place.plane / work.loss.planes];
   uint8_t *const to_x = work.result.plane(place.plane), *const to_y =
                                                             M == 4 ? work.other_result.plane(place.plane) : nullptr;
-#pragma unroll 1
-  for (int y = place.y0 - 4 * R; y < place.y1; ++y) {  // the row of the gradient that is completed
-    int const q = y + R;                               // that of the means
-    pixels.advance();
-    float row[4][P], summed[4][P], means[4][P];
-    pixels.values(row);
-    down.add(row, work.weights, summed);
-    if (q < place.y0 - R) continue;
-    across.filter(summed, work.weights, means);
 
-    int const from = border_index(work.border, q, height);
-    bool const inside = from >= work.offset && from < height - work.offset;
-    float derivatives[M][P], complete[M][P], gradients[M][P];
+  // The derivatives by the means of row q, from sums along y.
+  auto const differentiate = [&](int q, float const(&summed)[4][kLine], float(&derivatives)[M][kLine]) {
+    int const from = border_index(work.border, q, height), at = place.x - place.left;
+    float found[M][kRows] = {};
+    if (from >= work.offset && from < height - work.offset) {
+      float means[4][kRows], of_pixels[kRows];
+      sum_across<K, R>(summed, at, work.weights, means);
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      int const x = place.x + j;
-      Means<float> d{};
-      if (inside && x >= work.offset && x < width - work.offset) {
-        float of_pixel = -work.loss.structure * of_loss;
-        if (g) of_pixel = read_pixel(g + (from - work.offset) * work.grad.row_stride, x - work.offset, work.stored);
-        if (mirrored && at_end(q, height)) of_pixel *= 2;
-        if (mirrored && at_end(x, width)) of_pixel *= 2;
-        d = ssim_of_means_vjp(Means<float>{means[0][j], means[1][j], means[2][j], means[3][j]}, work.constants,
-                              of_pixel);
+      for (int j = 0; j < kRows; ++j) of_pixels[j] = -work.loss.structure * of_loss;
+      if (g) read_row(work, place, g + (from - work.offset) * work.grad.row_stride, of_pixels);
+      float const twice = mirrored && at_end(q, height) ? 2.f : 1.f;
+#pragma unroll
+      for (int j = 0; j < kRows; ++j) {
+        Means<float> const m{means[0][j], means[1][j], means[2][j], means[3][j]};
+        SsimTerms<float> const terms(m, work.constants);
+        Means<float> const d = ssim_of_means_vjp(m, terms, fast_reciprocal(terms.denominator), twice * of_pixels[j],
+                                                 work.constants.luminance);
+        found[0][j] = d.x, found[1][j] = d.squares, found[2][j] = d.apart;
+        if (M == 4) found[M - 1][j] = d.y;
       }
-      derivatives[0][j] = d.x, derivatives[1][j] = d.squares, derivatives[2][j] = d.apart;
-      if (M == 4) derivatives[M - 1][j] = d.y;
-    }
-    back_down.add(derivatives, work.weights, complete);
-    if (y < place.y0) continue;
-    back_across.filter(complete, work.weights, gradients);
-
+      if (special)
 #pragma unroll
-    for (int j = 0; j < P; ++j) {
-      int const x = place.x + j;
-      if (!place.owns(x)) continue;
-      float const a = read_pixel(pixels.x + y * pixels.x_stride, x, work.stored);
-      float const b = read_pixel(pixels.y + y * pixels.y_stride, x, work.stored);
-      float scale = 1;
-      if (mirrored && at_end(y, height)) scale *= 0.5f;
-      if (mirrored && at_end(x, width)) scale *= 0.5f;
-      float const apart = (a - b) * gradients[2][j], both = 2 * scale;
-      float const sign = work.loss.absolute * of_loss * (a > b ? 1.f : a < b ? -1.f : a - b);
-      write_pixel(to_x + y * work.result.row_stride, x,
-                  scale * gradients[0][j] + both * (a * gradients[1][j] + apart) + sign, work.stored);
-      if (M == 4)
-        write_pixel(to_y + y * work.other_result.row_stride, x,
-                    scale * gradients[M - 1][j] + both * (b * gradients[1][j] - apart) - sign, work.stored);
+        for (int j = 0; j < kRows; ++j) {
+          int const x = place.x + j;
+          float const scale = mirrored && at_end(x, width) ? 2.f : 1.f;
+          bool const there = x >= work.offset && x < width - work.offset;
+#pragma unroll
+          for (int m = 0; m < M; ++m) found[m][j] = there ? scale * found[m][j] : 0.f;
+        }
     }
+#pragma unroll
+    for (int m = 0; m < M; ++m)
+      if (place.x + kRows <= width)
+        *reinterpret_cast<Pack<float, 4>*>(&derivatives[m][at + kBeside]) = {found[m][0], found[m][1], found[m][2],
+                                                                             found[m][3]};
+      else
+#pragma unroll
+        for (int j = 0; j < kRows; ++j)
+          if (place.x + j < width) derivatives[m][at + kBeside + j] = found[m][j];
+    if (group_near_end)
+#pragma unroll
+      for (int j = 0; j < kRows; ++j)
+        if (place.x + j < width)
+          place.for_each_mirror(place.x + j, [&](int to) {
+#pragma unroll
+            for (int m = 0; m < M; ++m) derivatives[m][kBeside + to] = found[m][j];
+          });
+  };
+
+  // Rows of the gradients from y on, from their pixels and the sums along x of the derivatives in the rows that
+  // complete them.
+  auto const finish = [&](int y, float(&a)[kRows], float(&b)[kRows], Rows<M> const& across) {
+#pragma unroll
+    for (int r = 0; r < kRows; ++r) {
+      float gradients[M];
+#pragma unroll
+      for (int m = 0; m < M; ++m) gradients[m] = back_down.add(m, across[r][m][threadIdx.x], work.weights);
+      float const scale = mirrored && at_end(y + r, height) ? 0.5f * column_scale : column_scale;
+      float const d = a[r] - b[r], apart = d * gradients[2], both = gradients[1];
+      float const sign = work.loss.absolute != 0 ? work.loss.absolute * of_loss * (d > 0 ? 1.f : d < 0 ? -1.f : d) : 0;
+      a[r] = fmaf(scale, fmaf(a[r], both, gradients[0] + apart), sign);
+      if (M == 4) b[r] = fmaf(scale, fmaf(b[r], both, gradients[M - 1] - apart), -sign);
+    }
+    if (!owns_column) return;
+    with_type(work.stored, [&](auto type) {
+      using T = decltype(type);
+      uint8_t *x = to_x + y * work.result.row_stride, *other = to_y + y * work.other_result.row_stride;
+#pragma unroll
+      for (int r = 0; r < kRows; ++r) {
+        if (y + r >= y0 && y + r < y1) {
+          reinterpret_cast<T*>(x)[place.column] = round_to<T>(a[r]);
+          if (M == 4) reinterpret_cast<T*>(other)[place.column] = round_to<T>(b[r]);
+        }
+        x += work.result.row_stride, other += work.other_result.row_stride;
+      }
+    });
+  };
+
+  float a[kRows], b[kRows];
+  pixels.fetch(a, b);
+  int const steps = (y1 - y0 + 4 * R + kRows - 1) / kRows;
+#pragma unroll 1
+  for (int i = 0; i < steps + 3; ++i) {
+    // The first row of means at the first stage. Rows before y0 - R are not needed, and nobody reads what becomes of
+    // them.
+    int const q = y0 - 3 * R + kRows * i, now = i % 2, before = 1 - now;
+    if (i < steps) take_rows<K>(a, b, work, place, near_end, down, memory.summed[now]);
+    if (int const row = q - 3 * kRows; row + kRows > y0 - R) {
+      pixels.from(row - R).fetch(a, b);
+      finish(row - R, a, b, memory.across[before]);
+    }
+    if (i + 1 < steps) pixels.fetch(a, b);
+    auto const is_needed = [&](int row) { return row >= y0 - R && row < y1 + R; };
+    if (int const row = q - kRows + place.r; is_needed(row))
+      differentiate(row, memory.summed[before][place.r], memory.derivatives[before][place.r]);
+    if (int const row = q - 2 * kRows + place.r; is_needed(row)) {
+      float sums[M][kRows];
+      sum_across<K, kBeside>(memory.derivatives[now][place.r], place.x - place.left, work.weights, sums);
+#pragma unroll
+      for (int m = 0; m < M; ++m)
+        *reinterpret_cast<Pack<float, 4>*>(&memory.across[now][place.r][m][place.x - place.left]) = {
+            sums[m][0], sums[m][1], sums[m][2], sums[m][3]};
+    }
+    __syncthreads();
   }
 }
 
@@ -358,9 +482,9 @@ struct Grid {
   // Of planes, by blocks of which `resident` fit a multiprocessor, and that many keep it busy. A block takes `more`
   // rows than it completes: as many rows as leave the least work to each multiprocessor.
   Grid(int64_t planes, int64_t height, int64_t width, int reach, int more, int resident) {
-    threads = int(min(ceil_div(width, 32 * P) * 32, int64_t(kThreads)));
-    int64_t const columns = P * threads, rest = max(width - columns, int64_t(0));
-    across = unsigned(1 + ceil_div(rest, columns - 2 * reach));
+    threads = int(min(ceil_div(width, 32) * 32, int64_t(kThreads)));
+    int64_t const rest = max(width - threads, int64_t(0));
+    across = unsigned(1 + ceil_div(rest, threads - 2 * reach));
     double least = INFINITY;
     int64_t const machine = multiprocessors();
     for (int64_t parts = 1; parts <= height / 8 + 1; ++parts) {
@@ -373,6 +497,14 @@ struct Grid {
     blocks = unsigned(planes * across * down);
   }
 };
+
+// Whether the rows of images are multiples of a vector apart, the first one included.
+template <class T>
+bool has_vectors(Planes<T> const& p) {
+  constexpr int64_t size = sizeof(T), bytes = kRows * size;
+  return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
+         p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0;
+}
 
 template <int K, class T>
 Work<K> work_of(SsimImages<T> const& images, Grid const& grid) {
@@ -391,9 +523,9 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
   Grid const grid(x.count(), x.height, x.width, kReach<K>, K - 1, 3);
   Work<K> work = work_of<K>(p.images, grid);
-  work.result = as_bytes(p.similarity);
+  work.result = as_bytes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
   work.loss = p.loss, work.partial = p.partial;
-  ssim_down<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
+  ssim_forward<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
   if (!p.similarity.data) {
     int64_t const rows = x.count() / p.loss.planes, pieces = grid.blocks / rows * (grid.threads / 32);
     finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<float>{0, 1, false}, p.sums);
@@ -401,18 +533,24 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <int K, int M>
+int launch_gradients(Work<K> const& work, Grid const& grid, CUstream_st* stream) {
+  constexpr int bytes = sizeof(GradientRows<M>);
+  if (int const error = cudaFuncSetAttribute(ssim_gradients<K, M>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+    return error;
+  ssim_gradients<K, M><<<grid.blocks, grid.threads, bytes, stream>>>(work);
+  return cudaGetLastError();
+}
+
 template <int K, class T>
 int launch(SsimBackward<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
-  Grid const grid(x.count(), x.height, x.width, 2 * kReach<K>, 2 * K - 2, 2);
+  Grid const grid(x.count(), x.height, x.width, kReachOfGradients<K>, 2 * K + 10, 2);
   Work<K> work = work_of<K>(p.images, grid);
   work.result = as_bytes(p.grad_x), work.other_result = as_bytes(p.grad_y);
-  work.grad = as_bytes(p.grad), work.loss = p.loss, work.of_loss = p.of_loss;
-  if (p.grad_y.data)
-    ssim_gradients<K, 4><<<grid.blocks, grid.threads, 0, stream>>>(work);
-  else
-    ssim_gradients<K, 3><<<grid.blocks, grid.threads, 0, stream>>>(work);
-  return cudaGetLastError();
+  work.grad = as_bytes(p.grad), work.vectors = work.offset == 0 && has_vectors(p.grad);
+  work.loss = p.loss, work.of_loss = p.of_loss;
+  return p.grad_y.data ? launch_gradients<K, 4>(work, grid, stream) : launch_gradients<K, 3>(work, grid, stream);
 }
 
 // Kernels of the size of the window; not for double.
@@ -420,7 +558,9 @@ template <class T, class Params>
 int launch_size(Params const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
     Planes<T const> const& x = p.images.x;
-    if (x.step != 1 || max(x.width, x.height) > INT32_MAX / 2) return cudaErrorInvalidValue;
+    if (x.step != 1 || max(x.width, x.height) > INT32_MAX / 2 ||
+        max(x.row_stride, p.images.y.row_stride) > INT32_MAX / 4)
+      return cudaErrorInvalidValue;
     if (p.images.size == 5) return launch<5>(p, stream);
     if (p.images.size == 7) return launch<7>(p, stream);
     if (p.images.size == 11) return launch<11>(p, stream);

@@ -2,20 +2,22 @@
 //
 //   A = mx^2 + my^2 + c1      a = (mx - my)^2                 luminance 1 - a / A
 //   B = var x + var y + c2    b = var (x - y)                 structure 1 - b / B
-//   similarity = ((A - a) (B - b) + eps) / (A B + eps)        without luminance (B - b + eps) / (B + eps)
+//   similarity = ((A - a) (B - b) + eps) / (A B + eps) = 1 - (A b + a (B - b)) / (A B + eps)
 //
-// Neither factor exceeds 1, whatever is rounded, and equal images have a = b = 0. Included by ssim_cpu.cpp, ssim.cu and
-// ssim_op.cpp.
+// Without luminance A is 1 and a is 0. What is computed is how unlike they are, the last fraction: it keeps its digits
+// where images are nearly equal, has exactly 0 where they are, and below that it is cut off, so that no similarity
+// exceeds 1, whatever is rounded. Included by ssim_cpu.cpp, ssim.cu and ssim_op.cpp.
 //
 // The gradient takes the derivatives of the similarity by the means, times the gradient g of the result, through the
 // transpose of the means:
 //
-//   dx = M(g dmx) + 2 x M(g dsquares) + 2 (x - y) M(g dapart)
-//   dy = M(g dmy) + 2 y M(g dsquares) - 2 (x - y) M(g dapart)
+//   dx = M(dmx) + x M(dsquares) + (x - y) M(dapart)
+//   dy = M(dmy) + y M(dsquares) - (x - y) M(dapart)
 //
-// The means are symmetric but for the border. With zeros around the image the transpose is the same, of a 'valid'
-// window it has zeros around the result, and of a reflected border it is D^-1 A D, where A are the means and D doubles
-// the first and the last pixel of an axis; filters/box.h has the reason.
+// dsquares and dapart being twice the derivatives by these means. The means are symmetric but for the border. With
+// zeros around the image the transpose is the same, of a 'valid' window it has zeros around the result, and of a
+// reflected border it is D^-1 A D, where A are the means and D doubles the first and the last pixel of an axis;
+// filters/box.h has the reason.
 #pragma once
 
 #include "core/border.h"
@@ -27,7 +29,7 @@ namespace kv {
 template <class F>
 struct SsimConstants {
   F c1, c2, eps;
-  bool luminance;
+  F luminance;  // 1; or 0 without it, and c1 is 1 then
 };
 
 // The means, or the derivatives by them.
@@ -36,36 +38,41 @@ struct Means {
   V x, y, squares, apart;
 };
 
-template <class V, class F>
-KV_HD V ssim_of_means(Means<V> const& m, SsimConstants<F> const& c) {
-  V const zero = V{}, mean_squares = m.x * m.x + m.y * m.y, difference = m.x - m.y, a = difference * difference;
-  V const B = max(V(m.squares - mean_squares), zero) + c.c2, b = max(V(m.apart - a), zero);
-  if (!c.luminance) return (B - b + c.eps) / (B + c.eps);
-  V const A = mean_squares + c.c1;
-  return ((A - a) * (B - b) + c.eps) / (A * B + c.eps);
+template <class V>
+KV_HD V at_least_0(V x) {
+  return max(x, V{});
 }
+#if defined(__CUDA_ARCH__)
+// One instruction, which makes a NaN 0; but then there is one in a mean, too, and from there in A.
+__device__ __forceinline__ float at_least_0(float x) { return fmaxf(x, 0); }
+#endif
 
-template <class V, class F>
-KV_HD Means<V> ssim_of_means_vjp(Means<V> const& m, SsimConstants<F> const& c, V g) {
-  V const zero = V{}, mean_squares = m.x * m.x + m.y * m.y, difference = m.x - m.y, a = difference * difference;
-  V const raw_B = m.squares - mean_squares, raw_b = m.apart - a;
-  V const B = max(raw_B, zero) + c.c2, b = max(raw_b, zero);
-  V d_A = zero, d_a = zero, d_B, d_b;
-  if (c.luminance) {
-    V const A = mean_squares + c.c1, inverse = V{} + 1 / V(A * B + c.eps), scale = g * inverse;
-    V const similarity = ((A - a) * (B - b) + c.eps) * inverse;
-    d_A = ((B - b) - similarity * B) * scale;
-    d_a = -(B - b) * scale;
-    d_B = ((A - a) - similarity * A) * scale;
-    d_b = -(A - a) * scale;
-  } else {
-    V const inverse = V{} + 1 / V(B + c.eps), scale = g * inverse;
-    d_B = b * inverse * scale;
-    d_b = -scale;
+// What the formulas above name; 1 - similarity = numerator / denominator.
+template <class V>
+struct SsimTerms {
+  V A, a, B, b, difference, variance_of_both, variance_of_difference, numerator, denominator;
+
+  template <class F>
+  KV_HD SsimTerms(Means<V> const& m, SsimConstants<F> const& c) {
+    V const mean_squares = m.x * m.x + m.y * m.y;
+    difference = m.x - m.y;
+    V const apart = difference * difference;
+    variance_of_both = m.squares - mean_squares, variance_of_difference = m.apart - apart;
+    A = c.luminance * mean_squares + c.c1, a = c.luminance * apart;
+    B = at_least_0(variance_of_both) + c.c2, b = at_least_0(variance_of_difference);
+    numerator = at_least_0(V(A * b + a * (B - b))), denominator = A * B + c.eps;
   }
-  d_B = raw_B >= zero ? d_B : zero;
-  d_b = raw_b >= zero ? d_b : zero;
-  V const of_both = 2 * (d_A - d_B), of_difference = 2 * (d_a - d_b) * difference;
+};
+
+// `inverse` is that of the denominator, g the gradient of the similarity.
+template <class V, class F>
+KV_HD Means<V> ssim_of_means_vjp(Means<V> const& m, SsimTerms<V> const& t, V inverse, V g, F luminance) {
+  V const zero = V{}, unlike = t.numerator * inverse, scale = -2 * g * inverse, of_luminance = luminance * scale;
+  V const d_A = (t.b - unlike * t.B) * of_luminance, d_a = (t.B - t.b) * of_luminance;
+  V d_B = (t.a - unlike * t.A) * scale, d_b = (t.A - t.a) * scale;
+  d_B = t.variance_of_both >= zero ? d_B : zero;
+  d_b = t.variance_of_difference >= zero ? d_b : zero;
+  V const of_both = d_A - d_B, of_difference = (d_a - d_b) * t.difference;
   return {m.x * of_both + of_difference, m.y * of_both - of_difference, d_B, d_b};
 }
 
@@ -111,7 +118,7 @@ struct SsimBackward {
 };
 
 // CUDA: the most that `partial` has for a plane.
-inline int64_t most_ssim_pieces(int64_t height, int64_t width) { return (width / 32 + 2) * (height / 8 + 1); }
+inline int64_t most_ssim_pieces(int64_t height, int64_t width) { return (width / 240 + 1) * 8 * (height / 8 + 1); }
 
 // The windows of the CUDA kernels, which take planar images that are no smaller than the window and not of double. What
 // else there is takes filter2d_separable, in Python.

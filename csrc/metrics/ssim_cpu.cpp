@@ -127,13 +127,17 @@ void ssim(Ssim<T> const& p, int64_t begin, int64_t end) {
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / p.similarity.height, y = r % p.similarity.height;
     means.row(plane, y);
-    auto const at = [&](auto width, int64_t e) {
-      return ssim_of_means(means.template at<decltype(width)::value>(e), p.images.constants);
+    auto const unlike_at = [&](auto width, int64_t e) {
+      constexpr int M = decltype(width)::value;
+      SsimTerms<Lanes<F, M>> const terms(means.template at<M>(e), p.images.constants);
+      return Lanes<F, M>(terms.numerator / terms.denominator);
     };
     if (p.similarity.data) {
       T* const out = p.similarity.row(plane, y);
-      for_each_vector<T>(0, means.count,
-                         [&](auto width, int64_t e) { store<decltype(width)::value>(out + e, at(width, e)); });
+      for_each_vector<T>(0, means.count, [&](auto width, int64_t e) {
+        constexpr int M = decltype(width)::value;
+        store<M>(out + e, Lanes<F, M>(1 - unlike_at(width, e)));
+      });
       continue;
     }
     T const *const a = p.images.x.row(plane, y), *const b = p.images.y.row(plane, y);
@@ -141,11 +145,11 @@ void ssim(Ssim<T> const& p, int64_t begin, int64_t end) {
     F sum = 0;
     int64_t e = 0;
     for (; e + N <= means.count; e += N) {
-      unlike += F(1) - at(Width<N>{}, e);
+      unlike += unlike_at(Width<N>{}, e);
       apart += vabs(Lanes<F, N>(load<N>(a + e) - load<N>(b + e)));
     }
     for (; e < means.count; ++e)
-      sum += p.loss.structure * (F(1) - at(Width<1>{}, e)) + p.loss.absolute * vabs(F(load<1>(a + e) - load<1>(b + e)));
+      sum += p.loss.structure * unlike_at(Width<1>{}, e) + p.loss.absolute * vabs(F(load<1>(a + e) - load<1>(b + e)));
     for (int l = 0; l < N; ++l) sum += p.loss.structure * unlike[l] + p.loss.absolute * apart[l];
     p.partial[r] = sum;
   }
@@ -184,7 +188,10 @@ void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
     for_each_vector<T>(0, means.count, [&](auto n, int64_t e) {
       constexpr int N = decltype(n)::value;
       Lanes<F, N> const of_result = (g ? load<N>(g + e) : broadcast<N>(of_pixel)) * twice;
-      auto const d = ssim_of_means_vjp(means.template at<N>(e), images.constants, of_result);
+      auto const m = means.template at<N>(e);
+      SsimTerms<Lanes<F, N>> const terms(m, images.constants);
+      Lanes<F, N> const inverse = 1 / terms.denominator;
+      auto const d = ssim_of_means_vjp(m, terms, inverse, of_result, images.constants.luminance);
       store<N>(derivatives[kX] + e, d.x);
       store<N>(derivatives[kY] + e, d.y);
       store<N>(derivatives[kSquares] + e, d.squares);
@@ -225,8 +232,8 @@ void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
                                                          : difference < 0 ? Lanes<F, N>(-one)
                                                                           : difference;
       Lanes<F, N> const of_absolute = absolute * sign;
-      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + 2 * (a * squares + apart) + of_absolute));
-      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + 2 * (b * squares - apart) - of_absolute));
+      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + a * squares + apart + of_absolute));
+      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + b * squares - apart - of_absolute));
     });
   }
 }

@@ -36,7 +36,7 @@ struct Window {
       check_border(op, border, size / 2, n);
     }
 #if defined(KV_CUDA)
-    bool const served = has_ssim_kernel(size) && min(x.size(2), x.size(3)) >= size && !is_channels_last(x) &&
+    bool const served = has_ssim_kernel(size) && min(x.size(2), x.size(3)) >= size && layout_of(x) == Layout::planar &&
                         x.scalar_type() != ScalarType::Double;
     KV_CHECK(served, op, ": no kernel for these images or this window on CUDA");
 #endif
@@ -77,7 +77,7 @@ SsimImages<T> images(Tensor const& x, Tensor const& y, Layout layout, Window con
           int(window.size),
           window.border,
           window.valid,
-          {F(c.c1), F(c.c2), F(c.eps), c.luminance}};
+          {F(c.luminance ? c.c1 : 1.0), F(c.c2), F(c.eps), F(c.luminance)}};
 }
 
 Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,
@@ -169,7 +169,7 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
   }
   Layout const layout = loss ? Layout::planar : layout_of(input);
   Tensor const x = conform(input, layout), y = conform(other, layout);
-  Tensor const g = loss ? torch::stable::contiguous(grad) : conform(grad, layout), grad_x = empty_like(x, layout);
+  Tensor const g = loss ? dense(grad) : conform(grad, layout), grad_x = empty_like(x, layout);
   if (grad_other) *grad_other = empty_like(x, layout);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;

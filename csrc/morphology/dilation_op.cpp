@@ -13,7 +13,7 @@ Tensor checked(char const* op, char const* name, Tensor const& element, Tensor c
                element.scalar_type() == computed && element.device() == x.device(),
            op, ": expected ", name, " (B or 1, height, width) in the type that images are computed in");
   check_window(op, element.size(1), element.size(2));
-  return torch::stable::contiguous(element);
+  return dense(element);
 }
 
 struct Element {

@@ -20,24 +20,19 @@ namespace kvision {
 // --- peaks
 // ------------------------------------------------------------------------------------------------------------
 
-inline Tensor local_maxima_backward(Tensor const& grad, Tensor const& input, std::vector<int64_t> const& window,
-                                    bool volumes) {
+// What is above all others of its window (z, y, x), 0 elsewhere, and where that is: 0 and 1, uint8, empty unless it is
+// to be `marked` or there is a gradient. With `volumes` the channels are planes of a volume.
+inline std::tuple<Tensor, Tensor> local_maxima(Tensor const& input, std::vector<int64_t> const& window,
+                                               bool volumes = false, bool marked = false) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"local_maxima_backward">(grad, input, window, volumes)}; };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{local_maxima_backward(b.grads[0], b.saved[0], window, volumes), Tensor()};
+  bool const differentiated = at::GradMode::is_enabled() && input.requires_grad();
+  auto const [values, maxima] =
+      call<"local_maxima", std::tuple<Tensor, Tensor>>(input.detach(), window, volumes, marked || differentiated);
+  auto const compute = [&] { return variable_list{values}; };
+  auto const gradient = [](Backward const& b) {
+    return variable_list{at::where(b.saved[0].view(at::kBool), b.grads[0], 0)};
   };
-  return differentiable({grad, input}, compute, {input}, gradient)[0];
-}
-
-// What is above all others of its window (z, y, x), 0 elsewhere. With `volumes` the channels are planes of a volume.
-inline Tensor local_maxima(Tensor const& input, std::vector<int64_t> const& window, bool volumes = false) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"local_maxima">(input, window, volumes)}; };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{local_maxima_backward(b.grads[0], b.saved[0], window, volumes)};
-  };
-  return differentiable({input}, compute, {input}, gradient)[0];
+  return {differentiable({input}, compute, {maxima}, gradient)[0], maxima};
 }
 
 // Where these are: 0 and 1, uint8.
@@ -134,9 +129,20 @@ inline Tensor depth_points(Tensor const& depth, Tensor const& camera, bool dista
   return differentiable({depth}, compute, {camera}, gradient)[0];
 }
 
-// Unit normals; without a gradient, which Python's kvision has.
+inline Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"depth_normals_backward">(grad, depth, camera, distance)}; };
+  return differentiable({grad, depth, camera}, compute, {}, no_second_derivative("depth_normals"))[0];
+}
+
+// Unit normals; the gradient to the camera is Python's.
 inline Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance = false) {
-  return detail::call<"depth_normals">(depth.detach(), camera.detach(), distance);
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"depth_normals">(depth, camera, distance)}; };
+  auto const gradient = [=](Backward const& b) {
+    return variable_list{depth_normals_backward(b.grads[0], b.saved[0], b.saved[1], distance)};
+  };
+  return differentiable({depth}, compute, {depth, camera}, gradient)[0];
 }
 
 inline Tensor depth_warp_image_gradient(Tensor const& grad, Tensor const& depth, Tensor const& projection,

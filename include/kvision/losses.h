@@ -1,56 +1,78 @@
 // Losses. Each function has the arguments of the operator torch.ops.kvision.<name>, which
-// python/kvision/losses explains, and gradients to logits and images (B, C, H, W). Labels (B, H, W) are int64;
-// `ignores` says whether `ignored` is one that does not count. A second derivative is an error.
+// python/kvision/losses explains, and gradients to logits (losses, B, C, H, W) and images (B, C, H, W).
+// Labels (losses or 1, B, H, W) are int64; `ignores` says whether `ignored` is one that does not count. A second
+// derivative is an error.
 #pragma once
 
 #include <ATen/TensorOperators.h>
 
 #include <optional>
+#include <tuple>
 
 #include "kvision/operator.h"
 
 namespace kvision {
 
-inline Tensor class_sums_backward(Tensor const& grad, Tensor const& pred, Tensor const& target, int64_t ignored,
-                                  bool ignores) {
+inline Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pred, Tensor const& target,
+                               std::optional<Tensor> const& weight, bool together, double alpha, double beta,
+                               double eps, int64_t ignored, bool ignores) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"class_sums_backward">(grad, pred, target, ignored, ignores)}; };
-  return differentiable({grad, pred}, compute, {}, no_second_derivative("class_sums"))[0];
+  auto const compute = [&] {
+    return variable_list{
+        call<"overlap_backward">(grad, sums, pred, target, weight, together, alpha, beta, eps, ignored, ignores)};
+  };
+  return differentiable({grad, sums, pred}, compute, {}, no_second_derivative("overlap"))[0];
 }
 
-// (B, 3, C): for every class the sums of its softmax probability where it is the label, of that everywhere, and of its
-// pixels, of which Dice and Tversky losses are made.
-inline Tensor class_sums(Tensor const& pred, Tensor const& target, int64_t ignored = -100, bool ignores = true) {
+// Losses (losses), and of every sample the sums that they are made of, without a gradient: (losses, B, 3, C), for every
+// class its softmax probability where it is the label, that everywhere, and its pixels. Dice losses have alpha and beta
+// of 0.5 and half their eps, with the classes `together` or not, as Tversky losses have them.
+inline std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target,
+                                          std::optional<Tensor> const& weight = {}, bool together = true,
+                                          double alpha = 0.5, double beta = 0.5, double eps = 5e-9,
+                                          int64_t ignored = -100, bool ignores = true) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"class_sums">(pred, target, ignored, ignores)}; };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{class_sums_backward(b.grads[0], b.saved[0], b.saved[1], ignored, ignores)};
+  auto const compute = [&] {
+    auto [loss, sums] =
+        call<"overlap", std::tuple<Tensor, Tensor>>(pred, target, weight, together, alpha, beta, eps, ignored, ignores);
+    return variable_list{loss, sums};
   };
-  return differentiable({pred}, compute, {pred, target}, gradient)[0];
+  auto const gradient = [=](Backward const& b) {
+    Tensor const x = b.saved[0];
+    auto const of_classes = b.saved[2].defined() ? std::optional(b.saved[2]) : std::nullopt;
+    Tensor const sums =
+        std::get<1>(overlap(x.detach(), b.saved[1], of_classes, together, alpha, beta, eps, ignored, ignores));
+    return variable_list{
+        overlap_backward(b.grads[0], sums, x, b.saved[1], of_classes, together, alpha, beta, eps, ignored, ignores)};
+  };
+  variable_list const found = differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient);
+  return {found[0], found[1].detach()};
 }
 
 inline Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target,
                              std::optional<Tensor> const& weight, double first, double other, double gamma,
-                             int64_t ignored, bool ignores) {
+                             int64_t ignored, bool ignores, bool summed) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{call<"focal_backward">(grad, pred, target, weight, first, other, gamma, ignored, ignores)};
+    return variable_list{
+        call<"focal_backward">(grad, pred, target, weight, first, other, gamma, ignored, ignores, summed)};
   };
   return differentiable({grad, pred}, compute, {}, no_second_derivative("focal"))[0];
 }
 
-// The focal loss of every pixel (B, H, W). `first` weighs class 0, `other` the others, and weight (1, C) all of them.
+// The focal losses of every pixel (losses, B, H, W), or their sums (losses). `first` weighs class 0, `other` the
+// others, and weight (losses or 1, C) all of them.
 inline Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight = {},
                     double first = 0.5, double other = 0.5, double gamma = 2, int64_t ignored = -100,
-                    bool ignores = true) {
+                    bool ignores = true, bool summed = false) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{call<"focal">(pred, target, weight, first, other, gamma, ignored, ignores)};
+    return variable_list{call<"focal">(pred, target, weight, first, other, gamma, ignored, ignores, summed)};
   };
   auto const gradient = [=](Backward const& b) {
     return variable_list{focal_backward(b.grads[0], b.saved[0], b.saved[1],
                                         b.saved[2].defined() ? std::optional(b.saved[2]) : std::nullopt, first, other,
-                                        gamma, ignored, ignores)};
+                                        gamma, ignored, ignores, summed)};
   };
   return differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient)[0];
 }

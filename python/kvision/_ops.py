@@ -24,6 +24,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._functorch.utils import unwrap_dead_wrappers
 from torch.autograd import forward_ad
 
 from kvision.core.exceptions import ValueCheckError
@@ -311,7 +312,8 @@ class Operator:
         needs = ctx.needs_input_grad
         if all(grad is None for grad in grads):
             return (None,) * len(needs)
-        saved = ctx.saved_tensors
+        # What torch.func.vjp wrapped hides, once vjp has returned, that a tensor requires a gradient.
+        grads, saved = unwrap_dead_wrappers(grads), unwrap_dead_wrappers(ctx.saved_tensors)
         if self._is_linear_map(saved):
             saved = (ctx.sizes, *saved[1:])
         found = self.backward(needs, *grads, *saved, *ctx.plain)
@@ -324,12 +326,13 @@ class Operator:
         args = (*tensors, *ctx.plain)
         where = [i for i, t in enumerate(tangents) if t is not None]
         # J t as the derivative of u -> J^T u: works under every transform, also inside plain forward-mode.
-        output, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
+        output, pullback = torch.func.vjp(self._of_tensors(args, where, self.constant), *(args[i] for i in where))
         _, pushforward = torch.func.vjp(pullback, _map(torch.zeros_like, output))
         (found,) = pushforward(tuple(tangents[i] for i in where))
         if not self.constant:
             return found
-        return tuple(None if i in self.constant else t for i, t in enumerate(_as_tuple(found)))
+        rest = iter(found)
+        return tuple(None if i in self.constant else next(rest) for i in range(len(self.kernel._schema.returns)))
 
     def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
         """The default backward; of use in others for gradients that have no kernel."""
@@ -341,12 +344,15 @@ class Operator:
             found = dict(zip(where, pullback(grads[0] if len(grads) == 1 else grads)))
         return [found.get(i) for i in range(self.tensors)]
 
-    def _of_tensors(self, args: Sequence[Any], where: Sequence[int]) -> Callable[..., Any]:
+    def _of_tensors(self, args: Sequence[Any], where: Sequence[int], without: Sequence[int] = ()) -> Callable[..., Any]:
+        """The reference as a function of the tensors at `where`; its results but those at `without`."""
+
         def f(*values: Tensor) -> Any:
             full = list(args)
             for i, value in zip(where, values):
                 full[i] = value
-            return self.reference(*full)
+            found = self.reference(*full)
+            return tuple(y for i, y in enumerate(found) if i not in without) if without else found
 
         return f
 

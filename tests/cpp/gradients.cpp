@@ -88,9 +88,9 @@ int main() {
       "dilation",
       [](auto const& t) { return kvision::dilation(t[0], torch::ones({1, 3, 3}, torch::kDouble), {}, 1, 1); }, {x},
       false);
-  Tensor const labels = torch::randint(0, 2, {2, 7, 6});
-  check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x}, false);
-  check("class_sums", [&](auto const& t) { return kvision::class_sums(t[0], labels); }, {x}, false);
+  Tensor const labels = torch::randint(0, 2, {1, 2, 7, 6});
+  check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x.unsqueeze(0)}, false);
+  check("overlap", [&](auto const& t) { return std::get<0>(kvision::overlap(t[0], labels)); }, {x.unsqueeze(0)}, false);
   Tensor const rows = x.flatten(1), others = torch::rand_like(rows) + 0.5;
   check(
       "pointwise_loss", [](auto const& t) { return kvision::pointwise_loss(t[0], t[1], "welsch"); }, {rows, others},
@@ -116,7 +116,7 @@ int main() {
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
-  check("local_maxima", [](auto const& t) { return kvision::local_maxima(t[0], {1, 3, 3}); }, {x});
+  check("local_maxima", [](auto const& t) { return std::get<0>(kvision::local_maxima(t[0], {1, 3, 3})); }, {x});
   check(
       "soft_argmax",
       [](auto const& t) {
@@ -137,6 +137,10 @@ int main() {
       "depth_points",
       [&](auto const& t) { return kvision::depth_points(t[0], camera.view({1, 3, 3}).to(torch::kDouble), true); },
       {depth}, false);
+  check(
+      "depth_normals",
+      [&](auto const& t) { return kvision::depth_normals(t[0], camera.view({1, 3, 3}).to(torch::kDouble)); }, {depth},
+      false);
   Tensor const projection = torch::cat({matrix, torch::tensor({0.11, -0.07, 0.03}).view({1, 3, 1})}, 2);
   check(
       "depth_warp", [](auto const& t) { return kvision::depth_warp(t[0], t[1], t[2]); }, {x, depth, projection}, false);

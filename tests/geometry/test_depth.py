@@ -80,7 +80,7 @@ class TestDepthTo3d(Points):
 
 class TestDepthToNormals(TestDepthTo3d):
     function = staticmethod(G.depth_to_normals)
-    operators = ("depth_normals",)
+    operators = ("depth_normals", "depth_normals_backward")
 
     def input(self, shape, dtype, device):
         return 4 * super().input(shape, dtype, device)

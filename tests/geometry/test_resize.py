@@ -243,6 +243,50 @@ def test_one_operator_a_call(device, backend):
         assert device.type == "cpu" or names.count("cudaLaunchKernel") == 1, names
 
 
+OCTAVES = [
+    *[("bilinear", antialias) for antialias in (False, True)],
+    *[("bicubic", antialias) for antialias in (False, True)],
+    ("lanczos", False),
+]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
+@pytest.mark.parametrize("down", [True, False])
+@pytest.mark.parametrize("size", [(16, 16), (74, 48), (40, 528)], ids=str)
+def test_half_and_twice_the_size(size, down, dtype, device):
+    """CUDA has kernels for these: with rims of their own, several strips across and down, and NaN that stay where they are."""
+    x = torch.rand(2, 3, *size, device=device)
+    x = (x * 255).to(dtype) if dtype == torch.uint8 else x.to(dtype)
+    result = [n // 2 if down else 2 * n for n in size]
+    calls = [lambda x, how=how: G.resize(x, result, how[0], antialias=how[1]) for how in OCTAVES]
+    pyramid = G.pyrdown if down else G.pyrup
+    calls += [lambda x, border=border: pyramid(x, border) for border in ("reflect", "replicate", "constant")]
+    for call in calls:
+        check_like_reference(call, x)
+    if dtype == torch.float32:
+        x[0, 0, 5, 7], x[1, 2, -1, -1] = float("nan"), float("inf")
+        for call in calls:
+            found = call(x)
+            with K.backend("reference"):
+                assert torch.equal(found.isfinite(), call(x).isfinite())
+
+
+def check_like_reference(call, x):
+    """Values and gradients."""
+    tolerance = {torch.float32: 2e-6, torch.float16: 2e-3, torch.uint8: 1}[x.dtype]
+    inputs = [x.clone().requires_grad_(x.is_floating_point()) for _ in range(2)]
+    found = call(inputs[0])
+    with K.backend("reference"):
+        expected = call(inputs[1])
+        if x.is_floating_point():
+            weights = torch.rand(found.shape, device=x.device).to(x.dtype)
+            (expected_grad,) = torch.autograd.grad(expected, inputs[1], weights)
+    assert_close(found.detach().float(), expected.detach().float(), 1e-3 if x.dtype == torch.float16 else 0, tolerance)
+    if x.is_floating_point():
+        (grad,) = torch.autograd.grad(found, inputs[0], weights)
+        assert_close(grad.float(), expected_grad.float(), 1e-3 if x.dtype == torch.float16 else 1e-6, 2 * tolerance)
+
+
 # --- pyramids -------------------------------------------------------------------------------------------------------
 
 

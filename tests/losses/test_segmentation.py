@@ -1,4 +1,4 @@
-"""Focal loss, and the sums that Dice and Tversky losses are made of: the kernels' tests."""
+"""Focal, Dice and Tversky losses: the kernels' tests."""
 
 from __future__ import annotations
 
@@ -46,12 +46,22 @@ class TestFocal(Segmentation):
 
 class TestTversky(Segmentation):
     function = staticmethod(L.tversky_loss)
-    operators = ("class_sums", "class_sums_backward")
+    operators = ("overlap", "overlap_backward")
     variants = [{"target": labels, "ignore_index": -1, "alpha": 0.3, "beta": 0.7}]
     errors = [({"eps": -1.0}, ValueError, "expected eps"), ({"beta": None}, TypeError, "expected beta")]
 
 
-@pytest.mark.parametrize("classes", [1, 2, 21, 1500])
+class TestDice(Segmentation):
+    function = staticmethod(L.dice_loss)
+    operators = ("overlap", "overlap_backward")
+    variants = [
+        {"target": labels, "ignore_index": -1},
+        {"target": labels, "ignore_index": -1, "average": "macro", "weight": lambda x: torch.linspace(0.5, 2, 4)},
+    ]
+    errors = [({"average": "all"}, ValueError, "average must be"), ({"eps": -1.0}, ValueError, "expected eps")]
+
+
+@pytest.mark.parametrize("classes", [1, 2, 21, 100, 1500])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (70, 131)], ids=str)
 def test_classes_and_pieces(classes, size, device):
     """Any number of classes, and images that one piece does not hold."""

@@ -12,7 +12,15 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored, laid_out, register, vjp
-from kvision.losses.reduction import check_labels, check_weight, masked, reduced, selected
+from kvision.losses.reduction import (
+    as_arguments,
+    check_labels,
+    check_weight,
+    has_kernel,
+    masked,
+    reduced,
+    selected,
+)
 
 
 def _reference(
@@ -24,17 +32,22 @@ def _reference(
     gamma: float,
     ignored: int,
     ignores: bool,
+    summed: bool,
 ) -> Tensor:
-    """(B, H, W) losses of logits (B, C, H, W); `first` weighs class 0, `other` the others, `weight` (1, C) all."""
-    wide = pred.to(compute_dtype(pred))
-    index, counts = selected(
-        target.expand(pred.shape[0], -1, -1), pred.shape[1], ignored if ignores else None, wide.dtype
-    )
-    log_p = masked(wide, counts).log_softmax(1).gather(1, index[:, None]).squeeze(1)
-    counts = counts * torch.where(index == 0, first, other).to(wide.dtype)
+    """(losses, B, H, W) losses of logits (losses, B, C, H, W), or their sums (losses,).
+
+    `first` weighs class 0, `other` the others, `weight` (losses or 1, C) all.
+    """
+    losses, classes, wide = pred.shape[0], pred.shape[2], pred.to(compute_dtype(pred))
+    target = target.expand(losses, *target.shape[1:])
+    index, counts = selected(target.flatten(0, 1), classes, ignored if ignores else None, wide.dtype)
+    log_p = masked(wide.flatten(0, 1), counts).log_softmax(1).gather(1, index[:, None]).squeeze(1)
+    factor = counts * torch.full_like(counts, other).masked_fill(index == 0, first)
+    loss = (-factor * _power(-torch.expm1(log_p), gamma) * log_p).view(target.shape)
     if weight is not None:
-        counts = counts * weight[0][index]
-    return -counts * _power(-torch.expm1(log_p), gamma) * log_p
+        index = index.view(losses, -1)
+        loss = loss * weight.expand(losses, -1).gather(1, index).view(target.shape)
+    return loss.sum((1, 2, 3)) if summed else loss
 
 
 def _power(x: Tensor, gamma: float) -> Tensor:
@@ -42,8 +55,9 @@ def _power(x: Tensor, gamma: float) -> Tensor:
     return x.clamp_min(torch.finfo(x.dtype).tiny) ** gamma
 
 
-def _fake(pred: Tensor, *_: Any) -> Tensor:
-    return pred.new_empty((pred.shape[0], *pred.shape[2:]), dtype=compute_dtype(pred))
+def _fake(pred: Tensor, *args: Any) -> Tensor:
+    losses, batch, _, h, w = pred.shape
+    return pred.new_empty((losses,) if args[-1] else (losses, batch, h, w), dtype=compute_dtype(pred))
 
 
 def _backward(needs, grad, pred, target, weight, *plain):
@@ -104,14 +118,19 @@ def focal_loss(
     alpha, gamma = _focus("focal_loss", alpha, gamma)
     _check.reduction("focal_loss", reduction)
     check_weight("focal_loss", "weight", weight, pred)
-    first, other = (1.0, 1.0) if alpha is None else (1 - alpha, alpha)
+    factor, summed = 1.0, reduction != "none"
+    if reduction == "mean":
+        count = pred.numel()
+        factor = 1 / count if count else float("nan")
+    first, other = (factor, factor) if alpha is None else ((1 - alpha) * factor, alpha * factor)
     weight = None if weight is None else weight[None].to(compute_dtype(pred))
-    ignored = ignore_index or 0, ignore_index is not None
-    loss = _focal(_as_images(pred, 2), _as_images(target, 1), weight, first, other, gamma, *ignored)
-    if reduction == "none":
-        index = target.clamp(0, pred.shape[1] - 1)[:, None]
-        return laid_out(torch.zeros_like(pred).scatter(1, index, loss.reshape(index.shape).to(pred.dtype)), pred)
-    return (loss.sum() / pred.shape[1] / loss.numel() if reduction == "mean" else loss.sum()).to(pred.dtype)
+    operator = _focal if has_kernel(pred) else _focal.reference
+    terms = (first, other, gamma, *as_arguments(ignore_index), summed)
+    loss = operator(_as_images(pred, 2)[None], _as_images(target, 1)[None], weight, *terms)
+    if summed:
+        return loss.squeeze(0).to(pred.dtype)
+    index = target.clamp(0, pred.shape[1] - 1)[:, None]
+    return laid_out(torch.zeros_like(pred).scatter(1, index, loss.reshape(index.shape).to(pred.dtype)), pred)
 
 
 def _as_images(x: Tensor, first: int) -> Tensor:

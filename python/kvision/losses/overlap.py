@@ -11,39 +11,100 @@ from kvision import _check
 from kvision._dtype import compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
-from kvision.losses.reduction import check_labels, check_weight, masked, selected
+from kvision.losses.reduction import as_arguments, check_labels, check_weight, has_kernel, masked, selected
 
 
-def _reference(pred: Tensor, target: Tensor, ignored: int, ignores: bool) -> Tensor:
-    """(B, 3, C): for every class the sum of its probability where it is the label, that everywhere, its pixels."""
-    classes, wide = pred.shape[1], pred.to(compute_dtype(pred))
-    index, counts = selected(target.expand(pred.shape[0], -1, -1), classes, ignored if ignores else None, wide.dtype)
+def _reference(
+    pred: Tensor,
+    target: Tensor,
+    weight: Tensor | None,
+    together: bool,
+    alpha: float,
+    beta: float,
+    eps: float,
+    ignored: int,
+    ignores: bool,
+) -> tuple[Tensor, Tensor]:
+    """The losses (losses,) of logits (losses, B, C, H, W), and the sums (losses, B, 3, C) that they are made of.
+
+    With P of every class the sum of its probability where it is the label, that everywhere, and its pixels, the score is
+    P[0] / (P[0] + alpha (P[1] - P[0]) + beta (P[2] - P[0]) + eps), and 0 of nothing.
+    """
+    sums = _sums(pred, target, ignored if ignores else None)
+    weight = sums.new_ones(1, pred.shape[2]) if weight is None else weight
+    weight = weight[:, None].expand(*sums.shape[:2], -1)
+    if together:
+        scores = _score((sums * weight[:, :, None]).sum(3), alpha, beta, eps)
+    else:
+        weight = torch.where(sums[:, :, 2] == 0, 0, weight)  # of classes that a sample does not have
+        total = weight.sum(2)
+        scores = (weight * _score(sums.movedim(2, 3), alpha, beta, eps)).sum(2)
+        scores = torch.where(total == 0, 0, scores / torch.where(total == 0, 1, total))
+    return (1 - scores).mean(1), sums
+
+
+def _sums(pred: Tensor, target: Tensor, ignored: int | None) -> Tensor:
+    classes, wide = pred.shape[2], pred.to(compute_dtype(pred)).flatten(0, 1)
+    target = target.expand(pred.shape[0], *target.shape[1:]).flatten(0, 1)
+    index, counts = selected(target, classes, ignored, wide.dtype)
     p = masked(wide, counts).softmax(1) * counts[:, None]
     own = index[:, None] == torch.arange(classes, device=pred.device).view(-1, 1, 1)
     sums = torch.where(own, p, 0).sum((2, 3)), p.sum((2, 3)), torch.where(own, counts[:, None], 0).sum((2, 3))
-    return torch.stack(sums, 1)
+    return torch.stack(sums, 1).unflatten(0, pred.shape[:2])
 
 
-def _fake(pred: Tensor, *_: Any) -> Tensor:
-    return pred.new_empty((pred.shape[0], 3, pred.shape[1]), dtype=compute_dtype(pred))
+def _score(sums: Tensor, alpha: float, beta: float, eps: float) -> Tensor:
+    both, predicted, labelled = sums.unbind(-1)
+    divisor = both + alpha * (predicted - both) + beta * (labelled - both) + eps
+    nothing = divisor == 0
+    return torch.where(nothing, 0, both / torch.where(nothing, 1, divisor))
 
 
-def _backward(needs, grad, *args):
-    return [_class_sums_backward(grad, *args), None]
+def _fake(pred: Tensor, *_: Any) -> list[Any]:
+    losses, batch, classes = pred.shape[:3]
+    dtype = compute_dtype(pred)
+    return [pred.new_empty(losses, dtype=dtype), pred.new_empty(losses, batch, 3, classes, dtype=dtype)]
 
 
-_class_sums_backward = register(
-    "class_sums_backward",
-    vjp(_reference),
-    fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
+def _backward(needs, grad, _, loss, sums, pred, target, weight, *plain):
+    grad_weight = None
+    if needs[2]:
+        only_weight = (False, False, True, *(False for _ in plain))
+        pulled = _overlap.differentiate_reference(
+            only_weight, grad, torch.zeros_like(sums), pred, target, weight, *plain
+        )
+        grad_weight = pulled[2]
+    return [_overlap_backward(grad, sums, pred, target, weight, *plain) if needs[0] else None, None, grad_weight]
+
+
+def _slope(grad: Tensor, sums: Tensor, pred: Tensor, *args: Any) -> Tensor:
+    return vjp(lambda pred: _reference(pred, *args)[0])(grad, pred)
+
+
+_overlap_backward = register(
+    "overlap_backward",
+    _slope,
+    fake=lambda grad, sums, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     stores=True,
 )
-_class_sums = register("class_sums", _reference, fake=_fake, backward=_backward, stores=True)
+_overlap = register(
+    "overlap", _reference, fake=_fake, backward=_backward, saves_results=True, constant=(1,), stores=True
+)
 
 
-def _sums_of(pred: Tensor, target: Tensor, ignore_index: int | None) -> Tensor:
-    operator = _class_sums if pred.shape[1] <= 1024 else _class_sums.reference  # as many as a block of a GPU holds
-    return operator(pred, target, ignore_index or 0, ignore_index is not None)
+def _loss(
+    pred: Tensor,
+    target: Tensor,
+    weight: Tensor | None,
+    together: bool,
+    alpha: float,
+    beta: float,
+    eps: float,
+    ignore_index: int | None,
+) -> Tensor:
+    operator = _overlap if has_kernel(pred) else _overlap.reference
+    terms = (together, alpha, beta, eps, *as_arguments(ignore_index))
+    return operator(pred[None], target[None], weight, *terms)[0].squeeze(0).to(pred.dtype)
 
 
 def dice_loss(
@@ -85,25 +146,8 @@ def dice_loss(
     _check.choice("dice_loss", "average", average, ("micro", "macro"))
     eps = _check.number("dice_loss", "eps", eps, minimum=0)
     check_weight("dice_loss", "weight", weight, pred)
-    sums = _sums_of(pred, target, ignore_index)
-    weight = sums.new_ones(pred.shape[1]) if weight is None else weight.to(sums.dtype)
-    return _dice(sums, weight, average, eps).to(pred.dtype)
-
-
-def _dice(sums: Tensor, weight: Tensor, average: str, eps: float) -> Tensor:
-    both, predicted, labelled = sums.unbind(1)
-    if average == "micro":
-        return (1 - _ratio(2 * (both * weight).sum(1), ((predicted + labelled) * weight).sum(1), eps)).mean()
-    weight = torch.where(labelled == 0, 0, weight)
-    loss = 1 - _ratio(2 * both, predicted + labelled, eps)
-    total = weight.sum(1)
-    return torch.where(total == 0, 1, (loss * weight).sum(1) / torch.where(total == 0, 1, total)).mean()
-
-
-def _ratio(a: Tensor, b: Tensor, eps: float) -> Tensor:
-    """a / (b + eps), and 0 where there is nothing at all."""
-    nothing = b == 0
-    return torch.where(nothing, 0, a / torch.where(nothing, 1, b + eps))
+    weight = None if weight is None else weight[None].to(compute_dtype(pred))
+    return _loss(pred, target, weight, average == "micro", 0.5, 0.5, eps / 2, ignore_index)
 
 
 def tversky_loss(
@@ -141,15 +185,7 @@ def tversky_loss(
     alpha = _check.number("tversky_loss", "alpha", alpha)
     beta = _check.number("tversky_loss", "beta", beta)
     eps = _check.number("tversky_loss", "eps", eps, minimum=0)
-    return _tversky(_sums_of(pred, target, ignore_index), alpha, beta, eps).to(pred.dtype)
-
-
-def _tversky(sums: Tensor, alpha: float, beta: float, eps: float) -> Tensor:
-    both, predicted, labelled = sums.unbind(1)
-    absent = labelled == 0
-    divisor = both + alpha * (predicted - both) + beta * (labelled - both) + eps
-    score = torch.where(absent, 0, both / torch.where(absent, 1, divisor))
-    return (1 - score.sum(1) / (~absent).sum(1).clamp_min(1)).mean()
+    return _loss(pred, target, None, False, alpha, beta, eps, ignore_index)
 
 
 class DiceLoss(FunctionModule):

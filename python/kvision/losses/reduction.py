@@ -55,6 +55,16 @@ def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torc
     return index, counts if ignore_index is None else counts.masked_fill(target == ignore_index, 0)
 
 
+def has_kernel(pred: Tensor) -> bool:
+    """Whether the kernels of segmentations take these logits; csrc/losses/segmentation_op.cpp."""
+    return pred.shape[1] <= 224 and pred.numel() > 0
+
+
+def as_arguments(ignore_index: int | None) -> tuple[int, bool]:
+    """The ignored label as operators take it, and whether there is one."""
+    return ignore_index or 0, ignore_index is not None
+
+
 def masked(pred: Tensor, counts: Tensor) -> Tensor:
     """The scores, 0 for all classes where a pixel is ignored: nothing of it reaches the loss, not even a NaN."""
     return pred.masked_fill((counts == 0)[:, None], 0)

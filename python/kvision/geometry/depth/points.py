@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored, register
+from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.spatial_gradient import derivatives
 from kvision.geometry.transform.sampling import for_images
@@ -67,20 +67,33 @@ def _normals(depth, camera, distance):
     return normal / torch.where(flat, 1e-12, torch.where(flat, 1, square).sqrt())
 
 
+def _normals_backward(needs, grad, depth, camera, distance):
+    found = [_normals_to_depth(grad, depth, camera, distance) if needs[0] else None, None]
+    if needs[1]:
+        found[1] = _depth_normals.differentiate_reference((False, True, False), grad, depth, camera, distance)[1]
+    return found
+
+
 depth_points = register(
     "depth_points",
     _points,
-    fake=lambda depth, *how: depth.new_empty(len(depth), 3, *depth.shape[2:]),
+    fake=lambda depth, *how: (depth.shape[0], 3, *depth.shape[2:]),
     backward=_points_backward,
 )
 _to_depth = register(
     "depth_points_backward",
     _points_transposed,
-    fake=lambda grad, *how: grad.new_empty(len(grad), 1, *grad.shape[2:]),
+    fake=lambda grad, *how: (grad.shape[0], 1, *grad.shape[2:]),
     backward=_to_depth_backward,
 )
 _depth_normals = register(
-    "depth_normals", _normals, fake=lambda depth, *how: depth.new_empty(len(depth), 3, *depth.shape[2:])
+    "depth_normals",
+    _normals,
+    fake=lambda depth, *how: (depth.shape[0], 3, *depth.shape[2:]),
+    backward=_normals_backward,
+)
+_normals_to_depth = register(
+    "depth_normals_backward", vjp(_normals), fake=lambda grad, *how: (grad.shape[0], 1, *grad.shape[2:])
 )
 
 # --- points ---------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import laid_out, register
+from kvision.geometry._precision import wants_derivative
 
 __all__ = ["NonMaximaSuppression2d", "NonMaximaSuppression3d", "nms2d", "nms3d", "nms3d_minmax"]
 
@@ -44,22 +45,6 @@ def _is_maximum(x, window, volumes):
     return F.pad(above, reach if volumes else reach[:4])
 
 
-def _reference(x, window, volumes):
-    return torch.where(_is_maximum(x, window, volumes), x, 0)
-
-
-def _backward(needs, grad, x, window, volumes):
-    return [_maxima_backward(grad, x, window, volumes)]
-
-
-def _gradient(grad, x, window, volumes):
-    return torch.where(_is_maximum(x, window, volumes), grad, 0)
-
-
-def _gradient_backward(needs, grad_grad, grad, x, *how):
-    return [_maxima_backward(grad_grad, x, *how), None]
-
-
 def _flags(x, window, volumes):
     """The same as 0 and 1 of uint8."""
     return laid_out(_is_maximum(x, window, volumes).to(torch.uint8), x)
@@ -69,8 +54,29 @@ def _empty_flags(x, *how):
     return laid_out(x.new_empty(x.shape, dtype=torch.uint8), x)
 
 
-_maxima = register("local_maxima", _reference, backward=_backward)
-_maxima_backward = register("local_maxima_backward", _gradient, backward=_gradient_backward, linear=True)
+def _reference(x, window, volumes, marked):
+    """The maxima, and where they are; none of that unless `marked`."""
+    flags = _flags(x, window, volumes)
+    return laid_out(torch.where(flags != 0, x, 0), x), flags if marked else _no_flags(x)
+
+
+def _no_flags(x):
+    return x.new_empty(x.shape[0], 0, dtype=torch.uint8)
+
+
+def _backward(needs, grad, _1, values, flags, x, *how):
+    return [torch.where(_as_bool(flags), grad, 0)]
+
+
+_maxima = register(
+    "local_maxima",
+    _reference,
+    fake=lambda x, window, volumes, marked: [x.shape, _empty_flags(x) if marked else _no_flags(x)],
+    backward=_backward,
+    saves_results=True,
+    constant=(1,),
+    stores=True,
+)
 _maximum = register("is_local_maximum", _flags, fake=_empty_flags, stores=True)
 _extrema = register(
     "local_extrema",
@@ -80,8 +86,10 @@ _extrema = register(
 )
 
 
-def _mask(x, window, volumes):
-    return _as_bool(_maximum(x.detach(), window, volumes))
+def _found(x, window, volumes, mask_only):
+    if mask_only:
+        return _as_bool(_maximum(x.detach(), window, volumes))
+    return _maxima(x, window, volumes, wants_derivative(x))[0]
 
 
 def _as_bool(flags):
@@ -118,7 +126,7 @@ def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) 
     _check.images("nms2d", "input", input)
     window = [1, *_check.ints("nms2d", "kernel_size", kernel_size, 2)]
     _check.flag("nms2d", "mask_only", mask_only)
-    found: Tensor = (_mask if mask_only else _maxima)(floats(input), window, False)
+    found: Tensor = _found(floats(input), window, False, mask_only)
     return found
 
 
@@ -147,7 +155,7 @@ def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = Fa
     _check.volumes("nms3d", "input", input)
     window = list(_check.ints("nms3d", "kernel_size", kernel_size, 3))
     _check.flag("nms3d", "mask_only", mask_only)
-    found: Tensor = (_mask if mask_only else _maxima)(_stacked(input), window, True)
+    found: Tensor = _found(_stacked(input), window, True, mask_only)
     return found.reshape(input.shape)
 
 

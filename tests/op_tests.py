@@ -408,6 +408,21 @@ class OpTests:
         per_sample = torch.func.vmap(torch.func.grad(loss))(x[None].repeat(3, *[1] * x.dim()))
         assert_close(per_sample[1], expected)
 
+    def test_pullback_is_differentiable(self, variant, device):
+        """What torch.func.vjp returns is called after it, by code that differentiates it in the ordinary way."""
+        self.needs_gradient()
+        x, kwargs = self.setup(variant, device, shape=self.small)
+
+        def loss(s: Tensor) -> Tensor:
+            return (as_tuple(self.call(s, kwargs))[0] ** 2).sum()
+
+        leaf = x.clone().requires_grad_()
+        value = loss(leaf)
+        (expected,) = torch.autograd.grad((torch.autograd.grad(value, leaf, create_graph=True)[0] ** 2).sum(), leaf)
+        value, pullback = torch.func.vjp(loss, leaf)
+        (actual,) = torch.autograd.grad((pullback(torch.ones_like(value))[0] ** 2).sum(), leaf)
+        assert_close(actual, expected, 1e-7, 1e-7)
+
     def test_hessian(self, variant, device):
         self.needs_gradient()
         x, kwargs = self.setup(variant, device, shape=self.small)

@@ -33,7 +33,15 @@ __device__ __forceinline__ float larger(float a, float b) {
   return y;
 #endif
 }
-__device__ __forceinline__ float smaller(float a, float b) { return -larger(-a, -b); }
+__device__ __forceinline__ float smaller(float a, float b) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+  return -larger(-a, -b);
+#else
+  float y;
+  asm("min.NaN.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
+  return y;
+#endif
+}
 __device__ __forceinline__ double larger(double a, double b) { return b <= a ? a : a == a ? b : a; }
 __device__ __forceinline__ double smaller(double a, double b) { return -larger(-a, -b); }
 
@@ -170,16 +178,52 @@ constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
 
 // Whether P pixels are packs in memory.
 template <int P>
-KV_HD bool is_packed(Pixels const& x, int64_t pixels) {
+inline bool is_packed(Pixels const& x, int64_t pixels) {
   int64_t const odd = pixels | x.outer_stride | x.inner_stride | (x.step == 1 ? x.channel_stride : 0);
   return odd % P == 0 && reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && (x.step == 1 || x.step == x.channels);
 }
+template <class F, int P>
+inline void set_access(Pixels& x, int64_t pixels) {
+  Storage const computed = sizeof(F) == 8 ? Storage::wide : Storage::single;
+  x.access = !is_packed<P>(x, pixels)            ? Access::each
+             : x.type == computed && x.step == 1 ? Access::plain
+                                                 : Access::packs;
+}
 
-// Channels that there are not, and what is beyond the end, become `rest`.
+// Plain pixels as they come from memory: asked for in time, they are waited for where they become numbers.
 template <class F, int C, int P>
-__device__ __forceinline__ void load_pixels(Pixels const& x, int64_t b, int64_t i, int64_t pixels, F rest,
+struct Asked {
+  static constexpr bool kPossible = kFits<F, P, F>;
+  Pack<F, P> pack[kPossible ? C : 1];
+
+  static __device__ __forceinline__ bool of(Pixels const& x) {
+    return kPossible && x.access == Access::plain && x.channels == C;
+  }
+  __device__ __forceinline__ void ask(Pixels const& x, int64_t at, int64_t i, int64_t pixels) {
+    if (!kPossible || i >= pixels) return;
+    F const* from = static_cast<F const*>(x.data) + at + i;
+#pragma unroll
+    for (int k = 0; k < C; ++k, from += x.channel_stride) pack[k] = *reinterpret_cast<Pack<F, P> const*>(from);
+  }
+  __device__ __forceinline__ void fill(F rest) {
+#pragma unroll
+    for (auto& channel : pack)
+#pragma unroll
+      for (F& v : channel.v) v = rest;
+  }
+  __device__ __forceinline__ void take(F (&c)[C][P]) const {
+#pragma unroll
+    for (int k = 0; kPossible && k < C; ++k)
+#pragma unroll
+      for (int j = 0; j < P; ++j) c[k][j] = pack[k].v[j];
+  }
+};
+
+// The pixels from i on of a sample, which begins `at` elements into x. Channels that there are not, and what is beyond
+// the end, become `rest`.
+template <class F, int C, int P>
+__device__ __forceinline__ void load_pixels(Pixels const& x, int64_t at, int64_t i, int64_t pixels, F rest,
                                             F (&c)[C][P]) {
-  bool const packed = is_packed<P>(x, pixels), inside = x.step != 1;
 #pragma unroll
   for (int k = 0; k < C; ++k)
 #pragma unroll
@@ -189,16 +233,15 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t b, int64_t 
     using T = decltype(stored);
     if constexpr (kFits<F, P, T>) {
       constexpr F unit = F(1. / kUnit<T>);
-      T const* const from = static_cast<T const*>(x.data) + x.offset(b);
-      if (packed && inside && x.channels == C) {
-        Pack<T, P> pack[C];
-#pragma unroll
-        for (int k = 0; k < C; ++k) pack[k] = *reinterpret_cast<Pack<T, P> const*>(from + C * i + k * P);
+      T const* const from = static_cast<T const*>(x.data) + at;
+      if (x.access == Access::each) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j) c[k][j] = F(read(pack[(C * j + k) / P].v[(C * j + k) % P])) * unit;
-      } else if (packed && !inside) {
+          for (int j = 0; j < P; ++j)
+            if (k < x.channels && i + j < pixels)
+              c[k][j] = F(read(from[k * x.channel_stride + (i + j) * x.step])) * unit;
+      } else if (x.step == 1) {
 #pragma unroll
         for (int k = 0; k < C; ++k) {
           if (k >= x.channels) break;
@@ -207,37 +250,44 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t b, int64_t 
           for (int j = 0; j < P; ++j) c[k][j] = F(read(pack.v[j])) * unit;
         }
       } else {
+        Pack<T, P> pack[C];
+#pragma unroll
+        for (int k = 0; k < C; ++k) pack[k] = *reinterpret_cast<Pack<T, P> const*>(from + C * i + k * P);
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j)
-            if (k < x.channels && i + j < pixels)
-              c[k][j] = F(read(from[k * x.channel_stride + (i + j) * x.step])) * unit;
+          for (int j = 0; j < P; ++j) c[k][j] = F(read(pack[(C * j + k) / P].v[(C * j + k) % P])) * unit;
       }
     }
   });
 }
 
 template <class F, int C, int P>
-__device__ __forceinline__ void store_pixels(Pixels const& y, int64_t b, int64_t i, int64_t pixels,
+__device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_t i, int64_t pixels,
                                              F const (&c)[C][P]) {
-  bool const packed = is_packed<P>(y, pixels), inside = y.step != 1;
   if (i >= pixels) return;
+  if (kFits<F, P, F> && y.access == Access::plain) {
+    F* to = static_cast<F*>(y.data) + at + i;
+#pragma unroll
+    for (int k = 0; k < C; ++k, to += y.channel_stride) {
+      if (k >= y.channels) break;
+      store_pack(to, c[k]);
+    }
+    return;
+  }
   for_storage(y.type, [&](auto stored) {
     using T = decltype(stored);
     if constexpr (kFits<F, P, T>) {
       constexpr F unit = kUnit<T>;
       auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * unit)); };
-      T* const to = static_cast<T*>(y.data) + y.offset(b);
-      if (packed && inside && y.channels == C) {
-        Pack<T, P> pack[C];
+      T* const to = static_cast<T*>(y.data) + at;
+      if (y.access != Access::packs) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j) pack[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
-#pragma unroll
-        for (int k = 0; k < C; ++k) *reinterpret_cast<Pack<T, P>*>(to + C * i + k * P) = pack[k];
-      } else if (packed && !inside) {
+          for (int j = 0; j < P; ++j)
+            if (k < y.channels && i + j < pixels) to[k * y.channel_stride + (i + j) * y.step] = rounded(c[k][j]);
+      } else if (y.step == 1) {
 #pragma unroll
         for (int k = 0; k < C; ++k) {
           if (k >= y.channels) break;
@@ -247,11 +297,13 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t b, int64_t
           *reinterpret_cast<Pack<T, P>*>(to + k * y.channel_stride + i) = pack;
         }
       } else {
+        Pack<T, P> pack[C];
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j)
-            if (k < y.channels && i + j < pixels) to[k * y.channel_stride + (i + j) * y.step] = rounded(c[k][j]);
+          for (int j = 0; j < P; ++j) pack[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
+#pragma unroll
+        for (int k = 0; k < C; ++k) *reinterpret_cast<Pack<T, P>*>(to + C * i + k * P) = pack[k];
       }
     }
   });
@@ -262,8 +314,14 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t b, int64_t
 
 template <class F>
 struct Sample {
+  struct Place {
+    int at;  // of the step in the program
+    Step step;
+    int first;  // of its parameters
+  };
   F p[kMostParameters + kMostOfAStep];
-  int order[kMostSteps], length;
+  Place order[kMostSteps];
+  int length;
   alignas(16) F sums[kThreads / 32];  // read by vectors, with nothing else in them
   F mean, mean_slope;                 // and the mean's gradient, for each pixel
 
@@ -284,21 +342,27 @@ struct Sample {
     int const t = int(threadIdx.x);
     int const of_mean = program.contrast < 0 ? -1 : program.first[program.contrast] + 1;
     if (t < kMostParameters + kMostOfAStep && t != of_mean) p[t] = t < program.count ? program.parameter(b, t) : F(0);
-    bool found = false;
-    if (t == 0 || program.contrast >= 0) {
+    bool found = program.contrast >= 0;
+    if (!program.order) {
+      if (t < program.steps) order[t] = {t, program.step[t], program.first[t]};
+      if (t == 0) length = program.steps;
+    } else if (t == 0 || found) {
       int n = 0;
+      found = false;
       for (int i = 0; i < program.length; ++i) {
-        int const step = program.step_at(b, i);
-        if (step < 0) continue;
-        found = found || step == program.contrast;
-        if (t == 0) order[n++] = step;
+        int const at = program.step_at(b, i);
+        if (at < 0) continue;
+        found = found || at == program.contrast;
+        if (t == 0) order[n++] = {at, program.step[at], program.first[at]};
       }
       if (t == 0) length = n;
     }
     if (found && !(program.measures && !backward)) {
       F sum = 0;
-      int64_t const parts = parts_of(program.pixels);
-      if (!program.measures) sum = sum_of_block(t < parts ? program.parts[b * parts + t] / F(program.pixels) : F(0));
+      if (!program.measures) {
+        for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];
+        sum = sum_of_block(sum) / F(program.pixels);
+      }
       if (t == 0) {
         mean = backward ? program.means[b] : sum;
         mean_slope = sum;
@@ -310,6 +374,13 @@ struct Sample {
     __syncthreads();
   }
 };
+
+// The sample of the block that is n-th of its grid. After a first run over them, which ended with the last ones, those
+// may still be in the L2.
+template <class F>
+__device__ __forceinline__ int64_t sample_of(Program<F> const& p, int64_t n) {
+  return p.contrast >= 0 && !p.measures ? p.samples - 1 - n : n;
+}
 
 inline dim3 grid_of(int64_t samples, int64_t across) {
   return dim3(unsigned(across), unsigned(min(samples, int64_t(65535))));

@@ -90,6 +90,10 @@ KV_HD void for_storage(Storage type, F f) {
   }
 }
 
+// How a thread of CUDA takes its pixels: each number by itself, or packs of them, which may be of what is computed in
+// and planes, as most are.
+enum class Access : int { each, packs, plain };
+
 // Sample b is (b / inner, b % inner). Its pixel i has channel c at data + outer_stride * (b / inner) + inner_stride *
 // (b % inner) + channel_stride * c + step * i. Bytes are 255ths.
 struct Pixels {
@@ -97,6 +101,7 @@ struct Pixels {
   Storage type;
   int channels;
   int64_t inner, outer_stride, inner_stride, channel_stride, step;
+  Access access;  // set by the launcher
 
   KV_HD int64_t offset(int64_t b) const {
     if (inner == 1) return b * outer_stride;  // no 64-bit division on the GPU
@@ -129,7 +134,14 @@ KV_HD int64_t shares_of([[maybe_unused]] int64_t samples, int64_t pixels, int64_
 #endif
 }
 // What is summed up over a sample before its pixels are worked on is kept in so many parts.
-KV_HD int64_t parts_of(int64_t pixels) { return min(int64_t(256), (pixels + 1023) / 1024); }
+template <class F>
+KV_HD int64_t parts_of([[maybe_unused]] int64_t samples, int64_t pixels) {
+#if defined(KV_CUDA) || defined(__CUDACC__)
+  return min(int64_t(1024), shares_of<F>(samples, pixels));
+#else
+  return min(int64_t(256), (pixels + 1023) / 1024);
+#endif
+}
 
 // Parameters of the samples, a tensor (B or 1, C or 1, columns), as it is in memory: strides are 0 along axes of
 // size 1.
@@ -172,6 +184,7 @@ struct Program {
   int contrast;  // where it is among the steps, or -1
   bool measures;
   F grey[3];  // how much of the mean each channel is
+  int64_t parts_count;
   F* parts;
   F* means;
 
@@ -196,10 +209,11 @@ struct ProgramBackward {
   F* slopes;                     // of the parameters: (samples, shares, columns); null: not wanted
   int columns;
 
-  // Up to which of a sample's steps pixels have to be computed again.
-  KV_HD int last_input(int const* order, int length) const {
+  // Up to which of a sample's steps pixels have to be computed again; step_at(i) is the i-th one of the sample.
+  template <class StepAt>
+  KV_HD int last_input(int length, StepAt step_at) const {
     int last = length - 1;
-    while (last > 0 && !needs_input[order[last]]) --last;
+    while (last > 0 && !needs_input[step_at(last)]) --last;
     return last;
   }
 };

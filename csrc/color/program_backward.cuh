@@ -13,37 +13,53 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
   constexpr int P = kTaken<F>;
   Program<F> const& q = p.forward;
   __shared__ Sample<F> sample;
+  bool const asks_x = Asked<F, C, P>::of(q.x), asks_grad = Asked<F, C, P>::of(p.grad);
   __shared__ F slopes[kThreads / 32][kMostParameters];
-  for (int64_t b = blockIdx.y; b < q.samples; b += gridDim.y) {
+  for (int64_t n = blockIdx.y; n < q.samples; n += gridDim.y) {
+    int64_t const b = sample_of(q, n), from = q.x.offset(b), from_grad = p.grad.offset(b);
+    int64_t const to = p.wants_x ? p.grad_x.offset(b) : 0;
     F measured = 0;
     int last = 0;
     for (int64_t chunk = blockIdx.x; chunk < chunks_of<F>(q.pixels); chunk += gridDim.x) {
       int64_t const i = chunk * kChunk<F> + threadIdx.x * P;
       F c[C][P], g[C][P], kept[kMostSteps - 1][C][P];
-      load_pixels(q.x, b, p.reads_x ? i : q.pixels, q.pixels, F(0.5), c);
-      load_pixels(p.grad, b, i, q.pixels, F(0), g);
+      Asked<F, C, P> x, grad;
+      if (asks_x) {
+        x.fill(F(0.5));
+        x.ask(q.x, from, p.reads_x ? i : q.pixels, q.pixels);
+      } else {
+        load_pixels(q.x, from, p.reads_x ? i : q.pixels, q.pixels, F(0.5), c);
+      }
+      if (asks_grad) {
+        grad.fill(F(0));
+        grad.ask(p.grad, from_grad, i, q.pixels);
+      } else {
+        load_pixels(p.grad, from_grad, i, q.pixels, F(0), g);
+      }
       if (chunk == blockIdx.x) {
         sample.prepare(q, b, true);
-        last = p.last_input(sample.order, sample.length);
+        last = p.last_input(sample.length, [&](int s) { return sample.order[s].at; });
         for (int k = int(threadIdx.x % 32); k < kMostParameters; k += 32) slopes[threadIdx.x / 32][k] = 0;
         __syncwarp();
       }
+      if (asks_x) x.take(c);
+      if (asks_grad) grad.take(g);
       for (int s = 0; s < last; ++s) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
           for (int j = 0; j < P; ++j) kept[s][k][j] = c[k][j];
-        Values<F, C, P> values{c, sample.p + q.first[sample.order[s]]};
-        run_step(q.step[sample.order[s]], values);
+        auto const place = sample.order[s];
+        Values<F, C, P> values{c, sample.p + place.first};
+        run_step(place.step, values);
       }
       for (int s = sample.length; s-- > 0;) {
-        int const at = sample.order[s];
-        Step const step = q.step[at];
-        F const* const parameters = sample.p + q.first[at];
+        auto const [at, step, first] = sample.order[s];
+        F const* const parameters = sample.p + first;
         bool const ends = q.measures && at == q.contrast;
         if (ends || (p.slopes && takes_tensors(step))) {
           for (int wanted = 0; wanted < parameters_of(step); ++wanted) {
-            int const column = q.column[q.first[at] + wanted];
+            int const column = q.column[first + wanted];
             if (ends ? wanted != 1 : column < 0) continue;
             Slope<F, C, P> slope{c, g, parameters, wanted, 0};
             run_step(step, slope);
@@ -71,7 +87,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
 #pragma unroll
             for (int j = 0; j < P; ++j) c[k][j] = kept[s - 1][k][j];
       }
-      if (p.wants_x && !q.measures) store_pixels(p.grad_x, b, i, q.pixels, g);
+      if (p.wants_x && !q.measures) store_pixels(p.grad_x, to, i, q.pixels, g);
     }
     if (q.measures) {
       measured = sample.sum_of_block(measured);
@@ -100,9 +116,11 @@ __global__ void __launch_bounds__(kThreads) reduce(ProgramReduce<F> const p) {
 }  // namespace
 
 template <class F>
-int program_backward(ProgramBackward<F> const& p, CUstream_st* stream) {
+int program_backward(ProgramBackward<F> const& given, CUstream_st* stream) {
+  ProgramBackward<F> p = given;
   Program<F> const& q = p.forward;
-  dim3 const grid = grid_of(q.samples, q.measures ? parts_of(q.pixels) : shares_of<F>(q.samples, q.pixels));
+  for (Pixels* x : {&p.forward.x, &p.grad, &p.grad_x}) set_access<F, kTaken<F>>(*x, q.pixels);
+  dim3 const grid = grid_of(q.samples, q.measures ? q.parts_count : shares_of<F>(q.samples, q.pixels));
   if (q.x.channels == 1)
     run_backward<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
   else

@@ -301,8 +301,8 @@ struct Sample {
       }
     if (!found || (program.measures && !backward)) return;
     F sum = 0;
-    for (int64_t i = 0; !program.measures && i < parts_of(program.pixels); ++i)
-      sum += program.parts[b * parts_of(program.pixels) + i] / F(program.pixels);
+    for (int64_t i = 0; !program.measures && i < program.parts_count; ++i)
+      sum += program.parts[b * program.parts_count + i] / F(program.pixels);
     mean = backward ? program.means[b] : sum;
     mean_slope = sum;
     p[program.first[program.contrast] + 1] = mean;
@@ -315,7 +315,7 @@ template <class F, class Work>
 KV_HD void for_each_chunk(Program<F> const& p, bool backward, bool together, int64_t begin, int64_t end, Work f) {
   if (p.measures)
     for (int64_t part = begin; part < end; ++part) p.parts[part] = 0;
-  int64_t const chunks = chunks_of<F>(p.pixels), across = p.measures ? parts_of(p.pixels) : chunks;
+  int64_t const chunks = chunks_of<F>(p.pixels), across = p.measures ? p.parts_count : chunks;
   while (begin < end) {
     int64_t const b = begin / across, last = min(end, (b + 1) * across);
     Sample<F> const s(p, b, backward);
@@ -373,7 +373,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
     if (p.reads_x) load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
     load_chunk(p.grad, C, b, first, count, F(0), g);
-    int const last = p.last_input(s.order, s.length);
+    int const last = p.last_input(s.length, [&](int i) { return s.order[i]; });
     for (int i = 0; i < last; ++i) {
       F* const c = scratch.data + size * i;
       Values<F, C> values{{c}, {c + size}, count, s.p + q.first[s.order[i]]};

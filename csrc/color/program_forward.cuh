@@ -6,37 +6,35 @@
 namespace kv::cuda {
 namespace {
 
-// Whether the next pixels are asked for before the steps go over these. Of halves, numbers are made at once, which
-// waits for them: many threads are better.
-template <class F, int P>
-constexpr bool kAhead = P == kTaken<F>;
-
 template <class F, int C, int P>
 __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> const p) {
   __shared__ Sample<F> sample;
-  for (int64_t b = blockIdx.y; b < p.samples; b += gridDim.y) {
+  for (int64_t n = blockIdx.y; n < p.samples; n += gridDim.y) {
+    int64_t const b = sample_of(p, n), from = p.x.offset(b), to = p.measures ? 0 : p.y.offset(b);
     F measured = 0;
     int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P,
                   stride = gridDim.x * int64_t(kThreads * P);
-    F ahead[C][P];
-    if (kAhead<F, P>) load_pixels(p.x, b, first, p.pixels, F(0), ahead);
+    // The next plain pixels are asked for before the steps go over these.
+    bool const asks = Asked<F, C, P>::of(p.x);
+    Asked<F, C, P> ahead;
+    if (asks) ahead.ask(p.x, from, first, p.pixels);
     sample.prepare(p, b, false);
     for (int64_t i = first; i - threadIdx.x * P < p.pixels; i += stride) {
       F c[C][P];
-      if (!kAhead<F, P>) load_pixels(p.x, b, i, p.pixels, F(0), ahead);
-#pragma unroll
-      for (int k = 0; k < C; ++k)
-#pragma unroll
-        for (int j = 0; j < P; ++j) c[k][j] = ahead[k][j];
-      if (kAhead<F, P>) load_pixels(p.x, b, i + stride, p.pixels, F(0), ahead);
+      if (asks) {
+        ahead.take(c);
+        ahead.ask(p.x, from, i + stride, p.pixels);
+      } else {
+        load_pixels(p.x, from, i, p.pixels, F(0), c);
+      }
       for (int s = 0; s < sample.length; ++s) {
-        int const at = sample.order[s];
-        if (p.measures && at == p.contrast) break;
-        Values<F, C, P> values{c, sample.p + p.first[at]};
-        run_step(p.step[at], values);
+        auto const place = sample.order[s];
+        if (p.measures && place.at == p.contrast) break;
+        Values<F, C, P> values{c, sample.p + place.first};
+        run_step(place.step, values);
       }
       if (!p.measures) {
-        store_pixels(p.y, b, i, p.pixels, c);
+        store_pixels(p.y, to, i, p.pixels, c);
         continue;
       }
 #pragma unroll
@@ -61,11 +59,14 @@ inline bool are_halves(Pixels const& x, int64_t pixels) {
 }  // namespace
 
 template <class F>
-int program(Program<F> const& p, CUstream_st* stream) {
+int program(Program<F> const& given, CUstream_st* stream) {
+  Program<F> p = given;
   constexpr int kOne = kValue<F>;
   auto const launch = [&](auto taken) {
     constexpr int P = taken.value;
-    int64_t const shares = p.measures ? parts_of(p.pixels) : shares_of<F>(p.samples, p.pixels, kThreads * P);
+    set_access<F, P>(p.x, p.pixels);
+    set_access<F, P>(p.y, p.pixels);
+    int64_t const shares = p.measures ? p.parts_count : shares_of<F>(p.samples, p.pixels, kThreads * P);
     dim3 const grid = grid_of(p.samples, shares);
     if (p.x.channels == 1)
       run<F, kOne, P><<<grid, kThreads, 0, stream>>>(p);

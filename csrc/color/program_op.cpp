@@ -178,6 +178,7 @@ Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<do
   p.steps = int(plan.steps.size());
   p.count = int(numbers.size());
   p.contrast = plan.contrast;
+  p.parts_count = parts_of<F>(p.samples, p.pixels);
   for (int i = 0, at = 0; i < p.steps; at += parameters_of(p.step[i++])) {
     p.step[i] = plan.steps[size_t(i)];
     p.first[i] = at;
@@ -217,18 +218,19 @@ std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters c
   ScalarType const computes = a.wide ? ScalarType::Double : ScalarType::Float;
   bool const around_mean = a.plan.contrast >= 0;
   Tensor const means = around_mean ? empty({samples.count, 1}, x, Layout::planar, computes) : x;
-  Tensor const parts = around_mean ? empty({samples.count, parts_of(samples.pixels)}, x, Layout::planar, computes) : x;
   a.for_computed([&](auto type) {
     using F = typename decltype(type)::type;
     Program<F> p = program_of<F>(a, samples, numbers, columns);
     p.x = samples.pixels_of(op, x, in);
     p.y = samples.pixels_of(op, y, out);
     [[maybe_unused]] int64_t const cost = 3 * min(kChunk<F>, p.pixels);
+    Tensor parts;
     if (around_mean) {
+      parts = empty({p.samples, p.parts_count}, means);
       p.parts = static_cast<F*>(parts.mutable_data_ptr());
       p.means = static_cast<F*>(means.mutable_data_ptr());
       p.measures = true;
-      KV_RUN(program, x, p, p.samples * parts_of(p.pixels), cost);
+      KV_RUN(program, x, p, p.samples * p.parts_count, cost);
       p.measures = false;
     }
     KV_RUN(program, x, p, p.samples * chunks_of<F>(p.pixels), cost);
@@ -280,7 +282,6 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
            op, ": expected means as color_program_around_mean gives them");
   int64_t const b = x.size(0);
   Tensor const grad_x = of_image ? empty_like(x, in) : empty({b, 0}, x);
-  Tensor const parts = around_mean ? empty({samples.count, parts_of(samples.pixels)}, x, Layout::planar, computes) : x;
   int64_t const rows = a.by_channel ? x.size(1) : 1;  // of parameters, of an image
   Tensor const of_rows = of_parameters ? empty({b, rows, a.columns}, x, Layout::planar, computes)
                                        : empty({b, 0}, x, Layout::planar, computes);
@@ -298,13 +299,14 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     if (of_image) p.grad_x = samples.pixels_of(op, grad_x, in);
     int64_t const chunks = chunks_of<F>(samples.pixels), shares = shares_of<F>(samples.count, samples.pixels);
     [[maybe_unused]] int64_t const cost = 12 * min(kChunk<F>, samples.pixels);
-    Tensor slopes, dense_means;
+    Tensor slopes, dense_means, parts;
     if (around_mean) {
       dense_means = dense(*means);
       p.forward.means = static_cast<F*>(const_cast<void*>(dense_means.const_data_ptr()));
+      parts = empty({samples.count, p.forward.parts_count}, dense_means);
       p.forward.parts = static_cast<F*>(parts.mutable_data_ptr());
       p.forward.measures = true;
-      KV_RUN(program_backward, x, p, samples.count * parts_of(samples.pixels), cost);
+      KV_RUN(program_backward, x, p, samples.count * p.forward.parts_count, cost);
       p.forward.measures = false;
     }
     if (of_parameters) {

@@ -390,7 +390,7 @@ KV_HD V scaled_saturation(V const& saturation, U const& factor) {
 // The division is the same for all pixels.
 template <class V, class U>
 KV_HD V standardized(V const& x, U const& mean, U const& deviation) {
-  return (x - mean) * (constant<U>(Scalar<U>(1)) / deviation);
+  return (x - mean) * reciprocal(deviation);
 }
 
 template <class V, class G, class U>

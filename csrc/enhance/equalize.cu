@@ -27,12 +27,11 @@ struct Table {
 
 // From the count of thread i's level, for i < kLevels, to the table, in `memory`. False where the plane stays as it is.
 template <class F>
-__device__ __forceinline__ bool make_table(int count, bool opencv, void* memory) {
+__device__ __forceinline__ bool make_table(int count, bool opencv, void* memory, int& total) {
   __shared__ int darkest, brightest;
   int const level = threadIdx.x;
   if (level == 0) darkest = brightest = 0;
   if (level >= kLevels) count = 0;
-  int total;
   int const up_to = sum_up_to<kThreads>(count, total);
   if (count > 0 && up_to == count) darkest = count;  // all darker ones are empty
   if (count > 0 && up_to == total) brightest = count;
@@ -91,9 +90,11 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   has_nan = __syncthreads_or(has_nan);
   int const count = threadIdx.x < kLevels ? counter[threadIdx.x] : 0;
   __syncthreads();
-  bool const changes = make_table<F>(count, p.opencv, memory);
+  int counted;
+  bool const changes = make_table<F>(count, p.opencv, memory, counted);
   Table<F> const table{reinterpret_cast<F*>(memory)};
-  if (threadIdx.x == 0) p.changed[blockIdx.x] = round_to<T>(F(changes));
+  if (threadIdx.x == 0)
+    p.changed[blockIdx.x] = round_to<T>(F(int(!changes ? Change::none : has_nan ? Change::but_nan : Change::all)));
 
   // A byte has no room for NaN.
   if (has_nan || !changes) return map_pixels<true>(p, blockIdx.x, 0, n, changes, table);
@@ -134,10 +135,46 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p
   unsigned const plane = blockIdx.x / pieces;
   int64_t const begin = int64_t(blockIdx.x % pieces) * each;
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
-  bool const changes = make_table<F>(count, p.opencv, memory);
-  if (begin == 0 && threadIdx.x == 0) p.changed[plane] = round_to<T>(F(changes));
+  int counted;
+  bool const changes = make_table<F>(count, p.opencv, memory, counted);
+  if (begin == 0 && threadIdx.x == 0) {
+    bool const has_nan = counted < p.x.width;
+    p.changed[plane] = round_to<T>(F(int(!changes ? Change::none : has_nan ? Change::but_nan : Change::all)));
+  }
   map_pixels<Packed>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
                      Table<F>{reinterpret_cast<F*>(memory)});
+}
+
+// The gradient is read where it counts: nowhere, in most planes.
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads) pull_back(EqualizeBackward<T> p, unsigned pieces, int each) {
+  using F = Compute<T>;
+  constexpr int P = kPixels<T>;
+  unsigned const plane = blockIdx.x / pieces;
+  int64_t const begin = int64_t(blockIdx.x % pieces) * each;
+  int const end = int(min(begin + each, p.grad.width));
+  Change const change = p.changed ? Change(int(read(p.changed[plane]))) : Change::but_nan;
+  T const* const grad = p.grad.plane(plane);
+  T* const grad_x = p.grad_x.plane(plane);
+  if (change == Change::all) {
+    F const none[P]{};
+    for (int i = int(begin) + int(threadIdx.x) * P; i < end; i += kThreads * P)
+      store_pixels<Packed>(grad_x, p.grad_x.step, i, end, none);
+    return;
+  }
+  bool const stays = change == Change::none;
+  Planes<T const> const& first = stays ? p.grad : p.output;
+  auto const pull = [&](Pack<T, P> const& pack, int i) {
+    F v[P];
+#pragma unroll
+    for (int k = 0; k < P; ++k) {
+      F const x = read(pack.v[k]);
+      v[k] = stays ? x : F(0);
+      if (!stays && x != x) v[k] = read(grad[(i + k) * p.grad.step]);
+    }
+    store_pixels<Packed>(grad_x, p.grad_x.step, i, end, v);
+  };
+  for_each_pack<kThreads, Packed, P>(first.plane(plane), first.step, int(begin), end, pull);
 }
 
 template <bool Packed, class T>
@@ -167,6 +204,19 @@ int equalize(Equalize<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  int64_t const planes = p.grad.count(), each = kThreads * P * 8;
+  unsigned const pieces = unsigned(ceil_div(p.grad.width, each)), blocks = unsigned(planes) * pieces;
+  if (is_strip<P>(p.grad) && is_strip<P>(p.output) && is_strip<P>(p.grad_x))
+    pull_back<T, true><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+  else
+    pull_back<T, false><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE(equalize, Equalize)
+KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
 }  // namespace kv::cuda

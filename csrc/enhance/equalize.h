@@ -6,16 +6,28 @@
 
 namespace kv {
 
+// What became of a plane: it stays as it is, or changes, but for pixels that are NaN where it has such.
+enum class Change : int { none, all, but_nan };
+
 template <class T>
 struct Equalize {
   Planes<T const> x;  // flat: a plane is a row
   Planes<T> y;
-  T* changed;  // one a plane: 0 where it stays as it is, else 1
+  T* changed;  // a Change for each plane
   bool opencv;
   int32_t* counts;  // working memory, kLevels a plane, on CUDA only
 };
 
+// Levels have no gradient; pixels that come back as they are have their own.
+template <class T>
+struct EqualizeBackward {
+  Planes<T const> grad, output;  // flat
+  Planes<T> grad_x;
+  T const* changed;  // a Change for each plane, or null where all may have NaN
+};
+
 KV_KERNEL(equalize, Equalize)
+KV_KERNEL(equalize_backward, EqualizeBackward)
 
 // From level to level. As PIL does it: a whole number of pixels makes one output level, and the brightest level that is
 // not empty is left out of the count; where there are less pixels than levels, the plane stays as it is. As OpenCV does

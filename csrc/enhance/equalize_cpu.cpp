@@ -8,7 +8,7 @@ namespace {
 
 // What every level becomes, and NaN. False where the plane stays as it is.
 template <class T>
-KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels + 1]) {
+KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels + 1], int32_t& counted) {
   using F = Compute<T>;
   int32_t count[kLevels];
   counts.sum_up(count);
@@ -18,6 +18,7 @@ KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels
     if (n > 0) curve.brightest = n;
     curve.pixels += n;
   }
+  counted = curve.pixels;
   if (!curve.changes()) return false;
   int32_t up_to = 0;
   for (int i = 0; i < kLevels; ++i) {
@@ -45,8 +46,10 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
       levels_of(gathered(x + i * from, from, n, memory), n, levels.data + i);
       counts.add(level + i, n);
     }
-    bool const changed = make_table(counts, p.opencv, table);
-    store<1>(p.changed + plane, Compute<T>(changed));
+    int32_t counted = 0;
+    bool const changed = make_table(counts, p.opencv, table, counted);
+    Change const change = !changed ? Change::none : counted == pixels ? Change::all : Change::but_nan;
+    store<1>(p.changed + plane, Compute<T>(int(change)));
     if (!changed) {
       for (int64_t i = 0; i < pixels; ++i) y[i * to] = x[i * from];
       continue;
@@ -60,6 +63,33 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const from = p.grad.step, of = p.output.step, to = p.grad_x.step;
+  for (int64_t plane = begin; plane < end; ++plane) {
+    T const* const g = p.grad.plane(plane);
+    T const* const y = p.output.plane(plane);
+    T* const x = p.grad_x.plane(plane);
+    Change const change = p.changed ? Change(int(load<1>(p.changed + plane))) : Change::but_nan;
+    auto const pixels = [&](auto width, int64_t i) {
+      constexpr int N = decltype(width)::value;
+      Lanes<F, N> v{};
+      if (change == Change::none) v = load<N>(g + i * from);
+      if (change == Change::but_nan) {
+        Lanes<F, N> const out = load<N>(y + i * of);
+        v = out == out ? v : load<N>(g + i * from);
+      }
+      store<N>(x + i * to, v);
+    };
+    if (from == 1 && of == 1 && to == 1)
+      for_each_vector<T>(0, p.grad.width, pixels);
+    else
+      for (int64_t i = 0; i < p.grad.width; ++i) pixels(Width<1>{}, i);
+  }
+}
+
 KV_INSTANTIATE(equalize, Equalize)
+KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
 }  // namespace kv::KV_ISA

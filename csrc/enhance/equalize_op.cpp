@@ -24,8 +24,30 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
   return {y, changed};
 }
 
+// Where `changed` is given, it is what equalize found; output is what it made.
+Tensor equalize_backward(Tensor const& grad, Tensor const& output, std::optional<Tensor> const& changed) {
+  char const* const op = "equalize_backward";
+  check_flat(op, grad);
+  check_like(op, "output", output, grad);
+  KV_CHECK(!changed || (changed->dim() == 2 && changed->size(0) == grad.size(0) && changed->size(1) == grad.size(1) &&
+                        changed->scalar_type() == grad.scalar_type() && changed->device() == grad.device()),
+           op, ": expected what equalize found of each plane, of the type of grad");
+  Layout const layout = layout_of(output);
+  Tensor const y = dense_planes(output, layout), grad_x = empty_like(y, layout);
+  Tensor const g = dense_planes(conform(grad, layout), layout), found = changed ? dense(*changed) : y;
+  for_floats(op, grad, [&](auto type) {
+    using T = typename decltype(type)::type;
+    EqualizeBackward<T> const params{flat_planes<T const>(g, layout), flat_planes<T const>(y, layout),
+                                     flat_planes<T>(grad_x, layout),
+                                     changed ? static_cast<T const*>(found.const_data_ptr()) : nullptr};
+    KV_RUN(equalize_backward, grad, params, params.grad.count(), params.grad.width);
+  });
+  return grad_x;
+}
+
 }  // namespace
 
 KV_OPERATOR(equalize, "(Tensor input, bool opencv) -> (Tensor output, Tensor changed)")
+KV_OPERATOR(equalize_backward, "(Tensor grad, Tensor output, Tensor? changed) -> Tensor")
 
 }  // namespace kv

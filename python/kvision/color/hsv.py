@@ -12,7 +12,7 @@ from kvision._dtype import floats
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
 from kvision.color.hue import hue, lack
-from kvision.color.program import STEPS, run, step
+from kvision.color.program import STEPS, arguments, run, step
 from kvision.core.exceptions import TypeCheckError
 
 
@@ -111,8 +111,11 @@ def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
     return on_batch(_hsv_to_rgb, floats(image))
 
 
+_TO_RADIANS = arguments([math.tau * 255 / 180, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+
+
 def _byte_hsv_to_rgb(x: Tensor) -> Tensor:
-    return run(x, [STEPS["line_rgb"], STEPS["hsv_to_rgb"]], [math.tau * 255 / 180, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    return run(x, [STEPS["line_rgb"], STEPS["hsv_to_rgb"]], _TO_RADIANS)
 
 
 def _as_opencv(op: str, image: Tensor, opencv: bool) -> bool:

@@ -7,7 +7,7 @@ them together by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -216,17 +216,16 @@ _program_backward = register("color_program_backward", _pulled_back, fake=_gradi
 # --- calls ----------------------------------------------------------------------------------------------------------
 
 
-def run(
-    x: Tensor,
-    steps: Sequence[int],
-    parameters: Sequence[float | Tensor],
-    order: Tensor | None = None,
-    dtype: str = "same",
-    layout: str = "same",
-) -> Tensor:
-    """A program on images (B, C, H, W), whose parameters are numbers, or tensors (B or 1, C or 1, P) for P of them."""
-    if order is None and steps.count(_AROUND_MEAN) > 1:
-        return _in_two(x, steps, parameters, dtype, layout)
+class Arguments(NamedTuple):
+    """Parameters as the operators take them."""
+
+    tensors: tuple[Tensor | None, ...]
+    numbers: Sequence[float]
+    columns: Sequence[int]
+
+
+def arguments(parameters: Sequence[float | Tensor]) -> Arguments:
+    """Parameters that are numbers, or tensors (B or 1, C or 1, P) for P of them."""
     numbers: list[float] = []
     columns: list[int] = []
     tensors: list[Tensor | None] = []
@@ -241,36 +240,52 @@ def run(
         else:
             columns.append(-1)
             numbers.append(p)
+    if not tensors:
+        return Arguments(_NO_TENSORS, numbers, _NO_COLUMNS)
     if len(tensors) > MOST_TENSORS:
         tensors[MOST_TENSORS - 1 :] = [_joined(tensors[MOST_TENSORS - 1 :])]
-    tensors += [None] * (MOST_TENSORS - len(tensors))
-    operator = _program_around_mean if _AROUND_MEAN in steps else _program
-    stored = _stored(x, dtype)
-    # Kernels find one mean, and compute in one type.
-    fits = steps.count(_AROUND_MEAN) < 2 and (x.dtype == torch.float64) == (stored == torch.float64)
-    y = (operator if fits else operator.reference)(
-        x, *tensors, order, steps, numbers, columns if first else [], dtype, layout
-    )
-    return y[0] if _AROUND_MEAN in steps else y
+    return Arguments((*tensors, *_NO_TENSORS[len(tensors) :]), numbers, columns)
 
 
-def _in_two(x: Tensor, steps: Sequence[int], parameters: Sequence[float | Tensor], dtype: str, layout: str) -> Tensor:
-    """A program with several means as two, of which the first one stores what it computes in."""
-    second = steps.index(_AROUND_MEAN, steps.index(_AROUND_MEAN) + 1)
-    slots, count = sum(_PARAMETERS[_NAMES[i]] for i in steps[:second]), 0
-    while slots > 0:
-        p = parameters[count]
-        slots -= p.shape[2] if isinstance(p, Tensor) else 1
-        count += 1
-    stored = _stored(x, dtype)
-    x = run(x, steps[:second], parameters[:count], dtype=type_name(_computing(x.dtype, stored)))
-    return run(x, steps[second:], parameters[count:], dtype=type_name(stored), layout=layout)
+_NO_TENSORS, _NO_COLUMNS = (None,) * MOST_TENSORS, ()
 
 
 def _joined(tensors: Sequence[Any]) -> Tensor:
     """Their columns side by side."""
     sizes = torch.broadcast_shapes(*(t.shape[:2] for t in tensors))
     return torch.cat([t.expand(*sizes, -1) for t in tensors], 2)
+
+
+def run(
+    x: Tensor,
+    steps: Sequence[int],
+    given: Arguments,
+    order: Tensor | None = None,
+    dtype: str = "same",
+    layout: str = "same",
+) -> Tensor:
+    """A program on images (B, C, H, W)."""
+    means = steps.count(_AROUND_MEAN)
+    if means > 1 and order is None:
+        return _in_two(x, steps, given, dtype, layout)
+    operator: Callable[..., Any] = _program_around_mean if means else _program
+    # Kernels find one mean, and compute in one type.
+    if means > 1 or (dtype != "same" and (x.dtype == torch.float64) != (dtype == "float64")):
+        operator = operator.reference  # type: ignore[attr-defined]
+    y = operator(x, *given.tensors, order, steps, given.numbers, given.columns, dtype, layout)
+    return y[0] if means else y
+
+
+def _in_two(x: Tensor, steps: Sequence[int], given: Arguments, dtype: str, layout: str) -> Tensor:
+    """A program with several means as two, of which the first one stores what it computes in."""
+    second = steps.index(_AROUND_MEAN, steps.index(_AROUND_MEAN) + 1)
+    slots = sum(_PARAMETERS[_NAMES[i]] for i in steps[:second])
+    stored = _stored(x, dtype)
+    tensors, numbers, columns = given
+    first = Arguments(tensors, numbers[:slots], columns[:slots])
+    x = run(x, steps[:second], first, dtype=type_name(_computing(x.dtype, stored)))
+    rest = Arguments(tensors, numbers[slots:], columns[slots:])
+    return run(x, steps[second:], rest, dtype=type_name(stored), layout=layout)
 
 
 def step(
@@ -290,9 +305,15 @@ def step(
 
     def of_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
         fits = 0 not in x.shape[2:]  # the kernels take no images without pixels
+        plain = True
         for p in parameters:
             if isinstance(p, Tensor):
+                plain = False
                 fits = fits and p.dim() == 3 and (of_values or p.shape[1] == 1)
-        return run(x, steps, [*parameters, *rest]) if fits else composed(x, *_slots(parameters))
+        if not fits:
+            return composed(x, *_slots(parameters))
+        if plain and not rest:  # most calls: straight to the operator
+            return _program(x, *_NO_TENSORS, None, steps, parameters, _NO_COLUMNS, "same", "same")
+        return run(x, steps, arguments([*parameters, *rest]))
 
     return of_one_step

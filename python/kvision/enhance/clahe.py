@@ -9,7 +9,7 @@ from kvision import _check
 from kvision._ops import as_stored, register
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images
-from kvision.enhance.equalize import LEVELS, level_counts, levels
+from kvision.enhance.equalize import LEVELS, equalize_backward, level_counts, levels
 from kvision.enhance.histogram import kernel_counts
 
 _BANDWIDTH = 0.001  # of the smooth histogram; neighbouring levels are 0.0039 apart
@@ -24,8 +24,7 @@ def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, opencv: bo
 
 
 def _backward(needs, grad, output, *_):
-    """Levels have no gradient; NaN, which comes back as it is, has its own."""
-    return [grad.masked_fill(~output.isnan(), 0)]
+    return [equalize_backward(grad, output, None)]
 
 
 _equalize_clahe = register("equalize_clahe", _reference, backward=_backward, saves_results=True, halves=True)

@@ -28,12 +28,14 @@ def level_counts(level: Tensor, counted: Tensor) -> Tensor:
 
 
 def _reference(x: Tensor, opencv: bool) -> tuple[Tensor, Tensor]:
-    """(B, C, H, W) planes by themselves, and (B, C): 1 for planes that change, 0 for those that stay as they are."""
+    """(B, C, H, W) planes by themselves, and (B, C): 0 for planes that stay as they are, 1 for those that change, 2 for
+    those that change but for NaN."""
     flat = x.flatten(2)
     level, number = levels(flat), ~flat.isnan()
     table, changes = (_opencv_table if opencv else _pil_table)(level_counts(level, number))
     equalized = table.gather(-1, level).to(x.dtype) / 255
-    return torch.where(changes & number, equalized, flat).reshape(x.shape), changes.to(x.dtype).squeeze(-1)
+    change = changes * (2 - number.all(-1, keepdim=True).long())
+    return torch.where(changes & number, equalized, flat).reshape(x.shape), change.to(x.dtype).squeeze(-1)
 
 
 def _pil_table(counts: Tensor) -> tuple[Tensor, Tensor]:
@@ -54,9 +56,19 @@ def _opencv_table(counts: Tensor) -> tuple[Tensor, Tensor]:
     return (up_to * scale).round(), counted > 0
 
 
-def _backward(needs, grad, _, output, changed, *args):
+def _pulled_back(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tensor:
     """Levels have no gradient; what comes back as it is has its own."""
-    return [grad.masked_fill((changed > 0)[..., None, None] & ~output.isnan(), 0)]
+    equalized = ~output.isnan()
+    if changed is not None:
+        equalized &= (changed > 0)[..., None, None]
+    return grad.masked_fill(equalized, 0)
+
+
+equalize_backward = register("equalize_backward", _pulled_back, halves=True)
+
+
+def _backward(needs, grad, _, output, changed, *args):
+    return [equalize_backward(grad, output, changed)]
 
 
 _equalize = register(

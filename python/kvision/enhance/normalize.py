@@ -57,7 +57,7 @@ def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor
     x, m, s = _arguments("normalize", data, mean, std)
     if _is_rgb(x, m, s):
         return shaped(_normalize_rgb(x, *_columns(m), *_columns(s)), data)
-    return shaped(_normalize(x, m, s), data)
+    return shaped(_normalize(x, _rows(m), _rows(s)), data)
 
 
 def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -82,28 +82,33 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
     x, m, s = _arguments("denormalize", data, mean, std)
     if _is_rgb(x, m, s):
         return shaped(line_rgb(x, *_columns(s), *_columns(m), False), data)
-    return shaped(line(x, s, m, False), data)
+    return shaped(line(x, _rows(s), _rows(m), False), data)
 
 
 def _arguments(
     op: str, data: Tensor, mean: float | Tensor, std: float | Tensor
 ) -> tuple[Tensor, float | Tensor, float | Tensor]:
-    """The data as (B, C, H, W), and the statistics as numbers or tensors that broadcast to it."""
+    """The data as (B, C, H, W); the statistics as numbers, (B or 1, 1, C or 1), or of four axes that broadcast to it."""
     _check.numbers(op, "data", data)
-    m, s = (_statistic(op, name, value, data) for name, value in (("mean", mean), ("std", std)))
+    m, s = _statistic(op, "mean", mean, data), _statistic(op, "std", std, data)
     return _with_four_axes(floats(data)), m, s
 
 
 def _is_rgb(x: Tensor, *parameters: float | Tensor) -> bool:
     """Whether they are a number or three numbers for pixels of three channels, which are faster than planes."""
-    return x.shape[1] == 3 and all(not isinstance(p, Tensor) or p.dim() == 3 for p in parameters)
+    return x.shape[1] == 3 and not any(isinstance(p, Tensor) and p.dim() > 3 for p in parameters)
 
 
 def _columns(p: float | Tensor) -> Sequence[float | Tensor]:
     """A parameter of three channels side by side."""
     if not isinstance(p, Tensor):
         return (p,) * 3
-    return (p.mT if p.shape[1] == 3 else p.expand(-1, -1, 3),)
+    return (p if p.shape[2] == 3 else p.expand(-1, -1, 3),)
+
+
+def _rows(p: float | Tensor) -> float | Tensor:
+    """A parameter channel by channel."""
+    return p.mT if isinstance(p, Tensor) and p.dim() == 3 else p
 
 
 def _with_four_axes(x: Tensor) -> Tensor:
@@ -113,14 +118,15 @@ def _with_four_axes(x: Tensor) -> Tensor:
 
 
 def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float | Tensor:
-    """As a step on the data with four axes takes it: a number, or a tensor (B or 1, C or 1, 1), or one of as many axes."""
     if not isinstance(value, Tensor):
         return _check.number(op, name, value)
     _check.numbers(op, name, value)
-    _check.same_device(op, data=data, **{name: value})
-    if value.dim() <= 1 and value.numel() == 1:
-        return value.reshape(1, 1, 1)
-    sizes = (1, *value.shape) if value.dim() == 1 else value.shape
+    if value.device != data.device:
+        _check.same_device(op, data=data, **{name: value})
+    axes, count = value.dim(), value.numel()
+    if axes <= 1 and (count == 1 or (data.dim() > 1 and count == data.shape[1])):
+        return value.reshape(1, 1, count)
+    sizes = (1, *value.shape) if axes == 1 else value.shape
     if len(sizes) > data.dim() or any(n not in (1, m) for n, m in zip(sizes, data.shape)):
         raise ShapeError(
             f"{op}: expected {name} to be a number, (C,) or (B, C) for data of shape (B, C, *), got {tuple(value.shape)} "
@@ -128,7 +134,7 @@ def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float
             actual_shape=value.shape,
         )
     if math.prod(sizes[2:]) == 1:
-        return value.reshape(*sizes[:2], 1)  # data with parameters has at least two axes
+        return value.reshape(sizes[0], 1, sizes[1])  # data with parameters has at least two axes
     value = value.reshape(*sizes, *(1,) * (data.dim() - len(sizes)))
     if value.dim() > 4:
         value = value.expand(*value.shape[:2], *data.shape[2:])

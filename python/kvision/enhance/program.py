@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._leading import on_batch
-from kvision.color.program import MOST_STEPS, STEPS, run, type_name
+from kvision.color.program import MOST_STEPS, STEPS, arguments, run, type_name
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
 
 Value = float | Sequence[float] | Tensor
@@ -36,6 +36,9 @@ _KINDS = {
     "normalize": _Kind("standardize_rgb", {"mean": 3, "std": 3}),
     "denormalize": _Kind("line_rgb", {"mean": 3, "std": 3}, lambda mean, std: (std, mean, 0.0)),
 }
+
+
+_NAMES = tuple(_KINDS)
 
 
 class ColorProgram(nn.Module):
@@ -118,14 +121,17 @@ class ColorProgram(nn.Module):
                     self.register_buffer(attribute, value, persistent=False)
             self._steps.append((name, values))
         self._program = [STEPS[_KINDS[name].step] for name, _ in self._steps]
-        plain = not any(isinstance(value, str) for _, values in self._steps for value in values)
-        self._slots = _slots(self.steps, None) if plain else None  # they do not change
+        # What does not change, of each step and of all of them.
+        self._numbers = [
+            None if any(isinstance(value, str) for value in values) else _slots(name, values, None)
+            for name, values in self._steps
+        ]
+        plain = [slots for slots in self._numbers if slots is not None]
+        self._arguments = arguments([n for slots in plain for n in slots]) if len(plain) == len(self._numbers) else None
 
     @property
     def steps(self) -> tuple[tuple[Any, ...], ...]:
-        return tuple(
-            (name, *(getattr(self, v) if isinstance(v, str) else v for v in values)) for name, values in self._steps
-        )
+        return tuple((name, *values) for name, values in map(self._values, range(len(self._steps))))
 
     def forward(
         self,
@@ -157,26 +163,35 @@ class ColorProgram(nn.Module):
             raise TypeCheckError(f"ColorProgram: expected image to be floating point or uint8, got {image.dtype}")
         if 0 in image.shape[-2:]:
             raise ShapeError(f"ColorProgram: expected image with H, W of at least 1, got {tuple(image.shape)}")
-        if parameters or self._slots is None:
-            slots = _slots(self._with(parameters) if parameters else self.steps, image)
-        else:
-            slots = self._slots
-        order = _order(order, enabled, len(self._program), image)
-        return on_batch(run, image, self._program, slots, order, self._stored, self._layout)
+        given = self._arguments
+        if parameters or given is None:
+            given = arguments(self._all_slots(parameters or {}, image))
+        if order is not None or enabled is not None:
+            order = _order(order, enabled, len(self._program), image)
+        return on_batch(run, image, self._program, given, order, self._stored, self._layout)
 
-    def _with(self, parameters: Mapping[str | int, Any]) -> tuple[tuple[Any, ...], ...]:
+    def _all_slots(self, parameters: Mapping[str | int, Any], image: Tensor) -> list[float | Tensor]:
+        """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""
         if not isinstance(parameters, Mapping):
             raise TypeCheckError(f"ColorProgram: expected parameters by the names of steps, got {parameters!r}")
-        steps = list(self.steps)
-        names = [name for name, *_ in steps]
+        found = list(self._numbers)
         for key, value in parameters.items():
-            places = [key] if isinstance(key, int) else [i for i, name in enumerate(names) if name == key]
-            if len(places) != 1 or not -len(steps) <= places[0] < len(steps):
-                raise ValueCheckError(f"ColorProgram: there is not one step {key!r} among {', '.join(names)}")
-            name = names[places[0]]
-            several = len(_KINDS[name].parameters) != 1
-            steps[places[0]] = (name, *_checked((name, *value) if several else (name, value))[1])
-        return tuple(steps)
+            places = [key] if isinstance(key, int) else [i for i, (name, _) in enumerate(self._steps) if name == key]
+            if len(places) != 1 or not -len(found) <= places[0] < len(found):
+                names = ", ".join(name for name, _ in self._steps)
+                raise ValueCheckError(f"ColorProgram: there is not one step {key!r} among {names}")
+            name, _ = self._steps[places[0]]
+            values = (value,) if len(_KINDS[name].parameters) == 1 else value
+            found[places[0]] = _slots(name, _checked((name, *values))[1], image)
+        slots: list[float | Tensor] = []
+        for i, of_step in enumerate(found):
+            slots += _slots(*self._values(i), image) if of_step is None else of_step
+        return slots
+
+    def _values(self, i: int) -> tuple[str, list[Any]]:
+        """The i-th step's name and parameters."""
+        name, values = self._steps[i]
+        return name, [getattr(self, v) if isinstance(v, str) else v for v in values]
 
     def extra_repr(self) -> str:
         steps = [f"{name}({', '.join(map(_short, values))})" for name, *values in self.steps]
@@ -195,7 +210,7 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
     if not isinstance(step, (tuple, list)) or not step or not isinstance(step[0], str):
         raise TypeCheckError(f"ColorProgram: expected steps to be tuples of a name and parameters, got {step!r}")
     name, *values = step
-    _check.choice("ColorProgram", "step", name, list(_KINDS))
+    _check.choice("ColorProgram", "step", name, _NAMES)
     wanted = _KINDS[name].parameters
     if len(values) != len(wanted):
         raise ValueCheckError(
@@ -213,14 +228,13 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
     return name, values
 
 
-def _slots(steps: Sequence[tuple[Any, ...]], image: Tensor | None) -> list[float | Tensor]:
-    """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""
+def _slots(name: str, values: Sequence[Any], image: Tensor | None) -> list[float | Tensor]:
+    """The parameters of a step as the program has them."""
+    kind = _KINDS[name]
+    fitting = [_fitting(name, p, size, v, image) for (p, size), v in zip(kind.parameters.items(), values)]
     slots: list[float | Tensor] = []
-    for name, *values in steps:
-        kind = _KINDS[name]
-        fitting = [_fitting(name, p, size, v, image) for (p, size), v in zip(kind.parameters.items(), values)]
-        for argument in kind.arguments(*fitting):
-            slots += argument if isinstance(argument, tuple) else [argument]
+    for argument in kind.arguments(*fitting):
+        slots += argument if isinstance(argument, tuple) else [argument]
     return slots
 
 
@@ -230,9 +244,13 @@ def _fitting(name: str, parameter: str, size: int, value: Value, image: Any) -> 
         if isinstance(value, Sequence):
             return tuple(map(float, value))
         return float(value) if size == 1 else (float(value),) * size
-    _check.same_device("ColorProgram", image=image, **{parameter: value})
-    batch = math.prod(image.shape[:-3])
-    rows = value if size > 1 and value.dim() > 0 else value[..., None]
+    if value.device != image.device:
+        _check.same_device("ColorProgram", image=image, **{parameter: value})
+    axes, count = value.dim(), value.numel()
+    batch = image.shape[0] if image.dim() == 4 else math.prod(image.shape[:-3])
+    if size == 1 and axes <= 1 and count in (1, batch):
+        return value.reshape(-1, 1, 1)
+    rows = value if size > 1 and axes > 0 else value[..., None]
     if rows.dim() > 2 or rows.shape[-1] not in (1, size) or math.prod(rows.shape[:-1]) not in (1, batch):
         expected = f"() or ({batch},)" if size == 1 else f"({size},) or ({batch}, {size})"
         raise ShapeError(f"ColorProgram: expected {parameter} of {name} of shape {expected}, got {tuple(value.shape)}")

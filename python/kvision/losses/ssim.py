@@ -60,7 +60,9 @@ def ssim_loss(
 
 def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, float, str], reduction: str) -> Tensor:
     less = size - 1 if arguments[-1] == "valid" else 0
-    count = math.prod(x.shape[:2]) * math.prod(n - less for n in x.shape[2:])
+    count = x.shape[0] * x.shape[1]
+    for n in x.shape[2:]:
+        count *= n - less
     return dissimilarity(floats(x), floats(y), size, *arguments, 0.5 * _weight(reduction, count))
 
 

@@ -88,7 +88,7 @@ struct Chunk {
 template <class F, int C>
 struct Values {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = false;
   Chunk<F const> c;
   Chunk<F> to;  // may be c
   int64_t n;
@@ -120,12 +120,22 @@ struct Values {
 template <class F, int C>
 struct Pullback {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = true;
   F const* c;
   F* g;
   int64_t n;
   F const* p;
 
+  template <class Formula>
+  KV_HD void each_pulled(Formula f) {
+    constexpr int N = kLanes<F>;
+    for (int64_t i = 0; i < n; i += N) {
+      Vector<F> v[C], pulled[C];
+      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i), pulled[k] = load<N>(g + k * kChunk<F> + i);
+      f(v, pulled, p);
+      for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, pulled[k]);
+    }
+  }
   template <class Formula>
   KV_HD void each(Formula f) {
     constexpr int N = kLanes<F>;
@@ -160,7 +170,7 @@ struct Pullback {
 template <class F, int C>
 struct Slope {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = true;
+  static constexpr bool kOfParameters = true, kPulls = false;
   F const* c;
   F const* g;
   int64_t n;

@@ -5,6 +5,9 @@
 //   lines                    the mean distance of both ends from the line
 //   the others               Sampson's distance, of both points to the nearest ones that fit, to first order
 //
+// A contest finds the best models of two lists, and what correspondences weigh when these are fitted to them: those
+// that fit 1 / (1 + s e), others 0.
+//
 // What is not a number fits nothing. Included by consensus_cpu.cpp, consensus.cu and consensus_op.cpp.
 #pragma once
 
@@ -22,7 +25,38 @@ struct Consensus {
   T* scores;  // (M, 2)
 };
 
+template <class T>
+struct Contest : Consensus<T> {  // models and scores are those of the first list, of which there are `candidates`
+  T const *others, *other_scores;
+  int64_t total, kept;              // candidates of both, and how many are the best: K
+  bool by_count;                    // the number of those who fit ranks models, not the sum
+  T softness;                       // s
+  T *best, *best_scores, *weights;  // (K, 9), (K, 2), (K, N)
+
+  KV_HD T const* model_of(int64_t i) const {
+    return i < this->candidates ? this->models + 9 * i : others + 9 * (i - this->candidates);
+  }
+  KV_HD T const* score_of(int64_t i) const {
+    return i < this->candidates ? this->scores + 2 * i : other_scores + 2 * (i - this->candidates);
+  }
+  // How many are better, or as good and before it.
+  KV_HD int64_t rank_of(int64_t i) const {
+    T const score = score_of(i)[by_count];
+    int64_t rank = 0;
+    for (int64_t k = 0; k < total; ++k) {
+      T const other = score_of(k)[by_count];
+      rank += other > score || (other == score && k < i);
+    }
+    return rank;
+  }
+  KV_HD void copy(int64_t from, int64_t to) const {
+    for (int k = 0; k < 9; ++k) best[9 * to + k] = model_of(from)[k];
+    for (int k = 0; k < 2; ++k) best_scores[2 * to + k] = score_of(from)[k];
+  }
+};
+
 KV_KERNEL(consensus, Consensus)
+KV_KERNEL(contest, Contest)
 
 template <class V, class F>
 KV_HD V transfer_error(F const* m, V x, V y, V u, V v) {

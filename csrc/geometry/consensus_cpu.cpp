@@ -34,6 +34,24 @@ void consensus(Consensus<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void contest(Contest<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t winner = 0; winner < p.total; ++winner) {
+    int64_t const rank = p.rank_of(winner);
+    if (rank < begin || rank >= end) continue;
+    p.copy(winner, rank);
+    T const* const m = p.model_of(winner);
+    for_each_vector<T>(0, p.count, [&](auto lanes, int64_t i) {
+      constexpr int N = decltype(lanes)::value;
+      using V = Lanes<T, N>;
+      auto const read = [&](T const* x, int k, int64_t i) { return load<N>(x + k * p.count + i); };
+      V const none{}, e = error_of<V, T>(p, m, i, read);
+      store<N>(p.weights + rank * p.count + i, V(e <= p.limit ? V(1 / (1 + e * p.softness)) : none));
+    });
+  }
+}
+
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
+KV_INSTANTIATE_COMPUTED(contest, Contest)
 
 }  // namespace kv::KV_ISA

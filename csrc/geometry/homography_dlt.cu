@@ -1,35 +1,31 @@
-// Homographies from points on CUDA: a warp a problem.
+// Homographies from points on CUDA: a block a problem.
 #include "core/launch.cuh"
 #include "homography_dlt.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 64;
-
 template <class T>
-__global__ void __launch_bounds__(kThreads) find_homographies(HomographyDlt<T> p) {
-  int64_t const b = blockIdx.x * int64_t(kThreads / 32) + threadIdx.x / 32;
-  if (b < p.batch) homography_dlt_of(p, b, Warp{});
+__global__ void __launch_bounds__(kMostThreads) find_homographies(HomographyDlt<T> p) {
+  homography_dlt_of(p, blockIdx.x, Block{});
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) find_homographies_backward(HomographyDlt<T> p) {
-  int64_t const b = blockIdx.x * int64_t(kThreads / 32) + threadIdx.x / 32;
-  if (b < p.batch) homography_dlt_backward_of(p, b, Warp{});
+__global__ void __launch_bounds__(kMostThreads) find_homographies_backward(HomographyDlt<T> p) {
+  homography_dlt_backward_of(p, blockIdx.x, Block{});
 }
 
 }  // namespace
 
 template <class T>
 int homography_dlt(HomographyDlt<T> const& p, CUstream_st* stream) {
-  find_homographies<T><<<unsigned(ceil_div(p.batch, kThreads / 32)), kThreads, 0, stream>>>(p);
+  find_homographies<T><<<unsigned(p.batch), team_size(p.count), 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
 int homography_dlt_backward(HomographyDlt<T> const& p, CUstream_st* stream) {
-  find_homographies_backward<T><<<unsigned(ceil_div(p.batch, kThreads / 32)), kThreads, 0, stream>>>(p);
+  find_homographies_backward<T><<<unsigned(p.batch), team_size(p.count), 0, stream>>>(p);
   return cudaGetLastError();
 }
 

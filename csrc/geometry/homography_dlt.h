@@ -17,8 +17,8 @@ namespace kv {
 template <class T>
 struct HomographyDlt {
   Reals points1, points2, weights;  // (B, N, 2), (B, N, 2), (B, N) or null
-  int64_t batch, count;
-  Reals homography;  // (B, 3, 3)
+  int64_t batch, count, stride;     // from the points of a problem to the next one's: 0 where all have the same
+  Reals homography;                 // (B, 3, 3)
   // For the gradient only:
   Reals grad, grad1, grad2, grad_weights;
 };
@@ -54,16 +54,16 @@ struct Weights {
 struct Frame {
   double mean[2], distance, scale;
   template <class T, class Team>
-  KV_HD void set(Reals const& points, Weights<T> const& w, int64_t count, Team team) {
+  KV_HD void set(Reals const& points, int64_t start, Weights<T> const& w, int64_t count, Team team) {
     mean[0] = mean[1] = distance = 0;
     double sum[2] = {};
     for (int64_t i = team.first(); i < count; i += team.step())
-      for (int k = 0; k < 2; ++k) sum[k] += w.share(i) * points[2 * (w.first + i) + k];
+      for (int k = 0; k < 2; ++k) sum[k] += w.share(i) * points[2 * (start + i) + k];
     for (int k = 0; k < 2; ++k) mean[k] = team.sum(sum[k]);
     double total = 0;
     for (int64_t i = team.first(); i < count; i += team.step()) {
       double at[2];
-      total += w.share(i) * from_mean(points, w.first + i, at);
+      total += w.share(i) * from_mean(points, start + i, at);
     }
     distance = team.sum(total);
     scale = kRootTwo / (distance + kEps);
@@ -77,20 +77,20 @@ struct Frame {
 template <class T>
 struct Problem {
   HomographyDlt<T> const& p;
-  int64_t b;
+  int64_t start;
   Weights<T> weights;
   Frame one, two;
 
   template <class Team>
-  KV_HD Problem(HomographyDlt<T> const& p, int64_t b, Team team) : p(p), b(b), weights(p, b, team) {
-    one.set(p.points1, weights, p.count, team);
-    two.set(p.points2, weights, p.count, team);
+  KV_HD Problem(HomographyDlt<T> const& p, int64_t b, Team team) : p(p), start(b * p.stride), weights(p, b, team) {
+    one.set(p.points1, start, weights, p.count, team);
+    two.set(p.points2, start, weights, p.count, team);
   }
 
   // (u, v, 1) and (x, y) of a correspondence.
   KV_HD void normalized(int64_t i, double* n1, double* n2) const {
-    one.from_mean(p.points1, weights.first + i, n1);
-    two.from_mean(p.points2, weights.first + i, n2);
+    one.from_mean(p.points1, start + i, n1);
+    two.from_mean(p.points2, start + i, n2);
     for (int k = 0; k < 2; ++k) n1[k] *= one.scale, n2[k] *= two.scale;
     n1[2] = 1;
   }
@@ -161,7 +161,7 @@ KV_HD double share_vjp(Problem<T> const& problem, double const* to_distance, dou
   double sum = 0, at[2];
   for (int image = 0; image < 2; ++image) {
     Reals const& points = image ? problem.p.points2 : problem.p.points1;
-    int64_t const place = problem.weights.first + i;
+    int64_t const place = problem.start + i;
     sum += to_distance[image] * (image ? problem.two : problem.one).from_mean(points, place, at);
     for (int k = 0; k < 2; ++k) sum += to_mean[image][k] * points[2 * place + k];
   }
@@ -235,7 +235,7 @@ KV_HD void homography_dlt_backward_of(HomographyDlt<T> const& p, int64_t b, Team
     for (int image = 0; image < 2; ++image) {
       dlt::Frame const& f = image ? two : one;
       double at[2], share = problem.weights.share(i);
-      double const length = f.from_mean(image ? p.points2 : p.points1, problem.weights.first + i, at);
+      double const length = f.from_mean(image ? p.points2 : p.points1, problem.start + i, at);
       for (int k = 0; k < 2; ++k) {
         direct[image][k] -= f.scale * gn[image][k];
         direct[image][2] += gn[image][k] * at[k];
@@ -260,7 +260,7 @@ KV_HD void homography_dlt_backward_of(HomographyDlt<T> const& p, int64_t b, Team
     common = team.sum(common);
   }
   for (int64_t i = team.first(); i < p.count; i += team.step()) {
-    int64_t const place = problem.weights.first + i;
+    int64_t const place = problem.start + i;
     double gn[2][2];
     double to_weight = dlt::normalized_vjp(problem, u, h, i, gn[0], gn[1]);
     for (int image = 0; image < 2; ++image) {

@@ -5,21 +5,26 @@
 namespace kv {
 namespace {
 
-void check(char const* op, Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
+// The number of problems: that of weights, where one has the points of all.
+int64_t checked_batch(char const* op, Tensor const& points1, Tensor const& points2,
+                      std::optional<Tensor> const& weights) {
   KV_CHECK(points1.dim() == 3 && points1.size(2) == 2, op, ": expected points1 of shape (B, N, 2)");
   check_like(op, "points2", points2, points1);
-  KV_CHECK(!weights || (weights->dim() == 2 && weights->size(0) == points1.size(0) &&
-                        weights->size(1) == points1.size(1) && weights->device() == points1.device()),
+  if (!weights) return points1.size(0);
+  KV_CHECK(weights->dim() == 2 && (points1.size(0) == 1 || weights->size(0) == points1.size(0)) &&
+               weights->size(1) == points1.size(1) && weights->device() == points1.device(),
            op, ": expected weights of shape (B, N) on the device of points1");
+  return weights->size(0);
 }
 
 Tensor homography_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
   constexpr char const* op = "homography_dlt";
-  check(op, points1, points2, weights);
+  int64_t const batch = checked_batch(op, points1, points2, weights), count = points1.size(1);
   Contiguous const x(op, points1), y(op, points2), w(op, weights);
-  int64_t const batch = points1.size(0), count = points1.size(1);
   Tensor const homography = empty({batch, 3, 3}, x.tensor);
-  HomographyDlt<double> const params{x.reals, y.reals, w.reals, batch, count, reals_of(op, homography), {}, {}, {}, {}};
+  HomographyDlt<double> const params{
+      x.reals, y.reals, w.reals, batch, count, points1.size(0) == 1 ? 0 : count, reals_of(op, homography),
+      {},      {},      {},      {}};
   KV_RUN(homography_dlt, x.tensor, params, batch, 4096 + 64 * count);
   return homography;
 }
@@ -28,8 +33,8 @@ std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& grad, T
                                                            Tensor const& points2,
                                                            std::optional<Tensor> const& weights) {
   constexpr char const* op = "homography_dlt_backward";
-  check(op, points1, points2, weights);
-  int64_t const batch = points1.size(0), count = points1.size(1);
+  int64_t const batch = checked_batch(op, points1, points2, weights), count = points1.size(1);
+  KV_CHECK(points1.size(0) == batch, op, ": expected points of each problem");
   KV_CHECK(grad.dim() == 3 && grad.size(0) == batch && grad.size(1) == 3 && grad.size(2) == 3 &&
                grad.device() == points1.device(),
            op, ": expected grad of shape (B, 3, 3) on the device of points1");
@@ -40,6 +45,7 @@ std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& grad, T
                                      y.reals,
                                      w.reals,
                                      batch,
+                                     count,
                                      count,
                                      {},
                                      g.reals,

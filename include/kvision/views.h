@@ -1,7 +1,7 @@
 // Several views: points, homographies and models that relate images. Each function has the arguments of the operator
 // torch.ops.kvision.<name>, which python/kvision/geometry explains. All are in float32 or float64, points
-// (B, N, 2) as (x, y). Null vectors and homographies have gradients, consensus has none; those of the others, and
-// second derivatives, are errors.
+// (B, N, 2) as (x, y). Null vectors and homographies have gradients, consensus and contest have none; those of the
+// others, and second derivatives, are errors.
 #pragma once
 
 #include <optional>
@@ -122,6 +122,23 @@ inline Tensor consensus(Tensor const& models, Tensor const& points1, Tensor cons
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"consensus">(models, points1, points2, threshold, model)}; };
   return differentiable({}, compute, {}, nullptr)[0];
+}
+
+// The best `count` of two lists of models (M, 3, 3) by their consensus (M, 2): by the number of who agrees, or by the
+// sum. With that consensus, and what correspondences weigh: 1 / (1 + softness e) of those who agree, 0 of others. No
+// gradient.
+inline std::tuple<Tensor, Tensor, Tensor> contest(Tensor const& models, Tensor const& scores, Tensor const& others,
+                                                  Tensor const& other_scores, Tensor const& points1,
+                                                  Tensor const& points2, double threshold, double softness,
+                                                  int64_t count, bool by_number, std::string const& model) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [best, best_scores, weights] = call<"contest", std::tuple<Tensor, Tensor, Tensor>>(
+        models, scores, others, other_scores, points1, points2, threshold, softness, count, by_number, model);
+    return variable_list{best, best_scores, weights};
+  };
+  variable_list const found = differentiable({}, compute, {}, nullptr);
+  return {found[0], found[1], found[2]};
 }
 
 // Real roots (B, n) of polynomials (B, n + 1), the highest power first, ascending; NaN for those that are missing.

@@ -9,7 +9,8 @@ from torch import Tensor
 
 import kvision as K
 from kvision.geometry._minimal import SIZES, minimal
-from kvision.geometry.ransac import _consensus
+from kvision.geometry.homography.dlt import homography_of
+from kvision.geometry.ransac import _consensus, _contest
 from op_tests import assert_close
 from view_tests import Scene, homographies, moved, on_planes, rand
 
@@ -166,6 +167,33 @@ def test_consensus_is_the_references(model, dtype, device):
     assert_close(found, expected, 1e-4, 1e-3)
 
 
+@pytest.mark.parametrize("model", ["homography", "lines", "essential"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_contest_is_the_references(model, dtype, device):
+    numbers = 4 if model == "lines" else 2
+    x, y = (rand(numbers, 301, high=9, seed=s).to(device, dtype) for s in (1, 2))
+    models, others = (rand(count, 3, 3, low=-1, seed=count).to(device, dtype) for count in (9, 8))
+    others[3] = models[5]  # of two that are as good the first is taken
+    scores, other_scores = (_consensus(m, x, y, 3.0, model) for m in (models, others))
+    for by_number, count in ((False, 8), (True, 1), (False, 40)):
+        args = (models, scores, others, other_scores, x, y, 3.0, 0.2, count, by_number, model)
+        found = _contest(*args)
+        with K.backend("reference"):
+            expected = _contest(*args)
+        assert_close(found[:2], expected[:2], 0, 0)
+        assert_close(found[2], expected[2], 1e-4, 1e-4)
+    alone = _contest(models, scores, others[:0], other_scores[:0], x, y, 3.0, 0.0, 3, False, model)
+    assert_close(alone[1][:, 0], scores[:, 0].sort(descending=True).values[:3], 0, 0)
+    assert_close(alone[2].sum(-1), alone[1][:, 1], 0, 0)
+
+
+def test_one_set_of_points_serves_all_weights(device):
+    x, y, _ = on_planes(1, 300, noise=0.3)
+    x, y, weights = x.to(device), y.to(device), rand(5, 300).to(device)
+    expected = homography_of(x.expand(5, -1, -1), y.expand(5, -1, -1), weights)
+    assert_close(homography_of(x, y, weights), expected, 1e-12, 1e-12)
+
+
 @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
 def test_instruction_sets(isa, device, backend):
     if backend == "reference" or device.type != "cpu":
@@ -180,6 +208,7 @@ def test_instruction_sets(isa, device, backend):
         for model in ("lines", "fundamental", "essential"):
             test_minimal_models_are_the_references(model, device)
             test_consensus_is_the_references(model, torch.float32, device)
+            test_contest_is_the_references(model, torch.float32, device)
         scene = Scene(1, 9)
         assert_close(K.geometry.triangulate_points(scene.P1, scene.P2, scene.x1, scene.x2), scene.points, 1e-7, 1e-7)
     finally:

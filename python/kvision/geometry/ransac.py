@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -18,10 +19,10 @@ from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry._normalization import to_unit_last
-from kvision.geometry._precision import in_full_precision, quotient
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.distances import sampson_epipolar_distance
 from kvision.geometry.epipolar.essential import project_to_essential
-from kvision.geometry.homography.dlt import find_homography_dlt, find_homography_lines_dlt
+from kvision.geometry.homography.dlt import find_homography_lines_dlt, homography_of
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, oneway_transfer_error
 from kvision.geometry.solvers.affine import find_affine
 
@@ -52,16 +53,50 @@ def _errors(models: Tensor, points1: Tensor, points2: Tensor, model: str) -> Ten
     return sampson_epipolar_distance(points1[None], points2[None], models)
 
 
-def _reference(models: Tensor, points1: Tensor, points2: Tensor, threshold: float, model: str) -> Tensor:
+def _consensus_reference(models: Tensor, points1: Tensor, points2: Tensor, threshold: float, model: str) -> Tensor:
     """(M, 2) for models (M, 3, 3) and points (2 or 4, N): the sum over those who agree of 1 - e / t^2, and their number."""
-    shape = (-1, 2, 2) if model == "lines" else (-1, 2)
-    errors = _errors(models, points1.T.reshape(shape), points2.T.reshape(shape), model)
+    errors = _errors(models, *_points(points1, points2, model), model)
     inliers = errors <= threshold**2
     gains = torch.where(inliers, 1 - errors / threshold**2, 0)
     return torch.stack([gains.sum(-1), inliers.sum(-1).to(gains.dtype)], -1)
 
 
-_consensus = register("consensus", _reference, fake=lambda models, *args: (models.shape[0], 2), constant=(0,))
+def _contest_reference(
+    models: Tensor,
+    scores: Tensor,
+    others: Tensor,
+    other_scores: Tensor,
+    points1: Tensor,
+    points2: Tensor,
+    threshold: float,
+    softness: float,
+    count: int,
+    by_number: bool,
+    model: str,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The best `count` of two lists of models by their consensus, of equal ones the first: models, their consensus, and
+    the weights (count, N) of correspondences: 1 / (1 + softness e) of those who agree, 0 of others."""
+    models, scores = torch.cat([models, others]), torch.cat([scores, other_scores])
+    order = scores[:, int(by_number)].argsort(descending=True, stable=True)[:count]
+    models, scores = models[order], scores[order]
+    errors = _errors(models, *_points(points1, points2, model), model)
+    return models, scores, torch.where(errors <= threshold**2, 1 / (1 + softness * errors), 0)
+
+
+def _points(points1: Tensor, points2: Tensor, model: str) -> tuple[Tensor, Tensor]:
+    shape = (-1, 2, 2) if model == "lines" else (-1, 2)
+    return points1.T.reshape(shape), points2.T.reshape(shape)
+
+
+def _contest_sizes(
+    models: Tensor, scores: Tensor, others: Tensor, other_scores: Tensor, points1: Tensor, *how: Any
+) -> list[tuple[int, ...]]:
+    kept = min(how[3], models.shape[0] + others.shape[0])
+    return [(kept, 3, 3), (kept, 2), (kept, points1.shape[1])]
+
+
+_consensus = register("consensus", _consensus_reference, fake=lambda models, *args: (models.shape[0], 2), constant=(0,))
+_contest = register("contest", _contest_reference, fake=_contest_sizes, constant=(0, 1, 2))
 
 
 class RANSAC(nn.Module):
@@ -226,38 +261,39 @@ class RANSAC(nn.Module):
 
     @in_full_precision
     def _estimate(self, kp1: Tensor, kp2: Tensor) -> tuple[Tensor, Tensor]:
-        flat1, flat2 = kp1.flatten(1)[None], kp2.flatten(1)[None]
-        across1, across2 = flat1[0].T.contiguous(), flat2[0].T.contiguous()
+        points = kp1.flatten(1)[None], kp2.flatten(1)[None]
+        across = points[0][0].T.contiguous(), points[1][0].T.contiguous()
         generator = None if self.seed is None else torch.Generator(kp1.device).manual_seed(self.seed)
         batch = self.resolve_batch_size(len(kp1), kp1.device)
-        best, scores = kp1.new_zeros(0, 3, 3), kp1.new_zeros(0)
+        by_number = self.score_type == "ransac"
+        best, scores = kp1.new_empty(0, 3, 3), kp1.new_empty(0, 2)
+
+        def scored(models: Tensor) -> tuple[Tensor, Tensor]:
+            models = models.to(kp1.dtype)
+            return models, _consensus(models, *across, self.inl_th, self.model)
+
+        def contest(models: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor], softness: float, count: int) -> Any:
+            return _contest(*models, *others, *across, self.inl_th, softness, count, by_number, self.model)
+
         drawn, enough = 0, self.sample_budget
         while drawn < enough:
             count = min(batch, self.sample_budget - drawn)
             draws = self._draws(count, len(kp1), drawn, kp1, generator)
-            found = minimal(flat1, flat2, draws, self.model).flatten(0, 1)
-            best, scores = self._best(
-                torch.cat([best, found]), torch.cat([scores, self._score(found, across1, across2)[0]])
-            )
+            found, consensus = scored(minimal(*points, draws, self.model).flatten(0, 1))
+            first = consensus[:, int(by_number)].topk(min(_REFINED, len(found))).indices
+            best, scores, weights = contest((found[first], consensus[first]), (best, scores), 0.0, _REFINED)
             drawn += count
             batch = min(2 * batch, 4096) if self.batch_size == "auto" else batch
             if kp1.device.type == "cpu":
-                agreeing = int(self._score(best[:1], across1, across2)[1])
-                sure = self.max_samples_by_conf(agreeing, len(kp1), self.minimal_sample_size, self.confidence)
+                sure = self.max_samples_by_conf(int(scores[0, 1]), len(kp1), self.minimal_sample_size, self.confidence)
                 enough = min(self.sample_budget, sure)
         for _ in range(self.max_lo_iters):
-            fitted = self._fitted(kp1, kp2, self._agree(best, kp1, kp2).to(kp1.dtype))
-            best, scores = self._best(
-                torch.cat([fitted, best]), torch.cat([self._score(fitted, across1, across2)[0], scores])
-            )
-        best = best[:1]
+            best, scores, weights = contest(scored(self._fitted(kp1, kp2, weights)), (best, scores), 0.0, _REFINED)
+        softness = (3 / self.inl_th) ** 2
+        best, scores, weights = contest((best, scores), (best[:0], scores[:0]), softness, 1)
         for _ in range(self.refine_iters):
-            errors = _errors(best, kp1, kp2, self.model)
-            near = quotient(torch.ones_like(errors), 1 + errors / (self.inl_th / 3) ** 2, 0.0)
-            fitted = self._fitted(kp1, kp2, torch.where(errors <= self.inl_th**2, near, 0))
-            better = self._score(fitted, across1, across2)[0] >= self._score(best, across1, across2)[0]
-            best = torch.where(better[:, None, None], fitted, best)
-        inliers = self._agree(best, kp1, kp2)[0]
+            best, scores, weights = contest(scored(self._fitted(kp1, kp2, weights)), (best, scores), softness, 1)
+        inliers = weights[0] > 0
         found = inliers.sum() > self.minimal_sample_size
         model = best[0] if self.model == "essential" else to_unit_last(best)[0]
         return torch.where(found, model, 0), inliers & found
@@ -279,26 +315,13 @@ class RANSAC(nn.Module):
             draws[:, size - 1] = torch.where(newest, 1 - 2.0**-24, draws[:, size - 1])  # the last one of them
         return draws
 
-    def _score(self, models: Tensor, across1: Tensor, across2: Tensor) -> tuple[Tensor, Tensor]:
-        """What ranks models, and how many agree with them."""
-        gains, counts = _consensus(models.to(across1.dtype), across1, across2, self.inl_th, self.model).unbind(-1)
-        return (gains if self.score_type == "msac" else counts), counts
-
-    @staticmethod
-    def _best(models: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
-        scores, order = scores.topk(min(_REFINED, len(scores)))
-        return models[order], scores
-
-    def _agree(self, models: Tensor, kp1: Tensor, kp2: Tensor) -> Tensor:
-        return _errors(models, kp1, kp2, self.model) <= self.inl_th**2
-
     def _fitted(self, kp1: Tensor, kp2: Tensor, weights: Tensor) -> Tensor:
         """Models (M, 3, 3) of least squares for weights (M, N)."""
+        if self.model == "homography":
+            return homography_of(kp1[None], kp2[None], weights)
         x, y = (kp.expand(len(weights), *kp.shape) for kp in (kp1, kp2))
         if self.model == "affine":
             return find_affine(x, y, weights)
-        if self.model == "homography":
-            return find_homography_dlt(x, y, weights)
         if self.model == "lines":
             return find_homography_lines_dlt(x, y, weights)
         fitted = eight_points(x, y, weights)

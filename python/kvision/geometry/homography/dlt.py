@@ -59,7 +59,7 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
     """
     check_correspondences("find_homography_dlt", points1, points2, weights, least=4)
     _check.known("find_homography_dlt", "solver", solver, ("lu", "svd"))
-    return _homography_dlt(points1, points2, weights)
+    return homography_of(points1, points2, weights)
 
 
 def _reference(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
@@ -85,8 +85,12 @@ def _backward(
     return grad1, grad2, None if weights is None else grad_weights
 
 
-_homography_dlt = register(
-    "homography_dlt", _reference, fake=lambda points1, points2, weights: (points1.shape[0], 3, 3), backward=_backward
+# Where there is no gradient, one set of points serves all weights.
+homography_of = register(
+    "homography_dlt",
+    _reference,
+    fake=lambda points1, points2, weights: ((points1 if weights is None else weights).shape[0], 3, 3),
+    backward=_backward,
 )
 _homography_dlt_backward = register(
     "homography_dlt_backward",
@@ -138,10 +142,10 @@ def find_homography_dlt_iterated(
     op = "find_homography_dlt_iterated"
     check_correspondences(op, points1, points2, weights, least=4)
     scale = 2 * _check_iterations(op, soft_inl_th, n_iter) ** 2
-    H = _homography_dlt(points1, points2, weights)
+    H = homography_of(points1, points2, weights)
     for _ in range(n_iter - 1):
         error = symmetric_transfer_error(points1, points2, H)
-        H = _homography_dlt(points1, points2, torch.exp(-error / scale))
+        H = homography_of(points1, points2, torch.exp(-error / scale))
     return H
 
 

@@ -1,4 +1,5 @@
-// Patches on CUDA: a thread copies a pack of a patch's row, or sums one of the image's.
+// Patches on CUDA: a thread copies a pack of a patch's row, or sums one of the image's. What a block knows by itself,
+// the line of patches or the plane, is left out of the counting of rows, which then needs 32 bits.
 #include "core/launch.cuh"
 #include "patches.h"
 
@@ -7,45 +8,104 @@ namespace {
 
 constexpr int kThreads = 256;
 
-template <class T, int P>
-__global__ void __launch_bounds__(kThreads) extract(__grid_constant__ Extract<T> const p, int64_t rows) {
-  PatchGrid const& grid = p.grid;
-  int const packs = grid.width / P;
-  int64_t const at = blockIdx.x * int64_t(kThreads) + threadIdx.x, row = at / packs;
-  if (row >= rows) return;
-  int const x = int(at - row * packs) * P;
-  int64_t const q = row / grid.height, patch = q / grid.channels, line = patch / grid.across, sample = line / grid.down;
-  int const j = int(patch - line * grid.across), i = int(line - sample * grid.down);
-  int const y = i * grid.step_y - grid.top + int(row - q * grid.height), column = j * grid.step_x - grid.left + x;
-  Pack<T, P> pack{};
-  if (y >= 0 && y < p.image.height) {
-    T const* const from = p.image.row(sample * grid.channels + (q - patch * grid.channels), y);
-    if (column >= 0 && column < p.image.width) pack = *reinterpret_cast<Pack<T, P> const*>(from + column);
+// Division of 32-bit numbers by one that the host knows: a product, whose error is below 1 / divisor.
+struct Divisor {
+  uint64_t inverse;  // 2^64 / divisor, rounded up
+  explicit Divisor(int64_t divisor) : inverse(divisor > 1 ? ~uint64_t(0) / uint64_t(divisor) + 1 : 0) {}
+  __device__ __forceinline__ unsigned operator()(unsigned n) const {
+    return inverse ? unsigned(__umul64hi(inverse, n)) : n;
   }
-  *reinterpret_cast<Pack<T, P>*>(p.patches + row * grid.width + x) = pack;
+};
+
+// Rows of `packs` packs by blocks: 2^shift threads take the packs of a row, so each block has kThreads >> shift rows of
+// a group of `rows`.
+struct Blocks {
+  int packs, shift;
+  unsigned rows, of_group;
+  Divisor groups;
+  Blocks(int64_t packs, int64_t rows) : packs(int(packs)), shift(0), rows(unsigned(rows)), of_group(0), groups(1) {
+    while ((1 << shift) < packs && (1 << shift) < kThreads) ++shift;
+    of_group = unsigned(ceil_div(rows, kThreads >> shift));
+    groups = Divisor(of_group);
+  }
+  // False beyond the group's last row.
+  __device__ __forceinline__ bool place(unsigned& group, unsigned& row) const {
+    group = groups(blockIdx.x);
+    row = (blockIdx.x - group * of_group) * (kThreads >> shift) + (threadIdx.x >> shift);
+    return row < rows;
+  }
+  template <class Call>
+  __device__ __forceinline__ void for_each_pack(Call f) const {
+#pragma unroll 1
+    for (int i = threadIdx.x & ((1 << shift) - 1); i < packs; i += 1 << shift) f(i);
+  }
+};
+
+struct Divisors {
+  Divisor height, channels, down, step_y, step_x;
+  explicit Divisors(PatchGrid const& g)
+      : height(g.height), channels(g.channels), down(g.down), step_y(g.step_y), step_x(g.step_x) {}
+};
+
+// A group is a line of patches, (across, C, height) rows.
+template <class T, int P>
+__global__ void __launch_bounds__(kThreads)
+    extract(__grid_constant__ Extract<T> const p, __grid_constant__ Blocks const blocks,
+            __grid_constant__ Divisors const by) {
+  PatchGrid const& grid = p.grid;
+  unsigned line, row;
+  if (!blocks.place(line, row)) return;
+  unsigned const sample = by.down(line), i = line - sample * grid.down;
+  unsigned const q = by.height(row), j = by.channels(q), channel = q - j * unsigned(grid.channels);
+  int const y = int(i) * grid.step_y - grid.top + int(row - q * grid.height), left = int(j) * grid.step_x - grid.left;
+  bool const inside = y >= 0 && y < p.image.height;
+  T const* const from = p.image.row(sample * grid.channels + channel, inside ? y : 0) + left;
+  T* const to = p.patches + (int64_t(line) * blocks.rows + row) * grid.width;
+  blocks.for_each_pack([&](int k) {
+    Pack<T, P> pack{};
+    int const column = left + k * P;
+    if (inside && column >= 0 && column < p.image.width) pack = *reinterpret_cast<Pack<T, P> const*>(from + k * P);
+    *reinterpret_cast<Pack<T, P>*>(to + k * P) = pack;
+  });
 }
 
+// The first and the last patch along an axis that have pixel x.
+__device__ __forceinline__ int first_patch(int x, int size, Divisor const& step) {
+  return x < size ? 0 : int(step(unsigned(x - size))) + 1;
+}
+__device__ __forceinline__ int last_patch(int x, Divisor const& step, int count) {
+  return min(int(step(unsigned(x))), count - 1);
+}
+
+// A group is a plane of the image.
 template <class T, int P>
-__global__ void __launch_bounds__(kThreads) combine(__grid_constant__ Combine<T> const p) {
+__global__ void __launch_bounds__(kThreads)
+    combine(__grid_constant__ Combine<T> const p, __grid_constant__ Blocks const blocks,
+            __grid_constant__ Divisors const by) {
   using F = Compute<T>;
   PatchGrid const& grid = p.grid;
-  int const packs = int(p.image.width) / P;
-  int64_t const at = blockIdx.x * int64_t(kThreads) + threadIdx.x, row = at / packs;
-  if (row >= p.image.rows()) return;
-  int64_t const plane = row / p.image.height;
-  int const x = int(at - row * packs) * P, y = int(row - plane * p.image.height);
-  int const right = x + grid.left, below = y + grid.top;
-  int const last_i = PatchGrid::last(below, grid.step_y, grid.down);
-  int const last_j = PatchGrid::last(right, grid.step_x, grid.across);
-  F sums[P] = {};
-  for (int i = PatchGrid::first(below, grid.height, grid.step_y); i <= last_i; ++i)
-    for (int j = PatchGrid::first(right, grid.width, grid.step_x); j <= last_j; ++j) {
-      T const* const from = p.patches + grid.row(plane, i, j, y) * grid.width + right - j * grid.step_x;
-      Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(from);
+  unsigned plane, y;
+  if (!blocks.place(plane, y)) return;
+  int const below = int(y) + grid.top;
+  int const first_i = first_patch(below, grid.height, by.step_y), last_i = last_patch(below, by.step_y, grid.down);
+  unsigned const sample = by.channels(plane);
+  int64_t const channel = plane - sample * unsigned(grid.channels);
+  T* const to = p.image.row(plane, y);
+  blocks.for_each_pack([&](int k) {
+    int const right = k * P + grid.left;
+    int const first_j = first_patch(right, grid.width, by.step_x), last_j = last_patch(right, by.step_x, grid.across);
+    F sums[P] = {};
+    for (int i = first_i; i <= last_i; ++i)
+      for (int j = first_j; j <= last_j; ++j) {
+        int64_t const patch = (int64_t(sample) * grid.down + i) * grid.across + j;
+        int64_t const row = (patch * grid.channels + channel) * grid.height + (below - i * grid.step_y);
+        T const* const from = p.patches + row * grid.width + (right - j * grid.step_x);
+        Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(from);
 #pragma unroll
-      for (int k = 0; k < P; ++k) sums[k] += read(pack.v[k]);
-    }
-  store_pack(p.image.row(plane, y) + x, sums);
+        for (int e = 0; e < P; ++e) sums[e] += read(pack.v[e]);
+      }
+    store_pack(to + k * P, sums);
+  });
 }
 
 // Calls f with the pixels of a pack: those of 16 bytes where each is in the same patches as a whole, else one.
@@ -64,11 +124,13 @@ void with_packs(Planes<T> const& image, void const* patches, PatchGrid const& gr
 
 template <class T>
 int extract_patches(Extract<T> const& p, CUstream_st* stream) {
-  int64_t const rows = p.image.count() * p.grid.down * p.grid.across * p.grid.height;
+  int64_t const rows = int64_t(p.grid.across) * p.grid.channels * p.grid.height;
+  int64_t const lines = p.image.count() / p.grid.channels * p.grid.down;
+  if (rows > UINT32_MAX / 2) return cudaErrorInvalidValue;
   with_packs(p.image, p.patches, p.grid, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
-    unsigned const blocks = unsigned(ceil_div(rows * (p.grid.width / P), kThreads));
-    extract<T, P><<<blocks, kThreads, 0, stream>>>(p, rows);
+    Blocks const blocks(p.grid.width / P, rows);
+    extract<T, P><<<unsigned(lines * blocks.of_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
   });
   return cudaGetLastError();
 }
@@ -77,8 +139,8 @@ template <class T>
 int combine_patches(Combine<T> const& p, CUstream_st* stream) {
   with_packs(p.image, p.patches, p.grid, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
-    unsigned const blocks = unsigned(ceil_div(p.image.rows() * (p.image.width / P), kThreads));
-    combine<T, P><<<blocks, kThreads, 0, stream>>>(p);
+    Blocks const blocks(p.image.width / P, p.image.height);
+    combine<T, P><<<unsigned(p.image.count() * blocks.of_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
   });
   return cudaGetLastError();
 }

@@ -146,7 +146,7 @@ KV_HD double scale_of(double const* m) {
 
 // From pixels of the output to pixels of the source.
 template <class F>
-KV_HD Homography<F> homography(F const* given, MatrixUse const& use) {
+KV_HD Homography<double> homography(F const* given, MatrixUse const& use) {
   double m[9], a[9];
   matrix::load(given, use.rows, m);
   if (use.inverse) {
@@ -155,21 +155,44 @@ KV_HD Homography<F> homography(F const* given, MatrixUse const& use) {
   }
   if (use.normalized) matrix::to_pixels(m, use);
   double const scale = matrix::scale_of(m);
-  Homography<F> h;
-  for (int i = 0; i < 9; ++i) h.m[i] = F(m[i] * scale);
+  Homography<double> h;
+  for (int i = 0; i < 9; ++i) h.m[i] = m[i] * scale;
   h.affine = h.m[6] == 0 && h.m[7] == 0 && h.m[8] == 1;
   return h;
 }
 
-// From pixels of the source to pixels of the output, the other way round.
-template <class F>
-KV_HD Homography<F> inverse_homography(F const* given, MatrixUse use) {
+// Of the same matrix, from pixels of the source to pixels of the output.
+KV_HD MatrixUse other_way(MatrixUse use) {
   use.inverse = !use.inverse;
   Size const source = use.source;
   use.source = use.output;
   use.output = source;
-  return homography(given, use);
+  return use;
 }
+
+// The same map between coordinates that count from (x, y), and from (u, v) where it goes to. In float these are right
+// to a few millionths of their distance from there; those of a large image, from its corner, only to half a thousandth.
+template <class F>
+KV_HD Homography<F> seen_from(Homography<double> const& h, double x, double y, double u, double v) {
+  double m[9];
+  for (int i = 0; i < 9; i += 3) {
+    m[i] = h.m[i];
+    m[i + 1] = h.m[i + 1];
+    m[i + 2] = h.m[i] * x + (h.m[i + 1] * y + h.m[i + 2]);
+  }
+  for (int i = 0; i < 3; ++i) {
+    m[i] -= u * m[6 + i];
+    m[3 + i] -= v * m[6 + i];
+  }
+  Homography<F> near;
+  for (int i = 0; i < 9; ++i) near.m[i] = F(m[i]);
+  near.affine = h.affine;
+  return near;
+}
+
+// A pixel to count from, of an axis of that size, near a place. An even one, for halves to be rounded to even from
+// there, too.
+KV_HD int origin_near(double place, int64_t size) { return 2 * int((place > 0 ? min(place, double(size)) : 0) / 2); }
 
 // The gradient to the matrix that a caller gives, from that to the numbers of homography(given, use).
 template <class F>

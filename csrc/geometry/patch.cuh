@@ -13,21 +13,44 @@
 
 namespace kv::cuda {
 
+// The first of the K taps of a place less than 2^21 away, and what is left of it. A sum with so large a number has the
+// whole one in its last bits.
+template <int K>
+__device__ __forceinline__ int near_tap(float x, float& t) {
+  constexpr float kLarge = 0x1.8p23f;
+  float const sum = K == 1 ? x + kLarge : __fadd_rd(x, kLarge);
+  t = K == 1 ? 0 : x - (sum - kLarge);
+  return __float_as_int(sum) - (0x4b400000 + (K == 4));
+}
+template <int K>
+__device__ __forceinline__ int near_tap(double x, double& t) {
+  return first_tap<K, double>(x, t);
+}
+
 // Columns and rows, ends included.
 struct Box {
   int left, top, right, bottom;
 
   static __device__ __forceinline__ Box empty() { return {INT_MAX, INT_MAX, -INT_MAX, -INT_MAX}; }
   static __device__ __forceinline__ Box all() { return {-INT_MAX / 4, -INT_MAX / 4, INT_MAX / 4, INT_MAX / 4}; }
-  // That of a place's taps.
-  template <int K, class T, class F>
-  __device__ __forceinline__ void add(Sampling<T> const& p, F u, F v) {
+  // That of the taps of places as near as `margin`; all, where these are no numbers or farther away than `far`.
+  template <int K, class F>
+  __device__ __forceinline__ void add(F u, F v, F margin, F far) {
+    Box box = all();
     F t;
-    int const x = first_tap<K, F>(clamped(p.x_axis, u), t), y = first_tap<K, F>(clamped(p.y_axis, v), t);
-    left = min(left, x);
-    top = min(top, y);
-    right = max(right, x + K - 1);
-    bottom = max(bottom, y + K - 1);
+    if (u > -far && u < far && v > -far && v < far)
+      box = {near_tap<K>(u - margin, t), near_tap<K>(v - margin, t), near_tap<K>(u + margin, t) + K - 1,
+             near_tap<K>(v + margin, t) + K - 1};
+    left = min(left, box.left);
+    top = min(top, box.top);
+    right = max(right, box.right);
+    bottom = max(bottom, box.bottom);
+  }
+  __device__ __forceinline__ void move(int x, int y) {
+    left += x;
+    top += y;
+    right += x;
+    bottom += y;
   }
   // The box around those of N neighbouring threads.
   template <int N>
@@ -42,57 +65,110 @@ struct Box {
   }
 };
 
-// What threads look at before they look at the image: their tiles and the taps of these.
+// What rounding does to places within the reach of a patch, and more.
+constexpr float kMargin = 1.f / 64;
+// What is farther from the image is left to those who look at places one by one: sums over patches of its border would
+// only be rounding.
+constexpr int kFarPlaces = 4096;
+
+// A thread's places in a tile, counted from the tile's (u, v).
 template <class F>
-struct View : Tile<F> {
+struct Runs {
+  F u, v, weight, u_step, v_step, weight_step;  // of the first one, and from one to the next
+  F const* found;                               // in a map, u and v, or null
+  bool affine;
+
+  __device__ __forceinline__ Runs(Tile<F> const& tile, Places<F> const& places, void const* kept)
+      : found(places.matrices ? nullptr : static_cast<F const*>(kept) + threadIdx.x), affine(tile.map.affine) {
+    F const x = F(column_in_tile()), y = F(row_in_tile());
+    F const(&m)[9] = tile.map.m;
+    u = x * m[0] + (y * m[1] + m[2]);
+    v = x * m[3] + (y * m[4] + m[5]);
+    weight = x * m[6] + (y * m[7] + m[8]);
+    u_step = m[1] * kRunRows;
+    v_step = m[4] * kRunRows;
+    weight_step = m[7] * kRunRows;
+  }
+  __device__ __forceinline__ void at(int run, F& x, F& y) const {
+    if (found) {
+      x = found[2 * run * kThreads];
+      y = found[(2 * run + 1) * kThreads];
+      return;
+    }
+    x = u_step * F(run) + u;
+    y = v_step * F(run) + v;
+    if (affine) return;
+    F const scale = reciprocal(weight_step * F(run) + weight);
+    x *= scale;
+    y *= scale;
+  }
+};
+
+// A block's tiles and the boxes of their taps, in shared memory.
+template <class F>
+struct View {
+  Tile<F> tiles[kTileRow];
   Box taps[kTileRow];
 
-  // By all threads of a block, of an output of that size. By a matrix, taps lie between those of a tile's corners, but
-  // for rounding, unless the horizon runs through it.
+  // By all threads of a block, of an output of that size. By a matrix, taps lie between those of a tile's corners
+  // unless the horizon runs through it.
   template <int K, class T>
-  __device__ __forceinline__ void open(Tiles const& tiles, Sampling<T> const& p, int width, int height) {
+  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height) {
     if (threadIdx.x < 32) {
-      if (threadIdx.x == 0) Tile<F>::open(tiles, p.places);
-      __syncwarp();
-      int const tile = threadIdx.x / 4 % kTileRow, x0 = this->x + tile * kTile;
+      int const number = threadIdx.x / 4 % kTileRow;
+      Tile<F> tile;
+      tile.open(count, p.places, p.places.use, number);
       Box box = Box::empty();
       if (p.places.matrices) {
-        F const x = F(threadIdx.x & 1 ? min(x0 + kTile, width) - 1 : x0);
-        F const y = F(threadIdx.x & 2 ? min(this->y + kTile, height) - 1 : this->y);
+        F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
+        F const y = F(threadIdx.x & 2 ? min(kTile, height - tile.y) - 1 : 0);
         F u, v;
-        this->map.at(x, y, u, v);
-        box.add<K>(p, u, v);
+        tile.map.at(x, y, u, v);
+        box.add<K>(u, v, F(kMargin), F(kFarPlaces));
         box.join<4>();
-        unsigned const before = __ballot_sync(0xffffffffu, this->map.weight(x, y) > 0) >> 4 * tile & 15;
+        box.move(tile.u, tile.v);
+        unsigned const before = __ballot_sync(0xffffffffu, tile.map.weight(x, y) > 0) >> 4 * number & 15;
         if (before != 0 && before != 15) box = Box::all();
       }
-      if (threadIdx.x % 4 == 0) taps[tile] = box;
+      if (threadIdx.x % 4 == 0) {
+        tiles[number] = tile;
+        taps[number] = box;
+      }
     }
     __syncthreads();
   }
-  // By maps, the taps are those of places that are looked at one by one.
+  // The box of a tile's taps. By maps, places are looked at one by one, at the taps that they have next to the image,
+  // and kept.
   template <int K, class T>
-  __device__ __forceinline__ Box taps_of(int tile, Sampling<T> const& p, int width, int height) {
-    if (!p.places.matrices) {
-      PlacesOf<F> const places(p.places, *this);
-      int const x = this->x + tile * kTile + column_in_tile();
-      Box box = Box::empty();
-#pragma unroll 1
-      for (int y = this->y + row_in_tile(); x < width && y < min(this->y + kTile, height); y += kRunRows) {
-        F u, v;
-        places.at(y, x, u, v);
-        box.add<K>(p, u, v);
+  __device__ __forceinline__ Box look(int number, Sampling<T> const& p, int width, int height, void* kept) {
+    if (p.places.matrices) return taps[number];
+    Tile<F> const& tile = tiles[number];
+    PlacesOf<F> const places(p.places, tile);
+    F* const found = static_cast<F*>(kept) + threadIdx.x;
+    int const x = tile.x + column_in_tile();
+    Box box = Box::empty();
+#pragma unroll
+    for (int run = 0; run < kRuns; ++run) {
+      int const y = tile.y + row_in_tile() + run * kRunRows;
+      F u = 0, v = 0;
+      if (x < width && y < height) {
+        places.near(y, x, u, v);
+        u = clamped(p.x_axis, u);
+        v = clamped(p.y_axis, v);
+        box.add<K>(u, v, F(0), F(1 << 20));
       }
-      box.join<32>();
-      if (threadIdx.x % 32 == 0) {
-        atomicMin(&taps[tile].left, box.left);
-        atomicMin(&taps[tile].top, box.top);
-        atomicMax(&taps[tile].right, box.right);
-        atomicMax(&taps[tile].bottom, box.bottom);
-      }
-      __syncthreads();
+      found[2 * run * kThreads] = u;
+      found[(2 * run + 1) * kThreads] = v;
     }
-    return taps[tile];
+    box.join<32>();
+    if (threadIdx.x % 32 == 0) {
+      atomicMin(&taps[number].left, box.left);
+      atomicMin(&taps[number].top, box.top);
+      atomicMax(&taps[number].right, box.right);
+      atomicMax(&taps[number].bottom, box.bottom);
+    }
+    __syncthreads();
+    return taps[number];
   }
 };
 
@@ -124,14 +200,15 @@ struct Patch {
     // Reflected places are in no order, and what fills the outside may be no number of the image's type.
     fits = fits && (inside || (p.x_axis.padding != Padding::reflection && (sizeof(T) == sizeof(F) || !p.fill)));
   }
-  static size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
-
-  // Where the first of the K x K taps at (x, y) is, or -1 where they are not all there.
-  template <int K>
-  __device__ __forceinline__ int find(int x, int y) const {
-    unsigned const column = unsigned(x - left), row = unsigned(y - top);
-    return column <= unsigned(columns - K) && row <= unsigned(rows - K) ? int(row * kPitch + column) : -1;
+  // What it takes, and behind it, at `end`, the places of maps.
+  static KV_HD size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
+  template <class F>
+  static size_t bytes(int channels, Places<F> const& places) {
+    return bytes(channels) + (places.matrices ? 0 : 2 * kTile * kTile * sizeof(F));
   }
+
+  // For taps of places that count from (u, v).
+  __device__ __forceinline__ int origin(int u, int v) const { return (v - top) * kPitch + (u - left); }
 
   // Brings N channels from `first` on; fill(channel) is what stands where there is no pixel.
   template <int N, class F, class Fill>
@@ -146,7 +223,19 @@ struct Patch {
 #pragma unroll
     for (int k = 0; k < N; ++k) planes[k] = x.row(b, first + k, 0);
     T* to = pixels + threadIdx.x / kColumns * kPitch + column;
-    if (column < columns)
+    bool const inside = aligned && left >= 0 && top >= 0 && top + rows <= y_axis.size &&
+                        left + (columns + kPack - 1) / kPack * kPack <= x_axis.size;
+    if (column >= columns) {
+    } else if (inside) {
+      int at = (top + int(threadIdx.x) / kColumns) * row_stride + from;
+#pragma unroll 1
+      for (int row = threadIdx.x / kColumns; row < rows; row += kThreads / kColumns) {
+#pragma unroll
+        for (int k = 0; k < N; ++k) __pipeline_memcpy_async(to + k * kSize, planes[k] + at, 16);
+        at += kThreads / kColumns * row_stride;
+        to += kThreads / kColumns * kPitch;
+      }
+    } else {
 #pragma unroll 1
       for (int row = threadIdx.x / kColumns; row < rows;
            row += kThreads / kColumns, to += kThreads / kColumns * kPitch) {
@@ -176,6 +265,7 @@ struct Patch {
           }
         }
       }
+    }
     __pipeline_commit();
     __pipeline_wait_prior(0);
     __syncthreads();

@@ -9,7 +9,7 @@ template <class T>
 __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, Tiles tiles) {
   using F = Compute<T>;
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  if (threadIdx.x == 0) tile.open(tiles, p.places, p.places.use);
   __syncthreads();
   PlacesOf<F> const places(p.places, tile);
   int64_t const b = tile.b;
@@ -39,7 +39,7 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
       from += p.source.channel_stride;
       target += p.target.channel_stride;
     }
-    F const scale = reciprocal(places.map.weight(F(x), F(y)));
+    F const scale = reciprocal(places.weight(y, x));
     F const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
 #pragma unroll
     for (int i = 0; i < 3; ++i) {

@@ -80,7 +80,7 @@ void photometric(Photometric<T> const& p, int64_t begin, int64_t end) {
   PlaceRow<F> places;
   for_each_piece(begin, end, p.target.height, p.target.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
     places.fill(p.places, b, y, first, count);
-    auto const map = homography(p.places.matrices + b * p.places.matrix_stride, p.places.use);
+    auto const map = seen_from<F>(homography(p.places.matrices + b * p.places.matrix_stride, p.places.use), 0, 0, 0, 0);
     Totals<F> totals{};
     with_lanes(p.source, count, [&](auto lanes) {
       constexpr int N = decltype(lanes)::value;

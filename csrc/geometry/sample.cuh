@@ -26,20 +26,28 @@ struct Tiles {
         count(unsigned(batch * across * down)) {}
 };
 
-// A block's tiles, in shared memory: their sample, the first place, and the sample's matrix, inverted in double. One
-// thread makes it for all of them.
+// A tile, in shared memory, made by one thread: its sample, its first place, and where its places go.
 template <class F>
 struct Tile {
-  Homography<F> map;
+  Homography<F> map;  // counts from (x, y), to (u, v)
   int64_t b;
-  int x, y;
+  int x, y, u, v;
 
-  __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places) {
+  // The block's tile of that number, by matrices that mean that.
+  __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places, MatrixUse const& use,
+                                       int number = 0) {
     unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
     b = sample;
-    x = int((blockIdx.x - row * tiles.across) * tiles.row) * kTile;
+    x = (int((blockIdx.x - row * tiles.across) * tiles.row) + number) * kTile;
     y = int(row - sample * tiles.down) * kTile;
-    if (places.matrices) map = homography(places.matrices + b * places.matrix_stride, places.use);
+    u = v = 0;
+    if (!places.matrices) return;
+    Homography<double> const whole = homography(places.matrices + b * places.matrix_stride, use);
+    double first_u, first_v;
+    whole.at(double(x), double(y), first_u, first_v);
+    u = origin_near(first_u, use.source.width);
+    v = origin_near(first_v, use.source.height);
+    map = seen_from<F>(whole, x, y, u, v);
   }
 };
 
@@ -50,23 +58,28 @@ __device__ __forceinline__ int row_in_tile() { return threadIdx.x % 32 / 8 + thr
 // --- places
 // --------------------------------------------------------------------------------------------------
 
-// Where the places of a sample are, from its matrix or the maps.
+// Where the places of a tile are, from its matrix or the maps.
 template <class F>
 struct PlacesOf {
   Places<F> const& places;
-  Homography<F> map;
-  int64_t b;
-  __device__ __forceinline__ PlacesOf(Places<F> const& places, Tile<F> const& tile) : places(places), b(tile.b) {
-    if (places.matrices) map = tile.map;
-  }
-  __device__ __forceinline__ void at(int y, int x, F& u, F& v) const {
+  Tile<F> tile;
+  __device__ __forceinline__ PlacesOf(Places<F> const& places, Tile<F> const& tile) : places(places), tile(tile) {}
+  // Counted from the tile's (u, v).
+  __device__ __forceinline__ void near(int y, int x, F& u, F& v) const {
     if (places.matrices) {
-      map.at(F(x), F(y), u, v);
+      tile.map.at(F(x - tile.x), F(y - tile.y), u, v);
     } else {
-      u = places.x.row(b, 0, y)[x * places.x.step] * places.scale[0] + places.offset[0];
-      v = places.y.row(b, 0, y)[x * places.y.step] * places.scale[1] + places.offset[1];
+      u = places.x.row(tile.b, 0, y)[x * places.x.step] * places.scale[0] + places.offset[0];
+      v = places.y.row(tile.b, 0, y)[x * places.y.step] * places.scale[1] + places.offset[1];
     }
   }
+  __device__ __forceinline__ void at(int y, int x, F& u, F& v) const {
+    near(y, x, u, v);
+    u += F(tile.u);
+    v += F(tile.v);
+  }
+  // What divides the coordinates there.
+  __device__ __forceinline__ F weight(int y, int x) const { return tile.map.weight(F(x - tile.x), F(y - tile.y)); }
 };
 
 // --- windows

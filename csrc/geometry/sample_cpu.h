@@ -46,13 +46,18 @@ struct PlaceRow {
       copy(places.y, b, y, first, count, places.scale[1], places.offset[1], v);
       return;
     }
-    auto const map = homography(places.matrices + b * places.matrix_stride, places.use);
+    auto const whole = homography(places.matrices + b * places.matrix_stride, places.use);
+    double first_u, first_v;
+    whole.at(double(first), double(y), first_u, first_v);
+    Size const source = places.use.source;
+    F const from_u = F(origin_near(first_u, source.width)), from_v = F(origin_near(first_v, source.height));
+    auto const map = seen_from<F>(whole, double(first), double(y), from_u, from_v);
     for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> to_u, to_v;
-      map.at(count_from<N, F>(first + x), F(y), to_u, to_v);
-      store<N>(u + x, to_u);
-      store<N>(v + x, to_v);
+      map.at(count_from<N, F>(x), F(0), to_u, to_v);
+      store<N>(u + x, Lanes<F, N>(to_u + from_u));
+      store<N>(v + x, Lanes<F, N>(to_v + from_v));
     });
   }
 

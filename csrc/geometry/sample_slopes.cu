@@ -10,11 +10,11 @@ struct Slopes {
   F wx[K], wy[K], dx[K], dy[K];
   F along_x = 0, along_y = 0;
 
-  __device__ __forceinline__ Slopes(Window<K, F> const& window) {
-    tap_weights(window.tx, wx);
-    tap_weights(window.ty, wy);
-    tap_slopes(window.tx, dx);
-    tap_slopes(window.ty, dy);
+  __device__ __forceinline__ void set(F tx, F ty) {
+    tap_weights(tx, wx);
+    tap_weights(ty, wy);
+    tap_slopes(tx, dx);
+    tap_slopes(ty, dy);
   }
   // Of values(j, i), with the gradient g.
   template <class Values>
@@ -45,36 +45,50 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.grad.width), height = int(p.grad.height);
   view.template open<K>(tiles, p, width, height);
-  PlacesOf<F> const places(p.places, view);
-  int64_t const b = view.b;
 
   F sums[9] = {};
 #pragma unroll 1
-  for (int tile = 0; tile < int(tiles.row) && view.x + tile * kTile < width; ++tile) {
-    Patch<T> const patch(shared_pixels, view.template taps_of<K>(tile, p, width, height), p, F());
-    int const x = view.x + tile * kTile + column_in_tile();
+  for (int number = 0; number < int(tiles.row) && view.tiles[number].x < width; ++number) {
+    Tile<F> const& tile = view.tiles[number];
+    PlacesOf<F> const places(p.places, tile);
+    void* const kept = shared_pixels + Patch<T>::bytes(p.x.channels);
+    Patch<T> const patch(shared_pixels, view.template look<K>(number, p, width, height, kept), p, F());
+    int const origin = patch.origin(tile.u, tile.v);
+    int64_t const b = tile.b;
+    int const x = tile.x + column_in_tile();
     in_groups<Patch<T>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
       if (patch.fits)
         patch.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
                                [&](int c) { return p.fill ? round_to<T>(p.fill_of(b, c)) : T{}; });
+      Runs<F> const runs(tile, p.places, kept);
 #pragma unroll 1
-      for (int y = view.y + row_in_tile(); x < width && y < min(view.y + kTile, height); y += kRunRows) {
+      for (int run = 0; run < kRuns; ++run) {
+        int const y = tile.y + row_in_tile() + run * kRunRows;
+        if (x >= width || y >= height) break;
         T const* const grad = p.grad.row(b, first, y) + x * p.grad.step;
         F g[N];
 #pragma unroll
         for (int k = 0; k < N; ++k) g[k] = F(read(grad[k * p.grad.channel_stride]));
         F u, v;
-        places.at(y, x, u, v);
-        Window<K, F> const window(p, u, v);
-        Slopes<K, F> slopes(window);
-        int const at = patch.fits ? patch.template find<K>(window.x, window.y) : -1;
-        if (at >= 0) {
-          T const* const taps = patch.pixels + at;
+        Slopes<K, F> slopes;
+        if (patch.fits) {
+          F tx, ty;
+          runs.at(run, u, v);
+          int const column = near_tap<K>(u, tx), row = near_tap<K>(v, ty);
+          T const* const taps = patch.pixels + (row * Patch<T>::kPitch + column + origin);
+          slopes.set(tx, ty);
 #pragma unroll
           for (int k = 0; k < N; ++k)
             slopes.add([&](int j, int i) { return read(taps[k * Patch<T>::kSize + j * Patch<T>::kPitch + i]); }, g[k]);
         } else {
+          places.near(y, x, u, v);
+        }
+        u += F(tile.u);
+        v += F(tile.v);
+        if (!patch.fits) {
+          Window<K, F> const window(p, u, v);
+          slopes.set(window.tx, window.ty);
 #pragma unroll 1
           for (int k = 0; k < N; ++k) {
             F values[K][K];
@@ -86,8 +100,7 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
           }
         }
         if (p.places.matrices) {
-          F const scale = reciprocal(places.map.weight(F(x), F(y))), to_u = slopes.along_x * scale,
-                  to_v = slopes.along_y * scale;
+          F const scale = reciprocal(places.weight(y, x)), to_u = slopes.along_x * scale, to_v = slopes.along_y * scale;
           F to_map[] = {to_u, to_v, -(to_u * u + to_v * v)};
 #pragma unroll
           for (int i = 0; i < 3; ++i) {
@@ -130,7 +143,7 @@ int sample_slopes(SampleSlopes<T> const& p, CUstream_st* stream) {
   Tiles const tiles(p.grad.batch, p.grad.height, p.grad.width, tile_row(p.grad.batch, p.grad.height, p.grad.width));
   with_taps(p.interpolation, [&](auto taps) {
     slope_tiles<T, taps.value>
-        <<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels), stream>>>(p, tiles, in_packs(p.x));
+        <<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, in_packs(p.x));
   });
   return cudaGetLastError();
 }

@@ -133,7 +133,8 @@ void sample_slopes(SampleSlopes<T> const& p, int64_t begin, int64_t end) {
     piece.places.fill(p.places, b, y, first, count);
     find_slopes(p, piece);
     if (p.sums) {
-      auto const map = homography(p.places.matrices + b * p.places.matrix_stride, p.places.use);
+      auto const map =
+          seen_from<F>(homography(p.places.matrices + b * p.places.matrix_stride, p.places.use), 0, 0, 0, 0);
       add_to_matrix(map, piece, p.sums + 9 * (b * height + y));
     } else {
       for (int64_t i = 0; i < count; ++i) {

@@ -1,8 +1,9 @@
 // The gradient to the image on CUDA, in one of two ways.
 //
-// Gather: a pixel of the source looks for the places that have it as a tap. By the map the other way round they lie in
-// the quadrangle that its surroundings go to. The same bits every run, nothing is written twice. For warps by a matrix
-// whose outside is the fill: else pixels at the rim would be taps of places all around.
+// Gather: a pixel of the source looks for the places that have it as a tap. By the map the other way round they lie
+// around the one where it goes, as far as its neighbours do: few, and as many for all pixels of a tile. The same bits
+// every run, nothing is written twice. For warps by a matrix whose outside is the fill: else pixels at the rim would be
+// taps of places all around.
 //
 // Scatter: every place adds to its taps by atomics, into zeros.
 #include "patch.cuh"
@@ -13,105 +14,192 @@ namespace {
 // --- gather
 // --------------------------------------------------------------------------------------------------------
 
-// Of a row or column of places: first, last + 1.
-struct Range {
-  int first, last;
-  __device__ __forceinline__ Range within(Range const& other) const {
-    return {max(first, other.first), min(last, other.last)};
+// How many candidates beside each other are looked at together: for a turn that keeps sizes, all of them.
+template <int K>
+constexpr int kTogether = K == 4 ? 3 : K + 1;
+
+// A tile of the source, in shared memory: where the places are that have its pixels as taps.
+template <class F>
+struct Sources {
+  Homography<F> map, back;  // from places, which count from (u, v), to pixels, which count from (x, y), and back
+  int64_t b;
+  int x, y, u, v;
+  F reach_x, reach_y;  // from where a pixel goes
+  int columns, rows;   // to look at, from there on
+  Box places;          // that all pixels look at
+
+  // By four threads, of which each takes a corner. Where the horizon is near, all places are looked at.
+  template <int K>
+  __device__ __forceinline__ void open(Tiles const& tiles, SampleTranspose<F> const& p, int number) {
+    constexpr F reach = F(K) / 2;
+    Tile<F> tile;  // of a warp from the source to the output
+    tile.open(tiles, p.places, other_way(p.places.use), number);
+    b = tile.b;
+    x = tile.x;
+    y = tile.y;
+    u = tile.u;
+    v = tile.v;
+    back = tile.map;
+    F const at_x = F(threadIdx.x & 1 ? min(kTile, int(p.grad_x.width) - x) - 1 : 0);
+    F const at_y = F(threadIdx.x & 2 ? min(kTile, int(p.grad_x.height) - y) - 1 : 0);
+    F corner_u, corner_v, low = back.weight(at_x, at_y), high = low;
+    back.at(at_x, at_y, corner_u, corner_v);
+    reach_x = reach_y = 0;
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      F const to_x = at_x + (i & 1 ? reach : -reach), to_y = at_y + (i & 2 ? reach : -reach);
+      F to_u, to_v;
+      back.at(to_x, to_y, to_u, to_v);
+      reach_x = max(reach_x, vabs(to_u - corner_u));
+      reach_y = max(reach_y, vabs(to_v - corner_v));
+      low = min(low, back.weight(to_x, to_y));
+      high = max(high, back.weight(to_x, to_y));
+    }
+#pragma unroll
+    for (int lane = 1; lane < 4; lane *= 2) {
+      reach_x = max(reach_x, __shfl_xor_sync(0xffffffffu, reach_x, lane));
+      reach_y = max(reach_y, __shfl_xor_sync(0xffffffffu, reach_y, lane));
+      low = min(low, __shfl_xor_sync(0xffffffffu, low, lane));
+      high = max(high, __shfl_xor_sync(0xffffffffu, high, lane));
+    }
+    // A distance that goes from p to p + d is a linear function of p over the weights at both: so much it may be more
+    // between the corners.
+    F const least = min(vabs(low), vabs(high)), most = max(vabs(low), vabs(high));
+    F const more = back.affine ? F(1) : most / least * (most / least);
+    reach_x = reach_x * more + F(kMargin);
+    reach_y = reach_y * more + F(kMargin);
+    places = Box::empty();
+    places.template add<2>(corner_u - reach_x, corner_v - reach_y, F(kMargin),
+                           F(1 << 20));  // near where pixels begin to look
+    places.template join<4>();
+    int const width = int(p.grad.width), height = int(p.grad.height);
+    bool const near = low * high > 0 && reach_x < F(width) && reach_y < F(height) && places.right < INT_MAX / 4;
+    columns = near ? int(2 * reach_x) + 1 : width;
+    rows = near ? int(2 * reach_y) + 1 : height;
+    Homography<double> const whole = homography(p.places.matrices + b * p.places.matrix_stride, p.places.use);
+    if (near) {
+      places.move(u, v);
+      places.right += (columns + kTogether<K> - 1) / kTogether<K> * kTogether<K> - 1;
+      places.bottom += rows - 1;
+    } else {
+      places = Box::all();
+      reach_x = reach_y = 0;
+      u = v = 0;
+#pragma unroll
+      for (int i = 0; i < 9; ++i) back.m[i] = i == 8;
+      back.affine = true;
+    }
+    map = seen_from<F>(whole, u, v, x, y);
   }
 };
 
-// The places near which an area of the source is, all of them if the horizon runs through it.
-template <class F>
-__device__ __forceinline__ void candidates(Homography<F> const& back, F left, F top, F right, F bottom, int64_t height,
-                                           int64_t width, Range& rows, Range& columns) {
-  F low_u = F(width), high_u = -1, low_v = F(height), high_v = -1;
-  int signs = 0;
+// The next whole number.
+__device__ __forceinline__ int above(float x, float& whole) {
+  constexpr float kLarge = 0x1.8p23f;
+  float const sum = __fadd_ru(x, kLarge);
+  whole = sum - kLarge;
+  return __float_as_int(sum) - 0x4b400000;
+}
+__device__ __forceinline__ int above(double x, double& whole) {
+  whole = ::ceil(x);
+  return int(whole);
+}
+
+// The gradient of N channels of a pixel (x, y) in its tile, from the gradients where they are.
+template <int K, int N, class F>
+__device__ __noinline__ void gather_where_they_are(SampleTranspose<F> const& p, Sources<F> const& tile, int first,
+                                                   int y, int x) {
+  F center_u, center_v, first_u, first_v, sums[N] = {};
+  tile.back.at(F(x), F(y), center_u, center_v);
+  int const u0 = above(center_u - tile.reach_x, first_u), v0 = above(center_v - tile.reach_y, first_v);
+  int const width = int(p.grad.width), height = int(p.grad.height);
+  for (int v = max(v0, -tile.v); v < min(v0 + tile.rows, height - tile.v); ++v)
+    for (int u = max(u0, -tile.u); u < min(u0 + tile.columns, width - tile.u); ++u) {
+      F place_x, place_y;
+      tile.map.at(F(u), F(v), place_x, place_y);
+      F const weight = weight_at<K>(place_x, x) * weight_at<K>(place_y, y);
+      if (weight == 0) continue;
+      F const* const grad = p.grad.row(tile.b, first, v + tile.v) + (u + tile.u) * p.grad.step;
 #pragma unroll
-  for (int corner = 0; corner < 4; ++corner) {
-    F const x = corner & 1 ? right : left, y = corner & 2 ? bottom : top;
-    F u, v;
-    back.at(x, y, u, v);
-    signs += back.affine || back.weight(x, y) > 0 ? 1 : -1;
-    low_u = min(low_u, u);
-    high_u = max(high_u, u);
-    low_v = min(low_v, v);
-    high_v = max(high_v, v);
-  }
-  bool const all = (signs != 4 && signs != -4) || !(high_u - low_u < F(width)) || !(high_v - low_v < F(height));
-  // A margin for what rounding does to places on the way there and back.
-  F const margin = F(0.01) + F(1e-6) * F(width + height);
-  columns = {all ? 0 : max(0, int(::ceil(low_u - margin))),
-             all ? int(width) : int(min(F(width), ::floor(high_u + margin) + 1))};
-  rows = {all ? 0 : max(0, int(::ceil(low_v - margin))),
-          all ? int(height) : int(min(F(height), ::floor(high_v + margin) + 1))};
+      for (int k = 0; k < N; ++k) sums[k] += weight * grad[k * p.grad.channel_stride];
+    }
+#pragma unroll
+  for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = sums[k];
 }
 
 template <class F, int K>
 __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
     gather_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles, bool aligned) {
   using Gradients = Patch<F>;
-  __shared__ Tile<F> tile;
-  __shared__ Homography<F> shared_back;
-  __shared__ Range shared_rows[kTileRow], shared_columns[kTileRow];
+  __shared__ Sources<F> shared_tiles[kTileRow];
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.grad_x.width), height = int(p.grad_x.height);
-  F const reach = F(K) / 2;
-  if (threadIdx.x == 0) tile.open(tiles, p.places);
-  if (threadIdx.x == 32) {
-    unsigned const sample = blockIdx.x / (tiles.across * tiles.down);
-    shared_back = inverse_homography(p.places.matrices + sample * p.places.matrix_stride, p.places.use);
+  if (threadIdx.x < 32) {
+    int const number = threadIdx.x / 4 % kTileRow;
+    Sources<F> tile;
+    tile.template open<K>(tiles, p, number);
+    if (threadIdx.x % 4 == 0) shared_tiles[number] = tile;
   }
   __syncthreads();
-  if (threadIdx.x < kTileRow) {
-    int const left = tile.x + int(threadIdx.x) * kTile;
-    candidates(shared_back, left - reach, tile.y - reach, min(left + kTile, width) - 1 + reach,
-               min(tile.y + kTile, height) - 1 + reach, p.grad.height, p.grad.width, shared_rows[threadIdx.x],
-               shared_columns[threadIdx.x]);
-  }
-  __syncthreads();
-  Homography<F> const map = tile.map, back = shared_back;
-  int64_t const b = tile.b;
   Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
 #pragma unroll 1
-  for (int i = 0; i < int(tiles.row) && tile.x + i * kTile < width; ++i) {
-    int const x = tile.x + i * kTile + column_in_tile();
-    Range rows = shared_rows[i], columns = shared_columns[i];
-    Gradients const patch(shared_pixels, {columns.first, rows.first, columns.last - 1, rows.last - 1});
-    bool const patched = patch.fits && columns.first < columns.last && rows.first < rows.last;
-    in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto number) {
-      constexpr int N = number.value;
-      if (patched) patch.template load<N>(p.grad, b, first, x_axis, y_axis, aligned, [](int) { return F(0); });
-      F const* const plane = p.grad.row(b, first, 0);
-#pragma unroll 1
-      for (int y = tile.y + row_in_tile(); x < width && y < min(tile.y + kTile, height); y += kRunRows) {
-        candidates(back, x - reach, y - reach, x + reach, y + reach, p.grad.height, p.grad.width, rows, columns);
-        F sums[N] = {};
-        // Of gradients at rows and columns from an origin on, those of the next channel `apart`.
-        auto const gather = [&](F const* origin, int64_t row, int64_t step, int64_t apart) {
-#pragma unroll 1
-          for (int v = rows.first; v < rows.last; ++v)
-#pragma unroll 1
-            for (int u = columns.first; u < columns.last; ++u) {
-              F place_x, place_y;
-              map.at(F(u), F(v), place_x, place_y);
-              F const weight = weight_at<K>(place_x, x) * weight_at<K>(place_y, y);
-              if (weight == 0) continue;
-              F const* const grad = origin + v * row + u * step;
+  for (int number = 0; number < int(tiles.row) && shared_tiles[number].x < width; ++number) {
+    Sources<F> const& tile = shared_tiles[number];
+    Gradients const patch(shared_pixels, tile.places);
+    int const x = column_in_tile();
+    in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
+      constexpr int N = channels.value;
+      if (patch.fits) patch.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return F(0); });
+      if (tile.x + x >= width) return;
+      F poison = 0;  // NaN where one of the gradients is no finite number: it may have had no weight
+      F* planes[N];
 #pragma unroll
-              for (int k = 0; k < N; ++k) sums[k] += weight * grad[k * apart];
-            }
+      for (int k = 0; k < N; ++k) planes[k] = p.grad_x.row(tile.b, first + k, 0);
+      int to = (tile.y + row_in_tile()) * width + tile.x + x;
+      int const origin = patch.origin(tile.u, tile.v);
+#pragma unroll 1
+      for (int y = row_in_tile(); patch.fits && y < min(kTile, height - tile.y);
+           y += kRunRows, to += kRunRows * width) {
+        F center_u, center_v, first_u, first_v, sums[N] = {};
+        tile.back.at(F(x), F(y), center_u, center_v);
+        int const u = above(center_u - tile.reach_x, first_u), v = above(center_v - tile.reach_y, first_v);
+        F const* row = patch.pixels + (v * Gradients::kPitch + u + origin);
+        auto const gather = [&](auto affine) {
+          F const(&m)[9] = tile.map.m;
+          F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
+          F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
+#pragma unroll 1
+          for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
+            F place_x = from_x, place_y = from_y, weight = from_weight;
+            F const* grad = row;
+#pragma unroll 1
+            for (int i = 0; i < tile.columns; i += kTogether<K>)
+#pragma unroll
+              for (int n = 0; n < kTogether<K>; ++n, ++grad) {
+                F const scale = affine.value ? F(1) : reciprocal(weight);
+                F const share = weight_at<K>(place_x * scale, x) * weight_at<K>(place_y * scale, y);
+#pragma unroll
+                for (int k = 0; k < N; ++k) sums[k] += share * grad[k * Gradients::kSize];
+                place_x += m[0];
+                place_y += m[3];
+                if constexpr (!affine.value) weight += m[6];
+              }
+            from_x += m[1];
+            from_y += m[4];
+            from_weight += m[7];
+          }
         };
-        if (patched) {
-          rows = rows.within(shared_rows[i]);  // what rounding adds to these is nothing's tap
-          columns = columns.within(shared_columns[i]);
-          gather(patch.pixels - (patch.top * Gradients::kPitch + patch.left), Gradients::kPitch, 1, Gradients::kSize);
-        } else {
-          gather(plane, p.grad.row_stride, p.grad.step, p.grad.channel_stride);
-        }
+        tile.map.affine ? gather(std::true_type{}) : gather(std::false_type{});
 #pragma unroll
-        for (int k = 0; k < N; ++k) p.grad_x.row(b, first + k, y)[x] = sums[k];
+        for (int k = 0; k < N; ++k) {
+          poison += sums[k] * 0;
+          planes[k][to] = sums[k];
+        }
       }
+      if (!patch.fits || poison != 0)
+#pragma unroll 1
+        for (int y = row_in_tile(); y < min(kTile, height - tile.y); y += kRunRows)
+          gather_where_they_are<K, N>(p, tile, first, y, x);
     });
   }
 }
@@ -122,7 +210,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
 template <class F, int K>
 __global__ void __launch_bounds__(kThreads) scatter_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles) {
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  if (threadIdx.x == 0) tile.open(tiles, p.places, p.places.use);
   __syncthreads();
   PlacesOf<F> const places(p.places, tile);
   int64_t const b = tile.b;

@@ -18,6 +18,8 @@ KV_TAPS float vabove(float x, float low) { return ::fmaxf(x, low); }
 KV_TAPS double vabove(double x, double low) { return ::fmax(x, low); }
 KV_TAPS float vclamp(float x, float low, float high) { return ::fminf(::fmaxf(x, low), high); }
 KV_TAPS double vclamp(double x, double low, double high) { return ::fmin(::fmax(x, low), high); }
+KV_TAPS float vabs(float x) { return ::fabsf(x); }
+KV_TAPS double vabs(double x) { return ::fabs(x); }
 template <class F>
 KV_TAPS int floor_to_int(float x) {
   return __float2int_rd(x);
@@ -131,22 +133,7 @@ KV_TAPS void tap_weights(V t, V (&w)[K]) {
   }
 }
 
-// The weight that a place has for one pixel, as tap_weights has it; 0 where it is none of its taps.
-template <int K, class F>
-KV_TAPS F weight_at(F place, int pixel) {
-  if constexpr (K == 1) {
-    F t;
-    return first_tap<1, F>(vclamp(place, F(pixel - 1), F(pixel + 1)), t) == pixel;
-  } else {
-    F const d = place - F(pixel), distance = d < 0 ? -d : d;
-    if constexpr (K == 2) return vabove(1 - distance, F(0));
-    F const s = 2 - distance;
-    F const near = (distance * 1.25f - 2.25f) * distance * distance + 1, far = (1 - distance) * s * s * 0.75f;
-    return distance < 1 ? near : s > 0 ? far : 0;
-  }
-}
-
-// Their derivatives.
+// The derivatives of these weights.
 template <int K, class V>
 KV_TAPS void tap_slopes(V t, V (&d)[K]) {
   V const one = V{} + 1;
@@ -163,6 +150,23 @@ KV_TAPS void tap_slopes(V t, V (&d)[K]) {
     d[3] = t * (t * 3 - 2) * 0.75f;
   }
 }
+
+#if defined(__CUDACC__)
+// The weight that a place has for one pixel, as tap_weights has it; 0 where it is none of its taps.
+template <int K, class F>
+KV_TAPS F weight_at(F place, int pixel) {
+  if constexpr (K == 1) {
+    F t;
+    return first_tap<1, F>(vclamp(place, F(pixel - 1), F(pixel + 1)), t) == pixel;
+  } else {
+    F const distance = vabs(place - F(pixel));
+    if constexpr (K == 2) return vabove(1 - distance, F(0));
+    F const s = 2 - distance;
+    F const near = (distance * 1.25f - 2.25f) * distance * distance + 1, far = (1 - distance) * s * s * 0.75f;
+    return distance < 1 ? near : s > 0 ? far : 0;
+  }
+}
+#endif
 
 #undef KV_TAPS
 

@@ -37,6 +37,8 @@ Tensor warp_image_gradient(Tensor const& grad, Tensor const& matrix, std::vector
     using F = typename decltype(type)::type;
     SampleTranspose<F> const params{a.of<F>(source, m.places<F>()), images<F const>(grad, batch),
                                     images<F>(grad_x, batch)};
+    check_planes(op, params.grad);
+    check_planes(op, params.grad_x);
     KV_RUN(sample_transpose, grad, params, batch * channels, 8 * output.height * output.width);
   });
   return grad_x;

@@ -14,45 +14,61 @@ __device__ __forceinline__ void differences(F const (&v)[P + 2], int x, int widt
   for (int j = 0; j <= P; ++j) d[j] = x + j > 0 && x + j < width ? v[j] - v[j + 1] : F(0);
 }
 
+// The sum over a strip's pixels of the differences to the next ones along y and along x.
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(kThreads)
-    sum_differences(__grid_constant__ TotalVariation<T> const p, Strips<kPixels<T>> const strips) {
-  constexpr int P = kPixels<T>;
+__device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, int64_t plane, int x, int y0) {
+  constexpr int P = kPixels<T>, kAhead = 4;  // rows on their way
   using F = Compute<T>;
-  int64_t plane;
-  int x, y0;
-  if (!strips.place(plane, x, y0)) return;
-  int const width = int(p.x.width), last = min(y0 + p.rows, int(p.x.height)) - 1;
+  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + kVariationRows, height);
   Strip<1, Aligned, P> const strip(x, width, Border::replicate);
   RowsDown<T> rows(p.x, plane, y0);
-  F along_x = 0, along_y = 0, v[P + 2], d[P + 1];
+  F along_x = 0, along_y = 0, v[P + 2], above[P];
   auto const add_row = [&] {
-    differences<F, P>(v, x, width, d);
 #pragma unroll
-    for (int j = 1; j <= P; ++j) along_x += fabs(d[j]);  // the one before is that of the neighbouring thread
+    for (int j = 1; j <= P; ++j) along_x += x + j < width ? fabs(v[j] - v[j + 1]) : F(0);
   };
   strip.load(v, rows.next());
   add_row();
-#pragma unroll 4
-  for (int y = y0; y < last; ++y) {
-    F above[P];
+  for (int y = y0 + 1; y <= y1; y += kAhead) {  // the last one is the first of the strip below
+    typename Strip<1, Aligned, P>::template Fetched<T> fetched[kAhead];
 #pragma unroll
-    for (int j = 0; j < P; ++j) above[j] = v[j + 1];
-    strip.load(v, rows.next());
-    add_row();
+    for (int r = 0; r < kAhead; ++r) fetched[r] = strip.fetch(rows.next());
 #pragma unroll
-    for (int j = 0; j < P; ++j) along_y += x + j < width ? fabs(v[j + 1] - above[j]) : F(0);
+    for (int r = 0; r < kAhead; ++r) {
+#pragma unroll
+      for (int j = 0; j < P; ++j) above[j] = v[j + 1];
+      strip.spread(fetched[r], v);
+      if (y + r < y1) add_row();
+      if (y + r <= y1 && y + r < height) {
+#pragma unroll
+        for (int j = 0; j < P; ++j) along_y += x + j < width ? fabs(v[j + 1] - above[j]) : F(0);
+      }
+    }
   }
-  if (last + 1 < p.x.height) {  // to the first row of the strip below
-    F above[P];
-#pragma unroll
-    for (int j = 0; j < P; ++j) above[j] = v[j + 1];
-    strip.load(v, rows.next());
-#pragma unroll
-    for (int j = 0; j < P; ++j) along_y += x + j < width ? fabs(v[j + 1] - above[j]) : F(0);
+  return p.along_y * along_y + p.along_x * along_x;
+}
+
+// A warp sums a strip; or, of `whole` planes, a block sums one of them, and each of its warps takes every eighth strip.
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads)
+    sum_differences(__grid_constant__ TotalVariation<T> const p, Strips<kPixels<T>> const strips, bool whole) {
+  constexpr unsigned kWarps = kThreads / 32;
+  unsigned const warp = threadIdx.x / 32, pieces = strips.across * strips.down;
+  unsigned const first = whole ? blockIdx.x * pieces : blockIdx.x * kWarps;
+  unsigned const end = min(first + (whole ? pieces : kWarps), strips.count);
+  Compute<T> sum = 0;
+  for (unsigned piece = first + warp; piece < end; piece += kWarps) {
+    unsigned const plane = piece / pieces, line = (piece - plane * pieces) / strips.across;
+    int const column = int(piece - plane * pieces - line * strips.across) * 32 + int(threadIdx.x % 32);
+    sum += sum_of_strip<T, Aligned>(p, plane, column * kPixels<T>, int(line * strips.rows));
   }
-  F const sum = warp_sum(p.along_y * along_y + p.along_x * along_x);
-  if (threadIdx.x % 32 == 0) p.partial[blockIdx.x * (kThreads / 32) + threadIdx.x / 32] = sum;
+  if (whole) {
+    sum = block_sum(sum);
+    if (threadIdx.x == 0) p.sums[blockIdx.x] = sum;
+  } else {
+    sum = warp_sum(sum);
+    if (threadIdx.x % 32 == 0 && first + warp < end) p.partial[first + warp] = sum;
+  }
 }
 
 template <class T, bool Aligned>
@@ -98,15 +114,18 @@ __global__ void __launch_bounds__(kThreads)
 template <class T>
 int total_variation(TotalVariation<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  static_assert(kVariationColumns<T> == 32 * P);
-  int64_t const planes = p.x.count();
-  Strips<P> const strips(planes, p.x.height, p.x.width, p.rows);
+  static_assert(kVariationColumns<T> == 32 * P && kThreads == kSumThreads);
+  int64_t const planes = p.x.count(), machine = multiprocessors();
+  // Planes that fill the machine evenly need no second launch.
+  bool const whole = planes >= 2 * machine && 10 * ceil_div(planes, machine) * machine <= 11 * planes;
+  Strips<P> const strips(planes, p.x.height, p.x.width, kVariationRows);
   with_alignment<T>(is_strip<P>(p.x), [&](auto aligned) {
-    sum_differences<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+    unsigned const blocks = whole ? unsigned(planes) : strips.blocks(kThreads / 32);
+    sum_differences<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p, strips, whole);
   });
   using F = Compute<T>;
-  Finish<F> const as_it_is{F(0), F(1), false};
-  finish_sums<<<unsigned(planes), kSumThreads, 0, stream>>>(p.partial, p.pieces, as_it_is, p.sums);
+  if (!whole)
+    finish_sums<<<unsigned(planes), kSumThreads, 0, stream>>>(p.partial, p.pieces, Finish<F>{F(1), F(0)}, p.sums);
   return cudaGetLastError();
 }
 

@@ -13,8 +13,7 @@ struct TotalVariation {
   Planes<T const> x;
   Compute<T> along_y, along_x;  // weights
   Compute<T>* sums;
-  int rows;             // CUDA: of a piece, which is what one warp sums
-  int64_t pieces;       // of a plane
+  int64_t pieces;       // CUDA: strips of a plane
   Compute<T>* partial;  // CUDA: the sums of all pieces
 };
 

@@ -25,9 +25,9 @@ Tensor total_variation(Tensor const& input, double along_y, double along_x) {
 #else
     Tensor const& partial = sums;  // not used
 #endif
-    TotalVariation<T> const params{planes<T const>(x, Layout::planar),         F(along_y), F(along_x),
-                                   static_cast<F*>(sums.mutable_data_ptr()),   int(rows),  pieces,
-                                   static_cast<F*>(partial.mutable_data_ptr())};
+    TotalVariation<T> const params{
+        planes<T const>(x, Layout::planar),       F(along_y), F(along_x),
+        static_cast<F*>(sums.mutable_data_ptr()), pieces,     static_cast<F*>(partial.mutable_data_ptr())};
     KV_RUN(total_variation, x, params, params.x.count(), height * width);
   });
   return sums;

@@ -20,7 +20,8 @@ struct Math {
     else
       return ::log(x);
   }
-  __device__ __forceinline__ static F sqrt(F x) { return kv::sqrt(x); }
+  __device__ __forceinline__ static F sqrt(F x) { return fast_sqrt(x); }
+  __device__ __forceinline__ static F divide(F x, F y) { return x * fast_reciprocal(y); }
 };
 
 constexpr int kThreads = kSumThreads, kPack = 4;

@@ -48,14 +48,14 @@ struct PointwiseMap {
   bool by_other;
   T* out;
 
-  // The gradient of a row's plain sum. That of decibels is 10 / (log 10 * sum), and none where nothing differs.
+  // The gradient of a row's plain sum. That of decibels is that many / (log 10 * sum), and none where nothing differs.
   KV_HD Compute<T> gradient(int64_t row) const {
     using F = Compute<T>;
     F const g = grad_of_sum[row];
-    if (!finish.decibels) return g * finish.factor;
+    if (finish.decibels == 0) return g * finish.factor;
     F const decibels = sums[row];
-    constexpr double kSlope = 4.3429448190325183;  // 10 / log 10
-    return decibels - decibels == 0 ? F(g * finish.factor * kSlope / ::exp(double(decibels) / kSlope)) : F(0);
+    double const slope = double(finish.decibels) * 0.43429448190325183;  // 1 / log 10
+    return decibels - decibels == 0 ? F(g * finish.factor * slope / ::exp(double(decibels) / slope)) : F(0);
   }
 };
 
@@ -73,7 +73,8 @@ KV_HD V not_far(V d) {
 }
 
 // 1 - exp(-t) and log(1 + t) for t from 0 on, which keep the digits of small t: an error of u = exp(-t) or 1 + t is
-// made up for by the same error of log u or u - 1. Math has exp and log of V.
+// made up for by the same error of log u or u - 1. Math has functions of V, of which divide is for divisors of at
+// least 1.
 template <class F, class Math, class V>
 KV_HD V one_minus_exp(V t) {
   V const one = V{} + F(1), most = V{} + F(80), bounded = t > most ? most : t, u = Math::exp(V(-bounded));
@@ -99,7 +100,7 @@ KV_HD V point_loss(PointLoss kind, V x, V y) {
   switch (kind) {
     case PointLoss::charbonnier: {
       V const size = d < zero ? V(-d) : d;
-      return size > kFar<F> ? V(size - one) : V(d * (d / (Math::sqrt(V(d * d + one)) + one)));
+      return size > kFar<F> ? V(size - one) : V(d * Math::divide(d, V(Math::sqrt(V(d * d + one)) + one)));
     }
     case PointLoss::welsch:
       return one_minus_exp<F, Math>(V(half * d * d));
@@ -107,7 +108,7 @@ KV_HD V point_loss(PointLoss kind, V x, V y) {
       return log_one_plus<F, Math>(V(half * d * d));
     case PointLoss::geman_mcclure: {
       V const c = not_far<F>(d), square = c * c;
-      return square * F(2) / (square + F(4));
+      return Math::divide(V(square * F(2)), V(square + F(4)));
     }
     case PointLoss::square:
       return d * d;
@@ -129,15 +130,15 @@ KV_HD V point_slope(PointLoss kind, bool by_y, V x, V y) {
   switch (kind) {
     case PointLoss::charbonnier: {
       V const c = not_far<F>(d);
-      return c / Math::sqrt(V(c * c + one));
+      return Math::divide(c, Math::sqrt(V(c * c + one)));
     }
     case PointLoss::welsch:
       return d * Math::exp(V(-half * d * d));
     case PointLoss::cauchy:
-      return d / (half * d * d + one);
+      return Math::divide(d, V(half * d * d + one));
     case PointLoss::geman_mcclure: {
-      V const c = not_far<F>(d), divisor = c * c + F(4);
-      return c / divisor * (F(16) / divisor);
+      V const c = not_far<F>(d), inverse = Math::divide(one, V(c * c + F(4)));
+      return c * inverse * (F(16) * inverse);
     }
     case PointLoss::square:
       return F(2) * d;

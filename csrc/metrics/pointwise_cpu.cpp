@@ -11,6 +11,7 @@ struct Math {
   using V = Lanes<F, N>;
   KV_HD static V exp(V x) { return vexp2<F, N>(x * F(1.44269504088896340736)); }
   KV_HD static V sqrt(V x) { return vsqrt(x); }
+  KV_HD static V divide(V x, V y) { return x / y; }
   // Of all numbers, those below the normal ones included.
   KV_HD static V log(V x) {
     constexpr F kSmall = sizeof(F) == 4 ? F(1e-37) : F(1e-300), kScale = F(1 << 30);

@@ -83,7 +83,8 @@ Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor c
   return grad_x;
 }
 
-Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor, bool decibels) {
+Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor,
+                     double decibels) {
   constexpr char const* op = "pointwise_sum";
   int64_t const rows = check_pair(op, input, other, input), size = input.size(1);
   Tensor const x = dense(input), y = dense(other);
@@ -93,11 +94,8 @@ Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    PointwiseSum<T> const params{pair_of<T>(x, y, rows, kind_of(op, kind)),
-                                 pieces,
-                                 data<F>(partial),
-                                 {F(0), F(factor), decibels},
-                                 data<F>(sums)};
+    PointwiseSum<T> const params{
+        pair_of<T>(x, y, rows, kind_of(op, kind)), pieces, data<F>(partial), {F(factor), F(decibels)}, data<F>(sums)};
     KV_RUN(pointwise_sum, x, params, rows * pieces, 8 * min(size, kPointPiece));
 #if !defined(KV_CUDA)
     add_pieces(params.partial, rows, pieces, params.finish, params.sums);
@@ -108,7 +106,7 @@ Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const
 
 // The gradient to `input`, or to `other`; `sums` are the results.
 Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor const& input, Tensor const& other,
-                              std::string const& kind, double factor, bool decibels, bool by_other) {
+                              std::string const& kind, double factor, double decibels, bool by_other) {
   constexpr char const* op = "pointwise_sum_backward";
   int64_t const rows = check_pair(op, input, other, grad);
   check_of_sums(op, "grad", grad, input, rows);
@@ -122,7 +120,7 @@ Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor con
                    nullptr,
                    data<F const>(g),
                    data<F const>(s),
-                   {F(0), F(factor), decibels},
+                   {F(factor), F(decibels)},
                    by_other,
                    data<T>(grad_x)});
   });
@@ -133,9 +131,9 @@ Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor con
 
 KV_OPERATOR(pointwise_loss, "(Tensor input, Tensor other, str kind) -> Tensor")
 KV_OPERATOR(pointwise_loss_backward, "(Tensor grad, Tensor input, Tensor other, str kind, bool by_other) -> Tensor")
-KV_OPERATOR(pointwise_sum, "(Tensor input, Tensor other, str kind, float factor, bool decibels) -> Tensor")
+KV_OPERATOR(pointwise_sum, "(Tensor input, Tensor other, str kind, float factor, float decibels) -> Tensor")
 KV_OPERATOR(pointwise_sum_backward,
-            "(Tensor grad, Tensor sums, Tensor input, Tensor other, str kind, float factor, bool decibels, "
+            "(Tensor grad, Tensor sums, Tensor input, Tensor other, str kind, float factor, float decibels, "
             "bool by_other) -> Tensor")
 
 }  // namespace kv

@@ -123,12 +123,6 @@ struct RunningSums {
 template <int M>
 using Rows = float[kRows][M][kLine];
 
-__device__ __forceinline__ float fast_reciprocal(float x) {
-  float y;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-  return y;
-}
-
 // The sums over the windows around kRows columns; the first is at line[m][at + Beside], `at` a multiple of kRows.
 template <int K, int Beside, int M>
 __device__ __forceinline__ void sum_across(float const (&line)[M][kLine], int at, float const (&weights)[K],
@@ -468,13 +462,6 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   }
 }
 
-inline int multiprocessors() {
-  int device = 0, count = 1;
-  cudaGetDevice(&device);
-  cudaDeviceGetAttribute(&count, cudaDevAttrMultiProcessorCount, device);
-  return count;
-}
-
 struct Grid {
   unsigned across, down, blocks;
   int rows, threads;
@@ -528,7 +515,7 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
   ssim_forward<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
   if (!p.similarity.data) {
     int64_t const rows = x.count() / p.loss.planes, pieces = grid.blocks / rows * (grid.threads / 32);
-    finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<float>{0, 1, false}, p.sums);
+    finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<float>{1, 0}, p.sums);
   }
   return cudaGetLastError();
 }

@@ -143,7 +143,7 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
 #if defined(KV_CUDA)
     if (channels == 0) torch::stable::zero_(const_cast<Tensor&>(sums));
 #else
-    add_pieces(params.partial, rows, pieces, Finish<F>{F(0), F(1), false}, params.sums);
+    add_pieces(params.partial, rows, pieces, Finish<F>{F(1), F(0)}, params.sums);
 #endif
   });
   return sums;

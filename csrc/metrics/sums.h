@@ -7,14 +7,14 @@
 
 namespace kv {
 
-// offset + factor * sum, or with `decibels` 10 log10(factor * sum).
+// factor * sum, or where there are `decibels` that many times its logarithm to base 10.
 template <class F>
 struct Finish {
-  F offset, factor;
-  bool decibels;
+  F factor, decibels;
 
   KV_HD F operator()(double sum) const {
-    return F(decibels ? 10 * ::log10(double(factor) * sum) : double(offset) + double(factor) * sum);
+    double const found = double(factor) * sum;
+    return F(decibels == 0 ? found : double(decibels) * ::log10(found));
   }
 };
 

@@ -118,7 +118,7 @@ inline Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::stri
 }
 
 inline Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor const& input, Tensor const& other,
-                                     std::string const& kind, double factor, bool decibels, bool by_other) {
+                                     std::string const& kind, double factor, double decibels, bool by_other) {
   using namespace detail;
   auto const compute = [&] {
     return variable_list{call<"pointwise_sum_backward">(grad, sums, input, other, kind, factor, decibels, by_other)};
@@ -126,17 +126,17 @@ inline Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Ten
   return differentiable({grad, sums, input, other}, compute, {}, no_second_derivative("pointwise_sum"))[0];
 }
 
-// (rows): factor times the sum of each row's losses, or with `decibels` 10 log10 of that, which has a gradient in
-// Python only.
+// (rows): factor times the sum of each row's losses, or where there are `decibels` that many times its logarithm to
+// base 10, which has a gradient in Python only.
 inline Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor = 1,
-                            bool decibels = false) {
+                            double decibels = 0) {
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"pointwise_sum">(input, other, kind, factor, decibels)}; };
   auto const gradient = [=](Backward const& b) {
-    TORCH_CHECK_NOT_IMPLEMENTED(!decibels, "pointwise_sum: C++ has no gradient of decibels; Python's kvision has");
+    TORCH_CHECK_NOT_IMPLEMENTED(decibels == 0, "pointwise_sum: C++ has no gradient of decibels; Python's kvision has");
     auto const by = [&](bool other) {
       if (!b.wanted(other)) return Tensor();
-      return pointwise_sum_backward(b.grads[0], b.grads[0], b.saved[0], b.saved[1], kind, factor, false, other);
+      return pointwise_sum_backward(b.grads[0], b.grads[0], b.saved[0], b.saved[1], kind, factor, 0, other);
     };
     return variable_list{by(false), by(true)};
   };

@@ -299,6 +299,7 @@ class Operator:
             tensors = (*_as_tuple(output), *tensors)
         if self.constant:
             ctx.mark_non_differentiable(*(_as_tuple(output)[i] for i in self.constant))
+            ctx.set_materialize_grads(False)  # no zeros for these
         ctx.save_for_backward(*tensors)
         ctx.save_for_forward(*tensors)
         ctx.plain = inputs[self.tensors :]
@@ -309,6 +310,8 @@ class Operator:
 
     def _backward(self, ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         needs = ctx.needs_input_grad
+        if all(grad is None for grad in grads):
+            return (None,) * len(needs)
         # What torch.func.vjp wrapped hides, once vjp has returned, that a tensor requires a gradient.
         grads, saved = unwrap_dead_wrappers(grads), unwrap_dead_wrappers(ctx.saved_tensors)
         if self._is_linear_map(saved):

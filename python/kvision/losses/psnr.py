@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision._modules import FunctionModule
-from kvision.metrics.psnr import negative_psnr
+from kvision.metrics.psnr import decibels_of_ratio
 
 
 def psnr_loss(image: Tensor, target: Tensor, max_val: float = 1.0) -> Tensor:
@@ -30,7 +30,7 @@ def psnr_loss(image: Tensor, target: Tensor, max_val: float = 1.0) -> Tensor:
         >>> K.losses.psnr_loss(torch.ones(1), 1.2 * torch.ones(1), 2.0)
         tensor(-20.0000)
     """
-    return negative_psnr("psnr_loss", image, target, max_val)
+    return decibels_of_ratio("psnr_loss", image, target, max_val, 10.0)
 
 
 class PSNRLoss(FunctionModule):

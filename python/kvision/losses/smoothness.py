@@ -68,8 +68,11 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
     weights = (1.0, 1.0)
     if reduction == "mean":  # of no differences it is 0
         weights = 1 / max(1, (h - 1) * w), 1 / max(1, h * (w - 1))
-    sums = _total_variation(x if x.dim() == 4 else x.reshape(1, -1, h, w), *weights)
-    return sums.reshape(x.shape[:-2]).to(x.dtype)
+    if x.dim() == 4:
+        sums = _total_variation(x, *weights)
+    else:
+        sums = _total_variation(x.reshape(1, -1, h, w), *weights).reshape(x.shape[:-2])
+    return sums if sums.dtype == x.dtype else sums.to(x.dtype)
 
 
 def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
 """Losses of two tensors element by element, and their sums, as kernels that make nothing else.
 
-The sum is the operator of every loss that is one number: `factor` times it, or with `decibels` 10 log10 of that.
+The sum is the operator of every loss that is one number: `factor` times it, or where there are `decibels` that many times
+the logarithm of that to base 10.
 """
 
 from __future__ import annotations
@@ -82,17 +83,17 @@ def _of_one_row(grads: list[Tensor | None], y: Tensor) -> list[Tensor | None]:
     return grads
 
 
-def _sum_reference(x: Tensor, y: Tensor, kind: str, factor: float, decibels: bool) -> Tensor:
+def _sum_reference(x: Tensor, y: Tensor, kind: str, factor: float, decibels: float) -> Tensor:
     dtype = compute_dtype(x)
     total = factor * _LOSSES[kind](x.to(dtype), y.to(dtype)).sum(1)
-    if not decibels:
+    if decibels == 0:
         return total
     nothing = total == 0
-    return torch.where(nothing, -torch.inf, 10 * torch.where(nothing, 1, total).log10())
+    return torch.where(nothing, -math.copysign(math.inf, decibels), decibels * torch.where(nothing, 1, total).log10())
 
 
 def _sum_slope(
-    grad: Tensor, sums: Tensor, x: Tensor, y: Tensor, kind: str, factor: float, decibels: bool, by_other: bool
+    grad: Tensor, sums: Tensor, x: Tensor, y: Tensor, kind: str, factor: float, decibels: float, by_other: bool
 ) -> Tensor:
     rows = grad.shape[0]
     x, y = x.expand(rows, -1), y.expand(rows, -1)
@@ -122,31 +123,34 @@ _sum = register(
 )
 
 
-def _rows(x: Tensor, whole: bool) -> Tensor:
-    if whole or x.dim() == 0:
-        return x.reshape(1, -1)
+def _rows(x: Tensor) -> Tensor:
+    if x.dim() == 0:
+        return x.reshape(1, 1)
     return x.flatten(1) if x.dim() > 1 else x[:, None]
 
 
 def pointwise(kind: str, x: Tensor, y: Tensor, reduction: str) -> Tensor:
     """The loss `kind` of floating-point tensors of one shape, in the type of x."""
-    y = y.to(x.dtype)
     if reduction != "none":
         count = x.numel()
-        factor = 1.0 if reduction == "sum" else 1 / count if count else math.nan
-        return _sum(_rows(x, True), _rows(y, True), kind, factor, False)[0].to(x.dtype)
+        return total(kind, x, y, 1.0 if reduction == "sum" else 1 / count if count else math.nan)
+    y = y.to(x.dtype)
     if x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:  # channels-last: in the order of the memory
         return pointwise(kind, x.movedim(1, -1), y.movedim(1, -1), reduction).movedim(-1, 1)
-    return _loss(_rows(x, False), _rows(y, False), kind).reshape(x.shape)
+    return _loss(_rows(x), _rows(y), kind).reshape(x.shape)
 
 
-def decibels(x: Tensor, y: Tensor, factor: float) -> Tensor:
-    """10 log10 of factor times the sum of (x - y)^2, minus infinity where nothing differs."""
-    return _sum(_rows(x, True), _rows(y.to(x.dtype), True), "square", factor, True)[0].to(x.dtype)
+def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0) -> Tensor:
+    """`factor` times the sum of the loss `kind`, or decibels of it, of tensors of one shape, in the type of x."""
+    dtype = x.dtype
+    if y.dtype != dtype:
+        y = y.to(dtype)
+    found = _sum(x.reshape(1, -1), y.reshape(1, -1), kind, factor, decibels)[0]
+    return found if found.dtype == dtype else found.to(dtype)
 
 
 def sum_of_maps(kind: str, x: Tensor, y: Tensor) -> Tensor:
     """(B, N): the loss `kind` of maps (B, N, H, W), summed over their pixels."""
     rows = x.shape[0] * x.shape[1]
     flat = (z.reshape(rows, x.shape[2] * x.shape[3]) for z in (x, y.to(x.dtype)))
-    return _sum(*flat, kind, 1.0, False).view(x.shape[:2])
+    return _sum(*flat, kind, 1.0, 0.0).view(x.shape[:2])

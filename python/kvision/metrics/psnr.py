@@ -9,7 +9,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.metrics.pointwise import decibels
+from kvision.metrics.pointwise import total
 
 
 def psnr(image: Tensor, target: Tensor, max_val: float) -> Tensor:
@@ -33,17 +33,19 @@ def psnr(image: Tensor, target: Tensor, max_val: float) -> Tensor:
         >>> K.metrics.psnr(torch.ones(1), 1.2 * torch.ones(1), 2.0)
         tensor(20.0000)
     """
-    return -negative_psnr("psnr", image, target, max_val)
+    return decibels_of_ratio("psnr", image, target, max_val, -10.0)
 
 
-def negative_psnr(op: str, image: Tensor, target: Tensor, max_val: float) -> Tensor:
+def decibels_of_ratio(op: str, image: Tensor, target: Tensor, max_val: float, decibels: float) -> Tensor:
+    """That many decibels times log10 of the mean square error in units of max_val^2."""
     _check.numbers(op, "image", image)
     _check.numbers(op, "target", target)
     if image.shape != target.shape:
         raise TypeCheckError(f"{op}: expected target of shape {tuple(image.shape)} as image, got {tuple(target.shape)}")
-    _check.same_device(op, image=image, target=target)
+    if image.device != target.device:
+        _check.same_device(op, image=image, target=target)
     if not _check.number(op, "max_val", max_val) > 0:
         raise ValueCheckError(f"{op}: expected max_val above 0, got {max_val!r}", actual_value=max_val)
     x = floats(image)
     factor = 1 / (x.numel() * max_val**2) if x.numel() else math.nan
-    return decibels(x, floats(target), factor)
+    return total("square", x, floats(target), factor, decibels)

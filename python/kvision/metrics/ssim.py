@@ -20,7 +20,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored, register, vjp
+from kvision._ops import Operator, as_stored, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian
 from kvision.filters.separable import _reference as filter_separably
@@ -55,23 +55,33 @@ def _reference(
     return _similarity(mean, x, y, c1, c2, eps, luminance)
 
 
-def _reference_of_both(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
-    pullback = torch.func.vjp(lambda x, y: _reference(x, y, *plain), x, y.expand_as(x))[1]
-    grad_x, grad_y = pullback(grad)
-    return grad_x, grad_y
+def _both_gradients(reference: Callable[..., Tensor]) -> Callable[..., tuple[Tensor, Tensor]]:
+    """The gradients of `reference` to both images, as an operator's reference."""
+
+    def gradients(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
+        pullback = torch.func.vjp(lambda x, y: reference(x, y, *plain), x, y.expand_as(x))[1]
+        grad_x, grad_y = pullback(grad)
+        return grad_x, grad_y
+
+    return gradients
 
 
-def _backward(needs, grad, x, y, *plain):
-    grad_x = grad_y = None
-    if needs[0] and needs[1]:
-        grad_x, grad_y = _ssim_backward_both(grad, x, y, *plain)
-    elif needs[0]:
-        grad_x = _ssim_backward(grad, x, y, *plain)
-    else:
-        grad_y = _ssim_backward(grad, y.expand_as(x), x, *plain)  # it is symmetric
-    if grad_y is not None and y.shape != x.shape:  # one serves all
-        grad_y = grad_y.sum(0, keepdim=True)
-    return [grad_x, grad_y]
+def _backward(one: Operator, both: Operator) -> Callable[..., list[Tensor | None]]:
+    """The backward rule from the operators of the gradients to the first image and to both."""
+
+    def backward(needs, grad, x, y, *plain):
+        grad_x = grad_y = None
+        if needs[0] and needs[1]:
+            grad_x, grad_y = both(grad, x, y, *plain)
+        elif needs[0]:
+            grad_x = one(grad, x, y, *plain)
+        else:
+            grad_y = one(grad, y.expand_as(x), x, *plain)  # it is symmetric
+        if grad_y is not None and y.shape != x.shape:  # one serves all
+            grad_y = grad_y.sum(0, keepdim=True)
+        return [grad_x, grad_y]
+
+    return backward
 
 
 def _size(x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, _: bool) -> Any:
@@ -79,9 +89,15 @@ def _size(x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, e
     return (b, c, h - size + 1, w - size + 1) if border == "valid" else x.shape
 
 
-_ssim_backward = register("ssim_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
-_ssim_backward_both = register("ssim_backward_both", _reference_of_both, fake=lambda grad, x, *_: [x.shape, x.shape])
-_ssim = register("ssim", _reference, fake=_size, backward=_backward)
+_ssim = register(
+    "ssim",
+    _reference,
+    fake=_size,
+    backward=_backward(
+        register("ssim_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape),
+        register("ssim_backward_both", _both_gradients(_reference), fake=lambda grad, x, *_: [x.shape, x.shape]),
+    ),
+)
 
 
 def _loss_reference(
@@ -103,40 +119,23 @@ def _loss_reference(
     return structure * (1 - similar).sum((1, 2, 3)) + absolute * (x - y).abs().sum((1, 2, 3))
 
 
-def _loss_reference_of_both(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
-    pullback = torch.func.vjp(lambda x, y: _loss_reference(x, y, *plain), x, y.expand_as(x))[1]
-    grad_x, grad_y = pullback(grad)
-    return grad_x, grad_y
-
-
-def _loss_backward(needs, grad, x, y, *plain):
-    grad_x = grad_y = None
-    if needs[0] and needs[1]:
-        grad_x, grad_y = _ssim_loss_backward_both(grad, x, y, *plain)
-    elif needs[0]:
-        grad_x = _ssim_loss_backward(grad, x, y, *plain)
-    else:
-        grad_y = _ssim_loss_backward(grad, y.expand_as(x), x, *plain)
-    if grad_y is not None and y.shape != x.shape:
-        grad_y = grad_y.sum(0, keepdim=True)
-    return [grad_x, grad_y]
-
-
 def _like(x: Tensor) -> Tensor:
     return torch.empty_like(x, memory_format=torch.contiguous_format)
 
 
-_ssim_loss_backward = register(
-    "ssim_loss_backward", vjp(_loss_reference), fake=lambda grad, x, *_: _like(x), stores=True
-)
-_ssim_loss_backward_both = register(
-    "ssim_loss_backward_both", _loss_reference_of_both, fake=lambda grad, x, *_: [_like(x), _like(x)], stores=True
-)
 _ssim_loss = register(
     "ssim_loss",
     _loss_reference,
     fake=lambda x, *_: x.new_empty(x.shape[:1], dtype=compute_dtype(x)),
-    backward=_loss_backward,
+    backward=_backward(
+        register("ssim_loss_backward", vjp(_loss_reference), fake=lambda grad, x, *_: _like(x), stores=True),
+        register(
+            "ssim_loss_backward_both",
+            _both_gradients(_loss_reference),
+            fake=lambda grad, x, *_: [_like(x), _like(x)],
+            stores=True,
+        ),
+    ),
     stores=True,
 )
 
@@ -153,16 +152,20 @@ def dissimilarity(
     absolute: float = 0.0,
 ) -> Tensor:
     """Over all pixels of images (B, C, H, W) the sums of 1 - similarity and of abs(x - y), each times its weight."""
-    if x.shape[0] == 0 or x.shape[1] == 0:
+    b, c, h, w = x.shape
+    if b == 0 or c == 0:
         return structure * x.sum()  # of nothing; of which the mean is NaN
-    planes = (1, -1, *x.shape[2:])
-    a, b = x.reshape(planes), y.to(x.dtype).reshape(planes)
-    if not x.is_cuda or _has_kernel(a, size):
-        loss = _ssim_loss(a, b, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
+    dtype = x.dtype
+    if y.dtype != dtype:
+        y = y.to(dtype)
+    if b > 1:
+        x, y = x.reshape(1, -1, h, w), y.reshape(1, -1, h, w)
+    if not x.is_cuda or _has_kernel(x, size):
+        loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
     else:
-        similar = _composed(a, b, size, SIGMA, c1, c2, eps, border, True)
-        loss = structure * (1 - similar).sum() + absolute * (a - b).abs().sum()
-    return loss.to(x.dtype)
+        similar = _composed(x, y, size, SIGMA, c1, c2, eps, border, True)
+        loss = structure * (1 - similar).sum() + absolute * (x - y).abs().sum()
+    return loss if loss.dtype == dtype else loss.to(dtype)
 
 
 def similarity(
@@ -170,7 +173,7 @@ def similarity(
 ) -> Tensor:
     """The similarity of floating-point images (B, C, H, W); see `_reference`."""
     call = _ssim if not x.is_cuda or _has_kernel(x, size) else _composed
-    return call(x, y.to(x.dtype), size, sigma, c1, c2, eps, border, luminance)
+    return call(x, y if y.dtype == x.dtype else y.to(x.dtype), size, sigma, c1, c2, eps, border, luminance)
 
 
 def _has_kernel(x: Tensor, size: int) -> bool:
@@ -297,16 +300,18 @@ def _arguments(
 ) -> tuple[float, float, float, str]:
     """c1, c2, eps and the border."""
     _check.numbers(op, "img2", img2)
-    _check.same_shape(op, img1=img1, img2=img2)
-    _check.same_device(op, img1=img1, img2=img2)
+    if img1.shape != img2.shape:
+        _check.same_shape(op, img1=img1, img2=img2)
+    if img1.device != img2.device:
+        _check.same_device(op, img1=img1, img2=img2)
     _check.odd(op, "window_size", _check.ints(op, "window_size", size, 1))
     max_val = _check.number(op, "max_val", max_val)
     eps = _check.number(op, "eps", eps, minimum=0)
     _check.choice(op, "padding", padding, ("same", "valid"))
-    axes = img1.shape[2:]
-    if padding == "same":
-        _check.reflectable(op, img1, (size // 2,) * len(axes), "reflect")
-    elif min(axes) < size:
+    least = min(img1.shape[2:])
+    if padding == "same" and least <= size // 2:
+        _check.reflectable(op, img1, (size // 2,) * (img1.dim() - 2), "reflect")
+    elif padding == "valid" and least < size:
         raise ShapeError(
             f"{op}: expected images no smaller than the window of {size}, got {tuple(img1.shape)}",
             actual_shape=img1.shape,

@@ -56,7 +56,8 @@ def _backward(needs, grad, _, loss, slope, source, target, matrix, *how):
     if needs[0] or needs[1]:
         of_source, of_target = _image_gradients(grad, source, target, matrix, *how)
     if needs[2]:
-        of_matrix = (grad[:, None, None] * slope).sum_to_size(matrix.shape)
+        of_matrix = slope * (grad if len(grad) == 1 else grad.view(-1, 1, 1))  # each step costs as much as the kernel
+        of_matrix = of_matrix if len(matrix) == len(slope) else of_matrix.sum_to_size(matrix.shape)
     return [of_source if needs[0] else None, of_target if needs[1] else None, of_matrix]
 
 

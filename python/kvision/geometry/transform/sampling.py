@@ -116,13 +116,13 @@ def places_of(
     if normalized:
         wide = from_unit(source, align_corners, wide) @ wide @ to_unit(output, align_corners, wide)
     wide = wide / _scale(wide.detach())
-    (h, w), m = output, wide.to(matrix.dtype)[..., None, None]
-    x = torch.arange(w, dtype=matrix.dtype, device=matrix.device)
-    y = torch.arange(h, dtype=matrix.dtype, device=matrix.device)[:, None]
+    (h, w), m = output, wide[..., None, None]
+    x = torch.arange(w, dtype=wide.dtype, device=wide.device)
+    y = torch.arange(h, dtype=wide.dtype, device=wide.device)[:, None]
     u, v, depth = (m[:, i, 0] * x + (m[:, i, 1] * y + m[:, i, 2]) for i in range(3))
     horizon = depth == 0
     depth = torch.where(horizon, 1, depth)
-    return [torch.where(horizon, torch.nan, u / depth), torch.where(horizon, torch.nan, v / depth)]
+    return [torch.where(horizon, torch.nan, x / depth).to(matrix.dtype) for x in (u, v)]
 
 
 def _scale(m: Tensor) -> Tensor:

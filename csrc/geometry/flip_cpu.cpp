@@ -1,4 +1,4 @@
-// Flips on the CPU: a vector at a time, whatever its bits are.
+// Flips and windows on the CPU: a vector at a time, whatever its bits are.
 #include <cstring>
 
 #include "core/lanes.h"
@@ -57,18 +57,32 @@ void reverse_pixels(T const* from, T* to, int64_t size, int64_t step, T* line) {
   memcpy(to, reversed, size_t(size) * sizeof(T));
 }
 
+// Elements left ... of a row of `in_size`, and zeros beyond it.
+template <class T>
+void copy_window(T const* from, int64_t in_size, int64_t left, T* to, int64_t size) {
+  int64_t const begin = clamp(-left, int64_t(0), size), end = clamp(in_size - left, begin, size);
+  memset(to, 0, size_t(begin) * sizeof(T));
+  memcpy(to + begin, from + left + begin, size_t(end - begin) * sizeof(T));
+  memset(to + end, 0, size_t(size - end) * sizeof(T));
+}
+
 }  // namespace
 
 template <class T>
 void flip(Flip<T> const& p, int64_t begin, int64_t end) {
-  int64_t const step = p.x.step, size = p.x.row_size(), height = p.x.height;
-  Scratch<T> line(step == 1 ? 0 : 2 * size);
+  int64_t const step = p.x.step, size = p.y.row_size(), height = p.y.height;
+  Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, y = r - plane * height;
-    T const* const from = p.x.row(plane, p.rows ? height - 1 - y : y);
+    int64_t const source = p.rows ? height - 1 - y : y + p.top;
     T* const to = p.y.row(plane, y);
+    if (source < 0 || source >= p.x.height) {
+      memset(to, 0, size_t(size) * sizeof(T));
+      continue;
+    }
+    T const* const from = p.x.row(plane, source);
     if (!p.columns)
-      memcpy(to, from, size_t(size) * sizeof(T));
+      copy_window(from, p.x.row_size(), p.left * step, to, size);
     else if (step == 1)
       reverse_row(from, to, size);
     else if (step == 3)

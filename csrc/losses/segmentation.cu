@@ -362,7 +362,7 @@ int focal(Focal<T> const& p, CUstream_st* stream) {
     return launch<F>(find_focal<T, P>, p, p.pieces, P, 0, stream);
   });
   if (error || p.map) return error;
-  Finish<F> const plain{F(0), F(1), false};
+  Finish<F> const plain{F(1), F(0)};
   finish_sums<<<unsigned(p.logits.losses), kSumThreads, 0, stream>>>(p.partial, p.logits.batch * p.pieces, plain,
                                                                      p.sums);
   return cudaGetLastError();

@@ -152,7 +152,7 @@ Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> con
         data<F>(partial), summed ? data<F>(loss) : nullptr};
     KV_RUN(focal, pred, params, samples * pieces, x.cost());
 #if !defined(KV_CUDA)
-    if (summed) add_pieces(params.partial, x.losses, x.batch * pieces, Finish<F>{F(0), F(1), false}, params.sums);
+    if (summed) add_pieces(params.partial, x.losses, x.batch * pieces, Finish<F>{F(1), F(0)}, params.sums);
 #endif
   });
   return loss;

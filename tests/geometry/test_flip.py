@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import kvision as K
+from kvision.geometry.transform.crop import _window
 from op_tests import OpTests
 
 G = K.geometry
@@ -49,14 +50,35 @@ class TestRot180(FlipTests):
     axes = (-2, -1)
 
 
+class TestWindow(OpTests):
+    """The operator behind crops of whole pixels and their gradients."""
+
+    function = staticmethod(lambda x, corner, size: _window(x, corner, size))
+    operators = ("window",)
+    bytes = True
+    max_size = 7
+    variants = [{"corner": [0, -1], "size": [2, 5]}, {"corner": [-1, 0], "size": [9, 4]}]
+    tolerances = FlipTests.tolerances
+    test_wrong_kinds = test_other_integers_become_float32 = None  # of public functions
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.uint8], ids=str)
 def test_crops_of_whole_pixels_are_slices(dtype, device):
     x = (torch.rand(2, 3, 40, 56, device=device) * 255).to(dtype)
-    for size in ((8, 16), (20, 40), (2, 2), (40, 56)):
+    for size in ((8, 16), (20, 40), (2, 2), (18, 30), (40, 56)):
         h, w = size
         y0, x0 = (40 - h) // 2, (56 - w) // 2
         found = G.center_crop(x, size)
         assert torch.equal(found, x[..., y0 : y0 + h, x0 : x0 + w]) and found.is_contiguous()
         last = x.contiguous(memory_format=torch.channels_last)
         assert torch.equal(G.center_crop(last, size), found)
+        if dtype != torch.uint8:
+            x.requires_grad_()
+            weights = torch.rand_like(found)
+            (grad,) = torch.autograd.grad(G.center_crop(x, size), x, weights)
+            x.requires_grad_(False)
+            assert (
+                torch.equal(grad[..., y0 : y0 + h, x0 : x0 + w], weights)
+                and grad.count_nonzero() == weights.count_nonzero()
+            )
     assert G.center_crop(x, (40, 56)).data_ptr() != x.data_ptr()

@@ -13,7 +13,6 @@ from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.bbox import validate_bbox
 from kvision.geometry.transform import matrices, sampling
-from kvision.geometry.transform.flip import flipped
 from kvision.geometry.transform.resize import resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
 
@@ -37,6 +36,26 @@ def _crop_matrix_reference(quads, size):
 
 
 _crop_matrix = register("crop_matrix", _crop_matrix_reference, fake=lambda quads, size: (quads.shape[0], 3, 3))
+
+
+def _window_reference(input, corner, size):
+    (y, x), (h, w), (height, width) = corner, size, input.shape[2:]
+    return F.pad(input, (-x, x + w - width, -y, y + h - height))
+
+
+def _window_backward(needs, grad, sizes, corner, size):
+    return [_window(grad, [-c for c in corner], list(sizes[2:]))]
+
+
+# The pixels of a rectangle, zeros where it reaches outside. The transpose puts them where they came from.
+_window = register(
+    "window",
+    _window_reference,
+    fake=lambda input, corner, size: (*input.shape[:2], *size),
+    backward=_window_backward,
+    linear=True,
+    bytes=True,
+)
 
 
 def crop_and_resize(
@@ -203,8 +222,7 @@ def center_crop(
     images = pixels(input_tensor)
     y, x = images.shape[2] - h, images.shape[3] - w
     if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
-        part = images[..., y // 2 : y // 2 + h, x // 2 : x // 2 + w]
-        return flipped(part, False, False) if part.stride(3) == 1 else part.clone()
+        return _window(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
     matrix = torch.eye(2, 3, dtype=compute_dtype(images), device=images.device)[None]
     matrix[:, 0, 2], matrix[:, 1, 2] = x / 2, y / 2

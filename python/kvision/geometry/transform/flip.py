@@ -20,7 +20,6 @@ def _backward(needs, grad, sizes, columns, rows):
     return [flipped(grad, columns, rows)]
 
 
-# Without either it is a copy, of a part of an image for instance.
 flipped = register("flip", _reference, backward=_backward, linear=True, bytes=True)
 
 

@@ -80,7 +80,7 @@ __global__ void matrix_samples(Warp3dMatrix<F> p) {
     for (int i = 0; i < 16; ++i) sums[i] += p.sums[(b * p.parts + part) * 16 + i];
   add_block(sums, total);
   __syncthreads();
-  if (threadIdx.x == 0) homography3_vjp(p.matrices + b * p.matrix_stride, p.use, total, p.grad + b * 16);
+  if (threadIdx.x == 0) homography3_vjp(p.matrices + b * p.matrix_stride, p.use, total, p.grad + b * 4 * p.use.rows);
 }
 
 // Calls run with the number of taps along an axis, as a type.

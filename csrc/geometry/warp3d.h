@@ -12,8 +12,9 @@ struct Size3 {
   KV_HD int64_t along(int axis) const { return axis == 0 ? width : axis == 1 ? height : depth; }
 };
 
-// What a caller's matrix (4, 4) means, as MatrixUse.
+// What a caller's matrix means, as MatrixUse.
 struct MatrixUse3 {
+  int rows;  // 4, or 3 for an affine one
   bool inverse, normalized, align_corners;
   Size3 source, output;
 };
@@ -51,7 +52,7 @@ struct Warp3dSlopes : Warp3d<T> {};
 // Adds the parts up and takes them to the matrices.
 template <class T>
 struct Warp3dMatrix : Warp3d<T> {
-  T* grad;  // (B, 4, 4)
+  T* grad;  // (B, rows, 4)
 };
 
 KV_KERNEL(warp3d, Warp3dValue)
@@ -151,11 +152,20 @@ struct Homography3 {
   }
 };
 
+namespace matrix {
+
+template <class F>
+KV_HD void load4(F const* given, int rows, double* m) {
+  for (int i = 0; i < 16; ++i) m[i] = i < 4 * rows ? double(given[i]) : i == 15;
+}
+
+}  // namespace matrix
+
 // From voxels of the output to voxels of the source.
 template <class F>
 KV_HD Homography3<F> homography3(F const* given, MatrixUse3 const& use) {
   double m[16], inverse[16];
-  for (int i = 0; i < 16; ++i) m[i] = double(given[i]);
+  matrix::load4(given, use.rows, m);
   if (use.inverse) {
     matrix::invert4(m, inverse);
     for (int i = 0; i < 16; ++i) m[i] = inverse[i];
@@ -169,14 +179,14 @@ KV_HD Homography3<F> homography3(F const* given, MatrixUse3 const& use) {
 template <class F>
 KV_HD void homography3_vjp(F const* given, MatrixUse3 const& use, double* g, F* grad) {
   double m[16], inverse[16], to_given[16];
-  for (int i = 0; i < 16; ++i) m[i] = double(given[i]);
+  matrix::load4(given, use.rows, m);
   if (use.normalized) matrix::to_voxels_vjp(g, use);
   if (use.inverse) {
     matrix::invert4(m, inverse);
     matrix::invert4_vjp(inverse, g, to_given);
     g = to_given;
   }
-  for (int i = 0; i < 16; ++i) grad[i] = F(g[i]);
+  for (int i = 0; i < 4 * use.rows; ++i) grad[i] = F(g[i]);
 }
 
 // What a voxel of the output, whose place has the gradient `to_place`, gives to the sums of its matrix.

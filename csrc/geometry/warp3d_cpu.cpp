@@ -86,7 +86,7 @@ void warp3d_matrix(Warp3dMatrix<T> const& p, int64_t begin, int64_t end) {
     double sums[16] = {};
     for (int64_t part = b * p.parts; part < (b + 1) * p.parts; ++part)
       for (int i = 0; i < 16; ++i) sums[i] += p.sums[part * 16 + i];
-    homography3_vjp(p.matrices + b * p.matrix_stride, p.use, sums, p.grad + b * 16);
+    homography3_vjp(p.matrices + b * p.matrix_stride, p.use, sums, p.grad + b * 4 * p.use.rows);
   }
 }
 

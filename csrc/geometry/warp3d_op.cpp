@@ -38,9 +38,9 @@ struct Warp {
         matrix(dense(matrix)),
         interpolation(interpolation_of(op, interpolation)),
         padding(padding_of(op, padding)),
-        use{inverse, normalized, align_corners, source, output} {
+        use{int(matrix.size(1)), inverse, normalized, align_corners, source, output} {
     KV_CHECK(this->interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
-    KV_CHECK(goes_with(matrix, volumes, 3) && matrix.size(1) == 4 && matrix.size(2) == 4, op,
+    KV_CHECK(goes_with(matrix, volumes, 3) && (matrix.size(1) == 3 || matrix.size(1) == 4) && matrix.size(2) == 4, op,
              ": matrix does not fit the volumes");
   }
   int64_t batch() const { return volumes.size(0); }
@@ -50,7 +50,7 @@ struct Warp {
     return {interpolation,
             padding,
             data_of<Compute<T> const>(matrix),
-            matrix.size(0) == 1 ? 0 : 16,
+            matrix.size(0) == 1 ? 0 : 4 * use.rows,
             use,
             data_of<T>(x),
             data_of<T>(y),
@@ -105,7 +105,7 @@ Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor 
   Tensor const y = dense(grad);
   int64_t const parts = parts_of(w.use.output);
   Tensor const sums = empty({w.batch(), parts, 16}, grad, Layout::planar, ScalarType::Double);
-  Tensor const grad_matrix = empty({w.batch(), 4, 4}, w.matrix);
+  Tensor const grad_matrix = empty({w.batch(), w.use.rows, 4}, w.matrix);
   for_computed(op, volumes, [&](auto type) {
     using F = typename decltype(type)::type;
     Warp3dSlopes<F> slopes{w.of<F>(w.volumes, y)};

@@ -85,7 +85,7 @@ def warp_affine3d(
     """
     _check.volumes("warp_affine3d", "src", src)
     _check.shape("warp_affine3d", "M", M, "B", 3, 4)
-    return _warp("warp_affine3d", src, homogeneous(M), dsize, flags, padding_mode, align_corners)
+    return _warp("warp_affine3d", src, M, dsize, flags, padding_mode, align_corners)
 
 
 def affine3d(
@@ -101,7 +101,7 @@ def affine3d(
     volumes = _volumes("affine3d", tensor)
     _check.shape("affine3d", "matrix", matrix, "B", 3, 4)
     size = tuple(volumes.shape[2:])
-    result = _warp("affine3d", volumes, homogeneous(matrix), size, mode, padding_mode, align_corners)
+    result = _warp("affine3d", volumes, matrix, size, mode, padding_mode, align_corners)
     return result[0] if tensor.dim() == 4 else result
 
 
@@ -247,6 +247,7 @@ def _warp(
 
 def _reference(volumes, matrix, size, interpolation, padding, align_corners, inverse, normalized):
     m = matrices.wide(matrix)
+    m = homogeneous(m) if m.shape[1] == 3 else m
     if inverse:
         m = torch.linalg.inv_ex(m)[0]
     if normalized:
@@ -294,7 +295,7 @@ def _volume_gradient_reference(grad, matrix, size, *how):
 
 
 def _volume_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
-    found = _volume_gradient.differentiate_reference((False, needs[1]), grad_grad, grad, matrix, size, *how)
+    found = _volume_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
     if needs[0]:
         found[0] = _warp3d(grad_grad, matrix, list(grad.shape[2:]), *how)
     return found
@@ -323,5 +324,5 @@ _volume_gradient = register(
 _matrix_gradient = register(
     "warp3d_matrix_gradient",
     _matrix_gradient_reference,
-    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(len(volumes), 4, 4),
+    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(len(volumes), *matrix.shape[1:]),
 )

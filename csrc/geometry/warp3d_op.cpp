@@ -38,10 +38,11 @@ struct Warp {
         matrix(dense(matrix)),
         interpolation(interpolation_of(op, interpolation)),
         padding(padding_of(op, padding)),
-        use{int(matrix.size(1)), inverse, normalized, align_corners, source, output} {
+        use{0, inverse, normalized, align_corners, source, output} {
     KV_CHECK(this->interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
     KV_CHECK(goes_with(matrix, volumes, 3) && (matrix.size(1) == 3 || matrix.size(1) == 4) && matrix.size(2) == 4, op,
              ": matrix does not fit the volumes");
+    use.rows = int(matrix.size(1));
   }
   int64_t batch() const { return volumes.size(0); }
   int64_t channels() const { return volumes.size(1); }

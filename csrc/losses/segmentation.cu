@@ -9,7 +9,7 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = 128;      // of a block, or a half or a quarter, so that it takes
-constexpr int kBytes = 48 * 1024;  // of shared memory, or more with many classes
+constexpr int kBytes = 76 * 1024;  // of shared memory, or more with many classes
 constexpr int kAtOnce = 8;         // classes whose memory a thread asks for before it waits
 constexpr int kFinishThreads = 1024;
 
@@ -19,6 +19,10 @@ struct Math {
   __device__ __forceinline__ float log(float x) const { return logf(x); }
   __device__ __forceinline__ double log(double x) const { return ::log(x); }
 };
+
+// The larger one, or the one that is no NaN, which its exponential still is.
+__device__ __forceinline__ float largest(float a, float b) { return fmaxf(a, b); }
+__device__ __forceinline__ double largest(double a, double b) { return fmax(a, b); }
 
 // A thread's P pixels of a sample: their labels, how much they count, and their column of shared memory.
 template <class T, int P>
@@ -49,28 +53,46 @@ struct Pixels {
     T const* from = logits.sample(sample) + place;
 #pragma unroll
     for (int i = 0; i < P; ++i) most[i] = -F(INFINITY);
+#pragma unroll 1
     for (int c = 0; c < classes; c += kAtOnce, from += kAtOnce * logits.pixels) {
       Pack<T, P> packs[kAtOnce];
 #pragma unroll
       for (int k = 0; k < kAtOnce; ++k)
-        if (c + k < classes) packs[k] = *reinterpret_cast<Pack<T, P> const*>(from + k * logits.pixels);
+        packs[k] = *reinterpret_cast<Pack<T, P> const*>(from + min(k, classes - 1 - c) * logits.pixels);
 #pragma unroll
-      for (int k = 0; k < kAtOnce; ++k)
-        if (c + k < classes) {
-          Pack<F, P> x;
+      for (int k = 0; k < kAtOnce; ++k) {
+        Pack<F, P> x;
 #pragma unroll
-          for (int i = 0; i < P; ++i) x.v[i] = read(packs[k].v[i]), most[i] = x.v[i] > most[i] ? x.v[i] : most[i];
-          set(c + k, x);
-        }
+        for (int i = 0; i < P; ++i) x.v[i] = read(packs[k].v[i]), most[i] = largest(x.v[i], most[i]);
+        set(min(c + k, classes - 1), x);  // the last class again rather than a branch
+      }
     }
 #pragma unroll
     for (int i = 0; i < P; ++i) {
       label[i] = logits.class_of(labels.v[i]), counts[i] = logits.counts(labels.v[i]);
       if (counts[i] == 0) {
         most[i] = 0;
+#pragma unroll 1
         for (int c = 0; c < classes; ++c) at(c, i) = 0;
       }
     }
+  }
+
+  // Calls f(first class, packs) for the columns of all classes, four at a time, so that a thread waits once for them.
+  template <class Call>
+  __device__ __forceinline__ void for_each_class(Call f) const {
+    int c = 0;
+    auto const call = [&](auto count) {
+      Pack<F, P> packs[decltype(count)::value];
+#pragma unroll
+      for (int k = 0; k < decltype(count)::value; ++k) packs[k] = get(c + k);
+      f(c, packs);
+      c += decltype(count)::value;
+    };
+#pragma unroll 1
+    while (c + 4 <= int(logits.classes)) call(std::integral_constant<int, 4>{});
+#pragma unroll 1
+    while (c < int(logits.classes)) call(std::integral_constant<int, 1>{});
   }
 
   // Logits to their exponentials over the largest one, each of which is given to f(class, pack) as well.
@@ -78,14 +100,15 @@ struct Pixels {
   __device__ __forceinline__ void exponentiate(Call f) {
 #pragma unroll
     for (int i = 0; i < P; ++i) sum[i] = 0;
-#pragma unroll 2
-    for (int c = 0; c < int(logits.classes); ++c) {
-      Pack<F, P> e = get(c);
+    for_each_class([&](int c, auto& packs) {
+      constexpr int N = sizeof(packs) / sizeof(*packs);
 #pragma unroll
-      for (int i = 0; i < P; ++i) e.v[i] = Math{}.exp(e.v[i] - most[i]), sum[i] += e.v[i];
-      set(c, e);
-      f(c, e);
-    }
+      for (int k = 0; k < N; ++k)
+#pragma unroll
+        for (int i = 0; i < P; ++i) packs[k].v[i] = Math{}.exp(packs[k].v[i] - most[i]), sum[i] += packs[k].v[i];
+#pragma unroll
+      for (int k = 0; k < N; ++k) set(c + k, packs[k]), f(c + k, packs[k]);
+    });
   }
 };
 
@@ -110,6 +133,7 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
   int64_t const sample = blockIdx.x / p.pieces, piece = blockIdx.x - sample * p.pieces;
   Pixels<T, P> pixels(p.logits, shared);
   F* const sums = reinterpret_cast<F*>(shared) + classes * pixels.stride;  // (3, classes, threads)
+#pragma unroll 1
   for (int i = 0; i < 3 * classes; ++i) sums[i * threads + threadIdx.x] = 0;
 
   for_each_pack<P>(p.logits, sample, piece, [&](int64_t sample, int64_t place) {
@@ -123,14 +147,19 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
       sums[own] += pixels.at(pixels.label[i], i) * scale[i];
       sums[own + 2 * classes * threads] += pixels.counts[i];
     }
-#pragma unroll 4
-    for (int c = 0; c < classes; ++c) {
-      Pack<F, P> const e = pixels.get(c);
-      F sum = 0;
+    pixels.for_each_class([&](int c, auto& packs) {
+      constexpr int N = sizeof(packs) / sizeof(*packs);
+      F* const to = sums + (classes + c) * threads + threadIdx.x;
+      F all[N];
 #pragma unroll
-      for (int i = 0; i < P; ++i) sum += e.v[i] * scale[i];
-      sums[(classes + c) * threads + threadIdx.x] += sum;
-    }
+      for (int k = 0; k < N; ++k) all[k] = to[k * threads];
+#pragma unroll
+      for (int k = 0; k < N; ++k)
+#pragma unroll
+        for (int i = 0; i < P; ++i) all[k] += packs[k].v[i] * scale[i];
+#pragma unroll
+      for (int k = 0; k < N; ++k) to[k * threads] = all[k];
+    });
   });
   __syncthreads();
   for (int i = threadIdx.x / 32; i < 3 * classes; i += threads / 32) {
@@ -325,7 +354,7 @@ int launch(void (*kernel)(Params, More...), Params const& p, int64_t pieces, int
   int threads = kThreads;
   auto const bytes = [&] { return int(classes * sizeof(F) * (threads * numbers + more)); };
   while (threads > 32 && bytes() > kBytes) threads /= 2;
-  if (bytes() > kBytes)
+  if (bytes() > 48 * 1024)
     if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes())) return error;
   kernel<<<unsigned(p.logits.samples() * pieces), threads, bytes(), stream>>>(p, arguments...);
   return cudaGetLastError();

@@ -28,7 +28,7 @@ struct Logits {
   KV_HD int class_of(int64_t label) const { return int(clamp(label, int64_t(0), classes - 1)); }
 };
 
-constexpr int kPiece = 2048;  // pixels that are summed together
+constexpr int kPiece = 4096;  // pixels that are summed together
 
 // --- how much regions overlap
 // --------------------------------------------------------------------------------------------------------------------

@@ -375,30 +375,18 @@ __device__ __forceinline__ void for_each_tap(Planes<T const> const& x, Window<Co
   }
 }
 
-// Each of the three says how it serves one element by taps, and for flat windows of planar images where the window
-// stands, what of a pixel goes into it, and what becomes of that.
+// Each of the three says how it serves one element by taps; those of the gradient also for flat windows of planar
+// images where the window stands, what of a pixel goes into it, and what becomes of that.
 template <class T>
 struct Maximum {
   using F = Compute<T>;
-  using Value = F;
   Dilation<T> p;
 
   KV_HD Planes<T const> const& image() const { return p.x; }
-  KV_HD int top() const { return p.window.top; }
-  KV_HD int left() const { return p.window.left; }
-
-  __device__ __forceinline__ Value outside() const { return p.window.value * p.window.sign(); }
-  __device__ __forceinline__ T const* source(int64_t plane) const { return p.x.plane(plane); }
-  __device__ __forceinline__ Value load(T const* plane, int y, int x) const {
-    return read(plane[y * p.x.row_stride + x]) * p.window.sign();
-  }
-  __device__ __forceinline__ void store(Element const& e, Value most) const {
-    p.y.row(e.plane, e.row)[e.at] = round_to<T>(most * p.window.sign());
-  }
   __device__ __forceinline__ void by_taps(Element const& e) const {
     F most = minus_infinity<F>();
     for_each_tap<T>(p.x, p.window, p.planes, e, [&](F value) { most = join(most, value); });
-    store(e, most);
+    p.y.row(e.plane, e.row)[e.at] = round_to<T>(most * p.window.sign());
   }
 };
 
@@ -487,10 +475,6 @@ __global__ void __launch_bounds__(kThreads) by_taps(__grid_constant__ Job const 
 // --------------------------------------------------------------------------------------------------------------------
 
 constexpr int kTileWidth = 128, kLargestTile = 256;  // of a window
-template <class Value>
-constexpr int kTileHeight = sizeof(Value) == 4 ? 64 : 32;
-// Windows that a thread takes at once. Along x it is odd, so that the threads of a warp read different banks.
-constexpr int kDown = 8, kAcross = 7;
 
 // What the `size` elements from 0, from 1, ... from N - 1 on make: they have those from N - 1 to size - 1 in common.
 template <int N, class Read, class Write>
@@ -513,16 +497,112 @@ __device__ __forceinline__ void join_windows(int size, Read read, Write write) {
   }
 }
 
-constexpr int tile_stride(int window) { return kTileWidth + kAcross + window; }
-
 // Calls f(position, group) for all groups of N of `count` neighbours at `positions` places, by the threads of a block.
 template <class Call>
 __device__ __forceinline__ void for_each_group(int positions, int groups, Call f) {
-  for (int i = threadIdx.x; i < positions * groups; i += kThreads) {
+  for (int i = threadIdx.x; i < positions * groups; i += int(blockDim.x)) {
     int const group = i / positions;
     f(i - group * positions, group);
   }
 }
+
+// Calls f(N) with how many neighbouring windows of `size` elements a thread takes at once.
+template <class Call>
+__device__ __forceinline__ void with_group(int size, Call f) {
+  if (size >= 15)
+    f(std::integral_constant<int, 15>{});
+  else if (size >= 7)
+    f(std::integral_constant<int, 7>{});
+  else if (size >= 3)
+    f(std::integral_constant<int, 3>{});
+  else
+    f(std::integral_constant<int, 1>{});
+}
+
+// Whether the window of a sample is flat, by all threads of a block.
+template <class F>
+__device__ __forceinline__ bool is_flat(Window<F> const& window, int64_t sample) {
+  bool flat = true;
+  for (int i = threadIdx.x; i < window.height * window.width; i += int(blockDim.x))
+    flat = flat && window.offset(sample, i) == 0;
+  return __syncthreads_and(flat);
+}
+
+// Two groups of rows: for windows of 15 x 15 pixels each thread then takes one group along y and one along x.
+constexpr int kMaximaRows = 30, kMaximaThreads = 288, kMaximaStride = kTileWidth + 1;
+// Odd strides, so that the threads of a warp, which take rows, read different banks. Groups may reach behind the last
+// column.
+constexpr int maxima_stride(int window) { return (kTileWidth + 15 + window) | 1; }
+
+// Beyond the image stands its rim, which every window that reaches there has anyway, and the value outside joins the
+// result at last.
+template <class T>
+__global__ void __launch_bounds__(kMaximaThreads, 4)
+    maxima_by_tiles(__grid_constant__ Dilation<T> const p, int across, int down) {
+  using F = Compute<T>;
+  extern __shared__ __align__(16) unsigned char bytes[];
+  Window<F> const& window = p.window;
+  int const height = int(p.x.height), width = int(p.x.width), stride = maxima_stride(window.width);
+  int64_t const line = blockIdx.x / across, plane = line / down;
+  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * kMaximaRows;
+  int const rows = min(kMaximaRows, height - y0), columns = min(kTileWidth, width - x0);
+  auto const for_each_pixel = [&](auto f) {
+    for (int i = threadIdx.x; i < kTileWidth * rows; i += kMaximaThreads)
+      if (i % kTileWidth < columns) f(i / kTileWidth, i % kTileWidth);
+  };
+  if (!is_flat(window, plane / p.planes)) {
+    for_each_pixel([&](int y, int x) { Maximum<T>{p}.by_taps(Element(plane, y0 + y, x0 + x)); });
+    return;
+  }
+
+  F* const along_y = reinterpret_cast<F*>(bytes);   // (rows, stride)
+  F* const found = along_y + kMaximaRows * stride;  // (rows, kMaximaStride)
+  F const sign = window.sign(), outside = window.value * sign;
+  int const top = y0 - window.top, left = x0 - window.left;
+  T const* const source = p.x.plane(plane);
+  with_group(window.height, [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
+    for_each_group(columns + window.width - 1, (rows + N - 1) / N, [&](int column, int group) {
+      T const* const from = source + clamp(left + column, 0, width - 1);
+      int const y = top + group * N;
+      join_windows<N>(
+          window.height, [&](int i) { return read(from[clamp(y + i, 0, height - 1) * p.x.row_stride]) * sign; },
+          [&](int j, F value) {
+            if (group * N + j < rows) along_y[(group * N + j) * stride + column] = value;
+          });
+    });
+  });
+  __syncthreads();
+  with_group(window.width, [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
+    for_each_group(rows, (columns + N - 1) / N, [&](int row, int group) {
+      F const* const from = along_y + row * stride + group * N;
+      join_windows<N>(
+          window.width, [&](int i) { return from[i]; },
+          [&](int j, F value) {
+            if (group * N + j < columns) found[row * kMaximaStride + group * N + j] = value;
+          });
+    });
+  });
+  __syncthreads();
+  bool const inside =
+      top >= 0 && left >= 0 && top + rows + window.height - 1 <= height && left + columns + window.width - 1 <= width;
+  bool const whole = inside || outside == minus_infinity<F>();
+  for_each_pixel([&](int y, int x) {
+    F most = found[y * kMaximaStride + x];
+    if (!whole && (top + y < 0 || left + x < 0 || top + y + window.height > height || left + x + window.width > width))
+      most = join(most, outside);
+    p.y.row(plane, y0 + y)[x0 + x] = round_to<T>(most * sign);
+  });
+}
+
+// --- the gradient of flat windows
+// --------------------------------------------------------------------------------------------------------------------
+
+constexpr int kTiesRows = 32;
+// Windows that a thread takes at once. Along x it is odd, so that the threads of a warp read different banks.
+constexpr int kDown = 8, kAcross = 7;
+constexpr int tile_stride(int window) { return kTileWidth + kAcross + window; }
 
 template <class Job>
 __global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const job, int across, int down) {
@@ -532,26 +612,22 @@ __global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const
   auto const& image = job.image();
   int const height = int(image.height), width = int(image.width), stride = tile_stride(window.width);
   int64_t const line = blockIdx.x / across, plane = line / down;
-  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * kTileHeight<Value>;
-  int const rows = min(kTileHeight<Value>, height - y0), columns = min(kTileWidth, width - x0);
+  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * kTiesRows;
+  int const rows = min(kTiesRows, height - y0), columns = min(kTileWidth, width - x0);
 
-  int64_t const sample = plane / job.p.planes;
-  bool flat = true;
-  for (int i = threadIdx.x; i < window.height * window.width; i += kThreads)
-    flat = flat && window.offset(sample, i) == 0;
   auto const for_each_pixel = [&](auto f) {
     for (int i = threadIdx.x; i < kTileWidth * rows; i += kThreads) {
       int const y = i / kTileWidth, x = i % kTileWidth;
       if (x < columns) f(Element(plane, y0 + y, x0 + x), y * kTileWidth + x);
     }
   };
-  if (!__syncthreads_and(flat)) {
+  if (!is_flat(window, plane / job.p.planes)) {
     for_each_pixel([&](Element const& e, int) { job.by_taps(e); });
     return;
   }
 
-  Value* const along_y = reinterpret_cast<Value*>(bytes);      // (rows, stride)
-  Value* const found = along_y + kTileHeight<Value> * stride;  // (rows, kTileWidth)
+  Value* const along_y = reinterpret_cast<Value*>(bytes);  // (rows, stride)
+  Value* const found = along_y + kTiesRows * stride;       // (rows, kTileWidth)
   auto const* const source = job.source(plane);
   int const top = y0 - job.top(), left = x0 - job.left();
   auto const go_down = [&](auto width_of_group) {
@@ -593,32 +669,50 @@ __global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const
 }
 
 // Doubles go by taps: tiles of theirs would take a quarter of the time that this file takes to compile.
+template <class T>
+bool has_tiles(Planes<T const> const& image, Window<Compute<T>> const& window) {
+  return sizeof(T) < 8 && image.step == 1 && max(window.height, window.width) <= kLargestTile;
+}
+
+// A kernel for tiles of so many rows.
+template <class Params, class Image>
+int launch_tiles(void (*kernel)(Params, int, int), Params const& params, Image const& image, int rows, int threads,
+                 int bytes, CUstream_st* stream) {
+  int const across = int(ceil_div(image.width, kTileWidth)), down = int(ceil_div(image.height, rows));
+  if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
+  kernel<<<unsigned(image.count() * across * down), threads, bytes, stream>>>(params, across, down);
+  return cudaGetLastError();
+}
+
 template <class Job>
-int launch(Job const& job, CUstream_st* stream) {
-  auto const& image = job.image();
-  auto const& window = job.p.window;
-  if constexpr (sizeof(typename Job::F) == 4) {
-    if (image.step == 1 && max(window.height, window.width) <= kLargestTile) {
-      int const across = int(ceil_div(image.width, kTileWidth)),
-                down = int(ceil_div(image.height, kTileHeight<typename Job::Value>));
-      int const bytes = int(sizeof(typename Job::Value)) * kTileHeight<typename Job::Value> *
-                        (tile_stride(window.width) + kTileWidth);
-      if (int error = cudaFuncSetAttribute(by_tiles<Job>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
-        return error;
-      by_tiles<<<unsigned(image.count() * across * down), kThreads, bytes, stream>>>(job, across, down);
-      return cudaGetLastError();
-    }
-  }
-  unsigned const blocks = unsigned(ceil_div(image.rows() * image.row_size(), kThreads));
+int launch_taps(Job const& job, CUstream_st* stream) {
+  unsigned const blocks = unsigned(ceil_div(job.image().rows() * job.image().row_size(), kThreads));
   by_taps<<<blocks, kThreads, 0, stream>>>(job);
   return cudaGetLastError();
+}
+
+template <class T, class Job>
+int launch_ties(Job const& job, CUstream_st* stream) {
+  if constexpr (sizeof(T) < 8)
+    if (has_tiles<T>(job.image(), job.p.window)) {
+      int const bytes = int(sizeof(typename Job::Value)) * kTiesRows * (tile_stride(job.p.window.width) + kTileWidth);
+      return launch_tiles(by_tiles<Job>, job, job.image(), kTiesRows, kThreads, bytes, stream);
+    }
+  return launch_taps(job, stream);
 }
 
 }  // namespace
 
 template <class T>
 int dilation(Dilation<T> const& p, CUstream_st* stream) {
-  if (p.x.step > 1 || !is_3x3(p.window)) return launch(Maximum<T>{p}, stream);
+  if (p.x.step > 1 || !is_3x3(p.window)) {
+    if constexpr (sizeof(T) < 8)
+      if (has_tiles<T>(p.x, p.window)) {
+        int const bytes = int(sizeof(Compute<T>)) * kMaximaRows * (maxima_stride(p.window.width) + kMaximaStride);
+        return launch_tiles(maxima_by_tiles<T>, p, p.x, kMaximaRows, kMaximaThreads, bytes, stream);
+      }
+    return launch_taps(Maximum<T>{p}, stream);
+  }
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
   with_alignment<T>(is_strip<kStrip>(p.x) && is_strip<kStrip>(p.y), [&](auto aligned) {
     dilation_3x3<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
@@ -629,8 +723,8 @@ int dilation(Dilation<T> const& p, CUstream_st* stream) {
 template <class T>
 int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
   if (p.found) {
-    if (int error = launch(FindTies<T>{p}, stream)) return error;
-    return launch(SumTies<T>{p}, stream);
+    if (int error = launch_ties<T>(FindTies<T>{p}, stream)) return error;
+    return launch_ties<T>(SumTies<T>{p}, stream);
   }
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
   bool const aligned = is_strip<kStrip>(p.x) && is_strip<kStrip>(p.grad) && is_strip<kStrip>(p.grad_x);

@@ -45,8 +45,9 @@ def _reference(
     factor = counts * torch.full_like(counts, other).masked_fill(index == 0, first)
     loss = (-factor * _power(-torch.expm1(log_p), gamma) * log_p).view(target.shape)
     if weight is not None:
-        index = index.view(losses, -1)
-        loss = loss * weight.expand(losses, -1).gather(1, index).view(target.shape)
+        # An index and not gather(), whose gradient is summed in any order on CUDA.
+        of_loss = classes * torch.arange(losses, device=pred.device).view(-1, 1, 1, 1)
+        loss = loss * weight.expand(losses, -1).flatten()[index.view(target.shape) + of_loss]
     return loss.sum((1, 2, 3)) if summed else loss
 
 

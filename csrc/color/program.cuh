@@ -62,7 +62,7 @@ constexpr int kTaken = int(kChunk<F> / kThreads);  // pixels of a thread, but tw
 template <class F, int C, int P>
 struct Values {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = false;
   F (&c)[C][P];
   F const* p;
 
@@ -89,11 +89,21 @@ struct Values {
 template <class F, int C, int P>
 struct Pullback {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = true;
   F const (&c)[C][P];
   F (&g)[C][P];
   F const* p;
 
+  template <class Formula>
+  __device__ __forceinline__ void each_pulled(Formula f) {
+#pragma unroll
+    for (int j = 0; j < P; ++j) {
+      F v[C], pulled[C];
+      for (int k = 0; k < C; ++k) v[k] = c[k][j], pulled[k] = g[k][j];
+      f(v, pulled, p);
+      for (int k = 0; k < C; ++k) g[k][j] = pulled[k];
+    }
+  }
   template <class Formula>
   __device__ __forceinline__ void each(Formula f) {
 #pragma unroll
@@ -127,7 +137,7 @@ struct Pullback {
 template <class F, int C, int P>
 struct Slope {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = true;
+  static constexpr bool kOfParameters = true, kPulls = false;
   F const (&c)[C][P];
   F const (&g)[C][P];
   F const* p;

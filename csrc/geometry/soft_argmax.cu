@@ -68,7 +68,8 @@ __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArg
 // --- windows around every pixel of images
 // ---------------------------------------------------------------------------------------------------------------
 
-constexpr int kRun = 4, kRows = 12, kStripThreads = 128;
+constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
+constexpr int kWide = 30 * kRun;     // columns of a strip: the warp's outermost threads only help their neighbours
 constexpr float kMostExponent = 24;  // of base 2, beside a strip's largest: rounding it costs 2e-6 of a weight
 
 template <class T>
@@ -77,97 +78,129 @@ Planes<T const> planes_of(SoftArgmax<T> const& p) {
   return {p.x, w.volumes, 1, w.voxels(), 0, w.size[2], w.size[1], w.size[2], 1};
 }
 
-// Weights are exponentials beside the largest number of the strip, so that all windows share them; where numbers are
-// too far apart for that each window takes its own.
-template <class T, int R>
-__global__ void __launch_bounds__(kStripThreads)
-    strips_down(__grid_constant__ SoftArgmax<T> const p, Planes<T const> const image, Strips<kRun> const strips) {
-  using F = Compute<T>;
-  constexpr int K = 2 * R + 1;
-  int64_t plane;
-  int x, y0;
-  if (!strips.place(plane, x, y0)) return;
-  int const height = int(image.height), width = int(image.width), y1 = min(y0 + int(strips.rows), height);
-  int const first = max(y0 - R, 0), last = min(y1 + R, height);
-  Strip<R, true, kRun> const strip(x, width, Border::replicate);
-  F most = -INFINITY, least = INFINITY;
-#pragma unroll 4
-  for (int y = first; y < last; ++y) {
-    F v[kRun + 2 * R];
-    strip.load(v, image.row(plane, y));
+// Four numbers of a thread and R of each neighbour's: sums of 2R + 1, and of these times how many are before them.
+template <int R>
+struct Across {
+  float v[kRun + 2 * R];
+  __device__ __forceinline__ explicit Across(float const (&own)[kRun]) {
 #pragma unroll
-    for (int i = 0; i < kRun + 2 * R; ++i) {  // NaN is left out
-      most = strip.inside ? ::fmax(most, v[i]) : most;
-      least = strip.inside ? ::fmin(least, v[i]) : least;
+    for (int i = 0; i < kRun; ++i) v[R + i] = own[i];
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      v[i] = __shfl_up_sync(0xffffffffu, own[kRun - R + i], 1);
+      v[R + kRun + i] = __shfl_down_sync(0xffffffffu, own[i], 1);
     }
   }
+  __device__ __forceinline__ float sum(int n) const {
+    float sum = v[n];
 #pragma unroll
-  for (int lane = 16; lane > 0; lane /= 2) {
-    most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, lane));
-    least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, lane));
+    for (int i = 1; i <= 2 * R; ++i) sum += v[n + i];
+    return sum;
   }
-  F const sharpness = F(kLog2E) / p.temperature;
-  if (!((most - least) * sharpness <= F(kMostExponent))) {
-    for (int y = y0; y < y1 && strip.inside; ++y)
+  __device__ __forceinline__ float moment(int n) const {
+    float sum = v[n + 1];
+#pragma unroll
+    for (int i = 2; i <= 2 * R; ++i) sum += v[n + i] * float(i);
+    return sum;
+  }
+};
+
+// Weights are exponentials beside the largest number of the strip, so that all windows share them: summed down columns
+// first, then along rows. Where numbers are too far apart for that each window takes its own.
+template <int R, bool Values>
+__global__ void __launch_bounds__(kStripThreads)
+    strips_down(__grid_constant__ SoftArgmax<float> const p, unsigned across, unsigned down, unsigned count) {
+  constexpr int K = 2 * R + 1;
+  unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
+  if (warp >= count) return;
+  unsigned const line = warp / across, plane = line / down;
+  int const x = int(warp - line * across) * kWide + (int(lane) - 1) * kRun, y0 = int(line - plane * down) * kRows;
+  int const height = p.windows.size[1], width = p.windows.size[2], y1 = min(y0 + kRows, height);
+  bool const there = x >= 0 && x < width, writes = there && lane > 0 && lane < 31;
+  int64_t const size = int64_t(height) * width;
+  float const* const image = p.x + plane * size + x;
+  float most = -INFINITY, least = INFINITY;
+#pragma unroll 4
+  for (int y = max(y0 - R, 0); y < min(y1 + R, height); ++y) {
+    if (!there) break;
+    Pack<float, kRun> const v = *reinterpret_cast<Pack<float, kRun> const*>(image + int64_t(y) * width);
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // NaN is left out
+  }
+#pragma unroll
+  for (int step = 16; step > 0; step /= 2) {
+    most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, step));
+    least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
+  }
+  float const sharpness = float(kLog2E) / p.temperature;
+  if (!((most - least) * sharpness <= kMostExponent)) {
+    for (int y = y0; y < y1 && writes; ++y)
       for (int n = 0; n < kRun; ++n) one_window(p, plane, 0, y, x + n);
     return;
   }
-  // Of a row's windows: their exponentials, these times the column, these times x.
-  F total[K][kRun] = {}, column[K][kRun] = {}, value[K][kRun] = {};
-  auto const next = [&](int y, F(&sums)[kRun], F(&by_column)[kRun], F(&by_value)[kRun]) {
+  float const from = most * sharpness;
+  float weights[K][kRun], products[K][kRun];  // of the rows of a window; times x
+  auto const next = [&](int y, float(&weight)[kRun], float(&product)[kRun]) {
+    Pack<float, kRun> v{};
+    bool const inside = there && y >= 0 && y < height;
+    if (inside) v = *reinterpret_cast<Pack<float, kRun> const*>(image + int64_t(y) * width);
 #pragma unroll
-    for (int n = 0; n < kRun; ++n) sums[n] = by_column[n] = by_value[n] = 0;
-    if (y < 0 || y >= height) return;  // the same for the whole warp
-    F v[kRun + 2 * R];
-    strip.load(v, image.row(plane, y));
-#pragma unroll
-    for (int i = 0; i < kRun + 2 * R; ++i) {
-      bool const there = x - R + i >= 0 && x - R + i < width;
-      F const e = there ? fast_exp2((v[i] - most) * sharpness) : F(0), product = there ? e * v[i] : F(0);
-#pragma unroll
-      for (int n = 0; n < kRun; ++n)
-        if (i - n >= 0 && i - n < K) {
-          sums[n] += e;
-          by_column[n] += e * F(i - n);
-          by_value[n] += product;
-        }
+    for (int i = 0; i < kRun; ++i) {
+      weight[i] = inside ? fast_exp2(v.v[i] * sharpness - from) : 0.f;
+      if constexpr (Values) product[i] = inside ? weight[i] * v.v[i] : 0.f;
     }
   };
 #pragma unroll
-  for (int j = 0; j < K - 1; ++j) next(y0 - R + j, total[j], column[j], value[j]);
-  int64_t const size = p.windows.places();
-  T* places = p.places + 2 * plane * size;
-#pragma unroll 1
-  for (int y = y0; y < y1; ++y) {
-    next(y + R, total[K - 1], column[K - 1], value[K - 1]);
-    F to_x[kRun], to_y[kRun], to_value[kRun];
+  for (int j = 0; j < K - 1; ++j) next(y0 - R + j, weights[j + 1], products[j + 1]);
+  float* to_x = p.places + 2 * plane * size + int64_t(y0) * width + x;
+  float* to_value = Values ? p.values + plane * size + int64_t(y0) * width + x : nullptr;
+#pragma unroll(K)
+  for (int i = 0; i < kRows; ++i) {
+    int const y = y0 + i;
+    if (y >= y1) break;
+    float totals[kRun], moments[kRun], values[kRun];  // down columns
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
-      F sum = 0, by_x = 0, by_y = 0, by_value = 0;
 #pragma unroll
-      for (int j = 0; j < K; ++j) {
-        sum += total[j][n];
-        by_y += total[j][n] * F(j);
-        by_x += column[j][n];
-        by_value += value[j][n];
+      for (int j = 0; j < K - 1; ++j) {
+        weights[j][n] = weights[j + 1][n];
+        if constexpr (Values) products[j][n] = products[j + 1][n];
       }
-      F const scale = 1 / sum;
-      to_x[n] = (F(x + n - R) + by_x * scale) * p.scale[2] + p.offset[2];
-      to_y[n] = (F(y - R) + by_y * scale) * p.scale[1] + p.offset[1];
-      to_value[n] = by_value * scale;
     }
-    int64_t const row = int64_t(y) * width;
-    strip.store(places + row, to_x);
-    strip.store(places + size + row, to_y);
-    if (p.values) strip.store(p.values + plane * size + row, to_value);
+    next(y + R, weights[K - 1], products[K - 1]);
 #pragma unroll
-    for (int j = 0; j < K - 1; ++j)
+    for (int n = 0; n < kRun; ++n) {
+      totals[n] = weights[0][n] + weights[1][n];
+      moments[n] = weights[1][n];
+      if constexpr (Values) values[n] = products[0][n] + products[1][n];
 #pragma unroll
-      for (int n = 0; n < kRun; ++n) {
-        total[j][n] = total[j + 1][n];
-        column[j][n] = column[j + 1][n];
-        value[j][n] = value[j + 1][n];
+      for (int j = 2; j < K; ++j) {
+        totals[n] += weights[j][n];
+        moments[n] += weights[j][n] * float(j);
+        if constexpr (Values) values[n] += products[j][n];
       }
+    }
+    Across<R> const total(totals), moment(moments);
+    Pack<float, kRun> places_x, places_y, means;
+    float scales[kRun];
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+      scales[n] = __fdividef(1.f, total.sum(n));
+      places_x.v[n] = (float(x + n - R) + total.moment(n) * scales[n]) * p.scale[2] + p.offset[2];
+      places_y.v[n] = (float(y - R) + moment.sum(n) * scales[n]) * p.scale[1] + p.offset[1];
+    }
+    if constexpr (Values) {
+      Across<R> const value(values);
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) means.v[n] = value.sum(n) * scales[n];
+    }
+    if (writes) {
+      *reinterpret_cast<Pack<float, kRun>*>(to_x) = places_x;
+      *reinterpret_cast<Pack<float, kRun>*>(to_x + size) = places_y;
+      if constexpr (Values) *reinterpret_cast<Pack<float, kRun>*>(to_value) = means;
+    }
+    to_x += width;
+    if constexpr (Values) to_value += width;
   }
 }
 
@@ -242,12 +275,16 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
 template <class T>
 int soft_argmax(SoftArgmax<T> const& p, CUstream_st* stream) {
   if constexpr (__is_same(T, float)) {
-    Strips<kRun> const strips(p.windows.volumes, p.windows.size[1], p.windows.size[2], kRows);
-    unsigned const blocks = strips.blocks(kStripThreads / 32);
+    unsigned const across = unsigned(ceil_div(p.windows.size[2], kWide));
+    unsigned const down = unsigned(ceil_div(p.windows.size[1], kRows)),
+                   count = unsigned(p.windows.volumes * across * down);
+    auto const run = [&](auto kernel) {
+      kernel<<<unsigned(ceil_div(count, kStripThreads / 32)), kStripThreads, 0, stream>>>(p, across, down, count);
+      return cudaGetLastError();
+    };
     int const reach = reach_of(p);
-    if (reach == 1) strips_down<T, 1><<<blocks, kStripThreads, 0, stream>>>(p, planes_of(p), strips);
-    if (reach == 2) strips_down<T, 2><<<blocks, kStripThreads, 0, stream>>>(p, planes_of(p), strips);
-    if (reach == 1 || reach == 2) return cudaGetLastError();
+    if (reach == 1) return p.values ? run(strips_down<1, true>) : run(strips_down<1, false>);
+    if (reach == 2) return p.values ? run(strips_down<2, true>) : run(strips_down<2, false>);
   }
   Tiles const tiles(p.windows.volumes, p.windows.out);
   windows_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);

@@ -668,17 +668,143 @@ __global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const
   for_each_pixel([&](Element const& e, int at) { job.store(e, found[at]); });
 }
 
+// Windows that are not too large for it, flat or not, in one launch and without other memory: first the maxima of all
+// windows that have a pixel of the tile, with the parts of their ties, then the sums of these.
+constexpr int kGradientThreads = 288;
+
+template <class T>
+__global__ void __launch_bounds__(kGradientThreads, 3)
+    gradient_by_tiles(__grid_constant__ DilationBackward<T> const p, int across, int down) {
+  using F = Compute<T>;
+  using Value = Ties<F>;
+  extern __shared__ __align__(16) unsigned char bytes[];
+  Window<F> const& window = p.window;
+  GradientTile const tile(window);
+  int const height = int(p.x.height), width = int(p.x.width);
+  int64_t const line = blockIdx.x / across, plane = line / down, sample = plane / p.planes;
+  int const x0 = int(blockIdx.x - line * across) * tile.kColumns, y0 = int(line - plane * down) * tile.kRows;
+  int const rows = min(tile.kRows, height - y0), columns = min(tile.kColumns, width - x0);
+  // The windows, and the first of them.
+  int const rows_of_windows = rows + window.height - 1, windows_of_row = columns + window.width - 1;
+  int const top = y0 + window.top - (window.height - 1), left = x0 + window.left - (window.width - 1);
+  Value* const found = reinterpret_cast<Value*>(bytes);     // (rows of windows, tile.windows)
+  Value* const along_y = found + tile.rows * tile.windows;  // (rows of windows, tile.pixels)
+
+  F const sign = window.sign();
+  Value const none{minus_infinity<F>(), F(0)}, outside{window.value * sign, F(1)};
+  T const* const source = p.x.plane(plane);
+  // The minimum of maxima is the maximum of what is negated.
+  auto const part_of = [&](int row, int column, Value const& ties) {
+    int const y = top + row, x = left + column;
+    bool const counts = y >= 0 && y < height && x >= 0 && x < width && ties.most == ties.most;
+    return counts ? Value{-ties.most, share(read(p.grad.row(plane, y)[x]), ties.count)} : none;
+  };
+  auto const store = [&](auto sum) {
+    for (int i = threadIdx.x; i < tile.kColumns * rows; i += kGradientThreads) {
+      int const y = i / tile.kColumns, x = i % tile.kColumns;
+      if (x >= columns) continue;
+      F const own = read(p.x.row(plane, y0 + y)[x0 + x]) * sign;
+      p.grad_x.row(plane, y0 + y)[x0 + x] = round_to<T>(sum(y, x, own));
+    }
+  };
+
+  if (!is_flat(window, sample)) {
+    for (int i = threadIdx.x; i < rows_of_windows * windows_of_row; i += kGradientThreads) {
+      int const row = i / windows_of_row, column = i - row * windows_of_row;
+      Value ties = none;
+      if (top + row >= 0 && top + row < height && left + column >= 0 && left + column < width)
+        for_each_tap<T>(p.x, window, p.planes, Element(plane, top + row, left + column),
+                        [&](F value) { ties.add(value, F(1)); });
+      found[row * tile.windows + column] = part_of(row, column, ties);
+    }
+    __syncthreads();
+    store([&](int y, int x, F own) {
+      F sum = 0;
+      for (int i = 0; i < window.height; ++i)
+        for (int j = 0; j < window.width; ++j) {
+          F const offset = window.offset(sample, i * window.width + j);
+          if (offset == minus_infinity<F>()) continue;
+          Value const& of = found[(y + window.height - 1 - i) * tile.windows + x + window.width - 1 - j];
+          sum += own + offset == -of.most ? of.count : F(0);
+        }
+      return sum;
+    });
+    return;
+  }
+
+  with_group(window.height, [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
+    for_each_group(windows_of_row + window.width - 1, (rows_of_windows + N - 1) / N, [&](int column, int group) {
+      int const x = left - window.left + column, y = top - window.top + group * N;
+      unsigned const end = x >= 0 && x < width ? unsigned(height) : 0;
+      T const* const from = source + (end ? x : 0);
+      join_windows<N>(
+          window.height,
+          [&](int i) {
+            Value pixel = outside;
+            if (unsigned(y + i) < end) pixel.most = read(from[(y + i) * p.x.row_stride]) * sign;
+            return pixel;
+          },
+          [&](int j, Value const& value) {
+            if (group * N + j < rows_of_windows) along_y[(group * N + j) * tile.pixels + column] = value;
+          });
+    });
+  });
+  __syncthreads();
+  with_group(window.width, [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
+    for_each_group(rows_of_windows, (windows_of_row + N - 1) / N, [&](int row, int group) {
+      Value const* const from = along_y + row * tile.pixels + group * N;
+      join_windows<N>(
+          window.width, [&](int i) { return from[i]; },
+          [&](int j, Value const& value) {
+            int const column = group * N + j;
+            if (column < windows_of_row) found[row * tile.windows + column] = part_of(row, column, value);
+          });
+    });
+  });
+  __syncthreads();
+  with_group(window.height, [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
+    for_each_group(windows_of_row, (rows + N - 1) / N, [&](int column, int group) {
+      Value const* const from = found + group * N * tile.windows + column;
+      join_windows<N>(
+          window.height, [&](int i) { return from[i * tile.windows]; },
+          [&](int j, Value const& value) {
+            if (group * N + j < rows) along_y[(group * N + j) * tile.windows + column] = value;
+          });
+    });
+  });
+  __syncthreads();
+  with_group(window.width, [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
+    for_each_group(rows, (columns + N - 1) / N, [&](int row, int group) {
+      Value const* const from = along_y + row * tile.windows + group * N;
+      join_windows<N>(
+          window.width, [&](int i) { return from[i]; },
+          [&](int j, Value const& value) {
+            if (group * N + j < columns) found[row * tile.windows + group * N + j] = value;
+          });
+    });
+  });
+  __syncthreads();
+  store([&](int y, int x, F own) {
+    Value const& of = found[y * tile.windows + x];
+    return own == -of.most ? of.count : F(0);
+  });
+}
+
 // Doubles go by taps: tiles of theirs would take a quarter of the time that this file takes to compile.
 template <class T>
 bool has_tiles(Planes<T const> const& image, Window<Compute<T>> const& window) {
   return sizeof(T) < 8 && image.step == 1 && max(window.height, window.width) <= kLargestTile;
 }
 
-// A kernel for tiles of so many rows.
+// A kernel for tiles of so many rows and columns.
 template <class Params, class Image>
-int launch_tiles(void (*kernel)(Params, int, int), Params const& params, Image const& image, int rows, int threads,
-                 int bytes, CUstream_st* stream) {
-  int const across = int(ceil_div(image.width, kTileWidth)), down = int(ceil_div(image.height, rows));
+int launch_tiles(void (*kernel)(Params, int, int), Params const& params, Image const& image, int rows, int columns,
+                 int threads, int bytes, CUstream_st* stream) {
+  int const across = int(ceil_div(image.width, columns)), down = int(ceil_div(image.height, rows));
   if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
   kernel<<<unsigned(image.count() * across * down), threads, bytes, stream>>>(params, across, down);
   return cudaGetLastError();
@@ -696,7 +822,7 @@ int launch_ties(Job const& job, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8)
     if (has_tiles<T>(job.image(), job.p.window)) {
       int const bytes = int(sizeof(typename Job::Value)) * kTiesRows * (tile_stride(job.p.window.width) + kTileWidth);
-      return launch_tiles(by_tiles<Job>, job, job.image(), kTiesRows, kThreads, bytes, stream);
+      return launch_tiles(by_tiles<Job>, job, job.image(), kTiesRows, kTileWidth, kThreads, bytes, stream);
     }
   return launch_taps(job, stream);
 }
@@ -709,7 +835,7 @@ int dilation(Dilation<T> const& p, CUstream_st* stream) {
     if constexpr (sizeof(T) < 8)
       if (has_tiles<T>(p.x, p.window)) {
         int const bytes = int(sizeof(Compute<T>)) * kMaximaRows * (maxima_stride(p.window.width) + kMaximaStride);
-        return launch_tiles(maxima_by_tiles<T>, p, p.x, kMaximaRows, kMaximaThreads, bytes, stream);
+        return launch_tiles(maxima_by_tiles<T>, p, p.x, kMaximaRows, kTileWidth, kMaximaThreads, bytes, stream);
       }
     return launch_taps(Maximum<T>{p}, stream);
   }
@@ -726,6 +852,10 @@ int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
     if (int error = launch_ties<T>(FindTies<T>{p}, stream)) return error;
     return launch_ties<T>(SumTies<T>{p}, stream);
   }
+  if constexpr (sizeof(T) < 8)
+    if (!is_3x3(p.window))
+      return launch_tiles(gradient_by_tiles<T>, p, p.x, GradientTile::kRows, GradientTile::kColumns, kGradientThreads,
+                          int(GradientTile(p.window).bytes()), stream);
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
   bool const aligned = is_strip<kStrip>(p.x) && is_strip<kStrip>(p.grad) && is_strip<kStrip>(p.grad_x);
   with_alignment<T>(aligned, [&](auto aligned) {

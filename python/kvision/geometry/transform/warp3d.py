@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision._ops import as_stored
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
@@ -83,7 +85,7 @@ def warp_affine3d(
     """
     _check.volumes("warp_affine3d", "src", src)
     _check.shape("warp_affine3d", "M", M, "B", 3, 4)
-    return _warp("warp_affine3d", src, homogeneous(M), dsize, flags, padding_mode, align_corners)
+    return _warp("warp_affine3d", src, M, dsize, flags, padding_mode, align_corners)
 
 
 def affine3d(
@@ -99,7 +101,7 @@ def affine3d(
     volumes = _volumes("affine3d", tensor)
     _check.shape("affine3d", "matrix", matrix, "B", 3, 4)
     size = tuple(volumes.shape[2:])
-    result = _warp("affine3d", volumes, homogeneous(matrix), size, mode, padding_mode, align_corners)
+    result = _warp("affine3d", volumes, matrix, size, mode, padding_mode, align_corners)
     return result[0] if tensor.dim() == 4 else result
 
 
@@ -236,30 +238,91 @@ def _warp(
     _check.flag(op, "align_corners", align_corners)
     volumes = floats(volumes)
     matrix = sampling.for_images(op, volumes, "matrix", matrix)
-    return _sampled(volumes, matrix, size, mode, padding_mode, align_corners, inverse, normalized)
+    padding = "fill" if padding_mode == "zeros" else padding_mode
+    return _warp3d(volumes, matrix, list(size), mode, padding, align_corners, inverse, normalized)
 
 
-@as_stored
-def _sampled(volumes, matrix, size, mode, padding_mode, align_corners, inverse, normalized):
+# --- the operators --------------------------------------------------------------------------------------------------
+
+
+def _reference(volumes, matrix, size, interpolation, padding, align_corners, inverse, normalized):
     m = matrices.wide(matrix)
+    m = homogeneous(m) if m.shape[1] == 3 else m
     if inverse:
         m = torch.linalg.inv_ex(m)[0]
     if normalized:
-        m = (
-            _from_unit(volumes.shape[2:], align_corners, m)
-            @ m
-            @ torch.linalg.inv_ex(_from_unit(size, align_corners, m))[0]
-        )
+        source, output = volumes.shape[2:], size
+        m = _from_unit(source, align_corners, m) @ m @ _to_unit(output, align_corners, m)
     axes = [torch.arange(n, dtype=matrix.dtype, device=matrix.device) for n in size]
     z, y, x = torch.meshgrid(*axes, indexing="ij")
     places = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
     places = [p.expand(len(volumes), -1, -1, -1) for p in places]
-    padding = "fill" if padding_mode == "zeros" else padding_mode
-    return sampling.sample(volumes, places, mode, padding, align_corners)
+    return sampling.sample(volumes, places, interpolation, padding, align_corners)
 
 
-def _from_unit(size: tuple[int, ...], align_corners: bool, like: Tensor) -> Tensor:
-    """Voxels from [-1, 1]; the only voxel of an axis is all of it."""
+def _from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
+    """Voxels from [-1, 1]."""
     less = 1 if align_corners else 0
-    lines = [(max(n - less, 1) / 2, (n - 1) / 2) for n in reversed(size)]
+    return by_axes([((n - less) / 2, (n - 1) / 2) for n in reversed(size)], like.device, like.dtype)
+
+
+def _to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
+    less = 1 if align_corners else 0
+    # The only voxel of an axis stands in its middle.
+    scales = [2 / (n - less) if n > less else 0.0 for n in reversed(size)]
+    lines = [(scale, -scale * (n - 1) / 2) for scale, n in zip(scales, reversed(size))]
     return by_axes(lines, like.device, like.dtype)
+
+
+def _backward(needs, grad, volumes, matrix, size, *how):
+    if grad.is_cuda and torch.are_deterministic_algorithms_enabled():  # the gradient to volumes is summed by atomics
+        return _warp3d.differentiate_reference(needs, grad, volumes, matrix, size, *how)
+    grads = [None, None]
+    wide = grad.to(matrix.dtype)
+    if needs[0]:
+        grads[0] = _volume_gradient(wide, matrix, list(volumes.shape[2:]), *how).to(grad.dtype)
+    if needs[1]:
+        grads[1] = _matrix_gradient(wide, volumes.to(matrix.dtype), matrix, *how).sum_to_size(matrix.shape)
+    return grads
+
+
+def _volume_gradient_reference(grad, matrix, size, *how):
+    def of_volumes(volumes: Tensor) -> Tensor:
+        return _reference(volumes, matrix, grad.shape[2:], *how)
+
+    _, pullback = torch.func.vjp(of_volumes, grad.new_zeros(*grad.shape[:2], *size))
+    return pullback(grad)[0]
+
+
+def _volume_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
+    found = _volume_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
+    if needs[0]:
+        found[0] = _warp3d(grad_grad, matrix, list(grad.shape[2:]), *how)
+    return found
+
+
+def _matrix_gradient_reference(grad, volumes, matrix, *how):
+    def of_matrix(matrix: Tensor) -> Tensor:
+        return _reference(volumes, matrix, grad.shape[2:], *how)
+
+    _, pullback = torch.func.vjp(of_matrix, matrix.expand(len(volumes), -1, -1))
+    return pullback(grad)[0]
+
+
+_warp3d = register(
+    "warp3d",
+    _reference,
+    fake=lambda volumes, matrix, size, *how: (*volumes.shape[:2], *size),
+    backward=_backward,
+)
+_volume_gradient = register(
+    "warp3d_volume_gradient",
+    _volume_gradient_reference,
+    fake=lambda grad, matrix, size, *how: (*grad.shape[:2], *size),
+    backward=_volume_gradient_backward,
+)
+_matrix_gradient = register(
+    "warp3d_matrix_gradient",
+    _matrix_gradient_reference,
+    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(len(volumes), *matrix.shape[1:]),
+)

@@ -1,0 +1,133 @@
+// Warps of volumes: schemas and entries, for CPU and CUDA alike.
+#include "sample_glue.h"
+#include "warp3d.h"
+
+namespace kv {
+namespace {
+
+Size3 size3_of(char const* op, std::vector<int64_t> const& size) {
+  KV_CHECK(size.size() == 3, op, ": expected a size of depth, height and width, got ", size.size(), " numbers");
+  for (int64_t side : size)
+    KV_CHECK(side > 0 && side <= kLargestSide, op, ": expected a size of 1 to ", kLargestSide, " voxels, got ", side);
+  return {size[0], size[1], size[2]};
+}
+
+Size3 size3_of(char const* op, Tensor const& x) { return size3_of(op, {x.size(2), x.size(3), x.size(4)}); }
+
+// Parts of a sample: runs of voxels on CUDA, rows on the CPU.
+int64_t parts_of(Size3 const& output) {
+#if defined(KV_CUDA)
+  return (output.depth * output.height * output.width + kVoxelsOfPart - 1) / kVoxelsOfPart;
+#else
+  return output.depth * output.height;
+#endif
+}
+
+// A warp of dense volumes like `volumes`, and its parameters; what is read and written is up to the caller.
+struct Warp {
+  char const* op;
+  Tensor volumes, matrix;
+  Interpolation interpolation;
+  Padding padding;
+  MatrixUse3 use;
+
+  Warp(char const* op, Tensor const& volumes, Tensor const& matrix, Size3 source, Size3 output,
+       std::string const& interpolation, std::string const& padding, bool align_corners, bool inverse, bool normalized)
+      : op(op),
+        volumes(dense(volumes)),
+        matrix(dense(matrix)),
+        interpolation(interpolation_of(op, interpolation)),
+        padding(padding_of(op, padding)),
+        use{0, inverse, normalized, align_corners, source, output} {
+    KV_CHECK(this->interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
+    KV_CHECK(goes_with(matrix, volumes, 3) && (matrix.size(1) == 3 || matrix.size(1) == 4) && matrix.size(2) == 4, op,
+             ": matrix does not fit the volumes");
+    use.rows = int(matrix.size(1));
+  }
+  int64_t batch() const { return volumes.size(0); }
+  int64_t channels() const { return volumes.size(1); }
+  template <class T>
+  Warp3d<T> of(Tensor const& x, Tensor const& y) const {
+    return {interpolation,
+            padding,
+            data_of<Compute<T> const>(matrix),
+            matrix.size(0) == 1 ? 0 : 4 * use.rows,
+            use,
+            data_of<T>(x),
+            data_of<T>(y),
+            batch(),
+            channels(),
+            nullptr,
+            parts_of(use.output)};
+  }
+};
+
+Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<int64_t> size, std::string const& interpolation,
+              std::string const& padding, bool align_corners, bool inverse, bool normalized) {
+  check_volumes("warp3d", "volumes", volumes);
+  Warp const w("warp3d", volumes, matrix, size3_of("warp3d", volumes), size3_of("warp3d", size), interpolation, padding,
+               align_corners, inverse, normalized);
+  Tensor const y = empty({w.batch(), w.channels(), size[0], size[1], size[2]}, volumes);
+  for_floats("warp3d", volumes, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Warp3dValue<T> const params{w.of<T>(w.volumes, y)};
+    KV_RUN(warp3d, volumes, params, y.numel() > 0 ? w.batch() * size[0] * size[1] : 0, 16 * w.channels() * size[2]);
+  });
+  return y;
+}
+
+Tensor warp3d_volume_gradient(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
+                              std::string const& interpolation, std::string const& padding, bool align_corners,
+                              bool inverse, bool normalized) {
+  char const* const op = "warp3d_volume_gradient";
+  check_volumes(op, "grad", grad);
+  Warp const w(op, grad, matrix, size3_of(op, size), size3_of(op, grad), interpolation, padding, align_corners, inverse,
+               normalized);
+  Tensor const grad_x = empty({w.batch(), w.channels(), size[0], size[1], size[2]}, grad);
+  for_computed(op, grad, [&](auto type) {
+    using F = typename decltype(type)::type;
+    Warp3dTranspose<F> const params{w.of<F>(grad_x, w.volumes)};
+    KV_RUN(warp3d_transpose, grad, params, w.batch() * w.channels(), 16 * params.output_voxels());
+  });
+  return grad_x;
+}
+
+Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor const& matrix,
+                              std::string const& interpolation, std::string const& padding, bool align_corners,
+                              bool inverse, bool normalized) {
+  char const* const op = "warp3d_matrix_gradient";
+  check_volumes(op, "volumes", volumes);
+  check_volumes(op, "grad", grad);
+  KV_CHECK(grad.size(0) == volumes.size(0) && grad.size(1) == volumes.size(1) &&
+               grad.scalar_type() == volumes.scalar_type() && grad.device() == volumes.device(),
+           op, ": grad does not fit the volumes");
+  Warp const w(op, volumes, matrix, size3_of(op, volumes), size3_of(op, grad), interpolation, padding, align_corners,
+               inverse, normalized);
+  Tensor const y = dense(grad);
+  int64_t const parts = parts_of(w.use.output);
+  Tensor const sums = empty({w.batch(), parts, 16}, grad, Layout::planar, ScalarType::Double);
+  Tensor const grad_matrix = empty({w.batch(), w.use.rows, 4}, w.matrix);
+  for_computed(op, volumes, [&](auto type) {
+    using F = typename decltype(type)::type;
+    Warp3dSlopes<F> slopes{w.of<F>(w.volumes, y)};
+    slopes.sums = data_of<double>(sums);
+    KV_RUN(warp3d_slopes, volumes, slopes, w.batch() * w.use.output.depth * w.use.output.height,
+           32 * w.channels() * w.use.output.width);
+    Warp3dMatrix<F> total{w.of<F>(grad_matrix, grad_matrix), data_of<F>(grad_matrix)};
+    total.sums = slopes.sums;
+    KV_RUN(warp3d_matrix, volumes, total, w.batch(), 16 * parts);
+  });
+  return grad_matrix;
+}
+
+}  // namespace
+
+#define KV_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
+
+KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, int[] size, " KV_HOW ") -> Tensor")
+KV_OPERATOR(warp3d_volume_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_HOW ") -> Tensor")
+KV_OPERATOR(warp3d_matrix_gradient, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_HOW ") -> Tensor")
+
+#undef KV_HOW
+
+}  // namespace kv

@@ -119,7 +119,7 @@ __global__ void __launch_bounds__(32 * kWarps)
 template <class T, int M>
 __global__ void __launch_bounds__(32 * kWarps)
     doubled(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
-            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kPack<T> / 2> strips) {
+            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kPack<T> / 2> strips, T const* base) {
   constexpr int P = kPack<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = rim_of(true);
   __shared__ Ring<T, C> rings[kWarps];
   int64_t plane;
@@ -171,6 +171,11 @@ __global__ void __launch_bounds__(32 * kWarps)
 #pragma unroll
         for (int k = 1; k < M; ++k) sums[p] += weights_y[odd][k] * along_x[from + k][p];
       }
+      if (M == 4 && base && 2 * column < width) {  // M: pyrup's
+        Pack<T, P> const from = *reinterpret_cast<Pack<T, P> const*>(base + (out - y.data));
+#pragma unroll
+        for (int p = 0; p < P; ++p) sums[p] = read(from.v[p]) - sums[p];
+      }
       if (2 * column < width) store_pack(out, sums);
       out += y.row_stride;
     }
@@ -198,7 +203,7 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   OctaveWeights<Doubles, Taps> weights;
   write_weights(weights.at[0], Doubles, Taps, p.rows);
   if constexpr (Doubles)
-    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips);
+    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.base);
   else
     halve<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips);
   return cudaGetLastError();

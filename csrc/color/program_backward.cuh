@@ -56,7 +56,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
       for (int s = sample.length; s-- > 0;) {
         auto const [at, step, first] = sample.order[s];
         F const* const parameters = sample.p + first;
-        bool const ends = q.measures && at == q.contrast;
+        bool const ends = q.measures && step == Step::contrast;
         if (ends || (p.slopes && takes_tensors(step))) {
           for (int wanted = 0; wanted < parameters_of(step); ++wanted) {
             int const column = q.column[first + wanted];
@@ -74,7 +74,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
         if (ends) break;
         Pullback<F, C, P> pullback{c, g, parameters};
         run_step(step, pullback);
-        if (at == q.contrast)
+        if (step == Step::contrast)
 #pragma unroll
           for (int k = 0; k < C; ++k)
 #pragma unroll

@@ -305,19 +305,19 @@ struct Sample {
 
   KV_HD Sample(Program<F> const& program, int64_t b, bool backward) : length(0) {
     for (int i = 0; i < program.count; ++i) p[i] = program.parameter(b, i);
-    bool found = false;
+    int found = -1;
     for (int i = 0; i < program.length; ++i)
       if (int const step = program.step_at(b, i); step >= 0) {
         order[length++] = step;
-        found = found || step == program.contrast;
+        if (program.step[step] == Step::contrast) found = step;
       }
-    if (!found || (program.measures && !backward)) return;
+    if (found < 0 || (program.measures && !backward)) return;
     F sum = 0;
     for (int64_t i = 0; !program.measures && i < program.parts_count; ++i)
       sum += program.parts[b * program.parts_count + i] / F(program.pixels);
     mean = backward ? program.means[b] : sum;
     mean_slope = sum;
-    p[program.first[program.contrast] + 1] = mean;
+    p[program.first[found] + 1] = mean;
   }
 };
 
@@ -357,7 +357,7 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
     if (!reads) load_chunk(p.x, C, b, first, count, F(0), c);
     for (int i = 0; i < s.length; ++i) {
       int const k = s.order[i];
-      if (p.measures && k == p.contrast) break;
+      if (p.measures && p.step[k] == Step::contrast) break;
       Values<F, C> values{{c}, {c}, count, s.p + p.first[k], is_sum(p.step[k])};
       if (reads && i == 0) values.c = chunk_of<F const>(p.x, b, first);
       if (writes && i + 1 == s.length) values.to = chunk_of<F>(p.y, b, first);
@@ -397,7 +397,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       int const k = s.order[i];
       F const* const c = scratch.data + size * min(i, last);
       Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
-      if (q.measures && k == q.contrast) {
+      if (q.measures && q.step[k] == Step::contrast) {
         step_over(q.step[k], slope);
         q.parts[part] += slope.sum;
         return;
@@ -410,7 +410,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       }
       Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
       step_over(q.step[k], pullback);
-      if (k == q.contrast)
+      if (q.step[k] == Step::contrast)
         for (int d = 0; d < C; ++d)
           for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += q.grey[d] * s.mean_slope;
     }

@@ -69,14 +69,7 @@ __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArg
 // ---------------------------------------------------------------------------------------------------------------
 
 constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
-constexpr int kWide = 30 * kRun;     // columns of a strip: the warp's outermost threads only help their neighbours
-constexpr float kMostExponent = 24;  // of base 2, beside a strip's largest: rounding it costs 2e-6 of a weight
-
-template <class T>
-Planes<T const> planes_of(SoftArgmax<T> const& p) {
-  Windows const& w = p.windows;
-  return {p.x, w.volumes, 1, w.voxels(), 0, w.size[2], w.size[1], w.size[2], 1};
-}
+constexpr float kMostExponent = 90;  // of base 2, beside a strip's largest: rounding it costs 3e-6 of a weight
 
 // Four numbers of a thread and R of each neighbour's: sums of 2R + 1, and of these times how many are before them.
 template <int R>
@@ -105,59 +98,97 @@ struct Across {
   }
 };
 
-// Weights are exponentials beside the largest number of the strip, so that all windows share them: summed down columns
-// first, then along rows. Where numbers are too far apart for that each window takes its own.
-template <int R, bool Values>
-__global__ void __launch_bounds__(kStripThreads)
-    strips_down(__grid_constant__ SoftArgmax<float> const p, unsigned across, unsigned down, unsigned count) {
-  constexpr int K = 2 * R + 1;
-  unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
-  if (warp >= count) return;
-  unsigned const line = warp / across, plane = line / down;
-  int const x = int(warp - line * across) * kWide + (int(lane) - 1) * kRun, y0 = int(line - plane * down) * kRows;
-  int const height = p.windows.size[1], width = p.windows.size[2], y1 = min(y0 + kRows, height);
-  bool const there = x >= 0 && x < width, writes = there && lane > 0 && lane < 31;
-  int64_t const size = int64_t(height) * width;
-  float const* const image = p.x + plane * size + x;
-  float most = -INFINITY, least = INFINITY;
+// A warp's columns and rows of an image: threads take kRun columns each, of which the outermost `Help` on either side
+// only help their neighbours. All windows of it share exponentials beside its largest number.
+template <int Help>
+struct ImageStrip {
+  int height, width, x, y0, y1;
+  unsigned plane;
+  bool there, writes;  // whether the thread's columns are in the image, and are its own
+  int64_t size;
+  float const* image;
+  float sharpness, from;
+
+  static constexpr int kColumns = (32 - 2 * Help) * kRun;
+  static dim3 grid(Windows const& w) {
+    int64_t const strips = w.volumes * ceil_div(w.size[2], kColumns) * ceil_div(w.size[1], kRows);
+    return dim3(unsigned(ceil_div(strips, kStripThreads / 32)));
+  }
+  // False beyond the last strip.
+  __device__ __forceinline__ bool place(Windows const& w, float const* data, float temperature) {
+    height = w.size[1], width = w.size[2];
+    unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
+    unsigned const across = unsigned(width + kColumns - 1) / kColumns, down = unsigned(height + kRows - 1) / kRows;
+    unsigned const line = warp / across;
+    plane = line / down;
+    if (plane >= w.volumes) return false;
+    x = int(warp - line * across) * kColumns + (int(lane) - Help) * kRun;
+    y0 = int(line - plane * down) * kRows;
+    y1 = min(y0 + kRows, height);
+    there = x >= 0 && x < width;
+    writes = there && lane >= Help && lane < 32 - Help;
+    size = int64_t(height) * width;
+    image = data + plane * size + x;
+    sharpness = float(kLog2E) / temperature;
+    return true;
+  }
+  // Of rows from `reach` above on: false where numbers are too far apart to share exponentials.
+  __device__ __forceinline__ bool find_largest(int reach) {
+    float most = -INFINITY, least = INFINITY;
 #pragma unroll 4
-  for (int y = max(y0 - R, 0); y < min(y1 + R, height); ++y) {
-    if (!there) break;
-    Pack<float, kRun> const v = *reinterpret_cast<Pack<float, kRun> const*>(image + int64_t(y) * width);
+    for (int y = max(y0 - reach, 0); y < min(y1 + reach, height); ++y) {
+      if (!there) break;
+      Pack<float, kRun> const v = load(image, y);
 #pragma unroll
-    for (int i = 0; i < kRun; ++i) most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // NaN is left out
-  }
+      for (int i = 0; i < kRun; ++i) most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // NaN is left out
+    }
 #pragma unroll
-  for (int step = 16; step > 0; step /= 2) {
-    most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, step));
-    least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
+    for (int step = 16; step > 0; step /= 2) {
+      most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, step));
+      least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
+    }
+    from = most * sharpness;
+    return (most - least) * sharpness <= kMostExponent;
   }
-  float const sharpness = float(kLog2E) / p.temperature;
-  if (!((most - least) * sharpness <= kMostExponent)) {
-    for (int y = y0; y < y1 && writes; ++y)
-      for (int n = 0; n < kRun; ++n) one_window(p, plane, 0, y, x + n);
-    return;
+  __device__ __forceinline__ Pack<float, kRun> load(float const* plane, int y) const {
+    return *reinterpret_cast<Pack<float, kRun> const*>(plane + int64_t(y) * width);
   }
-  float const from = most * sharpness;
-  float weights[K][kRun], products[K][kRun];  // of the rows of a window; times x
-  auto const next = [&](int y, float(&weight)[kRun], float(&product)[kRun]) {
+  // The exponentials of a row, and these times x; 0 outside of the image.
+  template <bool Products>
+  __device__ __forceinline__ void weights_of(int y, float (&weight)[kRun], float (&product)[kRun]) const {
     Pack<float, kRun> v{};
     bool const inside = there && y >= 0 && y < height;
-    if (inside) v = *reinterpret_cast<Pack<float, kRun> const*>(image + int64_t(y) * width);
+    if (inside) v = load(image, y);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
       weight[i] = inside ? fast_exp2(v.v[i] * sharpness - from) : 0.f;
-      if constexpr (Values) product[i] = inside ? weight[i] * v.v[i] : 0.f;
+      if constexpr (Products) product[i] = inside ? weight[i] * v.v[i] : 0.f;
     }
-  };
+  }
+};
+
+// Weights are summed down columns first, then along rows. Where they are not shared each window takes its own.
+template <int R, bool Values>
+__global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<float> const p) {
+  constexpr int K = 2 * R + 1;
+  ImageStrip<1> strip;
+  if (!strip.place(p.windows, p.x, p.temperature)) return;
+  int const x = strip.x, y0 = strip.y0, width = strip.width;
+  int64_t const size = strip.size;
+  if (!strip.find_largest(R)) {
+    for (int y = y0; y < strip.y1 && strip.writes; ++y)
+      for (int n = 0; n < kRun; ++n) one_window(p, strip.plane, 0, y, x + n);
+    return;
+  }
+  float weights[K][kRun], products[K][kRun];  // of the rows of a window; times x
 #pragma unroll
-  for (int j = 0; j < K - 1; ++j) next(y0 - R + j, weights[j + 1], products[j + 1]);
-  float* to_x = p.places + 2 * plane * size + int64_t(y0) * width + x;
-  float* to_value = Values ? p.values + plane * size + int64_t(y0) * width + x : nullptr;
+  for (int j = 0; j < K - 1; ++j) strip.weights_of<Values>(y0 - R + j, weights[j + 1], products[j + 1]);
+  float* to_x = p.places + 2 * strip.plane * size + int64_t(y0) * width + x;
+  float* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
 #pragma unroll(K)
   for (int i = 0; i < kRows; ++i) {
     int const y = y0 + i;
-    if (y >= y1) break;
+    if (y >= strip.y1) break;
     float totals[kRun], moments[kRun], values[kRun];  // down columns
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
@@ -167,7 +198,7 @@ __global__ void __launch_bounds__(kStripThreads)
         if constexpr (Values) products[j][n] = products[j + 1][n];
       }
     }
-    next(y + R, weights[K - 1], products[K - 1]);
+    strip.weights_of<Values>(y + R, weights[K - 1], products[K - 1]);
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
       totals[n] = weights[0][n] + weights[1][n];
@@ -194,7 +225,7 @@ __global__ void __launch_bounds__(kStripThreads)
 #pragma unroll
       for (int n = 0; n < kRun; ++n) means.v[n] = value.sum(n) * scales[n];
     }
-    if (writes) {
+    if (strip.writes) {
       *reinterpret_cast<Pack<float, kRun>*>(to_x) = places_x;
       *reinterpret_cast<Pack<float, kRun>*>(to_x + size) = places_y;
       if constexpr (Values) *reinterpret_cast<Pack<float, kRun>*>(to_value) = means;
@@ -202,22 +233,6 @@ __global__ void __launch_bounds__(kStripThreads)
     to_x += width;
     if constexpr (Values) to_value += width;
   }
-}
-
-// How far windows reach, if they are around every pixel of images that are strips, else 0.
-template <class T>
-int reach_of(SoftArgmax<T> const& p) {
-  Windows const& w = p.windows;
-  Planes<T const> places = planes_of(p), values = places;
-  places.data = p.places;
-  values.data = p.values ? p.values : p.places;
-  if (w.axes != 2 || w.size[0] != 1 || w.window[0] != 1 || !is_strip<kRun>(planes_of(p)) || !is_strip<kRun>(places) ||
-      !is_strip<kRun>(values))
-    return 0;
-  int const r = w.before[1];
-  for (int axis = 1; axis < 3; ++axis)
-    if (w.stride[axis] != 1 || w.before[axis] != r || w.window[axis] != 2 * r + 1) return 0;
-  return r;
 }
 
 // --- gradients
@@ -270,19 +285,113 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
   p.grad_x[at] = round_to<T>(sum);
 }
 
+// The gradient of one voxel, from all windows that it is in.
+__device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, int64_t plane, int vy, int vx) {
+  Windows const& w = p.windows;
+  float const* const image = p.x + plane * w.voxels();
+  float const v = image[int64_t(vy) * w.size[2] + vx], sharpness = float(kLog2E) / p.temperature;
+  Readers const ys(vy, 1, w.before[1], w.window[1], w.out[1]), xs(vx, 1, w.before[2], w.window[2], w.out[2]);
+  float sum = 0;
+  for (int y = ys.first; y < ys.last; ++y)
+    for (int x = xs.first; x < xs.last; ++x) {
+      float const* const grads = p.grad_places + 2 * plane * w.places() + int64_t(y) * w.out[2] + x;
+      float const grad[] = {0, grads[w.places()] * p.scale[1], grads[0] * p.scale[2]};
+      auto const record = record_of<float, float>(sums_at(w, image, p.temperature, 0, y, x), grad, 0.f);
+      sum += share_of<float, float>(record, v, fast_exp2((v - record.most) * sharpness), 0, float(vy + w.before[1] - y),
+                                    float(vx + w.before[2] - x), 1 / p.temperature);
+    }
+  return sum;
+}
+
+// Of a window with the total S and the moments X and Y, whose place has the gradients gx and gy, each pixel (j, i) gets
+// exp (a i + b j + c), a = gx / S, b = gy / S, c = -(gx X + gy Y) / S^2: summed down columns first, over the windows
+// that a pixel is in, then along rows.
+template <int R>
+__global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ SoftArgmaxBackward<float> const p) {
+  constexpr int K = 2 * R + 1;
+  ImageStrip<2> strip;
+  if (!strip.place(p.windows, p.x, p.temperature)) return;
+  int const x = strip.x, y0 = strip.y0, width = strip.width;
+  int64_t const size = strip.size;
+  float* to = p.grad_x + strip.plane * size + int64_t(y0) * width + x;
+  if (!strip.find_largest(2 * R)) {
+    for (int y = y0; y < strip.y1 && strip.writes; ++y)
+      for (int n = 0; n < kRun; ++n)
+        p.grad_x[strip.plane * size + int64_t(y) * width + x + n] = one_pixel(p, strip.plane, y, x + n);
+    return;
+  }
+  float const* const grad_x = p.grad_places + 2 * strip.plane * size + x;
+  float const* const grad_y = grad_x + size;
+  float weights[K][kRun] = {}, none[kRun];
+  float constants[K][kRun] = {}, slopes[K][kRun] = {};  // b j + c, and a, of the pixels whose windows are not all there
+  float const per_temperature = 1 / p.temperature;
+#pragma unroll(K)
+  for (int i = -4 * R; i < kRows; ++i) {
+    // Weights of row y + 2R, then windows around row y + R, then the gradient of row y.
+    int const y = y0 + i;
+    if (y >= strip.y1) break;
+#pragma unroll
+    for (int j = 0; j < K - 1; ++j)
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) weights[j][n] = weights[j + 1][n];
+    strip.weights_of<false>(y + 2 * R, weights[K - 1], none);
+    if (i < -2 * R) continue;
+    float totals[kRun], moments[kRun];
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+      totals[n] = weights[0][n] + weights[1][n];
+      moments[n] = weights[1][n];
+#pragma unroll
+      for (int j = 2; j < K; ++j) {
+        totals[n] += weights[j][n];
+        moments[n] += weights[j][n] * float(j);
+      }
+    }
+    Across<R> const total(totals), moment(moments);
+    int const middle = y + R;
+    if (strip.there && middle >= 0 && middle < strip.height) {
+      Pack<float, kRun> const gx = strip.load(grad_x, middle), gy = strip.load(grad_y, middle);
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) {
+        float const scale = __fdividef(1.f, total.sum(n));
+        float const a = gx.v[n] * p.scale[2] * scale, b = gy.v[n] * p.scale[1] * scale;
+        float const c = -(a * (total.moment(n) * scale) + b * (moment.sum(n) * scale));
+#pragma unroll
+        for (int j = 0; j < K; ++j) {
+          constants[j][n] += b * float(j) + c;
+          slopes[j][n] += a;
+        }
+      }
+    }
+    Across<R> const constant(constants[0]), slope(slopes[0]);
+    if (i >= 0 && strip.writes) {
+      Pack<float, kRun> found;
+#pragma unroll
+      for (int n = 0; n < kRun; ++n)
+        found.v[n] =
+            weights[0][n] * per_temperature * (constant.sum(n) + (float(2 * R) * slope.sum(n) - slope.moment(n)));
+      *reinterpret_cast<Pack<float, kRun>*>(to) = found;
+    }
+    if (i >= 0) to += width;
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+#pragma unroll
+      for (int j = 0; j < K - 1; ++j) constants[j][n] = constants[j + 1][n], slopes[j][n] = slopes[j + 1][n];
+      constants[K - 1][n] = slopes[K - 1][n] = 0;
+    }
+  }
+}
+
 }  // namespace
 
 template <class T>
 int soft_argmax(SoftArgmax<T> const& p, CUstream_st* stream) {
   if constexpr (__is_same(T, float)) {
-    unsigned const across = unsigned(ceil_div(p.windows.size[2], kWide));
-    unsigned const down = unsigned(ceil_div(p.windows.size[1], kRows)),
-                   count = unsigned(p.windows.volumes * across * down);
     auto const run = [&](auto kernel) {
-      kernel<<<unsigned(ceil_div(count, kStripThreads / 32)), kStripThreads, 0, stream>>>(p, across, down, count);
+      kernel<<<ImageStrip<1>::grid(p.windows), kStripThreads, 0, stream>>>(p);
       return cudaGetLastError();
     };
-    int const reach = reach_of(p);
+    int const reach = reach_of(p.windows, p.x, p.places, p.places + p.windows.places(), p.values);
     if (reach == 1) return p.values ? run(strips_down<1, true>) : run(strips_down<1, false>);
     if (reach == 2) return p.values ? run(strips_down<2, true>) : run(strips_down<2, false>);
   }
@@ -300,6 +409,12 @@ int soft_argmax_records(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int soft_argmax_backward(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
+  if constexpr (__is_same(T, float))
+    if (!p.records) {
+      auto const kernel = p.windows.before[1] == 1 ? strips_back<1> : strips_back<2>;
+      kernel<<<ImageStrip<2>::grid(p.windows), kStripThreads, 0, stream>>>(p);
+      return cudaGetLastError();
+    }
   Tiles const tiles(p.windows.volumes, p.windows.size);
   voxels_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();

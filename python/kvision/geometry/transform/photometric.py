@@ -154,9 +154,12 @@ def photometric_homography_loss(
     _check.flag(op, "align_corners", align_corners)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     source, target = floats(source), floats(target)
-    _check.same_device(op, source=source, target=target)
-    stored, together = source.dtype, torch.promote_types(source.dtype, target.dtype)
-    source, target = source.to(together), target.to(together)
+    if source.device != target.device:
+        _check.same_device(op, source=source, target=target)
+    stored = source.dtype
+    if target.dtype != stored:
+        together = torch.promote_types(stored, target.dtype)
+        source, target = source.to(together), target.to(together)
     if source.shape[:2] != target.shape[:2]:
         raise ShapeError(
             f"{op}: expected target of shape {(*source.shape[:2], 'h', 'w')}, got {tuple(target.shape)}",
@@ -164,5 +167,5 @@ def photometric_homography_loss(
         )
     matrix = sampling.for_images(op, source, "src_homo_dst", src_homo_dst)
     found: Any = _photometric(source, target, matrix, distance, eps, align_corners, normalized_coordinates)
-    loss: Tensor = found[0].to(stored)
-    return loss
+    loss: Tensor = found[0]
+    return loss if loss.dtype == stored else loss.to(stored)

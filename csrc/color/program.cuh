@@ -62,7 +62,7 @@ constexpr int kTaken = int(kChunk<F> / kThreads);  // pixels of a thread, but tw
 template <class F, int C, int P>
 struct Values {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = false;
   F (&c)[C][P];
   F const* p;
 
@@ -89,11 +89,21 @@ struct Values {
 template <class F, int C, int P>
 struct Pullback {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = true;
   F const (&c)[C][P];
   F (&g)[C][P];
   F const* p;
 
+  template <class Formula>
+  __device__ __forceinline__ void each_pulled(Formula f) {
+#pragma unroll
+    for (int j = 0; j < P; ++j) {
+      F v[C], pulled[C];
+      for (int k = 0; k < C; ++k) v[k] = c[k][j], pulled[k] = g[k][j];
+      f(v, pulled, p);
+      for (int k = 0; k < C; ++k) g[k][j] = pulled[k];
+    }
+  }
   template <class Formula>
   __device__ __forceinline__ void each(Formula f) {
 #pragma unroll
@@ -127,7 +137,7 @@ struct Pullback {
 template <class F, int C, int P>
 struct Slope {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = true;
+  static constexpr bool kOfParameters = true, kPulls = false;
   F const (&c)[C][P];
   F const (&g)[C][P];
   F const* p;
@@ -340,24 +350,24 @@ struct Sample {
   __device__ __forceinline__ void prepare(Program<F> const& program, int64_t b, bool backward) {
     __syncthreads();  // the sample before may be in use
     int const t = int(threadIdx.x);
-    int const of_mean = program.contrast < 0 ? -1 : program.first[program.contrast] + 1;
-    if (t < kMostParameters + kMostOfAStep && t != of_mean) p[t] = t < program.count ? program.parameter(b, t) : F(0);
-    bool found = program.contrast >= 0;
+    int found = program.contrast;
     if (!program.order) {
       if (t < program.steps) order[t] = {t, program.step[t], program.first[t]};
       if (t == 0) length = program.steps;
-    } else if (t == 0 || found) {
+    } else if (t == 0 || found >= 0) {
       int n = 0;
-      found = false;
+      found = -1;
       for (int i = 0; i < program.length; ++i) {
         int const at = program.step_at(b, i);
         if (at < 0) continue;
-        found = found || at == program.contrast;
+        if (program.step[at] == Step::contrast) found = at;
         if (t == 0) order[n++] = {at, program.step[at], program.first[at]};
       }
       if (t == 0) length = n;
     }
-    if (found && !(program.measures && !backward)) {
+    int const of_mean = found < 0 ? -1 : program.first[found] + 1;
+    if (t < kMostParameters + kMostOfAStep && t != of_mean) p[t] = t < program.count ? program.parameter(b, t) : F(0);
+    if (found >= 0 && !(program.measures && !backward)) {
       F sum = 0;
       if (!program.measures) {
         for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];

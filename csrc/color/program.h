@@ -101,7 +101,7 @@ struct Pixels {
   Storage type;
   int channels;
   int64_t inner, outer_stride, inner_stride, channel_stride, step;
-  Access access;  // set by the launcher
+  Access access = Access::each;  // set by the launcher
 
   KV_HD int64_t offset(int64_t b) const {
     if (inner == 1) return b * outer_stride;  // no 64-bit division on the GPU
@@ -181,7 +181,7 @@ struct Program {
 
   // Around the mean: a first run `measures` what goes into that step, as `parts` of a sum; the second one adds them up
   // and keeps the means of the samples, where the backward pass, which has no parts, finds them.
-  int contrast;  // where it is among the steps, or -1
+  int contrast;  // where the first one is among the steps, or -1; of several, a sample's order has one at most
   bool measures;
   F grey[3];  // how much of the mean each channel is
   int64_t parts_count;

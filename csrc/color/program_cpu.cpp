@@ -88,11 +88,12 @@ struct Chunk {
 template <class F, int C>
 struct Values {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = false;
   Chunk<F const> c;
   Chunk<F> to;  // may be c
   int64_t n;
   F const* p;
+  bool sums = false;  // to one channel
 
   template <class Formula>
   KV_HD void each(Formula f) {
@@ -101,7 +102,8 @@ struct Values {
       Vector<F> v[C];
       for (int k = 0; k < C; ++k) v[k] = load<N>(c.channel(k) + i);
       f(v, p, p);
-      for (int k = 0; k < C; ++k) store<N>(to.channel(k) + i, v[k]);
+      for (int k = 0; k < C; ++k)
+        if (k == 0 || !sums) store<N>(to.channel(k) + i, v[k]);
     }
   }
   template <class Formula>
@@ -120,12 +122,22 @@ struct Values {
 template <class F, int C>
 struct Pullback {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false;
+  static constexpr bool kOfParameters = false, kPulls = true;
   F const* c;
   F* g;
   int64_t n;
   F const* p;
 
+  template <class Formula>
+  KV_HD void each_pulled(Formula f) {
+    constexpr int N = kLanes<F>;
+    for (int64_t i = 0; i < n; i += N) {
+      Vector<F> v[C], pulled[C];
+      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i), pulled[k] = load<N>(g + k * kChunk<F> + i);
+      f(v, pulled, p);
+      for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, pulled[k]);
+    }
+  }
   template <class Formula>
   KV_HD void each(Formula f) {
     constexpr int N = kLanes<F>;
@@ -160,7 +172,7 @@ struct Pullback {
 template <class F, int C>
 struct Slope {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = true;
+  static constexpr bool kOfParameters = true, kPulls = false;
   F const* c;
   F const* g;
   int64_t n;
@@ -293,19 +305,19 @@ struct Sample {
 
   KV_HD Sample(Program<F> const& program, int64_t b, bool backward) : length(0) {
     for (int i = 0; i < program.count; ++i) p[i] = program.parameter(b, i);
-    bool found = false;
+    int found = -1;
     for (int i = 0; i < program.length; ++i)
       if (int const step = program.step_at(b, i); step >= 0) {
         order[length++] = step;
-        found = found || step == program.contrast;
+        if (program.step[step] == Step::contrast) found = step;
       }
-    if (!found || (program.measures && !backward)) return;
+    if (found < 0 || (program.measures && !backward)) return;
     F sum = 0;
     for (int64_t i = 0; !program.measures && i < program.parts_count; ++i)
       sum += program.parts[b * program.parts_count + i] / F(program.pixels);
     mean = backward ? program.means[b] : sum;
     mean_slope = sum;
-    p[program.first[program.contrast] + 1] = mean;
+    p[program.first[found] + 1] = mean;
   }
 };
 
@@ -336,16 +348,17 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   Scratch<F> scratch(C * kChunk<F>);
   F* const c = scratch.data;
   // The first step reads the image and the last one writes the result themselves, where these hold F as chunks do.
-  bool const direct = !p.measures && !p.order && p.steps == 1 && p.y.channels == C && is_chunk<F>(p.x, p.pixels) &&
-                      is_chunk<F>(p.y, p.pixels);
+  bool const sums = p.steps > 0 && is_sum(p.step[p.steps - 1]);
+  bool const direct = !p.measures && !p.order && p.steps == 1 && (p.y.channels == C || sums) &&
+                      is_chunk<F>(p.x, p.pixels) && is_chunk<F>(p.y, p.pixels);
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
     bool const reads = is_chunk<F>(p.x, count) && s.length > 0 && !p.measures;
-    bool const writes = is_chunk<F>(p.y, count) && s.length > 0 && !p.measures && p.y.channels == C;
+    bool const writes = is_chunk<F>(p.y, count) && s.length > 0 && !p.measures && (p.y.channels == C || sums);
     if (!reads) load_chunk(p.x, C, b, first, count, F(0), c);
     for (int i = 0; i < s.length; ++i) {
       int const k = s.order[i];
-      if (p.measures && k == p.contrast) break;
-      Values<F, C> values{{c}, {c}, count, s.p + p.first[k]};
+      if (p.measures && p.step[k] == Step::contrast) break;
+      Values<F, C> values{{c}, {c}, count, s.p + p.first[k], is_sum(p.step[k])};
       if (reads && i == 0) values.c = chunk_of<F const>(p.x, b, first);
       if (writes && i + 1 == s.length) values.to = chunk_of<F>(p.y, b, first);
       step_over(p.step[k], values);
@@ -384,7 +397,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       int const k = s.order[i];
       F const* const c = scratch.data + size * min(i, last);
       Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
-      if (q.measures && k == q.contrast) {
+      if (q.measures && q.step[k] == Step::contrast) {
         step_over(q.step[k], slope);
         q.parts[part] += slope.sum;
         return;
@@ -397,7 +410,7 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
       }
       Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
       step_over(q.step[k], pullback);
-      if (k == q.contrast)
+      if (q.step[k] == Step::contrast)
         for (int d = 0; d < C; ++d)
           for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += q.grey[d] * s.mean_slope;
     }

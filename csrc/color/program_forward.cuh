@@ -29,7 +29,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
       }
       for (int s = 0; s < sample.length; ++s) {
         auto const place = sample.order[s];
-        if (p.measures && place.at == p.contrast) break;
+        if (p.measures && place.step == Step::contrast) break;
         Values<F, C, P> values{c, sample.p + place.first};
         run_step(place.step, values);
       }

@@ -16,21 +16,22 @@ using Parameters = std::initializer_list<Maybe const*>;
 
 struct Plan {
   std::vector<Step> steps;
-  int contrast = -1;   // where it is
+  int contrast = -1;   // where the first one is
   bool values = true;  // every step treats the channels alike, if there is only one or no mean of them
   bool sums = false;   // one channel comes out
   int64_t parameters = 0;
 };
 
-Plan plan_of(char const* op, std::vector<int64_t> const& steps, size_t numbers, size_t columns) {
+Plan plan_of(char const* op, std::vector<int64_t> const& steps, size_t numbers, size_t columns, bool ordered) {
   KV_CHECK(steps.size() <= kMostSteps, op, ": expected at most ", kMostSteps, " steps, got ", steps.size());
   Plan plan;
   for (int64_t number : steps) {
     KV_CHECK(number >= 0 && number < int64_t(Step::count), op, ": there is no step ", number);
     KV_CHECK(!plan.sums, op, ": what gives one channel must be the last step");
     Step const step = Step(number);
-    KV_CHECK(step != Step::contrast || plan.contrast < 0, op, ": expected one step around a mean at most");
-    if (step == Step::contrast) plan.contrast = int(plan.steps.size());
+    KV_CHECK(step != Step::contrast || plan.contrast < 0 || ordered, op,
+             ": expected one step around a mean at most, or an order that has one");
+    if (step == Step::contrast && plan.contrast < 0) plan.contrast = int(plan.steps.size());
     plan.values = plan.values && is_of_values(step);
     plan.sums = is_sum(step);
     plan.parameters += parameters_of(step);
@@ -111,7 +112,7 @@ struct Arguments {
   Arguments(char const* op, Tensor const& x, Parameters const& given, Maybe const& order,
             std::vector<int64_t> const& steps, std::vector<double> const& numbers,
             std::vector<int64_t> const& columns_of_steps, ScalarType result)
-      : plan(plan_of(op, steps, numbers.size(), columns_of_steps.size())) {
+      : plan(plan_of(op, steps, numbers.size(), columns_of_steps.size(), bool(order))) {
     check_images(op, "input", x);
     int64_t const b = x.size(0), c = x.size(1);
     of_values = plan.values && (plan.contrast < 0 || c == 1);

@@ -5,6 +5,9 @@
 // Lanes.
 //
 // Derivatives stay finite: where a branch is not taken, what it divides by or raises to a power is replaced first.
+//
+// The Jacobian of three channels by Duals carries many zeros along. The steps that are used most have what it makes of
+// a gradient right below their formula: pull_f(c, g) turns g, of the result of f(c), into that of c.
 #pragma once
 
 #include "core/dual.h"
@@ -76,13 +79,18 @@ template <class V, class Formula>
 KV_HD V of_one(V x, Formula f) {
   if constexpr (kIsDual<V>) {
     using Value = decltype(x.value);
-    Dual<Value, 1> const y = f(Dual<Value, 1>{x.value, {constant<Value>(Scalar<V>(1))}});
+    Dual<Value, 1> const y = with_slope(x.value, f);
     x.value = y.value;
     for (auto& d : x.d) d = d * y.d[0];
     return x;
   } else {
     return f(x);
   }
+}
+// f(x) and its derivative.
+template <class V, class Formula>
+KV_HD Dual<V, 1> with_slope(V const& x, Formula f) {
+  return f(Dual<V, 1>{x, {constant<V>(Scalar<V>(1))}});
 }
 // x^exponent of positive numbers.
 template <class V>
@@ -100,68 +108,136 @@ constexpr double kTurn = 6.283185307179586476925;
 // --- hue
 // ----------------------------------------------------------------------------------------------------------------
 
-// Hue in radians from the largest channel and how far it is above the smallest; 0 for greys.
+// The largest channel, and how far it is above the smallest.
 template <class V>
-KV_HD V hue_of(V const (&c)[3], V const& most, V const& range, Scalar<V> eps) {
+struct Span {
+  V most, range;
+  KV_HD explicit Span(V const (&c)[3])
+      : most(larger(larger(c[0], c[1]), c[2])), range(most - smaller(smaller(c[0], c[1]), c[2])) {}
+};
+
+// Hue in sixths of a turn, of which red is 0, or less than one sixth less.
+template <class V>
+KV_HD V sixths_of(V const (&c)[3], Span<V> const& s, Scalar<V> eps) {
   using F = Scalar<V>;
-  auto const grey = range == F(0);
-  auto const red = most == c[0], green = most == c[1];
+  auto const red = s.most == c[0], green = s.most == c[1];
   V const ahead = select(red, c[1] - c[2], select(green, c[2] - c[0], c[0] - c[1]));
-  V const scaled = ahead * reciprocal(select(grey, constant<V>(F(1)), range + eps));
-  V const sixths = select(red, scaled, select(green, scaled + F(2), scaled + F(4)));
-  V const positive = select(sixths < F(0), sixths + F(6), sixths);
+  V const scaled = ahead * reciprocal(select(s.range == F(0), constant<V>(F(1)), s.range + eps));
+  return select(red, scaled, select(green, scaled + F(2), scaled + F(4)));
+}
+// From the gradients of most, range and sixths.
+template <class V>
+KV_HD void pull_span(V const (&c)[3], V (&g)[3], Span<V> const& s, Scalar<V> eps, V const& of_most, V of_range,
+                     V const& of_sixths) {
+  using F = Scalar<V>;
+  V const none = constant<V>(F(0));
+  auto const grey = s.range == F(0), red = s.most == c[0], green = s.most == c[1];
+  V const least = smaller(smaller(c[0], c[1]), c[2]);
+  V const ahead = select(red, c[1] - c[2], select(green, c[2] - c[0], c[0] - c[1]));
+  V const scale = reciprocal(select(grey, constant<V>(F(1)), s.range + eps));
+  V const of_ahead = select(grey, none, of_sixths * scale);
+  of_range = select(grey, none, of_range - of_ahead * ahead * scale);
+  auto const first = least == c[0], second = least == c[1];
+  V const above = of_most + of_range;
+  g[0] = select(red, above, select(green, -of_ahead, of_ahead)) - select(first, of_range, none);
+  g[1] = select(red, of_ahead, select(green, above, -of_ahead)) - select(first, none, select(second, of_range, none));
+  g[2] = select(red, -of_ahead, select(green, of_ahead, above)) - select(first, none, select(second, none, of_range));
+}
+
+// Hue in radians; 0 for greys.
+template <class V>
+KV_HD V hue_of(V const (&c)[3], Span<V> const& s, Scalar<V> eps) {
+  using F = Scalar<V>;
+  V const sixths = sixths_of(c, s, eps), positive = select(sixths < F(0), sixths + F(6), sixths);
   V const hue = select(positive >= F(6), positive - F(6), positive) * F(kTurn / 6);  // what rounds up to a turn
-  return select(grey, constant<V>(F(0)), hue);
+  return select(s.range == F(0), constant<V>(F(0)), hue);
 }
 
 template <class V>
 KV_HD void rgb_to_hsv(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
-  V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
-  V const hue = hue_of(c, most, range, F(0));
-  c[1] = range / select(most == F(0), constant<V>(F(1)), most + eps);  // not above 1
+  Span<V> const s(c);
+  V const hue = hue_of(c, s, F(0));
+  c[1] = s.range / select(s.most == F(0), constant<V>(F(1)), s.most + eps);  // not above 1
   c[0] = hue;
-  c[2] = most;
+  c[2] = s.most;
+}
+template <class V>
+KV_HD void pull_rgb_to_hsv(V const (&c)[3], V (&g)[3], Scalar<V> eps) {
+  using F = Scalar<V>;
+  Span<V> const s(c);
+  auto const black = s.most == F(0);
+  V const scale = reciprocal(select(black, constant<V>(F(1)), s.most + eps)), of_range = g[1] * scale;
+  V const of_most = g[2] - select(black, constant<V>(F(0)), of_range * s.range * scale);
+  pull_span(c, g, s, F(0), of_most, of_range, V(g[0] * F(kTurn / 6)));
 }
 
 // How much of red, green and blue is in a hue: 1 within a sixth of a turn from the channel's own, 0 from two sixths on,
-// and linear between (A. R. Smith's sectors as one line each).
+// and linear between (A. R. Smith's sectors as one line each). Here below 0 and above 1, too.
 template <class V>
-KV_HD void parts_of_hue(V (&c)[3], V const& hue) {
+KV_HD void parts_of(V (&c)[3], V const& sixths) {
   using F = Scalar<V>;
-  V const sixths = modulo(hue * F(6 / kTurn), F(6));
-  c[0] = magnitude(sixths - F(3)) - F(1);
-  c[1] = F(2) - magnitude(sixths - F(2));
-  c[2] = F(2) - magnitude(sixths - F(4));
-  for (int i = 0; i < 3; ++i) c[i] = at_most(at_least(c[i], F(0)), F(1));
+  V const turned = modulo(sixths, F(6));
+  c[0] = magnitude(turned - F(3)) - F(1);
+  c[1] = F(2) - magnitude(turned - F(2));
+  c[2] = F(2) - magnitude(turned - F(4));
 }
 template <class V>
-KV_HD void color_of(V (&c)[3], V const& hue, V const& v, V const& chroma) {
+KV_HD void color_of(V (&c)[3], V const& sixths, V const& v, V const& chroma) {
+  using F = Scalar<V>;
   V const least = v - chroma;
-  parts_of_hue(c, hue);
-  for (int i = 0; i < 3; ++i) c[i] = least + chroma * c[i];
+  parts_of(c, sixths);
+  for (int i = 0; i < 3; ++i) c[i] = least + chroma * at_most(at_least(c[i], F(0)), F(1));
 }
+// The gradients of its arguments, from that of the result.
+template <class V>
+struct PullColor {
+  V sixths, v, chroma;
+  KV_HD PullColor(V const (&g)[3], V const& hue, V const& of_chroma) : v(g[0] + g[1] + g[2]), chroma(-v) {
+    using F = Scalar<V>;
+    V part[3], none = constant<V>(F(0));
+    parts_of(part, hue);
+    V const turned = modulo(hue, F(6));
+    sixths = none;
+    constexpr int turns[] = {3, 2, 4};
+    for (int i = 0; i < 3; ++i) {
+      V const rising = select(turned < F(turns[i]), -g[i], g[i]), slope = i == 0 ? rising : -rising;
+      sixths = sixths + select(part[i] < F(0), none, select(part[i] > F(1), none, slope));
+      chroma = chroma + g[i] * at_most(at_least(part[i], F(0)), F(1));
+    }
+    sixths = sixths * of_chroma;
+  }
+};
 template <class V>
 KV_HD void hsv_to_rgb(V (&c)[3]) {
-  V const hue = c[0], v = c[2];
-  color_of(c, hue, v, v * c[1]);
+  using F = Scalar<V>;
+  V const sixths = c[0] * F(6 / kTurn), v = c[2];
+  color_of(c, sixths, v, v * c[1]);
+}
+template <class V>
+KV_HD void pull_hsv_to_rgb(V const (&c)[3], V (&g)[3]) {
+  using F = Scalar<V>;
+  PullColor<V> const of(g, c[0] * F(6 / kTurn), c[2] * c[1]);
+  g[0] = of.sixths * F(6 / kTurn);
+  g[1] = of.chroma * c[2];
+  g[2] = of.v + of.chroma * c[1];
 }
 
 template <class V>
 KV_HD void rgb_to_hls(V (&c)[3], Scalar<V> eps) {
   using F = Scalar<V>;
-  V const most = larger(larger(c[0], c[1]), c[2]), least = smaller(smaller(c[0], c[1]), c[2]);
-  V const range = most - least, sum = most + least;
-  V const hue = hue_of(c, most, range, eps), room = select(sum < F(1), sum, F(2) - sum);
+  Span<V> const s(c);
+  V const sum = s.most + smaller(smaller(c[0], c[1]), c[2]);
+  V const hue = hue_of(c, s, eps), room = select(sum < F(1), sum, F(2) - sum);
   c[0] = hue;
   c[1] = sum * F(0.5);
-  c[2] = range / select(room == F(0), constant<V>(F(1)), room + eps);
+  c[2] = s.range / select(room == F(0), constant<V>(F(1)), room + eps);
 }
 template <class V>
 KV_HD void hls_to_rgb(V (&c)[3]) {
   using F = Scalar<V>;
-  V const hue = c[0], l = c[1], depth = c[2] * smaller(l, F(1) - l);
-  color_of(c, hue, l + depth, depth * F(2));
+  V const sixths = c[0] * F(6 / kTurn), l = c[1], depth = c[2] * smaller(l, F(1) - l);
+  color_of(c, sixths, l + depth, depth * F(2));
 }
 
 // --- sRGB (IEC 61966-2-1), CIE XYZ, Lab and Luv (CIE 15)
@@ -194,14 +270,43 @@ KV_HD void affine(V (&c)[3], Scalar<V> const* m) {
   V const a = c[0], b = c[1], d = c[2];
   for (int i = 0; i < 3; ++i) c[i] = a * m[3 * i] + b * m[3 * i + 1] + d * m[3 * i + 2] + m[9 + i];
 }
+// The gradient of x from that of clip(x, wanted).
 template <class V>
+KV_HD V pull_clip(V const& x, V const& g, bool wanted) {
+  using F = Scalar<V>;
+  V const none = constant<V>(F(0));
+  return wanted ? select(x < F(0), none, select(x > F(1), none, g)) : g;
+}
+template <class V>
+KV_HD void pull_linear(V (&g)[3], Scalar<V> const* m) {
+  V const a = g[0], b = g[1], d = g[2];
+  for (int i = 0; i < 3; ++i) g[i] = a * m[i] + b * m[3 + i] + d * m[6 + i];
+}
+// m[12] is whether the result is clipped.
+template <class V>
+KV_HD void pull_affine(V const (&c)[3], V (&g)[3], Scalar<V> const* m) {
+  V y[3] = {c[0], c[1], c[2]};
+  affine(y, m);
+  for (int i = 0; i < 3; ++i) g[i] = pull_clip(y[i], g[i], m[12] != 0);
+  pull_linear(g, m);
+}
+
+// A linear map of c, or what it makes of a gradient.
+template <bool Pulls, class V>
+KV_HD void linear(V (&c)[3], Scalar<V> const* m) {
+  if constexpr (Pulls)
+    pull_linear(c, m);
+  else
+    affine(c, m);
+}
+template <bool Pulls = false, class V>
 KV_HD void linear_to_xyz(V (&c)[3]) {
   using F = Scalar<V>;
   constexpr F m[] = {F(0.412453), F(0.357580), F(0.180423), F(0.212671), F(0.715160), F(0.072169),
                      F(0.019334), F(0.119193), F(0.950227), 0,           0,           0};
-  affine(c, m);
+  linear<Pulls>(c, m);
 }
-template <class V>
+template <bool Pulls = false, class V>
 KV_HD void xyz_to_linear(V (&c)[3]) {
   using F = Scalar<V>;
   constexpr F m[] = {F(3.240481343200526),
@@ -216,7 +321,7 @@ KV_HD void xyz_to_linear(V (&c)[3]) {
                      0,
                      0,
                      0};
-  affine(c, m);
+  linear<Pulls>(c, m);
 }
 
 KV_HD constexpr double white(int i) { return i == 0 ? 0.95047 : i == 1 ? 1 : 1.08883; }  // D65
@@ -251,14 +356,63 @@ KV_HD void rgb_to_lab(V (&c)[3]) {
 }
 
 template <class V>
+KV_HD void pull_rgb_to_lab(V const (&c)[3], V (&g)[3]) {
+  using F = Scalar<V>;
+  V xyz[3], slope[3];
+  for (int i = 0; i < 3; ++i) {
+    Dual<V, 1> const decoded = with_slope(c[i], Decode());
+    xyz[i] = decoded.value;
+    slope[i] = decoded.d[0];
+  }
+  linear_to_xyz(xyz);
+  V const a = g[1] * F(500), b = g[2] * F(200);
+  V const of_root[3] = {a, g[0] * F(116) - a + b, -b};
+  for (int i = 0; i < 3; ++i)
+    g[i] = of_root[i] * with_slope(V(xyz[i] * F(1 / white(i))), Root()).d[0] * F(1 / white(i));
+  linear_to_xyz<true>(g);
+  for (int i = 0; i < 3; ++i) g[i] = g[i] * slope[i];
+}
+
+// The cube of what Root gives.
+struct Cube {
+  template <class V>
+  KV_HD V operator()(V const& f) const {
+    using F = Scalar<V>;
+    return select(f > F(0.2068966), f * f * f, (f - F(4. / 29)) * F(1 / 7.787));
+  }
+};
+template <class V>
 KV_HD void lab_to_rgb(V (&c)[3]) {
   using F = Scalar<V>;
   V const fy = (c[0] + F(16)) * F(1. / 116);
   V const f[3] = {c[1] * F(1. / 500) + fy, fy, at_least(fy - c[2] * F(1. / 200), F(0))};
-  for (int i = 0; i < 3; ++i)
-    c[i] = select(f[i] > F(0.2068966), f[i] * f[i] * f[i], (f[i] - F(4. / 29)) * F(1 / 7.787)) * F(white(i));
+  for (int i = 0; i < 3; ++i) c[i] = Cube()(f[i]) * F(white(i));
   xyz_to_linear(c);
   for (int i = 0; i < 3; ++i) c[i] = of_one(c[i], Encode());
+}
+template <class V>
+KV_HD void pull_lab_to_rgb(V const (&c)[3], V (&g)[3], bool clips) {
+  using F = Scalar<V>;
+  V const fy = (c[0] + F(16)) * F(1. / 116), fz = fy - c[2] * F(1. / 200);
+  V const f[3] = {c[1] * F(1. / 500) + fy, fy, at_least(fz, F(0))};
+  V rgb[3], slope[3];
+  for (int i = 0; i < 3; ++i) {
+    Dual<V, 1> const cube = with_slope(f[i], Cube());
+    rgb[i] = cube.value * F(white(i));
+    slope[i] = cube.d[0] * F(white(i));
+  }
+  xyz_to_linear(rgb);
+  for (int i = 0; i < 3; ++i) {
+    Dual<V, 1> const encoded = with_slope(rgb[i], Encode());
+    g[i] = pull_clip(encoded.value, V(g[i] * encoded.d[0]), clips);
+  }
+  xyz_to_linear<true>(g);
+  for (int i = 0; i < 3; ++i) g[i] = g[i] * slope[i];
+  V const of_fz = select(fz < F(0), constant<V>(F(0)), g[2]);
+  V const of_fy = g[0] + g[1] + of_fz;
+  g[1] = g[0] * F(1. / 500);
+  g[0] = of_fy * F(1. / 116);
+  g[2] = of_fz * F(-1. / 200);
 }
 
 constexpr double kWhiteU = 4 * 0.95047 / (0.95047 + 15 + 3 * 1.08883), kWhiteV = 9 / (0.95047 + 15 + 3 * 1.08883);
@@ -355,22 +509,70 @@ KV_HD V luma(V const (&c)[1]) {
 
 // HSV keeps the largest channel v and measures the others by their distance from it: that of the smallest is s v. To
 // scale s is to scale the distances, until the smallest channel reaches 0.
+template <class V>
+KV_HD V saturation_limit(Span<V> const& s) {
+  using F = Scalar<V>;
+  auto const grey = s.range == F(0);
+  V const one = constant<V>(F(1));
+  return select(grey, one, at_least(s.most, F(0)) / select(grey, one, s.range));
+}
 template <class V, class U>
 KV_HD void adjust_saturation(V (&c)[3], U const& factor) {
   using F = Scalar<V>;
-  V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
-  auto const grey = range == F(0);
-  V const one = constant<V>(F(1)), limit = select(grey, one, at_least(most, F(0)) / select(grey, one, range));
-  V const wanted = at_least(as<V>(factor), F(0)), scale = select(limit > wanted, wanted, limit);
-  for (int i = 0; i < 3; ++i) c[i] = most - (most - c[i]) * scale;
+  Span<V> const s(c);
+  V const wanted = at_least(as<V>(factor), F(0)), limit = saturation_limit(s);
+  V const scale = select(limit > wanted, wanted, limit);
+  for (int i = 0; i < 3; ++i) c[i] = s.most - (s.most - c[i]) * scale;
+}
+template <class V>
+KV_HD void pull_saturation(V const (&c)[3], V (&g)[3], Scalar<V> factor) {
+  using F = Scalar<V>;
+  Span<V> const s(c);
+  V const wanted = constant<V>(factor > F(0) ? factor : F(0)), limit = saturation_limit(s), none = constant<V>(F(0));
+  V const scale = select(limit > wanted, wanted, limit), total = g[0] + g[1] + g[2];
+  V of_limit = none, of_span[3];
+  for (int i = 0; i < 3; ++i) of_limit = of_limit - g[i] * (s.most - c[i]);
+  auto const grey = s.range == F(0);
+  V const per_range = reciprocal(select(grey, constant<V>(F(1)), s.range));
+  of_limit = select(limit > wanted, none, select(grey, none, of_limit * per_range));
+  V const of_most = total - total * scale + select(s.most < F(0), none, of_limit);
+  pull_span(c, of_span, s, F(0), of_most, V(-of_limit * limit), none);
+  for (int i = 0; i < 3; ++i) g[i] = g[i] * scale + of_span[i];
+}
+
+template <class V, class G, class U>
+KV_HD V blend(V const& x, G const& grey, U const& factor) {
+  return clip((x - grey) * factor + grey, true);
+}
+
+template <class V, class U>
+KV_HD void saturation_grey(V (&c)[3], U const& factor) {
+  V const grey = luma(c);
+  for (auto& x : c) x = blend(x, grey, factor);
+}
+template <class V>
+KV_HD void pull_saturation_grey(V const (&c)[3], V (&g)[3], Scalar<V> factor) {
+  using F = Scalar<V>;
+  V const grey = luma(c);
+  for (int i = 0; i < 3; ++i) g[i] = pull_clip(V((c[i] - grey) * factor + grey), g[i], true);
+  V const of_grey = (g[0] + g[1] + g[2]) * (F(1) - factor);
+  constexpr F weights[] = {F(0.299), F(0.587), F(0.114)};
+  for (int i = 0; i < 3; ++i) g[i] = g[i] * factor + of_grey * weights[i];
 }
 
 template <class V, class U>
 KV_HD void adjust_hue(V (&c)[3], U const& angle) {
   using F = Scalar<V>;
-  V const most = larger(larger(c[0], c[1]), c[2]), range = most - smaller(smaller(c[0], c[1]), c[2]);
-  V const hue = hue_of(c, most, range, F(0)) + angle;
-  color_of(c, hue, most, range);
+  Span<V> const s(c);
+  V const sixths = sixths_of(c, s, F(0)) + angle * F(6 / kTurn);
+  color_of(c, sixths, s.most, s.range);
+}
+template <class V>
+KV_HD void pull_hue(V const (&c)[3], V (&g)[3], Scalar<V> angle) {
+  using F = Scalar<V>;
+  Span<V> const s(c);
+  PullColor<V> const of(g, V(sixths_of(c, s, F(0)) + angle * F(6 / kTurn)), s.range);
+  pull_span(c, g, s, F(0), of.v, of.chroma, of.sixths);
 }
 
 // Stays in [0, a turn) however it rounds.
@@ -391,11 +593,6 @@ KV_HD V scaled_saturation(V const& saturation, U const& factor) {
 template <class V, class U>
 KV_HD V standardized(V const& x, U const& mean, U const& deviation) {
   return (x - mean) * reciprocal(deviation);
-}
-
-template <class V, class G, class U>
-KV_HD V blend(V const& x, G const& grey, U const& factor) {
-  return clip((x - grey) * factor + grey, true);
 }
 
 // gain x^exponent. Black has no finite slope below an exponent of 1, so it has none at all; only 0 lifts it.
@@ -455,8 +652,8 @@ KV_HD V threshold(V const& x, U const& threshold, U const& above, U const& below
 
 // Does a step to all pixels there are: `pixels.each(f)` calls f(c, p, n) for each one, with the step's parameters p,
 // one of which may be differentiated, and n, the same as numbers. Where channels do not mix, `pixels.each_value(f)`
-// calls f(x, i, p, n) for each channel i, with one derivative instead of three. What chooses between formulas is the
-// same for all pixels.
+// calls f(x, i, p, n) for each channel i, with one derivative instead of three. Where a gradient goes back,
+// `pixels.each_pulled(f)` calls f(c, g, n). What chooses between formulas is the same for all pixels.
 template <class P>
 KV_HD void run_step(Step step, P& pixels) {
 #define KV_VALUES(name, formula)                                                                 \
@@ -467,6 +664,14 @@ KV_HD void run_step(Step step, P& pixels) {
   case Step::name:                                                                                                  \
     return pixels.each([]([[maybe_unused]] auto& c, [[maybe_unused]] auto const* p, [[maybe_unused]] auto const* n) \
                            __attribute__((always_inline)) { __VA_ARGS__; });
+#define KV_PULLED(name, pull, ...)                                                                                    \
+  case Step::name:                                                                                                    \
+    if constexpr (P::kPulls)                                                                                          \
+      return pixels.each_pulled([]([[maybe_unused]] auto& c, auto& g, [[maybe_unused]] auto const* n)                 \
+                                    __attribute__((always_inline)) { pull; });                                        \
+    else                                                                                                              \
+      return pixels.each([]([[maybe_unused]] auto& c, [[maybe_unused]] auto const* p, [[maybe_unused]] auto const* n) \
+                             __attribute__((always_inline)) { __VA_ARGS__; });
   switch (step) {
     KV_VALUES(line, clip(x * p[0] + p[1], n[2] != 0))
     KV_VALUES(standardize, standardized(x, p[0], p[1]))
@@ -484,11 +689,12 @@ KV_HD void run_step(Step step, P& pixels) {
     switch (step) {
       KV_VALUES(line_rgb, clip(x * p[i] + p[3 + i], n[6] != 0))
       KV_VALUES(standardize_rgb, standardized(x, p[i], p[3 + i]))
-      KV_PIXELS(weighted_sum, c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2])
-      KV_PIXELS(saturation, adjust_saturation(c, p[0]))
+      KV_PULLED(weighted_sum, auto const above = g[0];
+                for (int i = 0; i < 3; ++i) g[i] = above * n[i], c[0] = c[0] * p[0] + c[1] * p[1] + c[2] * p[2])
+      KV_PULLED(saturation, pull_saturation(c, g, n[0]), adjust_saturation(c, p[0]))
       KV_PIXELS(saturation_raw, c[1] = scaled_saturation(c[1], p[0]))
-      KV_PIXELS(saturation_grey, auto const grey = luma(c); for (auto& x : c) x = blend(x, grey, p[0]))
-      KV_PIXELS(hue, adjust_hue(c, p[0]))
+      KV_PULLED(saturation_grey, pull_saturation_grey(c, g, n[0]), saturation_grey(c, p[0]))
+      KV_PULLED(hue, pull_hue(c, g, n[0]), adjust_hue(c, p[0]))
       KV_PIXELS(hue_raw, c[0] = turned(c[0], p[0]))
       default:
         break;
@@ -497,13 +703,13 @@ KV_HD void run_step(Step step, P& pixels) {
       switch (step) {
         KV_VALUES(rgb_to_linear_rgb, Decode()(x))
         KV_VALUES(linear_rgb_to_rgb, Encode()(x))
-        KV_PIXELS(affine, affine(c, n); for (auto& x : c) x = clip(x, n[12] != 0))
-        KV_PIXELS(rgb_to_hsv, rgb_to_hsv(c, n[0]))
-        KV_PIXELS(hsv_to_rgb, hsv_to_rgb(c))
+        KV_PULLED(affine, pull_affine(c, g, n), affine(c, n); for (auto& x : c) x = clip(x, n[12] != 0))
+        KV_PULLED(rgb_to_hsv, pull_rgb_to_hsv(c, g, n[0]), rgb_to_hsv(c, n[0]))
+        KV_PULLED(hsv_to_rgb, pull_hsv_to_rgb(c, g), hsv_to_rgb(c))
         KV_PIXELS(rgb_to_hls, rgb_to_hls(c, n[0]))
         KV_PIXELS(hls_to_rgb, hls_to_rgb(c))
-        KV_PIXELS(rgb_to_lab, rgb_to_lab(c))
-        KV_PIXELS(lab_to_rgb, lab_to_rgb(c); for (auto& x : c) x = clip(x, n[0] != 0))
+        KV_PULLED(rgb_to_lab, pull_rgb_to_lab(c, g), rgb_to_lab(c))
+        KV_PULLED(lab_to_rgb, pull_lab_to_rgb(c, g, n[0] != 0), lab_to_rgb(c); for (auto& x : c) x = clip(x, n[0] != 0))
         KV_PIXELS(rgb_to_luv, rgb_to_luv(c, n[0]))
         KV_PIXELS(luv_to_rgb, luv_to_rgb(c, n[0]))
         KV_PIXELS(byte_luma, byte_luma(c, n))
@@ -514,6 +720,7 @@ KV_HD void run_step(Step step, P& pixels) {
       }
     }
   }
+#undef KV_PULLED
 #undef KV_PIXELS
 #undef KV_VALUES
 }

@@ -6,31 +6,37 @@
 namespace kv::cuda {
 namespace {
 
-// Calls f(x, y, pixel) for the pixels of a rectangle, row by row, a thread four of them at once; at(x, y) is where a
-// pixel is.
-template <int Threads, class T, class At, class F>
-__device__ __forceinline__ void for_each_pixel(int x0, int y0, int width, int height, At at, F f) {
+// Goes over a rectangle of width x height pixels, P beside each other at once: load(x, y) reads them, and what at(x)
+// returns is called with (y, pack) for those of one column, which stays the thread's own.
+template <int Threads, int P, class Load, class At>
+__device__ __forceinline__ void for_each_pack(int width, int height, Load load, At at) {
   constexpr int kAtOnce = 4;
-  int const rows = Threads / width, rest = Threads - rows * width;  // how far the next pixel of a thread is
-  int y = int(threadIdx.x) / width, x = int(threadIdx.x) - y * width;
-  while (y < height) {
-    T pixels[kAtOnce];
-    int xs[kAtOnce], ys[kAtOnce];
+  for (int first = 0; first < width; first += Threads * P) {
+    int const across = min((width - first) / P, Threads), rows = Threads / across;
+    int y = int(threadIdx.x) / across;
+    int const x = first + (int(threadIdx.x) - y * across) * P;
+    if (y >= rows) continue;
+    auto const f = at(x);
+    for (; y < height; y += rows * kAtOnce) {
+      decltype(load(x, y)) packs[kAtOnce];
 #pragma unroll
-    for (int i = 0; i < kAtOnce; ++i) {
-      xs[i] = x0 + x, ys[i] = y < height ? y0 + y : -1;
-      if (ys[i] >= 0) pixels[i] = *at(xs[i], ys[i]);
-      x += rest, y += rows;
-      if (x >= width) x -= width, ++y;
+      for (int i = 0; i < kAtOnce; ++i)
+        if (y + i * rows < height) packs[i] = load(x, y + i * rows);
+#pragma unroll
+      for (int i = 0; i < kAtOnce; ++i)
+        if (y + i * rows < height) f(y + i * rows, packs[i]);
     }
-#pragma unroll
-    for (int i = 0; i < kAtOnce; ++i)
-      if (ys[i] >= 0) f(xs[i], ys[i], pixels[i]);
   }
 }
 
+// Whether pixels [begin, end) of a row are whole packs.
+template <int P>
+__device__ __forceinline__ bool in_packs(bool aligned, int begin, int end) {
+  return aligned && begin % P == 0 && end % P == 0;
+}
+
 template <class T, int Threads>
-__global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p) {
+__global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned) {
   using F = Compute<T>;
   using Counter = LevelCounter<Threads / 32>;
   constexpr int kEach = Threads < kLevels ? kLevels / Threads : 1;  // levels a thread
@@ -41,10 +47,24 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p) {
   T const* const image = p.x.plane(plane);
   counter.clear();
   __syncthreads();
-  for_each_pixel<Threads, T>(
-      tx * p.across.size, ty * p.down.size, p.across.size, p.down.size,
-      [&](int x, int y) { return image + p.down.reflected(y) * p.x.row_stride + p.across.reflected(x) * p.x.step; },
-      [&](int, int, T pixel) { counter.add(level_of(pixel)); });
+  int const x0 = tx * p.across.size, y0 = ty * p.down.size, x1 = x0 + p.across.size, y1 = y0 + p.down.size;
+  auto const add = [&](auto&& load) {
+    constexpr int P = sizeof(load(0, 0).v) / sizeof(T);
+    for_each_pack<Threads, P>(p.across.size, p.down.size, load, [&](int) {
+      return [&](int, Pack<T, P> const& pack) {
+#pragma unroll
+        for (T const pixel : pack.v) counter.add(level_of(pixel));
+      };
+    });
+  };
+  if (x1 <= p.across.pixels && y1 <= p.down.pixels && in_packs<kPixels<T>>(aligned, x0, x1))
+    add([&](int x, int y) {
+      return *reinterpret_cast<Pack<T, kPixels<T>> const*>(image + (y0 + y) * p.x.row_stride + x0 + x);
+    });
+  else
+    add([&](int x, int y) {
+      return Pack<T, 1>{image[p.down.reflected(y0 + y) * p.x.row_stride + p.across.reflected(x0 + x) * p.x.step]};
+    });
   __syncthreads();
 
   int const first = int(threadIdx.x) * kEach;
@@ -75,10 +95,27 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p) {
   if (first < kLevels) *reinterpret_cast<Pack<uint8_t, kEach>*>(table + first) = levels;
 }
 
-constexpr int kThreads = 128;
+constexpr int kThreads = 64;  // what a block prepares for its cell is most of the work of more
+
+// Byte k of four, as a number.
+template <class F>
+__device__ __forceinline__ F byte_of(uint32_t four, int k) {
+  if constexpr (sizeof(F) == 4)  // 2^23 and the byte: a conversion would take four times as long
+    return __uint_as_float(__byte_perm(four, 0x4b000000u, 0x7440 + k)) - F(1 << 23);
+  else
+    return F(four >> 8 * k & 255);
+}
+// v / 255, rounded as a division of floats is, with a third of its instructions (P. Markstein, "Computation of
+// elementary functions on the IBM RISC System/6000 processor", 1990).
+__device__ __forceinline__ float over_255(float v) {
+  constexpr float one = 1.f / 255;
+  float const q = v * one;
+  return fmaf(fmaf(-255.f, q, v), one, q);
+}
+__device__ __forceinline__ double over_255(double v) { return v / 255; }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, int pieces) {
+__global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, int pieces) {
   using F = Compute<T>;
   __shared__ uint32_t cell[kLevels];
   int const across = p.across.count + 1, down = p.down.count + 1;
@@ -93,35 +130,47 @@ __global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, int pieces) {
   auto const word = [&](int ty, int tx, int i) {  // levels 4 i to 4 i + 3
     return reinterpret_cast<uint32_t const*>(tables + (ty * p.across.count + tx) * kLevels)[i];
   };
-  if (threadIdx.x < kLevels / 4) {
-    int const i = threadIdx.x;
-    uint32_t const a = word(p.down.before(cy), p.across.before(cx), i),
-                   b = word(p.down.before(cy), p.across.after(cx), i),
-                   c = word(p.down.after(cy), p.across.before(cx), i),
-                   d = word(p.down.after(cy), p.across.after(cx), i);
+  static_assert(kThreads == kLevels / 4, "a word of each table a thread");
+  int const i = threadIdx.x;
+  uint32_t const a = word(p.down.before(cy), p.across.before(cx), i),
+                 b = word(p.down.before(cy), p.across.after(cx), i), c = word(p.down.after(cy), p.across.before(cx), i),
+                 d = word(p.down.after(cy), p.across.after(cx), i);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) {
-      unsigned const pick = k | (k + 4) << 4;  // byte k of both
-      cell[4 * i + k] = __byte_perm(__byte_perm(a, b, pick), __byte_perm(c, d, pick), 0x5410);
-    }
+  for (int k = 0; k < 4; ++k) {
+    unsigned const pick = k | (k + 4) << 4;  // byte k of both
+    cell[4 * i + k] = __byte_perm(__byte_perm(a, b, pick), __byte_perm(c, d, pick), 0x5410);
   }
   __syncthreads();
 
-  T const* const from = p.x.plane(plane);
-  T* const to = p.y.plane(plane);
-  for_each_pixel<kThreads, T>(
-      x0, y0, x1 - x0, y1 - y0, [&](int x, int y) { return from + y * p.x.row_stride + x * p.x.step; },
-      [&](int x, int y, T pixel) {
-        int const level = level_of(pixel);
-        F v = read(pixel);
-        if (level < kLevels) {
-          uint32_t const four = cell[level];
-          v = mixed(F(four & 255), F(four >> 8 & 255), F(four >> 16 & 255), F(four >> 24),
-                    p.across.template weight<F>(x, cx), p.down.template weight<F>(y, cy));
-          v = (p.to_levels ? rint(v) : v) / 255;
+  T const* const from = p.x.plane(plane) + y0 * p.x.row_stride;
+  T* const to = p.y.plane(plane) + y0 * p.y.row_stride;
+  auto const map = [&](auto&& load, auto&& store) {
+    constexpr int P = sizeof(load(0, 0).v) / sizeof(T);
+    for_each_pack<kThreads, P>(x1 - x0, y1 - y0, load, [&](int x) {
+      F across[P];
+#pragma unroll
+      for (int k = 0; k < P; ++k) across[k] = p.across.template weight<F>(x0 + x + k, cx);
+      return [=, &p, &store](int y, Pack<T, P> const& pack) {
+        F const down = p.down.template weight<F>(y0 + y, cy);
+        F v[P];
+#pragma unroll
+        for (int k = 0; k < P; ++k) {
+          int const level = level_of(pack.v[k]);
+          uint32_t const four = cell[level & (kLevels - 1)];
+          v[k] = mixed(byte_of<F>(four, 0), byte_of<F>(four, 1), byte_of<F>(four, 2), byte_of<F>(four, 3), across[k],
+                       down);
+          v[k] = level < kLevels ? over_255(p.to_levels ? rint(v[k]) : v[k]) : read(pack.v[k]);
         }
-        to[y * p.y.row_stride + x * p.y.step] = round_to<T>(v);
-      });
+        store(x, y, v);
+      };
+    });
+  };
+  if (in_packs<kPixels<T>>(aligned, x0, x1))
+    map([&](int x, int y) { return *reinterpret_cast<Pack<T, kPixels<T>> const*>(from + y * p.x.row_stride + x0 + x); },
+        [&](int x, int y, auto const& v) { store_pack(to + y * p.y.row_stride + x0 + x, v); });
+  else
+    map([&](int x, int y) { return Pack<T, 1>{from[y * p.x.row_stride + (x0 + x) * p.x.step]}; },
+        [&](int x, int y, auto const& v) { to[y * p.y.row_stride + (x0 + x) * p.y.step] = round_to<T>(v[0]); });
 }
 
 }  // namespace
@@ -130,12 +179,14 @@ template <class T>
 int clahe(Clahe<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), tile = int64_t(p.down.size) * p.across.size;
   unsigned const tiles = unsigned(planes * p.down.count * p.across.count);
+  bool const aligned = is_strip<kPixels<T>>(p.x) && is_strip<kPixels<T>>(p.y);
   if (tile <= 2048)
-    make_tables<T, 64><<<tiles, 64, 0, stream>>>(p);
+    make_tables<T, 64><<<tiles, 64, 0, stream>>>(p, aligned);
   else
-    make_tables<T, 512><<<tiles, 512, 0, stream>>>(p);
+    make_tables<T, 512><<<tiles, 512, 0, stream>>>(p, aligned);
   int const pieces = int(ceil_div(tile, 16 << 10));
-  map_cells<<<unsigned(planes * (p.down.count + 1) * (p.across.count + 1) * pieces), kThreads, 0, stream>>>(p, pieces);
+  map_cells<<<unsigned(planes * (p.down.count + 1) * (p.across.count + 1) * pieces), kThreads, 0, stream>>>(p, aligned,
+                                                                                                            pieces);
   return cudaGetLastError();
 }
 

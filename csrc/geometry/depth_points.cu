@@ -108,24 +108,29 @@ __global__ void __launch_bounds__(kThreads)
   int const width = int(p.y.width), height = int(p.y.height);
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   int const rows[] = {max(y - 1, 0), y, min(y + 1, height - 1)};
-  F d[3][kRun + 2], normals[3][kRun];
+  F points[3][kRun + 2][3], normals[3][kRun];  // of the pixels and around them
 #pragma unroll
   for (int j = 0; j < 3; ++j) {
     T const* const row = p.depth.row(b, 0, rows[j]);
-    F own[kRun];
+    F own[kRun], d[kRun + 2];
     load_run(row, p.depth.step, x, width, read_fours, own);
-    d[j][0] = read(row[max(x - 1, 0) * p.depth.step]);
-    d[j][kRun + 1] = read(row[min(x + kRun, width - 1) * p.depth.step]);
+    d[0] = read(row[max(x - 1, 0) * p.depth.step]);
+    d[kRun + 1] = read(row[min(x + kRun, width - 1) * p.depth.step]);
 #pragma unroll
-    for (int i = 0; i < kRun; ++i) d[j][i + 1] = own[i];
+    for (int i = 0; i < kRun; ++i) d[i + 1] = own[i];
+#pragma unroll
+    for (int i = 0; i < kRun + 2; ++i) {
+      rays.at(F(clamp(x + i - 1, 0, width - 1)), F(rows[j]), points[j][i]);
+#pragma unroll
+      for (int k = 0; k < 3; ++k) points[j][i][k] *= d[i];
+    }
   }
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     F along_x[3], along_y[3], normal[3];
-    auto const point = [&](int j, int k, F(&to)[3]) {
-      rays.at(F(clamp(x + i + k - 1, 0, width - 1)), F(rows[j]), to);
+    auto const point = [&](int j, int n, F(&to)[3]) {
 #pragma unroll
-      for (int n = 0; n < 3; ++n) to[n] *= d[j][i + k];
+      for (int k = 0; k < 3; ++k) to[k] = points[j][i + n][k];
     };
     slopes_of(point, along_x, along_y);
     normal_of(along_x, along_y, normal);

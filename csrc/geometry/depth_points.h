@@ -49,11 +49,11 @@ KV_KERNEL(depth_normals, DepthPoints)
 KV_KERNEL(depth_normals_backward, DepthNormalsBackward)
 
 template <class V>
-KV_HD V root_of(V x) {
+KV_HD V inverse_root(V x) {
 #if defined(__CUDACC__)
-  return ::sqrt(x);
+  return ::rsqrt(x);
 #else
-  return vsqrt(x);
+  return 1 / vsqrt(x);
 #endif
 }
 
@@ -69,7 +69,7 @@ struct Rays {
     ray[1] = V{} + (y - cy) * fy;
     ray[2] = V{} + 1;
     if (!unit) return;
-    V const scale = 1 / root_of(V(ray[0] * ray[0] + ray[1] * ray[1] + 1));
+    V const scale = inverse_root(V(ray[0] * ray[0] + ray[1] * ray[1] + 1));
     for (int i = 0; i < 3; ++i) ray[i] = ray[i] * scale;
   }
 };
@@ -96,21 +96,23 @@ KV_HD V dot_of(V const (&a)[3], V const (&b)[3]) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-// Returns what the normal was divided by.
+// Returns what the normal was multiplied by, at most kSteepest.
+constexpr float kSteepest = 1e12f;
+
 template <class V>
 KV_HD V normal_of(V const (&along_x)[3], V const (&along_y)[3], V (&normal)[3]) {
   cross_of(along_x, along_y, normal);
   for (int k = 0; k < 3; ++k) normal[k] = normal[k] * (1.f / 64);
-  V const least = V{} + 1e-12f, length = max(root_of(dot_of(normal, normal)), least), scale = 1 / length;
+  V const scale = min(inverse_root(dot_of(normal, normal)), V(V{} + kSteepest));
   for (int k = 0; k < 3; ++k) normal[k] = normal[k] * scale;
-  return length;
+  return scale;
 }
 template <class V>
 KV_HD void normal_vjp(V const (&along_x)[3], V const (&along_y)[3], V const (&grad)[3], V (&to_x)[3], V (&to_y)[3]) {
   V normal[3], g[3];
-  V const length = normal_of(along_x, along_y, normal), scale = (1.f / 64) / length;
-  V const along = length > V(V{} + 1e-12f) ? dot_of(normal, grad) : V{};
-  for (int k = 0; k < 3; ++k) g[k] = (grad[k] - normal[k] * along) * scale;
+  V const scale = normal_of(along_x, along_y, normal);
+  V const along = scale < V(V{} + kSteepest) ? dot_of(normal, grad) : V{};
+  for (int k = 0; k < 3; ++k) g[k] = (grad[k] - normal[k] * along) * (scale * (1.f / 64));
   cross_of(along_y, g, to_x);
   cross_of(g, along_x, to_y);
 }

@@ -8,6 +8,8 @@
 namespace kv::KV_ISA {
 namespace {
 
+constexpr int64_t kCacheBytes = 4 << 20;
+
 template <int bytes>
 struct bits_of;
 template <>
@@ -27,23 +29,65 @@ struct bits_of<8> {
   using type = uint64_t;
 };
 
+template <class T>
+constexpr int kRowLanes = (sizeof(T) < 4 ? 16 : kVectorBytes) / int(sizeof(T));
+template <class T>
+using RowVector = Lanes<typename bits_of<sizeof(T)>::type, kRowLanes<T>>;
+
+template <class T>
+KV_HD RowVector<T> reversed(T const* from) {
+  RowVector<T> last_first;
+  for (int i = 0; i < kRowLanes<T>; ++i) last_first[i] = typename bits_of<sizeof(T)>::type(kRowLanes<T> - 1 - i);
+  return __builtin_shuffle(*reinterpret_cast<RowVector<T> const*>(from), last_first);
+}
+
 // From both ends at once: a load that follows a store to the same place of another page waits for it on many
 // processors, and where images begin at the same places of pages that would be every other load.
 template <class T>
 void reverse_row(T const* from, T* to, int64_t size) {
-  using Bits = typename bits_of<sizeof(T)>::type;
-  constexpr int N = (sizeof(T) < 4 ? 16 : kVectorBytes) / int(sizeof(T));
-  using V = Lanes<Bits, N>;
-  V last_first;
-  for (int i = 0; i < N; ++i) last_first[i] = Bits(N - 1 - i);
+  constexpr int N = kRowLanes<T>;
   int64_t e = 0;
   for (; e + N <= size - N - e; e += N) {
     int64_t const f = size - N - e;
-    V const left = *reinterpret_cast<V const*>(from + e), right = *reinterpret_cast<V const*>(from + f);
-    *reinterpret_cast<V*>(to + e) = __builtin_shuffle(right, last_first);
-    *reinterpret_cast<V*>(to + f) = __builtin_shuffle(left, last_first);
+    RowVector<T> const left = reversed(from + e), right = reversed(from + f);
+    *reinterpret_cast<RowVector<T>*>(to + e) = right;
+    *reinterpret_cast<RowVector<T>*>(to + f) = left;
   }
   for (int64_t f = size - e; e < f; ++e) to[e] = from[size - 1 - e];
+}
+
+// A vector to an address that is a multiple of its size, past the caches.
+#if defined(__x86_64__)
+typedef long long Words2 __attribute__((vector_size(16)));
+typedef long long Words4 __attribute__((vector_size(32)));
+typedef long long Words8 __attribute__((vector_size(64)));
+#endif
+template <class V>
+KV_HD void store_past_caches(void* to, V v) {
+#if defined(__AVX512F__)
+  if constexpr (sizeof(V) == 64) __builtin_ia32_movntdq512(static_cast<Words8*>(to), Words8(v));
+#endif
+#if defined(__AVX2__)
+  if constexpr (sizeof(V) == 32) __builtin_ia32_movntdq256(static_cast<Words4*>(to), Words4(v));
+#endif
+#if defined(__x86_64__)
+  if constexpr (sizeof(V) == 16) __builtin_ia32_movntdq(static_cast<Words2*>(to), Words2(v));
+#else
+  *static_cast<V*>(to) = v;
+#endif
+}
+
+// The same for images that no cache has room for. Nothing is read of what is written, and the row below is on its way.
+template <class T>
+void reverse_row_past_caches(T const* from, T* to, int64_t size) {
+  constexpr int N = kRowLanes<T>;
+  int64_t e = 0;
+  for (; e < size && reinterpret_cast<uintptr_t>(to + e) % sizeof(RowVector<T>) != 0; ++e) to[e] = from[size - 1 - e];
+  for (; e + N <= size; e += N) {
+    __builtin_prefetch(from + size + e);
+    store_past_caches(to + e, reversed(from + size - N - e));
+  }
+  for (; e < size; ++e) to[e] = from[size - 1 - e];
 }
 
 // C: the channels of a pixel, 0 for any number. Elements go one by one, so they do that in memory of their own.
@@ -71,6 +115,7 @@ void copy_window(T const* from, int64_t in_size, int64_t left, T* to, int64_t si
 template <class T>
 void flip(Flip<T> const& p, int64_t begin, int64_t end) {
   int64_t const step = p.x.step, size = p.y.row_size(), height = p.y.height;
+  bool const large = p.y.rows() * size * int64_t(sizeof(T)) > kCacheBytes;
   Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, y = r - plane * height;
@@ -84,12 +129,15 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
     if (!p.columns)
       copy_window(from, p.x.row_size(), p.left * step, to, size);
     else if (step == 1)
-      reverse_row(from, to, size);
+      large ? reverse_row_past_caches(from, to, size) : reverse_row(from, to, size);
     else if (step == 3)
       reverse_pixels<3>(from, to, size, step, line.data);
     else
       reverse_pixels<0>(from, to, size, step, line.data);
   }
+#if defined(__x86_64__)
+  if (large) __builtin_ia32_sfence();  // before another thread is told
+#endif
 }
 
 KV_INSTANTIATE_WITH_BYTES(flip, Flip)

@@ -183,12 +183,12 @@ KV_HD void homography_dlt_of(HomographyDlt<T> const& p, int64_t b, Team team) {
   dlt::Problem<T> const problem(p, b, team);
   double m[81], h[9], before[9], after[9];
   problem.matrix(team, m);
+  if (team.first() != 0) return;  // one thread's matrices fit into the nearest cache, where those of all would not
   small::smallest_eigenvector<9>(m, h);
   problem.to_pixels(h, before, after);
   bool last;
   double const scale = 1 / dlt::divisor(after, last);
-  if (team.first() == 0)
-    for (int i = 0; i < 9; ++i) p.homography.set(9 * b + i, after[i] * scale);
+  for (int i = 0; i < 9; ++i) p.homography.set(9 * b + i, after[i] * scale);
 }
 
 template <class T, class Team>

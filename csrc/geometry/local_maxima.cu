@@ -7,7 +7,7 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr int kRows = 8;  // of a strip
+constexpr int kRows = 10, kStripThreads = 64;  // of a strip: small blocks, which share a device evenly
 
 // Any window. Blocks of 32 x 8 elements of a plane's rows, planes last.
 template <class T>
@@ -120,7 +120,7 @@ struct Row {
 };
 
 template <class T, int R, int D, bool Minima>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kStripThreads)
     strips_down(__grid_constant__ LocalMaxima<T> const p, Strips<kPixels<T>> const strips) {
   constexpr int P = kPixels<T>, kPlanes = 2 * D + 1;
   int64_t plane;
@@ -183,7 +183,7 @@ int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
     if (is_strip<P>(p.x) && (!p.y.data || is_strip<P>(p.y))) {
       Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
       auto const run = [&](auto kernel) {
-        kernel<<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+        kernel<<<strips.blocks(kStripThreads / 32), kStripThreads, 0, stream>>>(p, strips);
         return cudaGetLastError();
       };
       if (reaches(0, 1) && !p.minima.data) return run(strips_down<T, 1, 0, false>);

@@ -39,9 +39,9 @@ template <int N, class T, class Team>
 KV_HD void null_vector_of(NullVector<T> const& p, int64_t b, Team team) {
   double m[N * N], v[N];
   normal_matrix<N>(p, b, team, m);
+  if (team.first() != 0) return;  // one thread's matrices fit into the nearest cache, where those of all would not
   small::smallest_eigenvector<N>(m, v);
-  if (team.first() == 0)
-    for (int i = 0; i < N; ++i) p.vector.set(b * N + i, v[i]);
+  for (int i = 0; i < N; ++i) p.vector.set(b * N + i, v[i]);
 }
 
 template <int N, class T, class Team>

@@ -117,7 +117,9 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
       float sum = mean(i, [](float value, float weight) { return value * weight; });
       // What a tap of weight 0 holds is no part of the value.
       if (!(sum - sum == 0)) sum = mean(i, [](float value, float weight) { return weight != 0 ? value * weight : 0; });
-      if (e0 + 32 * i + lane < size) out[32 * i + lane] = round_to<T>(sum);
+      if (e0 + 32 * i + lane >= size) break;
+      T* const to = out + 32 * i + lane;
+      *to = round_to<T>(p.base ? float(read(*p.base_at(to))) - sum : sum);
     }
     __syncwarp();
   }
@@ -145,7 +147,8 @@ __global__ void resize_any(__grid_constant__ Resize<T> const p) {
     }
     sum += line * weight_x;
   }
-  p.y.row(plane, y)[e] = round_to<T>(sum);
+  T* const to = p.y.row(plane, y) + e;
+  *to = round_to<T>(p.base ? F(read(*p.base_at(to))) - sum : sum);
 }
 
 // --- launches

@@ -52,6 +52,8 @@ struct Resize {
   Planes<T const> x;
   Planes<T> y;
   ResizeAxis rows, columns;
+  T const* base = nullptr;  // laid out as y, which then is this minus the resized image
+  KV_HD T const* base_at(T const* of_y) const { return base + (of_y - y.data); }
 };
 
 KV_KERNEL(resize, Resize)

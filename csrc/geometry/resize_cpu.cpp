@@ -85,10 +85,10 @@ struct ColumnBands {
   KV_HD int64_t start(int64_t group) const { return min(group * N, size - N); }
 };
 
-// A row of the result from its line. Vectors: how many loads hold what a group reads at a time, 0 for more than two.
-// Taps: how many there are, 0 for any number. Says whether all of the row is finite.
+// A row of the result from its line, or `base` minus it. Vectors: how many loads hold what a group reads at a time, 0
+// for more than two. Taps: how many there are, 0 for any number. Says whether all of the row is finite.
 template <int Vectors, int Taps, int N, class T, class F>
-KV_HD bool write_row(T* out, F const* line, ColumnBands<F, N> const& columns, int64_t step) {
+KV_HD bool write_row(T* out, T const* base, F const* line, ColumnBands<F, N> const& columns, int64_t step) {
   using V = Lanes<F, N>;
   int const taps = Taps ? Taps : columns.taps;
   V check{};
@@ -110,6 +110,7 @@ KV_HD bool write_row(T* out, F const* line, ColumnBands<F, N> const& columns, in
       sum += value * load<N>(weights);
     }
     check += sum - sum;
+    if (base) sum = load<N>(base + columns.start(g)) - sum;
     store<N>(out + columns.start(g), sum);
   }
   if constexpr (N == 1) {
@@ -123,7 +124,8 @@ KV_HD bool write_row(T* out, F const* line, ColumnBands<F, N> const& columns, in
 
 // The same, but what a tap of weight 0 holds is no part of the value, not even if it is NaN or inf.
 template <int N, class T, class F>
-[[gnu::noinline]] void write_row_with_care(T* out, F const* line, ColumnBands<F, N> const& columns, int64_t step) {
+[[gnu::noinline]] void write_row_with_care(T* out, T const* base, F const* line, ColumnBands<F, N> const& columns,
+                                           int64_t step) {
   for (int64_t g = 0; g < columns.groups; ++g)
     for (int i = 0; i < N; ++i) {
       F const* from = line + columns.from.data[g] + columns.distances.data[g * N + i];
@@ -132,6 +134,7 @@ template <int N, class T, class F>
         F const weight = columns.weights.data[(g * columns.taps + k) * N + i];
         if (weight != 0) sum += *from * weight;
       }
+      if (base) sum = load<1>(base + columns.start(g) + i) - sum;
       store<1>(out + columns.start(g) + i, sum);
     }
 }
@@ -146,18 +149,18 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
   Scratch<F> line(size + beyond);
   for (int64_t e = size; e < size + beyond; ++e) line.data[e] = 0;
 
-  auto const write_with = [&](T* out, auto vectors) {
+  auto const write_with = [&](T* out, T const* base, auto vectors) {
     constexpr int M = decltype(vectors)::value;
-    if (columns.taps == 1) return write_row<M, 1>(out, line.data, columns, step);
-    if (columns.taps == 2) return write_row<M, 2>(out, line.data, columns, step);
-    if (columns.taps == 4) return write_row<M, 4>(out, line.data, columns, step);
-    return write_row<M, 0>(out, line.data, columns, step);
+    if (columns.taps == 1) return write_row<M, 1>(out, base, line.data, columns, step);
+    if (columns.taps == 2) return write_row<M, 2>(out, base, line.data, columns, step);
+    if (columns.taps == 4) return write_row<M, 4>(out, base, line.data, columns, step);
+    return write_row<M, 0>(out, base, line.data, columns, step);
   };
-  auto const write = [&](T* out) {
-    if (columns.spread < N) return write_with(out, Width<1>{});
+  auto const write = [&](T* out, T const* base) {
+    if (columns.spread < N) return write_with(out, base, Width<1>{});
     if constexpr (N > 1) {
-      if (columns.spread < 2 * N) return write_with(out, Width<2>{});
-      return write_row<0, 0>(out, line.data, columns, step);
+      if (columns.spread < 2 * N) return write_with(out, base, Width<2>{});
+      return write_row<0, 0>(out, base, line.data, columns, step);
     }
     return true;
   };
@@ -186,7 +189,8 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
         return sum;
       });
     T* const out = p.y.row(plane, r - plane * height);
-    if (!write(out)) write_row_with_care(out, line.data, columns, step);
+    T const* const base = p.base ? p.base_at(out) : nullptr;
+    if (!write(out, base)) write_row_with_care(out, base, line.data, columns, step);
   }
 }
 

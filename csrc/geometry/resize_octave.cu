@@ -20,40 +20,38 @@ template <class T>
 constexpr int kPack = sizeof(T) < 4 ? 8 : 4;  // a thread's pixels of the larger image
 constexpr int kLeast = 16;                    // pixels along an axis, so that one end's rim is not the other's
 
-// Pixels at a rim, whose windows differ, and of kinds of them within.
-template <bool Doubles>
-constexpr int kRim = Doubles ? 4 : 2;
-template <bool Doubles>
-constexpr int kKinds = Doubles ? 2 : 1;
+// Pixels at a rim, whose windows differ, and kinds of them within.
+constexpr int rim_of(bool doubles) { return doubles ? 4 : 2; }
+constexpr int kinds_of(bool doubles) { return doubles ? 2 : 1; }
 
 // Where the window of pixel i of the result begins.
-template <bool Doubles>
-KV_HD int window_start(int i, int taps) {
-  return Doubles ? i / 2 - (taps - i % 2) / 2 : 2 * i - (taps / 2 - 1);
+KV_HD int window_start(bool doubles, int i, int taps) {
+  return doubles ? i / 2 - (taps - i % 2) / 2 : 2 * i - (taps / 2 - 1);
 }
 
 // The weights of both axes: of the first pixels, of one of each kind, of the last pixels.
 template <bool Doubles, int Taps>
 struct OctaveWeights {
-  static constexpr int kRows = 2 * kRim<Doubles> + kKinds<Doubles>;
+  static constexpr int kRim = rim_of(Doubles), kRows = 2 * kRim + kinds_of(Doubles);
   float at[kRows][Taps];
-
-  explicit OctaveWeights(ResizeAxis const& axis) : at{} {
-    for (int i = 0; i < kRim<Doubles> + kKinds<Doubles>; ++i) {
-      Reads<float> const reads = reads_of<float>(axis, i);
-      for (int k = 0; k < reads.count; ++k)
-        at[i][reads.first - window_start<Doubles>(i, Taps) + k] = weight_at(axis, reads, i, k);
-    }
-    for (int i = 0; i < kRim<Doubles>; ++i)
-      for (int k = 0; k < Taps; ++k) at[kRows - 1 - i][k] = at[i][Taps - 1 - k];
-  }
   // Those of pixel i of n. A pixel outside has some, too, which no one sees.
   __device__ __forceinline__ float const* of(int i, int n) const {
-    constexpr int R = kRim<Doubles>;
-    int const inner = Doubles ? R + i % 2 : R;
-    return at[i < R ? max(i, 0) : i < n - R ? inner : min(i - n + kRows, kRows - 1)];
+    int const inner = Doubles ? kRim + i % 2 : kRim;
+    return at[i < kRim ? max(i, 0) : i < n - kRim ? inner : min(i - n + kRows, kRows - 1)];
   }
 };
+
+// Writes rows of them. Once for all kinds of kernels, for the sake of the time to compile.
+[[gnu::noinline]] void write_weights(float* at, bool doubles, int taps, ResizeAxis const& axis) {
+  int const rim = rim_of(doubles), inner = rim + kinds_of(doubles), rows = rim + inner;
+  for (int i = 0; i < rows * taps; ++i) at[i] = 0;
+  for (int i = 0; i < inner; ++i) {
+    Reads<float> const reads = reads_of<float>(axis, i);
+    float* const from = at + i * taps + reads.first - window_start(doubles, i, taps);
+    for (int k = 0; k < reads.count; ++k) from[k] = weight_at(axis, reads, i, k);
+  }
+  for (int i = 0; i < rim * taps; ++i) at[rows * taps - 1 - i] = at[i];
+}
 
 template <class T, int P>
 using Ring = T[4][32 * P + 2 * kHalo];  // three rows are on their way
@@ -62,7 +60,7 @@ template <class T, int K>
 __global__ void __launch_bounds__(32 * kWarps)
     halve(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
           __grid_constant__ OctaveWeights<false, K> const weights, Strips<kPack<T> / 2> strips) {
-  constexpr int P = kPack<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R, kEnd = kRim<false>;
+  constexpr int P = kPack<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R, kEnd = rim_of(false);
   __shared__ Ring<T, P> rings[kWarps];
   int64_t plane;
   int column, top;
@@ -121,8 +119,8 @@ __global__ void __launch_bounds__(32 * kWarps)
 template <class T, int M>
 __global__ void __launch_bounds__(32 * kWarps)
     doubled(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
-            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kPack<T> / 2> strips) {
-  constexpr int P = kPack<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = kRim<true>;
+            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kPack<T> / 2> strips, T const* base) {
+  constexpr int P = kPack<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = rim_of(true);
   __shared__ Ring<T, C> rings[kWarps];
   int64_t plane;
   int column, top;
@@ -149,7 +147,7 @@ __global__ void __launch_bounds__(32 * kWarps)
     for (int p = 0; p < P; ++p) {
 #pragma unroll
       for (int r = 0; r < 2 * R; ++r) along_x[r][p] = along_x[r + 1][p];
-      float const* const window = v + kMiddle + window_start<true>(p, M);
+      float const* const window = v + kMiddle + window_start(true, p, M);
       along_x[2 * R][p] = weights_x[p][0] * window[0];
 #pragma unroll
       for (int k = 1; k < M; ++k) along_x[2 * R][p] += weights_x[p][k] * window[k];
@@ -168,10 +166,15 @@ __global__ void __launch_bounds__(32 * kWarps)
       float sums[P];
 #pragma unroll
       for (int p = 0; p < P; ++p) {
-        int const from = R + window_start<true>(odd, M);
+        int const from = R + window_start(true, odd, M);
         sums[p] = weights_y[odd][0] * along_x[from][p];
 #pragma unroll
         for (int k = 1; k < M; ++k) sums[p] += weights_y[odd][k] * along_x[from + k][p];
+      }
+      if (M == 4 && base && 2 * column < width) {  // M: pyrup's
+        Pack<T, P> const from = *reinterpret_cast<Pack<T, P> const*>(base + (out - y.data));
+#pragma unroll
+        for (int p = 0; p < P; ++p) sums[p] = read(from.v[p]) - sums[p];
       }
       if (2 * column < width) store_pack(out, sums);
       out += y.row_stride;
@@ -197,9 +200,10 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   int rows = 32;
   while (rows > 4 && p.y.count() * ceil_div(width, 32 * C) * ceil_div(height, rows) < 3000) rows /= 2;
   Strips<C> const strips(p.y.count(), height, width, rows);
-  OctaveWeights<Doubles, Taps> const weights(p.rows);
+  OctaveWeights<Doubles, Taps> weights;
+  write_weights(weights.at[0], Doubles, Taps, p.rows);
   if constexpr (Doubles)
-    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips);
+    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.base);
   else
     halve<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips);
   return cudaGetLastError();

@@ -1,4 +1,5 @@
 // Resizing: schemas and entries, for CPU and CUDA alike.
+#include "glue/batch.h"
 #include "glue/glue.h"
 #include "resize.h"
 
@@ -17,7 +18,8 @@ Window window_of(char const* op, std::string const& name) {
 
 // From images to images of `size`, or the gradient to images of `size`.
 Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& size, std::string const& name,
-               bool align_corners, bool antialias, std::string const& border_name, bool transposed) {
+               bool align_corners, bool antialias, std::string const& border_name, bool transposed,
+               Tensor const* base = nullptr) {
   check_images(op, transposed ? "grad" : "input", input);
   KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
   Window const window = window_of(op, name);
@@ -39,13 +41,20 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
   Layout const layout = layout_of(input);
   Tensor const x = conform(input, layout);
   Tensor const y = empty({x.size(0), x.size(1), size[0], size[1]}, x, layout);
+  if (base) check_like(op, "image", *base, y);
+  // In the same places as y.
+  Tensor const image = !base ? y
+                       : layout == Layout::channels_last
+                           ? torch::stable::contiguous(*base, torch::headeronly::MemoryFormat::ChannelsLast)
+                           : dense(*base);
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
-    Resize<T> const params{planes<T const>(x, layout), planes<T>(y, layout), rows, columns};
+    Resize<T> const params{planes<T const>(x, layout), planes<T>(y, layout), rows, columns,
+                           base ? data_of<T const>(image) : nullptr};
     KV_RUN(resize, x, params, params.y.row_size() ? params.y.rows() : 0,
            rows.most * params.x.row_size() + columns.most * params.y.row_size());
   };
-  if (transposed)
+  if (transposed || base)
     for_floats(op, x, run);
   else
     for_floats_and_bytes(op, x, run);
@@ -62,10 +71,18 @@ Tensor resize_backward(Tensor const& grad, std::vector<int64_t> size, std::strin
   return resized("resize_backward", grad, size, window, align_corners, antialias, border, true);
 }
 
+// What an image has that the next smaller one of its pyramid has not.
+Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_corners, std::string const& border) {
+  check_images("pyramid_detail", "smaller", smaller);
+  return resized("pyramid_detail", smaller, {2 * smaller.size(2), 2 * smaller.size(3)}, "pyrup", align_corners, false,
+                 border, false, &image);
+}
+
 }  // namespace
 
 #define KV_HOW "int[] size, str window, bool align_corners, bool antialias, str border"
 KV_OPERATOR(resize, "(Tensor input, " KV_HOW ") -> Tensor")
 KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
+KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, str border) -> Tensor")
 
 }  // namespace kv

@@ -68,123 +68,171 @@ __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArg
 // --- windows around every pixel of images
 // ---------------------------------------------------------------------------------------------------------------
 
-constexpr int kRun = 4, kRows = 12, kStripThreads = 128;
-constexpr float kMostExponent = 24;  // of base 2, beside a strip's largest: rounding it costs 2e-6 of a weight
+constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
+constexpr float kMostExponent = 90;  // of base 2, beside a strip's largest: rounding it costs 3e-6 of a weight
 
-template <class T>
-Planes<T const> planes_of(SoftArgmax<T> const& p) {
-  Windows const& w = p.windows;
-  return {p.x, w.volumes, 1, w.voxels(), 0, w.size[2], w.size[1], w.size[2], 1};
-}
-
-// Weights are exponentials beside the largest number of the strip, so that all windows share them; where numbers are
-// too far apart for that each window takes its own.
-template <class T, int R>
-__global__ void __launch_bounds__(kStripThreads)
-    strips_down(__grid_constant__ SoftArgmax<T> const p, Planes<T const> const image, Strips<kRun> const strips) {
-  using F = Compute<T>;
-  constexpr int K = 2 * R + 1;
-  int64_t plane;
-  int x, y0;
-  if (!strips.place(plane, x, y0)) return;
-  int const height = int(image.height), width = int(image.width), y1 = min(y0 + int(strips.rows), height);
-  int const first = max(y0 - R, 0), last = min(y1 + R, height);
-  Strip<R, true, kRun> const strip(x, width, Border::replicate);
-  F most = -INFINITY, least = INFINITY;
-#pragma unroll 4
-  for (int y = first; y < last; ++y) {
-    F v[kRun + 2 * R];
-    strip.load(v, image.row(plane, y));
+// Four numbers of a thread and R of each neighbour's: sums of 2R + 1, and of these times how many are before them.
+template <int R>
+struct Across {
+  float v[kRun + 2 * R];
+  __device__ __forceinline__ explicit Across(float const (&own)[kRun]) {
 #pragma unroll
-    for (int i = 0; i < kRun + 2 * R; ++i) {  // NaN is left out
-      most = strip.inside ? ::fmax(most, v[i]) : most;
-      least = strip.inside ? ::fmin(least, v[i]) : least;
+    for (int i = 0; i < kRun; ++i) v[R + i] = own[i];
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      v[i] = __shfl_up_sync(0xffffffffu, own[kRun - R + i], 1);
+      v[R + kRun + i] = __shfl_down_sync(0xffffffffu, own[i], 1);
     }
   }
+  __device__ __forceinline__ float sum(int n) const {
+    float sum = v[n];
 #pragma unroll
-  for (int lane = 16; lane > 0; lane /= 2) {
-    most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, lane));
-    least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, lane));
+    for (int i = 1; i <= 2 * R; ++i) sum += v[n + i];
+    return sum;
   }
-  F const sharpness = F(kLog2E) / p.temperature;
-  if (!((most - least) * sharpness <= F(kMostExponent))) {
-    for (int y = y0; y < y1 && strip.inside; ++y)
-      for (int n = 0; n < kRun; ++n) one_window(p, plane, 0, y, x + n);
+  __device__ __forceinline__ float moment(int n) const {
+    float sum = v[n + 1];
+#pragma unroll
+    for (int i = 2; i <= 2 * R; ++i) sum += v[n + i] * float(i);
+    return sum;
+  }
+};
+
+// A warp's columns and rows of an image: threads take kRun columns each, of which the outermost `Help` on either side
+// only help their neighbours. All windows of it share exponentials beside its largest number.
+template <int Help>
+struct ImageStrip {
+  int height, width, x, y0, y1;
+  unsigned plane;
+  bool there, writes;  // whether the thread's columns are in the image, and are its own
+  int64_t size;
+  float const* image;
+  float sharpness, from;
+
+  static constexpr int kColumns = (32 - 2 * Help) * kRun;
+  static dim3 grid(Windows const& w) {
+    int64_t const strips = w.volumes * ceil_div(w.size[2], kColumns) * ceil_div(w.size[1], kRows);
+    return dim3(unsigned(ceil_div(strips, kStripThreads / 32)));
+  }
+  // False beyond the last strip.
+  __device__ __forceinline__ bool place(Windows const& w, float const* data, float temperature) {
+    height = w.size[1], width = w.size[2];
+    unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
+    unsigned const across = unsigned(width + kColumns - 1) / kColumns, down = unsigned(height + kRows - 1) / kRows;
+    unsigned const line = warp / across;
+    plane = line / down;
+    if (plane >= w.volumes) return false;
+    x = int(warp - line * across) * kColumns + (int(lane) - Help) * kRun;
+    y0 = int(line - plane * down) * kRows;
+    y1 = min(y0 + kRows, height);
+    there = x >= 0 && x < width;
+    writes = there && lane >= Help && lane < 32 - Help;
+    size = int64_t(height) * width;
+    image = data + plane * size + x;
+    sharpness = float(kLog2E) / temperature;
+    return true;
+  }
+  // Of rows from `reach` above on: false where numbers are too far apart to share exponentials.
+  __device__ __forceinline__ bool find_largest(int reach) {
+    float most = -INFINITY, least = INFINITY;
+#pragma unroll 4
+    for (int y = max(y0 - reach, 0); y < min(y1 + reach, height); ++y) {
+      if (!there) break;
+      Pack<float, kRun> const v = load(image, y);
+#pragma unroll
+      for (int i = 0; i < kRun; ++i) most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // NaN is left out
+    }
+#pragma unroll
+    for (int step = 16; step > 0; step /= 2) {
+      most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, step));
+      least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
+    }
+    from = most * sharpness;
+    return (most - least) * sharpness <= kMostExponent;
+  }
+  __device__ __forceinline__ Pack<float, kRun> load(float const* plane, int y) const {
+    return *reinterpret_cast<Pack<float, kRun> const*>(plane + int64_t(y) * width);
+  }
+  // The exponentials of a row, and these times x; 0 outside of the image.
+  template <bool Products>
+  __device__ __forceinline__ void weights_of(int y, float (&weight)[kRun], float (&product)[kRun]) const {
+    Pack<float, kRun> v{};
+    bool const inside = there && y >= 0 && y < height;
+    if (inside) v = load(image, y);
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) {
+      weight[i] = inside ? fast_exp2(v.v[i] * sharpness - from) : 0.f;
+      if constexpr (Products) product[i] = inside ? weight[i] * v.v[i] : 0.f;
+    }
+  }
+};
+
+// Weights are summed down columns first, then along rows. Where they are not shared each window takes its own.
+template <int R, bool Values>
+__global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<float> const p) {
+  constexpr int K = 2 * R + 1;
+  ImageStrip<1> strip;
+  if (!strip.place(p.windows, p.x, p.temperature)) return;
+  int const x = strip.x, y0 = strip.y0, width = strip.width;
+  int64_t const size = strip.size;
+  if (!strip.find_largest(R)) {
+    for (int y = y0; y < strip.y1 && strip.writes; ++y)
+      for (int n = 0; n < kRun; ++n) one_window(p, strip.plane, 0, y, x + n);
     return;
   }
-  // Of a row's windows: their exponentials, these times the column, these times x.
-  F total[K][kRun] = {}, column[K][kRun] = {}, value[K][kRun] = {};
-  auto const next = [&](int y, F(&sums)[kRun], F(&by_column)[kRun], F(&by_value)[kRun]) {
+  float weights[K][kRun], products[K][kRun];  // of the rows of a window; times x
 #pragma unroll
-    for (int n = 0; n < kRun; ++n) sums[n] = by_column[n] = by_value[n] = 0;
-    if (y < 0 || y >= height) return;  // the same for the whole warp
-    F v[kRun + 2 * R];
-    strip.load(v, image.row(plane, y));
-#pragma unroll
-    for (int i = 0; i < kRun + 2 * R; ++i) {
-      bool const there = x - R + i >= 0 && x - R + i < width;
-      F const e = there ? fast_exp2((v[i] - most) * sharpness) : F(0), product = there ? e * v[i] : F(0);
-#pragma unroll
-      for (int n = 0; n < kRun; ++n)
-        if (i - n >= 0 && i - n < K) {
-          sums[n] += e;
-          by_column[n] += e * F(i - n);
-          by_value[n] += product;
-        }
-    }
-  };
-#pragma unroll
-  for (int j = 0; j < K - 1; ++j) next(y0 - R + j, total[j], column[j], value[j]);
-  int64_t const size = p.windows.places();
-  T* places = p.places + 2 * plane * size;
-#pragma unroll 1
-  for (int y = y0; y < y1; ++y) {
-    next(y + R, total[K - 1], column[K - 1], value[K - 1]);
-    F to_x[kRun], to_y[kRun], to_value[kRun];
+  for (int j = 0; j < K - 1; ++j) strip.weights_of<Values>(y0 - R + j, weights[j + 1], products[j + 1]);
+  float* to_x = p.places + 2 * strip.plane * size + int64_t(y0) * width + x;
+  float* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
+#pragma unroll(K)
+  for (int i = 0; i < kRows; ++i) {
+    int const y = y0 + i;
+    if (y >= strip.y1) break;
+    float totals[kRun], moments[kRun], values[kRun];  // down columns
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
-      F sum = 0, by_x = 0, by_y = 0, by_value = 0;
 #pragma unroll
-      for (int j = 0; j < K; ++j) {
-        sum += total[j][n];
-        by_y += total[j][n] * F(j);
-        by_x += column[j][n];
-        by_value += value[j][n];
+      for (int j = 0; j < K - 1; ++j) {
+        weights[j][n] = weights[j + 1][n];
+        if constexpr (Values) products[j][n] = products[j + 1][n];
       }
-      F const scale = 1 / sum;
-      to_x[n] = (F(x + n - R) + by_x * scale) * p.scale[2] + p.offset[2];
-      to_y[n] = (F(y - R) + by_y * scale) * p.scale[1] + p.offset[1];
-      to_value[n] = by_value * scale;
     }
-    int64_t const row = int64_t(y) * width;
-    strip.store(places + row, to_x);
-    strip.store(places + size + row, to_y);
-    if (p.values) strip.store(p.values + plane * size + row, to_value);
+    strip.weights_of<Values>(y + R, weights[K - 1], products[K - 1]);
 #pragma unroll
-    for (int j = 0; j < K - 1; ++j)
+    for (int n = 0; n < kRun; ++n) {
+      totals[n] = weights[0][n] + weights[1][n];
+      moments[n] = weights[1][n];
+      if constexpr (Values) values[n] = products[0][n] + products[1][n];
 #pragma unroll
-      for (int n = 0; n < kRun; ++n) {
-        total[j][n] = total[j + 1][n];
-        column[j][n] = column[j + 1][n];
-        value[j][n] = value[j + 1][n];
+      for (int j = 2; j < K; ++j) {
+        totals[n] += weights[j][n];
+        moments[n] += weights[j][n] * float(j);
+        if constexpr (Values) values[n] += products[j][n];
       }
+    }
+    Across<R> const total(totals), moment(moments);
+    Pack<float, kRun> places_x, places_y, means;
+    float scales[kRun];
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+      scales[n] = __fdividef(1.f, total.sum(n));
+      places_x.v[n] = (float(x + n - R) + total.moment(n) * scales[n]) * p.scale[2] + p.offset[2];
+      places_y.v[n] = (float(y - R) + moment.sum(n) * scales[n]) * p.scale[1] + p.offset[1];
+    }
+    if constexpr (Values) {
+      Across<R> const value(values);
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) means.v[n] = value.sum(n) * scales[n];
+    }
+    if (strip.writes) {
+      *reinterpret_cast<Pack<float, kRun>*>(to_x) = places_x;
+      *reinterpret_cast<Pack<float, kRun>*>(to_x + size) = places_y;
+      if constexpr (Values) *reinterpret_cast<Pack<float, kRun>*>(to_value) = means;
+    }
+    to_x += width;
+    if constexpr (Values) to_value += width;
   }
-}
-
-// How far windows reach, if they are around every pixel of images that are strips, else 0.
-template <class T>
-int reach_of(SoftArgmax<T> const& p) {
-  Windows const& w = p.windows;
-  Planes<T const> places = planes_of(p), values = places;
-  places.data = p.places;
-  values.data = p.values ? p.values : p.places;
-  if (w.axes != 2 || w.size[0] != 1 || w.window[0] != 1 || !is_strip<kRun>(planes_of(p)) || !is_strip<kRun>(places) ||
-      !is_strip<kRun>(values))
-    return 0;
-  int const r = w.before[1];
-  for (int axis = 1; axis < 3; ++axis)
-    if (w.stride[axis] != 1 || w.before[axis] != r || w.window[axis] != 2 * r + 1) return 0;
-  return r;
 }
 
 // --- gradients
@@ -237,17 +285,115 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
   p.grad_x[at] = round_to<T>(sum);
 }
 
+// The gradient of one voxel, from all windows that it is in.
+__device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, int64_t plane, int vy, int vx) {
+  Windows const& w = p.windows;
+  float const* const image = p.x + plane * w.voxels();
+  float const v = image[int64_t(vy) * w.size[2] + vx], sharpness = float(kLog2E) / p.temperature;
+  Readers const ys(vy, 1, w.before[1], w.window[1], w.out[1]), xs(vx, 1, w.before[2], w.window[2], w.out[2]);
+  float sum = 0;
+  for (int y = ys.first; y < ys.last; ++y)
+    for (int x = xs.first; x < xs.last; ++x) {
+      float const* const grads = p.grad_places + 2 * plane * w.places() + int64_t(y) * w.out[2] + x;
+      float const grad[] = {0, grads[w.places()] * p.scale[1], grads[0] * p.scale[2]};
+      auto const record = record_of<float, float>(sums_at(w, image, p.temperature, 0, y, x), grad, 0.f);
+      sum += share_of<float, float>(record, v, fast_exp2((v - record.most) * sharpness), 0, float(vy + w.before[1] - y),
+                                    float(vx + w.before[2] - x), 1 / p.temperature);
+    }
+  return sum;
+}
+
+// Of a window with the total S and the moments X and Y, whose place has the gradients gx and gy, each pixel (j, i) gets
+// exp (a i + b j + c), a = gx / S, b = gy / S, c = -(gx X + gy Y) / S^2: summed down columns first, over the windows
+// that a pixel is in, then along rows.
+template <int R>
+__global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ SoftArgmaxBackward<float> const p) {
+  constexpr int K = 2 * R + 1;
+  ImageStrip<2> strip;
+  if (!strip.place(p.windows, p.x, p.temperature)) return;
+  int const x = strip.x, y0 = strip.y0, width = strip.width;
+  int64_t const size = strip.size;
+  float* to = p.grad_x + strip.plane * size + int64_t(y0) * width + x;
+  if (!strip.find_largest(2 * R)) {
+    for (int y = y0; y < strip.y1 && strip.writes; ++y)
+      for (int n = 0; n < kRun; ++n)
+        p.grad_x[strip.plane * size + int64_t(y) * width + x + n] = one_pixel(p, strip.plane, y, x + n);
+    return;
+  }
+  float const* const grad_x = p.grad_places + 2 * strip.plane * size + x;
+  float const* const grad_y = grad_x + size;
+  float weights[K][kRun] = {}, none[kRun];
+  float constants[K][kRun] = {}, slopes[K][kRun] = {};  // b j + c, and a, of the pixels whose windows are not all there
+  float const per_temperature = 1 / p.temperature;
+#pragma unroll(K)
+  for (int i = -4 * R; i < kRows; ++i) {
+    // Weights of row y + 2R, then windows around row y + R, then the gradient of row y.
+    int const y = y0 + i;
+    if (y >= strip.y1) break;
+#pragma unroll
+    for (int j = 0; j < K - 1; ++j)
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) weights[j][n] = weights[j + 1][n];
+    strip.weights_of<false>(y + 2 * R, weights[K - 1], none);
+    if (i < -2 * R) continue;
+    float totals[kRun], moments[kRun];
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+      totals[n] = weights[0][n] + weights[1][n];
+      moments[n] = weights[1][n];
+#pragma unroll
+      for (int j = 2; j < K; ++j) {
+        totals[n] += weights[j][n];
+        moments[n] += weights[j][n] * float(j);
+      }
+    }
+    Across<R> const total(totals), moment(moments);
+    int const middle = y + R;
+    if (strip.there && middle >= 0 && middle < strip.height) {
+      Pack<float, kRun> const gx = strip.load(grad_x, middle), gy = strip.load(grad_y, middle);
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) {
+        float const scale = __fdividef(1.f, total.sum(n));
+        float const a = gx.v[n] * p.scale[2] * scale, b = gy.v[n] * p.scale[1] * scale;
+        float const c = -(a * (total.moment(n) * scale) + b * (moment.sum(n) * scale));
+#pragma unroll
+        for (int j = 0; j < K; ++j) {
+          constants[j][n] += b * float(j) + c;
+          slopes[j][n] += a;
+        }
+      }
+    }
+    Across<R> const constant(constants[0]), slope(slopes[0]);
+    if (i >= 0 && strip.writes) {
+      Pack<float, kRun> found;
+#pragma unroll
+      for (int n = 0; n < kRun; ++n)
+        found.v[n] =
+            weights[0][n] * per_temperature * (constant.sum(n) + (float(2 * R) * slope.sum(n) - slope.moment(n)));
+      *reinterpret_cast<Pack<float, kRun>*>(to) = found;
+    }
+    if (i >= 0) to += width;
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+#pragma unroll
+      for (int j = 0; j < K - 1; ++j) constants[j][n] = constants[j + 1][n], slopes[j][n] = slopes[j + 1][n];
+      constants[K - 1][n] = slopes[K - 1][n] = 0;
+    }
+  }
+}
+
 }  // namespace
 
 template <class T>
 int soft_argmax(SoftArgmax<T> const& p, CUstream_st* stream) {
   if constexpr (__is_same(T, float)) {
-    Strips<kRun> const strips(p.windows.volumes, p.windows.size[1], p.windows.size[2], kRows);
-    unsigned const blocks = strips.blocks(kStripThreads / 32);
-    int const reach = reach_of(p);
-    if (reach == 1) strips_down<T, 1><<<blocks, kStripThreads, 0, stream>>>(p, planes_of(p), strips);
-    if (reach == 2) strips_down<T, 2><<<blocks, kStripThreads, 0, stream>>>(p, planes_of(p), strips);
-    if (reach == 1 || reach == 2) return cudaGetLastError();
+    auto const run = [&](auto kernel) {
+      kernel<<<ImageStrip<1>::grid(p.windows), kStripThreads, 0, stream>>>(p);
+      return cudaGetLastError();
+    };
+    int const reach = reach_of(p.windows, p.x, p.places, p.places + p.windows.places(), p.values);
+    if (reach == 1) return p.values ? run(strips_down<1, true>) : run(strips_down<1, false>);
+    if (reach == 2) return p.values ? run(strips_down<2, true>) : run(strips_down<2, false>);
   }
   Tiles const tiles(p.windows.volumes, p.windows.out);
   windows_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
@@ -263,6 +409,12 @@ int soft_argmax_records(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int soft_argmax_backward(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
+  if constexpr (__is_same(T, float))
+    if (!p.records) {
+      auto const kernel = p.windows.before[1] == 1 ? strips_back<1> : strips_back<2>;
+      kernel<<<ImageStrip<2>::grid(p.windows), kStripThreads, 0, stream>>>(p);
+      return cudaGetLastError();
+    }
   Tiles const tiles(p.windows.volumes, p.windows.size);
   voxels_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();

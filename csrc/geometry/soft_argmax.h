@@ -9,7 +9,8 @@
 //   dx(v) = sum of w(v) (g_value + (g_place . (v - start) + g_value x(v) + rest) / temperature)
 //   rest  = -(g_place . (place - start) + g_value value)
 //
-// so a backward pass makes the records first, then gathers. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
+// so a backward pass makes the records first, then gathers. On CUDA windows around every pixel of float images share
+// their exponentials, and both are one pass. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
 // soft_argmax_op.cpp.
 #pragma once
 
@@ -52,12 +53,22 @@ struct SoftArgmaxBackward {
   Compute<T> scale[3];
   T const *grad_places, *grad_values, *x;  // or null for no gradient of the values
   T* grad_x;
-  Compute<T>* records;  // (6, n, D', H', W')
+  Compute<T>* records;  // (6, n, D', H', W'); none for one pass
 };
 
 KV_KERNEL(soft_argmax, SoftArgmax)
 KV_KERNEL(soft_argmax_records, SoftArgmaxBackward)
 KV_KERNEL(soft_argmax_backward, SoftArgmaxBackward)
+
+// How far windows reach, if they are 3 x 3 or 5 x 5 around every pixel of images that are read in fours, else 0.
+template <class... Data>
+int reach_of(Windows const& w, Data const*... data) {
+  int const r = w.before[1];
+  bool fits = w.axes == 2 && w.size[0] == 1 && w.window[0] == 1 && w.size[2] % 4 == 0 && r <= 2;
+  for (int axis = 1; axis < 3; ++axis)
+    fits = fits && w.stride[axis] == 1 && w.before[axis] == r && w.window[axis] == 2 * r + 1;
+  return fits && ((reinterpret_cast<uintptr_t>(data) % 16 == 0) && ...) ? r : 0;
+}
 
 // Indices [first, last) of a window that begins at `start`, counted from there, that are on an axis of n.
 struct Span {

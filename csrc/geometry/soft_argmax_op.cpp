@@ -74,9 +74,16 @@ Tensor soft_argmax_backward(Tensor const& grad_places, Tensor const& grad_values
   check_fits(op, "grad_values", grad_values, input, {b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]});
   Tensor const x = for_batch(input, b), g = for_batch(grad_places, b), v = for_batch(grad_values, b);
   Tensor const grad_x = empty({b, c, w.size[0], w.size[1], w.size[2]}, x);
+#if defined(KV_CUDA)
+  bool const one_pass =
+      x.scalar_type() == ScalarType::Float && !with_values &&
+      reach_of(w, data_of<float>(x), data_of<float>(g), data_of<float>(grad_x), data_of<float>(g) + w.places()) > 0;
+#else
+  bool const one_pass = false;
+#endif
   bool const wide = x.scalar_type() == ScalarType::Double;
-  Tensor const records =
-      empty({kRecord, w.volumes, w.places()}, x, Layout::planar, wide ? ScalarType::Double : ScalarType::Float);
+  Tensor const records = empty({one_pass ? 0 : kRecord, w.volumes, w.places()}, x, Layout::planar,
+                               wide ? ScalarType::Double : ScalarType::Float);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     SoftArgmaxBackward<T> params{w,
@@ -86,9 +93,9 @@ Tensor soft_argmax_backward(Tensor const& grad_places, Tensor const& grad_values
                                  with_values ? data_of<T const>(v) : nullptr,
                                  data_of<T const>(x),
                                  data_of<T>(grad_x),
-                                 data_of<Compute<T>>(records)};
+                                 one_pass ? nullptr : data_of<Compute<T>>(records)};
     scales_of(w, normalized, params.scale);
-    KV_RUN(soft_argmax_records, x, params, w.volumes * w.out[0] * w.out[1], w.out[2] * w.area());
+    if (!one_pass) KV_RUN(soft_argmax_records, x, params, w.volumes * w.out[0] * w.out[1], w.out[2] * w.area());
     KV_RUN(soft_argmax_backward, x, params, w.volumes * w.size[0] * w.size[1], w.size[2] * w.area());
   });
   return grad_x;

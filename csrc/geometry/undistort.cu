@@ -12,7 +12,7 @@ __global__ void __launch_bounds__(kThreads) undistort_points(Undistort<T> p) {
   int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
   if (i >= p.batch * p.count) return;
   T x = p.points[2 * i], y = p.points[2 * i + 1];
-  undistort_of(p, p.cameras + i / p.count * kCameraNumbers, x, y);
+  undistort_of(p, i / p.count, x, y);
   p.result[2 * i] = x, p.result[2 * i + 1] = y;
 }
 

@@ -12,25 +12,28 @@ namespace kv {
 
 template <class T>
 struct Undistort {
-  T const* points;   // (B, N, 2) in pixels
-  T const* cameras;  // (B, 29): fx, fy, cx, cy of the points; likewise of the result; 12 coefficients; a 3 x 3 matrix
-                     // from the plane of a tilted sensor, used where there is a tilt
+  T const* points;           // (B, N, 2) in pixels
+  T const *camera, *wanted;  // (3, 3) of the points and of the result
+  T const* coefficients;     // (given): the first ones, others are 0
+  T const* tilt;             // (3, 3), takes the plane of a tilted sensor back; or null
+  // From the numbers of a problem to the next one's: 0 where all have the same.
+  int64_t camera_stride, wanted_stride, coefficients_stride, tilt_stride;
+  int given, steps;
   int64_t batch, count;
-  int steps;
-  bool tilted;
   T* result;  // (B, N, 2)
 };
-
-constexpr int kCameraNumbers = 29;
 
 KV_KERNEL(undistort, Undistort)
 
 template <class V, class T>
-KV_HD void undistort_of(Undistort<T> const& p, T const* camera, V& x, V& y) {
-  T const *const c = camera + 8, *const m = camera + 20;
-  x = (x - camera[2]) / camera[0];
-  y = (y - camera[3]) / camera[1];
-  if (p.tilted) {
+KV_HD void undistort_of(Undistort<T> const& p, int64_t b, V& x, V& y) {
+  T const *const k = p.camera + b * p.camera_stride, *const wanted = p.wanted + b * p.wanted_stride;
+  T c[12];
+  for (int i = 0; i < 12; ++i) c[i] = i < p.given ? p.coefficients[b * p.coefficients_stride + i] : T(0);
+  x = (x - k[2]) / k[0];
+  y = (y - k[5]) / k[4];
+  if (p.tilt) {
+    T const* const m = p.tilt + b * p.tilt_stride;
     V const w = x * m[6] + y * m[7] + m[8], u = (x * m[0] + y * m[1] + m[2]) / w;
     y = (x * m[3] + y * m[4] + m[5]) / w;
     x = u;
@@ -44,8 +47,8 @@ KV_HD void undistort_of(Undistort<T> const& p, T const* camera, V& x, V& y) {
     x = (x0 - dx) * inverse;
     y = (y0 - dy) * inverse;
   }
-  x = x * camera[4] + camera[6];
-  y = y * camera[5] + camera[7];
+  x = x * wanted[0] + wanted[2];
+  y = y * wanted[4] + wanted[5];
 }
 
 }  // namespace kv

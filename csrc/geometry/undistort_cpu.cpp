@@ -8,14 +8,13 @@ namespace {
 
 template <int N, class T>
 KV_HD void undistort_points(Undistort<T> const& p, int64_t i) {
-  T const* const camera = p.cameras + i / p.count * kCameraNumbers;
   Lanes<T, N> x, y;
   if constexpr (N == 1) {
     x = p.points[2 * i], y = p.points[2 * i + 1];
   } else {
     for (int k = 0; k < N; ++k) x[k] = p.points[2 * (i + k)], y[k] = p.points[2 * (i + k) + 1];
   }
-  undistort_of(p, camera, x, y);
+  undistort_of(p, i / p.count, x, y);
   if constexpr (N == 1) {
     p.result[2 * i] = x, p.result[2 * i + 1] = y;
   } else {

@@ -5,24 +5,42 @@
 namespace kv {
 namespace {
 
-Tensor undistort(Tensor const& points, Tensor const& cameras, int64_t steps, bool tilted) {
+// Points (B, N, 2); the numbers of their cameras are (B, ...), or (1, ...) for all.
+Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
+                 std::optional<Tensor> const& tilt, int64_t steps) {
   constexpr char const* op = "undistort";
   KV_CHECK(points.dim() == 3 && points.size(2) == 2, op, ": expected points of shape (B, N, 2)");
-  KV_CHECK(cameras.dim() == 2 && cameras.size(0) == points.size(0) && cameras.size(1) == kCameraNumbers &&
-               cameras.scalar_type() == points.scalar_type() && cameras.device() == points.device(),
-           op, ": expected cameras of shape (B, ", kCameraNumbers, ") of the type and on the device of points");
   KV_CHECK(steps >= 0 && steps <= INT32_MAX, op, ": expected steps of at least 0, got ", steps);
-  Contiguous const x(op, points), c(op, cameras);
   int64_t const batch = points.size(0), count = points.size(1);
+  auto const fits = [&](Tensor const& x) {
+    return (x.size(0) == 1 || x.size(0) == batch) && x.scalar_type() == points.scalar_type() &&
+           x.device() == points.device();
+  };
+  for (Tensor const* x : {&camera, &wanted, tilt ? &*tilt : &camera})
+    KV_CHECK(x->dim() == 3 && x->size(1) == 3 && x->size(2) == 3 && fits(*x), op,
+             ": expected matrices of shape (B, 3, 3) of the type and on the device of points");
+  KV_CHECK(coefficients.dim() == 2 && coefficients.size(1) <= 14 && fits(coefficients), op,
+           ": expected up to 14 coefficients (B, n) of the type and on the device of points");
+  Contiguous const x(op, points), k(op, camera), w(op, wanted), c(op, coefficients), t(op, tilt);
   Tensor const result = empty({batch, count, 2}, x.tensor);
+  auto const stride = [](Tensor const& x, int64_t size) { return x.size(0) == 1 ? int64_t(0) : size; };
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
-    Undistort<T> const params{static_cast<T const*>(x.reals.data),
-                              static_cast<T const*>(c.reals.data),
+    auto const data = [](Contiguous const& x) { return static_cast<T const*>(x.reals.data); };
+    int64_t const given = coefficients.size(1);
+    Undistort<T> const params{data(x),
+                              data(k),
+                              data(w),
+                              data(c),
+                              data(t),
+                              stride(camera, 9),
+                              stride(wanted, 9),
+                              stride(coefficients, given),
+                              tilt ? stride(*tilt, 9) : 0,
+                              int(given),
+                              int(steps),
                               batch,
                               count,
-                              int(steps),
-                              tilted,
                               static_cast<T*>(result.mutable_data_ptr())};
     KV_RUN(undistort, x.tensor, params, batch * count, 4 * (1 + steps));
   };
@@ -32,6 +50,7 @@ Tensor undistort(Tensor const& points, Tensor const& cameras, int64_t steps, boo
 
 }  // namespace
 
-KV_OPERATOR(undistort, "(Tensor points, Tensor cameras, int steps, bool tilted) -> Tensor")
+KV_OPERATOR(undistort,
+            "(Tensor points, Tensor camera, Tensor wanted, Tensor coefficients, Tensor? tilt, int steps) -> Tensor")
 
 }  // namespace kv

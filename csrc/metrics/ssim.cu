@@ -1,4 +1,5 @@
-// Structural similarity on CUDA: planar images, windows of 5, 7 and 11 pixels, one launch each way.
+// Structural similarity on CUDA: planar images, windows of 5, 7 and 11 pixels, one launch each way; ssim_any.cu has the
+// others.
 //
 // A block walks down its columns, four rows at a time. Along y each thread has a column, and running sums in registers:
 // a new row adds to all the rows that it belongs to, of which it completes the first. Those go to shared memory, and
@@ -6,8 +7,7 @@
 // its windows; what windows read beyond the image is filled in where the rows are written. The gradient does both
 // twice, with the means and with the derivatives by them. Nothing depends on how pixels are stored but reading and
 // writing them, so that is found out when it runs.
-#include "ssim.h"
-#include "sums.cuh"
+#include "ssim.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -16,44 +16,12 @@ constexpr int kThreads = 256;         // of a block, at most
 constexpr int kRows = 4;              // taken together, and as many columns of a thread along x
 constexpr int kLine = kThreads + 16;  // numbers of a row in shared memory
 
-enum class Stored : int { floats, halves, bfloats };
-template <class T>
-constexpr Stored kStored = sizeof(T) == 4       ? Stored::floats
-                           : __is_same(T, Half) ? Stored::halves
-                                                : Stored::bfloats;
-
-// Calls f with a value of the type that pixels are stored in.
-template <class F>
-__device__ __forceinline__ void with_type(Stored stored, F f) {
-  if (stored == Stored::floats)
-    f(float{});
-  else if (stored == Stored::halves)
-    f(Half{});
-  else
-    f(BFloat16{});
-}
-
-using Bytes = Planes<uint8_t>;
-template <class T>
-Bytes as_bytes(Planes<T> const& p) {
-  constexpr int64_t size = sizeof(T);
-  return {reinterpret_cast<uint8_t*>(const_cast<std::remove_const_t<T>*>(p.data)),
-          p.outer,
-          p.inner,
-          p.outer_stride * size,
-          p.inner_stride * size,
-          p.row_stride * size,
-          p.height,
-          p.width,
-          p.step};
-}
-
 // Rows and columns are those of the images throughout: of a 'valid' similarity the first is at `offset`.
 template <int K>
 struct Work {
-  Bytes x, y, result,
-      other_result;  // the similarity; or the gradients to x and to y, the latter without data if unwanted
-  Bytes grad;        // of the similarity
+  StoredPlanes x, y, result,
+      other_result;   // the similarity; or the gradients to x and to y, the latter without data if unwanted
+  StoredPlanes grad;  // of the similarity
   Border border;
   int offset;
   Stored stored;
@@ -245,19 +213,20 @@ __device__ __forceinline__ void take_rows(float const (&xs)[kRows], float const 
   int const at = int(threadIdx.x) + K / 2;
 #pragma unroll
   for (int r = 0; r < kRows; ++r) {
-    float const a = xs[r], b = ys[r], d = a - b;
-    float const complete[4] = {down.add(0, a, work.weights), down.add(1, b, work.weights),
-                               down.add(2, fmaf(a, a, b * b), work.weights), down.add(3, d * d, work.weights)};
-    if (place.column < place.width) {
+    float const a = xs[r], b = ys[r], d = a - b, values[4] = {a, b, fmaf(a, a, b * b), d * d};
 #pragma unroll
-      for (int m = 0; m < 4; ++m) rows[r][m][at] = complete[m];
+    for (int m = 0; m < 4; ++m) {
+      float const complete = down.add(m, values[m], work.weights);
+      if (place.column < place.width) rows[r][m][at] = complete;
     }
-    if (near_end)
-      place.for_each_mirror(place.column, [&](int to) {
-#pragma unroll
-        for (int m = 0; m < 4; ++m) rows[r][m][K / 2 + to] = complete[m];
-      });
   }
+  if (near_end)
+    place.for_each_mirror(place.column, [&](int to) {
+#pragma unroll
+      for (int r = 0; r < kRows; ++r)
+#pragma unroll
+        for (int m = 0; m < 4; ++m) rows[r][m][K / 2 + to] = rows[r][m][at];
+    });
 }
 
 // Columns that are not right beside a block whose windows go along x once.
@@ -407,17 +376,32 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   // Rows of the gradients from y on, from their pixels and the sums along x of the derivatives in the rows that
   // complete them.
   auto const finish = [&](int y, float(&a)[kRows], float(&b)[kRows], Rows<M> const& across) {
+    float signs[kRows] = {};
+    if (work.loss.absolute != 0) {
+#pragma unroll
+      for (int r = 0; r < kRows; ++r) {
+        float const d = a[r] - b[r];
+        signs[r] = work.loss.absolute * of_loss * (d > 0 ? 1.f : d < 0 ? -1.f : d);
+      }
+    }
 #pragma unroll
     for (int r = 0; r < kRows; ++r) {
       float gradients[M];
 #pragma unroll
       for (int m = 0; m < M; ++m) gradients[m] = back_down.add(m, across[r][m][threadIdx.x], work.weights);
-      float const scale = mirrored && at_end(y + r, height) ? 0.5f * column_scale : column_scale;
-      float const d = a[r] - b[r], apart = d * gradients[2], both = gradients[1];
-      float const sign = work.loss.absolute != 0 ? work.loss.absolute * of_loss * (d > 0 ? 1.f : d < 0 ? -1.f : d) : 0;
-      a[r] = fmaf(scale, fmaf(a[r], both, gradients[0] + apart), sign);
-      if (M == 4) b[r] = fmaf(scale, fmaf(b[r], both, gradients[M - 1] - apart), -sign);
+      float const d = a[r] - b[r];
+      a[r] = fmaf(d, gradients[2], fmaf(a[r], gradients[1], gradients[0]));
+      if (M == 4) b[r] = fmaf(-d, gradients[2], fmaf(b[r], gradients[1], gradients[M - 1]));
     }
+    if (mirrored && (column_scale != 1 || y <= 0 || y + kRows >= height)) {
+#pragma unroll
+      for (int r = 0; r < kRows; ++r) {
+        float const scale = at_end(y + r, height) ? 0.5f * column_scale : column_scale;
+        a[r] *= scale, b[r] *= scale;
+      }
+    }
+#pragma unroll
+    for (int r = 0; r < kRows; ++r) a[r] += signs[r], b[r] -= signs[r];
     if (!owns_column) return;
     with_type(work.stored, [&](auto type) {
       using T = decltype(type);
@@ -441,11 +425,11 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
     // The first row of means at the first stage. Rows before y0 - R are not needed, and nobody reads what becomes of
     // them.
     int const q = y0 - 3 * R + kRows * i, now = i % 2, before = 1 - now;
+    int const complete = q - 3 * kRows - R;
+    float own_a[kRows], own_b[kRows];
+    if (complete + kRows > y0 - 2 * R) pixels.from(complete).fetch(own_a, own_b);
     if (i < steps) take_rows<K>(a, b, work, place, near_end, down, memory.summed[now]);
-    if (int const row = q - 3 * kRows; row + kRows > y0 - R) {
-      pixels.from(row - R).fetch(a, b);
-      finish(row - R, a, b, memory.across[before]);
-    }
+    if (complete + kRows > y0 - 2 * R) finish(complete, own_a, own_b, memory.across[before]);
     if (i + 1 < steps) pixels.fetch(a, b);
     auto const is_needed = [&](int row) { return row >= y0 - R && row < y1 + R; };
     if (int const row = q - kRows + place.r; is_needed(row))
@@ -496,7 +480,7 @@ bool has_vectors(Planes<T> const& p) {
 template <int K, class T>
 Work<K> work_of(SsimImages<T> const& images, Grid const& grid) {
   Work<K> work{};
-  work.x = as_bytes(images.x), work.y = as_bytes(images.y);
+  work.x = stored_planes(images.x), work.y = stored_planes(images.y);
   work.border = images.border, work.offset = images.valid ? K / 2 : 0;
   work.stored = kStored<T>;
   work.constants = images.constants;
@@ -510,7 +494,7 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
   Grid const grid(x.count(), x.height, x.width, kReach<K>, K - 1, 3);
   Work<K> work = work_of<K>(p.images, grid);
-  work.result = as_bytes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
+  work.result = stored_planes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
   work.loss = p.loss, work.partial = p.partial;
   ssim_forward<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
   if (!p.similarity.data) {
@@ -534,8 +518,8 @@ int launch(SsimBackward<T> const& p, CUstream_st* stream) {
   Planes<T const> const& x = p.images.x;
   Grid const grid(x.count(), x.height, x.width, kReachOfGradients<K>, 2 * K + 10, 2);
   Work<K> work = work_of<K>(p.images, grid);
-  work.result = as_bytes(p.grad_x), work.other_result = as_bytes(p.grad_y);
-  work.grad = as_bytes(p.grad), work.vectors = work.offset == 0 && has_vectors(p.grad);
+  work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
+  work.grad = stored_planes(p.grad), work.vectors = work.offset == 0 && has_vectors(p.grad);
   work.loss = p.loss, work.of_loss = p.of_loss;
   return p.grad_y.data ? launch_gradients<K, 4>(work, grid, stream) : launch_gradients<K, 3>(work, grid, stream);
 }
@@ -544,13 +528,9 @@ int launch(SsimBackward<T> const& p, CUstream_st* stream) {
 template <class T, class Params>
 int launch_size(Params const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
-    Planes<T const> const& x = p.images.x;
-    if (x.step != 1 || max(x.width, x.height) > INT32_MAX / 2 ||
-        max(x.row_stride, p.images.y.row_stride) > INT32_MAX / 4)
-      return cudaErrorInvalidValue;
     if (p.images.size == 5) return launch<5>(p, stream);
     if (p.images.size == 7) return launch<7>(p, stream);
-    if (p.images.size == 11) return launch<11>(p, stream);
+    return launch<11>(p, stream);
   }
   return cudaErrorInvalidValue;
 }
@@ -559,12 +539,12 @@ int launch_size(Params const& p, CUstream_st* stream) {
 
 template <class T>
 int ssim(Ssim<T> const& p, CUstream_st* stream) {
-  return launch_size<T>(p, stream);
+  return has_ssim_strips(p.images) ? launch_size<T>(p, stream) : ssim_any(p, stream);
 }
 
 template <class T>
 int ssim_backward(SsimBackward<T> const& p, CUstream_st* stream) {
-  return launch_size<T>(p, stream);
+  return has_ssim_strips(p.images) ? launch_size<T>(p, stream) : ssim_any_backward(p, stream);
 }
 
 KV_INSTANTIATE(ssim, Ssim)

@@ -82,7 +82,10 @@ template <class T>
 struct SsimImages {
   Planes<T const> x, y;
   Compute<T> const* weights;  // `size` of them, in host memory
+  double sigma;               // that they are made of
   int size;
+  bool volumes;   // windows go across the planes, too, of which `depth` follow one another; on CUDA only
+  int64_t depth;  // 1 for images
   Border border;
   bool valid;
   SsimConstants<Compute<T>> constants;
@@ -115,14 +118,46 @@ struct SsimBackward {
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
   SsimLoss<Compute<T>> loss;
   Compute<T> const* of_loss;  // the gradient of each row's
+  Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: memory for four numbers for each of the similarity
 };
 
-// CUDA: the most that `partial` has for a plane.
-inline int64_t most_ssim_pieces(int64_t height, int64_t width) { return (width / 240 + 1) * 8 * (height / 8 + 1); }
+// CUDA has kernels of two kinds: by strips for windows of the usual sizes over planar images (ssim.cu), and by tiles
+// for all the others (ssim_any.cu).
+template <class T>
+bool has_ssim_strips(SsimImages<T> const& p) {
+  bool const usual = p.size == 5 || p.size == 7 || p.size == 11;
+  return usual && !p.volumes && sizeof(T) < 8 && p.x.step == 1 && min(p.x.height, p.x.width) >= p.size &&
+         max(p.x.height, p.x.width) < INT32_MAX / 2;
+}
 
-// The windows of the CUDA kernels, which take planar images that are no smaller than the window and not of double. What
-// else there is takes filter2d_separable, in Python.
-constexpr bool has_ssim_kernel(int64_t size) { return size == 5 || size == 7 || size == 11; }
+// The tiles of a volume, or of an image: a part of it has `slices` of them.
+struct SsimTiles {
+  int rows, tall, slices;              // a thread has `tall` pixels, `rows` rows apart
+  int64_t across, down, parts, bytes;  // bytes: of shared memory
+
+  SsimTiles(int64_t depth, int64_t height, int64_t width, int size, int deep, int64_t number)
+      : rows(8), tall(deep > 0 ? 1 : kMostTall) {
+    auto const memory = [&] {
+      int64_t const threads = 32 * rows, ring = deep > 0 ? (2 * deep + 1) * threads : 0;
+      return number * (4 * (rows * (32 + size - 1) + threads + ring) + size);
+    };
+    while (rows > 1 && memory() > (100 << 10)) rows /= 2;
+    bytes = memory();
+    slices = int(min(depth, int64_t(2 * size)));
+    across = (width + 31) / 32, down = (height + rows * tall - 1) / (rows * tall),
+    parts = (depth + slices - 1) / slices;
+  }
+  static constexpr int kMostTall = 4;
+  int64_t count() const { return across * down * parts; }
+  int64_t pieces() const { return count() * rows; }
+};
+
+// CUDA: the most that `partial` has for a plane of an image, or for a volume.
+template <class T>
+int64_t most_ssim_pieces(SsimImages<T> const& p) {
+  if (has_ssim_strips(p)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);
+  return SsimTiles(p.depth, p.x.height, p.x.width, p.size, p.volumes ? p.size / 2 : 0, sizeof(Compute<T>)).pieces();
+}
 
 KV_KERNEL(ssim, Ssim)
 KV_KERNEL(ssim_backward, SsimBackward)

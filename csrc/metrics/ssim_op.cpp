@@ -20,46 +20,66 @@ std::vector<F> gaussian_window(int64_t size, double sigma) {
   return rounded;
 }
 
+// The window around the pixels of images (B, C, H, W), or on CUDA the voxels of volumes (B, C, D, H, W).
 struct Window {
   int64_t size;
+  double sigma;
   bool valid;
   Border border;
 
   Window(char const* op, Tensor const& x, int64_t size, double sigma, std::string const& name)
-      : size(size), valid(name == "valid"), border(name == "constant" || valid ? Border::constant : Border::reflect) {
+      : size(size),
+        sigma(sigma),
+        valid(name == "valid"),
+        border(name == "constant" || valid ? Border::constant : Border::reflect) {
     KV_CHECK(valid || name == "constant" || name == "reflect", op,
              ": border must be one of reflect, constant, valid; got '", name, "'");
     check_window(op, size, size);
     KV_CHECK(size % 2 == 1 && sigma > 0, op, ": expected an odd size and a sigma above 0");
-    for (int64_t n : {x.size(2), x.size(3)}) {
-      KV_CHECK(!valid || n >= size, op, ": the window is larger than the images");
-      check_border(op, border, size / 2, n);
+    for (int64_t axis = 2; axis < x.dim(); ++axis) {
+      KV_CHECK(!valid || x.size(axis) >= size, op, ": the window is larger than the images");
+      check_border(op, border, size / 2, x.size(axis));
     }
-#if defined(KV_CUDA)
-    bool const served = has_ssim_kernel(size) && min(x.size(2), x.size(3)) >= size && layout_of(x) == Layout::planar &&
-                        x.scalar_type() != ScalarType::Double;
-    KV_CHECK(served, op, ": no kernel for these images or this window on CUDA");
-#endif
   }
   int64_t less() const { return valid ? size - 1 : 0; }
+  // The sizes of the similarity of x.
+  std::vector<int64_t> sizes(Tensor const& x) const {
+    std::vector<int64_t> found;
+    for (int64_t axis = 0; axis < x.dim(); ++axis) found.push_back(x.size(axis) - (axis < 2 ? 0 : less()));
+    return found;
+  }
 };
 
 // One `other` may serve all images.
 void check_pair(char const* op, Tensor const& x, Tensor const& y) {
-  check_images(op, "input", x);
-  bool same = y.dim() == 4 && x.scalar_type() == y.scalar_type() && x.device() == y.device();
-  for (int64_t i = 0; same && i < 4; ++i) same = y.size(i) == x.size(i) || (i == 0 && y.size(0) == 1);
+#if defined(KV_CUDA)
+  if (x.dim() == 5)
+    check_volumes(op, "input", x);
+  else
+#endif
+    check_images(op, "input", x);
+  bool same = y.dim() == x.dim() && x.scalar_type() == y.scalar_type() && x.device() == y.device();
+  for (int64_t i = 0; same && i < x.dim(); ++i) same = y.size(i) == x.size(i) || (i == 0 && y.size(0) == 1);
   KV_CHECK(same, op, ": other differs in shape, dtype or device from input");
 }
 
+Layout common_layout(Tensor const& x) { return x.dim() == 5 ? Layout::planar : layout_of(x); }
+Tensor conformed(Tensor const& x, Layout layout) { return x.dim() == 5 ? dense(x) : conform(x, layout); }
+
+// The planes of images, or of volumes one behind the other; one of either may serve a batch.
 template <class T>
-Planes<T const> planes_for(Tensor const& y, int64_t batch, Layout layout) {
-  Planes<T const> p = planes<T const>(y, layout);
+Planes<T> planes_for(Tensor const& y, int64_t batch, Layout layout) {
+  if (y.dim() == 4 && y.size(0) == batch) return planes<T>(y, layout);
+  if (y.dim() == 4) {
+    Planes<T> p = planes<T>(y, layout);
+    bool const planar = layout == Layout::planar;
+    p.outer = batch, p.outer_stride = 0;
+    p.inner = planar ? y.size(1) : 1, p.inner_stride = planar ? y.stride(1) : 0;
+    return p;
+  }
+  Planes<T> p = stacked_planes<T>(y);
   if (y.size(0) == batch) return p;
-  bool const planar = layout == Layout::planar;
-  p.outer = batch, p.outer_stride = 0;
-  p.inner = planar ? y.size(1) : 1, p.inner_stride = planar ? y.stride(1) : 0;
-  return p;
+  return {p.data, batch, y.size(1) * y.size(2), 0, p.outer_stride, p.row_stride, p.height, p.width, 1};
 }
 
 struct Constants {
@@ -71,10 +91,13 @@ template <class T>
 SsimImages<T> images(Tensor const& x, Tensor const& y, Layout layout, Window const& window, Compute<T> const* weights,
                      Constants const& c) {
   using F = Compute<T>;
-  return {planes<T const>(x, layout),
-          planes_for<T>(y, x.size(0), layout),
+  return {planes_for<T const>(x, x.size(0), layout),
+          planes_for<T const>(y, x.size(0), layout),
           weights,
+          window.sigma,
           int(window.size),
+          x.dim() == 5,
+          x.dim() == 5 ? x.size(2) : 1,
           window.border,
           window.valid,
           {F(c.luminance ? c.c1 : 1.0), F(c.c2), F(c.eps), F(c.luminance)}};
@@ -84,16 +107,15 @@ Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma
             std::string const& border, bool luminance) {
   check_pair("ssim", input, other);
   Window const window("ssim", input, size, sigma, border);
-  Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = conform(other, layout);
-  Tensor const similarity =
-      empty({x.size(0), x.size(1), x.size(2) - window.less(), x.size(3) - window.less()}, x, layout);
+  Layout const layout = common_layout(input);
+  Tensor const x = conformed(input, layout), y = conformed(other, layout);
+  Tensor const similarity = empty(window.sizes(x), x, layout);
   for_floats("ssim", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const weights = gaussian_window<F>(size, sigma);
     Ssim<T> const params{images<T>(x, y, layout, window, weights.data(), {c1, c2, eps, luminance}),
-                         planes<T>(similarity, layout),
+                         planes_for<T>(similarity, x.size(0), layout),
                          {},
                          nullptr,
                          nullptr};
@@ -118,27 +140,28 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
   check_pair(op, input, other);
   Window const window(op, input, size, sigma, border);
   KV_CHECK(absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
-  Tensor const x = conform(input, Layout::planar), y = conform(other, Layout::planar);
-  int64_t const rows = x.size(0), channels = x.size(1), height = x.size(2), width = x.size(3);
-#if defined(KV_CUDA)
-  int64_t const pieces = channels * most_ssim_pieces(height, width);
-#else
-  int64_t const pieces = channels * (height - window.less());
-#endif
+  Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar);
+  int64_t const rows = x.size(0), channels = x.size(1);
   Tensor const sums = empty({rows}, x, Layout::planar, computed(x));
-  Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed(x));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const weights = gaussian_window<F>(size, sigma);
-    Planes<T> nothing{};
-    nothing.outer = rows, nothing.inner = channels;
-    nothing.height = height - window.less(), nothing.width = width - window.less(), nothing.step = 1;
-    Ssim<T> const params{images<T>(x, y, Layout::planar, window, weights.data(), {c1, c2, eps, true}),
-                         nothing,
-                         {F(structure), F(absolute), channels},
-                         data<F>(partial),
-                         data<F>(sums)};
+    Planes<T> nothing = planes_for<T>(x, rows, Layout::planar);
+    nothing.data = nullptr;
+    nothing.height -= window.less(), nothing.width -= window.less();
+    Ssim<T> params{images<T>(x, y, Layout::planar, window, weights.data(), {c1, c2, eps, true}),
+                   nothing,
+                   {F(structure), F(absolute), channels},
+                   nullptr,
+                   data<F>(sums)};
+#if defined(KV_CUDA)
+    int64_t const pieces = channels * most_ssim_pieces(params.images);
+#else
+    int64_t const pieces = channels * nothing.height;
+#endif
+    Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed(x));
+    params.partial = data<F>(partial);
     KV_RUN(ssim, x, params, nothing.rows(), size * nothing.row_size());
 #if defined(KV_CUDA)
     if (channels == 0) torch::stable::zero_(const_cast<Tensor&>(sums));
@@ -162,26 +185,34 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
              op, ": expected grad to be that of the losses");
     KV_CHECK(loss->absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
   } else {
-    check_images(op, "grad", grad);
-    bool fits = grad.scalar_type() == input.scalar_type() && grad.device() == input.device();
-    for (int64_t i = 0; i < 4; ++i) fits = fits && grad.size(i) == input.size(i) - (i < 2 ? 0 : window.less());
+    bool fits =
+        grad.dim() == input.dim() && grad.scalar_type() == input.scalar_type() && grad.device() == input.device();
+    for (int64_t i = 0; fits && i < input.dim(); ++i) fits = grad.size(i) == window.sizes(input)[i];
     KV_CHECK(fits, op, ": grad differs in shape, dtype or device from the similarity");
   }
-  Layout const layout = loss ? Layout::planar : layout_of(input);
-  Tensor const x = conform(input, layout), y = conform(other, layout);
-  Tensor const g = loss ? dense(grad) : conform(grad, layout), grad_x = empty_like(x, layout);
-  if (grad_other) *grad_other = empty_like(x, layout);
+  Layout const layout = loss ? Layout::planar : common_layout(input);
+  Tensor const x = conformed(input, layout), y = conformed(other, layout);
+  Tensor const g = loss ? dense(grad) : conformed(grad, layout);
+  auto const like_x = [&] {
+    std::vector<int64_t> sizes;
+    for (int64_t axis = 0; axis < x.dim(); ++axis) sizes.push_back(x.size(axis));
+    return empty(sizes, x, layout);
+  };
+  Tensor const grad_x = like_x();
+  if (grad_other) *grad_other = like_x();
+  int64_t const batch = x.size(0);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const weights = gaussian_window<F>(size, sigma);
-    Planes<T> grad_y = planes<T>(grad_other ? *grad_other : grad_x, layout);
+    Planes<T> grad_y = planes_for<T>(grad_other ? *grad_other : grad_x, batch, layout);
     if (!grad_other) grad_y.data = nullptr;
     SsimBackward<T> params{images<T>(x, y, layout, window, weights.data(), c),
-                           loss ? planes<T const>(x, layout) : planes<T const>(g, layout),
-                           planes<T>(grad_x, layout),
+                           planes_for<T const>(loss ? x : g, batch, layout),
+                           planes_for<T>(grad_x, batch, layout),
                            grad_y,
                            {},
+                           nullptr,
                            nullptr};
     if (loss) {
       params.grad.data = nullptr;
@@ -189,6 +220,15 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
       params.loss = {F(loss->structure), F(loss->absolute), x.size(1)};
       params.of_loss = data<F>(g);
     }
+#if defined(KV_CUDA)
+    std::optional<Tensor> derivatives;
+    if (!has_ssim_strips(params.images)) {
+      std::vector<int64_t> sizes = window.sizes(x);
+      sizes.push_back(4);
+      derivatives = empty(sizes, x, Layout::planar, computed(x));
+      params.derivatives = data<F>(*derivatives);
+    }
+#endif
     KV_RUN(ssim_backward, x, params, params.grad_x.rows(), 2 * size * params.grad_x.row_size());
   });
   return grad_x;

@@ -83,10 +83,10 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
     DilationBackward<T> params{planes<T const>(g, layout), planes<T const>(x, layout),  planes<T>(grad_x, layout),
                                element.window<F>(),        planes_of_sample(x, layout), nullptr};
 #if defined(KV_CUDA)
-    bool const in_registers = layout == Layout::planar && is_3x3(params.window);
-    Tensor const found = empty({in_registers ? 0 : 2 * x.numel()}, x, Layout::planar,
+    bool const needs_none = layout == Layout::planar && has_own_memory(params.window);
+    Tensor const found = empty({needs_none ? 0 : 2 * x.numel()}, x, Layout::planar,
                                sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
-    if (!in_registers) params.found = static_cast<F*>(found.mutable_data_ptr());
+    if (!needs_none) params.found = static_cast<F*>(found.mutable_data_ptr());
 #endif
     KV_RUN(dilation_backward, x, params, params.x.rows(), params.x.row_size() * element.height * element.width / 4);
   });

@@ -93,13 +93,16 @@ inline Tensor triangulate(Tensor const& points1, Tensor const& points2, Tensor c
   return differentiable({points1, points2, projections1, projections2}, compute, {}, no_gradient("triangulate"))[0];
 }
 
-// Points from where a lens shows them to where one without distortion would, by `steps` of a fixed-point iteration.
-// Cameras are (B, 29): fx, fy, cx, cy of the points, likewise of the result, k1, k2, p1, p2, k3, k4, k5, k6, s1, s2,
-// s3, s4, and the matrix (3, 3) that takes the plane of a sensor back if it is `tilted`.
-inline Tensor undistort(Tensor const& points, Tensor const& cameras, int64_t steps = 5, bool tilted = false) {
+// Points from where a lens shows them to where one without distortion would, by `steps` of a fixed-point iteration. For
+// each problem, or for all: the camera matrix of the points and the one `wanted` (3, 3); the first of k1, k2, p1, p2,
+// k3, k4, k5, k6, s1, s2, s3, s4; and the matrix that takes the plane of a tilted sensor back.
+inline Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
+                        std::optional<Tensor> const& tilt = {}, int64_t steps = 5) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"undistort">(points, cameras, steps, tilted)}; };
-  return differentiable({points, cameras}, compute, {}, no_gradient("undistort"))[0];
+  auto const compute = [&] {
+    return variable_list{call<"undistort">(points, camera, wanted, coefficients, tilt, steps)};
+  };
+  return differentiable({points, camera, wanted, coefficients}, compute, {}, no_gradient("undistort"))[0];
 }
 
 // --- samples and those who agree with them

@@ -44,7 +44,10 @@ def numbers(op: str, name: str, x: Any) -> None:
 def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a tensor with one axis per entry of `expected`; an int entry fixes the size of its axis."""
     numbers(op, name, x)
-    if x.dim() != len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, x.shape)):
+    fits = x.dim() == len(expected)
+    for e, n in zip(expected, x.shape):  # no generator: it would take as long as all else
+        fits = fits and (not isinstance(e, int) or e == n)
+    if not fits:
         want = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
         raise ShapeError(
             f"{op}: expected {name} of shape ({want}), got {tuple(x.shape)}",

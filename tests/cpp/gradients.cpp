@@ -256,8 +256,9 @@ int main() {
   Tensor const places = from.clone().requires_grad_(), eye = torch::eye(3).unsqueeze(0);
   without("real_roots", kvision::real_roots(torch::tensor({{1.f, -3.f, 2.f}}).requires_grad_()),
           torch::tensor({{1.f, 2.f}}));
-  Tensor const lens = torch::cat({torch::tensor({2.f, 2.f, 0.f, 0.f, 4.f, 4.f, 1.f, 1.f}), torch::zeros(21)});
-  without("undistort", kvision::undistort(places, lens.expand({2, 29})), 2 * from + 1);
+  Tensor const lens = torch::tensor({2.f, 0.f, 0.f, 0.f, 2.f, 0.f, 0.f, 0.f, 1.f}).view({1, 3, 3});
+  Tensor const wanted = torch::tensor({4.f, 0.f, 1.f, 0.f, 4.f, 1.f, 0.f, 0.f, 1.f}).view({1, 3, 3});
+  without("undistort", kvision::undistort(places, lens, wanted, torch::zeros({1, 4})), 2 * from + 1);
   Tensor const still = torch::eye(3, 4).expand({2, 3, 4}),
                moved = torch::cat({still.narrow(2, 0, 3), still.narrow(2, 0, 1)}, 2);
   Tensor const shift = torch::tensor({0.5f, 0.f});

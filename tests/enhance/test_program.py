@@ -220,6 +220,20 @@ def test_order_and_switches_of_every_sample(image, device):
         assert_close(E.ColorProgram(*steps)(image, None, order, enabled), actual, 2e-5, 1e-5)
 
 
+def test_several_means_in_any_order(image, device):
+    steps = (("contrast", 0.7), ("hue", 0.3), ("contrast", 1.3), ("brightness", 0.9), ("contrast", 0.5))
+    order = torch.stack([torch.randperm(5) for _ in range(4)]).to(device)
+    enabled = torch.rand(4, 5, device=device) > 0.3
+    program, x = E.ColorProgram(*steps), image.double().requires_grad_()
+    for x_of_one, y, positions, on in zip(x, program(x, None, order, enabled), order.tolist(), enabled.tolist()):
+        assert_close(y, one_after_the_other(x_of_one, tuple(steps[i] for i in positions if on[i])), 2e-5, 1e-5)
+    found = []
+    for name in ("auto", "reference"):
+        with K.backend(name):
+            found.append(torch.autograd.grad(program(x, None, order, enabled).square().sum(), x)[0])
+    assert_close(*found, 1e-9, 1e-9)
+
+
 def test_gradients_with_order(image, device):
     order = torch.stack([torch.randperm(5) for _ in range(4)]).to(device)
     enabled = torch.rand(4, 5, device=device) > 0.3

@@ -82,3 +82,22 @@ def test_crops_of_whole_pixels_are_slices(dtype, device):
                 and grad.count_nonzero() == weights.count_nonzero()
             )
     assert G.center_crop(x, (40, 56)).data_ptr() != x.data_ptr()
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_images_larger_than_caches(isa, backend):
+    """The CPU writes them past its caches: whole vectors, from the first aligned address of a row on."""
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    from kvision import _C
+
+    if not _C.isa_supported(isa):
+        pytest.skip(f"this processor has no {isa}")
+    active = _C.active_isa()
+    try:
+        assert _C.set_isa(isa)
+        for dtype in (torch.float32, torch.float64, torch.float16, torch.uint8):
+            x = (torch.rand(1, 3, 1201, 1203) * 255).to(dtype)
+            assert torch.equal(G.hflip(x), x.flip(-1)) and torch.equal(G.rot180(x), x.flip(-2, -1))
+    finally:
+        _C.set_isa(active)

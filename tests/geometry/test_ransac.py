@@ -219,6 +219,7 @@ def test_operators_refuse_bad_arguments(backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     x, ops = torch.rand(1, 9, 2), torch.ops.kvision
+    eye, scores = torch.eye(3)[None], torch.zeros(1, 2)
     for call in (
         lambda: ops.minimal(x, x, None, "homography"),
         lambda: ops.minimal(x, x[:, :3], None, "affine"),
@@ -233,9 +234,14 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.triangulate(x, x[:, :3], torch.rand(1, 3, 4), torch.rand(1, 3, 4)),
         lambda: ops.triangulate(x, x, torch.rand(2, 3, 4), torch.rand(2, 3, 4)),
         lambda: ops.real_roots(torch.rand(2, 12)),
-        lambda: ops.undistort(x, torch.rand(1, 28), 5, False),
-        lambda: ops.undistort(x, torch.rand(1, 29), -1, False),
-        lambda: ops.undistort(x.half(), torch.rand(1, 29).half(), 5, False),
+        lambda: ops.undistort(x, torch.rand(1, 3, 2), eye, torch.rand(1, 4), None, 5),
+        lambda: ops.undistort(x, eye, eye, torch.rand(1, 15), None, 5),
+        lambda: ops.undistort(x, eye, eye, torch.rand(1, 4), eye.double(), 5),
+        lambda: ops.undistort(x, eye, eye, torch.rand(1, 4), None, -1),
+        lambda: ops.undistort(x.half(), eye.half(), eye.half(), torch.rand(1, 4).half(), None, 5),
+        lambda: ops.contest(eye, scores, eye, scores[:, :1], x[0].T, x[0].T, 1.0, 0.0, 1, False, "affine"),
+        lambda: ops.contest(eye, scores, eye[:0], scores[:0], x[0].T, x[0], 1.0, 0.0, 1, False, "affine"),
+        lambda: ops.contest(eye, scores, eye, scores, x[0].T, x[0].T, 1.0, 0.0, 0, False, "affine"),
         lambda: ops.homography_dlt(x, x[:, :3], None),
         lambda: ops.homography_dlt(x, x, torch.rand(1, 8)),
         lambda: ops.homography_dlt_backward(torch.rand(1, 9), x, x, None),

@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 
 import kvision as K
+from kvision.geometry.transform.pyramid import _detail
 from op_tests import OpTests, assert_close
 
 G = K.geometry
@@ -303,6 +304,31 @@ def test_pyramids_are_a_blur_and_a_resize(border, device):
         assert_close(G.pyrdown(x, border, align_corners), down, 1e-12, 1e-12)
         up = blur(G.resize(x, (30, 36), align_corners=align_corners))
         assert_close(G.pyrup(x, border, align_corners), up, 1e-12, 1e-12)
+
+
+@pytest.mark.parametrize("border", ["reflect", "constant", "replicate"])
+@pytest.mark.parametrize("size", [(5, 7), (24, 136)], ids=str)
+def test_details_are_differences(size, border, device, backend):
+    how = (False, border)
+    smaller = torch.rand(2, 3, *size, device=device)
+    image = torch.rand(2, 3, *(2 * n for n in size), device=device)
+    for dtype in (torch.float32, torch.float64, torch.float16, torch.bfloat16):
+        a, b = smaller.to(dtype), image.to(dtype)
+        expected = b.float() - G.pyrup(a.float(), border)
+        for layout in (torch.contiguous_format, torch.channels_last):
+            found = _detail(a.contiguous(memory_format=layout), b, *how)
+            rounded = {torch.float16: 1e-3, torch.bfloat16: 8e-3}.get(dtype, 1e-6)
+            assert found.dtype == dtype and (found.float() - expected).abs().max() <= rounded
+        assert_close(_detail(a, b.mT.contiguous().mT, *how), _detail(a, b, *how), 0, 0)
+    a, b = (x[:1, :1, :4, :6].double().requires_grad_() for x in (smaller[..., :2, :3], image))
+    assert torch.autograd.gradcheck(lambda a, b: _detail(a, b, *how), (a, b))
+    assert torch.autograd.gradgradcheck(lambda a, b: _detail(a, b, *how), (a, b))
+    each = torch.func.vmap(lambda a, b: _detail(a[None], b[None], *how)[0])(smaller, image)
+    assert_close(each, _detail(smaller, image, *how))
+    if backend != "reference":
+        torch.library.opcheck(torch.ops.kvision.pyramid_detail.default, (a, b, *how))
+        with pytest.raises(RuntimeError, match="^pyramid_detail: image differs"):
+            torch.ops.kvision.pyramid_detail(smaller, image[..., 1:], *how)
 
 
 def test_a_pyramid_of_a_constant_is_constant(device):

@@ -65,12 +65,13 @@ class TestL1Loss(Losses):
     variants = [{"img2": other, "window_size": 5, "ssim_weight": 0.4}]
 
 
-@pytest.mark.parametrize("window", [5, 7, 9, 11])
+@pytest.mark.parametrize("window", [3, 5, 7, 9, 11])
 @pytest.mark.parametrize("size", [(11, 12), (40, 67), (33, 300), (90, 530)], ids=str)
 @pytest.mark.parametrize("padding", ["same", "valid"])
-def test_blocks_and_strips(window, size, padding, device):
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=["planar", "last"])
+def test_blocks_and_strips(window, size, padding, layout, device):
     """Images that one block does not hold, both gradients, and the loss against the mean of its map."""
-    x = torch.rand(1, 2, *size, device=device)
+    x = torch.rand(1, 2, *size, device=device).contiguous(memory_format=layout)
     y = other(x)
     weight = torch.rand(K.metrics.ssim(x, y, window, padding=padding).shape, device=device)
     found = []
@@ -86,3 +87,26 @@ def test_blocks_and_strips(window, size, padding, device):
             found.append([similar.detach(), *gradients, loss.detach(), *of_loss, mixed.detach(), *of_mixed])
     for actual, expected in zip(*found):
         assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("window", [1, 3, 7])
+@pytest.mark.parametrize("size", [(7, 8, 9), (12, 20, 40), (25, 9, 33)], ids=str)
+@pytest.mark.parametrize("padding", ["same", "valid"])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_volumes(window, size, padding, dtype, device):
+    """Map and loss of volumes with both gradients."""
+    x = torch.rand(2, 2, *size, device=device, dtype=dtype)
+    y = other(x).to(dtype)
+    weight = torch.rand(K.metrics.ssim3d(x, y, window, padding=padding).shape, device=device, dtype=torch.float64)
+    found = []
+    for name, computed in (("auto", dtype), ("reference", torch.float64)):
+        with K.backend(name):
+            leaves = x.to(computed).requires_grad_(), y.to(computed).requires_grad_()
+            similar = K.metrics.ssim3d(*leaves, window, padding=padding)
+            gradients = torch.autograd.grad((similar * weight).sum(), leaves)
+            loss = K.losses.ssim3d_loss(*leaves, window, padding=padding)
+            of_loss = torch.autograd.grad(loss * 1e4, leaves)
+            found.append([similar.detach(), *gradients, loss.detach(), *of_loss])
+    for actual, expected in zip(*found):
+        small = 2e-4 if dtype == torch.float32 else 1e-9
+        assert_close(actual, expected.to(dtype), 5 * small, small * float(expected.abs().max()))

@@ -268,12 +268,34 @@ def run(
     means = steps.count(_AROUND_MEAN)
     if means > 1 and order is None:
         return _in_two(x, steps, given, dtype, layout)
+    if means > 1 and order is not None:
+        return _in_turns(means, x, steps, given, order, dtype, layout)
+    return _run(x, steps, given, order, dtype, layout)
+
+
+def _run(
+    x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor | None, dtype: str = "same", layout: str = "same"
+) -> Tensor:
+    means = _AROUND_MEAN in steps
     operator: Callable[..., Any] = _program_around_mean if means else _program
-    # Kernels find one mean, and compute in one type.
-    if means > 1 or (dtype != "same" and (x.dtype == torch.float64) != (dtype == "float64")):
+    if dtype != "same" and (x.dtype == torch.float64) != (dtype == "float64"):  # kernels compute in one type
         operator = operator.reference  # type: ignore[attr-defined]
     y = operator(x, *given.tensors, order, steps, given.numbers, given.columns, dtype, layout)
     return y[0] if means else y
+
+
+def _in_turns(
+    turns: int, x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor, dtype: str, layout: str
+) -> Tensor:
+    """A program with several means, in an order that is known to the samples: in each turn up to the next mean."""
+    stored = _stored(x, dtype)
+    computed = type_name(_computing(x.dtype, stored))
+    around = [order == i for i, step in enumerate(steps) if step == _AROUND_MEAN]
+    turn = torch.stack(around).any(0).long().cumsum(1)  # means up to each position
+    for k in range(1, turns):
+        here = turn <= 1 if k == 1 else turn == k
+        x = _run(x, steps, given, torch.where(here, order, -1), computed)
+    return _run(x, steps, given, torch.where(turn >= turns, order, -1), type_name(stored), layout)
 
 
 def _in_two(x: Tensor, steps: Sequence[int], given: Arguments, dtype: str, layout: str) -> Tensor:

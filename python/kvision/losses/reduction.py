@@ -19,17 +19,16 @@ def check_labels(op: str, pred: Tensor, target: Tensor, images: bool = True) -> 
     _check.numbers(op, "pred", pred)
     _check.floating(op, "pred", pred)
     _check.numbers(op, "target", target)
-    if pred.dim() != 4 if images else pred.dim() < 2:
+    sizes = pred.shape
+    if len(sizes) != 4 if images else len(sizes) < 2:
         axes = "(B, C, H, W)" if images else "(B, C, *)"
-        raise ShapeError(f"{op}: expected pred of shape {axes}, got {tuple(pred.shape)}", actual_shape=pred.shape)
-    if pred.shape[1] < 1:
-        raise ShapeError(
-            f"{op}: expected pred with at least one class, got {tuple(pred.shape)}", actual_shape=pred.shape
-        )
-    expected = (pred.shape[0], *pred.shape[2:])
+        raise ShapeError(f"{op}: expected pred of shape {axes}, got {tuple(sizes)}", actual_shape=sizes)
+    if sizes[1] < 1:
+        raise ShapeError(f"{op}: expected pred with at least one class, got {tuple(sizes)}", actual_shape=sizes)
+    expected = (sizes[0], *sizes[2:])
     if target.shape != expected:
         raise ShapeError(
-            f"{op}: expected target of shape {tuple(expected)}, got {tuple(target.shape)}", actual_shape=target.shape
+            f"{op}: expected target of shape {expected}, got {tuple(target.shape)}", actual_shape=target.shape
         )
     if target.dtype != torch.int64:
         raise TypeCheckError(

@@ -10,15 +10,12 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
-from kvision.losses.reduction import reduced
-from kvision.metrics.ssim import checked, dissimilarity, ssim3d_map, ssim_map
+from kvision.metrics.ssim import checked, checked_volumes, dissimilarity, ssim3d_map, ssim_map
 
 
 @as_stored
-def _dissimilarity(similarity: Tensor, reduction: str) -> Tensor:
-    if reduction == "mean":  # of the similarity, which is at most 1: no other map is made
-        return (1 - similarity.mean()) / 2
-    return reduced(((1 - similarity) / 2).clamp(0, 1), reduction)
+def _dissimilarity(similarity: Tensor) -> Tensor:
+    return ((1 - similarity) / 2).clamp(0, 1)
 
 
 def ssim_loss(
@@ -56,12 +53,17 @@ def ssim_loss(
     """
     _check.reduction("ssim_loss", reduction)
     if reduction == "none":
-        return _dissimilarity(ssim_map("ssim_loss", img1, img2, window_size, max_val, eps, padding), reduction)
+        return _dissimilarity(ssim_map("ssim_loss", img1, img2, window_size, max_val, eps, padding))
     arguments = checked("ssim_loss", img1, img2, window_size, max_val, eps, padding)
-    less = window_size - 1 if padding == "valid" else 0
-    count = img1.shape[0] * img1.shape[1] * (img1.shape[2] - less) * (img1.shape[3] - less)
-    weight = 0.5 * _weight(reduction, count)
-    return dissimilarity(floats(img1), floats(img2), window_size, *arguments, weight)
+    return _reduced(img1, img2, window_size, arguments, reduction)
+
+
+def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, float, str], reduction: str) -> Tensor:
+    less = size - 1 if arguments[-1] == "valid" else 0
+    count = x.shape[0] * x.shape[1]
+    for n in x.shape[2:]:
+        count *= n - less
+    return dissimilarity(floats(x), floats(y), size, *arguments, 0.5 * _weight(reduction, count))
 
 
 def _weight(reduction: str, count: int) -> float:
@@ -141,7 +143,10 @@ def ssim3d_loss(
         tensor(0.)
     """
     _check.reduction("ssim3d_loss", reduction)
-    return _dissimilarity(ssim3d_map("ssim3d_loss", img1, img2, window_size, max_val, eps, padding), reduction)
+    if reduction == "none":
+        return _dissimilarity(ssim3d_map("ssim3d_loss", img1, img2, window_size, max_val, eps, padding))
+    arguments = checked_volumes("ssim3d_loss", img1, img2, window_size, max_val, eps, padding)
+    return _reduced(img1, img2, window_size, arguments, reduction)
 
 
 class SSIMLoss(FunctionModule):

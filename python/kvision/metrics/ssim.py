@@ -42,17 +42,45 @@ def _similarity(
     return ((squares - apart) * (variance - different) + eps) / (squares * variance + eps)
 
 
-def _reference(
-    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
+def _in_windows(
+    filtered: Callable[..., Tensor],
+    x: Tensor,
+    y: Tensor,
+    size: int,
+    sigma: float,
+    c1: float,
+    c2: float,
+    eps: float,
+    border: str,
+    luminance: bool,
 ) -> Tensor:
-    """Of images (B, C, H, W); 'constant' borders are zeros, with 'valid' there are none."""
+    """With means by `filtered(z, kernel_x, kernel_y, border, is_same)` of images (B, C, H, W) or volumes (B, C, D, H, W)."""
     kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
-    rule, same = ("reflect", False) if border == "valid" else (border, True)
+    rule = ("reflect", False) if border == "valid" else (border, True)
 
     def mean(z: Tensor) -> Tensor:
-        return filter_separably(z, kernel, kernel, rule, same)
+        if z.dim() == 4:
+            return filtered(z, kernel, kernel, *rule)
+        b, c, d, _, _ = z.shape
+        z = filtered(z.flatten(1, 2), kernel, kernel, *rule)
+        h, w = z.shape[2:]
+        z = z.reshape(b, c, d, h * w)  # slices as rows, which leaves the axis across them to the column
+        return filtered(z, torch.ones_like(kernel[:, :1]), kernel, *rule).unflatten(3, (h, w))
 
     return _similarity(mean, x, y, c1, c2, eps, luminance)
+
+
+def _reference(x: Tensor, y: Tensor, *plain: Any) -> Tensor:
+    """Of images or volumes; 'constant' borders are zeros, with 'valid' there are none."""
+    return _in_windows(filter_separably, x, y, *plain)
+
+
+@as_stored
+def _of_volumes_on_cpu(x: Tensor, y: Tensor, *plain: Any) -> Tensor:
+    def filtered(z: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> Tensor:
+        return filter2d_separable(z, kernel_x, kernel_y, border, padding="same" if same else "valid")
+
+    return _in_windows(filtered, x, y, *plain)
 
 
 def _both_gradients(reference: Callable[..., Tensor]) -> Callable[..., tuple[Tensor, Tensor]]:
@@ -85,8 +113,7 @@ def _backward(one: Operator, both: Operator) -> Callable[..., list[Tensor | None
 
 
 def _size(x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, _: bool) -> Any:
-    b, c, h, w = x.shape
-    return (b, c, h - size + 1, w - size + 1) if border == "valid" else x.shape
+    return (*x.shape[:2], *(n - size + 1 for n in x.shape[2:])) if border == "valid" else x.shape
 
 
 _ssim = register(
@@ -116,7 +143,8 @@ def _loss_reference(
     dtype = compute_dtype(x)
     x, y = x.to(dtype), y.to(dtype)
     similar = _reference(x, y, size, sigma, c1, c2, eps, border, True)
-    return structure * (1 - similar).sum((1, 2, 3)) + absolute * (x - y).abs().sum((1, 2, 3))
+    axes = tuple(range(1, x.dim()))
+    return structure * (1 - similar).sum(axes) + absolute * (x - y).abs().sum(axes)
 
 
 def _like(x: Tensor) -> Tensor:
@@ -151,48 +179,28 @@ def dissimilarity(
     structure: float,
     absolute: float = 0.0,
 ) -> Tensor:
-    """Over all pixels of images (B, C, H, W) the sums of 1 - similarity and of abs(x - y), each times its weight."""
-    b, c, h, w = x.shape
+    """Over all pixels of images or volumes the sums of 1 - similarity and of abs(x - y), each times its weight."""
+    b, c, *axes = x.shape
     if b == 0 or c == 0:
         return structure * x.sum()  # of nothing; of which the mean is NaN
     dtype = x.dtype
     if y.dtype != dtype:
         y = y.to(dtype)
+    if len(axes) == 3 and not x.is_cuda:
+        similar = _of_volumes_on_cpu(x, y, size, SIGMA, c1, c2, eps, border, True)
+        return structure * (1 - similar).sum() + absolute * (x - y).abs().sum()
     if b > 1:
-        x, y = x.reshape(1, -1, h, w), y.reshape(1, -1, h, w)
-    if not x.is_cuda or _has_kernel(x, size):
-        loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
-    else:
-        similar = _composed(x, y, size, SIGMA, c1, c2, eps, border, True)
-        loss = structure * (1 - similar).sum() + absolute * (x - y).abs().sum()
+        x, y = x.reshape(1, -1, *axes), y.reshape(1, -1, *axes)
+    loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
     return loss if loss.dtype == dtype else loss.to(dtype)
 
 
 def similarity(
     x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
 ) -> Tensor:
-    """The similarity of floating-point images (B, C, H, W); see `_reference`."""
-    call = _ssim if not x.is_cuda or _has_kernel(x, size) else _composed
+    """The similarity of floating-point images or volumes; see `_reference`."""
+    call = _ssim if x.dim() == 4 or x.is_cuda else _of_volumes_on_cpu  # there are kernels of volumes on CUDA only
     return call(x, y if y.dtype == x.dtype else y.to(x.dtype), size, sigma, c1, c2, eps, border, luminance)
-
-
-def _has_kernel(x: Tensor, size: int) -> bool:
-    """Whether the CUDA kernels take these images and this window; csrc/metrics/ssim.h."""
-    planar = x.shape[1] == 1 or x.stride(1) > 1
-    return size in (5, 7, 11) and min(x.shape[2:]) >= size and planar and x.dtype != torch.float64
-
-
-@as_stored
-def _composed(
-    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
-) -> Tensor:
-    kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
-    rule, padding = ("reflect", "valid") if border == "valid" else (border, "same")
-
-    def mean(z: Tensor) -> Tensor:
-        return filter2d_separable(z, kernel, kernel, rule, padding=padding)
-
-    return _similarity(mean, x, y, c1, c2, eps, luminance)
 
 
 def ssim(
@@ -266,25 +274,8 @@ def ssim3d(
 def ssim3d_map(
     op: str, img1: Tensor, img2: Tensor, window_size: int, max_val: float, eps: float, padding: str
 ) -> Tensor:
-    _check.volumes(op, "img1", img1)
-    arguments = _arguments(op, img1, img2, window_size, max_val, eps, padding)
-    return _similarity_of_volumes(floats(img1), floats(img2), window_size, *arguments)
-
-
-@as_stored
-def _similarity_of_volumes(x: Tensor, y: Tensor, size: int, c1: float, c2: float, eps: float, border: str) -> Tensor:
-    kernel = gaussian(size, SIGMA, device=x.device, dtype=x.dtype)
-    one = torch.ones_like(kernel[:, :1])
-    padding = "valid" if border == "valid" else "same"
-
-    def mean(z: Tensor) -> Tensor:
-        b, c, d, h, w = z.shape
-        z = filter2d_separable(z.flatten(1, 2), kernel, kernel, "reflect", padding=padding)
-        h, w = z.shape[2:]
-        z = z.reshape(b, c, d, h * w)  # slices as rows, which leaves the axis across them to the column
-        return filter2d_separable(z, one, kernel, "reflect", padding=padding).unflatten(3, (h, w))
-
-    return _similarity(mean, x, y, c1, c2, eps, True)
+    arguments = checked_volumes(op, img1, img2, window_size, max_val, eps, padding)
+    return similarity(floats(img1), floats(img2), window_size, SIGMA, *arguments, True)
 
 
 def checked(
@@ -292,6 +283,14 @@ def checked(
 ) -> tuple[float, float, float, str]:
     """c1, c2, eps and the border of two images."""
     _check.images(op, "img1", img1)
+    return _arguments(op, img1, img2, size, max_val, eps, padding)
+
+
+def checked_volumes(
+    op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
+) -> tuple[float, float, float, str]:
+    """The same of two volumes."""
+    _check.volumes(op, "img1", img1)
     return _arguments(op, img1, img2, size, max_val, eps, padding)
 
 

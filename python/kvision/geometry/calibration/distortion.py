@@ -177,26 +177,32 @@ def undistort_points(
     _check_lens("undistort_points", points, K, dist, new_K)
     _check.ints("undistort_points", "num_iters", num_iters, 1, minimum=0)
     new_K = K if new_K is None else new_K
-    c = _coefficients(dist)
-    tilted = dist.shape[-1] == 14
-    tilt = tilt_projection(c[12], c[13], True) if tilted else torch.zeros_like(K)
+    tilt = None
+    if dist.shape[-1] == 14:
+        tilt = tilt_projection(dist[..., 12:13], dist[..., 13:], True)
     if wants_derivative(points, K, new_K, dist) or torch.compiler.is_compiling():
-        return _undistorted(points, K, new_K, c, tilt if tilted else None, num_iters)
-    leading = torch.broadcast_shapes(points.shape[:-2], K.shape[:-2], new_K.shape[:-2], dist.shape[:-1])
-    parts = [_pinhole(K), _pinhole(new_K), torch.cat(c[:12], -1), tilt.flatten(-2)]
-    cameras = torch.cat([x.expand(*leading, x.shape[-1]) for x in parts], -1).reshape(math.prod(leading), 29)
-    flat = points.expand(*leading, *points.shape[-2:]).reshape(math.prod(leading), *points.shape[-2:])
-    return _undistort(flat, cameras.to(points.dtype), num_iters, tilted).reshape(*leading, *points.shape[-2:])
+        return _undistorted(points, K, new_K, dist, tilt, num_iters)
+    leading = points.shape[:-2]
+    if not K.dim() == new_K.dim() == dist.dim() + 1 == 2:
+        leading = torch.broadcast_shapes(leading, K.shape[:-2], new_K.shape[:-2], dist.shape[:-1])
+
+    def of_problems(x: Tensor, axes: int) -> Tensor:
+        """(B, ...), or (1, ...) for all."""
+        return x[None] if x.dim() == axes else x.expand(*leading, *x.shape[-axes:]).reshape(-1, *x.shape[-axes:])
+
+    found: Tensor = _undistort(
+        points.expand(*leading, *points.shape[-2:]).reshape(math.prod(leading), *points.shape[-2:]),
+        of_problems(K.to(points.dtype), 2),
+        of_problems(new_K.to(points.dtype), 2),
+        of_problems(dist.to(points.dtype), 1),
+        None if tilt is None else of_problems(tilt.to(points.dtype), 2),
+        num_iters,
+    )
+    return found.reshape(*leading, *points.shape[-2:])
 
 
-def _pinhole(K: Tensor) -> Tensor:
-    """fx, fy, cx, cy."""
-    return torch.stack([K[..., 0, 0], K[..., 1, 1], K[..., 0, 2], K[..., 1, 2]], -1)
-
-
-def _undistorted(
-    points: Tensor, K: Tensor, new_K: Tensor, c: tuple[Tensor, ...], tilt: Tensor | None, num_iters: int
-) -> Tensor:
+def _undistorted(points: Tensor, K: Tensor, new_K: Tensor, dist: Tensor, tilt: Tensor | None, num_iters: int) -> Tensor:
+    c = _coefficients(dist)
     x, y = _on_plane(points, K)
     if tilt is not None:
         x, y = _projected(x, y, tilt)
@@ -209,20 +215,7 @@ def _undistorted(
     return _in_pixels(x, y, new_K)
 
 
-def _reference(points: Tensor, cameras: Tensor, num_iters: int, tilted: bool) -> Tensor:
-    """Of points (B, N, 2) and cameras (B, 29): focal lengths and centres of both, 12 coefficients, a tilt's inverse."""
-    given, wanted, c, tilt = cameras.split([4, 4, 12, 9], -1)
-
-    def camera(numbers: Tensor) -> Tensor:
-        fx, fy, cx, cy = numbers.unbind(-1)
-        zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-        return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], -1).unflatten(-1, (3, 3))
-
-    matrix = tilt.unflatten(-1, (3, 3)) if tilted else None
-    return _undistorted(points, camera(given), camera(wanted), c.split(1, -1), matrix, num_iters)
-
-
-_undistort = register("undistort", _reference)
+_undistort = register("undistort", _undistorted)
 
 
 def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:

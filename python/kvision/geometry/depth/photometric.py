@@ -73,10 +73,19 @@ def _backward(needs, grad, _1, _2, _3, loss, to_depth, share, to_projections, *t
     if needs[0] or needs[1]:
         found[:2] = _image_gradients(needs, grad * share, views, target, depth, projections, *how)
     if needs[2]:
-        found[2] = (to_depth * (grad * share)[:, None, None, None]).sum_to_size(depth.shape)
+        found[2] = _for_all(_times(to_depth, grad * share), depth)
     if needs[3]:
-        found[3] = (to_projections * grad[:, None, None, None]).sum_to_size(projections.shape)
+        found[3] = _for_all(_times(to_projections, grad), projections)
     return found
+
+
+# One sample and no sum are the common case, in which each step of torch's would cost as much as the kernel.
+def _times(slopes, factors):
+    return slopes * (factors if len(factors) == 1 else factors[:, None, None, None])
+
+
+def _for_all(slopes, tensor):
+    return slopes if slopes.shape == tensor.shape else slopes.sum_to_size(tensor.shape)
 
 
 def _image_gradients(needs, share, views, target, depth, projections, distance, eps):

@@ -12,9 +12,10 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import pixels
 from kvision._modules import FunctionModule
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.filters import filter2d_separable, gaussian_blur2d
-from kvision.geometry.transform.resize import resize, resized
+from kvision.geometry.transform.resize import resize, resize_reference, resized, resized_backward
 
 __all__ = [
     "PyrDown",
@@ -25,6 +26,26 @@ __all__ = [
     "pyrdown",
     "pyrup",
 ]
+
+# --- a level of a Laplacian pyramid ---------------------------------------------------------------------------------
+
+
+def _detail_reference(smaller, image, align_corners, border):
+    size = [2 * side for side in smaller.shape[2:]]
+    return image - resize_reference(smaller, size, "pyrup", align_corners, False, border)
+
+
+def _detail_backward(needs, grad, smaller, image, align_corners, border):
+    how = ("pyrup", align_corners, False, border)
+    return [-resized_backward(grad, list(smaller.shape[2:]), *how) if needs[0] else None, grad if needs[1] else None]
+
+
+# What an image has that the next smaller one has not.
+_detail = register(
+    "pyramid_detail", _detail_reference, fake=lambda smaller, image, *how: image.shape, backward=_detail_backward
+)
+
+# --- functions ------------------------------------------------------------------------------------------------------
 
 
 def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = False, factor: float = 2.0) -> Tensor:
@@ -159,8 +180,15 @@ def build_laplacian_pyramid(
     if h % halved or w % halved or (powers[0] != h and powers[1] != w):
         image = F.pad(image, (0, powers[1] - w, 0, powers[0] - h), "reflect")
     levels = build_pyramid(image, count, border_type, align_corners)
-    details = [level - pyrup(next_, border_type, align_corners) for level, next_ in pairwise(levels)]
+    details = [_level(level, next_, border_type, align_corners) for level, next_ in pairwise(levels)]
     return [*details, levels[-1]]
+
+
+def _level(image: Tensor, smaller: Tensor, border_type: str, align_corners: bool) -> Tensor:
+    if border_type == "circular":
+        return image - pyrup(smaller, border_type, align_corners)
+    _check.reflectable("build_laplacian_pyramid", smaller, (1, 1), border_type)
+    return _detail(smaller, image, align_corners, border_type)
 
 
 class PyrDown(FunctionModule):

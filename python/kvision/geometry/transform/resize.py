@@ -23,7 +23,7 @@ _SIDES = ("short", "long", "vert", "horz")
 Taps = tuple[Tensor, Tensor]
 
 
-def _reference(input, size, window, align_corners, antialias, border):
+def resize_reference(input, size, window, align_corners, antialias, border):
     for axis, result in ((2, size[0]), (3, size[1])):
         n = input.shape[axis]
         steps = [_taps("bilinear" if window.startswith("pyr") else window, n, result, align_corners, antialias, input)]
@@ -102,7 +102,7 @@ def _blur_taps(n: int, border: str, like: Tensor) -> Taps:
 
 def _backward_reference(grad, size, *how):
     def f(image: Tensor) -> Tensor:
-        return _reference(image, grad.shape[2:], *how)
+        return resize_reference(image, grad.shape[2:], *how)
 
     _, pullback = torch.func.vjp(f, grad.new_zeros(*grad.shape[:2], *size))
     return pullback(grad)[0]
@@ -113,15 +113,15 @@ def _size(x, size, *how):
 
 
 def _backward(needs, grad, sizes, size, *how):
-    return [_resized_backward(grad, list(sizes[2:]), *how)]
+    return [resized_backward(grad, list(sizes[2:]), *how)]
 
 
 def _backward_of_backward(needs, grad_grad, sizes, size, *how):
     return [resized(grad_grad, list(sizes[2:]), *how)]
 
 
-resized = register("resize", _reference, fake=_size, backward=_backward, linear=True, bytes=True)
-_resized_backward = register(
+resized = register("resize", resize_reference, fake=_size, backward=_backward, linear=True, bytes=True)
+resized_backward = register(
     "resize_backward", _backward_reference, fake=_size, backward=_backward_of_backward, linear=True
 )
 

@@ -1,0 +1,52 @@
+// What the two files of structural similarity on CUDA share: ssim.cu has windows of the usual sizes over planar images,
+// ssim_any.cu whatever else there is.
+#pragma once
+
+#include "ssim.h"
+#include "sums.cuh"
+
+namespace kv::cuda {
+
+// How pixels are stored is found out when a kernel runs, where reading and writing them is little of its work.
+enum class Stored : int { floats, halves, bfloats, doubles };
+template <class T>
+constexpr Stored kStored = sizeof(T) == 8       ? Stored::doubles
+                           : sizeof(T) == 4     ? Stored::floats
+                           : __is_same(T, Half) ? Stored::halves
+                                                : Stored::bfloats;
+
+// Calls f with a value of the type that pixels are stored in; F is what they are computed in.
+template <class F = float, class Call>
+__device__ __forceinline__ void with_type(Stored stored, Call f) {
+  if constexpr (sizeof(F) == 8)
+    f(double{});
+  else if (stored == Stored::floats)
+    f(float{});
+  else if (stored == Stored::halves)
+    f(Half{});
+  else
+    f(BFloat16{});
+}
+
+// Planes with strides in bytes.
+using StoredPlanes = Planes<uint8_t>;
+template <class T>
+StoredPlanes stored_planes(Planes<T> const& p) {
+  constexpr int64_t size = sizeof(T);
+  return {reinterpret_cast<uint8_t*>(const_cast<std::remove_const_t<T>*>(p.data)),
+          p.outer,
+          p.inner,
+          p.outer_stride * size,
+          p.inner_stride * size,
+          p.row_stride * size,
+          p.height,
+          p.width,
+          p.step};
+}
+
+template <class T>
+int ssim_any(Ssim<T> const& p, CUstream_st* stream);
+template <class T>
+int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream);
+
+}  // namespace kv::cuda

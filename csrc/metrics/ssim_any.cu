@@ -1,0 +1,265 @@
+// Structural similarity on CUDA for everything that ssim.cu does not take: windows of any size, volumes, images that
+// are smaller than the window or channels-last, doubles.
+//
+// A block has a tile of 32 columns and up to 32 rows, and four numbers a pixel that are summed in the windows: those of
+// the means, or for the gradient the derivatives by them. It takes eight rows at a time, a thread for each pixel: their
+// numbers go to shared memory, are summed along x from there, and each thread adds those of its column that the windows
+// of its pixels have. Slice by slice of a volume the sums go to a ring, of which each thread has a part, and are
+// summed across the slices.
+//
+// The derivatives are written by one launch and summed by another, so that no pixel's mean is computed twice.
+#include "ssim.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kColumns = 32;
+
+template <class F>
+using Four = Pack<F, 4>;
+
+// Places are those of the image or volume throughout: of a 'valid' similarity the first is at `offset`, along the axes
+// that the window has.
+template <class F>
+struct Work {
+  StoredPlanes x, y;
+  StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if unwanted
+  StoredPlanes grad;                  // of the similarity
+  Four<F>* derivatives;               // by the means, one behind the other: written, or summed
+  Stored stored;
+  Border border;
+  int size, offset, offset_z, depth, height, width, deep;  // deep: what the window has on either side across planes
+  double sigma;
+  SsimConstants<F> constants;
+  SsimLoss<F> loss;
+  F* partial;
+  F const* of_loss;
+  unsigned across, down, parts;  // tiles of a volume
+  int slices;                    // of a part
+  int tall;                      // pixels of a thread, as many rows apart as the block has
+
+  __device__ __forceinline__ bool has_result(int z, int y, int x) const {
+    return y >= offset && y < height - offset && x >= offset && x < width - offset && z >= offset_z &&
+           z < depth - offset_z;
+  }
+  __device__ __forceinline__ int64_t result_plane(int64_t volume, int z) const {
+    return volume / x.step * (depth - 2 * offset_z) + z - offset_z;
+  }
+  __device__ __forceinline__ Four<F>& derivatives_at(int64_t volume, int z, int y, int column) const {
+    int64_t const row = (volume * (depth - 2 * offset_z) + z - offset_z) * (height - 2 * offset) + y - offset;
+    return derivatives[row * (width - 2 * offset) + column - offset];
+  }
+  // What D of ssim.h multiplies a pixel with.
+  __device__ __forceinline__ F ends(int z, int y, int x, F factor) const {
+    F found = 1;
+    if (border != Border::reflect) return found;
+    if (y == 0 || y == height - 1) found *= factor;
+    if (x == 0 || x == width - 1) found *= factor;
+    if (deep > 0 && (z == 0 || z == depth - 1)) found *= factor;
+    return found;
+  }
+};
+
+// Pixel x of a volume, in row y of a plane of it.
+template <class F>
+__device__ __forceinline__ F load(StoredPlanes const& p, Stored stored, int64_t plane, int64_t channel, int y, int x) {
+  uint8_t const* const row = p.plane(plane) + y * p.row_stride;
+  F found;
+  with_type<F>(stored,
+               [&](auto type) { found = read(reinterpret_cast<decltype(type) const*>(row)[x * p.step + channel]); });
+  return found;
+}
+template <class F>
+__device__ __forceinline__ void save(StoredPlanes const& p, Stored stored, int64_t plane, int64_t channel, int y, int x,
+                                     F value) {
+  uint8_t* const row = p.plane(plane) + y * p.row_stride;
+  with_type<F>(stored, [&](auto type) {
+    using T = decltype(type);
+    reinterpret_cast<T*>(row)[x * p.step + channel] = round_to<T>(value);
+  });
+}
+
+// Back: the gradients, from the derivatives; otherwise these, or the similarity or its loss.
+template <class F, bool Back>
+__global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Work<F> const p) {
+  extern __shared__ __align__(16) uint8_t shared[];
+  int const threads = int(blockDim.x), rows = threads / kColumns, K = p.size, R = K / 2;
+  int const line = kColumns + 2 * R, deep = p.deep, slots = 2 * deep + 1;
+  int const lane = int(threadIdx.x) % kColumns, r = int(threadIdx.x) / kColumns;
+  Four<F>* const values = reinterpret_cast<Four<F>*>(shared);  // (rows, line)
+  Four<F>* const lines = values + rows * line;                 // (rows, columns)
+  Four<F>* const ring = lines + threads;                       // (slots, threads)
+  F* const weights = reinterpret_cast<F*>(ring + (deep ? slots * threads : 0));
+
+  unsigned tile = blockIdx.x / p.across, part = tile / p.down;
+  int const x0 = int(blockIdx.x - tile * p.across) * kColumns, y0 = int(tile - part * p.down) * rows * p.tall;
+  int64_t const volume = part / p.parts, channel = volume % p.x.step, plane = volume / p.x.step * p.depth;
+  int const z0 = int(part - unsigned(volume) * p.parts) * p.slices, z1 = min(z0 + p.slices, p.depth);
+  int const x = x0 + lane, y = y0 + r;
+
+  for (int t = threadIdx.x; t < K; t += threads) {
+    double const d = double(t - R) / p.sigma;
+    weights[t] = F(::exp(-d * d / 2));
+  }
+  __syncthreads();
+  double sum = 0;
+  for (int t = 0; t < K; ++t) sum += weights[t];
+  __syncthreads();
+  for (int t = threadIdx.x; t < K; t += threads) weights[t] = F(weights[t] / sum);
+
+  auto const add = [](Four<F>& to, F weight, Four<F> const& what) {
+#pragma unroll
+    for (int m = 0; m < 4; ++m) to.v[m] += weight * what.v[m];
+  };
+  auto const value_at = [&](int z, int y, int x) {
+    if constexpr (Back) {
+      return p.has_result(z, y, x) ? p.derivatives_at(volume, z, y, x) : Four<F>{};
+    } else {
+      F const a = load<F>(p.x, p.stored, plane + z, channel, y, x),
+              b = load<F>(p.y, p.stored, plane + z, channel, y, x);
+      return Four<F>{a, b, a * a + b * b, (a - b) * (a - b)};
+    }
+  };
+  F of_losses = 0;
+  auto const finish = [&](int z, int y, Four<F> const& sums) {
+    if constexpr (Back) {
+      if (y >= p.height || x >= p.width) return;
+      F const a = load<F>(p.x, p.stored, plane + z, channel, y, x),
+              b = load<F>(p.y, p.stored, plane + z, channel, y, x);
+      F const d = a - b, scale = p.ends(z, y, x, F(0.5)), sign = d > 0 ? F(1) : d < 0 ? F(-1) : d;
+      F const of_absolute = p.grad.data ? F(0) : p.loss.absolute * p.of_loss[volume / p.loss.planes] * sign;
+      F const of_x = sums.v[0] + a * sums.v[2] + d * sums.v[3], of_y = sums.v[1] + b * sums.v[2] - d * sums.v[3];
+      save(p.result, p.stored, plane + z, channel, y, x, scale * of_x + of_absolute);
+      if (p.other_result.data) save(p.other_result, p.stored, plane + z, channel, y, x, scale * of_y - of_absolute);
+    } else {
+      if (!p.has_result(z, y, x)) return;
+      Means<F> const means{sums.v[0], sums.v[1], sums.v[2], sums.v[3]};
+      SsimTerms<F> const terms(means, p.constants);
+      F const inverse = 1 / terms.denominator, unlike = terms.numerator * inverse;
+      int64_t const to = p.result_plane(volume, z);
+      if (p.derivatives) {
+        F const g = p.grad.data ? load<F>(p.grad, p.stored, to, channel, y - p.offset, x - p.offset)
+                                : -p.loss.structure * p.of_loss[volume / p.loss.planes];
+        Means<F> const d = ssim_of_means_vjp(means, terms, inverse, g * p.ends(z, y, x, F(2)), p.constants.luminance);
+        p.derivatives_at(volume, z, y, x) = {d.x, d.y, d.squares, d.apart};
+      } else if (p.result.data) {
+        save(p.result, p.stored, to, channel, y - p.offset, x - p.offset, 1 - unlike);
+      } else {
+        F apart = 0;
+        if (p.loss.absolute != 0)
+          apart =
+              fabs(load<F>(p.x, p.stored, plane + z, channel, y, x) - load<F>(p.y, p.stored, plane + z, channel, y, x));
+        of_losses += p.loss.structure * unlike + p.loss.absolute * apart;
+      }
+    }
+  };
+
+  for (int q = z0 - deep; q < z1 + deep; ++q) {
+    int const z = border_index(p.border, q, p.depth);
+    Four<F> of_slice[SsimTiles::kMostTall] = {};
+    for (int first = y0 - R; z >= 0 && first < y0 + rows * p.tall + R; first += rows) {
+      for (int i = threadIdx.x; i < rows * line; i += threads) {
+        int const row = border_index(p.border, first + i / line, p.height);
+        int const column = border_index(p.border, x0 - R + i % line, p.width);
+        values[i] = row < 0 || column < 0 ? Four<F>{} : value_at(z, row, column);
+      }
+      __syncthreads();
+      Four<F> along_x{};
+#pragma unroll 4
+      for (int t = 0; t < K; ++t) add(along_x, weights[t], values[r * line + lane + t]);
+      lines[threadIdx.x] = along_x;
+      __syncthreads();
+      for (int j = 0; j < rows; ++j) {
+        Four<F> const sum = lines[j * kColumns + lane];
+#pragma unroll
+        for (int v = 0; v < SsimTiles::kMostTall; ++v) {
+          int const t = first + j - (y + v * rows - R);
+          if (v < p.tall && t >= 0 && t < K) add(of_slice[v], weights[t], sum);
+        }
+      }
+    }
+    if (deep == 0) {
+#pragma unroll 1
+      for (int v = 0; v < p.tall; ++v) {  // all that finishes a pixel is not compiled four times
+        finish(q, y + v * rows, of_slice[0]);
+#pragma unroll
+        for (int i = 0; i + 1 < SsimTiles::kMostTall; ++i) of_slice[i] = of_slice[i + 1];
+      }
+      continue;
+    }
+    ring[(q - z0 + deep) % slots * threads + threadIdx.x] = of_slice[0];
+    if (q < z0 + deep) continue;
+    Four<F> sums{};
+    for (int t = 0; t < K; ++t) add(sums, weights[t], ring[(q - z0 - deep + t) % slots * threads + threadIdx.x]);
+    finish(q - deep, y, sums);
+  }
+  if (!Back && p.partial) {
+    of_losses = warp_sum(of_losses);
+    if (lane == 0) p.partial[blockIdx.x * rows + r] = of_losses;
+  }
+}
+
+template <class T>
+Work<Compute<T>> work_of(SsimImages<T> const& images) {
+  Work<Compute<T>> work{};
+  work.x = stored_planes(images.x), work.y = stored_planes(images.y);
+  work.stored = kStored<T>;
+  work.border = images.border;
+  work.size = images.size, work.sigma = images.sigma;
+  work.offset = images.valid ? images.size / 2 : 0, work.offset_z = images.volumes ? work.offset : 0;
+  work.deep = images.volumes ? images.size / 2 : 0;
+  work.depth = int(images.depth), work.height = int(images.x.height), work.width = int(images.x.width);
+  work.constants = images.constants;
+  return work;
+}
+
+template <bool Back, class F>
+int launch(Work<F>& work, CUstream_st* stream) {
+  SsimTiles const tiles(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
+  int64_t const volumes = work.x.count() / work.depth * work.x.step;
+  work.across = unsigned(tiles.across), work.down = unsigned(tiles.down), work.parts = unsigned(tiles.parts);
+  work.slices = tiles.slices, work.tall = tiles.tall;
+  int const bytes = int(tiles.bytes);
+  if (int const error = cudaFuncSetAttribute(sum_windows<F, Back>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+    return error;
+  sum_windows<F, Back><<<unsigned(volumes * tiles.count()), kColumns * tiles.rows, bytes, stream>>>(work);
+  return cudaGetLastError();
+}
+
+}  // namespace
+
+template <class T>
+int ssim_any(Ssim<T> const& p, CUstream_st* stream) {
+  using F = Compute<T>;
+  Work<F> work = work_of(p.images);
+  work.result = stored_planes(p.similarity);
+  work.loss = p.loss, work.partial = p.similarity.data ? nullptr : p.partial;
+  int const error = launch<false>(work, stream);
+  if (error || p.similarity.data) return error;
+  SsimTiles const tiles(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
+  int64_t const rows = work.x.count() / work.depth / p.loss.planes, pieces = p.loss.planes * tiles.pieces();
+  finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<F>{F(1), F(0)}, p.sums);
+  return cudaGetLastError();
+}
+
+template <class T>
+int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream) {
+  using F = Compute<T>;
+  Work<F> work = work_of(p.images);
+  work.grad = stored_planes(p.grad);
+  work.loss = p.loss, work.of_loss = p.of_loss;
+  work.derivatives = reinterpret_cast<Four<F>*>(p.derivatives);
+  if (int const error = launch<false>(work, stream)) return error;
+  work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
+  return launch<true>(work, stream);
+}
+
+#define KV_SSIM_ANY(T)                                          \
+  template int ssim_any(Ssim<T> const& p, CUstream_st* stream); \
+  template int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream);
+KV_SSIM_ANY(float)
+KV_SSIM_ANY(double)
+KV_SSIM_ANY(Half)
+KV_SSIM_ANY(BFloat16)
+
+}  // namespace kv::cuda

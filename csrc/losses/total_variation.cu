@@ -5,7 +5,7 @@
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 256;
+constexpr int kThreads = 256, kSumming = 512;
 
 // The differences v[j] - v[j + 1] of a row that starts one pixel left of column x, 0 where one is outside of it.
 template <class F, int P>
@@ -17,7 +17,7 @@ __device__ __forceinline__ void differences(F const (&v)[P + 2], int x, int widt
 // The sum over a strip's pixels of the differences to the next ones along y and along x.
 template <class T, bool Aligned>
 __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, int64_t plane, int x, int y0) {
-  constexpr int P = kPixels<T>, kAhead = 4;  // rows on their way
+  constexpr int P = kPixels<T>, kAhead = 2;  // rows on their way
   using F = Compute<T>;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + kVariationRows, height);
   Strip<1, Aligned, P> const strip(x, width, Border::replicate);
@@ -48,11 +48,11 @@ __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, i
   return p.along_y * along_y + p.along_x * along_x;
 }
 
-// A warp sums a strip; or, of `whole` planes, a block sums one of them, and each of its warps takes every eighth strip.
+// A warp sums a strip; or, of `whole` planes, a block sums one of them, and its warps take turns at the strips.
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kSumming, sizeof(T) == 4 ? 3 : 1)
     sum_differences(__grid_constant__ TotalVariation<T> const p, Strips<kPixels<T>> const strips, bool whole) {
-  constexpr unsigned kWarps = kThreads / 32;
+  constexpr unsigned kWarps = kSumming / 32;
   unsigned const warp = threadIdx.x / 32, pieces = strips.across * strips.down;
   unsigned const first = whole ? blockIdx.x * pieces : blockIdx.x * kWarps;
   unsigned const end = min(first + (whole ? pieces : kWarps), strips.count);
@@ -63,7 +63,7 @@ __global__ void __launch_bounds__(kThreads)
     sum += sum_of_strip<T, Aligned>(p, plane, column * kPixels<T>, int(line * strips.rows));
   }
   if (whole) {
-    sum = block_sum(sum);
+    sum = block_sum<kSumming>(sum);
     if (threadIdx.x == 0) p.sums[blockIdx.x] = sum;
   } else {
     sum = warp_sum(sum);
@@ -114,14 +114,14 @@ __global__ void __launch_bounds__(kThreads)
 template <class T>
 int total_variation(TotalVariation<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  static_assert(kVariationColumns<T> == 32 * P && kThreads == kSumThreads);
+  static_assert(kVariationColumns<T> == 32 * P);
   int64_t const planes = p.x.count(), machine = multiprocessors();
   // Planes that fill the machine evenly need no second launch.
   bool const whole = planes >= 2 * machine && 10 * ceil_div(planes, machine) * machine <= 11 * planes;
   Strips<P> const strips(planes, p.x.height, p.x.width, kVariationRows);
   with_alignment<T>(is_strip<P>(p.x), [&](auto aligned) {
-    unsigned const blocks = whole ? unsigned(planes) : strips.blocks(kThreads / 32);
-    sum_differences<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p, strips, whole);
+    unsigned const blocks = whole ? unsigned(planes) : strips.blocks(kSumming / 32);
+    sum_differences<T, aligned.value><<<blocks, kSumming, 0, stream>>>(p, strips, whole);
   });
   using F = Compute<T>;
   if (!whole)

@@ -132,10 +132,11 @@ bool has_ssim_strips(SsimImages<T> const& p) {
 
 // The tiles of a volume, or of an image: a part of it has `slices` of them.
 struct SsimTiles {
-  int rows, slices;
+  int rows, tall, slices;              // a thread has `tall` pixels, `rows` rows apart
   int64_t across, down, parts, bytes;  // bytes: of shared memory
 
-  SsimTiles(int64_t depth, int64_t height, int64_t width, int size, int deep, int64_t number) : rows(8) {
+  SsimTiles(int64_t depth, int64_t height, int64_t width, int size, int deep, int64_t number)
+      : rows(8), tall(deep > 0 ? 1 : kMostTall) {
     auto const memory = [&] {
       int64_t const threads = 32 * rows, ring = deep > 0 ? (2 * deep + 1) * threads : 0;
       return number * (4 * (rows * (32 + size - 1) + threads + ring) + size);
@@ -143,8 +144,10 @@ struct SsimTiles {
     while (rows > 1 && memory() > (100 << 10)) rows /= 2;
     bytes = memory();
     slices = int(min(depth, int64_t(2 * size)));
-    across = (width + 31) / 32, down = (height + rows - 1) / rows, parts = (depth + slices - 1) / slices;
+    across = (width + 31) / 32, down = (height + rows * tall - 1) / (rows * tall),
+    parts = (depth + slices - 1) / slices;
   }
+  static constexpr int kMostTall = 4;
   int64_t count() const { return across * down * parts; }
   int64_t pieces() const { return count() * rows; }
 };

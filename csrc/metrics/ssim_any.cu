@@ -1,10 +1,10 @@
 // Structural similarity on CUDA for everything that ssim.cu does not take: windows of any size, volumes, images that
 // are smaller than the window or channels-last, doubles.
 //
-// A block has a tile of 32 columns, a thread for each of its pixels, and four numbers a pixel that are summed in the
-// windows: those of the means, or for the gradient the derivatives by them. It takes as many rows at a time as it has
-// itself: their numbers go to shared memory, are summed along x from there, and each thread adds those of its column
-// that its window has. Slice by slice of a volume the sums go to a ring, of which each thread has a part, and are
+// A block has a tile of 32 columns and up to 32 rows, and four numbers a pixel that are summed in the windows: those of
+// the means, or for the gradient the derivatives by them. It takes eight rows at a time, a thread for each pixel: their
+// numbers go to shared memory, are summed along x from there, and each thread adds those of its column that the windows
+// of its pixels have. Slice by slice of a volume the sums go to a ring, of which each thread has a part, and are
 // summed across the slices.
 //
 // The derivatives are written by one launch and summed by another, so that no pixel's mean is computed twice.
@@ -36,6 +36,7 @@ struct Work {
   F const* of_loss;
   unsigned across, down, parts;  // tiles of a volume
   int slices;                    // of a part
+  int tall;                      // pixels of a thread, as many rows apart as the block has
 
   __device__ __forceinline__ bool has_result(int z, int y, int x) const {
     return y >= offset && y < height - offset && x >= offset && x < width - offset && z >= offset_z &&
@@ -91,7 +92,7 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
   F* const weights = reinterpret_cast<F*>(ring + (deep ? slots * threads : 0));
 
   unsigned tile = blockIdx.x / p.across, part = tile / p.down;
-  int const x0 = int(blockIdx.x - tile * p.across) * kColumns, y0 = int(tile - part * p.down) * rows;
+  int const x0 = int(blockIdx.x - tile * p.across) * kColumns, y0 = int(tile - part * p.down) * rows * p.tall;
   int64_t const volume = part / p.parts, channel = volume % p.x.step, plane = volume / p.x.step * p.depth;
   int const z0 = int(part - unsigned(volume) * p.parts) * p.slices, z1 = min(z0 + p.slices, p.depth);
   int const x = x0 + lane, y = y0 + r;
@@ -120,7 +121,7 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
     }
   };
   F of_losses = 0;
-  auto const finish = [&](int z, Four<F> const& sums) {
+  auto const finish = [&](int z, int y, Four<F> const& sums) {
     if constexpr (Back) {
       if (y >= p.height || x >= p.width) return;
       F const a = load<F>(p.x, p.stored, plane + z, channel, y, x),
@@ -155,8 +156,8 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
 
   for (int q = z0 - deep; q < z1 + deep; ++q) {
     int const z = border_index(p.border, q, p.depth);
-    Four<F> of_slice{};
-    for (int first = y0 - R; z >= 0 && first < y0 + rows + R; first += rows) {
+    Four<F> of_slice[SsimTiles::kMostTall] = {};
+    for (int first = y0 - R; z >= 0 && first < y0 + rows * p.tall + R; first += rows) {
       for (int i = threadIdx.x; i < rows * line; i += threads) {
         int const row = border_index(p.border, first + i / line, p.height);
         int const column = border_index(p.border, x0 - R + i % line, p.width);
@@ -169,19 +170,28 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
       lines[threadIdx.x] = along_x;
       __syncthreads();
       for (int j = 0; j < rows; ++j) {
-        int const t = first + j - (y - R);
-        if (t >= 0 && t < K) add(of_slice, weights[t], lines[j * kColumns + lane]);
+        Four<F> const sum = lines[j * kColumns + lane];
+#pragma unroll
+        for (int v = 0; v < SsimTiles::kMostTall; ++v) {
+          int const t = first + j - (y + v * rows - R);
+          if (v < p.tall && t >= 0 && t < K) add(of_slice[v], weights[t], sum);
+        }
       }
     }
     if (deep == 0) {
-      finish(q, of_slice);
+#pragma unroll 1
+      for (int v = 0; v < p.tall; ++v) {  // all that finishes a pixel is not compiled four times
+        finish(q, y + v * rows, of_slice[0]);
+#pragma unroll
+        for (int i = 0; i + 1 < SsimTiles::kMostTall; ++i) of_slice[i] = of_slice[i + 1];
+      }
       continue;
     }
-    ring[(q - z0 + deep) % slots * threads + threadIdx.x] = of_slice;
+    ring[(q - z0 + deep) % slots * threads + threadIdx.x] = of_slice[0];
     if (q < z0 + deep) continue;
     Four<F> sums{};
     for (int t = 0; t < K; ++t) add(sums, weights[t], ring[(q - z0 - deep + t) % slots * threads + threadIdx.x]);
-    finish(q - deep, sums);
+    finish(q - deep, y, sums);
   }
   if (!Back && p.partial) {
     of_losses = warp_sum(of_losses);
@@ -208,7 +218,7 @@ int launch(Work<F>& work, CUstream_st* stream) {
   SsimTiles const tiles(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
   int64_t const volumes = work.x.count() / work.depth * work.x.step;
   work.across = unsigned(tiles.across), work.down = unsigned(tiles.down), work.parts = unsigned(tiles.parts);
-  work.slices = tiles.slices;
+  work.slices = tiles.slices, work.tall = tiles.tall;
   int const bytes = int(tiles.bytes);
   if (int const error = cudaFuncSetAttribute(sum_windows<F, Back>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;

@@ -25,10 +25,10 @@ __device__ __forceinline__ float fast_reciprocal(float x) {
 }
 __device__ __forceinline__ double fast_reciprocal(double x) { return 1 / x; }
 
-// The sum over a block of kSumThreads, to its first thread.
-template <class F>
+// The sum over a block, to its first thread.
+template <int Threads = kSumThreads, class F>
 __device__ __forceinline__ F block_sum(F x) {
-  constexpr int kWarps = kSumThreads / 32;
+  constexpr int kWarps = Threads / 32;
   __shared__ F of_warps[kWarps];
   x = warp_sum(x);
   if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = x;
@@ -44,7 +44,6 @@ __global__ void __launch_bounds__(kSumThreads)
     finish_sums(F const* partial, int64_t pieces, Finish<F> const finish, F* sums) {
   F sum = 0;
   F const* const row = partial + blockIdx.x * pieces;
-#pragma unroll 8
   for (int64_t i = threadIdx.x; i < pieces; i += kSumThreads) sum += row[i];
   sum = block_sum(sum);
   if (threadIdx.x == 0) sums[blockIdx.x] = finish(sum);

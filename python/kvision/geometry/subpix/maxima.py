@@ -68,6 +68,10 @@ def _backward(needs, grad, _1, values, flags, x, *how):
     return [_keep_marked(grad, flags)]
 
 
+def _marked_backward(needs, grad, x, flags):
+    return [_keep_marked(grad, flags), None]
+
+
 _maxima = register(
     "local_maxima",
     _reference,
@@ -78,10 +82,7 @@ _maxima = register(
     stores=True,
 )
 _keep_marked = register(
-    "keep_marked",
-    lambda x, flags: torch.where(flags != 0, x, 0),
-    linear=True,
-    backward=lambda needs, grad, x, flags: [_keep_marked(grad, flags), None],
+    "keep_marked", lambda x, flags: torch.where(flags != 0, x, 0), backward=_marked_backward, linear=True
 )
 _maximum = register("is_local_maximum", _flags, fake=_empty_flags, stores=True)
 _extrema = register(

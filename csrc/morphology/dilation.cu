@@ -27,8 +27,8 @@ __device__ __forceinline__ float join(float a, float b) {
 __device__ __forceinline__ double join(double a, double b) { return larger(a, b); }
 template <class F>
 __device__ __forceinline__ Ties<F> join(Ties<F> const& a, Ties<F> const& b) {
-  F const most = join(a.most, b.most);
-  return {most, (a.most == most ? a.count : F(0)) + (b.most == most ? b.count : F(0))};
+  F const most = join(a.most, b.most), count = a.most == most ? a.count : F(0);
+  return {most, b.most == most ? count + b.count : count};
 }
 
 __device__ __forceinline__ float share(float g, float count) { return __fdividef(g, fmaxf(count, 1.f)); }
@@ -37,8 +37,8 @@ __device__ __forceinline__ double share(double g, double count) { return g / fma
 // --- windows of 3 x 3 around the middle
 // --------------------------------------------------------------------------------------------------------------------
 
-constexpr int kRows = 16;  // of a strip
-constexpr int kStrip = 4;  // pixels of a thread
+constexpr int kRows = 24, kTapsRows = 96;  // of a strip
+constexpr int kStrip = 4;                  // pixels of a thread
 using Strips4 = Strips<kStrip>;
 
 template <class F>
@@ -506,15 +506,31 @@ __device__ __forceinline__ void for_each_group(int positions, int groups, Call f
   }
 }
 
+// Calls f(row, column) for all of them, a warp for a row after the other.
+template <class Call>
+__device__ __forceinline__ void for_each_place(int rows, int columns, Call f) {
+#pragma unroll 1
+  for (int row = threadIdx.x / 32; row < rows; row += int(blockDim.x) / 32)
+    for (int column = threadIdx.x % 32; column < columns; column += 32) f(row, column);
+}
+
+// The tile of a block: its plane, and its first row and column.
+struct Place {
+  int64_t plane;
+  int y, x;
+  __device__ __forceinline__ Place(int across, int down, int rows, int columns) {
+    unsigned const line = blockIdx.x / unsigned(across), p = line / unsigned(down);
+    plane = p, y = int(line - p * down) * rows, x = int(blockIdx.x - line * across) * columns;
+  }
+};
+
 // Calls f(N) with how many neighbouring windows of `size` elements a thread takes at once.
 template <class Call>
 __device__ __forceinline__ void with_group(int size, Call f) {
   if (size >= 15)
     f(std::integral_constant<int, 15>{});
-  else if (size >= 7)
-    f(std::integral_constant<int, 7>{});
-  else if (size >= 3)
-    f(std::integral_constant<int, 3>{});
+  else if (size >= 5)
+    f(std::integral_constant<int, 5>{});
   else
     f(std::integral_constant<int, 1>{});
 }
@@ -543,30 +559,25 @@ __global__ void __launch_bounds__(kMaximaThreads, 4)
   extern __shared__ __align__(16) unsigned char bytes[];
   Window<F> const& window = p.window;
   int const height = int(p.x.height), width = int(p.x.width), stride = maxima_stride(window.width);
-  int64_t const line = blockIdx.x / across, plane = line / down;
-  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * kMaximaRows;
-  int const rows = min(kMaximaRows, height - y0), columns = min(kTileWidth, width - x0);
-  auto const for_each_pixel = [&](auto f) {
-    for (int i = threadIdx.x; i < kTileWidth * rows; i += kMaximaThreads)
-      if (i % kTileWidth < columns) f(i / kTileWidth, i % kTileWidth);
-  };
-  if (!is_flat(window, plane / p.planes)) {
-    for_each_pixel([&](int y, int x) { Maximum<T>{p}.by_taps(Element(plane, y0 + y, x0 + x)); });
+  Place const at(across, down, kMaximaRows, kTileWidth);
+  int const y0 = at.y, x0 = at.x, rows = min(kMaximaRows, height - y0), columns = min(kTileWidth, width - x0);
+  if (!is_flat(window, at.plane / p.planes)) {
+    for_each_place(rows, columns, [&](int y, int x) { Maximum<T>{p}.by_taps(Element(at.plane, y0 + y, x0 + x)); });
     return;
   }
 
   F* const along_y = reinterpret_cast<F*>(bytes);   // (rows, stride)
   F* const found = along_y + kMaximaRows * stride;  // (rows, kMaximaStride)
   F const sign = window.sign(), outside = window.value * sign;
-  int const top = y0 - window.top, left = x0 - window.left;
-  T const* const source = p.x.plane(plane);
+  int const top = y0 - window.top, left = x0 - window.left, step = int(p.x.row_stride);
+  T const* const source = p.x.plane(at.plane);
   with_group(window.height, [&](auto group_size) {
     constexpr int N = decltype(group_size)::value;
     for_each_group(columns + window.width - 1, (rows + N - 1) / N, [&](int column, int group) {
       T const* const from = source + clamp(left + column, 0, width - 1);
       int const y = top + group * N;
       join_windows<N>(
-          window.height, [&](int i) { return read(from[clamp(y + i, 0, height - 1) * p.x.row_stride]) * sign; },
+          window.height, [&](int i) { return read(from[unsigned(clamp(y + i, 0, height - 1) * step)]) * sign; },
           [&](int j, F value) {
             if (group * N + j < rows) along_y[(group * N + j) * stride + column] = value;
           });
@@ -588,11 +599,12 @@ __global__ void __launch_bounds__(kMaximaThreads, 4)
   bool const inside =
       top >= 0 && left >= 0 && top + rows + window.height - 1 <= height && left + columns + window.width - 1 <= width;
   bool const whole = inside || outside == minus_infinity<F>();
-  for_each_pixel([&](int y, int x) {
+  T* const out = p.y.row(at.plane, y0) + x0;
+  for_each_place(rows, columns, [&](int y, int x) {
     F most = found[y * kMaximaStride + x];
     if (!whole && (top + y < 0 || left + x < 0 || top + y + window.height > height || left + x + window.width > width))
       most = join(most, outside);
-    p.y.row(plane, y0 + y)[x0 + x] = round_to<T>(most * sign);
+    out[y * p.y.row_stride + x] = round_to<T>(most * sign);
   });
 }
 
@@ -669,143 +681,191 @@ __global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const
 }
 
 // Windows that are not too large for it, flat or not, in one launch and without other memory: first the maxima of all
-// windows that have a pixel of the tile, with the parts of their ties, then the sums of these.
+// windows that have a pixel of the tile, with the parts of their ties, then the sums of these. One kernel for all
+// types, which takes a while to compile; it looks at the type where it reads and writes images.
 constexpr int kGradientThreads = 288;
 
+enum class Stored : int { float32, float16, bfloat16 };
 template <class T>
+constexpr Stored kStored = __is_same(T, float)  ? Stored::float32
+                           : __is_same(T, Half) ? Stored::float16
+                                                : Stored::bfloat16;
+
+// Calls f with a number of the type.
+template <class Call>
+__device__ __forceinline__ void with_type(Stored type, Call f) {
+  if (type == Stored::float32)
+    f(float());
+  else if (type == Stored::float16)
+    f(Half());
+  else
+    f(BFloat16());
+}
+struct AnyGradient {
+  DilationBackward<float> p;  // of images that are stored as `type`
+  Stored type;
+};
+template <class T>
+auto as_floats(Planes<T> const& p) {
+  using F = std::conditional_t<std::is_const_v<T>, float const, float>;
+  return Planes<F>{reinterpret_cast<F*>(p.data),
+                   p.outer,
+                   p.inner,
+                   p.outer_stride,
+                   p.inner_stride,
+                   p.row_stride,
+                   p.height,
+                   p.width,
+                   p.step};
+}
+// Row y of a plane of them, as what they are.
+template <class T, class F>
+__device__ __forceinline__ auto row_of(Planes<F> const& images, int64_t plane, int64_t y, T) {
+  using Type = std::conditional_t<std::is_const_v<F>, T const, T>;
+  return reinterpret_cast<Type*>(images.data) + (images.row(plane, y) - images.data);
+}
+
 __global__ void __launch_bounds__(kGradientThreads, 3)
-    gradient_by_tiles(__grid_constant__ DilationBackward<T> const p, int across, int down) {
-  using F = Compute<T>;
-  using Value = Ties<F>;
+    gradient_by_tiles(__grid_constant__ AnyGradient const any, int across, int down) {
+  DilationBackward<float> const& p = any.p;
+  using Value = Ties<float>;
   extern __shared__ __align__(16) unsigned char bytes[];
-  Window<F> const& window = p.window;
+  Window<float> const& window = p.window;
   GradientTile const tile(window);
-  int const height = int(p.x.height), width = int(p.x.width);
-  int64_t const line = blockIdx.x / across, plane = line / down, sample = plane / p.planes;
-  int const x0 = int(blockIdx.x - line * across) * tile.kColumns, y0 = int(line - plane * down) * tile.kRows;
+  Place const at(across, down, tile.kRows, tile.kColumns);
+  int const height = int(p.x.height), width = int(p.x.width), y0 = at.y, x0 = at.x;
+  int64_t const sample = at.plane / p.planes;
   int const rows = min(tile.kRows, height - y0), columns = min(tile.kColumns, width - x0);
   // The windows, and the first of them.
   int const rows_of_windows = rows + window.height - 1, windows_of_row = columns + window.width - 1;
   int const top = y0 + window.top - (window.height - 1), left = x0 + window.left - (window.width - 1);
-  Value* const found = reinterpret_cast<Value*>(bytes);     // (rows of windows, tile.windows)
-  Value* const along_y = found + tile.rows * tile.windows;  // (rows of windows, tile.pixels)
+  bool const flat = is_flat(window, sample);
+  Value* const found = reinterpret_cast<Value*>(bytes);                         // (rows of windows, tile.windows)
+  Value* const along_y = reinterpret_cast<Value*>(bytes + tile.first_bytes());  // (rows of windows, tile.pixels)
+  float* const pixels =
+      flat ? reinterpret_cast<float*>(found) : reinterpret_cast<float*>(along_y);  // (.., tile.pixels)
 
-  F const sign = window.sign();
-  Value const none{minus_infinity<F>(), F(0)}, outside{window.value * sign, F(1)};
-  T const* const source = p.x.plane(plane);
-  // The minimum of maxima is the maximum of what is negated.
-  auto const part_of = [&](int row, int column, Value const& ties) {
-    int const y = top + row, x = left + column;
-    bool const counts = y >= 0 && y < height && x >= 0 && x < width && ties.most == ties.most;
-    return counts ? Value{-ties.most, share(read(p.grad.row(plane, y)[x]), ties.count)} : none;
+  float const sign = window.sign();
+  int const columns_of_pixels = windows_of_row + window.width - 1;
+  with_type(any.type, [&](auto stored) {
+    auto const* const first = row_of(p.x, at.plane, 0, stored) + (left - window.left);
+    for_each_place(rows_of_windows + window.height - 1, columns_of_pixels, [&](int row, int column) {
+      int const y = top - window.top + row, x = left - window.left + column;
+      bool const inside = y >= 0 && y < height && x >= 0 && x < width;
+      pixels[row * tile.pixels + column] = (inside ? read(first[y * p.x.row_stride + column]) : window.value) * sign;
+    });
+  });
+  __syncthreads();
+
+  // Maxima and ties to what the pixels get of them. The minimum of maxima is the maximum of what is negated.
+  auto const share_out = [&] {
+    with_type(any.type, [&](auto stored) {
+      auto const* const grad = row_of(p.grad, at.plane, 0, stored) + left;
+      for_each_place(rows_of_windows, windows_of_row, [&](int row, int column) {
+        int const y = top + row, x = left + column;
+        Value& of = found[row * tile.windows + column];
+        Value const ties = of;
+        bool const counts = y >= 0 && y < height && x >= 0 && x < width && ties.most == ties.most;
+        of = {minus_infinity<float>(), 0};
+        if (counts) of = {-ties.most, share(read(grad[y * p.grad.row_stride + column]), ties.count)};
+      });
+    });
+    __syncthreads();
   };
   auto const store = [&](auto sum) {
-    for (int i = threadIdx.x; i < tile.kColumns * rows; i += kGradientThreads) {
-      int const y = i / tile.kColumns, x = i % tile.kColumns;
-      if (x >= columns) continue;
-      F const own = read(p.x.row(plane, y0 + y)[x0 + x]) * sign;
-      p.grad_x.row(plane, y0 + y)[x0 + x] = round_to<T>(sum(y, x, own));
-    }
+    with_type(any.type, [&](auto stored) {
+      auto const* const x_row = row_of(p.x, at.plane, y0, stored) + x0;
+      auto* const out = row_of(p.grad_x, at.plane, y0, stored) + x0;
+      for_each_place(rows, columns, [&](int y, int x) {
+        float const own = read(x_row[y * p.x.row_stride + x]) * sign;
+        out[y * p.grad_x.row_stride + x] = round_to<decltype(stored)>(sum(y, x, own));
+      });
+    });
   };
 
-  if (!is_flat(window, sample)) {
-    for (int i = threadIdx.x; i < rows_of_windows * windows_of_row; i += kGradientThreads) {
-      int const row = i / windows_of_row, column = i - row * windows_of_row;
-      Value ties = none;
-      if (top + row >= 0 && top + row < height && left + column >= 0 && left + column < width)
-        for_each_tap<T>(p.x, window, p.planes, Element(plane, top + row, left + column),
-                        [&](F value) { ties.add(value, F(1)); });
-      found[row * tile.windows + column] = part_of(row, column, ties);
-    }
-    __syncthreads();
-    store([&](int y, int x, F own) {
-      F sum = 0;
+  if (!flat) {
+    auto const for_each_member = [&](auto f) {
       for (int i = 0; i < window.height; ++i)
         for (int j = 0; j < window.width; ++j) {
-          F const offset = window.offset(sample, i * window.width + j);
-          if (offset == minus_infinity<F>()) continue;
-          Value const& of = found[(y + window.height - 1 - i) * tile.windows + x + window.width - 1 - j];
-          sum += own + offset == -of.most ? of.count : F(0);
+          float const offset = window.offset(sample, i * window.width + j);
+          if (offset != minus_infinity<float>()) f(i, j, offset);
         }
-      return sum;
+    };
+    for_each_place(rows_of_windows, windows_of_row, [&](int row, int column) {
+      Value ties{minus_infinity<float>(), 0};
+      for_each_member(
+          [&](int i, int j, float offset) { ties.add(pixels[(row + i) * tile.pixels + column + j] + offset, 1.f); });
+      found[row * tile.windows + column] = ties;
+    });
+    __syncthreads();
+    share_out();
+    for_each_place(rows, columns, [&](int y, int x) {
+      float const own = pixels[(y + window.height - 1) * tile.pixels + x + window.width - 1];
+      float sum = 0;
+      for_each_member([&](int i, int j, float offset) {
+        Value const& of = found[(y + window.height - 1 - i) * tile.windows + x + window.width - 1 - j];
+        sum += own + offset == -of.most ? of.count : 0.f;
+      });
+      with_type(any.type, [&](auto stored) {
+        row_of(p.grad_x, at.plane, y0 + y, stored)[x0 + x] = round_to<decltype(stored)>(sum);
+      });
     });
     return;
   }
 
-  with_group(window.height, [&](auto group_size) {
-    constexpr int N = decltype(group_size)::value;
-    for_each_group(windows_of_row + window.width - 1, (rows_of_windows + N - 1) / N, [&](int column, int group) {
-      int const x = left - window.left + column, y = top - window.top + group * N;
-      unsigned const end = x >= 0 && x < width ? unsigned(height) : 0;
-      T const* const from = source + (end ? x : 0);
-      join_windows<N>(
-          window.height,
-          [&](int i) {
-            Value pixel = outside;
-            if (unsigned(y + i) < end) pixel.most = read(from[(y + i) * p.x.row_stride]) * sign;
-            return pixel;
-          },
-          [&](int j, Value const& value) {
-            if (group * N + j < rows_of_windows) along_y[(group * N + j) * tile.pixels + column] = value;
-          });
+  // Calls join_windows for `rows` rows of windows at each of `columns` columns, from `from(row, column)`.
+  auto const go_down = [&](int rows, int columns, int stride, auto read_at) {
+    with_group(window.height, [&](auto group_size) {
+      constexpr int N = decltype(group_size)::value;
+      for_each_group(columns, (rows + N - 1) / N, [&](int column, int group) {
+        join_windows<N>(
+            window.height, [&](int i) { return read_at(group * N + i, column); },
+            [&](int j, Value const& value) {
+              if (group * N + j < rows) along_y[(group * N + j) * stride + column] = value;
+            });
+      });
     });
-  });
-  __syncthreads();
-  with_group(window.width, [&](auto group_size) {
-    constexpr int N = decltype(group_size)::value;
-    for_each_group(rows_of_windows, (windows_of_row + N - 1) / N, [&](int row, int group) {
-      Value const* const from = along_y + row * tile.pixels + group * N;
-      join_windows<N>(
-          window.width, [&](int i) { return from[i]; },
-          [&](int j, Value const& value) {
-            int const column = group * N + j;
-            if (column < windows_of_row) found[row * tile.windows + column] = part_of(row, column, value);
-          });
+    __syncthreads();
+  };
+  auto const go_across = [&](int rows, int columns, int stride) {
+    with_group(window.width, [&](auto group_size) {
+      constexpr int N = decltype(group_size)::value;
+      for_each_group(rows, (columns + N - 1) / N, [&](int row, int group) {
+        Value const* const from = along_y + row * stride + group * N;
+        join_windows<N>(
+            window.width, [&](int i) { return from[i]; },
+            [&](int j, Value const& value) {
+              if (group * N + j < columns) found[row * tile.windows + group * N + j] = value;
+            });
+      });
     });
-  });
-  __syncthreads();
-  with_group(window.height, [&](auto group_size) {
-    constexpr int N = decltype(group_size)::value;
-    for_each_group(windows_of_row, (rows + N - 1) / N, [&](int column, int group) {
-      Value const* const from = found + group * N * tile.windows + column;
-      join_windows<N>(
-          window.height, [&](int i) { return from[i * tile.windows]; },
-          [&](int j, Value const& value) {
-            if (group * N + j < rows) along_y[(group * N + j) * tile.windows + column] = value;
-          });
-    });
-  });
-  __syncthreads();
-  with_group(window.width, [&](auto group_size) {
-    constexpr int N = decltype(group_size)::value;
-    for_each_group(rows, (columns + N - 1) / N, [&](int row, int group) {
-      Value const* const from = along_y + row * tile.windows + group * N;
-      join_windows<N>(
-          window.width, [&](int i) { return from[i]; },
-          [&](int j, Value const& value) {
-            if (group * N + j < columns) found[row * tile.windows + group * N + j] = value;
-          });
-    });
-  });
-  __syncthreads();
-  store([&](int y, int x, F own) {
+    __syncthreads();
+  };
+  go_down(rows_of_windows, columns_of_pixels, tile.pixels,
+          [&](int row, int column) { return Value{pixels[row * tile.pixels + column], 1}; });
+  go_across(rows_of_windows, windows_of_row, tile.pixels);
+  share_out();
+  go_down(rows, windows_of_row, tile.windows, [&](int row, int column) { return found[row * tile.windows + column]; });
+  go_across(rows, columns, tile.windows);
+  store([&](int y, int x, float own) {
     Value const& of = found[y * tile.windows + x];
-    return own == -of.most ? of.count : F(0);
+    return own == -of.most ? of.count : 0.f;
   });
 }
 
 // Doubles go by taps: tiles of theirs would take a quarter of the time that this file takes to compile.
 template <class T>
 bool has_tiles(Planes<T const> const& image, Window<Compute<T>> const& window) {
-  return sizeof(T) < 8 && image.step == 1 && max(window.height, window.width) <= kLargestTile;
+  return sizeof(T) < 8 && image.step == 1 && max(window.height, window.width) <= kLargestTile &&
+         image.height * image.row_stride <= INT32_MAX;
 }
 
 // A kernel for tiles of so many rows and columns.
 template <class Params, class Image>
 int launch_tiles(void (*kernel)(Params, int, int), Params const& params, Image const& image, int rows, int columns,
-                 int threads, int bytes, CUstream_st* stream) {
+                 int threads, int64_t bytes, CUstream_st* stream) {
   int const across = int(ceil_div(image.width, columns)), down = int(ceil_div(image.height, rows));
-  if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes)) return error;
+  if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes))) return error;
   kernel<<<unsigned(image.count() * across * down), threads, bytes, stream>>>(params, across, down);
   return cudaGetLastError();
 }
@@ -853,15 +913,19 @@ int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
     return launch_ties<T>(SumTies<T>{p}, stream);
   }
   if constexpr (sizeof(T) < 8)
-    if (!is_3x3(p.window))
-      return launch_tiles(gradient_by_tiles<T>, p, p.x, GradientTile::kRows, GradientTile::kColumns, kGradientThreads,
-                          int(GradientTile(p.window).bytes()), stream);
+    if (!is_3x3(p.window)) {
+      AnyGradient const any{{as_floats(p.grad), as_floats(p.x), as_floats(p.grad_x), p.window, p.planes, nullptr},
+                            kStored<T>};
+      return launch_tiles(gradient_by_tiles, any, p.x, GradientTile::kRows, GradientTile::kColumns, kGradientThreads,
+                          GradientTile(p.window).bytes(), stream);
+    }
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  Strips4 const long_strips(p.x.count(), p.x.height, p.x.width, kTapsRows);  // few to find that the window is flat
   bool const aligned = is_strip<kStrip>(p.x) && is_strip<kStrip>(p.grad) && is_strip<kStrip>(p.grad_x);
   with_alignment<T>(aligned, [&](auto aligned) {
     dilation_3x3_flat_backward<T, aligned.value>
         <<<strips.blocks(kFlatThreads / 32), kFlatThreads, 0, stream>>>(p, strips);
-    dilation_3x3_taps_backward<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+    dilation_3x3_taps_backward<T, aligned.value><<<long_strips.blocks(), kThreads, 0, stream>>>(p, long_strips);
   });
   return cudaGetLastError();
 }

@@ -62,18 +62,23 @@ bool is_3x3(Window<F> const& window) {
   return window.height == 3 && window.width == 3 && window.top == 1 && window.left == 1;
 }
 
-// The gradient on CUDA by tiles of the image: two numbers for each of the windows that have a pixel of the tile, and
-// two for each of these and as many columns of the image as they have, in shared memory. Groups of windows may reach
-// beyond.
+// The gradient on CUDA by tiles of the image. Shared memory has two numbers for each of the windows that have a pixel
+// of the tile, before them those pixels that these windows have, and two for each of these windows along y and as many
+// columns as they have. Groups of windows may reach beyond.
 struct GradientTile {
   static constexpr int kRows = 30, kColumns = 64, kMostBytes = 227 * 1024;
-  int rows, windows, pixels;  // what there is room for; `pixels` and `windows` of a row, odd
+  int rows, rows_of_pixels, windows, pixels;  // what there is room for; `windows` and `pixels` are those of a row, odd
   template <class F>
   KV_HD explicit GradientTile(Window<F> const& window)
-      : rows(kRows + window.height + 4),
+      : rows(kRows + window.height - 1),
+        rows_of_pixels(kRows + 2 * (window.height - 1)),
         windows((kColumns + window.width + 14) | 1),
         pixels((kColumns + 2 * window.width + 14) | 1) {}
-  KV_HD int64_t bytes() const { return int64_t(8) * rows * (windows + pixels); }
+  // To what is along y.
+  KV_HD int64_t first_bytes() const {
+    return max(int64_t(8) * rows * windows, int64_t(4) * rows_of_pixels * (pixels + 1));
+  }
+  KV_HD int64_t bytes() const { return first_bytes() + int64_t(8) * rows * pixels; }
 };
 
 // Whether the gradient of planar images takes no other memory on CUDA.

@@ -109,7 +109,7 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
     matrices = matrix.expand(len(source), -1, -1)
     size, (*source_size,) = target.shape[2:], source.shape[2:]
 
-    def residuals(m: Tensor) -> Tensor:
+    def residuals(m: Tensor) -> Any:
         places = sampling.places_of(m, size, source_size, align_corners, False, normalized)
         residual = sampling.sample(source, places, "bilinear", "fill", align_corners) - target
         return residual.flatten(1), (residual, _seen(places, source))
@@ -119,7 +119,7 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
     for i in range(8):
         direction = torch.zeros_like(matrices)
         direction[:, i // 3, i % 3] = 1
-        (_, (residual, seen)), (column, _) = torch.func.jvp(lambda m: residuals(m), (matrices,), (direction,))
+        (_, (residual, seen)), (column, _) = torch.func.jvp(residuals, (matrices,), (direction,))
         columns.append(column)
     jacobian = torch.stack(columns, 1)
     r, seen = residual.flatten(1), seen.expand_as(residual).flatten(1).to(matrix.dtype)
@@ -232,7 +232,7 @@ def photometric_normal_equations(
         torch.Size([1, 8])
     """
     op = "photometric_normal_equations"
-    how = distance, float(eps), align_corners, normalized_coordinates
+    how = distance, eps, align_corners, normalized_coordinates
     source, target, matrix = _checked(op, source, target, src_homo_dst, *how)
     found: tuple[Tensor, Tensor, Tensor] = _normal(source.to(matrix.dtype), target.to(matrix.dtype), matrix, *how)
     return found

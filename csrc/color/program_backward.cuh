@@ -13,37 +13,31 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
   constexpr int P = kTaken<F>;
   Program<F> const& q = p.forward;
   __shared__ Sample<F> sample;
-  bool const asks_x = Asked<F, C, P>::of(q.x), asks_grad = Asked<F, C, P>::of(p.grad);
+  bool const asks = Asked<F, C, P>::of(q.x) && Asked<F, C, P>::of(p.grad);
   __shared__ F slopes[kThreads / 32][kMostParameters];
   for (int64_t n = blockIdx.y; n < q.samples; n += gridDim.y) {
     int64_t const b = sample_of(q, n), from = q.x.offset(b), from_grad = p.grad.offset(b);
     int64_t const to = p.wants_x ? p.grad_x.offset(b) : 0;
     F measured = 0;
-    int last = 0;
+    sample.prepare(q, b, true);
+    int const last = p.last_input(sample.length, [&](int s) { return sample.order[s].at; });
+    for (int k = int(threadIdx.x % 32); k < kMostParameters; k += 32) slopes[threadIdx.x / 32][k] = 0;
+    __syncwarp();
     for (int64_t chunk = blockIdx.x; chunk < chunks_of<F>(q.pixels); chunk += gridDim.x) {
-      int64_t const i = chunk * kChunk<F> + threadIdx.x * P;
+      int64_t const i = chunk * kChunk<F> + threadIdx.x * P, i_of_x = p.reads_x ? i : q.pixels;
       F c[C][P], g[C][P], kept[kMostSteps - 1][C][P];
-      Asked<F, C, P> x, grad;
-      if (asks_x) {
+      if (asks) {  // all that there is, before any of it is waited for
+        Asked<F, C, P> x, grad;
         x.fill(F(0.5));
-        x.ask(q.x, from, p.reads_x ? i : q.pixels, q.pixels);
-      } else {
-        load_pixels(q.x, from, p.reads_x ? i : q.pixels, q.pixels, F(0.5), c);
-      }
-      if (asks_grad) {
         grad.fill(F(0));
+        x.ask(q.x, from, i_of_x, q.pixels);
         grad.ask(p.grad, from_grad, i, q.pixels);
+        x.take(c);
+        grad.take(g);
       } else {
+        load_pixels(q.x, from, i_of_x, q.pixels, F(0.5), c);
         load_pixels(p.grad, from_grad, i, q.pixels, F(0), g);
       }
-      if (chunk == blockIdx.x) {
-        sample.prepare(q, b, true);
-        last = p.last_input(sample.length, [&](int s) { return sample.order[s].at; });
-        for (int k = int(threadIdx.x % 32); k < kMostParameters; k += 32) slopes[threadIdx.x / 32][k] = 0;
-        __syncwarp();
-      }
-      if (asks_x) x.take(c);
-      if (asks_grad) grad.take(g);
       for (int s = 0; s < last; ++s) {
 #pragma unroll
         for (int k = 0; k < C; ++k)

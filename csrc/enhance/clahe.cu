@@ -95,7 +95,7 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
   if (first < kLevels) *reinterpret_cast<Pack<uint8_t, kEach>*>(table + first) = levels;
 }
 
-constexpr int kThreads = 128;
+constexpr int kThreads = 64;  // what a block prepares for its cell is most of the work of more
 
 // Byte k of four, as a number.
 template <class F>
@@ -130,17 +130,15 @@ __global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, 
   auto const word = [&](int ty, int tx, int i) {  // levels 4 i to 4 i + 3
     return reinterpret_cast<uint32_t const*>(tables + (ty * p.across.count + tx) * kLevels)[i];
   };
-  if (threadIdx.x < kLevels / 4) {
-    int const i = threadIdx.x;
-    uint32_t const a = word(p.down.before(cy), p.across.before(cx), i),
-                   b = word(p.down.before(cy), p.across.after(cx), i),
-                   c = word(p.down.after(cy), p.across.before(cx), i),
-                   d = word(p.down.after(cy), p.across.after(cx), i);
+  static_assert(kThreads == kLevels / 4, "a word of each table a thread");
+  int const i = threadIdx.x;
+  uint32_t const a = word(p.down.before(cy), p.across.before(cx), i),
+                 b = word(p.down.before(cy), p.across.after(cx), i), c = word(p.down.after(cy), p.across.before(cx), i),
+                 d = word(p.down.after(cy), p.across.after(cx), i);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) {
-      unsigned const pick = k | (k + 4) << 4;  // byte k of both
-      cell[4 * i + k] = __byte_perm(__byte_perm(a, b, pick), __byte_perm(c, d, pick), 0x5410);
-    }
+  for (int k = 0; k < 4; ++k) {
+    unsigned const pick = k | (k + 4) << 4;  // byte k of both
+    cell[4 * i + k] = __byte_perm(__byte_perm(a, b, pick), __byte_perm(c, d, pick), 0x5410);
   }
   __syncthreads();
 

@@ -75,10 +75,16 @@ KV_KERNEL(clahe, Clahe)
 // What is above the limit in all counts is spread: an equal share for every level, and the rest, as OpenCV does it, one
 // by one to levels at equal distances.
 struct Excess {
-  int32_t share, rest, distance;
+  int32_t share, rest, distance, inverse;
   KV_HD explicit Excess(int32_t excess)
-      : share(excess / kLevels), rest(excess % kLevels), distance(rest ? kLevels / rest : kLevels) {}
-  KV_HD int32_t of(int level) const { return share + (level % distance == 0 && level / distance < rest); }
+      : share(excess / kLevels),
+        rest(excess % kLevels),
+        distance(rest ? kLevels / rest : kLevels),
+        inverse((1 << 16) / distance + 1) {}
+  KV_HD int32_t of(int level) const {
+    int const place = level * inverse >> 16;  // level / distance: both are at most 256
+    return share + (place * distance == level && place < rest);
+  }
 };
 
 // The pixel that the tables of the tiles before and after it, up (a, b) and down (c, d), make into these levels.

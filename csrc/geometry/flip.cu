@@ -34,7 +34,11 @@ __global__ void __launch_bounds__(256) flip_rows(__grid_constant__ Flip<T> const
     if (p.columns)
 #pragma unroll
       for (int l = 0; l < P; ++l) pack.v[l] = packs[k].v[P - 1 - l];
-    *reinterpret_cast<Pack<T, P>*>(out + k * p.y.row_stride) = pack;
+    T* const to = out + k * p.y.row_stride;
+    if constexpr (sizeof(pack) == 16)  // streaming, as store_pack
+      __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&pack));
+    else
+      *reinterpret_cast<Pack<T, P>*>(to) = pack;
   }
 }
 

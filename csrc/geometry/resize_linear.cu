@@ -1,9 +1,9 @@
 // Bilinear and nearest images of any size on CUDA: means of at most two pixels along each axis.
 //
 // A warp walks down a strip of 32 columns by kColumns of the result, 32 columns apart in a thread. Of each row of the
-// image that it comes by it keeps the means along x, of which two rows are one of the result. Rows are asked for while
-// the one before them is written.
-#include "core/launch.cuh"
+// image that it comes by it keeps the means along x, of which two rows are one of the result. Where an image grows, its
+// rows come to shared memory by asynchronous copies, some rows ahead; else pixels are asked for a row ahead.
+#include "filters/strip_rows.cuh"
 #include "resize.h"
 
 namespace kv::cuda {
@@ -32,7 +32,8 @@ struct PixelPairs {
   T left[kColumns], right[kColumns];
 };
 
-template <class T>
+// Ahead: a strip's part of a row is one pack a thread, and no row is left out.
+template <class T, bool Ahead>
 __global__ void __launch_bounds__(32 * kWarps)
     resize_pairs(__grid_constant__ Resize<T> const p, Strips<kColumns> strips) {
   int64_t plane;
@@ -56,10 +57,41 @@ __global__ void __launch_bounds__(32 * kWarps)
   float const t_of_lane = of_lane.a < of_lane.b ? of_lane.t : 0;
 
   uintptr_t const in = reinterpret_cast<uintptr_t>(p.x.plane(plane));
-  int64_t const stride = p.x.row_stride * int64_t(sizeof(T));
+  int const stride = int(p.x.row_stride * sizeof(T));
+
+  constexpr int kPack = 16 / int(sizeof(T)), kRing = 4;
+  __shared__ Pack<T, kPack> rings[Ahead ? kWarps : 1][Ahead ? kRing : 1][32];
+  [[maybe_unused]] auto* const ring = rings[Ahead ? threadIdx.x / 32 : 0];
+  [[maybe_unused]] unsigned next = __shfl_sync(0xffffffffu, of_lane.a, 0), last = 0;
+  [[maybe_unused]] bool copies = false;
+  [[maybe_unused]] uintptr_t own = in;
+  [[maybe_unused]] auto const copy_next = [&] {
+    auto const to = uint32_t(__cvta_generic_to_shared(&ring[next % kRing][lane]));
+    copy_later<16>(to, reinterpret_cast<void const*>(own + int64_t(next) * stride), copies && next <= last, false);
+    __pipeline_commit();
+    ++next;
+  };
+  if constexpr (Ahead) {
+    int const begin = __shfl_sync(0xffffffffu, left[0], 0) / kPack * kPack, pack = begin + kPack * lane;
+    last = __shfl_sync(0xffffffffu, of_lane.b, rows - 1);
+    copies = pack <= __shfl_sync(0xffffffffu, right[kColumns - 1], 31);
+    own = in + int64_t(pack) * int(sizeof(T));
+#pragma unroll
+    for (int i = 0; i < kColumns; ++i) left[i] -= begin, right[i] -= begin;
+    for (int i = 0; i < kRing - 1; ++i) copy_next();
+  }
   auto const fetch = [&](int y) {
     PixelPairs<T> row;
-    uintptr_t const from = in + y * stride;
+    if constexpr (Ahead) {
+      __pipeline_wait_prior(kRing - 2);
+      __syncwarp();
+      copy_next();
+      T const* const from = ring[unsigned(y) % kRing]->v;
+#pragma unroll
+      for (int i = 0; i < kColumns; ++i) row.left[i] = from[left[i]], row.right[i] = from[right[i]];
+      return row;
+    }
+    uintptr_t const from = in + int64_t(y) * stride;
 #pragma unroll
     for (int i = 0; i < kColumns; ++i) {
       row.left[i] = element<T>(from, left[i]);
@@ -121,12 +153,21 @@ int resize_linear(Resize<T> const& p, CUstream_st* stream) {
     return !a.transposed &&
            (a.window <= Window::nearest_exact || (a.window == Window::bilinear && (!a.antialias || a.num <= a.den)));
   };
-  if (!served(p.rows) || !served(p.columns) || p.x.row_size() > INT32_MAX) return kNotServed;
+  if (!served(p.rows) || !served(p.columns) ||
+      max(p.x.row_stride * int64_t(sizeof(T)), p.y.row_size()) > INT32_MAX - 128)
+    return kNotServed;
   int rows = 32;  // there must be enough strips for the machine
   int64_t const across = ceil_div(p.y.row_size(), 32 * kColumns);
-  while (rows > 4 && p.y.count() * across * ceil_div(p.y.height, rows) < 4000) rows /= 2;
+  while (rows > 4 && p.y.count() * across * ceil_div(p.y.height, rows) < 12000) rows /= 2;
   Strips<kColumns> const strips(p.y.count(), p.y.height, p.y.row_size(), rows);
-  resize_pairs<<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips);
+  constexpr int kPack = 16 / int(sizeof(T));
+  ResizeAxis const& a = p.columns;
+  bool const grows =
+      p.rows.num <= p.rows.den && a.num <= a.den && (32 * kColumns - 1) * a.num / a.den + 2 + kPack <= 32 * kPack;
+  if (grows && is_strip<kPack>(p.x))
+    resize_pairs<T, true><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips);
+  else
+    resize_pairs<T, false><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips);
   return cudaGetLastError();
 }
 

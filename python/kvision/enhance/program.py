@@ -120,6 +120,7 @@ class ColorProgram(nn.Module):
                 else:
                     self.register_buffer(attribute, value, persistent=False)
             self._steps.append((name, values))
+        self._names = [name for name, _ in self._steps]
         self._program = [STEPS[_KINDS[name].step] for name, _ in self._steps]
         # What does not change, of each step and of all of them.
         self._numbers = [
@@ -176,17 +177,24 @@ class ColorProgram(nn.Module):
             raise TypeCheckError(f"ColorProgram: expected parameters by the names of steps, got {parameters!r}")
         found = list(self._numbers)
         for key, value in parameters.items():
-            places = [key] if isinstance(key, int) else [i for i, (name, _) in enumerate(self._steps) if name == key]
-            if len(places) != 1 or not -len(found) <= places[0] < len(found):
-                names = ", ".join(name for name, _ in self._steps)
-                raise ValueCheckError(f"ColorProgram: there is not one step {key!r} among {names}")
-            name, _ = self._steps[places[0]]
+            i = self._place(key)
+            name, _ = self._steps[i]
             values = (value,) if len(_KINDS[name].parameters) == 1 else value
-            found[places[0]] = _slots(name, _checked((name, *values))[1], image)
+            _check_values(name, values)
+            found[i] = _slots(name, values, image)
         slots: list[float | Tensor] = []
         for i, of_step in enumerate(found):
             slots += _slots(*self._values(i), image) if of_step is None else of_step
         return slots
+
+    def _place(self, key: str | int) -> int:
+        """Where the step is that a name or a position means."""
+        names = self._names
+        if isinstance(key, int) and -len(names) <= key < len(names):
+            return key
+        if names.count(key) != 1:
+            raise ValueCheckError(f"ColorProgram: there is not one step {key!r} among {', '.join(names)}")
+        return names.index(key)
 
     def _values(self, i: int) -> tuple[str, list[Any]]:
         """The i-th step's name and parameters."""
@@ -211,6 +219,11 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
         raise TypeCheckError(f"ColorProgram: expected steps to be tuples of a name and parameters, got {step!r}")
     name, *values = step
     _check.choice("ColorProgram", "step", name, _NAMES)
+    _check_values(name, values)
+    return name, values
+
+
+def _check_values(name: str, values: Sequence[Any]) -> None:
     wanted = _KINDS[name].parameters
     if len(values) != len(wanted):
         raise ValueCheckError(
@@ -225,16 +238,18 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
             raise ValueCheckError(f"ColorProgram: expected {parameter} of {name} to be {size} numbers, got {value!r}")
         for number in value if several else [value]:
             _check.number("ColorProgram", f"{parameter} of {name}", number)
-    return name, values
 
 
 def _slots(name: str, values: Sequence[Any], image: Tensor | None) -> list[float | Tensor]:
     """The parameters of a step as the program has them."""
     kind = _KINDS[name]
-    fitting = [_fitting(name, p, size, v, image) for (p, size), v in zip(kind.parameters.items(), values)]
     slots: list[float | Tensor] = []
+    fitting = (_fitting(name, p, size, v, image) for (p, size), v in zip(kind.parameters.items(), values))
     for argument in kind.arguments(*fitting):
-        slots += argument if isinstance(argument, tuple) else [argument]
+        if isinstance(argument, tuple):
+            slots += argument
+        else:
+            slots.append(argument)
     return slots
 
 

@@ -117,7 +117,7 @@ struct View {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kTileRow;
       Tile<F> tile;
-      tile.open(count, p.places, p.places.use, number);
+      tile.open(count, p.places, number);
       Box box = Box::empty();
       if (p.places.matrices) {
         F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
@@ -130,7 +130,7 @@ struct View {
         unsigned const before = __ballot_sync(0xffffffffu, tile.map.weight(x, y) > 0) >> 4 * number & 15;
         if (before != 0 && before != 15) box = Box::all();
       }
-      if (threadIdx.x % 4 == 0) {
+      if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kTileRow) {
         tiles[number] = tile;
         taps[number] = box;
       }

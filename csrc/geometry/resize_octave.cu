@@ -195,6 +195,7 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   constexpr int P = kPack<T>, C = P / 2;
   if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kNotServed;
   if (!(Doubles ? is_strip<C>(p.x) && is_strip<P>(p.y) : is_strip<P>(p.x) && is_strip<C>(p.y))) return kNotServed;
+  if (reinterpret_cast<uintptr_t>(p.base) % alignof(Pack<T, P>) != 0) return kNotServed;
   int64_t const height = Doubles ? p.x.height : p.y.height, width = Doubles ? p.x.width : p.y.width;
   // Long strips repeat fewer rows; there must be enough of them for the machine.
   int rows = 32;

@@ -16,7 +16,7 @@ Window window_of(char const* op, std::string const& name) {
   KV_CHECK(false, op, ": no window is called '", name, "'");
 }
 
-// From images to images of `size`, or the gradient to images of `size`.
+// From images to images of `size`, or the gradient to images of `size`; `base` minus that where there is one.
 Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& size, std::string const& name,
                bool align_corners, bool antialias, std::string const& border_name, bool transposed,
                Tensor const* base = nullptr) {

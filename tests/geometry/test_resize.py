@@ -320,6 +320,13 @@ def test_details_are_differences(size, border, device, backend):
             rounded = {torch.float16: 1e-3, torch.bfloat16: 8e-3}.get(dtype, 1e-6)
             assert found.dtype == dtype and (found.float() - expected).abs().max() <= rounded
         assert_close(_detail(a, b.mT.contiguous().mT, *how), _detail(a, b, *how), 0, 0)
+        moved = torch.empty(b.numel() + 1, dtype=dtype, device=device)[1:].view(b.shape).copy_(b)
+        assert_close(
+            _detail(a, moved, *how),
+            _detail(a, b, *how),
+            0,
+            1e-2 if dtype == torch.bfloat16 else 2e-3 if dtype == torch.float16 else 2e-6,
+        )
     a, b = (x[:1, :1, :4, :6].double().requires_grad_() for x in (smaller[..., :2, :3], image))
     assert torch.autograd.gradcheck(lambda a, b: _detail(a, b, *how), (a, b))
     assert torch.autograd.gradgradcheck(lambda a, b: _detail(a, b, *how), (a, b))

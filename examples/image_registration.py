@@ -142,23 +142,11 @@ def gauss_newton(source: Tensor, target: Tensor, iterations: int) -> tuple[Tenso
 
 
 def gauss_newton_step(source: Tensor, target: Tensor, homography: Tensor) -> Tensor:
-    """A better homography: one step of Gauss and Newton for the sum of abs(warped - target) where the source is."""
-    h, w = source.shape[2:]
-    slopes = K.filters.spatial_gradient(source, "diff", normalized=False)[:, 0] / 2  # to the right and down, a pixel
-    stack = torch.cat([source, slopes, torch.ones_like(source)], 1)
-    warped, right, down, seen = K.homography_warp(stack, homography, (h, w))[0].flatten(1)
-    x = ((torch.arange(w, device=source.device) * 2 + 1) / w - 1).expand(h, w).flatten()
-    y = ((torch.arange(h, device=source.device) * 2 + 1) / h - 1)[:, None].expand(h, w).flatten()
-    one = torch.ones_like(x)
-    u, v, depth = homography[0] @ torch.stack([x, y, one])
-    right, down = right * (w / 2) / depth, down * (h / 2) / depth
-    both = -(right * u + down * v) / depth
-    jacobian = torch.stack([right * x, right * y, right, down * x, down * y, down, both * x, both * y]).double()
-    residual = (warped - target.flatten()).double()
-    weight = (seen > 0.99) / (residual**2 + 1e-2).sqrt()
-    normal = (jacobian * weight) @ jacobian.T
-    normal = normal + 1e-6 * torch.diag(normal.diagonal())
-    step = torch.linalg.solve_ex(normal, -(jacobian * weight) @ residual)[0]
+    """A better homography: one step of Gauss and Newton for the mean of abs(warped - target) where the source is."""
+    normal, gradient, _ = K.geometry.photometric_normal_equations(source, target, homography, "charbonnier", 0.1)
+    normal, gradient = normal.double(), gradient.double()
+    normal = normal + 1e-6 * torch.diag_embed(normal.diagonal(dim1=1, dim2=2))
+    step = torch.linalg.solve_ex(normal, -gradient)[0]
     moved = homography + F.pad(step, (0, 1)).reshape(1, 3, 3).to(homography.dtype)
     return moved / moved[:, 2:, 2:]
 

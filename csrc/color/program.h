@@ -6,7 +6,8 @@
 // float or double, on a chunk of pixels that stays in registers (CUDA) or in the L1 cache (CPU) from step to step.
 //
 // The gradient comes from the same formulas on dual numbers: with derivatives along the channels, a step yields its
-// Jacobian at each pixel; with a derivative along one of its parameters, how the pixel answers to that.
+// Jacobian at each pixel, unless what it makes of a gradient is written below it; with a derivative along one of its
+// parameters, how the pixel answers to that.
 #pragma once
 
 #include "core/half.h"

@@ -157,6 +157,7 @@ KV_HD Homography<double> homography(F const* given, MatrixUse const& use) {
   double const scale = matrix::scale_of(m);
   Homography<double> h;
   for (int i = 0; i < 9; ++i) h.m[i] = m[i] * scale;
+  if (h.m[8] > 1 - 1e-15 && h.m[8] < 1 + 1e-15) h.m[8] = 1;  // m[8] times its reciprocal
   h.affine = h.m[6] == 0 && h.m[7] == 0 && h.m[8] == 1;
   return h;
 }

@@ -170,7 +170,32 @@ __global__ void __launch_bounds__(kStripThreads)
   }
 }
 
+// In packs, the last of which may be cut short.
+template <class T>
+__global__ void __launch_bounds__(kThreads) keep(Marked<T> const p, bool packed) {
+  constexpr int P = kPixels<T>;
+  int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P;
+  if (packed && first + P <= p.count) {
+    Pack<T, P> x = *reinterpret_cast<Pack<T, P> const*>(p.x + first);
+    auto const flags = *reinterpret_cast<Pack<uint8_t, P> const*>(p.flags + first);
+#pragma unroll
+    for (int i = 0; i < P; ++i) x.v[i] = flags.v[i] ? x.v[i] : T{};
+    *reinterpret_cast<Pack<T, P>*>(p.kept + first) = x;
+  } else {
+    for (int64_t i = first; i < min(first + P, p.count); ++i) p.kept[i] = p.flags[i] ? p.x[i] : T{};
+  }
+}
+
 }  // namespace
+
+template <class T>
+int keep_marked(Marked<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  uintptr_t const at = reinterpret_cast<uintptr_t>(p.x) | reinterpret_cast<uintptr_t>(p.kept);
+  bool const packed = at % alignof(Pack<T, P>) == 0 && reinterpret_cast<uintptr_t>(p.flags) % P == 0;
+  keep<T><<<unsigned(ceil_div(p.count, kThreads * P)), kThreads, 0, stream>>>(p, packed);
+  return cudaGetLastError();
+}
 
 template <class T>
 int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
@@ -196,5 +221,6 @@ int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE(local_maxima, LocalMaxima)
+KV_INSTANTIATE(keep_marked, Marked)
 
 }  // namespace kv::cuda

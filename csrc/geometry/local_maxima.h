@@ -25,6 +25,16 @@ struct LocalMaxima {
   }
 };
 
+// What is marked by flags that are not 0, and 0 elsewhere: the gradient of maxima. Dense.
+template <class T>
+struct Marked {
+  T const* x;
+  uint8_t const* flags;
+  T* kept;
+  int64_t count;
+};
+
 KV_KERNEL(local_maxima, LocalMaxima)
+KV_KERNEL(keep_marked, Marked)
 
 }  // namespace kv

@@ -15,6 +15,14 @@ KV_HD void store_flags(uint8_t* to, M mask) {
         __builtin_convertvector(__builtin_convertvector(mask & 1, Lanes<uint16_t, N>), Lanes<uint8_t, N>);
 }
 
+template <int N, class F>
+KV_HD Lanes<F, N> load_flags(uint8_t const* from) {
+  if constexpr (N == 1)
+    return F(*from);
+  else
+    return __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(from), Lanes<F, N>);
+}
+
 // An output's row, or none.
 template <class T>
 KV_HD T* row_of(Planes<T> const& planes, int64_t plane, int64_t row) {
@@ -63,6 +71,18 @@ void local_maxima(LocalMaxima<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+template <class T>
+void keep_marked(Marked<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  for_each_vector<T>(begin, end, [&](auto lanes, int64_t i) {
+    constexpr int N = decltype(lanes)::value;
+    using V = Lanes<F, N>;
+    V const x = load<N>(p.x + i), none{};
+    store<N>(p.kept + i, V(load_flags<N, F>(p.flags + i) != 0 ? x : none));
+  });
+}
+
 KV_INSTANTIATE(local_maxima, LocalMaxima)
+KV_INSTANTIATE(keep_marked, Marked)
 
 }  // namespace kv::KV_ISA

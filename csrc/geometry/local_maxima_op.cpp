@@ -51,6 +51,27 @@ std::tuple<Tensor, Tensor> local_maxima(Tensor const& input, std::vector<int64_t
   return {values, maxima};
 }
 
+Tensor keep_marked(Tensor const& input, Tensor const& flags) {
+  char const* const op = "keep_marked";
+  check_images(op, "input", input);
+  bool fits = flags.dim() == 4 && flags.scalar_type() == ScalarType::Byte && flags.device() == input.device();
+  for (int64_t i = 0; fits && i < 4; ++i) fits = flags.size(i) == input.size(i) || (i == 0 && flags.size(0) == 1);
+  KV_CHECK(fits, op, ": flags do not fit the input");
+  Layout const layout = layout_of(input);
+  auto const flat = [&](Tensor const& x) {
+    Tensor const all = x.size(0) == input.size(0) ? x : for_batch(x, input.size(0));
+    return layout == Layout::planar ? dense(all)
+                                    : torch::stable::contiguous(all, torch::headeronly::MemoryFormat::ChannelsLast);
+  };
+  Tensor const x = flat(input), marks = flat(flags), kept = empty_like(input, layout);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Marked<T> const params{data_of<T const>(x), data_of<uint8_t const>(marks), data_of<T>(kept), kept.numel()};
+    KV_RUN(keep_marked, x, params, params.count, 1);
+  });
+  return kept;
+}
+
 Tensor is_local_maximum(Tensor const& input, std::vector<int64_t> window, bool volumes) {
   Layout const layout = layout_for("is_local_maximum", input, window, volumes);
   Tensor const maxima = flags_like(input, layout);
@@ -68,6 +89,7 @@ std::tuple<Tensor, Tensor> local_extrema(Tensor const& input, std::vector<int64_
 }  // namespace
 
 KV_OPERATOR(local_maxima, "(Tensor input, int[] window, bool volumes, bool marked) -> (Tensor, Tensor)")
+KV_OPERATOR(keep_marked, "(Tensor input, Tensor flags) -> Tensor")
 KV_OPERATOR(is_local_maximum, "(Tensor input, int[] window, bool volumes) -> Tensor")
 KV_OPERATOR(local_extrema, "(Tensor input, int[] window, bool volumes) -> (Tensor, Tensor)")
 

@@ -117,7 +117,7 @@ struct View {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kTileRow;
       Tile<F> tile;
-      tile.open(count, p.places, p.places.use, number);
+      tile.open(count, p.places, number);
       Box box = Box::empty();
       if (p.places.matrices) {
         F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);

@@ -54,7 +54,9 @@ __device__ __noinline__ void sample_where_it_is(Sample<T> const& p, Tile<F> cons
 }
 
 template <class T, int K>
-constexpr int kBlocks = sizeof(T) == 8 || K == 4 ? 2 : 5;  // on a multiprocessor at once
+constexpr int kBlocks = sizeof(T) == 8 ? 2
+                        : K == 4       ? 4
+                                       : 6;  // on a multiprocessor at once
 
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)

@@ -33,21 +33,25 @@ struct Tile {
   int64_t b;
   int x, y, u, v;
 
-  // The block's tile of that number, by matrices that mean that.
-  __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places, MatrixUse const& use,
-                                       int number = 0) {
+  // The block's tile of that number.
+  __device__ __forceinline__ void place(Tiles const& tiles, int number) {
     unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
     b = sample;
     x = (int((blockIdx.x - row * tiles.across) * tiles.row) + number) * kTile;
     y = int(row - sample * tiles.down) * kTile;
     u = v = 0;
-    if (!places.matrices) return;
-    Homography<double> const whole = homography(places.matrices + b * places.matrix_stride, use);
+  }
+  // By a map to an image of that size.
+  __device__ __forceinline__ void see(Homography<double> const& whole, Size const& size) {
     double first_u, first_v;
     whole.at(double(x), double(y), first_u, first_v);
-    u = origin_near(first_u, use.source.width);
-    v = origin_near(first_v, use.source.height);
+    u = origin_near(first_u, size.width);
+    v = origin_near(first_v, size.height);
     map = seen_from<F>(whole, x, y, u, v);
+  }
+  __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places, int number = 0) {
+    place(tiles, number);
+    if (places.matrices) see(homography(places.matrices + b * places.matrix_stride, places.use), places.use.source);
   }
 };
 

@@ -28,12 +28,21 @@ struct Sources {
   int columns, rows;   // to look at, from there on
   Box places;          // that all pixels look at
 
-  // By four threads, of which each takes a corner. Where the horizon is near, all places are looked at.
+  // By four threads of the first half of a warp, of which each takes a corner, and the whole warp. Where the horizon is
+  // near, all places are looked at.
   template <int K>
   __device__ __forceinline__ void open(Tiles const& tiles, SampleTranspose<F> const& p, int number) {
     constexpr F reach = F(K) / 2;
     Tile<F> tile;  // of a warp from the source to the output
-    tile.open(tiles, p.places, other_way(p.places.use), number);
+    tile.place(tiles, number);
+    // Half of the warp inverts, half does not: both take as long as one.
+    MatrixUse const use = threadIdx.x & 16 ? p.places.use : other_way(p.places.use);
+    Homography<double> const way = homography(p.places.matrices + tile.b * p.places.matrix_stride, use);
+    Homography<double> whole;
+#pragma unroll
+    for (int i = 0; i < 9; ++i) whole.m[i] = __shfl_xor_sync(0xffffffffu, way.m[i], 16);
+    whole.affine = way.affine;  // both ways
+    tile.see(way, use.source);
     b = tile.b;
     x = tile.x;
     y = tile.y;
@@ -76,7 +85,6 @@ struct Sources {
     bool const near = low * high > 0 && reach_x < F(width) && reach_y < F(height) && places.right < INT_MAX / 4;
     columns = near ? int(2 * reach_x) + 1 : width;
     rows = near ? int(2 * reach_y) + 1 : height;
-    Homography<double> const whole = homography(p.places.matrices + b * p.places.matrix_stride, p.places.use);
     if (near) {
       places.move(u, v);
       places.right += (columns + kTogether<K> - 1) / kTogether<K> * kTogether<K> - 1;
@@ -128,7 +136,7 @@ __device__ __noinline__ void gather_where_they_are(SampleTranspose<F> const& p, 
 }
 
 template <class F, int K>
-__global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
+__global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 6)
     gather_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles, bool aligned) {
   using Gradients = Patch<F>;
   __shared__ Sources<F> shared_tiles[kTileRow];
@@ -138,7 +146,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
     int const number = threadIdx.x / 4 % kTileRow;
     Sources<F> tile;
     tile.template open<K>(tiles, p, number);
-    if (threadIdx.x % 4 == 0) shared_tiles[number] = tile;
+    if (threadIdx.x % 4 == 0 && threadIdx.x < 16) shared_tiles[number] = tile;
   }
   __syncthreads();
   Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
@@ -210,7 +218,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
 template <class F, int K>
 __global__ void __launch_bounds__(kThreads) scatter_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles) {
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) tile.open(tiles, p.places, p.places.use);
+  if (threadIdx.x == 0) tile.open(tiles, p.places);
   __syncthreads();
   PlacesOf<F> const places(p.places, tile);
   int64_t const b = tile.b;

@@ -132,7 +132,8 @@ struct ImageStrip {
     sharpness = float(kLog2E) / temperature;
     return true;
   }
-  // Of rows from `reach` above on: false where numbers are too far apart to share exponentials.
+  // Of rows from `reach` above on: false where numbers are too far apart to share exponentials, or so large that what
+  // they are beside is no longer one of them.
   __device__ __forceinline__ bool find_largest(int reach) {
     float most = -INFINITY, least = INFINITY;
 #pragma unroll 4
@@ -148,7 +149,7 @@ struct ImageStrip {
       least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
     }
     from = most * sharpness;
-    return (most - least) * sharpness <= kMostExponent;
+    return (most - least) * sharpness <= kMostExponent && ::fabs(from) <= 0x1p24f;
   }
   __device__ __forceinline__ Pack<float, kRun> load(float const* plane, int y) const {
     return *reinterpret_cast<Pack<float, kRun> const*>(plane + int64_t(y) * width);

@@ -115,9 +115,9 @@ struct Pixels {
 // Calls f(sample, first pixel) for the packs of piece `piece` that the thread takes.
 template <int P, class T, class Call>
 __device__ __forceinline__ void for_each_pack(Logits<T> const& logits, int64_t sample, int64_t piece, Call f) {
-  int64_t const end = min((piece + 1) * kPiece, logits.pixels);
+  int64_t const end = min((piece + 1) * logits.piece, logits.pixels);
 #pragma unroll 1
-  for (int64_t place = piece * kPiece + P * int64_t(threadIdx.x); place < end; place += P * int64_t(blockDim.x))
+  for (int64_t place = piece * logits.piece + P * int64_t(threadIdx.x); place < end; place += P * int64_t(blockDim.x))
     f(sample, place);
 }
 
@@ -130,7 +130,7 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes), threads = int(blockDim.x), lane = threadIdx.x % 32;
-  int64_t const sample = blockIdx.x / p.pieces, piece = blockIdx.x - sample * p.pieces;
+  int64_t const sample = blockIdx.x / p.logits.pieces, piece = blockIdx.x - sample * p.logits.pieces;
   Pixels<T, P> pixels(p.logits, shared);
   F* const sums = reinterpret_cast<F*>(shared) + classes * pixels.stride;  // (3, classes, threads)
 #pragma unroll 1
@@ -208,12 +208,11 @@ __global__ void __launch_bounds__(kFinishThreads)
 }
 
 template <class T, int P>
-__global__ void __launch_bounds__(kThreads)
-    find_overlap_backward(__grid_constant__ OverlapBackward<T> const p, int64_t pieces) {
+__global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constant__ OverlapBackward<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes);
-  int64_t const sample = blockIdx.x / pieces, loss = sample / p.logits.batch;
+  int64_t const sample = blockIdx.x / p.logits.pieces, loss = sample / p.logits.batch;
   Pixels<T, P> pixels(p.logits, shared);
   F* const of_both = reinterpret_cast<F*>(shared) + classes * pixels.stride;
   F* const of_all = of_both + classes;
@@ -226,7 +225,7 @@ __global__ void __launch_bounds__(kThreads)
   }
   __syncthreads();
 
-  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * pieces, [&](int64_t sample, int64_t place) {
+  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
     pixels.read_logits(sample, place);
     F dot[P] = {}, scale[P];
     pixels.exponentiate([&](int c, Pack<F, P> const& e) {
@@ -283,10 +282,10 @@ template <class T, int P>
 __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
-  int64_t const sample = blockIdx.x / p.pieces;
+  int64_t const sample = blockIdx.x / p.logits.pieces;
   Pixels<T, P> pixels(p.logits, shared);
   F sum = 0;
-  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.pieces, [&](int64_t sample, int64_t place) {
+  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
     F loss[P], slope[P], scale[P];
     evaluate(pixels, p.terms, sample, place, loss, slope, scale);
     if (p.map) store_pack(p.map + sample * p.logits.pixels + place, loss);
@@ -304,15 +303,14 @@ __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T
 }
 
 template <class T, int P>
-__global__ void __launch_bounds__(kThreads)
-    find_focal_backward(__grid_constant__ FocalBackward<T> const p, int64_t pieces) {
+__global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant__ FocalBackward<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes);
-  int64_t const sample = blockIdx.x / pieces;
+  int64_t const sample = blockIdx.x / p.logits.pieces;
   F const of_sum = p.of_sums ? p.grad[sample / p.logits.batch] : F(0);
   Pixels<T, P> pixels(p.logits, shared);
-  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * pieces, [&](int64_t sample, int64_t place) {
+  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
     F loss[P], slope[P], scale[P];
     evaluate(pixels, p.terms, sample, place, loss, slope, scale);
     F const* const grad = p.grad + sample * p.logits.pixels + place;
@@ -347,16 +345,15 @@ int with_pack(Logits<T> const& logits, void const* other, Call f) {
 }
 
 // A kernel whose threads need `numbers` numbers of shared memory for each class, and its block `more`.
-template <class F, class Params, class... More>
-int launch(void (*kernel)(Params, More...), Params const& p, int64_t pieces, int numbers, int more, CUstream_st* stream,
-           More... arguments) {
+template <class F, class Params>
+int launch(void (*kernel)(Params), Params const& p, int numbers, int more, CUstream_st* stream) {
   int64_t const classes = p.logits.classes;
   int threads = kThreads;
   auto const bytes = [&] { return int(classes * sizeof(F) * (threads * numbers + more)); };
   while (threads > 32 && bytes() > kBytes) threads /= 2;
   if (bytes() > 48 * 1024)
     if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes())) return error;
-  kernel<<<unsigned(p.logits.samples() * pieces), threads, bytes(), stream>>>(p, arguments...);
+  kernel<<<unsigned(p.logits.samples() * p.logits.pieces), threads, bytes(), stream>>>(p);
   return cudaGetLastError();
 }
 
@@ -366,20 +363,19 @@ template <class T>
 int overlap(Overlap<T> const& p, CUstream_st* stream) {
   int const error = with_pack(p.logits, nullptr, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
-    return launch<Compute<T>>(sum_classes<T, P>, p, p.pieces, P + 3, 0, stream);
+    return launch<Compute<T>>(sum_classes<T, P>, p, P + 3, 0, stream);
   });
   if (error) return error;
   finish_overlap<<<unsigned(p.logits.losses), kFinishThreads, 0, stream>>>(
-      p.terms, p.logits.batch, int(p.logits.classes), p.pieces, p.partial, p.sums, p.loss);
+      p.terms, p.logits.batch, int(p.logits.classes), p.logits.pieces, p.partial, p.sums, p.loss);
   return cudaGetLastError();
 }
 
 template <class T>
 int overlap_backward(OverlapBackward<T> const& p, CUstream_st* stream) {
-  int64_t const pieces = ceil_div(p.logits.pixels, kPiece);
   return with_pack(p.logits, p.grad_logits, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
-    return launch<Compute<T>>(find_overlap_backward<T, P>, p, pieces, P, 2, stream, pieces);
+    return launch<Compute<T>>(find_overlap_backward<T, P>, p, P, 2, stream);
   });
 }
 
@@ -388,21 +384,20 @@ int focal(Focal<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
   int const error = with_pack(p.logits, p.map, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
-    return launch<F>(find_focal<T, P>, p, p.pieces, P, 0, stream);
+    return launch<F>(find_focal<T, P>, p, P, 0, stream);
   });
   if (error || p.map) return error;
   Finish<F> const plain{F(1), F(0)};
-  finish_sums<<<unsigned(p.logits.losses), kSumThreads, 0, stream>>>(p.partial, p.logits.batch * p.pieces, plain,
+  finish_sums<<<unsigned(p.logits.losses), kSumThreads, 0, stream>>>(p.partial, p.logits.batch * p.logits.pieces, plain,
                                                                      p.sums);
   return cudaGetLastError();
 }
 
 template <class T>
 int focal_backward(FocalBackward<T> const& p, CUstream_st* stream) {
-  int64_t const pieces = ceil_div(p.logits.pixels, kPiece);
   return with_pack(p.logits, p.grad_logits, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
-    return launch<Compute<T>>(find_focal_backward<T, P>, p, pieces, P, 0, stream, pieces);
+    return launch<Compute<T>>(find_focal_backward<T, P>, p, P, 0, stream);
   });
 }
 

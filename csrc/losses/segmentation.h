@@ -17,6 +17,7 @@ struct Logits {
   bool one_target;  // for all losses
   int64_t losses, batch, classes, pixels, ignored;
   bool ignores;
+  int64_t piece, pieces;  // pixels that are worked on together, and how many times that is a sample
 
   KV_HD int64_t samples() const { return losses * batch; }
   KV_HD T const* sample(int64_t i) const { return data + i * classes * pixels; }
@@ -28,7 +29,7 @@ struct Logits {
   KV_HD int class_of(int64_t label) const { return int(clamp(label, int64_t(0), classes - 1)); }
 };
 
-constexpr int kPiece = 4096;  // pixels that are summed together
+constexpr int kPiece = 4096, kShortPiece = 1024;  // the latter where a piece leaves one sum, or none
 
 // --- how much regions overlap
 // --------------------------------------------------------------------------------------------------------------------
@@ -105,7 +106,6 @@ template <class T>
 struct Overlap {
   Logits<T> logits;
   OverlapTerms<Compute<T>> terms;
-  int64_t pieces;          // of a sample
   Compute<T>* partial;     // (losses * B, pieces, 3, C)
   Compute<T>*sums, *loss;  // (losses * B, 3, C) and (losses), by CUDA's kernel; on the CPU the entry makes them
 };
@@ -140,7 +140,6 @@ struct Focal {
   Logits<T> logits;
   FocalTerms<Compute<T>> terms;
   Compute<T>* map;            // (losses, B, pixels), or null for sums
-  int64_t pieces;             // of a sample
   Compute<T>*partial, *sums;  // (losses * B, pieces) and (losses); see Overlap
 };
 

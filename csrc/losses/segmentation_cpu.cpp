@@ -7,7 +7,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int kBlock = 256;  // pixels; divides kPiece
+constexpr int kBlock = 256;  // pixels; divides the pieces
 
 // A block of pixels: the exponentials of their logits over the largest one, class by class, their sums, labels and
 // counts. What is ignored has logits of 0.
@@ -74,8 +74,8 @@ struct Block {
 // Calls f(sample, first pixel, count) for the blocks of a piece, one after the other.
 template <class T, class Call>
 KV_HD void for_each_block(Logits<T> const& logits, int64_t piece, Call f) {
-  int64_t const pieces = (logits.pixels + kPiece - 1) / kPiece, sample = piece / pieces;
-  int64_t const first = piece % pieces * kPiece, last = min(first + kPiece, logits.pixels);
+  int64_t const sample = piece / logits.pieces;
+  int64_t const first = piece % logits.pieces * logits.piece, last = min(first + logits.piece, logits.pixels);
   for (int64_t at = first; at < last; at += kBlock) f(sample, at, min(int64_t(kBlock), last - at));
 }
 

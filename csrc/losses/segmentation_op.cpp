@@ -23,13 +23,15 @@ struct Labelled {
   std::optional<Tensor> weight;
   int64_t losses, batch, classes, pixels, ignored;
   bool ignores;
+  int64_t piece, pieces;
 
   Labelled(char const* op, Tensor const& pred, Tensor const& labels, std::optional<Tensor> const& of_classes,
-           int64_t ignored, bool ignores)
-      : logits(dense(pred)), target(dense(labels)), ignored(ignored), ignores(ignores) {
+           int64_t ignored, bool ignores, int piece)
+      : logits(dense(pred)), target(dense(labels)), ignored(ignored), ignores(ignores), piece(piece) {
     KV_CHECK(pred.dim() == 5 && pred.numel() > 0 && pred.size(2) <= kMostClasses, op,
              ": expected pred of shape (losses, B, C, H, W) with 1 to ", kMostClasses, " classes");
     losses = pred.size(0), batch = pred.size(1), classes = pred.size(2), pixels = pred.size(3) * pred.size(4);
+    pieces = (pixels + piece - 1) / piece;
     KV_CHECK(labels.dim() == 4 && (labels.size(0) == losses || labels.size(0) == 1) && labels.size(1) == batch &&
                  labels.size(2) == pred.size(3) && labels.size(3) == pred.size(4) &&
                  labels.scalar_type() == ScalarType::Long && labels.device() == pred.device(),
@@ -41,8 +43,8 @@ struct Labelled {
              op, ": expected weight of shape (losses or 1, C) in the type that pred is computed in");
   }
 
-  int64_t pieces() const { return (pixels + kPiece - 1) / kPiece; }  // of a sample
-  int64_t cost() const { return 4 * min(pixels, int64_t(kPiece)) * classes; }
+  int64_t all_pieces() const { return losses * batch * pieces; }
+  int64_t cost() const { return 4 * min(pixels, piece) * classes; }
   Tensor number(torch::headeronly::IntHeaderOnlyArrayRef sizes) const {
     return empty(sizes, logits, Layout::planar, computed(logits));
   }
@@ -58,7 +60,9 @@ struct Labelled {
             classes,
             pixels,
             ignored,
-            ignores};
+            ignores,
+            piece,
+            pieces};
   }
   template <class F>
   OverlapTerms<F> overlap_terms(bool together, double alpha, double beta, double eps) const {
@@ -89,17 +93,16 @@ Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const
 std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
                                    bool together, double alpha, double beta, double eps, int64_t ignored,
                                    bool ignores) {
-  Labelled const x("overlap", pred, target, weight, ignored, ignores);
+  Labelled const x("overlap", pred, target, weight, ignored, ignores, kPiece);
   Tensor const loss = x.number({x.losses}), sums = x.number({x.losses, x.batch, 3, x.classes});
-  int64_t const samples = x.losses * x.batch, pieces = x.pieces(), bins = 3 * x.classes;
+  int64_t const samples = x.losses * x.batch, pieces = x.pieces, bins = 3 * x.classes;
   Tensor const partial = x.number({samples, pieces, bins});
   for_floats("overlap", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Overlap<T> const params{x.of<T>(),     x.overlap_terms<F>(together, alpha, beta, eps),
-                            pieces,        data<F>(partial),
-                            data<F>(sums), data<F>(loss)};
-    KV_RUN(overlap, pred, params, samples * pieces, x.cost());
+    Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data<F>(partial), data<F>(sums),
+                            data<F>(loss)};
+    KV_RUN(overlap, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < samples * bins; ++i) {
       double sum = 0;
@@ -124,7 +127,7 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
                         std::optional<Tensor> const& weight, bool together, double alpha, double beta, double eps,
                         int64_t ignored, bool ignores) {
   constexpr char const* op = "overlap_backward";
-  Labelled const x(op, pred, target, weight, ignored, ignores);
+  Labelled const x(op, pred, target, weight, ignored, ignores, kShortPiece);
   Tensor const g = checked(op, "grad", grad, x, {x.losses}),
                of_samples = checked(op, "sums", sums, x, {x.losses, x.batch, 3, x.classes}), grad_x = x.gradient();
   for_floats(op, pred, [&](auto type) {
@@ -132,7 +135,7 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
     using F = Compute<T>;
     OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data<F const>(g),
                                     data<F const>(of_samples), data<T>(grad_x)};
-    KV_RUN(overlap_backward, pred, params, x.losses * x.batch * x.pieces(), x.cost());
+    KV_RUN(overlap_backward, pred, params, x.all_pieces(), x.cost());
   });
   return grad_x;
 }
@@ -140,19 +143,17 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
 // (losses, B, H, W), or the sums of these.
 Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight, double first, double other,
              double gamma, int64_t ignored, bool ignores, bool summed) {
-  Labelled const x("focal", pred, target, weight, ignored, ignores);
-  int64_t const samples = x.losses * x.batch, pieces = x.pieces();
+  Labelled const x("focal", pred, target, weight, ignored, ignores, kShortPiece);
   Tensor const loss = summed ? x.number({x.losses}) : x.number({x.losses, x.batch, pred.size(3), pred.size(4)});
-  Tensor const partial = x.number({summed ? samples * pieces : 0});
+  Tensor const partial = x.number({summed ? x.all_pieces() : 0});
   for_floats("focal", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Focal<T> const params{
-        x.of<T>(),        x.focal_terms<F>(first, other, gamma), summed ? nullptr : data<F>(loss), pieces,
-        data<F>(partial), summed ? data<F>(loss) : nullptr};
-    KV_RUN(focal, pred, params, samples * pieces, x.cost());
+    Focal<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), summed ? nullptr : data<F>(loss),
+                          data<F>(partial), summed ? data<F>(loss) : nullptr};
+    KV_RUN(focal, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
-    if (summed) add_pieces(params.partial, x.losses, x.batch * pieces, Finish<F>{F(1), F(0)}, params.sums);
+    if (summed) add_pieces(params.partial, x.losses, x.batch * x.pieces, Finish<F>{F(1), F(0)}, params.sums);
 #endif
   });
   return loss;
@@ -161,7 +162,7 @@ Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> con
 Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
                       double first, double other, double gamma, int64_t ignored, bool ignores, bool summed) {
   constexpr char const* op = "focal_backward";
-  Labelled const x(op, pred, target, weight, ignored, ignores);
+  Labelled const x(op, pred, target, weight, ignored, ignores, kShortPiece);
   Tensor const g = summed ? checked(op, "grad", grad, x, {x.losses})
                           : checked(op, "grad", grad, x, {x.losses, x.batch, pred.size(3), pred.size(4)});
   Tensor const grad_x = x.gradient();
@@ -170,7 +171,7 @@ Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& targ
     using F = Compute<T>;
     FocalBackward<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), data<F const>(g), summed,
                                   data<T>(grad_x)};
-    KV_RUN(focal_backward, pred, params, x.losses * x.batch * x.pieces(), x.cost());
+    KV_RUN(focal_backward, pred, params, x.all_pieces(), x.cost());
   });
   return grad_x;
 }

@@ -1,4 +1,4 @@
-// Structural similarity on CUDA: planar images, windows of 5, 7 and 11 pixels, one launch each way; ssim_any.cu has the
+// Structural similarity on CUDA: planar images, windows of 5 and of 11 pixels, one launch each way; ssim_any.cu has the
 // others.
 //
 // A block walks down its columns, four rows at a time. Along y each thread has a column, and running sums in registers:
@@ -529,7 +529,6 @@ template <class T, class Params>
 int launch_size(Params const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
     if (p.images.size == 5) return launch<5>(p, stream);
-    if (p.images.size == 7) return launch<7>(p, stream);
     return launch<11>(p, stream);
   }
   return cudaErrorInvalidValue;

@@ -169,13 +169,10 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
       for (int t = 0; t < K; ++t) add(along_x, weights[t], values[r * line + lane + t]);
       lines[threadIdx.x] = along_x;
       __syncthreads();
-      for (int j = 0; j < rows; ++j) {
-        Four<F> const sum = lines[j * kColumns + lane];
 #pragma unroll
-        for (int v = 0; v < SsimTiles::kMostTall; ++v) {
-          int const t = first + j - (y + v * rows - R);
-          if (v < p.tall && t >= 0 && t < K) add(of_slice[v], weights[t], sum);
-        }
+      for (int v = 0; v < SsimTiles::kMostTall; ++v) {
+        int const top = first - (y + v * rows - R), end = v < p.tall ? min(top + rows, K) : 0;
+        for (int t = max(top, 0); t < end; ++t) add(of_slice[v], weights[t], lines[(t - top) * kColumns + lane]);
       }
     }
     if (deep == 0) {

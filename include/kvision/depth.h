@@ -20,6 +20,11 @@ namespace kvision {
 // --- peaks
 // ------------------------------------------------------------------------------------------------------------
 
+// Images where `flags` (uint8) are not 0, and 0 elsewhere.
+inline Tensor keep_marked(Tensor const& input, Tensor const& flags) {
+  return detail::linear<"keep_marked">(input, [=](Tensor const& grad) { return keep_marked(grad, flags); }, flags);
+}
+
 // What is above all others of its window (z, y, x), 0 elsewhere, and where that is: 0 and 1, uint8, empty unless it is
 // to be `marked` or there is a gradient. With `volumes` the channels are planes of a volume.
 inline std::tuple<Tensor, Tensor> local_maxima(Tensor const& input, std::vector<int64_t> const& window,
@@ -29,9 +34,7 @@ inline std::tuple<Tensor, Tensor> local_maxima(Tensor const& input, std::vector<
   auto const [values, maxima] =
       call<"local_maxima", std::tuple<Tensor, Tensor>>(input.detach(), window, volumes, marked || differentiated);
   auto const compute = [&] { return variable_list{values}; };
-  auto const gradient = [](Backward const& b) {
-    return variable_list{at::where(b.saved[0].view(at::kBool), b.grads[0], 0)};
-  };
+  auto const gradient = [](Backward const& b) { return variable_list{keep_marked(b.grads[0], b.saved[0])}; };
   return {differentiable({input}, compute, {maxima}, gradient)[0], maxima};
 }
 

@@ -60,3 +60,49 @@ def test_where_nothing_is_seen(device):
     assert G.photometric_homography_loss(
         torch.ones(1, 1, 4, 4, device=device), torch.ones(1, 1, 4, 4, device=device), far
     ).isnan()
+
+
+@pytest.mark.parametrize("align_corners, normalized", [(False, True), (True, True), (False, False)])
+@pytest.mark.parametrize("distance", ["l1", "l2", "charbonnier"])
+def test_normal_equations(distance, align_corners, normalized, device, backend):
+    """Against derivatives of every residual; the gradient is that of the loss."""
+    x = torch.rand(2, 3, 40, 50, dtype=torch.float64, device=device)
+    y = 2 + torch.rand(2, 3, 30, 45, dtype=torch.float64, device=device)
+    M = homography(x).to(device)
+    if not normalized:
+        to_source, from_target = (
+            torch.tensor(d).double().diag().to(device) for d in ([25, 20, 1], [1 / 22, 1 / 15, 1])
+        )
+        M = to_source @ (M + torch.tensor([[0, 0, 0.9], [0, 0, 0.9], [0, 0, 0]], device=device)) @ from_target
+    how = (align_corners, normalized)
+
+    def residuals(m: Tensor) -> Tensor:
+        if normalized:
+            return (G.homography_warp(x, m, (30, 45), align_corners=align_corners) - y).flatten(1)
+        return (G.warp_perspective(x, torch.linalg.inv(m), (30, 45)) - y).flatten(1)
+
+    M.requires_grad_()
+    loss = G.photometric_homography_loss(x, y, M, distance, 0.01, *how)
+    normal, gradient, same = G.photometric_normal_equations(x, y, M, distance, 0.01, *how)
+    assert_close(same, loss.detach())
+    assert_close(gradient, torch.autograd.grad(loss.sum(), M)[0].flatten(1)[:, :8], 1e-7, 1e-7)
+    jacobian = torch.autograd.functional.jacobian(lambda m: residuals(m).sum(0), M.detach(), vectorize=True)
+    jacobian = jacobian.flatten(2)[..., :8].movedim(1, 0)
+    ones = torch.ones_like(x)
+    seen = G.photometric_homography_loss(ones, torch.zeros_like(y), M.detach(), "l2", 0.01, *how)
+    assert_close(seen, torch.ones_like(seen))
+    r = residuals(M.detach())
+    weight = {"l1": 1 / r.abs(), "l2": 2 + 0 * r, "charbonnier": (r * r + 1e-4).rsqrt()}[distance]
+    if normalized:
+        inside = (G.homography_warp(ones, M.detach(), (30, 45), align_corners=align_corners) > 1 - 1e-9).flatten(1)
+    else:
+        inside = (G.warp_perspective(ones, torch.linalg.inv(M.detach()), (30, 45)) > 1 - 1e-9).flatten(1)
+    weighted = jacobian * (weight * inside)[..., None]
+    assert_close(normal, weighted.mT @ jacobian / inside.sum(1)[:, None, None], 1e-7, 1e-7)
+
+
+def test_normal_equations_of_nothing(device):
+    far = torch.tensor([[[1.0, 0, 9], [0, 1, 0], [0, 0, 1]]], device=device)
+    image = torch.ones(1, 1, 4, 4, device=device)
+    normal, gradient, loss = G.photometric_normal_equations(image, image, far)
+    assert not normal.any() and not gradient.any() and loss.isnan().all()

@@ -17,7 +17,8 @@ G = K.geometry
 class TestNms2d(OpTests):
     function = staticmethod(G.nms2d)
     module = G.NonMaximaSuppression2d
-    operators = ("local_maxima",)
+    operators = ("local_maxima", "keep_marked")
+    mixed = ("input",)  # flags have a type of their own
     variants = [{"kernel_size": (3, 3)}, {"kernel_size": (5, 5)}, {"kernel_size": (2, 5)}]
     max_size = 9
     errors = [
@@ -36,7 +37,8 @@ class TestNms2d(OpTests):
 class TestNms3d(OpTests):
     function = staticmethod(G.nms3d)
     module = G.NonMaximaSuppression3d
-    operators = ("local_maxima",)
+    operators = ("local_maxima", "keep_marked")
+    mixed = ("input",)  # flags have a type of their own
     variants = [{"kernel_size": (3, 3, 3)}, {"kernel_size": (1, 2, 5)}]
     shape = (2, 3, 5, 9, 12)
     small = (1, 1, 3, 4, 5)

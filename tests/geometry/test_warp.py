@@ -273,16 +273,13 @@ def test_half_images_have_places_in_float(mode, device):
 
 
 def test_places_in_wide_images(device):
-    """A ramp shows them. They err by roundings of float32 numbers in [1024, 2048), of up to 2**-14 each.
-
-    Eight are allowed: the inverse matrix is rounded, too, and without fused multiply-adds every product is.
-    """
+    """A ramp shows them."""
     ramp = torch.arange(2048, device=device) % 64
     M = torch.tensor([[[0.9, 0.0, 100.3], [0, 1, 0]]], device=device)
     exact = (torch.arange(1900, device=device).double() - M[0, 0, 2].double()) / M[0, 0, 0].double()
     found = G.warp_affine(ramp.float().expand(1, 1, 2, -1), M, (2, 1900), padding_mode="border")[0, 0, 0]
     plain = (exact > 0) & (exact % 64 < 63) & (exact < 2047)
-    assert (found - exact % 64)[plain].abs().max() < 8 * 2**-14
+    assert (found - exact % 64)[plain].abs().max() < 1e-4
 
 
 @pytest.mark.slow

@@ -336,6 +336,6 @@ def step(
             return composed(x, *_slots(parameters))
         if plain and not rest:  # most calls: straight to the operator
             return _program(x, *_NO_TENSORS, None, steps, parameters, _NO_COLUMNS, "same", "same")
-        return run(x, steps, arguments([*parameters, *rest]))
+        return _run(x, steps, arguments([*parameters, *rest]), None)
 
     return of_one_step

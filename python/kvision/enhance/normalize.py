@@ -96,7 +96,12 @@ def _arguments(
 
 def _is_rgb(x: Tensor, *parameters: float | Tensor) -> bool:
     """Whether they are a number or three numbers for pixels of three channels, which are faster than planes."""
-    return x.shape[1] == 3 and not any(isinstance(p, Tensor) and p.dim() > 3 for p in parameters)
+    if x.shape[1] != 3:
+        return False
+    for p in parameters:
+        if isinstance(p, Tensor) and p.dim() > 3:
+            return False
+    return True
 
 
 def _columns(p: float | Tensor) -> Sequence[float | Tensor]:

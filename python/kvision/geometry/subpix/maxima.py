@@ -65,7 +65,11 @@ def _no_flags(x):
 
 
 def _backward(needs, grad, _1, values, flags, x, *how):
-    return [torch.where(_as_bool(flags), grad, 0)]
+    return [_keep_marked(grad, flags)]
+
+
+def _marked_backward(needs, grad, x, flags):
+    return [_keep_marked(grad, flags), None]
 
 
 _maxima = register(
@@ -76,6 +80,9 @@ _maxima = register(
     saves_results=True,
     constant=(1,),
     stores=True,
+)
+_keep_marked = register(
+    "keep_marked", lambda x, flags: torch.where(flags != 0, x, 0), backward=_marked_backward, linear=True
 )
 _maximum = register("is_local_maximum", _flags, fake=_empty_flags, stores=True)
 _extrema = register(

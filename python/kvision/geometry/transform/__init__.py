@@ -42,7 +42,7 @@ from kvision.geometry.transform.matrices import (
     invert_affine_transform,
     projection_from_Rt,
 )
-from kvision.geometry.transform.photometric import photometric_homography_loss
+from kvision.geometry.transform.photometric import photometric_homography_loss, photometric_normal_equations
 from kvision.geometry.transform.pyramid import (
     PyrDown,
     PyrUp,

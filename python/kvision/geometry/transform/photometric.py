@@ -13,7 +13,7 @@ from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform import sampling
 
-__all__ = ["photometric_homography_loss"]
+__all__ = ["photometric_homography_loss", "photometric_normal_equations"]
 
 _DISTANCES = ("l1", "l2", "charbonnier")
 
@@ -105,6 +105,46 @@ _photometric = register(
 )
 
 
+def _normal_reference(source, target, matrix, distance, eps, align_corners, normalized):
+    matrices = matrix.expand(len(source), -1, -1)
+    size, (*source_size,) = target.shape[2:], source.shape[2:]
+
+    def residuals(m: Tensor) -> Any:
+        places = sampling.places_of(m, size, source_size, align_corners, False, normalized)
+        residual = sampling.sample(source, places, "bilinear", "fill", align_corners) - target
+        return residual.flatten(1), (residual, _seen(places, source))
+
+    # The derivative by each number of the matrix, but for the last one.
+    columns = []
+    for i in range(8):
+        direction = torch.zeros_like(matrices)
+        direction[:, i // 3, i % 3] = 1
+        (_, (residual, seen)), (column, _) = torch.func.jvp(residuals, (matrices,), (direction,))
+        columns.append(column)
+    jacobian = torch.stack(columns, 1)
+    r, seen = residual.flatten(1), seen.expand_as(residual).flatten(1).to(matrix.dtype)
+    if distance == "l1":
+        value, weight = r.abs(), 1 / r.abs().clamp_min(eps)
+    elif distance == "l2":
+        value, weight = r * r, torch.full_like(r, 2)
+    else:
+        value = (r * r + eps * eps).sqrt()
+        weight = 1 / value
+    terms = seen.sum(1)
+    some = terms.clamp_min(1)
+    weighted = jacobian * (weight * seen)[:, None]
+    normal = weighted @ jacobian.mT / some[:, None, None]
+    return normal, (weighted @ r[..., None])[..., 0] / some[:, None], (value * seen).sum(1) / terms
+
+
+_normal = register(
+    "photometric_normal",
+    _normal_reference,
+    fake=lambda source, target, matrix, *how: [(len(source), 8, 8), (len(source), 8), (len(source),)],
+    constant=(0, 1, 2),
+)
+
+
 def photometric_homography_loss(
     source: Tensor,
     target: Tensor,
@@ -146,23 +186,76 @@ def photometric_homography_loss(
         (tensor([0.5000]), torch.Size([1, 3, 3]))
     """
     op = "photometric_homography_loss"
+    stored = source.dtype if isinstance(source, Tensor) and source.is_floating_point() else torch.float32
+    how = distance, eps, align_corners, normalized_coordinates
+    found: Any = _photometric(*_checked(op, source, target, src_homo_dst, *how), *how)
+    loss: Tensor = found[0]
+    return loss if loss.dtype == stored else loss.to(stored)
+
+
+def photometric_normal_equations(
+    source: Tensor,
+    target: Tensor,
+    src_homo_dst: Tensor,
+    distance: str = "l1",
+    eps: float = 1e-3,
+    align_corners: bool = False,
+    normalized_coordinates: bool = True,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A step of Gauss and Newton for :func:`photometric_homography_loss`, in one pass over both images.
+
+    The unknowns are the first eight numbers of the homography; its last one stays. The step to add to them is the solution
+    x of `normal x = -gradient`. Residuals r are weighted by w = d'(r) / r: `normal` is the mean of w J J^T over the pixels
+    that are seen, `gradient` that of w r J. Nothing here has a gradient itself.
+
+    Args:
+        source: as there; half types are computed in float32.
+        target: as there.
+        src_homo_dst: as there.
+        distance: as there.
+        eps: of 'charbonnier'; for 'l1', residuals that are smaller weigh as much as this one.
+        align_corners: as there.
+        normalized_coordinates: as there.
+
+    Returns:
+        normal (B, 8, 8), gradient (B, 8) and the distance (B,), of the type of the homography that computes.
+
+    Raises:
+        TypeError: an argument is of another kind.
+        ValueError: a shape or name is not as there.
+
+    Example:
+        >>> import torch, kvision as K
+        >>> image, other = torch.rand(2, 1, 3, 8, 8)
+        >>> normal, gradient, _ = K.geometry.photometric_normal_equations(image, other, torch.eye(3)[None])
+        >>> torch.linalg.solve(normal, -gradient).shape
+        torch.Size([1, 8])
+    """
+    op = "photometric_normal_equations"
+    how = distance, eps, align_corners, normalized_coordinates
+    source, target, matrix = _checked(op, source, target, src_homo_dst, *how)
+    found: tuple[Tensor, Tensor, Tensor] = _normal(source.to(matrix.dtype), target.to(matrix.dtype), matrix, *how)
+    return found
+
+
+def _checked(op, source, target, src_homo_dst, distance, eps, align_corners, normalized_coordinates):
+    """The images, of one type, and the homography as the operators take them."""
     _check.images(op, "source", source)
     _check.images(op, "target", target)
     _check.shape(op, "src_homo_dst", src_homo_dst, "B", 3, 3)
     _check.choice(op, "distance", distance, _DISTANCES)
-    eps = _check.number(op, "eps", eps, minimum=0)
+    _check.number(op, "eps", eps, minimum=0)
     _check.flag(op, "align_corners", align_corners)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     source, target = floats(source), floats(target)
-    _check.same_device(op, source=source, target=target)
-    stored, together = source.dtype, torch.promote_types(source.dtype, target.dtype)
-    source, target = source.to(together), target.to(together)
+    if source.device != target.device:
+        _check.same_device(op, source=source, target=target)
+    if source.dtype != target.dtype:
+        together = torch.promote_types(source.dtype, target.dtype)
+        source, target = source.to(together), target.to(together)
     if source.shape[:2] != target.shape[:2]:
         raise ShapeError(
             f"{op}: expected target of shape {(*source.shape[:2], 'h', 'w')}, got {tuple(target.shape)}",
             actual_shape=target.shape,
         )
-    matrix = sampling.for_images(op, source, "src_homo_dst", src_homo_dst)
-    found: Any = _photometric(source, target, matrix, distance, eps, align_corners, normalized_coordinates)
-    loss: Tensor = found[0].to(stored)
-    return loss
+    return source, target, sampling.for_images(op, source, "src_homo_dst", src_homo_dst)

@@ -130,7 +130,7 @@ struct View {
         unsigned const before = __ballot_sync(0xffffffffu, tile.map.weight(x, y) > 0) >> 4 * number & 15;
         if (before != 0 && before != 15) box = Box::all();
       }
-      if (threadIdx.x % 4 == 0) {
+      if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kTileRow) {
         tiles[number] = tile;
         taps[number] = box;
       }

@@ -146,7 +146,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 6)
     int const number = threadIdx.x / 4 % kTileRow;
     Sources<F> tile;
     tile.template open<K>(tiles, p, number);
-    if (threadIdx.x % 4 == 0 && threadIdx.x < 16) shared_tiles[number] = tile;
+    if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kTileRow) shared_tiles[number] = tile;
   }
   __syncthreads();
   Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};

@@ -125,7 +125,7 @@ def floating_ends(op: str, name: str, x: Any, *expected: str | int) -> None:
 def same_device(op: str, **tensors: Tensor) -> None:
     """Raise DeviceError unless all the named tensors are on one device."""
     devices = [x.device for x in tensors.values()]
-    if devices.count(devices[0]) < len(devices):
+    if devices and devices.count(devices[0]) < len(devices):
         got = ", ".join(f"{name} on {device}" for name, device in zip(tensors, devices))
         raise DeviceError(f"{op}: expected all tensors on one device, got {got}", actual_devices=devices)
 

@@ -65,5 +65,5 @@ def test_is_one_operator(device):
     with torch.profiler.profile() as profile:
         G.warp_perspective3d(volumes, matrix, (4, 5, 6))
         G.warp_affine3d(volumes, affine, (4, 5, 6))
-    calls = [(e.key, e.count) for e in profile.key_averages() if "::" in e.key and "empty" not in e.key]
-    assert calls == [("kvision::warp3d", 2)]
+    calls = [(e.key, e.count) for e in profile.key_averages() if e.key.startswith(("aten::", "kvision::"))]
+    assert [c for c in calls if "empty" not in c[0]] == [("kvision::warp3d", 2)]

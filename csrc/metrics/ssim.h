@@ -139,7 +139,8 @@ struct SsimTiles {
       : rows(8), tall(deep > 0 ? 1 : kMostTall) {
     auto const memory = [&] {
       int64_t const threads = 32 * rows, ring = deep > 0 ? (2 * deep + 1) * threads : 0;
-      return number * (4 * (rows * (32 + size - 1) + threads + ring) + size);
+      return number *
+             (4 * (rows * (32 + size - 1) + threads + ring) + (size + 3) / 4 * 4);  // weights are read by fours
     };
     while (rows > 1 && memory() > (100 << 10)) rows /= 2;
     bytes = memory();

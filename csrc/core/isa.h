@@ -25,7 +25,10 @@ Isa active_isa();  // module.cpp
   template <class T>                                              \
   void name(Params<T> const& params, int64_t begin, int64_t end); \
   }
-#if defined(__x86_64__)
+#if !defined(__x86_64__)
+#define KV_ONLY_ISA baseline  // of aarch64, which has NEON
+#endif
+#if !defined(KV_ONLY_ISA)
 #define KV_DECLARE_ALL_CPU(name, Params) \
   KV_DECLARE_CPU(baseline, name, Params) KV_DECLARE_CPU(avx2, name, Params) KV_DECLARE_CPU(avx512, name, Params)
 #define KV_FOR_ISA(name, params, begin, end)                           \
@@ -40,9 +43,9 @@ Isa active_isa();  // module.cpp
     else                                                               \
       ::kv::avx2::name(params, begin, end);                            \
   } while (0)
-#else  // the baseline of aarch64 is NEON already
-#define KV_DECLARE_ALL_CPU(name, Params) KV_DECLARE_CPU(baseline, name, Params)
-#define KV_FOR_ISA(name, ...) ::kv::baseline::name(__VA_ARGS__)
+#else
+#define KV_DECLARE_ALL_CPU(name, Params) KV_DECLARE_CPU(KV_ONLY_ISA, name, Params)
+#define KV_FOR_ISA(name, ...) ::kv::KV_ONLY_ISA::name(__VA_ARGS__)
 #endif
 
 // AVX-512 serves the types that most images have; compiled for all of them it would take a sixth of the whole build.

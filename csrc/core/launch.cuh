@@ -245,6 +245,14 @@ struct RowsDown {
   }
 };
 
+// Of the current device.
+inline int multiprocessors() {
+  int device = 0, count = 1;
+  cudaGetDevice(&device);
+  cudaDeviceGetAttribute(&count, cudaDevAttrMultiProcessorCount, device);
+  return count;
+}
+
 // Splits planes into strips of 32 P elements by `rows` rows, one a warp, x fastest: the warps of one block read
 // neighbouring memory.
 template <int P = 4>

@@ -189,12 +189,5 @@ inline int rows_of_strips(int64_t lines, int64_t height, int taps, int64_t resid
   return int(rows);
 }
 
-inline int multiprocessors() {
-  int device = 0, count = 1;
-  cudaGetDevice(&device);
-  cudaDeviceGetAttribute(&count, cudaDevAttrMultiProcessorCount, device);
-  return count;
-}
-
 }  // namespace
 }  // namespace kv::cuda

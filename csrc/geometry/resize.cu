@@ -1,6 +1,8 @@
 // Resizing on CUDA, as on the CPU: a warp adds up the rows of a band to one line, in shared memory, of which the pixels
 // of its row then are weighted means. Memory is read and written in order, whatever the sizes; rows that neighbouring
 // bands share are in the L1. The weights are computed once for all rows and planes of a block's tile.
+//
+// What is most often asked for has kernels of its own: resize_octave.cu, resize_linear.cu.
 #include "core/launch.cuh"
 #include "resize.h"
 

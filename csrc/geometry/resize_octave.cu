@@ -1,9 +1,8 @@
 // Resizing by exactly two along both axes on CUDA, where a pyramid's time goes, and their gradients, which are the same
 // things the other way round.
 //
-//   halving     pixel i is made of the K pixels from 2 i - (K / 2 - 1) on: 2 of them bilinear, 4 antialiased or
-//   bicubic,
-//               6 of pyrdown, 8 of the gradient of pyrup
+//   halving     pixel i is made of the K pixels from 2 i - (K / 2 - 1) on: 2 bilinear, 4 antialiased or bicubic, 6 of
+//               pyrdown, 8 of the gradient of pyrup
 //   doubling    pixels 2 i and 2 i + 1 are each made of M of the pixels around i, the odd one's window being the even
 //               one's mirror image: 2 bilinear, 4 of pyrup, 1 and 3 of the gradients of bilinear and of pyrdown
 //

@@ -10,13 +10,6 @@ namespace {
 
 constexpr int kSumThreads = 256;
 
-inline int multiprocessors() {
-  int device = 0, count = 1;
-  cudaGetDevice(&device);
-  cudaDeviceGetAttribute(&count, cudaDevAttrMultiProcessorCount, device);
-  return count;
-}
-
 // As cheap as fast_sqrt, and as good.
 __device__ __forceinline__ float fast_reciprocal(float x) {
   float y;

@@ -56,7 +56,7 @@ __device__ __noinline__ void sample_where_it_is(Sample<T> const& p, Tile<F> cons
 template <class T, int K>
 constexpr int kBlocks = sizeof(T) == 8 ? 2
                         : K == 4       ? 4
-                                       : 6;  // on a multiprocessor at once
+                                       : 5;  // on a multiprocessor at once; six are slower
 
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)

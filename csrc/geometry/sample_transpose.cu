@@ -136,7 +136,7 @@ __device__ __noinline__ void gather_where_they_are(SampleTranspose<F> const& p, 
 }
 
 template <class F, int K>
-__global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 6)
+__global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
     gather_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles, bool aligned) {
   using Gradients = Patch<F>;
   __shared__ Sources<F> shared_tiles[kTileRow];

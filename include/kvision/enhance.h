@@ -5,6 +5,7 @@
 #include <ATen/Functions.h>
 #include <ATen/TensorOperators.h>
 
+#include <optional>
 #include <string>
 #include <tuple>
 
@@ -14,27 +15,37 @@ namespace kvision {
 
 // The image and, for every plane, whether it was changed: (B, C). Levels have no gradient; what comes back as it is,
 // a plane of one level or NaN, has its own.
+// Of equalize, and without `changed` of equalize_clahe: levels have no gradient, what comes back as it is has its own.
+inline Tensor equalize_backward(Tensor const& grad, Tensor const& output, std::optional<Tensor> const& changed) {
+  auto const transpose = [=](Tensor const& g) { return equalize_backward(g, output, changed); };
+  return detail::linear<"equalize_backward">(grad, transpose, output, changed);
+}
+
 inline std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv = false) {
   using namespace detail;
-  auto const compute = [&] {
-    auto [output, changed] = call<"equalize", std::tuple<Tensor, Tensor>>(input, opencv);
-    return variable_list{output, changed};
+  auto const [output, changed] = [&] {
+    at::NoGradGuard no_grad;
+    return call<"equalize", std::tuple<Tensor, Tensor>>(input.detach(), opencv);
+  }();
+  auto const compute = [&] { return variable_list{output}; };
+  auto const gradient = [](Backward const& b) {
+    return variable_list{equalize_backward(b.grads[0], b.saved[0], b.saved[1])};
   };
-  auto const gradient = [=](Backward const& b) {
-    auto const [output, changed] = equalize(b.saved[0].detach(), opencv);
-    Tensor const planes = (changed > 0).unsqueeze(-1).unsqueeze(-1);
-    return variable_list{b.grads[0].masked_fill(planes & ~output.isnan(), 0)};
-  };
-  variable_list const found = differentiable({input}, compute, {input}, gradient);
-  return {found[0], found[1].detach()};
+  return {differentiable({input}, compute, {output, changed}, gradient)[0], changed};
 }
 
 inline Tensor equalize_clahe(Tensor const& input, double clip_limit = 40, int64_t rows = 8, int64_t columns = 8,
                              bool opencv = false) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"equalize_clahe">(input, clip_limit, rows, columns, opencv)}; };
-  auto const gradient = [](Backward const& b) { return variable_list{b.grads[0].masked_fill(~b.saved[0].isnan(), 0)}; };
-  return differentiable({input}, compute, {input}, gradient)[0];
+  Tensor const output = [&] {
+    at::NoGradGuard no_grad;
+    return call<"equalize_clahe">(input.detach(), clip_limit, rows, columns, opencv);
+  }();
+  auto const compute = [&] { return variable_list{output}; };
+  auto const gradient = [](Backward const& b) {
+    return variable_list{equalize_backward(b.grads[0], b.saved[0], std::nullopt)};
+  };
+  return differentiable({input}, compute, {output}, gradient)[0];
 }
 
 inline Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tensor const& range, double low,

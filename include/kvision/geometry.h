@@ -173,6 +173,20 @@ inline Tensor resize_backward(Tensor const& grad, std::vector<int64_t> const& si
   return detail::linear<"resize_backward">(grad, transpose, size, window, align_corners, antialias, border);
 }
 
+// What an image has that the next smaller one of its pyramid has not: image - pyrup(smaller).
+inline Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_corners = false,
+                             std::string const& border = "reflect") {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"pyramid_detail">(smaller, image, align_corners, border)}; };
+  auto const gradient = [=, size = image_size(smaller)](Backward const& b) {
+    variable_list found(2);
+    if (b.wanted(0)) found[0] = -resize_backward(b.grads[0], size, "pyrup", align_corners, false, border);
+    if (b.wanted(1)) found[1] = b.grads[0];
+    return found;
+  };
+  return differentiable({smaller, image}, compute, {}, gradient)[0];
+}
+
 // Homographies (B, 3, 3) from pixels of a result of `size` to the quadrangles (B, 4, 2) that it shows.
 inline Tensor crop_matrix(Tensor const& quads, std::vector<int64_t> const& size) {
   using namespace detail;
@@ -184,6 +198,63 @@ inline Tensor crop_matrix(Tensor const& quads, std::vector<int64_t> const& size)
 inline Tensor flip(Tensor const& input, bool columns, bool rows) {
   auto const transpose = [=](Tensor const& g) { return flip(g, columns, rows); };
   return detail::linear<"flip">(input, transpose, columns, rows);
+}
+
+// The pixels of a rectangle whose first one is at `corner` (row, column); zeros where it reaches outside.
+inline Tensor window(Tensor const& input, std::vector<int64_t> const& corner, std::vector<int64_t> const& size) {
+  auto const transpose = [=, source = detail::image_size(input)](Tensor const& g) {
+    return window(g, {-corner[0], -corner[1]}, source);
+  };
+  return detail::linear<"window">(input, transpose, corner, size);
+}
+
+// For each sample, also where one matrix serves all.
+inline Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor const& matrix,
+                                     std::string const& interpolation, std::string const& padding, bool align_corners,
+                                     bool inverse, bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"warp3d_matrix_gradient">(grad, volumes, matrix, interpolation, padding, align_corners,
+                                                        inverse, normalized)};
+  };
+  return differentiable({grad, volumes, matrix}, compute, {}, no_second_derivative("warp3d"))[0];
+}
+
+inline Tensor warp3d_volume_gradient(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> const& size,
+                                     std::string const& interpolation, std::string const& padding, bool align_corners,
+                                     bool inverse, bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{
+        call<"warp3d_volume_gradient">(grad, matrix, size, interpolation, padding, align_corners, inverse, normalized)};
+  };
+  return differentiable({grad, matrix}, compute, {}, no_second_derivative("warp3d"))[0];
+}
+
+// Volumes (B, C, D, H, W) at the places that matrices (B or 1, 4, 4) or (B or 1, 3, 4) give, as `warp` does: "nearest"
+// or "bilinear", zeros outside with "fill".
+inline Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<int64_t> const& size,
+                     std::string const& interpolation = "bilinear", std::string const& padding = "fill",
+                     bool align_corners = true, bool inverse = true, bool normalized = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{
+        call<"warp3d">(volumes, matrix, size, interpolation, padding, align_corners, inverse, normalized)};
+  };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const &x = b.saved[0], &m = b.saved[1], grad = b.grads[0].to(m.scalar_type());
+    variable_list found(2);
+    if (b.wanted(0))
+      found[0] = warp3d_volume_gradient(grad, m, {x.size(2), x.size(3), x.size(4)}, interpolation, padding,
+                                        align_corners, inverse, normalized)
+                     .to(x.scalar_type());
+    if (b.wanted(1))
+      found[1] = summed_to(warp3d_matrix_gradient(grad, x.to(m.scalar_type()), m, interpolation, padding, align_corners,
+                                                  inverse, normalized),
+                           m);
+    return found;
+  };
+  return differentiable({volumes, matrix}, compute, {volumes, matrix}, gradient)[0];
 }
 
 // The mean distance of `target` from `source` warped by `matrix`, from the target's places to the source's; (B). It has
@@ -204,6 +275,17 @@ inline Tensor photometric(Tensor const& source, Tensor const& target, Tensor con
     return differentiable({grad, m}, found, {}, no_second_derivative("photometric"));
   };
   return differentiable({matrix}, compute, {slope, matrix}, gradient)[0];
+}
+
+// The normal equations (B, 8, 8), the gradient (B, 8) and the distance (B) of a step of Gauss and Newton; without
+// gradients.
+inline std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tensor const& target,
+                                                             Tensor const& matrix, std::string const& distance = "l1",
+                                                             double eps = 1e-3, bool align_corners = false,
+                                                             bool normalized = true) {
+  at::NoGradGuard no_grad;
+  return detail::call<"photometric_normal", std::tuple<Tensor, Tensor, Tensor>>(source, target, matrix, distance, eps,
+                                                                                align_corners, normalized);
 }
 
 // The gradient to the matrix is of each sample, also where one matrix serves all; without `to_matrix` it has no rows.

@@ -112,6 +112,13 @@ int main() {
   for (auto const* window : {"bilinear", "bicubic", "pyrdown"})
     check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, window); }, {x});
   check("flip", [](auto const& t) { return kvision::flip(t[0], true, false); }, {x});
+  check("window", [](auto const& t) { return kvision::window(t[0], {-1, 1}, {4, 5}); }, {x});
+  check("pyramid_detail", [](auto const& t) { return kvision::pyramid_detail(t[0], t[1]); },
+        {x, torch::rand({x.size(0), x.size(1), 2 * x.size(2), 2 * x.size(3)})});
+  Tensor const turn = torch::tensor({0.9, 0.2, 0.1, 0.3, -0.2, 1.1, 0.1, 0.2, 0.1, -0.1, 0.8, 0.4}).view({1, 3, 4});
+  check(
+      "warp3d", [](auto const& t) { return kvision::warp3d(t[0], t[1], {2, 4, 3}); },
+      {torch::rand({2, 1, 3, 4, 5}), turn}, false);
   check(
       "photometric",
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },

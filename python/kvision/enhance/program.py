@@ -192,7 +192,7 @@ class ColorProgram(nn.Module):
         names = self._names
         if isinstance(key, int) and -len(names) <= key < len(names):
             return key
-        if names.count(key) != 1:
+        if not isinstance(key, str) or names.count(key) != 1:
             raise ValueCheckError(f"ColorProgram: there is not one step {key!r} among {', '.join(names)}")
         return names.index(key)
 

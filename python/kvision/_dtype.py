@@ -19,3 +19,8 @@ def pixels(x: Tensor) -> Tensor:
 def compute_dtype(x: Tensor) -> torch.dtype:
     """The type an operator on images `x` computes in: float64 for float64, otherwise float32."""
     return torch.float64 if x.dtype == torch.float64 else torch.float32
+
+
+def as_dtype(x: Tensor, dtype: torch.dtype) -> Tensor:
+    """`x` in this type; where it has that, no call of torch's finds it out."""
+    return x if x.dtype == dtype else x.to(dtype)

@@ -151,6 +151,9 @@ int main() {
   Tensor const projection = torch::cat({matrix, torch::tensor({0.11, -0.07, 0.03}).view({1, 3, 1})}, 2);
   check(
       "depth_warp", [](auto const& t) { return kvision::depth_warp(t[0], t[1], t[2]); }, {x, depth, projection}, false);
+  check(
+      "reprojection", [](auto const& t) { return kvision::reprojection(t[0], t[1], t[2], t[3], true); },
+      {matrix + 1, torch::rand({2, 4, 4}), matrix + 2, torch::rand({1, 4, 4})}, false);
   Tensor const seen = torch::rand({2, 2, 3, 7, 6}, torch::kDouble), target = torch::rand({2, 3, 5, 4}, torch::kDouble);
   check(
       "photometric_depth",

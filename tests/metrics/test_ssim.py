@@ -36,10 +36,10 @@ class TestSSIM(OpTests):
     # Variances are differences of means of squares, and the similarity divides by them.
     tolerances = {torch.float32: (2e-4, 2e-5)}
 
-    def test_opcheck(self, variant, device, backend):
+    def test_opcheck(self, device, backend):
         if device.type == "cuda" and torch.__version__.startswith("2.11"):
             pytest.skip("torch 2.11: the second derivative of a convolution on CUDA takes no symbolic sizes")
-        super().test_opcheck(variant, device, backend)
+        super().test_opcheck(device, backend)
 
 
 class Losses(TestSSIM):

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -72,7 +72,7 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
         sums = _total_variation(x, *weights)
     else:
         sums = _total_variation(x.reshape(1, -1, h, w), *weights).reshape(x.shape[:-2])
-    return sums if sums.dtype == x.dtype else sums.to(x.dtype)
+    return as_dtype(sums, x.dtype)
 
 
 def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:

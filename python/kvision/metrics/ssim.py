@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import Operator, as_stored, register, vjp
 from kvision.core.exceptions import ShapeError
@@ -184,15 +184,14 @@ def dissimilarity(
     if b == 0 or c == 0:
         return structure * x.sum()  # of nothing; of which the mean is NaN
     dtype = x.dtype
-    if y.dtype != dtype:
-        y = y.to(dtype)
+    y = as_dtype(y, dtype)
     if len(axes) == 3 and not x.is_cuda:
         similar = _of_volumes_on_cpu(x, y, size, SIGMA, c1, c2, eps, border, True)
         return structure * (1 - similar).sum() + absolute * (x - y).abs().sum()
     if b > 1:
         x, y = x.reshape(1, -1, *axes), y.reshape(1, -1, *axes)
     loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
-    return loss if loss.dtype == dtype else loss.to(dtype)
+    return as_dtype(loss, dtype)
 
 
 def similarity(
@@ -200,7 +199,7 @@ def similarity(
 ) -> Tensor:
     """The similarity of floating-point images or volumes; see `_reference`."""
     call = _ssim if x.dim() == 4 or x.is_cuda else _of_volumes_on_cpu  # there are kernels of volumes on CUDA only
-    return call(x, y if y.dtype == x.dtype else y.to(x.dtype), size, sigma, c1, c2, eps, border, luminance)
+    return call(x, as_dtype(y, x.dtype), size, sigma, c1, c2, eps, border, luminance)
 
 
 def ssim(

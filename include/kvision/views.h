@@ -105,6 +105,17 @@ inline Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const
   return differentiable({points, camera, wanted, coefficients}, compute, {}, no_gradient("undistort"))[0];
 }
 
+// Eigenvalues (B, n), ascending, of symmetric matrices (B, n, n), and their vectors as columns. No gradient.
+inline std::tuple<Tensor, Tensor> eigenvectors(Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [values, vectors] = call<"eigenvectors", std::tuple<Tensor, Tensor>>(matrix);
+    return variable_list{values, vectors};
+  };
+  variable_list const found = differentiable({}, compute, {}, nullptr);
+  return {found[0], found[1]};
+}
+
 // --- samples and those who agree with them
 // ------------------------------------------------------------------------------------------------------------
 

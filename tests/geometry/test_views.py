@@ -103,7 +103,9 @@ class TestViews(CompositionTests):
         second = torch.autograd.grad(total, leaves, allow_unused=True)
         return [x.detach() for x in (output, *first, *second) if x is not None]
 
-    def test_no_solver_is_called(self, case, device):
+    def test_no_solver_is_called(self, case, device, backend):
+        if backend == "reference":
+            pytest.skip("the reference may")
         with NoSolvers():
             self.derivatives(case, self.values(case, device))
 

@@ -233,6 +233,14 @@ int main() {
   check("rgb_to_grayscale", [](auto const& t) { return kvision::rgb_to_grayscale(t[0]); }, {colors}, false);
   Tensor const luma = kvision::rgb_to_ycbcr(colors).slice(1, 0, 1);
   if (!torch::allclose(kvision::rgb_to_grayscale(colors), luma) && ++failures) std::cout << "grey is not luma\n";
+  std::vector<double> const mix{0.3, 0.6, 0.1, -0.1, -0.3, 0.4, 0.6, -0.5, -0.1};
+  check(
+      "split_chroma",
+      [&](auto const& t) {
+        auto const [luma, chroma] = kvision::split_chroma(t[0], 2, mix);
+        return kvision::join_chroma(luma.square(), chroma.square(), 2, mix);
+      },
+      {torch::rand({2, 3, 4, 6})});
   check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], "GB"); }, {torch::rand({2, 1, 4, 6})}, true);
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};

@@ -14,7 +14,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
     F measured = 0;
     int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P,
                   stride = gridDim.x * int64_t(kThreads * P);
-    // The next plain pixels are asked for before the steps go over these.
+    // The next pixels are asked for before the steps go over these.
     bool const asks = Asked<F, C, P>::of(p.x);
     Asked<F, C, P> ahead;
     if (asks) ahead.ask(p.x, from, first, p.pixels);
@@ -22,7 +22,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
     for (int64_t i = first; i - threadIdx.x * P < p.pixels; i += stride) {
       F c[C][P];
       if (asks) {
-        ahead.take(c);
+        ahead.take(p.x, c);
         ahead.ask(p.x, from, i + stride, p.pixels);
       } else {
         load_pixels(p.x, from, i, p.pixels, F(0), c);

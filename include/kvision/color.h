@@ -230,4 +230,39 @@ inline Tensor raw_to_rgb(Tensor const& input, std::string const& cfa) {
   return differentiable({input}, compute, {}, gradient)[0];
 }
 
+// --- chroma that cells share
+
+namespace detail {
+inline std::vector<double> transposed(std::vector<double> const& m) {
+  return {m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]};
+}
+}  // namespace detail
+
+inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& image, int64_t rows, std::vector<double> const& matrix);
+
+// Colours of luma (B, 1, H, W) and of the chroma (B, 2, H / rows, W / 2) that `rows` of two pixels share, by a 3 x 3
+// matrix in rows. Its gradient is split_chroma with the transposed matrix, and the other way round.
+inline Tensor join_chroma(Tensor const& luma, Tensor const& chroma, int64_t rows, std::vector<double> const& matrix) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"join_chroma">(luma, chroma, rows, matrix)}; };
+  auto const gradient = [=](Backward const& b) {
+    auto const [of_luma, of_chroma] = split_chroma(b.grads[0], rows, transposed(matrix));
+    return variable_list{of_luma, of_chroma};
+  };
+  return differentiable({luma, chroma}, compute, {}, gradient)[0];
+}
+// Luma of RGB images by the first row of a matrix, and chroma of the sums of `rows` of two pixels by the others.
+inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& image, int64_t rows, std::vector<double> const& matrix) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto const [luma, chroma] = call<"split_chroma", std::tuple<Tensor, Tensor>>(image, rows, matrix);
+    return variable_list{luma, chroma};
+  };
+  auto const gradient = [=](Backward const& b) {
+    return variable_list{join_chroma(b.grads[0], b.grads[1], rows, transposed(matrix))};
+  };
+  auto const found = differentiable({image}, compute, {}, gradient);
+  return {found[0], found[1]};
+}
+
 }  // namespace kvision

@@ -13,7 +13,7 @@ def floats(x: Tensor) -> Tensor:
 
 def pixels(x: Tensor) -> Tensor:
     """`x` as an operator with uint8 results takes it: floating point or uint8, other integers as float32."""
-    return x if x.dtype == torch.uint8 else floats(x)
+    return x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
 
 
 def compute_dtype(x: Tensor) -> torch.dtype:

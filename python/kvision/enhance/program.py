@@ -259,8 +259,7 @@ def _fitting(name: str, parameter: str, size: int, value: Value, image: Any) -> 
         if isinstance(value, Sequence):
             return tuple(map(float, value))
         return float(value) if size == 1 else (float(value),) * size
-    if value.device != image.device:
-        _check.same_device("ColorProgram", image=image, **{parameter: value})
+    _check.same_device("ColorProgram", image=image, **{parameter: value})
     axes, count = value.dim(), value.numel()
     batch = image.shape[0] if image.dim() == 4 else math.prod(image.shape[:-3])
     if size == 1 and axes <= 1 and count in (1, batch):

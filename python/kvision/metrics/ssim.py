@@ -300,8 +300,7 @@ def _arguments(
     _check.numbers(op, "img2", img2)
     if img1.shape != img2.shape:
         _check.same_shape(op, img1=img1, img2=img2)
-    if img1.device != img2.device:
-        _check.same_device(op, img1=img1, img2=img2)
+    _check.same_device(op, img1=img1, img2=img2)
     _check.odd(op, "window_size", _check.ints(op, "window_size", size, 1))
     max_val = _check.number(op, "max_val", max_val)
     eps = _check.number(op, "eps", eps, minimum=0)

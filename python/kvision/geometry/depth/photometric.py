@@ -167,8 +167,7 @@ def photometric_depth_loss(
             f"{op}: expected target of shape {(views.shape[0], views.shape[2], 'h', 'w')}, got {tuple(target.shape)}",
             actual_shape=target.shape,
         )
-    if target.device != views.device:
-        _check.same_device(op, views=views, target=target)
+    _check.same_device(op, views=views, target=target)
     depth = for_images(op, views, "depth", depth)
     projections = for_images(op, views, "projections", projections)
     found: Any = _photometric(views, target, depth, projections, distance, eps)

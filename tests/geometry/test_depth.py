@@ -83,7 +83,9 @@ class TestDepthToNormals(TestDepthTo3d):
 class TestWarpFrameDepth(WarpTests):
     function = staticmethod(G.warp_frame_depth)
     small = (1, 1, 4, 4)
-    operators = ("depth_warp", "depth_warp_image_gradient", "depth_warp_slopes", "reprojection", "reprojection_backward")
+    operators = tuple(
+        "depth_warp depth_warp_image_gradient depth_warp_slopes reprojection reprojection_backward".split()
+    )
     bytes = False
     max_size = 7
     tolerances = {**FLOAT_PLACES, torch.float32: (5e-5, 5e-5)}

@@ -2,6 +2,8 @@
 // which are programs of one step. Images are (B, 3, H, W), floating point. A second derivative is an error.
 #pragma once
 
+#include <algorithm>
+#include <iterator>
 #include <memory>
 #include <optional>
 #include <string>
@@ -62,16 +64,16 @@ struct ColorProgram {
   std::optional<Tensor> p4 = {};
   std::optional<Tensor> p5 = {};
   std::optional<Tensor> order = {};
-  std::optional<torch::ScalarType> dtype = {};
+  std::optional<at::ScalarType> dtype = {};
   std::string layout = "same";
 
   // The plan of the operators: dtype and layout, by number or -1 for those of the input, then how many steps, the steps
   // and the columns.
   std::vector<int64_t> plan() const {
-    constexpr torch::ScalarType types[] = {torch::kByte, torch::kHalf, torch::kBFloat16, torch::kFloat, torch::kDouble};
-    int64_t type = dtype ? 0 : -1;
-    while (dtype && type < 5 && types[type] != *dtype) ++type;
-    std::vector<int64_t> all{type, layout == "same" ? -1 : layout == "NHWC", int64_t(steps.size())};
+    constexpr at::ScalarType types[] = {at::kByte, at::kHalf, at::kBFloat16, at::kFloat, at::kDouble};
+    auto const* const found = std::find(std::begin(types), std::end(types), dtype.value_or(at::kByte));
+    std::vector<int64_t> all{dtype ? found - types : -1, layout == "same" ? -1 : layout == "NHWC",
+                             int64_t(steps.size())};
     all.insert(all.end(), steps.begin(), steps.end());
     all.insert(all.end(), columns.begin(), columns.end());
     return all;
@@ -135,7 +137,8 @@ inline variable_list color_gradients(Backward const& b, ColorProgram const& p, s
 inline Tensor color_program(Tensor const& input, ColorProgram const& p) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{call<"color_program">(input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.plan(), p.numbers)};
+    return variable_list{
+        call<"color_program">(input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.plan(), p.numbers)};
   };
   auto const gradient = [=](Backward const& b) { return color_gradients(b, p, {}); };
   return differentiable(with_parameters({input}, p), compute, {input}, gradient)[0];

@@ -251,7 +251,7 @@ inline std::vector<double> transposed(std::vector<double> const& m) {
 }
 }  // namespace detail
 
-inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& image, int64_t rows, std::vector<double> const& matrix);
+inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& input, int64_t rows, std::vector<double> const& matrix);
 
 // Colours of luma (B, 1, H, W) and of the chroma (B, 2, H / rows, W / 2) that `rows` of two pixels share, by a 3 x 3
 // matrix in rows. Its gradient is split_chroma with the transposed matrix, and the other way round.
@@ -265,16 +265,16 @@ inline Tensor join_chroma(Tensor const& luma, Tensor const& chroma, int64_t rows
   return differentiable({luma, chroma}, compute, {}, gradient)[0];
 }
 // Luma of RGB images by the first row of a matrix, and chroma of the sums of `rows` of two pixels by the others.
-inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& image, int64_t rows, std::vector<double> const& matrix) {
+inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& input, int64_t rows, std::vector<double> const& matrix) {
   using namespace detail;
   auto const compute = [&] {
-    auto const [luma, chroma] = call<"split_chroma", std::tuple<Tensor, Tensor>>(image, rows, matrix);
+    auto const [luma, chroma] = call<"split_chroma", std::tuple<Tensor, Tensor>>(input, rows, matrix);
     return variable_list{luma, chroma};
   };
   auto const gradient = [=](Backward const& b) {
     return variable_list{join_chroma(b.grads[0], b.grads[1], rows, transposed(matrix))};
   };
-  auto const found = differentiable({image}, compute, {}, gradient);
+  auto const found = differentiable({input}, compute, {}, gradient);
   return {found[0], found[1]};
 }
 

@@ -6,11 +6,11 @@ namespace kv {
 namespace {
 
 // The four, checked; one of each serves a batch.
-struct Given {
+struct GivenCameras {
   Reprojections<double> params{};
 
-  Given(char const* op, Tensor const& camera_to, Tensor const& pose_to, Tensor const& camera_from,
-        std::optional<Tensor> const& pose_from, bool pinhole) {
+  GivenCameras(char const* op, Tensor const& camera_to, Tensor const& pose_to, Tensor const& camera_from,
+               std::optional<Tensor> const& pose_from, bool pinhole) {
     params.batch = 1;
     params.pinhole = pinhole;
     auto const take = [&](char const* name, Tensor const& x, int64_t side) {
@@ -38,7 +38,7 @@ struct Given {
 Tensor reprojection(Tensor const& camera_to, Tensor const& pose_to, Tensor const& camera_from,
                     std::optional<Tensor> const& pose_from, bool pinhole) {
   constexpr char const* op = "reprojection";
-  Given given(op, camera_to, pose_to, camera_from, pose_from, pinhole);
+  GivenCameras given(op, camera_to, pose_to, camera_from, pose_from, pinhole);
   int64_t const batch = given.params.batch;
   Tensor const projection = empty({batch, 3, 4}, camera_to);
   given.params.projection = reals_of(op, projection);
@@ -51,7 +51,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> reprojection_backward(Tensor const& g
                                                                  Tensor const& pose_to, Tensor const& camera_from,
                                                                  std::optional<Tensor> const& pose_from, bool pinhole) {
   constexpr char const* op = "reprojection_backward";
-  Given given(op, camera_to, pose_to, camera_from, pose_from, pinhole);
+  GivenCameras given(op, camera_to, pose_to, camera_from, pose_from, pinhole);
   int64_t const batch = given.params.batch;
   KV_CHECK(grad.dim() == 3 && grad.size(0) == batch && grad.size(1) == 3 && grad.size(2) == 4 &&
                grad.scalar_type() == camera_to.scalar_type() && grad.device() == camera_to.device(),

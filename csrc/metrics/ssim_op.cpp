@@ -124,15 +124,6 @@ Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma
   return similarity;
 }
 
-ScalarType computed(Tensor const& x) {
-  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
-template <class F>
-F* data(Tensor const& x) {
-  return static_cast<F*>(const_cast<void*>(x.const_data_ptr()));
-}
-
 // A number for each sample of planar images.
 Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,
                  std::string const& border, double structure, double absolute) {
@@ -142,7 +133,7 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
   KV_CHECK(absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
   Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar);
   int64_t const rows = x.size(0), channels = x.size(1);
-  Tensor const sums = empty({rows}, x, Layout::planar, computed(x));
+  Tensor const sums = empty({rows}, x, Layout::planar, computed_type(x));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -154,14 +145,14 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
                    nothing,
                    {F(structure), F(absolute), channels},
                    nullptr,
-                   data<F>(sums)};
+                   data_of<F>(sums)};
 #if defined(KV_CUDA)
     int64_t const pieces = channels * most_ssim_pieces(params.images);
 #else
     int64_t const pieces = channels * nothing.height;
 #endif
-    Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed(x));
-    params.partial = data<F>(partial);
+    Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed_type(x));
+    params.partial = data_of<F>(partial);
     KV_RUN(ssim, x, params, nothing.rows(), size * nothing.row_size());
 #if defined(KV_CUDA)
     if (channels == 0) torch::stable::zero_(const_cast<Tensor&>(sums));
@@ -180,7 +171,7 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
   check_pair(op, input, other);
   Window const window(op, input, size, sigma, border);
   if (loss) {
-    KV_CHECK(grad.dim() == 1 && grad.size(0) == input.size(0) && grad.scalar_type() == computed(input) &&
+    KV_CHECK(grad.dim() == 1 && grad.size(0) == input.size(0) && grad.scalar_type() == computed_type(input) &&
                  grad.device() == input.device(),
              op, ": expected grad to be that of the losses");
     KV_CHECK(loss->absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
@@ -218,15 +209,15 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
       params.grad.data = nullptr;
       params.grad.height -= window.less(), params.grad.width -= window.less();
       params.loss = {F(loss->structure), F(loss->absolute), x.size(1)};
-      params.of_loss = data<F>(g);
+      params.of_loss = data_of<F>(g);
     }
 #if defined(KV_CUDA)
     std::optional<Tensor> derivatives;
     if (!has_ssim_strips(params.images)) {
       std::vector<int64_t> sizes = window.sizes(x);
       sizes.push_back(4);
-      derivatives = empty(sizes, x, Layout::planar, computed(x));
-      params.derivatives = data<F>(*derivatives);
+      derivatives = empty(sizes, x, Layout::planar, computed_type(x));
+      params.derivatives = data_of<F>(*derivatives);
     }
 #endif
     KV_RUN(ssim_backward, x, params, params.grad_x.rows(), 2 * size * params.grad_x.row_size());

@@ -194,7 +194,7 @@ def _through_lens(
     operator: Operator, points: Tensor, camera: Tensor, wanted: Tensor, dist: Tensor, tilt: Tensor | None, *plain: int
 ) -> Tensor:
     """An operator on points (B, N, 2) and lenses of (B, ...), or (1, ...) for all, for any leading axes."""
-    leading = points.shape[:-2]
+    leading: Sequence[int] = points.shape[:-2]
     if not camera.dim() == wanted.dim() == dist.dim() + 1 == 2:
         leading = broadcast(leading, camera.shape[:-2], wanted.shape[:-2], dist.shape[:-1])
 

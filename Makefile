@@ -8,7 +8,8 @@ TESTS ?=
 ARGS ?=
 
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip install --constraint constraints.txt
+# Bytecode is made when a module is first imported, which few of the thousands here ever are.
+PIP := $(BIN)/python -m pip install --no-compile --constraint constraints.txt
 READY := .venv/.ready
 
 .PHONY: demo test bench lint build clean distclean

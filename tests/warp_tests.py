@@ -40,11 +40,6 @@ class WarpTests(OpTests):
         yield
         torch.use_deterministic_algorithms(False)
 
-    def test_opcheck(self, variant, device, backend):
-        if variant.get("mode") == "bicubic":
-            pytest.skip("the operators are those of 'bilinear', and 16 taps take long to trace")
-        super().test_opcheck(variant, device, backend)
-
     def test_operators_refuse_bad_arguments(self, device, backend, monkeypatch):
         """An image may have any size beside its result's, so that neither is wrong when it is cut."""
         import raw_calls

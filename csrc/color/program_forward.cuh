@@ -6,15 +6,16 @@
 namespace kv::cuda {
 namespace {
 
-template <class F, int C, int P>
+template <class F, int C>
 __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> const p) {
+  constexpr int P = kTaken<F>;
   __shared__ Sample<F> sample;
   for (int64_t n = blockIdx.y; n < p.samples; n += gridDim.y) {
     int64_t const b = sample_of(p, n), from = p.x.offset(b), to = p.measures ? 0 : p.y.offset(b);
     F measured = 0;
     int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P,
                   stride = gridDim.x * int64_t(kThreads * P);
-    // The next plain pixels are asked for before the steps go over these.
+    // The next pixels are asked for before the steps go over these.
     bool const asks = Asked<F, C, P>::of(p.x);
     Asked<F, C, P> ahead;
     if (asks) ahead.ask(p.x, from, first, p.pixels);
@@ -22,7 +23,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
     for (int64_t i = first; i - threadIdx.x * P < p.pixels; i += stride) {
       F c[C][P];
       if (asks) {
-        ahead.take(c);
+        ahead.take(p.x, c);
         ahead.ask(p.x, from, i + stride, p.pixels);
       } else {
         load_pixels(p.x, from, i, p.pixels, F(0), c);
@@ -52,34 +53,18 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
   }
 }
 
-inline bool are_halves(Pixels const& x, int64_t pixels) {
-  return (x.type == Storage::half || x.type == Storage::bfloat16) && is_packed<8>(x, pixels);
-}
-
 }  // namespace
 
 template <class F>
 int program(Program<F> const& given, CUstream_st* stream) {
   Program<F> p = given;
-  constexpr int kOne = kValue<F>;
-  auto const launch = [&](auto taken) {
-    constexpr int P = taken.value;
-    set_access<F, P>(p.x, p.pixels);
-    set_access<F, P>(p.y, p.pixels);
-    int64_t const shares = p.measures ? p.parts_count : shares_of<F>(p.samples, p.pixels, kThreads * P);
-    dim3 const grid = grid_of(p.samples, shares);
-    if (p.x.channels == 1)
-      run<F, kOne, P><<<grid, kThreads, 0, stream>>>(p);
-    else
-      run<F, 3, P><<<grid, kThreads, 0, stream>>>(p);
-  };
-  if constexpr (sizeof(F) == 4) {
-    if (are_halves(p.x, p.pixels) && (p.measures || are_halves(p.y, p.pixels))) {
-      launch(std::integral_constant<int, 8>{});
-      return cudaGetLastError();
-    }
-  }
-  launch(std::integral_constant<int, kTaken<F>>{});
+  constexpr int P = kTaken<F>;
+  for (Pixels* x : {&p.x, &p.y}) set_access<F, P>(*x, p.pixels);
+  dim3 const grid = grid_of(p.samples, p.measures ? p.parts_count : shares_of<F>(p.samples, p.pixels));
+  if (p.x.channels == 1)
+    run<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
+  else
+    run<F, 3><<<grid, kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

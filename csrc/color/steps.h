@@ -545,6 +545,12 @@ KV_HD V blend(V const& x, G const& grey, U const& factor) {
   return clip((x - grey) * factor + grey, true);
 }
 
+// The part of a blend's gradient that the grey gets.
+template <class V>
+KV_HD V pull_grey(V const& x, V const& g, Scalar<V> grey, Scalar<V> factor) {
+  return pull_clip((x - grey) * factor + grey, g, true) * (Scalar<V>(1) - factor);
+}
+
 template <class V, class U>
 KV_HD void saturation_grey(V (&c)[3], U const& factor) {
   V const grey = luma(c);

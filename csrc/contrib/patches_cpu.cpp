@@ -8,20 +8,24 @@ namespace kv::KV_ISA {
 template <class T>
 void extract_patches(Extract<T> const& p, int64_t begin, int64_t end) {
   PatchGrid const& grid = p.grid;
-  for (int64_t r = begin; r < end; ++r) {
+  for (int64_t r = begin; r < end;) {  // plane by plane of the patches
     int64_t const patch = r / grid.height / grid.channels, c = r / grid.height % grid.channels;
     int64_t const j = patch % grid.across, i = patch / grid.across % grid.down,
                   sample = patch / grid.across / grid.down;
-    int64_t const y = i * grid.step_y - grid.top + r % grid.height, left = j * grid.step_x - grid.left;
-    T* const to = p.patches + r * grid.width;
-    bool const inside = y >= 0 && y < p.image.height;
-    int64_t const first = inside ? clamp(-left, int64_t(0), int64_t(grid.width)) : grid.width;
-    int64_t const last = inside ? clamp(p.image.width - left, first, int64_t(grid.width)) : grid.width;
-    __builtin_memset(to, 0, first * sizeof(T));
-    if (first < last)
-      __builtin_memcpy(to + first, p.image.row(sample * grid.channels + c, y) + left + first,
-                       (last - first) * sizeof(T));
-    __builtin_memset(to + last, 0, (grid.width - last) * sizeof(T));
+    int64_t const top = i * grid.step_y - grid.top, left = j * grid.step_x - grid.left, width = grid.width;
+    int64_t const first = clamp(-left, int64_t(0), width), last = clamp(p.image.width - left, first, width);
+    T const* const plane = p.image.plane(sample * grid.channels + c) + left;
+    for (int64_t line = r % grid.height; line < grid.height && r < end; ++line, ++r) {
+      int64_t const y = top + line;
+      T* const to = p.patches + r * width;
+      if (y < 0 || y >= p.image.height || first == last) {
+        __builtin_memset(to, 0, width * sizeof(T));
+        continue;
+      }
+      if (first > 0) __builtin_memset(to, 0, first * sizeof(T));
+      __builtin_memcpy(to + first, plane + y * p.image.row_stride + first, (last - first) * sizeof(T));
+      if (last < width) __builtin_memset(to + last, 0, (width - last) * sizeof(T));
+    }
   }
 }
 

@@ -17,11 +17,6 @@ inline void check_row_grad(char const* op, Tensor const& grad, Tensor const& x, 
            op, ": grad differs in shape, dtype or device from the counts of x");
 }
 
-template <class T>
-T* row_data(Tensor const& x) {
-  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
-}
-
 // Calls f with the type of x: float or double.
 template <class F>
 void for_row_type(Tensor const& x, F f) {

@@ -30,8 +30,7 @@ struct Arguments {
     check_border(op, this->border, ky / 2, x.size(2));
     check_border(op, this->border, kx / 2, x.size(3));
     auto const fits = [&](Tensor const& t, int64_t dims) {
-      ScalarType const computed = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-      return t.dim() == dims && t.scalar_type() == computed && t.device() == x.device() &&
+      return t.dim() == dims && t.scalar_type() == computed_type(x) && t.device() == x.device() &&
              (t.size(0) == 1 || t.size(0) == x.size(0));
     };
     KV_CHECK(!joint || (fits(guide, 4) && guide.size(2) == x.size(2) && guide.size(3) == x.size(3)), op,

@@ -36,8 +36,8 @@ struct Window {
 KernelAxis flipped(KernelAxis taps) { return {taps.size, taps.size - 1 - taps.before}; }
 
 void check_weights(char const* op, Tensor const& kernel, Tensor const& x) {
-  ScalarType const type = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-  KV_CHECK(kernel.scalar_type() == type, op, ": expected kernel of the type that the images are computed in");
+  KV_CHECK(kernel.scalar_type() == computed_type(x), op,
+           ": expected kernel of the type that the images are computed in");
   KV_CHECK(kernel.device() == x.device(), op, ": expected kernel on the device of the images");
 }
 

@@ -29,10 +29,9 @@ struct Axis {
 
 // Weights or sigmas for images `x`, as rows in the type that images are computed in.
 inline Tensor checked_rows(char const* op, Tensor const& rows, Tensor const& x) {
-  auto const computed = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
   KV_CHECK(rows.dim() == 2 && rows.size(1) > 0 && (rows.size(0) == 1 || rows.size(0) == x.size(0)), op,
            ": expected weights or sigmas of shape (B or 1, n)");
-  KV_CHECK(rows.scalar_type() == computed && rows.device() == x.device(), op,
+  KV_CHECK(rows.scalar_type() == computed_type(x) && rows.device() == x.device(), op,
            ": weights or sigmas differ in dtype or device from what the input is computed in");
   return dense(rows);
 }

@@ -15,6 +15,12 @@ __global__ void __launch_bounds__(kMostThreads) null_vectors_backward(NullVector
   null_vector_backward_of<N>(p, blockIdx.x, Block{});
 }
 
+// A thread a block: matrices of more would not fit into the nearest cache.
+template <int N, class T>
+__global__ void __launch_bounds__(1) all_eigenvectors(Eigenvectors<T> p) {
+  eigenvectors_of<N>(p, blockIdx.x);
+}
+
 }  // namespace
 
 template <class T>
@@ -31,7 +37,14 @@ int null_vector_backward(NullVector<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+template <class T>
+int eigenvectors(Eigenvectors<T> const& p, CUstream_st* stream) {
+  with_unknowns(p.n, [&](auto n) { all_eigenvectors<decltype(n)::value><<<unsigned(p.batch), 1, 0, stream>>>(p); });
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE_ONE(null_vector, NullVector, double)
 KV_INSTANTIATE_ONE(null_vector_backward, NullVector, double)
+KV_INSTANTIATE_ONE(eigenvectors, Eigenvectors, double)
 
 }  // namespace kv::cuda

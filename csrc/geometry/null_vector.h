@@ -1,5 +1,6 @@
 // The vector v of length 1 with the least sum of weights * (rows v)^2, and its gradient: from M = sum w r r^T, whose
-// smallest eigenvector it is. Included by null_vector_cpu.cpp, null_vector.cu and null_vector_op.cpp.
+// smallest eigenvector it is. All eigenvectors are for its further derivatives. Included by null_vector_cpu.cpp,
+// null_vector.cu and null_vector_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -18,8 +19,18 @@ struct NullVector {
   Reals grad, grad_rows, grad_weights;  // (B, n), (B, m, n), (B, m)
 };
 
+// Of symmetric matrices (B, n, n), ascending values (B, n) and the columns (B, n, n) that belong to them.
+template <class T>
+struct Eigenvectors {
+  Reals matrix;
+  int64_t batch;
+  int n;
+  Reals values, vectors;
+};
+
 KV_KERNEL(null_vector, NullVector)
 KV_KERNEL(null_vector_backward, NullVector)
+KV_KERNEL(eigenvectors, Eigenvectors)
 
 template <int N, class T, class Team>
 KV_HD void normal_matrix(NullVector<T> const& p, int64_t b, Team team, double* m) {
@@ -57,6 +68,23 @@ KV_HD void null_vector_backward_of(NullVector<T> const& p, int64_t b, Team team)
     for (int i = 0; i < N; ++i) by_v += p.rows[at * N + i] * v[i], by_u += p.rows[at * N + i] * u[i];
     for (int i = 0; i < N; ++i) p.grad_rows.set(at * N + i, -w * (by_v * u[i] + by_u * v[i]));
     p.grad_weights.set(at, -by_u * by_v);
+  }
+}
+
+template <int N, class T>
+KV_HD void eigenvectors_of(Eigenvectors<T> const& p, int64_t b) {
+  double m[N * N], v[N * N];
+  for (int i = 0; i < N * N; ++i) m[i] = p.matrix[b * N * N + i];
+  small::diagonalize<N>(m, v);
+  for (int i = 0; i < N; ++i) {
+    double const value = m[i * (N + 1)];
+    int rank = 0;
+    for (int k = 0; k < N; ++k) {
+      double const other = m[k * (N + 1)];
+      rank += other < value || (other == value && k < i);
+    }
+    p.values.set(b * N + rank, value);
+    for (int k = 0; k < N; ++k) p.vectors.set((b * N + k) * N + rank, v[k * N + i]);
   }
 }
 

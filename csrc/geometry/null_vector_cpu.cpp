@@ -18,8 +18,16 @@ void null_vector_backward(NullVector<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
+template <class T>
+void eigenvectors(Eigenvectors<T> const& p, int64_t begin, int64_t end) {
+  with_unknowns(p.n, [&](auto n) {
+    for (int64_t b = begin; b < end; ++b) eigenvectors_of<decltype(n)::value>(p, b);
+  });
+}
+
 KV_INSTANTIATE_ONE(null_vector, NullVector, double)
 KV_INSTANTIATE_ONE(null_vector_backward, NullVector, double)
+KV_INSTANTIATE_ONE(eigenvectors, Eigenvectors, double)
 
 }  // namespace kv::KV_ISA
 #endif

@@ -5,10 +5,14 @@
 namespace kv {
 namespace {
 
-void check(char const* op, Tensor const& rows, std::optional<Tensor> const& weights) {
+void check_rows(char const* op, Tensor const& rows) {
   KV_CHECK(rows.dim() == 3, op, ": expected rows of shape (B, m, n)");
   int64_t const n = rows.size(2);
   KV_CHECK(n == 3 || n == 4 || n == 9 || n == 12, op, ": expected rows of 3, 4, 9 or 12 numbers, got ", n);
+}
+
+void check(char const* op, Tensor const& rows, std::optional<Tensor> const& weights) {
+  check_rows(op, rows);
   KV_CHECK(!weights || (weights->dim() == 2 && weights->size(0) == rows.size(0) && weights->size(1) == rows.size(1) &&
                         weights->device() == rows.device()),
            op, ": expected weights of shape (B, m) on the device of rows");
@@ -41,9 +45,22 @@ std::tuple<Tensor, Tensor> null_vector_backward(Tensor const& grad, Tensor const
   return {grad_rows, grad_weights};
 }
 
+std::tuple<Tensor, Tensor> eigenvectors(Tensor const& matrix) {
+  constexpr char const* op = "eigenvectors";
+  check_rows(op, matrix);
+  int64_t const batch = matrix.size(0), n = matrix.size(2);
+  KV_CHECK(matrix.size(1) == n, op, ": expected square matrices");
+  Contiguous const m(op, matrix);
+  Tensor const values = empty({batch, n}, m.tensor), vectors = empty({batch, n, n}, m.tensor);
+  Eigenvectors<double> const params{m.reals, batch, int(n), reals_of(op, values), reals_of(op, vectors)};
+  KV_RUN(eigenvectors, m.tensor, params, batch, 64 * n * n * n);
+  return {values, vectors};
+}
+
 }  // namespace
 
 KV_OPERATOR(null_vector, "(Tensor rows, Tensor? weights) -> Tensor")
 KV_OPERATOR(null_vector_backward, "(Tensor grad, Tensor vector, Tensor rows, Tensor? weights) -> (Tensor, Tensor)")
+KV_OPERATOR(eigenvectors, "(Tensor matrix) -> (Tensor, Tensor)")
 
 }  // namespace kv

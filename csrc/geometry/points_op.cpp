@@ -5,10 +5,6 @@
 namespace kv {
 namespace {
 
-ScalarType computed(Tensor const& x) {
-  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
 template <class T>
 T* data_of(std::optional<Tensor> const& x) {
   return x ? static_cast<T*>(const_cast<void*>(x->const_data_ptr())) : nullptr;
@@ -25,7 +21,7 @@ struct Given {
   Given(char const* op, Tensor const& p, std::optional<Tensor> const& d, Tensor const& m, std::string const& kind)
       : points(p), matrix(m) {
     KV_CHECK(p.dim() == 3 && m.dim() == 3 && (m.size(0) == 1 || m.size(0) == p.size(0)) &&
-                 m.scalar_type() == computed(p) && m.device() == p.device(),
+                 m.scalar_type() == computed_type(p) && m.device() == p.device(),
              op, ": matrix does not fit the points");
     int64_t const in = p.size(2), rows = m.size(1), columns = m.size(2);
     bool const camera = rows == 3 && columns == 3, unprojects = kind == "unproject" || kind == "unproject_distance";
@@ -113,7 +109,7 @@ std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tenso
   int64_t const part = 4096;
 #endif
   int64_t const parts = (count + part - 1) / part;
-  ScalarType const type = computed(points);
+  ScalarType const type = computed_type(points);
   Tensor const to_points = empty({matrices, count, points.size(2)}, points),
                to_depth = empty({matrices, count, depth ? 1 : 0}, points),
                partial = empty({to_matrix ? matrices : 0, parts, entries}, points, Layout::planar, type);

@@ -84,5 +84,6 @@ Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_cor
 KV_OPERATOR(resize, "(Tensor input, " KV_HOW ") -> Tensor")
 KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
 KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, str border) -> Tensor")
+#undef KV_HOW
 
 }  // namespace kv

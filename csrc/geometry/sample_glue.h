@@ -53,10 +53,6 @@ inline int64_t slope_parts(Size output, [[maybe_unused]] int row) {
 #endif
 }
 
-inline ScalarType computed_type(Tensor const& x) {
-  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
 // Whether t has what an image x goes with: numbers in the type that computes, for each sample or for all.
 inline bool goes_with(Tensor const& t, Tensor const& x, int64_t axes) {
   return t.dim() == axes && t.scalar_type() == computed_type(x) && t.device() == x.device() &&

@@ -5,11 +5,6 @@
 
 namespace kv {
 
-template <class T>
-T* data_of(Tensor const& x) {
-  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
-}
-
 // Contiguous, with as many samples: one serves all, as it may where vmap maps some of several tensors.
 inline Tensor for_batch(Tensor const& x, int64_t batch) {
   if (x.size(0) != 1 || batch == 1) return dense(x);

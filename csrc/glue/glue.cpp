@@ -153,6 +153,10 @@ Tensor empty_like(Tensor const& x, Layout layout) {
   return empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x, layout);
 }
 
+ScalarType computed_type(Tensor const& x) {
+  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+}
+
 #if defined(KV_CUDA)
 CUstream_st* current_stream(Tensor const& x) {
   void* stream;

@@ -87,10 +87,16 @@ Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like,
              std::optional<ScalarType> type = {});
 Tensor empty_like(Tensor const& x, Layout layout);
 
-// The rows of an image tensor. T is the storage type, const for inputs.
+// The first element of a tensor. T is the storage type, const for inputs.
+template <class T>
+T* data_of(Tensor const& x) {
+  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
+}
+
+// The rows of an image tensor.
 template <class T>
 Planes<T> planes(Tensor const& x, Layout layout) {
-  auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
+  T* const data = data_of<T>(x);
   int64_t const b = x.size(0), c = x.size(1), h = x.size(2), w = x.size(3);
   if (layout == Layout::channels_last) return {data, b, 1, x.stride(0), 0, x.stride(2), h, w, c};
   if (x.stride(0) == c * x.stride(1) || b == 1) return {data, b * c, 1, x.stride(1), 0, x.stride(2), h, w, 1};
@@ -100,13 +106,16 @@ Planes<T> planes(Tensor const& x, Layout layout) {
 // The rows of a contiguous tensor of any rank: its last two axes are planes, stacked along the others.
 template <class T>
 Planes<T> stacked_planes(Tensor const& x) {
-  auto* data = static_cast<T*>(const_cast<void*>(static_cast<void const*>(x.const_data_ptr())));
+  T* const data = data_of<T>(x);
   int64_t const h = x.size(x.dim() - 2), w = x.size(x.dim() - 1);
   return {data, x.numel() ? x.numel() / (h * w) : 0, 1, h * w, 0, w, h, w, 1};
 }
 
 // --- dtypes
 // ------------------------------------------------------------------------------------------------------------
+
+// What kernels compute in for tensors stored as `x` is.
+ScalarType computed_type(Tensor const& x);
 
 template <class T>
 struct Type {

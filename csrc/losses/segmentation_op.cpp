@@ -8,15 +8,6 @@ namespace {
 
 constexpr int64_t kMostClasses = 224;  // whose numbers a block's shared memory holds on CUDA; more take the reference
 
-ScalarType computed(Tensor const& x) {
-  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
-template <class T>
-T* data(Tensor const& x) {
-  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
-}
-
 // Logits (losses, B, C, H, W) and labels (losses or 1, B, H, W), and what comes with them, contiguous.
 struct Labelled {
   Tensor logits, target;
@@ -39,21 +30,21 @@ struct Labelled {
     if (!of_classes) return;
     weight = dense(*of_classes);
     KV_CHECK(weight->dim() == 2 && (weight->size(0) == losses || weight->size(0) == 1) && weight->size(1) == classes &&
-                 weight->scalar_type() == computed(pred) && weight->device() == pred.device(),
+                 weight->scalar_type() == computed_type(pred) && weight->device() == pred.device(),
              op, ": expected weight of shape (losses or 1, C) in the type that pred is computed in");
   }
 
   int64_t all_pieces() const { return losses * batch * pieces; }
   int64_t cost() const { return 4 * min(pixels, piece) * classes; }
   Tensor number(torch::headeronly::IntHeaderOnlyArrayRef sizes) const {
-    return empty(sizes, logits, Layout::planar, computed(logits));
+    return empty(sizes, logits, Layout::planar, computed_type(logits));
   }
   Tensor gradient() const { return empty({losses, batch, classes, logits.size(3), logits.size(4)}, logits); }
 
   template <class T>
   Logits<T> of() const {
-    return {data<T const>(logits),
-            data<int64_t const>(target),
+    return {data_of<T const>(logits),
+            data_of<int64_t const>(target),
             target.size(0) == 1,
             losses,
             batch,
@@ -74,7 +65,7 @@ struct Labelled {
   }
   template <class F>
   F const* weight_data() const {
-    return weight ? data<F const>(*weight) : nullptr;
+    return weight ? data_of<F const>(*weight) : nullptr;
   }
   int64_t weight_stride() const { return weight && weight->size(0) > 1 ? classes : 0; }
 };
@@ -82,7 +73,7 @@ struct Labelled {
 // A number for each of `sizes`, as the logits are computed.
 Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const& like,
                std::initializer_list<int64_t> sizes) {
-  bool fits = x.dim() == int64_t(sizes.size()) && x.scalar_type() == computed(like.logits) &&
+  bool fits = x.dim() == int64_t(sizes.size()) && x.scalar_type() == computed_type(like.logits) &&
               x.device() == like.logits.device();
   for (size_t i = 0; fits && i < sizes.size(); ++i) fits = x.size(int64_t(i)) == sizes.begin()[i];
   KV_CHECK(fits, op, ": expected ", name, " to be that of the loss");
@@ -100,8 +91,8 @@ std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std
   for_floats("overlap", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data<F>(partial), data<F>(sums),
-                            data<F>(loss)};
+    Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_of<F>(partial),
+                            data_of<F>(sums), data_of<F>(loss)};
     KV_RUN(overlap, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < samples * bins; ++i) {
@@ -133,8 +124,8 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
   for_floats(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data<F const>(g),
-                                    data<F const>(of_samples), data<T>(grad_x)};
+    OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_of<F const>(g),
+                                    data_of<F const>(of_samples), data_of<T>(grad_x)};
     KV_RUN(overlap_backward, pred, params, x.all_pieces(), x.cost());
   });
   return grad_x;
@@ -149,8 +140,8 @@ Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> con
   for_floats("focal", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Focal<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), summed ? nullptr : data<F>(loss),
-                          data<F>(partial), summed ? data<F>(loss) : nullptr};
+    Focal<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), summed ? nullptr : data_of<F>(loss),
+                          data_of<F>(partial), summed ? data_of<F>(loss) : nullptr};
     KV_RUN(focal, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
     if (summed) add_pieces(params.partial, x.losses, x.batch * x.pieces, Finish<F>{F(1), F(0)}, params.sums);
@@ -169,8 +160,8 @@ Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& targ
   for_floats(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    FocalBackward<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), data<F const>(g), summed,
-                                  data<T>(grad_x)};
+    FocalBackward<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), data_of<F const>(g), summed,
+                                  data_of<T>(grad_x)};
     KV_RUN(focal_backward, pred, params, x.all_pieces(), x.cost());
   });
   return grad_x;

@@ -5,23 +5,19 @@
 namespace kv {
 namespace {
 
-ScalarType computed(Tensor const& x) {
-  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
 Tensor total_variation(Tensor const& input, double along_y, double along_x) {
   constexpr char const* op = "total_variation";
   check_images(op, "input", input);
   Tensor const x = conform(input, Layout::planar);
   int64_t const height = x.size(2), width = x.size(3);
-  Tensor const sums = empty({x.size(0), x.size(1)}, x, Layout::planar, computed(x));
+  Tensor const sums = empty({x.size(0), x.size(1)}, x, Layout::planar, computed_type(x));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     int64_t const columns = kVariationColumns<T>, rows = kVariationRows;
     int64_t const pieces = (height + rows - 1) / rows * ((width + columns - 1) / columns);
 #if defined(KV_CUDA)
-    Tensor const partial = empty({x.size(0), x.size(1), pieces}, x, Layout::planar, computed(x));
+    Tensor const partial = empty({x.size(0), x.size(1), pieces}, x, Layout::planar, computed_type(x));
 #else
     Tensor const& partial = sums;  // not used
 #endif
@@ -37,7 +33,7 @@ Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double 
   constexpr char const* op = "total_variation_backward";
   check_images(op, "input", input);
   KV_CHECK(grad.dim() == 2 && grad.size(0) == input.size(0) && grad.size(1) == input.size(1) &&
-               grad.scalar_type() == computed(input) && grad.device() == input.device(),
+               grad.scalar_type() == computed_type(input) && grad.device() == input.device(),
            op, ": expected grad to be that of the sums");
   Tensor const x = conform(input, Layout::planar), g = dense(grad), grad_x = empty_like(x, Layout::planar);
   for_floats(op, x, [&](auto type) {

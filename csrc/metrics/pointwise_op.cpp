@@ -13,21 +13,17 @@ PointLoss kind_of(char const* op, std::string const& name) {
   return PointLoss(kind);
 }
 
-ScalarType computed(Tensor const& x) {
-  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
-template <class T>
-T* data(Tensor const& x) {
-  return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
-}
-
 // Of contiguous tensors.
 template <class T>
 Pair<T> pair_of(Tensor const& x, Tensor const& y, int64_t rows, PointLoss kind) {
   int64_t const size = x.size(1);
-  return {
-      data<T const>(x), data<T const>(y), x.size(0) == rows ? size : 0, y.size(0) == rows ? size : 0, rows, size, kind};
+  return {data_of<T const>(x),
+          data_of<T const>(y),
+          x.size(0) == rows ? size : 0,
+          y.size(0) == rows ? size : 0,
+          rows,
+          size,
+          kind};
 }
 
 // Of as many results as `like` has rows.
@@ -42,7 +38,7 @@ int64_t check_pair(char const* op, Tensor const& x, Tensor const& y, Tensor cons
 }
 
 void check_of_sums(char const* op, char const* name, Tensor const& g, Tensor const& x, int64_t rows) {
-  KV_CHECK(g.dim() == 1 && g.size(0) == rows && g.scalar_type() == computed(x) && g.device() == x.device(), op,
+  KV_CHECK(g.dim() == 1 && g.size(0) == rows && g.scalar_type() == computed_type(x) && g.device() == x.device(), op,
            ": expected ", name, " to be that of the sums");
 }
 
@@ -60,7 +56,7 @@ Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string cons
   Tensor const x = dense(input), y = dense(other), loss = empty({rows, x.size(1)}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)), nullptr, nullptr, nullptr, {}, false, data<T>(loss)});
+    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)), nullptr, nullptr, nullptr, {}, false, data_of<T>(loss)});
   });
   return loss;
 }
@@ -76,9 +72,13 @@ Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor c
   Tensor const x = dense(input), y = dense(other), g = dense(grad), grad_x = empty({rows, x.size(1)}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    run_map<T>(
-        x,
-        {pair_of<T>(x, y, rows, kind_of(op, kind)), data<T const>(g), nullptr, nullptr, {}, by_other, data<T>(grad_x)});
+    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)),
+                   data_of<T const>(g),
+                   nullptr,
+                   nullptr,
+                   {},
+                   by_other,
+                   data_of<T>(grad_x)});
   });
   return grad_x;
 }
@@ -89,13 +89,16 @@ Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const
   int64_t const rows = check_pair(op, input, other, input), size = input.size(1);
   Tensor const x = dense(input), y = dense(other);
   int64_t const pieces = max((size + kPointPiece - 1) / kPointPiece, int64_t(1));
-  Tensor const sums = empty({rows}, x, Layout::planar, computed(x));
-  Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed(x));
+  Tensor const sums = empty({rows}, x, Layout::planar, computed_type(x));
+  Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed_type(x));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    PointwiseSum<T> const params{
-        pair_of<T>(x, y, rows, kind_of(op, kind)), pieces, data<F>(partial), {F(factor), F(decibels)}, data<F>(sums)};
+    PointwiseSum<T> const params{pair_of<T>(x, y, rows, kind_of(op, kind)),
+                                 pieces,
+                                 data_of<F>(partial),
+                                 {F(factor), F(decibels)},
+                                 data_of<F>(sums)};
     KV_RUN(pointwise_sum, x, params, rows * pieces, 8 * min(size, kPointPiece));
 #if !defined(KV_CUDA)
     add_pieces(params.partial, rows, pieces, params.finish, params.sums);
@@ -118,11 +121,11 @@ Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor con
     using F = Compute<T>;
     run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)),
                    nullptr,
-                   data<F const>(g),
-                   data<F const>(s),
+                   data_of<F const>(g),
+                   data_of<F const>(s),
                    {F(factor), F(decibels)},
                    by_other,
-                   data<T>(grad_x)});
+                   data_of<T>(grad_x)});
   });
   return grad_x;
 }

@@ -8,9 +8,8 @@ namespace {
 // A structuring element as the kernels read it: (B or 1, height, width), contiguous, in the type that images are
 // computed in.
 Tensor checked(char const* op, char const* name, Tensor const& element, Tensor const& x) {
-  auto const computed = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
   KV_CHECK(element.dim() == 3 && (element.size(0) == 1 || element.size(0) == x.size(0)) &&
-               element.scalar_type() == computed && element.device() == x.device(),
+               element.scalar_type() == computed_type(x) && element.device() == x.device(),
            op, ": expected ", name, " (B or 1, height, width) in the type that images are computed in");
   check_window(op, element.size(1), element.size(2));
   return dense(element);

@@ -148,6 +148,44 @@ inline Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool dist
   return differentiable({depth}, compute, {depth, camera}, gradient)[0];
 }
 
+// For each sample, also where one of the four serves all.
+inline std::tuple<Tensor, Tensor, Tensor, Tensor> reprojection_backward(Tensor const& grad, Tensor const& camera_to,
+                                                                        Tensor const& pose_to,
+                                                                        Tensor const& camera_from,
+                                                                        std::optional<Tensor> const& pose_from,
+                                                                        bool pinhole) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [a, b, c, d] = call<"reprojection_backward", std::tuple<Tensor, Tensor, Tensor, Tensor>>(
+        grad, camera_to, pose_to, camera_from, pose_from, pinhole);
+    return variable_list{a, b, c, d};
+  };
+  variable_list const found = differentiable({grad, camera_to, pose_to, camera_from, pose_from.value_or(Tensor())},
+                                             compute, {}, no_second_derivative("reprojection"));
+  return {found[0], found[1], found[2], found[3]};
+}
+
+// From pixels of a camera (B, 3, 3) at a depth to those of another, as depth_warp takes it; their poses (B, 4, 4) are
+// rigid, from the world. One of each serves a batch. pinhole: of the cameras only focal lengths and principal points
+// are used.
+inline Tensor reprojection(Tensor const& camera_to, Tensor const& pose_to, Tensor const& camera_from,
+                           std::optional<Tensor> const& pose_from = {}, bool pinhole = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"reprojection">(camera_to, pose_to, camera_from, pose_from, pinhole)};
+  };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const& last = b.saved[3];
+    auto const [to_camera_to, to_pose_to, to_camera_from, to_pose_from] = reprojection_backward(
+        b.grads[0], b.saved[0], b.saved[1], b.saved[2], last.defined() ? std::optional(last) : std::nullopt, pinhole);
+    return variable_list{summed_to(to_camera_to, b.saved[0]), summed_to(to_pose_to, b.saved[1]),
+                         summed_to(to_camera_from, b.saved[2]),
+                         last.defined() ? summed_to(to_pose_from, last) : Tensor()};
+  };
+  variable_list const given{camera_to, pose_to, camera_from, pose_from.value_or(Tensor())};
+  return differentiable(given, compute, given, gradient)[0];
+}
+
 inline Tensor depth_warp_image_gradient(Tensor const& grad, Tensor const& depth, Tensor const& projection,
                                         std::vector<int64_t> const& size, std::string const& interpolation,
                                         std::string const& padding, bool align_corners) {

@@ -95,12 +95,16 @@ struct Function : torch::autograd::Function<Function> {
   }
 };
 
+inline bool wants_gradient(variable_list const& tensors) {
+  auto const requires_grad = [](Tensor const& t) { return t.defined() && t.requires_grad(); };
+  return at::GradMode::is_enabled() && std::any_of(tensors.begin(), tensors.end(), requires_grad);
+}
+
 // The results of `compute`, which depends on `tensors`. Backward calls `gradient` with what was `saved`; of tensors,
 // that may hold constants only.
 inline variable_list differentiable(variable_list const& tensors, Compute const& compute, variable_list const& saved,
                                     Gradient const& gradient) {
-  auto const requires_grad = [](Tensor const& t) { return t.defined() && t.requires_grad(); };
-  if (at::GradMode::is_enabled() && std::any_of(tensors.begin(), tensors.end(), requires_grad)) {
+  if (wants_gradient(tensors)) {
     variable_list defined;
     std::vector<int64_t> places;
     for (Tensor const& t : tensors) {

@@ -1,9 +1,13 @@
-"""Argument checks. Every message says operator, argument, expected, got; see CONTRIBUTING.md."""
+"""Argument checks. Every message says operator, argument, expected, got; see CONTRIBUTING.md.
+
+Every call pays for them, so what is right passes by plain loops and few attributes; generators, sets and slices of
+shapes cost as much as the call of a kernel.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
@@ -45,7 +49,7 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a tensor with one axis per entry of `expected`; an int entry fixes the size of its axis."""
     numbers(op, name, x)
     fits = x.dim() == len(expected)
-    for e, n in zip(expected, x.shape):  # no generator: it would take as long as all else
+    for e, n in zip(expected, x.shape):
         fits = fits and (not isinstance(e, int) or e == n)
     if not fits:
         want = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
@@ -59,8 +63,10 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
 def ends(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a tensor whose last axes are `expected`, after any others; an int fixes the size of its axis."""
     numbers(op, name, x)
-    sizes = x.shape[max(0, x.dim() - len(expected)) :]
-    if len(sizes) < len(expected) or any(isinstance(e, int) and e != n for e, n in zip(expected, sizes)):
+    fits = x.dim() >= len(expected)
+    for e, n in zip(reversed(expected), reversed(x.shape)):
+        fits = fits and (not isinstance(e, int) or e == n)
+    if not fits:
         raise ShapeError(
             f"{op}: expected {name} of shape (*, {', '.join(map(str, expected))}), got {tuple(x.shape)}",
             actual_shape=x.shape,
@@ -69,6 +75,8 @@ def ends(op: str, name: str, x: Any, *expected: str | int) -> None:
 
 def broadcastable(op: str, **shapes: Sequence[int]) -> None:
     """Raise ShapeError unless the named leading shapes can be broadcast together."""
+    if _are_equal(shapes.values()):
+        return
     longest = max(map(len, shapes.values()))
     for axis in range(1, longest + 1):
         sizes = [shape[-axis] for shape in shapes.values() if axis <= len(shape) and shape[-axis] != 1]
@@ -82,9 +90,9 @@ def images(op: str, name: str, x: Any) -> None:
     numbers(op, name, x)
     if x.dim() != 4:
         raise ShapeError(f"{op}: expected {name} of shape (B, C, H, W), got {tuple(x.shape)}", actual_shape=x.shape)
-    _, _, h, w = x.shape
-    if h == 0 or w == 0:
-        raise ShapeError(f"{op}: expected {name} with H, W of at least 1, got {tuple(x.shape)}", actual_shape=x.shape)
+    sizes = x.shape
+    if sizes[2] == 0 or sizes[3] == 0:
+        raise ShapeError(f"{op}: expected {name} with H, W of at least 1, got {tuple(sizes)}", actual_shape=sizes)
 
 
 def channels(op: str, name: str, x: Any, count: int, error: type[Exception] = ShapeError) -> None:
@@ -124,10 +132,14 @@ def floating_ends(op: str, name: str, x: Any, *expected: str | int) -> None:
 
 def same_device(op: str, **tensors: Tensor) -> None:
     """Raise DeviceError unless all the named tensors are on one device."""
-    devices = [x.device for x in tensors.values()]
-    if devices and devices.count(devices[0]) < len(devices):
-        got = ", ".join(f"{name} on {device}" for name, device in zip(tensors, devices))
-        raise DeviceError(f"{op}: expected all tensors on one device, got {got}", actual_devices=devices)
+    first = None
+    for x in tensors.values():
+        if first is None:
+            first = x.device
+        elif x.device != first:
+            devices = [x.device for x in tensors.values()]
+            got = ", ".join(f"{name} on {device}" for name, device in zip(tensors, devices))
+            raise DeviceError(f"{op}: expected all tensors on one device, got {got}", actual_devices=devices)
 
 
 def choice(op: str, name: str, value: Any, options: Sequence[Any]) -> None:
@@ -155,9 +167,19 @@ def reduction(op: str, value: Any, options: Sequence[str] = ("none", "mean", "su
 def same_shape(op: str, **tensors: Tensor) -> None:
     """Raise ShapeError unless all the named tensors have the same shape."""
     shapes = [x.shape for x in tensors.values()]
-    if any(shape != shapes[0] for shape in shapes):
+    if not _are_equal(shapes):
         got = ", ".join(f"{name} {tuple(shape)}" for name, shape in zip(tensors, shapes))
         raise ShapeError(f"{op}: expected tensors of one shape, got {got}", actual_shape=shapes)
+
+
+def _are_equal(shapes: Iterable[Sequence[int]]) -> bool:
+    first = None
+    for sizes in shapes:
+        if first is None:
+            first = sizes
+        elif sizes != first:
+            return False
+    return True
 
 
 def border(op: str, border_type: Any) -> None:
@@ -195,7 +217,7 @@ def reflectable(op: str, x: Tensor, pads: Sequence[int], border_type: str) -> No
     if border_type not in ("reflect", "circular"):
         return
     spare = 0 if border_type == "circular" else 1
-    for pad, size in zip(pads, x.shape[x.dim() - len(pads) :]):
+    for pad, size in zip(reversed(pads), reversed(x.shape)):
         if pad > size - spare:
             raise ShapeError(
                 f"{op}: expected input larger than its '{border_type}' border of {pad} pixels, got {tuple(x.shape)}; "
@@ -216,17 +238,21 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[
     """
     largest = LARGEST_INT if count == 1 else LARGEST_WINDOW
     given = (value,) * count if type(value) is int else value
+    fits = isinstance(given, (tuple, list)) and len(given) == count
+    if fits:
+        for n in given:
+            fits = fits and type(n) is int and minimum <= n <= largest
+    if fits:
+        return tuple(given)
     if not isinstance(given, (tuple, list)) or set(map(type, given)) != {int}:
         raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
     if len(given) != count or min(given) < minimum:
         raise ValueCheckError(
             f"{op}: expected {name} to be {_ints(count)} of at least {minimum}, got {value!r}", actual_value=value
         )
-    if max(given) > largest:
-        raise ValueCheckError(
-            f"{op}: expected {name} to be {_ints(count)} of at most {largest}, got {value!r}", actual_value=value
-        )
-    return tuple(given)
+    raise ValueCheckError(
+        f"{op}: expected {name} to be {_ints(count)} of at most {largest}, got {value!r}", actual_value=value
+    )
 
 
 def _ints(count: int) -> str:
@@ -235,5 +261,6 @@ def _ints(count: int) -> str:
 
 def odd(op: str, name: str, sizes: Sequence[int]) -> None:
     """Raise ValueCheckError unless all `sizes` are odd."""
-    if any(n % 2 == 0 for n in sizes):
-        raise ValueCheckError(f"{op}: expected {name} to be odd, got {tuple(sizes)}", actual_value=tuple(sizes))
+    for n in sizes:
+        if n % 2 == 0:
+            raise ValueCheckError(f"{op}: expected {name} to be odd, got {tuple(sizes)}", actual_value=tuple(sizes))

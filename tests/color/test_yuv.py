@@ -9,7 +9,7 @@ import torch
 
 import kvision as K
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError
-from op_tests import assert_close
+from op_tests import OpTests, assert_close
 
 C = K.color
 SPLITS = [(C.rgb_to_yuv420, C.yuv420_to_rgb, C.RgbToYuv420, C.Yuv420ToRgb, 2)]
@@ -59,21 +59,37 @@ def test_planes(split, join, splitter, joiner, rows, device):
     assert_close(join(*split(flat)), flat)
 
 
+class TestSharedChroma(OpTests):
+    """Splitting and joining are each other's gradient."""
+
+    function = staticmethod(lambda input, rows: {1: C.rgb_to_yuv422, 2: C.rgb_to_yuv420}[rows](input))
+    operators = ("split_chroma", "join_chroma")
+    variants = [{"rows": 1}, {"rows": 2}]
+    channels = 3
+    shape = (2, 3, 14, 18)
+    small = (1, 3, 2, 4)
+    max_size = 20
+
+    def input(self, shape, dtype, device):
+        """Of even height and width."""
+        return super().input((*shape[:-2], *(n + n % 2 for n in shape[-2:])), dtype, device)
+
+    test_nan_stays_in_its_window = None  # of two channels
+
+    def test_wrong_kinds(self, variant, device):
+        """test_errors below; any number of leading axes is right."""
+
+
 @pytest.mark.parametrize("split, join, splitter, joiner, rows", SPLITS)
-def test_derivatives_types_and_transforms(split, join, splitter, joiner, rows, device):
-    x = torch.rand(1, 3, 2, 4, dtype=torch.float64, device=device, requires_grad=True)
-    planes = [p.detach().requires_grad_() for p in split(x)]
-    for f, inputs in ((split, (x,)), (join, planes)):
-        assert torch.autograd.gradcheck(f, inputs) and torch.autograd.gradgradcheck(f, inputs)
-    stack = torch.rand(3, 2, 3, 4, 4, device=device)
-    mapped = torch.func.vmap(split)(stack)
-    assert_close(mapped, split(stack))
-    assert_close(torch.func.vmap(join)(*mapped), join(*mapped))
-    half = stack[0].half()
-    assert [p.dtype for p in split(half)] == [torch.float16] * 2
-    assert_close(split(half), tuple(p.half() for p in split(half.float())))
-    assert join(*split(half)).dtype == torch.float16
-    assert [p.numel() for p in split(stack[:0])] == [0, 0]
+def test_joining(split, join, splitter, joiner, rows, device):
+    x = torch.rand(1, 3, 2, 4, dtype=torch.float64, device=device)
+    planes = [p.requires_grad_() for p in split(x)]
+    assert torch.autograd.gradcheck(join, planes) and torch.autograd.gradgradcheck(join, planes)
+    stack = torch.rand(3, 2, 3, 4, 6, device=device)
+    planes = split(stack)
+    assert_close(torch.func.vmap(join)(*planes), join(*planes))
+    y, uv = (p.half() for p in planes)
+    assert_close(join(y, uv), join(y.float(), uv.float()).half())
     assert join(*split(stack[..., :0])).shape == (3, 2, 3, 4, 0)
 
 

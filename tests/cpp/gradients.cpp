@@ -99,6 +99,9 @@ int main() {
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
   check("total_variation", [](auto const& t) { return kvision::total_variation(t[0], 0.5, 2); }, {x}, false);
+  check(
+      "smoothness", [](auto const& t) { return kvision::smoothness(t[0], t[1], 0.5, 2); }, {x.slice(1, 1), x * 2},
+      false);
   Tensor const matrix = torch::tensor({0.93, 0.21, 0.4, -0.17, 1.04, 0.3, 0.013, -0.011, 1.0}).view({1, 3, 3});
   Tensor const map = torch::rand({2, 3, 4}) * 0.8 + torch::randint(0, 5, {2, 3, 4}) + 0.1;
   for (auto const* interpolation : {"bilinear", "bicubic"}) {
@@ -151,6 +154,9 @@ int main() {
   Tensor const projection = torch::cat({matrix, torch::tensor({0.11, -0.07, 0.03}).view({1, 3, 1})}, 2);
   check(
       "depth_warp", [](auto const& t) { return kvision::depth_warp(t[0], t[1], t[2]); }, {x, depth, projection}, false);
+  check(
+      "reprojection", [](auto const& t) { return kvision::reprojection(t[0], t[1], t[2], t[3], true); },
+      {matrix + 1, torch::rand({2, 4, 4}), matrix + 2, torch::rand({1, 4, 4})}, false);
   Tensor const seen = torch::rand({2, 2, 3, 7, 6}, torch::kDouble), target = torch::rand({2, 3, 5, 4}, torch::kDouble);
   check(
       "photometric_depth",
@@ -230,6 +236,15 @@ int main() {
   check("rgb_to_grayscale", [](auto const& t) { return kvision::rgb_to_grayscale(t[0]); }, {colors}, false);
   Tensor const luma = kvision::rgb_to_ycbcr(colors).slice(1, 0, 1);
   if (!torch::allclose(kvision::rgb_to_grayscale(colors), luma) && ++failures) std::cout << "grey is not luma\n";
+  std::vector<double> const mix{0.3, 0.6, 0.1, -0.1, -0.3, 0.4, 0.6, -0.5, -0.1};
+  check("split_chroma",
+        [&](auto const& t) {
+          auto const [luma, chroma] = kvision::split_chroma(t[0], 2, mix);
+          return kvision::join_chroma(luma.square(), chroma.square(), 2, mix);
+        },
+        {torch::rand({2, 3, 4, 6})});
+  check("mix", [](auto const& t) { return kvision::mix(t[0], t[1], t[2], {}, t[3], 0, 0.3, 0); },
+        {x, torch::rand_like(x), torch::rand({2, 1, 1}), torch::rand({1, 2, 1})});
   check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], "GB"); }, {torch::rand({2, 1, 4, 6})}, true);
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};
@@ -265,12 +280,29 @@ int main() {
           torch::tensor({{1.f, 2.f}}));
   Tensor const lens = torch::tensor({2.f, 0.f, 0.f, 0.f, 2.f, 0.f, 0.f, 0.f, 1.f}).view({1, 3, 3});
   Tensor const wanted = torch::tensor({4.f, 0.f, 1.f, 0.f, 4.f, 1.f, 0.f, 0.f, 1.f}).view({1, 3, 3});
-  without("undistort", kvision::undistort(places, lens, wanted, torch::zeros({1, 4})), 2 * from + 1);
+  auto const same = [](std::string const& name, Tensor const& found, Tensor const& expected) {
+    if (!torch::allclose(found, expected, 1e-4, 1e-5) && ++failures) std::cout << name << ": " << found << "\n";
+  };
+  same("undistort", kvision::undistort(from, lens, wanted, torch::zeros({1, 4})), 2 * from + 1);
+  Tensor const terms = 0.1 * torch::rand({2, 12}), tilt = eye + 0.1 * torch::rand({1, 3, 3});
+  same("undistort of variables", kvision::undistort(places, lens, wanted, terms, tilt).detach(),
+       kvision::undistort(from, lens, wanted, terms, tilt));
+  auto const undistort = [](auto const& t) { return kvision::undistort(t[0], t[1], t[2], t[3], t[4], 3); };
+  check("undistort", undistort, {from, lens.repeat({2, 1, 1}), wanted, terms, tilt});
+  Tensor const shown = kvision::distort(from, lens, lens, terms);
+  same("distort and back", kvision::undistort(shown, lens, lens, terms, {}, 60), from);
+  same("distort of variables", kvision::distort(places, lens, lens, terms).detach(), shown);
+  auto const distort = [](auto const& t) { return kvision::distort(t[0], t[1], t[2], t[3], t[4]); };
+  check("distort", distort, {from, lens.repeat({2, 1, 1}), wanted, terms, tilt});
   Tensor const still = torch::eye(3, 4).expand({2, 3, 4}),
                moved = torch::cat({still.narrow(2, 0, 3), still.narrow(2, 0, 1)}, 2);
-  Tensor const shift = torch::tensor({0.5f, 0.f});
-  without("triangulate", kvision::triangulate(places, from + shift, still, moved),
-          torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2));
+  Tensor const shift = torch::tensor({0.5f, 0.f}), space = torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2);
+  same("triangulate", kvision::triangulate(from, from + shift, still, moved), space);
+  same("triangulate of variables", kvision::triangulate(places, from + shift, still, moved).detach(), space);
+  Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
+  same("eigenvectors", std::get<0>(kvision::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
+  auto const triangulate = [](auto const& t) { return kvision::triangulate(t[0], t[1], t[2], t[3]); };
+  check("triangulate", triangulate, {from, from + shift, still, moved}, false);
   without("minimal", kvision::minimal(places.slice(1, 0, 3), from.slice(1, 0, 3), {}, "affine"),
           eye.expand({2, 1, 3, 3}));
   Tensor const agree = kvision::consensus(eye, from[0].t(), from[0].t(), 0.1, "homography");

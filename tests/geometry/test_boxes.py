@@ -58,6 +58,53 @@ class TestBoxes(CompositionTests):
     compiled = ("filtered", "mask")
 
 
+def every_form(boxes: Tensor, pads: Tensor, M: Tensor) -> list[Tensor]:
+    """Of Boxes and VideoBoxes."""
+    found = []
+    for mode in MODES:
+        found.append(G.Boxes.from_tensor(G.Boxes(boxes).to_tensor(mode), mode, validate_boxes=False).to_tensor(mode))
+        found.append(G.VideoBoxes.from_tensor(boxes[:, None], False).to_tensor(mode))
+    there = G.Boxes(boxes).transform_boxes(M).pad(pads).unpad(pads).translate(pads[:, :2])
+    kept = there.clamp(pads[:, :2], (9, 9)).merge(there).filter_boxes_by_area(1.0, 9.0).trim(True)
+    there[:1] = there[1:]
+    for some in (there, kept, kept.clone()[0], there.to(dtype=torch.float32)):
+        found += [some.data, some.compute_area(), *some.get_boxes_shape()]
+    return [*found, there.to_mask(7, 8)]
+
+
+def every_form3d(boxes: Tensor, points: Tensor, M: Tensor) -> list[Tensor]:
+    """Of Boxes3D and Keypoints."""
+    found = []
+    for mode in MODES3D:
+        there = G.Boxes3D.from_tensor(G.Boxes3D(boxes).to_tensor(mode), mode, validate_boxes=False).transform_boxes(M)
+        found += [there.to_tensor(mode), *there.get_boxes_shape()]
+    for kind, pads, matrix in ((G.Keypoints, M[:, 0], M[:, 1:, 1:]), (G.Keypoints3D, M.flatten(1)[:, :6], None)):
+        there = kind.from_tensor(points[..., : pads.shape[1] // 2]).pad(pads).unpad(pads)
+        found += [there[0].data, (there if matrix is None else there.transform_keypoints(matrix)).to_tensor()]
+    return [*found, G.Boxes3D(boxes).to_mask(3, 4, 5)]
+
+
+def test_all_of_it_compiles_without_a_break(device):
+    corners = G.Boxes.from_tensor(xyxy(2, 5)).data.to(device)
+    corners3d = G.Boxes3D.from_tensor(xyxy(2, 5, axes=3)).data.to(device)
+    calls = (every_form, corners, rand(2, 4), rigid(2)), (every_form3d, corners3d, rand(2, 5, 3), rigid(2, 3))
+    for call, *args in calls:
+        values = [v.to(device) for v in args]
+        for found, expected in zip(torch.compile(call, fullgraph=True, backend="eager")(*values), call(*values)):
+            assert_close(found, expected)
+
+
+def test_containers_go_into_and_come_out_of_compiled_functions(device):
+    M = rigid(2).to(device)
+    boxes, points = G.Boxes.from_tensor(xyxy(2, 5).to(device)), G.Keypoints(rand(2, 5, 2).to(device))
+    moved = torch.compile(
+        lambda b, k: (b.transform_boxes(M), k.transform_keypoints(M)), fullgraph=True, backend="eager"
+    )
+    for found, expected in zip(moved(boxes, points), (boxes.transform_boxes(M), points.transform_keypoints(M))):
+        assert type(found) is type(expected)
+        assert_close(found.data, expected.data)
+
+
 @pytest.fixture(scope="module")
 def theirs():
     """Kornia's functions and classes of boxes."""

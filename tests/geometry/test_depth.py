@@ -41,16 +41,7 @@ def projection(x: Tensor) -> Tensor:
     return torch.cat([k @ m[:, :3, :3] @ torch.linalg.inv(k), k @ m[:, :3, 3:]], 2)
 
 
-class FirstVariant:
-    """What takes long and is the same for every variant."""
-
-    def test_opcheck(self, variant, device, backend):
-        if variant is not self.variants[0]:
-            pytest.skip("the operators are those of the first variant")
-        super().test_opcheck(variant, device, backend)
-
-
-class Points(FirstVariant, OpTests):
+class Points(OpTests):
     channels = 1
     shape = (2, 1, 13, 18)
     small = (1, 1, 4, 5)
@@ -89,10 +80,12 @@ class TestDepthToNormals(TestDepthTo3d):
     tolerances = {torch.float32: (1e-4, 2e-5), torch.float16: (2e-3, 4e-3), torch.bfloat16: (1.6e-2, 4e-2)}
 
 
-class TestWarpFrameDepth(FirstVariant, WarpTests):
+class TestWarpFrameDepth(WarpTests):
     function = staticmethod(G.warp_frame_depth)
     small = (1, 1, 4, 4)
-    operators = ("depth_warp", "depth_warp_image_gradient", "depth_warp_slopes")
+    operators = tuple(
+        "depth_warp depth_warp_image_gradient depth_warp_slopes reprojection reprojection_backward".split()
+    )
     bytes = False
     max_size = 7
     tolerances = {**FLOAT_PLACES, torch.float32: (5e-5, 5e-5)}
@@ -160,7 +153,7 @@ def target(x: Tensor) -> Tensor:
     return (rows[:, None] * torch.linspace(1, 1.3, x.shape[3], dtype=torch.float64)).expand(*x.shape[:3], -1).clone()
 
 
-class TestPhotometricDepth(FirstVariant, WarpTests):
+class TestPhotometricDepth(WarpTests):
     operators = ("photometric_depth", "depth_warp", "depth_warp_image_gradient")
     bytes = False
     max_size = 7
@@ -256,6 +249,14 @@ def test_flat_depth_has_finite_normals(device):
     assert d.grad.isfinite().all()
     with pytest.raises(ValueError, match=r"depth_to_normals: expected depth with H, W of at least 2"):
         G.depth_to_normals(d[..., :1], torch.eye(3, device=device)[None])
+
+
+def test_one_camera_may_be_expanded(device):
+    d = 1 + torch.rand(3, 1, 5, 6, device=device)
+    k = camera(d[:1]).float().to(device)
+    for call in (G.depth_to_3d, G.depth_to_normals):
+        assert_close(call(d, k.expand(3, -1, -1)), call(d, k), 0, 0)
+        assert_close(call(d, k.mT.contiguous().mT), call(d, k), 0, 0)
 
 
 def test_normals_of_a_plane_are_its_normal(device):

@@ -6,9 +6,11 @@ import cv2
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
 from composition_tests import Case, CompositionTests, on
+from kvision.geometry.solvers.null_vector import _eigenvectors
 from op_tests import assert_close
 from view_tests import CAMERA, LENS, Scene, on_planes, rand
 
@@ -28,6 +30,16 @@ def points(x: Tensor, base: Tensor) -> Tensor:
 
 def camera(x: Tensor) -> Tensor:
     return on(x.device, CAMERA).to(x.dtype).expand(len(x), 3, 3)
+
+
+class NoSolvers(TorchDispatchMode):
+    """An error for what torch asks a library of linear algebra for: on a GPU it waits, and no graph can be captured."""
+
+    def __torch_dispatch__(self, call, types, args=(), kwargs=None):
+        name = call.name().removeprefix("aten::").lstrip("_")
+        elementwise = name.startswith(("linalg_vector_norm", "linalg_cross"))
+        assert elementwise or not name.startswith(("linalg_", "lu_", "cholesky", "triangular_solve", "ormqr")), name
+        return call(*args, **(kwargs or {}))
 
 
 class TestViews(CompositionTests):
@@ -82,6 +94,37 @@ class TestViews(CompositionTests):
         expected = case.call(*values)
         with torch.autocast(device.type, dtype=torch.bfloat16):
             assert_close(case.call(*values), expected, 1e-5, 1e-5)
+
+    def derivatives(self, case: Case, values: list[Tensor]) -> list[Tensor]:
+        """The result, gradients, and gradients of a norm of these."""
+        leaves = [v.detach().requires_grad_() for v in values]
+        output = case.call(*leaves)
+        first = torch.autograd.grad(output.nan_to_num(0.0).square().sum(), leaves, create_graph=True, allow_unused=True)
+        total = sum(g.square().sum() for g in first if g is not None)
+        second = torch.autograd.grad(total, leaves, allow_unused=True)
+        return [x.detach() for x in (output, *first, *second) if x is not None]
+
+    def test_no_solver_is_called(self, case, device, backend):
+        if backend == "reference":
+            pytest.skip("the reference may")
+        with NoSolvers():
+            self.derivatives(case, self.values(case, device))
+
+    def test_cuda_graph_of_derivatives(self, case, device):
+        if device.type != "cuda":
+            pytest.skip("needs --device cuda")
+        values = self.values(case, device)
+        with torch.cuda.stream(torch.cuda.Stream()):
+            self.derivatives(case, values)
+        torch.cuda.synchronize()
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            captured = self.derivatives(case, values)
+        for v, new in zip(values, self.values(case, device)):
+            v.copy_(new)
+        graph.replay()
+        for found, expected in zip(captured, self.derivatives(case, values)):
+            assert_close(found, expected, 1e-6, 1e-6)
 
 
 # --- values at the rim ------------------------------------------------------------------------------------------------
@@ -180,6 +223,17 @@ def test_polynomials_without_roots(device):
     coeffs = torch.tensor([[1.0, 0, 1], [0, 0, 1], [0, 0, 0]], device=device)
     assert (finite_gradients(G.solve_quadratic, coeffs) == 0).all()
     assert (finite_gradients(G.solve_quartic, torch.nn.functional.pad(coeffs, (1, 1))[:1]) == 0).all()
+
+
+@pytest.mark.parametrize("n", [3, 4, 9, 12])
+def test_eigenvectors(n, device):
+    """Also of matrices that have no more than one eigenvalue, or two."""
+    matrix = torch.stack([M @ M.mT for M in rand(6, n, n, seed=n)]).to(device)
+    matrix[:3] = torch.stack([0 * matrix[0], torch.eye(n, device=device).double(), torch.ones_like(matrix[0])])
+    values, vectors = _eigenvectors(matrix)
+    assert_close(values, torch.linalg.eigvalsh(matrix.cpu()).to(device), 1e-12, 1e-12)
+    assert_close(matrix @ vectors, vectors * values[:, None], 1e-12, 1e-12)
+    assert_close(vectors.mT @ vectors, torch.eye(n, device=device).double().expand_as(matrix), 1e-12, 1e-12)
 
 
 # --- types and registration -------------------------------------------------------------------------------------------

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import torch.nn.functional as F
+from collections.abc import Sequence
+
+import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import floats
 from kvision._leading import flat, on_batch
-from kvision.color.gray import weighted_sum
-from kvision.color.matrix import affine, inverse
+from kvision._ops import register
+from kvision.color.matrix import Matrix, affine, inverse, mixed
 from kvision.core.exceptions import ShapeError
 
 YUV_FROM_RGB = (
@@ -24,19 +26,64 @@ _rgb_to_yuv = affine(YUV_FROM_RGB)
 _yuv_to_rgb = affine(RGB_FROM_YUV)
 
 
+# --- chroma that cells of one or two rows of two pixels share ---------------------------------------------------------
+
+
+def _split(x: Tensor, rows: int, numbers: Sequence[float]) -> tuple[Tensor, Tensor]:
+    """Luma of pixels and chroma of the sums of cells, by the three rows of a matrix."""
+    y = mixed(x, _matrix(numbers))
+    return y[:, :1], y[:, 1:].unflatten(2, (-1, rows)).unflatten(4, (-1, 2)).sum((3, 5))
+
+
+def _join(luma: Tensor, chroma: Tensor, rows: int, numbers: Sequence[float]) -> Tensor:
+    """Colours of luma and of the chroma of the cell, by the three rows of a matrix."""
+    whole = chroma.repeat_interleave(rows, 2).repeat_interleave(2, 3).expand(luma.shape[0], -1, -1, -1)
+    return mixed(torch.cat([luma, whole], 1), _matrix(numbers))
+
+
+def _matrix(numbers: Sequence[float]) -> Matrix:
+    a, b, c, d, e, f, g, h, i = numbers
+    return (a, b, c), (d, e, f), (g, h, i)
+
+
+def _transposed(numbers: Sequence[float]) -> list[float]:
+    return [numbers[3 * j + i] for i in range(3) for j in range(3)]
+
+
+def _fake_split(x: Tensor, rows: int, numbers: Sequence[float]) -> list[Tensor]:
+    b, _, h, w = x.shape
+    return [x.new_empty((b, 1, h, w)), x.new_empty((b, 2, h // rows, w // 2))]
+
+
+def _backward_of_split(needs, luma, chroma, x, rows, numbers):
+    return [_join_chroma(luma, chroma, rows, _transposed(numbers))]
+
+
+def _backward_of_join(needs, grad, luma, chroma, rows, numbers):
+    of_luma, of_chroma = _split_chroma(grad, rows, _transposed(numbers))
+    return of_luma, of_chroma.sum_to_size(chroma.shape)
+
+
+_split_chroma = register("split_chroma", _split, fake=_fake_split, backward=_backward_of_split, linear=True)
+_join_chroma = register(
+    "join_chroma",
+    _join,
+    fake=lambda luma, *_: luma.new_empty((luma.shape[0], 3, *luma.shape[2:])),
+    backward=_backward_of_join,
+)
+# The chroma of means is the mean of the chroma.
+_SPLITS = {rows: [w / n for n, row in zip((1, 2 * rows, 2 * rows), YUV_FROM_RGB) for w in row] for rows in (1, 2)}
+_JOINS = [w for row in RGB_FROM_YUV for w in row]
+
+
 def _subsampled(x: Tensor, rows: int) -> tuple[Tensor, Tensor]:
-    """Luma, and the chroma of the mean of cells of rows x 2 pixels, which is the mean of the chroma."""
-    wide = x.to(compute_dtype(x))
-    means = F.avg_pool2d(wide, (rows, 2)) if x.shape[2:].numel() else wide[..., ::rows, ::2]
-    return weighted_sum(x, *YUV_FROM_RGB[0]), _rgb_to_yuv(means)[:, 1:].to(x.dtype).contiguous()
+    split = _split_chroma if x.shape[2:].numel() else _split_chroma.reference  # kernels take no images without pixels
+    return split(x, rows, _SPLITS[rows])
 
 
 def _upsampled(luma: Tensor, chroma: Tensor, rows: int) -> Tensor:
-    """RGB, with the chroma repeated over its cell: what it adds to luma, whose factor is 1 in each of the channels."""
-    b, _, h, w = luma.shape
-    added = _yuv_to_rgb(F.pad(chroma.to(compute_dtype(luma)), (0, 0, 0, 0, 1, 0)))
-    cells = luma.reshape(b, 1, h // rows, rows, w // 2, 2)
-    return (cells + added[:, :, :, None, :, None]).reshape(b, 3, h, w).to(luma.dtype)
+    join = _join_chroma if luma.shape[2:].numel() else _join_chroma.reference
+    return join(luma, chroma.to(luma.dtype), rows, _JOINS)
 
 
 def rgb_to_yuv(image: Tensor) -> Tensor:
@@ -144,7 +191,7 @@ def yuv420_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
 
     Args:
         imagey: y (*, 1, H, W) in [0, 1], H and W even.
-        imageuv: uv (*, 2, H / 2, W / 2), in the ranges of :func:`rgb_to_yuv`.
+        imageuv: uv (*, 2, H / 2, W / 2), in the ranges of :func:`rgb_to_yuv`; taken in the type of imagey.
 
     Returns:
         RGB images (*, 3, H, W) in the type of imagey, not clamped.
@@ -169,7 +216,7 @@ def yuv422_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
 
     Args:
         imagey: y (*, 1, H, W) in [0, 1], W even.
-        imageuv: uv (*, 2, H, W / 2), in the ranges of :func:`rgb_to_yuv`.
+        imageuv: uv (*, 2, H, W / 2), in the ranges of :func:`rgb_to_yuv`; taken in the type of imagey.
 
     Returns:
         RGB images (*, 3, H, W) in the type of imagey, not clamped.

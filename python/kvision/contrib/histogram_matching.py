@@ -82,10 +82,15 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
         return source.to(stored)
     wide = compute_dtype(source)
     values = template.flatten().to(wide).sort().values
-    places = torch.cat([values.new_zeros(1), _ranks(values.detach(), values.detach(), wide)])
-    ranks = _ranks(source.detach().flatten().to(wide).sort().values, source.detach().to(wide), wide)
-    return interp(ranks, places, torch.cat([values[:1], values])).to(stored)
+    places = torch.cat([values.new_zeros(1), _ranks(values.detach())])
+    ordered, order = source.detach().flatten().to(wide).sort()
+    matched = interp(_ranks(ordered), places, torch.cat([values[:1], values]))
+    return torch.empty_like(matched).scatter(0, order, matched).view(source.shape).to(stored)
 
 
-def _ranks(ordered: Tensor, x: Tensor, dtype: torch.dtype) -> Tensor:
-    return torch.searchsorted(ordered, x.contiguous(), right=True).to(dtype) / ordered.numel()
+def _ranks(ordered: Tensor) -> Tensor:
+    """Of each of these increasing values the share of those up to it: up to the last one that equals it."""
+    n = ordered.numel()
+    last = torch.arange(1, n + 1, device=ordered.device)
+    last[:-1].masked_fill_(ordered[1:] == ordered[:-1], n)
+    return last.flip(0).cummin(0).values.flip(0).to(ordered.dtype) / n

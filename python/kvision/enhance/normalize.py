@@ -126,8 +126,7 @@ def _statistic(op: str, name: str, value: float | Tensor, data: Tensor) -> float
     if not isinstance(value, Tensor):
         return _check.number(op, name, value)
     _check.numbers(op, name, value)
-    if value.device != data.device:
-        _check.same_device(op, data=data, **{name: value})
+    _check.same_device(op, data=data, **{name: value})
     axes, count = value.dim(), value.numel()
     if axes <= 1 and (count == 1 or (data.dim() > 1 and count == data.shape[1])):
         return value.reshape(1, 1, count)

@@ -193,8 +193,7 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
         )
     if 0 in sizes[1:]:
         raise ShapeError(f"{op}: expected a kernel with at least one tap, got {tuple(sizes)}")
-    if x.device != kernel.device:
-        _check.same_device(op, input=x, kernel=kernel)
+    _check.same_device(op, input=x, kernel=kernel)
     _check.flag(op, "normalized", normalized)
     _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
     dtype = compute_dtype(x)

@@ -218,10 +218,14 @@ def sigmas(op: str, name: str, value: object, count: int, *, zero: bool = False)
         _check.shape(op, name, value, "B", count)
         return value
     numbers = (value,) * count if isinstance(value, (int, float)) else value
-    if not isinstance(numbers, (tuple, list)) or not all(isinstance(v, (int, float)) for v in numbers):
+    if not isinstance(numbers, (tuple, list)):
         raise TypeCheckError(_refused(op, name, value, count, zero), actual_type=type(value))
-    in_range = all((v > 0 or (zero and v == 0)) and _check.fits_float(v) for v in numbers)  # also refuses NaN
-    if len(numbers) != count or not in_range:
+    fits = len(numbers) == count
+    for v in numbers:
+        if not isinstance(v, (int, float)):
+            raise TypeCheckError(_refused(op, name, value, count, zero), actual_type=type(value))
+        fits = fits and (v > 0 or (zero and v == 0)) and _check.fits_float(v)  # also refuses NaN
+    if not fits:
         raise ValueCheckError(_refused(op, name, value, count, zero), actual_value=value)
     return tuple(map(float, numbers))
 

@@ -134,8 +134,8 @@ def five_points(points1: Tensor, points2: Tensor) -> Tensor:
     # The first ten monomials, of which each equation keeps one: x^2 z, x^2, y^2 z, y^2, xyz, xy are the last of them.
     equations = _constraints(E)
     left, right = equations[..., :10], equations[..., 10:]
-    solved, info = torch.linalg.solve_ex(left, right)
-    known = known & (info == 0)[:, None] & solved.isfinite().flatten(1).all(-1)[:, None]
+    solved = _solved(left, right)
+    known = known & solved.isfinite().flatten(1).all(-1)[:, None]
     solved = torch.where(known[..., None], solved, 0)
     # Those with z less z times those without leave three equations in x, y and 1, whose coefficients are polynomials.
     top, bottom = (rows.split([3, 3, 4], -1) for rows in (solved[:, 4::2], solved[:, 5::2]))
@@ -155,6 +155,22 @@ def five_points(points1: Tensor, points2: Tensor) -> Tensor:
     candidates = (basis[:, None] * factors[..., None, None, :]).sum(-1)
     candidates = candidates / torch.linalg.vector_norm(candidates, dim=(-2, -1), keepdim=True)
     return torch.where(found[..., None, None], candidates, torch.nan).to(points1.dtype)
+
+
+def _solved(left: Tensor, right: Tensor) -> Tensor:
+    """The solution (B, n, m) of linear equations (B, n, n), not finite where there is none: elimination, row by row.
+
+    In torch's operators of one element each, which wait for nothing: solvers of libraries cannot be captured in a graph.
+    """
+    system = torch.cat([left, right], -1)
+    order = torch.arange(left.shape[1], device=left.device)
+    for k in range(left.shape[1]):
+        best = system[:, k:, k].detach().abs().argmax(-1, keepdim=True) + k
+        swapped = torch.where(order == k, best, torch.where(order == best, k, order))
+        system = system.gather(1, swapped[..., None].expand_as(system))
+        row = system[:, k : k + 1] / system[:, k : k + 1, k : k + 1]
+        system = torch.where((order == k)[:, None], row, system - system[:, :, k : k + 1] * row)
+    return system[..., left.shape[1] :]
 
 
 def _constraints(E: Tensor) -> Tensor:

@@ -194,8 +194,9 @@ class Boxes(_Boxes):
 
         So an upright box of width w and height h has (w - 1) (h - 1), as in Kornia.
         """
-        x, y = self._data.unbind(-1)
-        return (x * y.roll(-1, -1) - y * x.roll(-1, -1)).sum(-1).abs() / 2
+        a, b, c, d = self._data.unbind(-2)
+        x, y = c - a, d - b  # the diagonals
+        return (x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]).abs() / 2
 
     def merge(self, boxes: Boxes, inplace: bool = False) -> Boxes:
         """These boxes and those of the same images in `boxes`, in this order; `inplace` adds them to this object."""

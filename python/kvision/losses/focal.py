@@ -208,10 +208,9 @@ def _binary_focal(
         ignored = target == ignore_index
         pred = pred.masked_fill(ignored, 0)
     log_yes, log_no = F.logsigmoid(pred), F.logsigmoid(-pred)
-    yes = -target * torch.exp(gamma * log_no) * log_yes
-    no = -(1 - target) * torch.exp(gamma * log_yes) * log_no
-    if alpha is not None:
-        yes, no = alpha * yes, (1 - alpha) * no
+    of_yes, of_no = (1.0, 1.0) if alpha is None else (alpha, 1 - alpha)
+    yes = -of_yes * target * torch.exp(gamma * log_no) * log_yes
+    no = of_no * (target - 1) * torch.exp(gamma * log_yes) * log_no
     per_class = (-1, *(1,) * (pred.dim() - 2))
     if pos_weight is not None:
         yes = yes * pos_weight.view(per_class)

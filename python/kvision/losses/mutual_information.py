@@ -27,14 +27,14 @@ class MIKernel(Enum):
     truncated_gaussian = "truncated_gaussian"
 
 
-def _weights(kernel: MIKernel, distance: Tensor, radius: float) -> Tensor:
-    x = distance.abs() / radius
+def _weights(kernel: MIKernel, x: Tensor, radius: float) -> Tensor:
+    """Of distances x in radii."""
     if kernel is MIKernel.rectangular:
         return (x <= 1).to(x.dtype)
     if kernel is MIKernel.truncated_gaussian:
         inside = torch.exp(-x.square() / 2) / (radius * math.sqrt(2 * math.pi))
     else:  # two parabolas, with value 1 and 0 at the ends and equal values and slopes in the middle
-        inside = torch.where(x < 0.5, 1 - 0.1 * x - 1.8 * x.square(), 1.9 - 3.7 * x + 1.8 * x.square())
+        inside = torch.where(x < 0.5, (-1.8 * x - 0.1) * x + 1, (1.8 * x - 3.7) * x + 1.9)
     return torch.where(x <= 1, inside, 0)
 
 
@@ -45,9 +45,10 @@ def _bins(signal: Tensor, mask: Tensor | None, kernel: MIKernel, count: int, rad
     high = signal if mask is None else signal.masked_fill(~mask, -torch.inf)
     low, high = low.amin(-1, keepdim=True), high.amax(-1, keepdim=True)
     flat = ~(high - low > torch.finfo(signal.dtype).eps)
-    place = torch.where(flat, 0, (signal - low) / torch.where(flat, 1, high - low) * (count - 1))
-    centres = torch.arange(count, device=signal.device, dtype=signal.dtype)
-    weights = _weights(kernel, centres[:, None] - place[..., None, :], radius)
+    last = (count - 1) / radius
+    place = torch.where(flat, 0, (signal - low) / torch.where(flat, 1, high - low) * last)
+    centres = torch.arange(count, device=signal.device, dtype=signal.dtype) / radius
+    weights = _weights(kernel, (centres[:, None] - place[..., None, :]).abs(), radius)
     return weights if mask is None else torch.where(mask, weights, 0)
 
 

@@ -75,7 +75,7 @@ def _counts(op: str, pred: Tensor, target: Tensor, num_classes: int) -> Tensor:
     _check.same_device(op, pred=pred, target=target)
     (n,) = _check.ints(op, "num_classes", num_classes, 1, 2)
     pred, target = (x.reshape(x.shape[0], -1 if x.numel() else 0).long() for x in (pred, target))
-    counted = (pred >= 0) & (pred < n) & (target >= 0) & (target < n)
-    cells = torch.where(counted, target * n + pred, n * n)  # the last one is thrown away
-    counts = torch.zeros(pred.shape[0], n * n + 1, dtype=torch.int64, device=pred.device)
-    return counts.scatter_add(1, cells, torch.ones_like(cells))[:, :-1].reshape(-1, n, n).float()
+    m = n + 2  # labels below and above the others are counted, too, and thrown away
+    cells = torch.add(pred.clamp(-1, n), target.clamp(-1, n), alpha=m) + (m + 1)
+    counts = torch.zeros(pred.shape[0], m * m, dtype=torch.int64, device=pred.device)
+    return counts.scatter_add(1, cells, torch.ones_like(cells)).view(-1, m, m)[:, 1:-1, 1:-1].float()

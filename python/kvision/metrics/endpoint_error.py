@@ -46,9 +46,8 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
 
 @as_stored
 def _aepe(input: Tensor, target: Tensor, reduction: str) -> Tensor:
-    squared = (input - target).square().sum(-1)
-    perfect = squared == 0  # where the root has no slope
-    error = torch.where(perfect, 0, torch.where(perfect, 1, squared).sqrt())
+    tiny = torch.finfo(input.dtype).tiny  # at 0 the root has no slope; that of this even power of 2 is exact
+    error = (input - target).square().sum(-1).clamp_min(tiny).sqrt() - tiny**0.5
     return error.mean() if reduction == "mean" else error.sum() if reduction == "sum" else error
 
 

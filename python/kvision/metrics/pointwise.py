@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register
 
 
@@ -134,7 +134,7 @@ def pointwise(kind: str, x: Tensor, y: Tensor, reduction: str) -> Tensor:
     if reduction != "none":
         count = x.numel()
         return total(kind, x, y, 1.0 if reduction == "sum" else 1 / count if count else math.nan)
-    y = y.to(x.dtype)
+    y = as_dtype(y, x.dtype)
     if x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:  # channels-last: in the order of the memory
         return pointwise(kind, x.movedim(1, -1), y.movedim(1, -1), reduction).movedim(-1, 1)
     return _loss(_rows(x), _rows(y), kind).reshape(x.shape)
@@ -143,14 +143,12 @@ def pointwise(kind: str, x: Tensor, y: Tensor, reduction: str) -> Tensor:
 def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0) -> Tensor:
     """`factor` times the sum of the loss `kind`, or decibels of it, of tensors of one shape, in the type of x."""
     dtype = x.dtype
-    if y.dtype != dtype:
-        y = y.to(dtype)
-    found = _sum(x.reshape(1, -1), y.reshape(1, -1), kind, factor, decibels)[0]
-    return found if found.dtype == dtype else found.to(dtype)
+    y = as_dtype(y, dtype)
+    return as_dtype(_sum(x.reshape(1, -1), y.reshape(1, -1), kind, factor, decibels)[0], dtype)
 
 
 def sum_of_maps(kind: str, x: Tensor, y: Tensor) -> Tensor:
     """(B, N): the loss `kind` of maps (B, N, H, W), summed over their pixels."""
     rows = x.shape[0] * x.shape[1]
-    flat = (z.reshape(rows, x.shape[2] * x.shape[3]) for z in (x, y.to(x.dtype)))
+    flat = (z.reshape(rows, x.shape[2] * x.shape[3]) for z in (x, as_dtype(y, x.dtype)))
     return _sum(*flat, kind, 1.0, 0.0).view(x.shape[:2])

@@ -42,8 +42,7 @@ def decibels_of_ratio(op: str, image: Tensor, target: Tensor, max_val: float, de
     _check.numbers(op, "target", target)
     if image.shape != target.shape:
         raise TypeCheckError(f"{op}: expected target of shape {tuple(image.shape)} as image, got {tuple(target.shape)}")
-    if image.device != target.device:
-        _check.same_device(op, image=image, target=target)
+    _check.same_device(op, image=image, target=target)
     if not _check.number(op, "max_val", max_val) > 0:
         raise ValueCheckError(f"{op}: expected max_val above 0, got {max_val!r}", actual_value=max_val)
     x = floats(image)

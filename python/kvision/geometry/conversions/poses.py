@@ -190,6 +190,7 @@ def check_is_rotation(op: str, name: str, matrix: Tensor, within: float = 1e-3) 
     """Raise ValueCheckError unless all matrices (*, 3, 3) are rotations. Waits for the device."""
     R = matrix.detach().double()
     eye = torch.eye(3, dtype=R.dtype, device=R.device)
-    off = torch.maximum((R @ R.mT - eye).abs().amax((-2, -1)), (torch.linalg.det(R) - 1).abs())
+    volume = (torch.linalg.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(-1)
+    off = torch.maximum((R @ R.mT - eye).abs().amax((-2, -1)), (volume - 1).abs())
     if not bool((off <= within).all()):
         raise ValueCheckError(f"{op}: expected {name} of rotations, got matrices that are {off.max().item():.1e} off")

@@ -11,25 +11,12 @@ from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._photometric import DISTANCES, distance_of, gradient_from, seen, slope_of
 from kvision.geometry.depth.warp import depth_warp_of, image_gradient_of, places_of
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.sampling import for_images
 
 __all__ = ["photometric_depth_loss"]
-
-_DISTANCES = ("l1", "l2", "charbonnier")
-
-
-def _distance(residual, distance, eps):
-    if distance == "l1":
-        return residual.abs()
-    return residual * residual if distance == "l2" else (residual * residual + eps * eps).sqrt()
-
-
-def _slope(residual, distance, eps):
-    if distance == "l1":
-        return residual.sign()
-    return 2 * residual if distance == "l2" else residual / (residual * residual + eps * eps).sqrt()
 
 
 def _loss(views, target, depth, projections, distance, eps):
@@ -41,17 +28,10 @@ def _loss(views, target, depth, projections, distance, eps):
         view = views[:, i].to(depth.dtype)
         places = places_of(depth.expand(batch, -1, -1, -1), projections[:, i].expand(batch, -1, -1))
         residual = sampling.sample(view, places, "bilinear", "fill", True) - target.to(depth.dtype)
-        seen = _seen(places, view)
-        total = total + torch.where(seen, _distance(residual, distance, eps), 0).sum((1, 2, 3))
-        terms = terms + seen.sum((1, 2, 3)) * views.shape[2]
+        inside = seen(places, view)
+        total = total + torch.where(inside, distance_of(residual, distance, eps), 0).sum((1, 2, 3))
+        terms = terms + inside.sum((1, 2, 3)) * views.shape[2]
     return total / terms, terms
-
-
-def _seen(places, view):
-    """Which places (B, 1, h, w) lie between four pixels."""
-    height, width = view.shape[2:]
-    u, v = (x.detach() for x in places)
-    return ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
 
 
 def _reference(views, target, depth, projections, *how):
@@ -73,19 +53,10 @@ def _backward(needs, grad, _1, _2, _3, loss, to_depth, share, to_projections, *t
     if needs[0] or needs[1]:
         found[:2] = _image_gradients(needs, grad * share, views, target, depth, projections, *how)
     if needs[2]:
-        found[2] = _for_all(_times(to_depth, grad * share), depth)
+        found[2] = gradient_from(to_depth, grad * share, depth)
     if needs[3]:
-        found[3] = _for_all(_times(to_projections, grad), projections)
+        found[3] = gradient_from(to_projections, grad, projections)
     return found
-
-
-# One sample and no sum are the common case, in which each step of torch's would cost as much as the kernel.
-def _times(slopes, factors):
-    return slopes * (factors if len(factors) == 1 else factors[:, None, None, None])
-
-
-def _for_all(slopes, tensor):
-    return slopes if slopes.shape == tensor.shape else slopes.sum_to_size(tensor.shape)
 
 
 def _image_gradients(needs, share, views, target, depth, projections, distance, eps):
@@ -96,8 +67,8 @@ def _image_gradients(needs, share, views, target, depth, projections, distance, 
         view, projection = views[:, i].to(wide), projections[:, i]
         places = places_of(depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
         residual = depth_warp_of(view, depth, projection, "bilinear", "fill", True) - target.to(wide)
-        slope = _slope(residual, distance, eps) * share[:, None, None, None]
-        slope = torch.where(_seen(places, view), slope, 0)
+        slope = slope_of(residual, distance, eps) * share[:, None, None, None]
+        slope = torch.where(seen(places, view), slope, 0)
         to_target = to_target - slope
         if needs[0]:
             size = [*view.shape[2:]]
@@ -184,7 +155,7 @@ def photometric_depth_loss(
     _check.images(op, "target", target)
     _check.shape(op, "depth", depth, "B", 1, *target.shape[2:])
     _check.shape(op, "projections", projections, "B", views.shape[1], 3, 4)
-    _check.choice(op, "distance", distance, _DISTANCES)
+    _check.choice(op, "distance", distance, DISTANCES)
     eps = _check.number(op, "eps", eps, minimum=0)
     views, target = floats(views), floats(target)
     stored = views.dtype
@@ -196,8 +167,7 @@ def photometric_depth_loss(
             f"{op}: expected target of shape {(views.shape[0], views.shape[2], 'h', 'w')}, got {tuple(target.shape)}",
             actual_shape=target.shape,
         )
-    if target.device != views.device:
-        _check.same_device(op, views=views, target=target)
+    _check.same_device(op, views=views, target=target)
     depth = for_images(op, views, "depth", depth)
     projections = for_images(op, views, "projections", projections)
     found: Any = _photometric(views, target, depth, projections, distance, eps)

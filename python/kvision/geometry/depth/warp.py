@@ -9,11 +9,11 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision._ops import as_stored, register
+from kvision._ops import register
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.geometry.camera import PinholeCamera
-from kvision.geometry.depth.points import rays
-from kvision.geometry.linalg import inverse3x3
+from kvision.geometry.depth.points import depth_points
+from kvision.geometry.linalg import adjugate, inverse3x3
 from kvision.geometry.transform import sampling
 
 __all__ = ["DepthWarper", "depth_warp", "warp_frame_depth"]
@@ -108,6 +108,59 @@ _slopes = register(
     stores=True,
 )
 
+# --- from one camera to another -------------------------------------------------------------------------------------
+
+
+def _reprojection_reference(camera_to, pose_to, camera_from, pose_from, pinhole):
+    to, source = (_pinhole(k) if pinhole else k for k in (camera_to, camera_from))
+    turn, move = pose_to[:, :3, :3], pose_to[:, :3, 3:]
+    if pose_from is not None:
+        turn = turn @ pose_from[:, :3, :3].mT
+        move = move - turn @ pose_from[:, :3, 3:]
+    turned, moved = to @ turn @ inverse3x3(source), to @ move
+    batch = moved.shape[0] if turned.shape[0] == 1 else turned.shape[0]
+    return torch.cat([turned.expand(batch, -1, -1), moved.expand(batch, -1, -1)], 2)
+
+
+def _pinhole(camera: Tensor) -> Tensor:
+    """A camera matrix (B, 3, 3) with nothing but its focal lengths and principal point."""
+    fx, fy, cx, cy = (camera[:, i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
+    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], 1).unflatten(1, (3, 3))
+
+
+def _reprojection_backward(needs, grad, *given):
+    found = _reprojection_slopes(grad, *given)
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, given)]
+
+
+def _reprojection_slopes_reference(grad, *given):
+    *tensors, pinhole = given
+    batch = len(grad)
+    if tensors[3] is None:
+        tensors[3] = torch.eye(4, dtype=grad.dtype, device=grad.device)[None]
+    each = [x.expand(batch, -1, -1) for x in tensors]
+    _, pullback = torch.func.vjp(lambda *x: _reprojection_reference(*x, pinhole), *each)
+    k = each[2]
+    determinant = _pinhole(k).diagonal(dim1=1, dim2=2).prod(1) if pinhole else (k[:, 0] * adjugate(k)[..., 0]).sum(1)
+    return tuple(torch.where((determinant == 0)[:, None, None], 0, g) for g in pullback(grad))
+
+
+# From pixels of a camera (B, 3, 3) to those of another, their poses being (B, 4, 4), the first one the world's where it
+# is None: (B, 3, 4), as `places_of` takes it.
+_reprojection = register(
+    "reprojection",
+    _reprojection_reference,
+    fake=lambda *given: (next((x.shape[0] for x in given[:4] if x is not None and x.shape[0] != 1), 1), 3, 4),
+    backward=_reprojection_backward,
+)
+_reprojection_slopes = register(
+    "reprojection_backward",
+    _reprojection_slopes_reference,
+    fake=lambda grad, *given: [(grad.shape[0], side, side) for side in (3, 4, 3, 4)],
+)
+
+
 # --- functions ------------------------------------------------------------------------------------------------------
 
 
@@ -165,35 +218,17 @@ def warp_frame_depth(
     _check.same_device(
         op, image_src=image_src, depth_dst=depth_dst, src_trans_dst=src_trans_dst, camera_matrix=camera_matrix
     )
-    dtype = compute_dtype(floats(image_src))
-    camera, motion = camera_matrix.to(dtype), src_trans_dst.to(dtype)
+    dtype = compute_dtype(image_src)
+    motion, camera = src_trans_dst.to(dtype), camera_matrix.to(dtype)
+    if motion.shape[0] != 1:
+        camera = sampling.for_images(op, motion, "camera_matrix", camera)
     if normalize_points:
-        height, width = depth_dst.shape[2:]
-        depth_dst = depth_dst * rays(camera, height, width, True)[:, 2:]
-    projection = _projection(_pinhole(camera), motion[:, :3], _pinhole(camera))
+        depth_dst = depth_dst.to(dtype)
+        if depth_dst.shape[0] == 1:
+            depth_dst = depth_dst.expand(camera.shape[0], -1, -1, -1)
+        depth_dst = depth_points(depth_dst, sampling.for_images(op, depth_dst, "camera_matrix", camera), True)[:, 2:]
+    projection = _reprojection(camera, motion, camera, None, True)
     return _warped(op, image_src, depth_dst, projection, "bilinear", "zeros", True)
-
-
-def _pinhole(camera: Tensor) -> Tensor:
-    """A camera matrix (B, 3, 3) with nothing but its focal lengths and principal point."""
-    fx, fy, cx, cy = (camera[:, i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], 1).unflatten(1, (3, 3))
-
-
-@as_stored
-def _projection(camera_to: Tensor, motion: Tensor, camera_from: Tensor) -> Tensor:
-    """(B, 3, 4): pixels at a depth to another camera's, as :func:`places_of` takes it."""
-    turned = camera_to @ motion[:, :, :3] @ inverse3x3(camera_from)
-    moved = camera_to @ motion[:, :, 3:]
-    return torch.cat([turned, moved.expand(turned.shape[0], -1, -1)], 2)
-
-
-@as_stored
-def _motion(pose_to: Tensor, pose_from: Tensor) -> Tensor:
-    """(B, 3, 4): points of a camera's frame to another's, both given from the world, rigid."""
-    turned = pose_to[:, :3, :3] @ pose_from[:, :3, :3].mT
-    return torch.cat([turned, pose_to[:, :3, 3:] - turned @ pose_from[:, :3, 3:]], 2)
 
 
 class DepthWarper(nn.Module):
@@ -256,9 +291,9 @@ class DepthWarper(nn.Module):
     def compute_projection_matrix(self, pinhole_src: PinholeCamera) -> DepthWarper:
         """Take the source's camera, and the way from its pixels to the destination's; returns the warper itself."""
         _check_camera(type(self).__name__, "pinhole_src", pinhole_src)
-        motion = _motion(self._pinhole_dst.extrinsics, pinhole_src.extrinsics)
-        to, source = (camera.intrinsics[:, :3, :3] for camera in (self._pinhole_dst, pinhole_src))
-        self._projection = _projection(to, motion, source)
+        there, here = self._pinhole_dst, pinhole_src
+        given = there.intrinsics[:, :3, :3], there.extrinsics, here.intrinsics[:, :3, :3], here.extrinsics
+        self._projection = _reprojection(*(x.to(compute_dtype(given[0])) for x in given), False)
         return self
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -131,12 +133,15 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
     _check.floating_ends(op, "P1", P1, 3, 4)
     _check.floating_ends(op, "P2", P2, 3, 4)
     _check.same_device(op, P1=P1, P2=P2)
-    P1, P2 = torch.broadcast_tensors(P1, P2)
-    rows = []
-    for i in range(3):
-        y = P2[..., [(i + 1) % 3, (i + 2) % 3], :]
-        rows.append([torch.linalg.det(torch.cat([P1[..., [(k + 1) % 3, (k + 2) % 3], :], y], -2)) for k in range(3)])
-    return torch.stack([torch.stack(row, -1) for row in rows], -2) + 0  # no negative zeros
+    # The determinant of four rows is that of two for each pair of columns, times that of the others for the rest.
+    columns, rest = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)), ((2, 3), (3, 1), (1, 2), (0, 3), (2, 0), (0, 1))
+    return _minors(P2, rest) @ _minors(P1, columns).mT + 0  # no negative zeros
+
+
+def _minors(P: Tensor, columns: Sequence[tuple[int, int]]) -> Tensor:
+    """Of projections without one row each, for pairs of columns: (*, 3, pairs)."""
+    a, b = P.roll(-1, -2), P.roll(-2, -2)
+    return torch.stack([a[..., i] * b[..., k] - a[..., k] * b[..., i] for i, k in columns], -1)
 
 
 # --- lines ----------------------------------------------------------------------------------------------------------

@@ -51,6 +51,15 @@ def null_vector_3x4(A: Tensor) -> Tensor:
 _GAP = 1e-13
 
 
+# Of symmetric matrices (B, n, n), n being 3, 4, 9 or 12: eigenvalues (B, n), ascending, and vectors as columns (B, n, n).
+_eigenvectors = register(
+    "eigenvectors",
+    lambda matrix: tuple(torch.linalg.eigh(matrix)),
+    fake=lambda matrix: [matrix.shape[:2], matrix.shape],
+    constant=(0, 1),
+)
+
+
 def _reference(rows: Tensor, weights: Tensor | None, found: Tensor | None = None) -> Tensor:
     A = wide(rows)
     weighted = A if weights is None else A * wide(weights)[..., None]
@@ -68,7 +77,7 @@ def _smallest_eigenvector(matrix: Tensor, found: Tensor | None) -> Tensor:
     M = matrix / torch.where(size > 0, size, 1)
     finite = M.isfinite().all(-1, keepdim=True).all(-2, keepdim=True)
     M = torch.where(finite, M, 0)
-    values, vectors = torch.linalg.eigh(M.detach())
+    values, vectors = _eigenvectors(M.detach())
     gap = values - values[..., :1]
     inverse = torch.where(gap > _GAP, 1 / torch.where(gap > _GAP, gap, 1), 0)
     pseudo_inverse = (vectors * inverse[..., None, :]) @ vectors.mT

@@ -248,8 +248,7 @@ def _checked(op, source, target, src_homo_dst, distance, eps, align_corners, nor
     _check.flag(op, "align_corners", align_corners)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     source, target = floats(source), floats(target)
-    if source.device != target.device:
-        _check.same_device(op, source=source, target=target)
+    _check.same_device(op, source=source, target=target)
     if source.dtype != target.dtype:
         together = torch.promote_types(source.dtype, target.dtype)
         source, target = source.to(together), target.to(together)

@@ -341,8 +341,7 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
 
 def for_images(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
     """A matrix, map or parameter of images as the operators take it: in the type that computes, one for all or for each."""
-    if image.device != x.device:
-        _check.same_device(op, image=image, **{name: x})
+    _check.same_device(op, image=image, **{name: x})
     if x.shape[0] not in (1, image.shape[0]):
         raise ShapeError(
             f"{op}: expected {name} with 1 or {image.shape[0]} rows, got {tuple(x.shape)}", actual_shape=x.shape

@@ -1,0 +1,133 @@
+// Shared chroma on CUDA: a thread takes the cells of four pixels in a row.
+#include "chroma.h"
+#include "core/launch.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kTaken = 4, kRows = 8;
+
+// N elements of a row, of which the first `count` are there.
+template <int N, class T>
+__device__ __forceinline__ void load_some(T const* from, bool packed, int count, Compute<T> (&v)[N]) {
+  if (packed) {
+    auto const pack = *reinterpret_cast<Pack<T, N> const*>(from);
+#pragma unroll
+    for (int j = 0; j < N; ++j) v[j] = read(pack.v[j]);
+  } else {
+#pragma unroll
+    for (int j = 0; j < N; ++j) v[j] = j < count ? read(from[j]) : Compute<T>(0);
+  }
+}
+template <int N, class T>
+__device__ __forceinline__ void store_some(T* to, bool packed, int count, Compute<T> const (&v)[N]) {
+  if (packed) {
+    store_pack(to, v);
+  } else {
+#pragma unroll
+    for (int j = 0; j < N; ++j)
+      if (j < count) to[j] = round_to<T>(v[j]);
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChroma<T> const p, bool packed) {
+  using F = Compute<T>;
+  int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
+  int const width = int(p.colors.width), there = min(width - x, kTaken);
+  if (there <= 0 || y >= p.chroma.height) return;
+  for (int64_t b = blockIdx.z; b < p.luma.count(); b += gridDim.z) {
+    F c[2][3][kTaken];
+#pragma unroll
+    for (int r = 0; r < 2; ++r)
+#pragma unroll
+      for (int k = 0; k < 3; ++k)
+        if (r < p.rows)
+          load_some(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, packed, there, c[r][k]);
+        else
+#pragma unroll
+          for (int j = 0; j < kTaken; ++j) c[r][k][j] = 0;
+#pragma unroll
+    for (int r = 0; r < 2; ++r) {
+      if (r >= p.rows) break;
+      F luma[kTaken];
+#pragma unroll
+      for (int j = 0; j < kTaken; ++j) luma[j] = weighted(p.m, c[r][0][j], c[r][1][j], c[r][2][j]);
+      store_some(p.luma.row(b, int64_t(y) * p.rows + r) + x, packed, there, luma);
+    }
+    F sums[3][kTaken / 2];
+#pragma unroll
+    for (int k = 0; k < 3; ++k)
+#pragma unroll
+      for (int j = 0; j < kTaken; j += 2)
+        sums[k][j / 2] = (c[0][k][j] + c[0][k][j + 1]) + (c[1][k][j] + c[1][k][j + 1]);
+#pragma unroll
+    for (int k = 0; k < 2; ++k) {
+      F chroma[kTaken / 2];
+#pragma unroll
+      for (int j = 0; j < kTaken / 2; ++j) chroma[j] = weighted(p.m + 3 + 3 * k, sums[0][j], sums[1][j], sums[2][j]);
+      store_some(p.chroma.row(2 * b + k, y) + x / 2, packed, there / 2, chroma);
+    }
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<T> const p, bool packed) {
+  using F = Compute<T>;
+  int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
+  int const width = int(p.colors.width), there = min(width - x, kTaken);
+  if (there <= 0 || y >= p.chroma.height) return;
+  for (int64_t b = blockIdx.z; b < p.luma.count(); b += gridDim.z) {
+    F luma[2][kTaken], chroma[2][kTaken / 2];
+#pragma unroll
+    for (int k = 0; k < 2; ++k) {
+      load_some(p.chroma.row(2 * b + k, y) + x / 2, packed, there / 2, chroma[k]);
+      if (k < p.rows) load_some(p.luma.row(b, int64_t(y) * p.rows + k) + x, packed, there, luma[k]);
+    }
+#pragma unroll
+    for (int r = 0; r < 2; ++r) {
+      if (r >= p.rows) break;
+#pragma unroll
+      for (int k = 0; k < 3; ++k) {
+        F c[kTaken];
+#pragma unroll
+        for (int j = 0; j < kTaken; ++j) c[j] = weighted(p.m + 3 * k, luma[r][j], chroma[0][j / 2], chroma[1][j / 2]);
+        store_some(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, packed, there, c);
+      }
+    }
+  }
+}
+
+// Whether rows are packs of N elements.
+template <int N, class P>
+bool is_packed(P const& x) {
+  return (x.width | x.row_stride | x.outer_stride | x.inner_stride) % N == 0 &&
+         reinterpret_cast<uintptr_t>(x.data) % (N * sizeof(*x.data)) == 0;
+}
+template <class P>
+bool are_packed(P const& p) {
+  return is_packed<kTaken>(p.colors) && is_packed<kTaken>(p.luma) && is_packed<kTaken / 2>(p.chroma);
+}
+template <class P>
+dim3 blocks_of(P const& p) {
+  return dim3(unsigned(ceil_div(p.colors.width, 32 * kTaken)), unsigned(ceil_div(p.chroma.height, kRows)),
+              unsigned(min(p.luma.count(), int64_t(65535))));
+}
+
+}  // namespace
+
+template <class T>
+int split_chroma(SplitChroma<T> const& p, CUstream_st* stream) {
+  split<<<blocks_of(p), dim3(32, kRows), 0, stream>>>(p, are_packed(p));
+  return cudaGetLastError();
+}
+template <class T>
+int join_chroma(JoinChroma<T> const& p, CUstream_st* stream) {
+  join<<<blocks_of(p), dim3(32, kRows), 0, stream>>>(p, are_packed(p));
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(split_chroma, SplitChroma)
+KV_INSTANTIATE(join_chroma, JoinChroma)
+
+}  // namespace kv::cuda

@@ -55,6 +55,11 @@ def masks(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor,
     return ((x.mean(1, keepdim=True) > 0.5).to(dtype),)
 
 
+def depth_and_image(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    (x,) = photographs(size, dtype, device)
+    return 0.1 + x.mean(1, keepdim=True), x
+
+
 def window(height: int, width: int, x: Tensor) -> Tensor:
     """Made in the call, as users do: one of its launches."""
     return torch.ones(height, width, device=x.device)
@@ -120,6 +125,15 @@ CASES = [
         lambda K, x: K.losses.total_variation(x),
         Bars(floor=1.2, both=1.4, launches=2),
         {},
+        backward=of_loss,
+        **as_number,
+    ),
+    case(
+        "smoothness",
+        lambda K, x, image: K.losses.inverse_depth_smoothness_loss(x, image),
+        Bars(both=1.4, launches=3),
+        {},
+        inputs=depth_and_image,
         backward=of_loss,
         **as_number,
     ),

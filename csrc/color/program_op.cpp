@@ -1,5 +1,6 @@
 // Colour programs: schemas and entries, for CPU and CUDA alike.
 #include <algorithm>
+#include <span>
 
 #include "glue/glue.h"
 #include "program.h"
@@ -12,6 +13,24 @@ using Maybe = std::optional<Tensor>;
 // --- what the program is
 // ------------------------------------------------------------------------------------------------
 
+// `plan` of the schemas. One list, as each argument of an operator costs a call a tenth of a small kernel's launch.
+struct Recipe {
+  int64_t dtype, layout;  // of the result: a Storage, 0 for NCHW and 1 for NHWC, or -1 for that of the input
+  std::span<int64_t const> steps;
+  std::span<int64_t const> columns;  // where parameters stand in the tensors, or -1; empty where there are no tensors
+};
+
+Recipe recipe_of(char const* op, std::vector<int64_t> const& plan) {
+  std::span<int64_t const> const all(plan);
+  KV_CHECK(all.size() >= 3 && all[2] >= 0 && uint64_t(all[2]) <= all.size() - 3, op,
+           ": expected a plan of a dtype, a layout, the number of steps and as many steps");
+  size_t const count = size_t(all[2]);
+  KV_CHECK(count <= kMostSteps, op, ": expected at most ", kMostSteps, " steps, got ", count);
+  KV_CHECK(all[0] >= -1 && all[0] <= int64_t(Storage::wide), op, ": there is no dtype ", all[0]);
+  KV_CHECK(all[1] >= -1 && all[1] <= 1, op, ": there is no layout ", all[1]);
+  return {all[0], all[1], all.subspan(3, count), all.subspan(3 + count)};
+}
+
 using Parameters = std::initializer_list<Maybe const*>;
 
 struct Plan {
@@ -22,10 +41,10 @@ struct Plan {
   int64_t parameters = 0;
 };
 
-Plan plan_of(char const* op, std::vector<int64_t> const& steps, size_t numbers, size_t columns, bool ordered) {
-  KV_CHECK(steps.size() <= kMostSteps, op, ": expected at most ", kMostSteps, " steps, got ", steps.size());
+Plan plan_of(char const* op, Recipe const& recipe, size_t numbers, bool ordered) {
+  size_t const columns = recipe.columns.size();
   Plan plan;
-  for (int64_t number : steps) {
+  for (int64_t number : recipe.steps) {
     KV_CHECK(number >= 0 && number < int64_t(Step::count), op, ": there is no step ", number);
     KV_CHECK(!plan.sums, op, ": what gives one channel must be the last step");
     Step const step = Step(number);
@@ -44,30 +63,13 @@ Plan plan_of(char const* op, std::vector<int64_t> const& steps, size_t numbers, 
   return plan;
 }
 
-constexpr struct {
-  char const* name;
-  ScalarType type;
-} kTypes[] = {{"uint8", ScalarType::Byte},
-              {"float16", ScalarType::Half},
-              {"bfloat16", ScalarType::BFloat16},
-              {"float32", ScalarType::Float},
-              {"float64", ScalarType::Double}};
-
-ScalarType type_of(char const* op, std::string const& dtype, Tensor const& x) {
-  if (dtype == "same") return x.scalar_type();
-  for (auto const& known : kTypes)
-    if (dtype == known.name) return known.type;
-  fail({op, ": there is no dtype '", dtype, "'"});
-}
-Layout layout_of(char const* op, std::string const& layout, Tensor const& x) {
-  if (layout == "same") return kv::layout_of(x);
-  KV_CHECK(layout == "NCHW" || layout == "NHWC", op, ": layout must be one of same, NCHW, NHWC; got '", layout, "'");
-  return layout == "NCHW" ? Layout::planar : Layout::channels_last;
-}
+// By Storage.
+constexpr ScalarType kTypes[] = {ScalarType::Byte, ScalarType::Half, ScalarType::BFloat16, ScalarType::Float,
+                                 ScalarType::Double};
 
 Storage storage_of(char const* op, Tensor const& x) {
   for (int i = 0; i < 5; ++i)
-    if (x.scalar_type() == kTypes[i].type) return Storage(i);
+    if (x.scalar_type() == kTypes[i]) return Storage(i);
   fail({op, ": no kernel for this dtype"});
 }
 
@@ -109,10 +111,9 @@ struct Arguments {
   bool of_values;
   bool wide;  // computes in double
 
-  Arguments(char const* op, Tensor const& x, Parameters const& given, Maybe const& order,
-            std::vector<int64_t> const& steps, std::vector<double> const& numbers,
-            std::vector<int64_t> const& columns_of_steps, ScalarType result)
-      : plan(plan_of(op, steps, numbers.size(), columns_of_steps.size(), bool(order))) {
+  Arguments(char const* op, Tensor const& x, Parameters const& given, Maybe const& order, Recipe const& recipe,
+            std::vector<double> const& numbers, ScalarType result)
+      : plan(plan_of(op, recipe, numbers.size(), bool(order))) {
     check_images(op, "input", x);
     int64_t const b = x.size(0), c = x.size(1);
     of_values = plan.values && (plan.contrast < 0 || c == 1);
@@ -123,9 +124,9 @@ struct Arguments {
       if (*p) take(op, x, **p);
     size_t at = 0;
     for (Step const step : plan.steps)
-      for (int i = 0; i < parameters_of(step) && !columns_of_steps.empty(); ++i, ++at) {
-        KV_CHECK(columns_of_steps[at] < columns, op, ": there are no parameters for the columns that are asked for");
-        KV_CHECK(columns_of_steps[at] < 0 || takes_tensors(step), op, ": step ", int(step), " takes numbers only");
+      for (int i = 0; i < parameters_of(step) && !recipe.columns.empty(); ++i, ++at) {
+        KV_CHECK(recipe.columns[at] < columns, op, ": there are no parameters for the columns that are asked for");
+        KV_CHECK(recipe.columns[at] < 0 || takes_tensors(step), op, ": step ", int(step), " takes numbers only");
       }
     if (!order) return;
     KV_CHECK(order->dim() == 2 && (order->size(0) == 1 || order->size(0) == b) && order->size(1) <= kMostSteps, op,
@@ -169,7 +170,7 @@ struct Arguments {
 
 template <class F>
 Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<double> const& numbers,
-                      std::vector<int64_t> const& columns) {
+                      std::span<int64_t const> columns) {
   Plan const& plan = a.plan;
   Maybe const& order = a.order;
   Program<F> p{};
@@ -206,12 +207,11 @@ Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<do
 
 // The result and the means that it took.
 std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters const& parameters, Maybe const& order,
-                               std::vector<int64_t> const& steps, std::vector<double> const& numbers,
-                               std::vector<int64_t> const& columns, std::string const& dtype,
-                               std::string const& layout) {
-  ScalarType const type = type_of(op, dtype, input);
-  Arguments const a(op, input, parameters, order, steps, numbers, columns, type);
-  Layout const in = kv::layout_of(input), out = layout_of(op, layout, input);
+                               Recipe const& recipe, std::vector<double> const& numbers) {
+  ScalarType const type = recipe.dtype < 0 ? input.scalar_type() : kTypes[recipe.dtype];
+  Arguments const a(op, input, parameters, order, recipe, numbers, type);
+  Layout const in = layout_of(input);
+  Layout const out = recipe.layout < 0 ? in : recipe.layout == 0 ? Layout::planar : Layout::channels_last;
   Tensor const x = as_row(input, in);
   int64_t const channels = a.plan.sums ? 1 : x.size(1);
   Tensor const y = empty({x.size(0), channels, x.size(2), x.size(3)}, x, channels == 1 ? Layout::planar : out, type);
@@ -221,7 +221,7 @@ std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters c
   Tensor const means = around_mean ? empty({samples.count, 1}, x, Layout::planar, computes) : x;
   a.for_computed([&](auto type) {
     using F = typename decltype(type)::type;
-    Program<F> p = program_of<F>(a, samples, numbers, columns);
+    Program<F> p = program_of<F>(a, samples, numbers, recipe.columns);
     p.x = samples.pixels_of(op, x, in);
     p.y = samples.pixels_of(op, y, out);
     [[maybe_unused]] int64_t const cost = 3 * min(kChunk<F>, p.pixels);
@@ -243,36 +243,40 @@ std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters c
   Maybe const &p0, Maybe const &p1, Maybe const &p2, Maybe const &p3, Maybe const &p4, Maybe const &p5
 #define KV_GIVEN {&p0, &p1, &p2, &p3, &p4, &p5}
 
-Tensor color_program(Tensor const& input, KV_PARAMETERS, Maybe const& order, std::vector<int64_t> steps,
-                     std::vector<double> numbers, std::vector<int64_t> columns, std::string dtype, std::string layout) {
-  KV_CHECK(!std::count(steps.begin(), steps.end(), int64_t(Step::contrast)),
-           "color_program: a step around a mean is for color_program_around_mean");
-  return std::get<0>(run("color_program", input, KV_GIVEN, order, steps, numbers, columns, dtype, layout));
+bool has_mean(Recipe const& recipe) {
+  return std::count(recipe.steps.begin(), recipe.steps.end(), int64_t(Step::contrast)) > 0;
+}
+
+Tensor color_program(Tensor const& input, KV_PARAMETERS, Maybe const& order, std::vector<int64_t> plan,
+                     std::vector<double> numbers) {
+  char const* const op = "color_program";
+  Recipe const recipe = recipe_of(op, plan);
+  KV_CHECK(!has_mean(recipe), op, ": a step around a mean is for color_program_around_mean");
+  return std::get<0>(run(op, input, KV_GIVEN, order, recipe, numbers));
 }
 std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input, KV_PARAMETERS, Maybe const& order,
-                                                     std::vector<int64_t> steps, std::vector<double> numbers,
-                                                     std::vector<int64_t> columns, std::string dtype,
-                                                     std::string layout) {
+                                                     std::vector<int64_t> plan, std::vector<double> numbers) {
   char const* const op = "color_program_around_mean";
-  KV_CHECK(std::count(steps.begin(), steps.end(), int64_t(Step::contrast)), op, ": there is no step around a mean");
-  return run(op, input, KV_GIVEN, order, steps, numbers, columns, dtype, layout);
+  Recipe const recipe = recipe_of(op, plan);
+  KV_CHECK(has_mean(recipe), op, ": there is no step around a mean");
+  return run(op, input, KV_GIVEN, order, recipe, numbers);
 }
 
 // The gradients of the image and, for each sample of the batch, of the parameters; without elements where they are not
 // wanted.
 std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor const& input, KV_PARAMETERS,
-                                                  Maybe const& order, Maybe const& means, std::vector<int64_t> steps,
-                                                  std::vector<double> numbers, std::vector<int64_t> columns,
-                                                  bool of_image, bool of_parameters) {
+                                                  Maybe const& order, Maybe const& means, std::vector<int64_t> plan,
+                                                  std::vector<double> numbers, bool of_image, bool of_parameters) {
   char const* const op = "color_program_backward";
-  Arguments const a(op, input, KV_GIVEN, order, steps, numbers, columns, grad.scalar_type());
+  Recipe const recipe = recipe_of(op, plan);
+  Arguments const a(op, input, KV_GIVEN, order, recipe, numbers, grad.scalar_type());
   bool same = grad.dim() == 4 && grad.size(1) == (a.plan.sums ? 1 : input.size(1)) && grad.device() == input.device();
   for (int64_t i : {0, 2, 3}) same = same && grad.size(i) == input.size(i);
   KV_CHECK(same, op, ": grad differs in shape or device from the result of input");
   KV_CHECK(grad.scalar_type() != ScalarType::Byte && !(of_image && input.scalar_type() == ScalarType::Byte), op,
            ": bytes have no gradient");
   KV_CHECK(!of_parameters || !a.rows.empty(), op, ": there are no parameters that a gradient is wanted of");
-  Layout const in = kv::layout_of(input), out = kv::layout_of(grad);
+  Layout const in = layout_of(input), out = layout_of(grad);
   Tensor const x = as_row(input, in), g = as_row(grad, out);
   Samples const samples = a.samples(x, in == out || grad.size(1) != x.size(1));
   ScalarType const computes = a.wide ? ScalarType::Double : ScalarType::Float;
@@ -289,7 +293,7 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
   a.for_computed([&](auto type) {
     using F = typename decltype(type)::type;
     ProgramBackward<F> p{};
-    p.forward = program_of<F>(a, samples, numbers, columns);
+    p.forward = program_of<F>(a, samples, numbers, recipe.columns);
     p.forward.x = samples.pixels_of(op, x, in);
     p.grad = samples.pixels_of(op, g, out);
     p.wants_x = of_image;
@@ -327,11 +331,10 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
 }  // namespace
 
 #define KV_PROGRAM "Tensor? p0, Tensor? p1, Tensor? p2, Tensor? p3, Tensor? p4, Tensor? p5, Tensor? order, "
-#define KV_STEPS "int[] steps, float[] numbers, int[] columns, "
-KV_OPERATOR(color_program, "(Tensor input, " KV_PROGRAM KV_STEPS "str dtype, str layout) -> Tensor")
-KV_OPERATOR(color_program_around_mean,
-            "(Tensor input, " KV_PROGRAM KV_STEPS "str dtype, str layout) -> (Tensor, Tensor)")
-KV_OPERATOR(color_program_backward, "(Tensor grad, Tensor input, " KV_PROGRAM "Tensor? means, " KV_STEPS
-                                    "bool of_image, bool of_parameters) -> (Tensor, Tensor)")
+KV_OPERATOR(color_program, "(Tensor input, " KV_PROGRAM "int[] plan, float[] numbers) -> Tensor")
+KV_OPERATOR(color_program_around_mean, "(Tensor input, " KV_PROGRAM "int[] plan, float[] numbers) -> (Tensor, Tensor)")
+KV_OPERATOR(color_program_backward,
+            "(Tensor grad, Tensor input, " KV_PROGRAM
+            "Tensor? means, int[] plan, float[] numbers, bool of_image, bool of_parameters) -> (Tensor, Tensor)")
 
 }  // namespace kv

@@ -130,24 +130,29 @@ __global__ void __launch_bounds__(kStripThreads)
   T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride + x;
   T* values = p.y.row(plane, y0) + x;
   uint8_t *maxima = p.maxima.row(plane, y0) + x, *minima = p.minima.row(plane, y0) + x;
-  Row<T, R, P> ahead[kPlanes];
-  auto const fetch = [&](int y) {
+  constexpr int kAhead = D == 0 ? 2 : 1;  // rows on their way
+  Row<T, R, P> ahead[kAhead][kPlanes];
+  auto const fetch = [&](int y, Row<T, R, P>(&row)[kPlanes]) {
 #pragma unroll
     for (int k = 0; k < kPlanes; ++k) {
       bool const between = k == D || (z + k >= D && z + k < D + int(p.depth));
-      ahead[k].fetch(next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between, x, width);
+      row[k].fetch(next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between, x, width);
     }
     next += p.x.row_stride;
   };
-  fetch(y0 - R);
+#pragma unroll
+  for (int n = 0; n < kAhead; ++n) fetch(y0 - R + n, ahead[n]);
   Climb<R, D, P> high{}, low{};
 #pragma unroll(R + 1)
   for (int i = -2 * R; i < kRows; ++i) {
     if (y0 + i >= height) break;
     float v[kPlanes][P + 2 * R];
 #pragma unroll
-    for (int k = 0; k < kPlanes; ++k) ahead[k].spread(v[k]);
-    fetch(y0 + R + i + 1);
+    for (int k = 0; k < kPlanes; ++k) {
+      ahead[0][k].spread(v[k]);
+      if (kAhead > 1) ahead[0][k] = ahead[kAhead - 1][k];
+    }
+    fetch(y0 + R + i + kAhead, ahead[kAhead - 1]);
     high.next(v, 1);
     if constexpr (Minima) low.next(v, -1);
     if (i < 0) continue;

@@ -154,12 +154,15 @@ struct ImageStrip {
   __device__ __forceinline__ Pack<float, kRun> load(float const* plane, int y) const {
     return *reinterpret_cast<Pack<float, kRun> const*>(plane + int64_t(y) * width);
   }
-  // The exponentials of a row, and these times x; 0 outside of the image.
+  __device__ __forceinline__ bool has(int y) const { return there && y >= 0 && y < height; }
+  __device__ __forceinline__ Pack<float, kRun> row(int y) const {
+    return has(y) ? load(image, y) : Pack<float, kRun>{};
+  }
+  // The exponentials of row y, which is v, and these times x; 0 outside of the image.
   template <bool Products>
-  __device__ __forceinline__ void weights_of(int y, float (&weight)[kRun], float (&product)[kRun]) const {
-    Pack<float, kRun> v{};
-    bool const inside = there && y >= 0 && y < height;
-    if (inside) v = load(image, y);
+  __device__ __forceinline__ void weights_of(Pack<float, kRun> const& v, int y, float (&weight)[kRun],
+                                             float (&product)[kRun]) const {
+    bool const inside = has(y);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
       weight[i] = inside ? fast_exp2(v.v[i] * sharpness - from) : 0.f;
@@ -183,7 +186,11 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
   }
   float weights[K][kRun], products[K][kRun];  // of the rows of a window; times x
 #pragma unroll
-  for (int j = 0; j < K - 1; ++j) strip.weights_of<Values>(y0 - R + j, weights[j + 1], products[j + 1]);
+  for (int j = 0; j < K - 1; ++j) {
+    int const y = y0 - R + j;
+    strip.weights_of<Values>(strip.row(y), y, weights[j + 1], products[j + 1]);
+  }
+  Pack<float, kRun> ahead = strip.row(y0 + R);
   float* to_x = p.places + 2 * strip.plane * size + int64_t(y0) * width + x;
   float* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
 #pragma unroll(K)
@@ -199,7 +206,8 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
         if constexpr (Values) products[j][n] = products[j + 1][n];
       }
     }
-    strip.weights_of<Values>(y + R, weights[K - 1], products[K - 1]);
+    strip.weights_of<Values>(ahead, y + R, weights[K - 1], products[K - 1]);
+    ahead = strip.row(y + R + 1);
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
       totals[n] = weights[0][n] + weights[1][n];
@@ -326,6 +334,12 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
   float weights[K][kRun] = {}, none[kRun];
   float constants[K][kRun] = {}, slopes[K][kRun] = {};  // b j + c, and a, of the pixels whose windows are not all there
   float const per_temperature = 1 / p.temperature;
+  // Rows on their way: of the image, and of the gradients to windows.
+  auto const grad_row = [&](float const* plane, int y) {
+    return strip.has(y) ? strip.load(plane, y) : Pack<float, kRun>{};
+  };
+  Pack<float, kRun> ahead = strip.row(y0 - 2 * R);
+  Pack<float, kRun> ahead_x = grad_row(grad_x, y0 - R), ahead_y = grad_row(grad_y, y0 - R);
 #pragma unroll(K)
   for (int i = -4 * R; i < kRows; ++i) {
     // Weights of row y + 2R, then windows around row y + R, then the gradient of row y.
@@ -335,7 +349,8 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
     for (int j = 0; j < K - 1; ++j)
 #pragma unroll
       for (int n = 0; n < kRun; ++n) weights[j][n] = weights[j + 1][n];
-    strip.weights_of<false>(y + 2 * R, weights[K - 1], none);
+    strip.weights_of<false>(ahead, y + 2 * R, weights[K - 1], none);
+    ahead = strip.row(y + 2 * R + 1);
     if (i < -2 * R) continue;
     float totals[kRun], moments[kRun];
 #pragma unroll
@@ -350,8 +365,9 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
     }
     Across<R> const total(totals), moment(moments);
     int const middle = y + R;
-    if (strip.there && middle >= 0 && middle < strip.height) {
-      Pack<float, kRun> const gx = strip.load(grad_x, middle), gy = strip.load(grad_y, middle);
+    Pack<float, kRun> const gx = ahead_x, gy = ahead_y;
+    ahead_x = grad_row(grad_x, middle + 1), ahead_y = grad_row(grad_y, middle + 1);
+    if (strip.has(middle)) {
 #pragma unroll
       for (int n = 0; n < kRun; ++n) {
         float const scale = __fdividef(1.f, total.sum(n));

@@ -5,6 +5,7 @@
 
 #include "core/isa.h"
 #include "core/view.h"
+#include "sign.h"
 
 namespace kv {
 
@@ -32,11 +33,5 @@ constexpr int kVariationColumns = 32 * (sizeof(T) == 2 ? 8 : 4);
 
 KV_KERNEL(total_variation, TotalVariation)
 KV_KERNEL(total_variation_backward, TotalVariationBackward)
-
-// The sign of a difference; NaN stays.
-template <class V>
-KV_HD V sign_of(V d) {
-  return d > 0 ? V{} + 1 : d < 0 ? V{} - 1 : d;
-}
 
 }  // namespace kv

@@ -2,6 +2,8 @@
 // which are programs of one step. Images are (B, 3, H, W), floating point. A second derivative is an error.
 #pragma once
 
+#include <algorithm>
+#include <iterator>
 #include <memory>
 #include <optional>
 #include <string>
@@ -15,8 +17,8 @@ namespace kvision {
 
 // The steps and all their parameters as `numbers`. Those that are tensors stand in p0, p1 and so on, (B or 1, C or 1,
 // P) of floating-point numbers; `columns` has their places, counted along the last axes of all tensors, and -1 for
-// numbers. `order` (B or 1, S) of int64 has the step of each position, or -1 for none. The result has the dtype, as
-// torch names it, and the layout, "NCHW" or "NHWC", that are asked for; bytes are 255ths.
+// numbers. `order` (B or 1, S) of int64 has the step of each position, or -1 for none. The result has the dtype and
+// the layout, "NCHW" or "NHWC", that are asked for; bytes are 255ths.
 struct ColorProgram {
   // With their parameters, as csrc/color/program.h explains them.
   enum Step : int64_t {
@@ -62,8 +64,20 @@ struct ColorProgram {
   std::optional<Tensor> p4 = {};
   std::optional<Tensor> p5 = {};
   std::optional<Tensor> order = {};
-  std::string dtype = "same";
+  std::optional<at::ScalarType> dtype = {};
   std::string layout = "same";
+
+  // The plan of the operators: dtype and layout, by number or -1 for those of the input, then how many steps, the steps
+  // and the columns.
+  std::vector<int64_t> plan() const {
+    constexpr at::ScalarType types[] = {at::kByte, at::kHalf, at::kBFloat16, at::kFloat, at::kDouble};
+    auto const* const found = std::find(std::begin(types), std::end(types), dtype.value_or(at::kByte));
+    std::vector<int64_t> all{dtype ? found - types : -1, layout == "same" ? -1 : layout == "NHWC",
+                             int64_t(steps.size())};
+    all.insert(all.end(), steps.begin(), steps.end());
+    all.insert(all.end(), columns.begin(), columns.end());
+    return all;
+  }
 
   // An undefined Tensor for what there is not.
   std::vector<Tensor> parameters() const {
@@ -90,8 +104,7 @@ inline std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Ten
   using namespace detail;
   auto const compute = [&] {
     auto const [of_x, of_rows] = call<"color_program_backward", std::tuple<Tensor, Tensor>>(
-        grad, input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, means, p.steps, p.numbers, p.columns, of_image,
-        of_parameters);
+        grad, input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, means, p.plan(), p.numbers, of_image, of_parameters);
     return variable_list{of_x, of_rows};
   };
   auto const found =
@@ -124,8 +137,8 @@ inline variable_list color_gradients(Backward const& b, ColorProgram const& p, s
 inline Tensor color_program(Tensor const& input, ColorProgram const& p) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{call<"color_program">(input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.steps, p.numbers,
-                                               p.columns, p.dtype, p.layout)};
+    return variable_list{
+        call<"color_program">(input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.plan(), p.numbers)};
   };
   auto const gradient = [=](Backward const& b) { return color_gradients(b, p, {}); };
   return differentiable(with_parameters({input}, p), compute, {input}, gradient)[0];
@@ -137,7 +150,7 @@ inline std::tuple<Tensor, Tensor> color_program_around_mean(Tensor const& input,
   Tensor mean;
   auto const compute = [&] {
     auto const [y, found] = call<"color_program_around_mean", std::tuple<Tensor, Tensor>>(
-        input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.steps, p.numbers, p.columns, p.dtype, p.layout);
+        input, p.p0, p.p1, p.p2, p.p3, p.p4, p.p5, p.order, p.plan(), p.numbers);
     mean = found;
     return variable_list{y};
   };
@@ -238,7 +251,7 @@ inline std::vector<double> transposed(std::vector<double> const& m) {
 }
 }  // namespace detail
 
-inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& image, int64_t rows, std::vector<double> const& matrix);
+inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& input, int64_t rows, std::vector<double> const& matrix);
 
 // Colours of luma (B, 1, H, W) and of the chroma (B, 2, H / rows, W / 2) that `rows` of two pixels share, by a 3 x 3
 // matrix in rows. Its gradient is split_chroma with the transposed matrix, and the other way round.
@@ -252,16 +265,16 @@ inline Tensor join_chroma(Tensor const& luma, Tensor const& chroma, int64_t rows
   return differentiable({luma, chroma}, compute, {}, gradient)[0];
 }
 // Luma of RGB images by the first row of a matrix, and chroma of the sums of `rows` of two pixels by the others.
-inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& image, int64_t rows, std::vector<double> const& matrix) {
+inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& input, int64_t rows, std::vector<double> const& matrix) {
   using namespace detail;
   auto const compute = [&] {
-    auto const [luma, chroma] = call<"split_chroma", std::tuple<Tensor, Tensor>>(image, rows, matrix);
+    auto const [luma, chroma] = call<"split_chroma", std::tuple<Tensor, Tensor>>(input, rows, matrix);
     return variable_list{luma, chroma};
   };
   auto const gradient = [=](Backward const& b) {
     return variable_list{join_chroma(b.grads[0], b.grads[1], rows, transposed(matrix))};
   };
-  auto const found = differentiable({image}, compute, {}, gradient);
+  auto const found = differentiable({input}, compute, {}, gradient);
   return {found[0], found[1]};
 }
 

@@ -113,4 +113,26 @@ inline Tensor grid_counts(Tensor const& x, double low, double width, int64_t bin
   return differentiable({x}, compute, {x}, gradient)[0];
 }
 
+// alpha input + beta other + gamma, by weights (B, C, 1) with axes of size 1 where they are shared, in the type that is
+// computed in; or by the numbers a, b and c in their places.
+inline Tensor mix(Tensor const& input, Tensor const& other, std::optional<Tensor> const& alpha,
+                  std::optional<Tensor> const& beta, std::optional<Tensor> const& gamma, double a, double b, double c) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"mix">(input, other, alpha, beta, gamma, a, b, c)}; };
+  auto const gradient = [=](Backward const& back) {
+    Tensor const &g = back.grads[0], &x = back.saved[0], &y = back.saved[1];
+    auto const scaled = [&](Tensor const& weights, double number) {
+      return weights.defined() ? (g * weights.unsqueeze(3)).to(g.scalar_type()) : g * number;
+    };
+    auto const summed = [&](size_t i, Tensor const& pixels) {
+      return back.wanted(i) ? at::sum_to(pixels, back.saved[i].unsqueeze(3).sizes()).squeeze(3) : Tensor();
+    };
+    return variable_list{scaled(back.saved[2], a), scaled(back.saved[3], b), summed(2, g * x), summed(3, g * y),
+                         summed(4, g)};
+  };
+  variable_list const tensors{input, other, alpha.value_or(Tensor()), beta.value_or(Tensor()),
+                              gamma.value_or(Tensor())};
+  return differentiable(tensors, compute, tensors, gradient)[0];
+}
+
 }  // namespace kvision

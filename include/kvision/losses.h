@@ -93,4 +93,28 @@ inline Tensor total_variation(Tensor const& input, double along_y = 1, double al
   return differentiable({input}, compute, {input}, gradient)[0];
 }
 
+inline Tensor smoothness_backward(Tensor const& grad, Tensor const& depth, Tensor const& image, double along_y,
+                                  double along_x, bool of_image) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"smoothness_backward">(grad, depth, image, along_y, along_x, of_image)};
+  };
+  return differentiable({grad, depth, image}, compute, {}, no_second_derivative("smoothness"))[0];
+}
+
+// (B): for every sample what neighbours in depth (B, 1, H, W) differ by, less at the image's edges, summed with a
+// weight along y and one along x.
+inline Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y = 1, double along_x = 1) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"smoothness">(depth, image, along_y, along_x)}; };
+  auto const gradient = [=](Backward const& b) {
+    auto const by = [&](bool image) {
+      return b.wanted(image) ? smoothness_backward(b.grads[0], b.saved[0], b.saved[1], along_y, along_x, image)
+                             : Tensor();
+    };
+    return variable_list{by(false), by(true)};
+  };
+  return differentiable({depth, image}, compute, {depth, image}, gradient)[0];
+}
+
 }  // namespace kvision

@@ -133,9 +133,24 @@ class TestRgbToGrayscale(ConversionTests):
             self.call(self.input(self.shape, torch.uint8, device).int(), {})
 
 
-@pytest.mark.parametrize("steps, parameters", [([99], []), ([-1], []), ([0], [1.0]), ([13, 1], [1.0] * 4)], ids=str)
-def test_a_program_that_is_none_is_refused(steps, parameters):
+@pytest.mark.parametrize("plan, parameters",
+    [
+        ([-1, -1, 1, 99], []),
+        ([-1, -1, 1, -1], []),
+        ([-1, -1, 1, 0], [1.0]),
+        ([-1, -1, 2, 13, 1], [1.0] * 4),
+        ([-1, -1, 1, 5, 0], []),
+        ([-1, -1, 2, 5], []),
+        ([-1, -1, -1], []),
+        ([-1, -1, 2**62], []),
+        ([5, -1, 1, 5], []),
+        ([-1, 2, 1, 5], []),
+        ([-1], []),
+    ],
+    ids=str,
+)
+def test_a_program_that_is_none_is_refused(plan, parameters):
     if "cpu" in _ops.unserved:
         pytest.skip("the operators are declared by libkvision.so")
     with pytest.raises(RuntimeError, match="color_program: "):
-        torch.ops.kvision.color_program(torch.rand(1, 3, 4, 4), *[None] * 7, steps, parameters, [], "same", "same")
+        torch.ops.kvision.color_program(torch.rand(1, 3, 4, 4), *[None] * 7, plan, parameters)

@@ -99,6 +99,9 @@ int main() {
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
   check("total_variation", [](auto const& t) { return kvision::total_variation(t[0], 0.5, 2); }, {x}, false);
+  check(
+      "smoothness", [](auto const& t) { return kvision::smoothness(t[0], t[1], 0.5, 2); }, {x.slice(1, 1), x * 2},
+      false);
   Tensor const matrix = torch::tensor({0.93, 0.21, 0.4, -0.17, 1.04, 0.3, 0.013, -0.011, 1.0}).view({1, 3, 3});
   Tensor const map = torch::rand({2, 3, 4}) * 0.8 + torch::randint(0, 5, {2, 3, 4}) + 0.1;
   for (auto const* interpolation : {"bilinear", "bicubic"}) {
@@ -240,6 +243,8 @@ int main() {
           return kvision::join_chroma(luma.square(), chroma.square(), 2, mix);
         },
         {torch::rand({2, 3, 4, 6})});
+  check("mix", [](auto const& t) { return kvision::mix(t[0], t[1], t[2], {}, t[3], 0, 0.3, 0); },
+        {x, torch::rand_like(x), torch::rand({2, 1, 1}), torch::rand({1, 2, 1})});
   check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], "GB"); }, {torch::rand({2, 1, 4, 6})}, true);
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};
@@ -284,6 +289,11 @@ int main() {
        kvision::undistort(from, lens, wanted, terms, tilt));
   auto const undistort = [](auto const& t) { return kvision::undistort(t[0], t[1], t[2], t[3], t[4], 3); };
   check("undistort", undistort, {from, lens.repeat({2, 1, 1}), wanted, terms, tilt});
+  Tensor const shown = kvision::distort(from, lens, lens, terms);
+  same("distort and back", kvision::undistort(shown, lens, lens, terms, {}, 60), from);
+  same("distort of variables", kvision::distort(places, lens, lens, terms).detach(), shown);
+  auto const distort = [](auto const& t) { return kvision::distort(t[0], t[1], t[2], t[3], t[4]); };
+  check("distort", distort, {from, lens.repeat({2, 1, 1}), wanted, terms, tilt});
   Tensor const still = torch::eye(3, 4).expand({2, 3, 4}),
                moved = torch::cat({still.narrow(2, 0, 3), still.narrow(2, 0, 1)}, 2);
   Tensor const shift = torch::tensor({0.5f, 0.f}), space = torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2);

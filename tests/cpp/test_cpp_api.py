@@ -52,8 +52,8 @@ def test_operator_has_its_function(name: str) -> None:
     schema = [(str(a.type), a.name) for a in getattr(torch.ops.kvision, name).default._schema.arguments]
     found = functions().get(name)
     if name.startswith("color_program"):  # a struct stands for the arguments that say what is to be computed
-        fields = re.findall(r"^  (std::\S+) (\w+)( = .*)?;", PROGRAM, re.MULTILINE)
-        struct = {(TYPES[f"{kind} const&"], field) for kind, field, _ in fields}
+        fields = re.findall(r"^  (std::\S+) (\w+)(?:\(\) const \{|(?: = .*)?;)", PROGRAM, re.MULTILINE)
+        struct = {(TYPES.get(f"{kind} const&"), field) for kind, field in fields}
         found = [a for a in schema if a in struct or a in found]
     assert found == schema
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from op_tests import assert_close
+from op_tests import OpTests, assert_close
 
 E = K.enhance
 
@@ -147,6 +147,27 @@ def test_inversion_of_bytes():
 def test_gray_images_have_no_saturation():
     x = torch.rand(2, 1, 4, 4)
     assert torch.equal(E.adjust_saturation_with_gray_subtraction(x, 0.3), x)
+
+
+class TestMix(OpTests):
+    """Weights are numbers, or tensors in front of which there is the batch."""
+
+    function = staticmethod(lambda input, src2, **weights: E.add_weighted(input, src2=src2, **weights))
+    operators = ("mix", "color_program")
+    mixed = ("input", "p0")  # of color_program, as always
+    other = staticmethod(lambda x: x.flip(-1))
+    variants = [
+        {"src2": other, "alpha": 0.6, "beta": -0.7, "gamma": 0.2},
+        {"src2": other, "alpha": lambda x: torch.rand(x.shape[0], 1, 1, 1), "beta": 0.5, "gamma": 0.0},
+        {"src2": other, "alpha": 0.3, "beta": lambda x: torch.rand(x.shape[1], 1, 1), "gamma": lambda x: torch.rand(1)},
+    ]
+    max_size = 9
+
+    def call(self, x, kwargs):
+        return self.function(x, **{**kwargs, "src2": kwargs["src2"].to(x.dtype)})
+
+    def test_wrong_kinds(self, variant, device):
+        """test_all.py; images of any shape are right."""
 
 
 def test_weights_broadcast(device):

@@ -209,6 +209,22 @@ class TestTotalVariation(OpTests):
         assert torch.autograd.gradcheck(L.total_variation, x) and torch.autograd.gradgradcheck(L.total_variation, x)
 
 
+class TestSmoothness(OpTests):
+    @staticmethod
+    def function(depth, image):
+        return L.inverse_depth_smoothness_loss(depth, image.to(depth.dtype))
+
+    operators = ("smoothness", "smoothness_backward")
+    variants = [{"image": lambda x: torch.rand(x.shape[0], 3, *x.shape[2:])}]
+    channels = 1
+    shape = (2, 1, 13, 18)
+    small = (2, 1, 4, 5)
+    mixed = ("grad",)  # the sums of half types are float32
+
+    test_wrong_kinds = test_other_integers_become_float32 = test_value_of_bytes = None  # of floating-point depth only
+    test_nan_stays_in_its_window = None  # a number has no window
+
+
 def test_divergence_of_empty_pixels():
     p = torch.tensor([[[[0.0, 1.0]]]], requires_grad=True)
     q = torch.tensor([[[[0.0, 1.0]]]], requires_grad=True)

@@ -62,15 +62,36 @@ _findings: dict[str, Callable[[Tensor], Tensor]] = {}  # what a step's last para
 
 # --- the operators --------------------------------------------------------------------------------------------------
 #
-# Tensors: the image (B, C, H, W), six for parameters (B or 1, C or 1, P) or None, order (B or 1, S). Then the program:
-# `numbers` has all parameters of all steps; `columns` where those stand that are not numbers, counted along the last axes
-# of all tensors, or -1, and is empty where there are none. Then dtype, as torch names it, and layout, "NCHW" or "NHWC";
-# "same" for those of the image.
+# Tensors: the image (B, C, H, W), six for parameters (B or 1, C or 1, P) or None, order (B or 1, S). Then the plan, a list
+# of integers because each argument of an operator costs a call: the result's type (in _TYPES) and layout, -1 for those of
+# the image, the number of steps, the steps, and their columns: where parameters stand that are not numbers, counted along
+# the last axes of all tensors, or -1; none where all are. Then `numbers`, all parameters of all steps.
+
+_SAME = -1
+_TYPES = (torch.uint8, torch.float16, torch.bfloat16, torch.float32, torch.float64)  # the enum Storage of program.h
+LAYOUTS = {None: _SAME, torch.contiguous_format: 0, torch.channels_last: 1}
+
+
+class _Plan(NamedTuple):
+    dtype: torch.dtype | None
+    layout: int
+    steps: Sequence[int]
+    columns: Sequence[int]
+
+
+def _read(plan: Sequence[int]) -> _Plan:
+    dtype, layout, count, *rest = plan
+    return _Plan(None if dtype == _SAME else _TYPES[dtype], layout, rest[:count], rest[count:])
+
+
+def _plan(dtype: torch.dtype | None, layout: int, steps: Sequence[int], columns: Sequence[int]) -> list[int]:
+    return [_SAME if dtype is None else _TYPES.index(dtype), layout, len(steps), *steps, *columns]
 
 
 def _sequential(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
     """The steps one after the other, or as `order` has them, and the mean around which there was contrast."""
-    *parameters, order, steps, numbers, columns = arguments
+    *parameters, order, plan, numbers = arguments
+    _, _, steps, columns = _read(plan)
     tensors = _slots([p for p in parameters if p is not None])
     calls, first = [], 0
     for name in (_NAMES[i] for i in steps):
@@ -104,9 +125,10 @@ _computed = as_stored(_sequential)
 
 
 def _reference_around_mean(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
-    *program, dtype, layout = arguments
-    stored = _stored(x, dtype)
-    y, mean = _computed(_widened(x, stored), *program)
+    *_, plan, _ = arguments
+    dtype, layout, *_ = _read(plan)
+    stored = dtype or x.dtype
+    y, mean = _computed(_widened(x, stored), *arguments)
     y = saturate_to_byte(255 * y) if stored == torch.uint8 else y.to(stored)
     return _arranged(y, x, layout), mean
 
@@ -116,12 +138,12 @@ def _reference(x: Tensor, *arguments: Any) -> Tensor:
 
 
 def _pulled_back(grad: Tensor, x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
-    *parameters, order, _, steps, numbers, columns, of_image, of_parameters = arguments
+    *parameters, order, _, plan, numbers, of_image, of_parameters = arguments
     given = [p for p in parameters if p is not None]
     wide = _widened(x, grad.dtype)
 
     def result(x: Tensor, *rows: Tensor) -> Tensor:
-        return _computed(x, *rows, order, steps, numbers, columns)[0]
+        return _computed(x, *rows, order, plan, numbers)[0]
 
     channels = max((p.shape[1] for p in given), default=1)
     rows = [p.to(wide.dtype).expand(x.shape[0], channels, -1) for p in given]  # a gradient for each sample
@@ -140,26 +162,18 @@ def _widened(x: Tensor, other: torch.dtype) -> Tensor:
     return x.to(wide) / 255 if x.dtype == torch.uint8 else x.to(wide)
 
 
-def type_name(dtype: torch.dtype) -> str:
-    """A type as programs are told it."""
-    return str(dtype).removeprefix("torch.")
-
-
-def _stored(x: Tensor, dtype: str) -> torch.dtype:
-    return x.dtype if dtype == "same" else getattr(torch, dtype)
-
-
-def _arranged(y: Tensor, x: Tensor, layout: str) -> Tensor:
-    if layout == "same":
+def _arranged(y: Tensor, x: Tensor, layout: int) -> Tensor:
+    if layout == _SAME:
         return laid_out(y, x)
-    return y.contiguous() if layout == "NCHW" else y.movedim(1, -1).contiguous().movedim(-1, 1)
+    return y.contiguous() if layout == 0 else y.movedim(1, -1).contiguous().movedim(-1, 1)
 
 
 def _result(x: Tensor, *arguments: Any) -> Tensor:
-    *_, steps, _, _, dtype, layout = arguments
+    *_, plan, _ = arguments
+    dtype, layout, steps, _ = _read(plan)
     channels = 1 if steps and _NAMES[steps[-1]] in _ONE_CHANNEL else x.shape[1]
     sizes = (x.shape[0], channels, *x.shape[2:])
-    return _arranged(x.new_empty(sizes, dtype=_stored(x, dtype)), x, layout)
+    return _arranged(x.new_empty(sizes, dtype=dtype or x.dtype), x, layout)
 
 
 def _result_and_mean(x: Tensor, *arguments: Any) -> list[Tensor]:
@@ -168,7 +182,7 @@ def _result_and_mean(x: Tensor, *arguments: Any) -> list[Tensor]:
 
 
 def _gradients(grad: Tensor, x: Tensor, *arguments: Any) -> list[Tensor]:
-    *parameters, _, _, _, _, _, of_image, of_parameters = arguments
+    *parameters, _, _, _, _, of_image, of_parameters = arguments
     given = [p for p in parameters if p is not None]
     of_x = laid_out(torch.empty_like(x), x) if of_image else x.new_empty((x.shape[0], 0))
     sizes: tuple[int, ...] = (0,)
@@ -184,9 +198,9 @@ def _computing(*types: torch.dtype) -> torch.dtype:
 def _backward(
     needs: Sequence[bool], grad: Tensor, x: Tensor, *arguments: Any, mean: Tensor | None = None
 ) -> list[Tensor | None]:
-    *parameters, order, steps, numbers, columns, _, _ = arguments
+    *parameters, order, plan, numbers = arguments
     wanted = needs[1 : 1 + MOST_TENSORS]
-    of_x, of_rows = _program_backward(grad, x, *parameters, order, mean, steps, numbers, columns, needs[0], any(wanted))
+    of_x, of_rows = _program_backward(grad, x, *parameters, order, mean, plan, numbers, needs[0], any(wanted))
     found: list[Tensor | None] = [of_x if needs[0] else None]
     first = 0
     for p, wants in zip(parameters, wanted):
@@ -261,10 +275,10 @@ def run(
     steps: Sequence[int],
     given: Arguments,
     order: Tensor | None = None,
-    dtype: str = "same",
-    layout: str = "same",
+    dtype: torch.dtype | None = None,
+    layout: int = _SAME,
 ) -> Tensor:
-    """A program on images (B, C, H, W)."""
+    """A program on images (B, C, H, W), whose result has a dtype and one of LAYOUTS."""
     means = steps.count(_AROUND_MEAN)
     if means > 1 and order is None:
         return _in_two(x, steps, given, dtype, layout)
@@ -274,40 +288,45 @@ def run(
 
 
 def _run(
-    x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor | None, dtype: str = "same", layout: str = "same"
+    x: Tensor,
+    steps: Sequence[int],
+    given: Arguments,
+    order: Tensor | None,
+    dtype: torch.dtype | None = None,
+    layout: int = _SAME,
 ) -> Tensor:
     means = _AROUND_MEAN in steps
     operator: Callable[..., Any] = _program_around_mean if means else _program
-    if dtype != "same" and (x.dtype == torch.float64) != (dtype == "float64"):  # kernels compute in one type
+    if dtype is not None and (x.dtype == torch.float64) != (dtype == torch.float64):  # kernels compute in one type
         operator = operator.reference  # type: ignore[attr-defined]
-    y = operator(x, *given.tensors, order, steps, given.numbers, given.columns, dtype, layout)
+    y = operator(x, *given.tensors, order, _plan(dtype, layout, steps, given.columns), given.numbers)
     return y[0] if means else y
 
 
 def _in_turns(
-    turns: int, x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor, dtype: str, layout: str
+    turns: int, x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor, dtype: Any, layout: int
 ) -> Tensor:
     """A program with several means, in an order that is known to the samples: in each turn up to the next mean."""
-    stored = _stored(x, dtype)
-    computed = type_name(_computing(x.dtype, stored))
+    stored = dtype or x.dtype
+    computed = _computing(x.dtype, stored)
     around = [order == i for i, step in enumerate(steps) if step == _AROUND_MEAN]
     turn = torch.stack(around).any(0).long().cumsum(1)  # means up to each position
     for k in range(1, turns):
         here = turn <= 1 if k == 1 else turn == k
         x = _run(x, steps, given, torch.where(here, order, -1), computed)
-    return _run(x, steps, given, torch.where(turn >= turns, order, -1), type_name(stored), layout)
+    return _run(x, steps, given, torch.where(turn >= turns, order, -1), stored, layout)
 
 
-def _in_two(x: Tensor, steps: Sequence[int], given: Arguments, dtype: str, layout: str) -> Tensor:
+def _in_two(x: Tensor, steps: Sequence[int], given: Arguments, dtype: Any, layout: int) -> Tensor:
     """A program with several means as two, of which the first one stores what it computes in."""
     second = steps.index(_AROUND_MEAN, steps.index(_AROUND_MEAN) + 1)
     slots = sum(_PARAMETERS[_NAMES[i]] for i in steps[:second])
-    stored = _stored(x, dtype)
+    stored = dtype or x.dtype
     tensors, numbers, columns = given
     first = Arguments(tensors, numbers[:slots], columns[:slots])
-    x = run(x, steps[:second], first, dtype=type_name(_computing(x.dtype, stored)))
+    x = run(x, steps[:second], first, dtype=_computing(x.dtype, stored))
     rest = Arguments(tensors, numbers[slots:], columns[slots:])
-    return run(x, steps[second:], rest, dtype=type_name(stored), layout=layout)
+    return run(x, steps[second:], rest, dtype=stored, layout=layout)
 
 
 def step(
@@ -324,6 +343,7 @@ def step(
         _findings[name] = found
         composed = as_stored(lambda x, *parameters: reference(x, *parameters, found(x)))
     steps, of_values, rest = [_NAMES.index(name)], name in _OF_VALUES, [0.0] * (name in _findings)
+    plan = _plan(None, _SAME, steps, _NO_COLUMNS)
 
     def of_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
         fits = 0 not in x.shape[2:]  # the kernels take no images without pixels
@@ -335,7 +355,7 @@ def step(
         if not fits:
             return composed(x, *_slots(parameters))
         if plain and not rest:  # most calls: straight to the operator
-            return _program(x, *_NO_TENSORS, None, steps, parameters, _NO_COLUMNS, "same", "same")
+            return _program(x, *_NO_TENSORS, None, plan, parameters)
         return _run(x, steps, arguments([*parameters, *rest]), None)
 
     return of_one_step

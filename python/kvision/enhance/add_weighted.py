@@ -7,9 +7,47 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
+from kvision._ops import as_stored, register
 from kvision.core.exceptions import ShapeError
 from kvision.enhance.batch import as_batch, broadcast, check_broadcast, shaped
 from kvision.enhance.brightness import line
+
+
+def _reference(
+    x: Tensor,
+    y: Tensor,
+    alpha: Tensor | None,
+    beta: Tensor | None,
+    gamma: Tensor | None,
+    a: float,
+    b: float,
+    c: float,
+) -> Tensor:
+    """Images (B, C, H, W) by weights (B or 1, C or 1, 1), which numbers stand for where there are none."""
+    return _mixed(x, y, *(n if w is None else w[..., None] for w, n in ((alpha, a), (beta, b), (gamma, c))))
+
+
+def _mixed(x: Tensor, y: Tensor, alpha: float | Tensor, beta: float | Tensor, gamma: float | Tensor) -> Tensor:
+    return x * alpha + y * beta + gamma
+
+
+def _backward(needs, grad, x, y, alpha, beta, gamma, a, b, c):
+    def of_weight(weight: Tensor, image: Tensor | None) -> Tensor:
+        wide = grad.to(weight.dtype)
+        pixels = wide if image is None else wide * image
+        return pixels.sum((2, 3))[..., None].sum_to_size(weight.shape)
+
+    return [
+        line(grad, a if alpha is None else alpha, 0.0, False) if needs[0] else None,
+        line(grad, b if beta is None else beta, 0.0, False).sum_to_size(y.shape) if needs[1] else None,
+        of_weight(alpha, x) if needs[2] else None,
+        of_weight(beta, y) if needs[3] else None,
+        of_weight(gamma, None) if needs[4] else None,
+    ]
+
+
+_mix = register("mix", _reference, backward=_backward)
+_composed = as_stored(_mixed)  # weights of single pixels, images of two types or without pixels
 
 
 def add_weighted(
@@ -47,12 +85,14 @@ def add_weighted(
             actual_shape=src2.shape,
             expected_shape=src1.shape,
         )
-    a, b, c = (_weight(n, w, src1) for n, w in (("alpha", alpha), ("beta", beta), ("gamma", gamma)))
-    x = floats(src1)
-    a, c = (broadcast(w, x) if isinstance(w, Tensor) else w for w in (a, c))
-    first = shaped(line(as_batch(x.to(compute_dtype(x))), a, c, False), x)
-    second = src2.to(first.dtype)
-    return (first + second * b if isinstance(b, Tensor) else first.add(second, alpha=b)).to(x.dtype)
+    weights = [_weight(n, w, src1) for n, w in (("alpha", alpha), ("beta", beta), ("gamma", gamma))]
+    x, y = floats(src1), floats(src2)
+    rows = [broadcast(w, x) if isinstance(w, Tensor) else w for w in weights]
+    if 0 in x.shape or x.dtype != y.dtype or any(isinstance(w, Tensor) and w.dim() > 3 for w in rows):
+        return _composed(x, y, *weights)
+    tensors = [w.to(compute_dtype(x)) if isinstance(w, Tensor) else None for w in rows]
+    numbers = [0.0 if isinstance(w, Tensor) else w for w in rows]
+    return shaped(_mix(as_batch(x), as_batch(y), *tensors, *numbers), x)
 
 
 def _weight(name: str, weight: float | Tensor, x: Tensor) -> float | Tensor:

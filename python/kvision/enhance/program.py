@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._leading import on_batch
-from kvision.color.program import MOST_STEPS, STEPS, arguments, run, type_name
+from kvision.color.program import LAYOUTS, MOST_STEPS, STEPS, arguments, run
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
 
 Value = float | Sequence[float] | Tensor
@@ -100,13 +100,12 @@ class ColorProgram(nn.Module):
             and not (isinstance(dtype, torch.dtype) and dtype.is_floating_point)
         ):
             raise TypeCheckError(f"ColorProgram: expected dtype to be floating point or uint8, got {dtype!r}")
-        if memory_format not in (None, torch.contiguous_format, torch.channels_last):
+        if memory_format not in tuple(LAYOUTS):
             raise ValueCheckError(
                 f"ColorProgram: memory_format must be torch.contiguous_format or torch.channels_last; got {memory_format!r}"
             )
         self.dtype, self.memory_format = dtype, memory_format
-        self._stored = "same" if dtype is None else type_name(dtype)
-        self._layout = {None: "same", torch.contiguous_format: "NCHW"}.get(memory_format, "NHWC")
+        self._layout = LAYOUTS[memory_format]
         self._steps: list[tuple[str, list[Any]]] = []  # with the names of their attributes for tensors
         for i, given in enumerate(steps):
             name, values = _checked(given)
@@ -169,7 +168,7 @@ class ColorProgram(nn.Module):
             given = arguments(self._all_slots(parameters or {}, image))
         if order is not None or enabled is not None:
             order = _order(order, enabled, len(self._program), image)
-        return on_batch(run, image, self._program, given, order, self._stored, self._layout)
+        return on_batch(run, image, self._program, given, order, self.dtype, self._layout)
 
     def _all_slots(self, parameters: Mapping[str | int, Any], image: Tensor) -> list[float | Tensor]:
         """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""

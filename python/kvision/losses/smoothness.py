@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored, register, vjp
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -33,6 +33,46 @@ _total_variation_backward = register(
     stores=True,
 )
 _total_variation = register("total_variation", _reference, fake=_fake, backward=_backward, stores=True)
+
+
+def _roughness(depth: Tensor, image: Tensor, along_y: float, along_x: float) -> Tensor:
+    """(B,): for every sample what neighbours in depth (B, 1, H, W) differ by, less at the image's edges; weighted sums."""
+    dtype = compute_dtype(image)
+    depth, image = depth.to(dtype), image.to(dtype)
+
+    def along(axis: int) -> Tensor:
+        edges = image.diff(dim=axis).abs().mean(1, keepdim=True)
+        return (depth.diff(dim=axis).abs() * (-edges).exp()).sum((1, 2, 3))
+
+    return along_y * along(2) + along_x * along(3)
+
+
+def _roughness_slope(
+    grad: Tensor, depth: Tensor, image: Tensor, along_y: float, along_x: float, of_image: bool
+) -> Tensor:
+    pullback = torch.func.vjp(lambda d, x: _roughness(d, x, along_y, along_x), depth, image)[1]
+    return pullback(grad)[of_image]
+
+
+def _roughness_backward(needs, grad, *args):
+    return [_smoothness_slope(grad, *args, of_image) if needs[of_image] else None for of_image in (False, True)]
+
+
+_smoothness_slope = register(
+    "smoothness_backward",
+    _roughness_slope,
+    fake=lambda grad, depth, image, *plain: torch.empty_like(
+        image if plain[-1] else depth, memory_format=torch.contiguous_format
+    ),
+    stores=True,
+)
+_smoothness = register(
+    "smoothness",
+    _roughness,
+    fake=lambda depth, *_: depth.new_empty(depth.shape[:1], dtype=compute_dtype(depth)),
+    backward=_roughness_backward,
+    stores=True,
+)
 
 
 def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
@@ -112,17 +152,10 @@ def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:
     if idepth.dtype != image.dtype:
         raise TypeCheckError(f"{op}: expected idepth and image of one type, got {idepth.dtype} and {image.dtype}")
     _check.same_device(op, idepth=idepth, image=image)
-    return _smoothness(idepth, image)
-
-
-@as_stored
-def _smoothness(idepth: Tensor, image: Tensor) -> Tensor:
-    def along(axis: int) -> Tensor:
-        edges = image.diff(dim=axis).abs().mean(1, keepdim=True)
-        rough = idepth.diff(dim=axis).abs() * (-edges).exp()
-        return rough.sum() / max(1, rough.numel())
-
-    return along(3) + along(2)
+    b, maps, h, w = idepth.shape
+    operator = _smoothness if maps == 1 and image.numel() else _smoothness.reference
+    sums = operator(idepth, image, 1 / max(1, b * maps * (h - 1) * w), 1 / max(1, b * maps * h * (w - 1)))
+    return as_dtype(sums.sum(), idepth.dtype)
 
 
 class TotalVariation(FunctionModule):

@@ -1,0 +1,54 @@
+// Mixing two images on CUDA: two packs a thread.
+#include "core/launch.cuh"
+#include "mix.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256, kPacks = 2;
+
+template <class T, bool Packed>
+__global__ void __launch_bounds__(kThreads) run(__grid_constant__ Mix<T> const p) {
+  using F = Compute<T>;
+  constexpr int P = Packed ? kPixels<T> : 1;
+  int64_t const first = (blockIdx.x * int64_t(kPacks * kThreads) + threadIdx.x) * P, step = p.x.step;
+  for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
+    F const a = p.weight_of(p.alpha, plane), b = p.weight_of(p.beta, plane), c = p.weight_of(p.gamma, plane);
+    T const *const x = p.x.plane(plane), *const y = p.y.plane(plane);
+    T* const mixed = p.mixed.plane(plane);
+    Pack<T, P> xs[kPacks], ys[kPacks];
+#pragma unroll
+    for (int k = 0; k < kPacks; ++k) {
+      int64_t const i = first + k * kThreads * P;
+      if (i >= p.x.width) break;
+      xs[k] = *reinterpret_cast<Pack<T, P> const*>(x + i * step);
+      ys[k] = *reinterpret_cast<Pack<T, P> const*>(y + i * step);
+    }
+#pragma unroll
+    for (int k = 0; k < kPacks; ++k) {
+      int64_t const i = first + k * kThreads * P;
+      if (i >= p.x.width) break;
+      F v[P];
+#pragma unroll
+      for (int j = 0; j < P; ++j) v[j] = read(xs[k].v[j]) * a + read(ys[k].v[j]) * b + c;
+      store_pack(mixed + i * step, v);
+    }
+  }
+}
+
+}  // namespace
+
+template <class T>
+int mix(Mix<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y) && is_strip<P>(p.mixed), [&](auto packed) {
+    dim3 const blocks(unsigned(ceil_div(p.x.width, kPacks * kThreads * (packed.value ? P : 1))),
+                      unsigned(min(p.x.count(), int64_t(65535))));
+    run<T, packed.value><<<blocks, kThreads, 0, stream>>>(p);
+  });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(mix, Mix)
+
+}  // namespace kv::cuda

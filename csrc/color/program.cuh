@@ -200,11 +200,13 @@ inline void set_access(Pixels& x, int64_t pixels) {
                                                  : Access::packs;
 }
 
-// Planes of pixels as they come from memory, of what is computed in or of halves: asked for in time, they are waited for
-// where they become numbers.
+// Planes of pixels as they come from memory, of what is computed in or of halves: asked for in time, they are waited
+// for where they become numbers.
 template <class F, int C, int P>
 struct Asked {
   static constexpr bool kOfHalves = sizeof(F) == 4;
+  template <class T>
+  static constexpr bool kAsks = sizeof(T) == sizeof(F) || kOfHalves;
   static constexpr uint32_t kSome = 0x3f3f3f3f;  // a number between 0 and 2 in every type
   uint32_t words[C][4];
 
@@ -238,16 +240,18 @@ struct Asked {
 
   template <class T>
   __device__ __forceinline__ void ask_for(Pixels const& x, int64_t from) {
-    using Words = Pack<uint32_t, int(P * sizeof(T) / 4)>;  // not taken apart before they are there
+    if constexpr (kAsks<T>) {
+      using Words = Pack<uint32_t, int(P * sizeof(T) / 4)>;  // not taken apart before they are there
 #pragma unroll
-    for (int k = 0; k < C; ++k, from += x.channel_stride) {
-      auto const pack = *reinterpret_cast<Words const*>(static_cast<T const*>(x.data) + from);
-      __builtin_memcpy(words[k], pack.v, sizeof(pack));
+      for (int k = 0; k < C; ++k, from += x.channel_stride) {
+        auto const pack = *reinterpret_cast<Words const*>(static_cast<T const*>(x.data) + from);
+        __builtin_memcpy(words[k], pack.v, sizeof(pack));
+      }
     }
   }
   template <class T>
   __device__ __forceinline__ void take_as(F (&c)[C][P]) const {
-    if constexpr (sizeof(T) == sizeof(F) || kOfHalves) {
+    if constexpr (kAsks<T>) {
 #pragma unroll
       for (int k = 0; k < C; ++k) {
         Pack<T, P> pack;

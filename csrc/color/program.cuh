@@ -54,7 +54,7 @@ namespace {
 
 constexpr int kThreads = 256;
 template <class F>
-constexpr int kTaken = int(kChunk<F> / kThreads);  // pixels of a thread, but twice as many of halves
+constexpr int kTaken = int(kChunk<F> / kThreads);  // pixels of a thread
 
 // --- a step over the pixels of a thread
 // ---------------------------------------------------------------------------------
@@ -180,9 +180,9 @@ struct Slope {
 // --- memory <-> registers
 // -----------------------------------------------------------------------------------------------
 
-// F, by P pixels a thread, computes with what T stores.
-template <class F, int P, class T>
-constexpr bool kFits = sizeof(F) == 8 || sizeof(T) <= (P > 4 ? 2 : 4);
+// F computes with what T stores.
+template <class F, class T>
+constexpr bool kFits = sizeof(T) <= sizeof(F);
 template <class T>
 constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
 
@@ -200,11 +200,13 @@ inline void set_access(Pixels& x, int64_t pixels) {
                                                  : Access::packs;
 }
 
-// Planes of pixels as they come from memory, of what is computed in or of halves: asked for in time, they are waited for
-// where they become numbers.
+// Planes of pixels as they come from memory, of what is computed in or of halves: asked for in time, they are waited
+// for where they become numbers.
 template <class F, int C, int P>
 struct Asked {
-  static constexpr bool kOfHalves = sizeof(F) == 4, kPlain = kFits<F, P, F>;
+  static constexpr bool kOfHalves = sizeof(F) == 4;
+  template <class T>
+  static constexpr bool kAsks = sizeof(T) == sizeof(F) || kOfHalves;
   static constexpr uint32_t kSome = 0x3f3f3f3f;  // a number between 0 and 2 in every type
   uint32_t words[C][4];
 
@@ -213,7 +215,7 @@ struct Asked {
   }
   static __device__ __forceinline__ bool of(Pixels const& x) {
     bool const halves = are_halves(x) && x.access == Access::packs && x.step == 1;
-    return x.channels == C && (halves || (kPlain && x.access == Access::plain));
+    return x.channels == C && (halves || x.access == Access::plain);
   }
   // What pixels are that there are not.
   __device__ __forceinline__ void fill(uint32_t word) {
@@ -224,11 +226,11 @@ struct Asked {
     if (i >= pixels) return;
     if (are_halves(x))
       ask_for<Half>(x, at + i);
-    else if constexpr (kPlain)
+    else
       ask_for<F>(x, at + i);
   }
   __device__ __forceinline__ void take(Pixels const& x, F (&c)[C][P]) const {
-    if (kPlain && !are_halves(x))
+    if (!are_halves(x))
       take_as<F>(c);
     else if (x.type == Storage::half)
       take_as<Half>(c);
@@ -236,18 +238,20 @@ struct Asked {
       take_as<BFloat16>(c);
   }
 
- private:
   template <class T>
   __device__ __forceinline__ void ask_for(Pixels const& x, int64_t from) {
+    if constexpr (kAsks<T>) {
+      using Words = Pack<uint32_t, int(P * sizeof(T) / 4)>;  // not taken apart before they are there
 #pragma unroll
-    for (int k = 0; k < C; ++k, from += x.channel_stride) {
-      auto const pack = *reinterpret_cast<Pack<T, P> const*>(static_cast<T const*>(x.data) + from);
-      __builtin_memcpy(words[k], &pack, sizeof(pack));
+      for (int k = 0; k < C; ++k, from += x.channel_stride) {
+        auto const pack = *reinterpret_cast<Words const*>(static_cast<T const*>(x.data) + from);
+        __builtin_memcpy(words[k], pack.v, sizeof(pack));
+      }
     }
   }
   template <class T>
   __device__ __forceinline__ void take_as(F (&c)[C][P]) const {
-    if constexpr (sizeof(T) == sizeof(F) ? kPlain : kOfHalves) {
+    if constexpr (kAsks<T>) {
 #pragma unroll
       for (int k = 0; k < C; ++k) {
         Pack<T, P> pack;
@@ -271,7 +275,7 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t at, int64_t
   if (i >= pixels) return;
   for_storage(x.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, P, T>) {
+    if constexpr (kFits<F, T>) {
       constexpr F unit = F(1. / kUnit<T>);
       T const* const from = static_cast<T const*>(x.data) + at;
       if (x.access == Access::each) {
@@ -306,7 +310,7 @@ template <class F, int C, int P>
 __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_t i, int64_t pixels,
                                              F const (&c)[C][P]) {
   if (i >= pixels) return;
-  if (kFits<F, P, F> && y.access == Access::plain) {
+  if (y.access == Access::plain) {
     F* to = static_cast<F*>(y.data) + at + i;
 #pragma unroll
     for (int k = 0; k < C; ++k, to += y.channel_stride) {
@@ -317,7 +321,7 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_
   }
   for_storage(y.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, P, T>) {
+    if constexpr (kFits<F, T>) {
       constexpr F unit = kUnit<T>;
       auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * unit)); };
       T* const to = static_cast<T*>(y.data) + at;

@@ -119,16 +119,16 @@ template <class F>
 constexpr int64_t kChunk = 512;
 #endif
 template <class F>
-KV_HD int64_t chunks_of(int64_t pixels, int64_t chunk = kChunk<F>) {
-  return (pixels + chunk - 1) / chunk;
+KV_HD int64_t chunks_of(int64_t pixels) {
+  return (pixels + kChunk<F> - 1) / kChunk<F>;
 }
 // How many share the chunks of a sample. On CUDA blocks take several each, which prepare for the sample once: four
 // rounds of the machine.
 template <class F>
-KV_HD int64_t shares_of([[maybe_unused]] int64_t samples, int64_t pixels, int64_t chunk = kChunk<F>) {
-  int64_t const chunks = chunks_of<F>(pixels, chunk);
+KV_HD int64_t shares_of([[maybe_unused]] int64_t samples, int64_t pixels) {
+  int64_t const chunks = chunks_of<F>(pixels);
 #if defined(KV_CUDA) || defined(__CUDACC__)
-  int64_t const each = clamp(samples * chunks * chunk / (4 * 4 * 132 * kChunk<F>), int64_t(1), int64_t(16));
+  int64_t const each = clamp(samples * chunks / (4 * 4 * 132), int64_t(1), int64_t(16));
   return (chunks + each - 1) / each;
 #else
   return chunks;

@@ -13,7 +13,8 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
   constexpr int P = kTaken<F>;
   Program<F> const& q = p.forward;
   __shared__ Sample<F> sample;
-  bool const asks = Asked<F, C, P>::of(q.x) && Asked<F, C, P>::of(p.grad);
+  using Packs = Asked<F, C, P>;
+  bool const asks = Packs::of(q.x) && Packs::of(p.grad) && q.x.type == p.grad.type;
   __shared__ F slopes[kThreads / 32][kMostParameters];
   for (int64_t n = blockIdx.y; n < q.samples; n += gridDim.y) {
     int64_t const b = sample_of(q, n), from = q.x.offset(b), from_grad = p.grad.offset(b);
@@ -26,17 +27,25 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
     for (int64_t chunk = blockIdx.x; chunk < chunks_of<F>(q.pixels); chunk += gridDim.x) {
       int64_t const i = chunk * kChunk<F> + threadIdx.x * P, i_of_x = p.reads_x ? i : q.pixels;
       F c[C][P], g[C][P], kept[kMostSteps - 1][C][P];
-      if (asks) {  // all that there is, before any of it is waited for
-        Asked<F, C, P> x, grad;
+      auto const take_both = [&](auto stored) {  // all that there is, before any of it is waited for
+        using T = decltype(stored);
+        Packs x, grad;
         x.fill(x.kSome);
         grad.fill(0);
-        x.ask(q.x, from, i_of_x, q.pixels);
-        grad.ask(p.grad, from_grad, i, q.pixels);
-        x.take(q.x, c);
-        grad.take(p.grad, g);
-      } else {
+        if (i_of_x < q.pixels) x.template ask_for<T>(q.x, from + i);
+        if (i < q.pixels) grad.template ask_for<T>(p.grad, from_grad + i);
+        x.template take_as<T>(c);
+        grad.template take_as<T>(g);
+      };
+      if (!asks) {
         load_pixels(q.x, from, i_of_x, q.pixels, F(0.5), c);
         load_pixels(p.grad, from_grad, i, q.pixels, F(0), g);
+      } else if (q.x.type == Storage::half) {
+        take_both(Half{});
+      } else if (q.x.type == Storage::bfloat16) {
+        take_both(BFloat16{});
+      } else {
+        take_both(F{});
       }
       for (int s = 0; s < last; ++s) {
 #pragma unroll

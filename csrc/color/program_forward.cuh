@@ -6,8 +6,9 @@
 namespace kv::cuda {
 namespace {
 
-template <class F, int C, int P>
+template <class F, int C>
 __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> const p) {
+  constexpr int P = kTaken<F>;
   __shared__ Sample<F> sample;
   for (int64_t n = blockIdx.y; n < p.samples; n += gridDim.y) {
     int64_t const b = sample_of(p, n), from = p.x.offset(b), to = p.measures ? 0 : p.y.offset(b);
@@ -52,34 +53,18 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
   }
 }
 
-inline bool are_halves(Pixels const& x, int64_t pixels) {
-  return (x.type == Storage::half || x.type == Storage::bfloat16) && is_packed<8>(x, pixels);
-}
-
 }  // namespace
 
 template <class F>
 int program(Program<F> const& given, CUstream_st* stream) {
   Program<F> p = given;
-  constexpr int kOne = kValue<F>;
-  auto const launch = [&](auto taken) {
-    constexpr int P = taken.value;
-    set_access<F, P>(p.x, p.pixels);
-    set_access<F, P>(p.y, p.pixels);
-    int64_t const shares = p.measures ? p.parts_count : shares_of<F>(p.samples, p.pixels, kThreads * P);
-    dim3 const grid = grid_of(p.samples, shares);
-    if (p.x.channels == 1)
-      run<F, kOne, P><<<grid, kThreads, 0, stream>>>(p);
-    else
-      run<F, 3, P><<<grid, kThreads, 0, stream>>>(p);
-  };
-  if constexpr (sizeof(F) == 4) {
-    if (are_halves(p.x, p.pixels) && (p.measures || are_halves(p.y, p.pixels))) {
-      launch(std::integral_constant<int, 8>{});
-      return cudaGetLastError();
-    }
-  }
-  launch(std::integral_constant<int, kTaken<F>>{});
+  constexpr int P = kTaken<F>;
+  for (Pixels* x : {&p.x, &p.y}) set_access<F, P>(*x, p.pixels);
+  dim3 const grid = grid_of(p.samples, p.measures ? p.parts_count : shares_of<F>(p.samples, p.pixels));
+  if (p.x.channels == 1)
+    run<F, kValue<F>><<<grid, kThreads, 0, stream>>>(p);
+  else
+    run<F, 3><<<grid, kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -81,7 +81,9 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
     using F = Compute<T>;
     DilationBackward<T> const all{planes<T const>(g, layout), planes<T const>(x, layout),  planes<T>(grad_x, layout),
                                   element.window<F>(),        planes_of_sample(x, layout), nullptr};
-    int64_t const row_cost = all.x.row_size() * element.height * element.width / 4;
+    auto const run = [&](DilationBackward<T> const& params) {
+      KV_RUN(dilation_backward, x, params, params.x.rows(), params.x.row_size() * element.height * element.width / 4);
+    };
 #if defined(KV_CUDA)
     if (layout == Layout::channels_last || !has_own_memory(all.window)) {
       // Two numbers an element, of so many samples at a time that they take no more memory than x.
@@ -98,12 +100,12 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
           planes.outer = planes.outer / samples * min(together, samples - first);
         };
         take(params.grad, g), take(params.x, x), take(params.grad_x, grad_x);
-        KV_RUN(dilation_backward, x, params, params.x.rows(), row_cost);
+        run(params);
       }
       return;
     }
 #endif
-    KV_RUN(dilation_backward, x, all, all.x.rows(), row_cost);
+    run(all);
   });
   return grad_x;
 }

@@ -28,6 +28,7 @@ hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", default="cpu", choices=("cpu", "cuda"), help="where the tensors of the tests live")
     parser.addoption("--backend", default="native", choices=("native", "reference", "auto"), help="what is tested")
+    parser.addoption("--sizes", default="all", choices=("all", "few"), help="which small sizes are swept")
 
 
 @pytest.fixture(scope="session")
@@ -41,6 +42,11 @@ def backend(request: pytest.FixtureRequest):
     name = request.config.getoption("--backend")
     with K.backend("reference" if name == "reference" else "auto"):
         yield name
+
+
+@pytest.fixture(scope="session")
+def sizes(request: pytest.FixtureRequest) -> str:
+    return request.config.getoption("--sizes")
 
 
 @pytest.fixture(autouse=True)

@@ -5,13 +5,13 @@
 namespace kv {
 namespace {
 
-// Cameras (B, 3, 3), one for all or for each image; contiguous.
+// Cameras (B, 3, 3), one for all or for each image; each of them contiguous.
 Tensor cameras_of(char const* op, Tensor const& camera, Tensor const& image) {
   KV_CHECK(goes_with(camera, image, 3) && camera.size(1) == 3 && camera.size(2) == 3, op,
            ": camera does not fit the images");
-  return dense(camera);
+  return camera.stride(1) == 3 && camera.stride(2) == 1 ? camera : dense(camera);
 }
-int64_t stride_of(Tensor const& cameras) { return cameras.size(0) == 1 ? 0 : 9; }
+int64_t stride_of(Tensor const& cameras) { return cameras.size(0) == 1 ? 0 : cameras.stride(0); }
 
 template <class T>
 DepthPoints<T> points_of(Tensor const& depth, Tensor const& y, Tensor const& cameras, bool distance) {

@@ -1,14 +1,15 @@
-// Undistortion: schema and entry, for CPU and CUDA alike.
+// Lenses: schemas and entries, for CPU and CUDA alike.
 #include "undistort.h"
 #include "views_glue.h"
 
 namespace kv {
 namespace {
 
-// Points (B, N, 2); the numbers of their cameras are (B, ...), or (1, ...) for all.
-Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
-                 std::optional<Tensor> const& tilt, int64_t steps) {
-  constexpr char const* op = "undistort";
+// Points (B, N, 2); the numbers of their cameras are (B, ...), or (1, ...) for all. `run(points, params)` is a
+// kernel's.
+template <class Run>
+Tensor through_lens(char const* op, Tensor const& points, Tensor const& camera, Tensor const& wanted,
+                    Tensor const& coefficients, std::optional<Tensor> const& tilt, int64_t steps, Run run_kernel) {
   KV_CHECK(points.dim() == 3 && points.size(2) == 2, op, ": expected points of shape (B, N, 2)");
   KV_CHECK(steps >= 0 && steps <= INT32_MAX, op, ": expected steps of at least 0, got ", steps);
   int64_t const batch = points.size(0), count = points.size(1);
@@ -42,15 +43,33 @@ Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wante
                               batch,
                               count,
                               static_cast<T*>(result.mutable_data_ptr())};
-    KV_RUN(undistort, x.tensor, params, batch * count, 4 * (1 + steps));
+    run_kernel(x.tensor, params, batch * count);
   };
   x.reals.wide ? run(Type<double>{}) : run(Type<float>{});
   return result;
 }
 
+Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
+                 std::optional<Tensor> const& tilt, int64_t steps) {
+  auto const run = [&](Tensor const& x, auto const& params, int64_t count) {
+    KV_RUN(undistort, x, params, count, 4 * (1 + steps));
+  };
+  return through_lens("undistort", points, camera, wanted, coefficients, tilt, steps, run);
+}
+
+Tensor distort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
+               std::optional<Tensor> const& tilt) {
+  auto const run = [&](Tensor const& x, auto const& params, int64_t count) { KV_RUN(distort, x, params, count, 8); };
+  return through_lens("distort", points, camera, wanted, coefficients, tilt, 0, run);
+}
+
 }  // namespace
 
-KV_OPERATOR(undistort,
-            "(Tensor points, Tensor camera, Tensor wanted, Tensor coefficients, Tensor? tilt, int steps) -> Tensor")
+#define KV_LENS "Tensor points, Tensor camera, Tensor wanted, Tensor coefficients, Tensor? tilt"
+
+KV_OPERATOR(undistort, "(" KV_LENS ", int steps) -> Tensor")
+KV_OPERATOR(distort, "(" KV_LENS ") -> Tensor")
+
+#undef KV_LENS
 
 }  // namespace kv

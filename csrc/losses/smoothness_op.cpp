@@ -6,11 +6,7 @@
 namespace kv {
 namespace {
 
-ScalarType computed(Tensor const& x) {
-  return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
-}
-
-void check(char const* op, Tensor const& depth, Tensor const& image) {
+void check_depth(char const* op, Tensor const& depth, Tensor const& image) {
   check_images(op, "depth", depth);
   check_images(op, "image", image);
   KV_CHECK(depth.size(1) == 1 && image.size(1) > 0 && depth.size(0) == image.size(0) &&
@@ -20,7 +16,7 @@ void check(char const* op, Tensor const& depth, Tensor const& image) {
 }
 
 template <class T>
-DepthAndImage<T> pair_of(Tensor const& depth, Tensor const& image, double along_y, double along_x) {
+DepthAndImage<T> depth_and_image(Tensor const& depth, Tensor const& image, double along_y, double along_x) {
   using F = Compute<T>;
   return {planes<T const>(depth, Layout::planar), planes<T const>(image, Layout::planar), image.size(1), F(along_y),
           F(along_x)};
@@ -28,7 +24,7 @@ DepthAndImage<T> pair_of(Tensor const& depth, Tensor const& image, double along_
 
 Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y, double along_x) {
   constexpr char const* op = "smoothness";
-  check(op, depth, image);
+  check_depth(op, depth, image);
   Tensor const d = conform(depth, Layout::planar), x = conform(image, Layout::planar);
   int64_t const samples = d.size(0), height = d.size(2), width = d.size(3);
 #if defined(KV_CUDA)
@@ -36,13 +32,13 @@ Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y, doub
 #else
   int64_t const pieces = height;
 #endif
-  Tensor const sums = empty({samples}, x, Layout::planar, computed(x));
-  Tensor const partial = empty({samples, pieces}, x, Layout::planar, computed(x));
+  Tensor const sums = empty({samples}, x, Layout::planar, computed_type(x));
+  Tensor const partial = empty({samples, pieces}, x, Layout::planar, computed_type(x));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Smoothness<T> const params{pair_of<T>(d, x, along_y, along_x), pieces, static_cast<F*>(partial.mutable_data_ptr()),
-                               static_cast<F*>(sums.mutable_data_ptr())};
+    Smoothness<T> const params{depth_and_image<T>(d, x, along_y, along_x), pieces, data_of<F>(partial),
+                               data_of<F>(sums)};
     KV_RUN(smoothness, x, params, samples * height, (image.size(1) + 1) * width);
 #if !defined(KV_CUDA)
     add_pieces(params.partial, samples, pieces, Finish<F>{F(1), F(0)}, params.sums);
@@ -54,16 +50,15 @@ Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y, doub
 Tensor smoothness_backward(Tensor const& grad, Tensor const& depth, Tensor const& image, double along_y, double along_x,
                            bool of_image) {
   constexpr char const* op = "smoothness_backward";
-  check(op, depth, image);
-  KV_CHECK(grad.dim() == 1 && grad.size(0) == depth.size(0) && grad.scalar_type() == computed(depth) &&
+  check_depth(op, depth, image);
+  KV_CHECK(grad.dim() == 1 && grad.size(0) == depth.size(0) && grad.scalar_type() == computed_type(depth) &&
                grad.device() == depth.device(),
            op, ": expected grad to be that of the sums");
   Tensor const d = conform(depth, Layout::planar), x = conform(image, Layout::planar), g = dense(grad);
   Tensor const out = empty_like(of_image ? x : d, Layout::planar);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    SmoothnessBackward<T> const params{pair_of<T>(d, x, along_y, along_x),
-                                       static_cast<Compute<T> const*>(g.const_data_ptr()),
+    SmoothnessBackward<T> const params{depth_and_image<T>(d, x, along_y, along_x), data_of<Compute<T> const>(g),
                                        planes<T>(out, Layout::planar), of_image};
     KV_RUN(smoothness_backward, x, params, params.of.depth.rows(), (image.size(1) + 1) * d.size(3));
   });

@@ -84,13 +84,14 @@ struct SsimImages {
   Compute<T> const* weights;  // `size` of them, in host memory
   double sigma;               // that they are made of
   int size;
-  bool volumes;   // windows go across the planes, too, of which `depth` follow one another; on CUDA only
+  bool volumes;   // windows go across the planes, too, of which `depth` follow one another
   int64_t depth;  // 1 for images
   Border border;
   bool valid;
   SsimConstants<Compute<T>> constants;
 
   KV_HD int before() const { return valid ? 0 : size / 2; }
+  KV_HD int64_t slices() const { return volumes && valid ? depth - size + 1 : depth; }  // of the similarity
 };
 
 // A loss for each row of planes, one row behind the other: the sum of 1 - similarity times `structure`, and that of
@@ -119,6 +120,7 @@ struct SsimBackward {
   SsimLoss<Compute<T>> loss;
   Compute<T> const* of_loss;  // the gradient of each row's
   Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: memory for four numbers for each of the similarity
+  int64_t together;           // of so many volumes, or planes of images
 };
 
 // CUDA has kernels of two kinds: by strips for windows of the usual sizes over planar images (ssim.cu), and by tiles

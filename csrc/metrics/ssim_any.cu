@@ -7,7 +7,8 @@
 // of its pixels have. Slice by slice of a volume the sums go to a ring, of which each thread has a part, and are
 // summed across the slices.
 //
-// The derivatives are written by one launch and summed by another, so that no pixel's mean is computed twice.
+// The derivatives are written by one launch and summed by another, so that no pixel's mean is computed twice; of so
+// many volumes at a time as there is memory for.
 #include "ssim.cuh"
 
 namespace kv::cuda {
@@ -35,6 +36,7 @@ struct Work {
   F* partial;
   F const* of_loss;
   unsigned across, down, parts;  // tiles of a volume
+  int64_t first;                 // volume of a launch
   int slices;                    // of a part
   int tall;                      // pixels of a thread, as many rows apart as the block has
 
@@ -46,7 +48,8 @@ struct Work {
     return volume / x.step * (depth - 2 * offset_z) + z - offset_z;
   }
   __device__ __forceinline__ Four<F>& derivatives_at(int64_t volume, int z, int y, int column) const {
-    int64_t const row = (volume * (depth - 2 * offset_z) + z - offset_z) * (height - 2 * offset) + y - offset;
+    int64_t const slice = (volume - first) * (depth - 2 * offset_z) + z - offset_z;
+    int64_t const row = slice * (height - 2 * offset) + y - offset;
     return derivatives[row * (width - 2 * offset) + column - offset];
   }
   // What D of ssim.h multiplies a pixel with.
@@ -93,8 +96,9 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
 
   unsigned tile = blockIdx.x / p.across, part = tile / p.down;
   int const x0 = int(blockIdx.x - tile * p.across) * kColumns, y0 = int(tile - part * p.down) * rows * p.tall;
-  int64_t const volume = part / p.parts, channel = volume % p.x.step, plane = volume / p.x.step * p.depth;
-  int const z0 = int(part - unsigned(volume) * p.parts) * p.slices, z1 = min(z0 + p.slices, p.depth);
+  unsigned const of_launch = part / p.parts;
+  int64_t const volume = p.first + of_launch, channel = volume % p.x.step, plane = volume / p.x.step * p.depth;
+  int const z0 = int(part - of_launch * p.parts) * p.slices, z1 = min(z0 + p.slices, p.depth);
   int const x = x0 + lane, y = y0 + r;
 
   for (int t = threadIdx.x; t < K; t += threads) {
@@ -210,10 +214,14 @@ Work<Compute<T>> work_of(SsimImages<T> const& images) {
   return work;
 }
 
+template <class F>
+int64_t volumes_of(Work<F> const& work) {
+  return work.x.count() / work.depth * work.x.step;
+}
+
 template <bool Back, class F>
-int launch(Work<F>& work, CUstream_st* stream) {
+int launch(Work<F>& work, int64_t volumes, CUstream_st* stream) {
   SsimTiles const tiles(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
-  int64_t const volumes = work.x.count() / work.depth * work.x.step;
   work.across = unsigned(tiles.across), work.down = unsigned(tiles.down), work.parts = unsigned(tiles.parts);
   work.slices = tiles.slices, work.tall = tiles.tall;
   int const bytes = int(tiles.bytes);
@@ -231,7 +239,7 @@ int ssim_any(Ssim<T> const& p, CUstream_st* stream) {
   Work<F> work = work_of(p.images);
   work.result = stored_planes(p.similarity);
   work.loss = p.loss, work.partial = p.similarity.data ? nullptr : p.partial;
-  int const error = launch<false>(work, stream);
+  int const error = launch<false>(work, volumes_of(work), stream);
   if (error || p.similarity.data) return error;
   SsimTiles const tiles(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
   int64_t const rows = work.x.count() / work.depth / p.loss.planes, pieces = p.loss.planes * tiles.pieces();
@@ -246,9 +254,14 @@ int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   work.grad = stored_planes(p.grad);
   work.loss = p.loss, work.of_loss = p.of_loss;
   work.derivatives = reinterpret_cast<Four<F>*>(p.derivatives);
-  if (int const error = launch<false>(work, stream)) return error;
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
-  return launch<true>(work, stream);
+  int64_t const volumes = volumes_of(work);
+  for (; work.first < volumes; work.first += p.together) {
+    int64_t const count = min(p.together, volumes - work.first);
+    if (int const error = launch<false>(work, count, stream)) return error;
+    if (int const error = launch<true>(work, count, stream)) return error;
+  }
+  return 0;
 }
 
 #define KV_SSIM_ANY(T)                                          \

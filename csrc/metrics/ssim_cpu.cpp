@@ -1,6 +1,7 @@
 // Structural similarity on the CPU. Rows of the two images become rows of the four means, along y straight from the
 // images and along x from there. The backward pass keeps the derivatives of as many rows as the window has, filtered
-// along x. Compiled once per instruction set.
+// along x. Volumes go along z first, and at last in the backward pass, which keeps as many slices of them. Compiled
+// once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "ssim.h"
@@ -69,29 +70,29 @@ struct MeansOfRows {
   using F = Compute<T>;
   SsimImages<T> const& p;
   int64_t const count;  // of a row of means
-  Rows<F> along_y, means;
+  Rows<F> along_z, along_y, means;
   Scratch<F const*> shifted;
+  Scratch<F> weights;
   Scratch<T const*> pointers;
   Scratch<T> zeros;
+  int64_t of_plane = -1, last = -1;  // along z there are the rows up to the last one of this plane
 
   MeansOfRows(SsimImages<T> const& p, int64_t width)
       : p(p),
         count(width * p.x.step),
+        along_z(p.volumes ? kMeans * p.size : 0, p.x.row_size(), p.x.step, 0),
         along_y(kMeans, p.x.row_size(), p.x.step, p.size),
         means(kMeans, p.x.row_size(), p.x.step, 0),
         shifted(p.size),
+        weights(p.size),
         pointers(2 * p.size),
         zeros(p.x.row_size()) {
     for (int64_t e = 0; e < p.x.row_size(); ++e) zeros.data[e] = T{};
   }
 
-  void row(int64_t plane, int64_t y) {
-    T const **const xs = pointers.data, **const ys = xs + p.size;
-    for (int t = 0; t < p.size; ++t) {
-      int64_t const inside = border_index(p.border, y - p.before() + t, p.x.height);
-      xs[t] = inside < 0 ? zeros.data : p.x.row(plane, inside);
-      ys[t] = inside < 0 ? zeros.data : p.y.row(plane, inside);
-    }
+  // The sums of as many rows of both images, given in `pointers`, to rows from `first` on.
+  void sum_images(Rows<F> const& to, int64_t first) const {
+    T const *const *const xs = pointers.data, *const *const ys = xs + p.size;
     for_each_vector<T>(0, p.x.row_size(), [&](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
       Lanes<F, N> sums[kMeans] = {};
@@ -103,8 +104,45 @@ struct MeansOfRows {
         sums[kSquares] += (a * a + b * b) * weight;
         sums[kApart] += d * d * weight;
       }
-      for (int m = 0; m < kMeans; ++m) store<N>(along_y[m] + e, sums[m]);
+      for (int m = 0; m < kMeans; ++m) store<N>(to[first + m] + e, sums[m]);
     });
+  }
+  void point(int t, int64_t plane, int64_t y) {
+    pointers.data[t] = plane < 0 || y < 0 ? zeros.data : p.x.row(plane, y);
+    pointers.data[p.size + t] = plane < 0 || y < 0 ? zeros.data : p.y.row(plane, y);
+  }
+
+  void sum_along_y(int64_t plane, int64_t y) {
+    for (int t = 0; t < p.size; ++t) point(t, plane, border_index(p.border, y - p.before() + t, p.x.height));
+    sum_images(along_y, 0);
+  }
+  // The same of slice z of a volume, from rows along z.
+  void sum_along_z_and_y(int64_t plane, int64_t y) {
+    int64_t const volume = plane / p.slices(), z = plane % p.slices(), first = y - p.before();
+    if (plane != of_plane || last < first - 1) of_plane = plane, last = max(first, int64_t(0)) - 1;
+    while (last < min(first + p.size, p.x.height) - 1) {
+      ++last;
+      for (int t = 0; t < p.size; ++t) {
+        int64_t const slice = border_index(p.border, z - p.before() + t, p.depth);
+        point(t, slice < 0 ? -1 : volume * p.depth + slice, last);
+      }
+      sum_images(along_z, last % p.size * kMeans);
+    }
+    for (int m = 0; m < kMeans; ++m) {
+      int rows = 0;
+      for (int t = 0; t < p.size; ++t) {
+        int64_t const inside = border_index(p.border, first + t, p.x.height);
+        if (inside < 0) continue;
+        shifted.data[rows] = along_z[inside % p.size * kMeans + m];
+        weights.data[rows++] = p.weights[t];
+      }
+      sum_rows(shifted.data, weights.data, rows, p.x.row_size(), along_y[m]);
+    }
+  }
+
+  // Row y of a plane of the similarity.
+  void row(int64_t plane, int64_t y) {
+    p.volumes ? sum_along_z_and_y(plane, y) : sum_along_y(plane, y);
     for (int m = 0; m < kMeans; ++m) {
       if (!p.valid) along_y.extend(m, p.border, p.x.width, p.before(), p.before());
       along_y.filter(m, p.weights, p.size, p.before(), shifted.data, count, means[m]);
@@ -114,6 +152,127 @@ struct MeansOfRows {
   template <int N>
   KV_HD Means<Lanes<F, N>> at(int64_t e) const {
     return {load<N>(means[kX] + e), load<N>(means[kY] + e), load<N>(means[kSquares] + e), load<N>(means[kApart] + e)};
+  }
+};
+
+// What comes back to rows from the derivatives by their means.
+template <class T>
+struct GradientRows {
+  using F = Compute<T>;
+  SsimBackward<T> const& p;
+  SsimImages<T> const& images;
+  int const size, lead, used;  // rows y - lead ... y - lead + size - 1 come back to row y
+  bool const mirrored;
+  int64_t const step, width, height;
+  MeansOfRows<T> means;
+  Rows<F> derivatives, kept;
+  Rows<F> sums;  // the result: along x and y
+  Scratch<F const*> pointers;
+  Scratch<F> weights;
+
+  explicit GradientRows(SsimBackward<T> const& p)
+      : p(p),
+        images(p.images),
+        size(images.size),
+        lead(images.valid ? size - 1 : size / 2),
+        used(p.grad_y.data ? kMeans : kY),
+        mirrored(images.border == Border::reflect),
+        step(images.x.step),
+        width(images.x.width),
+        height(images.x.height),
+        means(images, p.grad.width),
+        derivatives(kMeans, images.x.row_size(), step, size),
+        kept(kMeans * size, images.x.row_size(), step, 0),
+        sums(kMeans, images.x.row_size(), step, 0),
+        pointers(size),
+        weights(size) {}
+
+  // D of the transpose; see ssim.h.
+  KV_HD bool at_rim(int64_t i, int64_t n) const { return mirrored && (i == 0 || i == n - 1); }
+  KV_HD void scale_ends(F* row, int64_t n, F factor) const {
+    for (int64_t c = 0; mirrored && c < step; ++c) {
+      row[c] *= factor;
+      if (n > 1) row[(n - 1) * step + c] *= factor;
+    }
+  }
+  KV_HD F of_loss(int64_t plane) const {
+    return p.grad.data ? F(0) : p.of_loss[plane / images.slices() / p.loss.planes];
+  }
+
+  // The derivatives in row q of a plane, along x.
+  void fill(int64_t plane, int64_t q) {
+    int64_t const columns = p.grad.width;
+    T const* const g = p.grad.data ? p.grad.row(plane, q) : nullptr;
+    F const of_pixel = -p.loss.structure * of_loss(plane);
+    bool const at_end = images.volumes && at_rim(plane % images.slices(), images.slices());
+    F const twice = (at_rim(q, p.grad.height) ? F(2) : F(1)) * (at_end ? F(2) : F(1));
+    means.row(plane, q);
+    for_each_vector<T>(0, means.count, [&](auto n, int64_t e) {
+      constexpr int N = decltype(n)::value;
+      Lanes<F, N> const of_result = (g ? load<N>(g + e) : broadcast<N>(of_pixel)) * twice;
+      auto const m = means.template at<N>(e);
+      SsimTerms<Lanes<F, N>> const terms(m, images.constants);
+      Lanes<F, N> const inverse = 1 / terms.denominator;
+      auto const d = ssim_of_means_vjp(m, terms, inverse, of_result, images.constants.luminance);
+      store<N>(derivatives[kX] + e, d.x);
+      store<N>(derivatives[kY] + e, d.y);
+      store<N>(derivatives[kSquares] + e, d.squares);
+      store<N>(derivatives[kApart] + e, d.apart);
+    });
+    for (int m = 0; m < used; ++m) {
+      scale_ends(derivatives[m], columns, F(2));
+      derivatives.extend(m, images.border, columns, lead, width - columns + size - 1 - lead);
+      derivatives.filter(m, images.weights, size, lead, pointers.data, width * step, kept[q % size * kMeans + m]);
+    }
+  }
+
+  // `count` numbers of the sums along an axis at i of n, of which `rows` have derivatives; `row(j)` is where those of j
+  // are.
+  template <class Row>
+  KV_HD void sum_along(int64_t i, int64_t n, int64_t rows, Row row, int64_t count, F* out) {
+    int taps = 0;
+    for (int t = 0; t < size; ++t) {
+      int64_t const q = border_index(images.border, i - lead + t, rows);
+      if (q < 0) continue;
+      pointers.data[taps] = row(q);
+      weights.data[taps++] = images.weights[t] * (at_rim(i, n) ? F(0.5) : F(1));
+    }
+    sum_rows(pointers.data, weights.data, taps, count, out);
+  }
+
+  // Calls f(plane, y) for rows [begin, end), counted through all planes of the similarity, with their sums.
+  template <class Call>
+  KV_HD void for_each(int64_t begin, int64_t end, Call f) {
+    int64_t const rows = p.grad.height;
+    int64_t filled = -1;  // the last row of the plane whose derivatives are kept
+    for (int64_t r = begin; r < end; ++r) {
+      int64_t const plane = r / height, y = r % height;
+      if (r == begin || y == 0) filled = max(y - lead, int64_t(0)) - 1;
+      for (int64_t const last = min(y - lead + size - 1, rows - 1); filled < last;) fill(plane, ++filled);
+      for (int m = 0; m < used; ++m) {
+        sum_along(y, height, rows, [&](int64_t q) { return kept[q % size * kMeans + m]; }, width * step, sums[m]);
+        scale_ends(sums[m], width, F(0.5));
+      }
+      f(plane, y);
+    }
+  }
+
+  // Writes row y of a plane of the images' gradients.
+  void write(int64_t plane, int64_t y, F of_loss) const {
+    T const *const x = images.x.row(plane, y), *const other = images.y.row(plane, y);
+    T *const to_x = p.grad_x.row(plane, y), *const to_y = used == kMeans ? p.grad_y.row(plane, y) : nullptr;
+    F const absolute = p.loss.absolute * of_loss;
+    for_each_vector<T>(0, width * step, [&](auto n, int64_t e) {
+      constexpr int N = decltype(n)::value;
+      Lanes<F, N> const a = load<N>(x + e), b = load<N>(other + e), squares = load<N>(sums[kSquares] + e);
+      Lanes<F, N> const difference = a - b, apart = difference * load<N>(sums[kApart] + e);
+      Lanes<F, N> const one = broadcast<N>(F(1)), sign = difference > 0   ? one
+                                                         : difference < 0 ? Lanes<F, N>(-one)
+                                                                          : difference;
+      Lanes<F, N> const of_absolute = absolute * sign;
+      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + a * squares + apart + of_absolute));
+      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + b * squares - apart - of_absolute));
+    });
   }
 };
 
@@ -155,86 +314,32 @@ void ssim(Ssim<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// Row y of the gradients reads the derivatives of rows y - lead ... y - lead + size - 1, which for a reflected border
-// mean those inside.
+// Rows [begin, end) of images, or slices of volumes.
 template <class T>
 void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
+  GradientRows<T> rows(p);
+  if (!p.images.volumes)
+    return rows.for_each(begin, end, [&](int64_t plane, int64_t y) { rows.write(plane, y, rows.of_loss(plane)); });
+
   using F = Compute<T>;
-  SsimImages<T> const& images = p.images;
-  int const size = images.size, lead = images.valid ? size - 1 : size / 2;
-  int64_t const step = images.x.step, width = images.x.width, height = images.x.height;
-  int64_t const rows = p.grad.height, columns = p.grad.width;
-  bool const mirrored = images.border == Border::reflect;
-  int const used = p.grad_y.data ? kMeans : kY;
-  MeansOfRows<T> means(images, columns);
-  Rows<F> const derivatives(kMeans, images.x.row_size(), step, size), kept(kMeans * size, images.x.row_size(), step, 0);
-  Rows<F> const sums(kMeans, images.x.row_size(), step, 0);
-  Scratch<F const*> pointers(size);
-  Scratch<F> weights(size);
-  // D of the transpose; see ssim.h.
-  auto const at_rim = [&](int64_t i, int64_t n) { return mirrored && (i == 0 || i == n - 1); };
-  auto const scale_ends = [&](F* row, int64_t n, F factor) {
-    for (int64_t c = 0; mirrored && c < step; ++c) {
-      row[c] *= factor;
-      if (n > 1) row[(n - 1) * step + c] *= factor;
+  int64_t const depth = p.images.depth, slices = p.images.slices(), height = rows.height, width = rows.width;
+  Rows<F> const kept(rows.size * rows.used * height, width, 1, 0);  // of as many slices, along x and y
+  auto const row_of = [&](int64_t q, int m, int64_t y) { return kept[(q % rows.size * rows.used + m) * height + y]; };
+  int64_t filled = -1;  // the last slice of the volume that is kept
+  for (int64_t plane = begin; plane < end; ++plane) {
+    int64_t const volume = plane / depth, z = plane % depth;
+    if (plane == begin || z == 0) filled = max(z - rows.lead, int64_t(0)) - 1;
+    while (filled < min(z - rows.lead + rows.size - 1, slices - 1)) {
+      int64_t const first = (volume * slices + ++filled) * height;
+      rows.for_each(first, first + height, [&](int64_t, int64_t y) {
+        for (int m = 0; m < rows.used; ++m) __builtin_memcpy(row_of(filled, m, y), rows.sums[m], width * sizeof(F));
+      });
     }
-  };
-
-  auto const fill = [&](int64_t plane, int64_t q) {
-    T const* const g = p.grad.data ? p.grad.row(plane, q) : nullptr;
-    F const of_pixel = g ? F(0) : -p.loss.structure * p.of_loss[plane / p.loss.planes];
-    F const twice = at_rim(q, rows) ? F(2) : F(1);
-    means.row(plane, q);
-    for_each_vector<T>(0, means.count, [&](auto n, int64_t e) {
-      constexpr int N = decltype(n)::value;
-      Lanes<F, N> const of_result = (g ? load<N>(g + e) : broadcast<N>(of_pixel)) * twice;
-      auto const m = means.template at<N>(e);
-      SsimTerms<Lanes<F, N>> const terms(m, images.constants);
-      Lanes<F, N> const inverse = 1 / terms.denominator;
-      auto const d = ssim_of_means_vjp(m, terms, inverse, of_result, images.constants.luminance);
-      store<N>(derivatives[kX] + e, d.x);
-      store<N>(derivatives[kY] + e, d.y);
-      store<N>(derivatives[kSquares] + e, d.squares);
-      store<N>(derivatives[kApart] + e, d.apart);
-    });
-    for (int m = 0; m < used; ++m) {
-      scale_ends(derivatives[m], columns, F(2));
-      derivatives.extend(m, images.border, columns, lead, width - columns + size - 1 - lead);
-      derivatives.filter(m, images.weights, size, lead, pointers.data, width * step, kept[q % size * kMeans + m]);
+    for (int64_t y = 0; y < height; ++y) {
+      for (int m = 0; m < rows.used; ++m)
+        rows.sum_along(z, depth, slices, [&](int64_t q) { return row_of(q, m, y); }, width, rows.sums[m]);
+      rows.write(plane, y, rows.of_loss(volume * slices));
     }
-  };
-
-  int64_t filled = -1;  // the last row of the plane whose derivatives are kept
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const plane = r / height, y = r % height;
-    if (r == begin || y == 0) filled = max(y - lead, int64_t(0)) - 1;
-    for (int64_t const last = min(y - lead + size - 1, rows - 1); filled < last;) fill(plane, ++filled);
-
-    for (int m = 0; m < used; ++m) {
-      int count = 0;
-      for (int t = 0; t < size; ++t) {
-        int64_t const q = border_index(images.border, y - lead + t, rows);
-        if (q < 0) continue;
-        pointers.data[count] = kept[q % size * kMeans + m];
-        weights.data[count++] = images.weights[t] * (at_rim(y, height) ? F(0.5) : F(1));
-      }
-      sum_rows(pointers.data, weights.data, count, width * step, sums[m]);
-      scale_ends(sums[m], width, F(0.5));
-    }
-    T const *const x = images.x.row(plane, y), *const other = images.y.row(plane, y);
-    T *const to_x = p.grad_x.row(plane, y), *const to_y = used == kMeans ? p.grad_y.row(plane, y) : nullptr;
-    F const absolute = p.grad.data ? F(0) : p.loss.absolute * p.of_loss[plane / p.loss.planes];
-    for_each_vector<T>(0, width * step, [&](auto n, int64_t e) {
-      constexpr int N = decltype(n)::value;
-      Lanes<F, N> const a = load<N>(x + e), b = load<N>(other + e), squares = load<N>(sums[kSquares] + e);
-      Lanes<F, N> const difference = a - b, apart = difference * load<N>(sums[kApart] + e);
-      Lanes<F, N> const one = broadcast<N>(F(1)), sign = difference > 0   ? one
-                                                         : difference < 0 ? Lanes<F, N>(-one)
-                                                                          : difference;
-      Lanes<F, N> const of_absolute = absolute * sign;
-      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + a * squares + apart + of_absolute));
-      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + b * squares - apart - of_absolute));
-    });
   }
 }
 

@@ -20,7 +20,7 @@ std::vector<F> gaussian_window(int64_t size, double sigma) {
   return rounded;
 }
 
-// The window around the pixels of images (B, C, H, W), or on CUDA the voxels of volumes (B, C, D, H, W).
+// The window around the pixels of images (B, C, H, W), or the voxels of volumes (B, C, D, H, W).
 struct Window {
   int64_t size;
   double sigma;
@@ -52,11 +52,9 @@ struct Window {
 
 // One `other` may serve all images.
 void check_pair(char const* op, Tensor const& x, Tensor const& y) {
-#if defined(KV_CUDA)
   if (x.dim() == 5)
     check_volumes(op, "input", x);
   else
-#endif
     check_images(op, "input", x);
   bool same = y.dim() == x.dim() && x.scalar_type() == y.scalar_type() && x.device() == y.device();
   for (int64_t i = 0; same && i < x.dim(); ++i) same = y.size(i) == x.size(i) || (i == 0 && y.size(0) == 1);
@@ -149,11 +147,11 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
 #if defined(KV_CUDA)
     int64_t const pieces = channels * most_ssim_pieces(params.images);
 #else
-    int64_t const pieces = channels * nothing.height;
+    int64_t const pieces = channels * params.images.slices() * nothing.height;
 #endif
     Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed_type(x));
     params.partial = data_of<F>(partial);
-    KV_RUN(ssim, x, params, nothing.rows(), size * nothing.row_size());
+    KV_RUN(ssim, x, params, rows * channels * params.images.slices() * nothing.height, size * nothing.row_size());
 #if defined(KV_CUDA)
     if (channels == 0) torch::stable::zero_(const_cast<Tensor&>(sums));
 #else
@@ -161,6 +159,14 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
 #endif
   });
   return sums;
+}
+
+// How many volumes, or planes of images, the gradient takes at a time: their derivatives, `each` numbers a volume, take
+// no more memory than all the images do, unless that is little.
+[[maybe_unused]] int64_t volumes_together(int64_t volumes, int64_t each, int64_t number, int64_t pixel) {
+  constexpr int64_t little = 1 << 24;
+  int64_t const few = little / (each * number), as_images = volumes * pixel / (4 * number);
+  return min(max(max(few, as_images), int64_t(1)), volumes);
 }
 
 // The gradient to the first image, and if `grad_other` is given to the second one: with the similarity's, or with those
@@ -204,7 +210,8 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
                            grad_y,
                            {},
                            nullptr,
-                           nullptr};
+                           nullptr,
+                           0};
     if (loss) {
       params.grad.data = nullptr;
       params.grad.height -= window.less(), params.grad.width -= window.less();
@@ -214,13 +221,15 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
 #if defined(KV_CUDA)
     std::optional<Tensor> derivatives;
     if (!has_ssim_strips(params.images)) {
-      std::vector<int64_t> sizes = window.sizes(x);
-      sizes.push_back(4);
-      derivatives = empty(sizes, x, Layout::planar, computed_type(x));
+      int64_t each = 4;  // numbers of a volume
+      for (int64_t axis = 2; axis < x.dim(); ++axis) each *= window.sizes(x)[axis];
+      params.together = volumes_together(x.size(0) * x.size(1), each, sizeof(F), sizeof(T));
+      derivatives = empty({params.together * each}, x, Layout::planar, computed_type(x));
       params.derivatives = data_of<F>(*derivatives);
     }
 #endif
-    KV_RUN(ssim_backward, x, params, params.grad_x.rows(), 2 * size * params.grad_x.row_size());
+    int64_t const pieces = params.images.volumes ? grad_x.size(3) : 1;  // of work on the CPU, in rows
+    KV_RUN(ssim_backward, x, params, params.grad_x.rows() / pieces, 2 * size * params.grad_x.row_size() * pieces);
   });
   return grad_x;
 }

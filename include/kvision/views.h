@@ -8,6 +8,7 @@
 #include <optional>
 #include <string>
 #include <tuple>
+#include <utility>
 
 #include "kvision/operator.h"
 
@@ -108,37 +109,77 @@ inline Tensor triangulate(Tensor const& points1, Tensor const& points2, Tensor c
   return at::where(infinite, std::nan(""), found).to(points1.scalar_type());
 }
 
-// Points from where a lens shows them to where one without distortion would, by `steps` of a fixed-point iteration. For
-// each problem, or for all: the camera matrix of the points and the one `wanted` (3, 3); the first of k1, k2, p1, p2,
-// k3, k4, k5, k6, s1, s2, s3, s4; and the matrix that takes the plane of a tilted sensor back.
+namespace detail {
+
+// A lens in torch's operators, for what is to be differentiated: its camera matrix, coefficients (B, 4 to 14).
+struct Lens {
+  Tensor camera, wanted, coefficients;
+  std::optional<Tensor> tilt;
+
+  static Tensor entry(Tensor const& m, int64_t i, int64_t k) { return m.select(1, i).narrow(1, k, 1); }
+  std::pair<Tensor, Tensor> on_plane(Tensor const& points) const {
+    return {(points.select(2, 0) - entry(camera, 0, 2)) / entry(camera, 0, 0),
+            (points.select(2, 1) - entry(camera, 1, 2)) / entry(camera, 1, 1)};
+  }
+  Tensor in_pixels(Tensor const& x, Tensor const& y) const {
+    return at::stack({x * entry(wanted, 0, 0) + entry(wanted, 0, 2), y * entry(wanted, 1, 1) + entry(wanted, 1, 2)}, 2);
+  }
+  std::pair<Tensor, Tensor> turned(Tensor const& x, Tensor const& y) const {
+    if (!tilt) return {x, y};
+    auto const row = [&](int64_t i) { return x * entry(*tilt, i, 0) + y * entry(*tilt, i, 1) + entry(*tilt, i, 2); };
+    return {row(0) / row(2), row(1) / row(2)};
+  }
+  // The factor and the shift of points on the plane.
+  std::tuple<Tensor, Tensor, Tensor> terms(Tensor const& x, Tensor const& y) const {
+    Tensor const all = at::constant_pad_nd(coefficients, {0, 14 - coefficients.size(1)}), r2 = x * x + y * y;
+    auto const c = [&](int64_t i) { return all.narrow(1, i, 1); };
+    return {(1 + r2 * (c(0) + r2 * (c(1) + r2 * c(4)))) / (1 + r2 * (c(5) + r2 * (c(6) + r2 * c(7)))),
+            2 * c(2) * x * y + c(3) * (r2 + 2 * x * x) + r2 * (c(8) + r2 * c(9)),
+            c(2) * (r2 + 2 * y * y) + 2 * c(3) * x * y + r2 * (c(10) + r2 * c(11))};
+  }
+};
+
+}  // namespace detail
+
+// Points to where a lens shows them. For each problem, or for all: the camera matrix of the points and the one `wanted`
+// (3, 3); the first of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4; and the matrix to the plane of a tilted sensor.
 // What is to be differentiated is made of torch's operators.
+inline Tensor distort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
+                      std::optional<Tensor> const& tilt = {}) {
+  using namespace detail;
+  if (!wants_gradient({points, camera, wanted, coefficients, tilt.value_or(Tensor())})) {
+    auto const compute = [&] { return variable_list{call<"distort">(points, camera, wanted, coefficients, tilt)}; };
+    return differentiable({}, compute, {}, nullptr)[0];
+  }
+  Lens const lens{camera, wanted, coefficients, tilt};
+  auto const [x, y] = lens.on_plane(points);
+  auto const [factor, dx, dy] = lens.terms(x, y);
+  auto const [u, v] = lens.turned(x * factor + dx, y * factor + dy);
+  return lens.in_pixels(u, v);
+}
+
+// Back from there, by `steps` of a fixed-point iteration; the matrix takes the plane of a tilted sensor back.
 inline Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
                         std::optional<Tensor> const& tilt = {}, int64_t steps = 5) {
   using namespace detail;
-  if (!wants_gradient({points, camera, wanted, coefficients, tilt.value_or(Tensor())}))
-    return differentiable(
-        {}, [&] { return variable_list{call<"undistort">(points, camera, wanted, coefficients, tilt, steps)}; }, {},
-        nullptr)[0];
-  auto const entry = [](Tensor const& m, int64_t i, int64_t k) { return m.select(1, i).narrow(1, k, 1); };
-  Tensor const all = at::constant_pad_nd(coefficients, {0, 14 - coefficients.size(1)});
-  auto const c = [&](int64_t i) { return all.narrow(1, i, 1); };
-  Tensor x = (points.select(2, 0) - entry(camera, 0, 2)) / entry(camera, 0, 0);
-  Tensor y = (points.select(2, 1) - entry(camera, 1, 2)) / entry(camera, 1, 1);
-  if (tilt) {
-    auto const row = [&](int64_t i) { return x * entry(*tilt, i, 0) + y * entry(*tilt, i, 1) + entry(*tilt, i, 2); };
-    Tensor const u = row(0) / row(2), v = row(1) / row(2);
-    x = u, y = v;
+  if (!wants_gradient({points, camera, wanted, coefficients, tilt.value_or(Tensor())})) {
+    auto const compute = [&] {
+      return variable_list{call<"undistort">(points, camera, wanted, coefficients, tilt, steps)};
+    };
+    return differentiable({}, compute, {}, nullptr)[0];
   }
-  Tensor const x0 = x, y0 = y;
+  Lens const lens{camera, wanted, coefficients, tilt};
+  auto const [x0, y0] = [&] {
+    auto const [x, y] = lens.on_plane(points);
+    return lens.turned(x, y);
+  }();
+  Tensor x = x0, y = y0;
   for (int64_t step = 0; step < steps; ++step) {
-    Tensor const r2 = x * x + y * y;
-    Tensor const inverse = (1 + r2 * (c(5) + r2 * (c(6) + r2 * c(7)))) / (1 + r2 * (c(0) + r2 * (c(1) + r2 * c(4))));
-    Tensor const dx = 2 * c(2) * x * y + c(3) * (r2 + 2 * x * x) + r2 * (c(8) + r2 * c(9));
-    Tensor const dy = c(2) * (r2 + 2 * y * y) + 2 * c(3) * x * y + r2 * (c(10) + r2 * c(11));
-    x = (x0 - dx) * inverse;
-    y = (y0 - dy) * inverse;
+    auto const [factor, dx, dy] = lens.terms(x, y);
+    x = (x0 - dx) / factor;
+    y = (y0 - dy) / factor;
   }
-  return at::stack({x * entry(wanted, 0, 0) + entry(wanted, 0, 2), y * entry(wanted, 1, 1) + entry(wanted, 1, 2)}, 2);
+  return lens.in_pixels(x, y);
 }
 
 // Eigenvalues (B, n), ascending, of symmetric matrices (B, n, n), and their vectors as columns. No gradient.

@@ -1,10 +1,11 @@
-"""Images with any leading axes, (*, C, H, W), for operators on batches (B, C, H, W)."""
+"""Leading axes of any number: images (*, C, H, W) for operators on batches (B, C, H, W), and what shapes have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
 
@@ -19,6 +20,12 @@ def on_batch(operator: Callable[..., Any], image: Tensor, *args: Any) -> Any:
 
     output = operator(flat(image), *args)
     return tuple(map(unflattened, output)) if isinstance(output, tuple) else unflattened(output)
+
+
+def broadcast(*shapes: Sequence[int]) -> Sequence[int]:
+    """torch.broadcast_shapes, which takes as long as a kernel on few points; most of the time they are the same."""
+    known = shapes[0] or shapes[-1]
+    return known if all(s == known or not s for s in shapes) else torch.broadcast_shapes(*shapes)
 
 
 def flat(image: Tensor) -> Tensor:

@@ -291,6 +291,11 @@ int main() {
        kvision::undistort(from, lens, wanted, terms, tilt));
   auto const undistort = [](auto const& t) { return kvision::undistort(t[0], t[1], t[2], t[3], t[4], 3); };
   check("undistort", undistort, {from, lens.repeat({2, 1, 1}), wanted, terms, tilt});
+  Tensor const shown = kvision::distort(from, lens, lens, terms);
+  same("distort and back", kvision::undistort(shown, lens, lens, terms, {}, 60), from);
+  same("distort of variables", kvision::distort(places, lens, lens, terms).detach(), shown);
+  auto const distort = [](auto const& t) { return kvision::distort(t[0], t[1], t[2], t[3], t[4]); };
+  check("distort", distort, {from, lens.repeat({2, 1, 1}), wanted, terms, tilt});
   Tensor const still = torch::eye(3, 4).expand({2, 3, 4}),
                moved = torch::cat({still.narrow(2, 0, 3), still.narrow(2, 0, 1)}, 2);
   Tensor const shift = torch::tensor({0.5f, 0.f}), space = torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2);

@@ -65,6 +65,8 @@ class TestFilter2dSeparable(OpTests):
     @pytest.mark.parametrize("size", [*range(3, 35, 2), 51])
     def test_every_size(self, size, border, device):
         """Every odd size up to 31 has a kernel of its own on CUDA; images larger and smaller than its strips."""
+        if device.type == "cpu" and size not in (3, 5, 9, 31, 51):
+            pytest.skip("one kernel serves all sizes on the CPU")
         for h, w in [(size // 2 + 1, size // 2 + 1), (size, size + 1), (52, 300), (150, 128), (39, 133)]:
             for dtype in (torch.float32, torch.float16):
                 x = torch.rand(2, 1, h, w, device=device).to(dtype)

@@ -251,6 +251,14 @@ def test_flat_depth_has_finite_normals(device):
         G.depth_to_normals(d[..., :1], torch.eye(3, device=device)[None])
 
 
+def test_one_camera_may_be_expanded(device):
+    d = 1 + torch.rand(3, 1, 5, 6, device=device)
+    k = camera(d[:1]).float().to(device)
+    for call in (G.depth_to_3d, G.depth_to_normals):
+        assert_close(call(d, k.expand(3, -1, -1)), call(d, k), 0, 0)
+        assert_close(call(d, k.mT.contiguous().mT), call(d, k), 0, 0)
+
+
 def test_normals_of_a_plane_are_its_normal(device):
     normal = torch.nn.functional.normalize(torch.tensor([[0.3, -0.2, 1.0]], dtype=torch.float64), dim=1)
     k = camera(normal)

@@ -10,6 +10,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
 from composition_tests import Case, CompositionTests, on
+from kvision.geometry.solvers.null_vector import _eigenvectors
 from op_tests import assert_close
 from view_tests import CAMERA, LENS, Scene, on_planes, rand
 
@@ -222,6 +223,17 @@ def test_polynomials_without_roots(device):
     coeffs = torch.tensor([[1.0, 0, 1], [0, 0, 1], [0, 0, 0]], device=device)
     assert (finite_gradients(G.solve_quadratic, coeffs) == 0).all()
     assert (finite_gradients(G.solve_quartic, torch.nn.functional.pad(coeffs, (1, 1))[:1]) == 0).all()
+
+
+@pytest.mark.parametrize("n", [3, 4, 9, 12])
+def test_eigenvectors(n, device):
+    """Also of matrices that have no more than one eigenvalue, or two."""
+    matrix = torch.stack([M @ M.mT for M in rand(6, n, n, seed=n)]).to(device)
+    matrix[:3] = torch.stack([0 * matrix[0], torch.eye(n, device=device).double(), torch.ones_like(matrix[0])])
+    values, vectors = _eigenvectors(matrix)
+    assert_close(values, torch.linalg.eigvalsh(matrix.cpu()).to(device), 1e-12, 1e-12)
+    assert_close(matrix @ vectors, vectors * values[:, None], 1e-12, 1e-12)
+    assert_close(vectors.mT @ vectors, torch.eye(n, device=device).double().expand_as(matrix), 1e-12, 1e-12)
 
 
 # --- types and registration -------------------------------------------------------------------------------------------

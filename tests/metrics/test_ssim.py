@@ -110,3 +110,12 @@ def test_volumes(window, size, padding, dtype, device):
     for actual, expected in zip(*found):
         small = 2e-4 if dtype == torch.float32 else 1e-9
         assert_close(actual, expected.to(dtype), 5 * small, small * float(expected.abs().max()))
+
+
+def test_the_gradient_of_many_planes_is_that_of_each(device):
+    """More of them than a launch takes that keeps to its memory."""
+    x = torch.rand(9, 1, 300, 400, device=device, requires_grad=True)
+    y = other(x.detach())
+    (grad,) = torch.autograd.grad(K.metrics.ssim(x, y, 7).sum(), x)
+    (of_last,) = torch.autograd.grad(K.metrics.ssim(x[8:], y[8:], 7).sum(), x)
+    assert torch.equal(grad[8:], of_last[8:])

@@ -20,11 +20,10 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import Operator, as_stored, register, vjp
+from kvision._ops import Operator, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian
 from kvision.filters.separable import _reference as filter_separably
-from kvision.filters.separable import filter2d_separable
 
 SIGMA = 1.5  # of the window, in pixels
 
@@ -42,45 +41,23 @@ def _similarity(
     return ((squares - apart) * (variance - different) + eps) / (squares * variance + eps)
 
 
-def _in_windows(
-    filtered: Callable[..., Tensor],
-    x: Tensor,
-    y: Tensor,
-    size: int,
-    sigma: float,
-    c1: float,
-    c2: float,
-    eps: float,
-    border: str,
-    luminance: bool,
+def _reference(
+    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
 ) -> Tensor:
-    """With means by `filtered(z, kernel_x, kernel_y, border, is_same)` of images (B, C, H, W) or volumes (B, C, D, H, W)."""
+    """Of images (B, C, H, W) or volumes (B, C, D, H, W); 'constant' borders are zeros, with 'valid' there are none."""
     kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
     rule = ("reflect", False) if border == "valid" else (border, True)
 
     def mean(z: Tensor) -> Tensor:
         if z.dim() == 4:
-            return filtered(z, kernel, kernel, *rule)
+            return filter_separably(z, kernel, kernel, *rule)
         b, c, d, _, _ = z.shape
-        z = filtered(z.flatten(1, 2), kernel, kernel, *rule)
+        z = filter_separably(z.flatten(1, 2), kernel, kernel, *rule)
         h, w = z.shape[2:]
         z = z.reshape(b, c, d, h * w)  # slices as rows, which leaves the axis across them to the column
-        return filtered(z, torch.ones_like(kernel[:, :1]), kernel, *rule).unflatten(3, (h, w))
+        return filter_separably(z, torch.ones_like(kernel[:, :1]), kernel, *rule).unflatten(3, (h, w))
 
     return _similarity(mean, x, y, c1, c2, eps, luminance)
-
-
-def _reference(x: Tensor, y: Tensor, *plain: Any) -> Tensor:
-    """Of images or volumes; 'constant' borders are zeros, with 'valid' there are none."""
-    return _in_windows(filter_separably, x, y, *plain)
-
-
-@as_stored
-def _of_volumes_on_cpu(x: Tensor, y: Tensor, *plain: Any) -> Tensor:
-    def filtered(z: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> Tensor:
-        return filter2d_separable(z, kernel_x, kernel_y, border, padding="same" if same else "valid")
-
-    return _in_windows(filtered, x, y, *plain)
 
 
 def _both_gradients(reference: Callable[..., Tensor]) -> Callable[..., tuple[Tensor, Tensor]]:
@@ -185,9 +162,6 @@ def dissimilarity(
         return structure * x.sum()  # of nothing; of which the mean is NaN
     dtype = x.dtype
     y = as_dtype(y, dtype)
-    if len(axes) == 3 and not x.is_cuda:
-        similar = _of_volumes_on_cpu(x, y, size, SIGMA, c1, c2, eps, border, True)
-        return structure * (1 - similar).sum() + absolute * (x - y).abs().sum()
     if b > 1:
         x, y = x.reshape(1, -1, *axes), y.reshape(1, -1, *axes)
     loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
@@ -198,8 +172,7 @@ def similarity(
     x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
 ) -> Tensor:
     """The similarity of floating-point images or volumes; see `_reference`."""
-    call = _ssim if x.dim() == 4 or x.is_cuda else _of_volumes_on_cpu  # there are kernels of volumes on CUDA only
-    return call(x, as_dtype(y, x.dtype), size, sigma, c1, c2, eps, border, luminance)
+    return _ssim(x, as_dtype(y, x.dtype), size, sigma, c1, c2, eps, border, luminance)
 
 
 def ssim(

@@ -12,12 +12,14 @@ k4, k5, k6, s1, s2, s3, s4, tx, ty; the first 4, 5, 8, 12 or all 14 of them may 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import register
+from kvision._leading import broadcast
+from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._precision import in_full_precision, wants_derivative
 from kvision.geometry.transform import remap
@@ -95,20 +97,23 @@ def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None
         tensor([[16.,  5.]])
     """
     _check_lens("distort_points", points, K, dist, new_K)
-    x, y = _on_plane(points, K if new_K is None else new_K)
-    x, y = _distorted(x, y, dist)
-    return _in_pixels(x, y, K)
+    new_K = K if new_K is None else new_K
+    tilt = tilt_projection(dist[..., 12:13], dist[..., 13:]) if dist.shape[-1] == 14 else None
+    if wants_derivative(points, K, new_K, dist) or torch.compiler.is_compiling():
+        return _distorted(points, new_K, K, dist, tilt)
+    return _through_lens(_distort, points, new_K, K, dist, tilt)
 
 
-def _distorted(x: Tensor, y: Tensor, dist: Tensor) -> tuple[Tensor, Tensor]:
+def _distorted(points: Tensor, new_K: Tensor, K: Tensor, dist: Tensor, tilt: Tensor | None) -> Tensor:
     c = _coefficients(dist)
+    x, y = _on_plane(points, new_K)
     r2 = x * x + y * y
     dx, dy = _shift(x, y, r2, c)
     radial = _radial(r2, c)
     x, y = x * radial + dx, y * radial + dy
-    if dist.shape[-1] == 14:
-        x, y = _projected(x, y, tilt_projection(c[12], c[13]))
-    return x, y
+    if tilt is not None:
+        x, y = _projected(x, y, tilt)
+    return _in_pixels(x, y, K)
 
 
 def _coefficients(dist: Tensor) -> tuple[Tensor, ...]:
@@ -182,23 +187,34 @@ def undistort_points(
         tilt = tilt_projection(dist[..., 12:13], dist[..., 13:], True)
     if wants_derivative(points, K, new_K, dist) or torch.compiler.is_compiling():
         return _undistorted(points, K, new_K, dist, tilt, num_iters)
-    leading = points.shape[:-2]
-    if not K.dim() == new_K.dim() == dist.dim() + 1 == 2:
-        leading = torch.broadcast_shapes(leading, K.shape[:-2], new_K.shape[:-2], dist.shape[:-1])
+    return _through_lens(_undistort, points, K, new_K, dist, tilt, num_iters)
+
+
+def _through_lens(
+    operator: Operator, points: Tensor, camera: Tensor, wanted: Tensor, dist: Tensor, tilt: Tensor | None, *plain: int
+) -> Tensor:
+    """An operator on points (B, N, 2) and lenses of (B, ...), or (1, ...) for all, for any leading axes."""
+    leading: Sequence[int] = points.shape[:-2]
+    if not camera.dim() == wanted.dim() == dist.dim() + 1 == 2:
+        leading = broadcast(leading, camera.shape[:-2], wanted.shape[:-2], dist.shape[:-1])
 
     def of_problems(x: Tensor, axes: int) -> Tensor:
-        """(B, ...), or (1, ...) for all."""
-        return x[None] if x.dim() == axes else x.expand(*leading, *x.shape[-axes:]).reshape(-1, *x.shape[-axes:])
+        if x.dtype != points.dtype:
+            x = x.to(points.dtype)
+        if x.dim() == axes:
+            return x[None]
+        return x if x.shape[:-axes] == leading and len(leading) == 1 else _of_all(x, leading, axes)
 
-    found: Tensor = _undistort(
-        points.expand(*leading, *points.shape[-2:]).reshape(math.prod(leading), *points.shape[-2:]),
-        of_problems(K.to(points.dtype), 2),
-        of_problems(new_K.to(points.dtype), 2),
-        of_problems(dist.to(points.dtype), 1),
-        None if tilt is None else of_problems(tilt.to(points.dtype), 2),
-        num_iters,
-    )
-    return found.reshape(*leading, *points.shape[-2:])
+    flat = points if points.dim() == 3 and points.shape[:-2] == leading else _of_all(points, leading, 2)
+    tilts = None if tilt is None else of_problems(tilt, 2)
+    found: Tensor = operator(flat, of_problems(camera, 2), of_problems(wanted, 2), of_problems(dist, 1), tilts, *plain)
+    return found if len(leading) == 1 else found.reshape(*leading, *points.shape[-2:])
+
+
+def _of_all(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
+    """(B, ...), the leading axes broadcast and made one, before the last `axes`."""
+    ends = x.shape[-axes:]
+    return x.expand(*leading, *ends).reshape(math.prod(leading), *ends)
 
 
 def _undistorted(points: Tensor, K: Tensor, new_K: Tensor, dist: Tensor, tilt: Tensor | None, num_iters: int) -> Tensor:
@@ -216,6 +232,7 @@ def _undistorted(points: Tensor, K: Tensor, new_K: Tensor, dist: Tensor, tilt: T
 
 
 _undistort = register("undistort", _undistorted)
+_distort = register("distort", _distorted)
 
 
 def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:

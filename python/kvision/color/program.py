@@ -346,7 +346,7 @@ def step(
     plan = _plan(None, _SAME, steps, _NO_COLUMNS)
 
     def of_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
-        fits = 0 not in x.shape[2:]  # the kernels take no images without pixels
+        fits = x.numel() > 0 or 0 not in x.shape[2:]  # the kernels take no images without pixels
         plain = True
         for p in parameters:
             if isinstance(p, Tensor):

@@ -79,15 +79,33 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    DilationBackward<T> params{planes<T const>(g, layout), planes<T const>(x, layout),  planes<T>(grad_x, layout),
-                               element.window<F>(),        planes_of_sample(x, layout), nullptr};
+    DilationBackward<T> const all{planes<T const>(g, layout), planes<T const>(x, layout),  planes<T>(grad_x, layout),
+                                  element.window<F>(),        planes_of_sample(x, layout), nullptr};
+    auto const run = [&](DilationBackward<T> const& params) {
+      KV_RUN(dilation_backward, x, params, params.x.rows(), params.x.row_size() * element.height * element.width / 4);
+    };
 #if defined(KV_CUDA)
-    bool const needs_none = layout == Layout::planar && has_own_memory(params.window);
-    Tensor const found = empty({needs_none ? 0 : 2 * x.numel()}, x, Layout::planar,
-                               sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float);
-    if (!needs_none) params.found = static_cast<F*>(found.mutable_data_ptr());
+    if (layout == Layout::channels_last || !has_own_memory(all.window)) {
+      // Two numbers an element, of so many samples at a time that they take no more memory than x.
+      int64_t const samples = x.size(0), numbers = samples ? 2 * x.numel() / samples : 0;
+      int64_t const together = max(int64_t(samples * sizeof(T) / (2 * sizeof(F))), int64_t(1));
+      Tensor const found = empty({together * numbers}, x, Layout::planar, computed_type(x));
+      for (int64_t first = 0; first < samples; first += together) {
+        DilationBackward<T> params = all;
+        params.found = data_of<F>(found);
+        params.window.kernel += first * params.window.kernel_stride;
+        if (params.window.heights) params.window.heights += first * params.window.heights_stride;
+        auto const take = [&](auto& planes, Tensor const& of) {
+          planes.data += first * of.stride(0);
+          planes.outer = planes.outer / samples * min(together, samples - first);
+        };
+        take(params.grad, g), take(params.x, x), take(params.grad_x, grad_x);
+        run(params);
+      }
+      return;
+    }
 #endif
-    KV_RUN(dilation_backward, x, params, params.x.rows(), params.x.row_size() * element.height * element.width / 4);
+    run(all);
   });
   return grad_x;
 }

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -344,5 +344,4 @@ def for_images(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
         raise ShapeError(
             f"{op}: expected {name} with 1 or {image.shape[0]} rows, got {tuple(x.shape)}", actual_shape=x.shape
         )
-    dtype = compute_dtype(image)
-    return x if x.dtype == dtype else x.to(dtype)
+    return as_dtype(x, compute_dtype(image))

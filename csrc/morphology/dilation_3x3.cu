@@ -1,0 +1,334 @@
+// Dilation and erosion on CUDA by windows of 3 x 3 pixels around the middle, and their gradients: warps walk down
+// strips with the last rows in registers.
+#include "dilation.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256, kFlatThreads = 128;
+constexpr int kRows = 24, kTapsRows = 96;  // of a strip
+constexpr int kStrip = 4;                  // pixels of a thread
+using Strips4 = Strips<kStrip>;
+
+template <class F>
+struct NineTaps {
+  F offset[9];
+  unsigned members;  // bits
+  bool flat;
+
+  __device__ __forceinline__ NineTaps(Window<F> const& window, int64_t sample) {
+    int const lane = threadIdx.x % 32;
+    F const own = lane < 9 ? window.offset(sample, lane) : minus_infinity<F>();
+    members = __ballot_sync(0xffffffffu, own != minus_infinity<F>());
+    flat = __ballot_sync(0xffffffffu, own == 0) == 0x1ff;
+#pragma unroll
+    for (int t = 0; t < 9; ++t) offset[t] = __shfl_sync(0xffffffffu, own, t);
+  }
+  __device__ __forceinline__ bool has(int t) const { return members >> t & 1; }
+};
+
+// The smaller one, or the one that is no NaN.
+__device__ __forceinline__ float lesser(float a, float b) { return fminf(a, b); }
+__device__ __forceinline__ double lesser(double a, double b) { return fmin(a, b); }
+__device__ __forceinline__ float quotient(float a, float b) {
+  float inverse;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(b));
+  return a * inverse;
+}
+__device__ __forceinline__ double quotient(double a, double b) { return a / b; }
+
+// Rows of x as they are compared, with R pixels beside the thread's and the value where they are outside.
+template <class T, int R, bool Aligned>
+struct ComparedRows {
+  using F = Compute<T>;
+  using Line = Strip<R, Aligned, kStrip>;
+  using Fetched = typename Line::template Fetched<T>;
+  Line const strip;
+  Planes<T const> const& x;
+  T const* const plane;
+  T const beyond;
+  F const sign, outside;
+
+  __device__ __forceinline__ ComparedRows(Planes<T const> const& x, int64_t plane, int column, Window<F> const& window)
+      : strip(column, int(x.width), Border::constant),
+        x(x),
+        plane(x.plane(plane)),
+        beyond(round_to<T>(window.value)),
+        sign(window.sign()),
+        outside(read(beyond) * sign) {}
+
+  __device__ __forceinline__ Fetched fetch(int y) const {
+    if (y >= 0 && y < int(x.height)) return strip.fetch(plane + y * x.row_stride);
+    Fetched fetched;
+#pragma unroll
+    for (T& pixel : fetched.own.v) pixel = beyond;
+#pragma unroll
+    for (int i = 0; i < R; ++i) fetched.left[i] = fetched.right[i] = beyond;
+    return fetched;
+  }
+  __device__ __forceinline__ void spread(Fetched const& fetched, F (&v)[kStrip + 2 * R]) const {
+    strip.spread(fetched, v);
+#pragma unroll
+    for (int i = 0; i < kStrip + 2 * R; ++i) {
+      int const column = strip.x - R + i;
+      bool const own = Aligned && i >= R && i < kStrip + R;  // where it is read at all, it is inside
+      v[i] = own || (column >= 0 && column < strip.width) ? v[i] * sign : outside;
+    }
+  }
+  __device__ __forceinline__ void load(F (&v)[kStrip + 2 * R], int y) const { spread(fetch(y), v); }
+};
+
+template <class F, int N>
+__device__ __forceinline__ void move_up(F (&rows)[3][N]) {
+#pragma unroll
+  for (int i = 0; i < N; ++i) rows[0][i] = rows[1][i], rows[1][i] = rows[2][i];
+}
+
+// Rows y0 ... y1 - 1 of a flat window: the maxima of three neighbours, and of three rows of these. Rows are asked for
+// two ahead of the one that is worked on.
+template <class T, bool Aligned>
+__device__ __forceinline__ void walk_flat(ComparedRows<T, 1, Aligned> const& rows, Planes<T> const& result,
+                                          int64_t plane, int y0, int y1) {
+  constexpr int P = kStrip;
+  using F = Compute<T>;
+  T* out = result.row(plane, y0);
+  typename ComparedRows<T, 1, Aligned>::Fetched ahead[2] = {rows.fetch(y0 - 1), rows.fetch(y0)};
+  F row[P], two[P];  // the maxima of the last row, and of the last two
+  auto const next = [&](int y, int slot, F(&most)[P]) {
+    F v[P + 2];
+    rows.spread(ahead[slot], v);
+    ahead[slot] = rows.fetch(y + 2);
+    F pair[P + 1];
+#pragma unroll
+    for (int i = 0; i <= P; ++i) pair[i] = join(v[i], v[i + 1]);
+#pragma unroll
+    for (int i = 0; i < P; ++i) most[i] = join(pair[i], v[i + 2]);
+  };
+  F first[P];
+  next(y0 - 1, 0, first);
+  next(y0, 1, row);
+#pragma unroll
+  for (int i = 0; i < P; ++i) two[i] = join(first[i], row[i]);
+  auto const step = [&](int y, int slot) {
+    F below[P], most[P];
+    next(y + 1, slot, below);
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      most[i] = join(two[i], below[i]) * rows.sign;
+      two[i] = join(row[i], below[i]), row[i] = below[i];
+    }
+    rows.strip.store(out, most);
+    out += result.row_stride;
+  };
+#pragma unroll 1
+  for (int y = y0; y < y1; y += 2) {
+    step(y, 0);
+    if (y + 1 < y1) step(y + 1, 1);
+  }
+}
+
+template <class T, bool Aligned>
+__device__ __forceinline__ void walk_taps(ComparedRows<T, 1, Aligned> const& rows, NineTaps<Compute<T>> const& taps,
+                                          Planes<T> const& result, int64_t plane, int y0, int y1) {
+  constexpr int P = kStrip;
+  using F = Compute<T>;
+  T* out = result.row(plane, y0);
+  F v[3][P + 2];
+  rows.load(v[0], y0 - 1);
+  rows.load(v[1], y0);
+#pragma unroll 1
+  for (int y = y0; y < y1; ++y) {
+    rows.load(v[2], y + 1);
+    F most[P];
+#pragma unroll
+    for (int j = 0; j < P; ++j) most[j] = minus_infinity<F>();
+#pragma unroll
+    for (int t = 0; t < 9; ++t)
+      if (taps.has(t)) {
+#pragma unroll
+        for (int j = 0; j < P; ++j) most[j] = join(most[j], v[t / 3][j + t % 3] + taps.offset[t]);
+      }
+#pragma unroll
+    for (int j = 0; j < P; ++j) most[j] *= rows.sign;
+    rows.strip.store(out, most);
+    out += result.row_stride;
+    move_up(v);
+  }
+}
+
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads)
+    walk_3x3(__grid_constant__ Dilation<T> const p, __grid_constant__ Strips4 const strips) {
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const y1 = min(y0 + int(strips.rows), int(p.x.height));
+  NineTaps<Compute<T>> const taps(p.window, plane / p.planes);
+  ComparedRows<T, 1, Aligned> const rows(p.x, plane, x, p.window);
+  if (taps.flat)
+    walk_flat(rows, p.y, plane, y0, y1);
+  else
+    walk_taps(rows, taps, p.y, plane, y0, y1);
+}
+
+// Of three numbers the sum of what belongs to those that are `which`.
+template <class F>
+__device__ __forceinline__ F sum_where(F which, F a, F b, F c, F of_a, F of_b, F of_c) {
+  F sum = a == which ? of_a : F(0);
+  sum = b == which ? sum + of_b : sum;
+  return c == which ? sum + of_c : sum;
+}
+
+// The gradient of a flat window, each step of three neighbours and then of three rows: the maxima of x with their ties,
+// and the minima of these maxima with their parts. A maximum that is NaN has no part in them. Of each there are two
+// rows, and a new one takes the place of the older, `slot`.
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
+    walk_flat_backward(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
+  constexpr int P = kStrip;
+  using F = Compute<T>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  if (!NineTaps<F>(p.window, plane / p.planes).flat) return;
+  int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  ComparedRows<T, 2, Aligned> const rows(p.x, plane, x, p.window);
+  Strip<1, Aligned, P> const grads(x, int(p.x.width), Border::constant);
+  T const* const grad = p.grad.plane(plane);
+
+  F most[2][P + 2], ties[2][P + 2];      // of three neighbours in x
+  F least[2][P] = {}, parts[2][P] = {};  // of three neighbouring windows
+  F own[2][P];                           // x itself
+  auto ahead = rows.fetch(y0 - 2);
+  auto const next_x = [&](int y, F(&m)[P + 2], F(&t)[P + 2], F(&mine)[P]) {
+    F v[P + 4];
+    rows.spread(ahead, v);
+    ahead = rows.fetch(y + 1);
+#pragma unroll
+    for (int i = 0; i < P + 2; ++i) {
+      m[i] = join(join(v[i], v[i + 1]), v[i + 2]);
+      F const one(1), none(0);
+      t[i] = (v[i] == m[i] ? one : none) + (v[i + 1] == m[i] ? one : none) + (v[i + 2] == m[i] ? one : none);
+    }
+#pragma unroll
+    for (int i = 0; i < P; ++i) mine[i] = v[i + 2];
+  };
+  next_x(y0 - 2, most[0], ties[0], own[0]);
+  next_x(y0 - 1, most[1], ties[1], own[1]);
+  auto const step = [&](int q, int slot) {
+    F g[P + 2] = {}, new_most[P + 2], new_ties[P + 2], new_own[P];
+    if (q >= 0 && q < height) grads.load(g, grad + q * p.grad.row_stride);
+    next_x(q + 1, new_most, new_ties, new_own);
+    F m[P + 2], part[P + 2];
+#pragma unroll
+    for (int i = 0; i < P + 2; ++i) {
+      F const older = most[slot][i], last = most[1 - slot][i];
+      m[i] = join(join(older, last), new_most[i]);
+      part[i] =
+          quotient(g[i], sum_where(m[i], older, last, new_most[i], ties[slot][i], ties[1 - slot][i], new_ties[i]));
+      most[slot][i] = new_most[i], ties[slot][i] = new_ties[i];
+    }
+    F sum[P];
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      F const older = least[slot][i], last = least[1 - slot][i];
+      F const low = lesser(lesser(m[i], m[i + 1]), m[i + 2]), lowest = lesser(lesser(older, last), low);
+      F const of_low = sum_where(low, m[i], m[i + 1], m[i + 2], part[i], part[i + 1], part[i + 2]);
+      F const of_lowest = sum_where(lowest, older, last, low, parts[slot][i], parts[1 - slot][i], of_low);
+      sum[i] = own[slot][i] == lowest ? of_lowest : F(0);
+      least[slot][i] = low, parts[slot][i] = of_low, own[slot][i] = new_own[i];
+    }
+    if (q > y0) grads.store(p.grad_x.row(plane, q - 1), sum);
+  };
+#pragma unroll 1
+  for (int q = y0 - 1; q <= y1; q += 2) {
+    step(q, 0);
+    if (q < y1) step(q + 1, 1);
+  }
+}
+
+// The gradient of another window. Row q of maxima and parts comes from the rows of x around it, row q - 1 of the
+// gradient from the maxima around that.
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads)
+    walk_taps_backward(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
+  constexpr int P = kStrip;
+  using F = Compute<T>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  NineTaps<F> const taps(p.window, plane / p.planes);
+  if (taps.flat) return;
+  ComparedRows<T, 2, Aligned> const rows(p.x, plane, x, p.window);
+  Strip<1, Aligned, P> const grads(x, int(p.x.width), Border::constant);
+  F v[3][P + 4], most[3][P + 2] = {}, part[3][P + 2] = {};
+  rows.load(v[0], y0 - 2);
+  rows.load(v[1], y0 - 1);
+#pragma unroll 1
+  for (int q = y0 - 1; q <= y1; ++q) {
+    rows.load(v[2], q + 1);
+    F g[P + 2] = {}, count[P + 2] = {};
+    if (q >= 0 && q < height) grads.load(g, p.grad.row(plane, q));
+#pragma unroll
+    for (int i = 0; i < P + 2; ++i) most[2][i] = minus_infinity<F>();
+#pragma unroll
+    for (int t = 0; t < 9; ++t)
+      if (taps.has(t)) {
+#pragma unroll
+        for (int i = 0; i < P + 2; ++i) most[2][i] = join(most[2][i], v[t / 3][i + t % 3] + taps.offset[t]);
+      }
+#pragma unroll
+    for (int t = 0; t < 9; ++t)
+      if (taps.has(t)) {
+#pragma unroll
+        for (int i = 0; i < P + 2; ++i) count[i] += v[t / 3][i + t % 3] + taps.offset[t] == most[2][i] ? F(1) : F(0);
+      }
+#pragma unroll
+    for (int i = 0; i < P + 2; ++i) part[2][i] = share(g[i], count[i]);
+    if (q > y0) {
+      F sum[P] = {};
+#pragma unroll
+      for (int t = 0; t < 9; ++t)
+        if (taps.has(t)) {
+#pragma unroll
+          for (int j = 0; j < P; ++j) {
+            int const row = 2 - t / 3, at = j + 2 - t % 3;
+            sum[j] += v[0][j + 2] + taps.offset[t] == most[row][at] ? part[row][at] : F(0);
+          }
+        }
+      grads.store(p.grad_x.row(plane, q - 1), sum);
+    }
+    move_up(v);
+    move_up(most);
+    move_up(part);
+  }
+}
+
+}  // namespace
+
+template <class T>
+int dilation_3x3(Dilation<T> const& p, CUstream_st* stream) {
+  Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  with_alignment<T>(is_strip<kStrip>(p.x) && is_strip<kStrip>(p.y), [&](auto aligned) {
+    walk_3x3<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+  });
+  return cudaGetLastError();
+}
+
+template <class T>
+int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream) {
+  Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
+  Strips4 const long_strips(p.x.count(), p.x.height, p.x.width, kTapsRows);  // few to find that the window is flat
+  bool const aligned = is_strip<kStrip>(p.x) && is_strip<kStrip>(p.grad) && is_strip<kStrip>(p.grad_x);
+  with_alignment<T>(aligned, [&](auto aligned) {
+    walk_flat_backward<T, aligned.value><<<strips.blocks(kFlatThreads / 32), kFlatThreads, 0, stream>>>(p, strips);
+    walk_taps_backward<T, aligned.value><<<long_strips.blocks(), kThreads, 0, stream>>>(p, long_strips);
+  });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(dilation_3x3, Dilation)
+KV_INSTANTIATE(dilation_3x3_backward, DilationBackward)
+
+}  // namespace kv::cuda

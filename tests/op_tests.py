@@ -608,7 +608,7 @@ class OpTests:
 def recorded(names: tuple[str, ...]):
     """Collects (operator, arguments) of every kernel call."""
     calls: list[tuple[str, tuple[Any, ...]]] = []
-    originals = {name: operator.kernel for name, operator in _ops.operators.items()}
+    originals = {name: operator._call_kernel for name, operator in _ops.operators.items()}
 
     def recorder(name: str, kernel: Any) -> Any:
         def record(*args: Any) -> Any:
@@ -619,8 +619,8 @@ def recorded(names: tuple[str, ...]):
 
     try:
         for name, kernel in originals.items():
-            _ops.operators[name].kernel = recorder(name, kernel)
+            _ops.operators[name]._call_kernel = recorder(name, kernel)
         yield calls
     finally:
         for name, kernel in originals.items():
-            _ops.operators[name].kernel = kernel
+            _ops.operators[name]._call_kernel = kernel

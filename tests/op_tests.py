@@ -13,6 +13,7 @@ A variant is a dict of keyword arguments. A value that is callable is called wit
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import hypothesis.strategies as st
@@ -71,6 +72,21 @@ def with_layout(x: Tensor, layout: str) -> Tensor:
 
 def as_tuple(output: Any) -> tuple[Tensor, ...]:
     return tuple(output) if isinstance(output, (tuple, list)) else (output,)
+
+
+@contextlib.contextmanager
+def instruction_set(name: str) -> Iterator[None]:
+    """The CPU's kernels use that one inside; skips the test where the processor has none such."""
+    from kvision import _C
+
+    if not _C.isa_supported(name):
+        pytest.skip(f"this processor has no {name}")
+    active = _C.active_isa()
+    assert _C.set_isa(name)
+    try:
+        yield
+    finally:
+        _C.set_isa(active)
 
 
 class OpTests:
@@ -255,21 +271,13 @@ class OpTests:
         self.needs_native(backend)
         if device.type != "cpu":
             pytest.skip("instruction sets are the CPU's")
-        from kvision import _C
-
-        if not _C.isa_supported(isa):
-            pytest.skip(f"this processor has no {isa}")
-        active = _C.active_isa()
-        try:
-            assert _C.set_isa(isa)
+        with instruction_set(isa):
             for dtype in _ops.FLOATS + ((torch.uint8,) if self.bytes else ()):
                 x, kwargs = self.setup(variant, device, dtype)
                 self.check(self.call(x, kwargs), self.expected(x, kwargs))
             if self.differentiable:
                 x, kwargs = self.setup(variant, device, torch.float32)
                 self.check_gradients(x, kwargs)
-        finally:
-            _C.set_isa(active)
 
     def test_threads_and_runs_give_the_same_bits(self, variant, device, backend):
         self.needs_native(backend)  # torch's convolutions do not

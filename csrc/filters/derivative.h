@@ -34,33 +34,40 @@ struct Row {
   }
 
   // The transpose: what pixel j receives, at(i) being the gradient at j - reach + i, 0 outside the image. Replicated,
-  // the first pixel stands at `reach` positions more on its left, the last one on its right.
+  // the first pixel also stands under the weights that come before its own, the last one under those that come after.
   template <class At>
   KV_HD static auto dot_vjp(At at, bool first, bool last) {
-    auto sum = received_at<0>(at);
-    if (first) sum += received_at<-1>(at);
-    if (last) sum += received_at<1>(at);
-    if constexpr (reach == 2) {
-      if (first) sum += received_at<-2>(at);
-      if (last) sum += received_at<2>(at);
+    decltype(at(0)) sum{};
+    bool empty = true;
+    int i = size - 1;
+    (add<W>(sum, empty, i--, at), ...);
+    if (first) {
+      add<before(reach)>(sum, empty, reach, at);
+      if constexpr (reach == 2) add<before(1)>(sum, empty, 3, at);
+    }
+    if (last) {
+      add<after(reach)>(sum, empty, reach, at);
+      if constexpr (reach == 2) add<after(3)>(sum, empty, 1, at);
     }
     return sum;
   }
 
  private:
-  template <int Position, class At>
-  KV_HD static auto received_at(At at) {
-    decltype(at(0)) sum{};
-    bool empty = true;
-    int i = size - 1 + Position;
-    (add<W>(sum, empty, i--, at), ...);
+  // The sums of the weights before and after weight n.
+  static constexpr int before(int n) {
+    int sum = 0, i = 0;
+    ((sum += i++ < n ? W : 0), ...);
+    return sum;
+  }
+  static constexpr int after(int n) {
+    int sum = 0, i = 0;
+    ((sum += i++ > n ? W : 0), ...);
     return sum;
   }
 
   template <int Weight, class V, class At>
   KV_HD static void add(V& sum, bool& empty, int i, At at) {
     if constexpr (Weight != 0) {
-      if (i < 0 || i >= size) return;  // i and empty are known to the compiler
       V const x = at(i);
       if constexpr (Weight == 1)
         sum = empty ? x : sum + x;
@@ -68,7 +75,7 @@ struct Row {
         sum = empty ? -x : sum - x;
       else
         sum = empty ? x * Weight : sum + x * Weight;
-      empty = false;
+      empty = false;  // known to the compiler
     }
   }
 };

@@ -108,7 +108,8 @@ __global__ void __launch_bounds__(kThreads)
   int const width = int(p.y.width), height = int(p.y.height);
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   int const rows[] = {max(y - 1, 0), y, min(y + 1, height - 1)};
-  F points[3][kRun + 2][3], normals[3][kRun];  // of the pixels and around them
+  auto const across = [&](int i) { return rays.across(F(clamp(x + i - 1, 0, width - 1))); };
+  F z[kRun + 2][3], down[3], normals[3][kRun];  // z of the pixels and around them
 #pragma unroll
   for (int j = 0; j < 3; ++j) {
     T const* const row = p.depth.row(b, 0, rows[j]);
@@ -118,21 +119,15 @@ __global__ void __launch_bounds__(kThreads)
     d[kRun + 1] = read(row[min(x + kRun, width - 1) * p.depth.step]);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) d[i + 1] = own[i];
+    down[j] = rays.down(F(rows[j]));
 #pragma unroll
-    for (int i = 0; i < kRun + 2; ++i) {
-      rays.at(F(clamp(x + i - 1, 0, width - 1)), F(rows[j]), points[j][i]);
-#pragma unroll
-      for (int k = 0; k < 3; ++k) points[j][i][k] *= d[i];
-    }
+    for (int i = 0; i < kRun + 2; ++i) z[i][j] = rays.z_of(across(i), down[j], d[i]);
   }
+  auto const column = [&](int i) { return PointColumn<F>(across(i), down, z[i]); };
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     F along_x[3], along_y[3], normal[3];
-    auto const point = [&](int j, int n, F(&to)[3]) {
-#pragma unroll
-      for (int k = 0; k < 3; ++k) to[k] = points[j][i + n][k];
-    };
-    slopes_of(point, along_x, along_y);
+    slopes_of(column(i), column(i + 1), column(i + 2), along_x, along_y);  // each of them is made once
     normal_of(along_x, along_y, normal);
 #pragma unroll
     for (int k = 0; k < 3; ++k) normals[k][i] = normal[k];
@@ -162,14 +157,23 @@ __global__ void __launch_bounds__(kThreads)
     F to_x[3] = {}, to_y[3] = {};
     if (x >= 0 && x < width && y >= 0 && y < height) {
       F along_x[3], along_y[3], grad[3];
-      auto const point = [&](int j, int i, F(&to)[3]) {
-        int const at = clamp(x + i - 1, 0, width - 1), below = clamp(y + j - 1, 0, height - 1);
-        rays.at(F(at), F(below), to);
-        F const d = read(p.depth.row(b, 0, below)[at * p.depth.step]);
+      F down[3];
+      T const* rows[3];
 #pragma unroll
-        for (int k = 0; k < 3; ++k) to[k] *= d;
+      for (int j = 0; j < 3; ++j) {
+        int const below = clamp(y + j - 1, 0, height - 1);
+        down[j] = rays.down(F(below));
+        rows[j] = p.depth.row(b, 0, below);
+      }
+      auto const column_at = [&](int i) {
+        int const at = clamp(x + i - 1, 0, width - 1);
+        F const u = rays.across(F(at));
+        F z[3];
+#pragma unroll
+        for (int j = 0; j < 3; ++j) z[j] = rays.z_of(u, down[j], F(read(rows[j][at * p.depth.step])));
+        return PointColumn<F>(u, down, z);
       };
-      slopes_of(point, along_x, along_y);
+      slopes_of(column_at(0), column_at(1), column_at(2), along_x, along_y);
 #pragma unroll
       for (int k = 0; k < 3; ++k) grad[k] = read(p.grad.row(b, k, y)[x * p.grad.step]);
       normal_vjp(along_x, along_y, grad, to_x, to_y);

@@ -63,27 +63,51 @@ struct Rays {
   bool unit;
 
   KV_HD Rays(F const* k, bool unit) : fx(1 / k[0]), fy(1 / k[4]), cx(k[2]), cy(k[5]), unit(unit) {}
+  // At z = 1.
+  template <class V>
+  KV_HD V across(V x) const {
+    return (x - cx) * fx;
+  }
+  KV_HD F down(F y) const { return (y - cy) * fy; }
+  // The z of a point that is (u, v) there.
+  template <class V>
+  KV_HD V z_of(V u, F v, V d) const {
+    return unit ? V(d * inverse_root(V(u * u + (v * v + 1)))) : d;
+  }
   template <class V>
   KV_HD void at(V x, F y, V (&ray)[3]) const {
-    ray[0] = (x - cx) * fx;
-    ray[1] = V{} + (y - cy) * fy;
-    ray[2] = V{} + 1;
-    if (!unit) return;
-    V const scale = inverse_root(V(ray[0] * ray[0] + ray[1] * ray[1] + 1));
-    for (int i = 0; i < 3; ++i) ray[i] = ray[i] * scale;
+    V const u = across(x), z = z_of(u, down(y), V(V{} + 1));
+    ray[0] = u * z;
+    ray[1] = down(y) * z;
+    ray[2] = z;
   }
 };
 
-// Eight times the derivatives of the points around, point(j, i)[k] being number k of the one i - 1 to the right and j -
-// 1 below.
-template <class V, class Point>
-KV_HD void slopes_of(Point point, V (&along_x)[3], V (&along_y)[3]) {
-  V p[3][3][3];
-  for (int j = 0; j < 3; ++j)
-    for (int i = 0; i < 3; ++i) point(j, i, p[j][i]);
+// Three points below one another, (u z, v z, z) with three v and z: their means, weighted 1, 2, 1, and the difference
+// of the last one and the first.
+template <class V>
+struct PointColumn {
+  V mean[3], difference[3];
+
+  template <class F>
+  KV_HD PointColumn(V u, F const (&v)[3], V const (&z)[3]) {
+    V const first = v[0] * z[0], last = v[2] * z[2];
+    mean[2] = z[0] + 2 * z[1] + z[2];
+    difference[2] = z[2] - z[0];
+    mean[0] = u * mean[2];
+    difference[0] = u * difference[2];
+    mean[1] = first + 2 * v[1] * z[1] + last;
+    difference[1] = last - first;
+  }
+};
+
+// Eight times the derivatives of the points around, from their columns.
+template <class V>
+KV_HD void slopes_of(PointColumn<V> const& left, PointColumn<V> const& middle, PointColumn<V> const& right,
+                     V (&along_x)[3], V (&along_y)[3]) {
   for (int k = 0; k < 3; ++k) {
-    along_x[k] = (p[0][2][k] - p[0][0][k]) + 2 * (p[1][2][k] - p[1][0][k]) + (p[2][2][k] - p[2][0][k]);
-    along_y[k] = (p[2][0][k] - p[0][0][k]) + 2 * (p[2][1][k] - p[0][1][k]) + (p[2][2][k] - p[0][2][k]);
+    along_x[k] = right.mean[k] - left.mean[k];
+    along_y[k] = left.difference[k] + 2 * middle.difference[k] + right.difference[k];
   }
 }
 

@@ -36,17 +36,18 @@ KV_HD void for_each_slope(P const& p, Other const& other, int64_t b, int64_t y, 
   int64_t const height = p.depth.height, width = p.depth.width;
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   int64_t const rows[] = {max(y - 1, int64_t(0)), y, min(y + 1, height - 1)};
+  F const down[] = {rays.down(F(rows[0])), rays.down(F(rows[1])), rays.down(F(rows[2]))};
   auto const pixel = [&](auto lanes, int64_t left, int64_t x, int64_t right) {
     constexpr int N = decltype(lanes)::value;
     using V = Lanes<F, N>;
     V along_x[3], along_y[3];
-    auto const point = [&](int j, int i, V(&to)[3]) {
-      int64_t const column = i == 0 ? left : i == 1 ? x : right;
-      V const d = load<N>(p.depth.row(b, 0, rows[j]) + column * p.depth.step);
-      rays.at(columns_from<N, F>(column), F(rows[j]), to);
-      for (int k = 0; k < 3; ++k) to[k] = to[k] * d;
+    auto const column = [&](int64_t at) {
+      V const u = rays.across(columns_from<N, F>(at));
+      V z[3];
+      for (int j = 0; j < 3; ++j) z[j] = rays.z_of(u, down[j], load<N>(p.depth.row(b, 0, rows[j]) + at * p.depth.step));
+      return PointColumn<V>(u, down, z);
     };
-    slopes_of(point, along_x, along_y);
+    slopes_of(column(left), column(x), column(right), along_x, along_y);
     f(lanes, x, along_x, along_y);
   };
   pixel(Width<1>{}, 0, 0, min(int64_t(1), width - 1));

@@ -1,11 +1,15 @@
 // Sampling on the CPU: rows [begin, end) of all outputs in order. Compiled once per instruction set.
 //
-// First the places of a piece of a row, then its pixels by vectors: taps and weights once, then channel by channel.
+// First the places of a piece of a row, then its pixels by vectors, each with its taps and weights for all channels.
 // Where all taps are inside of the image they are read as they are; elsewhere each finds its pixel or the fill.
 #include "sample_cpu.h"
 
 namespace kv::KV_ISA {
 namespace {
+
+// The next row of places mostly has its taps below those of this one. Rows of a tile are too many, and too short, for
+// the processor to foresee that, so the row that far from the first tap is asked for, and the next one of the output.
+constexpr int kRowsAhead = 4;
 
 // The value in one channel. A tap of weight 0 is no part of it, whatever it holds. Where taps are multiplied anyway,
 // NaN and inf show in the sum, which is then done again.
@@ -22,6 +26,7 @@ struct Value : Window<K, N, T> {
   }
   KV_HD V at(Sample<T> const& p, T const* plane, F fill) const {
     if (this->inside) {
+      __builtin_prefetch(plane + kRowsAhead * p.x.row_stride + this->first[0]);
       V const sum = inner(p.x, plane);
       if (sizeof(T) == 1 || K == 1 || all<N>(sum - sum == 0)) return sum;
     }
@@ -64,19 +69,16 @@ struct Value : Window<K, N, T> {
 template <int K, int N, class T>
 void sample_piece(Sample<T> const& p, PlaceRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
                   int64_t count) {
-  Value<K, N, T> values[kTileColumns / N];
-  int64_t const vectors = (count + N - 1) / N;
-  for (int64_t i = 0; i < vectors; ++i) {
+  T const* const planes = p.x.row(b, 0, 0);
+  T* const row = p.y.row(b, 0, y) + first * p.y.step;
+  for (int64_t i = 0; i * N < count; ++i) {
     int64_t const e = start_of<N>(i, count);
-    values[i].set(p, load<N>(places.u + e), load<N>(places.v + e));
-  }
-  for (int c = 0; c < p.x.channels; ++c) {
-    T const* const plane = p.x.row(b, c, 0);
-    Compute<T> const fill = p.fill_of(b, c);
-    T* const row = p.y.row(b, c, y) + first * p.y.step;
-    for (int64_t i = 0; i < vectors; ++i) {
-      auto const found = values[i].at(p, plane, fill);
-      T* const out = row + start_of<N>(i, count) * p.y.step;
+    Value<K, N, T> value;
+    value.set(p, load<N>(places.u + e), load<N>(places.v + e));
+    for (int c = 0; c < p.x.channels; ++c) {
+      auto const found = value.at(p, planes + c * p.x.channel_stride, p.fill_of(b, c));
+      T* const out = row + c * p.y.channel_stride + e * p.y.step;
+      __builtin_prefetch(out + p.y.row_stride, 1);
       if (N == 1 || p.y.step == 1) {
         store<N>(out, found);
       } else if constexpr (N > 1) {

@@ -35,7 +35,7 @@ KV_HD void for_each_piece(int64_t begin, int64_t end, int64_t height, int64_t wi
   }
 }
 
-// The places of a piece of a row of the output.
+// The places of pieces of rows of the output, one after the other.
 template <class F>
 struct PlaceRow {
   F u[kTileColumns], v[kTileColumns];
@@ -46,22 +46,28 @@ struct PlaceRow {
       copy(places.y, b, y, first, count, places.scale[1], places.offset[1], v);
       return;
     }
-    auto const whole = homography(places.matrices + b * places.matrix_stride, places.use);
+    if (sample != b) {
+      map = homography(places.matrices + b * places.matrix_stride, places.use);
+      sample = b;
+    }
     double first_u, first_v;
-    whole.at(double(first), double(y), first_u, first_v);
+    map.at(double(first), double(y), first_u, first_v);
     Size const source = places.use.source;
     F const from_u = F(origin_near(first_u, source.width)), from_v = F(origin_near(first_v, source.height));
-    auto const map = seen_from<F>(whole, double(first), double(y), from_u, from_v);
+    auto const near = seen_from<F>(map, double(first), double(y), from_u, from_v);
     for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> to_u, to_v;
-      map.at(count_from<N, F>(x), F(0), to_u, to_v);
+      near.at(count_from<N, F>(x), F(0), to_u, to_v);
       store<N>(u + x, Lanes<F, N>(to_u + from_u));
       store<N>(v + x, Lanes<F, N>(to_v + from_v));
     });
   }
 
  private:
+  int64_t sample = -1;
+  Homography<double> map;  // of that sample
+
   KV_HD static void copy(Images<F const> const& map, int64_t b, int64_t y, int64_t first, int64_t count, F scale,
                          F offset, F* to) {
     F const* const from = map.row(b, 0, y) + first * map.step;
@@ -70,6 +76,7 @@ struct PlaceRow {
     else
       for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
         constexpr int N = decltype(lanes)::value;
+        __builtin_prefetch(from + 2 * map.row_stride + x);  // a later piece of the tile
         store<N>(to + x, Lanes<F, N>(load<N>(from + x) * scale + offset));
       });
   }
@@ -140,11 +147,17 @@ KV_HD Lanes<Compute<T>, N> gather(T const* p, At const& at) {
   }
 }
 
-// p[at] and p[at + step].
+// p[at] and p[at + step]. Of pixels beside each other both come in one access; what serves others is kept away from
+// it, or its addresses would take the registers.
+template <int N, class T, class At, class V>
+[[gnu::noinline]] void gather_apart(T const* p, At const& at, int64_t step, V& a, V& b) {
+  a = gather<N>(p, at);
+  b = gather<N>(p + step, at);
+}
 template <int N, class T, class At, class V>
 KV_HD void gather_two(T const* p, At const& at, int64_t step, V& a, V& b) {
   if constexpr (__is_same(T, float) && N > 1)
-    if (step == 1) {  // both in one access
+    if (step == 1) {
       Lanes<double, N / 2> low, high;
       typename lanes_of<int, N>::type even;
       for (int i = 0; i < N / 2; ++i) {
@@ -156,8 +169,7 @@ KV_HD void gather_two(T const* p, At const& at, int64_t step, V& a, V& b) {
       b = __builtin_shuffle(__builtin_bit_cast(V, low), __builtin_bit_cast(V, high), even + 1);
       return;
     }
-  a = gather<N>(p, at);
-  b = gather<N>(p + step, at);
+  gather_apart<N>(p, at, step, a, b);
 }
 
 // --- masks

@@ -6,22 +6,10 @@
 // memory safety needs is repeated.
 #pragma once
 
-#include <torch/csrc/inductor/aoti_torch/c/shim.h>
-#include <torch/csrc/stable/accelerator.h>
-#include <torch/csrc/stable/library.h>
-#include <torch/csrc/stable/ops.h>
-#include <torch/csrc/stable/tensor.h>
-
-#include <concepts>
-#include <initializer_list>
-#include <optional>
-#include <string>
-#include <tuple>
-#include <vector>
-
 #include "core/border.h"
 #include "core/isa.h"
 #include "core/view.h"
+#include "glue/torch.h"
 
 namespace kv {
 

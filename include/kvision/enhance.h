@@ -135,4 +135,33 @@ inline Tensor mix(Tensor const& input, Tensor const& other, std::optional<Tensor
   return differentiable(tensors, compute, tensors, gradient)[0];
 }
 
+// The gradients of the image and of every channel's factor, (B, C, 1); without elements where they are not wanted.
+inline std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& input,
+                                                     std::optional<Tensor> const& factor, double number, bool of_image,
+                                                     bool of_factor) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto const [of_x, of_planes] =
+        call<"sharpness_backward", std::tuple<Tensor, Tensor>>(grad, input, factor, number, of_image, of_factor);
+    return variable_list{of_x, of_planes};
+  };
+  auto const found =
+      differentiable({grad, input, factor.value_or(Tensor())}, compute, {}, no_second_derivative("sharpness"));
+  return {found[0], found[1]};
+}
+
+// By a factor (B, C, 1) with axes of size 1 where it is shared, in the type that is computed in; or by the number.
+inline Tensor sharpness(Tensor const& input, std::optional<Tensor> const& factor, double number) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"sharpness">(input, factor, number)}; };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const& f = b.saved[1];
+    auto const given = f.defined() ? std::optional(f) : std::nullopt;
+    auto const [of_x, of_planes] = sharpness_backward(b.grads[0], b.saved[0], given, number, b.wanted(0), b.wanted(1));
+    return variable_list{b.wanted(0) ? of_x : Tensor(), b.wanted(1) ? of_planes.sum_to_size(f.sizes()) : Tensor()};
+  };
+  variable_list const tensors{input, factor.value_or(Tensor())};
+  return differentiable(tensors, compute, tensors, gradient)[0];
+}
+
 }  // namespace kvision

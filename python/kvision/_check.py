@@ -7,7 +7,7 @@ shapes cost as much as the call of a kernel.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -75,14 +75,16 @@ def ends(op: str, name: str, x: Any, *expected: str | int) -> None:
 
 def broadcastable(op: str, **shapes: Sequence[int]) -> None:
     """Raise ShapeError unless the named leading shapes can be broadcast together."""
-    if _are_equal(shapes.values()):
-        return
-    longest = max(map(len, shapes.values()))
-    for axis in range(1, longest + 1):
-        sizes = [shape[-axis] for shape in shapes.values() if axis <= len(shape) and shape[-axis] != 1]
-        if any(n != sizes[0] for n in sizes):
-            got = ", ".join(f"{tuple(shape)} of {name}" for name, shape in shapes.items())
-            raise ShapeError(f"{op}: expected leading axes that broadcast, got {got}")
+    common: list[int] = []  # of the shapes so far, the last axis first
+    for sizes in shapes.values():
+        for axis, n in enumerate(reversed(sizes)):
+            if axis == len(common):
+                common.append(n)
+            elif common[axis] == 1:
+                common[axis] = n
+            elif n != 1 and n != common[axis]:
+                got = ", ".join(f"{tuple(shape)} of {name}" for name, shape in shapes.items())
+                raise ShapeError(f"{op}: expected leading axes that broadcast, got {got}")
 
 
 def images(op: str, name: str, x: Any) -> None:
@@ -167,19 +169,13 @@ def reduction(op: str, value: Any, options: Sequence[str] = ("none", "mean", "su
 def same_shape(op: str, **tensors: Tensor) -> None:
     """Raise ShapeError unless all the named tensors have the same shape."""
     shapes = [x.shape for x in tensors.values()]
-    if not _are_equal(shapes):
+    first = shapes[0]
+    fits = True
+    for sizes in shapes:
+        fits = fits and sizes == first
+    if not fits:
         got = ", ".join(f"{name} {tuple(shape)}" for name, shape in zip(tensors, shapes))
         raise ShapeError(f"{op}: expected tensors of one shape, got {got}", actual_shape=shapes)
-
-
-def _are_equal(shapes: Iterable[Sequence[int]]) -> bool:
-    first = None
-    for sizes in shapes:
-        if first is None:
-            first = sizes
-        elif sizes != first:
-            return False
-    return True
 
 
 def border(op: str, border_type: Any) -> None:

@@ -245,6 +245,8 @@ int main() {
         {torch::rand({2, 3, 4, 6})});
   check("mix", [](auto const& t) { return kvision::mix(t[0], t[1], t[2], {}, t[3], 0, 0.3, 0); },
         {x, torch::rand_like(x), torch::rand({2, 1, 1}), torch::rand({1, 2, 1})});
+  check(
+      "sharpness", [](auto const& t) { return kvision::sharpness(t[0], t[1], 0); }, {x, torch::rand({2, 1, 1})}, false);
   check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], "GB"); }, {torch::rand({2, 1, 4, 6})}, true);
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};

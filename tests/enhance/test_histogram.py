@@ -11,7 +11,7 @@ from torch.utils._pytree import tree_leaves
 import kvision as K
 import raw_calls
 from kvision.enhance.histogram import kernel_counts
-from op_tests import assert_close, recorded
+from op_tests import assert_close, instruction_set, recorded
 
 E = K.enhance
 
@@ -154,16 +154,8 @@ def test_kernels_of_strange_numbers(device):
 def test_instruction_sets(isa, device, backend):
     if backend == "reference" or device.type != "cpu":
         pytest.skip("this test is about the kernels of the CPU")
-    from kvision import _C
-
-    if not _C.isa_supported(isa):
-        pytest.skip(f"this processor has no {isa}")
-    active = _C.active_isa()
-    try:
-        assert _C.set_isa(isa)
+    with instruction_set(isa):
         test_counts_against_the_reference(1000, 0.02, "even", device)
-    finally:
-        _C.set_isa(active)
 
 
 def test_runs_give_the_same_bits(device):

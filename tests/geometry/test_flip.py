@@ -5,7 +5,7 @@ import torch
 
 import kvision as K
 from kvision.geometry.transform.crop import _window
-from op_tests import OpTests
+from op_tests import OpTests, instruction_set
 
 G = K.geometry
 
@@ -89,15 +89,7 @@ def test_images_larger_than_caches(isa, device, backend):
     """The CPU writes them past its caches: whole vectors, from the first aligned address of a row on."""
     if backend == "reference" or device.type != "cpu":
         pytest.skip("this test is about the CPU's kernels")
-    from kvision import _C
-
-    if not _C.isa_supported(isa):
-        pytest.skip(f"this processor has no {isa}")
-    active = _C.active_isa()
-    try:
-        assert _C.set_isa(isa)
+    with instruction_set(isa):
         for dtype in (torch.float32, torch.float64, torch.float16, torch.uint8):
             x = (torch.rand(1, 3, 1201, 1203) * 255).to(dtype)
             assert torch.equal(G.hflip(x), x.flip(-1)) and torch.equal(G.rot180(x), x.flip(-2, -1))
-    finally:
-        _C.set_isa(active)

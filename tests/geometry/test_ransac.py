@@ -11,7 +11,7 @@ import kvision as K
 from kvision.geometry._minimal import SIZES, minimal
 from kvision.geometry.homography.dlt import homography_of
 from kvision.geometry.ransac import _consensus, _contest
-from op_tests import assert_close
+from op_tests import assert_close, instruction_set
 from view_tests import Scene, homographies, moved, on_planes, rand
 
 N = 400
@@ -198,21 +198,13 @@ def test_one_set_of_points_serves_all_weights(device):
 def test_instruction_sets(isa, device, backend):
     if backend == "reference" or device.type != "cpu":
         pytest.skip("this test is about the CPU's kernels")
-    from kvision import _C
-
-    if not _C.isa_supported(isa):
-        pytest.skip(f"this processor has no {isa}")
-    active = _C.active_isa()
-    try:
-        assert _C.set_isa(isa)
+    with instruction_set(isa):
         for model in ("lines", "fundamental", "essential"):
             test_minimal_models_are_the_references(model, device)
             test_consensus_is_the_references(model, torch.float32, device)
             test_contest_is_the_references(model, torch.float32, device)
         scene = Scene(1, 9)
         assert_close(K.geometry.triangulate_points(scene.P1, scene.P2, scene.x1, scene.x2), scene.points, 1e-7, 1e-7)
-    finally:
-        _C.set_isa(active)
 
 
 def test_operators_refuse_bad_arguments(backend):

@@ -247,10 +247,10 @@ def arguments(parameters: Sequence[float | Tensor]) -> Arguments:
     for p in parameters:
         if isinstance(p, Tensor):
             tensors.append(p if p.is_floating_point() else p.float())
-            last = first + p.shape[2]
-            columns += range(first, last)
-            numbers += [0.0] * (last - first)
-            first = last
+            for _ in range(p.shape[2]):
+                columns.append(first)
+                numbers.append(0.0)
+                first += 1
         else:
             columns.append(-1)
             numbers.append(p)
@@ -280,11 +280,11 @@ def run(
 ) -> Tensor:
     """A program on images (B, C, H, W), whose result has a dtype and one of LAYOUTS."""
     means = steps.count(_AROUND_MEAN)
-    if means > 1 and order is None:
+    if means < 2:
+        return _run(x, steps, given, order, dtype, layout)
+    if order is None:
         return _in_two(x, steps, given, dtype, layout)
-    if means > 1 and order is not None:
-        return _in_turns(means, x, steps, given, order, dtype, layout)
-    return _run(x, steps, given, order, dtype, layout)
+    return _in_turns(means, x, steps, given, order, dtype, layout)
 
 
 def _run(
@@ -346,7 +346,7 @@ def step(
     plan = _plan(None, _SAME, steps, _NO_COLUMNS)
 
     def of_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
-        fits = 0 not in x.shape[2:]  # the kernels take no images without pixels
+        fits = x.numel() > 0 or 0 not in x.shape[2:]  # the kernels take no images without pixels
         plain = True
         for p in parameters:
             if isinstance(p, Tensor):
@@ -354,7 +354,9 @@ def step(
                 fits = fits and p.dim() == 3 and (of_values or p.shape[1] == 1)
         if not fits:
             return composed(x, *_slots(parameters))
-        if plain and not rest:  # most calls: straight to the operator
+        if plain:  # most calls: straight to the operator
+            if rest:
+                return _program_around_mean(x, *_NO_TENSORS, None, plan, [*parameters, *rest])[0]
             return _program(x, *_NO_TENSORS, None, plan, parameters)
         return _run(x, steps, arguments([*parameters, *rest]), None)
 

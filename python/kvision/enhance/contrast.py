@@ -88,7 +88,8 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
         return shaped(_by_channel(batch, amount), image)
     if batch.shape[1] not in (1, 3) and not of_pixels:
         batch = batch.flatten(1, 2)[:, None]  # the mean of all channels is that of one large one
-    return _around_mean(batch, amount).reshape(image.shape)
+    y = _around_mean(batch, amount)
+    return y if y.shape == image.shape else y.reshape(image.shape)
 
 
 class AdjustContrast(FunctionModule):

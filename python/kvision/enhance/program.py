@@ -243,7 +243,9 @@ def _slots(name: str, values: Sequence[Any], image: Tensor | None) -> list[float
     """The parameters of a step as the program has them."""
     kind = _KINDS[name]
     slots: list[float | Tensor] = []
-    fitting = (_fitting(name, p, size, v, image) for (p, size), v in zip(kind.parameters.items(), values))
+    fitting = []
+    for (parameter, size), value in zip(kind.parameters.items(), values):
+        fitting.append(_fitting(name, parameter, size, value, image))
     for argument in kind.arguments(*fitting):
         if isinstance(argument, tuple):
             slots += argument
@@ -261,7 +263,7 @@ def _fitting(name: str, parameter: str, size: int, value: Value, image: Any) -> 
     _check.same_device("ColorProgram", image=image, **{parameter: value})
     axes, count = value.dim(), value.numel()
     batch = image.shape[0] if image.dim() == 4 else math.prod(image.shape[:-3])
-    if size == 1 and axes <= 1 and count in (1, batch):
+    if size == 1 and axes <= 1 and (count == 1 or count == batch):
         return value.reshape(-1, 1, 1)
     rows = value if size > 1 and axes > 0 else value[..., None]
     if rows.dim() > 2 or rows.shape[-1] not in (1, size) or math.prod(rows.shape[:-1]) not in (1, batch):

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from kvision._ops import as_stored
+from kvision._dtype import compute_dtype
+from kvision._ops import as_stored, laid_out, register, vjp
 from kvision.enhance.batch import as_batch, images, parameter, shaped
 
 
-def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
-    if min(x.shape[2:]) < 3:  # nothing but rim
-        return x.clamp(0, 1)
+def _sharpened(x: Tensor, factor: float | Tensor) -> Tensor:
+    if min(x.shape[2:]) < 3:  # nothing but rim; the gradient of the factor is 0
+        return x.clamp(0, 1) + 0 * factor
     rows = x[..., :-2, :] + x[..., 1:-1, :] + x[..., 2:, :]
     inner = x[..., 1:-1, 1:-1]
     # | 1 1 1 |
@@ -21,7 +23,39 @@ def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
     return (x + F.pad((inner - smooth) * (factor - 1), (1, 1, 1, 1))).clamp(0, 1)
 
 
-_sharpness = as_stored(_reference)
+def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
+    """Images (B, C, H, W) by a factor (B or 1, C or 1, 1), or by a number where there is none."""
+    return _sharpened(x, number if factor is None else factor[..., None])
+
+
+def _reference_backward(
+    grad: Tensor, x: Tensor, factor: Tensor | None, number: float, of_image: bool, of_factor: bool
+) -> tuple[Tensor, Tensor]:
+    none = x[:, :0, 0, 0]
+    of_planes = none.to(compute_dtype(x))[..., None]
+    if factor is None:
+        of_x = vjp(_reference)(grad, x, None, number)
+    else:
+        each = factor.expand(*x.shape[:2], 1)  # a gradient for each channel
+        of_x, of_each = torch.func.vjp(lambda x, f: _reference(x, f, number), x, each)[1](grad)
+        of_planes = of_each if of_factor else of_planes
+    return of_x if of_image else none, of_planes
+
+
+def _fake_backward(grad, x, factor, number, of_image, of_factor):
+    b, c = x.shape[:2]
+    of_planes = x.new_empty((b, c if of_factor else 0, 1), dtype=compute_dtype(x))
+    return [laid_out(torch.empty_like(x), x) if of_image else x.new_empty((b, 0)), of_planes]
+
+
+def _backward(needs, grad, x, factor, number):
+    of_x, of_planes = _sharpness_backward(grad, x, factor, number, needs[0], needs[1])
+    return [of_x if needs[0] else None, of_planes.sum_to_size(factor.shape) if needs[1] else None]
+
+
+_sharpness = register("sharpness", _reference, backward=_backward)
+_sharpness_backward = register("sharpness_backward", _reference_backward, fake=_fake_backward)
+_composed = as_stored(_sharpened)  # factors of single pixels
 
 
 def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
@@ -53,6 +87,11 @@ def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
     """
     images("sharpness", "input", input)
     amount = parameter("sharpness", "factor", factor, input)
-    if isinstance(amount, Tensor) and amount.dim() == 3:
-        amount = amount[..., None]
-    return shaped(_sharpness(as_batch(input), amount), input)
+    x = as_batch(input)
+    if not isinstance(amount, Tensor):
+        y = _sharpness(x, None, amount)
+    elif amount.dim() == 3:
+        y = _sharpness(x, amount.to(compute_dtype(x)), 0.0)
+    else:
+        y = _composed(x, amount)
+    return shaped(y, input)

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.filters.border import pad, same_pads
@@ -196,9 +196,7 @@ def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behavio
     _check.same_device(op, input=x, kernel=kernel)
     _check.flag(op, "normalized", normalized)
     _check.choice(op, "behaviour", behaviour, ("corr", "conv"))
-    dtype = compute_dtype(x)
-    if kernel.dtype != dtype:
-        kernel = kernel.to(dtype)
+    kernel = as_dtype(kernel, compute_dtype(x))
     if not normalized and behaviour == "corr":
         return kernel
     axes = tuple(range(1, kernel.dim()))

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
 from kvision.core.exceptions import ShapeError
@@ -144,7 +144,7 @@ def batch_of(op: str, name: str, x: Tensor, values: Tensor) -> Tensor:
             f"{op}: expected {name} with 1 or {x.shape[0]} rows, got {tuple(values.shape)}", actual_shape=values.shape
         )
     _check.same_device(op, input=x, **{name: values})
-    return values.to(compute_dtype(x))
+    return as_dtype(values, compute_dtype(x))
 
 
 def axis_kernels(

@@ -224,7 +224,8 @@ def sigmas(op: str, name: str, value: object, count: int, *, zero: bool = False)
     for v in numbers:
         if not isinstance(v, (int, float)):
             raise TypeCheckError(_refused(op, name, value, count, zero), actual_type=type(value))
-        fits = fits and (v > 0 or (zero and v == 0)) and _check.fits_float(v)  # also refuses NaN
+        # Also refuses NaN.
+        fits = fits and (v > 0 or (zero and v == 0)) and (v <= _check.LARGEST_FLOAT or v == math.inf)
     if not fits:
         raise ValueCheckError(_refused(op, name, value, count, zero), actual_value=value)
     return tuple(map(float, numbers))

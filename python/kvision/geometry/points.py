@@ -7,7 +7,7 @@ from math import prod
 import torch
 from torch import Tensor
 
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register
 from kvision.geometry.conversions.homogeneous import divisor
 from kvision.geometry.conversions.pixels import focal_and_center
@@ -75,14 +75,22 @@ def transformed(points: Tensor, matrix: Tensor) -> Tensor:
     if matrix.dim() == 2:
         matrix = matrix[None]
     batch = matrix.shape[0]
+    matrix = as_dtype(matrix, compute_dtype(points))
+    if points.dim() == 3 and points.shape[0] == batch:  # as most calls are
+        return _map_points(points, None, matrix, "transform")
     flat = points.reshape(batch, prod(points.shape[:-1]) // batch if batch else 0, points.shape[-1])
-    y = _map_points(flat, None, matrix.to(compute_dtype(points)), "transform")
+    y = _map_points(flat, None, matrix, "transform")
     return y.reshape(*points.shape[:-1], y.shape[-1])
 
 
 def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str) -> Tensor:
     """Points (*, D) by cameras (*, 3, 3), leading axes broadcast; with fewer of them a camera serves the points' last axis."""
+    camera_matrix = as_dtype(camera_matrix, compute_dtype(points))
+    depth = None if depth is None else as_dtype(depth, points.dtype)
     leading = points.shape[:-1]
+    if points.dim() == camera_matrix.dim() == 3 and points.shape[0] == camera_matrix.shape[0]:  # as most calls are
+        if depth is None or depth.shape[:-1] == leading:
+            return _map_points(points, depth, camera_matrix, kind)
     cameras: tuple[int, ...] = camera_matrix.shape[:-2]
     if len(cameras) < len(leading):
         cameras = (*cameras, 1)
@@ -97,9 +105,9 @@ def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str)
     while own > 0 and cameras[own - 1] == 1:
         own -= 1
     outer, inner = prod(leading[:own]), prod(leading[own:])
-    matrix = camera_matrix.to(compute_dtype(points))
+    matrix = camera_matrix
     if cameras[:own] != tuple(leading[:own]):
         matrix = matrix.reshape(*cameras[:own], 3, 3).expand(*leading[:own], 3, 3)
-    depth = None if depth is None else depth.to(points.dtype).reshape(outer, inner, 1)
+    depth = None if depth is None else depth.reshape(outer, inner, 1)
     y = _map_points(points.reshape(outer, inner, points.shape[-1]), depth, matrix.reshape(outer, 3, 3), kind)
     return y.reshape(*leading, y.shape[-1])

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored, laid_out, register, vjp
 from kvision.losses.reduction import (
@@ -129,7 +129,7 @@ def focal_loss(
     terms = (first, other, gamma, *as_arguments(ignore_index), summed)
     loss = operator(_as_images(pred, 2)[None], _as_images(target, 1)[None], weight, *terms)
     if summed:
-        return loss.squeeze(0).to(pred.dtype)
+        return as_dtype(loss.squeeze(), pred.dtype)
     index = target.clamp(0, pred.shape[1] - 1)[:, None]
     return laid_out(torch.zeros_like(pred).scatter(1, index, loss.reshape(index.shape).to(pred.dtype)), pred)
 

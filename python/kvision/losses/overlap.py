@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
 from kvision.losses.reduction import as_arguments, check_labels, check_weight, has_kernel, masked, selected
@@ -104,7 +104,7 @@ def _loss(
 ) -> Tensor:
     operator = _overlap if has_kernel(pred) else _overlap.reference
     terms = (together, alpha, beta, eps, *as_arguments(ignore_index))
-    return operator(pred[None], target[None], weight, *terms)[0].squeeze(0).to(pred.dtype)
+    return as_dtype(operator(pred[None], target[None], weight, *terms)[0].squeeze(), pred.dtype)
 
 
 def dice_loss(

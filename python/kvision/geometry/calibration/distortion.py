@@ -205,10 +205,15 @@ def _through_lens(
             return x[None]
         return x if x.shape[:-axes] == leading and len(leading) == 1 else _of_all(x, leading, axes)
 
-    flat = points if points.dim() == 3 and points.shape[:-2] == leading else _of_all(points, leading, 2)
+    if len(leading) == 1 and points.shape[:-2] == leading:
+        flat = points
+    else:
+        flat = points[None] if not leading else _of_all(points, leading, 2)
     tilts = None if tilt is None else of_problems(tilt, 2)
     found: Tensor = operator(flat, of_problems(camera, 2), of_problems(wanted, 2), of_problems(dist, 1), tilts, *plain)
-    return found if len(leading) == 1 else found.reshape(*leading, *points.shape[-2:])
+    if len(leading) == 1:
+        return found
+    return found[0] if not leading else found.reshape(*leading, *points.shape[-2:])
 
 
 def _of_all(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:

@@ -197,8 +197,8 @@ def remap(
     if padding_mode == "fill":
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
-    _, map_x = together("remap", image, "map_x", map_x)
-    image, map_y = together("remap", image, "map_y", map_y)
+    image, map_x = together("remap", image, "map_x", map_x)
+    map_y = sampling.for_images("remap", image, "map_y", map_y)
     padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
     return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates)
 

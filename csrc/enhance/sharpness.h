@@ -1,0 +1,83 @@
+// Sharpness: an image moved away from its smoothed copy s, or towards it, by a factor f,
+//
+//                                      | 1 1 1 |
+//   y = clip(x + (x - s) (f - 1))   s = | 1 5 1 | x / 13, clipped
+//                                      | 1 1 1 |
+//
+// but for the rim, one pixel wide, which only is clipped. Included by sharpness_cpu.cpp, sharpness.cu and
+// sharpness_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "core/view.h"
+
+namespace kv {
+
+// The number where there are no data.
+template <class F>
+struct Factor {
+  F const* data;
+  int64_t of_image, of_channel;  // strides
+  int64_t channels;
+  F number;
+
+  KV_HD F of(int64_t plane) const {
+    return data ? data[plane / channels * of_image + plane % channels * of_channel] : number;
+  }
+};
+
+template <class T>
+struct Sharpness {
+  Planes<T const> x;  // channel by channel
+  Planes<T> y;
+  Factor<Compute<T>> factor;
+};
+template <class T>
+struct SharpnessBackward {
+  Planes<T const> grad, x;
+  Planes<T> grad_x;
+  Factor<Compute<T>> factor;
+  Compute<T>* slopes;  // of the factor: (planes, pieces); null: not wanted
+  int64_t pieces;
+};
+
+KV_KERNEL(sharpness, Sharpness)
+KV_KERNEL(sharpness_backward, SharpnessBackward)
+
+// How CUDA cuts a plane into pieces.
+constexpr int kTileWidth = 64, kTileHeight = 16;
+
+template <class V, class F>
+KV_HD V smoothed(V const& sum_of_nine, V const& x, F) {
+  return (sum_of_nine + x * F(4)) * F(1. / 13);
+}
+template <class V, class F>
+KV_HD V clipped(V const& x, F) {
+  V const none = x * F(0);  // NaN stays
+  return x < F(0) ? none : x > F(1) ? none + F(1) : x;
+}
+// `smooth` as it comes from `smoothed`.
+template <class V, class F>
+KV_HD V sharpened(V const& x, V const& smooth, F factor) {
+  return clipped(V(x + (x - clipped(smooth, F(0))) * (factor - F(1))), F(0));
+}
+
+// What a gradient g gives to the pixel itself, to what its neighbours' smoothed copy was made of, and to the factor.
+template <class V>
+struct SharpnessGradient {
+  V own, around, factor;
+};
+template <class V, class F>
+KV_HD SharpnessGradient<V> pull_sharpened(V const& x, V const& smooth, V const& g, F factor) {
+  V const none = g * F(0), apart = x - clipped(smooth, F(0)), y = x + apart * (factor - F(1));
+  V const within = y >= F(0) ? (y <= F(1) ? g : none) : none;
+  V const to_smooth = smooth >= F(0) ? (smooth <= F(1) ? within : none) : none;
+  return {within * factor, to_smooth * (F(1) - factor), within * apart};
+}
+template <class V, class F>
+KV_HD V pull_clipped(V const& x, V const& g, F) {
+  V const none = g * F(0);
+  return x >= F(0) ? (x <= F(1) ? g : none) : none;
+}
+
+}  // namespace kv

@@ -1,0 +1,118 @@
+// Sharpness on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "sharpness.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// Calls pixel(width, x) for the pixels of a row but its ends, in vectors where they are neighbours.
+template <class T, class F>
+KV_HD void for_each_inner(int64_t width, int64_t step, F pixel) {
+  if (step == 1) return for_each_vector<T>(1, max(width - 1, int64_t(1)), pixel);
+  for (int64_t x = 1; x + 1 < width; ++x) pixel(Width<1>{}, x);
+}
+
+// The sum of nine around an element.
+template <int N, class T>
+KV_HD auto sum_of_nine(T const* above, T const* beside, T const* below, int64_t e, int64_t step) {
+  auto const column = [&](int64_t i) { return load<N>(above + i) + load<N>(beside + i) + load<N>(below + i); };
+  return Lanes<Compute<T>, N>(column(e - step) + column(e) + column(e + step));
+}
+
+}  // namespace
+
+template <class T>
+void sharpness(Sharpness<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const height = p.x.height, width = p.x.width, step = p.x.step;
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / height, y = r % height;
+    bool const inner = y > 0 && y + 1 < height;
+    T const* const x = p.x.row(plane, y);
+    T* const to = p.y.row(plane, y);
+    F const factor = p.factor.of(plane);
+    auto const rim = [&](int64_t i) { store<1>(to + i * step, clipped(load<1>(x + i * step), F(0))); };
+    rim(0);
+    rim(width - 1);
+    for_each_inner<T>(width, step, [&](auto n, int64_t i) {
+      constexpr int N = decltype(n)::value;
+      using V = Lanes<F, N>;
+      int64_t const e = i * step;
+      V const v = load<N>(x + e);
+      if (!inner) return store<N>(to + e, clipped(v, F(0)));
+      V const sum = sum_of_nine<N>(x - p.x.row_stride, x, x + p.x.row_stride, e, step);
+      store<N>(to + e, sharpened(v, V(smoothed(sum, v, F(0))), factor));
+    });
+  }
+}
+
+// Streams down the rows: what each gives to its own pixels, to those around and to the factor is kept for three rows.
+template <class T>
+void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const height = p.x.height, width = p.x.width, step = p.x.step, padded = width + 2;
+  Scratch<F> scratch(7 * padded);
+  auto const own = [&](int64_t y) { return scratch.data + (y + 3) % 3 * padded + 1; };
+  auto const around = [&](int64_t y) { return own(y) + 3 * padded; };
+  F* const slopes = scratch.data + 6 * padded;
+  F slope_of[3]{};
+
+  auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one outside the image
+    F *const to_own = own(y), *const to_around = around(y);
+    for_each_vector<F>(-1, width + 1, [&](auto n, int64_t i) {
+      constexpr int N = decltype(n)::value;
+      store<N>(to_around + i, Lanes<F, N>{});
+    });
+    slope_of[(y + 3) % 3] = 0;
+    if (y < 0 || y >= height) return;
+    T const *const x = p.x.row(plane, y), *const g = p.grad.row(plane, y);
+    F const factor = p.factor.of(plane);
+    auto const rim = [&](auto n, int64_t i) {
+      constexpr int N = decltype(n)::value;
+      using V = Lanes<F, N>;
+      store<N>(to_own + i, pull_clipped(V(load<N>(x + i * step)), V(load<N>(g + i * step)), F(0)));
+    };
+    rim(Width<1>{}, 0);
+    rim(Width<1>{}, width - 1);
+    if (y == 0 || y + 1 == height) return for_each_inner<T>(width, step, rim);
+    for_each_inner<T>(width, step, [&](auto n, int64_t i) {
+      constexpr int N = decltype(n)::value;
+      using V = Lanes<F, N>;
+      int64_t const e = i * step;
+      V const v = load<N>(x + e), sum = sum_of_nine<N>(x - p.x.row_stride, x, x + p.x.row_stride, e, step);
+      auto const of = pull_sharpened(v, V(smoothed(sum, v, F(0))), V(load<N>(g + e)), factor);
+      store<N>(to_own + i, of.own);
+      store<N>(to_around + i, of.around);
+      store<N>(slopes + i, of.factor);
+    });
+    for (int64_t i = 1; p.slopes && i + 1 < width; ++i) slope_of[(y + 3) % 3] += slopes[i];
+  };
+
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / height, y = r % height;
+    if (r == begin || y == 0) {
+      fill(plane, y - 1);
+      fill(plane, y);
+    }
+    fill(plane, y + 1);
+    if (p.slopes) p.slopes[r] = slope_of[y % 3];
+    if (!p.grad_x.data) continue;
+    T* const to = p.grad_x.row(plane, y);
+    auto const pixel = [&](auto n, int64_t i) {
+      constexpr int N = decltype(n)::value;
+      using V = Lanes<F, N>;
+      V const sum = sum_of_nine<N>(around(y - 1), around(y), around(y + 1), i, 1);
+      store<N>(to + i * step, V(load<N>(own(y) + i) + smoothed(sum, V(load<N>(around(y) + i)), F(0))));
+    };
+    if (step == 1)
+      for_each_vector<T>(0, width, pixel);
+    else
+      for (int64_t i = 0; i < width; ++i) pixel(Width<1>{}, i);
+  }
+}
+
+KV_INSTANTIATE(sharpness, Sharpness)
+KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
+
+}  // namespace kv::KV_ISA

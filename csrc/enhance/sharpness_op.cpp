@@ -1,0 +1,79 @@
+// Sharpness: schemas and entries, for CPU and CUDA alike.
+#include "color/program.h"
+#include "flat_glue.h"
+#include "sharpness.h"
+
+namespace kv {
+namespace {
+
+using Maybe = std::optional<Tensor>;
+
+template <class F>
+Factor<F> factor_of(char const* op, Tensor const& x, Maybe const& factor, double number) {
+  if (!factor) return {nullptr, 0, 0, 1, F(number)};
+  Tensor const& f = *factor;
+  KV_CHECK(f.dim() == 3 && (f.size(0) == 1 || f.size(0) == x.size(0)) && (f.size(1) == 1 || f.size(1) == x.size(1)) &&
+               f.size(2) == 1,
+           op, ": expected factor of shape (B, C, 1) or with axes of size 1");
+  KV_CHECK(f.scalar_type() == (sizeof(F) == 8 ? ScalarType::Double : ScalarType::Float) && f.device() == x.device(), op,
+           ": expected factor of the type that is computed in, on the device of input");
+  return {static_cast<F const*>(f.const_data_ptr()), f.size(0) > 1 ? f.stride(0) : 0, f.size(1) > 1 ? f.stride(1) : 0,
+          x.size(1), 0};
+}
+
+Tensor sharpness(Tensor const& input, Maybe const& factor, double number) {
+  check_flat("sharpness", input);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), y = empty_like(x, layout);
+  for_floats("sharpness", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Sharpness<T> const p{channel_planes<T const>(x, layout), channel_planes<T>(y, layout),
+                         factor_of<Compute<T>>("sharpness", x, factor, number)};
+    KV_RUN(sharpness, x, p, p.x.rows(), 3 * p.x.width);
+  });
+  return y;
+}
+
+// The gradients of the image and of each channel's factor; without elements where they are not wanted.
+std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& input, Maybe const& factor,
+                                              double number, bool of_image, bool of_factor) {
+  constexpr char const* op = "sharpness_backward";
+  check_flat(op, input);
+  check_like(op, "grad", grad, input);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), g = conform(grad, layout);
+  int64_t const b = x.size(0), c = x.size(1);
+  ScalarType const computes = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
+  Tensor const grad_x = of_image ? empty_like(x, layout) : empty({b, 0}, x);
+  Tensor const of_planes = empty({b, of_factor ? c : 0, 1}, x, Layout::planar, computes);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+#if defined(KV_CUDA)
+    int64_t const pieces = ((x.size(2) + kTileHeight - 1) / kTileHeight) * ((x.size(3) + kTileWidth - 1) / kTileWidth);
+#else
+    int64_t const pieces = x.size(2);
+#endif
+    Tensor const slopes = empty({of_factor ? b * c : 0, pieces}, of_planes);
+    SharpnessBackward<T> const p{channel_planes<T const>(g, layout),
+                                 channel_planes<T const>(x, layout),
+                                 of_image ? channel_planes<T>(grad_x, layout) : Planes<T>{},
+                                 factor_of<F>(op, x, factor, number),
+                                 of_factor ? static_cast<F*>(slopes.mutable_data_ptr()) : nullptr,
+                                 pieces};
+    KV_RUN(sharpness_backward, x, p, p.x.rows(), 6 * p.x.width);
+    if (!of_factor) return;
+    ProgramReduce<F> const sums{p.slopes, static_cast<F*>(of_planes.mutable_data_ptr()), b * c, pieces, 1};
+    KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
+  });
+  return {grad_x, of_planes};
+}
+
+}  // namespace
+
+KV_OPERATOR(sharpness, "(Tensor input, Tensor? factor, float number) -> Tensor")
+KV_OPERATOR(sharpness_backward,
+            "(Tensor grad, Tensor input, Tensor? factor, float number, bool of_image, bool of_factor)"
+            " -> (Tensor, Tensor)")
+
+}  // namespace kv

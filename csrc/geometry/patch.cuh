@@ -176,7 +176,7 @@ template <class T>
 struct Patch {
   static constexpr int kPack = 16 / int(sizeof(T));
   // Room for a tile of kTile x kTile, turned by any angle. Four rows one below the other are in different banks.
-  static constexpr int kPitch = sizeof(T) == 1 ? 80 : 56, kRows = 52;
+  static constexpr int kPitch = sizeof(T) == 1 ? 80 : sizeof(T) == 2 ? 72 : 56, kRows = 52;
   static constexpr int kSize = kPitch * kRows;
   static constexpr int kChannels = sizeof(T) == 8 ? 1 : 3;                        // at a time
   static constexpr int kColumns = sizeof(T) == 8 ? 32 : sizeof(T) == 4 ? 16 : 8;  // threads that take packs of one row
@@ -192,7 +192,7 @@ struct Patch {
         top(box.top),
         columns(box.right - left + 1),
         rows(box.bottom - top + 1),
-        fits(columns <= kPitch && rows <= kRows) {}
+        fits(columns <= min(kPitch, kColumns * kPack) && rows <= kRows) {}
   // Of the taps in the box; where these leave the image, that they can be put there.
   template <class F>
   __device__ __forceinline__ Patch(void* pixels, Box const& box, Sampling<T> const& p, F) : Patch(pixels, box) {

@@ -67,14 +67,12 @@ Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor cons
   Map const map(op, map_x, map_y, grad, normalized, align_corners);
   KV_CHECK(grad.size(2) == map.size().height && grad.size(3) == map.size().width, op, ": grad does not fit the map");
   int64_t const batch = grad.size(0), channels = grad.size(1);
-  Tensor const grad_x = empty({batch, channels, source.height, source.width}, grad);
-  for_computed(op, grad, [&](auto type) {
-    using F = typename decltype(type)::type;
-    SampleTranspose<F> const params{a.of<F>(source, map.places<F>(source, batch)), images<F const>(grad, batch),
-                                    images<F>(grad_x, batch)};
-    KV_RUN(sample_transpose, grad, params, batch * channels, 8 * grad.size(2) * grad.size(3));
+  return image_gradient(op, grad, source, false, [&](auto type, Tensor const& from, Tensor const& to) {
+    using T = typename decltype(type)::type;
+    SampleTranspose<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)),
+                                    images<T const>(from, batch), images<T>(to, batch)};
+    KV_RUN(sample_transpose, from, params, batch * channels, 8 * grad.size(2) * grad.size(3));
   });
-  return grad_x;
 }
 
 // For every sample, also where one map serves them all.

@@ -59,12 +59,35 @@ inline bool goes_with(Tensor const& t, Tensor const& x, int64_t axes) {
          (t.size(0) == 1 || t.size(0) == x.size(0));
 }
 
-// Gradients to images are summed and returned in the type that computes.
 template <class F>
 void for_computed(char const* op, Tensor const& x, F f) {
   if (x.scalar_type() == ScalarType::Float) return f(Type<float>{});
   KV_CHECK(x.scalar_type() == ScalarType::Double, op, ": expected float32 or float64");
   f(Type<double>{});
+}
+
+// The gradient to an image of that size, by run(type, grad, grad_x). Kernels that gather have the sums of a pixel in
+// registers; others add to memory, in the type that computes.
+template <class Run>
+Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unused]] bool gathers, Run run) {
+  std::vector<int64_t> const sizes{grad.size(0), grad.size(1), size.height, size.width};
+  Tensor grad_x = empty(sizes, grad);
+#if defined(KV_CUDA)
+  if (gathers) {
+    for_floats(op, grad, [&](auto type) { run(type, grad, grad_x); });
+    return grad_x;
+  }
+#endif
+  ScalarType const computed = computed_type(grad);
+  if (grad.scalar_type() == computed) {
+    for_computed(op, grad, [&](auto type) { run(type, grad, grad_x); });
+    return grad_x;
+  }
+  Tensor wide = empty(grad.sizes(), grad, layout_of(grad), computed);
+  Tensor const sums = empty(sizes, grad, Layout::planar, computed);
+  torch::stable::copy_(wide, grad);
+  for_computed(op, wide, [&](auto type) { run(type, wide, sums); });
+  return torch::stable::copy_(grad_x, sums);
 }
 
 // The matrix of a warp, checked.

@@ -30,8 +30,8 @@ struct Sources {
 
   // By four threads of the first half of a warp, of which each takes a corner, and the whole warp. Where the horizon is
   // near, all places are looked at.
-  template <int K>
-  __device__ __forceinline__ void open(Tiles const& tiles, SampleTranspose<F> const& p, int number) {
+  template <int K, class T>
+  __device__ __forceinline__ void open(Tiles const& tiles, SampleTranspose<T> const& p, int number) {
     constexpr F reach = F(K) / 2;
     Tile<F> tile;  // of a warp from the source to the output
     tile.place(tiles, number);
@@ -114,8 +114,8 @@ __device__ __forceinline__ int above(double x, double& whole) {
 }
 
 // The gradient of N channels of a pixel (x, y) in its tile, from the gradients where they are.
-template <int K, int N, class F>
-__device__ __noinline__ void gather_where_they_are(SampleTranspose<F> const& p, Sources<F> const& tile, int first,
+template <int K, int N, class T, class F>
+__device__ __noinline__ void gather_where_they_are(SampleTranspose<T> const& p, Sources<F> const& tile, int first,
                                                    int y, int x) {
   F center_u, center_v, first_u, first_v, sums[N] = {};
   tile.back.at(F(x), F(y), center_u, center_v);
@@ -127,18 +127,19 @@ __device__ __noinline__ void gather_where_they_are(SampleTranspose<F> const& p, 
       tile.map.at(F(u), F(v), place_x, place_y);
       F const weight = weight_at<K>(place_x, x) * weight_at<K>(place_y, y);
       if (weight == 0) continue;
-      F const* const grad = p.grad.row(tile.b, first, v + tile.v) + (u + tile.u) * p.grad.step;
+      T const* const grad = p.grad.row(tile.b, first, v + tile.v) + (u + tile.u) * p.grad.step;
 #pragma unroll
-      for (int k = 0; k < N; ++k) sums[k] += weight * grad[k * p.grad.channel_stride];
+      for (int k = 0; k < N; ++k) sums[k] += weight * F(read(grad[k * p.grad.channel_stride]));
     }
 #pragma unroll
-  for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = sums[k];
+  for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = round_to<T>(sums[k]);
 }
 
-template <class F, int K>
-__global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
-    gather_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles, bool aligned) {
-  using Gradients = Patch<F>;
+template <class T, int K>
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
+    gather_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles, bool aligned) {
+  using F = Compute<T>;
+  using Gradients = Patch<T>;
   __shared__ Sources<F> shared_tiles[kTileRow];
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.grad_x.width), height = int(p.grad_x.height);
@@ -157,10 +158,10 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
     int const x = column_in_tile();
     in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
       constexpr int N = channels.value;
-      if (patch.fits) patch.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return F(0); });
+      if (patch.fits) patch.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
       if (tile.x + x >= width) return;
       F poison = 0;  // NaN where one of the gradients is no finite number: it may have had no weight
-      F* planes[N];
+      T* planes[N];
 #pragma unroll
       for (int k = 0; k < N; ++k) planes[k] = p.grad_x.row(tile.b, first + k, 0);
       int to = (tile.y + row_in_tile()) * width + tile.x + x;
@@ -171,7 +172,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
         F center_u, center_v, first_u, first_v, sums[N] = {};
         tile.back.at(F(x), F(y), center_u, center_v);
         int const u = above(center_u - tile.reach_x, first_u), v = above(center_v - tile.reach_y, first_v);
-        F const* row = patch.pixels + (v * Gradients::kPitch + u + origin);
+        T const* row = patch.pixels + (v * Gradients::kPitch + u + origin);
         auto const gather = [&](auto affine) {
           F const(&m)[9] = tile.map.m;
           F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
@@ -179,7 +180,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
 #pragma unroll 1
           for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
             F place_x = from_x, place_y = from_y, weight = from_weight;
-            F const* grad = row;
+            T const* grad = row;
 #pragma unroll 1
             for (int i = 0; i < tile.columns; i += kTogether<K>)
 #pragma unroll
@@ -187,7 +188,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
                 F const scale = affine.value ? F(1) : reciprocal(weight);
                 F const share = weight_at<K>(place_x * scale, x) * weight_at<K>(place_y * scale, y);
 #pragma unroll
-                for (int k = 0; k < N; ++k) sums[k] += share * grad[k * Gradients::kSize];
+                for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * Gradients::kSize]));
                 place_x += m[0];
                 place_y += m[3];
                 if constexpr (!affine.value) weight += m[6];
@@ -201,7 +202,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(F) == 8 ? 2 : 5)
 #pragma unroll
         for (int k = 0; k < N; ++k) {
           poison += sums[k] * 0;
-          planes[k][to] = sums[k];
+          planes[k][to] = round_to<T>(sums[k]);
         }
       }
       if (!patch.fits || poison != 0)
@@ -242,30 +243,39 @@ __global__ void __launch_bounds__(kThreads) scatter_tiles(__grid_constant__ Samp
   }
 }
 
-}  // namespace
+template <class T>
+void gather(SampleTranspose<T> const& p, CUstream_st* stream) {
+  auto const& x = p.grad_x;
+  Tiles const tiles(x.batch, x.height, x.width, tile_row(x.batch, x.height, x.width));
+  with_taps(p.interpolation, [&](auto taps) {
+    gather_tiles<T, taps.value>
+        <<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(p, tiles, in_packs(p.grad));
+  });
+}
 
 template <class F>
-int sample_transpose(SampleTranspose<F> const& p, CUstream_st* stream) {
+int scatter(SampleTranspose<F> const& p, CUstream_st* stream) {
+  int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
+  cudaError_t const error = cudaMemsetAsync(p.grad_x.data, 0, size_t(count) * sizeof(F), stream);
+  if (error != cudaSuccess) return error;
+  Tiles const tiles(p.grad.batch, p.grad.height, p.grad.width, 1);
+  with_taps(p.interpolation,
+            [&](auto taps) { scatter_tiles<F, taps.value><<<tiles.count, kThreads, 0, stream>>>(p, tiles); });
+  return cudaSuccess;
+}
+
+}  // namespace
+
+template <class T>
+int sample_transpose(SampleTranspose<T> const& p, CUstream_st* stream) {
   bool const gathers = p.places.matrices && p.x_axis.padding == Padding::fill;
-  auto const over = [](auto const& images, int row) { return Tiles(images.batch, images.height, images.width, row); };
-  Tiles const tiles =
-      gathers ? over(p.grad_x, tile_row(p.grad_x.batch, p.grad_x.height, p.grad_x.width)) : over(p.grad, 1);
-  if (!gathers) {
-    int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
-    cudaError_t const error = cudaMemsetAsync(p.grad_x.data, 0, size_t(count) * sizeof(F), stream);
-    if (error != cudaSuccess) return error;
-  }
-  with_taps(p.interpolation, [&](auto taps) {
-    constexpr int K = taps.value;
-    size_t const bytes = Patch<F>::bytes(p.grad.channels);
-    if (gathers)
-      gather_tiles<F, K><<<tiles.count, kThreads, bytes, stream>>>(p, tiles, in_packs(p.grad));
-    else
-      scatter_tiles<F, K><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
-  });
+  if (gathers)
+    gather(p, stream);
+  else if constexpr (sizeof(T) == sizeof(Compute<T>))  // sums in memory are wide
+    if (int const error = scatter(p, stream)) return error;
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_COMPUTED(sample_transpose, SampleTranspose)
+KV_INSTANTIATE(sample_transpose, SampleTranspose)
 
 }  // namespace kv::cuda

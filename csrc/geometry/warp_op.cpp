@@ -32,16 +32,14 @@ Tensor warp_image_gradient(Tensor const& grad, Tensor const& matrix, std::vector
   SamplingArguments const a(op, interpolation, padding, align_corners, grad, {});
   Matrix const m(op, matrix, grad, inverse, normalized, align_corners, source, output);
   int64_t const batch = grad.size(0), channels = grad.size(1);
-  Tensor const grad_x = empty({batch, channels, source.height, source.width}, grad);
-  for_computed(op, grad, [&](auto type) {
-    using F = typename decltype(type)::type;
-    SampleTranspose<F> const params{a.of<F>(source, m.places<F>()), images<F const>(grad, batch),
-                                    images<F>(grad_x, batch)};
+  return image_gradient(op, grad, source, padding == "fill", [&](auto type, Tensor const& from, Tensor const& to) {
+    using T = typename decltype(type)::type;
+    SampleTranspose<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(from, batch),
+                                    images<T>(to, batch)};
     check_planes(op, params.grad);
     check_planes(op, params.grad_x);
-    KV_RUN(sample_transpose, grad, params, batch * channels, 8 * output.height * output.width);
+    KV_RUN(sample_transpose, from, params, batch * channels, 8 * output.height * output.width);
   });
-  return grad_x;
 }
 
 Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor const& matrix,

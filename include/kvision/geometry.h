@@ -76,9 +76,8 @@ inline Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tens
     std::optional<Tensor> const filled = f.defined() ? std::optional(f) : std::nullopt;
     variable_list found(3);
     if (b.wanted(0))
-      found[0] = warp_image_gradient(computed(grad), m, image_size(x), interpolation, padding, align_corners, inverse,
-                                     normalized)
-                     .to(grad.scalar_type());
+      found[0] =
+          warp_image_gradient(grad, m, image_size(x), interpolation, padding, align_corners, inverse, normalized);
     if (b.wanted(1))
       found[1] = summed_to(
           warp_matrix_gradient(grad, x, m, filled, interpolation, padding, align_corners, inverse, normalized), m);
@@ -133,9 +132,7 @@ inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_
     std::optional<Tensor> const filled = f.defined() ? std::optional(f) : std::nullopt;
     variable_list found(4);
     if (b.wanted(0))
-      found[0] =
-          remap_image_gradient(computed(grad), u, v, image_size(x), interpolation, padding, align_corners, normalized)
-              .to(grad.scalar_type());
+      found[0] = remap_image_gradient(grad, u, v, image_size(x), interpolation, padding, align_corners, normalized);
     if (b.wanted(1) || b.wanted(2)) {
       auto const [to_x, to_y] =
           remap_map_gradient(grad, x, u, v, filled, interpolation, padding, align_corners, normalized);

@@ -160,8 +160,7 @@ def _warp_backward(needs, grad, image, matrix, fill, size, *how):
         return warp.differentiate_reference(needs, grad, image, matrix, fill, size, *how)
     grads = [None, None, None]
     if needs[0]:
-        wide = grad.to(compute_dtype(grad))
-        grads[0] = warp_image_gradient(wide, matrix, list(image.shape[2:]), *how).to(grad.dtype)
+        grads[0] = warp_image_gradient(grad, matrix, list(image.shape[2:]), *how)
     if needs[1]:
         grads[1] = _warp_matrix_gradient(grad, image, matrix, fill, *how).sum_to_size(matrix.shape)
     if needs[2]:
@@ -184,8 +183,8 @@ def _image_gradient_reference(grad, matrix, size, *how):
     def of_image(image: Tensor) -> Tensor:
         return _warp_reference(image, matrix, None, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
-    return pullback(grad)[0]
+    _, pullback = torch.func.vjp(of_image, matrix.new_zeros(*grad.shape[:2], *size))
+    return pullback(grad.to(matrix.dtype))[0].to(grad.dtype)
 
 
 def _image_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
@@ -243,8 +242,7 @@ def _remap_backward(needs, grad, image, map_x, map_y, fill, *how):
         return remap.differentiate_reference(needs, grad, image, map_x, map_y, fill, *how)
     grads = [None, None, None, None]
     if needs[0]:
-        wide = grad.to(compute_dtype(grad))
-        grads[0] = _remap_image_gradient(wide, map_x, map_y, list(image.shape[2:]), *how).to(grad.dtype)
+        grads[0] = _remap_image_gradient(grad, map_x, map_y, list(image.shape[2:]), *how)
     if needs[1] or needs[2]:
         found = _remap_map_gradient(grad, image, map_x, map_y, fill, *how)
         grads[1:3] = (g.sum_to_size(map_x.shape) for g in found)
@@ -258,8 +256,8 @@ def _remap_image_gradient_reference(grad, map_x, map_y, size, *how):
     def of_image(image: Tensor) -> Tensor:
         return _remap_reference(image, map_x, map_y, None, *how)
 
-    _, pullback = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
-    return pullback(grad)[0]
+    _, pullback = torch.func.vjp(of_image, map_x.new_zeros(*grad.shape[:2], *size))
+    return pullback(grad.to(map_x.dtype))[0].to(grad.dtype)
 
 
 def _remap_image_gradient_backward(needs, grad_grad, grad, map_x, map_y, size, *how):

@@ -165,6 +165,14 @@ class OpTests:
         loss = sum((o * w).sum() for o, w in zip(outputs, weights) if o.requires_grad)
         return list(torch.autograd.grad(loss, values))
 
+    def exercise(self, x: Tensor, kwargs: dict[str, Any]) -> None:
+        """Calls what there is to be called: with gradients to all tensors, and to the first one alone."""
+        outputs = as_tuple(self.call(x, kwargs))
+        if self.differentiable:
+            self.gradients(x, kwargs, [torch.ones_like(o) for o in outputs])
+            leaf = x.detach().requires_grad_()
+            torch.autograd.grad(sum(o.sum() for o in as_tuple(self.call(leaf, kwargs)) if o.requires_grad), leaf)
+
     def setup(self, variant: dict[str, Any], device: Any, dtype: torch.dtype = torch.float64, shape: Any = None) -> Any:
         x = self.input(shape or self.shape, dtype, device)
         return x, self.arguments(variant, x)
@@ -310,11 +318,8 @@ class OpTests:
         checks: dict[str, tuple[str, ...]] = {}
         for variant in self.variants:
             x, kwargs = self.setup(variant, device, torch.float32)
-            with recorded(self.operators) as calls:
-                outputs = as_tuple(self.call(x, kwargs))
-                if self.differentiable:
-                    self.gradients(x, kwargs, [torch.ones_like(o) for o in outputs])
-            assert {name for name, _ in calls} <= set(self.operators)
+            with recorded() as calls:
+                self.exercise(x, kwargs)
             for name, args in dict(calls).items():
                 detached = tuple(a.detach() if isinstance(a, Tensor) else a for a in args)
                 if self.differentiable and not name.endswith("backward"):
@@ -322,6 +327,7 @@ class OpTests:
                 utils = checks.setdefault(name, torch.library._OPCHECK_DEFAULT_UTILS)
                 torch.library.opcheck(getattr(torch.ops.kvision, name).default, detached, test_utils=utils)
                 checks[name] = ("test_schema", "test_faketensor")
+        assert set(checks) == set(self.operators)
 
     # --- gradients ---
 
@@ -558,12 +564,10 @@ class OpTests:
     def test_operators_refuse_bad_arguments(self, device, backend):
         """Called without their Python functions, as C++ and exported programs do."""
         self.needs_native(backend)
-        with recorded(self.operators) as calls:
+        with recorded() as calls:
             for variant in self.variants:
-                x, kwargs = self.setup(variant, device, torch.float32)
-                outputs = as_tuple(self.call(x, kwargs))
-                if self.differentiable:
-                    self.gradients(x, kwargs, [torch.ones_like(o) for o in outputs])
+                self.exercise(*self.setup(variant, device, torch.float32))
+        assert {name for name, _ in calls} == set(self.operators)
         taken = []
         for name, args in dict(calls).items():
             operator = getattr(torch.ops.kvision, name).default
@@ -605,10 +609,10 @@ class OpTests:
 
 
 @contextlib.contextmanager
-def recorded(names: tuple[str, ...]):
+def recorded():
     """Collects (operator, arguments) of every kernel call."""
     calls: list[tuple[str, tuple[Any, ...]]] = []
-    originals = {name: operator.kernel for name, operator in _ops.operators.items()}
+    originals = {name: operator._call_kernel for name, operator in _ops.operators.items()}
 
     def recorder(name: str, kernel: Any) -> Any:
         def record(*args: Any) -> Any:
@@ -619,8 +623,8 @@ def recorded(names: tuple[str, ...]):
 
     try:
         for name, kernel in originals.items():
-            _ops.operators[name].kernel = recorder(name, kernel)
+            _ops.operators[name]._call_kernel = recorder(name, kernel)
         yield calls
     finally:
         for name, kernel in originals.items():
-            _ops.operators[name].kernel = kernel
+            _ops.operators[name]._call_kernel = kernel

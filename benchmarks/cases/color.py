@@ -115,4 +115,11 @@ CASES = [
         result=lambda y: y[:, [0, 2, 1]],  # the order of OpenCV
     ),
     conversion("rgb_to_xyz", "rgb_to_xyz", Bars(floor=1.12, both=1.3, half=1.7), "RGB2XYZ"),
+    Case(
+        "rgb_to_yuv420",
+        lambda x: kvision.color.rgb_to_yuv420(x),
+        {"kornia": lambda x: kornia.color.rgb_to_yuv420(x)},
+        Bars(),
+        result=lambda planes: planes[1],
+    ),
 ]

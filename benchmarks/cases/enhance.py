@@ -36,6 +36,11 @@ def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Calla
     return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
 
 
+def two_images(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
+    (x,) = photographs(size, dtype, device)
+    return x, x.flip(-1)
+
+
 # -- adjustments. What OpenCV has no function for is made of those it has.
 
 
@@ -226,5 +231,7 @@ CASES = [
         {},
         **nonlinear,
     ),
+    case("sharpness", lambda K, x: K.enhance.sharpness(x, 1.5), Bars(), {}, **nonlinear),
+    case("add_weighted", lambda K, x, y: K.enhance.add_weighted(x, 0.6, y, 0.5, -0.1), Bars(), {}, inputs=two_images),
     case("min_max", lambda K, x: K.enhance.normalize_min_max(x), Bars(floor=2.0, launches=2), {}, **nonlinear),
 ]

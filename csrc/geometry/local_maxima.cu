@@ -7,7 +7,8 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr int kRows = 10, kStripThreads = 64;  // of a strip: small blocks, which share a device evenly
+// Of a strip: small blocks, which share a device evenly, and few enough for 16 maps of 640 x 480 to be on it at once.
+constexpr int kRows = 11, kStripThreads = 64;
 
 // Any window. Blocks of 32 x 8 elements of a plane's rows, planes last.
 template <class T>
@@ -130,29 +131,24 @@ __global__ void __launch_bounds__(kStripThreads)
   T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride + x;
   T* values = p.y.row(plane, y0) + x;
   uint8_t *maxima = p.maxima.row(plane, y0) + x, *minima = p.minima.row(plane, y0) + x;
-  constexpr int kAhead = D == 0 ? 2 : 1;  // rows on their way
-  Row<T, R, P> ahead[kAhead][kPlanes];
-  auto const fetch = [&](int y, Row<T, R, P>(&row)[kPlanes]) {
+  Row<T, R, P> ahead[kPlanes];
+  auto const fetch = [&](int y) {
 #pragma unroll
     for (int k = 0; k < kPlanes; ++k) {
       bool const between = k == D || (z + k >= D && z + k < D + int(p.depth));
-      row[k].fetch(next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between, x, width);
+      ahead[k].fetch(next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between, x, width);
     }
     next += p.x.row_stride;
   };
-#pragma unroll
-  for (int n = 0; n < kAhead; ++n) fetch(y0 - R + n, ahead[n]);
+  fetch(y0 - R);
   Climb<R, D, P> high{}, low{};
 #pragma unroll(R + 1)
   for (int i = -2 * R; i < kRows; ++i) {
     if (y0 + i >= height) break;
     float v[kPlanes][P + 2 * R];
 #pragma unroll
-    for (int k = 0; k < kPlanes; ++k) {
-      ahead[0][k].spread(v[k]);
-      if (kAhead > 1) ahead[0][k] = ahead[kAhead - 1][k];
-    }
-    fetch(y0 + R + i + kAhead, ahead[kAhead - 1]);
+    for (int k = 0; k < kPlanes; ++k) ahead[k].spread(v[k]);
+    fetch(y0 + R + i + 1);
     high.next(v, 1);
     if constexpr (Minima) low.next(v, -1);
     if (i < 0) continue;

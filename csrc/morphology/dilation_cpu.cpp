@@ -100,7 +100,7 @@ KV_HD V extreme(V a, V b) {
 // --- flat windows
 // --------------------------------------------------------------------------------------------------------------------
 
-constexpr int kSmall = 4;  // windows up to this many pixels along an axis take them one by one there
+constexpr int kSmall = 4;  // windows of up to so many rows take them one by one
 
 // Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is small, each `height` rows of windows share what
 // lies in them from the window's first row up to a common row (`above`, suffix maxima), and have the rows behind that
@@ -128,22 +128,18 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
     for (int64_t e = size; e < size + after; ++e) row[e] = window.value;
     F* const first = row - before;
     T* const out = p.y.row(plane, y);
-    if (window.width <= kSmall)
-      return for_each_vector<T>(0, size, [&](auto width, int64_t e) {
-        constexpr int M = decltype(width)::value;
-        Lanes<F, M> most = load<M>(first + e);
-        for (int j = 1; j < window.width; ++j) most = extreme<Erode>(load<M>(first + e + j * step), most);
-        store<M>(out + e, most);
-      });
-    // Maxima of 2, 4, 8 ... pixels, and of two of these that overlap.
+    // Maxima of 4, 16, 64 ... pixels, and of up to four of these, which overlap.
     int64_t reach = 1;
-    for (; 2 * reach <= window.width; reach *= 2)
-      for (int64_t e = 0; e < size + (window.width - 2 * reach) * step; e += N)
-        store<N>(first + e, extreme<Erode>(load<N>(first + e), load<N>(first + e + reach * step)));
-    int64_t const rest = (window.width - reach) * step;
+    for (; 4 * reach < window.width; reach *= 4)
+      for (int64_t e = 0; e < size + (window.width - 4 * reach) * step; e += N) {
+        auto const at = [&](int64_t j) { return load<N>(first + e + j * reach * step); };
+        store<N>(first + e, extreme<Erode>(extreme<Erode>(at(0), at(1)), extreme<Erode>(at(2), at(3))));
+      }
+    int64_t const last = (window.width - reach) * step;
     for_each_vector<T>(0, size, [&](auto width, int64_t e) {
       constexpr int M = decltype(width)::value;
-      Lanes<F, M> const most = extreme<Erode>(load<M>(first + e), load<M>(first + e + rest));
+      Lanes<F, M> most = load<M>(first + e + last);
+      for (int64_t at = 0; at < last; at += reach * step) most = extreme<Erode>(load<M>(first + e + at), most);
       store<M>(out + e, most);
     });
   };

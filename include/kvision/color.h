@@ -278,4 +278,10 @@ inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& input, int64_t rows
   return {found[0], found[1]};
 }
 
+// Images in the colours of a table (1, 3, n), of which `white` (B, C) shows the last one. The table has no gradient
+// here.
+inline Tensor color_table(Tensor const& input, Tensor const& white, Tensor const& colors) {
+  return detail::call<"color_table">(input.detach(), white.detach(), colors.detach());
+}
+
 }  // namespace kvision

@@ -300,12 +300,18 @@ class Operator:
             ctx.mark_non_differentiable(*(_as_tuple(output)[i] for i in self.constant))
             ctx.set_materialize_grads(False)  # no zeros for these
         ctx.save_for_backward(*tensors)
-        ctx.save_for_forward(*tensors)
+        if forward_ad._current_level >= 0:
+            ctx.save_for_forward(*tensors)
         ctx.plain = inputs[self.tensors :]
 
     def _is_linear_map(self, tensors: Sequence[Tensor | None]) -> bool:
         """Whether the result is linear in all the tensors there are, that is, in the first one."""
-        return self.linear and all(t is None for t in tensors[1:])
+        if not self.linear:
+            return False
+        for t in tensors[1:]:
+            if t is not None:
+                return False
+        return True
 
     def _backward(self, ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         needs = ctx.needs_input_grad

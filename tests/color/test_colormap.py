@@ -9,7 +9,7 @@ import torch
 
 import kvision as K
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
-from op_tests import assert_close
+from op_tests import assert_close, instruction_set
 
 C = K.color
 
@@ -118,3 +118,35 @@ def test_errors(device):
     ]:
         with pytest.raises(error, match=f"^{text}"):
             call()
+
+
+def test_tables_of_their_own(device):
+    x = torch.rand(2, 3, 2, 4, 5, device=device)
+    tables = torch.rand(2, 3, 7, device=device)
+
+    def shown(x, colors):
+        table = C.ColorMap("jet", 7)
+        table.colors = colors
+        return C.apply_colormap(x, table)
+
+    assert_close(torch.func.vmap(shown)(x, tables), torch.stack([shown(*each) for each in zip(x, tables)]))
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_instruction_sets(isa, device, backend):
+    if device.type != "cpu" or backend == "reference":
+        pytest.skip("instruction sets are those of the CPU's kernels")
+    x = torch.rand(2, 3, 7, 21) * 1.2 - 0.1
+    x[0, 0, 0, :2] = torch.tensor([torch.nan, torch.inf])
+    table = C.ColorMap("jet", 9)
+    with K.backend("reference"):
+        expected = C.apply_colormap(x, table)
+    with instruction_set(isa):
+        assert_close(C.apply_colormap(x, table), expected)
+
+
+def test_operator(device, backend):
+    if backend == "reference":
+        pytest.skip("of the kernels")
+    x, white = torch.rand(2, 3, 4, 5, device=device), torch.ones(2, 3, device=device)
+    torch.library.opcheck(torch.ops.kvision.color_table.default, (x, white, torch.rand(1, 3, 6, device=device)))

@@ -133,7 +133,8 @@ class TestRgbToGrayscale(ConversionTests):
             self.call(self.input(self.shape, torch.uint8, device).int(), {})
 
 
-@pytest.mark.parametrize("plan, parameters",
+@pytest.mark.parametrize(
+    "plan, parameters",
     [
         ([-1, -1, 1, 99], []),
         ([-1, -1, 1, -1], []),

@@ -84,7 +84,8 @@ class TestWarpFrameDepth(WarpTests):
     function = staticmethod(G.warp_frame_depth)
     small = (1, 1, 4, 4)
     operators = tuple(
-        "depth_warp depth_warp_image_gradient depth_warp_slopes reprojection reprojection_backward".split()
+        "depth_points depth_points_backward depth_warp depth_warp_image_gradient depth_warp_slopes "
+        "reprojection reprojection_backward".split()
     )
     bytes = False
     max_size = 7

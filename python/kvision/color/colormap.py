@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._ops import register
 from kvision.color import colormap_data
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -122,6 +123,24 @@ def _custom(colors: object) -> Sequence[Sequence[float]]:
     return colors
 
 
+def _reference(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:
+    """Images (B, C, H, W) in the colours of tables (B or 1, 3, n), `white` (B, C) being what shows the last one."""
+    x = x / white[..., None, None]
+    n = colors.shape[2]
+    index = torch.where(x >= 1, n - 1, (x * max(n - 2, 1)).ceil()).clamp(0, n - 1)
+    images = torch.arange(x.shape[0], device=x.device)[:, None, None, None]
+    found = colors.expand(x.shape[0], -1, -1)[images, :, index.nan_to_num().long()].movedim(-1, 2)
+    return torch.where(x.isnan()[:, :, None], torch.nan, found).flatten(1, 2)
+
+
+def _fake(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:
+    b, c, *size = x.shape
+    return x.new_empty((b, 3 * c, *size))
+
+
+_table = register("color_table", _reference, fake=_fake)
+
+
 def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
     """Show every channel in false colours.
 
@@ -165,16 +184,14 @@ def _apply(x: Tensor, colors: Tensor) -> Tensor:
         )
     _check.same_device("apply_colormap", input_tensor=x, colormap=colors)
     x = x if x.dim() == 4 else x[None]
-    if not x.is_floating_point():
-        x = x.float() / 255
-    else:
+    if x.is_floating_point():
         x = x if x.dtype == torch.float64 else x.float()
-        levels = (x > 1).flatten(2).any(2)[..., None, None]
-        x = torch.where(levels, x / 255, x)
-    n = colors.shape[1]
-    index = torch.where(x >= 1, n - 1, (x * max(n - 2, 1)).ceil()).clamp(0, n - 1)
-    found = colors[:, index.nan_to_num().long()].movedim(0, 2)
-    return torch.where(x.isnan()[:, :, None], torch.nan, found).flatten(1, 2)
+        white = torch.where((x > 1).flatten(2).any(2), 255.0, 1.0).to(x.dtype)
+    else:
+        x = x.float()
+        white = x.new_full(x.shape[:2], 255)
+    table = _table if x.shape[2:].numel() else _table.reference  # kernels take no images without pixels
+    return table(x, white, colors[None].to(x.dtype)).to(colors.dtype)
 
 
 class ApplyColorMap(nn.Module):

@@ -280,11 +280,11 @@ def run(
 ) -> Tensor:
     """A program on images (B, C, H, W), whose result has a dtype and one of LAYOUTS."""
     means = steps.count(_AROUND_MEAN)
-    if means > 1 and order is None:
+    if means < 2:
+        return _run(x, steps, given, order, dtype, layout)
+    if order is None:
         return _in_two(x, steps, given, dtype, layout)
-    if means > 1 and order is not None:
-        return _in_turns(means, x, steps, given, order, dtype, layout)
-    return _run(x, steps, given, order, dtype, layout)
+    return _in_turns(means, x, steps, given, order, dtype, layout)
 
 
 def _run(

@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._ops import as_stored, register
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
-from kvision.enhance.batch import as_batch, images
+from kvision.enhance.batch import as_batch, images, shaped
 from kvision.enhance.equalize import LEVELS, equalize_backward, level_counts, levels
 from kvision.enhance.histogram import kernel_counts
 
@@ -164,7 +164,7 @@ def equalize_clahe(
     _check.flag("equalize_clahe", "opencv", opencv)
     x = as_batch(input)
     if not slow_and_differentiable:
-        return _equalize_clahe(x, limit, rows, columns, opencv).reshape(input.shape)
+        return shaped(_equalize_clahe(x, limit, rows, columns, opencv), input)
     if opencv:
         raise ValueCheckError("equalize_clahe: expected opencv without slow_and_differentiable, got both")
-    return _equalize_clahe_smooth(x, limit, rows, columns).reshape(input.shape)
+    return shaped(_equalize_clahe_smooth(x, limit, rows, columns), input)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
 
@@ -282,7 +282,7 @@ def image_histogram2d(
         raise ValueCheckError(f"{op}: expected a bandwidth above 0, got {width!r}", actual_value=width)
 
     dtype = compute_dtype(image)
-    x = image.to(dtype).flatten(-2).reshape(-1, image.shape[-2:].numel())
+    x = as_dtype(image, dtype).reshape(-1, image.shape[-2:].numel())
     if centers is not None:
         _check.shape(op, "centers", centers, "n_bins")
         _check.same_device(op, image=image, centers=centers)

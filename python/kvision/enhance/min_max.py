@@ -9,7 +9,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
-from kvision.enhance.batch import as_batch
+from kvision.enhance.batch import as_batch, shaped
 
 
 def _stretch(x: Tensor, low: float, high: float, eps: float) -> Tensor:
@@ -77,4 +77,4 @@ def normalize_min_max(input: Tensor, min_val: float = 0.0, max_val: float = 1.0,
     low = _check.number("normalize_min_max", "min_val", min_val)
     high = _check.number("normalize_min_max", "max_val", max_val)
     eps = _check.number("normalize_min_max", "eps", eps, minimum=0)
-    return _normalize_min_max(as_batch(floats(input)), low, high, eps)[0].reshape(input.shape)
+    return shaped(_normalize_min_max(as_batch(floats(input)), low, high, eps)[0], input)

@@ -31,14 +31,15 @@ def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
 def _reference_backward(
     grad: Tensor, x: Tensor, factor: Tensor | None, number: float, of_image: bool, of_factor: bool
 ) -> tuple[Tensor, Tensor]:
-    each = None if factor is None else factor.expand(*x.shape[:2], 1)  # a gradient for each channel
-    if each is None:
-        of_x, of_each = vjp(_reference)(grad, x, None, number), None
-    else:
-        of_x, of_each = torch.func.vjp(lambda x, f: _reference(x, f, number), x, each)[1](grad)
     none = x[:, :0, 0, 0]
-    wide = none.to(compute_dtype(x))
-    return of_x if of_image else none, of_each if of_factor else wide[..., None]
+    of_planes = none.to(compute_dtype(x))[..., None]
+    if factor is None:
+        of_x = vjp(_reference)(grad, x, None, number)
+    else:
+        each = factor.expand(*x.shape[:2], 1)  # a gradient for each channel
+        of_x, of_each = torch.func.vjp(lambda x, f: _reference(x, f, number), x, each)[1](grad)
+        of_planes = of_each if of_factor else of_planes
+    return of_x if of_image else none, of_planes
 
 
 def _fake_backward(grad, x, factor, number, of_image, of_factor):

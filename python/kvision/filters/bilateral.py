@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import as_dtype, compute_dtype, pixels
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -198,7 +198,7 @@ def _checked(
                 actual_shape=guidance.shape,
             )
         _check.same_device(op, input=input, guidance=guidance)
-        guidance = guidance.to(compute_dtype(input))
+        guidance = as_dtype(guidance, compute_dtype(input))
     ky, kx = _check.pair(op, "kernel_size", kernel_size)
     _check.odd(op, "kernel_size", (ky, kx))
     color, number = _sigma_color(op, input, sigma_color)

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.color.gray import LUMA
@@ -139,12 +139,12 @@ def canny(
     dtype = x.dtype
     if x.shape[1] == 3:
         x = run(x, [STEPS["weighted_sum"]], arguments(LUMA), dtype=computed)
-    x = x.to(computed)
+    x = as_dtype(x, computed)
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
     magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)
     if hysteresis:
         edges = _canny_hysteresis(edges)
-    return magnitude.to(dtype), edges.to(dtype)
+    return as_dtype(magnitude, dtype), as_dtype(edges, dtype)
 
 
 class Canny(FunctionModule):

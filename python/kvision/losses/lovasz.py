@@ -16,9 +16,9 @@ def _extension(errors: Tensor, labels: Tensor) -> Tensor:
     """The Lovász extension of the Jaccard loss along the last axis: errors from the largest on, each times what its pixel
     adds to the loss of the set of those before it. `labels` are 1 in the region and 0 elsewhere."""
     errors, order = errors.sort(-1, descending=True)
-    labels = labels.gather(-1, order)
-    region = labels.sum(-1, keepdim=True)
-    jaccard = 1 - (region - labels.cumsum(-1)) / (region + (1 - labels).cumsum(-1))
+    inside = labels.gather(-1, order).cumsum(-1)
+    region, size = inside[..., -1:], torch.arange(1, labels.shape[-1] + 1, device=labels.device, dtype=labels.dtype)
+    jaccard = 1 - (region - inside) / (region + size - inside)
     return (errors * torch.cat([jaccard[..., :1], jaccard.diff(dim=-1)], -1)).sum(-1)
 
 

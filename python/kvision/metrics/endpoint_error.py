@@ -47,7 +47,7 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
 @as_stored
 def _aepe(input: Tensor, target: Tensor, reduction: str) -> Tensor:
     tiny = torch.finfo(input.dtype).tiny  # at 0 the root has no slope; that of this even power of 2 is exact
-    error = (input - target).square().sum(-1).clamp_min(tiny).sqrt() - tiny**0.5
+    error = (input - target).square().sum(-1).add(tiny).sqrt() - tiny**0.5
     return error.mean() if reduction == "mean" else error.sum() if reduction == "sum" else error
 
 

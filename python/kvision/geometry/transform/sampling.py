@@ -334,7 +334,7 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
         raise ShapeError(
             f"{op}: expected fill_value of shape (), ({c},) or ({b}, {c}, 1, 1), got {tuple(shape)}", actual_shape=shape
         )
-    return "fill", fill_value.to(dtype)
+    return "fill", as_dtype(fill_value, dtype)
 
 
 def for_images(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 // Lenses on the CPU: points [begin, end) of all problems, by vectors. Compiled once per instruction set.
 #include "core/lanes.h"
 // After it, for vectors.
-#include "undistort.h"
+#include "lens.h"
 
 namespace kv::KV_ISA {
 namespace {
@@ -24,7 +24,7 @@ KV_HD void through(Lens<T> const& lens, int64_t i) {
 }
 
 template <bool There, class T>
-KV_HD void through_lenses(Undistort<T> const& p, int64_t begin, int64_t end) {
+KV_HD void through_lenses(LensPoints<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<T>;
   for (int64_t i = begin; i < end;) {
     int64_t const b = i / p.count, last = min(end, (b + 1) * p.count);  // of this lens
@@ -37,16 +37,16 @@ KV_HD void through_lenses(Undistort<T> const& p, int64_t begin, int64_t end) {
 }  // namespace
 
 template <class T>
-void undistort(Undistort<T> const& p, int64_t begin, int64_t end) {
+void undistort(LensPoints<T> const& p, int64_t begin, int64_t end) {
   through_lenses<false>(p, begin, end);
 }
 
 template <class T>
-void distort(Undistort<T> const& p, int64_t begin, int64_t end) {
+void distort(LensPoints<T> const& p, int64_t begin, int64_t end) {
   through_lenses<true>(p, begin, end);
 }
 
-KV_INSTANTIATE_COMPUTED(undistort, Undistort)
-KV_INSTANTIATE_COMPUTED(distort, Undistort)
+KV_INSTANTIATE_COMPUTED(undistort, LensPoints)
+KV_INSTANTIATE_COMPUTED(distort, LensPoints)
 
 }  // namespace kv::KV_ISA

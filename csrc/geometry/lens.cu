@@ -1,6 +1,6 @@
 // Lenses on CUDA: a thread a point.
 #include "core/launch.cuh"
-#include "undistort.h"
+#include "lens.h"
 
 namespace kv::cuda {
 namespace {
@@ -8,7 +8,7 @@ namespace {
 constexpr int kThreads = 128;
 
 template <class T, bool There>
-__global__ void __launch_bounds__(kThreads) through_lens(Undistort<T> p) {
+__global__ void __launch_bounds__(kThreads) through_lens(LensPoints<T> p) {
   int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
   if (i >= p.batch * p.count) return;
   T x = p.points[2 * i], y = p.points[2 * i + 1];
@@ -20,18 +20,18 @@ __global__ void __launch_bounds__(kThreads) through_lens(Undistort<T> p) {
 }  // namespace
 
 template <class T>
-int undistort(Undistort<T> const& p, CUstream_st* stream) {
+int undistort(LensPoints<T> const& p, CUstream_st* stream) {
   through_lens<T, false><<<unsigned(ceil_div(p.batch * p.count, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
-int distort(Undistort<T> const& p, CUstream_st* stream) {
+int distort(LensPoints<T> const& p, CUstream_st* stream) {
   through_lens<T, true><<<unsigned(ceil_div(p.batch * p.count, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_COMPUTED(undistort, Undistort)
-KV_INSTANTIATE_COMPUTED(distort, Undistort)
+KV_INSTANTIATE_COMPUTED(undistort, LensPoints)
+KV_INSTANTIATE_COMPUTED(distort, LensPoints)
 
 }  // namespace kv::cuda

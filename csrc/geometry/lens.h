@@ -4,7 +4,7 @@
 //
 // for (x, y) on the plane z = 1 before the camera, r^2 = x^2 + y^2. Coefficients stand in the order k1, k2, p1, p2, k3,
 // k4, k5, k6, s1, s2, s3, s4. And from there to where one without would show them: steps of a fixed-point iteration.
-// Included by undistort_cpu.cpp, undistort.cu and undistort_op.cpp.
+// Included by lens_cpu.cpp, lens.cu and lens_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -12,7 +12,7 @@
 namespace kv {
 
 template <class T>
-struct Undistort {
+struct LensPoints {
   T const* points;           // (B, N, 2) in pixels
   T const *camera, *wanted;  // (3, 3) of the points and of the result
   T const* coefficients;     // (given): the first ones, others are 0
@@ -24,17 +24,17 @@ struct Undistort {
   T* result;  // (B, N, 2)
 };
 
-KV_KERNEL(undistort, Undistort)
-KV_KERNEL(distort, Undistort)
+KV_KERNEL(undistort, LensPoints)
+KV_KERNEL(distort, LensPoints)
 
 // A problem's lens.
 template <class T>
 struct Lens {
-  Undistort<T> const& p;
+  LensPoints<T> const& p;
   T const *k, *wanted, *tilt;
   T c[12];
 
-  KV_HD Lens(Undistort<T> const& p, int64_t b)
+  KV_HD Lens(LensPoints<T> const& p, int64_t b)
       : p(p),
         k(p.camera + b * p.camera_stride),
         wanted(p.wanted + b * p.wanted_stride),

@@ -1,12 +1,12 @@
 // Lenses: schemas and entries, for CPU and CUDA alike.
-#include "undistort.h"
+#include "lens.h"
 #include "views_glue.h"
 
 namespace kv {
 namespace {
 
-// Points (B, N, 2); the numbers of their cameras are (B, ...), or (1, ...) for all. `run(points, params)` is a
-// kernel's.
+// Points (B, N, 2); the numbers of their cameras are (B, ...), or (1, ...) for all. Runs a kernel, `run_kernel(points,
+// params, count)`.
 template <class Run>
 Tensor through_lens(char const* op, Tensor const& points, Tensor const& camera, Tensor const& wanted,
                     Tensor const& coefficients, std::optional<Tensor> const& tilt, int64_t steps, Run run_kernel) {
@@ -29,20 +29,20 @@ Tensor through_lens(char const* op, Tensor const& points, Tensor const& camera, 
     using T = typename decltype(type)::type;
     auto const data = [](Contiguous const& x) { return static_cast<T const*>(x.reals.data); };
     int64_t const given = coefficients.size(1);
-    Undistort<T> const params{data(x),
-                              data(k),
-                              data(w),
-                              data(c),
-                              data(t),
-                              stride(camera, 9),
-                              stride(wanted, 9),
-                              stride(coefficients, given),
-                              tilt ? stride(*tilt, 9) : 0,
-                              int(given),
-                              int(steps),
-                              batch,
-                              count,
-                              static_cast<T*>(result.mutable_data_ptr())};
+    LensPoints<T> const params{data(x),
+                               data(k),
+                               data(w),
+                               data(c),
+                               data(t),
+                               stride(camera, 9),
+                               stride(wanted, 9),
+                               stride(coefficients, given),
+                               tilt ? stride(*tilt, 9) : 0,
+                               int(given),
+                               int(steps),
+                               batch,
+                               count,
+                               static_cast<T*>(result.mutable_data_ptr())};
     run_kernel(x.tensor, params, batch * count);
   };
   x.reals.wide ? run(Type<double>{}) : run(Type<float>{});

@@ -1,0 +1,24 @@
+// False colours on the CPU: rows [begin, end) of all channels in order. Compiled once per instruction set.
+#include "table.h"
+
+namespace kv::KV_ISA {
+
+template <class T>
+void color_table(ColorTable<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / p.x.height, y = r % p.x.height;
+    T const* const x = p.x.row(plane, y);
+    T const white = p.white[plane], *const table = p.table(plane);
+    T* to[3];
+    for (int k = 0; k < 3; ++k) to[k] = p.y.row(3 * plane + k, y);
+    for (int64_t i = 0; i < p.x.width; ++i) {
+      T const v = x[i] / white;
+      int const color = color_of(v, p.n);
+      for (int k = 0; k < 3; ++k) to[k][i] = v == v ? table[k * p.n + color] : v;
+    }
+  }
+}
+
+KV_INSTANTIATE_COMPUTED(color_table, ColorTable)
+
+}  // namespace kv::KV_ISA

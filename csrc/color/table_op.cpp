@@ -1,0 +1,43 @@
+// False colours: schema and entry, for CPU and CUDA alike.
+#include "glue/glue.h"
+#include "table.h"
+
+namespace kv {
+namespace {
+
+// Images (B, C, H, W), what is white in their channels (B, C), and tables (B or 1, 3, n), all of one type.
+Tensor color_table(Tensor const& input, Tensor const& white, Tensor const& colors) {
+  constexpr char const* op = "color_table";
+  check_images(op, "input", input);
+  int64_t const b = input.size(0), c = input.size(1), h = input.size(2), w = input.size(3);
+  auto const fits = [&](Tensor const& t) {
+    return t.scalar_type() == input.scalar_type() && t.device() == input.device();
+  };
+  KV_CHECK(white.dim() == 2 && white.size(0) == b && white.size(1) == c && fits(white), op,
+           ": white does not fit input");
+  KV_CHECK(colors.dim() == 3 && (colors.size(0) == 1 || colors.size(0) == b) && colors.size(1) == 3 &&
+               colors.size(2) > 0 && colors.size(2) <= INT32_MAX && fits(colors),
+           op, ": expected colors of shape (B, 3, n) or (1, 3, n), of the dtype and device of input");
+  bool const wide = input.scalar_type() == ScalarType::Double;
+  KV_CHECK(wide || input.scalar_type() == ScalarType::Float, op, ": no kernel for this dtype");
+  Tensor const x = conform(input, Layout::planar);
+  Tensor const whites = dense(white), table = dense(colors), y = empty({b, 3 * c, h, w}, x);
+  auto const run = [&]<class T>(Type<T>) {
+    ColorTable<T> const p{planes<T const>(x, Layout::planar),
+                          planes<T>(y, Layout::planar),
+                          static_cast<T const*>(whites.const_data_ptr()),
+                          static_cast<T const*>(table.const_data_ptr()),
+                          int(colors.size(2)),
+                          colors.size(0) == 1 ? 0 : 3 * colors.size(2),
+                          c};
+    KV_RUN(color_table, x, p, p.x.rows(), 4 * w);
+  };
+  wide ? run(Type<double>{}) : run(Type<float>{});
+  return y;
+}
+
+}  // namespace
+
+KV_OPERATOR(color_table, "(Tensor input, Tensor white, Tensor colors) -> Tensor")
+
+}  // namespace kv

@@ -86,10 +86,8 @@ std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& 
   Size const source = size_of(op, image);
   SamplingArguments const a(op, interpolation, padding, align_corners, image, fill);
   Map const map(op, map_x, map_y, image, normalized, align_corners);
-  KV_CHECK(grad.size(0) == image.size(0) && grad.size(1) == image.size(1) &&
-               grad.scalar_type() == image.scalar_type() && grad.device() == image.device() &&
-               grad.size(2) == map.size().height && grad.size(3) == map.size().width,
-           op, ": grad does not fit the image or the map");
+  check_gradient(op, grad, image);
+  KV_CHECK(grad.size(2) == map.size().height && grad.size(3) == map.size().width, op, ": grad does not fit the map");
   int64_t const batch = image.size(0);
   Tensor const grad_x = empty({batch, grad.size(2), grad.size(3)}, map.x);
   Tensor const grad_y = empty({batch, grad.size(2), grad.size(3)}, map.x);

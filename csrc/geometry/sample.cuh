@@ -148,4 +148,16 @@ __device__ __forceinline__ void add_block(F const (&sums)[N], double* to) {
   }
 }
 
+// The sums of that many parts, of N numbers each, for the first thread of a block. All threads call it.
+template <int N>
+__device__ __forceinline__ double* add_parts(double const* parts, int64_t count) {
+  __shared__ double total[N];
+  double sums[N] = {};
+  for (int64_t part = threadIdx.x; part < count; part += kThreads)
+    for (int i = 0; i < N; ++i) sums[i] += parts[part * N + i];
+  add_block(sums, total);
+  __syncthreads();
+  return total;
+}
+
 }  // namespace kv::cuda

@@ -66,6 +66,13 @@ void for_computed(char const* op, Tensor const& x, F f) {
   f(Type<double>{});
 }
 
+// Raises unless `grad` may be the gradient of what was made of x.
+inline void check_gradient(char const* op, Tensor const& grad, Tensor const& x) {
+  KV_CHECK(grad.size(0) == x.size(0) && grad.size(1) == x.size(1) && grad.scalar_type() == x.scalar_type() &&
+               grad.device() == x.device(),
+           op, ": grad does not fit what it is the gradient of");
+}
+
 // The gradient to an image of that size, by run(type, grad, grad_x). Kernels that gather have the sums of a pixel in
 // registers; others add to memory, in the type that computes.
 template <class Run>
@@ -89,6 +96,9 @@ Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unu
   for_computed(op, wide, [&](auto type) { run(type, wide, sums); });
   return torch::stable::copy_(grad_x, sums);
 }
+
+// How warps by a matrix are told what they are to do, in schemas.
+#define KV_WARP_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
 
 // The matrix of a warp, checked.
 struct Matrix {

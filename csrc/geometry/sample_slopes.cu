@@ -123,17 +123,12 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
 
 // A block a sample.
 template <class T>
-__global__ void add_parts(MatrixGradient<T> p) {
-  __shared__ double total[9];
+__global__ void matrix_samples(MatrixGradient<T> p) {
   int64_t const b = blockIdx.x;
-  double sums[9] = {};
-  for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
-    for (int i = 0; i < 9; ++i) sums[i] += p.sums[(b * p.parts + part) * 9 + i];
-  add_block(sums, total);
-  __syncthreads();
-  if (threadIdx.x != 0) return;
+  double* const total = add_parts<9>(p.sums + b * p.parts * 9, p.parts);
   MatrixUse const& use = p.places.use;
-  homography_vjp(p.places.matrices + b * p.places.matrix_stride, use, total, p.grad + b * 3 * use.rows);
+  if (threadIdx.x == 0)
+    homography_vjp(p.places.matrices + b * p.places.matrix_stride, use, total, p.grad + b * 3 * use.rows);
 }
 
 }  // namespace
@@ -150,7 +145,7 @@ int sample_slopes(SampleSlopes<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int matrix_gradient(MatrixGradient<T> const& p, CUstream_st* stream) {
-  add_parts<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
+  matrix_samples<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -73,13 +73,8 @@ __global__ void __launch_bounds__(kThreads) slope_parts(__grid_constant__ Warp3d
 // A block a sample.
 template <class F>
 __global__ void matrix_samples(Warp3dMatrix<F> p) {
-  __shared__ double total[16];
   int64_t const b = blockIdx.x;
-  double sums[16] = {};
-  for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
-    for (int i = 0; i < 16; ++i) sums[i] += p.sums[(b * p.parts + part) * 16 + i];
-  add_block(sums, total);
-  __syncthreads();
+  double* const total = add_parts<16>(p.sums + b * p.parts * 16, p.parts);
   if (threadIdx.x == 0) homography3_vjp(p.matrices + b * p.matrix_stride, p.use, total, p.grad + b * 4 * p.use.rows);
 }
 

@@ -98,9 +98,7 @@ Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor 
   char const* const op = "warp3d_matrix_gradient";
   check_volumes(op, "volumes", volumes);
   check_volumes(op, "grad", grad);
-  KV_CHECK(grad.size(0) == volumes.size(0) && grad.size(1) == volumes.size(1) &&
-               grad.scalar_type() == volumes.scalar_type() && grad.device() == volumes.device(),
-           op, ": grad does not fit the volumes");
+  check_gradient(op, grad, volumes);
   Warp const w(op, volumes, matrix, size3_of(op, volumes), size3_of(op, grad), interpolation, padding, align_corners,
                inverse, normalized);
   Tensor const y = dense(grad);
@@ -122,12 +120,8 @@ Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor 
 
 }  // namespace
 
-#define KV_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
-
-KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, int[] size, " KV_HOW ") -> Tensor")
-KV_OPERATOR(warp3d_volume_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_HOW ") -> Tensor")
-KV_OPERATOR(warp3d_matrix_gradient, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_HOW ") -> Tensor")
-
-#undef KV_HOW
+KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
+KV_OPERATOR(warp3d_volume_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
+KV_OPERATOR(warp3d_matrix_gradient, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_WARP_HOW ") -> Tensor")
 
 }  // namespace kv

@@ -49,9 +49,7 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
   check_images(op, "image", image);
   check_images(op, "grad", grad);
   Size const source = size_of(op, image), output = size_of(op, grad);
-  KV_CHECK(grad.size(0) == image.size(0) && grad.size(1) == image.size(1) &&
-               grad.scalar_type() == image.scalar_type() && grad.device() == image.device(),
-           op, ": grad does not fit the image");
+  check_gradient(op, grad, image);
   SamplingArguments const a(op, interpolation, padding, align_corners, image, fill);
   Matrix const m(op, matrix, image, inverse, normalized, align_corners, source, output);
   int64_t const batch = image.size(0);
@@ -80,12 +78,8 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
 
 }  // namespace
 
-#define KV_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
-
-KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, int[] size, " KV_HOW ") -> Tensor")
-KV_OPERATOR(warp_image_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_HOW ") -> Tensor")
-KV_OPERATOR(warp_matrix_gradient, "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, " KV_HOW ") -> Tensor")
-
-#undef KV_HOW
+KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, int[] size, " KV_WARP_HOW ") -> Tensor")
+KV_OPERATOR(warp_image_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
+KV_OPERATOR(warp_matrix_gradient, "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, " KV_WARP_HOW ") -> Tensor")
 
 }  // namespace kv

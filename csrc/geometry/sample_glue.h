@@ -85,13 +85,12 @@ Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unu
     return grad_x;
   }
 #endif
-  ScalarType const computed = computed_type(grad);
-  if (grad.scalar_type() == computed) {
+  if (grad.scalar_type() != ScalarType::Half && grad.scalar_type() != ScalarType::BFloat16) {
     for_computed(op, grad, [&](auto type) { run(type, grad, grad_x); });
     return grad_x;
   }
-  Tensor wide = empty(grad.sizes(), grad, layout_of(grad), computed);
-  Tensor const sums = empty(sizes, grad, Layout::planar, computed);
+  Tensor wide = empty(grad.sizes(), grad, layout_of(grad), ScalarType::Float);
+  Tensor const sums = empty(sizes, grad, Layout::planar, ScalarType::Float);
   torch::stable::copy_(wide, grad);
   for_computed(op, wide, [&](auto type) { run(type, wide, sums); });
   return torch::stable::copy_(grad_x, sums);

@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-constexpr int64_t kMostSamples = 1 << 14;  // in one piece: fixed-point counts then fit 32 bits
+constexpr int64_t kSamplesAtOnce = 1 << 14;  // in one piece: fixed-point counts then fit 32 bits
 
 CountKernel kernel_of(char const* op, std::string const& name) {
   if (name == "triangular") return CountKernel::triangular;
@@ -26,8 +26,8 @@ GridCounts<T> params_of(char const* op, Tensor const& x, double low, double widt
           T(1 / width),
           kernel_of(op, kernel),
           nullptr,
-          kMostSamples,
-          max((samples + kMostSamples - 1) / kMostSamples, int64_t(1)),
+          kSamplesAtOnce,
+          max((samples + kSamplesAtOnce - 1) / kSamplesAtOnce, int64_t(1)),
           nullptr};
 }
 

@@ -6,7 +6,7 @@
 namespace kv {
 namespace {
 
-constexpr int64_t kLargestSide = 1 << 30;  // places are counted in fractions of pixels, in 64 bits
+constexpr int64_t kLongestSide = 1 << 30;  // places are counted in fractions of pixels, in 64 bits
 
 Window window_of(char const* op, std::string const& name) {
   constexpr char const* kNames[] = {"nearest", "nearest-exact", "area",    "bilinear",
@@ -25,7 +25,7 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
   Window const window = window_of(op, name);
   Border const border = border_of(op, border_name);
   auto const axis = [&](int64_t from, int64_t to) {
-    KV_CHECK(from <= kLargestSide && to > 0 && to <= kLargestSide, op, ": expected sides of 1 to ", kLargestSide,
+    KV_CHECK(from <= kLongestSide && to > 0 && to <= kLongestSide, op, ": expected sides of 1 to ", kLongestSide,
              " pixels, got ", from, " and ", to);
     int64_t const source = transposed ? to : from, result = transposed ? from : to;
     if (window == Window::pyrdown || window == Window::pyrup) {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
@@ -26,6 +27,16 @@ built_for_cuda = pytest.mark.skipif(not CUDA.exists() or shutil.which("nm") is N
 
 def test_torch_is_included_by_the_glue_alone() -> None:
     assert not list(audit_symbols.torch_includes())
+
+
+def test_a_constant_of_an_entry_has_no_namesake() -> None:
+    """Entries of a module are compiled together: one file's constant would take the place of a header's in all of them."""
+    where: dict[str, list[Path]] = {}
+    for path in (*ROOT.glob("csrc/*/*_op.cpp"), *ROOT.glob("csrc/*/*.h")):
+        for name in re.findall(r"^(?:inline )?constexpr [\w:]+ (\w+)(?:\[\])? =", path.read_text(), re.MULTILINE):
+            where.setdefault(name, []).append(path)
+    assert where
+    assert not {n: p for n, p in where.items() if len(p) > 1 and any(q.name.endswith("_op.cpp") for q in p)}
 
 
 @built

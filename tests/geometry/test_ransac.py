@@ -277,3 +277,15 @@ def test_opencv_essential():
     inliers = K.geometry.RANSAC("essential", threshold, seed=0)(x, y)[1]
     theirs = cv2.findEssentialMat(x.numpy(), y.numpy(), np.eye(3), cv2.RANSAC, 0.999, threshold)[1].ravel() > 0
     assert inliers.sum() >= 0.97 * theirs.sum()
+
+
+def test_opencv_affine():
+    """Of all points, and of those that its RANSAC keeps: what OpenCV refines to is the least squares of its inliers."""
+    x, y, right, threshold = correspondences("affine")
+    found, mask = cv2.estimateAffine2D(x.numpy(), y.numpy(), method=cv2.RANSAC, ransacReprojThreshold=threshold)
+    inliers = torch.from_numpy(mask[:, 0] > 0)
+    least = K.geometry.find_affine(x[None, inliers], y[None, inliers])[0]
+    assert_close(least[:2], torch.from_numpy(found), 1e-6, 1e-4)
+    model, ours = K.geometry.RANSAC("affine", inl_th=threshold, seed=0)(x, y)
+    assert (ours == inliers).double().mean() > 0.99 and (ours & right).sum() > 0.99 * right.sum()
+    assert_close(moved(x[None, right], model[None]), moved(x[None, right], least[None]), 0, 0.1)

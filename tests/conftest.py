@@ -12,6 +12,9 @@ from pathlib import Path
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["OMP_NUM_THREADS"] = "1"
 
+# Graphs that torch kept when the operators had other schemas or gradients would be called again: it tells them apart by name.
+os.environ["TORCHINDUCTOR_FX_GRAPH_CACHE"] = os.environ["TORCHINDUCTOR_AUTOGRAD_CACHE"] = "0"
+
 import hypothesis
 import pytest
 import torch

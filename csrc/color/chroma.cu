@@ -1,6 +1,6 @@
 // Shared chroma on CUDA: a thread takes the cells of four pixels in a row.
 #include "chroma.h"
-#include "core/launch.cuh"
+#include "packs.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -98,20 +98,13 @@ __global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<
   }
 }
 
-// Whether rows are packs of N elements.
-template <int N, class P>
-bool is_packed(P const& x) {
-  return (x.width | x.row_stride | x.outer_stride | x.inner_stride) % N == 0 &&
-         reinterpret_cast<uintptr_t>(x.data) % (N * sizeof(*x.data)) == 0;
-}
 template <class P>
 bool are_packed(P const& p) {
   return is_packed<kTaken>(p.colors) && is_packed<kTaken>(p.luma) && is_packed<kTaken / 2>(p.chroma);
 }
 template <class P>
 dim3 blocks_of(P const& p) {
-  return dim3(unsigned(ceil_div(p.colors.width, 32 * kTaken)), unsigned(ceil_div(p.chroma.height, kRows)),
-              unsigned(min(p.luma.count(), int64_t(65535))));
+  return blocks_of_packs<kTaken>(p.colors.width, p.chroma.height, kRows, p.luma.count());
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 // Demosaicing on CUDA: a thread takes four pixels of a row and reads what is around them from the caches, where the
 // rows of a block of 128 x 8 pixels meet again: three quarters of the traffic are what is written.
-#include "core/launch.cuh"
+#include "packs.cuh"
 #include "raw.h"
 
 namespace kv::cuda {
@@ -106,24 +106,13 @@ __global__ void __launch_bounds__(32 * kRows)
   }
 }
 
-template <class T>
-bool is_packed(Planes<T> const& x) {
-  return (x.width | x.row_stride | x.outer_stride | x.inner_stride) % kTaken == 0 &&
-         reinterpret_cast<uintptr_t>(x.data) % (kTaken * sizeof(T)) == 0;
-}
-
-dim3 blocks_of(int64_t width, int64_t height, int64_t images) {
-  return dim3(unsigned(ceil_div(width, 32 * kTaken)), unsigned(ceil_div(height, kRows)),
-              unsigned(min(images, int64_t(65535))));
-}
-
 }  // namespace
 
 template <class T>
 int raw_to_rgb(RawToRgb<T> const& p, CUstream_st* stream) {
   int64_t const images = p.raw.count();
-  dim3 const blocks = blocks_of(p.raw.width, p.raw.height, images), threads(32, kRows);
-  if (is_packed(p.raw) && is_packed(p.rgb))
+  dim3 const blocks = blocks_of_packs<kTaken>(p.raw.width, p.raw.height, kRows, images), threads(32, kRows);
+  if (is_packed<kTaken>(p.raw) && is_packed<kTaken>(p.rgb))
     run<T, true><<<blocks, threads, 0, stream>>>(p, images);
   else
     run<T, false><<<blocks, threads, 0, stream>>>(p, images);
@@ -133,8 +122,8 @@ int raw_to_rgb(RawToRgb<T> const& p, CUstream_st* stream) {
 template <class T>
 int raw_to_rgb_backward(RawToRgbBackward<T> const& p, CUstream_st* stream) {
   int64_t const images = p.grad_raw.count();
-  dim3 const blocks = blocks_of(p.grad.width, p.grad.height, images), threads(32, kRows);
-  if (is_packed(p.grad) && is_packed(p.grad_raw))
+  dim3 const blocks = blocks_of_packs<kTaken>(p.grad.width, p.grad.height, kRows, images), threads(32, kRows);
+  if (is_packed<kTaken>(p.grad) && is_packed<kTaken>(p.grad_raw))
     run_backward<T, true><<<blocks, threads, 0, stream>>>(p, images);
   else
     run_backward<T, false><<<blocks, threads, 0, stream>>>(p, images);

@@ -296,15 +296,15 @@ def _run(
     layout: int = _SAME,
 ) -> Tensor:
     means = _AROUND_MEAN in steps
-    operator: Callable[..., Any] = _program_around_mean if means else _program
-    if dtype is not None and (x.dtype == torch.float64) != (dtype == torch.float64):  # kernels compute in one type
-        operator = operator.reference  # type: ignore[attr-defined]
-    y = operator(x, *given.tensors, order, _plan(dtype, layout, steps, given.columns), given.numbers)
+    operator = _program_around_mean if means else _program
+    of_one_type = dtype is None or (x.dtype == torch.float64) == (dtype == torch.float64)  # which kernels compute in
+    call = operator if of_one_type else operator.reference
+    y = call(x, *given.tensors, order, _plan(dtype, layout, steps, given.columns), given.numbers)
     return y[0] if means else y
 
 
 def _in_turns(
-    turns: int, x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor, dtype: Any, layout: int
+    turns: int, x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor, dtype: torch.dtype | None, layout: int
 ) -> Tensor:
     """A program with several means, in an order that is known to the samples: in each turn up to the next mean."""
     stored = dtype or x.dtype
@@ -317,7 +317,7 @@ def _in_turns(
     return _run(x, steps, given, torch.where(turn >= turns, order, -1), stored, layout)
 
 
-def _in_two(x: Tensor, steps: Sequence[int], given: Arguments, dtype: Any, layout: int) -> Tensor:
+def _in_two(x: Tensor, steps: Sequence[int], given: Arguments, dtype: torch.dtype | None, layout: int) -> Tensor:
     """A program with several means as two, of which the first one stores what it computes in."""
     second = steps.index(_AROUND_MEAN, steps.index(_AROUND_MEAN) + 1)
     slots = sum(_PARAMETERS[_NAMES[i]] for i in steps[:second])

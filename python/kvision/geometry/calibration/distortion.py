@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype
 from kvision._leading import broadcast
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
@@ -199,8 +200,7 @@ def _through_lens(
         leading = broadcast(leading, camera.shape[:-2], wanted.shape[:-2], dist.shape[:-1])
 
     def of_problems(x: Tensor, axes: int) -> Tensor:
-        if x.dtype != points.dtype:
-            x = x.to(points.dtype)
+        x = as_dtype(x, points.dtype)
         if x.dim() == axes:
             return x[None]
         return x if x.shape[:-axes] == leading and len(leading) == 1 else _of_all(x, leading, axes)

@@ -1,6 +1,7 @@
 // Sharpness on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
+#include "core/stream.h"
 #include "sharpness.h"
 
 namespace kv::KV_ISA {
@@ -89,15 +90,9 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
     for (int64_t i = 1; p.slopes && i + 1 < width; ++i) slope_of[(y + 3) % 3] += slopes[i];
   };
 
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const plane = r / height, y = r % height;
-    if (r == begin || y == 0) {
-      fill(plane, y - 1);
-      fill(plane, y);
-    }
-    fill(plane, y + 1);
+  stream_rows(begin, end, height, fill, [&](int64_t plane, int64_t y, int64_t r) {
     if (p.slopes) p.slopes[r] = slope_of[y % 3];
-    if (!p.grad_x.data) continue;
+    if (!p.grad_x.data) return;
     T* const to = p.grad_x.row(plane, y);
     auto const pixel = [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;
@@ -109,7 +104,7 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
       for_each_vector<T>(0, width, pixel);
     else
       for (int64_t i = 0; i < width; ++i) pixel(Width<1>{}, i);
-  }
+  });
 }
 
 KV_INSTANTIATE(sharpness, Sharpness)

@@ -2,6 +2,7 @@
 #include "canny.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
+#include "core/stream.h"
 
 namespace kv::KV_ISA {
 
@@ -42,13 +43,7 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
     for (int64_t e = max(step, size - step); e < size; ++e) pixel(Width<1>{}, e, e - step, e);
   };
 
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const plane = r / height, y = r % height;
-    if (r == begin || y == 0) {
-      fill(plane, y - 1);
-      fill(plane, y);
-    }
-    fill(plane, y + 1);
+  stream_rows(begin, end, height, fill, [&](int64_t plane, int64_t y, int64_t) {
     F const *const a = squared(y - 1), *const b = squared(y), *const c = squared(y + 1);
     T* const magnitudes = p.magnitude.row(plane, y);
     T* const edges = p.edges.row(plane, y);
@@ -64,7 +59,7 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
       store<N>(magnitudes + e, magnitude);
       store<N>(edges + e, V((magnitude > p.low ? half : V{}) + (magnitude > p.high ? half : V{})));
     });
-  }
+  });
 }
 
 // Planes [begin, end): a flood from the strong pixels that visits each weak pixel once. It runs on a byte a pixel

@@ -1,6 +1,7 @@
 // Sobel on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
+#include "core/stream.h"
 #include "sobel.h"
 
 namespace kv::KV_ISA {
@@ -83,20 +84,14 @@ void sobel_backward(SobelBackward<T> const& p, int64_t begin, int64_t end) {
     });
   };
 
-  for (int64_t r = begin; r < end; ++r) {
-    int64_t const plane = r / height, y = r % height;
-    if (r == begin || y == 0) {
-      fill(plane, y - 1);
-      fill(plane, y);
-    }
-    fill(plane, y + 1);
+  stream_rows(begin, end, height, fill, [&](int64_t plane, int64_t y, int64_t) {
     T* const out = p.grad_x.row(plane, y);
     for_each_vector<T>(0, size, [&](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
       auto const row = [&](int64_t i) { return SobelRow<Lanes<F, N>>{load<N>(across(i) + e), load<N>(along(i) + e)}; };
       store<N>(out + e, sobel_gradients_vjp(row(y - 1), row(y), row(y + 1), p.scale));
     });
-  }
+  });
 }
 
 KV_INSTANTIATE(sobel, Sobel)

@@ -162,6 +162,13 @@ int main() {
       "photometric_depth",
       [&](auto const& t) { return kvision::photometric_depth(seen, target, t[0], t[1].expand({-1, 2, -1, -1}), "l2"); },
       {depth, projection.unsqueeze(1)}, false);
+  check(
+      "axis_angle_to_rotation_matrix", [](auto const& t) { return kvision::axis_angle_to_rotation_matrix(t[0]); },
+      {torch::rand({2, 3})}, false);
+  check(
+      "affine_matrix2d",
+      [](auto const& t) { return kvision::affine_matrix2d(t[0], t[1], {}, t[2], {}, t[3], 1, 0, 0, 2); },
+      {100 * torch::rand({2}), torch::rand({1, 2}), torch::rand({2}), torch::rand({2, 2})}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },

@@ -131,8 +131,8 @@ struct Image {
   }
 };
 
-// The gradient to an image's points: that to the normalised ones, and that to the scale and the mean by other ways. First
-// it is summed up, by `add` and `finish`, then to_point has it.
+// The gradient to an image's points: that to the normalised ones, and that to the scale and the mean by other ways.
+// First it is summed up, by `add` and `finish`, then to_point has it.
 template <int D>
 struct ImageSlopes {
   double scale, mean[D];
@@ -355,7 +355,8 @@ struct Pose : Projective<3> {
   static KV_HD void finish(double const* m, double* found) {
     Gram const r(m);
     for (int i = 0; i < 3; ++i)
-      found[4 * i] = r.first[i], found[4 * i + 1] = r.second[i], found[4 * i + 2] = r.third[i], found[4 * i + 3] = r.t[i];
+      found[4 * i] = r.first[i], found[4 * i + 1] = r.second[i], found[4 * i + 2] = r.third[i],
+                found[4 * i + 3] = r.t[i];
   }
   static KV_HD void finish_vjp(double const* m, double* g) {
     Gram const r(m);

@@ -17,9 +17,9 @@ struct DltCall {
       : op(op), points1(op, x), points2(op, y), weights(op, w), camera(op, k) {
     int64_t const axes = model == DltModel::pose ? 3 : 2;
     KV_CHECK(x.dim() == 3 && x.size(2) == axes, op, ": expected points1 of shape (B, N, ", axes, ")");
-    KV_CHECK(y.dim() == 3 && y.size(0) == x.size(0) && y.size(1) == x.size(1) && y.size(2) == 2 &&
-                 y.device() == x.device(),
-             op, ": expected points2 of shape (B, N, 2) on the device of points1");
+    KV_CHECK(
+        y.dim() == 3 && y.size(0) == x.size(0) && y.size(1) == x.size(1) && y.size(2) == 2 && y.device() == x.device(),
+        op, ": expected points2 of shape (B, N, 2) on the device of points1");
     KV_CHECK(!w || (w->dim() == 2 && (x.size(0) == 1 || w->size(0) == x.size(0)) && w->size(1) == x.size(1) &&
                     w->device() == x.device()),
              op, ": expected weights of shape (B, N) on the device of points1");
@@ -31,9 +31,9 @@ struct DltCall {
     params.count = x.size(1);
     params.stride = x.size(0) == 1 ? 0 : params.count;
     if (!k) return;
-    KV_CHECK(k->dim() == 3 && k->size(0) == params.batch && k->size(1) == 3 && k->size(2) == 3 &&
-                 k->device() == x.device(),
-             op, ": expected intrinsics of shape (B, 3, 3) on the device of points1");
+    KV_CHECK(
+        k->dim() == 3 && k->size(0) == params.batch && k->size(1) == 3 && k->size(2) == 3 && k->device() == x.device(),
+        op, ": expected intrinsics of shape (B, 3, 3) on the device of points1");
     params.camera = camera.reals;
   }
   Tensor result(torch::headeronly::IntHeaderOnlyArrayRef sizes, Reals& written) const {

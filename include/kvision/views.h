@@ -1,8 +1,8 @@
 // Several views: points, homographies and models that relate images. Each function has the arguments of the operator
 // torch.ops.kvision.<name>, which python/kvision/geometry explains. All are in float32 or float64, points
-// (B, N, 2) as (x, y). Null vectors, homographies, fundamental matrices, poses, points in space and those of lenses have
-// gradients; consensus,
-// contest and eigenvectors have none; those of minimal models and roots, and second derivatives, are errors.
+// (B, N, 2) as (x, y). Null vectors, homographies, fundamental matrices, poses, points in space and those of lenses
+// have gradients; consensus, contest and eigenvectors have none; those of minimal models and roots, and second
+// derivatives, are errors.
 #pragma once
 
 #include <cmath>
@@ -129,8 +129,8 @@ inline std::tuple<Tensor, Tensor, Tensor, Tensor> pose_dlt_backward(Tensor const
   return {found[0], found[1], found[2], found[3]};
 }
 
-// The poses [R | t], (B, 3, 4), of cameras (B, 3, 3) that show points in space (B, N, 3) at pixels (B, N, 2), with weights
-// (B, N) of the errors; NaN for points in a plane, whose least extent is below `flat`.
+// The poses [R | t], (B, 3, 4), of cameras (B, 3, 3) that show points in space (B, N, 3) at pixels (B, N, 2), with
+// weights (B, N) of the errors; NaN for points in a plane, whose least extent is below `flat`.
 inline Tensor pose_dlt(Tensor const& points, Tensor const& pixels, Tensor const& camera,
                        std::optional<Tensor> const& weights = {}, double flat = 1e-4) {
   using namespace detail;

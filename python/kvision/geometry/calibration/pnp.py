@@ -102,9 +102,7 @@ def _backward(needs: Sequence[bool], grad: Tensor, *given: Any) -> tuple[Tensor 
     return (*found, None if given[3] is None else to_weights)
 
 
-_pose_dlt = register(
-    "pose_dlt", _reference, fake=lambda points, *rest: (points.shape[0], 3, 4), backward=_backward
-)
+_pose_dlt = register("pose_dlt", _reference, fake=lambda points, *rest: (points.shape[0], 3, 4), backward=_backward)
 _pose_dlt_backward = register(
     "pose_dlt_backward",
     _backward_reference,

@@ -79,7 +79,9 @@ def register_dlt(name: str, reference: Callable[..., Tensor]) -> Operator:
     Where there is no gradient, one set of points serves all weights.
     """
 
-    def backward_reference(grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None) -> tuple[Tensor, ...]:
+    def backward_reference(
+        grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None
+    ) -> tuple[Tensor, ...]:
         w = points1.new_ones(points1.shape[:2]) if weights is None else weights
         return torch.func.vjp(reference, points1, points2, w)[1](grad)
 

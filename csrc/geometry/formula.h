@@ -73,10 +73,9 @@ constexpr int offset_of(int i) {
 // How many directions are followed at once: not many, as each takes a register more for every number.
 template <class F>
 constexpr int kDirections = F::kNumbers <= 4       ? F::kNumbers
-                            : F::kNumbers % 4 == 0 ? 4
+                            : F::kNumbers >= 16    ? 2
                             : F::kNumbers % 3 == 0 ? 3
-                            : F::kNumbers % 2 == 0 ? 2
-                                                   : 1;
+                                                   : 2;
 
 // `At` is a sample, or some of them side by side, whose numbers are At::Value: it reads and writes rows.
 template <class F, int I = 0, class At>

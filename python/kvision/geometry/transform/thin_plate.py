@@ -145,7 +145,7 @@ def warp_image_tps(
     grid = torch.stack([x.expand(h, w), y[:, None].expand(h, w)], -1).reshape(1, -1, 2)
     places = _warp_points(grid, *spline).unflatten(1, (h, w))
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.remap(images, places[..., 0], places[..., 1], None, "bilinear", padding, align_corners, True)
+    return sampling.remap(images, places[..., 0], places[..., 1], None, "bilinear", padding, align_corners, True, False)
 
 
 def _unit(size: int, align_corners: bool, like: Tensor, dtype: torch.dtype) -> Tensor:

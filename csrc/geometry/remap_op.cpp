@@ -8,8 +8,8 @@ struct Map {
   Tensor x, y;
   bool normalized, moves, align_corners;
 
-  Map(char const* op, Tensor const& map_x, Tensor const& map_y, Tensor const& image, bool normalized,
-      bool moves, bool align_corners)
+  Map(char const* op, Tensor const& map_x, Tensor const& map_y, Tensor const& image, bool normalized, bool moves,
+      bool align_corners)
       : x(map_x), y(map_y), normalized(normalized), moves(moves), align_corners(align_corners) {
     for (Tensor const& map : {x, y})
       KV_CHECK(goes_with(map, image, 3) && map.size(1) == x.size(1) && map.size(2) == x.size(2), op,
@@ -40,7 +40,8 @@ struct Map {
 };
 
 Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std::optional<Tensor> const& fill,
-             std::string const& interpolation, std::string const& padding, bool align_corners, bool normalized, bool moves) {
+             std::string const& interpolation, std::string const& padding, bool align_corners, bool normalized,
+             bool moves) {
   check_images("remap", "image", image);
   Size const source = size_of("remap", image);
   SamplingArguments const a("remap", interpolation, padding, align_corners, image, fill);

@@ -97,9 +97,8 @@ inline Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tens
                                    bool moves = false) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{
-        call<"remap_image_gradient">(grad, map_x, map_y, size, interpolation, padding, align_corners, normalized,
-                                     moves)};
+    return variable_list{call<"remap_image_gradient">(grad, map_x, map_y, size, interpolation, padding, align_corners,
+                                                      normalized, moves)};
   };
   return differentiable({grad, map_x, map_y}, compute, {}, no_second_derivative("remap"))[0];
 }

@@ -58,8 +58,8 @@ def _points_gradient_reference(grad, *given):
 
 
 def _map_gradient_reference(grad, centers, weights, affine, align_corners):
-    def of_spline(*spline: Tensor) -> Tensor:
-        return _map_reference(*spline, grad.shape[2:], align_corners)
+    def of_spline(centers, weights, affine):
+        return _map_reference(centers, weights, affine, grad.shape[2:], align_corners)
 
     _, pullback = torch.func.vjp(of_spline, *(x.expand(grad.shape[0], -1, -1) for x in (centers, weights, affine)))
     return pullback(grad)

@@ -77,6 +77,30 @@ inline Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tens
   return differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient)[0];
 }
 
+inline Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& pred, Tensor const& target,
+                              bool hinge) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"lovasz_backward">(grad, slopes, pred, target, hinge)}; };
+  return differentiable({grad, slopes, pred}, compute, {}, no_second_derivative("lovasz"))[0];
+}
+
+// (B, C): the Lovász losses of every class of logits (B, C, H, W) with labels (B or 1, H, W), int64 or uint8, or the
+// `hinge` losses of one class, whose label is 1; and (B, C, H, W) their slopes by the errors of the pixels, without a
+// gradient.
+inline std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool hinge = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [losses, slopes] = call<"lovasz", std::tuple<Tensor, Tensor>>(pred, target, hinge);
+    return variable_list{losses, slopes};
+  };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const x = b.saved[0], slopes = std::get<1>(lovasz(x.detach(), b.saved[1], hinge));
+    return variable_list{lovasz_backward(b.grads[0], slopes, x, b.saved[1], hinge)};
+  };
+  variable_list const found = differentiable({pred}, compute, {pred, target}, gradient);
+  return {found[0], found[1].detach()};
+}
+
 inline Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double along_y, double along_x) {
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"total_variation_backward">(grad, input, along_y, along_x)}; };

@@ -61,6 +61,50 @@ class TestDice(Segmentation):
     errors = [({"average": "all"}, ValueError, "average must be"), ({"eps": -1.0}, ValueError, "expected eps")]
 
 
+class TestLovasz(Segmentation):
+    function = staticmethod(L.lovasz_softmax_loss)
+    operators = ("lovasz", "lovasz_backward")
+    mixed = ("pred", "grad", "slopes")
+    variants = [
+        {"target": lambda x: labels(x).clamp_min(0)},
+        {"target": lambda x: labels(x).clamp_min(0), "weight": lambda x: torch.linspace(0.5, 2, 4)},
+    ]
+    errors = [({"target": None}, TypeError, "expected target")]
+
+    def input(self, shape, dtype, device):  # no two errors are equal but for how they were rounded
+        return (6 * torch.rand(shape, dtype=torch.float64) - 3).to(dtype).to(device)
+
+
+class TestLovaszHinge(Segmentation):
+    function = staticmethod(L.lovasz_hinge_loss)
+    operators = ("lovasz", "lovasz_backward")
+    mixed = ("pred", "grad", "slopes")
+    channels = 1
+    shape = (2, 1, 13, 18)
+    small = (1, 1, 3, 4)
+    variants = [{"target": lambda x: torch.arange(x[:, 0].numel()).reshape(x[:, 0].shape) % 3 % 2}]
+    errors = [({"target": None}, TypeError, "expected target")]
+
+    test_nan_stays_in_its_window = None  # of two channels
+    test_compile = test_export = None  # as of the operator's other loss
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("labels", [torch.int64, torch.bool, torch.float32], ids=str)
+def test_lovasz_of_many_pixels(dtype, labels, device):
+    """What one block does not sort, with errors that are exact and often equal."""
+    x = (torch.randint(-999, 999, (3, 1, 70, 131)) / 256).to(device, dtype)
+    target = torch.randint(0, 2, (3, 70, 131), device=device)
+    target[1] = 0
+    found = []
+    for name, mask in (("auto", target.to(labels)), ("reference", target)):
+        with K.backend(name):
+            leaf = x.clone().requires_grad_()
+            y = L.lovasz_hinge_loss(leaf, mask)
+            found.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
+    assert_close(*found, 1e-5, 1e-7)
+
+
 @pytest.mark.parametrize("classes", [1, 2, 21, 100, 1500])
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (70, 131)], ids=str)
 def test_classes_and_pieces(classes, size, device):

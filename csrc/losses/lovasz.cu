@@ -30,44 +30,44 @@ template <class T>
 __global__ void __launch_bounds__(kThreads)
     find_lovasz_errors(__grid_constant__ LovaszErrors<T> const p, unsigned blocks) {
   using F = Compute<T>;
-  LovaszLogits<T> const& logits = p.logits;
+  LovaszLabels const& labels = p.labels;
   int64_t const b = blockIdx.x / blocks, i = (blockIdx.x - b * blocks) * int64_t(kThreads) + threadIdx.x;
-  if (i >= logits.pixels) return;
-  T const* const x = logits.sample(b) + i;
-  F* const to = p.errors + b * logits.classes * logits.pixels + i;
+  if (i >= labels.pixels) return;
+  T const* const x = p.logits + b * labels.classes * labels.pixels + i;
+  F* const to = p.errors + b * labels.classes * labels.pixels + i;
   errors_of_pixels<F, LovaszMath<F>>(
-      logits.hinge, logits.classes, logits.number_of(logits.label(b, i)),
-      [&](int64_t c) { return read(x[c * logits.pixels]); }, [&](int64_t c, F e) { to[c * logits.pixels] = e; });
+      labels.hinge, labels.classes, labels.number<F>(b, i), [&](int64_t c) { return read(x[c * labels.pixels]); },
+      [&](int64_t c, F e) { to[c * labels.pixels] = e; });
 }
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     find_lovasz_gradients(__grid_constant__ LovaszBackward<T> const p, unsigned blocks) {
   using F = Compute<T>;
-  LovaszLogits<T> const& logits = p.logits;
+  LovaszLabels const& labels = p.labels;
   int64_t const b = blockIdx.x / blocks, i = (blockIdx.x - b * blocks) * int64_t(kThreads) + threadIdx.x;
-  if (i >= logits.pixels) return;
-  int64_t const at = b * logits.classes * logits.pixels + i;
-  F const* const grad = p.grad + b * logits.classes;
+  if (i >= labels.pixels) return;
+  int64_t const at = b * labels.classes * labels.pixels + i;
+  F const* const grad = p.grad + b * labels.classes;
   gradients_of_pixels<F, LovaszMath<F>>(
-      logits.hinge, logits.classes, logits.number_of(logits.label(b, i)),
-      [&](int64_t c) { return read(logits.data[at + c * logits.pixels]); },
-      [&](int64_t c) { return p.slopes[at + c * logits.pixels] * grad[c]; },
-      [&](int64_t c, F d) { p.grad_logits[at + c * logits.pixels] = round_to<T>(d); });
+      labels.hinge, labels.classes, labels.number<F>(b, i),
+      [&](int64_t c) { return read(p.logits[at + c * labels.pixels]); },
+      [&](int64_t c) { return p.slopes[at + c * labels.pixels] * grad[c]; },
+      [&](int64_t c, F d) { p.grad_logits[at + c * labels.pixels] = round_to<T>(d); });
 }
 
 // --- sorting
 // --------------------------------------------------------------------------------------------------------------------
 
 // Segments from `first` on, in pieces; what is sorted comes from the errors at first, and then from `from`.
-template <class T>
+template <class F>
 struct Sorting {
-  LovaszLogits<T> logits;
-  Compute<T> const* errors;
+  LovaszLabels labels;
+  F const* errors;
   int64_t first;
   unsigned pieces;
-  Ranked<Compute<T>> const* from;  // or null
-  Ranked<Compute<T>>* to;
+  Ranked<F> const* from;  // or null
+  Ranked<F>* to;
   uint32_t* counts;  // (segments, pieces, digits), and after them (segments, digits)
   uint32_t* starts;
   int shift;  // of the digit
@@ -75,20 +75,17 @@ struct Sorting {
   // The block's segment among those that are sorted, and its piece of it.
   __device__ __forceinline__ unsigned segment() const { return blockIdx.x / pieces; }
   __device__ __forceinline__ int64_t start() const {
-    return int64_t(blockIdx.x - segment() * pieces) * kRankedPiece<Compute<T>>;
+    return int64_t(blockIdx.x - segment() * pieces) * kRankedPiece<F>;
   }
   // Element i of the segment; beyond its end what comes after all others.
-  __device__ __forceinline__ Ranked<Compute<T>> at(int64_t i) const {
-    using F = Compute<T>;
-    if (i >= logits.pixels) return {typename Ranked<F>::Bits(-1), 0};
-    if (from) return from[segment() * logits.pixels + i];
-    int64_t const s = first + segment(), b = s / logits.classes;
-    bool const inside = logits.label(b, i) == logits.region(s - b * logits.classes);
-    return Ranked<F>::of(errors[s * logits.pixels + i], i, inside);
+  __device__ __forceinline__ Ranked<F> at(int64_t i) const {
+    if (i >= labels.pixels) return {typename Ranked<F>::Bits(-1), 0};
+    if (from) return from[segment() * labels.pixels + i];
+    int64_t const s = first + segment(), b = s / labels.classes;
+    bool const inside = labels.is_inside(b, s - b * labels.classes, i);
+    return Ranked<F>::of(errors[s * labels.pixels + i], i, inside);
   }
-  __device__ __forceinline__ unsigned digit(Ranked<Compute<T>> const& r) const {
-    return unsigned(r.key >> shift) % kDigits;
-  }
+  __device__ __forceinline__ unsigned digit(Ranked<F> const& r) const { return unsigned(r.key >> shift) % kDigits; }
 };
 
 // A thread's elements of a piece of a segment: one of 32 neighbours that a warp takes at a time, row after row.
@@ -115,14 +112,13 @@ __device__ __forceinline__ unsigned lanes_before() { return (1u << threadIdx.x %
 
 // How many elements of a warp's rows have each digit, to `counts`, and of every row how many before it have the
 // thread's.
-template <class T>
+template <class F>
 struct Digits {
-  using F = Compute<T>;
   static constexpr int kRows = Rows<F>::kCount;
   Ranked<F> element[kRows];
   unsigned before[kRows];
 
-  __device__ __forceinline__ Digits(Sorting<T> const& p, unsigned (&counts)[kWarps][kDigits]) {
+  __device__ __forceinline__ Digits(Sorting<F> const& p, unsigned (&counts)[kWarps][kDigits]) {
     unsigned* const own = counts[threadIdx.x / 32];
     for (int i = threadIdx.x % 32; i < kDigits; i += 32) own[i] = 0;
     int64_t const start = p.start();
@@ -141,10 +137,10 @@ struct Digits {
   }
 };
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) count_digits(__grid_constant__ Sorting<T> const p) {
+template <class F>
+__global__ void __launch_bounds__(kThreads) count_digits(__grid_constant__ Sorting<F> const p) {
   __shared__ unsigned counts[kWarps][kDigits];
-  Digits<T> const digits(p, counts);
+  Digits<F> const digits(p, counts);
   __syncthreads();
   unsigned sum = 0;
   for (int w = 0; w < kWarps; ++w) sum += counts[w][threadIdx.x];
@@ -187,13 +183,12 @@ __global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, ui
   if (group == 0) starts[blockIdx.x * kDigits + digit] = digit > 0 ? sums[0][digit - 1] : 0;
 }
 
-template <class T>
-__global__ void __launch_bounds__(kThreads) move_digits(__grid_constant__ Sorting<T> const p) {
-  using F = Compute<T>;
+template <class F>
+__global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sorting<F> const p) {
   constexpr int kPiece = kRankedPiece<F>;
   __shared__ unsigned counts[kWarps][kDigits], goes[kDigits], of_warps[kWarps];
   __shared__ Ranked<F> sorted[kPiece];
-  Digits<T> const digits(p, counts);
+  Digits<F> const digits(p, counts);
   __syncthreads();
   // Of the thread's own digit: how many the warps before have, and where the piece's smaller digits end.
   unsigned const digit = threadIdx.x, lane = threadIdx.x % 32;
@@ -219,13 +214,13 @@ __global__ void __launch_bounds__(kThreads) move_digits(__grid_constant__ Sortin
   goes[digit] = p.starts[p.segment() * kDigits + digit] + p.counts[int64_t(blockIdx.x) * kDigits + digit] - start;
   __syncthreads();
 #pragma unroll
-  for (int row = 0; row < Digits<T>::kRows; ++row) {
+  for (int row = 0; row < Digits<F>::kRows; ++row) {
     Ranked<F> const r = digits.element[row];
     sorted[counts[threadIdx.x / 32][p.digit(r)] + digits.before[row]] = r;
   }
   __syncthreads();
-  int const size = int(min(int64_t(kPiece), p.logits.pixels - p.start()));
-  Ranked<F>* const to = p.to + p.segment() * p.logits.pixels;
+  int const size = int(min(int64_t(kPiece), p.labels.pixels - p.start()));
+  Ranked<F>* const to = p.to + p.segment() * p.labels.pixels;
 #pragma unroll 4
   for (int i = threadIdx.x; i < size; i += kThreads) {
     Ranked<F> const r = sorted[i];
@@ -278,7 +273,7 @@ __global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked,
   }
   if (lane == 0) sums[0][warp] = mine, sums[1][warp] = before, of_warps[warp] = of_warp;
   __syncthreads();
-  int64_t all = 0, found = 0;
+  unsigned all = 0, found = 0;
   for (unsigned w = 0; w < kWarps; ++w) {
     all += sums[0][w], found += sums[1][w];
     if (w < warp) found += of_warps[w];
@@ -288,10 +283,10 @@ __global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked,
   for (int row = 0; row < kRows; ++row) {
     int64_t const i = start + Rows<F>::place(row);
     Ranked<F> const r = element[row];
-    int64_t const with_it = found + __popc(inside[row] & (lanes_before() | 1u << lane));
+    unsigned const with_it = found + __popc(inside[row] & (lanes_before() | 1u << lane));
     found += __popc(inside[row]);
     if (i >= pixels) continue;
-    F const slope = lovasz_slope<F>(r.inside(), all, with_it, i + 1 - with_it);
+    F const slope = lovasz_slope<F>(r.inside(), all, with_it, unsigned(i + 1) - with_it);
     loss += r.error() * slope;
     slopes[r.pixel()] = slope;
   }
@@ -303,28 +298,27 @@ __global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked,
 
 template <class T>
 int lovasz_errors(LovaszErrors<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(ceil_div(p.logits.pixels, kThreads));
-  find_lovasz_errors<<<unsigned(p.logits.batch * blocks), kThreads, 0, stream>>>(p, blocks);
+  unsigned const blocks = unsigned(ceil_div(p.labels.pixels, kThreads));
+  find_lovasz_errors<<<unsigned(p.labels.batch * blocks), kThreads, 0, stream>>>(p, blocks);
   return cudaGetLastError();
 }
 
 template <class T>
 int lovasz_backward(LovaszBackward<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(ceil_div(p.logits.pixels, kThreads));
-  find_lovasz_gradients<<<unsigned(p.logits.batch * blocks), kThreads, 0, stream>>>(p, blocks);
+  unsigned const blocks = unsigned(ceil_div(p.labels.pixels, kThreads));
+  find_lovasz_gradients<<<unsigned(p.labels.batch * blocks), kThreads, 0, stream>>>(p, blocks);
   return cudaGetLastError();
 }
 
-template <class T>
-int lovasz_slopes(LovaszSlopes<T> const& p, CUstream_st* stream) {
-  using F = Compute<T>;
-  int64_t const n = p.logits.pixels, segments = p.logits.segments();
+template <class F>
+int lovasz_slopes(LovaszSlopes<F> const& p, CUstream_st* stream) {
+  int64_t const n = p.labels.pixels, segments = p.labels.segments();
   unsigned const pieces = unsigned(ceil_div(n, kRankedPiece<F>));
   for (int64_t first = 0; first < segments; first += p.at_once) {
     int64_t const count = min(p.at_once, segments - first);
     unsigned const blocks = unsigned(count * pieces);
-    Sorting<T> sorting{
-        p.logits, p.slopes, first, pieces, nullptr, p.ranked[0], p.counts, p.counts + int64_t(blocks) * kDigits, 0};
+    Sorting<F> sorting{
+        p.labels, p.slopes, first, pieces, nullptr, p.ranked[0], p.counts, p.counts + int64_t(blocks) * kDigits, 0};
     for (; sorting.shift < 8 * int(sizeof(F)); sorting.shift += 8) {
       count_digits<<<blocks, kThreads, 0, stream>>>(sorting);
       scan_digits<<<unsigned(count), kScanThreads, 0, stream>>>(sorting.counts, sorting.starts, pieces);
@@ -341,7 +335,7 @@ int lovasz_slopes(LovaszSlopes<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE(lovasz_errors, LovaszErrors)
-KV_INSTANTIATE(lovasz_slopes, LovaszSlopes)
+KV_INSTANTIATE_COMPUTED(lovasz_slopes, LovaszSlopes)
 KV_INSTANTIATE(lovasz_backward, LovaszBackward)
 
 }  // namespace kv::cuda

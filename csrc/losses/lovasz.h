@@ -17,31 +17,29 @@
 
 namespace kv {
 
-template <class T>
-struct LovaszLogits {
-  T const* data;
+struct LovaszLabels {
   void const* target;             // int64, or bytes
   bool bytes, one_target, hinge;  // one for all images
   int64_t batch, classes, pixels;
 
   KV_HD int64_t segments() const { return batch * classes; }
-  KV_HD T const* sample(int64_t b) const { return data + b * classes * pixels; }
-  KV_HD int64_t label(int64_t b, int64_t i) const {
+  KV_HD int64_t at(int64_t b, int64_t i) const {
     int64_t const at = (one_target ? 0 : b) * pixels + i;
     return bytes ? int64_t(static_cast<uint8_t const*>(target)[at]) : static_cast<int64_t const*>(target)[at];
   }
   // NaN for a label that is none.
-  KV_HD Compute<T> number_of(int64_t label) const {
-    using F = Compute<T>;
+  template <class F>
+  KV_HD F number(int64_t b, int64_t i) const {
+    int64_t const label = at(b, i);
     return label >= 0 && label < (hinge ? 2 : classes) ? F(label) : F(__builtin_nanf(""));
   }
-  // The label of the region of class c.
-  KV_HD int64_t region(int64_t c) const { return hinge ? 1 : c; }
+  KV_HD bool is_inside(int64_t b, int64_t c, int64_t i) const { return at(b, i) == (hinge ? 1 : c); }
 };
 
 template <class T>
 struct LovaszErrors {
-  LovaszLogits<T> logits;
+  LovaszLabels labels;
+  T const* logits;
   Compute<T>* errors;  // (B, C, pixels)
 };
 
@@ -61,21 +59,22 @@ struct Ranked {
   KV_HD int64_t pixel() const { return place >> 1; }
 };
 
-template <class T>
+template <class F>
 struct LovaszSlopes {
-  LovaszLogits<T> logits;
-  Compute<T>* slopes;  // (B, C, pixels): errors, which they replace
-  Compute<T>* losses;  // (B, C)
+  LovaszLabels labels;
+  F* slopes;  // (B, C, pixels): errors, which they replace
+  F* losses;  // (B, C)
   // Working memory of CUDA's kernel: twice so many elements as `at_once` segments have, and counts of their pieces.
-  Ranked<Compute<T>>* ranked[2];
+  Ranked<F>* ranked[2];
   uint32_t* counts;
-  Compute<T>* partial;  // (B C, pieces)
+  F* partial;  // (B C, pieces)
   int64_t at_once;
 };
 
 template <class T>
 struct LovaszBackward {
-  LovaszLogits<T> logits;
+  LovaszLabels labels;
+  T const* logits;
   Compute<T> const *grad, *slopes;  // (B, C), (B, C, pixels)
   T* grad_logits;
 };
@@ -93,9 +92,9 @@ constexpr int kRankedPiece = kRankedThreads * (64 / int(sizeof(F)));
 
 // The slope of a pixel, itself among the `inside` or `outside` first ones.
 template <class F>
-KV_HD F lovasz_slope(bool is_inside, int64_t all, int64_t inside, int64_t outside) {
+KV_HD F lovasz_slope(bool is_inside, uint32_t all, uint32_t inside, uint32_t outside) {
   if (is_inside) return F(1) / F(all + outside);
-  int64_t const before = all + outside - 1;
+  uint32_t const before = all + outside - 1;
   return before == 0 ? F(1) : F(all - inside) / F(before) / F(before + 1);
 }
 

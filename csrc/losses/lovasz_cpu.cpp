@@ -17,15 +17,15 @@ struct LovaszMath {
 
 // Calls f(image, pixel, their labels) for vectors of the pixels of blocks [begin, end).
 template <class T, class Call>
-KV_HD void for_each_pixel(LovaszLogits<T> const& logits, int64_t begin, int64_t end, Call f) {
+KV_HD void for_each_pixel(LovaszLabels const& labels, int64_t begin, int64_t end, Call f) {
   using F = Compute<T>;
-  int64_t const blocks = (logits.pixels + kLovaszBlock - 1) / kLovaszBlock;
+  int64_t const blocks = (labels.pixels + kLovaszBlock - 1) / kLovaszBlock;
   for (int64_t block = begin; block < end; ++block) {
     int64_t const b = block / blocks, first = block % blocks * kLovaszBlock;
-    for_each_vector<T>(first, min(first + kLovaszBlock, logits.pixels), [&](auto width, int64_t i) {
+    for_each_vector<T>(first, min(first + kLovaszBlock, labels.pixels), [&](auto width, int64_t i) {
       constexpr int N = decltype(width)::value;
       F label[N];
-      for (int k = 0; k < N; ++k) label[k] = logits.number_of(logits.label(b, i + k));
+      for (int k = 0; k < N; ++k) label[k] = labels.number<F>(b, i + k);
       f(width, b, i, Lanes<F, N>(load<N>(label)));
     });
   }
@@ -59,31 +59,30 @@ KV_HD Ranked<F>* sorted(Ranked<F>* from, Ranked<F>* to, uint32_t* counts, int64_
 template <class T>
 void lovasz_errors(LovaszErrors<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  LovaszLogits<T> const& logits = p.logits;
-  for_each_pixel(logits, begin, end, [&](auto width, int64_t b, int64_t i, auto label) {
+  LovaszLabels const& labels = p.labels;
+  for_each_pixel<T>(labels, begin, end, [&](auto width, int64_t b, int64_t i, auto label) {
     constexpr int N = decltype(width)::value;
     using V = Lanes<F, N>;
-    T const* const x = logits.sample(b) + i;
-    F* const to = p.errors + b * logits.classes * logits.pixels + i;
+    T const* const x = p.logits + b * labels.classes * labels.pixels + i;
+    F* const to = p.errors + b * labels.classes * labels.pixels + i;
     errors_of_pixels<F, LovaszMath<F, N>>(
-        logits.hinge, logits.classes, label, [&](int64_t c) { return V(load<N>(x + c * logits.pixels)); },
-        [&](int64_t c, V e) { store<N>(to + c * logits.pixels, e); });
+        labels.hinge, labels.classes, label, [&](int64_t c) { return V(load<N>(x + c * labels.pixels)); },
+        [&](int64_t c, V e) { store<N>(to + c * labels.pixels, e); });
   });
 }
 
-template <class T>
-void lovasz_slopes(LovaszSlopes<T> const& p, int64_t begin, int64_t end) {
-  using F = Compute<T>;
-  LovaszLogits<T> const& logits = p.logits;
-  int64_t const n = logits.pixels;
+template <class F>
+void lovasz_slopes(LovaszSlopes<F> const& p, int64_t begin, int64_t end) {
+  LovaszLabels const& labels = p.labels;
+  int64_t const n = labels.pixels;
   Scratch<Ranked<F>> memory(2 * n);
   Scratch<uint32_t> counts(kDigits * int(sizeof(F)));
   for (int64_t segment = begin; segment < end; ++segment) {
-    int64_t const b = segment / logits.classes, region = logits.region(segment % logits.classes);
+    int64_t const b = segment / labels.classes, c = segment % labels.classes;
     F* const slopes = p.slopes + segment * n;
-    int64_t all = 0, inside = 0;
+    uint32_t all = 0, inside = 0;
     for (int64_t i = 0; i < n; ++i) {
-      bool const own = logits.label(b, i) == region;
+      bool const own = labels.is_inside(b, c, i);
       all += own, memory.data[i] = Ranked<F>::of(slopes[i], i, own);
     }
     Ranked<F> const* const ranked = sorted(memory.data, memory.data + n, counts.data, n);
@@ -91,7 +90,7 @@ void lovasz_slopes(LovaszSlopes<T> const& p, int64_t begin, int64_t end) {
     for (int64_t i = 0; i < n; ++i) {
       Ranked<F> const r = ranked[i];
       inside += r.inside();
-      F const slope = lovasz_slope<F>(r.inside(), all, inside, i + 1 - inside);
+      F const slope = lovasz_slope<F>(r.inside(), all, inside, uint32_t(i + 1) - inside);
       loss += double(r.error()) * slope;
       slopes[r.pixel()] = slope;
     }
@@ -102,22 +101,21 @@ void lovasz_slopes(LovaszSlopes<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void lovasz_backward(LovaszBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  LovaszLogits<T> const& logits = p.logits;
-  for_each_pixel(logits, begin, end, [&](auto width, int64_t b, int64_t i, auto label) {
+  LovaszLabels const& labels = p.labels;
+  for_each_pixel<T>(labels, begin, end, [&](auto width, int64_t b, int64_t i, auto label) {
     constexpr int N = decltype(width)::value;
     using V = Lanes<F, N>;
-    int64_t const at = b * logits.classes * logits.pixels + i;
-    F const* const grad = p.grad + b * logits.classes;
+    int64_t const at = b * labels.classes * labels.pixels + i;
+    F const* const grad = p.grad + b * labels.classes;
     gradients_of_pixels<F, LovaszMath<F, N>>(
-        logits.hinge, logits.classes, label,
-        [&](int64_t c) { return V(load<N>(logits.data + at + c * logits.pixels)); },
-        [&](int64_t c) { return V(load<N>(p.slopes + at + c * logits.pixels) * grad[c]); },
-        [&](int64_t c, V d) { store<N>(p.grad_logits + at + c * logits.pixels, d); });
+        labels.hinge, labels.classes, label, [&](int64_t c) { return V(load<N>(p.logits + at + c * labels.pixels)); },
+        [&](int64_t c) { return V(load<N>(p.slopes + at + c * labels.pixels) * grad[c]); },
+        [&](int64_t c, V d) { store<N>(p.grad_logits + at + c * labels.pixels, d); });
   });
 }
 
 KV_INSTANTIATE(lovasz_errors, LovaszErrors)
-KV_INSTANTIATE(lovasz_slopes, LovaszSlopes)
+KV_INSTANTIATE_COMPUTED(lovasz_slopes, LovaszSlopes)
 KV_INSTANTIATE(lovasz_backward, LovaszBackward)
 
 }  // namespace kv::KV_ISA

@@ -24,10 +24,9 @@ struct LovaszImages {
              op, ": expected target of int64 or uint8 labels (B or 1, H, W) on the device of pred");
   }
 
-  template <class T>
-  LovaszLogits<T> of() const {
+  LovaszLabels labels() const {
     bool const bytes = target.scalar_type() == ScalarType::Byte, one_target = target.size(0) == 1;
-    return {data_of<T const>(logits), target.const_data_ptr(), bytes, one_target, hinge, batch, classes, pixels};
+    return {target.const_data_ptr(), bytes, one_target, hinge, batch, classes, pixels};
   }
   int64_t blocks() const { return batch * ((pixels + kLovaszBlock - 1) / kLovaszBlock); }
   int64_t cost() const { return 4 * min(pixels, kLovaszBlock) * classes; }
@@ -42,9 +41,9 @@ std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool
   for_floats("lovasz", pred, [&](auto of_type) {
     using T = typename decltype(of_type)::type;
     using F = Compute<T>;
-    LovaszErrors<T> const errors{x.of<T>(), data_of<F>(slopes)};
+    LovaszErrors<T> const errors{x.labels(), data_of<T const>(x.logits), data_of<F>(slopes)};
     KV_RUN(lovasz_errors, pred, errors, x.blocks(), x.cost());
-    LovaszSlopes<T> params{x.of<T>(), data_of<F>(slopes), data_of<F>(losses), {}, nullptr, nullptr, 0};
+    LovaszSlopes<F> params{x.labels(), data_of<F>(slopes), data_of<F>(losses), {}, nullptr, nullptr, 0};
 #if defined(KV_CUDA)
     // Segments are sorted together as far as that takes no more memory than the slopes, or little.
     constexpr int64_t kSize = 2 * sizeof(Ranked<F>), kLittle = 1 << 22;
@@ -78,7 +77,8 @@ Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& p
   for_floats(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    LovaszBackward<T> const params{x.of<T>(), data_of<F const>(g), data_of<F const>(by_errors), data_of<T>(grad_x)};
+    LovaszBackward<T> const params{x.labels(), data_of<T const>(x.logits), data_of<F const>(g),
+                                   data_of<F const>(by_errors), data_of<T>(grad_x)};
     KV_RUN(lovasz_backward, pred, params, x.blocks(), x.cost());
   });
   return grad_x;

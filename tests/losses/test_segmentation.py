@@ -89,6 +89,55 @@ class TestLovaszHinge(Segmentation):
     test_compile = test_export = None  # as of the operator's other loss
 
 
+class TestHausdorff(Segmentation):
+    @staticmethod
+    def function(x, target, **options):
+        return L.HausdorffERLoss(**options)(x, target)
+
+    operators = ("hausdorff", "hausdorff_backward")
+    mixed = ()
+    accepted = ("k 32768",)
+    channels = 2
+    shape = (2, 2, 13, 18)
+    small = (1, 2, 3, 4)
+    variants = [
+        {"target": lambda x: labels(x).clamp_min(0)[:, None], "k": 3, "reduction": "none"},
+        {"target": lambda x: labels(x).clamp_min(0)[:, None], "k": 4, "alpha": 0.5},
+    ]
+    errors = [({"k": 0}, ValueError, "expected k"), ({"alpha": "a"}, TypeError, "expected alpha")]
+
+    def input(self, shape, dtype, device):  # probabilities that are often wrong: much survives
+        return (1.6 * torch.rand(shape, dtype=torch.float64) - 0.3).to(dtype).to(device)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("reduction", ["none", "sum"])
+def test_hausdorff_of_many_pixels(axes, reduction, device):
+    """What one block does not hold, images and volumes, and planes that are flat or have nothing left."""
+    size = (70, 131) if axes == 2 else (9, 33, 37)
+    x = torch.rand(3, 2, *size, dtype=torch.float64, device=device)
+    target = torch.randint(0, 2, (3, 1, *size), device=device)
+    x[1], target[1] = 0.25, 0
+    loss = (L.HausdorffERLoss if axes == 2 else L.HausdorffERLoss3D)(k=5, reduction=reduction)
+    found = []
+    for name in ("auto", "reference"):
+        with K.backend(name):
+            leaf = x.clone().requires_grad_()
+            y = loss(leaf, target)
+            found.append(
+                (
+                    y.detach(),
+                    torch.autograd.grad(
+                        (y * torch.linspace(0, 1, y.numel()).to(x).view_as(y)).sum() if y.dim() else y, leaf
+                    )[0],
+                )
+            )
+    for actual, expected in zip(*found):
+        assert_close(actual, expected, 1e-8, 1e-8 * float(expected.abs().max()))
+    target[0, 0, ..., 3] = 2
+    assert loss(x, target).isnan().any()
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 @pytest.mark.parametrize("labels", [torch.int64, torch.bool, torch.float32], ids=str)
 def test_lovasz_of_many_pixels(dtype, labels, device):

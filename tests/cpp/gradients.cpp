@@ -91,6 +91,8 @@ int main() {
   Tensor const labels = torch::randint(0, 2, {1, 2, 7, 6});
   check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x.unsqueeze(0)}, false);
   check("overlap", [&](auto const& t) { return std::get<0>(kvision::overlap(t[0], labels)); }, {x.unsqueeze(0)}, false);
+  check("lovasz", [&](auto const& t) { return std::get<0>(kvision::lovasz(t[0], labels[0])); }, {x}, false);
+  check("hausdorff", [&](auto const& t) { return kvision::hausdorff(t[0], labels[0], 1, 3); }, {3 * x}, false);
   Tensor const rows = x.flatten(1), others = torch::rand_like(rows) + 0.5;
   check(
       "pointwise_loss", [](auto const& t) { return kvision::pointwise_loss(t[0], t[1], "welsch"); }, {rows, others},

@@ -52,10 +52,10 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-// What a row of gradients gives: to its own pixels, and to those around, by itself and summed along the row.
+// What a row of gradients gives: to its own pixels, and to those around, summed along the row.
 template <class F>
 struct GivenRow {
-  F own[4], around[4], sums[4];
+  F own[4], sums[4];
 };
 
 // Each thread pulls its own four pixels' gradients and gets its neighbours' by shuffle. Where a warp ends inside the
@@ -104,21 +104,22 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
       return of;
     };
     GivenRow<F> row;
+    F around[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
       auto const of = pull(i, x + i, g[i]);
-      row.own[i] = of.own;
-      row.around[i] = of.around;
+      row.own[i] = of.own + smoothed(F(0), of.around, F(0));
+      around[i] = of.around;
       if (of_strip) slope += of.factor;
     }
     F const end = more_left || more_right ? pull(4, more, g_more).around : F(0);
-    F left = __shfl_up_sync(0xffffffffu, row.around[3], 1), right = __shfl_down_sync(0xffffffffu, row.around[0], 1);
+    F left = __shfl_up_sync(0xffffffffu, around[3], 1), right = __shfl_down_sync(0xffffffffu, around[0], 1);
     if (strip.left_end) left = more_left ? end : F(0);
     if (strip.right_end) right = more_right ? end : F(0);
-    row.sums[0] = left + row.around[0] + row.around[1];
-    row.sums[1] = row.around[0] + row.around[1] + row.around[2];
-    row.sums[2] = row.around[1] + row.around[2] + row.around[3];
-    row.sums[3] = row.around[2] + row.around[3] + right;
+    row.sums[0] = left + around[0] + around[1];
+    row.sums[1] = around[0] + around[1] + around[2];
+    row.sums[2] = around[1] + around[2] + around[3];
+    row.sums[3] = around[2] + around[3] + right;
     return row;
   };
 
@@ -133,7 +134,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     F result[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i)
-      result[i] = here.own[i] + smoothed(before.sums[i] + here.sums[i] + after.sums[i], here.around[i], F(0));
+      result[i] = here.own[i] + smoothed(before.sums[i] + here.sums[i] + after.sums[i], F(0), F(0));
     if (p.grad_x.data) strip.store(p.grad_x.row(plane, y), result);
     before = here;
     here = after;

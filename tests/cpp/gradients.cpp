@@ -266,6 +266,9 @@ int main() {
         {x, torch::rand_like(x), torch::rand({2, 1, 1}), torch::rand({1, 2, 1})});
   check(
       "sharpness", [](auto const& t) { return kvision::sharpness(t[0], t[1], 0); }, {x, torch::rand({2, 1, 1})}, false);
+  check(
+      "jpeg", [](auto const& t) { return kvision::jpeg(t[0], t[1], t[2], {}, 0); },
+      {torch::rand({2, 3, 5, 6}), 20 + 50 * torch::rand({2}), 20 + 50 * torch::rand({1, 8, 8})}, false);
   check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], "GB"); }, {torch::rand({2, 1, 4, 6})}, true);
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};

@@ -1,7 +1,7 @@
 // Several views: points, homographies and models that relate images. Each function has the arguments of the operator
 // torch.ops.kvision.<name>, which python/kvision/geometry explains. All are in float32 or float64, points
-// (B, N, 2) as (x, y). Null vectors, homographies, fundamental matrices, poses, points in space and those of lenses
-// have gradients; consensus, contest and eigenvectors have none; those of minimal models and roots, and second
+// (B, N, 2) as (x, y). Null vectors, homographies, fundamental matrices, poses, motions, points in space and those of
+// lenses have gradients; consensus, contest and eigenvectors have none; those of minimal models and roots, and second
 // derivatives, are errors.
 #pragma once
 
@@ -249,6 +249,65 @@ inline std::tuple<Tensor, Tensor> eigenvectors(Tensor const& matrix) {
   };
   variable_list const found = differentiable({}, compute, {}, nullptr);
   return {found[0], found[1]};
+}
+
+// --- essential matrices
+// ------------------------------------------------------------------------------------------------------------
+
+inline Tensor nearest_essential_backward(Tensor const& grad, Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"nearest_essential_backward">(grad, matrix)}; };
+  return differentiable({grad, matrix}, compute, {}, no_second_derivative("nearest_essential"))[0];
+}
+
+// The nearest essential matrices, of two equal singular values and 0, of matrices (B, 3, 3).
+inline Tensor nearest_essential(Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"nearest_essential">(matrix)}; };
+  auto const gradient = [](Backward const& b) {
+    return variable_list{nearest_essential_backward(b.grads[0], b.saved[0])};
+  };
+  return differentiable({matrix}, compute, {matrix}, gradient)[0];
+}
+
+inline Tensor essential_motions_backward(Tensor const& grad, Tensor const& grad_directions, Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"essential_motions_backward">(grad, grad_directions, matrix)}; };
+  return differentiable({grad, grad_directions, matrix}, compute, {}, no_second_derivative("essential_motions"))[0];
+}
+
+// The four motions of essential matrices (B, 3, 3): rotations (B, 4, 3, 3), directions of translations (B, 4, 3, 1).
+inline std::tuple<Tensor, Tensor> essential_motions(Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [rotations, directions] = call<"essential_motions", std::tuple<Tensor, Tensor>>(matrix);
+    return variable_list{rotations, directions};
+  };
+  auto const gradient = [](Backward const& b) {
+    Tensor const& e = b.saved[0];
+    Tensor const to_rotations = b.grads[0].defined() ? b.grads[0] : at::zeros({e.size(0), 4, 3, 3}, e.options());
+    Tensor const to_directions = b.grads[1].defined() ? b.grads[1] : at::zeros({e.size(0), 4, 3, 1}, e.options());
+    return variable_list{essential_motions_backward(to_rotations, to_directions, e)};
+  };
+  variable_list const found = differentiable({matrix}, compute, {matrix}, gradient);
+  return {found[0], found[1]};
+}
+
+// The one of these motions that leaves most points in front of both cameras (B, 3, 3), by their pixels (B, N, 2) and a
+// mask (B, N), or none, of those that count: rotation, direction, points in space (B, N, 3), how many are in front (B).
+inline std::tuple<Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, Tensor const& camera1,
+                                                                Tensor const& camera2, Tensor const& points1,
+                                                                Tensor const& points2,
+                                                                std::optional<Tensor> const& mask = {}) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [rotation, direction, space, in_front] = call<"motion_choice", std::tuple<Tensor, Tensor, Tensor, Tensor>>(
+        matrix, camera1, camera2, points1, points2, mask);
+    return variable_list{rotation, direction, space, in_front};
+  };
+  variable_list const found =
+      differentiable({matrix, camera1, camera2, points1, points2}, compute, {}, no_gradient("motion_choice"));
+  return {found[0], found[1], found[2], found[3]};
 }
 
 // --- samples and those who agree with them

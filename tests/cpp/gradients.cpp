@@ -189,6 +189,10 @@ int main() {
   check(
       "pose_dlt of weights", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2], t[3]); },
       {solid, first, pinhole, torch::rand({2, 9}) + 0.5}, false);
+  Tensor const matrices = torch::rand({3, 3, 3});
+  check("nearest_essential", [](auto const& t) { return kvision::nearest_essential(t[0]); }, {matrices}, false);
+  check("rotations", [](auto const& t) { return std::get<0>(kvision::essential_motions(t[0])); }, {matrices}, false);
+  check("directions", [](auto const& t) { return std::get<1>(kvision::essential_motions(t[0])); }, {matrices}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})
@@ -311,6 +315,10 @@ int main() {
   Tensor const shift = torch::tensor({0.5f, 0.f}), space = torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2);
   same("triangulate", kvision::triangulate(from, from + shift, still, moved), space);
   same("triangulate of variables", kvision::triangulate(places, from + shift, still, moved).detach(), space);
+  Tensor const sideways = torch::tensor({{0.f, 0.f, 0.f}, {0.f, 0.f, -1.f}, {0.f, 1.f, 0.f}}).expand({2, 3, 3});
+  auto const chosen =
+      kvision::motion_choice(sideways, eye.expand({2, 3, 3}), eye.expand({2, 3, 3}), from, from + shift);
+  same("motion_choice", std::get<2>(chosen), 2 * space);
   Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
   same("eigenvectors", std::get<0>(kvision::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
   auto const triangulate = [](auto const& t) { return kvision::triangulate(t[0], t[1], t[2], t[3]); };

@@ -246,6 +246,12 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.fundamental_dlt_backward(torch.rand(2, 3, 3), x, x, torch.rand(2, 9)),
         lambda: ops.pose_dlt(x, x, eye, None, 0.0),
         lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
+        lambda: ops.nearest_essential(eye[:, :2]),
+        lambda: ops.nearest_essential_backward(eye[0], eye),
+        lambda: ops.essential_motions(eye.half()),
+        lambda: ops.essential_motions_backward(torch.rand(1, 4, 3, 3), torch.rand(1, 3, 3, 1), eye),
+        lambda: ops.motion_choice(eye, eye, eye, x, x[:, :4], None),
+        lambda: ops.motion_choice(eye, eye, eye, x, x, torch.ones(1, 9)),
         lambda: ops.pose_dlt_backward(eye, torch.rand(1, 9, 3), x, eye, None, 0.0),
     ):
         with pytest.raises(RuntimeError):

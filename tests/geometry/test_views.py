@@ -68,6 +68,10 @@ class TestViews(CompositionTests):
         "essential": Case(lambda x: G.find_essential(x, x.flip(1)).nan_to_num(0.0).square().sum(1), ((2, 5, 2),)),
         "nearest": Case(G.epipolar.project_to_essential, ((2, 3, 3),)),
         "rotations": Case(lambda e: torch.cat(G.decompose_essential_matrix(e)[:2], -1).square(), ((2, 3, 3),)),
+        "motion": Case(
+            lambda x, e: G.motion_from_essential_choose_solution(e, camera(x), camera(x), points(x, X), points(x, Y))[2],
+            (POINTS, (2, 3, 3)),
+        ),
         "camera": Case(lambda p: torch.cat(G.KRt_from_projection(p), -1), ((2, 3, 4),)),
         "cameras": Case(lambda f: G.projections_from_fundamental(f).square(), ((2, 3, 3),)),
         "triangulated": Case(
@@ -197,6 +201,28 @@ def test_exact_essential_matrices_have_gradients(device):
     finite_gradients(G.epipolar.project_to_essential, E)
     finite_gradients(lambda e: torch.cat(G.decompose_essential_matrix(e), -1), E)
     assert_close(G.epipolar.project_to_essential(E), E)
+
+
+def test_motions_of_degenerate_matrices_are_rotations(device, backend):
+    """One of them, where they are not the only one: of rank one, of three equal values, and of zeros."""
+    matrices = torch.stack([torch.zeros(3, 3), torch.ones(3, 3), torch.eye(3), torch.diag(torch.tensor([1, 1e-9, 0]))])
+    R, _ = G.motion_from_essential(matrices.to(device))
+    finite_gradients(lambda e: torch.cat(G.motion_from_essential(e), -1), matrices.to(device))
+    finite_gradients(G.epipolar.project_to_essential, matrices.to(device))
+    if backend != "reference":
+        assert_close(R @ R.mT, torch.eye(3, device=device).expand_as(R), 0, 1e-6)
+
+
+def test_the_choice_of_a_motion_is_the_references(device):
+    scene = Scene(3, 40, noise=0.3)
+    E = scene.E * torch.tensor([1.0, -2.0, 3.0]).double().view(3, 1, 1)
+    mask = rand(3, 40) > 0.5
+    args = [x.to(device) for x in (E, CAMERA.expand(3, 3, 3), CAMERA.expand(3, 3, 3), scene.x1, scene.x2)]
+    for chosen in (None, mask.to(device)):
+        found = G.motion_from_essential_choose_solution(*args, chosen)
+        with K.backend("reference"):
+            assert_close(found, G.motion_from_essential_choose_solution(*args, chosen), 1e-9, 1e-9)
+        assert found[3].tolist() == ([40] * 3 if chosen is None else mask.sum(1).tolist())
 
 
 def test_points_at_infinity(device):

@@ -21,7 +21,7 @@ from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.distances import sampson_epipolar_distance
-from kvision.geometry.epipolar.essential import project_to_essential
+from kvision.geometry.epipolar.essential import nearest_essential
 from kvision.geometry.homography.dlt import find_homography_lines_dlt, homography_of
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, oneway_transfer_error
 from kvision.geometry.solvers.affine import find_affine
@@ -324,7 +324,7 @@ class RANSAC(nn.Module):
         if self.model in ("affine", "lines"):
             x, y = (kp.expand(len(weights), *kp.shape) for kp in (kp1, kp2))
             return (find_affine if self.model == "affine" else find_homography_lines_dlt)(x, y, weights)
-        fitted = project_to_essential(eight_points(kp1[None], kp2[None], weights))
+        fitted = nearest_essential(eight_points(kp1[None], kp2[None], weights))
         return fitted / torch.linalg.vector_norm(fitted, dim=(-2, -1), keepdim=True)
 
     # --- the steps by themselves, for those who put them together in another way ---

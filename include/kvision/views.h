@@ -310,6 +310,39 @@ inline std::tuple<Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& ma
   return {found[0], found[1], found[2], found[3]};
 }
 
+// --- errors
+// ------------------------------------------------------------------------------------------------------------
+
+inline std::tuple<Tensor, Tensor, Tensor> view_errors_backward(Tensor const& grad, Tensor const& points1,
+                                                               Tensor const& points2, Tensor const& matrix,
+                                                               std::string const& kind, bool squared) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points1, to_points2, to_matrix] =
+        call<"view_errors_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, points1, points2, matrix, kind, squared);
+    return variable_list{to_points1, to_points2, to_matrix};
+  };
+  variable_list const found =
+      differentiable({grad, points1, points2, matrix}, compute, {}, no_second_derivative("view_errors"));
+  return {found[0], found[1], found[2]};
+}
+
+// How far correspondences (B, N, 2 or 3) are from matrices (B, 3, 3), (B, N); one of each serves a batch. kind:
+// "sampson", "symmetrical", "right", "left" of fundamental matrices, the last two of which are distances whatever
+// `squared` says; "transfer", "symmetric_transfer", "segments" of homographies, the last of points (B, N, 4).
+inline Tensor view_errors(Tensor const& points1, Tensor const& points2, Tensor const& matrix, std::string const& kind,
+                          bool squared) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"view_errors">(points1, points2, matrix, kind, squared)}; };
+  auto const gradient = [=](Backward const& b) {
+    auto const [to_points1, to_points2, to_matrix] =
+        view_errors_backward(b.grads[0], b.saved[0], b.saved[1], b.saved[2], kind, squared);
+    return variable_list{to_points1.sum_to_size(b.saved[0].sizes()), to_points2.sum_to_size(b.saved[1].sizes()),
+                         to_matrix.sum_to_size(b.saved[2].sizes())};
+  };
+  return differentiable({points1, points2, matrix}, compute, {points1, points2, matrix}, gradient)[0];
+}
+
 // --- samples and those who agree with them
 // ------------------------------------------------------------------------------------------------------------
 
@@ -330,6 +363,31 @@ inline Tensor consensus(Tensor const& models, Tensor const& points1, Tensor cons
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"consensus">(models, points1, points2, threshold, model)}; };
   return differentiable({}, compute, {}, nullptr)[0];
+}
+
+// The best `count` of models (M, 3, 3) by their consensus (M, 2), by the number of who agrees or by the sum, with that
+// consensus. No gradient.
+inline std::tuple<Tensor, Tensor> leaders(Tensor const& models, Tensor const& scores, int64_t count, bool by_number) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [best, best_scores] = call<"leaders", std::tuple<Tensor, Tensor>>(models, scores, count, by_number);
+    return variable_list{best, best_scores};
+  };
+  variable_list const found = differentiable({}, compute, {}, nullptr);
+  return {found[0], found[1]};
+}
+
+// The first of models (M, 3, 3), and which of N correspondences weigh more than 0 for it, by weights (M, N); zeros and
+// nobody where these are no more than `least`. Of norm 1 for "essential", others with a last number of 1. No gradient.
+inline std::tuple<Tensor, Tensor> verdict(Tensor const& models, Tensor const& weights, int64_t least,
+                                          std::string const& model) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [found, fits] = call<"verdict", std::tuple<Tensor, Tensor>>(models, weights, least, model);
+    return variable_list{found, fits};
+  };
+  variable_list const found = differentiable({}, compute, {}, nullptr);
+  return {found[0], found[1]};
 }
 
 // The best `count` of two lists of models (M, 3, 3) by their consensus (M, 2): by the number of who agrees, or by the

@@ -56,6 +56,11 @@ class TestViews(CompositionTests):
             ((2, 6, 2, 2), (2, 6)),
         ),
         "transfer": Case(lambda x, h: G.symmetric_transfer_error(x, x.flip(1), h), (POINTS, (2, 3, 3))),
+        "one way": Case(lambda x, h: G.oneway_transfer_error(x, x.flip(1), h[:1], False), ((2, 7, 3), (2, 3, 3))),
+        "from one line": Case(
+            lambda x, y, f: G.left_to_right_epipolar_distance(x, y, f) + G.right_to_left_epipolar_distance(y, x, f),
+            ((2, 7, 3), (2, 7, 2), (2, 3, 3)),
+        ),
         "distance": Case(lambda x, h: G.sampson_homography_distance(x, x.flip(1), h, False), (POINTS, (2, 3, 3))),
         "segments": Case(lambda x, h: G.line_segment_transfer_error_one_way(x, x.flip(1), h), ((2, 5, 2, 2), (2, 3, 3))),
         "fundamental": Case(lambda x, y: G.find_fundamental(x, points(y, X)), (POINTS, POINTS)),
@@ -275,6 +280,20 @@ def test_eigenvectors(n, device):
     assert_close(values, torch.linalg.eigvalsh(matrix.cpu()).to(device), 1e-12, 1e-12)
     assert_close(matrix @ vectors, vectors * values[:, None], 1e-12, 1e-12)
     assert_close(vectors.mT @ vectors, torch.eye(n, device=device).double().expand_as(matrix), 1e-12, 1e-12)
+
+
+def test_errors_of_many_correspondences_of_one_matrix(device):
+    """Their gradients are sums of sums; bits do not depend on the run."""
+    x, y, F = (v.to(device) for v in (rand(2, 9, 2, 3, seed=1), rand(2, 5000, 2, seed=2), rand(1, 3, 3, seed=3)))
+    x = x.flatten(2)[:, :, :2].repeat(1, 556, 1)[:, :5000]
+    results = []
+    for backend in ("auto", "auto", "reference"):
+        leaf = F.clone().requires_grad_()
+        with K.backend(backend):
+            errors = G.symmetrical_epipolar_distance(x, y, leaf)
+            results.append([errors.detach(), *torch.autograd.grad(errors.sum(), leaf)])
+    assert all(torch.equal(a, b) for a, b in zip(*results[:2]))
+    assert_close(results[0], results[2], 1e-10, 1e-10)
 
 
 # --- types and registration -------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-// Structural similarity on CUDA: planar images, windows of 5 and of 11 pixels, one launch each way; ssim_any.cu has the
+// Structural similarity on CUDA: planar images, windows of 3 to 11 pixels, one launch each way; ssim_any.cu has the
 // others.
 //
 // A block walks down its columns, four rows at a time. Along y each thread has a column, and running sums in registers:
@@ -528,8 +528,18 @@ int launch(SsimBackward<T> const& p, CUstream_st* stream) {
 template <class T, class Params>
 int launch_size(Params const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
-    if (p.images.size == 5) return launch<5>(p, stream);
-    return launch<11>(p, stream);
+    switch (p.images.size) {
+      case 3:
+        return launch<3>(p, stream);
+      case 5:
+        return launch<5>(p, stream);
+      case 7:
+        return launch<7>(p, stream);
+      case 9:
+        return launch<9>(p, stream);
+      case 11:
+        return launch<11>(p, stream);
+    }
   }
   return cudaErrorInvalidValue;
 }

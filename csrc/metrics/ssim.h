@@ -127,7 +127,7 @@ struct SsimBackward {
 // for all the others (ssim_any.cu).
 template <class T>
 bool has_ssim_strips(SsimImages<T> const& p) {
-  bool const usual = p.size == 5 || p.size == 11;
+  bool const usual = p.size >= 3 && p.size <= 11;
   return usual && !p.volumes && sizeof(T) < 8 && p.x.step == 1 && min(p.x.height, p.x.width) >= p.size &&
          max(p.x.height, p.x.width) < INT32_MAX / 2;
 }

@@ -198,6 +198,17 @@ int main() {
   check(
       "pose_dlt of weights", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2], t[3]); },
       {solid, first, pinhole, torch::rand({2, 9}) + 0.5}, false);
+  Tensor const matrices = torch::rand({3, 3, 3});
+  for (auto const* kind : {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer"})
+    check(
+        "view_errors", [=](auto const& t) { return kvision::view_errors(t[0], t[1], t[2], kind, true); },
+        {from, torch::rand({1, 6, 3}) + 0.5, matrices.narrow(0, 0, 2) + 1}, false);
+  check(
+      "segments", [](auto const& t) { return kvision::view_errors(t[0], t[1], t[2], "segments", false); },
+      {torch::rand({2, 6, 4}), torch::rand({2, 6, 4}), matrices.narrow(0, 0, 1) + 1}, false);
+  check("nearest_essential", [](auto const& t) { return kvision::nearest_essential(t[0]); }, {matrices}, false);
+  check("rotations", [](auto const& t) { return std::get<0>(kvision::essential_motions(t[0])); }, {matrices}, false);
+  check("directions", [](auto const& t) { return std::get<1>(kvision::essential_motions(t[0])); }, {matrices}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})
@@ -323,6 +334,10 @@ int main() {
   Tensor const shift = torch::tensor({0.5f, 0.f}), space = torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2);
   same("triangulate", kvision::triangulate(from, from + shift, still, moved), space);
   same("triangulate of variables", kvision::triangulate(places, from + shift, still, moved).detach(), space);
+  Tensor const sideways = torch::tensor({{0.f, 0.f, 0.f}, {0.f, 0.f, -1.f}, {0.f, 1.f, 0.f}}).expand({2, 3, 3});
+  auto const chosen =
+      kvision::motion_choice(sideways, eye.expand({2, 3, 3}), eye.expand({2, 3, 3}), from, from + shift);
+  same("motion_choice", std::get<2>(chosen), 2 * space);
   Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
   same("eigenvectors", std::get<0>(kvision::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
   auto const triangulate = [](auto const& t) { return kvision::triangulate(t[0], t[1], t[2], t[3]); };
@@ -331,6 +346,10 @@ int main() {
           eye.expand({2, 1, 3, 3}));
   Tensor const agree = kvision::consensus(eye, from[0].t(), from[0].t(), 0.1, "homography");
   if (!torch::equal(agree, torch::full({1, 2}, 6.f)) && ++failures) std::cout << "consensus: " << agree << "\n";
+  auto const [leader, most] =
+      kvision::leaders(torch::cat({0 * eye, eye}), torch::tensor({{0.f, 0.f}, {1.f, 1.f}}), 1, true);
+  same("leaders", leader, eye);
+  same("verdict", std::get<0>(kvision::verdict(leader, most, 1, "homography")), eye[0]);
 
   // Levels have no gradient, and a plane of one level comes back with its own.
   Tensor const planes = torch::cat({x, torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();

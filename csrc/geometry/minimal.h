@@ -182,8 +182,9 @@ KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9])
   if (!small::null_space(rows, points, space)) return 0;
   int count = 1;
   if (points == 8) {
+    double least[3];
     for (int k = 0; k < 9; ++k) models[0][k] = space[0][k];
-    small::to_rank_two(models[0]);
+    small::to_rank_two(models[0], least);
   } else {  // det (a D + F) = 0
     double const *const D = space[0], *const F = space[1];
     double one[9], other[9], roots[small::kMostRoots];

@@ -244,18 +244,20 @@ KV_HD void cofactors(double const* m, double* c) {
   cross(m, m + 3, c + 6);
 }
 
-// Removes what a matrix does to its smallest right singular vector, which is the largest one of its cofactors.
-KV_HD void to_rank_two(double* f) {
-  double c[9], square[9], v[3];
+// Removes what a matrix does to its smallest right singular vector v, which is the largest one of its cofactors. False
+// where these are 0: it stays as it is.
+KV_HD bool to_rank_two(double* f, double* v) {
+  double c[9], square[9];
   cofactors(f, c);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) square[3 * i + j] = c[i] * c[j] + c[3 + i] * c[3 + j] + c[6 + i] * c[6 + j];
-  if (!normalize_trace<3>(square)) return;
+  if (!normalize_trace<3>(square)) return false;
   largest_eigenvector<3>(square, v);
   for (int i = 0; i < 9; i += 3) {
     double const along = dot3(f + i, v);
     for (int k = 0; k < 3; ++k) f[i + k] -= along * v[k];
   }
+  return true;
 }
 
 // --- null spaces

@@ -1,7 +1,8 @@
 // Several views: points, homographies and models that relate images. Each function has the arguments of the operator
 // torch.ops.kvision.<name>, which python/kvision/geometry explains. All are in float32 or float64, points
-// (B, N, 2) as (x, y). Null vectors, homographies, points in space and those of lenses have gradients; consensus,
-// contest and eigenvectors have none; those of minimal models and roots, and second derivatives, are errors.
+// (B, N, 2) as (x, y). Null vectors, homographies, fundamental matrices, poses, points in space and those of lenses
+// have gradients; consensus, contest and eigenvectors have none; those of minimal models and roots, and second
+// derivatives, are errors.
 #pragma once
 
 #include <cmath>
@@ -59,32 +60,89 @@ inline Tensor null_vector(Tensor const& rows, std::optional<Tensor> const& weigh
   return differentiable({rows, given}, compute, {vector.detach(), rows, given}, gradient)[0];
 }
 
-inline std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& grad, Tensor const& points1,
-                                                                  Tensor const& points2,
-                                                                  std::optional<Tensor> const& weights) {
-  using namespace detail;
+namespace detail {
+
+inline std::optional<Tensor> if_defined(Tensor const& x) { return x.defined() ? std::optional(x) : std::nullopt; }
+
+// Of an operator of points in both images and weights.
+template <Name name>
+std::tuple<Tensor, Tensor, Tensor> dlt_backward(Tensor const& grad, Tensor const& points1, Tensor const& points2,
+                                                std::optional<Tensor> const& weights, char const* op) {
   auto const compute = [&] {
     auto [to_points1, to_points2, to_weights] =
-        call<"homography_dlt_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, points1, points2, weights);
+        call<name, std::tuple<Tensor, Tensor, Tensor>>(grad, points1, points2, weights);
     return variable_list{to_points1, to_points2, to_weights};
   };
   variable_list const tensors{grad, points1, points2, weights.value_or(Tensor())};
-  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("homography_dlt"));
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative(op));
   return {found[0], found[1], found[2]};
+}
+
+template <Name name, class Derivative>
+Tensor dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights, Derivative backward) {
+  Tensor const given = weights.value_or(Tensor());
+  auto const compute = [&] { return variable_list{call<name>(points1, points2, weights)}; };
+  auto const gradient = [backward](Backward const& b) {
+    Tensor const& w = b.saved[2];
+    auto const [to_points1, to_points2, to_weights] = backward(b.grads[0], b.saved[0], b.saved[1], if_defined(w));
+    return variable_list{to_points1, to_points2, w.defined() ? to_weights : Tensor()};
+  };
+  return differentiable({points1, points2, given}, compute, {points1, points2, given}, gradient)[0];
+}
+
+}  // namespace detail
+
+inline std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& grad, Tensor const& points1,
+                                                                  Tensor const& points2,
+                                                                  std::optional<Tensor> const& weights) {
+  return detail::dlt_backward<"homography_dlt_backward">(grad, points1, points2, weights, "homography_dlt");
 }
 
 // The homographies (B, 3, 3) that take points nearest to others, with weights (B, N), by direct linear transformation.
 inline Tensor homography_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights = {}) {
+  return detail::dlt<"homography_dlt">(points1, points2, weights, homography_dlt_backward);
+}
+
+inline std::tuple<Tensor, Tensor, Tensor> fundamental_dlt_backward(Tensor const& grad, Tensor const& points1,
+                                                                   Tensor const& points2,
+                                                                   std::optional<Tensor> const& weights) {
+  return detail::dlt_backward<"fundamental_dlt_backward">(grad, points1, points2, weights, "fundamental_dlt");
+}
+
+// The fundamental matrices (B, 3, 3) of rank 2 that correspondences fit best, with weights (B, N), of eight and more.
+inline Tensor fundamental_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights = {}) {
+  return detail::dlt<"fundamental_dlt">(points1, points2, weights, fundamental_dlt_backward);
+}
+
+inline std::tuple<Tensor, Tensor, Tensor, Tensor> pose_dlt_backward(Tensor const& grad, Tensor const& points,
+                                                                    Tensor const& pixels, Tensor const& camera,
+                                                                    std::optional<Tensor> const& weights, double flat) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points, to_pixels, to_camera, to_weights] =
+        call<"pose_dlt_backward", std::tuple<Tensor, Tensor, Tensor, Tensor>>(grad, points, pixels, camera, weights,
+                                                                              flat);
+    return variable_list{to_points, to_pixels, to_camera, to_weights};
+  };
+  variable_list const tensors{grad, points, pixels, camera, weights.value_or(Tensor())};
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("pose_dlt"));
+  return {found[0], found[1], found[2], found[3]};
+}
+
+// The poses [R | t], (B, 3, 4), of cameras (B, 3, 3) that show points in space (B, N, 3) at pixels (B, N, 2), with
+// weights (B, N) of the errors; NaN for points in a plane, whose least extent is below `flat`.
+inline Tensor pose_dlt(Tensor const& points, Tensor const& pixels, Tensor const& camera,
+                       std::optional<Tensor> const& weights = {}, double flat = 1e-4) {
   using namespace detail;
   Tensor const given = weights.value_or(Tensor());
-  auto const compute = [&] { return variable_list{call<"homography_dlt">(points1, points2, weights)}; };
-  auto const gradient = [](Backward const& b) {
-    Tensor const &x = b.saved[0], &y = b.saved[1], &w = b.saved[2];
-    auto const [to_points1, to_points2, to_weights] =
-        homography_dlt_backward(b.grads[0], x, y, w.defined() ? std::optional(w) : std::nullopt);
-    return variable_list{to_points1, to_points2, w.defined() ? to_weights : Tensor()};
+  auto const compute = [&] { return variable_list{call<"pose_dlt">(points, pixels, camera, weights, flat)}; };
+  auto const gradient = [flat](Backward const& b) {
+    Tensor const& w = b.saved[3];
+    auto const [to_points, to_pixels, to_camera, to_weights] =
+        pose_dlt_backward(b.grads[0], b.saved[0], b.saved[1], b.saved[2], if_defined(w), flat);
+    return variable_list{to_points, to_pixels, to_camera, w.defined() ? to_weights : Tensor()};
   };
-  return differentiable({points1, points2, given}, compute, {points1, points2, given}, gradient)[0];
+  return differentiable({points, pixels, camera, given}, compute, {points, pixels, camera, given}, gradient)[0];
 }
 
 // Points in space (B, N, 3) from their pictures in two images of projections (B, 3, 4); NaN for points at infinity.

@@ -179,6 +179,16 @@ int main() {
   check(
       "homography_dlt of weights", [](auto const& t) { return kvision::homography_dlt(t[0], t[1], t[2]); },
       {from, to, torch::rand({2, 6}) + 0.5}, false);
+  Tensor const first = torch::rand({2, 9, 2}), second = first + 0.1 * torch::rand({2, 9, 2});
+  check("fundamental_dlt", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1]); }, {first, second}, false);
+  check(
+      "fundamental_dlt of weights", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1], t[2]); },
+      {first, second, torch::rand({2, 9}) + 0.5}, false);
+  Tensor const solid = torch::rand({2, 9, 3}) + 1, pinhole = 2 * torch::eye(3).repeat({2, 1, 1});
+  check("pose_dlt", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2]); }, {solid, first, pinhole}, false);
+  check(
+      "pose_dlt of weights", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2], t[3]); },
+      {solid, first, pinhole, torch::rand({2, 9}) + 0.5}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})

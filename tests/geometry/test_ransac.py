@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.geometry._minimal import SIZES, minimal
+from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry.homography.dlt import homography_of
 from kvision.geometry.ransac import _consensus, _contest
 from op_tests import assert_close, instruction_set
@@ -190,8 +190,9 @@ def test_contest_is_the_references(model, dtype, device):
 def test_one_set_of_points_serves_all_weights(device):
     x, y, _ = on_planes(1, 300, noise=0.3)
     x, y, weights = x.to(device), y.to(device), rand(5, 300).to(device)
-    expected = homography_of(x.expand(5, -1, -1), y.expand(5, -1, -1), weights)
-    assert_close(homography_of(x, y, weights), expected, 1e-12, 1e-12)
+    for fit in (homography_of, eight_points):
+        expected = fit(x.expand(5, -1, -1), y.expand(5, -1, -1), weights)
+        assert_close(fit(x, y, weights), expected, 1e-9, 1e-12)
 
 
 @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
@@ -241,6 +242,11 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.homography_dlt(x, x[:, :3], None),
         lambda: ops.homography_dlt(x, x, torch.rand(1, 8)),
         lambda: ops.homography_dlt_backward(torch.rand(1, 9), x, x, None),
+        lambda: ops.fundamental_dlt(x, x, torch.rand(2, 8)),
+        lambda: ops.fundamental_dlt_backward(torch.rand(2, 3, 3), x, x, torch.rand(2, 9)),
+        lambda: ops.pose_dlt(x, x, eye, None, 0.0),
+        lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
+        lambda: ops.pose_dlt_backward(eye, torch.rand(1, 9, 3), x, eye, None, 0.0),
     ):
         with pytest.raises(RuntimeError):
             call()

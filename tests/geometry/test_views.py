@@ -73,6 +73,11 @@ class TestViews(CompositionTests):
         "triangulated": Case(
             lambda x, p: G.triangulate_points(p, p.flip(-1), x, x.flip(1)), ((2, 4, 2), (2, 3, 4))
         ),
+        "fundamental, weighted": Case(lambda x, w: G.find_fundamental(x, points(x.flip(1), X), w), (POINTS, (2, 12))),
+        "pose, weighted": Case(
+            lambda x, k, w: G.solve_pnp_dlt(points(x, SCENE.points), points(x[..., :2], SCENE.x1), camera(x) + k.triu(), w),
+            ((2, 8, 3), (2, 3, 3), (2, 8)),
+        ),
         "pose": Case(
             lambda x, y: G.solve_pnp_dlt(points(x, SCENE.points), points(y, SCENE.x1), camera(x)),
             ((2, 8, 3), (2, 8, 2)),
@@ -153,6 +158,16 @@ def test_homographies_of_degenerate_points(device):
     outlier = torch.cat([square, square[:, :1] + 50], 1), torch.cat([2 * square, square[:, :1]], 1)
     found = finite_gradients(lambda x, y: G.find_homography_dlt(x, y, weights), *outlier)
     assert_close(found, torch.diag(torch.tensor([2.0, 2, 1], device=device))[None], 0, 1e-4)
+
+
+def test_fundamental_matrices_of_degenerate_points(device):
+    """Exact ones, of points in a plane, which leave several, on a line, and all in one place."""
+    scene, plane = Scene(1, 9), on_planes(1, 9)
+    line = torch.arange(9.0).double()[None, :, None].expand(1, 9, 2)
+    for x, y in ((scene.x1, scene.x2), plane[:2], (line, line), (torch.ones_like(line), torch.ones_like(line))):
+        weights = torch.ones(1, 9).double().to(device)
+        found = finite_gradients(G.find_fundamental, x.to(device), y.to(device), weights)
+        assert found.isfinite().all() and torch.linalg.det(found.cpu()).abs() < 1e-9 * found.norm() ** 3 + 1e-12
 
 
 def test_not_finite_points_stay_in_their_sample(device):

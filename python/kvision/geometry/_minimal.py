@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision._ops import register
 from kvision.geometry._normalization import normalized, to_unit_last
 from kvision.geometry._precision import wants_derivative, wide
-from kvision.geometry.homography.dlt import of_lines
+from kvision.geometry.homography.dlt import of_lines, register_dlt
 from kvision.geometry.homography.errors import sample_is_valid_for_homography
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.solvers.affine import find_affine
@@ -92,12 +92,16 @@ def _four_points(points1: Tensor, points2: Tensor) -> Tensor:
 # --- epipolar geometry ------------------------------------------------------------------------------------------------
 
 
-def eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
+def _eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
     w = None if weights is None else wide(weights)
     x, T1 = normalized(wide(points1), w)
     y, T2 = normalized(wide(points2), w)
     F = null_vector(epipolar_rows(x, y), w).unflatten(-1, (3, 3))
     return to_unit_last(T2.mT @ of_rank_two(F) @ T1).to(points1.dtype)
+
+
+# The fundamental matrices (B, 3, 3) of least squares.
+eight_points = register_dlt("fundamental_dlt", _eight_points)
 
 
 def seven_points(points1: Tensor, points2: Tensor) -> Tensor:

@@ -319,15 +319,12 @@ class RANSAC(nn.Module):
         """Models (M, 3, 3) of least squares for weights (M, N)."""
         if self.model == "homography":
             return homography_of(kp1[None], kp2[None], weights)
-        x, y = (kp.expand(len(weights), *kp.shape) for kp in (kp1, kp2))
-        if self.model == "affine":
-            return find_affine(x, y, weights)
-        if self.model == "lines":
-            return find_homography_lines_dlt(x, y, weights)
-        fitted = eight_points(x, y, weights)
-        if self.model != "essential":
-            return fitted
-        fitted = project_to_essential(fitted)
+        if self.model.startswith("fundamental"):
+            return eight_points(kp1[None], kp2[None], weights)
+        if self.model in ("affine", "lines"):
+            x, y = (kp.expand(len(weights), *kp.shape) for kp in (kp1, kp2))
+            return (find_affine if self.model == "affine" else find_homography_lines_dlt)(x, y, weights)
+        fitted = project_to_essential(eight_points(kp1[None], kp2[None], weights))
         return fitted / torch.linalg.vector_norm(fitted, dim=(-2, -1), keepdim=True)
 
     # --- the steps by themselves, for those who put them together in another way ---

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._normalization import normalized
 from kvision.geometry._precision import in_full_precision, length, wide
@@ -70,23 +74,40 @@ def solve_pnp_dlt(
         _check.shape(op, "weights", weights, batch, count)
         _check.same_device(op, world_points=world_points, weights=weights)
 
-    w = None if weights is None else _relative(wide(weights)).square()
-    X, T = normalized(wide(world_points), w)
-    x, U = normalized(_before_camera(wide(img_points), wide(intrinsics)), w)
+    return _pose_dlt(world_points, img_points, intrinsics, weights, float(svd_eps))
+
+
+def _reference(points: Tensor, pixels: Tensor, camera: Tensor, weights: Tensor | None, flat: float) -> Tensor:
+    w = None if weights is None else wide(weights).square()
+    X, T = normalized(wide(points), w)
+    x, U = normalized(_before_camera(wide(pixels), wide(camera)), w)
     p = torch.cat([X, torch.ones_like(X[..., :1])], -1)
     zero = torch.zeros_like(p)
     rows = torch.cat([torch.cat([p, zero, -x[..., :1] * p], -1), torch.cat([zero, p, -x[..., 1:] * p], -1)], 1)
     P = null_vector(rows, None if w is None else w.repeat(1, 2)).unflatten(-1, (3, 4)) @ T
     scale, shift = U[:, :1, :1], U[:, :2, 2:]
-    P = torch.cat([P[:, :2] - shift * P[:, 2:], scale * P[:, 2:]], 1)
-    pose = _pose(P)
-    flat = _extent(X, w) < svd_eps
-    return torch.where(flat[:, None, None], torch.nan, pose).to(world_points.dtype)
+    pose = _pose(torch.cat([P[:, :2] - shift * P[:, 2:], scale * P[:, 2:]], 1))
+    return torch.where((_extent(X, w) < flat)[:, None, None], torch.nan, pose).to(points.dtype)
 
 
-def _relative(weights: Tensor) -> Tensor:
-    largest = weights.detach().abs().amax(-1, keepdim=True)
-    return weights / torch.where(largest > 0, largest, 1)
+def _backward_reference(
+    grad: Tensor, points: Tensor, pixels: Tensor, camera: Tensor, weights: Tensor | None, flat: float
+) -> tuple[Tensor, ...]:
+    w = points.new_ones(points.shape[:2]) if weights is None else weights
+    return torch.func.vjp(lambda *given: _reference(*given, flat), points, pixels, camera, w)[1](grad)
+
+
+def _backward(needs: Sequence[bool], grad: Tensor, *given: Any) -> tuple[Tensor | None, ...]:
+    *found, to_weights = _pose_dlt_backward(grad, *given)
+    return (*found, None if given[3] is None else to_weights)
+
+
+_pose_dlt = register("pose_dlt", _reference, fake=lambda points, *rest: (points.shape[0], 3, 4), backward=_backward)
+_pose_dlt_backward = register(
+    "pose_dlt_backward",
+    _backward_reference,
+    fake=lambda grad, points, pixels, camera, *rest: [points.shape, pixels.shape, camera.shape, points.shape[:2]],
+)
 
 
 def _before_camera(points: Tensor, K: Tensor) -> Tensor:

@@ -153,8 +153,8 @@ struct MsSsimBackward {
   int64_t together;          // of so many planes
 };
 
-// CUDA has kernels of three kinds: by strips for small windows over planar images (ssim.cu), by tiles for images in
-// windows of any usual size (ssim_tiles.cu), and for all the others (ssim_any.cu).
+// CUDA has kernels of four kinds: by strips for small windows over planar images (ssim.cu), by tiles for images and for
+// volumes in windows of any usual size (ssim_tiles.cu, ssim_volumes.cu), and for all the others (ssim_any.cu).
 template <class T>
 bool has_ssim_strips(SsimImages<T> const& p) {
   bool const usual = p.size >= 3 && p.size <= 11;
@@ -190,6 +190,26 @@ struct SsimTiles {
   int64_t pieces() const { return count() * (threads / 32); }
 };
 
+// The tiles of a volume.
+struct SsimVolumeTiles {
+  static constexpr int kSide = 8, kColumns = 32, kThreads = 256, kMostTaps = 21, kMostBytes = 200 << 10;
+  int64_t across, down, parts, bytes;  // bytes: of shared memory
+
+  SsimVolumeTiles(int64_t depth, int64_t height, int64_t width, int size, int64_t number)
+      : across((width + kColumns - 1) / kColumns),
+        down((height + kSide - 1) / kSide),
+        parts((depth + kSide - 1) / kSide),
+        bytes(4 * number * kSide * (kSide + size - 1) * (kColumns + size)) {}
+  int64_t count() const { return across * down * parts; }
+  int64_t pieces() const { return count() * (kThreads / 32); }
+};
+template <class T>
+bool has_ssim_volume_tiles(SsimImages<T> const& p) {
+  SsimVolumeTiles const tiles(p.depth, p.x.height, p.x.width, p.size, sizeof(Compute<T>));
+  return p.volumes && p.size <= tiles.kMostTaps && tiles.bytes <= tiles.kMostBytes &&
+         p.depth < INT32_MAX / int64_t(sizeof(T)) / (p.x.height * p.x.width);
+}
+
 // The parts of a volume, or of an image, of `slices` slices and `rows` rows by 32 columns.
 struct SsimBlocks {
   int rows, slices;
@@ -215,6 +235,7 @@ template <class T>
 int64_t most_ssim_pieces(SsimImages<T> const& p) {
   if (has_ssim_strips(p)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);
   if (has_ssim_tiles(p)) return SsimTiles(p.x.height, p.x.width, p.size).pieces();
+  if (has_ssim_volume_tiles(p)) return SsimVolumeTiles(p.depth, p.x.height, p.x.width, p.size, 0).pieces();
   return SsimBlocks(p.depth, p.x.height, p.x.width, p.size, p.volumes ? p.size / 2 : 0, sizeof(Compute<T>)).pieces();
 }
 

@@ -1,5 +1,5 @@
-// Structural similarity on CUDA for everything that ssim.cu and ssim_tiles.cu do not take: volumes, and windows of
-// hundreds of pixels.
+// Structural similarity on CUDA for everything that the other files do not take: windows of more pixels than these have
+// memory for.
 //
 // A block has 32 columns and up to eight rows, a thread for each pixel, and four numbers a pixel that are summed in the
 // windows: those of the means, or for the gradient the derivatives by them. It takes as many rows at a time: their

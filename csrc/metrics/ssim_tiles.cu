@@ -8,15 +8,10 @@
 //
 // The gradient is two launches for as many planes as there is memory for: one writes the derivatives by the means, and
 // where there are several scales what each is multiplied with, the other one sums these.
-#include "ssim.cuh"
+#include "ssim_window.cuh"
 
 namespace kv::cuda {
 namespace {
-
-constexpr int kSide = SsimTiles::kRows;  // rows of a tile, and pixels of a thread along either axis
-
-template <class F>
-using Four = Pack<F, 4>;
 
 // Rows and columns are those of the images throughout: of a 'valid' similarity the first is at `offset`.
 template <class F>
@@ -40,7 +35,7 @@ struct Work {
   unsigned across, down;
   int columns, stride;  // of a tile: its pixels, and numbers from a row to the next one in shared memory
   int scales, sizes[kMostSsimScales];
-  F weights[kMostSsimWeights];  // of all scales; as arguments of a kernel they are constants
+  F weights[kMostSsimWeights + kSide];  // of all scales; as arguments of a kernel they are constants
 
   __device__ __forceinline__ bool has_result(int y, int x) const {
     return y >= offset && y < height - offset && x >= offset && x < width - offset;
@@ -86,67 +81,6 @@ struct Place {
   }
 };
 
-// sums[m][j] += weight(t) * read(j + t).v[m] over all t < taps, for eight neighbours j.
-template <int M, class F, class Weight, class Read>
-__device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F (&sums)[M][kSide]) {
-  constexpr int N = kSide;
-  auto const add = [&](int j, F w, Pack<F, M> const& v) {
-#pragma unroll
-    for (int m = 0; m < M; ++m) sums[m][j] += w * v.v[m];
-  };
-  if (taps < N) {
-#pragma unroll 1
-    for (int t = 0; t < taps; ++t)
-#pragma unroll
-      for (int j = 0; j < N; ++j) add(j, weight(t), read(t + j));
-    return;
-  }
-  F near[N];  // the weights of the last taps
-#pragma unroll
-  for (int i = 0; i < N; ++i) near[i] = weight(i);
-#pragma unroll
-  for (int i = 0; i < N; ++i) {
-    Pack<F, M> const v = read(i);
-#pragma unroll
-    for (int j = 0; j <= i; ++j) add(j, near[i - j], v);
-  }
-  int i = N;
-#pragma unroll 1
-  for (; (taps - i) % N != 0; ++i) {
-#pragma unroll
-    for (int k = 0; k + 1 < N; ++k) near[k] = near[k + 1];
-    near[N - 1] = weight(i);
-    Pack<F, M> const v = read(i);
-#pragma unroll
-    for (int j = 0; j < N; ++j) add(j, near[N - 1 - j], v);
-  }
-#pragma unroll 1
-  for (; i < taps; i += N) {
-    F next[N];
-#pragma unroll
-    for (int k = 0; k < N; ++k) next[k] = weight(i + k);
-#pragma unroll
-    for (int e = 0; e < N; ++e) {
-      Pack<F, M> const v = read(i + e);
-#pragma unroll
-      for (int j = 0; j < N; ++j) add(j, j <= e ? next[e - j] : near[N + e - j], v);
-    }
-#pragma unroll
-    for (int k = 0; k < N; ++k) near[k] = next[k];
-  }
-#pragma unroll
-  for (int e = 0; e + 1 < N; ++e) {
-    Pack<F, M> const v = read(taps + e);
-#pragma unroll
-    for (int j = e + 1; j < N; ++j) add(j, near[N + e - j], v);
-  }
-}
-
-// Where a row begins: in bytes in the images, or as a number of results; and whether there is one.
-struct __align__(16) Row {
-  unsigned x, y;
-  int there;
-};
 using Rows = Row[kMostSsimWeights + kSide];
 
 // The rows that windows of the last scale have of a tile: of the images, or the results.

@@ -135,12 +135,14 @@ def test_blocks_and_strips(window, size, padding, layout, device):
         assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
 
 
-@pytest.mark.parametrize("window", [1, 3, 7])
-@pytest.mark.parametrize("size", [(7, 8, 9), (12, 20, 40), (25, 9, 33)], ids=str)
+@pytest.mark.parametrize("window", [1, 3, 7, 11, 23])
+@pytest.mark.parametrize("size", [(7, 8, 9), (12, 20, 40), (25, 12, 33)], ids=str)
 @pytest.mark.parametrize("padding", ["same", "valid"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_volumes(window, size, padding, dtype, device):
     """Map and loss of volumes with both gradients."""
+    if min(size) < window if padding == "valid" else min(size) <= window // 2:
+        pytest.skip("the window is larger than the volumes")
     x = torch.rand(2, 2, *size, device=device, dtype=dtype)
     y = other(x).to(dtype)
     weight = torch.rand(K.metrics.ssim3d(x, y, window, padding=padding).shape, device=device, dtype=torch.float64)
@@ -156,6 +158,20 @@ def test_volumes(window, size, padding, dtype, device):
     for actual, expected in zip(*found):
         small = 2e-4 if dtype == torch.float32 else 1e-9
         assert_close(actual, expected.to(dtype), 5 * small, small * float(expected.abs().max()))
+
+
+def test_a_window_of_hundreds_of_pixels(device):
+    """Larger than the kernels of other windows take."""
+    x = torch.rand(1, 2, 205, 207, device=device)
+    y = other(x)
+    found = []
+    for name, dtype in (("auto", torch.float32), ("reference", torch.float64)):
+        with K.backend(name):
+            leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
+            loss = K.losses.ssim_loss(*leaves, 403)
+            found.append([loss.detach(), *torch.autograd.grad(loss * 1e4, leaves)])
+    for actual, expected in zip(*found):
+        assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
 
 
 def test_the_gradient_of_many_planes_is_that_of_each(device):

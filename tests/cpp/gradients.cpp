@@ -85,6 +85,9 @@ int main() {
       [](auto const& t) { return kvision::extract_patches(t[0], {7, 6}, {3, 4}, {2, 3}, {1, 0, 2, 1}); }, {x}, true);
   check("ssim_loss", [](auto const& t) { return kvision::ssim_loss(t[0], t[1], 3); }, {x, torch::rand_like(x)}, false);
   check(
+      "ms_ssim", [](auto const& t) { return kvision::ms_ssim(t[0], t[1], {0.5, 1}, 5); }, {x, torch::rand_like(x)},
+      false);
+  check(
       "dilation",
       [](auto const& t) { return kvision::dilation(t[0], torch::ones({1, 3, 3}, torch::kDouble), {}, 1, 1); }, {x},
       false);

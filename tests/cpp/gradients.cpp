@@ -117,6 +117,19 @@ int main() {
         "remap", [&](auto const& t) { return kvision::remap(t[0], t[1], t[2], t[3], interpolation); },
         {x, map, map.flip(1).contiguous(), torch::rand({2, 1})}, false);
   }
+  check(
+      "moves",
+      [&](auto const& t) { return kvision::remap(t[0], t[1], t[2], {}, "bilinear", "fill", true, true, true); },
+      {x, 0.1 * torch::rand({2, x.size(2), x.size(3)}) + 0.3, 0.1 * torch::rand({1, x.size(2), x.size(3)}) - 0.4},
+      false);
+  variable_list const spline{torch::rand({2, 5, 2}), torch::rand({2, 5, 2}), torch::rand({1, 3, 2})};
+  check("spline_map", [](auto const& t) { return kvision::spline_map(t[0], t[1], t[2], {3, 4}); }, spline, false);
+  check(
+      "spline_points", [](auto const& t) { return kvision::spline_points(t[0], t[1], t[2], t[3]); },
+      {torch::rand({2, 4, 2}), spline[0], spline[1], spline[2]}, false);
+  check(
+      "spline_weights", [](auto const& t) { return kvision::spline_weights(t[0], t[1]); },
+      {spline[0], torch::rand({2, 8, 2})}, false);
   for (auto const* window : {"bilinear", "bicubic", "pyrdown"})
     check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, window); }, {x});
   check("flip", [](auto const& t) { return kvision::flip(t[0], true, false); }, {x});

@@ -103,6 +103,7 @@ int main() {
   check(
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
+  check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
   check("total_variation", [](auto const& t) { return kvision::total_variation(t[0], 0.5, 2); }, {x}, false);
   check(
       "smoothness", [](auto const& t) { return kvision::smoothness(t[0], t[1], 0.5, 2); }, {x.slice(1, 1), x * 2},

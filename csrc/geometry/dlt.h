@@ -227,7 +227,7 @@ struct Projective {
 
   // M has five different blocks, of which two are 0: sums of w, -w x, -w y, w (x^2 + y^2) times n1 n1^T.
   template <class Team>
-  static KV_HD void normal_matrix(Problem<D> const& problem, Team team, double* m) {
+  static KV_CALLED void normal_matrix(Problem<D> const& problem, Team team, double* m) {
     constexpr int kSums = C * (C + 1) / 2;
     double sums[4][kSums] = {};
     for (int64_t i = team.first(); i < problem.weights.count; i += team.step()) {
@@ -354,13 +354,13 @@ struct Gram {
 struct Pose : Projective<3> {
   static constexpr int kNumbers = 12;
 
-  static KV_HD void finish(double const* m, double* found) {
+  static KV_CALLED void finish(double const* m, double* found) {
     Gram const r(m);
     for (int i = 0; i < 3; ++i)
       found[4 * i] = r.first[i], found[4 * i + 1] = r.second[i], found[4 * i + 2] = r.third[i],
                 found[4 * i + 3] = r.t[i];
   }
-  static KV_HD void finish_vjp(double const* m, double* g) {
+  static KV_CALLED void finish_vjp(double const* m, double* g) {
     Gram const r(m);
     double to_first[3], to_second[3], to_third[3], to_t[3], more[3];
     for (int i = 0; i < 3; ++i)
@@ -388,7 +388,7 @@ struct Pose : Projective<3> {
 
   // Whether the points are in no plane: by the least singular value of the normalised ones, weights being 1 on average.
   template <class T, class Team>
-  static KV_HD bool possible(Dlt<T> const& p, Problem<3> const& problem, Team team) {
+  static KV_CALLED bool possible(Dlt<T> const& p, Problem<3> const& problem, Team team) {
     double sums[6] = {}, used = 0, m[9], copy[9], v[3];
     for (int64_t i = team.first(); i < p.count; i += team.step()) {
       double at[3];
@@ -419,7 +419,7 @@ struct Fundamental {
 
   // M is the sum of w n2 n2^T times n1 n1^T: of six different products of each.
   template <class Team>
-  static KV_HD void normal_matrix(Problem<2> const& problem, Team team, double* m) {
+  static KV_CALLED void normal_matrix(Problem<2> const& problem, Team team, double* m) {
     double sums[6][6] = {};
     for (int64_t i = team.first(); i < problem.weights.count; i += team.step()) {
       double n1[3], n2[3], products[6];
@@ -457,7 +457,7 @@ struct Fundamental {
     small::to_rank_two(f, v);
   }
   // Of F - F v v^T for the smallest eigenvector v of F^T F.
-  static KV_HD void constrain_vjp(double const* h, double* g) {
+  static KV_CALLED void constrain_vjp(double const* h, double* g) {
     double f[9], v[3], square[9], to_v[3], u[3], fv[3], gv[3], fu[3];
     for (int i = 0; i < 9; ++i) f[i] = h[i];
     if (!small::to_rank_two(f, v)) return;
@@ -657,7 +657,7 @@ KV_HD void dlt_backward_of(dlt_steps::Affine, Dlt<T> const& p, int64_t b, Team t
           map.flat ? 0 : -(to_across[2 * i] * map.linear[k] + to_across[2 * i + 1] * map.linear[2 + k]);
 
   // Of a correspondence: what both points' gradients are over its share; gives that to the share.
-  auto const slopes = [&](int64_t i, double* g1, double* g2) {
+  auto const slopes = [&](int64_t i, double* g1, double* g2) KV_INLINE {
     double x[2], y[2], to_share = 0;
     problem.one.from_mean(i, x);
     problem.two.from_mean(i, y);

@@ -85,12 +85,17 @@ int main() {
       [](auto const& t) { return kvision::extract_patches(t[0], {7, 6}, {3, 4}, {2, 3}, {1, 0, 2, 1}); }, {x}, true);
   check("ssim_loss", [](auto const& t) { return kvision::ssim_loss(t[0], t[1], 3); }, {x, torch::rand_like(x)}, false);
   check(
+      "ms_ssim", [](auto const& t) { return kvision::ms_ssim(t[0], t[1], {0.5, 1}, 5); }, {x, torch::rand_like(x)},
+      false);
+  check(
       "dilation",
       [](auto const& t) { return kvision::dilation(t[0], torch::ones({1, 3, 3}, torch::kDouble), {}, 1, 1); }, {x},
       false);
   Tensor const labels = torch::randint(0, 2, {1, 2, 7, 6});
   check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x.unsqueeze(0)}, false);
   check("overlap", [&](auto const& t) { return std::get<0>(kvision::overlap(t[0], labels)); }, {x.unsqueeze(0)}, false);
+  check("lovasz", [&](auto const& t) { return std::get<0>(kvision::lovasz(t[0], labels[0])); }, {x}, false);
+  check("hausdorff", [&](auto const& t) { return kvision::hausdorff(t[0], labels[0], 1, 3); }, {3 * x}, false);
   Tensor const rows = x.flatten(1), others = torch::rand_like(rows) + 0.5;
   check(
       "pointwise_loss", [](auto const& t) { return kvision::pointwise_loss(t[0], t[1], "welsch"); }, {rows, others},
@@ -162,6 +167,13 @@ int main() {
       "photometric_depth",
       [&](auto const& t) { return kvision::photometric_depth(seen, target, t[0], t[1].expand({-1, 2, -1, -1}), "l2"); },
       {depth, projection.unsqueeze(1)}, false);
+  check(
+      "axis_angle_to_rotation_matrix", [](auto const& t) { return kvision::axis_angle_to_rotation_matrix(t[0]); },
+      {torch::rand({2, 3})}, false);
+  check(
+      "affine_matrix2d",
+      [](auto const& t) { return kvision::affine_matrix2d(t[0], t[1], {}, t[2], {}, t[3], 1, 0, 0, 2); },
+      {100 * torch::rand({2}), torch::rand({1, 2}), torch::rand({2}), torch::rand({2, 2})}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },
@@ -272,6 +284,9 @@ int main() {
         {x, torch::rand_like(x), torch::rand({2, 1, 1}), torch::rand({1, 2, 1})});
   check(
       "sharpness", [](auto const& t) { return kvision::sharpness(t[0], t[1], 0); }, {x, torch::rand({2, 1, 1})}, false);
+  check(
+      "jpeg", [](auto const& t) { return kvision::jpeg(t[0], t[1], t[2], {}, 0); },
+      {torch::rand({2, 3, 5, 6}), 20 + 50 * torch::rand({2}), 20 + 50 * torch::rand({1, 8, 8})}, false);
   check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], "GB"); }, {torch::rand({2, 1, 4, 6})}, true);
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};

@@ -44,8 +44,14 @@ struct SharpnessBackward {
 KV_KERNEL(sharpness, Sharpness)
 KV_KERNEL(sharpness_backward, SharpnessBackward)
 
-// How CUDA cuts a plane into pieces.
-constexpr int kTileWidth = 64, kTileHeight = 16;
+// How CUDA cuts a plane into pieces: where neighbours in a row are neighbours in memory by strips that a warp walks
+// down, else by tiles.
+constexpr int kTileWidth = 64, kTileHeight = 16, kStripWidth = 128, kStripRows = 32;
+template <class T>
+int64_t sharpness_pieces(Planes<T> const& x) {
+  int64_t const width = x.step == 1 ? kStripWidth : kTileWidth, height = x.step == 1 ? kStripRows : kTileHeight;
+  return (x.width + width - 1) / width * ((x.height + height - 1) / height);
+}
 
 template <class V, class F>
 KV_HD V smoothed(V const& sum_of_nine, V const& x, F) {

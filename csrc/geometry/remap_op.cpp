@@ -6,11 +6,11 @@ namespace {
 
 struct Map {
   Tensor x, y;
-  bool normalized, align_corners;
+  bool normalized, moves, align_corners;
 
-  Map(char const* op, Tensor const& map_x, Tensor const& map_y, Tensor const& image, bool normalized,
+  Map(char const* op, Tensor const& map_x, Tensor const& map_y, Tensor const& image, bool normalized, bool moves,
       bool align_corners)
-      : x(map_x), y(map_y), normalized(normalized), align_corners(align_corners) {
+      : x(map_x), y(map_y), normalized(normalized), moves(moves), align_corners(align_corners) {
     for (Tensor const& map : {x, y})
       KV_CHECK(goes_with(map, image, 3) && map.size(1) == x.size(1) && map.size(2) == x.size(2), op,
                ": map_x, map_y do not fit the image or one another");
@@ -26,8 +26,9 @@ struct Map {
     matrix::Unit const units[] = {{source.width, align_corners}, {source.height, align_corners}};
     for (int i = 0; i < 2; ++i) {
       p.scale[i] = normalized ? F(units[i].scale) : F(1);
-      p.offset[i] = normalized ? F(units[i].offset) : F(0);
+      p.offset[i] = normalized && !moves ? F(units[i].offset) : F(0);
     }
+    p.own = F(moves);
     return p;
   }
   // (B, H, W)
@@ -39,11 +40,12 @@ struct Map {
 };
 
 Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std::optional<Tensor> const& fill,
-             std::string const& interpolation, std::string const& padding, bool align_corners, bool normalized) {
+             std::string const& interpolation, std::string const& padding, bool align_corners, bool normalized,
+             bool moves) {
   check_images("remap", "image", image);
   Size const source = size_of("remap", image);
   SamplingArguments const a("remap", interpolation, padding, align_corners, image, fill);
-  Map const map("remap", map_x, map_y, image, normalized, align_corners);
+  Map const map("remap", map_x, map_y, image, normalized, moves, align_corners);
   int64_t const batch = image.size(0), channels = image.size(1), height = map.size().height, width = map.size().width;
   Tensor const y = empty({batch, channels, height, width}, image, layout_of(image));
   for_floats_and_bytes("remap", image, [&](auto type) {
@@ -59,12 +61,12 @@ Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std:
 
 Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor const& map_y, std::vector<int64_t> size,
                             std::string const& interpolation, std::string const& padding, bool align_corners,
-                            bool normalized) {
+                            bool normalized, bool moves) {
   char const* const op = "remap_image_gradient";
   check_images(op, "grad", grad);
   Size const source = size_of(op, size);
   SamplingArguments const a(op, interpolation, padding, align_corners, grad, {});
-  Map const map(op, map_x, map_y, grad, normalized, align_corners);
+  Map const map(op, map_x, map_y, grad, normalized, moves, align_corners);
   KV_CHECK(grad.size(2) == map.size().height && grad.size(3) == map.size().width, op, ": grad does not fit the map");
   int64_t const batch = grad.size(0), channels = grad.size(1);
   return image_gradient(op, grad, source, false, [&](auto type, Tensor const& from, Tensor const& to) {
@@ -79,13 +81,13 @@ Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor cons
 std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& image, Tensor const& map_x,
                                               Tensor const& map_y, std::optional<Tensor> const& fill,
                                               std::string const& interpolation, std::string const& padding,
-                                              bool align_corners, bool normalized) {
+                                              bool align_corners, bool normalized, bool moves) {
   char const* const op = "remap_map_gradient";
   check_images(op, "image", image);
   check_images(op, "grad", grad);
   Size const source = size_of(op, image);
   SamplingArguments const a(op, interpolation, padding, align_corners, image, fill);
-  Map const map(op, map_x, map_y, image, normalized, align_corners);
+  Map const map(op, map_x, map_y, image, normalized, moves, align_corners);
   check_gradient(op, grad, image);
   KV_CHECK(grad.size(2) == map.size().height && grad.size(3) == map.size().width, op, ": grad does not fit the map");
   int64_t const batch = image.size(0);
@@ -110,7 +112,7 @@ std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& 
 
 }  // namespace
 
-#define KV_HOW "str interpolation, str padding, bool align_corners, bool normalized"
+#define KV_HOW "str interpolation, str padding, bool align_corners, bool normalized, bool moves"
 
 KV_OPERATOR(remap, "(Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, " KV_HOW ") -> Tensor")
 KV_OPERATOR(remap_image_gradient, "(Tensor grad, Tensor map_x, Tensor map_y, int[] size, " KV_HOW ") -> Tensor")

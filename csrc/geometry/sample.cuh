@@ -73,8 +73,8 @@ struct PlacesOf {
     if (places.matrices) {
       tile.map.at(F(x - tile.x), F(y - tile.y), u, v);
     } else {
-      u = places.x.row(tile.b, 0, y)[x * places.x.step] * places.scale[0] + places.offset[0];
-      v = places.y.row(tile.b, 0, y)[x * places.y.step] * places.scale[1] + places.offset[1];
+      u = places.x.row(tile.b, 0, y)[x * places.x.step] * places.scale[0] + (F(x) * places.own + places.offset[0]);
+      v = places.y.row(tile.b, 0, y)[x * places.y.step] * places.scale[1] + (F(y) * places.own + places.offset[1]);
     }
   }
   __device__ __forceinline__ void at(int y, int x, F& u, F& v) const {

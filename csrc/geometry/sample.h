@@ -41,8 +41,9 @@ struct Places {
   int64_t matrix_stride;  // 0 where one serves the batch
   MatrixUse use;
   Images<F const> x, y;  // maps of one channel
-  // Map numbers are in [-1, 1]: x in pixels is scale * n + offset.
-  F scale[2], offset[2];
+  // x in pixels is scale * n + offset + own * the pixel's own x: maps are in pixels or in [-1, 1], of places, or of
+  // moves from where a pixel is itself.
+  F scale[2], offset[2], own;
 };
 
 template <class T>

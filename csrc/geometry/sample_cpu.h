@@ -42,8 +42,9 @@ struct PlaceRow {
 
   void fill(Places<F> const& places, int64_t b, int64_t y, int64_t first, int64_t count) {
     if (!places.matrices) {
-      copy(places.x, b, y, first, count, places.scale[0], places.offset[0], u);
-      copy(places.y, b, y, first, count, places.scale[1], places.offset[1], v);
+      F const own = places.own;
+      copy(places.x, b, y, first, count, places.scale[0], F(first) * own + places.offset[0], own, u);
+      copy(places.y, b, y, first, count, places.scale[1], F(y) * own + places.offset[1], F(0), v);
       return;
     }
     if (sample != b) {
@@ -68,16 +69,17 @@ struct PlaceRow {
   int64_t sample = -1;
   Homography<double> map;  // of that sample
 
+  // The i-th is scale * n + offset + i * step.
   KV_HD static void copy(Images<F const> const& map, int64_t b, int64_t y, int64_t first, int64_t count, F scale,
-                         F offset, F* to) {
+                         F offset, F step, F* to) {
     F const* const from = map.row(b, 0, y) + first * map.step;
     if (map.step != 1)
-      for (int64_t x = 0; x < count; ++x) to[x] = from[x * map.step] * scale + offset;
+      for (int64_t x = 0; x < count; ++x) to[x] = from[x * map.step] * scale + (F(x) * step + offset);
     else
       for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
         constexpr int N = decltype(lanes)::value;
         __builtin_prefetch(from + 2 * map.row_stride + x);  // a later piece of the tile
-        store<N>(to + x, Lanes<F, N>(load<N>(from + x) * scale + offset));
+        store<N>(to + x, Lanes<F, N>(load<N>(from + x) * scale + (count_from<N, F>(x) * step + offset)));
       });
   }
 };

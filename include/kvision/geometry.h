@@ -93,11 +93,12 @@ inline Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tens
 
 inline Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor const& map_y,
                                    std::vector<int64_t> const& size, std::string const& interpolation,
-                                   std::string const& padding, bool align_corners, bool normalized) {
+                                   std::string const& padding, bool align_corners, bool normalized,
+                                   bool moves = false) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{
-        call<"remap_image_gradient">(grad, map_x, map_y, size, interpolation, padding, align_corners, normalized)};
+    return variable_list{call<"remap_image_gradient">(grad, map_x, map_y, size, interpolation, padding, align_corners,
+                                                      normalized, moves)};
   };
   return differentiable({grad, map_x, map_y}, compute, {}, no_second_derivative("remap"))[0];
 }
@@ -106,11 +107,11 @@ inline Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tens
 inline std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& image, Tensor const& map_x,
                                                      Tensor const& map_y, std::optional<Tensor> const& fill,
                                                      std::string const& interpolation, std::string const& padding,
-                                                     bool align_corners, bool normalized) {
+                                                     bool align_corners, bool normalized, bool moves = false) {
   using namespace detail;
   auto const compute = [&] {
     auto [to_x, to_y] = call<"remap_map_gradient", std::tuple<Tensor, Tensor>>(
-        grad, image, map_x, map_y, fill, interpolation, padding, align_corners, normalized);
+        grad, image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, moves);
     return variable_list{to_x, to_y};
   };
   variable_list const tensors{grad, image, map_x, map_y, fill.value_or(Tensor())};
@@ -118,13 +119,15 @@ inline std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor 
   return {found[0], found[1]};
 }
 
-// The image at the places of a map, in pixels, or in [-1, 1] with `normalized`.
+// The image at the places of a map, in pixels, or in [-1, 1] with `normalized`; with `moves` at what it says beside
+// each pixel's own place.
 inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std::optional<Tensor> const& fill,
                     std::string const& interpolation = "bilinear", std::string const& padding = "fill",
-                    bool align_corners = true, bool normalized = false) {
+                    bool align_corners = true, bool normalized = false, bool moves = false) {
   using namespace detail;
   auto const compute = [&] {
-    return variable_list{call<"remap">(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized)};
+    return variable_list{
+        call<"remap">(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, moves)};
   };
   Tensor const given = fill.value_or(Tensor());
   auto const gradient = [=](Backward const& b) {
@@ -132,17 +135,18 @@ inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_
     std::optional<Tensor> const filled = f.defined() ? std::optional(f) : std::nullopt;
     variable_list found(4);
     if (b.wanted(0))
-      found[0] = remap_image_gradient(grad, u, v, image_size(x), interpolation, padding, align_corners, normalized);
+      found[0] =
+          remap_image_gradient(grad, u, v, image_size(x), interpolation, padding, align_corners, normalized, moves);
     if (b.wanted(1) || b.wanted(2)) {
       auto const [to_x, to_y] =
-          remap_map_gradient(grad, x, u, v, filled, interpolation, padding, align_corners, normalized);
+          remap_map_gradient(grad, x, u, v, filled, interpolation, padding, align_corners, normalized, moves);
       found[1] = summed_to(to_x, u);
       found[2] = summed_to(to_y, v);
     }
     if (b.wanted(3))
       found[3] = to_fill(grad,
                          remap(at::ones_like(x.narrow(1, 0, 1)), u, v, std::nullopt, interpolation, padding,
-                               align_corners, normalized),
+                               align_corners, normalized, moves),
                          f);
     return found;
   };
@@ -182,13 +186,6 @@ inline Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool al
     return found;
   };
   return differentiable({smaller, image}, compute, {}, gradient)[0];
-}
-
-// Homographies (B, 3, 3) from pixels of a result of `size` to the quadrangles (B, 4, 2) that it shows.
-inline Tensor crop_matrix(Tensor const& quads, std::vector<int64_t> const& size) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"crop_matrix">(quads, size)}; };
-  return differentiable({quads}, compute, {}, no_second_derivative("crop_matrix"))[0];
 }
 
 // Columns, rows or both reversed; neither is a copy.

@@ -1,3 +1,4 @@
+import contextlib
 from pathlib import Path
 
 import cv2
@@ -8,7 +9,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import kvision as K
-from op_tests import assert_close
+from kvision.geometry.transform.sampling import remap
+from op_tests import assert_close, instruction_set
 from warp_tests import WarpTests, affine, homography, one
 
 G = K.geometry
@@ -121,6 +123,23 @@ def test_a_warp_is_the_map_of_its_places(mode, padding, align_corners, device):
     assert_close(ours, theirs)
     for ours_, theirs_ in zip(*(torch.autograd.grad((y * weight).sum(), (x, M)) for y in (ours, theirs))):
         assert_close(ours_, theirs_)
+
+
+@pytest.mark.parametrize("isa", ["avx512", "avx2", "baseline"])
+@pytest.mark.parametrize("align_corners", [True, False])
+@pytest.mark.parametrize("mode", MODES)
+def test_moves_are_places_beside_the_pixels(mode, align_corners, isa, device):
+    like = {"dtype": torch.float64, "device": device}
+    x = torch.rand(2, 3, 17, 133, **like, requires_grad=True)
+    moves = (torch.rand(2, 2, 17, 133, **like) * 0.2 - 0.1).requires_grad_()
+    weight = torch.rand(2, 3, 17, 133, **like)
+    grid = F.affine_grid(torch.eye(2, 3, **like)[None], (1, 1, 17, 133), align_corners).movedim(-1, 1)
+    with instruction_set(isa) if device.type == "cpu" else contextlib.nullcontext():
+        ours = remap(x, *moves.unbind(1), None, mode, "fill", align_corners, True, True)
+        theirs = remap(x, *(grid + moves).unbind(1), None, mode, "fill", align_corners, True, False)
+        assert_close(ours, theirs)
+        for ours_, theirs_ in zip(*(torch.autograd.grad((y * weight).sum(), (x, moves)) for y in (ours, theirs))):
+            assert_close(ours_, theirs_)
 
 
 OPENCV = {"bilinear": (cv2.INTER_LINEAR, 5e-6), "nearest": (cv2.INTER_NEAREST, 0), "bicubic": (cv2.INTER_CUBIC, 7e-6)}

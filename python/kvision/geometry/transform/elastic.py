@@ -10,7 +10,8 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision.core.exceptions import TypeCheckError
-from kvision.filters import filter2d_separable, get_gaussian_kernel1d
+from kvision.filters.gaussian import _gaussian_blur2d as blur
+from kvision.filters.gaussian import blur_arguments
 from kvision.geometry.transform import sampling
 
 __all__ = ["elastic_transform2d"]
@@ -32,7 +33,7 @@ def elastic_transform2d(
         image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
         noise: (B, 2, H, W), moves along x and y, in units of half the image's width and height.
         kernel_size: of the blur, (y, x), odd.
-        sigma: of the blur, (y, x); a tensor gets a gradient.
+        sigma: of the blur, (y, x), positive; a tensor gets a gradient.
         alpha: how much of the noise is taken, (x, y); a tensor gets a gradient.
         align_corners: the image reaches from the middle of its first pixel to that of its last one, not from edge to edge.
         mode: 'bilinear', 'nearest' or 'bicubic'.
@@ -58,19 +59,23 @@ def elastic_transform2d(
     _check.images(op, "image", image)
     _check.shape(op, "noise", noise, "B", 2, *image.shape[2:])
     sampling.check_how(op, mode, padding_mode, align_corners)
-    ky, kx = _check.pair(op, "kernel_size", kernel_size)
     images = pixels(image)
     noise = sampling.for_images(op, images, "noise", noise)
-    sigmas, (right, down) = (_two(op, name, x, images) for name, x in (("sigma", sigma), ("alpha", alpha)))
-    kernel_y = get_gaussian_kernel1d(ky, sigmas[:1, None])
-    kernel_x = get_gaussian_kernel1d(kx, sigmas[1:, None])
-    moves = filter2d_separable(noise, kernel_x, kernel_y, "constant")
-    h, w = image.shape[2:]
-    less = 1 if align_corners else 0
-    x = torch.arange(w, dtype=moves.dtype, device=moves.device) + moves[:, 0] * (right * (w - less) / 2)
-    y = torch.arange(h, dtype=moves.dtype, device=moves.device)[:, None] + moves[:, 1] * (down * (h - less) / 2)
+    if isinstance(sigma, Tensor) or not _are_numbers(sigma):
+        sigma = _two(op, "sigma", sigma, images)[None]
+    arguments = blur_arguments(op, noise, kernel_size, sigma, "constant")
+    # Of the noise, so that its blur is the map.
+    if not _are_numbers(alpha) or alpha[0] != alpha[1]:
+        noise = noise * _two(op, "alpha", alpha, images)[:, None, None]
+    elif alpha[0] != 1:
+        noise = noise * alpha[0]
+    right, down = blur(noise, *arguments[1:]).unbind(1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.remap(images, x, y, None, mode, padding, align_corners, False)
+    return sampling.remap(images, right, down, None, mode, padding, align_corners, True, True)
+
+
+def _are_numbers(x: Tensor | Sequence[float]) -> bool:
+    return isinstance(x, (tuple, list)) and len(x) == 2 and all(isinstance(v, (int, float)) for v in x)
 
 
 def _two(op: str, name: str, x: Tensor | Sequence[float], like: Tensor) -> Tensor:

@@ -227,12 +227,17 @@ _warp_matrix_gradient = register(
 # --- remap ----------------------------------------------------------------------------------------------------------
 
 
-def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized):
+def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, moves):
     places = []
-    for places_, size in ((map_x, image.shape[3]), (map_y, image.shape[2])):
+    for axis, (places_, size) in enumerate(((map_x, image.shape[3]), (map_y, image.shape[2]))):
         places_ = places_.expand(len(image), -1, -1)
         if normalized:
-            places_ = places_ * ((size - 1 if align_corners else size) / 2) + (size - 1) / 2
+            places_ = places_ * ((size - 1 if align_corners else size) / 2)
+        if moves:
+            own = torch.arange(places_.shape[2 - axis], dtype=places_.dtype, device=places_.device)
+            places_ = places_ + (own[:, None] if axis else own)
+        elif normalized:
+            places_ = places_ + (size - 1) / 2
         places.append(places_)
     return sample(image, places, interpolation, padding, align_corners, fill)
 

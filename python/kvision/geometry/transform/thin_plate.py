@@ -6,10 +6,127 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import as_dtype, compute_dtype, floats, pixels
+from kvision._ops import register
 from kvision.geometry.transform import matrices, sampling
 
 __all__ = ["get_tps_transform", "warp_image_tps", "warp_points_tps"]
+
+# --- where a spline takes points ------------------------------------------------------------------------------------
+
+
+def _kernel(p: Tensor, q: Tensor) -> Tensor:
+    """r^2 log r for the distances r of points (B, N, 2) and (B, M, 2)."""
+    square = (p[:, :, None] - q[:, None]).square().sum(-1)
+    far = square > 0
+    return torch.where(far, 0.5 * square * torch.where(far, square, 1).log(), 0)
+
+
+def _points_reference(points, centers, weights, affine):
+    return _kernel(points, centers) @ weights + points @ affine[:, 1:] + affine[:, :1]
+
+
+def _map_reference(centers, weights, affine, size, align_corners):
+    x, y = (_unit(n, align_corners, centers) for n in reversed(size))
+    grid = torch.stack([x.expand(*size), y[:, None].expand(*size)], -1).reshape(1, -1, 2)
+    return _points_reference(grid, centers, weights, affine).mT.unflatten(2, size)
+
+
+def _unit(size: int, align_corners: bool, like: Tensor) -> Tensor:
+    """The pixels of an axis in [-1, 1]."""
+    less = 1 if align_corners else 0
+    middle = torch.arange(size, dtype=like.dtype, device=like.device) - (size - 1) / 2
+    return middle * (2 / max(size - less, 1))
+
+
+def _points_backward(needs, grad, *given):
+    return _summed(needs, _points_gradient(grad, *given), given)
+
+
+def _map_backward(needs, grad, *given):
+    *spline, _, align_corners = given
+    return _summed(needs, _map_gradient(grad, *spline, align_corners), spline)
+
+
+def _summed(needs, found, given):
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, given)]
+
+
+def _points_gradient_reference(grad, *given):
+    _, pullback = torch.func.vjp(_points_reference, *(x.expand(grad.shape[0], -1, -1) for x in given))
+    return pullback(grad)
+
+
+def _map_gradient_reference(grad, centers, weights, affine, align_corners):
+    def of_spline(centers, weights, affine):
+        return _map_reference(centers, weights, affine, grad.shape[2:], align_corners)
+
+    _, pullback = torch.func.vjp(of_spline, *(x.expand(grad.shape[0], -1, -1) for x in (centers, weights, affine)))
+    return pullback(grad)
+
+
+def _batch(*given: Tensor) -> int:
+    return next((x.shape[0] for x in given if x.shape[0] != 1), 1)
+
+
+_points = register(
+    "spline_points",
+    _points_reference,
+    fake=lambda points, *spline: (_batch(points, *spline), *points.shape[1:]),
+    backward=_points_backward,
+)
+_points_gradient = register(
+    "spline_points_backward",
+    _points_gradient_reference,
+    fake=lambda grad, points, centers, weights, affine: [
+        (grad.shape[0], *x.shape[1:]) for x in (points, centers, weights, affine)
+    ],
+)
+# Of the pixels of an image in [-1, 1]: (B, 2, h, w).
+_map = register(
+    "spline_map",
+    _map_reference,
+    fake=lambda centers, weights, affine, size, _: (_batch(centers, weights, affine), 2, *size),
+    backward=_map_backward,
+)
+_map_gradient = register(
+    "spline_map_backward",
+    _map_gradient_reference,
+    fake=lambda grad, *given: [(grad.shape[0], *x.shape[1:]) for x in given[:3]],
+)
+
+# --- the spline that takes points to others -------------------------------------------------------------------------
+
+
+def _weights_reference(centers, right):
+    linear = torch.cat([torch.ones_like(centers[..., :1]), centers], -1)
+    zero = centers.new_zeros(len(centers), 3, 3)
+    system = torch.cat([torch.cat([_kernel(centers, centers), linear], -1), torch.cat([linear.mT, zero], -1)], -2)
+    return torch.linalg.solve_ex(system.double(), right.double())[0].to(centers.dtype)
+
+
+def _weights_backward(needs, grad, found, centers, right):
+    """The system is symmetric, and what it multiplies is the spline at its own centres, and its weights' sums."""
+    to_right = _weights(centers, grad)
+    to_centers = None
+    if needs[0]:
+        (to, rest), (weights, affine) = ((x[:, :-3], x[:, -3:]) for x in (to_right, found))
+        at_points, at_centers, _, _ = _points_gradient(to, centers, centers, weights, affine)
+        to_centers = -(at_points + at_centers + weights @ rest[:, 1:].mT).sum_to_size(centers.shape)
+    return [to_centers, to_right.sum_to_size(right.shape) if needs[1] else None]
+
+
+# The weights (B, N + 3, 2), of centres (B, N, 2) and then of the affine part, with values `right` at the centres and
+# three sums.
+_weights = register(
+    "spline_weights",
+    _weights_reference,
+    fake=lambda centers, right: (_batch(centers, right), *right.shape[1:]),
+    backward=_weights_backward,
+    saves_results=True,
+)
+
+# --- functions ------------------------------------------------------------------------------------------------------
 
 
 def get_tps_transform(points_src: Tensor, points_dst: Tensor) -> tuple[Tensor, Tensor]:
@@ -42,19 +159,9 @@ def get_tps_transform(points_src: Tensor, points_dst: Tensor) -> tuple[Tensor, T
         _check.floating(op, name, points)
     _check.shape(op, "points_dst", points_dst, *points_src.shape)
     _check.same_device(op, points_src=points_src, points_dst=points_dst)
-    p, q = matrices.wide(points_src), matrices.wide(points_dst)
-    linear = torch.cat([torch.ones_like(p[..., :1]), p], -1)
-    zero = p.new_zeros(len(p), 3, 3)
-    system = torch.cat([torch.cat([_kernel(p, p), linear], -1), torch.cat([linear.mT, zero], -1)], -2)
-    weights = torch.linalg.solve_ex(system, torch.cat([q, zero[..., :2]], 1))[0].to(points_src.dtype)
+    values = torch.nn.functional.pad(matrices.wide(points_dst), (0, 0, 0, 3))
+    weights = as_dtype(_weights(matrices.wide(points_src), values), points_src.dtype)
     return weights[:, :-3], weights[:, -3:]
-
-
-def _kernel(p: Tensor, q: Tensor) -> Tensor:
-    """r^2 log r for the distances r of points (B, N, 2) and (B, M, 2)."""
-    square = (p[:, :, None] - q[:, None]).square().sum(-1)
-    far = square > 0
-    return torch.where(far, 0.5 * square * torch.where(far, square, 1).log(), 0)
 
 
 def warp_points_tps(
@@ -82,19 +189,20 @@ def warp_points_tps(
         >>> K.geometry.warp_points_tps(torch.zeros(1, 1, 2), points, *weights).round(decimals=4)
         tensor([[[1., 1.]]])
     """
-    _check.shape("warp_points_tps", "points_src", points_src, "B", "M", 2)
-    _check_spline("warp_points_tps", kernel_centers, kernel_weights, affine_weights)
-    return _warp_points(points_src, kernel_centers, kernel_weights, affine_weights)
-
-
-def _warp_points(points: Tensor, centers: Tensor, weights: Tensor, affine: Tensor) -> Tensor:
-    return _kernel(points, centers) @ weights + points @ affine[:, 1:] + affine[:, :1]
+    op = "warp_points_tps"
+    _check.shape(op, "points_src", points_src, "B", "M", 2)
+    _check_spline(op, kernel_centers, kernel_weights, affine_weights)
+    _check.same_device(op, points_src=points_src, kernel_centers=kernel_centers)
+    points = floats(points_src)
+    dtype = compute_dtype(points)
+    given = (as_dtype(x, dtype) for x in (points, kernel_centers, kernel_weights, affine_weights))
+    return as_dtype(_points(*given), points.dtype)
 
 
 def _check_spline(op: str, centers: Tensor, weights: Tensor, affine: Tensor) -> None:
     _check.shape(op, "kernel_centers", centers, "B", "N", 2)
     _check.shape(op, "kernel_weights", weights, *centers.shape)
-    _check.shape(op, "affine_weights", affine, len(centers), 3, 2)
+    _check.shape(op, "affine_weights", affine, centers.shape[0], 3, 2)
     _check.same_device(op, kernel_centers=centers, kernel_weights=weights, affine_weights=affine)
 
 
@@ -138,18 +246,7 @@ def warp_image_tps(
     _check_spline(op, kernel_centers, kernel_weights, affine_weights)
     sampling.check_how(op, "bilinear", padding_mode, align_corners)
     images = pixels(image)
-    dtype = compute_dtype(images)
-    spline = [sampling.for_images(op, images, "spline", x) for x in (kernel_centers, kernel_weights, affine_weights)]
-    h, w = image.shape[2:]
-    y, x = (_unit(n, align_corners, images, dtype) for n in (h, w))
-    grid = torch.stack([x.expand(h, w), y[:, None].expand(h, w)], -1).reshape(1, -1, 2)
-    places = _warp_points(grid, *spline).unflatten(1, (h, w))
+    spline = (sampling.for_images(op, images, "spline", x) for x in (kernel_centers, kernel_weights, affine_weights))
+    x, y = _map(*spline, list(image.shape[2:]), align_corners).unbind(1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.remap(images, places[..., 0], places[..., 1], None, "bilinear", padding, align_corners, True)
-
-
-def _unit(size: int, align_corners: bool, like: Tensor, dtype: torch.dtype) -> Tensor:
-    """The pixels of an axis in [-1, 1]."""
-    less = 1 if align_corners else 0
-    middle = torch.arange(size, dtype=dtype, device=like.device) - (size - 1) / 2
-    return middle * (2 / max(size - less, 1))
+    return sampling.remap(images, x, y, None, "bilinear", padding, align_corners, True, False)

@@ -200,7 +200,7 @@ def remap(
     image, map_x = together("remap", image, "map_x", map_x)
     map_y = sampling.for_images("remap", image, "map_y", map_y)
     padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
-    return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates)
+    return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates, False)
 
 
 def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:

@@ -1,0 +1,125 @@
+import contextlib
+
+import kornia
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+import raw_calls
+from composition_tests import Case, CompositionTests
+from kvision.geometry.transform.thin_plate import _map, _map_gradient, _points, _points_gradient, _weights
+from op_tests import assert_close, instruction_set
+
+G = K.geometry
+
+
+def rand(*shape: int, seed: int = 0) -> Tensor:
+    return torch.rand(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+
+
+def through(image: Tensor, points: Tensor, moves: Tensor) -> Tensor:
+    return G.warp_image_tps(image, points, *G.get_tps_transform(points, points + 0.1 * moves))
+
+
+class TestSplines(CompositionTests):
+    cases = {
+        "image": Case(through, ((2, 3, 4, 5), (2, 6, 2), (2, 6, 2))),
+        "points": Case(G.warp_points_tps, ((2, 5, 2), (2, 4, 2), (2, 4, 2), (2, 3, 2))),
+        "weights": Case(lambda p, q: torch.cat(G.get_tps_transform(p, q), 1), ((2, 5, 2), (2, 5, 2))),
+    }
+    compiled = ("image",)
+
+
+# --- kernels --------------------------------------------------------------------------------------------------------
+
+# More points than one part has, more centres than are summed at once, and systems that do not fit shared memory.
+CALLS = {
+    "points": (_points, [(2, 1500, 2), (2, 40, 2), (2, 40, 2), (2, 3, 2)], ()),
+    "one_spline": (_points, [(3, 5, 2), (1, 1, 2), (3, 1, 2), (1, 3, 2)], ()),
+    "map": (_map, [(2, 33, 2), (2, 33, 2), (1, 3, 2)], ([33, 70], True)),
+    "column": (_map, [(1, 2, 2), (1, 2, 2), (1, 3, 2)], ([7, 1], False)),
+    "no_centers": (_map, [(1, 0, 2), (1, 0, 2), (1, 3, 2)], ([2, 3], False)),
+    "weights": (_weights, [(2, 90, 2), (2, 93, 2)], ()),
+    "one_system": (_weights, [(1, 4, 2), (3, 7, 2)], ()),
+}
+
+
+@pytest.mark.parametrize("isa", ["avx512", "avx2", "baseline"])
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
+@pytest.mark.parametrize("name", CALLS)
+def test_kernels_against_the_reference(name, dtype, isa, device):
+    operator, shapes, plain = CALLS[name]
+    given = [rand(*shape, seed=i).to(dtype).to(device).requires_grad_() for i, shape in enumerate(shapes)]
+    with instruction_set(isa) if device.type == "cpu" else contextlib.nullcontext():
+        found = operator(*given, *plain)
+        grad = rand(*found.shape).to(dtype).to(device)
+        gradients = torch.autograd.grad(found, given, grad)
+    wide = [x.detach().double().requires_grad_() for x in given]
+    with K.backend("reference"):
+        expected = operator(*wide, *plain)
+        theirs = torch.autograd.grad(expected, wide, grad.double())
+    for actual, reference in zip((found, *gradients), (expected, *theirs)):
+        size = 1 + reference.abs().max().item() if reference.numel() else 1
+        assert_close(actual, reference.to(dtype), 0, (1e-11 if dtype == torch.float64 else 1e-5) * size)
+
+
+def test_parts_of_larger_tensors(device):
+    """The weights and the affine part of `get_tps_transform` are parts of one tensor."""
+    both, points = rand(2, 8, 2).to(device), rand(2, 6, 2).to(device)
+    parts = both[:, :5], both[:, 5:]
+    assert not parts[0].is_contiguous()
+    assert_close(_points(points, points[:, :5], *parts), _points(points, *(x.clone() for x in (points[:, :5], *parts))))
+
+
+def test_operators_refuse_bad_arguments():
+    spline = [rand(2, 4, 2), rand(2, 4, 2), rand(2, 3, 2)]
+    for operator, args in (
+        (_points, [rand(2, 5, 2), *spline]),
+        (_points_gradient, [rand(2, 5, 2), rand(2, 5, 2), *spline]),
+        (_map, [*spline, [3, 4], True]),
+        (_map_gradient, [rand(2, 2, 3, 4), *spline, True]),
+        (_weights, [rand(2, 4, 2), rand(2, 7, 2)]),
+    ):
+        # Any number of points goes with a spline, and any size with its gradient.
+        args = [x.float() if isinstance(x, Tensor) else x for x in args]
+        wrong = [c for c in raw_calls.wrong_calls(operator.kernel, args) if c[0] not in FINE.get(operator.name, ())]
+        assert not raw_calls.taken(operator.kernel, wrong)
+
+
+FINE = {
+    "spline_points": ("points cut along axis -2", "points without rows"),
+    "spline_map_backward": ("grad cut along axis -1", "grad cut along axis -2"),
+}
+
+
+# --- values ---------------------------------------------------------------------------------------------------------
+
+
+def test_weights_solve_the_system_of_a_plane_map(device):
+    """An affine map needs no kernels."""
+    points, turn = rand(2, 30, 2).to(device), torch.tensor([[0.3, -0.9], [1.1, 0.2]]).double().to(device)
+    weights, affine = G.get_tps_transform(points, points @ turn + 0.7)
+    assert_close(weights, torch.zeros_like(weights), 0, 1e-10)
+    assert_close(affine, torch.cat([torch.full_like(turn[:1], 0.7), turn]).expand(2, 3, 2), 0, 1e-10)
+
+
+@pytest.mark.parametrize("align_corners", [True, False])
+def test_images_of_kornia(align_corners, device):
+    image, centers, weights = (rand(*s, seed=i) for i, s in enumerate(((2, 3, 20, 31), (2, 7, 2), (2, 7, 2))))
+    affine = torch.eye(3)[:, 1:].double().expand(2, 3, 2)
+    # Kornia's align_corners is that of its grid sampling; its pixels always lie from -1 to 1 at the middles.
+    ours = G.warp_image_tps(*(x.to(device) for x in (image, centers, 0.1 * weights, affine)), align_corners)
+    assert ours.shape == image.shape
+    if align_corners:
+        theirs = kornia.geometry.transform.warp_image_tps(image, centers, 0.1 * weights, affine, True)
+        assert_close(ours.cpu(), theirs)
+
+
+def test_points_of_any_type(device):
+    points = torch.tensor([[[0, 1], [2, 3]]], device=device)
+    identity = (torch.zeros(1, 1, 2, device=device), torch.zeros(1, 1, 2, device=device))
+    affine = torch.tensor([[[0.0, 0], [1, 0], [0, 1]]], device=device)
+    assert_close(G.warp_points_tps(points, *identity, affine), points.float())
+    half = G.warp_points_tps(points.half(), *identity, affine)
+    assert half.dtype == torch.float16 and torch.equal(half, points.half())

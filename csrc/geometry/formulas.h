@@ -155,6 +155,20 @@ struct QuaternionToRotationMatrix : OfVector<4, 3, 3> {
   }
 };
 
+struct QuaternionProduct {
+  static constexpr int kInputs = 2, kRequired = 2, kNumbers = 8, kOutputs = 4, kPlain = 0, kCut = 0;
+  static constexpr Extent extent(int) { return {4}; }
+  static constexpr Extent result = {4};
+  template <class V>
+  static KV_HD void of(V const* x, V* y, Settings const&) {
+    V const *const p = x, *const q = x + 4;
+    y[0] = p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3];
+    y[1] = p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2];
+    y[2] = p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1];
+    y[3] = p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0];
+  }
+};
+
 // From the largest of its components: every row below is the quaternion times 4 of one of them (S. W. Shepperd, 1978).
 template <class V>
 KV_HD void quaternion_of(V const* m, V* q) {
@@ -623,6 +637,7 @@ struct QuadShapes {
   _(quaternion_exponential, QuaternionExponential, "Tensor vector, float part")                                    \
   _(quaternion_to_axis_angle, QuaternionToAxisAngle, "Tensor quaternion")                                          \
   _(quaternion_logarithm, QuaternionLogarithm, "Tensor quaternion")                                                \
+  _(quaternion_product, QuaternionProduct, "Tensor left, Tensor right")                                            \
   _(normalize_quaternion, NormalizeQuaternion, "Tensor quaternion, float eps")                                     \
   _(quaternion_to_rotation_matrix, QuaternionToRotationMatrix, "Tensor quaternion")                                \
   _(rotation_matrix_to_quaternion, RotationMatrixToQuaternion, "Tensor matrix")                                    \

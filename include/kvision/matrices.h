@@ -116,6 +116,14 @@ inline Tensor quaternion_logarithm(Tensor const& quaternion) {
   return detail::formula<"quaternion_logarithm">(std::tuple(quaternion));
 }
 
+inline Tensor quaternion_product_backward(Tensor const& grad, Tensor const& left, Tensor const& right) {
+  return detail::formula_gradient<"quaternion_product">(grad, std::tuple(left, right));
+}
+// Hamilton's product of (B, 4) as (w, x, y, z).
+inline Tensor quaternion_product(Tensor const& left, Tensor const& right) {
+  return detail::formula<"quaternion_product">(std::tuple(left, right));
+}
+
 inline Tensor normalize_quaternion_backward(Tensor const& grad, Tensor const& quaternion, double eps) {
   return detail::formula_gradient<"normalize_quaternion">(grad, std::tuple(quaternion), eps);
 }

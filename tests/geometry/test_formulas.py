@@ -43,6 +43,7 @@ FORMULAS = {
     "quaternion_exponential": [Formula((vector(3),), (0.5,))],
     "quaternion_to_axis_angle": [Formula((vector(4),))],
     "quaternion_logarithm": [Formula((vector(4),))],
+    "quaternion_product": [Formula((vector(4),) * 2)],
     "normalize_quaternion": [Formula((vector(4),), (1e-12,)), Formula((vector(4),), (3.0,))],
     "quaternion_to_rotation_matrix": [Formula((vector(4),))],
     "rotation_matrix_to_quaternion": [Formula((near(EYE),)), Formula((near(-EYE),))],

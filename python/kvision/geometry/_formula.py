@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._dtype import as_dtype
 from kvision._ops import Operator, register
 
 
@@ -69,3 +70,19 @@ def of_rows(operator: Operator, x: Tensor, axes: int, *plain: Any) -> Tensor:
     first = x.dim() - axes
     found = operator(x.reshape(math.prod(x.shape[:first]), *x.shape[first:]), *plain)
     return found.reshape(*x.shape[:first], *found.shape[1:])
+
+
+def of_pairs(operator: Operator, first: Tensor, second: Tensor, axes: int) -> Tensor:
+    """A formula of two tensors (*, ...) whose leading axes broadcast, in the type of the first one."""
+    second = as_dtype(second, first.dtype)
+    if first.dim() == second.dim() == axes + 1:
+        found: Tensor = operator(first, second)
+        return found
+    extent = first.shape[first.dim() - axes :]
+    shape = torch.broadcast_shapes(first.shape[:-axes], second.shape[:-axes])
+    rows = [
+        x.reshape(1, *extent) if x.dim() == axes else x.expand(*shape, *extent).reshape(math.prod(shape), *extent)
+        for x in (first, second)
+    ]
+    found = operator(*rows)
+    return found.reshape(*shape, *found.shape[1:])

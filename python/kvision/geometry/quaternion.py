@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import as_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry._formula import of_pairs, register_formula
 from kvision.geometry.conversions.euler import euler_from_quaternion, quaternion_from_euler
 from kvision.geometry.conversions.rotations import (
     axis_angle_to_quaternion,
@@ -262,7 +263,7 @@ def _column(value: Tensor | float) -> Tensor | float:
     return value[..., None] if isinstance(value, Tensor) and value.dim() > 0 else value
 
 
-def _product(p: Tensor, q: Tensor) -> Tensor:
+def _product_reference(p: Tensor, q: Tensor) -> Tensor:
     a, b, c, d = p.unbind(-1)
     w, x, y, z = q.unbind(-1)
     return torch.stack(
@@ -274,6 +275,14 @@ def _product(p: Tensor, q: Tensor) -> Tensor:
         ],
         -1,
     )
+
+
+_product_of_rows = register_formula("quaternion_product", _product_reference, lambda *args: (4,))
+
+
+def _product(p: Tensor, q: Tensor) -> Tensor:
+    dtype = torch.promote_types(p.dtype, q.dtype)
+    return of_pairs(_product_of_rows, as_dtype(p, dtype), q, 1)
 
 
 def _power(q: Tensor, t: Tensor | float) -> Tensor:

@@ -251,8 +251,8 @@ def center_crop(
     if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _window(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
-    matrix = torch.eye(2, 3, dtype=compute_dtype(images), device=images.device)[None]
-    matrix[:, 0, 2], matrix[:, 1, 2] = x / 2, y / 2
+    first = torch.linspace(x / 2, y / 2, 2, dtype=compute_dtype(images), device=images.device)  # these two, made there
+    matrix = matrices.translation_matrix2d(first[None], 2)
     return sampling.warp(images, matrix, None, [h, w], mode, padding, align_corners, False, False)
 
 

@@ -187,4 +187,26 @@ inline Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::strin
   return differentiable({input, other}, compute, {input, other}, gradient)[0];
 }
 
+inline Tensor endpoint_error_backward(Tensor const& grad, Tensor const& input, Tensor const& target, bool planar,
+                                      bool summed, double factor) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"endpoint_error_backward">(grad, input, target, planar, summed, factor)};
+  };
+  return differentiable({grad, input, target}, compute, {}, no_second_derivative("endpoint_error"))[0];
+}
+
+// The distances (rows, size) of vectors (rows, size, 2), or (rows, 2, size) if planar; or `factor` times their sums
+// (rows).
+inline Tensor endpoint_error(Tensor const& input, Tensor const& target, bool planar = false, bool summed = false,
+                             double factor = 1) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"endpoint_error">(input, target, planar, summed, factor)}; };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const found = endpoint_error_backward(b.grads[0], b.saved[0], b.saved[1], planar, summed, factor);
+    return variable_list{found, -found};
+  };
+  return differentiable({input, target}, compute, {input, target}, gradient)[0];
+}
+
 }  // namespace kvision

@@ -104,6 +104,9 @@ int main() {
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
   check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
+  check(
+      "endpoint_error", [](auto const& t) { return kvision::endpoint_error(t[0], t[1], false, true, 0.5); },
+      {torch::rand({2, 5, 2}), torch::rand({2, 5, 2})}, false);
   check("total_variation", [](auto const& t) { return kvision::total_variation(t[0], 0.5, 2); }, {x}, false);
   check(
       "smoothness", [](auto const& t) { return kvision::smoothness(t[0], t[1], 0.5, 2); }, {x.slice(1, 1), x * 2},
@@ -146,6 +149,7 @@ int main() {
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
   check("local_maxima", [](auto const& t) { return std::get<0>(kvision::local_maxima(t[0], {1, 3, 3})); }, {x});
+  check("mean_place", [](auto const& t) { return std::get<0>(kvision::mean_place(t[0], true, 2)); }, {x}, false);
   check(
       "soft_argmax",
       [](auto const& t) {

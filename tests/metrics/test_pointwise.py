@@ -111,3 +111,26 @@ def test_what_is_no_probability(kind, device):
     found = pointwise.pointwise(kind, x, y, "none")
     with K.backend("reference"):
         assert_close(found, pointwise.pointwise(kind, x, y, "none"))
+
+
+class TestEndpointError(OpTests):
+    """Of flow (B, 2, H, W), permuted as its caller has it."""
+
+    @staticmethod
+    def aepe(x, target, reduction="mean"):
+        return K.metrics.aepe(x.permute(0, 2, 3, 1), target.permute(0, 2, 3, 1), reduction)
+
+    function = aepe
+    operators = ("endpoint_error", "endpoint_error_backward")
+    mixed = ("input", "grad")  # the sums of half types are float32
+    channels = 2
+    shape = (2, 2, 13, 18)
+    small = (1, 2, 3, 4)
+    max_size = 9
+    variants = [
+        {"target": lambda x: torch.rand(x.shape)},
+        {"target": lambda x: torch.rand(x.shape), "reduction": "none"},
+    ]
+    errors = [({"reduction": "max"}, ValueError, "reduction must be")]
+
+    test_wrong_kinds = None  # tests/metrics/test_metrics.py

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 
 
@@ -41,14 +44,56 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
     _check.same_shape("aepe", input=input, target=target)
     _check.same_device("aepe", input=input, target=target)
     _check.reduction("aepe", reduction)
-    return _aepe(floats(input), floats(target), reduction)
+    x = floats(input)
+    y = as_dtype(target, x.dtype)
+    count, sizes = x.numel() // 2, x.shape[:-1]
+    factor = 1.0 if reduction != "mean" else 1 / count if count else math.nan
+    planar = x.dim() > 2 and x.stride(-1) != 1 and x.movedim(-1, 1).is_contiguous()  # a permuted flow (B, 2, H, W)
+    if planar:
+        x, y = (z.movedim(-1, 1).flatten(2) for z in (x, y))
+    else:
+        x, y = (z.reshape(1, -1, 2) for z in (x, y))
+    operator = _errors if count else _errors.reference
+    found = operator(x, y, planar, reduction != "none", factor)
+    return found.view(sizes) if reduction == "none" else as_dtype(found.sum(), x.dtype)
 
 
-@as_stored
-def _aepe(input: Tensor, target: Tensor, reduction: str) -> Tensor:
-    tiny = torch.finfo(input.dtype).tiny  # at 0 the root has no slope; that of this even power of 2 is exact
-    error = (input - target).square().sum(-1).add(tiny).sqrt() - tiny**0.5
-    return error.mean() if reduction == "mean" else error.sum() if reduction == "sum" else error
+def _reference(input: Tensor, target: Tensor, planar: bool, summed: bool, factor: float) -> Tensor:
+    """(rows, size): the distances of vectors (rows, size, 2), or (rows, 2, size) if planar; or `factor` times their sums."""
+    tiny = torch.finfo(compute_dtype(input)).tiny  # at 0 the root has no slope; that of this even power of 2 is exact
+    difference = input.to(compute_dtype(input)) - target.to(compute_dtype(input))
+    error = difference.square().sum(1 if planar else 2).add(tiny).sqrt() - tiny**0.5
+    return factor * error.sum(1) if summed else error.to(input.dtype)
+
+
+def _fake(input: Tensor, target: Tensor, planar: bool, summed: bool, factor: float) -> Tensor:
+    if summed:
+        return input.new_empty(input.shape[0], dtype=compute_dtype(input))
+    return input.new_empty(input.shape[0], input.shape[2 if planar else 1])
+
+
+def _backward(needs, grad, input, target, *plain):
+    found = _gradient(grad, input, target, *plain) if needs[0] or needs[1] else None
+    return [found if needs[0] else None, _of_rows(-found, target) if needs[1] else None]
+
+
+def _of_rows(grad: Tensor, like: Tensor) -> Tensor:
+    """The gradient of what may have one row for all."""
+    return grad if grad.shape == like.shape else grad.sum(0, keepdim=True)
+
+
+def _slope(grad: Tensor, input: Tensor, target: Tensor, *plain: Any) -> Tensor:
+    x, y = (z.expand(grad.shape[0], -1, -1) for z in (input, target))
+    return torch.func.vjp(lambda x: _reference(x, y, *plain), x)[1](grad)[0]
+
+
+_gradient = register(
+    "endpoint_error_backward",
+    _slope,
+    fake=lambda grad, input, *_: input.new_empty(grad.shape[0], *input.shape[1:]),
+    stores=True,
+)
+_errors = register("endpoint_error", _reference, fake=_fake, backward=_backward, stores=True)
 
 
 average_endpoint_error = aepe

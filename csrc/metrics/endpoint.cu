@@ -1,0 +1,70 @@
+// Distances of vectors on CUDA: a block takes a piece of a row.
+#include "endpoint.h"
+#include "sums.cuh"
+
+namespace kv::cuda {
+namespace {
+
+// Calls f(vector, its difference) for those of the block's piece that the thread takes.
+template <class T, class Call>
+__device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int64_t row, int64_t piece, Call f) {
+  int64_t const first = piece * kEndpointPiece, last = min(first + kEndpointPiece, p.size);
+  T const *const x = p.x + row * p.x_stride, *const y = p.y + row * p.y_stride;
+#pragma unroll 4
+  for (int64_t i = first + threadIdx.x; i < last; i += kSumThreads) {
+    int64_t const at = p.at(i), other = at + p.beside();
+    f(i, read(x[at]) - read(y[at]), read(x[other]) - read(y[other]));
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kSumThreads) find_endpoint_errors(__grid_constant__ EndpointError<T> const p) {
+  using F = Compute<T>;
+  int64_t const pieces = p.pairs.pieces(), row = blockIdx.x / pieces;
+  F sum = 0;
+  for_each_difference(p.pairs, row, blockIdx.x - row * pieces, [&](int64_t i, F u, F v) {
+    F const error = fast_sqrt(u * u + v * v);
+    if (p.map)
+      p.map[row * p.pairs.size + i] = round_to<T>(error);
+    else
+      sum += error;
+  });
+  if (p.map) return;
+  sum = block_sum(sum);
+  if (threadIdx.x == 0) p.partial[blockIdx.x] = sum;
+}
+
+template <class T>
+__global__ void __launch_bounds__(kSumThreads)
+    find_endpoint_gradients(__grid_constant__ EndpointErrorBackward<T> const p) {
+  using F = Compute<T>;
+  int64_t const pieces = p.pairs.pieces(), row = blockIdx.x / pieces;
+  F const of_row = p.grad ? F(0) : p.grad_of_sum[row] * p.factor;
+  for_each_difference(p.pairs, row, blockIdx.x - row * pieces, [&](int64_t i, F u, F v) {
+    F const error = fast_sqrt(u * u + v * v), g = p.grad ? read(p.grad[row * p.pairs.size + i]) : of_row;
+    F const scale = error == 0 ? F(0) : g / error;
+    T* const to = p.grad_x + 2 * row * p.pairs.size + p.pairs.at(i);
+    to[0] = round_to<T>(u * scale), to[p.pairs.beside()] = round_to<T>(v * scale);
+  });
+}
+
+}  // namespace
+
+template <class T>
+int endpoint_error(EndpointError<T> const& p, CUstream_st* stream) {
+  int64_t const rows = p.pairs.rows, pieces = p.pairs.pieces();
+  find_endpoint_errors<<<unsigned(rows * pieces), kSumThreads, 0, stream>>>(p);
+  if (!p.map) finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, p.finish, p.sums);
+  return cudaGetLastError();
+}
+
+template <class T>
+int endpoint_error_backward(EndpointErrorBackward<T> const& p, CUstream_st* stream) {
+  find_endpoint_gradients<<<unsigned(p.pairs.rows * p.pairs.pieces()), kSumThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(endpoint_error, EndpointError)
+KV_INSTANTIATE(endpoint_error_backward, EndpointErrorBackward)
+
+}  // namespace kv::cuda

@@ -1,0 +1,113 @@
+// Distances of vectors on the CPU: pieces [begin, end) of all rows. Compiled once per instruction set.
+#include <utility>
+
+#include "core/lanes.h"
+#include "endpoint.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// Those elements of two vectors that have the places I, counted through both.
+template <int... I, class V>
+KV_HD V chosen(V a, V b) {
+  return __builtin_shufflevector(a, b, I...);
+}
+
+// Both components of M vectors.
+template <class F, int M>
+struct Components {
+  using V = Lanes<F, M>;
+  V first, second;
+
+  template <class T>
+  KV_HD static Components of(T const* from, bool planar, int64_t beside) {
+    if constexpr (M > 1)
+      if (!planar) return split(load<M>(from), load<M>(from + M), std::make_integer_sequence<int, M>());
+    return {V(load<M>(from)), V(load<M>(from + beside))};
+  }
+  template <class T>
+  KV_HD void to(T* to, bool planar, int64_t beside) const {
+    if constexpr (M > 1)
+      if (!planar) {
+        store<M>(to, joined(std::make_integer_sequence<int, M>(), From<0>()));
+        store<M>(to + M, joined(std::make_integer_sequence<int, M>(), From<M / 2>()));
+        return;
+      }
+    store<M>(to, first), store<M>(to + beside, second);
+  }
+
+ private:
+  template <int First>
+  struct From {};
+  template <int... I>
+  KV_HD static Components split(V a, V b, std::integer_sequence<int, I...>) {
+    return {chosen<2 * I...>(a, b), chosen<2 * I + 1 ...>(a, b)};
+  }
+  template <int... I, int First>
+  KV_HD V joined(std::integer_sequence<int, I...>, From<First>) const {
+    return chosen<First + I / 2 + I % 2 * M...>(first, second);
+  }
+};
+
+template <int M, class T>
+KV_HD Components<Compute<T>, M> difference(VectorPairs<T> const& p, int64_t row, int64_t i) {
+  using C = Components<Compute<T>, M>;
+  C const x = C::of(p.x + row * p.x_stride + p.at(i), p.planar, p.beside());
+  C const y = C::of(p.y + row * p.y_stride + p.at(i), p.planar, p.beside());
+  return {x.first - y.first, x.second - y.second};
+}
+
+template <class F, int M>
+KV_HD Lanes<F, M> length(Components<F, M> const& d) {
+  return vsqrt(Lanes<F, M>(d.first * d.first + d.second * d.second));
+}
+
+}  // namespace
+
+template <class T>
+void endpoint_error(EndpointError<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
+  int64_t const pieces = p.pairs.pieces(), size = p.pairs.size;
+  for (int64_t i = begin; i < end; ++i) {
+    int64_t const row = i / pieces, first = i % pieces * kEndpointPiece, last = min(first + kEndpointPiece, size);
+    if (p.map) {
+      for_each_vector<T>(first, last, [&](auto width, int64_t e) {
+        constexpr int M = decltype(width)::value;
+        store<M>(p.map + row * size + e, length<F, M>(difference<M>(p.pairs, row, e)));
+      });
+      continue;
+    }
+    Lanes<F, N> sums{};
+    int64_t e = first;
+    for (; e + N <= last; e += N) sums += length<F, N>(difference<N>(p.pairs, row, e));
+    F sum = 0;
+    for (; e < last; ++e) sum += length<F, 1>(difference<1>(p.pairs, row, e));
+    for (int l = 0; l < N; ++l) sum += sums[l];
+    p.partial[i] = sum;
+  }
+}
+
+template <class T>
+void endpoint_error_backward(EndpointErrorBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const pieces = p.pairs.pieces(), size = p.pairs.size;
+  for (int64_t i = begin; i < end; ++i) {
+    int64_t const row = i / pieces, first = i % pieces * kEndpointPiece, last = min(first + kEndpointPiece, size);
+    F const of_row = p.grad ? F(0) : p.grad_of_sum[row] * p.factor;
+    for_each_vector<T>(first, last, [&](auto width, int64_t e) {
+      constexpr int M = decltype(width)::value;
+      using V = Lanes<F, M>;
+      auto d = difference<M>(p.pairs, row, e);
+      V const zero{}, error = length<F, M>(d), g = p.grad ? V(load<M>(p.grad + row * size + e)) : zero + of_row;
+      V const scale = error == zero ? zero : V(g / error);
+      d.first *= scale, d.second *= scale;
+      d.to(p.grad_x + 2 * row * size + p.pairs.at(e), p.pairs.planar, p.pairs.beside());
+    });
+  }
+}
+
+KV_INSTANTIATE(endpoint_error, EndpointError)
+KV_INSTANTIATE(endpoint_error_backward, EndpointErrorBackward)
+
+}  // namespace kv::KV_ISA

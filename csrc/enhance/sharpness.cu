@@ -12,7 +12,9 @@ constexpr int kThreads = 256, kForwardRows = 8;
 // ------------------------------------------------------------------------------------------------------------
 
 template <class T, bool Aligned>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
+                                            : sizeof(T) == 4 ? 4
+                                                             : 3)
     run_strip(__grid_constant__ Sharpness<T> const p, Strips<kPixels<T>> const strips) {
   constexpr int P = kPixels<T>;
   using F = Compute<T>;
@@ -26,9 +28,12 @@ __global__ void __launch_bounds__(kThreads)
   F const factor = p.factor.of(plane);
 
   F above[P], beside[P], own[P], next[P];  // sums of three along the rows, and pixels of this row and the next one
+  auto ahead = strip.fetch(rows.next());   // a row is on its way while one is worked on
   auto const down = [&](F(&sums)[P]) {
+    auto const now = ahead;
+    ahead = strip.fetch(rows.next());
     F v[P + 2];
-    strip.load(v, rows.next());
+    strip.spread(now, v);
 #pragma unroll
     for (int i = 0; i < P; i += 2) {
       F const pair = v[i + 1] + v[i + 2];
@@ -106,7 +111,8 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
       F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
       SharpnessGradient<F> of = pull_sharpened(own[i], smooth, grad, factor);
       bool const never_last = Aligned && i < 3;
-      if (!inner || (at <= 0 && (i == 0 || i == 4)) || (!never_last && at + 1 >= width)) of = {pull_clipped(own[i], grad, F(0)), 0, 0};
+      if (!inner || (at <= 0 && (i == 0 || i == 4)) || (!never_last && at + 1 >= width))
+        of = {pull_clipped(own[i], grad, F(0)), 0, 0};
       return of;
     };
     GivenRow<F> row;

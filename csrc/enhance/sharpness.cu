@@ -1,11 +1,158 @@
-// Sharpness on CUDA: a block takes tiles of 64 x 16 pixels, which it shares with a rim around.
+// Sharpness on CUDA. Each warp walks down a strip of columns with its rows in registers, so a pixel is read from device
+// memory once. Channels-last images take plain kernels: a block shares a tile of 64 x 16 pixels with a rim around.
 #include "core/launch.cuh"
 #include "sharpness.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 256;
+constexpr int kThreads = 256, kForwardRows = 8;
+
+// --- strips
+// ------------------------------------------------------------------------------------------------------------
+
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads)
+    run_strip(__grid_constant__ Sharpness<T> const p, Strips<kPixels<T>> const strips) {
+  constexpr int P = kPixels<T>;
+  using F = Compute<T>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  Strip<1, Aligned, P> const strip(x, width, Border::replicate);
+  RowsDown<T> rows(p.x, plane, y0 - 1);
+  T* out = p.y.row(plane, y0);
+  F const factor = p.factor.of(plane);
+
+  F above[P], beside[P], own[P], next[P];  // sums of three along the rows, and pixels of this row and the next one
+  auto const down = [&](F(&sums)[P]) {
+    F v[P + 2];
+    strip.load(v, rows.next());
+#pragma unroll
+    for (int i = 0; i < P; i += 2) {
+      F const pair = v[i + 1] + v[i + 2];
+      sums[i] = v[i] + pair, sums[i + 1] = pair + v[i + 3];
+      own[i] = next[i], own[i + 1] = next[i + 1];
+      next[i] = v[i + 1], next[i + 1] = v[i + 2];
+    }
+  };
+  down(above);
+  down(beside);
+#pragma unroll 3
+  for (int y = y0; y < y1; ++y) {
+    F below[P], result[P];
+    down(below);
+    bool const inner = y > 0 && y + 1 < height;
+#pragma unroll
+    for (int i = 0; i < P; ++i) {
+      bool const sharpens = inner && (i > 0 || x > 0) && ((Aligned && i + 1 < P) || x + i + 1 < width);
+      F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
+      result[i] = sharpens ? sharpened(own[i], smooth, factor) : clipped(own[i], F(0));
+      above[i] = beside[i];
+      beside[i] = below[i];
+    }
+    strip.store(out, result);
+    out += p.y.row_stride;
+  }
+}
+
+// What a row of gradients gives: to its own pixels, and to those around, summed along the row.
+template <class F>
+struct GivenRow {
+  F own[4], sums[4];
+};
+
+// Each thread pulls its own four pixels' gradients and gets its neighbours' by shuffle. Where a warp ends inside the
+// image, its end thread pulls one pixel more, for which it reads one column of x beyond.
+template <class T, bool Aligned>
+__global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
+    run_backward_strip(__grid_constant__ SharpnessBackward<T> const p, Strips<> const strips) {
+  using F = Compute<T>;
+  int64_t plane;
+  int x, y0;
+  if (!strips.place(plane, x, y0)) return;
+  int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  Strip<1, Aligned> const strip(x, width, Border::replicate);
+  Strip<0, Aligned> const strip_g(x, width, Border::replicate);
+  bool const more_left = strip.left_end && x > 0, more_right = strip.right_end && x + 4 < width;
+  int const more = more_left ? x - 1 : x + 4;
+  int const beyond = clamp(more_left ? more - 1 : more + 1, 0, width - 1);
+  F const factor = p.factor.of(plane);
+
+  int const first = max(y0 - 1, 0);
+  RowsDown<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
+  // Sums of three along the rows of x and its pixels in this row and the next one; number 4 is the pixel more.
+  F above[5], beside[5], below[5]{}, own[5], next[5]{}, g[4], g_more{}, slope = 0;
+  auto const down_x = [&] {
+#pragma unroll
+    for (int i = 0; i < 5; ++i) above[i] = beside[i], beside[i] = below[i], own[i] = next[i];
+    T const* const row = rows_x.next();
+    F const far = more_left || more_right ? read(row[beyond]) : F(0);
+    F v[6];
+    strip.load(v, row);
+#pragma unroll
+    for (int i = 0; i < 4; ++i) below[i] = v[i] + v[i + 1] + v[i + 2], next[i] = v[i + 1];
+    below[4] = more_left ? far + v[0] + v[1] : v[4] + v[5] + far;
+    next[4] = more_left ? v[0] : v[5];
+  };
+  auto const give = [&](int y, bool of_strip) {
+    T const* const row_g = rows_g.next();
+    strip_g.load(g, row_g);
+    if (more_left || more_right) g_more = read(row_g[more]);
+    down_x();
+    bool const inner = y > 0 && y + 1 < height;
+    auto const pull = [&](int i, int at, F grad) {
+      F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
+      SharpnessGradient<F> of = pull_sharpened(own[i], smooth, grad, factor);
+      bool const never_last = Aligned && i < 3;
+      if (!inner || (at <= 0 && (i == 0 || i == 4)) || (!never_last && at + 1 >= width)) of = {pull_clipped(own[i], grad, F(0)), 0, 0};
+      return of;
+    };
+    GivenRow<F> row;
+    F around[4];
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      auto const of = pull(i, x + i, g[i]);
+      row.own[i] = of.own + smoothed(F(0), of.around, F(0));
+      around[i] = of.around;
+      if (of_strip) slope += of.factor;
+    }
+    F const end = more_left || more_right ? pull(4, more, g_more).around : F(0);
+    F left = __shfl_up_sync(0xffffffffu, around[3], 1), right = __shfl_down_sync(0xffffffffu, around[0], 1);
+    if (strip.left_end) left = more_left ? end : F(0);
+    if (strip.right_end) right = more_right ? end : F(0);
+    row.sums[0] = left + around[0] + around[1];
+    row.sums[1] = around[0] + around[1] + around[2];
+    row.sums[2] = around[1] + around[2] + around[3];
+    row.sums[3] = around[2] + around[3] + right;
+    return row;
+  };
+
+  down_x();
+  down_x();
+  GivenRow<F> before{}, here, after;
+  if (y0 > 0) before = give(y0 - 1, false);
+  here = give(y0, true);
+  for (int y = y0; y < y1; ++y) {
+    after = {};
+    if (y + 1 < height) after = give(y + 1, y + 1 < y1);
+    F result[4];
+#pragma unroll
+    for (int i = 0; i < 4; ++i)
+      result[i] = here.own[i] + smoothed(before.sums[i] + here.sums[i] + after.sums[i], F(0), F(0));
+    if (p.grad_x.data) strip.store(p.grad_x.row(plane, y), result);
+    before = here;
+    here = after;
+  }
+  if (!p.slopes) return;
+  slope = warp_sum(slope);
+  unsigned const piece = unsigned(y0) / strips.rows * strips.across + unsigned(x) / kStripWidth;
+  if (threadIdx.x % 32 == 0) p.slopes[plane * p.pieces + piece] = slope;
+}
+
+// --- channels-last: tiles
+// ----------------------------------------------------------------------------------------------
 
 // A tile of one value a pixel, with a rim of R pixels, place by place.
 template <class F, int R>
@@ -130,12 +277,26 @@ dim3 tiles_of(Planes<T> const& x) {
 
 template <class T>
 int sharpness(Sharpness<T> const& p, CUstream_st* stream) {
-  run<<<tiles_of(p.x), kThreads, 0, stream>>>(p);
+  constexpr int P = kPixels<T>;
+  Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kForwardRows);
+  if (p.x.step == 1)
+    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+      run_strip<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+    });
+  else
+    run<<<tiles_of(p.x), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 template <class T>
 int sharpness_backward(SharpnessBackward<T> const& p, CUstream_st* stream) {
-  run_backward<<<tiles_of(p.x), kThreads, 0, stream>>>(p);
+  Strips<> const strips(p.x.count(), p.x.height, p.x.width, kStripRows);
+  bool const packs = is_strip<4>(p.x) && is_strip<4>(p.grad) && (!p.grad_x.data || is_strip<4>(p.grad_x));
+  if (p.x.step == 1)
+    with_alignment<T>(packs, [&](auto aligned) {
+      run_backward_strip<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+    });
+  else
+    run_backward<<<tiles_of(p.x), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -44,8 +44,14 @@ struct SharpnessBackward {
 KV_KERNEL(sharpness, Sharpness)
 KV_KERNEL(sharpness_backward, SharpnessBackward)
 
-// How CUDA cuts a plane into pieces.
-constexpr int kTileWidth = 64, kTileHeight = 16;
+// How CUDA cuts a plane into pieces: where neighbours in a row are neighbours in memory by strips that a warp walks
+// down, else by tiles.
+constexpr int kTileWidth = 64, kTileHeight = 16, kStripWidth = 128, kStripRows = 32;
+template <class T>
+int64_t sharpness_pieces(Planes<T> const& x) {
+  int64_t const width = x.step == 1 ? kStripWidth : kTileWidth, height = x.step == 1 ? kStripRows : kTileHeight;
+  return (x.width + width - 1) / width * ((x.height + height - 1) / height);
+}
 
 template <class V, class F>
 KV_HD V smoothed(V const& sum_of_nine, V const& x, F) {
@@ -53,6 +59,13 @@ KV_HD V smoothed(V const& sum_of_nine, V const& x, F) {
 }
 template <class V, class F>
 KV_HD V clipped(V const& x, F) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  if constexpr (sizeof(V) == sizeof(float)) {
+    V y;
+    asm("{max.NaN.f32 %0, %1, 0f00000000; min.NaN.f32 %0, %0, 0f3f800000;}" : "=f"(y) : "f"(x));
+    return y;
+  }
+#endif
   V const none = x * F(0);  // NaN stays
   return x < F(0) ? none : x > F(1) ? none + F(1) : x;
 }

@@ -49,14 +49,15 @@ std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& 
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
+    auto const of_x = channel_planes<T const>(x, layout);
 #if defined(KV_CUDA)
-    int64_t const pieces = ((x.size(2) + kTileHeight - 1) / kTileHeight) * ((x.size(3) + kTileWidth - 1) / kTileWidth);
+    int64_t const pieces = sharpness_pieces(of_x);
 #else
     int64_t const pieces = x.size(2);
 #endif
     Tensor const slopes = empty({of_factor ? b * c : 0, pieces}, of_planes);
     SharpnessBackward<T> const p{channel_planes<T const>(g, layout),
-                                 channel_planes<T const>(x, layout),
+                                 of_x,
                                  of_image ? channel_planes<T>(grad_x, layout) : Planes<T>{},
                                  factor_of<F>(op, x, factor, number),
                                  of_factor ? static_cast<F*>(slopes.mutable_data_ptr()) : nullptr,

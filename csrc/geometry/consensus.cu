@@ -51,7 +51,58 @@ __global__ void __launch_bounds__(kThreads) hold_contest(__grid_constant__ Conte
   p.weights[rank * p.count + i] = e <= p.limit ? 1 / (1 + e * p.softness) : T(0);
 }
 
+constexpr int kAll = 1024;
+
+// One block: each rank is the first of what its threads find.
+template <class T>
+__global__ void __launch_bounds__(kAll) find_leaders(__grid_constant__ Leaders<T> const p) {
+  __shared__ int64_t firsts[kAll / 32];
+  int64_t last = -1;
+  for (int64_t rank = 0; rank < p.kept; ++rank) {
+    int64_t mine = p.next(last, threadIdx.x, kAll);
+    auto const join = [&] {
+      for (int lane = 16; lane > 0; lane /= 2) {
+        int64_t const other = __shfl_xor_sync(0xffffffffu, mine, lane);
+        if (p.before(other, mine)) mine = other;
+      }
+    };
+    join();
+    __syncthreads();  // of who reads the last rank's
+    if (threadIdx.x % 32 == 0) firsts[threadIdx.x / 32] = mine;
+    __syncthreads();
+    mine = firsts[threadIdx.x % 32];
+    join();
+    last = mine;
+    if (threadIdx.x == 0) p.copy(last, rank);
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kAll) pass_verdict(__grid_constant__ Verdict<T> const p) {
+  __shared__ unsigned parts[kAll / 32];
+  unsigned fitting = 0;
+  for (int64_t i = threadIdx.x; i < p.count; i += kAll) fitting += p.weights[i] > 0;
+  fitting = __reduce_add_sync(0xffffffffu, fitting);
+  if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = fitting;
+  __syncthreads();
+  bool const some = int64_t(__reduce_add_sync(0xffffffffu, parts[threadIdx.x % 32])) > p.least;
+  for (int64_t i = threadIdx.x; i < p.count; i += kAll) p.fits[i] = some && p.weights[i] > 0;
+  if (threadIdx.x == 0) p.decide(some);
+}
+
 }  // namespace
+
+template <class T>
+int leaders(Leaders<T> const& p, CUstream_st* stream) {
+  find_leaders<T><<<1, kAll, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int verdict(Verdict<T> const& p, CUstream_st* stream) {
+  pass_verdict<T><<<1, kAll, 0, stream>>>(p);
+  return cudaGetLastError();
+}
 
 template <class T>
 int consensus(Consensus<T> const& p, CUstream_st* stream) {
@@ -68,6 +119,8 @@ int contest(Contest<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
+KV_INSTANTIATE_COMPUTED(leaders, Leaders)
+KV_INSTANTIATE_COMPUTED(verdict, Verdict)
 KV_INSTANTIATE_COMPUTED(contest, Contest)
 
 }  // namespace kv::cuda

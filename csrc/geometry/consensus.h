@@ -8,10 +8,14 @@
 // A contest finds the best models of two lists, and what correspondences weigh when these are fitted to them: those
 // that fit 1 / (1 + s e), others 0.
 //
+// Leaders are the best of many models, before any contest. A verdict is the model that won it, and who fits it: none
+// where these are no more than a sample.
+//
 // What is not a number fits nothing. Included by consensus_cpu.cpp, consensus.cu and consensus_op.cpp.
 #pragma once
 
 #include "minimal.h"
+#include "residuals.h"
 
 namespace kv {
 
@@ -55,32 +59,62 @@ struct Contest : Consensus<T> {  // models and scores are those of the first lis
   }
 };
 
+template <class T>
+struct Leaders {
+  T const *models, *scores;  // (M, 9), (M, 2)
+  int64_t candidates, kept;
+  bool by_count;
+  T *best, *best_scores;  // (K, 9), (K, 2)
+
+  KV_HD T score(int64_t i) const {
+    T const found = scores[2 * i + by_count];
+    return found == found ? found : T(-__builtin_inf());
+  }
+  // Whether a model comes before another one: it is better, or as good and before it. One that is not there, -1, is
+  // last.
+  KV_HD bool before(int64_t i, int64_t k) const {
+    if (i < 0 || k < 0) return i >= 0;
+    T const one = score(i), other = score(k);
+    return one > other || (!(one < other) && i < k);
+  }
+  // The first after `last`, -1 for the first of all, of those from `i` on in steps; -1 where there is none.
+  KV_HD int64_t next(int64_t last, int64_t i, int64_t step) const {
+    int64_t found = -1;
+    for (; i < candidates; i += step)
+      if ((last < 0 || before(last, i)) && i != last && before(i, found)) found = i;
+    return found;
+  }
+  KV_HD void copy(int64_t from, int64_t to) const {
+    for (int k = 0; k < 9; ++k) best[9 * to + k] = models[9 * from + k];
+    for (int k = 0; k < 2; ++k) best_scores[2 * to + k] = scores[2 * from + k];
+  }
+};
+
+template <class T>
+struct Verdict {
+  T const *model, *weights;  // (9), (N)
+  int64_t count, least;      // correspondences, and more than how many have to fit
+  bool unit_norm;            // the model becomes of norm 1; else its last number 1, unless that is 0
+  T* found;                  // (9)
+  bool* fits;                // (N)
+
+  KV_HD void decide(bool some) const {
+    T largest = 0, square = 0;
+    for (int k = 0; k < 9; ++k) {
+      T const size = model[k] < 0 ? -model[k] : model[k];
+      if (size > largest) largest = size;
+      square += model[k] * model[k];
+    }
+    T const last = model[8] < 0 ? -model[8] : model[8];
+    T const by = unit_norm ? sqrt(square) : last > T(1e-12) * largest ? model[8] : largest > 0 ? largest : 1;
+    for (int k = 0; k < 9; ++k) found[k] = some ? model[k] / by : 0;
+  }
+};
+
 KV_KERNEL(consensus, Consensus)
+KV_KERNEL(leaders, Leaders)
+KV_KERNEL(verdict, Verdict)
 KV_KERNEL(contest, Contest)
-
-template <class V, class F>
-KV_HD V transfer_error(F const* m, V x, V y, V u, V v) {
-  V const w = x * m[6] + (y * m[7] + m[8]);
-  V const p = x * m[0] + (y * m[1] + m[2]) - w * u, q = x * m[3] + (y * m[4] + m[5]) - w * v;
-  return (p * p + q * q) / (w * w);
-}
-
-template <class V, class F>
-KV_HD V sampson_error(F const* m, V x, V y, V u, V v) {
-  V const a = x * m[0] + (y * m[1] + m[2]), b = x * m[3] + (y * m[4] + m[5]);
-  V const c = u * m[0] + (v * m[3] + m[6]), d = u * m[1] + (v * m[4] + m[7]);
-  V const r = a * u + (b * v + (x * m[6] + (y * m[7] + m[8])));
-  return r * r / (a * a + b * b + c * c + d * d);
-}
-
-// Of the line through (u, v) and (s, t), from an end at (x, y): the distance times the segment's length.
-template <class V, class F>
-KV_HD V line_error(F const* m, V x, V y, V u, V v, V s, V t) {
-  V const w = x * m[6] + (y * m[7] + m[8]);
-  V const p = (x * m[0] + (y * m[1] + m[2])) / w - u, q = (x * m[3] + (y * m[4] + m[5])) / w - v;
-  V const distance = p * (t - v) - q * (s - u);
-  return distance < 0 ? -distance : distance;
-}
 
 // read(points, k, i) gives coordinate k of the correspondences from i on.
 template <class V, class T, class Read>

@@ -51,7 +51,27 @@ void contest(Contest<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+// Nobody shares these two: [begin, end) is all there is.
+template <class T>
+void leaders(Leaders<T> const& p, int64_t, int64_t) {
+  for (int64_t rank = 0, last = -1; rank < p.kept; ++rank) {
+    last = p.next(last, 0, 1);
+    p.copy(last, rank);
+  }
+}
+
+template <class T>
+void verdict(Verdict<T> const& p, int64_t, int64_t) {
+  int64_t fitting = 0;
+  for (int64_t i = 0; i < p.count; ++i) fitting += p.weights[i] > 0;
+  bool const some = fitting > p.least;
+  for (int64_t i = 0; i < p.count; ++i) p.fits[i] = some && p.weights[i] > 0;
+  p.decide(some);
+}
+
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
+KV_INSTANTIATE_COMPUTED(leaders, Leaders)
+KV_INSTANTIATE_COMPUTED(verdict, Verdict)
 KV_INSTANTIATE_COMPUTED(contest, Contest)
 
 }  // namespace kv::KV_ISA

@@ -79,8 +79,53 @@ std::tuple<Tensor, Tensor, Tensor> contest(Tensor const& models, Tensor const& s
   return {best, best_scores, weights};
 }
 
+// The best `count` of models (M, 3, 3) by their consensus (M, 2): as contest has them.
+std::tuple<Tensor, Tensor> leaders(Tensor const& models, Tensor const& scores, int64_t count, bool by_number) {
+  constexpr char const* op = "leaders";
+  KV_CHECK(models.dim() == 3 && models.size(1) == 3 && models.size(2) == 3, op, ": expected models of shape (M, 3, 3)");
+  KV_CHECK(scores.dim() == 2 && scores.size(0) == models.size(0) && scores.size(1) == 2 &&
+               scores.scalar_type() == models.scalar_type() && scores.device() == models.device(),
+           op, ": expected scores of shape (M, 2), of the type and device of models");
+  KV_CHECK(models.size(0) > 0 && count > 0, op, ": expected models, and a positive count");
+  Contiguous const m(op, models), s(op, scores);
+  int64_t const kept = count < models.size(0) ? count : models.size(0);
+  Tensor const best = empty({kept, 3, 3}, m.tensor), best_scores = empty({kept, 2}, m.tensor);
+  for_reals(m, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Leaders<T> const params{data_of<T>(m.tensor), data_of<T>(s.tensor),   models.size(0), kept, by_number,
+                            data_of<T>(best),     data_of<T>(best_scores)};
+    KV_RUN(leaders, m.tensor, params, 1, 0);
+  });
+  return {best, best_scores};
+}
+
+// The first of models (M, 3, 3) and which of N correspondences have a weight above 0 for it; nothing where these are
+// `least` or fewer. Essential matrices have norm 1, other models a last number of 1.
+std::tuple<Tensor, Tensor> verdict(Tensor const& models, Tensor const& weights, int64_t least,
+                                   std::string const& model) {
+  constexpr char const* op = "verdict";
+  KV_CHECK(models.dim() == 3 && models.size(0) > 0 && models.size(1) == 3 && models.size(2) == 3, op,
+           ": expected models of shape (M, 3, 3)");
+  KV_CHECK(weights.dim() == 2 && weights.size(0) == models.size(0) && weights.scalar_type() == models.scalar_type() &&
+               weights.device() == models.device(),
+           op, ": expected weights of shape (M, N), of the type and device of models");
+  Contiguous const m(op, models), w(op, weights);
+  Tensor const found = empty({3, 3}, m.tensor);
+  Tensor const fits = empty({weights.size(1)}, m.tensor, Layout::planar, ScalarType::Bool);
+  for_reals(m, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Verdict<T> const params{
+        data_of<T>(m.tensor), data_of<T>(w.tensor), weights.size(1), least, model_of(op, model) == Model::essential,
+        data_of<T>(found),    data_of<bool>(fits)};
+    KV_RUN(verdict, m.tensor, params, 1, 0);
+  });
+  return {found, fits};
+}
+
 }  // namespace
 
+KV_OPERATOR(leaders, "(Tensor models, Tensor scores, int count, bool by_number) -> (Tensor, Tensor)")
+KV_OPERATOR(verdict, "(Tensor models, Tensor weights, int least, str model) -> (Tensor, Tensor)")
 KV_OPERATOR(consensus, "(Tensor models, Tensor points1, Tensor points2, float threshold, str model) -> Tensor")
 KV_OPERATOR(contest,
             "(Tensor models, Tensor scores, Tensor others, Tensor other_scores, Tensor points1, Tensor points2, "

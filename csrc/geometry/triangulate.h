@@ -18,23 +18,35 @@ struct Triangulate {
 
 KV_KERNEL(triangulate, Triangulate)
 
-template <class T>
-KV_HD void triangulate_of(Triangulate<T> const& p, int64_t i) {
-  int64_t const b = i / p.count;
+namespace small {
+
+// The point seen at `pixels`, (x, y) of one image and of the other, by projections (3, 4). NaN where it is at infinity.
+KV_HD void triangulate(double const (*pixels)[2], double const (*projections)[12], double least, double* point) {
   double m[16] = {}, v[4];
-  for (int view = 0; view < 2; ++view) {
-    Reals const &points = view ? p.points2 : p.points1, &P = view ? p.projections2 : p.projections1;
+  for (int view = 0; view < 2; ++view)
     for (int axis = 0; axis < 2; ++axis) {
-      double const x = points[2 * i + axis];
+      double const* const P = projections[view];
       double row[4];
-      for (int k = 0; k < 4; ++k) row[k] = x * P[b * 12 + 8 + k] - P[b * 12 + 4 * axis + k];
+      for (int k = 0; k < 4; ++k) row[k] = pixels[view][axis] * P[8 + k] - P[4 * axis + k];
       for (int k = 0; k < 4; ++k)
         for (int l = 0; l < 4; ++l) m[4 * k + l] += row[k] * row[l];
     }
-  }
-  small::smallest_eigenvector<4>(m, v);
-  bool const there = small::magnitude(v[3]) > p.least;
-  for (int k = 0; k < 3; ++k) p.points.set(3 * i + k, there ? v[k] / v[3] : small::nan());
+  smallest_eigenvector<4>(m, v);
+  bool const there = magnitude(v[3]) > least;
+  for (int k = 0; k < 3; ++k) point[k] = there ? v[k] / v[3] : nan();
+}
+
+}  // namespace small
+
+template <class T>
+KV_HD void triangulate_of(Triangulate<T> const& p, int64_t i) {
+  int64_t const b = i / p.count;
+  double pixels[2][2], projections[2][12], point[3];
+  for (int k = 0; k < 2; ++k) pixels[0][k] = p.points1[2 * i + k], pixels[1][k] = p.points2[2 * i + k];
+  for (int k = 0; k < 12; ++k)
+    projections[0][k] = p.projections1[12 * b + k], projections[1][k] = p.projections2[12 * b + k];
+  small::triangulate(pixels, projections, p.least, point);
+  for (int k = 0; k < 3; ++k) p.points.set(3 * i + k, point[k]);
 }
 
 }  // namespace kv

@@ -17,7 +17,7 @@ Tensor triangulate(Tensor const& points1, Tensor const& points2, Tensor const& p
   check_like(op, "projections2", projections2, projections1);
   Contiguous const x(op, points1), y(op, points2), P(op, projections1), Q(op, projections2);
   Tensor const points = empty({batch, count, 3}, x.tensor);
-  double const least = 1e-13 + 4 * (x.reals.wide ? 2.220446049250313e-16 : 1.1920928955078125e-07);
+  double const least = least_share(x);
   Triangulate<double> const params{x.reals, y.reals, P.reals, Q.reals, batch, count, least, reals_of(op, points)};
   KV_RUN(triangulate, x.tensor, params, batch * count, 256);
   return points;

@@ -22,6 +22,11 @@ struct Contiguous {
   }
 };
 
+// Below this share of a homogeneous point's length its last number counts as 0: the point is at infinity.
+inline double least_share(Contiguous const& x) {
+  return 1e-13 + 4 * (x.reals.wide ? 2.220446049250313e-16 : 1.1920928955078125e-07);
+}
+
 inline Model model_of(char const* op, std::string const& name) {
   constexpr char const* names[] = {"affine", "homography", "lines", "fundamental", "fundamental8", "essential"};
   for (int i = 0; i < 6; ++i)

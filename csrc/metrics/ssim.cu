@@ -1,5 +1,5 @@
-// Structural similarity on CUDA: planar images, windows of 3 to 11 pixels, one launch each way; ssim_any.cu has the
-// others.
+// Structural similarity on CUDA: planar images, windows of 3 to 11 pixels, one launch each way; other files have
+// the others.
 //
 // A block walks down its columns, four rows at a time. Along y each thread has a column, and running sums in registers:
 // a new row adds to all the rows that it belongs to, of which it completes the first. Those go to shared memory, and
@@ -548,12 +548,16 @@ int launch_size(Params const& p, CUstream_st* stream) {
 
 template <class T>
 int ssim(Ssim<T> const& p, CUstream_st* stream) {
-  return has_ssim_strips(p.images) ? launch_size<T>(p, stream) : ssim_any(p, stream);
+  if (has_ssim_strips(p.images)) return launch_size<T>(p, stream);
+  if (has_ssim_tiles(p.images)) return ssim_in_tiles(p, stream);
+  return has_ssim_volume_tiles(p.images) ? ssim_of_volumes(p, stream) : ssim_any(p, stream);
 }
 
 template <class T>
 int ssim_backward(SsimBackward<T> const& p, CUstream_st* stream) {
-  return has_ssim_strips(p.images) ? launch_size<T>(p, stream) : ssim_any_backward(p, stream);
+  if (has_ssim_strips(p.images)) return launch_size<T>(p, stream);
+  if (has_ssim_tiles(p.images)) return ssim_in_tiles_backward(p, stream);
+  return has_ssim_volume_tiles(p.images) ? ssim_of_volumes_backward(p, stream) : ssim_any_backward(p, stream);
 }
 
 KV_INSTANTIATE(ssim, Ssim)

@@ -1,5 +1,5 @@
-// What the two files of structural similarity on CUDA share: ssim.cu has windows of the usual sizes over planar images,
-// ssim_any.cu whatever else there is.
+// What the files of structural similarity on CUDA share: ssim.cu has small windows over planar images, ssim_tiles.cu
+// images in windows of other sizes and at several scales, ssim_volumes.cu volumes, ssim_any.cu whatever else there is.
 #pragma once
 
 #include "ssim.h"
@@ -44,6 +44,14 @@ StoredPlanes stored_planes(Planes<T> const& p) {
           p.step};
 }
 
+template <class T>
+int ssim_in_tiles(Ssim<T> const& p, CUstream_st* stream);
+template <class T>
+int ssim_in_tiles_backward(SsimBackward<T> const& p, CUstream_st* stream);
+template <class T>
+int ssim_of_volumes(Ssim<T> const& p, CUstream_st* stream);
+template <class T>
+int ssim_of_volumes_backward(SsimBackward<T> const& p, CUstream_st* stream);
 template <class T>
 int ssim_any(Ssim<T> const& p, CUstream_st* stream);
 template <class T>

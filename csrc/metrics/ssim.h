@@ -119,26 +119,103 @@ struct SsimBackward {
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
   SsimLoss<Compute<T>> loss;
   Compute<T> const* of_loss;  // the gradient of each row's
-  Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: memory for four numbers for each of the similarity
-  int64_t together;           // of so many volumes, or planes of images
+  Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: memory for those by the means
+  int64_t room;               // numbers of it
 };
 
-// CUDA has kernels of two kinds: by strips for windows of the usual sizes over planar images (ssim.cu), and by tiles
-// for all the others (ssim_any.cu).
+// Windows of several sizes around the pixels of the same images.
+constexpr int kMostSsimScales = 16, kMostSsimWeights = 400;  // of all of them
+template <class F>
+struct SsimScales {
+  int count, sizes[kMostSsimScales];
+  F const* weights[kMostSsimScales];  // in host memory
+};
+
+// The loss of a sample's pixels: `structure` times the sum over its planes of 1 - the product of the scales'
+// similarities, of which only the last one has luminance, and `absolute` times that of abs(x - y) in its window. The
+// window of `images` is that of the last scale, borders are zeros.
+template <class T>
+struct MsSsim {
+  SsimImages<T> images;
+  SsimScales<Compute<T>> scales;
+  SsimLoss<Compute<T>> loss;
+  Compute<T>* map;  // (samples, height, width)
+};
+
+template <class T>
+struct MsSsimBackward {
+  SsimImages<T> images;
+  SsimScales<Compute<T>> scales;
+  SsimLoss<Compute<T>> loss;
+  Compute<T> const* of_map;  // the gradient of the map
+  Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
+  Compute<T>* derivatives;   // CUDA: memory for those by the means
+  int64_t room;              // numbers of it
+};
+
+// CUDA has kernels of four kinds: by strips for small windows over planar images (ssim.cu), by tiles for images and for
+// volumes in windows of any usual size (ssim_tiles.cu, ssim_volumes.cu), and for all the others (ssim_any.cu).
 template <class T>
 bool has_ssim_strips(SsimImages<T> const& p) {
   bool const usual = p.size >= 3 && p.size <= 11;
   return usual && !p.volumes && sizeof(T) < 8 && p.x.step == 1 && min(p.x.height, p.x.width) >= p.size &&
          max(p.x.height, p.x.width) < INT32_MAX / 2;
 }
+template <class T>
+bool has_ssim_tiles(SsimImages<T> const& p) {
+  int64_t const longest = max(max(p.x.row_stride, p.y.row_stride), p.x.width);
+  return !p.volumes && p.size <= kMostSsimWeights && p.x.height < INT32_MAX / int64_t(sizeof(T)) / longest;
+}
 
-// The tiles of a volume, or of an image: a part of it has `slices` of them.
+// The tiles of a plane: so wide that its columns and those beside them that its windows have keep all threads busy.
 struct SsimTiles {
-  int rows, tall, slices;              // a thread has `tall` pixels, `rows` rows apart
+  static constexpr int kRows = 8, kMostThreads = 320;
+  int columns, threads, stride;  // stride: from row to row in shared memory, so that a thread of each reads at once
+  int64_t across, down;
+
+  SsimTiles(int64_t height, int64_t width, int size) {
+    int64_t least = INT64_MAX;
+    int64_t const fewest = (width + kMostThreads - 1) / kMostThreads;
+    for (int64_t parts = fewest; parts <= 3 * fewest; ++parts) {
+      int64_t const each = (width + kRows * parts - 1) / (kRows * parts) * kRows, line = each + size - 1;
+      int64_t const rounds = (line + kMostThreads - 1) / kMostThreads;
+      int64_t const busy = max((line + 32 * rounds - 1) / (32 * rounds), (each + 31) / 32) * 32;
+      int64_t const work = parts * busy * (rounds + 1);
+      if (work < least) least = work, columns = int(each), threads = int(busy), across = (width + each - 1) / each;
+    }
+    stride = (columns + size - 1 + kRows - 1) / kRows * kRows + 1;
+    down = (height + kRows - 1) / kRows;
+  }
+  int64_t count() const { return across * down; }
+  int64_t pieces() const { return count() * (threads / 32); }
+};
+
+// The tiles of a volume.
+struct SsimVolumeTiles {
+  static constexpr int kSide = 8, kColumns = 32, kThreads = 256, kMostTaps = 21, kMostBytes = 200 << 10;
   int64_t across, down, parts, bytes;  // bytes: of shared memory
 
-  SsimTiles(int64_t depth, int64_t height, int64_t width, int size, int deep, int64_t number)
-      : rows(8), tall(deep > 0 ? 1 : kMostTall) {
+  SsimVolumeTiles(int64_t depth, int64_t height, int64_t width, int size, int64_t number)
+      : across((width + kColumns - 1) / kColumns),
+        down((height + kSide - 1) / kSide),
+        parts((depth + kSide - 1) / kSide),
+        bytes(4 * number * kSide * (kSide + size - 1) * (kColumns + size)) {}
+  int64_t count() const { return across * down * parts; }
+  int64_t pieces() const { return count() * (kThreads / 32); }
+};
+template <class T>
+bool has_ssim_volume_tiles(SsimImages<T> const& p) {
+  SsimVolumeTiles const tiles(p.depth, p.x.height, p.x.width, p.size, sizeof(Compute<T>));
+  return p.volumes && p.size <= tiles.kMostTaps && tiles.bytes <= tiles.kMostBytes &&
+         p.depth < INT32_MAX / int64_t(sizeof(T)) / (p.x.height * p.x.width);
+}
+
+// The parts of a volume, or of an image, of `slices` slices and `rows` rows by 32 columns.
+struct SsimBlocks {
+  int rows, slices;
+  int64_t across, down, parts, bytes;  // bytes: of shared memory
+
+  SsimBlocks(int64_t depth, int64_t height, int64_t width, int size, int deep, int64_t number) : rows(8) {
     auto const memory = [&] {
       int64_t const threads = 32 * rows, ring = deep > 0 ? (2 * deep + 1) * threads : 0;
       return number *
@@ -147,10 +224,8 @@ struct SsimTiles {
     while (rows > 1 && memory() > (100 << 10)) rows /= 2;
     bytes = memory();
     slices = int(min(depth, int64_t(2 * size)));
-    across = (width + 31) / 32, down = (height + rows * tall - 1) / (rows * tall),
-    parts = (depth + slices - 1) / slices;
+    across = (width + 31) / 32, down = (height + rows - 1) / rows, parts = (depth + slices - 1) / slices;
   }
-  static constexpr int kMostTall = 4;
   int64_t count() const { return across * down * parts; }
   int64_t pieces() const { return count() * rows; }
 };
@@ -159,10 +234,14 @@ struct SsimTiles {
 template <class T>
 int64_t most_ssim_pieces(SsimImages<T> const& p) {
   if (has_ssim_strips(p)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);
-  return SsimTiles(p.depth, p.x.height, p.x.width, p.size, p.volumes ? p.size / 2 : 0, sizeof(Compute<T>)).pieces();
+  if (has_ssim_tiles(p)) return SsimTiles(p.x.height, p.x.width, p.size).pieces();
+  if (has_ssim_volume_tiles(p)) return SsimVolumeTiles(p.depth, p.x.height, p.x.width, p.size, 0).pieces();
+  return SsimBlocks(p.depth, p.x.height, p.x.width, p.size, p.volumes ? p.size / 2 : 0, sizeof(Compute<T>)).pieces();
 }
 
 KV_KERNEL(ssim, Ssim)
 KV_KERNEL(ssim_backward, SsimBackward)
+KV_KERNEL(ms_ssim, MsSsim)
+KV_KERNEL(ms_ssim_backward, MsSsimBackward)
 
 }  // namespace kv

@@ -1,10 +1,10 @@
-// Structural similarity on CUDA for everything that ssim.cu does not take: windows of any size, volumes, images that
-// are smaller than the window or channels-last, doubles.
+// Structural similarity on CUDA for everything that the other files do not take: windows of more pixels than these have
+// memory for.
 //
-// A block has a tile of 32 columns and up to 32 rows, and four numbers a pixel that are summed in the windows: those of
-// the means, or for the gradient the derivatives by them. It takes eight rows at a time, a thread for each pixel: their
-// numbers go to shared memory, are summed along x from there, and each thread adds those of its column that the windows
-// of its pixels have. Slice by slice of a volume the sums go to a ring, of which each thread has a part, and are
+// A block has 32 columns and up to eight rows, a thread for each pixel, and four numbers a pixel that are summed in the
+// windows: those of the means, or for the gradient the derivatives by them. It takes as many rows at a time: their
+// numbers go to shared memory, are summed along x from there, and each thread adds those of its column that the window
+// of its pixel has. Slice by slice of a volume the sums go to a ring, of which each thread has a part, and are
 // summed across the slices.
 //
 // The derivatives are written by one launch and summed by another, so that no pixel's mean is computed twice; of so
@@ -35,10 +35,9 @@ struct Work {
   SsimLoss<F> loss;
   F* partial;
   F const* of_loss;
-  unsigned across, down, parts;  // tiles of a volume
+  unsigned across, down, parts;  // blocks of a volume
   int64_t first;                 // volume of a launch
   int slices;                    // of a part
-  int tall;                      // pixels of a thread, as many rows apart as the block has
 
   __device__ __forceinline__ bool has_result(int z, int y, int x) const {
     return y >= offset && y < height - offset && x >= offset && x < width - offset && z >= offset_z &&
@@ -95,7 +94,7 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
   F* const weights = reinterpret_cast<F*>(ring + (deep ? slots * threads : 0));
 
   unsigned tile = blockIdx.x / p.across, part = tile / p.down;
-  int const x0 = int(blockIdx.x - tile * p.across) * kColumns, y0 = int(tile - part * p.down) * rows * p.tall;
+  int const x0 = int(blockIdx.x - tile * p.across) * kColumns, y0 = int(tile - part * p.down) * rows;
   unsigned const of_launch = part / p.parts;
   int64_t const volume = p.first + of_launch, channel = volume % p.x.step, plane = volume / p.x.step * p.depth;
   int const z0 = int(part - of_launch * p.parts) * p.slices, z1 = min(z0 + p.slices, p.depth);
@@ -160,8 +159,8 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
 
   for (int q = z0 - deep; q < z1 + deep; ++q) {
     int const z = border_index(p.border, q, p.depth);
-    Four<F> of_slice[SsimTiles::kMostTall] = {};
-    for (int first = y0 - R; z >= 0 && first < y0 + rows * p.tall + R; first += rows) {
+    Four<F> of_slice{};
+    for (int first = y0 - R; z >= 0 && first < y0 + rows + R; first += rows) {
       for (int i = threadIdx.x; i < rows * line; i += threads) {
         int const row = border_index(p.border, first + i / line, p.height);
         int const column = border_index(p.border, x0 - R + i % line, p.width);
@@ -173,22 +172,14 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
       for (int t = 0; t < K; ++t) add(along_x, weights[t], values[r * line + lane + t]);
       lines[threadIdx.x] = along_x;
       __syncthreads();
-#pragma unroll
-      for (int v = 0; v < SsimTiles::kMostTall; ++v) {
-        int const top = first - (y + v * rows - R), end = v < p.tall ? min(top + rows, K) : 0;
-        for (int t = max(top, 0); t < end; ++t) add(of_slice[v], weights[t], lines[(t - top) * kColumns + lane]);
-      }
+      int const top = first - (y - R), end = min(top + rows, K);
+      for (int t = max(top, 0); t < end; ++t) add(of_slice, weights[t], lines[(t - top) * kColumns + lane]);
     }
     if (deep == 0) {
-#pragma unroll 1
-      for (int v = 0; v < p.tall; ++v) {  // all that finishes a pixel is not compiled four times
-        finish(q, y + v * rows, of_slice[0]);
-#pragma unroll
-        for (int i = 0; i + 1 < SsimTiles::kMostTall; ++i) of_slice[i] = of_slice[i + 1];
-      }
+      finish(q, y, of_slice);
       continue;
     }
-    ring[(q - z0 + deep) % slots * threads + threadIdx.x] = of_slice[0];
+    ring[(q - z0 + deep) % slots * threads + threadIdx.x] = of_slice;
     if (q < z0 + deep) continue;
     Four<F> sums{};
     for (int t = 0; t < K; ++t) add(sums, weights[t], ring[(q - z0 - deep + t) % slots * threads + threadIdx.x]);
@@ -221,13 +212,13 @@ int64_t volumes_of(Work<F> const& work) {
 
 template <bool Back, class F>
 int launch(Work<F>& work, int64_t volumes, CUstream_st* stream) {
-  SsimTiles const tiles(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
-  work.across = unsigned(tiles.across), work.down = unsigned(tiles.down), work.parts = unsigned(tiles.parts);
-  work.slices = tiles.slices, work.tall = tiles.tall;
-  int const bytes = int(tiles.bytes);
+  SsimBlocks const blocks(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
+  work.across = unsigned(blocks.across), work.down = unsigned(blocks.down), work.parts = unsigned(blocks.parts);
+  work.slices = blocks.slices;
+  int const bytes = int(blocks.bytes);
   if (int const error = cudaFuncSetAttribute(sum_windows<F, Back>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;
-  sum_windows<F, Back><<<unsigned(volumes * tiles.count()), kColumns * tiles.rows, bytes, stream>>>(work);
+  sum_windows<F, Back><<<unsigned(volumes * blocks.count()), kColumns * blocks.rows, bytes, stream>>>(work);
   return cudaGetLastError();
 }
 
@@ -241,8 +232,8 @@ int ssim_any(Ssim<T> const& p, CUstream_st* stream) {
   work.loss = p.loss, work.partial = p.similarity.data ? nullptr : p.partial;
   int const error = launch<false>(work, volumes_of(work), stream);
   if (error || p.similarity.data) return error;
-  SsimTiles const tiles(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
-  int64_t const rows = work.x.count() / work.depth / p.loss.planes, pieces = p.loss.planes * tiles.pieces();
+  SsimBlocks const blocks(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
+  int64_t const rows = work.x.count() / work.depth / p.loss.planes, pieces = p.loss.planes * blocks.pieces();
   finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<F>{F(1), F(0)}, p.sums);
   return cudaGetLastError();
 }
@@ -256,8 +247,11 @@ int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   work.derivatives = reinterpret_cast<Four<F>*>(p.derivatives);
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
   int64_t const volumes = volumes_of(work);
-  for (; work.first < volumes; work.first += p.together) {
-    int64_t const count = min(p.together, volumes - work.first);
+  int64_t const results =
+      int64_t(work.depth - 2 * work.offset_z) * (work.height - 2 * work.offset) * (work.width - 2 * work.offset);
+  int64_t const together = p.room / (4 * results);
+  for (; work.first < volumes; work.first += together) {
+    int64_t const count = min(together, volumes - work.first);
     if (int const error = launch<false>(work, count, stream)) return error;
     if (int const error = launch<true>(work, count, stream)) return error;
   }

@@ -149,11 +149,46 @@ struct MeansOfRows {
     }
   }
 
+  // The means of abs(x - y) in row y of a plane, to row 0.
+  void difference(int64_t plane, int64_t y) {
+    T const *const *const xs = pointers.data, *const *const ys = xs + p.size;
+    for (int t = 0; t < p.size; ++t) point(t, plane, border_index(p.border, y - p.before() + t, p.x.height));
+    for_each_vector<T>(0, p.x.row_size(), [&](auto n, int64_t e) {
+      constexpr int N = decltype(n)::value;
+      Lanes<F, N> sum{};
+      for (int t = 0; t < p.size; ++t) sum += vabs(Lanes<F, N>(load<N>(xs[t] + e) - load<N>(ys[t] + e))) * p.weights[t];
+      store<N>(along_y[0] + e, sum);
+    });
+    along_y.extend(0, p.border, p.x.width, p.before(), p.before());
+    along_y.filter(0, p.weights, p.size, p.before(), shifted.data, count, means[0]);
+  }
+
   template <int N>
   KV_HD Means<Lanes<F, N>> at(int64_t e) const {
     return {load<N>(means[kX] + e), load<N>(means[kY] + e), load<N>(means[kSquares] + e), load<N>(means[kApart] + e)};
   }
 };
+
+// Writes row y of a plane of the gradients, from the sums of the derivatives. absolute(n, e) is the derivative by
+// abs(x - y).
+template <class T, class Absolute>
+KV_HD void write_gradients(SsimImages<T> const& images, Planes<T> const& grad_x, Planes<T> const& grad_y, int64_t plane,
+                           int64_t y, Rows<Compute<T>> const& sums, Absolute absolute) {
+  using F = Compute<T>;
+  T const *const x = images.x.row(plane, y), *const other = images.y.row(plane, y);
+  T *const to_x = grad_x.row(plane, y), *const to_y = grad_y.data ? grad_y.row(plane, y) : nullptr;
+  for_each_vector<T>(0, images.x.row_size(), [&](auto n, int64_t e) {
+    constexpr int N = decltype(n)::value;
+    Lanes<F, N> const a = load<N>(x + e), b = load<N>(other + e), squares = load<N>(sums[kSquares] + e);
+    Lanes<F, N> const difference = a - b, apart = difference * load<N>(sums[kApart] + e);
+    Lanes<F, N> const one = broadcast<N>(F(1)), sign = difference > 0   ? one
+                                                       : difference < 0 ? Lanes<F, N>(-one)
+                                                                        : difference;
+    Lanes<F, N> const of_absolute = absolute(n, e) * sign;
+    store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + a * squares + apart + of_absolute));
+    if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + b * squares - apart - of_absolute));
+  });
+}
 
 // What comes back to rows from the derivatives by their means.
 template <class T>
@@ -259,20 +294,145 @@ struct GradientRows {
 
   // Writes row y of a plane of the images' gradients.
   void write(int64_t plane, int64_t y, F of_loss) const {
-    T const *const x = images.x.row(plane, y), *const other = images.y.row(plane, y);
-    T *const to_x = p.grad_x.row(plane, y), *const to_y = used == kMeans ? p.grad_y.row(plane, y) : nullptr;
     F const absolute = p.loss.absolute * of_loss;
-    for_each_vector<T>(0, width * step, [&](auto n, int64_t e) {
+    write_gradients(images, p.grad_x, p.grad_y, plane, y, sums, [=](auto, int64_t) { return absolute; });
+  }
+};
+
+// The images, in the windows of one scale after the other.
+template <class T>
+struct ImagesAtScales {
+  using F = Compute<T>;
+  SsimImages<T> images;
+  SsimScales<F> const& scales;
+  SsimConstants<F> const constants;
+  MeansOfRows<T> means;  // of `images`; their memory is that of the largest window
+
+  ImagesAtScales(SsimImages<T> const& p, SsimScales<F> const& scales)
+      : images(p), scales(scales), constants(p.constants), means(images, p.x.width) {}
+
+  void take(int s) {
+    images.size = scales.sizes[s], images.weights = scales.weights[s];
+    images.constants = constants;
+    if (s + 1 < scales.count) images.constants.c1 = 1, images.constants.luminance = 0;
+  }
+};
+
+// Calls f(index constant N, element) for whole vectors, of Rows alone: beyond the last number these have room. f may
+// read what it writes.
+template <class T, class F>
+KV_HD void for_each_padded_vector(int64_t size, F f) {
+  for (int64_t e = 0; e < size; e += kLanes<T>) f(Width<kLanes<T>>{}, e);
+}
+
+// What comes back to rows of the images from the derivatives at all scales.
+template <class T>
+struct MsGradientRows {
+  using F = Compute<T>;
+  MsSsimBackward<T> const& p;
+  ImagesAtScales<T> at_scales;
+  int const count, size, used;  // count: of scales; size: of the largest window
+  int64_t const width, height;
+  Rows<F> factors, derivatives, kept, kept_differences, sums;
+  Scratch<F const*> pointers;
+  Scratch<F> weights;
+
+  explicit MsGradientRows(MsSsimBackward<T> const& p)
+      : p(p),
+        at_scales(p.images, p.scales),
+        count(p.scales.count),
+        size(p.images.size),
+        used(p.grad_y.data ? kMeans : kY),
+        width(p.images.x.width),
+        height(p.images.x.height),
+        factors(count + 1, width, 1, 0),
+        derivatives(kMeans * count, width, 1, size),
+        kept(kMeans * count * size, width, 1, 0),
+        kept_differences(size, width, 1, 0),
+        sums(kMeans + 1, width, 1, 0),
+        pointers(count * size),
+        weights(count * size) {}
+
+  // The derivatives in row q of a plane, along x.
+  void fill(int64_t plane, int64_t q) {
+    SsimImages<T> const& images = at_scales.images;
+    for (int s = 0; s < count; ++s) {
+      at_scales.take(s);
+      at_scales.means.row(plane, q);
+      for_each_vector<T>(0, width, [&](auto n, int64_t e) {
+        constexpr int N = decltype(n)::value;
+        auto const m = at_scales.means.template at<N>(e);
+        SsimTerms<Lanes<F, N>> const terms(m, images.constants);
+        Lanes<F, N> const inverse = 1 / terms.denominator;
+        auto const d = ssim_of_means_vjp(m, terms, inverse, broadcast<N>(F(1)), images.constants.luminance);
+        store<N>(factors[s] + e, Lanes<F, N>(1 - terms.numerator * inverse));
+        store<N>(derivatives[s * kMeans + kX] + e, d.x);
+        store<N>(derivatives[s * kMeans + kY] + e, d.y);
+        store<N>(derivatives[s * kMeans + kSquares] + e, d.squares);
+        store<N>(derivatives[s * kMeans + kApart] + e, d.apart);
+      });
+    }
+    F const* const g = p.of_map + (plane / p.loss.planes * height + q) * width;
+    for_each_vector<T>(0, width, [&](auto n, int64_t e) {
       constexpr int N = decltype(n)::value;
-      Lanes<F, N> const a = load<N>(x + e), b = load<N>(other + e), squares = load<N>(sums[kSquares] + e);
-      Lanes<F, N> const difference = a - b, apart = difference * load<N>(sums[kApart] + e);
-      Lanes<F, N> const one = broadcast<N>(F(1)), sign = difference > 0   ? one
-                                                         : difference < 0 ? Lanes<F, N>(-one)
-                                                                          : difference;
-      Lanes<F, N> const of_absolute = absolute * sign;
-      store<N>(to_x + e, Lanes<F, N>(load<N>(sums[kX] + e) + a * squares + apart + of_absolute));
-      if (to_y) store<N>(to_y + e, Lanes<F, N>(load<N>(sums[kY] + e) + b * squares - apart - of_absolute));
+      store<N>(factors[count] + e, Lanes<F, N>(load<N>(g + e) * -p.loss.structure));
     });
+    for (int s = 0; s < count; ++s) {
+      at_scales.take(s);
+      for_each_padded_vector<T>(width, [&](auto n, int64_t e) {
+        constexpr int N = decltype(n)::value;
+        Lanes<F, N> share = load<N>(factors[count] + e);
+        for (int t = 0; t < count; ++t)
+          if (t != s) share *= load<N>(factors[t] + e);
+        for (int m = 0; m < used; ++m) {
+          F* const to = derivatives[s * kMeans + m] + e;
+          store<N>(to, Lanes<F, N>(load<N>(to) * share));
+        }
+      });
+      for (int m = 0; m < used; ++m) along_x(s * kMeans + m, kept[(q % size * count + s) * kMeans + m]);
+    }
+    for_each_vector<T>(0, width, [&](auto n, int64_t e) {
+      constexpr int N = decltype(n)::value;
+      store<N>(derivatives[0] + e, load<N>(g + e));
+    });
+    along_x(0, kept_differences[q % size]);
+  }
+  // Filters a row of derivatives in the window of the scale that was taken.
+  void along_x(int row, F* out) {
+    SsimImages<T> const& images = at_scales.images;
+    derivatives.extend(row, images.border, width, images.before(), images.before());
+    derivatives.filter(row, images.weights, images.size, images.before(), pointers.data, width, out);
+  }
+
+  // Sums over rows around y what `row(s, q)` has kept of scales from `first` on.
+  template <class Row>
+  void sum_down(int64_t y, int first, Row row, F* out) {
+    int taps = 0;
+    for (int s = first; s < count; ++s)
+      for (int t = 0; t < p.scales.sizes[s]; ++t) {
+        int64_t const q = y - p.scales.sizes[s] / 2 + t;
+        if (q < 0 || q >= height) continue;
+        pointers.data[taps] = row(s, q % size), weights.data[taps++] = p.scales.weights[s][t];
+      }
+    sum_rows(pointers.data, weights.data, taps, width, out);
+  }
+
+  // Rows [begin, end) of all planes.
+  void write(int64_t begin, int64_t end) {
+    int64_t filled = -1;  // the last row of the plane whose derivatives are kept
+    int const R = size / 2;
+    for (int64_t r = begin; r < end; ++r) {
+      int64_t const plane = r / height, y = r % height;
+      if (r == begin || y == 0) filled = max(y - R, int64_t(0)) - 1;
+      while (filled < min(y + R, height - 1)) fill(plane, ++filled);
+      for (int m = 0; m < used; ++m)
+        sum_down(y, 0, [&](int s, int64_t slot) { return kept[(slot * count + s) * kMeans + m]; }, sums[m]);
+      sum_down(y, count - 1, [&](int, int64_t slot) { return kept_differences[slot]; }, sums[kMeans]);
+      write_gradients(p.images, p.grad_x, p.grad_y, plane, y, sums, [&](auto n, int64_t e) {
+        constexpr int N = decltype(n)::value;
+        return Lanes<F, N>(load<N>(sums[kMeans] + e) * p.loss.absolute);
+      });
+    }
   }
 };
 
@@ -343,7 +503,49 @@ void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
+// Rows [begin, end) of the map.
+template <class T>
+void ms_ssim(MsSsim<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const width = p.images.x.width, height = p.images.x.height;
+  ImagesAtScales<T> at_scales(p.images, p.scales);
+  SsimImages<T> const& images = at_scales.images;
+  MeansOfRows<T>& means = at_scales.means;
+  Rows<F> const rows(2, width, 1, 0);
+  F *const similar = rows[0], *const loss = rows[1];
+  for (int64_t r = begin; r < end; ++r) {
+    for (int64_t c = 0; c < p.loss.planes; ++c) {
+      int64_t const plane = r / height * p.loss.planes + c, y = r % height;
+      for (int s = 0; s < p.scales.count; ++s) {
+        at_scales.take(s);
+        means.row(plane, y);
+        for_each_padded_vector<T>(width, [&](auto n, int64_t e) {
+          constexpr int N = decltype(n)::value;
+          SsimTerms<Lanes<F, N>> const terms(means.template at<N>(e), images.constants);
+          Lanes<F, N> const found = 1 - terms.numerator / terms.denominator;
+          store<N>(similar + e, s == 0 ? found : Lanes<F, N>(found * load<N>(similar + e)));
+        });
+      }
+      means.difference(plane, y);
+      for_each_padded_vector<T>(width, [&](auto n, int64_t e) {
+        constexpr int N = decltype(n)::value;
+        Lanes<F, N> const unlike = 1 - load<N>(similar + e), apart = load<N>(means.means[0] + e);
+        Lanes<F, N> const of_plane = unlike * p.loss.structure + apart * p.loss.absolute;
+        store<N>(loss + e, c == 0 ? of_plane : Lanes<F, N>(of_plane + load<N>(loss + e)));
+      });
+    }
+    __builtin_memcpy(p.map + r * width, loss, width * sizeof(F));
+  }
+}
+
+template <class T>
+void ms_ssim_backward(MsSsimBackward<T> const& p, int64_t begin, int64_t end) {
+  MsGradientRows<T>(p).write(begin, end);
+}
+
 KV_INSTANTIATE(ssim, Ssim)
 KV_INSTANTIATE(ssim_backward, SsimBackward)
+KV_INSTANTIATE(ms_ssim, MsSsim)
+KV_INSTANTIATE(ms_ssim_backward, MsSsimBackward)
 
 }  // namespace kv::KV_ISA

@@ -1,4 +1,6 @@
 // Structural similarity: schemas and entries, for CPU and CUDA alike.
+#include <limits>
+
 #include "glue/glue.h"
 #include "ssim.h"
 #include "sums.h"
@@ -161,12 +163,17 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
   return sums;
 }
 
-// How many volumes, or planes of images, the gradient takes at a time: their derivatives, `each` numbers a volume, take
-// no more memory than all the images do, unless that is little.
-[[maybe_unused]] int64_t volumes_together(int64_t volumes, int64_t each, int64_t number, int64_t pixel) {
-  constexpr int64_t little = 1 << 24;
-  int64_t const few = little / (each * number), as_images = volumes * pixel / (4 * number);
-  return min(max(max(few, as_images), int64_t(1)), volumes);
+// How many numbers the gradient has memory for, of those that are `each` for a pixel of the similarity of x: no more
+// than x has, unless that is little, or less than it can do with: one volume, or with tiles some rows of an image.
+template <class T>
+[[maybe_unused]] int64_t room_for(Tensor const& x, Window const& window, SsimImages<T> const& images, int64_t each) {
+  constexpr int64_t little = 1 << 26, number = sizeof(Compute<T>);
+  auto const sizes = window.sizes(x);
+  int64_t const rows = sizes[sizes.size() - 2];
+  int64_t all = each, least = each * sizes.back() * (has_ssim_tiles(images) ? min(rows, window.size + 64) : rows);
+  if (x.dim() == 5) least *= sizes[2];
+  for (int64_t const n : sizes) all *= n;
+  return min(max(max(little, x.numel() * int64_t(sizeof(T))) / number, least), max(all, int64_t(1)));
 }
 
 // The gradient to the first image, and if `grad_other` is given to the second one: with the similarity's, or with those
@@ -221,10 +228,8 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
 #if defined(KV_CUDA)
     std::optional<Tensor> derivatives;
     if (!has_ssim_strips(params.images)) {
-      int64_t each = 4;  // numbers of a volume
-      for (int64_t axis = 2; axis < x.dim(); ++axis) each *= window.sizes(x)[axis];
-      params.together = volumes_together(x.size(0) * x.size(1), each, sizeof(F), sizeof(T));
-      derivatives = empty({params.together * each}, x, Layout::planar, computed_type(x));
+      params.room = room_for(x, window, params.images, 4);
+      derivatives = empty({params.room}, x, Layout::planar, computed_type(x));
       params.derivatives = data_of<F>(*derivatives);
     }
 #endif
@@ -232,6 +237,118 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
     KV_RUN(ssim_backward, x, params, params.grad_x.rows() / pieces, 2 * size * params.grad_x.row_size() * pieces);
   });
   return grad_x;
+}
+
+// Windows of several scales: of those that fall off within `size` pixels as much as float numbers can tell.
+template <class F>
+struct Scales {
+  std::vector<std::vector<F>> weights;
+  SsimScales<F> found{};
+
+  Scales(char const* op, int64_t size, std::vector<double> const& sigmas) {
+    int64_t all = 0;
+    KV_CHECK(!sigmas.empty() && sigmas.size() <= kMostSsimScales, op, ": expected 1 to ", kMostSsimScales, " sigmas");
+    for (double const sigma : sigmas) {
+      bool const last = weights.size() + 1 == sigmas.size();
+      KV_CHECK(sigma > 0, op, ": expected sigmas above 0");
+      std::vector<F> window = gaussian_window<F>(size, sigma);
+      int64_t beside = size / 2;
+      while (!last && beside > 0 &&
+             window[size / 2 + beside] < window[size / 2] * std::numeric_limits<F>::epsilon() / 16)
+        --beside;
+      all += 2 * beside + 1;
+      weights.emplace_back(window.begin() + (size / 2 - beside), window.begin() + (size / 2 + beside + 1));
+    }
+    KV_CHECK(all <= kMostSsimWeights, op, ": the windows are too large");
+    for (auto const& window : weights) {
+      found.sizes[found.count] = int(window.size());
+      found.weights[found.count++] = window.data();
+    }
+  }
+};
+
+Window ms_window(char const* op, Tensor const& x, Tensor const& y, int64_t size, std::vector<double> const& sigmas) {
+  check_images(op, "input", x);
+  check_pair(op, x, y);
+  return Window(op, x, size, sigmas.empty() ? 0 : sigmas.back(), "constant");
+}
+
+// (B, H, W): the mean over the channels.
+Tensor ms_ssim(Tensor const& input, Tensor const& other, std::vector<double> const& sigmas, int64_t size, double c1,
+               double c2, double structure, double absolute) {
+  constexpr char const* op = "ms_ssim";
+  Window const window = ms_window(op, input, other, size, sigmas);
+  Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar);
+  int64_t const channels = x.size(1), rows = x.size(0) * x.size(2);
+  Tensor const map = empty({x.size(0), x.size(2), x.size(3)}, x, Layout::planar, computed_type(x));
+  KV_CHECK(channels > 0, op, ": expected input with at least one channel");
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Scales<F> const scales(op, size, sigmas);
+    MsSsim<T> const params{images<T>(x, y, Layout::planar, window, scales.weights.back().data(), {c1, c2, 0, true}),
+                           scales.found,
+                           {F(structure / channels), F(absolute / channels), channels},
+                           data_of<F>(map)};
+#if defined(KV_CUDA)
+    KV_CHECK(has_ssim_tiles(params.images), op, ": the images are too large");
+#endif
+    KV_RUN(ms_ssim, x, params, rows, channels * 4 * size * x.size(3));
+  });
+  return map;
+}
+
+Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor const& other,
+                         Tensor* grad_other, std::vector<double> const& sigmas, int64_t size, double c1, double c2,
+                         double structure, double absolute) {
+  Window const window = ms_window(op, input, other, size, sigmas);
+  bool const fits = grad.dim() == 3 && grad.size(0) == input.size(0) && grad.size(1) == input.size(2) &&
+                    grad.size(2) == input.size(3) && grad.scalar_type() == computed_type(input) &&
+                    grad.device() == input.device();
+  KV_CHECK(fits, op, ": expected grad to be that of the map");
+  Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar), g = dense(grad);
+  std::vector<int64_t> const sizes{x.size(0), x.size(1), x.size(2), x.size(3)};
+  Tensor const grad_x = empty(sizes, x);
+  if (grad_other) *grad_other = empty(sizes, x);
+  int64_t const batch = x.size(0), channels = x.size(1);
+  KV_CHECK(channels > 0, op, ": expected input with at least one channel");
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Scales<F> const scales(op, size, sigmas);
+    Planes<T> grad_y = planes_for<T>(grad_other ? *grad_other : grad_x, batch, Layout::planar);
+    if (!grad_other) grad_y.data = nullptr;
+    MsSsimBackward<T> params{images<T>(x, y, Layout::planar, window, scales.weights.back().data(), {c1, c2, 0, true}),
+                             scales.found,
+                             {F(structure / channels), F(absolute / channels), channels},
+                             data_of<F>(g),
+                             planes_for<T>(grad_x, batch, Layout::planar),
+                             grad_y,
+                             nullptr,
+                             0};
+#if defined(KV_CUDA)
+    KV_CHECK(has_ssim_tiles(params.images), op, ": the images are too large");
+    params.room = room_for(x, window, params.images, 5 * scales.found.count);
+    Tensor const derivatives = empty({params.room}, x, Layout::planar, computed_type(x));
+    params.derivatives = data_of<F>(derivatives);
+#endif
+    KV_RUN(ms_ssim_backward, x, params, params.grad_x.rows(), 8 * size * x.size(3));
+  });
+  return grad_x;
+}
+
+Tensor ms_ssim_backward(Tensor const& grad, Tensor const& input, Tensor const& other, std::vector<double> const& sigmas,
+                        int64_t size, double c1, double c2, double structure, double absolute) {
+  return ms_ssim_gradients("ms_ssim_backward", grad, input, other, nullptr, sigmas, size, c1, c2, structure, absolute);
+}
+
+std::tuple<Tensor, Tensor> ms_ssim_backward_both(Tensor const& grad, Tensor const& input, Tensor const& other,
+                                                 std::vector<double> const& sigmas, int64_t size, double c1, double c2,
+                                                 double structure, double absolute) {
+  Tensor grad_y = input;  // replaced
+  Tensor const grad_x = ms_ssim_gradients("ms_ssim_backward_both", grad, input, other, &grad_y, sigmas, size, c1, c2,
+                                          structure, absolute);
+  return {grad_x, grad_y};
 }
 
 Tensor ssim_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t size, double sigma,
@@ -285,5 +402,15 @@ KV_OPERATOR(ssim_loss_backward,
 KV_OPERATOR(ssim_loss_backward_both,
             "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
             "str border, float structure, float absolute) -> (Tensor grad_input, Tensor grad_other)")
+
+KV_OPERATOR(ms_ssim,
+            "(Tensor input, Tensor other, float[] sigmas, int size, float c1, float c2, float structure, "
+            "float absolute) -> Tensor")
+KV_OPERATOR(ms_ssim_backward,
+            "(Tensor grad, Tensor input, Tensor other, float[] sigmas, int size, float c1, float c2, float structure, "
+            "float absolute) -> Tensor")
+KV_OPERATOR(ms_ssim_backward_both,
+            "(Tensor grad, Tensor input, Tensor other, float[] sigmas, int size, float c1, float c2, float structure, "
+            "float absolute) -> (Tensor grad_input, Tensor grad_other)")
 
 }  // namespace kv

@@ -164,4 +164,44 @@ inline Tensor sharpness(Tensor const& input, std::optional<Tensor> const& factor
   return differentiable(tensors, compute, tensors, gradient)[0];
 }
 
+// The gradients of the image, and of every image's quality (B, 1) and tables (B, 8, 8); without elements where they are
+// not wanted.
+inline std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Tensor const& input,
+                                                                std::optional<Tensor> const& quality,
+                                                                std::optional<Tensor> const& table_y,
+                                                                std::optional<Tensor> const& table_c, double number,
+                                                                bool of_image, bool of_steps) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto const [of_x, of_quality, of_y, of_c] = call<"jpeg_backward", std::tuple<Tensor, Tensor, Tensor, Tensor>>(
+        grad, input, quality, table_y, table_c, number, of_image, of_steps);
+    return variable_list{of_x, of_quality, of_y, of_c};
+  };
+  variable_list const tensors{grad, input, quality.value_or(Tensor()), table_y.value_or(Tensor()),
+                              table_c.value_or(Tensor())};
+  auto const found = differentiable(tensors, compute, {}, no_second_derivative("jpeg"));
+  return {found[0], found[1], found[2], found[3]};
+}
+
+// By a quality (B,), or the number, and tables (B, 8, 8), or those of the standard; B may be 1.
+inline Tensor jpeg(Tensor const& input, std::optional<Tensor> const& quality, std::optional<Tensor> const& table_y,
+                   std::optional<Tensor> const& table_c, double number) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"jpeg">(input, quality, table_y, table_c, number)}; };
+  auto const gradient = [=](Backward const& b) {
+    auto const given = [&](size_t i) { return b.saved[i].defined() ? std::optional(b.saved[i]) : std::nullopt; };
+    bool const of_steps = b.wanted(1) || b.wanted(2) || b.wanted(3);
+    auto const [of_x, of_quality, of_y, of_c] =
+        jpeg_backward(b.grads[0], b.saved[0], given(1), given(2), given(3), number, b.wanted(0), of_steps);
+    auto const summed = [&](size_t i, Tensor const& t) {
+      return b.wanted(i) ? t.sum_to_size(b.saved[i].sizes()) : Tensor();
+    };
+    return variable_list{b.wanted(0) ? of_x : Tensor(), summed(1, of_quality.flatten()), summed(2, of_y),
+                         summed(3, of_c)};
+  };
+  variable_list const tensors{input, quality.value_or(Tensor()), table_y.value_or(Tensor()),
+                              table_c.value_or(Tensor())};
+  return differentiable(tensors, compute, tensors, gradient)[0];
+}
+
 }  // namespace kvision

@@ -264,13 +264,6 @@ inline Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool al
   return differentiable({smaller, image}, compute, {}, gradient)[0];
 }
 
-// Homographies (B, 3, 3) from pixels of a result of `size` to the quadrangles (B, 4, 2) that it shows.
-inline Tensor crop_matrix(Tensor const& quads, std::vector<int64_t> const& size) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"crop_matrix">(quads, size)}; };
-  return differentiable({quads}, compute, {}, no_second_derivative("crop_matrix"))[0];
-}
-
 // Columns, rows or both reversed; neither is a copy.
 inline Tensor flip(Tensor const& input, bool columns, bool rows) {
   auto const transpose = [=](Tensor const& g) { return flip(g, columns, rows); };

@@ -9,6 +9,7 @@
 #include "kvision/filters.h"
 #include "kvision/geometry.h"
 #include "kvision/losses.h"
+#include "kvision/matrices.h"
 #include "kvision/metrics.h"
 #include "kvision/morphology.h"
 #include "kvision/views.h"

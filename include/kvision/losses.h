@@ -77,6 +77,83 @@ inline Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tens
   return differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient)[0];
 }
 
+inline Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& pred, Tensor const& target,
+                              bool hinge) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"lovasz_backward">(grad, slopes, pred, target, hinge)}; };
+  return differentiable({grad, slopes, pred}, compute, {}, no_second_derivative("lovasz"))[0];
+}
+
+// (B, C): the Lovász losses of every class of logits (B, C, H, W) with labels (B or 1, H, W), int64 or uint8, or the
+// `hinge` losses of one class, whose label is 1; and (B, C, H, W) their slopes by the errors of the pixels, without a
+// gradient.
+inline std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool hinge = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [losses, slopes] = call<"lovasz", std::tuple<Tensor, Tensor>>(pred, target, hinge);
+    return variable_list{losses, slopes};
+  };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const x = b.saved[0], slopes = std::get<1>(lovasz(x.detach(), b.saved[1], hinge));
+    return variable_list{lovasz_backward(b.grads[0], slopes, x, b.saved[1], hinge)};
+  };
+  variable_list const found = differentiable({pred}, compute, {pred, target}, gradient);
+  return {found[0], found[1].detach()};
+}
+
+inline Tensor hausdorff_backward(Tensor const& grad, Tensor const& pred, Tensor const& target, double alpha, int64_t k,
+                                 bool summed) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"hausdorff_backward">(grad, pred, target, alpha, k, summed)}; };
+  return differentiable({grad, pred}, compute, {}, no_second_derivative("hausdorff"))[0];
+}
+
+// What survives k erosions of the squared differences of probabilities (B, C, H, W) or (B, C, D, H, W), float32 or
+// float64, from labels (B or 1, ...), the i-th erosion weighing i^alpha: of every pixel, or the sums (B, C).
+inline Tensor hausdorff(Tensor const& pred, Tensor const& target, double alpha = 2, int64_t k = 10,
+                        bool summed = false) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"hausdorff">(pred, target, alpha, k, summed)}; };
+  auto const gradient = [=](Backward const& b) {
+    return variable_list{hausdorff_backward(b.grads[0], b.saved[0], b.saved[1], alpha, k, summed)};
+  };
+  return differentiable({pred}, compute, {pred, target}, gradient)[0];
+}
+
+inline Tensor binary_focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target,
+                                    std::optional<Tensor> const& yes, std::optional<Tensor> const& no, double of_yes,
+                                    double of_no, double gamma, double ignored, bool ignores, bool summed,
+                                    bool by_target) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"binary_focal_backward">(grad, pred, target, yes, no, of_yes, of_no, gamma, ignored,
+                                                       ignores, summed, by_target)};
+  };
+  return differentiable({grad, pred, target}, compute, {}, no_second_derivative("binary_focal"))[0];
+}
+
+// The focal losses of logits and targets (rows, size), or their sums (rows); the positive terms are multiplied by
+// of_yes and those of a row by `yes` (rows), without a gradient, the negative ones likewise.
+inline Tensor binary_focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& yes = {},
+                           std::optional<Tensor> const& no = {}, double of_yes = 0.25, double of_no = 0.75,
+                           double gamma = 2, double ignored = -100, bool ignores = true, bool summed = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"binary_focal">(pred, target, yes, no, of_yes, of_no, gamma, ignored, ignores, summed)};
+  };
+  auto const gradient = [=](Backward const& b) {
+    auto const factors = [&](size_t i) { return b.saved[i].defined() ? std::optional(b.saved[i]) : std::nullopt; };
+    auto const by = [&](bool target) {
+      return b.wanted(target) ? binary_focal_backward(b.grads[0], b.saved[0], b.saved[1], factors(2), factors(3),
+                                                      of_yes, of_no, gamma, ignored, ignores, summed, target)
+                              : Tensor();
+    };
+    return variable_list{by(false), by(true)};
+  };
+  return differentiable({pred, target}, compute, {pred, target, yes.value_or(Tensor()), no.value_or(Tensor())},
+                        gradient)[0];
+}
+
 inline Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double along_y, double along_x) {
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"total_variation_backward">(grad, input, along_y, along_x)}; };

@@ -6,6 +6,7 @@
 
 #include <string>
 #include <tuple>
+#include <vector>
 
 #include "kvision/operator.h"
 
@@ -89,6 +90,49 @@ inline Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size =
           {}};
     auto const [of_input, of_other] = ssim_loss_backward_both(b.grads[0], b.saved[0], b.saved[1], size, sigma, c1, c2,
                                                               eps, border, structure, absolute);
+    return variable_list{of_input, of_other};
+  };
+  return differentiable({input, other}, compute, {input, other}, gradient)[0];
+}
+
+inline Tensor ms_ssim_backward(Tensor const& grad, Tensor const& input, Tensor const& other,
+                               std::vector<double> const& sigmas, int64_t size, double c1, double c2, double structure,
+                               double absolute) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"ms_ssim_backward">(grad, input, other, sigmas, size, c1, c2, structure, absolute)};
+  };
+  return differentiable({grad, input, other}, compute, {}, no_second_derivative("ms_ssim"))[0];
+}
+
+inline std::tuple<Tensor, Tensor> ms_ssim_backward_both(Tensor const& grad, Tensor const& input, Tensor const& other,
+                                                        std::vector<double> const& sigmas, int64_t size, double c1,
+                                                        double c2, double structure, double absolute) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [of_input, of_other] = call<"ms_ssim_backward_both", std::tuple<Tensor, Tensor>>(
+        grad, input, other, sigmas, size, c1, c2, structure, absolute);
+    return variable_list{of_input, of_other};
+  };
+  variable_list const found = differentiable({grad, input, other}, compute, {}, no_second_derivative("ms_ssim"));
+  return {found[0], found[1]};
+}
+
+// (B, H, W): the mean over the channels of 1 - the product of the similarities in Gaussian windows of these sigmas,
+// only the last of which has luminance, and of abs(input - other) in that one's window, each times its weight.
+inline Tensor ms_ssim(Tensor const& input, Tensor const& other, std::vector<double> const& sigmas = {0.5, 1, 2, 4, 8},
+                      int64_t size = 33, double c1 = 1e-4, double c2 = 9e-4, double structure = 5,
+                      double absolute = 195) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"ms_ssim">(input, other, sigmas, size, c1, c2, structure, absolute)};
+  };
+  auto const gradient = [=](Backward const& b) {
+    if (!b.wanted(1))
+      return variable_list{
+          ms_ssim_backward(b.grads[0], b.saved[0], b.saved[1], sigmas, size, c1, c2, structure, absolute), {}};
+    auto const [of_input, of_other] =
+        ms_ssim_backward_both(b.grads[0], b.saved[0], b.saved[1], sigmas, size, c1, c2, structure, absolute);
     return variable_list{of_input, of_other};
   };
   return differentiable({input, other}, compute, {input, other}, gradient)[0];

@@ -1,7 +1,7 @@
 // Several views: points, homographies and models that relate images. Each function has the arguments of the operator
 // torch.ops.kvision.<name>, which python/kvision/geometry explains. All are in float32 or float64, points
-// (B, N, 2) as (x, y). Null vectors, homographies, fundamental matrices, poses, points in space and those of lenses
-// have gradients; consensus, contest and eigenvectors have none; those of minimal models and roots, and second
+// (B, N, 2) as (x, y). Null vectors, homographies, fundamental matrices, poses, motions, points in space and those of
+// lenses have gradients; consensus, contest and eigenvectors have none; those of minimal models and roots, and second
 // derivatives, are errors.
 #pragma once
 
@@ -112,6 +112,17 @@ inline std::tuple<Tensor, Tensor, Tensor> fundamental_dlt_backward(Tensor const&
 // The fundamental matrices (B, 3, 3) of rank 2 that correspondences fit best, with weights (B, N), of eight and more.
 inline Tensor fundamental_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights = {}) {
   return detail::dlt<"fundamental_dlt">(points1, points2, weights, fundamental_dlt_backward);
+}
+
+inline std::tuple<Tensor, Tensor, Tensor> affine_fit_backward(Tensor const& grad, Tensor const& points1,
+                                                              Tensor const& points2,
+                                                              std::optional<Tensor> const& weights) {
+  return detail::dlt_backward<"affine_fit_backward">(grad, points1, points2, weights, "affine_fit");
+}
+
+// The affine maps (B, 3, 3) that take points nearest to others, with weights (B, N); NaN for points on a line.
+inline Tensor affine_fit(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights = {}) {
+  return detail::dlt<"affine_fit">(points1, points2, weights, affine_fit_backward);
 }
 
 inline std::tuple<Tensor, Tensor, Tensor, Tensor> pose_dlt_backward(Tensor const& grad, Tensor const& points,
@@ -251,6 +262,98 @@ inline std::tuple<Tensor, Tensor> eigenvectors(Tensor const& matrix) {
   return {found[0], found[1]};
 }
 
+// --- essential matrices
+// ------------------------------------------------------------------------------------------------------------
+
+inline Tensor nearest_essential_backward(Tensor const& grad, Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"nearest_essential_backward">(grad, matrix)}; };
+  return differentiable({grad, matrix}, compute, {}, no_second_derivative("nearest_essential"))[0];
+}
+
+// The nearest essential matrices, of two equal singular values and 0, of matrices (B, 3, 3).
+inline Tensor nearest_essential(Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"nearest_essential">(matrix)}; };
+  auto const gradient = [](Backward const& b) {
+    return variable_list{nearest_essential_backward(b.grads[0], b.saved[0])};
+  };
+  return differentiable({matrix}, compute, {matrix}, gradient)[0];
+}
+
+inline Tensor essential_motions_backward(Tensor const& grad, Tensor const& grad_directions, Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"essential_motions_backward">(grad, grad_directions, matrix)}; };
+  return differentiable({grad, grad_directions, matrix}, compute, {}, no_second_derivative("essential_motions"))[0];
+}
+
+// The four motions of essential matrices (B, 3, 3): rotations (B, 4, 3, 3), directions of translations (B, 4, 3, 1).
+inline std::tuple<Tensor, Tensor> essential_motions(Tensor const& matrix) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [rotations, directions] = call<"essential_motions", std::tuple<Tensor, Tensor>>(matrix);
+    return variable_list{rotations, directions};
+  };
+  auto const gradient = [](Backward const& b) {
+    Tensor const& e = b.saved[0];
+    Tensor const to_rotations = b.grads[0].defined() ? b.grads[0] : at::zeros({e.size(0), 4, 3, 3}, e.options());
+    Tensor const to_directions = b.grads[1].defined() ? b.grads[1] : at::zeros({e.size(0), 4, 3, 1}, e.options());
+    return variable_list{essential_motions_backward(to_rotations, to_directions, e)};
+  };
+  variable_list const found = differentiable({matrix}, compute, {matrix}, gradient);
+  return {found[0], found[1]};
+}
+
+// The one of these motions that leaves most points in front of both cameras (B, 3, 3), by their pixels (B, N, 2) and a
+// mask (B, N), or none, of those that count: rotation, direction, points in space (B, N, 3), how many are in front (B).
+inline std::tuple<Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, Tensor const& camera1,
+                                                                Tensor const& camera2, Tensor const& points1,
+                                                                Tensor const& points2,
+                                                                std::optional<Tensor> const& mask = {}) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [rotation, direction, space, in_front] = call<"motion_choice", std::tuple<Tensor, Tensor, Tensor, Tensor>>(
+        matrix, camera1, camera2, points1, points2, mask);
+    return variable_list{rotation, direction, space, in_front};
+  };
+  variable_list const found =
+      differentiable({matrix, camera1, camera2, points1, points2}, compute, {}, no_gradient("motion_choice"));
+  return {found[0], found[1], found[2], found[3]};
+}
+
+// --- errors
+// ------------------------------------------------------------------------------------------------------------
+
+inline std::tuple<Tensor, Tensor, Tensor> view_errors_backward(Tensor const& grad, Tensor const& points1,
+                                                               Tensor const& points2, Tensor const& matrix,
+                                                               std::string const& kind, bool squared) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points1, to_points2, to_matrix] =
+        call<"view_errors_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, points1, points2, matrix, kind, squared);
+    return variable_list{to_points1, to_points2, to_matrix};
+  };
+  variable_list const found =
+      differentiable({grad, points1, points2, matrix}, compute, {}, no_second_derivative("view_errors"));
+  return {found[0], found[1], found[2]};
+}
+
+// How far correspondences (B, N, 2 or 3) are from matrices (B, 3, 3), (B, N); one of each serves a batch. kind:
+// "sampson", "symmetrical", "right", "left" of fundamental matrices, the last two of which are distances whatever
+// `squared` says; "transfer", "symmetric_transfer", "segments" of homographies, the last of points (B, N, 4).
+inline Tensor view_errors(Tensor const& points1, Tensor const& points2, Tensor const& matrix, std::string const& kind,
+                          bool squared) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"view_errors">(points1, points2, matrix, kind, squared)}; };
+  auto const gradient = [=](Backward const& b) {
+    auto const [to_points1, to_points2, to_matrix] =
+        view_errors_backward(b.grads[0], b.saved[0], b.saved[1], b.saved[2], kind, squared);
+    return variable_list{to_points1.sum_to_size(b.saved[0].sizes()), to_points2.sum_to_size(b.saved[1].sizes()),
+                         to_matrix.sum_to_size(b.saved[2].sizes())};
+  };
+  return differentiable({points1, points2, matrix}, compute, {points1, points2, matrix}, gradient)[0];
+}
+
 // --- samples and those who agree with them
 // ------------------------------------------------------------------------------------------------------------
 
@@ -271,6 +374,31 @@ inline Tensor consensus(Tensor const& models, Tensor const& points1, Tensor cons
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"consensus">(models, points1, points2, threshold, model)}; };
   return differentiable({}, compute, {}, nullptr)[0];
+}
+
+// The best `count` of models (M, 3, 3) by their consensus (M, 2), by the number of who agrees or by the sum, with that
+// consensus. No gradient.
+inline std::tuple<Tensor, Tensor> leaders(Tensor const& models, Tensor const& scores, int64_t count, bool by_number) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [best, best_scores] = call<"leaders", std::tuple<Tensor, Tensor>>(models, scores, count, by_number);
+    return variable_list{best, best_scores};
+  };
+  variable_list const found = differentiable({}, compute, {}, nullptr);
+  return {found[0], found[1]};
+}
+
+// The first of models (M, 3, 3), and which of N correspondences weigh more than 0 for it, by weights (M, N); zeros and
+// nobody where these are no more than `least`. Of norm 1 for "essential", others with a last number of 1. No gradient.
+inline std::tuple<Tensor, Tensor> verdict(Tensor const& models, Tensor const& weights, int64_t least,
+                                          std::string const& model) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [found, fits] = call<"verdict", std::tuple<Tensor, Tensor>>(models, weights, least, model);
+    return variable_list{found, fits};
+  };
+  variable_list const found = differentiable({}, compute, {}, nullptr);
+  return {found[0], found[1]};
 }
 
 // The best `count` of two lists of models (M, 3, 3) by their consensus (M, 2): by the number of who agrees, or by the

@@ -85,12 +85,17 @@ int main() {
       [](auto const& t) { return kvision::extract_patches(t[0], {7, 6}, {3, 4}, {2, 3}, {1, 0, 2, 1}); }, {x}, true);
   check("ssim_loss", [](auto const& t) { return kvision::ssim_loss(t[0], t[1], 3); }, {x, torch::rand_like(x)}, false);
   check(
+      "ms_ssim", [](auto const& t) { return kvision::ms_ssim(t[0], t[1], {0.5, 1}, 5); }, {x, torch::rand_like(x)},
+      false);
+  check(
       "dilation",
       [](auto const& t) { return kvision::dilation(t[0], torch::ones({1, 3, 3}, torch::kDouble), {}, 1, 1); }, {x},
       false);
   Tensor const labels = torch::randint(0, 2, {1, 2, 7, 6});
   check("focal", [&](auto const& t) { return kvision::focal(t[0], labels); }, {x.unsqueeze(0)}, false);
   check("overlap", [&](auto const& t) { return std::get<0>(kvision::overlap(t[0], labels)); }, {x.unsqueeze(0)}, false);
+  check("lovasz", [&](auto const& t) { return std::get<0>(kvision::lovasz(t[0], labels[0])); }, {x}, false);
+  check("hausdorff", [&](auto const& t) { return kvision::hausdorff(t[0], labels[0], 1, 3); }, {3 * x}, false);
   Tensor const rows = x.flatten(1), others = torch::rand_like(rows) + 0.5;
   check(
       "pointwise_loss", [](auto const& t) { return kvision::pointwise_loss(t[0], t[1], "welsch"); }, {rows, others},
@@ -98,6 +103,7 @@ int main() {
   check(
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
+  check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
   check("total_variation", [](auto const& t) { return kvision::total_variation(t[0], 0.5, 2); }, {x}, false);
   check(
       "smoothness", [](auto const& t) { return kvision::smoothness(t[0], t[1], 0.5, 2); }, {x.slice(1, 1), x * 2},
@@ -175,6 +181,13 @@ int main() {
       "photometric_depth",
       [&](auto const& t) { return kvision::photometric_depth(seen, target, t[0], t[1].expand({-1, 2, -1, -1}), "l2"); },
       {depth, projection.unsqueeze(1)}, false);
+  check(
+      "axis_angle_to_rotation_matrix", [](auto const& t) { return kvision::axis_angle_to_rotation_matrix(t[0]); },
+      {torch::rand({2, 3})}, false);
+  check(
+      "affine_matrix2d",
+      [](auto const& t) { return kvision::affine_matrix2d(t[0], t[1], {}, t[2], {}, t[3], 1, 0, 0, 2); },
+      {100 * torch::rand({2}), torch::rand({1, 2}), torch::rand({2}), torch::rand({2, 2})}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },
@@ -197,11 +210,26 @@ int main() {
   check(
       "fundamental_dlt of weights", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1], t[2]); },
       {first, second, torch::rand({2, 9}) + 0.5}, false);
+  check("affine_fit", [](auto const& t) { return kvision::affine_fit(t[0], t[1]); }, {first, second}, false);
+  check(
+      "affine_fit of weights", [](auto const& t) { return kvision::affine_fit(t[0], t[1], t[2]); },
+      {first, second, torch::rand({2, 9}) + 0.5}, false);
   Tensor const solid = torch::rand({2, 9, 3}) + 1, pinhole = 2 * torch::eye(3).repeat({2, 1, 1});
   check("pose_dlt", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2]); }, {solid, first, pinhole}, false);
   check(
       "pose_dlt of weights", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2], t[3]); },
       {solid, first, pinhole, torch::rand({2, 9}) + 0.5}, false);
+  Tensor const matrices = torch::rand({3, 3, 3});
+  for (auto const* kind : {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer"})
+    check(
+        "view_errors", [=](auto const& t) { return kvision::view_errors(t[0], t[1], t[2], kind, true); },
+        {from, torch::rand({1, 6, 3}) + 0.5, matrices.narrow(0, 0, 2) + 1}, false);
+  check(
+      "segments", [](auto const& t) { return kvision::view_errors(t[0], t[1], t[2], "segments", false); },
+      {torch::rand({2, 6, 4}), torch::rand({2, 6, 4}), matrices.narrow(0, 0, 1) + 1}, false);
+  check("nearest_essential", [](auto const& t) { return kvision::nearest_essential(t[0]); }, {matrices}, false);
+  check("rotations", [](auto const& t) { return std::get<0>(kvision::essential_motions(t[0])); }, {matrices}, false);
+  check("directions", [](auto const& t) { return std::get<1>(kvision::essential_motions(t[0])); }, {matrices}, false);
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
   for (auto const* mode : {"sobel", "diff"})
     for (int order : {1, 2})
@@ -270,6 +298,9 @@ int main() {
         {x, torch::rand_like(x), torch::rand({2, 1, 1}), torch::rand({1, 2, 1})});
   check(
       "sharpness", [](auto const& t) { return kvision::sharpness(t[0], t[1], 0); }, {x, torch::rand({2, 1, 1})}, false);
+  check(
+      "jpeg", [](auto const& t) { return kvision::jpeg(t[0], t[1], t[2], {}, 0); },
+      {torch::rand({2, 3, 5, 6}), 20 + 50 * torch::rand({2}), 20 + 50 * torch::rand({1, 8, 8})}, false);
   check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], "GB"); }, {torch::rand({2, 1, 4, 6})}, true);
   auto const contrast = [](auto const& t) {  // and gamma
     kvision::ColorProgram const program{{22, 25}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, t[1], t[2]};
@@ -324,6 +355,10 @@ int main() {
   Tensor const shift = torch::tensor({0.5f, 0.f}), space = torch::cat({2 * from, torch::full({2, 6, 1}, 2.f)}, 2);
   same("triangulate", kvision::triangulate(from, from + shift, still, moved), space);
   same("triangulate of variables", kvision::triangulate(places, from + shift, still, moved).detach(), space);
+  Tensor const sideways = torch::tensor({{0.f, 0.f, 0.f}, {0.f, 0.f, -1.f}, {0.f, 1.f, 0.f}}).expand({2, 3, 3});
+  auto const chosen =
+      kvision::motion_choice(sideways, eye.expand({2, 3, 3}), eye.expand({2, 3, 3}), from, from + shift);
+  same("motion_choice", std::get<2>(chosen), space);
   Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
   same("eigenvectors", std::get<0>(kvision::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
   auto const triangulate = [](auto const& t) { return kvision::triangulate(t[0], t[1], t[2], t[3]); };
@@ -332,6 +367,10 @@ int main() {
           eye.expand({2, 1, 3, 3}));
   Tensor const agree = kvision::consensus(eye, from[0].t(), from[0].t(), 0.1, "homography");
   if (!torch::equal(agree, torch::full({1, 2}, 6.f)) && ++failures) std::cout << "consensus: " << agree << "\n";
+  auto const [leader, most] =
+      kvision::leaders(torch::cat({0 * eye, eye}), torch::tensor({{0.f, 0.f}, {1.f, 1.f}}), 1, true);
+  same("leaders", leader, eye);
+  same("verdict", std::get<0>(kvision::verdict(leader, most, 1, "homography")), eye[0]);
 
   // Levels have no gradient, and a plane of one level comes back with its own.
   Tensor const planes = torch::cat({x, torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();

@@ -1,4 +1,4 @@
-"""The codec beside a real one."""
+"""The codec: the operator, and beside a real one."""
 
 from __future__ import annotations
 
@@ -9,9 +9,49 @@ import skimage.data
 import torch
 
 import kvision as K
-from op_tests import assert_close
+from op_tests import OpTests, assert_close
 
 E = K.enhance
+
+
+class TestJpeg(OpTests):
+    """Some pixels are outside [0, 1], where there is no gradient."""
+
+    function = staticmethod(E.jpeg_codec_differentiable)
+    module = E.JPEGCodecDifferentiable
+    forward_arguments = ("jpeg_quality",)
+    operators = ("jpeg", "jpeg_backward")
+    variants = [
+        {"jpeg_quality": 60.0},
+        {
+            "jpeg_quality": lambda x: 5 + 55 * torch.rand(x.shape[0]),
+            "quantization_table_y": lambda x: 20 + 80 * torch.rand(x.shape[0], 8, 8),
+            "quantization_table_c": lambda x: 20 + 80 * torch.rand(1, 8, 8),
+        },
+    ]
+    channels = 3
+    shape = (2, 3, 19, 70)
+    small = (1, 3, 3, 4)
+    max_size = 20
+    # A coefficient is up to a hundred steps, and the gradient goes with the square of what is left of its last one.
+    tolerances = {torch.float32: (1e-4, 5e-5)}
+
+    def input(self, shape, dtype, device):
+        return super().input(shape, dtype, device) * 1.2 - 0.1
+
+    test_other_integers_become_float32 = None  # they are refused
+    test_value_of_bytes = None
+
+    def test_nan_stays_in_its_window(self, variant, device):
+        """That is its block, and the chroma blocks beside it."""
+        x, kwargs = self.setup(variant, device, torch.float32, (1, 3, 64, 64))
+        x[0, 1, 22, 23] = float("nan")
+        nan = self.call(x, kwargs).isnan().any(1)[0]
+        assert nan[16:24, 16:24].all() and not nan[:15].any() and not nan[:, 33:].any()
+        assert torch.equal(nan, self.expected(x, kwargs).isnan().any(1)[0])
+
+    def test_wrong_kinds(self, variant, device):
+        """test_all.py; any number of leading axes is right."""
 
 
 @pytest.mark.parametrize("quality", [10, 50, 90])

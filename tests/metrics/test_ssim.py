@@ -65,12 +65,58 @@ class TestL1Loss(Losses):
     variants = [{"img2": other, "window_size": 5, "ssim_weight": 0.4}]
 
 
-@pytest.mark.parametrize("window", [3, 5, 7, 9, 11])
+def MS_SSIMLoss(img1, img2, **options):
+    return K.losses.MS_SSIMLoss(compensation=1.0, **options)(img1, img2)
+
+
+class TestScales(TestSSIM):
+    function = staticmethod(MS_SSIMLoss)
+    module = None
+    operators = ("ms_ssim", "ms_ssim_backward", "ms_ssim_backward_both")
+    variants = [
+        {"img2": other, "sigmas": (0.5, 1.0), "alpha": 0.4, "reduction": "none"},
+        {"img2": other, "sigmas": (1.2, 0.6, 3.0), "alpha": 0.7, "data_range": 2.0},
+    ]
+    errors = [
+        ({"sigmas": (0.0, 1.0)}, ValueError, "expected sigmas and data_range above 0"),
+        ({"img2": None}, TypeError, "expected img2 to be a Tensor"),
+    ]
+    forward_arguments = ()
+
+    def test_empty(self, device):
+        """The mean of nothing."""
+        for shape in ((0, 3, 13, 18), (2, 0, 13, 18)):
+            x = torch.rand(shape, device=device)
+            assert self.function(x, x).isnan()
+
+
+@pytest.mark.parametrize("sigmas", [(0.5, 1.0, 2.0, 4.0, 8.0), (5.0,), (20.0, 3.0, 6.5), (1.0,) * 17], ids=len)
+@pytest.mark.parametrize("size", [(1, 2), (40, 67), (19, 330)], ids=str)
+def test_scales_of_large_images(sigmas, size, device):
+    """Tiles, both gradients, one of the images for all others; more scales than the kernels take."""
+    x = torch.rand(2, 2, *size, device=device)
+    for y in (other(x), other(x[:1])):
+        found = []
+        for name, dtype in (("auto", torch.float32), ("reference", torch.float64)):
+            with K.backend(name):
+                leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
+                loss = K.losses.MS_SSIMLoss(sigmas, alpha=0.5, reduction="none")(*leaves)
+                both = torch.autograd.grad((loss**2).sum(), leaves)
+                swapped = K.losses.MS_SSIMLoss(sigmas, alpha=0.5)(leaves[1], leaves[0])
+                alone = torch.autograd.grad(swapped, leaves[1])
+                found.append([loss.detach(), *both, swapped.detach(), *alone])
+        for actual, expected in zip(*found):
+            assert_close(actual, expected.float(), 1e-3, 1e-4 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("window", [3, 5, 7, 9, 11, 13, 31])
 @pytest.mark.parametrize("size", [(11, 12), (40, 67), (33, 300), (90, 530)], ids=str)
 @pytest.mark.parametrize("padding", ["same", "valid"])
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last], ids=["planar", "last"])
 def test_blocks_and_strips(window, size, padding, layout, device):
     """Images that one block does not hold, both gradients, and the loss against the mean of its map."""
+    if min(size) < window:
+        pytest.skip("the window is larger than the images")
     x = torch.rand(1, 2, *size, device=device).contiguous(memory_format=layout)
     y = other(x)
     weight = torch.rand(K.metrics.ssim(x, y, window, padding=padding).shape, device=device)
@@ -89,12 +135,14 @@ def test_blocks_and_strips(window, size, padding, layout, device):
         assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
 
 
-@pytest.mark.parametrize("window", [1, 3, 7])
-@pytest.mark.parametrize("size", [(7, 8, 9), (12, 20, 40), (25, 9, 33)], ids=str)
+@pytest.mark.parametrize("window", [1, 3, 7, 11, 23])
+@pytest.mark.parametrize("size", [(7, 8, 9), (12, 20, 40), (25, 12, 33)], ids=str)
 @pytest.mark.parametrize("padding", ["same", "valid"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_volumes(window, size, padding, dtype, device):
     """Map and loss of volumes with both gradients."""
+    if min(size) < window if padding == "valid" else min(size) <= window // 2:
+        pytest.skip("the window is larger than the volumes")
     x = torch.rand(2, 2, *size, device=device, dtype=dtype)
     y = other(x).to(dtype)
     weight = torch.rand(K.metrics.ssim3d(x, y, window, padding=padding).shape, device=device, dtype=torch.float64)
@@ -112,10 +160,42 @@ def test_volumes(window, size, padding, dtype, device):
         assert_close(actual, expected.to(dtype), 5 * small, small * float(expected.abs().max()))
 
 
+def test_the_gradient_of_rows(device):
+    """A plane with more derivatives than CUDA has memory for is taken in parts; what lies far from it changes nothing."""
+    if device.type != "cuda":
+        pytest.skip("the CPU keeps a few rows in any case")
+    x = torch.rand(1, 1, 2300, 4000, device=device)
+    y, part = other(x), slice(1000, 1400)
+    for call in (K.losses.MS_SSIMLoss(reduction="none"), lambda x, y: K.metrics.ssim(x, y, 31)):
+        whole, alone = x.clone().requires_grad_(), x[..., part, :].clone().requires_grad_()
+        (expected,) = torch.autograd.grad(call(alone, y[..., part, :])[..., 100:300, :].sum(), alone)
+        (actual,) = torch.autograd.grad(call(whole, y)[..., 1100:1300, :].sum(), whole)
+        assert_close(actual[..., part, :], expected, 1e-4, 1e-4 * float(expected.abs().max()))
+        assert actual[..., :1000, :].abs().max() == 0
+
+
+def test_a_window_of_hundreds_of_pixels(device):
+    """Larger than the kernels of other windows take."""
+    x = torch.rand(1, 2, 205, 207, device=device)
+    y = other(x)
+    found = []
+    for name, dtype in (("auto", torch.float32), ("reference", torch.float64)):
+        with K.backend(name):
+            leaves = x.to(dtype).requires_grad_(), y.to(dtype).requires_grad_()
+            loss = K.losses.ssim_loss(*leaves, 403)
+            found.append([loss.detach(), *torch.autograd.grad(loss * 1e4, leaves)])
+    for actual, expected in zip(*found):
+        assert_close(actual, expected.float(), 1e-3, 2e-4 * float(expected.abs().max()))
+
+
 def test_the_gradient_of_many_planes_is_that_of_each(device):
     """More of them than a launch takes that keeps to its memory."""
-    x = torch.rand(9, 1, 300, 400, device=device, requires_grad=True)
+    x = torch.rand(36, 1, 300, 400, device=device, requires_grad=True)
     y = other(x.detach())
-    (grad,) = torch.autograd.grad(K.metrics.ssim(x, y, 7).sum(), x)
-    (of_last,) = torch.autograd.grad(K.metrics.ssim(x[8:], y[8:], 7).sum(), x)
-    assert torch.equal(grad[8:], of_last[8:])
+    for call in (
+        lambda x, y: K.metrics.ssim(x, y, 13),
+        lambda x, y: K.losses.MS_SSIMLoss((3.0, 0.8), reduction="sum")(x, y),
+    ):
+        (grad,) = torch.autograd.grad(call(x, y).sum(), x)
+        (of_last,) = torch.autograd.grad(call(x[35:], y[35:]).sum(), x)
+        assert torch.equal(grad[35:], of_last[35:])

@@ -10,8 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import laid_out, register
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colours
@@ -37,8 +38,13 @@ _CHROMINANCE = (
 )
 
 
-def _reference(x: Tensor, quality: Tensor, table_y: Tensor | None, table_c: Tensor | None) -> Tensor:
+def _reference(
+    x: Tensor, quality: Tensor | None, table_y: Tensor | None, table_c: Tensor | None, number: float
+) -> Tensor:
+    """Images (B, 3, H, W) by qualities (B or 1,), or a number where there are none, and tables (B or 1, 8, 8)."""
     h, w = x.shape[2:]
+    if quality is None:
+        quality = torch.full((1,), number, device=x.device, dtype=x.dtype)
     ycbcr = 255 * rgb_to_ycbcr(pad(x, ((0, -h % 16), (0, -w % 16)), "replicate"))
     y = _through_blocks(ycbcr[:, :1], _steps(quality, _table(_LUMINANCE, table_y, x)))
     chroma = _through_blocks(_halved(ycbcr[:, 1:]), _steps(quality, _table(_CHROMINANCE, table_c, x)))
@@ -111,7 +117,55 @@ def _soft_clip(x: Tensor, low: float, high: float) -> Tensor:
     return inside + 0.02 * (torch.sign(x - inside) * (1 - torch.exp(-(x - inside).abs())))
 
 
-_jpeg = as_stored(_reference)
+def _reference_backward(
+    grad: Tensor,
+    x: Tensor,
+    quality: Tensor | None,
+    table_y: Tensor | None,
+    table_c: Tensor | None,
+    number: float,
+    of_image: bool,
+    of_steps: bool,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    b, dtype = x.shape[0], compute_dtype(x)
+    if quality is None:
+        quality = torch.full((1,), number, device=x.device, dtype=dtype)
+    tables = (_table(_LUMINANCE, table_y, x), _table(_CHROMINANCE, table_c, x))
+    each = (quality.expand(b), *(t.expand(b, 8, 8) for t in tables))
+    none = x[:, :0, 0, 0]
+
+    def f(x: Tensor, quality: Tensor, table_y: Tensor, table_c: Tensor) -> Tensor:
+        return _reference(x, quality, table_y, table_c, number)
+
+    if not of_steps:
+        (of_x,) = torch.func.vjp(lambda x: f(x, *each), x)[1](grad)
+        of_tables = (none.to(dtype)[..., None].expand(b, 0, 8).clone() for _ in tables)
+        return of_x, none.to(dtype), *of_tables
+    if of_image:
+        of_x, of_quality, *of_tables = torch.func.vjp(f, x, *each)[1](grad)
+    else:
+        of_x, (of_quality, *of_tables) = none, torch.func.vjp(lambda *each: f(x, *each), *each)[1](grad)
+    return of_x, of_quality[:, None], *of_tables
+
+
+def _fake_backward(grad, x, quality, table_y, table_c, number, of_image, of_steps):
+    b, n = x.shape[0], int(of_steps)
+    of_x = laid_out(torch.empty_like(x), x) if of_image else x.new_empty((b, 0))
+    return [of_x, *(x.new_empty((b, *inner), dtype=compute_dtype(x)) for inner in ((n,), (8 * n, 8), (8 * n, 8)))]
+
+
+def _backward(needs, grad, x, quality, table_y, table_c, number):
+    of_steps = any(needs[1:4])
+    of_x, of_quality, *of_tables = _jpeg_backward(grad, x, quality, table_y, table_c, number, needs[0], of_steps)
+    of_each, given = (of_quality.flatten(), *of_tables), (quality, table_y, table_c)
+    return [
+        of_x if needs[0] else None,
+        *(e.sum_to_size(t.shape) if need else None for need, e, t in zip(needs[1:4], of_each, given)),
+    ]
+
+
+_jpeg = register("jpeg", _reference, backward=_backward)
+_jpeg_backward = register("jpeg_backward", _reference_backward, fake=_fake_backward)
 
 
 def jpeg_codec_differentiable(
@@ -156,15 +210,14 @@ def jpeg_codec_differentiable(
     if 0 in input.shape[-2:]:
         raise ShapeError(f"{op}: expected input with H, W of at least 1, got {tuple(input.shape)}")
     x = as_batch(input)
+    number, given = 0.0, {}
     if isinstance(jpeg_quality, Tensor):
         _check.numbers(op, "jpeg_quality", jpeg_quality)
-        quality = jpeg_quality
+        given["jpeg_quality"] = jpeg_quality
     else:
         number = _check.number(op, "jpeg_quality", jpeg_quality, minimum=0)
         if number > 100:
             raise ValueCheckError(f"{op}: expected jpeg_quality in [0, 100], got {jpeg_quality!r}")
-        quality = torch.full((1,), number, device=x.device)
-    given = {"jpeg_quality": quality}
     for name, table in (("quantization_table_y", quantization_table_y), ("quantization_table_c", quantization_table_c)):
         if table is not None:
             _check.numbers(op, name, table)
@@ -177,7 +230,10 @@ def jpeg_codec_differentiable(
             raise ShapeError(
                 f"{op}: expected {name} of shape ({want},) for B = {x.shape[0]}, got {tuple(tensor.shape)}"
             )
-    y = _jpeg(x, quality, given.get("quantization_table_y"), given.get("quantization_table_c"))
+        given[name] = as_dtype(tensor, compute_dtype(x))
+    y = _jpeg(
+        x, *(given.get(name) for name in ("jpeg_quality", "quantization_table_y", "quantization_table_c")), number
+    )
     return y.reshape(input.shape)
 
 

@@ -32,14 +32,13 @@ def _reference_backward(
     grad: Tensor, x: Tensor, factor: Tensor | None, number: float, of_image: bool, of_factor: bool
 ) -> tuple[Tensor, Tensor]:
     none = x[:, :0, 0, 0]
-    of_planes = none.to(compute_dtype(x))[..., None]
-    if factor is None:
-        of_x = vjp(_reference)(grad, x, None, number)
-    else:
-        each = factor.expand(*x.shape[:2], 1)  # a gradient for each channel
-        of_x, of_each = torch.func.vjp(lambda x, f: _reference(x, f, number), x, each)[1](grad)
-        of_planes = of_each if of_factor else of_planes
-    return of_x if of_image else none, of_planes
+    of_x, of_planes = none, none.to(compute_dtype(x))[..., None]
+    if of_image:
+        of_x = vjp(_reference)(grad, x, factor, number)
+    if of_factor:
+        each = factor.expand(*x.shape[:2], 1)  # type: ignore[union-attr]  # a gradient for each channel
+        (of_planes,) = torch.func.vjp(lambda f: _reference(x, f, number), each)[1](grad)
+    return of_x, of_planes
 
 
 def _fake_backward(grad, x, factor, number, of_image, of_factor):

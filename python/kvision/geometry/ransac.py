@@ -21,10 +21,10 @@ from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.distances import sampson_epipolar_distance
-from kvision.geometry.epipolar.essential import project_to_essential
+from kvision.geometry.epipolar.essential import nearest_essential
 from kvision.geometry.homography.dlt import find_homography_lines_dlt, homography_of
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, oneway_transfer_error
-from kvision.geometry.solvers.affine import find_affine
+from kvision.geometry.solvers.affine import affine_of
 
 __all__ = ["RANSAC"]
 
@@ -83,6 +83,21 @@ def _contest_reference(
     return models, scores, torch.where(errors <= threshold**2, 1 / (1 + softness * errors), 0)
 
 
+def _leaders_reference(models: Tensor, scores: Tensor, count: int, by_number: bool) -> tuple[Tensor, Tensor]:
+    """The best `count` of models by their consensus, of equal ones the first, and that consensus."""
+    order = scores[:, int(by_number)].argsort(descending=True, stable=True)[:count]
+    return models[order], scores[order]
+
+
+def _verdict_reference(models: Tensor, weights: Tensor, least: int, model: str) -> tuple[Tensor, Tensor]:
+    """The first model, and who has a weight above 0 for it; nothing where these are no more than `least`."""
+    inliers = weights[0] > 0
+    found = inliers.sum() > least
+    first = models[:1]
+    first = first / torch.linalg.vector_norm(first) if model == "essential" else to_unit_last(first)
+    return torch.where(found, first[0], 0), inliers & found
+
+
 def _points(points1: Tensor, points2: Tensor, model: str) -> tuple[Tensor, Tensor]:
     shape = (-1, 2, 2) if model == "lines" else (-1, 2)
     return points1.T.reshape(shape), points2.T.reshape(shape)
@@ -96,6 +111,19 @@ def _contest_sizes(
 
 
 _consensus = register("consensus", _consensus_reference, fake=lambda models, *args: (models.shape[0], 2), constant=(0,))
+_leaders = register(
+    "leaders",
+    _leaders_reference,
+    fake=lambda models, scores, count, *how: [(min(count, len(models)), *size) for size in ((3, 3), (2,))],
+    constant=(0, 1),
+)
+_verdict = register(
+    "verdict",
+    _verdict_reference,
+    fake=lambda models, weights, *how: [(3, 3), weights.new_empty(weights.shape[1], dtype=torch.bool)],
+    constant=(0, 1),
+    stores=True,
+)
 _contest = register("contest", _contest_reference, fake=_contest_sizes, constant=(0, 1, 2))
 
 
@@ -280,8 +308,8 @@ class RANSAC(nn.Module):
             count = min(batch, self.sample_budget - drawn)
             draws = self._draws(count, len(kp1), drawn, kp1, generator)
             found, consensus = scored(minimal(*points, draws, self.model).flatten(0, 1))
-            first = consensus[:, int(by_number)].topk(min(_REFINED, len(found))).indices
-            best, scores, weights = contest((found[first], consensus[first]), (best, scores), 0.0, _REFINED)
+            first = _leaders(found, consensus, _REFINED, by_number)
+            best, scores, weights = contest(first, (best, scores), 0.0, _REFINED)
             drawn += count
             batch = min(2 * batch, 4096) if self.batch_size == "auto" else batch
             if kp1.device.type == "cpu":
@@ -293,10 +321,8 @@ class RANSAC(nn.Module):
         best, scores, weights = contest((best, scores), (best[:0], scores[:0]), softness, 1)
         for _ in range(self.refine_iters):
             best, scores, weights = contest(scored(self._fitted(kp1, kp2, weights)), (best, scores), softness, 1)
-        inliers = weights[0] > 0
-        found = inliers.sum() > self.minimal_sample_size
-        model = best[0] if self.model == "essential" else to_unit_last(best)[0]
-        return torch.where(found, model, 0), inliers & found
+        model, inliers = _verdict(best, weights, self.minimal_sample_size, self.model)
+        return model, inliers
 
     def _draws(
         self, count: int, population: int, before: int, like: Tensor, generator: torch.Generator | None
@@ -317,15 +343,12 @@ class RANSAC(nn.Module):
 
     def _fitted(self, kp1: Tensor, kp2: Tensor, weights: Tensor) -> Tensor:
         """Models (M, 3, 3) of least squares for weights (M, N)."""
-        if self.model == "homography":
-            return homography_of(kp1[None], kp2[None], weights)
-        if self.model.startswith("fundamental"):
-            return eight_points(kp1[None], kp2[None], weights)
-        if self.model in ("affine", "lines"):
+        if self.model == "lines":
             x, y = (kp.expand(len(weights), *kp.shape) for kp in (kp1, kp2))
-            return (find_affine if self.model == "affine" else find_homography_lines_dlt)(x, y, weights)
-        fitted = project_to_essential(eight_points(kp1[None], kp2[None], weights))
-        return fitted / torch.linalg.vector_norm(fitted, dim=(-2, -1), keepdim=True)
+            return find_homography_lines_dlt(x, y, weights)
+        fit = {"homography": homography_of, "affine": affine_of}.get(self.model, eight_points)
+        fitted: Tensor = fit(kp1[None], kp2[None], weights)
+        return nearest_essential(fitted) if self.model == "essential" else fitted
 
     # --- the steps by themselves, for those who put them together in another way ---
 

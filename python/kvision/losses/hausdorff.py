@@ -7,16 +7,20 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.losses.reduction import reduced, selected
+from kvision.losses.reduction import selected
+
+_MOST_EROSIONS = 1000  # of the kernels
 
 
-def _eroded(pred: Tensor, target: Tensor, alpha: float, k: int) -> Tensor:
-    """(B, C, *): how much of (pred - target)^2 survives k soft erosions, the i-th one weighing i ** alpha."""
+def _reference(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> Tensor:
+    """(B, C, *): how much of (pred - label)^2 survives k soft erosions, the i-th one weighing i ** alpha; with labels (B, *).
+    With `summed` (B, C), the sums of that."""
     classes, axes = pred.shape[1], tuple(range(2, pred.dim()))
-    index, counts = selected(target[:, 0], classes, None, pred.dtype)
+    index, counts = selected(target.expand(pred.shape[0], *target.shape[1:]), classes, None, pred.dtype)
     own = index[:, None] == torch.arange(classes, device=pred.device).view(-1, *(1,) * len(axes))
     bound = (pred - own.to(pred.dtype)).square() * counts[:, None]
     total = torch.zeros_like(bound)
@@ -27,7 +31,7 @@ def _eroded(pred: Tensor, target: Tensor, alpha: float, k: int) -> Tensor:
         flat = span == 0
         bound = torch.where(flat, bound, (bound - low) / torch.where(flat, 1, span))
         total = total + bound * i**alpha
-    return total
+    return total.sum(axes) if summed else total
 
 
 def _cross_mean(x: Tensor, axes: tuple[int, ...]) -> Tensor:
@@ -41,9 +45,34 @@ def _cross_mean(x: Tensor, axes: tuple[int, ...]) -> Tensor:
     return total / (1 + 2 * len(axes))
 
 
-@as_stored
+def _fake(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> Tensor:
+    return pred.new_empty(pred.shape[:2] if summed else pred.shape)
+
+
+def _backward(needs, grad, *args):
+    return [_hausdorff_backward(grad, *args) if needs[0] else None, None]
+
+
+_hausdorff_backward = register(
+    "hausdorff_backward",
+    vjp(_reference),
+    fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
+    stores=True,
+)
+_hausdorff = register("hausdorff", _reference, fake=_fake, backward=_backward, stores=True)
+
+
 def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) -> Tensor:
-    return reduced(_eroded(pred, target, alpha, k).movedim(1, 0)[:, :, None], reduction)
+    wide = as_dtype(pred, compute_dtype(pred))
+    operator = _hausdorff if k <= _MOST_EROSIONS and pred.numel() > 0 else _hausdorff.reference
+    loss = operator(wide, target[:, 0], alpha, k, reduction != "none")
+    if reduction == "none":
+        loss = loss.movedim(1, 0)[:, :, None]
+    else:
+        loss = loss.sum()
+        if reduction == "mean":
+            loss = loss / pred.numel() if pred.numel() else loss * float("nan")
+    return as_dtype(loss, pred.dtype)
 
 
 class HausdorffERLoss(FunctionModule):

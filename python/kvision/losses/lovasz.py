@@ -2,24 +2,68 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.losses.reduction import check_labels, check_weight, selected
 
 
-def _extension(errors: Tensor, labels: Tensor) -> Tensor:
-    """The Lovász extension of the Jaccard loss along the last axis: errors from the largest on, each times what its pixel
-    adds to the loss of the set of those before it. `labels` are 1 in the region and 0 elsewhere."""
-    errors, order = errors.sort(-1, descending=True)
-    inside = labels.gather(-1, order).cumsum(-1)
+def _reference(pred: Tensor, target: Tensor, hinge: bool) -> tuple[Tensor, Tensor]:
+    """(B, C): the Lovász extension of the Jaccard loss of every class, of the errors of logits (B, C, H, W); and (B, C, H,
+    W): its slopes by the errors. With `hinge` there is one class, whose label is 1, and 0 is everything else."""
+    wide = pred.to(compute_dtype(pred)).flatten(2)
+    first, classes = (1, 2) if hinge else (0, pred.shape[1])
+    target = target.expand(pred.shape[0], -1, -1).flatten(1).long()
+    index, counts = selected(target, classes, None, wide.dtype)
+    inside = index[:, None] == torch.arange(first, classes, device=pred.device)[:, None]
+    labels = inside.to(wide.dtype)
+    errors = (1 - wide * (2 * labels - 1)).relu() if hinge else (labels - wide.softmax(1)).abs()
+    errors, order = (errors * counts[:, None]).sort(dim=-1, stable=True, descending=True)
+    slopes = _slopes(labels.gather(-1, order))
+    return (errors * slopes).sum(-1), torch.zeros_like(slopes).scatter(-1, order, slopes).view(pred.shape)
+
+
+def _slopes(labels: Tensor) -> Tensor:
+    """What each pixel adds to the Jaccard loss of the set of those before it; `labels` are 1 in the region, or 0."""
+    inside = labels.cumsum(-1)
     region, size = inside[..., -1:], torch.arange(1, labels.shape[-1] + 1, device=labels.device, dtype=labels.dtype)
     jaccard = 1 - (region - inside) / (region + size - inside)
-    return (errors * torch.cat([jaccard[..., :1], jaccard.diff(dim=-1)], -1)).sum(-1)
+    return torch.cat([jaccard[..., :1], jaccard.diff(dim=-1)], -1)
+
+
+def _fake(pred: Tensor, *_: Any) -> list[Any]:
+    dtype = compute_dtype(pred)
+    return [pred.new_empty(pred.shape[:2], dtype=dtype), pred.new_empty(pred.shape, dtype=dtype)]
+
+
+def _backward(needs, grad, _, losses, slopes, *args):
+    return [_lovasz_backward(grad, slopes, *args) if needs[0] else None, None]
+
+
+def _slope(grad: Tensor, slopes: Tensor, pred: Tensor, *args: Any) -> Tensor:
+    return vjp(lambda pred: _reference(pred, *args)[0])(grad, pred)
+
+
+_lovasz_backward = register(
+    "lovasz_backward",
+    _slope,
+    fake=lambda grad, slopes, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
+    stores=True,
+)
+_lovasz = register("lovasz", _reference, fake=_fake, backward=_backward, saves_results=True, constant=(1,), stores=True)
+
+
+def _losses(pred: Tensor, target: Tensor, hinge: bool) -> Tensor:
+    """(B, C), in the type that computes."""
+    operator = _lovasz if pred.numel() > 0 else _lovasz.reference
+    return operator(pred, target, hinge)[0]
 
 
 def lovasz_hinge_loss(pred: Tensor, target: Tensor) -> Tensor:
@@ -27,7 +71,7 @@ def lovasz_hinge_loss(pred: Tensor, target: Tensor) -> Tensor:
 
     Args:
         pred: logits (B, 1, H, W), positive inside of the region.
-        target: (B, H, W), 1 inside of the region and 0 elsewhere, of any type.
+        target: (B, H, W), 1 inside of the region and 0 elsewhere, of any type. Another label makes the loss NaN.
 
     Returns:
         A number.
@@ -50,14 +94,8 @@ def lovasz_hinge_loss(pred: Tensor, target: Tensor) -> Tensor:
     b, _, h, w = pred.shape
     _check.shape("lovasz_hinge_loss", "target", target, b, h, w)
     _check.same_device("lovasz_hinge_loss", pred=pred, target=target)
-    return _hinge(pred, target)
-
-
-@as_stored
-def _hinge(pred: Tensor, target: Tensor) -> Tensor:
-    labels = target.flatten(1).to(pred.dtype)
-    errors = 1 - pred.flatten(1) * (2 * labels - 1)
-    return _extension(errors.relu(), labels).mean()
+    labels = target if target.dtype == torch.int64 else target.to(torch.uint8)
+    return as_dtype(_losses(pred, labels, True).mean(), pred.dtype)
 
 
 def lovasz_softmax_loss(pred: Tensor, target: Tensor, weight: Tensor | None = None) -> Tensor:
@@ -90,16 +128,10 @@ def lovasz_softmax_loss(pred: Tensor, target: Tensor, weight: Tensor | None = No
             actual_shape=pred.shape,
         )
     check_weight("lovasz_softmax_loss", "weight", weight, pred)
-    return _lovasz_softmax(pred, weight, target)
-
-
-@as_stored
-def _lovasz_softmax(pred: Tensor, weight: Tensor | None, target: Tensor) -> Tensor:
-    index, counts = selected(target.flatten(1), pred.shape[1], None, pred.dtype)
-    own = index[:, None] == torch.arange(pred.shape[1], device=pred.device)[:, None]
-    errors = (own.to(pred.dtype) - pred.flatten(2).softmax(1)).abs() * counts[:, None]
-    loss = _extension(errors, own.to(pred.dtype)).mean(0)
-    return (loss if weight is None else loss * weight).mean()
+    losses = _losses(pred, target, False)
+    if weight is not None:
+        losses = losses.mean(0) * weight
+    return as_dtype(losses.mean(), pred.dtype)
 
 
 class LovaszHingeLoss(FunctionModule):

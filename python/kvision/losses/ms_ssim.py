@@ -4,18 +4,52 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.kernels import gaussian
-from kvision.filters.separable import filter2d_separable
+from kvision.filters.separable import _reference as filter_separably
 from kvision.losses.reduction import reduced
-from kvision.metrics.ssim import similarity
+from kvision.metrics.ssim import _backward, _both_gradients, _like
+from kvision.metrics.ssim import _reference as similarity
+
+# What the kernels have memory for; csrc/metrics/ssim.h.
+_MOST_SCALES, _MOST_WEIGHTS = 16, 400
+
+
+def _reference(
+    x: Tensor, y: Tensor, sigmas: Sequence[float], size: int, c1: float, c2: float, structure: float, absolute: float
+) -> Tensor:
+    """(B, H, W): the mean over the channels of 1 - similarity and of abs(x - y) in a window, each times its weight."""
+    dtype = compute_dtype(x)
+    x, y = x.to(dtype), y.to(dtype)
+    similar = similarity(x, y, size, sigmas[-1], c1, c2, 0.0, "constant", True)
+    for sigma in sigmas[:-1]:
+        similar = similar * similarity(x, y, size, sigma, c1, c2, 0.0, "constant", False)
+    kernel = gaussian(size, sigmas[-1], device=x.device, dtype=dtype)
+    difference = filter_separably((x - y).abs(), kernel, kernel, "constant", True)
+    return (structure * (1 - similar) + absolute * difference).mean(1)
+
+
+_ms_ssim = register(
+    "ms_ssim",
+    _reference,
+    fake=lambda x, *_: x.new_empty((x.shape[0], *x.shape[2:]), dtype=compute_dtype(x)),
+    backward=_backward(
+        register("ms_ssim_backward", vjp(_reference), fake=lambda grad, x, *_: _like(x), stores=True),
+        register(
+            "ms_ssim_backward_both",
+            _both_gradients(_reference),
+            fake=lambda grad, x, *_: [_like(x), _like(x)],
+            stores=True,
+        ),
+    ),
+    stores=True,
+)
 
 
 class MS_SSIMLoss(FunctionModule):
@@ -92,27 +126,14 @@ class MS_SSIMLoss(FunctionModule):
                 f"got {tuple(img2.shape)}",
                 actual_shape=img2.shape,
             )
-        img1, img2 = torch.broadcast_tensors(floats(img1), floats(img2))
-        return _loss(img1, img2, self.sigmas, self.data_range, self.K, self.alpha, self.compensation, self.reduction)
-
-
-@as_stored
-def _loss(
-    x: Tensor,
-    y: Tensor,
-    sigmas: tuple[float, ...],
-    data_range: float,
-    K: tuple[float, float],
-    alpha: float,
-    compensation: float,
-    reduction: str,
-) -> Tensor:
-    size = 2 * int(2 * sigmas[-1]) + 1
-    c1, c2 = ((k * data_range) ** 2 for k in K)
-    similar = similarity(x, y, size, sigmas[-1], c1, c2, 0.0, "constant", True)
-    for sigma in sigmas[:-1]:
-        similar = similar * similarity(x, y, size, sigma, c1, c2, 0.0, "constant", False)
-    kernel = gaussian(size, sigmas[-1], device=x.device, dtype=x.dtype)
-    difference = filter2d_separable((x - y).abs(), kernel, kernel, "constant")
-    loss = alpha * (1 - similar) + (1 - alpha) / data_range * difference
-    return reduced(compensation * loss.mean(1), reduction)
+        img1, img2 = floats(img1), as_dtype(floats(img2), floats(img1).dtype)
+        if len(img1) < len(img2):
+            img1, img2 = img2, img1  # one of img2 may serve all images
+        size = 2 * int(2 * self.sigmas[-1]) + 1
+        c1, c2 = ((k * self.data_range) ** 2 for k in self.K)
+        structure = self.compensation * self.alpha
+        absolute = self.compensation * (1 - self.alpha) / self.data_range
+        arguments = list(map(float, self.sigmas)), size, c1, c2, structure, absolute
+        fits = len(self.sigmas) <= _MOST_SCALES and len(self.sigmas) * size <= _MOST_WEIGHTS and img1.shape[1] > 0
+        loss = (_ms_ssim if fits else _ms_ssim.reference)(img1, img2, *arguments)
+        return as_dtype(reduced(loss, self.reduction), img1.dtype)

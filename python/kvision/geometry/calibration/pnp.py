@@ -94,7 +94,7 @@ def _backward_reference(
     grad: Tensor, points: Tensor, pixels: Tensor, camera: Tensor, weights: Tensor | None, flat: float
 ) -> tuple[Tensor, ...]:
     w = points.new_ones(points.shape[:2]) if weights is None else weights
-    return torch.func.vjp(lambda *given: _reference(*given, flat), points, pixels, camera, w)[1](grad)
+    return torch.func.vjp(lambda x, y, k, w: _reference(x, y, k, w, flat), points, pixels, camera, w)[1](grad)
 
 
 def _backward(needs: Sequence[bool], grad: Tensor, *given: Any) -> tuple[Tensor | None, ...]:

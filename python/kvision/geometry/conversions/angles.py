@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision.geometry._formula import of_rows, register_formula
 
 __all__ = ["angle_to_rotation_matrix", "cart2pol", "deg2rad", "pol2cart", "rad2deg"]
 
@@ -120,13 +120,15 @@ def angle_to_rotation_matrix(angle: Tensor) -> Tensor:
                 [-1.,  0.]])
     """
     _check.numbers("angle_to_rotation_matrix", "angle", angle)
-    return _rotation2d(floats(angle))
+    return of_rows(_rotation2d, floats(angle), 0)
 
 
-@as_stored
-def _rotation2d(angle: Tensor) -> Tensor:
+def _rotation2d_reference(angle: Tensor) -> Tensor:
     c, s = cos_sin(angle)
     return torch.stack([c, s, -s + 0, c], -1).unflatten(-1, (2, 2))  # no negative zeros
+
+
+_rotation2d = register_formula("angle_to_rotation_matrix", _rotation2d_reference, lambda *args: (2, 2))
 
 
 def cos_sin(degrees: Tensor) -> tuple[Tensor, Tensor]:

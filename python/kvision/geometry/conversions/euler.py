@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._dtype import as_dtype, floats
+from kvision._ops import Operator
+from kvision.geometry._formula import register_formula
 
 __all__ = ["euler_from_quaternion", "quaternion_from_euler"]
 
@@ -36,18 +37,30 @@ def quaternion_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> tuple[Ten
         tensor(1.)
     """
     _check_same("quaternion_from_euler", roll=roll, pitch=pitch, yaw=yaw)
-    return _from_euler(floats(roll), floats(pitch), floats(yaw))
+    w, x, y, z = _columns(_from_euler, roll, pitch, yaw)
+    return w, x, y, z
 
 
-@as_stored
-def _from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _from_euler_reference(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
     (cr, sr), (cp, sp), (cy, sy) = (((a / 2).cos(), (a / 2).sin()) for a in (roll, pitch, yaw))
-    return (
+    entries = [
         cr * cp * cy + sr * sp * sy,
         sr * cp * cy - cr * sp * sy,
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
-    )
+    ]
+    return torch.stack(entries, -1)
+
+
+_from_euler = register_formula("quaternion_from_euler", _from_euler_reference, lambda *args: (4,))
+
+
+def _columns(operator: Operator, *numbers: Tensor) -> tuple[Tensor, ...]:
+    """What a formula of numbers (*) gives, as tensors (*)."""
+    shape, dtype = numbers[0].shape, floats(numbers[0]).dtype
+    found = operator(*(as_dtype(x if x.dim() == 1 else x.reshape(-1), dtype) for x in numbers))
+    columns = found.unbind(1)
+    return columns if len(shape) == 1 else tuple(c.reshape(shape) for c in columns)
 
 
 def euler_from_quaternion(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -77,11 +90,11 @@ def euler_from_quaternion(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[T
         (tensor(0.), tensor(0.), tensor(1.5708))
     """
     _check_same("euler_from_quaternion", w=w, x=x, y=y, z=z)
-    return _euler(floats(w), floats(x), floats(y), floats(z))
+    roll, pitch, yaw = _columns(_euler, w, x, y, z)
+    return roll, pitch, yaw
 
 
-@as_stored
-def _euler(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _euler_reference(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     # (yaw + roll) / 2 is the angle of (a, b), (yaw - roll) / 2 that of (c, d); of lengths p and m, the pitch is between them.
     a, b, c, d = w - y, x + z, w + y, z - x
     p, m = a * a + b * b, c * c + d * d
@@ -93,7 +106,8 @@ def _euler(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, 
     lengths = (torch.where(locked, 1, m).sqrt(), torch.where(locked, 1, p).sqrt())
     pitch = 2 * torch.atan2(*lengths) - math.pi / 2
     pole = (up.to(w.dtype) - down.to(w.dtype)) * (math.pi / 2)
-    return _within_pi(total - difference), torch.where(locked, pole, pitch), _within_pi(total + difference)
+    angles = [_within_pi(total - difference), torch.where(locked, pole, pitch), _within_pi(total + difference)]
+    return torch.stack(angles, -1)
 
 
 def _within_pi(angle: Tensor) -> Tensor:
@@ -102,6 +116,9 @@ def _within_pi(angle: Tensor) -> Tensor:
 
 def _angle(y: Tensor, x: Tensor, none: Tensor) -> Tensor:
     return torch.atan2(torch.where(none, 0, y), torch.where(none, 1, x))
+
+
+_euler = register_formula("euler_from_quaternion", _euler_reference, lambda *args: (3,))
 
 
 def _check_same(op: str, **tensors: Tensor) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry.conversions.poses import check_is_rotation
 from kvision.geometry.conversions.series import angle_per_sine, cos, sinc, squared
 
@@ -54,11 +54,10 @@ def axis_angle_to_rotation_matrix(axis_angle: Tensor) -> Tensor:
         tensor([ 0, -1,  0])
     """
     _check.ends("axis_angle_to_rotation_matrix", "axis_angle", axis_angle, 3)
-    return _turn(floats(axis_angle))
+    return of_rows(_turn, floats(axis_angle), 1)
 
 
-@as_stored
-def _turn(v: Tensor) -> Tensor:
+def _turn_reference(v: Tensor) -> Tensor:
     square = squared(v)
     versine = sinc(square / 4).square() / 2  # (1 - cos) / angle^2
     xx, yy, zz = (v * v * versine).unbind(-1)
@@ -66,6 +65,9 @@ def _turn(v: Tensor) -> Tensor:
     ax, ay, az = (v * sinc(square)).unbind(-1)
     entries = [1 - yy - zz, xy - az, zx + ay, xy + az, 1 - zz - xx, yz - ax, zx - ay, yz + ax, 1 - xx - yy]
     return torch.stack(entries, -1).unflatten(-1, (3, 3))
+
+
+_turn = register_formula("axis_angle_to_rotation_matrix", _turn_reference, lambda *args: (3, 3))
 
 
 def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
@@ -87,15 +89,17 @@ def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
         tensor([0.7071, 0.0000, 0.0000, 0.7071])
     """
     _check.ends("axis_angle_to_quaternion", "axis_angle", axis_angle, 3)
-    return _exponential(floats(axis_angle), 0.5)
+    return of_rows(_exponential, floats(axis_angle), 1, 0.5)
 
 
-@as_stored
-def _exponential(v: Tensor, part: float) -> Tensor:
+def _exponential_reference(v: Tensor, part: float) -> Tensor:
     """The quaternion that turns by twice `part` times the length of `v`."""
     v = v * part
     square = squared(v)
     return torch.cat([cos(square), v * sinc(square)], -1)
+
+
+_exponential = register_formula("quaternion_exponential", _exponential_reference, lambda *args: (4,))
 
 
 def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
@@ -117,14 +121,16 @@ def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
         tensor([0.0000, 0.0000, 1.5708])
     """
     _check.ends("quaternion_to_axis_angle", "quaternion", quaternion, 4)
-    return _axis_angle(floats(quaternion))
+    return of_rows(_axis_angle, floats(quaternion), 1)
 
 
-@as_stored
-def _axis_angle(q: Tensor) -> Tensor:
+def _axis_angle_reference(q: Tensor) -> Tensor:
     w, v = q[..., :1], q[..., 1:]
     back = torch.where(w < 0, -1, 1)  # q and -q are one rotation
     return 2 * back * v * angle_per_sine(squared(v), back * w)
+
+
+_axis_angle = register_formula("quaternion_to_axis_angle", _axis_angle_reference, lambda *args: (3,))
 
 
 # --- matrices -------------------------------------------------------------------------------------------------------
@@ -149,11 +155,10 @@ def quaternion_to_rotation_matrix(quaternion: Tensor) -> Tensor:
         tensor([ 0., -1.,  0.])
     """
     _check.ends("quaternion_to_rotation_matrix", "quaternion", quaternion, 4)
-    return _matrix(floats(quaternion))
+    return of_rows(_matrix, floats(quaternion), 1)
 
 
-@as_stored
-def _matrix(q: Tensor) -> Tensor:
+def _matrix_reference(q: Tensor) -> Tensor:
     square = squared(q)
     none = square < torch.finfo(q.dtype).tiny
     twice = torch.where(none, 0, 2 / torch.where(none, 1, square))
@@ -163,6 +168,9 @@ def _matrix(q: Tensor) -> Tensor:
     yy, yz, zz = sy * y, sy * z, sz * z
     entries = [1 - yy - zz, xy - wz, xz + wy, xy + wz, 1 - xx - zz, yz - wx, xz - wy, yz + wx, 1 - xx - yy]
     return torch.stack(entries, -1).unflatten(-1, (3, 3))
+
+
+_matrix = register_formula("quaternion_to_rotation_matrix", _matrix_reference, lambda *args: (3, 3))
 
 
 def rotation_matrix_to_quaternion(rotation_matrix: Tensor, eps: float = 1e-8, check_rotation: bool = False) -> Tensor:
@@ -187,7 +195,7 @@ def rotation_matrix_to_quaternion(rotation_matrix: Tensor, eps: float = 1e-8, ch
         >>> K.geometry.rotation_matrix_to_quaternion(torch.eye(3))
         tensor([1., 0., 0., 0.])
     """
-    return _quaternion(_rotations("rotation_matrix_to_quaternion", rotation_matrix, check_rotation))
+    return of_rows(_quaternion, _rotations("rotation_matrix_to_quaternion", rotation_matrix, check_rotation), 2)
 
 
 def _rotations(op: str, matrix: Tensor, check_rotation: bool) -> Tensor:
@@ -198,8 +206,7 @@ def _rotations(op: str, matrix: Tensor, check_rotation: bool) -> Tensor:
     return floats(matrix)
 
 
-@as_stored
-def _quaternion(R: Tensor) -> Tensor:
+def _quaternion_reference(R: Tensor) -> Tensor:
     # Each row is the quaternion times 4 of its components: w, x, y, z.
     a, b, c, d, e, f, g, h, i = R.flatten(-2).unbind(-1)
     rows = torch.stack(
@@ -216,6 +223,9 @@ def _quaternion(R: Tensor) -> Tensor:
     row = rows.gather(-2, which[..., None, None].expand(*which.shape, 1, 4)).squeeze(-2)
     square = row.gather(-1, which[..., None])  # at least 1
     return row / (2 * square.sqrt())
+
+
+_quaternion = register_formula("rotation_matrix_to_quaternion", _quaternion_reference, lambda *args: (4,))
 
 
 def rotation_matrix_to_axis_angle(rotation_matrix: Tensor, check_rotation: bool = False) -> Tensor:
@@ -238,7 +248,14 @@ def rotation_matrix_to_axis_angle(rotation_matrix: Tensor, check_rotation: bool 
         tensor([0.0000, 0.0000, 1.5708])
     """
     matrix = _rotations("rotation_matrix_to_axis_angle", rotation_matrix, check_rotation)
-    return as_stored(lambda R: _axis_angle(_quaternion(R)))(matrix)
+    return of_rows(_axis_angle_of_matrix, matrix, 2)
+
+
+_axis_angle_of_matrix = register_formula(
+    "rotation_matrix_to_axis_angle",
+    lambda R: _axis_angle_reference(_quaternion_reference(R)),
+    lambda *args: (3,),
+)
 
 
 def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
@@ -262,9 +279,16 @@ def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
                 [-2.,  1.,  0.]])
     """
     _check.ends("vector_to_skew_symmetric_matrix", "vec", vec, 3)
+    return of_rows(_cross_matrix, vec, 1)
+
+
+def _cross_matrix_reference(vec: Tensor) -> Tensor:
     x, y, z = vec.unbind(-1)
     o = torch.zeros_like(x)
     return torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
+
+
+_cross_matrix = register_formula("cross_matrix", _cross_matrix_reference, lambda *args: (3, 3))
 
 
 # --- quaternions ----------------------------------------------------------------------------------------------------
@@ -283,14 +307,16 @@ def normalize_quaternion(quaternion: Tensor, eps: float = 1e-12) -> Tensor:
         tensor([0.6000, 0.0000, 0.8000, 0.0000])
     """
     _check.ends("normalize_quaternion", "quaternion", quaternion, 4)
-    return _unit(floats(quaternion), _check.number("normalize_quaternion", "eps", eps, 0))
+    return of_rows(_unit, floats(quaternion), 1, _check.number("normalize_quaternion", "eps", eps, 0))
 
 
-@as_stored
-def _unit(q: Tensor, eps: float) -> Tensor:
+def _unit_reference(q: Tensor, eps: float) -> Tensor:
     square = squared(q)
     short = square <= eps * eps
     return q / torch.where(short, eps, torch.where(short, 1, square).sqrt())
+
+
+_unit = register_formula("normalize_quaternion", _unit_reference, lambda *args: (4,))
 
 
 def quaternion_log_to_exp(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
@@ -313,7 +339,7 @@ def quaternion_log_to_exp(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
         tensor([0.7071, 0.0000, 0.0000, 0.7071])
     """
     _check.ends("quaternion_log_to_exp", "quaternion", quaternion, 3)
-    return _exponential(floats(quaternion), 1.0)
+    return of_rows(_exponential, floats(quaternion), 1, 1.0)
 
 
 def quaternion_exp_to_log(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
@@ -337,13 +363,15 @@ def quaternion_exp_to_log(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
         tensor([0.0000, 0.0000, 1.5708])
     """
     _check.ends("quaternion_exp_to_log", "quaternion", quaternion, 4)
-    return _logarithm(floats(quaternion))
+    return of_rows(_logarithm, floats(quaternion), 1)
 
 
-@as_stored
-def _logarithm(q: Tensor) -> Tensor:
+def _logarithm_reference(q: Tensor) -> Tensor:
     w, v = q[..., :1], q[..., 1:]
     return v * angle_per_sine(squared(v), w)
+
+
+_logarithm = register_formula("quaternion_logarithm", _logarithm_reference, lambda *args: (3,))
 
 
 # The names of Kornia 0.4.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision.geometry._precision import in_full_precision, quotient
+from kvision.geometry._precision import in_full_precision
+from kvision.geometry._view_errors import view_errors
 from kvision.geometry.epipolar.fundamental import check_points
-from kvision.geometry.linalg import root
 
 __all__ = [
     "left_to_right_epipolar_distance",
@@ -53,9 +52,8 @@ def sampson_epipolar_distance(
         >>> K.geometry.sampson_epipolar_distance(torch.tensor([[3.0, 7.0]]), torch.tensor([[5.0, 9.0]]), F)
         tensor([2.])
     """
-    right, left, residual = _lines("sampson_epipolar_distance", pts1, pts2, Fm)
-    distance = quotient(residual.square(), right + left, torch.inf)
-    return distance if squared else root(distance)
+    _check_relation("sampson_epipolar_distance", pts1, pts2, Fm)
+    return view_errors(pts1, pts2, Fm, "sampson", squared)
 
 
 @in_full_precision
@@ -85,10 +83,8 @@ def symmetrical_epipolar_distance(
         >>> K.geometry.symmetrical_epipolar_distance(torch.tensor([[3.0, 7.0]]), torch.tensor([[5.0, 9.0]]), F)
         tensor([8.])
     """
-    right, left, residual = _lines("symmetrical_epipolar_distance", pts1, pts2, Fm)
-    square = residual.square()
-    distance = quotient(square, right, torch.inf) + quotient(square, left, torch.inf)
-    return distance if squared else root(distance)
+    _check_relation("symmetrical_epipolar_distance", pts1, pts2, Fm)
+    return view_errors(pts1, pts2, Fm, "symmetrical", squared)
 
 
 @in_full_precision
@@ -114,8 +110,8 @@ def left_to_right_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> T
         >>> K.geometry.left_to_right_epipolar_distance(torch.tensor([[3.0, 7.0]]), torch.tensor([[5.0, 9.0]]), F)
         tensor([2.])
     """
-    right, _, residual = _lines("left_to_right_epipolar_distance", pts1, pts2, Fm)
-    return quotient(residual.abs(), root(right), torch.inf)
+    _check_relation("left_to_right_epipolar_distance", pts1, pts2, Fm)
+    return view_errors(pts1, pts2, Fm, "right", False)
 
 
 @in_full_precision
@@ -141,25 +137,12 @@ def right_to_left_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> T
         >>> K.geometry.right_to_left_epipolar_distance(torch.tensor([[3.0, 7.0]]), torch.tensor([[5.0, 9.0]]), F)
         tensor([2.])
     """
-    _, left, residual = _lines("right_to_left_epipolar_distance", pts1, pts2, Fm)
-    return quotient(residual.abs(), root(left), torch.inf)
+    _check_relation("right_to_left_epipolar_distance", pts1, pts2, Fm)
+    return view_errors(pts1, pts2, Fm, "left", False)
 
 
-def _lines(op: str, pts1: Tensor, pts2: Tensor, Fm: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """a^2 + b^2 of the lines in the second and in the first image, and x2^T F x1."""
+def _check_relation(op: str, pts1: Tensor, pts2: Tensor, Fm: Tensor) -> None:
     check_points(op, "pts1", pts1)
     check_points(op, "pts2", pts2)
     _check.floating_ends(op, "Fm", Fm, 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)
-    right, left = _across(Fm, pts1), _across(Fm.mT, pts2)
-    x, y = pts2[..., 0], pts2[..., 1]
-    last = right[2] if pts2.shape[-1] == 2 else right[2] * pts2[..., 2]
-    residual = right[0] * x + right[1] * y + last
-    return right[0].square() + right[1].square(), left[0].square() + left[1].square(), residual
-
-
-def _across(F: Tensor, points: Tensor) -> tuple[Tensor, ...]:
-    """F x of points (*, N, 2 or 3), number by number: rows of N are what a CPU adds fast."""
-    if points.shape[-1] == 3:
-        return (F @ points.mT).unbind(-2)
-    return (F[..., :2] @ points.mT + F[..., 2:]).unbind(-2)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._minimal import five_points, minimal
-from kvision.geometry._precision import in_full_precision, wide
+from kvision.geometry._precision import in_full_precision, wants_derivative, wide
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points
 from kvision.geometry.linalg import root
@@ -184,8 +187,21 @@ def project_to_essential(E_mat: Tensor) -> Tensor:
                 [0., 0., 0.]])
     """
     _check.floating_ends("project_to_essential", "E_mat", E_mat, 3, 3)
-    isometry, size = _polar(wide(E_mat))
-    return (isometry * (size / 2)[..., None, None]).to(E_mat.dtype) + 0
+    return nearest_essential(E_mat.reshape(-1, 3, 3)).reshape(E_mat.shape)
+
+
+def _nearest_reference(E: Tensor) -> Tensor:
+    isometry, size = _polar(wide(E))
+    return (isometry * (size / 2)[..., None, None]).to(E.dtype) + 0
+
+
+def _nearest_gradient(needs: Sequence[bool], grad: Tensor, E: Tensor) -> tuple[Tensor]:
+    return (_nearest_backward(grad, E),)
+
+
+# `project_to_essential` of (B, 3, 3).
+nearest_essential = register("nearest_essential", _nearest_reference, backward=_nearest_gradient)
+_nearest_backward = register("nearest_essential_backward", vjp(_nearest_reference))
 
 
 def _polar(E: Tensor) -> tuple[Tensor, Tensor]:
@@ -228,14 +244,41 @@ def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         (tensor([0., 0., 1.]), tensor(2.))
     """
     _check.floating_ends("decompose_essential_matrix", "E_mat", E_mat, 3, 3)
-    E = wide(E_mat)
+    R, t = _motions(E_mat.reshape(-1, 3, 3))
+    leading = E_mat.shape[:-2]
+    return R[:, 0].reshape(*leading, 3, 3), R[:, 2].reshape(*leading, 3, 3), t[:, 0].reshape(*leading, 3, 1)
+
+
+def _motions_reference(E: Tensor) -> tuple[Tensor, Tensor]:
+    """Rotations (B, 4, 3, 3) and directions (B, 4, 3, 1) of (B, 3, 3), as `motion_from_essential` has them."""
+    E, dtype = wide(E), E.dtype
     isometry, _ = _polar(E)
     t = null_vector_3x3(E.mT)
     # A turn by a right angle about t either way, and along t what makes it a rotation.
     turned = cross_product_matrix(t) @ isometry
     axis = _completion(turned, t)
     first, second = turned + axis, axis - turned
-    return first.to(E_mat.dtype), second.to(E_mat.dtype), t[..., None].to(E_mat.dtype)
+    t = t[..., None]
+    return torch.stack([first, first, second, second], 1).to(dtype), torch.stack([t, -t, t, -t], 1).to(dtype)
+
+
+def _motions_backward_reference(grad: Tensor, grad_directions: Tensor, E: Tensor) -> Tensor:
+    return torch.func.vjp(_motions_reference, E)[1]((grad, grad_directions))[0]
+
+
+def _motions_gradient(needs: Sequence[bool], *given: Tensor) -> tuple[Tensor]:
+    return (_motions_backward(*given),)
+
+
+_motions = register(
+    "essential_motions",
+    _motions_reference,
+    fake=lambda E: [(E.shape[0], 4, 3, 3), (E.shape[0], 4, 3, 1)],
+    backward=_motions_gradient,
+)
+_motions_backward = register(
+    "essential_motions_backward", _motions_backward_reference, fake=lambda *given: given[2].shape
+)
 
 
 def _completion(A: Tensor, t: Tensor) -> Tensor:
@@ -288,8 +331,9 @@ def motion_from_essential(E_mat: Tensor) -> tuple[Tensor, Tensor]:
         (torch.Size([2, 4, 3, 3]), torch.Size([2, 4, 3, 1]))
     """
     _check.floating_ends("motion_from_essential", "E_mat", E_mat, 3, 3)
-    R1, R2, t = decompose_essential_matrix(E_mat)
-    return torch.stack([R1, R1, R2, R2], -3), torch.stack([t, -t, t, -t], -3)
+    R, t = _motions(E_mat.reshape(-1, 3, 3))
+    leading = E_mat.shape[:-2]
+    return R.reshape(*leading, 4, 3, 3), t.reshape(*leading, 4, 3, 1)
 
 
 @in_full_precision
@@ -338,18 +382,46 @@ def motion_from_essential_choose_solution(
         raise ShapeError(f"{op}: expected E_mat, K1, K2 and x1 with a batch or all without, got {got}")
     if mask is not None:
         _check.shape(op, "mask", mask, *x1.shape[:-1])
-    R, t = motion_from_essential(E_mat)
+    single = E_mat.dim() == 2
+    E, K, L, x, y = (v[None] if single else v for v in (E_mat, K1, K2, x1, x2))
+    batch = E.shape[0]
+    K, L = (v.expand(batch, 3, 3) for v in (K, L))
+    if mask is not None and single:
+        mask = mask[None]
+    call = _choice_reference if wants_derivative(E, K, L, x, y) else _motion_choice
+    R, t, X, count = call(E, K, L, x, y, mask)
+    return (R[0], t[0], X[0], count[0]) if single else (R, t, X, count)
+
+
+def _choice_reference(
+    E: Tensor, K1: Tensor, K2: Tensor, x1: Tensor, x2: Tensor, mask: Tensor | None
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """`motion_from_essential_choose_solution` of matrices (B, 3, 3) and points (B, N, 2)."""
+    R, t = _motions(E)
     eye = torch.eye(3, device=R.device, dtype=R.dtype).expand_as(R)
-    K1, K2 = K1[..., None, :, :].to(R.dtype), K2[..., None, :, :].to(R.dtype)
-    P1, P2 = projection_from_KRt(K1, eye, torch.zeros_like(t)), projection_from_KRt(K2, R, t)
-    X = triangulate_points(P1, P2, x1[..., None, :, :], x2[..., None, :, :])  # (*, 4, N, 3)
+    P1, P2 = (
+        projection_from_KRt(K[:, None], *motion) for K, motion in ((K1, (eye, torch.zeros_like(t))), (K2, (R, t)))
+    )
+    X = triangulate_points(P1, P2, x1[:, None], x2[:, None])  # (B, 4, N, 3)
     in_front = (X[..., 2] > 0) & (depth_from_point(R, t, X) > 0)
     if mask is not None:
-        in_front = in_front & mask[..., None, :]
+        in_front = in_front & mask[:, None].bool()
     count, best = in_front.sum(-1).max(-1)
 
     def chosen(x: Tensor) -> Tensor:
-        where = best[..., None, None, None].expand(*best.shape, 1, *x.shape[-2:])
-        return x.gather(-3, where)[..., 0, :, :]
+        return x.gather(1, best[:, None, None, None].expand(-1, 1, *x.shape[2:]))[:, 0]
 
     return chosen(R), chosen(t), chosen(X), count
+
+
+_motion_choice = register(
+    "motion_choice",
+    _choice_reference,
+    fake=lambda E, K1, K2, x1, *rest: [
+        E.shape,
+        (E.shape[0], 3, 1),
+        (*x1.shape[:2], 3),
+        E.new_empty(E.shape[0], dtype=torch.int64),
+    ],
+    stores=True,
+)

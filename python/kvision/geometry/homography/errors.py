@@ -7,8 +7,9 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, length, quotient
-from kvision.geometry.linalg import adjugate, root
+from kvision.geometry._precision import in_full_precision, quotient
+from kvision.geometry._view_errors import view_errors
+from kvision.geometry.linalg import root
 
 __all__ = [
     "line_segment_transfer_error_one_way",
@@ -45,9 +46,8 @@ def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool =
         >>> K.geometry.oneway_transfer_error(points, moved, torch.eye(3)[None], squared=False).round()
         tensor([[5., 5., 5., 5., 5.]])
     """
-    first, second = _check_points("oneway_transfer_error", pts1, pts2, H)
-    squares = _squares(first, second, H)
-    return squares if squared else root(squares)
+    _check_relation("oneway_transfer_error", pts1, pts2, H)
+    return view_errors(pts1, pts2, H, "transfer", squared)
 
 
 @in_full_precision
@@ -75,16 +75,8 @@ def symmetric_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: boo
         >>> K.geometry.symmetric_transfer_error(points, points + 1, torch.eye(3)[None]).round()
         tensor([[4., 4., 4., 4., 4.]])
     """
-    first, second = _check_points("symmetric_transfer_error", pts1, pts2, H)
-    back = adjugate(H)  # the inverse up to a factor, of which the error does not depend
-    volume = (H[..., 0, :] * back[..., :, 0]).sum(-1).detach()  # the determinant
-    sides = torch.linalg.vector_norm(H.detach(), dim=-1).prod(-1)
-    singular = ~(volume.abs() > torch.finfo(H.dtype).eps * sides)[..., None, None]
-    eye = torch.eye(3, device=H.device, dtype=H.dtype)
-    there = _squares(first, second, torch.where(singular, eye, H))
-    again = _squares(second, first, torch.where(singular, eye, back))
-    error = there + again if squared else root(there + again)
-    return torch.where(singular[..., 0], torch.finfo(error.dtype).max, error)
+    _check_relation("symmetric_transfer_error", pts1, pts2, H)
+    return view_errors(pts1, pts2, H, "symmetric_transfer", squared)
 
 
 @in_full_precision
@@ -115,10 +107,11 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
         >>> K.geometry.sampson_homography_distance(points, points + 1, torch.eye(3)[None]).round()
         tensor([[1., 1., 1., 1., 1.]])
     """
-    first, second = _check_points("sampson_homography_distance", pts1, pts2, H)
+    _check_relation("sampson_homography_distance", pts1, pts2, H)
+    first, second = (p if p.shape[-1] == 2 else quotient(p[..., :2], p[..., 2:], torch.inf) for p in (pts1, pts2))
     largest = H.detach().abs().amax((-2, -1), keepdim=True)
     h = H / torch.where(largest > 0, largest, 1)
-    p, q, w = _image(h, first)
+    p, q, w = (h[..., :2] @ first.mT + h[..., 2:]).unbind(-2)
     u, v = second.unbind(-1)
     r, s = v * w - q, p - u * w
     # The derivatives of r and s for (x, y); for (u, v) they are (0, w) and (-w, 0).
@@ -159,17 +152,7 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
         _check.floating_ends(op, name, x, "B", "N", 2, 2)
     _check.floating_ends(op, "H", H, "B", 3, 3)
     _check.same_device(op, ls1=ls1, ls2=ls2, H=H)
-    start, end = ls2.unbind(-2)
-    along = end - start
-    far = length(along.detach(), keepdim=True) > 0
-    normal = torch.stack([-along[..., 1], along[..., 0]], -1)
-    normal = torch.where(far, normal / torch.where(far, length(along, keepdim=True), 1), 0)
-    error = torch.zeros_like(start[..., 0])
-    for p in ls1.unbind(-2):
-        u, v, w = _image(H, p)
-        x, y = quotient(u, w, torch.inf) - start[..., 0], quotient(v, w, torch.inf) - start[..., 1]
-        error = error + (normal[..., 0] * x + normal[..., 1] * y).abs() / 2
-    return error.square() if squared else error
+    return view_errors(ls1, ls2, H, "segments", squared)
 
 
 def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
@@ -217,8 +200,7 @@ def _turns(points: Tensor) -> Tensor:
     return torch.stack(signs, -1)
 
 
-def _check_points(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
-    """Both in pixels, (B, N, 2)."""
+def _check_relation(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> None:
     for name, x in (("pts1", pts1), ("pts2", pts2)):
         _check.floating_ends(op, name, x, "B", "N", "2 or 3")
         if x.shape[-1] not in (2, 3):
@@ -227,17 +209,3 @@ def _check_points(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> tuple[Tenso
             )
     _check.floating_ends(op, "H", H, "B", 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, H=H)
-    first, second = (p if p.shape[-1] == 2 else quotient(p[..., :2], p[..., 2:], torch.inf) for p in (pts1, pts2))
-    return first, second
-
-
-def _image(H: Tensor, points: Tensor) -> tuple[Tensor, ...]:
-    """H (x, y, 1) of points (B, N, 2), number by number: rows of N are what a CPU adds fast."""
-    return (H[..., :2] @ points.mT + H[..., 2:]).unbind(-2)
-
-
-def _squares(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
-    u, v, w = _image(H, first)
-    finite = torch.where(w == 0, 1, w)
-    x, y = second.unbind(-1)
-    return torch.where(w == 0, torch.inf, (u / finite - x).square() + (v / finite - y).square())

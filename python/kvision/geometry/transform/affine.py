@@ -79,8 +79,8 @@ def rotate(
     """
     images = _images("rotate", tensor)
     (angle,) = _vectors("rotate", images, angle=(angle, 0))
-    middle = _center("rotate", images, center, angle)
-    matrix = matrices.get_rotation_matrix2d(middle, angle, torch.ones_like(middle))
+    middle, x, y = _center("rotate", images, center)
+    matrix = matrices.affine_matrix2d(angle, None, None, None, None, middle, 1.0, x, y, 2)
     return _affine("rotate", tensor, images, matrix, mode, padding_mode, align_corners)
 
 
@@ -115,7 +115,7 @@ def translate(
     """
     images = _images("translate", tensor)
     (translation,) = _vectors("translate", images, translation=(translation, 2))
-    matrix = matrices.get_translation_matrix2d(translation)[:, :2]
+    matrix = matrices.translation_matrix2d(translation, 2)
     return _affine("translate", tensor, images, matrix, mode, padding_mode, align_corners)
 
 
@@ -156,8 +156,7 @@ def scale(
     if scale_factor.shape[-1] == 1:
         scale_factor = scale_factor.expand(*scale_factor.shape[:-1], 2)
     (scale_factor,) = _vectors("scale", images, scale_factor=(scale_factor, 2))
-    middle = _center("scale", images, center, scale_factor)
-    matrix = matrices.about(torch.diag_embed(scale_factor), middle)
+    matrix = matrices.scale_matrix2d(scale_factor, *_center("scale", images, center))
     return _affine("scale", tensor, images, matrix, mode, padding_mode, align_corners)
 
 
@@ -189,8 +188,7 @@ def shear(
     """
     images = _images("shear", tensor)
     (shear,) = _vectors("shear", images, shear=(shear, 2))
-    x, y = shear.unbind(-1)
-    matrix = matrices.matrix_of([[1, x, 0], [y, 1, 0]], shear)
+    matrix = matrices.slant_matrix2d(shear)
     return _affine("shear", tensor, images, matrix, mode, padding_mode, align_corners)
 
 
@@ -226,14 +224,12 @@ def _vectors(op: str, images: Tensor, **vectors: tuple[Any, int]) -> list[Tensor
     return found
 
 
-def _center(op: str, images: Tensor, center: Any, like: Tensor) -> Tensor:
-    """Centres (B, 2), as many as `like` has rows: those given, or the middle of the image."""
-    if center is None:
-        h, w = images.shape[2:]
-        x, y = (like.new_full(like.shape[:1], (n - 1) / 2) for n in (w, h))
-        return torch.stack([x, y], -1)
-    (center,) = _vectors(op, images, center=(center, 2))
-    return center.expand(max(len(center), len(like)), -1)
+def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float, float]:
+    """Centres (B, 2) or (1, 2), or None and the middle of the image."""
+    if center is not None:
+        (center,) = _vectors(op, images, center=(center, 2))
+    h, w = images.shape[2:]
+    return center, (w - 1) / 2, (h - 1) / 2
 
 
 # --- modules --------------------------------------------------------------------------------------------------------
@@ -379,14 +375,16 @@ class Affine(FunctionModule):
 
     def forward(self, input: Tensor) -> Tensor:
         images = _images("Affine", input)
-        given = next(x for x in (self.angle, self.translation, self.scale_factor, self.shear) if x is not None)
-        zero = torch.zeros(len(given), device=images.device, dtype=compute_dtype(images))
-        zeros = zero[:, None].expand(-1, 2)
-        angle, translation, factor = (
-            default if x is None else x.to(zero.dtype)
-            for x, default in ((self.angle, zero), (self.translation, zeros), (self.scale_factor, zeros + 1))
+        given = {"translation": (self.translation, 2), "scale_factor": (self.scale_factor, 2), "shear": (self.shear, 2)}
+        translation, factor, shear = (
+            None if x is None else _vectors("Affine", images, **{name: (x, width)})[0]
+            for name, (x, width) in given.items()
         )
-        middle = _center("Affine", images, self.center, zero).expand(len(given), -1)
-        sx, sy = (None, None) if self.shear is None else self.shear.to(zero.dtype).unbind(-1)
-        matrix = matrices.get_affine_matrix2d(translation, middle, factor, -angle, sx, sy)[:, :2]
+        if self.angle is None:
+            angle = torch.zeros(1, device=images.device, dtype=compute_dtype(images))
+        else:
+            (angle,) = _vectors("Affine", images, angle=(self.angle, 0))
+        sx, sy = (None, None) if shear is None else shear.unbind(-1)
+        middle, x, y = _center("Affine", images, self.center)
+        matrix = matrices.affine_matrix2d(angle, translation, factor, sx, sy, middle, 1.0, x, y, 2)
         return _affine("Affine", input, images, matrix, self.mode, self.padding_mode, self.align_corners)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -11,7 +13,7 @@ from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.geometry.bbox import validate_bbox
+from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry.transform import matrices, sampling
 from kvision.geometry.transform.resize import resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
@@ -26,16 +28,34 @@ __all__ = [
 ]
 
 
-def _crop_matrix_reference(quads, size):
+def _crop_matrix_reference(quads, first, across, down):
     """From the result, so that a side of one pixel, which has no length, needs no case."""
     matrix = matrices.from_unit_square(matrices.wide(quads))
     last = matrix[:, 2:, 2:]
-    right, down, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
-    h, w = size
-    return torch.cat([right / max(w - 1, 1), down / max(h - 1, 1), origin], -1).to(quads.dtype)
+    right, downwards, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
+    right, downwards = right / across, downwards / down
+    if first is not None:
+        x, y = matrices.wide(first)[..., None, None].unbind(1)
+        origin = origin - right * x - downwards * y
+    linear = torch.cat([right, downwards], -1)
+    return torch.cat([linear.expand(len(origin), -1, -1), origin], -1).to(quads.dtype)
 
 
-_crop_matrix = register("crop_matrix", _crop_matrix_reference, fake=lambda quads, size: (quads.shape[0], 3, 3))
+# From pixels of a result to those of the quadrangles (B, 4, 2) shown in the rectangle of it that begins at `first` (B, 2),
+# at 0, 0 for None, and is `across` and `down` larger than a pixel.
+_crop_matrix = register_formula("crop_matrix", _crop_matrix_reference, lambda *args: (3, 3))
+
+
+def _quad_shapes_reference(quads, others):
+    uneven = [q[:, 1] - q[:, 0] - q[:, 2] + q[:, 3] for q in (quads, others)]
+    each = [*uneven, others[:, 2] - others[:, 0]]
+    batch = batch_of(quads, others)
+    return torch.cat([x.expand(batch, 2) for x in each], 1)
+
+
+# Of quadrangles (B, 4, 2) and others: by how much opposite sides differ, x and y of each, and how wide and high the others
+# are, (B, 6). What crop_by_boxes has to know on the host, which it so waits for once.
+_quad_shapes = register_formula("quad_shapes", _quad_shapes_reference, lambda *args: (6,))
 
 
 def _window_reference(input, corner, size):
@@ -134,16 +154,21 @@ def crop_by_boxes(
                   [ 9., 10.]]]])
     """
     op = "crop_by_boxes"
-    for name, box in (("src_box", src_box), ("dst_box", dst_box)):
-        _check.shape(op, name, box, "B", 4, 2)
-        if validate_boxes and not validate_bbox(box):
+    _check.images(op, "input_tensor", input_tensor)
+    _check.shape(op, "src_box", src_box, "B", 4, 2)
+    _check.shape(op, "dst_box", dst_box, "B", 4, 2)
+    _check.flag(op, "validate_boxes", validate_boxes)
+    src_box, dst_box = (
+        sampling.for_images(op, input_tensor, name, box) for name, box in (("src_box", src_box), ("dst_box", dst_box))
+    )
+    shapes = _quad_shapes(src_box.detach(), dst_box.detach()).tolist()
+    for name, box, of in (("src_box", src_box, slice(0, 2)), ("dst_box", dst_box, slice(2, 4))):
+        if validate_boxes and not all(abs(side) <= 1e-4 for shape in shapes for side in shape[of]):
             raise ValueCheckError(f"{op}: expected {name} of rectangles, got {box.tolist()}")
-    extents = dst_box[:, 2] - dst_box[:, 0]
-    if (extents != extents[:1]).any():
-        raise ValueCheckError(
-            f"{op}: expected dst_box of one size, got widths and heights less 1 of {extents.tolist()}"
-        )
-    w, h = (int(side) + 1 for side in extents[0].tolist())
+    extents = {(shape[4], shape[5]) for shape in shapes}
+    if len(extents) != 1 or not all(map(math.isfinite, *extents)):
+        raise ValueCheckError(f"{op}: expected dst_box of one size, got widths and heights less 1 of {sorted(extents)}")
+    w, h = (int(side) + 1 for side in extents.pop())
     return _crop(op, input_tensor, src_box, dst_box[:, 0], (h, w), mode, padding_mode, align_corners)
 
 
@@ -153,9 +178,11 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     _check.shape(op, "boxes", boxes, "B", 4, 2)
     sampling.check_how(op, mode, padding_mode, align_corners)
     images = pixels(input_tensor)
-    matrix = _crop_matrix(sampling.for_images(op, images, "boxes", boxes), list(size))
+    boxes = sampling.for_images(op, images, "boxes", boxes)
     if first is not None:
-        matrix = matrix @ matrices.get_translation_matrix2d(-first.to(matrix.dtype))
+        first = sampling.for_images(op, images, "dst_box", first)
+    h, w = size
+    matrix = _crop_matrix(boxes, first, float(max(w - 1, 1)), float(max(h - 1, 1)))
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     return sampling.warp(images, matrix, None, list(size), mode, padding, align_corners, False, False)
 

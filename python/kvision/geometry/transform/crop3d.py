@@ -86,10 +86,10 @@ def crop_by_boxes3d(
     op = "crop_by_boxes3d"
     _check.volumes(op, "tensor", tensor)
     _check.shape(op, "dst_box", dst_box, "B", 8, 3)
-    extents = dst_box[:, 6] - dst_box[:, 0]
-    if (extents != extents[:1]).any():
-        raise ValueCheckError(f"{op}: expected dst_box of one size, got extents of {extents.tolist()}")
-    w, h, d = (int(side) + 1 for side in extents[0].tolist())
+    extents = {tuple(extent) for extent in (dst_box[:, 6] - dst_box[:, 0]).tolist()}
+    if len(extents) != 1:
+        raise ValueCheckError(f"{op}: expected dst_box of one size, got extents of {sorted(extents)}")
+    w, h, d = (int(side) + 1 for side in extents.pop())
     return _crop(op, tensor, src_box, dst_box, (d, h, w), interpolation, align_corners)
 
 

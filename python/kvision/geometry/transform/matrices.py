@@ -6,11 +6,14 @@ differentiable and nothing waits for the device.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
+from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry._precision import wide
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -69,6 +72,118 @@ def _given(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
     return {name: (x, 0) for name, x in vectors.items() if x is not None}
 
 
+# --- the operators: references, and what they stand for --------------------------------------------------------------
+
+
+def _affine2d_reference(degrees, translation, scale, shear_x, shear_y, center, turn, x, y, rows):
+    """Shear, scale and turn about a centre, (x, y) where none is given, then move: (B, rows, 3), 2 or 3 of these."""
+    c, s = cos_sin(turn * degrees)
+    linear = matrix_of([[c, s], [-s, c]], degrees)
+    if scale is not None:
+        linear = linear * scale[:, None]
+    if shear_x is not None or shear_y is not None:
+        linear = linear @ _shears(shear_x, shear_y, degrees[:1])
+    return _placed(linear, translation, center, (x, y), rows)
+
+
+def _shears(shear_x: Tensor | None, shear_y: Tensor | None, like: Tensor) -> Tensor:
+    a, b = torch.broadcast_tensors(*(torch.zeros_like(like) if s is None else s.tan() for s in (shear_x, shear_y)))
+    return matrix_of([[1, -a], [-b, 1 + a * b]], a)
+
+
+def _placed(linear, translation, center, otherwise, rows):
+    """A linear map (B, n, n) about a centre, then moved: `rows` of the homography (B, n + 1, n + 1)."""
+    batch, n = batch_of(linear, translation, center), linear.shape[1]
+    if center is None:
+        center = torch.stack([linear.new_full((1,), c) for c in otherwise], -1)
+    linear, center = linear.expand(batch, -1, -1), center.expand(batch, -1)
+    matrix = about(linear, center)
+    if translation is not None:
+        matrix = torch.cat([linear, matrix[..., n:] + translation[..., None]], -1)
+    matrix = matrix + 0  # no negative zeros
+    return matrix if rows == n else homogeneous(matrix)[:, :rows]
+
+
+def _translation2d_reference(translation, rows):
+    x, y = translation.unbind(-1)
+    return matrix_of([[1, 0, x], [0, 1, y], [0, 0, 1]], translation)[:, :rows]
+
+
+def _scale2d_reference(scale, center, x, y):
+    return _placed(torch.diag_embed(scale), None, center, (x, y), 2)
+
+
+def _shear2d_reference(center, shear_x, shear_y):
+    return _placed(_shears(shear_x, shear_y, center[:1, 0]), None, center, (), 3)
+
+
+def _slant2d_reference(slant):
+    x, y = slant.unbind(-1)
+    return matrix_of([[1, x, 0], [y, 1, 0]], slant)
+
+
+def _inverse2d_reference(matrix):
+    (a, b, x), (c, d, y) = (row.unbind(-1) for row in matrix.unbind(-2))
+    inverse = matrix_of([[d, -b, b * y - d * x], [-c, a, c * x - a * y]], matrix) / (a * d - b * c)[:, None, None]
+    return inverse + 0  # no negative zeros
+
+
+def _perspective_reference(points_src, points_dst):
+    matrix = from_unit_square(wide(points_dst)) @ adjugate(from_unit_square(wide(points_src)))
+    return (matrix / matrix[:, 2:, 2:] + 0).to(points_src.dtype)  # no negative zeros
+
+
+def _perspective3d_reference(points_src, points_dst):
+    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four in a plane
+    matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
+    return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
+
+
+def _from_simplex(points: Tensor) -> Tensor:
+    """The homography from the unit vectors and their sum to five `points` (B, 5, 3)."""
+    p = torch.cat([points, torch.ones_like(points[..., :1])], -1).mT
+    weights = torch.linalg.inv_ex(p[..., :4])[0] @ p[..., 4:]
+    return p[..., :4] * weights.mT
+
+
+def _affine3d_reference(x, y, z, translation, scale, center, xy, xz, yx, yz, zx, zy, turn, cx, cy, cz, rows):
+    """Shear, scale and turn about a centre, (cx, cy, cz) where none is given, then move: (B, rows, 4), 3 or 4 of these."""
+    shears = (xy, xz, yx, yz, zx, zy)
+    batch = batch_of(x, y, z, translation, scale, center, *shears)
+    axis = torch.stack([angle.expand(batch) for angle in (x, y, z)], -1)
+    linear = axis_angle_to_rotation_matrix(torch.deg2rad(turn * axis))
+    if scale is not None:
+        linear = linear * scale[:, None]
+    if any(s is not None for s in shears):
+        linear = linear @ _shears3d(shears, x[:1])
+    return _placed(linear, translation, center, (cx, cy, cz), rows)
+
+
+def _shears3d(angles: Sequence[Tensor | None], like: Tensor) -> Tensor:
+    tangents = (torch.zeros_like(like) if s is None else -s.tan() for s in angles)
+    xy, xz, yx, yz, zx, zy = torch.broadcast_tensors(*tangents)
+    along_x = matrix_of([[1, 0, 0], [xy, 1, 0], [xz, 0, 1]], xy)
+    along_y = matrix_of([[1, yx, 0], [0, 1, 0], [0, yz, 1]], xy)
+    along_z = matrix_of([[1, 0, zx], [0, 1, zy], [0, 0, 1]], xy)
+    return along_x @ along_y @ along_z
+
+
+def _shear3d_reference(center, *angles):
+    return _placed(_shears3d(angles, center[:1, 0]), None, center, (), 4)
+
+
+# What is not given, or has one row for all, is so in the kernels; a caller that turns, moves or scales needs one launch.
+affine_matrix2d = register_formula("affine_matrix2d", _affine2d_reference, lambda *args: (args[-1], 3))
+translation_matrix2d = register_formula("translation_matrix2d", _translation2d_reference, lambda *args: (args[-1], 3))
+scale_matrix2d = register_formula("scale_matrix2d", _scale2d_reference, lambda *args: (2, 3))
+slant_matrix2d = register_formula("slant_matrix2d", _slant2d_reference, lambda *args: (2, 3))
+affine_matrix3d = register_formula("affine_matrix3d", _affine3d_reference, lambda *args: (args[-1], 4))
+_shear_matrix2d = register_formula("shear_matrix2d", _shear2d_reference, lambda *args: (3, 3))
+_shear_matrix3d = register_formula("shear_matrix3d", _shear3d_reference, lambda *args: (4, 4))
+_invert_affine2d = register_formula("invert_affine2d", _inverse2d_reference, lambda *args: (2, 3))
+_perspective_matrix = register_formula("perspective_matrix", _perspective_reference, lambda *args: (3, 3))
+_perspective_matrix3d = register_formula("perspective_matrix3d", _perspective3d_reference, lambda *args: (4, 4))
+
 # --- two dimensions -------------------------------------------------------------------------------------------------
 
 
@@ -94,9 +209,7 @@ def get_rotation_matrix2d(center: Tensor, angle: Tensor, scale: Tensor) -> Tenso
                  [-1.,  0.,  1.]]])
     """
     _batch("get_rotation_matrix2d", center=(center, 2), angle=(angle, 0), scale=(scale, 2))
-    c, s = cos_sin(angle)
-    x, y = scale.unbind(-1)
-    return about(matrix_of([[c * x, s * y], [-s * x, c * y]], center), center) + 0
+    return affine_matrix2d(angle, None, scale, None, None, center, 1.0, 0.0, 0.0, 2)
 
 
 def get_translation_matrix2d(translations: Tensor) -> Tensor:
@@ -110,8 +223,7 @@ def get_translation_matrix2d(translations: Tensor) -> Tensor:
                  [0., 0., 1.]]])
     """
     _batch("get_translation_matrix2d", translations=(translations, 2))
-    x, y = translations.unbind(-1)
-    return matrix_of([[1, 0, x], [0, 1, y], [0, 0, 1]], translations)
+    return translation_matrix2d(translations, 3)
 
 
 def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | None = None) -> Tensor:
@@ -135,9 +247,7 @@ def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | No
         tensor([ 1.0000, -0.5463,  0.0000])
     """
     _batch("get_shear_matrix2d", center=(center, 2), **_given(sx=sx, sy=sy))
-    zero = torch.zeros_like(center[:, 0])
-    a, b = (zero if s is None else s.tan() for s in (sx, sy))
-    return homogeneous(about(matrix_of([[1, -a], [-b, 1 + a * b]], center), center))
+    return _shear_matrix2d(center, sx, sy)
 
 
 def get_affine_matrix2d(
@@ -175,9 +285,7 @@ def get_affine_matrix2d(
     """
     parts = {"translations": (translations, 2), "center": (center, 2), "scale": (scale, 2), "angle": (angle, 0)}
     _batch("get_affine_matrix2d", **parts, **_given(sx=sx, sy=sy))
-    turned = get_rotation_matrix2d(center, -angle, scale)
-    matrix = homogeneous(torch.cat([turned[..., :2], turned[..., 2:] + translations[..., None]], -1))
-    return matrix if sx is None and sy is None else matrix @ get_shear_matrix2d(center, sx, sy)
+    return affine_matrix2d(angle, translations, scale, sx, sy, center, -1.0, 0.0, 0.0, 3)
 
 
 def invert_affine_transform(matrix: Tensor) -> Tensor:
@@ -201,9 +309,7 @@ def invert_affine_transform(matrix: Tensor) -> Tensor:
     """
     _check.shape("invert_affine_transform", "matrix", matrix, "B", 2, 3)
     _check.floating("invert_affine_transform", "matrix", matrix)
-    (a, b, x), (c, d, y) = (row.unbind(-1) for row in matrix.unbind(-2))
-    inverse = matrix_of([[d, -b, b * y - d * x], [-c, a, c * x - a * y]], matrix) / (a * d - b * c)[:, None, None]
-    return inverse + 0  # no negative zeros
+    return _invert_affine2d(matrix)
 
 
 def get_perspective_transform(points_src: Tensor, points_dst: Tensor) -> Tensor:
@@ -238,8 +344,7 @@ def get_perspective_transform(points_src: Tensor, points_dst: Tensor) -> Tensor:
     _check.same_device(op, points_src=points_src, points_dst=points_dst)
     if points_src.dtype != points_dst.dtype:
         raise TypeCheckError(f"{op}: expected points of one type, got {points_src.dtype} and {points_dst.dtype}")
-    matrix = from_unit_square(wide(points_dst)) @ adjugate(from_unit_square(wide(points_src)))
-    return (matrix / matrix[:, 2:, 2:] + 0).to(points_src.dtype)  # no negative zeros
+    return _perspective_matrix(points_src, points_dst)
 
 
 def from_unit_square(points: Tensor) -> Tensor:
@@ -283,7 +388,7 @@ def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> 
         tensor([ 0, -1,  0,  0])
     """
     _batch("get_projective_transform", center=(center, 3), angles=(angles, 3), scales=(scales, 3))
-    return about(axis_angle_to_rotation_matrix(torch.deg2rad(angles)) * scales[:, None], center)
+    return affine_matrix3d(*angles.unbind(-1), None, scales, center, *[None] * 6, 1.0, 0.0, 0.0, 0.0, 3)
 
 
 def get_shear_matrix3d(
@@ -320,12 +425,7 @@ def get_shear_matrix3d(
     """
     angles = {"sxy": sxy, "sxz": sxz, "syx": syx, "syz": syz, "szx": szx, "szy": szy}
     _batch("get_shear_matrix3d", center=(center, 3), **_given(**angles))
-    zero = torch.zeros_like(center[:, 0])
-    xy, xz, yx, yz, zx, zy = (zero if s is None else -s.tan() for s in angles.values())
-    along_x = matrix_of([[1, 0, 0], [xy, 1, 0], [xz, 0, 1]], center)
-    along_y = matrix_of([[1, yx, 0], [0, 1, 0], [0, yz, 1]], center)
-    along_z = matrix_of([[1, 0, zx], [0, 1, zy], [0, 0, 1]], center)
-    return homogeneous(about(along_x @ along_y @ along_z, center))
+    return _shear_matrix3d(center, *angles.values())
 
 
 def get_affine_matrix3d(
@@ -371,10 +471,8 @@ def get_affine_matrix3d(
     shears = {"sxy": sxy, "sxz": sxz, "syx": syx, "syz": syz, "szx": szx, "szy": szy}
     parts = {"translations": (translations, 3), "center": (center, 3), "scale": (scale, 3), "angles": (angles, 3)}
     _batch("get_affine_matrix3d", **parts, **_given(**shears))
-    turned = get_projective_transform(center, -angles, scale)
-    matrix = homogeneous(torch.cat([turned[..., :3], turned[..., 3:] + translations[..., None]], -1))
-    given = any(s is not None for s in shears.values())
-    return matrix @ get_shear_matrix3d(center, **shears) if given else matrix
+    turns = angles.unbind(-1)
+    return affine_matrix3d(*turns, translations, scale, center, *shears.values(), -1.0, 0.0, 0.0, 0.0, 4)
 
 
 def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
@@ -408,16 +506,7 @@ def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
     _check.same_device(op, src=src, dst=dst)
     if src.dtype != dst.dtype:
         raise TypeCheckError(f"{op}: expected points of one type, got {src.dtype} and {dst.dtype}")
-    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (src, dst))  # five corners, no four in a plane
-    matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
-    return (matrix / matrix[:, 3:, 3:]).to(src.dtype)
-
-
-def _from_simplex(points: Tensor) -> Tensor:
-    """The homography from the unit vectors and their sum to five `points` (B, 5, 3)."""
-    p = torch.cat([points, torch.ones_like(points[..., :1])], -1).mT
-    weights = torch.linalg.inv_ex(p[..., :4])[0] @ p[..., 4:]
-    return p[..., :4] * weights.mT
+    return _perspective_matrix3d(src, dst)
 
 
 def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:

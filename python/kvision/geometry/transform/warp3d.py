@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -147,13 +147,13 @@ def rotate3d(
         _check.numbers("rotate3d", name, angle)
         if angle.numel() not in (1, batch):
             raise ShapeError(f"rotate3d: expected {name} of shape ({batch},), got {tuple(angle.shape)}")
-        angles.append(angle.reshape(-1).to(dtype).expand(batch))
-    if center is None:
-        middle: list[Tensor | float] = [(n - 1) / 2 for n in reversed(volumes.shape[2:])]
-        center = matrices.matrix_of([middle], volumes.new_empty(1, dtype=dtype))[:, 0]
-    _check.shape("rotate3d", "center", center, "B", 3)
-    stacked = torch.stack(angles, -1)
-    matrix = matrices.get_projective_transform(center.to(dtype).expand(batch, -1), stacked, torch.ones_like(stacked))
+        angles.append(as_dtype(angle if angle.dim() == 1 else angle.reshape(-1), dtype))
+    _check.same_device("rotate3d", tensor=volumes, yaw=yaw, pitch=pitch, roll=roll)
+    if center is not None:
+        _check.shape("rotate3d", "center", center, "B", 3)
+        center = sampling.for_images("rotate3d", volumes, "center", center)
+    middle = [(n - 1) / 2 for n in reversed(volumes.shape[2:])]
+    matrix = matrices.affine_matrix3d(*angles, None, None, center, *[None] * 6, 1.0, *middle, 3)
     return affine3d(tensor, matrix, mode, padding_mode, align_corners)
 
 

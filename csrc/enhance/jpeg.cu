@@ -1,0 +1,419 @@
+// What JPEG does, on CUDA. A block of threads takes four squares of 16 x 16 pixels: six warps, each with 32 x 8 values
+// of luma or halved chroma, which are four blocks. In shared memory a thread transforms a row of eight, then a column,
+// where the coefficients are, then a row again. What is before and after the blocks takes four pixels a thread.
+#include "core/launch.cuh"
+#include "jpeg.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kWarps = 6, kThreads = 32 * kWarps;
+
+// Values of a tile, chroma with a rim of one pixel. Rows are so long that those of four blocks are in different banks.
+template <class F>
+struct Tile {
+  F luma[kJpegSide][kJpegWidth + 1];
+  F half[2][kJpegSide / 2][kJpegWidth / 2 + 1];
+};
+template <class F>
+struct Chroma {
+  F v[2][kJpegSide + 2][kJpegWidth + 3];
+};
+
+// Where a block's tile is.
+struct Place {
+  int64_t image;
+  int y, x, tile, tiles;
+  template <class F>
+  __device__ __forceinline__ explicit Place(JpegLevels<F> const& levels) {
+    int const across = (int(levels.width) + kJpegWidth - 1) / kJpegWidth;
+    tiles = across * (int(levels.height) / kJpegSide);
+    image = blockIdx.x / unsigned(tiles);
+    tile = int(blockIdx.x - unsigned(image) * unsigned(tiles));
+    y = tile / across * kJpegSide;
+    x = tile % across * kJpegWidth;
+  }
+};
+
+// Calls f(row, column) for the pixels of a tile and its rim, from -1 on.
+template <class Call>
+__device__ __forceinline__ void for_each_around(Call const& f) {
+  for (int row = int(threadIdx.x) / 32 - 1; row <= kJpegSide; row += kWarps)
+#pragma unroll
+    for (int column = int(threadIdx.x) % 32 - 1; column <= kJpegWidth; column += 32) f(row, column);
+}
+
+__device__ __forceinline__ bool is_inner(int row, int column) {
+  return row >= 0 && row < kJpegSide && column >= 0 && column < kJpegWidth;
+}
+
+template <class T>
+__device__ __forceinline__ void load_levels(JpegBlocks<T> const& p, Place const& at, Tile<Compute<T>>& planes,
+                                            Chroma<Compute<T>>& chroma) {
+  using F = Compute<T>;
+  for_each_around([&](int row, int column) {
+    int const y = min(border_index(Border::reflect, at.y + row, int(p.levels.height)), int(p.x.height) - 1);
+    int const x = min(border_index(Border::reflect, at.x + column, int(p.levels.width)), int(p.x.width) - 1);
+    T const* const from = p.x.row(at.image, 0, y) + x * p.x.step;
+    auto const levels =
+        jpeg_levels<F>(read(from[0]), read(from[p.x.channel_stride]), read(from[2 * p.x.channel_stride]));
+    if (is_inner(row, column)) planes.luma[row][column] = levels.v[0];
+#pragma unroll
+    for (int c = 0; c < 2; ++c) chroma.v[c][row + 1][column + 1] = levels.v[1 + c];
+  });
+}
+
+// What reads four pixels along both axes, for every second one.
+template <class F, class Combine>
+__device__ __forceinline__ void halve(Chroma<F> const& chroma, Tile<F>& planes, Combine const& combine) {
+  for (int i = int(threadIdx.x); i < kJpegSide * kJpegWidth / 2; i += kThreads) {
+    int const x = i % (kJpegWidth / 2), y = i / (kJpegWidth / 2) % (kJpegSide / 2),
+              c = i / (kJpegWidth * kJpegSide / 4);
+    auto const row = [&](int k) {
+      F const* const from = &chroma.v[c][2 * y + k][2 * x];
+      return combine(from[0], from[1], from[2], from[3]);
+    };
+    planes.half[c][y][x] = combine(row(0), row(1), row(2), row(3));
+  }
+}
+
+// A warp's four blocks.
+template <class F>
+struct Four {
+  F* data;
+  int pitch, plane, y, x;  // in the image's plane
+  int const lane = int(threadIdx.x) % 32;
+
+  __device__ __forceinline__ Four(Tile<F>& planes, Place const& at) {
+    int const warp = int(threadIdx.x) / 32;
+    plane = warp < 4 ? 0 : warp - 3;
+    if (plane == 0) {
+      data = &planes.luma[warp / 2 * 8][warp % 2 * 32];
+      pitch = kJpegWidth + 1;
+      y = at.y + warp / 2 * 8, x = at.x + warp % 2 * 32;
+    } else {
+      data = planes.half[plane - 1][0];
+      pitch = kJpegWidth / 2 + 1;
+      y = at.y / 2, x = at.x / 2;
+    }
+  }
+  __device__ __forceinline__ F* row() const { return data + lane % 8 * pitch + lane / 8 * 8; }
+  __device__ __forceinline__ void load_row(F (&v)[8]) const {
+#pragma unroll
+    for (int i = 0; i < 8; ++i) v[i] = row()[i];
+  }
+  __device__ __forceinline__ void transform_rows() const {
+    F v[8];
+    load_row(v);
+    jpeg_transform<F>(v);
+#pragma unroll
+    for (int i = 0; i < 8; ++i) row()[i] = v[i];
+  }
+  __device__ __forceinline__ void load_column(F (&v)[8]) const {
+#pragma unroll
+    for (int i = 0; i < 8; ++i) v[i] = data[i * pitch + lane];
+    jpeg_transform<F>(v);
+  }
+  // Coefficients of a column back to values, and the rows of blocks inside the image to memory.
+  __device__ __forceinline__ void finish(F (&v)[8], JpegLevels<F> const& levels, int64_t image) const {
+    jpeg_inverse<F>(v);
+#pragma unroll
+    for (int i = 0; i < 8; ++i) data[i * pitch + lane] = v[i];
+    __syncwarp();
+    load_row(v);
+    jpeg_inverse<F>(v);
+    int const column = x + lane / 8 * 8;
+    if (column >= levels.width_of(plane)) return;
+    F* const to = levels.row(image, plane, y + lane % 8) + column;
+#pragma unroll
+    for (int i = 0; i < 8; i += 4) *reinterpret_cast<Pack<F, 4>*>(to + i) = {v[i], v[i + 1], v[i + 2], v[i + 3]};
+  }
+};
+
+template <class F>
+__device__ __forceinline__ void find_steps(JpegTables<F> const& tables, int64_t image, F (&steps)[128]) {
+  if (threadIdx.x < 128)
+    steps[threadIdx.x] =
+        jpeg_step(jpeg_table(tables, image, int(threadIdx.x)), jpeg_percent(jpeg_quality(tables, image)).value).value;
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlocks<T> const p) {
+  using F = Compute<T>;
+  __shared__ Tile<F> planes;
+  __shared__ Chroma<F> chroma;
+  __shared__ F steps[128];
+  Place const at(p.levels);
+  find_steps(p.tables, at.image, steps);
+  load_levels(p, at, planes, chroma);
+  __syncthreads();
+  halve(chroma, planes, [](F a, F b, F c, F d) { return jpeg_halved<F>(a, b, c, d); });
+  __syncthreads();
+  Four<F> const four(planes, at);
+  four.transform_rows();
+  __syncwarp();
+  F v[8];
+  four.load_column(v);
+#pragma unroll
+  for (int i = 0; i < 8; ++i) v[i] = jpeg_quantised<F>(v[i], steps[(four.plane > 0 ? 64 : 0) + 8 * i + four.lane % 8]);
+  four.finish(v, p.levels, at.image);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) run_pull_blocks(__grid_constant__ JpegPullBlocks<T> const p) {
+  using F = Compute<T>;
+  __shared__ Tile<F> planes, grads;
+  __shared__ Chroma<F> chroma;
+  __shared__ F steps[128], sums[kWarps][64];
+  JpegLevels<F> const& levels = p.forward.levels;
+  Place const at(levels);
+  find_steps(p.forward.tables, at.image, steps);
+  load_levels(p.forward, at, planes, chroma);
+  __syncthreads();
+  halve(chroma, planes, [](F a, F b, F c, F d) { return jpeg_halved<F>(a, b, c, d); });
+  __syncthreads();
+  for_each_around([&](int row, int column) {
+    int const height = int(levels.height), width = int(levels.width);
+    int const y = clamp(at.y + row, 0, height - 1), x = clamp(at.x + column, 0, width - 1);
+    JpegColor<F> of{};
+    if (y < p.grad.height && x < p.grad.width) {
+      auto const down = jpeg_doubled<F>(y, height), across = jpeg_doubled<F>(x, width);
+      F doubled[2];
+#pragma unroll
+      for (int c = 0; c < 2; ++c) {
+        F const *const near = levels.row(at.image, 1 + c, down.near), *const beside =
+                                                                          levels.row(at.image, 1 + c, down.beside);
+        doubled[c] = (near[across.near] * down.of_near + beside[across.near] * down.of_beside) * across.of_near +
+                     (near[across.beside] * down.of_near + beside[across.beside] * down.of_beside) * across.of_beside;
+      }
+      T const* const g = p.grad.row(at.image, 0, y) + x * p.grad.step;
+      of = pull_jpeg_clipped<F>(
+          levels.row(at.image, 0, y)[x], doubled[0], doubled[1],
+          JpegColor<F>{{read(g[0]), read(g[p.grad.channel_stride]), read(g[2 * p.grad.channel_stride])}});
+    }
+    if (is_inner(row, column)) grads.luma[row][column] = of.v[0];
+#pragma unroll
+    for (int c = 0; c < 2; ++c) chroma.v[c][row + 1][column + 1] = of.v[1 + c];
+  });
+  __syncthreads();
+  halve(chroma, grads, [](F a, F b, F c, F d) { return pull_jpeg_doubled<F>(a, b, c, d); });
+  __syncthreads();
+
+  Four<F> const four(planes, at), of_four(grads, at);
+  four.transform_rows();
+  of_four.transform_rows();
+  __syncwarp();
+  F v[8], g[8], slopes[8];
+  four.load_column(v);
+  of_four.load_column(g);
+  bool const inside = four.x + four.lane / 8 * 8 < levels.width_of(four.plane);
+#pragma unroll
+  for (int i = 0; i < 8; ++i) {
+    slopes[i] = 0;
+    pull_jpeg_quantised<F>(v[i], steps[(four.plane > 0 ? 64 : 0) + 8 * i + four.lane % 8], g[i], slopes[i]);
+    if (!inside) slopes[i] = 0;
+  }
+  if (p.grad_levels.data) of_four.finish(g, p.grad_levels, at.image);
+  if (!p.slopes) return;
+#pragma unroll
+  for (int i = 0; i < 8; ++i) {
+    slopes[i] += __shfl_xor_sync(0xffffffffu, slopes[i], 8);
+    slopes[i] += __shfl_xor_sync(0xffffffffu, slopes[i], 16);
+    if (four.lane < 8) sums[threadIdx.x / 32][8 * i + four.lane] = slopes[i];
+  }
+  __syncthreads();
+  int const i = int(threadIdx.x), k = i % 64;
+  if (i < 128)
+    p.slopes[(at.image * p.pieces + at.tile) * 128 + i] =
+        i < 64 ? (sums[0][k] + sums[1][k]) + (sums[2][k] + sums[3][k]) : sums[4][k] + sums[5][k];
+}
+
+// --- pixels, four a thread
+// ---------------------------------------------------------------------------------------------
+
+constexpr int kTaken = 4, kRows = 8;
+
+// Four pixels of a row of chroma, of which the half has the rows and columns near and beside; beyond the half is its
+// border, or nothing.
+template <class F>
+__device__ __forceinline__ void spread(JpegLevels<F> const& levels, int64_t image, int plane, JpegPair<F> const& rows,
+                                       int x, F of_near, F of_beside, bool replicate, F (&v)[kTaken]) {
+  int const n = int(levels.width) / 2, first = x / 2;
+  F const *const near = levels.row(image, plane, rows.near) + first, *const beside =
+                                                                         levels.row(image, plane, rows.beside) + first;
+  auto const mix = [&](F a, F b) { return a * rows.of_near + b * rows.of_beside; };
+  auto const a = *reinterpret_cast<Pack<F, 2> const*>(near), b = *reinterpret_cast<Pack<F, 2> const*>(beside);
+  F half[4] = {0, mix(a.v[0], b.v[0]), mix(a.v[1], b.v[1]), 0};
+  if (first > 0)
+    half[0] = mix(near[-1], beside[-1]);
+  else if (replicate)
+    half[0] = half[1];
+  if (first + 2 < n)
+    half[3] = mix(near[2], beside[2]);
+  else if (replicate)
+    half[3] = half[2];
+#pragma unroll
+  for (int i = 0; i < kTaken; ++i) v[i] = half[1 + i / 2] * of_near + half[i % 2 ? 2 + i / 2 : i / 2] * of_beside;
+}
+
+template <class T>
+__device__ __forceinline__ void store_taken(Images<T> const& to, int64_t image, int c, int y, int x, bool packed,
+                                            Compute<T> const (&v)[kTaken]) {
+  T* const row = to.row(image, c, y);
+  if (packed) {
+    store_pack(row + x, v);
+  } else {
+#pragma unroll
+    for (int i = 0; i < kTaken; ++i)
+      if (x + i < to.width) row[(x + i) * to.step] = round_to<T>(v[i]);
+  }
+}
+template <class T>
+bool is_packed(Images<T> const& x) {
+  return x.step == 1 && (x.width | x.row_stride | x.channel_stride | x.batch_stride) % kTaken == 0 &&
+         reinterpret_cast<uintptr_t>(x.data) % (kTaken * sizeof(T)) == 0;
+}
+template <class T>
+dim3 blocks_of(Images<T> const& x) {
+  return dim3(unsigned(ceil_div(x.width, 32 * kTaken)), unsigned(ceil_div(x.height, kRows)),
+              unsigned(min(x.batch, int64_t(65535))));
+}
+
+template <class T>
+__global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegPixels<T> const p, bool packed) {
+  using F = Compute<T>;
+  int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
+  if (x >= p.y.width || y >= p.y.height) return;
+  auto const rows = jpeg_doubled<F>(y, int(p.levels.height));
+  for (int64_t image = blockIdx.z; image < p.y.batch; image += gridDim.z) {
+    F chroma[2][kTaken], rgb[3][kTaken];
+#pragma unroll
+    for (int c = 0; c < 2; ++c) spread(p.levels, image, 1 + c, rows, x, rows.of_near, rows.of_beside, true, chroma[c]);
+    auto const luma = *reinterpret_cast<Pack<F, kTaken> const*>(p.levels.row(image, 0, y) + x);
+#pragma unroll
+    for (int i = 0; i < kTaken; ++i) {
+      auto const found = jpeg_rgb<F>(luma.v[i], chroma[0][i], chroma[1][i]);
+#pragma unroll
+      for (int c = 0; c < 3; ++c) rgb[c][i] = jpeg_clip<F>(found.v[c]);
+    }
+#pragma unroll
+    for (int c = 0; c < 3; ++c) store_taken(p.y, image, c, y, x, packed, rgb[c]);
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(32 * kRows)
+    run_pull_pixels(__grid_constant__ JpegPullPixels<T> const p, bool packed) {
+  using F = Compute<T>;
+  JpegLevels<F> const& levels = p.grad_levels;
+  int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
+  if (x >= width || y >= height) return;
+  // The last row and column stand for those beyond, too.
+  int const after = y + 1 < height ? y + 1 : int(levels.height);
+  int const across = x + kTaken < width ? x + kTaken : int(levels.width);
+  for (int64_t image = blockIdx.z; image < p.grad_x.batch; image += gridDim.z) {
+    F sums[3][kTaken]{};
+    for (int row = y; row < after; ++row) {
+      auto const rows = pull_jpeg_halved<F>(row, int(levels.height));
+      for (int column = x; column < across; column += kTaken) {
+        F v[3][kTaken];
+        auto const luma = *reinterpret_cast<Pack<F, kTaken> const*>(levels.row(image, 0, row) + column);
+#pragma unroll
+        for (int c = 0; c < 2; ++c) {
+          spread(levels, image, 1 + c, rows, column, F(kJpegInner), F(kJpegOuter), false, v[1 + c]);
+          F const *const near = levels.row(image, 1 + c, rows.near), *const beside =
+                                                                         levels.row(image, 1 + c, rows.beside);
+          auto const mirrored = [&](int i) {
+            return (near[i] * rows.of_near + beside[i] * rows.of_beside) * F(kJpegOuter);
+          };
+          if (column == 0) v[1 + c][1] += mirrored(0);
+          if (column + kTaken == levels.width) v[1 + c][2] += mirrored(int(levels.width) / 2 - 1);
+        }
+#pragma unroll
+        for (int i = 0; i < kTaken; ++i) {
+          v[0][i] = luma.v[i];
+          int const to = min(column + i, width - 1) - x;
+#pragma unroll
+          for (int k = 0; k < kTaken; ++k)
+            if (k == to)
+#pragma unroll
+              for (int c = 0; c < 3; ++c) sums[c][k] += v[c][i];
+        }
+      }
+    }
+    F rgb[3][kTaken];
+#pragma unroll
+    for (int i = 0; i < kTaken; ++i) {
+      auto const found = pull_jpeg_levels<F>(sums[0][i], sums[1][i], sums[2][i]);
+#pragma unroll
+      for (int c = 0; c < 3; ++c) rgb[c][i] = found.v[c];
+    }
+#pragma unroll
+    for (int c = 0; c < 3; ++c) store_taken(p.grad_x, image, c, y, x, packed, rgb[c]);
+  }
+}
+
+// A block of threads an image, a thread a step.
+template <class F>
+__global__ void __launch_bounds__(128) run_pull_steps(__grid_constant__ JpegPullSteps<F> const p) {
+  __shared__ F sums[4];
+  int64_t const b = blockIdx.x;
+  int const i = int(threadIdx.x);
+  F const* const slopes = p.slopes + b * p.pieces * 128 + i;
+  F parts[4]{};
+  int64_t piece = 0;
+  for (; piece + 4 <= p.pieces; piece += 4)
+#pragma unroll
+    for (int k = 0; k < 4; ++k) parts[k] += slopes[(piece + k) * 128];
+  for (; piece < p.pieces; ++piece) parts[0] += slopes[piece * 128];
+  auto const percent = jpeg_percent(jpeg_quality(p.tables, b));
+  F const table = jpeg_table(p.tables, b, i);
+  F const of = ((parts[0] + parts[1]) + (parts[2] + parts[3])) * jpeg_step(table, percent.value).slope;
+  (i < 64 ? p.grad_luma : p.grad_chroma)[b * 64 + i % 64] = of * percent.value;
+  F const of_warp = warp_sum(of * table);
+  if (i % 32 == 0) sums[i / 32] = of_warp;
+  __syncthreads();
+  if (i == 0) p.grad_quality[b] = ((sums[0] + sums[1]) + (sums[2] + sums[3])) * percent.slope;
+}
+
+template <class F>
+unsigned tiles_of(JpegLevels<F> const& levels, int64_t images) {
+  return unsigned(images * (levels.height / kJpegSide) * ceil_div(levels.width, kJpegWidth));
+}
+
+}  // namespace
+
+template <class T>
+int jpeg_blocks(JpegBlocks<T> const& p, CUstream_st* stream) {
+  run_blocks<<<tiles_of(p.levels, p.x.batch), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class T>
+int jpeg_pixels(JpegPixels<T> const& p, CUstream_st* stream) {
+  run_pixels<<<blocks_of(p.y), dim3(32, kRows), 0, stream>>>(p, is_packed(p.y));
+  return cudaGetLastError();
+}
+template <class T>
+int jpeg_pull_blocks(JpegPullBlocks<T> const& p, CUstream_st* stream) {
+  run_pull_blocks<<<tiles_of(p.forward.levels, p.grad.batch), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+template <class T>
+int jpeg_pull_pixels(JpegPullPixels<T> const& p, CUstream_st* stream) {
+  run_pull_pixels<<<blocks_of(p.grad_x), dim3(32, kRows), 0, stream>>>(p, is_packed(p.grad_x));
+  return cudaGetLastError();
+}
+template <class F>
+int jpeg_pull_steps(JpegPullSteps<F> const& p, CUstream_st* stream) {
+  run_pull_steps<<<unsigned(p.batch), 128, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(jpeg_blocks, JpegBlocks)
+KV_INSTANTIATE(jpeg_pixels, JpegPixels)
+KV_INSTANTIATE(jpeg_pull_blocks, JpegPullBlocks)
+KV_INSTANTIATE(jpeg_pull_pixels, JpegPullPixels)
+KV_INSTANTIATE_COMPUTED(jpeg_pull_steps, JpegPullSteps)
+
+}  // namespace kv::cuda

@@ -1,0 +1,311 @@
+// What JPEG does to an image. Included by jpeg_cpu.cpp, jpeg.cu and jpeg_op.cpp.
+//
+//   rgb --> luma ----------------------------> blocks --> luma -----------> rgb
+//       \-> chroma --> halved along both axes > blocks --> chroma, doubled /
+//
+// Blocks are 8 x 8 values C = D X D', whose cosine transform is rounded to steps, D' f(C / s) s D with
+//
+//   f(q) = round(q) + (q - round(q))^3
+//
+// All but the first and last arrow stay inside of a block; these read one pixel beside it. So an image takes two
+// passes, and in between there is half of it as levels: planes of luma, and of blue and red chroma at half size, the
+// sides multiples of 16, the middle at 0. A gradient takes three passes: the first one again, then from the gradient of
+// rgb to that of the first levels, which stay inside of the blocks, then to the image.
+#pragma once
+
+#include "core/images.h"
+#include "core/isa.h"
+
+namespace kv {
+
+// Per image: one quality and 64 numbers a table. A stride of 0 is one for all, null the number, or the standard's
+// table.
+template <class F>
+struct JpegTables {
+  F const *quality, *luma, *chroma;
+  int64_t quality_stride, luma_stride, chroma_stride;
+  F number;
+};
+
+template <class F>
+struct JpegLevels {
+  F* data;
+  int64_t height, width;
+
+  KV_HD int64_t size() const { return height * width / 2 * 3; }
+  // Plane 0 is luma, 1 blue and 2 red chroma.
+  KV_HD int64_t width_of(int plane) const { return plane == 0 ? width : width / 2; }
+  KV_HD F* row(int64_t b, int plane, int64_t y) const {
+    F* const image = data + b * size();
+    if (plane == 0) return image + y * width;
+    return image + height * width + ((plane - 1) * (height / 2) + y) * (width / 2);
+  }
+};
+
+template <class T>
+struct JpegBlocks {
+  Images<T const> x;
+  JpegLevels<Compute<T>> levels;
+  JpegTables<Compute<T>> tables;
+};
+template <class T>
+struct JpegPixels {
+  JpegLevels<Compute<T>> levels;
+  Images<T> y;
+};
+template <class T>
+struct JpegPullBlocks {
+  JpegBlocks<T> forward;
+  Images<T const> grad;
+  JpegLevels<Compute<T>> grad_levels;  // null: not wanted
+  Compute<T>* slopes;                  // of the steps of luma and chroma: (B, pieces, 128); null: not wanted
+  int64_t pieces;
+};
+template <class T>
+struct JpegPullPixels {
+  JpegLevels<Compute<T>> grad_levels;
+  Images<T> grad_x;
+};
+template <class F>
+struct JpegPullSteps {
+  JpegTables<F> tables;
+  F const* slopes;
+  int64_t batch, pieces;
+  F *grad_quality, *grad_luma, *grad_chroma;  // (B), (B, 64), (B, 64)
+};
+
+KV_KERNEL(jpeg_blocks, JpegBlocks)
+KV_KERNEL(jpeg_pixels, JpegPixels)
+KV_KERNEL(jpeg_pull_blocks, JpegPullBlocks)
+KV_KERNEL(jpeg_pull_pixels, JpegPullPixels)
+KV_KERNEL(jpeg_pull_steps, JpegPullSteps)
+
+// What is worked on at once: four by one squares of 16 pixels, each four blocks of luma and one of each chroma.
+constexpr int kJpegSide = 16, kJpegWidth = 64;
+
+// --- colour
+// -----------------------------------------------------------------------------------------------------------
+
+constexpr double kJpegRed = 0.299, kJpegGreen = 0.587, kJpegBlue = 0.114;
+constexpr double kJpegFromBlue = 0.564, kJpegFromRed = 0.713;  // how much b - y and r - y are scaled by
+
+// Luma, blue and red chroma; or r, g, b.
+template <class V>
+struct JpegColor {
+  V v[3];
+};
+// Levels around 0: 255 (y, cb, cr) - 128.
+template <class F, class V>
+KV_HD JpegColor<V> jpeg_levels(V const& r, V const& g, V const& b) {
+  V const y = r * F(kJpegRed) + g * F(kJpegGreen) + b * F(kJpegBlue);
+  return {{y * F(255) - F(128), (b - y) * F(255 * kJpegFromBlue) - F(0.5), (r - y) * F(255 * kJpegFromRed) - F(0.5)}};
+}
+template <class F, class V>
+KV_HD JpegColor<V> pull_jpeg_levels(V const& luma, V const& blue, V const& red) {
+  V const of_b = blue * F(255 * kJpegFromBlue), of_r = red * F(255 * kJpegFromRed);
+  V const y = luma * F(255) - of_b - of_r;
+  return {{y * F(kJpegRed) + of_r, y * F(kJpegGreen), y * F(kJpegBlue) + of_b}};
+}
+
+// Not clipped.
+template <class F, class V>
+KV_HD JpegColor<V> jpeg_rgb(V const& luma, V const& blue, V const& red) {
+  V const y = (luma + F(128)) * F(1 / 255.);
+  V const b = (blue + F(0.5)) * F(1 / 255. / kJpegFromBlue), r = (red + F(0.5)) * F(1 / 255. / kJpegFromRed);
+  return {{y + r, y - b * F(kJpegBlue / kJpegGreen) - r * F(kJpegRed / kJpegGreen), y + b}};
+}
+template <class F, class V>
+KV_HD JpegColor<V> pull_jpeg_rgb(V const& r, V const& g, V const& b) {
+  return {{(r + g + b) * F(1 / 255.), (b - g * F(kJpegBlue / kJpegGreen)) * F(1 / 255. / kJpegFromBlue),
+           (r - g * F(kJpegRed / kJpegGreen)) * F(1 / 255. / kJpegFromRed)}};
+}
+template <class F, class V>
+KV_HD V jpeg_clip(V const& x) {
+  V const none = x * F(0);  // NaN stays
+  return x < F(0) ? none : x > F(1) ? none + F(1) : x;
+}
+// The gradient g of clipped rgb to the levels.
+template <class F, class V>
+KV_HD JpegColor<V> pull_jpeg_clipped(V const& luma, V const& blue, V const& red, JpegColor<V> g) {
+  JpegColor<V> const x = jpeg_rgb<F>(luma, blue, red);
+  for (int c = 0; c < 3; ++c) {
+    V const none = g.v[c] * F(0);
+    g.v[c] = x.v[c] >= F(0) ? (x.v[c] <= F(1) ? g.v[c] : none) : none;
+  }
+  return pull_jpeg_rgb<F>(g.v[0], g.v[1], g.v[2]);
+}
+
+// --- half size and back, along one axis
+// -----------------------------------------------------------------------------------
+
+// Pixel i of the half is the mean of two between which a Gaussian of sigma 0.5 has smoothed, of four pixels
+//
+//   2i - 1   2i   2i + 1   2i + 2
+//     a       b      b       a        a = e^-2 b / (1 + e^-2)
+//
+// and the border mirrors the image without its last pixel.
+constexpr double kJpegOuter = 0.5 * 0.13533528323661269 / (1 + 2 * 0.13533528323661269);
+constexpr double kJpegInner = 0.5 - kJpegOuter;
+template <class F, class V>
+KV_HD V jpeg_halved(V const& a, V const& b, V const& c, V const& d) {
+  return (a + d) * F(kJpegOuter) + (b + c) * F(kJpegInner);
+}
+
+// A pixel made of two of the half: of the nearest one, and of that beside it, which may be the same.
+template <class F>
+struct JpegPair {
+  int near, beside;
+  F of_near, of_beside;
+};
+// The transpose: the gradient of pixel i of n from those of its half.
+template <class F>
+KV_HD JpegPair<F> pull_jpeg_halved(int i, int n) {
+  int const near = i / 2, beside = i % 2 ? near + 1 : near - 1;
+  bool const has_beside = beside >= 0 && beside < n / 2, mirrored = i == 1 || i == n - 2;
+  return {near, has_beside ? beside : near, F(mirrored ? kJpegInner + kJpegOuter : kJpegInner),
+          F(has_beside ? kJpegOuter : 0)};
+}
+// Pixel i of n, bilinear in its half, whose border is replicated.
+template <class F>
+KV_HD JpegPair<F> jpeg_doubled(int i, int n) {
+  return {i / 2, i % 2 ? min(i / 2 + 1, n / 2 - 1) : max(i / 2 - 1, 0), F(0.75), F(0.25)};
+}
+// Its transpose: the gradients of pixels 2i - 1 ... 2i + 2, those at the ends standing for those beyond.
+template <class F, class V>
+KV_HD V pull_jpeg_doubled(V const& a, V const& b, V const& c, V const& d) {
+  return (b + c) * F(0.75) + (a + d) * F(0.25);
+}
+
+// --- blocks
+// ------------------------------------------------------------------------------------------------------------
+
+// Row `frequency` of the orthonormal cosine transform D.
+template <class F>
+KV_HD constexpr F jpeg_cosine(int frequency, int i) {
+  constexpr double half_cos[] = {0.5,
+                                 0.49039264020161522,
+                                 0.46193976625564337,
+                                 0.41573480615127262,
+                                 0.35355339059327376,
+                                 0.27778511650980109,
+                                 0.19134171618254489,
+                                 0.097545161008064135,
+                                 0};
+  if (frequency == 0) return F(half_cos[4]);
+  int const turn = (2 * i + 1) * frequency % 32, m = turn > 16 ? 32 - turn : turn;  // in 16ths of pi
+  return F(m > 8 ? -half_cos[16 - m] : half_cos[m]);
+}
+// Frequency k of the sums (k even) or differences of x[i] and x[7 - i].
+template <class F, int k, class V>
+KV_HD V jpeg_frequency(V const (&x)[4]) {
+  constexpr F a = jpeg_cosine<F>(k, 0), b = jpeg_cosine<F>(k, 1), c = jpeg_cosine<F>(k, 2), d = jpeg_cosine<F>(k, 3);
+  return x[0] * a + x[1] * b + x[2] * c + x[3] * d;
+}
+template <class F, class V>
+KV_HD void jpeg_transform(V (&v)[8]) {
+  V const sums[] = {v[0] + v[7], v[1] + v[6], v[2] + v[5], v[3] + v[4]};
+  V const differences[] = {v[0] - v[7], v[1] - v[6], v[2] - v[5], v[3] - v[4]};
+  v[0] = jpeg_frequency<F, 0>(sums);
+  v[1] = jpeg_frequency<F, 1>(differences);
+  v[2] = jpeg_frequency<F, 2>(sums);
+  v[3] = jpeg_frequency<F, 3>(differences);
+  v[4] = jpeg_frequency<F, 4>(sums);
+  v[5] = jpeg_frequency<F, 5>(differences);
+  v[6] = jpeg_frequency<F, 6>(sums);
+  v[7] = jpeg_frequency<F, 7>(differences);
+}
+// Values i and 7 - i.
+template <class F, int i, class V>
+KV_HD void jpeg_values(V const (&frequencies)[8], V& value, V& opposite) {
+  constexpr F a = jpeg_cosine<F>(0, i), b = jpeg_cosine<F>(2, i), c = jpeg_cosine<F>(4, i), d = jpeg_cosine<F>(6, i);
+  constexpr F e = jpeg_cosine<F>(1, i), f = jpeg_cosine<F>(3, i), g = jpeg_cosine<F>(5, i), h = jpeg_cosine<F>(7, i);
+  V const(&v)[8] = frequencies;
+  V const even = v[0] * a + v[2] * b + v[4] * c + v[6] * d, odd = v[1] * e + v[3] * f + v[5] * g + v[7] * h;
+  value = even + odd;
+  opposite = even - odd;
+}
+template <class F, class V>
+KV_HD void jpeg_inverse(V (&v)[8]) {
+  V const frequencies[] = {v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]};
+  jpeg_values<F, 0>(frequencies, v[0], v[7]);
+  jpeg_values<F, 1>(frequencies, v[1], v[6]);
+  jpeg_values<F, 2>(frequencies, v[2], v[5]);
+  jpeg_values<F, 3>(frequencies, v[3], v[4]);
+}
+
+// Half to even. Numbers from 2^22 (2^51) on may stay.
+template <class F, class V>
+KV_HD V jpeg_round(V const& x) {
+  constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52), limit = shift / F(3);
+  V const whole = (x + shift) - shift;
+  return x < limit ? (x > -limit ? whole : x) : x;
+}
+template <class F, class V>
+KV_HD V jpeg_quantised(V const& coefficient, V const& step) {
+  V const q = coefficient / step, whole = jpeg_round<F>(q), rest = q - whole;
+  return (whole + rest * rest * rest) * step;
+}
+// The gradient `g` of that becomes the coefficient's; the step's is added to `slope`.
+template <class F, class V>
+KV_HD void pull_jpeg_quantised(V const& coefficient, V const& step, V& g, V& slope) {
+  V const q = coefficient / step, whole = jpeg_round<F>(q), rest = q - whole, square = rest * rest;
+  slope += g * (whole + square * rest - q * square * F(3));
+  g = g * square * F(3);
+}
+
+// --- steps
+// -------------------------------------------------------------------------------------------------------------
+
+// The example tables of ISO/IEC 10918-1, annex K. `i`: vertical frequency times 8, plus the horizontal one.
+KV_HD int jpeg_standard(bool chroma, int i) {
+  constexpr uint8_t luma[] = {16, 11, 10, 16, 24,  40,  51,  61,  12, 12, 14, 19, 26,  58,  60,  55,
+                              14, 13, 16, 24, 40,  57,  69,  56,  14, 17, 22, 29, 51,  87,  80,  62,
+                              18, 22, 37, 56, 68,  109, 103, 77,  24, 35, 55, 64, 81,  104, 113, 92,
+                              49, 64, 78, 87, 103, 121, 120, 101, 72, 92, 95, 98, 112, 100, 103, 99};
+  constexpr uint8_t first[] = {17, 18, 24, 47, 18, 21, 26, 66, 24, 26, 56, 99, 47, 66, 99, 99};
+  if (!chroma) return luma[i];
+  return i / 8 < 4 && i % 8 < 4 ? first[i / 8 * 4 + i % 8] : 99;
+}
+
+// A number and its derivative.
+template <class F>
+struct JpegSlope {
+  F value, slope;
+};
+template <class F>
+KV_HD JpegSlope<F> jpeg_floor(F x) {
+  F const whole = F(__builtin_floor(double(x))), rest = x - whole - F(0.5);
+  return {whole + rest * rest * rest, F(3) * rest * rest};
+}
+// The percentage that a quality scales tables by.
+template <class F>
+KV_HD JpegSlope<F> jpeg_percent(F quality) {
+  F const q = quality < F(1) ? F(1) : quality > F(100) ? F(100) : quality;
+  JpegSlope<F> const found = jpeg_floor(q < F(50) ? F(5000) / q : F(200) - F(2) * q);
+  F const slope = q < F(50) ? F(-5000) / (q * q) : F(-2);
+  return {found.value, quality >= F(1) && quality <= F(100) ? found.slope * slope : F(0)};
+}
+// A step and its derivative by what the table times the percentage is.
+template <class F>
+KV_HD JpegSlope<F> jpeg_step(F table, F percent) {
+  F const x = (table * percent + F(50)) / F(100);
+  F const inside = x < F(1) ? F(1) : x > F(255) ? F(255) : x, beyond = x - inside;
+  F const left = beyond == F(0) ? F(1) : F(__builtin_exp(-__builtin_fabs(double(beyond))));
+  F const more = F(0.02) * (F(1) - left);
+  JpegSlope<F> const step = jpeg_floor(inside + (beyond < F(0) ? -more : more));
+  return {step.value, step.slope * (beyond == F(0) ? F(1) : F(0.02) * left) / F(100)};
+}
+
+template <class F>
+KV_HD F jpeg_quality(JpegTables<F> const& t, int64_t b) {
+  return t.quality ? t.quality[b * t.quality_stride] : t.number;
+}
+// Number i of the table for luma, i - 64 of that for chroma.
+template <class F>
+KV_HD F jpeg_table(JpegTables<F> const& t, int64_t b, int i) {
+  F const* const table = i < 64 ? t.luma : t.chroma;
+  if (!table) return F(jpeg_standard(i >= 64, i % 64));
+  return table[b * (i < 64 ? t.luma_stride : t.chroma_stride) + i % 64];
+}
+
+}  // namespace kv

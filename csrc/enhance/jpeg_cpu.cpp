@@ -1,0 +1,403 @@
+// What JPEG does, on the CPU: 16 rows of an image at a time, by tiles of 64 columns. Compiled once per instruction set.
+#include "core/border.h"
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "jpeg.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// Values and gradients of a tile. Chroma has a rim of one pixel; rows are longer than that, so that vectors may end
+// beyond it.
+template <class F>
+struct JpegTile {
+  static constexpr int kPitch = kJpegWidth + 16;
+  F luma[kJpegSide][kJpegWidth];
+  F chroma[2][kJpegSide + 2][kPitch];
+  F half[2][kJpegSide / 2][kJpegWidth / 2];
+
+  // Of a plane, and of chroma its half.
+  KV_HD F* at(int plane, int y, int x) { return plane == 0 ? &luma[y][x] : &half[plane - 1][y][x]; }
+  KV_HD static int pitch(int plane) { return plane == 0 ? kJpegWidth : kJpegWidth / 2; }
+};
+
+// Where a tile is, in a padded image.
+struct JpegPlace {
+  int64_t b;
+  int y, x, height, width, columns;
+
+  template <class F>
+  KV_HD JpegPlace(JpegLevels<F> const& levels, int64_t r, int x)
+      : b(r / (levels.height / kJpegSide)),
+        y(int(r % (levels.height / kJpegSide)) * kJpegSide),
+        x(x),
+        height(int(levels.height)),
+        width(int(levels.width)),
+        columns(min(kJpegWidth, width - x)) {}
+};
+
+// Calls f(place) for the tiles of units [begin, end).
+template <class F, class Call>
+KV_HD void for_each_tile(JpegLevels<F> const& levels, int64_t begin, int64_t end, Call const& f) {
+  for (int64_t r = begin; r < end; ++r)
+    for (int x = 0; x < int(levels.width); x += kJpegWidth) f(JpegPlace(levels, r, x));
+}
+
+// Calls f(width, x) for [begin, end), in vectors where pixels are neighbours.
+template <class T, class Call>
+KV_HD void for_each_pixel(int64_t step, int64_t begin, int64_t end, Call const& f) {
+  if (step == 1) return for_each_vector<T>(begin, end, f);
+  for (int64_t x = begin; x < end; ++x) f(Width<1>{}, x);
+}
+
+template <int N, class T>
+KV_HD JpegColor<Lanes<Compute<T>, N>> load_color(Images<T const> const& x, int64_t b, int64_t row, int64_t column) {
+  T const* const at = x.row(b, 0, row) + column * x.step;
+  return {{load<N>(at), load<N>(at + x.channel_stride), load<N>(at + 2 * x.channel_stride)}};
+}
+
+// Levels of luma, and of chroma with its rim.
+template <class T>
+KV_HD void load_levels(Images<T const> const& x, JpegPlace const& at, JpegTile<Compute<T>>& tile) {
+  using F = Compute<T>;
+  int const end = min(at.x + at.columns, int(x.width));
+  for (int j = -1; j <= kJpegSide; ++j) {
+    int const row = min(border_index(Border::reflect, at.y + j, at.height), int(x.height) - 1);
+    bool const inner = j >= 0 && j < kJpegSide;
+    auto const pixel = [&](auto n, int64_t from, int64_t to) {
+      constexpr int N = decltype(n)::value;
+      auto const rgb = load_color<N>(x, at.b, row, from);
+      auto const levels = jpeg_levels<F>(rgb.v[0], rgb.v[1], rgb.v[2]);
+      if (inner && to >= 0 && to < at.columns) store<N>(tile.luma[j] + to, levels.v[0]);
+      for (int c = 0; c < 2; ++c) store<N>(tile.chroma[c][j + 1] + 1 + to, levels.v[1 + c]);
+    };
+    for_each_pixel<T>(x.step, at.x, end, [&](auto n, int64_t i) { pixel(n, i, i - at.x); });
+    for (int i = end - at.x; i < at.columns; ++i) pixel(Width<1>{}, x.width - 1, i);
+    auto const beside = [&](int i) {
+      pixel(Width<1>{}, min(border_index(Border::reflect, at.x + i, at.width), int(x.width) - 1), i);
+    };
+    beside(-1);
+    beside(at.columns);
+  }
+}
+
+// Every second lane of a and b, from `first` on.
+template <int first, class V>
+KV_HD V every_second(V const& a, V const& b) {
+  return __builtin_shufflevector(a, b, first, first + 2, first + 4, first + 6, first + 8, first + 10, first + 12,
+                                 first + 14);
+}
+
+// What reads four pixels along both axes, for every second one: the half of a tile's chroma and its rim.
+template <class F, class Combine>
+KV_HD void halve(JpegTile<F>& tile, int columns, Combine const& combine) {
+  F rows[JpegTile<F>::kPitch];
+  for (int c = 0; c < 2; ++c)
+    for (int y = 0; y < kJpegSide / 2; ++y) {
+      auto const* const from = tile.chroma[c] + 2 * y;
+      for_each_vector<F>(0, columns + 2, [&](auto n, int64_t i) {
+        constexpr int N = decltype(n)::value;
+        auto const row = [&](int k) { return load<N>(from[k] + i); };
+        store<N>(rows + i, combine(row(0), row(1), row(2), row(3)));
+      });
+      for (int i = 0; i < columns / 2; i += 8) {
+        auto const at = [&](int k) { return load<8>(rows + 2 * i + k); };
+        auto const a = at(0), b = at(8), c2 = at(2), d = at(10);
+        store<8>(tile.half[c][y] + i,
+                 combine(every_second<0>(a, b), every_second<1>(a, b), every_second<0>(c2, d), every_second<1>(c2, d)));
+      }
+    }
+}
+
+// --- blocks: eight vectors of eight
+// ---------------------------------------------------------------------------------------
+
+template <class V>
+KV_HD void transpose(V (&v)[8]) {
+  for (int i = 0; i < 4; ++i) {
+    V const a = v[i], b = v[i + 4];
+    v[i] = __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11);
+    v[i + 4] = __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+  }
+  for (int k = 0; k < 4; ++k) {
+    int const i = k / 2 * 4 + k % 2;
+    V const a = v[i], b = v[i + 2];
+    v[i] = __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13);
+    v[i + 2] = __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15);
+  }
+  for (int i = 0; i < 8; i += 2) {
+    V const a = v[i], b = v[i + 1];
+    v[i] = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
+    v[i + 1] = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+  }
+}
+
+// The rows of a block become columns of coefficients.
+template <class F, class V>
+KV_HD void to_coefficients(V (&v)[8]) {
+  jpeg_transform<F>(v);
+  transpose(v);
+  jpeg_transform<F>(v);
+}
+template <class F, class V>
+KV_HD void to_rows(V (&v)[8]) {
+  jpeg_inverse<F>(v);
+  transpose(v);
+  jpeg_inverse<F>(v);
+}
+
+template <class F>
+KV_HD void load_block(F const* from, int64_t pitch, Lanes<F, 8> (&v)[8]) {
+  for (int i = 0; i < 8; ++i) v[i] = load<8>(from + i * pitch);
+}
+template <class F>
+KV_HD void store_block(F* to, int64_t pitch, Lanes<F, 8> const (&v)[8]) {
+  for (int i = 0; i < 8; ++i) store<8>(to + i * pitch, v[i]);
+}
+
+// The steps of luma and chroma, a column of coefficients a row.
+template <class F>
+struct JpegSteps {
+  F of[2][8][8];
+  int64_t image = -1;
+
+  KV_HD void find(JpegTables<F> const& tables, int64_t b) {
+    if (b == image) return;
+    image = b;
+    F const percent = jpeg_percent(jpeg_quality(tables, b)).value;
+    for (int i = 0; i < 128; ++i) of[i / 64][i % 8][i / 8 % 8] = jpeg_step(jpeg_table(tables, b, i), percent).value;
+  }
+};
+
+// Calls f(plane, y, x) for the blocks of a tile.
+template <class Call>
+KV_HD void for_each_block(int columns, Call const& f) {
+  for (int plane = 0; plane < 3; ++plane)
+    for (int y = 0; y < (plane == 0 ? kJpegSide : kJpegSide / 2); y += 8)
+      for (int x = 0; x < (plane == 0 ? columns : columns / 2); x += 8) f(plane, y, x);
+}
+// The place of a tile's block among the levels.
+template <class F>
+KV_HD F* block_of(JpegLevels<F> const& levels, JpegPlace const& at, int plane, int y, int x) {
+  int const scale = plane == 0 ? 1 : 2;
+  return levels.row(at.b, plane, at.y / scale + y) + at.x / scale + x;
+}
+
+// --- rows of chroma at twice their size
+// -----------------------------------------------------------------------------------
+
+// `n` pixels, a multiple of 8, one beside them on either side, and what a vector reads beyond.
+template <class F>
+struct HalfRow {
+  Scratch<F> memory;
+  F* const data;
+  int64_t const n;
+  explicit KV_HD HalfRow(int64_t n) : memory(n + 32), data(memory.data + 16), n(n) {}
+
+  KV_HD void mix(JpegLevels<F> const& levels, int64_t b, int plane, JpegPair<F> const& rows) const {
+    F const *const near = levels.row(b, plane, rows.near), *const beside = levels.row(b, plane, rows.beside);
+    for (int64_t i = 0; i < n; i += 8)
+      store<8>(data + i, load<8>(near + i) * rows.of_near + load<8>(beside + i) * rows.of_beside);
+  }
+  // Calls f(vector, x) for pixels x ... x + 7 of 2 n, each made of the nearest and of that beside it.
+  template <class Call>
+  KV_HD void spread(F of_near, F of_beside, Call const& f) const {
+    for (int64_t i = 0; i < n; i += 8) {
+      auto const own = load<8>(data + i) * of_near;
+      auto const even = own + load<8>(data + i - 1) * of_beside, odd = own + load<8>(data + i + 1) * of_beside;
+      f(__builtin_shufflevector(even, odd, 0, 8, 1, 9, 2, 10, 3, 11), 2 * i);
+      f(__builtin_shufflevector(even, odd, 4, 12, 5, 13, 6, 14, 7, 15), 2 * i + 8);
+    }
+  }
+};
+
+// The chroma of a row of pixels.
+template <class F>
+struct DoubledRow {
+  HalfRow<F> half;
+  Scratch<F> memory;
+  explicit KV_HD DoubledRow(int64_t width) : half(width / 2), memory(2 * width) {}
+  KV_HD F* of(int c) const { return memory.data + 2 * c * half.n; }
+  KV_HD void fill(JpegLevels<F> const& levels, int64_t b, int64_t y) const {
+    auto const rows = jpeg_doubled<F>(int(y), int(levels.height));
+    for (int c = 0; c < 2; ++c) {
+      half.mix(levels, b, 1 + c, rows);
+      half.data[-1] = half.data[0];
+      half.data[half.n] = half.data[half.n - 1];
+      half.spread(rows.of_near, rows.of_beside, [&](auto const& v, int64_t x) { store<8>(of(c) + x, v); });
+    }
+  }
+};
+
+}  // namespace
+
+template <class T>
+void jpeg_blocks(JpegBlocks<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  JpegTile<F> tile;
+  JpegSteps<F> steps;
+  for_each_tile(p.levels, begin, end, [&](JpegPlace const& at) {
+    steps.find(p.tables, at.b);
+    load_levels(p.x, at, tile);
+    halve(tile, at.columns, [](auto const&... v) { return jpeg_halved<F>(v...); });
+    for_each_block(at.columns, [&](int plane, int y, int x) {
+      alignas(64) Lanes<F, 8> v[8];
+      load_block<F>(tile.at(plane, y, x), tile.pitch(plane), v);
+      to_coefficients<F>(v);
+      for (int i = 0; i < 8; ++i) v[i] = jpeg_quantised<F>(v[i], Lanes<F, 8>(load<8>(steps.of[plane > 0][i])));
+      to_rows<F>(v);
+      store_block<F>(block_of(p.levels, at, plane, y, x), p.levels.width_of(plane), v);
+    });
+  });
+}
+
+template <class T>
+void jpeg_pixels(JpegPixels<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  DoubledRow<F> const chroma(p.levels.width);
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const b = r / p.y.height, y = r % p.y.height;
+    chroma.fill(p.levels, b, y);
+    F const* const luma = p.levels.row(b, 0, y);
+    for_each_pixel<T>(p.y.step, 0, p.y.width, [&](auto n, int64_t x) {
+      constexpr int N = decltype(n)::value;
+      using V = Lanes<F, N>;
+      auto const rgb = jpeg_rgb<F>(V(load<N>(luma + x)), V(load<N>(chroma.of(0) + x)), V(load<N>(chroma.of(1) + x)));
+      for (int c = 0; c < 3; ++c) store<N>(p.y.row(b, c, y) + x * p.y.step, jpeg_clip<F>(rgb.v[c]));
+    });
+  }
+}
+
+template <class T>
+void jpeg_pull_blocks(JpegPullBlocks<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  JpegLevels<F> const& levels = p.forward.levels;
+  JpegTile<F> tile, grads;
+  JpegSteps<F> steps;
+  DoubledRow<F> const chroma(levels.width);
+  int64_t const pad = 8, row = levels.width + 2 * pad;
+  Scratch<F> memory(kJpegSide * levels.width + 2 * (kJpegSide + 2) * row);
+  F *const of_luma = memory.data, *const of_chroma = memory.data + kJpegSide * levels.width;
+
+  for (int64_t r = begin; r < end; ++r) {
+    JpegPlace const first(levels, r, 0);
+    // The gradients of levels at full size, of these rows and of one beside them.
+    for (int j = -1; j <= kJpegSide; ++j) {
+      int const y = clamp(first.y + j, 0, first.height - 1);
+      bool const inner = j >= 0 && j < kJpegSide;
+      F* const to[] = {of_luma + j * levels.width, of_chroma + (j + 1) * row + pad,
+                       of_chroma + (kJpegSide + 3 + j) * row + pad};
+      auto const set = [&](auto n, int64_t x, auto const& found) {
+        constexpr int N = decltype(n)::value;
+        for (int c = inner ? 0 : 1; c < 3; ++c) store<N>(to[c] + x, found.v[c]);
+      };
+      int64_t const width = y < p.grad.height ? p.grad.width : 0;
+      if (width > 0) chroma.fill(levels, first.b, y);
+      F const* const luma = levels.row(first.b, 0, y);
+      for_each_pixel<T>(p.grad.step, 0, width, [&](auto n, int64_t x) {
+        constexpr int N = decltype(n)::value;
+        using V = Lanes<F, N>;
+        set(n, x,
+            pull_jpeg_clipped<F>(V(load<N>(luma + x)), V(load<N>(chroma.of(0) + x)), V(load<N>(chroma.of(1) + x)),
+                                 load_color<N>(p.grad, first.b, y, x)));
+      });
+      for (int64_t x = width; x < levels.width; ++x) set(Width<1>{}, x, JpegColor<F>{});
+      for (int c = 1; c < 3; ++c) to[c][-1] = to[c][0], to[c][levels.width] = to[c][levels.width - 1];
+    }
+
+    F slopes[2][8][8]{};
+    for_each_tile(levels, r, r + 1, [&](JpegPlace const& at) {
+      steps.find(p.forward.tables, at.b);
+      load_levels(p.forward.x, at, tile);
+      halve(tile, at.columns, [](auto const&... v) { return jpeg_halved<F>(v...); });
+      for (int y = 0; y < kJpegSide; ++y)
+        for (int x = 0; x < at.columns; x += 8)
+          store<8>(&grads.luma[y][x], load<8>(of_luma + y * levels.width + at.x + x));
+      for (int c = 0; c < 2; ++c)
+        for (int y = 0; y < kJpegSide + 2; ++y)
+          for (int x = 0; x < at.columns + 2; ++x)
+            grads.chroma[c][y][x] = of_chroma[(c * (kJpegSide + 2) + y) * row + pad - 1 + at.x + x];
+      halve(grads, at.columns, [](auto const&... v) { return pull_jpeg_doubled<F>(v...); });
+      for_each_block(at.columns, [&](int plane, int y, int x) {
+        alignas(64) Lanes<F, 8> v[8], g[8];
+        load_block<F>(tile.at(plane, y, x), tile.pitch(plane), v);
+        to_coefficients<F>(v);
+        load_block<F>(grads.at(plane, y, x), tile.pitch(plane), g);
+        to_coefficients<F>(g);
+        for (int i = 0; i < 8; ++i) {
+          F* const to = slopes[plane > 0][i];
+          Lanes<F, 8> slope = load<8>(to);
+          pull_jpeg_quantised<F>(v[i], Lanes<F, 8>(load<8>(steps.of[plane > 0][i])), g[i], slope);
+          store<8>(to, slope);
+        }
+        if (!p.grad_levels.data) return;
+        to_rows<F>(g);
+        store_block<F>(block_of(p.grad_levels, at, plane, y, x), levels.width_of(plane), g);
+      });
+    });
+    if (!p.slopes) continue;
+    for (int i = 0; i < 128; ++i) p.slopes[r * 128 + i] = slopes[i / 64][i % 8][i / 8 % 8];
+  }
+}
+
+template <class T>
+void jpeg_pull_pixels(JpegPullPixels<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  JpegLevels<F> const& levels = p.grad_levels;
+  int64_t const width = levels.width;
+  HalfRow<F> const half(width / 2);
+  Scratch<F> memory(3 * width);
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const b = r / p.grad_x.height, y = r % p.grad_x.height;
+    F* const sums[] = {memory.data, memory.data + width, memory.data + 2 * width};
+    int64_t const after = y + 1 < p.grad_x.height ? y + 1 : levels.height;
+    for (int64_t row = y; row < after; ++row) {  // the last row stands for those below it, too
+      auto const add = [&](int plane, auto const& v, int64_t x) {
+        F* const to = sums[plane] + x;
+        store<8>(to, row == y ? v : load<8>(to) + v);
+      };
+      F const* const luma = levels.row(b, 0, row);
+      for (int64_t x = 0; x < width; x += 8) add(0, load<8>(luma + x), x);
+      for (int plane = 1; plane < 3; ++plane) {
+        half.mix(levels, b, plane, pull_jpeg_halved<F>(int(row), int(levels.height)));
+        half.data[-1] = half.data[half.n] = 0;
+        half.spread(F(kJpegInner), F(kJpegOuter), [&](auto const& v, int64_t x) { add(plane, v, x); });
+        sums[plane][1] += half.data[0] * F(kJpegOuter);
+        sums[plane][width - 2] += half.data[half.n - 1] * F(kJpegOuter);
+      }
+    }
+    for (F* const sum : sums)
+      for (int64_t x = p.grad_x.width; x < width; ++x) sum[p.grad_x.width - 1] += sum[x];
+    for_each_pixel<T>(p.grad_x.step, 0, p.grad_x.width, [&](auto n, int64_t x) {
+      constexpr int N = decltype(n)::value;
+      using V = Lanes<F, N>;
+      auto const rgb = pull_jpeg_levels<F>(V(load<N>(sums[0] + x)), V(load<N>(sums[1] + x)), V(load<N>(sums[2] + x)));
+      for (int c = 0; c < 3; ++c) store<N>(p.grad_x.row(b, c, y) + x * p.grad_x.step, rgb.v[c]);
+    });
+  }
+}
+
+template <class F>
+void jpeg_pull_steps(JpegPullSteps<F> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) {
+    auto const percent = jpeg_percent(jpeg_quality(p.tables, b));
+    F of_percent = 0;
+    for (int i = 0; i < 128; ++i) {
+      F sum = 0;
+      for (int64_t piece = 0; piece < p.pieces; ++piece) sum += p.slopes[(b * p.pieces + piece) * 128 + i];
+      F const table = jpeg_table(p.tables, b, i);
+      sum *= jpeg_step(table, percent.value).slope;
+      (i < 64 ? p.grad_luma : p.grad_chroma)[b * 64 + i % 64] = sum * percent.value;
+      of_percent += sum * table;
+    }
+    p.grad_quality[b] = of_percent * percent.slope;
+  }
+}
+
+KV_INSTANTIATE(jpeg_blocks, JpegBlocks)
+KV_INSTANTIATE(jpeg_pixels, JpegPixels)
+KV_INSTANTIATE(jpeg_pull_blocks, JpegPullBlocks)
+KV_INSTANTIATE(jpeg_pull_pixels, JpegPullPixels)
+KV_INSTANTIATE_COMPUTED(jpeg_pull_steps, JpegPullSteps)
+
+}  // namespace kv::KV_ISA

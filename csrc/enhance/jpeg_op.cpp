@@ -1,0 +1,131 @@
+// What JPEG does: schemas and entries, for CPU and CUDA alike.
+#include "glue/images.h"
+#include "jpeg.h"
+
+namespace kv {
+namespace {
+
+using Maybe = std::optional<Tensor>;
+
+// Contiguous, and of the type that is computed in: one image's numbers, or all images'.
+Tensor jpeg_numbers(char const* op, char const* name, Tensor const& x, Tensor const& t, bool table) {
+  bool const sizes = t.dim() == (table ? 3 : 1) && (t.size(0) == 1 || t.size(0) == x.size(0)) &&
+                     (!table || (t.size(1) == 8 && t.size(2) == 8));
+  KV_CHECK(sizes, op, ": expected ", name, " of shape ", table ? "(B, 8, 8)" : "(B,)", ", or B of 1");
+  KV_CHECK(t.scalar_type() == computed_type(x) && t.device() == x.device(), op, ": expected ", name,
+           " of the type that is computed in, on the device of input");
+  return dense(t);
+}
+
+// What the tables of a call point to.
+struct JpegNumbers {
+  Maybe quality, luma, chroma;
+  double number;
+
+  JpegNumbers(char const* op, Tensor const& x, Maybe const& q, Maybe const& y, Maybe const& c, double number)
+      : number(number) {
+    if (q) quality = jpeg_numbers(op, "quality", x, *q, false);
+    if (y) luma = jpeg_numbers(op, "table_y", x, *y, true);
+    if (c) chroma = jpeg_numbers(op, "table_c", x, *c, true);
+  }
+  template <class F>
+  JpegTables<F> tables() const {
+    auto const data = [](Maybe const& t) { return t ? data_of<F const>(*t) : nullptr; };
+    auto const stride = [](Maybe const& t, int64_t n) { return t && t->size(0) > 1 ? n : 0; };
+    return {data(quality),    data(luma),         data(chroma), stride(quality, 1),
+            stride(luma, 64), stride(chroma, 64), F(number)};
+  }
+};
+
+void check_jpeg(char const* op, Tensor const& x) {
+  check_images(op, "input", x);
+  KV_CHECK(x.size(1) == 3, op, ": expected input of 3 channels, got ", x.size(1));
+  KV_CHECK(x.size(2) <= (1 << 24) && x.size(3) <= (1 << 24) && x.size(0) <= INT32_MAX, op, ": input is too large");
+}
+
+int64_t padded(int64_t n) { return (n + kJpegSide - 1) / kJpegSide * kJpegSide; }
+
+Tensor jpeg_memory(Tensor const& x) {
+  return empty({x.size(0), padded(x.size(2)) * padded(x.size(3)) / 2 * 3}, x, Layout::planar, computed_type(x));
+}
+template <class F>
+JpegLevels<F> levels_of(Tensor const& memory, Tensor const& x) {
+  return {data_of<F>(memory), padded(x.size(2)), padded(x.size(3))};
+}
+
+Tensor jpeg(Tensor const& input, Maybe const& quality, Maybe const& table_y, Maybe const& table_c, double number) {
+  constexpr char const* op = "jpeg";
+  check_jpeg(op, input);
+  JpegNumbers const numbers(op, input, quality, table_y, table_c, number);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), y = empty_like(x, layout), memory = jpeg_memory(x);
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    auto const levels = levels_of<F>(memory, x);
+    int64_t const b = x.size(0);
+    JpegBlocks<T> const blocks{images<T const>(x, b), levels, numbers.tables<F>()};
+    KV_RUN(jpeg_blocks, x, blocks, b * (levels.height / kJpegSide), 16 * kJpegSide * levels.width);
+    JpegPixels<T> const pixels{levels, images<T>(y, b)};
+    KV_RUN(jpeg_pixels, x, pixels, b * x.size(2), 4 * levels.width);
+  });
+  return y;
+}
+
+// The gradients of the image, and of every image's quality (B, 1) and tables (B, 8, 8); without elements where they are
+// not wanted.
+std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Tensor const& input, Maybe const& quality,
+                                                         Maybe const& table_y, Maybe const& table_c, double number,
+                                                         bool of_image, bool of_steps) {
+  constexpr char const* op = "jpeg_backward";
+  check_jpeg(op, input);
+  check_like(op, "grad", grad, input);
+  JpegNumbers const numbers(op, input, quality, table_y, table_c, number);
+  Layout const layout = layout_of(input);
+  Tensor const x = conform(input, layout), g = conform(grad, layout), memory = jpeg_memory(x);
+  ScalarType const computes = computed_type(x);
+  int64_t const b = x.size(0), of = of_steps ? 1 : 0;
+  Tensor const grad_x = of_image ? empty_like(x, layout) : empty({b, 0}, x);
+  auto const make = [&](torch::headeronly::IntHeaderOnlyArrayRef sizes) {
+    return empty(sizes, x, Layout::planar, computes);
+  };
+  Tensor const grad_quality = make({b, of}), grad_y = make({b, 8 * of, 8}), grad_c = make({b, 8 * of, 8});
+  Tensor const grad_memory = of_image ? jpeg_memory(x) : make({0});
+  for_floats(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    auto const levels = levels_of<F>(memory, x), grad_levels = levels_of<F>(grad_memory, x);
+    int64_t const units = b * (levels.height / kJpegSide);
+    [[maybe_unused]] int64_t const cost = 16 * kJpegSide * levels.width;  // of CPU threads
+#if defined(KV_CUDA)
+    int64_t const pieces = (levels.height / kJpegSide) * ((levels.width + kJpegWidth - 1) / kJpegWidth);
+#else
+    int64_t const pieces = levels.height / kJpegSide;
+#endif
+    Tensor const slopes = make({of * b * pieces, 128});
+    JpegBlocks<T> const blocks{images<T const>(x, b), levels, numbers.tables<F>()};
+    KV_RUN(jpeg_blocks, x, blocks, units, cost);
+    JpegPullBlocks<T> const pull{blocks, images<T const>(g, b), grad_levels, of_steps ? data_of<F>(slopes) : nullptr,
+                                 pieces};
+    KV_RUN(jpeg_pull_blocks, x, pull, units, 2 * cost);
+    if (of_image) {
+      JpegPullPixels<T> const pixels{grad_levels, images<T>(grad_x, b)};
+      KV_RUN(jpeg_pull_pixels, x, pixels, b * x.size(2), 4 * levels.width);
+    }
+    if (of_steps) {
+      JpegPullSteps<F> const steps{blocks.tables,      data_of<F>(slopes), b, pieces, data_of<F>(grad_quality),
+                                   data_of<F>(grad_y), data_of<F>(grad_c)};
+      KV_RUN(jpeg_pull_steps, x, steps, b, 128 * pieces);
+    }
+  });
+  return {grad_x, grad_quality, grad_y, grad_c};
+}
+
+}  // namespace
+
+KV_OPERATOR(jpeg, "(Tensor input, Tensor? quality, Tensor? table_y, Tensor? table_c, float number) -> Tensor")
+KV_OPERATOR(jpeg_backward,
+            "(Tensor grad, Tensor input, Tensor? quality, Tensor? table_y, Tensor? table_c, float number,"
+            " bool of_image, bool of_steps) -> (Tensor, Tensor, Tensor, Tensor)")
+
+}  // namespace kv

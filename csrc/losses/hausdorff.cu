@@ -1,0 +1,283 @@
+// The Hausdorff loss on CUDA: a launch for each erosion, whose blocks begin by finding the smallest and largest numbers
+// that those of the launch before have left. Backward the erosions are made again and all kept; then there is a launch
+// for each of them the other way. Planes go through this in groups, so that what is kept is no more than a map of the
+// whole batch.
+#include "core/launch.cuh"
+#include "hausdorff.h"
+#include "metrics/sums.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = kSumThreads;
+
+// Reductions over a block, to all of its threads.
+struct Larger {
+  template <class F>
+  __device__ __forceinline__ F operator()(F a, F b) const {
+    return a != a || a > b ? a : b;  // NaN, if there is one
+  }
+};
+struct Plus {
+  template <class F>
+  __device__ __forceinline__ F operator()(F a, F b) const {
+    return a + b;
+  }
+};
+template <int K, class F, class Op>
+__device__ __forceinline__ void over_block(F (&v)[K], Op op) {
+  constexpr int kWarps = kThreads / 32;
+  __shared__ F of_warps[K][kWarps];
+  __syncthreads();  // with what was there before
+#pragma unroll
+  for (int k = 0; k < K; ++k) {
+#pragma unroll
+    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
+    if (threadIdx.x % 32 == 0) of_warps[k][threadIdx.x / 32] = v[k];
+  }
+  __syncthreads();
+#pragma unroll
+  for (int k = 0; k < K; ++k) {
+    v[k] = of_warps[k][0];
+    for (int w = 1; w < kWarps; ++w) v[k] = op(v[k], of_warps[k][w]);
+  }
+}
+
+// The K numbers of every piece of a plane together.
+template <int K, class F, class Op>
+__device__ __forceinline__ void over_pieces(F (&v)[K], F const* numbers, unsigned pieces, Op op) {
+  for (unsigned i = threadIdx.x; i < pieces; i += kThreads)
+#pragma unroll
+    for (int k = 0; k < K; ++k) v[k] = op(v[k], numbers[i * K + k]);
+  over_block(v, op);
+}
+
+// A plane's c_i, and how they become b_i. Blocks leave -low and high.
+template <class F>
+struct Eroded {
+  F const* c;
+  Span<F> span;
+  F from, scale;
+
+  __device__ __forceinline__ Eroded(F const* c, F const* numbers, unsigned pieces) : c(c) {
+    F ends[2] = {-F(INFINITY), -F(INFINITY)};
+    over_pieces(ends, numbers, pieces, Larger());
+    span = {-ends[0], ends[1]}, from = span.from(), scale = span.scale();
+  }
+  __device__ __forceinline__ F b(int64_t i) const { return (c[i] - from) * scale; }
+};
+
+// The mean of what value(i) is at pixel i and around it.
+template <class F, class Value>
+__device__ __forceinline__ F mean_around(Extent const& e, unsigned i, Value value) {
+  unsigned const width = unsigned(e.width), height = unsigned(e.height), row = i / width, x = i - row * width;
+  unsigned const z = e.depth > 0 ? row / height : 0, y = row - z * height, slab = width * height;
+  F sum = value(i);
+  if (x > 0) sum += value(i - 1);
+  if (x + 1 < width) sum += value(i + 1);
+  if (y > 0) sum += value(i - width);
+  if (y + 1 < height) sum += value(i + width);
+  if (e.depth > 0) {
+    if (z > 0) sum += value(i - slab);
+    if (z + 1 < unsigned(e.depth)) sum += value(i + slab);
+    return sum * F(1. / 7);
+  }
+  return sum * F(1. / 5);
+}
+
+// A block's piece of one of the planes from `first` on.
+template <class F>
+struct Group {
+  Differences<F> differences;
+  int64_t first;
+  unsigned pieces, size;
+
+  __device__ __forceinline__ unsigned plane() const { return blockIdx.x / pieces; }
+  // Calls f for the thread's pixels.
+  template <class Call>
+  __device__ __forceinline__ void for_each(Call f) const {
+    unsigned const start = (blockIdx.x - plane() * pieces) * kErosionPiece;
+    unsigned const end = min(start + kErosionPiece, size);
+#pragma unroll 2
+    for (unsigned i = start + threadIdx.x; i < end; i += kThreads) f(i);
+  }
+};
+
+template <class F>
+struct Erosion {
+  Group<F> group;
+  F const *from, *from_numbers;  // c_(i-1), or null for differences
+  F *to, *to_numbers;            // c_i, or null for the loss alone
+  F weight;                      // of b_(i-1) in the loss
+  bool begins;                   // the loss
+  F *map, *sums;                 // the loss: of the pixels of all planes, or of the group's pieces; or null
+};
+
+template <class F, bool First>
+__global__ void __launch_bounds__(kThreads) erode(__grid_constant__ Erosion<F> const p) {
+  Group<F> const& group = p.group;
+  unsigned const plane = group.plane();
+  F ends[2] = {-F(INFINITY), -F(INFINITY)}, loss[1] = {};
+  F* const to = p.to + int64_t(plane) * group.size;
+  auto const work = [&](auto value) {
+    group.for_each([&](unsigned i) {
+      if (p.to) {
+        F const mean = mean_around<F>(group.differences.extent, i, value) - F(0.5), c = mean < 0 ? F(0) : mean;
+        to[i] = c;
+        ends[0] = Larger()(ends[0], -c), ends[1] = Larger()(ends[1], c);
+      }
+      if (First) return;
+      if (!p.map && !p.sums) return;
+      F const own = value(i) * p.weight;
+      F* const map = p.map + (group.first + plane) * group.size + i;
+      if (p.map)
+        *map = p.begins ? own : *map + own;
+      else
+        loss[0] += own;
+    });
+  };
+  if constexpr (First) {
+    work([&](unsigned i) {
+      F const d = group.differences.at(group.first + plane, i);
+      return d * d;
+    });
+  } else {
+    Eroded<F> const eroded(p.from + int64_t(plane) * group.size, p.from_numbers + plane * group.pieces * 2,
+                           group.pieces);
+    work([&](unsigned i) { return eroded.b(i); });
+  }
+  if (p.to) {
+    over_block(ends, Larger());
+    if (threadIdx.x == 0) p.to_numbers[blockIdx.x * 2] = ends[0], p.to_numbers[blockIdx.x * 2 + 1] = ends[1];
+  }
+  if (First || !p.sums) return;
+  over_block(loss, Plus());
+  if (threadIdx.x == 0) p.sums[blockIdx.x] = p.begins ? loss[0] : p.sums[blockIdx.x] + loss[0];
+}
+
+// From g of b_i to that of b_(i-1), or to the gradient.
+template <class F>
+struct Growth {
+  Group<F> group;
+  F const *c, *numbers, *g, *sums;  // of i; null for none
+  F const *next_c, *next_numbers;   // of i - 1; null for differences
+  F *next_g, *next_sums;
+  F weight;       // of b_(i-1) in the loss
+  F const* grad;  // of the pixels of all planes, or of the planes if of_sums
+  bool of_sums;
+  F* out;  // the gradient
+};
+
+template <class F, bool Last>
+__global__ void __launch_bounds__(kThreads) grow(__grid_constant__ Growth<F> const p) {
+  Group<F> const& group = p.group;
+  unsigned const plane = group.plane(), pieces = group.pieces;
+  int64_t const offset = int64_t(plane) * group.size, all = group.first * group.size + offset;
+  F const of_sum = p.of_sums ? p.grad[group.first + plane] : F(0);
+  F found[4] = {};
+  auto const work = [&](auto grown) {
+    auto const slope_of = [&](unsigned i) {
+      F const own = Last ? F(0) : (p.of_sums ? of_sum : p.grad[all + i]) * p.weight;
+      return own + grown(i);
+    };
+    if constexpr (Last) {
+      group.for_each(
+          [&](unsigned i) { p.out[all + i] = slope_of(i) * 2 * group.differences.at(group.first + plane, i); });
+    } else {
+      Eroded<F> const next(p.next_c + offset, p.next_numbers + plane * pieces * 2, pieces);
+      F const top = SpanSlopes<F>::of(next.span, 0, 0, 1, 1).top;
+      group.for_each([&](unsigned i) {
+        F const slope = slope_of(i), b = next.b(i);
+        p.next_g[offset + i] = slope;
+        found[0] += slope, found[1] += slope * b, found[2] += b == 0, found[3] += b == top;
+      });
+      over_block(found, Plus());
+      if (threadIdx.x == 0)
+        for (int k = 0; k < 4; ++k) p.next_sums[blockIdx.x * 4 + k] = found[k];
+    }
+  };
+  if (!p.c) {
+    work([](unsigned) { return F(0); });
+    return;
+  }
+  Eroded<F> const eroded(p.c + offset, p.numbers + plane * pieces * 2, pieces);
+  F sums[4] = {};
+  over_pieces(sums, p.sums + plane * pieces * 4, pieces, Plus());
+  auto const slopes = SpanSlopes<F>::of(eroded.span, sums[0], sums[1], sums[2], sums[3]);
+  F const* const g = p.g + offset;
+  work([&](unsigned i) {
+    return mean_around<F>(group.differences.extent, i, [&](unsigned at) { return slopes(g[at], eroded.b(at)); });
+  });
+}
+
+// Calls f(group, planes) for all of them.
+template <class F, class Call>
+int for_each_group(Differences<F> const& d, int64_t at_once, Call f) {
+  unsigned const size = unsigned(d.extent.size()), pieces = unsigned(ceil_div(size, kErosionPiece));
+  for (int64_t first = 0; first < d.planes(); first += at_once)
+    f(Group<F>{d, first, pieces, size}, min(at_once, d.planes() - first));
+  return cudaGetLastError();
+}
+
+double weight_of(int64_t i, double alpha) { return ::pow(double(i), alpha); }
+
+}  // namespace
+
+template <class F>
+int hausdorff(Hausdorff<F> const& p, CUstream_st* stream) {
+  return for_each_group(p.differences, p.at_once, [&](Group<F> const& group, int64_t planes) {
+    unsigned const blocks = unsigned(planes * group.pieces);
+    F *const sums = p.numbers, *const numbers = sums + blocks;
+    auto const map = [&](int64_t i) { return p.maps + i % 2 * planes * group.size; };
+    auto const ends = [&](int64_t i) { return numbers + i % 2 * blocks * 2; };
+    for (int64_t i = 1; i <= p.k + 1; ++i) {
+      Erosion<F> e{group,  map(i - 1), ends(i - 1),           map(i), ends(i), F(weight_of(i - 1, p.alpha)),
+                   i == 2, p.map,      p.map ? nullptr : sums};
+      if (i > p.k) e.to = nullptr;
+      if (i == 1)
+        erode<F, true><<<blocks, kThreads, 0, stream>>>(e);
+      else
+        erode<F, false><<<blocks, kThreads, 0, stream>>>(e);
+    }
+    if (!p.map)
+      finish_sums<<<unsigned(planes), kSumThreads, 0, stream>>>(sums, group.pieces, Finish<F>{F(1), F(0)},
+                                                                p.sums + group.first);
+  });
+}
+
+template <class F>
+int hausdorff_backward(HausdorffBackward<F> const& p, CUstream_st* stream) {
+  return for_each_group(p.differences, p.at_once, [&](Group<F> const& group, int64_t planes) {
+    unsigned const blocks = unsigned(planes * group.pieces);
+    F *const sums = p.numbers, *const numbers = sums + 2 * 4 * int64_t(blocks);
+    auto const map = [&](int64_t i) { return p.maps + (i - 1) * planes * group.size; };  // of 1 to k, and two more
+    auto const ends = [&](int64_t i) { return numbers + (i - 1) * blocks * 2; };
+    auto const sums_of = [&](int64_t i) { return sums + i % 2 * blocks * 4; };
+    for (int64_t i = 1; i <= p.k; ++i) {
+      Erosion<F> const e{
+          group,  i > 1 ? map(i - 1) : nullptr, i > 1 ? ends(i - 1) : nullptr, map(i), ends(i), F(0), true, nullptr,
+          nullptr};
+      if (i == 1)
+        erode<F, true><<<blocks, kThreads, 0, stream>>>(e);
+      else
+        erode<F, false><<<blocks, kThreads, 0, stream>>>(e);
+    }
+    for (int64_t i = p.k + 1; i >= 1; --i) {
+      Growth<F> e{};
+      e.group = group, e.grad = p.grad, e.of_sums = p.of_sums, e.out = p.grad_pred;
+      if (i <= p.k) e.c = map(i), e.numbers = ends(i), e.g = map(p.k + 1 + i % 2), e.sums = sums_of(i);
+      if (i == 1) {
+        grow<F, true><<<blocks, kThreads, 0, stream>>>(e);
+        continue;
+      }
+      e.next_c = map(i - 1), e.next_numbers = ends(i - 1), e.weight = F(weight_of(i - 1, p.alpha));
+      e.next_g = map(p.k + 1 + (i - 1) % 2), e.next_sums = sums_of(i - 1);
+      grow<F, false><<<blocks, kThreads, 0, stream>>>(e);
+    }
+  });
+}
+
+KV_INSTANTIATE_COMPUTED(hausdorff, Hausdorff)
+KV_INSTANTIATE_COMPUTED(hausdorff_backward, HausdorffBackward)
+
+}  // namespace kv::cuda

@@ -1,0 +1,341 @@
+// Lovász losses on CUDA. Segments are sorted by their digits, the last one first: a block counts the digits of its
+// piece of a segment, another kernel adds these counts up to where every digit of every piece goes, and then a block
+// sorts its piece in shared memory and writes it there. Equal ones stay as they were, so that all runs give the same
+// bits.
+#include "core/launch.cuh"
+#include "lovasz.h"
+#include "metrics/sums.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = kRankedThreads, kWarps = kThreads / 32, kDigits = kRankedDigits;
+constexpr int kScanThreads = 1024;
+
+template <class F>
+struct LovaszMath {
+  __device__ __forceinline__ static F one() { return 1; }
+  __device__ __forceinline__ static F exp(F x) {
+    if constexpr (sizeof(F) == 4)
+      return fast_exp2(x * F(1.44269504088896340736));
+    else
+      return ::exp(x);
+  }
+};
+
+// --- errors and gradients: a thread for each pixel
+// --------------------------------------------------------------------------------------------------------------------
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    find_lovasz_errors(__grid_constant__ LovaszErrors<T> const p, unsigned blocks) {
+  using F = Compute<T>;
+  LovaszLabels const& labels = p.labels;
+  int64_t const b = blockIdx.x / blocks, i = (blockIdx.x - b * blocks) * int64_t(kThreads) + threadIdx.x;
+  if (i >= labels.pixels) return;
+  T const* const x = p.logits + b * labels.classes * labels.pixels + i;
+  F* const to = p.errors + b * labels.classes * labels.pixels + i;
+  errors_of_pixels<F, LovaszMath<F>>(
+      labels.hinge, labels.classes, labels.number<F>(b, i), [&](int64_t c) { return read(x[c * labels.pixels]); },
+      [&](int64_t c, F e) { to[c * labels.pixels] = e; });
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    find_lovasz_gradients(__grid_constant__ LovaszBackward<T> const p, unsigned blocks) {
+  using F = Compute<T>;
+  LovaszLabels const& labels = p.labels;
+  int64_t const b = blockIdx.x / blocks, i = (blockIdx.x - b * blocks) * int64_t(kThreads) + threadIdx.x;
+  if (i >= labels.pixels) return;
+  int64_t const at = b * labels.classes * labels.pixels + i;
+  F const* const grad = p.grad + b * labels.classes;
+  gradients_of_pixels<F, LovaszMath<F>>(
+      labels.hinge, labels.classes, labels.number<F>(b, i),
+      [&](int64_t c) { return read(p.logits[at + c * labels.pixels]); },
+      [&](int64_t c) { return p.slopes[at + c * labels.pixels] * grad[c]; },
+      [&](int64_t c, F d) { p.grad_logits[at + c * labels.pixels] = round_to<T>(d); });
+}
+
+// --- sorting
+// --------------------------------------------------------------------------------------------------------------------
+
+// Segments from `first` on, in pieces; what is sorted comes from the errors at first, and then from `from`.
+template <class F>
+struct Sorting {
+  LovaszLabels labels;
+  F const* errors;
+  int64_t first;
+  unsigned pieces;
+  Ranked<F> const* from;  // or null
+  Ranked<F>* to;
+  uint32_t* counts;  // (segments, pieces, digits), and after them (segments, digits)
+  uint32_t* starts;
+  int shift;  // of the digit
+
+  // The block's segment among those that are sorted, and its piece of it.
+  __device__ __forceinline__ unsigned segment() const { return blockIdx.x / pieces; }
+  __device__ __forceinline__ int64_t start() const {
+    return int64_t(blockIdx.x - segment() * pieces) * kRankedPiece<F>;
+  }
+  // Element i of the segment; beyond its end what comes after all others.
+  __device__ __forceinline__ Ranked<F> at(int64_t i) const {
+    if (i >= labels.pixels) return {typename Ranked<F>::Bits(-1), 0};
+    if (from) return from[segment() * labels.pixels + i];
+    int64_t const s = first + segment(), b = s / labels.classes;
+    bool const inside = labels.is_inside(b, s - b * labels.classes, i);
+    return Ranked<F>::of(errors[s * labels.pixels + i], i, inside);
+  }
+  __device__ __forceinline__ unsigned digit(Ranked<F> const& r) const { return unsigned(r.key >> shift) % kDigits; }
+};
+
+// A thread's elements of a piece of a segment: one of 32 neighbours that a warp takes at a time, row after row.
+template <class F>
+struct Rows {
+  static constexpr int kCount = kRankedPiece<F> / kThreads;
+  __device__ __forceinline__ static int place(int row) {
+    return (threadIdx.x / 32 * kCount + row) * 32 + threadIdx.x % 32;
+  }
+};
+
+// The threads of the warp that have the same digit.
+__device__ __forceinline__ unsigned same_digit(unsigned digit) {
+  unsigned same = 0xffffffffu;
+#pragma unroll
+  for (int bit = 1; bit < kDigits; bit *= 2) {
+    unsigned const set = __ballot_sync(0xffffffffu, digit & bit);
+    same &= digit & bit ? set : ~set;
+  }
+  return same;
+}
+
+__device__ __forceinline__ unsigned lanes_before() { return (1u << threadIdx.x % 32) - 1; }
+
+// How many elements of a warp's rows have each digit, to `counts`, and of every row how many before it have the
+// thread's.
+template <class F>
+struct Digits {
+  static constexpr int kRows = Rows<F>::kCount;
+  Ranked<F> element[kRows];
+  unsigned before[kRows];
+
+  __device__ __forceinline__ Digits(Sorting<F> const& p, unsigned (&counts)[kWarps][kDigits]) {
+    unsigned* const own = counts[threadIdx.x / 32];
+    for (int i = threadIdx.x % 32; i < kDigits; i += 32) own[i] = 0;
+    int64_t const start = p.start();
+#pragma unroll
+    for (int row = 0; row < kRows; ++row) element[row] = p.at(start + Rows<F>::place(row));
+    __syncwarp();
+#pragma unroll
+    for (int row = 0; row < kRows; ++row) {
+      unsigned const digit = p.digit(element[row]), same = same_digit(digit), others = __popc(same & lanes_before());
+      unsigned const count = own[digit];
+      before[row] = count + others;
+      __syncwarp();
+      if (others == 0) own[digit] = count + __popc(same);
+      __syncwarp();
+    }
+  }
+};
+
+template <class F>
+__global__ void __launch_bounds__(kThreads) count_digits(__grid_constant__ Sorting<F> const p) {
+  __shared__ unsigned counts[kWarps][kDigits];
+  Digits<F> const digits(p, counts);
+  __syncthreads();
+  unsigned sum = 0;
+  for (int w = 0; w < kWarps; ++w) sum += counts[w][threadIdx.x];
+  // What the last piece has too many stands after all others of the last digit: nothing is behind it.
+  p.counts[int64_t(blockIdx.x) * kDigits + threadIdx.x] = sum;
+}
+
+// A block for each segment: counts (pieces, digits) become those of the pieces before, and starts of the digits. Pieces
+// are split between the block's groups of kDigits threads.
+__global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, uint32_t* starts, unsigned pieces) {
+  constexpr int kGroups = kScanThreads / kDigits;
+  __shared__ unsigned sums[kGroups][kDigits];
+  unsigned const digit = threadIdx.x % kDigits, group = threadIdx.x / kDigits;
+  unsigned const share = (pieces + kGroups - 1) / kGroups, first = min(group * share, pieces);
+  unsigned const last = min(first + share, pieces);
+  counts += int64_t(blockIdx.x) * pieces * kDigits + digit;
+  unsigned sum = 0;
+#pragma unroll 8
+  for (unsigned i = first; i < last; ++i) sum += counts[int64_t(i) * kDigits];
+  sums[group][digit] = sum;
+  __syncthreads();
+  unsigned before = 0;
+  for (unsigned g = 0; g < group; ++g) before += sums[g][digit];
+#pragma unroll 8
+  for (unsigned i = first; i < last; ++i) {
+    unsigned const count = counts[int64_t(i) * kDigits];
+    counts[int64_t(i) * kDigits] = before;
+    before += count;
+  }
+  // The last group has them all; those of smaller digits by a scan in shared memory.
+  __syncthreads();
+  if (group == kGroups - 1) sums[0][digit] = before;
+  __syncthreads();
+  for (unsigned step = 1; step < kDigits; step *= 2) {
+    unsigned const other = group == 0 && digit >= step ? sums[0][digit - step] : 0;
+    __syncthreads();
+    if (group == 0) sums[0][digit] += other;
+    __syncthreads();
+  }
+  if (group == 0) starts[blockIdx.x * kDigits + digit] = digit > 0 ? sums[0][digit - 1] : 0;
+}
+
+template <class F>
+__global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sorting<F> const p) {
+  constexpr int kPiece = kRankedPiece<F>;
+  __shared__ unsigned counts[kWarps][kDigits], goes[kDigits], of_warps[kWarps];
+  __shared__ Ranked<F> sorted[kPiece];
+  Digits<F> const digits(p, counts);
+  __syncthreads();
+  // Of the thread's own digit: how many the warps before have, and where the piece's smaller digits end.
+  unsigned const digit = threadIdx.x, lane = threadIdx.x % 32;
+  unsigned sum = 0;
+#pragma unroll
+  for (int w = 0; w < kWarps; ++w) {
+    unsigned const count = counts[w][digit];
+    counts[w][digit] = sum;
+    sum += count;
+  }
+  unsigned up_to = sum;
+#pragma unroll
+  for (int step = 1; step < 32; step *= 2) {
+    unsigned const other = __shfl_up_sync(0xffffffffu, up_to, step);
+    up_to += lane >= step ? other : 0;
+  }
+  if (lane == 31) of_warps[threadIdx.x / 32] = up_to;
+  __syncthreads();
+  unsigned start = up_to - sum;
+  for (unsigned w = 0; w < threadIdx.x / 32; ++w) start += of_warps[w];
+#pragma unroll
+  for (int w = 0; w < kWarps; ++w) counts[w][digit] += start;
+  goes[digit] = p.starts[p.segment() * kDigits + digit] + p.counts[int64_t(blockIdx.x) * kDigits + digit] - start;
+  __syncthreads();
+#pragma unroll
+  for (int row = 0; row < Digits<F>::kRows; ++row) {
+    Ranked<F> const r = digits.element[row];
+    sorted[counts[threadIdx.x / 32][p.digit(r)] + digits.before[row]] = r;
+  }
+  __syncthreads();
+  int const size = int(min(int64_t(kPiece), p.labels.pixels - p.start()));
+  Ranked<F>* const to = p.to + p.segment() * p.labels.pixels;
+#pragma unroll 4
+  for (int i = threadIdx.x; i < size; i += kThreads) {
+    Ranked<F> const r = sorted[i];
+    to[goes[p.digit(r)] + unsigned(i)] = r;
+  }
+}
+
+// --- slopes of what is sorted
+// --------------------------------------------------------------------------------------------------------------------
+
+template <class F>
+__global__ void __launch_bounds__(kThreads)
+    count_inside(Ranked<F> const* ranked, int64_t pixels, unsigned pieces, uint32_t* counts) {
+  constexpr int kPiece = kRankedPiece<F>;
+  unsigned const segment = blockIdx.x / pieces;
+  int64_t const start = int64_t(blockIdx.x - segment * pieces) * kPiece;
+  unsigned count = 0;
+#pragma unroll 4
+  for (int64_t i = start + threadIdx.x; i < min(start + kPiece, pixels); i += kThreads)
+    count += ranked[segment * pixels + i].inside();
+  count = block_sum(count);
+  if (threadIdx.x == 0) counts[blockIdx.x] = count;
+}
+
+// A block for each piece of a segment: slopes of what it holds to the pixels, and the piece's part of the loss.
+template <class F>
+__global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked, int64_t pixels, unsigned pieces,
+                                                        uint32_t const* counts, F* slopes, F* partial) {
+  constexpr int kRows = Rows<F>::kCount;
+  __shared__ unsigned sums[2][kWarps], of_warps[kWarps];
+  unsigned const segment = blockIdx.x / pieces, piece = blockIdx.x - segment * pieces;
+  unsigned const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  int64_t const start = int64_t(piece) * kRankedPiece<F>;
+  ranked += segment * pixels, slopes += segment * pixels, counts += segment * pieces;
+
+  unsigned mine = 0, before = 0;  // of all pieces, and of those before this one
+  for (unsigned i = threadIdx.x; i < pieces; i += kThreads) {
+    unsigned const count = counts[i];
+    mine += count, before += i < piece ? count : 0;
+  }
+  mine = warp_sum(mine), before = warp_sum(before);
+  Ranked<F> element[kRows];
+  unsigned inside[kRows], of_warp = 0;
+#pragma unroll
+  for (int row = 0; row < kRows; ++row) {
+    int64_t const i = start + Rows<F>::place(row);
+    element[row] = i < pixels ? ranked[i] : Ranked<F>{0, 0};
+    inside[row] = __ballot_sync(0xffffffffu, element[row].inside());
+    of_warp += __popc(inside[row]);
+  }
+  if (lane == 0) sums[0][warp] = mine, sums[1][warp] = before, of_warps[warp] = of_warp;
+  __syncthreads();
+  unsigned all = 0, found = 0;
+  for (unsigned w = 0; w < kWarps; ++w) {
+    all += sums[0][w], found += sums[1][w];
+    if (w < warp) found += of_warps[w];
+  }
+  F loss = 0;
+#pragma unroll
+  for (int row = 0; row < kRows; ++row) {
+    int64_t const i = start + Rows<F>::place(row);
+    Ranked<F> const r = element[row];
+    unsigned const with_it = found + __popc(inside[row] & (lanes_before() | 1u << lane));
+    found += __popc(inside[row]);
+    if (i >= pixels) continue;
+    F const slope = lovasz_slope<F>(r.inside(), all, with_it, unsigned(i + 1) - with_it);
+    loss += r.error() * slope;
+    slopes[r.pixel()] = slope;
+  }
+  loss = block_sum(loss);
+  if (threadIdx.x == 0) partial[blockIdx.x] = loss;
+}
+
+}  // namespace
+
+template <class T>
+int lovasz_errors(LovaszErrors<T> const& p, CUstream_st* stream) {
+  unsigned const blocks = unsigned(ceil_div(p.labels.pixels, kThreads));
+  find_lovasz_errors<<<unsigned(p.labels.batch * blocks), kThreads, 0, stream>>>(p, blocks);
+  return cudaGetLastError();
+}
+
+template <class T>
+int lovasz_backward(LovaszBackward<T> const& p, CUstream_st* stream) {
+  unsigned const blocks = unsigned(ceil_div(p.labels.pixels, kThreads));
+  find_lovasz_gradients<<<unsigned(p.labels.batch * blocks), kThreads, 0, stream>>>(p, blocks);
+  return cudaGetLastError();
+}
+
+template <class F>
+int lovasz_slopes(LovaszSlopes<F> const& p, CUstream_st* stream) {
+  int64_t const n = p.labels.pixels, segments = p.labels.segments();
+  unsigned const pieces = unsigned(ceil_div(n, kRankedPiece<F>));
+  for (int64_t first = 0; first < segments; first += p.at_once) {
+    int64_t const count = min(p.at_once, segments - first);
+    unsigned const blocks = unsigned(count * pieces);
+    Sorting<F> sorting{
+        p.labels, p.slopes, first, pieces, nullptr, p.ranked[0], p.counts, p.counts + int64_t(blocks) * kDigits, 0};
+    for (; sorting.shift < 8 * int(sizeof(F)); sorting.shift += 8) {
+      count_digits<<<blocks, kThreads, 0, stream>>>(sorting);
+      scan_digits<<<unsigned(count), kScanThreads, 0, stream>>>(sorting.counts, sorting.starts, pieces);
+      move_digits<<<blocks, kThreads, 0, stream>>>(sorting);
+      sorting.from = sorting.to;
+      sorting.to = p.ranked[sorting.to == p.ranked[0]];
+    }
+    count_inside<<<blocks, kThreads, 0, stream>>>(sorting.from, n, pieces, p.counts);
+    find_slopes<<<blocks, kThreads, 0, stream>>>(sorting.from, n, pieces, p.counts, p.slopes + first * n,
+                                                 p.partial + first * pieces);
+  }
+  finish_sums<<<unsigned(segments), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<F>{F(1), F(0)}, p.losses);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(lovasz_errors, LovaszErrors)
+KV_INSTANTIATE_COMPUTED(lovasz_slopes, LovaszSlopes)
+KV_INSTANTIATE(lovasz_backward, LovaszBackward)
+
+}  // namespace kv::cuda

@@ -1,0 +1,162 @@
+// Lovász losses of logits (B, C, pixels) with labels (B, pixels): of every class in every image the errors of the
+// pixels from the largest on, each times its slope, which is what its pixel adds to the Jaccard loss of the set of
+// those before it. Included by lovasz_cpu.cpp, lovasz.cu and lovasz_op.cpp.
+//
+// With `all` pixels in the region, of which `inside` are among the first ones and `outside` other pixels beside them,
+// the loss of the first is 1 - (all - inside) / (all + outside). So a pixel of the region adds 1 / (all + outside), and
+// one of the others (all - inside) / ((all + outside - 1) (all + outside)): counts of what was sorted, and no
+// differences of numbers near 1.
+//
+// Errors are what the labels (1 or 0) differ from the softmax by, or `hinge`, with one class, relu(1 - x) inside of the
+// region and relu(1 + x) outside. A label that is none makes the error NaN, which is sorted before all numbers.
+#pragma once
+
+#include <type_traits>
+
+#include "core/isa.h"
+
+namespace kv {
+
+struct LovaszLabels {
+  void const* target;             // int64, or bytes
+  bool bytes, one_target, hinge;  // one for all images
+  int64_t batch, classes, pixels;
+
+  KV_HD int64_t segments() const { return batch * classes; }
+  KV_HD int64_t at(int64_t b, int64_t i) const {
+    int64_t const at = (one_target ? 0 : b) * pixels + i;
+    return bytes ? int64_t(static_cast<uint8_t const*>(target)[at]) : static_cast<int64_t const*>(target)[at];
+  }
+  // NaN for a label that is none.
+  template <class F>
+  KV_HD F number(int64_t b, int64_t i) const {
+    int64_t const label = at(b, i);
+    return label >= 0 && label < (hinge ? 2 : classes) ? F(label) : F(__builtin_nanf(""));
+  }
+  KV_HD bool is_inside(int64_t b, int64_t c, int64_t i) const { return at(b, i) == (hinge ? 1 : c); }
+};
+
+template <class T>
+struct LovaszErrors {
+  LovaszLabels labels;
+  T const* logits;
+  Compute<T>* errors;  // (B, C, pixels)
+};
+
+// What a segment, the pixels of a class in an image, is sorted by: bits of the error, the smaller the larger it is; and
+// 2 pixel + [in the region].
+template <class F>
+struct Ranked {
+  using Bits = std::conditional_t<sizeof(F) == 4, uint32_t, uint64_t>;
+  Bits key;
+  uint32_t place;
+
+  KV_HD static Ranked of(F error, int64_t pixel, bool inside) {
+    return {Bits(~(__builtin_bit_cast(Bits, error) & (Bits(-1) >> 1))), uint32_t(2 * pixel + inside)};
+  }
+  KV_HD F error() const { return __builtin_bit_cast(F, Bits(~key & (Bits(-1) >> 1))); }
+  KV_HD bool inside() const { return place & 1; }
+  KV_HD int64_t pixel() const { return place >> 1; }
+};
+
+template <class F>
+struct LovaszSlopes {
+  LovaszLabels labels;
+  F* slopes;  // (B, C, pixels): errors, which they replace
+  F* losses;  // (B, C)
+  // Working memory of CUDA's kernel: twice so many elements as `at_once` segments have, and counts of their pieces.
+  Ranked<F>* ranked[2];
+  uint32_t* counts;
+  F* partial;  // (B C, pieces)
+  int64_t at_once;
+};
+
+template <class T>
+struct LovaszBackward {
+  LovaszLabels labels;
+  T const* logits;
+  Compute<T> const *grad, *slopes;  // (B, C), (B, C, pixels)
+  T* grad_logits;
+};
+
+KV_KERNEL(lovasz_errors, LovaszErrors)
+KV_KERNEL(lovasz_slopes, LovaszSlopes)
+KV_KERNEL(lovasz_backward, LovaszBackward)
+
+constexpr int64_t kLovaszBlock = 1024;  // pixels of an image that are worked on together
+
+// Of CUDA's kernel: how much of a segment a block sorts, and values of a digit.
+constexpr int kRankedThreads = 256, kRankedDigits = 256;
+template <class F>
+constexpr int kRankedPiece = kRankedThreads * (64 / int(sizeof(F)));
+
+// The slope of a pixel, itself among the `inside` or `outside` first ones.
+template <class F>
+KV_HD F lovasz_slope(bool is_inside, uint32_t all, uint32_t inside, uint32_t outside) {
+  if (is_inside) return F(1) / F(all + outside);
+  uint32_t const before = all + outside - 1;
+  return before == 0 ? F(1) : F(all - inside) / F(before) / F(before + 1);
+}
+
+// The softmax of pixels V, whose logits are load(c).
+template <class Math, class V>
+struct LovaszSoftmax {
+  V most, scale;
+
+  template <class Load>
+  KV_HD LovaszSoftmax(int64_t classes, Load load) : most(load(0)) {
+    for (int64_t c = 1; c < classes; ++c) {
+      V const x = load(c);
+      most = x > most ? x : most;
+    }
+    V sum{};
+    for (int64_t c = 0; c < classes; ++c) sum += Math::exp(V(load(c) - most));
+    scale = Math::one() / sum;
+  }
+  KV_HD V operator()(V x) const { return Math::exp(V(x - most)) * scale; }
+};
+
+// Stores the errors of pixels V by store(c, errors). `label` has their labels, or NaN.
+template <class F, class Math, class V, class Load, class Store>
+KV_HD void errors_of_pixels(bool hinge, int64_t classes, V label, Load load, Store store) {
+  V const zero{}, one = zero + F(1), spoilt = label - label;
+  if (hinge) {
+    V const x = load(0), e = one - (label == one ? x : V(-x));
+    store(0, V((e < zero ? zero : e) + spoilt));
+    return;
+  }
+  LovaszSoftmax<Math, V> const p(classes, load);
+  for (int64_t c = 0; c < classes; ++c) {
+    V const d = p(load(c)) - (label == zero + F(c) ? one : zero);
+    store(c, V((d < zero ? V(-d) : d) + spoilt));
+  }
+}
+
+// Stores the gradient to their logits; slope(c) is that of the loss by the errors. With p the probabilities and G the
+// slopes by them, logit c gets p_c (G_c - sum_k p_k G_k).
+template <class F, class Math, class V, class Load, class Slope, class Store>
+KV_HD void gradients_of_pixels(bool hinge, int64_t classes, V label, Load load, Slope slope, Store store) {
+  V const zero{}, one = zero + F(1), spoilt = label - label;
+  if (hinge) {
+    V const x = load(0), g = slope(0) + spoilt, e = one - (label == one ? x : V(-x));
+    V const d = label == one ? V(-g) : g;
+    store(0, e > zero ? d : spoilt);
+    return;
+  }
+  LovaszSoftmax<Math, V> const softmax(classes, load);
+  auto const by_p = [&](int64_t c, V p) {
+    V const d = p - (label == zero + F(c) ? one : zero), g = slope(c);
+    return V(d > zero ? g : d < zero ? V(-g) : zero);
+  };
+  V dot = spoilt;
+  for (int64_t c = 0; c < classes; ++c) {
+    V const p = softmax(load(c));
+    dot += p * by_p(c, p);
+  }
+  for (int64_t c = 0; c < classes; ++c) {
+    V const p = softmax(load(c));
+    store(c, V(p * (by_p(c, p) - dot)));
+  }
+}
+
+}  // namespace kv

@@ -1,0 +1,71 @@
+"""Operators that make a small matrix or vector of each sample out of others: one launch each, and one for their gradient.
+
+The kernels are formulas, csrc/geometry/formulas.h, whose gradient is computed from them; here stand their references.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kvision._ops import Operator, register
+
+
+def register_formula(name: str, reference: Callable[..., Tensor], result: Callable[..., tuple[int, ...]]) -> Operator:
+    """The operator of a formula of tensors (B, ...) or (1, ...); `result` gives the axes behind the batch from all arguments.
+
+    Its gradient comes as one tensor (B, n): those of all tensors that are given, one after another.
+    """
+
+    def backward(needs: Any, grad: Tensor, *args: Any) -> list[Tensor | None]:
+        found = slopes(grad, *args)
+        grads: list[Tensor | None] = []
+        at = 0
+        for need, x in zip(needs, args):
+            if not isinstance(x, Tensor):
+                grads.append(None)
+                continue
+            width = math.prod(x.shape[1:])
+            part = found if width == found.shape[1] else found[:, at : at + width]
+            at += width
+            grads.append(part.reshape(-1, *x.shape[1:]).sum_to_size(x.shape) if need else None)
+        return grads
+
+    def slopes_reference(grad: Tensor, *args: Any) -> Tensor:
+        where = [i for i, x in enumerate(args) if isinstance(x, Tensor)]
+
+        def of_tensors(*tensors: Tensor) -> Tensor:
+            full = list(args)
+            for i, x in zip(where, tensors):
+                full[i] = x
+            return reference(*full)
+
+        each = [args[i].expand(grad.shape[0], *args[i].shape[1:]) for i in where]
+        pullback = torch.func.vjp(of_tensors, *each)[1]
+        return torch.cat([g.reshape(grad.shape[0], math.prod(g.shape[1:])) for g in pullback(grad)], 1)
+
+    slopes = register(
+        f"{name}_backward",
+        slopes_reference,
+        fake=lambda grad, *args: (grad.shape[0], sum(math.prod(x.shape[1:]) for x in args if isinstance(x, Tensor))),
+    )
+    return register(name, reference, fake=lambda *args: (batch_of(*args), *result(*args)), backward=backward)
+
+
+def batch_of(*args: Any) -> int:
+    """How many samples tensors are of, one row of which serves all."""
+    return next((x.shape[0] for x in args if isinstance(x, Tensor) and x.shape[0] != 1), 1)
+
+
+def of_rows(operator: Operator, x: Tensor, axes: int, *plain: Any) -> Tensor:
+    """A formula of one tensor (*, ...) whose last `axes` axes are a sample's."""
+    if x.dim() == axes + 1:
+        found: Tensor = operator(x, *plain)
+        return found
+    first = x.dim() - axes
+    found = operator(x.reshape(math.prod(x.shape[:first]), *x.shape[first:]), *plain)
+    return found.reshape(*x.shape[:first], *found.shape[1:])

@@ -48,19 +48,24 @@ __global__ void separable_any(Separable<T> const p, int rows, int reach) {
   if (e >= p.y.row_size()) return;
   int const column = int(e / step);
   int64_t const channel = e - column * step;
-  auto const at = [&](int position) -> F& {
-    int const kept = 2 * reach + 1;
-    return ring[(position + kept) % kept * blockDim.x + threadIdx.x];
-  };
+  int const kept = 2 * reach + 1;
+  auto const at = [&](int position) -> F& { return ring[(position + kept) % kept * blockDim.x + threadIdx.x]; };
   for (int position = y0 - reach; position < y1 + reach; ++position) {
     F along_x = 0;
     int const inside = border_index(p.border, position, in_height);
     if (inside >= 0) {
       T const* const row = p.x.row(plane, inside) + channel;
       for_each_position(p.fold, column, width, p.kx.front(), p.kx.back(), [&](int q) {
+        int const left = q - p.kx.before;
+        if (left >= 0 && left + p.kx.size <= in_width) {
+          T const* const first = row + left * step;
+#pragma unroll 8
+          for (int t = 0; t < p.kx.size; ++t) along_x += kx[t] * read(first[t * step]);
+          return;
+        }
 #pragma unroll 1
         for (int t = 0; t < p.kx.size; ++t) {
-          int const x = border_index(p.border, q - p.kx.before + t, in_width);
+          int const x = border_index(p.border, left + t, in_width);
           if (x >= 0) along_x += kx[t] * read(row[x * step]);
         }
       });
@@ -70,10 +75,15 @@ __global__ void separable_any(Separable<T> const p, int rows, int reach) {
     if (y < y0) continue;
     F sum = 0;
     for_each_position(p.fold, y, height, p.ky.front(), p.ky.back(), [&](int q) {
-#pragma unroll 1
-      for (int t = 0; t < p.ky.size; ++t) {
-        int const from = q - p.ky.before + t;
-        if (from >= y - reach && from <= y + reach) sum += ky[t] * at(from);
+      // Of the rows that are kept, first those up to the end of the ring, then those from its beginning.
+      int const top = q - p.ky.before, first = max(top, y - reach), last = min(top + p.ky.size, y + reach + 1);
+      int t = first - top;
+      for (int from = first; from < last;) {
+        F const* slot = &at(from);
+        int const end = t + min(last - from, kept - (from + kept) % kept);
+        from += end - t;
+#pragma unroll 8
+        for (; t < end; ++t, slot += blockDim.x) sum += ky[t] * *slot;
       }
     });
     if (p.beta != 0) sum += p.beta * read(p.x.row(plane, y)[e]);

@@ -194,8 +194,8 @@ struct Patch {
         rows(box.bottom - top + 1),
         fits(columns <= min(kPitch, kColumns * kPack) && rows <= kRows) {}
   // Of the taps in the box; where these leave the image, that they can be put there.
-  template <class F>
-  __device__ __forceinline__ Patch(void* pixels, Box const& box, Sampling<T> const& p, F) : Patch(pixels, box) {
+  template <class S, class F>
+  __device__ __forceinline__ Patch(void* pixels, Box const& box, Sampling<S> const& p, F) : Patch(pixels, box) {
     bool const inside = box.left >= 0 && box.top >= 0 && box.right < p.x_axis.size && box.bottom < p.y_axis.size;
     // Reflected places are in no order, and what fills the outside may be no number of the image's type.
     fits = fits && (inside || (p.x_axis.padding != Padding::reflection && (sizeof(T) == sizeof(F) || !p.fill)));

@@ -69,12 +69,13 @@ Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor cons
   Map const map(op, map_x, map_y, grad, normalized, moves, align_corners);
   KV_CHECK(grad.size(2) == map.size().height && grad.size(3) == map.size().width, op, ": grad does not fit the map");
   int64_t const batch = grad.size(0), channels = grad.size(1);
-  return image_gradient(op, grad, source, false, [&](auto type, Tensor const& from, Tensor const& to) {
-    using T = typename decltype(type)::type;
-    SampleTranspose<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)),
-                                    images<T const>(from, batch), images<T>(to, batch)};
-    KV_RUN(sample_transpose, from, params, batch * channels, 8 * grad.size(2) * grad.size(3));
-  });
+  return image_gradient(
+      op, grad, source, false, [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
+        using T = typename decltype(type)::type;
+        SampleTranspose<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)),
+                                        images<T const>(from, batch), images<T>(to, batch), data_of<Compute<T>>(sums)};
+        KV_RUN(sample_transpose, from, params, batch * channels, 8 * grad.size(2) * grad.size(3));
+      });
 }
 
 // For every sample, also where one map serves them all.

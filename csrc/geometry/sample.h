@@ -89,6 +89,8 @@ template <class T>
 struct SampleTranspose : Sampling<T> {
   Images<T const> grad;
   Images<T> grad_x;  // dense
+  // Where kernels on CUDA that scatter add up instead, of the same size.
+  Compute<T>* sums;
 };
 
 // On CUDA a block of threads takes tiles of the output, up to kTileRow of them beside each other: fewer where all

@@ -73,27 +73,28 @@ inline void check_gradient(char const* op, Tensor const& grad, Tensor const& x) 
            op, ": grad does not fit what it is the gradient of");
 }
 
-// The gradient to an image of that size, by run(type, grad, grad_x). Kernels that gather have the sums of a pixel in
-// registers; others add to memory, in the type that computes.
+// The gradient to an image of that size, by run(type, grad, grad_x, sums). Kernels that gather have the sums of a pixel
+// in registers; others add to memory, in the type that computes.
 template <class Run>
 Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unused]] bool gathers, Run run) {
   std::vector<int64_t> const sizes{grad.size(0), grad.size(1), size.height, size.width};
+  bool const half = grad.scalar_type() == ScalarType::Half || grad.scalar_type() == ScalarType::BFloat16;
   Tensor grad_x = empty(sizes, grad);
 #if defined(KV_CUDA)
-  if (gathers) {
-    for_floats(op, grad, [&](auto type) { run(type, grad, grad_x); });
-    return grad_x;
-  }
-#endif
-  if (grad.scalar_type() != ScalarType::Half && grad.scalar_type() != ScalarType::BFloat16) {
-    for_computed(op, grad, [&](auto type) { run(type, grad, grad_x); });
+  Tensor const sums = half && !gathers ? empty(sizes, grad, Layout::planar, ScalarType::Float) : grad_x;
+  for_floats(op, grad, [&](auto type) { run(type, grad, grad_x, sums); });
+  return half && !gathers ? torch::stable::copy_(grad_x, sums) : grad_x;
+#else
+  if (!half) {
+    for_computed(op, grad, [&](auto type) { run(type, grad, grad_x, grad_x); });
     return grad_x;
   }
   Tensor wide = empty(grad.sizes(), grad, layout_of(grad), ScalarType::Float);
   Tensor const sums = empty(sizes, grad, Layout::planar, ScalarType::Float);
   torch::stable::copy_(wide, grad);
-  for_computed(op, wide, [&](auto type) { run(type, wide, sums); });
+  for_computed(op, wide, [&](auto type) { run(type, wide, sums, sums); });
   return torch::stable::copy_(grad_x, sums);
+#endif
 }
 
 // How warps by a matrix are told what they are to do, in schemas.

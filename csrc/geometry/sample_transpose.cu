@@ -5,7 +5,8 @@
 // every run, nothing is written twice. For warps by a matrix whose outside is the fill: else pixels at the rim would be
 // taps of places all around.
 //
-// Scatter: every place adds to its taps by atomics, into zeros.
+// Scatter: every place adds to its taps by atomics, first to those of its tile in shared memory, which are then added
+// to zeros in the type that computes. Where a tile looks at more of the image than a patch holds, there at once.
 #include "patch.cuh"
 
 namespace kv::cuda {
@@ -216,29 +217,97 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
 // --- scatter
 // ------------------------------------------------------------------------------------------------------
 
-template <class F, int K>
-__global__ void __launch_bounds__(kThreads) scatter_tiles(__grid_constant__ SampleTranspose<F> const p, Tiles tiles) {
-  __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) tile.open(tiles, p.places);
-  __syncthreads();
-  PlacesOf<F> const places(p.places, tile);
-  int64_t const b = tile.b;
-  int const x = tile.x + column_in_tile();
-  F* const planes = p.grad_x.row(b, 0, 0);
+// N channels of the places of a thread, to the sums where they are.
+template <int K, int N, class T, class F>
+__device__ __noinline__ void scatter_where_they_are(SampleTranspose<T> const& p, Tile<F> const& tile, int first, int y,
+                                                    int x) {
+  int64_t const plane = p.grad_x.channel_stride;
+  F* const sums = p.sums + tile.b * p.grad_x.batch_stride + first * plane;
 #pragma unroll 1
-  for (int y = tile.y + row_in_tile(); x < p.grad.width && y < min(tile.y + kTile, int(p.grad.height)); y += kRunRows) {
-    F u, v;
-    places.at(y, x, u, v);
+  for (int run = 0; run < kRuns && x < p.grad.width && y < p.grad.height; ++run, y += kRunRows) {
+    F u, v, wx[K], wy[K];
+    PlacesOf<F>(p.places, tile).at(y, x, u, v);
     Window<K, F> const window(p, u, v);
-    F wx[K], wy[K];
     tap_weights(window.tx, wx);
     tap_weights(window.ty, wy);
-    F const* const grad = p.grad.row(b, 0, y) + x * p.grad.step;
+    T const* const grad = p.grad.row(tile.b, first, y) + x * p.grad.step;
     window.for_each(p, p.grad_x.row_stride, 1, [&](int j, int i, int64_t at) {
       F const weight = wx[i] * wy[j];
       if (at < 0 || weight == 0) return;
-      for (int c = 0; c < p.grad.channels; ++c)
-        atomicAdd(planes + c * p.grad_x.channel_stride + at, weight * grad[c * p.grad.channel_stride]);
+#pragma unroll
+      for (int k = 0; k < N; ++k) atomicAdd(sums + k * plane + at, weight * F(read(grad[k * p.grad.channel_stride])));
+    });
+  }
+}
+
+template <class T, int K>
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
+    scatter_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles) {
+  using F = Compute<T>;
+  using Sums = Patch<F>;
+  __shared__ View<F> view;
+  extern __shared__ __align__(16) unsigned char shared_sums[];
+  int const width = int(p.grad.width), height = int(p.grad.height), lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  view.template open<K>(tiles, p, width, height);
+#pragma unroll 1
+  for (int number = 0; number < int(tiles.row) && view.tiles[number].x < width; ++number) {
+    Tile<F> const& tile = view.tiles[number];
+    void* const kept = shared_sums + Sums::bytes(p.grad.channels);
+    Sums const patch(shared_sums, view.template look<K>(number, p, width, height, kept), p, F());
+    int const x = tile.x + column_in_tile(), y = tile.y + row_in_tile(), origin = patch.origin(tile.u, tile.v);
+    in_groups<Sums::kChannels>(p.grad.channels, [&](int first, auto channels) {
+      constexpr int N = channels.value;
+      if (!patch.fits) return scatter_where_they_are<K, N>(p, tile, first, y, x);
+      F g[kRuns][N];
+#pragma unroll
+      for (int run = 0; run < kRuns; ++run)
+#pragma unroll
+        for (int k = 0; k < N; ++k)
+          g[run][k] = x < width && y + run * kRunRows < height
+                          ? F(read(p.grad.row(tile.b, first + k, y + run * kRunRows)[x * p.grad.step]))
+                          : F(0);
+      __syncthreads();  // for those who read the sums before these
+      for (int row = warp; row < patch.rows; row += kThreads / 32)
+        for (int column = lane; column < patch.columns; column += 32)
+#pragma unroll
+          for (int k = 0; k < N; ++k) patch.pixels[k * Sums::kSize + row * Sums::kPitch + column] = 0;
+      __syncthreads();
+      Runs<F> const runs(tile, p.places, kept);
+#pragma unroll
+      for (int run = 0; run < kRuns; ++run) {
+        if (x >= width || y + run * kRunRows >= height) break;
+        F u, v, tx, ty, wx[K], wy[K];
+        runs.at(run, u, v);
+        int const column = near_tap<K>(u, tx), row = near_tap<K>(v, ty);
+        F* const taps = patch.pixels + (row * Sums::kPitch + column + origin);
+        tap_weights(tx, wx);
+        tap_weights(ty, wy);
+#pragma unroll
+        for (int j = 0; j < K; ++j)
+#pragma unroll
+          for (int i = 0; i < K; ++i) {
+            F const weight = wx[i] * wy[j];
+            if (weight == 0) continue;
+#pragma unroll
+            for (int k = 0; k < N; ++k) atomicAdd(taps + k * Sums::kSize + j * Sums::kPitch + i, weight * g[run][k]);
+          }
+      }
+      __syncthreads();
+      F* const sums = p.sums + tile.b * p.grad_x.batch_stride + first * p.grad_x.channel_stride;
+      for (int row = warp; row < patch.rows; row += kThreads / 32) {
+        int const to_y = pixel_at(p.y_axis, patch.top + row);
+        if (unsigned(to_y) >= unsigned(p.y_axis.size)) continue;
+        for (int column = lane; column < patch.columns; column += 32) {
+          int const to_x = pixel_at(p.x_axis, patch.left + column);
+          if (unsigned(to_x) >= unsigned(p.x_axis.size)) continue;
+          F* const to = sums + to_y * p.grad_x.row_stride + to_x;
+#pragma unroll
+          for (int k = 0; k < N; ++k) {
+            F const sum = patch.pixels[k * Sums::kSize + row * Sums::kPitch + column];
+            if (sum != 0) atomicAdd(to + k * p.grad_x.channel_stride, sum);
+          }
+        }
+      }
     });
   }
 }
@@ -253,14 +322,17 @@ void gather(SampleTranspose<T> const& p, CUstream_st* stream) {
   });
 }
 
-template <class F>
-int scatter(SampleTranspose<F> const& p, CUstream_st* stream) {
+template <class T>
+int scatter(SampleTranspose<T> const& p, CUstream_st* stream) {
+  using F = Compute<T>;
   int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
-  cudaError_t const error = cudaMemsetAsync(p.grad_x.data, 0, size_t(count) * sizeof(F), stream);
+  cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(F), stream);
   if (error != cudaSuccess) return error;
-  Tiles const tiles(p.grad.batch, p.grad.height, p.grad.width, 1);
-  with_taps(p.interpolation,
-            [&](auto taps) { scatter_tiles<F, taps.value><<<tiles.count, kThreads, 0, stream>>>(p, tiles); });
+  auto const& x = p.grad;
+  Tiles const tiles(x.batch, x.height, x.width, 1);
+  with_taps(p.interpolation, [&](auto taps) {
+    scatter_tiles<T, taps.value><<<tiles.count, kThreads, Patch<F>::bytes(x.channels, p.places), stream>>>(p, tiles);
+  });
   return cudaSuccess;
 }
 
@@ -271,8 +343,8 @@ int sample_transpose(SampleTranspose<T> const& p, CUstream_st* stream) {
   bool const gathers = p.places.matrices && p.x_axis.padding == Padding::fill;
   if (gathers)
     gather(p, stream);
-  else if constexpr (sizeof(T) == sizeof(Compute<T>))  // sums in memory are wide
-    if (int const error = scatter(p, stream)) return error;
+  else if (int const error = scatter(p, stream))
+    return error;
   return cudaGetLastError();
 }
 

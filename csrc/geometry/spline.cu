@@ -11,7 +11,12 @@ constexpr int kEach = kSplinePart / kThreads;  // points of a thread
 constexpr int kCentres = 32;                   // whose sums are in shared memory at once
 
 __device__ __forceinline__ double log_of(double x) { return ::log2(x); }
-__device__ __forceinline__ float log_of(float x) { return fast_log2(x); }
+// Of numbers that are at least kLeastSquare; of others it is not used.
+__device__ __forceinline__ float log_of(float x) {
+  float y;
+  asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
 
 // A thread's points.
 template <class T>

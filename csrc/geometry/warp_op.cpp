@@ -32,14 +32,15 @@ Tensor warp_image_gradient(Tensor const& grad, Tensor const& matrix, std::vector
   SamplingArguments const a(op, interpolation, padding, align_corners, grad, {});
   Matrix const m(op, matrix, grad, inverse, normalized, align_corners, source, output);
   int64_t const batch = grad.size(0), channels = grad.size(1);
-  return image_gradient(op, grad, source, padding == "fill", [&](auto type, Tensor const& from, Tensor const& to) {
-    using T = typename decltype(type)::type;
-    SampleTranspose<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(from, batch),
-                                    images<T>(to, batch)};
-    check_planes(op, params.grad);
-    check_planes(op, params.grad_x);
-    KV_RUN(sample_transpose, from, params, batch * channels, 8 * output.height * output.width);
-  });
+  return image_gradient(
+      op, grad, source, padding == "fill", [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
+        using T = typename decltype(type)::type;
+        SampleTranspose<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(from, batch),
+                                        images<T>(to, batch), data_of<Compute<T>>(sums)};
+        check_planes(op, params.grad);
+        check_planes(op, params.grad_x);
+        KV_RUN(sample_transpose, from, params, batch * channels, 8 * output.height * output.width);
+      });
 }
 
 Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor const& matrix,

@@ -95,6 +95,15 @@ CASES = [
         **images,
         **as_number,
     ),
+    case("ssim_loss31", lambda K, x, y: K.losses.ssim_loss(x, y, 31), Bars(launches=2), {}, **images, **as_number),
+    case(
+        "ms_ssim",
+        lambda K, x, y: K.losses.MS_SSIMLoss().to(x.device)(x, y),
+        Bars(launches=2),
+        {},
+        **images,
+        **as_number,
+    ),
     Case(
         "l1_ssim_loss11",
         lambda x, y: kvision.losses.l1_ssim_loss(x, y, 11),

@@ -1,5 +1,6 @@
 // Colour programs on the CPU: a step at a time over a chunk of pixels, which stays in the L1 cache. Compiled once per
 // instruction set.
+#include "core/interleave.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
 
@@ -233,6 +234,9 @@ constexpr bool kFits = sizeof(F) == 8 || sizeof(T) < 8;
 template <class T>
 constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
 
+// Three channels beside each other, as pictures have them in files.
+KV_HD bool is_interleaved(Pixels const& x) { return x.channels == 3 && x.channel_stride == 1 && x.step == 3; }
+
 // Channels that there are not, and what is beyond the end, become `rest`.
 template <class F>
 __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t b, int64_t first, int64_t count,
@@ -245,6 +249,18 @@ __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t
     using T = decltype(stored);
     if constexpr (kFits<F, T>) {
       constexpr F unit = F(1. / kUnit<T>);
+      if (__is_same(F, Compute<T>) && is_interleaved(x)) {
+        T const* const from = static_cast<T const*>(x.data) + x.offset(b) + 3 * first;
+        for_each_vector<T>(0, count, [&](auto width, int64_t i) {
+          constexpr int M = decltype(width)::value;
+          if constexpr (__is_same(F, Compute<T>)) {
+            Lanes<F, M> v[3];
+            load_interleaved<M>(from + 3 * i, v);
+            for (int k = 0; k < 3; ++k) store<M>(c + k * kChunk<F> + i, v[k] * unit);
+          }
+        });
+        return;
+      }
       for (int k = 0; k < x.channels; ++k) {
         T const* const from = static_cast<T const*>(x.data) + x.offset(b) + k * x.channel_stride + first * x.step;
         F* const to = c + k * kChunk<F>;
@@ -267,6 +283,18 @@ __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t f
     using T = decltype(stored);
     if constexpr (kFits<F, T>) {
       constexpr F unit = kUnit<T>;
+      if (__is_same(F, Compute<T>) && is_interleaved(y)) {
+        T* const to = static_cast<T*>(y.data) + y.offset(b) + 3 * first;
+        for_each_vector<T>(0, count, [&](auto width, int64_t i) {
+          constexpr int M = decltype(width)::value;
+          if constexpr (__is_same(F, Compute<T>)) {
+            Lanes<F, M> v[3];
+            for (int k = 0; k < 3; ++k) v[k] = load<M>(c + k * kChunk<F> + i) * unit;
+            store_interleaved<M>(to + 3 * i, v);
+          }
+        });
+        return;
+      }
       for (int k = 0; k < y.channels; ++k) {
         T* const to = static_cast<T*>(y.data) + y.offset(b) + k * y.channel_stride + first * y.step;
         F const* const from = c + k * kChunk<F>;

@@ -239,6 +239,37 @@ std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters c
   return {y, means};
 }
 
+// Whether parameter i of an affine step is a factor; others shift, or say that nothing is clipped.
+bool is_factor(Step step, int i) {
+  if (step == Step::affine) return i < 9;
+  if (step == Step::line_rgb) return i < 3;
+  if (step == Step::standardize_rgb) return i >= 3;
+  return step == Step::standardize ? i == 1 : i == 0;
+}
+
+// The program that takes the gradient of a linear one's result to that of its image: the steps' transposes in reverse.
+struct Transposed {
+  std::vector<double> numbers;
+  std::vector<int64_t> steps, columns;
+
+  Transposed(Recipe const& recipe, std::vector<double> const& of) {
+    size_t end = of.size();
+    for (size_t k = recipe.steps.size(); k-- > 0;) {
+      Step const step = Step(recipe.steps[k]);
+      int const count = parameters_of(step);
+      size_t const first = end - size_t(count);
+      steps.push_back(recipe.steps[k]);
+      for (int i = 0; i < count; ++i) {
+        size_t const from = first + size_t(step == Step::affine && i < 9 ? i % 3 * 3 + i / 3 : i);
+        bool const scales = is_factor(step, i);
+        numbers.push_back(scales ? of[from] : 0);
+        if (!recipe.columns.empty()) columns.push_back(scales ? recipe.columns[from] : -1);
+      }
+      end = first;
+    }
+  }
+};
+
 #define KV_PARAMETERS \
   Maybe const &p0, Maybe const &p1, Maybe const &p2, Maybe const &p3, Maybe const &p4, Maybe const &p5
 #define KV_GIVEN {&p0, &p1, &p2, &p3, &p4, &p5}
@@ -286,6 +317,15 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
                        : !means,
            op, ": expected means as color_program_around_mean gives them");
   int64_t const b = x.size(0);
+  bool linear = of_image && !of_parameters && !order && !around_mean && !a.plan.sums && recipe.steps.size() > 0;
+  for (size_t i = 0, at = 0; i < a.plan.steps.size(); at += size_t(parameters_of(a.plan.steps[i++])))
+    linear = linear && is_affine(a.plan.steps[i], numbers.data() + at);
+  if (linear) {
+    Transposed const transposed(recipe, numbers);
+    Recipe const back{int64_t(storage_of(op, x)), in == Layout::planar ? 0 : 1, transposed.steps, transposed.columns};
+    return {std::get<0>(run(op, grad, KV_GIVEN, {}, back, transposed.numbers)),
+            empty({b, 0}, x, Layout::planar, computes)};
+  }
   Tensor const grad_x = of_image ? empty_like(x, in) : empty({b, 0}, x);
   int64_t const rows = a.by_channel ? x.size(1) : 1;  // of parameters, of an image
   Tensor const of_rows = of_parameters ? empty({b, rows, a.columns}, x, Layout::planar, computes)

@@ -1,5 +1,6 @@
-// CLAHE on the CPU: a plane's tables, then its cells. The four tables of a cell become one of four bytes an entry, so a
-// pixel is one look-up and some vector arithmetic.
+// CLAHE on the CPU: a plane's tables, then its rows. Pixels become levels row by row, as memory is read fastest, and
+// tiles count these. The four tables of a cell become one of four bytes an entry, so a pixel is one look-up and some
+// vector arithmetic.
 #include "clahe.h"
 #include "core/scratch.h"
 #include "levels_cpu.h"
@@ -38,30 +39,36 @@ KV_HD void make_table(LevelCounts const& counts, int32_t limit, F scale, uint8_t
   }
 }
 
+// Makes the tables of a plane, and the levels of its pixels; returns whether one is NaN.
 template <class T>
-KV_HD void make_tables(Clahe<T> const& p, int64_t plane, uint8_t* tables) {
+KV_HD bool make_tables(Clahe<T> const& p, int64_t plane, uint8_t* tables, uint16_t* levels) {
   using F = Compute<T>;
   F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);
-  uint16_t level[kPiece];
+  int64_t const width = p.across.pixels;
   T memory[kPiece];
-  for (int tile = 0; tile < p.down.count * p.across.count; ++tile) {
-    int const y0 = tile / p.across.count * p.down.size, x0 = tile % p.across.count * p.across.size;
-    LevelCounts counts{};
-    for (int y = y0; y < y0 + p.down.size; ++y) {
-      T const* const row = p.x.row(plane, p.down.reflected(y));
-      for (int x = x0; x < x0 + p.across.size; x += kPiece) {
-        int const n = min(int(kPiece), x0 + p.across.size - x);
-        T const* pixels = memory;
-        if (x + n <= p.across.pixels)
-          pixels = gathered(row + x * p.x.step, p.x.step, n, memory);
-        else
-          for (int i = 0; i < n; ++i) memory[i] = row[p.across.reflected(x + i) * p.x.step];
-        levels_of(pixels, n, level);
-        counts.add(level, n);
+  int32_t nan = 0;
+  for (int ty = 0; ty < p.down.count; ++ty) {
+    int const y0 = ty * p.down.size, y1 = y0 + p.down.size;
+    for (int y = y0; y < min(y1, p.down.pixels); ++y) {
+      T const* const row = p.x.row(plane, y);
+      for (int64_t x = 0; x < width; x += kPiece) {
+        int64_t const n = min(kPiece, width - x);
+        levels_of(gathered(row + x * p.x.step, p.x.step, n, memory), n, levels + y * width + x);
       }
     }
-    make_table(counts, p.limit, scale, tables + tile * kLevels);
+    for (int tx = 0; tx < p.across.count; ++tx) {
+      int const x0 = tx * p.across.size, x1 = x0 + p.across.size, inside = clamp(p.across.pixels, x0, x1);
+      LevelCounts counts{};
+      for (int y = y0; y < y1; ++y) {
+        uint16_t const* const row = levels + p.down.reflected(y) * width;
+        counts.add(row + x0, inside - x0);
+        for (int x = inside; x < x1; ++x) ++counts.of[0][row[p.across.reflected(x)]];
+      }
+      for (int k = 0; k < 4; ++k) nan += counts.of[k][kNanLevel];
+      make_table(counts, p.limit, scale, tables + (ty * p.across.count + tx) * kLevels);
+    }
   }
+  return nan > 0;
 }
 
 template <class F, int N>
@@ -75,13 +82,9 @@ KV_HD Lanes<F, N> byte_of(uint32_t const* four, int place) {
         Lanes<F, N>);
 }
 
-// The rows of one cell.
+// The four tables of a cell in one.
 template <class T>
-KV_HD void map_cell(Clahe<T> const& p, int64_t plane, int cy, int cx, uint8_t const* tables) {
-  using F = Compute<T>;
-  int const x0 = p.across.cell(cx), x1 = p.across.cell(cx + 1), y0 = p.down.cell(cy), y1 = p.down.cell(cy + 1);
-  if (x0 >= x1 || y0 >= y1) return;
-  uint32_t cell[kLevels + 1];
+KV_HD void make_cell(Clahe<T> const& p, int cy, int cx, uint8_t const* tables, uint32_t* cell) {
   auto const table = [&](int ty, int tx) { return tables + (ty * p.across.count + tx) * kLevels; };
   uint8_t const *const a = table(p.down.before(cy), p.across.before(cx)),
                        *const b = table(p.down.before(cy), p.across.after(cx)),
@@ -95,33 +98,46 @@ KV_HD void map_cell(Clahe<T> const& p, int64_t plane, int cy, int cx, uint8_t co
   for (int i = 0; i < kLevels; i += 8)
     *reinterpret_cast<Four*>(cell + i) = bytes(a + i) | bytes(b + i) << 8 | bytes(c + i) << 16 | bytes(d + i) << 24;
   cell[kNanLevel] = 0;
+}
 
-  uint16_t level[kPiece];
-  uint32_t four[kPiece];
-  T memory[kPiece], result[kPiece];
-  F weight[kPiece];
-  for (int x = x0; x < x1; x += kPiece) {
-    int const n = min(int(kPiece), x1 - x);
-    for (int i = 0; i < n; ++i) weight[i] = p.across.template weight<F>(x + i, cx);
-    for (int y = y0; y < y1; ++y) {
-      F const wy = p.down.template weight<F>(y, cy);
-      T const* const pixels = gathered(p.x.row(plane, y) + x * p.x.step, p.x.step, n, memory);
-      T* const to = p.y.row(plane, y) + x * p.y.step;
-      T* const results = p.y.step == 1 ? to : result;
-      levels_of(pixels, n, level);
-      for (int i = 0; i < n; ++i) four[i] = cell[level[i]];
-      for_each_vector<T>(0, n, [&](auto width, int64_t i) {
-        constexpr int N = decltype(width)::value;
-        using V = Lanes<F, N>;
-        V v = mixed(byte_of<F, N>(four + i, 0), byte_of<F, N>(four + i, 1), byte_of<F, N>(four + i, 2),
-                    byte_of<F, N>(four + i, 3), load<N>(weight + i), broadcast<N>(wy));
-        if (p.to_levels) v = round_even(v, F());
-        V const own = load<N>(pixels + i);
-        store<N>(results + i, own == own ? V(v / 255) : own);
-      });
-      if (p.y.step != 1)
-        for (int i = 0; i < n; ++i) to[i * p.y.step] = result[i];
-    }
+// What the rows of a plane are mapped with.
+template <class F>
+struct ClaheRow {
+  static constexpr int kCell = kLevels + 1;
+  Scratch<F> weight;
+  Scratch<uint32_t> cells, four;
+  explicit KV_HD ClaheRow(int64_t width, int64_t across) : weight(width), cells(across * kCell), four(width) {}
+};
+
+template <class T>
+KV_HD void map_row(Clahe<T> const& p, int64_t plane, int y, int cy, uint16_t const* level, bool nan,
+                   ClaheRow<Compute<T>> const& memory) {
+  using F = Compute<T>;
+  uint32_t* const four = memory.four.data;
+  for (int cx = 0; cx <= p.across.count; ++cx) {
+    uint32_t const* const cell = memory.cells.data + cx * memory.kCell;
+    for (int x = p.across.cell(cx); x < p.across.cell(cx + 1); ++x) four[x] = cell[level[x]];
+  }
+  T* const to = p.y.row(plane, y);
+  F const wy = p.down.template weight<F>(y, cy);
+  T result[kPiece];
+  for (int64_t x = 0; x < p.across.pixels; x += kPiece) {
+    int64_t const n = min(kPiece, p.across.pixels - x);
+    T* const results = p.y.step == 1 ? to + x : result;
+    for_each_vector<T>(0, n, [&](auto width, int64_t i) {
+      constexpr int N = decltype(width)::value;
+      using V = Lanes<F, N>;
+      uint32_t const* const at = four + x + i;
+      V v = mixed(byte_of<F, N>(at, 0), byte_of<F, N>(at, 1), byte_of<F, N>(at, 2), byte_of<F, N>(at, 3),
+                  load<N>(memory.weight.data + x + i), broadcast<N>(wy));
+      if (p.to_levels) v = round_even(v, F());
+      store<N>(results + i, V(v / 255));
+    });
+    if (nan)
+      for (int64_t i = 0; i < n; ++i)
+        if (level[x + i] == kNanLevel) store<1>(results + i, F(__builtin_nan("")));
+    if (p.y.step != 1)
+      for (int64_t i = 0; i < n; ++i) to[(x + i) * p.y.step] = result[i];
   }
 }
 
@@ -129,11 +145,22 @@ KV_HD void map_cell(Clahe<T> const& p, int64_t plane, int cy, int cx, uint8_t co
 
 template <class T>
 void clahe(Clahe<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const width = p.across.pixels;
   Scratch<uint8_t> const tables(int64_t(p.down.count) * p.across.count * kLevels);
+  Scratch<uint16_t> const levels(width * p.down.pixels);
+  ClaheRow<F> const memory(width, p.across.count + 1);
+  for (int cx = 0; cx <= p.across.count; ++cx)
+    for (int x = p.across.cell(cx); x < p.across.cell(cx + 1); ++x)
+      memory.weight.data[x] = p.across.template weight<F>(x, cx);
   for (int64_t plane = begin; plane < end; ++plane) {
-    make_tables(p, plane, tables.data);
-    for (int cy = 0; cy <= p.down.count; ++cy)
-      for (int cx = 0; cx <= p.across.count; ++cx) map_cell(p, plane, cy, cx, tables.data);
+    bool const nan = make_tables(p, plane, tables.data, levels.data);
+    for (int cy = 0; cy <= p.down.count; ++cy) {
+      int const y0 = p.down.cell(cy), y1 = p.down.cell(cy + 1);
+      for (int cx = 0; y0 < y1 && cx <= p.across.count; ++cx)
+        make_cell(p, cy, cx, tables.data, memory.cells.data + cx * memory.kCell);
+      for (int y = y0; y < y1; ++y) map_row(p, plane, y, cy, levels.data + y * width, nan, memory);
+    }
   }
 }
 

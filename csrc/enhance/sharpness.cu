@@ -30,7 +30,12 @@ __global__ void __launch_bounds__(kThreads)
     F v[P + 2];
     strip.load(v, rows.next());
 #pragma unroll
-    for (int i = 0; i < P; ++i) sums[i] = v[i] + v[i + 1] + v[i + 2], own[i] = next[i], next[i] = v[i + 1];
+    for (int i = 0; i < P; i += 2) {
+      F const pair = v[i + 1] + v[i + 2];
+      sums[i] = v[i] + pair, sums[i + 1] = pair + v[i + 3];
+      own[i] = next[i], own[i + 1] = next[i + 1];
+      next[i] = v[i + 1], next[i + 1] = v[i + 2];
+    }
   };
   down(above);
   down(beside);
@@ -41,7 +46,7 @@ __global__ void __launch_bounds__(kThreads)
     bool const inner = y > 0 && y + 1 < height;
 #pragma unroll
     for (int i = 0; i < P; ++i) {
-      bool const sharpens = inner && x + i > 0 && x + i + 1 < width;
+      bool const sharpens = inner && (i > 0 || x > 0) && ((Aligned && i + 1 < P) || x + i + 1 < width);
       F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
       result[i] = sharpens ? sharpened(own[i], smooth, factor) : clipped(own[i], F(0));
       above[i] = beside[i];
@@ -100,7 +105,8 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     auto const pull = [&](int i, int at, F grad) {
       F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
       SharpnessGradient<F> of = pull_sharpened(own[i], smooth, grad, factor);
-      if (!inner || at <= 0 || at + 1 >= width) of = {pull_clipped(own[i], grad, F(0)), 0, 0};
+      bool const never_last = Aligned && i < 3;
+      if (!inner || (at <= 0 && (i == 0 || i == 4)) || (!never_last && at + 1 >= width)) of = {pull_clipped(own[i], grad, F(0)), 0, 0};
       return of;
     };
     GivenRow<F> row;

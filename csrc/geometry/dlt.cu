@@ -7,12 +7,12 @@ namespace {
 
 template <class Model, class T>
 __global__ void __launch_bounds__(kMostThreads) find_models(__grid_constant__ Dlt<T> const p) {
-  dlt_of<Model>(p, blockIdx.x, Block{});
+  dlt_of(Model{}, p, blockIdx.x, Block{});
 }
 
 template <class Model, class T>
 __global__ void __launch_bounds__(kMostThreads) find_models_backward(__grid_constant__ Dlt<T> const p) {
-  dlt_backward_of<Model>(p, blockIdx.x, Block{});
+  dlt_backward_of(Model{}, p, blockIdx.x, Block{});
 }
 
 }  // namespace

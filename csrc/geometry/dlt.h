@@ -10,6 +10,8 @@
 // A fundamental matrix has n2^T F n1 = 0 for n2 = (x, y, 1):
 //   r = the products of n2 and n1, and T2^T h T1, h without what it does to its smallest singular vector
 //
+// An affine map is no such case, but the same to its callers: A (p1 - m1) is the least squares of p2 - m2.
+//
 // Homographies and fundamental matrices are divided by their last number unless that is 0. A camera becomes a pose: its
 // pictures are K^-1 (x, y, 1), the columns of its rotation are made orthogonal one after the other, and the first one
 // gives the scale.
@@ -23,7 +25,7 @@
 
 namespace kv {
 
-enum class DltModel : int { homography, fundamental, pose };
+enum class DltModel : int { homography, fundamental, pose, affine };
 
 template <class T>
 struct Dlt {
@@ -225,7 +227,7 @@ struct Projective {
 
   // M has five different blocks, of which two are 0: sums of w, -w x, -w y, w (x^2 + y^2) times n1 n1^T.
   template <class Team>
-  static KV_HD void normal_matrix(Problem<D> const& problem, Team team, double* m) {
+  static KV_CALLED void normal_matrix(Problem<D> const& problem, Team team, double* m) {
     constexpr int kSums = C * (C + 1) / 2;
     double sums[4][kSums] = {};
     for (int64_t i = team.first(); i < problem.weights.count; i += team.step()) {
@@ -352,13 +354,13 @@ struct Gram {
 struct Pose : Projective<3> {
   static constexpr int kNumbers = 12;
 
-  static KV_HD void finish(double const* m, double* found) {
+  static KV_CALLED void finish(double const* m, double* found) {
     Gram const r(m);
     for (int i = 0; i < 3; ++i)
       found[4 * i] = r.first[i], found[4 * i + 1] = r.second[i], found[4 * i + 2] = r.third[i],
                 found[4 * i + 3] = r.t[i];
   }
-  static KV_HD void finish_vjp(double const* m, double* g) {
+  static KV_CALLED void finish_vjp(double const* m, double* g) {
     Gram const r(m);
     double to_first[3], to_second[3], to_third[3], to_t[3], more[3];
     for (int i = 0; i < 3; ++i)
@@ -386,7 +388,7 @@ struct Pose : Projective<3> {
 
   // Whether the points are in no plane: by the least singular value of the normalised ones, weights being 1 on average.
   template <class T, class Team>
-  static KV_HD bool possible(Dlt<T> const& p, Problem<3> const& problem, Team team) {
+  static KV_CALLED bool possible(Dlt<T> const& p, Problem<3> const& problem, Team team) {
     double sums[6] = {}, used = 0, m[9], copy[9], v[3];
     for (int64_t i = team.first(); i < p.count; i += team.step()) {
       double at[3];
@@ -417,7 +419,7 @@ struct Fundamental {
 
   // M is the sum of w n2 n2^T times n1 n1^T: of six different products of each.
   template <class Team>
-  static KV_HD void normal_matrix(Problem<2> const& problem, Team team, double* m) {
+  static KV_CALLED void normal_matrix(Problem<2> const& problem, Team team, double* m) {
     double sums[6][6] = {};
     for (int64_t i = team.first(); i < problem.weights.count; i += team.step()) {
       double n1[3], n2[3], products[6];
@@ -455,7 +457,7 @@ struct Fundamental {
     small::to_rank_two(f, v);
   }
   // Of F - F v v^T for the smallest eigenvector v of F^T F.
-  static KV_HD void constrain_vjp(double const* h, double* g) {
+  static KV_CALLED void constrain_vjp(double const* h, double* g) {
     double f[9], v[3], square[9], to_v[3], u[3], fv[3], gv[3], fu[3];
     for (int i = 0; i < 9; ++i) f[i] = h[i];
     if (!small::to_rank_two(f, v)) return;
@@ -495,10 +497,41 @@ struct Fundamental {
   }
 };
 
+// --- affine maps
+// ----------------------------------------------------------------------------
+
+struct Affine {};
+
+struct AffineFit {
+  double inverse[4], across[4], linear[4];  // of S = sum w x x^T; C = sum w x y^T; A = (S^-1 C)^T
+  bool flat;
+
+  template <class Team>
+  KV_HD AffineFit(Problem<2> const& problem, Team team) {
+    double sums[7] = {};
+    for (int64_t i = team.first(); i < problem.weights.count; i += team.step()) {
+      double x[2], y[2];
+      problem.one.from_mean(i, x);
+      problem.two.from_mean(i, y);
+      double const w = problem.weights.share(i);
+      sums[0] += w * x[0] * x[0], sums[1] += w * x[0] * x[1], sums[2] += w * x[1] * x[1];
+      for (int k = 0; k < 4; ++k) sums[3 + k] += w * x[k / 2] * y[k % 2];
+    }
+    for (double& sum : sums) sum = team.sum(sum);
+    double const trace = sums[0] + sums[2], area = sums[0] * sums[2] - sums[1] * sums[1];
+    flat = !(area > 1e-12 * trace * trace);
+    inverse[0] = sums[2] / area, inverse[3] = sums[0] / area;
+    inverse[1] = inverse[2] = -sums[1] / area;
+    for (int k = 0; k < 4; ++k) across[k] = sums[3 + k];
+    for (int r = 0; r < 2; ++r)
+      for (int c = 0; c < 2; ++c) linear[2 * r + c] = inverse[2 * c] * across[r] + inverse[2 * c + 1] * across[2 + r];
+  }
+};
+
 }  // namespace dlt_steps
 
 template <class Model, class T, class Team>
-KV_HD void dlt_of(Dlt<T> const& p, int64_t b, Team team) {
+KV_HD void dlt_of(Model, Dlt<T> const& p, int64_t b, Team team) {
   constexpr int n = Model::kUnknowns;
   dlt_steps::Problem<Model::kAxes> const problem(p, b, team);
   double m[n * n], h[n], f[n], before[n], found[n];
@@ -514,7 +547,7 @@ KV_HD void dlt_of(Dlt<T> const& p, int64_t b, Team team) {
 }
 
 template <class Model, class T, class Team>
-KV_HD void dlt_backward_of(Dlt<T> const& p, int64_t b, Team team) {
+KV_HD void dlt_backward_of(Model, Dlt<T> const& p, int64_t b, Team team) {
   constexpr int n = Model::kUnknowns, D = Model::kAxes;
   dlt_steps::Problem<D> const problem(p, b, team);
   dlt_steps::Image<D> const& one = problem.one;
@@ -586,6 +619,72 @@ KV_HD void dlt_backward_of(Dlt<T> const& p, int64_t b, Team team) {
   for (int i = 0; i < 6; ++i) p.grad_camera.set(9 * b + places[i], to_camera[i]);
 }
 
+template <class T, class Team>
+KV_HD void dlt_of(dlt_steps::Affine, Dlt<T> const& p, int64_t b, Team team) {
+  dlt_steps::Problem<2> const problem(p, b, team);
+  dlt_steps::AffineFit const map(problem, team);
+  if (team.first() != 0) return;
+  for (int r = 0; r < 2; ++r) {
+    double const *const row = map.linear + 2 * r, *const mean = problem.one.mean;
+    double const found[] = {row[0], row[1], problem.two.mean[r] - row[0] * mean[0] - row[1] * mean[1]};
+    for (int k = 0; k < 3; ++k) p.found.set(9 * b + 3 * r + k, map.flat ? small::nan() : found[k]);
+  }
+  for (int k = 0; k < 3; ++k) p.found.set(9 * b + 6 + k, k == 2);
+}
+
+template <class T, class Team>
+KV_HD void dlt_backward_of(dlt_steps::Affine, Dlt<T> const& p, int64_t b, Team team) {
+  dlt_steps::Problem<2> const problem(p, b, team);
+  dlt_steps::AffineFit const map(problem, team);
+  dlt_steps::Weights const& weights = problem.weights;
+  // To S, to C, and to both means.
+  double to_map[4], to_across[4], to_square[4], to_mean1[2] = {}, to_mean2[2];
+  for (int r = 0; r < 2; ++r) {
+    double const shift = map.flat ? 0 : p.grad[9 * b + 3 * r + 2];
+    to_mean2[r] = shift;
+    for (int c = 0; c < 2; ++c) {
+      to_mean1[c] -= map.flat ? 0 : shift * map.linear[2 * r + c];
+      to_map[2 * r + c] = map.flat ? 0 : p.grad[9 * b + 3 * r + c] - shift * problem.one.mean[c];
+    }
+  }
+  for (int i = 0; i < 2; ++i)
+    for (int k = 0; k < 2; ++k)
+      to_across[2 * i + k] =
+          map.flat ? 0 : map.inverse[2 * i] * to_map[2 * k] + map.inverse[2 * i + 1] * to_map[2 * k + 1];
+  for (int i = 0; i < 2; ++i)
+    for (int k = 0; k < 2; ++k)
+      to_square[2 * i + k] =
+          map.flat ? 0 : -(to_across[2 * i] * map.linear[k] + to_across[2 * i + 1] * map.linear[2 + k]);
+
+  // Of a correspondence: what both points' gradients are over its share; gives that to the share.
+  auto const slopes = [&](int64_t i, double* g1, double* g2) KV_INLINE {
+    double x[2], y[2], to_share = 0;
+    problem.one.from_mean(i, x);
+    problem.two.from_mean(i, y);
+    for (int k = 0; k < 2; ++k) {
+      double const by_square = to_square[2 * k] * x[0] + to_square[2 * k + 1] * x[1];
+      double const by_across = to_across[2 * k] * y[0] + to_across[2 * k + 1] * y[1];
+      to_share += x[k] * (by_square + by_across);
+      g1[k] = by_square + to_square[k] * x[0] + to_square[2 + k] * x[1] + by_across + to_mean1[k];
+      g2[k] = to_across[k] * x[0] + to_across[2 + k] * x[1] + to_mean2[k];
+      to_share += to_mean1[k] * (x[k] + problem.one.mean[k]) + to_mean2[k] * (y[k] + problem.two.mean[k]);
+    }
+    return to_share;
+  };
+  double common = 0, g1[2], g2[2];
+  for (int64_t i = team.first(); i < p.count; i += team.step()) common += weights.share(i) * slopes(i, g1, g2);
+  common = team.sum(common);
+  for (int64_t i = team.first(); i < p.count; i += team.step()) {
+    double const to_share = slopes(i, g1, g2), share = weights.share(i);
+    for (int k = 0; k < 2; ++k) {
+      p.grad1.set(2 * (problem.one.start + i) + k, share * g1[k]);
+      p.grad2.set(2 * (problem.two.start + i) + k, share * g2[k]);
+    }
+    bool const counts = weights.shared() && weights[i] >= 0;
+    p.grad_weights.set(b * p.count + i, counts ? (to_share - common) / weights.total : 0);
+  }
+}
+
 // Calls f with the steps of a model.
 template <class F>
 KV_HD void with_model(DltModel model, F f) {
@@ -594,8 +693,10 @@ KV_HD void with_model(DltModel model, F f) {
       return f(dlt_steps::Homography{});
     case DltModel::fundamental:
       return f(dlt_steps::Fundamental{});
-    default:
+    case DltModel::pose:
       return f(dlt_steps::Pose{});
+    default:
+      return f(dlt_steps::Affine{});
   }
 }
 

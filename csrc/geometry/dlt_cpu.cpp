@@ -7,14 +7,14 @@ namespace kv::KV_ISA {
 template <class T>
 void dlt(Dlt<T> const& p, int64_t begin, int64_t end) {
   with_model(p.model, [&](auto model) {
-    for (int64_t b = begin; b < end; ++b) dlt_of<decltype(model)>(p, b, Alone{});
+    for (int64_t b = begin; b < end; ++b) dlt_of(model, p, b, Alone{});
   });
 }
 
 template <class T>
 void dlt_backward(Dlt<T> const& p, int64_t begin, int64_t end) {
   with_model(p.model, [&](auto model) {
-    for (int64_t b = begin; b < end; ++b) dlt_backward_of<decltype(model)>(p, b, Alone{});
+    for (int64_t b = begin; b < end; ++b) dlt_backward_of(model, p, b, Alone{});
   });
 }
 

@@ -83,6 +83,15 @@ std::tuple<Tensor, Tensor, Tensor> fundamental_dlt_backward(Tensor const& grad, 
   return DltCall("fundamental_dlt_backward", DltModel::fundamental, points1, points2, weights, {}).differentiate(grad);
 }
 
+Tensor affine_fit(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
+  return DltCall("affine_fit", DltModel::affine, points1, points2, weights, {}).find();
+}
+
+std::tuple<Tensor, Tensor, Tensor> affine_fit_backward(Tensor const& grad, Tensor const& points1, Tensor const& points2,
+                                                       std::optional<Tensor> const& weights) {
+  return DltCall("affine_fit_backward", DltModel::affine, points1, points2, weights, {}).differentiate(grad);
+}
+
 Tensor pose_dlt(Tensor const& points, Tensor const& pixels, Tensor const& camera, std::optional<Tensor> const& weights,
                 double flat) {
   DltCall call("pose_dlt", DltModel::pose, points, pixels, weights, camera);
@@ -109,6 +118,8 @@ KV_OPERATOR(homography_dlt, "(" KV_MATCHES ") -> Tensor")
 KV_OPERATOR(homography_dlt_backward, "(Tensor grad, " KV_MATCHES ") -> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(fundamental_dlt, "(" KV_MATCHES ") -> Tensor")
 KV_OPERATOR(fundamental_dlt_backward, "(Tensor grad, " KV_MATCHES ") -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(affine_fit, "(" KV_MATCHES ") -> Tensor")
+KV_OPERATOR(affine_fit_backward, "(Tensor grad, " KV_MATCHES ") -> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(pose_dlt, "(" KV_PICTURES ") -> Tensor")
 KV_OPERATOR(pose_dlt_backward, "(Tensor grad, " KV_PICTURES ") -> (Tensor, Tensor, Tensor, Tensor)")
 

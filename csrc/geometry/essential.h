@@ -208,13 +208,13 @@ KV_HD void motion_choice_of(MotionChoice<T> const& p, int64_t b, Team team) {
     for (int i = 0; i < 3; ++i) t[motion][i] = (motion % 2 ? -svd.sign() : svd.sign()) * svd.u[2][i];
   }
   for (int i = 0; i < 12; ++i) projections[0][i] = i % 4 == 3 ? 0 : k1[3 * (i / 4) + i % 4];
-  auto const look = [&](int motion) {
+  auto const look = [&](int motion) KV_INLINE {
     double turned[9];
     small::multiply(k2, r[motion], turned);
     for (int i = 0; i < 12; ++i)
       projections[1][i] = i % 4 == 3 ? small::dot3(k2 + 3 * (i / 4), t[motion]) : turned[3 * (i / 4) + i % 4];
   };
-  auto const place = [&](int64_t i, double* point) {
+  auto const place = [&](int64_t i, double* point) KV_INLINE {
     double pixels[2][2];
     int64_t const at = 2 * (b * p.count + i);
     for (int k = 0; k < 2; ++k) pixels[0][k] = p.points1[at + k], pixels[1][k] = p.points2[at + k];

@@ -12,8 +12,10 @@
 //     static KV_HD void of(V const* x, V* y, Settings const&);    // x: all inputs, one after another
 //   };
 //
-// Its gradient is the formula on Duals (core/dual.h). An input may have one row for all samples, or not be given: then
-// `missing` says what its numbers are. formulas.h has the formulas and the list of the operators they become.
+// Its gradient is the formula on Duals (core/dual.h); one of many numbers may have a `pull` beside it, which makes that
+// to x of the gradient to y: Duals take it as many times as it has numbers. An input may have one row for all samples,
+// or not be given: then `missing` says what its numbers are. formulas.h has the formulas and the list of the operators
+// they become.
 #pragma once
 
 #include "core/dual.h"
@@ -57,6 +59,9 @@ struct Formulas {
 KV_KERNEL(formula, Formulas)
 KV_KERNEL(formula_backward, Formulas)
 
+template <class F, class V>
+concept HasPull = requires(V* v, Settings const& s) { F::pull(v, v, v, s); };
+
 // Where the numbers of input i begin among all.
 template <class F>
 constexpr int offset_of(int i) {
@@ -68,10 +73,9 @@ constexpr int offset_of(int i) {
 // How many directions are followed at once: not many, as each takes a register more for every number.
 template <class F>
 constexpr int kDirections = F::kNumbers <= 4       ? F::kNumbers
-                            : F::kNumbers % 4 == 0 ? 4
+                            : F::kNumbers >= 16    ? 2
                             : F::kNumbers % 3 == 0 ? 3
-                            : F::kNumbers % 2 == 0 ? 2
-                                                   : 1;
+                                                   : 2;
 
 // `At` is a sample, or some of them side by side, whose numbers are At::Value: it reads and writes rows.
 template <class F, int I = 0, class At>
@@ -108,25 +112,33 @@ KV_HD void formula_vjp(Formulas<F> const& p, At const& at) {
   at.template read_some<F::kOutputs>(p.grad, p.outputs, g);
   int64_t const width = __builtin_popcountll(p.given);
   int column = 0;
+  if constexpr (HasPull<F, V>) {
+    V to[F::kNumbers];
+    F::pull(x, g, to, p.settings);
+#pragma unroll
+    for (int i = 0; i < F::kNumbers; ++i)
+      if (p.given >> i & 1) at.write_one(p.slopes, width, column++, to[i]);
+  } else {
 #pragma unroll 1
-  for (int first = 0; first < F::kNumbers; first += directions) {
-    unsigned const given = unsigned(p.given >> first) & ((1u << directions) - 1);
-    if (!given) continue;
-    Dual<V, directions> along[F::kNumbers], y[F::kOutputs];
+    for (int first = 0; first < F::kNumbers; first += directions) {
+      unsigned const given = unsigned(p.given >> first) & ((1u << directions) - 1);
+      if (!given) continue;
+      Dual<V, directions> along[F::kNumbers], y[F::kOutputs];
 #pragma unroll
-    for (int i = 0; i < F::kNumbers; ++i) {
-      along[i].value = x[i];
+      for (int i = 0; i < F::kNumbers; ++i) {
+        along[i].value = x[i];
 #pragma unroll
-      for (int k = 0; k < directions; ++k) along[i].d[k] = V{} + double(i == first + k);
-    }
-    F::of(along, y, p.settings);
+        for (int k = 0; k < directions; ++k) along[i].d[k] = V{} + double(i == first + k);
+      }
+      F::of(along, y, p.settings);
 #pragma unroll
-    for (int k = 0; k < directions; ++k) {
-      if (!(given >> k & 1)) continue;
-      V sum = {};
+      for (int k = 0; k < directions; ++k) {
+        if (!(given >> k & 1)) continue;
+        V sum = {};
 #pragma unroll
-      for (int i = 0; i < F::kOutputs; ++i) sum = sum + g[i] * y[i].d[k];
-      at.write_one(p.slopes, width, column++, sum);
+        for (int i = 0; i < F::kOutputs; ++i) sum = sum + g[i] * y[i].d[k];
+        at.write_one(p.slopes, width, column++, sum);
+      }
     }
   }
 }

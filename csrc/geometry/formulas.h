@@ -182,6 +182,14 @@ struct RotationMatrixToQuaternion : OfVector<9, 4> {
   }
 };
 
+struct CrossMatrix : OfVector<3, 3, 3> {
+  template <class V>
+  static KV_HD void of(V const* v, V* m, Settings const&) {
+    m[0] = m[4] = m[8] = number<V>(0);
+    m[1] = -v[2], m[2] = v[1], m[3] = v[2], m[5] = -v[0], m[6] = -v[1], m[7] = v[0];
+  }
+};
+
 struct RotationMatrixToAxisAngle : OfVector<9, 3> {
   static constexpr Extent extent(int) { return {3, 3}; }
   template <class V>
@@ -245,6 +253,105 @@ struct EulerFromQuaternion : OfNumbers<4> {
     euler[0] = within_pi(total - difference);
     euler[1] = select(up, at_pole, select(down, at_pole, between));
     euler[2] = within_pi(total + difference);
+  }
+};
+
+// --- rigid transformations of space, (4, 4) whose last rows are taken for 0 0 0 1
+// --------------------------------------------------------------------------------------------------------
+
+template <int N>
+struct OfPoses {
+  static constexpr int kInputs = N, kRequired = N, kNumbers = 16 * N, kOutputs = 16, kPlain = 0, kCut = 0;
+  static constexpr Extent extent(int) { return {4, 4}; }
+  static constexpr Extent result = {4, 4};
+};
+
+template <class V>
+KV_HD void write_last_row(V* m, double last) {
+  for (int i = 12; i < 16; ++i) m[i] = number<V>(i == 15 ? last : 0);
+}
+
+// c = R b and c = R^T b, of R, the rotation of pose a, and three rows of four.
+template <class V>
+KV_HD void turn(V const* a, V const* b, V* c) {
+  for (int i = 0; i < 12; ++i) {
+    V const* const row = a + i / 4 * 4;
+    c[i] = row[0] * b[i % 4] + row[1] * b[4 + i % 4] + row[2] * b[8 + i % 4];
+  }
+}
+template <class V>
+KV_HD void turn_back(V const* a, V const* b, V* c) {
+  for (int i = 0; i < 12; ++i) {
+    V const* const column = a + i / 4;
+    c[i] = column[0] * b[i % 4] + column[4] * b[4 + i % 4] + column[8] * b[8 + i % 4];
+  }
+}
+
+// R1 R2, R1 t2 + t1.
+struct ComposePoses : OfPoses<2> {
+  template <class V>
+  static KV_HD void of(V const* x, V* m, Settings const&) {
+    turn(x, x + 16, m);
+    for (int i = 3; i < 12; i += 4) m[i] = m[i] + x[i];
+    write_last_row(m, 1);
+  }
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    for (int i = 0; i < 12; ++i) {
+      V const *const a = g + i / 4 * 4, *const b = x + 16 + i % 4 * 4;
+      to[i] = i % 4 == 3 ? g[i] : a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
+    }
+    turn_back(x, g, to + 16);
+    write_last_row(to, 0);
+    write_last_row(to + 16, 0);
+  }
+};
+
+// R^T, -R^T t.
+struct InvertPose : OfPoses<1> {
+  template <class V>
+  static KV_HD void of(V const* x, V* m, Settings const&) {
+    for (int i = 0; i < 3; ++i) {
+      for (int k = 0; k < 3; ++k) m[4 * i + k] = x[4 * k + i];
+      m[4 * i + 3] = -(x[i] * x[3] + x[4 + i] * x[7] + x[8 + i] * x[11]);
+    }
+    write_last_row(m, 1);
+  }
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    for (int i = 0; i < 3; ++i) {
+      V const *const row = x + 4 * i, t = row[3];
+      for (int k = 0; k < 3; ++k) to[4 * i + k] = g[4 * k + i] - t * g[4 * k + 3];
+      to[4 * i + 3] = -(row[0] * g[3] + row[1] * g[7] + row[2] * g[11]);
+    }
+    write_last_row(to, 0);
+  }
+};
+
+// R1^T R2, R1^T (t2 - t1).
+struct RelativePose : OfPoses<2> {
+  template <class V>
+  static KV_HD void between(V const* x, V* s) {
+    for (int i = 0; i < 12; ++i) s[i] = i % 4 == 3 ? x[16 + i] - x[i] : x[16 + i];
+  }
+  template <class V>
+  static KV_HD void of(V const* x, V* m, Settings const&) {
+    V s[12];
+    between(x, s);
+    turn_back(x, s, m);
+    write_last_row(m, 1);
+  }
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    V s[12];
+    between(x, s);
+    turn(x, g, to + 16);
+    for (int i = 0; i < 12; ++i) {
+      V const *const a = s + i / 4 * 4, *const b = g + i % 4 * 4;
+      to[i] = i % 4 == 3 ? -to[16 + i] : a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
+    }
+    write_last_row(to, 0);
+    write_last_row(to + 16, 0);
   }
 };
 
@@ -452,6 +559,46 @@ struct CropMatrix {
   }
 };
 
+// The homography of space that takes five points, no four of them in a plane, to others: the corners 0, 1, 2, 5 and 7
+// of boxes. Of the first four, p_i, it makes q_i, by factors that are the volumes which the fifth one spans with the
+// other three, there and here; row i of the inverse of the matrix of p_i is the plane through these.
+struct PerspectiveMatrix3d {
+  static constexpr int kInputs = 2, kRequired = 2, kNumbers = 48, kOutputs = 16, kPlain = 0, kCut = 0;
+  static constexpr Extent extent(int) { return {8, 3}; }
+  static constexpr Extent result = {4, 4};
+
+  static KV_HD int corner(int i) { return i < 3 ? i : 2 * i - 1; }
+  // The plane through the first four points but point i, and its value at the fifth.
+  template <class V>
+  static KV_HD V plane(V const* x, int i, V* n) {
+    V const *const a = x + 3 * corner(i == 0 ? 1 : 0), *const b = x + 3 * corner(i <= 1 ? 2 : 1),
+                   *const c = x + 3 * corner(i == 3 ? 2 : 3), *const last = x + 3 * corner(4);
+    V u[3], v[3];
+    for (int k = 0; k < 3; ++k) u[k] = b[k] - a[k], v[k] = c[k] - a[k];
+    for (int k = 0; k < 3; ++k) {
+      int const l = (k + 1) % 3, m = (k + 2) % 3;
+      n[k] = i % 2 ? u[m] * v[l] - u[l] * v[m] : u[l] * v[m] - u[m] * v[l];
+    }
+    n[3] = -(n[0] * a[0] + n[1] * a[1] + n[2] * a[2]);
+    return n[0] * (last[0] - a[0]) + n[1] * (last[1] - a[1]) + n[2] * (last[2] - a[2]);
+  }
+  template <class V>
+  static KV_HD void of(V const* x, V* m, Settings const&) {
+    for (int i = 0; i < 16; ++i) m[i] = number<V>(0);
+    for (int i = 0; i < 4; ++i) {
+      V here[4], there[4];
+      V const from = plane(x, i, here), factor = plane(x + 24, i, there) / from, *const q = x + 24 + 3 * corner(i);
+      for (int k = 0; k < 4; ++k) {
+        V const part = factor * here[k];
+        for (int row = 0; row < 3; ++row) m[4 * row + k] = m[4 * row + k] + q[row] * part;
+        m[12 + k] = m[12 + k] + part;
+      }
+    }
+    V const last = m[15];
+    for (int i = 0; i < 16; ++i) m[i] = m[i] / last;
+  }
+};
+
 // Of two quadrangles: what their opposite sides differ by, x and y of each, and the way from the second one's first
 // corner to its third.
 struct QuadShapes {
@@ -479,6 +626,10 @@ struct QuadShapes {
   _(normalize_quaternion, NormalizeQuaternion, "Tensor quaternion, float eps")                                     \
   _(quaternion_to_rotation_matrix, QuaternionToRotationMatrix, "Tensor quaternion")                                \
   _(rotation_matrix_to_quaternion, RotationMatrixToQuaternion, "Tensor matrix")                                    \
+  _(cross_matrix, CrossMatrix, "Tensor vector")                                                                    \
+  _(compose_poses, ComposePoses, "Tensor first, Tensor second")                                                    \
+  _(invert_pose, InvertPose, "Tensor pose")                                                                        \
+  _(relative_pose, RelativePose, "Tensor first, Tensor second")                                                    \
   _(rotation_matrix_to_axis_angle, RotationMatrixToAxisAngle, "Tensor matrix")                                     \
   _(angle_to_rotation_matrix, AngleToRotationMatrix, "Tensor degrees")                                             \
   _(quaternion_from_euler, QuaternionFromEuler, "Tensor roll, Tensor pitch, Tensor yaw")                           \
@@ -498,6 +649,7 @@ struct QuadShapes {
   _(shear_matrix3d, ShearMatrix3d,                                                                                 \
     "Tensor center, Tensor? xy, Tensor? xz, Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy")                       \
   _(perspective_matrix, PerspectiveMatrix, "Tensor points_src, Tensor points_dst")                                 \
+  _(perspective_matrix3d, PerspectiveMatrix3d, "Tensor points_src, Tensor points_dst")                             \
   _(crop_matrix, CropMatrix, "Tensor quads, Tensor? first, float across, float down")                              \
   _(quad_shapes, QuadShapes, "Tensor quads, Tensor others")
 

@@ -130,10 +130,12 @@ struct Offsets<1> {
   KV_HD int64_t operator[](int) const { return value; }
 };
 
-// Two floats.
-KV_HD double load_bits(float const* p) {
-  double bits;
-  __builtin_memcpy(&bits, p, 8);
+// Two neighbours in one.
+template <class Bits, class T>
+KV_HD Bits load_bits(T const* p) {
+  static_assert(sizeof(Bits) == 2 * sizeof(T));
+  Bits bits;
+  __builtin_memcpy(&bits, p, sizeof(Bits));
   return bits;
 }
 
@@ -163,12 +165,31 @@ KV_HD void gather_two(T const* p, At const& at, int64_t step, V& a, V& b) {
       Lanes<double, N / 2> low, high;
       typename lanes_of<int, N>::type even;
       for (int i = 0; i < N / 2; ++i) {
-        low[i] = load_bits(p + at[i]);
-        high[i] = load_bits(p + at[N / 2 + i]);
+        low[i] = load_bits<double>(p + at[i]);
+        high[i] = load_bits<double>(p + at[N / 2 + i]);
       }
       for (int i = 0; i < N; ++i) even[i] = 2 * i;
       a = __builtin_shuffle(__builtin_bit_cast(V, low), __builtin_bit_cast(V, high), even);
       b = __builtin_shuffle(__builtin_bit_cast(V, low), __builtin_bit_cast(V, high), even + 1);
+      return;
+    }
+  if constexpr (sizeof(T) == 2 && N > 1)
+    if (step == 1) {
+      Lanes<uint32_t, N> both;
+      for (int i = 0; i < N; ++i) both[i] = load_bits<uint32_t>(p + at[i]);
+      T low[N], high[N];
+      *reinterpret_cast<Lanes<uint16_t, N>*>(low) = __builtin_convertvector(both, Lanes<uint16_t, N>);
+      *reinterpret_cast<Lanes<uint16_t, N>*>(high) = __builtin_convertvector(both >> 16, Lanes<uint16_t, N>);
+      a = load<N>(low);
+      b = load<N>(high);
+      return;
+    }
+  if constexpr (sizeof(T) == 1 && N > 1)
+    if (step == 1) {
+      Lanes<int32_t, N> both;
+      for (int i = 0; i < N; ++i) both[i] = load_bits<uint16_t>(p + at[i]);
+      a = __builtin_convertvector(both & 0xff, V);
+      b = __builtin_convertvector(both >> 8, V);
       return;
     }
   gather_apart<N>(p, at, step, a, b);

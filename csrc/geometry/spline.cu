@@ -174,14 +174,21 @@ __global__ void __launch_bounds__(kThreads) sum_parts(SplineSums<T> p, unsigned 
 constexpr size_t kShared = 48 << 10;
 template <class T>
 size_t bytes(SplineWeights<T> const& p) {
-  return size_t(p.size() * (p.size() + 2)) * sizeof(T);
+  return size_t(p.size() * p.width()) * sizeof(T);
 }
 
 template <class T>
 __global__ void __launch_bounds__(kThreads) solve(SplineWeights<T> p, bool shared) {
   extern __shared__ double shared_system[];
-  T* const system = shared ? shared_system : p.systems + blockIdx.x * p.size() * (p.size() + 2);
-  spline_weights_of(p, blockIdx.x, system, Block{}, [](T x) { return log_of(x); });
+  T* const system = shared ? shared_system : p.systems + blockIdx.x * p.size() * p.width();
+  auto const log = [](T x) { return log_of(x); };
+  auto const subtract = [](T* row, int64_t k, int64_t rows, int64_t width) {
+    each(Block{}, rows, width - k - 1, [&](int64_t i, int64_t j) {
+      T* const to = row + (i + 1) * width + k;
+      to[1 + j] -= to[0] * row[k + 1 + j];
+    });
+  };
+  spline_weights_of(p, blockIdx.x, system, Block{}, log, subtract);
 }
 
 }  // namespace

@@ -60,9 +60,10 @@ struct SplineWeights {
   Reals centers, right, result;  // (B, centres, 2), (B, centres + 3, 2) twice
   int64_t center_stride, right_stride;
   int64_t batch, centres;
-  T* systems;  // (B, centres + 3, centres + 5): room to work in
+  T* systems;  // (B, size, width): room to work in
 
   KV_HD int64_t size() const { return centres + 3; }
+  KV_HD int64_t width() const { return (size() + 2 + 7) / 8 * 8; }  // whole vectors
 };
 
 KV_KERNEL(spline, Spline)
@@ -109,18 +110,18 @@ __device__ __forceinline__ void each(Block, int rows, int columns, F f) {
 //   |        1          0   0  |  |   |  =  right,
 //   |       c_j         0   0  |  | a |
 //
-// by elimination with the largest pivot of each column.
-template <class T, class Team, class Log>
-KV_HD void spline_weights_of(SplineWeights<T> const& p, int64_t b, T* system, Team team, Log log2) {
-  int64_t const n = p.size(), width = n + 2;
+// by elimination with the largest pivot of each column. `subtract(row, k, rows, width)` subtracts a row with a 1 at k
+// from that many rows below it so that they have a 0 there; of these nothing up to k is read again.
+template <class T, class Team, class Log, class Subtract>
+KV_HD void spline_weights_of(SplineWeights<T> const& p, int64_t b, T* system, Team team, Log log2, Subtract subtract) {
+  int64_t const n = p.size(), width = p.width();
   auto const center = [&](int64_t i, int axis) { return p.centers[b * p.center_stride + 2 * i + axis]; };
   each(team, n, width, [&](int64_t i, int64_t j) {
     int64_t const low = min(i, j), high = max(i, j);
-    T value;
+    T value = 0;
     if (j >= n) {
-      value = p.right[b * p.right_stride + 2 * i + j - n];
+      if (j < n + 2) value = p.right[b * p.right_stride + 2 * i + j - n];
     } else if (low >= p.centres) {
-      value = 0;
     } else if (high >= p.centres) {
       value = high == p.centres ? 1 : center(low, int(high - p.centres - 1));
     } else {
@@ -140,16 +141,13 @@ KV_HD void spline_weights_of(SplineWeights<T> const& p, int64_t b, T* system, Te
       }
     }
     each(team, 0, 1, [](int64_t, int64_t) {});  // all have looked
-    T *const first = system + k * width + k, *const other = system + chosen * width + k;
-    each(team, 1, width - k, [&](int64_t, int64_t j) {
-      T const value = other[j] / pivot;
-      other[j] = first[j];
-      first[j] = value;
+    T *const first = system + k * width, *const other = system + chosen * width;
+    each(team, 1, n + 2 - k, [&](int64_t, int64_t j) {
+      T const value = other[k + j] / pivot;
+      other[k + j] = first[k + j];
+      first[k + j] = value;
     });
-    each(team, n - k - 1, width - k - 1, [&](int64_t i, int64_t j) {
-      T* const row = first + (i + 1) * width;
-      row[1 + j] -= row[0] * first[1 + j];
-    });
+    subtract(first, k, n - k - 1, width);
   }
   for (int64_t k = n - 1; k > 0; --k)
     each(team, k, 2,

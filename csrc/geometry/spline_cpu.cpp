@@ -156,8 +156,19 @@ KV_INSTANTIATE_COMPUTED(spline_sums, SplineSums)
 #if !defined(__AVX512F__)
 template <class T>
 void spline_weights(SplineWeights<T> const& p, int64_t begin, int64_t end) {
+  constexpr int N = kLanes<T>;
+  auto const log = [](T x) { return vlog2<T, 1>(x); };
+  // By whole vectors, also of what is not read again.
+  auto const subtract = [](T* row, int64_t k, int64_t rows, int64_t width) {
+    T* to = row + width;
+    for (int64_t i = 0; i < rows; ++i, to += width) {
+      T const factor = to[k];
+      for (int64_t j = (k + 1) / N * N; j < width; j += N)
+        store<N>(to + j, Lanes<T, N>(load<N>(to + j) - load<N>(row + j) * factor));
+    }
+  };
   for (int64_t b = begin; b < end; ++b)
-    spline_weights_of(p, b, p.systems + b * p.size() * (p.size() + 2), Alone{}, [](T x) { return vlog2<T, 1>(x); });
+    spline_weights_of(p, b, p.systems + b * p.size() * p.width(), Alone{}, log, subtract);
 }
 
 KV_INSTANTIATE_ONE(spline_weights, SplineWeights, double)

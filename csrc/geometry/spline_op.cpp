@@ -184,11 +184,17 @@ Tensor spline_weights(Tensor const& centers, Tensor const& right) {
   KV_CHECK((centers.size(0) == 1 || centers.size(0) == batch) && (right.size(0) == 1 || right.size(0) == batch), op,
            ": expected as many centers as right sides");
   Contiguous const c(op, centers), r(op, right);
-  Tensor const systems = empty({batch, n + 3, n + 5}, centers, Layout::planar, ScalarType::Double);
   Tensor const result = empty({batch, n + 3, 2}, centers);
-  SplineWeights<double> const params{
-      c.reals, r.reals, reals_of(op, result),    centers.size(0) == 1 ? 0 : 2 * n, right.size(0) == 1 ? 0 : 2 * (n + 3),
-      batch,   n,       data_of<double>(systems)};
+  SplineWeights<double> params{c.reals,
+                               r.reals,
+                               reals_of(op, result),
+                               centers.size(0) == 1 ? 0 : 2 * n,
+                               right.size(0) == 1 ? 0 : 2 * (n + 3),
+                               batch,
+                               n,
+                               nullptr};
+  Tensor const systems = empty({batch, params.size(), params.width()}, centers, Layout::planar, ScalarType::Double);
+  params.systems = data_of<double>(systems);
   KV_RUN(spline_weights, centers, params, batch, (n + 3) * (n + 3) * (n + 3));
   return result;
 }

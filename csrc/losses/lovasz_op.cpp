@@ -45,10 +45,11 @@ std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool
     KV_RUN(lovasz_errors, pred, errors, x.blocks(), x.cost());
     LovaszSlopes<F> params{x.labels(), data_of<F>(slopes), data_of<F>(losses), {}, nullptr, nullptr, 0};
 #if defined(KV_CUDA)
-    // Segments are sorted together as far as that takes no more memory than the slopes, or little.
-    constexpr int64_t kSize = 2 * sizeof(Ranked<F>), kLittle = 1 << 22;
+    // So many segments together that their memory stays in the L2, and is no more than the slopes take of larger
+    // batches.
+    constexpr int64_t kTogether = 1 << 20, kSize = 2 * sizeof(Ranked<F>);
     int64_t const segments = x.batch * x.classes, pieces = (x.pixels + kRankedPiece<F> - 1) / kRankedPiece<F>;
-    params.at_once = clamp(max(segments * int64_t(sizeof(F)) / kSize, kLittle / x.pixels), int64_t(1), segments);
+    params.at_once = clamp(kTogether / x.pixels, int64_t(1), segments);
     Tensor const ranked = empty({2, params.at_once, x.pixels, kSize / 2}, pred, Layout::planar, ScalarType::Byte);
     Tensor const counts = empty({params.at_once, pieces + 1, kRankedDigits}, pred, Layout::planar, ScalarType::Int);
     Tensor const partial = empty({segments, pieces}, pred, Layout::planar, type);

@@ -23,14 +23,15 @@ template <class T>
 struct Pair {
   T const *x, *y;
   int64_t x_stride, y_stride, rows, size;
-  PointLoss kind;
 };
 
 constexpr int64_t kPointPiece = 8192;  // elements that are summed together
+constexpr int64_t point_pieces(int64_t size) { return (size + kPointPiece - 1) / kPointPiece; }
 
 template <class T>
 struct PointwiseSum {
   Pair<T> pair;
+  PointLoss kind;
   int64_t pieces;       // of a row
   Compute<T>* partial;  // (rows, pieces)
   Finish<Compute<T>> finish;
@@ -41,6 +42,7 @@ struct PointwiseSum {
 template <class T>
 struct PointwiseMap {
   Pair<T> pair;
+  PointLoss kind;
   T const* grad;                  // of every element, or null
   Compute<T> const* grad_of_sum;  // of every row's sum, or null
   Compute<T> const* sums;         // of every row, where decibels need it

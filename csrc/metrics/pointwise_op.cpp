@@ -15,15 +15,10 @@ PointLoss kind_of(char const* op, std::string const& name) {
 
 // Of contiguous tensors.
 template <class T>
-Pair<T> pair_of(Tensor const& x, Tensor const& y, int64_t rows, PointLoss kind) {
+Pair<T> pair_of(Tensor const& x, Tensor const& y, int64_t rows) {
   int64_t const size = x.size(1);
-  return {data_of<T const>(x),
-          data_of<T const>(y),
-          x.size(0) == rows ? size : 0,
-          y.size(0) == rows ? size : 0,
-          rows,
-          size,
-          kind};
+  return {
+      data_of<T const>(x), data_of<T const>(y), x.size(0) == rows ? size : 0, y.size(0) == rows ? size : 0, rows, size};
 }
 
 // Of as many results as `like` has rows.
@@ -46,7 +41,7 @@ template <class T>
 void run_map([[maybe_unused]] Tensor const& x, PointwiseMap<T> const& params) {
   Pair<T> const& pair = params.pair;
   if (pair.size == 0) return;
-  int64_t const pieces = (pair.size + kPointPiece - 1) / kPointPiece;
+  int64_t const pieces = point_pieces(pair.size);
   KV_RUN(pointwise_map, x, params, pair.rows * pieces, 8 * min(pair.size, kPointPiece));
 }
 
@@ -56,7 +51,7 @@ Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string cons
   Tensor const x = dense(input), y = dense(other), loss = empty({rows, x.size(1)}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)), nullptr, nullptr, nullptr, {}, false, data_of<T>(loss)});
+    run_map<T>(x, {pair_of<T>(x, y, rows), kind_of(op, kind), nullptr, nullptr, nullptr, {}, false, data_of<T>(loss)});
   });
   return loss;
 }
@@ -72,7 +67,8 @@ Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor c
   Tensor const x = dense(input), y = dense(other), g = dense(grad), grad_x = empty({rows, x.size(1)}, x);
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)),
+    run_map<T>(x, {pair_of<T>(x, y, rows),
+                   kind_of(op, kind),
                    data_of<T const>(g),
                    nullptr,
                    nullptr,
@@ -88,17 +84,14 @@ Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const
   constexpr char const* op = "pointwise_sum";
   int64_t const rows = check_pair(op, input, other, input), size = input.size(1);
   Tensor const x = dense(input), y = dense(other);
-  int64_t const pieces = max((size + kPointPiece - 1) / kPointPiece, int64_t(1));
+  int64_t const pieces = max(point_pieces(size), int64_t(1));
   Tensor const sums = empty({rows}, x, Layout::planar, computed_type(x));
   Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed_type(x));
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    PointwiseSum<T> const params{pair_of<T>(x, y, rows, kind_of(op, kind)),
-                                 pieces,
-                                 data_of<F>(partial),
-                                 {F(factor), F(decibels)},
-                                 data_of<F>(sums)};
+    PointwiseSum<T> const params{pair_of<T>(x, y, rows), kind_of(op, kind),        pieces,
+                                 data_of<F>(partial),    {F(factor), F(decibels)}, data_of<F>(sums)};
     KV_RUN(pointwise_sum, x, params, rows * pieces, 8 * min(size, kPointPiece));
 #if !defined(KV_CUDA)
     add_pieces(params.partial, rows, pieces, params.finish, params.sums);
@@ -119,7 +112,8 @@ Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor con
   for_floats(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    run_map<T>(x, {pair_of<T>(x, y, rows, kind_of(op, kind)),
+    run_map<T>(x, {pair_of<T>(x, y, rows),
+                   kind_of(op, kind),
                    nullptr,
                    data_of<F const>(g),
                    data_of<F const>(s),

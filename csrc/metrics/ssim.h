@@ -119,8 +119,8 @@ struct SsimBackward {
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
   SsimLoss<Compute<T>> loss;
   Compute<T> const* of_loss;  // the gradient of each row's
-  Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: memory for four numbers for each of the similarity
-  int64_t together;           // of so many volumes, or planes of images
+  Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: memory for those by the means
+  int64_t room;               // numbers of it
 };
 
 // Windows of several sizes around the pixels of the same images.
@@ -149,8 +149,8 @@ struct MsSsimBackward {
   SsimLoss<Compute<T>> loss;
   Compute<T> const* of_map;  // the gradient of the map
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
-  Compute<T>* derivatives;   // CUDA: memory for five numbers for each scale and pixel
-  int64_t together;          // of so many planes
+  Compute<T>* derivatives;   // CUDA: memory for those by the means
+  int64_t room;              // numbers of it
 };
 
 // CUDA has kernels of four kinds: by strips for small windows over planar images (ssim.cu), by tiles for images and for

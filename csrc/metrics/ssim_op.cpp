@@ -163,12 +163,17 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
   return sums;
 }
 
-// How many volumes, or planes of images, the gradient takes at a time: their derivatives, `each` numbers a volume, take
-// no more memory than all the images do, unless that is little.
-[[maybe_unused]] int64_t volumes_together(int64_t volumes, int64_t each, int64_t number, int64_t pixel) {
-  constexpr int64_t little = 1 << 24;
-  int64_t const few = little / (each * number), as_images = volumes * pixel / (4 * number);
-  return min(max(max(few, as_images), int64_t(1)), volumes);
+// How many numbers the gradient has memory for, of those that are `each` for a pixel of the similarity of x: no more
+// than x has, unless that is little, or less than it can do with: one volume, or with tiles some rows of an image.
+template <class T>
+[[maybe_unused]] int64_t room_for(Tensor const& x, Window const& window, SsimImages<T> const& images, int64_t each) {
+  constexpr int64_t little = 1 << 26, number = sizeof(Compute<T>);
+  auto const sizes = window.sizes(x);
+  int64_t const rows = sizes[sizes.size() - 2];
+  int64_t all = each, least = each * sizes.back() * (has_ssim_tiles(images) ? min(rows, window.size + 64) : rows);
+  if (x.dim() == 5) least *= sizes[2];
+  for (int64_t const n : sizes) all *= n;
+  return min(max(max(little, x.numel() * int64_t(sizeof(T))) / number, least), max(all, int64_t(1)));
 }
 
 // The gradient to the first image, and if `grad_other` is given to the second one: with the similarity's, or with those
@@ -223,10 +228,8 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
 #if defined(KV_CUDA)
     std::optional<Tensor> derivatives;
     if (!has_ssim_strips(params.images)) {
-      int64_t each = 4;  // numbers of a volume
-      for (int64_t axis = 2; axis < x.dim(); ++axis) each *= window.sizes(x)[axis];
-      params.together = volumes_together(x.size(0) * x.size(1), each, sizeof(F), sizeof(T));
-      derivatives = empty({params.together * each}, x, Layout::planar, computed_type(x));
+      params.room = room_for(x, window, params.images, 4);
+      derivatives = empty({params.room}, x, Layout::planar, computed_type(x));
       params.derivatives = data_of<F>(*derivatives);
     }
 #endif
@@ -287,6 +290,9 @@ Tensor ms_ssim(Tensor const& input, Tensor const& other, std::vector<double> con
                            scales.found,
                            {F(structure / channels), F(absolute / channels), channels},
                            data_of<F>(map)};
+#if defined(KV_CUDA)
+    KV_CHECK(has_ssim_tiles(params.images), op, ": the images are too large");
+#endif
     KV_RUN(ms_ssim, x, params, rows, channels * 4 * size * x.size(3));
   });
   return map;
@@ -321,9 +327,9 @@ Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input
                              nullptr,
                              0};
 #if defined(KV_CUDA)
-    int64_t const each = 5 * scales.found.count * x.size(2) * x.size(3);
-    params.together = volumes_together(batch * channels, each, sizeof(F), sizeof(T));
-    Tensor const derivatives = empty({params.together * each}, x, Layout::planar, computed_type(x));
+    KV_CHECK(has_ssim_tiles(params.images), op, ": the images are too large");
+    params.room = room_for(x, window, params.images, 5 * scales.found.count);
+    Tensor const derivatives = empty({params.room}, x, Layout::planar, computed_type(x));
     params.derivatives = data_of<F>(derivatives);
 #endif
     KV_RUN(ms_ssim_backward, x, params, params.grad_x.rows(), 8 * size * x.size(3));

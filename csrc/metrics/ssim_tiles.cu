@@ -6,8 +6,8 @@
 // shared memory, and along x each thread takes eight pixels of one row in the same way. One scale follows the other;
 // what a pixel has found of them stays in registers.
 //
-// The gradient is two launches for as many planes as there is memory for: one writes the derivatives by the means, and
-// where there are several scales what each is multiplied with, the other one sums these.
+// The gradient is two launches for as many planes, or rows of a plane, as there is memory for: one writes the
+// derivatives by the means, and where there are several scales what each is multiplied with, the other one sums these.
 #include "ssim_window.cuh"
 
 namespace kv::cuda {
@@ -31,7 +31,9 @@ struct Work {
   Four<F>* derivatives;  // by the means: of the scales, one behind the other
   F* shares;             // of several scales: what the derivatives are multiplied with
   int64_t first, band;   // planes of a launch
-  int together;          // planes that a block takes one after the other
+  int top, bottom;       // its rows
+  int stored_top, stored_bottom, stored_rows;  // those with derivatives, and the most that there can be
+  int together;                                // planes that a block takes one after the other
   unsigned across, down;
   int columns, stride;  // of a tile: its pixels, and numbers from a row to the next one in shared memory
   int scales, sizes[kMostSsimScales];
@@ -40,12 +42,12 @@ struct Work {
   __device__ __forceinline__ bool has_result(int y, int x) const {
     return y >= offset && y < height - offset && x >= offset && x < width - offset;
   }
-  // Where a plane begins whose pixels have a number for each scale, and one of its pixels from there.
+  // Where the derivatives of a plane begin, and one of its pixels from there.
   __device__ __forceinline__ int64_t plane_at(int scale, int64_t plane) const {
-    return (scale * band + plane - first) * (int64_t(height - 2 * offset) * (width - 2 * offset));
+    return (scale * band + plane - first) * (int64_t(stored_rows) * (width - 2 * offset));
   }
   __device__ __forceinline__ int64_t pixel_at(int row, int column) const {
-    return int64_t(row - offset) * (width - 2 * offset) + (column - offset);
+    return int64_t(row - stored_top) * (width - 2 * offset) + (column - offset);
   }
   // What D of ssim.h multiplies a pixel with.
   __device__ __forceinline__ F ends(int y, int x, F factor) const {
@@ -75,24 +77,24 @@ struct Place {
     unsigned const tile = blockIdx.x / p.across, group = tile / p.down;
     int const thread = int(threadIdx.x), row = thread % kSide, column = thread / kSide * kSide;
     plane = p.first + int64_t(group) * p.together;
-    x0 = int(blockIdx.x - tile * p.across) * p.columns, y0 = int(tile - group * p.down) * kSide;
+    x0 = int(blockIdx.x - tile * p.across) * p.columns, y0 = p.top + int(tile - group * p.down) * kSide;
     x = x0 + column, y = y0 + row, line = row * p.stride + column;
-    within = column < p.columns && x < p.width && y < p.height;
+    within = column < p.columns && x < p.width && y < p.bottom;
   }
 };
 
 using Rows = Row[kMostSsimWeights + kSide];
 
-// The rows that windows of the last scale have of a tile: of the images, or the results.
+// The rows that windows of the last scale have of a tile: of the images, or of the derivatives.
 template <class F>
-__device__ __forceinline__ void list_rows(Work<F> const& p, Place const& place, bool results, Rows& rows) {
-  int const taps = p.sizes[p.scales - 1], above = place.y0 - taps / 2, offset = results ? p.offset : 0;
+__device__ __forceinline__ void list_rows(Work<F> const& p, Place const& place, bool derivatives, Rows& rows) {
+  int const taps = p.sizes[p.scales - 1], above = place.y0 - taps / 2;
+  int const first = derivatives ? p.stored_top : 0, end = derivatives ? p.stored_bottom : p.height;
   for (int i = int(threadIdx.x); i < kSide + taps - 1; i += int(blockDim.x)) {
-    int const row = border_index(p.border, above + i, p.height) - offset, height = p.height - 2 * offset;
-    bool const there = row >= 0 && row < height;
-    rows[i] = {unsigned(results ? row * (p.width - 2 * offset) : row * p.x.row_stride), unsigned(row * p.y.row_stride),
-               there};
-    if (!there) rows[i].x = rows[i].y = 0;
+    int const row = border_index(p.border, above + i, p.height);
+    bool const there = row >= first && row < end;
+    int64_t const of_x = derivatives ? (row - first) * (p.width - 2 * p.offset) : row * p.x.row_stride;
+    rows[i] = {there ? unsigned(of_x) : 0, there ? unsigned(row * p.y.row_stride) : 0, there};
   }
 }
 
@@ -205,7 +207,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
       for (int r = int(threadIdx.x) / 32; r < kSide; r += threads / 32)
 #pragma unroll 1
         for (int i = int(threadIdx.x) % 32; i < p.columns; i += 32)
-          if (p.has_result(place.y0 + r, place.x0 + i))
+          if (place.y0 + r < p.bottom && p.has_result(place.y0 + r, place.x0 + i))
             p.derivatives[p.plane_at(s, plane) + p.pixel_at(place.y0 + r, place.x0 + i)] = lines[r * p.stride + i];
     }
     if (p.derivatives) {
@@ -280,7 +282,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles_back(__
   for (int s = 0; s < p.scales; start += p.sizes[s++]) {
     int64_t const first = p.plane_at(s, plane);
     auto const derivatives = [&](int column) {
-      int64_t const from = first + p.pixel_at(0, column);
+      int64_t const from = first + column - p.offset;
       Four<F> const* const found = p.derivatives + from;
       F const* const shares = p.shares + (p.shares ? from : 0);
       return [=, &p](Row const& row) {
@@ -298,7 +300,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles_back(__
     sum_tile<4>(p, place, s, start, p.offset, rows, shared, derivatives, sums);
   }
   if (p.of_map) {
-    F const* const g = p.of_map + plane / p.loss.planes * p.height * p.width;
+    F const* const g = p.of_map + (plane / p.loss.planes * p.height + p.stored_top) * p.width;
     auto const gradient = [&](int column) {
       return [at = g + column](Row const& row) {
         F const of_pixel = at[row.x];
@@ -336,7 +338,7 @@ Work<Compute<T>> work_of(SsimImages<T> const& images) {
   work.stored = kStored<T>;
   work.border = images.border;
   work.offset = images.valid ? images.size / 2 : 0;
-  work.height = int(images.x.height), work.width = int(images.x.width);
+  work.height = work.bottom = int(images.x.height), work.width = int(images.x.width);
   work.constants = images.constants;
   work.scales = 1, work.sizes[0] = images.size;
   for (int t = 0; t < images.size; ++t) work.weights[t] = images.weights[t];
@@ -359,7 +361,7 @@ Work<Compute<T>> work_of(SsimImages<T> const& images, SsimScales<Compute<T>> con
 // thread.
 template <class F, class Kernel>
 int launch(Kernel kernel, Work<F>& work, int size, int64_t planes, int factors, CUstream_st* stream) {
-  SsimTiles const tiles(work.height, work.width, size);
+  SsimTiles const tiles(work.bottom - work.top, work.width, size);
   work.across = unsigned(tiles.across), work.down = unsigned(tiles.down);
   work.columns = tiles.columns, work.stride = tiles.stride;
   int const bytes = int(sizeof(F)) * kSide * (4 * tiles.stride + factors * tiles.threads);
@@ -373,17 +375,29 @@ int64_t planes_of(Work<F> const& work) {
   return work.x.count() * work.x.step;
 }
 
-// Both launches of the gradient, for `band` planes at a time.
+// Both launches of the gradient, for as many planes, or rows of one, as there is room for the derivatives of.
 template <class T>
-int launch_gradients(Work<Compute<T>>& work, int size, int64_t band, CUstream_st* stream) {
-  int64_t const planes = planes_of(work);
-  int const factors = work.of_map ? work.scales : 0;
-  work.together = 1, work.band = band;
-  for (; work.first < planes; work.first += band) {
-    int64_t const count = min(band, planes - work.first);
-    if (int const error = launch(ssim_tiles<T>, work, size, count, factors, stream)) return error;
-    if (int const error = launch(ssim_tiles_back<Compute<T>>, work, size, count, 0, stream)) return error;
-  }
+int launch_gradients(Work<Compute<T>>& work, int size, int64_t room, Compute<T>* derivatives, CUstream_st* stream) {
+  using F = Compute<T>;
+  bool const several = work.of_map;
+  int64_t const planes = planes_of(work), row = int64_t(work.scales) * (work.width - 2 * work.offset);
+  int64_t const most_rows = room / (row * (several ? 5 : 4));
+  int const all = work.height - 2 * work.offset, reach = size / 2;
+  work.together = 1, work.band = max(most_rows / all, int64_t(1));
+  work.stored_rows = int(min(most_rows, int64_t(all)));
+  work.derivatives = reinterpret_cast<Four<F>*>(derivatives);
+  work.shares = several ? derivatives + 4 * work.band * work.stored_rows * row : nullptr;
+  int const rows = work.stored_rows < all ? work.stored_rows - 2 * reach : work.height;
+  for (; work.first < planes; work.first += work.band)
+    for (int top = 0; top < work.height; top += rows) {
+      int64_t const count = min(work.band, planes - work.first);
+      int const bottom = min(top + rows, work.height);
+      work.top = work.stored_top = max(top - reach, work.offset);
+      work.bottom = work.stored_bottom = min(bottom + reach, work.height - work.offset);
+      if (int const error = launch(ssim_tiles<T>, work, size, count, several ? work.scales : 0, stream)) return error;
+      work.top = top, work.bottom = bottom;
+      if (int const error = launch(ssim_tiles_back<F>, work, size, count, 0, stream)) return error;
+    }
   return 0;
 }
 
@@ -409,9 +423,8 @@ int ssim_in_tiles_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   Work<Compute<T>> work = work_of(p.images);
   work.grad = stored_planes(p.grad);
   work.loss = p.loss, work.of_loss = p.of_loss;
-  work.derivatives = reinterpret_cast<Four<Compute<T>>*>(p.derivatives);
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
-  return launch_gradients<T>(work, p.images.size, p.together, stream);
+  return launch_gradients<T>(work, p.images.size, p.room, p.derivatives, stream);
 }
 
 template <class T>
@@ -424,13 +437,10 @@ int ms_ssim(MsSsim<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int ms_ssim_backward(MsSsimBackward<T> const& p, CUstream_st* stream) {
-  using F = Compute<T>;
   Work<Compute<T>> work = work_of(p.images, p.scales);
   work.loss = p.loss, work.of_map = p.of_map;
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
-  work.derivatives = reinterpret_cast<Four<F>*>(p.derivatives);
-  work.shares = p.derivatives + 4 * p.together * p.scales.count * int64_t(work.height) * work.width;
-  return launch_gradients<T>(work, p.images.size, p.together, stream);
+  return launch_gradients<T>(work, p.images.size, p.room, p.derivatives, stream);
 }
 
 #define KV_SSIM_TILES(T)                                             \

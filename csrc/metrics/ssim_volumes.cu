@@ -240,8 +240,11 @@ int ssim_of_volumes_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   work.derivatives = reinterpret_cast<Four<F>*>(p.derivatives);
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
   int64_t const volumes = work.x.count() / work.depth;
-  for (; work.first < volumes; work.first += p.together) {
-    int64_t const count = min(p.together, volumes - work.first);
+  int64_t const results =
+      int64_t(work.depth - 2 * work.offset) * (work.height - 2 * work.offset) * (work.width - 2 * work.offset);
+  int64_t const together = p.room / (4 * results);
+  for (; work.first < volumes; work.first += together) {
+    int64_t const count = min(together, volumes - work.first);
     if (int const error = launch<T, false>(work, count, stream)) return error;
     if (int const error = launch<F, true>(work, count, stream)) return error;
   }

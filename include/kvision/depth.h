@@ -49,6 +49,34 @@ inline std::tuple<Tensor, Tensor> local_extrema(Tensor const& input, std::vector
   return detail::call<"local_extrema", std::tuple<Tensor, Tensor>>(input.detach(), window, volumes);
 }
 
+inline Tensor mean_place_backward(Tensor const& grad, Tensor const& places, Tensor const& parts, Tensor const& input,
+                                  bool softmax, double scale, bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"mean_place_backward">(grad, places, parts, input, softmax, scale, normalized)};
+  };
+  return differentiable({grad, places, input}, compute, {}, no_second_derivative("mean_place"))[0];
+}
+
+// The mean places (B, C, 2) of the pixels of images (B, C, H, W), x before y, weighted by their values or the softmax
+// of `scale` times these; and without a gradient (B, C, 2) what that is made of: the largest value, and the sum of
+// exponentials over it.
+inline std::tuple<Tensor, Tensor> mean_place(Tensor const& input, bool softmax = true, double scale = 1,
+                                             bool normalized = true) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [places, parts] = call<"mean_place", std::tuple<Tensor, Tensor>>(input, softmax, scale, normalized);
+    return variable_list{places, parts};
+  };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const x = b.saved[0];
+    auto const [places, parts] = mean_place(x.detach(), softmax, scale, normalized);
+    return variable_list{mean_place_backward(b.grads[0], places, parts, x, softmax, scale, normalized)};
+  };
+  variable_list const found = differentiable({input}, compute, {input}, gradient);
+  return {found[0], found[1].detach()};
+}
+
 inline Tensor soft_argmax_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input,
                                    std::vector<int64_t> const& window, std::vector<int64_t> const& stride,
                                    std::vector<int64_t> const& padding, double temperature, bool normalized,

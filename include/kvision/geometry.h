@@ -153,6 +153,82 @@ inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_
   return differentiable({image, map_x, map_y, given}, compute, {image, map_x, map_y, given}, gradient)[0];
 }
 
+// Gradients to centers, weights and affine, each for every sample, also where one serves all.
+inline variable_list spline_map_backward(Tensor const& grad, Tensor const& centers, Tensor const& weights,
+                                         Tensor const& affine, bool align_corners) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [c, w, a] =
+        call<"spline_map_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, centers, weights, affine, align_corners);
+    return variable_list{c, w, a};
+  };
+  return differentiable({grad, centers, weights, affine}, compute, {}, no_second_derivative("spline_map"));
+}
+
+// To points, centers, weights and affine.
+inline variable_list spline_points_backward(Tensor const& grad, Tensor const& points, Tensor const& centers,
+                                            Tensor const& weights, Tensor const& affine) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [p, c, w, a] = call<"spline_points_backward", std::tuple<Tensor, Tensor, Tensor, Tensor>>(
+        grad, points, centers, weights, affine);
+    return variable_list{p, c, w, a};
+  };
+  return differentiable({grad, points, centers, weights, affine}, compute, {}, no_second_derivative("spline_points"));
+}
+
+// Where a thin-plate spline of kernels around `centers` (B, N, 2), with `weights` (B, N, 2) and an `affine` part
+// (B, 3, 2), takes points (B, M, 2).
+inline Tensor spline_points(Tensor const& points, Tensor const& centers, Tensor const& weights, Tensor const& affine) {
+  using namespace detail;
+  variable_list const given{points, centers, weights, affine};
+  auto const compute = [&] { return variable_list{call<"spline_points">(points, centers, weights, affine)}; };
+  auto const gradient = [](Backward const& b) {
+    variable_list const& x = b.saved;
+    variable_list found = spline_points_backward(b.grads[0], x[0], x[1], x[2], x[3]);
+    for (size_t i = 0; i < found.size(); ++i) found[i] = summed_to(found[i], x[i]);
+    return found;
+  };
+  return differentiable(given, compute, given, gradient)[0];
+}
+
+// Where it takes the pixels of an image of that size, in [-1, 1]: (B, 2, h, w), as `remap` takes them.
+inline Tensor spline_map(Tensor const& centers, Tensor const& weights, Tensor const& affine,
+                         std::vector<int64_t> const& size, bool align_corners = false) {
+  using namespace detail;
+  variable_list const given{centers, weights, affine};
+  auto const compute = [&] { return variable_list{call<"spline_map">(centers, weights, affine, size, align_corners)}; };
+  auto const gradient = [=](Backward const& b) {
+    variable_list const& x = b.saved;
+    variable_list found = spline_map_backward(b.grads[0], x[0], x[1], x[2], align_corners);
+    for (size_t i = 0; i < found.size(); ++i) found[i] = summed_to(found[i], x[i]);
+    return found;
+  };
+  return differentiable(given, compute, given, gradient)[0];
+}
+
+// The weights of a spline and then its affine part, (B, N + 3, 2), with values `right` (B, N + 3, 2) at its centers and
+// three zeros.
+inline Tensor spline_weights(Tensor const& centers, Tensor const& right) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"spline_weights">(centers, right)}; };
+  // The system is symmetric, and what it multiplies is the spline at its own centers, and its weights' sums.
+  auto const gradient = [](Backward const& b) {
+    Tensor const &x = b.saved[0], &values = b.saved[1];
+    int64_t const n = x.size(1);
+    variable_list found(2);
+    Tensor const to_right = spline_weights(x, b.grads[0]);
+    if (b.wanted(0)) {
+      Tensor const both = spline_weights(x, values), weights = both.narrow(1, 0, n), to = to_right.narrow(1, 0, n);
+      variable_list const at = spline_points_backward(to, x, x, weights, both.narrow(1, n, 3));
+      found[0] = summed_to(-(at[0] + at[1] + weights.matmul(to_right.narrow(1, n + 1, 2).mT())), x);
+    }
+    if (b.wanted(1)) found[1] = summed_to(to_right, values);
+    return found;
+  };
+  return differentiable({centers, right}, compute, {centers, right}, gradient)[0];
+}
+
 Tensor resize_backward(Tensor const& grad, std::vector<int64_t> const& size, std::string const& window,
                        bool align_corners, bool antialias, std::string const& border);
 

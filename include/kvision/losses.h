@@ -120,6 +120,40 @@ inline Tensor hausdorff(Tensor const& pred, Tensor const& target, double alpha =
   return differentiable({pred}, compute, {pred, target}, gradient)[0];
 }
 
+inline Tensor binary_focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target,
+                                    std::optional<Tensor> const& yes, std::optional<Tensor> const& no, double of_yes,
+                                    double of_no, double gamma, double ignored, bool ignores, bool summed,
+                                    bool by_target) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"binary_focal_backward">(grad, pred, target, yes, no, of_yes, of_no, gamma, ignored,
+                                                       ignores, summed, by_target)};
+  };
+  return differentiable({grad, pred, target}, compute, {}, no_second_derivative("binary_focal"))[0];
+}
+
+// The focal losses of logits and targets (rows, size), or their sums (rows); the positive terms are multiplied by
+// of_yes and those of a row by `yes` (rows), without a gradient, the negative ones likewise.
+inline Tensor binary_focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& yes = {},
+                           std::optional<Tensor> const& no = {}, double of_yes = 0.25, double of_no = 0.75,
+                           double gamma = 2, double ignored = -100, bool ignores = true, bool summed = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"binary_focal">(pred, target, yes, no, of_yes, of_no, gamma, ignored, ignores, summed)};
+  };
+  auto const gradient = [=](Backward const& b) {
+    auto const factors = [&](size_t i) { return b.saved[i].defined() ? std::optional(b.saved[i]) : std::nullopt; };
+    auto const by = [&](bool target) {
+      return b.wanted(target) ? binary_focal_backward(b.grads[0], b.saved[0], b.saved[1], factors(2), factors(3),
+                                                      of_yes, of_no, gamma, ignored, ignores, summed, target)
+                              : Tensor();
+    };
+    return variable_list{by(false), by(true)};
+  };
+  return differentiable({pred, target}, compute, {pred, target, yes.value_or(Tensor()), no.value_or(Tensor())},
+                        gradient)[0];
+}
+
 inline Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double along_y, double along_x) {
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"total_variation_backward">(grad, input, along_y, along_x)}; };

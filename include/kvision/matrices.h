@@ -140,6 +140,34 @@ inline Tensor rotation_matrix_to_quaternion(Tensor const& matrix) {
   return detail::formula<"rotation_matrix_to_quaternion">(std::tuple(matrix));
 }
 
+inline Tensor cross_matrix_backward(Tensor const& grad, Tensor const& vector) {
+  return detail::formula_gradient<"cross_matrix">(grad, std::tuple(vector));
+}
+// [v] (B, 3, 3) with [v] x = v cross x, of (B, 3).
+inline Tensor cross_matrix(Tensor const& vector) { return detail::formula<"cross_matrix">(std::tuple(vector)); }
+
+inline Tensor compose_poses_backward(Tensor const& grad, Tensor const& first, Tensor const& second) {
+  return detail::formula_gradient<"compose_poses">(grad, std::tuple(first, second));
+}
+// First the second, then the first pose (B, 4, 4).
+inline Tensor compose_poses(Tensor const& first, Tensor const& second) {
+  return detail::formula<"compose_poses">(std::tuple(first, second));
+}
+
+inline Tensor invert_pose_backward(Tensor const& grad, Tensor const& pose) {
+  return detail::formula_gradient<"invert_pose">(grad, std::tuple(pose));
+}
+// R^T, -R^T t of (B, 4, 4).
+inline Tensor invert_pose(Tensor const& pose) { return detail::formula<"invert_pose">(std::tuple(pose)); }
+
+inline Tensor relative_pose_backward(Tensor const& grad, Tensor const& first, Tensor const& second) {
+  return detail::formula_gradient<"relative_pose">(grad, std::tuple(first, second));
+}
+// The inverse of the first pose (B, 4, 4) times the second.
+inline Tensor relative_pose(Tensor const& first, Tensor const& second) {
+  return detail::formula<"relative_pose">(std::tuple(first, second));
+}
+
 inline Tensor rotation_matrix_to_axis_angle_backward(Tensor const& grad, Tensor const& matrix) {
   return detail::formula_gradient<"rotation_matrix_to_axis_angle">(grad, std::tuple(matrix));
 }
@@ -277,6 +305,14 @@ inline Tensor perspective_matrix_backward(Tensor const& grad, Tensor const& poin
 // The homographies (B, 3, 3) that take four points (B, 4, 2) to others.
 inline Tensor perspective_matrix(Tensor const& points_src, Tensor const& points_dst) {
   return detail::formula<"perspective_matrix">(std::tuple(points_src, points_dst));
+}
+
+inline Tensor perspective_matrix3d_backward(Tensor const& grad, Tensor const& points_src, Tensor const& points_dst) {
+  return detail::formula_gradient<"perspective_matrix3d">(grad, std::tuple(points_src, points_dst));
+}
+// The homographies (B, 4, 4) that take corners (B, 8, 3) of boxes to others.
+inline Tensor perspective_matrix3d(Tensor const& points_src, Tensor const& points_dst) {
+  return detail::formula<"perspective_matrix3d">(std::tuple(points_src, points_dst));
 }
 
 inline Tensor crop_matrix_backward(Tensor const& grad, Tensor const& quads, std::optional<Tensor> const& first,

@@ -114,6 +114,17 @@ inline Tensor fundamental_dlt(Tensor const& points1, Tensor const& points2, std:
   return detail::dlt<"fundamental_dlt">(points1, points2, weights, fundamental_dlt_backward);
 }
 
+inline std::tuple<Tensor, Tensor, Tensor> affine_fit_backward(Tensor const& grad, Tensor const& points1,
+                                                              Tensor const& points2,
+                                                              std::optional<Tensor> const& weights) {
+  return detail::dlt_backward<"affine_fit_backward">(grad, points1, points2, weights, "affine_fit");
+}
+
+// The affine maps (B, 3, 3) that take points nearest to others, with weights (B, N); NaN for points on a line.
+inline Tensor affine_fit(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights = {}) {
+  return detail::dlt<"affine_fit">(points1, points2, weights, affine_fit_backward);
+}
+
 inline std::tuple<Tensor, Tensor, Tensor, Tensor> pose_dlt_backward(Tensor const& grad, Tensor const& points,
                                                                     Tensor const& pixels, Tensor const& camera,
                                                                     std::optional<Tensor> const& weights, double flat) {

@@ -103,6 +103,7 @@ int main() {
   check(
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
+  check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
   check("total_variation", [](auto const& t) { return kvision::total_variation(t[0], 0.5, 2); }, {x}, false);
   check(
       "smoothness", [](auto const& t) { return kvision::smoothness(t[0], t[1], 0.5, 2); }, {x.slice(1, 1), x * 2},
@@ -117,6 +118,19 @@ int main() {
         "remap", [&](auto const& t) { return kvision::remap(t[0], t[1], t[2], t[3], interpolation); },
         {x, map, map.flip(1).contiguous(), torch::rand({2, 1})}, false);
   }
+  check(
+      "moves",
+      [&](auto const& t) { return kvision::remap(t[0], t[1], t[2], {}, "bilinear", "fill", true, true, true); },
+      {x, 0.1 * torch::rand({2, x.size(2), x.size(3)}) + 0.3, 0.1 * torch::rand({1, x.size(2), x.size(3)}) - 0.4},
+      false);
+  variable_list const spline{torch::rand({2, 5, 2}), torch::rand({2, 5, 2}), torch::rand({1, 3, 2})};
+  check("spline_map", [](auto const& t) { return kvision::spline_map(t[0], t[1], t[2], {3, 4}); }, spline, false);
+  check(
+      "spline_points", [](auto const& t) { return kvision::spline_points(t[0], t[1], t[2], t[3]); },
+      {torch::rand({2, 4, 2}), spline[0], spline[1], spline[2]}, false);
+  check(
+      "spline_weights", [](auto const& t) { return kvision::spline_weights(t[0], t[1]); },
+      {spline[0], torch::rand({2, 8, 2})}, false);
   for (auto const* window : {"bilinear", "bicubic", "pyrdown"})
     check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, window); }, {x});
   check("flip", [](auto const& t) { return kvision::flip(t[0], true, false); }, {x});
@@ -195,6 +209,10 @@ int main() {
   check("fundamental_dlt", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1]); }, {first, second}, false);
   check(
       "fundamental_dlt of weights", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1], t[2]); },
+      {first, second, torch::rand({2, 9}) + 0.5}, false);
+  check("affine_fit", [](auto const& t) { return kvision::affine_fit(t[0], t[1]); }, {first, second}, false);
+  check(
+      "affine_fit of weights", [](auto const& t) { return kvision::affine_fit(t[0], t[1], t[2]); },
       {first, second, torch::rand({2, 9}) + 0.5}, false);
   Tensor const solid = torch::rand({2, 9, 3}) + 1, pinhole = 2 * torch::eye(3).repeat({2, 1, 1});
   check("pose_dlt", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2]); }, {solid, first, pinhole}, false);
@@ -340,7 +358,7 @@ int main() {
   Tensor const sideways = torch::tensor({{0.f, 0.f, 0.f}, {0.f, 0.f, -1.f}, {0.f, 1.f, 0.f}}).expand({2, 3, 3});
   auto const chosen =
       kvision::motion_choice(sideways, eye.expand({2, 3, 3}), eye.expand({2, 3, 3}), from, from + shift);
-  same("motion_choice", std::get<2>(chosen), 2 * space);
+  same("motion_choice", std::get<2>(chosen), space);
   Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
   same("eigenvectors", std::get<0>(kvision::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
   auto const triangulate = [](auto const& t) { return kvision::triangulate(t[0], t[1], t[2], t[3]); };

@@ -18,6 +18,7 @@ from op_tests import TOLERANCES, assert_close, instruction_set
 
 SOURCE = Path(__file__).parents[2] / "csrc/geometry/formulas.h"
 SQUARE = torch.tensor([[0.0, 0], [4, 0], [4, 3], [0, 3]], dtype=torch.float64)
+CUBE = torch.tensor([[0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4], dtype=torch.float64).T
 BATCH = 3
 
 
@@ -45,6 +46,10 @@ FORMULAS = {
     "normalize_quaternion": [Formula((vector(4),), (1e-12,)), Formula((vector(4),), (3.0,))],
     "quaternion_to_rotation_matrix": [Formula((vector(4),))],
     "rotation_matrix_to_quaternion": [Formula((near(EYE),)), Formula((near(-EYE),))],
+    "cross_matrix": [Formula((vector(3),))],
+    "compose_poses": [Formula((vector(4, 4),) * 2)],
+    "invert_pose": [Formula((vector(4, 4),))],
+    "relative_pose": [Formula((vector(4, 4),) * 2)],
     "rotation_matrix_to_axis_angle": [Formula((near(EYE),))],
     "angle_to_rotation_matrix": [Formula((DEGREES,))],
     "quaternion_from_euler": [Formula((NUMBER,) * 3)],
@@ -65,6 +70,7 @@ FORMULAS = {
     ],
     "shear_matrix3d": [Formula((vector(3), *[SMALL] * 6)), Formula((vector(3), *[None] * 5, SMALL))],
     "perspective_matrix": [Formula((near(SQUARE), near(SQUARE)))],
+    "perspective_matrix3d": [Formula((near(CUBE), near(2 * CUBE)))],
     "crop_matrix": [Formula((near(SQUARE), vector(2)), (4.0, 3.0)), Formula((near(SQUARE), None), (4.0, 1.0))],
     "quad_shapes": [Formula((near(SQUARE), near(SQUARE)))],
 }

@@ -11,6 +11,7 @@ import kvision as K
 from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry.homography.dlt import homography_of
 from kvision.geometry.ransac import _consensus, _contest, _leaders, _verdict
+from kvision.geometry.solvers.affine import affine_of
 from op_tests import assert_close, instruction_set
 from view_tests import Scene, homographies, moved, on_planes, rand
 
@@ -209,7 +210,7 @@ def test_leaders_and_verdicts_are_the_references(count, dtype, device):
 def test_one_set_of_points_serves_all_weights(device):
     x, y, _ = on_planes(1, 300, noise=0.3)
     x, y, weights = x.to(device), y.to(device), rand(5, 300).to(device)
-    for fit in (homography_of, eight_points):
+    for fit in (homography_of, eight_points, affine_of):
         expected = fit(x.expand(5, -1, -1), y.expand(5, -1, -1), weights)
         assert_close(fit(x, y, weights), expected, 1e-9, 1e-12)
 
@@ -263,6 +264,8 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.homography_dlt_backward(torch.rand(1, 9), x, x, None),
         lambda: ops.fundamental_dlt(x, x, torch.rand(2, 8)),
         lambda: ops.fundamental_dlt_backward(torch.rand(2, 3, 3), x, x, torch.rand(2, 9)),
+        lambda: ops.affine_fit(x, x, torch.rand(1, 8)),
+        lambda: ops.affine_fit_backward(torch.rand(1, 9), x, x, None),
         lambda: ops.pose_dlt(x, x, eye, None, 0.0),
         lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
         lambda: ops.leaders(eye, scores[:, :1], 1, False),

@@ -44,6 +44,36 @@ class TestFocal(Segmentation):
     errors = [({"gamma": -1.0}, ValueError, "expected gamma"), ({"alpha": "a"}, TypeError, "expected alpha")]
 
 
+class TestBinaryFocal(OpTests):
+    function = staticmethod(L.binary_focal_loss_with_logits)
+    module = L.BinaryFocalLossWithLogits
+    operators = ("binary_focal", "binary_focal_backward")
+    mixed = ("pred", "grad")  # the sums of half types are float32
+    channels = 3
+    small = (1, 3, 3, 4)
+    max_size = 9
+    variants = [
+        {"target": lambda x: labels(x)[:, None].expand(x.shape).clamp_max(1), "ignore_index": -1, "alpha": 0.3},
+        {
+            "target": lambda x: torch.rand(x.shape).to(x.device),
+            "pos_weight": lambda x: torch.linspace(0.5, 2, 3),
+            "weight": lambda x: torch.linspace(3, 2, 3),
+            "gamma": 1.5,
+            "alpha": 0.25,
+            "reduction": "mean",
+        },
+    ]
+    errors = [({"gamma": -1.0}, ValueError, "expected gamma"), ({"target": None}, TypeError, "expected target")]
+    forward_arguments = ("target",)
+
+    def input(self, shape, dtype, device):
+        return (8 * torch.rand(shape, dtype=torch.float64) - 4).to(dtype).to(device)
+
+    def call(self, x, kwargs):
+        integers = isinstance(x, Tensor) and x.dtype in (torch.uint8, torch.int32)  # which the loss refuses
+        return self.function(x.float() if integers else x, **kwargs)
+
+
 class TestTversky(Segmentation):
     function = staticmethod(L.tversky_loss)
     operators = ("overlap", "overlap_backward")

@@ -160,6 +160,20 @@ def test_volumes(window, size, padding, dtype, device):
         assert_close(actual, expected.to(dtype), 5 * small, small * float(expected.abs().max()))
 
 
+def test_the_gradient_of_rows(device):
+    """A plane with more derivatives than CUDA has memory for is taken in parts; what lies far from it changes nothing."""
+    if device.type != "cuda":
+        pytest.skip("the CPU keeps a few rows in any case")
+    x = torch.rand(1, 1, 2300, 4000, device=device)
+    y, part = other(x), slice(1000, 1400)
+    for call in (K.losses.MS_SSIMLoss(reduction="none"), lambda x, y: K.metrics.ssim(x, y, 31)):
+        whole, alone = x.clone().requires_grad_(), x[..., part, :].clone().requires_grad_()
+        (expected,) = torch.autograd.grad(call(alone, y[..., part, :])[..., 100:300, :].sum(), alone)
+        (actual,) = torch.autograd.grad(call(whole, y)[..., 1100:1300, :].sum(), whole)
+        assert_close(actual[..., part, :], expected, 1e-4, 1e-4 * float(expected.abs().max()))
+        assert actual[..., :1000, :].abs().max() == 0
+
+
 def test_a_window_of_hundreds_of_pixels(device):
     """Larger than the kernels of other windows take."""
     x = torch.rand(1, 2, 205, 207, device=device)

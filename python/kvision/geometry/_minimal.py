@@ -8,10 +8,11 @@ from torch import Tensor
 from kvision._ops import register
 from kvision.geometry._normalization import normalized, to_unit_last
 from kvision.geometry._precision import wants_derivative, wide
-from kvision.geometry.homography.dlt import of_lines, register_dlt
+from kvision.geometry.homography.dlt import of_lines
 from kvision.geometry.homography.errors import sample_is_valid_for_homography
 from kvision.geometry.linalg import adjugate
 from kvision.geometry.solvers.affine import find_affine
+from kvision.geometry.solvers.correspondences import register_fit
 from kvision.geometry.solvers.null_vector import null_space, null_vector, null_vector_3x3
 from kvision.geometry.solvers.polynomials import (
     determinant_to_polynomial,
@@ -101,7 +102,7 @@ def _eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> T
 
 
 # The fundamental matrices (B, 3, 3) of least squares.
-eight_points = register_dlt("fundamental_dlt", _eight_points)
+eight_points = register_fit("fundamental_dlt", _eight_points)
 
 
 def seven_points(points1: Tensor, points2: Tensor) -> Tensor:

@@ -6,9 +6,10 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._dtype import as_dtype, floats
+from kvision._ops import Operator, as_stored
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._formula import of_rows, register_formula
 from kvision.geometry.conversions.homogeneous import divisor, homogeneous
 from kvision.geometry.points import transformed
 
@@ -49,11 +50,10 @@ def compose_transformations(trans_01: Tensor, trans_12: Tensor) -> Tensor:
         tensor(4.)
     """
     _check_pair("compose_transformations", trans_01=trans_01, trans_12=trans_12)
-    return _composed(floats(trans_01), floats(trans_12))
+    return _of_pairs(_composed, trans_01, trans_12)
 
 
-@as_stored
-def _composed(first: Tensor, second: Tensor) -> Tensor:
+def _composed_reference(first: Tensor, second: Tensor) -> Tensor:
     return homogeneous(first[..., :3, :3] @ second[..., :3, :] + _translation(first))
 
 
@@ -78,11 +78,10 @@ def inverse_transformation(trans_12: Tensor) -> Tensor:
         tensor(-2.)
     """
     _check.ends("inverse_transformation", "trans_12", trans_12, 4, 4)
-    return _inverted(floats(trans_12))
+    return of_rows(_inverted, floats(trans_12), 2)
 
 
-@as_stored
-def _inverted(pose: Tensor) -> Tensor:
+def _inverted_reference(pose: Tensor) -> Tensor:
     back = pose[..., :3, :3].mT
     return homogeneous(torch.cat([back, -back @ pose[..., :3, 3:]], -1))
 
@@ -109,17 +108,35 @@ def relative_transformation(trans_01: Tensor, trans_02: Tensor) -> Tensor:
         tensor(3.)
     """
     _check_pair("relative_transformation", trans_01=trans_01, trans_02=trans_02)
-    return _relative(floats(trans_01), floats(trans_02))
+    return _of_pairs(_relative, trans_01, trans_02)
 
 
-@as_stored
-def _relative(first: Tensor, second: Tensor) -> Tensor:
+def _relative_reference(first: Tensor, second: Tensor) -> Tensor:
     return homogeneous(first[..., :3, :3].mT @ (second[..., :3, :] - _translation(first)))
 
 
 def _translation(pose: Tensor) -> Tensor:
     """(*, 3, 4), all 0 but the last column."""
     return torch.cat([torch.zeros_like(pose[..., :3, :3]), pose[..., :3, 3:]], -1)
+
+
+_composed = register_formula("compose_poses", _composed_reference, lambda *args: (4, 4))
+_inverted = register_formula("invert_pose", _inverted_reference, lambda *args: (4, 4))
+_relative = register_formula("relative_pose", _relative_reference, lambda *args: (4, 4))
+
+
+def _of_pairs(operator: Operator, first: Tensor, second: Tensor) -> Tensor:
+    """A formula of poses (*, 4, 4) whose leading axes broadcast."""
+    first = floats(first)
+    second = as_dtype(second, first.dtype)
+    if first.dim() == second.dim() == 3:
+        found: Tensor = operator(first, second)
+        return found
+    shape = torch.broadcast_shapes(first.shape[:-2], second.shape[:-2])
+    rows = (
+        x.reshape(1, 4, 4) if x.numel() == 16 else x.expand(*shape, 4, 4).reshape(-1, 4, 4) for x in (first, second)
+    )
+    return operator(*rows).reshape(*shape, 4, 4)
 
 
 def _check_pair(op: str, **poses: Tensor) -> None:

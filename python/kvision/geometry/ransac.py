@@ -24,7 +24,7 @@ from kvision.geometry.epipolar.distances import sampson_epipolar_distance
 from kvision.geometry.epipolar.essential import nearest_essential
 from kvision.geometry.homography.dlt import find_homography_lines_dlt, homography_of
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, oneway_transfer_error
-from kvision.geometry.solvers.affine import find_affine
+from kvision.geometry.solvers.affine import affine_of
 
 __all__ = ["RANSAC"]
 
@@ -343,14 +343,12 @@ class RANSAC(nn.Module):
 
     def _fitted(self, kp1: Tensor, kp2: Tensor, weights: Tensor) -> Tensor:
         """Models (M, 3, 3) of least squares for weights (M, N)."""
-        if self.model == "homography":
-            return homography_of(kp1[None], kp2[None], weights)
-        if self.model.startswith("fundamental"):
-            return eight_points(kp1[None], kp2[None], weights)
-        if self.model in ("affine", "lines"):
+        if self.model == "lines":
             x, y = (kp.expand(len(weights), *kp.shape) for kp in (kp1, kp2))
-            return (find_affine if self.model == "affine" else find_homography_lines_dlt)(x, y, weights)
-        return nearest_essential(eight_points(kp1[None], kp2[None], weights))
+            return find_homography_lines_dlt(x, y, weights)
+        fit = {"homography": homography_of, "affine": affine_of}.get(self.model, eight_points)
+        fitted: Tensor = fit(kp1[None], kp2[None], weights)
+        return nearest_essential(fitted) if self.model == "essential" else fitted
 
     # --- the steps by themselves, for those who put them together in another way ---
 

@@ -11,14 +11,13 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored, laid_out, register, vjp
+from kvision._ops import laid_out, register, vjp
 from kvision.losses.reduction import (
     as_arguments,
     check_labels,
     check_weight,
     has_kernel,
     masked,
-    reduced,
     selected,
 )
 
@@ -190,36 +189,95 @@ def binary_focal_loss_with_logits(
     _check.reduction(op, reduction)
     check_weight(op, "pos_weight", pos_weight, pred)
     check_weight(op, "weight", weight, pred)
-    return _binary_focal(pred, target.to(pred.dtype), pos_weight, weight, alpha, gamma, reduction, ignore_index)
+    factor, summed = 1.0, reduction != "none"
+    if reduction == "mean":
+        factor = 1 / pred.numel() if pred.numel() else float("nan")
+    yes, no = (factor, factor) if alpha is None else (alpha * factor, (1 - alpha) * factor)
+    ignored, ignores = as_arguments(ignore_index)
+    terms = (yes, no, gamma, float(ignored), ignores, summed)
+    target = as_dtype(target, pred.dtype)
+    if weight is None and pos_weight is None:
+        if not summed and pred.dim() == 4 and pred.shape[1] > 1 and pred.stride(1) == 1:  # in the order of the memory
+            pred, target = pred.movedim(1, -1), target.movedim(1, -1)
+            return (
+                _binary(pred.reshape(1, -1), target.reshape(1, -1), None, None, *terms).view(pred.shape).movedim(-1, 1)
+            )
+        loss = _binary(pred.reshape(1, -1), target.reshape(1, -1), None, None, *terms)
+    else:
+        rows = pred.shape[0] * pred.shape[1]
+        pixels = pred.numel() // rows if rows else 0
+        operator = _binary if pixels >= _FEW_PIXELS else _binary.reference
+        ones = pred.new_ones(pred.shape[1], dtype=compute_dtype(pred))
+        of_no = ones if weight is None else weight.to(ones.dtype)
+        of_yes = of_no if pos_weight is None else of_no * pos_weight.to(ones.dtype)
+        factors = (w.expand(pred.shape[0], -1).reshape(-1) for w in (of_yes, of_no))
+        loss = operator(pred.reshape(rows, pixels), target.reshape(rows, pixels), *factors, *terms)
+    return as_dtype(loss.sum() if summed else loss.view(pred.shape), pred.dtype)
 
 
-@as_stored
-def _binary_focal(
+_FEW_PIXELS = 64  # of a class; rows of less are no work for a block on CUDA
+
+
+def _binary_reference(
     pred: Tensor,
     target: Tensor,
-    pos_weight: Tensor | None,
-    weight: Tensor | None,
-    alpha: float | None,
+    yes: Tensor | None,
+    no: Tensor | None,
+    of_yes: float,
+    of_no: float,
     gamma: float,
-    reduction: str,
-    ignore_index: int | None,
+    ignored: float,
+    ignores: bool,
+    summed: bool,
 ) -> Tensor:
-    if ignore_index is not None:
-        ignored = target == ignore_index
-        pred = pred.masked_fill(ignored, 0)
-    log_yes, log_no = F.logsigmoid(pred), F.logsigmoid(-pred)
-    of_yes, of_no = (1.0, 1.0) if alpha is None else (alpha, 1 - alpha)
-    yes = -of_yes * target * torch.exp(gamma * log_no) * log_yes
-    no = of_no * (target - 1) * torch.exp(gamma * log_yes) * log_no
-    per_class = (-1, *(1,) * (pred.dim() - 2))
-    if pos_weight is not None:
-        yes = yes * pos_weight.view(per_class)
-    loss = yes + no
-    if weight is not None:
-        loss = loss * weight.view(per_class)
-    if ignore_index is not None:
-        loss = loss.masked_fill(ignored, 0)
-    return reduced(loss, reduction)
+    """(rows, size) losses of logits and targets of that shape, or their sums (rows,); the tensors are factors of the rows."""
+    x, t = (z.to(compute_dtype(pred)) for z in (pred, target))
+    if ignores:
+        x = x.masked_fill(t == ignored, 0)
+    log_yes, log_no = F.logsigmoid(x), F.logsigmoid(-x)
+    positive = -of_yes * t * torch.exp(gamma * log_no) * log_yes
+    negative = of_no * (t - 1) * torch.exp(gamma * log_yes) * log_no
+    if yes is not None:
+        positive = positive * yes[:, None]
+    if no is not None:
+        negative = negative * no[:, None]
+    loss = positive + negative
+    if ignores:
+        loss = loss.masked_fill(t == ignored, 0)
+    return loss.sum(1) if summed else loss.to(pred.dtype)
+
+
+def _binary_fake(pred: Tensor, *args: Any) -> Tensor:
+    return pred.new_empty(pred.shape[0], dtype=compute_dtype(pred)) if args[-1] else pred.new_empty(pred.shape)
+
+
+def _binary_slope(grad: Tensor, pred: Tensor, target: Tensor, *args: Any) -> Tensor:
+    *terms, by_target = args
+    rows = (x.expand(grad.shape[0], -1) for x in (pred, target))
+    pullback = torch.func.vjp(lambda pred, target: _binary_reference(pred, target, *terms), *rows)[1]
+    return pullback(grad)[by_target]
+
+
+def _binary_gradients(needs, grad, pred, target, yes, no, *plain):
+    found = [
+        _binary_backward(grad, pred, target, yes, no, *plain, by_target) if needs[by_target] else None
+        for by_target in (False, True)
+    ]
+    if needs[1] and target.shape != pred.shape:
+        found[1] = found[1].sum(0, keepdim=True)
+    only_factors = (False, False, *needs[2:])
+    if any(only_factors):
+        found += _binary.differentiate_reference(only_factors, grad, pred, target, yes, no, *plain)[2:]
+    return found
+
+
+_binary_backward = register(
+    "binary_focal_backward",
+    _binary_slope,
+    fake=lambda grad, pred, *_: pred.new_empty(grad.shape[0], pred.shape[1]),
+    stores=True,
+)
+_binary = register("binary_focal", _binary_reference, fake=_binary_fake, backward=_binary_gradients, stores=True)
 
 
 def _focus(op: str, alpha: float | None, gamma: float) -> tuple[float | None, float]:

@@ -279,9 +279,16 @@ def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
                 [-2.,  1.,  0.]])
     """
     _check.ends("vector_to_skew_symmetric_matrix", "vec", vec, 3)
+    return of_rows(_cross_matrix, vec, 1)
+
+
+def _cross_matrix_reference(vec: Tensor) -> Tensor:
     x, y, z = vec.unbind(-1)
     o = torch.zeros_like(x)
     return torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))
+
+
+_cross_matrix = register_formula("cross_matrix", _cross_matrix_reference, lambda *args: (3, 3))
 
 
 # --- quaternions ----------------------------------------------------------------------------------------------------

@@ -8,17 +8,14 @@ Geometry" (2003), section 4.1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import Operator, register
 from kvision.geometry._normalization import normalized, to_unit_last
 from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, symmetric_transfer_error
-from kvision.geometry.solvers.correspondences import check_correspondences
+from kvision.geometry.solvers.correspondences import check_correspondences, register_fit
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = [
@@ -73,38 +70,7 @@ def _reference(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tens
     return _homography(torch.cat([across, down], 1), None if w is None else w.repeat(1, 2), T1, T2, points1.dtype)
 
 
-def register_dlt(name: str, reference: Callable[..., Tensor]) -> Operator:
-    """An operator of points (B, N, 2) in both images and weights (B, N), or None, that gives matrices (B, 3, 3).
-
-    Where there is no gradient, one set of points serves all weights.
-    """
-
-    def backward_reference(
-        grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None
-    ) -> tuple[Tensor, ...]:
-        w = points1.new_ones(points1.shape[:2]) if weights is None else weights
-        return torch.func.vjp(reference, points1, points2, w)[1](grad)
-
-    def backward(
-        needs: Sequence[bool], grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None
-    ) -> tuple[Tensor | None, ...]:
-        grad1, grad2, grad_weights = of_gradient(grad, points1, points2, weights)
-        return grad1, grad2, None if weights is None else grad_weights
-
-    of_gradient = register(
-        f"{name}_backward",
-        backward_reference,
-        fake=lambda grad, points1, points2, weights: [points1.shape, points1.shape, points1.shape[:2]],
-    )
-    return register(
-        name,
-        reference,
-        fake=lambda points1, points2, weights: ((points1 if weights is None else weights).shape[0], 3, 3),
-        backward=backward,
-    )
-
-
-homography_of = register_dlt("homography_dlt", _reference)
+homography_of = register_fit("homography_dlt", _reference)
 
 
 def _homography(rows: Tensor, weights: Tensor | None, T1: Tensor, T2: Tensor, dtype: torch.dtype) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision.geometry._precision import in_full_precision, length, wide
-from kvision.geometry.solvers.correspondences import check_correspondences, shares
+from kvision.geometry.solvers.correspondences import check_correspondences, register_fit, shares
 
 __all__ = ["find_affine"]
 
@@ -37,6 +37,10 @@ def find_affine(points1: Tensor, points2: Tensor, weights: Tensor | None = None)
                  [0., 0., 1.]]])
     """
     check_correspondences("find_affine", points1, points2, weights, least=3)
+    return affine_of(points1, points2, weights)
+
+
+def _reference(points1: Tensor, points2: Tensor, weights: Tensor | None) -> Tensor:
     x, y = wide(points1), wide(points2)
     w = shares(x, None if weights is None else wide(weights))
     x_mean, y_mean = (w * x).sum(-2, keepdim=True), (w * y).sum(-2, keepdim=True)
@@ -55,3 +59,6 @@ def find_affine(points1: Tensor, points2: Tensor, weights: Tensor | None = None)
     last = result.new_zeros(*result.shape[:-2], 1, 3)
     last[..., 2] = 1
     return torch.cat([result, last], -2).to(points1.dtype)
+
+
+affine_of = register_fit("affine_fit", _reference)

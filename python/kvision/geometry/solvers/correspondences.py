@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 
 
@@ -43,3 +46,34 @@ def shares(points: Tensor, weights: Tensor | None) -> Tensor:
     none = total == 0  # NaN stays NaN
     w = torch.where(none, 1 / max(1, points.shape[1]), w / torch.where(none, 1, total))
     return w[..., None]
+
+
+def register_fit(name: str, reference: Callable[..., Tensor]) -> Operator:
+    """An operator of points (B, N, 2) in both images and weights (B, N), or None, that gives matrices (B, 3, 3).
+
+    Where there is no gradient, one set of points serves all weights.
+    """
+
+    def backward_reference(
+        grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None
+    ) -> tuple[Tensor, ...]:
+        w = points1.new_ones(points1.shape[:2]) if weights is None else weights
+        return torch.func.vjp(reference, points1, points2, w)[1](grad)
+
+    def backward(
+        needs: Sequence[bool], grad: Tensor, points1: Tensor, points2: Tensor, weights: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
+        grad1, grad2, grad_weights = of_gradient(grad, points1, points2, weights)
+        return grad1, grad2, None if weights is None else grad_weights
+
+    of_gradient = register(
+        f"{name}_backward",
+        backward_reference,
+        fake=lambda grad, points1, points2, weights: [points1.shape, points1.shape, points1.shape[:2]],
+    )
+    return register(
+        name,
+        reference,
+        fake=lambda points1, points2, weights: ((points1 if weights is None else weights).shape[0], 3, 3),
+        backward=backward,
+    )

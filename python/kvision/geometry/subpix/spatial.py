@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 __all__ = [
@@ -65,9 +66,10 @@ def spatial_softmax2d(input: Tensor, temperature: Tensor | float | None = None) 
 
 
 def _softmax(op: str, input: Tensor, temperature: Tensor | float | None) -> Tensor:
-    wide = input.to(compute_dtype(input))
-    divisor = 1.0 if temperature is None else positive(op, input, temperature)
-    return (wide / divisor).flatten(2).softmax(-1).view(input.shape)
+    wide = as_dtype(input, compute_dtype(input))
+    if temperature is not None:
+        wide = wide / positive(op, input, temperature)
+    return wide.flatten(2).softmax(-1).view(input.shape)
 
 
 def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) -> Tensor:
@@ -92,13 +94,44 @@ def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) ->
     """
     _check.images("spatial_expectation2d", "input", input)
     _check.flag("spatial_expectation2d", "normalized_coordinates", normalized_coordinates)
-    wide = input.to(compute_dtype(input))
-    return _expectation(wide, normalized_coordinates).to(floats(input).dtype)
+    x = floats(input)
+    return as_dtype(_mean_place(x, False, 1.0, normalized_coordinates)[0], x.dtype)
 
 
-def _expectation(p: Tensor, normalized: bool) -> Tensor:
+def _mean_place_reference(input: Tensor, softmax: bool, scale: float, normalized: bool) -> tuple[Tensor, Tensor]:
+    """(B, C, 2): the mean place of the pixels of images (B, C, H, W), weighted by their values or the softmax of `scale`
+    times these; and (B, C, 2) the largest value and the sum of exponentials over that, which the softmax is made of."""
+    p = input.to(compute_dtype(input))
+    parts = p.new_zeros(*p.shape[:2], 2)
+    if softmax:
+        most = p.detach().amax((2, 3), keepdim=True)
+        parts = torch.stack([most[:, :, 0, 0], ((p.detach() - most) * scale).exp().sum((2, 3))], -1)
+        p = (p * scale).flatten(2).softmax(-1).view(p.shape)
     x, y = (_axis(n, normalized, p) for n in (p.shape[3], p.shape[2]))
-    return torch.stack([(p.sum(2) * x).sum(-1), (p.sum(3) * y).sum(-1)], -1)
+    return torch.stack([(p.sum(2) * x).sum(-1), (p.sum(3) * y).sum(-1)], -1), parts
+
+
+def _fake(input: Tensor, *_: Any) -> list[Tensor]:
+    return [input.new_empty(*input.shape[:2], 2, dtype=compute_dtype(input)) for _ in range(2)]
+
+
+def _backward(needs, grad, _, *args):
+    return [_mean_place_backward(grad, *args)]
+
+
+def _slope(grad: Tensor, places: Tensor, parts: Tensor, input: Tensor, *args: Any) -> Tensor:
+    return vjp(lambda x: _mean_place_reference(x, *args)[0])(grad, input)
+
+
+_mean_place_backward = register(
+    "mean_place_backward",
+    _slope,
+    fake=lambda grad, places, parts, input, *_: torch.empty_like(input, memory_format=torch.contiguous_format),
+    stores=True,
+)
+_mean_place = register(
+    "mean_place", _mean_place_reference, fake=_fake, backward=_backward, saves_results=True, constant=(1,), stores=True
+)
 
 
 def _axis(n: int, normalized: bool, like: Tensor) -> Tensor:
@@ -133,7 +166,13 @@ def spatial_soft_argmax2d(
     op = "spatial_soft_argmax2d"
     _check.images(op, "input", input)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
-    return _expectation(_softmax(op, input, temperature), normalized_coordinates).to(floats(input).dtype)
+    x, scale = floats(input), 1.0
+    divisor = None if temperature is None else positive(op, input, temperature)
+    if isinstance(divisor, Tensor):
+        x = as_dtype(x, compute_dtype(x)) / divisor
+    elif divisor is not None:
+        scale = 1 / divisor
+    return as_dtype(_mean_place(x, True, scale, normalized_coordinates)[0], floats(input).dtype)
 
 
 def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normalized_coordinates: bool = True) -> Tensor:

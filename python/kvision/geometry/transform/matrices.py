@@ -133,6 +133,19 @@ def _perspective_reference(points_src, points_dst):
     return (matrix / matrix[:, 2:, 2:] + 0).to(points_src.dtype)  # no negative zeros
 
 
+def _perspective3d_reference(points_src, points_dst):
+    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four in a plane
+    matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
+    return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
+
+
+def _from_simplex(points: Tensor) -> Tensor:
+    """The homography from the unit vectors and their sum to five `points` (B, 5, 3)."""
+    p = torch.cat([points, torch.ones_like(points[..., :1])], -1).mT
+    weights = torch.linalg.inv_ex(p[..., :4])[0] @ p[..., 4:]
+    return p[..., :4] * weights.mT
+
+
 def _affine3d_reference(x, y, z, translation, scale, center, xy, xz, yx, yz, zx, zy, turn, cx, cy, cz, rows):
     """Shear, scale and turn about a centre, (cx, cy, cz) where none is given, then move: (B, rows, 4), 3 or 4 of these."""
     shears = (xy, xz, yx, yz, zx, zy)
@@ -169,6 +182,7 @@ _shear_matrix2d = register_formula("shear_matrix2d", _shear2d_reference, lambda 
 _shear_matrix3d = register_formula("shear_matrix3d", _shear3d_reference, lambda *args: (4, 4))
 _invert_affine2d = register_formula("invert_affine2d", _inverse2d_reference, lambda *args: (2, 3))
 _perspective_matrix = register_formula("perspective_matrix", _perspective_reference, lambda *args: (3, 3))
+_perspective_matrix3d = register_formula("perspective_matrix3d", _perspective3d_reference, lambda *args: (4, 4))
 
 # --- two dimensions -------------------------------------------------------------------------------------------------
 
@@ -492,16 +506,7 @@ def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
     _check.same_device(op, src=src, dst=dst)
     if src.dtype != dst.dtype:
         raise TypeCheckError(f"{op}: expected points of one type, got {src.dtype} and {dst.dtype}")
-    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (src, dst))  # five corners, no four in a plane
-    matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
-    return (matrix / matrix[:, 3:, 3:]).to(src.dtype)
-
-
-def _from_simplex(points: Tensor) -> Tensor:
-    """The homography from the unit vectors and their sum to five `points` (B, 5, 3)."""
-    p = torch.cat([points, torch.ones_like(points[..., :1])], -1).mT
-    weights = torch.linalg.inv_ex(p[..., :4])[0] @ p[..., 4:]
-    return p[..., :4] * weights.mT
+    return _perspective_matrix3d(src, dst)
 
 
 def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:

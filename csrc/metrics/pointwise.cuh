@@ -1,0 +1,64 @@
+// Two tensors on CUDA, element by element: a block takes a piece of a row, each thread four elements of both at a time.
+// Included by *.cu files.
+#pragma once
+
+#include "pointwise.h"
+#include "sums.cuh"
+
+namespace kv::cuda {
+namespace {
+
+template <class F>
+struct PointMath {
+  __device__ __forceinline__ static F exp(F x) {
+    if constexpr (sizeof(F) == 4)
+      return ::expf(x);
+    else
+      return ::exp(x);
+  }
+  __device__ __forceinline__ static F log(F x) {
+    if constexpr (sizeof(F) == 4)
+      return ::logf(x);
+    else
+      return ::log(x);
+  }
+  __device__ __forceinline__ static F sqrt(F x) { return fast_sqrt(x); }
+  __device__ __forceinline__ static F divide(F x, F y) { return x * fast_reciprocal(y); }
+};
+
+constexpr int kPack = 4;
+
+// Calls f(first element, x, y) for the elements of piece `piece` that the thread takes: with kPack of both where rows
+// are `packed`, their starts and ends multiples of a pack, and with single ones elsewhere and of doubles. Not unrolled,
+// as f is long and a multiprocessor has enough threads to keep its memory busy.
+template <class T, class Call>
+__device__ __forceinline__ void for_each_pack(Pair<T> const& pair, int64_t row, int64_t piece, bool packed, Call f) {
+  using F = Compute<T>;
+  T const *const x = pair.x + row * pair.x_stride, *const y = pair.y + row * pair.y_stride;
+  int64_t const first = piece * kPointPiece, last = min(first + kPointPiece, pair.size);
+  auto const take = [&](auto width) {
+    constexpr int P = decltype(width)::value;
+#pragma unroll 1
+    for (int64_t e = first + P * threadIdx.x; e < last; e += P * kSumThreads) {
+      Pack<T, P> const a = *reinterpret_cast<Pack<T, P> const*>(x + e);
+      Pack<T, P> const b = *reinterpret_cast<Pack<T, P> const*>(y + e);
+      F u[P], v[P];
+#pragma unroll
+      for (int i = 0; i < P; ++i) u[i] = read(a.v[i]), v[i] = read(b.v[i]);
+      f(row * pair.size + e, u, v);
+    }
+  };
+  if (sizeof(T) < 8 && packed)
+    take(std::integral_constant<int, sizeof(T) < 8 ? kPack : 1>{});
+  else
+    take(std::integral_constant<int, 1>{});
+}
+
+template <class T>
+bool is_packed(Pair<T> const& pair, void const* other) {
+  auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % sizeof(Pack<T, kPack>) == 0; };
+  return aligned(pair.x) && aligned(pair.y) && aligned(other) && pair.size % kPack == 0;
+}
+
+}  // namespace
+}  // namespace kv::cuda

@@ -78,9 +78,9 @@ struct Runs {
   F const* found;                               // in a map, u and v, or null
   bool affine;
 
-  __device__ __forceinline__ Runs(Tile<F> const& tile, Places<F> const& places, void const* kept)
+  __device__ __forceinline__ Runs(Tile<F> const& tile, Places<F> const& places, void const* kept, int column, int row)
       : found(places.matrices ? nullptr : static_cast<F const*>(kept) + threadIdx.x), affine(tile.map.affine) {
-    F const x = F(column_in_tile()), y = F(row_in_tile());
+    F const x = F(column), y = F(row);
     F const(&m)[9] = tile.map.m;
     u = x * m[0] + (y * m[1] + m[2]);
     v = x * m[3] + (y * m[4] + m[5]);
@@ -145,11 +145,11 @@ struct View {
     Tile<F> const& tile = tiles[number];
     PlacesOf<F> const places(p.places, tile);
     F* const found = static_cast<F*>(kept) + threadIdx.x;
-    int const x = tile.x + column_in_tile();
+    int const x = tile.x + column_in_tile<T>();
     Box box = Box::empty();
 #pragma unroll
     for (int run = 0; run < kRuns; ++run) {
-      int const y = tile.y + row_in_tile() + run * kRunRows;
+      int const y = tile.y + row_in_tile<T>() + run * kRunRows;
       F u = 0, v = 0;
       if (x < width && y < height) {
         places.near(y, x, u, v);

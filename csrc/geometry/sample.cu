@@ -5,18 +5,24 @@
 namespace kv::cuda {
 namespace {
 
-// The value of K x K taps, rows `pitch` apart and pixels `step`.
+// The value of K x K taps, rows `pitch` apart and pixels `step`, with the weights of (tx, ty).
 template <int K, class T, class F>
-__device__ __forceinline__ F weighted(T const* taps, int pitch, int step, F const (&wx)[K], F const (&wy)[K]) {
-  F sum = 0;
+__device__ __forceinline__ F mean(T const* taps, int pitch, int step, F tx, F ty, F const (&wx)[K], F const (&wy)[K]) {
+  auto const at = [&](int j, int i) { return F(read(taps[j * pitch + i * step])); };
+  if constexpr (K == 2) {
+    F const above = at(0, 0) + tx * (at(0, 1) - at(0, 0)), below = at(1, 0) + tx * (at(1, 1) - at(1, 0));
+    return above + ty * (below - above);
+  } else {
+    F sum = 0;
 #pragma unroll
-  for (int j = 0; j < K; ++j) {
-    F line = 0;
+    for (int j = 0; j < K; ++j) {
+      F line = 0;
 #pragma unroll
-    for (int i = 0; i < K; ++i) line += F(read(taps[j * pitch + i * step])) * wx[i];
-    sum += line * wy[j];
+      for (int i = 0; i < K; ++i) line += at(j, i) * wx[i];
+      sum += line * wy[j];
+    }
+    return sum;
   }
-  return sum;
 }
 
 // N channels of a place, from the image itself. Tap by tap at the rim, and where a tap of weight 0 may be NaN or inf,
@@ -34,7 +40,7 @@ __device__ __noinline__ void sample_where_it_is(Sample<T> const& p, Tile<F> cons
     T const* const taps = p.x.row(tile.b, first, window.y) + window.x * step;
 #pragma unroll
     for (int k = 0; k < N; ++k) {
-      F const sum = weighted<K>(taps + k * p.x.channel_stride, int(row), int(step), wx, wy);
+      F const sum = mean<K>(taps + k * p.x.channel_stride, int(row), int(step), window.tx, window.ty, wx, wy);
       poison += sum * 0;
       result[k * p.y.channel_stride] = round_to<T>(sum);
     }
@@ -74,7 +80,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
     Patch<T> const patch(shared_pixels, view.template look<K>(number, p, width, height, kept), p, F());
     int const origin = patch.origin(tile.u, tile.v);
     int64_t const b = tile.b;
-    int const x = tile.x + column_in_tile(), y = tile.y + row_in_tile();
+    int const x = tile.x + column_in_tile<T>(), y = tile.y + row_in_tile<T>();
     in_groups<Patch<T>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
       if (patch.fits)
@@ -83,7 +89,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
       if (x >= width) return;
       F poison = 0;  // NaN where a tap is no finite number
       if (patch.fits) {
-        Runs<F> const runs(tile, p.places, kept);
+        Runs<F> const runs(tile, p.places, kept, column_in_tile<T>(), row_in_tile<T>());
         T* planes[N];
 #pragma unroll
         for (int k = 0; k < N; ++k) planes[k] = p.y.row(b, first + k, 0);
@@ -98,7 +104,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
           tap_weights(ty, wy);
 #pragma unroll
           for (int k = 0; k < N; ++k) {
-            F const sum = weighted<K>(taps + k * Patch<T>::kSize, Patch<T>::kPitch, 1, wx, wy);
+            F const sum = mean<K>(taps + k * Patch<T>::kSize, Patch<T>::kPitch, 1, tx, ty, wx, wy);
             if constexpr (sizeof(T) > 1 && K > 1) poison += sum * 0;
             planes[k][to] = round_to<T>(sum);
           }

@@ -55,9 +55,18 @@ struct Tile {
   }
 };
 
-// The first place of a thread in its tile; the others are kRunRows below each other.
-__device__ __forceinline__ int column_in_tile() { return threadIdx.x % 8 + threadIdx.x / 32 % 4 * 8; }
-__device__ __forceinline__ int row_in_tile() { return threadIdx.x % 32 / 8 + threadIdx.x / 128 * 4; }
+// The first place of a thread in its tile; the others are kRunRows below each other. A warp takes 8 x 4 places, of
+// types of two bytes 16 x 2: what it writes then fills sectors of memory.
+template <class T = float>
+__device__ __forceinline__ int column_in_tile() {
+  constexpr int across = sizeof(T) == 2 ? 16 : 8;
+  return threadIdx.x % across + threadIdx.x / 32 % (kTile / across) * across;
+}
+template <class T = float>
+__device__ __forceinline__ int row_in_tile() {
+  constexpr int across = sizeof(T) == 2 ? 16 : 8, down = 32 / across;
+  return threadIdx.x % 32 / across + threadIdx.x / (32 * down) * down;
+}
 
 // --- places
 // --------------------------------------------------------------------------------------------------

@@ -55,16 +55,16 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
     Patch<T> const patch(shared_pixels, view.template look<K>(number, p, width, height, kept), p, F());
     int const origin = patch.origin(tile.u, tile.v);
     int64_t const b = tile.b;
-    int const x = tile.x + column_in_tile();
+    int const x = tile.x + column_in_tile<T>();
     in_groups<Patch<T>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
       if (patch.fits)
         patch.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
                                [&](int c) { return p.fill ? round_to<T>(p.fill_of(b, c)) : T{}; });
-      Runs<F> const runs(tile, p.places, kept);
+      Runs<F> const runs(tile, p.places, kept, column_in_tile<T>(), row_in_tile<T>());
 #pragma unroll 1
       for (int run = 0; run < kRuns; ++run) {
-        int const y = tile.y + row_in_tile() + run * kRunRows;
+        int const y = tile.y + row_in_tile<T>() + run * kRunRows;
         if (x >= width || y >= height) break;
         T const* const grad = p.grad.row(b, first, y) + x * p.grad.step;
         F g[N];

@@ -156,7 +156,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
   for (int number = 0; number < int(tiles.row) && shared_tiles[number].x < width; ++number) {
     Sources<F> const& tile = shared_tiles[number];
     Gradients const patch(shared_pixels, tile.places);
-    int const x = column_in_tile();
+    int const x = column_in_tile<T>();
     in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
       constexpr int N = channels.value;
       if (patch.fits) patch.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
@@ -165,10 +165,10 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
       T* planes[N];
 #pragma unroll
       for (int k = 0; k < N; ++k) planes[k] = p.grad_x.row(tile.b, first + k, 0);
-      int to = (tile.y + row_in_tile()) * width + tile.x + x;
+      int to = (tile.y + row_in_tile<T>()) * width + tile.x + x;
       int const origin = patch.origin(tile.u, tile.v);
 #pragma unroll 1
-      for (int y = row_in_tile(); patch.fits && y < min(kTile, height - tile.y);
+      for (int y = row_in_tile<T>(); patch.fits && y < min(kTile, height - tile.y);
            y += kRunRows, to += kRunRows * width) {
         F center_u, center_v, first_u, first_v, sums[N] = {};
         tile.back.at(F(x), F(y), center_u, center_v);
@@ -208,7 +208,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
       }
       if (!patch.fits || poison != 0)
 #pragma unroll 1
-        for (int y = row_in_tile(); y < min(kTile, height - tile.y); y += kRunRows)
+        for (int y = row_in_tile<T>(); y < min(kTile, height - tile.y); y += kRunRows)
           gather_where_they_are<K, N>(p, tile, first, y, x);
     });
   }

@@ -254,7 +254,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
     Tile<F> const& tile = view.tiles[number];
     void* const kept = shared_sums + Sums::bytes(p.grad.channels);
     Sums const patch(shared_sums, view.template look<K>(number, p, width, height, kept), p, F());
-    int const x = tile.x + column_in_tile(), y = tile.y + row_in_tile(), origin = patch.origin(tile.u, tile.v);
+    int const x = tile.x + column_in_tile<T>(), y = tile.y + row_in_tile<T>(), origin = patch.origin(tile.u, tile.v);
     in_groups<Sums::kChannels>(p.grad.channels, [&](int first, auto channels) {
       constexpr int N = channels.value;
       if (!patch.fits) return scatter_where_they_are<K, N>(p, tile, first, y, x);
@@ -272,7 +272,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 4)
 #pragma unroll
           for (int k = 0; k < N; ++k) patch.pixels[k * Sums::kSize + row * Sums::kPitch + column] = 0;
       __syncthreads();
-      Runs<F> const runs(tile, p.places, kept);
+      Runs<F> const runs(tile, p.places, kept, column_in_tile<T>(), row_in_tile<T>());
 #pragma unroll
       for (int run = 0; run < kRuns; ++run) {
         if (x >= width || y + run * kRunRows >= height) break;

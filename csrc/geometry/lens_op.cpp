@@ -51,7 +51,7 @@ Tensor through_lens(char const* op, Tensor const& points, Tensor const& camera, 
 
 Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
                  std::optional<Tensor> const& tilt, int64_t steps) {
-  auto const run = [&](Tensor const& x, auto const& params, int64_t count) {
+  auto const run = [&]([[maybe_unused]] Tensor const& x, auto const& params, int64_t count) {
     KV_RUN(undistort, x, params, count, 4 * (1 + steps));
   };
   return through_lens("undistort", points, camera, wanted, coefficients, tilt, steps, run);
@@ -59,7 +59,9 @@ Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wante
 
 Tensor distort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
                std::optional<Tensor> const& tilt) {
-  auto const run = [&](Tensor const& x, auto const& params, int64_t count) { KV_RUN(distort, x, params, count, 8); };
+  auto const run = [&]([[maybe_unused]] Tensor const& x, auto const& params, int64_t count) {
+    KV_RUN(distort, x, params, count, 8);
+  };
   return through_lens("distort", points, camera, wanted, coefficients, tilt, 0, run);
 }
 

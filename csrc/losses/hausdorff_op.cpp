@@ -41,12 +41,13 @@ struct LabelledPlanes {
 };
 
 #if defined(KV_CUDA)
-// Memory of planes that are worked on together: so many that it stays in the L2.
+// Memory of planes that are worked on together: so many that it is a map of all, and no less than what fills the
+// machine.
 template <class Params>
 std::pair<Tensor, Tensor> make_room(LabelledPlanes const& x, Params& params, int64_t maps, int64_t numbers) {
   constexpr int64_t kTogether = 1 << 20;
   int64_t const n = x.extent.size(), pieces = (n + kErosionPiece - 1) / kErosionPiece;
-  params.at_once = clamp(kTogether / n, int64_t(1), x.planes());
+  params.at_once = clamp(std::max(kTogether / n, x.planes() / maps), int64_t(1), x.planes());
   std::pair const room(empty({maps, params.at_once, n}, x.pred), empty({numbers, params.at_once, pieces}, x.pred));
   params.maps = static_cast<decltype(params.maps)>(const_cast<void*>(room.first.const_data_ptr()));
   params.numbers = static_cast<decltype(params.numbers)>(const_cast<void*>(room.second.const_data_ptr()));

@@ -45,11 +45,11 @@ std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool
     KV_RUN(lovasz_errors, pred, errors, x.blocks(), x.cost());
     LovaszSlopes<F> params{x.labels(), data_of<F>(slopes), data_of<F>(losses), {}, nullptr, nullptr, 0};
 #if defined(KV_CUDA)
-    // So many segments together that their memory stays in the L2, and is no more than the slopes take of larger
-    // batches.
+    // So many segments together that their memory, four times that of their slopes, is a map of all, and no less than
+    // what fills the machine.
     constexpr int64_t kTogether = 1 << 20, kSize = 2 * sizeof(Ranked<F>);
     int64_t const segments = x.batch * x.classes, pieces = (x.pixels + kRankedPiece<F> - 1) / kRankedPiece<F>;
-    params.at_once = clamp(kTogether / x.pixels, int64_t(1), segments);
+    params.at_once = clamp(std::max(kTogether / x.pixels, segments / 4), int64_t(1), segments);
     Tensor const ranked = empty({2, params.at_once, x.pixels, kSize / 2}, pred, Layout::planar, ScalarType::Byte);
     Tensor const counts = empty({params.at_once, pieces + 1, kRankedDigits}, pred, Layout::planar, ScalarType::Int);
     Tensor const partial = empty({segments, pieces}, pred, Layout::planar, type);

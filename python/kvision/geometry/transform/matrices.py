@@ -495,7 +495,7 @@ def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
         >>> import torch, kvision as K
         >>> x, y, z = [0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4
         >>> cube = torch.tensor([x, y, z]).T[None]
-        >>> K.geometry.get_perspective_transform3d(cube, 2 * cube + 1).round(decimals=3)[0, 0]
+        >>> K.geometry.get_perspective_transform3d(cube, 2 * cube + 1).round(decimals=3)[0, 0] + 0
         tensor([2., 0., 0., 1.])
     """
     op = "get_perspective_transform3d"

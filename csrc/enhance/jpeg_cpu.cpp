@@ -382,13 +382,16 @@ void jpeg_pull_steps(JpegPullSteps<F> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b) {
     auto const percent = jpeg_percent(jpeg_quality(p.tables, b));
     F of_percent = 0;
-    for (int i = 0; i < 128; ++i) {
-      F sum = 0;
-      for (int64_t piece = 0; piece < p.pieces; ++piece) sum += p.slopes[(b * p.pieces + piece) * 128 + i];
-      F const table = jpeg_table(p.tables, b, i);
-      sum *= jpeg_step(table, percent.value).slope;
-      (i < 64 ? p.grad_luma : p.grad_chroma)[b * 64 + i % 64] = sum * percent.value;
-      of_percent += sum * table;
+    for (int first = 0; first < 128; first += 64) {
+      F* const to = (first == 0 ? p.grad_luma : p.grad_chroma) + b * 64;
+      for (int i = 0; i < 64; ++i) {
+        F sum = 0;
+        for (int64_t piece = 0; piece < p.pieces; ++piece) sum += p.slopes[(b * p.pieces + piece) * 128 + first + i];
+        F const table = jpeg_table(p.tables, b, first + i);
+        sum *= jpeg_step(table, percent.value).slope;
+        to[i] = sum * percent.value;
+        of_percent += sum * table;
+      }
     }
     p.grad_quality[b] = of_percent * percent.slope;
   }

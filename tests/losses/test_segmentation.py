@@ -133,6 +133,8 @@ class TestHausdorff(Segmentation):
     channels = 2
     shape = (2, 2, 13, 18)
     small = (1, 2, 3, 4)
+    # Each erosion divides by the largest value that survived the one before.
+    tolerances = {torch.float32: (1e-4, 1e-5)}
     variants = [
         {"target": lambda x: labels(x).clamp_min(0)[:, None], "k": 3, "reduction": "none"},
         {"target": lambda x: labels(x).clamp_min(0)[:, None], "k": 4, "alpha": 0.5},

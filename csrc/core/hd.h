@@ -10,6 +10,7 @@
 #else
 #define KV_HD inline __attribute__((always_inline))
 #endif
+#define KV_INLINE __attribute__((always_inline))  // of lambdas
 
 namespace kv {
 

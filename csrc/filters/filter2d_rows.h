@@ -8,8 +8,6 @@
 namespace kv::KV_ISA {
 namespace {
 
-#define KV_INLINE __attribute__((always_inline))
-
 // Calls f(Width<0>{}) ... f(Width<N - 1>{}): loops that the compiler sees through from the start, so that arrays
 // indexed by them live in registers.
 template <int N, class F>

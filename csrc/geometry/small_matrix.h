@@ -30,9 +30,6 @@ struct Reals {
 #define KV_CALLED KV_HD
 #endif
 
-// Of lambdas, which otherwise may survive as symbols that several instruction sets share.
-#define KV_INLINE __attribute__((always_inline))
-
 namespace small {
 
 KV_HD double magnitude(double x) { return x < 0 ? -x : x; }

@@ -161,6 +161,7 @@ class Operator:
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too.
+        labels: the first tensor holds int64 or uint8, and the kernels take no other types.
         halves: the reference takes half types as they are, because how they round is part of the result.
         autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
             which is safe for filters: they store half types but compute in float32.
@@ -180,6 +181,7 @@ class Operator:
         constant: Sequence[int] = (),
         linear: bool = False,
         bytes: bool = False,
+        labels: bool = False,
         halves: bool = False,
         autocast: torch.dtype | None = None,
         stores: bool = False,
@@ -192,7 +194,7 @@ class Operator:
         self.saves_results = saves_results
         self.constant = constant
         self.linear = linear
-        self.dtypes = (*FLOATS, torch.uint8) if bytes else FLOATS
+        self.dtypes = (torch.int64, torch.uint8) if labels else (*FLOATS, torch.uint8) if bytes else FLOATS
         self.autocast = autocast
         self.deterministic = deterministic
         self._fake_sizes = fake

@@ -23,12 +23,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torch.compiler.config
 from torch import Tensor, is_grad_enabled
 from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
 from torch._functorch.utils import unwrap_dead_wrappers
 from torch.autograd import forward_ad
 from torch.compiler import is_compiling
 
+from kvision._version import __version__
 from kvision.core.exceptions import ValueCheckError
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
@@ -65,6 +67,10 @@ def _compiler(device: str) -> str:
 
 
 _load()
+
+# torch finds the compiled graphs that it keeps on disk by the names of the operators in them. Those of another kvision may
+# have other arguments and other gradients.
+torch.compiler.config.cache_key_tag += f";kvision {__version__}"
 
 # --- which backend serves a call ------------------------------------------------------------------------------------
 

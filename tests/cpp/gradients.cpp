@@ -103,6 +103,10 @@ int main() {
   check(
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
+  check(
+      "mutual_information",
+      [](auto const& t) { return std::get<0>(kvision::mutual_information(t[0], t[1], {}, {}, "xu", 5)); },
+      {rows, others}, false);
   check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
   check(
       "endpoint_error", [](auto const& t) { return kvision::endpoint_error(t[0], t[1], false, true, 0.5); },

@@ -79,6 +79,84 @@ struct ComparedRows {
   __device__ __forceinline__ void load(F (&v)[kStrip + 2 * R], int y) const { spread(fetch(y), v); }
 };
 
+// Rows of images one after the other, with R pixels beside the thread's, from row `y` on; nothing but zeros outside.
+// Each thread reads them all: the memory of its neighbours is near, and there is no other end of a warp's row.
+template <class T, int R, bool Aligned>
+struct NearRows {
+  using F = Compute<T>;
+  static constexpr int P = kStrip;
+  struct Fetched {
+    Pack<T, R> left;
+    Pack<T, P> own;
+    Pack<T, R> right;
+  };
+  T const* at;
+  int64_t const stride;
+  int const x, width, height;
+  int y;
+
+  __device__ __forceinline__ NearRows(Planes<T const> const& images, int64_t plane, int column, int first)
+      : at(images.row(plane, first) + column),
+        stride(images.row_stride),
+        x(column),
+        width(int(images.width)),
+        height(int(images.height)),
+        y(first) {}
+  __device__ __forceinline__ bool has_row(int y) const { return unsigned(y) < unsigned(height); }
+  __device__ __forceinline__ bool has_left() const { return x > 0; }
+  __device__ __forceinline__ bool has_right() const { return x + P < width; }
+
+  __device__ __forceinline__ Fetched next() {
+    Fetched found{};
+    if (has_row(y)) {
+      if constexpr (Aligned) {
+        if (x < width) {
+          found.own = *reinterpret_cast<Pack<T, P> const*>(at);
+          if (has_left()) found.left = *reinterpret_cast<Pack<T, R> const*>(at - R);
+          if (has_right()) found.right = *reinterpret_cast<Pack<T, R> const*>(at + P);
+        }
+      } else {
+#pragma unroll
+        for (int i = -R; i < P + R; ++i) {
+          T& to = i < 0 ? found.left.v[R + i] : i < P ? found.own.v[i] : found.right.v[i - P];
+          if (x + i >= 0 && x + i < width) to = at[i];
+        }
+      }
+    }
+    at += stride, ++y;
+    return found;
+  }
+  // What was read of row y, times `sign`, and `outside` where there is nothing.
+  __device__ __forceinline__ void spread(Fetched const& f, int y, F sign, F outside, F (&v)[P + 2 * R]) const {
+    F const nothing = has_row(y) ? F(0) : outside;
+    F const to_left = has_left() ? nothing : outside, to_right = has_right() ? nothing : outside;
+#pragma unroll
+    for (int i = 0; i < P; ++i) v[R + i] = added(f.own.v[i], sign, x + i, nothing, outside);
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      v[i] = added(f.left.v[i], sign, x - R + i, to_left, outside);
+      v[R + P + i] = added(f.right.v[i], sign, x + P + i, to_right, outside);
+    }
+  }
+
+ private:
+  __device__ __forceinline__ F added(T pixel, F sign, int column, F nothing, F outside) const {
+    F const value = read(pixel) * sign + nothing;
+    return Aligned || (column >= 0 && column < width) ? value : outside;
+  }
+};
+
+template <class T, bool Aligned>
+__device__ __forceinline__ void store_row(T* to, int x, int width, Compute<T> const (&v)[kStrip]) {
+  if constexpr (Aligned) {
+    if (x < width) store_pack(to, v);
+  } else {
+#pragma unroll
+    for (int i = 0; i < kStrip; ++i)
+      if (x + i < width) to[i] = round_to<T>(v[i]);
+  }
+}
+
 template <class F, int N>
 __device__ __forceinline__ void move_up(F (&rows)[3][N]) {
 #pragma unroll
@@ -193,19 +271,21 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
   if (!NineTaps<F>(p.window, plane / p.planes).flat) return;
-  int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
-  ComparedRows<T, 2, Aligned> const rows(p.x, plane, x, p.window);
-  Strip<1, Aligned, P> const grads(x, int(p.x.width), Border::constant);
-  T const* const grad = p.grad.plane(plane);
+  int const y1 = min(y0 + int(strips.rows), int(p.x.height)), width = int(p.x.width);
+  F const sign = p.window.sign(), outside = read(round_to<T>(p.window.value)) * sign;
+  NearRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2);
+  NearRows<T, 1, Aligned> grads(p.grad, plane, x, y0 - 1);
+  T* out = p.grad_x.row(plane, y0) + x;
 
   F most[2][P + 2], ties[2][P + 2];      // of three neighbours in x
   F least[2][P] = {}, parts[2][P] = {};  // of three neighbouring windows
   F own[2][P];                           // x itself
-  auto ahead = rows.fetch(y0 - 2);
+  auto ahead = rows.next();
+  auto grad_ahead = grads.next();
   auto const next_x = [&](int y, F(&m)[P + 2], F(&t)[P + 2], F(&mine)[P]) {
     F v[P + 4];
-    rows.spread(ahead, v);
-    ahead = rows.fetch(y + 1);
+    rows.spread(ahead, y, sign, outside, v);
+    ahead = rows.next();
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) {
       m[i] = join(join(v[i], v[i + 1]), v[i + 2]);
@@ -218,8 +298,9 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   next_x(y0 - 2, most[0], ties[0], own[0]);
   next_x(y0 - 1, most[1], ties[1], own[1]);
   auto const step = [&](int q, int slot) {
-    F g[P + 2] = {}, new_most[P + 2], new_ties[P + 2], new_own[P];
-    if (q >= 0 && q < height) grads.load(g, grad + q * p.grad.row_stride);
+    F g[P + 2], new_most[P + 2], new_ties[P + 2], new_own[P];
+    grads.spread(grad_ahead, q, F(1), F(0), g);
+    grad_ahead = grads.next();
     next_x(q + 1, new_most, new_ties, new_own);
     F m[P + 2], part[P + 2];
 #pragma unroll
@@ -240,7 +321,9 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
       sum[i] = own[slot][i] == lowest ? of_lowest : F(0);
       least[slot][i] = low, parts[slot][i] = of_low, own[slot][i] = new_own[i];
     }
-    if (q > y0) grads.store(p.grad_x.row(plane, q - 1), sum);
+    if (q <= y0) return;
+    store_row<T, Aligned>(out, x, width, sum);
+    out += p.grad_x.row_stride;
   };
 #pragma unroll 1
   for (int q = y0 - 1; q <= y1; q += 2) {

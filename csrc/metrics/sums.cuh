@@ -3,20 +3,13 @@
 #pragma once
 
 #include "core/early_launch.cuh"
+#include "core/reciprocal.cuh"
 #include "metrics/sums.h"
 
 namespace kv::cuda {
 namespace {
 
 constexpr int kSumThreads = 256;
-
-// As cheap as fast_sqrt, and as good.
-__device__ __forceinline__ float fast_reciprocal(float x) {
-  float y;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-  return y;
-}
-__device__ __forceinline__ double fast_reciprocal(double x) { return 1 / x; }
 
 // The sum over a block, to its first thread.
 template <int Threads = kSumThreads, class F>

@@ -10,38 +10,6 @@ namespace {
 
 constexpr int kThreads = kSumThreads;
 
-// Reductions over a block, to all of its threads.
-struct Larger {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a != a || a > b ? a : b;  // NaN, if there is one
-  }
-};
-struct Plus {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a + b;
-  }
-};
-template <int K, class F, class Op>
-__device__ __forceinline__ void over_block(F (&v)[K], Op op) {
-  constexpr int kWarps = kThreads / 32;
-  __shared__ F of_warps[K][kWarps];
-  __syncthreads();  // with what was there before
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-#pragma unroll
-    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
-    if (threadIdx.x % 32 == 0) of_warps[k][threadIdx.x / 32] = v[k];
-  }
-  __syncthreads();
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-    v[k] = of_warps[k][0];
-    for (int w = 1; w < kWarps; ++w) v[k] = op(v[k], of_warps[k][w]);
-  }
-}
-
 // The K numbers of every piece of a plane together.
 template <int K, class F, class Op>
 __device__ __forceinline__ void over_pieces(F (&v)[K], F const* numbers, unsigned pieces, Op op) {

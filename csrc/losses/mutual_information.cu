@@ -1,47 +1,14 @@
 // Mutual information on CUDA: ranges of the signals' pieces, joint histograms, what follows from these; backward the
 // gradients by places, then what the ends of the ranges get. Histograms are in fixed point, so that atomic sums do not
 // depend on their order: in shared memory, in two words a bin, where they fit.
-#include "core/early_launch.cuh"
+#include "metrics/sums.cuh"
 #include "mutual_information.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 256, kFinishThreads = 512;
+constexpr int kThreads = kSumThreads, kFinishThreads = 512;
 constexpr int kShared = 5632;  // bins of a joint histogram that a block has memory for
-
-// Puts K numbers of all threads together by op, to all of them.
-template <int Threads, int K, class F, class Op>
-__device__ __forceinline__ void over_block(F (&v)[K], Op op) {
-  __shared__ F of_warps[Threads / 32][K];
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-#pragma unroll
-    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
-  }
-  __syncthreads();  // with what was there before
-  if (threadIdx.x % 32 == 0)
-    for (int k = 0; k < K; ++k) of_warps[threadIdx.x / 32][k] = v[k];
-  __syncthreads();
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-    v[k] = of_warps[0][k];
-    for (int w = 1; w < Threads / 32; ++w) v[k] = op(v[k], of_warps[w][k]);
-  }
-}
-
-struct Larger {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a != a || a > b ? a : b;  // NaN, if there is one
-  }
-};
-struct Plus {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a + b;
-  }
-};
 
 // A block's row, and its samples.
 struct Piece {
@@ -65,7 +32,7 @@ __global__ void __launch_bounds__(kThreads) find_ranges(__grid_constant__ Mutual
     if (p.x.counts(at.row, i)) ends[0] = Larger()(ends[0], -x), ends[1] = Larger()(ends[1], x);
     if (p.y.counts(at.row, i)) ends[2] = Larger()(ends[2], -y), ends[3] = Larger()(ends[3], y);
   }
-  over_block<kThreads>(ends, Larger());
+  over_block(ends, Larger());
   if (threadIdx.x < 4) p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = ends[threadIdx.x];
 }
 
@@ -82,7 +49,7 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
   for (int64_t i = threadIdx.x; i < p.pieces; i += kThreads)
 #pragma unroll
     for (int k = 0; k < 4; ++k) ends[k] = Larger()(ends[k], p.partial[4 * (at.row * p.pieces + i) + k]);
-  over_block<kThreads>(ends, Larger());
+  over_block(ends, Larger());
   SignalRange<F> const of_x{-ends[0], ends[1]}, of_y{-ends[2], ends[3]};
   if (at.first == 0 && threadIdx.x < 4)
     p.ranges[4 * at.row + threadIdx.x] = threadIdx.x % 2 == 0 ? -ends[threadIdx.x] : ends[threadIdx.x];
@@ -186,7 +153,7 @@ __global__ void __launch_bounds__(kThreads)
     p.out[at.row * p.samples + i] = flat ? F(0) : of_share * inverse;
   }
   double found[] = {ends.low, ends.high, ends.lowest, ends.highest};
-  over_block<kThreads>(found, Plus());
+  over_block(found, Plus());
   if (threadIdx.x < 4) p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = F(found[threadIdx.x]);
 }
 
@@ -202,7 +169,7 @@ __global__ void __launch_bounds__(kThreads) add_to_ends(__grid_constant__ Mutual
   for (int64_t i = threadIdx.x; i < p.pieces; i += kThreads)
 #pragma unroll
     for (int k = 0; k < 4; ++k) ends[k] += p.partial[4 * (at.row * p.pieces + i) + k];
-  over_block<kThreads>(ends, Plus());
+  over_block(ends, Plus());
   F const inverse = 1 / (range.high - range.low);
   F const to_low = F(ends[0] / ends[2]) * inverse, to_high = F(ends[1] / ends[3]) * inverse;
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {

@@ -78,15 +78,14 @@ std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& grad, T
   return DltCall("homography_dlt_backward", DltModel::homography, points1, points2, weights, {}).differentiate(grad);
 }
 
-Tensor homography_lines_dlt(Tensor const& segments1, Tensor const& segments2, std::optional<Tensor> const& weights) {
-  return DltCall("homography_lines_dlt", DltModel::lines, segments1, segments2, weights, {}).find();
+Tensor homography_lines_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
+  return DltCall("homography_lines_dlt", DltModel::lines, points1, points2, weights, {}).find();
 }
 
-std::tuple<Tensor, Tensor, Tensor> homography_lines_dlt_backward(Tensor const& grad, Tensor const& segments1,
-                                                                 Tensor const& segments2,
+std::tuple<Tensor, Tensor, Tensor> homography_lines_dlt_backward(Tensor const& grad, Tensor const& points1,
+                                                                 Tensor const& points2,
                                                                  std::optional<Tensor> const& weights) {
-  return DltCall("homography_lines_dlt_backward", DltModel::lines, segments1, segments2, weights, {})
-      .differentiate(grad);
+  return DltCall("homography_lines_dlt_backward", DltModel::lines, points1, points2, weights, {}).differentiate(grad);
 }
 
 Tensor fundamental_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {

@@ -103,18 +103,17 @@ inline Tensor homography_dlt(Tensor const& points1, Tensor const& points2, std::
   return detail::dlt<"homography_dlt">(points1, points2, weights, homography_dlt_backward);
 }
 
-inline std::tuple<Tensor, Tensor, Tensor> homography_lines_dlt_backward(Tensor const& grad, Tensor const& segments1,
-                                                                        Tensor const& segments2,
+inline std::tuple<Tensor, Tensor, Tensor> homography_lines_dlt_backward(Tensor const& grad, Tensor const& points1,
+                                                                        Tensor const& points2,
                                                                         std::optional<Tensor> const& weights) {
-  return detail::dlt_backward<"homography_lines_dlt_backward">(grad, segments1, segments2, weights,
-                                                               "homography_lines_dlt");
+  return detail::dlt_backward<"homography_lines_dlt_backward">(grad, points1, points2, weights, "homography_lines_dlt");
 }
 
 // The homographies (B, 3, 3) that take the ends of segments (B, N, 2, 2) nearest to the lines of others, with weights
 // (B, N).
-inline Tensor homography_lines_dlt(Tensor const& segments1, Tensor const& segments2,
+inline Tensor homography_lines_dlt(Tensor const& points1, Tensor const& points2,
                                    std::optional<Tensor> const& weights = {}) {
-  return detail::dlt<"homography_lines_dlt">(segments1, segments2, weights, homography_lines_dlt_backward);
+  return detail::dlt<"homography_lines_dlt">(points1, points2, weights, homography_lines_dlt_backward);
 }
 
 inline std::tuple<Tensor, Tensor> normalize_points_backward(Tensor const& grad, Tensor const& grad_matrix,
@@ -122,8 +121,8 @@ inline std::tuple<Tensor, Tensor> normalize_points_backward(Tensor const& grad, 
                                                             double eps) {
   using namespace detail;
   auto const compute = [&] {
-    auto [to_points, to_weights] = call<"normalize_points_backward", std::tuple<Tensor, Tensor>>(
-        grad, grad_matrix, points, weights, eps);
+    auto [to_points, to_weights] =
+        call<"normalize_points_backward", std::tuple<Tensor, Tensor>>(grad, grad_matrix, points, weights, eps);
     return variable_list{to_points, to_weights};
   };
   variable_list const tensors{grad, grad_matrix, points, weights.value_or(Tensor())};

@@ -219,8 +219,7 @@ int main() {
   check("normalize_points", both, {from, torch::rand({2, 6}) + 0.5}, false);
   Tensor const turn = torch::rand({2, 3, 3}), shift = torch::rand({2, 3, 1});
   check(
-      "essential_from_motions",
-      [](auto const& t) { return kvision::essential_from_motions(t[0], t[1], t[2], t[3]); },
+      "essential_from_motions", [](auto const& t) { return kvision::essential_from_motions(t[0], t[1], t[2], t[3]); },
       {turn, shift, turn + 1, shift + 1}, false);
   Tensor const first = torch::rand({2, 9, 2}), second = first + 0.1 * torch::rand({2, 9, 2});
   check("fundamental_dlt", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1]); }, {first, second}, false);

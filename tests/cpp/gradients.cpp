@@ -217,10 +217,10 @@ int main() {
     return torch::cat({points, matrix.narrow(2, 0, 2) + matrix.narrow(2, 1, 2)}, 1);
   };
   check("normalize_points", both, {from, torch::rand({2, 6}) + 0.5}, false);
-  Tensor const turn = torch::rand({2, 3, 3}), shift = torch::rand({2, 3, 1});
+  Tensor const rotation = torch::rand({2, 3, 3}), translation = torch::rand({2, 3, 1});
   check(
       "essential_from_motions", [](auto const& t) { return kvision::essential_from_motions(t[0], t[1], t[2], t[3]); },
-      {turn, shift, turn + 1, shift + 1}, false);
+      {rotation, translation, rotation + 1, translation + 1}, false);
   Tensor const first = torch::rand({2, 9, 2}), second = first + 0.1 * torch::rand({2, 9, 2});
   check("fundamental_dlt", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1]); }, {first, second}, false);
   check(

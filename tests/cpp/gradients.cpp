@@ -149,6 +149,9 @@ int main() {
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
   check("local_maxima", [](auto const& t) { return std::get<0>(kvision::local_maxima(t[0], {1, 3, 3})); }, {x});
+  check(
+      "gaussian_maps", [](auto const& t) { return kvision::gaussian_maps(t[0], t[1], 5, 6, true); },
+      {torch::rand({3, 2}) - 0.5, torch::rand({1, 2}) + 0.5}, false);
   check("mean_place", [](auto const& t) { return std::get<0>(kvision::mean_place(t[0], true, 2)); }, {x}, false);
   check(
       "soft_argmax",

@@ -237,7 +237,7 @@ def _gaussian_backward(needs, grad, mean, std, height, width, normalized):
 
 def _gaussian_slopes_reference(grad: Tensor, mean: Tensor, std: Tensor, normalized: bool) -> tuple[Tensor, ...]:
     def maps(mean: Tensor, std: Tensor) -> Tensor:
-        return _gaussian_reference(mean, std, *grad.shape[1:], normalized)
+        return _gaussian_reference(mean, std, grad.shape[1], grad.shape[2], normalized)
 
     return torch.func.vjp(maps, *(x.expand(grad.shape[0], 2) for x in (mean, std)))[1](grad)
 

@@ -74,6 +74,11 @@ FORMULAS = {
     "perspective_matrix3d": [Formula((near(CUBE), near(2 * CUBE)))],
     "crop_matrix": [Formula((near(SQUARE), vector(2)), (4.0, 3.0)), Formula((near(SQUARE), None), (4.0, 1.0))],
     "quad_shapes": [Formula((near(SQUARE), near(SQUARE)))],
+    "essential_from_fundamental": [Formula((vector(3, 3),) * 3)],
+    "fundamental_from_essential": [Formula((vector(3, 3), near(EYE), near(EYE)))],
+    "fundamental_from_projections": [Formula((vector(3, 4),) * 2)],
+    "camera_motion": [Formula((vector(3, 3), vector(3, 1)) * 2)],
+    "essential_from_motions": [Formula((vector(3, 3), vector(3, 1)) * 2)],
 }
 CASES = [pytest.param(name, f, id=f"{name}-{i}") for name, fs in FORMULAS.items() for i, f in enumerate(fs)]
 every_formula = pytest.mark.parametrize("name, formula", CASES)

@@ -212,7 +212,7 @@ int main() {
         return kvision::warp3d_by_formula(t[0], t[1], t[1], t[1], some, some, t[2], "affine_matrix3d", {1, 0, 0, 0},
                                           {3, 5, 4});
       },
-      {volume, 100 * torch::rand({2}), torch::rand({1, 3}) + 0.5}, false);
+      {volume, 100 * torch::rand({1}), torch::rand({1, 3}) + 0.5}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },

@@ -199,6 +199,27 @@ int main() {
       "affine_matrix2d",
       [](auto const& t) { return kvision::affine_matrix2d(t[0], t[1], {}, t[2], {}, t[3], 1, 0, 0, 2); },
       {100 * torch::rand({2}), torch::rand({1, 2}), torch::rand({2}), torch::rand({2, 2})}, false);
+  auto const some = std::nullopt;
+  check(
+      "warp_by_formula",
+      [&](auto const& t) {
+        return kvision::warp_by_formula(t[0], t[1], some, t[2], some, some, some, "affine_matrix2d", {1, 2, 3}, {5, 4});
+      },
+      {x, 100 * torch::rand({2}), torch::rand({1, 2}) + 0.5}, false);
+  check(
+      "warp_by_formula of numbers",
+      [&](auto const& t) {
+        return kvision::warp_by_formula(t[0], some, some, some, some, some, some, "translation_matrix2d", {0.3, 1.2},
+                                        {5, 4});
+      },
+      {x}, false);
+  check(
+      "warp3d_by_formula",
+      [&](auto const& t) {
+        return kvision::warp3d_by_formula(t[0], t[1], t[1], t[1], some, some, t[2], "affine_matrix3d", {1, 0, 0, 0},
+                                          {3, 5, 4});
+      },
+      {volume, 100 * torch::rand({1}), torch::rand({1, 3}) + 0.5}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },

@@ -13,7 +13,7 @@ A variant is a dict of keyword arguments. A value that is callable is called wit
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import hypothesis.strategies as st
@@ -72,6 +72,20 @@ def with_layout(x: Tensor, layout: str) -> Tensor:
 
 def as_tuple(output: Any) -> tuple[Tensor, ...]:
     return tuple(output) if isinstance(output, (tuple, list)) else (output,)
+
+
+def does_not_wait(device: torch.device, calls: Sequence[Callable[[], Any]]) -> None:
+    """None of the calls waits for a GPU, but for the first time."""
+    for call in calls:
+        call()
+    if device.type != "cuda":
+        return
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        for call in calls:
+            call()
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
 
 
 @contextlib.contextmanager

@@ -155,3 +155,7 @@ print(megabytes() - before, y.data_ptr() % 64)
     for _ in range(3):  # whether memory is lost depends on where things happen to lie
         grown, misaligned = run(code).stdout.split()
         assert float(grown) < 30 and int(misaligned) == 0  # a result is 12 MB
+
+
+def test_graphs_that_torch_keeps_on_disk_are_of_this_version():
+    assert f"kvision {K.__version__}" in torch.compiler.config.cache_key_tag

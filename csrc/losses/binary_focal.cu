@@ -9,6 +9,7 @@ template <class T>
 __global__ void __launch_bounds__(kSumThreads)
     sum_binary_focal(__grid_constant__ BinaryFocalSum<T> const p, bool packed) {
   using F = Compute<T>;
+  let_next_begin();
   int64_t const row = blockIdx.x / p.pieces;
   BinaryFocalTerms<F> const terms = p.terms.of(row);
   F sum = 0;
@@ -49,9 +50,7 @@ template <class T>
 int binary_focal_sum(BinaryFocalSum<T> const& p, CUstream_st* stream) {
   int64_t const rows = p.pair.rows;
   sum_binary_focal<<<unsigned(rows * p.pieces), kSumThreads, 0, stream>>>(p, is_packed(p.pair, nullptr));
-  Finish<Compute<T>> const plain{1, 0};
-  finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, p.pieces, plain, p.sums);
-  return cudaGetLastError();
+  return add_up(p.partial, rows, p.pieces, p.sums, stream);
 }
 
 template <class T>

@@ -1,8 +1,7 @@
 // The Hausdorff loss on CUDA: a launch for each erosion, whose blocks begin by finding the smallest and largest numbers
-// that those of the launch before have left. Backward the erosions are made again and all kept; then there is a launch
-// for each of them the other way. Planes go through this in groups, so that what is kept is no more than a map of the
-// whole batch.
-#include "core/launch.cuh"
+// that those of the launch before have left, and are launched early. Backward the erosions are made again and all kept;
+// then there is a launch for each of them the other way. Planes go through this in groups, so that what is kept is no
+// more than a map of the whole batch.
 #include "hausdorff.h"
 #include "metrics/sums.cuh"
 
@@ -115,6 +114,8 @@ struct Erosion {
 
 template <class F, bool First>
 __global__ void __launch_bounds__(kThreads) erode(__grid_constant__ Erosion<F> const p) {
+  let_next_begin();
+  wait_for_previous();
   Group<F> const& group = p.group;
   unsigned const plane = group.plane();
   F ends[2] = {-F(INFINITY), -F(INFINITY)}, loss[1] = {};
@@ -170,6 +171,8 @@ struct Growth {
 
 template <class F, bool Last>
 __global__ void __launch_bounds__(kThreads) grow(__grid_constant__ Growth<F> const p) {
+  let_next_begin();
+  wait_for_previous();
   Group<F> const& group = p.group;
   unsigned const plane = group.plane(), pieces = group.pieces;
   int64_t const offset = int64_t(plane) * group.size, all = group.first * group.size + offset;
@@ -235,13 +238,11 @@ int hausdorff(Hausdorff<F> const& p, CUstream_st* stream) {
                    i == 2, p.map,      p.map ? nullptr : sums};
       if (i > p.k) e.to = nullptr;
       if (i == 1)
-        erode<F, true><<<blocks, kThreads, 0, stream>>>(e);
+        launch_early(erode<F, true>, blocks, kThreads, stream, e);
       else
-        erode<F, false><<<blocks, kThreads, 0, stream>>>(e);
+        launch_early(erode<F, false>, blocks, kThreads, stream, e);
     }
-    if (!p.map)
-      finish_sums<<<unsigned(planes), kSumThreads, 0, stream>>>(sums, group.pieces, Finish<F>{F(1), F(0)},
-                                                                p.sums + group.first);
+    if (!p.map) add_up(sums, planes, int64_t(group.pieces), p.sums + group.first, stream);
   });
 }
 
@@ -258,21 +259,21 @@ int hausdorff_backward(HausdorffBackward<F> const& p, CUstream_st* stream) {
           group,  i > 1 ? map(i - 1) : nullptr, i > 1 ? ends(i - 1) : nullptr, map(i), ends(i), F(0), true, nullptr,
           nullptr};
       if (i == 1)
-        erode<F, true><<<blocks, kThreads, 0, stream>>>(e);
+        launch_early(erode<F, true>, blocks, kThreads, stream, e);
       else
-        erode<F, false><<<blocks, kThreads, 0, stream>>>(e);
+        launch_early(erode<F, false>, blocks, kThreads, stream, e);
     }
     for (int64_t i = p.k + 1; i >= 1; --i) {
       Growth<F> e{};
       e.group = group, e.grad = p.grad, e.of_sums = p.of_sums, e.out = p.grad_pred;
       if (i <= p.k) e.c = map(i), e.numbers = ends(i), e.g = map(p.k + 1 + i % 2), e.sums = sums_of(i);
       if (i == 1) {
-        grow<F, true><<<blocks, kThreads, 0, stream>>>(e);
+        launch_early(grow<F, true>, blocks, kThreads, stream, e);
         continue;
       }
       e.next_c = map(i - 1), e.next_numbers = ends(i - 1), e.weight = F(weight_of(i - 1, p.alpha));
       e.next_g = map(p.k + 1 + (i - 1) % 2), e.next_sums = sums_of(i - 1);
-      grow<F, false><<<blocks, kThreads, 0, stream>>>(e);
+      launch_early(grow<F, false>, blocks, kThreads, stream, e);
     }
   });
 }

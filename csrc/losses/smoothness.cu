@@ -64,6 +64,7 @@ template <class T>
 __global__ void __launch_bounds__(kThreads)
     sum_roughness(__grid_constant__ Smoothness<T> const p, unsigned across, unsigned down) {
   using F = Compute<T>;
+  let_next_begin();
   Column<T> at(p.of, across, down);
   F sum = 0;
   if (at.x < at.width) {
@@ -149,12 +150,9 @@ struct Blocks {
 
 template <class T>
 int smoothness(Smoothness<T> const& p, CUstream_st* stream) {
-  using F = Compute<T>;
   Blocks const blocks(p.of.depth);
   sum_roughness<<<blocks.count, kThreads, 0, stream>>>(p, blocks.across, blocks.down);
-  unsigned const samples = unsigned(p.of.depth.count());
-  finish_sums<<<samples, kSumThreads, 0, stream>>>(p.partial, p.pieces, Finish<F>{F(1), F(0)}, p.sums);
-  return cudaGetLastError();
+  return add_up(p.partial, p.of.depth.count(), p.pieces, p.sums, stream);
 }
 
 template <class T>

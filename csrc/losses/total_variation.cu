@@ -53,6 +53,7 @@ template <class T, bool Aligned>
 __global__ void __launch_bounds__(kSumming, sizeof(T) == 4 ? 3 : 1)
     sum_differences(__grid_constant__ TotalVariation<T> const p, Strips<kPixels<T>> const strips, bool whole) {
   constexpr unsigned kWarps = kSumming / 32;
+  let_next_begin();
   unsigned const warp = threadIdx.x / 32, pieces = strips.across * strips.down;
   unsigned const first = whole ? blockIdx.x * pieces : blockIdx.x * kWarps;
   unsigned const end = min(first + (whole ? pieces : kWarps), strips.count);
@@ -123,10 +124,7 @@ int total_variation(TotalVariation<T> const& p, CUstream_st* stream) {
     unsigned const blocks = whole ? unsigned(planes) : strips.blocks(kSumming / 32);
     sum_differences<T, aligned.value><<<blocks, kSumming, 0, stream>>>(p, strips, whole);
   });
-  using F = Compute<T>;
-  if (!whole)
-    finish_sums<<<unsigned(planes), kSumThreads, 0, stream>>>(p.partial, p.pieces, Finish<F>{F(1), F(0)}, p.sums);
-  return cudaGetLastError();
+  return whole ? cudaGetLastError() : add_up(p.partial, planes, p.pieces, p.sums, stream);
 }
 
 template <class T>

@@ -20,6 +20,7 @@ __device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int
 template <class T>
 __global__ void __launch_bounds__(kSumThreads) find_endpoint_errors(__grid_constant__ EndpointError<T> const p) {
   using F = Compute<T>;
+  let_next_begin();
   int64_t const pieces = p.pairs.pieces(), row = blockIdx.x / pieces;
   F sum = 0;
   for_each_difference(p.pairs, row, blockIdx.x - row * pieces, [&](int64_t i, F u, F v) {
@@ -54,8 +55,7 @@ template <class T>
 int endpoint_error(EndpointError<T> const& p, CUstream_st* stream) {
   int64_t const rows = p.pairs.rows, pieces = p.pairs.pieces();
   find_endpoint_errors<<<unsigned(rows * pieces), kSumThreads, 0, stream>>>(p);
-  if (!p.map) finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, p.finish, p.sums);
-  return cudaGetLastError();
+  return p.map ? cudaGetLastError() : add_up(p.partial, rows, pieces, p.sums, stream, p.finish);
 }
 
 template <class T>

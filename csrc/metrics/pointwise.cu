@@ -8,6 +8,7 @@ namespace {
 template <class T>
 __global__ void __launch_bounds__(kSumThreads) sum_points(__grid_constant__ PointwiseSum<T> const p, bool packed) {
   using F = Compute<T>;
+  let_next_begin();
   int64_t const row = blockIdx.x / p.pieces;
   F sum = 0;
   for_each_pack(p.pair, row, blockIdx.x - row * p.pieces, packed, [&](int64_t, auto const& x, auto const& y) {
@@ -46,8 +47,7 @@ template <class T>
 int pointwise_sum(PointwiseSum<T> const& p, CUstream_st* stream) {
   int64_t const rows = p.pair.rows;
   sum_points<<<unsigned(rows * p.pieces), kSumThreads, 0, stream>>>(p, is_packed(p.pair, nullptr));
-  finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, p.pieces, p.finish, p.sums);
-  return cudaGetLastError();
+  return add_up(p.partial, rows, p.pieces, p.sums, stream, p.finish);
 }
 
 template <class T>

@@ -238,6 +238,7 @@ constexpr int kReachOfGradients = (K - 1 + kRows - 1) / kRows * kRows;
 template <int K>
 __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Work<K> const work) {
   constexpr int R = K / 2;
+  let_next_begin();
   __shared__ __align__(16) Rows<4> memory[2];
   for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) memory[0][0][0][i] = 0;
   __syncthreads();
@@ -497,11 +498,9 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
   work.result = stored_planes(p.similarity), work.vectors = work.offset == 0 && has_vectors(p.similarity);
   work.loss = p.loss, work.partial = p.partial;
   ssim_forward<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
-  if (!p.similarity.data) {
-    int64_t const rows = x.count() / p.loss.planes, pieces = grid.blocks / rows * (grid.threads / 32);
-    finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<float>{1, 0}, p.sums);
-  }
-  return cudaGetLastError();
+  if (p.similarity.data) return cudaGetLastError();
+  int64_t const rows = x.count() / p.loss.planes, pieces = grid.blocks / rows * (grid.threads / 32);
+  return add_up(p.partial, rows, pieces, p.sums, stream);
 }
 
 template <int K, int M>

@@ -234,8 +234,7 @@ int ssim_any(Ssim<T> const& p, CUstream_st* stream) {
   if (error || p.similarity.data) return error;
   SsimBlocks const blocks(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
   int64_t const rows = work.x.count() / work.depth / p.loss.planes, pieces = p.loss.planes * blocks.pieces();
-  finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<F>{F(1), F(0)}, p.sums);
-  return cudaGetLastError();
+  return add_up(p.partial, rows, pieces, p.sums, stream);
 }
 
 template <class T>

@@ -137,6 +137,7 @@ __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, i
 template <class T>
 __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
+  let_next_begin();
   extern __shared__ __align__(16) uint8_t shared[];
   Four<F>* const lines = reinterpret_cast<Four<F>*>(shared);
   F* const factors = reinterpret_cast<F*>(lines + kSide * p.stride) + threadIdx.x;  // of each scale's pixels
@@ -414,8 +415,7 @@ int ssim_in_tiles(Ssim<T> const& p, CUstream_st* stream) {
   if (error || p.similarity.data) return error;
   SsimTiles const tiles(p.images.x.height, p.images.x.width, p.images.size);
   int64_t const rows = work.x.count() / p.loss.planes, pieces = p.loss.planes * tiles.pieces();
-  finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(p.partial, pieces, Finish<F>{F(1), F(0)}, p.sums);
-  return cudaGetLastError();
+  return add_up(p.partial, rows, pieces, p.sums, stream);
 }
 
 template <class T>

@@ -63,6 +63,7 @@ __device__ __forceinline__ T* row_of(StoredPlanes const& p, int64_t plane, int64
 template <class T, bool Back>
 __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
+  let_next_begin();
   extern __shared__ __align__(16) uint8_t shared[];
   __shared__ Row slices[SsimVolumeTiles::kMostTaps + kSide];
   Four<F>* const sums = reinterpret_cast<Four<F>*>(shared);  // (slices, rows, columns)
@@ -226,9 +227,7 @@ int ssim_of_volumes(Ssim<T> const& p, CUstream_st* stream) {
   int const error = launch<T, false>(work, volumes, stream);
   if (error || p.similarity.data) return error;
   SsimVolumeTiles const tiles(work.depth, work.height, work.width, work.taps, sizeof(F));
-  finish_sums<<<unsigned(volumes / p.loss.planes), kSumThreads, 0, stream>>>(p.partial, p.loss.planes * tiles.pieces(),
-                                                                             Finish<F>{F(1), F(0)}, p.sums);
-  return cudaGetLastError();
+  return add_up(p.partial, volumes / p.loss.planes, p.loss.planes * tiles.pieces(), p.sums, stream);
 }
 
 template <class T>

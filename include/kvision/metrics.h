@@ -209,4 +209,23 @@ inline Tensor endpoint_error(Tensor const& input, Tensor const& target, bool pla
   return differentiable({input, target}, compute, {input, target}, gradient)[0];
 }
 
+// Of labels (B, N), int64 or uint8: wanted "counts" (B, classes, classes), a row for each class of the target; "rates",
+// divided by the sum of their row plus eps; or "overlaps" (B, classes), intersection over union with eps on both sides.
+inline Tensor confusion(Tensor const& pred, Tensor const& target, int64_t classes, std::string const& wanted = "counts",
+                        double eps = 1e-6) {
+  using namespace detail;
+  return call<"confusion">(pred, target, classes, wanted, eps);
+}
+
+// (B, N, M): intersection over union of boxes (B, N, 4) and (B, M, 4), NaN of one without area. format: "xyxy",
+// "xywh" or "cxcywh". It has a gradient in Python only.
+inline Tensor box_overlaps(Tensor const& boxes, Tensor const& others, std::string const& format = "xyxy") {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"box_overlaps">(boxes, others, format)}; };
+  auto const gradient = [](Backward const&) -> variable_list {
+    TORCH_CHECK_NOT_IMPLEMENTED(false, "box_overlaps: C++ has no gradient; Python's kvision has");
+  };
+  return differentiable({boxes, others}, compute, {}, gradient)[0];
+}
+
 }  // namespace kvision

@@ -23,12 +23,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torch.compiler.config
 from torch import Tensor, is_grad_enabled
 from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
 from torch._functorch.utils import unwrap_dead_wrappers
 from torch.autograd import forward_ad
 from torch.compiler import is_compiling
 
+from kvision._version import __version__
 from kvision.core.exceptions import ValueCheckError
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
@@ -65,6 +67,10 @@ def _compiler(device: str) -> str:
 
 
 _load()
+
+# torch finds the compiled graphs that it keeps on disk by the names of the operators in them. Those of another kvision may
+# have other arguments and other gradients.
+torch.compiler.config.cache_key_tag += f";kvision {__version__}"
 
 # --- which backend serves a call ------------------------------------------------------------------------------------
 
@@ -161,6 +167,7 @@ class Operator:
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too.
+        labels: the first tensor holds int64 or uint8, and the kernels take no other types.
         halves: the reference takes half types as they are, because how they round is part of the result.
         autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
             which is safe for filters: they store half types but compute in float32.
@@ -180,6 +187,7 @@ class Operator:
         constant: Sequence[int] = (),
         linear: bool = False,
         bytes: bool = False,
+        labels: bool = False,
         halves: bool = False,
         autocast: torch.dtype | None = None,
         stores: bool = False,
@@ -192,7 +200,7 @@ class Operator:
         self.saves_results = saves_results
         self.constant = constant
         self.linear = linear
-        self.dtypes = (*FLOATS, torch.uint8) if bytes else FLOATS
+        self.dtypes = (torch.int64, torch.uint8) if labels else (*FLOATS, torch.uint8) if bytes else FLOATS
         self.autocast = autocast
         self.deterministic = deterministic
         self._fake_sizes = fake

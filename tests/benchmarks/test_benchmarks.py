@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from benchmarks import __main__ as command
-from benchmarks import overhead, sobel_figure, threads
+from benchmarks import kernels, overhead, sobel_figure, threads
 from benchmarks.case import Bars, Case, dead_leaves, nonlinear_backward, photographs
 from benchmarks.cases import ALL
 from benchmarks.measure import BACKWARD, BOTH, FORWARD, KVISION, Row, measure
@@ -255,3 +255,17 @@ def same_threads():
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)
+
+
+def test_kernels_reads_what_ncu_writes():
+    head = '"ID","Kernel Name","Id:Domain:Push/Pop_Range:PL_Type","Metric Name","Metric Value"'
+    name = "void kv::cuda::(anonymous namespace)::sample_tiles<float, (int)2>(kv::Sample<float>, kv::cuda::Tiles, bool)"
+    report = f"""==PROF== Connected
+{head}
+"0","{name}","0:<default domain>:warp_affine:none","gpu__time_duration.sum","69,504"
+"0","{name}","0:<default domain>:warp_affine:none","launch__registers_per_thread","48"
+"1","gather(int)","","gpu__time_duration.sum","1000"
+"""
+    forward, backward = kernels.rows(report)
+    assert forward.split()[:4] == ["warp_affine", "sample_tiles<float,", "2>", "69.5"] and " 48 " in forward
+    assert backward.split()[:3] == ["backward", "gather", "1.0"]

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 
 import kvision as K
 from composition_tests import Case, CompositionTests, on
-from op_tests import OpTests, assert_close
+from op_tests import OpTests, assert_close, does_not_wait
 
 L = K.losses
 IMAGE, LOGITS = (2, 3, 9, 8), (2, 3, 6, 5)
@@ -326,3 +326,39 @@ def test_modules(module, function, inputs):
     x, y = (torch.rand(i) if isinstance(i, tuple) else i for i in inputs)
     assert_close(module(x, y), function(x, y))
     assert type(module).__name__ in repr(module) and not module.state_dict()
+
+
+def test_nothing_waits_for_the_device(device):
+    x, y = (torch.rand(2, 3, 18, 16, device=device) for _ in range(2))
+    v, w = (torch.rand(1, 2, 9, 8, 8, device=device) for _ in range(2))
+    labels, masks = (3 * y[:, 0]).long(), x[0, 0] > 0.2
+    ms_ssim = L.MS_SSIMLoss().to(device)
+    losses = (
+        lambda x: L.binary_focal_loss_with_logits(x, y, reduction="mean"),
+        lambda x: L.binary_focal_loss_with_logits(x, y, pos_weight=y[0, :, 0, 0], weight=y[1, :, 0, 0]),
+        lambda x: L.cauchy_loss(x, y),
+        lambda x: L.charbonnier_loss(x, y, "mean"),
+        lambda x: L.dice_loss(x, labels, "macro", weight=y[0, :, 0, 0]),
+        lambda x: L.focal_loss(x, labels, reduction="mean", ignore_index=2),
+        lambda x: L.geman_mcclure_loss(x, y, "sum"),
+        lambda x: L.HausdorffERLoss(k=3)(x, labels[:, None]),
+        lambda x: L.HausdorffERLoss3D(k=3)(v * x.mean(), (2 * w[:, :1]).long()),
+        lambda x: L.inverse_depth_smoothness_loss(x[:, :1], y),
+        lambda x: L.js_div_loss_2d(x, y),
+        lambda x: L.kl_div_loss_2d(x, y),
+        lambda x: L.l1_ssim_loss(x, y),
+        lambda x: L.lovasz_hinge_loss(x[:, :1], labels.clamp_max(1)),
+        lambda x: L.lovasz_softmax_loss(x, labels, weight=y[0, :, 0, 0]),
+        lambda x: ms_ssim(x, y),
+        lambda x: L.mutual_information_loss_2d(x, y, input_mask=masks),
+        lambda x: L.normalized_mutual_information_loss_2d(x, y),
+        lambda x: L.psnr_loss(x, y),
+        lambda x: L.ssim3d_loss(v * x.mean(), w, 5),
+        lambda x: L.ssim_loss(x, y, 5),
+        lambda x: L.ssim_loss(x, y, 13, padding="valid"),
+        lambda x: L.total_variation(x),
+        lambda x: L.tversky_loss(x, labels),
+        lambda x: L.welsch_loss(x, y),
+    )
+    leaf = x.requires_grad_()
+    does_not_wait(device, [lambda loss=loss: loss(leaf).sum().backward() for loss in losses])

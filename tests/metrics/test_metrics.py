@@ -8,7 +8,9 @@ import pytest
 import torch
 
 import kvision as K
-from op_tests import assert_close
+from composition_tests import Case, CompositionTests
+from kvision import _ops
+from op_tests import assert_close, does_not_wait, instruction_set
 
 M = K.metrics
 
@@ -55,18 +57,81 @@ def test_accuracy(kornia):
         assert_close(ours, theirs)
 
 
-def test_confusion_matrix(kornia, device):
-    pred, target = torch.randint(0, 5, (2, 3, 40, 10))
+LABELS = (torch.int64, torch.int32, torch.uint8)
+
+
+@pytest.mark.parametrize("classes", [2, 21, 150])  # many copies of the counts in shared memory, a few, none
+@pytest.mark.parametrize("dtype", LABELS, ids=str)
+def test_confusion_matrix(kornia, dtype, classes, device):
+    pred, target = torch.randint(0, classes, (2, 3, 97, 101)).to(device, dtype)
+    target[:, :50] = 1
     for normalized in (False, True):
         assert_close(
-            M.confusion_matrix(pred, target, 5, normalized), kornia.confusion_matrix(pred, target, 5, normalized)
+            M.confusion_matrix(pred, target, classes, normalized).cpu(),
+            kornia.confusion_matrix(pred.cpu().long(), target.cpu().long(), classes, normalized),
         )
-    assert_close(M.mean_iou(pred, target, 5), kornia.mean_iou(pred, target, 5))
-    assert (M.mean_iou(pred, target, 6)[:, 5] == 1).all()
-    pred, target = pred.to(device), target.to(device)
-    target[0, 0], pred[1, 0, 0] = 7, -1
-    assert M.confusion_matrix(pred, target, 5).sum((1, 2)).tolist() == [390, 399, 400]
-    assert M.confusion_matrix(pred[:0], target[:0], 5).shape == (0, 5, 5)
+    expected = kornia.mean_iou(pred.cpu().long(), target.cpu().long(), classes)
+    assert_close(M.mean_iou(pred, target, classes).cpu(), expected)
+    assert (M.mean_iou(pred, target, classes + 1)[:, classes] == 1).all()
+
+
+def test_labels_of_no_class(device):
+    pred, target = torch.randint(0, 5, (2, 3, 40, 10)).to(device)
+    target[0, 0, 0], pred[1, 0, 0] = 5, 200
+    for dtype in LABELS:
+        counts = M.confusion_matrix(pred.to(dtype), target.to(dtype), 5)
+        assert counts.sum((1, 2)).tolist() == [399, 399, 400]
+        assert M.confusion_matrix(pred[:0].to(dtype), target[:0].to(dtype), 5).shape == (0, 5, 5)
+        assert (M.confusion_matrix(pred[..., :0].to(dtype), target[..., :0].to(dtype), 5) == 0).all()
+    target[0, 0, 0], pred[1, 0, 0] = -1, -(2**60)
+    target[2, 0, 0] = 2**32
+    assert M.confusion_matrix(pred, target, 5).sum((1, 2)).tolist() == [399, 399, 399]
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_instruction_sets(isa, device, backend):
+    if backend == "reference" or device.type != "cpu":
+        pytest.skip("instruction sets are the kernels' on the CPU")
+    pred, target, boxes = *torch.randint(0, 7, (2, 3, 500)).byte(), rand(9, 4).float().cumsum(1)
+    calls = (lambda: M.mean_iou(pred, target, 6), lambda: M.mean_iou_bbox(boxes, boxes[:5], "cxcywh"))
+    for call in calls:
+        with instruction_set(isa), K.backend("native"):
+            found = call()
+        with K.backend("reference"):
+            assert_close(found, call())
+
+
+def test_operators_of_labels_and_boxes(device, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    pred, target = torch.randint(0, 4, (2, 2, 9), device=device)
+    utils = torch.library._OPCHECK_DEFAULT_UTILS
+    for wanted in ("overlaps", "rates", "counts"):
+        torch.library.opcheck(torch.ops.kvision.confusion.default, (pred, target, 3, wanted, 1e-6), test_utils=utils)
+        utils = ("test_schema", "test_faketensor")
+    boxes, others = (torch.rand(2, n, 4, device=device).cumsum(2).requires_grad_() for n in (3, 5))
+    torch.library.opcheck(torch.ops.kvision.box_overlaps.default, (boxes, others, "xywh"))
+    for wrong in (
+        lambda: torch.ops.kvision.confusion(pred, target[:1], 3, "counts", 0.0),
+        lambda: torch.ops.kvision.confusion(pred.int(), target.int(), 3, "counts", 0.0),
+        lambda: torch.ops.kvision.confusion(pred, target, 0, "counts", 0.0),
+        lambda: torch.ops.kvision.confusion(pred, target, 3, "sums", 0.0),
+        lambda: torch.ops.kvision.box_overlaps(boxes[:, :, :3], others, "xywh"),
+        lambda: torch.ops.kvision.box_overlaps(boxes, others.double(), "xywh"),
+        lambda: torch.ops.kvision.box_overlaps(boxes, others, "xyyx"),
+    ):
+        with pytest.raises(RuntimeError, match="confusion: |box_overlaps: "):
+            wrong()
+
+
+class TestCompositions(CompositionTests):
+    cases = {
+        "mean_iou_bbox": Case(lambda a, b: M.mean_iou_bbox(a.cumsum(1), b, "xywh"), ((3, 4), (5, 4)), shared=(1,)),
+        "box_overlaps": Case(
+            lambda a, b: _ops.operators["box_overlaps"](a.cumsum(2), b.cumsum(2), "xyxy"), ((2, 3, 4), (2, 4, 4))
+        ),
+        "mean_iou": Case(lambda a: M.mean_iou((4 * a).long(), (3 * a).long(), 3), ((2, 3, 5),), differentiable=False),
+    }
 
 
 @pytest.mark.parametrize("box_format", ["xyxy", "xywh", "cxcywh"])
@@ -197,3 +262,28 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+def test_nothing_waits_for_the_device(device):
+    x, y, v = rand(2, 3, 16, 16).to(device), rand(2, 3, 16, 16).to(device), rand(1, 2, 9, 8, 8).to(device)
+    labels, R, t = (4 * y[:, 0]).long(), rotations(3, 0.2).to(device), rand(3, 3).to(device)
+    P = torch.cat([R, t[:, :, None]], 2)
+    calls = (
+        lambda: M.accuracy(x[:, :, 0, 0], labels[:, 0, 0].clamp_max(2), (1, 2)),
+        lambda: M.aepe(x[..., :2], y[..., :2]),
+        lambda: M.angle_error_mat(R, R.mT),
+        lambda: M.angle_error_vec(t, t.flip(0)),
+        lambda: M.confusion_matrix(labels, labels.flip(0), 4, normalized=True),
+        lambda: M.kitti_d1_error(x, y),
+        lambda: M.mean_absolute_disparity_error(x, y, valid_mask=x > 0.5),
+        lambda: M.mean_bad_pixel_error(x, y),
+        lambda: M.mean_iou(labels, labels.flip(0), 4),
+        lambda: M.mean_iou_bbox(x[0, 0, :, :4], y[0, 0, :, :4]),
+        lambda: M.pose_errors(P, P.flip(0)),
+        lambda: M.psnr(x, y, 1.0),
+        lambda: M.root_mean_squared_disparity_error(x, y),
+        lambda: M.ssim(x, y, 5),
+        lambda: M.ssim3d(v, v.flip(2), 5),
+        lambda: M.translation_ate(t, t.flip(0)),
+    )
+    does_not_wait(device, calls)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._ops import register
 from kvision.core.exceptions import ValueCheckError
 
 
@@ -41,18 +41,18 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
     _check.choice("mean_iou_bbox", "box_format", box_format, ("xyxy", "xywh", "cxcywh"))
     a, b = floats(boxes_1), floats(boxes_2)
     dtype = torch.promote_types(a.dtype, b.dtype)
-    return _iou(a.to(dtype), b.to(dtype), box_format)
+    return _box_overlaps(a.to(dtype)[None], b.to(dtype)[None], box_format)[0]
 
 
-@as_stored
-def _iou(a: Tensor, b: Tensor, box_format: str) -> Tensor:
-    (low_a, high_a), (low_b, high_b) = _corners(a, box_format), _corners(b, box_format)
-    both = _area(torch.minimum(high_a[:, None], high_b) - torch.maximum(low_a[:, None], low_b), 0)
-    return both / (_area(high_a - low_a)[:, None] + _area(high_b - low_b) - both)
+def _reference(a: Tensor, b: Tensor, box_format: str) -> Tensor:
+    """(B, N, M) of boxes (B, N, 4) and (B, M, 4)."""
+    (low_a, high_a), (low_b, high_b) = _corners(a[:, :, None], box_format), _corners(b[:, None], box_format)
+    both = _area(torch.minimum(high_a, high_b) - torch.maximum(low_a, low_b), 0)
+    return both / (_area(high_a - low_a) + _area(high_b - low_b) - both)
 
 
 def _corners(boxes: Tensor, box_format: str) -> tuple[Tensor, Tensor]:
-    first, second = boxes.split(2, 1)
+    first, second = boxes.split(2, -1)
     if box_format == "xywh":
         return first, first + second
     return (first - second / 2, first + second / 2) if box_format == "cxcywh" else (first, second)
@@ -60,6 +60,13 @@ def _corners(boxes: Tensor, box_format: str) -> tuple[Tensor, Tensor]:
 
 def _area(size: Tensor, otherwise: float = torch.nan) -> Tensor:
     return torch.where((size > 0).all(-1), size.prod(-1), otherwise)
+
+
+def _fake(a: Tensor, b: Tensor, box_format: str) -> tuple[int, int, int]:
+    return max(a.shape[0], b.shape[0]), a.shape[1], b.shape[1]
+
+
+_box_overlaps = register("box_overlaps", _reference, fake=_fake)
 
 
 def mean_average_precision(
@@ -119,8 +126,8 @@ def mean_average_precision(
 
     image, true_image = _images(pred_boxes), _images(gt_boxes)
     label, true_label = torch.cat(list(pred_labels)), torch.cat(list(gt_labels))
-    if bool(((torch.cat([label, true_label]) < 0) | (torch.cat([label, true_label]) >= n_classes)).any()):
-        raise ValueCheckError(f"{op}: expected labels in [0, {n_classes})")
+    all_labels = torch.cat([label, true_label])
+    wrong = ((all_labels < 0) | (all_labels >= n_classes)).any()
     order = torch.cat(list(pred_scores)).argsort(descending=True, stable=True)
     detected, label, image = floats(torch.cat(list(pred_boxes)))[order], label[order], image[order]
     right = _right(
@@ -132,7 +139,10 @@ def mean_average_precision(
     precisions = torch.stack([_average(right, label == c, (true_label == c).sum()) for c in range(1, n_classes)])
     there = precisions >= 0
     mean = torch.where(there.any(), precisions.where(there, 0).sum() / there.sum().clamp_min(1), -1)
-    return mean, dict(enumerate(precisions.tolist(), 1))
+    *found, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the one time that the device is waited for
+    if is_wrong:
+        raise ValueCheckError(f"{op}: expected labels in [0, {n_classes})")
+    return mean, dict(enumerate(found, 1))
 
 
 def _images(boxes: Sequence[Tensor]) -> Tensor:

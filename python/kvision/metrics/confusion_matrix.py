@@ -6,7 +6,32 @@ import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError
+
+
+def _reference(pred: Tensor, target: Tensor, classes: int, wanted: str, eps: float) -> Tensor:
+    """Of labels (B, N): "counts" (B, classes, classes), "rates" of a row, or the "overlaps" (B, classes)."""
+    m = classes + 2  # labels below and above the others are counted, too, and thrown away
+    pred, target = pred.long().clamp(-1, classes), target.long().clamp(-1, classes)
+    cells = torch.add(pred, target, alpha=m) + (m + 1)
+    all_counts = torch.zeros(pred.shape[0], m * m, dtype=torch.int64, device=pred.device)
+    all_counts = all_counts.scatter_add(1, cells, torch.ones_like(cells))
+    counts = all_counts.view(-1, m, m)[:, 1:-1, 1:-1].float()
+    if wanted == "rates":
+        return counts / (counts.sum(2, keepdim=True) + eps)
+    if wanted == "counts":
+        return counts.contiguous()
+    both = counts.diagonal(dim1=1, dim2=2)
+    return (both + eps) / (counts.sum(1) + counts.sum(2) - both + eps)
+
+
+def _fake(pred: Tensor, target: Tensor, classes: int, wanted: str, eps: float) -> Tensor:
+    sizes = (classes,) if wanted == "overlaps" else (classes, classes)
+    return pred.new_empty(pred.shape[0], *sizes, dtype=torch.float32)
+
+
+_confusion = register("confusion", _reference, fake=_fake, constant=(0,), labels=True, stores=True)
 
 
 def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized: bool = False) -> Tensor:
@@ -34,8 +59,8 @@ def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized:
         tensor([[[1., 1.],
                  [0., 1.]]])
     """
-    counts = _counts("confusion_matrix", pred, target, num_classes)
-    return counts / (counts.sum(2, keepdim=True) + 1e-6) if normalized else counts
+    pred, target, n = _labels("confusion_matrix", pred, target, num_classes)
+    return _confusion(pred, target, n, "rates" if normalized else "counts", 1e-6)
 
 
 def mean_iou(pred: Tensor, target: Tensor, num_classes: int, eps: float = 1e-6) -> Tensor:
@@ -58,13 +83,12 @@ def mean_iou(pred: Tensor, target: Tensor, num_classes: int, eps: float = 1e-6) 
         >>> K.metrics.mean_iou(torch.tensor([[0, 1, 1]]), torch.tensor([[0, 0, 1]]), 2)
         tensor([[0.5000, 0.5000]])
     """
-    counts = _counts("mean_iou", pred, target, num_classes)
-    eps = _check.number("mean_iou", "eps", eps, minimum=0)
-    both = counts.diagonal(dim1=1, dim2=2)
-    return (both + eps) / (counts.sum(1) + counts.sum(2) - both + eps)
+    pred, target, n = _labels("mean_iou", pred, target, num_classes)
+    return _confusion(pred, target, n, "overlaps", _check.number("mean_iou", "eps", eps, minimum=0))
 
 
-def _counts(op: str, pred: Tensor, target: Tensor, num_classes: int) -> Tensor:
+def _labels(op: str, pred: Tensor, target: Tensor, num_classes: int) -> tuple[Tensor, Tensor, int]:
+    """(B, N), both of int64 or both of uint8."""
     for name, x in (("pred", pred), ("target", target)):
         _check.numbers(op, name, x)
         if x.is_floating_point() or x.dtype == torch.bool:
@@ -74,8 +98,6 @@ def _counts(op: str, pred: Tensor, target: Tensor, num_classes: int) -> Tensor:
     _check.same_shape(op, pred=pred, target=target)
     _check.same_device(op, pred=pred, target=target)
     (n,) = _check.ints(op, "num_classes", num_classes, 1, 2)
-    pred, target = (x.reshape(x.shape[0], -1 if x.numel() else 0).long() for x in (pred, target))
-    m = n + 2  # labels below and above the others are counted, too, and thrown away
-    cells = torch.add(pred.clamp(-1, n), target.clamp(-1, n), alpha=m) + (m + 1)
-    counts = torch.zeros(pred.shape[0], m * m, dtype=torch.int64, device=pred.device)
-    return counts.scatter_add(1, cells, torch.ones_like(cells)).view(-1, m, m)[:, 1:-1, 1:-1].float()
+    dtype = torch.uint8 if pred.dtype == target.dtype == torch.uint8 else torch.int64
+    pred, target = (x.reshape(x.shape[0], -1 if x.numel() else 0).to(dtype) for x in (pred, target))
+    return pred, target, n

@@ -1,0 +1,163 @@
+"""`python -m benchmarks.kernels [NAMES]`: the kernels of a case by Nsight Compute, forward and backward: what limits them.
+
+On one GPU, whose `ncu` must be on the PATH (or in CUDA_HOME/bin) and allowed to read the counters. One line a kernel:
+
+    us       its time                        L1%, fma%, alu%, xu%, lsu%  the share of the time that the wavefronts of
+    Minst    million instructions of a warp                              the L1 and these pipes are busy
+    issue%   issue slots used                stalls                      warps that wait at an issue, by what for
+    warps%   warps there, of those that fit  rdMB, wrMB                  megabytes of device memory
+
+and registers of a thread, threads of a block, blocks, and bytes of shared memory of a block.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks import machine
+from benchmarks.__main__ import parse_dtypes, parse_sizes
+from benchmarks.cases import ALL
+
+_PIPES = ("fma", "alu", "xu", "lsu")
+_STALLS = {
+    "memory": "long_scoreboard",
+    "barrier": "barrier",
+    "shared": "short_scoreboard",
+    "queue": "mio_throttle",
+    "math": "math_pipe_throttle",
+    "chosen": "not_selected",
+    "fixed": "wait",
+    "L1": "lg_throttle",
+}
+# (heading, format, factor, metric)
+_COLUMNS = [
+    ("us", "8.1f", 1e-3, "gpu__time_duration.sum"),
+    ("Minst", "7.2f", 1e-6, "smsp__inst_executed.sum"),
+    ("issue%", "6.0f", 1, "smsp__issue_active.avg.pct_of_peak_sustained_active"),
+    ("warps%", "6.0f", 1, "sm__warps_active.avg.pct_of_peak_sustained_active"),
+    ("regs", "4.0f", 1, "launch__registers_per_thread"),
+    ("block", "5.0f", 1, "launch__block_size"),
+    ("grid", "7.0f", 1, "launch__grid_size"),
+    ("smem", "6.0f", 1, "launch__shared_mem_per_block"),
+    ("rdMB", "6.0f", 1e-6, "dram__bytes_read.sum"),
+    ("wrMB", "6.0f", 1e-6, "dram__bytes_write.sum"),
+    ("L1%", "4.0f", 1, "l1tex__data_pipe_lsu_wavefronts.avg.pct_of_peak_sustained_elapsed"),
+    *((f"{pipe}%", "4.0f", 1, f"sm__inst_executed_pipe_{pipe}.avg.pct_of_peak_sustained_active") for pipe in _PIPES),
+    *(
+        (name, f"{max(4, len(name))}.1f", 1, f"smsp__average_warps_issue_stalled_{reason}_per_issue_active.ratio")
+        for name, reason in _STALLS.items()
+    ),
+]
+_INSIDE = "KVISION_BENCHMARKS_UNDER_NCU"
+
+
+def run(names: list[str], size: tuple[int, ...], dtype: torch.dtype) -> None:
+    """What ncu watches: each case forward and backward, once each after a call that is not watched."""
+    for name in names:
+        first, *rest = ALL[name].inputs(size, dtype, torch.device("cuda"))
+        _tensors(ALL[name].call(first, *rest))
+        with _watched(), torch.cuda.nvtx.range(name):
+            outputs = _tensors(ALL[name].call(first, *rest))
+        if not first.is_floating_point():
+            continue
+        leaf = first.detach().requires_grad_()
+        outputs = [y for y in _tensors(ALL[name].call(leaf, *rest)) if y.requires_grad]
+        grads = [torch.ones_like(y) for y in outputs]
+        with _watched():  # torch's engine works in a thread of its own, where no range of this one is seen
+            torch.autograd.grad(outputs, leaf, grads)
+
+
+@contextlib.contextmanager
+def _watched() -> Iterator[None]:
+    torch.cuda.synchronize()
+    torch.cuda.profiler.start()
+    yield
+    torch.cuda.synchronize()
+    torch.cuda.profiler.stop()
+
+
+def _tensors(output: Any) -> list[torch.Tensor]:
+    outputs = output if isinstance(output, (tuple, list)) else [output]
+    return [y for y in outputs if isinstance(y, torch.Tensor)]
+
+
+def rows(report: str) -> Iterator[str]:
+    """A line for each kernel in the CSV that ncu wrote."""
+    lines = report[report.index('"ID"') :].splitlines()
+    kernels: dict[str, dict[str, str]] = {}
+    for row in csv.DictReader(lines):
+        kernel = kernels.setdefault(row["ID"], {})
+        kernel["name"] = _short(row["Kernel Name"])
+        kernel["range"] = next((v for k, v in row.items() if "Range" in k and v), "")
+        kernel[row["Metric Name"]] = row["Metric Value"].replace(",", "")
+    for kernel in kernels.values():
+        case = next((n for n in ALL if re.search(rf"\b{n}\b", kernel["range"])), "  backward")
+        figures = " ".join(f"{_number(kernel.get(metric)) * by:{how}}" for _, how, by, metric in _COLUMNS)
+        yield f"{case:20} {kernel['name']:36} {figures}"
+
+
+def _number(value: str | None) -> float:
+    try:
+        return float(value or "nan")
+    except ValueError:  # "n/a", where the chip has no such counter
+        return float("nan")
+
+
+def _short(kernel: str) -> str:
+    """`sample_tiles<float, 2>` of kv::cuda::(anonymous namespace)::sample_tiles<float, 2>(kv::Sample<float>, ...)."""
+    kernel = re.sub(r"\((anonymous namespace|int|bool)\)|void |kv::|cuda::|at::native::|::(?=\w+<)", "", kernel)
+    depth = 0
+    for i, c in enumerate(kernel):
+        depth += (c == "<") - (c == ">")
+        if c == "(" and depth == 0:
+            kernel = kernel[:i]
+            break
+    return kernel[:36]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="cases; default: all")
+    parser.add_argument("--sizes", type=parse_sizes, default=[(128, 3, 256, 256)], help="one; default: 128x3x256x256")
+    parser.add_argument("--dtype", type=parse_dtypes, default=[torch.float32], help="one; default: float32")
+    options = parser.parse_args()
+    names, size, dtype = options.names or list(ALL), options.sizes[0], options.dtype[0]
+    if _INSIDE in os.environ:
+        return run(names, size, dtype)
+    ncu = shutil.which("ncu") or shutil.which(
+        "ncu", path=str(Path(os.environ.get("CUDA_HOME", "/usr/local/cuda")) / "bin")
+    )
+    if ncu is None or not torch.cuda.is_available():
+        parser.error("this needs a GPU, and Nsight Compute's ncu on the PATH or in CUDA_HOME/bin")
+    metrics = ",".join(metric for *_, metric in _COLUMNS)
+    watched = [sys.executable, "-m", "benchmarks.kernels", *sys.argv[1:]]
+    how = ["--clock-control", "none", "--profile-from-start", "off", "--nvtx", "--csv", "--print-units", "base"]
+    done = subprocess.run(
+        [ncu, *how, "--metrics", metrics, *watched],
+        env={**os.environ, _INSIDE: "1"},
+        capture_output=True,
+        text=True,
+    )
+    if done.returncode or '"ID"' not in done.stdout:
+        sys.exit(f"ncu ended with {done.returncode}:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
+    print(f"{machine.hardware(torch.device('cuda'))}  torch {torch.__version__}  $ {machine.command()}\n")
+    headings = " ".join(f"{name:>{int(re.match(r'[0-9]+', how)[0])}}" for name, how, *_ in _COLUMNS)  # type: ignore[index]
+    print(f"{'case':20} {'kernel':36} {headings}")
+    for row in rows(done.stdout):
+        print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()

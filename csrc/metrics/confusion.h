@@ -1,0 +1,37 @@
+// Which labels are taken for which: for every sample the counts of pairs of a true and a predicted class, and what is
+// made of them. A pixel with a label of no class does not count. Included by confusion_cpu.cpp, confusion.cu and
+// confusion_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+
+namespace kv {
+
+// The counts; divided by the sum of their row; or the intersection over union of each class.
+enum class Confused : int { counts, rates, overlaps };
+
+template <class T>
+struct Confusion {
+  T const *pred, *target;  // (samples, pixels)
+  int64_t samples, pixels;
+  int classes;
+  Confused wanted;
+  float eps;
+  float* found;      // (samples, classes, classes), or of overlaps (samples, classes)
+  uint32_t* counts;  // CUDA: (samples, classes, classes)
+
+  // Where a pair of labels counts, or -1.
+  KV_HD int64_t cell(T predicted, T labelled) const {
+    bool const counts =
+        uint64_t(int64_t(predicted)) < uint64_t(classes) && uint64_t(int64_t(labelled)) < uint64_t(classes);
+    return counts ? int64_t(labelled) * classes + int64_t(predicted) : -1;
+  }
+  KV_HD float rate(float count, float of_row) const { return count / (of_row + eps); }
+  KV_HD float overlap(float both, float labelled, float predicted) const {
+    return (both + eps) / (labelled + predicted - both + eps);
+  }
+};
+
+KV_KERNEL(confusion, Confusion)
+
+}  // namespace kv

@@ -10,6 +10,7 @@
 #include <string>
 #include <tuple>
 #include <utility>
+#include <vector>
 
 #include "kvision/operator.h"
 
@@ -101,6 +102,54 @@ inline std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& 
 // The homographies (B, 3, 3) that take points nearest to others, with weights (B, N), by direct linear transformation.
 inline Tensor homography_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights = {}) {
   return detail::dlt<"homography_dlt">(points1, points2, weights, homography_dlt_backward);
+}
+
+inline std::tuple<Tensor, Tensor, Tensor> homography_lines_dlt_backward(Tensor const& grad, Tensor const& points1,
+                                                                        Tensor const& points2,
+                                                                        std::optional<Tensor> const& weights) {
+  return detail::dlt_backward<"homography_lines_dlt_backward">(grad, points1, points2, weights, "homography_lines_dlt");
+}
+
+// The homographies (B, 3, 3) that take the ends of segments (B, N, 2, 2) nearest to the lines of others, with weights
+// (B, N).
+inline Tensor homography_lines_dlt(Tensor const& points1, Tensor const& points2,
+                                   std::optional<Tensor> const& weights = {}) {
+  return detail::dlt<"homography_lines_dlt">(points1, points2, weights, homography_lines_dlt_backward);
+}
+
+inline std::tuple<Tensor, Tensor> normalize_points_backward(Tensor const& grad, Tensor const& grad_matrix,
+                                                            Tensor const& points, std::optional<Tensor> const& weights,
+                                                            double eps) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points, to_weights] =
+        call<"normalize_points_backward", std::tuple<Tensor, Tensor>>(grad, grad_matrix, points, weights, eps);
+    return variable_list{to_points, to_weights};
+  };
+  variable_list const tensors{grad, grad_matrix, points, weights.value_or(Tensor())};
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("normalize_points"));
+  return {found[0], found[1]};
+}
+
+// Points (B, N, 2) about 0 at a mean distance of sqrt(2), with weights (B, N) in both means, and the similarity (B, 3,
+// 3) that takes the given ones there.
+inline std::tuple<Tensor, Tensor> normalize_points(Tensor const& points, std::optional<Tensor> const& weights = {},
+                                                   double eps = 1e-8) {
+  using namespace detail;
+  Tensor const given = weights.value_or(Tensor());
+  auto const compute = [&] {
+    auto [normalized, matrix] = call<"normalize_points", std::tuple<Tensor, Tensor>>(points, weights, eps);
+    return variable_list{normalized, matrix};
+  };
+  auto const gradient = [eps](Backward const& b) {
+    Tensor const &x = b.saved[0], &w = b.saved[1];
+    Tensor const grad = b.grads[0].defined() ? b.grads[0] : at::zeros_like(x);
+    Tensor const grad_matrix = b.grads[1].defined() ? b.grads[1] : at::zeros({x.size(0), 3, 3}, x.options());
+    auto const [to_points, to_weights] = normalize_points_backward(grad, grad_matrix, x, if_defined(w), eps);
+    return variable_list{to_points, w.defined() ? to_weights : Tensor()};
+  };
+  variable_list const found = differentiable({points, given}, compute, {points, given}, gradient);
+  return {found[0], found[1]};
 }
 
 inline std::tuple<Tensor, Tensor, Tensor> fundamental_dlt_backward(Tensor const& grad, Tensor const& points1,
@@ -227,6 +276,35 @@ inline Tensor distort(Tensor const& points, Tensor const& camera, Tensor const& 
   return lens.in_pixels(u, v);
 }
 
+// The gradients of `lens_map` to camera, coefficients and tilt of each sample.
+inline variable_list lens_map_backward(Tensor const& grad, Tensor const& camera, Tensor const& coefficients,
+                                       std::optional<Tensor> const& tilt) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto const [a, b, c] =
+        call<"lens_map_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, camera, coefficients, tilt);
+    return variable_list{a, b, c};
+  };
+  return differentiable({grad, camera, coefficients, tilt.value_or(Tensor())}, compute, {},
+                        no_second_derivative("lens_map"));
+}
+
+// Where a lens shows the pixels of an image of that size: x and y, (B, 2, H, W). Its camera matrix is that of both.
+inline Tensor lens_map(Tensor const& camera, Tensor const& coefficients, std::optional<Tensor> const& tilt,
+                       std::vector<int64_t> const& size) {
+  using namespace detail;
+  Tensor const turned = tilt.value_or(Tensor());
+  auto const compute = [&] { return variable_list{call<"lens_map">(camera, coefficients, tilt, size)}; };
+  auto const gradient = [](Backward const& b) {
+    Tensor const& tilt = b.saved[2];
+    variable_list found =
+        lens_map_backward(b.grads[0], b.saved[0], b.saved[1], tilt.defined() ? std::optional(tilt) : std::nullopt);
+    for (size_t i = 0; i < 3; ++i) found[i] = b.wanted(i) ? at::sum_to(found[i], b.saved[i].sizes()) : Tensor();
+    return found;
+  };
+  return differentiable({camera, coefficients, turned}, compute, {camera, coefficients, turned}, gradient)[0];
+}
+
 // Back from there, by `steps` of a fixed-point iteration; the matrix takes the plane of a tilted sensor back.
 inline Tensor undistort(Tensor const& points, Tensor const& camera, Tensor const& wanted, Tensor const& coefficients,
                         std::optional<Tensor> const& tilt = {}, int64_t steps = 5) {
@@ -340,7 +418,8 @@ inline std::tuple<Tensor, Tensor, Tensor> view_errors_backward(Tensor const& gra
 
 // How far correspondences (B, N, 2 or 3) are from matrices (B, 3, 3), (B, N); one of each serves a batch. kind:
 // "sampson", "symmetrical", "right", "left" of fundamental matrices, the last two of which are distances whatever
-// `squared` says; "transfer", "symmetric_transfer", "segments" of homographies, the last of points (B, N, 4).
+// `squared` says; "transfer", "symmetric_transfer", "sampson_transfer" and "segments" of homographies, the
+// last of points (B, N, 4).
 inline Tensor view_errors(Tensor const& points1, Tensor const& points2, Tensor const& matrix, std::string const& kind,
                           bool squared) {
   using namespace detail;

@@ -136,9 +136,27 @@ __device__ __noinline__ void gather_where_they_are(SampleTranspose<T> const& p, 
   for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = round_to<T>(sums[k]);
 }
 
+// Zeros for a tile of all channels. `aligned`: rows are packs of 16 bytes.
+template <class T>
+__device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x0, int y0, bool aligned) {
+  constexpr int kPack = 16 / int(sizeof(T)), kAcross = kTile / kPack;
+  int const x = x0 + threadIdx.x % kAcross * kPack, width = int(to.width), bottom = min(y0 + kTile, int(to.height));
+  for (int y = y0 + threadIdx.x / kAcross; x < width && y < bottom; y += kThreads / kAcross)
+    for (int c = 0; c < to.channels; ++c) {
+      T* const row = to.row(b, c, y) + x;
+      if (aligned) {
+        *reinterpret_cast<Pack<T, kPack>*>(row) = {};
+      } else {
+#pragma unroll
+        for (int i = 0; i < kPack; ++i)
+          if (x + i < width) row[i] = T{};
+      }
+    }
+}
+
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
-    gather_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles, bool aligned) {
+    gather_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles, bool aligned, bool aligned_out) {
   using F = Compute<T>;
   using Gradients = Patch<T>;
   __shared__ Sources<F> shared_tiles[kTileRow];
@@ -155,6 +173,11 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
 #pragma unroll 1
   for (int number = 0; number < int(tiles.row) && shared_tiles[number].x < width; ++number) {
     Sources<F> const& tile = shared_tiles[number];
+    if (tile.places.right < 0 || tile.places.left >= int(p.grad.width) || tile.places.bottom < 0 ||
+        tile.places.top >= int(p.grad.height)) {
+      clear_tile(p.grad_x, tile.b, tile.x, tile.y, aligned_out);
+      continue;
+    }
     Gradients const patch(shared_pixels, tile.places);
     int const x = column_in_tile<T>();
     in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
@@ -452,8 +475,8 @@ void gather(SampleTranspose<T> const& p, CUstream_st* stream) {
   auto const& x = p.grad_x;
   Tiles const tiles(x.batch, x.height, x.width, tile_row(x.batch, x.height, x.width));
   with_taps(p.interpolation, [&](auto taps) {
-    gather_tiles<T, taps.value>
-        <<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(p, tiles, in_packs(p.grad));
+    gather_tiles<T, taps.value><<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(
+        p, tiles, in_packs(p.grad), in_packs(p.grad_x));
   });
 }
 

@@ -79,7 +79,7 @@ struct Runs {
   bool affine;
 
   __device__ __forceinline__ Runs(Tile<F> const& tile, Places<F> const& places, void const* kept, int column, int row)
-      : found(places.matrices ? nullptr : static_cast<F const*>(kept) + threadIdx.x), affine(tile.map.affine) {
+      : found(places.has_map() ? static_cast<F const*>(kept) + threadIdx.x : nullptr), affine(tile.map.affine) {
     F const x = F(column), y = F(row);
     F const(&m)[9] = tile.map.m;
     u = x * m[0] + (y * m[1] + m[2]);
@@ -104,6 +104,12 @@ struct Runs {
   }
 };
 
+// The map of a sample, from its matrix.
+template <class T>
+__device__ __forceinline__ Homography<double> map_of(Sampling<T> const& p, int64_t b) {
+  return homography(p.places.matrices + b * p.places.matrix_stride, p.places.use);
+}
+
 // A block's tiles and the boxes of their taps, in shared memory.
 template <class F>
 struct View {
@@ -112,14 +118,15 @@ struct View {
 
   // By all threads of a block, of an output of that size. By a matrix, taps lie between those of a tile's corners
   // unless the horizon runs through it.
-  template <int K, class T>
-  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height) {
+  template <int K, class P>
+  __device__ __forceinline__ void open(Tiles const& count, P const& p, int width, int height) {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kTileRow;
       Tile<F> tile;
-      tile.open(count, p.places, number);
+      tile.place(count, number);
       Box box = Box::empty();
-      if (p.places.matrices) {
+      if (!p.places.has_map()) {
+        tile.see(map_of(p, tile.b), p.places.use.source);
         F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
         F const y = F(threadIdx.x & 2 ? min(kTile, height - tile.y) - 1 : 0);
         F u, v;
@@ -141,7 +148,7 @@ struct View {
   // and kept.
   template <int K, class T>
   __device__ __forceinline__ Box look(int number, Sampling<T> const& p, int width, int height, void* kept) {
-    if (p.places.matrices) return taps[number];
+    if (!p.places.has_map()) return taps[number];
     Tile<F> const& tile = tiles[number];
     PlacesOf<F> const places(p.places, tile);
     F* const found = static_cast<F*>(kept) + threadIdx.x;
@@ -204,7 +211,7 @@ struct Patch {
   static KV_HD size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
   template <class F>
   static size_t bytes(int channels, Places<F> const& places) {
-    return bytes(channels) + (places.matrices ? 0 : 2 * kTile * kTile * sizeof(F));
+    return bytes(channels) + (places.has_map() ? 2 * kTile * kTile * sizeof(F) : 0);
   }
 
   // For taps of places that count from (u, v).

@@ -1,8 +1,23 @@
 // Sampling on CUDA: a thread takes places of a tile one after the other, and of each all channels. Their taps are read
 // from a patch in shared memory, or where they are when the tile looks at more of the image than a patch holds.
+#include "matrix_formula.cuh"
 #include "patch.cuh"
 
 namespace kv::cuda {
+
+// The map of a sample, from its matrix or a formula's.
+template <class T>
+__device__ __forceinline__ Homography<double> map_of(Sample<T> const& p, int64_t b) {
+  using F = Compute<T>;
+  F made[9];
+  F const* matrix = p.places.matrices + b * p.places.matrix_stride;
+  if (p.formula.by != MatrixBy::given) {
+    make_plane_matrix(p.formula, b, made);
+    matrix = made;
+  }
+  return homography(matrix, p.places.use);
+}
+
 namespace {
 
 // The value of K x K taps, rows `pitch` apart and pixels `step`, with the weights of (tx, ty).

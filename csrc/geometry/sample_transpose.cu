@@ -498,7 +498,7 @@ int scatter(SampleTranspose<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int sample_transpose(SampleTranspose<T> const& p, CUstream_st* stream) {
-  bool const gathers = p.places.matrices && p.x_axis.padding == Padding::fill;
+  bool const gathers = !p.places.has_map() && p.x_axis.padding == Padding::fill;
   if (gathers)
     gather(p, stream);
   else if (int const error = scatter(p, stream))

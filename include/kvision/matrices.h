@@ -1,7 +1,8 @@
-// Rotations in all their forms and matrices of transforms of images, of every sample in one launch. Each function has
-// the arguments of the operator torch.ops.kvision.<name>, which csrc/geometry/formulas.h has the formula of. Tensors
-// may have one row for all; they are of one floating-point type, which the result has, too. All have gradients, which
-// come as one tensor (B, n) of those of all tensors that are given, one after another; second derivatives are errors.
+// Rotations in all their forms, matrices of transforms of images and of two views, of every sample in one launch. Each
+// function has the arguments of the operator torch.ops.kvision.<name>, which csrc/geometry/formulas.h has the formula
+// of. Tensors may have one row for all; they are of one floating-point type, which the result has, too. All have
+// gradients, which come as one tensor (B, n) of those of all tensors that are given, one after another; second
+// derivatives are errors.
 #pragma once
 
 #include <ATen/Functions.h>
@@ -231,12 +232,22 @@ inline Tensor affine_matrix2d(Tensor const& degrees, std::optional<Tensor> const
                                             y, rows);
 }
 
-inline Tensor translation_matrix2d_backward(Tensor const& grad, Tensor const& translation, int64_t rows) {
-  return detail::formula_gradient<"translation_matrix2d">(grad, std::tuple(translation), rows);
+inline Tensor translation_matrix2d_backward(Tensor const& grad, Tensor const& translation, double x, double y,
+                                            int64_t rows) {
+  return detail::formula_gradient<"translation_matrix2d">(grad, std::tuple(translation), x, y, rows);
 }
-// (B, 2) to the first `rows` of (B, 3, 3).
-inline Tensor translation_matrix2d(Tensor const& translation, int64_t rows) {
-  return detail::formula<"translation_matrix2d">(std::tuple(translation), rows);
+// (B, 2), and (x, y) more, to the first `rows` of (B, 3, 3).
+inline Tensor translation_matrix2d(Tensor const& translation, double x, double y, int64_t rows) {
+  return detail::formula<"translation_matrix2d">(std::tuple(translation), x, y, rows);
+}
+
+inline Tensor translation_matrix3d_backward(Tensor const& grad, Tensor const& translation, double x, double y, double z,
+                                            int64_t rows) {
+  return detail::formula_gradient<"translation_matrix3d">(grad, std::tuple(translation), x, y, z, rows);
+}
+// (B, 3), and (x, y, z) more, to the first `rows` of (B, 4, 4).
+inline Tensor translation_matrix3d(Tensor const& translation, double x, double y, double z, int64_t rows) {
+  return detail::formula<"translation_matrix3d">(std::tuple(translation), x, y, z, rows);
 }
 
 inline Tensor scale_matrix2d_backward(Tensor const& grad, Tensor const& scale, std::optional<Tensor> const& center,
@@ -315,12 +326,15 @@ inline Tensor perspective_matrix(Tensor const& points_src, Tensor const& points_
   return detail::formula<"perspective_matrix">(std::tuple(points_src, points_dst));
 }
 
-inline Tensor perspective_matrix3d_backward(Tensor const& grad, Tensor const& points_src, Tensor const& points_dst) {
-  return detail::formula_gradient<"perspective_matrix3d">(grad, std::tuple(points_src, points_dst));
+inline Tensor perspective_matrix3d_backward(Tensor const& grad, Tensor const& points_src,
+                                            std::optional<Tensor> const& points_dst, double x, double y, double z) {
+  return detail::formula_gradient<"perspective_matrix3d">(grad, std::tuple(points_src, points_dst), x, y, z);
 }
-// The homographies (B, 4, 4) that take corners (B, 8, 3) of boxes to others.
-inline Tensor perspective_matrix3d(Tensor const& points_src, Tensor const& points_dst) {
-  return detail::formula<"perspective_matrix3d">(std::tuple(points_src, points_dst));
+// The homographies (B, 4, 4) that take corners (B, 8, 3) of boxes to others, or to those of the box from 0 to (x, y,
+// z).
+inline Tensor perspective_matrix3d(Tensor const& points_src, std::optional<Tensor> const& points_dst, double x,
+                                   double y, double z) {
+  return detail::formula<"perspective_matrix3d">(std::tuple(points_src, points_dst), x, y, z);
 }
 
 inline Tensor crop_matrix_backward(Tensor const& grad, Tensor const& quads, std::optional<Tensor> const& first,
@@ -340,6 +354,55 @@ inline Tensor quad_shapes_backward(Tensor const& grad, Tensor const& quads, Tens
 // 6).
 inline Tensor quad_shapes(Tensor const& quads, Tensor const& others) {
   return detail::formula<"quad_shapes">(std::tuple(quads, others));
+}
+
+inline Tensor essential_from_fundamental_backward(Tensor const& grad, Tensor const& fundamental, Tensor const& camera1,
+                                                  Tensor const& camera2) {
+  return detail::formula_gradient<"essential_from_fundamental">(grad, std::tuple(fundamental, camera1, camera2));
+}
+// K2^T F K1 of fundamental matrices and cameras (B, 3, 3).
+inline Tensor essential_from_fundamental(Tensor const& fundamental, Tensor const& camera1, Tensor const& camera2) {
+  return detail::formula<"essential_from_fundamental">(std::tuple(fundamental, camera1, camera2));
+}
+
+inline Tensor fundamental_from_essential_backward(Tensor const& grad, Tensor const& essential, Tensor const& camera1,
+                                                  Tensor const& camera2) {
+  return detail::formula_gradient<"fundamental_from_essential">(grad, std::tuple(essential, camera1, camera2));
+}
+// K2^-T E K1^-1 of essential matrices and cameras (B, 3, 3).
+inline Tensor fundamental_from_essential(Tensor const& essential, Tensor const& camera1, Tensor const& camera2) {
+  return detail::formula<"fundamental_from_essential">(std::tuple(essential, camera1, camera2));
+}
+
+inline Tensor fundamental_from_projections_backward(Tensor const& grad, Tensor const& projection1,
+                                                    Tensor const& projection2) {
+  return detail::formula_gradient<"fundamental_from_projections">(grad, std::tuple(projection1, projection2));
+}
+// The fundamental matrices (B, 3, 3) of two projections (B, 3, 4).
+inline Tensor fundamental_from_projections(Tensor const& projection1, Tensor const& projection2) {
+  return detail::formula<"fundamental_from_projections">(std::tuple(projection1, projection2));
+}
+
+inline Tensor camera_motion_backward(Tensor const& grad, Tensor const& rotation1, Tensor const& translation1,
+                                     Tensor const& rotation2, Tensor const& translation2) {
+  return detail::formula_gradient<"camera_motion">(grad, std::tuple(rotation1, translation1, rotation2, translation2));
+}
+// From a first camera, rotation (B, 3, 3) and translation (B, 3, 1), to a second: the rotation's rows, then the
+// translation, (B, 4, 3).
+inline Tensor camera_motion(Tensor const& rotation1, Tensor const& translation1, Tensor const& rotation2,
+                            Tensor const& translation2) {
+  return detail::formula<"camera_motion">(std::tuple(rotation1, translation1, rotation2, translation2));
+}
+
+inline Tensor essential_from_motions_backward(Tensor const& grad, Tensor const& rotation1, Tensor const& translation1,
+                                              Tensor const& rotation2, Tensor const& translation2) {
+  return detail::formula_gradient<"essential_from_motions">(
+      grad, std::tuple(rotation1, translation1, rotation2, translation2));
+}
+// The essential matrices (B, 3, 3) of two cameras, rotations (B, 3, 3) and translations (B, 3, 1).
+inline Tensor essential_from_motions(Tensor const& rotation1, Tensor const& translation1, Tensor const& rotation2,
+                                     Tensor const& translation2) {
+  return detail::formula<"essential_from_motions">(std::tuple(rotation1, translation1, rotation2, translation2));
 }
 
 }  // namespace kvision

@@ -103,6 +103,10 @@ int main() {
   check(
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
+  check(
+      "mutual_information",
+      [](auto const& t) { return std::get<0>(kvision::mutual_information(t[0], t[1], {}, {}, "xu", 5)); },
+      {rows, others}, false);
   check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
   check(
       "endpoint_error", [](auto const& t) { return kvision::endpoint_error(t[0], t[1], false, true, 0.5); },
@@ -149,6 +153,9 @@ int main() {
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
   check("local_maxima", [](auto const& t) { return std::get<0>(kvision::local_maxima(t[0], {1, 3, 3})); }, {x});
+  check(
+      "gaussian_maps", [](auto const& t) { return kvision::gaussian_maps(t[0], t[1], 5, 6, true); },
+      {torch::rand({3, 2}) - 0.5, torch::rand({1, 2}) + 0.5}, false);
   check("mean_place", [](auto const& t) { return std::get<0>(kvision::mean_place(t[0], true, 2)); }, {x}, false);
   check(
       "soft_argmax",
@@ -192,6 +199,27 @@ int main() {
       "affine_matrix2d",
       [](auto const& t) { return kvision::affine_matrix2d(t[0], t[1], {}, t[2], {}, t[3], 1, 0, 0, 2); },
       {100 * torch::rand({2}), torch::rand({1, 2}), torch::rand({2}), torch::rand({2, 2})}, false);
+  auto const some = std::nullopt;
+  check(
+      "warp_by_formula",
+      [&](auto const& t) {
+        return kvision::warp_by_formula(t[0], t[1], some, t[2], some, some, some, "affine_matrix2d", {1, 2, 3}, {5, 4});
+      },
+      {x, 100 * torch::rand({2}), torch::rand({1, 2}) + 0.5}, false);
+  check(
+      "warp_by_formula of numbers",
+      [&](auto const& t) {
+        return kvision::warp_by_formula(t[0], some, some, some, some, some, some, "translation_matrix2d", {0.3, 1.2},
+                                        {5, 4});
+      },
+      {x}, false);
+  check(
+      "warp3d_by_formula",
+      [&](auto const& t) {
+        return kvision::warp3d_by_formula(t[0], t[1], t[1], t[1], some, some, t[2], "affine_matrix3d", {1, 0, 0, 0},
+                                          {3, 5, 4});
+      },
+      {volume, 100 * torch::rand({1}), torch::rand({1, 3}) + 0.5}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },
@@ -209,6 +237,18 @@ int main() {
   check(
       "homography_dlt of weights", [](auto const& t) { return kvision::homography_dlt(t[0], t[1], t[2]); },
       {from, to, torch::rand({2, 6}) + 0.5}, false);
+  check(
+      "homography_lines_dlt", [](auto const& t) { return kvision::homography_lines_dlt(t[0], t[1], t[2]); },
+      {torch::rand({2, 6, 2, 2}), torch::rand({2, 6, 2, 2}), torch::rand({2, 6}) + 0.5}, false);
+  auto const both = [](auto const& t) {
+    auto const [points, matrix] = kvision::normalize_points(t[0], t[1]);
+    return torch::cat({points, matrix.narrow(2, 0, 2) + matrix.narrow(2, 1, 2)}, 1);
+  };
+  check("normalize_points", both, {from, torch::rand({2, 6}) + 0.5}, false);
+  Tensor const rotation = torch::rand({2, 3, 3}), translation = torch::rand({2, 3, 1});
+  check(
+      "essential_from_motions", [](auto const& t) { return kvision::essential_from_motions(t[0], t[1], t[2], t[3]); },
+      {rotation, translation, rotation + 1, translation + 1}, false);
   Tensor const first = torch::rand({2, 9, 2}), second = first + 0.1 * torch::rand({2, 9, 2});
   check("fundamental_dlt", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1]); }, {first, second}, false);
   check(
@@ -224,7 +264,8 @@ int main() {
       "pose_dlt of weights", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2], t[3]); },
       {solid, first, pinhole, torch::rand({2, 9}) + 0.5}, false);
   Tensor const matrices = torch::rand({3, 3, 3});
-  for (auto const* kind : {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer"})
+  for (auto const* kind :
+       {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer", "sampson_transfer"})
     check(
         "view_errors", [=](auto const& t) { return kvision::view_errors(t[0], t[1], t[2], kind, true); },
         {from, torch::rand({1, 6, 3}) + 0.5, matrices.narrow(0, 0, 2) + 1}, false);

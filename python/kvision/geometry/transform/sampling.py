@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._ops import register
+from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
@@ -222,6 +222,68 @@ _warp_matrix_gradient = register(
     _matrix_gradient_reference,
     fake=lambda grad, image, matrix, *rest: matrix.new_empty(len(image), *matrix.shape[1:]),
     stores=True,
+)
+
+# --- warps by formulas ----------------------------------------------------------------------------------------------
+
+
+class Formula(NamedTuple):
+    """A formula of a matrix as warps use it: its operator, how many tensors it takes, its last argument if that is rows."""
+
+    matrix: Operator
+    tensors: int
+    rows: tuple[int, ...] = ()
+
+
+def register_warp_by_formula(by: Operator, formulas: dict[str, Formula], *unused: None, **rules: Any) -> Operator:
+    """Operator `by`, a warp, without the matrix: made in the same launch, from up to six tensors, a name and numbers.
+
+    Takes the images, six tensors or None, the name of the formula, its plain arguments, then what `by` takes behind its
+    matrix and the tensors `unused`.
+    """
+
+    def split(image: Tensor, args: Sequence[Any]) -> tuple[Formula, tuple[Any, ...], Sequence[Any]]:
+        formula = formulas[args[6]]
+        first = args[0]
+        if first is None:  # a translation
+            first = torch.zeros(1, len(args[7]), dtype=compute_dtype(image), device=image.device)
+        tensors = (first, *args[1:6], *[None] * 6)[: formula.tensors]
+        return formula, (*tensors, *args[7], *formula.rows), args[8:]
+
+    def reference(image: Tensor, *args: Any) -> Tensor:
+        formula, given, how = split(image, args)
+        warped: Tensor = by.definition(image, formula.matrix.definition(*given), *unused, *how)
+        return warped
+
+    def backward(needs: Sequence[bool], grad: Tensor, image: Tensor, *args: Any) -> list[Tensor | None]:
+        formula, given, how = split(image, args)
+        to_matrix = any(needs[1:7])
+        needed = (needs[0], to_matrix, *[False] * (len(unused) + len(how)))
+        found = by.backward(needed, grad, image, formula.matrix(*given), *unused, *how)
+        if not to_matrix:
+            return [found[0]]
+        return [found[0], *formula.matrix.backward(needs[1:], found[1], *given)[:6]]
+
+    return register(
+        f"{by.name}_by_formula",
+        reference,
+        fake=lambda image, *args: (*image.shape[:2], *args[8]),
+        backward=backward,
+        **rules,
+    )
+
+
+warp_by_formula = register_warp_by_formula(
+    warp,
+    {
+        "affine_matrix2d": Formula(matrices.affine_matrix2d, 6, (2,)),
+        "translation_matrix2d": Formula(matrices.translation_matrix2d, 1, (2,)),
+        "scale_matrix2d": Formula(matrices.scale_matrix2d, 2),
+        "slant_matrix2d": Formula(matrices.slant_matrix2d, 1),
+        "crop_matrix": Formula(matrices.crop_matrix, 2),
+    },
+    None,  # no fill
+    bytes=True,
 )
 
 # --- remap ----------------------------------------------------------------------------------------------------------

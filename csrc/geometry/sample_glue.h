@@ -35,6 +35,13 @@ inline Size size_of(char const* op, std::vector<int64_t> const& size) {
 
 inline Size size_of(char const* op, Tensor const& x) { return size_of(op, {x.size(2), x.size(3)}); }
 
+// Of a map that an operator makes.
+inline Size map_size(char const* op, std::vector<int64_t> const& sides) {
+  Size const size = size_of(op, sides);
+  KV_CHECK(size.height * size.width <= INT32_MAX, op, ": expected a map of less than 2^31 pixels");
+  return size;
+}
+
 // Kernels on CUDA count the elements of a plane in ints.
 template <class T>
 void check_planes([[maybe_unused]] char const* op, [[maybe_unused]] Images<T> const& x) {

@@ -199,7 +199,7 @@ int main() {
       "affine_matrix2d",
       [](auto const& t) { return kvision::affine_matrix2d(t[0], t[1], {}, t[2], {}, t[3], 1, 0, 0, 2); },
       {100 * torch::rand({2}), torch::rand({1, 2}), torch::rand({2}), torch::rand({2, 2})}, false);
-  auto const some = std::nullopt;
+  static constexpr auto some = std::nullopt;
   check(
       "warp_by_formula",
       [&](auto const& t) {
@@ -220,6 +220,12 @@ int main() {
                                           {3, 5, 4});
       },
       {volume, 100 * torch::rand({1}), torch::rand({1, 3}) + 0.5}, false);
+  check(
+      "lens_map", [](auto const& t) { return kvision::lens_map(t[0], t[1], some, {3, 5}); },
+      {torch::rand({1, 3, 3}) + 3, 0.1 * torch::rand({2, 8})}, false);
+  check(
+      "lens_map of a tilted sensor", [](auto const& t) { return kvision::lens_map(t[0], t[1], t[2], {3, 5}); },
+      {torch::rand({1, 3, 3}) + 3, 0.1 * torch::rand({2, 14}), torch::eye(3) + 0.1 * torch::rand({2, 3, 3})}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },

@@ -208,6 +208,11 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
         auto const gather = [&](auto affine) {
           F const(&m)[9] = tile.map.m;
           F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
+          // Of an affine map places count from the pixel: one addition less for each. Not those of the nearest pixel,
+          // where halves go to even ones.
+          int const pixel_x = K > 1 && affine.value ? 0 : x, pixel_y = K > 1 && affine.value ? 0 : y;
+          from_x -= F(x - pixel_x);
+          from_y -= F(y - pixel_y);
           F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
 #pragma unroll 1
           for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
@@ -218,7 +223,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
 #pragma unroll
               for (int n = 0; n < kTogether<K>; ++n, ++grad) {
                 F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
-                F const share = weight_at<K>(place_x * scale, x) * weight_at<K>(place_y * scale, y);
+                F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
 #pragma unroll
                 for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * Gradients::kSize]));
                 place_x += m[0];

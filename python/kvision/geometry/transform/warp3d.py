@@ -15,7 +15,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.transform import matrices, sampling
-from kvision.geometry.transform.warp import transform_grid
+from kvision.geometry.transform.warp import transform_grid, transformed_grid
 
 __all__ = [
     "affine3d",
@@ -212,7 +212,8 @@ def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     """
     _check.shape("warp_grid3d", "grid", grid, "B", "D", "H", "W", 3)
     _check.shape("warp_grid3d", "src_homo_dst", src_homo_dst, "B", 4, 4)
-    return transform_grid(floats(grid), src_homo_dst)
+    _check.same_device("warp_grid3d", grid=grid, src_homo_dst=src_homo_dst)
+    return transformed_grid(floats(grid), src_homo_dst)
 
 
 # --- what they share ------------------------------------------------------------------------------------------------

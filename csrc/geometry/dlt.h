@@ -7,6 +7,8 @@
 //
 // A homography takes n1 = (u, v, 1) to (x, y) = n2, a camera points of space (u, v, w, 1):
 //   r = (0, -n1, y n1), (n1, 0, -x n1), and T2^-1 h T1 in pixels
+// One that takes both ends n1 of segments to lines l = (x, y, 1) x (x', y', 1) of others has l^T h n1 = 0:
+//   r = the products of l and n1
 // A fundamental matrix has n2^T F n1 = 0 for n2 = (x, y, 1):
 //   r = the products of n2 and n1, and T2^T h T1, h without what it does to its smallest singular vector
 //
@@ -25,12 +27,12 @@
 
 namespace kv {
 
-enum class DltModel : int { homography, fundamental, pose, affine };
+enum class DltModel : int { homography, lines, fundamental, pose, affine };
 
 template <class T>
 struct Dlt {
   DltModel model;
-  Reals points1, points2, weights;  // (B, N, 2), (B, N, 3) of a pose; (B, N, 2); (B, N) or null
+  Reals points1, points2, weights;  // (B, N, 2), (B, N, 3) of a pose; (B, N, 2); (B, N) or null. Of lines (B, N, 2, 2)
   Reals camera;                     // (B, 3, 3) of a pose
   int64_t batch, count, stride;     // from the points of a problem to the next one's: 0 where all have the same
   double flat;                      // points of a pose whose least extent is below that have none
@@ -42,6 +44,20 @@ struct Dlt {
 KV_KERNEL(dlt, Dlt)
 KV_KERNEL(dlt_backward, Dlt)
 
+// Points as they are normalised above, on their own, and the matrix that does it.
+template <class T>
+struct NormalizedPoints {
+  Reals points, weights;  // (B, N, 2), (B, N) or null
+  int64_t batch, count;
+  double eps;
+  Reals normalized, matrix;  // (B, N, 2), (B, 3, 3)
+  // For the gradient only:
+  Reals grad, grad_matrix, to_points, to_weights;
+};
+
+KV_KERNEL(normalize_points, NormalizedPoints)
+KV_KERNEL(normalize_points_backward, NormalizedPoints)
+
 namespace dlt_steps {
 
 constexpr double kEps = 1e-8;
@@ -52,15 +68,15 @@ struct Weights {
   int64_t first, count;
   bool squared;
   double total, inverse, alike;
-  template <class T, class Team>
-  KV_HD Weights(Dlt<T> const& p, int64_t b, Team team)
-      : weights(p.weights),
-        first(b * p.count),
-        count(p.count),
-        squared(p.model == DltModel::pose),
+  template <class Team>
+  KV_HD Weights(Reals weights, int64_t b, int64_t count, bool squared, Team team)
+      : weights(weights),
+        first(b * count),
+        count(count),
+        squared(squared),
         total(0),
         inverse(0),
-        alike(1 / double(p.count)) {
+        alike(1 / double(count)) {
     if (!weights.data) return;
     for (int64_t i = team.first(); i < count; i += team.step()) total += positive(i);
     total = team.sum(total);
@@ -109,17 +125,19 @@ struct Image {
 
   static KV_HD double root() { return D == 2 ? 1.4142135623730951 : 1.7320508075688772; }
 
-  template <class Team>
-  KV_HD void normalize(Weights const& w, Team team) {
+  // With so many points of a weight.
+  template <int kPoints, class Team>
+  KV_HD void normalize(Weights const& w, double eps, Team team) {
     double sum[D] = {}, total = 0, at[D];
-    for (int64_t i = team.first(); i < w.count; i += team.step()) {
+    for (int64_t i = team.first(); i < kPoints * w.count; i += team.step()) {
       point(i, at);
-      for (int k = 0; k < D; ++k) sum[k] += w.share(i) * at[k];
+      for (int k = 0; k < D; ++k) sum[k] += w.share(i / kPoints) / kPoints * at[k];
     }
     for (int k = 0; k < D; ++k) mean[k] = team.sum(sum[k]);
-    for (int64_t i = team.first(); i < w.count; i += team.step()) total += w.share(i) * from_mean(i, at);
+    for (int64_t i = team.first(); i < kPoints * w.count; i += team.step())
+      total += w.share(i / kPoints) / kPoints * from_mean(i, at);
     distance = team.sum(total);
-    scale = root() / (distance + kEps);
+    scale = root() / (distance + eps);
   }
   KV_HD void point(int64_t i, double* at) const {
     for (int k = 0; k < D; ++k) at[k] = points[D * (start + i) + k];
@@ -169,7 +187,8 @@ struct ImageSlopes {
   }
 };
 
-template <int D>
+// Of correspondences that have so many points each.
+template <int D, int kPoints = 1>
 struct Problem {
   static constexpr int kColumns = D + 1;
   Weights weights;
@@ -178,12 +197,13 @@ struct Problem {
 
   template <class T, class Team>
   KV_HD Problem(Dlt<T> const& p, int64_t b, Team team)
-      : weights(p, b, team),
+      : weights(p.weights, b, p.count, p.model == DltModel::pose, team),
         one{p.points1, b * p.stride, {}, {}, 0, 0},
         two{p.points2, b * p.stride, {p.camera, 9 * b}, {}, 0, 0} {
-    one.normalize(weights, team);
-    two.normalize(weights, team);
+    one.template normalize<kPoints>(weights, kEps, team);
+    two.template normalize<kPoints>(weights, kEps, team);
   }
+  KV_HD double share(int64_t i) const { return weights.share(i) / kPoints; }  // of a point of correspondence i
   // Both normalised, with a 1.
   KV_HD void normalized(int64_t i, double* n1, double* n2) const {
     one.from_mean(i, n1);
@@ -223,7 +243,7 @@ KV_HD double product(double const* a, double const* b) {
 
 template <int D>
 struct Projective {
-  static constexpr int kAxes = D, C = D + 1, kUnknowns = 3 * C;
+  static constexpr int kAxes = D, kPoints = 1, C = D + 1, kUnknowns = 3 * C;
 
   // M has five different blocks, of which two are 0: sums of w, -w x, -w y, w (x^2 + y^2) times n1 n1^T.
   template <class Team>
@@ -327,6 +347,72 @@ struct Homography : Projective<2> {
   }
 };
 
+// The sum of w l l^T times n1 n1^T: of six different products of each. `pair` gives w, n1 and l, numbers of three, of a
+// point of either.
+template <class Team, class Pair>
+KV_HD void sum_products(int64_t count, Team team, Pair pair, double* m) {
+  double sums[6][6] = {};
+  for (int64_t i = team.first(); i < count; i += team.step()) {
+    double n1[3], n2[3], products[6];
+    double const w = pair(i, n1, n2);
+    for (int r = 0, at = 0; r < 3; ++r)
+      for (int c = 0; c <= r; ++c, ++at) products[at] = n1[r] * n1[c];
+    for (int r = 0, at = 0; r < 3; ++r)
+      for (int c = 0; c <= r; ++c, ++at)
+        for (int k = 0; k < 6; ++k) sums[at][k] += w * n2[r] * n2[c] * products[k];
+  }
+  for (int f = 0; f < 6; ++f)
+    for (int k = 0; k < 6; ++k) sums[f][k] = team.sum(sums[f][k]);
+  auto const place = [](int i, int k) { return i > k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i; };
+  for (int r = 0; r < 9; ++r)
+    for (int c = 0; c < 9; ++c) m[9 * r + c] = sums[place(r / 3, c / 3)][place(r % 3, c % 3)];
+}
+
+// --- homographies of segments, whose points are their ends
+// ----------------------------------------------------------------------------
+
+struct Lines : Homography {
+  static constexpr int kPoints = 2;
+
+  template <class Team>
+  static KV_CALLED void normal_matrix(Problem<2, 2> const& problem, Team team, double* m) {
+    auto const end = [&](int64_t i, double* n1, double* line) {
+      double start[3], end[3], other[3];
+      problem.normalized(i ^ 1, other, start);
+      problem.normalized(i, n1, end);
+      small::cross(start, end, line);  // of either sign
+      return problem.weights[i / 2];
+    };
+    sum_products(2 * problem.weights.count, team, end, m);
+  }
+  static KV_HD double row_vjp(double w, double const* u, double const* h, double const* n1, double const* n2,
+                              double* g1, double* g2) {
+    double line[3], to_line[3] = {}, to_ends[3], to_weight = 0;
+    small::cross(n2, n2 + 3, line);
+    for (int end = 0; end < 2; ++end) {
+      double by_u[3], by_h[3];
+      for (int r = 0; r < 3; ++r)
+        by_u[r] = small::dot3(u + 3 * r, n1 + 3 * end), by_h[r] = small::dot3(h + 3 * r, n1 + 3 * end);
+      double const a = small::dot3(by_u, line), c = small::dot3(by_h, line);
+      to_weight -= a * c;
+      for (int k = 0; k < 3; ++k) to_line[k] -= w * (c * by_u[k] + a * by_h[k]);
+      for (int k = 0; k < 2; ++k) {
+        g1[2 * end + k] = 0;
+        for (int r = 0; r < 3; ++r) g1[2 * end + k] -= w * line[r] * (c * u[3 * r + k] + a * h[3 * r + k]);
+      }
+    }
+    small::cross(n2 + 3, to_line, to_ends);
+    g2[0] = to_ends[0], g2[1] = to_ends[1];
+    small::cross(to_line, n2, to_ends);
+    g2[2] = to_ends[0], g2[3] = to_ends[1];
+    return to_weight;
+  }
+  template <class T, class Team>
+  static KV_HD bool possible(Dlt<T> const&, Problem<2, 2> const&, Team) {
+    return true;
+  }
+};
+
 // --- poses
 // ----------------------------------------------------------------------------
 
@@ -415,27 +501,15 @@ struct Pose : Projective<3> {
 // ----------------------------------------------------------------------------
 
 struct Fundamental {
-  static constexpr int kAxes = 2, kUnknowns = 9, kNumbers = 9;
+  static constexpr int kAxes = 2, kPoints = 1, kUnknowns = 9, kNumbers = 9;
 
-  // M is the sum of w n2 n2^T times n1 n1^T: of six different products of each.
   template <class Team>
   static KV_CALLED void normal_matrix(Problem<2> const& problem, Team team, double* m) {
-    double sums[6][6] = {};
-    for (int64_t i = team.first(); i < problem.weights.count; i += team.step()) {
-      double n1[3], n2[3], products[6];
+    auto const pair = [&](int64_t i, double* n1, double* n2) {
       problem.normalized(i, n1, n2);
-      double const w = problem.weights[i];
-      for (int r = 0, at = 0; r < 3; ++r)
-        for (int c = 0; c <= r; ++c, ++at) products[at] = n1[r] * n1[c];
-      for (int r = 0, at = 0; r < 3; ++r)
-        for (int c = 0; c <= r; ++c, ++at)
-          for (int k = 0; k < 6; ++k) sums[at][k] += w * n2[r] * n2[c] * products[k];
-    }
-    for (int f = 0; f < 6; ++f)
-      for (int k = 0; k < 6; ++k) sums[f][k] = team.sum(sums[f][k]);
-    auto const place = [](int i, int k) { return i > k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i; };
-    for (int r = 0; r < 9; ++r)
-      for (int c = 0; c < 9; ++c) m[9 * r + c] = sums[place(r / 3, c / 3)][place(r % 3, c % 3)];
+      return problem.weights[i];
+    };
+    sum_products(problem.weights.count, team, pair, m);
   }
 
   static KV_HD double row_vjp(double w, double const* u, double const* h, double const* n1, double const* n2,
@@ -533,7 +607,7 @@ struct AffineFit {
 template <class Model, class T, class Team>
 KV_HD void dlt_of(Model, Dlt<T> const& p, int64_t b, Team team) {
   constexpr int n = Model::kUnknowns;
-  dlt_steps::Problem<Model::kAxes> const problem(p, b, team);
+  dlt_steps::Problem<Model::kAxes, Model::kPoints> const problem(p, b, team);
   double m[n * n], h[n], f[n], before[n], found[n];
   bool const possible = Model::possible(p, problem, team);
   Model::normal_matrix(problem, team, m);
@@ -548,8 +622,8 @@ KV_HD void dlt_of(Model, Dlt<T> const& p, int64_t b, Team team) {
 
 template <class Model, class T, class Team>
 KV_HD void dlt_backward_of(Model, Dlt<T> const& p, int64_t b, Team team) {
-  constexpr int n = Model::kUnknowns, D = Model::kAxes;
-  dlt_steps::Problem<D> const problem(p, b, team);
+  constexpr int n = Model::kUnknowns, D = Model::kAxes, kPoints = Model::kPoints;
+  dlt_steps::Problem<D, kPoints> const problem(p, b, team);
   dlt_steps::Image<D> const& one = problem.one;
   dlt_steps::Image<2> const& two = problem.two;
   dlt_steps::ImageSlopes<D> to_one;
@@ -575,31 +649,41 @@ KV_HD void dlt_backward_of(Model, Dlt<T> const& p, int64_t b, Team team) {
   }
   for (int i = 0; i < n; ++i) h[i] = team.sum(h[i]), u[i] = team.sum(u[i]);
 
+  // The gradients to the points of correspondence i, normalised; gives that to its weight.
+  auto const slopes = [&](int64_t i, double* g1, double* g2) KV_INLINE {
+    double n1[kPoints * (D + 1)], n2[kPoints * 3];
+    for (int e = 0; e < kPoints; ++e) problem.normalized(kPoints * i + e, n1 + (D + 1) * e, n2 + 3 * e);
+    return Model::row_vjp(weights[i], u, h, n1, n2, g1, g2);
+  };
+  double g1[kPoints * D], g2[kPoints * 2];
   for (int64_t i = team.first(); i < p.count; i += team.step()) {
-    double n1[D + 1], n2[3], g1[D], g2[2], share = weights.share(i);
-    problem.normalized(i, n1, n2);
-    Model::row_vjp(weights[i], u, h, n1, n2, g1, g2);
-    to_one.add(one, i, share, g1);
-    to_two.add(two, i, share, g2);
+    slopes(i, g1, g2);
+    for (int e = 0; e < kPoints; ++e) {
+      to_one.add(one, kPoints * i + e, problem.share(i), g1 + D * e);
+      to_two.add(two, kPoints * i + e, problem.share(i), g2 + 2 * e);
+    }
   }
   to_one.finish(one, team);
   to_two.finish(two, team);
 
   // To points, and to shares, whose sum is 1.
   double common = 0, to_camera[6] = {};
+  auto const to_share = [&](int64_t i) KV_INLINE {
+    double sum = 0;
+    for (int64_t e = kPoints * i; e < kPoints * (i + 1); ++e) sum += to_one.to_share(one, e) + to_two.to_share(two, e);
+    return sum / kPoints;
+  };
   if (weights.shared()) {
-    for (int64_t i = team.first(); i < p.count; i += team.step())
-      common += weights.share(i) * (to_one.to_share(one, i) + to_two.to_share(two, i));
+    for (int64_t i = team.first(); i < p.count; i += team.step()) common += weights.share(i) * to_share(i);
     common = team.sum(common);
   }
   for (int64_t i = team.first(); i < p.count; i += team.step()) {
-    double n1[D + 1], n2[3], g1[D], g2[2], share = weights.share(i);
-    problem.normalized(i, n1, n2);
-    double to_weight = Model::row_vjp(weights[i], u, h, n1, n2, g1, g2);
-    to_one.to_point(one, i, share, g1);
-    to_two.to_point(two, i, share, g2);
-    if (weights.shared() && weights[i] >= 0)
-      to_weight += (to_one.to_share(one, i) + to_two.to_share(two, i) - common) / weights.total;
+    double to_weight = slopes(i, g1, g2);
+    for (int e = 0; e < kPoints; ++e) {
+      to_one.to_point(one, kPoints * i + e, problem.share(i), g1 + D * e);
+      to_two.to_point(two, kPoints * i + e, problem.share(i), g2 + 2 * e);
+    }
+    if (weights.shared() && weights[i] >= 0) to_weight += (to_share(i) - common) / weights.total;
     if (weights.squared && weights.weights.data) to_weight *= 2 * weights.weights[weights.first + i];
     if (two.calibration.camera.data) {
       double pixel[2], xy[2];
@@ -607,8 +691,8 @@ KV_HD void dlt_backward_of(Model, Dlt<T> const& p, int64_t b, Team team) {
       for (int k = 0; k < 2; ++k) pixel[k] = two.points[2 * (two.start + i) + k];
       two.calibration.vjp(pixel, xy, g2, to_camera);
     }
-    for (int k = 0; k < D; ++k) p.grad1.set(D * (one.start + i) + k, g1[k]);
-    for (int k = 0; k < 2; ++k) p.grad2.set(2 * (two.start + i) + k, g2[k]);
+    for (int k = 0; k < kPoints * D; ++k) p.grad1.set(D * (one.start + kPoints * i) + k, g1[k]);
+    for (int k = 0; k < kPoints * 2; ++k) p.grad2.set(2 * (two.start + kPoints * i) + k, g2[k]);
     p.grad_weights.set(b * p.count + i, to_weight);
   }
   if (!two.calibration.camera.data) return;
@@ -685,12 +769,65 @@ KV_HD void dlt_backward_of(dlt_steps::Affine, Dlt<T> const& p, int64_t b, Team t
   }
 }
 
+template <class T, class Team>
+KV_HD void normalize_points_of(NormalizedPoints<T> const& p, int64_t b, Team team) {
+  dlt_steps::Weights const weights(p.weights, b, p.count, false, team);
+  dlt_steps::Image<2> image{p.points, b * p.count, {}, {}, 0, 0};
+  image.normalize<1>(weights, p.eps, team);
+  for (int64_t i = team.first(); i < p.count; i += team.step()) {
+    double at[2];
+    image.from_mean(i, at);
+    for (int k = 0; k < 2; ++k) p.normalized.set(2 * (image.start + i) + k, image.scale * at[k]);
+  }
+  if (team.first() != 0) return;
+  for (int i = 0; i < 9; ++i) {
+    double const shift = i % 3 == 2 && i < 6 ? -image.scale * image.mean[i / 3] : 0;
+    p.matrix.set(9 * b + i, i == 8 ? 1 : i % 4 == 0 ? image.scale : shift);
+  }
+}
+
+template <class T, class Team>
+KV_HD void normalize_points_backward_of(NormalizedPoints<T> const& p, int64_t b, Team team) {
+  dlt_steps::Weights const weights(p.weights, b, p.count, false, team);
+  dlt_steps::Image<2> image{p.points, b * p.count, {}, {}, 0, 0};
+  image.normalize<1>(weights, p.eps, team);
+  dlt_steps::ImageSlopes<2> to;
+  auto const given = [&](int64_t i, double* g) KV_INLINE {
+    for (int k = 0; k < 2; ++k) g[k] = p.grad[2 * (image.start + i) + k];
+  };
+  double g[2], common = 0;
+  for (int64_t i = team.first(); i < p.count; i += team.step()) {
+    given(i, g);
+    to.add(image, i, weights.share(i), g);
+  }
+  if (team.first() == 0)
+    for (int k = 0; k < 2; ++k) {
+      double const shift = p.grad_matrix[9 * b + 3 * k + 2];
+      to.scale += p.grad_matrix[9 * b + 4 * k] - shift * image.mean[k];
+      to.mean[k] -= shift * image.scale;
+    }
+  to.finish(image, team);
+  if (weights.shared()) {
+    for (int64_t i = team.first(); i < p.count; i += team.step()) common += weights.share(i) * to.to_share(image, i);
+    common = team.sum(common);
+  }
+  for (int64_t i = team.first(); i < p.count; i += team.step()) {
+    given(i, g);
+    to.to_point(image, i, weights.share(i), g);
+    for (int k = 0; k < 2; ++k) p.to_points.set(2 * (image.start + i) + k, g[k]);
+    bool const counts = weights.shared() && weights[i] >= 0;
+    p.to_weights.set(b * p.count + i, counts ? (to.to_share(image, i) - common) / weights.total : 0);
+  }
+}
+
 // Calls f with the steps of a model.
 template <class F>
 KV_HD void with_model(DltModel model, F f) {
   switch (model) {
     case DltModel::homography:
       return f(dlt_steps::Homography{});
+    case DltModel::lines:
+      return f(dlt_steps::Lines{});
     case DltModel::fundamental:
       return f(dlt_steps::Fundamental{});
     case DltModel::pose:

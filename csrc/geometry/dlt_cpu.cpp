@@ -18,8 +18,20 @@ void dlt_backward(Dlt<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
+template <class T>
+void normalize_points(NormalizedPoints<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) normalize_points_of(p, b, Alone{});
+}
+
+template <class T>
+void normalize_points_backward(NormalizedPoints<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) normalize_points_backward_of(p, b, Alone{});
+}
+
 KV_INSTANTIATE_ONE(dlt, Dlt, double)
 KV_INSTANTIATE_ONE(dlt_backward, Dlt, double)
+KV_INSTANTIATE_ONE(normalize_points, NormalizedPoints, double)
+KV_INSTANTIATE_ONE(normalize_points_backward, NormalizedPoints, double)
 
 }  // namespace kv::KV_ISA
 #endif

@@ -1,5 +1,6 @@
-// Rotations in all their forms and the matrices of transforms of images, as formulas (formula.h); the list of them is
-// at the end. The Python references say what each is, python/kvision/geometry/{conversions,linalg,transform}.
+// Rotations in all their forms, the matrices of transforms of images and of two views, as formulas (formula.h); the
+// list of them is at the end. The Python references say what each is, python/kvision/geometry/{conversions,linalg,
+// transform,epipolar}.
 //
 // What is 0 / 0 where an angle is 0 is a series in its square there; the other branches of a `select` may then be NaN,
 // which stays there, in Duals too.
@@ -241,6 +242,18 @@ struct QuaternionFromEuler : OfNumbers<3> {
     q[1] = s[0] * c[1] * c[2] - c[0] * s[1] * s[2];
     q[2] = c[0] * s[1] * c[2] + s[0] * c[1] * s[2];
     q[3] = c[0] * c[1] * s[2] - s[0] * s[1] * c[2];
+  }
+  // Along roll the derivative is q i / 2, along yaw k q / 2.
+  template <class V>
+  static KV_HD void pull(V const* angles, V const* g, V* to, Settings const& settings) {
+    V s[3], c[3], q[4];
+    of(angles, q, settings);
+    for (int i = 0; i < 3; ++i) sin_cos(angles[i] * .5, s[i], c[i]);
+    to[0] = (q[0] * g[1] - q[1] * g[0] + q[3] * g[2] - q[2] * g[3]) * .5;
+    to[2] = (q[0] * g[3] - q[3] * g[0] + q[1] * g[2] - q[2] * g[1]) * .5;
+    to[1] = (s[0] * c[1] * s[2] - c[0] * s[1] * c[2]) * g[0] - (s[0] * s[1] * c[2] + c[0] * c[1] * s[2]) * g[1];
+    to[1] = to[1] + (c[0] * c[1] * c[2] - s[0] * s[1] * s[2]) * g[2];
+    to[1] = (to[1] - (c[0] * s[1] * s[2] + s[0] * c[1] * c[2]) * g[3]) * .5;
   }
 };
 
@@ -640,6 +653,222 @@ struct QuadShapes {
   }
 };
 
+// --- two views of one scene
+// -----------------------------------------------------------------------------------------------------
+
+// c = a b of 3 x 3 matrices, either of them transposed.
+template <bool kTransposeA, bool kTransposeB, class V>
+KV_HD void product3(V const* a, V const* b, V* c) {
+  for (int i = 0; i < 9; ++i) {
+    V const *const row = a + (kTransposeA ? i / 3 : i / 3 * 3), *const column = b + (kTransposeB ? i % 3 * 3 : i % 3);
+    constexpr int along = kTransposeA ? 3 : 1, down = kTransposeB ? 1 : 3;
+    c[i] = row[0] * column[0] + row[along] * column[down] + row[2 * along] * column[2 * down];
+  }
+}
+template <class V>
+KV_HD void cross3(V const* a, V const* b, V* c) {
+  for (int i = 0; i < 3; ++i) c[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
+}
+
+// y = right^T m left, and from its gradient to all three.
+template <class V>
+KV_HD void between(V const* m, V const* left, V const* right, V* y) {
+  V half[9];
+  product3<false, false>(m, left, half);
+  product3<true, false>(right, half, y);
+}
+template <class V>
+KV_HD void between_vjp(V const* m, V const* left, V const* right, V const* g, V* to_m, V* to_left, V* to_right) {
+  V half[9];
+  product3<false, false>(m, left, half);
+  product3<false, true>(half, g, to_right);
+  product3<false, false>(right, g, half);
+  product3<false, true>(half, left, to_m);
+  product3<true, false>(m, half, to_left);
+}
+
+// NaN where there is none.
+template <class V>
+KV_HD void inverse3(V const* m, V* inverse) {
+  V columns[9];
+  for (int i = 0; i < 3; ++i) cross3(m + (i + 1) % 3 * 3, m + (i + 2) % 3 * 3, columns + 3 * i);
+  V const volume = m[0] * columns[0] + m[1] * columns[1] + m[2] * columns[2];
+  V const factor = select(volume == 0., number<V>(__builtin_nan("")), 1. / volume);
+  for (int i = 0; i < 9; ++i) inverse[i] = columns[i % 3 * 3 + i / 3] * factor;
+}
+
+// A matrix and two cameras.
+struct OfCameras {
+  static constexpr int kInputs = 3, kRequired = 3, kNumbers = 27, kOutputs = 9, kPlain = 0, kCut = 0;
+  static constexpr Extent extent(int) { return {3, 3}; }
+  static constexpr Extent result = {3, 3};
+};
+
+struct EssentialFromFundamental : OfCameras {
+  template <class V>
+  static KV_HD void of(V const* x, V* y, Settings const&) {
+    between(x, x + 9, x + 18, y);
+  }
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    between_vjp(x, x + 9, x + 18, g, to, to + 9, to + 18);
+  }
+};
+
+struct FundamentalFromEssential : OfCameras {
+  template <class V>
+  static KV_HD void of(V const* x, V* y, Settings const&) {
+    V left[9], right[9];
+    inverse3(x + 9, left);
+    inverse3(x + 18, right);
+    between(x, left, right, y);
+  }
+  // The gradient to K is -K^-T (that to K^-1) K^-T.
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    V inverses[18], slopes[18], half[9];
+    inverse3(x + 9, inverses);
+    inverse3(x + 18, inverses + 9);
+    between_vjp(x, inverses, inverses + 9, g, to, slopes, slopes + 9);
+    for (int i = 0; i < 18; i += 9) {
+      product3<true, false>(inverses + i, slopes + i, half);
+      product3<false, true>(half, inverses + i, to + 9 + i);
+      for (int k = 0; k < 9; ++k) to[9 + i + k] = -to[9 + i + k];
+    }
+  }
+};
+
+// Rotations and translations of two cameras.
+struct OfMotions {
+  static constexpr int kInputs = 4, kRequired = 4, kNumbers = 24, kPlain = 0, kCut = 0;
+  static constexpr Extent extent(int i) { return {3, i % 2 ? 1 : 3}; }
+
+  // R = R2 R1^T and t = t2 - R t1.
+  template <class V>
+  static KV_HD void motion(V const* x, V* R, V* t) {
+    product3<false, true>(x + 12, x, R);
+    for (int i = 0; i < 3; ++i) t[i] = x[21 + i] - (R[3 * i] * x[9] + R[3 * i + 1] * x[10] + R[3 * i + 2] * x[11]);
+  }
+  template <class V>
+  static KV_HD void motion_vjp(V const* x, V const* R, V const* to_R, V const* to_t, V* to) {
+    V g[9];
+    for (int i = 0; i < 9; ++i) g[i] = to_R[i] - to_t[i / 3] * x[9 + i % 3];
+    product3<true, false>(g, x + 12, to);
+    product3<false, false>(g, x, to + 12);
+    for (int i = 0; i < 3; ++i) {
+      to[9 + i] = -(R[i] * to_t[0] + R[3 + i] * to_t[1] + R[6 + i] * to_t[2]);
+      to[21 + i] = to_t[i];
+    }
+  }
+};
+
+// R's rows, then t.
+struct CameraMotion : OfMotions {
+  static constexpr int kOutputs = 12;
+  static constexpr Extent result = {4, 3};
+  template <class V>
+  static KV_HD void of(V const* x, V* y, Settings const&) {
+    motion(x, y, y + 9);
+  }
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    V R[9], t[3];
+    motion(x, R, t);
+    motion_vjp(x, R, g, g + 9, to);
+  }
+};
+
+// [t]x R.
+struct EssentialFromMotions : OfMotions {
+  static constexpr int kOutputs = 9;
+  static constexpr Extent result = {3, 3};
+  template <class V>
+  static KV_HD void of(V const* x, V* y, Settings const&) {
+    V R[9], t[3];
+    motion(x, R, t);
+    for (int i = 0; i < 9; ++i) {
+      int const after = (i / 3 + 1) % 3, last = (i / 3 + 2) % 3;
+      y[i] = t[after] * R[3 * last + i % 3] - t[last] * R[3 * after + i % 3];
+    }
+  }
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    V R[9], t[3], to_R[9], to_t[3];
+    motion(x, R, t);
+    for (int i = 0; i < 3; ++i) {
+      V const *const R1 = R + (i + 1) % 3 * 3, *const R2 = R + (i + 2) % 3 * 3, *const g1 = g + (i + 1) % 3 * 3,
+                     *const g2 = g + (i + 2) % 3 * 3;
+      to_t[i] = number<V>(0);
+      for (int k = 0; k < 3; ++k) {
+        to_t[i] = to_t[i] + (R1[k] * g2[k] - R2[k] * g1[k]);
+        to_R[3 * i + k] = g1[k] * t[(i + 2) % 3] - g2[k] * t[(i + 1) % 3];
+      }
+    }
+    motion_vjp(x, R, to_R, to_t, to);
+  }
+};
+
+// The determinant of four rows of two projections, for each pair of rows that is left out of both: for each pair of
+// columns that of the first one's rows, times that of the second one's for the other columns.
+struct FundamentalFromProjections {
+  static constexpr int kInputs = 2, kRequired = 2, kNumbers = 24, kOutputs = 9, kPlain = 0, kCut = 0;
+  static constexpr Extent extent(int) { return {3, 4}; }
+  static constexpr Extent result = {3, 3};
+
+  // Columns of pair `i` of projection `which`: those of 0 ascend, those of 1 are the others.
+  static KV_HD int column(int which, int i, int k) {
+    constexpr int columns[2][6][2] = {{{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}},
+                                      {{2, 3}, {3, 1}, {1, 2}, {0, 3}, {2, 0}, {0, 1}}};
+    return columns[which][i][k];
+  }
+  template <class V>
+  static KV_HD void minors(V const* p, int which, V* m) {
+    for (int r = 0; r < 3; ++r) {
+      V const *const a = p + (r + 1) % 3 * 4, *const b = p + (r + 2) % 3 * 4;
+      for (int i = 0; i < 6; ++i) {
+        int const c = column(which, i, 0), d = column(which, i, 1);
+        m[6 * r + i] = a[c] * b[d] - a[d] * b[c];
+      }
+    }
+  }
+  template <class V>
+  static KV_HD void minors_vjp(V const* p, int which, V const* g, V* to) {
+    for (int i = 0; i < 12; ++i) to[i] = number<V>(0);
+    for (int r = 0; r < 3; ++r) {
+      int const first = (r + 1) % 3 * 4, second = (r + 2) % 3 * 4;
+      for (int i = 0; i < 6; ++i) {
+        int const c = column(which, i, 0), d = column(which, i, 1);
+        V const& slope = g[6 * r + i];
+        to[first + c] = to[first + c] + slope * p[second + d], to[first + d] = to[first + d] - slope * p[second + c];
+        to[second + d] = to[second + d] + slope * p[first + c], to[second + c] = to[second + c] - slope * p[first + d];
+      }
+    }
+  }
+  template <class V>
+  static KV_HD void of(V const* x, V* y, Settings const&) {
+    V one[18], two[18];
+    minors(x, 0, one);
+    minors(x + 12, 1, two);
+    for (int i = 0; i < 9; ++i) {
+      y[i] = number<V>(0);
+      for (int k = 0; k < 6; ++k) y[i] = y[i] + two[i / 3 * 6 + k] * one[i % 3 * 6 + k];
+    }
+  }
+  template <class V>
+  static KV_HD void pull(V const* x, V const* g, V* to, Settings const&) {
+    V one[18], two[18], to_one[18], to_two[18];
+    minors(x, 0, one);
+    minors(x + 12, 1, two);
+    for (int r = 0; r < 3; ++r)
+      for (int k = 0; k < 6; ++k) {
+        to_one[6 * r + k] = g[r] * two[k] + g[3 + r] * two[6 + k] + g[6 + r] * two[12 + k];
+        to_two[6 * r + k] = g[3 * r] * one[k] + g[3 * r + 1] * one[6 + k] + g[3 * r + 2] * one[12 + k];
+      }
+    minors_vjp(x, 0, to_one, to);
+    minors_vjp(x + 12, 1, to_two, to + 12);
+  }
+};
+
 // --- the operators: name, formula, arguments
 // --------------------------------------------------------------------------------
 
@@ -661,30 +890,36 @@ struct QuadShapes {
   _(translation_matrix3d, TranslationMatrix3d, "Tensor translation, float x, float y, float z, int rows")          \
   _(perspective_matrix3d, PerspectiveMatrix3d, "Tensor points_src, Tensor? points_dst, float x, float y, float z")
 
-#define KV_FORMULAS(_)                                                                       \
-  _(axis_angle_to_rotation_matrix, AxisAngleToRotationMatrix, "Tensor axis_angle")           \
-  _(quaternion_exponential, QuaternionExponential, "Tensor vector, float part")              \
-  _(quaternion_to_axis_angle, QuaternionToAxisAngle, "Tensor quaternion")                    \
-  _(quaternion_logarithm, QuaternionLogarithm, "Tensor quaternion")                          \
-  _(quaternion_product, QuaternionProduct, "Tensor left, Tensor right")                      \
-  _(normalize_quaternion, NormalizeQuaternion, "Tensor quaternion, float eps")               \
-  _(quaternion_to_rotation_matrix, QuaternionToRotationMatrix, "Tensor quaternion")          \
-  _(rotation_matrix_to_quaternion, RotationMatrixToQuaternion, "Tensor matrix")              \
-  _(cross_matrix, CrossMatrix, "Tensor vector")                                              \
-  _(compose_poses, ComposePoses, "Tensor first, Tensor second")                              \
-  _(invert_pose, InvertPose, "Tensor pose")                                                  \
-  _(relative_pose, RelativePose, "Tensor first, Tensor second")                              \
-  _(rotation_matrix_to_axis_angle, RotationMatrixToAxisAngle, "Tensor matrix")               \
-  _(angle_to_rotation_matrix, AngleToRotationMatrix, "Tensor degrees")                       \
-  _(quaternion_from_euler, QuaternionFromEuler, "Tensor roll, Tensor pitch, Tensor yaw")     \
-  _(euler_from_quaternion, EulerFromQuaternion, "Tensor w, Tensor x, Tensor y, Tensor z")    \
-  _(shear_matrix2d, ShearMatrix2d, "Tensor center, Tensor? shear_x, Tensor? shear_y")        \
-  _(invert_affine2d, InvertAffine2d, "Tensor matrix")                                        \
-  _(shear_matrix3d, ShearMatrix3d,                                                           \
-    "Tensor center, Tensor? xy, Tensor? xz, Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy") \
-  _(perspective_matrix, PerspectiveMatrix, "Tensor points_src, Tensor points_dst")           \
-  _(quad_shapes, QuadShapes, "Tensor quads, Tensor others")                                  \
-  KV_PLANE_FORMULAS(_)                                                                       \
+#define KV_FORMULAS(_)                                                                                           \
+  _(axis_angle_to_rotation_matrix, AxisAngleToRotationMatrix, "Tensor axis_angle")                               \
+  _(quaternion_exponential, QuaternionExponential, "Tensor vector, float part")                                  \
+  _(quaternion_to_axis_angle, QuaternionToAxisAngle, "Tensor quaternion")                                        \
+  _(quaternion_logarithm, QuaternionLogarithm, "Tensor quaternion")                                              \
+  _(quaternion_product, QuaternionProduct, "Tensor left, Tensor right")                                          \
+  _(normalize_quaternion, NormalizeQuaternion, "Tensor quaternion, float eps")                                   \
+  _(quaternion_to_rotation_matrix, QuaternionToRotationMatrix, "Tensor quaternion")                              \
+  _(rotation_matrix_to_quaternion, RotationMatrixToQuaternion, "Tensor matrix")                                  \
+  _(cross_matrix, CrossMatrix, "Tensor vector")                                                                  \
+  _(compose_poses, ComposePoses, "Tensor first, Tensor second")                                                  \
+  _(invert_pose, InvertPose, "Tensor pose")                                                                      \
+  _(relative_pose, RelativePose, "Tensor first, Tensor second")                                                  \
+  _(rotation_matrix_to_axis_angle, RotationMatrixToAxisAngle, "Tensor matrix")                                   \
+  _(angle_to_rotation_matrix, AngleToRotationMatrix, "Tensor degrees")                                           \
+  _(quaternion_from_euler, QuaternionFromEuler, "Tensor roll, Tensor pitch, Tensor yaw")                         \
+  _(euler_from_quaternion, EulerFromQuaternion, "Tensor w, Tensor x, Tensor y, Tensor z")                        \
+  _(shear_matrix2d, ShearMatrix2d, "Tensor center, Tensor? shear_x, Tensor? shear_y")                            \
+  _(invert_affine2d, InvertAffine2d, "Tensor matrix")                                                            \
+  _(shear_matrix3d, ShearMatrix3d,                                                                               \
+    "Tensor center, Tensor? xy, Tensor? xz, Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy")                     \
+  _(perspective_matrix, PerspectiveMatrix, "Tensor points_src, Tensor points_dst")                               \
+  _(quad_shapes, QuadShapes, "Tensor quads, Tensor others")                                                      \
+  _(essential_from_fundamental, EssentialFromFundamental, "Tensor fundamental, Tensor camera1, Tensor camera2")  \
+  _(fundamental_from_essential, FundamentalFromEssential, "Tensor essential, Tensor camera1, Tensor camera2")    \
+  _(fundamental_from_projections, FundamentalFromProjections, "Tensor projection1, Tensor projection2")          \
+  _(camera_motion, CameraMotion, "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2") \
+  _(essential_from_motions, EssentialFromMotions,                                                                \
+    "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")                              \
+  KV_PLANE_FORMULAS(_)                                                                                           \
   KV_SPACE_FORMULAS(_)
 
 #define KV_NAME_FORMULA(name, Formula, inputs) name,

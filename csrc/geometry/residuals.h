@@ -79,6 +79,46 @@ KV_HD V sampson_error(F const* m, V x, V y, V u, V v) {
   return l.r * l.r / (l.second() + l.first());
 }
 
+// Sampson's distance from a homography, squared: r (J J^T)^-1 r for r = (v w - q, p - u w), where (p, q, w) = H (x, y,
+// 1), and its derivative J for (x, y, u, v). a, b, b, c are the numbers of J J^T.
+struct SampsonTransfer {
+  Mapped<double, double> h;
+  double r, s, r_x, r_y, s_x, s_y, a, b, c;
+
+  KV_HD SampsonTransfer(double const* m, double const* one, double const* two)
+      : h(m, one[0], one[1]),
+        r(two[1] * h.w - h.v),
+        s(h.u - two[0] * h.w),
+        r_x(two[1] * m[6] - m[3]),
+        r_y(two[1] * m[7] - m[4]),
+        s_x(m[0] - two[0] * m[6]),
+        s_y(m[1] - two[0] * m[7]),
+        a(r_x * r_x + r_y * r_y + h.w * h.w),
+        b(r_x * s_x + r_y * s_y),
+        c(s_x * s_x + s_y * s_y + h.w * h.w) {}
+  static KV_HD double above0(double x) { return x < 0 ? 0 : x; }
+  KV_HD double volume() const { return above0(a * c - b * b); }
+  KV_HD double error() const { return above0((c * r * r - 2 * b * r * s + a * s * s) / volume()); }
+
+  KV_HD void vjp(double const* m, double const* one, double const* two, double g, double* to_one, double* to_two,
+                 double* to_matrix) const {
+    double const e = error();
+    g /= volume();
+    double const to_r = 2 * g * (c * r - b * s), to_s = 2 * g * (a * s - b * r);
+    double const to_a = g * (s * s - e * c), to_c = g * (r * r - e * a), to_b = 2 * g * (e * b - r * s);
+    double const to_rows[2][2] = {{2 * r_x * to_a + s_x * to_b, 2 * r_y * to_a + s_y * to_b},
+                                  {2 * s_x * to_c + r_x * to_b, 2 * s_y * to_c + r_y * to_b}};
+    for (int k = 0; k < 2; ++k) {
+      to_two[0] -= m[6 + k] * to_rows[1][k], to_two[1] += m[6 + k] * to_rows[0][k];
+      to_matrix[k] += to_rows[1][k], to_matrix[3 + k] -= to_rows[0][k];
+      to_matrix[6 + k] += two[1] * to_rows[0][k] - two[0] * to_rows[1][k];
+    }
+    to_two[0] -= h.w * to_s, to_two[1] += h.w * to_r;
+    double const to[] = {to_s, -to_r, 2 * h.w * (to_a + to_c) + two[1] * to_r - two[0] * to_s};
+    mapped_vjp(m, one[0], one[1], to, to_one, to_matrix);
+  }
+};
+
 // Of the line through (u, v) and (s, t), from where (x, y) goes: the distance times the segment's length, with a sign.
 template <class V, class F>
 KV_HD V line_offset(F const* m, V x, V y, V u, V v, V s, V t) {

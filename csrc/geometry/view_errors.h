@@ -6,6 +6,7 @@
 //   right, left              |r| / sqrt(a), |r| / sqrt(b)
 //   transfer                 of a homography: the squared distance of where the point goes
 //   symmetric_transfer       and of where its inverse takes the other one
+//   sampson_transfer         how far both points are from the nearest ones that fit, to first order
 //   segments                 the mean distance of both ends from the other segment's line
 //
 // Sums over correspondences are those of parts, then of all. In double. Included by view_errors_cpu.cpp, view_errors.cu
@@ -19,7 +20,16 @@
 
 namespace kv {
 
-enum class ViewError : int { sampson, symmetrical, right, left, transfer, symmetric_transfer, segments };
+enum class ViewError : int {
+  sampson,
+  symmetrical,
+  right,
+  left,
+  transfer,
+  symmetric_transfer,
+  sampson_transfer,
+  segments
+};
 
 template <class T>
 struct ViewErrors {
@@ -49,8 +59,8 @@ KV_HD double infinity() { return __builtin_inf(); }
 struct Relation {
   ViewError kind;
   bool squared, singular, homogeneous;
-  double largest;
-  double m[9], back[9];  // back: a multiple of the inverse
+  double largest, scale;
+  double m[9], back[9];  // the matrix over its scale, which Sampson's distance does not have; a multiple of the inverse
 
   template <class T>
   KV_HD Relation(ViewErrors<T> const& p, int64_t b)
@@ -58,8 +68,15 @@ struct Relation {
         squared(p.squared),
         singular(false),
         homogeneous(p.kind < ViewError::transfer),
-        largest(p.largest) {
+        largest(p.largest),
+        scale(1) {
     for (int i = 0; i < 9; ++i) m[i] = p.matrix[b * p.problem_matrix + i];
+    if (kind == ViewError::sampson_transfer) {
+      double most = 0;
+      for (double x : m) most = max(most, magnitude(x));
+      if (most > 0) scale = most;
+      for (double& x : m) x /= scale;
+    }
     if (kind != ViewError::symmetric_transfer) return;
     double rows[9];
     cofactors(m, rows);
@@ -106,6 +123,10 @@ struct Relation {
     }
     if (kind == ViewError::transfer) return transfer(m, x, y);
     if (kind == ViewError::symmetric_transfer) return transfer(m, x, y) + transfer(back, y, x);
+    if (kind == ViewError::sampson_transfer) {
+      SampsonTransfer const found(m, x, y);
+      return found.volume() == 0 ? infinity() : found.error();
+    }
     double const size = length(y);
     if (size == 0) return 0;
     double sum = 0;
@@ -175,6 +196,11 @@ struct Relation {
       epipolar_vjp(m, x, y, to_r, to_second, to_first, to_x, to_y, to_m);
       return;
     }
+    if (kind == ViewError::sampson_transfer) {
+      SampsonTransfer const found(m, x, y);
+      if (found.volume() > 0) found.vjp(m, x, y, g, to_x, to_y, to_m);
+      return;
+    }
     if (Mapped<double, double>(m, x[0], x[1]).w != 0) transfer_error_vjp(m, x, y, g, to_x, to_y, to_m);
     if (kind == ViewError::symmetric_transfer && Mapped<double, double>(back, y[0], y[1]).w != 0)
       transfer_error_vjp(back, y, x, g, to_y, to_x, to_back);
@@ -208,7 +234,7 @@ KV_HD void view_errors_backward_of(ViewErrors<T> const& p, int64_t item, Team te
     relation.write(p.to1, p.axes1, (b * p.count + i) * p.axes1, x, to_x);
     relation.write(p.to2, p.axes2, (b * p.count + i) * p.axes2, y, to_y);
   }
-  for (double& sum : to_m) sum = team.sum(sum);
+  for (double& sum : to_m) sum = team.sum(sum) / relation.scale;
   if (relation.kind == ViewError::symmetric_transfer) {
     double rows[9], more[3];
     for (double& sum : to_back) sum = team.sum(sum);

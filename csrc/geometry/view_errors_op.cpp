@@ -9,11 +9,13 @@ namespace {
 constexpr int64_t kErrorsPart = 2048;
 
 ViewError view_error_of_name(char const* op, std::string const& name) {
-  constexpr char const* names[] = {"sampson",  "symmetrical",        "right",   "left",
-                                   "transfer", "symmetric_transfer", "segments"};
-  for (int i = 0; i < 7; ++i)
+  constexpr char const* names[] = {"sampson",          "symmetrical", "right", "left", "transfer", "symmetric_transfer",
+                                   "sampson_transfer", "segments"};
+  for (int i = 0; i < 8; ++i)
     if (name == names[i]) return ViewError(i);
-  fail({op, ": kind must be one of sampson, symmetrical, right, left, transfer, symmetric_transfer, segments; got '",
+  fail({op,
+        ": kind must be one of sampson, symmetrical, right, left, transfer, symmetric_transfer, sampson_transfer, "
+        "segments; got '",
         name, "'"});
 }
 

@@ -77,6 +77,31 @@ inline std::tuple<Tensor, Tensor> mean_place(Tensor const& input, bool softmax =
   return {found[0], found[1].detach()};
 }
 
+inline std::tuple<Tensor, Tensor> gaussian_maps_backward(Tensor const& grad, Tensor const& mean, Tensor const& std,
+                                                         bool normalized) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_mean, to_std] = call<"gaussian_maps_backward", std::tuple<Tensor, Tensor>>(grad, mean, std, normalized);
+    return variable_list{to_mean, to_std};
+  };
+  variable_list const found = differentiable({grad, mean, std}, compute, {}, no_second_derivative("gaussian_maps"));
+  return {found[0], found[1]};
+}
+
+// Heat maps (P, height, width) of Gaussians, each of which adds up to 1, of means and standard deviations (P, 2), x
+// before y, in pixels or from -1 to 1; one of either serves all.
+inline Tensor gaussian_maps(Tensor const& mean, Tensor const& std, int64_t height, int64_t width,
+                            bool normalized = true) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"gaussian_maps">(mean, std, height, width, normalized)}; };
+  auto const gradient = [normalized](Backward const& b) {
+    Tensor const &m = b.saved[0], &s = b.saved[1];
+    auto const [to_mean, to_std] = gaussian_maps_backward(b.grads[0], m, s, normalized);
+    return variable_list{to_mean.sum_to_size(m.sizes()), to_std.sum_to_size(s.sizes())};
+  };
+  return differentiable({mean, std}, compute, {mean, std}, gradient)[0];
+}
+
 inline Tensor soft_argmax_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input,
                                    std::vector<int64_t> const& window, std::vector<int64_t> const& stride,
                                    std::vector<int64_t> const& padding, double temperature, bool normalized,

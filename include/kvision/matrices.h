@@ -1,7 +1,8 @@
-// Rotations in all their forms and matrices of transforms of images, of every sample in one launch. Each function has
-// the arguments of the operator torch.ops.kvision.<name>, which csrc/geometry/formulas.h has the formula of. Tensors
-// may have one row for all; they are of one floating-point type, which the result has, too. All have gradients, which
-// come as one tensor (B, n) of those of all tensors that are given, one after another; second derivatives are errors.
+// Rotations in all their forms, matrices of transforms of images and of two views, of every sample in one launch. Each
+// function has the arguments of the operator torch.ops.kvision.<name>, which csrc/geometry/formulas.h has the formula
+// of. Tensors may have one row for all; they are of one floating-point type, which the result has, too. All have
+// gradients, which come as one tensor (B, n) of those of all tensors that are given, one after another; second
+// derivatives are errors.
 #pragma once
 
 #include <ATen/Functions.h>
@@ -353,6 +354,55 @@ inline Tensor quad_shapes_backward(Tensor const& grad, Tensor const& quads, Tens
 // 6).
 inline Tensor quad_shapes(Tensor const& quads, Tensor const& others) {
   return detail::formula<"quad_shapes">(std::tuple(quads, others));
+}
+
+inline Tensor essential_from_fundamental_backward(Tensor const& grad, Tensor const& fundamental, Tensor const& camera1,
+                                                  Tensor const& camera2) {
+  return detail::formula_gradient<"essential_from_fundamental">(grad, std::tuple(fundamental, camera1, camera2));
+}
+// K2^T F K1 of fundamental matrices and cameras (B, 3, 3).
+inline Tensor essential_from_fundamental(Tensor const& fundamental, Tensor const& camera1, Tensor const& camera2) {
+  return detail::formula<"essential_from_fundamental">(std::tuple(fundamental, camera1, camera2));
+}
+
+inline Tensor fundamental_from_essential_backward(Tensor const& grad, Tensor const& essential, Tensor const& camera1,
+                                                  Tensor const& camera2) {
+  return detail::formula_gradient<"fundamental_from_essential">(grad, std::tuple(essential, camera1, camera2));
+}
+// K2^-T E K1^-1 of essential matrices and cameras (B, 3, 3).
+inline Tensor fundamental_from_essential(Tensor const& essential, Tensor const& camera1, Tensor const& camera2) {
+  return detail::formula<"fundamental_from_essential">(std::tuple(essential, camera1, camera2));
+}
+
+inline Tensor fundamental_from_projections_backward(Tensor const& grad, Tensor const& projection1,
+                                                    Tensor const& projection2) {
+  return detail::formula_gradient<"fundamental_from_projections">(grad, std::tuple(projection1, projection2));
+}
+// The fundamental matrices (B, 3, 3) of two projections (B, 3, 4).
+inline Tensor fundamental_from_projections(Tensor const& projection1, Tensor const& projection2) {
+  return detail::formula<"fundamental_from_projections">(std::tuple(projection1, projection2));
+}
+
+inline Tensor camera_motion_backward(Tensor const& grad, Tensor const& rotation1, Tensor const& translation1,
+                                     Tensor const& rotation2, Tensor const& translation2) {
+  return detail::formula_gradient<"camera_motion">(grad, std::tuple(rotation1, translation1, rotation2, translation2));
+}
+// From a first camera, rotation (B, 3, 3) and translation (B, 3, 1), to a second: the rotation's rows, then the
+// translation, (B, 4, 3).
+inline Tensor camera_motion(Tensor const& rotation1, Tensor const& translation1, Tensor const& rotation2,
+                            Tensor const& translation2) {
+  return detail::formula<"camera_motion">(std::tuple(rotation1, translation1, rotation2, translation2));
+}
+
+inline Tensor essential_from_motions_backward(Tensor const& grad, Tensor const& rotation1, Tensor const& translation1,
+                                              Tensor const& rotation2, Tensor const& translation2) {
+  return detail::formula_gradient<"essential_from_motions">(
+      grad, std::tuple(rotation1, translation1, rotation2, translation2));
+}
+// The essential matrices (B, 3, 3) of two cameras, rotations (B, 3, 3) and translations (B, 3, 1).
+inline Tensor essential_from_motions(Tensor const& rotation1, Tensor const& translation1, Tensor const& rotation2,
+                                     Tensor const& translation2) {
+  return detail::formula<"essential_from_motions">(std::tuple(rotation1, translation1, rotation2, translation2));
 }
 
 }  // namespace kvision

@@ -104,6 +104,54 @@ inline Tensor homography_dlt(Tensor const& points1, Tensor const& points2, std::
   return detail::dlt<"homography_dlt">(points1, points2, weights, homography_dlt_backward);
 }
 
+inline std::tuple<Tensor, Tensor, Tensor> homography_lines_dlt_backward(Tensor const& grad, Tensor const& points1,
+                                                                        Tensor const& points2,
+                                                                        std::optional<Tensor> const& weights) {
+  return detail::dlt_backward<"homography_lines_dlt_backward">(grad, points1, points2, weights, "homography_lines_dlt");
+}
+
+// The homographies (B, 3, 3) that take the ends of segments (B, N, 2, 2) nearest to the lines of others, with weights
+// (B, N).
+inline Tensor homography_lines_dlt(Tensor const& points1, Tensor const& points2,
+                                   std::optional<Tensor> const& weights = {}) {
+  return detail::dlt<"homography_lines_dlt">(points1, points2, weights, homography_lines_dlt_backward);
+}
+
+inline std::tuple<Tensor, Tensor> normalize_points_backward(Tensor const& grad, Tensor const& grad_matrix,
+                                                            Tensor const& points, std::optional<Tensor> const& weights,
+                                                            double eps) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points, to_weights] =
+        call<"normalize_points_backward", std::tuple<Tensor, Tensor>>(grad, grad_matrix, points, weights, eps);
+    return variable_list{to_points, to_weights};
+  };
+  variable_list const tensors{grad, grad_matrix, points, weights.value_or(Tensor())};
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("normalize_points"));
+  return {found[0], found[1]};
+}
+
+// Points (B, N, 2) about 0 at a mean distance of sqrt(2), with weights (B, N) in both means, and the similarity (B, 3,
+// 3) that takes the given ones there.
+inline std::tuple<Tensor, Tensor> normalize_points(Tensor const& points, std::optional<Tensor> const& weights = {},
+                                                   double eps = 1e-8) {
+  using namespace detail;
+  Tensor const given = weights.value_or(Tensor());
+  auto const compute = [&] {
+    auto [normalized, matrix] = call<"normalize_points", std::tuple<Tensor, Tensor>>(points, weights, eps);
+    return variable_list{normalized, matrix};
+  };
+  auto const gradient = [eps](Backward const& b) {
+    Tensor const &x = b.saved[0], &w = b.saved[1];
+    Tensor const grad = b.grads[0].defined() ? b.grads[0] : at::zeros_like(x);
+    Tensor const grad_matrix = b.grads[1].defined() ? b.grads[1] : at::zeros({x.size(0), 3, 3}, x.options());
+    auto const [to_points, to_weights] = normalize_points_backward(grad, grad_matrix, x, if_defined(w), eps);
+    return variable_list{to_points, w.defined() ? to_weights : Tensor()};
+  };
+  variable_list const found = differentiable({points, given}, compute, {points, given}, gradient);
+  return {found[0], found[1]};
+}
+
 inline std::tuple<Tensor, Tensor, Tensor> fundamental_dlt_backward(Tensor const& grad, Tensor const& points1,
                                                                    Tensor const& points2,
                                                                    std::optional<Tensor> const& weights) {
@@ -370,7 +418,8 @@ inline std::tuple<Tensor, Tensor, Tensor> view_errors_backward(Tensor const& gra
 
 // How far correspondences (B, N, 2 or 3) are from matrices (B, 3, 3), (B, N); one of each serves a batch. kind:
 // "sampson", "symmetrical", "right", "left" of fundamental matrices, the last two of which are distances whatever
-// `squared` says; "transfer", "symmetric_transfer", "segments" of homographies, the last of points (B, N, 4).
+// `squared` says; "transfer", "symmetric_transfer", "sampson_transfer" and "segments" of homographies, the
+// last of points (B, N, 4).
 inline Tensor view_errors(Tensor const& points1, Tensor const& points2, Tensor const& matrix, std::string const& kind,
                           bool squared) {
   using namespace detail;

@@ -103,6 +103,10 @@ int main() {
   check(
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
+  check(
+      "mutual_information",
+      [](auto const& t) { return std::get<0>(kvision::mutual_information(t[0], t[1], {}, {}, "xu", 5)); },
+      {rows, others}, false);
   check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
   check(
       "endpoint_error", [](auto const& t) { return kvision::endpoint_error(t[0], t[1], false, true, 0.5); },
@@ -149,6 +153,9 @@ int main() {
       [&](auto const& t) { return kvision::photometric(x.to(torch::kDouble), 2 + x.to(torch::kDouble), t[0], "l2"); },
       {matrix}, false);
   check("local_maxima", [](auto const& t) { return std::get<0>(kvision::local_maxima(t[0], {1, 3, 3})); }, {x});
+  check(
+      "gaussian_maps", [](auto const& t) { return kvision::gaussian_maps(t[0], t[1], 5, 6, true); },
+      {torch::rand({3, 2}) - 0.5, torch::rand({1, 2}) + 0.5}, false);
   check("mean_place", [](auto const& t) { return std::get<0>(kvision::mean_place(t[0], true, 2)); }, {x}, false);
   check(
       "soft_argmax",
@@ -242,6 +249,18 @@ int main() {
   check(
       "homography_dlt of weights", [](auto const& t) { return kvision::homography_dlt(t[0], t[1], t[2]); },
       {from, to, torch::rand({2, 6}) + 0.5}, false);
+  check(
+      "homography_lines_dlt", [](auto const& t) { return kvision::homography_lines_dlt(t[0], t[1], t[2]); },
+      {torch::rand({2, 6, 2, 2}), torch::rand({2, 6, 2, 2}), torch::rand({2, 6}) + 0.5}, false);
+  auto const both = [](auto const& t) {
+    auto const [points, matrix] = kvision::normalize_points(t[0], t[1]);
+    return torch::cat({points, matrix.narrow(2, 0, 2) + matrix.narrow(2, 1, 2)}, 1);
+  };
+  check("normalize_points", both, {from, torch::rand({2, 6}) + 0.5}, false);
+  Tensor const rotation = torch::rand({2, 3, 3}), translation = torch::rand({2, 3, 1});
+  check(
+      "essential_from_motions", [](auto const& t) { return kvision::essential_from_motions(t[0], t[1], t[2], t[3]); },
+      {rotation, translation, rotation + 1, translation + 1}, false);
   Tensor const first = torch::rand({2, 9, 2}), second = first + 0.1 * torch::rand({2, 9, 2});
   check("fundamental_dlt", [](auto const& t) { return kvision::fundamental_dlt(t[0], t[1]); }, {first, second}, false);
   check(
@@ -257,7 +276,8 @@ int main() {
       "pose_dlt of weights", [](auto const& t) { return kvision::pose_dlt(t[0], t[1], t[2], t[3]); },
       {solid, first, pinhole, torch::rand({2, 9}) + 0.5}, false);
   Tensor const matrices = torch::rand({3, 3, 3});
-  for (auto const* kind : {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer"})
+  for (auto const* kind :
+       {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer", "sampson_transfer"})
     check(
         "view_errors", [=](auto const& t) { return kvision::view_errors(t[0], t[1], t[2], kind, true); },
         {from, torch::rand({1, 6, 3}) + 0.5, matrices.narrow(0, 0, 2) + 1}, false);

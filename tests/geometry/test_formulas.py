@@ -60,6 +60,11 @@ FORMULAS = {
     "shear_matrix3d": [Formula((vector(3), *[SMALL] * 6)), Formula((vector(3), *[None] * 5, SMALL))],
     "perspective_matrix": [Formula((near(SQUARE), near(SQUARE)))],
     "quad_shapes": [Formula((near(SQUARE), near(SQUARE)))],
+    "essential_from_fundamental": [Formula((vector(3, 3),) * 3)],
+    "fundamental_from_essential": [Formula((vector(3, 3), near(EYE), near(EYE)))],
+    "fundamental_from_projections": [Formula((vector(3, 4),) * 2)],
+    "camera_motion": [Formula((vector(3, 3), vector(3, 1)) * 2)],
+    "essential_from_motions": [Formula((vector(3, 3), vector(3, 1)) * 2)],
     "affine_matrix2d": [
         Formula((DEGREES, vector(2), vector(2), SMALL, SMALL, vector(2)), (-1.0, 0.0, 0.0, 3)),
         Formula((DEGREES, None, vector(2), None, SMALL, None), (1.0, 3.5, 2.0, 2)),

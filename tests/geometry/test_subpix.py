@@ -7,8 +7,10 @@ import torch
 from torch import Tensor
 
 import kvision as K
+import raw_calls
 from composition_tests import Case, CompositionTests
-from op_tests import OpTests, assert_close
+from kvision._ops import FLOATS
+from op_tests import TOLERANCES, OpTests, assert_close, instruction_set
 
 kornia = pytest.importorskip("kornia")
 G = K.geometry
@@ -165,6 +167,71 @@ class TestCompositions(CompositionTests):
         ),
     }
     compiled = ("spatial_soft_argmax2d", "conv_soft_argmax2d", "render_gaussian2d", "nms3d_minmax", "nms2d mask")
+
+
+# --- heat maps of Gaussians -----------------------------------------------------------------------------------------
+
+
+def gaussians(mean: Tensor, std: Tensor, size: tuple[int, int], normalized: bool) -> list[Tensor]:
+    """Maps, and the gradients of a sum of theirs."""
+    leaves = [x.detach().requires_grad_() for x in (mean, std)]
+    maps = G.render_gaussian2d(*leaves, size, normalized)
+    weights = torch.linspace(-1, 1, maps.numel(), dtype=torch.float64).sin().bfloat16().to(maps)
+    return [maps.detach(), *torch.autograd.grad((maps * weights.reshape(maps.shape)).sum(), leaves)]
+
+
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+@pytest.mark.parametrize("size", [(4, 6), (3, 16), (9, 33), (2, 520), (67, 300)])
+def test_gaussians(size, dtype, device):
+    """Few pixels, whole vectors and what is beyond them, several pieces; standard deviations of all, of each, of axes."""
+    mean = 2 * torch.rand(2, 3, 2, dtype=torch.float64) - 1
+    for std, normalized in (
+        (torch.rand(2, 3, 2) + 0.2, True),
+        (torch.rand(2) + 2, False),
+        (torch.rand(3, 2) + 0.5, True),
+    ):
+        given = [x.to(dtype).to(device) for x in (mean, std)]
+        with K.backend("reference"):
+            expected = gaussians(*(x.double() for x in given), size, normalized)
+        for a, e in zip(gaussians(*given, size, normalized), expected, strict=True):
+            relative, absolute = TOLERANCES[dtype]
+            assert_close(a, e.to(dtype), 4 * relative, 4 * absolute * max(float(e.abs().max()), 0.02))
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_gaussians_by_instruction_sets(isa, device, backend):
+    if backend == "reference" or device.type != "cpu":
+        pytest.skip("this test is about the CPU's kernels")
+    with instruction_set(isa):
+        test_gaussians((9, 33), torch.float32, device)
+
+
+def test_gaussians_far_away_or_narrow(device):
+    """All of the weight is on the nearest pixels, and gradients are finite."""
+    mean = torch.tensor([[2.0, 3], [-1e6, 1e6], [1e6, 3], [4.0, 0]], device=device)
+    maps, *slopes = gaussians(mean, torch.full_like(mean, 1e-3), (6, 7), False)
+    places = [int(m.argmax()) for m in maps]
+    assert places == [23, 35, 27, 4]
+    assert (maps.flatten(1).amax(1) == 1).all() and all(g.isfinite().all() for g in slopes)
+    assert G.render_gaussian2d(mean, 0 * mean, (6, 7)).isnan().all()
+    assert G.render_gaussian2d(mean[:0], mean[:0], (6, 7)).shape == (0, 6, 7)
+
+
+def test_gaussians_as_operators(device, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    rows = [torch.rand(3, 2, device=device), torch.rand(3, 2, device=device) + 0.5]
+    operators = torch.ops.kvision.gaussian_maps.default, torch.ops.kvision.gaussian_maps_backward.default
+    grad = torch.rand_like(operators[0](*rows, 4, 6, True))
+    for op, given in zip(operators, ([*rows, 4, 6, True], [grad, *rows, True])):
+        torch.library.opcheck(op, tuple(given), test_utils=("test_schema", "test_faketensor"))
+        wrong = [
+            call
+            for call in raw_calls.wrong_calls(op, given)
+            if str(2**15) not in call[0] and "without rows" not in call[0]
+        ]
+        taken = raw_calls.taken(op, wrong)
+        assert not taken, "\n".join(taken)
 
 
 # --- against Kornia -------------------------------------------------------------------------------------------------

@@ -55,6 +55,7 @@ class TestViews(CompositionTests):
             lambda x, w: G.find_homography_lines_dlt(points(x, LINES_X), points(x, LINES_Y), w),
             ((2, 6, 2, 2), (2, 6)),
         ),
+        "normalized": Case(lambda x, w: torch.cat([y[..., -2:] for y in G.normalize_points(x, 1e-3, w)], 1), ((2, 7, 2), (2, 7))),
         "transfer": Case(lambda x, h: G.symmetric_transfer_error(x, x.flip(1), h), (POINTS, (2, 3, 3))),
         "one way": Case(lambda x, h: G.oneway_transfer_error(x, x.flip(1), h[:1], False), ((2, 7, 3), (2, 3, 3))),
         "from one line": Case(
@@ -101,7 +102,7 @@ class TestViews(CompositionTests):
         "quartic": Case(lambda c: G.solve_quartic(c - on(c.device, QUARTIC)), ((2, 5),)),
         "determinant": Case(G.determinant_to_polynomial, ((2, 3, 13),)),
     }  # fmt: skip
-    compiled = ("weighted", "camera", "triangulated")
+    compiled = ("weighted", "lines", "normalized", "camera", "triangulated")
 
     def test_autocast_changes_nothing(self, case, device):
         values = self.values(case, device, torch.float32)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype
+from kvision._leading import broadcast
 from kvision._ops import Operator, register
 
 
@@ -72,17 +73,19 @@ def of_rows(operator: Operator, x: Tensor, axes: int, *plain: Any) -> Tensor:
     return found.reshape(*x.shape[:first], *found.shape[1:])
 
 
-def of_pairs(operator: Operator, first: Tensor, second: Tensor, axes: int) -> Tensor:
-    """A formula of two tensors (*, ...) whose leading axes broadcast, in the type of the first one."""
-    second = as_dtype(second, first.dtype)
-    if first.dim() == second.dim() == axes + 1:
-        found: Tensor = operator(first, second)
+def of_all(operator: Operator, axes: int, first: Tensor, *others: Tensor) -> Tensor:
+    """A formula of tensors (*, ...) whose leading axes broadcast, `axes` others being a sample's, in the first one's type."""
+    given = [first, *(as_dtype(x, first.dtype) for x in others)]
+    if all(x.dim() == axes + 1 for x in given):
+        found: Tensor = operator(*given)
         return found
-    extent = first.shape[first.dim() - axes :]
-    shape = torch.broadcast_shapes(first.shape[:-axes], second.shape[:-axes])
+    shape = broadcast(*(x.shape[:-axes] for x in given))
+    count = math.prod(shape)
     rows = [
-        x.reshape(1, *extent) if x.dim() == axes else x.expand(*shape, *extent).reshape(math.prod(shape), *extent)
-        for x in (first, second)
+        x.reshape(1, *x.shape[-axes:])
+        if x.dim() == axes
+        else x.expand(*shape, *x.shape[-axes:]).reshape(count, *x.shape[-axes:])
+        for x in given
     ]
     found = operator(*rows)
     return found.reshape(*shape, *found.shape[1:])

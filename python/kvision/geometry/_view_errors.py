@@ -18,7 +18,7 @@ def view_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squ
     """Errors (*, N) of points (*, N, D), or segments (*, N, 2, 2) of kind "segments", by matrices (*, 3, 3).
 
     "sampson", "symmetrical", "right" and "left": of fundamental matrices, in both images, or from the line in one.
-    "transfer", "symmetric_transfer" and "segments": of homographies.
+    "transfer", "symmetric_transfer", "sampson_transfer" and "segments": of homographies.
     """
     if kind == "segments":
         points1, points2 = points1.flatten(-2), points2.flatten(-2)
@@ -54,6 +54,9 @@ def _reference(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squa
         if kind == "transfer":
             found = _squares(first, second, m)
             found = found if squared else root(found)
+        elif kind == "sampson_transfer":
+            found = _sampson_transfer(first, second, m)
+            found = found if squared else root(found)
         else:
             found = _there_and_back(first, second, m, squared, matrix.dtype)
     return found.to(points1.dtype)
@@ -84,6 +87,22 @@ def _squares(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
     finite = torch.where(w == 0, 1, w)
     x, y = second.unbind(-1)
     return torch.where(w == 0, torch.inf, (u / finite - x).square() + (v / finite - y).square())
+
+
+def _sampson_transfer(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
+    """r (J J^T)^-1 r for p, q, w = H (x, y, 1), r = (v w - q, p - u w) and its derivative J for (x, y, u, v)."""
+    largest = H.detach().abs().amax((-2, -1), keepdim=True)
+    h = H / torch.where(largest > 0, largest, 1)
+    p, q, w = _across(h, first)
+    u, v = second.unbind(-1)
+    r, s = v * w - q, p - u * w
+    # The derivatives of r and s for (x, y); for (u, v) they are (0, w) and (-w, 0).
+    rows = h[..., :, None, :2]
+    r_xy = v[..., None] * rows[..., 2, :, :] - rows[..., 1, :, :]
+    s_xy = rows[..., 0, :, :] - u[..., None] * rows[..., 2, :, :]
+    a, c, b = r_xy.square().sum(-1) + w * w, s_xy.square().sum(-1) + w * w, (r_xy * s_xy).sum(-1)
+    volume = (a * c - b * b).clamp(min=0)
+    return quotient(c * r * r - 2 * b * r * s + a * s * s, volume, torch.inf).clamp(min=0)
 
 
 def _there_and_back(first: Tensor, second: Tensor, H: Tensor, squared: bool, dtype: torch.dtype) -> Tensor:

@@ -9,7 +9,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._formula import of_pairs, of_rows, register_formula
+from kvision.geometry._formula import of_all, of_rows, register_formula
 from kvision.geometry.conversions.homogeneous import divisor, homogeneous
 from kvision.geometry.points import transformed
 
@@ -50,7 +50,7 @@ def compose_transformations(trans_01: Tensor, trans_12: Tensor) -> Tensor:
         tensor(4.)
     """
     _check_pair("compose_transformations", trans_01=trans_01, trans_12=trans_12)
-    return of_pairs(_composed, floats(trans_01), trans_12, 2)
+    return of_all(_composed, 2, floats(trans_01), trans_12)
 
 
 def _composed_reference(first: Tensor, second: Tensor) -> Tensor:
@@ -108,7 +108,7 @@ def relative_transformation(trans_01: Tensor, trans_02: Tensor) -> Tensor:
         tensor(3.)
     """
     _check_pair("relative_transformation", trans_01=trans_01, trans_02=trans_02)
-    return of_pairs(_relative, floats(trans_01), trans_02, 2)
+    return of_all(_relative, 2, floats(trans_01), trans_02)
 
 
 def _relative_reference(first: Tensor, second: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from kvision._dtype import as_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import as_stored
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.geometry._formula import of_pairs, register_formula
+from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry.conversions.euler import euler_from_quaternion, quaternion_from_euler
 from kvision.geometry.conversions.rotations import (
     axis_angle_to_quaternion,
@@ -282,7 +282,7 @@ _product_of_rows = register_formula("quaternion_product", _product_reference, la
 
 def _product(p: Tensor, q: Tensor) -> Tensor:
     dtype = torch.promote_types(p.dtype, q.dtype)
-    return of_pairs(_product_of_rows, as_dtype(p, dtype), q, 1)
+    return of_all(_product_of_rows, 1, as_dtype(p, dtype), q)
 
 
 def _power(q: Tensor, t: Tensor | float) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._minimal import five_points, minimal
 from kvision.geometry._precision import in_full_precision, wants_derivative, wide
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
@@ -92,7 +93,14 @@ def essential_from_fundamental(F_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
     for name, x in (("F_mat", F_mat), ("K1", K1), ("K2", K2)):
         _check.floating_ends("essential_from_fundamental", name, x, 3, 3)
     _check.same_device("essential_from_fundamental", F_mat=F_mat, K1=K1, K2=K2)
-    return K2.mT @ F_mat @ K1
+    return of_all(_from_fundamental, 2, F_mat, K1, K2)
+
+
+def _from_fundamental_reference(F: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
+    return K2.mT @ F @ K1
+
+
+_from_fundamental = register_formula("essential_from_fundamental", _from_fundamental_reference, lambda *args: (3, 3))
 
 
 # --- and poses ------------------------------------------------------------------------------------------------------
@@ -124,8 +132,8 @@ def essential_from_Rt(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> Tensor:
                 [ 0.,  0., -1.],
                 [ 0.,  1.,  0.]])
     """
-    R, t = _motion("essential_from_Rt", R1, t1, R2, t2)
-    return cross_product_matrix(t[..., 0]) @ R
+    _check_motions("essential_from_Rt", R1, t1, R2, t2)
+    return of_all(_from_motions, 2, R1, t1, R2, t2)
 
 
 @in_full_precision
@@ -152,17 +160,37 @@ def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tu
         >>> K.geometry.relative_camera_motion(eye, t, eye, 3 * t)[1].flatten()
         tensor([2., 0., 0.])
     """
-    return _motion("relative_camera_motion", R1, t1, R2, t2)
+    _check_motions("relative_camera_motion", R1, t1, R2, t2)
+    motion = of_all(_camera_motion, 2, R1, t1, R2, t2)
+    return motion[..., :3, :], motion[..., 3, :, None]
 
 
-def _motion(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
+def _check_motions(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> None:
     for name, x in (("R1", R1), ("R2", R2)):
         _check.floating_ends(op, name, x, 3, 3)
     for name, x in (("t1", t1), ("t2", t2)):
         _check.floating_ends(op, name, x, 3, 1)
     _check.same_device(op, R1=R1, t1=t1, R2=R2, t2=t2)
+
+
+def _motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Tensor]:
     R = R2 @ R1.mT
     return R, t2 - R @ t1
+
+
+def _camera_motion_reference(*given: Tensor) -> Tensor:
+    """The rows of the rotation, then the translation: (B, 4, 3)."""
+    R, t = _motion(*given)
+    return torch.cat([R.expand(t.shape[0], 3, 3), t.mT], -2)
+
+
+def _from_motions_reference(*given: Tensor) -> Tensor:
+    R, t = _motion(*given)
+    return cross_product_matrix(t[..., 0]) @ R
+
+
+_camera_motion = register_formula("camera_motion", _camera_motion_reference, lambda *args: (4, 3))
+_from_motions = register_formula("essential_from_motions", _from_motions_reference, lambda *args: (3, 3))
 
 
 @in_full_precision

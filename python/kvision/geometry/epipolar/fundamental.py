@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._minimal import eight_points, minimal
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision, length
@@ -93,13 +94,20 @@ def fundamental_from_essential(E_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
     for name, x in (("E_mat", E_mat), ("K1", K1), ("K2", K2)):
         _check.floating_ends("fundamental_from_essential", name, x, 3, 3)
     _check.same_device("fundamental_from_essential", E_mat=E_mat, K1=K1, K2=K2)
-    return _inverse(K2).mT @ E_mat @ _inverse(K1)
+    return of_all(_from_essential, 2, E_mat, K1, K2)
+
+
+def _from_essential_reference(E: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
+    return _inverse(K2).mT @ E @ _inverse(K1)
 
 
 def _inverse(K: Tensor) -> Tensor:
     A = adjugate(K)
     det = (K[..., 0, :] * A[..., :, 0]).sum(-1)[..., None, None]
     return torch.where(det == 0, torch.nan, A / torch.where(det == 0, 1, det))
+
+
+_from_essential = register_formula("fundamental_from_essential", _from_essential_reference, lambda *args: (3, 3))
 
 
 @in_full_precision
@@ -133,6 +141,10 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
     _check.floating_ends(op, "P1", P1, 3, 4)
     _check.floating_ends(op, "P2", P2, 3, 4)
     _check.same_device(op, P1=P1, P2=P2)
+    return of_all(_from_projections, 2, P1, P2)
+
+
+def _from_projections_reference(P1: Tensor, P2: Tensor) -> Tensor:
     # The determinant of four rows is that of two for each pair of columns, times that of the others for the rest.
     columns, rest = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)), ((2, 3), (3, 1), (1, 2), (0, 3), (2, 0), (0, 1))
     return _minors(P2, rest) @ _minors(P1, columns).mT + 0  # no negative zeros
@@ -142,6 +154,9 @@ def _minors(P: Tensor, columns: Sequence[tuple[int, int]]) -> Tensor:
     """Of projections without one row each, for pairs of columns: (*, 3, pairs)."""
     a, b = P.roll(-1, -2), P.roll(-2, -2)
     return torch.stack([a[..., i] * b[..., k] - a[..., k] * b[..., i] for i, k in columns], -1)
+
+
+_from_projections = register_formula("fundamental_from_projections", _from_projections_reference, lambda *args: (3, 3))
 
 
 # --- lines ----------------------------------------------------------------------------------------------------------

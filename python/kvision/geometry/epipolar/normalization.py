@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._dtype import as_dtype
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._normalization import normalized
 from kvision.geometry._precision import in_full_precision
@@ -46,7 +50,40 @@ def normalize_points(points: Tensor, eps: float = 1e-8, weights: Tensor | None =
     if weights is not None:
         _check.shape("normalize_points", "weights", weights, *points.shape[:2])
         _check.same_device("normalize_points", points=points, weights=weights)
+    given = None if weights is None else as_dtype(weights, points.dtype)
+    found: tuple[Tensor, Tensor] = _normalize(points, given, float(eps))
+    return found
+
+
+def _reference(points: Tensor, weights: Tensor | None, eps: float) -> tuple[Tensor, Tensor]:
     return normalized(points, weights, eps)
+
+
+def _backward(
+    needs: Sequence[bool], grad: Tensor, grad_matrix: Tensor, points: Tensor, weights: Tensor | None, eps: float
+) -> tuple[Tensor, Tensor | None]:
+    to_points, to_weights = _normalize_backward(grad, grad_matrix, points, weights, eps)
+    return to_points, None if weights is None else to_weights
+
+
+def _backward_reference(
+    grad: Tensor, grad_matrix: Tensor, points: Tensor, weights: Tensor | None, eps: float
+) -> tuple[Tensor, ...]:
+    w = points.new_ones(points.shape[:2]) if weights is None else weights
+    return torch.func.vjp(lambda x, w: normalized(x, w, eps), points, w)[1]((grad, grad_matrix))
+
+
+_normalize = register(
+    "normalize_points",
+    _reference,
+    fake=lambda points, *rest: [points.shape, (points.shape[0], 3, 3)],
+    backward=_backward,
+)
+_normalize_backward = register(
+    "normalize_points_backward",
+    _backward_reference,
+    fake=lambda grad, grad_matrix, points, *rest: [points.shape, points.shape[:2]],
+)
 
 
 @in_full_precision

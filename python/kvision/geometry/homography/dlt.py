@@ -154,7 +154,7 @@ def find_homography_lines_dlt(ls1: Tensor, ls2: Tensor, weights: Tensor | None =
     return of_lines(ls1, ls2, weights)
 
 
-def of_lines(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor:
+def _lines_reference(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor:
     w = None if weights is None else wide(weights)
     of_ends = None if w is None else w.repeat_interleave(2, 1)
     x, T1 = normalized(wide(ls1).flatten(1, 2), of_ends)
@@ -164,6 +164,10 @@ def of_lines(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor:
     p = torch.cat([x, torch.ones_like(x[..., :1])], -1)
     rows = (line.repeat_interleave(2, 1)[..., None] * p[..., None, :]).flatten(-2)
     return _homography(rows, of_ends, T1, T2, ls1.dtype)
+
+
+# Of segments (B, N, 2, 2).
+of_lines = register_fit("homography_lines_dlt", _lines_reference)
 
 
 @in_full_precision

@@ -7,9 +7,8 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, quotient
+from kvision.geometry._precision import in_full_precision
 from kvision.geometry._view_errors import view_errors
-from kvision.geometry.linalg import root
 
 __all__ = [
     "line_segment_transfer_error_one_way",
@@ -108,19 +107,7 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
         tensor([[1., 1., 1., 1., 1.]])
     """
     _check_relation("sampson_homography_distance", pts1, pts2, H)
-    first, second = (p if p.shape[-1] == 2 else quotient(p[..., :2], p[..., 2:], torch.inf) for p in (pts1, pts2))
-    largest = H.detach().abs().amax((-2, -1), keepdim=True)
-    h = H / torch.where(largest > 0, largest, 1)
-    p, q, w = (h[..., :2] @ first.mT + h[..., 2:]).unbind(-2)
-    u, v = second.unbind(-1)
-    r, s = v * w - q, p - u * w
-    # The derivatives of r and s for (x, y); for (u, v) they are (0, w) and (-w, 0).
-    rows = h[..., :, None, :2]
-    r_xy = v[..., None] * rows[..., 2, :, :] - rows[..., 1, :, :]
-    s_xy = rows[..., 0, :, :] - u[..., None] * rows[..., 2, :, :]
-    a, c, b = r_xy.square().sum(-1) + w * w, s_xy.square().sum(-1) + w * w, (r_xy * s_xy).sum(-1)
-    squares = quotient(c * r * r - 2 * b * r * s + a * s * s, (a * c - b * b).clamp(min=0), torch.inf).clamp(min=0)
-    return squares if squared else root(squares)
+    return view_errors(pts1, pts2, H, "sampson_transfer", squared)
 
 
 @in_full_precision

@@ -5,6 +5,7 @@ Source: A. Nibali et al., "Numerical coordinate regression with convolutional ne
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -12,9 +13,11 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._leading import broadcast
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
+from kvision.geometry._formula import batch_of
 
 __all__ = [
     "SpatialSoftArgmax2d",
@@ -210,14 +213,44 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
     _check.same_device(op, mean=mean, std=std)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     height, width = _check.ints(op, "size", size, 2)
-    wide = compute_dtype(mean)
+    leading = broadcast(mean.shape[:-1], std.shape[:-1])
+    rows = [
+        x.reshape(1, 2) if x.numel() == 2 else x.expand(*leading, 2).reshape(math.prod(leading), 2) for x in (mean, std)
+    ]
+    return _gaussian_maps(*rows, height, width, normalized_coordinates).reshape(*leading, height, width)
+
+
+def _gaussian_reference(mean: Tensor, std: Tensor, height: int, width: int, normalized: bool) -> Tensor:
+    """(P, H, W) of (P, 2)."""
     axes = []
     for i, n in enumerate((width, height)):
-        centre, spread = (x[..., i, None].to(wide) for x in (mean, std))
-        distance = (_axis(n, normalized_coordinates, centre) - centre) / spread
-        axes.append((-0.5 * distance * distance).softmax(-1).to(mean.dtype))
+        distance = (_axis(n, normalized, mean) - mean[:, i, None]) / std[:, i, None]
+        axes.append((-0.5 * distance * distance).softmax(-1))
     x, y = axes
-    return y[..., :, None] * x[..., None, :]
+    return y[:, :, None] * x[:, None, :]
+
+
+def _gaussian_backward(needs, grad, mean, std, height, width, normalized):
+    found = _gaussian_slopes(grad, mean, std, normalized)
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, (mean, std))]
+
+
+def _gaussian_slopes_reference(grad: Tensor, mean: Tensor, std: Tensor, normalized: bool) -> tuple[Tensor, ...]:
+    def maps(mean: Tensor, std: Tensor) -> Tensor:
+        return _gaussian_reference(mean, std, grad.shape[1], grad.shape[2], normalized)
+
+    return torch.func.vjp(maps, *(x.expand(grad.shape[0], 2) for x in (mean, std)))[1](grad)
+
+
+_gaussian_maps = register(
+    "gaussian_maps",
+    _gaussian_reference,
+    fake=lambda mean, std, height, width, _: (batch_of(mean, std), height, width),
+    backward=_gaussian_backward,
+)
+_gaussian_slopes = register(
+    "gaussian_maps_backward", _gaussian_slopes_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2
+)
 
 
 class SpatialSoftArgmax2d(FunctionModule):

@@ -142,7 +142,7 @@ def rotate3d(
         torch.Size([1, 2, 3, 3])
     """
     volumes = _volumes("rotate3d", tensor)
-    batch, dtype = len(volumes), compute_dtype(volumes)
+    batch, dtype = volumes.shape[0], compute_dtype(volumes)
     angles = []
     for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
         _check.numbers("rotate3d", name, angle)
@@ -284,7 +284,7 @@ def _reference(volumes, matrix, size, interpolation, padding, align_corners, inv
     axes = [torch.arange(n, dtype=matrix.dtype, device=matrix.device) for n in size]
     z, y, x = torch.meshgrid(*axes, indexing="ij")
     places = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
-    places = [p.expand(len(volumes), -1, -1, -1) for p in places]
+    places = [p.expand(volumes.shape[0], -1, -1, -1) for p in places]
     return sampling.sample(volumes, places, interpolation, padding, align_corners)
 
 
@@ -333,7 +333,7 @@ def _matrix_gradient_reference(grad, volumes, matrix, *how):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _reference(volumes, matrix, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_matrix, matrix.expand(len(volumes), -1, -1))
+    _, pullback = torch.func.vjp(of_matrix, matrix.expand(volumes.shape[0], -1, -1))
     return pullback(grad)[0]
 
 
@@ -352,7 +352,7 @@ _volume_gradient = register(
 _matrix_gradient = register(
     "warp3d_matrix_gradient",
     _matrix_gradient_reference,
-    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(len(volumes), *matrix.shape[1:]),
+    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(volumes.shape[0], *matrix.shape[1:]),
 )
 _warp3d_by_formula = sampling.register_warp_by_formula(
     _warp3d,

@@ -292,7 +292,7 @@ __device__ __forceinline__ void in_groups(int channels, Take take) {
 
 // Whether rows begin at whole packs, of images one pixel after the other.
 template <class T>
-bool in_packs(Images<T const> const& x) {
+bool in_packs(Images<T> const& x) {
   int64_t const pack = 16 / int64_t(sizeof(T));
   return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % pack == 0 &&
          x.channel_stride % pack == 0 && x.batch_stride % pack == 0;

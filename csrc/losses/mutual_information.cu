@@ -1,47 +1,17 @@
 // Mutual information on CUDA: ranges of the signals' pieces, joint histograms, what follows from these; backward the
 // gradients by places, then what the ends of the ranges get. Histograms are in fixed point, so that atomic sums do not
 // depend on their order: in shared memory, in two words a bin, where they fit.
-#include "core/early_launch.cuh"
+#include "metrics/sums.cuh"
 #include "mutual_information.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 256, kFinishThreads = 512;
+constexpr int kThreads = kSumThreads, kFinishThreads = 1024;
 constexpr int kShared = 5632;  // bins of a joint histogram that a block has memory for
 
-// Puts K numbers of all threads together by op, to all of them.
-template <int Threads, int K, class F, class Op>
-__device__ __forceinline__ void over_block(F (&v)[K], Op op) {
-  __shared__ F of_warps[Threads / 32][K];
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-#pragma unroll
-    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
-  }
-  __syncthreads();  // with what was there before
-  if (threadIdx.x % 32 == 0)
-    for (int k = 0; k < K; ++k) of_warps[threadIdx.x / 32][k] = v[k];
-  __syncthreads();
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-    v[k] = of_warps[0][k];
-    for (int w = 1; w < Threads / 32; ++w) v[k] = op(v[k], of_warps[w][k]);
-  }
-}
-
-struct Larger {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a != a || a > b ? a : b;  // NaN, if there is one
-  }
-};
-struct Plus {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a + b;
-  }
-};
+__device__ __forceinline__ unsigned fixed_point(float x) { return __float2uint_rn(x); }  // of at most 30 bits
+__device__ __forceinline__ unsigned long long fixed_point(double x) { return __double2ull_rn(x); }
 
 // A block's row, and its samples.
 struct Piece {
@@ -56,7 +26,6 @@ struct Piece {
 // Ranges are kept as -low and high.
 template <class F>
 __global__ void __launch_bounds__(kThreads) find_ranges(__grid_constant__ MutualInformation<F> const p) {
-  let_next_begin();
   Piece const at(p.pieces, p.samples);
   F ends[] = {-F(INFINITY), -F(INFINITY), -F(INFINITY), -F(INFINITY)};
 #pragma unroll 4
@@ -65,14 +34,13 @@ __global__ void __launch_bounds__(kThreads) find_ranges(__grid_constant__ Mutual
     if (p.x.counts(at.row, i)) ends[0] = Larger()(ends[0], -x), ends[1] = Larger()(ends[1], x);
     if (p.y.counts(at.row, i)) ends[2] = Larger()(ends[2], -y), ends[3] = Larger()(ends[3], y);
   }
-  over_block<kThreads>(ends, Larger());
+  over_block(ends, Larger());
   if (threadIdx.x < 4) p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = ends[threadIdx.x];
 }
 
 template <class F>
 __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ MutualInformation<F> const p) {
   let_next_begin();
-  wait_for_previous();
   __shared__ unsigned low_words[kShared], high_words[kShared];
   Piece const at(p.pieces, p.samples);
   int const bins = p.binning.bins, cells = bins * bins;
@@ -82,7 +50,7 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
   for (int64_t i = threadIdx.x; i < p.pieces; i += kThreads)
 #pragma unroll
     for (int k = 0; k < 4; ++k) ends[k] = Larger()(ends[k], p.partial[4 * (at.row * p.pieces + i) + k]);
-  over_block<kThreads>(ends, Larger());
+  over_block(ends, Larger());
   SignalRange<F> const of_x{-ends[0], ends[1]}, of_y{-ends[2], ends[3]};
   if (at.first == 0 && threadIdx.x < 4)
     p.ranges[4 * at.row + threadIdx.x] = threadIdx.x % 2 == 0 ? -ends[threadIdx.x] : ends[threadIdx.x];
@@ -91,19 +59,19 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
   F const scale = F(1ll << p.bits);
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
     if (!p.x.counts(at.row, i) || !p.y.counts(at.row, i)) continue;
-    F const place_x = of_x.share(p.x.at(at.row, i), p.binning.epsilon) * p.binning.last;
-    F const place_y = of_y.share(p.y.at(at.row, i), p.binning.epsilon) * p.binning.last;
-    p.binning.for_each_bin(place_x, [&](int k, F t) {
+    F const share_x = of_x.share(p.x.at(at.row, i), p.binning.epsilon);
+    F const share_y = of_y.share(p.y.at(at.row, i), p.binning.epsilon);
+    p.binning.for_each_bin(share_x, [&](int k, F t) {
       F const weight = p.binning.weight(t < 0 ? -t : t) * scale;
-      p.binning.for_each_bin(place_y, [&](int m, F u) {
-        auto const fixed = static_cast<unsigned long long>(weight * p.binning.weight(u < 0 ? -u : u) + F(0.5));
+      p.binning.for_each_bin(share_y, [&](int m, F u) {
+        auto const fixed = fixed_point(weight * p.binning.weight(u < 0 ? -u : u));
         int const cell = k * bins + m;
         if (!shared) {
-          atomicAdd(counts + cell, fixed);
+          atomicAdd(counts + cell, static_cast<unsigned long long>(fixed));
           return;
         }
         unsigned const low = unsigned(fixed), before = atomicAdd(low_words + cell, low);
-        unsigned const high = unsigned(fixed >> 32) + (before + low < before);
+        unsigned const high = unsigned(uint64_t(fixed) >> 32) + (before + low < before);
         if (high) atomicAdd(high_words + cell, high);
       });
     });
@@ -137,10 +105,20 @@ __global__ void __launch_bounds__(kFinishThreads) find_information(__grid_consta
     sum = warp_sum(sum);
     if (lane == 0) of_x[k] = F(sum), of_all[0] += sum;
   }
-  for (int m = threadIdx.x; m < bins; m += kFinishThreads) {
+  // Several threads share a column, where there are more threads than columns.
+  __shared__ double parts[kFinishThreads];
+  int const share = max(kFinishThreads / bins, 1), columns = kFinishThreads / share;
+  int const part = int(threadIdx.x) / columns, of_part = int(threadIdx.x) % columns;
+  for (int first = 0; first < bins; first += columns) {
+    int const m = first + of_part;
     double sum = 0;
-    for (int k = 0; k < bins; ++k) sum += count_of(k * bins + m);
-    of_y[m] = F(sum);
+    if (part < share && m < bins)
+      for (int k = part; k < bins; k += share) sum += count_of(k * bins + m);
+    __syncthreads();
+    parts[threadIdx.x] = sum;
+    __syncthreads();
+    for (int i = 1; part == 0 && i < share; ++i) sum += parts[i * columns + of_part];
+    if (part == 0 && m < bins) of_y[m] = F(sum);
   }
   over_block<kFinishThreads>(of_all, Plus());  // the sums of other threads are there now, too
   F const all = F(of_all[0]), inverse = 1 / all;
@@ -169,7 +147,6 @@ __global__ void __launch_bounds__(kFinishThreads) find_information(__grid_consta
 template <class F>
 __global__ void __launch_bounds__(kThreads)
     find_slopes_of_samples(__grid_constant__ MutualInformationBackward<F> const p) {
-  let_next_begin();
   Piece const at(p.pieces, p.samples);
   Signal<F> const& own = p.by_y ? p.y : p.x;
   SignalRange<F> const range = p.range(at.row, p.by_y);
@@ -186,13 +163,12 @@ __global__ void __launch_bounds__(kThreads)
     p.out[at.row * p.samples + i] = flat ? F(0) : of_share * inverse;
   }
   double found[] = {ends.low, ends.high, ends.lowest, ends.highest};
-  over_block<kThreads>(found, Plus());
+  over_block(found, Plus());
   if (threadIdx.x < 4) p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = F(found[threadIdx.x]);
 }
 
 template <class F>
 __global__ void __launch_bounds__(kThreads) add_to_ends(__grid_constant__ MutualInformationBackward<F> const p) {
-  wait_for_previous();
   Piece const at(p.pieces, p.samples);
   Signal<F> const& own = p.by_y ? p.y : p.x;
   SignalRange<F> const range = p.range(at.row, p.by_y);
@@ -202,7 +178,7 @@ __global__ void __launch_bounds__(kThreads) add_to_ends(__grid_constant__ Mutual
   for (int64_t i = threadIdx.x; i < p.pieces; i += kThreads)
 #pragma unroll
     for (int k = 0; k < 4; ++k) ends[k] += p.partial[4 * (at.row * p.pieces + i) + k];
-  over_block<kThreads>(ends, Plus());
+  over_block(ends, Plus());
   F const inverse = 1 / (range.high - range.low);
   F const to_low = F(ends[0] / ends[2]) * inverse, to_high = F(ends[1] / ends[3]) * inverse;
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
@@ -220,7 +196,7 @@ int mutual_information(MutualInformation<F> const& p, CUstream_st* stream) {
   size_t const bytes = sizeof(*p.counts) * size_t(p.rows) * p.binning.bins * p.binning.bins;
   if (int const error = cudaMemsetAsync(p.counts, 0, bytes, stream)) return error;
   find_ranges<<<blocks, kThreads, 0, stream>>>(p);
-  if (int const error = launch_early(count_pairs<F>, blocks, kThreads, stream, p)) return error;
+  count_pairs<<<blocks, kThreads, 0, stream>>>(p);
   return launch_early(find_information<F>, unsigned(p.rows), kFinishThreads, stream, p);
 }
 
@@ -228,7 +204,8 @@ template <class F>
 int mutual_information_backward(MutualInformationBackward<F> const& p, CUstream_st* stream) {
   unsigned const blocks = unsigned(p.rows * p.pieces);
   find_slopes_of_samples<<<blocks, kThreads, 0, stream>>>(p);
-  return launch_early(add_to_ends<F>, blocks, kThreads, stream, p);
+  add_to_ends<<<blocks, kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
 }
 
 KV_INSTANTIATE_COMPUTED(mutual_information, MutualInformation)

@@ -34,9 +34,9 @@ template <class F>
 struct Binning {
   int bins;
   BinKernel kernel;
-  F radius, last;  // in bins; the place of the last bin, in radii as all places are
-  F top;           // what weights are multiplied with
-  F epsilon;       // a signal whose range is no larger is flat
+  F radius, inverse;  // in bins; 1 / it
+  F top;              // what weights are multiplied with
+  F epsilon;          // a signal whose range is no larger is flat
 
   // Of a distance of at most 1.
   KV_HD F weight(F t) const {
@@ -49,12 +49,13 @@ struct Binning {
     if (kernel == BinKernel::truncated_gaussian) return F(-t * ::exp(-t * t / 2));
     return t < F(0.5) ? F(-3.6) * t - F(0.1) : F(3.6) * t - F(3.7);
   }
-  // Calls f(bin, signed distance) for the bins that a sample adds to.
+  // Calls f(bin, signed distance in radii) for the bins that a sample at `share` of its range adds to.
   template <class Call>
-  KV_HD void for_each_bin(F place, Call f) const {
-    int const first = int(max(F(0), (place - 1) * radius)), end = int(min(F(bins), (place + 1) * radius + 2));
+  KV_HD void for_each_bin(F share, Call f) const {
+    F const place = share * F(bins - 1);
+    int const first = int(max(F(0), place - radius)), end = int(min(F(bins), place + radius + 2));
     for (int k = first; k < end; ++k) {
-      F const t = place - F(k) / radius;
+      F const t = (place - F(k)) * inverse;
       if (t <= 1 && t >= -1) f(k, t);
     }
   }
@@ -118,9 +119,8 @@ struct MutualInformationBackward {
   KV_HD F to_share(int64_t row, int64_t i) const {
     if (!x.counts(row, i) || !y.counts(row, i)) return 0;
     SignalRange<F> const of_x = range(row, false), of_y = range(row, true);
-    F const place_x = of_x.share(x.at(row, i), binning.epsilon) * binning.last;
-    F const place_y = of_y.share(y.at(row, i), binning.epsilon) * binning.last;
-    F const own = by_y ? place_y : place_x, other = by_y ? place_x : place_y;
+    F const share_x = of_x.share(x.at(row, i), binning.epsilon), share_y = of_y.share(y.at(row, i), binning.epsilon);
+    F const own = by_y ? share_y : share_x, other = by_y ? share_x : share_y;
     F const* const table = slopes + row * binning.bins * binning.bins;
     int const step = by_y ? binning.bins : 1, other_step = by_y ? 1 : binning.bins;
     F sum = 0;
@@ -131,7 +131,7 @@ struct MutualInformationBackward {
       });
       sum += t == 0 ? F(0) : (t < 0 ? -binning.slope(-t) : binning.slope(t)) * of_bin;
     });
-    return grad[row] * binning.top * binning.top * binning.last * sum;
+    return grad[row] * binning.top * binning.top * F(binning.bins - 1) * binning.inverse * sum;
   }
 };
 

@@ -34,11 +34,11 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
     bool const sound = of_x.is_sound() && of_y.is_sound();
     for (int64_t i = 0; sound && i < p.samples; ++i) {
       if (!p.x.counts(row, i) || !p.y.counts(row, i)) continue;
-      F const place_x = of_x.share(p.x.at(row, i), p.binning.epsilon) * p.binning.last;
-      F const place_y = of_y.share(p.y.at(row, i), p.binning.epsilon) * p.binning.last;
-      p.binning.for_each_bin(place_x, [&](int k, F t) {
+      F const share_x = of_x.share(p.x.at(row, i), p.binning.epsilon);
+      F const share_y = of_y.share(p.y.at(row, i), p.binning.epsilon);
+      p.binning.for_each_bin(share_x, [&](int k, F t) {
         F const weight = p.binning.weight(t < 0 ? -t : t);
-        p.binning.for_each_bin(place_y,
+        p.binning.for_each_bin(share_y,
                                [&](int m, F u) { joint[k * bins + m] += weight * p.binning.weight(u < 0 ? -u : u); });
       });
     }

@@ -8,7 +8,8 @@ namespace kv {
 namespace {
 
 constexpr int64_t kMostBins = 1 << 14;
-constexpr int64_t kSamplesOfPiece = 1 << 13, kMostPieces = 1024;  // of a row, on CUDA
+// On CUDA: as many pieces as a machine has blocks for, of not too few samples.
+constexpr int64_t kBlocks = 512, kSamplesOfPiece = 1 << 10;
 
 // Two signals (rows, samples), float32 or float64, and their masks.
 struct TwoSignals {
@@ -38,7 +39,9 @@ struct TwoSignals {
     auto const stride = [&](Tensor const& t) { return t.size(0) == 1 ? 0 : samples; };
     return {data_of<F const>(of), mask ? data_of<uint8_t const>(*mask) : nullptr, stride(of), mask ? stride(*mask) : 0};
   }
-  int64_t pieces() const { return min((samples + kSamplesOfPiece - 1) / kSamplesOfPiece, kMostPieces); }
+  int64_t pieces() const {
+    return min((kBlocks + rows - 1) / max(rows, int64_t(1)), (samples + kSamplesOfPiece - 1) / kSamplesOfPiece);
+  }
   template <class Call>
   void for_type(Call f) const {
     x.scalar_type() == ScalarType::Double ? f(Type<double>{}) : f(Type<float>{});
@@ -57,7 +60,7 @@ Binning<F> binning_of(char const* op, std::string const& kernel, int64_t bins, d
           : gaussian ? BinKernel::truncated_gaussian
                      : BinKernel::rectangular,
           F(radius),
-          F((bins - 1) / radius),
+          F(1 / radius),
           F(gaussian ? 0.39894228040143268 / radius : 1.0),  // 1 / sqrt(2 pi)
           std::numeric_limits<F>::epsilon()};
 }

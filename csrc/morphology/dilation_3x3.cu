@@ -1,6 +1,7 @@
 // Dilation and erosion on CUDA by windows of 3 x 3 pixels around the middle, and their gradients: warps walk down
 // strips with the last rows in registers.
 #include "core/early_launch.cuh"
+#include "core/reciprocal.cuh"
 #include "dilation.cuh"
 
 namespace kv::cuda {
@@ -31,13 +32,6 @@ struct NineTaps {
 // The smaller one, or the one that is no NaN.
 __device__ __forceinline__ float lesser(float a, float b) { return fminf(a, b); }
 __device__ __forceinline__ double lesser(double a, double b) { return fmin(a, b); }
-__device__ __forceinline__ float quotient(float a, float b) {
-  float inverse;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(b));
-  return a * inverse;
-}
-__device__ __forceinline__ double quotient(double a, double b) { return a / b; }
-
 // Rows of images one after the other, from row `y` on, with R pixels beside the thread's: times `sign`, and `outside`
 // where there is nothing. Each thread reads them all: the memory of its neighbours is near, and there is no other end
 // of a warp's row.
@@ -278,8 +272,8 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
     for (int i = 0; i < P + 2; ++i) {
       F const older = most[slot][i], last = most[1 - slot][i];
       m[i] = join(join(older, last), new_most[i]);
-      part[i] =
-          quotient(g[i], sum_where(m[i], older, last, new_most[i], ties[slot][i], ties[1 - slot][i], new_ties[i]));
+      part[i] = g[i] * fast_reciprocal(
+                           sum_where(m[i], older, last, new_most[i], ties[slot][i], ties[1 - slot][i], new_ties[i]));
       most[slot][i] = new_most[i], ties[slot][i] = new_ties[i];
     }
     F sum[P];

@@ -116,15 +116,9 @@ def _number(value: str | None) -> float:
 
 
 def _short(kernel: str) -> str:
-    """`sample_tiles<float, 2>` of kv::cuda::(anonymous namespace)::sample_tiles<float, 2>(kv::Sample<float>, ...)."""
-    kernel = re.sub(r"\((anonymous namespace|int|bool)\)|void |kv::|cuda::|at::native::|::(?=\w+<)", "", kernel)
-    depth = 0
-    for i, c in enumerate(kernel):
-        depth += (c == "<") - (c == ">")
-        if c == "(" and depth == 0:
-            kernel = kernel[:i]
-            break
-    return kernel[:36]
+    """`sample_tiles<float, 2>` of void kv::cuda::(anonymous namespace)::sample_tiles<float, (int)2>(kv::Sample<float>)."""
+    kernel = re.sub(r"^void |\(anonymous namespace\)::|<unnamed>::|\b\w+::|\((int|bool|unsigned long)\)", "", kernel)
+    return kernel.partition("(")[0][:36]
 
 
 def main() -> None:

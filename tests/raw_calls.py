@@ -21,6 +21,7 @@ SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
 RIGHT = {
     **{"top": ["0"], "left": ["0"], "steps": ["0", str(2**15)], "radius": ["0", str(2**15)]},
     **{"ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]},
+    **{"input_mask": ["of torch.bool"], "other_mask": ["of torch.bool"]},
 }
 NAMES = ("", "mirror", "Reflect", "constant ")
 DTYPES = (torch.int64, torch.bool, torch.complex64, torch.float8_e4m3fn)

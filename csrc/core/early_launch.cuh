@@ -1,5 +1,6 @@
 // Launches that begin while the one before them ends: their blocks come to the multiprocessors that this leaves empty,
-// and wait there until it is done, which takes less than to start them then. Included by *.cu files.
+// and wait there until it is done, which takes less than to start them then. For launches of few blocks, or short ones:
+// where the others leave room first, not evenly, is where they stay. Included by *.cu files.
 #pragma once
 
 #include "launch.cuh"

@@ -107,6 +107,148 @@ int launch_any(Separable<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
+// --- planar images and windows of any size: a block walks down 128 columns of pixels
+// ----------------------------------------
+
+constexpr int kTileWidth = 128, kTileHeight = 64;  // pixels computed at a time, 4 x 8 by a thread
+constexpr int kTileThreads = 256, kTileWarps = kTileThreads / 32;
+constexpr int kPitch = kTileWidth + 4;  // of rows filtered along x: eight below each other in different banks
+
+// N sums over the windows of C numbers beside each other that begin at 0 ... N - 1: the last N numbers are in
+// registers.
+template <int N, int C, class Load>
+__device__ __forceinline__ void filter_windows(float const* weights, int taps, Load load, float (&sums)[N][C]) {
+  float v[N][C];
+#pragma unroll
+  for (int i = 0; i < N - 1; ++i) load(i, v[i]);
+#pragma unroll 1
+  for (int first = 0; first < taps; first += N)
+#pragma unroll
+    for (int i = 0; i < N; ++i) {
+      if (first + i >= taps) break;
+      load(first + i + N - 1, v[(i + N - 1) % N]);
+      float const weight = weights[first + i];
+#pragma unroll
+      for (int n = 0; n < N; ++n)
+#pragma unroll
+        for (int c = 0; c < C; ++c) sums[n][c] = fmaf(weight, v[(i + n) % N][c], sums[n][c]);
+    }
+}
+
+// What a block keeps: the pixels of 32 rows, the rows that windows along y need, filtered along x, and its weights.
+struct TileMemory {
+  int across, pitch, rows;  // pixels read of a row, how they are kept, odd: a column in different banks; rows kept
+  int kx, ky;
+  template <class F>
+  TileMemory(Taps<F> const& x, Taps<F> const& y)
+      : across(kTileWidth + x.size - 1), pitch(across | 1), rows(kTileHeight + y.size - 1), kx(x.size), ky(y.size) {}
+  int numbers() const { return rows * kPitch + 32 * pitch + across + kx + ky; }
+};
+
+// Mirrored: as in separable_strip.cuh, where the pixels of the rim count twice.
+template <class T>
+__global__ void __launch_bounds__(kTileThreads, 2)
+    separable_tiles(__grid_constant__ Separable<T> const p, TileMemory memory, int rows, bool mirrored, bool aligned) {
+  float *const filtered = shared_memory<float>(), *const pixels = filtered + memory.rows * kPitch;
+  float *const kx = pixels + 32 * memory.pitch, *const ky = kx + memory.kx;
+  int* const columns = reinterpret_cast<int*>(ky + memory.ky);
+  int const width = int(p.y.width), height = int(p.y.height), in_width = int(p.x.width), in_height = int(p.x.height);
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
+  unsigned const across = unsigned(width + kTileWidth - 1) / kTileWidth, down = unsigned(height + rows - 1) / rows;
+  unsigned const line = blockIdx.x / across, plane = line / down;
+  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * rows;
+  int const y1 = min(y0 + rows, height), kept = memory.ky - 1;
+  for (int i = threadIdx.x; i < memory.across; i += kTileThreads)
+    columns[i] =
+        i < min(kTileWidth, width - x0) + memory.kx - 1 ? border_index(p.border, x0 - p.kx.before + i, in_width) : -1;
+  load_weights(p.kx, int64_t(plane) / p.planes, 1.f, kx);
+  load_weights(p.ky, int64_t(plane) / p.planes, p.alpha, ky);
+  auto const is_end = [](int i, int n) { return i == 0 || i == n - 1; };
+
+  for (int y = y0; y < y1; y += kTileHeight) {
+    int const has = y == y0 ? 0 : kept, needs = min(kTileHeight, y1 - y) + kept;
+    for (int row = has; row < needs; row += 32) {
+      // A warp brings four rows, then filters 16 columns, a thread one of the rows.
+      int const first = row + 4 * warp;
+      T const* from[4];
+      bool exists[4], twice[4];
+#pragma unroll
+      for (int i = 0; i < 4; ++i) {
+        int const source = first + i < needs ? border_index(p.border, y - p.ky.before + first + i, in_height) : -1;
+        exists[i] = source >= 0;
+        twice[i] = mirrored && is_end(source, in_height);
+        from[i] = p.x.row(plane, max(source, 0));
+      }
+#pragma unroll 2
+      for (int column = lane; column < memory.across; column += 32) {
+        int const source = columns[column];
+        float const scale = mirrored && is_end(source, in_width) ? 2.f : 1.f;
+#pragma unroll
+        for (int i = 0; i < 4; ++i) {
+          float const pixel = exists[i] && source >= 0 ? read(from[i][source]) : 0.f;
+          pixels[(4 * warp + i) * memory.pitch + column] = mirrored ? pixel * (twice[i] ? 2 * scale : scale) : pixel;
+        }
+      }
+      __syncthreads();
+      float sums[16][1] = {};
+      float const* const window = pixels + lane * memory.pitch + 16 * warp;
+      filter_windows(kx, memory.kx, [&](int i, float(&v)[1]) { v[0] = window[i]; }, sums);
+      if (row + lane < needs) {
+#pragma unroll
+        for (int i = 0; i < 16; i += 4)
+          *reinterpret_cast<float4*>(filtered + (row + lane) * kPitch + 16 * warp + i) =
+              float4{sums[i][0], sums[i + 1][0], sums[i + 2][0], sums[i + 3][0]};
+      }
+      __syncthreads();
+    }
+
+    float sums[8][4] = {};
+    float const* const window = filtered + 8 * warp * kPitch + 4 * lane;
+    if (y + 8 * warp < y1)
+      filter_windows(
+          ky, memory.ky,
+          [&](int i, float(&v)[4]) {
+            float4 const four = *reinterpret_cast<float4 const*>(window + i * kPitch);
+            v[0] = four.x, v[1] = four.y, v[2] = four.z, v[3] = four.w;
+          },
+          sums);
+    int const x = x0 + 4 * lane;
+#pragma unroll
+    for (int n = 0; n < 8; ++n) {
+      int const at = y + 8 * warp + n;
+      if (at >= y1) break;
+#pragma unroll
+      for (int c = 0; c < 4; ++c) {
+        if (mirrored) sums[n][c] *= (is_end(at, height) ? 0.5f : 1.f) * (is_end(x + c, width) ? 0.5f : 1.f);
+        if (p.beta != 0 && x + c < width) sums[n][c] += p.beta * read(p.x.row(plane, at)[x + c]);
+      }
+      store_pixels(p.y.row(plane, at) + x, sums[n], x, width, aligned);
+    }
+    // The last rows are the first of the next tile.
+    for (int row = 0; row < kept; row += kTileHeight) {
+      __syncthreads();
+      for (int i = threadIdx.x; i < min(kTileHeight, kept - row) * kPitch / 4; i += kTileThreads)
+        reinterpret_cast<float4*>(filtered + row * kPitch)[i] =
+            reinterpret_cast<float4 const*>(filtered + (row + kTileHeight) * kPitch)[i];
+    }
+    __syncthreads();
+  }
+}
+
+template <class T>
+int launch_tiles(Separable<T> p, bool mirrored, CUstream_st* stream) {
+  TileMemory const memory(p.kx, p.ky);
+  int const bytes = 4 * memory.numbers(), resident = multiprocessors() * (bytes > kSharedMemory / 2 ? 1 : 2);
+  if (int error = cudaFuncSetAttribute(separable_tiles<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
+    return error;
+  if (mirrored) p.border = Border::reflect;
+  int64_t const lines = p.y.count() * ceil_div(p.y.width, kTileWidth);
+  int const rows = rows_of_strips(lines, p.y.height, max(p.ky.size, 8), resident, resident);
+  separable_tiles<<<unsigned(lines * ceil_div(p.y.height, rows)), kTileThreads, bytes, stream>>>(
+      p, memory, rows, mirrored, is_strip<4>(p.y));
+  return cudaGetLastError();
+}
+
 // --- the gradient to the weights
 // ------------------------------------------------------------------------------------------
 
@@ -180,6 +322,10 @@ int separable(Separable<T> const& p, CUstream_st* stream) {
       if constexpr (sizeof(T) > 1)
         return p.fold == Border::reflect && symmetric ? separable_mirrors(p, 1, stream) : separable_folds(p, stream);
     }
+    bool const mirrored = p.fold == Border::reflect && symmetric;
+    if (p.x.step == 1 && p.y.step == 1 && (p.fold == Border::constant || mirrored) &&
+        4 * TileMemory(p.kx, p.ky).numbers() <= kSharedMemory)
+      return launch_tiles(p, mirrored, stream);
   }
   return launch_any(p, stream);
 }

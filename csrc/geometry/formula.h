@@ -43,6 +43,17 @@ struct Settings {
   double number[4];  // the plain arguments of its operator
 };
 
+// The matrix of a warp that a formula makes of its first inputs, given as in Formulas, by the kernel that warps. Only
+// CUDA's do: formulas.h lists the formulas they know, matrix_formula.cuh has the code.
+enum class MatrixBy : int;  // 0 for a matrix that is given
+struct MatrixFormula {
+  static constexpr int kInputs = 6;
+  MatrixBy by{};
+  Numbers inputs[kInputs];  // of the type that computes
+  int64_t strides[kInputs];
+  Settings settings;
+};
+
 template <class F>
 struct Formulas {
   Numbers inputs[F::kInputs];
@@ -77,20 +88,25 @@ constexpr int kDirections = F::kNumbers <= 4       ? F::kNumbers
                             : F::kNumbers % 3 == 0 ? 3
                                                    : 2;
 
-// `At` is a sample, or some of them side by side, whose numbers are At::Value: it reads and writes rows.
-template <class F, int I = 0, class At>
-KV_HD void read_inputs(Formulas<F> const& p, At const& at, typename At::Value* x) {
+// `At` is a sample, or some of them side by side, whose numbers are At::Value: it reads and writes rows. `p` has inputs
+// and strides, those of the first inputs or of all.
+template <class F, int I = 0, class P, class At>
+KV_HD void read_inputs(P const& p, At const& at, typename At::Value* x) {
   using V = typename At::Value;
   if constexpr (I < F::kInputs) {
-    constexpr int first = offset_of<F>(I), count = F::extent(I).count();
+    constexpr int first = offset_of<F>(I), count = F::extent(I).count(), known = sizeof(P::inputs) / sizeof(Numbers);
     bool is_given = true;
     if constexpr (I >= F::kRequired) {
-      is_given = p.inputs[I].data;
+      if constexpr (I < known)
+        is_given = p.inputs[I].data;
+      else
+        is_given = false;
       if (!is_given)
 #pragma unroll
         for (int i = first; i < first + count; ++i) x[i] = V{} + F::missing(i, p.settings);
     }
-    if (is_given) at.template read<count>(p.inputs[I], p.strides[I], x + first);
+    if constexpr (I < known)
+      if (is_given) at.template read<count>(p.inputs[I], p.strides[I], x + first);
     read_inputs<F, I + 1>(p, at, x);
   }
 }
@@ -98,7 +114,7 @@ KV_HD void read_inputs(Formulas<F> const& p, At const& at, typename At::Value* x
 template <class F, class At>
 KV_HD void formula_of(Formulas<F> const& p, At const& at) {
   typename At::Value x[F::kNumbers], y[F::kOutputs];
-  read_inputs(p, at, x);
+  read_inputs<F>(p, at, x);
   F::of(x, y, p.settings);
   at.template write<F::kOutputs>(p.result, p.outputs, y);
 }
@@ -108,7 +124,7 @@ KV_HD void formula_vjp(Formulas<F> const& p, At const& at) {
   using V = typename At::Value;
   constexpr int directions = kDirections<F>;
   V x[F::kNumbers], g[F::kOutputs];
-  read_inputs(p, at, x);
+  read_inputs<F>(p, at, x);
   at.template read_some<F::kOutputs>(p.grad, p.outputs, g);
   int64_t const width = __builtin_popcountll(p.given);
   int column = 0;

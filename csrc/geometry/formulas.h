@@ -422,14 +422,19 @@ struct AffineMatrix2d {
   }
 };
 
-struct TranslationMatrix2d : OfVector<2, 3, 3> {
-  static constexpr int kCut = 1;
+// A translation, 0 if not given, and numbers that are added to it.
+template <int n>
+struct TranslationMatrix : OfVector<n, n + 1, n + 1> {
+  static constexpr int kRequired = 0, kPlain = n, kCut = 1;
+  static KV_HD double missing(int, Settings const&) { return 0; }
   template <class V>
-  static KV_HD void of(V const* x, V* m, Settings const&) {
-    for (int i = 0; i < 9; ++i) m[i] = number<V>(i % 4 == 0);
-    m[2] = x[0], m[5] = x[1];
+  static KV_HD void of(V const* x, V* m, Settings const& s) {
+    for (int i = 0; i < (n + 1) * (n + 1); ++i) m[i] = number<V>(i % (n + 2) == 0);
+    for (int i = 0; i < n; ++i) m[(n + 1) * i + n] = x[i] + s.number[i];
   }
 };
+using TranslationMatrix2d = TranslationMatrix<2>;
+using TranslationMatrix3d = TranslationMatrix<3>;
 
 // Scales and a center (its plain numbers where there is none).
 struct ScaleMatrix2d {
@@ -588,11 +593,17 @@ struct CropMatrix {
 
 // The homography of space that takes five points, no four of them in a plane, to others: the corners 0, 1, 2, 5 and 7
 // of boxes. Of the first four, p_i, it makes q_i, by factors that are the volumes which the fifth one spans with the
-// other three, there and here; row i of the inverse of the matrix of p_i is the plane through these.
+// other three, there and here; row i of the inverse of the matrix of p_i is the plane through these. The others, if not
+// given, are the corners of the box from 0 to three plain numbers.
 struct PerspectiveMatrix3d {
-  static constexpr int kInputs = 2, kRequired = 2, kNumbers = 48, kOutputs = 16, kPlain = 0, kCut = 0;
+  static constexpr int kInputs = 2, kRequired = 1, kNumbers = 48, kOutputs = 16, kPlain = 3, kCut = 0;
   static constexpr Extent extent(int) { return {8, 3}; }
   static constexpr Extent result = {4, 4};
+  static KV_HD double missing(int i, Settings const& s) {
+    int const point = i / 3 % 8, axis = i % 3;
+    bool const far = axis == 2 ? point >= 4 : axis == 1 ? point % 4 >= 2 : point % 4 == 1 || point % 4 == 2;
+    return far ? s.number[axis] : 0;
+  }
 
   static KV_HD int corner(int i) { return i < 3 ? i : 2 * i - 1; }
   // The plane through the first four points but point i, and its value at the fifth.
@@ -861,47 +872,59 @@ struct FundamentalFromProjections {
 // --- the operators: name, formula, arguments
 // --------------------------------------------------------------------------------
 
-#define KV_FORMULAS(_)                                                                                             \
-  _(axis_angle_to_rotation_matrix, AxisAngleToRotationMatrix, "Tensor axis_angle")                                 \
-  _(quaternion_exponential, QuaternionExponential, "Tensor vector, float part")                                    \
-  _(quaternion_to_axis_angle, QuaternionToAxisAngle, "Tensor quaternion")                                          \
-  _(quaternion_logarithm, QuaternionLogarithm, "Tensor quaternion")                                                \
-  _(quaternion_product, QuaternionProduct, "Tensor left, Tensor right")                                            \
-  _(normalize_quaternion, NormalizeQuaternion, "Tensor quaternion, float eps")                                     \
-  _(quaternion_to_rotation_matrix, QuaternionToRotationMatrix, "Tensor quaternion")                                \
-  _(rotation_matrix_to_quaternion, RotationMatrixToQuaternion, "Tensor matrix")                                    \
-  _(cross_matrix, CrossMatrix, "Tensor vector")                                                                    \
-  _(compose_poses, ComposePoses, "Tensor first, Tensor second")                                                    \
-  _(invert_pose, InvertPose, "Tensor pose")                                                                        \
-  _(relative_pose, RelativePose, "Tensor first, Tensor second")                                                    \
-  _(rotation_matrix_to_axis_angle, RotationMatrixToAxisAngle, "Tensor matrix")                                     \
-  _(angle_to_rotation_matrix, AngleToRotationMatrix, "Tensor degrees")                                             \
-  _(quaternion_from_euler, QuaternionFromEuler, "Tensor roll, Tensor pitch, Tensor yaw")                           \
-  _(euler_from_quaternion, EulerFromQuaternion, "Tensor w, Tensor x, Tensor y, Tensor z")                          \
-  _(affine_matrix2d, AffineMatrix2d,                                                                               \
-    "Tensor degrees, Tensor? translation, Tensor? scale, Tensor? shear_x, Tensor? shear_y, Tensor? center, "       \
-    "float turn, float x, float y, int rows")                                                                      \
-  _(translation_matrix2d, TranslationMatrix2d, "Tensor translation, int rows")                                     \
-  _(scale_matrix2d, ScaleMatrix2d, "Tensor scale, Tensor? center, float x, float y")                               \
-  _(shear_matrix2d, ShearMatrix2d, "Tensor center, Tensor? shear_x, Tensor? shear_y")                              \
-  _(slant_matrix2d, SlantMatrix2d, "Tensor slant")                                                                 \
-  _(invert_affine2d, InvertAffine2d, "Tensor matrix")                                                              \
+// Those that warps of images know, and those of volumes.
+#define KV_PLANE_FORMULAS(_)                                                                                 \
+  _(affine_matrix2d, AffineMatrix2d,                                                                         \
+    "Tensor degrees, Tensor? translation, Tensor? scale, Tensor? shear_x, Tensor? shear_y, Tensor? center, " \
+    "float turn, float x, float y, int rows")                                                                \
+  _(translation_matrix2d, TranslationMatrix2d, "Tensor translation, float x, float y, int rows")             \
+  _(scale_matrix2d, ScaleMatrix2d, "Tensor scale, Tensor? center, float x, float y")                         \
+  _(slant_matrix2d, SlantMatrix2d, "Tensor slant")                                                           \
+  _(crop_matrix, CropMatrix, "Tensor quads, Tensor? first, float across, float down")
+
+#define KV_SPACE_FORMULAS(_)                                                                                       \
   _(affine_matrix3d, AffineMatrix3d,                                                                               \
     "Tensor x, Tensor y, Tensor z, Tensor? translation, Tensor? scale, Tensor? center, Tensor? xy, Tensor? xz, "   \
     "Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy, float turn, float center_x, float center_y, float center_z, " \
     "int rows")                                                                                                    \
-  _(shear_matrix3d, ShearMatrix3d,                                                                                 \
-    "Tensor center, Tensor? xy, Tensor? xz, Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy")                       \
-  _(perspective_matrix, PerspectiveMatrix, "Tensor points_src, Tensor points_dst")                                 \
-  _(perspective_matrix3d, PerspectiveMatrix3d, "Tensor points_src, Tensor points_dst")                             \
-  _(crop_matrix, CropMatrix, "Tensor quads, Tensor? first, float across, float down")                              \
-  _(quad_shapes, QuadShapes, "Tensor quads, Tensor others")                                                        \
-  _(essential_from_fundamental, EssentialFromFundamental, "Tensor fundamental, Tensor camera1, Tensor camera2")    \
-  _(fundamental_from_essential, FundamentalFromEssential, "Tensor essential, Tensor camera1, Tensor camera2")      \
-  _(fundamental_from_projections, FundamentalFromProjections, "Tensor projection1, Tensor projection2")            \
-  _(camera_motion, CameraMotion, "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")   \
-  _(essential_from_motions, EssentialFromMotions,                                                                  \
-    "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")
+  _(translation_matrix3d, TranslationMatrix3d, "Tensor translation, float x, float y, float z, int rows")          \
+  _(perspective_matrix3d, PerspectiveMatrix3d, "Tensor points_src, Tensor? points_dst, float x, float y, float z")
+
+#define KV_FORMULAS(_)                                                                                           \
+  _(axis_angle_to_rotation_matrix, AxisAngleToRotationMatrix, "Tensor axis_angle")                               \
+  _(quaternion_exponential, QuaternionExponential, "Tensor vector, float part")                                  \
+  _(quaternion_to_axis_angle, QuaternionToAxisAngle, "Tensor quaternion")                                        \
+  _(quaternion_logarithm, QuaternionLogarithm, "Tensor quaternion")                                              \
+  _(quaternion_product, QuaternionProduct, "Tensor left, Tensor right")                                          \
+  _(normalize_quaternion, NormalizeQuaternion, "Tensor quaternion, float eps")                                   \
+  _(quaternion_to_rotation_matrix, QuaternionToRotationMatrix, "Tensor quaternion")                              \
+  _(rotation_matrix_to_quaternion, RotationMatrixToQuaternion, "Tensor matrix")                                  \
+  _(cross_matrix, CrossMatrix, "Tensor vector")                                                                  \
+  _(compose_poses, ComposePoses, "Tensor first, Tensor second")                                                  \
+  _(invert_pose, InvertPose, "Tensor pose")                                                                      \
+  _(relative_pose, RelativePose, "Tensor first, Tensor second")                                                  \
+  _(rotation_matrix_to_axis_angle, RotationMatrixToAxisAngle, "Tensor matrix")                                   \
+  _(angle_to_rotation_matrix, AngleToRotationMatrix, "Tensor degrees")                                           \
+  _(quaternion_from_euler, QuaternionFromEuler, "Tensor roll, Tensor pitch, Tensor yaw")                         \
+  _(euler_from_quaternion, EulerFromQuaternion, "Tensor w, Tensor x, Tensor y, Tensor z")                        \
+  _(shear_matrix2d, ShearMatrix2d, "Tensor center, Tensor? shear_x, Tensor? shear_y")                            \
+  _(invert_affine2d, InvertAffine2d, "Tensor matrix")                                                            \
+  _(shear_matrix3d, ShearMatrix3d,                                                                               \
+    "Tensor center, Tensor? xy, Tensor? xz, Tensor? yx, Tensor? yz, Tensor? zx, Tensor? zy")                     \
+  _(perspective_matrix, PerspectiveMatrix, "Tensor points_src, Tensor points_dst")                               \
+  _(quad_shapes, QuadShapes, "Tensor quads, Tensor others")                                                      \
+  _(essential_from_fundamental, EssentialFromFundamental, "Tensor fundamental, Tensor camera1, Tensor camera2")  \
+  _(fundamental_from_essential, FundamentalFromEssential, "Tensor essential, Tensor camera1, Tensor camera2")    \
+  _(fundamental_from_projections, FundamentalFromProjections, "Tensor projection1, Tensor projection2")          \
+  _(camera_motion, CameraMotion, "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2") \
+  _(essential_from_motions, EssentialFromMotions,                                                                \
+    "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")                              \
+  KV_PLANE_FORMULAS(_)                                                                                           \
+  KV_SPACE_FORMULAS(_)
+
+#define KV_NAME_FORMULA(name, Formula, inputs) name,
+enum class MatrixBy : int { given, KV_PLANE_FORMULAS(KV_NAME_FORMULA) KV_SPACE_FORMULAS(KV_NAME_FORMULA) };
+#undef KV_NAME_FORMULA
 
 #define KV_INSTANTIATE_FORMULA(name, Formula, inputs) \
   KV_INSTANTIATE_ONE(formula, Formulas, Formula)      \

@@ -79,7 +79,7 @@ struct Runs {
   bool affine;
 
   __device__ __forceinline__ Runs(Tile<F> const& tile, Places<F> const& places, void const* kept, int column, int row)
-      : found(places.matrices ? nullptr : static_cast<F const*>(kept) + threadIdx.x), affine(tile.map.affine) {
+      : found(places.has_map() ? static_cast<F const*>(kept) + threadIdx.x : nullptr), affine(tile.map.affine) {
     F const x = F(column), y = F(row);
     F const(&m)[9] = tile.map.m;
     u = x * m[0] + (y * m[1] + m[2]);
@@ -114,12 +114,19 @@ struct View {
   // unless the horizon runs through it.
   template <int K, class T>
   __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height) {
+    auto const given = [&](int64_t b) { return p.places.matrices + b * p.places.matrix_stride; };
+    open<K>(count, p, width, height, given);
+  }
+  // By the matrices that `matrix(sample)` gives.
+  template <int K, class T, class Matrix>
+  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height, Matrix matrix) {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kTileRow;
       Tile<F> tile;
-      tile.open(count, p.places, number);
+      tile.place(count, number);
       Box box = Box::empty();
-      if (p.places.matrices) {
+      if (!p.places.has_map()) {
+        tile.see(homography(matrix(tile.b), p.places.use), p.places.use.source);
         F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
         F const y = F(threadIdx.x & 2 ? min(kTile, height - tile.y) - 1 : 0);
         F u, v;
@@ -141,7 +148,7 @@ struct View {
   // and kept.
   template <int K, class T>
   __device__ __forceinline__ Box look(int number, Sampling<T> const& p, int width, int height, void* kept) {
-    if (p.places.matrices) return taps[number];
+    if (!p.places.has_map()) return taps[number];
     Tile<F> const& tile = tiles[number];
     PlacesOf<F> const places(p.places, tile);
     F* const found = static_cast<F*>(kept) + threadIdx.x;
@@ -204,7 +211,7 @@ struct Patch {
   static KV_HD size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
   template <class F>
   static size_t bytes(int channels, Places<F> const& places) {
-    return bytes(channels) + (places.matrices ? 0 : 2 * kTile * kTile * sizeof(F));
+    return bytes(channels) + (places.has_map() ? 2 * kTile * kTile * sizeof(F) : 0);
   }
 
   // For taps of places that count from (u, v).
@@ -285,7 +292,7 @@ __device__ __forceinline__ void in_groups(int channels, Take take) {
 
 // Whether rows begin at whole packs, of images one pixel after the other.
 template <class T>
-bool in_packs(Images<T const> const& x) {
+bool in_packs(Images<T> const& x) {
   int64_t const pack = 16 / int64_t(sizeof(T));
   return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % pack == 0 &&
          x.channel_stride % pack == 0 && x.batch_stride % pack == 0;

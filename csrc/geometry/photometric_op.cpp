@@ -47,7 +47,7 @@ std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& targe
                                        std::string const& distance, double eps, bool align_corners, bool normalized) {
   Arguments const a("photometric", source, target, matrix, align_corners, normalized);
   Tensor const sums = empty({a.batch, a.parts, kPhotometricSums}, source, Layout::planar, ScalarType::Double);
-  Tensor const loss = empty({a.batch}, a.matrix.matrix), grad = empty({a.batch, 3, 3}, a.matrix.matrix);
+  Tensor const loss = empty({a.batch}, a.matrix.tensor), grad = empty({a.batch, 3, 3}, a.matrix.tensor);
   for_floats("photometric", source, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -65,7 +65,7 @@ std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tens
                                                       bool normalized) {
   Arguments const a("photometric_normal", source, target, matrix, align_corners, normalized);
   Tensor const sums = empty({a.batch, a.parts, kNormalSums}, source, Layout::planar, ScalarType::Double);
-  Tensor const loss = empty({a.batch}, a.matrix.matrix), gradient = empty({a.batch, 8}, loss);
+  Tensor const loss = empty({a.batch}, a.matrix.tensor), gradient = empty({a.batch, 8}, loss);
   Tensor const normal = empty({a.batch, 8, 8}, loss);
   for_computed("photometric_normal", source, [&](auto type) {
     using T = typename decltype(type)::type;

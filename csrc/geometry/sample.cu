@@ -1,5 +1,6 @@
 // Sampling on CUDA: a thread takes places of a tile one after the other, and of each all channels. Their taps are read
 // from a patch in shared memory, or where they are when the tile looks at more of the image than a patch holds.
+#include "matrix_formula.cuh"
 #include "patch.cuh"
 
 namespace kv::cuda {
@@ -71,7 +72,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   __shared__ View<F> view;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.y.width), height = int(p.y.height);
-  view.template open<K>(tiles, p, width, height);
+  F made[9];
+  view.template open<K>(tiles, p, width, height, [&](int64_t b) -> F const* {
+    if (p.formula.by == MatrixBy::given) return p.places.matrices + b * p.places.matrix_stride;
+    make_plane_matrix(p.formula, b, made);
+    return made;
+  });
 
 #pragma unroll 1
   for (int number = 0; number < int(tiles.row) && view.tiles[number].x < width; ++number) {

@@ -51,7 +51,7 @@ struct Tile {
   }
   __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places, int number = 0) {
     place(tiles, number);
-    if (places.matrices) see(homography(places.matrices + b * places.matrix_stride, places.use), places.use.source);
+    if (!places.has_map()) see(homography(places.matrices + b * places.matrix_stride, places.use), places.use.source);
   }
 };
 
@@ -79,7 +79,7 @@ struct PlacesOf {
   __device__ __forceinline__ PlacesOf(Places<F> const& places, Tile<F> const& tile) : places(places), tile(tile) {}
   // Counted from the tile's (u, v).
   __device__ __forceinline__ void near(int y, int x, F& u, F& v) const {
-    if (places.matrices) {
+    if (!places.has_map()) {
       tile.map.at(F(x - tile.x), F(y - tile.y), u, v);
     } else {
       u = places.x.row(tile.b, 0, y)[x * places.x.step] * places.scale[0] + (F(x) * places.own + places.offset[0]);

@@ -20,6 +20,7 @@
 
 #include "core/images.h"
 #include "core/isa.h"
+#include "formula.h"
 #include "homography.h"
 
 namespace kv {
@@ -37,13 +38,15 @@ struct Axis {
 // Where places come from: a matrix for each sample, or a map with a place for each pixel of the output.
 template <class F>
 struct Places {
-  F const* matrices;      // or null
+  F const* matrices;      // or null, also for matrices that a formula makes
   int64_t matrix_stride;  // 0 where one serves the batch
   MatrixUse use;
   Images<F const> x, y;  // maps of one channel
   // x in pixels is scale * n + offset + own * the pixel's own x: maps are in pixels or in [-1, 1], of places, or of
   // moves from where a pixel is itself.
   F scale[2], offset[2], own;
+
+  KV_HD bool has_map() const { return x.data; }
 };
 
 template <class T>
@@ -63,6 +66,7 @@ template <class T>
 struct Sample : Sampling<T> {
   Images<T const> x;
   Images<T> y;
+  MatrixFormula formula{};
 };
 
 // The gradients to the places. They go to the maps or, times the derivatives of the places by the matrix, into sums:

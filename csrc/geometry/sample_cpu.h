@@ -41,7 +41,7 @@ struct PlaceRow {
   F u[kTileColumns], v[kTileColumns];
 
   void fill(Places<F> const& places, int64_t b, int64_t y, int64_t first, int64_t count) {
-    if (!places.matrices) {
+    if (places.has_map()) {
       F const own = places.own;
       copy(places.x, b, y, first, count, places.scale[0], F(first) * own + places.offset[0], own, u);
       copy(places.y, b, y, first, count, places.scale[1], F(y) * own + places.offset[1], F(0), v);

@@ -2,6 +2,7 @@
 // remap_op.cpp.
 #pragma once
 
+#include "formula_glue.h"
 #include "glue/batch.h"
 #include "glue/images.h"
 #include "sample.h"
@@ -33,6 +34,13 @@ inline Size size_of(char const* op, std::vector<int64_t> const& size) {
 }
 
 inline Size size_of(char const* op, Tensor const& x) { return size_of(op, {x.size(2), x.size(3)}); }
+
+// Of a map that an operator makes.
+inline Size map_size(char const* op, std::vector<int64_t> const& sides) {
+  Size const size = size_of(op, sides);
+  KV_CHECK(size.height * size.width <= INT32_MAX, op, ": expected a map of less than 2^31 pixels");
+  return size;
+}
 
 // Kernels on CUDA count the elements of a plane in ints.
 template <class T>
@@ -97,27 +105,77 @@ Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unu
 #endif
 }
 
+// The matrix of a warp: a tensor, or on CUDA numbers that the kernel makes it of.
+struct WarpMatrix {
+  Tensor tensor;
+  MatrixFormula formula{};
+  int rows;
+  int64_t stride;  // from a sample to the next, 0 where one serves all
+
+  // Of images or volumes x, whose places have that many coordinates.
+  WarpMatrix(char const* op, Tensor const& given, Tensor const& x, int axes)
+      : tensor(given), rows(int(given.dim() > 1 ? given.size(1) : 0)) {
+    KV_CHECK(goes_with(given, x, 3) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1, op,
+             ": matrix does not fit what is warped");
+    tensor = dense(given);
+    stride = given.size(0) == 1 ? 0 : rows * (axes + 1);
+  }
+  // By formula F, number `by` of the kernels.
+  template <class F>
+  WarpMatrix(char const* op, GivenNumbers<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x)
+      : rows(given.extent().rows) {
+    KV_CHECK(given.params.batch == 1 || given.params.batch == x.size(0), op, ": expected tensors with 1 or ", x.size(0),
+             " rows, got ", given.params.batch);
+#if defined(KV_CUDA)
+    formula.by = by;
+    formula.settings = given.params.settings;
+    for (int i = 0; i < std::min(F::kInputs, MatrixFormula::kInputs); ++i) {
+      formula.inputs[i] = given.params.inputs[i];
+      formula.strides[i] = given.params.strides[i];
+    }
+    stride = 0;
+#else
+    tensor = given.result(op, x);
+    stride = given.params.batch == 1 ? 0 : rows * given.extent().columns;
+#endif
+  }
+  template <class F>
+  F const* data() const {
+    return formula.by == MatrixBy::given ? data_of<F const>(tensor) : nullptr;
+  }
+};
+
+// How a formula and what it is given are told in schemas, and the C++ arguments for them.
+#define KV_BY_FORMULA \
+  "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, str formula, float[] numbers, int[] size, "
+using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
+
+// A case of a chain of ifs over formulas: run(the matrix) where `formula` is that one, of the kernels' formulas as it
+// is of the operators'. Matrices that may have fewer rows have one less than columns.
+#define KV_WARP_BY(name, Formula, signature)                                   \
+  if (formula == #name) {                                                      \
+    GivenNumbers<Formula> given(op, x, computed_type(x), inputs, numbers,      \
+                                Formula::kCut ? Formula::result.rows - 1 : 0); \
+    return run(WarpMatrix(op, given, MatrixBy::name, x));                      \
+  }
+
 // How warps by a matrix are told what they are to do, in schemas.
 #define KV_WARP_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
 
-// The matrix of a warp, checked.
-struct Matrix {
-  Tensor matrix;
+// The matrix of a warp of images, and what it means.
+struct Matrix : WarpMatrix {
   MatrixUse use;
 
+  Matrix(WarpMatrix const& matrix, bool inverse, bool normalized, bool align_corners, Size source, Size output)
+      : WarpMatrix(matrix), use{rows, inverse, normalized, align_corners, source, output} {}
   Matrix(char const* op, Tensor const& given, Tensor const& x, bool inverse, bool normalized, bool align_corners,
          Size source, Size output)
-      : matrix(given) {
-    KV_CHECK(goes_with(given, x, 3) && (given.size(1) == 2 || given.size(1) == 3) && given.size(2) == 3, op,
-             ": matrix does not fit the image");
-    matrix = dense(given);
-    use = {int(matrix.size(1)), inverse, normalized, align_corners, source, output};
-  }
+      : Matrix(WarpMatrix(op, given, x, 2), inverse, normalized, align_corners, source, output) {}
   template <class F>
   Places<F> places() const {
     Places<F> p{};
-    p.matrices = data_of<F const>(matrix);
-    p.matrix_stride = matrix.size(0) == 1 ? 0 : 3 * use.rows;
+    p.matrices = data<F>();
+    p.matrix_stride = stride;
     p.use = use;
     return p;
   }

@@ -99,7 +99,7 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
             slopes.add([&](int j, int i) { return values[j][i]; }, gradient);
           }
         }
-        if (p.places.matrices) {
+        if (!p.places.has_map()) {
           F const scale = reciprocal(places.weight(y, x)), to_u = slopes.along_x * scale, to_v = slopes.along_y * scale;
           F to_map[] = {to_u, to_v, -(to_u * u + to_v * v)};
 #pragma unroll
@@ -117,7 +117,7 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
       }
     });
   }
-  if (!p.places.matrices) return;
+  if (p.places.has_map()) return;
   add_block(sums, p.sums + int64_t(blockIdx.x) * 9);
 }
 

@@ -137,12 +137,6 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> spline_points_backward(Tensor const& 
   return {to_points, std::get<0>(to), std::get<1>(to), std::get<2>(to)};
 }
 
-Size map_size(char const* op, std::vector<int64_t> const& sides) {
-  Size const size = size_of(op, sides);
-  KV_CHECK(size.height * size.width <= INT32_MAX, op, ": expected a map of less than 2^31 pixels");
-  return size;
-}
-
 Tensor spline_map(Tensor const& centers, Tensor const& weights, Tensor const& affine, std::vector<int64_t> sides,
                   bool align_corners) {
   char const* const op = "spline_map";

@@ -1,18 +1,34 @@
 // Warps of volumes on CUDA: a block takes a run of an output's voxels, a thread one after the other and of each all
 // channels. The gradient to the volume is summed by atomics.
+#include "matrix_formula.cuh"
 #include "sample.cuh"
 #include "warp3d_taps.h"
 
 namespace kv::cuda {
 namespace {
 
+template <class T>
+__device__ __forceinline__ Homography3<Compute<T>> map_of(Warp3d<T> const& p, int64_t b) {
+  return homography3(p.matrices + b * p.matrix_stride, p.use);
+}
+template <class T>
+__device__ __forceinline__ Homography3<Compute<T>> map_of(Warp3dValue<T> const& p, int64_t b) {
+  Compute<T> made[16];
+  Compute<T> const* matrix = p.matrices + b * p.matrix_stride;
+  if (p.formula.by != MatrixBy::given) {
+    make_space_matrix(p.formula, b, made);
+    matrix = made;
+  }
+  return homography3(matrix, p.use);
+}
+
 // Calls voxel(sample, offset in the output, x, y, z, place, its weight) for the thread's ones.
-template <class T, class Voxel>
-__device__ __forceinline__ void for_each_voxel(Warp3d<T> const& p, Voxel voxel) {
-  using F = Compute<T>;
+template <class P, class Voxel>
+__device__ __forceinline__ void for_each_voxel(P const& p, Voxel voxel) {
+  using F = Compute<decltype(stored_in(p))>;
   __shared__ Homography3<F> shared_map;
   int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
-  if (threadIdx.x == 0) shared_map = homography3(p.matrices + b * p.matrix_stride, p.use);
+  if (threadIdx.x == 0) shared_map = map_of(p, b);
   __syncthreads();
   Homography3<F> const map = shared_map;
   Size3 const& size = p.use.output;
@@ -27,8 +43,10 @@ __device__ __forceinline__ void for_each_voxel(Warp3d<T> const& p, Voxel voxel) 
   }
 }
 
+// As many blocks at once as without formulas, whose code would take twice the registers.
 template <int K, class T>
-__global__ void __launch_bounds__(kThreads) value_parts(__grid_constant__ Warp3dValue<T> const p) {
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 3)
+    value_parts(__grid_constant__ Warp3dValue<T> const p) {
   using F = Compute<T>;
   for_each_voxel(p, [&](int64_t b, int64_t at, F, F, F, F const(&place)[3], F) {
     Taps3<K, F> const taps(p, place);

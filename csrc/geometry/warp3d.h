@@ -43,7 +43,9 @@ constexpr int64_t kVoxelsOfPart = 4096;
 
 // The value; in the type that computes, the gradient to the volume and the parts of that to the matrices.
 template <class T>
-struct Warp3dValue : Warp3d<T> {};
+struct Warp3dValue : Warp3d<T> {
+  MatrixFormula formula{};
+};
 template <class T>
 struct Warp3dTranspose : Warp3d<T> {};
 template <class T>

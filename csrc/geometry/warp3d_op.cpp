@@ -26,54 +26,65 @@ int64_t parts_of(Size3 const& output) {
 // A warp of dense volumes like `volumes`, and its parameters; what is read and written is up to the caller.
 struct Warp {
   char const* op;
-  Tensor volumes, matrix;
+  Tensor volumes;
+  WarpMatrix matrix;
   Interpolation interpolation;
   Padding padding;
   MatrixUse3 use;
 
-  Warp(char const* op, Tensor const& volumes, Tensor const& matrix, Size3 source, Size3 output,
+  Warp(char const* op, Tensor const& volumes, WarpMatrix const& matrix, Size3 source, Size3 output,
        std::string const& interpolation, std::string const& padding, bool align_corners, bool inverse, bool normalized)
       : op(op),
         volumes(dense(volumes)),
-        matrix(dense(matrix)),
+        matrix(matrix),
         interpolation(interpolation_of(op, interpolation)),
         padding(padding_of(op, padding)),
-        use{0, inverse, normalized, align_corners, source, output} {
+        use{matrix.rows, inverse, normalized, align_corners, source, output} {
     KV_CHECK(this->interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
-    KV_CHECK(goes_with(matrix, volumes, 3) && (matrix.size(1) == 3 || matrix.size(1) == 4) && matrix.size(2) == 4, op,
-             ": matrix does not fit the volumes");
-    use.rows = int(matrix.size(1));
   }
   int64_t batch() const { return volumes.size(0); }
   int64_t channels() const { return volumes.size(1); }
   template <class T>
   Warp3d<T> of(Tensor const& x, Tensor const& y) const {
-    return {interpolation,
-            padding,
-            data_of<Compute<T> const>(matrix),
-            matrix.size(0) == 1 ? 0 : 4 * use.rows,
-            use,
-            data_of<T>(x),
-            data_of<T>(y),
-            batch(),
-            channels(),
-            nullptr,
-            parts_of(use.output)};
+    return {
+        interpolation, padding, matrix.data<Compute<T>>(), matrix.stride, use, data_of<T>(x), data_of<T>(y), batch(),
+        channels(),    nullptr, parts_of(use.output)};
   }
 };
+
+Tensor warped_volumes(Warp const& w) {
+  Size3 const size = w.use.output;
+  Tensor const y = empty({w.batch(), w.channels(), size.depth, size.height, size.width}, w.volumes);
+  for_floats(w.op, w.volumes, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Warp3dValue<T> const params{w.of<T>(w.volumes, y), w.matrix.formula};
+    KV_RUN(warp3d, y, params, y.numel() > 0 ? w.batch() * size.depth * size.height : 0, 16 * w.channels() * size.width);
+  });
+  return y;
+}
 
 Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<int64_t> size, std::string const& interpolation,
               std::string const& padding, bool align_corners, bool inverse, bool normalized) {
   check_volumes("warp3d", "volumes", volumes);
-  Warp const w("warp3d", volumes, matrix, size3_of("warp3d", volumes), size3_of("warp3d", size), interpolation, padding,
-               align_corners, inverse, normalized);
-  Tensor const y = empty({w.batch(), w.channels(), size[0], size[1], size[2]}, volumes);
-  for_floats("warp3d", volumes, [&](auto type) {
-    using T = typename decltype(type)::type;
-    Warp3dValue<T> const params{w.of<T>(w.volumes, y)};
-    KV_RUN(warp3d, volumes, params, y.numel() > 0 ? w.batch() * size[0] * size[1] : 0, 16 * w.channels() * size[2]);
-  });
-  return y;
+  return warped_volumes({"warp3d", volumes, WarpMatrix("warp3d", matrix, volumes, 3), size3_of("warp3d", volumes),
+                         size3_of("warp3d", size), interpolation, padding, align_corners, inverse, normalized});
+}
+
+Tensor warp3d_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
+                         std::optional<Tensor> const& c, std::optional<Tensor> const& d, std::optional<Tensor> const& e,
+                         std::optional<Tensor> const& f, std::string const& formula, std::vector<double> numbers,
+                         std::vector<int64_t> size, std::string const& interpolation, std::string const& padding,
+                         bool align_corners, bool inverse, bool normalized) {
+  char const* const op = "warp3d_by_formula";
+  check_volumes(op, "volumes", x);
+  Size3 const source = size3_of(op, x), output = size3_of(op, size);
+  FormulaInputs const inputs{a, b, c, d, e, f};
+  auto const run = [&](WarpMatrix const& m) {
+    return warped_volumes({op, x, m, source, output, interpolation, padding, align_corners, inverse, normalized});
+  };
+  KV_SPACE_FORMULAS(KV_WARP_BY)
+  KV_CHECK(false, op, ": no formula of volumes is called '", formula, "'");
+  return x;
 }
 
 Tensor warp3d_volume_gradient(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
@@ -81,8 +92,8 @@ Tensor warp3d_volume_gradient(Tensor const& grad, Tensor const& matrix, std::vec
                               bool inverse, bool normalized) {
   char const* const op = "warp3d_volume_gradient";
   check_volumes(op, "grad", grad);
-  Warp const w(op, grad, matrix, size3_of(op, size), size3_of(op, grad), interpolation, padding, align_corners, inverse,
-               normalized);
+  Warp const w(op, grad, {op, matrix, grad, 3}, size3_of(op, size), size3_of(op, grad), interpolation, padding,
+               align_corners, inverse, normalized);
   Tensor const grad_x = empty({w.batch(), w.channels(), size[0], size[1], size[2]}, grad);
   for_computed(op, grad, [&](auto type) {
     using F = typename decltype(type)::type;
@@ -99,12 +110,12 @@ Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor 
   check_volumes(op, "volumes", volumes);
   check_volumes(op, "grad", grad);
   check_gradient(op, grad, volumes);
-  Warp const w(op, volumes, matrix, size3_of(op, volumes), size3_of(op, grad), interpolation, padding, align_corners,
-               inverse, normalized);
+  Warp const w(op, volumes, {op, matrix, volumes, 3}, size3_of(op, volumes), size3_of(op, grad), interpolation, padding,
+               align_corners, inverse, normalized);
   Tensor const y = dense(grad);
   int64_t const parts = parts_of(w.use.output);
   Tensor const sums = empty({w.batch(), parts, 16}, grad, Layout::planar, ScalarType::Double);
-  Tensor const grad_matrix = empty({w.batch(), w.use.rows, 4}, w.matrix);
+  Tensor const grad_matrix = empty({w.batch(), w.use.rows, 4}, w.matrix.tensor);
   for_computed(op, volumes, [&](auto type) {
     using F = typename decltype(type)::type;
     Warp3dSlopes<F> slopes{w.of<F>(w.volumes, y)};
@@ -121,6 +132,7 @@ Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor 
 }  // namespace
 
 KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
+KV_OPERATOR(warp3d_by_formula, "(Tensor volumes, " KV_BY_FORMULA KV_WARP_HOW ") -> Tensor")
 KV_OPERATOR(warp3d_volume_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
 KV_OPERATOR(warp3d_matrix_gradient, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_WARP_HOW ") -> Tensor")
 

@@ -4,23 +4,46 @@
 namespace kv {
 namespace {
 
+Tensor warped(Tensor const& image, SamplingArguments const& a, Matrix const& m) {
+  Size const source = m.use.source, output = m.use.output;
+  int64_t const batch = image.size(0), channels = image.size(1);
+  Tensor const y = empty({batch, channels, output.height, output.width}, image, layout_of(image));
+  for_floats_and_bytes(a.op, image, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Sample<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(image, batch), images<T>(y, batch),
+                           m.formula};
+    check_planes(a.op, params.x);
+    check_planes(a.op, params.y);
+    KV_RUN(sample, image, params, y.numel() > 0 ? batch * output.height : 0, 4 * channels * output.width);
+  });
+  return y;
+}
+
 Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill, std::vector<int64_t> size,
             std::string const& interpolation, std::string const& padding, bool align_corners, bool inverse,
             bool normalized) {
   check_images("warp", "image", image);
   Size const output = size_of("warp", size), source = size_of("warp", image);
   SamplingArguments const a("warp", interpolation, padding, align_corners, image, fill);
-  Matrix const m("warp", matrix, image, inverse, normalized, align_corners, source, output);
-  int64_t const batch = image.size(0), channels = image.size(1);
-  Tensor const y = empty({batch, channels, output.height, output.width}, image, layout_of(image));
-  for_floats_and_bytes("warp", image, [&](auto type) {
-    using T = typename decltype(type)::type;
-    Sample<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(image, batch), images<T>(y, batch)};
-    check_planes("warp", params.x);
-    check_planes("warp", params.y);
-    KV_RUN(sample, image, params, y.numel() > 0 ? batch * output.height : 0, 4 * channels * output.width);
-  });
-  return y;
+  return warped(image, a, {"warp", matrix, image, inverse, normalized, align_corners, source, output});
+}
+
+Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
+                       std::optional<Tensor> const& c, std::optional<Tensor> const& d, std::optional<Tensor> const& e,
+                       std::optional<Tensor> const& f, std::string const& formula, std::vector<double> numbers,
+                       std::vector<int64_t> size, std::string const& interpolation, std::string const& padding,
+                       bool align_corners, bool inverse, bool normalized) {
+  char const* const op = "warp_by_formula";
+  check_images(op, "image", x);
+  Size const output = size_of(op, size), source = size_of(op, x);
+  SamplingArguments const how(op, interpolation, padding, align_corners, x, {});
+  FormulaInputs const inputs{a, b, c, d, e, f};
+  auto const run = [&](WarpMatrix const& m) {
+    return warped(x, how, {m, inverse, normalized, align_corners, source, output});
+  };
+  KV_PLANE_FORMULAS(KV_WARP_BY)
+  KV_CHECK(false, op, ": no formula of images is called '", formula, "'");
+  return x;
 }
 
 Tensor warp_image_gradient(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
@@ -56,7 +79,7 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
   int64_t const batch = image.size(0);
   int64_t const parts = slope_parts(output, tile_row(batch, output.height, output.width));
   Tensor const sums = empty({batch, parts, 9}, grad, Layout::planar, ScalarType::Double);
-  Tensor const grad_matrix = empty({batch, m.use.rows, 3}, m.matrix);
+  Tensor const grad_matrix = empty({batch, m.use.rows, 3}, m.tensor);
   for_floats(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -80,6 +103,7 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
 }  // namespace
 
 KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, int[] size, " KV_WARP_HOW ") -> Tensor")
+KV_OPERATOR(warp_by_formula, "(Tensor image, " KV_BY_FORMULA KV_WARP_HOW ") -> Tensor")
 KV_OPERATOR(warp_image_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
 KV_OPERATOR(warp_matrix_gradient, "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, " KV_WARP_HOW ") -> Tensor")
 

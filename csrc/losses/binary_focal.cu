@@ -12,14 +12,8 @@ __global__ void __launch_bounds__(kSumThreads)
   let_next_begin();
   int64_t const row = blockIdx.x / p.pieces;
   BinaryFocalTerms<F> const terms = p.terms.of(row);
-  F sum = 0;
-  for_each_pack(p.pair, row, blockIdx.x - row * p.pieces, packed, [&](int64_t, auto const& x, auto const& t) {
-#pragma unroll
-    for (int i = 0; i < int(sizeof(x) / sizeof(F)); ++i)
-      sum += BinaryFocalPoint<F, PointMath<F>, F>(terms, x[i]).loss(t[i]);
-  });
-  sum = block_sum(sum);
-  if (threadIdx.x == 0) p.partial[blockIdx.x] = sum;
+  sum_piece(p.pair, row, p.pieces, packed, p.partial,
+            [&](F x, F t) { return BinaryFocalPoint<F, PointMath<F>, F>(terms, x).loss(t); });
 }
 
 template <class T>
@@ -29,18 +23,10 @@ __global__ void __launch_bounds__(kSumThreads)
   int64_t const row = blockIdx.x / pieces;
   BinaryFocalTerms<F> const terms = p.terms.of(row);
   F const of_row = p.grad_of_sum ? p.grad_of_sum[row] : F(1);
-  for_each_pack(p.pair, row, blockIdx.x - row * pieces, packed, [&](int64_t e, auto const& x, auto const& t) {
-    constexpr int P = sizeof(x) / sizeof(F);
-    F result[P];
-#pragma unroll
-    for (int i = 0; i < P; ++i) {
-      BinaryFocalPoint<F, PointMath<F>, F> const at(terms, x[i]);
-      if (p.grad || p.grad_of_sum)
-        result[i] = (p.by_target ? at.slope_by_target(t[i]) : at.slope(t[i])) * (p.grad ? read(p.grad[e + i]) : of_row);
-      else
-        result[i] = at.loss(t[i]);
-    }
-    store_pack(p.out + e, result);
+  map_piece(p.pair, row, pieces, packed, p.out, [&](int64_t e, F x, F t) {
+    BinaryFocalPoint<F, PointMath<F>, F> const at(terms, x);
+    if (!p.grad && !p.grad_of_sum) return at.loss(t);
+    return (p.by_target ? at.slope_by_target(t) : at.slope(t)) * (p.grad ? read(p.grad[e]) : of_row);
   });
 }
 

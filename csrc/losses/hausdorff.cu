@@ -1,5 +1,5 @@
 // The Hausdorff loss on CUDA: a launch for each erosion, whose blocks begin by finding the smallest and largest numbers
-// that those of the launch before have left, and are launched early. Backward the erosions are made again and all kept;
+// that those of the launch before have left. Backward the erosions are made again and all kept;
 // then there is a launch for each of them the other way. Planes go through this in groups, so that what is kept is no
 // more than a map of the whole batch.
 #include "hausdorff.h"
@@ -9,38 +9,6 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = kSumThreads;
-
-// Reductions over a block, to all of its threads.
-struct Larger {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a != a || a > b ? a : b;  // NaN, if there is one
-  }
-};
-struct Plus {
-  template <class F>
-  __device__ __forceinline__ F operator()(F a, F b) const {
-    return a + b;
-  }
-};
-template <int K, class F, class Op>
-__device__ __forceinline__ void over_block(F (&v)[K], Op op) {
-  constexpr int kWarps = kThreads / 32;
-  __shared__ F of_warps[K][kWarps];
-  __syncthreads();  // with what was there before
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-#pragma unroll
-    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
-    if (threadIdx.x % 32 == 0) of_warps[k][threadIdx.x / 32] = v[k];
-  }
-  __syncthreads();
-#pragma unroll
-  for (int k = 0; k < K; ++k) {
-    v[k] = of_warps[k][0];
-    for (int w = 1; w < kWarps; ++w) v[k] = op(v[k], of_warps[k][w]);
-  }
-}
 
 // The K numbers of every piece of a plane together.
 template <int K, class F, class Op>
@@ -114,8 +82,6 @@ struct Erosion {
 
 template <class F, bool First>
 __global__ void __launch_bounds__(kThreads) erode(__grid_constant__ Erosion<F> const p) {
-  let_next_begin();
-  wait_for_previous();
   Group<F> const& group = p.group;
   unsigned const plane = group.plane();
   F ends[2] = {-F(INFINITY), -F(INFINITY)}, loss[1] = {};
@@ -171,8 +137,6 @@ struct Growth {
 
 template <class F, bool Last>
 __global__ void __launch_bounds__(kThreads) grow(__grid_constant__ Growth<F> const p) {
-  let_next_begin();
-  wait_for_previous();
   Group<F> const& group = p.group;
   unsigned const plane = group.plane(), pieces = group.pieces;
   int64_t const offset = int64_t(plane) * group.size, all = group.first * group.size + offset;
@@ -238,9 +202,9 @@ int hausdorff(Hausdorff<F> const& p, CUstream_st* stream) {
                    i == 2, p.map,      p.map ? nullptr : sums};
       if (i > p.k) e.to = nullptr;
       if (i == 1)
-        launch_early(erode<F, true>, blocks, kThreads, stream, e);
+        erode<F, true><<<blocks, kThreads, 0, stream>>>(e);
       else
-        launch_early(erode<F, false>, blocks, kThreads, stream, e);
+        erode<F, false><<<blocks, kThreads, 0, stream>>>(e);
     }
     if (!p.map) add_up(sums, planes, int64_t(group.pieces), p.sums + group.first, stream);
   });
@@ -259,21 +223,21 @@ int hausdorff_backward(HausdorffBackward<F> const& p, CUstream_st* stream) {
           group,  i > 1 ? map(i - 1) : nullptr, i > 1 ? ends(i - 1) : nullptr, map(i), ends(i), F(0), true, nullptr,
           nullptr};
       if (i == 1)
-        launch_early(erode<F, true>, blocks, kThreads, stream, e);
+        erode<F, true><<<blocks, kThreads, 0, stream>>>(e);
       else
-        launch_early(erode<F, false>, blocks, kThreads, stream, e);
+        erode<F, false><<<blocks, kThreads, 0, stream>>>(e);
     }
     for (int64_t i = p.k + 1; i >= 1; --i) {
       Growth<F> e{};
       e.group = group, e.grad = p.grad, e.of_sums = p.of_sums, e.out = p.grad_pred;
       if (i <= p.k) e.c = map(i), e.numbers = ends(i), e.g = map(p.k + 1 + i % 2), e.sums = sums_of(i);
       if (i == 1) {
-        launch_early(grow<F, true>, blocks, kThreads, stream, e);
+        grow<F, true><<<blocks, kThreads, 0, stream>>>(e);
         continue;
       }
       e.next_c = map(i - 1), e.next_numbers = ends(i - 1), e.weight = F(weight_of(i - 1, p.alpha));
       e.next_g = map(p.k + 1 + (i - 1) % 2), e.next_sums = sums_of(i - 1);
-      launch_early(grow<F, false>, blocks, kThreads, stream, e);
+      grow<F, false><<<blocks, kThreads, 0, stream>>>(e);
     }
   });
 }

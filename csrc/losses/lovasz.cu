@@ -1,7 +1,7 @@
 // Lovász losses on CUDA. Segments are sorted by their digits, the last one first: a block counts the digits of its
 // piece of a segment, another kernel adds these counts up to where every digit of every piece goes, and then a block
 // sorts its piece in shared memory and writes it there. Equal ones stay as they were, so that all runs give the same
-// bits. Each of these kernels is launched early.
+// bits.
 #include "lovasz.h"
 #include "metrics/sums.cuh"
 
@@ -138,8 +138,6 @@ struct Digits {
 
 template <class F>
 __global__ void __launch_bounds__(kThreads) count_digits(__grid_constant__ Sorting<F> const p) {
-  let_next_begin();
-  wait_for_previous();
   __shared__ unsigned counts[kWarps][kDigits];
   Digits<F> const digits(p, counts);
   __syncthreads();
@@ -152,8 +150,6 @@ __global__ void __launch_bounds__(kThreads) count_digits(__grid_constant__ Sorti
 // A block for each segment: counts (pieces, digits) become those of the pieces before, and starts of the digits. Pieces
 // are split between the block's groups of kDigits threads.
 __global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, uint32_t* starts, unsigned pieces) {
-  let_next_begin();
-  wait_for_previous();
   constexpr int kGroups = kScanThreads / kDigits;
   __shared__ unsigned sums[kGroups][kDigits];
   unsigned const digit = threadIdx.x % kDigits, group = threadIdx.x / kDigits;
@@ -188,8 +184,6 @@ __global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, ui
 
 template <class F>
 __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sorting<F> const p) {
-  let_next_begin();
-  wait_for_previous();
   constexpr int kPiece = kRankedPiece<F>;
   __shared__ unsigned counts[kWarps][kDigits], goes[kDigits], of_warps[kWarps];
   __shared__ Ranked<F> sorted[kPiece];
@@ -239,8 +233,6 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
 template <class F>
 __global__ void __launch_bounds__(kThreads)
     count_inside(Ranked<F> const* ranked, int64_t pixels, unsigned pieces, uint32_t* counts) {
-  let_next_begin();
-  wait_for_previous();
   constexpr int kPiece = kRankedPiece<F>;
   unsigned const segment = blockIdx.x / pieces;
   int64_t const start = int64_t(blockIdx.x - segment * pieces) * kPiece;
@@ -256,8 +248,6 @@ __global__ void __launch_bounds__(kThreads)
 template <class F>
 __global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked, int64_t pixels, unsigned pieces,
                                                         uint32_t const* counts, F* slopes, F* partial) {
-  let_next_begin();
-  wait_for_previous();
   constexpr int kRows = Rows<F>::kCount;
   __shared__ unsigned sums[2][kWarps], of_warps[kWarps];
   unsigned const segment = blockIdx.x / pieces, piece = blockIdx.x - segment * pieces;
@@ -329,15 +319,15 @@ int lovasz_slopes(LovaszSlopes<F> const& p, CUstream_st* stream) {
     Sorting<F> sorting{
         p.labels, p.slopes, first, pieces, nullptr, p.ranked[0], p.counts, p.counts + int64_t(blocks) * kDigits, 0};
     for (; sorting.shift < 8 * int(sizeof(F)); sorting.shift += 8) {
-      launch_early(count_digits<F>, blocks, kThreads, stream, sorting);
-      launch_early(scan_digits, unsigned(count), kScanThreads, stream, sorting.counts, sorting.starts, pieces);
-      launch_early(move_digits<F>, blocks, kThreads, stream, sorting);
+      count_digits<<<blocks, kThreads, 0, stream>>>(sorting);
+      scan_digits<<<unsigned(count), kScanThreads, 0, stream>>>(sorting.counts, sorting.starts, pieces);
+      move_digits<<<blocks, kThreads, 0, stream>>>(sorting);
       sorting.from = sorting.to;
       sorting.to = p.ranked[sorting.to == p.ranked[0]];
     }
-    launch_early(count_inside<F>, blocks, kThreads, stream, sorting.from, n, pieces, p.counts);
-    launch_early(find_slopes<F>, blocks, kThreads, stream, sorting.from, n, pieces, p.counts, p.slopes + first * n,
-                 p.partial + first * pieces);
+    count_inside<<<blocks, kThreads, 0, stream>>>(sorting.from, n, pieces, p.counts);
+    find_slopes<<<blocks, kThreads, 0, stream>>>(sorting.from, n, pieces, p.counts, p.slopes + first * n,
+                                                 p.partial + first * pieces);
   }
   return add_up(p.partial, segments, int64_t(pieces), p.losses, stream);
 }

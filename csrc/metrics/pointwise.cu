@@ -9,14 +9,8 @@ template <class T>
 __global__ void __launch_bounds__(kSumThreads) sum_points(__grid_constant__ PointwiseSum<T> const p, bool packed) {
   using F = Compute<T>;
   let_next_begin();
-  int64_t const row = blockIdx.x / p.pieces;
-  F sum = 0;
-  for_each_pack(p.pair, row, blockIdx.x - row * p.pieces, packed, [&](int64_t, auto const& x, auto const& y) {
-#pragma unroll
-    for (int i = 0; i < int(sizeof(x) / sizeof(F)); ++i) sum += point_loss<F, PointMath<F>>(p.kind, x[i], y[i]);
-  });
-  sum = block_sum(sum);
-  if (threadIdx.x == 0) p.partial[blockIdx.x] = sum;
+  sum_piece(p.pair, blockIdx.x / p.pieces, p.pieces, packed, p.partial,
+            [&](F x, F y) { return point_loss<F, PointMath<F>>(p.kind, x, y); });
 }
 
 template <class T>
@@ -26,18 +20,9 @@ __global__ void __launch_bounds__(kSumThreads)
   PointLoss const kind = p.kind;
   int64_t const row = blockIdx.x / pieces;
   F const of_row = p.grad_of_sum ? p.gradient(row) : F(1);
-  for_each_pack(p.pair, row, blockIdx.x - row * pieces, packed, [&](int64_t e, auto const& x, auto const& y) {
-    constexpr int P = sizeof(x) / sizeof(F);
-    F result[P];
-#pragma unroll
-    for (int i = 0; i < P; ++i) {
-      if (p.grad || p.grad_of_sum)
-        result[i] =
-            point_slope<F, PointMath<F>>(kind, p.by_other, x[i], y[i]) * (p.grad ? read(p.grad[e + i]) : of_row);
-      else
-        result[i] = point_loss<F, PointMath<F>>(kind, x[i], y[i]);
-    }
-    store_pack(p.out + e, result);
+  map_piece(p.pair, row, pieces, packed, p.out, [&](int64_t e, F x, F y) {
+    if (!p.grad && !p.grad_of_sum) return point_loss<F, PointMath<F>>(kind, x, y);
+    return point_slope<F, PointMath<F>>(kind, p.by_other, x, y) * (p.grad ? read(p.grad[e]) : of_row);
   });
 }
 

@@ -54,6 +54,32 @@ __device__ __forceinline__ void for_each_pack(Pair<T> const& pair, int64_t row, 
     take(std::integral_constant<int, 1>{});
 }
 
+// A block's piece: the sum of loss(x, y), to `partial`.
+template <class T, class Loss>
+__device__ __forceinline__ void sum_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool packed,
+                                          Compute<T>* partial, Loss loss) {
+  Compute<T> sum = 0;
+  for_each_pack(pair, row, blockIdx.x - row * pieces, packed, [&](int64_t, auto const& x, auto const& y) {
+#pragma unroll
+    for (int i = 0; i < int(sizeof(x) / sizeof(*x)); ++i) sum += loss(x[i], y[i]);
+  });
+  sum = block_sum(sum);
+  if (threadIdx.x == 0) partial[blockIdx.x] = sum;
+}
+
+// A block's piece: value(element, x, y), to `out`.
+template <class T, class Value>
+__device__ __forceinline__ void map_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool packed, T* out,
+                                          Value value) {
+  for_each_pack(pair, row, blockIdx.x - row * pieces, packed, [&](int64_t e, auto const& x, auto const& y) {
+    constexpr int P = sizeof(x) / sizeof(*x);
+    Compute<T> result[P];
+#pragma unroll
+    for (int i = 0; i < P; ++i) result[i] = value(e + i, x[i], y[i]);
+    store_pack(out + e, result);
+  });
+}
+
 template <class T>
 bool is_packed(Pair<T> const& pair, void const* other) {
   auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % sizeof(Pack<T, kPack>) == 0; };

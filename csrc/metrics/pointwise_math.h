@@ -1,7 +1,9 @@
-// Functions of vectors that losses element by element are made of. Included by *_cpu.cpp files.
+// Losses element by element on the CPU: functions of vectors that they are made of, and how they go through two
+// tensors. Included by *_cpu.cpp files.
 #pragma once
 
 #include "core/lanes.h"
+#include "pointwise.h"
 
 namespace kv::KV_ISA {
 namespace {
@@ -22,6 +24,43 @@ struct PointMath {
     return x <= zero ? beyond : found;
   }
 };
+
+// The sums of pieces [begin, end) of all rows. of_row(row) makes a function of a Width and of vectors of x and y.
+template <class T, class Row>
+KV_HD void sum_pieces(Pair<T> const& pair, int64_t pieces, int64_t begin, int64_t end, Compute<T>* partial,
+                      Row of_row) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
+  for (int64_t i = begin; i < end; ++i) {
+    int64_t const row = i / pieces, first = i % pieces * kPointPiece, count = min(kPointPiece, pair.size - first);
+    T const *const x = pair.x + row * pair.x_stride + first, *const y = pair.y + row * pair.y_stride + first;
+    auto const loss = of_row(row);
+    Lanes<F, N> sums{};
+    int64_t e = 0;
+    for (; e + N <= count; e += N) sums += loss(Width<N>{}, load<N>(x + e), load<N>(y + e));
+    F sum = 0;
+    for (; e < count; ++e) sum += loss(Width<1>{}, F(load<1>(x + e)), F(load<1>(y + e)));
+    for (int l = 0; l < N; ++l) sum += sums[l];
+    partial[i] = sum;
+  }
+}
+
+// Writes pieces [begin, end) of all rows. of_row(row) makes a function of a Width, the first element and vectors of x
+// and y.
+template <class T, class Row>
+KV_HD void map_pieces(Pair<T> const& pair, int64_t begin, int64_t end, T* out, Row of_row) {
+  int64_t const pieces = point_pieces(pair.size);
+  for (int64_t i = begin; i < end; ++i) {
+    int64_t const row = i / pieces, first = i % pieces * kPointPiece, start = row * pair.size;
+    T const *const x = pair.x + row * pair.x_stride, *const y = pair.y + row * pair.y_stride;
+    auto const value = of_row(row);
+    for_each_vector<T>(first, min(first + kPointPiece, pair.size), [&](auto width, int64_t e) {
+      constexpr int M = decltype(width)::value;
+      using V = Lanes<Compute<T>, M>;
+      store<M>(out + start + e, V(value(width, start + e, V(load<M>(x + e)), V(load<M>(y + e)))));
+    });
+  }
+}
 
 }  // namespace
 }  // namespace kv::KV_ISA

@@ -2,31 +2,11 @@
 // images in windows of other sizes and at several scales, ssim_volumes.cu volumes, ssim_any.cu whatever else there is.
 #pragma once
 
+#include "core/stored.cuh"
 #include "ssim.h"
 #include "sums.cuh"
 
 namespace kv::cuda {
-
-// How pixels are stored is found out when a kernel runs, where reading and writing them is little of its work.
-enum class Stored : int { floats, halves, bfloats, doubles };
-template <class T>
-constexpr Stored kStored = sizeof(T) == 8       ? Stored::doubles
-                           : sizeof(T) == 4     ? Stored::floats
-                           : __is_same(T, Half) ? Stored::halves
-                                                : Stored::bfloats;
-
-// Calls f with a value of the type that pixels are stored in; F is what they are computed in.
-template <class F = float, class Call>
-__device__ __forceinline__ void with_type(Stored stored, Call f) {
-  if constexpr (sizeof(F) == 8)
-    f(double{});
-  else if (stored == Stored::floats)
-    f(float{});
-  else if (stored == Stored::halves)
-    f(Half{});
-  else
-    f(BFloat16{});
-}
 
 // Planes with strides in bytes.
 using StoredPlanes = Planes<uint8_t>;

@@ -167,7 +167,7 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
 // than x has, unless that is little, or less than it can do with: one volume, or with tiles some rows of an image.
 template <class T>
 [[maybe_unused]] int64_t room_for(Tensor const& x, Window const& window, SsimImages<T> const& images, int64_t each) {
-  constexpr int64_t little = 1 << 26, number = sizeof(Compute<T>);
+  constexpr int64_t little = 1 << 25, number = sizeof(Compute<T>);
   auto const sizes = window.sizes(x);
   int64_t const rows = sizes[sizes.size() - 2];
   int64_t all = each, least = each * sizes.back() * (has_ssim_tiles(images) ? min(rows, window.size + 64) : rows);

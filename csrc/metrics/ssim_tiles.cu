@@ -376,6 +376,17 @@ int64_t planes_of(Work<F> const& work) {
   return work.x.count() * work.x.step;
 }
 
+// How many planes go together, of at most `band`: those that keep the multiprocessors busiest.
+int64_t busiest(int64_t band, int64_t planes, int64_t blocks_of_plane) {
+  if (band >= planes) return planes;
+  int64_t const machine = multiprocessors();
+  auto const rounds = [&](int64_t count) { return ceil_div(count * blocks_of_plane, machine); };
+  int64_t best = band;
+  for (int64_t count = band; 2 * count > band; --count)
+    if (rounds(count) * best < rounds(best) * count) best = count;
+  return best;
+}
+
 // Both launches of the gradient, for as many planes, or rows of one, as there is room for the derivatives of.
 template <class T>
 int launch_gradients(Work<Compute<T>>& work, int size, int64_t room, Compute<T>* derivatives, CUstream_st* stream) {
@@ -384,7 +395,8 @@ int launch_gradients(Work<Compute<T>>& work, int size, int64_t room, Compute<T>*
   int64_t const planes = planes_of(work), row = int64_t(work.scales) * (work.width - 2 * work.offset);
   int64_t const most_rows = room / (row * (several ? 5 : 4));
   int const all = work.height - 2 * work.offset, reach = size / 2;
-  work.together = 1, work.band = max(most_rows / all, int64_t(1));
+  int64_t const blocks = SsimTiles(work.height, work.width, size).count();
+  work.together = 1, work.band = busiest(max(most_rows / all, int64_t(1)), planes, blocks);
   work.stored_rows = int(min(most_rows, int64_t(all)));
   work.derivatives = reinterpret_cast<Four<F>*>(derivatives);
   work.shares = several ? derivatives + 4 * work.band * work.stored_rows * row : nullptr;

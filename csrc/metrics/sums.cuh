@@ -3,20 +3,13 @@
 #pragma once
 
 #include "core/early_launch.cuh"
+#include "core/reciprocal.cuh"
 #include "metrics/sums.h"
 
 namespace kv::cuda {
 namespace {
 
 constexpr int kSumThreads = 256;
-
-// As cheap as fast_sqrt, and as good.
-__device__ __forceinline__ float fast_reciprocal(float x) {
-  float y;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-  return y;
-}
-__device__ __forceinline__ double fast_reciprocal(double x) { return 1 / x; }
 
 // The sum over a block, to its first thread.
 template <int Threads = kSumThreads, class F>
@@ -29,6 +22,38 @@ __device__ __forceinline__ F block_sum(F x) {
   F sum = 0;
   for (int w = 0; w < kWarps; ++w) sum += of_warps[w];
   return sum;
+}
+
+// Reductions of K numbers over a block, to all of its threads.
+struct Larger {
+  template <class F>
+  __device__ __forceinline__ F operator()(F a, F b) const {
+    return a != a || a > b ? a : b;  // NaN, if there is one
+  }
+};
+struct Plus {
+  template <class F>
+  __device__ __forceinline__ F operator()(F a, F b) const {
+    return a + b;
+  }
+};
+template <int Threads = kSumThreads, int K, class F, class Op>
+__device__ __forceinline__ void over_block(F (&v)[K], Op op) {
+  constexpr int kWarps = Threads / 32;
+  __shared__ F of_warps[K][kWarps];
+  __syncthreads();  // with what was there before
+#pragma unroll
+  for (int k = 0; k < K; ++k) {
+#pragma unroll
+    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
+    if (threadIdx.x % 32 == 0) of_warps[k][threadIdx.x / 32] = v[k];
+  }
+  __syncthreads();
+#pragma unroll
+  for (int k = 0; k < K; ++k) {
+    v[k] = of_warps[k][0];
+    for (int w = 1; w < kWarps; ++w) v[k] = op(v[k], of_warps[k][w]);
+  }
 }
 
 // partial (rows, pieces) to sums (rows): a block for each row.

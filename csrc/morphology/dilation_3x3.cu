@@ -1,6 +1,7 @@
 // Dilation and erosion on CUDA by windows of 3 x 3 pixels around the middle, and their gradients: warps walk down
 // strips with the last rows in registers.
 #include "core/early_launch.cuh"
+#include "core/reciprocal.cuh"
 #include "dilation.cuh"
 
 namespace kv::cuda {
@@ -31,53 +32,96 @@ struct NineTaps {
 // The smaller one, or the one that is no NaN.
 __device__ __forceinline__ float lesser(float a, float b) { return fminf(a, b); }
 __device__ __forceinline__ double lesser(double a, double b) { return fmin(a, b); }
-__device__ __forceinline__ float quotient(float a, float b) {
-  float inverse;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(b));
-  return a * inverse;
-}
-__device__ __forceinline__ double quotient(double a, double b) { return a / b; }
-
-// Rows of x as they are compared, with R pixels beside the thread's and the value where they are outside.
+// Rows of images one after the other, from row `y` on, with R pixels beside the thread's: times `sign`, and `outside`
+// where there is nothing. Each thread reads them all: the memory of its neighbours is near, and there is no other end
+// of a warp's row.
 template <class T, int R, bool Aligned>
-struct ComparedRows {
+struct NearRows {
   using F = Compute<T>;
-  using Line = Strip<R, Aligned, kStrip>;
-  using Fetched = typename Line::template Fetched<T>;
-  Line const strip;
-  Planes<T const> const& x;
-  T const* const plane;
-  T const beyond;
+  static constexpr int P = kStrip;
+  struct Fetched {
+    Pack<T, R> left;
+    Pack<T, P> own;
+    Pack<T, R> right;
+  };
+  T const* at;
+  int64_t const stride;
+  int const x, width, height;
   F const sign, outside;
+  int y;
 
-  __device__ __forceinline__ ComparedRows(Planes<T const> const& x, int64_t plane, int column, Window<F> const& window)
-      : strip(column, int(x.width), Border::constant),
-        x(x),
-        plane(x.plane(plane)),
-        beyond(round_to<T>(window.value)),
-        sign(window.sign()),
-        outside(read(beyond) * sign) {}
+  __device__ __forceinline__ NearRows(Planes<T const> const& images, int64_t plane, int column, int first, F sign = 1,
+                                      F outside = 0)
+      : at(images.row(plane, first) + column),
+        stride(images.row_stride),
+        x(column),
+        width(int(images.width)),
+        height(int(images.height)),
+        sign(sign),
+        outside(outside),
+        y(first) {}
+  // As a window compares them.
+  __device__ __forceinline__ NearRows(Planes<T const> const& images, int64_t plane, int column, int first,
+                                      Window<F> const& window)
+      : NearRows(images, plane, column, first, window.sign(), read(round_to<T>(window.value)) * window.sign()) {}
+  __device__ __forceinline__ bool has_row(int y) const { return unsigned(y) < unsigned(height); }
+  __device__ __forceinline__ bool has_left() const { return x > 0; }
+  __device__ __forceinline__ bool has_right() const { return x + P < width; }
 
-  __device__ __forceinline__ Fetched fetch(int y) const {
-    if (y >= 0 && y < int(x.height)) return strip.fetch(plane + y * x.row_stride);
-    Fetched fetched;
+  __device__ __forceinline__ Fetched next() {
+    Fetched found{};
+    if (has_row(y)) {
+      if constexpr (Aligned) {
+        if (x < width) {
+          found.own = *reinterpret_cast<Pack<T, P> const*>(at);
+          if (has_left()) found.left = *reinterpret_cast<Pack<T, R> const*>(at - R);
+          if (has_right()) found.right = *reinterpret_cast<Pack<T, R> const*>(at + P);
+        }
+      } else {
 #pragma unroll
-    for (T& pixel : fetched.own.v) pixel = beyond;
-#pragma unroll
-    for (int i = 0; i < R; ++i) fetched.left[i] = fetched.right[i] = beyond;
-    return fetched;
+        for (int i = -R; i < P + R; ++i) {
+          T& to = i < 0 ? found.left.v[R + i] : i < P ? found.own.v[i] : found.right.v[i - P];
+          if (x + i >= 0 && x + i < width) to = at[i];
+        }
+      }
+    }
+    at += stride, ++y;
+    return found;
   }
-  __device__ __forceinline__ void spread(Fetched const& fetched, F (&v)[kStrip + 2 * R]) const {
-    strip.spread(fetched, v);
+  // Of what was read of row y.
+  __device__ __forceinline__ void spread(Fetched const& f, int y, F (&v)[P + 2 * R]) const {
+    F const nothing = has_row(y) ? -F(0) : outside;  // which leaves the sign of a 0
+    F const to_left = has_left() ? nothing : outside, to_right = has_right() ? nothing : outside;
 #pragma unroll
-    for (int i = 0; i < kStrip + 2 * R; ++i) {
-      int const column = strip.x - R + i;
-      bool const own = Aligned && i >= R && i < kStrip + R;  // where it is read at all, it is inside
-      v[i] = own || (column >= 0 && column < strip.width) ? v[i] * sign : outside;
+    for (int i = 0; i < P; ++i) v[R + i] = compared(f.own.v[i], x + i, nothing);
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      v[i] = compared(f.left.v[i], x - R + i, to_left);
+      v[R + P + i] = compared(f.right.v[i], x + P + i, to_right);
     }
   }
-  __device__ __forceinline__ void load(F (&v)[kStrip + 2 * R], int y) const { spread(fetch(y), v); }
+  __device__ __forceinline__ void load(F (&v)[P + 2 * R]) {
+    int const row = y;
+    spread(next(), row, v);
+  }
+
+ private:
+  // A pixel that was not read is 0.
+  __device__ __forceinline__ F compared(T pixel, int column, F added) const {
+    return Aligned || (column >= 0 && column < width) ? read(pixel) * sign + added : outside;
+  }
 };
+
+template <class T, bool Aligned>
+__device__ __forceinline__ void store_row(T* to, int x, int width, Compute<T> const (&v)[kStrip]) {
+  if constexpr (Aligned) {
+    if (x < width) store_pack(to, v);
+  } else {
+#pragma unroll
+    for (int i = 0; i < kStrip; ++i)
+      if (x + i < width) to[i] = round_to<T>(v[i]);
+  }
+}
 
 template <class F, int N>
 __device__ __forceinline__ void move_up(F (&rows)[3][N]) {
@@ -88,17 +132,17 @@ __device__ __forceinline__ void move_up(F (&rows)[3][N]) {
 // Rows y0 ... y1 - 1 of a flat window: the maxima of three neighbours, and of three rows of these. Rows are asked for
 // two ahead of the one that is worked on.
 template <class T, bool Aligned>
-__device__ __forceinline__ void walk_flat(ComparedRows<T, 1, Aligned> const& rows, Planes<T> const& result,
-                                          int64_t plane, int y0, int y1) {
+__device__ __forceinline__ void walk_flat(NearRows<T, 1, Aligned>& rows, Planes<T> const& result, int64_t plane, int y0,
+                                          int y1) {
   constexpr int P = kStrip;
   using F = Compute<T>;
-  T* out = result.row(plane, y0);
-  typename ComparedRows<T, 1, Aligned>::Fetched ahead[2] = {rows.fetch(y0 - 1), rows.fetch(y0)};
+  T* out = result.row(plane, y0) + rows.x;
+  typename NearRows<T, 1, Aligned>::Fetched ahead[2] = {rows.next(), rows.next()};
   F row[P], two[P];  // the maxima of the last row, and of the last two
   auto const next = [&](int y, int slot, F(&most)[P]) {
     F v[P + 2];
-    rows.spread(ahead[slot], v);
-    ahead[slot] = rows.fetch(y + 2);
+    rows.spread(ahead[slot], y, v);
+    ahead[slot] = rows.next();
     F pair[P + 1];
 #pragma unroll
     for (int i = 0; i <= P; ++i) pair[i] = join(v[i], v[i + 1]);
@@ -118,7 +162,7 @@ __device__ __forceinline__ void walk_flat(ComparedRows<T, 1, Aligned> const& row
       most[i] = join(two[i], below[i]) * rows.sign;
       two[i] = join(row[i], below[i]), row[i] = below[i];
     }
-    rows.strip.store(out, most);
+    store_row<T, Aligned>(out, rows.x, rows.width, most);
     out += result.row_stride;
   };
 #pragma unroll 1
@@ -129,17 +173,17 @@ __device__ __forceinline__ void walk_flat(ComparedRows<T, 1, Aligned> const& row
 }
 
 template <class T, bool Aligned>
-__device__ __forceinline__ void walk_taps(ComparedRows<T, 1, Aligned> const& rows, NineTaps<Compute<T>> const& taps,
+__device__ __forceinline__ void walk_taps(NearRows<T, 1, Aligned>& rows, NineTaps<Compute<T>> const& taps,
                                           Planes<T> const& result, int64_t plane, int y0, int y1) {
   constexpr int P = kStrip;
   using F = Compute<T>;
-  T* out = result.row(plane, y0);
+  T* out = result.row(plane, y0) + rows.x;
   F v[3][P + 2];
-  rows.load(v[0], y0 - 1);
-  rows.load(v[1], y0);
+  rows.load(v[0]);
+  rows.load(v[1]);
 #pragma unroll 1
   for (int y = y0; y < y1; ++y) {
-    rows.load(v[2], y + 1);
+    rows.load(v[2]);
     F most[P];
 #pragma unroll
     for (int j = 0; j < P; ++j) most[j] = minus_infinity<F>();
@@ -151,7 +195,7 @@ __device__ __forceinline__ void walk_taps(ComparedRows<T, 1, Aligned> const& row
       }
 #pragma unroll
     for (int j = 0; j < P; ++j) most[j] *= rows.sign;
-    rows.strip.store(out, most);
+    store_row<T, Aligned>(out, rows.x, rows.width, most);
     out += result.row_stride;
     move_up(v);
   }
@@ -165,7 +209,7 @@ __global__ void __launch_bounds__(kThreads)
   if (!strips.place(plane, x, y0)) return;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
   NineTaps<Compute<T>> const taps(p.window, plane / p.planes);
-  ComparedRows<T, 1, Aligned> const rows(p.x, plane, x, p.window);
+  NearRows<T, 1, Aligned> rows(p.x, plane, x, y0 - 1, p.window);
   if (taps.flat)
     walk_flat(rows, p.y, plane, y0, y1);
   else
@@ -193,19 +237,20 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
   if (!NineTaps<F>(p.window, plane / p.planes).flat) return;
-  int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
-  ComparedRows<T, 2, Aligned> const rows(p.x, plane, x, p.window);
-  Strip<1, Aligned, P> const grads(x, int(p.x.width), Border::constant);
-  T const* const grad = p.grad.plane(plane);
+  int const y1 = min(y0 + int(strips.rows), int(p.x.height)), width = int(p.x.width);
+  NearRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2, p.window);
+  NearRows<T, 1, Aligned> grads(p.grad, plane, x, y0 - 1);
+  T* out = p.grad_x.row(plane, y0) + x;
 
   F most[2][P + 2], ties[2][P + 2];      // of three neighbours in x
   F least[2][P] = {}, parts[2][P] = {};  // of three neighbouring windows
   F own[2][P];                           // x itself
-  auto ahead = rows.fetch(y0 - 2);
+  auto ahead = rows.next();
+  auto grad_ahead = grads.next();
   auto const next_x = [&](int y, F(&m)[P + 2], F(&t)[P + 2], F(&mine)[P]) {
     F v[P + 4];
-    rows.spread(ahead, v);
-    ahead = rows.fetch(y + 1);
+    rows.spread(ahead, y, v);
+    ahead = rows.next();
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) {
       m[i] = join(join(v[i], v[i + 1]), v[i + 2]);
@@ -218,16 +263,17 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   next_x(y0 - 2, most[0], ties[0], own[0]);
   next_x(y0 - 1, most[1], ties[1], own[1]);
   auto const step = [&](int q, int slot) {
-    F g[P + 2] = {}, new_most[P + 2], new_ties[P + 2], new_own[P];
-    if (q >= 0 && q < height) grads.load(g, grad + q * p.grad.row_stride);
+    F g[P + 2], new_most[P + 2], new_ties[P + 2], new_own[P];
+    grads.spread(grad_ahead, q, g);
+    grad_ahead = grads.next();
     next_x(q + 1, new_most, new_ties, new_own);
     F m[P + 2], part[P + 2];
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) {
       F const older = most[slot][i], last = most[1 - slot][i];
       m[i] = join(join(older, last), new_most[i]);
-      part[i] =
-          quotient(g[i], sum_where(m[i], older, last, new_most[i], ties[slot][i], ties[1 - slot][i], new_ties[i]));
+      part[i] = g[i] * fast_reciprocal(
+                           sum_where(m[i], older, last, new_most[i], ties[slot][i], ties[1 - slot][i], new_ties[i]));
       most[slot][i] = new_most[i], ties[slot][i] = new_ties[i];
     }
     F sum[P];
@@ -240,7 +286,9 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
       sum[i] = own[slot][i] == lowest ? of_lowest : F(0);
       least[slot][i] = low, parts[slot][i] = of_low, own[slot][i] = new_own[i];
     }
-    if (q > y0) grads.store(p.grad_x.row(plane, q - 1), sum);
+    if (q <= y0) return;
+    store_row<T, Aligned>(out, x, width, sum);
+    out += p.grad_x.row_stride;
   };
 #pragma unroll 1
   for (int q = y0 - 1; q <= y1; q += 2) {
@@ -260,19 +308,20 @@ __global__ void __launch_bounds__(kThreads)
   int64_t plane;
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
-  int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
+  int const y1 = min(y0 + int(strips.rows), int(p.x.height)), width = int(p.x.width);
   NineTaps<F> const taps(p.window, plane / p.planes);
   if (taps.flat) return;
-  ComparedRows<T, 2, Aligned> const rows(p.x, plane, x, p.window);
-  Strip<1, Aligned, P> const grads(x, int(p.x.width), Border::constant);
+  NearRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2, p.window);
+  NearRows<T, 1, Aligned> grads(p.grad, plane, x, y0 - 1);
+  T* out = p.grad_x.row(plane, y0) + x;
   F v[3][P + 4], most[3][P + 2] = {}, part[3][P + 2] = {};
-  rows.load(v[0], y0 - 2);
-  rows.load(v[1], y0 - 1);
+  rows.load(v[0]);
+  rows.load(v[1]);
 #pragma unroll 1
   for (int q = y0 - 1; q <= y1; ++q) {
-    rows.load(v[2], q + 1);
-    F g[P + 2] = {}, count[P + 2] = {};
-    if (q >= 0 && q < height) grads.load(g, p.grad.row(plane, q));
+    rows.load(v[2]);
+    F g[P + 2], count[P + 2] = {};
+    grads.load(g);
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) most[2][i] = minus_infinity<F>();
 #pragma unroll
@@ -300,7 +349,8 @@ __global__ void __launch_bounds__(kThreads)
             sum[j] += v[0][j + 2] + taps.offset[t] == most[row][at] ? part[row][at] : F(0);
           }
         }
-      grads.store(p.grad_x.row(plane, q - 1), sum);
+      store_row<T, Aligned>(out, x, width, sum);
+      out += p.grad_x.row_stride;
     }
     move_up(v);
     move_up(most);

@@ -2,6 +2,7 @@
 // or not, in one launch and without other memory: first the maxima of all windows that have a pixel of the tile, with
 // the parts of their ties, then the sums of these. One kernel for all types, which takes a while to compile; it looks
 // at the type where it reads and writes images.
+#include "core/stored.cuh"
 #include "dilation_tiles.cuh"
 
 namespace kv::cuda {
@@ -9,22 +10,6 @@ namespace {
 
 constexpr int kGradientThreads = 288;
 
-enum class Stored : int { float32, float16, bfloat16 };
-template <class T>
-constexpr Stored kStored = __is_same(T, float)  ? Stored::float32
-                           : __is_same(T, Half) ? Stored::float16
-                                                : Stored::bfloat16;
-
-// Calls f with a number of the type.
-template <class Call>
-__device__ __forceinline__ void with_type(Stored type, Call f) {
-  if (type == Stored::float32)
-    f(float());
-  else if (type == Stored::float16)
-    f(Half());
-  else
-    f(BFloat16());
-}
 struct AnyGradient {
   DilationBackward<float> p;  // of images that are stored as `type`
   Stored type;

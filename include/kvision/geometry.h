@@ -13,6 +13,7 @@
 #include <tuple>
 #include <vector>
 
+#include "kvision/matrices.h"
 #include "kvision/operator.h"
 
 namespace kvision {
@@ -89,6 +90,52 @@ inline Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tens
     return found;
   };
   return differentiable({image, matrix, given}, compute, {image, matrix, given}, gradient)[0];
+}
+
+namespace detail {
+
+// A tensor of a formula that it needs.
+inline Tensor const& needed(std::optional<Tensor> const& x, std::string const& formula) {
+  TORCH_CHECK(x, formula, ": expected its first tensor");
+  return *x;
+}
+
+// The translation of a formula, which there may be none of, for an image.
+inline Tensor translation_of(std::optional<Tensor> const& x, Tensor const& image, int64_t axes) {
+  auto const type = image.scalar_type() == at::kDouble ? at::kDouble : at::kFloat;
+  return x ? *x : at::zeros({1, axes}, image.options().dtype(type));
+}
+
+}  // namespace detail
+
+// `warp` by the matrix of a formula of matrices.h, which is made where it is used: affine_matrix2d,
+// translation_matrix2d, scale_matrix2d, slant_matrix2d or crop_matrix, of its tensors and its numbers but `rows`.
+inline Tensor warp_by_formula(Tensor const& image, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
+                              std::optional<Tensor> const& c, std::optional<Tensor> const& d,
+                              std::optional<Tensor> const& e, std::optional<Tensor> const& f,
+                              std::string const& formula, std::vector<double> const& numbers,
+                              std::vector<int64_t> const& size, std::string const& interpolation = "bilinear",
+                              std::string const& padding = "fill", bool align_corners = true, bool inverse = true,
+                              bool normalized = false) {
+  using namespace detail;
+  if (wants_gradient({image, a.value_or(Tensor()), b.value_or(Tensor()), c.value_or(Tensor()), d.value_or(Tensor()),
+                      e.value_or(Tensor()), f.value_or(Tensor())})) {
+    auto const number = [&](size_t i) { return numbers.at(i); };
+    auto const matrix = [&] {
+      if (formula == "affine_matrix2d")
+        return affine_matrix2d(needed(a, formula), b, c, d, e, f, number(0), number(1), number(2), 2);
+      if (formula == "translation_matrix2d")
+        return translation_matrix2d(translation_of(a, image, 2), number(0), number(1), 2);
+      if (formula == "scale_matrix2d") return scale_matrix2d(needed(a, formula), b, number(0), number(1));
+      if (formula == "slant_matrix2d") return slant_matrix2d(needed(a, formula));
+      TORCH_CHECK(formula == "crop_matrix", "warp_by_formula: no formula of images is called '", formula, "'");
+      return crop_matrix(needed(a, formula), b, number(0), number(1));
+    };
+    return warp(image, matrix(), std::nullopt, size, interpolation, padding, align_corners, inverse, normalized);
+  }
+  at::AutoDispatchBelowADInplaceOrView below_autograd;
+  return call<"warp_by_formula">(image, a, b, c, d, e, f, formula, numbers, size, interpolation, padding, align_corners,
+                                 inverse, normalized);
 }
 
 inline Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor const& map_y,
@@ -325,6 +372,36 @@ inline Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<in
     return found;
   };
   return differentiable({volumes, matrix}, compute, {volumes, matrix}, gradient)[0];
+}
+
+// `warp3d` by the matrix of a formula of matrices.h: affine_matrix3d without shears, translation_matrix3d or
+// perspective_matrix3d, of its tensors and its numbers but `rows`.
+inline Tensor warp3d_by_formula(Tensor const& volumes, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
+                                std::optional<Tensor> const& c, std::optional<Tensor> const& d,
+                                std::optional<Tensor> const& e, std::optional<Tensor> const& f,
+                                std::string const& formula, std::vector<double> const& numbers,
+                                std::vector<int64_t> const& size, std::string const& interpolation = "bilinear",
+                                std::string const& padding = "fill", bool align_corners = true, bool inverse = true,
+                                bool normalized = false) {
+  using namespace detail;
+  if (wants_gradient({volumes, a.value_or(Tensor()), b.value_or(Tensor()), c.value_or(Tensor()), d.value_or(Tensor()),
+                      e.value_or(Tensor()), f.value_or(Tensor())})) {
+    auto const number = [&](size_t i) { return numbers.at(i); };
+    auto const matrix = [&] {
+      if (formula == "affine_matrix3d")
+        return affine_matrix3d(needed(a, formula), needed(b, formula), needed(c, formula), d, e, f, {}, {}, {}, {}, {},
+                               {}, number(0), number(1), number(2), number(3), 3);
+      if (formula == "translation_matrix3d")
+        return translation_matrix3d(translation_of(a, volumes, 3), number(0), number(1), number(2), 3);
+      TORCH_CHECK(formula == "perspective_matrix3d", "warp3d_by_formula: no formula of volumes is called '", formula,
+                  "'");
+      return perspective_matrix3d(needed(a, formula), b, number(0), number(1), number(2));
+    };
+    return warp3d(volumes, matrix(), size, interpolation, padding, align_corners, inverse, normalized);
+  }
+  at::AutoDispatchBelowADInplaceOrView below_autograd;
+  return call<"warp3d_by_formula">(volumes, a, b, c, d, e, f, formula, numbers, size, interpolation, padding,
+                                   align_corners, inverse, normalized);
 }
 
 // The mean distance of `target` from `source` warped by `matrix`, from the target's places to the source's; (B). It has

@@ -194,4 +194,46 @@ inline Tensor smoothness(Tensor const& depth, Tensor const& image, double along_
   return differentiable({depth, image}, compute, {depth, image}, gradient)[0];
 }
 
+inline Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Tensor const& ranges,
+                                          Tensor const& input, Tensor const& other,
+                                          std::optional<Tensor> const& input_mask,
+                                          std::optional<Tensor> const& other_mask, std::string const& kernel,
+                                          int64_t bins, double radius, bool normalized, bool by_other) {
+  using namespace detail;
+  auto const compute = [&] {
+    return variable_list{call<"mutual_information_backward">(grad, slopes, ranges, input, other, input_mask, other_mask,
+                                                             kernel, bins, radius, normalized, by_other)};
+  };
+  return differentiable({grad, input, other}, compute, {}, no_second_derivative("mutual_information"))[0];
+}
+
+// (B): the negative mutual information of signals (B, N), float32 or float64, of the samples in both masks (B or 1, N).
+// kernel: "xu", "rectangular" or "truncated_gaussian". Then, without gradients, its slopes by the joint histogram
+// (B, bins, bins) and the ranges of both signals (B, 4).
+inline std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tensor const& other,
+                                                             std::optional<Tensor> const& input_mask = {},
+                                                             std::optional<Tensor> const& other_mask = {},
+                                                             std::string const& kernel = "xu", int64_t bins = 64,
+                                                             double radius = 1, bool normalized = false) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [loss, slopes, ranges] = call<"mutual_information", std::tuple<Tensor, Tensor, Tensor>>(
+        input, other, input_mask, other_mask, kernel, bins, radius, normalized);
+    return variable_list{loss, slopes, ranges};
+  };
+  auto const gradient = [=](Backward const& b) {
+    Tensor const x = b.saved[0], y = b.saved[1];
+    auto const [loss, slopes, ranges] =
+        mutual_information(x.detach(), y.detach(), input_mask, other_mask, kernel, bins, radius, normalized);
+    auto const by = [&, slopes = slopes, ranges = ranges](bool other) {
+      return b.wanted(other) ? mutual_information_backward(b.grads[0], slopes, ranges, x, y, input_mask, other_mask,
+                                                           kernel, bins, radius, normalized, other)
+                             : Tensor();
+    };
+    return variable_list{by(false), by(true)};
+  };
+  variable_list const found = differentiable({input, other}, compute, {input, other}, gradient);
+  return {found[0], found[1].detach(), found[2].detach()};
+}
+
 }  // namespace kvision

@@ -232,12 +232,22 @@ inline Tensor affine_matrix2d(Tensor const& degrees, std::optional<Tensor> const
                                             y, rows);
 }
 
-inline Tensor translation_matrix2d_backward(Tensor const& grad, Tensor const& translation, int64_t rows) {
-  return detail::formula_gradient<"translation_matrix2d">(grad, std::tuple(translation), rows);
+inline Tensor translation_matrix2d_backward(Tensor const& grad, Tensor const& translation, double x, double y,
+                                            int64_t rows) {
+  return detail::formula_gradient<"translation_matrix2d">(grad, std::tuple(translation), x, y, rows);
 }
-// (B, 2) to the first `rows` of (B, 3, 3).
-inline Tensor translation_matrix2d(Tensor const& translation, int64_t rows) {
-  return detail::formula<"translation_matrix2d">(std::tuple(translation), rows);
+// (B, 2), and (x, y) more, to the first `rows` of (B, 3, 3).
+inline Tensor translation_matrix2d(Tensor const& translation, double x, double y, int64_t rows) {
+  return detail::formula<"translation_matrix2d">(std::tuple(translation), x, y, rows);
+}
+
+inline Tensor translation_matrix3d_backward(Tensor const& grad, Tensor const& translation, double x, double y, double z,
+                                            int64_t rows) {
+  return detail::formula_gradient<"translation_matrix3d">(grad, std::tuple(translation), x, y, z, rows);
+}
+// (B, 3), and (x, y, z) more, to the first `rows` of (B, 4, 4).
+inline Tensor translation_matrix3d(Tensor const& translation, double x, double y, double z, int64_t rows) {
+  return detail::formula<"translation_matrix3d">(std::tuple(translation), x, y, z, rows);
 }
 
 inline Tensor scale_matrix2d_backward(Tensor const& grad, Tensor const& scale, std::optional<Tensor> const& center,
@@ -316,12 +326,15 @@ inline Tensor perspective_matrix(Tensor const& points_src, Tensor const& points_
   return detail::formula<"perspective_matrix">(std::tuple(points_src, points_dst));
 }
 
-inline Tensor perspective_matrix3d_backward(Tensor const& grad, Tensor const& points_src, Tensor const& points_dst) {
-  return detail::formula_gradient<"perspective_matrix3d">(grad, std::tuple(points_src, points_dst));
+inline Tensor perspective_matrix3d_backward(Tensor const& grad, Tensor const& points_src,
+                                            std::optional<Tensor> const& points_dst, double x, double y, double z) {
+  return detail::formula_gradient<"perspective_matrix3d">(grad, std::tuple(points_src, points_dst), x, y, z);
 }
-// The homographies (B, 4, 4) that take corners (B, 8, 3) of boxes to others.
-inline Tensor perspective_matrix3d(Tensor const& points_src, Tensor const& points_dst) {
-  return detail::formula<"perspective_matrix3d">(std::tuple(points_src, points_dst));
+// The homographies (B, 4, 4) that take corners (B, 8, 3) of boxes to others, or to those of the box from 0 to (x, y,
+// z).
+inline Tensor perspective_matrix3d(Tensor const& points_src, std::optional<Tensor> const& points_dst, double x,
+                                   double y, double z) {
+  return detail::formula<"perspective_matrix3d">(std::tuple(points_src, points_dst), x, y, z);
 }
 
 inline Tensor crop_matrix_backward(Tensor const& grad, Tensor const& quads, std::optional<Tensor> const& first,

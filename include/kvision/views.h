@@ -10,6 +10,7 @@
 #include <string>
 #include <tuple>
 #include <utility>
+#include <vector>
 
 #include "kvision/operator.h"
 
@@ -281,6 +282,35 @@ inline Tensor distort(Tensor const& points, Tensor const& camera, Tensor const& 
   auto const [factor, dx, dy] = lens.terms(x, y);
   auto const [u, v] = lens.turned(x * factor + dx, y * factor + dy);
   return lens.in_pixels(u, v);
+}
+
+// The gradients of `lens_map` to camera, coefficients and tilt of each sample.
+inline variable_list lens_map_backward(Tensor const& grad, Tensor const& camera, Tensor const& coefficients,
+                                       std::optional<Tensor> const& tilt) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto const [a, b, c] =
+        call<"lens_map_backward", std::tuple<Tensor, Tensor, Tensor>>(grad, camera, coefficients, tilt);
+    return variable_list{a, b, c};
+  };
+  return differentiable({grad, camera, coefficients, tilt.value_or(Tensor())}, compute, {},
+                        no_second_derivative("lens_map"));
+}
+
+// Where a lens shows the pixels of an image of that size: x and y, (B, 2, H, W). Its camera matrix is that of both.
+inline Tensor lens_map(Tensor const& camera, Tensor const& coefficients, std::optional<Tensor> const& tilt,
+                       std::vector<int64_t> const& size) {
+  using namespace detail;
+  Tensor const turned = tilt.value_or(Tensor());
+  auto const compute = [&] { return variable_list{call<"lens_map">(camera, coefficients, tilt, size)}; };
+  auto const gradient = [](Backward const& b) {
+    Tensor const& tilt = b.saved[2];
+    variable_list found =
+        lens_map_backward(b.grads[0], b.saved[0], b.saved[1], tilt.defined() ? std::optional(tilt) : std::nullopt);
+    for (size_t i = 0; i < 3; ++i) found[i] = b.wanted(i) ? at::sum_to(found[i], b.saved[i].sizes()) : Tensor();
+    return found;
+  };
+  return differentiable({camera, coefficients, turned}, compute, {camera, coefficients, turned}, gradient)[0];
 }
 
 // Back from there, by `steps` of a fixed-point iteration; the matrix takes the plane of a tilted sensor back.

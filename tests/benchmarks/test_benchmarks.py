@@ -264,7 +264,7 @@ def test_kernels_reads_what_ncu_writes():
 {head}
 "0","{name}","0:<default domain>:warp_affine:none","gpu__time_duration.sum","69,504"
 "0","{name}","0:<default domain>:warp_affine:none","launch__registers_per_thread","48"
-"1","gather(int)","","gpu__time_duration.sum","1000"
+"1","kv::cuda::<unnamed>::gather(int)","","gpu__time_duration.sum","1000"
 """
     forward, backward = kernels.rows(report)
     assert forward.split()[:4] == ["warp_affine", "sample_tiles<float,", "2>", "69.5"] and " 48 " in forward

@@ -103,6 +103,10 @@ int main() {
   check(
       "pointwise_sum", [](auto const& t) { return kvision::pointwise_sum(t[0], t[1], "js", 0.1); },
       {rows + 0.5, others}, false);
+  check(
+      "mutual_information",
+      [](auto const& t) { return std::get<0>(kvision::mutual_information(t[0], t[1], {}, {}, "xu", 5)); },
+      {rows, others}, false);
   check("binary_focal", [](auto const& t) { return kvision::binary_focal(t[0], t[1]); }, {rows, others}, false);
   check(
       "endpoint_error", [](auto const& t) { return kvision::endpoint_error(t[0], t[1], false, true, 0.5); },
@@ -174,6 +178,12 @@ int main() {
       [&](auto const& t) { return kvision::depth_points(t[0], camera.view({1, 3, 3}).to(torch::kDouble), true); },
       {depth}, false);
   check(
+      "depth_points, coordinates last",
+      [&](auto const& t) {
+        return kvision::depth_points(t[0], camera.view({1, 3, 3}).to(torch::kDouble), false, true);
+      },
+      {depth}, false);
+  check(
       "depth_normals",
       [&](auto const& t) { return kvision::depth_normals(t[0], camera.view({1, 3, 3}).to(torch::kDouble)); }, {depth},
       false);
@@ -195,6 +205,33 @@ int main() {
       "affine_matrix2d",
       [](auto const& t) { return kvision::affine_matrix2d(t[0], t[1], {}, t[2], {}, t[3], 1, 0, 0, 2); },
       {100 * torch::rand({2}), torch::rand({1, 2}), torch::rand({2}), torch::rand({2, 2})}, false);
+  static constexpr auto some = std::nullopt;
+  check(
+      "warp_by_formula",
+      [&](auto const& t) {
+        return kvision::warp_by_formula(t[0], t[1], some, t[2], some, some, some, "affine_matrix2d", {1, 2, 3}, {5, 4});
+      },
+      {x, 100 * torch::rand({2}), torch::rand({1, 2}) + 0.5}, false);
+  check(
+      "warp_by_formula of numbers",
+      [&](auto const& t) {
+        return kvision::warp_by_formula(t[0], some, some, some, some, some, some, "translation_matrix2d", {0.3, 1.2},
+                                        {5, 4});
+      },
+      {x}, false);
+  check(
+      "warp3d_by_formula",
+      [&](auto const& t) {
+        return kvision::warp3d_by_formula(t[0], t[1], t[1], t[1], some, some, t[2], "affine_matrix3d", {1, 0, 0, 0},
+                                          {3, 5, 4});
+      },
+      {volume, 100 * torch::rand({1}), torch::rand({1, 3}) + 0.5}, false);
+  check(
+      "lens_map", [](auto const& t) { return kvision::lens_map(t[0], t[1], some, {3, 5}); },
+      {torch::rand({1, 3, 3}) + 3, 0.1 * torch::rand({2, 8})}, false);
+  check(
+      "lens_map of a tilted sensor", [](auto const& t) { return kvision::lens_map(t[0], t[1], t[2], {3, 5}); },
+      {torch::rand({1, 3, 3}) + 3, 0.1 * torch::rand({2, 14}), torch::eye(3) + 0.1 * torch::rand({2, 3, 3})}, false);
   Tensor const points = torch::rand({2, 5, 3}) + 0.5;
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "transform"); },

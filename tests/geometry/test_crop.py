@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision.geometry.transform.crop import _crop_matrix
+from kvision.geometry.transform.matrices import crop_matrix
 from op_tests import assert_close
 
 G = K.geometry
@@ -14,7 +14,7 @@ FLAT = torch.tensor([[[3.0, 2], [3, 2], [3, 2], [3, 2]], [[1.0, 2], [5, 2], [5, 
 
 def matrix_of(quads: torch.Tensor, size: tuple[int, int], first: torch.Tensor | None = None) -> torch.Tensor:
     h, w = size
-    return _crop_matrix(quads, first, float(max(w - 1, 1)), float(max(h - 1, 1)))
+    return crop_matrix(quads, first, float(max(w - 1, 1)), float(max(h - 1, 1)))
 
 
 @pytest.mark.parametrize("size", [(5, 7), (1, 1), (1, 6)])
@@ -38,7 +38,7 @@ def test_matrices_take_corners_to_corners(device):
 
 @pytest.mark.parametrize("call", [G.crop_and_resize, G.crop_by_boxes], ids=lambda call: call.__name__)
 def test_few_operators_a_call(call, device, backend):
-    """The matrix and the warp; before these what has to be known of boxes, in one copy to the host."""
+    """The warp by a matrix of its own; before it what has to be known of boxes, in one copy to the host."""
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     x, boxes = torch.rand(2, 3, 16, 16, device=device), QUADS.to(device).float()
@@ -51,12 +51,12 @@ def test_few_operators_a_call(call, device, backend):
     names = [event.name for event in profile.events()]
     free = ("aten::empty", "aten::contiguous")  # of what is contiguous
     operators = [name for name in names if "::" in name and not name.startswith(free)]
-    expected = ["kvision::crop_matrix", "kvision::warp"]
+    expected = ["kvision::warp_by_formula"]
     if call is G.crop_by_boxes:
         expected.insert(0, "kvision::quad_shapes")
     assert [name for name in operators if name.startswith("kvision::")] == expected, operators
     assert device.type == "cpu" or names.count("cudaLaunchKernel") == len(expected), names
-    assert device.type == "cpu" or names.count("cudaStreamSynchronize") == len(expected) - 2, names
+    assert device.type == "cpu" or names.count("cudaStreamSynchronize") == len(expected) - 1, names
 
 
 def test_whole_boxes_are_slices(device):

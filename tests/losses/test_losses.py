@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 import torch.nn.functional as F
+from torch import Tensor
 
 import kvision as K
 from composition_tests import Case, CompositionTests, on
@@ -25,6 +26,11 @@ def with_labels(loss, *args, **kwargs):
         return loss(pred, labels, *args, **kwargs)
 
     return call
+
+
+def fixed_noise(x, axes=4):
+    """In [0, 1), in the shape of the last axes of x, the same for all of that shape."""
+    return torch.rand(x.shape[-axes:], dtype=torch.float64, generator=torch.Generator().manual_seed(7)).to(x.device)
 
 
 class TestMaps(CompositionTests):
@@ -230,6 +236,70 @@ def test_divergence_of_empty_pixels():
     for loss in (L.kl_div_loss_2d, L.js_div_loss_2d):
         value = loss(p, q)
         assert value == 0 and all(g.isfinite().all() for g in torch.autograd.grad(value, (p, q)))
+
+
+class TestMutualInformation(OpTests):
+    function = staticmethod(L.mutual_information_loss_2d)
+    operators = ("mutual_information", "mutual_information_backward")
+    max_size = 9
+    small = (1, 2, 4, 5)
+    variants = [
+        {"target": lambda x: fixed_noise(x), "num_bins": 7},
+        {
+            "target": lambda x: fixed_noise(x),
+            "input_mask": lambda x: fixed_noise(x, 2) > 0.1,
+            "target_mask": lambda x: fixed_noise(x, 2).flip(0) > 0.1,
+            "kernel_function": L.MIKernel.truncated_gaussian,
+            "num_bins": 5,
+            "window_radius": 1.7,
+        },
+    ]
+    errors = [({"num_bins": 1}, ValueError, "expected num_bins"), ({"target": None}, TypeError, "expected target")]
+
+    def call(self, x, kwargs):
+        integers = isinstance(x, Tensor) and x.dtype in (torch.uint8, torch.int32)  # which the loss refuses
+        found = self.function(x.float() if integers else x, **kwargs)
+        return found if integers else found.to(x.dtype)  # not the target's
+
+    def expected(self, x, kwargs):
+        """The least that a bin counts is that of the type that computes."""
+        with K.backend("reference"):
+            return self.call(x if x.dtype == torch.float64 else x.float(), kwargs).to(x.dtype)
+
+    def check_gradients(self, x, kwargs):
+        """In float32 they hang on how bins are rounded that have next to nothing, as those one radius away."""
+        wide = {k: v.double() if isinstance(v, Tensor) and v.is_floating_point() else v for k, v in kwargs.items()}
+        super().check_gradients(x.double(), wide)
+
+
+@pytest.mark.parametrize("bins", [64, 90])  # on CUDA in shared memory, and beyond it
+@pytest.mark.parametrize("kernel", L.MIKernel)
+def test_mutual_information_of_many_bins(bins, kernel, device):
+    """And of flat images, which have no gradient, and equal extrema, which share theirs."""
+    x, y = torch.rand(2, 2, 2, 90, 100, dtype=torch.float64, device=device)
+    y, x[0, 0, 0], x[1, 1] = y + x, x.amin(), 0.3
+    for normalized in (False, True):
+        loss = L.normalized_mutual_information_loss_2d if normalized else L.mutual_information_loss_2d
+        found = []
+        for backend in ("auto", "reference"):
+            with K.backend(backend):
+                leaves = [x.clone().requires_grad_(), y.clone().requires_grad_()]
+                value = loss(*leaves, kernel_function=kernel, num_bins=bins)
+                rectangular = kernel is L.MIKernel.rectangular  # whose loss has no gradient
+                found.append([value] if rectangular else [value, *torch.autograd.grad(value.square().sum(), leaves)])
+        assert_close(*found, 1e-8, 1e-10)
+
+
+@pytest.mark.parametrize("spoil", [torch.nan, torch.inf, None])
+def test_mutual_information_of_spoilt_signals(spoil, device):
+    x, y = torch.rand(2, 2, 50, device=device)
+    mask = None if spoil else torch.zeros(50, dtype=torch.bool, device=device)
+    if spoil:
+        x[0, 3] = spoil
+    found = L.mutual_information_loss(x.requires_grad_(), y, mask)
+    assert found.isnan().tolist() == [True, not spoil]
+    found.sum().backward()
+    assert spoil is None or x.grad[1].isfinite().all()
 
 
 def test_mutual_information_of_masked_nan():

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from enum import Enum
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import compute_dtype
+from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
@@ -27,20 +29,22 @@ class MIKernel(Enum):
     truncated_gaussian = "truncated_gaussian"
 
 
-def _weights(kernel: MIKernel, x: Tensor, radius: float) -> Tensor:
+def _weights(kernel: str, x: Tensor, radius: float) -> Tensor:
     """Of distances x in radii."""
-    if kernel is MIKernel.rectangular:
+    if kernel == "rectangular":
         return (x <= 1).to(x.dtype)
-    if kernel is MIKernel.truncated_gaussian:
+    if kernel == "truncated_gaussian":
         inside = torch.exp(-x.square() / 2) / (radius * math.sqrt(2 * math.pi))
     else:  # two parabolas, with value 1 and 0 at the ends and equal values and slopes in the middle
         inside = torch.where(x < 0.5, (-1.8 * x - 0.1) * x + 1, (1.8 * x - 3.7) * x + 1.9)
     return torch.where(x <= 1, inside, 0)
 
 
-def _bins(signal: Tensor, mask: Tensor | None, kernel: MIKernel, count: int, radius: float) -> Tensor:
-    """(*, count, N): what every sample of signals (*, N) adds to every bin; the bins divide the range inside of the mask."""
-    signal = signal.to(compute_dtype(signal))
+def _bins(
+    signal: Tensor, mask: Tensor | None, kernel: str, count: int, radius: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """(B, count, N): what every sample of signals (B, N) adds to every bin; the bins divide the range inside of the mask.
+    And the range, and whether it is one."""
     low = signal if mask is None else signal.masked_fill(~mask, torch.inf)
     high = signal if mask is None else signal.masked_fill(~mask, -torch.inf)
     low, high = low.amin(-1, keepdim=True), high.amax(-1, keepdim=True)
@@ -49,28 +53,77 @@ def _bins(signal: Tensor, mask: Tensor | None, kernel: MIKernel, count: int, rad
     place = torch.where(flat, 0, (signal - low) / torch.where(flat, 1, high - low) * last)
     centres = torch.arange(count, device=signal.device, dtype=signal.dtype) / radius
     weights = _weights(kernel, (centres[:, None] - place[..., None, :]).abs(), radius)
-    return weights if mask is None else torch.where(mask, weights, 0)
+    return weights if mask is None else torch.where(mask[:, None], weights, 0), low, high, (high - low).isfinite()
 
 
-def _information(reference: Tensor, other: Tensor, normalized: bool) -> Tensor:
-    """The negative mutual information of two signals, given as `_bins`."""
-    device = other.device.type
-    with torch.autocast(device, enabled=False):
-        joint = torch.einsum("...in,...jn->...ij", reference, other.to(reference.dtype))
-    joint = joint.clamp_min(torch.finfo(joint.dtype).eps)
-    joint = joint / joint.sum((-1, -2), keepdim=True)
+def _reference(
+    x: Tensor,
+    y: Tensor,
+    x_mask: Tensor | None,
+    y_mask: Tensor | None,
+    kernel: str,
+    bins: int,
+    radius: float,
+    normalized: bool,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """(B): the negative mutual information of signals (B, N); (B, bins, bins): its slopes by the joint histogram; (B, 4):
+    the ranges of both."""
+    (of_x, *range_x, x_sound), (of_y, *range_y, y_sound) = (
+        _bins(s, mask, kernel, bins, radius) for s, mask in ((x, x_mask), (y, y_mask))
+    )
+    counts = torch.einsum("...in,...jn->...ij", of_x, of_y.expand(x.shape[0], -1, -1))
+    joint = counts.clamp_min(torch.finfo(counts.dtype).eps)
+    total = joint.sum((-1, -2), keepdim=True)
+    joint = joint / total
 
-    def entropy(p: Tensor, *axes: int) -> Tensor:
-        return -(p * p.log()).sum(axes)
+    def entropy(p: Tensor) -> Tensor:
+        return -(p * p.log()).sum((-1, -2), keepdim=True)
 
-    of_both, separately = entropy(joint, -1, -2), entropy(joint.sum(-1), -1) + entropy(joint.sum(-2), -1)
-    return -separately / of_both if normalized else of_both - separately
+    rows, columns = joint.sum(-1, keepdim=True), joint.sum(-2, keepdim=True)
+    of_both, separately = entropy(joint), entropy(rows) + entropy(columns)
+    loss = -separately / of_both if normalized else of_both - separately
+    loss = torch.where((x_sound & y_sound)[..., None], loss, torch.nan)
+    slopes = rows.log() + columns.log()
+    slopes = (slopes + loss * joint.log()) / of_both if normalized else slopes - joint.log() - loss
+    slopes = torch.where(counts < torch.finfo(counts.dtype).eps, 0, slopes / total)
+    ranges = [end.expand(x.shape[0], 1) for end in (*range_x, *range_y)]
+    return loss[:, 0, 0], slopes.detach(), torch.cat(ranges, 1).detach()
+
+
+def _fake(x: Tensor, y: Tensor, x_mask: Any, y_mask: Any, kernel: str, bins: int, *_: Any) -> list[Any]:
+    return [(x.shape[0],), (x.shape[0], bins, bins), (x.shape[0], 4)]
+
+
+def _backward(needs, grad, _, __, loss, slopes, ranges, x, y, *args):
+    found = [
+        _information_backward(grad, slopes, ranges, x, y, *args, other) if needs[other] else None for other in (0, 1)
+    ]
+    if found[1] is not None and found[1].shape != y.shape:
+        found[1] = found[1].sum(0, keepdim=True)
+    return [*found, None, None]
+
+
+def _slope(grad: Tensor, slopes: Tensor, ranges: Tensor, x: Tensor, y: Tensor, *args: Any) -> Tensor:
+    *options, by_other = args
+    x, y = x.expand(grad.shape[0], -1), y.expand(grad.shape[0], -1)
+    return torch.func.vjp(lambda x, y: _reference(x, y, *options)[0], x, y)[1](grad)[by_other]
+
+
+_information_backward = register(
+    "mutual_information_backward",
+    _slope,
+    fake=lambda grad, slopes, ranges, x, *_: (grad.shape[0], x.shape[1]),
+)
+_information = register(
+    "mutual_information", _reference, fake=_fake, backward=_backward, saves_results=True, constant=(1, 2)
+)
 
 
 class _FromRef(nn.Module):
     _axes = 1  # of a signal
     _normalized = False
     reference: Tensor
+    mask: Tensor | None
 
     def __init__(
         self,
@@ -85,21 +138,20 @@ class _FromRef(nn.Module):
         _check_options(self._op, kernel_function, num_bins, window_radius)
         self.kernel_function, self.num_bins, self.window_radius = kernel_function, num_bins, float(window_radius)
         self.shape, self.dtype = reference_signal.shape, reference_signal.dtype
-        self.register_buffer("reference", self._bins("reference_signal", reference_signal, "mask", mask))
+        signal, mask = _flattened(self._op, self._axes, "reference_signal", reference_signal, "mask", mask)
+        self.register_buffer("reference", signal)
+        self.register_buffer("mask", mask)
 
     def forward(self, other_signal: Tensor, other_mask: Tensor | None = None) -> Tensor:
-        bins = self._bins("other_signal", other_signal, "other_mask", other_mask)
+        other, mask = _flattened(self._op, self._axes, "other_signal", other_signal, "other_mask", other_mask)
         if other_signal.shape != self.shape:
             raise ShapeError(
                 f"{self._op}: expected other_signal of shape {tuple(self.shape)}, got {tuple(other_signal.shape)}",
                 actual_shape=other_signal.shape,
             )
         _check.same_device(self._op, reference_signal=self.reference, other_signal=other_signal)
-        return _information(self.reference, bins, self._normalized).to(self.dtype)
-
-    def _bins(self, name: str, signal: Tensor, mask_name: str, mask: Tensor | None) -> Tensor:
-        flat, mask = _flattened(self._op, self._axes, name, signal, mask_name, mask)
-        return _bins(flat, mask, self.kernel_function, self.num_bins, self.window_radius)
+        options = (self.kernel_function, self.num_bins, self.window_radius, self._normalized)
+        return _losses(other, self.reference, mask, self.mask, *options).to(self.dtype)
 
     def extra_repr(self) -> str:
         return f"num_bins={self.num_bins}, window_radius={self.window_radius}"
@@ -148,8 +200,24 @@ def _loss(
     y, y_mask = _flattened(op, axes, "target", target, "target_mask", target_mask)
     _check.same_shape(op, input=input, target=target)
     _check.same_device(op, input=input, target=target)
-    reference, other = (_bins(s, mask, kernel, num_bins, radius) for s, mask in ((y, y_mask), (x, x_mask)))
-    return _information(reference, other, normalized).to(target.dtype)
+    return _losses(x, y, x_mask, y_mask, kernel, num_bins, radius, normalized).to(target.dtype)
+
+
+def _losses(
+    x: Tensor,
+    y: Tensor,
+    x_mask: Tensor | None,
+    y_mask: Tensor | None,
+    kernel: MIKernel,
+    bins: int,
+    radius: float,
+    normalized: bool,
+) -> Tensor:
+    """(*), of signals (*, N) and masks (N,)."""
+    dtype = torch.promote_types(compute_dtype(x), compute_dtype(y))
+    samples = (s.to(dtype).reshape(-1, s.shape[-1]) for s in (x, y))
+    masks = (None if mask is None else mask[None] for mask in (x_mask, y_mask))
+    return _information(*samples, *masks, kernel.value, bins, radius, normalized)[0].reshape(x.shape[:-1])
 
 
 def mutual_information_loss(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,8 +23,9 @@ from kvision._dtype import as_dtype
 from kvision._leading import broadcast
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._formula import batch_of
 from kvision.geometry._precision import in_full_precision, wants_derivative
-from kvision.geometry.transform import remap
+from kvision.geometry.transform import sampling
 
 __all__ = ["distort_points", "tilt_projection", "undistort_image", "undistort_points"]
 
@@ -236,8 +238,47 @@ def _undistorted(points: Tensor, K: Tensor, new_K: Tensor, dist: Tensor, tilt: T
     return _in_pixels(x, y, new_K)
 
 
+def _map_reference(camera: Tensor, coefficients: Tensor, tilt: Tensor | None, size: list[int]) -> Tensor:
+    h, w = size
+    y, x = (torch.arange(n, device=camera.device, dtype=camera.dtype) for n in size)
+    pixels = torch.stack([x.repeat(h), y.repeat_interleave(w)], -1)
+    return _distorted(pixels, camera, camera, coefficients, tilt).mT.unflatten(-1, (h, w))
+
+
+def _map_backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
+    lens = args[:3]
+    found = _map_gradient(grad, *lens)
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, lens)]
+
+
+def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor, ...]:
+    given = [x.expand(grad.shape[0], *x.shape[1:]) for x in lens if x is not None]
+
+    def of_lens(camera: Tensor, coefficients: Tensor, tilt: Tensor | None = None) -> Tensor:
+        return _map_reference(camera, coefficients, tilt, list(grad.shape[2:]))
+
+    found = torch.func.vjp(of_lens, *given)[1](grad)
+    return found if len(found) == 3 else (*found, grad.new_empty(grad.shape[0], 0, 3))
+
+
 _undistort = register("undistort", _undistorted)
 _distort = register("distort", _distorted)
+# Where a lens shows the pixels of an image of a size: x and y, (B, 2, H, W).
+_map = register(
+    "lens_map",
+    _map_reference,
+    fake=lambda camera, coefficients, tilt, size: (batch_of(camera, coefficients, tilt), 2, *size),
+    backward=_map_backward,
+)
+_map_gradient = register(
+    "lens_map_backward",
+    _map_gradient_reference,
+    fake=lambda grad, camera, coefficients, tilt: [
+        (grad.shape[0], 3, 3),
+        (grad.shape[0], coefficients.shape[1]),
+        (grad.shape[0], 0 if tilt is None else 3, 3),
+    ],
+)
 
 
 def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
@@ -276,11 +317,11 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
         )
     dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
     K, dist = K.reshape(-1, 3, 3).to(dtype), dist.reshape(-1, dist.shape[-1]).to(dtype)
-    y, x = torch.arange(h, device=image.device, dtype=dtype), torch.arange(w, device=image.device, dtype=dtype)
-    places = torch.stack([x.repeat(h), y.repeat_interleave(w)], -1)
-    maps = distort_points(places, K, dist).unflatten(-2, (h, w))
+    tilt = tilt_projection(dist[:, 12:13], dist[:, 13:]) if dist.shape[-1] == 14 else None
+    x, y = _map(K, dist, tilt, [h, w]).unbind(1)
     flat = image.reshape(-1, *image.shape[-3:])
-    return remap(flat, maps[..., 0], maps[..., 1], align_corners=True).reshape(image.shape)
+    result: Tensor = sampling.remap(flat, x, y, None, "bilinear", "fill", True, False, False)
+    return result.reshape(image.shape)
 
 
 def _check_lens(op: str, points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None) -> None:

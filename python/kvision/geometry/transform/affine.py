@@ -11,7 +11,7 @@ from kvision import _check
 from kvision._dtype import compute_dtype, pixels
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError
-from kvision.geometry.transform import matrices, sampling
+from kvision.geometry.transform import sampling
 
 __all__ = ["Affine", "Rotate", "Scale", "Shear", "Translate", "affine", "rotate", "scale", "shear", "translate"]
 
@@ -43,7 +43,11 @@ def affine(
     """
     images = _images("affine", tensor)
     _check.shape("affine", "matrix", matrix, "B", 2, 3)
-    return _affine("affine", tensor, images, matrix, mode, padding_mode, align_corners)
+    sampling.check_how("affine", mode, padding_mode, align_corners)
+    matrix = sampling.for_images("affine", images, "matrix", matrix)
+    padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
+    result = sampling.warp(images, matrix, None, list(images.shape[2:]), mode, padding, align_corners, True, False)
+    return result[0] if tensor.dim() == 3 else result
 
 
 def rotate(
@@ -80,8 +84,10 @@ def rotate(
     images = _images("rotate", tensor)
     (angle,) = _vectors("rotate", images, angle=(angle, 0))
     middle, x, y = _center("rotate", images, center)
-    matrix = matrices.affine_matrix2d(angle, None, None, None, None, middle, 1.0, x, y, 2)
-    return _affine("rotate", tensor, images, matrix, mode, padding_mode, align_corners)
+    given = (angle, None, None, None, None, middle)
+    return _by_formula(
+        "rotate", tensor, images, mode, padding_mode, align_corners, "affine_matrix2d", [1.0, x, y], *given
+    )
 
 
 def translate(
@@ -115,8 +121,9 @@ def translate(
     """
     images = _images("translate", tensor)
     (translation,) = _vectors("translate", images, translation=(translation, 2))
-    matrix = matrices.translation_matrix2d(translation, 2)
-    return _affine("translate", tensor, images, matrix, mode, padding_mode, align_corners)
+    return _by_formula(
+        "translate", tensor, images, mode, padding_mode, align_corners, "translation_matrix2d", [0.0, 0.0], translation
+    )
 
 
 def scale(
@@ -156,8 +163,10 @@ def scale(
     if scale_factor.shape[-1] == 1:
         scale_factor = scale_factor.expand(*scale_factor.shape[:-1], 2)
     (scale_factor,) = _vectors("scale", images, scale_factor=(scale_factor, 2))
-    matrix = matrices.scale_matrix2d(scale_factor, *_center("scale", images, center))
-    return _affine("scale", tensor, images, matrix, mode, padding_mode, align_corners)
+    middle, x, y = _center("scale", images, center)
+    return _by_formula(
+        "scale", tensor, images, mode, padding_mode, align_corners, "scale_matrix2d", [x, y], scale_factor, middle
+    )
 
 
 def shear(
@@ -188,8 +197,7 @@ def shear(
     """
     images = _images("shear", tensor)
     (shear,) = _vectors("shear", images, shear=(shear, 2))
-    matrix = matrices.slant_matrix2d(shear)
-    return _affine("shear", tensor, images, matrix, mode, padding_mode, align_corners)
+    return _by_formula("shear", tensor, images, mode, padding_mode, align_corners, "slant_matrix2d", [], shear)
 
 
 # --- what they share ------------------------------------------------------------------------------------------------
@@ -203,12 +211,13 @@ def _images(op: str, tensor: Any) -> Tensor:
     return pixels(tensor[None] if tensor.dim() == 3 else tensor)
 
 
-def _affine(op, tensor, images, matrix, mode, padding_mode, align_corners):
+def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, numbers, *given):
     sampling.check_how(op, mode, padding_mode, align_corners)
-    matrix = sampling.for_images(op, images, "matrix", matrix)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
+    six = given + (None,) * (6 - len(given))
     size = list(images.shape[2:])
-    result = sampling.warp(images, matrix, None, size, mode, padding, align_corners, True, False)
+    how = (size, mode, padding, align_corners, True, False)
+    result = sampling.warp_by_formula(images, *six, formula, numbers, *how)
     return result[0] if tensor.dim() == 3 else result
 
 
@@ -386,5 +395,6 @@ class Affine(FunctionModule):
             (angle,) = _vectors("Affine", images, angle=(self.angle, 0))
         sx, sy = (None, None) if shear is None else shear.unbind(-1)
         middle, x, y = _center("Affine", images, self.center)
-        matrix = matrices.affine_matrix2d(angle, translation, factor, sx, sy, middle, 1.0, x, y, 2)
-        return _affine("Affine", input, images, matrix, self.mode, self.padding_mode, self.align_corners)
+        tensors = (angle, translation, factor, sx, sy, middle)
+        how = (self.mode, self.padding_mode, self.align_corners)
+        return _by_formula("Affine", input, images, *how, "affine_matrix2d", [1.0, x, y], *tensors)

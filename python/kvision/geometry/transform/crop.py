@@ -9,12 +9,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, pixels
+from kvision._dtype import pixels
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._formula import batch_of, register_formula
-from kvision.geometry.transform import matrices, sampling
+from kvision.geometry.transform import sampling
 from kvision.geometry.transform.resize import resize
 from kvision.geometry.transform.warp import warp_affine, warp_perspective
 
@@ -26,24 +26,6 @@ __all__ = [
     "crop_by_indices",
     "crop_by_transform_mat",
 ]
-
-
-def _crop_matrix_reference(quads, first, across, down):
-    """From the result, so that a side of one pixel, which has no length, needs no case."""
-    matrix = matrices.from_unit_square(matrices.wide(quads))
-    last = matrix[:, 2:, 2:]
-    right, downwards, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
-    right, downwards = right / across, downwards / down
-    if first is not None:
-        x, y = matrices.wide(first)[..., None, None].unbind(1)
-        origin = origin - right * x - downwards * y
-    linear = torch.cat([right, downwards], -1)
-    return torch.cat([linear.expand(len(origin), -1, -1), origin], -1).to(quads.dtype)
-
-
-# From pixels of a result to those of the quadrangles (B, 4, 2) shown in the rectangle of it that begins at `first` (B, 2),
-# at 0, 0 for None, and is `across` and `down` larger than a pixel.
-_crop_matrix = register_formula("crop_matrix", _crop_matrix_reference, lambda *args: (3, 3))
 
 
 def _quad_shapes_reference(quads, others):
@@ -182,9 +164,10 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     if first is not None:
         first = sampling.for_images(op, images, "dst_box", first)
     h, w = size
-    matrix = _crop_matrix(boxes, first, float(max(w - 1, 1)), float(max(h - 1, 1)))
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.warp(images, matrix, None, list(size), mode, padding, align_corners, False, False)
+    numbers = [float(max(w - 1, 1)), float(max(h - 1, 1))]
+    how = (list(size), mode, padding, align_corners, False, False)
+    return sampling.warp_by_formula(images, boxes, first, None, None, None, None, "crop_matrix", numbers, *how)
 
 
 def crop_by_transform_mat(
@@ -251,9 +234,8 @@ def center_crop(
     if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _window(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
-    first = torch.linspace(x / 2, y / 2, 2, dtype=compute_dtype(images), device=images.device)  # these two, made there
-    matrix = matrices.translation_matrix2d(first[None], 2)
-    return sampling.warp(images, matrix, None, [h, w], mode, padding, align_corners, False, False)
+    how = ([h, w], mode, padding, align_corners, False, False)
+    return sampling.warp_by_formula(images, *[None] * 6, "translation_matrix2d", [x / 2, y / 2], *how)
 
 
 def crop_by_indices(

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import compute_dtype, floats
+from kvision._dtype import floats
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.geometry.bbox import corners
-from kvision.geometry.conversions.pixels import by_axes
-from kvision.geometry.transform import matrices
-from kvision.geometry.transform.warp3d import warp_affine3d, warp_perspective3d
+from kvision.geometry.transform import sampling
+from kvision.geometry.transform.warp3d import by_formula, warp_affine3d, warp_perspective3d
 
 __all__ = ["center_crop3d", "crop_and_resize3d", "crop_by_boxes3d", "crop_by_transform_mat3d"]
 
@@ -50,9 +47,7 @@ def crop_and_resize3d(
     op = "crop_and_resize3d"
     _check.volumes(op, "tensor", tensor)
     d, h, w = _check.ints(op, "size", size, 3)
-    first = torch.zeros(1, 3, device=tensor.device)
-    to = corners(first, matrices.matrix_of([[max(n - 1, 1) for n in (w, h, d)]], first)[:, 0])
-    return _crop(op, tensor, boxes, to, (d, h, w), interpolation, align_corners)
+    return _crop(op, tensor, boxes, None, (d, h, w), interpolation, align_corners)
 
 
 def crop_by_boxes3d(
@@ -143,17 +138,18 @@ def center_crop3d(
     op = "center_crop3d"
     _check.volumes(op, "tensor", tensor)
     size = _check.ints(op, "size", size, 3)  # type: ignore[assignment]  # three entries by construction
-    volumes = floats(tensor)
-    shifts = [(1.0, (k - n) / 2) for n, k in zip(reversed(volumes.shape[2:]), reversed(size))]
-    matrix = by_axes(shifts, volumes.device, compute_dtype(volumes))
-    return warp_affine3d(volumes, matrix[None, :3], size, interpolation, "zeros", align_corners)
+    first = [(n - k) / 2 for n, k in zip(reversed(tensor.shape[2:]), reversed(size))]
+    return by_formula(op, tensor, size, interpolation, "zeros", align_corners, False, "translation_matrix3d", first)
 
 
 def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
+    """The boxes `src_box` in the boxes `dst_box`, None for that of the whole result."""
     _check.shape(op, "src_box", src_box, "B", 8, 3)
     volumes = floats(tensor)
-    dtype = compute_dtype(volumes)
-    batch = max(len(src_box), len(dst_box))
-    src, dst = (box.to(dtype).expand(batch, -1, -1) for box in (src_box, dst_box))
-    matrix = matrices.get_perspective_transform3d(src, dst)
-    return warp_perspective3d(volumes, matrix, size, interpolation, "zeros", align_corners)
+    boxes = [sampling.for_images(op, volumes, "src_box", src_box)]
+    if dst_box is not None:
+        boxes.append(sampling.for_images(op, volumes, "dst_box", dst_box))
+    extent = [float(max(n - 1, 1)) for n in reversed(size)]
+    return by_formula(
+        op, volumes, size, interpolation, "zeros", align_corners, True, "perspective_matrix3d", extent, *boxes
+    )

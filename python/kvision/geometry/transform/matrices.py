@@ -104,9 +104,12 @@ def _placed(linear, translation, center, otherwise, rows):
     return matrix if rows == n else homogeneous(matrix)[:, :rows]
 
 
-def _translation2d_reference(translation, rows):
-    x, y = translation.unbind(-1)
-    return matrix_of([[1, 0, x], [0, 1, y], [0, 0, 1]], translation)[:, :rows]
+def _translation_reference(translation, *numbers_and_rows):
+    *more, rows = numbers_and_rows
+    n = len(more)
+    columns = [x + number for x, number in zip(translation.unbind(-1), more)]
+    matrix = [[*(float(i == k) for k in range(n)), column] for i, column in enumerate([*columns, 1.0])]
+    return matrix_of(matrix[:rows], translation)
 
 
 def _scale2d_reference(scale, center, x, y):
@@ -133,10 +136,32 @@ def _perspective_reference(points_src, points_dst):
     return (matrix / matrix[:, 2:, 2:] + 0).to(points_src.dtype)  # no negative zeros
 
 
-def _perspective3d_reference(points_src, points_dst):
+def _crop_matrix_reference(quads, first, across, down):
+    """From the result, so that a side of one pixel, which has no length, needs no case."""
+    matrix = from_unit_square(wide(quads))
+    last = matrix[:, 2:, 2:]
+    right, downwards, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
+    right, downwards = right / across, downwards / down
+    if first is not None:
+        x, y = wide(first)[..., None, None].unbind(1)
+        origin = origin - right * x - downwards * y
+    linear = torch.cat([right, downwards], -1)
+    return torch.cat([linear.expand(len(origin), -1, -1), origin], -1).to(quads.dtype)
+
+
+def _perspective3d_reference(points_src, points_dst, *extent):
+    if points_dst is None:
+        points_dst = box_from_zero(extent, points_src)
     p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four in a plane
     matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
     return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
+
+
+def box_from_zero(extent: Sequence[float], like: Tensor) -> Tensor:
+    """The corners (1, 8, 3) of the box from 0 to three numbers, in the order of boxes."""
+    w, h, d = extent
+    corners = [[(0.0, 0.0, z), (w, 0.0, z), (w, h, z), (0.0, h, z)] for z in (0.0, d)]
+    return matrix_of([list(corner) for face in corners for corner in face], like[:1])
 
 
 def _from_simplex(points: Tensor) -> Tensor:
@@ -174,15 +199,19 @@ def _shear3d_reference(center, *angles):
 
 # What is not given, or has one row for all, is so in the kernels; a caller that turns, moves or scales needs one launch.
 affine_matrix2d = register_formula("affine_matrix2d", _affine2d_reference, lambda *args: (args[-1], 3))
-translation_matrix2d = register_formula("translation_matrix2d", _translation2d_reference, lambda *args: (args[-1], 3))
+translation_matrix2d = register_formula("translation_matrix2d", _translation_reference, lambda *args: (args[-1], 3))
 scale_matrix2d = register_formula("scale_matrix2d", _scale2d_reference, lambda *args: (2, 3))
 slant_matrix2d = register_formula("slant_matrix2d", _slant2d_reference, lambda *args: (2, 3))
+translation_matrix3d = register_formula("translation_matrix3d", _translation_reference, lambda *args: (args[-1], 4))
 affine_matrix3d = register_formula("affine_matrix3d", _affine3d_reference, lambda *args: (args[-1], 4))
 _shear_matrix2d = register_formula("shear_matrix2d", _shear2d_reference, lambda *args: (3, 3))
 _shear_matrix3d = register_formula("shear_matrix3d", _shear3d_reference, lambda *args: (4, 4))
 _invert_affine2d = register_formula("invert_affine2d", _inverse2d_reference, lambda *args: (2, 3))
 _perspective_matrix = register_formula("perspective_matrix", _perspective_reference, lambda *args: (3, 3))
-_perspective_matrix3d = register_formula("perspective_matrix3d", _perspective3d_reference, lambda *args: (4, 4))
+perspective_matrix3d = register_formula("perspective_matrix3d", _perspective3d_reference, lambda *args: (4, 4))
+# From pixels of a result to those of the quadrangles (B, 4, 2) shown in the rectangle of it that begins at `first` (B, 2),
+# at 0, 0 for None, and is `across` and `down` larger than a pixel.
+crop_matrix = register_formula("crop_matrix", _crop_matrix_reference, lambda *args: (3, 3))
 
 # --- two dimensions -------------------------------------------------------------------------------------------------
 
@@ -223,7 +252,7 @@ def get_translation_matrix2d(translations: Tensor) -> Tensor:
                  [0., 0., 1.]]])
     """
     _batch("get_translation_matrix2d", translations=(translations, 2))
-    return translation_matrix2d(translations, 3)
+    return translation_matrix2d(translations, 0.0, 0.0, 3)
 
 
 def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | None = None) -> Tensor:
@@ -506,7 +535,7 @@ def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
     _check.same_device(op, src=src, dst=dst)
     if src.dtype != dst.dtype:
         raise TypeCheckError(f"{op}: expected points of one type, got {src.dtype} and {dst.dtype}")
-    return _perspective_matrix3d(src, dst)
+    return perspective_matrix3d(src, dst, 0.0, 0.0, 0.0)
 
 
 def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._ops import register
+from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
@@ -150,7 +150,7 @@ def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
 
 
 def _warp_reference(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized):
-    matrix = matrix.expand(len(image), -1, -1)
+    matrix = matrix.expand(image.shape[0], -1, -1)
     places = places_of(matrix, size, image.shape[2:], align_corners, inverse, normalized)
     return sample(image, places, interpolation, padding, align_corners, fill)
 
@@ -200,7 +200,7 @@ def _matrix_gradient_reference(grad, image, matrix, fill, *how):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _warp_reference(image.to(wide), matrix, fill, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_matrix, matrix.expand(len(image), -1, -1))
+    _, pullback = torch.func.vjp(of_matrix, matrix.expand(image.shape[0], -1, -1))
     return pullback(grad.to(wide))[0]
 
 
@@ -220,8 +220,70 @@ warp_image_gradient = register(
 _warp_matrix_gradient = register(
     "warp_matrix_gradient",
     _matrix_gradient_reference,
-    fake=lambda grad, image, matrix, *rest: matrix.new_empty(len(image), *matrix.shape[1:]),
+    fake=lambda grad, image, matrix, *rest: matrix.new_empty(image.shape[0], *matrix.shape[1:]),
     stores=True,
+)
+
+# --- warps by formulas ----------------------------------------------------------------------------------------------
+
+
+class Formula(NamedTuple):
+    """A formula of a matrix as warps use it: its operator, how many tensors it takes, its last argument if that is rows."""
+
+    matrix: Operator
+    tensors: int
+    rows: tuple[int, ...] = ()
+
+
+def register_warp_by_formula(by: Operator, formulas: dict[str, Formula], *unused: None, **rules: Any) -> Operator:
+    """Operator `by`, a warp, without the matrix: made in the same launch, from up to six tensors, a name and numbers.
+
+    Takes the images, six tensors or None, the name of the formula, its plain arguments, then what `by` takes behind its
+    matrix and the tensors `unused`.
+    """
+
+    def split(image: Tensor, args: Sequence[Any]) -> tuple[Formula, tuple[Any, ...], Sequence[Any]]:
+        formula = formulas[args[6]]
+        first = args[0]
+        if first is None:  # a translation
+            first = torch.zeros(1, len(args[7]), dtype=compute_dtype(image), device=image.device)
+        tensors = (first, *args[1:6], *[None] * 6)[: formula.tensors]
+        return formula, (*tensors, *args[7], *formula.rows), args[8:]
+
+    def reference(image: Tensor, *args: Any) -> Tensor:
+        formula, given, how = split(image, args)
+        warped: Tensor = by.definition(image, formula.matrix.definition(*given), *unused, *how)
+        return warped
+
+    def backward(needs: Sequence[bool], grad: Tensor, image: Tensor, *args: Any) -> list[Tensor | None]:
+        formula, given, how = split(image, args)
+        to_matrix = any(needs[1:7])
+        needed = (needs[0], to_matrix, *[False] * (len(unused) + len(how)))
+        found = by.backward(needed, grad, image, formula.matrix(*given), *unused, *how)
+        if not to_matrix:
+            return [found[0]]
+        return [found[0], *formula.matrix.backward(needs[1:], found[1], *given)[:6]]
+
+    return register(
+        f"{by.name}_by_formula",
+        reference,
+        fake=lambda image, *args: (*image.shape[:2], *args[8]),
+        backward=backward,
+        **rules,
+    )
+
+
+warp_by_formula = register_warp_by_formula(
+    warp,
+    {
+        "affine_matrix2d": Formula(matrices.affine_matrix2d, 6, (2,)),
+        "translation_matrix2d": Formula(matrices.translation_matrix2d, 1, (2,)),
+        "scale_matrix2d": Formula(matrices.scale_matrix2d, 2),
+        "slant_matrix2d": Formula(matrices.slant_matrix2d, 1),
+        "crop_matrix": Formula(matrices.crop_matrix, 2),
+    },
+    None,  # no fill
+    bytes=True,
 )
 
 # --- remap ----------------------------------------------------------------------------------------------------------
@@ -230,7 +292,7 @@ _warp_matrix_gradient = register(
 def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, moves):
     places = []
     for axis, (places_, size) in enumerate(((map_x, image.shape[3]), (map_y, image.shape[2]))):
-        places_ = places_.expand(len(image), -1, -1)
+        places_ = places_.expand(image.shape[0], -1, -1)
         if normalized:
             places_ = places_ * ((size - 1 if align_corners else size) / 2)
         if moves:
@@ -279,7 +341,7 @@ def _map_gradient_reference(grad, image, map_x, map_y, fill, *how):
     def of_map(map_x: Tensor, map_y: Tensor) -> Tensor:
         return _remap_reference(image.to(wide), map_x, map_y, fill, *how)
 
-    maps = (m.expand(len(image), -1, -1) for m in (map_x, map_y))
+    maps = (m.expand(image.shape[0], -1, -1) for m in (map_x, map_y))
     _, pullback = torch.func.vjp(of_map, *maps)
     return pullback(grad.to(wide))
 
@@ -300,7 +362,7 @@ _remap_image_gradient = register(
 _remap_map_gradient = register(
     "remap_map_gradient",
     _map_gradient_reference,
-    fake=lambda grad, image, map_x, *rest: [map_x.new_empty(len(image), *map_x.shape[1:]) for _ in range(2)],
+    fake=lambda grad, image, map_x, *rest: [map_x.new_empty(image.shape[0], *map_x.shape[1:]) for _ in range(2)],
     stores=True,
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.transform import matrices, sampling
-from kvision.geometry.transform.warp import transform_grid
+from kvision.geometry.transform.warp import transform_grid, transformed_grid
 
 __all__ = [
     "affine3d",
@@ -141,7 +142,7 @@ def rotate3d(
         torch.Size([1, 2, 3, 3])
     """
     volumes = _volumes("rotate3d", tensor)
-    batch, dtype = len(volumes), compute_dtype(volumes)
+    batch, dtype = volumes.shape[0], compute_dtype(volumes)
     angles = []
     for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
         _check.numbers("rotate3d", name, angle)
@@ -153,8 +154,12 @@ def rotate3d(
         _check.shape("rotate3d", "center", center, "B", 3)
         center = sampling.for_images("rotate3d", volumes, "center", center)
     middle = [(n - 1) / 2 for n in reversed(volumes.shape[2:])]
-    matrix = matrices.affine_matrix3d(*angles, None, None, center, *[None] * 6, 1.0, *middle, 3)
-    return affine3d(tensor, matrix, mode, padding_mode, align_corners)
+    size = tuple(volumes.shape[2:])
+    given = (*angles, None, None, center)
+    result = by_formula(
+        "rotate3d", volumes, size, mode, padding_mode, align_corners, True, "affine_matrix3d", [1.0, *middle], *given
+    )
+    return result[0] if tensor.dim() == 4 else result
 
 
 def homography_warp3d(
@@ -207,7 +212,8 @@ def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     """
     _check.shape("warp_grid3d", "grid", grid, "B", "D", "H", "W", 3)
     _check.shape("warp_grid3d", "src_homo_dst", src_homo_dst, "B", 4, 4)
-    return transform_grid(floats(grid), src_homo_dst)
+    _check.same_device("warp_grid3d", grid=grid, src_homo_dst=src_homo_dst)
+    return transformed_grid(floats(grid), src_homo_dst)
 
 
 # --- what they share ------------------------------------------------------------------------------------------------
@@ -232,14 +238,36 @@ def _warp(
     inverse: bool = True,
     normalized: bool = False,
 ) -> Tensor:
+    how = _how(op, dsize, mode, padding_mode, align_corners)
+    volumes = floats(volumes)
+    matrix = sampling.for_images(op, volumes, "matrix", matrix)
+    return _warp3d(volumes, matrix, *how, inverse, normalized)
+
+
+def by_formula(
+    op: str,
+    volumes: Tensor,
+    dsize: tuple[int, ...],
+    mode: str,
+    padding_mode: str,
+    align_corners: bool,
+    inverse: bool,
+    formula: str,
+    numbers: list[float],
+    *given: Tensor | None,
+) -> Tensor:
+    """Warp volumes by the matrix that a formula makes of up to six tensors, in the type that computes, and numbers."""
+    how = _how(op, dsize, mode, padding_mode, align_corners)
+    six = given + (None,) * (6 - len(given))
+    return _warp3d_by_formula(floats(volumes), *six, formula, numbers, *how, inverse, False)
+
+
+def _how(op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_corners: bool) -> tuple[Any, ...]:
     size = _check.ints(op, "dsize", dsize, 3)
     _check.choice(op, "mode", mode, sampling.INTERPOLATIONS[:2])
     _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag(op, "align_corners", align_corners)
-    volumes = floats(volumes)
-    matrix = sampling.for_images(op, volumes, "matrix", matrix)
-    padding = "fill" if padding_mode == "zeros" else padding_mode
-    return _warp3d(volumes, matrix, list(size), mode, padding, align_corners, inverse, normalized)
+    return list(size), mode, "fill" if padding_mode == "zeros" else padding_mode, align_corners
 
 
 # --- the operators --------------------------------------------------------------------------------------------------
@@ -256,7 +284,7 @@ def _reference(volumes, matrix, size, interpolation, padding, align_corners, inv
     axes = [torch.arange(n, dtype=matrix.dtype, device=matrix.device) for n in size]
     z, y, x = torch.meshgrid(*axes, indexing="ij")
     places = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
-    places = [p.expand(len(volumes), -1, -1, -1) for p in places]
+    places = [p.expand(volumes.shape[0], -1, -1, -1) for p in places]
     return sampling.sample(volumes, places, interpolation, padding, align_corners)
 
 
@@ -305,7 +333,7 @@ def _matrix_gradient_reference(grad, volumes, matrix, *how):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _reference(volumes, matrix, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_matrix, matrix.expand(len(volumes), -1, -1))
+    _, pullback = torch.func.vjp(of_matrix, matrix.expand(volumes.shape[0], -1, -1))
     return pullback(grad)[0]
 
 
@@ -324,5 +352,13 @@ _volume_gradient = register(
 _matrix_gradient = register(
     "warp3d_matrix_gradient",
     _matrix_gradient_reference,
-    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(len(volumes), *matrix.shape[1:]),
+    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(volumes.shape[0], *matrix.shape[1:]),
+)
+_warp3d_by_formula = sampling.register_warp_by_formula(
+    _warp3d,
+    {
+        "affine_matrix3d": sampling.Formula(matrices.affine_matrix3d, 12, (3,)),
+        "translation_matrix3d": sampling.Formula(matrices.translation_matrix3d, 1, (3,)),
+        "perspective_matrix3d": sampling.Formula(matrices.perspective_matrix3d, 2),
+    },
 )

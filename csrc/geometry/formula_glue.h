@@ -1,0 +1,102 @@
+// What operators give to formulas. Included by formulas_op.cpp and by operators of warps.
+#pragma once
+
+#include <span>
+
+#include "formulas.h"
+#include "glue/glue.h"
+
+namespace kv {
+
+inline Numbers numbers_of(char const* op, Tensor const& x) {
+  switch (x.scalar_type()) {
+    case ScalarType::Float:
+      return {x.const_data_ptr(), Stored::float32};
+    case ScalarType::Double:
+      return {x.const_data_ptr(), Stored::float64};
+    case ScalarType::Half:
+      return {x.const_data_ptr(), Stored::float16};
+    case ScalarType::BFloat16:
+      return {x.const_data_ptr(), Stored::bfloat16};
+    default:
+      KV_CHECK(false, op, ": no kernel for this dtype");
+  }
+  return {};
+}
+
+inline bool has_extent(Tensor const& x, Extent extent) {
+  int const axes = (extent.rows > 0) + (extent.columns > 0);
+  return x.dim() == 1 + axes && (axes < 1 || x.size(1) == extent.rows) && (axes < 2 || x.size(2) == extent.columns);
+}
+
+// Whether the numbers of a sample are next to each other.
+inline bool is_packed_row(Tensor const& x) {
+  int64_t step = 1;
+  for (int64_t axis = x.dim() - 1; axis > 0; step *= x.size(axis--))
+    if (x.stride(axis) != step) return false;
+  return true;
+}
+
+inline std::string extent_text(Extent extent) {
+  std::string text = "(B";
+  if (extent.rows) text += ", " + std::to_string(extent.rows);
+  if (extent.columns) text += ", " + std::to_string(extent.columns);
+  return text + ")";
+}
+
+// The inputs of formula F, checked: of that type, on the device of `like`. One row serves a batch.
+template <class F>
+struct GivenNumbers {
+  Formulas<F> params{};
+  std::optional<Tensor> kept[F::kInputs];
+  ScalarType type;
+
+  GivenNumbers(char const* op, Tensor const& like, ScalarType type, std::span<std::optional<Tensor> const> inputs,
+               std::span<double const> numbers, int64_t rows)
+      : type(type) {
+    bool const is_double = type == ScalarType::Double;
+    params.settings = {is_double ? 0x1p-1022 : 0x1p-126, is_double ? 0x1p-52 : 0x1p-23, {}};
+    params.batch = 1;
+    KV_CHECK(numbers.size() == F::kPlain, op, ": expected ", F::kPlain, " numbers, got ", numbers.size());
+    std::copy(numbers.begin(), numbers.end(), params.settings.number);
+    constexpr int columns = F::result.columns ? F::result.columns : F::result.count();
+    KV_CHECK(F::kCut ? rows > 0 && rows <= F::result.rows : rows == 0, op, ": expected rows from 1 to ",
+             F::result.rows);
+    params.outputs = F::kCut ? int(rows) * columns : F::result.count();
+    for (int i = 0; i < int(inputs.size()); ++i) {
+      KV_CHECK(inputs[i] ? i < F::kInputs : i >= F::kRequired, op, ": expected ", F::kRequired, " to ", F::kInputs,
+               " tensors");
+      if (inputs[i]) take(op, i, *inputs[i], like);
+    }
+  }
+
+  // The axes of a result behind the batch.
+  Extent extent() const { return {F::kCut ? params.outputs / F::result.columns : F::result.rows, F::result.columns}; }
+
+  Tensor result(char const* op, Tensor const& like) {
+    int64_t const batch = params.batch;
+    Extent const e = extent();
+    Tensor const y = e.columns ? empty({batch, e.rows, e.columns}, like, Layout::planar, type)
+                               : empty({batch, e.rows}, like, Layout::planar, type);
+    params.result = numbers_of(op, y);
+    KV_RUN(formula, y, params, batch, F::kNumbers + 4 * F::kOutputs);
+    return y;
+  }
+
+ private:
+  void take(char const* op, int i, Tensor const& x, Tensor const& like) {
+    Extent const extent = F::extent(i);
+    KV_CHECK(has_extent(x, extent) && x.scalar_type() == type && x.device() == like.device(), op, ": expected tensor ",
+             i + 1, " of shape ", extent_text(extent), ", all of one type and device");
+    KV_CHECK(params.batch == 1 || x.size(0) == 1 || x.size(0) == params.batch, op, ": expected tensor ", i + 1,
+             " with 1 or ", params.batch, " rows, got ", x.size(0));
+    if (x.size(0) != 1) params.batch = x.size(0);
+    Tensor const rows = is_packed_row(x) ? x : dense(x);
+    kept[i] = rows;
+    params.inputs[i] = numbers_of(op, rows);
+    params.strides[i] = x.size(0) == 1 ? 0 : rows.stride(0);
+    params.given |= ((uint64_t(1) << extent.count()) - 1) << offset_of<F>(i);
+  }
+};
+
+}  // namespace kv

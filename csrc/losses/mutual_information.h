@@ -1,0 +1,150 @@
+// Mutual information of two signals, by a joint histogram that varies smoothly with both. A sample x adds to bin k of
+// its signal w(|k / radius - (x - low) / (high - low) * (bins - 1) / radius|), low and high being the smallest and the
+// largest one in its mask, and w 0 beyond 1; and to bins (i, j) of both signals the product J_ij. With p = J / S, S the
+// sum of J, which is at least `least` everywhere, and entropies H of p and of its sums along either axis,
+//
+//   loss = H(p) - H(px) - H(py), with the slopes dloss/dJ_ij = (log px_i + log py_j - log p_ij - loss) / S
+//   or, normalized, -(H(px) + H(py)) / H(p), with (log px_i + log py_j + loss log p_ij) / (H(p) S)
+//
+// The slopes are a result of the operator, for its gradient. The loss is NaN where a signal is not finite or has no
+// sample. Included by mutual_information_cpu.cpp, mutual_information.cu and mutual_information_op.cpp.
+#pragma once
+
+#include <math.h>
+
+#include "core/isa.h"
+
+namespace kv {
+
+enum class BinKernel : int { xu, rectangular, truncated_gaussian };
+
+// Rows of samples and what counts of them; one row of either may serve all: its stride is 0.
+template <class F>
+struct Signal {
+  F const* samples;
+  uint8_t const* mask;  // or null
+  int64_t stride, mask_stride;
+
+  KV_HD bool counts(int64_t row, int64_t i) const { return !mask || mask[row * mask_stride + i]; }
+  KV_HD F at(int64_t row, int64_t i) const { return samples[row * stride + i]; }
+};
+
+// How samples are spread over bins.
+template <class F>
+struct Binning {
+  int bins;
+  BinKernel kernel;
+  F radius, inverse;  // in bins; 1 / it
+  F top;              // what weights are multiplied with
+  F epsilon;          // a signal whose range is no larger is flat
+
+  // Of a distance of at most 1.
+  KV_HD F weight(F t) const {
+    if (kernel == BinKernel::rectangular) return 1;
+    if (kernel == BinKernel::truncated_gaussian) return F(::exp(-t * t / 2));
+    return t < F(0.5) ? (F(-1.8) * t - F(0.1)) * t + 1 : (F(1.8) * t - F(3.7)) * t + F(1.9);
+  }
+  KV_HD F slope(F t) const {
+    if (kernel == BinKernel::rectangular) return 0;
+    if (kernel == BinKernel::truncated_gaussian) return F(-t * ::exp(-t * t / 2));
+    return t < F(0.5) ? F(-3.6) * t - F(0.1) : F(3.6) * t - F(3.7);
+  }
+  // Calls f(bin, signed distance in radii) for the bins that a sample at `share` of its range adds to.
+  template <class Call>
+  KV_HD void for_each_bin(F share, Call f) const {
+    F const place = share * F(bins - 1);
+    int const first = int(max(F(0), place - radius)), end = int(min(F(bins), place + radius + 2));
+    for (int k = first; k < end; ++k) {
+      F const t = (place - F(k)) * inverse;
+      if (t <= 1 && t >= -1) f(k, t);
+    }
+  }
+};
+
+// The range of a row of a signal.
+template <class F>
+struct SignalRange {
+  F low, high;
+
+  KV_HD bool is_flat(F epsilon) const { return !(high - low > epsilon); }
+  // Where there are samples, and all are finite.
+  KV_HD bool is_sound() const { return (high - low) - (high - low) == 0; }
+  KV_HD F share(F x, F epsilon) const { return is_flat(epsilon) ? F(0) : (x - low) / (high - low); }
+};
+
+template <class F>
+struct Entropies {
+  double joint, of_x, of_y;
+
+  KV_HD double loss(bool normalized) const { return normalized ? -(of_x + of_y) / joint : joint - of_x - of_y; }
+  // dloss/dJ, but for the 1 / S.
+  KV_HD F slope(bool normalized, F loss, F log_x, F log_y, F log_p) const {
+    return normalized ? (log_x + log_y + loss * log_p) / F(joint) : log_x + log_y - log_p - loss;
+  }
+};
+
+template <class F>
+struct MutualInformation {
+  Signal<F> x, y;
+  int64_t rows, samples;
+  Binning<F> binning;
+  F least;
+  bool normalized;
+  F *loss, *slopes, *ranges;  // (rows), (rows, bins of x, bins of y), (rows, 4): those of x and of y
+  // CUDA: pieces of a row, ranges of all of them, joint histograms in fixed point, their sums along both axes.
+  int64_t pieces;
+  F* partial;                  // (rows, pieces, 4)
+  unsigned long long* counts;  // (rows, bins, bins)
+  int bits;                    // after the point
+  F* sums;                     // (rows, 2, bins)
+};
+
+// To x, or if `by_y` to y.
+template <class F>
+struct MutualInformationBackward {
+  Signal<F> x, y;
+  int64_t rows, samples;
+  Binning<F> binning;
+  bool by_y;
+  F const *grad, *slopes, *ranges;
+  F* out;
+  int64_t pieces;  // CUDA
+  F* partial;      // CUDA: (rows, pieces, 4)
+
+  KV_HD SignalRange<F> range(int64_t row, bool of_y) const {
+    F const* const found = ranges + 4 * row + 2 * of_y;
+    return {found[0], found[1]};
+  }
+  // The gradient to the place of sample i in [0, 1] of its range.
+  KV_HD F to_share(int64_t row, int64_t i) const {
+    if (!x.counts(row, i) || !y.counts(row, i)) return 0;
+    SignalRange<F> const of_x = range(row, false), of_y = range(row, true);
+    F const share_x = of_x.share(x.at(row, i), binning.epsilon), share_y = of_y.share(y.at(row, i), binning.epsilon);
+    F const own = by_y ? share_y : share_x, other = by_y ? share_x : share_y;
+    F const* const table = slopes + row * binning.bins * binning.bins;
+    int const step = by_y ? binning.bins : 1, other_step = by_y ? 1 : binning.bins;
+    F sum = 0;
+    binning.for_each_bin(own, [&](int k, F t) KV_INLINE {
+      F of_bin = 0;
+      binning.for_each_bin(other, [&](int m, F u) KV_INLINE {
+        of_bin += binning.weight(u < 0 ? -u : u) * table[int64_t(k) * other_step + int64_t(m) * step];
+      });
+      sum += t == 0 ? F(0) : (t < 0 ? -binning.slope(-t) : binning.slope(t)) * of_bin;
+    });
+    return grad[row] * binning.top * binning.top * F(binning.bins - 1) * binning.inverse * sum;
+  }
+};
+
+// What the ends of a range get: the sums of the gradients by shares u, times u - 1 and -u; shared between equal ones.
+template <class F>
+struct EndSums {
+  double low, high, lowest, highest;
+
+  KV_HD void add(F of_share, F share) { low += of_share * (share - 1), high -= of_share * share; }
+  KV_HD void count(bool is_lowest, bool is_highest) { lowest += is_lowest, highest += is_highest; }
+};
+
+KV_KERNEL(mutual_information, MutualInformation)
+KV_KERNEL(mutual_information_backward, MutualInformationBackward)
+
+}  // namespace kv

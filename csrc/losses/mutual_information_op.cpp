@@ -1,0 +1,156 @@
+// Mutual information: schemas and entries, for CPU and CUDA alike.
+#include <limits>
+
+#include "glue/batch.h"
+#include "mutual_information.h"
+
+namespace kv {
+namespace {
+
+constexpr int64_t kMostBins = 1 << 14;
+// On CUDA: as many pieces as a machine has blocks for, of not too few samples.
+constexpr int64_t kBlocks = 512, kSamplesOfPiece = 1 << 10;
+
+// Two signals (rows, samples), float32 or float64, and their masks.
+struct TwoSignals {
+  Tensor x, y;
+  std::optional<Tensor> x_mask, y_mask;
+  int64_t rows, samples;
+
+  TwoSignals(char const* op, Tensor const& first, Tensor const& second, std::optional<Tensor> const& of_first,
+             std::optional<Tensor> const& of_second)
+      : x(dense(first)), y(dense(second)), rows(first.dim() == 2 ? first.size(0) : 0) {
+    KV_CHECK(first.dim() == 2 && first.size(1) > 0 && first.scalar_type() == computed_type(first), op,
+             ": expected input (rows, samples) of float32 or float64");
+    samples = first.size(1);
+    check_fits(op, "other", second, first, {rows, samples});
+    auto const checked = [&](std::optional<Tensor> const& mask) -> std::optional<Tensor> {
+      if (!mask) return {};
+      bool const fits = mask->dim() == 2 && (mask->size(0) == rows || mask->size(0) == 1) && mask->size(1) == samples;
+      KV_CHECK(fits && mask->scalar_type() == ScalarType::Bool && mask->device() == first.device(), op,
+               ": expected masks (rows or 1, samples) of bool on the device of input");
+      return dense(*mask);
+    };
+    x_mask = checked(of_first), y_mask = checked(of_second);
+  }
+
+  template <class F>
+  Signal<F> signal(Tensor const& of, std::optional<Tensor> const& mask) const {
+    auto const stride = [&](Tensor const& t) { return t.size(0) == 1 ? 0 : samples; };
+    return {data_of<F const>(of), mask ? data_of<uint8_t const>(*mask) : nullptr, stride(of), mask ? stride(*mask) : 0};
+  }
+  int64_t pieces() const {
+    return min((kBlocks + rows - 1) / max(rows, int64_t(1)), (samples + kSamplesOfPiece - 1) / kSamplesOfPiece);
+  }
+  template <class Call>
+  void for_type(Call f) const {
+    x.scalar_type() == ScalarType::Double ? f(Type<double>{}) : f(Type<float>{});
+  }
+};
+
+template <class F>
+Binning<F> binning_of(char const* op, std::string const& kernel, int64_t bins, double radius) {
+  KV_CHECK(bins >= 2 && bins <= kMostBins && radius > 0, op, ": expected 2 to ", kMostBins,
+           " bins and a radius above 0");
+  bool const gaussian = kernel == "truncated_gaussian", xu = kernel == "xu";
+  KV_CHECK(gaussian || xu || kernel == "rectangular", op,
+           ": kernel must be one of xu, rectangular, truncated_gaussian; got '", kernel, "'");
+  return {int(bins),
+          xu         ? BinKernel::xu
+          : gaussian ? BinKernel::truncated_gaussian
+                     : BinKernel::rectangular,
+          F(radius),
+          F(1 / radius),
+          F(gaussian ? 0.39894228040143268 / radius : 1.0),  // 1 / sqrt(2 pi)
+          std::numeric_limits<F>::epsilon()};
+}
+
+// The losses (rows), the slopes (rows, bins, bins) and the ranges (rows, 4).
+std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tensor const& other,
+                                                      std::optional<Tensor> const& input_mask,
+                                                      std::optional<Tensor> const& other_mask,
+                                                      std::string const& kernel, int64_t bins, double radius,
+                                                      bool normalized) {
+  constexpr char const* op = "mutual_information";
+  TwoSignals const x(op, input, other, input_mask, other_mask);
+  binning_of<double>(op, kernel, bins, radius);  // before there is memory for it
+  Tensor const loss = empty({x.rows}, x.x), slopes = empty({x.rows, bins, bins}, x.x), ranges = empty({x.rows, 4}, x.x);
+  x.for_type([&](auto type) {
+    using F = typename decltype(type)::type;
+    MutualInformation<F> params{x.signal<F>(x.x, x.x_mask),
+                                x.signal<F>(x.y, x.y_mask),
+                                x.rows,
+                                x.samples,
+                                binning_of<F>(op, kernel, bins, radius),
+                                std::numeric_limits<F>::epsilon(),
+                                normalized,
+                                data_of<F>(loss),
+                                data_of<F>(slopes),
+                                data_of<F>(ranges),
+                                x.pieces(),
+                                nullptr,
+                                nullptr,
+                                0,
+                                nullptr};
+#if defined(KV_CUDA)
+    Tensor const partial = empty({x.rows, params.pieces, 4}, x.x), sums = empty({x.rows, 2, bins}, x.x);
+    Tensor const counts = empty({x.rows, bins, bins}, x.x, Layout::planar, ScalarType::Long);
+    params.partial = data_of<F>(partial), params.sums = data_of<F>(sums);
+    params.counts = data_of<unsigned long long>(counts);
+    int of_samples = 1;
+    while (x.samples >> of_samples) ++of_samples;
+    params.bits = min(sizeof(F) == 4 ? 30 : 52, 62 - of_samples);
+#endif
+    KV_RUN(mutual_information, x.x, params, x.rows, 64 * x.samples + 16 * bins * bins);
+  });
+  return {loss, slopes, ranges};
+}
+
+// To input, or to other.
+Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Tensor const& ranges, Tensor const& input,
+                                   Tensor const& other, std::optional<Tensor> const& input_mask,
+                                   std::optional<Tensor> const& other_mask, std::string const& kernel, int64_t bins,
+                                   double radius, bool normalized, bool by_other) {
+  constexpr char const* op = "mutual_information_backward";
+  (void)normalized;  // the slopes know
+  KV_CHECK(grad.dim() == 1, op, ": expected grad (rows)");
+  int64_t const rows = grad.size(0);
+  check_fits(op, "input", input, grad, {rows, input.dim() == 2 ? input.size(1) : 0});
+  TwoSignals const x(op, for_batch(input, rows), other, input_mask, other_mask);
+  check_fits(op, "slopes", slopes, grad, {rows, bins, bins});
+  check_fits(op, "ranges", ranges, grad, {rows, 4});
+  Tensor const g = dense(grad), s = for_batch(slopes, rows), r = for_batch(ranges, rows),
+               out = empty({rows, x.samples}, x.x);
+  x.for_type([&](auto type) {
+    using F = typename decltype(type)::type;
+    MutualInformationBackward<F> params{x.signal<F>(x.x, x.x_mask),
+                                        x.signal<F>(x.y, x.y_mask),
+                                        rows,
+                                        x.samples,
+                                        binning_of<F>(op, kernel, bins, radius),
+                                        by_other,
+                                        data_of<F const>(g),
+                                        data_of<F const>(s),
+                                        data_of<F const>(r),
+                                        data_of<F>(out),
+                                        x.pieces(),
+                                        nullptr};
+#if defined(KV_CUDA)
+    Tensor const partial = empty({rows, params.pieces, 4}, x.x);
+    params.partial = data_of<F>(partial);
+#endif
+    KV_RUN(mutual_information_backward, x.x, params, rows, 64 * x.samples);
+  });
+  return out;
+}
+
+}  // namespace
+
+KV_OPERATOR(mutual_information,
+            "(Tensor input, Tensor other, Tensor? input_mask, Tensor? other_mask, str kernel, int bins, float radius, "
+            "bool normalized) -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(mutual_information_backward,
+            "(Tensor grad, Tensor slopes, Tensor ranges, Tensor input, Tensor other, Tensor? input_mask, "
+            "Tensor? other_mask, str kernel, int bins, float radius, bool normalized, bool by_other) -> Tensor")
+
+}  // namespace kv

@@ -1,0 +1,120 @@
+"""Where lenses show the pixels of images, and undistortion of images by it. Points: test_views.py."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+import raw_calls
+from kvision.geometry.calibration.distortion import _map, _map_gradient
+from op_tests import assert_close, instruction_set
+
+G = K.geometry
+DOUBLE = torch.float64
+CAMERA = torch.tensor([[[70.3, 0, 17.1], [0, 68.7, 25.9], [0, 0, 1]]], dtype=DOUBLE)
+LENS = torch.tensor([[0.11, -0.07, 0.013, 0.017, 0.05, 0.03, -0.02, 0.01, 0.007, -0.003, 0.004, 0.002, 0.03, -0.04]])
+
+
+def lenses(count: int, batch: int = 2) -> list[Tensor | None]:
+    """A camera matrix for each, coefficients for each, and the tilt of all 14 of them, one for all."""
+    dist = LENS[:, :count].double() * (1 + 0.3 * torch.arange(batch)[:, None])
+    tilt = G.tilt_projection(dist[:1, 12:13], dist[:1, 13:]) if count == 14 else None
+    return [CAMERA + 0.1 * torch.arange(batch)[:, None, None], dist, tilt]
+
+
+def on(device, given, dtype=DOUBLE):
+    return [None if x is None else x.to(dtype).to(device) for x in given]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, DOUBLE], ids=str)
+@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+def test_values_and_gradients(count, dtype, device):
+    given = on(device, lenses(count), dtype)
+    for size in ([1, 1], [7, 33], [90, 61]):  # the last one has two parts of sums
+        grad = torch.rand(2, 2, *size, device=device, dtype=DOUBLE) - 0.5
+        with K.backend("reference"):
+            wide = on(device, given)
+            expected, slopes = _map(*wide, size), _map_gradient(grad, *wide)
+        assert_close(_map(*given, size), expected.to(dtype), 1e-6, 1e-4 if dtype == torch.float32 else 1e-11)
+        found = _map_gradient(grad.to(dtype), *given)
+        for a, e in zip(found, slopes, strict=True):
+            near = (2e-4 if dtype == torch.float32 else 1e-10) * (1 + float(e.abs().max())) if e.numel() else 0.0
+            assert_close(a, e.to(dtype), 0, near)
+
+
+@pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
+def test_instruction_sets(isa, device, backend):
+    if backend == "reference" or device.type != "cpu":
+        pytest.skip("this test is about the CPU's kernels")
+    with instruction_set(isa):
+        test_values_and_gradients(14, torch.float32, device)
+
+
+@pytest.mark.parametrize("count", [5, 14])
+def test_derivatives(count, device):
+    given = on(device, lenses(count))
+    leaves = [x.requires_grad_() for x in given if x is not None]
+
+    def of_lens(camera: Tensor, dist: Tensor, tilt: Tensor | None = None) -> Tensor:
+        return _map(camera, dist, tilt, [3, 4])
+
+    assert torch.autograd.gradcheck(of_lens, leaves, fast_mode=True, check_forward_ad=True)
+    assert torch.autograd.gradgradcheck(of_lens, leaves, fast_mode=True)
+
+
+def test_as_operators(device, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    given = on(device, lenses(14), torch.float32)
+    for op, args in ((_map, [*given, [5, 6]]), (_map_gradient, [torch.rand(2, 2, 5, 6, device=device), *given])):
+        torch.library.opcheck(op.kernel, tuple(args), test_utils=("test_schema", "test_faketensor"))
+        # Any size goes with a gradient, and any coefficients may be given.
+        fine = [f"grad cut along axis {axis}" for axis in (-1, -2)]
+        wrong = [c for c in raw_calls.wrong_calls(op.kernel, args) if c[0] not in fine]
+        assert not raw_calls.taken(op.kernel, wrong)
+
+
+def test_pixels_without_a_gradient_add_nothing(device, backend):
+    """Also where the lens is not defined: the divisor of the radial part is 0 at r^2 = 1, the pixel in the corner."""
+    if backend == "reference":
+        pytest.skip("torch multiplies them by what is infinite there")
+    camera = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]], device=device)
+    dist = torch.tensor([[0.1, 0, 0, 0, 0, -0.5, 0, 0]], device=device)
+    grad = torch.zeros(1, 2, 2, 2, device=device)
+    grad[..., 0, 1] = 1
+    assert not _map(camera, dist, None, [2, 2])[..., 1, 1].isfinite().any()
+    assert all(g.isfinite().all() for g in _map_gradient(grad, camera, dist, None))
+
+
+@pytest.mark.parametrize("count", [4, 14])
+def test_undistorted_images_and_their_gradients(count, device):
+    image = torch.rand(2, 3, 13, 15, dtype=DOUBLE, device=device).requires_grad_()
+    camera, dist, _ = on(device, lenses(count))
+    leaves = [image, camera.requires_grad_(), dist.requires_grad_()]
+    found = G.undistort_image(*leaves)
+    with K.backend("reference"):
+        expected = G.undistort_image(*leaves)
+    assert_close(found, expected)
+    weight = torch.rand_like(found)
+    for ours, theirs in zip(*(torch.autograd.grad((y * weight).sum(), leaves) for y in (found, expected))):
+        assert_close(ours, theirs, 1e-8, 1e-8)
+    one = G.undistort_image(image[:1], camera[0], dist[0])
+    assert_close(one, found[:1])
+
+
+def test_undistortion_is_a_map_and_a_sampling(device, backend):
+    if backend == "reference":
+        pytest.skip("this test is about the kernels")
+    image, given = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(5), torch.float32)[:2]
+    with torch.profiler.profile() as profile:
+        G.undistort_image(image, *given)
+    names = [e.key for e in profile.key_averages() if e.key.startswith("kvision::")]
+    assert sorted(names) == ["kvision::lens_map", "kvision::remap"]
+
+
+def test_compiled(device):
+    image, given = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(14), torch.float32)[:2]
+    compiled = torch.compile(G.undistort_image, fullgraph=True, backend="aot_eager")
+    assert_close(compiled(image, *given), G.undistort_image(image, *given))

@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-constexpr int64_t kMostClasses = 1 << 15;  // their pairs fit 32 bits
+constexpr int64_t kMostLabels = 1 << 15;  // their pairs fit 32 bits
 
 Confused confused_of(std::string const& name) {
   if (name == "counts") return Confused::counts;
@@ -21,7 +21,7 @@ Tensor confusion(Tensor const& pred, Tensor const& target, int64_t classes, std:
            op, ": expected pred and target (samples, pixels) of one type on one device");
   bool const bytes = pred.scalar_type() == ScalarType::Byte;
   KV_CHECK(bytes || pred.scalar_type() == ScalarType::Long, op, ": expected labels of int64 or uint8");
-  KV_CHECK(classes >= 1 && classes <= kMostClasses, op, ": expected 1 to ", kMostClasses, " classes, got ", classes);
+  KV_CHECK(classes >= 1 && classes <= kMostLabels, op, ": expected 1 to ", kMostLabels, " classes, got ", classes);
   KV_CHECK(pred.size(1) < int64_t(1) << 32, op, ": expected less than 2^32 pixels in a sample");
   Confused const kind = confused_of(wanted);
   Tensor const p = dense(pred), t = dense(target);

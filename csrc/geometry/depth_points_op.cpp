@@ -27,11 +27,15 @@ Tensor checked(char const* op, Tensor const& depth, Tensor const& camera) {
   return cameras_of(op, camera, depth);
 }
 
-Tensor depth_points(Tensor const& depth, Tensor const& camera, bool distance) {
+// (B, 3, H, W), or with coordinates last (B, H, W, 3).
+Tensor depth_points(Tensor const& depth, Tensor const& camera, bool distance, bool last) {
   Tensor const cameras = checked("depth_points", depth, camera);
-  Tensor const y = empty({depth.size(0), 3, depth.size(2), depth.size(3)}, depth);
+  int64_t const batch = depth.size(0), h = depth.size(2), w = depth.size(3);
+  Tensor const y = last ? empty({batch, h, w, 3}, depth) : empty({batch, 3, h, w}, depth);
   for_floats("depth_points", depth, [&](auto type) {
-    auto const params = points_of<typename decltype(type)::type>(depth, y, cameras, distance);
+    using T = typename decltype(type)::type;
+    auto params = points_of<T>(depth, y, cameras, distance);
+    if (last) params.y = {data_of<T>(y), 3 * h * w, 1, 3 * w, 3, batch, h, w, 3};
     KV_RUN(depth_points, depth, params, params.y.batch * params.y.height, 4 * params.y.width);
   });
   return y;
@@ -85,7 +89,7 @@ Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor co
 
 }  // namespace
 
-KV_OPERATOR(depth_points, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_points, "(Tensor depth, Tensor camera, bool distance, bool last) -> Tensor")
 KV_OPERATOR(depth_points_backward, "(Tensor grad, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_normals, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_normals_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")

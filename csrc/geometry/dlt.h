@@ -238,6 +238,9 @@ KV_HD double product(double const* a, double const* b) {
   return sum;
 }
 
+// Where a symmetric matrix has its number (i, k) among those on and below the diagonal, row by row.
+KV_HD int below(int i, int k) { return i > k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i; }
+
 // --- what takes points of D numbers to the second image
 // ----------------------------------------------------------------------------
 
@@ -245,11 +248,12 @@ template <int D>
 struct Projective {
   static constexpr int kAxes = D, kPoints = 1, C = D + 1, kUnknowns = 3 * C;
 
-  // M has five different blocks, of which two are 0: sums of w, -w x, -w y, w (x^2 + y^2) times n1 n1^T.
+  // M, which all of the team see, has five different blocks, of which two are 0: sums of w, -w x, -w y, w (x^2 + y^2)
+  // times n1 n1^T.
   template <class Team>
   static KV_CALLED void normal_matrix(Problem<D> const& problem, Team team, double* m) {
     constexpr int kSums = C * (C + 1) / 2;
-    double sums[4][kSums] = {};
+    double sums[4 * kSums] = {};
     for (int64_t i = team.first(); i < problem.weights.count; i += team.step()) {
       double n1[C], n2[3];
       problem.normalized(i, n1, n2);
@@ -257,20 +261,17 @@ struct Projective {
       double const factors[] = {w, -w * n2[0], -w * n2[1], w * (n2[0] * n2[0] + n2[1] * n2[1])};
       for (int r = 0, at = 0; r < C; ++r)
         for (int c = 0; c <= r; ++c, ++at)
-          for (int f = 0; f < 4; ++f) sums[f][at] += factors[f] * n1[r] * n1[c];
+          for (int f = 0; f < 4; ++f) sums[f * kSums + at] += factors[f] * n1[r] * n1[c];
     }
-    for (int f = 0; f < 4; ++f)
-      for (int at = 0; at < kSums; ++at) sums[f][at] = team.sum(sums[f][at]);
-    for (int i = 0; i < C; ++i)
-      for (int k = 0; k < C; ++k) {
-        int const at = i > k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i;
-        auto const block = [&](int r, int c, double value) { m[(r * C + i) * kUnknowns + c * C + k] = value; };
-        block(0, 0, sums[0][at]), block(1, 1, sums[0][at]);
-        block(0, 1, 0), block(1, 0, 0);
-        block(0, 2, sums[1][at]), block(2, 0, sums[1][at]);
-        block(1, 2, sums[2][at]), block(2, 1, sums[2][at]);
-        block(2, 2, sums[3][at]);
+    double const* const all = team.sums(sums);
+    for (int row = team.first(); row < kUnknowns; row += team.step()) {
+      int const r = row / C, i = row % C;
+      for (int c = 0; c < 3; ++c) {
+        double const* const block = all + (r == c ? (r == 2 ? 3 : 0) : r + c - 1) * kSums;
+        for (int k = 0; k < C; ++k) m[row * kUnknowns + c * C + k] = r != c && r + c == 1 ? 0 : block[below(i, k)];
       }
+    }
+    team.sync();
   }
 
   // Of -u^T (sum w r r^T) h to a correspondence: gives it to w, and to the normalised points in g1 and g2.
@@ -347,11 +348,11 @@ struct Homography : Projective<2> {
   }
 };
 
-// The sum of w l l^T times n1 n1^T: of six different products of each. `pair` gives w, n1 and l, numbers of three, of a
-// point of either.
+// To m, which all of the team see, the sum of w l l^T times n1 n1^T: of six different products of each. `pair` gives w,
+// n1 and l, numbers of three, of a point of either.
 template <class Team, class Pair>
 KV_HD void sum_products(int64_t count, Team team, Pair pair, double* m) {
-  double sums[6][6] = {};
+  double sums[36] = {};
   for (int64_t i = team.first(); i < count; i += team.step()) {
     double n1[3], n2[3], products[6];
     double const w = pair(i, n1, n2);
@@ -359,13 +360,13 @@ KV_HD void sum_products(int64_t count, Team team, Pair pair, double* m) {
       for (int c = 0; c <= r; ++c, ++at) products[at] = n1[r] * n1[c];
     for (int r = 0, at = 0; r < 3; ++r)
       for (int c = 0; c <= r; ++c, ++at)
-        for (int k = 0; k < 6; ++k) sums[at][k] += w * n2[r] * n2[c] * products[k];
+        for (int k = 0; k < 6; ++k) sums[6 * at + k] += w * n2[r] * n2[c] * products[k];
   }
-  for (int f = 0; f < 6; ++f)
-    for (int k = 0; k < 6; ++k) sums[f][k] = team.sum(sums[f][k]);
-  auto const place = [](int i, int k) { return i > k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i; };
-  for (int r = 0; r < 9; ++r)
-    for (int c = 0; c < 9; ++c) m[9 * r + c] = sums[place(r / 3, c / 3)][place(r % 3, c % 3)];
+  double const* const all = team.sums(sums);
+  for (int row = team.first(); row < 9; row += team.step())
+    for (int c = 0; c < 3; ++c)
+      for (int k = 0; k < 3; ++k) m[9 * row + 3 * c + k] = all[6 * below(row / 3, c) + below(row % 3, k)];
+  team.sync();
 }
 
 // --- homographies of segments, whose points are their ends
@@ -608,12 +609,16 @@ template <class Model, class T, class Team>
 KV_HD void dlt_of(Model, Dlt<T> const& p, int64_t b, Team team) {
   constexpr int n = Model::kUnknowns;
   dlt_steps::Problem<Model::kAxes, Model::kPoints> const problem(p, b, team);
-  double m[n * n], h[n], f[n], before[n], found[n];
+  typename Team::template Kept<small::EigenSpace<n>> kept;
+  small::EigenSpace<n>& space = kept.get();
   bool const possible = Model::possible(p, problem, team);
-  Model::normal_matrix(problem, team, m);
-  if (team.first() != 0) return;  // one thread's matrices fit into the nearest cache, where those of all would not
-  small::smallest_eigenvector<n>(m, h);
-  Model::constrain(h, f);
+  Model::normal_matrix(problem, team, space.matrix);
+  auto const few = team.few();
+  if (few.idle()) return;
+  small::smallest_eigenvector<n>(space, few);
+  if (team.first() != 0) return;
+  double f[n], before[n], found[n];
+  Model::constrain(space.v, f);
   problem.before(f, before);
   Model::after(problem.two, before, f);
   Model::finish(f, found);
@@ -629,14 +634,15 @@ KV_HD void dlt_backward_of(Model, Dlt<T> const& p, int64_t b, Team team) {
   dlt_steps::ImageSlopes<D> to_one;
   dlt_steps::ImageSlopes<2> to_two;
   dlt_steps::Weights const& weights = problem.weights;
-  double m[n * n], h[n], u[n];
+  typename Team::template Kept<small::EigenSpace<n>> kept;
+  small::EigenSpace<n>& space = kept.get();
+  double const *const h = space.v, *const u = space.u;
   bool const possible = Model::possible(p, problem, team);
-  Model::normal_matrix(problem, team, m);
-  for (int i = 0; i < n; ++i) h[i] = u[i] = 0;
+  Model::normal_matrix(problem, team, space.matrix);
+  auto const few = team.few();
+  if (!few.idle()) small::smallest_eigenvector<n>(space, few);
   if (team.first() == 0) {
-    double copy[n * n], f[n], before[n], after[n], g[n];
-    for (int i = 0; i < n * n; ++i) copy[i] = m[i];
-    small::smallest_eigenvector<n>(copy, h);
+    double f[n], before[n], after[n], g[n];
     Model::constrain(h, f);
     problem.before(f, before);
     Model::after(two, before, after);
@@ -645,9 +651,13 @@ KV_HD void dlt_backward_of(Model, Dlt<T> const& p, int64_t b, Team team) {
     Model::after_vjp(two, before, g, to_two);
     problem.before_vjp(f, g, to_one);
     Model::constrain_vjp(h, g);
-    small::smallest_eigenvector_vjp<n>(m, h, g, u);
+    for (int i = 0; i < n; ++i) space.g[i] = g[i];
   }
-  for (int i = 0; i < n; ++i) h[i] = team.sum(h[i]), u[i] = team.sum(u[i]);
+  if (!few.idle()) {
+    few.sync();
+    small::smallest_eigenvector_vjp<n>(space, few);
+  }
+  team.sync();
 
   // The gradients to the points of correspondence i, normalised; gives that to its weight.
   auto const slopes = [&](int64_t i, double* g1, double* g2) KV_INLINE {

@@ -33,7 +33,7 @@ struct MotionChoice {
   int64_t batch, count;
   double least;                      // as triangulate.h has it
   Reals rotation, direction, space;  // (B, 3, 3), (B, 3), (B, N, 3)
-  int64_t* in_front;                 // (B)
+  int64_t *in_front, *which;         // (B): how many are in front, of which of the four
 };
 
 KV_KERNEL(essential, Essential)
@@ -244,6 +244,7 @@ KV_HD void motion_choice_of(MotionChoice<T> const& p, int64_t b, Team team) {
   small::write9(p.rotation, b, r[best]);
   for (int i = 0; i < 3; ++i) p.direction.set(3 * b + i, t[best][i]);
   p.in_front[b] = int64_t(count[best]);
+  p.which[b] = best;
 }
 
 }  // namespace kv

@@ -73,9 +73,10 @@ Tensor essential_motions_backward(Tensor const& grad, Tensor const& grad_directi
   return to;
 }
 
-std::tuple<Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, Tensor const& camera1,
-                                                         Tensor const& camera2, Tensor const& points1,
-                                                         Tensor const& points2, std::optional<Tensor> const& mask) {
+std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, Tensor const& camera1,
+                                                                 Tensor const& camera2, Tensor const& points1,
+                                                                 Tensor const& points2,
+                                                                 std::optional<Tensor> const& mask) {
   constexpr char const* op = "motion_choice";
   check_matrices(op, "matrix", matrix, matrix);
   check_matrices(op, "camera1", camera1, matrix);
@@ -94,6 +95,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, T
   Tensor const rotation = empty({batch, 3, 3}, e.tensor), direction = empty({batch, 3, 1}, e.tensor);
   Tensor const space = empty({batch, count, 3}, e.tensor);
   Tensor const in_front = empty({batch}, e.tensor, Layout::planar, ScalarType::Long);
+  Tensor const which = empty({batch}, e.tensor, Layout::planar, ScalarType::Long);
   MotionChoice<double> const params{e.reals,
                                     k1.reals,
                                     k2.reals,
@@ -106,9 +108,10 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, T
                                     reals_of(op, rotation),
                                     reals_of(op, direction),
                                     reals_of(op, space),
-                                    data_of<int64_t>(in_front)};
+                                    data_of<int64_t>(in_front),
+                                    data_of<int64_t>(which)};
   KV_RUN(motion_choice, e.tensor, params, batch, 512 + 1024 * count);
-  return {rotation, direction, space, in_front};
+  return {rotation, direction, space, in_front, which};
 }
 
 }  // namespace
@@ -119,6 +122,6 @@ KV_OPERATOR(essential_motions, "(Tensor matrix) -> (Tensor, Tensor)")
 KV_OPERATOR(essential_motions_backward, "(Tensor grad, Tensor grad_directions, Tensor matrix) -> Tensor")
 KV_OPERATOR(motion_choice,
             "(Tensor matrix, Tensor camera1, Tensor camera2, Tensor points1, Tensor points2, Tensor? mask) -> "
-            "(Tensor, Tensor, Tensor, Tensor)")
+            "(Tensor, Tensor, Tensor, Tensor, Tensor)")
 
 }  // namespace kv

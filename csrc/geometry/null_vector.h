@@ -32,35 +32,45 @@ KV_KERNEL(null_vector, NullVector)
 KV_KERNEL(null_vector_backward, NullVector)
 KV_KERNEL(eigenvectors, Eigenvectors)
 
+// To `m`, which all of the team see.
 template <int N, class T, class Team>
 KV_HD void normal_matrix(NullVector<T> const& p, int64_t b, Team team, double* m) {
-  for (int i = 0; i < N * N; ++i) m[i] = 0;
+  double sums[N * (N + 1) / 2] = {};
   for (int64_t r = team.first(); r < p.m; r += team.step()) {
     double const w = p.weights.data ? p.weights[b * p.m + r] : 1;
     double row[N];
     for (int i = 0; i < N; ++i) row[i] = p.rows[(b * p.m + r) * N + i];
-    for (int i = 0; i < N; ++i)
-      for (int k = 0; k <= i; ++k) m[i * N + k] += w * row[i] * row[k];
+    for (int i = 0, at = 0; i < N; ++i)
+      for (int k = 0; k <= i; ++k, ++at) sums[at] += w * row[i] * row[k];
   }
-  for (int i = 0; i < N; ++i)
-    for (int k = 0; k <= i; ++k) m[i * N + k] = m[k * N + i] = team.sum(m[i * N + k]);
+  double const* const all = team.sums(sums);
+  for (int i = team.first(); i < N; i += team.step())
+    for (int k = 0; k <= i; ++k) m[i * N + k] = m[k * N + i] = all[i * (i + 1) / 2 + k];
+  team.sync();
 }
 
 template <int N, class T, class Team>
 KV_HD void null_vector_of(NullVector<T> const& p, int64_t b, Team team) {
-  double m[N * N], v[N];
-  normal_matrix<N>(p, b, team, m);
-  if (team.first() != 0) return;  // one thread's matrices fit into the nearest cache, where those of all would not
-  small::smallest_eigenvector<N>(m, v);
-  for (int i = 0; i < N; ++i) p.vector.set(b * N + i, v[i]);
+  typename Team::template Kept<small::EigenSpace<N>> kept;
+  small::EigenSpace<N>& space = kept.get();
+  normal_matrix<N>(p, b, team, space.matrix);
+  auto const few = team.few();
+  if (few.idle()) return;
+  small::smallest_eigenvector<N>(space, few);
+  for (int i = few.first(); i < N; i += few.step()) p.vector.set(b * N + i, space.v[i]);
 }
 
 template <int N, class T, class Team>
 KV_HD void null_vector_backward_of(NullVector<T> const& p, int64_t b, Team team) {
-  double m[N * N], v[N], g[N], u[N];
-  normal_matrix<N>(p, b, team, m);
-  for (int i = 0; i < N; ++i) v[i] = p.vector[b * N + i], g[i] = p.grad[b * N + i];
-  small::smallest_eigenvector_vjp<N>(m, v, g, u);
+  typename Team::template Kept<small::EigenSpace<N>> kept;
+  small::EigenSpace<N>& space = kept.get();
+  normal_matrix<N>(p, b, team, space.matrix);
+  for (int i = team.first(); i < N; i += team.step()) space.v[i] = p.vector[b * N + i], space.g[i] = p.grad[b * N + i];
+  team.sync();
+  auto const few = team.few();
+  if (!few.idle()) small::smallest_eigenvector_vjp<N>(space, few);
+  team.sync();
+  double const *const v = space.v, *const u = space.u;
   for (int64_t r = team.first(); r < p.m; r += team.step()) {
     int64_t const at = b * p.m + r;
     double const w = p.weights.data ? p.weights[at] : 1;

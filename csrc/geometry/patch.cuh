@@ -104,12 +104,6 @@ struct Runs {
   }
 };
 
-// The map of a sample, from its matrix.
-template <class T>
-__device__ __forceinline__ Homography<double> map_of(Sampling<T> const& p, int64_t b) {
-  return homography(p.places.matrices + b * p.places.matrix_stride, p.places.use);
-}
-
 // A block's tiles and the boxes of their taps, in shared memory.
 template <class F>
 struct View {
@@ -118,15 +112,21 @@ struct View {
 
   // By all threads of a block, of an output of that size. By a matrix, taps lie between those of a tile's corners
   // unless the horizon runs through it.
-  template <int K, class P>
-  __device__ __forceinline__ void open(Tiles const& count, P const& p, int width, int height) {
+  template <int K, class T>
+  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height) {
+    auto const given = [&](int64_t b) { return p.places.matrices + b * p.places.matrix_stride; };
+    open<K>(count, p, width, height, given);
+  }
+  // By the matrices that `matrix(sample)` gives.
+  template <int K, class T, class Matrix>
+  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height, Matrix matrix) {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kTileRow;
       Tile<F> tile;
       tile.place(count, number);
       Box box = Box::empty();
       if (!p.places.has_map()) {
-        tile.see(map_of(p, tile.b), p.places.use.source);
+        tile.see(homography(matrix(tile.b), p.places.use), p.places.use.source);
         F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
         F const y = F(threadIdx.x & 2 ? min(kTile, height - tile.y) - 1 : 0);
         F u, v;
@@ -292,7 +292,7 @@ __device__ __forceinline__ void in_groups(int channels, Take take) {
 
 // Whether rows begin at whole packs, of images one pixel after the other.
 template <class T>
-bool in_packs(Images<T const> const& x) {
+bool in_packs(Images<T> const& x) {
   int64_t const pack = 16 / int64_t(sizeof(T));
   return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % pack == 0 &&
          x.channel_stride % pack == 0 && x.batch_stride % pack == 0;

@@ -2,7 +2,7 @@
 // of its row then are weighted means. Memory is read and written in order, whatever the sizes; rows that neighbouring
 // bands share are in the L1. The weights are computed once for all rows and planes of a block's tile.
 //
-// What is most often asked for has kernels of its own: resize_octave.cu, resize_linear.cu.
+// What is most often asked for has kernels of its own: resize_octave.cu, resize_linear.cu, resize_linear_transpose.cu.
 #include "core/launch.cuh"
 #include "resize.h"
 
@@ -194,6 +194,8 @@ int resize(Resize<T> const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {
     if (int const error = resize_octave(p, stream); error != kNotServed) return error;
     if (int const error = resize_linear(p, stream); error != kNotServed) return error;
+    if constexpr (sizeof(T) > 1)
+      if (int const error = resize_linear_transpose(p, stream); error != kNotServed) return error;
     int const most = max(p.rows.most, p.columns.most);
     done = most <= 4 ? launch_tiles<4>(p, stream) : most <= 8 ? launch_tiles<8>(p, stream) : launch_tiles<0>(p, stream);
   }

@@ -65,6 +65,8 @@ template <class T>
 int resize_octave(Resize<T> const& p, CUstream_st* stream);
 template <class T>
 int resize_linear(Resize<T> const& p, CUstream_st* stream);
+template <class T>
+int resize_linear_transpose(Resize<T> const& p, CUstream_st* stream);
 }  // namespace cuda
 
 // --- sizes

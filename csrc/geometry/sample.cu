@@ -4,20 +4,6 @@
 #include "patch.cuh"
 
 namespace kv::cuda {
-
-// The map of a sample, from its matrix or a formula's.
-template <class T>
-__device__ __forceinline__ Homography<double> map_of(Sample<T> const& p, int64_t b) {
-  using F = Compute<T>;
-  F made[9];
-  F const* matrix = p.places.matrices + b * p.places.matrix_stride;
-  if (p.formula.by != MatrixBy::given) {
-    make_plane_matrix(p.formula, b, made);
-    matrix = made;
-  }
-  return homography(matrix, p.places.use);
-}
-
 namespace {
 
 // The value of K x K taps, rows `pitch` apart and pixels `step`, with the weights of (tx, ty).
@@ -86,7 +72,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
   __shared__ View<F> view;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.y.width), height = int(p.y.height);
-  view.template open<K>(tiles, p, width, height);
+  F made[9];
+  view.template open<K>(tiles, p, width, height, [&](int64_t b) -> F const* {
+    if (p.formula.by == MatrixBy::given) return p.places.matrices + b * p.places.matrix_stride;
+    make_plane_matrix(p.formula, b, made);
+    return made;
+  });
 
 #pragma unroll 1
   for (int number = 0; number < int(tiles.row) && view.tiles[number].x < width; ++number) {

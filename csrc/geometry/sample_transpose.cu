@@ -114,6 +114,14 @@ __device__ __forceinline__ int above(double x, double& whole) {
   return int(whole);
 }
 
+// 1 / x, of a weight; NaN, which is no place, where there is none.
+__device__ __forceinline__ float reciprocal_or_nan(float x) {
+  float y;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return fmaf(y, fmaf(-x, y, 1), y);
+}
+__device__ __forceinline__ double reciprocal_or_nan(double x) { return 1 / x; }
+
 // The gradient of N channels of a pixel (x, y) in its tile, from the gradients where they are.
 template <int K, int N, class T, class F>
 __device__ __noinline__ void gather_where_they_are(SampleTranspose<T> const& p, Sources<F> const& tile, int first,
@@ -136,9 +144,27 @@ __device__ __noinline__ void gather_where_they_are(SampleTranspose<T> const& p, 
   for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = round_to<T>(sums[k]);
 }
 
+// Zeros for a tile of all channels. `aligned`: rows are packs of 16 bytes.
+template <class T>
+__device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x0, int y0, bool aligned) {
+  constexpr int kPack = 16 / int(sizeof(T)), kAcross = kTile / kPack;
+  int const x = x0 + threadIdx.x % kAcross * kPack, width = int(to.width), bottom = min(y0 + kTile, int(to.height));
+  for (int y = y0 + threadIdx.x / kAcross; x < width && y < bottom; y += kThreads / kAcross)
+    for (int c = 0; c < to.channels; ++c) {
+      T* const row = to.row(b, c, y) + x;
+      if (aligned) {
+        *reinterpret_cast<Pack<T, kPack>*>(row) = {};
+      } else {
+#pragma unroll
+        for (int i = 0; i < kPack; ++i)
+          if (x + i < width) row[i] = T{};
+      }
+    }
+}
+
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
-    gather_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles, bool aligned) {
+    gather_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles, bool aligned, bool aligned_out) {
   using F = Compute<T>;
   using Gradients = Patch<T>;
   __shared__ Sources<F> shared_tiles[kTileRow];
@@ -155,6 +181,11 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
 #pragma unroll 1
   for (int number = 0; number < int(tiles.row) && shared_tiles[number].x < width; ++number) {
     Sources<F> const& tile = shared_tiles[number];
+    if (tile.places.right < 0 || tile.places.left >= int(p.grad.width) || tile.places.bottom < 0 ||
+        tile.places.top >= int(p.grad.height)) {
+      clear_tile(p.grad_x, tile.b, tile.x, tile.y, aligned_out);
+      continue;
+    }
     Gradients const patch(shared_pixels, tile.places);
     int const x = column_in_tile<T>();
     in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
@@ -177,6 +208,11 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
         auto const gather = [&](auto affine) {
           F const(&m)[9] = tile.map.m;
           F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
+          // Of an affine map places count from the pixel: one addition less for each. Not those of the nearest pixel,
+          // where halves go to even ones.
+          int const pixel_x = K > 1 && affine.value ? 0 : x, pixel_y = K > 1 && affine.value ? 0 : y;
+          from_x -= F(x - pixel_x);
+          from_y -= F(y - pixel_y);
           F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
 #pragma unroll 1
           for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
@@ -186,8 +222,8 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
             for (int i = 0; i < tile.columns; i += kTogether<K>)
 #pragma unroll
               for (int n = 0; n < kTogether<K>; ++n, ++grad) {
-                F const scale = affine.value ? F(1) : reciprocal(weight);
-                F const share = weight_at<K>(place_x * scale, x) * weight_at<K>(place_y * scale, y);
+                F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
+                F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
 #pragma unroll
                 for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * Gradients::kSize]));
                 place_x += m[0];
@@ -242,7 +278,8 @@ __device__ __forceinline__ void add_four(F* to, Pack<F, 4> const& sums) {
   }
 #endif
 #pragma unroll
-  for (int i = 0; i < 4; ++i) atomicAdd(to + i, sums.v[i]);
+  for (int i = 0; i < 4; ++i)
+    if (sums.v[i] != 0) atomicAdd(to + i, sums.v[i]);
 }
 
 // A place of the same value, of a reflection, whose taps pixel_at knows. Counts from `origin`; NaN is 0. One near the
@@ -255,25 +292,43 @@ __device__ __noinline__ F reflected_near(Axis<F> const& axis, F x, int origin) {
 
 // N channels of one place, to the sums where they are.
 template <int K, int N, class T, class F>
-__device__ __noinline__ void scatter_place(SampleTranspose<T> const& p, int64_t b, int first, T const* grad, int row,
-                                           F ty, int column, F tx) {
-  int64_t const plane = p.grad_x.channel_stride;
-  F* const sums = p.sums + b * p.grad_x.batch_stride + first * plane;
-  F wx[K], wy[K], g[N];
+__device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* sums, F u, F v, Tile<F> const& tile,
+                                              F const (&g)[N]) {
+  F wx[K], wy[K], tx, ty;
+  int const column = first_tap<K, F>(u, tx) + tile.u, row = first_tap<K, F>(v, ty) + tile.v;
+  int const width = p.x_axis.size, stride = int(p.grad_x.row_stride);
+  bool const in_packs = K > 1 && sizeof(F) == 4 && stride % 4 == 0 && column >= 0 && column + K <= width;
   tap_weights(tx, wx);
   tap_weights(ty, wy);
 #pragma unroll
-  for (int k = 0; k < N; ++k) g[k] = F(read(grad[k * p.grad.channel_stride]));
-#pragma unroll
   for (int j = 0; j < K; ++j) {
     int const y = pixel_at(p.y_axis, row + j);
+    if (unsigned(y) >= unsigned(p.y_axis.size)) continue;
 #pragma unroll
-    for (int i = 0; i < K; ++i) {
-      int const x = pixel_at(p.x_axis, column + i);
-      F const weight = wx[i] * wy[j];
-      if (unsigned(y) >= unsigned(p.y_axis.size) || unsigned(x) >= unsigned(p.x_axis.size) || weight == 0) continue;
+    for (int k = 0; k < N; ++k) {
+      F* const line = sums + k * p.grad_x.channel_stride + y * stride;
+      F taps[8] = {};  // from the beginning of a pack on
 #pragma unroll
-      for (int k = 0; k < N; ++k) atomicAdd(sums + k * plane + (y * p.grad_x.row_stride + x), weight * g[k]);
+      for (int i = 0; i < K; ++i) {
+        F const weight = wx[i] * wy[j];
+        taps[i] = weight == 0 ? F(0) : weight * g[k];
+      }
+      if (in_packs) {
+#pragma unroll
+        for (int by = 1; by <= 2; by *= 2)
+#pragma unroll
+          for (int i = 7; i >= 0; --i)
+            if (column & by) taps[i] = i < by ? F(0) : taps[max(i - by, 0)];
+        F* const to = line + (column & -4);
+        add_four(to, Pack<F, 4>{taps[0], taps[1], taps[2], taps[3]});
+        if (taps[4] != 0 || taps[5] != 0 || taps[6] != 0) add_four(to + 4, Pack<F, 4>{taps[4], taps[5], taps[6], 0});
+      } else {
+#pragma unroll
+        for (int i = 0; i < K; ++i) {
+          int const x = pixel_at(p.x_axis, column + i);
+          if (unsigned(x) < unsigned(width) && taps[i] != 0) atomicAdd(line + x, taps[i]);
+        }
+      }
     }
   }
 }
@@ -313,7 +368,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
 
     // Where the places are, which of them have taps, and the box of the first ones.
     F u[kPieceRuns], v[kPieceRuns];
-    if (p.places.matrices) {
+    if (!p.places.has_map()) {
 #pragma unroll
       for (int run = 0; run < kPieceRuns; ++run)
         tile.map.at(F(x_of(run) - tile.x), F(y_of(run) - tile.y), u[run], v[run]);
@@ -358,35 +413,40 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       constexpr int N = channels.value;
       T const* const grad = p.grad.row(tile.b, first, 0);
       auto const offset_of = [&](int run) { return y_of(run) * int(p.grad.row_stride) + x_of(run) * int(p.grad.step); };
-      if (!fits) {
-#pragma unroll
-        for (int run = 0; run < kPieceRuns; ++run) {
-          if (!(count >> run & 1)) continue;
-          F tx, ty;
-          int const column = first_tap<K, F>(u[run], tx) + tile.u, row = first_tap<K, F>(v[run], ty) + tile.v;
-          scatter_place<K, N>(p, tile.b, first, grad + offset_of(run), row, ty, column, tx);
-        }
-        return;
-      }
       F g[kPieceRuns][N];
 #pragma unroll
       for (int run = 0; run < kPieceRuns; ++run)
 #pragma unroll
         for (int k = 0; k < N; ++k)
           g[run][k] = count >> run & 1 ? F(read(grad[k * p.grad.channel_stride + offset_of(run)])) : F(0);
+      F* const to = p.sums + tile.b * p.grad_x.batch_stride + first * p.grad_x.channel_stride;
+      F to_u[kPieceRuns], to_v[kPieceRuns];
+#pragma unroll
+      for (int run = 0; run < kPieceRuns; ++run) to_u[run] = u[run], to_v[run] = v[run];
+      auto const next_run = [&] {
+#pragma unroll
+        for (int next = 1; next < kPieceRuns; ++next) {
+          to_u[next - 1] = to_u[next], to_v[next - 1] = to_v[next];
+#pragma unroll
+          for (int k = 0; k < N; ++k) g[next - 1][k] = g[next][k];
+        }
+      };
+      if (!fits) {
+#pragma unroll 1
+        for (int run = 0; run < kPieceRuns; ++run, next_run())
+          if (count >> run & 1) scatter_place<K, N>(p, to, to_u[0], to_v[0], tile, g[0]);
+        return;
+      }
       __syncwarp();  // for those who read the sums before these
       for (int i = 4 * lane; i < rows * pitch; i += 4 * 32)
 #pragma unroll
         for (int k = 0; k < N; ++k) *reinterpret_cast<Pack<F, 4>*>(sums + k * kCells + i) = {};
       __syncwarp();
 
-      F to_x[kPieceRuns], to_y[kPieceRuns];
-#pragma unroll
-      for (int run = 0; run < kPieceRuns; ++run) to_x[run] = u[run], to_y[run] = v[run];
-#pragma unroll(K == 4 ? 1 : kPieceRuns)
-      for (int run = 0; run < kPieceRuns; ++run) {
+#pragma unroll 1
+      for (int run = 0; run < kPieceRuns; ++run, next_run()) {
         F tx, ty, wx[K], wy[K];
-        int const column = near_tap<K>(to_x[0], tx), row = near_tap<K>(to_y[0], ty);
+        int const column = near_tap<K>(to_u[0], tx), row = near_tap<K>(to_v[0], ty);
         int const at = (row - top) * pitch + (column - left);
         tap_weights(tx, wx);
         tap_weights(ty, wy);
@@ -408,15 +468,8 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
             }
           waits = waits && !adds;
         } while (__any_sync(0xffffffffu, waits));
-#pragma unroll
-        for (int next = 1; next < kPieceRuns; ++next) {
-          to_x[next - 1] = to_x[next], to_y[next - 1] = to_y[next];
-#pragma unroll
-          for (int k = 0; k < N; ++k) g[next - 1][k] = g[next][k];
-        }
       }
 
-      F* const to = p.sums + tile.b * p.grad_x.batch_stride + first * p.grad_x.channel_stride;
       int const stride = int(p.grad_x.row_stride), to_left = left + tile.u, to_top = top + tile.v;
       if (stride % 4 == 0 && to_left >= 0 && to_top >= 0 && to_left + columns <= p.x_axis.size &&
           to_top + rows <= p.y_axis.size) {
@@ -452,8 +505,8 @@ void gather(SampleTranspose<T> const& p, CUstream_st* stream) {
   auto const& x = p.grad_x;
   Tiles const tiles(x.batch, x.height, x.width, tile_row(x.batch, x.height, x.width));
   with_taps(p.interpolation, [&](auto taps) {
-    gather_tiles<T, taps.value>
-        <<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(p, tiles, in_packs(p.grad));
+    gather_tiles<T, taps.value><<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(
+        p, tiles, in_packs(p.grad), in_packs(p.grad_x));
   });
 }
 

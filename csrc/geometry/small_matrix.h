@@ -3,6 +3,7 @@
 #pragma once
 
 #include "core/hd.h"
+#include "team.h"
 
 namespace kv {
 
@@ -43,119 +44,162 @@ constexpr int kUnrolled = N <= 4 ? N : 1;
 // --- symmetric matrices, all N x N numbers of them
 // -----------------------------------------------------------------------------------------------
 
+// Those of a team (team.h) take rows in turns, of matrices that all of them see; alone is alone.
+
 // Replaces a positive definite matrix by its inverse, sweeping one row after the other; gives the smallest pivot.
-template <int N>
-KV_HD double invert(double* m) {
+template <int N, class Team = Alone>
+KV_HD double invert(double* m, Team team = {}) {
   double least = m[0];
 #pragma unroll 1
   for (int k = 0; k < N; ++k) {
     double const inverse = 1 / m[k * N + k];
     least = min(least, m[k * N + k]);
 #pragma unroll(kUnrolled<N>)
-    for (int i = 0; i < N; ++i) {
+    for (int i = team.first(); i < N; i += team.step()) {
       if (i == k) continue;
       double const factor = m[i * N + k] * inverse;
       for (int j = 0; j < N; ++j)
         if (j != k) m[i * N + j] -= factor * m[k * N + j];
     }
-    for (int i = 0; i < N; ++i)
-      if (i != k) m[i * N + k] = m[k * N + i] *= inverse;
-    m[k * N + k] = -inverse;
+    team.sync();
+    for (int i = team.first(); i < N; i += team.step()) {
+      if (i != k)
+        m[i * N + k] = m[k * N + i] *= inverse;
+      else
+        m[k * N + k] = -inverse;
+    }
+    team.sync();
   }
-  for (int i = 0; i < N * N; ++i) m[i] = -m[i];
+  for (int i = team.first(); i < N * N; i += team.step()) m[i] = -m[i];
+  team.sync();
   return least;
 }
 
 // Divides by the trace; false where that is not above 0 and finite.
-template <int N>
-KV_HD bool normalize_trace(double* m) {
+template <int N, class Team = Alone>
+KV_HD bool normalize_trace(double* m, Team team = {}) {
   double trace = 0;
   for (int i = 0; i < N; ++i) trace += m[i * N + i];
+  team.sync();
   if (!(trace > 0) || !finite(trace)) return false;
-  for (int i = 0; i < N * N; ++i) m[i] /= trace;
+  for (int i = team.first(); i < N * N; i += team.step()) m[i] /= trace;
+  team.sync();
   return true;
 }
 
 // Which of v and -v is meant: a fixed mixture of the entries is positive.
 template <int N>
-KV_HD void set_sign(double* v) {
+KV_HD double sign_of(double const* v) {
   double mixture = 0, weight = 1;
   for (int i = 0; i < N; ++i, weight *= 0.7) mixture += weight * v[i];
-  if (mixture < 0)
-    for (int i = 0; i < N; ++i) v[i] = -v[i];
+  return mixture < 0 ? -1 : 1;
 }
 
-// The unit eigenvector of the largest eigenvalue of a positive semidefinite matrix of trace 1, by squaring it until it
-// is v v^T; the squares of what is smaller vanish. Destroys the matrix.
+// A symmetric matrix, its smallest eigenvector v, and u, what its gradient is made of for the gradient g to v; and what
+// they are found with.
 template <int N>
-KV_HD void largest_eigenvector(double* m, double* v) {
-  double square[N * N];
+struct EigenSpace {
+  double matrix[N * N], v[N], g[N], u[N];
+  double m[N * N], inverse[N * N], powers[N * N], square[N * N], r[N];
+};
+
+template <int N>
+KV_HD double dot(double const* x, double const* y) {
+  double sum = 0;
+  for (int i = 0; i < N; ++i) sum += x[i] * y[i];
+  return sum;
+}
+// x = M y.
+template <int N, class Team>
+KV_HD void multiply_vector(double const* m, double const* y, double* x, Team team) {
+  for (int i = team.first(); i < N; i += team.step()) x[i] = dot<N>(m + i * N, y);
+  team.sync();
+}
+
+// To v, the unit eigenvector of the largest eigenvalue of m, a positive semidefinite matrix of trace 1, by
+// squaring it until it is v v^T; the squares of what is smaller vanish. Destroys m, `square` and w.
+template <int N, class Team>
+KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, Team team) {
   for (int step = 0; step < 40; ++step) {
+#pragma unroll(kUnrolled<N>)
+    for (int i = team.first(); i < N; i += team.step()) {
+      double row[N];
+      for (int k = 0; k < N; ++k) row[k] = m[i * N + k];
+#pragma unroll(kUnrolled<N>)
+      for (int j = 0; j <= i; ++j) square[i * N + j] = square[j * N + i] = dot<N>(row, m + j * N);
+    }
+    team.sync();
     double trace = 0;
-#pragma unroll(kUnrolled<N>)
-    for (int i = 0; i < N; ++i)
-#pragma unroll(kUnrolled<N>)
-      for (int j = 0; j <= i; ++j) {
-        double sum = 0;
-        for (int k = 0; k < N; ++k) sum += m[i * N + k] * m[j * N + k];
-        square[i * N + j] = square[j * N + i] = sum;
-        if (i == j) trace += sum;
-      }
+    for (int i = 0; i < N; ++i) trace += square[i * N + i];
     double const scale = 1 / trace;
-    for (int i = 0; i < N * N; ++i) m[i] = square[i] * scale;
+    for (int i = team.first(); i < N * N; i += team.step()) m[i] = square[i] * scale;
+    team.sync();
     if (trace > 1 - 1e-9) break;  // what is left of the others is below 1e-9 of it, and is squared twice more
   }
   int best = 0;
   for (int i = 1; i < N; ++i)
     if (m[i * N + i] > m[best * N + best]) best = i;
-  for (int i = 0; i < N; ++i) v[i] = m[i * N + best];
-  double w[N];
+  for (int i = team.first(); i < N; i += team.step()) v[i] = m[i * N + best];
+  team.sync();
   for (int step = 0; step < 2; ++step) {
-    double norm = 0;
-    for (int i = 0; i < N; ++i) {
-      w[i] = 0;
-      for (int k = 0; k < N; ++k) w[i] += m[i * N + k] * v[k];
-      norm += w[i] * w[i];
-    }
-    double const scale = 1 / sqrt(norm);
-    for (int i = 0; i < N; ++i) v[i] = w[i] * scale;
+    multiply_vector<N>(m, v, w, team);
+    double const scale = (step == 1 ? sign_of<N>(w) : 1) / sqrt(dot<N>(w, w));
+    for (int i = team.first(); i < N; i += team.step()) v[i] = w[i] * scale;
+    team.sync();
   }
-  set_sign<N>(v);
 }
 
-// The unit eigenvector of the smallest eigenvalue of a positive semidefinite matrix: of the largest one of the inverse
-// of M + 1e-6, whose digits that shift keeps where several eigenvalues are 0. What rounding adds of others is taken
-// away by Newton's method. NaN where the matrix is not finite; a matrix of zeros has any.
-template <int N>
-KV_CALLED void smallest_eigenvector(double* m, double* v) {
+// To v, the unit eigenvector of the smallest eigenvalue of a positive semidefinite matrix: of the largest one of the
+// inverse of M + 1e-6, whose digits that shift keeps where several eigenvalues are 0. What rounding adds of others is
+// taken away by Newton's method. NaN where the matrix is not finite; a matrix of zeros has any.
+template <int N, class Team>
+KV_HD void smallest_eigenvector_in(double const* matrix, EigenSpace<N>& space, Team team) {
+  double *const m = space.m, *const inverse = space.inverse, *const v = space.v, *const r = space.r;
   bool known = true;
-  for (int i = 0; i < N * N; ++i) known = known && finite(m[i]);
-  if (!known) {
-    for (int i = 0; i < N; ++i) v[i] = nan();
+  for (int i = team.first(); i < N * N; i += team.step()) {
+    m[i] = matrix[i];
+    known = known && finite(m[i]);
+  }
+  if (!team.all(known)) {
+    for (int i = team.first(); i < N; i += team.step()) v[i] = nan();
+    team.sync();
     return;
   }
-  if (!normalize_trace<N>(m))
-    for (int i = 0; i < N; ++i) m[i * N + i] = 1.0 / N;
-  double inverse[N * N], powers[N * N], r[N];
-  for (int i = 0; i < N * N; ++i) inverse[i] = m[i] + (i % (N + 1) == 0 ? 1e-6 : 0);
-  invert<N>(inverse);
-  for (int i = 0; i < N * N; ++i) powers[i] = inverse[i];
-  normalize_trace<N>(powers);
-  largest_eigenvector<N>(powers, v);
-  for (int step = 0; step < 2; ++step) {
-    double value = 0, norm = 0;
-    for (int i = 0; i < N; ++i) {
-      r[i] = 0;
-      for (int k = 0; k < N; ++k) r[i] += m[i * N + k] * v[k];
-      value += r[i] * v[i];
-    }
-    for (int i = 0; i < N; ++i) r[i] -= value * v[i];
-    for (int i = 0; i < N; ++i) {
-      for (int k = 0; k < N; ++k) v[i] -= inverse[i * N + k] * r[k];
-      norm += v[i] * v[i];
-    }
-    for (int i = 0; i < N; ++i) v[i] /= sqrt(norm);
+  team.sync();
+  if (!normalize_trace<N>(m, team)) {
+    for (int i = team.first(); i < N; i += team.step()) m[i * N + i] = 1.0 / N;
+    team.sync();
   }
+  for (int i = team.first(); i < N * N; i += team.step()) inverse[i] = m[i] + (i % (N + 1) == 0 ? 1e-6 : 0);
+  team.sync();
+  invert<N>(inverse, team);
+  for (int i = team.first(); i < N * N; i += team.step()) space.powers[i] = inverse[i];
+  team.sync();
+  normalize_trace<N>(space.powers, team);
+  largest_eigenvector<N>(space.powers, space.square, r, v, team);
+  for (int step = 0; step < 2; ++step) {
+    multiply_vector<N>(m, v, r, team);
+    double const value = dot<N>(r, v);
+    team.sync();
+    for (int i = team.first(); i < N; i += team.step()) r[i] -= value * v[i];
+    team.sync();
+    for (int i = team.first(); i < N; i += team.step()) v[i] -= dot<N>(inverse + i * N, r);
+    team.sync();
+    double const length = sqrt(dot<N>(v, v));
+    team.sync();
+    for (int i = team.first(); i < N; i += team.step()) v[i] /= length;
+    team.sync();
+  }
+}
+template <int N, class Team>
+KV_CALLED void smallest_eigenvector(EigenSpace<N>& space, Team team) {
+  smallest_eigenvector_in<N>(space.matrix, space, team);
+}
+template <int N>
+KV_CALLED void smallest_eigenvector(double const* m, double* v) {
+  EigenSpace<N> space;
+  smallest_eigenvector_in<N>(m, space, Alone{});
+  for (int i = 0; i < N; ++i) v[i] = space.v[i];
 }
 
 // Turns a symmetric matrix into its eigenvalues, on its diagonal, and their vectors, the columns of `vectors`, by
@@ -191,35 +235,53 @@ KV_CALLED void diagonalize(double* m, double* vectors) {
 }
 
 // The gradient to M, symmetric, of its smallest eigenvector v is -(u v^T + v u^T) / 2: gives u = (M - lambda)^+ g.
-// Where other eigenvalues are as small there is none: 0 in their directions. Destroys M.
-template <int N>
-KV_CALLED void smallest_eigenvector_vjp(double* m, double const* v, double const* g, double* u) {
-  double trace = 0, value = 0, along = 0;
-  for (int i = 0; i < N; ++i) {
-    trace += m[i * N + i];
-    along += g[i] * v[i];
-    for (int k = 0; k < N; ++k) value += v[i] * m[i * N + k] * v[k];
+// Where other eigenvalues are as small there is none: 0 in their directions.
+template <int N, class Team>
+KV_HD void smallest_eigenvector_vjp_in(EigenSpace<N>& space, Team team) {
+  double const *const m = space.matrix, *const v = space.v, *const g = space.g;
+  double *const inverse = space.inverse, *const u = space.u;
+  multiply_vector<N>(m, v, space.r, team);
+  double const value = dot<N>(space.r, v), along = dot<N>(g, v);
+  double trace = 0;
+  for (int i = 0; i < N; ++i) trace += m[i * N + i];
+  // The inverse of M - lambda + trace v v^T is the same across v, unless other directions are null.
+  for (int i = team.first(); i < N; i += team.step()) {
+    for (int k = 0; k < N; ++k) inverse[i * N + k] = m[i * N + k] - (i == k ? value : 0) + trace * v[i] * v[k];
+    u[i] = 0;
   }
-  double
-      matrix[N * N];  // the inverse of M - lambda + trace v v^T is the same across v, unless other directions are null
-  for (int i = 0; i < N; ++i)
-    for (int k = 0; k < N; ++k) matrix[i * N + k] = m[i * N + k] - (i == k ? value : 0) + trace * v[i] * v[k];
-  for (int i = 0; i < N; ++i) u[i] = 0;
-  if (invert<N>(matrix) > 1e-7 * trace) {
-    for (int i = 0; i < N; ++i)
-      for (int k = 0; k < N; ++k) u[i] += matrix[i * N + k] * (g[k] - along * v[k]);
+  team.sync();
+  if (invert<N>(inverse, team) > 1e-7 * trace) {
+    for (int i = team.first(); i < N; i += team.step())
+      for (int k = 0; k < N; ++k) u[i] += inverse[i * N + k] * (g[k] - along * v[k]);
+    team.sync();
     return;
   }
-  diagonalize<N>(m, matrix);
-  double least = m[0];
-  for (int i = 1; i < N; ++i) least = min(least, m[i * N + i]);
-  for (int k = 0; k < N; ++k) {
-    double const gap = m[k * N + k] - least;
-    if (!(gap > 1e-13 * trace)) continue;
-    double part = 0;
-    for (int i = 0; i < N; ++i) part += matrix[i * N + k] * g[i];
-    for (int i = 0; i < N; ++i) u[i] += matrix[i * N + k] * (part / gap);
+  if (team.first() == 0) {
+    for (int i = 0; i < N * N; ++i) space.m[i] = m[i];
+    diagonalize<N>(space.m, inverse);
+    double least = space.m[0];
+    for (int i = 1; i < N; ++i) least = min(least, space.m[i * N + i]);
+    for (int k = 0; k < N; ++k) {
+      double const gap = space.m[k * N + k] - least;
+      if (!(gap > 1e-13 * trace)) continue;
+      double part = 0;
+      for (int i = 0; i < N; ++i) part += inverse[i * N + k] * g[i];
+      for (int i = 0; i < N; ++i) u[i] += inverse[i * N + k] * (part / gap);
+    }
   }
+  team.sync();
+}
+template <int N, class Team>
+KV_CALLED void smallest_eigenvector_vjp(EigenSpace<N>& space, Team team) {
+  smallest_eigenvector_vjp_in<N>(space, team);
+}
+template <int N>
+KV_CALLED void smallest_eigenvector_vjp(double const* m, double const* v, double const* g, double* u) {
+  EigenSpace<N> space;
+  for (int i = 0; i < N * N; ++i) space.matrix[i] = m[i];
+  for (int i = 0; i < N; ++i) space.v[i] = v[i], space.g[i] = g[i];
+  smallest_eigenvector_vjp_in<N>(space, Alone{});
+  for (int i = 0; i < N; ++i) u[i] = space.u[i];
 }
 
 // --- 3 x 3
@@ -247,12 +309,12 @@ KV_HD void cofactors(double const* m, double* c) {
 // Removes what a matrix does to its smallest right singular vector v, which is the largest one of its cofactors. False
 // where these are 0: it stays as it is.
 KV_HD bool to_rank_two(double* f, double* v) {
-  double c[9], square[9];
+  double c[9], square[9], again[9], w[3];
   cofactors(f, c);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) square[3 * i + j] = c[i] * c[j] + c[3 + i] * c[3 + j] + c[6 + i] * c[6 + j];
   if (!normalize_trace<3>(square)) return false;
-  largest_eigenvector<3>(square, v);
+  largest_eigenvector<3>(square, again, w, v, Alone{});
   for (int i = 0; i < 9; i += 3) {
     double const along = dot3(f + i, v);
     for (int k = 0; k < 3; ++k) f[i + k] -= along * v[k];

@@ -16,6 +16,9 @@ KV_TAPS double vfloor(double x) { return ::floor(x); }
 // The nearest number above or between them; low for NaN.
 KV_TAPS float vabove(float x, float low) { return ::fmaxf(x, low); }
 KV_TAPS double vabove(double x, double low) { return ::fmax(x, low); }
+// A number of at most 1, or 0 where it is less or NaN.
+KV_TAPS float vshare(float x) { return __saturatef(x); }
+KV_TAPS double vshare(double x) { return ::fmax(x, 0.); }
 KV_TAPS float vclamp(float x, float low, float high) { return ::fminf(::fmaxf(x, low), high); }
 KV_TAPS double vclamp(double x, double low, double high) { return ::fmin(::fmax(x, low), high); }
 KV_TAPS float vabs(float x) { return ::fabsf(x); }
@@ -160,7 +163,7 @@ KV_TAPS F weight_at(F place, int pixel) {
     return first_tap<1, F>(vclamp(place, F(pixel - 1), F(pixel + 1)), t) == pixel;
   } else {
     F const distance = vabs(place - F(pixel));
-    if constexpr (K == 2) return vabove(1 - distance, F(0));
+    if constexpr (K == 2) return vshare(1 - distance);
     F const s = 2 - distance;
     F const near = (distance * 1.25f - 2.25f) * distance * distance + 1, far = (1 - distance) * s * s * 0.75f;
     return distance < 1 ? near : s > 0 ? far : 0;

@@ -175,12 +175,14 @@ inline Tensor depth_points_backward(Tensor const& grad, Tensor const& camera, bo
   return differentiable({grad, camera}, compute, {}, no_second_derivative("depth_points"))[0];
 }
 
-// The points (B, 3, H, W) that depth images show; its gradient is to depth. With `distance` depth is no z.
-inline Tensor depth_points(Tensor const& depth, Tensor const& camera, bool distance = false) {
+// The points (B, 3, H, W) that depth images show, with `last` (B, H, W, 3); its gradient is to depth. With `distance`
+// depth is no z.
+inline Tensor depth_points(Tensor const& depth, Tensor const& camera, bool distance = false, bool last = false) {
   using namespace detail;
-  auto const compute = [&] { return variable_list{call<"depth_points">(depth, camera, distance)}; };
+  auto const compute = [&] { return variable_list{call<"depth_points">(depth, camera, distance, last)}; };
   auto const gradient = [=](Backward const& b) {
-    return variable_list{depth_points_backward(b.grads[0], b.saved[0], distance)};
+    Tensor const grad = last ? b.grads[0].movedim(-1, 1) : b.grads[0];
+    return variable_list{depth_points_backward(grad, b.saved[0], distance)};
   };
   return differentiable({depth}, compute, {camera}, gradient)[0];
 }

@@ -205,26 +205,34 @@ inline Tensor pose_dlt(Tensor const& points, Tensor const& pixels, Tensor const&
   return differentiable({points, pixels, camera, given}, compute, {points, pixels, camera, given}, gradient)[0];
 }
 
+inline std::tuple<Tensor, Tensor, Tensor, Tensor> triangulate_backward(Tensor const& grad, Tensor const& points1,
+                                                                       Tensor const& points2,
+                                                                       Tensor const& projections1,
+                                                                       Tensor const& projections2) {
+  using namespace detail;
+  auto const compute = [&] {
+    auto [to_points1, to_points2, to_projections1, to_projections2] =
+        call<"triangulate_backward", std::tuple<Tensor, Tensor, Tensor, Tensor>>(grad, points1, points2, projections1,
+                                                                                 projections2);
+    return variable_list{to_points1, to_points2, to_projections1, to_projections2};
+  };
+  variable_list const tensors{grad, points1, points2, projections1, projections2};
+  variable_list const found = differentiable(tensors, compute, {}, no_second_derivative("triangulate"));
+  return {found[0], found[1], found[2], found[3]};
+}
+
 // Points in space (B, N, 3) from their pictures in two images of projections (B, 3, 4); NaN for points at infinity.
-// What is to be differentiated is made of null vectors.
 inline Tensor triangulate(Tensor const& points1, Tensor const& points2, Tensor const& projections1,
                           Tensor const& projections2) {
   using namespace detail;
-  if (!wants_gradient({points1, points2, projections1, projections2}))
-    return differentiable(
-        {}, [&] { return variable_list{call<"triangulate">(points1, points2, projections1, projections2)}; }, {},
-        nullptr)[0];
-  auto const rows = [](Tensor const& points, Tensor const& projections) {  // x P3 - P1, y P3 - P2
-    Tensor const P = projections.to(at::kDouble).unsqueeze(1);
-    return points.to(at::kDouble).unsqueeze(3) * P.narrow(2, 2, 1) - P.narrow(2, 0, 2);
+  auto const compute = [&] { return variable_list{call<"triangulate">(points1, points2, projections1, projections2)}; };
+  auto const gradient = [](Backward const& b) {
+    auto const [to_points1, to_points2, to_projections1, to_projections2] =
+        triangulate_backward(b.grads[0], b.saved[0], b.saved[1], b.saved[2], b.saved[3]);
+    return variable_list{to_points1, to_points2, to_projections1, to_projections2};
   };
-  Tensor const both = at::cat({rows(points1, projections1), rows(points2, projections2)}, 2);
-  Tensor const X = null_vector(both.flatten(0, 1)).unflatten(0, {points1.size(0), points1.size(1)});
-  Tensor const w = X.narrow(2, 3, 1);
-  double const rounding = points1.scalar_type() == at::kDouble ? 0x1p-52 : 0x1p-23;
-  Tensor const infinite = w.detach().abs() <= 1e-13 + 4 * rounding;
-  Tensor const found = X.narrow(2, 0, 3) / at::where(infinite, 1., w);
-  return at::where(infinite, std::nan(""), found).to(points1.scalar_type());
+  variable_list const tensors{points1, points2, projections1, projections2};
+  return differentiable(tensors, compute, tensors, gradient)[0];
 }
 
 namespace detail {
@@ -383,20 +391,22 @@ inline std::tuple<Tensor, Tensor> essential_motions(Tensor const& matrix) {
 }
 
 // The one of these motions that leaves most points in front of both cameras (B, 3, 3), by their pixels (B, N, 2) and a
-// mask (B, N), or none, of those that count: rotation, direction, points in space (B, N, 3), how many are in front (B).
-inline std::tuple<Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, Tensor const& camera1,
-                                                                Tensor const& camera2, Tensor const& points1,
-                                                                Tensor const& points2,
-                                                                std::optional<Tensor> const& mask = {}) {
+// mask (B, N), or none, of those that count: rotation, direction, points in space (B, N, 3), how many are in front (B),
+// and which of the four it is (B).
+inline std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, Tensor const& camera1,
+                                                                        Tensor const& camera2, Tensor const& points1,
+                                                                        Tensor const& points2,
+                                                                        std::optional<Tensor> const& mask = {}) {
   using namespace detail;
   auto const compute = [&] {
-    auto [rotation, direction, space, in_front] = call<"motion_choice", std::tuple<Tensor, Tensor, Tensor, Tensor>>(
-        matrix, camera1, camera2, points1, points2, mask);
-    return variable_list{rotation, direction, space, in_front};
+    auto [rotation, direction, space, in_front, which] =
+        call<"motion_choice", std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor>>(matrix, camera1, camera2, points1,
+                                                                                  points2, mask);
+    return variable_list{rotation, direction, space, in_front, which};
   };
   variable_list const found =
       differentiable({matrix, camera1, camera2, points1, points2}, compute, {}, no_gradient("motion_choice"));
-  return {found[0], found[1], found[2], found[3]};
+  return {found[0], found[1], found[2], found[3], found[4]};
 }
 
 // --- errors

@@ -178,6 +178,12 @@ int main() {
       [&](auto const& t) { return kvision::depth_points(t[0], camera.view({1, 3, 3}).to(torch::kDouble), true); },
       {depth}, false);
   check(
+      "depth_points, coordinates last",
+      [&](auto const& t) {
+        return kvision::depth_points(t[0], camera.view({1, 3, 3}).to(torch::kDouble), false, true);
+      },
+      {depth}, false);
+  check(
       "depth_normals",
       [&](auto const& t) { return kvision::depth_normals(t[0], camera.view({1, 3, 3}).to(torch::kDouble)); }, {depth},
       false);

@@ -13,6 +13,7 @@ from torch import Tensor
 
 import kvision as K
 import raw_calls
+from composition_tests import on
 from kvision import _ops
 from op_tests import TOLERANCES, assert_close, instruction_set
 
@@ -229,10 +230,10 @@ LAUNCHES = {
     "scale": (lambda x, a, p: K.geometry.scale(x, p), 1),
     "shear": (lambda x, a, p: K.geometry.shear(x, p), 1),
     "Affine": (lambda x, a, p: K.geometry.Affine(a, p, p, p, p)(x), 1),
-    "crop_and_resize": (lambda x, a, p: K.geometry.crop_and_resize(x, BOX.to(x.device), (4, 5)), 1),
+    "crop_and_resize": (lambda x, a, p: K.geometry.crop_and_resize(x, on(x.device, BOX), (4, 5)), 1),
     "center_crop": (lambda x, a, p: K.geometry.center_crop(x, (4, 6)), 1),
     "rotate3d": (lambda x, a, p: K.geometry.rotate3d(x[None], a, a, a), 1),
-    "crop_and_resize3d": (lambda x, a, p: K.geometry.crop_and_resize3d(x[None], BOX3D.to(x.device), (4, 5, 6)), 1),
+    "crop_and_resize3d": (lambda x, a, p: K.geometry.crop_and_resize3d(x[None], on(x.device, BOX3D), (4, 5, 6)), 1),
     "center_crop3d": (lambda x, a, p: K.geometry.center_crop3d(x[None], (2, 4, 6)), 1),
     "get_affine_matrix2d": (lambda x, a, p: K.geometry.get_affine_matrix2d(p, p, p, a, a, a), 1),
     "get_perspective_transform": (lambda x, a, p: K.geometry.get_perspective_transform(x[0, :, :4, :2], x[0, :, 4:8, :2]), 3),

@@ -76,8 +76,10 @@ def test_as_operators(device, backend):
         assert not raw_calls.taken(op.kernel, wrong)
 
 
-def test_pixels_without_a_gradient_add_nothing(device):
+def test_pixels_without_a_gradient_add_nothing(device, backend):
     """Also where the lens is not defined: the divisor of the radial part is 0 at r^2 = 1, the pixel in the corner."""
+    if backend == "reference":
+        pytest.skip("torch multiplies them by what is infinite there")
     camera = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]], device=device)
     dist = torch.tensor([[0.1, 0, 0, 0, 0, -0.5, 0, 0]], device=device)
     grad = torch.zeros(1, 2, 2, 2, device=device)

@@ -246,6 +246,8 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.null_vector_backward(torch.rand(2, 9), torch.rand(2, 4), torch.rand(2, 5, 9), None),
         lambda: ops.triangulate(x, x[:, :3], torch.rand(1, 3, 4), torch.rand(1, 3, 4)),
         lambda: ops.triangulate(x, x, torch.rand(2, 3, 4), torch.rand(2, 3, 4)),
+        lambda: ops.triangulate_backward(x, x, x, torch.rand(1, 3, 4), torch.rand(1, 3, 4)),
+        lambda: ops.triangulate_backward(torch.rand(1, 9, 3), x, x, torch.rand(1, 3, 4), torch.rand(1, 3, 3)),
         lambda: ops.real_roots(torch.rand(2, 12)),
         lambda: ops.undistort(x, torch.rand(1, 3, 2), eye, torch.rand(1, 4), None, 5),
         lambda: ops.undistort(x, eye, eye, torch.rand(1, 15), None, 5),

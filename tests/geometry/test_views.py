@@ -298,6 +298,20 @@ def test_errors_of_many_correspondences_of_one_matrix(device):
     assert_close(results[0], results[2], 1e-10, 1e-10)
 
 
+def test_triangulation_of_many_points_of_one_pair(device):
+    """The gradients to their projections are sums of sums."""
+    scene = Scene(1, 2500, noise=0.5)
+    weights = rand(1, 2500, 3, seed=4).to(device)
+    results = []
+    for backend in ("auto", "auto", "reference"):
+        leaves = [x.to(device).requires_grad_() for x in (scene.P1, scene.P2, scene.x1, scene.x2)]
+        with K.backend(backend):
+            found = G.triangulate_points(*leaves)
+            results.append([found.detach(), *torch.autograd.grad(found, leaves, weights)])
+    assert all(torch.equal(a, b) for a, b in zip(*results[:2]))
+    assert_close(results[0], results[2], 1e-8, 1e-8)
+
+
 # --- types and registration -------------------------------------------------------------------------------------------
 
 

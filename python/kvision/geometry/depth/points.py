@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import floats
+from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.spatial_gradient import derivatives
@@ -37,23 +38,25 @@ def rays(camera: Tensor, height: int, width: int, distance: bool) -> Tensor:
     return seen / (seen * seen).sum(-3, keepdim=True).sqrt() if distance else seen
 
 
-def _points(depth, camera, distance):
-    return depth * rays(camera, *depth.shape[2:], distance)
+def _points(depth, camera, distance, last=False):
+    points = depth * rays(camera, *depth.shape[2:], distance)
+    return points.movedim(1, -1) if last else points
 
 
 def _points_transposed(grad, camera, distance):
     return (grad * rays(camera, *grad.shape[2:], distance)).sum(1, keepdim=True)
 
 
-def _points_backward(needs, grad, depth, camera, distance):
-    found = [_to_depth(grad, camera, distance) if needs[0] else None, None]
+def _points_backward(needs, grad, depth, camera, distance, last):
+    found = [_to_depth(grad.movedim(-1, 1) if last else grad, camera, distance) if needs[0] else None, None]
     if needs[1]:
-        found[1] = depth_points.differentiate_reference((False, True, False), grad, depth, camera, distance)[1]
+        only_camera = (False, True, False, False)
+        found[1] = depth_points.differentiate_reference(only_camera, grad, depth, camera, distance, last)[1]
     return found
 
 
 def _to_depth_backward(needs, grad_grad, grad, camera, distance):
-    found = [depth_points(grad_grad, camera, distance) if needs[0] else None, None]
+    found = [depth_points(grad_grad, camera, distance, False) if needs[0] else None, None]
     if needs[1]:
         found[1] = _to_depth.differentiate_reference((False, True, False), grad_grad, grad, camera, distance)[1]
     return found
@@ -74,10 +77,13 @@ def _normals_backward(needs, grad, depth, camera, distance):
     return found
 
 
+# With `last` (B, H, W, 3).
 depth_points = register(
     "depth_points",
     _points,
-    fake=lambda depth, *how: (depth.shape[0], 3, *depth.shape[2:]),
+    fake=lambda depth, camera, distance, last: (
+        (depth.shape[0], *depth.shape[2:], 3) if last else (depth.shape[0], 3, *depth.shape[2:])
+    ),
     backward=_points_backward,
 )
 _to_depth = register(
@@ -136,7 +142,7 @@ def depth_to_3d(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = F
                 [ 4.,  4.,  4.]])
     """
     depth, camera = _depth_and_camera("depth_to_3d", depth, camera_matrix, normalize_points)
-    points: Tensor = depth_points(depth, camera, normalize_points)
+    points: Tensor = depth_points(depth, camera, normalize_points, False)
     return points
 
 
@@ -209,12 +215,8 @@ def unproject_meshgrid(
     _check_cameras(op, camera_matrix)
     _check.flag(op, "normalize_points", normalize_points)
     camera = floats(camera_matrix).to(device=device, dtype=dtype)
-    return _rays_last(camera, height, width, normalize_points)
-
-
-@as_stored
-def _rays_last(camera: Tensor, height: int, width: int, distance: bool) -> Tensor:
-    return rays(camera, height, width, distance).movedim(-3, -1)
+    one = torch.ones((), device=camera.device, dtype=camera.dtype)
+    return _points_last(one.expand(height, width), camera, normalize_points)
 
 
 def _check_cameras(op: str, camera_matrix: Any) -> None:
@@ -269,10 +271,14 @@ def depth_to_3d_v2(
     return (depth[..., None] * xyz_grid).to(depth.dtype)
 
 
-@as_stored
 def _points_last(depth: Tensor, camera: Tensor, distance: bool) -> Tensor:
-    height, width = depth.shape[-2:]
-    return depth[..., None] * rays(camera.to(depth.dtype), height, width, distance).movedim(-3, -1)
+    """The points (*, H, W, 3) of depth (*, H, W) and cameras (*, 3, 3), leading axes broadcast."""
+    camera, size = as_dtype(camera, compute_dtype(depth)), depth.shape[-2:]
+    leading = torch.broadcast_shapes(depth.shape[:-2], camera.shape[:-2])
+    batch = math.prod(leading)
+    cameras = camera.reshape(1, 3, 3) if camera.numel() == 9 else camera.expand(*leading, 3, 3).reshape(batch, 3, 3)
+    points: Tensor = depth_points(depth.expand(*leading, *size).reshape(batch, 1, *size), cameras, distance, True)
+    return points.reshape(*leading, *size, 3)
 
 
 # --- depth of other things ------------------------------------------------------------------------------------------

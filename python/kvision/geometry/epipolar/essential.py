@@ -12,9 +12,9 @@ from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._minimal import five_points, minimal
-from kvision.geometry._precision import in_full_precision, wants_derivative, wide
+from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
-from kvision.geometry.epipolar.triangulation import triangulate_points
+from kvision.geometry.epipolar.triangulation import triangulate_points, triangulated_backward
 from kvision.geometry.linalg import root
 from kvision.geometry.solvers.correspondences import check_correspondences
 from kvision.geometry.solvers.null_vector import null_vector_3x3
@@ -416,15 +416,14 @@ def motion_from_essential_choose_solution(
     K, L = (v.expand(batch, 3, 3) for v in (K, L))
     if mask is not None and single:
         mask = mask[None]
-    call = _choice_reference if wants_derivative(E, K, L, x, y) else _motion_choice
-    R, t, X, count = call(E, K, L, x, y, mask)
+    R, t, X, count, _ = _motion_choice(E, K, L, x, y, mask)
     return (R[0], t[0], X[0], count[0]) if single else (R, t, X, count)
 
 
 def _choice_reference(
     E: Tensor, K1: Tensor, K2: Tensor, x1: Tensor, x2: Tensor, mask: Tensor | None
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """`motion_from_essential_choose_solution` of matrices (B, 3, 3) and points (B, N, 2)."""
+) -> tuple[Tensor, ...]:
+    """`motion_from_essential_choose_solution` of matrices (B, 3, 3) and points (B, N, 2), and which of four it is."""
     R, t = _motions(E)
     eye = torch.eye(3, device=R.device, dtype=R.dtype).expand_as(R)
     P1, P2 = (
@@ -439,7 +438,40 @@ def _choice_reference(
     def chosen(x: Tensor) -> Tensor:
         return x.gather(1, best[:, None, None, None].expand(-1, 1, *x.shape[2:]))[:, 0]
 
-    return chosen(R), chosen(t), chosen(X), count
+    return chosen(R), chosen(t), chosen(X), count, best
+
+
+def _choice_gradient(
+    needs: Sequence[bool],
+    grad: Tensor | None,
+    grad_direction: Tensor | None,
+    grad_points: Tensor | None,
+    _grad_count: Tensor | None,
+    _grad_best: Tensor | None,
+    R: Tensor,
+    t: Tensor,
+    X: Tensor,
+    count: Tensor,
+    best: Tensor,
+    E: Tensor,
+    K1: Tensor,
+    K2: Tensor,
+    x1: Tensor,
+    x2: Tensor,
+    mask: Tensor | None,
+) -> list[Tensor | None]:
+    """Through the points to the motion, and through the one that was chosen to the matrix."""
+    to_R, to_t, to_X = (
+        torch.zeros_like(y) if g is None else g for g, y in ((grad, R), (grad_direction, t), (grad_points, X))
+    )
+    motion = torch.cat([R, t], -1)
+    P1 = torch.nn.functional.pad(K1, (0, 1))
+    to_x1, to_x2, to_P1, to_P2 = triangulated_backward(to_X, x1, x2, P1, K2 @ motion)
+    to_motion = K2.mT @ to_P2 + torch.cat([to_R, to_t], -1)
+    chosen = torch.arange(4, device=best.device) == best[:, None]
+    of_four = torch.where(chosen[:, :, None, None], to_motion[:, None], 0)
+    to_E = _motions_backward(of_four[..., :3], of_four[..., 3:], E)
+    return [to_E, to_P1[..., :3], to_P2 @ motion.mT, to_x1, to_x2, None]
 
 
 _motion_choice = register(
@@ -449,7 +481,10 @@ _motion_choice = register(
         E.shape,
         (E.shape[0], 3, 1),
         (*x1.shape[:2], 3),
-        E.new_empty(E.shape[0], dtype=torch.int64),
+        *(E.new_empty(E.shape[0], dtype=torch.int64) for _ in range(2)),
     ],
     stores=True,
+    backward=_choice_gradient,
+    saves_results=True,
+    constant=(3, 4),
 )

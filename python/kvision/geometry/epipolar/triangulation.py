@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -11,7 +12,7 @@ from kvision import _check
 from kvision._leading import broadcast
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._precision import in_full_precision, wants_derivative, wide
+from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.solvers.null_vector import null_vector
 
 __all__ = ["triangulate_points"]
@@ -63,8 +64,7 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
     batch = math.prod(leading)
     x1, x2 = (x.expand(*leading, *count).reshape(batch, *count) for x in (points1, points2))
     P1, P2 = (P.expand(*leading, 3, 4).reshape(batch, 3, 4) for P in (P1, P2))
-    call = _reference if wants_derivative(x1, x2, P1, P2) else _triangulate
-    return call(x1, x2, P1, P2).reshape(*leading, count[0], 3)
+    return triangulated(x1, x2, P1, P2).reshape(*leading, count[0], 3)
 
 
 def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
@@ -76,4 +76,16 @@ def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
     return torch.where(infinite, torch.nan, X[..., :3] / torch.where(infinite, 1, w)).to(x1.dtype)
 
 
-_triangulate = register("triangulate", _reference, fake=lambda x1, x2, P1, P2: (*x1.shape[:2], 3))
+def _gradient(needs: Sequence[bool], grad: Tensor, *pictures: Tensor) -> tuple[Tensor, ...]:
+    found: tuple[Tensor, ...] = triangulated_backward(grad, *pictures)
+    return found
+
+
+def _backward_reference(grad: Tensor, *pictures: Tensor) -> tuple[Tensor, ...]:
+    return torch.func.vjp(_reference, *pictures)[1](grad)
+
+
+triangulated = register("triangulate", _reference, fake=lambda x1, x2, P1, P2: (*x1.shape[:2], 3), backward=_gradient)
+triangulated_backward = register(
+    "triangulate_backward", _backward_reference, fake=lambda grad, *pictures: [x.shape for x in pictures]
+)

@@ -150,7 +150,7 @@ def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
 
 
 def _warp_reference(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized):
-    matrix = matrix.expand(len(image), -1, -1)
+    matrix = matrix.expand(image.shape[0], -1, -1)
     places = places_of(matrix, size, image.shape[2:], align_corners, inverse, normalized)
     return sample(image, places, interpolation, padding, align_corners, fill)
 
@@ -200,7 +200,7 @@ def _matrix_gradient_reference(grad, image, matrix, fill, *how):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _warp_reference(image.to(wide), matrix, fill, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_matrix, matrix.expand(len(image), -1, -1))
+    _, pullback = torch.func.vjp(of_matrix, matrix.expand(image.shape[0], -1, -1))
     return pullback(grad.to(wide))[0]
 
 
@@ -220,7 +220,7 @@ warp_image_gradient = register(
 _warp_matrix_gradient = register(
     "warp_matrix_gradient",
     _matrix_gradient_reference,
-    fake=lambda grad, image, matrix, *rest: matrix.new_empty(len(image), *matrix.shape[1:]),
+    fake=lambda grad, image, matrix, *rest: matrix.new_empty(image.shape[0], *matrix.shape[1:]),
     stores=True,
 )
 
@@ -292,7 +292,7 @@ warp_by_formula = register_warp_by_formula(
 def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, moves):
     places = []
     for axis, (places_, size) in enumerate(((map_x, image.shape[3]), (map_y, image.shape[2]))):
-        places_ = places_.expand(len(image), -1, -1)
+        places_ = places_.expand(image.shape[0], -1, -1)
         if normalized:
             places_ = places_ * ((size - 1 if align_corners else size) / 2)
         if moves:
@@ -341,7 +341,7 @@ def _map_gradient_reference(grad, image, map_x, map_y, fill, *how):
     def of_map(map_x: Tensor, map_y: Tensor) -> Tensor:
         return _remap_reference(image.to(wide), map_x, map_y, fill, *how)
 
-    maps = (m.expand(len(image), -1, -1) for m in (map_x, map_y))
+    maps = (m.expand(image.shape[0], -1, -1) for m in (map_x, map_y))
     _, pullback = torch.func.vjp(of_map, *maps)
     return pullback(grad.to(wide))
 
@@ -362,7 +362,7 @@ _remap_image_gradient = register(
 _remap_map_gradient = register(
     "remap_map_gradient",
     _map_gradient_reference,
-    fake=lambda grad, image, map_x, *rest: [map_x.new_empty(len(image), *map_x.shape[1:]) for _ in range(2)],
+    fake=lambda grad, image, map_x, *rest: [map_x.new_empty(image.shape[0], *map_x.shape[1:]) for _ in range(2)],
     stores=True,
 )
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats, pixels
 from kvision.core.exceptions import ShapeError
+from kvision.geometry.points import transformed
 from kvision.geometry.transform import sampling
 
 __all__ = ["homography_warp", "remap", "warp_affine", "warp_grid", "warp_perspective"]
@@ -211,7 +212,7 @@ def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
         src_homo_dst: (B, 3, 3), or (1, 3, 3) for all grids.
 
     Returns:
-        (B, H, W, 2). Where a place goes to infinity it is inf or NaN.
+        (B, H, W, 2), as :func:`transform_points` has it.
 
     Raises:
         TypeError: no tensors.
@@ -224,7 +225,14 @@ def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     """
     _check.shape("warp_grid", "grid", grid, "B", "H", "W", 2)
     _check.shape("warp_grid", "src_homo_dst", src_homo_dst, "B", 3, 3)
-    return transform_grid(floats(grid), src_homo_dst)
+    _check.same_device("warp_grid", grid=grid, src_homo_dst=src_homo_dst)
+    return transformed_grid(floats(grid), src_homo_dst)
+
+
+def transformed_grid(grid: Tensor, matrix: Tensor) -> Tensor:
+    """Homogeneous maps (B or 1, n + 1, n + 1) of places (B or 1, *, n)."""
+    batch = grid.shape[0] if matrix.shape[0] == 1 else matrix.shape[0]
+    return transformed(grid if grid.shape[0] == batch else grid.expand(batch, *grid.shape[1:]), matrix)
 
 
 def transform_grid(grid: Tensor, matrix: Tensor) -> Tensor:

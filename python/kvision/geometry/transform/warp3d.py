@@ -15,7 +15,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
 from kvision.geometry.transform import matrices, sampling
-from kvision.geometry.transform.warp import transform_grid
+from kvision.geometry.transform.warp import transform_grid, transformed_grid
 
 __all__ = [
     "affine3d",
@@ -142,7 +142,7 @@ def rotate3d(
         torch.Size([1, 2, 3, 3])
     """
     volumes = _volumes("rotate3d", tensor)
-    batch, dtype = len(volumes), compute_dtype(volumes)
+    batch, dtype = volumes.shape[0], compute_dtype(volumes)
     angles = []
     for name, angle in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):
         _check.numbers("rotate3d", name, angle)
@@ -212,7 +212,8 @@ def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     """
     _check.shape("warp_grid3d", "grid", grid, "B", "D", "H", "W", 3)
     _check.shape("warp_grid3d", "src_homo_dst", src_homo_dst, "B", 4, 4)
-    return transform_grid(floats(grid), src_homo_dst)
+    _check.same_device("warp_grid3d", grid=grid, src_homo_dst=src_homo_dst)
+    return transformed_grid(floats(grid), src_homo_dst)
 
 
 # --- what they share ------------------------------------------------------------------------------------------------
@@ -283,7 +284,7 @@ def _reference(volumes, matrix, size, interpolation, padding, align_corners, inv
     axes = [torch.arange(n, dtype=matrix.dtype, device=matrix.device) for n in size]
     z, y, x = torch.meshgrid(*axes, indexing="ij")
     places = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
-    places = [p.expand(len(volumes), -1, -1, -1) for p in places]
+    places = [p.expand(volumes.shape[0], -1, -1, -1) for p in places]
     return sampling.sample(volumes, places, interpolation, padding, align_corners)
 
 
@@ -332,7 +333,7 @@ def _matrix_gradient_reference(grad, volumes, matrix, *how):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _reference(volumes, matrix, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_matrix, matrix.expand(len(volumes), -1, -1))
+    _, pullback = torch.func.vjp(of_matrix, matrix.expand(volumes.shape[0], -1, -1))
     return pullback(grad)[0]
 
 
@@ -351,7 +352,7 @@ _volume_gradient = register(
 _matrix_gradient = register(
     "warp3d_matrix_gradient",
     _matrix_gradient_reference,
-    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(len(volumes), *matrix.shape[1:]),
+    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(volumes.shape[0], *matrix.shape[1:]),
 )
 _warp3d_by_formula = sampling.register_warp_by_formula(
     _warp3d,

@@ -202,15 +202,73 @@ __global__ void __launch_bounds__(kThreads)
     int const y = y0 + top + j;
     if (y >= height) return;
     Taken<F> const above(y, height);
-    rays.at(F(x), F(y), ray);
-    F sum = 0;
+    F to_point[3] = {};
 #pragma unroll
     for (int k = 0; k < 3; ++k)
 #pragma unroll
       for (int i = 0; i < 3; ++i)
-        sum += ray[k] * (above.mean[i] * differences[j + i][k] + above.difference[i] * means[j + i][k]);
-    p.to_depth.row(b, 0, y)[x * p.to_depth.step] = round_to<T>(sum);
+        to_point[k] += above.mean[i] * differences[j + i][k] + above.difference[i] * means[j + i][k];
+    if (p.to_points) {
+#pragma unroll
+      for (int k = 0; k < 3; ++k) p.to.row(b, k, y)[x * p.to.step] = round_to<T>(to_point[k]);
+    } else {
+      rays.at(F(x), F(y), ray);
+      p.to.row(b, 0, y)[x * p.to.step] = round_to<T>(dot_of(ray, to_point));
+    }
   }
+}
+
+// Sums of a part of an image's pixels: a thread kRunsEach runs of them.
+constexpr int kRunsEach = 4;
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) sum_to_cameras(__grid_constant__ DepthCamera<T> const p, bool fours) {
+  using F = Compute<T>;
+  int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
+  int const width = int(p.grad.width), height = int(p.grad.height), across = (width + kRun - 1) / kRun;
+  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+  F sums[4] = {};
+#pragma unroll 1
+  for (int n = 0; n < kRunsEach; ++n) {
+    int64_t const run = (part * kRunsEach + n) * kThreads + threadIdx.x;
+    if (run >= int64_t(across) * height) break;
+    int const y = int(run / across), x = int(run - int64_t(y) * across) * kRun;
+    F grad[3][kRun], d[kRun];
+    load_run(p.depth.row(b, 0, y), p.depth.step, x, width, fours, d);
+#pragma unroll
+    for (int k = 0; k < 3; ++k) load_run(p.grad.row(b, k, y), p.grad.step, x, width, fours, grad[k]);
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) {
+      F const g[] = {grad[0][i], grad[1][i], grad[2][i]};
+      if (x + i < width) rays.add_slopes(F(x + i), F(y), d[i], g, sums);
+    }
+  }
+  __shared__ double of_warps[kThreads / 32][4];
+#pragma unroll
+  for (int k = 0; k < 4; ++k) {
+    double const sum = warp_sum(double(sums[k]));
+    if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32][k] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x >= 4) return;
+  double sum = 0;
+  for (int w = 0; w < kThreads / 32; ++w) sum += of_warps[w][threadIdx.x];
+  p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = sum;
+}
+
+// A block a camera, a warp each of its sums.
+template <class T>
+__global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthCamera<T> const p) {
+  int64_t const b = blockIdx.x;
+  int const k = threadIdx.x / 32;
+  __shared__ double sums[4];
+  double sum = 0;
+  for (int64_t part = threadIdx.x % 32; part < p.parts; part += 32) sum += p.partial[4 * (b * p.parts + part) + k];
+  sum = warp_sum(sum);
+  if (threadIdx.x % 32 == 0) sums[k] = sum;
+  __syncthreads();
+  if (threadIdx.x == 0)
+    Rays<Compute<T>>(p.cameras + b * p.camera_stride, p.distance).store_slopes(sums, p.to_camera + 9 * b);
 }
 
 }  // namespace
@@ -244,9 +302,18 @@ int depth_normals_backward(DepthNormalsBackward<T> const& p, CUstream_st* stream
   return cudaGetLastError();
 }
 
+template <class T>
+int depth_camera(DepthCamera<T> const& p, CUstream_st* stream) {
+  bool const fours = in_fours(p.grad) && in_fours(p.depth);
+  sum_to_cameras<T><<<unsigned(p.grad.batch * p.parts), kThreads, 0, stream>>>(p, fours);
+  finish_cameras<T><<<unsigned(p.grad.batch), 128, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
 KV_INSTANTIATE(depth_points, DepthPoints)
 KV_INSTANTIATE(depth_points_backward, DepthPointsBackward)
 KV_INSTANTIATE(depth_normals, DepthPoints)
 KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
+KV_INSTANTIATE(depth_camera, DepthCamera)
 
 }  // namespace kv::cuda

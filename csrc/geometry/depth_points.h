@@ -3,7 +3,8 @@
 //   point(x, y) = d ray,  ray = ((x - cx) / fx, (y - cy) / fy, 1), over its length where depth is the distance
 //   normal      = dx x dy over its length, the Sobel derivatives of the points, with the border replicated
 //
-// The gradient of normals goes to the derivatives of a pixel first, and from those around a pixel to its point.
+// The gradient of normals goes to the derivatives of a pixel first, and from those around a pixel to its point. That to
+// the camera comes from the one to points: sums over pixels are those of parts, then of all.
 //
 // Included by depth_points_cpu.cpp, depth_points.cu and depth_points_op.cpp.
 #pragma once
@@ -37,16 +38,29 @@ struct DepthPointsBackward {
 template <class T>
 struct DepthNormalsBackward {
   Images<T const> grad, depth;
-  Images<T> to_depth;
+  Images<T> to;  // to depth, or to points: three channels
+  Compute<T> const* cameras;
+  int64_t camera_stride;
+  bool distance, to_points;
+};
+
+// From the gradient to points.
+template <class T>
+struct DepthCamera {
+  Images<T const> grad, depth;
   Compute<T> const* cameras;
   int64_t camera_stride;
   bool distance;
+  int64_t parts;          // of an image: of runs of pixels on CUDA, rows on the CPU
+  double* partial;        // (B, parts, 4)
+  Compute<T>* to_camera;  // (B, 3, 3), by CUDA's kernel; on the CPU the entry makes them
 };
 
 KV_KERNEL(depth_points, DepthPoints)
 KV_KERNEL(depth_points_backward, DepthPointsBackward)
 KV_KERNEL(depth_normals, DepthPoints)
 KV_KERNEL(depth_normals_backward, DepthNormalsBackward)
+KV_KERNEL(depth_camera, DepthCamera)
 
 template <class V>
 KV_HD V inverse_root(V x) {
@@ -80,6 +94,21 @@ struct Rays {
     ray[0] = u * z;
     ray[1] = down(y) * z;
     ray[2] = z;
+  }
+  // From the gradient g to d times the ray to the camera: -fx times the first and the third sum are those to its fx and
+  // cx, -fy times the others those to fy and cy.
+  template <class V>
+  KV_HD void add_slopes(V x, F y, V d, V const (&g)[3], V (&sums)[4]) const {
+    V const u = across(x), v = V{} + down(y), z = z_of(u, down(y), V(V{} + 1));
+    V const along = unit ? V((g[0] * u + g[1] * v + g[2]) * z * z) : V{};
+    V const to_u = d * z * (g[0] - along * u), to_v = d * z * (g[1] - along * v);
+    sums[0] = sums[0] + to_u * u, sums[1] = sums[1] + to_v * v;
+    sums[2] = sums[2] + to_u, sums[3] = sums[3] + to_v;
+  }
+  KV_HD void store_slopes(double const* sums, F* to_camera) const {
+    for (int i = 0; i < 9; ++i) to_camera[i] = 0;
+    to_camera[0] = F(-fx * sums[0]), to_camera[4] = F(-fy * sums[1]);
+    to_camera[2] = F(-fx * sums[2]), to_camera[5] = F(-fy * sums[3]);
   }
 };
 

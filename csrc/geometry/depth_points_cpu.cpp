@@ -129,21 +129,52 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
     Taken<F> const down(y, height);
     auto const pixel = [&](auto lanes, int64_t x, Taken<F> const& across) {
       constexpr int N = decltype(lanes)::value;
-      Lanes<F, N> ray[3], sum{};
-      rays.at(columns_from<N, F>(x), F(y), ray);
+      Lanes<F, N> ray[3], to_point[3] = {};
       for (int k = 0; k < 3; ++k)
         for (int j = 0; j < 3; ++j) {
           F const *const to_x = slopes(y - 1 + j, k) + x, *const to_y = slopes(y - 1 + j, 3 + k) + x;
           for (int i = 0; i < 3; ++i)
-            sum += ray[k] * (load<N>(to_x + i - 1) * (across.difference[i] * down.mean[j]) +
-                             load<N>(to_y + i - 1) * (across.mean[i] * down.difference[j]));
+            to_point[k] += load<N>(to_x + i - 1) * (across.difference[i] * down.mean[j]) +
+                           load<N>(to_y + i - 1) * (across.mean[i] * down.difference[j]);
         }
-      store<N>(p.to_depth.row(b, 0, y) + x * p.to_depth.step, sum);
+      if (p.to_points) {
+        for (int k = 0; k < 3; ++k) store<N>(p.to.row(b, k, y) + x * p.to.step, to_point[k]);
+      } else {
+        rays.at(columns_from<N, F>(x), F(y), ray);
+        store<N>(p.to.row(b, 0, y) + x * p.to.step, dot_of(ray, to_point));
+      }
     };
     pixel(Width<1>{}, 0, Taken<F>(0, width));
-    for_each_pixel<T>(p.to_depth, p.to_depth, 1, width - 1,
-                      [&](auto lanes, int64_t x) { pixel(lanes, x, Taken<F>(1, 3)); });
+    for_each_pixel<T>(p.to, p.to, 1, width - 1, [&](auto lanes, int64_t x) { pixel(lanes, x, Taken<F>(1, 3)); });
     pixel(Width<1>{}, width - 1, Taken<F>(width - 1, width));
+  }
+}
+
+// A row a part: its pixels in vectors, then those that are left.
+template <class T>
+void depth_camera(DepthCamera<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  constexpr int N = kLanes<T>;
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const b = r / p.grad.height, y = r % p.grad.height, step = p.grad.step, depth_step = p.depth.step;
+    Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+    Lanes<F, N> lanes[4] = {};
+    F rest[4] = {};
+    auto const add = [&](auto width, int64_t x, auto& sums) KV_INLINE {
+      constexpr int M = decltype(width)::value;
+      Lanes<F, M> g[3], d = load<M>(p.depth.row(b, 0, y) + x * depth_step);
+      for (int k = 0; k < 3; ++k) g[k] = load<M>(p.grad.row(b, k, y) + x * step);
+      rays.add_slopes(columns_from<M, F>(x), F(y), d, g, sums);
+    };
+    int64_t x = 0;
+    if (step == 1 && depth_step == 1)
+      for (; x + N <= p.grad.width; x += N) add(Width<N>{}, x, lanes);
+    for (; x < p.grad.width; ++x) add(Width<1>{}, x, rest);
+    for (int k = 0; k < 4; ++k) {
+      double sum = rest[k];
+      for (int i = 0; i < N; ++i) sum += lanes[k][i];
+      p.partial[4 * r + k] = sum;
+    }
   }
 }
 
@@ -151,5 +182,6 @@ KV_INSTANTIATE(depth_points, DepthPoints)
 KV_INSTANTIATE(depth_points_backward, DepthPointsBackward)
 KV_INSTANTIATE(depth_normals, DepthPoints)
 KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
+KV_INSTANTIATE(depth_camera, DepthCamera)
 
 }  // namespace kv::KV_ISA

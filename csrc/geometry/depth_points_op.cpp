@@ -68,23 +68,77 @@ Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance) {
   return y;
 }
 
-Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
-  char const* const op = "depth_normals_backward";
+Tensor normals_gradient(char const* op, Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance,
+                        bool to_points) {
   check_images(op, "grad", grad);
   check_images(op, "depth", depth);
   int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
   KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
   check_fits(op, "depth", depth, grad, {batch, 1, height, width});
   size_of(op, grad);
-  Tensor const cameras = cameras_of(op, camera, grad), to_depth = empty({batch, 1, height, width}, grad);
+  Tensor const cameras = cameras_of(op, camera, grad), to = empty({batch, to_points ? 3 : 1, height, width}, grad);
   for_floats(op, depth, [&](auto type) {
     using T = typename decltype(type)::type;
-    DepthNormalsBackward<T> const params{images<T const>(grad, batch), images<T const>(depth, batch),
-                                         images<T>(to_depth, batch),   data_of<Compute<T> const>(cameras),
-                                         stride_of(cameras),           distance};
+    DepthNormalsBackward<T> const params{images<T const>(grad, batch),
+                                         images<T const>(depth, batch),
+                                         images<T>(to, batch),
+                                         data_of<Compute<T> const>(cameras),
+                                         stride_of(cameras),
+                                         distance,
+                                         to_points};
     KV_RUN(depth_normals_backward, depth, params, batch * params.depth.height, 128 * params.depth.width);
   });
-  return to_depth;
+  return to;
+}
+
+Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  return normals_gradient("depth_normals_backward", grad, depth, camera, distance, false);
+}
+
+// To points (B, 3, H, W).
+Tensor depth_normals_to_points(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  return normals_gradient("depth_normals_to_points", grad, depth, camera, distance, true);
+}
+
+// The gradient to the camera of each image (B, 3, 3), also where one serves all, from that to its points.
+Tensor depth_camera(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  constexpr char const* op = "depth_camera";
+  check_images(op, "grad", grad);
+  check_images(op, "depth", depth);
+  int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
+  KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
+  check_fits(op, "depth", depth, grad, {batch, 1, height, width});
+  size_of(op, grad);
+  Tensor const cameras = cameras_of(op, camera, grad);
+  Tensor const to_camera = empty({batch, 3, 3}, cameras);
+#if defined(KV_CUDA)
+  int64_t const parts = ((width + 3) / 4 * height + 1023) / 1024;  // of 256 threads' four runs of four pixels
+#else
+  int64_t const parts = height;
+#endif
+  Tensor const partial = empty({batch, parts, 4}, cameras, Layout::planar, ScalarType::Double);
+  for_floats(op, depth, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    DepthCamera<T> const params{images<T const>(grad, batch),
+                                images<T const>(depth, batch),
+                                data_of<F const>(cameras),
+                                stride_of(cameras),
+                                distance,
+                                parts,
+                                data_of<double>(partial),
+                                data_of<F>(to_camera)};
+    KV_RUN(depth_camera, depth, params, batch * parts, 8 * width);
+#if !defined(KV_CUDA)
+    for (int64_t b = 0; b < batch; ++b) {
+      double sums[4] = {};
+      for (int64_t part = 0; part < parts; ++part)
+        for (int k = 0; k < 4; ++k) sums[k] += params.partial[4 * (b * parts + part) + k];
+      Rays<F>(params.cameras + b * params.camera_stride, distance).store_slopes(sums, params.to_camera + 9 * b);
+    }
+#endif
+  });
+  return to_camera;
 }
 
 }  // namespace
@@ -93,5 +147,7 @@ KV_OPERATOR(depth_points, "(Tensor depth, Tensor camera, bool distance, bool las
 KV_OPERATOR(depth_points_backward, "(Tensor grad, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_normals, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_normals_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_normals_to_points, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_camera, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
 
 }  // namespace kv

@@ -377,7 +377,7 @@ struct Lines : Homography {
 
   template <class Team>
   static KV_CALLED void normal_matrix(Problem<2, 2> const& problem, Team team, double* m) {
-    auto const end = [&](int64_t i, double* n1, double* line) {
+    auto const end = [&](int64_t i, double* n1, double* line) KV_INLINE {
       double start[3], end[3], other[3];
       problem.normalized(i ^ 1, other, start);
       problem.normalized(i, n1, end);
@@ -506,7 +506,7 @@ struct Fundamental {
 
   template <class Team>
   static KV_CALLED void normal_matrix(Problem<2> const& problem, Team team, double* m) {
-    auto const pair = [&](int64_t i, double* n1, double* n2) {
+    auto const pair = [&](int64_t i, double* n1, double* n2) KV_INLINE {
       problem.normalized(i, n1, n2);
       return problem.weights[i];
     };

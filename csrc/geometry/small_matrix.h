@@ -152,14 +152,12 @@ KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, 
 // To v, the unit eigenvector of the smallest eigenvalue of a positive semidefinite matrix: of the largest one of the
 // inverse of M + 1e-6, whose digits that shift keeps where several eigenvalues are 0. What rounding adds of others is
 // taken away by Newton's method. NaN where the matrix is not finite; a matrix of zeros has any.
+// Destroys m; the other matrices and r are for it to work with.
 template <int N, class Team>
-KV_HD void smallest_eigenvector_in(double const* matrix, EigenSpace<N>& space, Team team) {
-  double *const m = space.m, *const inverse = space.inverse, *const v = space.v, *const r = space.r;
+KV_HD void smallest_eigenvector_in(double* m, double* inverse, double* powers, double* square, double* r, double* v,
+                                   Team team) {
   bool known = true;
-  for (int i = team.first(); i < N * N; i += team.step()) {
-    m[i] = matrix[i];
-    known = known && finite(m[i]);
-  }
+  for (int i = team.first(); i < N * N; i += team.step()) known = known && finite(m[i]);
   if (!team.all(known)) {
     for (int i = team.first(); i < N; i += team.step()) v[i] = nan();
     team.sync();
@@ -173,10 +171,10 @@ KV_HD void smallest_eigenvector_in(double const* matrix, EigenSpace<N>& space, T
   for (int i = team.first(); i < N * N; i += team.step()) inverse[i] = m[i] + (i % (N + 1) == 0 ? 1e-6 : 0);
   team.sync();
   invert<N>(inverse, team);
-  for (int i = team.first(); i < N * N; i += team.step()) space.powers[i] = inverse[i];
+  for (int i = team.first(); i < N * N; i += team.step()) powers[i] = inverse[i];
   team.sync();
-  normalize_trace<N>(space.powers, team);
-  largest_eigenvector<N>(space.powers, space.square, r, v, team);
+  normalize_trace<N>(powers, team);
+  largest_eigenvector<N>(powers, square, r, v, team);
   for (int step = 0; step < 2; ++step) {
     multiply_vector<N>(m, v, r, team);
     double const value = dot<N>(r, v);
@@ -193,13 +191,14 @@ KV_HD void smallest_eigenvector_in(double const* matrix, EigenSpace<N>& space, T
 }
 template <int N, class Team>
 KV_CALLED void smallest_eigenvector(EigenSpace<N>& space, Team team) {
-  smallest_eigenvector_in<N>(space.matrix, space, team);
+  for (int i = team.first(); i < N * N; i += team.step()) space.m[i] = space.matrix[i];
+  team.sync();
+  smallest_eigenvector_in<N>(space.m, space.inverse, space.powers, space.square, space.r, space.v, team);
 }
 template <int N>
-KV_CALLED void smallest_eigenvector(double const* m, double* v) {
-  EigenSpace<N> space;
-  smallest_eigenvector_in<N>(m, space, Alone{});
-  for (int i = 0; i < N; ++i) v[i] = space.v[i];
+KV_CALLED void smallest_eigenvector(double* m, double* v) {
+  double inverse[N * N], powers[N * N], square[N * N], r[N];
+  smallest_eigenvector_in<N>(m, inverse, powers, square, r, v, Alone{});
 }
 
 // Turns a symmetric matrix into its eigenvalues, on its diagonal, and their vectors, the columns of `vectors`, by
@@ -236,12 +235,12 @@ KV_CALLED void diagonalize(double* m, double* vectors) {
 
 // The gradient to M, symmetric, of its smallest eigenvector v is -(u v^T + v u^T) / 2: gives u = (M - lambda)^+ g.
 // Where other eigenvalues are as small there is none: 0 in their directions.
+// Destroys M.
 template <int N, class Team>
-KV_HD void smallest_eigenvector_vjp_in(EigenSpace<N>& space, Team team) {
-  double const *const m = space.matrix, *const v = space.v, *const g = space.g;
-  double *const inverse = space.inverse, *const u = space.u;
-  multiply_vector<N>(m, v, space.r, team);
-  double const value = dot<N>(space.r, v), along = dot<N>(g, v);
+KV_HD void smallest_eigenvector_vjp_in(double* m, double* inverse, double* r, double const* v, double const* g,
+                                       double* u, Team team) {
+  multiply_vector<N>(m, v, r, team);
+  double const value = dot<N>(r, v), along = dot<N>(g, v);
   double trace = 0;
   for (int i = 0; i < N; ++i) trace += m[i * N + i];
   // The inverse of M - lambda + trace v v^T is the same across v, unless other directions are null.
@@ -253,16 +252,12 @@ KV_HD void smallest_eigenvector_vjp_in(EigenSpace<N>& space, Team team) {
   if (invert<N>(inverse, team) > 1e-7 * trace) {
     for (int i = team.first(); i < N; i += team.step())
       for (int k = 0; k < N; ++k) u[i] += inverse[i * N + k] * (g[k] - along * v[k]);
-    team.sync();
-    return;
-  }
-  if (team.first() == 0) {
-    for (int i = 0; i < N * N; ++i) space.m[i] = m[i];
-    diagonalize<N>(space.m, inverse);
-    double least = space.m[0];
-    for (int i = 1; i < N; ++i) least = min(least, space.m[i * N + i]);
+  } else if (team.first() == 0) {
+    diagonalize<N>(m, inverse);
+    double least = m[0];
+    for (int i = 1; i < N; ++i) least = min(least, m[i * N + i]);
     for (int k = 0; k < N; ++k) {
-      double const gap = space.m[k * N + k] - least;
+      double const gap = m[k * N + k] - least;
       if (!(gap > 1e-13 * trace)) continue;
       double part = 0;
       for (int i = 0; i < N; ++i) part += inverse[i * N + k] * g[i];
@@ -273,15 +268,12 @@ KV_HD void smallest_eigenvector_vjp_in(EigenSpace<N>& space, Team team) {
 }
 template <int N, class Team>
 KV_CALLED void smallest_eigenvector_vjp(EigenSpace<N>& space, Team team) {
-  smallest_eigenvector_vjp_in<N>(space, team);
+  smallest_eigenvector_vjp_in<N>(space.matrix, space.inverse, space.r, space.v, space.g, space.u, team);
 }
 template <int N>
-KV_CALLED void smallest_eigenvector_vjp(double const* m, double const* v, double const* g, double* u) {
-  EigenSpace<N> space;
-  for (int i = 0; i < N * N; ++i) space.matrix[i] = m[i];
-  for (int i = 0; i < N; ++i) space.v[i] = v[i], space.g[i] = g[i];
-  smallest_eigenvector_vjp_in<N>(space, Alone{});
-  for (int i = 0; i < N; ++i) u[i] = space.u[i];
+KV_CALLED void smallest_eigenvector_vjp(double* m, double const* v, double const* g, double* u) {
+  double inverse[N * N], r[N];
+  smallest_eigenvector_vjp_in<N>(m, inverse, r, v, g, u, Alone{});
 }
 
 // --- 3 x 3

@@ -57,9 +57,10 @@ KV_HD void triangulate(double const (*pixels)[2], double const (*projections)[12
 // From the gradient g to that point: to the pixels, and to both projections, to which it is added.
 KV_HD void triangulate_vjp(double const (*pixels)[2], double const (*projections)[12], double least, double const* g,
                            double (*to_pixels)[2], double* to_projections) {
-  double m[16], v[4], to_v[4], u[4];
+  double m[16], copy[16], v[4], to_v[4], u[4];
   seen_rows(pixels, projections, m);
-  smallest_eigenvector<4>(m, v);
+  for (int k = 0; k < 16; ++k) copy[k] = m[k];
+  smallest_eigenvector<4>(copy, v);
   bool const there = magnitude(v[3]) > least;
   to_v[3] = 0;
   for (int k = 0; k < 3; ++k) to_v[k] = g[k] / v[3], to_v[3] -= to_v[k] * v[k] / v[3];

@@ -169,6 +169,13 @@ inline std::tuple<Tensor, Tensor> quadratic_peaks(Tensor const& input, std::opti
 // --- depth
 // ------------------------------------------------------------------------------------------------------------
 
+// From the gradient to points (B, 3, H, W) of depth (B, 1, H, W) to each camera (B, 3, 3).
+inline Tensor depth_camera(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"depth_camera">(grad, depth, camera, distance)}; };
+  return differentiable({grad, depth, camera}, compute, {}, no_second_derivative("depth_points"))[0];
+}
+
 inline Tensor depth_points_backward(Tensor const& grad, Tensor const& camera, bool distance) {
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"depth_points_backward">(grad, camera, distance)}; };
@@ -185,6 +192,13 @@ inline Tensor depth_points(Tensor const& depth, Tensor const& camera, bool dista
     return variable_list{depth_points_backward(grad, b.saved[0], distance)};
   };
   return differentiable({depth}, compute, {camera}, gradient)[0];
+}
+
+// To the points (B, 3, H, W) that normals are those of.
+inline Tensor depth_normals_to_points(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  using namespace detail;
+  auto const compute = [&] { return variable_list{call<"depth_normals_to_points">(grad, depth, camera, distance)}; };
+  return differentiable({grad, depth, camera}, compute, {}, no_second_derivative("depth_normals"))[0];
 }
 
 inline Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {

@@ -10,7 +10,8 @@ from torch import Tensor
 
 import kvision as K
 from composition_tests import Case, CompositionTests
-from op_tests import OpTests, assert_close
+from kvision._ops import FLOATS
+from op_tests import TOLERANCES, OpTests, assert_close
 from warp_tests import FLOAT_PLACES, WarpTests, one
 
 G = K.geometry
@@ -60,7 +61,7 @@ class Points(OpTests):
 
 class TestDepthTo3d(Points):
     function = staticmethod(G.depth_to_3d)
-    operators = ("depth_points", "depth_points_backward")
+    operators = ("depth_points", "depth_points_backward", "depth_camera")
     tolerances = {torch.float32: (2e-5, 1e-5)}
 
     def test_nan_stays_in_its_window(self, variant, device):
@@ -71,7 +72,9 @@ class TestDepthTo3d(Points):
 
 class TestDepthToNormals(TestDepthTo3d):
     function = staticmethod(G.depth_to_normals)
-    operators = ("depth_normals", "depth_normals_backward")
+    operators = tuple(
+        "depth_normals depth_normals_backward depth_normals_to_points depth_points_backward depth_camera".split()
+    )
 
     def input(self, shape, dtype, device):
         return 4 * super().input(shape, dtype, device)
@@ -80,11 +83,33 @@ class TestDepthToNormals(TestDepthTo3d):
     tolerances = {torch.float32: (1e-4, 2e-5), torch.float16: (2e-3, 4e-3), torch.bfloat16: (1.6e-2, 4e-2)}
 
 
+@pytest.mark.parametrize("dtype", FLOATS, ids=str)
+@pytest.mark.parametrize("function", [G.depth_to_3d, G.depth_to_normals])
+def test_gradients_to_cameras(function, dtype, device):
+    """Sums over pixels: of whole rows, of a few pixels, of several parts, of channels that lie last."""
+    relative, absolute = TOLERANCES[dtype]
+    for shape, distance in (((2, 1, 13, 18), True), ((1, 1, 5, 3), False), ((2, 1, 70, 130), False)):
+        x = depth(torch.zeros(shape)).to(dtype)
+        weights = torch.rand(shape[0], 3, *shape[2:]).to(dtype).to(device).to(memory_format=torch.channels_last)
+        for k in (camera(x), camera(x)[:1]):
+            results = []
+            for backend in ("auto", "auto", "reference"):
+                wide = backend == "reference"
+                given = [v.to(device).to(torch.float64 if wide else dtype) for v in (x, k)]
+                leaves = [v.requires_grad_() for v in given]
+                with K.backend(backend):
+                    y = function(*leaves, distance)
+                    results.append([g.to(dtype) for g in torch.autograd.grad(y, leaves, weights.to(y.dtype))])
+            assert all(torch.equal(a, b) for a, b in zip(*results[:2]))
+            for a, e in zip(results[0], results[2]):
+                assert_close(a, e, 8 * relative, 8 * absolute * max(1, float(e.abs().max())))
+
+
 class TestWarpFrameDepth(WarpTests):
     function = staticmethod(G.warp_frame_depth)
     small = (1, 1, 4, 4)
     operators = tuple(
-        "depth_points depth_points_backward depth_warp depth_warp_image_gradient depth_warp_slopes "
+        "depth_points depth_points_backward depth_camera depth_warp depth_warp_image_gradient depth_warp_slopes "
         "reprojection reprojection_backward".split()
     )
     bytes = False

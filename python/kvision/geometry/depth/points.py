@@ -48,22 +48,28 @@ def _points_transposed(grad, camera, distance):
 
 
 def _points_backward(needs, grad, depth, camera, distance, last):
-    found = [_to_depth(grad.movedim(-1, 1) if last else grad, camera, distance) if needs[0] else None, None]
-    if needs[1]:
-        only_camera = (False, True, False, False)
-        found[1] = depth_points.differentiate_reference(only_camera, grad, depth, camera, distance, last)[1]
-    return found
+    grad = grad.movedim(-1, 1) if last else grad
+    to_camera = _to_camera(grad, depth, camera, distance).sum_to_size(camera.shape) if needs[1] else None
+    return [_to_depth(grad, camera, distance) if needs[0] else None, to_camera]
+
+
+def _points_to_camera(grad, depth, camera, distance):
+    each = camera.expand(grad.shape[0], 3, 3)
+    points = depth.to(camera.dtype)
+    return torch.func.vjp(lambda k: _points(points, k, distance), each)[1](grad.to(camera.dtype))[0]
 
 
 def _to_depth_backward(needs, grad_grad, grad, camera, distance):
-    found = [depth_points(grad_grad, camera, distance, False) if needs[0] else None, None]
-    if needs[1]:
-        found[1] = _to_depth.differentiate_reference((False, True, False), grad_grad, grad, camera, distance)[1]
-    return found
+    to_camera = _to_camera(grad, grad_grad, camera, distance).sum_to_size(camera.shape) if needs[1] else None
+    return [depth_points(grad_grad, camera, distance, False) if needs[0] else None, to_camera]
 
 
 def _normals(depth, camera, distance):
-    along = derivatives(_points(depth, camera, distance), "sobel", 1, True)
+    return _normals_of(_points(depth, camera, distance))
+
+
+def _normals_of(points):
+    along = derivatives(points, "sobel", 1, True)
     normal = torch.linalg.cross(along[:, :, 0], along[:, :, 1], dim=1)
     square = (normal * normal).sum(1, keepdim=True)
     flat = square <= 1e-24
@@ -71,10 +77,14 @@ def _normals(depth, camera, distance):
 
 
 def _normals_backward(needs, grad, depth, camera, distance):
-    found = [_normals_to_depth(grad, depth, camera, distance) if needs[0] else None, None]
-    if needs[1]:
-        found[1] = _depth_normals.differentiate_reference((False, True, False), grad, depth, camera, distance)[1]
-    return found
+    if not needs[1]:
+        return [_normals_to_depth(grad, depth, camera, distance), None]
+    to_points = _normals_to_points(grad, depth, camera, distance)
+    return _points_backward(needs, to_points, depth, camera, distance, False)
+
+
+def _normals_transposed(grad, depth, camera, distance):
+    return vjp(_normals_of)(grad, _points(depth, camera, distance))
 
 
 # With `last` (B, H, W, 3).
@@ -92,6 +102,12 @@ _to_depth = register(
     fake=lambda grad, *how: (grad.shape[0], 1, *grad.shape[2:]),
     backward=_to_depth_backward,
 )
+_to_camera = register(
+    "depth_camera",
+    _points_to_camera,
+    fake=lambda grad, depth, camera, _: camera.new_empty(grad.shape[0], 3, 3),
+    stores=True,
+)
 _depth_normals = register(
     "depth_normals",
     _normals,
@@ -101,6 +117,7 @@ _depth_normals = register(
 _normals_to_depth = register(
     "depth_normals_backward", vjp(_normals), fake=lambda grad, *how: (grad.shape[0], 1, *grad.shape[2:])
 )
+_normals_to_points = register("depth_normals_to_points", _normals_transposed)
 
 # --- points ---------------------------------------------------------------------------------------------------------
 

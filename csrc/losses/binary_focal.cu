@@ -9,7 +9,6 @@ template <class T>
 __global__ void __launch_bounds__(kSumThreads)
     sum_binary_focal(__grid_constant__ BinaryFocalSum<T> const p, bool packed) {
   using F = Compute<T>;
-  let_next_begin();
   int64_t const row = blockIdx.x / p.pieces;
   BinaryFocalTerms<F> const terms = p.terms.of(row);
   sum_piece(p.pair, row, p.pieces, packed, p.partial,

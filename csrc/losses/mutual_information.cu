@@ -40,7 +40,6 @@ __global__ void __launch_bounds__(kThreads) find_ranges(__grid_constant__ Mutual
 
 template <class F>
 __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ MutualInformation<F> const p) {
-  let_next_begin();
   __shared__ unsigned low_words[kShared], high_words[kShared];
   Piece const at(p.pieces, p.samples);
   int const bins = p.binning.bins, cells = bins * bins;
@@ -86,7 +85,6 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
 // A block for each row.
 template <class F>
 __global__ void __launch_bounds__(kFinishThreads) find_information(__grid_constant__ MutualInformation<F> const p) {
-  wait_for_previous();
   int64_t const row = blockIdx.x;
   int const bins = p.binning.bins, cells = bins * bins, lane = threadIdx.x % 32;
   unsigned long long const* const counts = p.counts + row * cells;
@@ -197,7 +195,8 @@ int mutual_information(MutualInformation<F> const& p, CUstream_st* stream) {
   if (int const error = cudaMemsetAsync(p.counts, 0, bytes, stream)) return error;
   find_ranges<<<blocks, kThreads, 0, stream>>>(p);
   count_pairs<<<blocks, kThreads, 0, stream>>>(p);
-  return launch_early(find_information<F>, unsigned(p.rows), kFinishThreads, stream, p);
+  find_information<<<unsigned(p.rows), kFinishThreads, 0, stream>>>(p);
+  return cudaGetLastError();
 }
 
 template <class F>

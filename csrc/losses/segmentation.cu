@@ -128,7 +128,6 @@ __device__ __forceinline__ void for_each_pack(Logits<T> const& logits, int64_t s
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overlap<T> const p) {
   using F = Compute<T>;
-  let_next_begin();
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes), threads = int(blockDim.x), lane = threadIdx.x % 32;
   int64_t const sample = blockIdx.x / p.logits.pieces, piece = blockIdx.x - sample * p.logits.pieces;
@@ -187,7 +186,6 @@ __global__ void __launch_bounds__(kFinishThreads)
     finish_overlap(OverlapTerms<F> const terms, int64_t batch, int classes, int64_t pieces, F const* partial, F* sums,
                    F* loss) {
   constexpr int kWarps = kFinishThreads / 32;
-  wait_for_previous();
   __shared__ F losses[kWarps];
   int const bins = 3 * classes, warp = threadIdx.x / 32;
   sums += blockIdx.x * batch * bins, partial += blockIdx.x * batch * pieces * bins;
@@ -283,7 +281,6 @@ __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Comput
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T> const p) {
   using F = Compute<T>;
-  let_next_begin();
   extern __shared__ __align__(16) unsigned char shared[];
   int64_t const sample = blockIdx.x / p.logits.pieces;
   Pixels<T, P> pixels(p.logits, shared);
@@ -369,8 +366,9 @@ int overlap(Overlap<T> const& p, CUstream_st* stream) {
     return launch<Compute<T>>(sum_classes<T, P>, p, P + 3, 0, stream);
   });
   if (error) return error;
-  return launch_early(finish_overlap<Compute<T>>, unsigned(p.logits.losses), kFinishThreads, stream, p.terms,
-                      p.logits.batch, int(p.logits.classes), p.logits.pieces, p.partial, p.sums, p.loss);
+  finish_overlap<<<unsigned(p.logits.losses), kFinishThreads, 0, stream>>>(
+      p.terms, p.logits.batch, int(p.logits.classes), p.logits.pieces, p.partial, p.sums, p.loss);
+  return cudaGetLastError();
 }
 
 template <class T>

@@ -64,7 +64,6 @@ template <class T>
 __global__ void __launch_bounds__(kThreads)
     sum_roughness(__grid_constant__ Smoothness<T> const p, unsigned across, unsigned down) {
   using F = Compute<T>;
-  let_next_begin();
   Column<T> at(p.of, across, down);
   F sum = 0;
   if (at.x < at.width) {

@@ -53,7 +53,6 @@ template <class T, bool Aligned>
 __global__ void __launch_bounds__(kSumming, sizeof(T) == 4 ? 3 : 1)
     sum_differences(__grid_constant__ TotalVariation<T> const p, Strips<kPixels<T>> const strips, bool whole) {
   constexpr unsigned kWarps = kSumming / 32;
-  let_next_begin();
   unsigned const warp = threadIdx.x / 32, pieces = strips.across * strips.down;
   unsigned const first = whole ? blockIdx.x * pieces : blockIdx.x * kWarps;
   unsigned const end = min(first + (whole ? pieces : kWarps), strips.count);

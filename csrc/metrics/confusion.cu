@@ -1,7 +1,7 @@
 // Counts of labels on CUDA: a block counts a piece of a sample in shared memory, and adds what it found to the counts
 // of the sample; more classes than fit there are counted in these. A second kernel makes of them what is wanted.
 #include "confusion.h"
-#include "core/early_launch.cuh"
+#include "core/launch.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -14,7 +14,6 @@ constexpr int64_t kPiece = kThreads * kAtOnce * 8;  // pixels
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     count_labels(__grid_constant__ Confusion<T> const p, int64_t pieces, int copies) {
-  let_next_begin();
   __shared__ uint32_t shared[kBytes / sizeof(uint32_t)];
   int const cells = p.classes * p.classes;
   int64_t const sample = blockIdx.x / pieces, first = (blockIdx.x - sample * pieces) * kPiece;
@@ -47,7 +46,6 @@ __global__ void __launch_bounds__(kThreads)
 // A warp for each class of a sample.
 template <class T>
 __global__ void __launch_bounds__(kThreads) finish_counts(__grid_constant__ Confusion<T> const p) {
-  wait_for_previous();
   int64_t const n = p.classes, row = (blockIdx.x * int64_t(kThreads) + threadIdx.x) / 32, sample = row / n;
   if (sample >= p.samples) return;
   int const lane = threadIdx.x % 32;
@@ -75,7 +73,8 @@ int confusion(Confusion<T> const& p, CUstream_st* stream) {
   if (int const error = cudaMemsetAsync(p.counts, 0, size_t(p.samples * cells) * sizeof(uint32_t), stream))
     return error;
   if (pieces > 0) count_labels<<<unsigned(p.samples * pieces), kThreads, 0, stream>>>(p, pieces, copies);
-  return launch_early(finish_counts<T>, unsigned(ceil_div(p.samples * p.classes * 32, kThreads)), kThreads, stream, p);
+  finish_counts<<<unsigned(ceil_div(p.samples * p.classes * 32, kThreads)), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
 }
 
 KV_INSTANTIATE_ONE(confusion, Confusion, int64_t)

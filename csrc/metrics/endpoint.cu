@@ -20,7 +20,6 @@ __device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int
 template <class T>
 __global__ void __launch_bounds__(kSumThreads) find_endpoint_errors(__grid_constant__ EndpointError<T> const p) {
   using F = Compute<T>;
-  let_next_begin();
   int64_t const pieces = p.pairs.pieces(), row = blockIdx.x / pieces;
   F sum = 0;
   for_each_difference(p.pairs, row, blockIdx.x - row * pieces, [&](int64_t i, F u, F v) {

@@ -8,7 +8,6 @@ namespace {
 template <class T>
 __global__ void __launch_bounds__(kSumThreads) sum_points(__grid_constant__ PointwiseSum<T> const p, bool packed) {
   using F = Compute<T>;
-  let_next_begin();
   sum_piece(p.pair, blockIdx.x / p.pieces, p.pieces, packed, p.partial,
             [&](F x, F y) { return point_loss<F, PointMath<F>>(p.kind, x, y); });
 }

@@ -238,7 +238,6 @@ constexpr int kReachOfGradients = (K - 1 + kRows - 1) / kRows * kRows;
 template <int K>
 __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Work<K> const work) {
   constexpr int R = K / 2;
-  let_next_begin();
   __shared__ __align__(16) Rows<4> memory[2];
   for (int i = threadIdx.x; i < int(sizeof(memory) / 4); i += blockDim.x) memory[0][0][0][i] = 0;
   __syncthreads();

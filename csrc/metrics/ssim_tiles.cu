@@ -137,7 +137,6 @@ __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, i
 template <class T>
 __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
-  let_next_begin();
   extern __shared__ __align__(16) uint8_t shared[];
   Four<F>* const lines = reinterpret_cast<Four<F>*>(shared);
   F* const factors = reinterpret_cast<F*>(lines + kSide * p.stride) + threadIdx.x;  // of each scale's pixels

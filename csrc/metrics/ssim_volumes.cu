@@ -63,7 +63,6 @@ __device__ __forceinline__ T* row_of(StoredPlanes const& p, int64_t plane, int64
 template <class T, bool Back>
 __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
-  let_next_begin();
   extern __shared__ __align__(16) uint8_t shared[];
   __shared__ Row slices[SsimVolumeTiles::kMostTaps + kSide];
   Four<F>* const sums = reinterpret_cast<Four<F>*>(shared);  // (slices, rows, columns)

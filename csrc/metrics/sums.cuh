@@ -1,8 +1,8 @@
 // Sums on CUDA: each block leaves one number for its piece of a row, and another kernel adds these up, always in the
-// same order. It is launched early; kernels that leave sums say let_next_begin. Included by *.cu files.
+// same order. Included by *.cu files.
 #pragma once
 
-#include "core/early_launch.cuh"
+#include "core/launch.cuh"
 #include "core/reciprocal.cuh"
 #include "metrics/sums.h"
 
@@ -60,7 +60,6 @@ __device__ __forceinline__ void over_block(F (&v)[K], Op op) {
 template <class F>
 __global__ void __launch_bounds__(kSumThreads)
     finish_sums(F const* partial, int64_t pieces, Finish<F> const finish, F* sums) {
-  wait_for_previous();
   F sum = 0;
   F const* const row = partial + blockIdx.x * pieces;
 #pragma unroll 8
@@ -71,7 +70,8 @@ __global__ void __launch_bounds__(kSumThreads)
 
 template <class F>
 int add_up(F const* partial, int64_t rows, int64_t pieces, F* sums, CUstream_st* stream, Finish<F> finish = {1, 0}) {
-  return launch_early(finish_sums<F>, unsigned(rows), kSumThreads, stream, partial, pieces, finish, sums);
+  finish_sums<<<unsigned(rows), kSumThreads, 0, stream>>>(partial, pieces, finish, sums);
+  return cudaGetLastError();
 }
 
 }  // namespace

@@ -1,6 +1,5 @@
 // Dilation and erosion on CUDA by windows of 3 x 3 pixels around the middle, and their gradients: warps walk down
 // strips with the last rows in registers.
-#include "core/early_launch.cuh"
 #include "core/reciprocal.cuh"
 #include "dilation.cuh"
 
@@ -232,7 +231,6 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
     walk_flat_backward(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
   constexpr int P = kStrip;
   using F = Compute<T>;
-  let_next_begin();
   int64_t plane;
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
@@ -304,7 +302,6 @@ __global__ void __launch_bounds__(kThreads)
     walk_taps_backward(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
   constexpr int P = kStrip;
   using F = Compute<T>;
-  wait_for_previous();
   int64_t plane;
   int x, y0;
   if (!strips.place(plane, x, y0)) return;
@@ -376,7 +373,7 @@ int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream) {
   bool const aligned = is_strip<kStrip>(p.x) && is_strip<kStrip>(p.grad) && is_strip<kStrip>(p.grad_x);
   with_alignment<T>(aligned, [&](auto aligned) {
     walk_flat_backward<T, aligned.value><<<strips.blocks(kFlatThreads / 32), kFlatThreads, 0, stream>>>(p, strips);
-    launch_early(walk_taps_backward<T, aligned.value>, long_strips.blocks(), kThreads, stream, p, long_strips);
+    walk_taps_backward<T, aligned.value><<<long_strips.blocks(), kThreads, 0, stream>>>(p, long_strips);
   });
   return cudaGetLastError();
 }

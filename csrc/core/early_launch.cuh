@@ -23,10 +23,11 @@ __device__ __forceinline__ void wait_for_previous() {
 #endif
 }
 
-// Whether the device surely runs code in which wait_for_previous waits.
+// Whether the device surely runs code in which wait_for_previous waits, and the driver captures such launches, too.
 inline bool can_launch_early() {
-  int device = 0, major = 0, minor = 0;
+  int device = 0, major = 0, minor = 0, driver = 0;
   cudaGetDevice(&device);
+  if (cudaDriverGetVersion(&driver) || driver < 12030) return false;
   cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device);
   cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, device);
   for (int const compiled : {__CUDA_ARCH_LIST__})

@@ -120,30 +120,38 @@ struct WarpMatrix {
     tensor = dense(given);
     stride = given.size(0) == 1 ? 0 : rows * (axes + 1);
   }
-  // By formula F, number `by` of the kernels.
+  // By formula F, number `by` of the kernels, which make it themselves with `within`. On the CPU it is made before.
   template <class F>
-  WarpMatrix(char const* op, GivenNumbers<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x)
-      : rows(given.extent().rows) {
+  WarpMatrix(char const* op, GivenNumbers<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x,
+             [[maybe_unused]] bool within)
+      : rows(given.extent().rows), stride(given.params.batch == 1 ? 0 : rows * given.extent().columns) {
     KV_CHECK(given.params.batch == 1 || given.params.batch == x.size(0), op, ": expected tensors with 1 or ", x.size(0),
              " rows, got ", given.params.batch);
 #if defined(KV_CUDA)
-    formula.by = by;
-    formula.settings = given.params.settings;
-    for (int i = 0; i < std::min(F::kInputs, MatrixFormula::kInputs); ++i) {
-      formula.inputs[i] = given.params.inputs[i];
-      formula.strides[i] = given.params.strides[i];
+    if (within) {
+      formula.by = by;
+      formula.settings = given.params.settings;
+      for (int i = 0; i < std::min(F::kInputs, MatrixFormula::kInputs); ++i) {
+        formula.inputs[i] = given.params.inputs[i];
+        formula.strides[i] = given.params.strides[i];
+      }
+      return;
     }
-    stride = 0;
-#else
-    tensor = given.result(op, x);
-    stride = given.params.batch == 1 ? 0 : rows * given.extent().columns;
 #endif
+    tensor = given.result(op, x);
   }
   template <class F>
   F const* data() const {
     return formula.by == MatrixBy::given ? data_of<F const>(tensor) : nullptr;
   }
 };
+
+// Whether a kernel on CUDA makes the matrices itself: each block of threads waits for its own, which of many blocks
+// takes longer than a launch before them.
+inline bool is_made_within(int64_t batch, Size output) {
+  auto const tiles = [](int64_t size) { return (size + kTile - 1) / kTile; };
+  return batch * tiles(output.height) * tiles(output.width) <= 1024;
+}
 
 // How a formula and what it is given are told in schemas, and the C++ arguments for them.
 #define KV_BY_FORMULA \
@@ -156,7 +164,7 @@ using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
   if (formula == #name) {                                                      \
     GivenNumbers<Formula> given(op, x, computed_type(x), inputs, numbers,      \
                                 Formula::kCut ? Formula::result.rows - 1 : 0); \
-    return run(WarpMatrix(op, given, MatrixBy::name, x));                      \
+    return run(WarpMatrix(op, given, MatrixBy::name, x, within));              \
   }
 
 // How warps by a matrix are told what they are to do, in schemas.

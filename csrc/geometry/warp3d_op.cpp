@@ -82,6 +82,7 @@ Tensor warp3d_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::o
   auto const run = [&](WarpMatrix const& m) {
     return warped_volumes({op, x, m, source, output, interpolation, padding, align_corners, inverse, normalized});
   };
+  constexpr bool within = true;
   KV_SPACE_FORMULAS(KV_WARP_BY)
   KV_CHECK(false, op, ": no formula of volumes is called '", formula, "'");
   return x;

@@ -41,6 +41,7 @@ Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::opt
   auto const run = [&](WarpMatrix const& m) {
     return warped(x, how, {m, inverse, normalized, align_corners, source, output});
   };
+  bool const within = is_made_within(x.size(0), output);
   KV_PLANE_FORMULAS(KV_WARP_BY)
   KV_CHECK(false, op, ": no formula of images is called '", formula, "'");
   return x;

@@ -1,6 +1,6 @@
 // Mutual information of two signals, by a joint histogram that varies smoothly with both. A sample x adds to bin k of
-// its signal w(|k / radius - (x - low) / (high - low) * (bins - 1) / radius|), low and high being the smallest and the
-// largest one in its mask, and w 0 beyond 1; and to bins (i, j) of both signals the product J_ij. With p = J / S, S the
+// its signal w(|(x - low) / (high - low) * (bins - 1) - k| / radius), low and high being the smallest and the largest
+// one in its mask, and w 0 beyond 1; and to bins (i, j) of both signals the product J_ij. With p = J / S, S the
 // sum of J, which is at least `least` everywhere, and entropies H of p and of its sums along either axis,
 //
 //   loss = H(p) - H(px) - H(py), with the slopes dloss/dJ_ij = (log px_i + log py_j - log p_ij - loss) / S

@@ -25,7 +25,7 @@ except ImportError:  # not built, or built for another Python; only what is repo
     _C = None
 
 _PACKAGE = Path(__file__).parent
-_DTYPES = (*_ops.FLOATS, torch.uint8)
+_DTYPES = (*_ops.FLOATS, torch.uint8, torch.int64)
 
 
 def report() -> str:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._dtype import as_dtype
+from kvision._dtype import as_dtype, compute_dtype
 from kvision._leading import broadcast
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
@@ -315,13 +315,18 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
             f"{op}: expected image, K and dist with the same leading axes, got {tuple(image.shape)}, {tuple(K.shape)} "
             f"and {tuple(dist.shape)}"
         )
-    dtype = torch.float64 if image.dtype == torch.float64 else torch.float32
-    K, dist = K.reshape(-1, 3, 3).to(dtype), dist.reshape(-1, dist.shape[-1]).to(dtype)
+    flat = image
+    if len(leading) != 1:
+        flat, dist = image.reshape(-1, *image.shape[-3:]), dist.reshape(-1, dist.shape[-1])
+        K = K.reshape(-1, 3, 3)
+    elif one_for_all:
+        K, dist = K[None], dist[None]
+    dtype = compute_dtype(image)
+    K, dist = as_dtype(K, dtype), as_dtype(dist, dtype)
     tilt = tilt_projection(dist[:, 12:13], dist[:, 13:]) if dist.shape[-1] == 14 else None
     x, y = _map(K, dist, tilt, [h, w]).unbind(1)
-    flat = image.reshape(-1, *image.shape[-3:])
     result: Tensor = sampling.remap(flat, x, y, None, "bilinear", "fill", True, False, False)
-    return result.reshape(image.shape)
+    return result if result.shape == image.shape else result.reshape(image.shape)
 
 
 def _check_lens(op: str, points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None) -> None:

@@ -82,7 +82,7 @@ def rotate(
                  [1., 3.]]])
     """
     images = _images("rotate", tensor)
-    (angle,) = _vectors("rotate", images, angle=(angle, 0))
+    angle = _vector("rotate", images, "angle", angle)
     middle, x, y = _center("rotate", images, center)
     given = (angle, None, None, None, None, middle)
     return _by_formula(
@@ -120,7 +120,7 @@ def translate(
                  [0.5000, 1.5000]]])
     """
     images = _images("translate", tensor)
-    (translation,) = _vectors("translate", images, translation=(translation, 2))
+    translation = _vector("translate", images, "translation", translation, 2)
     return _by_formula(
         "translate", tensor, images, mode, padding_mode, align_corners, "translation_matrix2d", [0.0, 0.0], translation
     )
@@ -162,7 +162,7 @@ def scale(
         scale_factor = scale_factor.reshape(-1, 1)
     if scale_factor.shape[-1] == 1:
         scale_factor = scale_factor.expand(*scale_factor.shape[:-1], 2)
-    (scale_factor,) = _vectors("scale", images, scale_factor=(scale_factor, 2))
+    scale_factor = _vector("scale", images, "scale_factor", scale_factor, 2)
     middle, x, y = _center("scale", images, center)
     return _by_formula(
         "scale", tensor, images, mode, padding_mode, align_corners, "scale_matrix2d", [x, y], scale_factor, middle
@@ -196,7 +196,7 @@ def shear(
                  [0., 3.]]])
     """
     images = _images("shear", tensor)
-    (shear,) = _vectors("shear", images, shear=(shear, 2))
+    shear = _vector("shear", images, "shear", shear, 2)
     return _by_formula("shear", tensor, images, mode, padding_mode, align_corners, "slant_matrix2d", [], shear)
 
 
@@ -221,22 +221,20 @@ def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, 
     return result[0] if tensor.dim() == 3 else result
 
 
-def _vectors(op: str, images: Tensor, **vectors: tuple[Any, int]) -> list[Tensor]:
-    """Parameters (B, width) or, for width 0, (B,), in the type that computes; scalars and (width,) are one for all."""
-    found = []
-    for name, (x, width) in vectors.items():
-        _check.numbers(op, name, x)
-        if x.dim() == (1 if width else 0):
-            x = x[None]
-        _check.shape(op, name, x, *(("B", width) if width else ("B",)))
-        found.append(sampling.for_images(op, images, name, x))
-    return found
+def _vector(op: str, images: Tensor, name: str, x: Any, *axes: int) -> Tensor:
+    """A parameter (B, *axes) in the type that computes; one of that shape without B serves all images."""
+    _check.numbers(op, name, x)
+    if x.dim() == len(axes):
+        x = x[None]
+    if x.shape[1:] != axes:
+        _check.shape(op, name, x, "B", *axes)
+    return sampling.for_images(op, images, name, x)
 
 
 def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float, float]:
     """Centres (B, 2) or (1, 2), or None and the middle of the image."""
     if center is not None:
-        (center,) = _vectors(op, images, center=(center, 2))
+        center = _vector(op, images, "center", center, 2)
     h, w = images.shape[2:]
     return center, (w - 1) / 2, (h - 1) / 2
 
@@ -384,15 +382,14 @@ class Affine(FunctionModule):
 
     def forward(self, input: Tensor) -> Tensor:
         images = _images("Affine", input)
-        given = {"translation": (self.translation, 2), "scale_factor": (self.scale_factor, 2), "shear": (self.shear, 2)}
+        given = {"translation": self.translation, "scale_factor": self.scale_factor, "shear": self.shear}
         translation, factor, shear = (
-            None if x is None else _vectors("Affine", images, **{name: (x, width)})[0]
-            for name, (x, width) in given.items()
+            None if x is None else _vector("Affine", images, name, x, 2) for name, x in given.items()
         )
         if self.angle is None:
             angle = torch.zeros(1, device=images.device, dtype=compute_dtype(images))
         else:
-            (angle,) = _vectors("Affine", images, angle=(self.angle, 0))
+            angle = _vector("Affine", images, "angle", self.angle)
         sx, sy = (None, None) if shear is None else shear.unbind(-1)
         middle, x, y = _center("Affine", images, self.center)
         tensors = (angle, translation, factor, sx, sy, middle)

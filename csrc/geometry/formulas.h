@@ -869,6 +869,40 @@ struct FundamentalFromProjections {
   }
 };
 
+// A projection K [R | t] as the rows of K, upper triangular, those of R, and t: the rows of its first three columns are
+// made orthogonal, the last one first.
+struct CameraOfProjection : OfVector<12, 7, 3> {
+  static constexpr Extent extent(int) { return {3, 4}; }
+
+  template <class V>
+  static KV_HD V dot(V const* a, V const* b) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  }
+  // Of x less a and b times two others: its length, and it over that.
+  template <class V>
+  static KV_HD V unit(V const* x, V const& a, V const* one, V const& b, V const* two, V* found) {
+    for (int i = 0; i < 3; ++i) found[i] = x[i] - a * one[i] - b * two[i];
+    V const size = root_of(dot(found, found));
+    for (int i = 0; i < 3; ++i) found[i] = found[i] / size;
+    return size;
+  }
+  template <class V>
+  static KV_HD void of(V const* x, V* y, Settings const&) {
+    V const *const a = x, *const b = x + 4, *const c = x + 8, zero = number<V>(0);
+    V first[3], second[3], third[3], across[3];
+    V const f = unit(c, zero, c, zero, c, third), e = dot(b, third), d = unit(b, e, third, zero, third, second);
+    V const m = dot(a, second), n = dot(a, third), h = unit(a, m, second, n, third, first);
+    cross3(first, second, across);
+    V const turn = select(dot(across, third) < 0., number<V>(-1), number<V>(1));
+    V const K[] = {h, m, n, zero, d, e, zero, zero, f};
+    for (int i = 0; i < 9; ++i) y[i] = K[i];
+    for (int i = 0; i < 3; ++i) y[9 + i] = first[i] * turn, y[12 + i] = second[i] * turn, y[15 + i] = third[i] * turn;
+    y[20] = c[3] * turn / f;
+    y[19] = (b[3] * turn - e * y[20]) / d;
+    y[18] = (a[3] * turn - m * y[19] - n * y[20]) / h;
+  }
+};
+
 // --- the operators: name, formula, arguments
 // --------------------------------------------------------------------------------
 
@@ -919,6 +953,7 @@ struct FundamentalFromProjections {
   _(camera_motion, CameraMotion, "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2") \
   _(essential_from_motions, EssentialFromMotions,                                                                \
     "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")                              \
+  _(camera_of_projection, CameraOfProjection, "Tensor projection")                                               \
   KV_PLANE_FORMULAS(_)                                                                                           \
   KV_SPACE_FORMULAS(_)
 

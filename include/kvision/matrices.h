@@ -394,6 +394,14 @@ inline Tensor camera_motion(Tensor const& rotation1, Tensor const& translation1,
   return detail::formula<"camera_motion">(std::tuple(rotation1, translation1, rotation2, translation2));
 }
 
+inline Tensor camera_of_projection_backward(Tensor const& grad, Tensor const& projection) {
+  return detail::formula_gradient<"camera_of_projection">(grad, std::tuple(projection));
+}
+// The rows of K and of R, and t, of projections K [R | t] (B, 3, 4): (B, 7, 3).
+inline Tensor camera_of_projection(Tensor const& projection) {
+  return detail::formula<"camera_of_projection">(std::tuple(projection));
+}
+
 inline Tensor essential_from_motions_backward(Tensor const& grad, Tensor const& rotation1, Tensor const& translation1,
                                               Tensor const& rotation2, Tensor const& translation2) {
   return detail::formula_gradient<"essential_from_motions">(

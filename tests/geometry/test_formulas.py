@@ -38,7 +38,7 @@ def near(x: Tensor) -> Callable[[], Tensor]:
 
 
 NUMBER, DEGREES, SMALL = vector(), vector(scale=100), vector(scale=0.3)
-EYE = torch.eye(3, dtype=torch.float64)
+EYE, EYE34 = torch.eye(3, dtype=torch.float64), torch.eye(3, 4, dtype=torch.float64)
 FORMULAS = {
     "axis_angle_to_rotation_matrix": [Formula((vector(3, scale=2),))],
     "quaternion_exponential": [Formula((vector(3),), (0.5,))],
@@ -66,6 +66,7 @@ FORMULAS = {
     "fundamental_from_projections": [Formula((vector(3, 4),) * 2)],
     "camera_motion": [Formula((vector(3, 3), vector(3, 1)) * 2)],
     "essential_from_motions": [Formula((vector(3, 3), vector(3, 1)) * 2)],
+    "camera_of_projection": [Formula((near(EYE34),)), Formula((near(-EYE34),))],
     "affine_matrix2d": [
         Formula((DEGREES, vector(2), vector(2), SMALL, SMALL, vector(2)), (-1.0, 0.0, 0.0, 3)),
         Formula((DEGREES, None, vector(2), None, SMALL, None), (1.0, 3.5, 2.0, 2)),

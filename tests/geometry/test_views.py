@@ -28,6 +28,12 @@ def points(x: Tensor, base: Tensor) -> Tensor:
     return on(x.device, base).to(x.dtype) + 3 * x
 
 
+def rays(x: Tensor, pixels: Tensor) -> Tensor:
+    """As many of them as x has, seen by the camera, and some of x."""
+    seen = (pixels[:, : x.shape[1]] - CAMERA[:2, 2]) / CAMERA.diagonal()[:2]
+    return on(x.device, seen).to(x.dtype) + 0.3 * x
+
+
 def camera(x: Tensor) -> Tensor:
     return on(x.device, CAMERA).to(x.dtype).expand(len(x), 3, 3)
 
@@ -71,7 +77,11 @@ class TestViews(CompositionTests):
         ),
         "sampson": Case(lambda x, f: G.sampson_epipolar_distance(x, x.flip(1), f, False), (POINTS, (2, 3, 3))),
         "symmetrical": Case(lambda x, f: G.symmetrical_epipolar_distance(x, x.flip(1), f), (POINTS, (2, 3, 3))),
-        "essential": Case(lambda x: G.find_essential(x, x.flip(1)).nan_to_num(0.0).square().sum(1), ((2, 5, 2),)),
+        # Rounding chooses the basis of what five equations leave: where that is ill-conditioned, differences are not exact.
+        "essential": Case(
+            lambda x: G.find_essential(rays(x, SCENE.x1), rays(x.flip(1), SCENE.x2)).nan_to_num(0.0).square().sum(1),
+            ((2, 5, 2),),
+        ),
         "nearest": Case(G.epipolar.project_to_essential, ((2, 3, 3),)),
         "rotations": Case(lambda e: torch.cat(G.decompose_essential_matrix(e)[:2], -1).square(), ((2, 3, 3),)),
         "motion": Case(

@@ -8,6 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.ops import eye_like
+from kvision.geometry._formula import register_formula
 from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.solvers.null_vector import null_vector_3x3
 
@@ -109,6 +110,12 @@ def KRt_from_projection(P: Tensor, eps: float = 1e-6) -> tuple[Tensor, Tensor, T
     """
     _check.shape("KRt_from_projection", "P", P, "B", 3, 4)
     _check.floating("KRt_from_projection", "P", P)
+    parts = _parts(P)
+    return parts[:, :3], parts[:, 3:6], parts[:, 6, :, None]
+
+
+def _parts_reference(P: Tensor) -> Tensor:
+    """The rows of K, those of R, and t: (B, 7, 3)."""
     # From the last row on each is, up to a positive length, the part of a row across those below it.
     a, b, c = wide(P)[..., :3].unbind(-2)
     f, third = _unit(c)
@@ -124,7 +131,10 @@ def KRt_from_projection(P: Tensor, eps: float = 1e-6) -> tuple[Tensor, Tensor, T
     zero = torch.zeros_like(h)
     K = torch.stack([h, m, n, zero, d, e, zero, zero, f], -1).unflatten(-1, (3, 3))
     R = torch.stack([first, second, third], -2) * turned[..., None]
-    return K.to(P.dtype), R.to(P.dtype), torch.stack([x, y, z], -1)[..., None].to(P.dtype)
+    return torch.cat([K, R, torch.stack([x, y, z], -1)[:, None]], 1).to(P.dtype)
+
+
+_parts = register_formula("camera_of_projection", _parts_reference, lambda *args: (7, 3))
 
 
 def _unit(x: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,5 +1,5 @@
-// Separable filters on CUDA: what serves any layout, type and size, and the gradient to the weights. The fast kernel is
-// in separable_strip.cuh.
+// Separable filters on CUDA: what serves any layout, type and size, windows of planar images that are too large or of
+// too many kinds for strips, and the gradient to the weights. The fast kernel is in separable_strip.cuh.
 #include "separable_strip.cuh"
 
 namespace kv::cuda {

@@ -5,8 +5,9 @@
 // every run, nothing is written twice. For warps by a matrix whose outside is the fill: else pixels at the rim would be
 // taps of places all around.
 //
-// Scatter: every place adds to its taps by atomics, first to those of its tile in shared memory, which are then added
-// to zeros in the type that computes. Where a tile looks at more of the image than a patch holds, there at once.
+// Scatter: a warp adds a piece of the places to their taps, in sums of its own in shared memory, which are then added
+// by atomics to zeros in the type that computes. Where the piece looks at more of the image than these hold, there at
+// once.
 #include "patch.cuh"
 
 namespace kv::cuda {

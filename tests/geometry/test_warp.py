@@ -272,6 +272,31 @@ def test_taps_of_weight_zero_are_harmless(mode, bad, device):
     assert_close(G.warp_affine(x, identity, (33, 40), mode), x, 0, 0)
 
 
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("padding", PADDINGS)
+@pytest.mark.parametrize("map", ["near", "constant", "anywhere", "magnified"])
+def test_image_gradients_of_maps(map, padding, mode, device):  # places that share taps, and places that are far apart
+    h, w = 70, 44
+    y, x = torch.meshgrid(torch.arange(0.0, h), torch.arange(0.0, w), indexing="ij")
+    noise = torch.rand(2, 2, h, w)
+    u, v = {
+        "near": (x + 3 * noise[:, 0] - 1, y + 3 * noise[:, 1] - 2),
+        "constant": (x * 0 + 20.3 + noise[:, 0] * 0, y * 0 + 9.6 + noise[:, 1] * 0),
+        "anywhere": (60 * noise[:, 0] - 8, 90 * noise[:, 1] - 10),
+        "magnified": (x * 0.31 - 3 + noise[:, 0] * 0, y * 0.31 + 50 + noise[:, 1] * 0),
+    }[map]
+    u, v, grad = u.double().to(device), v.double().to(device), torch.rand(2, 4, h, w).double().to(device)
+    image = torch.rand(2, 4, h, w, dtype=torch.float64, device=device, requires_grad=True)
+    ours = torch.autograd.grad(G.remap(image, u, v, mode, padding, align_corners=True), image, grad)[0]
+    grid = torch.stack([2 * u / (w - 1) - 1, 2 * v / (h - 1) - 1], -1)
+    theirs = torch.autograd.grad(F.grid_sample(image, grid, mode, padding, align_corners=True), image, grad)[0]
+    assert_close(ours, theirs, 0, 1e-8)
+    single = torch.autograd.grad(
+        G.remap(image.float(), u.float(), v.float(), mode, padding, align_corners=True), image, grad.float()
+    )[0]
+    assert_close(single, theirs, 1e-3, 1e-3)
+
+
 def test_singular_matrices(device):
     x = torch.rand(1, 1, 4, 4, device=device, requires_grad=True)
     M = torch.zeros(1, 3, 3, device=device, requires_grad=True)

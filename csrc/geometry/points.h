@@ -3,8 +3,10 @@
 //   transform   y = (M (p, 1)) without its last entry w, divided by w
 //   project     y = f (px, py) / pz + c
 //   unproject   y = d ray,  ray = ((u - cx) / fx, (v - cy) / fy, 1), over its length where d is the distance
+//   meet        y = d / (n . ray), where the ray meets the plane n . p = d
 //
-// A divisor that is 0 within 1e-8 is taken for 1. Below each map stand its gradients to the point and to the matrix.
+// A divisor that is 0 within 1e-8 is taken for 1, but that of `meet`, of which eps with its sign is the least. Below
+// each map stand its gradients to the point and to the matrix.
 //
 // Included by points_cpu.cpp, points.cu, points_backward.cu and points_op.cpp.
 #pragma once
@@ -16,7 +18,7 @@
 
 namespace kv {
 
-enum class PointMap { plane, space, image, project, unproject };
+enum class PointMap { plane, space, image, project, unproject, meet };
 
 template <class T>
 struct Points {
@@ -156,6 +158,39 @@ struct Unproject {
   }
 };
 
+// The matrix is one row: fx, fy, cx, cy, n, d, eps.
+struct Meet {
+  static constexpr int in = 2, out = 1, entries = 9;
+
+  template <class F, class V>
+  KV_HD static V along(F const* m, V const (&p)[2], V (&r)[2], V& varies) {
+    r[0] = (p[0] - m[2]) / m[0];
+    r[1] = (p[1] - m[3]) / m[1];
+    V const one = V{} + 1, eps = V{} + m[8], found = r[0] * m[4] + r[1] * m[5] + m[6];
+    V const magnitude = found < 0 ? -found : found;
+    varies = magnitude < eps ? V{} : one;
+    return magnitude < eps ? (found < 0 ? -eps : eps) : found;
+  }
+  template <class F, class V>
+  KV_HD static void value(F const* m, bool, V const (&p)[2], V (&y)[1]) {
+    V r[2], varies;
+    y[0] = m[7] / along(m, p, r, varies);
+  }
+  template <class F, class V>
+  KV_HD static void vjp(F const* m, bool, V const (&p)[2], V const (&g)[1], V (&to_p)[2], V (&to_m)[9]) {
+    V r[2], varies;
+    V const inverse = 1 / along(m, p, r, varies), to_d = g[0] * inverse, to_divisor = -to_d * inverse * m[7];
+    V const to_along = to_divisor * varies, to_eps = to_divisor - to_along;
+    to_p[0] = to_along * m[4] / m[0];
+    to_p[1] = to_along * m[5] / m[1];
+    to_m[0] = -to_p[0] * r[0], to_m[1] = -to_p[1] * r[1];
+    to_m[2] = -to_p[0], to_m[3] = -to_p[1];
+    to_m[4] = to_along * r[0], to_m[5] = to_along * r[1], to_m[6] = to_along;
+    to_m[7] = to_d;
+    to_m[8] = inverse < 0 ? -to_eps : to_eps;
+  }
+};
+
 // Calls f with the map.
 template <class F>
 KV_HD void with_map(PointMap map, F f) {
@@ -168,6 +203,8 @@ KV_HD void with_map(PointMap map, F f) {
       return f(Transform<3, 2>{});
     case PointMap::project:
       return f(Project{});
+    case PointMap::meet:
+      return f(Meet{});
     default:
       return f(Unproject{});
   }

@@ -34,6 +34,10 @@ struct Given {
       KV_CHECK(camera && in == 3, op, ": expected points (B, N, 3) and cameras (B, 3, 3)");
       map = PointMap::project;
       out = 2;
+    } else if (kind == "meet") {
+      KV_CHECK(in == 2 && rows == 1 && columns == 9, op, ": expected points (B, N, 2) and planes (B, 1, 9)");
+      map = PointMap::meet;
+      out = 1;
     } else {
       KV_CHECK(unprojects && camera && in == 2, op, ": expected points (B, N, 2) and cameras (B, 3, 3)");
       map = PointMap::unproject;

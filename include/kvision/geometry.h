@@ -452,7 +452,9 @@ inline std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad
 
 // Points (B, N, D) by matrices (B or 1, ., .), in float32, for float64 points in float64. kind: "transform" by
 // homographies (D + 1, D + 1) or projections (3, 4); by camera matrices (3, 3) "project" to pixels, or "unproject"
-// pixels at `depth` (B, N, 1), which is z, or for "unproject_distance" the distance.
+// pixels at `depth` (B, N, 1), which is z, or for "unproject_distance" the distance. "meet" gives the depth at which
+// rays through pixels meet a plane n . p = d, by rows (1, 9): fx, fy, cx, cy, n, d, and the least of n . ray but for
+// its sign.
 inline Tensor map_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix,
                          std::string const& kind) {
   using namespace detail;

@@ -239,6 +239,9 @@ int main() {
   check(
       "map_points", [](auto const& t) { return kvision::map_points(t[0], t[1], t[2], "unproject_distance"); },
       {torch::rand({2, 5, 2}), torch::rand({2, 5, 1}), matrix + 1}, false);
+  check(
+      "map_points to a plane", [](auto const& t) { return kvision::map_points(t[0], {}, t[1], "meet"); },
+      {torch::rand({2, 5, 2}), torch::rand({2, 1, 9}) + 0.5}, false);
   Tensor const equations = torch::rand({2, 11, 9}) - 0.5, from = torch::rand({2, 6, 2}),
                to = from + 0.1 * torch::rand({2, 6, 2});
   check("null_vector", [](auto const& t) { return kvision::null_vector(t[0]); }, {equations}, false);

@@ -70,9 +70,25 @@ class TestUnproject(PointMaps):
         return G.unproject_points(p[..., :2], p[..., 2:], camera_matrix, normalize)
 
 
+class TestMeet(PointMaps):
+    channels = 2
+    shape, small = (2, 2, 7, 9), (2, 2, 1, 3)
+    variants = [
+        {"normal": lambda x: torch.tensor([[0.2, -0.1, 1.0]]).double().repeat(len(x), 1), "eps": 1e-8},
+        {"normal": lambda x: torch.tensor([[0.5, 1.0, 0.1]]).double(), "eps": 0.2},
+    ]
+
+    @staticmethod
+    def function(p, normal, eps):
+        shape, normal = p.shape[:-1], normal.to(p.dtype if p.is_floating_point() else torch.float32)
+        camera = torch.tensor([[[0.9, 0, 0.4], [0, 1.1, 0.3], [0, 0, 1]]], dtype=normal.dtype, device=p.device)
+        offset = normal[:, 2:] + 0.5
+        return G.depth_from_plane_equation(normal, offset, p.flatten(1, 2), camera, eps).reshape(*shape, 1)
+
+
 KINDS = [
     *(("transform", 2, (3, 3)), ("transform", 3, (4, 4)), ("transform", 3, (3, 4)), ("project", 3, (3, 3))),
-    *(("unproject", 2, (3, 3)), ("unproject_distance", 2, (3, 3))),
+    *(("unproject", 2, (3, 3)), ("unproject_distance", 2, (3, 3)), ("meet", 2, (1, 9))),
 ]
 
 

@@ -23,6 +23,11 @@ def _reference(points, depth, matrix, kind):
         for x, column in zip(points.split(1, -1), columns):  # no matrix product: it would round as torch is told to
             moved = moved + x * column
         return moved[..., :-1] / divisor(moved[..., -1:])
+    if kind == "meet":
+        focal, center, normal, offset, eps = matrix.split((2, 2, 3, 1, 1), -1)
+        ray = (points - center) / focal
+        along = (ray * normal[..., :2]).sum(-1, keepdim=True) + normal[..., 2:]
+        return offset / torch.where(along.abs() < eps, torch.where(along < 0, -eps, eps), along)
     focal, center = focal_and_center(points, matrix)
     if kind == "project":
         return points[..., :2] / divisor(points[..., 2:]) * focal + center
@@ -33,7 +38,7 @@ def _reference(points, depth, matrix, kind):
 
 
 def _shape(points, depth, matrix, kind):
-    width = {"transform": matrix.shape[1] - 1, "project": 2}.get(kind, 3)
+    width = {"transform": matrix.shape[1] - 1, "project": 2, "meet": 1}.get(kind, 3)
     return (*points.shape[:2], width)
 
 
@@ -66,6 +71,13 @@ def _backward_shapes(grad, points, depth, matrix, kind, to_matrix):
 
 _map_points = register("map_points", _reference, fake=_shape, backward=_backward)
 _map_points_backward = register("map_points_backward", _backward_reference, fake=_backward_shapes, stores=True)
+
+
+def met(points: Tensor, plane: Tensor) -> Tensor:
+    """Depths (B, N) of planes at pixels (B, N, 2), by rows (B or 1, 9): focal lengths, principal point, normal, offset, eps."""
+    depth: Tensor = _map_points(points, None, plane[:, None], "meet")
+    return depth[..., 0]
+
 
 # --- with any leading axes ------------------------------------------------------------------------------------------
 

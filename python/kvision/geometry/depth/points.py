@@ -13,6 +13,7 @@ from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.spatial_gradient import derivatives
+from kvision.geometry.points import met
 from kvision.geometry.transform.sampling import for_images
 
 __all__ = [
@@ -401,13 +402,12 @@ def depth_from_plane_equation(
     if any(x.shape[0] not in (1, batch) for x in tensors.values()):
         got = ", ".join(f"{name} {tuple(x.shape)}" for name, x in tensors.items())
         raise ShapeError(f"{op}: expected tensors of one batch, got {got}")
-    return _from_plane(floats(plane_normals), plane_offsets, points_uv, camera_matrix, eps)
-
-
-@as_stored
-def _from_plane(normals: Tensor, offsets: Tensor, points: Tensor, camera: Tensor, eps: float) -> Tensor:
-    focal = torch.stack([camera[:, 0, 0], camera[:, 1, 1]], -1)[:, None]
-    seen = (points - camera[:, None, :2, 2]) / focal
-    along = (seen * normals[:, None, :2]).sum(-1) + normals[:, 2:]
-    grazing = along.abs() < eps
-    return offsets / torch.where(grazing, eps * torch.where(along < 0, -1, 1).to(along.dtype), along)
+    result, points = floats(plane_normals).dtype, floats(points_uv)
+    points = as_dtype(points, torch.promote_types(points.dtype, result)).expand(batch, -1, -1)
+    normals, offsets, camera = (
+        as_dtype(x, compute_dtype(points)) for x in (plane_normals, plane_offsets, camera_matrix)
+    )
+    length = 1 if all(x.shape[0] == 1 for x in (normals, offsets, camera)) else batch
+    row = (camera[:, 0, :1], camera[:, 1, 1:2], camera[:, :2, 2], normals, offsets, camera.new_full((1, 1), eps))
+    plane = torch.cat([numbers.expand(length, -1) for numbers in row], 1)
+    return as_dtype(met(points, plane), result)

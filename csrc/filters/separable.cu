@@ -111,7 +111,7 @@ int launch_any(Separable<T> const& p, CUstream_st* stream) {
 // ----------------------------------------
 
 constexpr int kTileWidth = 128, kTileHeight = 64;  // pixels computed at a time, 4 x 8 by a thread
-constexpr int kTileThreads = 256, kTileWarps = kTileThreads / 32;
+constexpr int kTileThreads = 256;
 constexpr int kPitch = kTileWidth + 4;  // of rows filtered along x: eight below each other in different banks
 
 // N sums over the windows of C numbers beside each other that begin at 0 ... N - 1: the last N numbers are in

@@ -271,16 +271,19 @@ struct Sums {
 template <class F>
 __device__ __forceinline__ void add_four(F* to, Pack<F, 4> const& sums) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
-  if constexpr (sizeof(F) == 4) {
+  constexpr bool at_once = sizeof(F) == 4;
+#else
+  constexpr bool at_once = false;
+#endif
+  if constexpr (at_once) {
     asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(__cvta_generic_to_global(to)), "f"(sums.v[0]),
                  "f"(sums.v[1]), "f"(sums.v[2]), "f"(sums.v[3])
                  : "memory");
-    return;
-  }
-#endif
+  } else {
 #pragma unroll
-  for (int i = 0; i < 4; ++i)
-    if (sums.v[i] != 0) atomicAdd(to + i, sums.v[i]);
+    for (int i = 0; i < 4; ++i)
+      if (sums.v[i] != 0) atomicAdd(to + i, sums.v[i]);
+  }
 }
 
 // A place of the same value, of a reflection, whose taps pixel_at knows. Counts from `origin`; NaN is 0. One near the
@@ -298,7 +301,7 @@ __device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* su
   F wx[K], wy[K], tx, ty;
   int const column = first_tap<K, F>(u, tx) + tile.u, row = first_tap<K, F>(v, ty) + tile.v;
   int const width = p.x_axis.size, stride = int(p.grad_x.row_stride);
-  bool const in_packs = K > 1 && sizeof(F) == 4 && stride % 4 == 0 && column >= 0 && column + K <= width;
+  [[maybe_unused]] bool const in_packs = stride % 4 == 0 && column >= 0 && column + K <= width;
   tap_weights(tx, wx);
   tap_weights(ty, wy);
 #pragma unroll
@@ -314,21 +317,22 @@ __device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* su
         F const weight = wx[i] * wy[j];
         taps[i] = weight == 0 ? F(0) : weight * g[k];
       }
-      if (in_packs) {
+      if constexpr (K > 1 && sizeof(F) == 4)
+        if (in_packs) {
 #pragma unroll
-        for (int by = 1; by <= 2; by *= 2)
+          for (int by = 1; by <= 2; by *= 2)
 #pragma unroll
-          for (int i = 7; i >= 0; --i)
-            if (column & by) taps[i] = i < by ? F(0) : taps[max(i - by, 0)];
-        F* const to = line + (column & -4);
-        add_four(to, Pack<F, 4>{taps[0], taps[1], taps[2], taps[3]});
-        if (taps[4] != 0 || taps[5] != 0 || taps[6] != 0) add_four(to + 4, Pack<F, 4>{taps[4], taps[5], taps[6], 0});
-      } else {
-#pragma unroll
-        for (int i = 0; i < K; ++i) {
-          int const x = pixel_at(p.x_axis, column + i);
-          if (unsigned(x) < unsigned(width) && taps[i] != 0) atomicAdd(line + x, taps[i]);
+            for (int i = 7; i >= 0; --i)
+              if (column & by) taps[i] = i < by ? F(0) : taps[max(i - by, 0)];
+          F* const to = line + (column & -4);
+          add_four(to, Pack<F, 4>{taps[0], taps[1], taps[2], taps[3]});
+          if (taps[4] != 0 || taps[5] != 0 || taps[6] != 0) add_four(to + 4, Pack<F, 4>{taps[4], taps[5], taps[6], 0});
+          continue;
         }
+#pragma unroll
+      for (int i = 0; i < K; ++i) {
+        int const x = pixel_at(p.x_axis, column + i);
+        if (unsigned(x) < unsigned(width) && taps[i] != 0) atomicAdd(line + x, taps[i]);
       }
     }
   }

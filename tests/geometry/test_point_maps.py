@@ -73,15 +73,19 @@ class TestUnproject(PointMaps):
 class TestMeet(PointMaps):
     channels = 2
     shape, small = (2, 2, 7, 9), (2, 2, 1, 3)
+    camera = staticmethod(lambda x: torch.tensor([[[0.9, 0, 0.4], [0, 1.1, 0.3], [0, 0, 1]]]).double())
     variants = [
-        {"normal": lambda x: torch.tensor([[0.2, -0.1, 1.0]]).double().repeat(len(x), 1), "eps": 1e-8},
-        {"normal": lambda x: torch.tensor([[0.5, 1.0, 0.1]]).double(), "eps": 0.2},
+        {
+            "normal": lambda x: torch.tensor([[0.2, -0.1, 1.0]]).double().repeat(len(x), 1),
+            "camera": camera,
+            "eps": 1e-8,
+        },
+        {"normal": lambda x: torch.tensor([[0.5, 1.0, 0.1]]).double(), "camera": camera, "eps": 0.2},
     ]
 
     @staticmethod
-    def function(p, normal, eps):
+    def function(p, normal, camera, eps):
         shape, normal = p.shape[:-1], normal.to(p.dtype if p.is_floating_point() else torch.float32)
-        camera = torch.tensor([[[0.9, 0, 0.4], [0, 1.1, 0.3], [0, 0, 1]]], dtype=normal.dtype, device=p.device)
         offset = normal[:, 2:] + 0.5
         return G.depth_from_plane_equation(normal, offset, p.flatten(1, 2), camera, eps).reshape(*shape, 1)
 

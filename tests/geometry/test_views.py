@@ -21,6 +21,7 @@ X7, Y7, LINES_X, LINES_Y = X[:, :7], Y[:, :7], X.view(6, 2, 2), Y.view(6, 2, 2)
 QUADS = torch.tensor([[0.0, 0], [40, 3], [42, 41], [1, 44], [20, 9], [33, 27]]).double()
 QUARTIC = torch.tensor([0, 0, 2.0, 0, 0])
 SCENE = Scene(1, 8)
+SEEN = [(x - CAMERA[:2, 2]) / CAMERA.diagonal()[:2] for x in (SCENE.x1, SCENE.x2)]
 POINTS = (2, 12, 2)
 
 
@@ -28,10 +29,9 @@ def points(x: Tensor, base: Tensor) -> Tensor:
     return on(x.device, base).to(x.dtype) + 3 * x
 
 
-def rays(x: Tensor, pixels: Tensor) -> Tensor:
+def rays(x: Tensor, seen: Tensor) -> Tensor:
     """As many of them as x has, seen by the camera, and some of x."""
-    seen = (pixels[:, : x.shape[1]] - CAMERA[:2, 2]) / CAMERA.diagonal()[:2]
-    return on(x.device, seen).to(x.dtype) + 0.3 * x
+    return on(x.device, seen).to(x.dtype)[:, : x.shape[1]] + 0.3 * x
 
 
 def camera(x: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ class TestViews(CompositionTests):
         "symmetrical": Case(lambda x, f: G.symmetrical_epipolar_distance(x, x.flip(1), f), (POINTS, (2, 3, 3))),
         # Rounding chooses the basis of what five equations leave: where that is ill-conditioned, differences are not exact.
         "essential": Case(
-            lambda x: G.find_essential(rays(x, SCENE.x1), rays(x.flip(1), SCENE.x2)).nan_to_num(0.0).square().sum(1),
+            lambda x: G.find_essential(rays(x, SEEN[0]), rays(x.flip(1), SEEN[1])).nan_to_num(0.0).square().sum(1),
             ((2, 5, 2),),
         ),
         "nearest": Case(G.epipolar.project_to_essential, ((2, 3, 3),)),

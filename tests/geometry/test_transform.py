@@ -6,7 +6,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import kvision as K
-from op_tests import assert_close
+from op_tests import assert_close, does_not_wait
 
 G = K.geometry
 SQUARE = torch.tensor([[[0.0, 0], [1, 0], [1, 1], [0, 1]]])
@@ -128,14 +128,7 @@ def test_nothing_waits_for_the_device(device):
         lambda: G.center_crop3d(v, (2, 3, 3)),
         lambda: G.crop_and_resize3d(v, box3d, (2, 2, 2)),
     )
-    for call in calls:
-        call()
-    torch.cuda.set_sync_debug_mode("error")
-    try:
-        for call in calls:
-            call()
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
+    does_not_wait(device, calls)
 
 
 # --- gradients ------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Train a small segmentation network on synthetic shapes, once with each of kvision's segmentation losses.
 
-    python examples/segmentation_losses.py [--out FILE] [--device auto|cpu|cuda] [--steps N]
+    python examples/segmentation_losses.py [--out FOLDER] [--device auto|cpu|cuda] [--steps N]
 
 Every image has reddish discs (class 1) and bluish boxes (class 2) over a grey background (class 0), under noise. The same
 small head, from the same weights on, sees the same images with each loss. Printed is the mean intersection over union of images
@@ -16,6 +16,7 @@ from pathlib import Path
 import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor, nn
+from tqdm import tqdm
 
 import kvision as K
 
@@ -74,7 +75,7 @@ def network() -> nn.Module:
     return nn.Sequential(*layers, nn.Conv2d(12, CLASSES, 1))
 
 
-def train(loss: Callable[[Tensor, Tensor], Tensor], steps: int, device: torch.device) -> list[float]:
+def train(name: str, loss: Callable[[Tensor, Tensor], Tensor], steps: int, device: torch.device) -> list[float]:
     """The mean IoU of unseen images, every tenth of the way."""
     generator = torch.Generator().manual_seed(1)
     unseen = shapes(32, torch.Generator().manual_seed(2), device)
@@ -82,7 +83,7 @@ def train(loss: Callable[[Tensor, Tensor], Tensor], steps: int, device: torch.de
     optimizer = torch.optim.Adam(model.parameters())
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-2, total_steps=steps)
     curve = []
-    for step in range(1, steps + 1):
+    for step in tqdm(range(1, steps + 1), name, leave=False, unit="step"):
         images, labels = shapes(BATCH, generator, device)
         optimizer.zero_grad()
         loss(model(images), labels).backward()
@@ -121,7 +122,7 @@ def draw(curves: dict[str, list[float]], path: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> dict[str, float]:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("segmentation_losses.png"))
+    parser.add_argument("--out", type=Path, default=Path("out/segmentation"), help="where the figure goes")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
     parser.add_argument("--steps", type=int, default=120)
     options = parser.parse_args(arguments)
@@ -129,10 +130,11 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     device = torch.device(auto if options.device == "auto" else options.device)
     curves = {}
     for name, loss in LOSSES.items():
-        curves[name] = train(loss, options.steps, device)
+        curves[name] = train(name, loss, options.steps, device)
         print(f"{name:20} IoU {curves[name][-1]:.3f}", flush=True)
-    draw(curves, options.out)
-    print(options.out)
+    options.out.mkdir(parents=True, exist_ok=True)
+    draw(curves, options.out / "curves.png")
+    print(options.out / "curves.png")
     return {name: curve[-1] for name, curve in curves.items()}
 
 

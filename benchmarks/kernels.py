@@ -22,13 +22,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from benchmarks import machine
 from benchmarks.__main__ import parse_dtypes, parse_sizes
 from benchmarks.cases import ALL
+from benchmarks.measure import tensors_of
 
 _PIPES = ("fma", "alu", "xu", "lsu")
 _STALLS = {
@@ -41,22 +41,22 @@ _STALLS = {
     "fixed": "wait",
     "L1": "lg_throttle",
 }
-# (heading, format, factor, metric)
+# (heading, width, digits, factor, metric)
 _COLUMNS = [
-    ("us", "8.1f", 1e-3, "gpu__time_duration.sum"),
-    ("Minst", "7.2f", 1e-6, "smsp__inst_executed.sum"),
-    ("issue%", "6.0f", 1, "smsp__issue_active.avg.pct_of_peak_sustained_active"),
-    ("warps%", "6.0f", 1, "sm__warps_active.avg.pct_of_peak_sustained_active"),
-    ("regs", "4.0f", 1, "launch__registers_per_thread"),
-    ("block", "5.0f", 1, "launch__block_size"),
-    ("grid", "7.0f", 1, "launch__grid_size"),
-    ("smem", "6.0f", 1, "launch__shared_mem_per_block"),
-    ("rdMB", "6.0f", 1e-6, "dram__bytes_read.sum"),
-    ("wrMB", "6.0f", 1e-6, "dram__bytes_write.sum"),
-    ("L1%", "4.0f", 1, "l1tex__data_pipe_lsu_wavefronts.avg.pct_of_peak_sustained_elapsed"),
-    *((f"{pipe}%", "4.0f", 1, f"sm__inst_executed_pipe_{pipe}.avg.pct_of_peak_sustained_active") for pipe in _PIPES),
+    ("us", 8, 1, 1e-3, "gpu__time_duration.sum"),
+    ("Minst", 7, 2, 1e-6, "smsp__inst_executed.sum"),
+    ("issue%", 6, 0, 1, "smsp__issue_active.avg.pct_of_peak_sustained_active"),
+    ("warps%", 6, 0, 1, "sm__warps_active.avg.pct_of_peak_sustained_active"),
+    ("regs", 4, 0, 1, "launch__registers_per_thread"),
+    ("block", 5, 0, 1, "launch__block_size"),
+    ("grid", 7, 0, 1, "launch__grid_size"),
+    ("smem", 6, 0, 1, "launch__shared_mem_per_block"),
+    ("rdMB", 6, 0, 1e-6, "dram__bytes_read.sum"),
+    ("wrMB", 6, 0, 1e-6, "dram__bytes_write.sum"),
+    ("L1%", 4, 0, 1, "l1tex__data_pipe_lsu_wavefronts.avg.pct_of_peak_sustained_elapsed"),
+    *((f"{pipe}%", 4, 0, 1, f"sm__inst_executed_pipe_{pipe}.avg.pct_of_peak_sustained_active") for pipe in _PIPES),
     *(
-        (name, f"{max(4, len(name))}.1f", 1, f"smsp__average_warps_issue_stalled_{reason}_per_issue_active.ratio")
+        (name, max(4, len(name)), 1, 1, f"smsp__average_warps_issue_stalled_{reason}_per_issue_active.ratio")
         for name, reason in _STALLS.items()
     ),
 ]
@@ -67,13 +67,13 @@ def run(names: list[str], size: tuple[int, ...], dtype: torch.dtype) -> None:
     """What ncu watches: each case forward and backward, once each after a call that is not watched."""
     for name in names:
         first, *rest = ALL[name].inputs(size, dtype, torch.device("cuda"))
-        _tensors(ALL[name].call(first, *rest))
+        ALL[name].call(first, *rest)
         with _watched(), torch.cuda.nvtx.range(name):
-            outputs = _tensors(ALL[name].call(first, *rest))
+            ALL[name].call(first, *rest)
         if not first.is_floating_point():
             continue
         leaf = first.detach().requires_grad_()
-        outputs = [y for y in _tensors(ALL[name].call(leaf, *rest)) if y.requires_grad]
+        outputs = [y for y in tensors_of(ALL[name].call(leaf, *rest)) if y.requires_grad]
         grads = [torch.ones_like(y) for y in outputs]
         with _watched():  # torch's engine works in a thread of its own, where no range of this one is seen
             torch.autograd.grad(outputs, leaf, grads)
@@ -88,11 +88,6 @@ def _watched() -> Iterator[None]:
     torch.cuda.profiler.stop()
 
 
-def _tensors(output: Any) -> list[torch.Tensor]:
-    outputs = output if isinstance(output, (tuple, list)) else [output]
-    return [y for y in outputs if isinstance(y, torch.Tensor)]
-
-
 def rows(report: str) -> Iterator[str]:
     """A line for each kernel in the CSV that ncu wrote."""
     lines = report[report.index('"ID"') :].splitlines()
@@ -104,7 +99,9 @@ def rows(report: str) -> Iterator[str]:
         kernel[row["Metric Name"]] = row["Metric Value"].replace(",", "")
     for kernel in kernels.values():
         case = next((n for n in ALL if re.search(rf"\b{n}\b", kernel["range"])), "  backward")
-        figures = " ".join(f"{_number(kernel.get(metric)) * by:{how}}" for _, how, by, metric in _COLUMNS)
+        figures = " ".join(
+            f"{_number(kernel.get(metric)) * by:{width}.{digits}f}" for _, width, digits, by, metric in _COLUMNS
+        )
         yield f"{case:20} {kernel['name']:36} {figures}"
 
 
@@ -147,7 +144,7 @@ def main() -> None:
     if done.returncode or '"ID"' not in done.stdout:
         sys.exit(f"ncu ended with {done.returncode}:\n{done.stdout[-2000:]}{done.stderr[-2000:]}")
     print(f"{machine.hardware(torch.device('cuda'))}  torch {torch.__version__}  $ {machine.command()}\n")
-    headings = " ".join(f"{name:>{int(re.match(r'[0-9]+', how)[0])}}" for name, how, *_ in _COLUMNS)  # type: ignore[index]
+    headings = " ".join(f"{name:>{width}}" for name, width, *_ in _COLUMNS)
     print(f"{'case':20} {'kernel':36} {headings}")
     for row in rows(done.stdout):
         print(row, flush=True)

@@ -64,7 +64,7 @@ def measure(
     if on_gpu:
         torch.cuda.empty_cache()  # the last case's blocks would count against this one's
     inputs = case.inputs(size, dtype, device)
-    outputs = _tensors(case.call(*inputs))
+    outputs = tensors_of(case.call(*inputs))
     floors = {
         FORWARD: case.forward(inputs, outputs) / bandwidth,
         BACKWARD: case.backward(inputs, outputs) / bandwidth,
@@ -134,7 +134,7 @@ class Step:
         self._upstream = [torch.rand_like(output) for output in self.forward()]
 
     def forward(self) -> list[Tensor]:
-        return [output for output in _tensors(self._work(self._leaf, *self._rest)) if output.requires_grad]
+        return [output for output in tensors_of(self._work(self._leaf, *self._rest)) if output.requires_grad]
 
     def backward(self, outputs: list[Tensor]) -> tuple[Tensor, ...]:
         return torch.autograd.grad(outputs, self._leaf, self._upstream)
@@ -154,7 +154,7 @@ def _host(case: Case, library: str, dtype: torch.dtype, device: torch.device) ->
     return timing.host_seconds(lambda: work(*inputs))
 
 
-def _tensors(output: Any) -> list[Tensor]:
+def tensors_of(output: Any) -> list[Tensor]:
     return [output] if isinstance(output, Tensor) else list(output)
 
 

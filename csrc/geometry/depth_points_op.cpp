@@ -68,15 +68,21 @@ Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance) {
   return y;
 }
 
-Tensor normals_gradient(char const* op, Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance,
-                        bool to_points) {
+// The cameras, checked with the depth and a gradient of its pixels' points or normals.
+Tensor checked_gradient(char const* op, Tensor const& grad, Tensor const& depth, Tensor const& camera) {
   check_images(op, "grad", grad);
   check_images(op, "depth", depth);
-  int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
   KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
-  check_fits(op, "depth", depth, grad, {batch, 1, height, width});
+  check_fits(op, "depth", depth, grad, {grad.size(0), 1, grad.size(2), grad.size(3)});
   size_of(op, grad);
-  Tensor const cameras = cameras_of(op, camera, grad), to = empty({batch, to_points ? 3 : 1, height, width}, grad);
+  return cameras_of(op, camera, grad);
+}
+
+Tensor normals_gradient(char const* op, Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance,
+                        bool to_points) {
+  Tensor const cameras = checked_gradient(op, grad, depth, camera);
+  int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
+  Tensor const to = empty({batch, to_points ? 3 : 1, height, width}, grad);
   for_floats(op, depth, [&](auto type) {
     using T = typename decltype(type)::type;
     DepthNormalsBackward<T> const params{images<T const>(grad, batch),
@@ -103,13 +109,8 @@ Tensor depth_normals_to_points(Tensor const& grad, Tensor const& depth, Tensor c
 // The gradient to the camera of each image (B, 3, 3), also where one serves all, from that to its points.
 Tensor depth_camera(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
   constexpr char const* op = "depth_camera";
-  check_images(op, "grad", grad);
-  check_images(op, "depth", depth);
+  Tensor const cameras = checked_gradient(op, grad, depth, camera);
   int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
-  KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
-  check_fits(op, "depth", depth, grad, {batch, 1, height, width});
-  size_of(op, grad);
-  Tensor const cameras = cameras_of(op, camera, grad);
   Tensor const to_camera = empty({batch, 3, 3}, cameras);
 #if defined(KV_CUDA)
   int64_t const parts = ((width + 3) / 4 * height + 1023) / 1024;  // of 256 threads' four runs of four pixels

@@ -1,12 +1,10 @@
 // Heat maps of Gaussians on CUDA: a block for a few rows of a plane, whose threads first sum up both axes, then take
 // four pixels at a time; another kernel adds up the gradients of planes that have several pieces.
-#include "core/launch.cuh"
 #include "gaussian_maps.h"
+#include "plane_packs.cuh"
 
 namespace kv::cuda {
 namespace {
-
-constexpr int kThreads = 256, kPack = 4;
 
 // The weight of a pixel, over the largest one's.
 template <class F>
@@ -56,26 +54,6 @@ struct BlockAxes {
   }
 };
 
-// Calls f(first pixel of the plane, its column and row, count) for the block's pixels, in packs where rows are whole
-// ones.
-template <class T, class Call>
-__device__ __forceinline__ void for_each_pack(GaussianMaps<T> const& p, int64_t piece, bool packed, Call f) {
-  unsigned const width = unsigned(p.width), start = unsigned(piece * p.rows) * width;
-  unsigned const end = unsigned(min((piece + 1) * p.rows, p.height)) * width;
-  auto const take = [&](auto count) {
-    constexpr int P = decltype(count)::value;
-#pragma unroll 1
-    for (unsigned i = start + P * threadIdx.x; i < end; i += P * kThreads) {
-      unsigned const row = i / width;
-      f(count, i, i - row * width, row);
-    }
-  };
-  if (sizeof(T) < 8 && packed)
-    take(std::integral_constant<int, sizeof(T) < 8 ? kPack : 1>{});
-  else
-    take(std::integral_constant<int, 1>{});
-}
-
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     draw(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool packed) {
@@ -84,7 +62,7 @@ __global__ void __launch_bounds__(kThreads)
   BlockAxes<F> const axes(p, plane);
   F const share = axes.x.share * axes.y.share;
   T* const to = p.maps + plane * p.height * p.width;
-  for_each_pack(p, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_pack<T>(p, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
     F const down = share * weight_of(axes.y.q(axes.y.u(F(row))));
     F v[P];
@@ -102,7 +80,7 @@ __global__ void __launch_bounds__(kThreads)
   BlockAxes<F> const axes(p, plane);
   T const* const from = p.grad + plane * p.height * p.width;
   F sums[4] = {};
-  for_each_pack(p, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_pack<T>(p, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
     Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(from + i);
     F const v = axes.y.u(F(row)), r = axes.y.q(v), down = weight_of(r);
@@ -138,25 +116,19 @@ __global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ Gaussia
   for (int k = 0; k < 4; ++k) (k < 2 ? p.to_mean : p.to_std)[2 * blockIdx.x + k % 2] = round_to<T>(sums[k]);
 }
 
-// Whether packs begin at multiples of their size, and none has pixels of two rows.
-template <class T>
-bool is_packed(GaussianMaps<T> const& p, void const* maps) {
-  return reinterpret_cast<uintptr_t>(maps) % sizeof(Pack<T, kPack>) == 0 && p.width % kPack == 0;
-}
-
 }  // namespace
 
 template <class T>
 int gaussian_maps(GaussianMaps<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.pieces());
-  draw<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_packed(p, p.maps));
+  draw<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_packed<T>(p.width, {p.maps}));
   return cudaGetLastError();
 }
 
 template <class T>
 int gaussian_maps_backward(GaussianMaps<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.pieces());
-  draw_backward<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_packed(p, p.grad));
+  draw_backward<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_packed<T>(p.width, {p.grad}));
   if (pieces > 1) add_pieces<<<unsigned(p.planes), kThreads, 0, stream>>>(p, pieces);
   return cudaGetLastError();
 }

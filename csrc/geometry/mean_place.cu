@@ -1,12 +1,10 @@
 // Mean places on CUDA: a block for a few rows of a plane, whose threads take four pixels at a time and read them once,
 // with sums over the largest one so far; another kernel, with a block for each plane, puts pieces together.
-#include "core/launch.cuh"
 #include "mean_place.h"
+#include "plane_packs.cuh"
 
 namespace kv::cuda {
 namespace {
-
-constexpr int kThreads = 256, kPack = 4;
 
 template <class F>
 struct ScaledExp {
@@ -18,26 +16,6 @@ struct ScaledExp {
       return ::exp(x * scale);
   }
 };
-
-// Calls f(first pixel of the plane, its column and row, count) for the block's pixels, in packs where planes are
-// `packed`.
-template <class T, class Call>
-__device__ __forceinline__ void for_each_pack(HeatMaps<T> const& maps, int64_t piece, bool packed, Call f) {
-  unsigned const width = unsigned(maps.width), start = unsigned(piece * maps.rows) * width;
-  unsigned const end = unsigned(min((piece + 1) * maps.rows, maps.height)) * width;
-  auto const take = [&](auto count) {
-    constexpr int P = decltype(count)::value;
-#pragma unroll 1
-    for (unsigned i = start + P * threadIdx.x; i < end; i += P * kThreads) {
-      unsigned const row = i / width;
-      f(count, i, i - row * width, row);
-    }
-  };
-  if (sizeof(T) < 8 && packed)
-    take(std::integral_constant<int, sizeof(T) < 8 ? kPack : 1>{});
-  else
-    take(std::integral_constant<int, 1>{});
-}
 
 // The sums of a block's threads, to the first one.
 template <class F>
@@ -67,7 +45,7 @@ __global__ void __launch_bounds__(kThreads)
   int64_t const plane = blockIdx.x / pieces;
   T const* const from = maps.data + plane * maps.height * maps.width;
   auto sums = PlaceSums<F>::nothing(maps.softmax);
-  for_each_pack(maps, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_pack<T>(maps, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
     Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(from + i);
     F v[P], most = sums.most;
@@ -104,7 +82,7 @@ __global__ void __launch_bounds__(kThreads)
   ScaledExp<F> const exp{maps.scale};
   int64_t const plane = blockIdx.x / pieces, offset = plane * maps.height * maps.width;
   PlaceSlopes<T> const slopes(p, plane);
-  for_each_pack(maps, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_pack<T>(maps, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
     Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(maps.data + offset + i);
     F result[P];
@@ -115,20 +93,13 @@ __global__ void __launch_bounds__(kThreads)
   });
 }
 
-// Whether packs begin at multiples of their size, and none has pixels of two rows.
-template <class T>
-bool is_packed(HeatMaps<T> const& maps, void const* other) {
-  auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % sizeof(Pack<T, kPack>) == 0; };
-  return aligned(maps.data) && aligned(other) && maps.width % kPack == 0;
-}
-
 }  // namespace
 
 template <class T>
 int mean_place(MeanPlace<T> const& p, CUstream_st* stream) {
   HeatMaps<T> const& maps = p.maps;
   unsigned const pieces = unsigned(maps.pieces()), planes = unsigned(maps.planes);
-  find_places<<<planes * pieces, kThreads, 0, stream>>>(p, pieces, is_packed(maps, nullptr));
+  find_places<<<planes * pieces, kThreads, 0, stream>>>(p, pieces, is_packed<T>(maps.width, {maps.data}));
   finish_places<<<planes, kThreads, 0, stream>>>(p.partial, pieces, maps.softmax, maps.scale, p.places, p.parts);
   return cudaGetLastError();
 }
@@ -136,8 +107,8 @@ int mean_place(MeanPlace<T> const& p, CUstream_st* stream) {
 template <class T>
 int mean_place_backward(MeanPlaceBackward<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.maps.pieces());
-  find_place_gradients<<<unsigned(p.maps.planes) * pieces, kThreads, 0, stream>>>(p, pieces,
-                                                                                  is_packed(p.maps, p.grad_input));
+  find_place_gradients<<<unsigned(p.maps.planes) * pieces, kThreads, 0, stream>>>(
+      p, pieces, is_packed<T>(p.maps.width, {p.maps.data, p.grad_input}));
   return cudaGetLastError();
 }
 

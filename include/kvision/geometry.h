@@ -8,6 +8,7 @@
 #include <ATen/Functions.h>
 #include <ATen/TensorOperators.h>
 
+#include <initializer_list>
 #include <optional>
 #include <string>
 #include <tuple>
@@ -100,6 +101,13 @@ inline Tensor const& needed(std::optional<Tensor> const& x, std::string const& f
   return *x;
 }
 
+// Whether a gradient is wanted to images or to what a formula is given.
+inline bool wants_gradient(Tensor const& images, std::initializer_list<std::optional<Tensor>> given) {
+  variable_list tensors{images};
+  for (std::optional<Tensor> const& x : given) tensors.push_back(x.value_or(Tensor()));
+  return wants_gradient(tensors);
+}
+
 // The translation of a formula, which there may be none of, for an image.
 inline Tensor translation_of(std::optional<Tensor> const& x, Tensor const& image, int64_t axes) {
   auto const type = image.scalar_type() == at::kDouble ? at::kDouble : at::kFloat;
@@ -118,8 +126,7 @@ inline Tensor warp_by_formula(Tensor const& image, std::optional<Tensor> const& 
                               std::string const& padding = "fill", bool align_corners = true, bool inverse = true,
                               bool normalized = false) {
   using namespace detail;
-  if (wants_gradient({image, a.value_or(Tensor()), b.value_or(Tensor()), c.value_or(Tensor()), d.value_or(Tensor()),
-                      e.value_or(Tensor()), f.value_or(Tensor())})) {
+  if (wants_gradient(image, {a, b, c, d, e, f})) {
     auto const number = [&](size_t i) { return numbers.at(i); };
     auto const matrix = [&] {
       if (formula == "affine_matrix2d")
@@ -384,8 +391,7 @@ inline Tensor warp3d_by_formula(Tensor const& volumes, std::optional<Tensor> con
                                 std::string const& padding = "fill", bool align_corners = true, bool inverse = true,
                                 bool normalized = false) {
   using namespace detail;
-  if (wants_gradient({volumes, a.value_or(Tensor()), b.value_or(Tensor()), c.value_or(Tensor()), d.value_or(Tensor()),
-                      e.value_or(Tensor()), f.value_or(Tensor())})) {
+  if (wants_gradient(volumes, {a, b, c, d, e, f})) {
     auto const number = [&](size_t i) { return numbers.at(i); };
     auto const matrix = [&] {
       if (formula == "affine_matrix3d")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import prod
 from typing import Any
 
 import torch
@@ -26,6 +27,14 @@ def broadcast(*shapes: Sequence[int]) -> Sequence[int]:
     """torch.broadcast_shapes, which takes as long as a kernel on few points; most of the time they are the same."""
     known = shapes[0] or shapes[-1]
     return known if all(s == known or not s for s in shapes) else torch.broadcast_shapes(*shapes)
+
+
+def rows(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
+    """x (*, ...), whose last axes are a sample's, as rows for all samples of the axes `leading`; one that serves all, as one."""
+    own = x.shape[x.dim() - axes :]
+    if x.dim() == axes or x.numel() == own.numel():
+        return x.reshape(1, *own)
+    return x.expand(*leading, *own).reshape(prod(leading), *own)
 
 
 def flat(image: Tensor) -> Tensor:

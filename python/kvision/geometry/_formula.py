@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype
-from kvision._leading import broadcast
+from kvision._leading import broadcast, rows
 from kvision._ops import Operator, register
 
 
@@ -80,12 +80,5 @@ def of_all(operator: Operator, axes: int, first: Tensor, *others: Tensor) -> Ten
         found: Tensor = operator(*given)
         return found
     shape = broadcast(*(x.shape[:-axes] for x in given))
-    count = math.prod(shape)
-    rows = [
-        x.reshape(1, *x.shape[-axes:])
-        if x.dim() == axes
-        else x.expand(*shape, *x.shape[-axes:]).reshape(count, *x.shape[-axes:])
-        for x in given
-    ]
-    found = operator(*rows)
+    found = operator(*(rows(x, shape, axes) for x in given))
     return found.reshape(*shape, *found.shape[1:])

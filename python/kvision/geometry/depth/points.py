@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._leading import rows
 from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.spatial_gradient import derivatives
@@ -293,9 +294,8 @@ def _points_last(depth: Tensor, camera: Tensor, distance: bool) -> Tensor:
     """The points (*, H, W, 3) of depth (*, H, W) and cameras (*, 3, 3), leading axes broadcast."""
     camera, size = as_dtype(camera, compute_dtype(depth)), depth.shape[-2:]
     leading = torch.broadcast_shapes(depth.shape[:-2], camera.shape[:-2])
-    batch = math.prod(leading)
-    cameras = camera.reshape(1, 3, 3) if camera.numel() == 9 else camera.expand(*leading, 3, 3).reshape(batch, 3, 3)
-    points: Tensor = depth_points(depth.expand(*leading, *size).reshape(batch, 1, *size), cameras, distance, True)
+    depths = depth.expand(*leading, *size).reshape(math.prod(leading), 1, *size)
+    points: Tensor = depth_points(depths, rows(camera, leading, 2), distance, True)
     return points.reshape(*leading, *size, 3)
 
 

@@ -226,9 +226,8 @@ def warp_frame_depth(
         depth_dst = depth_dst.to(dtype)
         if depth_dst.shape[0] == 1:
             depth_dst = depth_dst.expand(camera.shape[0], -1, -1, -1)
-        depth_dst = depth_points(depth_dst, sampling.for_images(op, depth_dst, "camera_matrix", camera), True, False)[
-            :, 2:
-        ]
+        cameras = sampling.for_images(op, depth_dst, "camera_matrix", camera)
+        depth_dst = depth_points(depth_dst, cameras, True, False)[:, 2:]
     projection = _reprojection(camera, motion, camera, None, True)
     return _warped(op, image_src, depth_dst, projection, "bilinear", "zeros", True)
 

@@ -5,7 +5,6 @@ Source: A. Nibali et al., "Numerical coordinate regression with convolutional ne
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import torch
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._leading import broadcast
+from kvision._leading import broadcast, rows
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -214,10 +213,8 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     height, width = _check.ints(op, "size", size, 2)
     leading = broadcast(mean.shape[:-1], std.shape[:-1])
-    rows = [
-        x.reshape(1, 2) if x.numel() == 2 else x.expand(*leading, 2).reshape(math.prod(leading), 2) for x in (mean, std)
-    ]
-    return _gaussian_maps(*rows, height, width, normalized_coordinates).reshape(*leading, height, width)
+    given = (rows(x, leading, 1) for x in (mean, std))
+    return _gaussian_maps(*given, height, width, normalized_coordinates).reshape(*leading, height, width)
 
 
 def _gaussian_reference(mean: Tensor, std: Tensor, height: int, width: int, normalized: bool) -> Tensor:

@@ -15,6 +15,7 @@ from kvision import _check
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._formula import batch_of, register_formula
 from kvision.geometry._precision import wide
+from kvision.geometry.bbox import corners
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.rotations import axis_angle_to_rotation_matrix
@@ -151,17 +152,11 @@ def _crop_matrix_reference(quads, first, across, down):
 
 def _perspective3d_reference(points_src, points_dst, *extent):
     if points_dst is None:
-        points_dst = box_from_zero(extent, points_src)
+        last = matrix_of([list(extent)], points_src[:1])[:, 0]
+        points_dst = corners(torch.zeros_like(last), last)
     p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four in a plane
     matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
     return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
-
-
-def box_from_zero(extent: Sequence[float], like: Tensor) -> Tensor:
-    """The corners (1, 8, 3) of the box from 0 to three numbers, in the order of boxes."""
-    w, h, d = extent
-    corners = [[(0.0, 0.0, z), (w, 0.0, z), (w, h, z), (0.0, h, z)] for z in (0.0, d)]
-    return matrix_of([list(corner) for face in corners for corner in face], like[:1])
 
 
 def _from_simplex(points: Tensor) -> Tensor:

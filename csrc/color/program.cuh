@@ -56,8 +56,7 @@ constexpr int kThreads = 256;
 template <class F>
 constexpr int kTaken = int(kChunk<F> / kThreads);  // pixels of a thread
 
-// --- a step over the pixels of a thread
-// ---------------------------------------------------------------------------------
+// --- a step over the pixels of a thread ------------------------------------------------------------------------------
 
 template <class F, int C, int P>
 struct Values {
@@ -177,8 +176,7 @@ struct Slope {
   }
 };
 
-// --- memory <-> registers
-// -----------------------------------------------------------------------------------------------
+// --- memory <-> registers --------------------------------------------------------------------------------------------
 
 // F computes with what T stores.
 template <class F, class T>
@@ -353,8 +351,7 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_
   });
 }
 
-// --- what is the same for all pixels of a sample, and sums over a block
-// ---------------------------------------------------
+// --- what is the same for all pixels of a sample, and sums over a block ----------------------------------------------
 
 template <class F>
 struct Sample {

@@ -75,8 +75,7 @@ KV_HD Scalar<V> sum_of(V const& v) {
   return sum;
 }
 
-// --- a step over a chunk: channel k of it at k * kChunk, whole vectors up to n
-// --------------------------------------------
+// --- a step over a chunk: channel k of it at k * kChunk, whole vectors up to n ---------------------------------------
 
 template <class F>
 struct Chunk {
@@ -225,8 +224,7 @@ __attribute__((noinline)) void step_over(Step step, P& chunk) {
   run_step(step, chunk);
 }
 
-// --- memory <-> chunks
-// --------------------------------------------------------------------------------------------------
+// --- memory <-> chunks -----------------------------------------------------------------------------------------------
 
 // F computes with what T stores.
 template <class F, class T>
@@ -321,8 +319,7 @@ KV_HD Chunk<F> chunk_of(Pixels const& x, int64_t b, int64_t first) {
   return {static_cast<F*>(x.data) + x.offset(b) + first, x.channel_stride};
 }
 
-// --- programs
-// -----------------------------------------------------------------------------------------------------------
+// --- programs --------------------------------------------------------------------------------------------------------
 
 // What is the same for all pixels of a sample.
 template <class F>

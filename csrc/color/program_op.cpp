@@ -10,8 +10,7 @@ namespace {
 
 using Maybe = std::optional<Tensor>;
 
-// --- what the program is
-// ------------------------------------------------------------------------------------------------
+// --- what the program is ---------------------------------------------------------------------------------------------
 
 // `plan` of the schemas. One list, as each argument of an operator costs a call a tenth of a small kernel's launch.
 struct Recipe {
@@ -80,8 +79,7 @@ Tensor as_row(Tensor const& x, Layout layout) {
   return dense(x);
 }
 
-// --- how its tensors are seen
-// -------------------------------------------------------------------------------------------
+// --- how its tensors are seen ----------------------------------------------------------------------------------------
 
 // A sample is an image of three channels; or, for steps that treat channels alike, a plane, an image, or everything, as
 // the parameters have it.
@@ -202,8 +200,7 @@ Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<do
   return p;
 }
 
-// --- entries
-// ------------------------------------------------------------------------------------------------------------
+// --- entries ---------------------------------------------------------------------------------------------------------
 
 // The result and the means that it took.
 std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters const& parameters, Maybe const& order,

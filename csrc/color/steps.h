@@ -105,8 +105,7 @@ KV_HD V modulo(V const& x, Scalar<V> n) {
 
 constexpr double kTurn = 6.283185307179586476925;
 
-// --- hue
-// ----------------------------------------------------------------------------------------------------------------
+// --- hue -------------------------------------------------------------------------------------------------------------
 
 // The largest channel, and how far it is above the smallest.
 template <class V>
@@ -240,8 +239,7 @@ KV_HD void hls_to_rgb(V (&c)[3]) {
   color_of(c, sixths, l + depth, depth * F(2));
 }
 
-// --- sRGB (IEC 61966-2-1), CIE XYZ, Lab and Luv (CIE 15)
-// ----------------------------------------------------------------
+// --- sRGB (IEC 61966-2-1), CIE XYZ, Lab and Luv (CIE 15) -------------------------------------------------------------
 
 struct Decode {
   template <class V>
@@ -447,7 +445,7 @@ KV_HD void luv_to_rgb(V (&c)[3], Scalar<V> eps) {
   for (int i = 0; i < 3; ++i) c[i] = of_one(c[i], Encode());
 }
 
-// --- adjustments ----------------------------------------------------------------------------------------------------
+// --- adjustments -----------------------------------------------------------------------------------------------------
 
 // A parameter as V.
 template <class V, class U>
@@ -654,7 +652,7 @@ KV_HD V threshold(V const& x, U const& threshold, U const& above, U const& below
   return select(x > as<V>(threshold), high, low);
 }
 
-// --- a program ------------------------------------------------------------------------------------------------------
+// --- a program -------------------------------------------------------------------------------------------------------
 
 // Does a step to all pixels there are: `pixels.each(f)` calls f(c, p, n) for each one, with the step's parameters p,
 // one of which may be differentiated, and n, the same as numbers. Where channels do not mix, `pixels.each_value(f)`

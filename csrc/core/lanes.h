@@ -44,8 +44,7 @@ KV_HD Lanes<F, N> broadcast(F x) {
     return x - Lanes<F, N>{};
 }
 
-// --- memory -> lanes
-// ---------------------------------------------------------------------------------------------------
+// --- memory -> lanes -------------------------------------------------------------------------------------------------
 
 template <int N>
 KV_HD Lanes<float, N> load(float const* p) {
@@ -102,8 +101,7 @@ KV_HD Lanes<float, N> load(Half const* p) {
   }
 }
 
-// --- lanes -> memory
-// ---------------------------------------------------------------------------------------------------
+// --- lanes -> memory -------------------------------------------------------------------------------------------------
 
 template <int N>
 KV_HD void store(float* p, Lanes<float, N> v) {
@@ -160,8 +158,7 @@ KV_HD void store(Half* p, Lanes<float, N> v) {
   }
 }
 
-// --- what the language has no operator for
-// -----------------------------------------------------------------------------
+// --- what the language has no operator for ---------------------------------------------------------------------------
 
 // min, max and clamp of hd.h work on lanes as they are. A NaN operand gives the other one or itself, as minps does.
 // For AVX-512 GCC makes two instructions of that, so there min and max are spelt out.

@@ -13,8 +13,7 @@ namespace kv {
 
 constexpr int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
-// --- storage <-> compute type
-// ------------------------------------------------------------------------------------------
+// --- storage <-> compute type ----------------------------------------------------------------------------------------
 
 __device__ __forceinline__ float read(float x) { return x; }
 __device__ __forceinline__ double read(double x) { return x; }
@@ -54,8 +53,7 @@ __device__ __forceinline__ T round_to(Compute<T> x) {
     return round_to_bfloat16(x);
 }
 
-// --- a warp
-// ---------------------------------------------------------------------------------------------------
+// --- a warp ----------------------------------------------------------------------------------------------------------
 
 // The sum over its threads, to all of them.
 template <class F>
@@ -76,8 +74,7 @@ __device__ __forceinline__ int warp_min(int x) {
 #endif
 }
 
-// --- neighbouring elements
-// ----------------------------------------------------------------------------------------
+// --- neighbouring elements -------------------------------------------------------------------------------------------
 
 // P elements in as few accesses as the hardware has: 16 bytes each.
 template <class T, int P>
@@ -101,8 +98,7 @@ __device__ __forceinline__ void store_pack(T* to, F const (&v)[P]) {
 template <class T>
 constexpr int kPixels = sizeof(T) == 2 ? 8 : 4;
 
-// --- strips: a warp's row of 128 elements, each thread's four with R neighbours on either side
-// --------------------------
+// --- strips: a warp's row of 128 elements, each thread's four with R neighbours on either side -----------------------
 
 // Cheaper than the rounded functions by an order of magnitude, and right to about 1 in 2^22.
 __device__ __forceinline__ float fast_sqrt(float x) {

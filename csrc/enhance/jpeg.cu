@@ -228,8 +228,7 @@ __global__ void __launch_bounds__(kThreads) run_pull_blocks(__grid_constant__ Jp
         i < 64 ? (sums[0][k] + sums[1][k]) + (sums[2][k] + sums[3][k]) : sums[4][k] + sums[5][k];
 }
 
-// --- pixels, four a thread
-// ---------------------------------------------------------------------------------------------
+// --- pixels, four a thread -------------------------------------------------------------------------------------------
 
 constexpr int kTaken = 4, kRows = 8;
 

@@ -83,8 +83,7 @@ KV_KERNEL(jpeg_pull_steps, JpegPullSteps)
 // What is worked on at once: four by one squares of 16 pixels, each four blocks of luma and one of each chroma.
 constexpr int kJpegSide = 16, kJpegWidth = 64;
 
-// --- colour
-// -----------------------------------------------------------------------------------------------------------
+// --- colour ----------------------------------------------------------------------------------------------------------
 
 constexpr double kJpegRed = 0.299, kJpegGreen = 0.587, kJpegBlue = 0.114;
 constexpr double kJpegFromBlue = 0.564, kJpegFromRed = 0.713;  // how much b - y and r - y are scaled by
@@ -135,8 +134,7 @@ KV_HD JpegColor<V> pull_jpeg_clipped(V const& luma, V const& blue, V const& red,
   return pull_jpeg_rgb<F>(g.v[0], g.v[1], g.v[2]);
 }
 
-// --- half size and back, along one axis
-// -----------------------------------------------------------------------------------
+// --- half size and back, along one axis ------------------------------------------------------------------------------
 
 // Pixel i of the half is the mean of two between which a Gaussian of sigma 0.5 has smoothed, of four pixels
 //
@@ -176,8 +174,7 @@ KV_HD V pull_jpeg_doubled(V const& a, V const& b, V const& c, V const& d) {
   return (b + c) * F(0.75) + (a + d) * F(0.25);
 }
 
-// --- blocks
-// ------------------------------------------------------------------------------------------------------------
+// --- blocks ----------------------------------------------------------------------------------------------------------
 
 // Row `frequency` of the orthonormal cosine transform D.
 template <class F>
@@ -253,8 +250,7 @@ KV_HD void pull_jpeg_quantised(V const& coefficient, V const& step, V& g, V& slo
   g = g * square * F(3);
 }
 
-// --- steps
-// -------------------------------------------------------------------------------------------------------------
+// --- steps -----------------------------------------------------------------------------------------------------------
 
 // The example tables of ISO/IEC 10918-1, annex K. `i`: vertical frequency times 8, plus the horizontal one.
 KV_HD int jpeg_standard(bool chroma, int i) {

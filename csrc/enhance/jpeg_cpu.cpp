@@ -109,8 +109,7 @@ KV_HD void halve(JpegTile<F>& tile, int columns, Combine const& combine) {
     }
 }
 
-// --- blocks: eight vectors of eight
-// ---------------------------------------------------------------------------------------
+// --- blocks: eight vectors of eight ----------------------------------------------------------------------------------
 
 template <class V>
 KV_HD void transpose(V (&v)[8]) {
@@ -183,8 +182,7 @@ KV_HD F* block_of(JpegLevels<F> const& levels, JpegPlace const& at, int plane, i
   return levels.row(at.b, plane, at.y / scale + y) + at.x / scale + x;
 }
 
-// --- rows of chroma at twice their size
-// -----------------------------------------------------------------------------------
+// --- rows of chroma at twice their size ------------------------------------------------------------------------------
 
 // `n` pixels, a multiple of 8, one beside them on either side, and what a vector reads beyond.
 template <class F>

@@ -8,8 +8,7 @@ namespace {
 
 constexpr int kThreads = 256, kForwardRows = 8;
 
-// --- strips
-// ------------------------------------------------------------------------------------------------------------
+// --- strips ----------------------------------------------------------------------------------------------------------
 
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
@@ -157,8 +156,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
   if (threadIdx.x % 32 == 0) p.slopes[plane * p.pieces + piece] = slope;
 }
 
-// --- channels-last: tiles
-// ----------------------------------------------------------------------------------------------
+// --- channels-last: tiles --------------------------------------------------------------------------------------------
 
 // A tile of one value a pixel, with a rim of R pixels, place by place.
 template <class F, int R>

@@ -18,8 +18,7 @@ __device__ __forceinline__ int pixel_at(Border border, int i, int n) {
   return r < 0 ? r + n : r;
 }
 
-// --- tiles
-// --------------------------------------------------------------------------------------------------------------------
+// --- tiles -----------------------------------------------------------------------------------------------------------
 
 // Blocks of 256 threads, tiles of 64 columns; a thread computes a run of `Run` pixels down a column.
 constexpr int kThreads = 256, kColumns = 64;
@@ -161,8 +160,7 @@ __device__ __forceinline__ void sum_run(SharedPlanes const& s, int ry, [[maybe_u
   }
 }
 
-// --- plain kernels
-// ------------------------------------------------------------------------------------------------------------
+// --- plain kernels ---------------------------------------------------------------------------------------------------
 
 // A pixel's first channel, or null for the constant 0.
 template <class T>

@@ -9,8 +9,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// --- rows
-// ---------------------------------------------------------------------------------------------------------------------
+// --- rows ------------------------------------------------------------------------------------------------------------
 
 // A ring of rows: row y stays until row y + capacity comes. Vectors of pixels may reach `pad` pixels beyond either end
 // and run over the last one.
@@ -89,8 +88,7 @@ void store_row(Rows<F> const& from, Images<T> const& to, int64_t b, int64_t y) {
   }
 }
 
-// --- windows
-// ------------------------------------------------------------------------------------------------------------------
+// --- windows ---------------------------------------------------------------------------------------------------------
 
 template <class F>
 using Vector = Lanes<F, kLanes<F>>;

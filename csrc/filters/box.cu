@@ -10,8 +10,7 @@
 namespace kv::cuda {
 namespace {
 
-// --- windows of any size
-// ----------------------------------------------------------------------------------------------
+// --- windows of any size ---------------------------------------------------------------------------------------------
 
 constexpr int kRows = 8;     // of a batch, a warp each; and of a block of column sums
 constexpr int kPart = 9;     // pixels of a row that a thread sums; odd, which keeps threads on different banks
@@ -205,8 +204,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   }
 }
 
-// --- what is left: windows that no tile has room for, and the transpose of even windows with a reflected border
-// ---------
+// --- what is left: windows that no tile has room for, and the transpose of even windows with a reflected border ------
 
 template <class T>
 __global__ void box_any(Box<T> p, bool transposed) {
@@ -238,8 +236,7 @@ __global__ void box_any(Box<T> p, bool transposed) {
   p.y.row(plane, y)[e] = round_to<T>(quotient<T>(sum, p.divisor, 1 / p.divisor));
 }
 
-// --- launchers
-// --------------------------------------------------------------------------------------------------------
+// --- launchers -------------------------------------------------------------------------------------------------------
 
 // The window as a separable filter; the mirrored form is the transpose of a reflected border, which doubles its rim.
 template <class T>

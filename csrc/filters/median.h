@@ -43,8 +43,7 @@ KV_KERNEL(median_blur_backward, MedianBlurBackward)
 KV_HD int64_t median_before(int64_t k) { return (k - 1) / 2; }
 KV_HD int64_t median_after(int64_t k) { return k / 2; }
 
-// --- selection networks
-// ------------------------------------------------------------------------------------------------
+// --- selection networks ----------------------------------------------------------------------------------------------
 
 #if defined(__CUDACC__)
 #define KV_UNROLL _Pragma("unroll")
@@ -172,8 +171,7 @@ KV_HD V median_of(V const (&middle)[K + 1], V const (&row)[K]) {
   return median;
 }
 
-// --- keys: integers in the order of the numbers, NaN above all
-// ----------------------------------------------------------------------------
+// --- keys: integers in the order of the numbers, NaN above all -------------------------------------------------------
 
 template <class T>
 struct median_key {
@@ -238,8 +236,7 @@ KV_HD V select_key(V lowest, MedianKey<T> rank, Count count) {
 template <class T>
 constexpr MedianKey<T> kLowestMedianKey = -kMedianKeyOfNan<T> - 1;
 
-// --- gradient
-// ----------------------------------------------------------------------------------------------------------
+// --- gradient --------------------------------------------------------------------------------------------------------
 
 // How often the window of output q, [q - before, q + after], reads pixel j of n. For the circular border q may lie
 // outside the image: the outputs repeat with the pixels.

@@ -28,8 +28,7 @@ __device__ __forceinline__ F* shared_memory() {
   return reinterpret_cast<F*>(bytes);
 }
 
-// --- any layout: one thread walks down one column of elements
-// --------------------------------------------------------------------
+// --- any layout: one thread walks down one column of elements --------------------------------------------------------
 
 // The rows within `reach` of the one computed, filtered along x, are kept in shared memory: that of a position at the
 // position modulo their number.
@@ -107,8 +106,7 @@ int launch_any(Separable<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-// --- planar images and windows of any size: a block walks down 128 columns of pixels
-// ----------------------------------------
+// --- planar images and windows of any size: a block walks down 128 columns of pixels ---------------------------------
 
 constexpr int kTileWidth = 128, kTileHeight = 64;  // pixels computed at a time, 4 x 8 by a thread
 constexpr int kTileThreads = 256;
@@ -249,8 +247,7 @@ int launch_tiles(Separable<T> p, bool mirrored, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-// --- the gradient to the weights
-// ------------------------------------------------------------------------------------------
+// --- the gradient to the weights -------------------------------------------------------------------------------------
 
 static_assert(kWeightsTileWidth == kThreads);
 

@@ -159,8 +159,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   }
 }
 
-// --- channels-last: one thread an element
-// -----------------------------------------------------------------------------
+// --- channels-last: one thread an element ----------------------------------------------------------------------------
 
 template <class T>
 __device__ __forceinline__ void gradients_at(Planes<T const> const& x, Compute<T> scale, int64_t plane, int64_t y,

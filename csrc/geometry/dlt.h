@@ -241,8 +241,7 @@ KV_HD double product(double const* a, double const* b) {
 // Where a symmetric matrix has its number (i, k) among those on and below the diagonal, row by row.
 KV_HD int below(int i, int k) { return i > k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i; }
 
-// --- what takes points of D numbers to the second image
-// ----------------------------------------------------------------------------
+// --- what takes points of D numbers to the second image --------------------------------------------------------------
 
 template <int D>
 struct Projective {
@@ -369,8 +368,7 @@ KV_HD void sum_products(int64_t count, Team team, Pair pair, double* m) {
   team.sync();
 }
 
-// --- homographies of segments, whose points are their ends
-// ----------------------------------------------------------------------------
+// --- homographies of segments, whose points are their ends -----------------------------------------------------------
 
 struct Lines : Homography {
   static constexpr int kPoints = 2;
@@ -414,8 +412,7 @@ struct Lines : Homography {
   }
 };
 
-// --- poses
-// ----------------------------------------------------------------------------
+// --- poses -----------------------------------------------------------------------------------------------------------
 
 // Of a camera (3, 4) of any scale and sign: the columns of a rotation, one after the other, and the translation.
 struct Gram {
@@ -498,8 +495,7 @@ struct Pose : Projective<3> {
   }
 };
 
-// --- fundamental matrices
-// ----------------------------------------------------------------------------
+// --- fundamental matrices --------------------------------------------------------------------------------------------
 
 struct Fundamental {
   static constexpr int kAxes = 2, kPoints = 1, kUnknowns = 9, kNumbers = 9;
@@ -572,8 +568,7 @@ struct Fundamental {
   }
 };
 
-// --- affine maps
-// ----------------------------------------------------------------------------
+// --- affine maps -----------------------------------------------------------------------------------------------------
 
 struct Affine {};
 

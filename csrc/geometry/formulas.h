@@ -11,8 +11,7 @@
 
 namespace kv {
 
-// --- functions of an angle
-// ------------------------------------------------------------------------------------------------
+// --- functions of an angle -------------------------------------------------------------------------------------------
 
 template <class V>
 KV_HD V number(double x) {
@@ -66,8 +65,7 @@ KV_HD V squared(V const* x, int n) {
   return sum;
 }
 
-// --- rotations
-// --------------------------------------------------------------------------------------------------------
+// --- rotations -------------------------------------------------------------------------------------------------------
 
 template <int N, int Rows, int Columns = 0>
 struct OfVector {  // of one vector
@@ -283,8 +281,7 @@ struct EulerFromQuaternion : OfNumbers<4> {
   }
 };
 
-// --- rigid transformations of space, (4, 4) whose last rows are taken for 0 0 0 1
-// --------------------------------------------------------------------------------------------------------
+// --- rigid transformations of space, (4, 4) whose last rows are taken for 0 0 0 1 ------------------------------------
 
 template <int N>
 struct OfPoses {
@@ -382,8 +379,7 @@ struct RelativePose : OfPoses<2> {
   }
 };
 
-// --- matrices of images
-// -----------------------------------------------------------------------------------------------------
+// --- matrices of images ----------------------------------------------------------------------------------------------
 
 // The affine map of n dimensions whose linear part is `linear` about `center`, moved: n + 1 rows of n + 1 numbers.
 template <int n, class V>
@@ -653,8 +649,7 @@ struct QuadShapes {
   }
 };
 
-// --- two views of one scene
-// -----------------------------------------------------------------------------------------------------
+// --- two views of one scene ------------------------------------------------------------------------------------------
 
 // c = a b of 3 x 3 matrices, either of them transposed.
 template <bool kTransposeA, bool kTransposeB, class V>
@@ -903,8 +898,7 @@ struct CameraOfProjection : OfVector<12, 7, 3> {
   }
 };
 
-// --- the operators: name, formula, arguments
-// --------------------------------------------------------------------------------
+// --- the operators: name, formula, arguments -------------------------------------------------------------------------
 
 // Those that warps of images know, and those of volumes.
 #define KV_PLANE_FORMULAS(_)                                                                                 \

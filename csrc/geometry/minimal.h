@@ -55,8 +55,7 @@ KV_HD void choose(Minimal<T> const& p, int64_t sample, int size, int64_t* chosen
   }
 }
 
-// --- affine maps and homographies
-// --------------------------------------------------------------------------------
+// --- affine maps and homographies ------------------------------------------------------------------------------------
 
 KV_HD double area(double const* a, double const* b, double const* c) {
   return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
@@ -104,8 +103,7 @@ KV_HD void homography(Points const& x, Points const& y, double* m) {
   if (!possible) m[0] = small::nan();
 }
 
-// --- equations in nine unknowns
-// -----------------------------------------------------------------------------------
+// --- equations in nine unknowns --------------------------------------------------------------------------------------
 
 // The mean of points goes to 0 and their mean distance from it to sqrt(2).
 struct Similarity {
@@ -203,8 +201,7 @@ KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9])
   return count;
 }
 
-// --- five points
-// -------------------------------------------------------------------------------------------------
+// --- five points -----------------------------------------------------------------------------------------------------
 
 // Where the product of two monomials stands: x, y, z, 1 by themselves, then x^2, xy, xz, x, y^2, yz, y, z^2, z, 1 by
 // them, which gives x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2,

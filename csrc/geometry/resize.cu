@@ -127,8 +127,7 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
   }
 }
 
-// --- any sizes: one thread an element, the weights computed as they are needed
-// -------------------------------------------
+// --- any sizes: one thread an element, the weights computed as they are needed ---------------------------------------
 
 template <class T>
 __global__ void resize_any(__grid_constant__ Resize<T> const p) {
@@ -153,8 +152,7 @@ __global__ void resize_any(__grid_constant__ Resize<T> const p) {
   *to = round_to<T>(p.base ? F(read(*p.base_at(to))) - sum : sum);
 }
 
-// --- launches
-// -------------------------------------------------------------------------------------------------------
+// --- launches --------------------------------------------------------------------------------------------------------
 
 // How many elements of x lie between the first and the last that `elements` neighbours of y read.
 template <class T>

@@ -69,8 +69,7 @@ template <class T>
 int resize_linear_transpose(Resize<T> const& p, CUstream_st* stream);
 }  // namespace cuda
 
-// --- sizes
-// ---------------------------------------------------------------------------------------------------------
+// --- sizes -----------------------------------------------------------------------------------------------------------
 
 inline int64_t ceil_of(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
@@ -120,8 +119,7 @@ inline ResizeAxis::ResizeAxis(Window window, int64_t source, int64_t result, boo
   most = int(transposed ? min(seen, result) : min(wide, source));
 }
 
-// --- windows
-// -------------------------------------------------------------------------------------------------------
+// --- windows ---------------------------------------------------------------------------------------------------------
 
 template <class F>
 KV_HD F sin_pi(F x) {  // by its series; 0 at the integers
@@ -157,8 +155,7 @@ KV_HD F blur_weight(Border border, int t, int j, int n) {
   return sum;
 }
 
-// --- bands
-// ---------------------------------------------------------------------------------------------------------
+// --- bands -----------------------------------------------------------------------------------------------------------
 
 // The source pixels that pixel i of the result is made of.
 template <class F>

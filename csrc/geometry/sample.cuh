@@ -13,8 +13,7 @@ constexpr int kThreads = 256;
 constexpr int kRuns = kTile * kTile / kThreads;  // places a thread takes
 constexpr int kRunRows = kTile / kRuns;          // rows from one to the next
 
-// --- tiles
-// ---------------------------------------------------------------------------------------------------
+// --- tiles -----------------------------------------------------------------------------------------------------------
 
 // Of an output, in rows, which a block takes tile by tile: what precedes the first one costs as much time as a tile.
 struct Tiles {
@@ -68,8 +67,7 @@ __device__ __forceinline__ int row_in_tile() {
   return threadIdx.x % 32 / across + threadIdx.x / (32 * down) * down;
 }
 
-// --- places
-// --------------------------------------------------------------------------------------------------
+// --- places ----------------------------------------------------------------------------------------------------------
 
 // Where the places of a tile are, from its matrix or the maps.
 template <class F>
@@ -95,8 +93,7 @@ struct PlacesOf {
   __device__ __forceinline__ F weight(int y, int x) const { return tile.map.weight(F(x - tile.x), F(y - tile.y)); }
 };
 
-// --- windows
-// -------------------------------------------------------------------------------------------------------
+// --- windows ---------------------------------------------------------------------------------------------------------
 
 // The K x K taps around a place.
 template <int K, class F>

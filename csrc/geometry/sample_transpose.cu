@@ -13,8 +13,7 @@
 namespace kv::cuda {
 namespace {
 
-// --- gather
-// --------------------------------------------------------------------------------------------------------
+// --- gather ----------------------------------------------------------------------------------------------------------
 
 // How many candidates beside each other are looked at together: for a turn that keeps sizes, all of them.
 template <int K>
@@ -251,8 +250,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
   }
 }
 
-// --- scatter
-// ------------------------------------------------------------------------------------------------------
+// --- scatter ---------------------------------------------------------------------------------------------------------
 
 constexpr int kScatterWarps = 4;                   // of a block, which work alone
 constexpr int kPieceWidth = 16, kPieceHeight = 8;  // places that a warp takes at a time

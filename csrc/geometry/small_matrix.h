@@ -41,8 +41,7 @@ KV_HD double nan() { return __builtin_nan(""); }
 template <int N>
 constexpr int kUnrolled = N <= 4 ? N : 1;
 
-// --- symmetric matrices, all N x N numbers of them
-// -----------------------------------------------------------------------------------------------
+// --- symmetric matrices, all N x N numbers of them -------------------------------------------------------------------
 
 // Those of a team (team.h) take rows in turns, of matrices that all of them see; alone is alone.
 
@@ -276,8 +275,7 @@ KV_CALLED void smallest_eigenvector_vjp(double* m, double const* v, double const
   smallest_eigenvector_vjp_in<N>(m, inverse, r, v, g, u, Alone{});
 }
 
-// --- 3 x 3
-// -------------------------------------------------------------------------------------------------------
+// --- 3 x 3 -----------------------------------------------------------------------------------------------------------
 
 KV_HD void cross(double const* a, double const* b, double* c) {
   c[0] = a[1] * b[2] - a[2] * b[1];
@@ -314,8 +312,7 @@ KV_HD bool to_rank_two(double* f, double* v) {
   return true;
 }
 
-// --- null spaces
-// -------------------------------------------------------------------------------------------------
+// --- null spaces -----------------------------------------------------------------------------------------------------
 
 // What `rows` equations in nine unknowns leave open: 9 - rows vectors, by elimination with the largest pivot of all.
 // False where the equations depend on one another. Destroys them.
@@ -354,8 +351,7 @@ KV_CALLED bool null_space(double (*a)[9], int rows, double (*space)[9]) {
   return true;
 }
 
-// --- polynomials, the highest power first
-// --------------------------------------------------------------------------------
+// --- polynomials, the highest power first ----------------------------------------------------------------------------
 
 constexpr int kMostRoots = 10;
 

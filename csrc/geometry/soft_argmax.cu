@@ -65,8 +65,7 @@ __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArg
   if (tiles.place(p.windows.out, volume, z, y, x)) one_window(p, volume, z, y, x);
 }
 
-// --- windows around every pixel of images
-// ---------------------------------------------------------------------------------------------------------------
+// --- windows around every pixel of images ----------------------------------------------------------------------------
 
 constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
 constexpr float kMostExponent = 90;  // of base 2, beside a strip's largest: rounding it costs 3e-6 of a weight
@@ -244,8 +243,7 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
   }
 }
 
-// --- gradients
-// ---------------------------------------------------------------------------------------------------------------
+// --- gradients -------------------------------------------------------------------------------------------------------
 
 template <class T>
 __global__ void __launch_bounds__(kThreads) records_of(__grid_constant__ SoftArgmaxBackward<T> const p, Tiles tiles) {

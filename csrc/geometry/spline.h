@@ -71,8 +71,7 @@ KV_KERNEL(spline_backward, Spline)
 KV_KERNEL(spline_sums, SplineSums)
 KV_KERNEL(spline_weights, SplineWeights)
 
-// --- U
-// --------------------------------------------------------------------------------------------------------------------
+// --- U ---------------------------------------------------------------------------------------------------------------
 
 // Of squares less than these U is nothing, and the logarithms of kernels may be anything.
 template <class F>
@@ -88,8 +87,7 @@ KV_HD V plate_slope(V square, V log2) {
   return square > kLeastSquare<F> ? V(log2 * F(0.69314718055994531) + 1) : V{};
 }
 
-// --- weights
-// --------------------------------------------------------------------------------------------------------------
+// --- weights ---------------------------------------------------------------------------------------------------------
 
 // Calls f(i, j) for all of so many rows and columns, by one thread or by those of a block, all of which then wait for
 // one another.

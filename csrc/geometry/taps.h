@@ -65,8 +65,7 @@ KV_HD auto floor_to_int(V x) {
 }
 #endif
 
-// --- places and pixels
-// ---------------------------------------------------------------------------------------------------
+// --- places and pixels -----------------------------------------------------------------------------------------------
 
 // A place of the same value that is near the image, so that its taps are ints: of the fill or the border, NaN lies far
 // outside, to the left; of the reflection.
@@ -102,8 +101,7 @@ KV_TAPS I pixel_at(Axis<F> const& axis, I i) {
   return min(last, max(zero, i));
 }
 
-// --- weights
-// -------------------------------------------------------------------------------------------------------------
+// --- weights ---------------------------------------------------------------------------------------------------------
 
 // The first of K taps, and what is left of x, which is near the image.
 template <int K, class F, class V>

@@ -62,8 +62,7 @@ KV_KERNEL(warp3d_transpose, Warp3dTranspose)
 KV_KERNEL(warp3d_slopes, Warp3dSlopes)
 KV_KERNEL(warp3d_matrix, Warp3dMatrix)
 
-// --- the map
-// ---------------------------------------------------------------------------------------------------------
+// --- the map ---------------------------------------------------------------------------------------------------------
 
 namespace matrix {
 

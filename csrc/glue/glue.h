@@ -16,8 +16,7 @@ namespace kv {
 using torch::headeronly::ScalarType;
 using torch::stable::Tensor;
 
-// --- checks
-// ------------------------------------------------------------------------------------------------------------
+// --- checks ----------------------------------------------------------------------------------------------------------
 
 // A word, a number or a name of a message.
 struct Part {
@@ -54,8 +53,7 @@ constexpr int64_t kLargestWindow = (1 << 15) - 1;
 
 void check_window(char const* op, int64_t ky, int64_t kx);
 
-// --- layouts
-// -----------------------------------------------------------------------------------------------------------
+// --- layouts ---------------------------------------------------------------------------------------------------------
 
 // How the kernels read an image tensor. planar: rows of neighbouring pixels, whatever the strides of B, C and H.
 // channels_last: rows of neighbouring pixels with their channels inside.
@@ -99,8 +97,7 @@ Planes<T> stacked_planes(Tensor const& x) {
   return {data, x.numel() ? x.numel() / (h * w) : 0, 1, h * w, 0, w, h, w, 1};
 }
 
-// --- dtypes
-// ------------------------------------------------------------------------------------------------------------
+// --- dtypes ----------------------------------------------------------------------------------------------------------
 
 // What kernels compute in for tensors stored as `x` is.
 ScalarType computed_type(Tensor const& x);
@@ -132,8 +129,7 @@ void for_floats_and_bytes(char const* op, Tensor const& x, F f) {
   for_floats(op, x, f);
 }
 
-// --- running
-// -----------------------------------------------------------------------------------------------------------
+// --- running ---------------------------------------------------------------------------------------------------------
 
 #if defined(KV_CUDA)
 

@@ -22,8 +22,7 @@ struct LovaszMath {
   }
 };
 
-// --- errors and gradients: a thread for each pixel
-// --------------------------------------------------------------------------------------------------------------------
+// --- errors and gradients: a thread for each pixel -------------------------------------------------------------------
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
@@ -55,8 +54,7 @@ __global__ void __launch_bounds__(kThreads)
       [&](int64_t c, F d) { p.grad_logits[at + c * labels.pixels] = round_to<T>(d); });
 }
 
-// --- sorting
-// --------------------------------------------------------------------------------------------------------------------
+// --- sorting ---------------------------------------------------------------------------------------------------------
 
 // Segments from `first` on, in pieces; what is sorted comes from the errors at first, and then from `from`.
 template <class F>
@@ -227,8 +225,7 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
   }
 }
 
-// --- slopes of what is sorted
-// --------------------------------------------------------------------------------------------------------------------
+// --- slopes of what is sorted ----------------------------------------------------------------------------------------
 
 template <class F>
 __global__ void __launch_bounds__(kThreads)

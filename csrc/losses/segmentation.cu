@@ -121,8 +121,7 @@ __device__ __forceinline__ void for_each_pack(Logits<T> const& logits, int64_t s
     f(sample, place);
 }
 
-// --- how much regions overlap
-// --------------------------------------------------------------------------------------------------------------------
+// --- how much regions overlap ----------------------------------------------------------------------------------------
 
 // Every thread has sums of its own, so that they are added up in the same order whatever the labels are.
 template <class T, int P>
@@ -253,8 +252,7 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
   });
 }
 
-// --- the focal loss
-// --------------------------------------------------------------------------------------------------------------------
+// --- the focal loss --------------------------------------------------------------------------------------------------
 
 // Of the pixels from `place` on: their losses, slopes by log p, and 1 / the sums of exponentials.
 template <class T, int P>
@@ -331,8 +329,7 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
   });
 }
 
-// --- launching
-// --------------------------------------------------------------------------------------------------------------------
+// --- launching -------------------------------------------------------------------------------------------------------
 
 // Calls f with how many pixels a thread takes: four where `other` and all that the logits are made of allow it.
 template <class T, class Call>

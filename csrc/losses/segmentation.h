@@ -31,8 +31,7 @@ struct Logits {
 
 constexpr int kPiece = 4096, kShortPiece = 1024;  // the latter where a piece leaves one sum, or none
 
-// --- how much regions overlap
-// --------------------------------------------------------------------------------------------------------------------
+// --- how much regions overlap ----------------------------------------------------------------------------------------
 
 // Of a class, or of all: the sums of its probability where it is the label and of that everywhere, and its pixels.
 template <class F>
@@ -120,8 +119,7 @@ struct OverlapBackward {
   T* grad_logits;
 };
 
-// --- the focal loss
-// --------------------------------------------------------------------------------------------------------------------
+// --- the focal loss --------------------------------------------------------------------------------------------------
 
 // -f (1 - p)^gamma log p of the label's p, where f is `first` for class 0 and `other` for the others, times its weight.
 template <class F>

@@ -8,8 +8,7 @@ namespace {
 
 constexpr int kThreads = 256;
 
-// --- other windows: what is to be done, by taps
-// --------------------------------------------------------------------------------------------------------------------
+// --- other windows: what is to be done, by taps ----------------------------------------------------------------------
 
 // An element of a row, as kernels with a thread for each count them.
 struct Element {
@@ -143,8 +142,7 @@ __global__ void __launch_bounds__(kThreads) by_taps(__grid_constant__ Job const 
   if (i < job.image().rows() * job.image().row_size()) job.by_taps(Element(job.image(), i));
 }
 
-// --- flat windows: a block makes a tile, along y from the image to shared memory, along x from there
-// --------------------------------------------------------------------------------------------------------------------
+// --- flat windows: a block makes a tile, along y from the image to shared memory, along x from there -----------------
 
 constexpr int kTileWidth = 128, kLargestTile = 256;  // of a window
 
@@ -212,8 +210,7 @@ __global__ void __launch_bounds__(kMaximaThreads, 4)
   });
 }
 
-// --- the gradient of flat windows
-// --------------------------------------------------------------------------------------------------------------------
+// --- the gradient of flat windows ------------------------------------------------------------------------------------
 
 constexpr int kTiesRows = 32;
 // Windows that a thread takes at once. Along x it is odd, so that the threads of a warp read different banks.

@@ -97,8 +97,7 @@ KV_HD V extreme(V a, V b) {
   return a != a ? a : most;
 }
 
-// --- flat windows
-// --------------------------------------------------------------------------------------------------------------------
+// --- flat windows ----------------------------------------------------------------------------------------------------
 
 constexpr int kSmall = 4;  // windows of up to so many rows take them one by one
 
@@ -186,8 +185,7 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
   }
 }
 
-// --- any window
-// --------------------------------------------------------------------------------------------------------------------
+// --- any window ------------------------------------------------------------------------------------------------------
 
 // Where each tap reads row y of the images.
 template <class F>

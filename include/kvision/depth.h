@@ -17,8 +17,7 @@
 
 namespace kvision {
 
-// --- peaks
-// ------------------------------------------------------------------------------------------------------------
+// --- peaks -----------------------------------------------------------------------------------------------------------
 
 // Images where `flags` (uint8) are not 0, and 0 elsewhere.
 inline Tensor keep_marked(Tensor const& input, Tensor const& flags) {
@@ -166,8 +165,7 @@ inline std::tuple<Tensor, Tensor> quadratic_peaks(Tensor const& input, std::opti
   return {found[0], found[1]};
 }
 
-// --- depth
-// ------------------------------------------------------------------------------------------------------------
+// --- depth -----------------------------------------------------------------------------------------------------------
 
 // From the gradient to points (B, 3, H, W) of depth (B, 1, H, W) to each camera (B, 3, 3).
 inline Tensor depth_camera(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {

@@ -13,8 +13,7 @@
 
 namespace kvision {
 
-// --- edges
-// --------------------------------------------------------------------------------------------------------------
+// --- edges -----------------------------------------------------------------------------------------------------------
 
 inline Tensor sobel_backward(Tensor const& grad, Tensor const& input, bool normalized, double eps) {
   using namespace detail;
@@ -93,8 +92,7 @@ inline Tensor canny_hysteresis(Tensor const& edges) {
   return differentiable({}, [&] { return variable_list{call<"canny_hysteresis">(edges)}; }, {}, nullptr)[0];
 }
 
-// --- windows
-// ------------------------------------------------------------------------------------------------------------
+// --- windows ---------------------------------------------------------------------------------------------------------
 
 Tensor box_blur_backward(Tensor const& grad, int64_t ky, int64_t kx, std::string const& border);
 
@@ -196,8 +194,7 @@ inline Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& g
   return differentiable(tensors, compute, tensors, gradient)[0];
 }
 
-// --- any kernel
-// ---------------------------------------------------------------------------------------------------------------
+// --- any kernel ------------------------------------------------------------------------------------------------------
 
 namespace detail {
 
@@ -273,8 +270,7 @@ inline Tensor filter3d_kernel_backward(Tensor const& kernel, Tensor const& grad,
   return detail::Correlation3d::kernel_gradient(kernel, grad, input, border, same);
 }
 
-// --- separable kernels
-// --------------------------------------------------------------------------------------------------
+// --- separable kernels -----------------------------------------------------------------------------------------------
 
 // (B, kW + kH): for each image the gradient to its kernel_x, then that to its kernel_y.
 inline Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const& kernel_y, Tensor const& grad,

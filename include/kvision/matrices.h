@@ -82,8 +82,7 @@ Tensor formula(std::tuple<Tensors...> const& tensors, Plain const&... plain) {
 
 }  // namespace detail
 
-// --- rotations
-// ------------------------------------------------------------
+// --- rotations -------------------------------------------------------------------------------------------------------
 
 inline Tensor axis_angle_to_rotation_matrix_backward(Tensor const& grad, Tensor const& axis_angle) {
   return detail::formula_gradient<"axis_angle_to_rotation_matrix">(grad, std::tuple(axis_angle));
@@ -211,8 +210,7 @@ inline Tensor euler_from_quaternion(Tensor const& w, Tensor const& x, Tensor con
   return detail::formula<"euler_from_quaternion">(std::tuple(w, x, y, z));
 }
 
-// --- matrices of images
-// ------------------------------------------------------------
+// --- matrices of images ----------------------------------------------------------------------------------------------
 
 inline Tensor affine_matrix2d_backward(Tensor const& grad, Tensor const& degrees,
                                        std::optional<Tensor> const& translation, std::optional<Tensor> const& scale,

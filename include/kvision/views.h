@@ -27,8 +27,7 @@ inline Gradient no_gradient(char const* op) {
 
 }  // namespace detail
 
-// --- least squares
-// ------------------------------------------------------------------------------------------------------------
+// --- least squares ---------------------------------------------------------------------------------------------------
 
 inline std::tuple<Tensor, Tensor> null_vector_backward(Tensor const& grad, Tensor const& vector, Tensor const& rows,
                                                        std::optional<Tensor> const& weights) {
@@ -348,8 +347,7 @@ inline std::tuple<Tensor, Tensor> eigenvectors(Tensor const& matrix) {
   return {found[0], found[1]};
 }
 
-// --- essential matrices
-// ------------------------------------------------------------------------------------------------------------
+// --- essential matrices ----------------------------------------------------------------------------------------------
 
 inline Tensor nearest_essential_backward(Tensor const& grad, Tensor const& matrix) {
   using namespace detail;
@@ -409,8 +407,7 @@ inline std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor c
   return {found[0], found[1], found[2], found[3], found[4]};
 }
 
-// --- errors
-// ------------------------------------------------------------------------------------------------------------
+// --- errors ----------------------------------------------------------------------------------------------------------
 
 inline std::tuple<Tensor, Tensor, Tensor> view_errors_backward(Tensor const& grad, Tensor const& points1,
                                                                Tensor const& points2, Tensor const& matrix,
@@ -443,8 +440,7 @@ inline Tensor view_errors(Tensor const& points1, Tensor const& points2, Tensor c
   return differentiable({points1, points2, matrix}, compute, {points1, points2, matrix}, gradient)[0];
 }
 
-// --- samples and those who agree with them
-// ------------------------------------------------------------------------------------------------------------
+// --- samples and those who agree with them ---------------------------------------------------------------------------
 
 // Models (S, candidates, 3, 3) that as few correspondences as possible leave, NaN for what is missing. model: "affine",
 // "homography", "lines" of points (., ., 4), "fundamental", "fundamental8" or "essential". Samples are the points (S,

@@ -1,4 +1,4 @@
-"""Where lenses show the pixels of images, and undistortion of images by it. Points: test_views.py."""
+"""Where lenses show the pixels of images, and undistortion of images by it. Points: tests/geometry/test_views.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures as tensors: conversion from and to NumPy, grids, drawing, printing."""
+"""Images as tensors: conversion from and to NumPy, grids, drawing, printing."""
 
 from kvision.image.convert import ImageToTensor, image_list_to_tensor, image_to_tensor, tensor_to_image
 from kvision.image.draw import draw_convex_polygon, draw_line, draw_point2d, draw_rectangle

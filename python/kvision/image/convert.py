@@ -150,7 +150,10 @@ def image_list_to_tensor(images: Sequence[np.ndarray[Any, Any]]) -> Tensor:
 
 
 class ImageToTensor(nn.Module):
-    """`image_to_tensor` as a module; here a batch axis is added unless `keepdim` is set.
+    """Module form of :func:`image_to_tensor`; here a batch axis is added unless `keepdim` is set.
+
+    Args:
+        keepdim: add no batch axis.
 
     Example:
         >>> import numpy as np, kvision as K

@@ -1,7 +1,7 @@
-"""Points, lines, rectangles and convex polygons, drawn into the image that is given.
+"""Points, lines, rectangles and convex polygons, drawn into an image in place.
 
 Pixel (x, y) covers [x - 0.5, x + 0.5) by [y - 0.5, y + 0.5): coordinates are rounded to the nearest pixel, halves up.
-Coordinates and colours may be on another device than the image. The coordinates of points, lines and rectangles are
+Coordinates and colors may be on another device than the image. The coordinates of points, lines and rectangles are
 read on the host, all at once, since they decide how many pixels are written; a polygon's stay on the device.
 """
 
@@ -20,7 +20,7 @@ __all__ = ["draw_convex_polygon", "draw_line", "draw_point2d", "draw_rectangle"]
 
 
 def draw_point2d(image: Tensor, points: Tensor, color: Any) -> Tensor:
-    """Set pixels of `image`, in place, to a colour.
+    """Set pixels of `image`, in place, to a color.
 
     Args:
         image: (C, H, W) or (H, W).
@@ -153,7 +153,7 @@ def draw_rectangle(
 def draw_convex_polygon(images: Tensor, polygons: Tensor | Sequence[Tensor], colors: Any) -> Tensor:
     """Fill one convex polygon in each image, in place; what lies outside an image is cut off.
 
-    A pixel is filled when its centre is inside the polygon or on its outline; vertices are not rounded. Each row is
+    A pixel is filled when its center is inside the polygon or on its outline; vertices are not rounded. Each row is
     filled from its leftmost to its rightmost crossing with the outline, which closes the gaps of a concave polygon.
 
     Args:
@@ -186,7 +186,7 @@ def draw_convex_polygon(images: Tensor, polygons: Tensor | Sequence[Tensor], col
     x0, y0 = vertices.unbind(-1)
     x1, y1 = vertices.roll(-1, 2).unbind(-1)
     # Where the edge from (x0, y0) to (x1, y1) meets each row: (B, H, K). A horizontal edge counts with its start; its
-    # end is the start of the next one. Dividing last keeps a crossing exact that falls on a pixel's centre.
+    # end is the start of the next one. Dividing last keeps a crossing exact that falls on a pixel's center.
     y = torch.arange(images.shape[2], device=images.device, dtype=vertices.dtype)[:, None]
     crossing = x0 + (y - y0) * (x1 - x0) / torch.where(y0 == y1, 1, y1 - y0)
     reached = (torch.minimum(y0, y1) <= y) & (y <= torch.maximum(y0, y1))
@@ -215,7 +215,7 @@ def _vertices(op: str, polygons: Any, images: Tensor) -> Tensor:
 
 
 def _plot(image: Tensor, pixels: Tensor, color: Tensor) -> None:
-    """Set the pixels (N, 2), as (x, y), of the image (C, H, W) to the colour (C,)."""
+    """Set the pixels (N, 2), as (x, y), of the image (C, H, W) to the color (C,)."""
     x, y = pixels.to(image.device).unbind(1)
     image[:, y, x] = color[:, None]
 
@@ -252,7 +252,7 @@ def _nearest_pixels(op: str, name: str, coordinates: Tensor) -> Tensor:
 
 
 def _colors(op: str, name: str, color: Any, image: Tensor, items: Sequence[int] = ()) -> Tensor:
-    """`color` as (*items, C), in the image's dtype and on its device: a colour an item, one colour, or one value."""
+    """`color` as (*items, C), in the image's dtype and on its device: a color an item, one color, or one value."""
     try:
         color = torch.as_tensor(color)
     except (TypeError, ValueError, RuntimeError) as error:

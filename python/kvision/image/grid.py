@@ -1,4 +1,4 @@
-"""A batch as one picture."""
+"""A batch as one image."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def make_grid(tensor: Tensor, n_row: int | None = None, padding: int = 2) -> Ten
     Args:
         tensor: (B, C, H, W), any dtype.
         n_row: images in a row; as near to a square as possible by default.
-        padding: black pixels between neighbours. There are none around the grid.
+        padding: black pixels between adjacent images. There are none around the grid.
 
     Returns:
         (C, R * (H + padding) - padding, n_row * (W + padding) - padding) for R rows; no rows for an empty batch.

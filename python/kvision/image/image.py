@@ -1,4 +1,4 @@
-"""A picture together with what its numbers mean: colour space, bit depth, order of the axes."""
+"""An image together with what its numbers mean: color space, bit depth, order of the axes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,11 @@ class ChannelsOrder(Enum):
 
 @dataclass(frozen=True)
 class ImageSize:
-    """Height and width of a picture, in pixels.
+    """Height and width of an image, in pixels.
+
+    Args:
+        height: number of rows.
+        width: number of columns.
 
     Example:
         >>> import kvision as K
@@ -65,7 +69,11 @@ class ImageSize:
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """Colour space and bits of one channel's value (8 for uint8, 32 for float32).
+    """Color space and bit depth of an image.
+
+    Args:
+        color_space: what the channels stand for.
+        bit_depth: bits of one channel's value, 8 for uint8, 32 for float32.
 
     Example:
         >>> import kvision as K
@@ -79,7 +87,12 @@ class PixelFormat:
 
 @dataclass(frozen=True)
 class ImageLayout:
-    """Size, number of channels and order of the axes.
+    """Size, number of channels and order of the axes of an image.
+
+    Args:
+        image_size: height and width.
+        channels: number of channels.
+        channels_order: whether channels are the first or the last axis.
 
     Example:
         >>> import kvision as K
@@ -96,17 +109,17 @@ _CHANNELS = {ColorSpace.GRAY: 1, ColorSpace.RGB: 3, ColorSpace.BGR: 3}
 
 
 class Image:
-    """One picture, never a batch, as a tensor that knows its pixel format and layout. No method changes it in place.
+    """One image, never a batch, as a tensor that knows its pixel format and layout. No method changes it in place.
 
     Args:
         data: (C, H, W) or (H, W, C), as `layout.channels_order` says.
-        pixel_format: colour space and bit depth of `data`.
+        pixel_format: color space and bit depth of `data`.
         layout: size, channels and order of the axes of `data`.
 
     Raises:
         TypeCheckError: `data` is no tensor.
         ShapeError: `data` has not the shape of `layout`.
-        ValueCheckError: the bit depth is not that of `data`, or the colour space needs another number of channels.
+        ValueCheckError: the bit depth is not that of `data`, or the color space needs another number of channels.
 
     Example:
         >>> import numpy as np, kvision as K
@@ -148,7 +161,7 @@ class Image:
 
     @property
     def pixel_format(self) -> PixelFormat:
-        """Colour space and bit depth."""
+        """Color space and bit depth."""
         return self._pixel_format
 
     @property
@@ -197,13 +210,13 @@ class Image:
         return self.layout.channels_order
 
     def to(self, device: str | torch.device | torch.dtype | None = None, dtype: torch.dtype | None = None) -> Image:
-        """This picture on another device or with another dtype, values unscaled; a dtype may also come first."""
+        """This image on another device or with another dtype, values unscaled; a dtype may also come first."""
         if isinstance(device, torch.dtype):
             device, dtype = None, device
         return self._with(self.data.to(device=device, dtype=dtype))
 
     def float(self) -> Image:
-        """This picture in float32, values unscaled."""
+        """This image in float32, values unscaled."""
         return self.to(dtype=torch.float32)
 
     def clone(self) -> Image:
@@ -211,15 +224,15 @@ class Image:
         return self._with(self.data.clone())
 
     def to_gray(self) -> Image:
-        """This picture in grey, from RGB or BGR; ValueCheckError from UNKNOWN."""
+        """This image in gray, from RGB or BGR; ValueCheckError from UNKNOWN."""
         return self._convert(ColorSpace.GRAY)
 
     def to_rgb(self) -> Image:
-        """This picture in RGB, from GRAY or BGR; ValueCheckError from UNKNOWN."""
+        """This image in RGB, from GRAY or BGR; ValueCheckError from UNKNOWN."""
         return self._convert(ColorSpace.RGB)
 
     def to_bgr(self) -> Image:
-        """This picture in BGR, from GRAY or RGB; ValueCheckError from UNKNOWN."""
+        """This image in BGR, from GRAY or RGB; ValueCheckError from UNKNOWN."""
         return self._convert(ColorSpace.BGR)
 
     @classmethod
@@ -229,7 +242,7 @@ class Image:
         color_space: ColorSpace | None = None,
         channels_order: ChannelsOrder = ChannelsOrder.CHANNELS_LAST,
     ) -> Image:
-        """A picture that shares the array's memory where it can, (H, W, C) unless `channels_order` says otherwise.
+        """An image that shares the array's memory where it can, (H, W, C) unless `channels_order` says otherwise.
 
         One channel (also without an axis for it) is taken for GRAY, three for RGB, any other number for UNKNOWN.
 
@@ -255,11 +268,11 @@ class Image:
         color_space: ColorSpace | None = None,
         channels_order: ChannelsOrder = ChannelsOrder.CHANNELS_FIRST,
     ) -> Image:
-        """A picture that shares the memory of a DLPack capsule (or of an object with `__dlpack__`) with three axes."""
+        """An image that shares the memory of a DLPack capsule (or of an object with `__dlpack__`) with three axes."""
         return cls._from_tensor("Image.from_dlpack", from_dlpack(data), color_space, channels_order)
 
     def to_dlpack(self) -> Any:
-        """A DLPack capsule that shares the tensor's memory; colour space and layout do not travel with it."""
+        """A DLPack capsule that shares the tensor's memory; color space and layout are not part of it."""
         return to_dlpack(self.data)
 
     @classmethod
@@ -271,13 +284,13 @@ class Image:
         return cls._from_tensor("Image.from_file", data, ColorSpace.RGB, ChannelsOrder.CHANNELS_FIRST)
 
     def write(self, file_path: str | os.PathLike[str]) -> None:
-        """Write a file in true colours, in the format its extension names; see `kvision.io.write_image`."""
+        """Write an image file in RGB order, in the format its extension names; see `kvision.io.write_image`."""
         from kvision.io import write_image
 
         write_image(file_path, self._viewable())
 
     def print(self, max_width: int = 256) -> None:
-        """Print the picture to a terminal of 256 colours; see `image_to_string`."""
+        """Print the image to a terminal of 256 colors; see `image_to_string`."""
         print(image_to_string(self._viewable(), max_width), end="")
 
     @classmethod
@@ -305,7 +318,7 @@ class Image:
         return self.data if self.channels_order is ChannelsOrder.CHANNELS_FIRST else self.data.movedim(-1, 0)
 
     def _viewable(self) -> Tensor:
-        """(C, H, W), with the colours of a BGR picture in RGB order."""
+        """(C, H, W), with the channels of a BGR image in RGB order."""
         image = self.to_rgb() if self.pixel_format.color_space is ColorSpace.BGR else self
         return image._planes()
 

@@ -15,13 +15,17 @@ __all__ = ["perform_keep_shape_image", "perform_keep_shape_video"]
 
 
 def perform_keep_shape_image(f: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Decorate a function of (B, C, H, W) to take (H, W), (C, H, W) or (*, C, H, W) and to give the like back.
+    """Decorate a function of (B, C, H, W) to take (H, W), (C, H, W) or (*, C, H, W).
 
-    The function must keep the batch size; it may change C, H and W, but for an (H, W) input its first channel is
-    returned. An empty batch reaches it like any other.
+    Args:
+        f: a function whose first argument and result are images (B, C, H, W). It must keep the batch size; it may change
+            C, H and W. Empty batches are passed to it as well.
+
+    Returns:
+        The decorated function. Its result has the leading axes of its input; for (H, W) it is the first channel.
 
     Raises:
-        TypeCheckError: the input is no tensor.
+        TypeCheckError: the input of the decorated function is no tensor.
         ShapeError: the input has less than two axes, or H or W is 0.
 
     Example:
@@ -36,10 +40,16 @@ def perform_keep_shape_image(f: Callable[..., Tensor]) -> Callable[..., Tensor]:
 
 
 def perform_keep_shape_video(f: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Decorate a function of (B, C, D, H, W) to take (D, H, W), (C, D, H, W) or (*, C, D, H, W), as for images.
+    """Decorate a function of (B, C, D, H, W) to take (D, H, W), (C, D, H, W) or (*, C, D, H, W).
+
+    Args:
+        f: a function whose first argument and result are volumes (B, C, D, H, W). It must keep the batch size.
+
+    Returns:
+        The decorated function. Its result has the leading axes of its input; for (D, H, W) it is the first channel.
 
     Raises:
-        TypeCheckError: the input is no tensor.
+        TypeCheckError: the input of the decorated function is no tensor.
         ShapeError: the input has less than three axes, or D, H or W is 0.
 
     Example:

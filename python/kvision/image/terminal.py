@@ -1,4 +1,4 @@
-"""Pictures as coloured text, for a look at a tensor over ssh."""
+"""Images as colored text, to inspect a tensor over ssh."""
 
 from __future__ import annotations
 
@@ -13,17 +13,20 @@ from kvision.core.exceptions import ImageError, TypeCheckError, ValueCheckError
 
 __all__ = ["image_to_string", "print_image"]
 
-# xterm's palette from 16 on: a cube of 6 x 6 x 6 colours with these levels, then 24 greys 8, 18, ... 238. The 16
-# colours before them are whatever the user's theme makes of them.
+# xterm's palette from 16 on: a cube of 6 x 6 x 6 colors with these levels, then 24 grays 8, 18, ... 238. The 16
+# colors before them are whatever the user's theme makes of them.
 _CUBE = (0, 95, 135, 175, 215, 255)
 
 
 def image_to_string(image: Tensor, max_width: int = 256) -> str:
-    r"""Text that shows a picture on a terminal of 256 colours: two spaces a pixel, a line a row.
+    r"""Convert an image to text that shows it on a terminal of 256 colors: two spaces a pixel, a line a row.
 
     Args:
         image: (3, H, W), RGB, or (1, H, W); floating point in [0, 1] or integers in [0, 255].
-        max_width: wider pictures are reduced to this many pixels, averaging, in their proportions.
+        max_width: wider images are reduced to this many pixels, averaging, in their proportions.
+
+    Returns:
+        The lines, each ended by an escape sequence that resets the color and a newline.
 
     Raises:
         TypeCheckError: `image` is no tensor or `max_width` no int.
@@ -59,11 +62,11 @@ def image_to_string(image: Tensor, max_width: int = 256) -> str:
 
 
 def print_image(image: Tensor | str | os.PathLike[str], max_width: int = 96) -> None:
-    """Print a picture, a tensor or a file, to a terminal of 256 colours; see `image_to_string`.
+    """Print an image, a tensor or a file, to a terminal of 256 colors; see `image_to_string`.
 
     Args:
         image: what `image_to_string` takes, or the path of a file `kvision.io.load_image` reads.
-        max_width: wider pictures are reduced to this many pixels.
+        max_width: wider images are reduced to this many pixels.
 
     Raises:
         TypeCheckError: `image` is neither a tensor nor a path.
@@ -87,11 +90,11 @@ def print_image(image: Tensor | str | os.PathLike[str], max_width: int = 96) -> 
 
 
 def _nearest_codes(rgb: Tensor) -> Tensor:
-    """Palette numbers (H, W) of the colours nearest to (3, H, W) values from 0 to 255; the lowest of equally near."""
+    """Palette numbers (H, W) of the colors nearest to (3, H, W) values from 0 to 255; the lowest of equally near."""
     levels = torch.tensor(_CUBE, dtype=rgb.dtype)
     cube = torch.bucketize(rgb, (levels[1:] + levels[:-1]) / 2)  # nearest for each channel is nearest in the cube
-    grey = ((rgb.mean(0) - 8) / 10 - 0.5).ceil().clamp(0, 23)
+    gray = ((rgb.mean(0) - 8) / 10 - 0.5).ceil().clamp(0, 23)
     to_cube = (levels[cube] - rgb).square().sum(0)
-    to_grey = (8 + 10 * grey - rgb).square().sum(0)
+    to_gray = (8 + 10 * gray - rgb).square().sum(0)
     r, g, b = cube
-    return torch.where(to_cube <= to_grey, 16 + 36 * r + 6 * g + b, 232 + grey.long())
+    return torch.where(to_cube <= to_gray, 16 + 36 * r + 6 * g + b, 232 + gray.long())

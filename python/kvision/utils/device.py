@@ -18,7 +18,13 @@ __all__ = [
 
 
 def get_cuda_device_if_available(index: int = 0) -> torch.device:
-    """The CUDA device of this number, or the CPU where there is no CUDA.
+    """Return a CUDA device, or the CPU where there is no CUDA.
+
+    Args:
+        index: number of the CUDA device.
+
+    Returns:
+        The device `cuda:index`, or `cpu`.
 
     Example:
         >>> import kvision as K
@@ -29,7 +35,10 @@ def get_cuda_device_if_available(index: int = 0) -> torch.device:
 
 
 def get_mps_device_if_available() -> torch.device:
-    """Apple's GPU, or the CPU where there is none.
+    """Return Apple's GPU, or the CPU where there is none.
+
+    Returns:
+        The device `mps`, or `cpu`.
 
     Example:
         >>> import kvision as K
@@ -40,7 +49,10 @@ def get_mps_device_if_available() -> torch.device:
 
 
 def get_cuda_or_mps_device_if_available() -> torch.device:
-    """The first CUDA device, else Apple's GPU, else the CPU.
+    """Return the first CUDA device, else Apple's GPU, else the CPU.
+
+    Returns:
+        The device `cuda:0`, `mps` or `cpu`.
 
     Example:
         >>> import kvision as K
@@ -51,7 +63,13 @@ def get_cuda_or_mps_device_if_available() -> torch.device:
 
 
 def is_mps_tensor_safe(x: Tensor) -> bool:
-    """Whether `x` is on Apple's GPU.
+    """Say whether a tensor is on Apple's GPU.
+
+    Args:
+        x: any tensor.
+
+    Returns:
+        True for a tensor on an MPS device.
 
     Example:
         >>> import torch, kvision as K
@@ -62,7 +80,13 @@ def is_mps_tensor_safe(x: Tensor) -> bool:
 
 
 def is_autocast_enabled(both: bool = True) -> bool:
-    """Whether autocast is on: for any kind of device, or with `both=False` for CUDA alone.
+    """Say whether autocast is on.
+
+    Args:
+        both: ask for every kind of device; False asks for CUDA alone.
+
+    Returns:
+        True inside of an autocast block for such a device.
 
     Example:
         >>> import torch, kvision as K
@@ -74,7 +98,10 @@ def is_autocast_enabled(both: bool = True) -> bool:
 
 
 def xla_is_available() -> bool:
-    """Whether the package `torch_xla` is installed.
+    """Say whether the package `torch_xla` is installed.
+
+    Returns:
+        True where it can be imported.
 
     Example:
         >>> import kvision as K

@@ -1,4 +1,4 @@
-"""Names older code imports for what torch does by itself today."""
+"""Names that older code imports. Current torch has the same features."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ __all__ = ["map_location_to_cpu", "torch_meshgrid"]
 
 
 def torch_meshgrid(tensors: Sequence[Tensor], indexing: str) -> tuple[Tensor, ...]:
-    """`torch.meshgrid` of a list.
+    """Make coordinate grids, as `torch.meshgrid` does.
+
+    Args:
+        tensors: the coordinates along each axis, (N_i,).
+        indexing: 'xy' or 'ij', as in `torch.meshgrid`.
+
+    Returns:
+        One grid for each tensor.
 
     Example:
         >>> import torch, kvision as K
@@ -23,7 +30,13 @@ def torch_meshgrid(tensors: Sequence[Tensor], indexing: str) -> tuple[Tensor, ..
 
 
 def map_location_to_cpu(storage: Any, *args: Any, **kwargs: Any) -> Any:
-    """A `map_location` for `torch.load` that leaves storages on the CPU, where they are read; same as "cpu".
+    """Keep a loaded storage on the CPU: a `map_location` for `torch.load`, the same as "cpu".
+
+    Args:
+        storage: the storage, which `torch.load` reads into CPU memory.
+
+    Returns:
+        The same storage. Further arguments, such as the device it was saved from, are ignored.
 
     Example:
         >>> import kvision as K

@@ -14,7 +14,13 @@ _Record = TypeVar("_Record")
 
 
 def dataclass_to_dict(obj: Any) -> Any:
-    """Dataclasses, also inside other dataclasses, lists, tuples and dicts, as dicts of their fields, uncopied.
+    """Convert a dataclass to a dict of its fields.
+
+    Args:
+        obj: a dataclass; or a list, tuple, dict or dataclass that contains some, at any depth.
+
+    Returns:
+        The same structure with a dict for every dataclass. Values of fields are not copied.
 
     Example:
         >>> import kvision as K
@@ -32,7 +38,15 @@ def dataclass_to_dict(obj: Any) -> Any:
 
 
 def dict_to_dataclass(dict_obj: dict[str, Any], dataclass_type: type[_Record]) -> _Record:
-    """The dataclass with these fields; dicts for fields that are dataclasses, or lists or dicts of them, converted too.
+    """Make a dataclass from a dict of its fields.
+
+    Args:
+        dict_obj: the fields by name. Where a field is annotated as a dataclass, or as a list, tuple or dict of them, its
+            dicts are converted as well.
+        dataclass_type: the class to make.
+
+    Returns:
+        An instance of `dataclass_type`.
 
     Raises:
         TypeCheckError: `dict_obj` is no dict, or `dataclass_type` no dataclass.

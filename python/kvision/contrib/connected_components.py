@@ -16,7 +16,7 @@ from kvision.core.exceptions import ShapeError
 def _reference(x: Tensor) -> Tensor:
     """int64 labels of masks (B, C, H, W): 1 + the index of the first pixel in its plane, 0 where the mask is not 1.
 
-    Every pixel has a root, at first itself. A root moves to the lowest root beside its region, and every pixel to the
+    Every pixel has a root, at first itself. A root moves to the lowest root adjacent to its region, and every pixel to the
     root of its root, until nothing moves.
     """
     inside = x == 1

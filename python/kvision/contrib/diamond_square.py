@@ -25,13 +25,13 @@ def diamond_square(
 ) -> Tensor:
     """Make fractal noise, clouds of all sizes, by the diamond-square algorithm.
 
-    From a grid of 3 pixels along its shorter side on, every step puts a pixel between any two: the mean of the four around
-    it, or three at the rim, mixed with noise, whose share shrinks from step to step.
+    The first grid has 3 pixels along its shorter side. Every step puts a pixel between any two: the mean of the four around
+    it, or of three at the border, mixed with noise. The weight of the noise shrinks from step to step.
 
     Args:
         output_size: (B, C, H, W).
-        roughness: factor of the share of noise from one step to the next, a number or one for each sample (B,).
-        random_scale: what the share of noise is before the first step, a number or one for each sample (B,).
+        roughness: factor of the weight of noise from one step to the next, a number or one for each sample (B,).
+        random_scale: weight of noise before the first step, a number or one for each sample (B,).
         random_fn: makes noise of a size, with device= and dtype=; None for torch.rand.
         normalize_range: stretch the values of every plane to this range; None leaves them.
         device: of the result; None for the default one.
@@ -60,7 +60,7 @@ def diamond_square(
     b, c, h, w = output_size
     random_fn = random_fn or torch.rand
     planes = b * c
-    grow, share = (
+    grow, weight = (
         _per_plane(op, name, value, b, c, device, dtype)
         for name, value in (("roughness", roughness), ("random_scale", random_scale))
     )
@@ -71,8 +71,8 @@ def diamond_square(
     noise = random_fn([planes, 1, 2, (max(rows, columns) + 1) // 2], device=device, dtype=dtype)
     image = _seed(noise, upright=columns == 3)
     for _ in range(doublings):
-        share = share * grow
-        image = _refined(image, share, random_fn)
+        weight = weight * grow
+        image = _refined(image, weight, random_fn)
     image = image[..., :h, :w].reshape(b, c, h, w)
     if normalize_range is None:
         return image
@@ -109,23 +109,23 @@ def _diamonds(x: Tensor) -> Tensor:
 
 
 def _squares(x: Tensor) -> Tensor:
-    """The other new pixels, filled with the mean of the four beside them, of three at the rim."""
+    """The other new pixels, filled with the mean of the four adjacent pixels, of three at the border."""
     padded = F.pad(x, (1, 1, 1, 1))
     h, w = x.shape[-2:]
     total = padded[..., :h, 1:-1] + padded[..., 2:, 1:-1] + padded[..., 1:-1, :w] + padded[..., 1:-1, 2:]
     rows, columns = (torch.arange(n, device=x.device) for n in (h, w))
-    rim = ((rows == 0) | (rows == h - 1))[:, None] | (columns == 0) | (columns == w - 1)
+    border = ((rows == 0) | (rows == h - 1))[:, None] | (columns == 0) | (columns == w - 1)
     new = (rows % 2)[:, None] != columns % 2
-    return torch.where(new, total / torch.where(rim, 3, 4), x)
+    return torch.where(new, total / torch.where(border, 3, 4), x)
 
 
-def _refined(image: Tensor, share: Tensor, random_fn: Callable[..., Tensor]) -> Tensor:
+def _refined(image: Tensor, weight: Tensor, random_fn: Callable[..., Tensor]) -> Tensor:
     planes, _, h, w = image.shape
     x = image.new_zeros(planes, 1, 2 * h - 1, 2 * w - 1)
     x[..., ::2, ::2] = image
     noise = random_fn(x.size(), device=x.device, dtype=x.dtype)
-    mixed = torch.lerp(_diamonds(x), noise, share)
+    mixed = torch.lerp(_diamonds(x), noise, weight)
     x[..., 1::2, 1::2] = mixed[..., 1::2, 1::2]
-    mixed = torch.lerp(_squares(x), noise, share)
+    mixed = torch.lerp(_squares(x), noise, weight)
     rows, columns = (torch.arange(n, device=x.device) % 2 for n in x.shape[-2:])
     return torch.where(rows[:, None] != columns, mixed, x)

@@ -1,4 +1,4 @@
-"""The values of one image distributed as those of another."""
+"""Histogram matching: the values of one image get the distribution of another."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from kvision.core.exceptions import ShapeError
 
 
 def interp(x: Tensor, xp: Tensor, fp: Tensor) -> Tensor:
-    """Interpolate linearly between points; beyond the ends their segments go on.
+    """Interpolate linearly between points. Outside of their range the first and the last segment continue.
 
     Args:
-        x: where, of any shape.
-        xp: places of the points (N,), increasing; which is not checked. N is at least 2.
+        x: coordinates to interpolate at, of any shape.
+        xp: coordinates of the points (N,). They must increase, which is not checked. N is at least 2.
         fp: their values (N,).
 
     Returns:
-        Values in the shape of x; at a point its value, and at several in one place that of the last.
+        Values in the shape of x. Where several points have the same coordinate, the last one counts.
 
     Raises:
         TypeCheckError: not three real tensors.
@@ -40,20 +40,20 @@ def interp(x: Tensor, xp: Tensor, fp: Tensor) -> Tensor:
     _check.same_device("interp", x=x, xp=xp, fp=fp)
     dtype = torch.promote_types(torch.promote_types(x.dtype, xp.dtype), fp.dtype)
     dtype = dtype if dtype.is_floating_point else torch.get_default_dtype()
-    wide = torch.promote_types(dtype, torch.float32)
-    x, xp, fp = x.to(wide), xp.to(wide).contiguous(), fp.to(wide)
+    promoted = torch.promote_types(dtype, torch.float32)
+    x, xp, fp = x.to(promoted), xp.to(promoted).contiguous(), fp.to(promoted)
     upper = torch.searchsorted(xp, x.detach().contiguous(), right=True).clamp(1, xp.numel() - 1)
     x0, x1, f0, f1 = xp[upper - 1], xp[upper], fp[upper - 1], fp[upper]
     point = x1 == x0
-    share = torch.where(point, 1, (x - x0) / torch.where(point, 1, x1 - x0))
-    return torch.lerp(f0, f1, share).to(dtype)
+    weight = torch.where(point, 1, (x - x0) / torch.where(point, 1, x1 - x0))
+    return torch.lerp(f0, f1, weight).to(dtype)
 
 
 def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
     """Replace every value of an image by the one of the same rank in another image.
 
-    All values of a tensor are one distribution. The rank of a value is the share of values up to it; between the ranks of
-    the template its values are interpolated.
+    All values of a tensor are one distribution. The rank of a value is the fraction of values up to it. Values are
+    interpolated between the ranks of the template.
 
     Args:
         source: an image of any shape.
@@ -89,7 +89,7 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
 
 
 def _ranks(ordered: Tensor) -> Tensor:
-    """Of each of these increasing values the share of those up to it: up to the last one that equals it."""
+    """The rank of each of these increasing values: the fraction of values up to the last one that equals it."""
     n = ordered.numel()
     last = torch.arange(1, n + 1, device=ordered.device)
     last[:-1].masked_fill_(ordered[1:] == ordered[:-1], n)

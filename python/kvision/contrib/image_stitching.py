@@ -14,11 +14,11 @@ from kvision.geometry.transform import warp_perspective
 
 
 class ImageStitcher(nn.Module):
-    """Put overlapping images together, from left to right, by homographies between what a matcher finds in them.
+    """Stitch overlapping images, from left to right, by homographies between the key points of a matcher.
 
     Args:
-        matcher: a module that takes {"image0", "image1"}, two grey images (B, 1, H, W), and returns a dict with
-            "keypoints0" and "keypoints1" (N, 2) as (x, y) in pixels, which belong together, and "batch_indexes" (N,):
+        matcher: a module that takes {"image0", "image1"}, two gray images (B, 1, H, W), and returns a dict with
+            "keypoints0" and "keypoints1" (N, 2) as (x, y) in pixels, in corresponding rows, and "batch_indexes" (N,):
             the samples they are of.
         estimator: 'ransac', or 'vanilla' for a direct linear transformation, iterated, of all matches.
         blending_method: 'naive': the image on the right hides the one on the left.
@@ -41,9 +41,9 @@ class ImageStitcher(nn.Module):
         ...         points = torch.tensor([[0.0, 0.0], [3.0, 0.0], [0.0, 5.0], [3.0, 5.0], [1.0, 2.0]])
         ...         moved = points + torch.tensor([4.0, 0.0])
         ...         return {"keypoints0": moved, "keypoints1": points, "batch_indexes": torch.zeros(5, dtype=torch.int64)}
-        >>> wide = torch.rand(1, 3, 6, 12)
+        >>> scene = torch.rand(1, 3, 6, 12)
         >>> stitcher = K.contrib.ImageStitcher(Shifted(), estimator="vanilla")
-        >>> stitcher(wide[..., :8], wide[..., 4:]).shape
+        >>> stitcher(scene[..., :8], scene[..., 4:]).shape
         torch.Size([1, 3, 6, 12])
     """
 
@@ -64,10 +64,10 @@ class ImageStitcher(nn.Module):
     def preprocess(self, image_1: Tensor, image_2: Tensor) -> dict[str, Tensor]:
         """What the matcher takes of two images."""
 
-        def grey(x: Tensor) -> Tensor:
+        def gray(x: Tensor) -> Tensor:
             return rgb_to_grayscale(x) if x.shape[1] == 3 else x
 
-        return {"image0": grey(image_1), "image1": grey(image_2)}
+        return {"image0": gray(image_1), "image1": gray(image_2)}
 
     def on_matcher(self, data: dict[str, Tensor]) -> dict[str, Tensor]:
         """What the matcher finds."""
@@ -78,17 +78,17 @@ class ImageStitcher(nn.Module):
         samples = matches["batch_indexes"]
         if batch_size is None:
             batch_size = int(samples.max()) + 1 if len(samples) else 0
-        found = []
+        homographies = []
         for b in range(batch_size):
             left, right = (matches[name][samples == b] for name in ("keypoints0", "keypoints1"))
             if len(left) < 4:
                 raise RuntimeError(f"ImageStitcher: expected at least 4 matches in sample {b}, got {len(left)}")
             if self.ransac is not None:
-                found.append(self.ransac(right, left)[0])
+                homographies.append(self.ransac(right, left)[0])
             else:
                 weights = torch.ones_like(left[None, :, 0])
-                found.append(find_homography_dlt_iterated(right[None], left[None], weights)[0])
-        return torch.stack(found)
+                homographies.append(find_homography_dlt_iterated(right[None], left[None], weights)[0])
+        return torch.stack(homographies)
 
     def blend_image(self, src_img: Tensor, dst_img: Tensor, mask: Tensor) -> Tensor:
         """src_img where the mask is not 0, dst_img elsewhere."""
@@ -109,17 +109,17 @@ class ImageStitcher(nn.Module):
                 f"{tuple(images_right.shape)}",
                 actual_shape=images_right.shape,
             )
-        wide = w + images_right.shape[3]
+        width = w + images_right.shape[3]
         with torch.no_grad():
             matches = self.on_matcher(self.preprocess(images_left, images_right))
             homographies = self.estimate_transform(b, **matches).to(compute_dtype(images_left))
         mask_left = torch.ones_like(images_left[:, :1]) if mask_left is None else mask_left[:, :1]
         mask_right = torch.ones_like(images_right[:, :1]) if mask_right is None else mask_right[:, :1]
-        warped = warp_perspective(images_right, homographies, (h, wide))
-        inside = warp_perspective(mask_right, homographies, (h, wide), mode="nearest")
-        beside = images_left.new_zeros(*images_left.shape[:3], wide - w)
-        left, there = torch.cat([images_left, beside], 3), torch.cat([mask_left, beside[:, :1]], 3)
-        return self.blend_image(warped, left, inside), torch.maximum(inside, there)
+        warped = warp_perspective(images_right, homographies, (h, width))
+        inside = warp_perspective(mask_right, homographies, (h, width), mode="nearest")
+        extension = images_left.new_zeros(*images_left.shape[:3], width - w)
+        left, mask_left = torch.cat([images_left, extension], 3), torch.cat([mask_left, extension[:, :1]], 3)
+        return self.blend_image(warped, left, inside), torch.maximum(inside, mask_left)
 
     def postprocess(self, image: Tensor, mask: Tensor) -> Tensor:
         """The image up to the last column that the mask has a pixel in."""

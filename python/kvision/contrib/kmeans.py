@@ -10,14 +10,14 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
 class KMeans:
-    """Find clusters of points by Lloyd's algorithm: assign points to the nearest centre, move centres to their means.
+    """Find clusters of points by Lloyd's algorithm: assign points to the nearest center, move centers to their means.
 
     Args:
         num_clusters: how many, at least 1.
-        cluster_centers: first centres (num_clusters, D); None for that many of the points, drawn at random.
-        tolerance: stop when the square of the summed movements of the centres is at most this; None to go on.
+        cluster_centers: first centers (num_clusters, D); None for that many of the points, drawn at random.
+        tolerance: stop when the square of the summed movements of the centers is at most this; None to go on.
         max_iterations: stop after that many rounds; 0 for no such limit, which needs a tolerance.
-        seed: of torch's random numbers, which first centres and centres without points are drawn with; None leaves them.
+        seed: of torch's random numbers, which first centers and centers without points are drawn with; None leaves them.
 
     Raises:
         TypeCheckError: arguments of other kinds.
@@ -58,7 +58,7 @@ class KMeans:
 
     @property
     def cluster_centers(self) -> Tensor:
-        """The centres (num_clusters, D): those found last, or those given.
+        """The centers (num_clusters, D): those of the last fit, or those passed to the constructor.
 
         Example:
             >>> import torch, kvision as K
@@ -121,7 +121,7 @@ class KMeans:
         self._assignments = _nearest(X, centers)
 
     def predict(self, x: Tensor) -> Tensor:
-        """Find the nearest centre (N,) of points (N, D).
+        """Find the nearest center (N,) of points (N, D).
 
         Example:
             >>> import torch, kvision as K

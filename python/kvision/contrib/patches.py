@@ -1,4 +1,4 @@
-"""Images cut into patches, and put together again."""
+"""Extract patches from images, and combine patches into images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Pad = tuple[int, int, int, int]  # top, bottom, left, right
 def _extract_reference(
     x: Tensor, size: Sequence[int], window: Sequence[int], stride: Sequence[int], padding: Sequence[int]
 ) -> Tensor:
-    """(B, N, C, height, width), patches row by row; zeros beyond the images of that size."""
+    """(B, N, C, height, width), patches row by row; zeros outside of images of that size."""
     top, bottom, left, right = padding
     x = F.pad(x, (left, right, top, bottom)) if any(padding) else x
     patches = x.unfold(2, window[0], stride[0]).unfold(3, window[1], stride[1])  # a view
@@ -163,7 +163,7 @@ def combine_tensor_patches(
     unpadding: tuple[int, ...] | int = 0,
     eps: float | None = None,
 ) -> Tensor:
-    """Put patches together to images; where they overlap, their mean counts.
+    """Combine patches into images. Where patches overlap, their mean is taken.
 
     Args:
         patches: (B, N, C, height, width), row by row; integers come back as integers, rounded down.
@@ -236,12 +236,12 @@ def _windows(op: str, window_size: Any, stride: Any) -> tuple[tuple[int, int], t
 
 
 def _pads(op: str, name: str, value: Any) -> Pad:
-    given = (value, value) if type(value) is int else value
-    if not isinstance(given, (tuple, list)) or set(map(type, given)) != {int} or len(given) not in (2, 4):
+    sides = (value, value) if type(value) is int else value
+    if not isinstance(sides, (tuple, list)) or set(map(type, sides)) != {int} or len(sides) not in (2, 4):
         raise TypeCheckError(f"{op}: expected {name} to be an int, 2 or 4 ints, got {value!r}", actual_type=type(value))
-    if min(given) < 0:
+    if min(sides) < 0:
         raise ValueCheckError(f"{op}: expected {name} of at least 0, got {value!r}", actual_value=value)
-    return (given[0], given[0], given[1], given[1]) if len(given) == 2 else tuple(given)
+    return (sides[0], sides[0], sides[1], sides[1]) if len(sides) == 2 else tuple(sides)
 
 
 class ExtractTensorPatches(FunctionModule):

@@ -1,4 +1,4 @@
-"""What the other modules share: exceptions, constant tensors, tensor-like classes, modules that take pictures."""
+"""Shared by the other modules: exceptions, constant tensors, tensor-like classes, modules that take images."""
 
 from kvision.core.image_module import ImageModule, ImageModuleMixIn, ImageSequential
 from kvision.core.ops import eye_like, vec_like

@@ -1,4 +1,4 @@
-"""Modules that also take and give NumPy arrays, PIL images and file names, and remember their last picture."""
+"""Modules that also take and give NumPy arrays, PIL images and file names, and remember their last image."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class ImageModuleMixIn:
         elif isinstance(x, np.ndarray):
             image = image_to_tensor(x)
         elif _is_pil(x):
-            if x.mode in ("P", "PA"):  # numbers of colours, not brightness
+            if x.mode in ("P", "PA"):  # numbers of colors, not brightness
                 x = x.convert("RGBA" if x.mode == "PA" or "transparency" in x.info else "RGB")
             image = image_to_tensor(np.array(x))
         else:
@@ -167,7 +167,7 @@ class ImageModuleMixIn:
     def _admit_all(
         self, func: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any], names: Sequence[str] | None
     ) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        """The arguments of `func` with those called `names` as tensors, or by default those that look like pictures."""
+        """The arguments of `func` with those called `names` as tensors, or by default those that look like images."""
         if names is None:
             args = tuple(self._admit(arg, i == 0) for i, arg in enumerate(args))
             return args, {name: self._admit(arg, False) for name, arg in kwargs.items()}
@@ -177,7 +177,7 @@ class ImageModuleMixIn:
         return bound.args, bound.kwargs
 
     def _admit(self, arg: Any, first: bool) -> Any:
-        """`arg` as a tensor if it looks like a picture; only the first argument may be the name of a file."""
+        """`arg` as a tensor if it looks like an image; only the first argument may be the name of a file."""
         is_picture = isinstance(arg, np.ndarray) or _is_pil(arg) or (first and isinstance(arg, (str, os.PathLike)))
         return self.to_tensor(arg) if is_picture else arg
 
@@ -225,10 +225,10 @@ class _PictureCalls(ImageModuleMixIn):
 
 
 class ImageModule(_PictureCalls, nn.Module):
-    """An `nn.Module` from picture to picture that also takes arrays, PIL images and file names.
+    """An `nn.Module` from image to image that also takes arrays, PIL images and file names.
 
     A call takes two more keywords: `output_type`, "pt", "numpy" or "pil", and `input_names_to_handle`, the parameters
-    of `forward` to convert (all that look like pictures by default). The last result stays for `show` and `save`.
+    of `forward` to convert (all that look like images by default). The last result stays for `show` and `save`.
 
     Example:
         >>> import numpy as np, kvision as K
@@ -241,7 +241,7 @@ class ImageModule(_PictureCalls, nn.Module):
 
 
 class ImageSequential(_PictureCalls, nn.Sequential):
-    """An `nn.Sequential` from picture to picture, with the conveniences of `ImageModule`.
+    """An `nn.Sequential` from image to image, with the conveniences of `ImageModule`.
 
     Example:
         >>> import torch, kvision as K

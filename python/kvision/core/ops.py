@@ -16,7 +16,7 @@ def eye_like(n: int, input: Tensor, shared_memory: bool = False) -> Tensor:
     Args:
         n: rows and columns of a matrix, at least 1.
         input: any tensor of shape (B, ...); gives batch size, device and dtype.
-        shared_memory: all matrices are one piece of memory. Saves memory; the result must then not be written to.
+        shared_memory: all matrices share one block of memory. Saves memory; the result must then not be written to.
 
     Returns:
         (B, n, n).
@@ -43,7 +43,7 @@ def vec_like(n: int, tensor: Tensor, shared_memory: bool = False) -> Tensor:
     Args:
         n: rows of a vector, at least 1.
         tensor: any tensor of shape (B, ...); gives batch size, device and dtype.
-        shared_memory: all vectors are one piece of memory. Saves memory; the result must then not be written to.
+        shared_memory: all vectors share one block of memory. Saves memory; the result must then not be written to.
 
     Returns:
         (B, n, 1).

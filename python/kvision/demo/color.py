@@ -24,7 +24,7 @@ def at_one_lightness(lab: Tensor) -> Tensor:
 
 
 def plasma(photos: Tensor) -> Tensor:
-    """Every grey as a colour of the map of that name."""
+    """Every gray as a color of the map of that name."""
     return color.apply_colormap(color.rgb_to_grayscale(photos), PLASMA)
 
 
@@ -42,7 +42,7 @@ def of_planes(equalize: Callable[[Image], Any]) -> Callable[[Image], Any]:
 
 
 SHEET = Sheet(
-    "Colour",
+    "Color",
     [
         Step("hue", color.rgb_to_hsv, lambda image: cv2.cvtColor(image, cv2.COLOR_RGB2HSV), hues_alone),
         Step("lab", color.rgb_to_lab, lambda image: cv2.cvtColor(image, cv2.COLOR_RGB2LAB), at_one_lightness),

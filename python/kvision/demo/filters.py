@@ -30,8 +30,8 @@ def sobel_opencv(image: Image) -> Any:
 
 
 def canny_opencv(image: Image) -> Any:
-    grey = cv2.convertScaleAbs(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), alpha=255)
-    return cv2.Canny(cv2.GaussianBlur(grey, (5, 5), 1), 25.5, 51, L2gradient=True)
+    gray = cv2.convertScaleAbs(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), alpha=255)
+    return cv2.Canny(cv2.GaussianBlur(gray, (5, 5), 1), 25.5, 51, L2gradient=True)
 
 
 def unsharp_opencv(image: Image) -> Any:

@@ -57,7 +57,7 @@ def pixelated(photos: Tensor) -> Tensor:
 
 
 def detail(photos: Tensor) -> Tensor:
-    """What the largest level of a Laplacian pyramid has, around grey."""
+    """What the largest level of a Laplacian pyramid has, around gray."""
     height, width = photos.shape[2:]
     return (geometry.build_laplacian_pyramid(photos, 2)[0][..., :height, :width] * 2 + 0.5).clamp(0, 1)
 

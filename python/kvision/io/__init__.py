@@ -1,4 +1,4 @@
-"""Picture files: reading, writing, and a few photographs to start with."""
+"""Image files: reading, writing, and a few photographs to start with."""
 
 from kvision.io.load import ImageLoadType, load_image
 from kvision.io.sample import get_sample_images

@@ -1,4 +1,4 @@
-"""Picture files to tensors, through OpenCV."""
+"""Image files to tensors, through OpenCV."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["ImageLoadType", "load_image"]
 
 
 class ImageLoadType(Enum):
-    """What `load_image` makes of a file: its own channels and dtype, or grey, RGB, RGBA in 8 bits or floating point.
+    """What `load_image` makes of a file: its own channels and dtype, or gray, RGB, RGBA in 8 bits or floating point.
 
     Example:
         >>> import kvision as K
@@ -52,14 +52,14 @@ def load_image(
     desired_type: ImageLoadType = ImageLoadType.RGB32,
     device: str | torch.device | None = "cpu",
 ) -> Tensor:
-    """Read a picture file of any format OpenCV knows, upright (EXIF orientation) and in RGB order.
+    """Read an image file of any format OpenCV knows, upright (EXIF orientation) and in RGB order.
 
     The content decides the format, not the name. GRAY8, RGB8 and RGBA8 give uint8; GRAY32 and RGB32 give float32 in
     [0, 1]. 16-bit files are scaled to the asked range, not cut; files of floating point are taken to be in [0, 1] and
-    are clamped only where 8 bits are asked for. Where alpha is not asked for, the picture is laid over white; where it
-    is asked for and the file has none, it is opaque. Grey is 0.299 R + 0.587 G + 0.114 B.
-    UNCHANGED keeps the file's channels and dtype (uint16, float32), except that OpenCV gives the colours of a
-    palette, and RGBA for grey with alpha. (OpenCV 4.12 does not tell the orientation of WebP files, later ones do.)
+    are clamped only where 8 bits are asked for. Where alpha is not asked for, the image is laid over white; where it
+    is asked for and the file has none, it is opaque. Gray is 0.299 R + 0.587 G + 0.114 B.
+    UNCHANGED keeps the file's channels and dtype (uint16, float32), except that OpenCV gives the colors of a
+    palette, and RGBA for gray with alpha. (OpenCV 4.12 does not tell the orientation of WebP files, later ones do.)
 
     Args:
         path_file: the file.
@@ -72,7 +72,7 @@ def load_image(
     Raises:
         TypeCheckError: `path_file` is no path, or `desired_type` no ImageLoadType.
         FileNotFoundError, IsADirectoryError, PermissionError, OSError: the file cannot be read.
-        ImageError (a ValueError): the file is empty, damaged, cut short, or no picture OpenCV knows, or its numbers
+        ImageError (a ValueError): the file is empty, damaged, cut short, or no image OpenCV knows, or its numbers
             cannot be converted to `desired_type`. Like the OSErrors, it names the file.
 
     Example:
@@ -147,9 +147,9 @@ def _decode(path: Path) -> np.ndarray[Any, Any]:
 
 
 def _turn_upright(pixels: np.ndarray[Any, Any], orientation: int) -> np.ndarray[Any, Any]:
-    """A stored picture (H, W) or (H, W, C) as it is meant to be seen.
+    """A stored image (H, W) or (H, W, C) as it is meant to be seen.
 
-    EXIF says which sides of the picture the first row and the first column are:
+    EXIF says which sides of the image the first row and the first column are:
     1 top left, 2 top right, 3 bottom right, 4 bottom left, 5 left top, 6 right top, 7 right bottom, 8 left bottom.
     """
     cv2 = opencv()

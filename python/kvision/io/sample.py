@@ -16,7 +16,7 @@ from kvision.io.load import ImageLoadType, convert, load_image
 
 __all__ = ["get_sample_images"]
 
-# The pictures of skimage.data that the package contains; the others it would download.
+# The images of skimage.data that the package contains; the others it would download.
 # fmt: off
 _BUNDLED = (
     "astronaut", "brick", "camera", "cat", "cell", "checkerboard", "chelsea", "clock", "coffee", "coins",
@@ -36,7 +36,7 @@ def get_sample_images(
 
     Args:
         resize: height and width to bring all of them to (bilinear, antialiased).
-        paths: names of pictures that scikit-image's package contains, or paths of files.
+        paths: names of images that scikit-image's package contains, or paths of files.
         as_list: a list even where `resize` is given.
 
     Returns:

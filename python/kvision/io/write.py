@@ -1,4 +1,4 @@
-"""Tensors to picture files, through OpenCV."""
+"""Tensors to image files, through OpenCV."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _FORMATS = {".jpg": _JPEG, ".jpeg": _JPEG, ".png": _PNG, ".tif": _TIFF, ".tiff":
 
 
 def write_image(path_file: str | os.PathLike[str], image: Tensor, quality: int = 80) -> None:
-    """Write a picture file in the format its extension names: .jpg, .jpeg, .png, .tif, .tiff or .webp, in any case.
+    """Write an image file in the format its extension names: .jpg, .jpeg, .png, .tif, .tiff or .webp, in any case.
 
     uint8 is stored as it is in every format, uint16 in PNG and TIFF, float32 in TIFF. Other floating point (in TIFF
     only half and double, as float32) is taken to be in [0, 1]: it is clamped, with NaN black, and rounded to 8 bits.
 
     Args:
         path_file: the file; it is overwritten.
-        image: (C, H, W) or (H, W), on any device, grey, RGB, or, but for JPEG, RGBA.
+        image: (C, H, W) or (H, W), on any device, gray, RGB, or, but for JPEG, RGBA.
         quality: of JPEG and WebP, 0 to 100.
 
     Raises:
@@ -47,7 +47,7 @@ def write_image(path_file: str | os.PathLike[str], image: Tensor, quality: int =
     Example:
         >>> import tempfile, pathlib, torch, kvision as K
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     path = pathlib.Path(folder, "grey.png")
+        ...     path = pathlib.Path(folder, "gray.png")
         ...     K.io.write_image(path, torch.tensor([[0.0, 0.5, 1.0]]))
         ...     K.io.load_image(path, K.io.ImageLoadType.UNCHANGED)
         tensor([[[  0, 128, 255]]], dtype=torch.uint8)

@@ -1,4 +1,4 @@
-"""Morphology of images (B, C, H, W): dilation, erosion and what they make together.
+"""Morphology of images (B, C, H, W): dilation, erosion and their compositions.
 
 A structuring element is a mask (kH, kW) with its origin in the middle, and may have heights. Everything is differentiable.
 """

@@ -1,4 +1,4 @@
-"""What dilations and erosions make together."""
+"""Opening, closing and the other compositions of dilations and erosions."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def opening(
         tensor: images (B, C, H, W), floating point.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
-        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        origin: (y, x) of its center; None for (kH // 2, kW // 2).
         border_type: 'geodesic' or 'constant'.
-        border_value: what lies beyond the image for 'constant'.
+        border_value: value outside of the image for 'constant'.
         max_val: for compatibility, without effect.
         engine: for compatibility; the result is the same.
 
@@ -65,9 +65,9 @@ def closing(
         tensor: images (B, C, H, W), floating point.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
-        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        origin: (y, x) of its center; None for (kH // 2, kW // 2).
         border_type: 'geodesic' or 'constant'.
-        border_value: what lies beyond the image for 'constant'.
+        border_value: value outside of the image for 'constant'.
         max_val: for compatibility, without effect.
         engine: for compatibility; the result is the same.
 
@@ -105,9 +105,9 @@ def gradient(
         tensor: images (B, C, H, W), floating point.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
-        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        origin: (y, x) of its center; None for (kH // 2, kW // 2).
         border_type: 'geodesic' or 'constant'.
-        border_value: what lies beyond the image for 'constant'.
+        border_value: value outside of the image for 'constant'.
         max_val: for compatibility, without effect.
         engine: for compatibility; the result is the same.
 
@@ -145,9 +145,9 @@ def top_hat(
         tensor: images (B, C, H, W), floating point.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
-        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        origin: (y, x) of its center; None for (kH // 2, kW // 2).
         border_type: 'geodesic' or 'constant'.
-        border_value: what lies beyond the image for 'constant'.
+        border_value: value outside of the image for 'constant'.
         max_val: for compatibility, without effect.
         engine: for compatibility; the result is the same.
 
@@ -185,9 +185,9 @@ def bottom_hat(
         tensor: images (B, C, H, W), floating point.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: its heights (kH, kW), None for a flat element.
-        origin: (y, x) of its centre; None for (kH // 2, kW // 2).
+        origin: (y, x) of its center; None for (kH // 2, kW // 2).
         border_type: 'geodesic' or 'constant'.
-        border_value: what lies beyond the image for 'constant'.
+        border_value: value outside of the image for 'constant'.
         max_val: for compatibility, without effect.
         engine: for compatibility; the result is the same.
 

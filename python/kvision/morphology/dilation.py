@@ -71,8 +71,8 @@ def dilation(
         tensor: images (B, C, H, W), floating point.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: heights (kH, kW) that are added to the pixels; it may carry a gradient. None for a flat element.
-        origin: (y, x) of the element's centre; None for (kH // 2, kW // 2).
-        border_type: 'geodesic' leaves out what lies beyond the image, 'constant' has border_value there.
+        origin: (y, x) of the element's center; None for (kH // 2, kW // 2).
+        border_type: 'geodesic' leaves out what lies outside of the image, 'constant' has border_value there.
         border_value: see border_type.
         max_val: for compatibility, without effect.
         engine: for compatibility, one of 'auto', 'unfold', 'convolution', 'shift'; the result is the same.
@@ -118,8 +118,8 @@ def erosion(
         tensor: images (B, C, H, W), floating point.
         kernel: the element's members are where this (kH, kW) is not 0.
         structuring_element: heights (kH, kW) that are subtracted from the pixels; it may carry a gradient.
-        origin: (y, x) of the element's centre; None for (kH // 2, kW // 2).
-        border_type: 'geodesic' leaves out what lies beyond the image, 'constant' has border_value there.
+        origin: (y, x) of the element's center; None for (kH // 2, kW // 2).
+        border_type: 'geodesic' leaves out what lies outside of the image, 'constant' has border_value there.
         border_value: see border_type.
         max_val: for compatibility, without effect.
         engine: for compatibility, one of 'auto', 'unfold', 'convolution', 'shift'; the result is the same.

@@ -25,7 +25,7 @@ def reconstruction(
     Args:
         seed: images (B, C, H, W), floating point; where they exceed the mask they are cut to it first.
         mask: images in the same shape.
-        kernel: members of the flat structuring element, of odd size and with its centre; None for 3 x 3.
+        kernel: members of the flat structuring element, of odd size and with its center; None for 3 x 3.
         method: 'dilation', or 'erosion' for a seed that shrinks above the mask.
         num_iters: how often; None for as often as something changes, which waits for the device.
         check_every: how many steps there are from one look at that to the next.

@@ -1,6 +1,6 @@
 // Shared chroma on CUDA: a thread takes the cells of four pixels in a row.
 #include "chroma.h"
-#include "packs.cuh"
+#include "vectors.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -9,20 +9,20 @@ constexpr int kTaken = 4, kRows = 8;
 
 // N elements of a row, of which the first `count` are there.
 template <int N, class T>
-__device__ __forceinline__ void load_some(T const* from, bool packed, int count, Compute<T> (&v)[N]) {
-  if (packed) {
-    auto const pack = *reinterpret_cast<Pack<T, N> const*>(from);
+__device__ __forceinline__ void load_some(T const* from, bool vectorized, int count, Compute<T> (&v)[N]) {
+  if (vectorized) {
+    auto const vector = *reinterpret_cast<Vector<T, N> const*>(from);
 #pragma unroll
-    for (int j = 0; j < N; ++j) v[j] = read(pack.v[j]);
+    for (int j = 0; j < N; ++j) v[j] = read(vector.v[j]);
   } else {
 #pragma unroll
     for (int j = 0; j < N; ++j) v[j] = j < count ? read(from[j]) : Compute<T>(0);
   }
 }
 template <int N, class T>
-__device__ __forceinline__ void store_some(T* to, bool packed, int count, Compute<T> const (&v)[N]) {
-  if (packed) {
-    store_pack(to, v);
+__device__ __forceinline__ void store_some(T* to, bool vectorized, int count, Compute<T> const (&v)[N]) {
+  if (vectorized) {
+    store_vector(to, v);
   } else {
 #pragma unroll
     for (int j = 0; j < N; ++j)
@@ -31,7 +31,7 @@ __device__ __forceinline__ void store_some(T* to, bool packed, int count, Comput
 }
 
 template <class T>
-__global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChroma<T> const p, bool packed) {
+__global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChroma<T> const p, bool vectorized) {
   using F = Compute<T>;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
   int const width = int(p.colors.width), there = min(width - x, kTaken);
@@ -43,7 +43,7 @@ __global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChrom
 #pragma unroll
       for (int k = 0; k < 3; ++k)
         if (r < p.rows)
-          load_some(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, packed, there, c[r][k]);
+          load_some(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, vectorized, there, c[r][k]);
         else
 #pragma unroll
           for (int j = 0; j < kTaken; ++j) c[r][k][j] = 0;
@@ -53,7 +53,7 @@ __global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChrom
       F luma[kTaken];
 #pragma unroll
       for (int j = 0; j < kTaken; ++j) luma[j] = weighted(p.m, c[r][0][j], c[r][1][j], c[r][2][j]);
-      store_some(p.luma.row(b, int64_t(y) * p.rows + r) + x, packed, there, luma);
+      store_some(p.luma.row(b, int64_t(y) * p.rows + r) + x, vectorized, there, luma);
     }
     F sums[3][kTaken / 2];
 #pragma unroll
@@ -66,13 +66,13 @@ __global__ void __launch_bounds__(32 * kRows) split(__grid_constant__ SplitChrom
       F chroma[kTaken / 2];
 #pragma unroll
       for (int j = 0; j < kTaken / 2; ++j) chroma[j] = weighted(p.m + 3 + 3 * k, sums[0][j], sums[1][j], sums[2][j]);
-      store_some(p.chroma.row(2 * b + k, y) + x / 2, packed, there / 2, chroma);
+      store_some(p.chroma.row(2 * b + k, y) + x / 2, vectorized, there / 2, chroma);
     }
   }
 }
 
 template <class T>
-__global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<T> const p, bool packed) {
+__global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<T> const p, bool vectorized) {
   using F = Compute<T>;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
   int const width = int(p.colors.width), there = min(width - x, kTaken);
@@ -81,8 +81,8 @@ __global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<
     F luma[2][kTaken], chroma[2][kTaken / 2];
 #pragma unroll
     for (int k = 0; k < 2; ++k) {
-      load_some(p.chroma.row(2 * b + k, y) + x / 2, packed, there / 2, chroma[k]);
-      if (k < p.rows) load_some(p.luma.row(b, int64_t(y) * p.rows + k) + x, packed, there, luma[k]);
+      load_some(p.chroma.row(2 * b + k, y) + x / 2, vectorized, there / 2, chroma[k]);
+      if (k < p.rows) load_some(p.luma.row(b, int64_t(y) * p.rows + k) + x, vectorized, there, luma[k]);
     }
 #pragma unroll
     for (int r = 0; r < 2; ++r) {
@@ -92,31 +92,31 @@ __global__ void __launch_bounds__(32 * kRows) join(__grid_constant__ JoinChroma<
         F c[kTaken];
 #pragma unroll
         for (int j = 0; j < kTaken; ++j) c[j] = weighted(p.m + 3 * k, luma[r][j], chroma[0][j / 2], chroma[1][j / 2]);
-        store_some(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, packed, there, c);
+        store_some(p.colors.row(3 * b + k, int64_t(y) * p.rows + r) + x, vectorized, there, c);
       }
     }
   }
 }
 
 template <class P>
-bool are_packed(P const& p) {
-  return is_packed<kTaken>(p.colors) && is_packed<kTaken>(p.luma) && is_packed<kTaken / 2>(p.chroma);
+bool are_vectorized(P const& p) {
+  return has_whole_vectors<kTaken>(p.colors) && has_whole_vectors<kTaken>(p.luma) && has_whole_vectors<kTaken / 2>(p.chroma);
 }
 template <class P>
 dim3 blocks_of(P const& p) {
-  return blocks_of_packs<kTaken>(p.colors.width, p.chroma.height, kRows, p.luma.count());
+  return blocks_of_vectors<kTaken>(p.colors.width, p.chroma.height, kRows, p.luma.count());
 }
 
 }  // namespace
 
 template <class T>
 int split_chroma(SplitChroma<T> const& p, CUstream_st* stream) {
-  split<<<blocks_of(p), dim3(32, kRows), 0, stream>>>(p, are_packed(p));
+  split<<<blocks_of(p), dim3(32, kRows), 0, stream>>>(p, are_vectorized(p));
   return cudaGetLastError();
 }
 template <class T>
 int join_chroma(JoinChroma<T> const& p, CUstream_st* stream) {
-  join<<<blocks_of(p), dim3(32, kRows), 0, stream>>>(p, are_packed(p));
+  join<<<blocks_of(p), dim3(32, kRows), 0, stream>>>(p, are_vectorized(p));
   return cudaGetLastError();
 }
 

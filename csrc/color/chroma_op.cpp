@@ -18,9 +18,9 @@ void check_cells(char const* op, Tensor const& x, int64_t channels, int64_t rows
 std::tuple<Tensor, Tensor> split_chroma(Tensor const& input, int64_t rows, std::vector<double> matrix) {
   check_cells("split_chroma", input, 3, rows, matrix);
   int64_t const b = input.size(0), h = input.size(2), w = input.size(3);
-  Tensor const x = conform(input, Layout::planar), luma = empty({b, 1, h, w}, x),
+  Tensor const x = as_layout(input, Layout::planar), luma = empty({b, 1, h, w}, x),
                chroma = empty({b, 2, h / rows, w / 2}, x);
-  for_floats("split_chroma", x, [&](auto type) {
+  dispatch_floating("split_chroma", x, [&](auto type) {
     using T = typename decltype(type)::type;
     SplitChroma<T> p{planes<T const>(x, Layout::planar),
                      planes<T>(luma, Layout::planar),
@@ -40,8 +40,9 @@ Tensor join_chroma(Tensor const& luma, Tensor const& chroma, int64_t rows, std::
                chroma.size(2) == h / rows && chroma.size(3) == w / 2 && chroma.scalar_type() == luma.scalar_type() &&
                chroma.device() == luma.device(),
            "join_chroma: chroma does not fit luma");
-  Tensor const y = conform(luma, Layout::planar), uv = conform(chroma, Layout::planar), colors = empty({b, 3, h, w}, y);
-  for_floats("join_chroma", y, [&](auto type) {
+  Tensor const y = as_layout(luma, Layout::planar), uv = as_layout(chroma, Layout::planar),
+               colors = empty({b, 3, h, w}, y);
+  dispatch_floating("join_chroma", y, [&](auto type) {
     using T = typename decltype(type)::type;
     JoinChroma<T> p{planes<T const>(y, Layout::planar),
                     planes<T const>(uv, Layout::planar),

@@ -1,6 +1,6 @@
 // Included by program.cu, program_backward.cu and program_double.cu. Colour programs on CUDA: a thread takes P pixels
 // in registers from step to step, and the steps are read one by one, by all threads of a block alike: they are in one
-// sample. What is stored is a matter of loading and storing, by packs of 16 bytes or less where memory allows it.
+// sample. What is stored is a matter of loading and storing, by vectors of 16 bytes or less where memory allows it.
 #pragma once
 
 #include "core/launch.cuh"
@@ -184,18 +184,18 @@ constexpr bool kFits = sizeof(T) <= sizeof(F);
 template <class T>
 constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
 
-// Whether P pixels are packs in memory.
+// Whether P pixels are vectors in memory.
 template <int P>
-inline bool is_packed(Pixels const& x, int64_t pixels) {
+inline bool is_vectorizable(Pixels const& x, int64_t pixels) {
   int64_t const odd = pixels | x.outer_stride | x.inner_stride | (x.step == 1 ? x.channel_stride : 0);
   return odd % P == 0 && reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && (x.step == 1 || x.step == x.channels);
 }
 template <class F, int P>
 inline void set_access(Pixels& x, int64_t pixels) {
-  Storage const computed = sizeof(F) == 8 ? Storage::wide : Storage::single;
-  x.access = !is_packed<P>(x, pixels)            ? Access::each
+  DType const computed = sizeof(F) == 8 ? DType::float64 : DType::float32;
+  x.access = !is_vectorizable<P>(x, pixels)      ? Access::each
              : x.type == computed && x.step == 1 ? Access::plain
-                                                 : Access::packs;
+                                                 : Access::vectors;
 }
 
 // Planes of pixels as they come from memory, of what is computed in or of halves: asked for in time, they are waited
@@ -209,10 +209,10 @@ struct Asked {
   uint32_t words[C][4];
 
   static __device__ __forceinline__ bool are_halves(Pixels const& x) {
-    return kOfHalves && (x.type == Storage::half || x.type == Storage::bfloat16);
+    return kOfHalves && (x.type == DType::float16 || x.type == DType::bfloat16);
   }
   static __device__ __forceinline__ bool of(Pixels const& x) {
-    bool const halves = are_halves(x) && x.access == Access::packs && x.step == 1;
+    bool const halves = are_halves(x) && x.access == Access::vectors && x.step == 1;
     return x.channels == C && (halves || x.access == Access::plain);
   }
   // What pixels are that there are not.
@@ -230,7 +230,7 @@ struct Asked {
   __device__ __forceinline__ void take(Pixels const& x, F (&c)[C][P]) const {
     if (!are_halves(x))
       take_as<F>(c);
-    else if (x.type == Storage::half)
+    else if (x.type == DType::float16)
       take_as<Half>(c);
     else
       take_as<BFloat16>(c);
@@ -239,11 +239,11 @@ struct Asked {
   template <class T>
   __device__ __forceinline__ void ask_for(Pixels const& x, int64_t from) {
     if constexpr (kAsks<T>) {
-      using Words = Pack<uint32_t, int(P * sizeof(T) / 4)>;  // not taken apart before they are there
+      using Words = Vector<uint32_t, int(P * sizeof(T) / 4)>;  // not taken apart before they are there
 #pragma unroll
       for (int k = 0; k < C; ++k, from += x.channel_stride) {
-        auto const pack = *reinterpret_cast<Words const*>(static_cast<T const*>(x.data) + from);
-        __builtin_memcpy(words[k], pack.v, sizeof(pack));
+        auto const vector = *reinterpret_cast<Words const*>(static_cast<T const*>(x.data) + from);
+        __builtin_memcpy(words[k], vector.v, sizeof(vector));
       }
     }
   }
@@ -252,10 +252,10 @@ struct Asked {
     if constexpr (kAsks<T>) {
 #pragma unroll
       for (int k = 0; k < C; ++k) {
-        Pack<T, P> pack;
-        __builtin_memcpy(&pack, words[k], sizeof(pack));
+        Vector<T, P> vector;
+        __builtin_memcpy(&vector, words[k], sizeof(vector));
 #pragma unroll
-        for (int j = 0; j < P; ++j) c[k][j] = F(read(pack.v[j]));
+        for (int j = 0; j < P; ++j) c[k][j] = F(read(vector.v[j]));
       }
     }
   }
@@ -271,7 +271,7 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t at, int64_t
 #pragma unroll
     for (int j = 0; j < P; ++j) c[k][j] = rest;
   if (i >= pixels) return;
-  for_storage(x.type, [&](auto stored) {
+  dispatch_dtype(x.type, [&](auto stored) {
     using T = decltype(stored);
     if constexpr (kFits<F, T>) {
       constexpr F unit = F(1. / kUnit<T>);
@@ -287,18 +287,18 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t at, int64_t
 #pragma unroll
         for (int k = 0; k < C; ++k) {
           if (k >= x.channels) break;
-          auto const pack = *reinterpret_cast<Pack<T, P> const*>(from + k * x.channel_stride + i);
+          auto const vector = *reinterpret_cast<Vector<T, P> const*>(from + k * x.channel_stride + i);
 #pragma unroll
-          for (int j = 0; j < P; ++j) c[k][j] = F(read(pack.v[j])) * unit;
+          for (int j = 0; j < P; ++j) c[k][j] = F(read(vector.v[j])) * unit;
         }
       } else {
-        Pack<T, P> pack[C];
+        Vector<T, P> vector[C];
 #pragma unroll
-        for (int k = 0; k < C; ++k) pack[k] = *reinterpret_cast<Pack<T, P> const*>(from + C * i + k * P);
+        for (int k = 0; k < C; ++k) vector[k] = *reinterpret_cast<Vector<T, P> const*>(from + C * i + k * P);
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j) c[k][j] = F(read(pack[(C * j + k) / P].v[(C * j + k) % P])) * unit;
+          for (int j = 0; j < P; ++j) c[k][j] = F(read(vector[(C * j + k) / P].v[(C * j + k) % P])) * unit;
       }
     }
   });
@@ -313,17 +313,17 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_
 #pragma unroll
     for (int k = 0; k < C; ++k, to += y.channel_stride) {
       if (k >= y.channels) break;
-      store_pack(to, c[k]);
+      store_vector(to, c[k]);
     }
     return;
   }
-  for_storage(y.type, [&](auto stored) {
+  dispatch_dtype(y.type, [&](auto stored) {
     using T = decltype(stored);
     if constexpr (kFits<F, T>) {
       constexpr F unit = kUnit<T>;
       auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * unit)); };
       T* const to = static_cast<T*>(y.data) + at;
-      if (y.access != Access::packs) {
+      if (y.access != Access::vectors) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
@@ -333,19 +333,19 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_
 #pragma unroll
         for (int k = 0; k < C; ++k) {
           if (k >= y.channels) break;
-          Pack<T, P> pack;
+          Vector<T, P> vector;
 #pragma unroll
-          for (int j = 0; j < P; ++j) pack.v[j] = rounded(c[k][j]);
-          *reinterpret_cast<Pack<T, P>*>(to + k * y.channel_stride + i) = pack;
+          for (int j = 0; j < P; ++j) vector.v[j] = rounded(c[k][j]);
+          *reinterpret_cast<Vector<T, P>*>(to + k * y.channel_stride + i) = vector;
         }
       } else {
-        Pack<T, P> pack[C];
+        Vector<T, P> vector[C];
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j) pack[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
+          for (int j = 0; j < P; ++j) vector[(C * j + k) / P].v[(C * j + k) % P] = rounded(c[k][j]);
 #pragma unroll
-        for (int k = 0; k < C; ++k) *reinterpret_cast<Pack<T, P>*>(to + C * i + k * P) = pack[k];
+        for (int k = 0; k < C; ++k) *reinterpret_cast<Vector<T, P>*>(to + C * i + k * P) = vector[k];
       }
     }
   });

@@ -10,7 +10,7 @@
 // parameters, how the pixel answers to that.
 #pragma once
 
-#include "core/half.h"
+#include "core/dtype.h"
 #include "core/isa.h"
 
 namespace kv {
@@ -74,32 +74,15 @@ KV_HD bool is_affine(Step step, F const* parameters) {
 constexpr int kMostSteps = 16, kMostParameters = 64, kMostTensors = 6;
 constexpr int kMostOfAStep = 6;  // parameters that can be tensors
 
-enum class Storage : int { byte, half, bfloat16, single, wide };
-template <class F>
-KV_HD void for_storage(Storage type, F f) {
-  switch (type) {
-    case Storage::byte:
-      return f(uint8_t{});
-    case Storage::half:
-      return f(Half{});
-    case Storage::bfloat16:
-      return f(BFloat16{});
-    case Storage::single:
-      return f(float{});
-    case Storage::wide:
-      return f(double{});
-  }
-}
-
-// How a thread of CUDA takes its pixels: each number by itself, or packs of them, which may be of what is computed in
+// How a thread of CUDA takes its pixels: each number by itself, or vectors of them, which may be of what is computed in
 // and planes, as most are.
-enum class Access : int { each, packs, plain };
+enum class Access : int { each, vectors, plain };
 
 // Sample b is (b / inner, b % inner). Its pixel i has channel c at data + outer_stride * (b / inner) + inner_stride *
 // (b % inner) + channel_stride * c + step * i. Bytes are 255ths.
 struct Pixels {
   void* data;
-  Storage type;
+  DType type;
   int channels;
   int64_t inner, outer_stride, inner_stride, channel_stride, step;
   Access access = Access::each;  // set by the launcher
@@ -148,16 +131,16 @@ KV_HD int64_t parts_of([[maybe_unused]] int64_t samples, int64_t pixels) {
 // size 1.
 struct Rows {
   void const* data;
-  Storage type;
+  DType type;
   int first;  // of its columns among those of all tensors
   int64_t image_stride, channel_stride, stride;
 
   template <class F>
   KV_HD F at(int64_t image, int64_t channel, int column) const {
     int64_t const i = image * image_stride + channel * channel_stride + (column - first) * stride;
-    if (type == Storage::half) return F(to_float(static_cast<Half const*>(data)[i]));
-    if (type == Storage::bfloat16) return F(to_float(static_cast<BFloat16 const*>(data)[i]));
-    if (type == Storage::single) return F(static_cast<float const*>(data)[i]);
+    if (type == DType::float16) return F(to_float(static_cast<Half const*>(data)[i]));
+    if (type == DType::bfloat16) return F(to_float(static_cast<BFloat16 const*>(data)[i]));
+    if (type == DType::float32) return F(static_cast<float const*>(data)[i]);
     return F(static_cast<double const*>(data)[i]);
   }
 };

@@ -13,8 +13,8 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
   constexpr int P = kTaken<F>;
   Program<F> const& q = p.forward;
   __shared__ Sample<F> sample;
-  using Packs = Asked<F, C, P>;
-  bool const asks = Packs::of(q.x) && Packs::of(p.grad) && q.x.type == p.grad.type;
+  using Vectors = Asked<F, C, P>;
+  bool const asks = Vectors::of(q.x) && Vectors::of(p.grad) && q.x.type == p.grad.type;
   __shared__ F slopes[kThreads / 32][kMostParameters];
   for (int64_t n = blockIdx.y; n < q.samples; n += gridDim.y) {
     int64_t const b = sample_of(q, n), from = q.x.offset(b), from_grad = p.grad.offset(b);
@@ -29,7 +29,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
       F c[C][P], g[C][P], kept[kMostSteps - 1][C][P];
       auto const take_both = [&](auto stored) {  // all that there is, before any of it is waited for
         using T = decltype(stored);
-        Packs x, grad;
+        Vectors x, grad;
         x.fill(x.kSome);
         grad.fill(0);
         if (i_of_x < q.pixels) x.template ask_for<T>(q.x, from + i);
@@ -40,9 +40,9 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
       if (!asks) {
         load_pixels(q.x, from, i_of_x, q.pixels, F(0.5), c);
         load_pixels(p.grad, from_grad, i, q.pixels, F(0), g);
-      } else if (q.x.type == Storage::half) {
+      } else if (q.x.type == DType::float16) {
         take_both(Half{});
-      } else if (q.x.type == Storage::bfloat16) {
+      } else if (q.x.type == DType::bfloat16) {
         take_both(BFloat16{});
       } else {
         take_both(F{});

@@ -243,7 +243,7 @@ __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t
   int64_t const n = (count + N - 1) / N * N;
   for (int k = 0; k < channels; ++k)
     for (int64_t i = k < x.channels ? n - N : 0; i < n; i += N) store<N>(c + k * kChunk<F> + i, broadcast<N>(rest));
-  for_storage(x.type, [&](auto stored) {
+  dispatch_dtype(x.type, [&](auto stored) {
     using T = decltype(stored);
     if constexpr (kFits<F, T>) {
       constexpr F unit = F(1. / kUnit<T>);
@@ -277,7 +277,7 @@ __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t
 
 template <class F>
 __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t first, int64_t count, F const* c) {
-  for_storage(y.type, [&](auto stored) {
+  dispatch_dtype(y.type, [&](auto stored) {
     using T = decltype(stored);
     if constexpr (kFits<F, T>) {
       constexpr F unit = kUnit<T>;
@@ -312,7 +312,7 @@ __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t f
 // Whether whole vectors of F make up `count` pixels in memory.
 template <class F>
 KV_HD bool is_chunk(Pixels const& x, int64_t count) {
-  return x.type == (sizeof(F) == 4 ? Storage::single : Storage::wide) && x.step == 1 && count % kLanes<F> == 0;
+  return x.type == (sizeof(F) == 4 ? DType::float32 : DType::float64) && x.step == 1 && count % kLanes<F> == 0;
 }
 template <class F>
 KV_HD Chunk<F> chunk_of(Pixels const& x, int64_t b, int64_t first) {

@@ -14,7 +14,7 @@ using Maybe = std::optional<Tensor>;
 
 // `plan` of the schemas. One list, as each argument of an operator costs a call a tenth of a small kernel's launch.
 struct Recipe {
-  int64_t dtype, layout;  // of the result: a Storage, 0 for NCHW and 1 for NHWC, or -1 for that of the input
+  int64_t dtype, layout;  // of the result: a DType, 0 for NCHW and 1 for NHWC, or -1 for that of the input
   std::span<int64_t const> steps;
   std::span<int64_t const> columns;  // where parameters stand in the tensors, or -1; empty where there are no tensors
 };
@@ -25,7 +25,7 @@ Recipe recipe_of(char const* op, std::vector<int64_t> const& plan) {
            ": expected a plan of a dtype, a layout, the number of steps and as many steps");
   size_t const count = size_t(all[2]);
   KV_CHECK(count <= kMostSteps, op, ": expected at most ", kMostSteps, " steps, got ", count);
-  KV_CHECK(all[0] >= -1 && all[0] <= int64_t(Storage::wide), op, ": there is no dtype ", all[0]);
+  KV_CHECK(all[0] >= -1 && all[0] <= int64_t(DType::float64), op, ": there is no dtype ", all[0]);
   KV_CHECK(all[1] >= -1 && all[1] <= 1, op, ": there is no layout ", all[1]);
   return {all[0], all[1], all.subspan(3, count), all.subspan(3 + count)};
 }
@@ -62,20 +62,10 @@ Plan plan_of(char const* op, Recipe const& recipe, size_t numbers, bool ordered)
   return plan;
 }
 
-// By Storage.
-constexpr ScalarType kTypes[] = {ScalarType::Byte, ScalarType::Half, ScalarType::BFloat16, ScalarType::Float,
-                                 ScalarType::Double};
-
-Storage storage_of(char const* op, Tensor const& x) {
-  for (int i = 0; i < 5; ++i)
-    if (x.scalar_type() == kTypes[i]) return Storage(i);
-  fail({op, ": no kernel for this dtype"});
-}
-
 // `x` itself, or a dense copy: pixels are then one row.
 Tensor as_row(Tensor const& x, Layout layout) {
   if (layout == Layout::channels_last)
-    return x.stride(0) == x.stride(2) * x.size(2) || x.size(0) == 1 ? x : conform(dense(x), layout);
+    return x.stride(0) == x.stride(2) * x.size(2) || x.size(0) == 1 ? x : as_layout(dense(x), layout);
   return dense(x);
 }
 
@@ -92,7 +82,7 @@ struct Samples {
     auto* const data = const_cast<void*>(x.const_data_ptr());
     bool const last = layout == Layout::channels_last;
     int64_t const c = x.size(1), n = x.size(2) * x.size(3);
-    Storage const type = storage_of(op, x);
+    DType const type = dtype_of(op, x);
     if (!of_values) return {data, type, int(c), 1, n * c, 0, last ? 1 : n, last ? c : 1};
     if (!of_planes) return {data, type, 1, 1, pixels, 0, 0, 1};
     return {data, type, 1, inner, n * c, last ? 1 : n, 0, last ? c : 1};
@@ -141,8 +131,8 @@ struct Arguments {
     KV_CHECK((images == 1 || images == x.size(0)) && (channels == 1 || (channels == x.size(1) && of_values)) &&
                  columns + here <= kMostParameters,
              op, ": parameters of shape (", images, ", ", channels, ", ", here, ") do not fit the images");
-    Storage const type = storage_of(op, p);
-    KV_CHECK(p.device() == x.device() && type != Storage::byte, op,
+    DType const type = dtype_of(op, p);
+    KV_CHECK(p.device() == x.device() && type != DType::uint8, op,
              ": expected parameters of floating-point numbers, on the device of input");
     auto const stride = [&](int64_t axis) { return p.size(axis) == 1 ? 0 : p.stride(axis); };
     rows.push_back({p.const_data_ptr(), type, int(columns), stride(0), stride(1), stride(2)});
@@ -205,7 +195,7 @@ Program<F> program_of(Arguments const& a, Samples const& samples, std::vector<do
 // The result and the means that it took.
 std::tuple<Tensor, Tensor> run(char const* op, Tensor const& input, Parameters const& parameters, Maybe const& order,
                                Recipe const& recipe, std::vector<double> const& numbers) {
-  ScalarType const type = recipe.dtype < 0 ? input.scalar_type() : kTypes[recipe.dtype];
+  ScalarType const type = recipe.dtype < 0 ? input.scalar_type() : scalar_type_of(DType(recipe.dtype));
   Arguments const a(op, input, parameters, order, recipe, numbers, type);
   Layout const in = layout_of(input);
   Layout const out = recipe.layout < 0 ? in : recipe.layout == 0 ? Layout::planar : Layout::channels_last;
@@ -319,7 +309,7 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     linear = linear && is_affine(a.plan.steps[i], numbers.data() + at);
   if (linear) {
     Transposed const transposed(recipe, numbers);
-    Recipe const back{int64_t(storage_of(op, x)), in == Layout::planar ? 0 : 1, transposed.steps, transposed.columns};
+    Recipe const back{int64_t(dtype_of(op, x)), in == Layout::planar ? 0 : 1, transposed.steps, transposed.columns};
     return {std::get<0>(run(op, grad, KV_GIVEN, {}, back, transposed.numbers)),
             empty({b, 0}, x, Layout::planar, computes)};
   }

@@ -1,7 +1,7 @@
 // Demosaicing on CUDA: a thread takes four pixels of a row and reads what is around them from the caches, where the
 // rows of a block of 128 x 8 pixels meet again: three quarters of the traffic are what is written.
-#include "packs.cuh"
 #include "raw.h"
+#include "vectors.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -9,14 +9,14 @@ namespace {
 constexpr int kTaken = 4, kRows = 8;
 
 // Pixels x - 1 ... x + 4 of a row; `left` and `right` are where the outer two stand.
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __device__ __forceinline__ void load_around(T const* row, int x, int left, int right, int width,
                                             Compute<T> (&v)[kTaken + 2]) {
   v[0] = read(row[left]);
-  if constexpr (Packed) {
-    auto const pack = *reinterpret_cast<Pack<T, kTaken> const*>(row + x);
+  if constexpr (Vectorized) {
+    auto const vector = *reinterpret_cast<Vector<T, kTaken> const*>(row + x);
 #pragma unroll
-    for (int j = 0; j < kTaken; ++j) v[1 + j] = read(pack.v[j]);
+    for (int j = 0; j < kTaken; ++j) v[1 + j] = read(vector.v[j]);
   } else {
 #pragma unroll
     for (int j = 0; j < kTaken; ++j) v[1 + j] = read(row[min(x + j, width - 1)]);
@@ -24,10 +24,10 @@ __device__ __forceinline__ void load_around(T const* row, int x, int left, int r
   v[kTaken + 1] = read(row[right]);
 }
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __device__ __forceinline__ void store_taken(T* row, int x, int width, Compute<T> const (&v)[kTaken]) {
-  if constexpr (Packed) {
-    store_pack(row + x, v);
+  if constexpr (Vectorized) {
+    store_vector(row + x, v);
   } else {
 #pragma unroll
     for (int j = 0; j < kTaken; ++j)
@@ -43,7 +43,7 @@ struct Place {
       : x(int(blockIdx.x * 32 + threadIdx.x) * kTaken), y(int(blockIdx.y * kRows + threadIdx.y)), image(blockIdx.z) {}
 };
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(32 * kRows) run(__grid_constant__ RawToRgb<T> const p, int64_t images) {
   using F = Compute<T>;
   Place at;
@@ -56,8 +56,9 @@ __global__ void __launch_bounds__(32 * kRows) run(__grid_constant__ RawToRgb<T> 
     F around[3][kTaken + 2], result[3][kTaken];
 #pragma unroll
     for (int k = 0; k < 3; ++k)
-      load_around<T, Packed>(p.raw.row(at.image, mirrored(at.y + k - 1, height)), at.x, left, right, width, around[k]);
-    if (!Packed && width - at.x < kTaken)  // two pixels then, as widths are even
+      load_around<T, Vectorized>(p.raw.row(at.image, mirrored(at.y + k - 1, height)), at.x, left, right, width,
+                                 around[k]);
+    if (!Vectorized && width - at.x < kTaken)  // two pixels then, as widths are even
 #pragma unroll
       for (int k = 0; k < 3; ++k) around[k][3] = around[k][1];
 #pragma unroll
@@ -71,11 +72,11 @@ __global__ void __launch_bounds__(32 * kRows) run(__grid_constant__ RawToRgb<T> 
     }
 #pragma unroll
     for (int k = 0; k < 3; ++k)
-      store_taken<T, Packed>(p.rgb.row(3 * at.image + planes[k], at.y), at.x, width, result[k]);
+      store_taken<T, Vectorized>(p.rgb.row(3 * at.image + planes[k], at.y), at.x, width, result[k]);
   }
 }
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(32 * kRows)
     run_backward(__grid_constant__ RawToRgbBackward<T> const p, int64_t images) {
   using F = Compute<T>;
@@ -90,8 +91,8 @@ __global__ void __launch_bounds__(32 * kRows)
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
       int const y = clamp(at.y + k - 1, 0, height - 1);
-      load_around<T, Packed>(p.grad.row(3 * at.image + own, y), at.x, left, right, width, of_own[k]);
-      load_around<T, Packed>(p.grad.row(3 * at.image + 1, y), at.x, left, right, width, of_green[k]);
+      load_around<T, Vectorized>(p.grad.row(3 * at.image + own, y), at.x, left, right, width, of_own[k]);
+      load_around<T, Vectorized>(p.grad.row(3 * at.image + 1, y), at.x, left, right, width, of_green[k]);
     }
 #pragma unroll
     for (int j = 0; j < kTaken; ++j) {
@@ -102,7 +103,7 @@ __global__ void __launch_bounds__(32 * kRows)
       result[j] =
           gathered(is_own, v[0], v[1], v[2], up, down, F(times(at.x + j - 1, width)), F(times(at.x + j + 1, width)));
     }
-    store_taken<T, Packed>(p.grad_raw.row(at.image, at.y), at.x, width, result);
+    store_taken<T, Vectorized>(p.grad_raw.row(at.image, at.y), at.x, width, result);
   }
 }
 
@@ -111,8 +112,8 @@ __global__ void __launch_bounds__(32 * kRows)
 template <class T>
 int raw_to_rgb(RawToRgb<T> const& p, CUstream_st* stream) {
   int64_t const images = p.raw.count();
-  dim3 const blocks = blocks_of_packs<kTaken>(p.raw.width, p.raw.height, kRows, images), threads(32, kRows);
-  if (is_packed<kTaken>(p.raw) && is_packed<kTaken>(p.rgb))
+  dim3 const blocks = blocks_of_vectors<kTaken>(p.raw.width, p.raw.height, kRows, images), threads(32, kRows);
+  if (has_whole_vectors<kTaken>(p.raw) && has_whole_vectors<kTaken>(p.rgb))
     run<T, true><<<blocks, threads, 0, stream>>>(p, images);
   else
     run<T, false><<<blocks, threads, 0, stream>>>(p, images);
@@ -122,8 +123,8 @@ int raw_to_rgb(RawToRgb<T> const& p, CUstream_st* stream) {
 template <class T>
 int raw_to_rgb_backward(RawToRgbBackward<T> const& p, CUstream_st* stream) {
   int64_t const images = p.grad_raw.count();
-  dim3 const blocks = blocks_of_packs<kTaken>(p.grad.width, p.grad.height, kRows, images), threads(32, kRows);
-  if (is_packed<kTaken>(p.grad) && is_packed<kTaken>(p.grad_raw))
+  dim3 const blocks = blocks_of_vectors<kTaken>(p.grad.width, p.grad.height, kRows, images), threads(32, kRows);
+  if (has_whole_vectors<kTaken>(p.grad) && has_whole_vectors<kTaken>(p.grad_raw))
     run_backward<T, true><<<blocks, threads, 0, stream>>>(p, images);
   else
     run_backward<T, false><<<blocks, threads, 0, stream>>>(p, images);

@@ -26,8 +26,8 @@ Red red_of(char const* op, std::string const& cfa) {
 Tensor raw_to_rgb(Tensor const& input, std::string cfa) {
   check_mosaic("raw_to_rgb", "input", input, 1);
   Red const red = red_of("raw_to_rgb", cfa);
-  Tensor const x = conform(input, Layout::planar), y = empty({x.size(0), 3, x.size(2), x.size(3)}, x);
-  for_floats_and_bytes("raw_to_rgb", x, [&](auto type) {
+  Tensor const x = as_layout(input, Layout::planar), y = empty({x.size(0), 3, x.size(2), x.size(3)}, x);
+  dispatch_floating_and_uint8("raw_to_rgb", x, [&](auto type) {
     using T = typename decltype(type)::type;
     RawToRgb<T> const params{planes<T const>(x, Layout::planar), planes<T>(y, Layout::planar), red.row, red.column};
     KV_RUN(raw_to_rgb, x, params, params.raw.rows(), 3 * params.raw.width);
@@ -38,8 +38,8 @@ Tensor raw_to_rgb(Tensor const& input, std::string cfa) {
 Tensor raw_to_rgb_backward(Tensor const& grad, std::string cfa) {
   check_mosaic("raw_to_rgb_backward", "grad", grad, 3);
   Red const red = red_of("raw_to_rgb_backward", cfa);
-  Tensor const g = conform(grad, Layout::planar), x = empty({g.size(0), 1, g.size(2), g.size(3)}, g);
-  for_floats("raw_to_rgb_backward", g, [&](auto type) {
+  Tensor const g = as_layout(grad, Layout::planar), x = empty({g.size(0), 1, g.size(2), g.size(3)}, g);
+  dispatch_floating("raw_to_rgb_backward", g, [&](auto type) {
     using T = typename decltype(type)::type;
     RawToRgbBackward<T> const params{
         {{}, {}, red.row, red.column}, planes<T const>(g, Layout::planar), planes<T>(x, Layout::planar)};

@@ -100,7 +100,7 @@ KV_HD V power(V const& x, Scalar<V> exponent) {
 // x modulo n, in [0, n).
 template <class V>
 KV_HD V modulo(V const& x, Scalar<V> n) {
-  return minus(x, floor_of(x * (Scalar<V>(1) / n)) * n);
+  return subtract_constant(x, floor_of(x * (Scalar<V>(1) / n)) * n);
 }
 
 constexpr double kTurn = 6.283185307179586476925;
@@ -459,7 +459,7 @@ KV_HD V as(U const& p) {
 // The floor without derivatives, which bytes have not.
 template <class V>
 KV_HD V whole(V const& x) {
-  return minus(V{}, -floor_of(x));
+  return subtract_constant(V{}, -floor_of(x));
 }
 // OpenCV's luma of bytes, in fixed point of 15 bits; no sum reaches 2^24, so float has it exactly.
 template <class V>
@@ -643,7 +643,7 @@ KV_HD V posterize(V const& x, Scalar<V> bits, Scalar<V> split) {
   F const step = exp2_of(F(8) - (bits > F(0) ? bits : F(0)));
   V const level = at_most(at_least(x, F(0)), F(1)) * F(255);
   V const high = at_least(level * split, F(0)), rounded = high - (high - level);  // at_least: no fused multiply-add
-  return select(x == x, minus(V{}, -(floor_of(rounded * (F(1) / step)) * (step / F(255)))), x);
+  return select(x == x, subtract_constant(V{}, -(floor_of(rounded * (F(1) / step)) * (step / F(255)))), x);
 }
 
 template <class V, class U>

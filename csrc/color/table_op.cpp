@@ -20,7 +20,7 @@ Tensor color_table(Tensor const& input, Tensor const& white, Tensor const& color
            op, ": expected colors of shape (B, 3, n) or (1, 3, n), of the dtype and device of input");
   bool const wide = input.scalar_type() == ScalarType::Double;
   KV_CHECK(wide || input.scalar_type() == ScalarType::Float, op, ": no kernel for this dtype");
-  Tensor const x = conform(input, Layout::planar);
+  Tensor const x = as_layout(input, Layout::planar);
   Tensor const whites = dense(white), table = dense(colors), y = empty({b, 3 * c, h, w}, x);
   auto const run = [&]<class T>(Type<T>) {
     ColorTable<T> const p{planes<T const>(x, Layout::planar),

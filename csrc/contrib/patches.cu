@@ -1,4 +1,4 @@
-// Patches on CUDA: a thread copies a pack of a patch's row, or sums one of the image's. What a block knows by itself,
+// Patches on CUDA: a thread copies a vector of a patch's row, or sums one of the image's. What a block knows by itself,
 // the line of patches or the plane, is left out of the counting of rows, which then needs 32 bits.
 #include "core/launch.cuh"
 #include "patches.h"
@@ -17,27 +17,28 @@ struct Divisor {
   }
 };
 
-// Rows of `packs` packs by blocks: 2^shift threads take the packs of a row, so each block has kThreads >> shift rows of
-// a group of `rows`.
+// Rows of `vectors` vectors by blocks: 2^shift threads take the vectors of a row, so each block has kThreads >> shift
+// rows of a group of `rows`.
 struct Blocks {
-  int packs, shift;
+  int vectors, shift;
   unsigned rows, of_group;
   Divisor groups;
-  Blocks(int64_t packs, int64_t rows) : packs(int(packs)), shift(0), rows(unsigned(rows)), of_group(0), groups(1) {
-    while ((1 << shift) < packs && (1 << shift) < kThreads) ++shift;
+  Blocks(int64_t vectors, int64_t rows)
+      : vectors(int(vectors)), shift(0), rows(unsigned(rows)), of_group(0), groups(1) {
+    while ((1 << shift) < vectors && (1 << shift) < kThreads) ++shift;
     of_group = unsigned(ceil_div(rows, kThreads >> shift));
     groups = Divisor(of_group);
   }
   // False beyond the group's last row.
-  __device__ __forceinline__ bool place(unsigned& group, unsigned& row) const {
+  __device__ __forceinline__ bool locate(unsigned& group, unsigned& row) const {
     group = groups(blockIdx.x);
     row = (blockIdx.x - group * of_group) * (kThreads >> shift) + (threadIdx.x >> shift);
     return row < rows;
   }
   template <class Call>
-  __device__ __forceinline__ void for_each_pack(Call f) const {
+  __device__ __forceinline__ void for_each_vector(Call f) const {
 #pragma unroll 1
-    for (int i = threadIdx.x & ((1 << shift) - 1); i < packs; i += 1 << shift) f(i);
+    for (int i = threadIdx.x & ((1 << shift) - 1); i < vectors; i += 1 << shift) f(i);
   }
 };
 
@@ -54,18 +55,18 @@ __global__ void __launch_bounds__(kThreads)
             __grid_constant__ Divisors const by) {
   PatchGrid const& grid = p.grid;
   unsigned line, row;
-  if (!blocks.place(line, row)) return;
+  if (!blocks.locate(line, row)) return;
   unsigned const sample = by.down(line), i = line - sample * grid.down;
   unsigned const q = by.height(row), j = by.channels(q), channel = q - j * unsigned(grid.channels);
   int const y = int(i) * grid.step_y - grid.top + int(row - q * grid.height), left = int(j) * grid.step_x - grid.left;
   bool const inside = y >= 0 && y < p.image.height;
   T const* const from = p.image.row(sample * grid.channels + channel, inside ? y : 0) + left;
   T* const to = p.patches + (int64_t(line) * blocks.rows + row) * grid.width;
-  blocks.for_each_pack([&](int k) {
-    Pack<T, P> pack{};
+  blocks.for_each_vector([&](int k) {
+    Vector<T, P> vector{};
     int const column = left + k * P;
-    if (inside && column >= 0 && column < p.image.width) pack = *reinterpret_cast<Pack<T, P> const*>(from + k * P);
-    *reinterpret_cast<Pack<T, P>*>(to + k * P) = pack;
+    if (inside && column >= 0 && column < p.image.width) vector = *reinterpret_cast<Vector<T, P> const*>(from + k * P);
+    *reinterpret_cast<Vector<T, P>*>(to + k * P) = vector;
   });
 }
 
@@ -85,13 +86,13 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   PatchGrid const& grid = p.grid;
   unsigned plane, y;
-  if (!blocks.place(plane, y)) return;
+  if (!blocks.locate(plane, y)) return;
   int const below = int(y) + grid.top;
   int const first_i = first_patch(below, grid.height, by.step_y), last_i = last_patch(below, by.step_y, grid.down);
   unsigned const sample = by.channels(plane);
   int64_t const channel = plane - sample * unsigned(grid.channels);
   T* const to = p.image.row(plane, y);
-  blocks.for_each_pack([&](int k) {
+  blocks.for_each_vector([&](int k) {
     int const right = k * P + grid.left;
     int const first_j = first_patch(right, grid.width, by.step_x), last_j = last_patch(right, by.step_x, grid.across);
     F sums[P] = {};
@@ -100,21 +101,21 @@ __global__ void __launch_bounds__(kThreads)
         int64_t const patch = (int64_t(sample) * grid.down + i) * grid.across + j;
         int64_t const row = (patch * grid.channels + channel) * grid.height + (below - i * grid.step_y);
         T const* const from = p.patches + row * grid.width + (right - j * grid.step_x);
-        Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(from);
+        Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from);
 #pragma unroll
-        for (int e = 0; e < P; ++e) sums[e] += read(pack.v[e]);
+        for (int e = 0; e < P; ++e) sums[e] += read(vector.v[e]);
       }
-    store_pack(to + k * P, sums);
+    store_vector(to + k * P, sums);
   });
 }
 
-// Calls f with the pixels of a pack: those of 16 bytes where each is in the same patches as a whole, else one.
+// Calls f with the pixels of a vector: those of 16 bytes where each is in the same patches as a whole, else one.
 template <class T, class F>
-void with_packs(Planes<T> const& image, void const* patches, PatchGrid const& grid, F f) {
+void with_vectors(Planes<T> const& image, void const* patches, PatchGrid const& grid, F f) {
   constexpr int P = 16 / int(sizeof(T));
-  bool const packed = is_strip<P>(image) && reinterpret_cast<uintptr_t>(patches) % 16 == 0 && grid.width % P == 0 &&
-                      grid.step_x % P == 0 && grid.left % P == 0;
-  if (packed)
+  bool const vectorized = is_vectorizable<P>(image) && reinterpret_cast<uintptr_t>(patches) % 16 == 0 &&
+                          grid.width % P == 0 && grid.step_x % P == 0 && grid.left % P == 0;
+  if (vectorized)
     f(std::integral_constant<int, P>{});
   else
     f(std::integral_constant<int, 1>{});
@@ -127,7 +128,7 @@ int extract_patches(Extract<T> const& p, CUstream_st* stream) {
   int64_t const rows = int64_t(p.grid.across) * p.grid.channels * p.grid.height;
   int64_t const lines = p.image.count() / p.grid.channels * p.grid.down;
   if (rows > UINT32_MAX / 2) return cudaErrorInvalidValue;
-  with_packs(p.image, p.patches, p.grid, [&](auto pixels) {
+  with_vectors(p.image, p.patches, p.grid, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     Blocks const blocks(p.grid.width / P, rows);
     extract<T, P><<<unsigned(lines * blocks.of_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
@@ -137,7 +138,7 @@ int extract_patches(Extract<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int combine_patches(Combine<T> const& p, CUstream_st* stream) {
-  with_packs(p.image, p.patches, p.grid, [&](auto pixels) {
+  with_vectors(p.image, p.patches, p.grid, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     Blocks const blocks(p.image.width / P, p.image.height);
     combine<T, P><<<unsigned(p.image.count() * blocks.of_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));

@@ -34,9 +34,9 @@ Tensor extract_patches(Tensor const& input, std::vector<int64_t> size, std::vect
   check_images(op, "input", input);
   PatchGrid const grid = grid_of(op, input.size(1), size, window, stride, padding);
   KV_CHECK(input.size(2) == size[0] && input.size(3) == size[1], op, ": expected input of that size");
-  Tensor const x = conform(input, Layout::planar);
+  Tensor const x = as_layout(input, Layout::planar);
   Tensor const patches = empty({x.size(0), int64_t(grid.down) * grid.across, x.size(1), grid.height, grid.width}, x);
-  for_floats_and_bytes(op, x, [&](auto type) {
+  dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Extract<T> const params{planes<T const>(x, Layout::planar), static_cast<T*>(patches.mutable_data_ptr()), grid};
     KV_RUN(extract_patches, x, params, params.image.count() * grid.down * grid.across * grid.height, grid.width);
@@ -54,7 +54,7 @@ Tensor combine_patches(Tensor const& patches, std::vector<int64_t> size, std::ve
            op, ": expected as many patches of that size as fit the images");
   Tensor const x = dense(patches);
   Tensor const image = empty({x.size(0), x.size(2), size[0], size[1]}, x);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Combine<T> const params{static_cast<T const*>(x.const_data_ptr()), planes<T>(image, Layout::planar), grid};
     KV_RUN(combine_patches, x, params, params.image.rows(), 2 * params.image.width);

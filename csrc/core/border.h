@@ -1,12 +1,13 @@
-// What a stencil reads beyond the image: the index rule and its transpose.
+// Border rules of stencils: which pixel stands for a position out of bounds, and the transpose of that rule.
 //
 //   constant   0 0 | a b c d | 0 0
-//   reflect    c b | a b c d | c b     the rim is not repeated; needs fewer border pixels than the axis has
+//   reflect    c b | a b c d | c b     the edge pixel is not repeated; the border has fewer pixels than the axis
 //   replicate  a a | a b c d | d d
-//   circular   c d | a b c d | a b     needs no more border pixels than the axis has
+//   circular   c d | a b c d | a b     the border has at most as many pixels as the axis
 //
-// Forward passes ask border_index which pixel stands at a position. Backward passes gather: each pixel asks
-// for_each_position at which positions it stands, and sums the gradient of those. No atomics, the same bits every run.
+// Forward passes ask border_index for the pixel at a position. Backward passes gather: for_each_reader lists the
+// positions that read a pixel, and the pixel sums their gradients. There are no atomics, so every run gives the same
+// bits.
 #pragma once
 
 #include "hd.h"
@@ -15,8 +16,8 @@ namespace kv {
 
 enum class Border : int { constant = 0, reflect = 1, replicate = 2, circular = 3 };
 
-// The pixel at position i of an axis of n pixels, or -1 for the constant 0. One reflection or period each way is
-// enough: the operators refuse wider borders.
+// The pixel at position i of an axis of n pixels, or -1 for the constant 0. It reflects or repeats once on each side:
+// the operators refuse wider borders.
 template <class Int>
 KV_HD Int border_index(Border border, Int i, Int n) {
   if (i >= 0 && i < n) return i;
@@ -32,12 +33,12 @@ KV_HD Int border_index(Border border, Int i, Int n) {
     case Border::constant:
       return -1;
   }
-  return clamp(i, Int(0), n - 1);  // what remains outside is a caller's mistake; stay inside the memory
+  return clamp(i, Int(0), n - 1);  // memory safety, should a caller pass a wider border
 }
 
-// Calls f(i) for every position i in [-before, n + after) at which pixel j of n stands, itself first.
+// Calls f(i) for every position i in [-before, n + after) that reads pixel j of n, j itself first.
 template <class Int, class F>
-KV_HD void for_each_position(Border border, Int j, Int n, Int before, Int after, F f) {
+KV_HD void for_each_reader(Border border, Int j, Int n, Int before, Int after, F f) {
   f(j);
   switch (border) {
     case Border::reflect:

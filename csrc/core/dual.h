@@ -1,5 +1,5 @@
-// Dual numbers: a value and its derivatives along N directions. A formula templated on its value type, evaluated on
-// them, gives its own Jacobian, so per-pixel maths is written once and its gradient never. V is a number or Lanes.
+// Dual numbers: a value and its derivatives along N directions. A formula that is a template on its value type computes
+// its own Jacobian when it is evaluated on dual numbers. V is a number or Lanes.
 #pragma once
 
 #include "hd.h"
@@ -12,7 +12,7 @@ struct Dual {
   V d[N];
 };
 
-// The number that V is made of.
+// The scalar type of V.
 template <class V>
 struct scalar_of {
   using type = decltype(V{}[0] + 0);
@@ -35,7 +35,7 @@ constexpr bool kIsDual = false;
 template <class V, int N>
 constexpr bool kIsDual<Dual<V, N>> = true;
 
-// A number as V, whose derivatives are 0.
+// A constant: its derivatives are 0.
 template <class V>
 KV_HD V constant(Scalar<V> x) {
   V c{};
@@ -45,9 +45,9 @@ KV_HD V constant(Scalar<V> x) {
     c = c + x;
   return c;
 }
-// a less a number or lanes that do not depend on anything.
+// a - b for a constant b.
 template <class V, class U>
-KV_HD V minus(V a, U const& b) {
+KV_HD V subtract_constant(V a, U const& b) {
   if constexpr (kIsDual<V>)
     a.value = a.value - b;
   else
@@ -89,7 +89,7 @@ KV_DUAL Dual<V, N> operator/(Dual<V, N> const& a, Dual<V, N> const& b) {
   return c;
 }
 
-// With plain numbers.
+// With constants.
 #define KV_DUAL_WITH(F)                                                             \
   KV_DUAL Dual<V, N> operator+(Dual<V, N> a, F b) {                                 \
     a.value = a.value + b;                                                          \

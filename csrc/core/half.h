@@ -1,5 +1,5 @@
-// The 16-bit floats as stored: bits without arithmetic. Conversions for whole vectors are in lanes.h, for CUDA in
-// launch.cuh. Same layout as torch's Half and BFloat16, so tensor data is read in place.
+// Storage types of 16-bit floats. They have the layout of torch's Half and BFloat16, so that tensor data is read in
+// place. Conversions of SIMD vectors are in lanes.h, those of CUDA in launch.cuh.
 #pragma once
 
 #include "hd.h"
@@ -46,7 +46,7 @@ KV_HD Half to_half(float f) {
   uint16_t const sign = uint16_t((bits >> 16) & 0x8000);
   uint32_t const magnitude = bits & 0x7fffffff;
   if (magnitude > 0x7f800000) return {uint16_t(sign | 0x7e00)};   // NaN
-  if (magnitude >= 0x477ff000) return {uint16_t(sign | 0x7c00)};  // rounds beyond 65504
+  if (magnitude >= 0x477ff000) return {uint16_t(sign | 0x7c00)};  // rounds to more than 65504
   if (magnitude < 0x38800000) {                                   // subnormal: the unit in the last place is 2^-24
     uint32_t const shifted = float_to_bits(bits_to_float(magnitude) + 0.5f) - float_to_bits(0.5f);
     return {uint16_t(sign | shifted)};

@@ -1,10 +1,10 @@
-// Marks for code that is compiled for host and device alike. Included by every header of core/.
+// Host/device attributes, the compute type of a storage type, min, max, clamp, sqrt. Included by every header of core/.
 #pragma once
 
 #include <cstdint>
 
-// Forced inlining is not about speed: every CPU kernel file is compiled once per instruction set, and a helper that
-// survived as a symbol of its own could be taken from the wrong one. `tools/audit_symbols.py` checks it.
+// Inlining is forced for correctness: every CPU kernel file is compiled once per instruction set, and the linker could
+// take a helper that has a symbol from the wrong one. `tools/audit_symbols.py` checks that there is none.
 #if defined(__CUDACC__)
 #define KV_HD __host__ __device__ __forceinline__
 #else

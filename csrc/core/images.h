@@ -1,11 +1,11 @@
-// A batch of images for kernels that look at all channels of a pixel. Included by the headers of such operators.
+// A batch of images for kernels that process all channels of a pixel. Included by the headers of such operators.
 #pragma once
 
 #include "hd.h"
 
 namespace kv {
 
-// Images with any strides, in elements; planar and channels-last alike.
+// Images with any strides, in elements; planar or channels-last.
 template <class T>
 struct Images {
   T* data;

@@ -1,5 +1,4 @@
-// Three channels of pixels between memory, where they stand beside each other, and a vector each. Included by *_cpu.cpp
-// files.
+// Loads and stores of interleaved pixels with three channels, one SIMD vector a channel. Included by *_cpu.cpp files.
 //
 //   memory  r g b r g b ...      vectors  r r ... | g g ... | b b ...
 #pragma once
@@ -10,19 +9,19 @@
 
 namespace kv {
 
-// Element e of the three vectors in memory is lane i of channel k: two by two, as the processor picks from two vectors.
+// Lane i of channel k is element 3 i + k of the three vectors in memory. Processors shuffle two vectors at a time.
 template <int N, int k, class V, int... i>
-KV_HD V taken_apart(V const (&m)[3], std::integer_sequence<int, i...>) {
+KV_HD V deinterleave(V const (&m)[3], std::integer_sequence<int, i...>) {
   V const first = __builtin_shufflevector(m[0], m[1], (3 * i + k < 2 * N ? 3 * i + k : 0)...);
   return __builtin_shufflevector(first, m[2], (3 * i + k < 2 * N ? i : 3 * i + k - N)...);
 }
 template <int N, int j, class V, int... i>
-KV_HD V put_together(V const (&c)[3], std::integer_sequence<int, i...>) {
+KV_HD V interleave(V const (&c)[3], std::integer_sequence<int, i...>) {
   V const first = __builtin_shufflevector(c[0], c[1], ((j * N + i) / 3 + (j * N + i) % 3 % 2 * N)...);
   return __builtin_shufflevector(first, c[2], ((j * N + i) % 3 == 2 ? N + (j * N + i) / 3 : i)...);
 }
 
-// N pixels from p on.
+// N pixels, the first at p.
 template <int N, class T>
 KV_HD void load_interleaved(T const* p, Lanes<Compute<T>, N> (&c)[3]) {
   if constexpr (N == 1) {
@@ -30,9 +29,9 @@ KV_HD void load_interleaved(T const* p, Lanes<Compute<T>, N> (&c)[3]) {
   } else {
     constexpr std::make_integer_sequence<int, N> lanes;
     Lanes<Compute<T>, N> const m[] = {load<N>(p), load<N>(p + N), load<N>(p + 2 * N)};
-    c[0] = taken_apart<N, 0>(m, lanes);
-    c[1] = taken_apart<N, 1>(m, lanes);
-    c[2] = taken_apart<N, 2>(m, lanes);
+    c[0] = deinterleave<N, 0>(m, lanes);
+    c[1] = deinterleave<N, 1>(m, lanes);
+    c[2] = deinterleave<N, 2>(m, lanes);
   }
 }
 template <int N, class T>
@@ -41,9 +40,9 @@ KV_HD void store_interleaved(T* p, Lanes<Compute<T>, N> const (&c)[3]) {
     for (int k = 0; k < 3; ++k) store<1>(p + k, c[k]);
   } else {
     constexpr std::make_integer_sequence<int, N> lanes;
-    store<N>(p, put_together<N, 0>(c, lanes));
-    store<N>(p + N, put_together<N, 1>(c, lanes));
-    store<N>(p + 2 * N, put_together<N, 2>(c, lanes));
+    store<N>(p, interleave<N, 0>(c, lanes));
+    store<N>(p + N, interleave<N, 1>(c, lanes));
+    store<N>(p + 2 * N, interleave<N, 2>(c, lanes));
   }
 }
 

@@ -1,8 +1,8 @@
 // SIMD values. Included by *_cpu.cpp files, which are compiled once per instruction set.
 //
 // Lanes<F, N> is the compiler's vector of N numbers, and F itself for N = 1, so a formula templated on its value type
-// serves the interior of a row (N = kLanes) and its tail and rim (N = 1). Operators (+, *, <, ?:) are the language's
-// own.
+// serves the interior of a row (N = kLanes) and its tail and borders (N = 1). Operators (+, *, <, ?:) are those of the
+// language.
 #pragma once
 
 #if defined(__x86_64__)

@@ -1,4 +1,6 @@
-// What every CUDA kernel needs: 16-bit storage, vectors of four pixels, grid arithmetic. Included by *.cu files.
+// Shared by all CUDA kernels: conversion of storage types, vector accesses, warp reductions, grid arithmetic. Included
+// by
+// *.cu files.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -18,7 +20,7 @@ constexpr int64_t ceil_div(int64_t a, int64_t b) { return (a + b - 1) / b; }
 __device__ __forceinline__ float read(float x) { return x; }
 __device__ __forceinline__ double read(double x) { return x; }
 __device__ __forceinline__ float read(uint8_t x) { return float(x); }
-// The instructions themselves: CUDA's headers of 16-bit types would add a second to the compilation of every file.
+// Inline assembly because CUDA's headers of 16-bit types add a second to the compilation of every file.
 __device__ __forceinline__ float read(Half x) {
   float y;
   asm("cvt.f32.f16 %0, %1;" : "=f"(y) : "h"(x.bits));
@@ -53,9 +55,9 @@ __device__ __forceinline__ T round_to(Compute<T> x) {
     return round_to_bfloat16(x);
 }
 
-// --- a warp ----------------------------------------------------------------------------------------------------------
+// --- warp reductions -------------------------------------------------------------------------------------------------
 
-// The sum over its threads, to all of them.
+// The sum over the threads of a warp, returned to all of them.
 template <class F>
 __device__ __forceinline__ F warp_sum(F x) {
 #pragma unroll
@@ -63,7 +65,7 @@ __device__ __forceinline__ F warp_sum(F x) {
   return x;
 }
 
-// The smallest of its threads' numbers, to all of them.
+// The minimum over the threads of a warp, returned to all of them.
 __device__ __forceinline__ int warp_min(int x) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
   return __reduce_min_sync(0xffffffffu, x);
@@ -74,33 +76,33 @@ __device__ __forceinline__ int warp_min(int x) {
 #endif
 }
 
-// --- neighbouring elements -------------------------------------------------------------------------------------------
+// --- vectors ---------------------------------------------------------------------------------------------------------
 
-// P elements in as few accesses as the hardware has: 16 bytes each.
+// P adjacent elements, read or written in as few accesses as possible: 16 bytes each.
 template <class T, int P>
-struct alignas(P * sizeof(T) > 16 ? 16 : P * sizeof(T)) Pack {
+struct alignas(P * sizeof(T) > 16 ? 16 : P * sizeof(T)) Vector {
   T v[P];
 };
 
-// Rounds and stores P elements to an address that is a multiple of their size.
+// Rounds P elements and stores them. The address is a multiple of their size.
 template <class T, int P, class F>
-__device__ __forceinline__ void store_pack(T* to, F const (&v)[P]) {
-  Pack<T, P> pack;
+__device__ __forceinline__ void store_vector(T* to, F const (&v)[P]) {
+  Vector<T, P> vector;
 #pragma unroll
-  for (int i = 0; i < P; ++i) pack.v[i] = round_to<T>(v[i]);
-  if constexpr (sizeof(pack) == 16)  // streaming: nobody reads it soon, and it should not push inputs out of the L2
-    __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&pack));
+  for (int i = 0; i < P; ++i) vector.v[i] = round_to<T>(v[i]);
+  if constexpr (sizeof(vector) == 16)  // streaming: results are not read again soon and must not evict inputs from L2
+    __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&vector));
   else
-    *reinterpret_cast<Pack<T, P>*>(to) = pack;
+    *reinterpret_cast<Vector<T, P>*>(to) = vector;
 }
 
-// How many pixels a thread takes: 16 bytes of them where that is 4 or 8.
+// Pixels per thread: 16 bytes of types with 2 or 4 bytes.
 template <class T>
 constexpr int kPixels = sizeof(T) == 2 ? 8 : 4;
 
-// --- strips: a warp's row of 128 elements, each thread's four with R neighbours on either side -----------------------
+// --- fast math -------------------------------------------------------------------------------------------------------
 
-// Cheaper than the rounded functions by an order of magnitude, and right to about 1 in 2^22.
+// Approximate instructions, an order of magnitude cheaper than the rounded functions, with an error of about 2^-22.
 __device__ __forceinline__ float fast_sqrt(float x) {
   float y;
   asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
@@ -123,19 +125,21 @@ __device__ __forceinline__ double fast_exp2(double x) { return ::exp2(x); }
 __device__ __forceinline__ float fast_log2(float x) { return __log2f(x); }
 __device__ __forceinline__ double fast_log2(double x) { return ::log2(x); }
 
-// Reads rows of a planar image (step 1): the elements x - R ... x + P - 1 + R, x being P times the thread's place in
-// the row. Neighbours come from the neighbouring threads by shuffles; only a warp's ends and the image's rim read
-// memory again. What lies outside follows the border rule; constant is 0. R <= P.
+// --- strips ---
 //
-// Aligned: rows start at multiples of the pack's size and their width is a multiple of P (is_strip), so each thread is
-// inside or outside as a whole. The other form reads element by element.
+// A warp reads a row of 32 P elements of a planar image (step 1), each thread the elements x - R ... x + P - 1 + R. The
+// neighbors come from adjacent threads by shuffles; only the first and the last thread of a warp and those at the image
+// border read memory again. Elements out of bounds follow the border rule, where constant is 0. R <= P.
+//
+// Aligned: rows start at multiples of the vector's size and their width is a multiple of P (is_vectorizable), so a
+// thread is in bounds or out of bounds as a whole. The other form reads element by element.
 template <int R, bool Aligned, int P = 4>
 struct Strip {
-  static_assert(R >= 0 && R <= P, "a neighbour holds P elements");
+  static_assert(R >= 0 && R <= P, "an adjacent thread holds P elements");
   int x, width;
   Border border;
   bool inside, left_end, right_end;
-  int left[R > 0 ? R : 1], right[R > 0 ? R : 1];  // columns that an end reads itself, -1 for the constant
+  int left[R > 0 ? R : 1], right[R > 0 ? R : 1];  // columns that the end threads read, -1 for the constant
 
   __device__ __forceinline__ Strip(int x, int width, Border border)
       : x(x),
@@ -151,17 +155,17 @@ struct Strip {
     }
   }
 
-  // A row in two steps, so that the memory of the next row can be asked for before this one is worked on.
+  // Reading a row has two steps, so that loads of the next row are in flight while this one is processed.
   template <class T>
-  struct Fetched {
-    Pack<T, P> own;
+  struct FetchedRow {
+    Vector<T, P> own;
     T left[R > 0 ? R : 1], right[R > 0 ? R : 1];
   };
   template <class T>
-  __device__ __forceinline__ Fetched<T> fetch(T const* row) const {
-    Fetched<T> f{};
+  __device__ __forceinline__ FetchedRow<T> fetch(T const* row) const {
+    FetchedRow<T> f{};
     if constexpr (Aligned) {
-      if (inside) f.own = *reinterpret_cast<Pack<T, P> const*>(row + x);
+      if (inside) f.own = *reinterpret_cast<Vector<T, P> const*>(row + x);
 #pragma unroll
       for (int i = 0; i < R; ++i) {
         if (left_end && left[i] >= 0) f.left[i] = row[left[i]];
@@ -177,9 +181,9 @@ struct Strip {
     }
     return f;
   }
-  // All 32 threads must call it, those beyond the row included.
+  // Called by all 32 threads, also by those out of bounds.
   template <class T>
-  __device__ __forceinline__ void spread(Fetched<T> const& f, Compute<T> (&v)[P + 2 * R]) const {
+  __device__ __forceinline__ void spread(FetchedRow<T> const& f, Compute<T> (&v)[P + 2 * R]) const {
 #pragma unroll
     for (int i = 0; i < P; ++i) v[R + i] = read(f.own.v[i]);
 #pragma unroll
@@ -197,7 +201,7 @@ struct Strip {
   template <class T>
   __device__ __forceinline__ void store(T* row, Compute<T> const (&v)[P]) const {
     if constexpr (Aligned) {
-      if (inside) store_pack(row + x, v);
+      if (inside) store_vector(row + x, v);
     } else {
 #pragma unroll
       for (int i = 0; i < P; ++i)
@@ -206,17 +210,16 @@ struct Strip {
   }
 };
 
-// Whether images can be read and written by Strip<R, true, P>: the one question a launcher asks about each of its
-// tensors.
+// Whether Strip<R, true, P> can read and write these images: launchers check each of their tensors.
 template <int P, class T>
-inline bool is_strip(Planes<T> const& p) {
-  constexpr int64_t bytes = alignof(Pack<std::remove_const_t<T>, P>), size = sizeof(T);
+inline bool is_vectorizable(Planes<T> const& p) {
+  constexpr int64_t bytes = alignof(Vector<std::remove_const_t<T>, P>), size = sizeof(T);
   return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && p.outer_stride * size % bytes == 0 &&
          p.inner_stride * size % bytes == 0 && p.row_stride * size % bytes == 0 && p.width % P == 0 && p.step == 1;
 }
 
-// Calls f with std::true_type or std::false_type: whether the images are strips, for the compiler to know. Doubles have
-// one form of a kernel, the one that serves them all: each costs time to compile.
+// Calls f with std::true_type or std::false_type, so that alignment is known at compile time. float64 has the unaligned
+// form only, which serves all images: each form costs compile time.
 template <class T, class F>
 void with_alignment(bool aligned, F f) {
   if constexpr (sizeof(T) == 8)
@@ -225,13 +228,13 @@ void with_alignment(bool aligned, F f) {
     aligned ? f(std::true_type{}) : f(std::false_type{});
 }
 
-// Rows y of a plane from `first` on, one after the other; above and below the image stands its rim.
+// The rows of a plane from `first` on, in order. Rows out of bounds are the first or the last row.
 template <class T>
-struct RowsDown {
+struct RowCursor {
   T const* at;
   int64_t stride;
   int y, last;
-  __device__ __forceinline__ RowsDown(Planes<T const> const& p, int64_t plane, int first)
+  __device__ __forceinline__ RowCursor(Planes<T const> const& p, int64_t plane, int first)
       : at(p.row(plane, clamp(first, 0, int(p.height) - 1))), stride(p.row_stride), y(first), last(int(p.height) - 1) {}
   __device__ __forceinline__ T const* next() {
     T const* const row = at;
@@ -241,7 +244,7 @@ struct RowsDown {
   }
 };
 
-// Of the current device.
+// The number of multiprocessors of the current device.
 inline int multiprocessors() {
   int device = 0, count = 1;
   cudaGetDevice(&device);
@@ -249,8 +252,8 @@ inline int multiprocessors() {
   return count;
 }
 
-// Splits planes into strips of 32 P elements by `rows` rows, one a warp, x fastest: the warps of one block read
-// neighbouring memory.
+// Splits planes into strips of 32 P columns and `rows` rows, one for each warp, x fastest: the warps of a block read
+// adjacent memory.
 template <int P = 4>
 struct Strips {
   unsigned across, down, count, rows;
@@ -260,8 +263,8 @@ struct Strips {
         count(unsigned(planes * across * down)),
         rows(rows) {}
   unsigned blocks(unsigned warps = 8) const { return (count + warps - 1) / warps; }
-  // The plane of the warp's strip, the first of the thread's columns, the first row: false beyond the last strip.
-  __device__ __forceinline__ bool place(int64_t& plane, int& x, int& y) const {
+  // The plane of the warp's strip, the first column of the thread, the first row. False after the last strip.
+  __device__ __forceinline__ bool locate(int64_t& plane, int& x, int& y) const {
     unsigned const warp = blockIdx.x * (blockDim.x / 32) + threadIdx.x / 32;
     if (warp >= count) return false;
     unsigned const q = warp / across, p = q / down;

@@ -7,14 +7,14 @@
 
 namespace kv {
 
-// Starts at a cache line. Not by aligned_alloc: what glibc cuts off for it stays behind in small pieces, which keep the
-// image that was allocated before from joining the free memory again, so that the next call gets pages never touched.
+// Aligned to a cache line. aligned_alloc is not used: glibc leaves small free blocks behind it, which fragment the
+// heap, so that the next large result is placed in pages that fault again.
 template <class F>
 struct Scratch {
   void* memory;
   F* data;
   KV_HD explicit Scratch(int64_t count) : memory(malloc(count * sizeof(F) + 63)) {
-    if (!memory) abort();  // a row of the image is in memory already; this is a few more of them
+    if (!memory) abort();  // a few rows; an image that is in memory has many more
     data = reinterpret_cast<F*>((reinterpret_cast<uintptr_t>(memory) + 63) & ~uintptr_t(63));
   }
   KV_HD ~Scratch() { free(memory); }

@@ -1,12 +1,12 @@
-// Walking down the planes of an image on the CPU, for results that need what the rows above and below give.
+// Traverses the rows of planes on the CPU for stencils whose intermediate rows are computed once and kept.
 #pragma once
 
 #include "hd.h"
 
 namespace kv {
 
-// For rows [begin, end) of all planes in order, as `height` has them: row(plane, y, r) for each, before which
-// fill(plane, y) was called for it and its neighbours, in order and once each, also for those outside of the plane.
+// Calls row(plane, y, r) for rows [begin, end) of all planes in order. Before it, fill(plane, y) has been called for
+// the rows y - 1, y and y + 1, in order and once each; rows out of bounds are included.
 template <class Fill, class Row>
 KV_HD void stream_rows(int64_t begin, int64_t end, int64_t height, Fill const& fill, Row const& row) {
   for (int64_t r = begin; r < end; ++r) {

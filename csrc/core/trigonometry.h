@@ -1,6 +1,6 @@
-// Square roots, sines and cosines, arc tangents and rounding of double numbers, four Lanes of them (on the CPU), and
-// Duals of either: what formulas of rotations are made of. Numbers by themselves have the C library's or CUDA's, Lanes
-// have theirs here, within 2 units in the last place of 1.
+// Square root, sine and cosine, arc tangent and rounding of doubles, of four Lanes (on the CPU), and of Duals of
+// either: the functions in formulas of rotations. Scalars use the C library or CUDA, Lanes the code here with errors of
+// at most 2 ulp of 1.
 #pragma once
 
 #include "dual.h"
@@ -10,40 +10,40 @@
 
 namespace kv {
 
-KV_HD double root_of(double x) { return sqrt(x); }
+KV_HD double square_root(double x) { return sqrt(x); }
 
 #if defined(__CUDACC__)
 
 KV_HD void sin_cos(double x, double& sine, double& cosine) { ::sincos(x, &sine, &cosine); }
-KV_HD double arc_tangent(double y, double x) { return ::atan2(y, x); }
+KV_HD double arctan2(double y, double x) { return ::atan2(y, x); }
 KV_HD double rounded(double x) { return ::rint(x); }
 
 #else
 
-using Four = Lanes<double, 4>;
+using Double4 = Lanes<double, 4>;
 
-KV_HD Four root_of(Four x) { return vsqrt(x); }
+KV_HD Double4 square_root(Double4 x) { return vsqrt(x); }
 
 // Half to even.
-KV_HD Four rounded(Four x) {
-  Four const shift = (x < 0 ? -0x1p52 : 0x1p52) + Four{};
+KV_HD Double4 rounded(Double4 x) {
+  Double4 const shift = (x < 0 ? -0x1p52 : 0x1p52) + Double4{};
   return vabs(x) < 0x1p52 ? x + shift - shift : x;
 }
 
 // x = n pi / 2 + r, and series of sin r and cos r for |r| <= pi / 4. Pi / 2 is a sum of three numbers, of which the
 // first two have so few digits that their products with n are exact.
-KV_HD void sin_cos(Four x, Four& sine, Four& cosine) {
+KV_HD void sin_cos(Double4 x, Double4& sine, Double4& cosine) {
   constexpr double most = 1e6, shift = 0x1.8p52;
   constexpr double to_sine[] = {1 / 355687428096000.0, -1 / 1307674368000.0, 1 / 6227020800.0, -1 / 39916800.0,
                                 1 / 362880.0,          -1 / 5040.0,          1 / 120.0,        -1 / 6.0};
   constexpr double to_cosine[] = {1 / 20922789888000.0, -1 / 87178291200.0, 1 / 479001600.0, -1 / 3628800.0,
                                   1 / 40320.0,          -1 / 720.0,         1 / 24.0};
-  Four const shifted = x * 0.63661977236758134308 + shift, n = shifted - shift;
-  Four const r = ((x - n * 0x1.921fb544p0) - n * 0x42d18469p-64) - n * 0x898cc51701b839p-120;
-  Four const square = r * r, s = r + r * square * polynomial(square, to_sine);
-  Four const c = 1 - square * 0.5 + square * square * polynomial(square, to_cosine);
+  Double4 const shifted = x * 0.63661977236758134308 + shift, n = shifted - shift;
+  Double4 const r = ((x - n * 0x1.921fb544p0) - n * 0x42d18469p-64) - n * 0x898cc51701b839p-120;
+  Double4 const square = r * r, s = r + r * square * polynomial(square, to_sine);
+  Double4 const c = 1 - square * 0.5 + square * square * polynomial(square, to_cosine);
   auto const quarter = __builtin_bit_cast(Lanes<int64_t, 4>, shifted);
-  Four const up = (quarter & 1) != 0 ? c : s, across = (quarter & 1) != 0 ? s : c;
+  Double4 const up = (quarter & 1) != 0 ? c : s, across = (quarter & 1) != 0 ? s : c;
   sine = (quarter & 2) != 0 ? -up : up;
   cosine = ((quarter + 1) & 2) != 0 ? -across : across;
   for (int i = 0; i < 4; ++i)
@@ -55,30 +55,30 @@ KV_HD void sin_cos(Four x, Four& sine, Four& cosine) {
 
 // The angle of (x, y): that of multiples of pi / 8 nearby, and the series of what is left, whose tangent is at most
 // tan(pi / 16).
-KV_HD Four arc_tangent(Four y, Four x) {
+KV_HD Double4 arctan2(Double4 y, Double4 x) {
   constexpr double series[] = {-1 / 23.0, 1 / 21.0, -1 / 19.0, 1 / 17.0, -1 / 15.0, 1 / 13.0,
                                -1 / 11.0, 1 / 9.0,  -1 / 7.0,  1 / 5.0,  -1 / 3.0};
   constexpr double pi = 3.14159265358979323846, eighth = 0.41421356237309504880;  // tan(pi / 8)
-  Four const width = vabs(x), height = vabs(y), none = {};
+  Double4 const width = vabs(x), height = vabs(y), none = {};
   auto const steep = height > width;
-  Four const a = steep ? width : height, b = steep ? height : width;
+  Double4 const a = steep ? width : height, b = steep ? height : width;
   auto const far = a > 0.66817863791929891999 * b,
              near = a <= 0.19891236737965800691 * b;  // tan(3 pi / 16), tan(pi / 16)
-  Four const tangent = near ? none : far ? none + 1 : none + eighth;
-  Four const t = b == 0 ? none : (a - tangent * b) / (b + tangent * a), square = t * t;
-  Four angle = t + t * square * polynomial(square, series) + (near ? none : far ? none + pi / 4 : none + pi / 8);
+  Double4 const tangent = near ? none : far ? none + 1 : none + eighth;
+  Double4 const t = b == 0 ? none : (a - tangent * b) / (b + tangent * a), square = t * t;
+  Double4 angle = t + t * square * polynomial(square, series) + (near ? none : far ? none + pi / 4 : none + pi / 8);
   angle = steep ? pi / 2 - angle : angle;
   angle = x < 0 ? pi - angle : angle;
   using Bits = Lanes<uint64_t, 4>;
   Bits const sign = __builtin_bit_cast(Bits, y) & (uint64_t(1) << 63);
-  return __builtin_bit_cast(Four, Bits(__builtin_bit_cast(Bits, angle) | sign));
+  return __builtin_bit_cast(Double4, Bits(__builtin_bit_cast(Bits, angle) | sign));
 }
 
 #endif
 
 template <class V, int N>
-KV_HD Dual<V, N> root_of(Dual<V, N> a) {
-  a.value = root_of(a.value);
+KV_HD Dual<V, N> square_root(Dual<V, N> a) {
+  a.value = square_root(a.value);
   V const slope = 0.5 / a.value;
   for (int i = 0; i < N; ++i) a.d[i] = a.d[i] * slope;
   return a;
@@ -92,9 +92,9 @@ KV_HD void sin_cos(Dual<V, N> const& a, Dual<V, N>& sine, Dual<V, N>& cosine) {
   }
 }
 template <class V, int N>
-KV_HD Dual<V, N> arc_tangent(Dual<V, N> const& y, Dual<V, N> const& x) {
+KV_HD Dual<V, N> arctan2(Dual<V, N> const& y, Dual<V, N> const& x) {
   Dual<V, N> angle;
-  angle.value = arc_tangent(y.value, x.value);
+  angle.value = arctan2(y.value, x.value);
   V const square = x.value * x.value + y.value * y.value, to_y = x.value / square, to_x = -y.value / square;
   for (int i = 0; i < N; ++i) angle.d[i] = to_y * y.d[i] + to_x * x.d[i];
   return angle;

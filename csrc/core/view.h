@@ -1,8 +1,8 @@
-// Images as kernels see them: a batch of planes in rows. Included by every operator's header.
+// A batch of planes, the view of image tensors that kernels take. Included by every operator's header.
 //
-// Both memory layouts are one shape here. A contiguous (B, C, H, W) tensor is B*C planes whose rows hold W elements. A
-// channels-last tensor is B planes whose rows hold W*C elements, and the neighbour of an element in its own channel is
-// C = `step` elements away. A stencil written with `step` serves both.
+// One view serves both memory layouts. A contiguous (B, C, H, W) tensor is B*C planes whose rows hold W elements. A
+// channels-last tensor is B planes whose rows hold W*C elements, and the next element of the same channel is C = `step`
+// elements away. A stencil written with `step` serves both.
 #pragma once
 
 #include "hd.h"

@@ -7,9 +7,9 @@ namespace kv::cuda {
 namespace {
 
 // Goes over a rectangle of width x height pixels, P beside each other at once: load(x, y) reads them, and what at(x)
-// returns is called with (y, pack) for those of one column, which stays the thread's own.
+// returns is called with (y, vector) for those of one column, which stays the thread's own.
 template <int Threads, int P, class Load, class At>
-__device__ __forceinline__ void for_each_pack(int width, int height, Load load, At at) {
+__device__ __forceinline__ void for_each_vector(int width, int height, Load load, At at) {
   constexpr int kAtOnce = 4;
   for (int first = 0; first < width; first += Threads * P) {
     int const across = min((width - first) / P, Threads), rows = Threads / across;
@@ -18,20 +18,20 @@ __device__ __forceinline__ void for_each_pack(int width, int height, Load load, 
     if (y >= rows) continue;
     auto const f = at(x);
     for (; y < height; y += rows * kAtOnce) {
-      decltype(load(x, y)) packs[kAtOnce];
+      decltype(load(x, y)) vectors[kAtOnce];
 #pragma unroll
       for (int i = 0; i < kAtOnce; ++i)
-        if (y + i * rows < height) packs[i] = load(x, y + i * rows);
+        if (y + i * rows < height) vectors[i] = load(x, y + i * rows);
 #pragma unroll
       for (int i = 0; i < kAtOnce; ++i)
-        if (y + i * rows < height) f(y + i * rows, packs[i]);
+        if (y + i * rows < height) f(y + i * rows, vectors[i]);
     }
   }
 }
 
-// Whether pixels [begin, end) of a row are whole packs.
+// Whether pixels [begin, end) of a row are whole vectors.
 template <int P>
-__device__ __forceinline__ bool in_packs(bool aligned, int begin, int end) {
+__device__ __forceinline__ bool rows_are_aligned(bool aligned, int begin, int end) {
   return aligned && begin % P == 0 && end % P == 0;
 }
 
@@ -50,20 +50,20 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
   int const x0 = tx * p.across.size, y0 = ty * p.down.size, x1 = x0 + p.across.size, y1 = y0 + p.down.size;
   auto const add = [&](auto&& load) {
     constexpr int P = sizeof(load(0, 0).v) / sizeof(T);
-    for_each_pack<Threads, P>(p.across.size, p.down.size, load, [&](int) {
-      return [&](int, Pack<T, P> const& pack) {
+    for_each_vector<Threads, P>(p.across.size, p.down.size, load, [&](int) {
+      return [&](int, Vector<T, P> const& vector) {
 #pragma unroll
-        for (T const pixel : pack.v) counter.add(level_of(pixel));
+        for (T const pixel : vector.v) counter.add(level_of(pixel));
       };
     });
   };
-  if (x1 <= p.across.pixels && y1 <= p.down.pixels && in_packs<kPixels<T>>(aligned, x0, x1))
+  if (x1 <= p.across.pixels && y1 <= p.down.pixels && rows_are_aligned<kPixels<T>>(aligned, x0, x1))
     add([&](int x, int y) {
-      return *reinterpret_cast<Pack<T, kPixels<T>> const*>(image + (y0 + y) * p.x.row_stride + x0 + x);
+      return *reinterpret_cast<Vector<T, kPixels<T>> const*>(image + (y0 + y) * p.x.row_stride + x0 + x);
     });
   else
     add([&](int x, int y) {
-      return Pack<T, 1>{image[p.down.reflected(y0 + y) * p.x.row_stride + p.across.reflected(x0 + x) * p.x.step]};
+      return Vector<T, 1>{image[p.down.reflected(y0 + y) * p.x.row_stride + p.across.reflected(x0 + x) * p.x.step]};
     });
   __syncthreads();
 
@@ -86,13 +86,13 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
   int sum = sum_up_to<Threads>(own, total) - own;
   F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);
   uint8_t* const table = p.tables + int64_t(blockIdx.x) * kLevels;
-  Pack<uint8_t, kEach> levels;
+  Vector<uint8_t, kEach> levels;
 #pragma unroll
   for (int i = 0; i < kEach; ++i) {
     sum += count[i];
     levels.v[i] = uint8_t(rint(min(F(sum) * scale, F(255))));
   }
-  if (first < kLevels) *reinterpret_cast<Pack<uint8_t, kEach>*>(table + first) = levels;
+  if (first < kLevels) *reinterpret_cast<Vector<uint8_t, kEach>*>(table + first) = levels;
 }
 
 constexpr int kThreads = 64;  // what a block prepares for its cell is most of the work of more
@@ -146,30 +146,31 @@ __global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, 
   T* const to = p.y.plane(plane) + y0 * p.y.row_stride;
   auto const map = [&](auto&& load, auto&& store) {
     constexpr int P = sizeof(load(0, 0).v) / sizeof(T);
-    for_each_pack<kThreads, P>(x1 - x0, y1 - y0, load, [&](int x) {
+    for_each_vector<kThreads, P>(x1 - x0, y1 - y0, load, [&](int x) {
       F across[P];
 #pragma unroll
       for (int k = 0; k < P; ++k) across[k] = p.across.template weight<F>(x0 + x + k, cx);
-      return [=, &p, &store](int y, Pack<T, P> const& pack) {
+      return [=, &p, &store](int y, Vector<T, P> const& vector) {
         F const down = p.down.template weight<F>(y0 + y, cy);
         F v[P];
 #pragma unroll
         for (int k = 0; k < P; ++k) {
-          int const level = level_of(pack.v[k]);
+          int const level = level_of(vector.v[k]);
           uint32_t const four = cell[level & (kLevels - 1)];
           v[k] = mixed(byte_of<F>(four, 0), byte_of<F>(four, 1), byte_of<F>(four, 2), byte_of<F>(four, 3), across[k],
                        down);
-          v[k] = level < kLevels ? over_255(p.to_levels ? rint(v[k]) : v[k]) : read(pack.v[k]);
+          v[k] = level < kLevels ? over_255(p.to_levels ? rint(v[k]) : v[k]) : read(vector.v[k]);
         }
         store(x, y, v);
       };
     });
   };
-  if (in_packs<kPixels<T>>(aligned, x0, x1))
-    map([&](int x, int y) { return *reinterpret_cast<Pack<T, kPixels<T>> const*>(from + y * p.x.row_stride + x0 + x); },
-        [&](int x, int y, auto const& v) { store_pack(to + y * p.y.row_stride + x0 + x, v); });
+  if (rows_are_aligned<kPixels<T>>(aligned, x0, x1))
+    map([&](int x,
+            int y) { return *reinterpret_cast<Vector<T, kPixels<T>> const*>(from + y * p.x.row_stride + x0 + x); },
+        [&](int x, int y, auto const& v) { store_vector(to + y * p.y.row_stride + x0 + x, v); });
   else
-    map([&](int x, int y) { return Pack<T, 1>{from[y * p.x.row_stride + (x0 + x) * p.x.step]}; },
+    map([&](int x, int y) { return Vector<T, 1>{from[y * p.x.row_stride + (x0 + x) * p.x.step]}; },
         [&](int x, int y, auto const& v) { to[y * p.y.row_stride + (x0 + x) * p.y.step] = round_to<T>(v[0]); });
 }
 
@@ -179,7 +180,7 @@ template <class T>
 int clahe(Clahe<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), tile = int64_t(p.down.size) * p.across.size;
   unsigned const tiles = unsigned(planes * p.down.count * p.across.count);
-  bool const aligned = is_strip<kPixels<T>>(p.x) && is_strip<kPixels<T>>(p.y);
+  bool const aligned = is_vectorizable<kPixels<T>>(p.x) && is_vectorizable<kPixels<T>>(p.y);
   if (tile <= 2048)
     make_tables<T, 64><<<tiles, 64, 0, stream>>>(p, aligned);
   else

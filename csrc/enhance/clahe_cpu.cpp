@@ -90,13 +90,13 @@ KV_HD void make_cell(Clahe<T> const& p, int cy, int cx, uint8_t const* tables, u
                        *const b = table(p.down.before(cy), p.across.after(cx)),
                        *const c = table(p.down.after(cy), p.across.before(cx)),
                        *const d = table(p.down.after(cy), p.across.after(cx));
-  using Four = Lanes<uint32_t, 8>;
+  using Double4 = Lanes<uint32_t, 8>;
   auto const bytes = [](uint8_t const* p) {  // through 16 bits: GCC takes a wider step byte by byte
     auto const half = __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, 8> const*>(p), Lanes<uint16_t, 8>);
-    return __builtin_convertvector(half, Four);
+    return __builtin_convertvector(half, Double4);
   };
   for (int i = 0; i < kLevels; i += 8)
-    *reinterpret_cast<Four*>(cell + i) = bytes(a + i) | bytes(b + i) << 8 | bytes(c + i) << 16 | bytes(d + i) << 24;
+    *reinterpret_cast<Double4*>(cell + i) = bytes(a + i) | bytes(b + i) << 8 | bytes(c + i) << 16 | bytes(d + i) << 24;
   cell[kNanLevel] = 0;
 }
 

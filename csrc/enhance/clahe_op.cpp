@@ -27,14 +27,14 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
   int32_t const limit = clip_limit > 0 && most < INT32_MAX ? max(int32_t(most), 1) : INT32_MAX;
 
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty_like(x, layout);
+  Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
 #if defined(KV_CUDA)
   Tensor const memory = empty({x.size(0) * x.size(1), rows * columns * kLevels}, x, Layout::planar, ScalarType::Byte);
   auto* const tables = static_cast<uint8_t*>(memory.mutable_data_ptr());
 #else
   uint8_t* const tables = nullptr;
 #endif
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Clahe<T> const params{
         channel_planes<T const>(x, layout), channel_planes<T>(y, layout), down, across, limit, opencv, tables};

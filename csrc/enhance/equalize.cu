@@ -48,20 +48,21 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
 }
 
 // Maps the pixels [begin, end) of a plane; without a table they stay as they are.
-template <bool Packed, class T>
+template <bool Vectorized, class T>
 __device__ __forceinline__ void map_pixels(Equalize<T> const& p, int64_t plane, int begin, int end, bool has_table,
                                            Table<Compute<T>> table) {
   constexpr int P = kPixels<T>;
   T* const y = p.y.plane(plane);
-  for_each_pack<kThreads, Packed, P>(p.x.plane(plane), p.x.step, begin, end, [&](Pack<T, P> const& pack, int i) {
-    Compute<T> v[P];
+  for_each_vector<kThreads, Vectorized, P>(p.x.plane(plane), p.x.step, begin, end,
+                                           [&](Vector<T, P> const& vector, int i) {
+                                             Compute<T> v[P];
 #pragma unroll
-    for (int k = 0; k < P; ++k) {
-      int const level = level_of(pack.v[k]);
-      v[k] = has_table && level < kLevels ? table[level] : read(pack.v[k]);
-    }
-    store_pixels<Packed>(y, p.y.step, i, end, v);
-  });
+                                             for (int k = 0; k < P; ++k) {
+                                               int const level = level_of(vector.v[k]);
+                                               v[k] = has_table && level < kLevels ? table[level] : read(vector.v[k]);
+                                             }
+                                             store_pixels<Vectorized>(y, p.y.step, i, end, v);
+                                           });
 }
 
 template <class T>
@@ -70,22 +71,22 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   constexpr int P = kPixels<T>;
   extern __shared__ __align__(16) unsigned char memory[];
   Counter const counter{reinterpret_cast<int32_t*>(memory)};
-  unsigned char* const levels = memory + kCountBytes;  // one a pixel, in packs
+  unsigned char* const levels = memory + kCountBytes;  // one a pixel, in vectors
   int const n = int(p.x.width);
 
   counter.clear();
   __syncthreads();
   bool has_nan = false;
-  for_each_pack<kThreads, true, P>(p.x.plane(blockIdx.x), 1, 0, n, [&](Pack<T, P> const& pack, int i) {
-    Pack<unsigned char, P> bytes;
+  for_each_vector<kThreads, true, P>(p.x.plane(blockIdx.x), 1, 0, n, [&](Vector<T, P> const& vector, int i) {
+    Vector<unsigned char, P> bytes;
 #pragma unroll
     for (int k = 0; k < P; ++k) {
-      int const level = level_of(pack.v[k]);
+      int const level = level_of(vector.v[k]);
       counter.add(level);
       has_nan = has_nan || level == kNanLevel;
       bytes.v[k] = static_cast<unsigned char>(level);
     }
-    *reinterpret_cast<Pack<unsigned char, P>*>(levels + i) = bytes;
+    *reinterpret_cast<Vector<unsigned char, P>*>(levels + i) = bytes;
   });
   has_nan = __syncthreads_or(has_nan);
   int const count = threadIdx.x < kLevels ? counter[threadIdx.x] : 0;
@@ -100,16 +101,16 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   if (has_nan || !changes) return map_pixels<true>(p, blockIdx.x, 0, n, changes, table);
   T* const y = p.y.plane(blockIdx.x);
   for (int i = int(threadIdx.x) * P; i < n; i += kThreads * P) {
-    Pack<unsigned char, P> const bytes = *reinterpret_cast<Pack<unsigned char, P> const*>(levels + i);
+    Vector<unsigned char, P> const bytes = *reinterpret_cast<Vector<unsigned char, P> const*>(levels + i);
     F v[P];
 #pragma unroll
     for (int k = 0; k < P; ++k) v[k] = table[bytes.v[k]];
-    store_pack(y + i, v);
+    store_vector(y + i, v);
   }
 }
 
 // Pieces of planes, `each` pixels a block.
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned pieces, int each) {
   constexpr int P = kPixels<T>;
   __shared__ int32_t counts[Counter::kSize];
@@ -119,16 +120,17 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T>
   int const end = int(min(begin + each, p.x.width));
   counter.clear();
   __syncthreads();
-  for_each_pack<kThreads, Packed, P>(p.x.plane(plane), p.x.step, int(begin), end, [&](Pack<T, P> const& pack, int i) {
+  for_each_vector<kThreads, Vectorized, P>(p.x.plane(plane), p.x.step, int(begin), end,
+                                           [&](Vector<T, P> const& vector, int i) {
 #pragma unroll
-    for (int k = 0; k < P; ++k)
-      if (Packed || i + k < end) counter.add(level_of(pack.v[k]));
-  });
+                                             for (int k = 0; k < P; ++k)
+                                               if (Vectorized || i + k < end) counter.add(level_of(vector.v[k]));
+                                           });
   __syncthreads();
   if (threadIdx.x < kLevels) atomicAdd(p.counts + int64_t(plane) * kLevels + threadIdx.x, counter[threadIdx.x]);
 }
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p, unsigned pieces, int each) {
   using F = Compute<T>;
   __shared__ __align__(16) unsigned char memory[kCountBytes];
@@ -141,12 +143,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p
     bool const has_nan = counted < p.x.width;
     p.changed[plane] = round_to<T>(F(int(!changes ? Change::none : has_nan ? Change::but_nan : Change::all)));
   }
-  map_pixels<Packed>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
-                     Table<F>{reinterpret_cast<F*>(memory)});
+  map_pixels<Vectorized>(p, plane, int(begin), int(min(begin + each, p.x.width)), changes,
+                         Table<F>{reinterpret_cast<F*>(memory)});
 }
 
 // The gradient is read where it counts: nowhere, in most planes.
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) pull_back(EqualizeBackward<T> p, unsigned pieces, int each) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
@@ -159,33 +161,33 @@ __global__ void __launch_bounds__(kThreads) pull_back(EqualizeBackward<T> p, uns
   if (change == Change::all) {
     F const none[P]{};
     for (int i = int(begin) + int(threadIdx.x) * P; i < end; i += kThreads * P)
-      store_pixels<Packed>(grad_x, p.grad_x.step, i, end, none);
+      store_pixels<Vectorized>(grad_x, p.grad_x.step, i, end, none);
     return;
   }
   bool const stays = change == Change::none;
   Planes<T const> const& first = stays ? p.grad : p.output;
-  auto const pull = [&](Pack<T, P> const& pack, int i) {
+  auto const pull = [&](Vector<T, P> const& vector, int i) {
     F v[P];
 #pragma unroll
     for (int k = 0; k < P; ++k) {
-      F const x = read(pack.v[k]);
+      F const x = read(vector.v[k]);
       v[k] = stays ? x : F(0);
       if (!stays && x != x) v[k] = read(grad[(i + k) * p.grad.step]);
     }
-    store_pixels<Packed>(grad_x, p.grad_x.step, i, end, v);
+    store_pixels<Vectorized>(grad_x, p.grad_x.step, i, end, v);
   };
-  for_each_pack<kThreads, Packed, P>(first.plane(plane), first.step, int(begin), end, pull);
+  for_each_vector<kThreads, Vectorized, P>(first.plane(plane), first.step, int(begin), end, pull);
 }
 
-template <bool Packed, class T>
+template <bool Vectorized, class T>
 int equalize_in_pieces(Equalize<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), pixels = p.x.width;
   // Small enough that all multiprocessors have several, large enough that tables are a small part of the work.
   int64_t const each = clamp((planes * pixels) >> 10, int64_t(8) << 10, int64_t(64) << 10) / 4096 * 4096;
   unsigned const pieces = unsigned(ceil_div(pixels, each)), blocks = unsigned(planes) * pieces;
   if (int const error = cudaMemsetAsync(p.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;
-  count_levels<T, Packed><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
-  map_levels<T, Packed><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+  count_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+  map_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
   return cudaGetLastError();
 }
 
@@ -194,7 +196,7 @@ int equalize_in_pieces(Equalize<T> const& p, CUstream_st* stream) {
 template <class T>
 int equalize(Equalize<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  if (!is_strip<P>(p.x) || !is_strip<P>(p.y)) return equalize_in_pieces<false>(p, stream);
+  if (!is_vectorizable<P>(p.x) || !is_vectorizable<P>(p.y)) return equalize_in_pieces<false>(p, stream);
   int64_t const planes = p.x.count(), pixels = p.x.width;
   if (!fits_one_block(planes, pixels)) return equalize_in_pieces<true>(p, stream);
   int const bytes = kCountBytes + int(pixels);
@@ -209,7 +211,7 @@ int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   int64_t const planes = p.grad.count(), each = kThreads * P * 8;
   unsigned const pieces = unsigned(ceil_div(p.grad.width, each)), blocks = unsigned(planes) * pieces;
-  if (is_strip<P>(p.grad) && is_strip<P>(p.output) && is_strip<P>(p.grad_x))
+  if (is_vectorizable<P>(p.grad) && is_vectorizable<P>(p.output) && is_vectorizable<P>(p.grad_x))
     pull_back<T, true><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
   else
     pull_back<T, false><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));

@@ -15,7 +15,7 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
 #else
   int32_t* const counts = nullptr;
 #endif
-  for_floats("equalize", x, [&](auto type) {
+  dispatch_floating("equalize", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Equalize<T> const params{flat_planes<T const>(x, layout), flat_planes<T>(y, layout),
                              static_cast<T*>(changed.mutable_data_ptr()), opencv, counts};
@@ -34,8 +34,8 @@ Tensor equalize_backward(Tensor const& grad, Tensor const& output, std::optional
            op, ": expected what equalize found of each plane, of the type of grad");
   Layout const layout = layout_of(output);
   Tensor const y = dense_planes(output, layout), grad_x = empty_like(y, layout);
-  Tensor const g = dense_planes(conform(grad, layout), layout), found = changed ? dense(*changed) : y;
-  for_floats(op, grad, [&](auto type) {
+  Tensor const g = dense_planes(as_layout(grad, layout), layout), found = changed ? dense(*changed) : y;
+  dispatch_floating(op, grad, [&](auto type) {
     using T = typename decltype(type)::type;
     EqualizeBackward<T> const params{flat_planes<T const>(g, layout), flat_planes<T const>(y, layout),
                                      flat_planes<T>(grad_x, layout),

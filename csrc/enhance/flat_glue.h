@@ -9,7 +9,7 @@ namespace kv {
 inline Tensor dense_planes(Tensor const& x, Layout layout) {
   bool const last = layout == Layout::channels_last;
   if (last ? x.stride(2) == x.size(3) * x.size(1) : x.stride(3) == 1 && x.stride(2) == x.size(3)) return x;
-  return last ? conform(dense(x), layout) : dense(x);
+  return last ? as_layout(dense(x), layout) : dense(x);
 }
 
 // The planes of an image tensor, each channel by itself in both layouts.

@@ -18,7 +18,7 @@ template <class T>
 GridCounts<T> params_of(char const* op, Tensor const& x, double low, double width, int64_t bins,
                         std::string const& kernel) {
   int64_t const samples = x.size(1);
-  return {data_of<T>(x),
+  return {data_ptr<T>(x),
           x.size(0),
           samples,
           bins,
@@ -45,12 +45,12 @@ Tensor grid_counts(Tensor const& input, double low, double width, int64_t bins, 
   for_row_type(x, [&](auto type) {
     using T = typename decltype(type)::type;
     GridCounts<T> params = params_of<T>(op, x, low, width, bins, kernel);
-    params.counts = params.partial = data_of<T>(counts);
+    params.counts = params.partial = data_ptr<T>(counts);
 #if defined(KV_CUDA)
     Tensor memory;
     if (params.pieces > 1) {
       memory = empty({params.rows, params.pieces, bins}, x);
-      params.partial = data_of<T>(memory);
+      params.partial = data_ptr<T>(memory);
     }
 #endif
     KV_RUN(grid_counts, x, params, params.rows, 4 * params.samples);
@@ -67,8 +67,8 @@ Tensor grid_counts_backward(Tensor const& grad, Tensor const& input, double low,
   Tensor const x = dense(input), g = dense(grad), grad_x = empty({x.size(0), x.size(1)}, x);
   for_row_type(x, [&](auto type) {
     using T = typename decltype(type)::type;
-    GridCountsBackward<T> const params{params_of<T>(op, x, low, width, bins, kernel), data_of<T>(g),
-                                       data_of<T>(grad_x)};
+    GridCountsBackward<T> const params{params_of<T>(op, x, low, width, bins, kernel), data_ptr<T>(g),
+                                       data_ptr<T>(grad_x)};
     KV_RUN(grid_counts_backward, x, params, x.size(1) > 0 ? x.size(0) : 0, 4 * x.size(1));
   });
   return grad_x;

@@ -93,7 +93,7 @@ KV_HD MomentGrid grid_of(GaussianCounts<float> const& p, float const* centers, f
   return MomentGrid(lowest, highest, h, useful ? kMostCells : 0);
 }
 
-// Four numbers for every cell, for the one behind the last, and for a vector that reaches beyond it; zero at first.
+// Double4 numbers for every cell, for the one behind the last, and for a vector that reaches beyond it; zero at first.
 struct CellMemory {
   int64_t size;
   Scratch<float> memory;

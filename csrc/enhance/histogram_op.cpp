@@ -31,11 +31,11 @@ struct Samples {
   template <class T>
   GaussianCounts<T> params() const {
     int64_t const piece = min(max(rows * samples / 128, int64_t(8192)), int64_t(kMostSamples));
-    return {data_of<T>(x),
+    return {data_ptr<T>(x),
             rows,
             samples,
-            data_of<T>(centers),
-            data_of<T>(bandwidth),
+            data_ptr<T>(centers),
+            data_ptr<T>(bandwidth),
             bins,
             centers.size(0) > 1 ? bins : 0,
             bandwidth.size(0) > 1 ? 1 : 0,
@@ -52,12 +52,12 @@ Tensor gaussian_counts(Tensor const& x, Tensor const& centers, Tensor const& ban
   for_row_type(s.x, [&](auto type) {
     using T = typename decltype(type)::type;
     GaussianCounts<T> params = s.params<T>();
-    params.counts = params.partial = data_of<T>(counts);
+    params.counts = params.partial = data_ptr<T>(counts);
 #if defined(KV_CUDA)
     Tensor memory;
     if (params.pieces > 1) {
       memory = empty({s.rows, params.pieces, s.bins}, s.x);
-      params.partial = data_of<T>(memory);
+      params.partial = data_ptr<T>(memory);
     }
 #endif
     KV_RUN(gaussian_counts, s.x, params, s.bins > 0 ? s.rows : 0, 8 * s.samples + 256 * s.bins);
@@ -73,7 +73,7 @@ Tensor gaussian_counts_backward(Tensor const& grad, Tensor const& x, Tensor cons
   Tensor const g = dense(grad), grad_x = empty({s.rows, s.samples}, s.x);
   for_row_type(s.x, [&](auto type) {
     using T = typename decltype(type)::type;
-    GaussianCountsBackward<T> const params{s.params<T>(), data_of<T>(g), data_of<T>(grad_x)};
+    GaussianCountsBackward<T> const params{s.params<T>(), data_ptr<T>(g), data_ptr<T>(grad_x)};
     KV_RUN(gaussian_counts_backward, s.x, params, s.samples > 0 ? s.rows : 0, 8 * s.samples + 256 * s.bins);
   });
   return grad_x;

@@ -79,12 +79,12 @@ __device__ __forceinline__ void halve(Chroma<F> const& chroma, Tile<F>& planes, 
 
 // A warp's four blocks.
 template <class F>
-struct Four {
+struct Double4 {
   F* data;
   int pitch, plane, y, x;  // in the image's plane
   int const lane = int(threadIdx.x) % 32;
 
-  __device__ __forceinline__ Four(Tile<F>& planes, Place const& at) {
+  __device__ __forceinline__ Double4(Tile<F>& planes, Place const& at) {
     int const warp = int(threadIdx.x) / 32;
     plane = warp < 4 ? 0 : warp - 3;
     if (plane == 0) {
@@ -126,7 +126,7 @@ struct Four {
     if (column >= levels.width_of(plane)) return;
     F* const to = levels.row(image, plane, y + lane % 8) + column;
 #pragma unroll
-    for (int i = 0; i < 8; i += 4) *reinterpret_cast<Pack<F, 4>*>(to + i) = {v[i], v[i + 1], v[i + 2], v[i + 3]};
+    for (int i = 0; i < 8; i += 4) *reinterpret_cast<Vector<F, 4>*>(to + i) = {v[i], v[i + 1], v[i + 2], v[i + 3]};
   }
 };
 
@@ -149,7 +149,7 @@ __global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlo
   __syncthreads();
   halve(chroma, planes, [](F a, F b, F c, F d) { return jpeg_halved<F>(a, b, c, d); });
   __syncthreads();
-  Four<F> const four(planes, at);
+  Double4<F> const four(planes, at);
   four.transform_rows();
   __syncwarp();
   F v[8];
@@ -199,7 +199,7 @@ __global__ void __launch_bounds__(kThreads) run_pull_blocks(__grid_constant__ Jp
   halve(chroma, grads, [](F a, F b, F c, F d) { return pull_jpeg_doubled<F>(a, b, c, d); });
   __syncthreads();
 
-  Four<F> const four(planes, at), of_four(grads, at);
+  Double4<F> const four(planes, at), of_four(grads, at);
   four.transform_rows();
   of_four.transform_rows();
   __syncwarp();
@@ -232,7 +232,7 @@ __global__ void __launch_bounds__(kThreads) run_pull_blocks(__grid_constant__ Jp
 
 constexpr int kTaken = 4, kRows = 8;
 
-// Four pixels of a row of chroma, of which the half has the rows and columns near and beside; beyond the half is its
+// Double4 pixels of a row of chroma, of which the half has the rows and columns near and beside; beyond the half is its
 // border, or nothing.
 template <class F>
 __device__ __forceinline__ void spread(JpegLevels<F> const& levels, int64_t image, int plane, JpegPair<F> const& rows,
@@ -241,7 +241,7 @@ __device__ __forceinline__ void spread(JpegLevels<F> const& levels, int64_t imag
   F const *const near = levels.row(image, plane, rows.near) + first, *const beside =
                                                                          levels.row(image, plane, rows.beside) + first;
   auto const mix = [&](F a, F b) { return a * rows.of_near + b * rows.of_beside; };
-  auto const a = *reinterpret_cast<Pack<F, 2> const*>(near), b = *reinterpret_cast<Pack<F, 2> const*>(beside);
+  auto const a = *reinterpret_cast<Vector<F, 2> const*>(near), b = *reinterpret_cast<Vector<F, 2> const*>(beside);
   F half[4] = {0, mix(a.v[0], b.v[0]), mix(a.v[1], b.v[1]), 0};
   if (first > 0)
     half[0] = mix(near[-1], beside[-1]);
@@ -256,11 +256,11 @@ __device__ __forceinline__ void spread(JpegLevels<F> const& levels, int64_t imag
 }
 
 template <class T>
-__device__ __forceinline__ void store_taken(Images<T> const& to, int64_t image, int c, int y, int x, bool packed,
+__device__ __forceinline__ void store_taken(Images<T> const& to, int64_t image, int c, int y, int x, bool vectorized,
                                             Compute<T> const (&v)[kTaken]) {
   T* const row = to.row(image, c, y);
-  if (packed) {
-    store_pack(row + x, v);
+  if (vectorized) {
+    store_vector(row + x, v);
   } else {
 #pragma unroll
     for (int i = 0; i < kTaken; ++i)
@@ -268,7 +268,7 @@ __device__ __forceinline__ void store_taken(Images<T> const& to, int64_t image, 
   }
 }
 template <class T>
-bool is_packed(Images<T> const& x) {
+bool is_vectorizable(Images<T> const& x) {
   return x.step == 1 && (x.width | x.row_stride | x.channel_stride | x.batch_stride) % kTaken == 0 &&
          reinterpret_cast<uintptr_t>(x.data) % (kTaken * sizeof(T)) == 0;
 }
@@ -279,7 +279,7 @@ dim3 blocks_of(Images<T> const& x) {
 }
 
 template <class T>
-__global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegPixels<T> const p, bool packed) {
+__global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegPixels<T> const p, bool vectorized) {
   using F = Compute<T>;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
   if (x >= p.y.width || y >= p.y.height) return;
@@ -288,7 +288,7 @@ __global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegP
     F chroma[2][kTaken], rgb[3][kTaken];
 #pragma unroll
     for (int c = 0; c < 2; ++c) spread(p.levels, image, 1 + c, rows, x, rows.of_near, rows.of_beside, true, chroma[c]);
-    auto const luma = *reinterpret_cast<Pack<F, kTaken> const*>(p.levels.row(image, 0, y) + x);
+    auto const luma = *reinterpret_cast<Vector<F, kTaken> const*>(p.levels.row(image, 0, y) + x);
 #pragma unroll
     for (int i = 0; i < kTaken; ++i) {
       auto const found = jpeg_rgb<F>(luma.v[i], chroma[0][i], chroma[1][i]);
@@ -296,13 +296,13 @@ __global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegP
       for (int c = 0; c < 3; ++c) rgb[c][i] = jpeg_clip<F>(found.v[c]);
     }
 #pragma unroll
-    for (int c = 0; c < 3; ++c) store_taken(p.y, image, c, y, x, packed, rgb[c]);
+    for (int c = 0; c < 3; ++c) store_taken(p.y, image, c, y, x, vectorized, rgb[c]);
   }
 }
 
 template <class T>
 __global__ void __launch_bounds__(32 * kRows)
-    run_pull_pixels(__grid_constant__ JpegPullPixels<T> const p, bool packed) {
+    run_pull_pixels(__grid_constant__ JpegPullPixels<T> const p, bool vectorized) {
   using F = Compute<T>;
   JpegLevels<F> const& levels = p.grad_levels;
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
@@ -317,7 +317,7 @@ __global__ void __launch_bounds__(32 * kRows)
       auto const rows = pull_jpeg_halved<F>(row, int(levels.height));
       for (int column = x; column < across; column += kTaken) {
         F v[3][kTaken];
-        auto const luma = *reinterpret_cast<Pack<F, kTaken> const*>(levels.row(image, 0, row) + column);
+        auto const luma = *reinterpret_cast<Vector<F, kTaken> const*>(levels.row(image, 0, row) + column);
 #pragma unroll
         for (int c = 0; c < 2; ++c) {
           spread(levels, image, 1 + c, rows, column, F(kJpegInner), F(kJpegOuter), false, v[1 + c]);
@@ -349,7 +349,7 @@ __global__ void __launch_bounds__(32 * kRows)
       for (int c = 0; c < 3; ++c) rgb[c][i] = found.v[c];
     }
 #pragma unroll
-    for (int c = 0; c < 3; ++c) store_taken(p.grad_x, image, c, y, x, packed, rgb[c]);
+    for (int c = 0; c < 3; ++c) store_taken(p.grad_x, image, c, y, x, vectorized, rgb[c]);
   }
 }
 
@@ -390,7 +390,7 @@ int jpeg_blocks(JpegBlocks<T> const& p, CUstream_st* stream) {
 }
 template <class T>
 int jpeg_pixels(JpegPixels<T> const& p, CUstream_st* stream) {
-  run_pixels<<<blocks_of(p.y), dim3(32, kRows), 0, stream>>>(p, is_packed(p.y));
+  run_pixels<<<blocks_of(p.y), dim3(32, kRows), 0, stream>>>(p, is_vectorizable(p.y));
   return cudaGetLastError();
 }
 template <class T>
@@ -400,7 +400,7 @@ int jpeg_pull_blocks(JpegPullBlocks<T> const& p, CUstream_st* stream) {
 }
 template <class T>
 int jpeg_pull_pixels(JpegPullPixels<T> const& p, CUstream_st* stream) {
-  run_pull_pixels<<<blocks_of(p.grad_x), dim3(32, kRows), 0, stream>>>(p, is_packed(p.grad_x));
+  run_pull_pixels<<<blocks_of(p.grad_x), dim3(32, kRows), 0, stream>>>(p, is_vectorizable(p.grad_x));
   return cudaGetLastError();
 }
 template <class F>

@@ -12,7 +12,7 @@ Tensor jpeg_numbers(char const* op, char const* name, Tensor const& x, Tensor co
   bool const sizes = t.dim() == (table ? 3 : 1) && (t.size(0) == 1 || t.size(0) == x.size(0)) &&
                      (!table || (t.size(1) == 8 && t.size(2) == 8));
   KV_CHECK(sizes, op, ": expected ", name, " of shape ", table ? "(B, 8, 8)" : "(B,)", ", or B of 1");
-  KV_CHECK(t.scalar_type() == computed_type(x) && t.device() == x.device(), op, ": expected ", name,
+  KV_CHECK(t.scalar_type() == compute_dtype(x) && t.device() == x.device(), op, ": expected ", name,
            " of the type that is computed in, on the device of input");
   return dense(t);
 }
@@ -30,7 +30,7 @@ struct JpegNumbers {
   }
   template <class F>
   JpegTables<F> tables() const {
-    auto const data = [](Maybe const& t) { return t ? data_of<F const>(*t) : nullptr; };
+    auto const data = [](Maybe const& t) { return t ? data_ptr<F const>(*t) : nullptr; };
     auto const stride = [](Maybe const& t, int64_t n) { return t && t->size(0) > 1 ? n : 0; };
     return {data(quality),    data(luma),         data(chroma), stride(quality, 1),
             stride(luma, 64), stride(chroma, 64), F(number)};
@@ -46,11 +46,11 @@ void check_jpeg(char const* op, Tensor const& x) {
 int64_t padded(int64_t n) { return (n + kJpegSide - 1) / kJpegSide * kJpegSide; }
 
 Tensor jpeg_memory(Tensor const& x) {
-  return empty({x.size(0), padded(x.size(2)) * padded(x.size(3)) / 2 * 3}, x, Layout::planar, computed_type(x));
+  return empty({x.size(0), padded(x.size(2)) * padded(x.size(3)) / 2 * 3}, x, Layout::planar, compute_dtype(x));
 }
 template <class F>
 JpegLevels<F> levels_of(Tensor const& memory, Tensor const& x) {
-  return {data_of<F>(memory), padded(x.size(2)), padded(x.size(3))};
+  return {data_ptr<F>(memory), padded(x.size(2)), padded(x.size(3))};
 }
 
 Tensor jpeg(Tensor const& input, Maybe const& quality, Maybe const& table_y, Maybe const& table_c, double number) {
@@ -58,8 +58,8 @@ Tensor jpeg(Tensor const& input, Maybe const& quality, Maybe const& table_y, May
   check_jpeg(op, input);
   JpegNumbers const numbers(op, input, quality, table_y, table_c, number);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty_like(x, layout), memory = jpeg_memory(x);
-  for_floats(op, x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty_like(x, layout), memory = jpeg_memory(x);
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const levels = levels_of<F>(memory, x);
@@ -82,8 +82,8 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
   check_like(op, "grad", grad, input);
   JpegNumbers const numbers(op, input, quality, table_y, table_c, number);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), g = conform(grad, layout), memory = jpeg_memory(x);
-  ScalarType const computes = computed_type(x);
+  Tensor const x = as_layout(input, layout), g = as_layout(grad, layout), memory = jpeg_memory(x);
+  ScalarType const computes = compute_dtype(x);
   int64_t const b = x.size(0), of = of_steps ? 1 : 0;
   Tensor const grad_x = of_image ? empty_like(x, layout) : empty({b, 0}, x);
   auto const make = [&](torch::headeronly::IntHeaderOnlyArrayRef sizes) {
@@ -91,7 +91,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
   };
   Tensor const grad_quality = make({b, of}), grad_y = make({b, 8 * of, 8}), grad_c = make({b, 8 * of, 8});
   Tensor const grad_memory = of_image ? jpeg_memory(x) : make({0});
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const levels = levels_of<F>(memory, x), grad_levels = levels_of<F>(grad_memory, x);
@@ -105,7 +105,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
     Tensor const slopes = make({of * b * pieces, 128});
     JpegBlocks<T> const blocks{images<T const>(x, b), levels, numbers.tables<F>()};
     KV_RUN(jpeg_blocks, x, blocks, units, cost);
-    JpegPullBlocks<T> const pull{blocks, images<T const>(g, b), grad_levels, of_steps ? data_of<F>(slopes) : nullptr,
+    JpegPullBlocks<T> const pull{blocks, images<T const>(g, b), grad_levels, of_steps ? data_ptr<F>(slopes) : nullptr,
                                  pieces};
     KV_RUN(jpeg_pull_blocks, x, pull, units, 2 * cost);
     if (of_image) {
@@ -113,8 +113,8 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
       KV_RUN(jpeg_pull_pixels, x, pixels, b * x.size(2), 4 * levels.width);
     }
     if (of_steps) {
-      JpegPullSteps<F> const steps{blocks.tables,      data_of<F>(slopes), b, pieces, data_of<F>(grad_quality),
-                                   data_of<F>(grad_y), data_of<F>(grad_c)};
+      JpegPullSteps<F> const steps{blocks.tables,       data_ptr<F>(slopes), b, pieces, data_ptr<F>(grad_quality),
+                                   data_ptr<F>(grad_y), data_ptr<F>(grad_c)};
       KV_RUN(jpeg_pull_steps, x, steps, b, 128 * pieces);
     }
   });

@@ -1,4 +1,4 @@
-// Levels on CUDA: pixels by packs, and histograms in shared memory. Included by *.cu files.
+// Levels on CUDA: pixels by vectors, and histograms in shared memory. Included by *.cu files.
 #pragma once
 
 #include "core/launch.cuh"
@@ -16,24 +16,24 @@ __device__ __forceinline__ int level_of(T stored) {
   return x < 255 ? int(x) : 255;
 }
 
-// P pixels of a flat plane from the i-th on, those from `end` on 0. Packed: they are aligned, and none is missing.
-template <bool Packed, int P, class T>
-__device__ __forceinline__ Pack<T, P> load_pixels(T const* x, int64_t step, int i, int end) {
-  Pack<T, P> pack{};
-  if constexpr (Packed) {
-    pack = *reinterpret_cast<Pack<T, P> const*>(x + i);
+// P pixels of a flat plane from the i-th on, those from `end` on 0. Vectorized: they are aligned, and none is missing.
+template <bool Vectorized, int P, class T>
+__device__ __forceinline__ Vector<T, P> load_pixels(T const* x, int64_t step, int i, int end) {
+  Vector<T, P> vector{};
+  if constexpr (Vectorized) {
+    vector = *reinterpret_cast<Vector<T, P> const*>(x + i);
   } else {
 #pragma unroll
     for (int k = 0; k < P; ++k)
-      if (i + k < end) pack.v[k] = x[(i + k) * step];
+      if (i + k < end) vector.v[k] = x[(i + k) * step];
   }
-  return pack;
+  return vector;
 }
 
-template <bool Packed, int P, class T>
+template <bool Vectorized, int P, class T>
 __device__ __forceinline__ void store_pixels(T* y, int64_t step, int i, int end, Compute<T> const (&v)[P]) {
-  if constexpr (Packed) {
-    store_pack(y + i, v);
+  if constexpr (Vectorized) {
+    store_vector(y + i, v);
   } else {
 #pragma unroll
     for (int k = 0; k < P; ++k)
@@ -41,21 +41,21 @@ __device__ __forceinline__ void store_pixels(T* y, int64_t step, int i, int end,
   }
 }
 
-// Calls f(pack, i) for the pixels [begin, end) of a plane, a pack a thread and several of them asked for at once.
-template <int Threads, bool Packed, int P, class T, class F>
-__device__ __forceinline__ void for_each_pack(T const* x, int64_t step, int begin, int end, F f) {
-  constexpr int kAtOnce = Packed ? 4 : 1;
+// Calls f(vector, i) for the pixels [begin, end) of a plane, a vector a thread and several of them asked for at once.
+template <int Threads, bool Vectorized, int P, class T, class F>
+__device__ __forceinline__ void for_each_vector(T const* x, int64_t step, int begin, int end, F f) {
+  constexpr int kAtOnce = Vectorized ? 4 : 1;
   for (int64_t first = begin + int(threadIdx.x) * P; first < end; first += Threads * P * kAtOnce) {
-    Pack<T, P> packs[kAtOnce];
+    Vector<T, P> vectors[kAtOnce];
 #pragma unroll
     for (int k = 0; k < kAtOnce; ++k) {
       int64_t const i = first + k * Threads * P;
-      if (i < end) packs[k] = load_pixels<Packed, P>(x, step, int(i), end);
+      if (i < end) vectors[k] = load_pixels<Vectorized, P>(x, step, int(i), end);
     }
 #pragma unroll
     for (int k = 0; k < kAtOnce; ++k) {
       int64_t const i = first + k * Threads * P;
-      if (i < end) f(packs[k], int(i));
+      if (i < end) f(vectors[k], int(i));
     }
   }
 }

@@ -81,23 +81,24 @@ struct Place {
         end(int(min(piece * size + size, pixels))) {}
 };
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
   Place const at(blockIdx.x, p.piece, p.pieces, p.x.width);
   Range<F> range = Range<F>::none();
-  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
-                                     [&](Pack<T, P> const& pack, int i) {
+  for_each_vector<kThreads, Vectorized, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
+                                           [&](Vector<T, P> const& vector, int i) {
 #pragma unroll
-                                       for (int k = 0; k < P; ++k)
-                                         if (Packed || i + k < at.end) range.add({read(pack.v[k]), read(pack.v[k])});
-                                     });
+                                             for (int k = 0; k < P; ++k)
+                                               if (Vectorized || i + k < at.end)
+                                                 range.add({read(vector.v[k]), read(vector.v[k])});
+                                           });
   range = of_block<Range<F>, F>(range);
   if (threadIdx.x == 0) reinterpret_cast<Range<F>*>(p.partial)[blockIdx.x] = range;
 }
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
@@ -109,16 +110,17 @@ __global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
     p.range[2 * at.plane + 1] = round_to<T>(range.largest);
   }
   T* const y = p.y.plane(at.plane);
-  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
-                                     [&](Pack<T, P> const& pack, int i) {
-                                       F v[P];
+  for_each_vector<kThreads, Vectorized, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
+                                           [&](Vector<T, P> const& vector, int i) {
+                                             F v[P];
 #pragma unroll
-                                       for (int k = 0; k < P; ++k) v[k] = (read(pack.v[k]) - smallest) * factor + low;
-                                       store_pixels<Packed>(y, p.y.step, i, at.end, v);
-                                     });
+                                             for (int k = 0; k < P; ++k)
+                                               v[k] = (read(vector.v[k]) - smallest) * factor + low;
+                                             store_pixels<Vectorized>(y, p.y.step, i, at.end, v);
+                                           });
 }
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
@@ -126,16 +128,15 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   T const* const grad = p.grad.plane(at.plane);
   Sums<F> sums{};
-  for_each_pack<kThreads, Packed, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
-                                     [&](Pack<T, P> const& pack, int i) {
-                                       Pack<T, P> const grads = load_pixels<Packed, P>(grad, p.grad.step, i, at.end);
+  for_each_vector<kThreads, Vectorized, P>(
+      p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](Vector<T, P> const& vector, int i) {
+        Vector<T, P> const grads = load_pixels<Vectorized, P>(grad, p.grad.step, i, at.end);
 #pragma unroll
-                                       for (int k = 0; k < P; ++k) {
-                                         F const g = read(grads.v[k]), x = read(pack.v[k]);
-                                         if (Packed || i + k < at.end)
-                                           sums.add({{g, g * (x - smallest), F(x == smallest), F(x == largest)}});
-                                       }
-                                     });
+        for (int k = 0; k < P; ++k) {
+          F const g = read(grads.v[k]), x = read(vector.v[k]);
+          if (Vectorized || i + k < at.end) sums.add({{g, g * (x - smallest), F(x == smallest), F(x == largest)}});
+        }
+      });
   sums = of_block<Sums<F>, F>(sums);
   if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
 }
@@ -144,7 +145,7 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
 __device__ __forceinline__ float product(float a, float b) { return __fmul_rn(a, b); }
 __device__ __forceinline__ double product(double a, double b) { return __dmul_rn(a, b); }
 
-template <class T, bool Packed>
+template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
@@ -154,17 +155,17 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
                             p.scale, p.eps);
   T const* const grad = p.grad.plane(at.plane);
   T* const grad_x = p.grad_x.plane(at.plane);
-  for_each_pack<kThreads, Packed, P>(
-      p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](Pack<T, P> const& pack, int i) {
-        Pack<T, P> const grads = load_pixels<Packed, P>(grad, p.grad.step, i, at.end);
+  for_each_vector<kThreads, Vectorized, P>(
+      p.x.plane(at.plane), p.x.step, at.begin, at.end, [&](Vector<T, P> const& vector, int i) {
+        Vector<T, P> const grads = load_pixels<Vectorized, P>(grad, p.grad.step, i, at.end);
         F v[P];
 #pragma unroll
         for (int k = 0; k < P; ++k) {
-          F const x = read(pack.v[k]);
+          F const x = read(vector.v[k]);
           v[k] = product(read(grads.v[k]), to.factor) + (x == smallest ? to.to_smallest : F(0)) +
                  (x == largest ? to.to_largest : F(0));
         }
-        store_pixels<Packed>(grad_x, p.grad_x.step, i, at.end, v);
+        store_pixels<Vectorized>(grad_x, p.grad_x.step, i, at.end, v);
       });
 }
 
@@ -174,7 +175,7 @@ template <class T>
 int min_max(MinMax<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.pieces);
-  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
     find_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
     map_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
   });
@@ -185,10 +186,11 @@ template <class T>
 int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   unsigned const blocks = unsigned(p.x.count() * p.pieces);
-  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.grad) && is_strip<P>(p.grad_x), [&](auto aligned) {
-    find_sums<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
-    map_gradient<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
-  });
+  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.grad) && is_vectorizable<P>(p.grad_x),
+                    [&](auto aligned) {
+                      find_sums<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
+                      map_gradient<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
+                    });
   return cudaGetLastError();
 }
 

@@ -29,7 +29,7 @@ std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, do
   check_flat("normalize_min_max", input);
   Layout const layout = layout_of(input);
   Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), range = empty({x.size(0), x.size(1), 2}, x);
-  for_floats("normalize_min_max", x, [&](auto type) {
+  dispatch_floating("normalize_min_max", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Pieces const pieces(x.size(0) * x.size(1), x.size(2) * x.size(3));
@@ -57,9 +57,9 @@ Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tenso
                range.scalar_type() == input.scalar_type() && range.device() == input.device(),
            op, ": expected range to be that of input's planes");
   Layout const layout = layout_of(input);
-  Tensor const x = dense_planes(input, layout), g = dense_planes(conform(grad, layout), layout),
+  Tensor const x = dense_planes(input, layout), g = dense_planes(as_layout(grad, layout), layout),
                grad_x = empty_like(x, layout), r = dense(range);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Pieces const pieces(x.size(0) * x.size(1), x.size(2) * x.size(3));

@@ -10,8 +10,8 @@ using Maybe = std::optional<Tensor>;
 // `x` itself, or a dense copy.
 Tensor whole(Tensor const& x, Layout layout) {
   if (layout == Layout::planar) return dense(x);
-  Tensor const y = conform(x, layout);
-  return y.size(0) == 1 || y.stride(0) == y.size(2) * y.stride(2) ? y : conform(dense(y), layout);
+  Tensor const y = as_layout(x, layout);
+  return y.size(0) == 1 || y.stride(0) == y.size(2) * y.stride(2) ? y : as_layout(dense(y), layout);
 }
 
 Tensor mix(Tensor const& input, Tensor const& other, Maybe const& alpha, Maybe const& beta, Maybe const& gamma,
@@ -39,7 +39,7 @@ Tensor mix(Tensor const& input, Tensor const& other, Maybe const& alpha, Maybe c
     by_channel = by_channel || w.size(1) > 1;
   }
   int64_t const images = x.size(0), channels = x.size(1), pixels = x.size(2) * x.size(3), of_image = channels * pixels;
-  for_floats("mix", x, [&](auto type) {
+  dispatch_floating("mix", x, [&](auto type) {
     using T = typename decltype(type)::type;
     // Everything is one row, or an image is, or a channel.
     auto const rows = [&]<class U>(Type<U>, Tensor const& t) -> Planes<U> {

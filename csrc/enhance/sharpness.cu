@@ -19,10 +19,10 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<1, Aligned, P> const strip(x, width, Border::replicate);
-  RowsDown<T> rows(p.x, plane, y0 - 1);
+  RowCursor<T> rows(p.x, plane, y0 - 1);
   T* out = p.y.row(plane, y0);
   F const factor = p.factor.of(plane);
 
@@ -75,7 +75,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<1, Aligned> const strip(x, width, Border::replicate);
   Strip<0, Aligned> const strip_g(x, width, Border::replicate);
@@ -85,7 +85,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
   F const factor = p.factor.of(plane);
 
   int const first = max(y0 - 1, 0);
-  RowsDown<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
+  RowCursor<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
   // Sums of three along the rows of x and its pixels in this row and the next one; number 4 is the pixel more.
   F above[5], beside[5], below[5]{}, own[5], next[5]{}, g[4], g_more{}, slope = 0;
   auto const down_x = [&] {
@@ -284,7 +284,7 @@ int sharpness(Sharpness<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kForwardRows);
   if (p.x.step == 1)
-    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+    with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
       run_strip<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
     });
   else
@@ -294,9 +294,10 @@ int sharpness(Sharpness<T> const& p, CUstream_st* stream) {
 template <class T>
 int sharpness_backward(SharpnessBackward<T> const& p, CUstream_st* stream) {
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, kStripRows);
-  bool const packs = is_strip<4>(p.x) && is_strip<4>(p.grad) && (!p.grad_x.data || is_strip<4>(p.grad_x));
+  bool const vectors =
+      is_vectorizable<4>(p.x) && is_vectorizable<4>(p.grad) && (!p.grad_x.data || is_vectorizable<4>(p.grad_x));
   if (p.x.step == 1)
-    with_alignment<T>(packs, [&](auto aligned) {
+    with_alignment<T>(vectors, [&](auto aligned) {
       run_backward_strip<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
     });
   else

@@ -24,8 +24,8 @@ Factor<F> factor_of(char const* op, Tensor const& x, Maybe const& factor, double
 Tensor sharpness(Tensor const& input, Maybe const& factor, double number) {
   check_flat("sharpness", input);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty_like(x, layout);
-  for_floats("sharpness", x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
+  dispatch_floating("sharpness", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Sharpness<T> const p{channel_planes<T const>(x, layout), channel_planes<T>(y, layout),
                          factor_of<Compute<T>>("sharpness", x, factor, number)};
@@ -41,12 +41,12 @@ std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& 
   check_flat(op, input);
   check_like(op, "grad", grad, input);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), g = conform(grad, layout);
+  Tensor const x = as_layout(input, layout), g = as_layout(grad, layout);
   int64_t const b = x.size(0), c = x.size(1);
   ScalarType const computes = x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
   Tensor const grad_x = of_image ? empty_like(x, layout) : empty({b, 0}, x);
   Tensor const of_planes = empty({b, of_factor ? c : 0, 1}, x, Layout::planar, computes);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const of_x = channel_planes<T const>(x, layout);

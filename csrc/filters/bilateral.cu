@@ -12,7 +12,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_tile(Bilateral<T> p, Ti
   int const ry = R > 0 ? R : p.ky / 2, rx = R > 0 ? R : p.kx / 2;
   int64_t b;
   int y0, x0;
-  tiles.place(b, y0, x0);
+  tiles.locate(b, y0, x0);
   SharedPlanes const s{memory, y0 - ry, x0 - rx, rows_of(kRun) + 2 * ry, kColumns + 2 * rx};
   Falloff<float> const falloff = p.sigma.at(b);
   float const scale = sqrtf(falloff.color);

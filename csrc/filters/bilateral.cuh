@@ -32,7 +32,7 @@ struct Tiles {
       : across(unsigned(ceil_div(width, kColumns))),
         down(unsigned(ceil_div(height, rows_of(Run)))),
         count(unsigned(batch * across * down)) {}
-  __device__ __forceinline__ void place(int64_t& b, int& y, int& x) const {
+  __device__ __forceinline__ void locate(int64_t& b, int& y, int& x) const {
     unsigned const q = blockIdx.x / across, image = q / down;
     x = int(blockIdx.x - q * across) * kColumns;
     y = int(q - image * down) * rows_of(Run);

@@ -4,7 +4,7 @@
 namespace kv::cuda {
 namespace {
 
-// Calls f(i) for every position i at which pixel j of n stands, itself first, as for_each_position does; but there is
+// Calls f(i) for every position i at which pixel j of n stands, itself first, as for_each_reader does; but there is
 // one place where f is called, so it may be long. In circles the image goes on instead, gradients and all.
 template <class Body>
 __device__ __forceinline__ void for_each_place(Border border, int j, int n, int reach, Body body) {
@@ -72,7 +72,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
   int const height = int(p.x.height), width = int(p.x.width);
   int64_t b;
   int y0, x0;
-  tiles.place(b, y0, x0);
+  tiles.locate(b, y0, x0);
   SharedPlanes const s{memory, y0 - 2 * ry, x0 - 2 * rx, rows_of(kRun) + 4 * ry, kColumns + 4 * rx};
   SharedPlanes const ab{memory + C * s.size(), y0 - ry, x0 - rx, rows_of(kRun) + 2 * ry, kColumns + 2 * rx};
   Falloff<float> const falloff = p.sigma.at(b);

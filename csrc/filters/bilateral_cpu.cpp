@@ -433,7 +433,7 @@ void bilateral_blur_backward(BilateralBackward<T> const& p, int64_t begin, int64
       F* const out = from.row(y, c);
       auto const collect_columns = [&](int64_t x) {
         F sum = 0;
-        for_each_position(fold, x, width, rx, rx, [&](int64_t at) { sum += out[at]; });
+        for_each_reader(fold, x, width, rx, rx, [&](int64_t at) { sum += out[at]; });
         out[x] = sum;
       };
       int64_t const left = min(rx + 1, width);
@@ -458,7 +458,7 @@ void bilateral_blur_backward(BilateralBackward<T> const& p, int64_t begin, int64
     for (; next_ab <= y + ry; ++next_ab) forward(b, next_ab);
     grad_x.zero(y);
     grad_guide.zero(y);
-    for_each_position(fold, y, height, ry, ry, [&](int64_t at) { collect(y, at); });
+    for_each_reader(fold, y, height, ry, ry, [&](int64_t at) { collect(y, at); });
     if (p.wants_x) finish(grad_x, p.grad_x, b, y);
     if (p.wants_guide) finish(grad_guide, p.grad_guide, b, y);
   }

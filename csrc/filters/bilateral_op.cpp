@@ -23,14 +23,14 @@ struct Arguments {
         l1(distance == "l1"),
         ky(int(ky)),
         kx(int(kx)),
-        border(border_of(op, border)) {
+        border(parse_border(op, border)) {
     KV_CHECK(l1 || distance == "l2", op, ": distance must be one of l1, l2; got '", distance, "'");
     check_window(op, ky, kx);
     KV_CHECK(ky % 2 == 1 && kx % 2 == 1, op, ": expected odd kernel sizes, got ", ky, ", ", kx);
     check_border(op, this->border, ky / 2, x.size(2));
     check_border(op, this->border, kx / 2, x.size(3));
     auto const fits = [&](Tensor const& t, int64_t dims) {
-      return t.dim() == dims && t.scalar_type() == computed_type(x) && t.device() == x.device() &&
+      return t.dim() == dims && t.scalar_type() == compute_dtype(x) && t.device() == x.device() &&
              (t.size(0) == 1 || t.size(0) == x.size(0));
     };
     KV_CHECK(!joint || (fits(guide, 4) && guide.size(2) == x.size(2) && guide.size(3) == x.size(3)), op,
@@ -65,7 +65,7 @@ Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& guidance
   Arguments const a("bilateral_blur", input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
   Tensor const y = empty_like(a.x, layout_of(a.x));
   int64_t const batch = a.x.size(0);
-  for_floats_and_bytes("bilateral_blur", a.x, [&](auto type) {
+  dispatch_floating_and_uint8("bilateral_blur", a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Bilateral<T> const params{images<T const>(a.x, batch),
@@ -98,7 +98,7 @@ std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor co
   Layout const layout = layout_of(grad);
   Tensor const grad_x = empty({batch, wants_x ? a.x.size(1) : 0, h, w}, grad, layout);
   Tensor const grad_guide = empty({batch, wants_guide ? a.guide.size(1) : 0, h, w}, grad, layout);
-  for_floats(op, a.x, [&](auto type) {
+  dispatch_floating(op, a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     BilateralBackward<T> const params{images<T const>(grad, batch),
@@ -130,7 +130,7 @@ Tensor bilateral_blur_sigma_sums(Tensor const& grad, Tensor const& input, std::o
   Arguments const a(op, input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
   int64_t const batch = a.x.size(0), h = a.x.size(2);
   Tensor const sums = empty({batch, 3, h}, grad);
-  for_floats(op, a.x, [&](auto type) {
+  dispatch_floating(op, a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     BilateralSigmas<T> const params{images<T const>(grad, batch),

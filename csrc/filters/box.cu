@@ -33,9 +33,9 @@ struct Tiles {
 // end of the first (`tail`), the whole blocks between them, and the beginning of the last (`head`).
 template <class T>
 __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
-    box_tile(Box<T> p, BoxAxis across, BoxAxis down, Tiles tiles, bool packed) {
+    box_tile(Box<T> p, BoxAxis across, BoxAxis down, Tiles tiles, bool vectorized) {
   using F = Compute<T>;
-  constexpr int kPack = 16 / sizeof(T);
+  constexpr int kVectorSize = 16 / sizeof(T);
   extern __shared__ __align__(16) unsigned char memory[];
   F* const rows = reinterpret_cast<F*>(memory);       // [batch][row][element]
   F* const tails = rows + kBatches * kRows * kPitch;  // [block][row][column]
@@ -56,11 +56,12 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   int const kx = int(across.count()), ky = int(down.count());
   int const top = first_y - int(down.before), bottom = last_y + int(down.after);
 
-  // Positions of a row: what windows read from `left` to `right`, of which packs are read from pack_left to pack_right.
+  // Positions of a row: what windows read from `left` to `right`, of which vectors are read from vector_left to
+  // vector_right.
   int const left = first_x - int(across.before), right = last_x + int(across.after);
-  int const origin = left & -kPack;
-  int const pack_left = packed ? max(left + kPack - 1, 0) & -kPack : right;
-  int const pack_right = packed ? max(min(right, width) & -kPack, pack_left) : right;
+  int const origin = left & -kVectorSize;
+  int const vector_left = vectorized ? max(left + kVectorSize - 1, 0) & -kVectorSize : right;
+  int const vector_right = vectorized ? max(min(right, width) & -kVectorSize, vector_left) : right;
   auto const row_of = [&](int batch) { return rows + (batch % kBatches * kRows + warp) * kPitch; };
   auto const stage = [&](int batch) {
     int const y = top + batch * kRows + warp, at = y < bottom ? border_index(down.border, y, height) : -1;
@@ -78,10 +79,10 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     if (at < 0) {
       for (int x = left + lane; x < right; x += 32) to[x] = T{};
     } else {
-      for (int x = pack_left + lane * kPack; x < pack_right; x += 32 * kPack)
+      for (int x = vector_left + lane * kVectorSize; x < vector_right; x += 32 * kVectorSize)
         __pipeline_memcpy_async(to + x, from + x, 16);
-      for (int x = left + lane; x < pack_left; x += 32) element(x);
-      for (int x = pack_right + lane; x < right; x += 32) element(x);
+      for (int x = left + lane; x < vector_left; x += 32) element(x);
+      for (int x = vector_right + lane; x < right; x += 32) element(x);
     }
     __pipeline_commit();
   };
@@ -278,7 +279,7 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   if (int const error = cudaFuncSetAttribute(box_tile<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   box_tile<<<unsigned(planes * tiles.across * tiles.down), 256, unsigned(bytes), stream>>>(
-      p, across, down, tiles, is_strip<16 / sizeof(T)>(p.x));
+      p, across, down, tiles, is_vectorizable<16 / sizeof(T)>(p.x));
   return cudaGetLastError();
 }
 

@@ -16,11 +16,11 @@ void check(char const* op, Tensor const& x, int64_t ky, int64_t kx, Border borde
 // (window sum + centre * input) / divisor.
 Tensor box_forward(char const* op, Tensor const& input, int64_t ky, int64_t kx, std::string const& border,
                    double centre, double divisor) {
-  Border const rule = border_of(op, border);
+  Border const rule = parse_border(op, border);
   check(op, input, ky, kx, rule);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty_like(x, layout);
-  for_floats_and_bytes(op, x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
+  dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Box<T> const params{planes<T const>(x, layout), planes<T>(y, layout), ky, kx, rule, F(centre), F(divisor)};
@@ -32,11 +32,11 @@ Tensor box_forward(char const* op, Tensor const& input, int64_t ky, int64_t kx, 
 // The transpose of box_forward.
 Tensor box_transposed(char const* op, Tensor const& grad, int64_t ky, int64_t kx, std::string const& border,
                       double centre, double divisor) {
-  Border const rule = border_of(op, border);
+  Border const rule = parse_border(op, border);
   check(op, grad, ky, kx, rule);
   Layout const layout = layout_of(grad);
-  Tensor const g = conform(grad, layout), grad_x = empty_like(g, layout);
-  for_floats(op, g, [&](auto type) {
+  Tensor const g = as_layout(grad, layout), grad_x = empty_like(g, layout);
+  dispatch_floating(op, g, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Box<T> const params{planes<T const>(g, layout), planes<T>(grad_x, layout), ky, kx, rule, F(centre), F(divisor)};

@@ -14,10 +14,10 @@ __global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<2, Aligned> const strip(x, width, Border::replicate);
-  RowsDown<T> rows(p.x, plane, y0 - 2);
+  RowCursor<T> rows(p.x, plane, y0 - 2);
   T *magnitudes = p.magnitude.row(plane, y0), *edges = p.edges.row(plane, y0);
 
   F a[8], b[8], c[8];                      // rows of x
@@ -192,9 +192,9 @@ __global__ void __launch_bounds__(256) keep_strong(CannyHysteresis<T> p, unsigne
 template <class T>
 int canny_suppress(CannySuppress<T> const& p, CUstream_st* stream) {
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-  with_alignment<T>(is_strip<4>(p.x) && is_strip<4>(p.magnitude) && is_strip<4>(p.edges), [&](auto aligned) {
-    suppress_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-  });
+  with_alignment<T>(
+      is_vectorizable<4>(p.x) && is_vectorizable<4>(p.magnitude) && is_vectorizable<4>(p.edges),
+      [&](auto aligned) { suppress_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips); });
   return cudaGetLastError();
 }
 

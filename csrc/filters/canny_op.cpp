@@ -8,8 +8,8 @@ namespace {
 std::tuple<Tensor, Tensor> canny_suppress(Tensor const& input, double low, double high, double eps) {
   check_images("canny_suppress", "input", input);
   Layout const layout = Layout::planar;
-  Tensor const x = conform(input, layout), magnitude = empty_like(x, layout), edges = empty_like(x, layout);
-  for_floats("canny_suppress", x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), magnitude = empty_like(x, layout), edges = empty_like(x, layout);
+  dispatch_floating("canny_suppress", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     CannySuppress<T> const params{
@@ -23,14 +23,14 @@ Tensor canny_hysteresis(Tensor const& edges) {
   check_images("canny_hysteresis", "edges", edges);
   KV_CHECK(edges.size(2) * edges.size(3) <= INT32_MAX, "canny_hysteresis: expected at most 2^31 pixels a plane");
   Layout const layout = Layout::planar;
-  Tensor const e = conform(edges, layout), kept = empty_like(e, layout);
+  Tensor const e = as_layout(edges, layout), kept = empty_like(e, layout);
 #if defined(KV_CUDA)
   Tensor const labels = empty(e.sizes(), e, Layout::planar, ScalarType::Int);
   auto* const memory = static_cast<int32_t*>(labels.mutable_data_ptr());
 #else
   int32_t* const memory = nullptr;
 #endif
-  for_floats("canny_hysteresis", e, [&](auto type) {
+  dispatch_floating("canny_hysteresis", e, [&](auto type) {
     using T = typename decltype(type)::type;
     CannyHysteresis<T> const params{planes<T const>(e, layout), planes<T>(kept, layout), memory};
     KV_RUN(canny_hysteresis, e, params, params.edges.count(), params.edges.height * params.edges.width);

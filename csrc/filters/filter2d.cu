@@ -11,11 +11,11 @@ bool filter2d_strips(Filter2d<T> const& p, CUstream_st* stream);
 
 namespace {
 
-// for_each_position with f in the code once: nested over axes, its copies would take minutes to compile.
+// for_each_reader with f in the code once: nested over axes, its copies would take minutes to compile.
 template <class F>
 __device__ __forceinline__ void visit_positions(Border fold, KernelAxis axis, int pixel, int size, F f) {
   auto const for_each = [&](auto g) {
-    for_each_position(fold, pixel, size, axis.size - 1 - axis.before, axis.before, g);
+    for_each_reader(fold, pixel, size, axis.size - 1 - axis.before, axis.before, g);
   };
   int count = 0;
   for_each([&](int) { ++count; });

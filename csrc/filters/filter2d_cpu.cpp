@@ -186,13 +186,12 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
                   false);
       fresh = false;
     };
-    for_each_position(p.fold, z, int64_t(p.depth), int64_t(tz.size - 1 - tz.before), int64_t(tz.before),
-                      [&](int64_t at) {
-                        for (int kz = 0; kz < tz.size; ++kz) {
-                          int64_t const from = border_index(p.border, at + kz - tz.before, int64_t(p.depth));
-                          if (from >= 0) filter_plane(plane - z + from, kz);
-                        }
-                      });
+    for_each_reader(p.fold, z, int64_t(p.depth), int64_t(tz.size - 1 - tz.before), int64_t(tz.before), [&](int64_t at) {
+      for (int kz = 0; kz < tz.size; ++kz) {
+        int64_t const from = border_index(p.border, at + kz - tz.before, int64_t(p.depth));
+        if (from >= 0) filter_plane(plane - z + from, kz);
+      }
+    });
   };
 
   // Results go to the image itself where its numbers are those computed with and whole vectors of them are there.

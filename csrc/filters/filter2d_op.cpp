@@ -12,7 +12,7 @@ struct Window {
   KernelAxis z{1, 0}, y{1, 0}, x{1, 0};
 
   Window(char const* op, Tensor const& kernel, std::vector<int64_t> const& sizes, std::string const& border, bool same)
-      : border(border_of(op, border)) {
+      : border(parse_border(op, border)) {
     if (!same) this->border = Border::constant;  // 'valid' reads none and folds none
     size_t const axes = sizes.size() - 2;
     KV_CHECK(kernel.dim() == int64_t(axes) + 1, op, ": expected kernel of ", axes + 1, " axes, got ", kernel.dim());
@@ -36,7 +36,7 @@ struct Window {
 KernelAxis flipped(KernelAxis taps) { return {taps.size, taps.size - 1 - taps.before}; }
 
 void check_weights(char const* op, Tensor const& kernel, Tensor const& x) {
-  KV_CHECK(kernel.scalar_type() == computed_type(x), op,
+  KV_CHECK(kernel.scalar_type() == compute_dtype(x), op,
            ": expected kernel of the type that the images are computed in");
   KV_CHECK(kernel.device() == x.device(), op, ": expected kernel on the device of the images");
 }
@@ -52,7 +52,7 @@ std::vector<int64_t> sizes_with(char const* op, Tensor const& x, int64_t axes, T
 
 bool is_image(Tensor const& x) { return x.dim() == 4; }
 Layout readable_layout(Tensor const& x) { return is_image(x) ? layout_of(x) : Layout::planar; }
-Tensor readable(Tensor const& x, Layout layout) { return is_image(x) ? conform(x, layout) : dense(x); }
+Tensor readable(Tensor const& x, Layout layout) { return is_image(x) ? as_layout(x, layout) : dense(x); }
 template <class T>
 Planes<T> rows_of(Tensor const& x, Layout layout) {
   return is_image(x) ? planes<T>(x, layout) : stacked_planes<T>(x);
@@ -68,7 +68,7 @@ Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::ve
                weights = kernel.is_contiguous() ? kernel : dense(kernel);
   auto const taps = [&](KernelAxis t) { return transposed ? flipped(t) : t; };
   bool const folds = transposed && window.border != Border::circular;
-  for_floats_and_bytes(op, x, [&](auto type) {
+  dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Filter2d<T> p{};
@@ -116,7 +116,7 @@ Tensor kernel_gradient(char const* op, int64_t axes, Tensor const& kernel, Tenso
   // Parts have twenty pixels a tap: what they give takes a twentieth of the memory of an image.
   int64_t const pixels = 20 * window.taps(),
                 part_rows = max(int64_t(32), pixels / max(int64_t(1), g.size(g.dim() - 1)));
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Filter2dTaps<T> p{rows_of<T const>(g, layout),

@@ -14,7 +14,7 @@ int64_t tile_width(int64_t width) { return width; }
 Tensor run(char const* op, Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y,
            std::string const& border, bool same, bool transposed) {
   Tensor const kx = checked_rows(op, kernel_x, input), ky = checked_rows(op, kernel_y, input);
-  return run_separable(op, input, {&kx, kx.size(1)}, {&ky, ky.size(1)}, border_of(op, border), same, transposed);
+  return run_separable(op, input, {&kx, kx.size(1)}, {&ky, ky.size(1)}, parse_border(op, border), same, transposed);
 }
 
 Tensor filter2d_separable(Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y, std::string border,
@@ -40,15 +40,15 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
                grad.size(2) == input.size(2) - (same ? 0 : taps_y - 1) &&
                grad.size(3) == input.size(3) - (same ? 0 : taps_x - 1),
            op, ": grad does not fit input");
-  Border const named = border_of(op, border_name), border = same ? named : Border::constant;
+  Border const named = parse_border(op, border_name), border = same ? named : Border::constant;
   if (same) {
     check_border(op, border, taps_y / 2, input.size(2));
     check_border(op, border, taps_x / 2, input.size(3));
   }
   Layout const layout = Layout::planar;
-  Tensor const g = conform(grad, layout), x = conform(input, layout);
+  Tensor const g = as_layout(grad, layout), x = as_layout(input, layout);
   Tensor sums;
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     SeparableWeights<T> params{planes<T const>(g, layout),

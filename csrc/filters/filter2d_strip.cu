@@ -33,10 +33,10 @@ constexpr int kResident = 512 / (P * K + K * K + 40);
 template <class T, int K, int P, bool Folds>
 struct alignas(16) StripMemory {
   T rows[kRing][32 * P + 2 * kHalo];
-  Pack<float, P> rim[Folds ? K / 2 + 1 : 1][32];  // results that wait for more, by their distance from the edge
+  Vector<float, P> rim[Folds ? K / 2 + 1 : 1][32];  // results that wait for more, by their distance from the edge
 };
 
-// `aligned`: rows of input and output are packs of P pixels, at the same places.
+// `aligned`: rows of input and output are vectors of P pixels, at the same places.
 template <class T, int K, int P, bool Folds, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     filter_strip(__grid_constant__ Filter2d<T> const p, __grid_constant__ Strips<P> const strips, Aligned aligned) {
@@ -45,7 +45,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   StripMemory<T, K, P, Folds>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const lane = threadIdx.x % 32, x0 = x - P * lane, above = p.axis_y.before;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
@@ -107,7 +107,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     if constexpr (Folds) {
       if (y <= R || y >= height - 1 - R) {
         to = border_index(p.fold, y, height);
-        Pack<float, P>& rim = shared.rim[min(to, height - 1 - to)][lane];
+        Vector<float, P>& rim = shared.rim[min(to, height - 1 - to)][lane];
 #pragma unroll
         for (int j = 0; j < P; ++j) {
           if (y <= R || y >= height) with[0][j] += rim.v[j];
@@ -125,7 +125,8 @@ template <int K, class T>
 bool launch_strips(Filter2d<T> const& p, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>, R = K / 2;
   bool const folds = p.fold != Border::constant;
-  bool const aligned = p.axis_x.before == R && p.axis_y.before == R && is_strip<P>(p.x) && is_strip<P>(p.y);
+  bool const aligned =
+      p.axis_x.before == R && p.axis_y.before == R && is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y);
   if (folds && (!aligned || p.y.height < 2 * (R + 1))) return false;  // lower rows of the rim would be upper ones
   int rows = kStripRows<K, P>;
   while (folds && p.y.height % rows > 0 && p.y.height % rows <= R) ++rows;  // an edge and what folds to it in one strip

@@ -17,7 +17,7 @@ constexpr int64_t kMostShared = 100 << 10;                      // bytes of a bl
 // columns, of which `lead` are to the left of the tile. p: the image whose pixels the tiles are.
 struct Tiles {
   int across, down, lead, pitch, rows;
-  bool packed;  // rows of the image read are packs of kPixels
+  bool vectorized;  // rows of the image read are vectors of kPixels
 
   template <class T, class U>
   Tiles(Planes<T const> const& read, Planes<U> const& p, int before, int after, int rows)
@@ -26,12 +26,12 @@ struct Tiles {
         lead((before + 7) / 8 * 8),
         pitch(lead + (kWidth + after + 7) / 8 * 8),
         rows(kHeight + rows),
-        packed(is_strip<kPixels<T>>(read)) {}
+        vectorized(is_vectorizable<kPixels<T>>(read)) {}
   int64_t bytes(int64_t numbers) const { return 4 * (int64_t(pitch) * rows + rows + numbers); }
 };
 
 // Fills a tile whose first row is y0 of a plane; `sources` has room for a number for each row. V pixels at a time: 1,
-// or kPixels<T> where rows are packs of as many.
+// or kPixels<T> where rows are vectors of as many.
 template <int V, class T>
 __device__ __forceinline__ void load_tile_by(float* tile, int* sources, Tiles const& tiles, Planes<T const> const& p,
                                              int64_t plane, int64_t channel, Border border, int x0, int y0) {
@@ -42,29 +42,29 @@ __device__ __forceinline__ void load_tile_by(float* tile, int* sources, Tiles co
   int const width = int(p.width), across = tiles.pitch / V, count = tiles.rows * across;
   auto const fetch = [&](int i) {
     int const row = i / across, x = x0 - tiles.lead + (i - row * across) * V;
-    Pack<T, V> pack{};
-    if (i >= count || sources[row] < 0) return pack;
+    Vector<T, V> vector{};
+    if (i >= count || sources[row] < 0) return vector;
     T const* const from = in + sources[row] * p.row_stride;
-    if (V > 1 && x >= 0 && x < width) return *reinterpret_cast<Pack<T, V> const*>(from + x);
+    if (V > 1 && x >= 0 && x < width) return *reinterpret_cast<Vector<T, V> const*>(from + x);
 #pragma unroll
     for (int k = 0; k < V; ++k) {
       int const column = border_index(border, x + k, width);
-      if (column >= 0) pack.v[k] = from[column * (V > 1 ? 1 : p.step)];
+      if (column >= 0) vector.v[k] = from[column * (V > 1 ? 1 : p.step)];
     }
-    return pack;
+    return vector;
   };
   constexpr int kFlying = V > 1 ? 4 : 8;  // reads of a thread on their way
   for (int first = threadIdx.x; first < count; first += kFlying * kThreads) {
-    Pack<T, V> packs[kFlying];
+    Vector<T, V> vectors[kFlying];
 #pragma unroll
-    for (int n = 0; n < kFlying; ++n) packs[n] = fetch(first + n * kThreads);
+    for (int n = 0; n < kFlying; ++n) vectors[n] = fetch(first + n * kThreads);
 #pragma unroll
     for (int n = 0; n < kFlying; ++n) {
       int const i = first + n * kThreads;
-      Pack<float, V> numbers;
+      Vector<float, V> numbers;
 #pragma unroll
-      for (int k = 0; k < V; ++k) numbers.v[k] = read(packs[n].v[k]);
-      if (i < count) *reinterpret_cast<Pack<float, V>*>(tile + i * V) = numbers;
+      for (int k = 0; k < V; ++k) numbers.v[k] = read(vectors[n].v[k]);
+      if (i < count) *reinterpret_cast<Vector<float, V>*>(tile + i * V) = numbers;
     }
   }
   __syncthreads();
@@ -73,8 +73,8 @@ __device__ __forceinline__ void load_tile_by(float* tile, int* sources, Tiles co
 template <class T>
 __device__ __forceinline__ void load_tile(float* tile, int* sources, Tiles const& tiles, Planes<T const> const& p,
                                           int64_t plane, int64_t channel, Border border, int x0, int y0) {
-  tiles.packed ? load_tile_by<kPixels<T>>(tile, sources, tiles, p, plane, channel, border, x0, y0)
-               : load_tile_by<1>(tile, sources, tiles, p, plane, channel, border, x0, y0);
+  tiles.vectorized ? load_tile_by<kPixels<T>>(tile, sources, tiles, p, plane, channel, border, x0, y0)
+                   : load_tile_by<1>(tile, sources, tiles, p, plane, channel, border, x0, y0);
 }
 
 }  // namespace

@@ -41,26 +41,26 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
   using Rows = Runs<K, P, F>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<R, Aligned, P> const strip(x, int(p.x.width), p.border);
   T const* const in = p.x.plane(plane);
   T* out = p.y.row(plane, y0);
 
-  using Fetched = typename Strip<R, Aligned, P>::template Fetched<T>;
+  using FetchedRow = typename Strip<R, Aligned, P>::template FetchedRow<T>;
   auto const fetch = [&](int y) {
     int const inside = border_index(p.border, y, height);
-    return inside < 0 ? Fetched{} : strip.fetch(in + inside * p.x.row_stride);
+    return inside < 0 ? FetchedRow{} : strip.fetch(in + inside * p.x.row_stride);
   };
-  auto const sort = [&](Fetched const& fetched, Rows& runs) {
+  auto const sort = [&](FetchedRow const& fetched, Rows& runs) {
     F row[P + 2 * R];
     strip.spread(fetched, row);
     runs.sort(row);
   };
   // The next two rows are asked for before these are worked on.
-  Fetched ahead0 = fetch(y0 + R), ahead1 = fetch(y0 + R + 1);
+  FetchedRow ahead0 = fetch(y0 + R), ahead1 = fetch(y0 + R + 1);
   auto const down = [&](int y, Rows& next0, Rows& next1) {
-    Fetched const now0 = ahead0, now1 = ahead1;
+    FetchedRow const now0 = ahead0, now1 = ahead1;
     if (y + 2 < y1) {
       ahead0 = fetch(y + R + 2);
       ahead1 = fetch(y + R + 3);
@@ -165,7 +165,7 @@ template <int K, class T>
 void launch_strip(MedianBlur<T> const& p, CUstream_st* stream) {
   constexpr int P = kMedianPixels<K>;
   Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
-  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
     median_strip<K, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
   });
 }

@@ -244,7 +244,7 @@ template <class Int>
 KV_HD Int median_reads(Border border, Int q, Int j, Int n, Int before, Int after) {
   if (border == Border::circular) return j >= q - before && j <= q + after;
   Int reads = 0;
-  for_each_position(border, j, n, before, after, [&](Int at) { reads += at >= q - before && at <= q + after; });
+  for_each_reader(border, j, n, before, after, [&](Int at) { reads += at >= q - before && at <= q + after; });
   return reads;
 }
 

@@ -52,7 +52,7 @@ KV_HD void unpack(T const* in, int64_t size, F* out) {
     for (int64_t e = 0; e < size; ++e) out[e] = to_key(in[e]);
 }
 template <class T, class F>
-KV_HD void pack(F const* in, int64_t size, T* out) {
+KV_HD void vector(F const* in, int64_t size, T* out) {
   if constexpr (__is_same(T, F))
     __builtin_memcpy(out, in, size * sizeof(T));
   else if constexpr (__is_same(F, Compute<T>))
@@ -163,7 +163,7 @@ struct BorderedRows {
               F const value = rows.row(yy)[e + dx * x.step];
               medians[e] = is_nan<T>(value) ? value : medians[e];
             }
-    if ((void*)medians != out) pack(medians, size, out);
+    if ((void*)medians != out) vector(medians, size, out);
   }
 };
 

@@ -7,7 +7,7 @@ namespace {
 
 Border checked_border(char const* op, Tensor const& x, int64_t ky, int64_t kx, std::string const& border_name) {
   check_window(op, ky, kx);
-  Border const border = border_of(op, border_name);
+  Border const border = parse_border(op, border_name);
   check_border(op, border, median_after(ky), x.size(2));
   check_border(op, border, median_after(kx), x.size(3));
   return border;
@@ -17,8 +17,8 @@ Tensor median_blur(Tensor const& input, int64_t ky, int64_t kx, std::string bord
   check_images("median_blur", "input", input);
   Border const border = checked_border("median_blur", input, ky, kx, border_name);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty_like(x, layout);
-  for_floats_and_bytes("median_blur", x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
+  dispatch_floating_and_uint8("median_blur", x, [&](auto type) {
     using T = typename decltype(type)::type;
     MedianBlur<T> const params{planes<T const>(x, layout), planes<T>(y, layout), ky, kx, border};
     KV_RUN(median_blur, x, params, params.y.rows(), params.y.row_size() * ky * kx / 4);
@@ -33,9 +33,9 @@ Tensor median_blur_backward(Tensor const& grad, Tensor const& input, Tensor cons
   check_like("median_blur_backward", "output", output, input);
   Border const border = checked_border("median_blur_backward", input, ky, kx, border_name);
   Layout const layout = layout_of(input);
-  Tensor const g = conform(grad, layout), x = conform(input, layout), y = conform(output, layout),
+  Tensor const g = as_layout(grad, layout), x = as_layout(input, layout), y = as_layout(output, layout),
                grad_x = empty_like(x, layout);
-  for_floats("median_blur_backward", x, [&](auto type) {
+  dispatch_floating("median_blur_backward", x, [&](auto type) {
     using T = typename decltype(type)::type;
     MedianBlurBackward<T> const params{planes<T const>(g, layout),
                                        planes<T const>(x, layout),

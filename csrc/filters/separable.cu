@@ -54,7 +54,7 @@ __global__ void separable_any(Separable<T> const p, int rows, int reach) {
     int const inside = border_index(p.border, position, in_height);
     if (inside >= 0) {
       T const* const row = p.x.row(plane, inside) + channel;
-      for_each_position(p.fold, column, width, p.kx.front(), p.kx.back(), [&](int q) {
+      for_each_reader(p.fold, column, width, p.kx.front(), p.kx.back(), [&](int q) {
         int const left = q - p.kx.before;
         if (left >= 0 && left + p.kx.size <= in_width) {
           T const* const first = row + left * step;
@@ -73,7 +73,7 @@ __global__ void separable_any(Separable<T> const p, int rows, int reach) {
     int const y = position - reach;
     if (y < y0) continue;
     F sum = 0;
-    for_each_position(p.fold, y, height, p.ky.front(), p.ky.back(), [&](int q) {
+    for_each_reader(p.fold, y, height, p.ky.front(), p.ky.back(), [&](int q) {
       // Of the rows that are kept, first those up to the end of the ring, then those from its beginning.
       int const top = q - p.ky.before, first = max(top, y - reach), last = min(top + p.ky.size, y + reach + 1);
       int t = first - top;
@@ -243,7 +243,7 @@ int launch_tiles(Separable<T> p, bool mirrored, CUstream_st* stream) {
   int64_t const lines = p.y.count() * ceil_div(p.y.width, kTileWidth);
   int const rows = rows_of_strips(lines, p.y.height, max(p.ky.size, 8), resident, resident);
   separable_tiles<<<unsigned(lines * ceil_div(p.y.height, rows)), kTileThreads, bytes, stream>>>(
-      p, memory, rows, mirrored, is_strip<4>(p.y));
+      p, memory, rows, mirrored, is_vectorizable<4>(p.y));
   return cudaGetLastError();
 }
 

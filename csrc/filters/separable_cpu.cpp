@@ -84,7 +84,7 @@ KV_HD int rows_of(Separable<T> const& p, int64_t plane, int64_t y, Compute<T> co
     int64_t const first = max(y - size, int64_t(0)), last = min(y + size, height - 1);
     for (int64_t r = first; r <= last; ++r) weights[r - first] = 0;
     int64_t low = last, high = first;
-    for_each_position(p.fold, y, height, int64_t(p.ky.front()), int64_t(p.ky.back()), [&](int64_t q) {
+    for_each_reader(p.fold, y, height, int64_t(p.ky.front()), int64_t(p.ky.back()), [&](int64_t q) {
       int64_t const begin = max(q - before, int64_t(0)), end = min(q - before + size, height);
       for (int64_t r = begin; r < end; ++r) weights[r - first] += ky[r - q + before];
       if (begin < end) low = min(low, begin), high = max(high, end - 1);

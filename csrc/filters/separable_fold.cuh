@@ -30,7 +30,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   FoldMemory<T, K, P>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const lane = threadIdx.x % 32, x0 = x - P * lane;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
   bool const reflects = p.fold == Border::reflect, replicates = !reflects;
@@ -135,7 +135,7 @@ template <class T, int K>
 void launch_fold(Separable<T> const& p, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>;
   Strips<P> const strips(p.y.count(), p.y.height, p.y.width, strip_rows<K, P>(p.y, kResident<K, P>));
-  bool const aligned = is_strip<P>(p.x) && is_strip<P>(p.y);
+  bool const aligned = is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y);
   separable_fold<T, K, P><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, aligned);
 }
 

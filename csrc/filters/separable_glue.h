@@ -31,7 +31,7 @@ struct Axis {
 inline Tensor checked_rows(char const* op, Tensor const& rows, Tensor const& x) {
   KV_CHECK(rows.dim() == 2 && rows.size(1) > 0 && (rows.size(0) == 1 || rows.size(0) == x.size(0)), op,
            ": expected weights or sigmas of shape (B or 1, n)");
-  KV_CHECK(rows.scalar_type() == computed_type(x) && rows.device() == x.device(), op,
+  KV_CHECK(rows.scalar_type() == compute_dtype(x) && rows.device() == x.device(), op,
            ": weights or sigmas differ in dtype or device from what the input is computed in");
   return dense(rows);
 }
@@ -58,8 +58,8 @@ inline Tensor run_separable(char const* op, Tensor const& input, Axis const& kx,
   }
   bool const folds = same && transposed && (border == Border::reflect || border == Border::replicate);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
-  for_floats_and_bytes(op, x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
+  dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Separable<T> const params{planes<T const>(x, layout),
@@ -87,8 +87,8 @@ inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Te
     KV_CHECK(rows->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
   }
   Tensor const* const tensor = rows ? &*rows : nullptr;
-  return run_separable(op, input, {tensor, kx, true, 1, sigma_x}, {tensor, ky, true, 0, sigma_y}, border_of(op, border),
-                       true, transposed, alpha, beta);
+  return run_separable(op, input, {tensor, kx, true, 1, sigma_x}, {tensor, ky, true, 0, sigma_y},
+                       parse_border(op, border), true, transposed, alpha, beta);
 }
 
 }  // namespace kv

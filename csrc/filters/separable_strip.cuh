@@ -101,9 +101,9 @@ __device__ __forceinline__ void add_row(float const (&h)[P], W weight, float (&s
   }
 }
 
-// `aligned`: rows of input and output are packs of P pixels, at the same places. Mirrored: the transpose of a reflected
-// border with symmetric weights, D^-1 A D, where A is the forward pass and D doubles the first and the last pixel of an
-// axis; box.h has the reason.
+// `aligned`: rows of input and output are vectors of P pixels, at the same places. Mirrored: the transpose of a
+// reflected border with symmetric weights, D^-1 A D, where A is the forward pass and D doubles the first and the last
+// pixel of an axis; box.h has the reason.
 template <class T, int K, int P, bool Mirrored, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,
@@ -113,7 +113,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   WarpMemory<T, K, P, Mirrored>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const lane = threadIdx.x % 32, x0 = x - P * lane;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
@@ -222,7 +222,7 @@ int launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   auto const launch = [&](auto aligned) {
     separable_strip<T, K, P, Mirrored><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
   };
-  bool const aligned = is_strip<P>(p.x) && is_strip<P>(p.y) && p.kx.before == K / 2;
+  bool const aligned = is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && p.kx.before == K / 2;
   if constexpr (Mirrored) {
     p.border = p.fold = Border::reflect;
     if (!aligned) {  // images of odd widths, say: not worth a kernel more for each size and type

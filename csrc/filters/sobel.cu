@@ -15,9 +15,9 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   Strip<1, Aligned, P> const strip(x, int(p.x.width), Border::replicate);
-  RowsDown<T> rows(p.x, plane, y0 - 1);
+  RowCursor<T> rows(p.x, plane, y0 - 1);
   T* out = p.y.row(plane, y0);
   F const scale = p.scale * p.scale;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
@@ -27,7 +27,7 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
   strip.load(b, rows.next());
   // Half types have twice the pixels a thread: there more warps hide the wait better than a row fetched ahead.
   constexpr bool kAhead = P == 4;
-  [[maybe_unused]] typename Strip<1, Aligned, P>::template Fetched<T> ahead;
+  [[maybe_unused]] typename Strip<1, Aligned, P>::template FetchedRow<T> ahead;
   if constexpr (kAhead) ahead = strip.fetch(rows.next());
 #pragma unroll 3
   for (int y = y0; y < y1; ++y) {
@@ -78,7 +78,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<1, Aligned> const strip(x, width, Border::replicate);
   Strip<0, Aligned> const strip_g(x, width, Border::replicate);
@@ -89,7 +89,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   // A row comes from the rows of x above, beside and below it. The row above the first one continues it, so its window
   // is the first row's: the walk starts one row later there, and stays one row longer at the end.
   int const first = max(y0 - 1, 0);
-  RowsDown<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
+  RowCursor<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
   T* out = p.grad_x.row(plane, y0);
 
   // No row is fetched ahead: the registers for it would cost more warps than it saves waiting.
@@ -216,7 +216,7 @@ int sobel(Sobel<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
   if (p.x.step == 1)
-    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+    with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
       sobel_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   else
@@ -228,9 +228,9 @@ template <class T>
 int sobel_backward(SobelBackward<T> const& p, CUstream_st* stream) {
   Strips<> const strips(p.x.count(), p.x.height, p.x.width, kBackwardRows);
   if (p.x.step == 1)
-    with_alignment<T>(is_strip<4>(p.x) && is_strip<4>(p.grad) && is_strip<4>(p.grad_x), [&](auto aligned) {
-      sobel_backward_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
-    });
+    with_alignment<T>(
+        is_vectorizable<4>(p.x) && is_vectorizable<4>(p.grad) && is_vectorizable<4>(p.grad_x),
+        [&](auto aligned) { sobel_backward_strip<T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips); });
   else
     sobel_backward_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();

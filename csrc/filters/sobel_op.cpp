@@ -8,8 +8,8 @@ namespace {
 Tensor sobel(Tensor const& input, bool normalized, double eps) {
   check_images("sobel", "input", input);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty_like(x, layout);
-  for_floats("sobel", x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
+  dispatch_floating("sobel", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Sobel<T> const params{planes<T const>(x, layout), planes<T>(y, layout), F(normalized ? 0.125 : 1), F(eps)};
@@ -22,8 +22,8 @@ Tensor sobel_backward(Tensor const& grad, Tensor const& input, bool normalized, 
   check_images("sobel_backward", "input", input);
   check_like("sobel_backward", "grad", grad, input);
   Layout const layout = layout_of(input);
-  Tensor const g = conform(grad, layout), x = conform(input, layout), grad_x = empty_like(x, layout);
-  for_floats("sobel_backward", x, [&](auto type) {
+  Tensor const g = as_layout(grad, layout), x = as_layout(input, layout), grad_x = empty_like(x, layout);
+  dispatch_floating("sobel_backward", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     SobelBackward<T> const params{planes<T const>(g, layout), planes<T const>(x, layout), planes<T>(grad_x, layout),

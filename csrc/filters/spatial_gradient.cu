@@ -22,9 +22,9 @@ __global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strip
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   Strip<R, Aligned, P> const strip(x, int(p.x.width), Border::replicate);
-  RowsDown<T> rows(p.x, plane, y0 - R);
+  RowCursor<T> rows(p.x, plane, y0 - R);
   int64_t const channel_stride = p.y.outer_stride;
   T* out = p.y.row(plane * channels, y0);
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
@@ -71,7 +71,7 @@ int spatial_gradient(SpatialGradient<T> const& p, CUstream_st* stream) {
     using Member = decltype(member);
     constexpr int P = kColumns<Member, T>;
     Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows<Member>);
-    with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.y), [&](auto aligned) {
+    with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
       forward_strip<Member, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   });

@@ -16,7 +16,7 @@ struct Tiles {
         count(p.count() * across * down) {}
   // The thread's voxel: false outside the volume.
   template <class T>
-  __device__ __forceinline__ bool place(Planes<T> const& p, int64_t& plane, int& x, int& y) const {
+  __device__ __forceinline__ bool locate(Planes<T> const& p, int64_t& plane, int& x, int& y) const {
     unsigned const q = blockIdx.x / across, tile = q / down;
     plane = tile;
     x = int(blockIdx.x - q * across) * 32 + threadIdx.x;
@@ -29,7 +29,7 @@ template <int Order, class T>
 __global__ void __launch_bounds__(256) forward(SpatialGradient3d<T> p, Tiles tiles) {
   int64_t plane;
   int x, y;
-  if (!tiles.place(p.x, plane, x, y)) return;
+  if (!tiles.locate(p.x, plane, x, y)) return;
   int const width = int(p.x.width), height = int(p.x.height), depth = int(p.depth);
   int64_t const volume = plane / depth;
   int const z = int(plane - volume * depth);
@@ -49,7 +49,7 @@ __global__ void __launch_bounds__(256) backward(SpatialGradient3dBackward<T> p, 
   using F = Compute<T>;
   int64_t plane;
   int x, y;
-  if (!tiles.place(p.grad_x, plane, x, y)) return;
+  if (!tiles.locate(p.grad_x, plane, x, y)) return;
   int const width = int(p.grad_x.width), height = int(p.grad_x.height), depth = int(p.depth);
   int64_t const volume = plane / depth;
   int const z = int(plane - volume * depth);

@@ -15,7 +15,7 @@ Tensor spatial_gradient3d(Tensor const& input, int64_t order) {
   Tensor const x = dense(input);
   int64_t const depth = x.size(2), width = x.size(4);
   Tensor const y = empty({x.size(0), x.size(1), 3 * order, depth, x.size(3), width}, x);
-  for_floats("spatial_gradient3d", x, [&](auto type) {
+  dispatch_floating("spatial_gradient3d", x, [&](auto type) {
     using T = typename decltype(type)::type;
     SpatialGradient3d<T> const params{stacked_planes<T const>(x), stacked_planes<T>(y), depth, int(order)};
     KV_RUN(spatial_gradient3d, x, params, params.x.rows(), width * (1 + 3 * order));
@@ -31,7 +31,7 @@ Tensor spatial_gradient3d_backward(Tensor const& grad, int64_t order) {
   Tensor const g = dense(grad);
   int64_t const depth = g.size(3), width = g.size(5);
   Tensor const grad_x = empty({g.size(0), g.size(1), depth, g.size(4), width}, g);
-  for_floats("spatial_gradient3d_backward", g, [&](auto type) {
+  dispatch_floating("spatial_gradient3d_backward", g, [&](auto type) {
     using T = typename decltype(type)::type;
     SpatialGradient3dBackward<T> const params{stacked_planes<T const>(g), stacked_planes<T>(grad_x), depth, int(order)};
     KV_RUN(spatial_gradient3d_backward, g, params, params.grad_x.rows(), width * (1 + 3 * order));

@@ -15,7 +15,7 @@ __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T>
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.grad_x.width), height = int(p.grad_x.height), y1 = min(y0 + int(strips.rows), height);
   using Strip = Strip<R, Aligned>;
   Strip const strip(x, width, Border::constant);
@@ -24,7 +24,7 @@ __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T>
   T* out = p.grad_x.row(plane, y0);
 
   int next_y = y0 - R;
-  typename Strip::Fetched<T> ahead[channels];
+  typename Strip::FetchedRow<T> ahead[channels];
   auto const fetch = [&] {  // outside the image there is no gradient
 #pragma unroll
     for (int c = 0; c < channels; ++c) {
@@ -79,7 +79,7 @@ int spatial_gradient_backward(SpatialGradientBackward<T> const& p, CUstream_st* 
   with_member(p.kind, [&](auto member) {
     using Member = decltype(member);
     Strips<> const strips(p.grad_x.count(), p.grad_x.height, p.grad_x.width, kRows<Member>);
-    with_alignment<T>(is_strip<4>(p.grad) && is_strip<4>(p.grad_x), [&](auto aligned) {
+    with_alignment<T>(is_vectorizable<4>(p.grad) && is_vectorizable<4>(p.grad_x), [&](auto aligned) {
       backward_strip<Member, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   });

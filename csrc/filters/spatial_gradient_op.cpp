@@ -16,8 +16,8 @@ Tensor spatial_gradient(Tensor const& input, std::string const& mode, int64_t or
   check_images("spatial_gradient", "input", input);
   Gradient const kind = gradient_of("spatial_gradient", mode, order);
   int64_t const b = input.size(0), c = input.size(1), h = input.size(2), w = input.size(3);
-  Tensor const x = conform(input, Layout::planar), y = empty({b, c, order + 1, h, w}, x);
-  for_floats("spatial_gradient", x, [&](auto type) {
+  Tensor const x = as_layout(input, Layout::planar), y = empty({b, c, order + 1, h, w}, x);
+  dispatch_floating("spatial_gradient", x, [&](auto type) {
     using T = typename decltype(type)::type;
     SpatialGradient<T> const params{planes<T const>(x, Layout::planar), stacked_planes<T>(y), kind, normalized};
     KV_RUN(spatial_gradient, x, params, params.x.rows(), w * (order + 2));
@@ -32,7 +32,7 @@ Tensor spatial_gradient_backward(Tensor const& grad, std::string const& mode, in
            grad.size(2));
   Tensor const g = dense(grad);
   Tensor const grad_x = empty({g.size(0), g.size(1), g.size(3), g.size(4)}, g);
-  for_floats("spatial_gradient_backward", g, [&](auto type) {
+  dispatch_floating("spatial_gradient_backward", g, [&](auto type) {
     using T = typename decltype(type)::type;
     SpatialGradientBackward<T> const params{stacked_planes<T const>(g), planes<T>(grad_x, Layout::planar), kind,
                                             normalized};

@@ -44,7 +44,7 @@ __device__ __forceinline__ T* row_below(T* first_row, int y, int stride) {
 
 // Rows from `first` on, `count` of them, for 32 P pixels from `left` on and `Radius` beside them. `Rows` is the size of
 // the ring; all but one are on their way. What is outside follows the borders `across` and `down`. `aligned`: rows are
-// packs of P pixels, `left` at one of them; as std::true_type or std::false_type it costs no branches.
+// vectors of P pixels, `left` at one of them; as std::true_type or std::false_type it costs no branches.
 template <class T, int P, int Radius, int Rows, class Aligned>
 struct StripRows {
   using Ring = T[Rows][32 * P + 2 * kHalo];
@@ -157,9 +157,9 @@ __device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kB
   T const* const first = row + kHalo + P * (threadIdx.x % 32) - kBefore<K, P>;
 #pragma unroll
   for (int j = 0; j < P + 2 * kBefore<K, P>; j += P) {
-    Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(first + j);
+    Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(first + j);
 #pragma unroll
-    for (int k = 0; k < P; ++k) v[j + k] = read(pack.v[k]);
+    for (int k = 0; k < P; ++k) v[j + k] = read(vector.v[k]);
   }
 }
 
@@ -167,7 +167,7 @@ __device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kB
 template <class T, int P, class Aligned>
 __device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
   if (aligned) {
-    if (x < width) store_pack(to, v);
+    if (x < width) store_vector(to, v);
   } else {
 #pragma unroll
     for (int j = 0; j < P; ++j)

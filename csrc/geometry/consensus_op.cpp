@@ -92,8 +92,8 @@ std::tuple<Tensor, Tensor> leaders(Tensor const& models, Tensor const& scores, i
   Tensor const best = empty({kept, 3, 3}, m.tensor), best_scores = empty({kept, 2}, m.tensor);
   for_reals(m, [&](auto type) {
     using T = typename decltype(type)::type;
-    Leaders<T> const params{data_of<T>(m.tensor), data_of<T>(s.tensor),   models.size(0), kept, by_number,
-                            data_of<T>(best),     data_of<T>(best_scores)};
+    Leaders<T> const params{data_ptr<T>(m.tensor), data_ptr<T>(s.tensor),   models.size(0), kept, by_number,
+                            data_ptr<T>(best),     data_ptr<T>(best_scores)};
     KV_RUN(leaders, m.tensor, params, 1, 0);
   });
   return {best, best_scores};
@@ -115,8 +115,8 @@ std::tuple<Tensor, Tensor> verdict(Tensor const& models, Tensor const& weights, 
   for_reals(m, [&](auto type) {
     using T = typename decltype(type)::type;
     Verdict<T> const params{
-        data_of<T>(m.tensor), data_of<T>(w.tensor), weights.size(1), least, model_of(op, model) == Model::essential,
-        data_of<T>(found),    data_of<bool>(fits)};
+        data_ptr<T>(m.tensor), data_ptr<T>(w.tensor), weights.size(1), least, model_of(op, model) == Model::essential,
+        data_ptr<T>(found),    data_ptr<bool>(fits)};
     KV_RUN(verdict, m.tensor, params, 1, 0);
   });
   return {found, fits};

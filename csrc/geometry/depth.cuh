@@ -14,7 +14,7 @@ struct DepthTiles {
         down(unsigned(ceil_div(height, kDepthTileHeight))),
         count(unsigned(batch * across * down)) {}
   // The sample of the block, the thread's pixel.
-  __device__ __forceinline__ void place(int64_t& b, int& y, int& x) const {
+  __device__ __forceinline__ void locate(int64_t& b, int& y, int& x) const {
     unsigned const row = blockIdx.x / across;
     b = row / down;
     x = int(blockIdx.x - row * across) * kDepthTileWidth + threadIdx.x % 32;

@@ -26,7 +26,7 @@ struct Depths {
     using F = Compute<T>;
     static_cast<Sampling<T>&>(p) = how.of<T>(source, Places<F>{});
     p.depth = images<F const>(depth, batch);
-    p.projections = data_of<F const>(projection);
+    p.projections = data_ptr<F const>(projection);
     p.projection_stride = projection.size(0) == 1 ? 0 : projection.stride(0);
   }
 };

@@ -15,7 +15,7 @@ struct Runs {
       : across(unsigned(ceil_div(width, kRun))), count(batch * height * across) {}
   unsigned blocks() const { return unsigned(ceil_div(count, kThreads)); }
   // The thread's sample, row and first column.
-  __device__ __forceinline__ bool place(int64_t height, int64_t& b, int& y, int& x) const {
+  __device__ __forceinline__ bool locate(int64_t height, int64_t& b, int& y, int& x) const {
     int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
     if (i >= count) return false;
     int64_t const row = i / across;
@@ -38,18 +38,18 @@ bool in_fours(Images<T> const& p) {
 // The rim stands beside itself.
 template <class T, class F>
 __device__ __forceinline__ void load_run(T const* row, int64_t step, int x, int width, bool fours, F (&v)[kRun]) {
-  Pack<std::remove_const_t<T>, kRun> pack{};
+  Vector<std::remove_const_t<T>, kRun> vector{};
   if (fours)
-    pack = *reinterpret_cast<Pack<T, kRun> const*>(row + x);
+    vector = *reinterpret_cast<Vector<T, kRun> const*>(row + x);
   else
-    for (int i = 0; i < kRun; ++i) pack.v[i] = row[min(x + i, width - 1) * step];
+    for (int i = 0; i < kRun; ++i) vector.v[i] = row[min(x + i, width - 1) * step];
 #pragma unroll
-  for (int i = 0; i < kRun; ++i) v[i] = read(pack.v[i]);
+  for (int i = 0; i < kRun; ++i) v[i] = read(vector.v[i]);
 }
 template <class T, class F>
 __device__ __forceinline__ void store_run(T* row, int64_t step, int x, int width, bool fours, F const (&v)[kRun]) {
   if (fours)
-    store_pack(row + x, v);
+    store_vector(row + x, v);
   else
     for (int i = 0; i < kRun; ++i)
       if (x + i < width) row[(x + i) * step] = round_to<T>(v[i]);
@@ -61,7 +61,7 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   int64_t b;
   int y, x;
-  if (!runs.place(p.y.height, b, y, x)) return;
+  if (!runs.locate(p.y.height, b, y, x)) return;
   int const width = int(p.y.width);
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   F d[kRun], points[3][kRun];
@@ -83,7 +83,7 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   int64_t b;
   int y, x;
-  if (!runs.place(p.grad.height, b, y, x)) return;
+  if (!runs.locate(p.grad.height, b, y, x)) return;
   int const width = int(p.grad.width);
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   F grad[3][kRun], sums[kRun];
@@ -104,7 +104,7 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   int64_t b;
   int y, x;
-  if (!runs.place(p.y.height, b, y, x)) return;
+  if (!runs.locate(p.y.height, b, y, x)) return;
   int const width = int(p.y.width), height = int(p.y.height);
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   int const rows[] = {max(y - 1, 0), y, min(y + 1, height - 1)};

@@ -16,7 +16,7 @@ int64_t stride_of(Tensor const& cameras) { return cameras.size(0) == 1 ? 0 : cam
 template <class T>
 DepthPoints<T> points_of(Tensor const& depth, Tensor const& y, Tensor const& cameras, bool distance) {
   int64_t const batch = depth.size(0);
-  return {images<T const>(depth, batch), images<T>(y, batch), data_of<Compute<T> const>(cameras), stride_of(cameras),
+  return {images<T const>(depth, batch), images<T>(y, batch), data_ptr<Compute<T> const>(cameras), stride_of(cameras),
           distance};
 }
 
@@ -32,10 +32,10 @@ Tensor depth_points(Tensor const& depth, Tensor const& camera, bool distance, bo
   Tensor const cameras = checked("depth_points", depth, camera);
   int64_t const batch = depth.size(0), h = depth.size(2), w = depth.size(3);
   Tensor const y = last ? empty({batch, h, w, 3}, depth) : empty({batch, 3, h, w}, depth);
-  for_floats("depth_points", depth, [&](auto type) {
+  dispatch_floating("depth_points", depth, [&](auto type) {
     using T = typename decltype(type)::type;
     auto params = points_of<T>(depth, y, cameras, distance);
-    if (last) params.y = {data_of<T>(y), 3 * h * w, 1, 3 * w, 3, batch, h, w, 3};
+    if (last) params.y = {data_ptr<T>(y), 3 * h * w, 1, 3 * w, 3, batch, h, w, 3};
     KV_RUN(depth_points, depth, params, params.y.batch * params.y.height, 4 * params.y.width);
   });
   return y;
@@ -49,10 +49,10 @@ Tensor depth_points_backward(Tensor const& grad, Tensor const& camera, bool dist
   Tensor const cameras = cameras_of(op, camera, grad);
   int64_t const batch = grad.size(0);
   Tensor const to_depth = empty({batch, 1, grad.size(2), grad.size(3)}, grad);
-  for_floats(op, grad, [&](auto type) {
+  dispatch_floating(op, grad, [&](auto type) {
     using T = typename decltype(type)::type;
     DepthPointsBackward<T> const params{images<T const>(grad, batch), images<T>(to_depth, batch),
-                                        data_of<Compute<T> const>(cameras), stride_of(cameras), distance};
+                                        data_ptr<Compute<T> const>(cameras), stride_of(cameras), distance};
     KV_RUN(depth_points_backward, grad, params, batch * params.grad.height, 4 * params.grad.width);
   });
   return to_depth;
@@ -61,7 +61,7 @@ Tensor depth_points_backward(Tensor const& grad, Tensor const& camera, bool dist
 Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance) {
   Tensor const cameras = checked("depth_normals", depth, camera);
   Tensor const y = empty({depth.size(0), 3, depth.size(2), depth.size(3)}, depth);
-  for_floats("depth_normals", depth, [&](auto type) {
+  dispatch_floating("depth_normals", depth, [&](auto type) {
     auto const params = points_of<typename decltype(type)::type>(depth, y, cameras, distance);
     KV_RUN(depth_normals, depth, params, params.y.batch * params.y.height, 64 * params.y.width);
   });
@@ -73,7 +73,7 @@ Tensor checked_gradient(char const* op, Tensor const& grad, Tensor const& depth,
   check_images(op, "grad", grad);
   check_images(op, "depth", depth);
   KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
-  check_fits(op, "depth", depth, grad, {grad.size(0), 1, grad.size(2), grad.size(3)});
+  check_sizes(op, "depth", depth, grad, {grad.size(0), 1, grad.size(2), grad.size(3)});
   size_of(op, grad);
   return cameras_of(op, camera, grad);
 }
@@ -83,12 +83,12 @@ Tensor normals_gradient(char const* op, Tensor const& grad, Tensor const& depth,
   Tensor const cameras = checked_gradient(op, grad, depth, camera);
   int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
   Tensor const to = empty({batch, to_points ? 3 : 1, height, width}, grad);
-  for_floats(op, depth, [&](auto type) {
+  dispatch_floating(op, depth, [&](auto type) {
     using T = typename decltype(type)::type;
     DepthNormalsBackward<T> const params{images<T const>(grad, batch),
                                          images<T const>(depth, batch),
                                          images<T>(to, batch),
-                                         data_of<Compute<T> const>(cameras),
+                                         data_ptr<Compute<T> const>(cameras),
                                          stride_of(cameras),
                                          distance,
                                          to_points};
@@ -118,17 +118,17 @@ Tensor depth_camera(Tensor const& grad, Tensor const& depth, Tensor const& camer
   int64_t const parts = height;
 #endif
   Tensor const partial = empty({batch, parts, 4}, cameras, Layout::planar, ScalarType::Double);
-  for_floats(op, depth, [&](auto type) {
+  dispatch_floating(op, depth, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     DepthCamera<T> const params{images<T const>(grad, batch),
                                 images<T const>(depth, batch),
-                                data_of<F const>(cameras),
+                                data_ptr<F const>(cameras),
                                 stride_of(cameras),
                                 distance,
                                 parts,
-                                data_of<double>(partial),
-                                data_of<F>(to_camera)};
+                                data_ptr<double>(partial),
+                                data_ptr<F>(to_camera)};
     KV_RUN(depth_camera, depth, params, batch * parts, 8 * width);
 #if !defined(KV_CUDA)
     for (int64_t b = 0; b < batch; ++b) {

@@ -9,7 +9,7 @@ __global__ void __launch_bounds__(kThreads) warp_tiles(__grid_constant__ DepthWa
   using F = Compute<T>;
   int64_t b;
   int y, x;
-  tiles.place(b, y, x);
+  tiles.locate(b, y, x);
   if (x >= p.y.width || y >= p.y.height) return;
   auto const window = DepthPlace<T>(p, p.projection(b), b, y, x).window(p);
   int64_t const row = p.x.row_stride, step = p.x.step;
@@ -45,7 +45,7 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   int64_t b;
   int y, x;
-  tiles.place(b, y, x);
+  tiles.locate(b, y, x);
   F sums[kProjectionSums] = {};
   if (x < p.grad.width && y < p.grad.height) {
     auto const projection = p.projection(b);
@@ -90,7 +90,7 @@ __global__ void __launch_bounds__(kThreads)
     scatter_tiles(__grid_constant__ DepthWarpTranspose<F> const p, DepthTiles tiles) {
   int64_t b;
   int y, x;
-  tiles.place(b, y, x);
+  tiles.locate(b, y, x);
   if (x >= p.grad.width || y >= p.grad.height) return;
   auto const window = DepthPlace<F>(p, p.projection(b), b, y, x).window(p);
   F wx[2], wy[2];

@@ -22,7 +22,7 @@ Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projec
   Size const output = depths.size();
   int64_t const batch = image.size(0), channels = image.size(1);
   Tensor const y = empty({batch, channels, output.height, output.width}, image, layout_of(image));
-  for_floats(op, image, [&](auto type) {
+  dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     DepthWarp<T> params{};
     depths.set(params, how, source, batch);
@@ -78,19 +78,19 @@ std::tuple<Tensor, Tensor> depth_warp_slopes(Tensor const& grad, Tensor const& i
   Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
   Tensor const to_projection = empty({batch, 3, 4}, depths.projection);
   Tensor const sums = empty({batch, parts, kProjectionSums}, grad, Layout::planar, ScalarType::Double);
-  for_floats(op, image, [&](auto type) {
+  dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     DepthWarpSlopes<T> params{};
     depths.set(params, how, source, batch);
     params.x = images<T const>(image, batch);
     params.grad = images<T const>(grad, batch);
-    params.to_depth = data_of<F>(to_depth);
-    params.sums = data_of<double>(sums);
+    params.to_depth = data_ptr<F>(to_depth);
+    params.sums = data_ptr<double>(sums);
     params.parts = parts;
     KV_RUN(depth_warp_slopes, image, params, batch * output.height, 16 * image.size(1) * output.width);
-    ProjectionTotal<F> const total{data_of<double const>(sums), parts,   batch,  1, int(image.size(1)),
-                                   data_of<F>(to_projection),   nullptr, nullptr};
+    ProjectionTotal<F> const total{data_ptr<double const>(sums), parts,   batch,  1, int(image.size(1)),
+                                   data_ptr<F>(to_projection),   nullptr, nullptr};
     KV_RUN(projection_total, image, total, batch, 12 * parts);
   });
   return {to_depth, to_projection};

@@ -101,15 +101,15 @@ std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& m
                                     k2.reals,
                                     x.reals,
                                     y.reals,
-                                    chosen ? data_of<bool const>(*chosen) : nullptr,
+                                    chosen ? data_ptr<bool const>(*chosen) : nullptr,
                                     batch,
                                     count,
                                     least_share(x),
                                     reals_of(op, rotation),
                                     reals_of(op, direction),
                                     reals_of(op, space),
-                                    data_of<int64_t>(in_front),
-                                    data_of<int64_t>(which)};
+                                    data_ptr<int64_t>(in_front),
+                                    data_ptr<int64_t>(which)};
   KV_RUN(motion_choice, e.tensor, params, batch, 512 + 1024 * count);
   return {rotation, direction, space, in_front, which};
 }

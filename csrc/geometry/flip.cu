@@ -8,7 +8,7 @@ namespace {
 
 constexpr int kRows = 4;  // in flight at a time
 
-// Blocks of rows of a plane are `across` packs wide; there are `down` in a plane.
+// Blocks of rows of a plane are `across` vectors wide; there are `down` in a plane.
 template <class T, int P>
 __global__ void __launch_bounds__(256) flip_rows(__grid_constant__ Flip<T> const p, unsigned across, unsigned down) {
   unsigned const i = blockIdx.x * 256 + threadIdx.x, block = i / across, plane = block / down;
@@ -21,24 +21,24 @@ __global__ void __launch_bounds__(256) flip_rows(__grid_constant__ Flip<T> const
   int const rows = unsigned(from) < unsigned(size) ? min(kRows, int(p.y.height) - y) : 0;
   T const* const in = p.x.row(plane, first) + from;
   int64_t const stride = p.x.row_stride * down_one;
-  Pack<T, P> packs[kRows] = {};
+  Vector<T, P> vectors[kRows] = {};
 #pragma unroll
   for (int k = 0; k < kRows; ++k)
     if (k < rows && unsigned(first + k * down_one) < unsigned(height))
-      packs[k] = *reinterpret_cast<Pack<T, P> const*>(in + k * stride);
+      vectors[k] = *reinterpret_cast<Vector<T, P> const*>(in + k * stride);
   T* const out = p.y.row(plane, y) + e;
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
     if (y + k >= p.y.height) break;
-    Pack<T, P> pack = packs[k];
+    Vector<T, P> vector = vectors[k];
     if (p.columns)
 #pragma unroll
-      for (int l = 0; l < P; ++l) pack.v[l] = packs[k].v[P - 1 - l];
+      for (int l = 0; l < P; ++l) vector.v[l] = vectors[k].v[P - 1 - l];
     T* const to = out + k * p.y.row_stride;
-    if constexpr (sizeof(pack) == 16)  // streaming, as store_pack
-      __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&pack));
+    if constexpr (sizeof(vector) == 16)  // streaming, as store_vector
+      __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&vector));
     else
-      *reinterpret_cast<Pack<T, P>*>(to) = pack;
+      *reinterpret_cast<Vector<T, P>*>(to) = vector;
   }
 }
 
@@ -53,7 +53,7 @@ int flip(Flip<T> const& p, CUstream_st* stream) {
     flip_rows<T, N>
         <<<unsigned(ceil_div(across * down * p.y.count(), 256)), 256, 0, stream>>>(p, unsigned(across), unsigned(down));
   };
-  if (is_strip<P>(p.x) && is_strip<P>(p.y) && p.left % P == 0)
+  if (is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && p.left % P == 0)
     launch(std::integral_constant<int, P>{});
   else
     launch(std::integral_constant<int, 1>{});

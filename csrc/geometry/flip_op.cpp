@@ -9,8 +9,8 @@ Tensor run_flip(char const* op, Tensor const& input, int64_t height, int64_t wid
                 int64_t top, int64_t left) {
   check_images(op, "input", input);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
-  for_floats_and_bytes(op, x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
+  dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Flip<T> params{planes<T const>(x, layout), planes<T>(y, layout), columns, rows, top, left};
     if (!columns && x.numel()) {  // a row's elements stay in order, so that channels need no care

@@ -18,8 +18,8 @@
 // they become.
 #pragma once
 
+#include "core/dtype.h"
 #include "core/dual.h"
-#include "core/half.h"
 #include "core/isa.h"
 
 namespace kv {
@@ -31,10 +31,9 @@ struct Extent {
 };
 
 // Floating-point numbers of any type, read and written as double.
-enum class Stored : int { float32, float64, float16, bfloat16 };
 struct Numbers {
   void const* data = nullptr;
-  Stored type{};
+  DType type = DType::float32;
 };
 
 // What a formula is told besides its inputs.

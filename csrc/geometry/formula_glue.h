@@ -9,19 +9,9 @@
 namespace kv {
 
 inline Numbers numbers_of(char const* op, Tensor const& x) {
-  switch (x.scalar_type()) {
-    case ScalarType::Float:
-      return {x.const_data_ptr(), Stored::float32};
-    case ScalarType::Double:
-      return {x.const_data_ptr(), Stored::float64};
-    case ScalarType::Half:
-      return {x.const_data_ptr(), Stored::float16};
-    case ScalarType::BFloat16:
-      return {x.const_data_ptr(), Stored::bfloat16};
-    default:
-      KV_CHECK(false, op, ": no kernel for this dtype");
-  }
-  return {};
+  DType const dtype = dtype_of(op, x);
+  KV_CHECK(dtype != DType::uint8, op, ": no kernel for this dtype");
+  return {x.const_data_ptr(), dtype};
 }
 
 inline bool has_extent(Tensor const& x, Extent extent) {
@@ -30,7 +20,7 @@ inline bool has_extent(Tensor const& x, Extent extent) {
 }
 
 // Whether the numbers of a sample are next to each other.
-inline bool is_packed_row(Tensor const& x) {
+inline bool is_contiguous_row(Tensor const& x) {
   int64_t step = 1;
   for (int64_t axis = x.dim() - 1; axis > 0; step *= x.size(axis--))
     if (x.stride(axis) != step) return false;
@@ -91,7 +81,7 @@ struct GivenNumbers {
     KV_CHECK(params.batch == 1 || x.size(0) == 1 || x.size(0) == params.batch, op, ": expected tensor ", i + 1,
              " with 1 or ", params.batch, " rows, got ", x.size(0));
     if (x.size(0) != 1) params.batch = x.size(0);
-    Tensor const rows = is_packed_row(x) ? x : dense(x);
+    Tensor const rows = is_contiguous_row(x) ? x : dense(x);
     kept[i] = rows;
     params.inputs[i] = numbers_of(op, rows);
     params.strides[i] = x.size(0) == 1 ? 0 : rows.stride(0);

@@ -16,17 +16,17 @@ struct Sample {
     return static_cast<T const*>(n.data);
   }
   static __device__ __forceinline__ double number(Numbers const& n, int64_t i) {
-    if (n.type == Stored::float32) return typed<float>(n)[i];
-    if (n.type == Stored::float64) return typed<double>(n)[i];
-    return n.type == Stored::float16 ? kv::read(typed<Half>(n)[i]) : kv::read(typed<BFloat16>(n)[i]);
+    if (n.type == DType::float32) return typed<float>(n)[i];
+    if (n.type == DType::float64) return typed<double>(n)[i];
+    return n.type == DType::float16 ? kv::read(typed<Half>(n)[i]) : kv::read(typed<BFloat16>(n)[i]);
   }
   static __device__ __forceinline__ void set(Numbers const& n, int64_t i, double x) {
     void* const data = const_cast<void*>(n.data);
-    if (n.type == Stored::float32)
+    if (n.type == DType::float32)
       static_cast<float*>(data)[i] = float(x);
-    else if (n.type == Stored::float64)
+    else if (n.type == DType::float64)
       static_cast<double*>(data)[i] = x;
-    else if (n.type == Stored::float16)
+    else if (n.type == DType::float16)
       static_cast<Half*>(data)[i] = round_to_half(float(x));
     else
       static_cast<BFloat16*>(data)[i] = round_to_bfloat16(float(x));

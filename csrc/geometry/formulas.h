@@ -21,7 +21,7 @@ KV_HD V number(double x) {
 // sin(x) / x and cos(x) of x squared.
 template <class V>
 KV_HD void sinc_cos(V const& square, V& sinc, V& cosine) {
-  V const x = root_of(square);
+  V const x = square_root(square);
   V sine;
   sin_cos(x, sine, cosine);
   auto const small = square < 1e-3;
@@ -32,9 +32,9 @@ KV_HD void sinc_cos(V const& square, V& sinc, V& cosine) {
 // atan2(s, c) / s of s squared; 0 where s is 0 and c is not positive.
 template <class V>
 KV_HD V angle_per_sine(V const& sine, V const& cosine, double tiny) {
-  V const square = cosine * cosine, ratio = sine / square, s = root_of(sine);
+  V const square = cosine * cosine, ratio = sine / square, s = square_root(sine);
   V const series = (1. - ratio * (1 / 3. - ratio * (1 / 5. - ratio * (1 / 7.)))) / cosine;
-  V const angle = select(sine < tiny, number<V>(0), arc_tangent(s, cosine) / s);
+  V const angle = select(sine < tiny, number<V>(0), arctan2(s, cosine) / s);
   return select(cosine > 0., select(sine < square * 1e-4, series, angle), angle);
 }
 
@@ -42,7 +42,7 @@ KV_HD V angle_per_sine(V const& sine, V const& cosine, double tiny) {
 template <class V>
 KV_HD void of_degrees(V const& degrees, V& cosine, V& sine) {
   auto const quarters = rounded(degrees * (1 / 90.));
-  V const rest = minus(degrees, quarters * 90.) * 0.017453292519943295769;
+  V const rest = subtract_constant(degrees, quarters * 90.) * 0.017453292519943295769;
   V s, c;
   sin_cos(rest, s, c);
   auto const turn = quarters - rounded(quarters * .25) * 4.;  // -2 and 2 are the same
@@ -137,7 +137,7 @@ struct NormalizeQuaternion : OfVector<4, 4> {
   static KV_HD void of(V const* q, V* unit, Settings const& s) {
     double const least = s.number[0];
     V const square = squared(q, 4);
-    V const length = select(square <= least * least, number<V>(least), root_of(square));
+    V const length = select(square <= least * least, number<V>(least), square_root(square));
     for (int i = 0; i < 4; ++i) unit[i] = q[i] / length;
   }
 };
@@ -183,7 +183,7 @@ KV_HD void quaternion_of(V const* m, V* q) {
     row[k] = select(by_w, w_row[k], select(x_over_y, with_x, with_y));
   }
   V const largest_xyz = select(x_over_y, select(x_over_z, row[1], row[3]), select(y_over_z, row[2], row[3]));
-  V const twice = root_of(select(by_w, row[0], largest_xyz)) * 2.;
+  V const twice = square_root(select(by_w, row[0], largest_xyz)) * 2.;
   for (int k = 0; k < 4; ++k) q[k] = row[k] / twice;
 }
 
@@ -262,7 +262,7 @@ struct EulerFromQuaternion : OfNumbers<4> {
   template <class V>
   static KV_HD V within_pi(V const& angle) {
     constexpr double turn = 6.28318530717958647693;
-    return minus(angle, rounded(angle * (1 / turn)) * turn);
+    return subtract_constant(angle, rounded(angle * (1 / turn)) * turn);
   }
   template <class V>
   static KV_HD void of(V const* q, V* euler, Settings const& s) {
@@ -270,10 +270,10 @@ struct EulerFromQuaternion : OfNumbers<4> {
     V const a = q[0] - q[2], b = q[1] + q[3], c = q[0] + q[2], d = q[3] - q[1];
     V const p = a * a + b * b, m = c * c + d * d, least = (p + m) * (16 * s.eps * s.eps);
     auto const up = p <= least, down = m <= least;  // both for the quaternion 0
-    V const first = select(up, zero, arc_tangent(b, a)), second = select(down, zero, arc_tangent(d, c));
+    V const first = select(up, zero, arctan2(b, a)), second = select(down, zero, arctan2(d, c));
     V const total = select(up, select(down, first, second), first), difference = select(down, total, second);
     V const half_pi = number<V>(1.57079632679489661923);
-    V const between = arc_tangent(root_of(m), root_of(p)) * 2. - half_pi;
+    V const between = arctan2(square_root(m), square_root(p)) * 2. - half_pi;
     V const at_pole = select(up, select(down, zero, half_pi), -half_pi);
     euler[0] = within_pi(total - difference);
     euler[1] = select(up, at_pole, select(down, at_pole, between));
@@ -877,7 +877,7 @@ struct CameraOfProjection : OfVector<12, 7, 3> {
   template <class V>
   static KV_HD V unit(V const* x, V const& a, V const* one, V const& b, V const* two, V* found) {
     for (int i = 0; i < 3; ++i) found[i] = x[i] - a * one[i] - b * two[i];
-    V const size = root_of(dot(found, found));
+    V const size = square_root(dot(found, found));
     for (int i = 0; i < 3; ++i) found[i] = found[i] / size;
     return size;
   }

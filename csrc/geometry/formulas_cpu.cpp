@@ -8,7 +8,7 @@ namespace {
 
 // Up to four samples from `begin` on; those that are missing at the end are read as the last one, and not written.
 struct Samples {
-  using Value = Four;
+  using Value = Double4;
   int64_t begin;
   int count;
 
@@ -22,28 +22,28 @@ struct Samples {
       return x;
   }
   template <int N, class T>
-  KV_HD void read_typed(T const* from, int64_t stride, int known, Four* x) const {
+  KV_HD void read_typed(T const* from, int64_t stride, int known, Double4* x) const {
     T const *const a = from + at(0) * stride, *const b = from + at(1) * stride, *const c = from + at(2) * stride,
                    *const d = from + at(3) * stride;
     for (int i = 0; i < N; ++i)
-      x[i] = i < known ? Four{number(a[i]), number(b[i]), number(c[i]), number(d[i])} : Four{};
+      x[i] = i < known ? Double4{number(a[i]), number(b[i]), number(c[i]), number(d[i])} : Double4{};
   }
   template <int N>
-  KV_HD void read(Numbers const& n, int64_t stride, Four* x, int known = N) const {
+  KV_HD void read(Numbers const& n, int64_t stride, Double4* x, int known = N) const {
     switch (n.type) {
-      case Stored::float32:
+      case DType::float32:
         return read_typed<N>(static_cast<float const*>(n.data), stride, known, x);
-      case Stored::float64:
+      case DType::float64:
         return read_typed<N>(static_cast<double const*>(n.data), stride, known, x);
-      case Stored::float16:
+      case DType::float16:
         return read_typed<N>(static_cast<Half const*>(n.data), stride, known, x);
-      case Stored::bfloat16:
+      case DType::bfloat16:
         return read_typed<N>(static_cast<BFloat16 const*>(n.data), stride, known, x);
     }
   }
   // The first `known`; the others are 0.
   template <int N>
-  KV_HD void read_some(Numbers const& n, int known, Four* x) const {
+  KV_HD void read_some(Numbers const& n, int known, Double4* x) const {
     read<N>(n, known, x, known);
   }
 
@@ -55,28 +55,28 @@ struct Samples {
       *to = T(x);
   }
   template <class T>
-  KV_HD void write_typed(T* to, int64_t stride, int numbers, Four const* x) const {
+  KV_HD void write_typed(T* to, int64_t stride, int numbers, Double4 const* x) const {
     for (int lane = 0; lane < count; ++lane)
       for (int i = 0; i < numbers; ++i) set(to + (begin + lane) * stride + i, x[i][lane]);
   }
-  KV_HD void write_row(Numbers const& n, int64_t stride, int64_t first, int numbers, Four const* x) const {
+  KV_HD void write_row(Numbers const& n, int64_t stride, int64_t first, int numbers, Double4 const* x) const {
     void* const data = const_cast<void*>(n.data);
     switch (n.type) {
-      case Stored::float32:
+      case DType::float32:
         return write_typed(static_cast<float*>(data) + first, stride, numbers, x);
-      case Stored::float64:
+      case DType::float64:
         return write_typed(static_cast<double*>(data) + first, stride, numbers, x);
-      case Stored::float16:
+      case DType::float16:
         return write_typed(static_cast<Half*>(data) + first, stride, numbers, x);
-      case Stored::bfloat16:
+      case DType::bfloat16:
         return write_typed(static_cast<BFloat16*>(data) + first, stride, numbers, x);
     }
   }
   template <int N>
-  KV_HD void write(Numbers const& n, int numbers, Four const* x) const {
+  KV_HD void write(Numbers const& n, int numbers, Double4 const* x) const {
     write_row(n, numbers, 0, numbers, x);
   }
-  KV_HD void write_one(Numbers const& n, int64_t width, int i, Four x) const { write_row(n, width, i, 1, &x); }
+  KV_HD void write_one(Numbers const& n, int64_t width, int i, Double4 x) const { write_row(n, width, i, 1, &x); }
 };
 
 }  // namespace

@@ -1,7 +1,7 @@
 // Heat maps of Gaussians on CUDA: a block for a few rows of a plane, whose threads first sum up both axes, then take
 // four pixels at a time; another kernel adds up the gradients of planes that have several pieces.
 #include "gaussian_maps.h"
-#include "plane_packs.cuh"
+#include "plane_vectors.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -56,40 +56,40 @@ struct BlockAxes {
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    draw(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool packed) {
+    draw(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   int64_t const plane = blockIdx.x / pieces;
   BlockAxes<F> const axes(p, plane);
   F const share = axes.x.share * axes.y.share;
   T* const to = p.maps + plane * p.height * p.width;
-  for_each_pack<T>(p, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_vector<T>(p, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
     F const down = share * weight_of(axes.y.q(axes.y.u(F(row))));
     F v[P];
 #pragma unroll
     for (int k = 0; k < P; ++k) v[k] = down * weight_of(axes.x.q(axes.x.u(F(x + k))));
-    store_pack(to + i, v);
+    store_vector(to + i, v);
   });
 }
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    draw_backward(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool packed) {
+    draw_backward(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   int64_t const plane = blockIdx.x / pieces;
   BlockAxes<F> const axes(p, plane);
   T const* const from = p.grad + plane * p.height * p.width;
   F sums[4] = {};
-  for_each_pack<T>(p, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
+  for_each_vector<T>(p, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
     constexpr int P = decltype(count)::value;
-    Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(from + i);
+    Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from + i);
     F const v = axes.y.u(F(row)), r = axes.y.q(v), down = weight_of(r);
     F all = 0;
 #pragma unroll
     for (int k = 0; k < P; ++k) {
       F const u = axes.x.u(F(x + k)), q = axes.x.q(u), w = weight_of(q);
       if (w == 0 || down == 0) continue;
-      F const g = w * down * read(pack.v[k]);
+      F const g = w * down * read(vector.v[k]);
       all += g, sums[0] += g * (u - axes.x.mean_u), sums[2] += g * (q - axes.x.mean_q);
     }
     if (down != 0) sums[1] += all * (v - axes.y.mean_u), sums[3] += all * (r - axes.y.mean_q);
@@ -121,14 +121,14 @@ __global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ Gaussia
 template <class T>
 int gaussian_maps(GaussianMaps<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.pieces());
-  draw<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_packed<T>(p.width, {p.maps}));
+  draw<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.maps}));
   return cudaGetLastError();
 }
 
 template <class T>
 int gaussian_maps_backward(GaussianMaps<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.pieces());
-  draw_backward<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_packed<T>(p.width, {p.grad}));
+  draw_backward<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.grad}));
   if (pieces > 1) add_pieces<<<unsigned(p.planes), kThreads, 0, stream>>>(p, pieces);
   return cudaGetLastError();
 }

@@ -27,8 +27,8 @@ struct GivenGaussians {
   GaussianMaps<T> params() const {
     using F = Compute<T>;
     GaussianMaps<T> p{};
-    p.mean = data_of<T const>(mean);
-    p.std = data_of<T const>(std);
+    p.mean = data_ptr<T const>(mean);
+    p.std = data_ptr<T const>(std);
     p.mean_stride = mean.size(0) == 1 ? 0 : 2;
     p.std_stride = std.size(0) == 1 ? 0 : 2;
     p.planes = planes;
@@ -47,10 +47,10 @@ Tensor gaussian_maps(Tensor const& mean, Tensor const& std, int64_t height, int6
   constexpr char const* op = "gaussian_maps";
   GivenGaussians const given(op, mean, std, height, width, normalized);
   Tensor const maps = empty({given.planes, height, width}, given.mean);
-  for_floats(op, given.mean, [&](auto type) {
+  dispatch_floating(op, given.mean, [&](auto type) {
     using T = typename decltype(type)::type;
     GaussianMaps<T> p = given.params<T>();
-    p.maps = data_of<T>(maps);
+    p.maps = data_ptr<T>(maps);
     KV_RUN(gaussian_maps, maps, p, p.planes * p.pieces(), 2 * p.rows * width);
   });
   return maps;
@@ -66,14 +66,14 @@ std::tuple<Tensor, Tensor> gaussian_maps_backward(Tensor const& grad, Tensor con
   KV_CHECK(grad.size(0) == given.planes, op, ": expected grad of ", given.planes, " maps, got ", grad.size(0));
   Tensor const g = dense(grad), to_mean = empty({given.planes, 2}, given.mean),
                to_std = empty({given.planes, 2}, given.mean);
-  for_floats(op, given.mean, [&](auto type) {
+  dispatch_floating(op, given.mean, [&](auto type) {
     using T = typename decltype(type)::type;
     GaussianMaps<T> p = given.params<T>();
-    Tensor const partial = empty({p.planes, p.pieces(), 4}, g, Layout::planar, computed_type(g));
-    p.grad = data_of<T const>(g);
-    p.partial = data_of<Compute<T>>(partial);
-    p.to_mean = data_of<T>(to_mean);
-    p.to_std = data_of<T>(to_std);
+    Tensor const partial = empty({p.planes, p.pieces(), 4}, g, Layout::planar, compute_dtype(g));
+    p.grad = data_ptr<T const>(g);
+    p.partial = data_ptr<Compute<T>>(partial);
+    p.to_mean = data_ptr<T>(to_mean);
+    p.to_std = data_ptr<T>(to_std);
     KV_RUN(gaussian_maps_backward, g, p, p.planes * p.pieces(), 2 * p.rows * p.width);
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < 4 * p.planes; ++i) {

@@ -64,7 +64,7 @@ Tensor through_lens(char const* op, Tensor const& points, Tensor const& camera, 
     LensPoints<T> params = lens.of<T>(count);
     params.points = GivenLens::data<T>(x);
     params.steps = int(steps);
-    params.result = data_of<T>(result);
+    params.result = data_ptr<T>(result);
     run_kernel(x.tensor, params, batch * count);
   });
   return result;
@@ -107,7 +107,7 @@ Tensor lens_map(Tensor const& camera, Tensor const& coefficients, std::optional<
     using T = typename decltype(type)::type;
     LensPoints<T> params = lens.of<T>(size.height * size.width);
     params.width = size.width;
-    params.result = data_of<T>(result);
+    params.result = data_ptr<T>(result);
     KV_RUN(distort, result, params, lens.batch * params.count, 8);
   });
   return result;
@@ -129,11 +129,11 @@ std::tuple<Tensor, Tensor, Tensor> lens_map_backward(Tensor const& grad, Tensor 
     using T = typename decltype(type)::type;
     LensSlopes<T> params{lens.of<T>(size.height * size.width),
                          GivenLens::data<T>(g),
-                         data_of<T>(sums),
+                         data_ptr<T>(sums),
                          parts,
-                         data_of<T>(to_camera),
-                         data_of<T>(to_coefficients),
-                         tilt ? data_of<T>(to_tilt) : nullptr};
+                         data_ptr<T>(to_camera),
+                         data_ptr<T>(to_coefficients),
+                         tilt ? data_ptr<T>(to_tilt) : nullptr};
     params.width = size.width;
     KV_RUN(lens_slopes, grad, params, batch * parts, 16 * kLensPart);
     KV_RUN(lens_sums, grad, params, batch, kLensSums * parts);

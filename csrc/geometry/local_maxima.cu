@@ -92,8 +92,8 @@ struct Climb {
 // nothing is above.
 template <class T, int R, int P>
 struct Row {
-  Pack<T, P> own;
-  Pack<T, R> left, right;
+  Vector<T, P> own;
+  Vector<T, R> left, right;
 
   __device__ __forceinline__ Row() {
 #pragma unroll
@@ -104,9 +104,9 @@ struct Row {
 #pragma unroll
     for (int i = 0; i < P; ++i) own.v[i] = none();
     if (!there) return;
-    if (x < width) own = *reinterpret_cast<Pack<T, P> const*>(at);
-    if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Pack<T, R> const*>(at - R);
-    if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Pack<T, R> const*>(at + P);
+    if (x < width) own = *reinterpret_cast<Vector<T, P> const*>(at);
+    if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
+    if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);
   }
   __device__ __forceinline__ void spread(float (&v)[P + 2 * R]) const {
 #pragma unroll
@@ -126,7 +126,7 @@ __global__ void __launch_bounds__(kStripThreads)
   constexpr int P = kPixels<T>, kPlanes = 2 * D + 1;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), z = D > 0 ? int(plane % p.depth) : 0;
   T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride + x;
   T* values = p.y.row(plane, y0) + x;
@@ -152,8 +152,8 @@ __global__ void __launch_bounds__(kStripThreads)
     high.next(v, 1);
     if constexpr (Minima) low.next(v, -1);
     if (i < 0) continue;
-    Pack<T, P> shown;
-    Pack<uint8_t, P> is_maximum, is_minimum;
+    Vector<T, P> shown;
+    Vector<uint8_t, P> is_maximum, is_minimum;
 #pragma unroll
     for (int n = 0; n < P; ++n) {
       is_maximum.v[n] = high.is_summit(n);
@@ -161,9 +161,9 @@ __global__ void __launch_bounds__(kStripThreads)
       if constexpr (Minima) is_minimum.v[n] = low.is_summit(n);
     }
     if (x < width) {
-      if (p.y.data) *reinterpret_cast<Pack<T, P>*>(values) = shown;
-      if (p.maxima.data) *reinterpret_cast<Pack<uint8_t, P>*>(maxima) = is_maximum;
-      if constexpr (Minima) *reinterpret_cast<Pack<uint8_t, P>*>(minima) = is_minimum;
+      if (p.y.data) *reinterpret_cast<Vector<T, P>*>(values) = shown;
+      if (p.maxima.data) *reinterpret_cast<Vector<uint8_t, P>*>(maxima) = is_maximum;
+      if constexpr (Minima) *reinterpret_cast<Vector<uint8_t, P>*>(minima) = is_minimum;
     }
     values += p.y.row_stride;
     maxima += p.maxima.row_stride;
@@ -171,17 +171,17 @@ __global__ void __launch_bounds__(kStripThreads)
   }
 }
 
-// In packs, the last of which may be cut short.
+// In vectors, the last of which may be cut short.
 template <class T>
-__global__ void __launch_bounds__(kThreads) keep(Marked<T> const p, bool packed) {
+__global__ void __launch_bounds__(kThreads) keep(Marked<T> const p, bool vectorized) {
   constexpr int P = kPixels<T>;
   int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P;
-  if (packed && first + P <= p.count) {
-    Pack<T, P> x = *reinterpret_cast<Pack<T, P> const*>(p.x + first);
-    auto const flags = *reinterpret_cast<Pack<uint8_t, P> const*>(p.flags + first);
+  if (vectorized && first + P <= p.count) {
+    Vector<T, P> x = *reinterpret_cast<Vector<T, P> const*>(p.x + first);
+    auto const flags = *reinterpret_cast<Vector<uint8_t, P> const*>(p.flags + first);
 #pragma unroll
     for (int i = 0; i < P; ++i) x.v[i] = flags.v[i] ? x.v[i] : T{};
-    *reinterpret_cast<Pack<T, P>*>(p.kept + first) = x;
+    *reinterpret_cast<Vector<T, P>*>(p.kept + first) = x;
   } else {
     for (int64_t i = first; i < min(first + P, p.count); ++i) p.kept[i] = p.flags[i] ? p.x[i] : T{};
   }
@@ -193,8 +193,8 @@ template <class T>
 int keep_marked(Marked<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   uintptr_t const at = reinterpret_cast<uintptr_t>(p.x) | reinterpret_cast<uintptr_t>(p.kept);
-  bool const packed = at % alignof(Pack<T, P>) == 0 && reinterpret_cast<uintptr_t>(p.flags) % P == 0;
-  keep<T><<<unsigned(ceil_div(p.count, kThreads * P)), kThreads, 0, stream>>>(p, packed);
+  bool const vectorized = at % alignof(Vector<T, P>) == 0 && reinterpret_cast<uintptr_t>(p.flags) % P == 0;
+  keep<T><<<unsigned(ceil_div(p.count, kThreads * P)), kThreads, 0, stream>>>(p, vectorized);
   return cudaGetLastError();
 }
 
@@ -206,7 +206,7 @@ int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
            p.after[2] == r;
   };
   if constexpr (sizeof(T) < 8)
-    if (is_strip<P>(p.x) && (!p.y.data || is_strip<P>(p.y))) {
+    if (is_vectorizable<P>(p.x) && (!p.y.data || is_vectorizable<P>(p.y))) {
       Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
       auto const run = [&](auto kernel) {
         kernel<<<strips.blocks(kStripThreads / 32), kStripThreads, 0, stream>>>(p, strips);

@@ -8,8 +8,8 @@ namespace {
 
 void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const& window, bool volumes,
                  Tensor const* values, Tensor const* maxima, Tensor const* minima, Layout layout) {
-  Tensor const x = volumes ? dense(input) : conform(input, layout);
-  for_floats(op, x, [&](auto type) {
+  Tensor const x = volumes ? dense(input) : as_layout(input, layout);
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     LocalMaxima<T> params{};
     params.x = planes<T const>(x, layout);
@@ -59,14 +59,14 @@ Tensor keep_marked(Tensor const& input, Tensor const& flags) {
   KV_CHECK(fits, op, ": flags do not fit the input");
   Layout const layout = layout_of(input);
   auto const flat = [&](Tensor const& x) {
-    Tensor const all = x.size(0) == input.size(0) ? x : for_batch(x, input.size(0));
+    Tensor const all = x.size(0) == input.size(0) ? x : expand_batch(x, input.size(0));
     return layout == Layout::planar ? dense(all)
                                     : torch::stable::contiguous(all, torch::headeronly::MemoryFormat::ChannelsLast);
   };
   Tensor const x = flat(input), marks = flat(flags), kept = empty_like(input, layout);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    Marked<T> const params{data_of<T const>(x), data_of<uint8_t const>(marks), data_of<T>(kept), kept.numel()};
+    Marked<T> const params{data_ptr<T const>(x), data_ptr<uint8_t const>(marks), data_ptr<T>(kept), kept.numel()};
     KV_RUN(keep_marked, x, params, params.count, 1);
   });
   return kept;

@@ -1,7 +1,7 @@
 // Mean places on CUDA: a block for a few rows of a plane, whose threads take four pixels at a time and read them once,
 // with sums over the largest one so far; another kernel, with a block for each plane, puts pieces together.
 #include "mean_place.h"
-#include "plane_packs.cuh"
+#include "plane_vectors.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -38,28 +38,30 @@ __device__ __forceinline__ PlaceSums<F> over_block(PlaceSums<F> sums, bool softm
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    find_places(__grid_constant__ MeanPlace<T> const p, unsigned pieces, bool packed) {
+    find_places(__grid_constant__ MeanPlace<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
   int64_t const plane = blockIdx.x / pieces;
   T const* const from = maps.data + plane * maps.height * maps.width;
   auto sums = PlaceSums<F>::nothing(maps.softmax);
-  for_each_pack<T>(maps, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
-    constexpr int P = decltype(count)::value;
-    Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(from + i);
-    F v[P], most = sums.most;
+  for_each_vector<T>(maps, blockIdx.x - plane * pieces, vectorized,
+                     [&](auto count, unsigned i, unsigned x, unsigned row) {
+                       constexpr int P = decltype(count)::value;
+                       Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from + i);
+                       F v[P], most = sums.most;
 #pragma unroll
-    for (int k = 0; k < P; ++k) v[k] = read(pack.v[k]), most = v[k] > most ? v[k] : most;
-    if (maps.softmax) {
-      sums.rescale(most, exp);
+                       for (int k = 0; k < P; ++k) v[k] = read(vector.v[k]), most = v[k] > most ? v[k] : most;
+                       if (maps.softmax) {
+                         sums.rescale(most, exp);
 #pragma unroll
-      for (int k = 0; k < P; ++k) v[k] = exp(v[k] - most);
-    }
-    F const y = maps.along_y.at(F(row));
+                         for (int k = 0; k < P; ++k) v[k] = exp(v[k] - most);
+                       }
+                       F const y = maps.along_y.at(F(row));
 #pragma unroll
-    for (int k = 0; k < P; ++k) sums.sum += v[k], sums.x += v[k] * maps.along_x.at(F(x + k)), sums.y += v[k] * y;
-  });
+                       for (int k = 0; k < P; ++k)
+                         sums.sum += v[k], sums.x += v[k] * maps.along_x.at(F(x + k)), sums.y += v[k] * y;
+                     });
   sums = over_block(sums, maps.softmax, exp);
   if (threadIdx.x == 0) p.partial[blockIdx.x] = sums;
 }
@@ -76,21 +78,22 @@ __global__ void __launch_bounds__(kThreads)
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    find_place_gradients(__grid_constant__ MeanPlaceBackward<T> const p, unsigned pieces, bool packed) {
+    find_place_gradients(__grid_constant__ MeanPlaceBackward<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
   int64_t const plane = blockIdx.x / pieces, offset = plane * maps.height * maps.width;
   PlaceSlopes<T> const slopes(p, plane);
-  for_each_pack<T>(maps, blockIdx.x - plane * pieces, packed, [&](auto count, unsigned i, unsigned x, unsigned row) {
-    constexpr int P = decltype(count)::value;
-    Pack<T, P> const pack = *reinterpret_cast<Pack<T, P> const*>(maps.data + offset + i);
-    F result[P];
+  for_each_vector<T>(
+      maps, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
+        constexpr int P = decltype(count)::value;
+        Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(maps.data + offset + i);
+        F result[P];
 #pragma unroll
-    for (int k = 0; k < P; ++k)
-      result[k] = slopes.at(read(pack.v[k]), maps.along_x.at(F(x + k)), maps.along_y.at(F(row)), exp);
-    store_pack(p.grad_input + offset + i, result);
-  });
+        for (int k = 0; k < P; ++k)
+          result[k] = slopes.at(read(vector.v[k]), maps.along_x.at(F(x + k)), maps.along_y.at(F(row)), exp);
+        store_vector(p.grad_input + offset + i, result);
+      });
 }
 
 }  // namespace
@@ -99,7 +102,7 @@ template <class T>
 int mean_place(MeanPlace<T> const& p, CUstream_st* stream) {
   HeatMaps<T> const& maps = p.maps;
   unsigned const pieces = unsigned(maps.pieces()), planes = unsigned(maps.planes);
-  find_places<<<planes * pieces, kThreads, 0, stream>>>(p, pieces, is_packed<T>(maps.width, {maps.data}));
+  find_places<<<planes * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(maps.width, {maps.data}));
   finish_places<<<planes, kThreads, 0, stream>>>(p.partial, pieces, maps.softmax, maps.scale, p.places, p.parts);
   return cudaGetLastError();
 }
@@ -108,7 +111,7 @@ template <class T>
 int mean_place_backward(MeanPlaceBackward<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.maps.pieces());
   find_place_gradients<<<unsigned(p.maps.planes) * pieces, kThreads, 0, stream>>>(
-      p, pieces, is_packed<T>(p.maps.width, {p.maps.data, p.grad_input}));
+      p, pieces, is_vectorizable<T>(p.maps.width, {p.maps.data, p.grad_input}));
   return cudaGetLastError();
 }
 

@@ -12,7 +12,7 @@ template <class T>
 HeatMaps<T> heat_maps(Tensor const& x, bool softmax, double scale, bool normalized) {
   using F = Compute<T>;
   int64_t const height = x.size(2), width = x.size(3);
-  return {data_of<T const>(x),
+  return {data_ptr<T const>(x),
           x.size(0) * x.size(1),
           height,
           width,
@@ -34,15 +34,15 @@ void check_maps(char const* op, Tensor const& x, bool softmax, double scale) {
 std::tuple<Tensor, Tensor> mean_place(Tensor const& input, bool softmax, double scale, bool normalized) {
   check_maps("mean_place", input, softmax, scale);
   Tensor const x = dense(input);
-  Tensor const places = empty({x.size(0), x.size(1), 2}, x, Layout::planar, computed_type(x));
-  Tensor const parts = empty({x.size(0), x.size(1), 2}, x, Layout::planar, computed_type(x));
-  for_floats("mean_place", x, [&](auto type) {
+  Tensor const places = empty({x.size(0), x.size(1), 2}, x, Layout::planar, compute_dtype(x));
+  Tensor const parts = empty({x.size(0), x.size(1), 2}, x, Layout::planar, compute_dtype(x));
+  dispatch_floating("mean_place", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const maps = heat_maps<T>(x, softmax, scale, normalized);
-    Tensor const partial = empty({maps.planes, maps.pieces(), 4}, x, Layout::planar, computed_type(x));
-    MeanPlace<T> const params{maps, reinterpret_cast<PlaceSums<F>*>(data_of<F>(partial)), data_of<F>(places),
-                              data_of<F>(parts)};
+    Tensor const partial = empty({maps.planes, maps.pieces(), 4}, x, Layout::planar, compute_dtype(x));
+    MeanPlace<T> const params{maps, reinterpret_cast<PlaceSums<F>*>(data_ptr<F>(partial)), data_ptr<F>(places),
+                              data_ptr<F>(parts)};
     KV_RUN(mean_place, x, params, maps.planes * maps.pieces(), 4 * maps.rows * maps.width);
 #if !defined(KV_CUDA)
     for (int64_t plane = 0; plane < maps.planes; ++plane) {
@@ -63,17 +63,17 @@ Tensor mean_place_backward(Tensor const& grad, Tensor const& places, Tensor cons
   Tensor const x = dense(input);
   auto const checked = [&](char const* name, Tensor const& t) {
     KV_CHECK(t.dim() == 3 && t.size(0) == x.size(0) && t.size(1) == x.size(1) && t.size(2) == 2 &&
-                 t.scalar_type() == computed_type(x) && t.device() == x.device(),
+                 t.scalar_type() == compute_dtype(x) && t.device() == x.device(),
              op, ": expected ", name, " to be that of the places");
     return dense(t);
   };
   Tensor const g = checked("grad", grad), means = checked("places", places), of_sum = checked("parts", parts);
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    MeanPlaceBackward<T> const params{heat_maps<T>(x, softmax, scale, normalized), data_of<F const>(g),
-                                      data_of<F const>(means), data_of<F const>(of_sum), data_of<T>(grad_x)};
+    MeanPlaceBackward<T> const params{heat_maps<T>(x, softmax, scale, normalized), data_ptr<F const>(g),
+                                      data_ptr<F const>(means), data_ptr<F const>(of_sum), data_ptr<T>(grad_x)};
     KV_RUN(mean_place_backward, x, params, params.maps.planes * params.maps.pieces(),
            2 * params.maps.rows * params.maps.width);
   });

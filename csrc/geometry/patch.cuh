@@ -1,8 +1,8 @@
 // The part of an image that a tile of places looks at, in shared memory. Included by sample*.cu.
 //
-// Pixels come there once, in packs of 16 bytes where rows allow, with what the padding puts around the image; taps are
-// then at offsets known to the compiler. From global memory a turned tile would ask for as many lines as it has rows,
-// once for each tap.
+// Pixels come there once, in vectors of 16 bytes where rows allow, with what the padding puts around the image; taps
+// are then at offsets known to the compiler. From global memory a turned tile would ask for as many lines as it has
+// rows, once for each tap.
 #pragma once
 
 #include <cuda_pipeline.h>
@@ -123,7 +123,7 @@ struct View {
     if (threadIdx.x < 32) {
       int const number = threadIdx.x / 4 % kTileRow;
       Tile<F> tile;
-      tile.place(count, number);
+      tile.locate(count, number);
       Box box = Box::empty();
       if (!p.places.has_map()) {
         tile.see(homography(matrix(tile.b), p.places.use), p.places.use.source);
@@ -181,12 +181,14 @@ struct View {
 
 template <class T>
 struct Patch {
-  static constexpr int kPack = 16 / int(sizeof(T));
-  // Room for a tile of kTile x kTile, turned by any angle. Four rows one below the other are in different banks.
+  static constexpr int kVectorSize = 16 / int(sizeof(T));
+  // Room for a tile of kTile x kTile, turned by any angle. Double4 rows one below the other are in different banks.
   static constexpr int kPitch = sizeof(T) == 1 ? 80 : sizeof(T) == 2 ? 72 : 56, kRows = 52;
   static constexpr int kSize = kPitch * kRows;
-  static constexpr int kChannels = sizeof(T) == 8 ? 1 : 3;                        // at a time
-  static constexpr int kColumns = sizeof(T) == 8 ? 32 : sizeof(T) == 4 ? 16 : 8;  // threads that take packs of one row
+  static constexpr int kChannels = sizeof(T) == 8 ? 1 : 3;  // at a time
+  static constexpr int kColumns = sizeof(T) == 8   ? 32
+                                  : sizeof(T) == 4 ? 16
+                                                   : 8;  // threads that take vectors of one row
 
   T* pixels;
   int left, top, columns, rows;
@@ -195,11 +197,11 @@ struct Patch {
   // Of a box that has something in it.
   __device__ __forceinline__ Patch(void* pixels, Box const& box)
       : pixels(static_cast<T*>(pixels)),
-        left(box.left & -kPack),
+        left(box.left & -kVectorSize),
         top(box.top),
         columns(box.right - left + 1),
         rows(box.bottom - top + 1),
-        fits(columns <= min(kPitch, kColumns * kPack) && rows <= kRows) {}
+        fits(columns <= min(kPitch, kColumns * kVectorSize) && rows <= kRows) {}
   // Of the taps in the box; where these leave the image, that they can be put there.
   template <class S, class F>
   __device__ __forceinline__ Patch(void* pixels, Box const& box, Sampling<S> const& p, F) : Patch(pixels, box) {
@@ -222,16 +224,16 @@ struct Patch {
   __device__ __forceinline__ void load(Images<T const> const& x, int64_t b, int first, Axis<F> const& x_axis,
                                        Axis<F> const& y_axis, bool aligned, Fill fill) const {
     __syncthreads();  // for those who read what is there now
-    int const column = threadIdx.x % kColumns * kPack, from = left + column;
-    bool const within = from >= 0 && from + kPack <= x_axis.size, whole = aligned && within;
-    bool const filled = y_axis.padding == Padding::fill, beside = from + kPack <= 0 || from >= x_axis.size;
+    int const column = threadIdx.x % kColumns * kVectorSize, from = left + column;
+    bool const within = from >= 0 && from + kVectorSize <= x_axis.size, whole = aligned && within;
+    bool const filled = y_axis.padding == Padding::fill, beside = from + kVectorSize <= 0 || from >= x_axis.size;
     int const row_stride = int(x.row_stride), step = int(x.step);  // a plane has less than 2^31 elements
     T const* planes[N];
 #pragma unroll
     for (int k = 0; k < N; ++k) planes[k] = x.row(b, first + k, 0);
     T* to = pixels + threadIdx.x / kColumns * kPitch + column;
     bool const inside = aligned && left >= 0 && top >= 0 && top + rows <= y_axis.size &&
-                        left + (columns + kPack - 1) / kPack * kPack <= x_axis.size;
+                        left + (columns + kVectorSize - 1) / kVectorSize * kVectorSize <= x_axis.size;
     if (column >= columns) {
     } else if (inside) {
       int at = (top + int(threadIdx.x) / kColumns) * row_stride + from;
@@ -255,15 +257,15 @@ struct Patch {
         } else if (filled && (beside || !exists)) {
 #pragma unroll
           for (int k = 0; k < N; ++k) {
-            Pack<T, kPack> pack;
+            Vector<T, kVectorSize> vector;
             T const value = fill(first + k);
 #pragma unroll
-            for (int i = 0; i < kPack; ++i) pack.v[i] = value;
-            *reinterpret_cast<Pack<T, kPack>*>(to + k * kSize) = pack;
+            for (int i = 0; i < kVectorSize; ++i) vector.v[i] = value;
+            *reinterpret_cast<Vector<T, kVectorSize>*>(to + k * kSize) = vector;
           }
         } else {
 #pragma unroll 1
-          for (int i = 0; i < kPack; ++i) {
+          for (int i = 0; i < kVectorSize; ++i) {
             int const column = within ? from + i : pixel_at(x_axis, from + i);
             bool const is = exists && unsigned(column) < unsigned(x_axis.size);
             int const at = y * row_stride + column * step;
@@ -290,12 +292,12 @@ __device__ __forceinline__ void in_groups(int channels, Take take) {
     for (; first < channels; ++first) take(first, std::integral_constant<int, 1>{});
 }
 
-// Whether rows begin at whole packs, of images one pixel after the other.
+// Whether rows begin at whole vectors, of images one pixel after the other.
 template <class T>
-bool in_packs(Images<T> const& x) {
-  int64_t const pack = 16 / int64_t(sizeof(T));
-  return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % pack == 0 &&
-         x.channel_stride % pack == 0 && x.batch_stride % pack == 0;
+bool rows_are_aligned(Images<T> const& x) {
+  int64_t const vector = 16 / int64_t(sizeof(T));
+  return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % vector == 0 &&
+         x.channel_stride % vector == 0 && x.batch_stride % vector == 0;
 }
 
 }  // namespace kv::cuda

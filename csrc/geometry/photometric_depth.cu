@@ -11,7 +11,7 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   int64_t b;
   int y, x;
-  tiles.place(b, y, x);
+  tiles.locate(b, y, x);
   bool const there = x < p.target.width && y < p.target.height;
   int64_t const row = p.x.row_stride, step = p.x.step;
   F to_depth = 0;

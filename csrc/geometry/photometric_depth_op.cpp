@@ -29,13 +29,20 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
   Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
   Tensor const to_projections = empty({batch, count, 3, 4}, depths.depth);
   Tensor const sums = empty({batch, parts, count, kProjectionSums}, views, Layout::planar, ScalarType::Double);
-  for_floats(op, views, [&](auto type) {
+  dispatch_floating(op, views, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     PhotometricDepth<T> params{};
     depths.set(params, how, source, batch);
-    params.x = {data_of<T const>(views), views.stride(0), views.stride(2), views.stride(3), views.stride(4), batch,
-                views.size(3),           views.size(4),   int(channels)};
+    params.x = {data_ptr<T const>(views),
+                views.stride(0),
+                views.stride(2),
+                views.stride(3),
+                views.stride(4),
+                batch,
+                views.size(3),
+                views.size(4),
+                int(channels)};
     params.target = images<T const>(target, batch);
     params.target.batch = batch;
     params.view_stride = views.stride(1);
@@ -43,18 +50,18 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
     params.views = int(count);
     params.distance = distance_of(op, distance);
     params.eps = F(eps);
-    params.to_depth = data_of<F>(to_depth);
-    params.sums = data_of<double>(sums);
+    params.to_depth = data_ptr<F>(to_depth);
+    params.sums = data_ptr<double>(sums);
     params.parts = parts;
     KV_RUN(photometric_depth, views, params, batch * output.height, 8 * count * channels * output.width);
-    ProjectionTotal<F> const total{data_of<double const>(sums),
+    ProjectionTotal<F> const total{data_ptr<double const>(sums),
                                    parts,
                                    batch,
                                    int(count),
                                    int(channels),
-                                   data_of<F>(to_projections),
-                                   data_of<F>(loss),
-                                   data_of<F>(share)};
+                                   data_ptr<F>(to_projections),
+                                   data_ptr<F>(loss),
+                                   data_ptr<F>(share)};
     KV_RUN(projection_total, views, total, batch, 14 * count * parts);
   });
   return {loss, to_depth, share, to_projections};

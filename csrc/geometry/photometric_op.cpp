@@ -38,7 +38,7 @@ struct Arguments {
             images<T const>(target, batch),
             distance_of(sampling.op, distance),
             Compute<T>(eps),
-            data_of<double>(sums),
+            data_ptr<double>(sums),
             parts};
   }
 };
@@ -48,13 +48,13 @@ std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& targe
   Arguments const a("photometric", source, target, matrix, align_corners, normalized);
   Tensor const sums = empty({a.batch, a.parts, kPhotometricSums}, source, Layout::planar, ScalarType::Double);
   Tensor const loss = empty({a.batch}, a.matrix.tensor), grad = empty({a.batch, 3, 3}, a.matrix.tensor);
-  for_floats("photometric", source, [&](auto type) {
+  dispatch_floating("photometric", source, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Photometric<T> const params = a.of<T>(source, target, distance, eps, sums);
     KV_RUN(photometric, source, params, a.batch * a.to.height, 8 * a.channels * a.to.width);
-    PhotometricTotal<F> const total{params.places, params.sums,      a.parts,         a.batch,
-                                    a.channels,    data_of<F>(loss), data_of<F>(grad)};
+    PhotometricTotal<F> const total{params.places, params.sums,       a.parts,          a.batch,
+                                    a.channels,    data_ptr<F>(loss), data_ptr<F>(grad)};
     KV_RUN(photometric_total, source, total, a.batch, kPhotometricSums * a.parts);
   });
   return {loss, grad};
@@ -83,7 +83,7 @@ std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tens
     }
     KV_RUN(photometric_normal, source, params, a.batch * a.to.height, 16 * a.channels * a.to.width);
     PhotometricNormalTotal<T> const total{
-        params.sums, a.parts, a.batch, a.channels, data_of<T>(loss), data_of<T>(gradient), data_of<T>(normal)};
+        params.sums, a.parts, a.batch, a.channels, data_ptr<T>(loss), data_ptr<T>(gradient), data_ptr<T>(normal)};
     KV_RUN(photometric_normal_total, source, total, a.batch, kNormalSums * a.parts);
   });
   return {normal, gradient, loss};

@@ -1,4 +1,5 @@
-// Four neighbouring points of a thread, 16 bytes an access where it can. Included by points.cu and points_backward.cu.
+// Double4 neighbouring points of a thread, 16 bytes an access where it can. Included by points.cu and
+// points_backward.cu.
 #pragma once
 
 #include "core/launch.cuh"
@@ -12,7 +13,7 @@ constexpr int kRun = 4;
 template <class T>
 bool in_fours(int64_t count, T const* a, T const* b, T const* c) {
   uintptr_t const at = reinterpret_cast<uintptr_t>(a) | reinterpret_cast<uintptr_t>(b) | reinterpret_cast<uintptr_t>(c);
-  return count % kRun == 0 && at % alignof(Pack<T, kRun>) == 0;
+  return count % kRun == 0 && at % alignof(Vector<T, kRun>) == 0;
 }
 
 // K numbers of each point from point `first` on, of which there are n; into the columns from `column` on.
@@ -23,9 +24,9 @@ __device__ __forceinline__ void load_points(T const* from, int64_t first, int n,
   if (fours) {
 #pragma unroll
     for (int k = 0; k < K; ++k) {
-      Pack<T, kRun> const pack = reinterpret_cast<Pack<T, kRun> const*>(from)[k];
+      Vector<T, kRun> const vector = reinterpret_cast<Vector<T, kRun> const*>(from)[k];
 #pragma unroll
-      for (int i = 0; i < kRun; ++i) p[(k * kRun + i) / K][column + (k * kRun + i) % K] = read(pack.v[i]);
+      for (int i = 0; i < kRun; ++i) p[(k * kRun + i) / K][column + (k * kRun + i) % K] = read(vector.v[i]);
     }
   } else {
 #pragma unroll
@@ -41,10 +42,10 @@ __device__ __forceinline__ void store_points(T* to, int64_t first, int n, bool f
   if (fours) {
 #pragma unroll
     for (int k = 0; k < K; ++k) {
-      F pack[kRun];
+      F vector[kRun];
 #pragma unroll
-      for (int i = 0; i < kRun; ++i) pack[i] = p[(k * kRun + i) / K][column + (k * kRun + i) % K];
-      store_pack(to + k * kRun, pack);
+      for (int i = 0; i < kRun; ++i) vector[i] = p[(k * kRun + i) / K][column + (k * kRun + i) % K];
+      store_vector(to + k * kRun, vector);
     }
   } else {
 #pragma unroll

@@ -6,7 +6,7 @@ namespace kv {
 namespace {
 
 template <class T>
-T* data_of(std::optional<Tensor> const& x) {
+T* data_ptr(std::optional<Tensor> const& x) {
   return x ? static_cast<T*>(const_cast<void*>(x->const_data_ptr())) : nullptr;
 }
 
@@ -21,7 +21,7 @@ struct Given {
   Given(char const* op, Tensor const& p, std::optional<Tensor> const& d, Tensor const& m, std::string const& kind)
       : points(p), matrix(m) {
     KV_CHECK(p.dim() == 3 && m.dim() == 3 && (m.size(0) == 1 || m.size(0) == p.size(0)) &&
-                 m.scalar_type() == computed_type(p) && m.device() == p.device(),
+                 m.scalar_type() == compute_dtype(p) && m.device() == p.device(),
              op, ": matrix does not fit the points");
     int64_t const in = p.size(2), rows = m.size(1), columns = m.size(2);
     bool const camera = rows == 3 && columns == 3, unprojects = kind == "unproject" || kind == "unproject_distance";
@@ -77,12 +77,12 @@ Tensor map_points(Tensor const& points, std::optional<Tensor> const& depth, Tens
                   std::string const& kind) {
   Given const given("map_points", points, depth, matrix, kind);
   Tensor const y = empty({points.size(0), points.size(1), given.out}, points);
-  for_floats("map_points", points, [&](auto type) {
+  dispatch_floating("map_points", points, [&](auto type) {
     using T = typename decltype(type)::type;
-    Points<T> const params{data_of<T const>(given.points),
-                           data_of<T const>(given.depth),
-                           data_of<Compute<T> const>(given.matrix),
-                           data_of<T>(y),
+    Points<T> const params{data_ptr<T const>(given.points),
+                           data_ptr<T const>(given.depth),
+                           data_ptr<Compute<T> const>(given.matrix),
+                           data_ptr<T>(y),
                            given.entries(),
                            given.count(),
                            given.total(),
@@ -113,22 +113,22 @@ std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tenso
   int64_t const part = 4096;
 #endif
   int64_t const parts = (count + part - 1) / part;
-  ScalarType const type = computed_type(points);
+  ScalarType const type = compute_dtype(points);
   Tensor const to_points = empty({matrices, count, points.size(2)}, points),
                to_depth = empty({matrices, count, depth ? 1 : 0}, points),
                partial = empty({to_matrix ? matrices : 0, parts, entries}, points, Layout::planar, type);
   Tensor sums = empty({matrices, to_matrix ? matrix.size(1) : 0, matrix.size(2)}, points, Layout::planar, type);
-  for_floats(op, points, [&](auto type) {
+  dispatch_floating(op, points, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    PointsBackward<T> const params{data_of<T const>(g),
-                                   data_of<T const>(given.points),
-                                   data_of<T const>(given.depth),
-                                   data_of<F const>(given.matrix),
-                                   data_of<T>(to_points),
-                                   data_of<T>(to_depth),
-                                   to_matrix ? data_of<F>(partial) : nullptr,
-                                   to_matrix ? data_of<F>(sums) : nullptr,
+    PointsBackward<T> const params{data_ptr<T const>(g),
+                                   data_ptr<T const>(given.points),
+                                   data_ptr<T const>(given.depth),
+                                   data_ptr<F const>(given.matrix),
+                                   data_ptr<T>(to_points),
+                                   data_ptr<T>(to_depth),
+                                   to_matrix ? data_ptr<F>(partial) : nullptr,
+                                   to_matrix ? data_ptr<F>(sums) : nullptr,
                                    given.matrices() == 1 ? 0 : entries,
                                    count,
                                    matrices,

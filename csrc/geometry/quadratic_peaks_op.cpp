@@ -20,18 +20,18 @@ struct Peaks {
     KV_CHECK(steps >= 0 && steps <= INT32_MAX && radius >= 0 && radius <= INT32_MAX, op,
              ": steps and radius must not be negative");
     KV_CHECK(input.size(2) * input.size(3) * input.size(4) <= INT32_MAX, op, ": volumes are too large");
-    check_fits(op, "input", input, input, {batch, input.size(1), input.size(2), input.size(3), input.size(4)});
-    x = for_batch(input, batch);
+    check_sizes(op, "input", input, input, {batch, input.size(1), input.size(2), input.size(3), input.size(4)});
+    x = expand_batch(input, batch);
     if (!which) return;
     KV_CHECK(which->scalar_type() == ScalarType::Byte && which->device() == input.device() && which->dim() == 5, op,
              ": chosen does not fit the input");
-    check_fits(op, "chosen", *which, *which, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
-    chosen = for_batch(*which, batch);
+    check_sizes(op, "chosen", *which, *which, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
+    chosen = expand_batch(*which, batch);
   }
   template <class T>
   QuadraticPeaks<T> of(T* places, T* values) const {
-    return {data_of<T const>(x),
-            chosen ? data_of<uint8_t const>(*chosen) : nullptr,
+    return {data_ptr<T const>(x),
+            chosen ? data_ptr<uint8_t const>(*chosen) : nullptr,
             places,
             values,
             x.size(0) * x.size(1),
@@ -50,9 +50,9 @@ std::tuple<Tensor, Tensor> quadratic_peaks(Tensor const& input, std::optional<Te
   Tensor const& x = peaks.x;
   Tensor const places = empty({x.size(0), x.size(1), 3, x.size(2), x.size(3), x.size(4)}, x);
   Tensor const values = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x);
-  for_floats("quadratic_peaks", x, [&](auto type) {
+  dispatch_floating("quadratic_peaks", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    auto const params = peaks.of<T>(data_of<T>(places), data_of<T>(values));
+    auto const params = peaks.of<T>(data_ptr<T>(places), data_ptr<T>(values));
     KV_RUN(quadratic_peaks, x, params, params.volumes * params.size[0] * params.size[1], 16 * x.size(4));
   });
   return {places, values};
@@ -67,16 +67,16 @@ Tensor quadratic_peaks_backward(Tensor const& grad_places, Tensor const& grad_va
   int64_t const batch = grad_places.size(0);
   Peaks const peaks(op, input, batch, chosen, steps, largest_shift, radius, along_scale);
   Tensor const& x = peaks.x;
-  check_fits(op, "grad_places", grad_places, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
-  check_fits(op, "grad_values", grad_values, x, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
-  Tensor const to_places = for_batch(grad_places, batch), to_values = for_batch(grad_values, batch);
+  check_sizes(op, "grad_places", grad_places, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
+  check_sizes(op, "grad_values", grad_values, x, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
+  Tensor const to_places = expand_batch(grad_places, batch), to_values = expand_batch(grad_values, batch);
   bool const wide = x.scalar_type() == ScalarType::Double;
   Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x, Layout::planar,
                               wide ? ScalarType::Double : ScalarType::Float);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    QuadraticPeaksBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_of<T const>(to_places),
-                                           data_of<T const>(to_values), data_of<Compute<T>>(grad_x)};
+    QuadraticPeaksBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_ptr<T const>(to_places),
+                                           data_ptr<T const>(to_values), data_ptr<Compute<T>>(grad_x)};
     KV_RUN(quadratic_peaks_backward, x, params, params.forward.volumes, 16 * x.size(2) * x.size(3) * x.size(4));
   });
   return grad_x;

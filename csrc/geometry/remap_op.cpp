@@ -35,7 +35,7 @@ struct Map {
   template <class T>
   static Images<T> plane(Tensor const& x, int64_t batch) {
     return {
-        data_of<T>(x), x.size(0) == 1 ? 0 : x.stride(0), 0, x.stride(1), x.stride(2), batch, x.size(1), x.size(2), 1};
+        data_ptr<T>(x), x.size(0) == 1 ? 0 : x.stride(0), 0, x.stride(1), x.stride(2), batch, x.size(1), x.size(2), 1};
   }
 };
 
@@ -48,7 +48,7 @@ Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std:
   Map const map("remap", map_x, map_y, image, normalized, moves, align_corners);
   int64_t const batch = image.size(0), channels = image.size(1), height = map.size().height, width = map.size().width;
   Tensor const y = empty({batch, channels, height, width}, image, layout_of(image));
-  for_floats_and_bytes("remap", image, [&](auto type) {
+  dispatch_floating_and_uint8("remap", image, [&](auto type) {
     using T = typename decltype(type)::type;
     Sample<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)), images<T const>(image, batch),
                            images<T>(y, batch)};
@@ -73,7 +73,7 @@ Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor cons
       op, grad, source, false, [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
         using T = typename decltype(type)::type;
         SampleTranspose<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)),
-                                        images<T const>(from, batch), images<T>(to, batch), data_of<Compute<T>>(sums)};
+                                        images<T const>(from, batch), images<T>(to, batch), data_ptr<Compute<T>>(sums)};
         KV_RUN(sample_transpose, from, params, batch * channels, 8 * grad.size(2) * grad.size(3));
       });
 }
@@ -94,7 +94,7 @@ std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& 
   int64_t const batch = image.size(0);
   Tensor const grad_x = empty({batch, grad.size(2), grad.size(3)}, map.x);
   Tensor const grad_y = empty({batch, grad.size(2), grad.size(3)}, map.x);
-  for_floats(op, image, [&](auto type) {
+  dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     SampleSlopes<T> const params{a.of<T>(source, map.places<F>(source, batch)),

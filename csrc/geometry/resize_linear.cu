@@ -32,13 +32,13 @@ struct PixelPairs {
   T left[kColumns], right[kColumns];
 };
 
-// Ahead: a strip's part of a row is one pack a thread, and no row is left out.
+// Ahead: a strip's part of a row is one vector a thread, and no row is left out.
 template <class T, bool Ahead>
 __global__ void __launch_bounds__(32 * kWarps)
     resize_pairs(__grid_constant__ Resize<T> const p, Strips<kColumns> strips) {
   int64_t plane;
   int column, top;
-  if (!strips.place(plane, column, top)) return;
+  if (!strips.locate(plane, column, top)) return;
   int const lane = threadIdx.x % 32, size = int(p.y.row_size()), step = int(p.x.step);
   column -= (kColumns - 1) * lane;
 
@@ -59,8 +59,8 @@ __global__ void __launch_bounds__(32 * kWarps)
   uintptr_t const in = reinterpret_cast<uintptr_t>(p.x.plane(plane));
   int const stride = int(p.x.row_stride * sizeof(T));
 
-  constexpr int kPack = 16 / int(sizeof(T)), kRing = 4;
-  __shared__ Pack<T, kPack> rings[Ahead ? kWarps : 1][Ahead ? kRing : 1][32];
+  constexpr int kVectorSize = 16 / int(sizeof(T)), kRing = 4;
+  __shared__ Vector<T, kVectorSize> rings[Ahead ? kWarps : 1][Ahead ? kRing : 1][32];
   [[maybe_unused]] auto* const ring = rings[Ahead ? threadIdx.x / 32 : 0];
   [[maybe_unused]] unsigned next = __shfl_sync(0xffffffffu, of_lane.a, 0), last = 0;
   [[maybe_unused]] bool copies = false;
@@ -72,10 +72,11 @@ __global__ void __launch_bounds__(32 * kWarps)
     ++next;
   };
   if constexpr (Ahead) {
-    int const begin = __shfl_sync(0xffffffffu, left[0], 0) / kPack * kPack, pack = begin + kPack * lane;
+    int const begin = __shfl_sync(0xffffffffu, left[0], 0) / kVectorSize * kVectorSize,
+              vector = begin + kVectorSize * lane;
     last = __shfl_sync(0xffffffffu, of_lane.b, rows - 1);
-    copies = pack <= __shfl_sync(0xffffffffu, right[kColumns - 1], 31);
-    own = in + int64_t(pack) * int(sizeof(T));
+    copies = vector <= __shfl_sync(0xffffffffu, right[kColumns - 1], 31);
+    own = in + int64_t(vector) * int(sizeof(T));
 #pragma unroll
     for (int i = 0; i < kColumns; ++i) left[i] -= begin, right[i] -= begin;
     for (int i = 0; i < kRing - 1; ++i) copy_next();
@@ -160,11 +161,11 @@ int resize_linear(Resize<T> const& p, CUstream_st* stream) {
   int64_t const across = ceil_div(p.y.row_size(), 32 * kColumns);
   while (rows > 4 && p.y.count() * across * ceil_div(p.y.height, rows) < 12000) rows /= 2;
   Strips<kColumns> const strips(p.y.count(), p.y.height, p.y.row_size(), rows);
-  constexpr int kPack = 16 / int(sizeof(T));
+  constexpr int kVectorSize = 16 / int(sizeof(T));
   ResizeAxis const& a = p.columns;
-  bool const grows =
-      p.rows.num <= p.rows.den && a.num <= a.den && (32 * kColumns - 1) * a.num / a.den + 2 + kPack <= 32 * kPack;
-  if (grows && is_strip<kPack>(p.x))
+  bool const grows = p.rows.num <= p.rows.den && a.num <= a.den &&
+                     (32 * kColumns - 1) * a.num / a.den + 2 + kVectorSize <= 32 * kVectorSize;
+  if (grows && is_vectorizable<kVectorSize>(p.x))
     resize_pairs<T, true><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips);
   else
     resize_pairs<T, false><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips);

@@ -37,7 +37,7 @@ struct WarpMemory {
 template <class T>
 __global__ void __launch_bounds__(32 * kWarps)
     transpose_pairs(__grid_constant__ Resize<T> const p, SourceStrips strips) {
-  __shared__ Pack<T, kOwn> rings[kWarps][kRing][32];
+  __shared__ Vector<T, kOwn> rings[kWarps][kRing][32];
   __shared__ WarpMemory memory[kWarps];
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   unsigned const number = blockIdx.x * kWarps + warp, q = number / strips.across, plane = q / strips.down;
@@ -47,7 +47,7 @@ __global__ void __launch_bounds__(32 * kWarps)
   auto& ring = rings[warp];
   auto& [pairs, line] = memory[warp];
 
-  // The columns of the gradient that the strip reads, from a whole pack on.
+  // The columns of the gradient that the strip reads, from a whole vector on.
   int const begin = find_reads(p.columns, x0).first & -kOwn, own = begin + kOwn * lane, width = int(p.x.width);
 #pragma unroll
   for (int i = 0; i < kOwn; ++i) {
@@ -73,7 +73,7 @@ __global__ void __launch_bounds__(32 * kWarps)
   int next = 0;
   auto const copy_next = [&] {
     auto const to = uint32_t(__cvta_generic_to_shared(&ring[next % kRing][lane]));
-    copy_later<sizeof(Pack<T, kOwn>)>(to, row_below(from, next, stride), own < width && next < rows, false);
+    copy_later<sizeof(Vector<T, kOwn>)>(to, row_below(from, next, stride), own < width && next < rows, false);
     __pipeline_commit();
     ++next;
   };
@@ -120,13 +120,13 @@ __global__ void __launch_bounds__(32 * kWarps)
     while (y < a) finish_row();
     if (r == rows) break;
     __pipeline_wait_prior(kRing - 2);
-    Pack<T, kOwn> const pack = ring[r % kRing][lane];
+    Vector<T, kOwn> const vector = ring[r % kRing][lane];
     copy_next();
 #pragma unroll
-    for (int k = 0; k < kOwn; ++k) upper[k] += (1 - t) * read(pack.v[k]);
+    for (int k = 0; k < kOwn; ++k) upper[k] += (1 - t) * read(vector.v[k]);
     if (t != 0) {
 #pragma unroll
-      for (int k = 0; k < kOwn; ++k) lower[k] += t * read(pack.v[k]);
+      for (int k = 0; k < kOwn; ++k) lower[k] += t * read(vector.v[k]);
     }
   }
 }
@@ -139,7 +139,7 @@ int resize_linear_transpose(Resize<T> const& p, CUstream_st* stream) {
   auto const served = [](ResizeAxis const& a) {
     return a.transposed && a.num > 0 && a.num <= a.den && a.window <= Window::bilinear && a.window != Window::area;
   };
-  if (!served(rows) || !served(columns) || columns.most > kTaps || !is_strip<kOwn>(p.x) || p.y.step != 1 ||
+  if (!served(rows) || !served(columns) || columns.most > kTaps || !is_vectorizable<kOwn>(p.x) || p.y.step != 1 ||
       p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX)
     return kNotServed;
   // So many columns that their reads are in kSpan columns of the gradient, as whole sectors of memory.

@@ -7,7 +7,7 @@
 //               one's mirror image: 2 bilinear, 4 of pyrup, 1 and 3 of the gradients of bilinear and of pyrdown
 //
 // So that windows lie where the compiler knows, and weights are the same everywhere but at the rim. A warp walks down a
-// strip of 32 packs of the larger image; each row is weighted along x once, and along y from registers.
+// strip of 32 vectors of the larger image; each row is weighted along x once, and along y from registers.
 #include "filters/strip_rows.cuh"
 #include "resize.h"
 
@@ -16,8 +16,8 @@ namespace {
 
 constexpr int kWarps = 4;
 template <class T>
-constexpr int kPack = sizeof(T) < 4 ? 8 : 4;  // a thread's pixels of the larger image
-constexpr int kLeast = 16;                    // pixels along an axis, so that one end's rim is not the other's
+constexpr int kVectorSize = sizeof(T) < 4 ? 8 : 4;  // a thread's pixels of the larger image
+constexpr int kLeast = 16;                          // pixels along an axis, so that one end's rim is not the other's
 
 // Pixels at a rim, whose windows differ, and kinds of them within.
 constexpr int rim_of(bool doubles) { return doubles ? 4 : 2; }
@@ -58,12 +58,12 @@ using Ring = T[4][32 * P + 2 * kHalo];  // three rows are on their way
 template <class T, int K>
 __global__ void __launch_bounds__(32 * kWarps)
     halve(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
-          __grid_constant__ OctaveWeights<false, K> const weights, Strips<kPack<T> / 2> strips) {
-  constexpr int P = kPack<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R, kEnd = rim_of(false);
+          __grid_constant__ OctaveWeights<false, K> const weights, Strips<kVectorSize<T> / 2> strips) {
+  constexpr int P = kVectorSize<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R, kEnd = rim_of(false);
   __shared__ Ring<T, P> rings[kWarps];
   int64_t plane;
   int column, top;
-  if (!strips.place(plane, column, top)) return;
+  if (!strips.locate(plane, column, top)) return;
   int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
   int const bottom = min(top + int(strips.rows), height);
   StripRows<T, P, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant, {},
@@ -110,7 +110,7 @@ __global__ void __launch_bounds__(32 * kWarps)
       }
     }
     if (i < top + R) continue;
-    if (column < width) store_pack(out, sums[R]);
+    if (column < width) store_vector(out, sums[R]);
     out += y.row_stride;
   }
 }
@@ -118,12 +118,12 @@ __global__ void __launch_bounds__(32 * kWarps)
 template <class T, int M>
 __global__ void __launch_bounds__(32 * kWarps)
     doubled(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
-            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kPack<T> / 2> strips, T const* base) {
-  constexpr int P = kPack<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = rim_of(true);
+            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kVectorSize<T> / 2> strips, T const* base) {
+  constexpr int P = kVectorSize<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = rim_of(true);
   __shared__ Ring<T, C> rings[kWarps];
   int64_t plane;
   int column, top;
-  if (!strips.place(plane, column, top)) return;
+  if (!strips.locate(plane, column, top)) return;
   int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
   int const bottom = min(top + int(strips.rows), int(x.height));
   StripRows<T, C, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant, {},
@@ -171,11 +171,11 @@ __global__ void __launch_bounds__(32 * kWarps)
         for (int k = 1; k < M; ++k) sums[p] += weights_y[odd][k] * along_x[from + k][p];
       }
       if (M == 4 && base && 2 * column < width) {  // M: pyrup's
-        Pack<T, P> const from = *reinterpret_cast<Pack<T, P> const*>(base + (out - y.data));
+        Vector<T, P> const from = *reinterpret_cast<Vector<T, P> const*>(base + (out - y.data));
 #pragma unroll
         for (int p = 0; p < P; ++p) sums[p] = read(from.v[p]) - sums[p];
       }
-      if (2 * column < width) store_pack(out, sums);
+      if (2 * column < width) store_vector(out, sums);
       out += y.row_stride;
     }
   }
@@ -191,10 +191,12 @@ inline bool is_octave(ResizeAxis const& a) {
 
 template <class T, bool Doubles, int Taps>
 int launch(Resize<T> const& p, CUstream_st* stream) {
-  constexpr int P = kPack<T>, C = P / 2;
+  constexpr int P = kVectorSize<T>, C = P / 2;
   if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kNotServed;
-  if (!(Doubles ? is_strip<C>(p.x) && is_strip<P>(p.y) : is_strip<P>(p.x) && is_strip<C>(p.y))) return kNotServed;
-  if (reinterpret_cast<uintptr_t>(p.base) % alignof(Pack<T, P>) != 0) return kNotServed;
+  if (!(Doubles ? is_vectorizable<C>(p.x) && is_vectorizable<P>(p.y)
+                : is_vectorizable<P>(p.x) && is_vectorizable<C>(p.y)))
+    return kNotServed;
+  if (reinterpret_cast<uintptr_t>(p.base) % alignof(Vector<T, P>) != 0) return kNotServed;
   int64_t const height = Doubles ? p.x.height : p.y.height, width = Doubles ? p.x.width : p.y.width;
   // Long strips repeat fewer rows; there must be enough of them for the machine.
   int rows = 32;

@@ -23,7 +23,7 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
   check_images(op, transposed ? "grad" : "input", input);
   KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
   Window const window = window_of(op, name);
-  Border const border = border_of(op, border_name);
+  Border const border = parse_border(op, border_name);
   auto const axis = [&](int64_t from, int64_t to) {
     KV_CHECK(from <= kLongestSide && to > 0 && to <= kLongestSide, op, ": expected sides of 1 to ", kLongestSide,
              " pixels, got ", from, " and ", to);
@@ -39,7 +39,7 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
   };
   ResizeAxis const rows = axis(input.size(2), size[0]), columns = axis(input.size(3), size[1]);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout);
+  Tensor const x = as_layout(input, layout);
   Tensor const y = empty({x.size(0), x.size(1), size[0], size[1]}, x, layout);
   if (base) check_like(op, "image", *base, y);
   // In the same places as y.
@@ -50,14 +50,14 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
     Resize<T> const params{planes<T const>(x, layout), planes<T>(y, layout), rows, columns,
-                           base ? data_of<T const>(image) : nullptr};
+                           base ? data_ptr<T const>(image) : nullptr};
     KV_RUN(resize, x, params, params.y.row_size() ? params.y.rows() : 0,
            rows.most * params.x.row_size() + columns.most * params.y.row_size());
   };
   if (transposed || base)
-    for_floats(op, x, run);
+    dispatch_floating(op, x, run);
   else
-    for_floats_and_bytes(op, x, run);
+    dispatch_floating_and_uint8(op, x, run);
   return y;
 }
 

@@ -135,7 +135,7 @@ template <class T>
 int sample(Sample<T> const& p, CUstream_st* stream) {
   Tiles const tiles(p.y.batch, p.y.height, p.y.width, tile_row(p.y.batch, p.y.height, p.y.width));
   auto const run = [&](auto kernel) {
-    kernel<<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, in_packs(p.x));
+    kernel<<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, rows_are_aligned(p.x));
   };
   with_taps(p.interpolation, [&](auto taps) {
     constexpr int K = taps.value;

@@ -33,7 +33,7 @@ struct Tile {
   int x, y, u, v;
 
   // The block's tile of that number.
-  __device__ __forceinline__ void place(Tiles const& tiles, int number) {
+  __device__ __forceinline__ void locate(Tiles const& tiles, int number) {
     unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
     b = sample;
     x = (int((blockIdx.x - row * tiles.across) * tiles.row) + number) * kTile;
@@ -49,7 +49,7 @@ struct Tile {
     map = seen_from<F>(whole, x, y, u, v);
   }
   __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places, int number = 0) {
-    place(tiles, number);
+    locate(tiles, number);
     if (!places.has_map()) see(homography(places.matrices + b * places.matrix_stride, places.use), places.use.source);
   }
 };

@@ -63,7 +63,7 @@ inline int64_t slope_parts(Size output, [[maybe_unused]] int row) {
 
 // Whether t has what an image x goes with: numbers in the type that computes, for each sample or for all.
 inline bool goes_with(Tensor const& t, Tensor const& x, int64_t axes) {
-  return t.dim() == axes && t.scalar_type() == computed_type(x) && t.device() == x.device() &&
+  return t.dim() == axes && t.scalar_type() == compute_dtype(x) && t.device() == x.device() &&
          (t.size(0) == 1 || t.size(0) == x.size(0));
 }
 
@@ -90,7 +90,7 @@ Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unu
   Tensor grad_x = empty(sizes, grad);
 #if defined(KV_CUDA)
   Tensor const sums = half && !gathers ? empty(sizes, grad, Layout::planar, ScalarType::Float) : grad_x;
-  for_floats(op, grad, [&](auto type) { run(type, grad, grad_x, sums); });
+  dispatch_floating(op, grad, [&](auto type) { run(type, grad, grad_x, sums); });
   return half && !gathers ? torch::stable::copy_(grad_x, sums) : grad_x;
 #else
   if (!half) {
@@ -142,7 +142,7 @@ struct WarpMatrix {
   }
   template <class F>
   F const* data() const {
-    return formula.by == MatrixBy::given ? data_of<F const>(tensor) : nullptr;
+    return formula.by == MatrixBy::given ? data_ptr<F const>(tensor) : nullptr;
   }
 };
 
@@ -162,7 +162,7 @@ using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
 // is of the operators'. Matrices that may have fewer rows have one less than columns.
 #define KV_WARP_BY(name, Formula, signature)                                   \
   if (formula == #name) {                                                      \
-    GivenNumbers<Formula> given(op, x, computed_type(x), inputs, numbers,      \
+    GivenNumbers<Formula> given(op, x, compute_dtype(x), inputs, numbers,      \
                                 Formula::kCut ? Formula::result.rows - 1 : 0); \
     return run(WarpMatrix(op, given, MatrixBy::name, x, within));              \
   }
@@ -216,7 +216,7 @@ struct SamplingArguments {
             {int(source.width), padding, align_corners},
             {int(source.height), padding, align_corners},
             places,
-            fill ? data_of<F const>(*fill) : nullptr,
+            fill ? data_ptr<F const>(*fill) : nullptr,
             fill && fill->size(0) > 1 ? fill->stride(0) : 0,
             fill && fill->size(1) > 1 ? fill->stride(1) : 0};
   }

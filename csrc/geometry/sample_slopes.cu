@@ -138,7 +138,7 @@ int sample_slopes(SampleSlopes<T> const& p, CUstream_st* stream) {
   Tiles const tiles(p.grad.batch, p.grad.height, p.grad.width, tile_row(p.grad.batch, p.grad.height, p.grad.width));
   with_taps(p.interpolation, [&](auto taps) {
     slope_tiles<T, taps.value>
-        <<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, in_packs(p.x));
+        <<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, rows_are_aligned(p.x));
   });
   return cudaGetLastError();
 }

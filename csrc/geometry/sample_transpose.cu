@@ -35,7 +35,7 @@ struct Sources {
   __device__ __forceinline__ void open(Tiles const& tiles, SampleTranspose<T> const& p, int number) {
     constexpr F reach = F(K) / 2;
     Tile<F> tile;  // of a warp from the source to the output
-    tile.place(tiles, number);
+    tile.locate(tiles, number);
     // Half of the warp inverts, half does not: both take as long as one.
     MatrixUse const use = threadIdx.x & 16 ? p.places.use : other_way(p.places.use);
     Homography<double> const way = homography(p.places.matrices + tile.b * p.places.matrix_stride, use);
@@ -144,19 +144,20 @@ __device__ __noinline__ void gather_where_they_are(SampleTranspose<T> const& p, 
   for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = round_to<T>(sums[k]);
 }
 
-// Zeros for a tile of all channels. `aligned`: rows are packs of 16 bytes.
+// Zeros for a tile of all channels. `aligned`: rows are vectors of 16 bytes.
 template <class T>
 __device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x0, int y0, bool aligned) {
-  constexpr int kPack = 16 / int(sizeof(T)), kAcross = kTile / kPack;
-  int const x = x0 + threadIdx.x % kAcross * kPack, width = int(to.width), bottom = min(y0 + kTile, int(to.height));
+  constexpr int kVectorSize = 16 / int(sizeof(T)), kAcross = kTile / kVectorSize;
+  int const x = x0 + threadIdx.x % kAcross * kVectorSize, width = int(to.width),
+            bottom = min(y0 + kTile, int(to.height));
   for (int y = y0 + threadIdx.x / kAcross; x < width && y < bottom; y += kThreads / kAcross)
     for (int c = 0; c < to.channels; ++c) {
       T* const row = to.row(b, c, y) + x;
       if (aligned) {
-        *reinterpret_cast<Pack<T, kPack>*>(row) = {};
+        *reinterpret_cast<Vector<T, kVectorSize>*>(row) = {};
       } else {
 #pragma unroll
-        for (int i = 0; i < kPack; ++i)
+        for (int i = 0; i < kVectorSize; ++i)
           if (x + i < width) row[i] = T{};
       }
     }
@@ -267,7 +268,7 @@ struct Sums {
 
 // Adds four sums to memory, at a multiple of their size.
 template <class F>
-__device__ __forceinline__ void add_four(F* to, Pack<F, 4> const& sums) {
+__device__ __forceinline__ void add_four(F* to, Vector<F, 4> const& sums) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
   constexpr bool at_once = sizeof(F) == 4;
 #else
@@ -299,7 +300,7 @@ __device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* su
   F wx[K], wy[K], tx, ty;
   int const column = first_tap<K, F>(u, tx) + tile.u, row = first_tap<K, F>(v, ty) + tile.v;
   int const width = p.x_axis.size, stride = int(p.grad_x.row_stride);
-  [[maybe_unused]] bool const in_packs = stride % 4 == 0 && column >= 0 && column + K <= width;
+  [[maybe_unused]] bool const rows_are_aligned = stride % 4 == 0 && column >= 0 && column + K <= width;
   tap_weights(tx, wx);
   tap_weights(ty, wy);
 #pragma unroll
@@ -309,22 +310,23 @@ __device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* su
 #pragma unroll
     for (int k = 0; k < N; ++k) {
       F* const line = sums + k * p.grad_x.channel_stride + y * stride;
-      F taps[8] = {};  // from the beginning of a pack on
+      F taps[8] = {};  // from the beginning of a vector on
 #pragma unroll
       for (int i = 0; i < K; ++i) {
         F const weight = wx[i] * wy[j];
         taps[i] = weight == 0 ? F(0) : weight * g[k];
       }
       if constexpr (K > 1 && sizeof(F) == 4)
-        if (in_packs) {
+        if (rows_are_aligned) {
 #pragma unroll
           for (int by = 1; by <= 2; by *= 2)
 #pragma unroll
             for (int i = 7; i >= 0; --i)
               if (column & by) taps[i] = i < by ? F(0) : taps[max(i - by, 0)];
           F* const to = line + (column & -4);
-          add_four(to, Pack<F, 4>{taps[0], taps[1], taps[2], taps[3]});
-          if (taps[4] != 0 || taps[5] != 0 || taps[6] != 0) add_four(to + 4, Pack<F, 4>{taps[4], taps[5], taps[6], 0});
+          add_four(to, Vector<F, 4>{taps[0], taps[1], taps[2], taps[3]});
+          if (taps[4] != 0 || taps[5] != 0 || taps[6] != 0)
+            add_four(to + 4, Vector<F, 4>{taps[4], taps[5], taps[6], 0});
           continue;
         }
 #pragma unroll
@@ -407,7 +409,8 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
     box = {warp_min(box.left), warp_min(box.top), -warp_min(-box.right), -warp_min(-box.bottom)};
     if (box.left > box.right) continue;  // none
     far = __any_sync(0xffffffffu, far) || box.right - box.left > 64 || box.bottom - box.top > 64;
-    // Packs of four begin where those of the image do. Rows are an odd multiple of four: those of a run in other banks.
+    // Vectors of four begin where those of the image do. Rows are an odd multiple of four: those of a run in other
+    // banks.
     int const left = far ? 0 : ((box.left + tile.u) & -4) - tile.u, top = box.top, rows = box.bottom - top + K;
     int const columns = box.right - left + K, pitch = columns <= 20 ? 20 : ((columns + 3) & -8) | 4;
     bool const fits = !far && rows * pitch <= kCells;
@@ -443,7 +446,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       __syncwarp();  // for those who read the sums before these
       for (int i = 4 * lane; i < rows * pitch; i += 4 * 32)
 #pragma unroll
-        for (int k = 0; k < N; ++k) *reinterpret_cast<Pack<F, 4>*>(sums + k * kCells + i) = {};
+        for (int k = 0; k < N; ++k) *reinterpret_cast<Vector<F, 4>*>(sums + k * kCells + i) = {};
       __syncwarp();
 
 #pragma unroll 1
@@ -480,7 +483,8 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
           for (int column = 4 * lane_x; column < columns; column += 32)
 #pragma unroll
             for (int k = 0; k < N; ++k) {
-              Pack<F, 4> const four = *reinterpret_cast<Pack<F, 4> const*>(sums + k * kCells + row * pitch + column);
+              Vector<F, 4> const four =
+                  *reinterpret_cast<Vector<F, 4> const*>(sums + k * kCells + row * pitch + column);
               if (four.v[0] != 0 || four.v[1] != 0 || four.v[2] != 0 || four.v[3] != 0)
                 add_four(to + k * p.grad_x.channel_stride + ((to_top + row) * stride + to_left + column), four);
             }
@@ -509,7 +513,7 @@ void gather(SampleTranspose<T> const& p, CUstream_st* stream) {
   Tiles const tiles(x.batch, x.height, x.width, tile_row(x.batch, x.height, x.width));
   with_taps(p.interpolation, [&](auto taps) {
     gather_tiles<T, taps.value><<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(
-        p, tiles, in_packs(p.grad), in_packs(p.grad_x));
+        p, tiles, rows_are_aligned(p.grad), rows_are_aligned(p.grad_x));
   });
 }
 

@@ -17,7 +17,7 @@ struct Tiles {
         down(unsigned(ceil_div(size[1], 8))),
         count(unsigned(volumes * size[0] * across * down)) {}
   // False outside of the volumes.
-  __device__ __forceinline__ bool place(int const (&size)[3], int64_t& volume, int& z, int& y, int& x) const {
+  __device__ __forceinline__ bool locate(int const (&size)[3], int64_t& volume, int& z, int& y, int& x) const {
     unsigned const line = blockIdx.x / across, plane = line / down;
     volume = plane / unsigned(size[0]);
     z = int(plane - unsigned(volume) * unsigned(size[0]));
@@ -62,7 +62,7 @@ template <class T>
 __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArgmax<T> const p, Tiles tiles) {
   int64_t volume;
   int z, y, x;
-  if (tiles.place(p.windows.out, volume, z, y, x)) one_window(p, volume, z, y, x);
+  if (tiles.locate(p.windows.out, volume, z, y, x)) one_window(p, volume, z, y, x);
 }
 
 // --- windows around every pixel of images ----------------------------------------------------------------------------
@@ -70,7 +70,7 @@ __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArg
 constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
 constexpr float kMostExponent = 90;  // of base 2, beside a strip's largest: rounding it costs 3e-6 of a weight
 
-// Four numbers of a thread and R of each neighbour's: sums of 2R + 1, and of these times how many are before them.
+// Double4 numbers of a thread and R of each neighbour's: sums of 2R + 1, and of these times how many are before them.
 template <int R>
 struct Across {
   float v[kRun + 2 * R];
@@ -114,7 +114,7 @@ struct ImageStrip {
     return dim3(unsigned(ceil_div(strips, kStripThreads / 32)));
   }
   // False beyond the last strip.
-  __device__ __forceinline__ bool place(Windows const& w, float const* data, float temperature) {
+  __device__ __forceinline__ bool locate(Windows const& w, float const* data, float temperature) {
     height = w.size[1], width = w.size[2];
     unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
     unsigned const across = unsigned(width + kColumns - 1) / kColumns, down = unsigned(height + kRows - 1) / kRows;
@@ -138,7 +138,7 @@ struct ImageStrip {
 #pragma unroll 4
     for (int y = max(y0 - reach, 0); y < min(y1 + reach, height); ++y) {
       if (!there) break;
-      Pack<float, kRun> const v = load(image, y);
+      Vector<float, kRun> const v = load(image, y);
 #pragma unroll
       for (int i = 0; i < kRun; ++i) most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // NaN is left out
     }
@@ -150,16 +150,16 @@ struct ImageStrip {
     from = most * sharpness;
     return (most - least) * sharpness <= kMostExponent && ::fabs(from) <= 0x1p24f;
   }
-  __device__ __forceinline__ Pack<float, kRun> load(float const* plane, int y) const {
-    return *reinterpret_cast<Pack<float, kRun> const*>(plane + int64_t(y) * width);
+  __device__ __forceinline__ Vector<float, kRun> load(float const* plane, int y) const {
+    return *reinterpret_cast<Vector<float, kRun> const*>(plane + int64_t(y) * width);
   }
   __device__ __forceinline__ bool has(int y) const { return there && y >= 0 && y < height; }
-  __device__ __forceinline__ Pack<float, kRun> row(int y) const {
-    return has(y) ? load(image, y) : Pack<float, kRun>{};
+  __device__ __forceinline__ Vector<float, kRun> row(int y) const {
+    return has(y) ? load(image, y) : Vector<float, kRun>{};
   }
   // The exponentials of row y, which is v, and these times x; 0 outside of the image.
   template <bool Products>
-  __device__ __forceinline__ void weights_of(Pack<float, kRun> const& v, int y, float (&weight)[kRun],
+  __device__ __forceinline__ void weights_of(Vector<float, kRun> const& v, int y, float (&weight)[kRun],
                                              float (&product)[kRun]) const {
     bool const inside = has(y);
 #pragma unroll
@@ -175,7 +175,7 @@ template <int R, bool Values>
 __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<float> const p) {
   constexpr int K = 2 * R + 1;
   ImageStrip<1> strip;
-  if (!strip.place(p.windows, p.x, p.temperature)) return;
+  if (!strip.locate(p.windows, p.x, p.temperature)) return;
   int const x = strip.x, y0 = strip.y0, width = strip.width;
   int64_t const size = strip.size;
   if (!strip.find_largest(R)) {
@@ -189,7 +189,7 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
     int const y = y0 - R + j;
     strip.weights_of<Values>(strip.row(y), y, weights[j + 1], products[j + 1]);
   }
-  Pack<float, kRun> ahead = strip.row(y0 + R);
+  Vector<float, kRun> ahead = strip.row(y0 + R);
   float* to_x = p.places + 2 * strip.plane * size + int64_t(y0) * width + x;
   float* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
 #pragma unroll(K)
@@ -220,7 +220,7 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
       }
     }
     Across<R> const total(totals), moment(moments);
-    Pack<float, kRun> places_x, places_y, means;
+    Vector<float, kRun> places_x, places_y, means;
     float scales[kRun];
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
@@ -234,9 +234,9 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
       for (int n = 0; n < kRun; ++n) means.v[n] = value.sum(n) * scales[n];
     }
     if (strip.writes) {
-      *reinterpret_cast<Pack<float, kRun>*>(to_x) = places_x;
-      *reinterpret_cast<Pack<float, kRun>*>(to_x + size) = places_y;
-      if constexpr (Values) *reinterpret_cast<Pack<float, kRun>*>(to_value) = means;
+      *reinterpret_cast<Vector<float, kRun>*>(to_x) = places_x;
+      *reinterpret_cast<Vector<float, kRun>*>(to_x + size) = places_y;
+      if constexpr (Values) *reinterpret_cast<Vector<float, kRun>*>(to_value) = means;
     }
     to_x += width;
     if constexpr (Values) to_value += width;
@@ -251,7 +251,7 @@ __global__ void __launch_bounds__(kThreads) records_of(__grid_constant__ SoftArg
   Windows const& w = p.windows;
   int64_t volume;
   int z, y, x;
-  if (!tiles.place(w.out, volume, z, y, x)) return;
+  if (!tiles.locate(w.out, volume, z, y, x)) return;
   auto const sums = sums_at(w, p.x + volume * w.voxels(), p.temperature, z, y, x);
   int64_t const at = (int64_t(z) * w.out[1] + y) * w.out[2] + x, place = volume * w.places() + at;
   auto const grad_of = [&](int number, int axis) {
@@ -271,7 +271,7 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
   Windows const& w = p.windows;
   int64_t volume;
   int vz, vy, vx;
-  if (!tiles.place(w.size, volume, vz, vy, vx)) return;
+  if (!tiles.locate(w.size, volume, vz, vy, vx)) return;
   int64_t const at = volume * w.voxels() + (int64_t(vz) * w.size[1] + vy) * w.size[2] + vx;
   int64_t const count = w.volumes * w.places();
   F const v = read(p.x[at]), sharpness = F(kLog2E) / p.temperature, per_temperature = 1 / p.temperature;
@@ -317,7 +317,7 @@ template <int R>
 __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ SoftArgmaxBackward<float> const p) {
   constexpr int K = 2 * R + 1;
   ImageStrip<2> strip;
-  if (!strip.place(p.windows, p.x, p.temperature)) return;
+  if (!strip.locate(p.windows, p.x, p.temperature)) return;
   int const x = strip.x, y0 = strip.y0, width = strip.width;
   int64_t const size = strip.size;
   float* to = p.grad_x + strip.plane * size + int64_t(y0) * width + x;
@@ -334,10 +334,10 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
   float const per_temperature = 1 / p.temperature;
   // Rows on their way: of the image, and of the gradients to windows.
   auto const grad_row = [&](float const* plane, int y) {
-    return strip.has(y) ? strip.load(plane, y) : Pack<float, kRun>{};
+    return strip.has(y) ? strip.load(plane, y) : Vector<float, kRun>{};
   };
-  Pack<float, kRun> ahead = strip.row(y0 - 2 * R);
-  Pack<float, kRun> ahead_x = grad_row(grad_x, y0 - R), ahead_y = grad_row(grad_y, y0 - R);
+  Vector<float, kRun> ahead = strip.row(y0 - 2 * R);
+  Vector<float, kRun> ahead_x = grad_row(grad_x, y0 - R), ahead_y = grad_row(grad_y, y0 - R);
 #pragma unroll(K)
   for (int i = -4 * R; i < kRows; ++i) {
     // Weights of row y + 2R, then windows around row y + R, then the gradient of row y.
@@ -363,7 +363,7 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
     }
     Across<R> const total(totals), moment(moments);
     int const middle = y + R;
-    Pack<float, kRun> const gx = ahead_x, gy = ahead_y;
+    Vector<float, kRun> const gx = ahead_x, gy = ahead_y;
     ahead_x = grad_row(grad_x, middle + 1), ahead_y = grad_row(grad_y, middle + 1);
     if (strip.has(middle)) {
 #pragma unroll
@@ -380,12 +380,12 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
     }
     Across<R> const constant(constants[0]), slope(slopes[0]);
     if (i >= 0 && strip.writes) {
-      Pack<float, kRun> found;
+      Vector<float, kRun> found;
 #pragma unroll
       for (int n = 0; n < kRun; ++n)
         found.v[n] =
             weights[0][n] * per_temperature * (constant.sum(n) + (float(2 * R) * slope.sum(n) - slope.moment(n)));
-      *reinterpret_cast<Pack<float, kRun>*>(to) = found;
+      *reinterpret_cast<Vector<float, kRun>*>(to) = found;
     }
     if (i >= 0) to += width;
 #pragma unroll

@@ -45,15 +45,15 @@ std::tuple<Tensor, Tensor> soft_argmax(Tensor const& input, Ints window, Ints st
   int64_t const b = x.size(0), c = x.size(1);
   Tensor const places = empty({b, c, w.axes, w.out[0], w.out[1], w.out[2]}, x);
   Tensor const values = empty({b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]}, x);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     SoftArgmax<T> params{w,
                          Compute<T>(temperature),
                          {},
                          {},
-                         data_of<T const>(x),
-                         data_of<T>(places),
-                         with_values ? data_of<T>(values) : nullptr};
+                         data_ptr<T const>(x),
+                         data_ptr<T>(places),
+                         with_values ? data_ptr<T>(values) : nullptr};
     scales_of(w, normalized, params.scale, params.offset);
     KV_RUN(soft_argmax, x, params, w.volumes * w.out[0] * w.out[1], w.out[2] * w.area());
   });
@@ -69,31 +69,31 @@ Tensor soft_argmax_backward(Tensor const& grad_places, Tensor const& grad_values
   KV_CHECK(grad_places.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_places.dim());
   int64_t const b = grad_places.size(0), c = input.size(1);
   w.volumes = b * c;
-  check_fits(op, "input", input, grad_places, {b, c, w.size[0], w.size[1], w.size[2]});
-  check_fits(op, "grad_places", grad_places, input, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
-  check_fits(op, "grad_values", grad_values, input, {b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]});
-  Tensor const x = for_batch(input, b), g = for_batch(grad_places, b), v = for_batch(grad_values, b);
+  check_sizes(op, "input", input, grad_places, {b, c, w.size[0], w.size[1], w.size[2]});
+  check_sizes(op, "grad_places", grad_places, input, {b, c, w.axes, w.out[0], w.out[1], w.out[2]});
+  check_sizes(op, "grad_values", grad_values, input, {b, c, with_values ? w.out[0] : 0, w.out[1], w.out[2]});
+  Tensor const x = expand_batch(input, b), g = expand_batch(grad_places, b), v = expand_batch(grad_values, b);
   Tensor const grad_x = empty({b, c, w.size[0], w.size[1], w.size[2]}, x);
 #if defined(KV_CUDA)
   bool const one_pass =
       x.scalar_type() == ScalarType::Float && !with_values &&
-      reach_of(w, data_of<float>(x), data_of<float>(g), data_of<float>(grad_x), data_of<float>(g) + w.places()) > 0;
+      reach_of(w, data_ptr<float>(x), data_ptr<float>(g), data_ptr<float>(grad_x), data_ptr<float>(g) + w.places()) > 0;
 #else
   bool const one_pass = false;
 #endif
   bool const wide = x.scalar_type() == ScalarType::Double;
   Tensor const records = empty({one_pass ? 0 : kRecord, w.volumes, w.places()}, x, Layout::planar,
                                wide ? ScalarType::Double : ScalarType::Float);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     SoftArgmaxBackward<T> params{w,
                                  Compute<T>(temperature),
                                  {},
-                                 data_of<T const>(g),
-                                 with_values ? data_of<T const>(v) : nullptr,
-                                 data_of<T const>(x),
-                                 data_of<T>(grad_x),
-                                 one_pass ? nullptr : data_of<Compute<T>>(records)};
+                                 data_ptr<T const>(g),
+                                 with_values ? data_ptr<T const>(v) : nullptr,
+                                 data_ptr<T const>(x),
+                                 data_ptr<T>(grad_x),
+                                 one_pass ? nullptr : data_ptr<Compute<T>>(records)};
     scales_of(w, normalized, params.scale);
     if (!one_pass) KV_RUN(soft_argmax_records, x, params, w.volumes * w.out[0] * w.out[1], w.out[2] * w.area());
     KV_RUN(soft_argmax_backward, x, params, w.volumes * w.size[0] * w.size[1], w.size[2] * w.area());

@@ -36,9 +36,9 @@ struct GivenSpline {
   template <class T>
   Spline<T> of(int64_t count) const {
     Spline<T> p{};
-    p.centers = data_of<T const>(centers);
-    p.weights = data_of<T const>(weights);
-    p.affine = data_of<T const>(affine);
+    p.centers = data_ptr<T const>(centers);
+    p.weights = data_ptr<T const>(weights);
+    p.affine = data_ptr<T const>(affine);
     p.center_stride = stride(centers);
     p.weight_stride = stride(weights);
     p.affine_stride = stride(affine);
@@ -50,7 +50,7 @@ struct GivenSpline {
   template <class T>
   Spline<T> at_points(Tensor const& points) const {
     Spline<T> p = of<T>(points.size(1));
-    p.points = data_of<T const>(points);
+    p.points = data_ptr<T const>(points);
     p.point_stride = stride(points);
     return p;
   }
@@ -69,7 +69,7 @@ struct GivenSpline {
 
   template <class T>
   void run(Spline<T> p, Tensor const& result) const {
-    p.result = data_of<T>(result);
+    p.result = data_ptr<T>(result);
     KV_RUN(spline, result, p, batch * spline_parts(p.count), cost());
   }
   // To centers, weights and affine, of each sample.
@@ -78,11 +78,11 @@ struct GivenSpline {
     int64_t const n = p.centres, parts = spline_parts(p.count);
     Tensor const to_centers = empty({batch, n, 2}, grad), to_weights = empty({batch, n, 2}, grad),
                  to_affine = empty({batch, 3, 2}, grad), sums = empty({batch, parts, 4 * n + 6}, grad);
-    p.grad = data_of<T const>(grad);
-    p.sums = data_of<T>(sums);
+    p.grad = data_ptr<T const>(grad);
+    p.sums = data_ptr<T>(sums);
     KV_RUN(spline_backward, grad, p, batch * parts, 2 * cost());
     SplineSums<T> const total{
-        p.sums, batch, parts, n, data_of<T>(to_centers), data_of<T>(to_weights), data_of<T>(to_affine)};
+        p.sums, batch, parts, n, data_ptr<T>(to_centers), data_ptr<T>(to_weights), data_ptr<T>(to_affine)};
     KV_RUN(spline_sums, grad, total, batch, parts * total.width());
     return {to_centers, to_weights, to_affine};
   }
@@ -131,7 +131,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> spline_points_backward(Tensor const& 
   for_computed(op, points, [&](auto type) {
     using T = typename decltype(type)::type;
     Spline<T> p = given.at_points<T>(from);
-    p.to_points = data_of<T>(to_points);
+    p.to_points = data_ptr<T>(to_points);
     to = given.run_backward(p, g);
   });
   return {to_points, std::get<0>(to), std::get<1>(to), std::get<2>(to)};
@@ -188,7 +188,7 @@ Tensor spline_weights(Tensor const& centers, Tensor const& right) {
                                n,
                                nullptr};
   Tensor const systems = empty({batch, params.size(), params.width()}, centers, Layout::planar, ScalarType::Double);
-  params.systems = data_of<double>(systems);
+  params.systems = data_ptr<double>(systems);
   KV_RUN(spline_weights, centers, params, batch, (n + 3) * (n + 3) * (n + 3));
   return result;
 }

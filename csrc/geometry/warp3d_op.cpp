@@ -47,7 +47,7 @@ struct Warp {
   template <class T>
   Warp3d<T> of(Tensor const& x, Tensor const& y) const {
     return {
-        interpolation, padding, matrix.data<Compute<T>>(), matrix.stride, use, data_of<T>(x), data_of<T>(y), batch(),
+        interpolation, padding, matrix.data<Compute<T>>(), matrix.stride, use, data_ptr<T>(x), data_ptr<T>(y), batch(),
         channels(),    nullptr, parts_of(use.output)};
   }
 };
@@ -55,7 +55,7 @@ struct Warp {
 Tensor warped_volumes(Warp const& w) {
   Size3 const size = w.use.output;
   Tensor const y = empty({w.batch(), w.channels(), size.depth, size.height, size.width}, w.volumes);
-  for_floats(w.op, w.volumes, [&](auto type) {
+  dispatch_floating(w.op, w.volumes, [&](auto type) {
     using T = typename decltype(type)::type;
     Warp3dValue<T> const params{w.of<T>(w.volumes, y), w.matrix.formula};
     KV_RUN(warp3d, y, params, y.numel() > 0 ? w.batch() * size.depth * size.height : 0, 16 * w.channels() * size.width);
@@ -120,10 +120,10 @@ Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor 
   for_computed(op, volumes, [&](auto type) {
     using F = typename decltype(type)::type;
     Warp3dSlopes<F> slopes{w.of<F>(w.volumes, y)};
-    slopes.sums = data_of<double>(sums);
+    slopes.sums = data_ptr<double>(sums);
     KV_RUN(warp3d_slopes, volumes, slopes, w.batch() * w.use.output.depth * w.use.output.height,
            32 * w.channels() * w.use.output.width);
-    Warp3dMatrix<F> total{w.of<F>(grad_matrix, grad_matrix), data_of<F>(grad_matrix)};
+    Warp3dMatrix<F> total{w.of<F>(grad_matrix, grad_matrix), data_ptr<F>(grad_matrix)};
     total.sums = slopes.sums;
     KV_RUN(warp3d_matrix, volumes, total, w.batch(), 16 * parts);
   });

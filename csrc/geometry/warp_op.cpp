@@ -8,7 +8,7 @@ Tensor warped(Tensor const& image, SamplingArguments const& a, Matrix const& m) 
   Size const source = m.use.source, output = m.use.output;
   int64_t const batch = image.size(0), channels = image.size(1);
   Tensor const y = empty({batch, channels, output.height, output.width}, image, layout_of(image));
-  for_floats_and_bytes(a.op, image, [&](auto type) {
+  dispatch_floating_and_uint8(a.op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     Sample<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(image, batch), images<T>(y, batch),
                            m.formula};
@@ -60,7 +60,7 @@ Tensor warp_image_gradient(Tensor const& grad, Tensor const& matrix, std::vector
       op, grad, source, padding == "fill", [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
         using T = typename decltype(type)::type;
         SampleTranspose<T> const params{a.of<T>(source, m.places<Compute<T>>()), images<T const>(from, batch),
-                                        images<T>(to, batch), data_of<Compute<T>>(sums)};
+                                        images<T>(to, batch), data_ptr<Compute<T>>(sums)};
         check_planes(op, params.grad);
         check_planes(op, params.grad_x);
         KV_RUN(sample_transpose, from, params, batch * channels, 8 * output.height * output.width);
@@ -81,7 +81,7 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
   int64_t const parts = slope_parts(output, tile_row(batch, output.height, output.width));
   Tensor const sums = empty({batch, parts, 9}, grad, Layout::planar, ScalarType::Double);
   Tensor const grad_matrix = empty({batch, m.use.rows, 3}, m.tensor);
-  for_floats(op, image, [&](auto type) {
+  dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Places<F> const places = m.places<F>();
@@ -90,12 +90,12 @@ Tensor warp_matrix_gradient(Tensor const& grad, Tensor const& image, Tensor cons
                                  images<T const>(grad, batch),
                                  {},
                                  {},
-                                 data_of<double>(sums),
+                                 data_ptr<double>(sums),
                                  parts};
     check_planes(op, slopes.x);
     check_planes(op, slopes.grad);
     KV_RUN(sample_slopes, image, slopes, batch * output.height, 8 * image.size(1) * output.width);
-    MatrixGradient<F> const gradient{places, data_of<double const>(sums), parts, batch, data_of<F>(grad_matrix)};
+    MatrixGradient<F> const gradient{places, data_ptr<double const>(sums), parts, batch, data_ptr<F>(grad_matrix)};
     KV_RUN(matrix_gradient, image, gradient, batch, 9 * parts);
   });
   return grad_matrix;

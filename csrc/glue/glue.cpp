@@ -60,15 +60,15 @@ int64_t bytes_of(ScalarType type) {
 
 }  // namespace
 
-Part::Part(double number) {
+MessagePart::MessagePart(double number) {
   char digits[32];
   snprintf(digits, sizeof digits, "%g", number);
   text = digits;
 }
 
-void fail(std::initializer_list<Part> message) {
+void fail(std::initializer_list<MessagePart> message) {
   std::string words;
-  for (Part const& part : message) words += part.text;
+  for (MessagePart const& part : message) words += part.text;
   throw std::runtime_error(words);
 }
 
@@ -88,7 +88,30 @@ void check_like(char const* op, char const* name, Tensor const& x, Tensor const&
   KV_CHECK(same, op, ": ", name, " differs in shape, dtype or device from the tensor it belongs to");
 }
 
-Border border_of(char const* op, std::string const& name) {
+DType dtype_of(char const* op, Tensor const& x) {
+  switch (x.scalar_type()) {
+    case ScalarType::Byte:
+      return DType::uint8;
+    case ScalarType::Half:
+      return DType::float16;
+    case ScalarType::BFloat16:
+      return DType::bfloat16;
+    case ScalarType::Float:
+      return DType::float32;
+    case ScalarType::Double:
+      return DType::float64;
+    default:
+      fail({op, ": no kernel for this dtype"});
+  }
+}
+
+ScalarType scalar_type_of(DType dtype) {
+  constexpr ScalarType kTypes[] = {ScalarType::Byte, ScalarType::Half, ScalarType::BFloat16, ScalarType::Float,
+                                   ScalarType::Double};
+  return kTypes[int(dtype)];
+}
+
+Border parse_border(char const* op, std::string const& name) {
   if (name == "reflect") return Border::reflect;
   if (name == "replicate") return Border::replicate;
   if (name == "constant") return Border::constant;
@@ -110,7 +133,7 @@ Layout layout_of(Tensor const& x) { return is_channels_last(x) ? Layout::channel
 
 Tensor dense(Tensor const& x) { return x.is_contiguous() ? x : torch::stable::contiguous(x); }
 
-Tensor conform(Tensor const& x, Layout layout) {
+Tensor as_layout(Tensor const& x, Layout layout) {
   if (layout == Layout::channels_last)
     return is_channels_last(x) ? x : torch::stable::contiguous(x, torch::headeronly::MemoryFormat::ChannelsLast);
   return x.stride(3) == 1 || x.size(3) == 1 ? x : dense(x);
@@ -153,7 +176,7 @@ Tensor empty_like(Tensor const& x, Layout layout) {
   return empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x, layout);
 }
 
-ScalarType computed_type(Tensor const& x) {
+ScalarType compute_dtype(Tensor const& x) {
   return x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float;
 }
 

@@ -7,6 +7,7 @@
 #pragma once
 
 #include "core/border.h"
+#include "core/dtype.h"
 #include "core/isa.h"
 #include "core/view.h"
 #include "glue/torch.h"
@@ -18,18 +19,18 @@ using torch::stable::Tensor;
 
 // --- checks ----------------------------------------------------------------------------------------------------------
 
-// A word, a number or a name of a message.
-struct Part {
+// A word, a number or a name in a message.
+struct MessagePart {
   std::string text;
-  Part(char const* text) : text(text) {}
-  Part(std::string const& text) : text(text) {}
+  MessagePart(char const* text) : text(text) {}
+  MessagePart(std::string const& text) : text(text) {}
   template <std::integral T>
-  Part(T number) : text(std::to_string(number)) {}
-  Part(double number);
+  MessagePart(T number) : text(std::to_string(number)) {}
+  MessagePart(double number);
 };
 
 // Throws what Python sees as a RuntimeError.
-[[noreturn]] void fail(std::initializer_list<Part> message);
+[[noreturn]] void fail(std::initializer_list<MessagePart> message);
 
 // Not STD_TORCH_CHECK, whose messages begin with the path of this file instead of the operator.
 #define KV_CHECK(condition, ...)   \
@@ -43,20 +44,20 @@ void check_images(char const* op, char const* name, Tensor const& x);
 void check_volumes(char const* op, char const* name, Tensor const& x);
 void check_like(char const* op, char const* name, Tensor const& x, Tensor const& like);
 
-Border border_of(char const* op, std::string const& name);
+Border parse_border(char const* op, std::string const& name);
 
-// A border reaches at most one reflection or period into the image; see core/border.h.
+// Borders reflect or repeat the image at most once; see core/border.h.
 void check_border(char const* op, Border border, int64_t pad, int64_t size);
 
-// The area of a window, and all positions in and around a row, then fit an int.
+// The area of a window, and all positions in a row and its border, are then ints.
 constexpr int64_t kLargestWindow = (1 << 15) - 1;
 
 void check_window(char const* op, int64_t ky, int64_t kx);
 
 // --- layouts ---------------------------------------------------------------------------------------------------------
 
-// How the kernels read an image tensor. planar: rows of neighbouring pixels, whatever the strides of B, C and H.
-// channels_last: rows of neighbouring pixels with their channels inside.
+// How kernels read an image tensor. planar: the pixels of a row are adjacent, B, C and H have any strides.
+// channels_last: the channels of a pixel are adjacent, and so are the pixels of a row.
 enum class Layout { planar, channels_last };
 
 Layout layout_of(Tensor const& x);
@@ -65,9 +66,9 @@ Layout layout_of(Tensor const& x);
 Tensor dense(Tensor const& x);
 
 // `x` itself where a kernel can read it in `layout`, else a copy that it can.
-Tensor conform(Tensor const& x, Layout layout);
+Tensor as_layout(Tensor const& x, Layout layout);
 
-// Uninitialised memory of the device and, unless told otherwise, the dtype of `like`, dense. `sizes` of four axes are
+// Uninitialized memory of the device and, unless told otherwise, the dtype of `like`, dense. `sizes` of four axes are
 // laid out as `layout` says.
 Tensor empty(torch::headeronly::IntHeaderOnlyArrayRef sizes, Tensor const& like, Layout layout = Layout::planar,
              std::optional<ScalarType> type = {});
@@ -75,14 +76,14 @@ Tensor empty_like(Tensor const& x, Layout layout);
 
 // The first element of a tensor. T is the storage type, const for inputs.
 template <class T>
-T* data_of(Tensor const& x) {
+T* data_ptr(Tensor const& x) {
   return static_cast<T*>(const_cast<void*>(x.const_data_ptr()));
 }
 
 // The rows of an image tensor.
 template <class T>
 Planes<T> planes(Tensor const& x, Layout layout) {
-  T* const data = data_of<T>(x);
+  T* const data = data_ptr<T>(x);
   int64_t const b = x.size(0), c = x.size(1), h = x.size(2), w = x.size(3);
   if (layout == Layout::channels_last) return {data, b, 1, x.stride(0), 0, x.stride(2), h, w, c};
   if (x.stride(0) == c * x.stride(1) || b == 1) return {data, b * c, 1, x.stride(1), 0, x.stride(2), h, w, 1};
@@ -92,15 +93,19 @@ Planes<T> planes(Tensor const& x, Layout layout) {
 // The rows of a contiguous tensor of any rank: its last two axes are planes, stacked along the others.
 template <class T>
 Planes<T> stacked_planes(Tensor const& x) {
-  T* const data = data_of<T>(x);
+  T* const data = data_ptr<T>(x);
   int64_t const h = x.size(x.dim() - 2), w = x.size(x.dim() - 1);
   return {data, x.numel() ? x.numel() / (h * w) : 0, 1, h * w, 0, w, h, w, 1};
 }
 
 // --- dtypes ----------------------------------------------------------------------------------------------------------
 
-// What kernels compute in for tensors stored as `x` is.
-ScalarType computed_type(Tensor const& x);
+// The type that kernels compute in for tensors stored as `x`.
+ScalarType compute_dtype(Tensor const& x);
+
+// For kernels that learn the storage type at run time.
+DType dtype_of(char const* op, Tensor const& x);
+ScalarType scalar_type_of(DType dtype);
 
 template <class T>
 struct Type {
@@ -109,7 +114,7 @@ struct Type {
 
 // Calls f(Type<T>{}) with the storage type of `x`.
 template <class F>
-void for_floats(char const* op, Tensor const& x, F f) {
+void dispatch_floating(char const* op, Tensor const& x, F f) {
   switch (x.scalar_type()) {
     case ScalarType::Float:
       return f(Type<float>{});
@@ -124,9 +129,9 @@ void for_floats(char const* op, Tensor const& x, F f) {
   }
 }
 template <class F>
-void for_floats_and_bytes(char const* op, Tensor const& x, F f) {
+void dispatch_floating_and_uint8(char const* op, Tensor const& x, F f) {
   if (x.scalar_type() == ScalarType::Byte) return f(Type<uint8_t>{});
-  for_floats(op, x, f);
+  dispatch_floating(op, x, f);
 }
 
 // --- running ---------------------------------------------------------------------------------------------------------

@@ -28,18 +28,18 @@ struct FocalRows {
   }
   bool serves(Tensor const& t) const { return t.size(0) == rows || (t.size(0) == 1 && rows > 0); }
   bool is_of_rows(Tensor const& t) const {
-    return t.dim() == 1 && t.scalar_type() == computed_type(x) && t.device() == x.device();
+    return t.dim() == 1 && t.scalar_type() == compute_dtype(x) && t.device() == x.device();
   }
   // 0 for one row that serves all.
   int64_t stride(Tensor const& t, int64_t of) const { return t.size(0) == rows ? of : 0; }
   template <class T>
   Pair<T> pair() const {
-    return {data_of<T const>(x), data_of<T const>(target), stride(x, size), stride(target, size), rows, size};
+    return {data_ptr<T const>(x), data_ptr<T const>(target), stride(x, size), stride(target, size), rows, size};
   }
   template <class F>
   BinaryFocalTerms<F> terms(double of_yes, double of_no, double gamma, double ignored, bool ignores) const {
-    return {yes ? data_of<F const>(*yes) : nullptr,
-            no ? data_of<F const>(*no) : nullptr,
+    return {yes ? data_ptr<F const>(*yes) : nullptr,
+            no ? data_ptr<F const>(*no) : nullptr,
             yes ? stride(*yes, 1) : 0,
             no ? stride(*no, 1) : 0,
             F(of_yes),
@@ -57,20 +57,20 @@ Tensor binary_focal(Tensor const& pred, Tensor const& target, std::optional<Tens
                     bool ignores, bool summed) {
   FocalRows const r("binary_focal", pred, target, yes, no, pred);
   int64_t const pieces = max(point_pieces(r.size), int64_t(1));
-  Tensor const loss = summed ? empty({r.rows}, r.x, Layout::planar, computed_type(r.x)) : empty({r.rows, r.size}, r.x);
-  Tensor const partial = empty({summed ? r.rows : 0, pieces}, r.x, Layout::planar, computed_type(r.x));
-  for_floats("binary_focal", r.x, [&](auto type) {
+  Tensor const loss = summed ? empty({r.rows}, r.x, Layout::planar, compute_dtype(r.x)) : empty({r.rows, r.size}, r.x);
+  Tensor const partial = empty({summed ? r.rows : 0, pieces}, r.x, Layout::planar, compute_dtype(r.x));
+  dispatch_floating("binary_focal", r.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const terms = r.terms<F>(of_yes, of_no, gamma, ignored, ignores);
     if (summed) {
-      BinaryFocalSum<T> const params{r.pair<T>(), terms, pieces, data_of<F>(partial), data_of<F>(loss)};
+      BinaryFocalSum<T> const params{r.pair<T>(), terms, pieces, data_ptr<F>(partial), data_ptr<F>(loss)};
       KV_RUN(binary_focal_sum, r.x, params, r.rows * pieces, r.cost());
 #if !defined(KV_CUDA)
       add_pieces(params.partial, r.rows, pieces, Finish<F>{F(1), F(0)}, params.sums);
 #endif
     } else if (r.size > 0) {
-      BinaryFocalMap<T> const params{r.pair<T>(), terms, nullptr, nullptr, false, data_of<T>(loss)};
+      BinaryFocalMap<T> const params{r.pair<T>(), terms, nullptr, nullptr, false, data_ptr<T>(loss)};
       KV_RUN(binary_focal_map, r.x, params, r.rows * pieces, r.cost());
     }
   });
@@ -89,15 +89,15 @@ Tensor binary_focal_backward(Tensor const& grad, Tensor const& pred, Tensor cons
   KV_CHECK(fits, op, ": expected grad to be that of the loss");
   Tensor const g = dense(grad), grad_x = empty({r.rows, r.size}, r.x);
   if (r.size == 0) return grad_x;
-  for_floats(op, r.x, [&](auto type) {
+  dispatch_floating(op, r.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     BinaryFocalMap<T> const params{r.pair<T>(),
                                    r.terms<F>(of_yes, of_no, gamma, ignored, ignores),
-                                   summed ? nullptr : data_of<T const>(g),
-                                   summed ? data_of<F const>(g) : nullptr,
+                                   summed ? nullptr : data_ptr<T const>(g),
+                                   summed ? data_ptr<F const>(g) : nullptr,
                                    by_target,
-                                   data_of<T>(grad_x)};
+                                   data_ptr<T>(grad_x)};
     KV_RUN(binary_focal_map, r.x, params, r.rows * point_pieces(r.size), r.cost());
   });
   return grad_x;

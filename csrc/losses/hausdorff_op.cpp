@@ -16,7 +16,7 @@ struct LabelledPlanes {
   LabelledPlanes(char const* op, Tensor const& predicted, Tensor const& labels, int64_t k)
       : pred(dense(predicted)), target(dense(labels)), k(k) {
     int64_t const axes = pred.dim();
-    KV_CHECK((axes == 4 || axes == 5) && pred.numel() > 0 && pred.scalar_type() == computed_type(pred), op,
+    KV_CHECK((axes == 4 || axes == 5) && pred.numel() > 0 && pred.scalar_type() == compute_dtype(pred), op,
              ": expected pred of shape (B, C, H, W) or (B, C, D, H, W) in float32 or float64");
     bool fits = labels.dim() == axes - 1 && (labels.size(0) == pred.size(0) || labels.size(0) == 1);
     for (int64_t axis = 2; fits && axis < axes; ++axis) fits = labels.size(axis - 1) == pred.size(axis);
@@ -29,9 +29,12 @@ struct LabelledPlanes {
 
   template <class F>
   Differences<F> of() const {
-    return {data_of<F const>(pred), data_of<int64_t const>(target),
-            target.size(0) == 1,    pred.size(0),
-            pred.size(1),           extent};
+    return {data_ptr<F const>(pred),
+            data_ptr<int64_t const>(target),
+            target.size(0) == 1,
+            pred.size(0),
+            pred.size(1),
+            extent};
   }
   int64_t planes() const { return pred.size(0) * pred.size(1); }
   template <class Call>
@@ -61,7 +64,7 @@ Tensor hausdorff(Tensor const& pred, Tensor const& target, double alpha, int64_t
   Tensor const loss = summed ? empty({pred.size(0), pred.size(1)}, x.pred) : empty(x.pred.sizes(), x.pred);
   x.for_type([&](auto type) {
     using F = typename decltype(type)::type;
-    F* const to = data_of<F>(loss);
+    F* const to = data_ptr<F>(loss);
     Hausdorff<F> params{x.of<F>(), alpha, k, summed ? nullptr : to, summed ? to : nullptr, nullptr, nullptr, 0};
 #if defined(KV_CUDA)
     auto const room = make_room(x, params, kErosionMaps, kErosionNumbers);
@@ -82,7 +85,7 @@ Tensor hausdorff_backward(Tensor const& grad, Tensor const& pred, Tensor const& 
   Tensor const g = dense(grad), grad_x = empty(x.pred.sizes(), x.pred);
   x.for_type([&](auto type) {
     using F = typename decltype(type)::type;
-    HausdorffBackward<F> params{x.of<F>(), alpha,   k, data_of<F const>(g), summed, data_of<F>(grad_x),
+    HausdorffBackward<F> params{x.of<F>(), alpha,   k, data_ptr<F const>(g), summed, data_ptr<F>(grad_x),
                                 nullptr,   nullptr, 0};
 #if defined(KV_CUDA)
     auto const room = make_room(x, params, erosion_maps_backward(k), erosion_numbers_backward(k));

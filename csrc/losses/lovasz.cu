@@ -89,7 +89,7 @@ struct Sorting {
 template <class F>
 struct Rows {
   static constexpr int kCount = kRankedPiece<F> / kThreads;
-  __device__ __forceinline__ static int place(int row) {
+  __device__ __forceinline__ static int locate(int row) {
     return (threadIdx.x / 32 * kCount + row) * 32 + threadIdx.x % 32;
   }
 };

@@ -35,15 +35,15 @@ struct LovaszImages {
 // The losses (B, C) and the slopes (B, C, H, W) of the loss of a class in an image by the errors.
 std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool hinge) {
   LovaszImages const x("lovasz", pred, target, hinge);
-  auto const type = computed_type(pred);
+  auto const type = compute_dtype(pred);
   Tensor const losses = empty({x.batch, x.classes}, pred, Layout::planar, type);
   Tensor const slopes = empty({x.batch, x.classes, pred.size(2), pred.size(3)}, pred, Layout::planar, type);
-  for_floats("lovasz", pred, [&](auto of_type) {
+  dispatch_floating("lovasz", pred, [&](auto of_type) {
     using T = typename decltype(of_type)::type;
     using F = Compute<T>;
-    LovaszErrors<T> const errors{x.labels(), data_of<T const>(x.logits), data_of<F>(slopes)};
+    LovaszErrors<T> const errors{x.labels(), data_ptr<T const>(x.logits), data_ptr<F>(slopes)};
     KV_RUN(lovasz_errors, pred, errors, x.blocks(), x.cost());
-    LovaszSlopes<F> params{x.labels(), data_of<F>(slopes), data_of<F>(losses), {}, nullptr, nullptr, 0};
+    LovaszSlopes<F> params{x.labels(), data_ptr<F>(slopes), data_ptr<F>(losses), {}, nullptr, nullptr, 0};
 #if defined(KV_CUDA)
     // So many segments together that their memory, four times that of their slopes, is a map of all, and no less than
     // what fills the machine.
@@ -53,9 +53,9 @@ std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool
     Tensor const ranked = empty({2, params.at_once, x.pixels, kSize / 2}, pred, Layout::planar, ScalarType::Byte);
     Tensor const counts = empty({params.at_once, pieces + 1, kRankedDigits}, pred, Layout::planar, ScalarType::Int);
     Tensor const partial = empty({segments, pieces}, pred, Layout::planar, type);
-    params.ranked[0] = reinterpret_cast<Ranked<F>*>(data_of<uint8_t>(ranked));
+    params.ranked[0] = reinterpret_cast<Ranked<F>*>(data_ptr<uint8_t>(ranked));
     params.ranked[1] = params.ranked[0] + params.at_once * x.pixels;
-    params.counts = data_of<uint32_t>(counts), params.partial = data_of<F>(partial);
+    params.counts = data_ptr<uint32_t>(counts), params.partial = data_ptr<F>(partial);
 #endif
     KV_RUN(lovasz_slopes, pred, params, x.batch * x.classes, 32 * x.pixels);
   });
@@ -66,7 +66,7 @@ Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& p
   constexpr char const* op = "lovasz_backward";
   LovaszImages const x(op, pred, target, hinge);
   auto const fits = [&](Tensor const& t) {
-    return t.scalar_type() == computed_type(pred) && t.device() == pred.device();
+    return t.scalar_type() == compute_dtype(pred) && t.device() == pred.device();
   };
   KV_CHECK(grad.dim() == 2 && grad.size(0) == x.batch && grad.size(1) == x.classes && fits(grad), op,
            ": expected grad to be that of the losses");
@@ -75,11 +75,11 @@ Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& p
            op, ": expected slopes to be those of the losses");
   Tensor const g = dense(grad), by_errors = dense(slopes);
   Tensor const grad_x = empty({x.batch, x.classes, pred.size(2), pred.size(3)}, pred);
-  for_floats(op, pred, [&](auto type) {
+  dispatch_floating(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    LovaszBackward<T> const params{x.labels(), data_of<T const>(x.logits), data_of<F const>(g),
-                                   data_of<F const>(by_errors), data_of<T>(grad_x)};
+    LovaszBackward<T> const params{x.labels(), data_ptr<T const>(x.logits), data_ptr<F const>(g),
+                                   data_ptr<F const>(by_errors), data_ptr<T>(grad_x)};
     KV_RUN(lovasz_backward, pred, params, x.blocks(), x.cost());
   });
   return grad_x;

@@ -20,10 +20,10 @@ struct TwoSignals {
   TwoSignals(char const* op, Tensor const& first, Tensor const& second, std::optional<Tensor> const& of_first,
              std::optional<Tensor> const& of_second)
       : x(dense(first)), y(dense(second)), rows(first.dim() == 2 ? first.size(0) : 0) {
-    KV_CHECK(first.dim() == 2 && first.size(1) > 0 && first.scalar_type() == computed_type(first), op,
+    KV_CHECK(first.dim() == 2 && first.size(1) > 0 && first.scalar_type() == compute_dtype(first), op,
              ": expected input (rows, samples) of float32 or float64");
     samples = first.size(1);
-    check_fits(op, "other", second, first, {rows, samples});
+    check_sizes(op, "other", second, first, {rows, samples});
     auto const checked = [&](std::optional<Tensor> const& mask) -> std::optional<Tensor> {
       if (!mask) return {};
       bool const fits = mask->dim() == 2 && (mask->size(0) == rows || mask->size(0) == 1) && mask->size(1) == samples;
@@ -37,7 +37,8 @@ struct TwoSignals {
   template <class F>
   Signal<F> signal(Tensor const& of, std::optional<Tensor> const& mask) const {
     auto const stride = [&](Tensor const& t) { return t.size(0) == 1 ? 0 : samples; };
-    return {data_of<F const>(of), mask ? data_of<uint8_t const>(*mask) : nullptr, stride(of), mask ? stride(*mask) : 0};
+    return {data_ptr<F const>(of), mask ? data_ptr<uint8_t const>(*mask) : nullptr, stride(of),
+            mask ? stride(*mask) : 0};
   }
   int64_t pieces() const {
     return min((kBlocks + rows - 1) / max(rows, int64_t(1)), (samples + kSamplesOfPiece - 1) / kSamplesOfPiece);
@@ -84,9 +85,9 @@ std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tenso
                                 binning_of<F>(op, kernel, bins, radius),
                                 std::numeric_limits<F>::epsilon(),
                                 normalized,
-                                data_of<F>(loss),
-                                data_of<F>(slopes),
-                                data_of<F>(ranges),
+                                data_ptr<F>(loss),
+                                data_ptr<F>(slopes),
+                                data_ptr<F>(ranges),
                                 x.pieces(),
                                 nullptr,
                                 nullptr,
@@ -95,8 +96,8 @@ std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tenso
 #if defined(KV_CUDA)
     Tensor const partial = empty({x.rows, params.pieces, 4}, x.x), sums = empty({x.rows, 2, bins}, x.x);
     Tensor const counts = empty({x.rows, bins, bins}, x.x, Layout::planar, ScalarType::Long);
-    params.partial = data_of<F>(partial), params.sums = data_of<F>(sums);
-    params.counts = data_of<unsigned long long>(counts);
+    params.partial = data_ptr<F>(partial), params.sums = data_ptr<F>(sums);
+    params.counts = data_ptr<unsigned long long>(counts);
     int of_samples = 1;
     while (x.samples >> of_samples) ++of_samples;
     params.bits = min(sizeof(F) == 4 ? 30 : 52, 62 - of_samples);
@@ -115,11 +116,11 @@ Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Ten
   (void)normalized;  // the slopes know
   KV_CHECK(grad.dim() == 1, op, ": expected grad (rows)");
   int64_t const rows = grad.size(0);
-  check_fits(op, "input", input, grad, {rows, input.dim() == 2 ? input.size(1) : 0});
-  TwoSignals const x(op, for_batch(input, rows), other, input_mask, other_mask);
-  check_fits(op, "slopes", slopes, grad, {rows, bins, bins});
-  check_fits(op, "ranges", ranges, grad, {rows, 4});
-  Tensor const g = dense(grad), s = for_batch(slopes, rows), r = for_batch(ranges, rows),
+  check_sizes(op, "input", input, grad, {rows, input.dim() == 2 ? input.size(1) : 0});
+  TwoSignals const x(op, expand_batch(input, rows), other, input_mask, other_mask);
+  check_sizes(op, "slopes", slopes, grad, {rows, bins, bins});
+  check_sizes(op, "ranges", ranges, grad, {rows, 4});
+  Tensor const g = dense(grad), s = expand_batch(slopes, rows), r = expand_batch(ranges, rows),
                out = empty({rows, x.samples}, x.x);
   x.for_type([&](auto type) {
     using F = typename decltype(type)::type;
@@ -129,15 +130,15 @@ Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Ten
                                         x.samples,
                                         binning_of<F>(op, kernel, bins, radius),
                                         by_other,
-                                        data_of<F const>(g),
-                                        data_of<F const>(s),
-                                        data_of<F const>(r),
-                                        data_of<F>(out),
+                                        data_ptr<F const>(g),
+                                        data_ptr<F const>(s),
+                                        data_ptr<F const>(r),
+                                        data_ptr<F>(out),
                                         x.pieces(),
                                         nullptr};
 #if defined(KV_CUDA)
     Tensor const partial = empty({rows, params.pieces, 4}, x.x);
-    params.partial = data_of<F>(partial);
+    params.partial = data_ptr<F>(partial);
 #endif
     KV_RUN(mutual_information_backward, x.x, params, rows, 64 * x.samples);
   });

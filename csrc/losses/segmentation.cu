@@ -37,33 +37,33 @@ struct Pixels {
   __device__ __forceinline__ Pixels(Logits<T> const& logits, void* shared)
       : logits(logits), column(static_cast<F*>(shared) + P * threadIdx.x), stride(P * int(blockDim.x)) {}
 
-  __device__ __forceinline__ Pack<F, P> get(int c) const {
-    return *reinterpret_cast<Pack<F, P> const*>(column + c * stride);
+  __device__ __forceinline__ Vector<F, P> get(int c) const {
+    return *reinterpret_cast<Vector<F, P> const*>(column + c * stride);
   }
-  __device__ __forceinline__ void set(int c, Pack<F, P> const& v) const {
-    *reinterpret_cast<Pack<F, P>*>(column + c * stride) = v;
+  __device__ __forceinline__ void set(int c, Vector<F, P> const& v) const {
+    *reinterpret_cast<Vector<F, P>*>(column + c * stride) = v;
   }
-  // A number of pixel i in class c, not as one of a pack.
+  // A number of pixel i in class c, not as one of a vector.
   __device__ __forceinline__ F& at(int c, int i) const { return column[c * stride + i]; }
 
   // Logits of the pixels from `place` on to the column, 0 where they are ignored.
   __device__ __forceinline__ void read_logits(int64_t sample, int64_t place) {
     int const classes = int(logits.classes);
-    auto const labels = *reinterpret_cast<Pack<int64_t, P> const*>(logits.labels(sample) + place);
+    auto const labels = *reinterpret_cast<Vector<int64_t, P> const*>(logits.labels(sample) + place);
     T const* from = logits.sample(sample) + place;
 #pragma unroll
     for (int i = 0; i < P; ++i) most[i] = -F(INFINITY);
 #pragma unroll 1
     for (int c = 0; c < classes; c += kAtOnce, from += kAtOnce * logits.pixels) {
-      Pack<T, P> packs[kAtOnce];
+      Vector<T, P> vectors[kAtOnce];
 #pragma unroll
       for (int k = 0; k < kAtOnce; ++k)
-        packs[k] = *reinterpret_cast<Pack<T, P> const*>(from + min(k, classes - 1 - c) * logits.pixels);
+        vectors[k] = *reinterpret_cast<Vector<T, P> const*>(from + min(k, classes - 1 - c) * logits.pixels);
 #pragma unroll
       for (int k = 0; k < kAtOnce; ++k) {
-        Pack<F, P> x;
+        Vector<F, P> x;
 #pragma unroll
-        for (int i = 0; i < P; ++i) x.v[i] = read(packs[k].v[i]), most[i] = largest(x.v[i], most[i]);
+        for (int i = 0; i < P; ++i) x.v[i] = read(vectors[k].v[i]), most[i] = largest(x.v[i], most[i]);
         set(min(c + k, classes - 1), x);  // the last class again rather than a branch
       }
     }
@@ -78,15 +78,15 @@ struct Pixels {
     }
   }
 
-  // Calls f(first class, packs) for the columns of all classes, four at a time, so that a thread waits once for them.
+  // Calls f(first class, vectors) for the columns of all classes, four at a time, so that a thread waits once for them.
   template <class Call>
   __device__ __forceinline__ void for_each_class(Call f) const {
     int c = 0;
     auto const call = [&](auto count) {
-      Pack<F, P> packs[decltype(count)::value];
+      Vector<F, P> vectors[decltype(count)::value];
 #pragma unroll
-      for (int k = 0; k < decltype(count)::value; ++k) packs[k] = get(c + k);
-      f(c, packs);
+      for (int k = 0; k < decltype(count)::value; ++k) vectors[k] = get(c + k);
+      f(c, vectors);
       c += decltype(count)::value;
     };
 #pragma unroll 1
@@ -95,26 +95,26 @@ struct Pixels {
     while (c < int(logits.classes)) call(std::integral_constant<int, 1>{});
   }
 
-  // Logits to their exponentials over the largest one, each of which is given to f(class, pack) as well.
+  // Logits to their exponentials over the largest one, each of which is given to f(class, vector) as well.
   template <class Call>
   __device__ __forceinline__ void exponentiate(Call f) {
 #pragma unroll
     for (int i = 0; i < P; ++i) sum[i] = 0;
-    for_each_class([&](int c, auto& packs) {
-      constexpr int N = sizeof(packs) / sizeof(*packs);
+    for_each_class([&](int c, auto& vectors) {
+      constexpr int N = sizeof(vectors) / sizeof(*vectors);
 #pragma unroll
       for (int k = 0; k < N; ++k)
 #pragma unroll
-        for (int i = 0; i < P; ++i) packs[k].v[i] = Math{}.exp(packs[k].v[i] - most[i]), sum[i] += packs[k].v[i];
+        for (int i = 0; i < P; ++i) vectors[k].v[i] = Math{}.exp(vectors[k].v[i] - most[i]), sum[i] += vectors[k].v[i];
 #pragma unroll
-      for (int k = 0; k < N; ++k) set(c + k, packs[k]), f(c + k, packs[k]);
+      for (int k = 0; k < N; ++k) set(c + k, vectors[k]), f(c + k, vectors[k]);
     });
   }
 };
 
-// Calls f(sample, first pixel) for the packs of piece `piece` that the thread takes.
+// Calls f(sample, first pixel) for the vectors of piece `piece` that the thread takes.
 template <int P, class T, class Call>
-__device__ __forceinline__ void for_each_pack(Logits<T> const& logits, int64_t sample, int64_t piece, Call f) {
+__device__ __forceinline__ void for_each_vector(Logits<T> const& logits, int64_t sample, int64_t piece, Call f) {
   int64_t const end = min((piece + 1) * logits.piece, logits.pixels);
 #pragma unroll 1
   for (int64_t place = piece * logits.piece + P * int64_t(threadIdx.x); place < end; place += P * int64_t(blockDim.x))
@@ -135,9 +135,9 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
 #pragma unroll 1
   for (int i = 0; i < 3 * classes; ++i) sums[i * threads + threadIdx.x] = 0;
 
-  for_each_pack<P>(p.logits, sample, piece, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, piece, [&](int64_t sample, int64_t place) {
     pixels.read_logits(sample, place);
-    pixels.exponentiate([](int, Pack<F, P> const&) {});
+    pixels.exponentiate([](int, Vector<F, P> const&) {});
     F scale[P];
 #pragma unroll
     for (int i = 0; i < P; ++i) {
@@ -146,8 +146,8 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
       sums[own] += pixels.at(pixels.label[i], i) * scale[i];
       sums[own + 2 * classes * threads] += pixels.counts[i];
     }
-    pixels.for_each_class([&](int c, auto& packs) {
-      constexpr int N = sizeof(packs) / sizeof(*packs);
+    pixels.for_each_class([&](int c, auto& vectors) {
+      constexpr int N = sizeof(vectors) / sizeof(*vectors);
       F* const to = sums + (classes + c) * threads + threadIdx.x;
       F all[N];
 #pragma unroll
@@ -155,7 +155,7 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
 #pragma unroll
       for (int k = 0; k < N; ++k)
 #pragma unroll
-        for (int i = 0; i < P; ++i) all[k] += packs[k].v[i] * scale[i];
+        for (int i = 0; i < P; ++i) all[k] += vectors[k].v[i] * scale[i];
 #pragma unroll
       for (int k = 0; k < N; ++k) to[k * threads] = all[k];
     });
@@ -224,10 +224,10 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
   }
   __syncthreads();
 
-  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
     pixels.read_logits(sample, place);
     F dot[P] = {}, scale[P];
-    pixels.exponentiate([&](int c, Pack<F, P> const& e) {
+    pixels.exponentiate([&](int c, Vector<F, P> const& e) {
 #pragma unroll
       for (int i = 0; i < P; ++i) dot[i] += e.v[i] * of_all[c];
     });
@@ -239,7 +239,7 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
     T* to = p.grad_logits + sample * classes * p.logits.pixels + place;
 #pragma unroll 4
     for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
-      Pack<F, P> const e = pixels.get(c);
+      Vector<F, P> const e = pixels.get(c);
       F const all = of_all[c], own = all + of_both[c];
       F d[P];
 #pragma unroll
@@ -247,7 +247,7 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
         F const slope = e.v[i] * scale[i] * ((c == pixels.label[i] ? own : all) - dot[i]);
         d[i] = pixels.counts[i] == 0 ? F(0) : slope;
       }
-      store_pack(to, d);
+      store_vector(to, d);
     }
   });
 }
@@ -264,7 +264,7 @@ __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Comput
   F label[P], rest[P] = {};  // rest: of the other classes
 #pragma unroll
   for (int i = 0; i < P; ++i) label[i] = pixels.at(pixels.label[i], i);
-  pixels.exponentiate([&](int c, Pack<F, P> const& e) {
+  pixels.exponentiate([&](int c, Vector<F, P> const& e) {
 #pragma unroll
     for (int i = 0; i < P; ++i) rest[i] += c == pixels.label[i] ? F(0) : e.v[i];
   });
@@ -283,10 +283,10 @@ __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T
   int64_t const sample = blockIdx.x / p.logits.pieces;
   Pixels<T, P> pixels(p.logits, shared);
   F sum = 0;
-  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
     F loss[P], slope[P], scale[P];
     evaluate(pixels, p.terms, sample, place, loss, slope, scale);
-    if (p.map) store_pack(p.map + sample * p.logits.pixels + place, loss);
+    if (p.map) store_vector(p.map + sample * p.logits.pixels + place, loss);
 #pragma unroll
     for (int i = 0; i < P; ++i) sum += loss[i];
   });
@@ -308,7 +308,7 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
   int64_t const sample = blockIdx.x / p.logits.pieces;
   F const of_sum = p.of_sums ? p.grad[sample / p.logits.batch] : F(0);
   Pixels<T, P> pixels(p.logits, shared);
-  for_each_pack<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
     F loss[P], slope[P], scale[P];
     evaluate(pixels, p.terms, sample, place, loss, slope, scale);
     F const* const grad = p.grad + sample * p.logits.pixels + place;
@@ -320,11 +320,11 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
     T* to = p.grad_logits + sample * classes * p.logits.pixels + place;
 #pragma unroll 4
     for (int c = 0; c < classes; ++c, to += p.logits.pixels) {
-      Pack<F, P> const e = pixels.get(c);
+      Vector<F, P> const e = pixels.get(c);
       F d[P];
 #pragma unroll
       for (int i = 0; i < P; ++i) d[i] = (c == pixels.label[i] ? slope[i] : F(0)) - e.v[i] * scale[i];
-      store_pack(to, d);
+      store_vector(to, d);
     }
   });
 }
@@ -333,7 +333,7 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
 
 // Calls f with how many pixels a thread takes: four where `other` and all that the logits are made of allow it.
 template <class T, class Call>
-int with_pack(Logits<T> const& logits, void const* other, Call f) {
+int with_vectors(Logits<T> const& logits, void const* other, Call f) {
   auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % 16 == 0; };
   if constexpr (sizeof(T) < 8)
     if (logits.pixels % 4 == 0 && aligned(logits.data) && aligned(logits.target) && aligned(other))
@@ -358,7 +358,7 @@ int launch(void (*kernel)(Params), Params const& p, int numbers, int more, CUstr
 
 template <class T>
 int overlap(Overlap<T> const& p, CUstream_st* stream) {
-  int const error = with_pack(p.logits, nullptr, [&](auto pixels) {
+  int const error = with_vectors(p.logits, nullptr, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     return launch<Compute<T>>(sum_classes<T, P>, p, P + 3, 0, stream);
   });
@@ -370,7 +370,7 @@ int overlap(Overlap<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int overlap_backward(OverlapBackward<T> const& p, CUstream_st* stream) {
-  return with_pack(p.logits, p.grad_logits, [&](auto pixels) {
+  return with_vectors(p.logits, p.grad_logits, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     return launch<Compute<T>>(find_overlap_backward<T, P>, p, P, 2, stream);
   });
@@ -378,7 +378,7 @@ int overlap_backward(OverlapBackward<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int focal(Focal<T> const& p, CUstream_st* stream) {
-  int const error = with_pack(p.logits, p.map, [&](auto pixels) {
+  int const error = with_vectors(p.logits, p.map, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     return launch<Compute<T>>(find_focal<T, P>, p, P, 0, stream);
   });
@@ -388,7 +388,7 @@ int focal(Focal<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int focal_backward(FocalBackward<T> const& p, CUstream_st* stream) {
-  return with_pack(p.logits, p.grad_logits, [&](auto pixels) {
+  return with_vectors(p.logits, p.grad_logits, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     return launch<Compute<T>>(find_focal_backward<T, P>, p, P, 0, stream);
   });

@@ -30,21 +30,21 @@ struct Labelled {
     if (!of_classes) return;
     weight = dense(*of_classes);
     KV_CHECK(weight->dim() == 2 && (weight->size(0) == losses || weight->size(0) == 1) && weight->size(1) == classes &&
-                 weight->scalar_type() == computed_type(pred) && weight->device() == pred.device(),
+                 weight->scalar_type() == compute_dtype(pred) && weight->device() == pred.device(),
              op, ": expected weight of shape (losses or 1, C) in the type that pred is computed in");
   }
 
   int64_t all_pieces() const { return losses * batch * pieces; }
   int64_t cost() const { return 4 * min(pixels, piece) * classes; }
   Tensor number(torch::headeronly::IntHeaderOnlyArrayRef sizes) const {
-    return empty(sizes, logits, Layout::planar, computed_type(logits));
+    return empty(sizes, logits, Layout::planar, compute_dtype(logits));
   }
   Tensor gradient() const { return empty({losses, batch, classes, logits.size(3), logits.size(4)}, logits); }
 
   template <class T>
   Logits<T> of() const {
-    return {data_of<T const>(logits),
-            data_of<int64_t const>(target),
+    return {data_ptr<T const>(logits),
+            data_ptr<int64_t const>(target),
             target.size(0) == 1,
             losses,
             batch,
@@ -65,7 +65,7 @@ struct Labelled {
   }
   template <class F>
   F const* weight_data() const {
-    return weight ? data_of<F const>(*weight) : nullptr;
+    return weight ? data_ptr<F const>(*weight) : nullptr;
   }
   int64_t weight_stride() const { return weight && weight->size(0) > 1 ? classes : 0; }
 };
@@ -73,7 +73,7 @@ struct Labelled {
 // A number for each of `sizes`, as the logits are computed.
 Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const& like,
                std::initializer_list<int64_t> sizes) {
-  bool fits = x.dim() == int64_t(sizes.size()) && x.scalar_type() == computed_type(like.logits) &&
+  bool fits = x.dim() == int64_t(sizes.size()) && x.scalar_type() == compute_dtype(like.logits) &&
               x.device() == like.logits.device();
   for (size_t i = 0; fits && i < sizes.size(); ++i) fits = x.size(int64_t(i)) == sizes.begin()[i];
   KV_CHECK(fits, op, ": expected ", name, " to be that of the loss");
@@ -88,11 +88,11 @@ std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std
   Tensor const loss = x.number({x.losses}), sums = x.number({x.losses, x.batch, 3, x.classes});
   int64_t const samples = x.losses * x.batch, pieces = x.pieces, bins = 3 * x.classes;
   Tensor const partial = x.number({samples, pieces, bins});
-  for_floats("overlap", pred, [&](auto type) {
+  dispatch_floating("overlap", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_of<F>(partial),
-                            data_of<F>(sums), data_of<F>(loss)};
+    Overlap<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_ptr<F>(partial),
+                            data_ptr<F>(sums), data_ptr<F>(loss)};
     KV_RUN(overlap, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < samples * bins; ++i) {
@@ -121,11 +121,11 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
   Labelled const x(op, pred, target, weight, ignored, ignores, kShortPiece);
   Tensor const g = checked(op, "grad", grad, x, {x.losses}),
                of_samples = checked(op, "sums", sums, x, {x.losses, x.batch, 3, x.classes}), grad_x = x.gradient();
-  for_floats(op, pred, [&](auto type) {
+  dispatch_floating(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_of<F const>(g),
-                                    data_of<F const>(of_samples), data_of<T>(grad_x)};
+    OverlapBackward<T> const params{x.of<T>(), x.overlap_terms<F>(together, alpha, beta, eps), data_ptr<F const>(g),
+                                    data_ptr<F const>(of_samples), data_ptr<T>(grad_x)};
     KV_RUN(overlap_backward, pred, params, x.all_pieces(), x.cost());
   });
   return grad_x;
@@ -137,11 +137,11 @@ Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> con
   Labelled const x("focal", pred, target, weight, ignored, ignores, kShortPiece);
   Tensor const loss = summed ? x.number({x.losses}) : x.number({x.losses, x.batch, pred.size(3), pred.size(4)});
   Tensor const partial = x.number({summed ? x.all_pieces() : 0});
-  for_floats("focal", pred, [&](auto type) {
+  dispatch_floating("focal", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Focal<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), summed ? nullptr : data_of<F>(loss),
-                          data_of<F>(partial), summed ? data_of<F>(loss) : nullptr};
+    Focal<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), summed ? nullptr : data_ptr<F>(loss),
+                          data_ptr<F>(partial), summed ? data_ptr<F>(loss) : nullptr};
     KV_RUN(focal, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
     if (summed) add_pieces(params.partial, x.losses, x.batch * x.pieces, Finish<F>{F(1), F(0)}, params.sums);
@@ -157,11 +157,11 @@ Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& targ
   Tensor const g = summed ? checked(op, "grad", grad, x, {x.losses})
                           : checked(op, "grad", grad, x, {x.losses, x.batch, pred.size(3), pred.size(4)});
   Tensor const grad_x = x.gradient();
-  for_floats(op, pred, [&](auto type) {
+  dispatch_floating(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    FocalBackward<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), data_of<F const>(g), summed,
-                                  data_of<T>(grad_x)};
+    FocalBackward<T> const params{x.of<T>(), x.focal_terms<F>(first, other, gamma), data_ptr<F const>(g), summed,
+                                  data_ptr<T>(grad_x)};
     KV_RUN(focal_backward, pred, params, x.all_pieces(), x.cost());
   });
   return grad_x;

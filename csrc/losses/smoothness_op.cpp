@@ -25,20 +25,20 @@ DepthAndImage<T> depth_and_image(Tensor const& depth, Tensor const& image, doubl
 Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y, double along_x) {
   constexpr char const* op = "smoothness";
   check_depth(op, depth, image);
-  Tensor const d = conform(depth, Layout::planar), x = conform(image, Layout::planar);
+  Tensor const d = as_layout(depth, Layout::planar), x = as_layout(image, Layout::planar);
   int64_t const samples = d.size(0), height = d.size(2), width = d.size(3);
 #if defined(KV_CUDA)
   int64_t const pieces = (height + kSmoothRows - 1) / kSmoothRows * ((width + kSmoothColumns - 1) / kSmoothColumns);
 #else
   int64_t const pieces = height;
 #endif
-  Tensor const sums = empty({samples}, x, Layout::planar, computed_type(x));
-  Tensor const partial = empty({samples, pieces}, x, Layout::planar, computed_type(x));
-  for_floats(op, x, [&](auto type) {
+  Tensor const sums = empty({samples}, x, Layout::planar, compute_dtype(x));
+  Tensor const partial = empty({samples, pieces}, x, Layout::planar, compute_dtype(x));
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Smoothness<T> const params{depth_and_image<T>(d, x, along_y, along_x), pieces, data_of<F>(partial),
-                               data_of<F>(sums)};
+    Smoothness<T> const params{depth_and_image<T>(d, x, along_y, along_x), pieces, data_ptr<F>(partial),
+                               data_ptr<F>(sums)};
     KV_RUN(smoothness, x, params, samples * height, (image.size(1) + 1) * width);
 #if !defined(KV_CUDA)
     add_pieces(params.partial, samples, pieces, Finish<F>{F(1), F(0)}, params.sums);
@@ -51,14 +51,14 @@ Tensor smoothness_backward(Tensor const& grad, Tensor const& depth, Tensor const
                            bool of_image) {
   constexpr char const* op = "smoothness_backward";
   check_depth(op, depth, image);
-  KV_CHECK(grad.dim() == 1 && grad.size(0) == depth.size(0) && grad.scalar_type() == computed_type(depth) &&
+  KV_CHECK(grad.dim() == 1 && grad.size(0) == depth.size(0) && grad.scalar_type() == compute_dtype(depth) &&
                grad.device() == depth.device(),
            op, ": expected grad to be that of the sums");
-  Tensor const d = conform(depth, Layout::planar), x = conform(image, Layout::planar), g = dense(grad);
+  Tensor const d = as_layout(depth, Layout::planar), x = as_layout(image, Layout::planar), g = dense(grad);
   Tensor const out = empty_like(of_image ? x : d, Layout::planar);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    SmoothnessBackward<T> const params{depth_and_image<T>(d, x, along_y, along_x), data_of<Compute<T> const>(g),
+    SmoothnessBackward<T> const params{depth_and_image<T>(d, x, along_y, along_x), data_ptr<Compute<T> const>(g),
                                        planes<T>(out, Layout::planar), of_image};
     KV_RUN(smoothness_backward, x, params, params.of.depth.rows(), (image.size(1) + 1) * d.size(3));
   });

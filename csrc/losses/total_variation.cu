@@ -21,7 +21,7 @@ __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, i
   using F = Compute<T>;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + kVariationRows, height);
   Strip<1, Aligned, P> const strip(x, width, Border::replicate);
-  RowsDown<T> rows(p.x, plane, y0);
+  RowCursor<T> rows(p.x, plane, y0);
   F along_x = 0, along_y = 0, v[P + 2], above[P];
   auto const add_row = [&] {
 #pragma unroll
@@ -30,7 +30,7 @@ __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, i
   strip.load(v, rows.next());
   add_row();
   for (int y = y0 + 1; y <= y1; y += kAhead) {  // the last one is the first of the strip below
-    typename Strip<1, Aligned, P>::template Fetched<T> fetched[kAhead];
+    typename Strip<1, Aligned, P>::template FetchedRow<T> fetched[kAhead];
 #pragma unroll
     for (int r = 0; r < kAhead; ++r) fetched[r] = strip.fetch(rows.next());
 #pragma unroll
@@ -78,11 +78,11 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   F const g = p.grad[plane], of_y = p.along_y * g, of_x = p.along_x * g;
   Strip<1, Aligned, P> const strip(x, width, Border::replicate);
-  RowsDown<T> rows(p.x, plane, y0 - 1);
+  RowCursor<T> rows(p.x, plane, y0 - 1);
   T* out = p.grad_x.row(plane, y0);
   F v[P + 2], below[P + 2], sign_above[P];
   strip.load(below, rows.next());  // the row above, for now
@@ -119,7 +119,7 @@ int total_variation(TotalVariation<T> const& p, CUstream_st* stream) {
   // Planes that fill the machine evenly need no second launch.
   bool const whole = planes >= 2 * machine && 10 * ceil_div(planes, machine) * machine <= 11 * planes;
   Strips<P> const strips(planes, p.x.height, p.x.width, kVariationRows);
-  with_alignment<T>(is_strip<P>(p.x), [&](auto aligned) {
+  with_alignment<T>(is_vectorizable<P>(p.x), [&](auto aligned) {
     unsigned const blocks = whole ? unsigned(planes) : strips.blocks(kSumming / 32);
     sum_differences<T, aligned.value><<<blocks, kSumming, 0, stream>>>(p, strips, whole);
   });
@@ -130,7 +130,7 @@ template <class T>
 int total_variation_backward(TotalVariationBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kVariationRows);
-  with_alignment<T>(is_strip<P>(p.x) && is_strip<P>(p.grad_x), [&](auto aligned) {
+  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.grad_x), [&](auto aligned) {
     differences_backward<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
   });
   return cudaGetLastError();

@@ -8,16 +8,16 @@ namespace {
 Tensor total_variation(Tensor const& input, double along_y, double along_x) {
   constexpr char const* op = "total_variation";
   check_images(op, "input", input);
-  Tensor const x = conform(input, Layout::planar);
+  Tensor const x = as_layout(input, Layout::planar);
   int64_t const height = x.size(2), width = x.size(3);
-  Tensor const sums = empty({x.size(0), x.size(1)}, x, Layout::planar, computed_type(x));
-  for_floats(op, x, [&](auto type) {
+  Tensor const sums = empty({x.size(0), x.size(1)}, x, Layout::planar, compute_dtype(x));
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     int64_t const columns = kVariationColumns<T>, rows = kVariationRows;
     int64_t const pieces = (height + rows - 1) / rows * ((width + columns - 1) / columns);
 #if defined(KV_CUDA)
-    Tensor const partial = empty({x.size(0), x.size(1), pieces}, x, Layout::planar, computed_type(x));
+    Tensor const partial = empty({x.size(0), x.size(1), pieces}, x, Layout::planar, compute_dtype(x));
 #else
     Tensor const& partial = sums;  // not used
 #endif
@@ -33,10 +33,10 @@ Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double 
   constexpr char const* op = "total_variation_backward";
   check_images(op, "input", input);
   KV_CHECK(grad.dim() == 2 && grad.size(0) == input.size(0) && grad.size(1) == input.size(1) &&
-               grad.scalar_type() == computed_type(input) && grad.device() == input.device(),
+               grad.scalar_type() == compute_dtype(input) && grad.device() == input.device(),
            op, ": expected grad to be that of the sums");
-  Tensor const x = conform(input, Layout::planar), g = dense(grad), grad_x = empty_like(x, Layout::planar);
-  for_floats(op, x, [&](auto type) {
+  Tensor const x = as_layout(input, Layout::planar), g = dense(grad), grad_x = empty_like(x, Layout::planar);
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     TotalVariationBackward<T> const params{planes<T const>(x, Layout::planar), F(along_y), F(along_x),

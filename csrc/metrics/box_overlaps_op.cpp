@@ -17,13 +17,13 @@ Tensor box_overlaps(Tensor const& boxes, Tensor const& others, std::string const
   constexpr char const* op = "box_overlaps";
   KV_CHECK(boxes.dim() == 3 && others.dim() == 3 && boxes.size(2) == 4, op, ": expected boxes (batch, n, 4)");
   int64_t const batch = boxes.size(0) == 1 ? others.size(0) : boxes.size(0), n = boxes.size(1), m = others.size(1);
-  check_fits(op, "boxes", boxes, boxes, {batch, n, 4});
-  check_fits(op, "others", others, boxes, {batch, m, 4});
+  check_sizes(op, "boxes", boxes, boxes, {batch, n, 4});
+  check_sizes(op, "others", others, boxes, {batch, m, 4});
   BoxFormat const kind = format_of(format);
-  Tensor const a = for_batch(boxes, batch), b = for_batch(others, batch), found = empty({batch, n, m}, boxes);
-  for_floats(op, boxes, [&](auto type) {
+  Tensor const a = expand_batch(boxes, batch), b = expand_batch(others, batch), found = empty({batch, n, m}, boxes);
+  dispatch_floating(op, boxes, [&](auto type) {
     using T = typename decltype(type)::type;
-    BoxOverlaps<T> const params{data_of<T const>(a), data_of<T const>(b), batch, n, m, kind, data_of<T>(found)};
+    BoxOverlaps<T> const params{data_ptr<T const>(a), data_ptr<T const>(b), batch, n, m, kind, data_ptr<T>(found)};
     KV_RUN(box_overlaps, boxes, params, m > 0 ? batch * n : 0, 16 * m);
   });
   return found;

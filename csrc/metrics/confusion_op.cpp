@@ -31,11 +31,11 @@ Tensor confusion(Tensor const& pred, Tensor const& target, int64_t classes, std:
   Tensor const found = empty(sizes, pred, Layout::planar, ScalarType::Float);
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
-    Confusion<T> params{data_of<T const>(p), data_of<T const>(t),   samples, pred.size(1), int(classes), kind,
-                        float(eps),          data_of<float>(found), nullptr};
+    Confusion<T> params{data_ptr<T const>(p), data_ptr<T const>(t),   samples, pred.size(1), int(classes), kind,
+                        float(eps),           data_ptr<float>(found), nullptr};
 #if defined(KV_CUDA)
     Tensor const counts = empty({samples, classes, classes}, pred, Layout::planar, ScalarType::Int);
-    params.counts = data_of<uint32_t>(counts);
+    params.counts = data_ptr<uint32_t>(counts);
 #endif
     KV_RUN(confusion, pred, params, samples, 4 * pred.size(1) + classes * classes);
   };

@@ -25,7 +25,7 @@ struct VectorRows {
   template <class T>
   VectorPairs<T> pairs() const {
     auto const stride = [&](Tensor const& t) { return t.size(0) == rows ? 2 * size : 0; };
-    return {data_of<T const>(x), data_of<T const>(y), planar, stride(x), stride(y), rows, size};
+    return {data_ptr<T const>(x), data_ptr<T const>(y), planar, stride(x), stride(y), rows, size};
   }
   int64_t pieces() const { return (size + kEndpointPiece - 1) / kEndpointPiece; }
   int64_t cost() const { return 4 * min(size, kEndpointPiece); }
@@ -34,15 +34,15 @@ struct VectorRows {
 // (rows, size), or `factor` times their sums (rows).
 Tensor endpoint_error(Tensor const& input, Tensor const& target, bool planar, bool summed, double factor) {
   VectorRows const r("endpoint_error", input, target, planar, input);
-  Tensor const found = summed ? empty({r.rows}, r.x, Layout::planar, computed_type(r.x)) : empty({r.rows, r.size}, r.x);
-  Tensor const partial = empty({summed ? r.rows : 0, r.pieces()}, r.x, Layout::planar, computed_type(r.x));
-  for_floats("endpoint_error", r.x, [&](auto type) {
+  Tensor const found = summed ? empty({r.rows}, r.x, Layout::planar, compute_dtype(r.x)) : empty({r.rows, r.size}, r.x);
+  Tensor const partial = empty({summed ? r.rows : 0, r.pieces()}, r.x, Layout::planar, compute_dtype(r.x));
+  dispatch_floating("endpoint_error", r.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     EndpointError<T> const params{r.pairs<T>(),
-                                  summed ? nullptr : data_of<T>(found),
-                                  data_of<F>(partial),
-                                  summed ? data_of<F>(found) : nullptr,
+                                  summed ? nullptr : data_ptr<T>(found),
+                                  data_ptr<F>(partial),
+                                  summed ? data_ptr<F>(found) : nullptr,
                                   {F(factor), F(0)}};
     KV_RUN(endpoint_error, r.x, params, r.rows * r.pieces(), r.cost());
 #if !defined(KV_CUDA)
@@ -56,17 +56,17 @@ Tensor endpoint_error_backward(Tensor const& grad, Tensor const& input, Tensor c
                                double factor) {
   constexpr char const* op = "endpoint_error_backward";
   VectorRows const r(op, input, target, planar, grad);
-  auto const type = summed ? computed_type(input) : input.scalar_type();
+  auto const type = summed ? compute_dtype(input) : input.scalar_type();
   KV_CHECK(grad.dim() == (summed ? 1 : 2) && (summed || grad.size(1) == r.size) && grad.scalar_type() == type &&
                grad.device() == input.device(),
            op, ": expected grad to be that of the distances");
   Tensor const g = dense(grad), grad_x = empty({r.rows, input.size(1), input.size(2)}, r.x);
-  for_floats(op, r.x, [&](auto of_type) {
+  dispatch_floating(op, r.x, [&](auto of_type) {
     using T = typename decltype(of_type)::type;
     using F = Compute<T>;
-    EndpointErrorBackward<T> const params{r.pairs<T>(), summed ? nullptr : data_of<T const>(g),
-                                          summed ? data_of<F const>(g) : nullptr, summed ? F(factor) : F(1),
-                                          data_of<T>(grad_x)};
+    EndpointErrorBackward<T> const params{r.pairs<T>(), summed ? nullptr : data_ptr<T const>(g),
+                                          summed ? data_ptr<F const>(g) : nullptr, summed ? F(factor) : F(1),
+                                          data_ptr<T>(grad_x)};
     KV_RUN(endpoint_error_backward, r.x, params, r.rows * r.pieces(), r.cost());
   });
   return grad_x;

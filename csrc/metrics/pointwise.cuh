@@ -26,13 +26,14 @@ struct PointMath {
   __device__ __forceinline__ static F divide(F x, F y) { return x * fast_reciprocal(y); }
 };
 
-constexpr int kPack = 4;
+constexpr int kVectorSize = 4;
 
-// Calls f(first element, x, y) for the elements of piece `piece` that the thread takes: with kPack of both where rows
-// are `packed`, their starts and ends multiples of a pack, and with single ones elsewhere and of doubles. Not unrolled,
-// as f is long and a multiprocessor has enough threads to keep its memory busy.
+// Calls f(first element, x, y) for the elements of piece `piece` that the thread takes: with kVectorSize of both where
+// rows are `vectorized`, their starts and ends multiples of a vector, and with single ones elsewhere and of doubles.
+// Not unrolled, as f is long and a multiprocessor has enough threads to keep its memory busy.
 template <class T, class Call>
-__device__ __forceinline__ void for_each_pack(Pair<T> const& pair, int64_t row, int64_t piece, bool packed, Call f) {
+__device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row, int64_t piece, bool vectorized,
+                                                Call f) {
   using F = Compute<T>;
   T const *const x = pair.x + row * pair.x_stride, *const y = pair.y + row * pair.y_stride;
   int64_t const first = piece * kPointPiece, last = min(first + kPointPiece, pair.size);
@@ -40,26 +41,26 @@ __device__ __forceinline__ void for_each_pack(Pair<T> const& pair, int64_t row, 
     constexpr int P = decltype(width)::value;
 #pragma unroll 1
     for (int64_t e = first + P * threadIdx.x; e < last; e += P * kSumThreads) {
-      Pack<T, P> const a = *reinterpret_cast<Pack<T, P> const*>(x + e);
-      Pack<T, P> const b = *reinterpret_cast<Pack<T, P> const*>(y + e);
+      Vector<T, P> const a = *reinterpret_cast<Vector<T, P> const*>(x + e);
+      Vector<T, P> const b = *reinterpret_cast<Vector<T, P> const*>(y + e);
       F u[P], v[P];
 #pragma unroll
       for (int i = 0; i < P; ++i) u[i] = read(a.v[i]), v[i] = read(b.v[i]);
       f(row * pair.size + e, u, v);
     }
   };
-  if (sizeof(T) < 8 && packed)
-    take(std::integral_constant<int, sizeof(T) < 8 ? kPack : 1>{});
+  if (sizeof(T) < 8 && vectorized)
+    take(std::integral_constant<int, sizeof(T) < 8 ? kVectorSize : 1>{});
   else
     take(std::integral_constant<int, 1>{});
 }
 
 // A block's piece: the sum of loss(x, y), to `partial`.
 template <class T, class Loss>
-__device__ __forceinline__ void sum_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool packed,
+__device__ __forceinline__ void sum_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool vectorized,
                                           Compute<T>* partial, Loss loss) {
   Compute<T> sum = 0;
-  for_each_pack(pair, row, blockIdx.x - row * pieces, packed, [&](int64_t, auto const& x, auto const& y) {
+  for_each_vector(pair, row, blockIdx.x - row * pieces, vectorized, [&](int64_t, auto const& x, auto const& y) {
 #pragma unroll
     for (int i = 0; i < int(sizeof(x) / sizeof(*x)); ++i) sum += loss(x[i], y[i]);
   });
@@ -69,21 +70,23 @@ __device__ __forceinline__ void sum_piece(Pair<T> const& pair, int64_t row, int6
 
 // A block's piece: value(element, x, y), to `out`.
 template <class T, class Value>
-__device__ __forceinline__ void map_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool packed, T* out,
+__device__ __forceinline__ void map_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool vectorized, T* out,
                                           Value value) {
-  for_each_pack(pair, row, blockIdx.x - row * pieces, packed, [&](int64_t e, auto const& x, auto const& y) {
+  for_each_vector(pair, row, blockIdx.x - row * pieces, vectorized, [&](int64_t e, auto const& x, auto const& y) {
     constexpr int P = sizeof(x) / sizeof(*x);
     Compute<T> result[P];
 #pragma unroll
     for (int i = 0; i < P; ++i) result[i] = value(e + i, x[i], y[i]);
-    store_pack(out + e, result);
+    store_vector(out + e, result);
   });
 }
 
 template <class T>
-bool is_packed(Pair<T> const& pair, void const* other) {
-  auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % sizeof(Pack<T, kPack>) == 0; };
-  return aligned(pair.x) && aligned(pair.y) && aligned(other) && pair.size % kPack == 0;
+bool is_vectorizable(Pair<T> const& pair, void const* other) {
+  auto const aligned = [](void const* at) {
+    return reinterpret_cast<uintptr_t>(at) % sizeof(Vector<T, kVectorSize>) == 0;
+  };
+  return aligned(pair.x) && aligned(pair.y) && aligned(other) && pair.size % kVectorSize == 0;
 }
 
 }  // namespace

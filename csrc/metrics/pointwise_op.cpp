@@ -17,8 +17,12 @@ PointLoss kind_of(char const* op, std::string const& name) {
 template <class T>
 Pair<T> pair_of(Tensor const& x, Tensor const& y, int64_t rows) {
   int64_t const size = x.size(1);
-  return {
-      data_of<T const>(x), data_of<T const>(y), x.size(0) == rows ? size : 0, y.size(0) == rows ? size : 0, rows, size};
+  return {data_ptr<T const>(x),
+          data_ptr<T const>(y),
+          x.size(0) == rows ? size : 0,
+          y.size(0) == rows ? size : 0,
+          rows,
+          size};
 }
 
 // Of as many results as `like` has rows.
@@ -33,7 +37,7 @@ int64_t check_pair(char const* op, Tensor const& x, Tensor const& y, Tensor cons
 }
 
 void check_of_sums(char const* op, char const* name, Tensor const& g, Tensor const& x, int64_t rows) {
-  KV_CHECK(g.dim() == 1 && g.size(0) == rows && g.scalar_type() == computed_type(x) && g.device() == x.device(), op,
+  KV_CHECK(g.dim() == 1 && g.size(0) == rows && g.scalar_type() == compute_dtype(x) && g.device() == x.device(), op,
            ": expected ", name, " to be that of the sums");
 }
 
@@ -49,9 +53,9 @@ Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string cons
   constexpr char const* op = "pointwise_loss";
   int64_t const rows = check_pair(op, input, other, input);
   Tensor const x = dense(input), y = dense(other), loss = empty({rows, x.size(1)}, x);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    run_map<T>(x, {pair_of<T>(x, y, rows), kind_of(op, kind), nullptr, nullptr, nullptr, {}, false, data_of<T>(loss)});
+    run_map<T>(x, {pair_of<T>(x, y, rows), kind_of(op, kind), nullptr, nullptr, nullptr, {}, false, data_ptr<T>(loss)});
   });
   return loss;
 }
@@ -65,16 +69,16 @@ Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor c
                grad.device() == input.device(),
            op, ": expected grad to be that of the loss");
   Tensor const x = dense(input), y = dense(other), g = dense(grad), grad_x = empty({rows, x.size(1)}, x);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     run_map<T>(x, {pair_of<T>(x, y, rows),
                    kind_of(op, kind),
-                   data_of<T const>(g),
+                   data_ptr<T const>(g),
                    nullptr,
                    nullptr,
                    {},
                    by_other,
-                   data_of<T>(grad_x)});
+                   data_ptr<T>(grad_x)});
   });
   return grad_x;
 }
@@ -85,13 +89,13 @@ Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const
   int64_t const rows = check_pair(op, input, other, input), size = input.size(1);
   Tensor const x = dense(input), y = dense(other);
   int64_t const pieces = max(point_pieces(size), int64_t(1));
-  Tensor const sums = empty({rows}, x, Layout::planar, computed_type(x));
-  Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed_type(x));
-  for_floats(op, x, [&](auto type) {
+  Tensor const sums = empty({rows}, x, Layout::planar, compute_dtype(x));
+  Tensor const partial = empty({rows, pieces}, x, Layout::planar, compute_dtype(x));
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     PointwiseSum<T> const params{pair_of<T>(x, y, rows), kind_of(op, kind),        pieces,
-                                 data_of<F>(partial),    {F(factor), F(decibels)}, data_of<F>(sums)};
+                                 data_ptr<F>(partial),   {F(factor), F(decibels)}, data_ptr<F>(sums)};
     KV_RUN(pointwise_sum, x, params, rows * pieces, 8 * min(size, kPointPiece));
 #if !defined(KV_CUDA)
     add_pieces(params.partial, rows, pieces, params.finish, params.sums);
@@ -109,17 +113,17 @@ Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor con
   check_of_sums(op, "sums", sums, input, rows);
   Tensor const x = dense(input), y = dense(other), g = dense(grad), s = dense(sums),
                grad_x = empty({rows, x.size(1)}, x);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     run_map<T>(x, {pair_of<T>(x, y, rows),
                    kind_of(op, kind),
                    nullptr,
-                   data_of<F const>(g),
-                   data_of<F const>(s),
+                   data_ptr<F const>(g),
+                   data_ptr<F const>(s),
                    {F(factor), F(decibels)},
                    by_other,
-                   data_of<T>(grad_x)});
+                   data_ptr<T>(grad_x)});
   });
   return grad_x;
 }

@@ -24,7 +24,7 @@ struct Work {
   StoredPlanes grad;  // of the similarity
   Border border;
   int offset;
-  Stored stored;
+  DType stored;
   bool vectors;  // results, and gradients of the similarity, can be written and read as vectors of kRows
   SsimConstants<float> constants;
   SsimLoss<float> loss;
@@ -87,7 +87,7 @@ struct RunningSums {
   }
 };
 
-// Four rows of M numbers a column.
+// Double4 rows of M numbers a column.
 template <int M>
 using Rows = float[kRows][M][kLine];
 
@@ -100,14 +100,14 @@ __device__ __forceinline__ void sum_across(float const (&line)[M][kLine], int at
   for (int m = 0; m < M; ++m)
 #pragma unroll
     for (int i = 0; i < kSkip + kRows + K - 1; i += 4) {
-      Pack<float, 4> const pack = *reinterpret_cast<Pack<float, 4> const*>(&line[m][at + kFirst + i]);
+      Vector<float, 4> const vector = *reinterpret_cast<Vector<float, 4> const*>(&line[m][at + kFirst + i]);
 #pragma unroll
       for (int e = 0; e < 4; ++e)
 #pragma unroll
         for (int j = 0; j < kRows; ++j) {
           int const t = i + e - kSkip - j;
-          if (t == 0) sums[m][j] = weights[0] * pack.v[e];
-          if (t > 0 && t < K) sums[m][j] = fmaf(weights[t], pack.v[e], sums[m][j]);
+          if (t == 0) sums[m][j] = weights[0] * vector.v[e];
+          if (t > 0 && t < K) sums[m][j] = fmaf(weights[t], vector.v[e], sums[m][j]);
         }
     }
 }
@@ -118,7 +118,7 @@ struct Pixels {
   int64_t const x_stride, y_stride;
   int const height, last;
   Border const border;
-  Stored const stored;
+  DType const stored;
   int next;
 
   // From row `first` on; those behind `last` are not needed.
@@ -131,7 +131,7 @@ struct Pixels {
         border(work.border),
         stored(work.stored),
         next(first) {
-    int64_t const offset = int64_t(min(place.column, place.width - 1)) * (stored == Stored::floats ? 4 : 2);
+    int64_t const offset = int64_t(min(place.column, place.width - 1)) * (stored == DType::float32 ? 4 : 2);
     x = work.x.plane(place.plane) + offset + first * x_stride;
     y = work.y.plane(place.plane) + offset + first * y_stride;
   }
@@ -142,7 +142,7 @@ struct Pixels {
   }
   __device__ __forceinline__ void fetch(float (&a)[kRows], float (&b)[kRows]) {
     if (next >= 0 && next + kRows <= height) {
-      with_type(stored, [&](auto type) {
+      dispatch_floating_dtype(stored, [&](auto type) {
         using T = decltype(type);
 #pragma unroll
         for (int r = 0; r < kRows; ++r) {
@@ -159,7 +159,7 @@ struct Pixels {
 #pragma unroll
       for (int i = 0; i + 1 < kRows; ++i) a[i] = a[i + 1], b[i] = b[i + 1];
       int const from = border_index(border, min(next, last), height);
-      with_type(stored, [&](auto type) {
+      dispatch_floating_dtype(stored, [&](auto type) {
         using T = decltype(type);
         a[kRows - 1] = from < 0 ? 0.f : read(*reinterpret_cast<T const*>(x + (from - next) * x_stride));
         b[kRows - 1] = from < 0 ? 0.f : read(*reinterpret_cast<T const*>(y + (from - next) * y_stride));
@@ -173,11 +173,11 @@ struct Pixels {
 template <int K>
 __device__ __forceinline__ void write_row(Work<K> const& work, Place<K> const& place, uint8_t* row,
                                           float const (&values)[kRows]) {
-  with_type(work.stored, [&](auto type) {
+  dispatch_floating_dtype(work.stored, [&](auto type) {
     using T = decltype(type);
     T* const to = reinterpret_cast<T*>(row) + (place.x - work.offset);
     if (work.vectors && place.x >= place.first && place.x + kRows <= place.last) {
-      store_pack(to, values);
+      store_vector(to, values);
       return;
     }
 #pragma unroll
@@ -190,13 +190,13 @@ __device__ __forceinline__ void write_row(Work<K> const& work, Place<K> const& p
 template <int K>
 __device__ __forceinline__ void read_row(Work<K> const& work, Place<K> const& place, uint8_t const* row,
                                          float (&values)[kRows]) {
-  with_type(work.stored, [&](auto type) {
+  dispatch_floating_dtype(work.stored, [&](auto type) {
     using T = decltype(type);
     T const* const from = reinterpret_cast<T const*>(row) + (place.x - work.offset);
     if (work.vectors && place.x + kRows <= place.width) {
-      auto const pack = *reinterpret_cast<Pack<T, kRows> const*>(from);
+      auto const vector = *reinterpret_cast<Vector<T, kRows> const*>(from);
 #pragma unroll
-      for (int j = 0; j < kRows; ++j) values[j] = read(pack.v[j]);
+      for (int j = 0; j < kRows; ++j) values[j] = read(vector.v[j]);
       return;
     }
 #pragma unroll
@@ -298,7 +298,7 @@ struct GradientRows {
   Rows<M> across[2];       // their sums along x
 };
 
-// M: 3 for the gradient to x, 4 for both. Four rows go through the stages one after the other: while they are at the
+// M: 3 for the gradient to x, 4 for both. Double4 rows go through the stages one after the other: while they are at the
 // first one, the rows before are at the next one.
 template <int K, int M>
 __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ Work<K> const work) {
@@ -357,8 +357,8 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
 #pragma unroll
     for (int m = 0; m < M; ++m)
       if (place.x + kRows <= width)
-        *reinterpret_cast<Pack<float, 4>*>(&derivatives[m][at + kBeside]) = {found[m][0], found[m][1], found[m][2],
-                                                                             found[m][3]};
+        *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kBeside]) = {found[m][0], found[m][1], found[m][2],
+                                                                               found[m][3]};
       else
 #pragma unroll
         for (int j = 0; j < kRows; ++j)
@@ -403,7 +403,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
 #pragma unroll
     for (int r = 0; r < kRows; ++r) a[r] += signs[r], b[r] -= signs[r];
     if (!owns_column) return;
-    with_type(work.stored, [&](auto type) {
+    dispatch_floating_dtype(work.stored, [&](auto type) {
       using T = decltype(type);
       uint8_t *x = to_x + y * work.result.row_stride, *other = to_y + y * work.other_result.row_stride;
 #pragma unroll
@@ -439,7 +439,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
       sum_across<K, kBeside>(memory.derivatives[now][place.r], place.x - place.left, work.weights, sums);
 #pragma unroll
       for (int m = 0; m < M; ++m)
-        *reinterpret_cast<Pack<float, 4>*>(&memory.across[now][place.r][m][place.x - place.left]) = {
+        *reinterpret_cast<Vector<float, 4>*>(&memory.across[now][place.r][m][place.x - place.left]) = {
             sums[m][0], sums[m][1], sums[m][2], sums[m][3]};
     }
     __syncthreads();
@@ -482,7 +482,7 @@ Work<K> work_of(SsimImages<T> const& images, Grid const& grid) {
   Work<K> work{};
   work.x = stored_planes(images.x), work.y = stored_planes(images.y);
   work.border = images.border, work.offset = images.valid ? K / 2 : 0;
-  work.stored = kStored<T>;
+  work.stored = kDType<T>;
   work.constants = images.constants;
   work.across = grid.across, work.down = grid.down, work.rows = grid.rows;
   for (int t = 0; t < K; ++t) work.weights[t] = images.weights[t];

@@ -2,7 +2,7 @@
 // images in windows of other sizes and at several scales, ssim_volumes.cu volumes, ssim_any.cu whatever else there is.
 #pragma once
 
-#include "core/stored.cuh"
+#include "core/dtype.cuh"
 #include "ssim.h"
 #include "sums.cuh"
 

@@ -17,7 +17,7 @@ namespace {
 constexpr int kColumns = 32;
 
 template <class F>
-using Four = Pack<F, 4>;
+using Double4 = Vector<F, 4>;
 
 // Places are those of the image or volume throughout: of a 'valid' similarity the first is at `offset`, along the axes
 // that the window has.
@@ -26,8 +26,8 @@ struct Work {
   StoredPlanes x, y;
   StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if unwanted
   StoredPlanes grad;                  // of the similarity
-  Four<F>* derivatives;               // by the means, one behind the other: written, or summed
-  Stored stored;
+  Double4<F>* derivatives;            // by the means, one behind the other: written, or summed
+  DType stored;
   Border border;
   int size, offset, offset_z, depth, height, width, deep;  // deep: what the window has on either side across planes
   double sigma;
@@ -46,7 +46,7 @@ struct Work {
   __device__ __forceinline__ int64_t result_plane(int64_t volume, int z) const {
     return volume / x.step * (depth - 2 * offset_z) + z - offset_z;
   }
-  __device__ __forceinline__ Four<F>& derivatives_at(int64_t volume, int z, int y, int column) const {
+  __device__ __forceinline__ Double4<F>& derivatives_at(int64_t volume, int z, int y, int column) const {
     int64_t const slice = (volume - first) * (depth - 2 * offset_z) + z - offset_z;
     int64_t const row = slice * (height - 2 * offset) + y - offset;
     return derivatives[row * (width - 2 * offset) + column - offset];
@@ -64,18 +64,18 @@ struct Work {
 
 // Pixel x of a volume, in row y of a plane of it.
 template <class F>
-__device__ __forceinline__ F load(StoredPlanes const& p, Stored stored, int64_t plane, int64_t channel, int y, int x) {
+__device__ __forceinline__ F load(StoredPlanes const& p, DType stored, int64_t plane, int64_t channel, int y, int x) {
   uint8_t const* const row = p.plane(plane) + y * p.row_stride;
   F found;
-  with_type<F>(stored,
-               [&](auto type) { found = read(reinterpret_cast<decltype(type) const*>(row)[x * p.step + channel]); });
+  dispatch_floating_dtype<F>(
+      stored, [&](auto type) { found = read(reinterpret_cast<decltype(type) const*>(row)[x * p.step + channel]); });
   return found;
 }
 template <class F>
-__device__ __forceinline__ void save(StoredPlanes const& p, Stored stored, int64_t plane, int64_t channel, int y, int x,
+__device__ __forceinline__ void save(StoredPlanes const& p, DType stored, int64_t plane, int64_t channel, int y, int x,
                                      F value) {
   uint8_t* const row = p.plane(plane) + y * p.row_stride;
-  with_type<F>(stored, [&](auto type) {
+  dispatch_floating_dtype<F>(stored, [&](auto type) {
     using T = decltype(type);
     reinterpret_cast<T*>(row)[x * p.step + channel] = round_to<T>(value);
   });
@@ -88,9 +88,9 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
   int const threads = int(blockDim.x), rows = threads / kColumns, K = p.size, R = K / 2;
   int const line = kColumns + 2 * R, deep = p.deep, slots = 2 * deep + 1;
   int const lane = int(threadIdx.x) % kColumns, r = int(threadIdx.x) / kColumns;
-  Four<F>* const values = reinterpret_cast<Four<F>*>(shared);  // (rows, line)
-  Four<F>* const lines = values + rows * line;                 // (rows, columns)
-  Four<F>* const ring = lines + threads;                       // (slots, threads)
+  Double4<F>* const values = reinterpret_cast<Double4<F>*>(shared);  // (rows, line)
+  Double4<F>* const lines = values + rows * line;                    // (rows, columns)
+  Double4<F>* const ring = lines + threads;                          // (slots, threads)
   F* const weights = reinterpret_cast<F*>(ring + (deep ? slots * threads : 0));
 
   unsigned tile = blockIdx.x / p.across, part = tile / p.down;
@@ -110,21 +110,21 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
   __syncthreads();
   for (int t = threadIdx.x; t < K; t += threads) weights[t] = F(weights[t] / sum);
 
-  auto const add = [](Four<F>& to, F weight, Four<F> const& what) {
+  auto const add = [](Double4<F>& to, F weight, Double4<F> const& what) {
 #pragma unroll
     for (int m = 0; m < 4; ++m) to.v[m] += weight * what.v[m];
   };
   auto const value_at = [&](int z, int y, int x) {
     if constexpr (Back) {
-      return p.has_result(z, y, x) ? p.derivatives_at(volume, z, y, x) : Four<F>{};
+      return p.has_result(z, y, x) ? p.derivatives_at(volume, z, y, x) : Double4<F>{};
     } else {
       F const a = load<F>(p.x, p.stored, plane + z, channel, y, x),
               b = load<F>(p.y, p.stored, plane + z, channel, y, x);
-      return Four<F>{a, b, a * a + b * b, (a - b) * (a - b)};
+      return Double4<F>{a, b, a * a + b * b, (a - b) * (a - b)};
     }
   };
   F of_losses = 0;
-  auto const finish = [&](int z, int y, Four<F> const& sums) {
+  auto const finish = [&](int z, int y, Double4<F> const& sums) {
     if constexpr (Back) {
       if (y >= p.height || x >= p.width) return;
       F const a = load<F>(p.x, p.stored, plane + z, channel, y, x),
@@ -159,15 +159,15 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
 
   for (int q = z0 - deep; q < z1 + deep; ++q) {
     int const z = border_index(p.border, q, p.depth);
-    Four<F> of_slice{};
+    Double4<F> of_slice{};
     for (int first = y0 - R; z >= 0 && first < y0 + rows + R; first += rows) {
       for (int i = threadIdx.x; i < rows * line; i += threads) {
         int const row = border_index(p.border, first + i / line, p.height);
         int const column = border_index(p.border, x0 - R + i % line, p.width);
-        values[i] = row < 0 || column < 0 ? Four<F>{} : value_at(z, row, column);
+        values[i] = row < 0 || column < 0 ? Double4<F>{} : value_at(z, row, column);
       }
       __syncthreads();
-      Four<F> along_x{};
+      Double4<F> along_x{};
 #pragma unroll 4
       for (int t = 0; t < K; ++t) add(along_x, weights[t], values[r * line + lane + t]);
       lines[threadIdx.x] = along_x;
@@ -181,7 +181,7 @@ __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Wo
     }
     ring[(q - z0 + deep) % slots * threads + threadIdx.x] = of_slice;
     if (q < z0 + deep) continue;
-    Four<F> sums{};
+    Double4<F> sums{};
     for (int t = 0; t < K; ++t) add(sums, weights[t], ring[(q - z0 - deep + t) % slots * threads + threadIdx.x]);
     finish(q - deep, y, sums);
   }
@@ -195,7 +195,7 @@ template <class T>
 Work<Compute<T>> work_of(SsimImages<T> const& images) {
   Work<Compute<T>> work{};
   work.x = stored_planes(images.x), work.y = stored_planes(images.y);
-  work.stored = kStored<T>;
+  work.stored = kDType<T>;
   work.border = images.border;
   work.size = images.size, work.sigma = images.sigma;
   work.offset = images.valid ? images.size / 2 : 0, work.offset_z = images.volumes ? work.offset : 0;
@@ -243,7 +243,7 @@ int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   Work<F> work = work_of(p.images);
   work.grad = stored_planes(p.grad);
   work.loss = p.loss, work.of_loss = p.of_loss;
-  work.derivatives = reinterpret_cast<Four<F>*>(p.derivatives);
+  work.derivatives = reinterpret_cast<Double4<F>*>(p.derivatives);
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
   int64_t const volumes = volumes_of(work);
   int64_t const results =

@@ -64,7 +64,7 @@ void check_pair(char const* op, Tensor const& x, Tensor const& y) {
 }
 
 Layout common_layout(Tensor const& x) { return x.dim() == 5 ? Layout::planar : layout_of(x); }
-Tensor conformed(Tensor const& x, Layout layout) { return x.dim() == 5 ? dense(x) : conform(x, layout); }
+Tensor conformed(Tensor const& x, Layout layout) { return x.dim() == 5 ? dense(x) : as_layout(x, layout); }
 
 // The planes of images, or of volumes one behind the other; one of either may serve a batch.
 template <class T>
@@ -110,7 +110,7 @@ Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma
   Layout const layout = common_layout(input);
   Tensor const x = conformed(input, layout), y = conformed(other, layout);
   Tensor const similarity = empty(window.sizes(x), x, layout);
-  for_floats("ssim", x, [&](auto type) {
+  dispatch_floating("ssim", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const weights = gaussian_window<F>(size, sigma);
@@ -133,8 +133,8 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
   KV_CHECK(absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
   Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar);
   int64_t const rows = x.size(0), channels = x.size(1);
-  Tensor const sums = empty({rows}, x, Layout::planar, computed_type(x));
-  for_floats(op, x, [&](auto type) {
+  Tensor const sums = empty({rows}, x, Layout::planar, compute_dtype(x));
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const weights = gaussian_window<F>(size, sigma);
@@ -145,14 +145,14 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
                    nothing,
                    {F(structure), F(absolute), channels},
                    nullptr,
-                   data_of<F>(sums)};
+                   data_ptr<F>(sums)};
 #if defined(KV_CUDA)
     int64_t const pieces = channels * most_ssim_pieces(params.images);
 #else
     int64_t const pieces = channels * params.images.slices() * nothing.height;
 #endif
-    Tensor const partial = empty({rows, pieces}, x, Layout::planar, computed_type(x));
-    params.partial = data_of<F>(partial);
+    Tensor const partial = empty({rows, pieces}, x, Layout::planar, compute_dtype(x));
+    params.partial = data_ptr<F>(partial);
     KV_RUN(ssim, x, params, rows * channels * params.images.slices() * nothing.height, size * nothing.row_size());
 #if defined(KV_CUDA)
     if (channels == 0) torch::stable::zero_(const_cast<Tensor&>(sums));
@@ -184,7 +184,7 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
   check_pair(op, input, other);
   Window const window(op, input, size, sigma, border);
   if (loss) {
-    KV_CHECK(grad.dim() == 1 && grad.size(0) == input.size(0) && grad.scalar_type() == computed_type(input) &&
+    KV_CHECK(grad.dim() == 1 && grad.size(0) == input.size(0) && grad.scalar_type() == compute_dtype(input) &&
                  grad.device() == input.device(),
              op, ": expected grad to be that of the losses");
     KV_CHECK(loss->absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
@@ -205,7 +205,7 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
   Tensor const grad_x = like_x();
   if (grad_other) *grad_other = like_x();
   int64_t const batch = x.size(0);
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const weights = gaussian_window<F>(size, sigma);
@@ -223,14 +223,14 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
       params.grad.data = nullptr;
       params.grad.height -= window.less(), params.grad.width -= window.less();
       params.loss = {F(loss->structure), F(loss->absolute), x.size(1)};
-      params.of_loss = data_of<F>(g);
+      params.of_loss = data_ptr<F>(g);
     }
 #if defined(KV_CUDA)
     std::optional<Tensor> derivatives;
     if (!has_ssim_strips(params.images)) {
       params.room = room_for(x, window, params.images, 4);
-      derivatives = empty({params.room}, x, Layout::planar, computed_type(x));
-      params.derivatives = data_of<F>(*derivatives);
+      derivatives = empty({params.room}, x, Layout::planar, compute_dtype(x));
+      params.derivatives = data_ptr<F>(*derivatives);
     }
 #endif
     int64_t const pieces = params.images.volumes ? grad_x.size(3) : 1;  // of work on the CPU, in rows
@@ -280,16 +280,16 @@ Tensor ms_ssim(Tensor const& input, Tensor const& other, std::vector<double> con
   Window const window = ms_window(op, input, other, size, sigmas);
   Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar);
   int64_t const channels = x.size(1), rows = x.size(0) * x.size(2);
-  Tensor const map = empty({x.size(0), x.size(2), x.size(3)}, x, Layout::planar, computed_type(x));
+  Tensor const map = empty({x.size(0), x.size(2), x.size(3)}, x, Layout::planar, compute_dtype(x));
   KV_CHECK(channels > 0, op, ": expected input with at least one channel");
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Scales<F> const scales(op, size, sigmas);
     MsSsim<T> const params{images<T>(x, y, Layout::planar, window, scales.weights.back().data(), {c1, c2, 0, true}),
                            scales.found,
                            {F(structure / channels), F(absolute / channels), channels},
-                           data_of<F>(map)};
+                           data_ptr<F>(map)};
 #if defined(KV_CUDA)
     KV_CHECK(has_ssim_tiles(params.images), op, ": the images are too large");
 #endif
@@ -303,7 +303,7 @@ Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input
                          double structure, double absolute) {
   Window const window = ms_window(op, input, other, size, sigmas);
   bool const fits = grad.dim() == 3 && grad.size(0) == input.size(0) && grad.size(1) == input.size(2) &&
-                    grad.size(2) == input.size(3) && grad.scalar_type() == computed_type(input) &&
+                    grad.size(2) == input.size(3) && grad.scalar_type() == compute_dtype(input) &&
                     grad.device() == input.device();
   KV_CHECK(fits, op, ": expected grad to be that of the map");
   Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar), g = dense(grad);
@@ -312,7 +312,7 @@ Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input
   if (grad_other) *grad_other = empty(sizes, x);
   int64_t const batch = x.size(0), channels = x.size(1);
   KV_CHECK(channels > 0, op, ": expected input with at least one channel");
-  for_floats(op, x, [&](auto type) {
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     Scales<F> const scales(op, size, sigmas);
@@ -321,7 +321,7 @@ Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input
     MsSsimBackward<T> params{images<T>(x, y, Layout::planar, window, scales.weights.back().data(), {c1, c2, 0, true}),
                              scales.found,
                              {F(structure / channels), F(absolute / channels), channels},
-                             data_of<F>(g),
+                             data_ptr<F>(g),
                              planes_for<T>(grad_x, batch, Layout::planar),
                              grad_y,
                              nullptr,
@@ -329,8 +329,8 @@ Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input
 #if defined(KV_CUDA)
     KV_CHECK(has_ssim_tiles(params.images), op, ": the images are too large");
     params.room = room_for(x, window, params.images, 5 * scales.found.count);
-    Tensor const derivatives = empty({params.room}, x, Layout::planar, computed_type(x));
-    params.derivatives = data_of<F>(derivatives);
+    Tensor const derivatives = empty({params.room}, x, Layout::planar, compute_dtype(x));
+    params.derivatives = data_ptr<F>(derivatives);
 #endif
     KV_RUN(ms_ssim_backward, x, params, params.grad_x.rows(), 8 * size * x.size(3));
   });

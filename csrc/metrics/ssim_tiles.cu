@@ -19,19 +19,19 @@ struct Work {
   StoredPlanes x, y;
   StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if unwanted
   StoredPlanes grad;                  // of the similarity
-  Stored stored;
+  DType stored;
   Border border;
   int offset, height, width;
   SsimConstants<F> constants;  // of the last scale: the others have no luminance
   SsimLoss<F> loss;
   F* partial;
   F const* of_loss;
-  F* map;                // of several scales: the loss, of which the planes of a sample have the mean
-  F const* of_map;       // its gradient
-  Four<F>* derivatives;  // by the means: of the scales, one behind the other
-  F* shares;             // of several scales: what the derivatives are multiplied with
-  int64_t first, band;   // planes of a launch
-  int top, bottom;       // its rows
+  F* map;                   // of several scales: the loss, of which the planes of a sample have the mean
+  F const* of_map;          // its gradient
+  Double4<F>* derivatives;  // by the means: of the scales, one behind the other
+  F* shares;                // of several scales: what the derivatives are multiplied with
+  int64_t first, band;      // planes of a launch
+  int top, bottom;          // its rows
   int stored_top, stored_bottom, stored_rows;  // those with derivatives, and the most that there can be
   int together;                                // planes that a block takes one after the other
   unsigned across, down;
@@ -104,7 +104,7 @@ __device__ __forceinline__ void list_rows(Work<F> const& p, Place const& place, 
 template <int M, class F, class Value>
 __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, int s, int start, int offset,
                                          Rows const& all_rows, void* shared, Value value, F (&sums)[M][kSide]) {
-  Pack<F, M>* const lines = static_cast<Pack<F, M>*>(shared);
+  Vector<F, M>* const lines = static_cast<Vector<F, M>*>(shared);
   int const taps = p.sizes[s], left = place.x0 - taps / 2;
   Row const* const rows = all_rows + (p.sizes[p.scales - 1] - taps) / 2;
   auto const weight = [&](int t) { return p.weights[start + t]; };
@@ -123,7 +123,7 @@ __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, i
     }
 #pragma unroll
     for (int j = 0; j < kSide; ++j) {
-      Pack<F, M> sum;
+      Vector<F, M> sum;
 #pragma unroll
       for (int m = 0; m < M; ++m) sum.v[m] = down[m][j];
       lines[j * p.stride + c] = sum;
@@ -138,7 +138,7 @@ template <class T>
 __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) uint8_t shared[];
-  Four<F>* const lines = reinterpret_cast<Four<F>*>(shared);
+  Double4<F>* const lines = reinterpret_cast<Double4<F>*>(shared);
   F* const factors = reinterpret_cast<F*>(lines + kSide * p.stride) + threadIdx.x;  // of each scale's pixels
   Place const place(p);
   __shared__ Rows rows;
@@ -155,7 +155,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
                         *const y = reinterpret_cast<uint8_t const*>(ys + column * p.y.step);
       return [=](Row const& row) {
         F const a = read(*reinterpret_cast<T const*>(x + row.x)), b = read(*reinterpret_cast<T const*>(y + row.y));
-        return Pack<F, 2>{row.there ? a : F(0), row.there ? b : F(0)};
+        return Vector<F, 2>{row.there ? a : F(0), row.there ? b : F(0)};
       };
     };
     F similar[kSide];
@@ -169,7 +169,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
         return [pair = pixels(column)](Row const& row) {
           auto const [a, b] = pair(row).v;
           F const d = a - b;
-          return Four<F>{a, b, a * a + b * b, d * d};
+          return Double4<F>{a, b, a * a + b * b, d * d};
         };
       };
       sum_tile<4>(p, place, s, start, 0, rows, shared, values, means);
@@ -232,7 +232,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
       auto const difference = [&](int column) {
         return [pair = pixels(column)](Row const& row) {
           auto const [a, b] = pair(row).v;
-          return Pack<F, 1>{::fabs(a - b)};
+          return Vector<F, 1>{::fabs(a - b)};
         };
       };
       sum_tile<1>(p, place, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, difference, apart);
@@ -283,10 +283,10 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles_back(__
     int64_t const first = p.plane_at(s, plane);
     auto const derivatives = [&](int column) {
       int64_t const from = first + column - p.offset;
-      Four<F> const* const found = p.derivatives + from;
+      Double4<F> const* const found = p.derivatives + from;
       F const* const shares = p.shares + (p.shares ? from : 0);
       return [=, &p](Row const& row) {
-        Four<F> of_pixel = found[row.x];
+        Double4<F> of_pixel = found[row.x];
         if (p.shares) {
           F const share = shares[row.x];
 #pragma unroll
@@ -304,14 +304,14 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles_back(__
     auto const gradient = [&](int column) {
       return [at = g + column](Row const& row) {
         F const of_pixel = at[row.x];
-        return Pack<F, 1>{row.there ? of_pixel : F(0)};
+        return Vector<F, 1>{row.there ? of_pixel : F(0)};
       };
     };
     sum_tile<1>(p, place, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, gradient, apart);
   }
   if (!place.within) return;
   F const of_absolute = p.of_loss ? p.loss.absolute * p.of_loss[plane / p.loss.planes] : F(0);
-  with_type<F>(p.stored, [&](auto type) {
+  dispatch_floating_dtype<F>(p.stored, [&](auto type) {
     using T = decltype(type);
     T const *const xs = channel<T const>(p.x, plane, place.y), *const ys = channel<T const>(p.y, plane, place.y);
     T* const to_x = channel<T>(p.result, plane, place.y);
@@ -335,7 +335,7 @@ template <class T>
 Work<Compute<T>> work_of(SsimImages<T> const& images) {
   Work<Compute<T>> work{};
   work.x = stored_planes(images.x), work.y = stored_planes(images.y);
-  work.stored = kStored<T>;
+  work.stored = kDType<T>;
   work.border = images.border;
   work.offset = images.valid ? images.size / 2 : 0;
   work.height = work.bottom = int(images.x.height), work.width = int(images.x.width);
@@ -397,7 +397,7 @@ int launch_gradients(Work<Compute<T>>& work, int size, int64_t room, Compute<T>*
   int64_t const blocks = SsimTiles(work.height, work.width, size).count();
   work.together = 1, work.band = busiest(max(most_rows / all, int64_t(1)), planes, blocks);
   work.stored_rows = int(min(most_rows, int64_t(all)));
-  work.derivatives = reinterpret_cast<Four<F>*>(derivatives);
+  work.derivatives = reinterpret_cast<Double4<F>*>(derivatives);
   work.shares = several ? derivatives + 4 * work.band * work.stored_rows * row : nullptr;
   int const rows = work.stored_rows < all ? work.stored_rows - 2 * reach : work.height;
   for (; work.first < planes; work.first += work.band)

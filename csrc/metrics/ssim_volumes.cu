@@ -19,14 +19,14 @@ struct Work {
   StoredPlanes x, y;
   StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if unwanted
   StoredPlanes grad;                  // of the similarity
-  Stored stored;
+  DType stored;
   Border border;
   int offset, depth, height, width;
   SsimConstants<F> constants;
   SsimLoss<F> loss;
   F* partial;
   F const* of_loss;
-  Four<F>* derivatives;          // by the means: written, or summed
+  Double4<F>* derivatives;       // by the means: written, or summed
   unsigned x_slice, y_slice;     // bytes from a slice to the next one
   int64_t first;                 // volume of a launch
   unsigned across, down, parts;  // tiles of a volume
@@ -39,7 +39,7 @@ struct Work {
   __device__ __forceinline__ int64_t result_plane(int64_t volume, int z) const {
     return volume * (depth - 2 * offset) + z - offset;
   }
-  __device__ __forceinline__ Four<F>* derivatives_at(int64_t volume, int z, int y, int x) const {
+  __device__ __forceinline__ Double4<F>* derivatives_at(int64_t volume, int z, int y, int x) const {
     int64_t const row = result_plane(volume - first, z) * (height - 2 * offset) + y - offset;
     return derivatives + row * (width - 2 * offset) + x - offset;
   }
@@ -65,7 +65,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
   using F = Compute<T>;
   extern __shared__ __align__(16) uint8_t shared[];
   __shared__ Row slices[SsimVolumeTiles::kMostTaps + kSide];
-  Four<F>* const sums = reinterpret_cast<Four<F>*>(shared);  // (slices, rows, columns)
+  Double4<F>* const sums = reinterpret_cast<Double4<F>*>(shared);  // (slices, rows, columns)
   int const taps = p.taps, R = taps / 2, rows = kSide + taps - 1, columns = kColumns + taps - 1, stride = columns + 1;
   auto const weight = [&](int t) { return p.weights[t]; };
 
@@ -93,10 +93,10 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
     F across[4][kSide] = {};
     if (y >= offset && y < p.height - offset && x >= offset && x < p.width - offset) {
       if constexpr (Back) {
-        Four<F> const* const from = p.derivatives_at(volume, offset, y, x);
+        Double4<F> const* const from = p.derivatives_at(volume, offset, y, x);
         auto const read_slice = [&](int i) {
           Row const slice = slices[i];
-          Four<F> found = from[slice.x];
+          Double4<F> found = from[slice.x];
 #pragma unroll
           for (int m = 0; m < 4; ++m) found.v[m] = slice.there ? found.v[m] : F(0);
           return found;
@@ -110,7 +110,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
           F a = read(*reinterpret_cast<T const*>(xs + slice.x)), b = read(*reinterpret_cast<T const*>(ys + slice.y));
           a = slice.there ? a : F(0), b = slice.there ? b : F(0);
           F const d = a - b;
-          return Four<F>{a, b, a * a + b * b, d * d};
+          return Double4<F>{a, b, a * a + b * b, d * d};
         };
         sum_window<4>(taps, weight, read_slice, across);
       }
@@ -123,7 +123,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
 #pragma unroll 1
   for (int i = thread; i < kSide * columns; i += kThreads) {
     int const z = i / columns, c = i - z * columns;
-    Four<F>* const column = sums + z * rows * stride + c;
+    Double4<F>* const column = sums + z * rows * stride + c;
     F down[4][kSide] = {};
     sum_window<4>(taps, weight, [&](int i) { return column[i * stride]; }, down);
 #pragma unroll
@@ -134,14 +134,14 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
   // Neighbouring threads have rows of their own: what they read at once lies in different banks.
   int const row = thread % kSide, slice = thread / kSide % kSide, column = thread / (kSide * kSide) * kSide;
   int const z = z0 + slice, y = y0 + row;
-  Four<F> const* const line = sums + (slice * rows + row) * stride + column;
+  Double4<F> const* const line = sums + (slice * rows + row) * stride + column;
   F found[4][kSide] = {};
   sum_window<4>(taps, weight, [&](int i) { return line[i]; }, found);
   F of_losses = 0;
   if (z < p.depth && y < p.height) {
     int64_t const plane = volume * p.depth + z;
     F const of_loss = p.of_loss ? p.of_loss[volume / p.loss.planes] : F(0);
-    with_type<F>(p.stored, [&](auto type) {
+    dispatch_floating_dtype<F>(p.stored, [&](auto type) {
       using S = decltype(type);
       if constexpr (!Back && !__is_same(S, T)) return;
       S const *const xs = row_of<S const>(p.x, plane, y), *const ys = row_of<S const>(p.y, plane, y);
@@ -193,7 +193,7 @@ Work<Compute<T>> work_of(SsimImages<T> const& images) {
   Work<Compute<T>> work{};
   work.x = stored_planes(images.x), work.y = stored_planes(images.y);
   work.x_slice = slice_bytes(images.x), work.y_slice = slice_bytes(images.y);
-  work.stored = kStored<T>;
+  work.stored = kDType<T>;
   work.border = images.border;
   work.taps = images.size;
   for (int t = 0; t < images.size; ++t) work.weights[t] = images.weights[t];
@@ -235,7 +235,7 @@ int ssim_of_volumes_backward(SsimBackward<T> const& p, CUstream_st* stream) {
   Work<F> work = work_of(p.images);
   work.grad = stored_planes(p.grad);
   work.loss = p.loss, work.of_loss = p.of_loss;
-  work.derivatives = reinterpret_cast<Four<F>*>(p.derivatives);
+  work.derivatives = reinterpret_cast<Double4<F>*>(p.derivatives);
   work.result = stored_planes(p.grad_x), work.other_result = stored_planes(p.grad_y);
   int64_t const volumes = work.x.count() / work.depth;
   int64_t const results =

@@ -10,7 +10,7 @@ namespace {
 constexpr int kSide = 8;  // neighbours of a thread, and rows and slices of a tile
 
 template <class F>
-using Four = Pack<F, 4>;
+using Double4 = Vector<F, 4>;
 
 // Where a row or slice begins: in bytes in the images, or as a number of results; and whether there is one.
 struct __align__(16) Row {
@@ -22,7 +22,7 @@ struct __align__(16) Row {
 template <int M, class F, class Weight, class Read>
 __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F (&sums)[M][kSide]) {
   constexpr int N = kSide;
-  auto const add = [&](int j, F w, Pack<F, M> const& v) {
+  auto const add = [&](int j, F w, Vector<F, M> const& v) {
 #pragma unroll
     for (int m = 0; m < M; ++m) sums[m][j] += w * v.v[m];
   };
@@ -32,7 +32,7 @@ __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F
   for (int i = 0; i < N; ++i) near[i] = weight(i);
 #pragma unroll
   for (int i = 0; i < N; ++i) {
-    Pack<F, M> const v = read(i);
+    Vector<F, M> const v = read(i);
 #pragma unroll
     for (int j = 0; j <= i; ++j)
       if (has[(i - j + 1) / 2]) add(j, near[i - j], v);
@@ -43,7 +43,7 @@ __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F
 #pragma unroll
     for (int k = 0; k + 1 < N; ++k) near[k] = near[k + 1];
     near[N - 1] = weight(i);
-    Pack<F, M> const v = read(i);
+    Vector<F, M> const v = read(i);
 #pragma unroll
     for (int j = 0; j < N; ++j) add(j, near[N - 1 - j], v);
   }
@@ -54,7 +54,7 @@ __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F
     for (int k = 0; k < N; ++k) next[k] = weight(i + k);
 #pragma unroll
     for (int e = 0; e < N; ++e) {
-      Pack<F, M> const v = read(i + e);
+      Vector<F, M> const v = read(i + e);
 #pragma unroll
       for (int j = 0; j < N; ++j) add(j, j <= e ? next[e - j] : near[N + e - j], v);
     }
@@ -63,7 +63,7 @@ __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F
   }
 #pragma unroll
   for (int e = 0; e + 1 < N; ++e) {
-    Pack<F, M> const v = read(min(i + e, taps + N - 2));
+    Vector<F, M> const v = read(min(i + e, taps + N - 2));
 #pragma unroll
     for (int j = e + 1; j < N; ++j)
       if (has[(N + e - j + 1) / 2]) add(j, near[N + e - j], v);

@@ -38,10 +38,10 @@ template <class T, int R, bool Aligned>
 struct NearRows {
   using F = Compute<T>;
   static constexpr int P = kStrip;
-  struct Fetched {
-    Pack<T, R> left;
-    Pack<T, P> own;
-    Pack<T, R> right;
+  struct FetchedRow {
+    Vector<T, R> left;
+    Vector<T, P> own;
+    Vector<T, R> right;
   };
   T const* at;
   int64_t const stride;
@@ -67,14 +67,14 @@ struct NearRows {
   __device__ __forceinline__ bool has_left() const { return x > 0; }
   __device__ __forceinline__ bool has_right() const { return x + P < width; }
 
-  __device__ __forceinline__ Fetched next() {
-    Fetched found{};
+  __device__ __forceinline__ FetchedRow next() {
+    FetchedRow found{};
     if (has_row(y)) {
       if constexpr (Aligned) {
         if (x < width) {
-          found.own = *reinterpret_cast<Pack<T, P> const*>(at);
-          if (has_left()) found.left = *reinterpret_cast<Pack<T, R> const*>(at - R);
-          if (has_right()) found.right = *reinterpret_cast<Pack<T, R> const*>(at + P);
+          found.own = *reinterpret_cast<Vector<T, P> const*>(at);
+          if (has_left()) found.left = *reinterpret_cast<Vector<T, R> const*>(at - R);
+          if (has_right()) found.right = *reinterpret_cast<Vector<T, R> const*>(at + P);
         }
       } else {
 #pragma unroll
@@ -88,7 +88,7 @@ struct NearRows {
     return found;
   }
   // Of what was read of row y.
-  __device__ __forceinline__ void spread(Fetched const& f, int y, F (&v)[P + 2 * R]) const {
+  __device__ __forceinline__ void spread(FetchedRow const& f, int y, F (&v)[P + 2 * R]) const {
     F const nothing = has_row(y) ? -F(0) : outside;  // which leaves the sign of a 0
     F const to_left = has_left() ? nothing : outside, to_right = has_right() ? nothing : outside;
 #pragma unroll
@@ -114,7 +114,7 @@ struct NearRows {
 template <class T, bool Aligned>
 __device__ __forceinline__ void store_row(T* to, int x, int width, Compute<T> const (&v)[kStrip]) {
   if constexpr (Aligned) {
-    if (x < width) store_pack(to, v);
+    if (x < width) store_vector(to, v);
   } else {
 #pragma unroll
     for (int i = 0; i < kStrip; ++i)
@@ -136,7 +136,7 @@ __device__ __forceinline__ void walk_flat(NearRows<T, 1, Aligned>& rows, Planes<
   constexpr int P = kStrip;
   using F = Compute<T>;
   T* out = result.row(plane, y0) + rows.x;
-  typename NearRows<T, 1, Aligned>::Fetched ahead[2] = {rows.next(), rows.next()};
+  typename NearRows<T, 1, Aligned>::FetchedRow ahead[2] = {rows.next(), rows.next()};
   F row[P], two[P];  // the maxima of the last row, and of the last two
   auto const next = [&](int y, int slot, F(&most)[P]) {
     F v[P + 2];
@@ -205,7 +205,7 @@ __global__ void __launch_bounds__(kThreads)
     walk_3x3(__grid_constant__ Dilation<T> const p, __grid_constant__ Strips4 const strips) {
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
   NineTaps<Compute<T>> const taps(p.window, plane / p.planes);
   NearRows<T, 1, Aligned> rows(p.x, plane, x, y0 - 1, p.window);
@@ -233,7 +233,7 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   if (!NineTaps<F>(p.window, plane / p.planes).flat) return;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height)), width = int(p.x.width);
   NearRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2, p.window);
@@ -304,7 +304,7 @@ __global__ void __launch_bounds__(kThreads)
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
-  if (!strips.place(plane, x, y0)) return;
+  if (!strips.locate(plane, x, y0)) return;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height)), width = int(p.x.width);
   NineTaps<F> const taps(p.window, plane / p.planes);
   if (taps.flat) return;
@@ -360,7 +360,7 @@ __global__ void __launch_bounds__(kThreads)
 template <class T>
 int dilation_3x3(Dilation<T> const& p, CUstream_st* stream) {
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
-  with_alignment<T>(is_strip<kStrip>(p.x) && is_strip<kStrip>(p.y), [&](auto aligned) {
+  with_alignment<T>(is_vectorizable<kStrip>(p.x) && is_vectorizable<kStrip>(p.y), [&](auto aligned) {
     walk_3x3<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
   });
   return cudaGetLastError();
@@ -370,7 +370,8 @@ template <class T>
 int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream) {
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
   Strips4 const long_strips(p.x.count(), p.x.height, p.x.width, kTapsRows);  // few to find that the window is flat
-  bool const aligned = is_strip<kStrip>(p.x) && is_strip<kStrip>(p.grad) && is_strip<kStrip>(p.grad_x);
+  bool const aligned =
+      is_vectorizable<kStrip>(p.x) && is_vectorizable<kStrip>(p.grad) && is_vectorizable<kStrip>(p.grad_x);
   with_alignment<T>(aligned, [&](auto aligned) {
     walk_flat_backward<T, aligned.value><<<strips.blocks(kFlatThreads / 32), kFlatThreads, 0, stream>>>(p, strips);
     walk_taps_backward<T, aligned.value><<<long_strips.blocks(), kThreads, 0, stream>>>(p, long_strips);

@@ -2,7 +2,7 @@
 // or not, in one launch and without other memory: first the maxima of all windows that have a pixel of the tile, with
 // the parts of their ties, then the sums of these. One kernel for all types, which takes a while to compile; it looks
 // at the type where it reads and writes images.
-#include "core/stored.cuh"
+#include "core/dtype.cuh"
 #include "dilation_tiles.cuh"
 
 namespace kv::cuda {
@@ -12,7 +12,7 @@ constexpr int kGradientThreads = 288;
 
 struct AnyGradient {
   DilationBackward<float> p;  // of images that are stored as `type`
-  Stored type;
+  DType type;
 };
 template <class T>
 auto as_floats(Planes<T> const& p) {
@@ -56,7 +56,7 @@ __global__ void __launch_bounds__(kGradientThreads, 3)
 
   float const sign = window.sign();
   int const columns_of_pixels = windows_of_row + window.width - 1;
-  with_type(any.type, [&](auto stored) {
+  dispatch_floating_dtype(any.type, [&](auto stored) {
     auto const* const first = row_of(p.x, at.plane, 0, stored) + (left - window.left);
     for_each_place(rows_of_windows + window.height - 1, columns_of_pixels, [&](int row, int column) {
       int const y = top - window.top + row, x = left - window.left + column;
@@ -68,7 +68,7 @@ __global__ void __launch_bounds__(kGradientThreads, 3)
 
   // Maxima and ties to what the pixels get of them. The minimum of maxima is the maximum of what is negated.
   auto const share_out = [&] {
-    with_type(any.type, [&](auto stored) {
+    dispatch_floating_dtype(any.type, [&](auto stored) {
       auto const* const grad = row_of(p.grad, at.plane, 0, stored) + left;
       for_each_place(rows_of_windows, windows_of_row, [&](int row, int column) {
         int const y = top + row, x = left + column;
@@ -82,7 +82,7 @@ __global__ void __launch_bounds__(kGradientThreads, 3)
     __syncthreads();
   };
   auto const store = [&](auto sum) {
-    with_type(any.type, [&](auto stored) {
+    dispatch_floating_dtype(any.type, [&](auto stored) {
       auto const* const x_row = row_of(p.x, at.plane, y0, stored) + x0;
       auto* const out = row_of(p.grad_x, at.plane, y0, stored) + x0;
       for_each_place(rows, columns, [&](int y, int x) {
@@ -115,7 +115,7 @@ __global__ void __launch_bounds__(kGradientThreads, 3)
         Value const& of = found[(y + window.height - 1 - i) * tile.windows + x + window.width - 1 - j];
         sum += own + offset == -of.most ? of.count : 0.f;
       });
-      with_type(any.type, [&](auto stored) {
+      dispatch_floating_dtype(any.type, [&](auto stored) {
         row_of(p.grad_x, at.plane, y0 + y, stored)[x0 + x] = round_to<decltype(stored)>(sum);
       });
     });
@@ -167,7 +167,7 @@ __global__ void __launch_bounds__(kGradientThreads, 3)
 template <class T>
 int dilation_gradient(DilationBackward<T> const& p, CUstream_st* stream) {
   AnyGradient const any{{as_floats(p.grad), as_floats(p.x), as_floats(p.grad_x), p.window, p.planes, nullptr},
-                        kStored<T>};
+                        kDType<T>};
   return launch_tiles(gradient_by_tiles, any, p.x, GradientTile::kRows, GradientTile::kColumns, kGradientThreads,
                       GradientTile(p.window).bytes(), stream);
 }

@@ -9,7 +9,7 @@ namespace {
 // computed in.
 Tensor checked(char const* op, char const* name, Tensor const& element, Tensor const& x) {
   KV_CHECK(element.dim() == 3 && (element.size(0) == 1 || element.size(0) == x.size(0)) &&
-               element.scalar_type() == computed_type(x) && element.device() == x.device(),
+               element.scalar_type() == compute_dtype(x) && element.device() == x.device(),
            op, ": expected ", name, " (B or 1, height, width) in the type that images are computed in");
   check_window(op, element.size(1), element.size(2));
   return dense(element);
@@ -57,8 +57,8 @@ Tensor dilation(Tensor const& input, Tensor const& kernel, std::optional<Tensor>
   check_images("dilation", "input", input);
   Element const element("dilation", input, kernel, heights, origin_y, origin_x, value, erode);
   Layout const layout = layout_of(input);
-  Tensor const x = conform(input, layout), y = empty_like(x, layout);
-  for_floats("dilation", x, [&](auto type) {
+  Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
+  dispatch_floating("dilation", x, [&](auto type) {
     using T = typename decltype(type)::type;
     Dilation<T> const params{planes<T const>(x, layout), planes<T>(y, layout), element.window<Compute<T>>(),
                              planes_of_sample(x, layout)};
@@ -75,8 +75,8 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
   check_like(op, "grad", grad, input);
   Element const element(op, input, kernel, heights, origin_y, origin_x, value, erode);
   Layout const layout = layout_of(input);
-  Tensor const g = conform(grad, layout), x = conform(input, layout), grad_x = empty_like(x, layout);
-  for_floats(op, x, [&](auto type) {
+  Tensor const g = as_layout(grad, layout), x = as_layout(input, layout), grad_x = empty_like(x, layout);
+  dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     DilationBackward<T> const all{planes<T const>(g, layout), planes<T const>(x, layout),  planes<T>(grad_x, layout),
@@ -89,10 +89,10 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
       // Two numbers an element, of so many samples at a time that they take no more memory than x.
       int64_t const samples = x.size(0), numbers = samples ? 2 * x.numel() / samples : 0;
       int64_t const together = max(int64_t(samples * sizeof(T) / (2 * sizeof(F))), int64_t(1));
-      Tensor const found = empty({together * numbers}, x, Layout::planar, computed_type(x));
+      Tensor const found = empty({together * numbers}, x, Layout::planar, compute_dtype(x));
       for (int64_t first = 0; first < samples; first += together) {
         DilationBackward<T> params = all;
-        params.found = data_of<F>(found);
+        params.found = data_ptr<F>(found);
         params.window.kernel += first * params.window.kernel_stride;
         if (params.window.heights) params.window.heights += first * params.window.heights_stride;
         auto const take = [&](auto& planes, Tensor const& of) {

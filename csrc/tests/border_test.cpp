@@ -51,7 +51,7 @@ void transpose_gives_the_same_pairs() {
             if (Int const pixel = kv::border_index(border, i, n); pixel >= 0) read.push_back({pixel, i});
           for (Int j = 0; j < n; ++j) {
             size_t const first = gathered.size();
-            kv::for_each_position(border, j, n, before, after, [&](Int i) { gathered.push_back({j, i}); });
+            kv::for_each_reader(border, j, n, before, after, [&](Int i) { gathered.push_back({j, i}); });
             CHECK(gathered[first].second == j, int(border), j, n);  // itself first
           }
           std::sort(read.begin(), read.end());

@@ -1,20 +1,20 @@
-// Images that threads take in packs of neighbours in a row. Included by raw.cu and chroma.cu.
+// Images that threads take in vectors of neighbours in a row. Included by raw.cu and chroma.cu.
 #pragma once
 
 #include "core/launch.cuh"
 
 namespace kv::cuda {
 
-// Whether all rows are packs of N elements.
+// Whether all rows are vectors of N elements.
 template <int N, class T>
-bool is_packed(Planes<T> const& x) {
+bool has_whole_vectors(Planes<T> const& x) {
   return (x.width | x.row_stride | x.outer_stride | x.inner_stride) % N == 0 &&
          reinterpret_cast<uintptr_t>(x.data) % (N * sizeof(T)) == 0;
 }
 
 // Blocks of 32 x `rows` threads, each of which takes N neighbours of an image.
 template <int N>
-dim3 blocks_of_packs(int64_t width, int64_t height, int rows, int64_t images) {
+dim3 blocks_of_vectors(int64_t width, int64_t height, int rows, int64_t images) {
   return dim3(unsigned(ceil_div(width, 32 * N)), unsigned(ceil_div(height, rows)),
               unsigned(min(images, int64_t(65535))));
 }

@@ -8,12 +8,12 @@
 
 namespace kv::cuda {
 
-constexpr int kThreads = 256, kPack = 4;
+constexpr int kThreads = 256, kVectorSize = 4;
 
-// Calls f(count, first pixel of the plane, its column and row) for the block's pixels, in packs where planes are
-// `packed`. `maps` has the width and height of planes of T, and the rows of a piece.
+// Calls f(count, first pixel of the plane, its column and row) for the block's pixels, in vectors where planes are
+// `vectorized`. `maps` has the width and height of planes of T, and the rows of a piece.
 template <class T, class Maps, class Call>
-__device__ __forceinline__ void for_each_pack(Maps const& maps, int64_t piece, bool packed, Call f) {
+__device__ __forceinline__ void for_each_vector(Maps const& maps, int64_t piece, bool vectorized, Call f) {
   unsigned const width = unsigned(maps.width), start = unsigned(piece * maps.rows) * width;
   unsigned const end = unsigned(min((piece + 1) * maps.rows, maps.height)) * width;
   auto const take = [&](auto count) {
@@ -24,19 +24,19 @@ __device__ __forceinline__ void for_each_pack(Maps const& maps, int64_t piece, b
       f(count, i, i - row * width, row);
     }
   };
-  if (sizeof(T) < 8 && packed)
-    take(std::integral_constant<int, sizeof(T) < 8 ? kPack : 1>{});
+  if (sizeof(T) < 8 && vectorized)
+    take(std::integral_constant<int, sizeof(T) < 8 ? kVectorSize : 1>{});
   else
     take(std::integral_constant<int, 1>{});
 }
 
-// Whether packs of planes that begin there, or of none, begin at multiples of their size, and none has pixels of two
+// Whether vectors of planes that begin there, or of none, begin at multiples of their size, and none has pixels of two
 // rows.
 template <class T>
-bool is_packed(int64_t width, std::initializer_list<void const*> planes) {
+bool is_vectorizable(int64_t width, std::initializer_list<void const*> planes) {
   for (void const* at : planes)
-    if (reinterpret_cast<uintptr_t>(at) % sizeof(Pack<T, kPack>) != 0) return false;
-  return width % kPack == 0;
+    if (reinterpret_cast<uintptr_t>(at) % sizeof(Vector<T, kVectorSize>) != 0) return false;
+  return width % kVectorSize == 0;
 }
 
 }  // namespace kv::cuda

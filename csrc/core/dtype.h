@@ -1,0 +1,28 @@
+// Storage types that are known at run time only. Included by kernels that are compiled once for all of them.
+#pragma once
+
+#include "half.h"
+
+namespace kv {
+
+// The numbers are stable: color programs in exported graphs contain them.
+enum class DType : int { uint8, float16, bfloat16, float32, float64 };
+
+// Calls f with a value of the type.
+template <class F>
+KV_HD void dispatch_dtype(DType dtype, F f) {
+  switch (dtype) {
+    case DType::uint8:
+      return f(uint8_t{});
+    case DType::float16:
+      return f(Half{});
+    case DType::bfloat16:
+      return f(BFloat16{});
+    case DType::float32:
+      return f(float{});
+    case DType::float64:
+      return f(double{});
+  }
+}
+
+}  // namespace kv

@@ -1,15 +1,15 @@
 // Cross-correlation with small kernels on CUDA: planar images, square kernels of 3, 5 or 7 with
 // their middle on the pixel.
 //
-// Each warp walks down a strip of 32 P columns, whose rows come by strip_rows.cuh. Nothing else is stored: a row adds
-// to the running sums of the K - 1 rows that it is a tap of besides the one that it completes.
+// Each warp walks down a strip of 32 P columns, whose rows come by core/row_prefetcher.cuh. Nothing else is stored: a
+// row adds to the running sums of the K - 1 rows that it is a tap of besides the one that it completes.
 //
 // Transposes fold what falls beyond the image back to its rim as it comes up. Along x, the first and the last thread of
 // a row have the pixels and weights for it in their registers. Along y, rows of the rim wait in shared memory until the
 // rows that they stand in for are complete.
 
+#include "core/row_prefetcher.cuh"
 #include "filter2d.h"
-#include "strip_rows.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -52,8 +52,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   // The first row read and the last row completed. Where results are folded, there is nothing above the image.
   int const first = Folds ? max(y0 - R, 0) : y0 - above, last = Folds && y1 == height ? height - 1 + R : y1 - 1;
   int const count = last + K - above - first;
-  StripRows<T, P, R, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned,
-                                          x0 + R - p.axis_x.before, first, count);
+  RowPrefetcher<T, P, R, kRing, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned,
+                                              x0 + R - p.axis_x.before, first, count);
 
   float const* const kernel = p.kernel_of(plane);
   float w[K][K];
@@ -117,7 +117,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
       if (y < 0) continue;
     }
     if (y < y0) continue;
-    store_pixels(row_below(out, to, out_stride), with[0], x, width, aligned);
+    store_pixels(row_at(out, to, out_stride), with[0], x, width, aligned);
   }
 }
 

@@ -100,7 +100,7 @@ int launch_any(Separable<T> const& p, CUstream_st* stream) {
   if (int error = cudaFuncSetAttribute(separable_any<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes(threads)))
     return error;
   int64_t const lines = p.y.count() * ceil_div(p.y.row_size(), threads);
-  int const rows = rows_of_strips(lines, p.y.height, max(p.ky.size, 8), 1024, 1024);
+  int const rows = strip_height(lines, p.y.height, max(p.ky.size, 8), 1024, 1024);
   int64_t const blocks = lines * ceil_div(p.y.height, rows);
   separable_any<<<unsigned(blocks), threads, bytes(threads), stream>>>(p, rows, reach);
   return cudaGetLastError();
@@ -241,7 +241,7 @@ int launch_tiles(Separable<T> p, bool mirrored, CUstream_st* stream) {
     return error;
   if (mirrored) p.border = Border::reflect;
   int64_t const lines = p.y.count() * ceil_div(p.y.width, kTileWidth);
-  int const rows = rows_of_strips(lines, p.y.height, max(p.ky.size, 8), resident, resident);
+  int const rows = strip_height(lines, p.y.height, max(p.ky.size, 8), resident, resident);
   separable_tiles<<<unsigned(lines * ceil_div(p.y.height, rows)), kTileThreads, bytes, stream>>>(
       p, memory, rows, mirrored, is_vectorizable<4>(p.y));
   return cudaGetLastError();

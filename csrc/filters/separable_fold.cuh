@@ -36,9 +36,9 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   bool const reflects = p.fold == Border::reflect, replicates = !reflects;
 
   int const first = y0 - R, last = y1 + (replicates && y1 == height ? 2 * R : R);
-  StripRows<T, P, R, kRing<K>, bool> rows(shared.rows, p.x, plane, Border::constant,
-                                          reflects ? Border::reflect : Border::constant, aligned, x0, first,
-                                          last - first);
+  RowPrefetcher<T, P, R, kRing<K>, bool> rows(shared.rows, p.x, plane, Border::constant,
+                                              reflects ? Border::reflect : Border::constant, aligned, x0, first,
+                                              last - first);
 
   {
     int64_t const sample = plane / p.planes;
@@ -81,9 +81,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
 
   T* const out = p.y.plane(plane) + x;
   int const out_stride = int(p.y.row_stride * sizeof(T));
-  auto const put = [&](int y, float const(&v)[P]) {
-    store_pixels(row_below(out, y, out_stride), v, x, width, aligned);
-  };
+  auto const put = [&](int y, float const(&v)[P]) { store_pixels(row_at(out, y, out_stride), v, x, width, aligned); };
 
   float sums[K - 1][P] = {};
   float rim[P] = {};

@@ -1,7 +1,7 @@
 // The fast separable filter on CUDA: planar images, kernels of equal odd sizes from 3 to 31. Included by
 // separable_<type>.cu and separable_mirror.cu, which say for which types it is compiled.
 //
-// Each warp walks down a strip of 32 P columns, whose rows come by strip_rows.cuh.
+// Each warp walks down a strip of 32 P columns, whose rows come by core/row_prefetcher.cuh.
 //
 // Along y nothing is stored but running sums: of the K - 1 output rows that a row still belongs to, each has had its
 // weighted share of the rows above. A new row adds to all of them, the first one is complete, and the others move up,
@@ -9,8 +9,8 @@
 #pragma once
 
 #include "box.h"
+#include "core/row_prefetcher.cuh"
 #include "separable.h"
-#include "strip_rows.cuh"
 
 namespace kv::cuda {
 
@@ -118,8 +118,8 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
   int const left = x0 + R - p.kx.before, out_stride = int(p.y.row_stride * sizeof(T));  // left as windows see it
-  StripRows<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left,
-                                             y0 - p.ky.before, y1 - y0 + K - 1);
+  RowPrefetcher<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left,
+                                                 y0 - p.ky.before, y1 - y0 + K - 1);
 
   int64_t const sample = plane / p.planes;
   shared.x[lane] = weight_of_lane(p.kx, sample, lane);
@@ -204,7 +204,7 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
 #pragma unroll
       for (int j = 0; j < P; ++j) result[j] = quotient<T>(result[j], divisor, reciprocal);
     }
-    store_pixels(row_below(out, y, out_stride), result, x, width, aligned);
+    store_pixels(row_at(out, y, out_stride), result, x, width, aligned);
   }
 }
 
@@ -212,7 +212,7 @@ template <int K, int P, class T>
 int strip_rows(Planes<T> const& y, int64_t blocks_resident) {
   if (K <= 7) return (K <= 5 ? 3 : 4) * P;  // bound by memory, which likes the warps to be close together
   int64_t const machine = multiprocessors(), resident = machine * blocks_resident * kWarps;
-  return rows_of_strips(y.count() * ceil_div(y.width, 32 * P), y.height, K, resident, min(resident, machine * 10));
+  return strip_height(y.count() * ceil_div(y.width, 32 * P), y.height, K, resident, min(resident, machine * 10));
 }
 
 template <class T, int K, bool Mirrored>

@@ -3,7 +3,7 @@
 // A warp walks down a strip of 32 columns by kColumns of the result, 32 columns apart in a thread. Of each row of the
 // image that it comes by it keeps the means along x, of which two rows are one of the result. Where an image grows, its
 // rows come to shared memory by asynchronous copies, some rows ahead; else pixels are asked for a row ahead.
-#include "filters/strip_rows.cuh"
+#include "core/row_prefetcher.cuh"
 #include "resize.h"
 
 namespace kv::cuda {
@@ -67,7 +67,7 @@ __global__ void __launch_bounds__(32 * kWarps)
   [[maybe_unused]] uintptr_t own = in;
   [[maybe_unused]] auto const copy_next = [&] {
     auto const to = uint32_t(__cvta_generic_to_shared(&ring[next % kRing][lane]));
-    copy_later<16>(to, reinterpret_cast<void const*>(own + int64_t(next) * stride), copies && next <= last, false);
+    copy_async_if<16>(to, reinterpret_cast<void const*>(own + int64_t(next) * stride), copies && next <= last, false);
     __pipeline_commit();
     ++next;
   };

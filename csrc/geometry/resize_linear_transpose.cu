@@ -3,7 +3,7 @@
 // A warp walks down the gradient, of which each thread has four columns. Along y nothing is stored but two sums: a row
 // of the gradient adds to that of the source row above its place and to that of the one below. A row that has its sum
 // becomes a line in shared memory, of which its pixels take what is theirs along x.
-#include "filters/strip_rows.cuh"
+#include "core/row_prefetcher.cuh"
 #include "resize.h"
 
 namespace kv::cuda {
@@ -73,7 +73,7 @@ __global__ void __launch_bounds__(32 * kWarps)
   int next = 0;
   auto const copy_next = [&] {
     auto const to = uint32_t(__cvta_generic_to_shared(&ring[next % kRing][lane]));
-    copy_later<sizeof(Vector<T, kOwn>)>(to, row_below(from, next, stride), own < width && next < rows, false);
+    copy_async_if<sizeof(Vector<T, kOwn>)>(to, row_at(from, next, stride), own < width && next < rows, false);
     __pipeline_commit();
     ++next;
   };

@@ -8,7 +8,7 @@
 //
 // So that windows lie where the compiler knows, and weights are the same everywhere but at the rim. A warp walks down a
 // strip of 32 vectors of the larger image; each row is weighted along x once, and along y from registers.
-#include "filters/strip_rows.cuh"
+#include "core/row_prefetcher.cuh"
 #include "resize.h"
 
 namespace kv::cuda {
@@ -66,8 +66,8 @@ __global__ void __launch_bounds__(32 * kWarps)
   if (!strips.locate(plane, column, top)) return;
   int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
   int const bottom = min(top + int(strips.rows), height);
-  StripRows<T, P, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant, {},
-                                             2 * (column - C * lane), 2 * top - R, 2 * (bottom - top + R));
+  RowPrefetcher<T, P, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
+                                                 {}, 2 * (column - C * lane), 2 * top - R, 2 * (bottom - top + R));
   float weights_x[C][K], weights_y[R + 1][2];
 #pragma unroll
   for (int c = 0; c < C; ++c) {
@@ -126,8 +126,8 @@ __global__ void __launch_bounds__(32 * kWarps)
   if (!strips.locate(plane, column, top)) return;
   int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
   int const bottom = min(top + int(strips.rows), int(x.height));
-  StripRows<T, C, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant, {},
-                                             column - C * lane, top - R, bottom - top + 2 * R);
+  RowPrefetcher<T, C, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
+                                                 {}, column - C * lane, top - R, bottom - top + 2 * R);
   float weights_x[P][M], weights_y[2][M];
 #pragma unroll
   for (int p = 0; p < P; ++p) {

@@ -1,0 +1,196 @@
+// Prefetched rows on CUDA. A warp that goes down an image copies its rows to a ring in shared memory, some rows ahead
+// of their use, by asynchronous copies that take no registers. Each thread finds its window of pixels there:
+//
+//   a row         16 pixels | P of thread 0 | P of thread 1 | ...           | P of thread 31 | 16 pixels
+//   along x          ...<------------ window of thread 1 ------------>...
+//
+// Small kernels are limited by the instructions that a warp spends on a row besides the arithmetic. The loop over rows
+// therefore evaluates no border rule: each thread knows the source row of one of 32 positions, and which pixel out of
+// bounds it fills in. Included by *.cu files of filters and of resizing.
+#pragma once
+
+#include <cuda_pipeline.h>
+
+#include "launch.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kHalo = 16;  // pixels on either side of a strip; lanes 0 to 15 serve the left side, the others the right
+
+// Starts an asynchronous copy of `Bytes` to shared memory; it writes zeros instead if `zero`, and nothing unless
+// `enabled`. Inline assembly makes it one instruction: the library's form has a branch for each of the two.
+template <int Bytes>
+__device__ __forceinline__ void copy_async_if(uint32_t to, void const* from, bool enabled, bool zero) {
+  static_assert(Bytes == 4 || Bytes == 8 || Bytes == 16);
+  if constexpr (Bytes == 16)
+    asm volatile(
+        "{.reg .pred w, z; setp.ne.s32 w, %2, 0; setp.ne.s32 z, %3, 0; @w cp.async.cg.shared.global [%0], [%1], 16, "
+        "z;}" ::"r"(to),
+        "l"(__cvta_generic_to_global(from)), "r"(int(enabled)), "r"(int(zero))
+        : "memory");
+  else
+    asm volatile(
+        "{.reg .pred w, z; setp.ne.s32 w, %2, 0; setp.ne.s32 z, %3, 0; @w cp.async.ca.shared.global [%0], [%1], %4, "
+        "z;}" ::"r"(to),
+        "l"(__cvta_generic_to_global(from)), "r"(int(enabled)), "r"(int(zero)), "n"(Bytes)
+        : "memory");
+}
+
+// Row y of an image whose rows are `stride` bytes apart, in one instruction.
+template <class T>
+__device__ __forceinline__ T* row_at(T* first_row, int y, int stride) {
+  return reinterpret_cast<T*>(reinterpret_cast<uintptr_t>(first_row) + int64_t(y) * stride);
+}
+
+// Prefetches `count` rows from `first` on: 32 P pixels from `left` on, and `Radius` pixels on either side of them.
+// `Rows` is the size of the ring; all rows but one are in flight. Pixels out of bounds follow the borders `across` and
+// `down`. `aligned`: rows are vectors of P pixels, and `left` is the start of one; std::true_type or std::false_type
+// decide this at compile time.
+template <class T, int P, int Radius, int Rows, class Aligned>
+struct RowPrefetcher {
+  using Ring = T[Rows][32 * P + 2 * kHalo];
+  T (*const ring)[32 * P + 2 * kHalo];
+  T const* const in;
+  Border const across, down;
+  int const in_width, in_height, left, first, count, in_stride, lane;
+  int column, filled, source, next = 0, source_row;  // filled: the column out of bounds that the thread fills in
+  Aligned const aligned;
+  bool has_halo, has_column, fills, source_in_ring;
+  int halo;  // the first column that the thread copies of those on either side
+  uint32_t column_to, halo_to;
+  T const *column_from, *halo_from;
+
+  static constexpr uint32_t kRowBytes = sizeof(Ring) / Rows;
+
+  __device__ __forceinline__ RowPrefetcher(Ring& memory, Planes<T const> const& x, int64_t plane, Border across,
+                                           Border down, Aligned aligned, int left, int first, int count)
+      : ring(memory),
+        in(x.plane(plane)),
+        across(across),
+        down(down),
+        in_width(int(x.width)),
+        in_height(int(x.height)),
+        left(left),
+        first(first),
+        count(count),
+        in_stride(int(x.row_stride * sizeof(T))),
+        lane(threadIdx.x % 32),
+        aligned(aligned) {
+    // A thread copies P adjacent pixels of a row if aligned, else every 32nd pixel. Of the 16 pixels on either side it
+    // copies P or one. Pixels out of bounds stay zero, or are filled in from their source.
+    int const side = lane < 16 ? left - kHalo : left + 32 * P;
+    halo = side + lane % 16 * (aligned ? P : 1), column = left + lane * (aligned ? P : 1);
+    has_halo = (!aligned || lane % 16 < kHalo / P) && halo >= 0 && halo < in_width;
+    has_column = column < in_width;
+    auto const address = [&](int x) { return uint32_t(__cvta_generic_to_shared(ring[0] + kHalo - left + x)); };
+    column_to = address(column), halo_to = address(halo);
+    column_from = in + column, halo_from = in + halo;
+    for (int i = lane; i < Rows * (32 * P + 2 * kHalo); i += 32) ring[0][i] = T{};
+    __syncwarp();
+
+    filled = lane < 16 ? min(left, 0) - 1 - lane : max(min(left + 32 * P, in_width), left) + lane - 16;
+    bool const reached =
+        filled >= left - Radius && filled < left + 32 * P + Radius && (filled < 0 || filled >= in_width);
+    source = reached ? border_index(across, filled, in_width) : -1;
+    fills = __any_sync(0xffffffffu, source >= 0);
+    source_in_ring = source >= max(left - kHalo, 0) && source < left + 32 * P + kHalo;
+#pragma unroll 1
+    for (int i = 0; i < Rows - 1; ++i) fetch();
+  }
+
+  // Starts the copy of one more row. Each thread knows the source row of one of the next 32 positions, -1 for the
+  // constant.
+  __device__ __forceinline__ void fetch() {
+    if (next % 32 == 0) source_row = border_index(down, first + next + lane, in_height);
+    int const y = __shfl_sync(0xffffffffu, source_row, next);
+    bool const more = next < count, zero = y < 0;
+    uint32_t const slot = next & (Rows - 1), to = slot * kRowBytes;
+    ++next;
+    T const* const from = row_at(column_from, max(y, 0), in_stride);
+    T const* const from_halo = row_at(halo_from, max(y, 0), in_stride);
+    if (aligned) {
+      copy_async_if<P * sizeof(T)>(column_to + to, from, more && has_column, zero);
+      copy_async_if<P * sizeof(T)>(halo_to + to, from_halo, more && has_halo, zero);
+    } else {
+      auto const in_bounds = [&](int i) { return more && column + 32 * i >= 0 && column + 32 * i < in_width; };
+      if constexpr (sizeof(T) == 4) {
+#pragma unroll
+        for (int i = 0; i < P; ++i) copy_async_if<4>(column_to + to + 128 * i, from + 32 * i, in_bounds(i), zero);
+        copy_async_if<4>(halo_to + to, from_halo, more && has_halo, zero);
+      } else {  // too small for an asynchronous copy
+        T* const row = ring[slot] + kHalo - left;
+        T pixels[P + 1];
+#pragma unroll
+        for (int i = 0; i < P; ++i) pixels[i] = in_bounds(i) && !zero ? from[32 * i] : T{};
+        pixels[P] = more && has_halo && !zero ? *from_halo : T{};
+#pragma unroll
+        for (int i = 0; i < P; ++i)
+          if (in_bounds(i)) row[column + 32 * i] = pixels[i];
+        if (more && has_halo) row[halo] = pixels[P];
+      }
+    }
+    __pipeline_commit();
+  }
+
+  // Row i; calls are in order. Pixel `left` is at kHalo.
+  __device__ __forceinline__ T const* row(int i) {
+    T* const row = ring[i & (Rows - 1)];
+    __pipeline_wait_prior(Rows - 2);
+    __syncwarp();
+    fetch();
+    if (fills) {
+      if (source_in_ring) {
+        row[kHalo + filled - left] = row[kHalo + source - left];
+      } else if (source >= 0) {
+        int const from = border_index(down, first + i, in_height);
+        row[kHalo + filled - left] = from < 0 ? T{} : *(row_at(in, from, in_stride) + source);
+      }
+      __syncwarp();
+    }
+    return row;
+  }
+};
+
+// Reads the windows of K pixels around a thread's P pixels from a row. The thread's first pixel is v[kBefore].
+template <int K, int P>
+constexpr int kBefore = (K / 2 + P - 1) / P * P;
+template <int K, int P, class T>
+__device__ __forceinline__ void read_windows(T const* row, float (&v)[P + 2 * kBefore<K, P>]) {
+  T const* const first = row + kHalo + P * (threadIdx.x % 32) - kBefore<K, P>;
+#pragma unroll
+  for (int j = 0; j < P + 2 * kBefore<K, P>; j += P) {
+    Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(first + j);
+#pragma unroll
+    for (int k = 0; k < P; ++k) v[j + k] = read(vector.v[k]);
+  }
+}
+
+// Stores a thread's P pixels, those at x ... of a row of `width`, to `to`. `aligned`: as in RowPrefetcher.
+template <class T, int P, class Aligned>
+__device__ __forceinline__ void store_pixels(T* to, float const (&v)[P], int x, int width, Aligned aligned) {
+  if (aligned) {
+    if (x < width) store_vector(to, v);
+  } else {
+#pragma unroll
+    for (int j = 0; j < P; ++j)
+      if (x + j < width) to[j] = round_to<T>(v[j]);
+  }
+}
+
+// The height of strips that costs least. A strip reads `taps` - 1 rows more than it completes. `columns` strips side by
+// side go through the GPU in waves of `resident` strips; a wave takes less time the fewer strips it has, down to `busy`
+// strips, which keep the GPU busy alone.
+inline int strip_height(int64_t columns, int64_t height, int taps, int64_t resident, int64_t busy) {
+  double best = INFINITY;
+  int64_t rows = height;
+  for (int64_t down = ceil_div(height, 16 * taps); down <= (height + 7) / 8 && down <= 256; ++down) {
+    int64_t const each = ceil_div(height, down), strips = columns * ceil_div(height, each), rest = strips % resident;
+    double const work = double(strips - rest + (rest > 0 ? max(rest, busy) : 0)) * double(each + taps - 1);
+    if (work < best) best = work, rows = each;
+  }
+  return int(rows);
+}
+
+}  // namespace
+}  // namespace kv::cuda

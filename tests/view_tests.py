@@ -1,11 +1,15 @@
-"""Scenes and correspondences for the tests of several views, in float64."""
+"""Functions of several views: the suite of compositions with no call of a solver, scenes and correspondences in float64."""
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import kvision as K
+from composition_tests import Case, CompositionTests, on
+from op_tests import assert_close
 
 CAMERA = torch.tensor([[80.0, 0, 50], [0, 85, 40], [0, 0, 1]]).double()
 LENS = torch.tensor([0.1, -0.05, 0.01, 0.02, 0.03, 0.02, 0.01, 0.005, 0.01, 0.02, -0.01, 0.03, 0.05, -0.04]).double()
@@ -59,3 +63,75 @@ class Scene:
 def moved_by(P: Tensor, points: Tensor) -> Tensor:
     p = points @ P[:, :3].T + P[:, 3]
     return p[..., :2] / p[..., 2:]
+
+
+def points(x: Tensor, base: Tensor) -> Tensor:
+    return on(x.device, base).to(x.dtype) + 3 * x
+
+
+def rays(x: Tensor, seen: Tensor) -> Tensor:
+    """As many of them as x has, seen by the camera, and some of x."""
+    return on(x.device, seen).to(x.dtype)[:, : x.shape[1]] + 0.3 * x
+
+
+def camera(x: Tensor) -> Tensor:
+    return on(x.device, CAMERA).to(x.dtype).expand(len(x), 3, 3)
+
+
+class NoSolvers(TorchDispatchMode):
+    """An error for what torch asks a library of linear algebra for: on a GPU it waits, and no graph can be captured."""
+
+    def __torch_dispatch__(self, call, types, args=(), kwargs=None):
+        name = call.name().removeprefix("aten::").lstrip("_")
+        elementwise = name.startswith(("linalg_vector_norm", "linalg_cross"))
+        assert elementwise or not name.startswith(("linalg_", "lu_", "cholesky", "triangular_solve", "ormqr")), name
+        return call(*args, **(kwargs or {}))
+
+
+class ViewTests(CompositionTests):
+    def test_autocast_changes_nothing(self, case, device):
+        values = self.values(case, device, torch.float32)
+        expected = case.call(*values)
+        with torch.autocast(device.type, dtype=torch.bfloat16):
+            assert_close(case.call(*values), expected, 1e-5, 1e-5)
+
+    def derivatives(self, case: Case, values: list[Tensor]) -> list[Tensor]:
+        """The result, gradients, and gradients of a norm of these."""
+        leaves = [v.detach().requires_grad_() for v in values]
+        output = case.call(*leaves)
+        first = torch.autograd.grad(output.nan_to_num(0.0).square().sum(), leaves, create_graph=True, allow_unused=True)
+        total = sum(g.square().sum() for g in first if g is not None)
+        second = torch.autograd.grad(total, leaves, allow_unused=True)
+        return [x.detach() for x in (output, *first, *second) if x is not None]
+
+    def test_no_solver_is_called(self, case, device, backend):
+        if backend == "reference":
+            pytest.skip("the reference may")
+        with NoSolvers():
+            self.derivatives(case, self.values(case, device))
+
+    def test_cuda_graph_of_derivatives(self, case, device):
+        if device.type != "cuda":
+            pytest.skip("needs --device cuda")
+        values = self.values(case, device)
+        with torch.cuda.stream(torch.cuda.Stream()):
+            self.derivatives(case, values)
+        torch.cuda.synchronize()
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            captured = self.derivatives(case, values)
+        for v, new in zip(values, self.values(case, device)):
+            v.copy_(new)
+        graph.replay()
+        for found, expected in zip(captured, self.derivatives(case, values)):
+            assert_close(found, expected, 1e-6, 1e-6)
+
+
+def finite_gradients(function, *args: Tensor) -> Tensor:
+    """The result of a call whose gradients are all finite."""
+    leaves = [a.clone().requires_grad_() for a in args]
+    output = function(*leaves)
+    safe = torch.where(output.detach().isfinite() & (output.detach().abs() < 1e30), output, 0)
+    grads = torch.autograd.grad(safe.square().sum(), leaves, allow_unused=True)
+    assert all(g is None or g.isfinite().all() for g in grads)
+    return output.detach()

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from op_tests import OpTests
+from op_tests import OpTests, recorded
 
 # Places are float32 numbers of some tens: neighbouring pixels of noise differ by 1.
 FLOAT_PLACES = {torch.float32: (2e-5, 2e-5), torch.uint8: (0, 1)}
@@ -28,6 +28,18 @@ def one(matrix):
     return lambda x: matrix(x[:1])
 
 
+def degrees(x: Tensor) -> Tensor:
+    return 23.7 + 11.3 * torch.arange(len(x), dtype=torch.float64)
+
+
+def point(x: Tensor) -> Tensor:
+    return torch.tensor([[5.31, 3.17]], dtype=torch.float64) + torch.arange(len(x))[:, None]
+
+
+def middle(x: Tensor) -> Tensor:
+    return torch.tensor([[2.31, 1.17, 0.61]], dtype=torch.float64)
+
+
 class WarpTests(OpTests):
     bytes = True
     tolerances = FLOAT_PLACES
@@ -46,4 +58,32 @@ class WarpTests(OpTests):
 
         every = raw_calls.wrong_calls
         monkeypatch.setattr(raw_calls, "wrong_calls", lambda *a: [c for c in every(*a) if " cut along " not in c[0]])
+        super().test_operators_refuse_bad_arguments(device, backend)
+
+
+class FormulaWarpTests(WarpTests):
+    def test_opcheck(self, device, backend):
+        """Of the operator alone: those of its gradient are checked where they are tested."""
+        self.needs_native(backend)
+        x, kwargs = self.setup(self.variants[0], device, torch.float32)
+        with recorded() as calls:
+            self.call(x, kwargs)
+        for name, args in calls:
+            torch.library.opcheck(getattr(torch.ops.kvision, name).default, (args[0].requires_grad_(), *args[1:]))
+
+
+class ResizeTests(OpTests):
+    operators = ("resize", "resize_backward")
+    bytes = True
+    # Weights are fractions of small integers, so many means lie just between two bytes.
+    tolerances = {torch.uint8: (0, 1)}
+
+    def test_operators_refuse_bad_arguments(self, device, backend, monkeypatch):
+        """An image may have any size beside its result's, and only pyramids have a border."""
+        import raw_calls
+
+        every, fine = raw_calls.wrong_calls, (" cut along ", " around a pixel")
+        monkeypatch.setattr(
+            raw_calls, "wrong_calls", lambda *a: [c for c in every(*a) if not any(f in c[0] for f in fine)]
+        )
         super().test_operators_refuse_bad_arguments(device, backend)

@@ -1,27 +1,32 @@
-"""Where lenses show the pixels of images, and undistortion of images by it. Points: tests/geometry/test_views.py."""
+"""Lens distortion of points, and undistortion of images."""
 
 from __future__ import annotations
 
+import cv2
 import pytest
 import torch
 from torch import Tensor
 
 import kvision as K
 import raw_calls
+from composition_tests import Case
 from kvision.geometry.calibration.distortion import _map, _map_gradient
 from op_tests import assert_close, instruction_set
+from view_tests import CAMERA, LENS, ViewTests, camera, points, rand
 
 G = K.geometry
 DOUBLE = torch.float64
-CAMERA = torch.tensor([[[70.3, 0, 17.1], [0, 68.7, 25.9], [0, 0, 1]]], dtype=DOUBLE)
-LENS = torch.tensor([[0.11, -0.07, 0.013, 0.017, 0.05, 0.03, -0.02, 0.01, 0.007, -0.003, 0.004, 0.002, 0.03, -0.04]])
+IMAGE_CAMERA = torch.tensor([[[70.3, 0, 17.1], [0, 68.7, 25.9], [0, 0, 1]]], dtype=DOUBLE)
+IMAGE_LENS = torch.tensor(
+    [[0.11, -0.07, 0.013, 0.017, 0.05, 0.03, -0.02, 0.01, 0.007, -0.003, 0.004, 0.002, 0.03, -0.04]]
+)
 
 
 def lenses(count: int, batch: int = 2) -> list[Tensor | None]:
     """A camera matrix for each, coefficients for each, and the tilt of all 14 of them, one for all."""
-    dist = LENS[:, :count].double() * (1 + 0.3 * torch.arange(batch)[:, None])
+    dist = IMAGE_LENS[:, :count].double() * (1 + 0.3 * torch.arange(batch)[:, None])
     tilt = G.tilt_projection(dist[:1, 12:13], dist[:1, 13:]) if count == 14 else None
-    return [CAMERA + 0.1 * torch.arange(batch)[:, None, None], dist, tilt]
+    return [IMAGE_CAMERA + 0.1 * torch.arange(batch)[:, None, None], dist, tilt]
 
 
 def on(device, given, dtype=DOUBLE):
@@ -118,3 +123,69 @@ def test_compiled(device):
     image, given = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(14), torch.float32)[:2]
     compiled = torch.compile(G.undistort_image, fullgraph=True, backend="aot_eager")
     assert_close(compiled(image, *given), G.undistort_image(image, *given))
+
+
+QUADS = torch.tensor([[0.0, 0], [40, 3], [42, 41], [1, 44], [20, 9], [33, 27]]).double()
+
+
+class TestDistortion(ViewTests):
+    cases = {
+        "distorted": Case(
+            lambda x, d: G.distort_points(points(x, QUADS), camera(x), 0.1 * d), ((2, 6, 2), (2, 14))
+        ),
+        "undistorted": Case(
+            lambda x, d: G.undistort_points(points(x, QUADS), camera(x), 0.1 * d), ((2, 6, 2), (2, 14))
+        ),
+    }  # fmt: skip
+    compiled = ()
+
+
+@pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+def test_opencv_distortion(count):
+    points, lens = QUADS.numpy(), LENS[:count].numpy()
+    plane = (QUADS - CAMERA[:2, 2]) / CAMERA.diagonal()[:2]
+    in_space = torch.cat([plane, torch.ones(6, 1).double()], -1).numpy()
+    zero = torch.zeros(3).double().numpy()
+    expected = torch.from_numpy(cv2.projectPoints(in_space, zero, zero, CAMERA.numpy(), lens)[0][:, 0])
+    assert_close(G.distort_points(QUADS, CAMERA, LENS[:count]), expected, 1e-9, 1e-9)
+    expected = torch.from_numpy(cv2.undistortPoints(points[:, None], CAMERA.numpy(), lens, P=CAMERA.numpy())[:, 0])
+    assert_close(G.undistort_points(QUADS, CAMERA, LENS[:count]), expected, 1e-9, 1e-9)
+
+
+@pytest.mark.parametrize("count", [5, 14])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_undistortion_broadcasts(count, dtype, device):
+    """One lens for several sets of points, and several for one; with the kernel as with the reference."""
+    many = rand(3, 37, 2, high=90).to(device, dtype)
+    camera, lens = CAMERA.to(device, dtype), LENS[:count].to(device, dtype)
+    lenses = lens * torch.tensor([[1.0], [0.5], [0.1]], device=device, dtype=dtype)
+    for seen, K_, dist in ((many, camera, lens), (many[0], camera, lenses), (many, camera.expand(3, 3, 3), lenses)):
+        found = G.undistort_points(seen, K_, dist, 2 * camera)
+        with K.backend("reference"):
+            assert_close(found, G.undistort_points(seen, K_, dist, 2 * camera), 1e-5, 1e-4)
+        differentiated = G.undistort_points(seen.clone().requires_grad_(), K_, dist, 2 * camera)
+        assert_close(found, differentiated.detach(), 1e-5, 1e-4)
+    assert G.undistort_points(many[:, :0], camera, lens).shape == (3, 0, 2)
+    assert G.undistort_points(many[:0], camera, lens).shape == (0, 37, 2)
+
+
+def test_distortion_and_back(device):
+    lens = LENS.to(device) * torch.cat([torch.ones(12), torch.ones(2) * 0.1]).to(device)
+    moved = G.distort_points(QUADS.to(device), CAMERA.to(device), lens)
+    assert_close(G.undistort_points(moved, CAMERA.to(device), lens, num_iters=60), QUADS.to(device), 1e-7, 1e-7)
+
+
+P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)
+BAD = [
+    (lambda: G.distort_points(P, M, torch.rand(2, 6)), ValueError, r"distort_points: expected dist of shape \(\*, n\) with n one"),
+    (lambda: G.undistort_points(P, M, torch.rand(2, 4), num_iters=-1), ValueError, "undistort_points: expected num_iters"),
+    (lambda: G.undistort_image(torch.rand(2, 1, 4, 4), M[:1], torch.rand(2, 4)), ValueError, "undistort_image: expected image, K"),
+    (lambda: G.tilt_projection(torch.rand(2), torch.rand(3)), ValueError, "tilt_projection: expected tensors of one shape"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message) as caught:
+        call()
+    assert isinstance(caught.value, K.core.exceptions.BaseError)

@@ -14,15 +14,10 @@ from op_tests import assert_close
 
 G = K.geometry
 V, Q, R = (2, 5, 3), (2, 5, 4), (2, 5, 3, 3)
-EULER = ((2, 5),)
-
-
-def joined(f):
-    return lambda *x: torch.stack(f(*x), -1)
 
 
 class TestRotations(CompositionTests):
-    compiled = ("axis_angle_to_rotation_matrix", "rotation_matrix_to_axis_angle", "euler_from_quaternion")
+    compiled = ("axis_angle_to_rotation_matrix", "rotation_matrix_to_axis_angle")
     cases = {
         "axis_angle_to_rotation_matrix": Case(G.axis_angle_to_rotation_matrix, (V,)),
         "axis_angle_to_quaternion": Case(G.axis_angle_to_quaternion, (V,)),
@@ -34,11 +29,6 @@ class TestRotations(CompositionTests):
         "quaternion_log_to_exp": Case(G.quaternion_log_to_exp, (V,)),
         "quaternion_exp_to_log": Case(G.quaternion_exp_to_log, (Q,)),
         "vector_to_skew_symmetric_matrix": Case(G.vector_to_skew_symmetric_matrix, (V,)),
-        "quaternion_from_euler": Case(joined(G.quaternion_from_euler), EULER * 3),
-        "euler_from_quaternion": Case(joined(G.euler_from_quaternion), EULER * 4),
-        "ARKitQTVecs_to_ColmapQTVecs": Case(
-            lambda q, t: torch.cat([x.flatten(1) for x in G.ARKitQTVecs_to_ColmapQTVecs(q, t)], 1), ((2, 4), (2, 3, 1))
-        ),
     }
 
 
@@ -163,22 +153,6 @@ def test_derivatives_at_no_rotation(device):
         assert_close(jacobian, torch.eye(3, dtype=torch.float64, device=device))
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_gimbal_lock(sign, dtype, device):
-    roll, yaw = torch.rand(2, 300, dtype=dtype, device=device) * 6 - 3
-    pitch = torch.full_like(roll, sign * math.pi / 2)
-    q = torch.stack(G.quaternion_from_euler(roll, pitch, yaw), -1).requires_grad_()
-    euler = G.euler_from_quaternion(*q.unbind(-1))
-    again = torch.stack(G.quaternion_from_euler(*euler), -1)
-    assert up_to_sign(again.detach(), q.detach()) < 10 * torch.finfo(dtype).eps
-    assert euler[0].abs().max() == 0
-    (grad,) = torch.autograd.grad(sum(euler).sum(), q)
-    assert grad.isfinite().all()
-    none = [x.requires_grad_() for x in torch.zeros(4, 1, dtype=dtype, device=device).unbind(0)]
-    assert all(g.isfinite().all() for g in torch.autograd.grad(sum(G.euler_from_quaternion(*none)).sum(), none))
-
-
 @given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
 def test_composition_and_inverse(numbers):
     a, b = torch.tensor(numbers, dtype=torch.float64).split(3)
@@ -206,8 +180,6 @@ BAD = [
     (lambda: G.rotation_matrix_to_quaternion(2 * torch.eye(3), check_rotation=True), ValueError, "of rotations"),
     (lambda: G.rotation_matrix_to_axis_angle(-torch.eye(3), True), ValueError, "rotation_matrix_to_axis_angle: expected rot"),
     (lambda: G.normalize_quaternion(torch.ones(4), -1), ValueError, "normalize_quaternion: expected eps"),
-    (lambda: G.euler_from_quaternion(*torch.ones(3, 2), torch.ones(1)), ValueError, "euler_from_quaternion: expected tensors of"),
-    (lambda: G.ARKitQTVecs_to_ColmapQTVecs(torch.ones(1, 4), torch.ones(3, 1)), ValueError, "expected tvec of shape"),
 ]  # fmt: skip
 
 

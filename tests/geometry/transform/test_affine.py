@@ -8,8 +8,8 @@ from torch import Tensor
 
 import kvision as K
 from kvision.geometry.transform import matrices, sampling, warp3d
-from op_tests import assert_close, recorded
-from warp_tests import WarpTests, one
+from op_tests import assert_close
+from warp_tests import FormulaWarpTests, degrees, one, point
 
 G = K.geometry
 HOW, HOW3 = ("bilinear", "fill", True, True, False), ("bilinear", "border", True, False, False)
@@ -17,30 +17,7 @@ QUADS = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])
 CUBE = torch.tensor([[0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4]).T[None]
 
 
-def degrees(x: Tensor) -> Tensor:
-    return 23.7 + 11.3 * torch.arange(len(x), dtype=torch.float64)
-
-
-def point(x: Tensor) -> Tensor:
-    return torch.tensor([[5.31, 3.17]], dtype=torch.float64) + torch.arange(len(x))[:, None]
-
-
-def middle(x: Tensor) -> Tensor:
-    return torch.tensor([[2.31, 1.17, 0.61]], dtype=torch.float64)
-
-
-class ByFormulaTests(WarpTests):
-    def test_opcheck(self, device, backend):
-        """Of the operator alone: those of its gradient are checked where they are tested."""
-        self.needs_native(backend)
-        x, kwargs = self.setup(self.variants[0], device, torch.float32)
-        with recorded() as calls:
-            self.call(x, kwargs)
-        for name, args in calls:
-            torch.library.opcheck(getattr(torch.ops.kvision, name).default, (args[0].requires_grad_(), *args[1:]))
-
-
-class TestRotate(ByFormulaTests):
+class TestRotate(FormulaWarpTests):
     function = staticmethod(G.rotate)
     operators = (
         *("warp_by_formula", "warp_image_gradient", "warp_matrix_gradient"),
@@ -57,19 +34,6 @@ class TestRotate(ByFormulaTests):
         ({"center": lambda x: torch.ones(2, 3)}, ValueError, r"expected center of shape \(B, 2\)"),
         ({"mode": "linear"}, ValueError, "mode must be one of bilinear, nearest, bicubic; got 'linear'"),
     ]
-
-
-class TestRotate3d(ByFormulaTests):
-    function = staticmethod(G.rotate3d)
-    operators = (
-        *("warp3d_by_formula", "warp3d_volume_gradient", "warp3d_matrix_gradient"),
-        *("affine_matrix3d", "affine_matrix3d_backward"),
-    )
-    bytes = False
-    variants = [{"yaw": one(degrees), "pitch": degrees, "roll": one(degrees), "center": middle}]
-    shape = (2, 3, 4, 9, 11)
-    small = (1, 1, 3, 4, 3)
-    max_size = 3
 
 
 def numbers(*sizes: int) -> Tensor:
@@ -164,3 +128,76 @@ def test_wrong_inputs_of_a_formula(given, plain, message, device, backend):
         torch.ops.kvision.warp_by_formula(
             torch.rand(2, 1, 4, 4, device=device), *six, "translation_matrix2d", plain, [4, 4], *HOW
         )
+
+
+QUAD = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])
+
+
+@pytest.mark.parametrize("turns", range(-5, 6))
+def test_quarter_turns_are_exact(turns, device):
+    x = torch.rand(1, 2, 33, 33, device=device)
+    assert torch.equal(G.rotate(x, torch.tensor([90.0 * turns], device=device)), x.rot90(turns, (2, 3)))
+
+
+def test_images_and_single_images(device):
+    x = torch.rand(2, 3, 7, 8, device=device)
+    one = torch.tensor([[1.5, -0.5]], device=device)
+    assert_close(G.translate(x, one)[1], G.translate(x[1], one[0]))
+    assert_close(G.rotate(x, torch.tensor(20.0, device=device))[0], G.rotate(x[0], torch.tensor([20.0], device=device)))
+    assert_close(G.scale(x, torch.tensor([2.0], device=device)), G.scale(x, torch.full((2, 2), 2.0, device=device)))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.uint8, torch.int32], ids=str)
+def test_types(dtype, device):
+    x = (torch.rand(1, 3, 12, 14, device=device) * 200).to(dtype)
+    wide = x.float()
+    stored = dtype if dtype != torch.int32 else torch.float32
+    angle, box = torch.tensor([25.0], device=device), 2 * QUAD.to(device)
+    for call in (
+        lambda s: G.rotate(s, angle),
+        lambda s: G.resize(s, (5, 20)),
+        lambda s: G.crop_and_resize(s, box, (6, 6)),
+        lambda s: G.center_crop(s, (5, 8)),
+        lambda s: G.elastic_transform2d(s, torch.zeros(1, 2, 12, 14, device=device) + 0.1, (3, 3), (1.0, 1.0)),
+    ):
+        found = call(x)
+        expected = call(wide)
+        if dtype == torch.uint8:
+            expected = expected.round()
+        assert_close(found.float(), expected.to(stored).float(), 1e-2, 1.01)
+        assert found.dtype == stored
+
+
+IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
+FUNCTIONS = {
+    "rotate": (lambda x, a: G.rotate(x, a), (IMAGE, torch.tensor([17.0]))),
+    "scale": (lambda x, s: G.scale(x, s), (IMAGE, torch.tensor([[1.27, 0.83]]))),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients(name, device):
+    function, args = FUNCTIONS[name]
+    args = tuple(a.double().to(device).requires_grad_() for a in args)
+    assert torch.autograd.gradcheck(function, args, nondet_tol=1e-9)
+    assert torch.autograd.gradgradcheck(function, args, nondet_tol=1e-9)
+
+
+X, V = torch.rand(2, 3, 4, 5), torch.rand(1, 1, 3, 4, 5)
+BAD = [
+    (lambda: G.rotate([1.0], torch.ones(1)), TypeError, "rotate: expected tensor to be a Tensor, got list"),
+    (lambda: G.rotate(X[0, 0], torch.ones(1)), ValueError, r"rotate: expected tensor of shape \(B, C, H, W\)"),
+    (lambda: G.rotate(X, torch.ones(3)), ValueError, "rotate: expected angle with 1 or 2 rows"),
+    (lambda: G.translate(X, torch.ones(2, 3)), ValueError, r"translate: expected translation of shape \(B, 2\)"),
+    (lambda: G.scale(X, 2.0), TypeError, "scale: expected scale_factor to be a Tensor"),
+    (lambda: G.shear(X, torch.ones(2, 2), "linear"), ValueError, "shear: mode must be one of"),
+    (lambda: G.affine(X, torch.eye(3)[None]), ValueError, r"affine: expected matrix of shape \(B, 2, 3\)"),
+    (lambda: G.Affine(), RuntimeError, "Affine: expected at least one of"),
+    (lambda: G.Affine(torch.ones(1), torch.ones(2, 2)), RuntimeError, "Affine: expected parameters of one batch size"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

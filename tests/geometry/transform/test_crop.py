@@ -68,3 +68,46 @@ def test_whole_boxes_are_slices(device):
     found = G.crop_and_resize(x, corners, (564, 800))
     for i, (left, top, right, bottom) in enumerate(boxes.tolist()):
         assert torch.equal(found[i], x[i, :, top : bottom + 1, left : right + 1])
+
+
+QUAD = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])
+
+
+def test_crops_of_one_pixel(device):
+    x = torch.rand(1, 2, 6, 7, device=device)
+    point = torch.tensor([[[3.0, 2], [3, 2], [3, 2], [3, 2]]], device=device)
+    assert_close(G.crop_and_resize(x, point, (1, 1)), x[..., 2:3, 3:4])
+    row = torch.tensor([[[1.0, 2], [5, 2], [5, 2], [1, 2]]], device=device)
+    assert_close(G.crop_and_resize(x, row, (1, 5)), x[..., 2:3, 1:6])
+    assert_close(G.crop_and_resize(x, row, (3, 5)), x[..., 2:3, 1:6].expand(1, 2, 3, 5))
+
+
+IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
+FUNCTIONS = {
+    "crop_and_resize": (lambda x, b: G.crop_and_resize(x, b, (3, 4)), (IMAGE, QUAD)),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients(name, device):
+    function, args = FUNCTIONS[name]
+    args = tuple(a.double().to(device).requires_grad_() for a in args)
+    assert torch.autograd.gradcheck(function, args, nondet_tol=1e-9)
+    assert torch.autograd.gradgradcheck(function, args, nondet_tol=1e-9)
+
+
+X, V = torch.rand(2, 3, 4, 5), torch.rand(1, 1, 3, 4, 5)
+BAD = [
+    (lambda: G.center_crop(X[0], (2, 2)), ValueError, "center_crop: expected input_tensor of shape"),
+    (lambda: G.crop_and_resize(X, torch.ones(2, 4), (2, 2)), ValueError, "crop_and_resize: expected boxes of shape"),
+    (lambda: G.crop_by_boxes(X, QUAD, QUAD), ValueError, "crop_by_boxes: expected src_box of rectangles"),
+    (lambda: G.crop_by_indices(X, QUAD), ValueError, "crop_by_indices: expected src_box of shape"),
+    (lambda: G.crop_by_transform_mat(X, torch.eye(4)[None], (2, 2)), ValueError, "crop_by_transform_mat: expected transform"),
+    (lambda: G.CenterCrop2D((9, 9))(X), ValueError, "CenterCrop2D: expected input of at least"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

@@ -93,3 +93,14 @@ def test_images_larger_than_caches(isa, device, backend):
         for dtype in (torch.float32, torch.float64, torch.float16, torch.uint8):
             x = (torch.rand(1, 3, 1201, 1203) * 255).to(dtype)
             assert torch.equal(G.hflip(x), x.flip(-1)) and torch.equal(G.rot180(x), x.flip(-2, -1))
+
+
+BAD = [
+    (lambda: G.hflip(torch.ones(3)), ValueError, r"hflip: expected input of shape \(\*, H, W\)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

@@ -1,4 +1,4 @@
-"""Resizing and pyramids: kernels against their definition, and both against torch, OpenCV, Pillow and known values."""
+"""Resizing: kernels against their definition, and both against torch, OpenCV, Pillow and known values."""
 
 import cv2
 import numpy as np
@@ -7,28 +7,10 @@ import torch
 import torch.nn.functional as F
 
 import kvision as K
-from kvision.geometry.transform.pyramid import _detail
-from op_tests import OpTests, assert_close
+from op_tests import assert_close
+from warp_tests import ResizeTests
 
 G = K.geometry
-OPERATORS = ("resize", "resize_backward")
-
-
-class ResizeTests(OpTests):
-    operators = OPERATORS
-    bytes = True
-    # Weights are fractions of small integers, so many means lie just between two bytes.
-    tolerances = {torch.uint8: (0, 1)}
-
-    def test_operators_refuse_bad_arguments(self, device, backend, monkeypatch):
-        """An image may have any size beside its result's, and only pyramids have a border."""
-        import raw_calls
-
-        every, fine = raw_calls.wrong_calls, (" cut along ", " around a pixel")
-        monkeypatch.setattr(
-            raw_calls, "wrong_calls", lambda *a: [c for c in every(*a) if not any(f in c[0] for f in fine)]
-        )
-        super().test_operators_refuse_bad_arguments(device, backend)
 
 
 class TestResize(ResizeTests):
@@ -68,33 +50,6 @@ class TestResize(ResizeTests):
             with pytest.raises(error, match="^resize: "):
                 G.resize(wrong, **variant)
 
-
-class TestPyrdown(ResizeTests):
-    function = staticmethod(G.pyrdown)
-    module = G.PyrDown
-    max_size = 7
-    small = (1, 2, 4, 6)
-    variants = [
-        {},
-        {"border_type": "replicate", "align_corners": True, "factor": 1.4},
-        {"border_type": "constant", "factor": 0.7},
-    ]
-    errors = [
-        ({"border_type": "wrap"}, ValueError, "border_type must be one of"),
-        ({"factor": 99.0}, ValueError, "expected factor to leave a pixel"),
-        ({"align_corners": None}, TypeError, "align_corners to be a bool"),
-    ]
-
-
-class TestPyrup(ResizeTests):
-    function = staticmethod(G.pyrup)
-    module = G.PyrUp
-    max_size = 7
-    variants = [{}, {"border_type": "replicate", "align_corners": True}, {"border_type": "constant"}]
-    errors = [({"border_type": "wrap"}, ValueError, "border_type must be one of")]
-
-
-# --- torch, Pillow, OpenCV ------------------------------------------------------------------------------------------
 
 SIZES = [(9, 50), (50, 9), (9, 13), (50, 77), (66, 80), (33, 40), (1, 1)]
 WINDOWS = [
@@ -184,9 +139,6 @@ def test_bytes_of_opencv(factor, device):
     expected = torch.from_numpy(cv2.resize(x, size[::-1])).permute(2, 0, 1)
     found = G.resize(torch.from_numpy(x).permute(2, 0, 1).to(device), size)
     assert (found.cpu().int() - expected.int()).abs().max() <= 1
-
-
-# --- what must be exact ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["bilinear", "bicubic", "lanczos", "nearest", "nearest-exact", "area"])
@@ -288,59 +240,46 @@ def check_like_reference(call, x):
         assert_close(grad.float(), expected_grad.float(), 1e-3 if x.dtype == torch.float16 else 1e-6, 2 * tolerance)
 
 
-# --- pyramids -------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("mode", ["bilinear", "bicubic"])
+def test_antialias_is_that_of_torch(mode, device):
+    x = torch.rand(2, 3, 33, 40, device=device)
+    expected = F.interpolate(x, (9, 50), mode=mode, antialias=True)
+    assert_close(G.resize(x, (9, 50), mode, antialias=True), expected)
 
 
-@pytest.mark.parametrize("border", ["reflect", "constant", "replicate", "circular"])
-def test_pyramids_are_a_blur_and_a_resize(border, device):
-    x = torch.rand(2, 3, 15, 18, dtype=torch.float64, device=device)
-    kernel = torch.tensor([[1.0, 4, 6, 4, 1]], dtype=torch.float64, device=device) / 16
-
-    def blur(x):
-        return K.filters.filter2d_separable(x, kernel, kernel, border)
-
-    for align_corners in (False, True):
-        down = G.resize(blur(x), (7, 9), align_corners=align_corners)
-        assert_close(G.pyrdown(x, border, align_corners), down, 1e-12, 1e-12)
-        up = blur(G.resize(x, (30, 36), align_corners=align_corners))
-        assert_close(G.pyrup(x, border, align_corners), up, 1e-12, 1e-12)
+def test_gaussian_antialias_is_that_of_kornia(device):
+    kornia = pytest.importorskip("kornia")
+    x = torch.rand(2, 3, 33, 40)
+    expected = kornia.geometry.resize(x, (9, 13), antialias=True)
+    assert_close(G.resize(x.to(device), (9, 13), antialias="gaussian").cpu(), expected, 1e-4, 1e-5)
 
 
-@pytest.mark.parametrize("border", ["reflect", "constant", "replicate"])
-@pytest.mark.parametrize("size", [(5, 7), (24, 136)], ids=str)
-def test_details_are_differences(size, border, device, backend):
-    how = (False, border)
-    smaller = torch.rand(2, 3, *size, device=device)
-    image = torch.rand(2, 3, *(2 * n for n in size), device=device)
-    for dtype in (torch.float32, torch.float64, torch.float16, torch.bfloat16):
-        a, b = smaller.to(dtype), image.to(dtype)
-        expected = b.float() - G.pyrup(a.float(), border)
-        for layout in (torch.contiguous_format, torch.channels_last):
-            found = _detail(a.contiguous(memory_format=layout), b, *how)
-            rounded = {torch.float16: 1e-3, torch.bfloat16: 8e-3}.get(dtype, 1e-6)
-            assert found.dtype == dtype and (found.float() - expected).abs().max() <= rounded
-        assert_close(_detail(a, b.mT.contiguous().mT, *how), _detail(a, b, *how), 0, 0)
-        moved = torch.empty(b.numel() + 1, dtype=dtype, device=device)[1:].view(b.shape).copy_(b)
-        assert_close(
-            _detail(a, moved, *how),
-            _detail(a, b, *how),
-            0,
-            1e-2 if dtype == torch.bfloat16 else 2e-3 if dtype == torch.float16 else 2e-6,
-        )
-    a, b = (x[:1, :1, :4, :6].double().requires_grad_() for x in (smaller[..., :2, :3], image))
-    assert torch.autograd.gradcheck(lambda a, b: _detail(a, b, *how), (a, b))
-    assert torch.autograd.gradgradcheck(lambda a, b: _detail(a, b, *how), (a, b))
-    each = torch.func.vmap(lambda a, b: _detail(a[None], b[None], *how)[0])(smaller, image)
-    assert_close(each, _detail(smaller, image, *how))
-    if backend != "reference":
-        torch.library.opcheck(torch.ops.kvision.pyramid_detail.default, (a, b, *how))
-        with pytest.raises(RuntimeError, match="^pyramid_detail: image differs"):
-            torch.ops.kvision.pyramid_detail(smaller, image[..., 1:], *how)
+IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
+FUNCTIONS = {
+    "resize": (lambda x: G.resize(x, (3, 9)), (IMAGE,)),
+}
 
 
-def test_a_pyramid_of_a_constant_is_constant(device):
-    x = torch.full((1, 1, 64, 48), 0.37, device=device)
-    for level in G.build_pyramid(x, 4):
-        assert_close(level, torch.full_like(level, 0.37))
-    for detail in G.build_laplacian_pyramid(x, 3)[:-1]:
-        assert detail.abs().max() < 1e-6
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients(name, device):
+    function, args = FUNCTIONS[name]
+    args = tuple(a.double().to(device).requires_grad_() for a in args)
+    assert torch.autograd.gradcheck(function, args, nondet_tol=1e-9)
+    assert torch.autograd.gradgradcheck(function, args, nondet_tol=1e-9)
+
+
+X, V = torch.rand(2, 3, 4, 5), torch.rand(1, 1, 3, 4, 5)
+BAD = [
+    (lambda: G.resize(X, 1.5), TypeError, "resize: expected size"),
+    (lambda: G.resize(X, (0, 3)), ValueError, "resize: expected size"),
+    (lambda: G.resize(X, 3, side="top"), ValueError, "resize: side must be one of short, long, vert, horz"),
+    (lambda: G.resize(X, 3, antialias="box"), TypeError, "resize: expected antialias to be a bool"),
+    (lambda: G.resize(X[0, 0, 0], 3), ValueError, r"resize: expected input of shape \(\*, H, W\)"),
+    (lambda: G.rescale(X, 0.1), ValueError, "rescale: expected factor to leave a pixel"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

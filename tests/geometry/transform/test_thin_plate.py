@@ -123,3 +123,39 @@ def test_points_of_any_type(device):
     assert_close(G.warp_points_tps(points, *identity, affine), points.float())
     half = G.warp_points_tps(points.half(), *identity, affine)
     assert half.dtype == torch.float16 and torch.equal(half, points.half())
+
+
+QUAD = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])
+
+
+def test_splines_go_through_their_points(device):
+    p, q = torch.rand(2, 9, 2, device=device) * 2 - 1, torch.rand(2, 9, 2, device=device)
+    assert_close(G.warp_points_tps(p, p, *G.get_tps_transform(p, q)), q, 0, 1e-4)
+
+
+IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
+FUNCTIONS = {
+    "spline": (
+        lambda x, p, q: G.warp_image_tps(x, p, *G.get_tps_transform(p, q)),
+        (IMAGE, 0.3 * QUAD - 0.9, 0.29 * QUAD - 0.83),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients(name, device):
+    function, args = FUNCTIONS[name]
+    args = tuple(a.double().to(device).requires_grad_() for a in args)
+    assert torch.autograd.gradcheck(function, args, nondet_tol=1e-9)
+    assert torch.autograd.gradgradcheck(function, args, nondet_tol=1e-9)
+
+
+BAD = [
+    (lambda: G.get_tps_transform(QUAD, QUAD[0]), ValueError, "get_tps_transform: expected points_dst of shape"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

@@ -5,7 +5,7 @@ from torch import Tensor
 
 import kvision as K
 from op_tests import assert_close
-from warp_tests import WarpTests
+from warp_tests import FormulaWarpTests, WarpTests, degrees, middle, one
 
 G = K.geometry
 
@@ -42,6 +42,19 @@ class TestWarpPerspective3d(WarpTests):
     ]
 
 
+class TestRotate3d(FormulaWarpTests):
+    function = staticmethod(G.rotate3d)
+    operators = (
+        *("warp3d_by_formula", "warp3d_volume_gradient", "warp3d_matrix_gradient"),
+        *("affine_matrix3d", "affine_matrix3d_backward"),
+    )
+    bytes = False
+    variants = [{"yaw": one(degrees), "pitch": degrees, "roll": one(degrees), "center": middle}]
+    shape = (2, 3, 4, 9, 11)
+    small = (1, 1, 3, 4, 3)
+    max_size = 3
+
+
 @pytest.mark.parametrize("align_corners", [True, False])
 @pytest.mark.parametrize("padding", ["zeros", "border", "reflection"])
 @pytest.mark.parametrize("mode", ["bilinear", "nearest"])
@@ -67,3 +80,44 @@ def test_is_one_operator(device):
         G.warp_affine3d(volumes, affine, (4, 5, 6))
     calls = [(e.key, e.count) for e in profile.key_averages() if e.key.startswith(("aten::", "kvision::"))]
     assert [c for c in calls if "empty" not in c[0]] == [("kvision::warp3d", 2)]
+
+
+def test_identity_of_volumes(device):
+    x, eye = torch.rand(2, 1, 4, 5, 6, device=device), torch.eye(4, device=device)[None]
+    for align_corners in (True, False):
+        for mode in ("bilinear", "nearest"):
+            assert torch.equal(G.warp_affine3d(x, eye[:, :3], (4, 5, 6), mode, align_corners=align_corners), x)
+            assert torch.equal(G.warp_perspective3d(x, eye, (4, 5, 6), mode, align_corners=align_corners), x)
+            assert_close(G.homography_warp3d(x, eye, (4, 5, 6), mode, align_corners=align_corners), x, 0, 2e-6)
+
+
+VOLUME = torch.rand(1, 1, 3, 4, 3, generator=torch.Generator().manual_seed(2)).double()
+FUNCTIONS = {
+    "volume": (
+        lambda x, m: G.warp_perspective3d(x, m, (2, 3, 3)),
+        (VOLUME, torch.eye(4)[None] + 0.03 * torch.rand(1, 4, 4)),
+    ),
+    "rotate3d": (lambda x, a: G.rotate3d(x, a, a * 0.3, a * 0.7), (VOLUME, torch.tensor([11.0]))),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients(name, device):
+    function, args = FUNCTIONS[name]
+    args = tuple(a.double().to(device).requires_grad_() for a in args)
+    assert torch.autograd.gradcheck(function, args, nondet_tol=1e-9)
+    assert torch.autograd.gradgradcheck(function, args, nondet_tol=1e-9)
+
+
+X, V = torch.rand(2, 3, 4, 5), torch.rand(1, 1, 3, 4, 5)
+BAD = [
+    (lambda: G.warp_affine3d(X, torch.eye(3, 4)[None], (1, 1, 1)), ValueError, "warp_affine3d: expected src of shape"),
+    (lambda: G.warp_affine3d(V, torch.eye(3, 4)[None], (1, 1, 1), "bicubic"), ValueError, "warp_affine3d: mode must be"),
+    (lambda: G.rotate3d(V, torch.ones(2), torch.ones(1), torch.ones(1)), ValueError, "rotate3d: expected yaw of shape"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

@@ -1,0 +1,44 @@
+"""Calibration against Kornia 0.9, which defines names and conventions."""
+
+import kornia
+import pytest
+import torch
+from torch import Tensor
+
+import kvision as K
+from op_tests import assert_close
+from view_tests import CAMERA, LENS, on_planes, rand, rotation
+
+POINTS1, POINTS2, _ = on_planes(2, 12, noise=1.0)
+ROTATIONS = torch.stack([rotation(0.3, 0.1, -0.2), rotation(1.0, -2.0, 0.5)])
+CAMERAS = CAMERA.expand(2, 3, 3)
+IMAGES = rand(2, 3, 20, 30)
+WORLD = rand(2, 9, 3, high=3)
+SEEN = (WORLD @ ROTATIONS[0].T + torch.tensor([0.0, 0, 5])) @ CAMERA.T
+
+# Home, name, arguments, keyword arguments.
+CALLS = [
+    *[("calibration", "distort_points", (POINTS1, CAMERAS, LENS[:n].expand(2, n)), {}) for n in (4, 5, 8, 12, 14)],
+    *[("calibration", "undistort_points", (POINTS1, CAMERAS, LENS[:n].expand(2, n)), {}) for n in (4, 5, 8, 12, 14)],
+    ("calibration", "distort_points", (POINTS1, CAMERAS, LENS.expand(2, 14), CAMERAS + 2), {}),
+    ("calibration", "undistort_points", (POINTS1, CAMERAS, LENS.expand(2, 14), CAMERAS + 2), {"num_iters": 2}),
+    ("calibration", "undistort_image", (IMAGES, CAMERAS / 3, LENS.expand(2, 14)), {}),
+    ("calibration", "tilt_projection", (LENS[:3], LENS[3:6]), {}),
+    ("calibration", "tilt_projection", (LENS[:3, None], LENS[3:6, None], True), {}),
+    ("calibration", "solve_pnp_dlt", (WORLD, SEEN, CAMERAS), {}),
+    ("calibration", "solve_pnp_dlt", (WORLD, SEEN, CAMERAS, rand(2, 9) + 0.2), {}),
+]
+
+
+@pytest.mark.parametrize("home, name, args, kwargs", CALLS, ids=[f"{c[1]}-{i}" for i, c in enumerate(CALLS)])
+def test_values(home, name, args, kwargs, device):
+    ours = getattr(getattr(K.geometry, home), name)
+    theirs = getattr(getattr(kornia.geometry, home), name)
+    moved = [a.to(device) if isinstance(a, Tensor) else a for a in args]
+    kwargs_moved = {k: v.to(device) if isinstance(v, Tensor) else v for k, v in kwargs.items()}
+    assert getattr(K.geometry, name, None) in (ours, None)
+    found, expected = ours(*moved, **kwargs_moved), theirs(*args, **kwargs)
+    for a, e in zip(*((y if isinstance(y, tuple) else (y,)) for y in (found, expected)), strict=True):
+        a, e = a.cpu(), e[0] if e.shape != a.shape and e.shape[0] == 1 else e
+        largest = e.double().nan_to_num(0, 0, 0).abs().amax()
+        assert_close(a, e.to(a.dtype), 1e-7, 1e-7 * max(1.0, float(largest)))

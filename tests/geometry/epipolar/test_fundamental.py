@@ -1,0 +1,60 @@
+"""Fundamental matrices."""
+
+import cv2
+import pytest
+import torch
+
+import kvision as K
+from composition_tests import Case
+from op_tests import assert_close
+from view_tests import Scene, ViewTests, finite_gradients, on_planes, points
+
+G = K.geometry
+# Values of the tests are random in [0.1, 1); these are what they are added to.
+X, Y, H = on_planes(1, 12)
+X7, Y7, LINES_X, LINES_Y = X[:, :7], Y[:, :7], X.view(6, 2, 2), Y.view(6, 2, 2)
+POINTS = (2, 12, 2)
+
+
+class TestFundamental(ViewTests):
+    cases = {
+        "fundamental": Case(lambda x, y: G.find_fundamental(x, points(y, X)), (POINTS, POINTS)),
+        "seven": Case(
+            lambda x: G.find_fundamental(points(x, X7), points(x, Y7).flip(1), None, "7POINT").sum(1),
+            ((2, 7, 2),),
+        ),
+        "fundamental, weighted": Case(lambda x, w: G.find_fundamental(x, points(x.flip(1), X), w), (POINTS, (2, 12))),
+    }  # fmt: skip
+    compiled = ()
+
+
+def test_fundamental_matrices_of_degenerate_points(device):
+    """Exact ones, of points in a plane, which leave several, on a line, and all in one place."""
+    scene, plane = Scene(1, 9), on_planes(1, 9)
+    line = torch.arange(9.0).double()[None, :, None].expand(1, 9, 2)
+    for x, y in ((scene.x1, scene.x2), plane[:2], (line, line), (torch.ones_like(line), torch.ones_like(line))):
+        weights = torch.ones(1, 9).double().to(device)
+        found = finite_gradients(G.find_fundamental, x.to(device), y.to(device), weights)
+        found = found.cpu()
+        assert found.isfinite().all() and torch.linalg.det(found).abs() < 1e-9 * found.norm() ** 3 + 1e-12
+
+
+def test_opencv_fundamental():
+    scene = Scene(1, 30, noise=0.3)
+    expected = torch.from_numpy(cv2.findFundamentalMat(scene.x1[0].numpy(), scene.x2[0].numpy(), cv2.FM_8POINT)[0])
+    assert_close(G.find_fundamental(scene.x1, scene.x2)[0], expected, 1e-5, 1e-8)
+
+
+P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)
+BAD = [
+    (lambda: G.find_fundamental(P[:, :7], Q[:, :7]), ValueError, "find_fundamental: expected points1 of shape .* at least 8"),
+    (lambda: G.find_fundamental(P, Q, method="7POINT"), ValueError, r"find_fundamental: expected points1 of shape \(B, 7, 2\)"),
+    (lambda: G.find_fundamental(P, Q, method="RANSAC"), ValueError, "find_fundamental: method must be one of 8POINT, 7POINT"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message) as caught:
+        call()
+    assert isinstance(caught.value, K.core.exceptions.BaseError)

@@ -1,0 +1,43 @@
+"""Projection matrices and cameras."""
+
+import cv2
+import pytest
+import torch
+
+import kvision as K
+from composition_tests import Case
+from op_tests import assert_close
+from view_tests import Scene, ViewTests
+
+G = K.geometry
+SCENE = Scene(1, 8)
+
+
+class TestProjection(ViewTests):
+    cases = {
+        "camera": Case(lambda p: torch.cat(G.KRt_from_projection(p), -1), ((2, 3, 4),)),
+        "cameras": Case(lambda f: G.projections_from_fundamental(f).square(), ((2, 3, 3),)),
+    }  # fmt: skip
+    compiled = ("camera",)
+
+
+def test_opencv_decomposition():
+    camera, R, center = cv2.decomposeProjectionMatrix(SCENE.P2.numpy())[:3]
+    found = G.KRt_from_projection(SCENE.P2[None])
+    assert_close(found[0][0] / found[0][0, 2, 2], torch.from_numpy(camera), 1e-9, 1e-9)
+    assert_close(found[1][0], torch.from_numpy(R), 1e-9, 1e-9)
+    assert_close(-found[1][0].T @ found[2][0], torch.from_numpy(center[:3] / center[3]), 1e-9, 1e-9)
+
+
+P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)
+BAD = [
+    (lambda: G.projection_from_KRt(M, M[0], M[..., :1]), ValueError, "projection_from_KRt: expected K, R and t with as many axes"),
+    (lambda: G.intrinsics_like(0.0, torch.rand(1, 1, 2, 2)), ValueError, "intrinsics_like: expected focal above 0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message) as caught:
+        call()
+    assert isinstance(caught.value, K.core.exceptions.BaseError)

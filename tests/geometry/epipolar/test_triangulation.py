@@ -1,0 +1,69 @@
+"""Triangulation of points."""
+
+import cv2
+import pytest
+import torch
+
+import kvision as K
+from composition_tests import Case
+from op_tests import assert_close
+from view_tests import Scene, ViewTests, finite_gradients, on_planes, rand
+
+G = K.geometry
+# Values of the tests are random in [0.1, 1); these are what they are added to.
+X, Y, H = on_planes(1, 12)
+
+
+class TestTriangulation(ViewTests):
+    cases = {
+        "triangulated": Case(
+            lambda x, p: G.triangulate_points(p, p.flip(-1), x, x.flip(1)), ((2, 4, 2), (2, 3, 4))
+        ),
+    }  # fmt: skip
+    compiled = ("triangulated",)
+
+
+def test_points_at_infinity(device):
+    P1, P2 = torch.eye(3, 4, device=device), torch.eye(3, 4, device=device)
+    P2[0, 3] = -1
+    x = torch.tensor([[0.5, 0.25], [0.5, 0.25]], device=device)
+    y = torch.tensor([[0.5, 0.25], [0.25, 0.25]], device=device)
+    found = finite_gradients(lambda x, y: G.triangulate_points(P1, P2, x, y), x, y)
+    assert found[0].isnan().all()
+    assert_close(found[1], torch.tensor([2.0, 1, 4], device=device), 1e-5, 1e-5)
+
+
+def test_triangulation_of_many_points_of_one_pair(device):
+    """The gradients to their projections are sums of sums."""
+    scene = Scene(1, 2500, noise=0.5)
+    weights = rand(1, 2500, 3, seed=4).to(device)
+    results = []
+    for backend in ("auto", "auto", "reference"):
+        leaves = [x.to(device).requires_grad_() for x in (scene.P1, scene.P2, scene.x1, scene.x2)]
+        with K.backend(backend):
+            found = G.triangulate_points(*leaves)
+            results.append([found.detach(), *torch.autograd.grad(found, leaves, weights)])
+    assert all(torch.equal(a, b) for a, b in zip(*results[:2]))
+    assert_close(results[0], results[2], 1e-8, 1e-8)
+
+
+def test_opencv_triangulation():
+    scene = Scene(1, 40, noise=0.5)
+    X = cv2.triangulatePoints(scene.P1.numpy(), scene.P2.numpy(), scene.x1[0].T.numpy(), scene.x2[0].T.numpy())
+    expected = torch.from_numpy((X[:3] / X[3]).T)
+    assert_close(G.triangulate_points(scene.P1, scene.P2, scene.x1[0], scene.x2[0]), expected, 1e-6, 1e-6)
+
+
+P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)
+BAD = [
+    (lambda: G.triangulate_points(M, M, P, Q), ValueError, r"triangulate_points: expected P1 of shape \(\*, 3, 4\)"),
+    (lambda: G.triangulate_points(torch.rand(3, 4), torch.rand(3, 4), P, Q, "qr"), NotImplementedError, "triangulate_points:"),
+    (lambda: G.triangulate_points(torch.rand(3, 3, 4), torch.rand(3, 4), P, Q), ValueError, "triangulate_points: expected shapes"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message) as caught:
+        call()
+    assert isinstance(caught.value, K.core.exceptions.BaseError)

@@ -1,0 +1,35 @@
+"""Null vectors and eigenvectors of small matrices."""
+
+import pytest
+import torch
+
+import kvision as K
+from kvision.geometry.solvers.null_vector import _eigenvectors
+from op_tests import assert_close
+from view_tests import rand
+
+G = K.geometry
+
+
+@pytest.mark.parametrize("n", [3, 4, 9, 12])
+def test_eigenvectors(n, device):
+    """Also of matrices that have no more than one eigenvalue, or two."""
+    matrix = torch.stack([M @ M.mT for M in rand(6, n, n, seed=n)]).to(device)
+    matrix[:3] = torch.stack([0 * matrix[0], torch.eye(n, device=device).double(), torch.ones_like(matrix[0])])
+    values, vectors = _eigenvectors(matrix)
+    assert_close(values, torch.linalg.eigvalsh(matrix.cpu()).to(device), 1e-12, 1e-12)
+    assert_close(matrix @ vectors, vectors * values[:, None], 1e-12, 1e-12)
+    assert_close(vectors.mT @ vectors, torch.eye(n, device=device).double().expand_as(matrix), 1e-12, 1e-12)
+
+
+P, Q, M = torch.rand(2, 8, 2), torch.rand(2, 8, 2), torch.rand(2, 3, 3)
+BAD = [
+    (lambda: G.null_vector_3x4(M), ValueError, r"null_vector_3x4: expected A of shape \(\*, 3, 4\)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message) as caught:
+        call()
+    assert isinstance(caught.value, K.core.exceptions.BaseError)

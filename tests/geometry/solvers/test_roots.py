@@ -1,0 +1,48 @@
+"""Roots of polynomials."""
+
+import pytest
+import torch
+
+import kvision as K
+from composition_tests import Case, on
+from op_tests import assert_close
+from view_tests import ViewTests, finite_gradients
+
+G = K.geometry
+QUARTIC = torch.tensor([0, 0, 2.0, 0, 0])
+
+
+class TestRoots(ViewTests):
+    cases = {
+        "quartic": Case(lambda c: G.solve_quartic(c - on(c.device, QUARTIC)), ((2, 5),)),
+    }  # fmt: skip
+    compiled = ()
+
+
+@pytest.mark.parametrize("roots", [[1, 1, 1], [-2, 3, 3], [0, 0, 5], [1e-6, 1, 1e6]])
+def test_known_roots(roots, device):
+    coeffs = torch.ones(1, 1).double()
+    for r in roots:
+        coeffs = torch.nn.functional.pad(coeffs, (0, 1)) - r * torch.nn.functional.pad(coeffs, (1, 0))
+    expected = torch.tensor([roots]).double()
+    assert_close(finite_gradients(G.solve_cubic, coeffs.to(device)).cpu(), expected, 1e-6, 1e-9)
+    both = torch.nn.functional.pad(coeffs, (1, 0)).to(device)  # a quartic that is a cubic
+    assert_close(finite_gradients(G.solve_quartic, both)[:, :3].sort(-1).values.cpu(), expected, 1e-6, 1e-9)
+
+
+def test_polynomials_without_roots(device):
+    coeffs = torch.tensor([[1.0, 0, 1], [0, 0, 1], [0, 0, 0]], device=device)
+    assert (finite_gradients(G.solve_quadratic, coeffs) == 0).all()
+    assert (finite_gradients(G.solve_quartic, torch.nn.functional.pad(coeffs, (1, 1))[:1]) == 0).all()
+
+
+BAD = [
+    (lambda: G.solve_cubic(torch.rand(3)), ValueError, r"solve_cubic: expected coeffs of shape \(\*, B, 4\)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message) as caught:
+        call()
+    assert isinstance(caught.value, K.core.exceptions.BaseError)

@@ -1,0 +1,36 @@
+"""Elastic deformations of images."""
+
+import pytest
+import torch
+
+import kvision as K
+
+G = K.geometry
+
+IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()
+FUNCTIONS = {
+    "elastic": (
+        lambda x, n, s, a: G.elastic_transform2d(x, n, (3, 3), s, a),
+        (IMAGE, IMAGE * 0.2, torch.tensor([1.0, 1.3]), torch.tensor([0.3, 0.4])),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_gradients(name, device):
+    function, args = FUNCTIONS[name]
+    args = tuple(a.double().to(device).requires_grad_() for a in args)
+    assert torch.autograd.gradcheck(function, args, nondet_tol=1e-9)
+    assert torch.autograd.gradgradcheck(function, args, nondet_tol=1e-9)
+
+
+X, V = torch.rand(2, 3, 4, 5), torch.rand(1, 1, 3, 4, 5)
+BAD = [
+    (lambda: G.elastic_transform2d(X, X), ValueError, "elastic_transform2d: expected noise of shape"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("call, error, message", BAD, ids=range(len(BAD)))
+def test_errors(call, error, message):
+    with pytest.raises(error, match=message):
+        call()

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "depth_warp.h"
-#include "sample.cuh"
+#include "geometry/transform/sampling.cuh"
 
 namespace kv::cuda {
 

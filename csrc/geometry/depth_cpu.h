@@ -1,7 +1,7 @@
 // Places by depth on the CPU. Included by depth_warp_cpu.cpp and photometric_depth_cpu.cpp, inside of no namespace.
 #pragma once
 
-#include "sample_cpu.h"
+#include "geometry/transform/sampling_cpu.h"
 // After it, for lanes.
 #include "depth_warp.h"
 

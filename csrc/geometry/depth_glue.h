@@ -2,7 +2,7 @@
 #pragma once
 
 #include "depth_warp.h"
-#include "sample_glue.h"
+#include "geometry/transform/sampling_glue.h"
 
 namespace kv {
 

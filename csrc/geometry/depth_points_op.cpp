@@ -1,6 +1,6 @@
 // Points and normals of depth images: schemas and entries, for CPU and CUDA alike.
 #include "depth_points.h"
-#include "sample_glue.h"
+#include "geometry/transform/sampling_glue.h"
 
 namespace kv {
 namespace {

@@ -4,10 +4,11 @@
 //
 // where A = K' R K^-1 and b = K' t for cameras K and K' and the motion (R, t) between them. What is not in front of
 // the source's camera, W > 0, is outside of its image, and has no gradient. Bilinear, or the nearest pixel; paddings
-// are those of sample.h. Included by depth_warp_cpu.cpp, depth_warp.cu, depth_warp_op.cpp and photometric_depth.h.
+// are those of transform/sampling.h. Included by depth_warp_cpu.cpp, depth_warp.cu, depth_warp_op.cpp and
+// photometric_depth.h.
 #pragma once
 
-#include "sample.h"
+#include "geometry/transform/sampling.h"
 
 namespace kv {
 

@@ -1,6 +1,6 @@
 // The photometric distance on CUDA: a block a tile of the target, then one block a sample adds the tiles up.
+#include "geometry/transform/sampling.cuh"
 #include "photometric.h"
-#include "sample.cuh"
 
 namespace kv::cuda {
 namespace {

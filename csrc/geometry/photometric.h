@@ -10,7 +10,7 @@
 // of the homography's first eight numbers. Included by photometric_cpu.cpp, photometric.cu and photometric_op.cpp.
 #pragma once
 
-#include "sample.h"
+#include "geometry/transform/sampling.h"
 
 namespace kv {
 

@@ -1,5 +1,5 @@
 // The photometric distance on the CPU: rows [begin, end) of all targets in order. Compiled once per instruction set.
-#include "sample_cpu.h"
+#include "geometry/transform/sampling_cpu.h"
 // After it, for vsqrt.
 #include "photometric.h"
 

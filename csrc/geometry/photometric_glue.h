@@ -1,8 +1,8 @@
 // What the photometric operators have in common. Included by photometric_op.cpp and photometric_depth_op.cpp.
 #pragma once
 
+#include "geometry/transform/sampling_glue.h"
 #include "photometric.h"
-#include "sample_glue.h"
 
 namespace kv {
 

@@ -1,7 +1,7 @@
 """Images at places between their pixels: what all warps and maps are made of.
 
 Places are in pixels, (0, 0) being the middle of the first one. `sample` is the definition, for images and volumes; the
-operators `warp` (places from a matrix) and `remap` (places from a map) have kernels. Rules of taps: csrc/geometry/sample.h.
+operators `warp` (places from a matrix) and `remap` (places from a map) have kernels. Rules of taps: csrc/geometry/transform/sampling.h.
 """
 
 from __future__ import annotations

@@ -1,0 +1,103 @@
+// Lenses on CUDA: a thread a point; a block a part of the pixels of a map for its gradient.
+#include "core/launch.cuh"
+#include "geometry/calibration/distortion.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 128;
+
+// Of an image, which has less than 2^31.
+template <class T>
+__device__ __forceinline__ void pixel_at(LensPoints<T> const& p, unsigned i, T& x, T& y) {
+  unsigned const row = i / unsigned(p.width);
+  x = T(i - row * unsigned(p.width));
+  y = T(row);
+}
+
+template <class T, bool There>
+__global__ void __launch_bounds__(kThreads) through_lens(LensPoints<T> p) {
+  int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
+  if (i >= p.batch * p.count) return;
+  int64_t const b = i / p.count;
+  T x, y;
+  if (p.points)
+    x = p.points[2 * i], y = p.points[2 * i + 1];
+  else
+    pixel_at(p, unsigned(i - b * p.count), x, y);
+  Lens<T> const lens(p, b);
+  There ? lens.distort(x, y) : lens.undistort(x, y);
+  int64_t const to = p.points ? 2 * i : i + b * p.count;
+  p.result[to] = x, p.result[to + (p.points ? 1 : p.count)] = y;
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) slope_parts(__grid_constant__ LensSlopes<T> const p) {
+  __shared__ T warps[kThreads / 32][kLensSums];
+  int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
+  int64_t const last = min(p.count, (part + 1) * kLensPart);
+  T const* const grad = p.grad + 2 * b * p.count;
+  Lens<T> const lens(p, b);
+  T sums[kLensSums] = {};
+#pragma unroll 1
+  for (int64_t i = part * kLensPart + threadIdx.x; i < last; i += kThreads) {
+    T x, y;
+    pixel_at(p, unsigned(i), x, y);
+    lens.add_slopes(x, y, grad[i], grad[p.count + i], sums);
+  }
+#pragma unroll
+  for (int i = 0; i < kLensSums; ++i) {
+    T const sum = warp_sum(sums[i]);
+    if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32][i] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x >= kLensSums) return;
+  T sum = 0;
+  for (auto const& warp : warps) sum += warp[threadIdx.x];
+  p.sums[int64_t(blockIdx.x) * kLensSums + threadIdx.x] = sum;
+}
+
+// A warp a sample.
+template <class T>
+__global__ void sum_parts(LensSlopes<T> p) {
+  int64_t const b = blockIdx.x;
+  int const i = int(threadIdx.x);
+  if (i == kLensSums) p.set_zeros(b);
+  if (i >= kLensSums) return;
+  double sum = 0;
+  for (int64_t part = b * p.parts; part < (b + 1) * p.parts; ++part) sum += p.sums[part * kLensSums + i];
+  p.set(b, i, sum);
+}
+
+}  // namespace
+
+template <class T>
+int undistort(LensPoints<T> const& p, CUstream_st* stream) {
+  through_lens<T, false><<<unsigned(ceil_div(p.batch * p.count, kThreads)), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int distort(LensPoints<T> const& p, CUstream_st* stream) {
+  through_lens<T, true><<<unsigned(ceil_div(p.batch * p.count, kThreads)), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int lens_slopes(LensSlopes<T> const& p, CUstream_st* stream) {
+  slope_parts<<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int lens_sums(LensSlopes<T> const& p, CUstream_st* stream) {
+  sum_parts<<<unsigned(p.batch), 32, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_COMPUTED(undistort, LensPoints)
+KV_INSTANTIATE_COMPUTED(distort, LensPoints)
+KV_INSTANTIATE_COMPUTED(lens_slopes, LensSlopes)
+KV_INSTANTIATE_COMPUTED(lens_sums, LensSlopes)
+
+}  // namespace kv::cuda

@@ -1,0 +1,119 @@
+// Lenses on the CPU: points [begin, end) of all problems, by vectors. Compiled once per instruction set.
+#include "core/lanes.h"
+// After it, for vectors.
+#include "geometry/calibration/distortion.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// N of the pixels of an image, beside each other.
+template <int N, class T>
+KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T, N>& y) {
+  int64_t const row = i / p.width;
+  y = Lanes<T, N>{} + T(row);
+  if constexpr (N == 1) {
+    x = T(i - row * p.width);
+  } else {
+    for (int k = 0; k < N; ++k) x[k] = T(i - row * p.width + k);
+  }
+}
+
+template <bool There, int N, class T>
+KV_HD void through(Lens<T> const& lens, int64_t b, int64_t i) {
+  auto const& p = lens.p;
+  Lanes<T, N> x, y;
+  if (!p.points) {
+    pixels_at<N>(p, i - b * p.count, x, y);
+  } else if constexpr (N == 1) {
+    x = p.points[2 * i], y = p.points[2 * i + 1];
+  } else {
+    for (int k = 0; k < N; ++k) x[k] = p.points[2 * (i + k)], y[k] = p.points[2 * (i + k) + 1];
+  }
+  There ? lens.distort(x, y) : lens.undistort(x, y);
+  if (!p.points) {
+    store<N>(p.result + b * p.count + i, x);
+    store<N>(p.result + (b + 1) * p.count + i, y);
+  } else if constexpr (N == 1) {
+    p.result[2 * i] = x, p.result[2 * i + 1] = y;
+  } else {
+    for (int k = 0; k < N; ++k) p.result[2 * (i + k)] = x[k], p.result[2 * (i + k) + 1] = y[k];
+  }
+}
+
+// The end of the points after i that are in one lens, and of an image in one row.
+template <class T>
+KV_HD int64_t run_end(LensPoints<T> const& p, int64_t i, int64_t end) {
+  int64_t const last = min(end, (i / p.count + 1) * p.count);
+  return p.points ? last : min(last, i + p.width - i % p.count % p.width);
+}
+
+template <bool There, class T>
+KV_HD void through_lenses(LensPoints<T> const& p, int64_t begin, int64_t end) {
+  constexpr int N = kLanes<T>;
+  for (int64_t i = begin; i < end;) {
+    int64_t const b = i / p.count, last = run_end(p, i, end);
+    Lens<T> const lens(p, b);
+    for (; i + N <= last; i += N) through<There, N>(lens, b, i);
+    for (; i < last; ++i) through<There, 1>(lens, b, i);
+  }
+}
+
+template <int N, class T>
+KV_HD void add_pixels(Lens<T> const& lens, T const* grad, int64_t i, Lanes<T, N> (&sums)[kLensSums]) {
+  Lanes<T, N> x, y;
+  pixels_at<N>(lens.p, i, x, y);
+  lens.add_slopes(x, y, Lanes<T, N>(load<N>(grad + i)), Lanes<T, N>(load<N>(grad + lens.p.count + i)), sums);
+}
+
+}  // namespace
+
+template <class T>
+void undistort(LensPoints<T> const& p, int64_t begin, int64_t end) {
+  through_lenses<false>(p, begin, end);
+}
+
+template <class T>
+void distort(LensPoints<T> const& p, int64_t begin, int64_t end) {
+  through_lenses<true>(p, begin, end);
+}
+
+// Parts [begin, end) of all samples.
+template <class T>
+void lens_slopes(LensSlopes<T> const& p, int64_t begin, int64_t end) {
+  constexpr int N = kLanes<T>;
+  for (int64_t part = begin; part < end; ++part) {
+    int64_t const b = part / p.parts, last = min(p.count, (part % p.parts + 1) * kLensPart);
+    Lens<T> const lens(p, b);
+    Lanes<T, N> sums[kLensSums] = {};
+    T rest[kLensSums] = {};
+    for (int64_t i = part % p.parts * kLensPart; i < last;) {
+      int64_t const stop = min(last, i + p.width - i % p.width);
+      for (; i + N <= stop; i += N) add_pixels<N>(lens, p.grad + 2 * b * p.count, i, sums);
+      for (; i < stop; ++i) add_pixels<1>(lens, p.grad + 2 * b * p.count, i, rest);
+    }
+    for (int i = 0; i < kLensSums; ++i) {
+      T sum = rest[i];
+      for (int k = 0; k < N; ++k) sum += sums[i][k];
+      p.sums[part * kLensSums + i] = sum;
+    }
+  }
+}
+
+template <class T>
+void lens_sums(LensSlopes<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) {
+    p.set_zeros(b);
+    for (int i = 0; i < kLensSums; ++i) {
+      double sum = 0;
+      for (int64_t part = b * p.parts; part < (b + 1) * p.parts; ++part) sum += p.sums[part * kLensSums + i];
+      p.set(b, i, sum);
+    }
+  }
+}
+
+KV_INSTANTIATE_COMPUTED(undistort, LensPoints)
+KV_INSTANTIATE_COMPUTED(distort, LensPoints)
+KV_INSTANTIATE_COMPUTED(lens_slopes, LensSlopes)
+KV_INSTANTIATE_COMPUTED(lens_sums, LensSlopes)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,145 @@
+// Flips and windows on the CPU: a vector at a time, whatever its bits are.
+#include <cstring>
+
+#include "core/lanes.h"
+#include "core/scratch.h"
+#include "geometry/transform/flip.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+constexpr int64_t kCacheBytes = 4 << 20;
+
+template <int bytes>
+struct bits_of;
+template <>
+struct bits_of<1> {
+  using type = uint8_t;
+};
+template <>
+struct bits_of<2> {
+  using type = uint16_t;
+};
+template <>
+struct bits_of<4> {
+  using type = uint32_t;
+};
+template <>
+struct bits_of<8> {
+  using type = uint64_t;
+};
+
+template <class T>
+constexpr int kRowLanes = (sizeof(T) < 4 ? 16 : kVectorBytes) / int(sizeof(T));
+template <class T>
+using RowVector = Lanes<typename bits_of<sizeof(T)>::type, kRowLanes<T>>;
+
+template <class T>
+KV_HD RowVector<T> reversed(T const* from) {
+  RowVector<T> last_first;
+  for (int i = 0; i < kRowLanes<T>; ++i) last_first[i] = typename bits_of<sizeof(T)>::type(kRowLanes<T> - 1 - i);
+  return __builtin_shuffle(*reinterpret_cast<RowVector<T> const*>(from), last_first);
+}
+
+// From both ends at once: a load that follows a store to the same place of another page waits for it on many
+// processors, and where images begin at the same places of pages that would be every other load.
+template <class T>
+void reverse_row(T const* from, T* to, int64_t size) {
+  constexpr int N = kRowLanes<T>;
+  int64_t e = 0;
+  for (; e + N <= size - N - e; e += N) {
+    int64_t const f = size - N - e;
+    RowVector<T> const left = reversed(from + e), right = reversed(from + f);
+    *reinterpret_cast<RowVector<T>*>(to + e) = right;
+    *reinterpret_cast<RowVector<T>*>(to + f) = left;
+  }
+  for (int64_t f = size - e; e < f; ++e) to[e] = from[size - 1 - e];
+}
+
+// A vector to an address that is a multiple of its size, past the caches.
+#if defined(__x86_64__)
+typedef long long Words2 __attribute__((vector_size(16)));
+typedef long long Words4 __attribute__((vector_size(32)));
+typedef long long Words8 __attribute__((vector_size(64)));
+#endif
+template <class V>
+KV_HD void store_past_caches(void* to, V v) {
+#if defined(__AVX512F__)
+  if constexpr (sizeof(V) == 64) __builtin_ia32_movntdq512(static_cast<Words8*>(to), Words8(v));
+#endif
+#if defined(__AVX2__)
+  if constexpr (sizeof(V) == 32) __builtin_ia32_movntdq256(static_cast<Words4*>(to), Words4(v));
+#endif
+#if defined(__x86_64__)
+  if constexpr (sizeof(V) == 16) __builtin_ia32_movntdq(static_cast<Words2*>(to), Words2(v));
+#else
+  *static_cast<V*>(to) = v;
+#endif
+}
+
+// The same for images that no cache has room for. Nothing is read of what is written, and the row below is on its way.
+template <class T>
+void reverse_row_past_caches(T const* from, T* to, int64_t size) {
+  constexpr int N = kRowLanes<T>;
+  int64_t e = 0;
+  for (; e < size && reinterpret_cast<uintptr_t>(to + e) % sizeof(RowVector<T>) != 0; ++e) to[e] = from[size - 1 - e];
+  for (; e + N <= size; e += N) {
+    __builtin_prefetch(from + size + e);
+    store_past_caches(to + e, reversed(from + size - N - e));
+  }
+  for (; e < size; ++e) to[e] = from[size - 1 - e];
+}
+
+// C: the channels of a pixel, 0 for any number. Elements go one by one, so they do that in memory of their own.
+template <int C, class T>
+void reverse_pixels(T const* from, T* to, int64_t size, int64_t step, T* line) {
+  int64_t const channels = C ? C : step;
+  T* const reversed = line + size;
+  memcpy(line, from, size_t(size) * sizeof(T));
+  for (int64_t e = 0; e < size; e += channels)
+    for (int64_t c = 0; c < channels; ++c) reversed[e + c] = line[size - channels - e + c];
+  memcpy(to, reversed, size_t(size) * sizeof(T));
+}
+
+// Elements left ... of a row of `in_size`, and zeros beyond it.
+template <class T>
+void copy_window(T const* from, int64_t in_size, int64_t left, T* to, int64_t size) {
+  int64_t const begin = clamp(-left, int64_t(0), size), end = clamp(in_size - left, begin, size);
+  memset(to, 0, size_t(begin) * sizeof(T));
+  memcpy(to + begin, from + left + begin, size_t(end - begin) * sizeof(T));
+  memset(to + end, 0, size_t(size - end) * sizeof(T));
+}
+
+}  // namespace
+
+template <class T>
+void flip(Flip<T> const& p, int64_t begin, int64_t end) {
+  int64_t const step = p.x.step, size = p.y.row_size(), height = p.y.height;
+  bool const large = p.y.rows() * size * int64_t(sizeof(T)) > kCacheBytes;
+  Scratch<T> line(step == 1 || !p.columns ? 0 : 2 * size);
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const plane = r / height, y = r - plane * height;
+    int64_t const source = p.rows ? height - 1 - y : y + p.top;
+    T* const to = p.y.row(plane, y);
+    if (source < 0 || source >= p.x.height) {
+      memset(to, 0, size_t(size) * sizeof(T));
+      continue;
+    }
+    T const* const from = p.x.row(plane, source);
+    if (!p.columns)
+      copy_window(from, p.x.row_size(), p.left * step, to, size);
+    else if (step == 1)
+      large ? reverse_row_past_caches(from, to, size) : reverse_row(from, to, size);
+    else if (step == 3)
+      reverse_pixels<3>(from, to, size, step, line.data);
+    else
+      reverse_pixels<0>(from, to, size, step, line.data);
+  }
+#if defined(__x86_64__)
+  if (large) __builtin_ia32_sfence();  // before another thread is told
+#endif
+}
+
+KV_INSTANTIATE_WITH_BYTES(flip, Flip)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,55 @@
+// Matrices that kernels on CUDA make of what a formula is given. Included by sampling.cu and warp3d.cu.
+#pragma once
+
+#include "core/launch.cuh"
+#include "geometry/formulas.h"
+
+namespace kv::cuda {
+
+// Inputs in the type that computes, which the matrix is rounded to, too: as if a kernel before this one had stored it.
+template <class F>
+struct FormulaSample {
+  using Value = double;
+  int64_t b;
+  template <int N>
+  __device__ __forceinline__ void read(Numbers const& n, int64_t stride, double* x) const {
+#pragma unroll
+    for (int i = 0; i < N; ++i) x[i] = static_cast<F const*>(n.data)[b * stride + i];
+  }
+};
+
+template <class Formula, class F>
+__device__ __forceinline__ void make_matrix(MatrixFormula const& p, int64_t b, F* m) {
+  double x[Formula::kNumbers], y[Formula::kOutputs];
+  read_inputs<Formula>(p, FormulaSample<F>{b}, x);
+  Formula::of(x, y, p.settings);
+#pragma unroll
+  for (int i = 0; i < Formula::kOutputs; ++i) m[i] = F(y[i]);
+}
+
+// Called, not inlined: once for each block of threads, and its numbers would take the registers of all of them.
+#define KV_CASE(name, Formula, inputs) \
+  case MatrixBy::name:                 \
+    return make_matrix<Formula>(p, b, m);
+
+template <class F>
+__device__ __noinline__ void make_plane_matrix(MatrixFormula const& p, int64_t b, F* m) {
+  switch (p.by) {
+    KV_PLANE_FORMULAS(KV_CASE)
+    default:
+      return;
+  }
+}
+
+template <class F>
+__device__ __noinline__ void make_space_matrix(MatrixFormula const& p, int64_t b, F* m) {
+  switch (p.by) {
+    KV_SPACE_FORMULAS(KV_CASE)
+    default:
+      return;
+  }
+}
+
+#undef KV_CASE
+
+}  // namespace kv::cuda

@@ -1,0 +1,252 @@
+// Resizing by exactly two along both axes on CUDA, where a pyramid's time goes, and their gradients, which are the same
+// things the other way round.
+//
+//   halving     pixel i is made of the K pixels from 2 i - (K / 2 - 1) on: 2 bilinear, 4 antialiased or bicubic, 6 of
+//               pyrdown, 8 of the gradient of pyrup
+//   doubling    pixels 2 i and 2 i + 1 are each made of M of the pixels around i, the odd one's window being the even
+//               one's mirror image: 2 bilinear, 4 of pyrup, 1 and 3 of the gradients of bilinear and of pyrdown
+//
+// So that windows lie where the compiler knows, and weights are the same everywhere but at the rim. A warp walks down a
+// strip of 32 vectors of the larger image; each row is weighted along x once, and along y from registers.
+#include "core/row_prefetcher.cuh"
+#include "geometry/transform/resize.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kWarps = 4;
+template <class T>
+constexpr int kVectorSize = sizeof(T) < 4 ? 8 : 4;  // a thread's pixels of the larger image
+constexpr int kLeast = 16;                          // pixels along an axis, so that one end's rim is not the other's
+
+// Pixels at a rim, whose windows differ, and kinds of them within.
+constexpr int rim_of(bool doubles) { return doubles ? 4 : 2; }
+constexpr int kinds_of(bool doubles) { return doubles ? 2 : 1; }
+
+// Where the window of pixel i of the result begins.
+KV_HD int window_start(bool doubles, int i, int taps) {
+  return doubles ? i / 2 - (taps - i % 2) / 2 : 2 * i - (taps / 2 - 1);
+}
+
+// The weights of both axes: of the first pixels, of one of each kind, of the last pixels.
+template <bool Doubles, int Taps>
+struct OctaveWeights {
+  static constexpr int kRim = rim_of(Doubles), kRows = 2 * kRim + kinds_of(Doubles);
+  float at[kRows][Taps];
+  // Those of pixel i of n. A pixel outside has some, too, which no one sees.
+  __device__ __forceinline__ float const* of(int i, int n) const {
+    int const inner = Doubles ? kRim + i % 2 : kRim;
+    return at[i < kRim ? max(i, 0) : i < n - kRim ? inner : min(i - n + kRows, kRows - 1)];
+  }
+};
+
+// Writes rows of them. Once for all kinds of kernels, for the sake of the time to compile.
+[[gnu::noinline]] void write_weights(float* at, bool doubles, int taps, ResizeAxis const& axis) {
+  int const rim = rim_of(doubles), inner = rim + kinds_of(doubles), rows = rim + inner;
+  for (int i = 0; i < rows * taps; ++i) at[i] = 0;
+  for (int i = 0; i < inner; ++i) {
+    Reads<float> const reads = reads_of<float>(axis, i);
+    float* const from = at + i * taps + reads.first - window_start(doubles, i, taps);
+    for (int k = 0; k < reads.count; ++k) from[k] = weight_at(axis, reads, i, k);
+  }
+  for (int i = 0; i < rim * taps; ++i) at[rows * taps - 1 - i] = at[i];
+}
+
+template <class T, int P>
+using Ring = T[4][32 * P + 2 * kHalo];  // three rows are on their way
+
+template <class T, int K>
+__global__ void __launch_bounds__(32 * kWarps)
+    halve(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
+          __grid_constant__ OctaveWeights<false, K> const weights, Strips<kVectorSize<T> / 2> strips) {
+  constexpr int P = kVectorSize<T>, C = P / 2, R = K / 2 - 1, kFirst = kBefore<2 * R + 1, P> - R, kEnd = rim_of(false);
+  __shared__ Ring<T, P> rings[kWarps];
+  int64_t plane;
+  int column, top;
+  if (!strips.locate(plane, column, top)) return;
+  int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
+  int const bottom = min(top + int(strips.rows), height);
+  RowPrefetcher<T, P, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
+                                                 {}, 2 * (column - C * lane), 2 * top - R, 2 * (bottom - top + R));
+  float weights_x[C][K], weights_y[R + 1][2];
+#pragma unroll
+  for (int c = 0; c < C; ++c) {
+    float const* const from = weights.of(column + c, width);
+#pragma unroll
+    for (int k = 0; k < K; ++k) weights_x[c][k] = from[k];
+  }
+
+  // Two rows at a time. Of the R + 1 rows of the result that they are part of, row i is the last one, and the first one
+  // is complete.
+  float sums[R + 1][C] = {};
+  T* out = y.row(plane, top) + column;
+#pragma unroll 1
+  for (int i = top; i < bottom + R; ++i) {
+    float along_x[2][C];
+#pragma unroll
+    for (int r = 0; r < 2; ++r) {
+      float v[P + 2 * kBefore<2 * R + 1, P>];
+      read_windows<2 * R + 1, P>(rows.row(2 * (i - top) + r), v);
+#pragma unroll
+      for (int c = 0; c < C; ++c) {
+        along_x[r][c] = weights_x[c][0] * v[kFirst + 2 * c];
+#pragma unroll
+        for (int k = 1; k < K; ++k) along_x[r][c] += weights_x[c][k] * v[kFirst + 2 * c + k];
+      }
+    }
+    if (i == top || i <= kEnd + R || i >= height - kEnd) {  // elsewhere they are what they were
+#pragma unroll
+      for (int t = 0; t <= R; ++t) {
+        float const* const from = weights.of(i - t, height);
+        weights_y[t][0] = from[2 * t], weights_y[t][1] = from[2 * t + 1];
+      }
+    }
+#pragma unroll
+    for (int t = R; t >= 0; --t) {
+#pragma unroll
+      for (int c = 0; c < C; ++c) {
+        float const above = t ? sums[max(t - 1, 0)][c] : 0;
+        sums[t][c] = above + weights_y[t][0] * along_x[0][c] + weights_y[t][1] * along_x[1][c];
+      }
+    }
+    if (i < top + R) continue;
+    if (column < width) store_vector(out, sums[R]);
+    out += y.row_stride;
+  }
+}
+
+template <class T, int M>
+__global__ void __launch_bounds__(32 * kWarps)
+    doubled(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
+            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kVectorSize<T> / 2> strips, T const* base) {
+  constexpr int P = kVectorSize<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = rim_of(true);
+  __shared__ Ring<T, C> rings[kWarps];
+  int64_t plane;
+  int column, top;
+  if (!strips.locate(plane, column, top)) return;
+  int const lane = threadIdx.x % 32, width = int(y.width), height = int(y.height);
+  int const bottom = min(top + int(strips.rows), int(x.height));
+  RowPrefetcher<T, C, R, 4, std::true_type> rows(rings[threadIdx.x / 32], x, plane, Border::constant, Border::constant,
+                                                 {}, column - C * lane, top - R, bottom - top + 2 * R);
+  float weights_x[P][M], weights_y[2][M];
+#pragma unroll
+  for (int p = 0; p < P; ++p) {
+    float const* const from = weights.of(2 * column + p, width);
+#pragma unroll
+    for (int k = 0; k < M; ++k) weights_x[p][k] = from[k];
+  }
+
+  float along_x[2 * R + 1][P] = {};  // of the rows around row i, in whose place two are written
+  T* out = y.row(plane, 2 * top) + 2 * column;
+#pragma unroll 1
+  for (int i = top - 2 * R; i < bottom; ++i) {
+    float v[C + 2 * kMiddle];
+    read_windows<2 * R + 1, C>(rows.row(i - top + 2 * R), v);
+#pragma unroll
+    for (int p = 0; p < P; ++p) {
+#pragma unroll
+      for (int r = 0; r < 2 * R; ++r) along_x[r][p] = along_x[r + 1][p];
+      float const* const window = v + kMiddle + window_start(true, p, M);
+      along_x[2 * R][p] = weights_x[p][0] * window[0];
+#pragma unroll
+      for (int k = 1; k < M; ++k) along_x[2 * R][p] += weights_x[p][k] * window[k];
+    }
+    if (i < top) continue;
+    if (i == top || 2 * i <= kEnd || 2 * i >= height - kEnd) {  // elsewhere they are what they were
+#pragma unroll
+      for (int odd = 0; odd < 2; ++odd) {
+        float const* const from = weights.of(2 * i + odd, height);
+#pragma unroll
+        for (int k = 0; k < M; ++k) weights_y[odd][k] = from[k];
+      }
+    }
+#pragma unroll
+    for (int odd = 0; odd < 2; ++odd) {
+      float sums[P];
+#pragma unroll
+      for (int p = 0; p < P; ++p) {
+        int const from = R + window_start(true, odd, M);
+        sums[p] = weights_y[odd][0] * along_x[from][p];
+#pragma unroll
+        for (int k = 1; k < M; ++k) sums[p] += weights_y[odd][k] * along_x[from + k][p];
+      }
+      if (M == 4 && base && 2 * column < width) {  // M: pyrup's
+        Vector<T, P> const from = *reinterpret_cast<Vector<T, P> const*>(base + (out - y.data));
+#pragma unroll
+        for (int p = 0; p < P; ++p) sums[p] = read(from.v[p]) - sums[p];
+      }
+      if (2 * column < width) store_vector(out, sums);
+      out += y.row_stride;
+    }
+  }
+}
+
+// Whether an axis is halved or doubled by windows whose rim is narrow enough.
+inline bool is_octave(ResizeAxis const& a) {
+  bool const twice = a.source == 2 * a.result || 2 * a.source == a.result,
+             wide_rim = a.window == Window::bicubic && a.antialias && a.transposed;
+  return twice && a.num == 2 * a.source && a.window >= Window::bilinear && !wide_rim &&
+         min(a.source, a.result) >= kLeast;
+}
+
+template <class T, bool Doubles, int Taps>
+int launch(Resize<T> const& p, CUstream_st* stream) {
+  constexpr int P = kVectorSize<T>, C = P / 2;
+  if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kNotServed;
+  if (!(Doubles ? is_vectorizable<C>(p.x) && is_vectorizable<P>(p.y)
+                : is_vectorizable<P>(p.x) && is_vectorizable<C>(p.y)))
+    return kNotServed;
+  if (reinterpret_cast<uintptr_t>(p.base) % alignof(Vector<T, P>) != 0) return kNotServed;
+  int64_t const height = Doubles ? p.x.height : p.y.height, width = Doubles ? p.x.width : p.y.width;
+  // Long strips repeat fewer rows; there must be enough of them for the machine.
+  int rows = 32;
+  while (rows > 4 && p.y.count() * ceil_div(width, 32 * C) * ceil_div(height, rows) < 3000) rows /= 2;
+  Strips<C> const strips(p.y.count(), height, width, rows);
+  OctaveWeights<Doubles, Taps> weights;
+  write_weights(weights.at[0], Doubles, Taps, p.rows);
+  if constexpr (Doubles)
+    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.base);
+  else
+    halve<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips);
+  return cudaGetLastError();
+}
+
+}  // namespace
+
+template <class T>
+int resize_octave(Resize<T> const& p, CUstream_st* stream) {
+  if (!is_octave(p.rows) || !is_octave(p.columns) || p.rows.most != p.columns.most) return kNotServed;
+  bool const doubles = p.y.height > p.x.height;
+  if (doubles != (p.y.width > p.x.width)) return kNotServed;
+  constexpr bool kGradients = sizeof(T) > 1;  // of bytes are none
+  switch (doubles ? -p.rows.most : p.rows.most) {
+    case 2:
+      return launch<T, false, 2>(p, stream);
+    case 4:
+      return launch<T, false, 4>(p, stream);
+    case 6:
+      return launch<T, false, 6>(p, stream);
+    case -2:
+      return launch<T, true, 2>(p, stream);
+    case -4:
+      return launch<T, true, 4>(p, stream);
+  }
+  if constexpr (kGradients) {
+    switch (doubles ? -p.rows.most : p.rows.most) {
+      case 8:
+        return launch<T, false, 8>(p, stream);
+      case -1:
+        return launch<T, true, 1>(p, stream);
+      case -3:
+        return launch<T, true, 3>(p, stream);
+    }
+  }
+  return kNotServed;
+}
+
+template int resize_octave(Resize<float> const&, CUstream_st*);
+template int resize_octave(Resize<Half> const&, CUstream_st*);
+template int resize_octave(Resize<BFloat16> const&, CUstream_st*);
+template int resize_octave(Resize<uint8_t> const&, CUstream_st*);
+
+}  // namespace kv::cuda

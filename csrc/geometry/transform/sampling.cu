@@ -1,0 +1,149 @@
+// Sampling on CUDA: a thread takes places of a tile one after the other, and of each all channels. Their taps are read
+// from a patch in shared memory, or where they are when the tile looks at more of the image than a patch holds.
+#include "geometry/transform/matrix_formula.cuh"
+#include "geometry/transform/source_tile.cuh"
+
+namespace kv::cuda {
+namespace {
+
+// The value of K x K taps, rows `pitch` apart and pixels `step`, with the weights of (tx, ty).
+template <int K, class T, class F>
+__device__ __forceinline__ F mean(T const* taps, int pitch, int step, F tx, F ty, F const (&wx)[K], F const (&wy)[K]) {
+  auto const at = [&](int j, int i) { return F(read(taps[j * pitch + i * step])); };
+  if constexpr (K == 2) {
+    F const above = at(0, 0) + tx * (at(0, 1) - at(0, 0)), below = at(1, 0) + tx * (at(1, 1) - at(1, 0));
+    return above + ty * (below - above);
+  } else {
+    F sum = 0;
+#pragma unroll
+    for (int j = 0; j < K; ++j) {
+      F line = 0;
+#pragma unroll
+      for (int i = 0; i < K; ++i) line += at(j, i) * wx[i];
+      sum += line * wy[j];
+    }
+    return sum;
+  }
+}
+
+// N channels of a place, from the image itself. Tap by tap at the rim, and where a tap of weight 0 may be NaN or inf,
+// which is no part of the value.
+template <int K, int N, class T, class F>
+__device__ __noinline__ void sample_where_it_is(Sample<T> const& p, Tile<F> const& tile, int first, int y, int x) {
+  F u, v, wx[K], wy[K], poison = 0;
+  PlacesOf<F>(p.places, tile).at(y, x, u, v);
+  Window<K, F> const window(p, u, v);
+  tap_weights(window.tx, wx);
+  tap_weights(window.ty, wy);
+  int64_t const row = p.x.row_stride, step = p.x.step;
+  T* const result = p.y.row(tile.b, first, y) + x * p.y.step;
+  if (window.inside) {
+    T const* const taps = p.x.row(tile.b, first, window.y) + window.x * step;
+#pragma unroll
+    for (int k = 0; k < N; ++k) {
+      F const sum = mean<K>(taps + k * p.x.channel_stride, int(row), int(step), window.tx, window.ty, wx, wy);
+      poison += sum * 0;
+      result[k * p.y.channel_stride] = round_to<T>(sum);
+    }
+    if (poison == 0) return;
+  }
+#pragma unroll 1
+  for (int k = 0; k < N; ++k) {
+    T const* const plane = p.x.row(tile.b, first + k, 0);
+    F const fill = p.fill_of(tile.b, first + k);
+    F sum = 0;
+    window.for_each(p, row, step, [&](int j, int i, int64_t at) {
+      F const weight = wx[i] * wy[j];
+      if (weight != 0) sum += weight * (at < 0 ? fill : F(read(plane[at])));
+    });
+    result[k * p.y.channel_stride] = round_to<T>(sum);
+  }
+}
+
+template <class T, int K>
+constexpr int kBlocks = sizeof(T) == 8 ? 2
+                        : K == 4       ? 4
+                                       : 5;  // on a multiprocessor at once; six are slower
+
+// The kernel that makes its matrices is another one: all blocks wait for theirs first, and only to choose where it
+// comes from would cost 2 to 4 % of their time.
+template <class T, int K, bool ByFormula>
+__global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
+    sample_tiles(__grid_constant__ Sample<T> const p, Tiles tiles, bool aligned) {
+  using F = Compute<T>;
+  __shared__ View<F> view;
+  extern __shared__ __align__(16) unsigned char shared_pixels[];
+  int const width = int(p.y.width), height = int(p.y.height);
+  if constexpr (ByFormula) {
+    F made[9];
+    view.template open<K>(tiles, p, width, height, [&](int64_t b) {
+      make_plane_matrix(p.formula, b, made);
+      return made;
+    });
+  } else {
+    view.template open<K>(tiles, p, width, height);
+  }
+
+#pragma unroll 1
+  for (int number = 0; number < int(tiles.row) && view.tiles[number].x < width; ++number) {
+    Tile<F> const& tile = view.tiles[number];
+    void* const kept = shared_pixels + Patch<T>::bytes(p.x.channels);
+    Patch<T> const patch(shared_pixels, view.template look<K>(number, p, width, height, kept), p, F());
+    int const origin = patch.origin(tile.u, tile.v);
+    int64_t const b = tile.b;
+    int const x = tile.x + column_in_tile<T>(), y = tile.y + row_in_tile<T>();
+    in_groups<Patch<T>::kChannels>(p.x.channels, [&](int first, auto number) {
+      constexpr int N = number.value;
+      if (patch.fits)
+        patch.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
+                               [&](int c) { return p.fill ? round_to<T>(p.fill_of(b, c)) : T{}; });
+      if (x >= width) return;
+      F poison = 0;  // NaN where a tap is no finite number
+      if (patch.fits) {
+        Runs<F> const runs(tile, p.places, kept, column_in_tile<T>(), row_in_tile<T>());
+        T* planes[N];
+#pragma unroll
+        for (int k = 0; k < N; ++k) planes[k] = p.y.row(b, first + k, 0);
+        int to = y * int(p.y.row_stride) + x * int(p.y.step);  // a plane has less than 2^31 elements
+#pragma unroll 1
+        for (int run = 0; run < kRuns && y + run * kRunRows < height; ++run, to += kRunRows * int(p.y.row_stride)) {
+          F u, v, tx, ty, wx[K], wy[K];
+          runs.at(run, u, v);
+          int const column = near_tap<K>(u, tx), row = near_tap<K>(v, ty);
+          T const* const taps = patch.pixels + (row * Patch<T>::kPitch + column + origin);
+          tap_weights(tx, wx);
+          tap_weights(ty, wy);
+#pragma unroll
+          for (int k = 0; k < N; ++k) {
+            F const sum = mean<K>(taps + k * Patch<T>::kSize, Patch<T>::kPitch, 1, tx, ty, wx, wy);
+            if constexpr (sizeof(T) > 1 && K > 1) poison += sum * 0;
+            planes[k][to] = round_to<T>(sum);
+          }
+        }
+      }
+      if (!patch.fits || poison != 0)
+#pragma unroll 1
+        for (int run = 0; run < kRuns && y + run * kRunRows < height; ++run)
+          sample_where_it_is<K, N>(p, tile, first, y + run * kRunRows, x);
+    });
+  }
+}
+
+}  // namespace
+
+template <class T>
+int sample(Sample<T> const& p, CUstream_st* stream) {
+  Tiles const tiles(p.y.batch, p.y.height, p.y.width, tile_row(p.y.batch, p.y.height, p.y.width));
+  auto const run = [&](auto kernel) {
+    kernel<<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, rows_are_aligned(p.x));
+  };
+  with_taps(p.interpolation, [&](auto taps) {
+    constexpr int K = taps.value;
+    p.formula.by == MatrixBy::given ? run(sample_tiles<T, K, false>) : run(sample_tiles<T, K, true>);
+  });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_WITH_BYTES(sample, Sample)
+
+}  // namespace kv::cuda

@@ -1,0 +1,169 @@
+// Tiles of places and windows of taps on CUDA. Included by sampling*.cu.
+//
+// A block takes a tile of kTile x kTile places, a warp 8 x 4 of them at a time: the taps of a turned image then lie in
+// few rows, and what a warp writes still fills whole sectors of memory.
+#pragma once
+
+#include "core/launch.cuh"
+#include "geometry/transform/taps.h"
+
+namespace kv::cuda {
+
+constexpr int kThreads = 256;
+constexpr int kRuns = kTile * kTile / kThreads;  // places a thread takes
+constexpr int kRunRows = kTile / kRuns;          // rows from one to the next
+
+// --- tiles -----------------------------------------------------------------------------------------------------------
+
+// Of an output, in rows, which a block takes tile by tile: what precedes the first one costs as much time as a tile.
+struct Tiles {
+  unsigned row, across, down, count;
+  Tiles(int64_t batch, int64_t height, int64_t width, int row)
+      : row(unsigned(row)),
+        across(unsigned(ceil_div(width, row * kTile))),
+        down(unsigned(ceil_div(height, kTile))),
+        count(unsigned(batch * across * down)) {}
+};
+
+// A tile, in shared memory, made by one thread: its sample, its first place, and where its places go.
+template <class F>
+struct Tile {
+  Homography<F> map;  // counts from (x, y), to (u, v)
+  int64_t b;
+  int x, y, u, v;
+
+  // The block's tile of that number.
+  __device__ __forceinline__ void locate(Tiles const& tiles, int number) {
+    unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
+    b = sample;
+    x = (int((blockIdx.x - row * tiles.across) * tiles.row) + number) * kTile;
+    y = int(row - sample * tiles.down) * kTile;
+    u = v = 0;
+  }
+  // By a map to an image of that size.
+  __device__ __forceinline__ void see(Homography<double> const& whole, Size const& size) {
+    double first_u, first_v;
+    whole.at(double(x), double(y), first_u, first_v);
+    u = origin_near(first_u, size.width);
+    v = origin_near(first_v, size.height);
+    map = seen_from<F>(whole, x, y, u, v);
+  }
+  __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places, int number = 0) {
+    locate(tiles, number);
+    if (!places.has_map()) see(homography(places.matrices + b * places.matrix_stride, places.use), places.use.source);
+  }
+};
+
+// The first place of a thread in its tile; the others are kRunRows below each other. A warp takes 8 x 4 places, of
+// types of two bytes 16 x 2: what it writes then fills sectors of memory.
+template <class T = float>
+__device__ __forceinline__ int column_in_tile() {
+  constexpr int across = sizeof(T) == 2 ? 16 : 8;
+  return threadIdx.x % across + threadIdx.x / 32 % (kTile / across) * across;
+}
+template <class T = float>
+__device__ __forceinline__ int row_in_tile() {
+  constexpr int across = sizeof(T) == 2 ? 16 : 8, down = 32 / across;
+  return threadIdx.x % 32 / across + threadIdx.x / (32 * down) * down;
+}
+
+// --- places ----------------------------------------------------------------------------------------------------------
+
+// Where the places of a tile are, from its matrix or the maps.
+template <class F>
+struct PlacesOf {
+  Places<F> const& places;
+  Tile<F> tile;
+  __device__ __forceinline__ PlacesOf(Places<F> const& places, Tile<F> const& tile) : places(places), tile(tile) {}
+  // Counted from the tile's (u, v).
+  __device__ __forceinline__ void near(int y, int x, F& u, F& v) const {
+    if (!places.has_map()) {
+      tile.map.at(F(x - tile.x), F(y - tile.y), u, v);
+    } else {
+      u = places.x.row(tile.b, 0, y)[x * places.x.step] * places.scale[0] + (F(x) * places.own + places.offset[0]);
+      v = places.y.row(tile.b, 0, y)[x * places.y.step] * places.scale[1] + (F(y) * places.own + places.offset[1]);
+    }
+  }
+  __device__ __forceinline__ void at(int y, int x, F& u, F& v) const {
+    near(y, x, u, v);
+    u += F(tile.u);
+    v += F(tile.v);
+  }
+  // What divides the coordinates there.
+  __device__ __forceinline__ F weight(int y, int x) const { return tile.map.weight(F(x - tile.x), F(y - tile.y)); }
+};
+
+// --- windows ---------------------------------------------------------------------------------------------------------
+
+// The K x K taps around a place.
+template <int K, class F>
+struct Window {
+  F tx, ty;
+  int x, y;  // the first tap
+  bool inside;
+
+  template <class T>
+  __device__ __forceinline__ Window(Sampling<T> const& p, F u, F v) {
+    bool const reflects = p.x_axis.padding == Padding::reflection;  // and the other axis, too
+    x = first_tap<K, F>(reflects ? reflected(p.x_axis, u) : clamped(p.x_axis, u), tx);
+    y = first_tap<K, F>(reflects ? reflected(p.y_axis, v) : clamped(p.y_axis, v), ty);
+    inside = x >= 0 && x <= p.x_axis.size - K && y >= 0 && y <= p.y_axis.size - K;
+  }
+  // Calls tap(j, i, offset in the plane) for all taps, offset -1 where there is the fill.
+  template <class T, class Tap>
+  __device__ __forceinline__ void for_each(Sampling<T> const& p, int64_t row_stride, int64_t step, Tap tap) const {
+    for (int j = 0; j < K; ++j) {
+      int const py = pixel_at(p.y_axis, y + j);
+      for (int i = 0; i < K; ++i) {
+        int const px = pixel_at(p.x_axis, x + i);
+        bool const exists = unsigned(py) < unsigned(p.y_axis.size) && unsigned(px) < unsigned(p.x_axis.size);
+        tap(j, i, exists ? py * row_stride + px * step : int64_t(-1));
+      }
+    }
+  }
+};
+
+// Calls run with the number of taps along an axis, as a type.
+template <class F>
+void with_taps(Interpolation interpolation, F run) {
+  switch (interpolation) {
+    case Interpolation::nearest:
+      return run(std::integral_constant<int, 1>{});
+    case Interpolation::bilinear:
+      return run(std::integral_constant<int, 2>{});
+    case Interpolation::bicubic:
+      return run(std::integral_constant<int, 4>{});
+  }
+}
+
+// The sums of a block's threads, by its first ones. All threads call it.
+template <int N, class F>
+__device__ __forceinline__ void add_block(F const (&sums)[N], double* to) {
+  __shared__ F parts[N][kThreads / 32];
+  __syncthreads();  // the sums before these have been read
+#pragma unroll
+  for (int i = 0; i < N; ++i) {
+    F const sum = warp_sum(sums[i]);
+    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x < N) {
+    double sum = 0;
+    for (F const part : parts[threadIdx.x]) sum += part;
+    to[threadIdx.x] = sum;
+  }
+}
+
+// The sums of that many parts, of N numbers each, for the first thread of a block. All threads call it.
+template <int N>
+__device__ __forceinline__ double* add_parts(double const* parts, int64_t count) {
+  __shared__ double total[N];
+  double sums[N] = {};
+  for (int64_t part = threadIdx.x; part < count; part += kThreads)
+    for (int i = 0; i < N; ++i) sums[i] += parts[part * N + i];
+  add_block(sums, total);
+  __syncthreads();
+  return total;
+}
+
+}  // namespace kv::cuda

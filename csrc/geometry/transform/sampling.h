@@ -1,0 +1,113 @@
+// Sampling: the value of an image at a place between its pixels, and its derivative along both axes. Stated once, here
+// and in taps.h, for warps and maps, CPU and CUDA, values and gradients.
+//
+// Along an axis a place x has 1, 2 or 4 taps, the pixels around it, with weights of t = x - floor(x):
+//
+//   nearest    round(x), half to even
+//   bilinear   floor(x), floor(x) + 1                       1 - t, t
+//   bicubic    floor(x) - 1 ... floor(x) + 2                Keys' cubic with a = -3/4, as OpenCV and torch have it
+//
+// Taps outside of the image follow the padding; none is read there:
+//
+//   fill         f f | a b c d | f f     one number a channel, or 0
+//   border       a a | a b c d | d d
+//   reflection   c b | a b c d | c b     with align_corners, about the middles of the outermost pixels
+//                b a | a b c d | d c     without, about their edges
+//
+// Values and gradients are those of torch's grid_sample, whose coordinates follow the same rules before there are taps.
+// Only where it has a kink, at the middle of an outermost pixel, does the border's gradient take the image's side.
+#pragma once
+
+#include "core/images.h"
+#include "core/isa.h"
+#include "geometry/formula.h"
+#include "geometry/transform/warp_matrix.h"
+
+namespace kv {
+
+enum class Interpolation : int { nearest = 1, bilinear = 2, bicubic = 4 };  // the number of taps along an axis
+enum class Padding : int { fill, border, reflection };
+
+template <class F>
+struct Axis {
+  int size;
+  Padding padding;
+  bool align_corners;
+};
+
+// Where places come from: a matrix for each sample, or a map with a place for each pixel of the output.
+template <class F>
+struct Places {
+  F const* matrices;      // or null, also for matrices that a formula makes
+  int64_t matrix_stride;  // 0 where one serves the batch
+  MatrixUse use;
+  Images<F const> x, y;  // maps of one channel
+  // x in pixels is scale * n + offset + own * the pixel's own x: maps are in pixels or in [-1, 1], of places, or of
+  // moves from where a pixel is itself.
+  F scale[2], offset[2], own;
+
+  KV_HD bool has_map() const { return x.data; }
+};
+
+template <class T>
+struct Sampling {
+  Interpolation interpolation;
+  Axis<Compute<T>> x_axis, y_axis;
+  Places<Compute<T>> places;
+  Compute<T> const* fill;                          // or null for 0
+  int64_t fill_batch_stride, fill_channel_stride;  // 0 where one number serves all
+
+  KV_HD Compute<T> fill_of(int64_t b, int c) const {
+    return fill ? fill[b * fill_batch_stride + c * fill_channel_stride] : Compute<T>(0);
+  }
+};
+
+template <class T>
+struct Sample : Sampling<T> {
+  Images<T const> x;
+  Images<T> y;
+  MatrixFormula formula{};
+};
+
+// The gradients to the places. They go to the maps or, times the derivatives of the places by the matrix, into sums:
+// `parts` of nine a sample.
+template <class T>
+struct SampleSlopes : Sampling<T> {
+  Images<T const> x, grad;
+  Images<Compute<T>> grad_x, grad_y;
+  double* sums;
+  int64_t parts;
+};
+
+// Adds the sums up and takes them to the matrices.
+template <class T>
+struct MatrixGradient {
+  Places<T> places;
+  double const* sums;
+  int64_t parts, batch;
+  T* grad;  // (B, rows, 3)
+};
+
+// The gradient to the image.
+template <class T>
+struct SampleTranspose : Sampling<T> {
+  Images<T const> grad;
+  Images<T> grad_x;  // dense
+  // Where kernels on CUDA that scatter add up instead, of the same size.
+  Compute<T>* sums;
+};
+
+// On CUDA a block of threads takes tiles of the output, up to kTileRow of them beside each other: fewer where all
+// together are few, for every multiprocessor to have some.
+constexpr int kTile = 32, kTileRow = 4;
+inline int tile_row(int64_t batch, int64_t height, int64_t width) {
+  int64_t const tiles = batch * ((height + kTile - 1) / kTile) * ((width + kTile - 1) / kTile);
+  return tiles >= 16384 ? kTileRow : tiles >= 4096 ? kTileRow / 2 : 1;
+}
+
+KV_KERNEL(sample, Sample)
+KV_KERNEL(sample_slopes, SampleSlopes)
+KV_KERNEL(sample_transpose, SampleTranspose)
+KV_KERNEL(matrix_gradient, MatrixGradient)
+
+}  // namespace kv

@@ -1,0 +1,116 @@
+// Sampling on the CPU: rows [begin, end) of all outputs in order. Compiled once per instruction set.
+//
+// First the places of a piece of a row, then its pixels by vectors, each with its taps and weights for all channels.
+// Where all taps are inside of the image they are read as they are; elsewhere each finds its pixel or the fill.
+#include "geometry/transform/sampling_cpu.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// The next row of places mostly has its taps below those of this one. Rows of a tile are too many, and too short, for
+// the processor to foresee that, so the row that far from the first tap is asked for, and the next one of the output.
+constexpr int kRowsAhead = 4;
+
+// The value in one channel. A tap of weight 0 is no part of it, whatever it holds. Where taps are multiplied anyway,
+// NaN and inf show in the sum, which is then done again.
+template <int K, int N, class T>
+struct Value : Window<K, N, T> {
+  using typename Window<K, N, T>::F;
+  using typename Window<K, N, T>::V;
+  V wx[K], wy[K];
+
+  KV_HD void set(Sample<T> const& p, V u, V v) {
+    Window<K, N, T>::set(p, u, v, p.x.row_stride, p.x.step);
+    tap_weights(this->tx, wx);
+    tap_weights(this->ty, wy);
+  }
+  KV_HD V at(Sample<T> const& p, T const* plane, F fill) const {
+    if (this->inside) {
+      __builtin_prefetch(plane + kRowsAhead * p.x.row_stride + this->first[0]);
+      V const sum = inner(p.x, plane);
+      if (sizeof(T) == 1 || K == 1 || all<N>(sum - sum == 0)) return sum;
+    }
+    return this->outside ? V(V{} + fill) : outer(p, plane, fill);
+  }
+
+ private:
+  KV_HD V inner(Images<T const> const& image, T const* plane) const {
+    if constexpr (K == 1) {
+      return this->read(image, plane, 0, 0);
+    } else if constexpr (K == 2) {
+      V a, b, c, d;
+      gather_two<N>(plane, this->first, image.step, a, b);
+      gather_two<N>(plane + image.row_stride, this->first, image.step, c, d);
+      return (a * wx[0] + b * wx[1]) * wy[0] + (c * wx[0] + d * wx[1]) * wy[1];
+    } else {
+      V sum{};
+#pragma GCC unroll 1
+      for (int j = 0; j < K; ++j) {
+        V row{};
+        for (int i = 0; i < K; ++i) row += this->read(image, plane, j, i) * wx[i];
+        sum += row * wy[j];
+      }
+      return sum;
+    }
+  }
+  V outer(Sample<T> const& p, T const* plane, F fill) const {
+    V sum{};
+#pragma GCC unroll 1
+    for (int j = 0; j < K; ++j)
+#pragma GCC unroll 1
+      for (int i = 0; i < K; ++i) {
+        V const weight = wx[i] * wy[j], value = this->find(p, p.x, plane, fill, j, i);
+        sum += weight == 0 ? V{} : V(weight * value);
+      }
+    return sum;
+  }
+};
+
+template <int K, int N, class T>
+void sample_piece(Sample<T> const& p, PlaceRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
+                  int64_t count) {
+  T const* const planes = p.x.row(b, 0, 0);
+  T* const row = p.y.row(b, 0, y) + first * p.y.step;
+  for (int64_t i = 0; i * N < count; ++i) {
+    int64_t const e = start_of<N>(i, count);
+    Value<K, N, T> value;
+    value.set(p, load<N>(places.u + e), load<N>(places.v + e));
+    for (int c = 0; c < p.x.channels; ++c) {
+      auto const found = value.at(p, planes + c * p.x.channel_stride, p.fill_of(b, c));
+      T* const out = row + c * p.y.channel_stride + e * p.y.step;
+      __builtin_prefetch(out + p.y.row_stride, 1);
+      if (N == 1 || p.y.step == 1) {
+        store<N>(out, found);
+      } else if constexpr (N > 1) {
+        for (int n = 0; n < N; ++n) store<1>(out + n * p.y.step, found[n]);
+      }
+    }
+  }
+}
+
+template <int K, class T>
+void sample_rows(Sample<T> const& p, int64_t begin, int64_t end) {
+  PlaceRow<Compute<T>> places;
+  for_each_piece(begin, end, p.y.height, p.y.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+    places.fill(p.places, b, y, first, count);
+    with_lanes(p.x, count, [&](auto lanes) { sample_piece<K, decltype(lanes)::value>(p, places, b, y, first, count); });
+  });
+}
+
+}  // namespace
+
+template <class T>
+void sample(Sample<T> const& p, int64_t begin, int64_t end) {
+  switch (p.interpolation) {
+    case Interpolation::nearest:
+      return sample_rows<1>(p, begin, end);
+    case Interpolation::bilinear:
+      return sample_rows<2>(p, begin, end);
+    case Interpolation::bicubic:
+      return sample_rows<4>(p, begin, end);
+  }
+}
+
+KV_INSTANTIATE_WITH_BYTES(sample, Sample)
+
+}  // namespace kv::KV_ISA

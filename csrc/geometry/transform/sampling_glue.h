@@ -1,0 +1,225 @@
+// What the operators that sample have in common: names, checks, axes and fills. Included by warp_op.cpp and
+// remap_op.cpp.
+#pragma once
+
+#include "geometry/formula_glue.h"
+#include "geometry/transform/sampling.h"
+#include "glue/batch.h"
+#include "glue/images.h"
+
+namespace kv {
+
+inline Interpolation interpolation_of(char const* op, std::string const& name) {
+  if (name == "nearest") return Interpolation::nearest;
+  if (name == "bilinear") return Interpolation::bilinear;
+  KV_CHECK(name == "bicubic", op, ": interpolation must be one of nearest, bilinear, bicubic; got '", name, "'");
+  return Interpolation::bicubic;
+}
+
+inline Padding padding_of(char const* op, std::string const& name) {
+  if (name == "fill") return Padding::fill;
+  if (name == "border") return Padding::border;
+  KV_CHECK(name == "reflection", op, ": padding must be one of fill, border, reflection; got '", name, "'");
+  return Padding::reflection;
+}
+
+// Sides of images fit an int with what lies around them, and a float's whole numbers nearly so.
+constexpr int64_t kLargestSide = 1 << 30;
+
+inline Size size_of(char const* op, std::vector<int64_t> const& size) {
+  KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
+  for (int64_t side : size)
+    KV_CHECK(side > 0 && side <= kLargestSide, op, ": expected a size of 1 to ", kLargestSide, " pixels, got ", side);
+  return {size[0], size[1]};
+}
+
+inline Size size_of(char const* op, Tensor const& x) { return size_of(op, {x.size(2), x.size(3)}); }
+
+// Of a map that an operator makes.
+inline Size map_size(char const* op, std::vector<int64_t> const& sides) {
+  Size const size = size_of(op, sides);
+  KV_CHECK(size.height * size.width <= INT32_MAX, op, ": expected a map of less than 2^31 pixels");
+  return size;
+}
+
+// Kernels on CUDA count the elements of a plane in ints.
+template <class T>
+void check_planes([[maybe_unused]] char const* op, [[maybe_unused]] Images<T> const& x) {
+#if defined(KV_CUDA)
+  KV_CHECK(x.height * x.row_stride <= INT32_MAX, op, ": expected planes of less than 2^31 elements, got ", x.height,
+           " rows of ", x.row_stride);
+#endif
+}
+
+// Into how many sums the slopes of an output go: one for a row of tiles on CUDA, one for each row of pixels on the CPU.
+inline int64_t slope_parts(Size output, [[maybe_unused]] int row) {
+#if defined(KV_CUDA)
+  auto const parts = [](int64_t size, int64_t part) { return (size + part - 1) / part; };
+  return parts(output.height, kTile) * parts(output.width, row * kTile);
+#else
+  return output.height;
+#endif
+}
+
+// Whether t has what an image x goes with: numbers in the type that computes, for each sample or for all.
+inline bool goes_with(Tensor const& t, Tensor const& x, int64_t axes) {
+  return t.dim() == axes && t.scalar_type() == compute_dtype(x) && t.device() == x.device() &&
+         (t.size(0) == 1 || t.size(0) == x.size(0));
+}
+
+template <class F>
+void for_computed(char const* op, Tensor const& x, F f) {
+  if (x.scalar_type() == ScalarType::Float) return f(Type<float>{});
+  KV_CHECK(x.scalar_type() == ScalarType::Double, op, ": expected float32 or float64");
+  f(Type<double>{});
+}
+
+// Raises unless `grad` may be the gradient of what was made of x.
+inline void check_gradient(char const* op, Tensor const& grad, Tensor const& x) {
+  KV_CHECK(grad.size(0) == x.size(0) && grad.size(1) == x.size(1) && grad.scalar_type() == x.scalar_type() &&
+               grad.device() == x.device(),
+           op, ": grad does not fit what it is the gradient of");
+}
+
+// The gradient to an image of that size, by run(type, grad, grad_x, sums). Kernels that gather have the sums of a pixel
+// in registers; others add to memory, in the type that computes.
+template <class Run>
+Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unused]] bool gathers, Run run) {
+  std::vector<int64_t> const sizes{grad.size(0), grad.size(1), size.height, size.width};
+  bool const half = grad.scalar_type() == ScalarType::Half || grad.scalar_type() == ScalarType::BFloat16;
+  Tensor grad_x = empty(sizes, grad);
+#if defined(KV_CUDA)
+  Tensor const sums = half && !gathers ? empty(sizes, grad, Layout::planar, ScalarType::Float) : grad_x;
+  dispatch_floating(op, grad, [&](auto type) { run(type, grad, grad_x, sums); });
+  return half && !gathers ? torch::stable::copy_(grad_x, sums) : grad_x;
+#else
+  if (!half) {
+    for_computed(op, grad, [&](auto type) { run(type, grad, grad_x, grad_x); });
+    return grad_x;
+  }
+  Tensor wide = empty(grad.sizes(), grad, layout_of(grad), ScalarType::Float);
+  Tensor const sums = empty(sizes, grad, Layout::planar, ScalarType::Float);
+  torch::stable::copy_(wide, grad);
+  for_computed(op, wide, [&](auto type) { run(type, wide, sums, sums); });
+  return torch::stable::copy_(grad_x, sums);
+#endif
+}
+
+// The matrix of a warp: a tensor, or on CUDA numbers that the kernel makes it of.
+struct WarpMatrix {
+  Tensor tensor;
+  MatrixFormula formula{};
+  int rows;
+  int64_t stride;  // from a sample to the next, 0 where one serves all
+
+  // Of images or volumes x, whose places have that many coordinates.
+  WarpMatrix(char const* op, Tensor const& given, Tensor const& x, int axes)
+      : tensor(given), rows(int(given.dim() > 1 ? given.size(1) : 0)) {
+    KV_CHECK(goes_with(given, x, 3) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1, op,
+             ": matrix does not fit what is warped");
+    tensor = dense(given);
+    stride = given.size(0) == 1 ? 0 : rows * (axes + 1);
+  }
+  // By formula F, number `by` of the kernels, which make it themselves with `within`. On the CPU it is made before.
+  template <class F>
+  WarpMatrix(char const* op, GivenNumbers<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x,
+             [[maybe_unused]] bool within)
+      : rows(given.extent().rows), stride(given.params.batch == 1 ? 0 : rows * given.extent().columns) {
+    KV_CHECK(given.params.batch == 1 || given.params.batch == x.size(0), op, ": expected tensors with 1 or ", x.size(0),
+             " rows, got ", given.params.batch);
+#if defined(KV_CUDA)
+    if (within) {
+      formula.by = by;
+      formula.settings = given.params.settings;
+      for (int i = 0; i < std::min(F::kInputs, MatrixFormula::kInputs); ++i) {
+        formula.inputs[i] = given.params.inputs[i];
+        formula.strides[i] = given.params.strides[i];
+      }
+      return;
+    }
+#endif
+    tensor = given.result(op, x);
+  }
+  template <class F>
+  F const* data() const {
+    return formula.by == MatrixBy::given ? data_ptr<F const>(tensor) : nullptr;
+  }
+};
+
+// Whether a kernel on CUDA makes the matrices itself: each block of threads waits for its own, which of many blocks
+// takes longer than a launch before them.
+inline bool is_made_within(int64_t batch, Size output) {
+  auto const tiles = [](int64_t size) { return (size + kTile - 1) / kTile; };
+  return batch * tiles(output.height) * tiles(output.width) <= 1024;
+}
+
+// How a formula and what it is given are told in schemas, and the C++ arguments for them.
+#define KV_BY_FORMULA \
+  "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, str formula, float[] numbers, int[] size, "
+using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
+
+// A case of a chain of ifs over formulas: run(the matrix) where `formula` is that one, of the kernels' formulas as it
+// is of the operators'. Matrices that may have fewer rows have one less than columns.
+#define KV_WARP_BY(name, Formula, signature)                                   \
+  if (formula == #name) {                                                      \
+    GivenNumbers<Formula> given(op, x, compute_dtype(x), inputs, numbers,      \
+                                Formula::kCut ? Formula::result.rows - 1 : 0); \
+    return run(WarpMatrix(op, given, MatrixBy::name, x, within));              \
+  }
+
+// How warps by a matrix are told what they are to do, in schemas.
+#define KV_WARP_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
+
+// The matrix of a warp of images, and what it means.
+struct Matrix : WarpMatrix {
+  MatrixUse use;
+
+  Matrix(WarpMatrix const& matrix, bool inverse, bool normalized, bool align_corners, Size source, Size output)
+      : WarpMatrix(matrix), use{rows, inverse, normalized, align_corners, source, output} {}
+  Matrix(char const* op, Tensor const& given, Tensor const& x, bool inverse, bool normalized, bool align_corners,
+         Size source, Size output)
+      : Matrix(WarpMatrix(op, given, x, 2), inverse, normalized, align_corners, source, output) {}
+  template <class F>
+  Places<F> places() const {
+    Places<F> p{};
+    p.matrices = data<F>();
+    p.matrix_stride = stride;
+    p.use = use;
+    return p;
+  }
+};
+
+// How an image of `source` is read, and for which gradient; what is read of it is up to the caller.
+struct SamplingArguments {
+  char const* op;
+  Interpolation interpolation;
+  Padding padding;
+  bool align_corners;
+  std::optional<Tensor> fill;
+
+  SamplingArguments(char const* op, std::string const& interpolation, std::string const& padding, bool align_corners,
+                    Tensor const& x, std::optional<Tensor> const& fill)
+      : op(op),
+        interpolation(interpolation_of(op, interpolation)),
+        padding(padding_of(op, padding)),
+        align_corners(align_corners),
+        fill(fill) {
+    if (!fill) return;
+    KV_CHECK(goes_with(*fill, x, 2) && (fill->size(1) == 1 || fill->size(1) == x.size(1)), op,
+             ": fill does not fit the image");
+  }
+
+  template <class T>
+  Sampling<T> of(Size source, Places<Compute<T>> const& places) const {
+    using F = Compute<T>;
+    return {interpolation,
+            {int(source.width), padding, align_corners},
+            {int(source.height), padding, align_corners},
+            places,
+            fill ? data_ptr<F const>(*fill) : nullptr,
+            fill && fill->size(0) > 1 ? fill->stride(0) : 0,
+            fill && fill->size(1) > 1 ? fill->stride(1) : 0};
+  }
+};
+
+}  // namespace kv

@@ -1,0 +1,548 @@
+// The gradient to the image on CUDA, in one of two ways.
+//
+// Gather: a pixel of the source looks for the places that have it as a tap. By the map the other way round they lie
+// around the one where it goes, as far as its neighbours do: few, and as many for all pixels of a tile. The same bits
+// every run, nothing is written twice. For warps by a matrix whose outside is the fill: else pixels at the rim would be
+// taps of places all around.
+//
+// Scatter: a warp adds a piece of the places to their taps, in sums of its own in shared memory, which are then added
+// by atomics to zeros in the type that computes. Where the piece looks at more of the image than these hold, there at
+// once.
+#include "geometry/transform/source_tile.cuh"
+
+namespace kv::cuda {
+namespace {
+
+// --- gather ----------------------------------------------------------------------------------------------------------
+
+// How many candidates beside each other are looked at together: for a turn that keeps sizes, all of them.
+template <int K>
+constexpr int kTogether = K == 4 ? 3 : K + 1;
+
+// A tile of the source, in shared memory: where the places are that have its pixels as taps.
+template <class F>
+struct Sources {
+  Homography<F> map, back;  // from places, which count from (u, v), to pixels, which count from (x, y), and back
+  int64_t b;
+  int x, y, u, v;
+  F reach_x, reach_y;  // from where a pixel goes
+  int columns, rows;   // to look at, from there on
+  Box places;          // that all pixels look at
+
+  // By four threads of the first half of a warp, of which each takes a corner, and the whole warp. Where the horizon is
+  // near, all places are looked at.
+  template <int K, class T>
+  __device__ __forceinline__ void open(Tiles const& tiles, SampleTranspose<T> const& p, int number) {
+    constexpr F reach = F(K) / 2;
+    Tile<F> tile;  // of a warp from the source to the output
+    tile.locate(tiles, number);
+    // Half of the warp inverts, half does not: both take as long as one.
+    MatrixUse const use = threadIdx.x & 16 ? p.places.use : other_way(p.places.use);
+    Homography<double> const way = homography(p.places.matrices + tile.b * p.places.matrix_stride, use);
+    Homography<double> whole;
+#pragma unroll
+    for (int i = 0; i < 9; ++i) whole.m[i] = __shfl_xor_sync(0xffffffffu, way.m[i], 16);
+    whole.affine = way.affine;  // both ways
+    tile.see(way, use.source);
+    b = tile.b;
+    x = tile.x;
+    y = tile.y;
+    u = tile.u;
+    v = tile.v;
+    back = tile.map;
+    F const at_x = F(threadIdx.x & 1 ? min(kTile, int(p.grad_x.width) - x) - 1 : 0);
+    F const at_y = F(threadIdx.x & 2 ? min(kTile, int(p.grad_x.height) - y) - 1 : 0);
+    F corner_u, corner_v, low = back.weight(at_x, at_y), high = low;
+    back.at(at_x, at_y, corner_u, corner_v);
+    reach_x = reach_y = 0;
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      F const to_x = at_x + (i & 1 ? reach : -reach), to_y = at_y + (i & 2 ? reach : -reach);
+      F to_u, to_v;
+      back.at(to_x, to_y, to_u, to_v);
+      reach_x = max(reach_x, vabs(to_u - corner_u));
+      reach_y = max(reach_y, vabs(to_v - corner_v));
+      low = min(low, back.weight(to_x, to_y));
+      high = max(high, back.weight(to_x, to_y));
+    }
+#pragma unroll
+    for (int lane = 1; lane < 4; lane *= 2) {
+      reach_x = max(reach_x, __shfl_xor_sync(0xffffffffu, reach_x, lane));
+      reach_y = max(reach_y, __shfl_xor_sync(0xffffffffu, reach_y, lane));
+      low = min(low, __shfl_xor_sync(0xffffffffu, low, lane));
+      high = max(high, __shfl_xor_sync(0xffffffffu, high, lane));
+    }
+    // A distance that goes from p to p + d is a linear function of p over the weights at both: so much it may be more
+    // between the corners.
+    F const least = min(vabs(low), vabs(high)), most = max(vabs(low), vabs(high));
+    F const more = back.affine ? F(1) : most / least * (most / least);
+    reach_x = reach_x * more + F(kMargin);
+    reach_y = reach_y * more + F(kMargin);
+    places = Box::empty();
+    places.template add<2>(corner_u - reach_x, corner_v - reach_y, F(kMargin),
+                           F(1 << 20));  // near where pixels begin to look
+    places.template join<4>();
+    int const width = int(p.grad.width), height = int(p.grad.height);
+    bool const near = low * high > 0 && reach_x < F(width) && reach_y < F(height) && places.right < INT_MAX / 4;
+    columns = near ? int(2 * reach_x) + 1 : width;
+    rows = near ? int(2 * reach_y) + 1 : height;
+    if (near) {
+      places.move(u, v);
+      places.right += (columns + kTogether<K> - 1) / kTogether<K> * kTogether<K> - 1;
+      places.bottom += rows - 1;
+    } else {
+      places = Box::all();
+      reach_x = reach_y = 0;
+      u = v = 0;
+#pragma unroll
+      for (int i = 0; i < 9; ++i) back.m[i] = i == 8;
+      back.affine = true;
+    }
+    map = seen_from<F>(whole, u, v, x, y);
+  }
+};
+
+// The next whole number.
+__device__ __forceinline__ int above(float x, float& whole) {
+  constexpr float kLarge = 0x1.8p23f;
+  float const sum = __fadd_ru(x, kLarge);
+  whole = sum - kLarge;
+  return __float_as_int(sum) - 0x4b400000;
+}
+__device__ __forceinline__ int above(double x, double& whole) {
+  whole = ::ceil(x);
+  return int(whole);
+}
+
+// 1 / x, of a weight; NaN, which is no place, where there is none.
+__device__ __forceinline__ float reciprocal_or_nan(float x) {
+  float y;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return fmaf(y, fmaf(-x, y, 1), y);
+}
+__device__ __forceinline__ double reciprocal_or_nan(double x) { return 1 / x; }
+
+// The gradient of N channels of a pixel (x, y) in its tile, from the gradients where they are.
+template <int K, int N, class T, class F>
+__device__ __noinline__ void gather_where_they_are(SampleTranspose<T> const& p, Sources<F> const& tile, int first,
+                                                   int y, int x) {
+  F center_u, center_v, first_u, first_v, sums[N] = {};
+  tile.back.at(F(x), F(y), center_u, center_v);
+  int const u0 = above(center_u - tile.reach_x, first_u), v0 = above(center_v - tile.reach_y, first_v);
+  int const width = int(p.grad.width), height = int(p.grad.height);
+  for (int v = max(v0, -tile.v); v < min(v0 + tile.rows, height - tile.v); ++v)
+    for (int u = max(u0, -tile.u); u < min(u0 + tile.columns, width - tile.u); ++u) {
+      F place_x, place_y;
+      tile.map.at(F(u), F(v), place_x, place_y);
+      F const weight = weight_at<K>(place_x, x) * weight_at<K>(place_y, y);
+      if (weight == 0) continue;
+      T const* const grad = p.grad.row(tile.b, first, v + tile.v) + (u + tile.u) * p.grad.step;
+#pragma unroll
+      for (int k = 0; k < N; ++k) sums[k] += weight * F(read(grad[k * p.grad.channel_stride]));
+    }
+#pragma unroll
+  for (int k = 0; k < N; ++k) p.grad_x.row(tile.b, first + k, tile.y + y)[tile.x + x] = round_to<T>(sums[k]);
+}
+
+// Zeros for a tile of all channels. `aligned`: rows are vectors of 16 bytes.
+template <class T>
+__device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x0, int y0, bool aligned) {
+  constexpr int kVectorSize = 16 / int(sizeof(T)), kAcross = kTile / kVectorSize;
+  int const x = x0 + threadIdx.x % kAcross * kVectorSize, width = int(to.width),
+            bottom = min(y0 + kTile, int(to.height));
+  for (int y = y0 + threadIdx.x / kAcross; x < width && y < bottom; y += kThreads / kAcross)
+    for (int c = 0; c < to.channels; ++c) {
+      T* const row = to.row(b, c, y) + x;
+      if (aligned) {
+        *reinterpret_cast<Vector<T, kVectorSize>*>(row) = {};
+      } else {
+#pragma unroll
+        for (int i = 0; i < kVectorSize; ++i)
+          if (x + i < width) row[i] = T{};
+      }
+    }
+}
+
+template <class T, int K>
+__global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
+    gather_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles, bool aligned, bool aligned_out) {
+  using F = Compute<T>;
+  using Gradients = Patch<T>;
+  __shared__ Sources<F> shared_tiles[kTileRow];
+  extern __shared__ __align__(16) unsigned char shared_pixels[];
+  int const width = int(p.grad_x.width), height = int(p.grad_x.height);
+  if (threadIdx.x < 32) {
+    int const number = threadIdx.x / 4 % kTileRow;
+    Sources<F> tile;
+    tile.template open<K>(tiles, p, number);
+    if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kTileRow) shared_tiles[number] = tile;
+  }
+  __syncthreads();
+  Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
+#pragma unroll 1
+  for (int number = 0; number < int(tiles.row) && shared_tiles[number].x < width; ++number) {
+    Sources<F> const& tile = shared_tiles[number];
+    if (tile.places.right < 0 || tile.places.left >= int(p.grad.width) || tile.places.bottom < 0 ||
+        tile.places.top >= int(p.grad.height)) {
+      clear_tile(p.grad_x, tile.b, tile.x, tile.y, aligned_out);
+      continue;
+    }
+    Gradients const patch(shared_pixels, tile.places);
+    int const x = column_in_tile<T>();
+    in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
+      constexpr int N = channels.value;
+      if (patch.fits) patch.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
+      if (tile.x + x >= width) return;
+      F poison = 0;  // NaN where one of the gradients is no finite number: it may have had no weight
+      T* planes[N];
+#pragma unroll
+      for (int k = 0; k < N; ++k) planes[k] = p.grad_x.row(tile.b, first + k, 0);
+      int to = (tile.y + row_in_tile<T>()) * width + tile.x + x;
+      int const origin = patch.origin(tile.u, tile.v);
+#pragma unroll 1
+      for (int y = row_in_tile<T>(); patch.fits && y < min(kTile, height - tile.y);
+           y += kRunRows, to += kRunRows * width) {
+        F center_u, center_v, first_u, first_v, sums[N] = {};
+        tile.back.at(F(x), F(y), center_u, center_v);
+        int const u = above(center_u - tile.reach_x, first_u), v = above(center_v - tile.reach_y, first_v);
+        T const* row = patch.pixels + (v * Gradients::kPitch + u + origin);
+        auto const gather = [&](auto affine) {
+          F const(&m)[9] = tile.map.m;
+          F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
+          // Of an affine map places count from the pixel: one addition less for each. Not those of the nearest pixel,
+          // where halves go to even ones.
+          int const pixel_x = K > 1 && affine.value ? 0 : x, pixel_y = K > 1 && affine.value ? 0 : y;
+          from_x -= F(x - pixel_x);
+          from_y -= F(y - pixel_y);
+          F from_weight = first_u * m[6] + (first_v * m[7] + m[8]);
+#pragma unroll 1
+          for (int j = 0; j < tile.rows; ++j, row += Gradients::kPitch) {
+            F place_x = from_x, place_y = from_y, weight = from_weight;
+            T const* grad = row;
+#pragma unroll 1
+            for (int i = 0; i < tile.columns; i += kTogether<K>)
+#pragma unroll
+              for (int n = 0; n < kTogether<K>; ++n, ++grad) {
+                F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
+                F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
+#pragma unroll
+                for (int k = 0; k < N; ++k) sums[k] += share * F(read(grad[k * Gradients::kSize]));
+                place_x += m[0];
+                place_y += m[3];
+                if constexpr (!affine.value) weight += m[6];
+              }
+            from_x += m[1];
+            from_y += m[4];
+            from_weight += m[7];
+          }
+        };
+        tile.map.affine ? gather(std::true_type{}) : gather(std::false_type{});
+#pragma unroll
+        for (int k = 0; k < N; ++k) {
+          poison += sums[k] * 0;
+          planes[k][to] = round_to<T>(sums[k]);
+        }
+      }
+      if (!patch.fits || poison != 0)
+#pragma unroll 1
+        for (int y = row_in_tile<T>(); y < min(kTile, height - tile.y); y += kRunRows)
+          gather_where_they_are<K, N>(p, tile, first, y, x);
+    });
+  }
+}
+
+// --- scatter ---------------------------------------------------------------------------------------------------------
+
+constexpr int kScatterWarps = 4;                   // of a block, which work alone
+constexpr int kPieceWidth = 16, kPieceHeight = 8;  // places that a warp takes at a time
+constexpr int kPieceRuns = kPieceWidth * kPieceHeight / 32;
+
+// A warp's sums, in shared memory: of pixels in rows of `pitch`, for some channels.
+template <class F>
+struct Sums {
+  static constexpr int kCells = 576;  // of a channel: a piece turned by any angle, or 1.5 times as large
+  static constexpr int kChannels = sizeof(F) == 8 ? 1 : 3;  // at a time
+  static __host__ __device__ int channels(int of) { return min(of, kChannels); }
+  static size_t bytes(int of) { return kScatterWarps * kCells * (channels(of) * sizeof(F) + sizeof(int)); }
+};
+
+// Adds four sums to memory, at a multiple of their size.
+template <class F>
+__device__ __forceinline__ void add_four(F* to, Vector<F, 4> const& sums) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
+  constexpr bool at_once = sizeof(F) == 4;
+#else
+  constexpr bool at_once = false;
+#endif
+  if constexpr (at_once) {
+    asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(__cvta_generic_to_global(to)), "f"(sums.v[0]),
+                 "f"(sums.v[1]), "f"(sums.v[2]), "f"(sums.v[3])
+                 : "memory");
+  } else {
+#pragma unroll
+    for (int i = 0; i < 4; ++i)
+      if (sums.v[i] != 0) atomicAdd(to + i, sums.v[i]);
+  }
+}
+
+// A place of the same value, of a reflection, whose taps pixel_at knows. Counts from `origin`; NaN is 0. One near the
+// image stays where it is: its neighbours are there, too.
+template <class F>
+__device__ __noinline__ F reflected_near(Axis<F> const& axis, F x, int origin) {
+  F const first = F(-origin), reach = F(axis.size < 8 ? 1 : axis.size / 2);
+  return x >= first - reach && x < first + (F(axis.size - 1) + reach) ? x : reflected(axis, x + F(origin)) - F(origin);
+}
+
+// N channels of one place, to the sums where they are.
+template <int K, int N, class T, class F>
+__device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* sums, F u, F v, Tile<F> const& tile,
+                                              F const (&g)[N]) {
+  F wx[K], wy[K], tx, ty;
+  int const column = first_tap<K, F>(u, tx) + tile.u, row = first_tap<K, F>(v, ty) + tile.v;
+  int const width = p.x_axis.size, stride = int(p.grad_x.row_stride);
+  [[maybe_unused]] bool const rows_are_aligned = stride % 4 == 0 && column >= 0 && column + K <= width;
+  tap_weights(tx, wx);
+  tap_weights(ty, wy);
+#pragma unroll
+  for (int j = 0; j < K; ++j) {
+    int const y = pixel_at(p.y_axis, row + j);
+    if (unsigned(y) >= unsigned(p.y_axis.size)) continue;
+#pragma unroll
+    for (int k = 0; k < N; ++k) {
+      F* const line = sums + k * p.grad_x.channel_stride + y * stride;
+      F taps[8] = {};  // from the beginning of a vector on
+#pragma unroll
+      for (int i = 0; i < K; ++i) {
+        F const weight = wx[i] * wy[j];
+        taps[i] = weight == 0 ? F(0) : weight * g[k];
+      }
+      if constexpr (K > 1 && sizeof(F) == 4)
+        if (rows_are_aligned) {
+#pragma unroll
+          for (int by = 1; by <= 2; by *= 2)
+#pragma unroll
+            for (int i = 7; i >= 0; --i)
+              if (column & by) taps[i] = i < by ? F(0) : taps[max(i - by, 0)];
+          F* const to = line + (column & -4);
+          add_four(to, Vector<F, 4>{taps[0], taps[1], taps[2], taps[3]});
+          if (taps[4] != 0 || taps[5] != 0 || taps[6] != 0)
+            add_four(to + 4, Vector<F, 4>{taps[4], taps[5], taps[6], 0});
+          continue;
+        }
+#pragma unroll
+      for (int i = 0; i < K; ++i) {
+        int const x = pixel_at(p.x_axis, column + i);
+        if (unsigned(x) < unsigned(width) && taps[i] != 0) atomicAdd(line + x, taps[i]);
+      }
+    }
+  }
+}
+
+// The places of a run are two apart, so that hardly two of them have a tap in common, and in banks of their own:
+//
+//   0 1 0 1      those that do take turns: each leaves its number where its first tap is, and the one whose number
+//   2 3 2 3      stays adds. Nothing but the warp itself sees its sums: plain additions, where atomics on floats are
+//   1 0 1 0      loops.
+//   3 2 3 2
+template <class T, int K>
+__global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
+    scatter_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles) {
+  using F = Compute<T>;
+  constexpr int kCells = Sums<F>::kCells;
+  __shared__ Tile<F> tile;
+  extern __shared__ __align__(16) unsigned char shared_sums[];
+  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  __syncthreads();
+  int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, lane_x = lane % 8, lane_y = lane / 8;
+  int const width = int(p.grad.width), height = int(p.grad.height),
+            pixels = Sums<F>::channels(p.grad.channels) * kCells;
+  F* const sums = reinterpret_cast<F*>(shared_sums) + warp * pixels;
+  int* const numbers =
+      reinterpret_cast<int*>(reinterpret_cast<F*>(shared_sums) + kScatterWarps * pixels) + warp * kCells;
+  PlacesOf<F> const places(p.places, tile);
+  bool const filled = p.x_axis.padding == Padding::fill, reflects = p.x_axis.padding == Padding::reflection;
+  // The places next to the image that stand for all beyond them; of a reflection, for none.
+  F const first_u = reflects ? -INFINITY : F(-4 - tile.u), last_u = reflects ? INFINITY : F(p.x_axis.size + 3 - tile.u);
+  F const first_v = reflects ? -INFINITY : F(-4 - tile.v), last_v = reflects ? INFINITY : F(p.y_axis.size + 3 - tile.v);
+#pragma unroll 1
+  for (int piece = warp; piece < kTile * kTile / (kPieceWidth * kPieceHeight); piece += kScatterWarps) {
+    int const x0 = tile.x + piece % (kTile / kPieceWidth) * kPieceWidth + 2 * lane_x;
+    int const y0 = tile.y + piece / (kTile / kPieceWidth) * kPieceHeight + 2 * lane_y;
+    auto const x_of = [&](int run) { return x0 + ((lane_y + run) & 1); };
+    auto const y_of = [&](int run) { return y0 + run / 2; };
+
+    // Where the places are, which of them have taps, and the box of the first ones.
+    F u[kPieceRuns], v[kPieceRuns];
+    if (!p.places.has_map()) {
+#pragma unroll
+      for (int run = 0; run < kPieceRuns; ++run)
+        tile.map.at(F(x_of(run) - tile.x), F(y_of(run) - tile.y), u[run], v[run]);
+    } else {
+#pragma unroll
+      for (int run = 0; run < kPieceRuns; ++run)
+        places.near(min(y_of(run), height - 1), min(x_of(run), width - 1), u[run], v[run]);
+    }
+    if (reflects) {
+#pragma unroll
+      for (int run = 0; run < kPieceRuns; ++run) {
+        u[run] = reflected_near(p.x_axis, u[run], tile.u);
+        v[run] = reflected_near(p.y_axis, v[run], tile.v);
+      }
+    }
+    Box box = Box::empty();
+    unsigned count = 0;
+    bool far = false;
+#pragma unroll
+    for (int run = 0; run < kPieceRuns; ++run) {
+      u[run] = vclamp(u[run], first_u, last_u);
+      v[run] = vclamp(v[run], first_v, last_v);
+      F t;
+      int const column = near_tap<K>(u[run], t), row = near_tap<K>(v[run], t);
+      bool const beyond = max(vabs(u[run]), vabs(v[run])) >= F(1 << 20);  // where near_tap is none
+      bool const has_taps = !filled || (unsigned(column + tile.u + K - 1) < unsigned(p.x_axis.size + K - 1) &&
+                                        unsigned(row + tile.v + K - 1) < unsigned(p.y_axis.size + K - 1));
+      if (x_of(run) >= width || y_of(run) >= height || !(has_taps || beyond)) continue;
+      count |= 1u << run;
+      far |= beyond;
+      box = {min(box.left, column), min(box.top, row), max(box.right, column), max(box.bottom, row)};
+    }
+    box = {warp_min(box.left), warp_min(box.top), -warp_min(-box.right), -warp_min(-box.bottom)};
+    if (box.left > box.right) continue;  // none
+    far = __any_sync(0xffffffffu, far) || box.right - box.left > 64 || box.bottom - box.top > 64;
+    // Vectors of four begin where those of the image do. Rows are an odd multiple of four: those of a run in other
+    // banks.
+    int const left = far ? 0 : ((box.left + tile.u) & -4) - tile.u, top = box.top, rows = box.bottom - top + K;
+    int const columns = box.right - left + K, pitch = columns <= 20 ? 20 : ((columns + 3) & -8) | 4;
+    bool const fits = !far && rows * pitch <= kCells;
+
+    in_groups<Sums<F>::kChannels>(p.grad.channels, [&](int first, auto channels) {
+      constexpr int N = channels.value;
+      T const* const grad = p.grad.row(tile.b, first, 0);
+      auto const offset_of = [&](int run) { return y_of(run) * int(p.grad.row_stride) + x_of(run) * int(p.grad.step); };
+      F g[kPieceRuns][N];
+#pragma unroll
+      for (int run = 0; run < kPieceRuns; ++run)
+#pragma unroll
+        for (int k = 0; k < N; ++k)
+          g[run][k] = count >> run & 1 ? F(read(grad[k * p.grad.channel_stride + offset_of(run)])) : F(0);
+      F* const to = p.sums + tile.b * p.grad_x.batch_stride + first * p.grad_x.channel_stride;
+      F to_u[kPieceRuns], to_v[kPieceRuns];
+#pragma unroll
+      for (int run = 0; run < kPieceRuns; ++run) to_u[run] = u[run], to_v[run] = v[run];
+      auto const next_run = [&] {
+#pragma unroll
+        for (int next = 1; next < kPieceRuns; ++next) {
+          to_u[next - 1] = to_u[next], to_v[next - 1] = to_v[next];
+#pragma unroll
+          for (int k = 0; k < N; ++k) g[next - 1][k] = g[next][k];
+        }
+      };
+      if (!fits) {
+#pragma unroll 1
+        for (int run = 0; run < kPieceRuns; ++run, next_run())
+          if (count >> run & 1) scatter_place<K, N>(p, to, to_u[0], to_v[0], tile, g[0]);
+        return;
+      }
+      __syncwarp();  // for those who read the sums before these
+      for (int i = 4 * lane; i < rows * pitch; i += 4 * 32)
+#pragma unroll
+        for (int k = 0; k < N; ++k) *reinterpret_cast<Vector<F, 4>*>(sums + k * kCells + i) = {};
+      __syncwarp();
+
+#pragma unroll 1
+      for (int run = 0; run < kPieceRuns; ++run, next_run()) {
+        F tx, ty, wx[K], wy[K];
+        int const column = near_tap<K>(to_u[0], tx), row = near_tap<K>(to_v[0], ty);
+        int const at = (row - top) * pitch + (column - left);
+        tap_weights(tx, wx);
+        tap_weights(ty, wy);
+        bool waits = count >> run & 1;
+        do {
+          if (waits) atomicExch(numbers + at, lane);
+          __syncwarp();
+          bool const adds = waits && numbers[at] == lane;
+#pragma unroll
+          for (int j = 0; j < K; ++j)
+#pragma unroll
+            for (int i = 0; i < K; ++i) {
+              F const weight = wx[i] * wy[j];
+              F* const sum = sums + (at + j * pitch + i);
+              if (adds && weight != 0)
+#pragma unroll
+                for (int k = 0; k < N; ++k) sum[k * kCells] += weight * g[0][k];
+              __syncwarp();
+            }
+          waits = waits && !adds;
+        } while (__any_sync(0xffffffffu, waits));
+      }
+
+      int const stride = int(p.grad_x.row_stride), to_left = left + tile.u, to_top = top + tile.v;
+      if (stride % 4 == 0 && to_left >= 0 && to_top >= 0 && to_left + columns <= p.x_axis.size &&
+          to_top + rows <= p.y_axis.size) {
+        for (int row = lane_y; row < rows; row += 4)
+          for (int column = 4 * lane_x; column < columns; column += 32)
+#pragma unroll
+            for (int k = 0; k < N; ++k) {
+              Vector<F, 4> const four =
+                  *reinterpret_cast<Vector<F, 4> const*>(sums + k * kCells + row * pitch + column);
+              if (four.v[0] != 0 || four.v[1] != 0 || four.v[2] != 0 || four.v[3] != 0)
+                add_four(to + k * p.grad_x.channel_stride + ((to_top + row) * stride + to_left + column), four);
+            }
+      } else {
+        for (int row = 0; row < rows; ++row) {
+          int const to_y = pixel_at(p.y_axis, to_top + row);
+          if (unsigned(to_y) >= unsigned(p.y_axis.size)) continue;
+          for (int column = lane; column < columns; column += 32) {
+            int const to_x = pixel_at(p.x_axis, to_left + column);
+            if (unsigned(to_x) >= unsigned(p.x_axis.size)) continue;
+#pragma unroll
+            for (int k = 0; k < N; ++k) {
+              F const sum = sums[k * kCells + row * pitch + column];
+              if (sum != 0) atomicAdd(to + k * p.grad_x.channel_stride + (to_y * stride + to_x), sum);
+            }
+          }
+        }
+      }
+    });
+  }
+}
+
+template <class T>
+void gather(SampleTranspose<T> const& p, CUstream_st* stream) {
+  auto const& x = p.grad_x;
+  Tiles const tiles(x.batch, x.height, x.width, tile_row(x.batch, x.height, x.width));
+  with_taps(p.interpolation, [&](auto taps) {
+    gather_tiles<T, taps.value><<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(
+        p, tiles, rows_are_aligned(p.grad), rows_are_aligned(p.grad_x));
+  });
+}
+
+template <class T>
+int scatter(SampleTranspose<T> const& p, CUstream_st* stream) {
+  using F = Compute<T>;
+  int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
+  cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(F), stream);
+  if (error != cudaSuccess) return error;
+  auto const& x = p.grad;
+  Tiles const tiles(x.batch, x.height, x.width, 1);
+  with_taps(p.interpolation, [&](auto taps) {
+    scatter_tiles<T, taps.value><<<tiles.count, 32 * kScatterWarps, Sums<F>::bytes(x.channels), stream>>>(p, tiles);
+  });
+  return cudaSuccess;
+}
+
+}  // namespace
+
+template <class T>
+int sample_transpose(SampleTranspose<T> const& p, CUstream_st* stream) {
+  bool const gathers = !p.places.has_map() && p.x_axis.padding == Padding::fill;
+  if (gathers)
+    gather(p, stream);
+  else if (int const error = scatter(p, stream))
+    return error;
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(sample_transpose, SampleTranspose)
+
+}  // namespace kv::cuda

@@ -1,0 +1,75 @@
+// The gradient to the image on the CPU: planes [begin, end) of all images in order, each by one thread, so that sums
+// are the same in every run. Compiled once per instruction set.
+#include "geometry/transform/sampling_cpu.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+template <int K, class T>
+void add_piece(SampleTranspose<T> const& p, PlaceRow<T> const& places, int64_t width, T const* grad, T* plane) {
+  using F = Compute<T>;
+  constexpr int N = kPlaces<F>;
+  using V = Lanes<F, N>;
+  for (int64_t e = 0; e < width; e += N) {
+    int const count = int(min(int64_t(N), width - e));
+    V u{}, v{};
+    for (int i = 0; i < count; ++i) {
+      u[i] = places.u[e + i];
+      v[i] = places.v[e + i];
+    }
+    Window<K, N, T> window;
+    window.set(p, u, v);
+    V wx[K], wy[K];
+    tap_weights(window.tx, wx);
+    tap_weights(window.ty, wy);
+    for (int n = 0; n < count; ++n) {
+      F const g = load<1>(grad + (e + n) * p.grad.step);
+#pragma GCC unroll 1
+      for (int j = 0; j < K; ++j) {
+        int const y = pixel_at(p.y_axis, int(window.y[n]) + j);
+        if (unsigned(y) >= unsigned(p.y_axis.size)) continue;
+        F* const row = plane + int64_t(y) * p.x_axis.size;
+#pragma GCC unroll 1
+        for (int i = 0; i < K; ++i) {
+          int const x = pixel_at(p.x_axis, int(window.x[n]) + i);
+          F const weight = wx[i][n] * wy[j][n];
+          if (unsigned(x) < unsigned(p.x_axis.size) && weight != 0) row[x] += g * weight;
+        }
+      }
+    }
+  }
+}
+
+template <int K, class T>
+void transpose_planes(SampleTranspose<T> const& p, int64_t begin, int64_t end) {
+  PlaceRow<T> places;
+  for (int64_t r = begin; r < end; ++r) {
+    int64_t const b = r / p.grad.channels;
+    int const c = int(r % p.grad.channels);
+    T* const plane = p.grad_x.row(b, c, 0);
+    for (T *at = plane, *last = plane + p.grad_x.height * p.grad_x.width; at < last; ++at) *at = 0;
+    for_each_piece(0, p.grad.height, p.grad.height, p.grad.width,
+                   [&](int64_t, int64_t y, int64_t first, int64_t count) {
+                     places.fill(p.places, b, y, first, count);
+                     add_piece<K>(p, places, count, p.grad.row(b, c, y) + first * p.grad.step, plane);
+                   });
+  }
+}
+
+}  // namespace
+
+template <class T>
+void sample_transpose(SampleTranspose<T> const& p, int64_t begin, int64_t end) {
+  switch (p.interpolation) {
+    case Interpolation::nearest:
+      return transpose_planes<1>(p, begin, end);
+    case Interpolation::bilinear:
+      return transpose_planes<2>(p, begin, end);
+    case Interpolation::bicubic:
+      return transpose_planes<4>(p, begin, end);
+  }
+}
+
+KV_INSTANTIATE_COMPUTED(sample_transpose, SampleTranspose)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,303 @@
+// The part of an image that a tile of places looks at, in shared memory. Included by sampling*.cu.
+//
+// Pixels come there once, in vectors of 16 bytes where rows allow, with what the padding puts around the image; taps
+// are then at offsets known to the compiler. From global memory a turned tile would ask for as many lines as it has
+// rows, once for each tap.
+#pragma once
+
+#include <cuda_pipeline.h>
+
+#include <climits>
+
+#include "geometry/transform/sampling.cuh"
+
+namespace kv::cuda {
+
+// The first of the K taps of a place less than 2^21 away, and what is left of it. A sum with so large a number has the
+// whole one in its last bits.
+template <int K>
+__device__ __forceinline__ int near_tap(float x, float& t) {
+  constexpr float kLarge = 0x1.8p23f;
+  float const sum = K == 1 ? x + kLarge : __fadd_rd(x, kLarge);
+  t = K == 1 ? 0 : x - (sum - kLarge);
+  return __float_as_int(sum) - (0x4b400000 + (K == 4));
+}
+template <int K>
+__device__ __forceinline__ int near_tap(double x, double& t) {
+  return first_tap<K, double>(x, t);
+}
+
+// Columns and rows, ends included.
+struct Box {
+  int left, top, right, bottom;
+
+  static __device__ __forceinline__ Box empty() { return {INT_MAX, INT_MAX, -INT_MAX, -INT_MAX}; }
+  static __device__ __forceinline__ Box all() { return {-INT_MAX / 4, -INT_MAX / 4, INT_MAX / 4, INT_MAX / 4}; }
+  // That of the taps of places as near as `margin`; all, where these are no numbers or farther away than `far`.
+  template <int K, class F>
+  __device__ __forceinline__ void add(F u, F v, F margin, F far) {
+    Box box = all();
+    F t;
+    if (u > -far && u < far && v > -far && v < far)
+      box = {near_tap<K>(u - margin, t), near_tap<K>(v - margin, t), near_tap<K>(u + margin, t) + K - 1,
+             near_tap<K>(v + margin, t) + K - 1};
+    left = min(left, box.left);
+    top = min(top, box.top);
+    right = max(right, box.right);
+    bottom = max(bottom, box.bottom);
+  }
+  __device__ __forceinline__ void move(int x, int y) {
+    left += x;
+    top += y;
+    right += x;
+    bottom += y;
+  }
+  // The box around those of N neighbouring threads.
+  template <int N>
+  __device__ __forceinline__ void join() {
+#pragma unroll
+    for (int lane = N / 2; lane > 0; lane /= 2) {
+      left = min(left, __shfl_xor_sync(0xffffffffu, left, lane));
+      top = min(top, __shfl_xor_sync(0xffffffffu, top, lane));
+      right = max(right, __shfl_xor_sync(0xffffffffu, right, lane));
+      bottom = max(bottom, __shfl_xor_sync(0xffffffffu, bottom, lane));
+    }
+  }
+};
+
+// What rounding does to places within the reach of a patch, and more.
+constexpr float kMargin = 1.f / 64;
+// What is farther from the image is left to those who look at places one by one: sums over patches of its border would
+// only be rounding.
+constexpr int kFarPlaces = 4096;
+
+// A thread's places in a tile, counted from the tile's (u, v).
+template <class F>
+struct Runs {
+  F u, v, weight, u_step, v_step, weight_step;  // of the first one, and from one to the next
+  F const* found;                               // in a map, u and v, or null
+  bool affine;
+
+  __device__ __forceinline__ Runs(Tile<F> const& tile, Places<F> const& places, void const* kept, int column, int row)
+      : found(places.has_map() ? static_cast<F const*>(kept) + threadIdx.x : nullptr), affine(tile.map.affine) {
+    F const x = F(column), y = F(row);
+    F const(&m)[9] = tile.map.m;
+    u = x * m[0] + (y * m[1] + m[2]);
+    v = x * m[3] + (y * m[4] + m[5]);
+    weight = x * m[6] + (y * m[7] + m[8]);
+    u_step = m[1] * kRunRows;
+    v_step = m[4] * kRunRows;
+    weight_step = m[7] * kRunRows;
+  }
+  __device__ __forceinline__ void at(int run, F& x, F& y) const {
+    if (found) {
+      x = found[2 * run * kThreads];
+      y = found[(2 * run + 1) * kThreads];
+      return;
+    }
+    x = u_step * F(run) + u;
+    y = v_step * F(run) + v;
+    if (affine) return;
+    F const scale = reciprocal(weight_step * F(run) + weight);
+    x *= scale;
+    y *= scale;
+  }
+};
+
+// A block's tiles and the boxes of their taps, in shared memory.
+template <class F>
+struct View {
+  Tile<F> tiles[kTileRow];
+  Box taps[kTileRow];
+
+  // By all threads of a block, of an output of that size. By a matrix, taps lie between those of a tile's corners
+  // unless the horizon runs through it.
+  template <int K, class T>
+  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height) {
+    auto const given = [&](int64_t b) { return p.places.matrices + b * p.places.matrix_stride; };
+    open<K>(count, p, width, height, given);
+  }
+  // By the matrices that `matrix(sample)` gives.
+  template <int K, class T, class Matrix>
+  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height, Matrix matrix) {
+    if (threadIdx.x < 32) {
+      int const number = threadIdx.x / 4 % kTileRow;
+      Tile<F> tile;
+      tile.locate(count, number);
+      Box box = Box::empty();
+      if (!p.places.has_map()) {
+        tile.see(homography(matrix(tile.b), p.places.use), p.places.use.source);
+        F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
+        F const y = F(threadIdx.x & 2 ? min(kTile, height - tile.y) - 1 : 0);
+        F u, v;
+        tile.map.at(x, y, u, v);
+        box.add<K>(u, v, F(kMargin), F(kFarPlaces));
+        box.join<4>();
+        box.move(tile.u, tile.v);
+        unsigned const before = __ballot_sync(0xffffffffu, tile.map.weight(x, y) > 0) >> 4 * number & 15;
+        if (before != 0 && before != 15) box = Box::all();
+      }
+      if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kTileRow) {
+        tiles[number] = tile;
+        taps[number] = box;
+      }
+    }
+    __syncthreads();
+  }
+  // The box of a tile's taps. By maps, places are looked at one by one, at the taps that they have next to the image,
+  // and kept.
+  template <int K, class T>
+  __device__ __forceinline__ Box look(int number, Sampling<T> const& p, int width, int height, void* kept) {
+    if (!p.places.has_map()) return taps[number];
+    Tile<F> const& tile = tiles[number];
+    PlacesOf<F> const places(p.places, tile);
+    F* const found = static_cast<F*>(kept) + threadIdx.x;
+    int const x = tile.x + column_in_tile<T>();
+    Box box = Box::empty();
+#pragma unroll
+    for (int run = 0; run < kRuns; ++run) {
+      int const y = tile.y + row_in_tile<T>() + run * kRunRows;
+      F u = 0, v = 0;
+      if (x < width && y < height) {
+        places.near(y, x, u, v);
+        u = clamped(p.x_axis, u);
+        v = clamped(p.y_axis, v);
+        box.add<K>(u, v, F(0), F(1 << 20));
+      }
+      found[2 * run * kThreads] = u;
+      found[(2 * run + 1) * kThreads] = v;
+    }
+    box.join<32>();
+    if (threadIdx.x % 32 == 0) {
+      atomicMin(&taps[number].left, box.left);
+      atomicMin(&taps[number].top, box.top);
+      atomicMax(&taps[number].right, box.right);
+      atomicMax(&taps[number].bottom, box.bottom);
+    }
+    __syncthreads();
+    return taps[number];
+  }
+};
+
+template <class T>
+struct Patch {
+  static constexpr int kVectorSize = 16 / int(sizeof(T));
+  // Room for a tile of kTile x kTile, turned by any angle. Double4 rows one below the other are in different banks.
+  static constexpr int kPitch = sizeof(T) == 1 ? 80 : sizeof(T) == 2 ? 72 : 56, kRows = 52;
+  static constexpr int kSize = kPitch * kRows;
+  static constexpr int kChannels = sizeof(T) == 8 ? 1 : 3;  // at a time
+  static constexpr int kColumns = sizeof(T) == 8   ? 32
+                                  : sizeof(T) == 4 ? 16
+                                                   : 8;  // threads that take vectors of one row
+
+  T* pixels;
+  int left, top, columns, rows;
+  bool fits;
+
+  // Of a box that has something in it.
+  __device__ __forceinline__ Patch(void* pixels, Box const& box)
+      : pixels(static_cast<T*>(pixels)),
+        left(box.left & -kVectorSize),
+        top(box.top),
+        columns(box.right - left + 1),
+        rows(box.bottom - top + 1),
+        fits(columns <= min(kPitch, kColumns * kVectorSize) && rows <= kRows) {}
+  // Of the taps in the box; where these leave the image, that they can be put there.
+  template <class S, class F>
+  __device__ __forceinline__ Patch(void* pixels, Box const& box, Sampling<S> const& p, F) : Patch(pixels, box) {
+    bool const inside = box.left >= 0 && box.top >= 0 && box.right < p.x_axis.size && box.bottom < p.y_axis.size;
+    // Reflected places are in no order, and what fills the outside may be no number of the image's type.
+    fits = fits && (inside || (p.x_axis.padding != Padding::reflection && (sizeof(T) == sizeof(F) || !p.fill)));
+  }
+  // What it takes, and behind it, at `end`, the places of maps.
+  static KV_HD size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
+  template <class F>
+  static size_t bytes(int channels, Places<F> const& places) {
+    return bytes(channels) + (places.has_map() ? 2 * kTile * kTile * sizeof(F) : 0);
+  }
+
+  // For taps of places that count from (u, v).
+  __device__ __forceinline__ int origin(int u, int v) const { return (v - top) * kPitch + (u - left); }
+
+  // Brings N channels from `first` on; fill(channel) is what stands where there is no pixel.
+  template <int N, class F, class Fill>
+  __device__ __forceinline__ void load(Images<T const> const& x, int64_t b, int first, Axis<F> const& x_axis,
+                                       Axis<F> const& y_axis, bool aligned, Fill fill) const {
+    __syncthreads();  // for those who read what is there now
+    int const column = threadIdx.x % kColumns * kVectorSize, from = left + column;
+    bool const within = from >= 0 && from + kVectorSize <= x_axis.size, whole = aligned && within;
+    bool const filled = y_axis.padding == Padding::fill, beside = from + kVectorSize <= 0 || from >= x_axis.size;
+    int const row_stride = int(x.row_stride), step = int(x.step);  // a plane has less than 2^31 elements
+    T const* planes[N];
+#pragma unroll
+    for (int k = 0; k < N; ++k) planes[k] = x.row(b, first + k, 0);
+    T* to = pixels + threadIdx.x / kColumns * kPitch + column;
+    bool const inside = aligned && left >= 0 && top >= 0 && top + rows <= y_axis.size &&
+                        left + (columns + kVectorSize - 1) / kVectorSize * kVectorSize <= x_axis.size;
+    if (column >= columns) {
+    } else if (inside) {
+      int at = (top + int(threadIdx.x) / kColumns) * row_stride + from;
+#pragma unroll 1
+      for (int row = threadIdx.x / kColumns; row < rows; row += kThreads / kColumns) {
+#pragma unroll
+        for (int k = 0; k < N; ++k) __pipeline_memcpy_async(to + k * kSize, planes[k] + at, 16);
+        at += kThreads / kColumns * row_stride;
+        to += kThreads / kColumns * kPitch;
+      }
+    } else {
+#pragma unroll 1
+      for (int row = threadIdx.x / kColumns; row < rows;
+           row += kThreads / kColumns, to += kThreads / kColumns * kPitch) {
+        int const y = pixel_at(y_axis, top + row);
+        bool const exists = unsigned(y) < unsigned(y_axis.size);
+        if (whole && exists) {
+          int const at = y * row_stride + from;
+#pragma unroll
+          for (int k = 0; k < N; ++k) __pipeline_memcpy_async(to + k * kSize, planes[k] + at, 16);
+        } else if (filled && (beside || !exists)) {
+#pragma unroll
+          for (int k = 0; k < N; ++k) {
+            Vector<T, kVectorSize> vector;
+            T const value = fill(first + k);
+#pragma unroll
+            for (int i = 0; i < kVectorSize; ++i) vector.v[i] = value;
+            *reinterpret_cast<Vector<T, kVectorSize>*>(to + k * kSize) = vector;
+          }
+        } else {
+#pragma unroll 1
+          for (int i = 0; i < kVectorSize; ++i) {
+            int const column = within ? from + i : pixel_at(x_axis, from + i);
+            bool const is = exists && unsigned(column) < unsigned(x_axis.size);
+            int const at = y * row_stride + column * step;
+#pragma unroll
+            for (int k = 0; k < N; ++k) to[k * kSize + i] = is ? planes[k][at] : fill(first + k);
+          }
+        }
+      }
+    }
+    __pipeline_commit();
+    __pipeline_wait_prior(0);
+    __syncthreads();
+  }
+};
+
+// Calls take(first, number) for all channels, some at a time, the number as a type.
+template <int N, class Take>
+__device__ __forceinline__ void in_groups(int channels, Take take) {
+  int first = 0;
+#pragma unroll 1
+  for (; first + N <= channels; first += N) take(first, std::integral_constant<int, N>{});
+  if constexpr (N > 1)
+#pragma unroll 1
+    for (; first < channels; ++first) take(first, std::integral_constant<int, 1>{});
+}
+
+// Whether rows begin at whole vectors, of images one pixel after the other.
+template <class T>
+bool rows_are_aligned(Images<T> const& x) {
+  int64_t const vector = 16 / int64_t(sizeof(T));
+  return reinterpret_cast<uintptr_t>(x.data) % 16 == 0 && x.step == 1 && x.row_stride % vector == 0 &&
+         x.channel_stride % vector == 0 && x.batch_stride % vector == 0;
+}
+
+}  // namespace kv::cuda

@@ -1,0 +1,208 @@
+// Warps of volumes by a matrix: trilinear or nearest, with the rules of sampling.h along each of the three axes, and
+// nothing (0) around the volume for the fill. Places and matrices are (x, y, z). Included by warp3d_cpu.cpp, warp3d.cu
+// and warp3d_op.cpp.
+#pragma once
+
+#include "geometry/transform/sampling.h"
+
+namespace kv {
+
+struct Size3 {
+  int64_t depth, height, width;
+  KV_HD int64_t along(int axis) const { return axis == 0 ? width : axis == 1 ? height : depth; }
+};
+
+// What a caller's matrix means, as MatrixUse.
+struct MatrixUse3 {
+  int rows;  // 4, or 3 for an affine one
+  bool inverse, normalized, align_corners;
+  Size3 source, output;
+};
+
+// The parameters of all three kernels, of dense volumes (B, C, D, H, W). `x` has the size of the source, `y` that of
+// the output; which of them is read and which is written differs.
+template <class T>
+struct Warp3d {
+  Interpolation interpolation;
+  Padding padding;
+  Compute<T> const* matrices;
+  int64_t matrix_stride;  // 0 where one serves the batch
+  MatrixUse3 use;
+  T *x, *y;
+  int64_t batch, channels;
+  double* sums;  // of the gradient to the matrices: 16 for each of `parts` of a sample
+  int64_t parts;
+
+  KV_HD int64_t source_voxels() const { return use.source.depth * use.source.height * use.source.width; }
+  KV_HD int64_t output_voxels() const { return use.output.depth * use.output.height * use.output.width; }
+  KV_HD Axis<Compute<T>> axis(int i) const { return {int(use.source.along(i)), padding, use.align_corners}; }
+};
+
+// How many voxels of a sample a block of threads takes on CUDA.
+constexpr int64_t kVoxelsOfPart = 4096;
+
+// The value; in the type that computes, the gradient to the volume and the parts of that to the matrices.
+template <class T>
+struct Warp3dValue : Warp3d<T> {
+  MatrixFormula formula{};
+};
+template <class T>
+struct Warp3dTranspose : Warp3d<T> {};
+template <class T>
+struct Warp3dSlopes : Warp3d<T> {};
+
+// Adds the parts up and takes them to the matrices.
+template <class T>
+struct Warp3dMatrix : Warp3d<T> {
+  T* grad;  // (B, rows, 4)
+};
+
+KV_KERNEL(warp3d, Warp3dValue)
+KV_KERNEL(warp3d_transpose, Warp3dTranspose)
+KV_KERNEL(warp3d_slopes, Warp3dSlopes)
+KV_KERNEL(warp3d_matrix, Warp3dMatrix)
+
+// --- the map ---------------------------------------------------------------------------------------------------------
+
+namespace matrix {
+
+// By the determinants of pairs of rows: Laplace's expansion along the first two.
+KV_HD void invert4(double const* m, double* inverse) {
+  double s[6], c[6];
+  constexpr int pairs[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
+  for (int k = 0; k < 6; ++k) {
+    int const i = pairs[k][0], j = pairs[k][1];
+    s[k] = m[i] * m[4 + j] - m[4 + i] * m[j];
+    c[k] = m[8 + i] * m[12 + j] - m[12 + i] * m[8 + j];
+  }
+  double const scale = 1 / (s[0] * c[5] - s[1] * c[4] + s[2] * c[3] + s[3] * c[2] - s[4] * c[1] + s[5] * c[0]);
+  double const cofactors[16] = {m[5] * c[5] - m[6] * c[4] + m[7] * c[3],     -m[1] * c[5] + m[2] * c[4] - m[3] * c[3],
+                                m[13] * s[5] - m[14] * s[4] + m[15] * s[3],  -m[9] * s[5] + m[10] * s[4] - m[11] * s[3],
+                                -m[4] * c[5] + m[6] * c[2] - m[7] * c[1],    m[0] * c[5] - m[2] * c[2] + m[3] * c[1],
+                                -m[12] * s[5] + m[14] * s[2] - m[15] * s[1], m[8] * s[5] - m[10] * s[2] + m[11] * s[1],
+                                m[4] * c[4] - m[5] * c[2] + m[7] * c[0],     -m[0] * c[4] + m[1] * c[2] - m[3] * c[0],
+                                m[12] * s[4] - m[13] * s[2] + m[15] * s[0],  -m[8] * s[4] + m[9] * s[2] - m[11] * s[0],
+                                -m[4] * c[3] + m[5] * c[1] - m[6] * c[0],    m[0] * c[3] - m[1] * c[1] + m[2] * c[0],
+                                -m[12] * s[3] + m[13] * s[1] - m[14] * s[0], m[8] * s[3] - m[9] * s[1] + m[10] * s[0]};
+  for (int i = 0; i < 16; ++i) inverse[i] = cofactors[i] * scale;
+}
+
+// The gradient to m from that to its inverse: -inverse^T g inverse^T.
+KV_HD void invert4_vjp(double const* inverse, double const* g, double* grad) {
+  double product[16];
+  for (int i = 0; i < 4; ++i)
+    for (int k = 0; k < 4; ++k) {
+      double sum = 0;
+      for (int e = 0; e < 4; ++e) sum += inverse[4 * e + i] * g[4 * e + k];
+      product[4 * i + k] = sum;
+    }
+  for (int i = 0; i < 4; ++i)
+    for (int k = 0; k < 4; ++k) {
+      double sum = 0;
+      for (int e = 0; e < 4; ++e) sum += product[4 * i + e] * inverse[4 * k + e];
+      grad[4 * i + k] = -sum;
+    }
+}
+
+// m, from [-1, 1] to [-1, 1], as a map from voxels to voxels, and back with gradients.
+KV_HD void to_voxels(double* m, MatrixUse3 const& use) {
+  for (int i = 0; i < 3; ++i) {
+    Unit const from(use.output.along(i), use.align_corners);
+    for (int row = 0; row < 16; row += 4) {
+      m[row + i] = from.scale > 0 ? m[row + i] / from.scale : 0;  // the only voxel of an axis stands in its middle
+      m[row + 3] -= m[row + i] * from.offset;
+    }
+  }
+  for (int i = 0; i < 3; ++i) {
+    Unit const to(use.source.along(i), use.align_corners);
+    for (int k = 0; k < 4; ++k) m[4 * i + k] = m[4 * i + k] * to.scale + m[12 + k] * to.offset;
+  }
+}
+KV_HD void to_voxels_vjp(double* g, MatrixUse3 const& use) {
+  for (int i = 0; i < 3; ++i) {
+    Unit const to(use.source.along(i), use.align_corners);
+    for (int k = 0; k < 4; ++k) {
+      g[12 + k] += g[4 * i + k] * to.offset;
+      g[4 * i + k] *= to.scale;
+    }
+  }
+  for (int i = 0; i < 3; ++i) {
+    Unit const from(use.output.along(i), use.align_corners);
+    for (int row = 0; row < 16; row += 4) {
+      g[row + i] -= g[row + 3] * from.offset;
+      g[row + i] = from.scale > 0 ? g[row + i] / from.scale : 0;
+    }
+  }
+}
+
+}  // namespace matrix
+
+// (x, y, z, 1) goes to m (x, y, z, 1), divided by its last number.
+template <class F>
+struct Homography3 {
+  F m[16];
+
+  KV_HD F line(int i, F x, F y, F z) const {
+    return x * m[4 * i] + (y * m[4 * i + 1] + (z * m[4 * i + 2] + m[4 * i + 3]));
+  }
+  // The place, and what its coordinates were divided by.
+  KV_HD F at(F x, F y, F z, F (&place)[3]) const {
+    F const weight = line(3, x, y, z);
+    for (int i = 0; i < 3; ++i) place[i] = line(i, x, y, z) / weight;
+    return weight;
+  }
+};
+
+namespace matrix {
+
+template <class F>
+KV_HD void load4(F const* given, int rows, double* m) {
+  for (int i = 0; i < 16; ++i) m[i] = i < 4 * rows ? double(given[i]) : i == 15;
+}
+
+}  // namespace matrix
+
+// From voxels of the output to voxels of the source.
+template <class F>
+KV_HD Homography3<F> homography3(F const* given, MatrixUse3 const& use) {
+  double m[16], inverse[16];
+  matrix::load4(given, use.rows, m);
+  if (use.inverse) {
+    matrix::invert4(m, inverse);
+    for (int i = 0; i < 16; ++i) m[i] = inverse[i];
+  }
+  if (use.normalized) matrix::to_voxels(m, use);
+  Homography3<F> h;
+  for (int i = 0; i < 16; ++i) h.m[i] = F(m[i]);
+  return h;
+}
+
+template <class F>
+KV_HD void homography3_vjp(F const* given, MatrixUse3 const& use, double* g, F* grad) {
+  double m[16], inverse[16], to_given[16];
+  matrix::load4(given, use.rows, m);
+  if (use.normalized) matrix::to_voxels_vjp(g, use);
+  if (use.inverse) {
+    matrix::invert4(m, inverse);
+    matrix::invert4_vjp(inverse, g, to_given);
+    g = to_given;
+  }
+  for (int i = 0; i < 4 * use.rows; ++i) grad[i] = F(g[i]);
+}
+
+// What a voxel of the output, whose place has the gradient `to_place`, gives to the sums of its matrix.
+template <class F, class Sum>
+KV_HD void add_to_matrix3(F const (&to_place)[3], F const (&place)[3], F weight, F x, F y, F z, Sum* sums) {
+  F const at[] = {x, y, z, F(1)};
+  F to_line[4] = {};
+  for (int i = 0; i < 3; ++i) {
+    to_line[i] = to_place[i] / weight;
+    to_line[3] -= to_line[i] * place[i];
+  }
+  for (int i = 0; i < 4; ++i) {
+    F const g = to_line[i] - to_line[i] == 0 ? to_line[i] : F(0);  // a place at infinity has no slope
+    for (int k = 0; k < 4; ++k) sums[4 * i + k] += Sum(g * at[k]);
+  }
+}
+
+}  // namespace kv

@@ -21,6 +21,7 @@ from pathlib import Path
 from setuptools import Command, Distribution, setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build import build
+from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent.resolve()
 BUILD = os.environ.get("KVISION_BUILD", "auto")
@@ -110,6 +111,15 @@ class Build(build):
         super().run()
 
 
+class BuildPy(build_py):
+    """The modules, and the table of differences that kvision.migrate reads."""
+
+    def run(self) -> None:
+        super().run()
+        if not self.editable_mode:
+            self.copy_file("docs/differences.md", str(Path(self.build_lib, "kvision/differences.md")))
+
+
 class BdistWheel(bdist_wheel):
     """The libraries serve every Python; kvision._C serves the one it was built with, and kvision works without it."""
 
@@ -120,7 +130,7 @@ class BdistWheel(bdist_wheel):
 
 setup(
     distclass=NativeDistribution,
-    cmdclass={"build": Build, "build_native": BuildNative, "bdist_wheel": BdistWheel},
+    cmdclass={"build": Build, "build_py": BuildPy, "build_native": BuildNative, "bdist_wheel": BdistWheel},
     options={"build": {"build_base": "build/pip"}},
     # For an isolated build where no torch is installed: any will do, so none is fetched where one is.
     setup_requires=["torch>=2.11"] if BUILD != "reference" and torch_root() is None else [],

@@ -15,6 +15,7 @@ pytest.importorskip("PIL")
 pytest.importorskip("tqdm")
 
 from kvision.demo import __main__ as demo
+from kvision.demo import contact_sheet
 from kvision.demo.restore import restore
 from kvision.io import load_image, write_image
 
@@ -102,3 +103,11 @@ def test_restoring_lowers_the_loss_and_brings_the_photo_back():
     assert len(restored.losses) == 61 and restored.losses[-1] < restored.losses[0] / 100
     assert restored.restored_psnr > restored.blurred_psnr + 3
     assert restored.restored.min() >= 0 and restored.restored.max() <= 1
+
+
+def test_makes_the_contact_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("skimage")
+    monkeypatch.setattr(contact_sheet, "STEPS", 2)
+    assert contact_sheet.main([str(tmp_path / "results.jpg")]) == 0
+    page = load_image(tmp_path / "results.jpg")
+    assert page.shape[2] > page.shape[1] > 3 * contact_sheet.TILE and page.std() > 0.1

@@ -1,4 +1,5 @@
-"""`python -m kvision.demo [IMAGE ...]`: photographs filtered, timed and laid out in a gallery. Nothing imports this.
+"""`python -m kvision.demo [IMAGE ...]`: filter photographs, time the operators, and lay the results out in a gallery.
 
-A sheet of the gallery is a `Sheet` (sheet.py) in a file of its own, named in SHEETS (__main__.py).
+No other module imports this package. A sheet of the gallery is a `Sheet` (sheet.py) in a file of its own, named in SHEETS
+(__main__.py). `python -m kvision.demo.contact_sheet FILE` writes the picture of README.md.
 """

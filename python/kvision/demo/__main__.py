@@ -79,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
 
 def chosen_device(name: str) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
-        raise DeviceError("--device cuda: this torch sees no CUDA device")
+        raise DeviceError("--device cuda: torch finds no CUDA device")
     return torch.device("cuda" if name == "auto" and torch.cuda.is_available() else name.replace("auto", "cpu"))
 
 
@@ -100,22 +100,22 @@ def square(picture: Tensor) -> Tensor:
 
 
 def section(sheet: Sheet, columns: Sequence[Column], names: Sequence[str], photos: Tensor) -> gallery.Section:
-    """A sheet as a grid: the photos, then for each step what it was given, if not the photos, and what it made."""
+    """A sheet as a grid: the photos, then for each step its result, and its input where that is not the photos."""
     shown = [("photo", "", photos)]
     for column in columns:
-        if column.given is not None:
-            shown.append((column.given[0], "", column.given[1]))
+        if column.input is not None:
+            shown.append((column.input[0], "", column.input[1]))
         shown.append((column.title, f"{column.ms:.2f} ms", column.pictures))
     rows = [(name, [gallery.picture(pictures[i]) for *_, pictures in shown]) for i, name in enumerate(names)]
     return gallery.Section(sheet.title, [(title, note) for title, note, _ in shown], rows)
 
 
 def wheel(photo: Tensor, name: str, width: int) -> gallery.Section:
-    """A row of `width` pictures of one photo, its hues turned once around."""
+    """A row of `width` images of one photo with its hues rotated once around the circle."""
     columns = [(f"{round(360 * i / width)}°", "") for i in range(width)]
     cells = [gallery.picture(picture) for picture in color.hue_wheel(photo, width)]
     return gallery.Section(
-        "Hues turned by adjust_hue, by another angle for each picture of the batch", columns, [(name, cells)]
+        "Hues rotated by adjust_hue, by another angle for each image of the batch", columns, [(name, cells)]
     )
 
 

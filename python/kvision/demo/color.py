@@ -15,7 +15,7 @@ from kvision.demo.sheet import Image, Sheet, Step
 
 
 def hues_alone(hsv: Tensor) -> Tensor:
-    """Every pixel in its hue, fully saturated and bright."""
+    """Colors that have the hue of every pixel at full saturation and value."""
     return color.hsv_to_rgb(torch.cat([hsv[:, :1], torch.ones_like(hsv[:, 1:])], 1))
 
 
@@ -24,15 +24,15 @@ def at_one_lightness(lab: Tensor) -> Tensor:
 
 
 def plasma(photos: Tensor) -> Tensor:
-    """Every gray as a color of the map of that name."""
+    """The luminance shown by the colormap plasma."""
     return color.apply_colormap(color.rgb_to_grayscale(photos), PLASMA)
 
 
 PLASMA = color.ColorMap("plasma", 256)
 
 
-def of_planes(equalize: Callable[[Image], Any]) -> Callable[[Image], Any]:
-    """OpenCV equalizes planes of bytes."""
+def per_plane(equalize: Callable[[Image], Any]) -> Callable[[Image], Any]:
+    """Apply a function of OpenCV that takes 8-bit planes to every channel."""
 
     def work(image: Image) -> Any:
         levels = cv2.convertScaleAbs(image, alpha=255)
@@ -51,17 +51,17 @@ SHEET = Sheet(
         Step("saturation", lambda x: enhance.adjust_saturation(x, 1.8)),
         Step("contrast", lambda x: enhance.adjust_contrast_with_mean_subtraction(x, 1.6)),
         Step("gamma", lambda x: enhance.adjust_gamma(x, 0.5), lambda image: cv2.pow(image, 0.5)),
-        Step("equalize", lambda x: enhance.equalize(x, opencv=True), of_planes(cv2.equalizeHist)),
+        Step("equalize", lambda x: enhance.equalize(x, opencv=True), per_plane(cv2.equalizeHist)),
         Step(
             "clahe",
             lambda x: enhance.equalize_clahe(x, 4.0, opencv=True),
-            of_planes(lambda plane: cv2.createCLAHE(4.0).apply(plane)),
+            per_plane(lambda plane: cv2.createCLAHE(4.0).apply(plane)),
         ),
     ],
 )
 
 
-def hue_wheel(photo: Tensor, turns: int) -> Tensor:
-    """A photo (3, H, W) with its hues turned by equal steps of a whole turn: (turns, 3, H, W), in one call."""
-    angles = torch.arange(turns, device=photo.device) * (2 * math.pi / turns)
-    return enhance.adjust_hue(photo.expand(turns, -1, -1, -1), angles)
+def hue_wheel(photo: Tensor, count: int) -> Tensor:
+    """A photo (3, H, W) with its hues rotated by `count` equal steps around the circle: (count, 3, H, W), in one call."""
+    angles = torch.arange(count, device=photo.device) * (2 * math.pi / count)
+    return enhance.adjust_hue(photo.expand(count, -1, -1, -1), angles)

@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 
 from kvision import filters
-from kvision.demo.sheet import Given, Image, Sheet, Step
+from kvision.demo.sheet import Image, Sheet, Step, StepInput
 
 
-def salt_and_pepper(photos: Tensor, share: float = 0.1) -> Tensor:
+def salt_and_pepper(photos: Tensor, fraction: float = 0.1) -> Tensor:
     """Every tenth pixel white or black."""
     generator = torch.Generator().manual_seed(0)
     draw = torch.rand(len(photos), 1, *photos.shape[2:], generator=generator).to(photos.device)
-    return photos.masked_fill(draw < share / 2, 0).masked_fill(draw > 1 - share / 2, 1)
+    return photos.masked_fill(draw < fraction / 2, 0).masked_fill(draw > 1 - fraction / 2, 1)
 
 
 MOTION = filters.get_motion_kernel2d(21, 35.0, 0.0)
@@ -65,7 +65,7 @@ SHEET = Sheet(
             "median",
             lambda x: filters.median_blur(x, 3),
             lambda image: cv2.medianBlur(image, 3),
-            given=Given("salt and pepper", salt_and_pepper),
+            input=StepInput("salt and pepper", salt_and_pepper),
         ),
         Step(
             "bilateral",

@@ -10,13 +10,13 @@ from torch import Tensor
 from kvision import geometry
 from kvision.demo.sheet import Image, Sheet, Step
 
-# A quadrangle of the picture, in parts of its width and height, and where it goes: the whole.
+# A quadrangle of the image and the whole image, in fractions of its width and height: the first is warped to the second.
 QUADRANGLE = [[0.10, 0.15], [0.85, 0.05], [0.95, 0.90], [0.05, 0.80]]
 WHOLE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 
 
-def corners(parts: list[list[float]], height: int, width: int) -> Image:
-    return np.array(parts, np.float32) * np.array([width - 1, height - 1], np.float32)
+def corners(fractions: list[list[float]], height: int, width: int) -> Image:
+    return np.array(fractions, np.float32) * np.array([width - 1, height - 1], np.float32)
 
 
 def rotate(photos: Tensor) -> Tensor:
@@ -57,13 +57,13 @@ def pixelated(photos: Tensor) -> Tensor:
 
 
 def detail(photos: Tensor) -> Tensor:
-    """What the largest level of a Laplacian pyramid has, around gray."""
+    """The finest level of a Laplacian pyramid, with 0 shown as gray."""
     height, width = photos.shape[2:]
     return (geometry.build_laplacian_pyramid(photos, 2)[0][..., :height, :width] * 2 + 0.5).clamp(0, 1)
 
 
 SHEET = Sheet(
-    "Places",
+    "Geometry",
     [
         Step("rotation", rotate, rotate_opencv),
         Step("perspective", rectify, rectify_opencv),

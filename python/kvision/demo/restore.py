@@ -1,4 +1,4 @@
-"""A use of gradients: a blurred photo is sharpened by gradient descent through the blur itself."""
+"""An example of gradients: a blurred photo is sharpened by gradient descent through the blur itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sheet of the gallery is: steps, each of which makes a picture of every photo."""
+"""A sheet of the gallery: steps, each of which makes an image of every photo."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from kvision.image import tensor_to_image
 Image = np.ndarray[Any, Any]
 
 
-class Given(NamedTuple):
-    """What a step gets instead of the photos; shown in a column of its own, left of the result."""
+class StepInput(NamedTuple):
+    """The input of a step that does not take the photos themselves; it is shown in a column left of the result."""
 
     title: str
     make: Callable[[Tensor], Tensor]
@@ -26,7 +26,7 @@ class Given(NamedTuple):
 
 @dataclass(frozen=True)
 class Step:
-    """One column: `call` takes the batch of photos (B, 3, H, W) in [0, 1], and `show` makes its result a picture.
+    """One column: `call` takes the batch of photos (B, 3, H, W) in [0, 1], and `show` converts its result to images.
 
     `opencv` does the same work to one (H, W, 3) image.
     """
@@ -35,7 +35,7 @@ class Step:
     call: Callable[[Tensor], Tensor]
     opencv: Callable[[Image], Any] | None = None
     show: Callable[[Tensor], Tensor] = lambda result: result
-    given: Given | None = None
+    input: StepInput | None = None
 
 
 @dataclass(frozen=True)
@@ -48,19 +48,19 @@ class Sheet:
 
 @dataclass(frozen=True)
 class Column:
-    """A step done: pictures (B, 1 or 3, H, W), what served it, and the milliseconds it and OpenCV took."""
+    """The result of a step: images (B, 1 or 3, H, W), the backend that served it, and its milliseconds and OpenCV's."""
 
     title: str
     pictures: Tensor
-    given: tuple[str, Tensor] | None
+    input: tuple[str, Tensor] | None
     backend: str
     ms: float
     opencv_ms: float | None
 
 
 def run(step: Step, photos: Tensor) -> Column:
-    """Do one step, and time it and OpenCV at the same work."""
-    x = photos if step.given is None else step.given.make(photos)
+    """Run one step, and time it and OpenCV at the same work."""
+    x = photos if step.input is None else step.input.make(photos)
     result = step.call(x)
     opencv_ms = None
     if step.opencv is not None:
@@ -70,7 +70,7 @@ def run(step: Step, photos: Tensor) -> Column:
     return Column(
         title=step.title,
         pictures=step.show(result).clamp(0, 1),
-        given=None if step.given is None else (step.given.title, x),
+        input=None if step.input is None else (step.input.title, x),
         backend="native" if native_operators(lambda: step.call(x)) else "reference",
         ms=quickest(lambda: step.call(x), x.device),
         opencv_ms=opencv_ms,
@@ -80,14 +80,14 @@ def run(step: Step, photos: Tensor) -> Column:
 def quickest(call: Callable[[], Any], device: torch.device | None = None) -> float:
     """Milliseconds of the quickest of at least three calls, and of as many more as fit in a tenth of a second.
 
-    A call counts until its result is there. One more call goes first, to warm up.
+    The time of a call includes the wait for its result. One more call goes first, to warm up.
     """
-    found: list[float] = []
+    times: list[float] = []
     begin = time.perf_counter()
-    while len(found) < 4 or time.perf_counter() - begin < 0.1:
+    while len(times) < 4 or time.perf_counter() - begin < 0.1:
         start = time.perf_counter()
         call()
         if device is not None and device.type == "cuda":
             torch.cuda.synchronize(device)
-        found.append(time.perf_counter() - start)
-    return min(found[1:]) * 1e3
+        times.append(time.perf_counter() - start)
+    return min(times[1:]) * 1e3

@@ -1,0 +1,62 @@
+"""`python -m kvision.demo.contact_sheet FILE`: a page of small results without times, the picture of README.md."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from PIL import Image, ImageDraw, ImageFont
+
+from kvision.demo import gallery
+from kvision.demo.__main__ import SHEETS, load
+from kvision.demo.restore import blur, restore
+
+TILE, GAP, LABEL = 176, 8, 22  # pixels
+STEPS = 150  # of the restoration
+
+# (photo, step of the gallery), row by row; "photo", "blurred" and "restored" are no steps.
+COLUMNS = 6
+CELLS = [
+    *[("astronaut", title) for title in ("photo", "canny", "bilateral", "plasma", "blurred", "restored")],
+    *[("chelsea", title) for title in ("photo", "sobel", "hue", "mosaic", "motion blur", "pixels")],
+    *[("coffee", title) for title in ("photo", "perspective", "elastic", "clahe", "sepia", "lab")],
+]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m kvision.demo.contact_sheet", description=__doc__)
+    parser.add_argument("file", type=Path, metavar="FILE", help="for example docs/pictures/results.jpg")
+    path = parser.parse_args(arguments).file
+    contact_sheet().save(path, quality=85)
+    return 0
+
+
+def contact_sheet() -> Image.Image:
+    """The results of CELLS, each with its title below."""
+    names, photos = load([])
+    results = {"photo": photos}
+    wanted = {title for _, title in CELLS}
+    for sheet in SHEETS:
+        for step in sheet.steps:
+            if step.title in wanted:
+                source = photos if step.input is None else step.input.make(photos)
+                results[step.title] = step.show(step.call(source)).clamp(0, 1)
+    results["blurred"] = blur(photos)
+    results["restored"] = torch.cat([restore(photos[:1], range(STEPS)).restored, photos[1:]])
+    rows = -(-len(CELLS) // COLUMNS)
+    page = Image.new("RGB", (COLUMNS * (TILE + GAP) + GAP, rows * (TILE + LABEL + GAP) + GAP), gallery.PAPER)
+    draw, font = ImageDraw.Draw(page), ImageFont.load_default(14)
+    for i, (name, title) in enumerate(CELLS):
+        x, y = GAP + i % COLUMNS * (TILE + GAP), GAP + i // COLUMNS * (TILE + LABEL + GAP)
+        page.paste(
+            gallery.picture(results[title][names.index(name)]).resize((TILE, TILE), Image.Resampling.LANCZOS), (x, y)
+        )
+        draw.text((x, y + TILE + 4), title, fill=gallery.INK, font=font)
+    return page
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -214,18 +214,18 @@ def _backward_around_mean(needs, grad, _, y, mean, *arguments):
     return _backward(needs, grad, *arguments, mean=mean)
 
 
-_program = register("color_program", _reference, fake=_result, backward=_backward, bytes=True, stores=True)
+_program = register("color_program", _reference, fake=_result, backward=_backward, bytes=True, casts_outputs=True)
 _program_around_mean = register(
     "color_program_around_mean",
     _reference_around_mean,
     fake=_result_and_mean,
     backward=_backward_around_mean,
     saves_results=True,
-    constant=(1,),
+    non_differentiable=(1,),
     bytes=True,
-    stores=True,
+    casts_outputs=True,
 )
-_program_backward = register("color_program_backward", _pulled_back, fake=_gradients, stores=True)
+_program_backward = register("color_program_backward", _pulled_back, fake=_gradients, casts_outputs=True)
 
 # --- calls ----------------------------------------------------------------------------------------------------------
 

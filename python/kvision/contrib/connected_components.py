@@ -47,7 +47,7 @@ def _fake(x: Tensor) -> Tensor:
     return x.new_empty(x.shape, dtype=torch.int64)
 
 
-_connected_components = register("connected_components", _reference, fake=_fake, constant=(0,), bytes=True, stores=True)
+_connected_components = register("connected_components", _reference, fake=_fake, non_differentiable=(0,), bytes=True, casts_outputs=True)
 
 
 def connected_components(image: Tensor, num_iterations: int = 100) -> Tensor:

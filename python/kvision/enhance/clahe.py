@@ -27,7 +27,7 @@ def _backward(needs, grad, output, *_):
     return [equalize_backward(grad, output, None)]
 
 
-_equalize_clahe = register("equalize_clahe", _reference, backward=_backward, saves_results=True, halves=True)
+_equalize_clahe = register("equalize_clahe", _reference, backward=_backward, saves_results=True, native_half=True)
 
 
 def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> Tensor:
@@ -37,7 +37,7 @@ def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> 
     return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]), rows, columns, tile, False)
 
 
-_equalize_clahe_smooth = as_stored(_reference_smooth, halves=True)
+_equalize_clahe_smooth = as_stored(_reference_smooth, native_half=True)
 
 
 def _tile(x: Tensor, rows: int, columns: int, opencv: bool) -> tuple[int, int]:

@@ -64,7 +64,7 @@ def _pulled_back(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tensor
     return grad.masked_fill(equalized, 0)
 
 
-equalize_backward = register("equalize_backward", _pulled_back, halves=True)
+equalize_backward = register("equalize_backward", _pulled_back, native_half=True)
 
 
 def _backward(needs, grad, _, output, changed, *args):
@@ -77,8 +77,8 @@ _equalize = register(
     fake=lambda x, _: [x.shape, x.shape[:2]],
     backward=_backward,
     saves_results=True,
-    constant=(1,),
-    halves=True,
+    non_differentiable=(1,),
+    native_half=True,
 )
 
 

@@ -41,7 +41,7 @@ _normalize_min_max = register(
     fake=lambda x, *_: [x.shape, (*x.shape[:2], 2)],
     backward=_backward,
     saves_results=True,
-    constant=(1,),
+    non_differentiable=(1,),
 )
 
 

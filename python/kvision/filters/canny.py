@@ -61,7 +61,7 @@ _canny_suppress = register(
     fake=lambda x, *_: [x.shape, x.shape],
     backward=_suppress_backward,
     saves_results=True,
-    constant=(1,),
+    non_differentiable=(1,),
 )
 
 
@@ -78,7 +78,7 @@ def _reference_hysteresis(edges: Tensor) -> Tensor:
         strong = grown
 
 
-_canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, constant=(0,))
+_canny_hysteresis = register("canny_hysteresis", _reference_hysteresis, non_differentiable=(0,))
 
 
 def canny(

@@ -70,7 +70,7 @@ def _backward_shapes(grad, points, depth, matrix, kind, to_matrix):
 
 
 _map_points = register("map_points", _reference, fake=_shape, backward=_backward)
-_map_points_backward = register("map_points_backward", _backward_reference, fake=_backward_shapes, stores=True)
+_map_points_backward = register("map_points_backward", _backward_reference, fake=_backward_shapes, casts_outputs=True)
 
 
 def met(points: Tensor, plane: Tensor) -> Tensor:

@@ -110,21 +110,21 @@ def _contest_sizes(
     return [(kept, 3, 3), (kept, 2), (kept, points1.shape[1])]
 
 
-_consensus = register("consensus", _consensus_reference, fake=lambda models, *args: (models.shape[0], 2), constant=(0,))
+_consensus = register("consensus", _consensus_reference, fake=lambda models, *args: (models.shape[0], 2), non_differentiable=(0,))
 _leaders = register(
     "leaders",
     _leaders_reference,
     fake=lambda models, scores, count, *how: [(min(count, len(models)), *size) for size in ((3, 3), (2,))],
-    constant=(0, 1),
+    non_differentiable=(0, 1),
 )
 _verdict = register(
     "verdict",
     _verdict_reference,
     fake=lambda models, weights, *how: [(3, 3), weights.new_empty(weights.shape[1], dtype=torch.bool)],
-    constant=(0, 1),
-    stores=True,
+    non_differentiable=(0, 1),
+    casts_outputs=True,
 )
-_contest = register("contest", _contest_reference, fake=_contest_sizes, constant=(0, 1, 2))
+_contest = register("contest", _contest_reference, fake=_contest_sizes, non_differentiable=(0, 1, 2))
 
 
 class RANSAC(nn.Module):

@@ -72,9 +72,9 @@ _focal_backward = register(
     "focal_backward",
     vjp(_reference),
     fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
-    stores=True,
+    casts_outputs=True,
 )
-_focal = register("focal", _reference, fake=_fake, backward=_backward, stores=True)
+_focal = register("focal", _reference, fake=_fake, backward=_backward, casts_outputs=True)
 
 
 def focal_loss(
@@ -275,9 +275,9 @@ _binary_backward = register(
     "binary_focal_backward",
     _binary_slope,
     fake=lambda grad, pred, *_: pred.new_empty(grad.shape[0], pred.shape[1]),
-    stores=True,
+    casts_outputs=True,
 )
-_binary = register("binary_focal", _binary_reference, fake=_binary_fake, backward=_binary_gradients, stores=True)
+_binary = register("binary_focal", _binary_reference, fake=_binary_fake, backward=_binary_gradients, casts_outputs=True)
 
 
 def _focus(op: str, alpha: float | None, gamma: float) -> tuple[float | None, float]:

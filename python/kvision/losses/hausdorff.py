@@ -57,9 +57,9 @@ _hausdorff_backward = register(
     "hausdorff_backward",
     vjp(_reference),
     fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
-    stores=True,
+    casts_outputs=True,
 )
-_hausdorff = register("hausdorff", _reference, fake=_fake, backward=_backward, stores=True)
+_hausdorff = register("hausdorff", _reference, fake=_fake, backward=_backward, casts_outputs=True)
 
 
 def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) -> Tensor:

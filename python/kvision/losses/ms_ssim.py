@@ -40,15 +40,15 @@ _ms_ssim = register(
     _reference,
     fake=lambda x, *_: x.new_empty((x.shape[0], *x.shape[2:]), dtype=compute_dtype(x)),
     backward=_backward(
-        register("ms_ssim_backward", vjp(_reference), fake=lambda grad, x, *_: _like(x), stores=True),
+        register("ms_ssim_backward", vjp(_reference), fake=lambda grad, x, *_: _like(x), casts_outputs=True),
         register(
             "ms_ssim_backward_both",
             _both_gradients(_reference),
             fake=lambda grad, x, *_: [_like(x), _like(x)],
-            stores=True,
+            casts_outputs=True,
         ),
     ),
-    stores=True,
+    casts_outputs=True,
 )
 
 

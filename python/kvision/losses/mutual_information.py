@@ -115,7 +115,7 @@ _information_backward = register(
     fake=lambda grad, slopes, ranges, x, *_: (grad.shape[0], x.shape[1]),
 )
 _information = register(
-    "mutual_information", _reference, fake=_fake, backward=_backward, saves_results=True, constant=(1, 2)
+    "mutual_information", _reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1, 2)
 )
 
 

@@ -85,10 +85,10 @@ _overlap_backward = register(
     "overlap_backward",
     _slope,
     fake=lambda grad, sums, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
-    stores=True,
+    casts_outputs=True,
 )
 _overlap = register(
-    "overlap", _reference, fake=_fake, backward=_backward, saves_results=True, constant=(1,), stores=True
+    "overlap", _reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1,), casts_outputs=True
 )
 
 

@@ -30,9 +30,9 @@ _total_variation_backward = register(
     "total_variation_backward",
     vjp(_reference),
     fake=lambda grad, x, *_: torch.empty_like(x, memory_format=torch.contiguous_format),
-    stores=True,
+    casts_outputs=True,
 )
-_total_variation = register("total_variation", _reference, fake=_fake, backward=_backward, stores=True)
+_total_variation = register("total_variation", _reference, fake=_fake, backward=_backward, casts_outputs=True)
 
 
 def _roughness(depth: Tensor, image: Tensor, along_y: float, along_x: float) -> Tensor:
@@ -64,14 +64,14 @@ _smoothness_slope = register(
     fake=lambda grad, depth, image, *plain: torch.empty_like(
         image if plain[-1] else depth, memory_format=torch.contiguous_format
     ),
-    stores=True,
+    casts_outputs=True,
 )
 _smoothness = register(
     "smoothness",
     _roughness,
     fake=lambda depth, *_: depth.new_empty(depth.shape[:1], dtype=compute_dtype(depth)),
     backward=_roughness_backward,
-    stores=True,
+    casts_outputs=True,
 )
 
 

@@ -31,7 +31,7 @@ def _fake(pred: Tensor, target: Tensor, classes: int, wanted: str, eps: float) -
     return pred.new_empty(pred.shape[0], *sizes, dtype=torch.float32)
 
 
-_confusion = register("confusion", _reference, fake=_fake, constant=(0,), labels=True, stores=True)
+_confusion = register("confusion", _reference, fake=_fake, non_differentiable=(0,), labels=True, casts_outputs=True)
 
 
 def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized: bool = False) -> Tensor:

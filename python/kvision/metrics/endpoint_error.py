@@ -91,9 +91,9 @@ _gradient = register(
     "endpoint_error_backward",
     _slope,
     fake=lambda grad, input, *_: input.new_empty(grad.shape[0], *input.shape[1:]),
-    stores=True,
+    casts_outputs=True,
 )
-_errors = register("endpoint_error", _reference, fake=_fake, backward=_backward, stores=True)
+_errors = register("endpoint_error", _reference, fake=_fake, backward=_backward, casts_outputs=True)
 
 
 average_endpoint_error = aepe

@@ -116,10 +116,10 @@ _sum_slopes = register(
     "pointwise_sum_backward",
     _sum_slope,
     fake=lambda grad, sums, x, *_: x.new_empty((grad.shape[0], x.shape[1])),
-    stores=True,
+    casts_outputs=True,
 )
 _sum = register(
-    "pointwise_sum", _sum_reference, fake=_fake_sum, backward=_sum_backward, saves_results=True, stores=True
+    "pointwise_sum", _sum_reference, fake=_fake_sum, backward=_sum_backward, saves_results=True, casts_outputs=True
 )
 
 

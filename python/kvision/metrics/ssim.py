@@ -133,15 +133,15 @@ _ssim_loss = register(
     _loss_reference,
     fake=lambda x, *_: x.new_empty(x.shape[:1], dtype=compute_dtype(x)),
     backward=_backward(
-        register("ssim_loss_backward", vjp(_loss_reference), fake=lambda grad, x, *_: _like(x), stores=True),
+        register("ssim_loss_backward", vjp(_loss_reference), fake=lambda grad, x, *_: _like(x), casts_outputs=True),
         register(
             "ssim_loss_backward_both",
             _both_gradients(_loss_reference),
             fake=lambda grad, x, *_: [_like(x), _like(x)],
-            stores=True,
+            casts_outputs=True,
         ),
     ),
-    stores=True,
+    casts_outputs=True,
 )
 
 

@@ -105,8 +105,8 @@ _photometric = register(
     ],
     backward=_backward,
     saves_results=True,
-    constant=(1, 2, 3),
-    stores=True,
+    non_differentiable=(1, 2, 3),
+    casts_outputs=True,
 )
 
 

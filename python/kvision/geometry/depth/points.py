@@ -108,7 +108,7 @@ _to_camera = register(
     "depth_camera",
     _points_to_camera,
     fake=lambda grad, depth, camera, _: camera.new_empty(grad.shape[0], 3, 3),
-    stores=True,
+    casts_outputs=True,
 )
 _depth_normals = register(
     "depth_normals",

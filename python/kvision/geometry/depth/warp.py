@@ -105,7 +105,7 @@ _slopes = register(
         depth.new_empty(len(grad), *depth.shape[1:]),
         projection.new_empty(len(grad), 3, 4),
     ],
-    stores=True,
+    casts_outputs=True,
 )
 
 # --- from one camera to another -------------------------------------------------------------------------------------

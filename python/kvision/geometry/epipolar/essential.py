@@ -483,8 +483,8 @@ _motion_choice = register(
         (*x1.shape[:2], 3),
         *(E.new_empty(E.shape[0], dtype=torch.int64) for _ in range(2)),
     ],
-    stores=True,
+    casts_outputs=True,
     backward=_choice_gradient,
     saves_results=True,
-    constant=(3, 4),
+    non_differentiable=(3, 4),
 )

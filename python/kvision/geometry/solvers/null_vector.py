@@ -56,7 +56,7 @@ _eigenvectors = register(
     "eigenvectors",
     lambda matrix: tuple(torch.linalg.eigh(matrix)),
     fake=lambda matrix: [matrix.shape[:2], matrix.shape],
-    constant=(0, 1),
+    non_differentiable=(0, 1),
 )
 
 

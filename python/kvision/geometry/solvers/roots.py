@@ -114,7 +114,7 @@ def _reference(coeffs: Tensor) -> Tensor:
 
 
 _real_roots = register(
-    "real_roots", _reference, fake=lambda coeffs: (coeffs.shape[0], coeffs.shape[1] - 1), constant=(0,)
+    "real_roots", _reference, fake=lambda coeffs: (coeffs.shape[0], coeffs.shape[1] - 1), non_differentiable=(0,)
 )
 
 

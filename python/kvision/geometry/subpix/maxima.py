@@ -78,18 +78,18 @@ _maxima = register(
     fake=lambda x, window, volumes, marked: [x.shape, _empty_flags(x) if marked else _no_flags(x)],
     backward=_backward,
     saves_results=True,
-    constant=(1,),
-    stores=True,
+    non_differentiable=(1,),
+    casts_outputs=True,
 )
 _keep_marked = register(
     "keep_marked", lambda x, flags: torch.where(flags != 0, x, 0), backward=_marked_backward, linear=True
 )
-_maximum = register("is_local_maximum", _flags, fake=_empty_flags, stores=True)
+_maximum = register("is_local_maximum", _flags, fake=_empty_flags, casts_outputs=True)
 _extrema = register(
     "local_extrema",
     lambda x, *how: tuple(_flags(v, *how) for v in (x, -x)),
     fake=lambda x, *how: [_empty_flags(x), _empty_flags(x)],
-    stores=True,
+    casts_outputs=True,
 )
 
 

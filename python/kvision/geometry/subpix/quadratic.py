@@ -134,7 +134,7 @@ _peaks_backward = register(
     fake=lambda places, values, x, *how: x.new_empty(
         x.shape, dtype=torch.float64 if x.dtype == torch.float64 else torch.float32
     ),
-    stores=True,
+    casts_outputs=True,
 )
 
 # --- functions ------------------------------------------------------------------------------------------------------

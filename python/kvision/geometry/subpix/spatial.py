@@ -129,10 +129,10 @@ _mean_place_backward = register(
     "mean_place_backward",
     _slope,
     fake=lambda grad, places, parts, input, *_: torch.empty_like(input, memory_format=torch.contiguous_format),
-    stores=True,
+    casts_outputs=True,
 )
 _mean_place = register(
-    "mean_place", _mean_place_reference, fake=_fake, backward=_backward, saves_results=True, constant=(1,), stores=True
+    "mean_place", _mean_place_reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1,), casts_outputs=True
 )
 
 

@@ -100,8 +100,8 @@ _photometric = register(
     fake=lambda source, target, matrix, *how: [matrix.new_empty(len(source)), matrix.new_empty(len(source), 3, 3)],
     backward=_backward,
     saves_results=True,
-    constant=(1,),
-    stores=True,
+    non_differentiable=(1,),
+    casts_outputs=True,
 )
 
 
@@ -141,7 +141,7 @@ _normal = register(
     "photometric_normal",
     _normal_reference,
     fake=lambda source, target, matrix, *how: [(len(source), 8, 8), (len(source), 8), (len(source),)],
-    constant=(0, 1, 2),
+    non_differentiable=(0, 1, 2),
 )
 
 

@@ -221,7 +221,7 @@ _warp_matrix_gradient = register(
     "warp_matrix_gradient",
     _matrix_gradient_reference,
     fake=lambda grad, image, matrix, *rest: matrix.new_empty(image.shape[0], *matrix.shape[1:]),
-    stores=True,
+    casts_outputs=True,
 )
 
 # --- warps by formulas ----------------------------------------------------------------------------------------------
@@ -363,7 +363,7 @@ _remap_map_gradient = register(
     "remap_map_gradient",
     _map_gradient_reference,
     fake=lambda grad, image, map_x, *rest: [map_x.new_empty(image.shape[0], *map_x.shape[1:]) for _ in range(2)],
-    stores=True,
+    casts_outputs=True,
 )
 
 # --- arguments ------------------------------------------------------------------------------------------------------

@@ -412,10 +412,10 @@ def _map(f: Callable[[Any], Any], output: Any) -> Any:
 
 def _empty(x: Tensor, sizes: Sequence[int] | Tensor) -> Tensor:
     """What the kernels allocate."""
-    return sizes if isinstance(sizes, Tensor) else laid_out(x.new_empty(sizes), x)
+    return sizes if isinstance(sizes, Tensor) else match_layout(x.new_empty(sizes), x)
 
 
-def laid_out(y: Tensor, x: Tensor) -> Tensor:
+def match_layout(y: Tensor, x: Tensor) -> Tensor:
     """`y` as the kernels write it: dense, channels-last where `x` is an image that is, as glue.h's layout_of has it."""
     c = x.shape[1] if x.dim() == y.dim() == 4 else 0
     if c > 1 and (x.stride(1), x.stride(3), x.stride(2)) == (1, c, c * x.shape[3]):
@@ -477,7 +477,7 @@ def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[.
         else:
             widened = (a.float() if isinstance(a, Tensor) and a.dtype in _TO_FLOAT else a for a in args)
         store = saturate_to_byte if stored == torch.uint8 else lambda y: y.to(stored)
-        return _map(lambda y: laid_out(store(y), x), reference(*widened))
+        return _map(lambda y: match_layout(store(y), x), reference(*widened))
 
     return wrapped
 

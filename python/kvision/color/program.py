@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._ops import as_stored, laid_out, register, saturate_to_byte
+from kvision._ops import as_stored, match_layout, register, saturate_to_byte
 
 # The enum Step of csrc/color/program.h, and how many numbers each step takes.
 _PARAMETERS = {
@@ -151,7 +151,7 @@ def _pulled_back(grad: Tensor, x: Tensor, *arguments: Any) -> tuple[Tensor, Tens
     of_x, *of_rows = pullback(grad.to(wide.dtype))
     none = wide[:, :0, 0, 0]
     return (
-        laid_out(of_x.to(x.dtype), x) if of_image else none.to(x.dtype),
+        match_layout(of_x.to(x.dtype), x) if of_image else none.to(x.dtype),
         torch.cat(of_rows, 2) if of_parameters else none,
     )
 
@@ -164,7 +164,7 @@ def _widened(x: Tensor, other: torch.dtype) -> Tensor:
 
 def _arranged(y: Tensor, x: Tensor, layout: int) -> Tensor:
     if layout == _SAME:
-        return laid_out(y, x)
+        return match_layout(y, x)
     return y.contiguous() if layout == 0 else y.movedim(1, -1).contiguous().movedim(-1, 1)
 
 
@@ -184,7 +184,7 @@ def _result_and_mean(x: Tensor, *arguments: Any) -> list[Tensor]:
 def _gradients(grad: Tensor, x: Tensor, *arguments: Any) -> list[Tensor]:
     *parameters, _, _, _, _, of_image, of_parameters = arguments
     given = [p for p in parameters if p is not None]
-    of_x = laid_out(torch.empty_like(x), x) if of_image else x.new_empty((x.shape[0], 0))
+    of_x = match_layout(torch.empty_like(x), x) if of_image else x.new_empty((x.shape[0], 0))
     sizes: tuple[int, ...] = (0,)
     if of_parameters:
         sizes = (max(p.shape[1] for p in given), sum(p.shape[2] for p in given))

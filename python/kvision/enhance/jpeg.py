@@ -12,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import laid_out, register
+from kvision._ops import match_layout, register
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colours
@@ -150,7 +150,7 @@ def _reference_backward(
 
 def _fake_backward(grad, x, quality, table_y, table_c, number, of_image, of_steps):
     b, n = x.shape[0], int(of_steps)
-    of_x = laid_out(torch.empty_like(x), x) if of_image else x.new_empty((b, 0))
+    of_x = match_layout(torch.empty_like(x), x) if of_image else x.new_empty((b, 0))
     return [of_x, *(x.new_empty((b, *inner), dtype=compute_dtype(x)) for inner in ((n,), (8 * n, 8), (8 * n, 8)))]
 
 

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
-from kvision._ops import as_stored, laid_out, register, vjp
+from kvision._ops import as_stored, match_layout, register, vjp
 from kvision.enhance.batch import as_batch, images, parameter, shaped
 
 
@@ -44,7 +44,7 @@ def _reference_backward(
 def _fake_backward(grad, x, factor, number, of_image, of_factor):
     b, c = x.shape[:2]
     of_planes = x.new_empty((b, c if of_factor else 0, 1), dtype=compute_dtype(x))
-    return [laid_out(torch.empty_like(x), x) if of_image else x.new_empty((b, 0)), of_planes]
+    return [match_layout(torch.empty_like(x), x) if of_image else x.new_empty((b, 0)), of_planes]
 
 
 def _backward(needs, grad, x, factor, number):

@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import laid_out, register, vjp
+from kvision._ops import match_layout, register, vjp
 from kvision.losses.reduction import (
     as_arguments,
     check_labels,
@@ -130,7 +130,7 @@ def focal_loss(
     if summed:
         return as_dtype(loss.squeeze(), pred.dtype)
     index = target.clamp(0, pred.shape[1] - 1)[:, None]
-    return laid_out(torch.zeros_like(pred).scatter(1, index, loss.reshape(index.shape).to(pred.dtype)), pred)
+    return match_layout(torch.zeros_like(pred).scatter(1, index, loss.reshape(index.shape).to(pred.dtype)), pred)
 
 
 def _as_images(x: Tensor, first: int) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import laid_out, register
+from kvision._ops import match_layout, register
 from kvision.geometry._precision import wants_derivative
 
 __all__ = ["NonMaximaSuppression2d", "NonMaximaSuppression3d", "nms2d", "nms3d", "nms3d_minmax"]
@@ -47,17 +47,17 @@ def _is_maximum(x, window, volumes):
 
 def _flags(x, window, volumes):
     """The same as 0 and 1 of uint8."""
-    return laid_out(_is_maximum(x, window, volumes).to(torch.uint8), x)
+    return match_layout(_is_maximum(x, window, volumes).to(torch.uint8), x)
 
 
 def _empty_flags(x, *how):
-    return laid_out(x.new_empty(x.shape, dtype=torch.uint8), x)
+    return match_layout(x.new_empty(x.shape, dtype=torch.uint8), x)
 
 
 def _reference(x, window, volumes, marked):
     """The maxima, and where they are; none of that unless `marked`."""
     flags = _flags(x, window, volumes)
-    return laid_out(torch.where(flags != 0, x, 0), x), flags if marked else _no_flags(x)
+    return match_layout(torch.where(flags != 0, x, 0), x), flags if marked else _no_flags(x)
 
 
 def _no_flags(x):

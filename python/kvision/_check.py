@@ -60,7 +60,7 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
         )
 
 
-def ends(op: str, name: str, x: Any, *expected: str | int) -> None:
+def trailing_shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a tensor whose last axes are `expected`, after any others; an int fixes the size of its axis."""
     numbers(op, name, x)
     fits = x.dim() >= len(expected)
@@ -126,9 +126,9 @@ def floating(op: str, name: str, x: Tensor) -> None:
         raise TypeCheckError(f"{op}: expected {name} to be floating point, got {x.dtype}", actual_type=x.dtype)
 
 
-def floating_ends(op: str, name: str, x: Any, *expected: str | int) -> None:
+def floating_trailing_shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     """Raise unless `x` is a floating-point tensor that ends in the axes `expected`."""
-    ends(op, name, x, *expected)
+    trailing_shape(op, name, x, *expected)
     floating(op, name, x)
 
 

@@ -190,7 +190,7 @@ def validate_bbox3d(boxes: Tensor) -> bool:
         >>> K.geometry.validate_bbox3d(K.geometry.bbox_generator3d(*torch.tensor([0, 1, 2, 5, 2, 3])))
         True
     """
-    _check.ends("validate_bbox3d", "boxes", boxes, 8, 3)
+    _check.trailing_shape("validate_bbox3d", "boxes", boxes, 8, 3)
     if boxes.dim() not in (3, 4):
         raise ShapeError(
             f"validate_bbox3d: expected boxes of shape (B, 8, 3) or (B, N, 8, 3), got {tuple(boxes.shape)}"

@@ -56,7 +56,7 @@ class _Boxes(Collection):
         axes = cls.item[-1]
         of_corners = mode.startswith("vertices")
         last = cls.item if of_corners else (2 * axes,)
-        _check.ends(cls.__name__, "boxes", boxes, *last)
+        _check.trailing_shape(cls.__name__, "boxes", boxes, *last)
         if boxes.dim() - len(last) not in (1, 2):
             shape = ", ".join(map(str, last))
             raise ShapeError(

@@ -42,7 +42,7 @@ class Collection:
             )
         else:
             data, self._counts = torch.zeros(0, 0, *self.item), []
-        _check.ends(op, name, data, *self.item)
+        _check.trailing_shape(op, name, data, *self.item)
         if data.dim() - len(self.item) not in (1, 2):
             shape = ", ".join(map(str, self.item))
             raise ShapeError(f"{op}: expected {name} of shape (N, {shape}) or (B, N, {shape}), got {tuple(data.shape)}")
@@ -184,7 +184,7 @@ class Collection:
 
     def _transformed(self: Self, method: str, M: Tensor, inplace: bool) -> Self:
         op, n = f"{type(self).__name__}.{method}", self.item[-1] + 1
-        _check.ends(op, "M", M, n, n)
+        _check.trailing_shape(op, "M", M, n, n)
         images = self._data.shape[0] if self._is_batched else 1
         if M.dim() > 3 or (M.dim() == 3 and M.shape[0] not in (1, images)):
             raise ShapeError(f"{op}: expected M of shape ({n}, {n}) or ({images}, {n}, {n}), got {tuple(M.shape)}")

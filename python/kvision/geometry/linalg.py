@@ -77,7 +77,7 @@ def inverse_transformation(trans_12: Tensor) -> Tensor:
         >>> K.geometry.inverse_transformation(move)[0, 3]
         tensor(-2.)
     """
-    _check.ends("inverse_transformation", "trans_12", trans_12, 4, 4)
+    _check.trailing_shape("inverse_transformation", "trans_12", trans_12, 4, 4)
     return of_rows(_inverted, floats(trans_12), 2)
 
 
@@ -127,7 +127,7 @@ _relative = register_formula("relative_pose", _relative_reference, lambda *args:
 
 def _check_pair(op: str, **poses: Tensor) -> None:
     for name, pose in poses.items():
-        _check.ends(op, name, pose, 4, 4)
+        _check.trailing_shape(op, name, pose, 4, 4)
     _check.same_device(op, **poses)
     _check.broadcastable(op, **{name: pose.shape[:-2] for name, pose in poses.items()})
 
@@ -162,7 +162,7 @@ def transform_points(trans_01: Tensor, points_1: Tensor) -> Tensor:
             f"{op}: expected trans_01 of shape (B, D + 1, D + 1) and points_1 of shape (B, *, D), "
             f"got {tuple(trans_01.shape)} and {tuple(points_1.shape)}"
         )
-    _check.ends(op, "points_1", points_1, trans_01.shape[-1] - 1)
+    _check.trailing_shape(op, "points_1", points_1, trans_01.shape[-1] - 1)
     _check.same_device(op, trans_01=trans_01, points_1=points_1)
     batch = trans_01.shape[0] if trans_01.dim() == 3 else 1
     if batch != 1 and (points_1.dim() < 3 or points_1.shape[0] != batch):
@@ -231,7 +231,7 @@ def point_line_distance(point: Tensor, line: Tensor, eps: float = 1e-9) -> Tenso
     _check.numbers(op, "point", point)
     if point.dim() == 0 or point.shape[-1] not in (2, 3):
         raise ShapeError(f"{op}: expected point of shape (*, 2) or (*, 3), got {tuple(point.shape)}")
-    _check.ends(op, "line", line, 3)
+    _check.trailing_shape(op, "line", line, 3)
     _check.same_device(op, point=point, line=line)
     _check.broadcastable(op, point=point.shape[:-1], line=line.shape[:-1])
     return _point_line_distance(floats(point), floats(line))

@@ -41,7 +41,7 @@ class ParametrizedLine(FunctionModule):
         _check.numbers("ParametrizedLine", "origin", origin)
         if origin.dim() == 0:
             raise ShapeError("ParametrizedLine: expected origin of shape (*, D), got ()")
-        _check.ends("ParametrizedLine", "direction", direction, origin.shape[-1])
+        _check.trailing_shape("ParametrizedLine", "direction", direction, origin.shape[-1])
         super().__init__(origin=origin, direction=direction)
 
     def __getitem__(self, index: int) -> Tensor:
@@ -71,7 +71,7 @@ class ParametrizedLine(FunctionModule):
 
     def projection(self, point: Tensor) -> Tensor:
         """The points of the lines that are nearest to points (*, D)."""
-        _check.ends("ParametrizedLine.projection", "point", point, self.dim())
+        _check.trailing_shape("ParametrizedLine.projection", "point", point, self.dim())
         along = batched_dot_product(self.direction, point - self.origin, keepdim=True)
         return self.origin + along * self.direction
 

@@ -40,7 +40,7 @@ class Hyperplane(FunctionModule):
 
     def __init__(self, n: Vector3 | Tensor, d: Scalar | Tensor) -> None:
         n, d = plain(n), plain(d)
-        _check.ends("Hyperplane", "n", n, 3)
+        _check.trailing_shape("Hyperplane", "n", n, 3)
         _check.numbers("Hyperplane", "d", d)
         _check.broadcastable("Hyperplane", n=n.shape[:-1], d=d.shape)
         super().__init__(n=n, d=d)
@@ -57,7 +57,7 @@ class Hyperplane(FunctionModule):
             raise ValueCheckError("Hyperplane.through: expected three points, got two")
         points = {"p0": plain(p0), "p1": plain(p1), "p2": plain(p2)}
         for name, p in points.items():
-            _check.ends("Hyperplane.through", name, p, 3)
+            _check.trailing_shape("Hyperplane.through", name, p, 3)
         _check.same_shape("Hyperplane.through", **points)
         normal = as_stored(lambda a, b, c: normalized(torch.linalg.cross(c - a, b - a)))(*map(floats, points.values()))
         return cls.from_vector(normal, floats(points["p0"]))
@@ -105,7 +105,7 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
         tensor(3.)
     """
     points = plain(points)
-    _check.ends("fit_plane", "points", points, 3)
+    _check.trailing_shape("fit_plane", "points", points, 3)
     if points.dim() < 2 or points.shape[-2] < 3:
         raise ShapeError(f"fit_plane: expected points of shape (*, N, 3), N of at least 3, got {tuple(points.shape)}")
     return Hyperplane(*as_stored(_least_plane)(floats(points)))

@@ -77,7 +77,7 @@ def save_pointcloud_ply_binary(filename: str | os.PathLike[str], pointcloud: Ten
 
 def _to_write(op: str, filename: str | os.PathLike[str], pointcloud: Tensor) -> tuple[Path, Tensor]:
     path = _path(op, filename)
-    _check.ends(op, "pointcloud", pointcloud, 3)
+    _check.trailing_shape(op, "pointcloud", pointcloud, 3)
     return path, pointcloud.detach().reshape(-1, 3).to("cpu", torch.float64)
 
 

@@ -52,7 +52,7 @@ class Quaternion(FunctionModule):
     """
 
     def __init__(self, data: Tensor) -> None:
-        _check.ends("Quaternion", "data", data, 4)
+        _check.trailing_shape("Quaternion", "data", data, 4)
         super().__init__(data=data)
 
     # --- ways to make them ------------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ class _Vector(TensorWrapper):
 
     def __init__(self, vector: Tensor | TensorWrapper) -> None:
         super().__init__(vector)
-        _check.ends(type(self).__name__, "vector", self._data, self._width)
+        _check.trailing_shape(type(self).__name__, "vector", self._data, self._width)
 
     @classmethod
     def _wrap(cls, value: Any) -> Any:

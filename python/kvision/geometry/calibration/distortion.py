@@ -57,7 +57,7 @@ def tilt_projection(taux: Tensor, tauy: Tensor, return_inverse: bool = False) ->
                 [0., 0., 1.]])
     """
     for name, x in (("taux", taux), ("tauy", tauy)):
-        _check.floating_ends("tilt_projection", name, x)
+        _check.floating_trailing_shape("tilt_projection", name, x)
     _check.same_shape("tilt_projection", taux=taux, tauy=tauy)
     _check.same_device("tilt_projection", taux=taux, tauy=tauy)
     _check.flag("tilt_projection", "return_inverse", return_inverse)
@@ -304,8 +304,8 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
         tensor(1.)
     """
     op = "undistort_image"
-    _check.floating_ends(op, "image", image, "C", "H", "W")
-    _check.floating_ends(op, "K", K, 3, 3)
+    _check.floating_trailing_shape(op, "image", image, "C", "H", "W")
+    _check.floating_trailing_shape(op, "K", K, 3, 3)
     _check_coefficients(op, dist)
     _check.same_device(op, image=image, K=K, dist=dist)
     leading, (h, w) = image.shape[:-3], image.shape[-2:]
@@ -330,17 +330,17 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
 
 
 def _check_lens(op: str, points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None) -> None:
-    _check.floating_ends(op, "points", points, "N", 2)
-    _check.floating_ends(op, "K", K, 3, 3)
+    _check.floating_trailing_shape(op, "points", points, "N", 2)
+    _check.floating_trailing_shape(op, "K", K, 3, 3)
     _check_coefficients(op, dist)
     _check.same_device(op, points=points, K=K, dist=dist)
     if new_K is not None:
-        _check.floating_ends(op, "new_K", new_K, 3, 3)
+        _check.floating_trailing_shape(op, "new_K", new_K, 3, 3)
         _check.same_device(op, points=points, new_K=new_K)
 
 
 def _check_coefficients(op: str, dist: Tensor) -> None:
-    _check.floating_ends(op, "dist", dist, "n")
+    _check.floating_trailing_shape(op, "dist", dist, "n")
     if dist.shape[-1] not in _COUNTS:
         listed = ", ".join(map(str, _COUNTS))
         raise ShapeError(

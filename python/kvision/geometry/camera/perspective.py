@@ -35,7 +35,7 @@ def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
         >>> K.geometry.project_points(torch.tensor([[2.0, 2.0, 2.0]]), camera)
         tensor([[420., 440.]])
     """
-    _check.ends("project_points", "point_3d", point_3d, 3)
+    _check.trailing_shape("project_points", "point_3d", point_3d, 3)
     check_camera("project_points", "point_3d", point_3d, camera_matrix)
     return seen(floats(point_3d), None, camera_matrix, "project")
 
@@ -63,8 +63,8 @@ def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, nor
         tensor([[2., 2., 2.]])
     """
     op = "unproject_points"
-    _check.ends(op, "point_2d", point_2d, 2)
-    _check.ends(op, "depth", depth, 1)
+    _check.trailing_shape(op, "point_2d", point_2d, 2)
+    _check.trailing_shape(op, "depth", depth, 1)
     _check.flag(op, "normalize", normalize)
     check_camera(op, "point_2d", point_2d, camera_matrix)
     _check.same_device(op, point_2d=point_2d, depth=depth)

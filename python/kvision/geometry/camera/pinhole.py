@@ -209,7 +209,7 @@ class PinholeCamera:
 
     def _check_points(self, method: str, name: str, points: Tensor, axes: int) -> None:
         op = f"{type(self).__name__}.{method}"
-        _check.ends(op, name, points, axes)
+        _check.trailing_shape(op, name, points, axes)
         _check.same_device(op, intrinsics=self._intrinsics, **{name: points})
         if self.batch_size != 1 and (points.dim() < 3 or points.shape[0] != self.batch_size):
             raise ShapeError(

@@ -31,7 +31,7 @@ def project_points_z1(points_in_camera: Tensor) -> Tensor:
         >>> K.geometry.camera.project_points_z1(torch.tensor([2.0, 4.0, 2.0]))
         tensor([1., 2.])
     """
-    _check.ends("project_points_z1", "points_in_camera", points_in_camera, 3)
+    _check.trailing_shape("project_points_z1", "points_in_camera", points_in_camera, 3)
     points = floats(points_in_camera)
     return points[..., :2] / points[..., 2:]
 
@@ -56,7 +56,7 @@ def unproject_points_z1(points_in_cam_canonical: Tensor, extension: Tensor | Non
         tensor([2., 4., 2.])
     """
     op = "unproject_points_z1"
-    _check.ends(op, "points_in_cam_canonical", points_in_cam_canonical, 2)
+    _check.trailing_shape(op, "points_in_cam_canonical", points_in_cam_canonical, 2)
     points = floats(points_in_cam_canonical)
     if extension is None:
         return torch.cat([points, torch.ones_like(points[..., :1])], -1)
@@ -74,7 +74,7 @@ def dx_project_points_z1(points_in_camera: Tensor) -> Tensor:
         tensor([[ 0.5000,  0.0000, -0.5000],
                 [ 0.0000,  0.5000, -1.0000]])
     """
-    _check.ends("dx_project_points_z1", "points_in_camera", points_in_camera, 3)
+    _check.trailing_shape("dx_project_points_z1", "points_in_camera", points_in_camera, 3)
     x, y, z = floats(points_in_camera).unbind(-1)
     inverse = 1 / z
     zero = torch.zeros_like(z)
@@ -94,7 +94,7 @@ def project_points_orthographic(points_in_camera: Tensor) -> Tensor:
         >>> K.geometry.camera.project_points_orthographic(torch.tensor([2.0, 4.0, 2.0]))
         tensor([2., 4.])
     """
-    _check.ends("project_points_orthographic", "points_in_camera", points_in_camera, 3)
+    _check.trailing_shape("project_points_orthographic", "points_in_camera", points_in_camera, 3)
     return points_in_camera[..., :2].clone()
 
 
@@ -111,7 +111,7 @@ def unproject_points_orthographic(points_in_camera: Tensor, extension: Tensor) -
         tensor([2., 4., 3.])
     """
     op = "unproject_points_orthographic"
-    _check.ends(op, "points_in_camera", points_in_camera, 2)
+    _check.trailing_shape(op, "points_in_camera", points_in_camera, 2)
     depth = _depth(op, points_in_camera, extension)
     points, depth = torch.broadcast_tensors(points_in_camera, depth.to(points_in_camera.dtype))
     return torch.cat([points, depth[..., :1]], -1)
@@ -125,7 +125,7 @@ def dx_project_points_orthographic(points_in_camera: Tensor) -> Tensor:
         >>> K.geometry.camera.dx_project_points_orthographic(torch.tensor([2.0, 4.0, 2.0]))
         tensor([1.])
     """
-    _check.ends("dx_project_points_orthographic", "points_in_camera", points_in_camera, 3)
+    _check.trailing_shape("dx_project_points_orthographic", "points_in_camera", points_in_camera, 3)
     return torch.ones_like(points_in_camera[..., :1])
 
 

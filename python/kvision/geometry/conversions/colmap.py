@@ -56,7 +56,7 @@ def ColmapQTVecs_to_ARKitQTVecs(qvec: Tensor, tvec: Tensor) -> tuple[Tensor, Ten
 
 
 def _rotation(op: str, qvec: Tensor, tvec: Tensor) -> Tensor:
-    _check.ends(op, "qvec", qvec, 4)
+    _check.trailing_shape(op, "qvec", qvec, 4)
     _check.shape(op, "tvec", tvec, *qvec.shape[:-1], 3, 1)
     _check.floating(op, "qvec", qvec)
     _check.floating(op, "tvec", tvec)

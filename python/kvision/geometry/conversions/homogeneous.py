@@ -88,7 +88,7 @@ def convert_affinematrix_to_homography(A: Tensor) -> Tensor:
                  [1., 1., 1.],
                  [0., 0., 1.]]])
     """
-    _check.ends("convert_affinematrix_to_homography", "A", A, 2, 3)
+    _check.trailing_shape("convert_affinematrix_to_homography", "A", A, 2, 3)
     return homogeneous(A)
 
 
@@ -104,7 +104,7 @@ def convert_affinematrix_to_homography3d(A: Tensor) -> Tensor:
         >>> K.geometry.convert_affinematrix_to_homography3d(torch.ones(1, 3, 4))[0, 3]
         tensor([0., 0., 0., 1.])
     """
-    _check.ends("convert_affinematrix_to_homography3d", "A", A, 3, 4)
+    _check.trailing_shape("convert_affinematrix_to_homography3d", "A", A, 3, 4)
     return homogeneous(A)
 
 

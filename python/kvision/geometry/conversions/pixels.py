@@ -128,7 +128,7 @@ def denormalize_pixel_coordinates3d(
 
 
 def _moved(op: str, points: Tensor, back: bool, **sizes: int) -> Tensor:
-    _check.ends(op, "pixel_coordinates", points, len(sizes))
+    _check.trailing_shape(op, "pixel_coordinates", points, len(sizes))
     lines = [to_unit(_check.ints(op, name, n, 1)[0]) for name, n in sizes.items()]
     return _along_axes(floats(points), [inverted(line) for line in lines] if back else lines)
 
@@ -307,7 +307,7 @@ def denormalize_homography3d(
 
 
 def _converted(op, matrix, dsize_src, dsize_dst, axes, align_corners, back):
-    _check.ends(op, "dst_pix_trans_src_pix", matrix, axes + 1, axes + 1)
+    _check.trailing_shape(op, "dst_pix_trans_src_pix", matrix, axes + 1, axes + 1)
     _check.floating(op, "dst_pix_trans_src_pix", matrix)
     _check.flag(op, "align_corners", align_corners)
     source, result = (
@@ -348,7 +348,7 @@ def normalize_points_with_intrinsics(point_2d: Tensor, camera_matrix: Tensor) ->
         >>> K.geometry.normalize_points_with_intrinsics(torch.tensor([[420.0, 440.0]]), camera)
         tensor([[1., 1.]])
     """
-    _check.ends("normalize_points_with_intrinsics", "point_2d", point_2d, 2)
+    _check.trailing_shape("normalize_points_with_intrinsics", "point_2d", point_2d, 2)
     check_camera("normalize_points_with_intrinsics", "point_2d", point_2d, camera_matrix)
     return _normalized(floats(point_2d), camera_matrix)
 
@@ -373,14 +373,14 @@ def denormalize_points_with_intrinsics(point_2d_norm: Tensor, camera_matrix: Ten
         >>> K.geometry.denormalize_points_with_intrinsics(torch.ones(1, 2), camera)
         tensor([[420., 440.]])
     """
-    _check.ends("denormalize_points_with_intrinsics", "point_2d_norm", point_2d_norm, 2)
+    _check.trailing_shape("denormalize_points_with_intrinsics", "point_2d_norm", point_2d_norm, 2)
     check_camera("denormalize_points_with_intrinsics", "point_2d_norm", point_2d_norm, camera_matrix)
     return _denormalized(floats(point_2d_norm), camera_matrix)
 
 
 def check_camera(op: str, name: str, points: Tensor, camera_matrix: Tensor) -> None:
     """Raise unless `camera_matrix` (*, 3, 3) fits points (*, D)."""
-    _check.ends(op, "camera_matrix", camera_matrix, 3, 3)
+    _check.trailing_shape(op, "camera_matrix", camera_matrix, 3, 3)
     _check.same_device(op, **{name: points, "camera_matrix": camera_matrix})
     leading = camera_matrix.shape[:-2]
     _check.broadcastable(

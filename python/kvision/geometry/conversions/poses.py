@@ -61,7 +61,7 @@ def matrix4x4_to_Rt(extrinsics: Tensor) -> tuple[Tensor, Tensor]:
         >>> R.shape, t.shape
         (torch.Size([1, 3, 3]), torch.Size([1, 3, 1]))
     """
-    _check.ends("matrix4x4_to_Rt", "extrinsics", extrinsics, 4, 4)
+    _check.trailing_shape("matrix4x4_to_Rt", "extrinsics", extrinsics, 4, 4)
     return extrinsics[..., :3, :3], extrinsics[..., :3, 3:]
 
 
@@ -131,7 +131,7 @@ def camtoworld_graphics_to_vision_4x4(extrinsics_graphics: Tensor) -> Tensor:
         >>> K.geometry.camtoworld_graphics_to_vision_4x4(torch.eye(4)[None]).diagonal(dim1=1, dim2=2)
         tensor([[ 1., -1., -1.,  1.]])
     """
-    _check.ends("camtoworld_graphics_to_vision_4x4", "extrinsics_graphics", extrinsics_graphics, 4, 4)
+    _check.trailing_shape("camtoworld_graphics_to_vision_4x4", "extrinsics_graphics", extrinsics_graphics, 4, 4)
     return _flipped(extrinsics_graphics)
 
 
@@ -143,7 +143,7 @@ def camtoworld_vision_to_graphics_4x4(extrinsics_vision: Tensor) -> Tensor:
         >>> K.geometry.camtoworld_vision_to_graphics_4x4(torch.eye(4)[None]).diagonal(dim1=1, dim2=2)
         tensor([[ 1., -1., -1.,  1.]])
     """
-    _check.ends("camtoworld_vision_to_graphics_4x4", "extrinsics_vision", extrinsics_vision, 4, 4)
+    _check.trailing_shape("camtoworld_vision_to_graphics_4x4", "extrinsics_vision", extrinsics_vision, 4, 4)
     return _flipped(extrinsics_vision)
 
 
@@ -179,8 +179,8 @@ def _flipped(matrix: Tensor) -> Tensor:
 
 
 def _check_pose(op: str, R: Tensor, t: Tensor) -> None:
-    _check.ends(op, "R", R, 3, 3)
-    _check.ends(op, "t", t, 3, 1)
+    _check.trailing_shape(op, "R", R, 3, 3)
+    _check.trailing_shape(op, "t", t, 3, 1)
     _check.same_device(op, R=R, t=t)
     if R.shape[:-2] != t.shape[:-2]:
         raise ShapeError(f"{op}: expected t of shape {(*R.shape[:-2], 3, 1)}, got {tuple(t.shape)}")

@@ -53,7 +53,7 @@ def axis_angle_to_rotation_matrix(axis_angle: Tensor) -> Tensor:
         >>> K.geometry.axis_angle_to_rotation_matrix(torch.tensor([0.0, 0.0, torch.pi / 2])).round().long()[0]
         tensor([ 0, -1,  0])
     """
-    _check.ends("axis_angle_to_rotation_matrix", "axis_angle", axis_angle, 3)
+    _check.trailing_shape("axis_angle_to_rotation_matrix", "axis_angle", axis_angle, 3)
     return of_rows(_turn, floats(axis_angle), 1)
 
 
@@ -88,7 +88,7 @@ def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
         >>> K.geometry.axis_angle_to_quaternion(torch.tensor([0.0, 0.0, torch.pi / 2]))
         tensor([0.7071, 0.0000, 0.0000, 0.7071])
     """
-    _check.ends("axis_angle_to_quaternion", "axis_angle", axis_angle, 3)
+    _check.trailing_shape("axis_angle_to_quaternion", "axis_angle", axis_angle, 3)
     return of_rows(_exponential, floats(axis_angle), 1, 0.5)
 
 
@@ -120,7 +120,7 @@ def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
         >>> K.geometry.quaternion_to_axis_angle(torch.tensor([1.0, 0.0, 0.0, 1.0]))
         tensor([0.0000, 0.0000, 1.5708])
     """
-    _check.ends("quaternion_to_axis_angle", "quaternion", quaternion, 4)
+    _check.trailing_shape("quaternion_to_axis_angle", "quaternion", quaternion, 4)
     return of_rows(_axis_angle, floats(quaternion), 1)
 
 
@@ -154,7 +154,7 @@ def quaternion_to_rotation_matrix(quaternion: Tensor) -> Tensor:
         >>> K.geometry.quaternion_to_rotation_matrix(torch.tensor([1.0, 0.0, 0.0, 1.0]))[0]
         tensor([ 0., -1.,  0.])
     """
-    _check.ends("quaternion_to_rotation_matrix", "quaternion", quaternion, 4)
+    _check.trailing_shape("quaternion_to_rotation_matrix", "quaternion", quaternion, 4)
     return of_rows(_matrix, floats(quaternion), 1)
 
 
@@ -199,7 +199,7 @@ def rotation_matrix_to_quaternion(rotation_matrix: Tensor, eps: float = 1e-8, ch
 
 
 def _rotations(op: str, matrix: Tensor, check_rotation: bool) -> Tensor:
-    _check.ends(op, "rotation_matrix", matrix, 3, 3)
+    _check.trailing_shape(op, "rotation_matrix", matrix, 3, 3)
     _check.flag(op, "check_rotation", check_rotation)
     if check_rotation:
         check_is_rotation(op, "rotation_matrix", matrix)
@@ -278,7 +278,7 @@ def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
                 [ 3.,  0., -1.],
                 [-2.,  1.,  0.]])
     """
-    _check.ends("vector_to_skew_symmetric_matrix", "vec", vec, 3)
+    _check.trailing_shape("vector_to_skew_symmetric_matrix", "vec", vec, 3)
     return of_rows(_cross_matrix, vec, 1)
 
 
@@ -306,7 +306,7 @@ def normalize_quaternion(quaternion: Tensor, eps: float = 1e-12) -> Tensor:
         >>> K.geometry.normalize_quaternion(torch.tensor([3.0, 0.0, 4.0, 0.0]))
         tensor([0.6000, 0.0000, 0.8000, 0.0000])
     """
-    _check.ends("normalize_quaternion", "quaternion", quaternion, 4)
+    _check.trailing_shape("normalize_quaternion", "quaternion", quaternion, 4)
     return of_rows(_unit, floats(quaternion), 1, _check.number("normalize_quaternion", "eps", eps, 0))
 
 
@@ -338,7 +338,7 @@ def quaternion_log_to_exp(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
         >>> K.geometry.quaternion_log_to_exp(torch.tensor([0.0, 0.0, torch.pi / 4]))
         tensor([0.7071, 0.0000, 0.0000, 0.7071])
     """
-    _check.ends("quaternion_log_to_exp", "quaternion", quaternion, 3)
+    _check.trailing_shape("quaternion_log_to_exp", "quaternion", quaternion, 3)
     return of_rows(_exponential, floats(quaternion), 1, 1.0)
 
 
@@ -362,7 +362,7 @@ def quaternion_exp_to_log(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
         >>> K.geometry.quaternion_exp_to_log(torch.tensor([0.0, 0.0, 0.0, 1.0]))
         tensor([0.0000, 0.0000, 1.5708])
     """
-    _check.ends("quaternion_exp_to_log", "quaternion", quaternion, 4)
+    _check.trailing_shape("quaternion_exp_to_log", "quaternion", quaternion, 4)
     return of_rows(_logarithm, floats(quaternion), 1)
 
 

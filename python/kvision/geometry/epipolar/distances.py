@@ -144,5 +144,5 @@ def right_to_left_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> T
 def _check_relation(op: str, pts1: Tensor, pts2: Tensor, Fm: Tensor) -> None:
     check_points(op, "pts1", pts1)
     check_points(op, "pts2", pts2)
-    _check.floating_ends(op, "Fm", Fm, 3, 3)
+    _check.floating_trailing_shape(op, "Fm", Fm, 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)

@@ -91,7 +91,7 @@ def essential_from_fundamental(F_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
         tensor([2., 2., 2.])
     """
     for name, x in (("F_mat", F_mat), ("K1", K1), ("K2", K2)):
-        _check.floating_ends("essential_from_fundamental", name, x, 3, 3)
+        _check.floating_trailing_shape("essential_from_fundamental", name, x, 3, 3)
     _check.same_device("essential_from_fundamental", F_mat=F_mat, K1=K1, K2=K2)
     return of_all(_from_fundamental, 2, F_mat, K1, K2)
 
@@ -167,9 +167,9 @@ def relative_camera_motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tu
 
 def _check_motions(op: str, R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> None:
     for name, x in (("R1", R1), ("R2", R2)):
-        _check.floating_ends(op, name, x, 3, 3)
+        _check.floating_trailing_shape(op, name, x, 3, 3)
     for name, x in (("t1", t1), ("t2", t2)):
-        _check.floating_ends(op, name, x, 3, 1)
+        _check.floating_trailing_shape(op, name, x, 3, 1)
     _check.same_device(op, R1=R1, t1=t1, R2=R2, t2=t2)
 
 
@@ -214,7 +214,7 @@ def project_to_essential(E_mat: Tensor) -> Tensor:
                 [0., 2., 0.],
                 [0., 0., 0.]])
     """
-    _check.floating_ends("project_to_essential", "E_mat", E_mat, 3, 3)
+    _check.floating_trailing_shape("project_to_essential", "E_mat", E_mat, 3, 3)
     return nearest_essential(E_mat.reshape(-1, 3, 3)).reshape(E_mat.shape)
 
 
@@ -271,7 +271,7 @@ def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         >>> direction.abs().flatten(), R1.diagonal().sum() + R2.diagonal().sum()
         (tensor([0., 0., 1.]), tensor(2.))
     """
-    _check.floating_ends("decompose_essential_matrix", "E_mat", E_mat, 3, 3)
+    _check.floating_trailing_shape("decompose_essential_matrix", "E_mat", E_mat, 3, 3)
     R, t = _motions(E_mat.reshape(-1, 3, 3))
     leading = E_mat.shape[:-2]
     return R[:, 0].reshape(*leading, 3, 3), R[:, 2].reshape(*leading, 3, 3), t[:, 0].reshape(*leading, 3, 1)
@@ -334,7 +334,7 @@ def decompose_essential_matrix_no_svd(E_mat: Tensor) -> tuple[Tensor, Tensor, Te
         >>> K.geometry.decompose_essential_matrix_no_svd(torch.rand(2, 5, 3, 3))[0].shape
         torch.Size([10, 3, 3])
     """
-    _check.floating_ends("decompose_essential_matrix_no_svd", "E_mat", E_mat, 3, 3)
+    _check.floating_trailing_shape("decompose_essential_matrix_no_svd", "E_mat", E_mat, 3, 3)
     return decompose_essential_matrix(E_mat.reshape(-1, 3, 3))
 
 
@@ -358,7 +358,7 @@ def motion_from_essential(E_mat: Tensor) -> tuple[Tensor, Tensor]:
         >>> R.shape, t.shape
         (torch.Size([2, 4, 3, 3]), torch.Size([2, 4, 3, 1]))
     """
-    _check.floating_ends("motion_from_essential", "E_mat", E_mat, 3, 3)
+    _check.floating_trailing_shape("motion_from_essential", "E_mat", E_mat, 3, 3)
     R, t = _motions(E_mat.reshape(-1, 3, 3))
     leading = E_mat.shape[:-2]
     return R.reshape(*leading, 4, 3, 3), t.reshape(*leading, 4, 3, 1)
@@ -400,9 +400,9 @@ def motion_from_essential_choose_solution(
     """
     op = "motion_from_essential_choose_solution"
     for name, x in (("E_mat", E_mat), ("K1", K1), ("K2", K2)):
-        _check.floating_ends(op, name, x, 3, 3)
+        _check.floating_trailing_shape(op, name, x, 3, 3)
     for name, x in (("x1", x1), ("x2", x2)):
-        _check.floating_ends(op, name, x, "N", 2)
+        _check.floating_trailing_shape(op, name, x, "N", 2)
     _check.same_shape(op, x1=x1, x2=x2)
     _check.same_device(op, E_mat=E_mat, K1=K1, K2=K2, x1=x1, x2=x2)
     if E_mat.dim() not in (2, 3) or x1.dim() != E_mat.dim() or not K1.dim() == K2.dim() == E_mat.dim():

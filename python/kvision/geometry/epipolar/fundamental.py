@@ -92,7 +92,7 @@ def fundamental_from_essential(E_mat: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
                 [0.5000, 0.5000, 1.0000]])
     """
     for name, x in (("E_mat", E_mat), ("K1", K1), ("K2", K2)):
-        _check.floating_ends("fundamental_from_essential", name, x, 3, 3)
+        _check.floating_trailing_shape("fundamental_from_essential", name, x, 3, 3)
     _check.same_device("fundamental_from_essential", E_mat=E_mat, K1=K1, K2=K2)
     return of_all(_from_essential, 2, E_mat, K1, K2)
 
@@ -138,8 +138,8 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
                 [ 0., -1.,  0.]])
     """
     op = "fundamental_from_projections"
-    _check.floating_ends(op, "P1", P1, 3, 4)
-    _check.floating_ends(op, "P2", P2, 3, 4)
+    _check.floating_trailing_shape(op, "P1", P1, 3, 4)
+    _check.floating_trailing_shape(op, "P2", P2, 3, 4)
     _check.same_device(op, P1=P1, P2=P2)
     return of_all(_from_projections, 2, P1, P2)
 
@@ -185,7 +185,7 @@ def compute_correspond_epilines(points: Tensor, F_mat: Tensor) -> Tensor:
         tensor([[ 0., -1.,  7.]])
     """
     check_points("compute_correspond_epilines", "points", points)
-    _check.floating_ends("compute_correspond_epilines", "F_mat", F_mat, 3, 3)
+    _check.floating_trailing_shape("compute_correspond_epilines", "F_mat", F_mat, 3, 3)
     _check.same_device("compute_correspond_epilines", points=points, F_mat=F_mat)
     return scaled_lines(lines(points, F_mat))
 
@@ -203,7 +203,7 @@ def scaled_lines(line: Tensor) -> Tensor:
 
 
 def check_points(op: str, name: str, x: Tensor) -> None:
-    _check.floating_ends(op, name, x, "N", "2 or 3")
+    _check.floating_trailing_shape(op, name, x, "N", "2 or 3")
     if x.shape[-1] not in (2, 3):
         raise ShapeError(f"{op}: expected {name} of shape (*, N, 2 or 3), got {tuple(x.shape)}", actual_shape=x.shape)
 
@@ -229,7 +229,7 @@ def get_perpendicular(lines: Tensor, points: Tensor) -> Tensor:
         >>> K.geometry.get_perpendicular(torch.tensor([[0.0, 1, -2]]), torch.tensor([[3.0, 7.0]]))  # y = 2
         tensor([[-1.,  0.,  3.]])
     """
-    _check.floating_ends("get_perpendicular", "lines", lines, "N", 3)
+    _check.floating_trailing_shape("get_perpendicular", "lines", lines, "N", 3)
     check_points("get_perpendicular", "points", points)
     _check.same_device("get_perpendicular", lines=lines, points=points)
     return _perpendicular(lines, points)
@@ -269,7 +269,7 @@ def get_closest_point_on_epipolar_line(pts1: Tensor, pts2: Tensor, Fm: Tensor) -
     op = "get_closest_point_on_epipolar_line"
     check_points(op, "pts1", pts1)
     check_points(op, "pts2", pts2)
-    _check.floating_ends(op, "Fm", Fm, 3, 3)
+    _check.floating_trailing_shape(op, "Fm", Fm, 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, Fm=Fm)
     line = scaled_lines(lines(pts1, Fm))
     point = pts2 if pts2.shape[-1] == 2 else pts2[..., :2] / pts2[..., 2:]

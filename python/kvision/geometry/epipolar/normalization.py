@@ -108,7 +108,7 @@ def normalize_transformation(M: Tensor, eps: float = 1e-8) -> Tensor:
                 [0., 1., 0.],
                 [0., 0., 1.]])
     """
-    _check.floating_ends("normalize_transformation", "M", M, "m", "n")
+    _check.floating_trailing_shape("normalize_transformation", "M", M, "m", "n")
     if min(M.shape[-2:]) < 2:
         raise ShapeError(
             f"normalize_transformation: expected M of at least 2 x 2, got {tuple(M.shape)}", actual_shape=M.shape

@@ -44,7 +44,7 @@ def cross_product_matrix(x: Tensor) -> Tensor:
                 [ 3.,  0., -1.],
                 [-2.,  1.,  0.]])
     """
-    _check.floating_ends("cross_product_matrix", "x", x, 3)
+    _check.floating_trailing_shape("cross_product_matrix", "x", x, 3)
     a, b, c = x.unbind(-1)
     zero = torch.zeros_like(a)
     return torch.stack([zero, -c, b, c, zero, -a, -b, a, zero], -1).unflatten(-1, (3, 3))
@@ -75,9 +75,9 @@ def projection_from_KRt(K: Tensor, R: Tensor, t: Tensor) -> Tensor:
                 [0., 0., 1., 1.]])
     """
     op = "projection_from_KRt"
-    _check.floating_ends(op, "K", K, 3, 3)
-    _check.floating_ends(op, "R", R, 3, 3)
-    _check.floating_ends(op, "t", t, 3, 1)
+    _check.floating_trailing_shape(op, "K", K, 3, 3)
+    _check.floating_trailing_shape(op, "R", R, 3, 3)
+    _check.floating_trailing_shape(op, "t", t, 3, 1)
     _check.same_device(op, K=K, R=R, t=t)
     if not K.dim() == R.dim() == t.dim():
         raise ShapeError(f"{op}: expected K, R and t with as many axes, got {K.dim()}, {R.dim()} and {t.dim()}")
@@ -165,9 +165,9 @@ def depth_from_point(R: Tensor, t: Tensor, X: Tensor) -> Tensor:
         tensor([1., 1.])
     """
     op = "depth_from_point"
-    _check.floating_ends(op, "R", R, 3, 3)
-    _check.floating_ends(op, "t", t, 3, 1)
-    _check.floating_ends(op, "X", X, "N", 3)
+    _check.floating_trailing_shape(op, "R", R, 3, 3)
+    _check.floating_trailing_shape(op, "t", t, 3, 1)
+    _check.floating_trailing_shape(op, "X", X, "N", 3)
     _check.same_device(op, R=R, t=t, X=X)
     return (R[..., 2:, :] @ X.mT)[..., 0, :] + t[..., 2, :]
 
@@ -286,7 +286,7 @@ def scale_intrinsics(camera_matrix: Tensor, scale_factor: float | Tensor) -> Ten
                  [1., 2., 2.],
                  [1., 1., 1.]]])
     """
-    _check.floating_ends("scale_intrinsics", "camera_matrix", camera_matrix, 3, 3)
+    _check.floating_trailing_shape("scale_intrinsics", "camera_matrix", camera_matrix, 3, 3)
     if not isinstance(scale_factor, Tensor):
         scale_factor = _check.number("scale_intrinsics", "scale_factor", scale_factor)
     scaled = camera_matrix.new_tensor([[1, 0, 1], [0, 1, 1], [0, 0, 0]]).bool()

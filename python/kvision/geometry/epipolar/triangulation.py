@@ -50,9 +50,9 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
     """
     op = "triangulate_points"
     for name, x in (("P1", P1), ("P2", P2)):
-        _check.floating_ends(op, name, x, 3, 4)
+        _check.floating_trailing_shape(op, name, x, 3, 4)
     for name, x in (("points1", points1), ("points2", points2)):
-        _check.floating_ends(op, name, x, "N", 2)
+        _check.floating_trailing_shape(op, name, x, "N", 2)
     _check.same_device(op, P1=P1, P2=P2, points1=points1, points2=points2)
     _check.known(op, "solver", solver, ("eigh", "svd", "cofactor"))
     try:

@@ -136,8 +136,8 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
     """
     op = "line_segment_transfer_error_one_way"
     for name, x in (("ls1", ls1), ("ls2", ls2)):
-        _check.floating_ends(op, name, x, "B", "N", 2, 2)
-    _check.floating_ends(op, "H", H, "B", 3, 3)
+        _check.floating_trailing_shape(op, name, x, "B", "N", 2, 2)
+    _check.floating_trailing_shape(op, "H", H, "B", 3, 3)
     _check.same_device(op, ls1=ls1, ls2=ls2, H=H)
     return view_errors(ls1, ls2, H, "segments", squared)
 
@@ -189,10 +189,10 @@ def _turns(points: Tensor) -> Tensor:
 
 def _check_relation(op: str, pts1: Tensor, pts2: Tensor, H: Tensor) -> None:
     for name, x in (("pts1", pts1), ("pts2", pts2)):
-        _check.floating_ends(op, name, x, "B", "N", "2 or 3")
+        _check.floating_trailing_shape(op, name, x, "B", "N", "2 or 3")
         if x.shape[-1] not in (2, 3):
             raise ShapeError(
                 f"{op}: expected {name} of shape (B, N, 2 or 3), got {tuple(x.shape)}", actual_shape=x.shape
             )
-    _check.floating_ends(op, "H", H, "B", 3, 3)
+    _check.floating_trailing_shape(op, "H", H, "B", 3, 3)
     _check.same_device(op, pts1=pts1, pts2=pts2, H=H)

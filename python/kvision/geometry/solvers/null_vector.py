@@ -36,7 +36,7 @@ def null_vector_3x4(A: Tensor) -> Tensor:
         >>> K.geometry.null_vector_3x4(torch.eye(3, 4)[None])
         tensor([[ 0.,  0.,  0., -1.]])
     """
-    _check.floating_ends("null_vector_3x4", "A", A, 3, 4)
+    _check.floating_trailing_shape("null_vector_3x4", "A", A, 3, 4)
     a, b, c = A[..., :3].unbind(-2)
     last = A[..., 3:]
     ab, bc, ca = torch.linalg.cross(a, b), torch.linalg.cross(b, c), torch.linalg.cross(c, a)

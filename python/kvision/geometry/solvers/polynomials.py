@@ -93,8 +93,8 @@ def multiply_deg_two_one_poly(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _check_factors(op: str, a: Tensor, a_size: int, b: Tensor, b_size: int) -> None:
-    _check.floating_ends(op, "a", a, a_size)
-    _check.floating_ends(op, "b", b, b_size)
+    _check.floating_trailing_shape(op, "a", a, a_size)
+    _check.floating_trailing_shape(op, "b", b, b_size)
     _check.same_device(op, a=a, b=b)
 
 
@@ -120,7 +120,7 @@ def determinant_to_polynomial(A: Tensor) -> Tensor:
         >>> K.geometry.determinant_to_polynomial(A)
         tensor([[0., 1., 0., 0., 0., 0., 0., 0., 0., 0., 0.]])
     """
-    _check.floating_ends("determinant_to_polynomial", "A", A, 3, 13)
+    _check.floating_trailing_shape("determinant_to_polynomial", "A", A, 3, 13)
     first, second, third = (part.flip(-1) for part in A.split([4, 4, 5], -1))
 
     def minor(i: int, k: int) -> Tensor:

@@ -34,7 +34,7 @@ def solve_quadratic(coeffs: Tensor) -> Tensor:
         >>> K.geometry.solve_quadratic(torch.tensor([[1.0, -3.0, 2.0]]))
         tensor([[2., 1.]])
     """
-    _check.floating_ends("solve_quadratic", "coeffs", coeffs, "B", 3)
+    _check.floating_trailing_shape("solve_quadratic", "coeffs", coeffs, "B", 3)
     a, b, c = _scaled(coeffs).unbind(-1)
     discriminant = b * b - 4 * a * c
     q = -0.5 * (b + torch.where(b < 0, -1.0, 1.0).to(b.dtype) * root(discriminant.clamp(min=0)))
@@ -69,7 +69,7 @@ def solve_cubic(coeffs: Tensor) -> Tensor:
         >>> K.geometry.solve_cubic(torch.tensor([[1.0, 0.0, 0.0, -8.0]]))
         tensor([[2., 0., 0.]])
     """
-    _check.floating_ends("solve_cubic", "coeffs", coeffs, "B", 4)
+    _check.floating_trailing_shape("solve_cubic", "coeffs", coeffs, "B", 4)
     return real_roots(coeffs).nan_to_num(0.0)
 
 
@@ -93,7 +93,7 @@ def solve_quartic(coeffs: Tensor) -> Tensor:
         >>> K.geometry.solve_quartic(torch.tensor([[1.0, 0.0, -5.0, 0.0, 4.0]]))
         tensor([[-2., -1.,  1.,  2.]])
     """
-    _check.floating_ends("solve_quartic", "coeffs", coeffs, "B", 5)
+    _check.floating_trailing_shape("solve_quartic", "coeffs", coeffs, "B", 5)
     return real_roots(coeffs).nan_to_num(0.0)
 
 

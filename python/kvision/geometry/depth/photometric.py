@@ -14,7 +14,7 @@ from kvision.core.exceptions import ShapeError
 from kvision.geometry._photometric import DISTANCES, distance_of, gradient_from, seen, slope_of
 from kvision.geometry.depth.warp import depth_warp_of, image_gradient_of, places_of
 from kvision.geometry.transform import sampling
-from kvision.geometry.transform.sampling import for_images
+from kvision.geometry.transform.sampling import cast_to_image
 
 __all__ = ["photometric_depth_loss"]
 
@@ -168,8 +168,8 @@ def photometric_depth_loss(
             actual_shape=target.shape,
         )
     _check.same_device(op, views=views, target=target)
-    depth = for_images(op, views, "depth", depth)
-    projections = for_images(op, views, "projections", projections)
+    depth = cast_to_image(op, views, "depth", depth)
+    projections = cast_to_image(op, views, "projections", projections)
     found: Any = _photometric(views, target, depth, projections, distance, eps)
     loss: Tensor = found[0].to(stored)
     return loss

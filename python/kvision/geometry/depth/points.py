@@ -15,7 +15,7 @@ from kvision._ops import as_stored, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.spatial_gradient import derivatives
 from kvision.geometry.points import met
-from kvision.geometry.transform.sampling import for_images
+from kvision.geometry.transform.sampling import cast_to_image
 
 __all__ = [
     "depth_from_disparity",
@@ -133,7 +133,7 @@ def _depth_and_camera(op: str, depth: Any, camera_matrix: Any, normalize_points:
     depth = floats(depth)
     if depth.shape[0] == 1 and camera_matrix.shape[0] != 1:
         depth = depth.expand(camera_matrix.shape[0], -1, -1, -1)
-    return depth, for_images(op, depth, "camera_matrix", camera_matrix)
+    return depth, cast_to_image(op, depth, "camera_matrix", camera_matrix)
 
 
 def depth_to_3d(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = False) -> Tensor:

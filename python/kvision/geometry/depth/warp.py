@@ -170,8 +170,8 @@ def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str
     batch = max(image.shape[0], depth.shape[0], projection.shape[0]) if image.shape[0] else 0
     if image.shape[0] == 1 and batch > 1:
         image = image.expand(batch, -1, -1, -1)
-    depth = sampling.for_images(op, image, "depth", depth)
-    projection = sampling.for_images(op, image, "projection", projection)
+    depth = sampling.cast_to_image(op, image, "depth", depth)
+    projection = sampling.cast_to_image(op, image, "projection", projection)
     found: Tensor = depth_warp_of(image, depth, projection, mode, "fill" if padding == "zeros" else padding, align)
     return found
 
@@ -221,12 +221,12 @@ def warp_frame_depth(
     dtype = compute_dtype(image_src)
     motion, camera = src_trans_dst.to(dtype), camera_matrix.to(dtype)
     if motion.shape[0] != 1:
-        camera = sampling.for_images(op, motion, "camera_matrix", camera)
+        camera = sampling.cast_to_image(op, motion, "camera_matrix", camera)
     if normalize_points:
         depth_dst = depth_dst.to(dtype)
         if depth_dst.shape[0] == 1:
             depth_dst = depth_dst.expand(camera.shape[0], -1, -1, -1)
-        cameras = sampling.for_images(op, depth_dst, "camera_matrix", camera)
+        cameras = sampling.cast_to_image(op, depth_dst, "camera_matrix", camera)
         depth_dst = depth_points(depth_dst, cameras, True, False)[:, 2:]
     projection = _reprojection(camera, motion, camera, None, True)
     return _warped(op, image_src, depth_dst, projection, "bilinear", "zeros", True)

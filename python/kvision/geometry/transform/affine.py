@@ -44,7 +44,7 @@ def affine(
     images = _images("affine", tensor)
     _check.shape("affine", "matrix", matrix, "B", 2, 3)
     sampling.check_how("affine", mode, padding_mode, align_corners)
-    matrix = sampling.for_images("affine", images, "matrix", matrix)
+    matrix = sampling.cast_to_image("affine", images, "matrix", matrix)
     padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
     result = sampling.warp(images, matrix, None, list(images.shape[2:]), mode, padding, align_corners, True, False)
     return result[0] if tensor.dim() == 3 else result
@@ -228,7 +228,7 @@ def _vector(op: str, images: Tensor, name: str, x: Any, *axes: int) -> Tensor:
         x = x[None]
     if x.shape[1:] != axes:
         _check.shape(op, name, x, "B", *axes)
-    return sampling.for_images(op, images, name, x)
+    return sampling.cast_to_image(op, images, name, x)
 
 
 def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float, float]:

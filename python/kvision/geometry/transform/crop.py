@@ -141,7 +141,7 @@ def crop_by_boxes(
     _check.shape(op, "dst_box", dst_box, "B", 4, 2)
     _check.flag(op, "validate_boxes", validate_boxes)
     src_box, dst_box = (
-        sampling.for_images(op, input_tensor, name, box) for name, box in (("src_box", src_box), ("dst_box", dst_box))
+        sampling.cast_to_image(op, input_tensor, name, box) for name, box in (("src_box", src_box), ("dst_box", dst_box))
     )
     shapes = _quad_shapes(src_box.detach(), dst_box.detach()).tolist()
     for name, box, of in (("src_box", src_box, slice(0, 2)), ("dst_box", dst_box, slice(2, 4))):
@@ -160,9 +160,9 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     _check.shape(op, "boxes", boxes, "B", 4, 2)
     sampling.check_how(op, mode, padding_mode, align_corners)
     images = pixels(input_tensor)
-    boxes = sampling.for_images(op, images, "boxes", boxes)
+    boxes = sampling.cast_to_image(op, images, "boxes", boxes)
     if first is not None:
-        first = sampling.for_images(op, images, "dst_box", first)
+        first = sampling.cast_to_image(op, images, "dst_box", first)
     h, w = size
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     numbers = [float(max(w - 1, 1)), float(max(h - 1, 1))]

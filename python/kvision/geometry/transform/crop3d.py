@@ -146,9 +146,9 @@ def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
     """The boxes `src_box` in the boxes `dst_box`, None for that of the whole result."""
     _check.shape(op, "src_box", src_box, "B", 8, 3)
     volumes = floats(tensor)
-    boxes = [sampling.for_images(op, volumes, "src_box", src_box)]
+    boxes = [sampling.cast_to_image(op, volumes, "src_box", src_box)]
     if dst_box is not None:
-        boxes.append(sampling.for_images(op, volumes, "dst_box", dst_box))
+        boxes.append(sampling.cast_to_image(op, volumes, "dst_box", dst_box))
     extent = [float(max(n - 1, 1)) for n in reversed(size)]
     return by_formula(
         op, volumes, size, interpolation, "zeros", align_corners, True, "perspective_matrix3d", extent, *boxes

@@ -60,7 +60,7 @@ def elastic_transform2d(
     _check.shape(op, "noise", noise, "B", 2, *image.shape[2:])
     sampling.check_how(op, mode, padding_mode, align_corners)
     images = pixels(image)
-    noise = sampling.for_images(op, images, "noise", noise)
+    noise = sampling.cast_to_image(op, images, "noise", noise)
     if isinstance(sigma, Tensor) or not _are_numbers(sigma):
         sigma = _two(op, "sigma", sigma, images)[None]
     arguments = blur_arguments(op, noise, kernel_size, sigma, "constant")

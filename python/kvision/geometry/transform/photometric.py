@@ -257,4 +257,4 @@ def _checked(op, source, target, src_homo_dst, distance, eps, align_corners, nor
             f"{op}: expected target of shape {(*source.shape[:2], 'h', 'w')}, got {tuple(target.shape)}",
             actual_shape=target.shape,
         )
-    return source, target, sampling.for_images(op, source, "src_homo_dst", src_homo_dst)
+    return source, target, sampling.cast_to_image(op, source, "src_homo_dst", src_homo_dst)

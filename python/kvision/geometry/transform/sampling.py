@@ -404,7 +404,7 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
     return "fill", as_dtype(fill_value, dtype)
 
 
-def for_images(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
+def cast_to_image(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
     """A matrix, map or parameter of images as the operators take it: in the type that computes, one for all or for each."""
     _check.same_device(op, image=image, **{name: x})
     if x.shape[0] not in (1, image.shape[0]):

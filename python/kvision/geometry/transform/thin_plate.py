@@ -246,7 +246,7 @@ def warp_image_tps(
     _check_spline(op, kernel_centers, kernel_weights, affine_weights)
     sampling.check_how(op, "bilinear", padding_mode, align_corners)
     images = pixels(image)
-    spline = (sampling.for_images(op, images, "spline", x) for x in (kernel_centers, kernel_weights, affine_weights))
+    spline = (sampling.cast_to_image(op, images, "spline", x) for x in (kernel_centers, kernel_weights, affine_weights))
     x, y = _map(*spline, list(image.shape[2:]), align_corners).unbind(1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     return sampling.remap(images, x, y, None, "bilinear", padding, align_corners, True, False)

@@ -95,7 +95,7 @@ def together(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, 
     image = pixels(image)
     if image.shape[0] == 1 != other.shape[0]:
         image = image.expand(other.shape[0], -1, -1, -1)
-    return image, sampling.for_images(op, image, name, other)
+    return image, sampling.cast_to_image(op, image, name, other)
 
 
 def homography_warp(
@@ -199,7 +199,7 @@ def remap(
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
     image, map_x = together("remap", image, "map_x", map_x)
-    map_y = sampling.for_images("remap", image, "map_y", map_y)
+    map_y = sampling.cast_to_image("remap", image, "map_y", map_y)
     padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
     return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates, False)
 

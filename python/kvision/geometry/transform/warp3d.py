@@ -152,7 +152,7 @@ def rotate3d(
     _check.same_device("rotate3d", tensor=volumes, yaw=yaw, pitch=pitch, roll=roll)
     if center is not None:
         _check.shape("rotate3d", "center", center, "B", 3)
-        center = sampling.for_images("rotate3d", volumes, "center", center)
+        center = sampling.cast_to_image("rotate3d", volumes, "center", center)
     middle = [(n - 1) / 2 for n in reversed(volumes.shape[2:])]
     size = tuple(volumes.shape[2:])
     given = (*angles, None, None, center)
@@ -240,7 +240,7 @@ def _warp(
 ) -> Tensor:
     how = _how(op, dsize, mode, padding_mode, align_corners)
     volumes = floats(volumes)
-    matrix = sampling.for_images(op, volumes, "matrix", matrix)
+    matrix = sampling.cast_to_image(op, volumes, "matrix", matrix)
     return _warp3d(volumes, matrix, *how, inverse, normalized)
 
 

@@ -163,15 +163,15 @@ class Operator:
             registered operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted,
             and None stands for one that is not. Default: the reference is differentiated.
         saves_results: backward needs the results: `backward(needs, grads..., results..., *args)`.
-        constant: the results, by index, that carry no gradient.
+        non_differentiable: the results, by index, that carry no gradient.
         linear: linear in its first tensor. Then jvp is the operator itself, and where it has no other tensor nothing
             is saved for backward (`args[0]` is None there).
         bytes: the kernels take uint8, too.
         labels: the first tensor holds int64 or uint8, and the kernels take no other types.
-        halves: the reference takes half types as they are, because how they round is part of the result.
+        native_half: the reference takes half types as they are, because how they round is part of the result.
         autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
             which is safe for filters: they store half types but compute in float32.
-        stores: the reference itself stores its results as the kernels do, say in another type than the first tensor's.
+        casts_outputs: the reference itself stores its results as the kernels do, say in another type than the first tensor's.
         deterministic: False when a kernel may give other bits on a second run; torch.use_deterministic_algorithms then
             raises or warns as it does for torch's own operators.
     """
@@ -184,21 +184,21 @@ class Operator:
         fake: Callable[..., Sequence[Any]] | None = None,
         backward: Callable[..., Sequence[Tensor | None]] | None = None,
         saves_results: bool = False,
-        constant: Sequence[int] = (),
+        non_differentiable: Sequence[int] = (),
         linear: bool = False,
         bytes: bool = False,
         labels: bool = False,
-        halves: bool = False,
+        native_half: bool = False,
         autocast: torch.dtype | None = None,
-        stores: bool = False,
+        casts_outputs: bool = False,
         deterministic: bool = True,
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = in_its_own_types(reference) if stores else as_stored(reference, halves)
+        self.reference = in_its_own_types(reference) if casts_outputs else as_stored(reference, native_half)
         self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
-        self.constant = constant
+        self.non_differentiable = non_differentiable
         self.linear = linear
         self.dtypes = (torch.int64, torch.uint8) if labels else (*FLOATS, torch.uint8) if bytes else FLOATS
         self.autocast = autocast
@@ -304,8 +304,8 @@ class Operator:
             tensors = (None, *tensors[1:])
         if self.saves_results:
             tensors = (*_as_tuple(output), *tensors)
-        if self.constant:
-            ctx.mark_non_differentiable(*(_as_tuple(output)[i] for i in self.constant))
+        if self.non_differentiable:
+            ctx.mark_non_differentiable(*(_as_tuple(output)[i] for i in self.non_differentiable))
             ctx.set_materialize_grads(False)  # no zeros for these
         ctx.save_for_backward(*tensors)
         if forward_ad._current_level >= 0:
@@ -339,13 +339,17 @@ class Operator:
         args = (*tensors, *ctx.plain)
         where = [i for i, t in enumerate(tangents) if t is not None]
         # J t as the derivative of u -> J^T u: works under every transform, also inside plain forward-mode.
-        output, pullback = torch.func.vjp(self._of_tensors(args, where, self.constant), *(args[i] for i in where))
+        output, pullback = torch.func.vjp(
+            self._of_tensors(args, where, self.non_differentiable), *(args[i] for i in where)
+        )
         _, pushforward = torch.func.vjp(pullback, _map(torch.zeros_like, output))
         (found,) = pushforward(tuple(tangents[i] for i in where))
-        if not self.constant:
+        if not self.non_differentiable:
             return found
         rest = iter(found)
-        return tuple(None if i in self.constant else next(rest) for i in range(len(self.kernel._schema.returns)))
+        return tuple(
+            None if i in self.non_differentiable else next(rest) for i in range(len(self.kernel._schema.returns))
+        )
 
     def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
         """The default backward; of use in others for gradients that have no kernel."""
@@ -458,10 +462,10 @@ def in_its_own_types(reference: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
-def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[..., Any]:
+def as_stored(reference: Callable[..., Any], native_half: bool = False) -> Callable[..., Any]:
     """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
 
-    With `halves` the reference takes half types as they are.
+    With `native_half` the reference takes half types as they are.
     """
 
     @in_its_own_types
@@ -470,7 +474,7 @@ def as_stored(reference: Callable[..., Any], halves: bool = False) -> Callable[.
         x = args[0]
         stored = x.dtype
         widened: Iterable[Any]
-        if halves and stored in _HALVES:
+        if native_half and stored in _HALVES:
             widened = args
         elif stored == torch.float64:
             widened = (a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)

@@ -85,12 +85,12 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
     sampling.check_how(op, mode, padding_mode, align_corners)
-    src, M = together(op, src, "M", M)
+    src, M = broadcast_batch(op, src, "M", M)
     padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value)
     return sampling.warp(src, M, fill, list(size), mode, padding, align_corners, True, False)
 
 
-def together(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, Tensor]:
+def broadcast_batch(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, Tensor]:
     """Images and their matrices or maps as the operators take them; one image is made to serve many of these."""
     image = pixels(image)
     if image.shape[0] == 1 != other.shape[0]:
@@ -146,7 +146,7 @@ def homography_warp(
         _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     _check.flag(op, "normalized_homography", normalized_homography)
-    image, matrix = together(op, patch_src, "src_homo_dst", src_homo_dst)
+    image, matrix = broadcast_batch(op, patch_src, "src_homo_dst", src_homo_dst)
     normalized = normalized_coordinates and normalized_homography
     padding, _ = sampling.padding_and_fill(op, image, padding_mode, None)
     return sampling.warp(image, matrix, None, list(size), mode, padding, align_corners, False, normalized)
@@ -198,7 +198,7 @@ def remap(
     if padding_mode == "fill":
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)
-    image, map_x = together("remap", image, "map_x", map_x)
+    image, map_x = broadcast_batch("remap", image, "map_x", map_x)
     map_y = sampling.cast_to_image("remap", image, "map_y", map_y)
     padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
     return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates, False)

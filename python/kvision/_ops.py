@@ -262,7 +262,7 @@ class Operator:
         qualified = f"kvision::{self.name}"
         kernel = getattr(torch.ops.kvision, self.name).default
         torch.library.register_fake(qualified, self._fake)
-        torch.library.register_vmap(qualified, functools.partial(_fold, kernel))
+        torch.library.register_vmap(qualified, functools.partial(_flatten_vmap, kernel))
         torch.library.register_autograd(qualified, self._backward, setup_context=self._setup_context)
         return kernel
 
@@ -278,7 +278,7 @@ class Operator:
             "setup_context": self._setup_context,
             "backward": self._backward,
             "jvp": self._jvp,
-            "vmap": functools.partial(_fold, self),
+            "vmap": functools.partial(_flatten_vmap, self),
         }
         return type(self.name, (torch.autograd.Function,), {k: staticmethod(v) for k, v in rules.items()})
 
@@ -486,13 +486,13 @@ def as_stored(reference: Callable[..., Any], native_half: bool = False) -> Calla
     return wrapped
 
 
-def _fold(operator: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any) -> tuple[Any, Any]:
+def _flatten_vmap(operator: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *args: Any) -> tuple[Any, Any]:
     """vmap: the mapped axis joins the batch, which every tensor has in front."""
     n = info.batch_size
     tensors = [i for i, a in enumerate(args) if isinstance(a, Tensor)]
     sizes = {i: args[i].shape[1 if in_dims[i] == 0 else 0] for i in tensors}
     batch = max(sizes.values())
-    folded = list(args)
+    flattened = list(args)
     for i in tensors:
         a, dim = args[i], in_dims[i]
         if dim is None and a.shape[0] == 1 and i != tensors[0]:
@@ -500,6 +500,6 @@ def _fold(operator: Callable[..., Any], info: Any, in_dims: tuple[Any, ...], *ar
         a = a.unsqueeze(0).expand(n, *a.shape) if dim is None else a.movedim(dim, 0)
         if a.shape[1] != batch:
             a = a.expand(n, batch, *a.shape[2:])
-        folded[i] = a.reshape(n * batch, *a.shape[2:])
-    output = operator(*folded)
+        flattened[i] = a.reshape(n * batch, *a.shape[2:])
+    output = operator(*flattened)
     return _map(lambda y: y.reshape(n, batch, *y.shape[1:]), output), _map(lambda y: 0, output)

@@ -1,4 +1,4 @@
-"""The number types an operator on images takes and computes in; _ops.as_stored has how it stores its result."""
+"""The number types an operator on images takes and computes in; _ops.with_kernel_casts has how it stores its result."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ class Operator:
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = in_its_own_types(reference) if casts_outputs else as_stored(reference, native_half)
+        self.reference = full_precision(reference) if casts_outputs else with_kernel_casts(reference, native_half)
         self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
         self.non_differentiable = non_differentiable
@@ -445,7 +445,7 @@ def saturate_to_byte(x: Tensor) -> Tensor:
     return x.round().clamp(0, 255).to(torch.uint8)
 
 
-def in_its_own_types(reference: Callable[..., Any]) -> Callable[..., Any]:
+def full_precision(reference: Callable[..., Any]) -> Callable[..., Any]:
     """The reference as the kernels compute: no autocast, no TF32."""
 
     @functools.wraps(reference)
@@ -462,26 +462,26 @@ def in_its_own_types(reference: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
-def as_stored(reference: Callable[..., Any], native_half: bool = False) -> Callable[..., Any]:
+def with_kernel_casts(reference: Callable[..., Any], native_half: bool = False) -> Callable[..., Any]:
     """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
 
     With `native_half` the reference takes half types as they are.
     """
 
-    @in_its_own_types
+    @full_precision
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
         x = args[0]
-        stored = x.dtype
-        widened: Iterable[Any]
-        if native_half and stored in _HALVES:
-            widened = args
-        elif stored == torch.float64:
-            widened = (a.to(stored) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
+        dtype = x.dtype
+        promoted: Iterable[Any]
+        if native_half and dtype in _HALVES:
+            promoted = args
+        elif dtype == torch.float64:
+            promoted = (a.to(dtype) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
         else:
-            widened = (a.float() if isinstance(a, Tensor) and a.dtype in _TO_FLOAT else a for a in args)
-        store = saturate_to_byte if stored == torch.uint8 else lambda y: y.to(stored)
-        return _map(lambda y: match_layout(store(y), x), reference(*widened))
+            promoted = (a.float() if isinstance(a, Tensor) and a.dtype in _TO_FLOAT else a for a in args)
+        store = saturate_to_byte if dtype == torch.uint8 else lambda y: y.to(dtype)
+        return _map(lambda y: match_layout(store(y), x), reference(*promoted))
 
     return wrapped
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._ops import as_stored, match_layout, register, saturate_to_byte
+from kvision._ops import match_layout, register, saturate_to_byte, with_kernel_casts
 
 # The enum Step of csrc/color/program.h, and how many numbers each step takes.
 _PARAMETERS = {
@@ -121,7 +121,7 @@ def _where(here: Tensor | None, new: Tensor, old: Tensor) -> Tensor:
     return new if here is None else torch.where(here, new, old)
 
 
-_computed = as_stored(_sequential)
+_computed = with_kernel_casts(_sequential)
 
 
 def _reference_around_mean(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
@@ -338,10 +338,10 @@ def step(
     last one is `found(x)` where that is given.
     """
     _references[name] = reference
-    composed = as_stored(reference)
+    composed = with_kernel_casts(reference)
     if found is not None:
         _findings[name] = found
-        composed = as_stored(lambda x, *parameters: reference(x, *parameters, found(x)))
+        composed = with_kernel_casts(lambda x, *parameters: reference(x, *parameters, found(x)))
     steps, of_values, rest = [_NAMES.index(name)], name in _OF_VALUES, [0.0] * (name in _findings)
     plan = _plan(None, _SAME, steps, _NO_COLUMNS)
 

@@ -12,7 +12,7 @@ from kvision import _check
 from kvision._dtype import pixels
 from kvision._leading import on_batch
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored, register
+from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.border import pad
 
@@ -105,7 +105,7 @@ _raw_to_rgb_backward = register(
     backward=_backward_of_backward,
     linear=True,
 )
-_raw_to_rgb_2x2_downscaled = as_stored(_binned)
+_raw_to_rgb_2x2_downscaled = with_kernel_casts(_binned)
 
 
 def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:

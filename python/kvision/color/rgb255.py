@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import on_batch
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ImageError
 
 
@@ -30,10 +30,10 @@ def _colors(n: Tensor) -> Tensor:
     return _scaled((n + 1) / 2)
 
 
-_rgb_to_rgb255 = as_stored(_scaled)
-_rgb255_to_rgb = as_stored(_unscaled)
-_rgb255_to_normals = as_stored(_normals)
-_normals_to_rgb255 = as_stored(_colors)
+_rgb_to_rgb255 = with_kernel_casts(_scaled)
+_rgb255_to_rgb = with_kernel_casts(_unscaled)
+_rgb255_to_normals = with_kernel_casts(_normals)
+_normals_to_rgb255 = with_kernel_casts(_colors)
 
 
 def rgb_to_rgb255(image: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._leading import flat, on_batch
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
@@ -17,7 +17,7 @@ def _reference(x: Tensor, background: Tensor) -> Tensor:
     return torch.lerp(background, x[:, :3], x[:, 3:])
 
 
-_rgba_to_rgb = as_stored(_reference)
+_rgba_to_rgb = with_kernel_casts(_reference)
 
 
 def rgb_to_rgba(image: Tensor, alpha_val: float | Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.filters.filter2d import filter2d
 from kvision.filters.filter3d import filter3d
@@ -68,7 +68,7 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
     return _approximate(image, size, h)
 
 
-@as_stored
+@with_kernel_casts
 def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     blur = filter2d if x.dim() == 4 else filter3d
     squares = (torch.arange(size, dtype=x.dtype, device=x.device) - size // 2) ** 2
@@ -86,7 +86,7 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
     return total
 
 
-@as_stored
+@with_kernel_casts
 def _exact(x: Tensor) -> Tensor:
     """The squared distance along one axis after the other: each the lower envelope of parabolas over the one before."""
     squared = torch.where(x == 1, torch.zeros_like(x), torch.inf)

@@ -7,7 +7,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored, register
+from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.enhance.batch import as_batch, broadcast, check_broadcast, shaped
 from kvision.enhance.brightness import line
@@ -47,7 +47,7 @@ def _backward(needs, grad, x, y, alpha, beta, gamma, a, b, c):
 
 
 _mix = register("mix", _reference, backward=_backward)
-_composed = as_stored(_mixed)  # weights of single pixels, images of two types or without pixels
+_composed = with_kernel_casts(_mixed)  # weights of single pixels, images of two types or without pixels
 
 
 def add_weighted(

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import as_stored, register
+from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.enhance.batch import as_batch, images, shaped
 from kvision.enhance.equalize import LEVELS, equalize_backward, level_counts, levels
@@ -37,7 +37,7 @@ def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> 
     return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]), rows, columns, tile, False)
 
 
-_equalize_clahe_smooth = as_stored(_reference_smooth, native_half=True)
+_equalize_clahe_smooth = with_kernel_casts(_reference_smooth, native_half=True)
 
 
 def _tile(x: Tensor, rows: int, columns: int, opencv: bool) -> tuple[int, int]:

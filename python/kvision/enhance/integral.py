@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
@@ -16,7 +16,7 @@ def _reference(x: Tensor, dims: tuple[int, ...]) -> Tensor:
     return x
 
 
-_integral = as_stored(_reference)
+_integral = with_kernel_casts(_reference)
 
 
 def integral_tensor(input: Tensor, dim: tuple[int, ...] | None = None) -> Tensor:

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from kvision._dtype import compute_dtype
-from kvision._ops import as_stored, match_layout, register, vjp
+from kvision._ops import match_layout, register, vjp, with_kernel_casts
 from kvision.enhance.batch import as_batch, images, parameter, shaped
 
 
@@ -54,7 +54,7 @@ def _backward(needs, grad, x, factor, number):
 
 _sharpness = register("sharpness", _reference, backward=_backward)
 _sharpness_backward = register("sharpness_backward", _reference_backward, fake=_fake_backward)
-_composed = as_stored(_sharpened)  # factors of single pixels
+_composed = with_kernel_casts(_sharpened)  # factors of single pixels
 
 
 def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:

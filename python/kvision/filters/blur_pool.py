@@ -11,7 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ValueCheckError
 from kvision.filters.border import pad, same_pads
 from kvision.filters.filter2d import correlate
@@ -19,7 +19,7 @@ from kvision.filters.kernels import binomial
 from kvision.filters.separable import filter2d_separable
 
 
-@as_stored
+@with_kernel_casts
 def _blur_pool(x: Tensor, ky: int, kx: int, stride: int) -> Tensor:
     kernel = binomial(ky, x.device, x.dtype)[:, :, None] * binomial(kx, x.device, x.dtype)[:, None, :]
     return correlate(pad(x, same_pads((ky, kx)), "constant"), kernel, stride)
@@ -137,7 +137,7 @@ def edge_aware_blur_pool2d(
     return _edge_aware_blur(x, ky, kx, math.log2(edge_threshold), dilation, epsilon)
 
 
-@as_stored
+@with_kernel_casts
 def _edge_aware_blur(x: Tensor, ky: int, kx: int, threshold: float, dilation: int, epsilon: float) -> Tensor:
     log = torch.log2(pad(x, ((2, 2), (2, 2)), "reflect") + epsilon).mean(1, keepdim=True)
     across_x = (log[..., 2:-2, 4:] - log[..., 2:-2, :-4]).abs() > threshold

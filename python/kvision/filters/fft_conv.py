@@ -7,12 +7,12 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.filters.border import pad, same_pads
 from kvision.filters.filter2d import check_padding, prepare_kernel
 
 
-@as_stored
+@with_kernel_casts
 def _correlate(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     ky, kx = kernel.shape[1:]
     if same:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, of_rows, register_formula
 from kvision.geometry.conversions.homogeneous import divisor, homogeneous
@@ -237,7 +237,7 @@ def point_line_distance(point: Tensor, line: Tensor, eps: float = 1e-9) -> Tenso
     return _point_line_distance(floats(point), floats(line))
 
 
-@as_stored
+@with_kernel_casts
 def _point_line_distance(point: Tensor, line: Tensor) -> Tensor:
     direction, offset = line[..., :2], line[..., 2]
     above = (point[..., :2] * direction).sum(-1)
@@ -315,14 +315,14 @@ def euclidean_distance(x: Tensor, y: Tensor, keepdim: bool = False, eps: float =
     return _distance(floats(x), floats(y), keepdim)
 
 
-@as_stored
+@with_kernel_casts
 def _distance(x: Tensor, y: Tensor, keepdim: bool) -> Tensor:
     return root((x - y).square().sum(-1, keepdim))
 
 
 def normalized(x: Tensor) -> Tensor:
     """Vectors (*, D) of length 1 in the same directions; 0 stays 0."""
-    return as_stored(lambda v: v / divisor(root(batched_squared_norm(v, keepdim=True)), 0))(floats(x))
+    return with_kernel_casts(lambda v: v / divisor(root(batched_squared_norm(v, keepdim=True)), 0))(floats(x))
 
 
 def root(square: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.linalg import batched_dot_product, batched_squared_norm, dominant_eigenvector, normalized, root
 from kvision.geometry.plane import Hyperplane, plain, scatter_of
@@ -129,7 +129,7 @@ def fit_line(points: Tensor, weights: Tensor | None = None) -> ParametrizedLine:
     return ParametrizedLine(*_least_line(floats(points), weights))
 
 
-@as_stored
+@with_kernel_casts
 def _least_line(points: Tensor, weights: Tensor | None) -> tuple[Tensor, Tensor]:
     if weights is None:
         mean = points.mean(1, keepdim=True)

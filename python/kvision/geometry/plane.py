@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.core.tensor_wrapper import TensorWrapper
 from kvision.geometry._precision import wide
@@ -59,7 +59,9 @@ class Hyperplane(FunctionModule):
         for name, p in points.items():
             _check.trailing_shape("Hyperplane.through", name, p, 3)
         _check.same_shape("Hyperplane.through", **points)
-        normal = as_stored(lambda a, b, c: normalized(torch.linalg.cross(c - a, b - a)))(*map(floats, points.values()))
+        normal = with_kernel_casts(lambda a, b, c: normalized(torch.linalg.cross(c - a, b - a)))(
+            *map(floats, points.values())
+        )
         return cls.from_vector(normal, floats(points["p0"]))
 
     @property
@@ -108,7 +110,7 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
     _check.trailing_shape("fit_plane", "points", points, 3)
     if points.dim() < 2 or points.shape[-2] < 3:
         raise ShapeError(f"fit_plane: expected points of shape (*, N, 3), N of at least 3, got {tuple(points.shape)}")
-    return Hyperplane(*as_stored(_least_plane)(floats(points)))
+    return Hyperplane(*with_kernel_casts(_least_plane)(floats(points)))
 
 
 def _least_plane(points: Tensor) -> tuple[Tensor, Tensor]:

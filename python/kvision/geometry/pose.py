@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.linalg import transform_points
@@ -91,7 +91,7 @@ class NamedPose:
                 f"NamedPose: expected poses of one dimension, got {tuple(self._pose.shape)} and {tuple(other._pose.shape)}"
             )
         _check.broadcastable("NamedPose", left=self._pose.shape[:-2], right=other._pose.shape[:-2])
-        return NamedPose(as_stored(torch.matmul)(self._pose, other._pose), other._frame_src, self._frame_dst)
+        return NamedPose(with_kernel_casts(torch.matmul)(self._pose, other._pose), other._frame_src, self._frame_dst)
 
     @property
     def pose(self) -> Tensor:

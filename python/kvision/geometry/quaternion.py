@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry.conversions.euler import euler_from_quaternion, quaternion_from_euler
@@ -248,7 +248,7 @@ class Quaternion(FunctionModule):
         return self.inv() * left
 
     def __pow__(self, t: Tensor | float) -> Quaternion:
-        return Quaternion(as_stored(_power)(floats(self.data), _column(t)))
+        return Quaternion(with_kernel_casts(_power)(floats(self.data), _column(t)))
 
     def _quaternion(self, value: Quaternion | Tensor | float) -> Tensor:
         """A quaternion, or a real one, as (*, 4)."""
@@ -324,7 +324,7 @@ def average_quaternions(Q: Quaternion, w: Tensor | None = None) -> Quaternion:
     if w is not None:
         _check.shape("average_quaternions", "w", w, Q.data.shape[0])
         _check.same_device("average_quaternions", Q=Q.data, w=w)
-    return Quaternion(as_stored(_average)(floats(Q.data), w)[None])
+    return Quaternion(with_kernel_casts(_average)(floats(Q.data), w)[None])
 
 
 def _average(data: Tensor, w: Tensor | None) -> Tensor:

@@ -9,11 +9,11 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.metrics.ssim import checked, checked_volumes, dissimilarity, ssim3d_map, ssim_map
 
 
-@as_stored
+@with_kernel_casts
 def _dissimilarity(similarity: Tensor) -> Tensor:
     return ((1 - similarity) / 2).clamp(0, 1)
 

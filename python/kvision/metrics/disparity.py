@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 
 
@@ -162,19 +162,19 @@ def _reduced(error: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
     return error.sum() if reduction == "sum" else error
 
 
-@as_stored
+@with_kernel_casts
 def _absolute(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
     return _reduced((input - target).abs(), mask, reduction)
 
 
-@as_stored
+@with_kernel_casts
 def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
     square = _reduced((input - target).square(), mask, reduction)
     perfect = square == 0  # where the root has no slope
     return torch.where(perfect, 0, torch.where(perfect, 1, square).sqrt())
 
 
-@as_stored
+@with_kernel_casts
 def _share_of_bad(
     input: Tensor, target: Tensor, mask: Tensor | None, absolute: float, relative: float, reduction: str
 ) -> Tensor:

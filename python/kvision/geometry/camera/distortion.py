@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.geometry.conversions.series import angle_per_sine, angle_per_tangent_slope, cos, sinc, squared
 
 __all__ = [
@@ -42,7 +42,7 @@ def distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params: T
         tensor([420., 440.])
     """
     points = _points("distort_points_affine", projected_points_in_camera_z1_plane, params, 4)
-    return as_stored(_to_pixels)(points, params)
+    return with_kernel_casts(_to_pixels)(points, params)
 
 
 def _to_pixels(points: Tensor, params: Tensor) -> Tensor:
@@ -59,7 +59,7 @@ def undistort_points_affine(distorted_points_in_camera: Tensor, params: Tensor) 
         tensor([1., 1.])
     """
     points = _points("undistort_points_affine", distorted_points_in_camera, params, 4)
-    return as_stored(_from_pixels)(points, params)
+    return with_kernel_casts(_from_pixels)(points, params)
 
 
 def _from_pixels(pixels: Tensor, params: Tensor) -> Tensor:
@@ -76,7 +76,7 @@ def dx_distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params
                 [  0., 200.]])
     """
     points = _points("dx_distort_points_affine", projected_points_in_camera_z1_plane, params, 4)
-    return as_stored(lambda p, f: torch.diag_embed(f[..., :2] + 0 * p))(points, params)
+    return with_kernel_casts(lambda p, f: torch.diag_embed(f[..., :2] + 0 * p))(points, params)
 
 
 # --- fisheye --------------------------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ def distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, p
     return _fisheye(points, params)
 
 
-@as_stored
+@with_kernel_casts
 def _fisheye(points: Tensor, params: Tensor) -> Tensor:
     return _to_pixels(points * _stretch(squared(points), params), params)
 
@@ -147,7 +147,7 @@ def undistort_points_kannala_brandt(distorted_points_in_camera: Tensor, params: 
     return _unfisheye(pixels, params)
 
 
-@as_stored
+@with_kernel_casts
 def _unfisheye(pixels: Tensor, params: Tensor) -> Tensor:
     points = _from_pixels(pixels, params)
     square = squared(points)
@@ -181,7 +181,7 @@ def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor
     return _fisheye_jacobian(points, params)
 
 
-@as_stored
+@with_kernel_casts
 def _fisheye_jacobian(points: Tensor, params: Tensor) -> Tensor:
     square = squared(points)
     # As in _stretch, and the derivatives by the distance squared: of the angle per distance, of the angle squared, of all.

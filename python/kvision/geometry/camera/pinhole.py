@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.linalg import inverse3x3
@@ -176,7 +176,7 @@ class PinholeCamera:
 
     def intrinsics_inverse(self) -> Tensor:
         """(B, 4, 4), with the inverse of the camera matrix as its first 3 rows and columns."""
-        inverse = as_stored(inverse3x3)(self.camera_matrix)
+        inverse = with_kernel_casts(inverse3x3)(self.camera_matrix)
         return homogeneous(torch.cat([inverse, torch.zeros_like(inverse[..., :1])], -1))
 
     def scale(self, scale_factor: Tensor | float) -> PinholeCamera:
@@ -217,12 +217,12 @@ class PinholeCamera:
             )
 
 
-@as_stored
+@with_kernel_casts
 def _projection(intrinsics: Tensor, extrinsics: Tensor) -> Tensor:
     return intrinsics[:, :3, :3] @ extrinsics[:, :3]
 
 
-@as_stored
+@with_kernel_casts
 def _unprojection(intrinsics: Tensor, extrinsics: Tensor) -> Tensor:
     """(x z, y z, z) of the image plane to the world."""
     projection = intrinsics[:, :3, :3] @ extrinsics[:, :3]

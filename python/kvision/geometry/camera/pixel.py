@@ -6,7 +6,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.linalg import transform_points
 
@@ -77,6 +77,6 @@ def _check_grid(op: str, name: str, grid: Tensor, matrix_name: str, matrix: Tens
         raise ShapeError(f"{op}: expected {matrix_name} with 1 or {grid.shape[0]} matrices, got {tuple(matrix.shape)}")
 
 
-@as_stored
+@with_kernel_casts
 def _divided(points: Tensor, eps: float) -> Tensor:
     return points[..., :2] / (points[..., 2:] + eps)

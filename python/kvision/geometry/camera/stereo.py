@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.geometry.conversions.homogeneous import divisor
 from kvision.geometry.grid import create_meshgrid
@@ -95,7 +95,7 @@ class StereoCamera:
     @property
     def Q(self) -> Tensor:
         """The homographies (B, 4, 4) from (x, y, disparity) to points of the left cameras' frames."""
-        return as_stored(_reprojection)(self.rectified_left_camera, self.rectified_right_camera)
+        return with_kernel_casts(_reprojection)(self.rectified_left_camera, self.rectified_right_camera)
 
     def reproject_disparity_to_3D(
         self, disparity_tensor: Tensor, return_mask: bool = False
@@ -138,7 +138,7 @@ def _reprojection(left: Tensor, right: Tensor) -> Tensor:
     return torch.stack(rows, -1).unflatten(-1, (4, 4))
 
 
-@as_stored
+@with_kernel_casts
 def _reprojected(disparity: Tensor, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
     """The points, and 1 where they were divided."""
     Q = _reprojection(left, right).to(disparity.dtype)[:, None, None]

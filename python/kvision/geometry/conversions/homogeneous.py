@@ -8,7 +8,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 
 __all__ = [
@@ -64,7 +64,7 @@ def convert_points_from_homogeneous(points: Tensor, eps: float = 1e-8) -> Tensor
     return _divided(floats(points), _check.number(op, "eps", eps, 0))
 
 
-@as_stored
+@with_kernel_casts
 def _divided(points: Tensor, eps: float) -> Tensor:
     return points[..., :-1] / divisor(points[..., -1:], eps)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 
 __all__ = [
     "denormalize_homography",
@@ -133,7 +133,7 @@ def _moved(op: str, points: Tensor, back: bool, **sizes: int) -> Tensor:
     return _along_axes(floats(points), [inverted(line) for line in lines] if back else lines)
 
 
-@as_stored
+@with_kernel_casts
 def _along_axes(points: Tensor, lines: Sequence[Line]) -> Tensor:
     moved = [x * scale + offset for x, (scale, offset) in zip(points.unbind(-1), lines)]
     return torch.stack(moved, -1)
@@ -319,7 +319,7 @@ def _converted(op, matrix, dsize_src, dsize_dst, axes, align_corners, back):
     return _between(matrix, [inverted(line) for line in source], result)
 
 
-@as_stored
+@with_kernel_casts
 def _between(matrix: Tensor, before: Sequence[Line], after: Sequence[Line]) -> Tensor:
     return by_axes(after, matrix.device, matrix.dtype) @ matrix @ by_axes(before, matrix.device, matrix.dtype)
 
@@ -392,13 +392,13 @@ def check_camera(op: str, name: str, points: Tensor, camera_matrix: Tensor) -> N
     )
 
 
-@as_stored
+@with_kernel_casts
 def _normalized(points: Tensor, camera_matrix: Tensor) -> Tensor:
     focal, center = focal_and_center(points, camera_matrix)
     return (points - center) / focal
 
 
-@as_stored
+@with_kernel_casts
 def _denormalized(points: Tensor, camera_matrix: Tensor) -> Tensor:
     focal, center = focal_and_center(points, camera_matrix)
     return points * focal + center

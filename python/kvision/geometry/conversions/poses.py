@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._ops import as_stored
+from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry.conversions.homogeneous import homogeneous
 
@@ -108,7 +108,7 @@ def _inverse(op: str, R: Tensor, t: Tensor, check_rotation: bool) -> tuple[Tenso
     return R.mT.clone(), _turned_back(t, R)
 
 
-@as_stored
+@with_kernel_casts
 def _turned_back(t: Tensor, R: Tensor) -> Tensor:
     return -(R * t).sum(-2)[..., None]
 

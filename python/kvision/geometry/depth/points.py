@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._leading import rows
-from kvision._ops import as_stored, register, vjp
+from kvision._ops import register, vjp, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.spatial_gradient import derivatives
 from kvision.geometry.points import met
@@ -335,7 +335,7 @@ def depth_from_disparity(disparity: Tensor, baseline: float | Tensor, focal: flo
     )
 
 
-@as_stored
+@with_kernel_casts
 def _from_disparity(disparity: Tensor, baseline: float | Tensor, focal: float | Tensor) -> Tensor:
     return baseline * focal / (disparity + 1e-8)
 

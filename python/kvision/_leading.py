@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 
-def on_batch(operator: Callable[..., Any], image: Tensor, *args: Any) -> Any:
+def apply_on_batch(operator: Callable[..., Any], image: Tensor, *args: Any) -> Any:
     """`operator(image, *args)` with the leading axes of `image` as one; its result, or each of them, has them again."""
     if image.dim() == 4:
         return operator(image, *args)
@@ -19,17 +19,17 @@ def on_batch(operator: Callable[..., Any], image: Tensor, *args: Any) -> Any:
     def unflattened(y: Tensor) -> Tensor:
         return y.reshape(*leading, *y.shape[1:])
 
-    output = operator(flat(image), *args)
+    output = operator(flatten_batch(image), *args)
     return tuple(map(unflattened, output)) if isinstance(output, tuple) else unflattened(output)
 
 
-def broadcast(*shapes: Sequence[int]) -> Sequence[int]:
+def broadcast_shapes(*shapes: Sequence[int]) -> Sequence[int]:
     """torch.broadcast_shapes, which takes as long as a kernel on few points; most of the time they are the same."""
     known = shapes[0] or shapes[-1]
     return known if all(s == known or not s for s in shapes) else torch.broadcast_shapes(*shapes)
 
 
-def rows(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
+def expand_to_batch(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
     """x (*, ...), whose last axes are a sample's, as rows for all samples of the axes `leading`; one that serves all, as one."""
     own = x.shape[x.dim() - axes :]
     if x.dim() == axes or x.numel() == own.numel():

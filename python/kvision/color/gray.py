@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
 from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
@@ -68,10 +68,10 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
         _check.shape("rgb_to_grayscale", "rgb_weights", rgb_weights, 3)
         _check.same_device("rgb_to_grayscale", image=image, rgb_weights=rgb_weights)
         weighted = _byte_sum if image.dtype == torch.uint8 else weighted_sum
-        return on_batch(weighted, image, rgb_weights.reshape(1, 1, 3))
+        return apply_on_batch(weighted, image, rgb_weights.reshape(1, 1, 3))
     if image.dtype == torch.uint8:
-        return on_batch(_byte_luma, image, *_BYTE_LUMA)
-    return on_batch(weighted_sum, image, *LUMA)
+        return apply_on_batch(_byte_luma, image, *_BYTE_LUMA)
+    return apply_on_batch(weighted_sum, image, *LUMA)
 
 
 def bgr_to_grayscale(image: Tensor) -> Tensor:
@@ -98,8 +98,8 @@ def bgr_to_grayscale(image: Tensor) -> Tensor:
     _check.channels("bgr_to_grayscale", "image", image, 3)
     _floats_or_bytes("bgr_to_grayscale", image)
     if image.dtype == torch.uint8:
-        return on_batch(_byte_luma, image, *reversed(_BYTE_LUMA))
-    return on_batch(weighted_sum, image, *reversed(LUMA))
+        return apply_on_batch(_byte_luma, image, *reversed(_BYTE_LUMA))
+    return apply_on_batch(weighted_sum, image, *reversed(LUMA))
 
 
 def _floats_or_bytes(op: str, image: Tensor) -> None:

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision.color.hue import hue, lack
 from kvision.color.program import step
 
@@ -56,7 +56,7 @@ def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
     _check.channels("rgb_to_hls", "image", image, 3)
     _check.floating("rgb_to_hls", "image", image)
     eps = _check.number("rgb_to_hls", "eps", eps, minimum=0)
-    return on_batch(_rgb_to_hls, image, eps)
+    return apply_on_batch(_rgb_to_hls, image, eps)
 
 
 def hls_to_rgb(image: Tensor) -> Tensor:
@@ -81,7 +81,7 @@ def hls_to_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.5000, 0.5000])
     """
     _check.channels("hls_to_rgb", "image", image, 3)
-    return on_batch(_hls_to_rgb, floats(image))
+    return apply_on_batch(_hls_to_rgb, floats(image))
 
 
 class RgbToHls(nn.Module):

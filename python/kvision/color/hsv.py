@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
 from kvision.color.hue import hue, lack
 from kvision.color.program import STEPS, arguments, run, step
@@ -79,8 +79,8 @@ def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor
     _check.channels("rgb_to_hsv", "image", image, 3)
     eps = _check.number("rgb_to_hsv", "eps", eps, minimum=0)
     if _as_opencv("rgb_to_hsv", image, opencv):
-        return on_batch(_byte_hsv, image)
-    return on_batch(_rgb_to_hsv, floats(image), eps)
+        return apply_on_batch(_byte_hsv, image)
+    return apply_on_batch(_rgb_to_hsv, floats(image), eps)
 
 
 def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
@@ -107,8 +107,8 @@ def hsv_to_rgb(image: Tensor, opencv: bool = False) -> Tensor:
     """
     _check.channels("hsv_to_rgb", "image", image, 3)
     if _as_opencv("hsv_to_rgb", image, opencv):
-        return on_batch(_byte_hsv_to_rgb, image)
-    return on_batch(_hsv_to_rgb, floats(image))
+        return apply_on_batch(_byte_hsv_to_rgb, image)
+    return apply_on_batch(_hsv_to_rgb, floats(image))
 
 
 _TO_RADIANS = arguments([math.tau * 255 / 180, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])

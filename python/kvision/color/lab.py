@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
@@ -64,7 +64,7 @@ def rgb_to_lab(image: Tensor) -> Tensor:
         tensor([53., 80., 67.])
     """
     _check.channels("rgb_to_lab", "image", image, 3)
-    return on_batch(_rgb_to_lab, floats(image))
+    return apply_on_batch(_rgb_to_lab, floats(image))
 
 
 def lab_to_rgb(image: Tensor, clip: bool = True) -> Tensor:
@@ -90,7 +90,7 @@ def lab_to_rgb(image: Tensor, clip: bool = True) -> Tensor:
     """
     _check.channels("lab_to_rgb", "image", image, 3)
     _check.flag("lab_to_rgb", "clip", clip)
-    return on_batch(_lab_to_rgb, floats(image), clip)
+    return apply_on_batch(_lab_to_rgb, floats(image), clip)
 
 
 class RgbToLab(nn.Module):

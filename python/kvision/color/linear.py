@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision.color.program import step
 
 # The clamps keep the root's and the power's gradients finite where the other branch is taken.
@@ -50,7 +50,7 @@ def rgb_to_linear_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.2140, 1.0000])
     """
     _check.channels("rgb_to_linear_rgb", "image", image, 3)
-    return on_batch(_rgb_to_linear_rgb, floats(image))
+    return apply_on_batch(_rgb_to_linear_rgb, floats(image))
 
 
 def linear_rgb_to_rgb(image: Tensor) -> Tensor:
@@ -74,7 +74,7 @@ def linear_rgb_to_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.5000, 1.0000])
     """
     _check.channels("linear_rgb_to_rgb", "image", image, 3)
-    return on_batch(_linear_rgb_to_rgb, floats(image))
+    return apply_on_batch(_linear_rgb_to_rgb, floats(image))
 
 
 class RgbToLinearRgb(nn.Module):

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
@@ -68,7 +68,7 @@ def rgb_to_luv(image: Tensor, eps: float = 1e-12) -> Tensor:
     """
     _check.channels("rgb_to_luv", "image", image, 3)
     eps = _check.number("rgb_to_luv", "eps", eps, minimum=0)
-    return on_batch(_rgb_to_luv, floats(image), eps)
+    return apply_on_batch(_rgb_to_luv, floats(image), eps)
 
 
 def luv_to_rgb(image: Tensor, eps: float = 1e-12) -> Tensor:
@@ -95,7 +95,7 @@ def luv_to_rgb(image: Tensor, eps: float = 1e-12) -> Tensor:
     """
     _check.channels("luv_to_rgb", "image", image, 3)
     eps = _check.number("luv_to_rgb", "eps", eps, minimum=0)
-    return on_batch(_luv_to_rgb, floats(image), eps)
+    return apply_on_batch(_luv_to_rgb, floats(image), eps)
 
 
 class RgbToLuv(nn.Module):

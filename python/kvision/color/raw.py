@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
 from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
@@ -131,7 +131,7 @@ def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
     """
     _check.channels("rgb_to_raw", "image", image, 3)
     _check_cfa("rgb_to_raw", cfa)
-    return on_batch(_mosaic, image, *_RED[cfa])
+    return apply_on_batch(_mosaic, image, *_RED[cfa])
 
 
 def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
@@ -160,7 +160,7 @@ def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
     """
     _check_mosaic("raw_to_rgb", image)
     _check_cfa("raw_to_rgb", cfa)
-    return on_batch(_raw_to_rgb, pixels(image), cfa.name)
+    return apply_on_batch(_raw_to_rgb, pixels(image), cfa.name)
 
 
 def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
@@ -184,7 +184,7 @@ def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
     """
     _check_mosaic("raw_to_rgb_2x2_downscaled", image)
     _check_cfa("raw_to_rgb_2x2_downscaled", cfa)
-    return on_batch(_raw_to_rgb_2x2_downscaled, pixels(image), *_RED[cfa])
+    return apply_on_batch(_raw_to_rgb_2x2_downscaled, pixels(image), *_RED[cfa])
 
 
 def _check_mosaic(op: str, image: Any) -> None:

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ImageError
 
@@ -55,7 +55,7 @@ def rgb_to_rgb255(image: Tensor) -> Tensor:
         tensor([  0.0000, 127.5000, 255.0000])
     """
     _check.channels("rgb_to_rgb255", "image", image, 3, ImageError)
-    return on_batch(_rgb_to_rgb255, floats(image))
+    return apply_on_batch(_rgb_to_rgb255, floats(image))
 
 
 def rgb255_to_rgb(image: Tensor) -> Tensor:
@@ -77,7 +77,7 @@ def rgb255_to_rgb(image: Tensor) -> Tensor:
         tensor([0.0000, 0.2000, 1.0000])
     """
     _check.channels("rgb255_to_rgb", "image", image, 3, ImageError)
-    return on_batch(_rgb255_to_rgb, floats(image))
+    return apply_on_batch(_rgb255_to_rgb, floats(image))
 
 
 def rgb255_to_normals(image: Tensor) -> Tensor:
@@ -99,7 +99,7 @@ def rgb255_to_normals(image: Tensor) -> Tensor:
         tensor([0., 0., 1.])
     """
     _check.channels("rgb255_to_normals", "image", image, 3, ImageError)
-    return on_batch(_rgb255_to_normals, floats(image))
+    return apply_on_batch(_rgb255_to_normals, floats(image))
 
 
 def normals_to_rgb255(image: Tensor) -> Tensor:
@@ -121,7 +121,7 @@ def normals_to_rgb255(image: Tensor) -> Tensor:
         tensor([127.5000, 127.5000, 255.0000])
     """
     _check.channels("normals_to_rgb255", "image", image, 3, ImageError)
-    return on_batch(_normals_to_rgb255, floats(image))
+    return apply_on_batch(_normals_to_rgb255, floats(image))
 
 
 class RgbToRgb255(nn.Module):

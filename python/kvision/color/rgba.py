@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision._leading import flat, on_batch
+from kvision._leading import apply_on_batch, flatten_batch
 from kvision._modules import FunctionModule
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -118,11 +118,11 @@ def rgba_to_rgb(image: Tensor, background_color: tuple[float, float, float] | Te
         _check.channels("rgba_to_rgb", "background_color", background_color, 3)
         _check.same_device("rgba_to_rgb", image=image, background_color=background_color)
         background = _background(background_color, image)
-    return on_batch(_rgba_to_rgb, floats(image), background)
+    return apply_on_batch(_rgba_to_rgb, floats(image), background)
 
 
 def _on_white(image: Tensor) -> Tensor:
-    return on_batch(_rgba_to_rgb, floats(image), image.new_ones((1, 1, 1, 1), dtype=compute_dtype(image)))
+    return apply_on_batch(_rgba_to_rgb, floats(image), image.new_ones((1, 1, 1, 1), dtype=compute_dtype(image)))
 
 
 def _color(color: tuple[float, ...] | list[float], image: Tensor) -> Tensor:
@@ -142,7 +142,7 @@ def _background(background: Tensor, image: Tensor) -> Tensor:
         raise ShapeError(
             f"rgba_to_rgb: expected background_color to broadcast to {(*leading, 3, h, w)}, got {tuple(own)}"
         )
-    return background[None] if background.dim() == 3 else flat(background.expand(*leading, *own[-3:]))
+    return background[None] if background.dim() == 3 else flatten_batch(background.expand(*leading, *own[-3:]))
 
 
 def rgba_to_bgr(image: Tensor) -> Tensor:

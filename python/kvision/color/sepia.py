@@ -6,7 +6,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
 from kvision.color.matrix import affine
 from kvision.core.exceptions import ShapeError
@@ -56,7 +56,7 @@ def sepia(input: Tensor, rescale: bool = True, eps: float = 1e-6) -> Tensor:
         raise ShapeError(f"sepia: expected input with H, W of at least 1, got {tuple(input.shape)}")
     _check.flag("sepia", "rescale", rescale)
     eps = _check.number("sepia", "eps", eps, minimum=0)
-    return on_batch(_sepia, floats(input), rescale, eps)
+    return apply_on_batch(_sepia, floats(input), rescale, eps)
 
 
 class Sepia(FunctionModule):

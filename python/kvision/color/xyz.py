@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision.color.matrix import affine, inverse, mixed
 
 XYZ_FROM_RGB = (
@@ -53,7 +53,7 @@ def rgb_to_xyz(image: Tensor) -> Tensor:
         tensor([0.9505, 1.0000, 1.0888])
     """
     _check.channels("rgb_to_xyz", "image", image, 3)
-    return on_batch(_rgb_to_xyz, floats(image))
+    return apply_on_batch(_rgb_to_xyz, floats(image))
 
 
 def xyz_to_rgb(image: Tensor) -> Tensor:
@@ -77,7 +77,7 @@ def xyz_to_rgb(image: Tensor) -> Tensor:
         tensor([1., 0., 0.])
     """
     _check.channels("xyz_to_rgb", "image", image, 3)
-    return on_batch(_xyz_to_rgb, floats(image))
+    return apply_on_batch(_xyz_to_rgb, floats(image))
 
 
 class RgbToXyz(nn.Module):

@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision.color.gray import LUMA, weighted_sum
 from kvision.color.matrix import affine
 
@@ -43,7 +43,7 @@ def rgb_to_ycbcr(image: Tensor) -> Tensor:
         tensor([0.2990, 0.3314, 0.9998])
     """
     _check.channels("rgb_to_ycbcr", "image", image, 3)
-    return on_batch(_rgb_to_ycbcr, floats(image))
+    return apply_on_batch(_rgb_to_ycbcr, floats(image))
 
 
 def ycbcr_to_rgb(image: Tensor) -> Tensor:
@@ -67,7 +67,7 @@ def ycbcr_to_rgb(image: Tensor) -> Tensor:
         tensor([0.3000, 0.3000, 0.3000])
     """
     _check.channels("ycbcr_to_rgb", "image", image, 3)
-    return on_batch(_ycbcr_to_rgb, floats(image))
+    return apply_on_batch(_ycbcr_to_rgb, floats(image))
 
 
 def rgb_to_y(image: Tensor) -> Tensor:
@@ -91,7 +91,7 @@ def rgb_to_y(image: Tensor) -> Tensor:
         tensor([[[0.2990, 0.5870, 0.1140]]])
     """
     _check.channels("rgb_to_y", "image", image, 3)
-    return on_batch(weighted_sum, floats(image), *LUMA)
+    return apply_on_batch(weighted_sum, floats(image), *LUMA)
 
 
 class RgbToYcbcr(nn.Module):

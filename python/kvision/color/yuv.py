@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import floats
-from kvision._leading import flat, on_batch
+from kvision._leading import apply_on_batch, flatten_batch
 from kvision._ops import register
 from kvision.color.matrix import Matrix, affine, inverse, mixed
 from kvision.core.exceptions import ShapeError
@@ -107,7 +107,7 @@ def rgb_to_yuv(image: Tensor) -> Tensor:
         tensor([ 0.2990, -0.1470,  0.6150])
     """
     _check.channels("rgb_to_yuv", "image", image, 3)
-    return on_batch(_rgb_to_yuv, floats(image))
+    return apply_on_batch(_rgb_to_yuv, floats(image))
 
 
 def yuv_to_rgb(image: Tensor) -> Tensor:
@@ -131,7 +131,7 @@ def yuv_to_rgb(image: Tensor) -> Tensor:
         tensor([0.3000, 0.3000, 0.3000])
     """
     _check.channels("yuv_to_rgb", "image", image, 3)
-    return on_batch(_yuv_to_rgb, floats(image))
+    return apply_on_batch(_yuv_to_rgb, floats(image))
 
 
 def rgb_to_yuv420(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -157,7 +157,7 @@ def rgb_to_yuv420(image: Tensor) -> tuple[Tensor, Tensor]:
     """
     _check.channels("rgb_to_yuv420", "image", image, 3)
     _whole_cells("rgb_to_yuv420", "image", image, 2, 2)
-    return on_batch(_subsampled, floats(image), 2)
+    return apply_on_batch(_subsampled, floats(image), 2)
 
 
 def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
@@ -183,7 +183,7 @@ def rgb_to_yuv422(image: Tensor) -> tuple[Tensor, Tensor]:
     """
     _check.channels("rgb_to_yuv422", "image", image, 3)
     _whole_cells("rgb_to_yuv422", "image", image, 1, 2)
-    return on_batch(_subsampled, floats(image), 1)
+    return apply_on_batch(_subsampled, floats(image), 1)
 
 
 def yuv420_to_rgb(imagey: Tensor, imageuv: Tensor) -> Tensor:
@@ -248,7 +248,7 @@ def _joined(op: str, luma: Tensor, chroma: Tensor, rows: int, columns: int) -> T
             f"{tuple(chroma.shape)}"
         )
     _check.same_device(op, imagey=luma, imageuv=chroma)
-    return on_batch(_upsampled, floats(luma), flat(chroma), rows)
+    return apply_on_batch(_upsampled, floats(luma), flatten_batch(chroma), rows)
 
 
 def _whole_cells(op: str, name: str, x: Tensor, rows: int, columns: int) -> None:

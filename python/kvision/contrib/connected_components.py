@@ -8,7 +8,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 
@@ -47,7 +47,9 @@ def _fake(x: Tensor) -> Tensor:
     return x.new_empty(x.shape, dtype=torch.int64)
 
 
-_connected_components = register("connected_components", _reference, fake=_fake, non_differentiable=(0,), bytes=True, casts_outputs=True)
+_connected_components = register(
+    "connected_components", _reference, fake=_fake, non_differentiable=(0,), bytes=True, casts_outputs=True
+)
 
 
 def connected_components(image: Tensor, num_iterations: int = 100) -> Tensor:
@@ -101,4 +103,4 @@ def _labels(op: str, image: Tensor) -> Tensor:
         raise ShapeError(
             f"{op}: expected image with H, W of at least 1, got {tuple(image.shape)}", actual_shape=image.shape
         )
-    return on_batch(_connected_components, pixels(image))
+    return apply_on_batch(_connected_components, pixels(image))

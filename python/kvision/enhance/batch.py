@@ -7,13 +7,13 @@ import math
 from torch import Tensor
 
 from kvision import _check
-from kvision._leading import flat
+from kvision._leading import flatten_batch
 from kvision.core.exceptions import ImageError, ShapeError
 
 
 def as_batch(x: Tensor) -> Tensor:
     """(*, C, H, W) as (B, C, H, W): the axes in front joined, or added where there are fewer than four."""
-    return flat(x if x.dim() > 2 else x.reshape((1,) * (3 - x.dim()) + x.shape))
+    return flatten_batch(x if x.dim() > 2 else x.reshape((1,) * (3 - x.dim()) + x.shape))
 
 
 def shaped(y: Tensor, x: Tensor) -> Tensor:
@@ -65,7 +65,7 @@ def broadcast(value: Tensor, x: Tensor) -> Tensor:
     value = value.reshape(*missing, *value.shape)
     if value.dim() > 4 and value.shape[:-3].numel() > 1:
         value = value.expand(*x.shape[:-3], *value.shape[-3:])
-    value = flat(value)
+    value = flatten_batch(value)
     return value[..., 0] if value.shape[2:].numel() == 1 else value
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._leading import on_batch
+from kvision._leading import apply_on_batch
 from kvision.color.program import LAYOUTS, MOST_STEPS, STEPS, arguments, run
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
 
@@ -168,7 +168,7 @@ class ColorProgram(nn.Module):
             given = arguments(self._all_slots(parameters or {}, image))
         if order is not None or enabled is not None:
             order = _order(order, enabled, len(self._program), image)
-        return on_batch(run, image, self._program, given, order, self.dtype, self._layout)
+        return apply_on_batch(run, image, self._program, given, order, self.dtype, self._layout)
 
     def _all_slots(self, parameters: Mapping[str | int, Any], image: Tensor) -> list[float | Tensor]:
         """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype
-from kvision._leading import broadcast, rows
+from kvision._leading import broadcast_shapes, expand_to_batch
 from kvision._ops import Operator, register
 
 
@@ -79,6 +79,6 @@ def of_all(operator: Operator, axes: int, first: Tensor, *others: Tensor) -> Ten
     if all(x.dim() == axes + 1 for x in given):
         found: Tensor = operator(*given)
         return found
-    shape = broadcast(*(x.shape[:-axes] for x in given))
-    found = operator(*(rows(x, shape, axes) for x in given))
+    shape = broadcast_shapes(*(x.shape[:-axes] for x in given))
+    found = operator(*(expand_to_batch(x, shape, axes) for x in given))
     return found.reshape(*shape, *found.shape[1:])

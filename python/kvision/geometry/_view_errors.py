@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from kvision._leading import broadcast
+from kvision._leading import broadcast_shapes
 from kvision._ops import register
 from kvision.geometry._precision import length, quotient, wide
 from kvision.geometry.linalg import adjugate, root
@@ -23,7 +23,7 @@ def view_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squ
     if kind == "segments":
         points1, points2 = points1.flatten(-2), points2.flatten(-2)
     given = points1, points2, matrix
-    leading = broadcast(*(x.shape[:-2] for x in given))
+    leading = broadcast_shapes(*(x.shape[:-2] for x in given))
     points1, points2, matrix = (_one_batch(x, leading) for x in given)
     if points1.shape[1] != points2.shape[1]:
         count = max(points1.shape[1], points2.shape[1])

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._leading import broadcast
+from kvision._leading import broadcast_shapes
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import batch_of
@@ -199,7 +199,7 @@ def _through_lens(
     """An operator on points (B, N, 2) and lenses of (B, ...), or (1, ...) for all, for any leading axes."""
     leading: Sequence[int] = points.shape[:-2]
     if not camera.dim() == wanted.dim() == dist.dim() + 1 == 2:
-        leading = broadcast(leading, camera.shape[:-2], wanted.shape[:-2], dist.shape[:-1])
+        leading = broadcast_shapes(leading, camera.shape[:-2], wanted.shape[:-2], dist.shape[:-1])
 
     def of_problems(x: Tensor, axes: int) -> Tensor:
         x = as_dtype(x, points.dtype)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._leading import rows
+from kvision._leading import expand_to_batch
 from kvision._ops import register, vjp, with_kernel_casts
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.filters.spatial_gradient import derivatives
@@ -295,7 +295,7 @@ def _points_last(depth: Tensor, camera: Tensor, distance: bool) -> Tensor:
     camera, size = as_dtype(camera, compute_dtype(depth)), depth.shape[-2:]
     leading = torch.broadcast_shapes(depth.shape[:-2], camera.shape[:-2])
     depths = depth.expand(*leading, *size).reshape(math.prod(leading), 1, *size)
-    points: Tensor = depth_points(depths, rows(camera, leading, 2), distance, True)
+    points: Tensor = depth_points(depths, expand_to_batch(camera, leading, 2), distance, True)
     return points.reshape(*leading, *size, 3)
 
 

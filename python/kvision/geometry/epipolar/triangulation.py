@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision import _check
-from kvision._leading import broadcast
+from kvision._leading import broadcast_shapes
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._precision import in_full_precision, wide
@@ -56,8 +56,8 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
     _check.same_device(op, P1=P1, P2=P2, points1=points1, points2=points2)
     _check.known(op, "solver", solver, ("eigh", "svd", "cofactor"))
     try:
-        leading = broadcast(P1.shape[:-2], P2.shape[:-2], points1.shape[:-2], points2.shape[:-2])
-        count = broadcast(points1.shape[-2:], points2.shape[-2:])
+        leading = broadcast_shapes(P1.shape[:-2], P2.shape[:-2], points1.shape[:-2], points2.shape[:-2])
+        count = broadcast_shapes(points1.shape[-2:], points2.shape[-2:])
     except RuntimeError:
         got = ", ".join(str(tuple(x.shape)) for x in (P1, P2, points1, points2))
         raise ShapeError(f"{op}: expected shapes that broadcast, got {got}") from None

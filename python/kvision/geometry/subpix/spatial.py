@@ -12,7 +12,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._leading import broadcast, rows
+from kvision._leading import broadcast_shapes, expand_to_batch
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -132,7 +132,13 @@ _mean_place_backward = register(
     casts_outputs=True,
 )
 _mean_place = register(
-    "mean_place", _mean_place_reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1,), casts_outputs=True
+    "mean_place",
+    _mean_place_reference,
+    fake=_fake,
+    backward=_backward,
+    saves_results=True,
+    non_differentiable=(1,),
+    casts_outputs=True,
 )
 
 
@@ -212,8 +218,8 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
     _check.same_device(op, mean=mean, std=std)
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
     height, width = _check.ints(op, "size", size, 2)
-    leading = broadcast(mean.shape[:-1], std.shape[:-1])
-    given = (rows(x, leading, 1) for x in (mean, std))
+    leading = broadcast_shapes(mean.shape[:-1], std.shape[:-1])
+    given = (expand_to_batch(x, leading, 1) for x in (mean, std))
     return _gaussian_maps(*given, height, width, normalized_coordinates).reshape(*leading, height, width)
 
 

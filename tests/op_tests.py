@@ -452,8 +452,8 @@ class OpTests:
         leaf = x.clone().requires_grad_()
         value = loss(leaf)
         (expected,) = torch.autograd.grad((torch.autograd.grad(value, leaf, create_graph=True)[0] ** 2).sum(), leaf)
-        value, pullback = torch.func.vjp(loss, leaf)
-        (actual,) = torch.autograd.grad((pullback(torch.ones_like(value))[0] ** 2).sum(), leaf)
+        value, vjp_fn = torch.func.vjp(loss, leaf)
+        (actual,) = torch.autograd.grad((vjp_fn(torch.ones_like(value))[0] ** 2).sum(), leaf)
         assert_close(actual, expected, 1e-7, 1e-7)
 
     def test_hessian(self, variant, device):

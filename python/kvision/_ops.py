@@ -339,11 +339,11 @@ class Operator:
         args = (*tensors, *ctx.plain)
         where = [i for i, t in enumerate(tangents) if t is not None]
         # J t as the derivative of u -> J^T u: works under every transform, also inside plain forward-mode.
-        output, pullback = torch.func.vjp(
+        output, vjp_fn = torch.func.vjp(
             self._of_tensors(args, where, self.non_differentiable), *(args[i] for i in where)
         )
-        _, pushforward = torch.func.vjp(pullback, _map(torch.zeros_like, output))
-        (found,) = pushforward(tuple(tangents[i] for i in where))
+        _, jvp_fn = torch.func.vjp(vjp_fn, _map(torch.zeros_like, output))
+        (found,) = jvp_fn(tuple(tangents[i] for i in where))
         if not self.non_differentiable:
             return found
         rest = iter(found)
@@ -357,8 +357,8 @@ class Operator:
         grads = grads_and_args[: -len(needs)]
         where = [i for i, need in enumerate(needs) if need]
         with _without_tf32():
-            _, pullback = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
-            found = dict(zip(where, pullback(grads[0] if len(grads) == 1 else grads)))
+            _, vjp_fn = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
+            found = dict(zip(where, vjp_fn(grads[0] if len(grads) == 1 else grads)))
         return [found.get(i) for i in range(self.tensors)]
 
     def _of_tensors(self, args: Sequence[Any], where: Sequence[int], without: Sequence[int] = ()) -> Callable[..., Any]:
@@ -387,8 +387,8 @@ def transpose(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
     """The transpose of a reference that is linear in its first tensor and keeps its shape: gradient in, gradient out."""
 
     def transposed(grad: Tensor, *args: Any) -> Tensor:
-        _, pullback = torch.func.vjp(lambda x: reference(x, *args), torch.zeros_like(grad))
-        return pullback(grad)[0]
+        _, vjp_fn = torch.func.vjp(lambda x: reference(x, *args), torch.zeros_like(grad))
+        return vjp_fn(grad)[0]
 
     return transposed
 
@@ -397,8 +397,8 @@ def vjp(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
     """The gradient of a reference for its first tensor: `vjp(f)(grad, x, *args)`."""
 
     def pulled(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
-        _, pullback = torch.func.vjp(lambda x: reference(x, *args), x)
-        return pullback(grad)[0]
+        _, vjp_fn = torch.func.vjp(lambda x: reference(x, *args), x)
+        return vjp_fn(grad)[0]
 
     return pulled
 

@@ -147,8 +147,8 @@ def _pulled_back(grad: Tensor, x: Tensor, *arguments: Any) -> tuple[Tensor, Tens
 
     channels = max((p.shape[1] for p in given), default=1)
     rows = [p.to(wide.dtype).expand(x.shape[0], channels, -1) for p in given]  # a gradient for each sample
-    pullback = torch.func.vjp(result, wide, *rows)[1]
-    of_x, *of_rows = pullback(grad.to(wide.dtype))
+    vjp_fn = torch.func.vjp(result, wide, *rows)[1]
+    of_x, *of_rows = vjp_fn(grad.to(wide.dtype))
     none = wide[:, :0, 0, 0]
     return (
         match_layout(of_x.to(x.dtype), x) if of_image else none.to(x.dtype),

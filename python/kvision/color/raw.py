@@ -78,8 +78,8 @@ def _binned(x: Tensor, row: int, column: int) -> Tensor:
 
 
 def _transposed(grad: Tensor, cfa: str) -> Tensor:
-    pullback = torch.func.vjp(lambda x: _reference(x, cfa), torch.zeros_like(grad[:, :1]))[1]
-    return pullback(grad)[0]
+    vjp_fn = torch.func.vjp(lambda x: _reference(x, cfa), torch.zeros_like(grad[:, :1]))[1]
+    return vjp_fn(grad)[0]
 
 
 def _backward(needs, grad, x, cfa):

@@ -39,17 +39,17 @@ class _Recomputed(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        pullback = torch.func.vjp(ctx.f, *ctx.saved_tensors)[1]
-        return (None, *pullback(grad))
+        vjp_fn = torch.func.vjp(ctx.f, *ctx.saved_tensors)[1]
+        return (None, *vjp_fn(grad))
 
     @staticmethod
     def jvp(ctx: Any, _: None, *tangents: Tensor | None) -> Tensor:
         tensors = ctx.saved_tensors
         full = tuple(torch.zeros_like(x) if t is None else t for x, t in zip(tensors, tangents))
         # J t as the derivative of u -> J^T u: plain forward mode cannot be nested in itself.
-        output, pullback = torch.func.vjp(ctx.f, *tensors)[:2]
-        pushforward = torch.func.vjp(pullback, torch.zeros_like(output))[1]
-        return pushforward(full)[0]
+        output, vjp_fn = torch.func.vjp(ctx.f, *tensors)[:2]
+        jvp_fn = torch.func.vjp(vjp_fn, torch.zeros_like(output))[1]
+        return jvp_fn(full)[0]
 
 
 def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:

@@ -54,11 +54,11 @@ def _reference_backward(grad: Tensor, x: Tensor, guidance: Tensor | None, *args:
     *rest, wants_x, wants_guidance = args
     nothing = grad.new_empty(grad.shape[0], 0, *grad.shape[2:])
     if guidance is None:
-        _, pullback = torch.func.vjp(lambda x: _reference(x, None, *rest), x)
-        return pullback(grad)[0] if wants_x else nothing, nothing
+        _, vjp_fn = torch.func.vjp(lambda x: _reference(x, None, *rest), x)
+        return vjp_fn(grad)[0] if wants_x else nothing, nothing
     guidance = guidance.expand(x.shape[0], -1, -1, -1)
-    _, pullback = torch.func.vjp(lambda x, guidance: _reference(x, guidance, *rest), x, guidance)
-    grad_x, grad_guidance = pullback(grad)
+    _, vjp_fn = torch.func.vjp(lambda x, guidance: _reference(x, guidance, *rest), x, guidance)
+    grad_x, grad_guidance = vjp_fn(grad)
     return grad_x if wants_x else nothing, grad_guidance if wants_guidance else nothing
 
 

@@ -37,14 +37,14 @@ def _reference(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
 
 def _transposed(grad: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
     x = grad.new_zeros(_size(grad, kernel, 0 if same else 1))
-    _, pullback = torch.func.vjp(lambda x: _reference(x, kernel, border, same), x)
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(lambda x: _reference(x, kernel, border, same), x)
+    return vjp_fn(grad)[0]
 
 
 def _kernel_gradient(kernel: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
     zeros = kernel.new_zeros(x.shape[0], *kernel.shape[1:])
-    _, pullback = torch.func.vjp(lambda kernel: _reference(x, kernel, border, same), zeros)
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(lambda kernel: _reference(x, kernel, border, same), zeros)
+    return vjp_fn(grad)[0]
 
 
 def _size(x: Tensor, kernel: Tensor, sign: int) -> tuple[int, ...]:

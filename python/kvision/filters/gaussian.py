@@ -43,13 +43,13 @@ def sigma_gradient(
 
     The weights sum to 1, so most of their gradient cancels: it goes on in float64.
     """
-    (kernel_y, kernel_x), pullback = torch.func.vjp(
+    (kernel_y, kernel_x), vjp_fn = torch.func.vjp(
         lambda s: axis_kernels(x, s, ky, kx, sigma_y, sigma_x, torch.float64), sigma.double()
     )
     dtype = compute_dtype(x)
     gradients = weight_gradients((True, True), grad, x, kernel_x.to(dtype), kernel_y.to(dtype), border)
     grad_x, grad_y = (g.double() for g in gradients if g is not None)
-    return pullback((grad_y, grad_x))[0].to(sigma.dtype)
+    return vjp_fn((grad_y, grad_x))[0].to(sigma.dtype)
 
 
 _gaussian_blur2d = register("gaussian_blur2d", _reference, backward=_backward, linear=True, bytes=True)

@@ -25,15 +25,15 @@ def _reference(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same:
 
 def _transposed_reference(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> Tensor:
     x = grad.new_zeros(_transposed_size(grad, kernel_x, kernel_y, border, same))
-    _, pullback = torch.func.vjp(lambda x: _reference(x, kernel_x, kernel_y, border, same), x)
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(lambda x: _reference(x, kernel_x, kernel_y, border, same), x)
+    return vjp_fn(grad)[0]
 
 
 def _weights_reference(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
     """(B, kW + kH): for each image the gradient to its kernel_x, then that to its kernel_y."""
     kernels = [kernel.expand(x.shape[0], -1) for kernel in (kernel_x, kernel_y)]
-    _, pullback = torch.func.vjp(lambda kx, ky: _reference(x, kx, ky, border, same), *kernels)
-    return torch.cat(pullback(grad), 1)
+    _, vjp_fn = torch.func.vjp(lambda kx, ky: _reference(x, kx, ky, border, same), *kernels)
+    return torch.cat(vjp_fn(grad), 1)
 
 
 def _size(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> tuple[int, ...]:

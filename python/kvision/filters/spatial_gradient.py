@@ -37,8 +37,8 @@ def derivatives(x: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
 
 def _transposed(grad: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
     x = grad.new_zeros(grad.shape[:2] + grad.shape[3:])
-    _, pullback = torch.func.vjp(lambda x: derivatives(x, mode, order, normalized), x)
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(lambda x: derivatives(x, mode, order, normalized), x)
+    return vjp_fn(grad)[0]
 
 
 _spatial_gradient = register(

@@ -47,8 +47,8 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
             return reference(*full)
 
         each = [args[i].expand(grad.shape[0], *args[i].shape[1:]) for i in where]
-        pullback = torch.func.vjp(of_tensors, *each)[1]
-        return torch.cat([g.reshape(grad.shape[0], math.prod(g.shape[1:])) for g in pullback(grad)], 1)
+        vjp_fn = torch.func.vjp(of_tensors, *each)[1]
+        return torch.cat([g.reshape(grad.shape[0], math.prod(g.shape[1:])) for g in vjp_fn(grad)], 1)
 
     slopes = register(
         f"{name}_backward",

@@ -56,8 +56,8 @@ def _backward_reference(grad, points, depth, matrix, kind, to_matrix):
     def of_tensors(points: Tensor, matrix: Tensor, depth: Tensor | None = None) -> Tensor:
         return _reference(points, depth, matrix, kind)
 
-    _, pullback = torch.func.vjp(of_tensors, *given)
-    found = pullback(grad.to(wide))
+    _, vjp_fn = torch.func.vjp(of_tensors, *given)
+    found = vjp_fn(grad.to(wide))
     to_depth = points.new_empty(*points.shape[:2], 0) if depth is None else found[2].to(depth.dtype)
     return found[0].to(points.dtype), to_depth, found[1] if to_matrix else found[1][:, :0]
 

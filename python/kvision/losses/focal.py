@@ -254,8 +254,8 @@ def _binary_fake(pred: Tensor, *args: Any) -> Tensor:
 def _binary_slope(grad: Tensor, pred: Tensor, target: Tensor, *args: Any) -> Tensor:
     *terms, by_target = args
     rows = (x.expand(grad.shape[0], -1) for x in (pred, target))
-    pullback = torch.func.vjp(lambda pred, target: _binary_reference(pred, target, *terms), *rows)[1]
-    return pullback(grad)[by_target]
+    vjp_fn = torch.func.vjp(lambda pred, target: _binary_reference(pred, target, *terms), *rows)[1]
+    return vjp_fn(grad)[by_target]
 
 
 def _binary_gradients(needs, grad, pred, target, yes, no, *plain):

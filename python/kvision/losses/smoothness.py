@@ -50,8 +50,8 @@ def _roughness(depth: Tensor, image: Tensor, along_y: float, along_x: float) -> 
 def _roughness_slope(
     grad: Tensor, depth: Tensor, image: Tensor, along_y: float, along_x: float, of_image: bool
 ) -> Tensor:
-    pullback = torch.func.vjp(lambda d, x: _roughness(d, x, along_y, along_x), depth, image)[1]
-    return pullback(grad)[of_image]
+    vjp_fn = torch.func.vjp(lambda d, x: _roughness(d, x, along_y, along_x), depth, image)[1]
+    return vjp_fn(grad)[of_image]
 
 
 def _roughness_backward(needs, grad, *args):

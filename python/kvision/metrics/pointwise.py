@@ -66,8 +66,8 @@ def _map_reference(x: Tensor, y: Tensor, kind: str) -> Tensor:
 
 
 def _map_slope(grad: Tensor, x: Tensor, y: Tensor, kind: str, by_other: bool) -> Tensor:
-    pullback = torch.func.vjp(_LOSSES[kind], x.expand_as(grad), y.expand_as(grad))[1]
-    return pullback(grad)[by_other]
+    vjp_fn = torch.func.vjp(_LOSSES[kind], x.expand_as(grad), y.expand_as(grad))[1]
+    return vjp_fn(grad)[by_other]
 
 
 def _map_backward(needs, grad, x, y, kind):
@@ -97,8 +97,8 @@ def _sum_slope(
 ) -> Tensor:
     rows = grad.shape[0]
     x, y = x.expand(rows, -1), y.expand(rows, -1)
-    pullback = torch.func.vjp(lambda x, y: _sum_reference(x, y, kind, factor, decibels), x, y)[1]
-    return pullback(grad)[by_other]
+    vjp_fn = torch.func.vjp(lambda x, y: _sum_reference(x, y, kind, factor, decibels), x, y)[1]
+    return vjp_fn(grad)[by_other]
 
 
 def _sum_backward(needs, grad, sums, x, y, *plain):

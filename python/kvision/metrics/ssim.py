@@ -64,8 +64,8 @@ def _both_gradients(reference: Callable[..., Tensor]) -> Callable[..., tuple[Ten
     """The gradients of `reference` to both images, as an operator's reference."""
 
     def gradients(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
-        pullback = torch.func.vjp(lambda x, y: reference(x, y, *plain), x, y.expand_as(x))[1]
-        grad_x, grad_y = pullback(grad)
+        vjp_fn = torch.func.vjp(lambda x, y: reference(x, y, *plain), x, y.expand_as(x))[1]
+        grad_x, grad_y = vjp_fn(grad)
         return grad_x, grad_y
 
     return gradients

@@ -37,8 +37,8 @@ def _loss(views, target, depth, projections, distance, eps):
 def _reference(views, target, depth, projections, *how):
     batch = len(views)
     places = depth.expand(batch, -1, -1, -1), projections.expand(batch, -1, -1, -1)
-    loss, pullback, terms = torch.func.vjp(lambda d, p: _loss(views, target, d, p, *how), *places, has_aux=True)
-    to_depth, to_projections = pullback(torch.ones_like(loss))
+    loss, vjp_fn, terms = torch.func.vjp(lambda d, p: _loss(views, target, d, p, *how), *places, has_aux=True)
+    to_depth, to_projections = vjp_fn(torch.ones_like(loss))
     share = torch.where(terms > 0, 1, 0) / torch.where(terms > 0, terms, 1).to(loss.dtype)
     of_sum = torch.where(terms > 0, terms, 0).to(loss.dtype)[:, None, None, None]
     return loss, to_depth.nan_to_num() * of_sum, share, to_projections.nan_to_num()
@@ -89,8 +89,8 @@ def _differentiable_backward(needs, grad, *tensors_and_how):
             full[i] = value
         return _loss(*full, *how)[0]
 
-    _, pullback = torch.func.vjp(f, *(tensors[i] for i in where))
-    found = dict(zip(where, pullback(grad)))
+    _, vjp_fn = torch.func.vjp(f, *(tensors[i] for i in where))
+    found = dict(zip(where, vjp_fn(grad)))
     return [found.get(i) for i in range(4)]
 
 

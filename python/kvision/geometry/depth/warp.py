@@ -63,8 +63,8 @@ def _image_gradient_reference(grad, depth, projection, size, *how):
     def of_image(image: Tensor) -> Tensor:
         return _reference(image, depth, projection, *how)
 
-    _, pullback = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
+    return vjp_fn(grad)[0]
 
 
 def _image_gradient_backward(needs, grad_grad, grad, depth, projection, size, *how):
@@ -82,8 +82,8 @@ def _slopes_reference(grad, image, depth, projection, *how):
         return _reference(image.to(wide).expand(batch, -1, -1, -1), depth, projection, *how)
 
     expanded = depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1)
-    _, pullback = torch.func.vjp(of_places, *expanded)
-    return pullback(grad.to(wide))
+    _, vjp_fn = torch.func.vjp(of_places, *expanded)
+    return vjp_fn(grad.to(wide))
 
 
 depth_warp_of = register(
@@ -140,10 +140,10 @@ def _reprojection_slopes_reference(grad, *given):
     if tensors[3] is None:
         tensors[3] = torch.eye(4, dtype=grad.dtype, device=grad.device)[None]
     each = [x.expand(batch, -1, -1) for x in tensors]
-    _, pullback = torch.func.vjp(lambda *x: _reprojection_reference(*x, pinhole), *each)
+    _, vjp_fn = torch.func.vjp(lambda *x: _reprojection_reference(*x, pinhole), *each)
     k = each[2]
     determinant = _pinhole(k).diagonal(dim1=1, dim2=2).prod(1) if pinhole else (k[:, 0] * adjugate(k)[..., 0]).sum(1)
-    return tuple(torch.where((determinant == 0)[:, None, None], 0, g) for g in pullback(grad))
+    return tuple(torch.where((determinant == 0)[:, None, None], 0, g) for g in vjp_fn(grad))
 
 
 # From pixels of a camera (B, 3, 3) to those of another, their poses being (B, 4, 4), the first one the world's where it

@@ -118,8 +118,8 @@ def _backward(needs, grad_places, grad_values, x, chosen, *how):
 def _gradient(grad_places, grad_values, x, chosen, *how):
     wide = torch.float64 if x.dtype == torch.float64 else torch.float32
     x, grads = x.to(wide), (grad_places.to(wide), grad_values.to(wide))
-    _, pullback = torch.func.vjp(lambda x: _reference(x, chosen, *how), x)
-    return pullback(grads)[0]
+    _, vjp_fn = torch.func.vjp(lambda x: _reference(x, chosen, *how), x)
+    return vjp_fn(grads)[0]
 
 
 _peaks = register(

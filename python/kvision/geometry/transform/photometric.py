@@ -45,8 +45,8 @@ def _seen(places, source):
 
 def _reference(source, target, matrix, *how):
     matrices = matrix.expand(len(source), -1, -1)
-    loss, pullback = torch.func.vjp(lambda m: _loss(source, target, m, *how), matrices)
-    return loss, pullback(torch.ones_like(loss))[0]
+    loss, vjp_fn = torch.func.vjp(lambda m: _loss(source, target, m, *how), matrices)
+    return loss, vjp_fn(torch.ones_like(loss))[0]
 
 
 def _backward(needs, grad, _, loss, slope, source, target, matrix, *how):
@@ -89,8 +89,8 @@ def _differentiable_backward(needs, grad, source, target, matrix, *how):
             full[i] = value
         return _loss(*full, *how)
 
-    _, pullback = torch.func.vjp(f, *(tensors[i] for i in where))
-    found = dict(zip(where, pullback(grad)))
+    _, vjp_fn = torch.func.vjp(f, *(tensors[i] for i in where))
+    found = dict(zip(where, vjp_fn(grad)))
     return [found.get(i) for i in range(3)]
 
 

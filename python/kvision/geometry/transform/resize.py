@@ -104,8 +104,8 @@ def _backward_reference(grad, size, *how):
     def f(image: Tensor) -> Tensor:
         return resize_reference(image, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(f, grad.new_zeros(*grad.shape[:2], *size))
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(f, grad.new_zeros(*grad.shape[:2], *size))
+    return vjp_fn(grad)[0]
 
 
 def _size(x, size, *how):

@@ -183,8 +183,8 @@ def _image_gradient_reference(grad, matrix, size, *how):
     def of_image(image: Tensor) -> Tensor:
         return _warp_reference(image, matrix, None, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_image, matrix.new_zeros(*grad.shape[:2], *size))
-    return pullback(grad.to(matrix.dtype))[0].to(grad.dtype)
+    _, vjp_fn = torch.func.vjp(of_image, matrix.new_zeros(*grad.shape[:2], *size))
+    return vjp_fn(grad.to(matrix.dtype))[0].to(grad.dtype)
 
 
 def _image_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
@@ -200,8 +200,8 @@ def _matrix_gradient_reference(grad, image, matrix, fill, *how):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _warp_reference(image.to(wide), matrix, fill, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_matrix, matrix.expand(image.shape[0], -1, -1))
-    return pullback(grad.to(wide))[0]
+    _, vjp_fn = torch.func.vjp(of_matrix, matrix.expand(image.shape[0], -1, -1))
+    return vjp_fn(grad.to(wide))[0]
 
 
 warp = register(
@@ -323,8 +323,8 @@ def _remap_image_gradient_reference(grad, map_x, map_y, size, *how):
     def of_image(image: Tensor) -> Tensor:
         return _remap_reference(image, map_x, map_y, None, *how)
 
-    _, pullback = torch.func.vjp(of_image, map_x.new_zeros(*grad.shape[:2], *size))
-    return pullback(grad.to(map_x.dtype))[0].to(grad.dtype)
+    _, vjp_fn = torch.func.vjp(of_image, map_x.new_zeros(*grad.shape[:2], *size))
+    return vjp_fn(grad.to(map_x.dtype))[0].to(grad.dtype)
 
 
 def _remap_image_gradient_backward(needs, grad_grad, grad, map_x, map_y, size, *how):
@@ -342,8 +342,8 @@ def _map_gradient_reference(grad, image, map_x, map_y, fill, *how):
         return _remap_reference(image.to(wide), map_x, map_y, fill, *how)
 
     maps = (m.expand(image.shape[0], -1, -1) for m in (map_x, map_y))
-    _, pullback = torch.func.vjp(of_map, *maps)
-    return pullback(grad.to(wide))
+    _, vjp_fn = torch.func.vjp(of_map, *maps)
+    return vjp_fn(grad.to(wide))
 
 
 remap = register(

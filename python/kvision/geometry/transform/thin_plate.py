@@ -53,16 +53,16 @@ def _summed(needs, found, given):
 
 
 def _points_gradient_reference(grad, *given):
-    _, pullback = torch.func.vjp(_points_reference, *(x.expand(grad.shape[0], -1, -1) for x in given))
-    return pullback(grad)
+    _, vjp_fn = torch.func.vjp(_points_reference, *(x.expand(grad.shape[0], -1, -1) for x in given))
+    return vjp_fn(grad)
 
 
 def _map_gradient_reference(grad, centers, weights, affine, align_corners):
     def of_spline(centers, weights, affine):
         return _map_reference(centers, weights, affine, grad.shape[2:], align_corners)
 
-    _, pullback = torch.func.vjp(of_spline, *(x.expand(grad.shape[0], -1, -1) for x in (centers, weights, affine)))
-    return pullback(grad)
+    _, vjp_fn = torch.func.vjp(of_spline, *(x.expand(grad.shape[0], -1, -1) for x in (centers, weights, affine)))
+    return vjp_fn(grad)
 
 
 def _batch(*given: Tensor) -> int:

@@ -318,8 +318,8 @@ def _volume_gradient_reference(grad, matrix, size, *how):
     def of_volumes(volumes: Tensor) -> Tensor:
         return _reference(volumes, matrix, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_volumes, grad.new_zeros(*grad.shape[:2], *size))
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(of_volumes, grad.new_zeros(*grad.shape[:2], *size))
+    return vjp_fn(grad)[0]
 
 
 def _volume_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
@@ -333,8 +333,8 @@ def _matrix_gradient_reference(grad, volumes, matrix, *how):
     def of_matrix(matrix: Tensor) -> Tensor:
         return _reference(volumes, matrix, grad.shape[2:], *how)
 
-    _, pullback = torch.func.vjp(of_matrix, matrix.expand(volumes.shape[0], -1, -1))
-    return pullback(grad)[0]
+    _, vjp_fn = torch.func.vjp(of_matrix, matrix.expand(volumes.shape[0], -1, -1))
+    return vjp_fn(grad)[0]
 
 
 _warp3d = register(

@@ -115,7 +115,7 @@ def volumes(op: str, name: str, x: Any) -> None:
         )
 
 
-def readable(x: Tensor) -> bool:
+def values_are_readable(x: Tensor) -> bool:
     """Whether one may look at values without waiting for a device, and without breaking a trace or a transform."""
     return x.device.type == "cpu" and not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
 
@@ -144,26 +144,22 @@ def same_device(op: str, **tensors: Tensor) -> None:
             raise DeviceError(f"{op}: expected all tensors on one device, got {got}", actual_devices=devices)
 
 
-def choice(op: str, name: str, value: Any, options: Sequence[Any]) -> None:
-    """Raise ValueCheckError unless `value` is one of `options`."""
+class UnknownChoiceError(ValueCheckError, NotImplementedError):
+    """A value that is not one of the options, where Kornia raises NotImplementedError."""
+
+
+def choice(
+    op: str, name: str, value: Any, options: Sequence[Any], error: type[ValueCheckError] = ValueCheckError
+) -> None:
+    """Raise `error` unless `value` is one of `options`."""
     if not isinstance(value, type(options[0])) or value not in options:
         listed = ", ".join(map(str, options))
-        raise ValueCheckError(f"{op}: {name} must be one of {listed}; got {value!r}", actual_value=value)
-
-
-class UnknownChoiceError(ValueCheckError, NotImplementedError):
-    """A choice that is none of those there are, where Kornia raises NotImplementedError."""
-
-
-def known(op: str, name: str, value: Any, options: Sequence[str]) -> None:
-    """Raise UnknownChoiceError unless `value` is one of `options`."""
-    if value not in options:
-        raise UnknownChoiceError(f"{op}: {name} must be one of {', '.join(options)}; got {value!r}", actual_value=value)
+        raise error(f"{op}: {name} must be one of {listed}; got {value!r}", actual_value=value)
 
 
 def reduction(op: str, value: Any, options: Sequence[str] = ("none", "mean", "sum")) -> None:
     """Raise UnknownChoiceError unless `value` names a reduction."""
-    known(op, "reduction", value, options)
+    choice(op, "reduction", value, options, UnknownChoiceError)
 
 
 def same_shape(op: str, **tensors: Tensor) -> None:

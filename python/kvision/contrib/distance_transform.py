@@ -81,7 +81,7 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
         within = -h * torch.where(reached, near, 0.5).log()
         total = total + torch.where(reached, step * (size // 2) + within, 0)
         grown = torch.where(reached, 1, grown)
-        if _check.readable(x) and not reached.any():  # nor will any later step
+        if _check.values_are_readable(x) and not reached.any():  # nor will any later step
             break
     return total
 

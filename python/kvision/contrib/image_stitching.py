@@ -54,8 +54,8 @@ class ImageStitcher(nn.Module):
                 f"ImageStitcher: expected matcher to be a Module, got {type(matcher).__name__}",
                 actual_type=type(matcher),
             )
-        _check.known("ImageStitcher", "estimator", estimator, ("ransac", "vanilla"))
-        _check.known("ImageStitcher", "blending_method", blending_method, ("naive",))
+        _check.choice("ImageStitcher", "estimator", estimator, ("ransac", "vanilla"), _check.UnknownChoiceError)
+        _check.choice("ImageStitcher", "blending_method", blending_method, ("naive",), _check.UnknownChoiceError)
         self.matcher = matcher
         self.estimator = estimator
         self.blending_method = blending_method

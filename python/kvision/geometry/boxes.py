@@ -65,8 +65,8 @@ class _Boxes(Collection):
                 actual_shape=boxes.shape,
             )
         boxes = floats(boxes)
-        readable = validate_boxes and _check.readable(boxes)
-        if readable and not boxes.isfinite().all():
+        check_values = validate_boxes and _check.values_are_readable(boxes)
+        if check_values and not boxes.isfinite().all():
             raise ValueCheckError(f"{cls.__name__}: expected boxes that are finite")
         if of_corners:
             return (
@@ -79,7 +79,7 @@ class _Boxes(Collection):
             far = near + far - 1
         elif mode in cls._exclusive():
             far = far - 1
-        if readable and not (far > near - 1).all():
+        if check_values and not (far > near - 1).all():
             raise ValueCheckError(f"{cls.__name__}: expected boxes of positive size")
         return corners(near, far)
 

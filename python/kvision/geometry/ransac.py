@@ -110,7 +110,9 @@ def _contest_sizes(
     return [(kept, 3, 3), (kept, 2), (kept, points1.shape[1])]
 
 
-_consensus = register("consensus", _consensus_reference, fake=lambda models, *args: (models.shape[0], 2), non_differentiable=(0,))
+_consensus = register(
+    "consensus", _consensus_reference, fake=lambda models, *args: (models.shape[0], 2), non_differentiable=(0,)
+)
 _leaders = register(
     "leaders",
     _leaders_reference,
@@ -186,7 +188,7 @@ class RANSAC(nn.Module):
         compile: bool = False,
     ) -> None:
         super().__init__()
-        _check.known("RANSAC", "model_type", model_type, tuple(_MODELS))
+        _check.choice("RANSAC", "model_type", model_type, tuple(_MODELS), _check.UnknownChoiceError)
         _check.choice("RANSAC", "score_type", score_type, ("msac", "ransac"))
         if local_optimization is not None:
             _check.choice("RANSAC", "local_optimization", local_optimization, ("lm", "dlt"))

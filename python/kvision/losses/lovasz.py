@@ -57,7 +57,15 @@ _lovasz_backward = register(
     fake=lambda grad, slopes, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
-_lovasz = register("lovasz", _reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1,), casts_outputs=True)
+_lovasz = register(
+    "lovasz",
+    _reference,
+    fake=_fake,
+    backward=_backward,
+    saves_results=True,
+    non_differentiable=(1,),
+    casts_outputs=True,
+)
 
 
 def _losses(pred: Tensor, target: Tensor, hinge: bool) -> Tensor:

@@ -88,7 +88,13 @@ _overlap_backward = register(
     casts_outputs=True,
 )
 _overlap = register(
-    "overlap", _reference, fake=_fake, backward=_backward, saves_results=True, non_differentiable=(1,), casts_outputs=True
+    "overlap",
+    _reference,
+    fake=_fake,
+    backward=_backward,
+    saves_results=True,
+    non_differentiable=(1,),
+    casts_outputs=True,
 )
 
 

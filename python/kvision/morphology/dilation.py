@@ -174,8 +174,8 @@ def checked(
     y, x = origin
     if not (0 <= y < ky and 0 <= x < kx):
         raise ValueCheckError(f"{op}: expected an origin in the kernel {(ky, kx)}, got {origin!r}", actual_value=origin)
-    _check.known(op, "border_type", border_type, ("geodesic", "constant"))
-    _check.known(op, "engine", engine, ("auto", "unfold", "convolution", "shift"))
+    _check.choice(op, "border_type", border_type, ("geodesic", "constant"), _check.UnknownChoiceError)
+    _check.choice(op, "engine", engine, ("auto", "unfold", "convolution", "shift"), _check.UnknownChoiceError)
     border_value = _check.number(op, "border_value", border_value)
     _check.number(op, "max_val", max_val)
     dtype = compute_dtype(tensor)

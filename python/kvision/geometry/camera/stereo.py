@@ -45,7 +45,7 @@ class StereoCamera:
         _check.same_device(op, rectified_left_camera=left, rectified_right_camera=right)
         if left.dtype != right.dtype:
             raise TypeCheckError(f"{op}: expected cameras of one type, got {left.dtype} and {right.dtype}")
-        if _check.readable(left):
+        if _check.values_are_readable(left):
             if not torch.equal(left[..., :3], right[..., :3]):
                 raise ValueCheckError(f"{op}: expected cameras that are equal but for their last column")
             if not (right[:, 0, 3] < 0).all():

@@ -54,7 +54,7 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
     for name, x in (("points1", points1), ("points2", points2)):
         _check.floating_trailing_shape(op, name, x, "N", 2)
     _check.same_device(op, P1=P1, P2=P2, points1=points1, points2=points2)
-    _check.known(op, "solver", solver, ("eigh", "svd", "cofactor"))
+    _check.choice(op, "solver", solver, ("eigh", "svd", "cofactor"), _check.UnknownChoiceError)
     try:
         leading = broadcast_shapes(P1.shape[:-2], P2.shape[:-2], points1.shape[:-2], points2.shape[:-2])
         count = broadcast_shapes(points1.shape[-2:], points2.shape[-2:])

@@ -55,7 +55,7 @@ def find_homography_dlt(points1: Tensor, points2: Tensor, weights: Tensor | None
                  [0., 0., 1.]]])
     """
     check_correspondences("find_homography_dlt", points1, points2, weights, least=4)
-    _check.known("find_homography_dlt", "solver", solver, ("lu", "svd"))
+    _check.choice("find_homography_dlt", "solver", solver, ("lu", "svd"), _check.UnknownChoiceError)
     return homography_of(points1, points2, weights)
 
 

@@ -141,7 +141,8 @@ def crop_by_boxes(
     _check.shape(op, "dst_box", dst_box, "B", 4, 2)
     _check.flag(op, "validate_boxes", validate_boxes)
     src_box, dst_box = (
-        sampling.cast_to_image(op, input_tensor, name, box) for name, box in (("src_box", src_box), ("dst_box", dst_box))
+        sampling.cast_to_image(op, input_tensor, name, box)
+        for name, box in (("src_box", src_box), ("dst_box", dst_box))
     )
     shapes = _quad_shapes(src_box.detach(), dst_box.detach()).tolist()
     for name, box, of in (("src_box", src_box, slice(0, 2)), ("dst_box", dst_box, slice(2, 4))):

@@ -52,9 +52,9 @@ def shape(op: str, name: str, x: Any, *expected: str | int) -> None:
     for e, n in zip(expected, x.shape):
         fits = fits and (not isinstance(e, int) or e == n)
     if not fits:
-        want = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
+        listed = ", ".join(map(str, expected)) + ("," if len(expected) == 1 else "")
         raise ShapeError(
-            f"{op}: expected {name} of shape ({want}), got {tuple(x.shape)}",
+            f"{op}: expected {name} of shape ({listed}), got {tuple(x.shape)}",
             actual_shape=x.shape,
             expected_shape=expected,
         )
@@ -191,8 +191,8 @@ def number(op: str, name: str, value: Any, minimum: float = -math.inf) -> float:
     if not isinstance(value, (int, float)):
         raise TypeCheckError(f"{op}: expected {name} to be a number, got {value!r}", actual_type=type(value))
     if not value >= minimum or not fits_float(value):  # also refuses NaN
-        least = f" of at least {minimum:g}" if minimum > -math.inf else ""
-        raise ValueCheckError(f"{op}: expected {name} to be a float32 number{least}, got {value!r}", actual_value=value)
+        bound = f" of at least {minimum:g}" if minimum > -math.inf else ""
+        raise ValueCheckError(f"{op}: expected {name} to be a float32 number{bound}, got {value!r}", actual_value=value)
     return float(value)
 
 
@@ -226,24 +226,24 @@ def pair(op: str, name: str, value: Any, minimum: int = 1) -> tuple[int, int]:
 def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[int, ...]:
     """`value`, an int or `count` of them, as a tuple of `count` ints of at least `minimum`.
 
-    The largest is LARGEST_INT, and LARGEST_WINDOW for the sizes of a window.
+    The maximum is LARGEST_INT, and LARGEST_WINDOW for the sizes of a window.
     """
-    largest = LARGEST_INT if count == 1 else LARGEST_WINDOW
-    given = (value,) * count if type(value) is int else value
-    fits = isinstance(given, (tuple, list)) and len(given) == count
+    maximum = LARGEST_INT if count == 1 else LARGEST_WINDOW
+    values = (value,) * count if type(value) is int else value
+    fits = isinstance(values, (tuple, list)) and len(values) == count
     if fits:
-        for n in given:
-            fits = fits and type(n) is int and minimum <= n <= largest
+        for n in values:
+            fits = fits and type(n) is int and minimum <= n <= maximum
     if fits:
-        return tuple(given)
-    if not isinstance(given, (tuple, list)) or set(map(type, given)) != {int}:
+        return tuple(values)
+    if not isinstance(values, (tuple, list)) or set(map(type, values)) != {int}:
         raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
-    if len(given) != count or min(given) < minimum:
+    if len(values) != count or min(values) < minimum:
         raise ValueCheckError(
             f"{op}: expected {name} to be {_ints(count)} of at least {minimum}, got {value!r}", actual_value=value
         )
     raise ValueCheckError(
-        f"{op}: expected {name} to be {_ints(count)} of at most {largest}, got {value!r}", actual_value=value
+        f"{op}: expected {name} to be {_ints(count)} of at most {maximum}, got {value!r}", actual_value=value
     )
 
 

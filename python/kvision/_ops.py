@@ -35,7 +35,7 @@ from kvision.core.exceptions import ValueCheckError
 
 FLOATS = (torch.float32, torch.float64, torch.float16, torch.bfloat16)
 _HALVES = (torch.float16, torch.bfloat16)
-_TO_FLOAT = (*_HALVES, torch.float64, torch.uint8)  # before a reference computes; labels and masks stay as they are
+_PROMOTED = (*_HALVES, torch.float64, torch.uint8)  # before a reference computes; labels and masks stay as they are
 
 # --- libraries ------------------------------------------------------------------------------------------------------
 
@@ -123,14 +123,14 @@ operators: dict[str, Operator] = {}
 
 def _unserved(name: str) -> dict[str, str]:
     """Device type -> why no kernel serves operator `name` there: the whole library, or an older one that lacks it."""
-    found = dict(unserved)
+    reasons = dict(unserved)
     for device, library in _LIBRARIES.items():
         if "cpu" in unserved or device in unserved:
             continue
         declared = hasattr(torch.ops.kvision, name)
         if not declared or not torch._C._dispatch_has_kernel_for_dispatch_key(f"kvision::{name}", device.upper()):
-            found[device] = f"{name} is not in {library}, which is older: build kvision again"
-    return found
+            reasons[device] = f"{name} is not in {library}, which is older: build kvision again"
+    return reasons
 
 
 def serves(name: str, x: Tensor) -> str:
@@ -195,7 +195,9 @@ class Operator:
     ) -> None:
         self.name = name
         self.definition = reference
-        self.reference = full_precision(reference) if casts_outputs else with_kernel_casts(reference, native_half)
+        self.reference = (
+            without_autocast_and_tf32(reference) if casts_outputs else with_kernel_casts(reference, native_half)
+        )
         self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
         self.non_differentiable = non_differentiable
@@ -329,47 +331,47 @@ class Operator:
         grads, saved = unwrap_dead_wrappers(grads), unwrap_dead_wrappers(ctx.saved_tensors)
         if self._is_linear_map(saved):
             saved = (ctx.sizes, *saved[1:])
-        found = self.backward(needs, *grads, *saved, *ctx.plain)
-        return (*found, *(None,) * (len(needs) - len(found)))
+        input_grads = self.backward(needs, *grads, *saved, *ctx.plain)
+        return (*input_grads, *(None,) * (len(needs) - len(input_grads)))
 
     def _jvp(self, ctx: Any, *tangents: Tensor | None) -> Any:
         tensors = ctx.saved_tensors[-self.tensors :]  # after the results, where they are saved
         if self._is_linear_map(tensors):
             return self(tangents[0], *tensors[1:], *ctx.plain)
         args = (*tensors, *ctx.plain)
-        where = [i for i, t in enumerate(tangents) if t is not None]
-        # J t as the derivative of u -> J^T u: works under every transform, also inside plain forward-mode.
-        output, vjp_fn = torch.func.vjp(
-            self._of_tensors(args, where, self.non_differentiable), *(args[i] for i in where)
-        )
+        indices = [i for i, t in enumerate(tangents) if t is not None]
+        # J t is the derivative of u -> J^T u. That works under every transform, also inside plain forward mode.
+        f = self._reference_of_tensors(args, indices, self.non_differentiable)
+        output, vjp_fn = torch.func.vjp(f, *(args[i] for i in indices))
         _, jvp_fn = torch.func.vjp(vjp_fn, _map(torch.zeros_like, output))
-        (found,) = jvp_fn(tuple(tangents[i] for i in where))
+        (output_tangents,) = jvp_fn(tuple(tangents[i] for i in indices))
         if not self.non_differentiable:
-            return found
-        rest = iter(found)
-        return tuple(
-            None if i in self.non_differentiable else next(rest) for i in range(len(self.kernel._schema.returns))
-        )
+            return output_tangents
+        rest = iter(output_tangents)
+        outputs = range(len(self.kernel._schema.returns))
+        return tuple(None if i in self.non_differentiable else next(rest) for i in outputs)
 
     def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
-        """The default backward; of use in others for gradients that have no kernel."""
+        """The default backward; other backwards call it for gradients that have no kernel."""
         args = grads_and_args[-len(needs) :]
         grads = grads_and_args[: -len(needs)]
-        where = [i for i, need in enumerate(needs) if need]
+        indices = [i for i, need in enumerate(needs) if need]
         with _without_tf32():
-            _, vjp_fn = torch.func.vjp(self._of_tensors(args, where), *(args[i] for i in where))
-            found = dict(zip(where, vjp_fn(grads[0] if len(grads) == 1 else grads)))
-        return [found.get(i) for i in range(self.tensors)]
+            _, vjp_fn = torch.func.vjp(self._reference_of_tensors(args, indices), *(args[i] for i in indices))
+            input_grads = dict(zip(indices, vjp_fn(grads[0] if len(grads) == 1 else grads)))
+        return [input_grads.get(i) for i in range(self.tensors)]
 
-    def _of_tensors(self, args: Sequence[Any], where: Sequence[int], without: Sequence[int] = ()) -> Callable[..., Any]:
-        """The reference as a function of the tensors at `where`; its results but those at `without`."""
+    def _reference_of_tensors(
+        self, args: Sequence[Any], indices: Sequence[int], excluded: Sequence[int] = ()
+    ) -> Callable[..., Any]:
+        """The reference as a function of the tensors at `indices`, without its results at `excluded`."""
 
         def f(*values: Tensor) -> Any:
             full = list(args)
-            for i, value in zip(where, values):
+            for i, value in zip(indices, values):
                 full[i] = value
-            found = self.reference(*full)
-            return tuple(y for i, y in enumerate(found) if i not in without) if without else found
+            output = self.reference(*full)
+            return tuple(y for i, y in enumerate(output) if i not in excluded) if excluded else output
 
         return f
 
@@ -384,23 +386,23 @@ class Operator:
 
 
 def transpose(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """The transpose of a reference that is linear in its first tensor and keeps its shape: gradient in, gradient out."""
+    """The transpose of a reference that is linear in its first tensor and keeps its shape: `transpose(f)(grad, *args)`."""
 
-    def transposed(grad: Tensor, *args: Any) -> Tensor:
+    def backward(grad: Tensor, *args: Any) -> Tensor:
         _, vjp_fn = torch.func.vjp(lambda x: reference(x, *args), torch.zeros_like(grad))
         return vjp_fn(grad)[0]
 
-    return transposed
+    return backward
 
 
 def vjp(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:
     """The gradient of a reference for its first tensor: `vjp(f)(grad, x, *args)`."""
 
-    def pulled(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
+    def backward(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
         _, vjp_fn = torch.func.vjp(lambda x: reference(x, *args), x)
         return vjp_fn(grad)[0]
 
-    return pulled
+    return backward
 
 
 # --- helpers --------------------------------------------------------------------------------------------------------
@@ -445,7 +447,7 @@ def saturate_to_byte(x: Tensor) -> Tensor:
     return x.round().clamp(0, 255).to(torch.uint8)
 
 
-def full_precision(reference: Callable[..., Any]) -> Callable[..., Any]:
+def without_autocast_and_tf32(reference: Callable[..., Any]) -> Callable[..., Any]:
     """The reference as the kernels compute: no autocast, no TF32."""
 
     @functools.wraps(reference)
@@ -468,7 +470,7 @@ def with_kernel_casts(reference: Callable[..., Any], native_half: bool = False) 
     With `native_half` the reference takes half types as they are.
     """
 
-    @full_precision
+    @without_autocast_and_tf32
     @functools.wraps(reference)
     def wrapped(*args: Any) -> Any:
         x = args[0]
@@ -479,7 +481,7 @@ def with_kernel_casts(reference: Callable[..., Any], native_half: bool = False) 
         elif dtype == torch.float64:
             promoted = (a.to(dtype) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
         else:
-            promoted = (a.float() if isinstance(a, Tensor) and a.dtype in _TO_FLOAT else a for a in args)
+            promoted = (a.float() if isinstance(a, Tensor) and a.dtype in _PROMOTED else a for a in args)
         store = saturate_to_byte if dtype == torch.uint8 else lambda y: y.to(dtype)
         return _map(lambda y: match_layout(store(y), x), reference(*promoted))
 

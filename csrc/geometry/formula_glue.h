@@ -1,9 +1,9 @@
-// What operators give to formulas. Included by formulas_op.cpp and by operators of warps.
+// What operators give to formulas. Included by formula_op.cpp and by operators of warps.
 #pragma once
 
 #include <span>
 
-#include "formulas.h"
+#include "geometry/formulas.h"
 #include "glue/glue.h"
 
 namespace kv {

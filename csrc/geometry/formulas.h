@@ -7,7 +7,7 @@
 #pragma once
 
 #include "core/trigonometry.h"
-#include "formula.h"
+#include "geometry/formula.h"
 
 namespace kv {
 

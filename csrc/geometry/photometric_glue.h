@@ -1,8 +1,8 @@
-// What the photometric operators have in common. Included by photometric_op.cpp and photometric_depth_op.cpp.
+// What the photometric operators have in common. Included by transform/photometric_op.cpp and depth/photometric_op.cpp.
 #pragma once
 
+#include "geometry/transform/photometric.h"
 #include "geometry/transform/sampling_glue.h"
-#include "photometric.h"
 
 namespace kv {
 

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "core/hd.h"
-#include "team.h"
+#include "geometry/thread_group.h"
 
 namespace kv {
 
@@ -43,7 +43,7 @@ constexpr int kUnrolled = N <= 4 ? N : 1;
 
 // --- symmetric matrices, all N x N numbers of them -------------------------------------------------------------------
 
-// Those of a team (team.h) take rows in turns, of matrices that all of them see; alone is alone.
+// Those of a team (thread_group.h) take rows in turns, of matrices that all of them see; alone is alone.
 
 // Replaces a positive definite matrix by its inverse, sweeping one row after the other; gives the smallest pivot.
 template <int N, class Team = Alone>

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry.homography.dlt import homography_of
 from kvision.geometry.ransac import _consensus, _contest, _leaders, _verdict
+from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal
 from kvision.geometry.solvers.affine import affine_of
 from op_tests import assert_close, instruction_set
 from view_tests import Scene, homographies, moved, on_planes, rand

@@ -1,7 +1,7 @@
 // Lenses: schemas and entries, for CPU and CUDA alike.
 #include "geometry/calibration/distortion.h"
+#include "geometry/reals_glue.h"
 #include "geometry/transform/sampling_glue.h"
-#include "geometry/views_glue.h"
 
 namespace kv {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
-#include "geometry/team.h"
+#include "geometry/thread_group.h"
 
 namespace kv {
 

@@ -1,7 +1,7 @@
 // Thin-plate splines: schemas and entries, for CPU and CUDA alike.
+#include "geometry/reals_glue.h"
 #include "geometry/transform/sampling_glue.h"
 #include "geometry/transform/thin_plate.h"
-#include "geometry/views_glue.h"
 
 namespace kv {
 namespace {

@@ -13,7 +13,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
-from kvision.geometry.points import transformed
+from kvision.geometry._transform_points import transformed
 
 __all__ = [
     "bbox_generator",

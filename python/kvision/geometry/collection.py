@@ -12,7 +12,7 @@ from torch.nn.utils.rnn import pad_sequence
 from kvision import _check
 from kvision._dtype import floats
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.geometry.points import transformed
+from kvision.geometry._transform_points import transformed
 
 Self = TypeVar("Self", bound="Collection")
 

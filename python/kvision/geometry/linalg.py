@@ -10,8 +10,8 @@ from kvision._dtype import floats
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, of_rows, register_formula
+from kvision.geometry._transform_points import transformed
 from kvision.geometry.conversions.homogeneous import divisor, homogeneous
-from kvision.geometry.points import transformed
 
 __all__ = [
     "batched_dot_product",

@@ -17,13 +17,13 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.geometry._minimal import SIZES, eight_points, minimal
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.distances import sampson_epipolar_distance
 from kvision.geometry.epipolar.essential import nearest_essential
 from kvision.geometry.homography.dlt import find_homography_lines_dlt, homography_of
 from kvision.geometry.homography.errors import line_segment_transfer_error_one_way, oneway_transfer_error
+from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal
 from kvision.geometry.solvers.affine import affine_of
 
 __all__ = ["RANSAC"]

@@ -6,8 +6,8 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision.geometry._transform_points import seen
 from kvision.geometry.conversions.pixels import check_camera
-from kvision.geometry.points import seen
 
 __all__ = ["project_points", "unproject_points"]
 

@@ -11,9 +11,9 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import with_kernel_casts
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._transform_points import transformed
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.linalg import inverse3x3
-from kvision.geometry.points import transformed
 
 __all__ = ["PinholeCamera"]
 

@@ -20,7 +20,7 @@ __all__ = ["photometric_depth_loss"]
 
 
 def _loss(views, target, depth, projections, distance, eps):
-    """(B,): the separate steps, of which csrc/geometry/photometric_depth.h makes one; and their number of terms."""
+    """(B,): the separate steps, of which csrc/geometry/depth/photometric.h makes one; and their number of terms."""
     batch, count = views.shape[:2]
     total: Any = 0.0
     terms: Any = 0

@@ -5,8 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
+from kvision.geometry._correspondence_errors import view_errors
 from kvision.geometry._precision import in_full_precision
-from kvision.geometry._view_errors import view_errors
 from kvision.geometry.epipolar.fundamental import check_points
 
 __all__ = [

@@ -11,11 +11,11 @@ from kvision import _check
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, register_formula
-from kvision.geometry._minimal import five_points, minimal
 from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points, triangulated_backward
 from kvision.geometry.linalg import root
+from kvision.geometry.solvers._minimal import five_points, minimal
 from kvision.geometry.solvers.correspondences import check_correspondences
 from kvision.geometry.solvers.null_vector import null_vector_3x3
 

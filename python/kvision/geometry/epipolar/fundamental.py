@@ -10,10 +10,10 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import of_all, register_formula
-from kvision.geometry._minimal import eight_points, minimal
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision, length
 from kvision.geometry.linalg import adjugate
+from kvision.geometry.solvers._minimal import eight_points, minimal
 from kvision.geometry.solvers.correspondences import check_correspondences
 
 __all__ = [

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
+from kvision.geometry._correspondence_errors import view_errors
 from kvision.geometry._precision import in_full_precision
-from kvision.geometry._view_errors import view_errors
 
 __all__ = [
     "line_segment_transfer_error_one_way",

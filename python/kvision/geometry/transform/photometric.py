@@ -19,7 +19,7 @@ _DISTANCES = ("l1", "l2", "charbonnier")
 
 
 def _loss(source, target, matrix, distance, eps, align_corners, normalized):
-    """(B,): the separate steps, of which csrc/geometry/photometric.h makes one."""
+    """(B,): the separate steps, of which csrc/geometry/transform/photometric.h makes one."""
     source, target = source.to(matrix.dtype), target.to(matrix.dtype)
     places = sampling.places_of(
         matrix.expand(len(source), -1, -1), target.shape[2:], source.shape[2:], align_corners, False, normalized

@@ -9,7 +9,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats, pixels
 from kvision.core.exceptions import ShapeError
-from kvision.geometry.points import transformed
+from kvision.geometry._transform_points import transformed
 from kvision.geometry.transform import sampling
 
 __all__ = ["homography_warp", "remap", "warp_affine", "warp_grid", "warp_perspective"]

@@ -1,0 +1,64 @@
+// The photometric distance of views by depth on CUDA: a thread a pixel of the target, view by view.
+#include "geometry/depth/photometric.h"
+#include "geometry/depth/warp.cuh"
+
+namespace kv::cuda {
+namespace {
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    photometric_tiles(__grid_constant__ PhotometricDepth<T> const p, DepthTiles tiles) {
+  using F = Compute<T>;
+  int64_t b;
+  int y, x;
+  tiles.locate(b, y, x);
+  bool const there = x < p.target.width && y < p.target.height;
+  int64_t const row = p.x.row_stride, step = p.x.step;
+  F to_depth = 0;
+#pragma unroll 1
+  for (int i = 0; i < p.views; ++i) {
+    F sums[kProjectionSums] = {};
+    if (there) {
+      Reprojection<F> const projection(p.projections + b * p.projection_stride + i * p.projection_view_stride);
+      DepthPlace<T> const place(p, projection, b, y, x);
+      Window<2, F> const window(p, place.u, place.v);
+      if (window.inside) {
+        F wx[2], wy[2], to_u = 0, to_v = 0;
+        tap_weights(window.tx, wx);
+        tap_weights(window.ty, wy);
+        T const* from = p.x.row(b, 0, window.y) + i * p.view_stride + window.x * step;
+        T const* target = p.target.row(b, 0, y) + x * p.target.step;
+#pragma unroll 3
+        for (int c = 0; c < p.x.channels; ++c) {
+          F const a00 = read(from[0]), a01 = read(from[step]), a10 = read(from[row]), a11 = read(from[row + step]);
+          F const value = (a00 * wx[0] + a01 * wx[1]) * wy[0] + (a10 * wx[0] + a11 * wx[1]) * wy[1];
+          F slope;
+          sums[12] += distance_of(p.distance, value - F(read(*target)), p.eps, slope);
+          to_u += slope * ((a01 - a00) * wy[0] + (a11 - a10) * wy[1]);
+          to_v += slope * ((a10 - a00) * wx[0] + (a11 - a01) * wx[1]);
+          from += p.x.channel_stride;
+          target += p.target.channel_stride;
+        }
+        sums[13] = 1;
+        F g[3];
+        to_depth += projection.vjp(place.x, place.y, place.u, place.v, place.scale, to_u, to_v, g);
+        add_to_projection(g, place.x, place.y, place.d, sums);
+      }
+    }
+    add_block(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);
+  }
+  if (there) p.to_depth[(b * p.target.height + y) * p.target.width + x] = to_depth;
+}
+
+}  // namespace
+
+template <class T>
+int photometric_depth(PhotometricDepth<T> const& p, CUstream_st* stream) {
+  DepthTiles const tiles(p.target.batch, p.target.height, p.target.width);
+  photometric_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(photometric_depth, PhotometricDepth)
+
+}  // namespace kv::cuda

@@ -1,0 +1,76 @@
+// The photometric distance of views by depth: schema and entry, for CPU and CUDA alike.
+#include "geometry/depth/photometric.h"
+#include "geometry/depth/warp_glue.h"
+#include "geometry/photometric_glue.h"
+
+namespace kv {
+namespace {
+
+// Views (B, V, C, H, W), targets (B, C, h, w), depths (B, 1, h, w), projections (B, V, 3, 4). The loss, its slopes to
+// depth times the number of terms, one over that number, and its slopes to the projections.
+std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views, Tensor const& target,
+                                                             Tensor const& depth, Tensor const& projections,
+                                                             std::string const& distance, double eps) {
+  char const* const op = "photometric_depth";
+  KV_CHECK(views.dim() == 5, op, ": expected views of 5 axes, got ", views.dim());
+  check_images(op, "target", target);
+  int64_t const batch = views.size(0), count = views.size(1), channels = views.size(2);
+  KV_CHECK(count > 0 && count <= INT32_MAX && (target.size(0) == 1 || target.size(0) == batch) &&
+               target.size(1) == channels && target.scalar_type() == views.scalar_type() &&
+               target.device() == views.device(),
+           op, ": target does not fit the views");
+  KV_CHECK(projections.dim() == 4 && projections.size(1) == count, op, ": projections do not fit the views");
+  Depths const depths(op, depth, projections, views);
+  Size const source = size_of(op, {views.size(3), views.size(4)}), output = depths.size();
+  KV_CHECK(target.size(2) == output.height && target.size(3) == output.width, op, ": depth does not fit the target");
+  SamplingArguments const how(op, "bilinear", "fill", true, views, {});
+  int64_t const parts = projection_parts(output);
+  Tensor const loss = empty({batch}, depths.depth), share = empty({batch}, depths.depth);
+  Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
+  Tensor const to_projections = empty({batch, count, 3, 4}, depths.depth);
+  Tensor const sums = empty({batch, parts, count, kProjectionSums}, views, Layout::planar, ScalarType::Double);
+  dispatch_floating(op, views, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    PhotometricDepth<T> params{};
+    depths.set(params, how, source, batch);
+    params.x = {data_ptr<T const>(views),
+                views.stride(0),
+                views.stride(2),
+                views.stride(3),
+                views.stride(4),
+                batch,
+                views.size(3),
+                views.size(4),
+                int(channels)};
+    params.target = images<T const>(target, batch);
+    params.target.batch = batch;
+    params.view_stride = views.stride(1);
+    params.projection_view_stride = 12;
+    params.views = int(count);
+    params.distance = distance_of(op, distance);
+    params.eps = F(eps);
+    params.to_depth = data_ptr<F>(to_depth);
+    params.sums = data_ptr<double>(sums);
+    params.parts = parts;
+    KV_RUN(photometric_depth, views, params, batch * output.height, 8 * count * channels * output.width);
+    ProjectionTotal<F> const total{data_ptr<double const>(sums),
+                                   parts,
+                                   batch,
+                                   int(count),
+                                   int(channels),
+                                   data_ptr<F>(to_projections),
+                                   data_ptr<F>(loss),
+                                   data_ptr<F>(share)};
+    KV_RUN(projection_total, views, total, batch, 14 * count * parts);
+  });
+  return {loss, to_depth, share, to_projections};
+}
+
+}  // namespace
+
+KV_OPERATOR(photometric_depth,
+            "(Tensor views, Tensor target, Tensor depth, Tensor projections, str distance, float eps) -> "
+            "(Tensor, Tensor, Tensor, Tensor)")
+
+}  // namespace kv

@@ -1,0 +1,319 @@
+// Points and normals of depth images on CUDA: a thread four neighbouring pixels, 16 bytes an access where it can.
+#include "core/launch.cuh"
+#include "geometry/depth/points.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256, kRun = 4;  // pixels of a thread
+
+// Groups of kRun pixels of a batch of images, one after the other.
+struct Runs {
+  unsigned across;
+  int64_t count;
+  Runs(int64_t batch, int64_t height, int64_t width)
+      : across(unsigned(ceil_div(width, kRun))), count(batch * height * across) {}
+  unsigned blocks() const { return unsigned(ceil_div(count, kThreads)); }
+  // The thread's sample, row and first column.
+  __device__ __forceinline__ bool locate(int64_t height, int64_t& b, int& y, int& x) const {
+    int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
+    if (i >= count) return false;
+    int64_t const row = i / across;
+    b = row / height;
+    y = int(row - b * height);
+    x = int(i - row * across) * kRun;
+    return true;
+  }
+};
+
+// Whether rows can be read in fours.
+template <class T>
+bool in_fours(Images<T> const& p) {
+  int64_t const bytes = sizeof(T) * kRun > 16 ? 16 : sizeof(T) * kRun;
+  auto const fits = [&](int64_t stride) { return stride * int64_t(sizeof(T)) % bytes == 0; };
+  return reinterpret_cast<uintptr_t>(p.data) % bytes == 0 && fits(p.batch_stride) && fits(p.channel_stride) &&
+         fits(p.row_stride) && p.step == 1 && p.width % kRun == 0;
+}
+
+// The rim stands beside itself.
+template <class T, class F>
+__device__ __forceinline__ void load_run(T const* row, int64_t step, int x, int width, bool fours, F (&v)[kRun]) {
+  Vector<std::remove_const_t<T>, kRun> vector{};
+  if (fours)
+    vector = *reinterpret_cast<Vector<T, kRun> const*>(row + x);
+  else
+    for (int i = 0; i < kRun; ++i) vector.v[i] = row[min(x + i, width - 1) * step];
+#pragma unroll
+  for (int i = 0; i < kRun; ++i) v[i] = read(vector.v[i]);
+}
+template <class T, class F>
+__device__ __forceinline__ void store_run(T* row, int64_t step, int x, int width, bool fours, F const (&v)[kRun]) {
+  if (fours)
+    store_vector(row + x, v);
+  else
+    for (int i = 0; i < kRun; ++i)
+      if (x + i < width) row[(x + i) * step] = round_to<T>(v[i]);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    points_of(__grid_constant__ DepthPoints<T> const p, Runs runs, bool read_fours, bool write_fours) {
+  using F = Compute<T>;
+  int64_t b;
+  int y, x;
+  if (!runs.locate(p.y.height, b, y, x)) return;
+  int const width = int(p.y.width);
+  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+  F d[kRun], points[3][kRun];
+  load_run(p.depth.row(b, 0, y), p.depth.step, x, width, read_fours, d);
+#pragma unroll
+  for (int i = 0; i < kRun; ++i) {
+    F ray[3];
+    rays.at(F(x + i), F(y), ray);
+#pragma unroll
+    for (int k = 0; k < 3; ++k) points[k][i] = ray[k] * d[i];
+  }
+#pragma unroll
+  for (int k = 0; k < 3; ++k) store_run(p.y.row(b, k, y), p.y.step, x, width, write_fours, points[k]);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    points_backward(__grid_constant__ DepthPointsBackward<T> const p, Runs runs, bool read_fours, bool write_fours) {
+  using F = Compute<T>;
+  int64_t b;
+  int y, x;
+  if (!runs.locate(p.grad.height, b, y, x)) return;
+  int const width = int(p.grad.width);
+  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+  F grad[3][kRun], sums[kRun];
+#pragma unroll
+  for (int k = 0; k < 3; ++k) load_run(p.grad.row(b, k, y), p.grad.step, x, width, read_fours, grad[k]);
+#pragma unroll
+  for (int i = 0; i < kRun; ++i) {
+    F ray[3];
+    rays.at(F(x + i), F(y), ray);
+    sums[i] = ray[0] * grad[0][i] + ray[1] * grad[1][i] + ray[2] * grad[2][i];
+  }
+  store_run(p.to_depth.row(b, 0, y), p.to_depth.step, x, width, write_fours, sums);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    normals_of(__grid_constant__ DepthPoints<T> const p, Runs runs, bool read_fours, bool write_fours) {
+  using F = Compute<T>;
+  int64_t b;
+  int y, x;
+  if (!runs.locate(p.y.height, b, y, x)) return;
+  int const width = int(p.y.width), height = int(p.y.height);
+  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+  int const rows[] = {max(y - 1, 0), y, min(y + 1, height - 1)};
+  auto const across = [&](int i) { return rays.across(F(clamp(x + i - 1, 0, width - 1))); };
+  F z[kRun + 2][3], down[3], normals[3][kRun];  // z of the pixels and around them
+#pragma unroll
+  for (int j = 0; j < 3; ++j) {
+    T const* const row = p.depth.row(b, 0, rows[j]);
+    F own[kRun], d[kRun + 2];
+    load_run(row, p.depth.step, x, width, read_fours, own);
+    d[0] = read(row[max(x - 1, 0) * p.depth.step]);
+    d[kRun + 1] = read(row[min(x + kRun, width - 1) * p.depth.step]);
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) d[i + 1] = own[i];
+    down[j] = rays.down(F(rows[j]));
+#pragma unroll
+    for (int i = 0; i < kRun + 2; ++i) z[i][j] = rays.z_of(across(i), down[j], d[i]);
+  }
+  auto const column = [&](int i) { return PointColumn<F>(across(i), down, z[i]); };
+#pragma unroll
+  for (int i = 0; i < kRun; ++i) {
+    F along_x[3], along_y[3], normal[3];
+    slopes_of(column(i), column(i + 1), column(i + 2), along_x, along_y);  // each of them is made once
+    normal_of(along_x, along_y, normal);
+#pragma unroll
+    for (int k = 0; k < 3; ++k) normals[k][i] = normal[k];
+  }
+#pragma unroll
+  for (int k = 0; k < 3; ++k) store_run(p.y.row(b, k, y), p.y.step, x, width, write_fours, normals[k]);
+}
+
+// A block takes a tile of kAcross x Tall pixels: first the gradients to the derivatives of it and of what is around it,
+// then, from those, a thread the gradient of Tall / 8 pixels below one another.
+constexpr int kAcross = 32;
+
+template <class T, int Tall>
+__global__ void __launch_bounds__(kThreads)
+    normals_backward(__grid_constant__ DepthNormalsBackward<T> const p, unsigned across, unsigned down) {
+  using F = Compute<T>;
+  constexpr int kWide = kAcross + 2, kHigh = Tall + 2, kRows = Tall / 8;
+  __shared__ F slopes[6][kHigh][kWide];
+  unsigned const line = blockIdx.x / across;
+  int64_t const b = line / down;
+  int const x0 = int(blockIdx.x - line * across) * kAcross, y0 = int(line - unsigned(b) * down) * Tall;
+  int const width = int(p.depth.width), height = int(p.depth.height);
+  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+#pragma unroll 1
+  for (int n = threadIdx.x; n < kHigh * kWide; n += kThreads) {
+    int const row = n / kWide, column = n - row * kWide, x = x0 - 1 + column, y = y0 - 1 + row;
+    F to_x[3] = {}, to_y[3] = {};
+    if (x >= 0 && x < width && y >= 0 && y < height) {
+      F along_x[3], along_y[3], grad[3];
+      F down[3];
+      T const* rows[3];
+#pragma unroll
+      for (int j = 0; j < 3; ++j) {
+        int const below = clamp(y + j - 1, 0, height - 1);
+        down[j] = rays.down(F(below));
+        rows[j] = p.depth.row(b, 0, below);
+      }
+      auto const column_at = [&](int i) {
+        int const at = clamp(x + i - 1, 0, width - 1);
+        F const u = rays.across(F(at));
+        F z[3];
+#pragma unroll
+        for (int j = 0; j < 3; ++j) z[j] = rays.z_of(u, down[j], F(read(rows[j][at * p.depth.step])));
+        return PointColumn<F>(u, down, z);
+      };
+      slopes_of(column_at(0), column_at(1), column_at(2), along_x, along_y);
+#pragma unroll
+      for (int k = 0; k < 3; ++k) grad[k] = read(p.grad.row(b, k, y)[x * p.grad.step]);
+      normal_vjp(along_x, along_y, grad, to_x, to_y);
+    }
+#pragma unroll
+    for (int k = 0; k < 3; ++k) slopes[k][row][column] = to_x[k], slopes[3 + k][row][column] = to_y[k];
+  }
+  __syncthreads();
+  int const left = threadIdx.x % 32, x = x0 + left, top = int(threadIdx.x / 32) * kRows;
+  if (x >= width) return;
+  Taken<F> const beside(x, width);
+  F ray[3], differences[kRows + 2][3], means[kRows + 2][3];  // of each row around the pixels
+#pragma unroll
+  for (int j = 0; j < kRows + 2; ++j)
+#pragma unroll
+    for (int k = 0; k < 3; ++k) {
+      differences[j][k] = means[j][k] = 0;
+#pragma unroll
+      for (int i = 0; i < 3; ++i) {
+        differences[j][k] += beside.difference[i] * slopes[k][top + j][left + i];
+        means[j][k] += beside.mean[i] * slopes[3 + k][top + j][left + i];
+      }
+    }
+#pragma unroll
+  for (int j = 0; j < kRows; ++j) {
+    int const y = y0 + top + j;
+    if (y >= height) return;
+    Taken<F> const above(y, height);
+    F to_point[3] = {};
+#pragma unroll
+    for (int k = 0; k < 3; ++k)
+#pragma unroll
+      for (int i = 0; i < 3; ++i)
+        to_point[k] += above.mean[i] * differences[j + i][k] + above.difference[i] * means[j + i][k];
+    if (p.to_points) {
+#pragma unroll
+      for (int k = 0; k < 3; ++k) p.to.row(b, k, y)[x * p.to.step] = round_to<T>(to_point[k]);
+    } else {
+      rays.at(F(x), F(y), ray);
+      p.to.row(b, 0, y)[x * p.to.step] = round_to<T>(dot_of(ray, to_point));
+    }
+  }
+}
+
+// Sums of a part of an image's pixels: a thread kRunsEach runs of them.
+constexpr int kRunsEach = 4;
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) sum_to_cameras(__grid_constant__ DepthCamera<T> const p, bool fours) {
+  using F = Compute<T>;
+  int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
+  int const width = int(p.grad.width), height = int(p.grad.height), across = (width + kRun - 1) / kRun;
+  Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
+  F sums[4] = {};
+#pragma unroll 1
+  for (int n = 0; n < kRunsEach; ++n) {
+    int64_t const run = (part * kRunsEach + n) * kThreads + threadIdx.x;
+    if (run >= int64_t(across) * height) break;
+    int const y = int(run / across), x = int(run - int64_t(y) * across) * kRun;
+    F grad[3][kRun], d[kRun];
+    load_run(p.depth.row(b, 0, y), p.depth.step, x, width, fours, d);
+#pragma unroll
+    for (int k = 0; k < 3; ++k) load_run(p.grad.row(b, k, y), p.grad.step, x, width, fours, grad[k]);
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) {
+      F const g[] = {grad[0][i], grad[1][i], grad[2][i]};
+      if (x + i < width) rays.add_slopes(F(x + i), F(y), d[i], g, sums);
+    }
+  }
+  __shared__ double of_warps[kThreads / 32][4];
+#pragma unroll
+  for (int k = 0; k < 4; ++k) {
+    double const sum = warp_sum(double(sums[k]));
+    if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32][k] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x >= 4) return;
+  double sum = 0;
+  for (int w = 0; w < kThreads / 32; ++w) sum += of_warps[w][threadIdx.x];
+  p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = sum;
+}
+
+// A block a camera, a warp each of its sums.
+template <class T>
+__global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthCamera<T> const p) {
+  int64_t const b = blockIdx.x;
+  int const k = threadIdx.x / 32;
+  __shared__ double sums[4];
+  double sum = 0;
+  for (int64_t part = threadIdx.x % 32; part < p.parts; part += 32) sum += p.partial[4 * (b * p.parts + part) + k];
+  sum = warp_sum(sum);
+  if (threadIdx.x % 32 == 0) sums[k] = sum;
+  __syncthreads();
+  if (threadIdx.x == 0)
+    Rays<Compute<T>>(p.cameras + b * p.camera_stride, p.distance).store_slopes(sums, p.to_camera + 9 * b);
+}
+
+}  // namespace
+
+template <class T>
+int depth_points(DepthPoints<T> const& p, CUstream_st* stream) {
+  Runs const runs(p.y.batch, p.y.height, p.y.width);
+  points_of<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, in_fours(p.depth), in_fours(p.y));
+  return cudaGetLastError();
+}
+
+template <class T>
+int depth_points_backward(DepthPointsBackward<T> const& p, CUstream_st* stream) {
+  Runs const runs(p.grad.batch, p.grad.height, p.grad.width);
+  points_backward<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, in_fours(p.grad), in_fours(p.to_depth));
+  return cudaGetLastError();
+}
+
+template <class T>
+int depth_normals(DepthPoints<T> const& p, CUstream_st* stream) {
+  Runs const runs(p.y.batch, p.y.height, p.y.width);
+  normals_of<T><<<runs.blocks(), kThreads, 0, stream>>>(p, runs, in_fours(p.depth), in_fours(p.y));
+  return cudaGetLastError();
+}
+
+template <class T>
+int depth_normals_backward(DepthNormalsBackward<T> const& p, CUstream_st* stream) {
+  constexpr int kTall = sizeof(T) == 8 ? 16 : 32;  // 28 kB of shared memory
+  unsigned const across = unsigned(ceil_div(p.depth.width, kAcross)), down = unsigned(ceil_div(p.depth.height, kTall));
+  normals_backward<T, kTall><<<unsigned(p.depth.batch * across * down), kThreads, 0, stream>>>(p, across, down);
+  return cudaGetLastError();
+}
+
+template <class T>
+int depth_camera(DepthCamera<T> const& p, CUstream_st* stream) {
+  bool const fours = in_fours(p.grad) && in_fours(p.depth);
+  sum_to_cameras<T><<<unsigned(p.grad.batch * p.parts), kThreads, 0, stream>>>(p, fours);
+  finish_cameras<T><<<unsigned(p.grad.batch), 128, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(depth_points, DepthPoints)
+KV_INSTANTIATE(depth_points_backward, DepthPointsBackward)
+KV_INSTANTIATE(depth_normals, DepthPoints)
+KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
+KV_INSTANTIATE(depth_camera, DepthCamera)
+
+}  // namespace kv::cuda

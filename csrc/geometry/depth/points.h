@@ -1,0 +1,184 @@
+// Points and normals of the pixels of depth images, by the camera's numbers fx, fy, cx, cy:
+//
+//   point(x, y) = d ray,  ray = ((x - cx) / fx, (y - cy) / fy, 1), over its length where depth is the distance
+//   normal      = dx x dy over its length, the Sobel derivatives of the points, with the border replicated
+//
+// The gradient of normals goes to the derivatives of a pixel first, and from those around a pixel to its point. That to
+// the camera comes from the one to points: sums over pixels are those of parts, then of all.
+//
+// Included by points_cpu.cpp, points.cu and points_op.cpp.
+#pragma once
+
+#include "core/images.h"
+#include "core/isa.h"
+#if !defined(__CUDACC__)
+#include "core/lanes.h"
+#endif
+
+namespace kv {
+
+template <class T>
+struct DepthPoints {
+  Images<T const> depth;  // one channel
+  Images<T> y;            // three
+  Compute<T> const* cameras;
+  int64_t camera_stride;  // 0 where one serves the batch
+  bool distance;          // depth is the distance from the camera, not z
+};
+
+template <class T>
+struct DepthPointsBackward {
+  Images<T const> grad;
+  Images<T> to_depth;
+  Compute<T> const* cameras;
+  int64_t camera_stride;
+  bool distance;
+};
+
+template <class T>
+struct DepthNormalsBackward {
+  Images<T const> grad, depth;
+  Images<T> to;  // to depth, or to points: three channels
+  Compute<T> const* cameras;
+  int64_t camera_stride;
+  bool distance, to_points;
+};
+
+// From the gradient to points.
+template <class T>
+struct DepthCamera {
+  Images<T const> grad, depth;
+  Compute<T> const* cameras;
+  int64_t camera_stride;
+  bool distance;
+  int64_t parts;          // of an image: of runs of pixels on CUDA, rows on the CPU
+  double* partial;        // (B, parts, 4)
+  Compute<T>* to_camera;  // (B, 3, 3), by CUDA's kernel; on the CPU the entry makes them
+};
+
+KV_KERNEL(depth_points, DepthPoints)
+KV_KERNEL(depth_points_backward, DepthPointsBackward)
+KV_KERNEL(depth_normals, DepthPoints)
+KV_KERNEL(depth_normals_backward, DepthNormalsBackward)
+KV_KERNEL(depth_camera, DepthCamera)
+
+template <class V>
+KV_HD V inverse_root(V x) {
+#if defined(__CUDACC__)
+  return ::rsqrt(x);
+#else
+  return 1 / vsqrt(x);
+#endif
+}
+
+template <class F>
+struct Rays {
+  F fx, fy, cx, cy;
+  bool unit;
+
+  KV_HD Rays(F const* k, bool unit) : fx(1 / k[0]), fy(1 / k[4]), cx(k[2]), cy(k[5]), unit(unit) {}
+  // At z = 1.
+  template <class V>
+  KV_HD V across(V x) const {
+    return (x - cx) * fx;
+  }
+  KV_HD F down(F y) const { return (y - cy) * fy; }
+  // The z of a point that is (u, v) there.
+  template <class V>
+  KV_HD V z_of(V u, F v, V d) const {
+    return unit ? V(d * inverse_root(V(u * u + (v * v + 1)))) : d;
+  }
+  template <class V>
+  KV_HD void at(V x, F y, V (&ray)[3]) const {
+    V const u = across(x), z = z_of(u, down(y), V(V{} + 1));
+    ray[0] = u * z;
+    ray[1] = down(y) * z;
+    ray[2] = z;
+  }
+  // From the gradient g to d times the ray to the camera: -fx times the first and the third sum are those to its fx and
+  // cx, -fy times the others those to fy and cy.
+  template <class V>
+  KV_HD void add_slopes(V x, F y, V d, V const (&g)[3], V (&sums)[4]) const {
+    V const u = across(x), v = V{} + down(y), z = z_of(u, down(y), V(V{} + 1));
+    V const along = unit ? V((g[0] * u + g[1] * v + g[2]) * z * z) : V{};
+    V const to_u = d * z * (g[0] - along * u), to_v = d * z * (g[1] - along * v);
+    sums[0] = sums[0] + to_u * u, sums[1] = sums[1] + to_v * v;
+    sums[2] = sums[2] + to_u, sums[3] = sums[3] + to_v;
+  }
+  KV_HD void store_slopes(double const* sums, F* to_camera) const {
+    for (int i = 0; i < 9; ++i) to_camera[i] = 0;
+    to_camera[0] = F(-fx * sums[0]), to_camera[4] = F(-fy * sums[1]);
+    to_camera[2] = F(-fx * sums[2]), to_camera[5] = F(-fy * sums[3]);
+  }
+};
+
+// Three points below one another, (u z, v z, z) with three v and z: their means, weighted 1, 2, 1, and the difference
+// of the last one and the first.
+template <class V>
+struct PointColumn {
+  V mean[3], difference[3];
+
+  template <class F>
+  KV_HD PointColumn(V u, F const (&v)[3], V const (&z)[3]) {
+    V const first = v[0] * z[0], last = v[2] * z[2];
+    mean[2] = z[0] + 2 * z[1] + z[2];
+    difference[2] = z[2] - z[0];
+    mean[0] = u * mean[2];
+    difference[0] = u * difference[2];
+    mean[1] = first + 2 * v[1] * z[1] + last;
+    difference[1] = last - first;
+  }
+};
+
+// Eight times the derivatives of the points around, from their columns.
+template <class V>
+KV_HD void slopes_of(PointColumn<V> const& left, PointColumn<V> const& middle, PointColumn<V> const& right,
+                     V (&along_x)[3], V (&along_y)[3]) {
+  for (int k = 0; k < 3; ++k) {
+    along_x[k] = right.mean[k] - left.mean[k];
+    along_y[k] = left.difference[k] + 2 * middle.difference[k] + right.difference[k];
+  }
+}
+
+template <class V>
+KV_HD void cross_of(V const (&a)[3], V const (&b)[3], V (&c)[3]) {
+  for (int k = 0; k < 3; ++k) c[k] = a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3];
+}
+template <class V>
+KV_HD V dot_of(V const (&a)[3], V const (&b)[3]) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+// Returns what the normal was multiplied by, at most kSteepest.
+constexpr float kSteepest = 1e12f;
+
+template <class V>
+KV_HD V normal_of(V const (&along_x)[3], V const (&along_y)[3], V (&normal)[3]) {
+  cross_of(along_x, along_y, normal);
+  for (int k = 0; k < 3; ++k) normal[k] = normal[k] * (1.f / 64);
+  V const scale = min(inverse_root(dot_of(normal, normal)), V(V{} + kSteepest));
+  for (int k = 0; k < 3; ++k) normal[k] = normal[k] * scale;
+  return scale;
+}
+template <class V>
+KV_HD void normal_vjp(V const (&along_x)[3], V const (&along_y)[3], V const (&grad)[3], V (&to_x)[3], V (&to_y)[3]) {
+  V normal[3], g[3];
+  V const scale = normal_of(along_x, along_y, normal);
+  V const along = scale < V(V{} + kSteepest) ? dot_of(normal, grad) : V{};
+  for (int k = 0; k < 3; ++k) g[k] = (grad[k] - normal[k] * along) * (scale * (1.f / 64));
+  cross_of(along_y, g, to_x);
+  cross_of(g, along_x, to_y);
+}
+
+// How often the derivative at i - 1 to i + 1 along an axis takes the point at i, which stands beyond the rim as well:
+// by its differences and by its means.
+template <class F>
+struct Taken {
+  F difference[3], mean[3];
+  KV_HD Taken(int64_t i, int64_t size) : difference{1, 0, -1}, mean{1, 2, 1} {
+    if (i == 0) difference[1] -= 1, mean[1] += 1;
+    if (i == size - 1) difference[1] += 1, mean[1] += 1;
+  }
+};
+
+}  // namespace kv

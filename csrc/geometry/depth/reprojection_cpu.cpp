@@ -1,0 +1,21 @@
+// Reprojections on the CPU: samples [begin, end). In double, which AVX-512 leaves to AVX2.
+#include "geometry/depth/reprojection.h"
+
+#if !defined(__AVX512F__)
+namespace kv::KV_ISA {
+
+template <class T>
+void reprojection(Reprojections<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) reprojection_of(p, b);
+}
+
+template <class T>
+void reprojection_backward(Reprojections<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) reprojection_vjp(p, b);
+}
+
+KV_INSTANTIATE_ONE(reprojection, Reprojections, double)
+KV_INSTANTIATE_ONE(reprojection_backward, Reprojections, double)
+
+}  // namespace kv::KV_ISA
+#endif

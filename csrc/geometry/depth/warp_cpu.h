@@ -1,0 +1,104 @@
+// Places by depth on the CPU. Included by warp_cpu.cpp and photometric_cpu.cpp, inside of no namespace.
+#pragma once
+
+#include "geometry/transform/sampling_cpu.h"
+// After it, for lanes.
+#include "geometry/depth/warp.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+// N places and what their gradients need.
+template <int N, class T>
+struct DepthPlace {
+  using F = Compute<T>;
+  using V = Lanes<F, N>;
+  V x, d, u, v, scale;
+
+  KV_HD DepthPlace(DepthPlaces<T> const& p, Reprojection<F> const& projection, int64_t b, int64_t y, int64_t column) {
+    x = count_from<N, F>(column);
+    F const* const from = p.depth.row(b, 0, y) + column * p.depth.step;
+    if (N == 1 || p.depth.step == 1) {
+      d = load<N>(from);
+    } else if constexpr (N > 1) {
+      for (int n = 0; n < N; ++n) d[n] = from[n * p.depth.step];
+    }
+    projection.at(x, F(y), d, u, v, scale);
+    d = d - d == 0 ? d : V{};  // there is no place then, and nothing shall come of it
+  }
+  // Where it is sampled: the nearest pixel's middle, half to even, or itself.
+  KV_HD V sampled(DepthPlaces<T> const& p, V place) const {
+    constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);
+    return p.interpolation == Interpolation::nearest ? V((place + shift) - shift) : place;
+  }
+  KV_HD Window<2, N, T> window(DepthPlaces<T> const& p) const {
+    Window<2, N, T> w;
+    w.set(p, sampled(p, u), sampled(p, v), p.x.row_stride, p.x.step);
+    return w;
+  }
+};
+
+// The four taps of a window in a channel.
+template <int N, class T>
+KV_HD void read_taps(DepthPlaces<T> const& p, Window<2, N, T> const& window, T const* plane,
+                     Lanes<Compute<T>, N> (&a)[2][2]) {
+  for (int j = 0; j < 2; ++j)
+    if (window.inside)
+      gather_two<N>(plane + j * p.x.row_stride, window.first, p.x.step, a[j][0], a[j][1]);
+    else
+      for (int i = 0; i < 2; ++i) a[j][i] = window.find(p, p.x, plane, Compute<T>(0), j, i);
+}
+
+// What the pixels of a row give to a projection.
+template <class F>
+struct ProjectionSums {
+  Lanes<F, kPlaces<F>> plain[3], by_d[3], by_x[3], distance;
+  int64_t count;
+
+  // Of N pixels.
+  template <int N, class V>
+  KV_HD static void add_to(Lanes<F, kPlaces<F>>& total, V some) {
+    if constexpr (N == 1)
+      total[0] += some;
+    else
+      total += some;
+  }
+  template <int N, class V>
+  KV_HD void add(V const (&g)[3], V x, V d) {
+    for (int k = 0; k < 3; ++k) {
+      add_to<N>(plain[k], g[k]);
+      add_to<N>(by_d[k], V(g[k] * d));
+      add_to<N>(by_x[k], V(g[k] * d * x));
+    }
+  }
+  KV_HD static double total_of(Lanes<F, kPlaces<F>> lanes) {
+    double sum = 0;
+    for (int i = 0; i < kPlaces<F>; ++i) sum += lanes[i];
+    return sum;
+  }
+  KV_HD void add_row(int64_t y, double* sums) const {
+    for (int k = 0; k < 3; ++k) {
+      double const d = total_of(by_d[k]);
+      sums[4 * k] += total_of(by_x[k]);
+      sums[4 * k + 1] += d * double(y);
+      sums[4 * k + 2] += d;
+      sums[4 * k + 3] += total_of(plain[k]);
+    }
+    sums[12] += total_of(distance);
+    sums[13] += double(count);
+  }
+};
+
+// Calls f(lanes, column) for the columns of a piece, each once: vectors and what is left of them.
+template <class T, class Call>
+KV_HD void for_each_place(DepthPlaces<T> const& p, int64_t first, int64_t count, Call f) {
+  with_lanes(p.x, count, [&](auto lanes) {
+    constexpr int N = decltype(lanes)::value;
+    int64_t e = 0;
+    for (; e + N <= count; e += N) f(lanes, first + e);
+    for (; e < count; ++e) f(Width<1>{}, first + e);
+  });
+}
+
+}  // namespace
+}  // namespace kv::KV_ISA

@@ -1,0 +1,44 @@
+// What the operators that warp by depth have in common. Included by warp_op.cpp and photometric_op.cpp.
+#pragma once
+
+#include "geometry/depth/warp.h"
+#include "geometry/transform/sampling_glue.h"
+
+namespace kv {
+
+// Depths (B, 1, h, w) and projections (B, 3, 4) of images, checked; one serves a batch.
+struct Depths {
+  Tensor depth, projection;
+
+  Depths(char const* op, Tensor const& depth, Tensor const& projections, Tensor const& image)
+      : depth(depth), projection(projections) {
+    KV_CHECK(goes_with(depth, image, 4) && depth.size(1) == 1, op, ": depth does not fit the image");
+    size_of(op, depth);
+    bool const fits =
+        goes_with(projections, image, projections.dim()) && projections.size(-2) == 3 && projections.size(-1) == 4;
+    KV_CHECK(fits, op, ": projection does not fit the image");
+    projection = dense(projections);
+  }
+  Size size() const { return {depth.size(2), depth.size(3)}; }
+
+  template <class T>
+  void set(DepthPlaces<T>& p, SamplingArguments const& how, Size source, int64_t batch) const {
+    using F = Compute<T>;
+    static_cast<Sampling<T>&>(p) = how.of<T>(source, Places<F>{});
+    p.depth = images<F const>(depth, batch);
+    p.projections = data_ptr<F const>(projection);
+    p.projection_stride = projection.size(0) == 1 ? 0 : projection.stride(0);
+  }
+};
+
+// Into how many sums the gradients to a projection go: one a tile on CUDA, one a row on the CPU.
+inline int64_t projection_parts(Size output) {
+#if defined(KV_CUDA)
+  auto const tiles = [](int64_t side, int tile) { return (side + tile - 1) / tile; };
+  return tiles(output.height, kDepthTileHeight) * tiles(output.width, kDepthTileWidth);
+#else
+  return output.height;
+#endif
+}
+
+}  // namespace kv

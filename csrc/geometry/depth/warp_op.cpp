@@ -1,0 +1,111 @@
+// Warps by depth: schemas and entries, for CPU and CUDA alike.
+#include "geometry/depth/warp_glue.h"
+
+namespace kv {
+namespace {
+
+SamplingArguments how_of(char const* op, std::string const& interpolation, std::string const& padding,
+                         bool align_corners, Tensor const& x) {
+  SamplingArguments const how(op, interpolation, padding, align_corners, x, {});
+  KV_CHECK(how.interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
+  return how;
+}
+
+Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projection, std::string const& interpolation,
+                  std::string const& padding, bool align_corners) {
+  char const* const op = "depth_warp";
+  check_images(op, "image", image);
+  Size const source = size_of(op, image);
+  SamplingArguments const how = how_of(op, interpolation, padding, align_corners, image);
+  KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
+  Depths const depths(op, depth, projection, image);
+  Size const output = depths.size();
+  int64_t const batch = image.size(0), channels = image.size(1);
+  Tensor const y = empty({batch, channels, output.height, output.width}, image, layout_of(image));
+  dispatch_floating(op, image, [&](auto type) {
+    using T = typename decltype(type)::type;
+    DepthWarp<T> params{};
+    depths.set(params, how, source, batch);
+    params.x = images<T const>(image, batch);
+    params.y = images<T>(y, batch);
+    check_planes(op, params.x);
+    KV_RUN(depth_warp, image, params, y.numel() > 0 ? batch * output.height : 0, 8 * channels * output.width);
+  });
+  return y;
+}
+
+Tensor depth_warp_image_gradient(Tensor const& grad, Tensor const& depth, Tensor const& projection,
+                                 std::vector<int64_t> size, std::string const& interpolation,
+                                 std::string const& padding, bool align_corners) {
+  char const* const op = "depth_warp_image_gradient";
+  check_images(op, "grad", grad);
+  Size const source = size_of(op, size);
+  SamplingArguments const how = how_of(op, interpolation, padding, align_corners, grad);
+  KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
+  Depths const depths(op, depth, projection, grad);
+  Size const output = depths.size();
+  KV_CHECK(grad.size(2) == output.height && grad.size(3) == output.width, op, ": grad does not fit the depth");
+  int64_t const batch = grad.size(0), channels = grad.size(1);
+  Tensor const grad_x = empty({batch, channels, source.height, source.width}, grad);
+  for_computed(op, grad, [&](auto type) {
+    using F = typename decltype(type)::type;
+    DepthWarpTranspose<F> params{};
+    depths.set(params, how, source, batch);
+    params.grad = images<F const>(grad, batch);
+    params.grad_x = images<F>(grad_x, batch);
+    KV_RUN(depth_warp_transpose, grad, params, batch * channels, 16 * output.height * output.width);
+  });
+  return grad_x;
+}
+
+// For every sample, also where one depth or projection serves them all.
+std::tuple<Tensor, Tensor> depth_warp_slopes(Tensor const& grad, Tensor const& image, Tensor const& depth,
+                                             Tensor const& projection, std::string const& interpolation,
+                                             std::string const& padding, bool align_corners) {
+  char const* const op = "depth_warp_slopes";
+  check_images(op, "image", image);
+  check_images(op, "grad", grad);
+  Size const source = size_of(op, image);
+  SamplingArguments const how = how_of(op, interpolation, padding, align_corners, image);
+  KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
+  Depths const depths(op, depth, projection, grad);
+  Size const output = depths.size();
+  int64_t const batch = grad.size(0), parts = projection_parts(output);
+  KV_CHECK((image.size(0) == 1 || image.size(0) == batch) && grad.size(1) == image.size(1) &&
+               grad.scalar_type() == image.scalar_type() && grad.device() == image.device() &&
+               grad.size(2) == output.height && grad.size(3) == output.width,
+           op, ": grad does not fit the image or the depth");
+  Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
+  Tensor const to_projection = empty({batch, 3, 4}, depths.projection);
+  Tensor const sums = empty({batch, parts, kProjectionSums}, grad, Layout::planar, ScalarType::Double);
+  dispatch_floating(op, image, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    DepthWarpSlopes<T> params{};
+    depths.set(params, how, source, batch);
+    params.x = images<T const>(image, batch);
+    params.grad = images<T const>(grad, batch);
+    params.to_depth = data_ptr<F>(to_depth);
+    params.sums = data_ptr<double>(sums);
+    params.parts = parts;
+    KV_RUN(depth_warp_slopes, image, params, batch * output.height, 16 * image.size(1) * output.width);
+    ProjectionTotal<F> const total{data_ptr<double const>(sums), parts,   batch,  1, int(image.size(1)),
+                                   data_ptr<F>(to_projection),   nullptr, nullptr};
+    KV_RUN(projection_total, image, total, batch, 12 * parts);
+  });
+  return {to_depth, to_projection};
+}
+
+}  // namespace
+
+#define KV_HOW "str interpolation, str padding, bool align_corners"
+
+KV_OPERATOR(depth_warp, "(Tensor image, Tensor depth, Tensor projection, " KV_HOW ") -> Tensor")
+KV_OPERATOR(depth_warp_image_gradient,
+            "(Tensor grad, Tensor depth, Tensor projection, int[] size, " KV_HOW ") -> Tensor")
+KV_OPERATOR(depth_warp_slopes,
+            "(Tensor grad, Tensor image, Tensor depth, Tensor projection, " KV_HOW ") -> (Tensor, Tensor)")
+
+#undef KV_HOW
+
+}  // namespace kv

@@ -1,0 +1,50 @@
+// Triangulation on CUDA: a thread a point, a block a part of them for the gradient.
+#include "core/launch.cuh"
+#include "geometry/epipolar/triangulation.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 128;
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) triangulate_points(Triangulate<T> p) {
+  int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
+  if (i < p.batch * p.count) triangulate_of(p, i);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kMostThreads) find_slopes(__grid_constant__ Triangulate<T> const p) {
+  triangulate_backward_of(p, blockIdx.x, Block{});
+}
+
+template <class T>
+__global__ void add_parts(__grid_constant__ Triangulate<T> const p) {
+  triangulate_sum(p, blockIdx.x, threadIdx.x);
+}
+
+}  // namespace
+
+template <class T>
+int triangulate(Triangulate<T> const& p, CUstream_st* stream) {
+  triangulate_points<T><<<unsigned(ceil_div(p.batch * p.count, kThreads)), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int triangulate_backward(Triangulate<T> const& p, CUstream_st* stream) {
+  find_slopes<T><<<unsigned(p.batch * p.part_count()), team_size(p.count), 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int triangulate_sums(Triangulate<T> const& p, CUstream_st* stream) {
+  add_parts<T><<<unsigned(p.batch), 24, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_ONE(triangulate, Triangulate, double)
+KV_INSTANTIATE_ONE(triangulate_backward, Triangulate, double)
+KV_INSTANTIATE_ONE(triangulate_sums, Triangulate, double)
+
+}  // namespace kv::cuda

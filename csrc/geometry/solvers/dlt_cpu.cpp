@@ -1,0 +1,37 @@
+// Direct linear transformation on the CPU: problems [begin, end). In double, which AVX-512 leaves to AVX2.
+#include "geometry/solvers/dlt.h"
+
+#if !defined(__AVX512F__)
+namespace kv::KV_ISA {
+
+template <class T>
+void dlt(Dlt<T> const& p, int64_t begin, int64_t end) {
+  with_model(p.model, [&](auto model) {
+    for (int64_t b = begin; b < end; ++b) dlt_of(model, p, b, Alone{});
+  });
+}
+
+template <class T>
+void dlt_backward(Dlt<T> const& p, int64_t begin, int64_t end) {
+  with_model(p.model, [&](auto model) {
+    for (int64_t b = begin; b < end; ++b) dlt_backward_of(model, p, b, Alone{});
+  });
+}
+
+template <class T>
+void normalize_points(NormalizedPoints<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) normalize_points_of(p, b, Alone{});
+}
+
+template <class T>
+void normalize_points_backward(NormalizedPoints<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) normalize_points_backward_of(p, b, Alone{});
+}
+
+KV_INSTANTIATE_ONE(dlt, Dlt, double)
+KV_INSTANTIATE_ONE(dlt_backward, Dlt, double)
+KV_INSTANTIATE_ONE(normalize_points, NormalizedPoints, double)
+KV_INSTANTIATE_ONE(normalize_points_backward, NormalizedPoints, double)
+
+}  // namespace kv::KV_ISA
+#endif

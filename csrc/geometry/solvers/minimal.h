@@ -1,0 +1,381 @@
+// Models that as few correspondences as possible leave: of given ones, or of samples that are drawn from all of them.
+//
+//   affine                   3 points           1 map, last row 0, 0, 1
+//   homography               4 points           1, from the unit square to both quadrangles
+//   lines                    4 line segments    1 homography that takes the ends to the lines
+//   fundamental              7 points           1 to 3 matrices of rank 2
+//   fundamental8             8 points           1, of the nearest one of rank 2 in normalised coordinates
+//   essential                5 points           up to 10 of norm 1 (D. Nister, 2004), in the cameras' coordinates
+//
+// What is missing is NaN. Included by minimal_cpu.cpp, minimal.cu and minimal_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "geometry/small_matrix.h"
+
+namespace kv {
+
+enum class Model : int { affine, homography, lines, fundamental, fundamental8, essential };
+
+KV_HD int sample_size(Model m) {
+  constexpr int sizes[] = {3, 4, 4, 7, 8, 5};
+  return sizes[int(m)];
+}
+KV_HD int candidates(Model m) { return m == Model::essential ? 10 : m == Model::fundamental ? 3 : 1; }
+
+// With `draws`, (S, m + 1): every row has m numbers in [0, 1) that choose from as many of the first points as its last
+// number says; the points are then (1, N, .). Without, sample s is made of the points (S, m, .).
+template <class T>
+struct Minimal {
+  Reals points1, points2, draws;  // draws.data may be null
+  Model model;
+  int64_t samples, count;
+  Reals models;  // (S, candidates, 9)
+};
+
+KV_KERNEL(minimal, Minimal)
+
+namespace minimal_models {
+
+constexpr int kMostPoints = 8;
+
+using Points = double[kMostPoints][4];  // (x, y), or both ends of a line segment
+
+// Different ones of `population`, each choice as likely as any other (R. Floyd's method).
+template <class T>
+KV_HD void choose(Minimal<T> const& p, int64_t sample, int size, int64_t* chosen) {
+  int64_t const row = sample * (size + 1);
+  int64_t const population = clamp(int64_t(p.draws[row + size]), int64_t(size), p.count);
+  for (int i = 0; i < size; ++i) {
+    int64_t const last = population - size + i;
+    int64_t pick = clamp(int64_t(p.draws[row + i] * double(last + 1)), int64_t(0), last);
+    for (int k = 0; k < i; ++k)
+      if (chosen[k] == pick) pick = last;
+    chosen[i] = pick;
+  }
+}
+
+// --- affine maps and homographies ------------------------------------------------------------------------------------
+
+KV_HD double area(double const* a, double const* b, double const* c) {
+  return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+}
+
+KV_HD void affine(Points const& x, Points const& y, double* m) {
+  double const scale = 1 / area(x[0], x[1], x[2]);
+  for (int i = 0; i < 2; ++i) {
+    double const u = (y[1][i] - y[0][i]) * scale, v = (y[2][i] - y[0][i]) * scale;
+    m[3 * i] = u * (x[2][1] - x[0][1]) - v * (x[1][1] - x[0][1]);
+    m[3 * i + 1] = v * (x[1][0] - x[0][0]) - u * (x[2][0] - x[0][0]);
+    m[3 * i + 2] = y[0][i] - m[3 * i] * x[0][0] - m[3 * i + 1] * x[0][1];
+  }
+  m[6] = m[7] = 0, m[8] = small::finite(scale) ? 1 : small::nan();
+}
+
+// The homography that takes (0, 0), (1, 0), (1, 1), (0, 1) to four points (P. Heckbert, 1989).
+KV_HD void from_unit_square(Points const& p, double* m) {
+  double const u[] = {p[1][0] - p[2][0], p[1][1] - p[2][1]}, v[] = {p[3][0] - p[2][0], p[3][1] - p[2][1]};
+  double const skew[] = {p[0][0] - p[1][0] - v[0], p[0][1] - p[1][1] - v[1]};
+  double const g = skew[0] * v[1] - skew[1] * v[0], h = u[0] * skew[1] - u[1] * skew[0], w = u[0] * v[1] - u[1] * v[0];
+  for (int i = 0; i < 2; ++i) {
+    m[3 * i] = w * (p[1][i] - p[0][i]) + g * p[1][i];
+    m[3 * i + 1] = w * (p[3][i] - p[0][i]) + h * p[3][i];
+    m[3 * i + 2] = w * p[0][i];
+  }
+  m[6] = g, m[7] = h, m[8] = w;
+}
+
+// None where three points turn the other way round in the second image: a line between them would go to infinity.
+KV_HD void homography(Points const& x, Points const& y, double* m) {
+  bool possible = true;
+  for (int skip = 0; skip < 4; ++skip) {
+    int const a = skip == 0, b = skip <= 1 ? 2 : 1, c = skip <= 2 ? 3 : 2;
+    double const one = area(x[a], x[b], x[c]), other = area(y[a], y[b], y[c]);
+    possible = possible && one * other > 0;
+  }
+  double from[9], to[9], back[9], inverse[9];
+  from_unit_square(x, from);
+  from_unit_square(y, to);
+  small::cofactors(from, back);
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) inverse[3 * i + k] = back[3 * k + i];
+  small::multiply(to, inverse, m);
+  if (!possible) m[0] = small::nan();
+}
+
+// --- equations in nine unknowns --------------------------------------------------------------------------------------
+
+// The mean of points goes to 0 and their mean distance from it to sqrt(2).
+struct Similarity {
+  double scale, x, y;
+  KV_HD Similarity(Points& p, int points, int ends) : scale(0), x(0), y(0) {
+    double const share = 1.0 / (points * ends);
+    for (int i = 0; i < points; ++i)
+      for (int e = 0; e < 2 * ends; e += 2) x += p[i][e] * share, y += p[i][e + 1] * share;
+    for (int i = 0; i < points; ++i)
+      for (int e = 0; e < 2 * ends; e += 2) {
+        double const u = p[i][e] -= x, v = p[i][e + 1] -= y;
+        scale += sqrt(u * u + v * v) * share;
+      }
+    scale = 1.4142135623730951 / scale;
+    for (int i = 0; i < points; ++i)
+      for (int e = 0; e < 2 * ends; ++e) p[i][e] *= scale;
+  }
+  // m T, of rows.
+  KV_HD void before(double* m) const {
+    for (int i = 0; i < 9; i += 3) {
+      m[i] *= scale, m[i + 1] *= scale;
+      m[i + 2] -= m[i] * x + m[i + 1] * y;
+    }
+  }
+  // T^T m.
+  KV_HD void transposed_after(double* m) const {
+    for (int k = 0; k < 3; ++k) {
+      m[k] *= scale, m[3 + k] *= scale;
+      m[6 + k] -= m[k] * x + m[3 + k] * y;
+    }
+  }
+  // T^-1 m, up to a factor.
+  KV_HD void inverse_after(double* m) const {
+    for (int k = 0; k < 3; ++k) {
+      m[k] += scale * x * m[6 + k];
+      m[3 + k] += scale * y * m[6 + k];
+      m[6 + k] *= scale;
+    }
+  }
+};
+
+KV_CALLED bool lines(Points& x, Points& y, double* m) {
+  Similarity const from(x, 4, 2), to(y, 4, 2);
+  double rows[8][9], space[1][9];
+  for (int i = 0; i < 4; ++i) {
+    double const start[] = {y[i][0], y[i][1], 1}, end[] = {y[i][2], y[i][3], 1};
+    double line[3];
+    small::cross(start, end, line);
+    for (int e = 0; e < 2; ++e)
+      for (int k = 0; k < 3; ++k) {
+        rows[2 * i + e][3 * k] = line[k] * x[i][2 * e];
+        rows[2 * i + e][3 * k + 1] = line[k] * x[i][2 * e + 1];
+        rows[2 * i + e][3 * k + 2] = line[k];
+      }
+  }
+  if (!small::null_space(rows, 8, space)) return false;
+  for (int k = 0; k < 9; ++k) m[k] = space[0][k];
+  from.before(m);
+  to.inverse_after(m);
+  return true;
+}
+
+KV_HD void epipolar_rows(Points const& x, Points const& y, int points, double (*rows)[9]) {
+  for (int i = 0; i < points; ++i) {
+    double const u[] = {x[i][0], x[i][1], 1}, v[] = {y[i][0], y[i][1], 1};
+    for (int k = 0; k < 9; ++k) rows[i][k] = v[k / 3] * u[k % 3];
+  }
+}
+
+KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9]) {
+  Similarity const from(x, points, 1), to(y, points, 1);
+  double rows[8][9], space[2][9];
+  epipolar_rows(x, y, points, rows);
+  if (!small::null_space(rows, points, space)) return 0;
+  int count = 1;
+  if (points == 8) {
+    double least[3];
+    for (int k = 0; k < 9; ++k) models[0][k] = space[0][k];
+    small::to_rank_two(models[0], least);
+  } else {  // det (a D + F) = 0
+    double const *const D = space[0], *const F = space[1];
+    double one[9], other[9], roots[small::kMostRoots];
+    small::cofactors(D, one);
+    small::cofactors(F, other);
+    double cubic[] = {small::dot3(D, one), 0, 0, small::dot3(F, other)};
+    for (int k = 0; k < 9; ++k) cubic[1] += one[k] * F[k], cubic[2] += other[k] * D[k];
+    count = small::real_roots(cubic, 3, roots);
+    for (int i = 0; i < count; ++i)
+      for (int k = 0; k < 9; ++k) models[i][k] = roots[i] * D[k] + F[k];
+  }
+  for (int i = 0; i < count; ++i) {
+    from.before(models[i]);
+    to.transposed_after(models[i]);
+  }
+  return count;
+}
+
+// --- five points -----------------------------------------------------------------------------------------------------
+
+// Where the product of two monomials stands: x, y, z, 1 by themselves, then x^2, xy, xz, x, y^2, yz, y, z^2, z, 1 by
+// them, which gives x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2,
+// z, 1.
+KV_HD int quadratic_place(int i, int k) {
+  constexpr unsigned char places[] = {0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9};
+  return places[4 * i + k];
+}
+KV_HD int cubic_place(int i, int k) {
+  constexpr unsigned char places[] = {0, 2, 4,  5,  2, 3, 8,  9,  4,  8,  10, 11, 5,  9,  11, 12, 3,  1,  6,  7,
+                                      8, 6, 13, 14, 9, 7, 14, 15, 10, 13, 16, 17, 11, 14, 17, 18, 12, 15, 18, 19};
+  return places[4 * i + k];
+}
+KV_HD void add_product(double const* a, double const* b, double scale, double* to) {
+  for (int i = 0; i < 4; ++i)
+    for (int k = 0; k < 4; ++k) to[quadratic_place(i, k)] += scale * a[i] * b[k];
+}
+KV_HD void add_cubic(double const* a, double const* b, double* to) {
+  for (int i = 0; i < 10; ++i)
+    for (int k = 0; k < 4; ++k) to[cubic_place(i, k)] += a[i] * b[k];
+}
+
+// det E = 0 and (E E^T - tr(E E^T) / 2) E = 0, for entries e (9, 4) that are linear in x, y, z.
+KV_CALLED void constraints(double const (*e)[4], double (*q)[20]) {
+  for (int r = 0; r < 10; ++r)
+    for (int k = 0; k < 20; ++k) q[r][k] = 0;
+  double half_trace[10] = {};
+  for (int i = 0; i < 9; ++i) add_product(e[i], e[i], 0.5, half_trace);
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) {
+      double inner[10] = {};
+      for (int j = 0; j < 3; ++j) add_product(e[3 * i + j], e[3 * k + j], 1, inner);
+      if (i == k)
+        for (int n = 0; n < 10; ++n) inner[n] -= half_trace[n];
+      for (int j = 0; j < 3; ++j) add_cubic(inner, e[3 * k + j], q[3 * i + j]);
+    }
+  for (int j = 0; j < 3; ++j) {
+    int const a = (j + 1) % 3, b = (j + 2) % 3;
+    double minor[10] = {};
+    add_product(e[a], e[3 + b], 1, minor);
+    add_product(e[b], e[3 + a], -1, minor);
+    add_cubic(minor, e[6 + j], q[9]);
+  }
+}
+
+// Ten equations to the ten first monomials, one each; false where they depend on one another.
+KV_CALLED bool eliminate(double (*q)[20]) {
+  for (int k = 0; k < 10; ++k) {
+    int row = k;
+    for (int i = k + 1; i < 10; ++i)
+      if (small::magnitude(q[i][k]) > small::magnitude(q[row][k])) row = i;
+    if (q[row][k] == 0 || !small::finite(q[row][k])) return false;
+    double const scale = 1 / q[row][k];
+    for (int j = k; j < 20; ++j) {
+      double const t = q[row][j] * scale;
+      q[row][j] = q[k][j];
+      q[k][j] = t;
+    }
+    for (int i = 0; i < 10; ++i) {
+      if (i == k) continue;
+      double const factor = q[i][k];
+      for (int j = k; j < 20; ++j) q[i][j] -= factor * q[k][j];
+    }
+  }
+  return true;
+}
+
+KV_HD void add_polynomials(double const* a, int na, double const* b, int nb, double scale, double* to) {
+  for (int i = 0; i < na; ++i)
+    for (int k = 0; k < nb; ++k) to[i + k] += scale * a[i] * b[k];
+}
+
+KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
+  double rows[5][9], basis[4][9], e[9][4], q[10][20];
+  epipolar_rows(x, y, 5, rows);
+  if (!small::null_space(rows, 5, basis)) return 0;
+  for (int v = 0; v < 4; ++v) {  // orthogonal, which keeps digits below
+    for (int w = 0; w < v; ++w) {
+      double along = 0;
+      for (int k = 0; k < 9; ++k) along += basis[v][k] * basis[w][k];
+      for (int k = 0; k < 9; ++k) basis[v][k] -= along * basis[w][k];
+    }
+    double norm = 0;
+    for (int k = 0; k < 9; ++k) norm += basis[v][k] * basis[v][k];
+    for (int k = 0; k < 9; ++k) e[k][v] = basis[v][k] /= sqrt(norm);
+  }
+  constraints(e, q);
+  if (!eliminate(q)) return 0;
+  // Equations with z less z times those without: three in x, y, 1, with polynomials in z of degree 3, 3, 4.
+  double system[3][3][5];
+  for (int r = 0; r < 3; ++r)
+    for (int c = 0, at = 10; c < 3; at += c < 2 ? 3 : 4, ++c) {
+      int const size = c < 2 ? 3 : 4;
+      double const *const with = q[4 + 2 * r] + at, *const without = q[5 + 2 * r] + at;
+      for (int i = 0; i <= size; ++i) system[r][c][i] = (i > 0 ? with[i - 1] : 0) - (i < size ? without[i] : 0);
+    }
+  double determinant[11] = {};
+  for (int r = 0; r < 3; ++r) {
+    int const i = (r + 1) % 3, k = (r + 2) % 3;
+    double minor[7] = {};
+    add_polynomials(system[i][0], 4, system[k][1], 4, 1, minor);
+    add_polynomials(system[k][0], 4, system[i][1], 4, -1, minor);
+    add_polynomials(minor, 7, system[r][2], 5, 1, determinant);
+  }
+  double roots[small::kMostRoots];
+  int const found = small::real_roots(determinant, 10, roots);
+  int count = 0;
+  for (int n = 0; n < found; ++n) {
+    double at[3][3], best[3] = {}, most = 0, slope;
+    for (int r = 0; r < 3; ++r)
+      for (int c = 0; c < 3; ++c) at[r][c] = small::value_at(system[r][c], c < 2 ? 3 : 4, roots[n], slope);
+    for (int r = 0; r < 3; ++r) {
+      double v[3];
+      small::cross(at[r], at[(r + 1) % 3], v);
+      double const size = small::dot3(v, v);
+      if (size > most) most = size, best[0] = v[0], best[1] = v[1], best[2] = v[2];
+    }
+    if (best[2] == 0) continue;
+    double const factors[] = {best[0] / best[2], best[1] / best[2], roots[n], 1};
+    double norm = 0, *const m = models[count];
+    for (int k = 0; k < 9; ++k) {
+      m[k] = 0;
+      for (int v = 0; v < 4; ++v) m[k] += factors[v] * e[k][v];
+      norm += m[k] * m[k];
+    }
+    for (int k = 0; k < 9; ++k) m[k] /= sqrt(norm);
+    if (small::finite(norm)) ++count;
+  }
+  return count;
+}
+
+}  // namespace minimal_models
+
+template <class T>
+KV_HD void minimal_of(Minimal<T> const& p, int64_t sample) {
+  using namespace minimal_models;
+  int const size = sample_size(p.model), numbers = p.model == Model::lines ? 4 : 2, most = candidates(p.model);
+  int64_t chosen[kMostPoints];
+  if (p.draws.data)
+    choose(p, sample, size, chosen);
+  else
+    for (int i = 0; i < size; ++i) chosen[i] = sample * size + i;
+  Points x = {}, y = {};
+  for (int i = 0; i < size; ++i)
+    for (int k = 0; k < numbers; ++k) {
+      x[i][k] = p.points1[chosen[i] * numbers + k];
+      y[i][k] = p.points2[chosen[i] * numbers + k];
+    }
+  double models[10][9];
+  int count = 1;
+  switch (p.model) {
+    case Model::affine:
+      affine(x, y, models[0]);
+      break;
+    case Model::homography:
+      homography(x, y, models[0]);
+      break;
+    case Model::lines:
+      count = lines(x, y, models[0]);
+      break;
+    case Model::essential:
+      count = essential(x, y, models);
+      break;
+    default:
+      count = fundamental(x, y, size, models);
+  }
+  for (int c = 0; c < most; ++c) {
+    double scale = 0;
+    if (c < count)
+      for (int k = 0; k < 9; ++k) scale += models[c][k] * models[c][k];
+    scale = p.model == Model::affine ? 1 : 1 / sqrt(scale);
+    for (int k = 0; k < 9; ++k)
+      p.models.set((sample * most + c) * 9 + k, c < count ? models[c][k] * scale : small::nan());
+  }
+}
+
+}  // namespace kv

@@ -1,0 +1,15 @@
+// Minimal models on the CPU: samples [begin, end). In double, which AVX-512 leaves to AVX2.
+#include "geometry/solvers/minimal.h"
+
+#if !defined(__AVX512F__)
+namespace kv::KV_ISA {
+
+template <class T>
+void minimal(Minimal<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t sample = begin; sample < end; ++sample) minimal_of(p, sample);
+}
+
+KV_INSTANTIATE_ONE(minimal, Minimal, double)
+
+}  // namespace kv::KV_ISA
+#endif

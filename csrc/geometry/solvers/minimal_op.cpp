@@ -1,0 +1,31 @@
+// Minimal models: schema and entry, for CPU and CUDA alike.
+#include "geometry/reals_glue.h"
+#include "geometry/solvers/minimal.h"
+
+namespace kv {
+namespace {
+
+Tensor minimal(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& draws,
+               std::string const& model) {
+  constexpr char const* op = "minimal";
+  Model const kind = model_of(op, model);
+  int64_t const size = sample_size(kind), numbers = kind == Model::lines ? 4 : 2;
+  KV_CHECK(points1.dim() == 3 && points1.size(2) == numbers, op, ": expected points1 of shape (B, N, ", numbers, ")");
+  check_like(op, "points2", points2, points1);
+  KV_CHECK(!draws || (points1.size(0) == 1 && draws->dim() == 2 && draws->size(1) == size + 1 &&
+                      draws->device() == points1.device() && points1.size(1) >= size),
+           op, ": expected draws of shape (S, ", size + 1, ") for points (1, N, ", numbers, ")");
+  KV_CHECK(draws || points1.size(1) == size, op, ": expected ", size, " points a sample");
+  int64_t const samples = draws ? draws->size(0) : points1.size(0);
+  Contiguous const x(op, points1), y(op, points2), u(op, draws);
+  Tensor const models = empty({samples, candidates(kind), 3, 3}, x.tensor);
+  Minimal<double> const params{x.reals, y.reals, u.reals, kind, samples, points1.size(1), reals_of(op, models)};
+  KV_RUN(minimal, x.tensor, params, samples, kind == Model::essential ? 16384 : kind == Model::homography ? 64 : 1024);
+  return models;
+}
+
+}  // namespace
+
+KV_OPERATOR(minimal, "(Tensor points1, Tensor points2, Tensor? draws, str model) -> Tensor")
+
+}  // namespace kv

@@ -1,0 +1,33 @@
+// Null vectors on the CPU: problems [begin, end). In double, which AVX-512 leaves to AVX2.
+#include "geometry/solvers/null_vector.h"
+
+#if !defined(__AVX512F__)
+namespace kv::KV_ISA {
+
+template <class T>
+void null_vector(NullVector<T> const& p, int64_t begin, int64_t end) {
+  with_unknowns(p.n, [&](auto n) {
+    for (int64_t b = begin; b < end; ++b) null_vector_of<decltype(n)::value>(p, b, Alone{});
+  });
+}
+
+template <class T>
+void null_vector_backward(NullVector<T> const& p, int64_t begin, int64_t end) {
+  with_unknowns(p.n, [&](auto n) {
+    for (int64_t b = begin; b < end; ++b) null_vector_backward_of<decltype(n)::value>(p, b, Alone{});
+  });
+}
+
+template <class T>
+void eigenvectors(Eigenvectors<T> const& p, int64_t begin, int64_t end) {
+  with_unknowns(p.n, [&](auto n) {
+    for (int64_t b = begin; b < end; ++b) eigenvectors_of<decltype(n)::value>(p, b);
+  });
+}
+
+KV_INSTANTIATE_ONE(null_vector, NullVector, double)
+KV_INSTANTIATE_ONE(null_vector_backward, NullVector, double)
+KV_INSTANTIATE_ONE(eigenvectors, Eigenvectors, double)
+
+}  // namespace kv::KV_ISA
+#endif

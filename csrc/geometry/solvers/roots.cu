@@ -1,0 +1,26 @@
+// Real roots on CUDA: a thread a polynomial.
+#include "core/launch.cuh"
+#include "geometry/solvers/roots.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 64;
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) find_roots(RealRoots<T> p) {
+  int64_t const b = blockIdx.x * int64_t(kThreads) + threadIdx.x;
+  if (b < p.batch) real_roots_of(p, b);
+}
+
+}  // namespace
+
+template <class T>
+int real_roots(RealRoots<T> const& p, CUstream_st* stream) {
+  find_roots<T><<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_ONE(real_roots, RealRoots, double)
+
+}  // namespace kv::cuda

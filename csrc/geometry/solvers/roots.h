@@ -1,0 +1,34 @@
+// Real roots of polynomials (B, n + 1), the highest power first: n of them, ascending, NaN for those that are missing.
+// Included by roots_cpu.cpp, roots.cu and roots_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "geometry/small_matrix.h"
+
+namespace kv {
+
+template <class T>
+struct RealRoots {
+  Reals coefficients;
+  int64_t batch;
+  int degree;  // at most small::kMostRoots
+  Reals roots;
+};
+
+KV_KERNEL(real_roots, RealRoots)
+
+template <class T>
+KV_HD void real_roots_of(RealRoots<T> const& p, int64_t b) {
+  double coefficients[small::kMostRoots + 1], roots[small::kMostRoots];
+  for (int i = 0; i <= p.degree; ++i) coefficients[i] = p.coefficients[b * (p.degree + 1) + i];
+  int const count = small::real_roots(coefficients, p.degree, roots);
+  for (int i = 1; i < count; ++i)
+    for (int k = i; k > 0 && roots[k] < roots[k - 1]; --k) {
+      double const t = roots[k];
+      roots[k] = roots[k - 1];
+      roots[k - 1] = t;
+    }
+  for (int i = 0; i < p.degree; ++i) p.roots.set(b * p.degree + i, i < count ? roots[i] : small::nan());
+}
+
+}  // namespace kv

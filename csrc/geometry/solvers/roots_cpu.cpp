@@ -1,0 +1,15 @@
+// Real roots on the CPU: polynomials [begin, end). In double, which AVX-512 leaves to AVX2.
+#include "geometry/solvers/roots.h"
+
+#if !defined(__AVX512F__)
+namespace kv::KV_ISA {
+
+template <class T>
+void real_roots(RealRoots<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) real_roots_of(p, b);
+}
+
+KV_INSTANTIATE_ONE(real_roots, RealRoots, double)
+
+}  // namespace kv::KV_ISA
+#endif

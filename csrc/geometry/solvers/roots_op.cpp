@@ -1,0 +1,25 @@
+// Real roots: schema and entry, for CPU and CUDA alike.
+#include "geometry/reals_glue.h"
+#include "geometry/solvers/roots.h"
+
+namespace kv {
+namespace {
+
+Tensor real_roots(Tensor const& coefficients) {
+  constexpr char const* op = "real_roots";
+  KV_CHECK(coefficients.dim() == 2, op, ": expected coefficients of shape (B, n + 1)");
+  int64_t const batch = coefficients.size(0), degree = coefficients.size(1) - 1;
+  KV_CHECK(degree >= 1 && degree <= small::kMostRoots, op, ": expected a degree of 1 to ", small::kMostRoots, ", got ",
+           degree);
+  Contiguous const c(op, coefficients);
+  Tensor const roots = empty({batch, degree}, c.tensor);
+  RealRoots<double> const params{c.reals, batch, int(degree), reals_of(op, roots)};
+  KV_RUN(real_roots, c.tensor, params, batch, 64 * degree * degree);
+  return roots;
+}
+
+}  // namespace
+
+KV_OPERATOR(real_roots, "(Tensor coefficients) -> Tensor")
+
+}  // namespace kv

@@ -1,0 +1,227 @@
+// Local maxima on CUDA. Windows of 3 x 3, 5 x 5 and 3 x 3 x 3 are walked down in registers; for others, and for
+// channels-last images, a thread takes the window of one element.
+#include "core/launch.cuh"
+#include "geometry/subpix/nms.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+// Of a strip: small blocks, which share a device evenly, and few enough for 16 maps of 640 x 480 to be on it at once.
+constexpr int kRows = 11, kStripThreads = 64;
+
+// Any window. Blocks of 32 x 8 elements of a plane's rows, planes last.
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    any_window(__grid_constant__ LocalMaxima<T> const p, unsigned across, unsigned down) {
+  using F = Compute<T>;
+  unsigned const line = blockIdx.x / across;
+  int64_t const plane = line / down;
+  int const at = int(blockIdx.x - line * across) * 32 + threadIdx.x % 32;
+  int const y = int(line - unsigned(plane) * down) * 8 + threadIdx.x / 32, step = int(p.x.step);
+  if (at >= p.x.row_size() || y >= p.x.height) return;
+  int64_t first, last;
+  p.fitting(plane, y, first, last);
+  int const column = step == 1 ? at : at / step;
+  bool above = column >= first && column < last, below = above;
+  T const* const centre = p.x.row(plane, y) + at;
+  F const v = read(*centre);
+  for (int k = -p.before[0]; k <= p.after[0]; ++k)
+    for (int j = -p.before[1]; j <= p.after[1] && (above || below); ++j) {
+      T const* const row = centre + k * p.x.outer_stride + j * p.x.row_stride;
+      for (int i = -p.before[2]; i <= p.after[2]; ++i) {
+        if (i == 0 && j == 0 && k == 0) continue;
+        F const other = read(row[i * step]);
+        above = above && v > other;
+        below = below && v < other;
+      }
+    }
+  if (p.y.data) p.y.row(plane, y)[at] = above ? *centre : T{};
+  if (p.maxima.data) p.maxima.row(plane, y)[at] = above;
+  if (p.minima.data) p.minima.row(plane, y)[at] = below;
+}
+
+// The larger one, NaN where either is.
+__device__ __forceinline__ float larger(float a, float b) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
+  float y;
+  asm("max.NaN.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
+  return y;
+#else
+  return a > b || a != a ? a : b;
+#endif
+}
+
+// P pixels' way down windows of (2R + 1)^2 pixels of one plane or, with D = 1, of three: rows come from above, one
+// after the other.
+template <int R, int D, int P>
+struct Climb {
+  float candidates[R + 1][P];  // what is above all before it in its window and beside it, for R + 1 rows; NaN elsewhere
+  float above[P], previous[P];  // the largest of the last R rows, and of the last one
+
+  // A row of each plane, times the sign.
+  __device__ __forceinline__ void next(float const (&v)[2 * D + 1][P + 2 * R], float sign) {
+#pragma unroll
+    for (int n = 0; n < P; ++n) {
+      float beside[2 * D + 1], row[2 * D + 1];
+#pragma unroll
+      for (int k = 0; k <= 2 * D; ++k) {
+        auto const at = [&](int i) { return sign * v[k][n + i]; };
+        beside[k] = larger(at(0), at(2 * R));
+        if (R == 2) beside[k] = larger(larger(at(0), at(1)), larger(at(3), at(4)));  // pairs serve two pixels
+        row[k] = larger(beside[k], at(R));
+      }
+      if (D == 1) {
+        float const others = larger(row[0], row[2 * D]);
+        beside[D] = larger(beside[D], others), row[D] = larger(row[D], others);
+      }
+#pragma unroll
+      for (int j = 0; j < R; ++j) candidates[j][n] = candidates[j + 1][n];
+      float const middle = sign * v[D][n + R];
+      candidates[R][n] = middle > larger(beside[D], above[n]) ? middle : __uint_as_float(0x7fc00000);
+      above[n] = R == 1 ? row[D] : larger(row[D], previous[n]);
+      previous[n] = row[D];
+    }
+  }
+  // The pixel in the row R above the last.
+  __device__ __forceinline__ float middle(int n) const { return candidates[0][n]; }
+  __device__ __forceinline__ bool is_summit(int n) const { return candidates[0][n] > above[n]; }
+};
+
+// P elements of a row, and R on either side that the ends of a warp read themselves. What lies outside is NaN, which
+// nothing is above.
+template <class T, int R, int P>
+struct Row {
+  Vector<T, P> own;
+  Vector<T, R> left, right;
+
+  __device__ __forceinline__ Row() {
+#pragma unroll
+    for (int i = 0; i < R; ++i) left.v[i] = right.v[i] = none();
+  }
+  __device__ __forceinline__ static T none() { return round_to<T>(__uint_as_float(0x7fc00000)); }
+  __device__ __forceinline__ void fetch(T const* at, bool there, int x, int width) {
+#pragma unroll
+    for (int i = 0; i < P; ++i) own.v[i] = none();
+    if (!there) return;
+    if (x < width) own = *reinterpret_cast<Vector<T, P> const*>(at);
+    if (threadIdx.x % 32 == 0 && x > 0) left = *reinterpret_cast<Vector<T, R> const*>(at - R);
+    if (threadIdx.x % 32 == 31 && x + P < width) right = *reinterpret_cast<Vector<T, R> const*>(at + P);
+  }
+  __device__ __forceinline__ void spread(float (&v)[P + 2 * R]) const {
+#pragma unroll
+    for (int i = 0; i < P; ++i) v[R + i] = read(own.v[i]);
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      float const before = __shfl_up_sync(0xffffffffu, v[P + i], 1), after = __shfl_down_sync(0xffffffffu, v[R + i], 1);
+      v[i] = threadIdx.x % 32 == 0 ? read(left.v[i]) : before;
+      v[R + P + i] = threadIdx.x % 32 == 31 ? read(right.v[i]) : after;
+    }
+  }
+};
+
+template <class T, int R, int D, bool Minima>
+__global__ void __launch_bounds__(kStripThreads)
+    strips_down(__grid_constant__ LocalMaxima<T> const p, Strips<kPixels<T>> const strips) {
+  constexpr int P = kPixels<T>, kPlanes = 2 * D + 1;
+  int64_t plane;
+  int x, y0;
+  if (!strips.locate(plane, x, y0)) return;
+  int const width = int(p.x.width), height = int(p.x.height), z = D > 0 ? int(plane % p.depth) : 0;
+  T const* next = p.x.row(plane, 0) + (y0 - R) * p.x.row_stride + x;
+  T* values = p.y.row(plane, y0) + x;
+  uint8_t *maxima = p.maxima.row(plane, y0) + x, *minima = p.minima.row(plane, y0) + x;
+  Row<T, R, P> ahead[kPlanes];
+  auto const fetch = [&](int y) {
+#pragma unroll
+    for (int k = 0; k < kPlanes; ++k) {
+      bool const between = k == D || (z + k >= D && z + k < D + int(p.depth));
+      ahead[k].fetch(next + (k - D) * p.x.outer_stride, y >= 0 && y < height && between, x, width);
+    }
+    next += p.x.row_stride;
+  };
+  fetch(y0 - R);
+  Climb<R, D, P> high{}, low{};
+#pragma unroll(R + 1)
+  for (int i = -2 * R; i < kRows; ++i) {
+    if (y0 + i >= height) break;
+    float v[kPlanes][P + 2 * R];
+#pragma unroll
+    for (int k = 0; k < kPlanes; ++k) ahead[k].spread(v[k]);
+    fetch(y0 + R + i + 1);
+    high.next(v, 1);
+    if constexpr (Minima) low.next(v, -1);
+    if (i < 0) continue;
+    Vector<T, P> shown;
+    Vector<uint8_t, P> is_maximum, is_minimum;
+#pragma unroll
+    for (int n = 0; n < P; ++n) {
+      is_maximum.v[n] = high.is_summit(n);
+      shown.v[n] = high.is_summit(n) ? round_to<T>(high.middle(n)) : T{};
+      if constexpr (Minima) is_minimum.v[n] = low.is_summit(n);
+    }
+    if (x < width) {
+      if (p.y.data) *reinterpret_cast<Vector<T, P>*>(values) = shown;
+      if (p.maxima.data) *reinterpret_cast<Vector<uint8_t, P>*>(maxima) = is_maximum;
+      if constexpr (Minima) *reinterpret_cast<Vector<uint8_t, P>*>(minima) = is_minimum;
+    }
+    values += p.y.row_stride;
+    maxima += p.maxima.row_stride;
+    if constexpr (Minima) minima += p.minima.row_stride;
+  }
+}
+
+// In vectors, the last of which may be cut short.
+template <class T>
+__global__ void __launch_bounds__(kThreads) keep(Marked<T> const p, bool vectorized) {
+  constexpr int P = kPixels<T>;
+  int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P;
+  if (vectorized && first + P <= p.count) {
+    Vector<T, P> x = *reinterpret_cast<Vector<T, P> const*>(p.x + first);
+    auto const flags = *reinterpret_cast<Vector<uint8_t, P> const*>(p.flags + first);
+#pragma unroll
+    for (int i = 0; i < P; ++i) x.v[i] = flags.v[i] ? x.v[i] : T{};
+    *reinterpret_cast<Vector<T, P>*>(p.kept + first) = x;
+  } else {
+    for (int64_t i = first; i < min(first + P, p.count); ++i) p.kept[i] = p.flags[i] ? p.x[i] : T{};
+  }
+}
+
+}  // namespace
+
+template <class T>
+int keep_marked(Marked<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  uintptr_t const at = reinterpret_cast<uintptr_t>(p.x) | reinterpret_cast<uintptr_t>(p.kept);
+  bool const vectorized = at % alignof(Vector<T, P>) == 0 && reinterpret_cast<uintptr_t>(p.flags) % P == 0;
+  keep<T><<<unsigned(ceil_div(p.count, kThreads * P)), kThreads, 0, stream>>>(p, vectorized);
+  return cudaGetLastError();
+}
+
+template <class T>
+int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
+  constexpr int P = kPixels<T>;
+  auto const reaches = [&](int d, int r) {
+    return p.before[0] == d && p.after[0] == d && p.before[1] == r && p.after[1] == r && p.before[2] == r &&
+           p.after[2] == r;
+  };
+  if constexpr (sizeof(T) < 8)
+    if (is_vectorizable<P>(p.x) && (!p.y.data || is_vectorizable<P>(p.y))) {
+      Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows);
+      auto const run = [&](auto kernel) {
+        kernel<<<strips.blocks(kStripThreads / 32), kStripThreads, 0, stream>>>(p, strips);
+        return cudaGetLastError();
+      };
+      if (reaches(0, 1) && !p.minima.data) return run(strips_down<T, 1, 0, false>);
+      if (reaches(0, 2) && !p.minima.data) return run(strips_down<T, 2, 0, false>);
+      if (reaches(1, 1)) return p.minima.data ? run(strips_down<T, 1, 1, true>) : run(strips_down<T, 1, 1, false>);
+    }
+  unsigned const across = unsigned(ceil_div(p.x.row_size(), 32)), down = unsigned(ceil_div(p.x.height, 8));
+  any_window<T><<<unsigned(p.x.count() * across * down), kThreads, 0, stream>>>(p, across, down);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(local_maxima, LocalMaxima)
+KV_INSTANTIATE(keep_marked, Marked)
+
+}  // namespace kv::cuda

@@ -1,0 +1,40 @@
+// Which elements of images or volumes are above, or below, all others of their window. The window reaches (k - 1) / 2
+// elements back and k / 2 ahead along an axis; where it does not fit there is no maximum. NaN is neither above nor
+// below anything. Included by nms_cpu.cpp, nms.cu and nms_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "core/view.h"
+
+namespace kv {
+
+template <class T>
+struct LocalMaxima {
+  Planes<T const> x;
+  Planes<T> y;                     // x at the maxima, 0 elsewhere; or without data
+  Planes<uint8_t> maxima, minima;  // whether an element is one; or without data
+  int64_t depth;                   // planes of a volume, 1 of an image
+  int before[3], after[3];         // how far the window reaches along z, y, x
+
+  // The columns [first, last) of a row in which the window fits, none if it does not fit into the planes and rows.
+  KV_HD void fitting(int64_t plane, int64_t row, int64_t& first, int64_t& last) const {
+    int64_t const z = depth > 1 ? plane % depth : 0;
+    bool const fits = z >= before[0] && z < depth - after[0] && row >= before[1] && row < x.height - after[1];
+    last = fits ? max(x.width - after[2], int64_t(0)) : 0;
+    first = min(int64_t(before[2]), last);
+  }
+};
+
+// What is marked by flags that are not 0, and 0 elsewhere: the gradient of maxima. Dense.
+template <class T>
+struct Marked {
+  T const* x;
+  uint8_t const* flags;
+  T* kept;
+  int64_t count;
+};
+
+KV_KERNEL(local_maxima, LocalMaxima)
+KV_KERNEL(keep_marked, Marked)
+
+}  // namespace kv

@@ -1,0 +1,96 @@
+// Local maxima: schemas and entries, for CPU and CUDA alike. A volume's planes are the channels of an image, which is
+// read planar.
+#include "geometry/subpix/nms.h"
+#include "glue/batch.h"
+
+namespace kv {
+namespace {
+
+void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const& window, bool volumes,
+                 Tensor const* values, Tensor const* maxima, Tensor const* minima, Layout layout) {
+  Tensor const x = volumes ? dense(input) : as_layout(input, layout);
+  dispatch_floating(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    LocalMaxima<T> params{};
+    params.x = planes<T const>(x, layout);
+    if (values) params.y = planes<T>(*values, layout);
+    if (maxima) params.maxima = planes<uint8_t>(*maxima, layout);
+    if (minima) params.minima = planes<uint8_t>(*minima, layout);
+    params.depth = volumes ? x.size(1) : 1;
+    int64_t area = 1;
+    for (int axis = 0; axis < 3; ++axis) {
+      area *= window[axis];
+      params.before[axis] = int(window[axis] - 1) / 2;
+      params.after[axis] = int(window[axis]) / 2;
+    }
+    KV_RUN(local_maxima, x, params, params.x.rows(), params.x.row_size() * (1 + area / 8));
+  });
+}
+
+Layout layout_for(char const* op, Tensor const& input, std::vector<int64_t> const& window, bool volumes) {
+  check_images(op, "input", input);
+  KV_CHECK(window.size() == 3, op, ": expected a window of 3 sizes, got ", window.size());
+  KV_CHECK(volumes || window[0] == 1, op, ": the window of an image has a depth of 1, got ", window[0]);
+  check_window(op, window[1], window[2]);
+  check_window(op, window[0], 1);
+  return volumes ? Layout::planar : layout_of(input);
+}
+
+// 0 and 1.
+Tensor flags_like(Tensor const& x, Layout layout) {
+  return empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x, layout, ScalarType::Byte);
+}
+
+// The maxima, and where they are: none of that unless `marked`.
+std::tuple<Tensor, Tensor> local_maxima(Tensor const& input, std::vector<int64_t> window, bool volumes, bool marked) {
+  Layout const layout = layout_for("local_maxima", input, window, volumes);
+  Tensor const values = empty_like(input, layout);
+  Tensor const maxima =
+      marked ? flags_like(input, layout) : empty({input.size(0), 0}, input, Layout::planar, ScalarType::Byte);
+  find_maxima("local_maxima", input, window, volumes, &values, marked ? &maxima : nullptr, nullptr, layout);
+  return {values, maxima};
+}
+
+Tensor keep_marked(Tensor const& input, Tensor const& flags) {
+  char const* const op = "keep_marked";
+  check_images(op, "input", input);
+  bool fits = flags.dim() == 4 && flags.scalar_type() == ScalarType::Byte && flags.device() == input.device();
+  for (int64_t i = 0; fits && i < 4; ++i) fits = flags.size(i) == input.size(i) || (i == 0 && flags.size(0) == 1);
+  KV_CHECK(fits, op, ": flags do not fit the input");
+  Layout const layout = layout_of(input);
+  auto const flat = [&](Tensor const& x) {
+    Tensor const all = x.size(0) == input.size(0) ? x : expand_batch(x, input.size(0));
+    return layout == Layout::planar ? dense(all)
+                                    : torch::stable::contiguous(all, torch::headeronly::MemoryFormat::ChannelsLast);
+  };
+  Tensor const x = flat(input), marks = flat(flags), kept = empty_like(input, layout);
+  dispatch_floating(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Marked<T> const params{data_ptr<T const>(x), data_ptr<uint8_t const>(marks), data_ptr<T>(kept), kept.numel()};
+    KV_RUN(keep_marked, x, params, params.count, 1);
+  });
+  return kept;
+}
+
+Tensor is_local_maximum(Tensor const& input, std::vector<int64_t> window, bool volumes) {
+  Layout const layout = layout_for("is_local_maximum", input, window, volumes);
+  Tensor const maxima = flags_like(input, layout);
+  find_maxima("is_local_maximum", input, window, volumes, nullptr, &maxima, nullptr, layout);
+  return maxima;
+}
+
+std::tuple<Tensor, Tensor> local_extrema(Tensor const& input, std::vector<int64_t> window, bool volumes) {
+  Layout const layout = layout_for("local_extrema", input, window, volumes);
+  Tensor const maxima = flags_like(input, layout), minima = flags_like(input, layout);
+  find_maxima("local_extrema", input, window, volumes, nullptr, &maxima, &minima, layout);
+  return {maxima, minima};
+}
+
+}  // namespace
+
+KV_OPERATOR(local_maxima, "(Tensor input, int[] window, bool volumes, bool marked) -> (Tensor, Tensor)")
+KV_OPERATOR(keep_marked, "(Tensor input, Tensor flags) -> Tensor")
+KV_OPERATOR(is_local_maximum, "(Tensor input, int[] window, bool volumes) -> Tensor")
+KV_OPERATOR(local_extrema, "(Tensor input, int[] window, bool volumes) -> (Tensor, Tensor)")
+
+}  // namespace kv

@@ -1,0 +1,42 @@
+// The pixels of a piece of a plane on CUDA, a few rows that a block takes, four of them at a time. Included by
+// spatial_expectation.cu and render_gaussian2d.cu.
+#pragma once
+
+#include <initializer_list>
+
+#include "core/launch.cuh"
+
+namespace kv::cuda {
+
+constexpr int kThreads = 256, kVectorSize = 4;
+
+// Calls f(count, first pixel of the plane, its column and row) for the block's pixels, in vectors where planes are
+// `vectorized`. `maps` has the width and height of planes of T, and the rows of a piece.
+template <class T, class Maps, class Call>
+__device__ __forceinline__ void for_each_vector(Maps const& maps, int64_t piece, bool vectorized, Call f) {
+  unsigned const width = unsigned(maps.width), start = unsigned(piece * maps.rows) * width;
+  unsigned const end = unsigned(min((piece + 1) * maps.rows, maps.height)) * width;
+  auto const take = [&](auto count) {
+    constexpr int P = decltype(count)::value;
+#pragma unroll 1
+    for (unsigned i = start + P * threadIdx.x; i < end; i += P * kThreads) {
+      unsigned const row = i / width;
+      f(count, i, i - row * width, row);
+    }
+  };
+  if (sizeof(T) < 8 && vectorized)
+    take(std::integral_constant<int, sizeof(T) < 8 ? kVectorSize : 1>{});
+  else
+    take(std::integral_constant<int, 1>{});
+}
+
+// Whether vectors of planes that begin there, or of none, begin at multiples of their size, and none has pixels of two
+// rows.
+template <class T>
+bool is_vectorizable(int64_t width, std::initializer_list<void const*> planes) {
+  for (void const* at : planes)
+    if (reinterpret_cast<uintptr_t>(at) % sizeof(Vector<T, kVectorSize>) != 0) return false;
+  return width % kVectorSize == 0;
+}
+
+}  // namespace kv::cuda

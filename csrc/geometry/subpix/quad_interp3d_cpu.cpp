@@ -1,0 +1,74 @@
+// Peaks between voxels on the CPU: rows [begin, end) of all volumes, volumes in the backward pass. Compiled once per
+// instruction set.
+#include "core/lanes.h"
+#include "geometry/subpix/quad_interp3d.h"
+
+namespace kv::KV_ISA {
+namespace {
+
+template <class T, class Use>
+KV_HD void for_each_peak(QuadraticPeaks<T> const& p, int64_t volume, int z, int y, Use use) {
+  auto const read = [](T const& x) { return load<1>(&x); };
+  int64_t const plane = int64_t(p.size[1]) * p.size[2];
+  T const* const x = p.x + volume * p.size[0] * plane;
+  uint8_t const* const chosen =
+      p.chosen ? p.chosen + (volume * p.size[0] + z) * plane + int64_t(y) * p.size[2] : nullptr;
+  for (int i = 0; i < p.size[2]; ++i)
+    if (chosen ? chosen[i] != 0 : is_peak(x, p.size, z, y, i, read))
+      find_peak(p, x, z, y, i, read, [&](int const(&c)[3], auto const& q) { use(i, c, q); });
+}
+
+}  // namespace
+
+template <class T>
+void quadratic_peaks(QuadraticPeaks<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  int64_t const width = p.size[2], plane = p.size[1] * width, volume_size = p.size[0] * plane;
+  for (int64_t r = begin; r < end; ++r) {
+    int const y = int(r % p.size[1]), z = int(r / p.size[1] % p.size[0]);
+    int64_t const volume = r / (int64_t(p.size[0]) * p.size[1]);
+    T const* const x = p.x + volume * volume_size;
+    T* const values = p.values + r * width;
+    T* places[3];
+    for (int a = 0; a < 3; ++a) places[a] = p.places + (3 * volume + a) * volume_size + z * plane + y * width;
+    __builtin_memcpy(static_cast<void*>(values), x + z * plane + y * width, size_t(width) * sizeof(T));
+    for (int i = 0; i < width; ++i) {
+      store<1>(places[0] + i, F(z));
+      store<1>(places[1] + i, F(i));
+      store<1>(places[2] + i, F(y));
+    }
+    for_each_peak(p, volume, z, y, [&](int i, int const(&c)[3], Quadratic<F> const& q) {
+      store<1>(values + i, load<1>(x + c[2] * plane + c[1] * width + c[0]) + q.rise());
+      store<1>(places[0] + i, F(c[2]) + q.shift[2]);
+      store<1>(places[1] + i, F(c[0]) + q.shift[0]);
+      store<1>(places[2] + i, F(c[1]) + q.shift[1]);
+    });
+  }
+}
+
+template <class T>
+void quadratic_peaks_backward(QuadraticPeaksBackward<T> const& p, int64_t begin, int64_t end) {
+  using F = Compute<T>;
+  QuadraticPeaks<T> const& f = p.forward;
+  int64_t const width = f.size[2], plane = f.size[1] * width, size = f.size[0] * plane;
+  for (int64_t volume = begin; volume < end; ++volume) {
+    F* const grad_x = p.grad_x + volume * size;
+    for (int64_t i = 0; i < size; ++i) grad_x[i] = load<1>(p.grad_values + volume * size + i);
+    for (int z = 0; z < f.size[0]; ++z)
+      for (int y = 0; y < f.size[1]; ++y)
+        for_each_peak(f, volume, z, y, [&](int i, int const(&c)[3], Quadratic<F> const& q) {
+          int64_t const at = z * plane + y * width + i;
+          auto const place = [&](int number) { return load<1>(p.grad_places + (3 * volume + number) * size + at); };
+          F const to_shift[] = {place(1), place(2), place(0)}, to_value = load<1>(p.grad_values + volume * size + at);
+          F* const centre = grad_x + c[2] * plane + c[1] * width + c[0];
+          grad_x[at] -= to_value;
+          q.vjp(to_shift, to_value,
+                [&](int dx, int dy, int dz, F number) { centre[dz * plane + dy * width + dx] += number; });
+        });
+  }
+}
+
+KV_INSTANTIATE(quadratic_peaks, QuadraticPeaks)
+KV_INSTANTIATE(quadratic_peaks_backward, QuadraticPeaksBackward)
+
+}  // namespace kv::KV_ISA

@@ -1,0 +1,94 @@
+// Peaks between voxels: schemas and entries, for CPU and CUDA alike. Volumes (B, C, D, H, W) are read contiguous.
+#include "geometry/subpix/quad_interp3d.h"
+#include "glue/batch.h"
+
+namespace kv {
+namespace {
+
+// The arguments, checked and contiguous.
+struct Peaks {
+  Tensor x;
+  std::optional<Tensor> chosen;
+  int64_t steps, radius;
+  double largest_shift;
+  bool along_scale;
+
+  Peaks(char const* op, Tensor const& input, int64_t batch, std::optional<Tensor> const& which, int64_t steps,
+        double largest_shift, int64_t radius, bool along_scale)
+      : x(input), steps(steps), radius(radius), largest_shift(largest_shift), along_scale(along_scale) {
+    check_volumes(op, "input", input);
+    KV_CHECK(steps >= 0 && steps <= INT32_MAX && radius >= 0 && radius <= INT32_MAX, op,
+             ": steps and radius must not be negative");
+    KV_CHECK(input.size(2) * input.size(3) * input.size(4) <= INT32_MAX, op, ": volumes are too large");
+    check_sizes(op, "input", input, input, {batch, input.size(1), input.size(2), input.size(3), input.size(4)});
+    x = expand_batch(input, batch);
+    if (!which) return;
+    KV_CHECK(which->scalar_type() == ScalarType::Byte && which->device() == input.device() && which->dim() == 5, op,
+             ": chosen does not fit the input");
+    check_sizes(op, "chosen", *which, *which, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
+    chosen = expand_batch(*which, batch);
+  }
+  template <class T>
+  QuadraticPeaks<T> of(T* places, T* values) const {
+    return {data_ptr<T const>(x),
+            chosen ? data_ptr<uint8_t const>(*chosen) : nullptr,
+            places,
+            values,
+            x.size(0) * x.size(1),
+            {int(x.size(2)), int(x.size(3)), int(x.size(4))},
+            int(steps),
+            int(radius),
+            along_scale,
+            Compute<T>(largest_shift)};
+  }
+};
+
+std::tuple<Tensor, Tensor> quadratic_peaks(Tensor const& input, std::optional<Tensor> const& chosen, int64_t steps,
+                                           double largest_shift, int64_t radius, bool along_scale) {
+  check_volumes("quadratic_peaks", "input", input);
+  Peaks const peaks("quadratic_peaks", input, input.size(0), chosen, steps, largest_shift, radius, along_scale);
+  Tensor const& x = peaks.x;
+  Tensor const places = empty({x.size(0), x.size(1), 3, x.size(2), x.size(3), x.size(4)}, x);
+  Tensor const values = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x);
+  dispatch_floating("quadratic_peaks", x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    auto const params = peaks.of<T>(data_ptr<T>(places), data_ptr<T>(values));
+    KV_RUN(quadratic_peaks, x, params, params.volumes * params.size[0] * params.size[1], 16 * x.size(4));
+  });
+  return {places, values};
+}
+
+// In the type that computes.
+Tensor quadratic_peaks_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input,
+                                std::optional<Tensor> const& chosen, int64_t steps, double largest_shift,
+                                int64_t radius, bool along_scale) {
+  char const* const op = "quadratic_peaks_backward";
+  KV_CHECK(grad_places.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_places.dim());
+  int64_t const batch = grad_places.size(0);
+  Peaks const peaks(op, input, batch, chosen, steps, largest_shift, radius, along_scale);
+  Tensor const& x = peaks.x;
+  check_sizes(op, "grad_places", grad_places, x, {batch, x.size(1), 3, x.size(2), x.size(3), x.size(4)});
+  check_sizes(op, "grad_values", grad_values, x, {batch, x.size(1), x.size(2), x.size(3), x.size(4)});
+  Tensor const to_places = expand_batch(grad_places, batch), to_values = expand_batch(grad_values, batch);
+  bool const wide = x.scalar_type() == ScalarType::Double;
+  Tensor const grad_x = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x, Layout::planar,
+                              wide ? ScalarType::Double : ScalarType::Float);
+  dispatch_floating(op, x, [&](auto type) {
+    using T = typename decltype(type)::type;
+    QuadraticPeaksBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_ptr<T const>(to_places),
+                                           data_ptr<T const>(to_values), data_ptr<Compute<T>>(grad_x)};
+    KV_RUN(quadratic_peaks_backward, x, params, params.forward.volumes, 16 * x.size(2) * x.size(3) * x.size(4));
+  });
+  return grad_x;
+}
+
+}  // namespace
+
+#define KV_HOW "Tensor? chosen, int steps, float largest_shift, int radius, bool along_scale"
+
+KV_OPERATOR(quadratic_peaks, "(Tensor input, " KV_HOW ") -> (Tensor, Tensor)")
+KV_OPERATOR(quadratic_peaks_backward, "(Tensor grad_places, Tensor grad_values, Tensor input, " KV_HOW ") -> Tensor")
+
+#undef KV_HOW
+
+}  // namespace kv

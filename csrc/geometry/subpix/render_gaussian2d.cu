@@ -1,0 +1,139 @@
+// Heat maps of Gaussians on CUDA: a block for a few rows of a plane, whose threads first sum up both axes, then take
+// four pixels at a time; another kernel adds up the gradients of planes that have several pieces.
+#include "geometry/subpix/plane_vectors.cuh"
+#include "geometry/subpix/render_gaussian2d.h"
+
+namespace kv::cuda {
+namespace {
+
+// The weight of a pixel, over the largest one's.
+template <class F>
+__device__ __forceinline__ F weight_of(F q) {
+  return fast_exp2(q * F(-.5 * 1.44269504088896340736));
+}
+
+// The sums of a block's threads, to all of them.
+template <int K, class F>
+__device__ __forceinline__ void over_block(F (&v)[K]) {
+  __shared__ F of_warps[kThreads / 32][K];
+#pragma unroll
+  for (F& x : v) x = warp_sum(x);
+  __syncthreads();  // of who reads the last sums
+  if (threadIdx.x % 32 == 0)
+#pragma unroll
+    for (int k = 0; k < K; ++k) of_warps[threadIdx.x / 32][k] = v[k];
+  __syncthreads();
+#pragma unroll
+  for (int k = 0; k < K; ++k) {
+    v[k] = 0;
+    for (int w = 0; w < kThreads / 32; ++w) v[k] += of_warps[w][k];
+  }
+}
+
+template <class F>
+struct BlockAxes {
+  GaussianAxis<F> x, y;
+
+  template <class T>
+  __device__ __forceinline__ BlockAxes(GaussianMaps<T> const& p, int64_t plane)
+      : x(gaussian_axis(p, plane, 0, [](T v) { return read(v); })),
+        y(gaussian_axis(p, plane, 1, [](T v) { return read(v); })) {
+    F sums[6] = {};
+    add(x, p.width, sums);
+    add(y, p.height, sums + 3);
+    over_block(sums);
+    x.take({sums[0], sums[1], sums[2]});
+    y.take({sums[3], sums[4], sums[5]});
+  }
+  static __device__ __forceinline__ void add(GaussianAxis<F> const& axis, int64_t size, F* sums) {
+    for (unsigned i = threadIdx.x; i < unsigned(size); i += kThreads) {
+      F const u = axis.u(F(i)), q = axis.q(u), w = weight_of(q);
+      sums[0] += w;
+      if (w != 0) sums[1] += w * u, sums[2] += w * q;  // q may be inf where w is 0
+    }
+  }
+};
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    draw(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool vectorized) {
+  using F = Compute<T>;
+  int64_t const plane = blockIdx.x / pieces;
+  BlockAxes<F> const axes(p, plane);
+  F const share = axes.x.share * axes.y.share;
+  T* const to = p.maps + plane * p.height * p.width;
+  for_each_vector<T>(p, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
+    constexpr int P = decltype(count)::value;
+    F const down = share * weight_of(axes.y.q(axes.y.u(F(row))));
+    F v[P];
+#pragma unroll
+    for (int k = 0; k < P; ++k) v[k] = down * weight_of(axes.x.q(axes.x.u(F(x + k))));
+    store_vector(to + i, v);
+  });
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    draw_backward(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool vectorized) {
+  using F = Compute<T>;
+  int64_t const plane = blockIdx.x / pieces;
+  BlockAxes<F> const axes(p, plane);
+  T const* const from = p.grad + plane * p.height * p.width;
+  F sums[4] = {};
+  for_each_vector<T>(p, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
+    constexpr int P = decltype(count)::value;
+    Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from + i);
+    F const v = axes.y.u(F(row)), r = axes.y.q(v), down = weight_of(r);
+    F all = 0;
+#pragma unroll
+    for (int k = 0; k < P; ++k) {
+      F const u = axes.x.u(F(x + k)), q = axes.x.q(u), w = weight_of(q);
+      if (w == 0 || down == 0) continue;
+      F const g = w * down * read(vector.v[k]);
+      all += g, sums[0] += g * (u - axes.x.mean_u), sums[2] += g * (q - axes.x.mean_q);
+    }
+    if (down != 0) sums[1] += all * (v - axes.y.mean_u), sums[3] += all * (r - axes.y.mean_q);
+  });
+  over_block(sums);
+  if (threadIdx.x >= 4) return;
+  F const sum = threadIdx.x == 0 ? sums[0] : threadIdx.x == 1 ? sums[1] : threadIdx.x == 2 ? sums[2] : sums[3];
+  F const slope = sum * (threadIdx.x % 2 ? axes.y.inverse : axes.x.inverse) * axes.x.share * axes.y.share;
+  if (pieces > 1)
+    p.partial[4 * blockIdx.x + threadIdx.x] = slope;
+  else
+    (threadIdx.x < 2 ? p.to_mean : p.to_std)[2 * plane + threadIdx.x % 2] = round_to<T>(slope);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ GaussianMaps<T> const p, unsigned pieces) {
+  Compute<T> sums[4] = {};
+  for (unsigned i = threadIdx.x; i < pieces; i += kThreads)
+#pragma unroll
+    for (int k = 0; k < 4; ++k) sums[k] += p.partial[4 * (int64_t(blockIdx.x) * pieces + i) + k];
+  over_block(sums);
+  if (threadIdx.x != 0) return;
+#pragma unroll
+  for (int k = 0; k < 4; ++k) (k < 2 ? p.to_mean : p.to_std)[2 * blockIdx.x + k % 2] = round_to<T>(sums[k]);
+}
+
+}  // namespace
+
+template <class T>
+int gaussian_maps(GaussianMaps<T> const& p, CUstream_st* stream) {
+  unsigned const pieces = unsigned(p.pieces());
+  draw<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.maps}));
+  return cudaGetLastError();
+}
+
+template <class T>
+int gaussian_maps_backward(GaussianMaps<T> const& p, CUstream_st* stream) {
+  unsigned const pieces = unsigned(p.pieces());
+  draw_backward<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.grad}));
+  if (pieces > 1) add_pieces<<<unsigned(p.planes), kThreads, 0, stream>>>(p, pieces);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(gaussian_maps, GaussianMaps)
+KV_INSTANTIATE(gaussian_maps_backward, GaussianMaps)
+
+}  // namespace kv::cuda

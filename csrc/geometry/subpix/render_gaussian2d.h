@@ -1,0 +1,75 @@
+// Heat maps of Gaussians, each of which adds up to 1, and the gradients to their means and standard deviations. A map
+// is the product of a softmax along x and one along y: for pixels at X, with d = (X - mean) / std,
+//
+//   w = exp(-(d^2 - d0^2) / 2) over the sum of these           d0: of the nearest pixel, the largest of all
+//   dw / dmean = w (u - mean of u) / std                       u = d - d0
+//   dw / dstd  = w (q - mean of q) / std                       q = d^2 - d0^2 = u (u + 2 d0)
+//
+// the means being those under w. Included by render_gaussian2d_cpu.cpp, render_gaussian2d.cu and
+// render_gaussian2d_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#include "geometry/subpix/spatial_expectation.h"
+
+namespace kv {
+
+template <class T>
+struct GaussianMaps {
+  using F = Compute<T>;
+  T const *mean, *std;                  // (planes, 2), x before y
+  int64_t mean_stride, std_stride;      // 0 where one serves all
+  int64_t planes, height, width, rows;  // rows of a piece
+  PlaceAxis<F> along_x, along_y;
+  T* maps;  // (planes, height, width)
+  // For the gradient only:
+  T const* grad;
+  F* partial;           // (planes, pieces, 4): to the mean, x before y, then to the standard deviation
+  T *to_mean, *to_std;  // (planes, 2), by CUDA's kernel; on the CPU the entry makes them
+
+  KV_HD int64_t pieces() const { return (height + rows - 1) / rows; }
+};
+
+KV_KERNEL(gaussian_maps, GaussianMaps)
+KV_KERNEL(gaussian_maps_backward, GaussianMaps)
+
+// Sums over an axis, of w, w u and w q.
+template <class F>
+struct GaussianSums {
+  F all, u, q;
+};
+
+template <class F>
+struct GaussianAxis {
+  F nearest, slope, start, inverse;  // the nearest pixel, of u along pixels, d0, 1 / std
+  F share, mean_u, mean_q;           // 1 over the sum of w, and its means
+
+  KV_HD GaussianAxis(PlaceAxis<F> const& places, int64_t size, F mean, F std)
+      : inverse(1 / std), share(0), mean_u(0), mean_q(0) {
+    F const at = places.step > 0 ? (mean - places.first) / places.step : F(0), last = F(size - 1);
+    nearest = at > 0 ? (at < last ? F(int64_t(at + F(.5))) : last) : F(0);
+    slope = places.step * inverse;
+    start = (places.at(nearest) - mean) * inverse;
+  }
+  KV_HD void take(GaussianSums<F> const& sums) {
+    share = 1 / sums.all, mean_u = sums.u * share, mean_q = sums.q * share;
+  }
+  template <class V>
+  KV_HD V u(V pixel) const {
+    return (pixel - nearest) * slope;
+  }
+  template <class V>
+  KV_HD V q(V u) const {
+    return u * (u + 2 * start);
+  }
+};
+
+// `read` makes a number of what is stored.
+template <class T, class Read>
+KV_HD GaussianAxis<Compute<T>> gaussian_axis(GaussianMaps<T> const& p, int64_t plane, int which, Read read) {
+  Compute<T> const mean = read(p.mean[plane * p.mean_stride + which]), std = read(p.std[plane * p.std_stride + which]);
+  return which == 0 ? GaussianAxis<Compute<T>>(p.along_x, p.width, mean, std)
+                    : GaussianAxis<Compute<T>>(p.along_y, p.height, mean, std);
+}
+
+}  // namespace kv

@@ -1,0 +1,100 @@
+// Heat maps of Gaussians: schemas and entries, for CPU and CUDA alike.
+#include "geometry/subpix/render_gaussian2d.h"
+#include "glue/glue.h"
+
+namespace kv {
+namespace {
+
+// Means and standard deviations (P, 2), or (1, 2) for all, checked.
+struct GivenGaussians {
+  Tensor mean, std;
+  int64_t planes, height, width;
+  bool normalized;
+
+  GivenGaussians(char const* op, Tensor const& m, Tensor const& s, int64_t height, int64_t width, bool normalized)
+      : mean(dense(m)), std(dense(s)), planes(0), height(height), width(width), normalized(normalized) {
+    KV_CHECK(m.dim() == 2 && m.size(1) == 2 && s.dim() == 2 && s.size(1) == 2 && s.scalar_type() == m.scalar_type() &&
+                 s.device() == m.device(),
+             op, ": expected mean and std of shape (P, 2), of one type and device");
+    KV_CHECK(m.size(0) == s.size(0) || m.size(0) == 1 || s.size(0) == 1, op,
+             ": expected as many rows of mean as of std, or 1");
+    KV_CHECK(height > 0 && width > 0 && height < int64_t(1) << 31 && width < int64_t(1) << 31 &&
+                 height * width < int64_t(1) << 31,
+             op, ": expected a size from 1 to 2^31 - 1 pixels, got ", height, " x ", width);
+    planes = m.size(0) == 1 ? s.size(0) : m.size(0);
+  }
+  template <class T>
+  GaussianMaps<T> params() const {
+    using F = Compute<T>;
+    GaussianMaps<T> p{};
+    p.mean = data_ptr<T const>(mean);
+    p.std = data_ptr<T const>(std);
+    p.mean_stride = mean.size(0) == 1 ? 0 : 2;
+    p.std_stride = std.size(0) == 1 ? 0 : 2;
+    p.planes = planes;
+    p.height = height;
+    p.width = width;
+    // Both axes are summed up once for each piece.
+    int64_t const piece = std::max<int64_t>(kPlacePiece, 16 * (height + width));
+    p.rows = clamp(piece / width, int64_t(1), height);
+    p.along_x = PlaceAxis<F>::of(width, normalized);
+    p.along_y = PlaceAxis<F>::of(height, normalized);
+    return p;
+  }
+};
+
+Tensor gaussian_maps(Tensor const& mean, Tensor const& std, int64_t height, int64_t width, bool normalized) {
+  constexpr char const* op = "gaussian_maps";
+  GivenGaussians const given(op, mean, std, height, width, normalized);
+  Tensor const maps = empty({given.planes, height, width}, given.mean);
+  dispatch_floating(op, given.mean, [&](auto type) {
+    using T = typename decltype(type)::type;
+    GaussianMaps<T> p = given.params<T>();
+    p.maps = data_ptr<T>(maps);
+    KV_RUN(gaussian_maps, maps, p, p.planes * p.pieces(), 2 * p.rows * width);
+  });
+  return maps;
+}
+
+// To the mean and the standard deviation of each map, also where one serves all.
+std::tuple<Tensor, Tensor> gaussian_maps_backward(Tensor const& grad, Tensor const& mean, Tensor const& std,
+                                                  bool normalized) {
+  constexpr char const* op = "gaussian_maps_backward";
+  KV_CHECK(grad.dim() == 3 && grad.scalar_type() == mean.scalar_type() && grad.device() == mean.device(), op,
+           ": expected grad of shape (P, H, W), of mean's type and device");
+  GivenGaussians const given(op, mean, std, grad.size(1), grad.size(2), normalized);
+  KV_CHECK(grad.size(0) == given.planes, op, ": expected grad of ", given.planes, " maps, got ", grad.size(0));
+  Tensor const g = dense(grad), to_mean = empty({given.planes, 2}, given.mean),
+               to_std = empty({given.planes, 2}, given.mean);
+  dispatch_floating(op, given.mean, [&](auto type) {
+    using T = typename decltype(type)::type;
+    GaussianMaps<T> p = given.params<T>();
+    Tensor const partial = empty({p.planes, p.pieces(), 4}, g, Layout::planar, compute_dtype(g));
+    p.grad = data_ptr<T const>(g);
+    p.partial = data_ptr<Compute<T>>(partial);
+    p.to_mean = data_ptr<T>(to_mean);
+    p.to_std = data_ptr<T>(to_std);
+    KV_RUN(gaussian_maps_backward, g, p, p.planes * p.pieces(), 2 * p.rows * p.width);
+#if !defined(KV_CUDA)
+    for (int64_t i = 0; i < 4 * p.planes; ++i) {
+      Compute<T> sum = 0;
+      for (int64_t k = 0; k < p.pieces(); ++k) sum += p.partial[4 * (i / 4 * p.pieces() + k) + i % 4];
+      T* const to = (i % 4 < 2 ? p.to_mean : p.to_std) + i / 4 * 2 + i % 2;
+      if constexpr (sizeof(T) > 2)
+        *to = sum;
+      else if constexpr (std::is_same_v<T, Half>)
+        *to = to_half(sum);
+      else
+        *to = to_bfloat16(sum);
+    }
+#endif
+  });
+  return {to_mean, to_std};
+}
+
+}  // namespace
+
+KV_OPERATOR(gaussian_maps, "(Tensor mean, Tensor std, int height, int width, bool normalized) -> Tensor")
+KV_OPERATOR(gaussian_maps_backward, "(Tensor grad, Tensor mean, Tensor std, bool normalized) -> (Tensor, Tensor)")
+
+}  // namespace kv

@@ -1,0 +1,442 @@
+// The soft argmax of windows on CUDA: a thread a window, a thread a voxel in the backward pass. Windows of 3 x 3 and
+// 5 x 5 around every pixel of float images share their exponentials and are walked down in registers.
+#include "core/launch.cuh"
+#include "geometry/subpix/soft_argmax.h"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+constexpr double kLog2E = 1.44269504088896340736;
+
+// Of volumes of a size: blocks of 32 x 8 voxels of a plane, planes last.
+struct Tiles {
+  unsigned across, down, count;
+  Tiles(int64_t volumes, int const (&size)[3])
+      : across(unsigned(ceil_div(size[2], 32))),
+        down(unsigned(ceil_div(size[1], 8))),
+        count(unsigned(volumes * size[0] * across * down)) {}
+  // False outside of the volumes.
+  __device__ __forceinline__ bool locate(int const (&size)[3], int64_t& volume, int& z, int& y, int& x) const {
+    unsigned const line = blockIdx.x / across, plane = line / down;
+    volume = plane / unsigned(size[0]);
+    z = int(plane - unsigned(volume) * unsigned(size[0]));
+    y = int(line - plane * down) * 8 + threadIdx.x / 32;
+    x = int(blockIdx.x - line * across) * 32 + threadIdx.x % 32;
+    return x < size[2] && y < size[1];
+  }
+};
+
+template <class T>
+__device__ __forceinline__ auto sums_at(Windows const& w, T const* volume, Compute<T> temperature, int z, int y,
+                                        int x) {
+  using F = Compute<T>;
+  Span const zs(z, w.stride[0], w.before[0], w.window[0], w.size[0]);
+  Span const ys(y, w.stride[1], w.before[1], w.window[1], w.size[1]);
+  Span const xs(x, w.stride[2], w.before[2], w.window[2], w.size[2]);
+  T const* const start = volume + (int64_t(zs.start) * w.size[1] + ys.start) * w.size[2] + xs.start;
+  auto const at = [&](int k, int j, int i) { return read(start[(int64_t(k) * w.size[1] + j) * w.size[2] + i]); };
+  return WindowSums<F>(zs, ys, xs, F(kLog2E) / temperature, at, [](F v) { return fast_exp2(v); });
+}
+
+template <class T>
+__device__ __forceinline__ void one_window(SoftArgmax<T> const& p, int64_t volume, int z, int y, int x) {
+  using F = Compute<T>;
+  Windows const& w = p.windows;
+  auto const sums = sums_at(w, p.x + volume * w.voxels(), p.temperature, z, y, x);
+  F const scale = 1 / sums.total;
+  int64_t const at = (int64_t(z) * w.out[1] + y) * w.out[2] + x;
+  if (p.values) p.values[volume * w.places() + at] = round_to<T>(sums.value * scale);
+  F const starts[] = {F(z * w.stride[0] - w.before[0]), F(y * w.stride[1] - w.before[1]),
+                      F(x * w.stride[2] - w.before[2])};
+  auto const store = [&](int number, int axis) {
+    F const index = starts[axis] + sums.index[axis] * scale;
+    p.places[(volume * w.axes + number) * w.places() + at] = round_to<T>(index * p.scale[axis] + p.offset[axis]);
+  };
+  if (w.axes == 3) store(0, 0);
+  store(w.axes - 2, 2);
+  store(w.axes - 1, 1);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArgmax<T> const p, Tiles tiles) {
+  int64_t volume;
+  int z, y, x;
+  if (tiles.locate(p.windows.out, volume, z, y, x)) one_window(p, volume, z, y, x);
+}
+
+// --- windows around every pixel of images ----------------------------------------------------------------------------
+
+constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
+constexpr float kMostExponent = 90;  // of base 2, beside a strip's largest: rounding it costs 3e-6 of a weight
+
+// Double4 numbers of a thread and R of each neighbour's: sums of 2R + 1, and of these times how many are before them.
+template <int R>
+struct Across {
+  float v[kRun + 2 * R];
+  __device__ __forceinline__ explicit Across(float const (&own)[kRun]) {
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) v[R + i] = own[i];
+#pragma unroll
+    for (int i = 0; i < R; ++i) {
+      v[i] = __shfl_up_sync(0xffffffffu, own[kRun - R + i], 1);
+      v[R + kRun + i] = __shfl_down_sync(0xffffffffu, own[i], 1);
+    }
+  }
+  __device__ __forceinline__ float sum(int n) const {
+    float sum = v[n];
+#pragma unroll
+    for (int i = 1; i <= 2 * R; ++i) sum += v[n + i];
+    return sum;
+  }
+  __device__ __forceinline__ float moment(int n) const {
+    float sum = v[n + 1];
+#pragma unroll
+    for (int i = 2; i <= 2 * R; ++i) sum += v[n + i] * float(i);
+    return sum;
+  }
+};
+
+// A warp's columns and rows of an image: threads take kRun columns each, of which the outermost `Help` on either side
+// only help their neighbours. All windows of it share exponentials beside its largest number.
+template <int Help>
+struct ImageStrip {
+  int height, width, x, y0, y1;
+  unsigned plane;
+  bool there, writes;  // whether the thread's columns are in the image, and are its own
+  int64_t size;
+  float const* image;
+  float sharpness, from;
+
+  static constexpr int kColumns = (32 - 2 * Help) * kRun;
+  static dim3 grid(Windows const& w) {
+    int64_t const strips = w.volumes * ceil_div(w.size[2], kColumns) * ceil_div(w.size[1], kRows);
+    return dim3(unsigned(ceil_div(strips, kStripThreads / 32)));
+  }
+  // False beyond the last strip.
+  __device__ __forceinline__ bool locate(Windows const& w, float const* data, float temperature) {
+    height = w.size[1], width = w.size[2];
+    unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
+    unsigned const across = unsigned(width + kColumns - 1) / kColumns, down = unsigned(height + kRows - 1) / kRows;
+    unsigned const line = warp / across;
+    plane = line / down;
+    if (plane >= w.volumes) return false;
+    x = int(warp - line * across) * kColumns + (int(lane) - Help) * kRun;
+    y0 = int(line - plane * down) * kRows;
+    y1 = min(y0 + kRows, height);
+    there = x >= 0 && x < width;
+    writes = there && lane >= Help && lane < 32 - Help;
+    size = int64_t(height) * width;
+    image = data + plane * size + x;
+    sharpness = float(kLog2E) / temperature;
+    return true;
+  }
+  // Of rows from `reach` above on: false where numbers are too far apart to share exponentials, or so large that what
+  // they are beside is no longer one of them.
+  __device__ __forceinline__ bool find_largest(int reach) {
+    float most = -INFINITY, least = INFINITY;
+#pragma unroll 4
+    for (int y = max(y0 - reach, 0); y < min(y1 + reach, height); ++y) {
+      if (!there) break;
+      Vector<float, kRun> const v = load(image, y);
+#pragma unroll
+      for (int i = 0; i < kRun; ++i) most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // NaN is left out
+    }
+#pragma unroll
+    for (int step = 16; step > 0; step /= 2) {
+      most = ::fmax(most, __shfl_xor_sync(0xffffffffu, most, step));
+      least = ::fmin(least, __shfl_xor_sync(0xffffffffu, least, step));
+    }
+    from = most * sharpness;
+    return (most - least) * sharpness <= kMostExponent && ::fabs(from) <= 0x1p24f;
+  }
+  __device__ __forceinline__ Vector<float, kRun> load(float const* plane, int y) const {
+    return *reinterpret_cast<Vector<float, kRun> const*>(plane + int64_t(y) * width);
+  }
+  __device__ __forceinline__ bool has(int y) const { return there && y >= 0 && y < height; }
+  __device__ __forceinline__ Vector<float, kRun> row(int y) const {
+    return has(y) ? load(image, y) : Vector<float, kRun>{};
+  }
+  // The exponentials of row y, which is v, and these times x; 0 outside of the image.
+  template <bool Products>
+  __device__ __forceinline__ void weights_of(Vector<float, kRun> const& v, int y, float (&weight)[kRun],
+                                             float (&product)[kRun]) const {
+    bool const inside = has(y);
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) {
+      weight[i] = inside ? fast_exp2(v.v[i] * sharpness - from) : 0.f;
+      if constexpr (Products) product[i] = inside ? weight[i] * v.v[i] : 0.f;
+    }
+  }
+};
+
+// Weights are summed down columns first, then along rows. Where they are not shared each window takes its own.
+template <int R, bool Values>
+__global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<float> const p) {
+  constexpr int K = 2 * R + 1;
+  ImageStrip<1> strip;
+  if (!strip.locate(p.windows, p.x, p.temperature)) return;
+  int const x = strip.x, y0 = strip.y0, width = strip.width;
+  int64_t const size = strip.size;
+  if (!strip.find_largest(R)) {
+    for (int y = y0; y < strip.y1 && strip.writes; ++y)
+      for (int n = 0; n < kRun; ++n) one_window(p, strip.plane, 0, y, x + n);
+    return;
+  }
+  float weights[K][kRun], products[K][kRun];  // of the rows of a window; times x
+#pragma unroll
+  for (int j = 0; j < K - 1; ++j) {
+    int const y = y0 - R + j;
+    strip.weights_of<Values>(strip.row(y), y, weights[j + 1], products[j + 1]);
+  }
+  Vector<float, kRun> ahead = strip.row(y0 + R);
+  float* to_x = p.places + 2 * strip.plane * size + int64_t(y0) * width + x;
+  float* to_value = Values ? p.values + strip.plane * size + int64_t(y0) * width + x : nullptr;
+#pragma unroll(K)
+  for (int i = 0; i < kRows; ++i) {
+    int const y = y0 + i;
+    if (y >= strip.y1) break;
+    float totals[kRun], moments[kRun], values[kRun];  // down columns
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+#pragma unroll
+      for (int j = 0; j < K - 1; ++j) {
+        weights[j][n] = weights[j + 1][n];
+        if constexpr (Values) products[j][n] = products[j + 1][n];
+      }
+    }
+    strip.weights_of<Values>(ahead, y + R, weights[K - 1], products[K - 1]);
+    ahead = strip.row(y + R + 1);
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+      totals[n] = weights[0][n] + weights[1][n];
+      moments[n] = weights[1][n];
+      if constexpr (Values) values[n] = products[0][n] + products[1][n];
+#pragma unroll
+      for (int j = 2; j < K; ++j) {
+        totals[n] += weights[j][n];
+        moments[n] += weights[j][n] * float(j);
+        if constexpr (Values) values[n] += products[j][n];
+      }
+    }
+    Across<R> const total(totals), moment(moments);
+    Vector<float, kRun> places_x, places_y, means;
+    float scales[kRun];
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+      scales[n] = __fdividef(1.f, total.sum(n));
+      places_x.v[n] = (float(x + n - R) + total.moment(n) * scales[n]) * p.scale[2] + p.offset[2];
+      places_y.v[n] = (float(y - R) + moment.sum(n) * scales[n]) * p.scale[1] + p.offset[1];
+    }
+    if constexpr (Values) {
+      Across<R> const value(values);
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) means.v[n] = value.sum(n) * scales[n];
+    }
+    if (strip.writes) {
+      *reinterpret_cast<Vector<float, kRun>*>(to_x) = places_x;
+      *reinterpret_cast<Vector<float, kRun>*>(to_x + size) = places_y;
+      if constexpr (Values) *reinterpret_cast<Vector<float, kRun>*>(to_value) = means;
+    }
+    to_x += width;
+    if constexpr (Values) to_value += width;
+  }
+}
+
+// --- gradients -------------------------------------------------------------------------------------------------------
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) records_of(__grid_constant__ SoftArgmaxBackward<T> const p, Tiles tiles) {
+  using F = Compute<T>;
+  Windows const& w = p.windows;
+  int64_t volume;
+  int z, y, x;
+  if (!tiles.locate(w.out, volume, z, y, x)) return;
+  auto const sums = sums_at(w, p.x + volume * w.voxels(), p.temperature, z, y, x);
+  int64_t const at = (int64_t(z) * w.out[1] + y) * w.out[2] + x, place = volume * w.places() + at;
+  auto const grad_of = [&](int number, int axis) {
+    return read(p.grad_places[(volume * w.axes + number) * w.places() + at]) * p.scale[axis];
+  };
+  F const grad[] = {w.axes == 3 ? grad_of(0, 0) : F(0), grad_of(w.axes - 1, 1), grad_of(w.axes - 2, 2)};
+  auto const record = record_of<F, F>(sums, grad, p.grad_values ? F(read(p.grad_values[place])) : F(0));
+  int64_t const count = w.volumes * w.places();
+  F const numbers[] = {record.most, record.place[0], record.place[1], record.place[2], record.value, record.rest};
+#pragma unroll
+  for (int i = 0; i < kRecord; ++i) p.records[i * count + place] = numbers[i];
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgmaxBackward<T> const p, Tiles tiles) {
+  using F = Compute<T>;
+  Windows const& w = p.windows;
+  int64_t volume;
+  int vz, vy, vx;
+  if (!tiles.locate(w.size, volume, vz, vy, vx)) return;
+  int64_t const at = volume * w.voxels() + (int64_t(vz) * w.size[1] + vy) * w.size[2] + vx;
+  int64_t const count = w.volumes * w.places();
+  F const v = read(p.x[at]), sharpness = F(kLog2E) / p.temperature, per_temperature = 1 / p.temperature;
+  Readers const zs(vz, w.stride[0], w.before[0], w.window[0], w.out[0]);
+  Readers const ys(vy, w.stride[1], w.before[1], w.window[1], w.out[1]);
+  Readers const xs(vx, w.stride[2], w.before[2], w.window[2], w.out[2]);
+  F sum = 0;
+  for (int z = zs.first; z < zs.last; ++z)
+    for (int y = ys.first; y < ys.last; ++y)
+      for (int x = xs.first; x < xs.last; ++x) {
+        F const* const from = p.records + volume * w.places() + (int64_t(z) * w.out[1] + y) * w.out[2] + x;
+        WindowRecord<F> const record{
+            from[0], {from[count], from[2 * count], from[3 * count]}, from[4 * count], from[5 * count]};
+        sum += share_of<F, F>(record, v, fast_exp2((v - record.most) * sharpness),
+                              F(vz + w.before[0] - z * w.stride[0]), F(vy + w.before[1] - y * w.stride[1]),
+                              F(vx + w.before[2] - x * w.stride[2]), per_temperature);
+      }
+  p.grad_x[at] = round_to<T>(sum);
+}
+
+// The gradient of one voxel, from all windows that it is in.
+__device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, int64_t plane, int vy, int vx) {
+  Windows const& w = p.windows;
+  float const* const image = p.x + plane * w.voxels();
+  float const v = image[int64_t(vy) * w.size[2] + vx], sharpness = float(kLog2E) / p.temperature;
+  Readers const ys(vy, 1, w.before[1], w.window[1], w.out[1]), xs(vx, 1, w.before[2], w.window[2], w.out[2]);
+  float sum = 0;
+  for (int y = ys.first; y < ys.last; ++y)
+    for (int x = xs.first; x < xs.last; ++x) {
+      float const* const grads = p.grad_places + 2 * plane * w.places() + int64_t(y) * w.out[2] + x;
+      float const grad[] = {0, grads[w.places()] * p.scale[1], grads[0] * p.scale[2]};
+      auto const record = record_of<float, float>(sums_at(w, image, p.temperature, 0, y, x), grad, 0.f);
+      sum += share_of<float, float>(record, v, fast_exp2((v - record.most) * sharpness), 0, float(vy + w.before[1] - y),
+                                    float(vx + w.before[2] - x), 1 / p.temperature);
+    }
+  return sum;
+}
+
+// Of a window with the total S and the moments X and Y, whose place has the gradients gx and gy, each pixel (j, i) gets
+// exp (a i + b j + c), a = gx / S, b = gy / S, c = -(gx X + gy Y) / S^2: summed down columns first, over the windows
+// that a pixel is in, then along rows.
+template <int R>
+__global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ SoftArgmaxBackward<float> const p) {
+  constexpr int K = 2 * R + 1;
+  ImageStrip<2> strip;
+  if (!strip.locate(p.windows, p.x, p.temperature)) return;
+  int const x = strip.x, y0 = strip.y0, width = strip.width;
+  int64_t const size = strip.size;
+  float* to = p.grad_x + strip.plane * size + int64_t(y0) * width + x;
+  if (!strip.find_largest(2 * R)) {
+    for (int y = y0; y < strip.y1 && strip.writes; ++y)
+      for (int n = 0; n < kRun; ++n)
+        p.grad_x[strip.plane * size + int64_t(y) * width + x + n] = one_pixel(p, strip.plane, y, x + n);
+    return;
+  }
+  float const* const grad_x = p.grad_places + 2 * strip.plane * size + x;
+  float const* const grad_y = grad_x + size;
+  float weights[K][kRun] = {}, none[kRun];
+  float constants[K][kRun] = {}, slopes[K][kRun] = {};  // b j + c, and a, of the pixels whose windows are not all there
+  float const per_temperature = 1 / p.temperature;
+  // Rows on their way: of the image, and of the gradients to windows.
+  auto const grad_row = [&](float const* plane, int y) {
+    return strip.has(y) ? strip.load(plane, y) : Vector<float, kRun>{};
+  };
+  Vector<float, kRun> ahead = strip.row(y0 - 2 * R);
+  Vector<float, kRun> ahead_x = grad_row(grad_x, y0 - R), ahead_y = grad_row(grad_y, y0 - R);
+#pragma unroll(K)
+  for (int i = -4 * R; i < kRows; ++i) {
+    // Weights of row y + 2R, then windows around row y + R, then the gradient of row y.
+    int const y = y0 + i;
+    if (y >= strip.y1) break;
+#pragma unroll
+    for (int j = 0; j < K - 1; ++j)
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) weights[j][n] = weights[j + 1][n];
+    strip.weights_of<false>(ahead, y + 2 * R, weights[K - 1], none);
+    ahead = strip.row(y + 2 * R + 1);
+    if (i < -2 * R) continue;
+    float totals[kRun], moments[kRun];
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+      totals[n] = weights[0][n] + weights[1][n];
+      moments[n] = weights[1][n];
+#pragma unroll
+      for (int j = 2; j < K; ++j) {
+        totals[n] += weights[j][n];
+        moments[n] += weights[j][n] * float(j);
+      }
+    }
+    Across<R> const total(totals), moment(moments);
+    int const middle = y + R;
+    Vector<float, kRun> const gx = ahead_x, gy = ahead_y;
+    ahead_x = grad_row(grad_x, middle + 1), ahead_y = grad_row(grad_y, middle + 1);
+    if (strip.has(middle)) {
+#pragma unroll
+      for (int n = 0; n < kRun; ++n) {
+        float const scale = __fdividef(1.f, total.sum(n));
+        float const a = gx.v[n] * p.scale[2] * scale, b = gy.v[n] * p.scale[1] * scale;
+        float const c = -(a * (total.moment(n) * scale) + b * (moment.sum(n) * scale));
+#pragma unroll
+        for (int j = 0; j < K; ++j) {
+          constants[j][n] += b * float(j) + c;
+          slopes[j][n] += a;
+        }
+      }
+    }
+    Across<R> const constant(constants[0]), slope(slopes[0]);
+    if (i >= 0 && strip.writes) {
+      Vector<float, kRun> found;
+#pragma unroll
+      for (int n = 0; n < kRun; ++n)
+        found.v[n] =
+            weights[0][n] * per_temperature * (constant.sum(n) + (float(2 * R) * slope.sum(n) - slope.moment(n)));
+      *reinterpret_cast<Vector<float, kRun>*>(to) = found;
+    }
+    if (i >= 0) to += width;
+#pragma unroll
+    for (int n = 0; n < kRun; ++n) {
+#pragma unroll
+      for (int j = 0; j < K - 1; ++j) constants[j][n] = constants[j + 1][n], slopes[j][n] = slopes[j + 1][n];
+      constants[K - 1][n] = slopes[K - 1][n] = 0;
+    }
+  }
+}
+
+}  // namespace
+
+template <class T>
+int soft_argmax(SoftArgmax<T> const& p, CUstream_st* stream) {
+  if constexpr (__is_same(T, float)) {
+    auto const run = [&](auto kernel) {
+      kernel<<<ImageStrip<1>::grid(p.windows), kStripThreads, 0, stream>>>(p);
+      return cudaGetLastError();
+    };
+    int const reach = reach_of(p.windows, p.x, p.places, p.places + p.windows.places(), p.values);
+    if (reach == 1) return p.values ? run(strips_down<1, true>) : run(strips_down<1, false>);
+    if (reach == 2) return p.values ? run(strips_down<2, true>) : run(strips_down<2, false>);
+  }
+  Tiles const tiles(p.windows.volumes, p.windows.out);
+  windows_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  return cudaGetLastError();
+}
+
+template <class T>
+int soft_argmax_records(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
+  Tiles const tiles(p.windows.volumes, p.windows.out);
+  records_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  return cudaGetLastError();
+}
+
+template <class T>
+int soft_argmax_backward(SoftArgmaxBackward<T> const& p, CUstream_st* stream) {
+  if constexpr (__is_same(T, float))
+    if (!p.records) {
+      auto const kernel = p.windows.before[1] == 1 ? strips_back<1> : strips_back<2>;
+      kernel<<<ImageStrip<2>::grid(p.windows), kStripThreads, 0, stream>>>(p);
+      return cudaGetLastError();
+    }
+  Tiles const tiles(p.windows.volumes, p.windows.size);
+  voxels_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(soft_argmax, SoftArgmax)
+KV_INSTANTIATE(soft_argmax_records, SoftArgmaxBackward)
+KV_INSTANTIATE(soft_argmax_backward, SoftArgmaxBackward)
+
+}  // namespace kv::cuda

@@ -1,0 +1,121 @@
+// Mean places on CUDA: a block for a few rows of a plane, whose threads take four pixels at a time and read them once,
+// with sums over the largest one so far; another kernel, with a block for each plane, puts pieces together.
+#include "geometry/subpix/plane_vectors.cuh"
+#include "geometry/subpix/spatial_expectation.h"
+
+namespace kv::cuda {
+namespace {
+
+template <class F>
+struct ScaledExp {
+  F scale;
+  __device__ __forceinline__ F operator()(F x) const {
+    if constexpr (sizeof(F) == 4)
+      return fast_exp2(x * (scale * F(1.44269504088896340736)));
+    else
+      return ::exp(x * scale);
+  }
+};
+
+// The sums of a block's threads, to the first one.
+template <class F>
+__device__ __forceinline__ PlaceSums<F> over_block(PlaceSums<F> sums, bool softmax, ScaledExp<F> const& exp) {
+  __shared__ PlaceSums<F> of_warps[kThreads / 32];
+#pragma unroll
+  for (int lane = 16; lane > 0; lane /= 2) {
+    PlaceSums<F> other;
+    other.most = __shfl_xor_sync(0xffffffffu, sums.most, lane),
+    other.sum = __shfl_xor_sync(0xffffffffu, sums.sum, lane);
+    other.x = __shfl_xor_sync(0xffffffffu, sums.x, lane), other.y = __shfl_xor_sync(0xffffffffu, sums.y, lane);
+    sums.add(other, softmax, exp);
+  }
+  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = sums;
+  __syncthreads();
+  if (threadIdx.x == 0)
+    for (int w = 1; w < kThreads / 32; ++w) sums.add(of_warps[w], softmax, exp);
+  return sums;
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    find_places(__grid_constant__ MeanPlace<T> const p, unsigned pieces, bool vectorized) {
+  using F = Compute<T>;
+  HeatMaps<T> const& maps = p.maps;
+  ScaledExp<F> const exp{maps.scale};
+  int64_t const plane = blockIdx.x / pieces;
+  T const* const from = maps.data + plane * maps.height * maps.width;
+  auto sums = PlaceSums<F>::nothing(maps.softmax);
+  for_each_vector<T>(maps, blockIdx.x - plane * pieces, vectorized,
+                     [&](auto count, unsigned i, unsigned x, unsigned row) {
+                       constexpr int P = decltype(count)::value;
+                       Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(from + i);
+                       F v[P], most = sums.most;
+#pragma unroll
+                       for (int k = 0; k < P; ++k) v[k] = read(vector.v[k]), most = v[k] > most ? v[k] : most;
+                       if (maps.softmax) {
+                         sums.rescale(most, exp);
+#pragma unroll
+                         for (int k = 0; k < P; ++k) v[k] = exp(v[k] - most);
+                       }
+                       F const y = maps.along_y.at(F(row));
+#pragma unroll
+                       for (int k = 0; k < P; ++k)
+                         sums.sum += v[k], sums.x += v[k] * maps.along_x.at(F(x + k)), sums.y += v[k] * y;
+                     });
+  sums = over_block(sums, maps.softmax, exp);
+  if (threadIdx.x == 0) p.partial[blockIdx.x] = sums;
+}
+
+template <class F>
+__global__ void __launch_bounds__(kThreads)
+    finish_places(PlaceSums<F> const* partial, unsigned pieces, bool softmax, F scale, F* places, F* parts) {
+  ScaledExp<F> const exp{scale};
+  auto sums = PlaceSums<F>::nothing(softmax);
+  for (unsigned i = threadIdx.x; i < pieces; i += kThreads) sums.add(partial[blockIdx.x * pieces + i], softmax, exp);
+  sums = over_block(sums, softmax, exp);
+  if (threadIdx.x == 0) sums.store(places + 2 * blockIdx.x, parts + 2 * blockIdx.x, softmax);
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads)
+    find_place_gradients(__grid_constant__ MeanPlaceBackward<T> const p, unsigned pieces, bool vectorized) {
+  using F = Compute<T>;
+  HeatMaps<T> const& maps = p.maps;
+  ScaledExp<F> const exp{maps.scale};
+  int64_t const plane = blockIdx.x / pieces, offset = plane * maps.height * maps.width;
+  PlaceSlopes<T> const slopes(p, plane);
+  for_each_vector<T>(
+      maps, blockIdx.x - plane * pieces, vectorized, [&](auto count, unsigned i, unsigned x, unsigned row) {
+        constexpr int P = decltype(count)::value;
+        Vector<T, P> const vector = *reinterpret_cast<Vector<T, P> const*>(maps.data + offset + i);
+        F result[P];
+#pragma unroll
+        for (int k = 0; k < P; ++k)
+          result[k] = slopes.at(read(vector.v[k]), maps.along_x.at(F(x + k)), maps.along_y.at(F(row)), exp);
+        store_vector(p.grad_input + offset + i, result);
+      });
+}
+
+}  // namespace
+
+template <class T>
+int mean_place(MeanPlace<T> const& p, CUstream_st* stream) {
+  HeatMaps<T> const& maps = p.maps;
+  unsigned const pieces = unsigned(maps.pieces()), planes = unsigned(maps.planes);
+  find_places<<<planes * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(maps.width, {maps.data}));
+  finish_places<<<planes, kThreads, 0, stream>>>(p.partial, pieces, maps.softmax, maps.scale, p.places, p.parts);
+  return cudaGetLastError();
+}
+
+template <class T>
+int mean_place_backward(MeanPlaceBackward<T> const& p, CUstream_st* stream) {
+  unsigned const pieces = unsigned(p.maps.pieces());
+  find_place_gradients<<<unsigned(p.maps.planes) * pieces, kThreads, 0, stream>>>(
+      p, pieces, is_vectorizable<T>(p.maps.width, {p.maps.data, p.grad_input}));
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(mean_place, MeanPlace)
+KV_INSTANTIATE(mean_place_backward, MeanPlaceBackward)
+
+}  // namespace kv::cuda

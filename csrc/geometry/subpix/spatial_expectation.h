@@ -1,0 +1,106 @@
+// The mean place of the pixels of planes, weighted by their values p or by the softmax of `scale` times them; backward
+// pixel i, at X, gets g X of the gradient g, or of the softmax scale p (g X - g mean). Included by
+// spatial_expectation_cpu.cpp, spatial_expectation.cu and spatial_expectation_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+
+namespace kv {
+
+constexpr int64_t kPlacePiece = 8192;  // pixels, or a row of more, that are worked on together
+
+// An axis: the places of its pixels.
+template <class F>
+struct PlaceAxis {
+  F first, step;
+
+  KV_HD static PlaceAxis of(int64_t size, bool normalized) {
+    if (!normalized) return {F(0), F(1)};
+    return {F(-1), size > 1 ? F(2. / double(size - 1)) : F(0)};
+  }
+  template <class V>
+  KV_HD V at(V pixel) const {
+    return first + step * pixel;
+  }
+};
+
+template <class T>
+struct HeatMaps {
+  using F = Compute<T>;
+  T const* data;                        // (planes, height, width)
+  int64_t planes, height, width, rows;  // rows of a piece
+  PlaceAxis<F> along_x, along_y;
+  bool softmax;
+  F scale;
+
+  KV_HD int64_t pieces() const { return (height + rows - 1) / rows; }
+};
+
+// Sums over pixels: of their weights, and of these times their places. Those of a softmax are exponentials over the one
+// of `most`.
+template <class F>
+struct PlaceSums {
+  F most, sum, x, y;
+
+  KV_HD static PlaceSums nothing(bool softmax) {
+    return {softmax ? (sizeof(F) == 4 ? F(-3.4e38) : F(-1.7e308)) : F(0), F(0), F(0), F(0)};
+  }
+  // With exp(largest - most) of `most` alone.
+  template <class Exp>
+  KV_HD void rescale(F largest, Exp exp) {
+    F const factor = exp(most - largest);
+    most = largest, sum *= factor, x *= factor, y *= factor;
+  }
+  template <class Exp>
+  KV_HD void add(PlaceSums other, bool softmax, Exp exp) {
+    if (softmax) {
+      F const largest = other.most > most ? other.most : most;
+      rescale(largest, exp), other.rescale(largest, exp);
+    }
+    sum += other.sum, x += other.x, y += other.y;
+  }
+  // To a plane's place and what its softmax is made of.
+  KV_HD void store(F* place, F* parts, bool softmax) const {
+    place[0] = softmax ? x / sum : x, place[1] = softmax ? y / sum : y;
+    parts[0] = most, parts[1] = sum;
+  }
+};
+
+template <class T>
+struct MeanPlace {
+  HeatMaps<T> maps;
+  PlaceSums<Compute<T>>* partial;  // (planes, pieces)
+  Compute<T>*places, *parts;       // (planes, 2), by CUDA's kernel; on the CPU the entry makes them
+};
+
+template <class T>
+struct MeanPlaceBackward {
+  HeatMaps<T> maps;
+  Compute<T> const *grad, *places, *parts;  // (planes, 2)
+  T* grad_input;
+};
+
+KV_KERNEL(mean_place, MeanPlace)
+KV_KERNEL(mean_place_backward, MeanPlaceBackward)
+
+// The gradient of the pixels of a plane, of values V at places x and y.
+template <class T>
+struct PlaceSlopes {
+  using F = Compute<T>;
+  bool softmax;
+  F of_x, of_y, of_mean, most, factor;
+
+  KV_HD PlaceSlopes(MeanPlaceBackward<T> const& p, int64_t plane)
+      : softmax(p.maps.softmax), of_x(p.grad[2 * plane]), of_y(p.grad[2 * plane + 1]), of_mean(0), most(0), factor(1) {
+    if (!softmax) return;
+    of_mean = of_x * p.places[2 * plane] + of_y * p.places[2 * plane + 1];
+    most = p.parts[2 * plane], factor = p.maps.scale / p.parts[2 * plane + 1];
+  }
+  template <class V, class Exp>
+  KV_HD V at(V value, V x, V y, Exp exp) const {
+    V const slope = of_x * x + of_y * y - of_mean;
+    return softmax ? V(slope * factor * exp(V(value - most))) : slope;
+  }
+};
+
+}  // namespace kv

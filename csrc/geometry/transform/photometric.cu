@@ -1,0 +1,171 @@
+// The photometric distance on CUDA: a block a tile of the target, then one block a sample adds the tiles up.
+#include "geometry/transform/photometric.h"
+#include "geometry/transform/sampling.cuh"
+
+namespace kv::cuda {
+namespace {
+
+// Calls pixel(y, x, the window of its place, the place) for the thread's pixels whose places lie between pixels.
+template <class T, class Pixel>
+__device__ __forceinline__ void for_each_seen(Photometric<T> const& p, PlacesOf<Compute<T>> const& places,
+                                              Pixel pixel) {
+  using F = Compute<T>;
+  int const x = places.tile.x + column_in_tile();
+#pragma unroll 1
+  for (int y = places.tile.y + row_in_tile();
+       x < p.target.width && y < min(places.tile.y + kTile, int(p.target.height)); y += kRunRows) {
+    F u, v;
+    places.at(y, x, u, v);
+    Window<2, F> const window(p, u, v);
+    if (window.inside) pixel(y, x, window, u, v);
+  }
+}
+
+// Calls channel(residual, its derivatives along both axes).
+template <class T, class F, class Channel>
+__device__ __forceinline__ void for_each_channel(Photometric<T> const& p, int64_t b, int y, int x,
+                                                 Window<2, F> const& window, Channel channel) {
+  int64_t const row = p.source.row_stride, step = p.source.step;
+  F wx[2], wy[2];
+  tap_weights(window.tx, wx);
+  tap_weights(window.ty, wy);
+  T const* from = p.source.row(b, 0, window.y) + window.x * step;
+  T const* target = p.target.row(b, 0, y) + x * p.target.step;
+#pragma unroll 3
+  for (int c = 0; c < p.source.channels; ++c) {
+    F const a00 = read(from[0]), a01 = read(from[step]), a10 = read(from[row]), a11 = read(from[row + step]);
+    F const value = (a00 * wx[0] + a01 * wx[1]) * wy[0] + (a10 * wx[0] + a11 * wx[1]) * wy[1];
+    channel(value - F(read(*target)), (a01 - a00) * wy[0] + (a11 - a10) * wy[1],
+            (a10 - a00) * wx[0] + (a11 - a01) * wx[1]);
+    from += p.source.channel_stride;
+    target += p.target.channel_stride;
+  }
+}
+
+template <class T>
+__global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, Tiles tiles) {
+  using F = Compute<T>;
+  __shared__ Tile<F> tile;
+  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  __syncthreads();
+  PlacesOf<F> const places(p.places, tile);
+  F sums[kPhotometricSums] = {};
+  for_each_seen(p, places, [&](int y, int x, Window<2, F> const& window, F u, F v) {
+    F to_u = 0, to_v = 0;
+    for_each_channel(p, places.tile.b, y, x, window, [&](F r, F along_x, F along_y) {
+      F slope;
+      sums[9] += distance_of(p.distance, r, p.eps, slope);
+      to_u += slope * along_x;
+      to_v += slope * along_y;
+    });
+    F const scale = reciprocal(places.weight(y, x));
+    F const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
+#pragma unroll
+    for (int i = 0; i < 3; ++i) {
+      sums[3 * i] += g[i] * F(x);
+      sums[3 * i + 1] += g[i] * F(y);
+      sums[3 * i + 2] += g[i];
+    }
+    sums[10] += 1;
+  });
+  add_block(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
+}
+
+template <class F>
+__global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormal<F> p, Tiles tiles) {
+  __shared__ Tile<F> tile;
+  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  __syncthreads();
+  PlacesOf<F> const places(p.places, tile);
+  F const* const last_line = p.places.matrices + places.tile.b * p.places.matrix_stride + 6;
+  F sums[kNormalSums] = {};
+  for_each_seen(p, places, [&](int row, int column, Window<2, F> const& window, F to_x, F to_y) {
+    F xx = 0, xy = 0, yy = 0, by_x = 0, by_y = 0;
+    for_each_channel(p, places.tile.b, row, column, window, [&](F r, F along_x, F along_y) {
+      F slope;
+      sums[45] += distance_of(p.distance, r, p.eps, slope);
+      F const weight = weight_of(p.distance, r, p.eps), wx = weight * along_x, wy = weight * along_y;
+      xx += wx * along_x;
+      xy += wx * along_y;
+      yy += wy * along_y;
+      by_x += wx * r;
+      by_y += wy * r;
+    });
+    F const x = F(column) * p.x_scale + p.x_offset, y = F(row) * p.y_scale + p.y_offset;
+    F const u = to_x * p.u_scale + p.u_offset, v = to_y * p.v_scale + p.v_offset;
+    F line[6], gradient[3];
+    to_lines(xx / (p.u_scale * p.u_scale), xy / (p.u_scale * p.v_scale), yy / (p.v_scale * p.v_scale), by_x / p.u_scale,
+             by_y / p.v_scale, u, v, x * last_line[0] + (y * last_line[1] + last_line[2]), line, gradient);
+    F const products[] = {x * x, x * y, x, y * y, y, F(1)};
+#pragma unroll
+    for (int k = 0; k < 6; ++k)
+#pragma unroll
+      for (int i = 0; i < 6; ++i) sums[6 * k + i] += line[k] * products[i];
+#pragma unroll
+    for (int k = 0; k < 3; ++k) {
+      sums[36 + 3 * k] += gradient[k] * x;
+      sums[36 + 3 * k + 1] += gradient[k] * y;
+      sums[36 + 3 * k + 2] += gradient[k];
+    }
+    sums[46] += 1;
+  });
+  add_block(sums, p.sums + int64_t(blockIdx.x) * kNormalSums);
+}
+
+// Calls take(sample, its N sums) by one thread of a block.
+template <int N, class Take>
+__device__ __forceinline__ void add_parts(double const* all, int64_t parts, Take take) {
+  __shared__ double total[N];
+  int64_t const b = blockIdx.x;
+  double sums[N] = {};
+  for (int64_t part = threadIdx.x; part < parts; part += kThreads)
+    for (int i = 0; i < N; ++i) sums[i] += all[(b * parts + part) * N + i];
+  add_block(sums, total);
+  __syncthreads();
+  if (threadIdx.x == 0) take(b, total);
+}
+
+template <class T>
+__global__ void photometric_samples(PhotometricTotal<T> p) {
+  add_parts<kPhotometricSums>(p.sums, p.parts, [&](int64_t b, double* sums) { photometric_total_of(p, b, sums); });
+}
+
+template <class T>
+__global__ void normal_samples(PhotometricNormalTotal<T> p) {
+  add_parts<kNormalSums>(p.sums, p.parts, [&](int64_t b, double* sums) { photometric_normal_total_of(p, b, sums); });
+}
+
+}  // namespace
+
+template <class T>
+int photometric(Photometric<T> const& p, CUstream_st* stream) {
+  Tiles const tiles(p.target.batch, p.target.height, p.target.width, 1);
+  photometric_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  return cudaGetLastError();
+}
+
+template <class T>
+int photometric_total(PhotometricTotal<T> const& p, CUstream_st* stream) {
+  photometric_samples<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+template <class T>
+int photometric_normal(PhotometricNormal<T> const& p, CUstream_st* stream) {
+  Tiles const tiles(p.target.batch, p.target.height, p.target.width, 1);
+  normal_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  return cudaGetLastError();
+}
+
+template <class T>
+int photometric_normal_total(PhotometricNormalTotal<T> const& p, CUstream_st* stream) {
+  normal_samples<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(photometric, Photometric)
+KV_INSTANTIATE_COMPUTED(photometric_normal, PhotometricNormal)
+KV_INSTANTIATE_COMPUTED(photometric_normal_total, PhotometricNormalTotal)
+KV_INSTANTIATE_COMPUTED(photometric_total, PhotometricTotal)
+
+}  // namespace kv::cuda

@@ -1,0 +1,102 @@
+// The photometric distance: schema and entry, for CPU and CUDA alike.
+#include "geometry/photometric_glue.h"
+#include "geometry/transform/photometric.h"
+
+namespace kv {
+namespace {
+
+// The arguments of both operators, checked.
+struct Arguments {
+  Size from, to;
+  SamplingArguments sampling;
+  Matrix matrix;
+  int64_t batch, channels, parts;
+
+  Arguments(char const* op, Tensor const& source, Tensor const& target, Tensor const& matrix, bool align_corners,
+            bool normalized)
+      : from(checked(op, "source", source)),
+        to(checked(op, "target", target)),
+        sampling(op, "bilinear", "fill", align_corners, source, {}),
+        matrix(op, matrix, source, false, normalized, align_corners, from, to),
+        batch(source.size(0)),
+        channels(source.size(1)),
+        parts(slope_parts(to, 1)) {
+    KV_CHECK((target.size(0) == 1 || source.size(0) == target.size(0)) && source.size(1) == target.size(1) &&
+                 source.scalar_type() == target.scalar_type() && source.device() == target.device(),
+             op, ": target does not fit source");
+    KV_CHECK(this->matrix.use.rows == 3, op, ": expected matrix of shape (B, 3, 3)");
+  }
+  static Size checked(char const* op, char const* name, Tensor const& x) {
+    check_images(op, name, x);
+    return size_of(op, x);
+  }
+  template <class T>
+  Photometric<T> of(Tensor const& source, Tensor const& target, std::string const& distance, double eps,
+                    Tensor const& sums) const {
+    return {sampling.of<T>(from, matrix.places<Compute<T>>()),
+            images<T const>(source, batch),
+            images<T const>(target, batch),
+            distance_of(sampling.op, distance),
+            Compute<T>(eps),
+            data_ptr<double>(sums),
+            parts};
+  }
+};
+
+std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& target, Tensor const& matrix,
+                                       std::string const& distance, double eps, bool align_corners, bool normalized) {
+  Arguments const a("photometric", source, target, matrix, align_corners, normalized);
+  Tensor const sums = empty({a.batch, a.parts, kPhotometricSums}, source, Layout::planar, ScalarType::Double);
+  Tensor const loss = empty({a.batch}, a.matrix.tensor), grad = empty({a.batch, 3, 3}, a.matrix.tensor);
+  dispatch_floating("photometric", source, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    Photometric<T> const params = a.of<T>(source, target, distance, eps, sums);
+    KV_RUN(photometric, source, params, a.batch * a.to.height, 8 * a.channels * a.to.width);
+    PhotometricTotal<F> const total{params.places, params.sums,       a.parts,          a.batch,
+                                    a.channels,    data_ptr<F>(loss), data_ptr<F>(grad)};
+    KV_RUN(photometric_total, source, total, a.batch, kPhotometricSums * a.parts);
+  });
+  return {loss, grad};
+}
+
+std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tensor const& target, Tensor const& matrix,
+                                                      std::string const& distance, double eps, bool align_corners,
+                                                      bool normalized) {
+  Arguments const a("photometric_normal", source, target, matrix, align_corners, normalized);
+  Tensor const sums = empty({a.batch, a.parts, kNormalSums}, source, Layout::planar, ScalarType::Double);
+  Tensor const loss = empty({a.batch}, a.matrix.tensor), gradient = empty({a.batch, 8}, loss);
+  Tensor const normal = empty({a.batch, 8, 8}, loss);
+  for_computed("photometric_normal", source, [&](auto type) {
+    using T = typename decltype(type)::type;
+    PhotometricNormal<T> params{a.of<T>(source, target, distance, eps, sums), 1, 0, 1, 0, 1, 0, 1, 0};
+    if (normalized) {
+      auto const to_unit = [&](int64_t size, T& scale, T& offset) {
+        matrix::Unit const unit(size, align_corners);
+        scale = T(unit.scale > 0 ? 1 / unit.scale : 0);
+        offset = T(unit.scale > 0 ? -unit.offset / unit.scale : 0);
+      };
+      to_unit(a.to.width, params.x_scale, params.x_offset);
+      to_unit(a.to.height, params.y_scale, params.y_offset);
+      to_unit(a.from.width, params.u_scale, params.u_offset);
+      to_unit(a.from.height, params.v_scale, params.v_offset);
+    }
+    KV_RUN(photometric_normal, source, params, a.batch * a.to.height, 16 * a.channels * a.to.width);
+    PhotometricNormalTotal<T> const total{
+        params.sums, a.parts, a.batch, a.channels, data_ptr<T>(loss), data_ptr<T>(gradient), data_ptr<T>(normal)};
+    KV_RUN(photometric_normal_total, source, total, a.batch, kNormalSums * a.parts);
+  });
+  return {normal, gradient, loss};
+}
+
+}  // namespace
+
+#define KV_HOW \
+  "(Tensor source, Tensor target, Tensor matrix, str distance, float eps, bool align_corners, bool normalized)"
+
+KV_OPERATOR(photometric, KV_HOW " -> (Tensor, Tensor)")
+KV_OPERATOR(photometric_normal, KV_HOW " -> (Tensor, Tensor, Tensor)")
+
+#undef KV_HOW
+
+}  // namespace kv

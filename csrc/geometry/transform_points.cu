@@ -1,0 +1,42 @@
+// Points through matrices on CUDA.
+#include "geometry/transform_points.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+
+template <class Map, class T>
+__global__ void __launch_bounds__(kThreads)
+    map_of(__grid_constant__ Points<T> const p, int64_t runs_of_matrix, int64_t runs, bool fours) {
+  using F = Compute<T>;
+  int64_t const run = blockIdx.x * int64_t(kThreads) + threadIdx.x;
+  if (run >= runs) return;
+  int64_t const matrix = runs_of_matrix == runs ? 0 : run / runs_of_matrix;
+  int64_t const begin = (run - matrix * runs_of_matrix) * kRun, first = matrix * p.count + begin;
+  int const n = int(min(p.count - begin, int64_t(kRun)));
+  F const* const from = p.matrices + matrix * p.matrix_stride;
+  F m[Map::entries], points[kRun][Map::in], y[kRun][Map::out];
+#pragma unroll
+  for (int i = 0; i < Map::entries; ++i) m[i] = __ldg(from + i);
+  load_arguments<Map>(p.points, p.depth, first, n, fours, points);
+#pragma unroll
+  for (int i = 0; i < kRun; ++i) Map::value(m, p.distance, points[i], y[i]);
+  store_points<Map::out>(p.y, first, n, fours, y);
+}
+
+}  // namespace
+
+template <class T>
+int map_points(Points<T> const& p, CUstream_st* stream) {
+  int64_t const runs_of_matrix = ceil_div(p.count, kRun), runs = runs_of_matrix * (p.total / p.count);
+  unsigned const blocks = unsigned(ceil_div(runs, kThreads));
+  bool const fours = in_fours(p.count, p.points, p.depth, static_cast<T const*>(p.y));
+  with_map(p.map,
+           [&](auto map) { map_of<decltype(map)><<<blocks, kThreads, 0, stream>>>(p, runs_of_matrix, runs, fours); });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(map_points, Points)
+
+}  // namespace kv::cuda

@@ -1,0 +1,70 @@
+// Double4 neighbouring points of a thread, 16 bytes an access where it can. Included by transform_points.cu and
+// transform_points_backward.cu.
+#pragma once
+
+#include "core/launch.cuh"
+#include "geometry/transform_points.h"
+
+namespace kv::cuda {
+
+constexpr int kRun = 4;
+
+// Whether the points of every matrix can be read in fours.
+template <class T>
+bool in_fours(int64_t count, T const* a, T const* b, T const* c) {
+  uintptr_t const at = reinterpret_cast<uintptr_t>(a) | reinterpret_cast<uintptr_t>(b) | reinterpret_cast<uintptr_t>(c);
+  return count % kRun == 0 && at % alignof(Vector<T, kRun>) == 0;
+}
+
+// K numbers of each point from point `first` on, of which there are n; into the columns from `column` on.
+template <int K, class T, class F, int W>
+__device__ __forceinline__ void load_points(T const* from, int64_t first, int n, bool fours, F (&p)[kRun][W],
+                                            int column = 0) {
+  from += first * K;
+  if (fours) {
+#pragma unroll
+    for (int k = 0; k < K; ++k) {
+      Vector<T, kRun> const vector = reinterpret_cast<Vector<T, kRun> const*>(from)[k];
+#pragma unroll
+      for (int i = 0; i < kRun; ++i) p[(k * kRun + i) / K][column + (k * kRun + i) % K] = read(vector.v[i]);
+    }
+  } else {
+#pragma unroll
+    for (int i = 0; i < kRun; ++i)
+#pragma unroll
+      for (int k = 0; k < K; ++k) p[i][column + k] = i < n ? F(read(from[i * K + k])) : F(0);
+  }
+}
+template <int K, class T, class F, int W>
+__device__ __forceinline__ void store_points(T* to, int64_t first, int n, bool fours, F const (&p)[kRun][W],
+                                             int column = 0) {
+  to += first * K;
+  if (fours) {
+#pragma unroll
+    for (int k = 0; k < K; ++k) {
+      F vector[kRun];
+#pragma unroll
+      for (int i = 0; i < kRun; ++i) vector[i] = p[(k * kRun + i) / K][column + (k * kRun + i) % K];
+      store_vector(to + k * kRun, vector);
+    }
+  } else {
+#pragma unroll
+    for (int i = 0; i < kRun; ++i)
+#pragma unroll
+      for (int k = 0; k < K; ++k)
+        if (i < n) to[i * K + k] = round_to<T>(p[i][column + k]);
+  }
+}
+// What a map takes: the points, and the depths of unproject.
+template <class Map, class T, class F>
+__device__ __forceinline__ void load_arguments(T const* points, T const* depth, int64_t first, int n, bool fours,
+                                               F (&p)[kRun][Map::in]) {
+  if constexpr (__is_same(Map, Unproject)) {
+    load_points<2>(points, first, n, fours, p);
+    load_points<1>(depth, first, n, fours, p, 2);
+  } else {
+    load_points<Map::in>(points, first, n, fours, p);
+  }
+}
+
+}  // namespace kv::cuda

@@ -1,0 +1,213 @@
+// Points through matrices, one for many points: what homographies and cameras do to them.
+//
+//   transform   y = (M (p, 1)) without its last entry w, divided by w
+//   project     y = f (px, py) / pz + c
+//   unproject   y = d ray,  ray = ((u - cx) / fx, (v - cy) / fy, 1), over its length where d is the distance
+//   meet        y = d / (n . ray), where the ray meets the plane n . p = d
+//
+// A divisor that is 0 within 1e-8 is taken for 1, but that of `meet`, of which eps with its sign is the least. Below
+// each map stand its gradients to the point and to the matrix.
+//
+// Included by transform_points_cpu.cpp, transform_points.cu, transform_points_backward.cu and transform_points_op.cpp.
+#pragma once
+
+#include "core/isa.h"
+#if !defined(__CUDACC__)
+#include "core/lanes.h"
+#endif
+
+namespace kv {
+
+enum class PointMap { plane, space, image, project, unproject, meet };
+
+template <class T>
+struct Points {
+  T const *points, *depth;  // depth: of unproject
+  Compute<T> const* matrices;
+  T* y;
+  int64_t matrix_stride, count, total;  // points of a matrix, points of all
+  PointMap map;
+  bool distance;
+};
+
+template <class T>
+struct PointsBackward {
+  T const *grad, *points, *depth;
+  Compute<T> const* matrices;
+  T *to_points, *to_depth;
+  Compute<T>*partial, *to_matrix;  // (matrices, parts, entries) and their sums; none where nobody asks
+  int64_t matrix_stride, count, matrices_count, part;  // a part: points that one block or thread sums
+  PointMap map;
+  bool distance;
+
+  KV_HD int64_t parts() const { return (count + part - 1) / part; }
+};
+
+KV_KERNEL(map_points, Points)
+KV_KERNEL(map_points_backward, PointsBackward)
+
+// 1 / z and whether z divides.
+template <class V>
+KV_HD V divider(V z, V& divides) {
+  V const one = V{} + 1, magnitude = z < 0 ? -z : z;
+  divides = magnitude > V(V{} + 1e-8f) ? one : V{};
+  return one / (magnitude > V(V{} + 1e-8f) ? z : one);
+}
+template <class V>
+KV_HD V point_root(V x) {
+#if defined(__CUDACC__)
+  return ::sqrt(x);
+#else
+  return vsqrt(x);
+#endif
+}
+
+// M (Out + 1, In + 1).
+template <int In, int Out>
+struct Transform {
+  static constexpr int in = In, out = Out, entries = (In + 1) * (Out + 1);
+
+  template <class F, class V>
+  KV_HD static V apply(F const* m, V const (&p)[In], V (&y)[Out], V& divides) {
+    V inverse = V{};
+    for (int r = Out; r >= 0; --r) {
+      V sum = V{} + m[r * (In + 1) + In];
+      for (int c = 0; c < In; ++c) sum = sum + p[c] * m[r * (In + 1) + c];
+      if (r == Out)
+        inverse = divider(sum, divides);
+      else
+        y[r] = sum * inverse;
+    }
+    return inverse;
+  }
+  template <class F, class V>
+  KV_HD static void value(F const* m, bool, V const (&p)[In], V (&y)[Out]) {
+    V divides;
+    apply(m, p, y, divides);
+  }
+  template <class F, class V>
+  KV_HD static void vjp(F const* m, bool, V const (&p)[In], V const (&g)[Out], V (&to_p)[In], V (&to_m)[entries]) {
+    V y[Out], divides, row[Out + 1];
+    V const inverse = apply(m, p, y, divides);
+    row[Out] = V{};
+    for (int r = 0; r < Out; ++r) {
+      row[r] = g[r] * inverse;
+      row[Out] = row[Out] - row[r] * y[r] * divides;
+    }
+    for (int c = 0; c < In; ++c) to_p[c] = V{};
+    for (int r = 0; r <= Out; ++r) {
+      for (int c = 0; c < In; ++c) {
+        to_p[c] = to_p[c] + row[r] * m[r * (In + 1) + c];
+        to_m[r * (In + 1) + c] = row[r] * p[c];
+      }
+      to_m[r * (In + 1) + In] = row[r];
+    }
+  }
+};
+
+// The camera matrix fx . cx / . fy cy / . . . of both: its other entries are not read.
+struct Project {
+  static constexpr int in = 3, out = 2, entries = 9;
+
+  template <class F, class V>
+  KV_HD static void value(F const* k, bool, V const (&p)[3], V (&y)[2]) {
+    V divides;
+    V const inverse = divider(p[2], divides);
+    y[0] = p[0] * inverse * k[0] + k[2];
+    y[1] = p[1] * inverse * k[4] + k[5];
+  }
+  template <class F, class V>
+  KV_HD static void vjp(F const* k, bool, V const (&p)[3], V const (&g)[2], V (&to_p)[3], V (&to_k)[9]) {
+    V divides;
+    V const inverse = divider(p[2], divides), x = p[0] * inverse, y = p[1] * inverse;
+    to_p[0] = g[0] * k[0] * inverse;
+    to_p[1] = g[1] * k[4] * inverse;
+    to_p[2] = -(to_p[0] * x + to_p[1] * y) * divides;
+    for (int i = 0; i < 9; ++i) to_k[i] = V{};
+    to_k[0] = g[0] * x, to_k[2] = g[0];
+    to_k[4] = g[1] * y, to_k[5] = g[1];
+  }
+};
+
+// A point is (u, v, d).
+struct Unproject {
+  static constexpr int in = 3, out = 3, entries = 9;
+
+  template <class F, class V>
+  KV_HD static V ray(F const* k, bool distance, V const (&p)[3], V (&r)[2]) {
+    r[0] = (p[0] - k[2]) / k[0];
+    r[1] = (p[1] - k[5]) / k[4];
+    return distance ? V(1 / point_root(V(r[0] * r[0] + r[1] * r[1] + 1))) : V(V{} + 1);
+  }
+  template <class F, class V>
+  KV_HD static void value(F const* k, bool distance, V const (&p)[3], V (&y)[3]) {
+    V r[2];
+    V const z = ray(k, distance, p, r) * p[2];
+    y[0] = r[0] * z, y[1] = r[1] * z, y[2] = z;
+  }
+  template <class F, class V>
+  KV_HD static void vjp(F const* k, bool distance, V const (&p)[3], V const (&g)[3], V (&to_p)[3], V (&to_k)[9]) {
+    V r[2];
+    V const scale = ray(k, distance, p, r), z = scale * p[2], along = g[0] * r[0] + g[1] * r[1] + g[2];
+    V const shortens = distance ? V(along * z * scale * scale) : V{};
+    V const x = (g[0] * z - shortens * r[0]) / k[0], y = (g[1] * z - shortens * r[1]) / k[4];
+    to_p[0] = x, to_p[1] = y, to_p[2] = along * scale;
+    for (int i = 0; i < 9; ++i) to_k[i] = V{};
+    to_k[0] = -x * r[0], to_k[2] = -x;
+    to_k[4] = -y * r[1], to_k[5] = -y;
+  }
+};
+
+// The matrix is one row: fx, fy, cx, cy, n, d, eps.
+struct Meet {
+  static constexpr int in = 2, out = 1, entries = 9;
+
+  template <class F, class V>
+  KV_HD static V along(F const* m, V const (&p)[2], V (&r)[2], V& varies) {
+    r[0] = (p[0] - m[2]) / m[0];
+    r[1] = (p[1] - m[3]) / m[1];
+    V const one = V{} + 1, eps = V{} + m[8], found = r[0] * m[4] + r[1] * m[5] + m[6];
+    V const magnitude = found < 0 ? -found : found;
+    varies = magnitude < eps ? V{} : one;
+    return magnitude < eps ? (found < 0 ? -eps : eps) : found;
+  }
+  template <class F, class V>
+  KV_HD static void value(F const* m, bool, V const (&p)[2], V (&y)[1]) {
+    V r[2], varies;
+    y[0] = m[7] / along(m, p, r, varies);
+  }
+  template <class F, class V>
+  KV_HD static void vjp(F const* m, bool, V const (&p)[2], V const (&g)[1], V (&to_p)[2], V (&to_m)[9]) {
+    V r[2], varies;
+    V const inverse = 1 / along(m, p, r, varies), to_d = g[0] * inverse, to_divisor = -to_d * inverse * m[7];
+    V const to_along = to_divisor * varies, to_eps = to_divisor - to_along;
+    to_p[0] = to_along * m[4] / m[0];
+    to_p[1] = to_along * m[5] / m[1];
+    to_m[0] = -to_p[0] * r[0], to_m[1] = -to_p[1] * r[1];
+    to_m[2] = -to_p[0], to_m[3] = -to_p[1];
+    to_m[4] = to_along * r[0], to_m[5] = to_along * r[1], to_m[6] = to_along;
+    to_m[7] = to_d;
+    to_m[8] = inverse < 0 ? -to_eps : to_eps;
+  }
+};
+
+// Calls f with the map.
+template <class F>
+KV_HD void with_map(PointMap map, F f) {
+  switch (map) {
+    case PointMap::plane:
+      return f(Transform<2, 2>{});
+    case PointMap::space:
+      return f(Transform<3, 3>{});
+    case PointMap::image:
+      return f(Transform<3, 2>{});
+    case PointMap::project:
+      return f(Project{});
+    case PointMap::meet:
+      return f(Meet{});
+    default:
+      return f(Unproject{});
+  }
+}
+
+}  // namespace kv

@@ -1,0 +1,85 @@
+// Gradients of points through matrices on CUDA: a block takes a part of a matrix's points and sums for the matrix.
+#include "geometry/transform_points.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+
+template <class Map, class T>
+__global__ void __launch_bounds__(kThreads)
+    gradients_of(__grid_constant__ PointsBackward<T> const p, int64_t parts, bool fours) {
+  using F = Compute<T>;
+  __shared__ F shared[Map::entries][kThreads / 32];
+  int64_t const matrix = blockIdx.x / parts, begin = (blockIdx.x - matrix * parts) * p.part;
+  int64_t const end = min(begin + p.part, p.count);
+  F const* const from = p.matrices + matrix * p.matrix_stride;
+  F m[Map::entries], sums[Map::entries] = {};
+#pragma unroll
+  for (int i = 0; i < Map::entries; ++i) m[i] = __ldg(from + i);
+  for (int64_t at = begin + threadIdx.x * kRun; at < end; at += blockDim.x * kRun) {
+    int64_t const first = matrix * p.count + at;
+    int const n = int(min(end - at, int64_t(kRun)));
+    F points[kRun][Map::in], grad[kRun][Map::out], to_points[kRun][Map::in];
+    load_arguments<Map>(p.points, p.depth, first, n, fours, points);
+    load_points<Map::out>(p.grad, first, n, fours, grad);
+#pragma unroll
+    for (int i = 0; i < kRun; ++i) {
+      F to_m[Map::entries];
+      Map::vjp(m, p.distance, points[i], grad[i], to_points[i], to_m);
+#pragma unroll
+      for (int e = 0; e < Map::entries; ++e)
+        if (i < n && p.partial) sums[e] += to_m[e];
+    }
+    if constexpr (__is_same(Map, Unproject)) {
+      store_points<2>(p.to_points, first, n, fours, to_points);
+      store_points<1>(p.to_depth, first, n, fours, to_points, 2);
+    } else {
+      store_points<Map::in>(p.to_points, first, n, fours, to_points);
+    }
+  }
+  if (!p.partial) return;
+#pragma unroll
+  for (int e = 0; e < Map::entries; ++e) {
+    F const sum = warp_sum(sums[e]);
+    if (threadIdx.x % 32 == 0) shared[e][threadIdx.x / 32] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x < Map::entries) {
+    F sum = 0;
+    for (unsigned w = 0; w < blockDim.x / 32; ++w) sum += shared[threadIdx.x][w];
+    p.partial[blockIdx.x * Map::entries + threadIdx.x] = sum;
+  }
+}
+
+// The sums of the parts, a warp for an entry, always in the same order.
+template <class F>
+__global__ void add_parts(F const* partial, int64_t parts, int entries, F* sums) {
+  int64_t const matrix = blockIdx.x / entries, e = blockIdx.x - matrix * entries;
+  F sum = 0;
+  for (int64_t i = threadIdx.x; i < parts; i += 32) sum += partial[(matrix * parts + i) * entries + e];
+  sum = warp_sum(sum);
+  if (threadIdx.x == 0) sums[blockIdx.x] = sum;
+}
+
+}  // namespace
+
+template <class T>
+int map_points_backward(PointsBackward<T> const& p, CUstream_st* stream) {
+  int64_t const parts = p.parts(), wanted = ceil_div(ceil_div(min(p.part, p.count), kRun), 32) * 32;
+  unsigned const threads = unsigned(min(wanted, int64_t(kThreads))), blocks = unsigned(p.matrices_count * parts);
+  bool const fours =
+      in_fours(p.count, p.points, p.depth, p.grad) && in_fours<T>(p.count, p.to_points, p.to_depth, nullptr);
+  with_map(p.map, [&](auto map) {
+    using Map = decltype(map);
+    gradients_of<Map><<<blocks, threads, 0, stream>>>(p, parts, fours);
+    if (p.partial)
+      add_parts<<<unsigned(p.matrices_count * Map::entries), 32, 0, stream>>>(p.partial, parts, Map::entries,
+                                                                              p.to_matrix);
+  });
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE(map_points_backward, PointsBackward)
+
+}  // namespace kv::cuda

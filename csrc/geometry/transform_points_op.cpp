@@ -1,0 +1,156 @@
+// Points through matrices: schemas and entries, for CPU and CUDA alike.
+#include "geometry/transform_points.h"
+#include "glue/glue.h"
+
+namespace kv {
+namespace {
+
+template <class T>
+T* data_ptr(std::optional<Tensor> const& x) {
+  return x ? static_cast<T*>(const_cast<void*>(x->const_data_ptr())) : nullptr;
+}
+
+// Points (B, N, D), depths (B, N, 1) and matrices (B or 1, ., .), checked and contiguous.
+struct Given {
+  Tensor points, matrix;
+  std::optional<Tensor> depth;
+  PointMap map{};
+  bool distance = false;
+  int64_t out = 3;
+
+  Given(char const* op, Tensor const& p, std::optional<Tensor> const& d, Tensor const& m, std::string const& kind)
+      : points(p), matrix(m) {
+    KV_CHECK(p.dim() == 3 && m.dim() == 3 && (m.size(0) == 1 || m.size(0) == p.size(0)) &&
+                 m.scalar_type() == compute_dtype(p) && m.device() == p.device(),
+             op, ": matrix does not fit the points");
+    int64_t const in = p.size(2), rows = m.size(1), columns = m.size(2);
+    bool const camera = rows == 3 && columns == 3, unprojects = kind == "unproject" || kind == "unproject_distance";
+    if (kind == "transform") {
+      bool const plane = camera && in == 2, space = columns == 4 && in == 3 && (rows == 3 || rows == 4);
+      KV_CHECK(plane || space, op, ": there is no map of ", in, " numbers by ", rows, " x ", columns);
+      map = plane ? PointMap::plane : rows == 4 ? PointMap::space : PointMap::image;
+      out = rows - 1;
+    } else if (kind == "project") {
+      KV_CHECK(camera && in == 3, op, ": expected points (B, N, 3) and cameras (B, 3, 3)");
+      map = PointMap::project;
+      out = 2;
+    } else if (kind == "meet") {
+      KV_CHECK(in == 2 && rows == 1 && columns == 9, op, ": expected points (B, N, 2) and planes (B, 1, 9)");
+      map = PointMap::meet;
+      out = 1;
+    } else {
+      KV_CHECK(unprojects && camera && in == 2, op, ": expected points (B, N, 2) and cameras (B, 3, 3)");
+      map = PointMap::unproject;
+      distance = kind == "unproject_distance";
+    }
+    KV_CHECK(d.has_value() == unprojects, op, ": depth is for unproject");
+    if (d) {
+      bool const fits = d->dim() == 3 && d->size(0) == p.size(0) && d->size(1) == p.size(1) && d->size(2) == 1 &&
+                        d->scalar_type() == p.scalar_type() && d->device() == p.device();
+      KV_CHECK(fits, op, ": depth does not fit the points");
+      depth = dense(*d);
+    }
+    points = dense(p);
+    matrix = dense(m);
+  }
+  int64_t matrices() const { return matrix.size(0); }
+  int64_t entries() const { return matrix.size(1) * matrix.size(2); }
+  int64_t total() const { return points.size(0) * points.size(1); }
+  // The points of a matrix; there are some.
+  int64_t count() const { return matrices() > 0 ? total() / matrices() : 0; }
+};
+
+#if !defined(KV_CUDA)
+// The sums of the parts; the CUDA kernel adds them itself.
+template <class T>
+void add_parts(PointsBackward<T> const& p, int64_t entries) {
+  int64_t const parts = p.parts();
+  for (int64_t i = 0; i < p.matrices_count * entries; ++i) {
+    double sum = 0;
+    for (int64_t k = 0; k < parts; ++k) sum += p.partial[(i / entries * parts + k) * entries + i % entries];
+    p.to_matrix[i] = Compute<T>(sum);
+  }
+}
+#endif
+
+Tensor map_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix,
+                  std::string const& kind) {
+  Given const given("map_points", points, depth, matrix, kind);
+  Tensor const y = empty({points.size(0), points.size(1), given.out}, points);
+  dispatch_floating("map_points", points, [&](auto type) {
+    using T = typename decltype(type)::type;
+    Points<T> const params{data_ptr<T const>(given.points),
+                           data_ptr<T const>(given.depth),
+                           data_ptr<Compute<T> const>(given.matrix),
+                           data_ptr<T>(y),
+                           given.entries(),
+                           given.count(),
+                           given.total(),
+                           given.map,
+                           given.distance};
+    KV_RUN(map_points, points, params, params.total, 8);
+  });
+  return y;
+}
+
+std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tensor const& points,
+                                                       std::optional<Tensor> const& depth, Tensor const& matrix,
+                                                       std::string const& kind, bool to_matrix) {
+  char const* const op = "map_points_backward";
+  Given const given(op, points, depth, matrix, kind);
+  KV_CHECK(grad.dim() == 3 && grad.size(0) == points.size(0) && grad.size(1) == points.size(1) &&
+               grad.size(2) == given.out && grad.scalar_type() == points.scalar_type() &&
+               grad.device() == points.device(),
+           op, ": expected grad to be that of the points");
+  Tensor const g = dense(grad);
+  // For each sample, also where one matrix serves all: whoever maps over samples needs it so.
+  int64_t const count = points.size(1), matrices = points.size(0), entries = given.entries();
+#if defined(KV_CUDA)
+  // As many blocks as keep the device busy, each of one thousand points or more.
+  int64_t const blocks = matrices < 1024 ? (1024 + matrices - 1) / (matrices > 0 ? matrices : 1) : 1;
+  int64_t const thousands = (count / blocks + 1023) / 1024, part = 1024 * (thousands > 0 ? thousands : 1);
+#else
+  int64_t const part = 4096;
+#endif
+  int64_t const parts = (count + part - 1) / part;
+  ScalarType const type = compute_dtype(points);
+  Tensor const to_points = empty({matrices, count, points.size(2)}, points),
+               to_depth = empty({matrices, count, depth ? 1 : 0}, points),
+               partial = empty({to_matrix ? matrices : 0, parts, entries}, points, Layout::planar, type);
+  Tensor sums = empty({matrices, to_matrix ? matrix.size(1) : 0, matrix.size(2)}, points, Layout::planar, type);
+  dispatch_floating(op, points, [&](auto type) {
+    using T = typename decltype(type)::type;
+    using F = Compute<T>;
+    PointsBackward<T> const params{data_ptr<T const>(g),
+                                   data_ptr<T const>(given.points),
+                                   data_ptr<T const>(given.depth),
+                                   data_ptr<F const>(given.matrix),
+                                   data_ptr<T>(to_points),
+                                   data_ptr<T>(to_depth),
+                                   to_matrix ? data_ptr<F>(partial) : nullptr,
+                                   to_matrix ? data_ptr<F>(sums) : nullptr,
+                                   given.matrices() == 1 ? 0 : entries,
+                                   count,
+                                   matrices,
+                                   part,
+                                   given.map,
+                                   given.distance};
+    KV_RUN(map_points_backward, points, params, matrices * parts, 16 * part);
+#if !defined(KV_CUDA)
+    if (to_matrix) add_parts(params, entries);
+#endif
+  });
+#if defined(KV_CUDA)
+  if (parts == 0) torch::stable::zero_(sums);
+#endif
+  return {to_points, to_depth, sums};
+}
+
+}  // namespace
+
+KV_OPERATOR(map_points, "(Tensor points, Tensor? depth, Tensor matrix, str kind) -> Tensor")
+KV_OPERATOR(map_points_backward,
+            "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, str kind, bool to_matrix) -> (Tensor, Tensor, "
+            "Tensor)")
+
+}  // namespace kv

@@ -1,0 +1,125 @@
+"""Points through matrices, one for many points: the operator behind transform_points, cameras, boxes and key points."""
+
+from __future__ import annotations
+
+from math import prod
+
+import torch
+from torch import Tensor
+
+from kvision._dtype import as_dtype, compute_dtype
+from kvision._ops import register
+from kvision.geometry.conversions.homogeneous import divisor
+from kvision.geometry.conversions.pixels import focal_and_center
+
+# --- the definition -------------------------------------------------------------------------------------------------
+
+
+def _reference(points, depth, matrix, kind):
+    """`points` (B, N, D), `depth` (B, N, 1) or None, `matrix` (B or 1, ., .); maps: csrc/geometry/transform_points.h."""
+    if kind == "transform":
+        columns = matrix.unsqueeze(1).unbind(-1)
+        moved = columns[-1]
+        for x, column in zip(points.split(1, -1), columns):  # no matrix product: it would round as torch is told to
+            moved = moved + x * column
+        return moved[..., :-1] / divisor(moved[..., -1:])
+    if kind == "meet":
+        focal, center, normal, offset, eps = matrix.split((2, 2, 3, 1, 1), -1)
+        ray = (points - center) / focal
+        along = (ray * normal[..., :2]).sum(-1, keepdim=True) + normal[..., 2:]
+        return offset / torch.where(along.abs() < eps, torch.where(along < 0, -eps, eps), along)
+    focal, center = focal_and_center(points, matrix)
+    if kind == "project":
+        return points[..., :2] / divisor(points[..., 2:]) * focal + center
+    plane = (points - center) / focal
+    if kind == "unproject_distance":
+        depth = depth / (1 + plane.square().sum(-1, keepdim=True)).sqrt()
+    return torch.cat([plane * depth, depth], -1)
+
+
+def _shape(points, depth, matrix, kind):
+    width = {"transform": matrix.shape[1] - 1, "project": 2, "meet": 1}.get(kind, 3)
+    return (*points.shape[:2], width)
+
+
+def _backward(needs, grad, points, depth, matrix, kind):
+    to_points, to_depth, to_matrix = _map_points_backward(grad, points, depth, matrix, kind, needs[2])
+    to_matrix = to_matrix.sum_to_size(matrix.shape) if needs[2] else None
+    return [to_points, to_depth if depth is not None else None, to_matrix]
+
+
+def _backward_reference(grad, points, depth, matrix, kind, to_matrix):
+    wide = matrix.dtype
+    given = [points.to(wide), matrix.expand(points.shape[0], -1, -1)]
+    given += [] if depth is None else [depth.to(wide)]
+
+    def of_tensors(points: Tensor, matrix: Tensor, depth: Tensor | None = None) -> Tensor:
+        return _reference(points, depth, matrix, kind)
+
+    _, vjp_fn = torch.func.vjp(of_tensors, *given)
+    found = vjp_fn(grad.to(wide))
+    to_depth = points.new_empty(*points.shape[:2], 0) if depth is None else found[2].to(depth.dtype)
+    return found[0].to(points.dtype), to_depth, found[1] if to_matrix else found[1][:, :0]
+
+
+def _backward_shapes(grad, points, depth, matrix, kind, to_matrix):
+    """The gradient to the matrix is of each sample, also where one matrix serves all."""
+    to_depth = points.new_empty(*points.shape[:2], 0 if depth is None else 1)
+    to_matrix = matrix.new_empty(points.shape[0], matrix.shape[1] if to_matrix else 0, matrix.shape[2])
+    return [points.shape, to_depth, to_matrix]
+
+
+_map_points = register("map_points", _reference, fake=_shape, backward=_backward)
+_map_points_backward = register("map_points_backward", _backward_reference, fake=_backward_shapes, casts_outputs=True)
+
+
+def met(points: Tensor, plane: Tensor) -> Tensor:
+    """Depths (B, N) of planes at pixels (B, N, 2), by rows (B or 1, 9): focal lengths, principal point, normal, offset, eps."""
+    depth: Tensor = _map_points(points, None, plane[:, None], "meet")
+    return depth[..., 0]
+
+
+# --- with any leading axes ------------------------------------------------------------------------------------------
+
+
+def transformed(points: Tensor, matrix: Tensor) -> Tensor:
+    """Points (B, *, n) by matrices (B, m + 1, n + 1), (1, ...) or (m + 1, n + 1): (B, *, m)."""
+    if matrix.dim() == 2:
+        matrix = matrix[None]
+    batch = matrix.shape[0]
+    matrix = as_dtype(matrix, compute_dtype(points))
+    if points.dim() == 3 and points.shape[0] == batch:  # as most calls are
+        return _map_points(points, None, matrix, "transform")
+    flat = points.reshape(batch, prod(points.shape[:-1]) // batch if batch else 0, points.shape[-1])
+    y = _map_points(flat, None, matrix, "transform")
+    return y.reshape(*points.shape[:-1], y.shape[-1])
+
+
+def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str) -> Tensor:
+    """Points (*, D) by cameras (*, 3, 3), leading axes broadcast; with fewer of them a camera serves the points' last axis."""
+    camera_matrix = as_dtype(camera_matrix, compute_dtype(points))
+    depth = None if depth is None else as_dtype(depth, points.dtype)
+    leading = points.shape[:-1]
+    if points.dim() == camera_matrix.dim() == 3 and points.shape[0] == camera_matrix.shape[0]:  # as most calls are
+        if depth is None or depth.shape[:-1] == leading:
+            return _map_points(points, depth, camera_matrix, kind)
+    cameras: tuple[int, ...] = camera_matrix.shape[:-2]
+    if len(cameras) < len(leading):
+        cameras = (*cameras, 1)
+    if len(cameras) > len(leading) or any(c not in (1, n) for c, n in zip(reversed(cameras), reversed(leading))):
+        leading = torch.broadcast_shapes(leading, cameras)
+        points = points.expand(*leading, points.shape[-1])
+    if depth is not None and depth.shape[:-1] != leading:
+        leading = torch.broadcast_shapes(leading, depth.shape[:-1])
+        points, depth = points.expand(*leading, points.shape[-1]), depth.expand(*leading, 1)
+    cameras = (*(1,) * (len(leading) - len(cameras)), *cameras)
+    own = len(cameras)  # axes along which cameras differ; those behind have points of one camera
+    while own > 0 and cameras[own - 1] == 1:
+        own -= 1
+    outer, inner = prod(leading[:own]), prod(leading[own:])
+    matrix = camera_matrix
+    if cameras[:own] != tuple(leading[:own]):
+        matrix = matrix.reshape(*cameras[:own], 3, 3).expand(*leading[:own], 3, 3)
+    depth = None if depth is None else depth.reshape(outer, inner, 1)
+    y = _map_points(points.reshape(outer, inner, points.shape[-1]), depth, matrix.reshape(outer, 3, 3), kind)
+    return y.reshape(*leading, y.shape[-1])

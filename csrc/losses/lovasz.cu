@@ -120,7 +120,7 @@ struct Digits {
     for (int i = threadIdx.x % 32; i < kDigits; i += 32) own[i] = 0;
     int64_t const start = p.start();
 #pragma unroll
-    for (int row = 0; row < kRows; ++row) element[row] = p.at(start + Rows<F>::place(row));
+    for (int row = 0; row < kRows; ++row) element[row] = p.at(start + Rows<F>::locate(row));
     __syncwarp();
 #pragma unroll
     for (int row = 0; row < kRows; ++row) {
@@ -262,7 +262,7 @@ __global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked,
   unsigned inside[kRows], of_warp = 0;
 #pragma unroll
   for (int row = 0; row < kRows; ++row) {
-    int64_t const i = start + Rows<F>::place(row);
+    int64_t const i = start + Rows<F>::locate(row);
     element[row] = i < pixels ? ranked[i] : Ranked<F>{0, 0};
     inside[row] = __ballot_sync(0xffffffffu, element[row].inside());
     of_warp += __popc(inside[row]);
@@ -277,7 +277,7 @@ __global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked,
   F loss = 0;
 #pragma unroll
   for (int row = 0; row < kRows; ++row) {
-    int64_t const i = start + Rows<F>::place(row);
+    int64_t const i = start + Rows<F>::locate(row);
     Ranked<F> const r = element[row];
     unsigned const with_it = found + __popc(inside[row] & (lanes_before() | 1u << lane));
     found += __popc(inside[row]);

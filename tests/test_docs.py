@@ -13,7 +13,7 @@ import kvision as K
 from test_public_api import arguments, public_modules, public_names, surface
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("", "benchmarks", "docs", "docs/reference", "examples/cpp", "third_party")
+FOLDERS = ("", "benchmarks", "docs", "docs/notes", "docs/reference", "examples/cpp", "third_party")
 PAGES = [str(path.relative_to(ROOT)) for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
 REFERENCE = "".join(path.read_text() for path in sorted((ROOT / "docs" / "reference").glob("*.md")))
 

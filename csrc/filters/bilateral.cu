@@ -34,7 +34,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_tile(Bilateral<T> p, Ti
   }
 }
 
-// One thread a pixel and four of its channels.
+// One thread for each pixel and chunk of channels.
 template <class T, bool Joint>
 __global__ void bilateral_any(Bilateral<T> p) {
   using F = Compute<T>;

@@ -1,7 +1,8 @@
-// What the CUDA kernels of the bilateral blur share. Included by bilateral.cu and bilateral_backward.cu.
+// Shared by the CUDA kernels of the bilateral blur. Included by bilateral.cu, bilateral_backward.cu and
+// bilateral_sigma_sums.cu.
 //
-// Images of 1 or 3 channels that guide themselves, computed in float, are served from tiles in shared memory; all
-// others by plain kernels.
+// Images of 1 or 3 channels that are their own guides and are computed in float32 are processed in tiles in shared
+// memory; all others by plain kernels.
 #pragma once
 
 #include "bilateral.h"
@@ -10,8 +11,7 @@
 namespace kv::cuda {
 namespace {
 
-// Where the border rule finds position i, or -1 for the constant 0. Images that go on in circles may do so more than
-// once.
+// The pixel at position i, or -1 for the constant 0. With the circular border it may be more than one image away.
 __device__ __forceinline__ int pixel_at(Border border, int i, int n) {
   if (border != Border::circular) return border_index(border, i, n);
   int const r = i % n;
@@ -20,11 +20,11 @@ __device__ __forceinline__ int pixel_at(Border border, int i, int n) {
 
 // --- tiles -----------------------------------------------------------------------------------------------------------
 
-// Blocks of 256 threads, tiles of 64 columns; a thread computes a run of `Run` pixels down a column.
+// Blocks of 256 threads, tiles of 64 columns. A thread computes a run of `Run` pixels below each other.
 constexpr int kThreads = 256, kColumns = 64;
 constexpr int rows_of(int run) { return kThreads / kColumns * run; }
 
-// A tile of an image batch, from a block's index.
+// The division of an image batch into tiles, one for each block.
 template <int Run>
 struct Tiles {
   unsigned across, down, count;
@@ -40,14 +40,14 @@ struct Tiles {
   }
 };
 
-// Whether blocks of a kernel can have this much shared memory; asks for it where it is more than they have by default.
+// Whether blocks of a kernel can have this much shared memory. Raises the kernel's limit where it exceeds the default.
 template <class Kernel>
 bool fits(Kernel kernel, int64_t bytes) {
   if (bytes <= 48 * 1024) return true;
   if (bytes <= 227 * 1024 &&
       cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)) == cudaSuccess)
     return true;
-  cudaGetLastError();  // a refusal is no error of the call
+  cudaGetLastError();  // clears the error: the caller has another kernel
   return false;
 }
 
@@ -61,8 +61,8 @@ struct SharedPlanes {
   }
 };
 
-// Fills the first C planes with the channels of an image, times `scale`. `reach` columns on either side are beyond the
-// tile's own, which threads take as they compute them; each asks for much memory before it waits for it.
+// Fills the first C planes with the channels of an image, times `scale`: the tile's columns, and `reach` columns on
+// either side. Each thread issues many loads before it uses the first.
 template <int C, class T>
 __device__ __forceinline__ void load_planes(SharedPlanes const& s, Images<T const> const& image, int64_t b,
                                             Border border, int reach, float scale) {
@@ -77,7 +77,8 @@ __device__ __forceinline__ void load_planes(SharedPlanes const& s, Images<T cons
 #pragma unroll
     for (int c = 0; c < C; ++c) s.data[c * s.size() + row * s.columns + column] = v[c] * scale;
   };
-  int const own = reach + threadIdx.x % kColumns, x = pixel_at(border, s.x + own, int(image.width));
+  int const column_of_thread = reach + threadIdx.x % kColumns,
+            x = pixel_at(border, s.x + column_of_thread, int(image.width));
   for (int first = threadIdx.x / kColumns; first < s.rows; first += kBatch * kStep) {
     float v[kBatch][C];
 #pragma unroll
@@ -85,7 +86,7 @@ __device__ __forceinline__ void load_planes(SharedPlanes const& s, Images<T cons
       if (first + i * kStep < s.rows) fetch(first + i * kStep, x, v[i]);
 #pragma unroll
     for (int i = 0; i < kBatch; ++i)
-      if (first + i * kStep < s.rows) put(first + i * kStep, own, v[i]);
+      if (first + i * kStep < s.rows) put(first + i * kStep, column_of_thread, v[i]);
   }
   for (int i = threadIdx.x; i < s.rows * 2 * reach; i += kThreads) {
     int const row = unsigned(i) / unsigned(2 * reach), k = i - row * 2 * reach;
@@ -96,7 +97,7 @@ __device__ __forceinline__ void load_planes(SharedPlanes const& s, Images<T cons
   }
 }
 
-// The logarithm of a weight, from that of its place in the window and two pixels of unit falloff in colour.
+// The logarithm of a weight, from its spatial part and two pixels that are scaled to unit falloff in color.
 template <int C, bool L1>
 __device__ __forceinline__ float log_weight(float space, float const (&p)[C], float const (&q)[C]) {
   if constexpr (L1) {
@@ -112,24 +113,24 @@ __device__ __forceinline__ float log_weight(float space, float const (&p)[C], fl
 }
 
 // The weighted sums of C channels, and the sums of the weights, for the run of pixels that begins at (y, x). With R > 0
-// the window has 2 R + 1 rows and columns, known to the compiler, and the weight 1 of its centre is not computed.
+// the window has 2 R + 1 rows and columns at compile time, and the weight 1 of its center is not computed.
 template <int C, bool L1, int R, int Run>
 __device__ __forceinline__ void sum_run(SharedPlanes const& s, int ry, [[maybe_unused]] int rx,
                                         Falloff<float> const& falloff, int y, int x, float (&sum)[Run][C],
                                         float (&total)[Run]) {
-  float centre[Run][C];
+  float center[Run][C];
 #pragma unroll
   for (int i = 0; i < Run; ++i) {
     total[i] = 0;
 #pragma unroll
     for (int c = 0; c < C; ++c) {
       sum[i][c] = 0;
-      centre[i][c] = s.at(y + i, x)[c * s.size()];
+      center[i][c] = s.at(y + i, x)[c * s.size()];
     }
   }
   auto const column = [&](int dx) {
     float const space_x = falloff.space_x * float(dx * dx);
-    auto const pixel_row = [&](int row) {  // serves the pixels of the run that have it in their windows
+    auto const pixel_row = [&](int row) {  // adds a row to the pixels of the run that have it in their windows
       float pixel[C];
 #pragma unroll
       for (int c = 0; c < C; ++c) pixel[c] = s.at(y + row, x + dx)[c * s.size()];
@@ -139,7 +140,7 @@ __device__ __forceinline__ void sum_run(SharedPlanes const& s, int ry, [[maybe_u
         if (dy < -(R > 0 ? R : ry) || dy > (R > 0 ? R : ry)) continue;
         float weight = 1;
         if (R == 0 || dy != 0 || dx != 0)
-          weight = fast_exp2(log_weight<C, L1>(falloff.space_y * float(dy * dy) + space_x, pixel, centre[i]));
+          weight = fast_exp2(log_weight<C, L1>(falloff.space_y * float(dy * dy) + space_x, pixel, center[i]));
         total[i] += weight;
 #pragma unroll
         for (int c = 0; c < C; ++c) sum[i][c] += weight * pixel[c];
@@ -188,7 +189,7 @@ __device__ __forceinline__ auto distance(Images<T> const& guide, bool l1, T* p, 
   return sum;
 }
 
-// The guide of a call: x, or the other image of a joint blur.
+// The guide of a call: x, or the second image of a joint blur.
 template <bool Joint, class Params>
 __device__ __forceinline__ auto const& guide_of(Params const& p) {
   if constexpr (Joint)
@@ -200,18 +201,18 @@ __device__ __forceinline__ auto const& guide_of(Params const& p) {
 // Channels that a thread of a plain kernel sums at a time.
 constexpr int kChunk = 4;
 
-// As sum_run, for chunk of channels from c on and the window around pixel (y, x).
+// As sum_run, for a chunk of channels from c on and one pixel (y, x).
 template <bool Joint, class Params, class F>
 __device__ __forceinline__ F sum_window(Params const& p, Falloff<F> const& falloff, int64_t b, int c, int y, int x,
                                         F (&sum)[kChunk]) {
   auto const& guide = guide_of<Joint>(p);
   int const ry = p.ky / 2, rx = p.kx / 2;
-  auto const* const centre = pixel(guide, b, p.border, y, x);
+  auto const* const center = pixel(guide, b, p.border, y, x);
   F total = 0;
   for (int k = 0; k < kChunk; ++k) sum[k] = 0;
   for (int dy = -ry; dy <= ry; ++dy)
     for (int dx = -rx; dx <= rx; ++dx) {
-      F const d = distance(guide, p.l1, pixel(guide, b, p.border, y + dy, x + dx), centre);
+      F const d = distance(guide, p.l1, pixel(guide, b, p.border, y + dy, x + dx), center);
       F const space = falloff.space_y * F(dy * dy) + falloff.space_x * F(dx * dx);
       F const weight = fast_exp2(space - (p.l1 ? d * d : d) * falloff.color);
       total += weight;

@@ -4,31 +4,32 @@
 namespace kv::cuda {
 namespace {
 
-// Calls f(i) for every position i at which pixel j of n stands, itself first, as for_each_reader does; but there is
-// one place where f is called, so it may be long. In circles the image goes on instead, gradients and all.
+// Calls f(i) for every position i whose border pixel is j of n, j itself first, as for_each_reader does. There is a
+// single call of f in the code, so f may be long. With the circular border images and gradients repeat: only j itself
+// counts.
 template <class Body>
-__device__ __forceinline__ void for_each_place(Border border, int j, int n, int reach, Body body) {
-  bool const alone = border == Border::circular || (j > reach && j < n - 1 - reach);
-  for (int k = 0; k < (alone ? 1 : 2 * reach + 1); ++k) {
+__device__ __forceinline__ void for_each_reader_once(Border border, int j, int n, int reach, Body body) {
+  bool const only_itself = border == Border::circular || (j > reach && j < n - 1 - reach);
+  for (int k = 0; k < (only_itself ? 1 : 2 * reach + 1); ++k) {
     int const i = k == 0 ? j : k <= reach ? -k : n - 1 + k - reach;
     if (k == 0 || border_index(border, i, n) == j) body(i);
   }
 }
 template <class Params, class Body>
-__device__ __forceinline__ void for_each_place(Params const& p, int y, int x, Body body) {
-  for_each_place(p.border, y, int(p.x.height), p.ky / 2, [&](int at_y) {
-    for_each_place(p.border, x, int(p.x.width), p.kx / 2, [&](int at_x) { body(at_y, at_x); });
+__device__ __forceinline__ void for_each_reader_once(Params const& p, int y, int x, Body body) {
+  for_each_reader_once(p.border, y, int(p.x.height), p.ky / 2, [&](int at_y) {
+    for_each_reader_once(p.border, x, int(p.x.width), p.kx / 2, [&](int at_x) { body(at_y, at_x); });
   });
 }
 
-// The part of a pixel's window that has gradients: all of it around the pixel itself, what is inside of the image
-// around another position at which it stands.
+// The part of a position's window that has gradients: all of it for the pixel itself, and the part in bounds for a
+// position out of bounds.
 struct Window {
   int top, bottom, left, right;
   template <class Params>
-  __device__ __forceinline__ Window(Params const& p, int y, int x, bool own)
+  __device__ __forceinline__ Window(Params const& p, int y, int x, bool is_own)
       : top(y - p.ky / 2), bottom(y + p.ky / 2), left(x - p.kx / 2), right(x + p.kx / 2) {
-    if (own) return;
+    if (is_own) return;
     top = max(top, 0);
     left = max(left, 0);
     bottom = min(bottom, int(p.x.height) - 1);
@@ -40,31 +41,36 @@ struct Window {
 
 constexpr int kRun = 4;
 
-// What a pixel q collects from a pixel p, see bilateral.h. Their values are scaled to unit falloff in colour: with one
-// factor of the scale in b and the products with a, the derivative of the distance has the other one.
+// Adds what pixel q receives from pixel p; see bilateral.h. Values are scaled to unit falloff in color: b and the
+// products with a have one factor of the scale, the derivative of the distance has the other one.
 template <int C, bool L1>
-__device__ __forceinline__ void collect(float space, float const (&p)[C], float const (&p_ab)[C + 1],
-                                        float const (&q)[C], float const (&q_ab)[C + 1], bool own, float (&grad)[C]) {
+__device__ __forceinline__ void accumulate_gradient(float space, float const (&p)[C], float const (&p_ab)[C + 1],
+                                                    float const (&q)[C], float const (&q_ab)[C + 1], bool is_own,
+                                                    float (&grad)[C]) {
   float const weight = fast_exp2(log_weight<C, L1>(space, p, q));
-  float slope = -p_ab[C], distance = 0;
-  if (own) slope -= q_ab[C];
+  float weight_grad = -p_ab[C], distance = 0;
+  if (is_own) weight_grad -= q_ab[C];
 #pragma unroll
   for (int c = 0; c < C; ++c) {
-    slope += p_ab[c] * q[c];
-    if (own) slope += q_ab[c] * p[c];
+    weight_grad += p_ab[c] * q[c];
+    if (is_own) weight_grad += q_ab[c] * p[c];
     if (L1) distance += fabsf(q[c] - p[c]);
   }
-  slope *= weight * -1.38629436111989061883f;  // -2 log 2
-  if (L1) slope *= distance;
+  weight_grad *= weight * -1.38629436111989061883f;  // -2 log 2
+  if (L1) weight_grad *= distance;
 #pragma unroll
   for (int c = 0; c < C; ++c) {
     float const difference = q[c] - p[c];
-    float const pull = !L1 ? slope * difference : difference > 0 ? slope : difference < 0 ? -slope : 0.f;
-    grad[c] += weight * p_ab[c] + pull;
+    float const guide_grad = !L1              ? weight_grad * difference
+                             : difference > 0 ? weight_grad
+                             : difference < 0 ? -weight_grad
+                                              : 0.f;
+    grad[c] += weight * p_ab[c] + guide_grad;
   }
 }
 
-// Phases: the tile's pixels with two windows' reach around it; a and b with one window's reach; the gradients.
+// Three phases: load the tile's pixels and twice the window's radius around them; compute a and b of the tile and the
+// window's radius around it; compute the gradients.
 template <class T, int C, bool L1, int R>
 __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(BilateralBackward<T> p, Tiles<kRun> tiles) {
   extern __shared__ float memory[];
@@ -83,36 +89,36 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
   int const runs = (ab.rows + kRun - 1) / kRun;
   for (int task = threadIdx.x; task < runs * ab.columns; task += kThreads) {
     int const run = unsigned(task) / unsigned(ab.columns), x = ab.x + task - run * ab.columns;
-    int const y = ab.y + min(run * kRun, ab.rows - kRun);  // the last run overlaps the one before
+    int const y = ab.y + min(run * kRun, ab.rows - kRun);  // the last run overlaps the previous one
     float sum[kRun][C], total[kRun];
     sum_run<C, L1, R>(s, ry, rx, falloff, y, x, sum, total);
 #pragma unroll
     for (int i = 0; i < kRun; ++i) {
-      bool const inside = p.border == Border::circular || (y + i >= 0 && y + i < height && x >= 0 && x < width);
+      bool const in_bounds = p.border == Border::circular || (y + i >= 0 && y + i < height && x >= 0 && x < width);
       float const inverse = __fdividef(1.f, total[i]);
       float* const to = ab.data + (y + i - ab.y) * ab.columns + x - ab.x;
       T const* const grad =
           p.grad.row(b, 0, pixel_at(p.border, y + i, height)) + pixel_at(p.border, x, width) * p.grad.step;
-      float last = 0;
+      float product = 0;
 #pragma unroll
       for (int c = 0; c < C; ++c) {
-        float const a = inside ? read(grad[c * p.grad.channel_stride]) * inverse : 0.f;
+        float const a = in_bounds ? read(grad[c * p.grad.channel_stride]) * inverse : 0.f;
         to[c * ab.size()] = a;
-        last += a * (sum[i][c] * inverse);
+        product += a * (sum[i][c] * inverse);
       }
-      to[C * ab.size()] = inside ? last : 0.f;
+      to[C * ab.size()] = in_bounds ? product : 0.f;
     }
   }
   __syncthreads();
 
   int const x = x0 + threadIdx.x % kColumns, y = y0 + threadIdx.x / kColumns * kRun;
   if (x >= width || y >= height) return;
-  float centre[kRun][C], centre_ab[kRun][C + 1], grad[kRun][C];
+  float center[kRun][C], centre_ab[kRun][C + 1], grad[kRun][C];
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
 #pragma unroll
     for (int c = 0; c < C; ++c) {
-      centre[i][c] = s.at(y + i, x)[c * s.size()];
+      center[i][c] = s.at(y + i, x)[c * s.size()];
       centre_ab[i][c] = ab.at(y + i, x)[c * ab.size()];
       grad[i][c] = 0;
     }
@@ -135,7 +141,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
         int const dy = row - i;
         if (dy < -ry || dy > ry) continue;
         float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
-        collect<C, L1>(space, pixel, pixel_ab, centre[i], centre_ab[i], true, grad[i]);
+        accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], centre_ab[i], true, grad[i]);
       }
     };
     if constexpr (R > 0) {
@@ -148,7 +154,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     if (y + i >= height) return;
-    for_each_place(p, y + i, x, [&](int at_y, int at_x) {
+    for_each_reader_once(p, y + i, x, [&](int at_y, int at_x) {
       if (at_y == y + i && at_x == x) return;
       Window const window(p, at_y, at_x, false);
       for (int row = window.top; row <= window.bottom; ++row)
@@ -157,7 +163,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
           load(row, column, pixel, pixel_ab);
           int const dy = row - at_y, dx = column - at_x;
           float const space = falloff.space_y * float(dy * dy) + falloff.space_x * float(dx * dx);
-          collect<C, L1>(space, pixel, pixel_ab, centre[i], centre_ab[i], false, grad[i]);
+          accumulate_gradient<C, L1>(space, pixel, pixel_ab, center[i], centre_ab[i], false, grad[i]);
         }
     });
     T* const out = p.grad_x.row(b, 0, y + i) + x * p.grad_x.step;
@@ -170,7 +176,7 @@ __global__ void __launch_bounds__(kThreads, 3) bilateral_backward_tile(Bilateral
 
 constexpr int kSide = 16;  // a block computes a square of pixels
 
-// One thread a pixel. 1 / n and b, with a window's reach around the square, are in shared memory.
+// One thread for each pixel. Shared memory holds 1 / n and b of the square and the window's radius around it.
 template <class T, bool Joint>
 __global__ void __launch_bounds__(kThreads)
     bilateral_backward_any(BilateralBackward<T> p, unsigned across, unsigned down) {
@@ -179,15 +185,15 @@ __global__ void __launch_bounds__(kThreads)
   auto const& guide = guide_of<Joint>(p);
   int const ry = p.ky / 2, rx = p.kx / 2, height = int(p.x.height), width = int(p.x.width);
   int const rows = kSide + 2 * ry, columns = kSide + 2 * rx;
-  unsigned const above = blockIdx.x / across;
-  int64_t const b = above / down;
-  int const y0 = int(above % down) * kSide - ry, x0 = int(blockIdx.x % across) * kSide - rx;
+  unsigned const tile_row = blockIdx.x / across;
+  int64_t const b = tile_row / down;
+  int const y0 = int(tile_row % down) * kSide - ry, x0 = int(blockIdx.x % across) * kSide - rx;
   F* const inverses = reinterpret_cast<F*>(bytes);
   F* const products = inverses + rows * columns;
   Falloff<F> const falloff = p.sigma.at(b);
-  auto const grad_at = [&](int y, int x) {  // null where there is none
-    bool const inside = p.border == Border::circular || (y >= 0 && y < height && x >= 0 && x < width);
-    return inside ? pixel(p.grad, b, p.border, y, x) : nullptr;
+  auto const grad_at = [&](int y, int x) {  // null where it is 0
+    bool const in_bounds = p.border == Border::circular || (y >= 0 && y < height && x >= 0 && x < width);
+    return in_bounds ? pixel(p.grad, b, p.border, y, x) : nullptr;
   };
 
   for (int i = threadIdx.x; i < rows * columns; i += kThreads) {
@@ -212,12 +218,12 @@ __global__ void __launch_bounds__(kThreads)
   auto const* const q_guide = pixel(guide, b, p.border, y, x);
   T const* const q_grad = grad_at(y, x);
   F const rate = F(-2 * 0.69314718055994530942) * falloff.color;
-  bool const wants_guide = !Joint || p.wants_guide;
+  bool const needs_guide = !Joint || p.needs_guide;
   for (int c = 0; c < max(p.x.channels, guide.channels); c += kChunk) {
-    F values[kChunk] = {}, pulls[kChunk] = {};
-    for_each_place(p, y, x, [&](int at_y, int at_x) {
-      bool const own = at_y == y && at_x == x;
-      Window const window(p, at_y, at_x, own);
+    F image_grads[kChunk] = {}, guide_grads[kChunk] = {};
+    for_each_reader_once(p, y, x, [&](int at_y, int at_x) {
+      bool const is_own = at_y == y && at_x == x;
+      Window const window(p, at_y, at_x, is_own);
       for (int row = window.top; row <= window.bottom; ++row)
         for (int column = window.left; column <= window.right; ++column) {
           int const dy = row - at_y, dx = column - at_x, there = (row - y0) * columns + column - x0;
@@ -227,28 +233,32 @@ __global__ void __launch_bounds__(kThreads)
           F const d = distance(guide, p.l1, q_guide, from_guide);
           F const space = falloff.space_y * F(dy * dy) + falloff.space_x * F(dx * dx);
           F const weight = fast_exp2(space - (p.l1 ? d * d : d) * falloff.color);
-          F slope = 0;
-          if (wants_guide) {
-            slope = -products[there] - (own ? products[here] : F(0));
+          F weight_grad = 0;
+          if (needs_guide) {
+            weight_grad = -products[there] - (is_own ? products[here] : F(0));
             for (int k = 0; k < p.x.channels; ++k) {
-              slope += value(p.grad, from_grad, k) * inverses[there] * value(p.x, q, k);
-              if (own) slope += value(p.grad, q_grad, k) * inverses[here] * value(p.x, from, k);
+              weight_grad += value(p.grad, from_grad, k) * inverses[there] * value(p.x, q, k);
+              if (is_own) weight_grad += value(p.grad, q_grad, k) * inverses[here] * value(p.x, from, k);
             }
-            slope *= weight * rate * (p.l1 ? d : F(1));
+            weight_grad *= weight * rate * (p.l1 ? d : F(1));
           }
           for (int k = 0; k < kChunk; ++k) {
-            if (c + k < p.x.channels) values[k] += weight * value(p.grad, from_grad, c + k) * inverses[there];
+            if (c + k < p.x.channels) image_grads[k] += weight * value(p.grad, from_grad, c + k) * inverses[there];
             if (c + k < guide.channels) {
               F const difference = value(guide, q_guide, c + k) - value(guide, from_guide, c + k);
-              pulls[k] += !p.l1 ? slope * difference : difference > 0 ? slope : difference < 0 ? -slope : F(0);
+              guide_grads[k] += !p.l1            ? weight_grad * difference
+                                : difference > 0 ? weight_grad
+                                : difference < 0 ? -weight_grad
+                                                 : F(0);
             }
           }
         }
     });
     for (int k = 0; k < kChunk; ++k) {
-      F const value = Joint ? values[k] : values[k] + pulls[k];
+      F const value = Joint ? image_grads[k] : image_grads[k] + guide_grads[k];
       if (c + k < p.grad_x.channels) p.grad_x.row(b, c + k, y)[x * p.grad_x.step] = round_to<T>(value);
-      if (c + k < p.grad_guide.channels) p.grad_guide.row(b, c + k, y)[x * p.grad_guide.step] = round_to<T>(pulls[k]);
+      if (c + k < p.grad_guide.channels)
+        p.grad_guide.row(b, c + k, y)[x * p.grad_guide.step] = round_to<T>(guide_grads[k]);
     }
   }
 }

@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-// What forward and backward have in common, checked.
+// The checked arguments that all entries have in common.
 struct Arguments {
   Tensor x, guide, sigma_color, sigma_space;
   bool joint, l1;
@@ -29,14 +29,14 @@ struct Arguments {
     KV_CHECK(ky % 2 == 1 && kx % 2 == 1, op, ": expected odd kernel sizes, got ", ky, ", ", kx);
     check_border(op, this->border, ky / 2, x.size(2));
     check_border(op, this->border, kx / 2, x.size(3));
-    auto const fits = [&](Tensor const& t, int64_t dims) {
+    auto const matches = [&](Tensor const& t, int64_t dims) {
       return t.dim() == dims && t.scalar_type() == compute_dtype(x) && t.device() == x.device() &&
              (t.size(0) == 1 || t.size(0) == x.size(0));
     };
-    KV_CHECK(!joint || (fits(guide, 4) && guide.size(2) == x.size(2) && guide.size(3) == x.size(3)), op,
+    KV_CHECK(!joint || (matches(guide, 4) && guide.size(2) == x.size(2) && guide.size(3) == x.size(3)), op,
              ": guidance does not fit input");
-    KV_CHECK(!colors || fits(sigma_color, 1), op, ": sigma_color does not fit input");
-    KV_CHECK(!spaces || (fits(sigma_space, 2) && sigma_space.size(1) == 2), op, ": sigma_space does not fit input");
+    KV_CHECK(!colors || matches(sigma_color, 1), op, ": sigma_color does not fit input");
+    KV_CHECK(!spaces || (matches(sigma_space, 2) && sigma_space.size(1) == 2), op, ": sigma_space does not fit input");
     has_colors = colors.has_value();
     has_spaces = spaces.has_value();
   }
@@ -87,17 +87,17 @@ std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor co
                                                    std::optional<Tensor> const& sigma_color,
                                                    std::optional<Tensor> const& sigma_space, int64_t ky, int64_t kx,
                                                    double color, double space_y, double space_x,
-                                                   std::string const& border, std::string const& distance, bool wants_x,
-                                                   bool wants_guide) {
+                                                   std::string const& border, std::string const& distance, bool needs_x,
+                                                   bool needs_guide) {
   char const* const op = "bilateral_blur_backward";
   check_images(op, "input", input);
   check_like(op, "grad", grad, input);
   Arguments const a(op, input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
   int64_t const batch = a.x.size(0), h = a.x.size(2), w = a.x.size(3);
-  wants_guide = wants_guide && a.joint;
+  needs_guide = needs_guide && a.joint;
   Layout const layout = layout_of(grad);
-  Tensor const grad_x = empty({batch, wants_x ? a.x.size(1) : 0, h, w}, grad, layout);
-  Tensor const grad_guide = empty({batch, wants_guide ? a.guide.size(1) : 0, h, w}, grad, layout);
+  Tensor const grad_x = empty({batch, needs_x ? a.x.size(1) : 0, h, w}, grad, layout);
+  Tensor const grad_guide = empty({batch, needs_guide ? a.guide.size(1) : 0, h, w}, grad, layout);
   dispatch_floating(op, a.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -112,8 +112,8 @@ std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor co
                                       a.border,
                                       a.l1,
                                       a.joint,
-                                      wants_x,
-                                      wants_guide};
+                                      needs_x,
+                                      needs_guide};
     int64_t const rows = grad_x.numel() + grad_guide.numel() > 0 ? batch * h : 0;
     KV_RUN(bilateral_blur_backward, a.x, params, rows, 4 * a.x.size(1) * w * ky * kx);
   });

@@ -1,6 +1,6 @@
-// Window sums on CUDA. Odd square windows to 31 x 31 are separable filters with weights of 1. All others: a block walks
-// down a tile in batches of eight rows, and sums along the rows and down the columns from the sums of beginnings and
-// ends of blocks of eight pixels, at a cost that hardly depends on the window's size.
+// Window sums on CUDA. Odd square windows up to 31 x 31 are separable filters with weights of 1. For all others a block
+// goes down a tile in batches of eight rows. Along rows and columns it adds prefix and suffix sums of chunks, so that
+// the cost hardly depends on the window's size.
 #include <cuda_pipeline.h>
 
 #include "box.h"
@@ -12,16 +12,17 @@ namespace {
 
 // --- windows of any size ---------------------------------------------------------------------------------------------
 
-constexpr int kRows = 8;     // of a batch, a warp each; and of a block of column sums
-constexpr int kPart = 9;     // pixels of a row that a thread sums; odd, which keeps threads on different banks
-constexpr int kBatches = 3;  // on their way at a time
-constexpr int kSpan = 32 * kPart;
-constexpr int kPitch = kSpan + 16;  // with what is skipped to begin at a multiple of 16 bytes
+constexpr int kRows = 8;  // of a batch, one for each warp; and of a chunk of column sums
+constexpr int kChunk =
+    9;  // pixels of a chunk of row sums, one for each thread; odd, so that threads use different banks
+constexpr int kBatches = 3;  // in the ring; all but one are in flight
+constexpr int kSpan = 32 * kChunk;
+constexpr int kPitch = kSpan + 16;  // with room to start at a multiple of 16 bytes
 
 // A tile is `width` columns of pixels by `height` rows.
 struct Tiles {
   int width, height, across, down;
-  int depth;  // blocks of column sums that are kept
+  int depth;  // chunks of column sums in the ring
 
   template <class F>
   int64_t bytes() const {
@@ -29,8 +30,8 @@ struct Tiles {
   }
 };
 
-// The sums of windows of one axis from those of blocks: a window begins in one block and ends in another, so it is the
-// end of the first (`tail`), the whole blocks between them, and the beginning of the last (`head`).
+// A window along one axis begins in one chunk and ends in another. Its sum is that of the end of the first chunk
+// (`tail`), of the whole chunks between them, and of the beginning of the last chunk (`head`).
 template <class T>
 __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     box_tile(Box<T> p, BoxAxis across, BoxAxis down, Tiles tiles, bool vectorized) {
@@ -47,7 +48,8 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   T const* const in = p.x.plane(plane / step) + plane % step;
   T* const out = p.y.plane(plane / step) + plane % step;
 
-  // Where the transpose gathers, the positions around the image have their sums, too, and the rim gets them.
+  // Where the transpose gathers, the positions out of bounds are summed as well, and the edge pixels receive these
+  // sums.
   int const x1 = min(x0 + tiles.width, width), y1 = min(y0 + tiles.height, height);
   int const first_x = x0 == 0 && across.gathers() ? -int(across.after) : x0;
   int const last_x = x1 == width && across.gathers() ? width + int(across.before) : x1;
@@ -56,8 +58,8 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   int const kx = int(across.count()), ky = int(down.count());
   int const top = first_y - int(down.before), bottom = last_y + int(down.after);
 
-  // Positions of a row: what windows read from `left` to `right`, of which vectors are read from vector_left to
-  // vector_right.
+  // Windows read the positions from `left` to `right` of a row; those from vector_left to vector_right are read as
+  // vectors.
   int const left = first_x - int(across.before), right = last_x + int(across.after);
   int const origin = left & -kVectorSize;
   int const vector_left = vectorized ? max(left + kVectorSize - 1, 0) & -kVectorSize : right;
@@ -87,59 +89,59 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     __pipeline_commit();
   };
 
-  unsigned twice = 0;  // which of the thread's pixels count twice
+  unsigned doubled_pixels = 0;  // a bit for each of the thread's pixels: whether it counts doubled_pixels
   if (across.doubled)
 #pragma unroll
-    for (int i = 0; i < kPart; ++i) {
-      int const at = border_index(across.border, left + lane * kPart + i, width);
-      if (at == 0 || at == width - 1) twice |= 1u << i;
+    for (int i = 0; i < kChunk; ++i) {
+      int const at = border_index(across.border, left + lane * kChunk + i, width);
+      if (at == 0 || at == width - 1) doubled_pixels |= 1u << i;
     }
   int const column = threadIdx.x, x = x0 + column;
-  F const share = across.doubled && (x == 0 || x == width - 1) ? F(0.5) : F(1);
+  F const column_scale = across.doubled && (x == 0 || x == width - 1) ? F(0.5) : F(1);
   F const reciprocal = 1 / p.divisor;
   F* const tail = tails + column;
-  F carry = 0;     // what the rim is still to get
-  int oldest = 0;  // of the blocks of column sums
+  F carry = 0;     // the sums of rows out of bounds that the next edge row receives
+  int oldest = 0;  // chunk of column sums
 
 #pragma unroll
   for (int i = 0; i + 1 < kBatches; ++i) stage(i);
   for (int batch = 0; top + batch * kRows < bottom; ++batch) {
-    // 1. Along the rows: a warp each, in place.
+    // 1. Along rows: one warp for each, in place.
     __pipeline_wait_prior(kBatches - 2);
     __syncwarp();
     F* const row = row_of(batch);
-    F v[kPart];
+    F v[kChunk];
 #pragma unroll
-    for (int i = 0; i < kPart; ++i) v[i] = read(reinterpret_cast<T const*>(row)[left - origin + lane * kPart + i]);
+    for (int i = 0; i < kChunk; ++i) v[i] = read(reinterpret_cast<T const*>(row)[left - origin + lane * kChunk + i]);
     if (across.doubled || down.doubled) {
       int const y = border_index(down.border, top + batch * kRows + warp, height);
       F const weight = down.doubled && (y == 0 || y == height - 1) ? F(2) : F(1);
 #pragma unroll
-      for (int i = 0; i < kPart; ++i) v[i] *= twice >> i & 1 ? 2 * weight : weight;
+      for (int i = 0; i < kChunk; ++i) v[i] *= doubled_pixels >> i & 1 ? 2 * weight : weight;
     }
     __syncwarp();
-    F* const part = row + lane * kPart;
+    F* const chunk = row + lane * kChunk;
     F head = 0;
 #pragma unroll
-    for (int i = 0; i < kPart; ++i) part[i] = head = kx > kPart ? head + v[i] : v[i];
+    for (int i = 0; i < kChunk; ++i) chunk[i] = head = kx > kChunk ? head + v[i] : v[i];
     __syncwarp();
-    if (kx > kPart) {
-      int const whole = (kx - 1) / kPart, past = (kx - 1) % kPart, limit = kPitch - lane * kPart - 1;
+    if (kx > kChunk) {
+      int const whole = (kx - 1) / kChunk, past = (kx - 1) % kChunk, limit = kPitch - lane * kChunk - 1;
 #pragma unroll
-      for (int i = kPart - 1; i > 0; --i) v[i - 1] += v[i];
+      for (int i = kChunk - 1; i > 0; --i) v[i - 1] += v[i];
       F middle = 0;
-      for (int m = 1; m < whole; ++m) middle += part[min((m + 1) * kPart - 1, limit)];
-      F const longer = middle + part[min((whole + 1) * kPart - 1, limit)];
+      for (int m = 1; m < whole; ++m) middle += chunk[min((m + 1) * kChunk - 1, limit)];
+      F const longer = middle + chunk[min((whole + 1) * kChunk - 1, limit)];
 #pragma unroll
-      for (int i = 0; i < kPart; ++i) v[i] += (i + past >= kPart ? longer : middle) + part[min(i + kx - 1, limit)];
+      for (int i = 0; i < kChunk; ++i) v[i] += (i + past >= kChunk ? longer : middle) + chunk[min(i + kx - 1, limit)];
     } else {
 #pragma unroll
-      for (int i = 0; i < kPart; ++i)
-        for (int t = 1; t < kx; ++t) v[i] += part[i + t];
+      for (int i = 0; i < kChunk; ++i)
+        for (int t = 1; t < kx; ++t) v[i] += chunk[i + t];
     }
     __syncwarp();
 #pragma unroll
-    for (int i = 0; i < kPart; ++i) part[i] = v[i];
+    for (int i = 0; i < kChunk; ++i) chunk[i] = v[i];
     auto const gather = [&](int from, int to, int pixel) {
       __syncwarp();
       F s = 0;
@@ -154,7 +156,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     stage(batch + kBatches - 1);
     if (x >= x1) continue;
 
-    // 2. Down the columns: a thread each.
+    // 2. Along columns: one thread for each.
     F const* const sums = rows + batch % kBatches * kRows * kPitch + x - first_x;
     int const block = kRows * tiles.width;
     F h[kRows];
@@ -180,7 +182,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
 #pragma unroll
       for (int j = 0; j < kRows; ++j) tail[oldest * block + j * tiles.width] = below[j];
       oldest = next;
-    } else {  // pixel by pixel, from this block and the one before it
+    } else {  // pixel by pixel, from this chunk and the one before it
 #pragma unroll
       for (int j = 0; j < kRows; ++j) tail[oldest * block + j * tiles.width] = h[j];
 #pragma unroll
@@ -198,14 +200,15 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
       carry = more ? total : F(0);
       if (more) continue;
       int const at = min(y, height - 1);
-      if (across.doubled || down.doubled) total *= down.doubled && (at == 0 || at == height - 1) ? share / 2 : share;
-      if (p.centre != 0) total += read(in[at * p.x.row_stride + x * step]) * p.centre;
+      if (across.doubled || down.doubled)
+        total *= down.doubled && (at == 0 || at == height - 1) ? column_scale / 2 : column_scale;
+      if (p.center != 0) total += read(in[at * p.x.row_stride + x * step]) * p.center;
       out[at * p.y.row_stride + x * step] = round_to<T>(quotient<T>(total, p.divisor, reciprocal));
     }
   }
 }
 
-// --- what is left: windows that no tile has room for, and the transpose of even windows with a reflected border ------
+// --- windows that are too large for tiles, and transposes of even windows with a reflected border --------------------
 
 template <class T>
 __global__ void box_any(Box<T> p, bool transposed) {
@@ -214,14 +217,14 @@ __global__ void box_any(Box<T> p, bool transposed) {
   if (i >= p.x.rows() * size) return;
   int64_t const e = i % size, r = i / size, plane = r / p.x.height, y = r % p.x.height, x = e / step, c = e % step;
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
-  // Calls f(pixel, how often) for the pixels that the window of pixel j reads, or that read it.
+  // Calls f(pixel, count) for the pixels that the window of pixel j reads; transposed, for those whose windows read j.
   auto const for_each = [&](BoxAxis const& axis, int64_t j, auto f) {
     for (int64_t q = j - axis.before; q <= j + max(axis.before, axis.after); ++q) {
-      if (!transposed || axis.rim == 0) {
+      if (!transposed || axis.edge == 0) {
         int64_t const at = q <= j + axis.after ? border_index(axis.border, q, axis.size) : -1;
         if (at >= 0) f(at, F(1));
       } else if (q >= 0 && q < axis.size) {
-        int64_t const times = reads(p.border, q, j, axis.size, axis.after, axis.before);
+        int64_t const times = read_count(p.border, q, j, axis.size, axis.after, axis.before);
         if (times > 0) f(q, F(times));
       }
     }
@@ -233,37 +236,38 @@ __global__ void box_any(Box<T> p, bool transposed) {
     for_each(across, x, [&](int64_t at_x, F times_x) { s += times_x * read(row[at_x * step + c]); });
     sum += times_y * s;
   });
-  if (p.centre != 0) sum += read(p.x.row(plane, y)[e]) * p.centre;
+  if (p.center != 0) sum += read(p.x.row(plane, y)[e]) * p.center;
   p.y.row(plane, y)[e] = round_to<T>(quotient<T>(sum, p.divisor, 1 / p.divisor));
 }
 
 // --- launchers -------------------------------------------------------------------------------------------------------
 
-// The window as a separable filter; the mirrored form is the transpose of a reflected border, which doubles its rim.
+// The window as a separable filter with weights of 1.
 template <class T>
 int launch_strips(Box<T> const& p, BoxAxis const& axis, CUstream_st* stream) {
   Taps<float> const ones{nullptr, 0, 0, int(p.kx), int(p.kx / 2), false, false};
-  Separable<T> const sums{p.x, p.y, ones, ones, p.x.count(), 1, p.centre, axis.border, Border::constant};
+  Separable<T> const sums{p.x, p.y, ones, ones, p.x.count(), 1, p.center, axis.border, Border::constant};
   if constexpr (sizeof(T) > 1)
-    if (axis.doubled) return separable_mirrors(sums, p.divisor, stream);
+    if (axis.doubled) return separable_reflect_backward_strips(sums, p.divisor, stream);
   return separable_strips(sums, p.divisor, stream);
 }
 
 template <class T>
 int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   using F = Compute<T>;
-  constexpr int64_t kShared = 224 * 1024, kPreferred = 112 * 1024;  // of a multiprocessor, of a block
+  constexpr int64_t kShared = 224 * 1024,
+                    kPreferred = 112 * 1024;  // shared memory of a block: most, and for two blocks
   BoxAxis const across(p.kx, p.x.width, p.border, transposed), down(p.ky, p.x.height, p.border, transposed);
   bool const gathers = across.gathers() || down.gathers();
 
   if constexpr (sizeof(T) <= 4)
-    if (!gathers && has_strips(p.x, p.ky, p.kx)) return launch_strips(p, across, stream);
+    if (!gathers && supports_strips(p.x, p.ky, p.kx)) return launch_strips(p, across, stream);
 
   bool const even_reflect = gathers && p.border == Border::reflect;
-  int64_t const planes = p.x.count() * p.x.step, beside = p.kx - 1 + (across.gathers() ? p.kx - 1 : 0);
+  int64_t const planes = p.x.count() * p.x.step, extra_columns = p.kx - 1 + (across.gathers() ? p.kx - 1 : 0);
   Tiles tiles{};
   tiles.depth = p.ky > kRows ? int(ceil_div(p.ky - 1, kRows)) : 2;
-  auto const fits = [&](int64_t shared) { return tiles.width + beside <= kSpan && tiles.bytes<F>() <= shared; };
+  auto const fits = [&](int64_t shared) { return tiles.width + extra_columns <= kSpan && tiles.bytes<F>() <= shared; };
   for (tiles.width = 256; tiles.width > 32 && !fits(kPreferred);) tiles.width -= 32;
   if (even_reflect || !fits(kShared)) {
     box_any<<<unsigned(ceil_div(p.x.rows() * p.x.row_size(), 256)), 256, 0, stream>>>(p, transposed);
@@ -271,7 +275,8 @@ int launch(Box<T> const& p, bool transposed, CUstream_st* stream) {
   }
   tiles.across = int(ceil_div(p.x.width, tiles.width));
   tiles.width = int(ceil_div(p.x.width, tiles.across));
-  // Enough tiles for all multiprocessors, as long as the rows above a tile, which are summed again, are not most of it.
+  // Enough tiles for all multiprocessors, but not so low that most of their rows are those above, which are summed
+  // again.
   int64_t const wanted = ceil_div(3 * 132, planes * tiles.across), most = ceil_div(p.x.height, max(p.ky, int64_t(32)));
   tiles.height = int(ceil_div(p.x.height, clamp(wanted, int64_t(1), most)));
   tiles.down = int(ceil_div(p.x.height, tiles.height));

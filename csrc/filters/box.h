@@ -1,6 +1,7 @@
-// Sums over windows, at a cost that hardly depends on the window's size: box blur, the box Laplacian, and their
-// transposes. Sums are only ever added to, never subtracted from: a running sum that has met a NaN or an infinity, or
-// lost the low bits of a large offset, would carry that to the end of the row.
+// Window sums, at a cost that hardly depends on the window's size: box blur, the Laplacian, and their transposes.
+// Nothing is ever subtracted from a sum. A running sum that subtracts what leaves its window would carry a NaN, an
+// infinity, or the rounding error of a large value to the end of the row. Included by box_cpu.cpp, box.cu, box_op.cpp
+// and separable_strip.cuh.
 #pragma once
 
 #include "core/border.h"
@@ -9,50 +10,49 @@
 
 namespace kv {
 
-// y = (sum of x over the ky x kx window + centre * x) / divisor.
+// y = (sum of x over the ky x kx window + center * x) / divisor.
 template <class T>
 struct Box {
   Planes<T const> x;
   Planes<T> y;
   int64_t ky, kx;
   Border border;
-  Compute<T> centre, divisor;
+  Compute<T> center, divisor;
 };
 
 KV_KERNEL(box, Box)
 KV_KERNEL(box_backward, Box)
 
-// One axis of the sum. Pixel i sums the positions i - before ... i + after; what lies outside follows `border`.
+// One axis of the sum. Pixel i sums the positions i - before ... i + after. Positions out of bounds follow `border`.
 //
-// The transpose of such a sum is one again, up to the rim. Let A be the forward sum.
-//   constant, circular   The window turned round: before and after change places.
-//   reflect, odd         D^-1 A D, where D doubles the first and the last pixel: every other pixel near the rim stands
-//                        at one position inside and at one outside, so A is symmetric but for those two.
-//   the rest             The window turned round over zeros, except for the `rim` pixels at either end, which gather
-//   the
-//                        sums that read them, each as often as `reads` says.
+// The transpose of a window sum is a window sum, except near the border. Let A be the forward sum.
+//   constant, circular   The reversed window: `before` and `after` are exchanged.
+//   reflect, odd sizes   D^-1 A D, where D doubles the first and the last pixel. All other pixels near the border are
+//                        read at one position in bounds and at one out of bounds, so A is symmetric except for these.
+//   all others           The reversed window over zeros. The `edge` pixels at either end instead gather the sums that
+//                        read them, as often as read_count says.
 struct BoxAxis {
   int64_t size, before, after;
   Border border;
-  int64_t rim;   // how many pixels at either end are not just a window sum
+  int64_t edge;  // pixels at either end that are not a plain window sum
   bool doubled;  // they count twice as sources and half as results
 
   KV_HD BoxAxis(int64_t k, int64_t n, Border rule, bool transposed)
-      : size(n), before((k - 1) / 2), after(k / 2), border(rule), rim(0), doubled(false) {
+      : size(n), before((k - 1) / 2), after(k / 2), border(rule), edge(0), doubled(false) {
     if (!transposed || k == 1) return;
     before = k / 2;
     after = (k - 1) / 2;
     doubled = rule == Border::reflect && before == after;
-    rim = doubled || rule == Border::replicate ? 1 : rule == Border::reflect ? k / 2 + 1 : 0;
-    if (rim > 0 && !doubled) border = Border::constant;
+    edge = doubled || rule == Border::replicate ? 1 : rule == Border::reflect ? k / 2 + 1 : 0;
+    if (edge > 0 && !doubled) border = Border::constant;
   }
   KV_HD int64_t count() const { return before + after + 1; }
-  KV_HD bool is_rim(int64_t i) const { return i < rim || i >= size - rim; }
-  KV_HD bool gathers() const { return rim > 0 && !doubled; }
+  KV_HD bool is_edge(int64_t i) const { return i < edge || i >= size - edge; }
+  KV_HD bool gathers() const { return edge > 0 && !doubled; }
 };
 
-// At how many positions of the window [r - before, r + after] of a forward sum pixel j of n stands.
-KV_HD int64_t reads(Border border, int64_t r, int64_t j, int64_t n, int64_t before, int64_t after) {
+// How often the window [r - before, r + after] of a forward sum reads pixel j of n.
+KV_HD int64_t read_count(Border border, int64_t r, int64_t j, int64_t n, int64_t before, int64_t after) {
   int64_t const low = r - before, high = r + after;
   if (border == Border::replicate)
     return max(int64_t(0), (j == n - 1 ? high : min(high, j)) - (j == 0 ? low : max(low, j)) + 1);
@@ -62,7 +62,7 @@ KV_HD int64_t reads(Border border, int64_t r, int64_t j, int64_t n, int64_t befo
   return count;
 }
 
-// sum / divisor. A tie between two bytes must be one, which the product with a rounded reciprocal need not be.
+// sum / divisor. Bytes are divided exactly: a product with the rounded reciprocal may miss a tie.
 template <class T, class V, class F>
 KV_HD V quotient(V sum, F divisor, F reciprocal) {
   if constexpr (sizeof(T) == 1)

@@ -1,5 +1,5 @@
-// Window sums on the CPU: rows [begin, end) of all planes in order, first down the columns, then along the row.
-// Compiled once per instruction set.
+// Window sums on the CPU: rows [begin, end) of all planes in order, first along columns, then along the row. Compiled
+// once per instruction set.
 #include "box.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
@@ -7,8 +7,8 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Calls f(width, e) for vectors and then single elements of [0, size), each element once: for results that replace what
-// they are made of.
+// Calls f(width, e) for vectors and then single elements of [0, size), each element once, so that results may be
+// written in place.
 template <class T, class F>
 KV_HD void for_each_once(int64_t size, F f) {
   constexpr int N = kLanes<T>;
@@ -17,8 +17,8 @@ KV_HD void for_each_once(int64_t size, F f) {
   for (; e < size; ++e) f(Width<1>{}, e);
 }
 
-// Calls emit(width, e, terms[0][e] + terms[1][e] + ...) for e in [0, size), as for_each_vector does. A few vectors at a
-// time, so that the pointers are not what takes time.
+// Calls emit(width, e, terms[0][e] + terms[1][e] + ...) for e in [0, size), as for_each_vector does. It sums a few
+// vectors at a time, which shares the loads of the pointers.
 template <class T, class Emit>
 KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
   using F = Compute<T>;
@@ -40,12 +40,12 @@ KV_HD void add_up(T const* const* terms, int count, int64_t size, Emit emit) {
   });
 }
 
-// The sums of a plane's rows over the windows of one row after another.
+// Sums of a plane's rows over windows that move down row by row.
 //
-// The positions of the axis are cut into blocks of the window's size, so that a window is the end of one block and the
-// beginning of the next. The sums of all ends of a block are made when the window reaches it, the sum of the beginning
-// grows row by row: two additions an element and row, and one for the two together. Windows of three rows and less are
-// summed as they are.
+// The axis is divided into blocks of the window's size, so that each window is the end of one block and the beginning
+// of the next. The suffix sums of a block are computed when the window reaches it; the prefix sum grows row by row.
+// That costs two additions an element and row, and one that adds the two. Windows of up to three rows are summed
+// directly.
 template <class T>
 class ColumnSums {
   using F = Compute<T>;
@@ -55,7 +55,7 @@ class ColumnSums {
   BoxAxis const axis_;
   int64_t const size_, k_;
   Scratch<T> zeros_;
-  Scratch<F> ends_;  // row i of it: the sum of the block's rows from i on
+  Scratch<F> ends_;  // row i: the sum of the block's rows from i on
   Scratch<F> beginning_;
 
   KV_HD T const* row(int64_t plane, int64_t position) const {
@@ -64,7 +64,7 @@ class ColumnSums {
   }
   // How often a row counts.
   KV_HD int weight(int64_t position) const {
-    return axis_.doubled && axis_.is_rim(border_index(axis_.border, position, axis_.size)) ? 2 : 1;
+    return axis_.doubled && axis_.is_edge(border_index(axis_.border, position, axis_.size)) ? 2 : 1;
   }
 
   KV_HD void clear(F* sum) const {
@@ -79,7 +79,7 @@ class ColumnSums {
   }
 
   KV_HD void slide(F* sum, int64_t plane, int64_t y, bool fresh) {
-    int64_t const m = y % k_, block = y - m - axis_.before;  // the block's first position
+    int64_t const m = y % k_, block = y - m - axis_.before;  // block: its first position
     auto const end = [&](int64_t i) { return ends_.data + i * size_; };
     F* const beginning = beginning_.data;
     if (fresh || m == 0) {
@@ -115,39 +115,39 @@ class ColumnSums {
   // The sums of the window of row y. `fresh`: the call before was not for the row above.
   KV_HD void window(F* sum, int64_t plane, int64_t y, bool fresh) {
     if (k_ > kDirect) return slide(sum, plane, y, fresh);
-    T const* terms[2 * kDirect];  // a row that counts twice stands there twice, and of two rows both may be rim
+    T const* terms[2 * kDirect];  // a row that counts twice is there twice
     int count = 0;
     for (int64_t i = y - axis_.before; i <= y + axis_.after; ++i)
       for (int times = weight(i); times > 0; --times) terms[count++] = row(plane, i);
     add_up(terms, count, size_, [=](auto width, int64_t e, auto s) { store<decltype(width)::value>(sum + e, s); });
   }
 
-  // The sum of the rows that read row j, which is one of a transposed axis' rim.
-  KV_HD void gather(F* sum, int64_t plane, int64_t j, Border border) const {
+  // The sum of the rows that read row j, an edge row of a transposed axis.
+  KV_HD void gather_edge(F* sum, int64_t plane, int64_t j, Border border) const {
     int64_t const n = axis_.size, radius = axis_.before;
     clear(sum);
     for (int64_t r = max(int64_t(0), j - radius); r <= min(n - 1, j + radius); ++r)
-      if (int64_t const times = reads(border, r, j, n, axis_.after, axis_.before))
+      if (int64_t const times = read_count(border, r, j, n, axis_.after, axis_.before))
         add(sum, sum, F(times), x_.row(plane, r));
   }
 
-  // Asks for a row that windows will need, a quarter faster at large images than waiting for it.
+  // Prefetches a row that windows will read; a quarter faster for large images.
   KV_HD void prefetch(int64_t plane, int64_t y) const {
     if (y >= axis_.size) return;
     for (int64_t e = 0; e < size_; e += 64 / sizeof(T)) __builtin_prefetch(x_.row(plane, y) + e);
   }
 };
 
-// Sums over k neighbours, `step` apart, along a row of `size` elements and (k - 1) step more.
+// Sums over k pixels, `step` elements apart, along a row of `size` elements and (k - 1) step more.
 //
-// The sums of 4, 16, ... neighbours are made first, and the window is put together from those in the digits of its
-// size, the first of which may be up to 7.
+// The sums of 4, 16, ... pixels are computed first. A window adds as many of each as the base-4 digits of its size say;
+// the first digit may be up to 7.
 template <class F>
 class RowSums {
   static constexpr int kDigit = 7, kLevels = 32;
 
   int64_t const size_, k_, step_, room_;
-  Scratch<F> sums_;  // level after level, from the elements themselves on
+  Scratch<F> sums_;  // level after level; level 0 are the elements
 
   KV_HD static int levels(int64_t k) {
     int count = 1;
@@ -182,42 +182,42 @@ class RowSums {
   }
 };
 
-// What a row of column sums needs at the rim of the image: a continuation, and the sums of the pixels that gather.
+// The ends of a row of column sums: its border, and the sums of the edge pixels that gather_edge.
 template <class F>
-class Rim {
+class RowEdges {
   BoxAxis const axis_;
   int64_t const step_, count_, radius_;
   Scratch<F> weights_, sums_;
 
-  KV_HD int64_t pixel(int64_t i) const { return i < axis_.rim ? i : axis_.size - count_ + i; }
+  KV_HD int64_t pixel(int64_t i) const { return i < axis_.edge ? i : axis_.size - count_ + i; }
   // Calls f(r, weight) for the pixels r that may read pixel(i).
   template <class Call>
-  KV_HD void for_each_reader(int64_t i, Call f) const {
+  KV_HD void for_each_source(int64_t i, Call f) const {
     int64_t const j = pixel(i);
     F* const weights = weights_.data + i * (2 * radius_ + 1) + radius_ - j;
     for (int64_t r = max(int64_t(0), j - radius_); r <= min(axis_.size - 1, j + radius_); ++r) f(r, weights[r]);
   }
 
  public:
-  KV_HD Rim(BoxAxis const& axis, Border border, int64_t step)
+  KV_HD RowEdges(BoxAxis const& axis, Border border, int64_t step)
       : axis_(axis),
         step_(step),
-        count_(min(2 * axis.rim, axis.size)),
+        count_(min(2 * axis.edge, axis.size)),
         radius_(axis.before),
         weights_(count_ * (2 * radius_ + 1)),
         sums_(count_ * step) {
     for (int64_t i = 0; i < count_; ++i)
-      for_each_reader(i, [&](int64_t r, F& weight) {
-        weight = F(reads(border, r, pixel(i), axis_.size, axis_.after, axis_.before));
+      for_each_source(i, [&](int64_t r, F& weight) {
+        weight = F(read_count(border, r, pixel(i), axis_.size, axis_.after, axis_.before));
       });
   }
 
-  // Row s has room for before and after more pixels around it.
-  KV_HD void complete(F* s) const {
+  // Extends row s, which has room for `before` pixels before it and `after` pixels after it, and sums the edge pixels.
+  KV_HD void extend_row(F* s) const {
     for (int64_t i = 0; i < count_; ++i)
       for (int64_t c = 0; c < step_; ++c) {
         F sum = 0;
-        for_each_reader(i, [&](int64_t r, F weight) { sum += weight * s[r * step_ + c]; });
+        for_each_source(i, [&](int64_t r, F weight) { sum += weight * s[r * step_ + c]; });
         sums_.data[i * step_ + c] = sum;
       }
     if (axis_.doubled)
@@ -245,29 +245,29 @@ KV_HD void box_rows(Box<T> const& p, bool transposed, int64_t begin, int64_t end
   BoxAxis const down(p.ky, height, p.border, transposed), along(p.kx, p.x.width, p.border, transposed);
   ColumnSums<T> columns(p.x, down);
   RowSums<F> const row(size, p.kx, p.x.step);
-  Rim<F> const rim(along, p.border, p.x.step);
+  RowEdges<F> const edges(along, p.border, p.x.step);
   F* const s = row.elements() + along.before * p.x.step;
 
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, y = r % height;
     columns.prefetch(plane, y + down.after + 2);
     columns.window(s, plane, y, r == begin || y == 0);
-    if (down.is_rim(y) && down.gathers()) columns.gather(s, plane, y, p.border);
-    rim.complete(s);
+    if (down.is_edge(y) && down.gathers()) columns.gather_edge(s, plane, y, p.border);
+    edges.extend_row(s);
 
     T const* const x = p.x.row(plane, y);
     T* const out = p.y.row(plane, y);
-    F const centre = p.centre, divisor = p.divisor, reciprocal = 1 / divisor;
-    F const share = down.doubled && down.is_rim(y) ? F(0.5) : F(1);
-    bool const centred = centre != 0;  // 0 times an infinite pixel is not 0
+    F const center = p.center, divisor = p.divisor, reciprocal = 1 / divisor;
+    F const row_scale = down.doubled && down.is_edge(y) ? F(0.5) : F(1);
+    bool const has_centre = center != 0;  // 0 times an infinite pixel is not 0
     auto const emit = [=](auto width, int64_t e, auto sum) {
       constexpr int N = decltype(width)::value;
-      sum *= share;
-      if (centred) sum += load<N>(x + e) * centre;
+      sum *= row_scale;
+      if (has_centre) sum += load<N>(x + e) * center;
       store<N>(out + e, quotient<T>(sum, divisor, reciprocal));
     };
     row.sums(emit);
-    rim.sums(emit);
+    edges.sums(emit);
   }
 }
 

@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-void check(char const* op, Tensor const& x, int64_t ky, int64_t kx, Border border) {
+void check_box(char const* op, Tensor const& x, int64_t ky, int64_t kx, Border border) {
   check_images(op, "input", x);
   check_window(op, ky, kx);
   if (x.numel() == 0) return;
@@ -13,33 +13,33 @@ void check(char const* op, Tensor const& x, int64_t ky, int64_t kx, Border borde
   check_border(op, border, kx / 2, x.size(3));
 }
 
-// (window sum + centre * input) / divisor.
+// (window sum + center * input) / divisor.
 Tensor box_forward(char const* op, Tensor const& input, int64_t ky, int64_t kx, std::string const& border,
-                   double centre, double divisor) {
+                   double center, double divisor) {
   Border const rule = parse_border(op, border);
-  check(op, input, ky, kx, rule);
+  check_box(op, input, ky, kx, rule);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
   dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Box<T> const params{planes<T const>(x, layout), planes<T>(y, layout), ky, kx, rule, F(centre), F(divisor)};
+    Box<T> const params{planes<T const>(x, layout), planes<T>(y, layout), ky, kx, rule, F(center), F(divisor)};
     KV_RUN(box, x, params, params.y.rows(), params.y.row_size());
   });
   return y;
 }
 
 // The transpose of box_forward.
-Tensor box_transposed(char const* op, Tensor const& grad, int64_t ky, int64_t kx, std::string const& border,
-                      double centre, double divisor) {
+Tensor box_backward(char const* op, Tensor const& grad, int64_t ky, int64_t kx, std::string const& border,
+                    double center, double divisor) {
   Border const rule = parse_border(op, border);
-  check(op, grad, ky, kx, rule);
+  check_box(op, grad, ky, kx, rule);
   Layout const layout = layout_of(grad);
   Tensor const g = as_layout(grad, layout), grad_x = empty_like(g, layout);
   dispatch_floating(op, g, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Box<T> const params{planes<T const>(g, layout), planes<T>(grad_x, layout), ky, kx, rule, F(centre), F(divisor)};
+    Box<T> const params{planes<T const>(g, layout), planes<T>(grad_x, layout), ky, kx, rule, F(center), F(divisor)};
     KV_RUN(box_backward, g, params, params.y.rows(), params.y.row_size());
   });
   return grad_x;
@@ -50,10 +50,10 @@ Tensor box_blur(Tensor const& input, int64_t ky, int64_t kx, std::string border)
 }
 
 Tensor box_blur_backward(Tensor const& grad, int64_t ky, int64_t kx, std::string border) {
-  return box_transposed("box_blur_backward", grad, ky, kx, border, 0, double(ky) * double(kx));
+  return box_backward("box_blur_backward", grad, ky, kx, border, 0, double(ky) * double(kx));
 }
 
-// Ones with 1 - n in the centre; the sum of their magnitudes is 2 (n - 1).
+// Ones with 1 - n in the center; the sum of their magnitudes is 2 (n - 1).
 double laplacian_divisor(int64_t ky, int64_t kx, bool normalized) {
   return normalized ? 2 * (double(ky) * double(kx) - 1) : 1;
 }
@@ -64,8 +64,8 @@ Tensor laplacian(Tensor const& input, int64_t ky, int64_t kx, bool normalized, s
 }
 
 Tensor laplacian_backward(Tensor const& grad, int64_t ky, int64_t kx, bool normalized, std::string border) {
-  return box_transposed("laplacian_backward", grad, ky, kx, border, -double(ky) * double(kx),
-                        laplacian_divisor(ky, kx, normalized));
+  return box_backward("laplacian_backward", grad, ky, kx, border, -double(ky) * double(kx),
+                      laplacian_divisor(ky, kx, normalized));
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// Canny's thinning and hysteresis on CUDA, without a word from the host in between.
+// Non-maximum suppression and hysteresis of Canny on CUDA, without synchronization with the host.
 #include "canny.h"
 #include "core/launch.cuh"
 
@@ -7,8 +7,8 @@ namespace {
 
 constexpr int kRows = 16;
 
-// Thinning. Each warp walks down a strip with three rows of the image and three rows of squared magnitudes in
-// registers.
+// Non-maximum suppression. Each warp goes down a strip with three rows of the image and three rows of squared
+// magnitudes in registers.
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips<> strips) {
   using F = Compute<T>;
@@ -21,17 +21,17 @@ __global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips
   T *magnitudes = p.magnitude.row(plane, y0), *edges = p.edges.row(plane, y0);
 
   F a[8], b[8], c[8];                      // rows of x
-  F above[6], beside[6], below[6];         // squared magnitudes
-  F gx[4], gy[4], next_gx[4], next_gy[4];  // gradients of the rows beside and below
-  auto const down = [&](int y) {           // brings in the row y of squared magnitudes
+  F above[6], middle[6], below[6];         // squared magnitudes
+  F gx[4], gy[4], next_gx[4], next_gy[4];  // gradients of the current row and of the one below
+  auto const advance = [&](int y) {        // computes row y of squared magnitudes
 #pragma unroll
     for (int i = 0; i < 8; ++i) a[i] = b[i], b[i] = c[i];
 #pragma unroll
-    for (int i = 0; i < 6; ++i) above[i] = beside[i], beside[i] = below[i];
+    for (int i = 0; i < 6; ++i) above[i] = middle[i], middle[i] = below[i];
 #pragma unroll
     for (int i = 0; i < 4; ++i) gx[i] = next_gx[i], gy[i] = next_gy[i];
     strip.load(c, rows.next());
-    bool const row_inside = y >= 0 && y < height;
+    bool const row_in_bounds = y >= 0 && y < height;
     SobelColumn<F> columns[8];
 #pragma unroll
     for (int i = 0; i < 8; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
@@ -39,29 +39,29 @@ __global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips
     for (int i = 0; i < 6; ++i) {
       F u, v;
       sobel_gradients(columns[i], columns[i + 1], columns[i + 2], F(1), u, v);
-      bool const inside = row_inside && x + i - 1 >= 0 && x + i - 1 < width;
-      below[i] = inside ? u * u + v * v + p.eps : p.eps;
+      bool const in_bounds = row_in_bounds && x + i - 1 >= 0 && x + i - 1 < width;
+      below[i] = in_bounds ? u * u + v * v + p.eps : p.eps;
       if (i > 0 && i < 5) next_gx[i - 1] = u, next_gy[i - 1] = v;
     }
   };
 #pragma unroll
   for (int i = 0; i < 8; ++i) a[i] = b[i] = c[i] = 0;
 #pragma unroll
-  for (int i = 0; i < 6; ++i) above[i] = beside[i] = below[i] = 0;
+  for (int i = 0; i < 6; ++i) above[i] = middle[i] = below[i] = 0;
 #pragma unroll
   for (int i = 0; i < 4; ++i) next_gx[i] = next_gy[i] = 0;
   strip.load(b, rows.next());
   strip.load(c, rows.next());
-  down(y0 - 1);
-  down(y0);
+  advance(y0 - 1);
+  advance(y0);
   for (int y = y0; y < y1; ++y) {
-    down(y + 1);
+    advance(y + 1);
     F magnitude[4], edge[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
-      bool const ridge = is_ridge(gx[i], gy[i], above[i], above[i + 1], above[i + 2], beside[i], beside[i + 1],
-                                  beside[i + 2], below[i], below[i + 1], below[i + 2], p.eps);
-      magnitude[i] = ridge ? sqrt(beside[i + 1]) : F(0);
+      bool const ridge = is_ridge(gx[i], gy[i], above[i], above[i + 1], above[i + 2], middle[i], middle[i + 1],
+                                  middle[i + 2], below[i], below[i + 1], below[i + 2], p.eps);
+      magnitude[i] = ridge ? sqrt(middle[i + 1]) : F(0);
       edge[i] = (magnitude[i] > p.low ? F(0.5) : F(0)) + (magnitude[i] > p.high ? F(0.5) : F(0));
     }
     strip.store(magnitudes, magnitude);
@@ -71,10 +71,10 @@ __global__ void __launch_bounds__(256) suppress_strip(CannySuppress<T> p, Strips
   }
 }
 
-// Hysteresis is labelling by union-find: in tiles of 32 x 32 pixels in shared memory, then across their borders. A
-// pixel off the edges has the label kNone. The others have the number, from 1 on, of a pixel of their edge that is
-// nearer to the root, their own at the root, or 0 where the edge is known to be strong: all strong edges have one root.
-// Smaller numbers win, so which thread comes first changes the ways to the roots, but not the roots.
+// Hysteresis labels connected edges by union-find: in tiles of 32 x 32 pixels in shared memory, then across the borders
+// of tiles. A pixel that is no edge has the label kNone. The label of an edge pixel is its parent: 1 + the index of
+// another pixel of the edge, or its own at a root, or 0 where the edge is known to be strong. All strong edges have the
+// root 0. The smaller of two roots wins, so the order of threads changes paths but not roots.
 constexpr int kSide = 32, kNone = -1;
 
 __device__ __forceinline__ int root(int const volatile* labels, int label) {
@@ -87,21 +87,22 @@ __device__ __forceinline__ int root(int const volatile* labels, int label) {
 }
 
 __device__ __forceinline__ void unite(int* labels, int i, int j) {
-  int const volatile* const seen = labels;
-  int a = root(labels, seen[i]), b = root(labels, seen[j]);
+  int const volatile* const latest = labels;
+  int a = root(labels, latest[i]), b = root(labels, latest[j]);
   while (a != b) {
     if (a < b) {
       int const t = a;
       a = b, b = t;
     }
     int const before = atomicMin(labels + a - 1, b);
-    if (before == a) return;  // a was a root and now hangs below b
+    if (before == a) return;  // a was a root and b is its parent now
     a = root(labels, before);
   }
 }
 
-// Unites pixel i with its neighbours above, `up` being as many elements. Where the pixel right above is an edge, its
-// own neighbours are united with it already, and where pixels beside are, they see to theirs.
+// Unites pixel i with its neighbors above; `up` is the row stride. Where the pixel directly above is an edge, its
+// neighbors are united with it already. Where an adjacent pixel of the same row is an edge, it unites its own
+// neighbors.
 template <class IsEdge>
 __device__ __forceinline__ void unite_above(int* labels, int i, int up, int x, int width, IsEdge is_edge) {
   bool const left = x > 0, right = x + 1 < width;
@@ -113,14 +114,15 @@ __device__ __forceinline__ void unite_above(int* labels, int i, int up, int x, i
   if (right && !is_edge(i + 1) && is_edge(i - up + 1)) unite(labels, i, i - up + 1);
 }
 
-// One block a tile, a warp four of its rows. Runs of pixels get their first pixel as root at once, or 0.
+// One block for each tile; a warp takes four of its rows. The pixels of a run start with its first pixel as their
+// parent, or 0 if one of them is strong.
 template <class T>
 __global__ void __launch_bounds__(256) label_tiles(CannyHysteresis<T> p, unsigned across, unsigned down) {
   __shared__ int labels[kSide * kSide];
   int const width = int(p.edges.width), height = int(p.edges.height), lane = threadIdx.x % 32, warp = threadIdx.x / 32;
-  unsigned const above = blockIdx.x / across;
-  int64_t const plane = above / down;
-  int const y0 = int(above % down) * kSide, x = int(blockIdx.x % across) * kSide + lane;
+  unsigned const tile_row = blockIdx.x / across;
+  int64_t const plane = tile_row / down;
+  int const y0 = int(tile_row % down) * kSide, x = int(blockIdx.x % across) * kSide + lane;
   Compute<T> edge[4];
 #pragma unroll
   for (int k = 0; k < 4; ++k) {
@@ -155,7 +157,7 @@ __global__ void __launch_bounds__(256) label_tiles(CannyHysteresis<T> p, unsigne
   }
 }
 
-// One thread a pixel of the first rows and columns of tiles.
+// One thread for each pixel in the first row or column of a tile.
 template <class T>
 __global__ void join_tiles(CannyHysteresis<T> p) {
   unsigned const width = unsigned(p.edges.width), height = unsigned(p.edges.height);
@@ -163,8 +165,8 @@ __global__ void join_tiles(CannyHysteresis<T> p) {
   unsigned const n = blockIdx.x * blockDim.x + threadIdx.x, plane = n / each, k = n - plane * each;
   if (plane >= p.edges.count()) return;
   int* const labels = p.labels + plane * p.edges.height * p.edges.width;
-  int const volatile* const seen = labels;
-  auto const is_edge = [&](int i) { return seen[i] != kNone; };
+  int const volatile* const latest = labels;
+  auto const is_edge = [&](int i) { return latest[i] != kNone; };
   if (k < on_rows) {
     int const x = int(k % width), i = int((k / width + 1) * kSide * width) + x;
     if (is_edge(i)) unite_above(labels, i, int(width), x, int(width), is_edge);

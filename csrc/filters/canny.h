@@ -1,12 +1,13 @@
-// The two steps that make Canny edges of a smooth grey image: thinning the gradient magnitude to its ridges, and
-// keeping weak edges that hang together with strong ones. Included by canny_cpu.cpp, canny.cu and canny_op.cpp.
+// Two steps of the Canny edge detector on a blurred gray image: non-maximum suppression of the gradient magnitude, and
+// hysteresis, which keeps weak edges that are connected to strong ones. Included by canny_cpu.cpp, canny.cu and
+// canny_op.cpp.
 #pragma once
 
 #include "sobel.h"
 
 namespace kv {
 
-// magnitude: sqrt(gx^2 + gy^2 + eps) of the unnormalised Sobel gradient on ridges, else 0.
+// magnitude: sqrt(gx^2 + gy^2 + eps) of the unnormalized Sobel gradient on ridges, else 0.
 // edges: 0 below `low`, 0.5 between, 1 above `high`.
 template <class T>
 struct CannySuppress {
@@ -15,20 +16,20 @@ struct CannySuppress {
   Compute<T> low, high, eps;
 };
 
-// Of `edges` (0, 0.5 or 1) those that are 1 or touch one that is kept, in 8 directions.
+// kept: 1 where `edges` (0, 0.5 or 1) is 1 or, in 8 directions, connected to a 1 through edges; else 0.
 template <class T>
 struct CannyHysteresis {
   Planes<T const> edges;
   Planes<T> kept;
-  int32_t* labels;  // one a pixel, on CUDA only
+  int32_t* labels;  // one for each pixel; CUDA only
 };
 
 KV_KERNEL(canny_suppress, CannySuppress)
 KV_KERNEL(canny_hysteresis, CannyHysteresis)
 
-// Whether a pixel is a ridge: no neighbour along its gradient, rounded to 45 degrees, is stronger. Along x and y the
-// first of two equal neighbours stays, on a diagonal none. `a`, `b`, `c` are squared magnitudes of the rows above,
-// beside and below at the columns left, middle, right; outside of the image there is no gradient, and they are eps.
+// Whether a pixel is a ridge: no neighbor along its gradient, rounded to 45 degrees, is stronger. Along x and y the
+// first of two equal neighbors is kept, on a diagonal neither. a, b and c are squared magnitudes in the rows above, at
+// and below the pixel; 0, 1 and 2 are the columns to the left, at and to the right of it. Out of bounds they are eps.
 template <class V, class S>
 KV_HD auto is_ridge(V gx, V gy, V a0, V a1, V a2, V b0, V b1, V b2, V c0, V c1, V c2, S eps) {
   S const tan_22_5 = S(0.41421356237309504880);

@@ -1,4 +1,4 @@
-// Canny's thinning and hysteresis on the CPU. Compiled once per instruction set.
+// Non-maximum suppression and hysteresis of Canny on the CPU. Compiled once per instruction set.
 #include "canny.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
@@ -6,8 +6,8 @@
 
 namespace kv::KV_ISA {
 
-// Streams down the rows with the squared magnitudes of three rows, each with one pixel more at either end, and the
-// gradients of two.
+// Streams down the rows. Rings hold the squared magnitudes of three rows, with one more pixel at either end, and the
+// gradients of two rows.
 template <class T>
 void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
@@ -19,7 +19,7 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
   };
   F const eps = p.eps;
 
-  auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one outside the image
+  auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one row out of bounds
     F* const q = squared(y);
     if (y < 0 || y >= height) {
       for (int64_t e = -step; e < size + step; ++e) q[e] = eps;
@@ -62,9 +62,9 @@ void canny_suppress(CannySuppress<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
-// Planes [begin, end): a flood from the strong pixels that visits each weak pixel once. It runs on a byte a pixel
-// (twice the edge: 0, 1 weak, 2 strong or kept) with a rim of zeros, so neighbours need no cases, and words of eight
-// bytes tell where strong pixels are.
+// Planes [begin, end): a flood fill from the strong pixels that visits each weak pixel once. It runs on one byte for
+// each pixel, twice the edge: 0, 1 weak, 2 strong or kept. A border of zeros makes all neighbors readable, and words of
+// eight bytes are searched for strong pixels.
 template <class T>
 constexpr int kBytesAtOnce = __is_same(Compute<T>, float) ? kLanes<T> : 1;  // bytes are loaded as floats
 template <class T>
@@ -72,12 +72,12 @@ void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const height = p.edges.height, width = p.edges.width, stride = width + 8;
   Scratch<uint8_t> bytes((height + 2) * stride + 8);
-  Scratch<uint8_t*> stack(height * width);  // of weak pixels to go on from
+  Scratch<uint8_t*> stack(height * width);  // kept pixels whose neighbors are not visited yet
   uint8_t* const pixels = bytes.data + stride + 1;
   for (int64_t i = 0; i < (height + 2) * stride + 8; ++i) bytes.data[i] = 0;
 
   int64_t top = 0;
-  auto const keep_around = [&](uint8_t* pixel) {
+  auto const keep_neighbors = [&](uint8_t* pixel) {
     for (uint8_t* at = pixel - stride - 1; at <= pixel + stride; at += stride) {
       uint32_t three;
       __builtin_memcpy(&three, at, 4);
@@ -104,8 +104,8 @@ void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
         uint64_t strong;
         __builtin_memcpy(&strong, eight, 8);
         for (strong &= 0x0202020202020202; strong; strong &= strong - 1) {
-          keep_around(eight + __builtin_ctzll(strong) / 8);
-          while (top > 0) keep_around(stack.data[--top]);
+          keep_neighbors(eight + __builtin_ctzll(strong) / 8);
+          while (top > 0) keep_neighbors(stack.data[--top]);
         }
       }
     for (int64_t y = 0; y < height; ++y) {

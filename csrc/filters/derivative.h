@@ -1,6 +1,6 @@
-// Derivative kernels. Each is a product of rows, one for every axis, that smooth (order 0) or differentiate (order 1,
-// 2) along it: the family is one code and a set of rows per member. Included by spatial_gradient* and
-// spatial_gradient3d*.
+// Derivative kernels. Each is a product of weight rows, one for every axis, that smooth (order 0) or differentiate
+// (order 1, 2) along it. One implementation serves all of them; a kernel is defined by its rows. Included by
+// spatial_gradient.h and spatial_gradient3d.h.
 #pragma once
 
 #include <type_traits>
@@ -9,13 +9,13 @@
 
 namespace kv {
 
-// A row of weights centred on a pixel. What stands under a zero is not read.
+// A row of weights centered on a pixel. Pixels under a zero weight are not read.
 template <int... W>
-struct Row {
+struct WeightRow {
   static constexpr int size = sizeof...(W), reach = size / 2;
   static_assert(reach == 1 || reach == 2);
 
-  // What the row gives for x^order / order!, whose derivative of that order is 1.
+  // The result of the row for x^order / order!, whose derivative of that order is 1.
   static constexpr double unit(int order) {
     double sum = 0;
     int i = -reach;
@@ -33,8 +33,8 @@ struct Row {
     return sum;
   }
 
-  // The transpose: what pixel j receives, at(i) being the gradient at j - reach + i, 0 outside the image. Replicated,
-  // the first pixel also stands under the weights that come before its own, the last one under those that come after.
+  // The transpose: the gradient of pixel j, where at(i) is the gradient at j - reach + i, 0 out of bounds. With the
+  // replicate border the first pixel is also read by the weights before its own, the last one by those after it.
   template <class At>
   KV_HD static auto dot_vjp(At at, bool first, bool last) {
     decltype(at(0)) sum{};
@@ -80,7 +80,7 @@ struct Row {
   }
 };
 
-// A member of the family: the order of the whole derivative and the rows of order 0, 1, 2 along an axis.
+// A derivative kernel: the order of the whole derivative and the rows of order 0, 1, 2 along an axis.
 template <int Order, class Row0, class Row1, class Row2 = Row1>
 struct Derivative {
   static constexpr int order = Order, reach = Row0::reach;
@@ -88,9 +88,9 @@ struct Derivative {
   using row = std::conditional_t<Along == 0, Row0, std::conditional_t<Along == 1, Row1, Row2>>;
 };
 
-using Sobel1 = Derivative<1, Row<1, 2, 1>, Row<-1, 0, 1>>;
-using Sobel2 = Derivative<2, Row<1, 4, 6, 4, 1>, Row<-1, -2, 0, 2, 1>, Row<1, 0, -2, 0, 1>>;
-using Diff1 = Derivative<1, Row<0, 1, 0>, Row<-1, 0, 1>>;
-using Diff2 = Derivative<2, Row<0, 1, 0>, Row<-1, 0, 1>, Row<1, -2, 1>>;
+using Sobel1 = Derivative<1, WeightRow<1, 2, 1>, WeightRow<-1, 0, 1>>;
+using Sobel2 = Derivative<2, WeightRow<1, 4, 6, 4, 1>, WeightRow<-1, -2, 0, 2, 1>, WeightRow<1, 0, -2, 0, 1>>;
+using Diff1 = Derivative<1, WeightRow<0, 1, 0>, WeightRow<-1, 0, 1>>;
+using Diff2 = Derivative<2, WeightRow<0, 1, 0>, WeightRow<-1, 0, 1>, WeightRow<1, -2, 1>>;
 
 }  // namespace kv

@@ -1,21 +1,22 @@
-// Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not serve go by tiles in shared memory,
-// with every tap of a kernel from there. Volumes, float64 and kernels that shared memory has no room for take one
-// thread an element.
+// Cross-correlation with any kernel on CUDA. Images that filter2d_strip.cu does not support go by tiles in shared
+// memory, from which all taps read. Volumes, float64 and kernels that are too large for shared memory take one thread
+// for each element.
 #include "filter2d_tile.cuh"
 
 namespace kv::cuda {
 
-// Launches the kernel of filter2d_strip.cu if it serves p, and says so.
+// Launches the kernel of filter2d_strip.cu if it supports p, and returns whether it did.
 template <class T>
-bool filter2d_strips(Filter2d<T> const& p, CUstream_st* stream);
+bool try_filter2d_strips(Filter2d<T> const& p, CUstream_st* stream);
 
 namespace {
 
-// for_each_reader with f in the code once: nested over axes, its copies would take minutes to compile.
+// for_each_reader with a single call of f in the code: nested over axes, its inlined copies would take minutes to
+// compile.
 template <class F>
-__device__ __forceinline__ void visit_positions(Border fold, KernelAxis axis, int pixel, int size, F f) {
+__device__ __forceinline__ void for_each_reader_once(Border accumulation, KernelAxis axis, int pixel, int size, F f) {
   auto const for_each = [&](auto g) {
-    for_each_reader(fold, pixel, size, axis.size - 1 - axis.before, axis.before, g);
+    for_each_reader(accumulation, pixel, size, axis.size - 1 - axis.before, axis.before, g);
   };
   int count = 0;
   for_each([&](int) { ++count; });
@@ -27,10 +28,9 @@ __device__ __forceinline__ void visit_positions(Border fold, KernelAxis axis, in
   }
 }
 
-// What a warp's threads sum, `window` being the first pixel that is read for the first of its pixels. Every 32nd pixel
-// a thread, so that reads of a warp are neighbours wherever they start. Going down a column of the kernel, whose
-// weights are in shared memory column by column, the last kDown rows of the window stay in registers, row r in v[r %
-// kDown].
+// The sums of a warp's pixels. `window` is the first pixel that is read for the first of them. A thread takes every
+// 32nd pixel, so that the reads of a warp are adjacent wherever they start. The weights are in shared memory column by
+// column. Along a column of the kernel the last kDown rows of the window stay in registers, row r in v[r % kDown].
 __device__ __forceinline__ void correlate(float const* window, int pitch, float const* weights, int ky, int kx,
                                           float (&sums)[kDown][kAcross]) {
   for (int x = 0; x < kx; ++x, weights += ky) {
@@ -58,13 +58,13 @@ __device__ __forceinline__ void correlate(float const* window, int pitch, float 
   }
 }
 
-// The pixels of one axis of a tile that receive from positions beyond the image, `from` being the tile's first pixel.
-struct Rim {
+// The pixels of a tile along one axis that receive sums of positions out of bounds. `from` is the tile's first pixel.
+struct BorderPixels {
   int low, low_count, high, high_count;
 
-  __device__ __forceinline__ Rim(Border fold, KernelAxis axis, int from, int tile, int size) {
+  __device__ __forceinline__ BorderPixels(Border accumulation, KernelAxis axis, int from, int tile, int size) {
     int const end = min(from + tile, size), before = axis.size - 1 - axis.before, after = axis.before;
-    bool const reflects = fold == Border::reflect;
+    bool const reflects = accumulation == Border::reflect;
     low = max(from, reflects && size - 1 > after ? 1 : 0);
     low_count = max(0, min(end, reflects ? before + 1 : min(before, 1)) - low);
     high = max(low + low_count, reflects ? size - 1 - after : size - min(after, 1));
@@ -106,15 +106,16 @@ __global__ void __launch_bounds__(kThreads, 5)
       if (x < width) out[x * step] = round_to<T>(sums[o][i]);
     }
   }
-  if (p.fold == Border::constant) return;
+  if (p.accumulation == Border::constant) return;
 
-  // The rim again, now with what its other positions receive; corners twice, with the same result.
+  // Compute the pixels near the border again, now with the sums of positions out of bounds. Corners are computed twice,
+  // with the same result.
   __syncthreads();
-  auto const fold_pixel = [&](int x, int y) {
+  auto const accumulate_pixel = [&](int x, int y) {
     float sum = 0;
-    visit_positions(p.fold, p.axis_y, y, height, [&](int at_y) {
+    for_each_reader_once(p.accumulation, p.axis_y, y, height, [&](int at_y) {
       int const first_y = at_y - p.axis_y.before, from_y = max(0, -first_y), to_y = min(ky, height - first_y);
-      visit_positions(p.fold, p.axis_x, x, width, [&](int at_x) {
+      for_each_reader_once(p.accumulation, p.axis_x, x, width, [&](int at_x) {
         int const first_x = at_x - p.axis_x.before, from_x = max(0, -first_x), to_x = min(kx, width - first_x);
         for (int j = from_x; j < to_x; ++j)
           for (int i = from_y; i < to_y; ++i)
@@ -123,15 +124,16 @@ __global__ void __launch_bounds__(kThreads, 5)
     });
     p.y.row(plane, y)[x * step + channel] = round_to<T>(sum);
   };
-  int const wide = min(kWidth, width - x0), high = min(kHeight, height - y0);
-  Rim const rows(p.fold, p.axis_y, y0, kHeight, height), columns(p.fold, p.axis_x, x0, kWidth, width);
-  int const in_rows = rows.count() * wide, pixels = in_rows + columns.count() * high;
+  int const columns_of_tile = min(kWidth, width - x0), rows_of_tile = min(kHeight, height - y0);
+  BorderPixels const rows(p.accumulation, p.axis_y, y0, kHeight, height),
+      columns(p.accumulation, p.axis_x, x0, kWidth, width);
+  int const in_rows = rows.count() * columns_of_tile, pixels = in_rows + columns.count() * rows_of_tile;
 #pragma unroll 1
   for (int i = threadIdx.x; i < pixels; i += kThreads) {
     bool const in_row = i < in_rows;
-    int const k = in_row ? i : i - in_rows, line = k / (in_row ? wide : high),
-              along = k - line * (in_row ? wide : high);
-    fold_pixel(in_row ? x0 + along : columns.at(line), in_row ? rows.at(line) : y0 + along);
+    int const k = in_row ? i : i - in_rows, line = k / (in_row ? columns_of_tile : rows_of_tile),
+              along = k - line * (in_row ? columns_of_tile : rows_of_tile);
+    accumulate_pixel(in_row ? x0 + along : columns.at(line), in_row ? rows.at(line) : y0 + along);
   }
 }
 
@@ -144,7 +146,7 @@ int launch_tiles(Filter2d<T> const& p, Tiles const& tiles, CUstream_st* stream) 
   return cudaGetLastError();
 }
 
-// One thread an element.
+// One thread for each element.
 template <class T>
 __global__ void filter_any(__grid_constant__ Filter2d<T> const p) {
   using F = Compute<T>;
@@ -155,9 +157,9 @@ __global__ void filter_any(__grid_constant__ Filter2d<T> const p) {
   KernelAxis const axis_x = p.axis_x, axis_y = p.axis_y, axis_z = p.axis_z;
   F const* const kernel = p.kernel_of(plane);
   F sum = 0;
-  // Calls f(tap, pixel) for the taps along one axis at every position at which pixel i stands.
+  // Calls f(tap, pixel) for the taps along one axis of every position whose border pixel is i.
   auto const for_taps = [&](KernelAxis axis, int i, int64_t results, int64_t pixels, auto f) {
-    visit_positions(p.fold, axis, i, int(results), [&](int at) {
+    for_each_reader_once(p.accumulation, axis, i, int(results), [&](int at) {
 #pragma unroll 1
       for (int k = 0; k < axis.size; ++k) {
         int const pixel = border_index(p.border, at + k - axis.before, int(pixels));
@@ -181,14 +183,15 @@ __global__ void filter_any(__grid_constant__ Filter2d<T> const p) {
 template <class T>
 int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
-    if (filter2d_strips(p, stream)) return cudaGetLastError();
-    // A pixel of the rim is folded from the tile that it is in.
-    bool const folds = p.fold != Border::constant;
-    auto const after = [&](KernelAxis axis) { return max(axis.size - 1 - axis.before, folds ? axis.before : 0); };
-    auto const beside = [&](KernelAxis axis) { return axis.before + after(axis); };
-    bool const foldable = !folds || (beside(p.axis_x) < 2 * kWidth && beside(p.axis_y) < 2 * kHeight);
-    Tiles const tiles(p.x, p.y, p.axis_x.before, after(p.axis_x), beside(p.axis_y));
-    if (p.axis_z.size == 1 && foldable && tiles.bytes(p.taps()) <= kMostShared) return launch_tiles(p, tiles, stream);
+    if (try_filter2d_strips(p, stream)) return cudaGetLastError();
+    // The border is accumulated within a tile: it must hold all pixels that a border pixel needs.
+    bool const accumulates = p.accumulation != Border::constant;
+    auto const after = [&](KernelAxis axis) { return max(axis.size - 1 - axis.before, accumulates ? axis.before : 0); };
+    auto const reach = [&](KernelAxis axis) { return axis.before + after(axis); };
+    bool const fits_tile = !accumulates || (reach(p.axis_x) < 2 * kWidth && reach(p.axis_y) < 2 * kHeight);
+    Tiles const tiles(p.x, p.y, p.axis_x.before, after(p.axis_x), reach(p.axis_y));
+    if (p.axis_z.size == 1 && fits_tile && tiles.bytes(p.taps()) <= kMaxSharedBytes)
+      return launch_tiles(p, tiles, stream);
   }
   filter_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();

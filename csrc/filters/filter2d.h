@@ -1,5 +1,5 @@
 // Cross-correlation of images and volumes with any kernel, its transpose, and the gradient to the kernel. A volume is
-// read plane by plane; an image is one of depth 1. Included by filter2d_cpu.cpp, filter2d.cu and filter2d_op.cpp.
+// read plane by plane; an image is a volume of depth 1. Included by filter2d*.cpp, filter2d*.cu and their headers.
 #pragma once
 
 #include "core/border.h"
@@ -8,17 +8,16 @@
 
 namespace kv {
 
-// How a kernel lies on the pixels along one axis: tap k of pixel i on pixel i + k - before. Pixels that this reaches
-// beyond the image are read by a border rule.
+// A kernel along one axis: tap k of output i reads pixel i + k - before. Pixels out of bounds follow a border rule.
 struct KernelAxis {
   int size, before;
 };
 
 // y = sum over taps of kernel[tap] * x[pixel + tap].
 //
-// The transpose is the same sum over the gradient, with the kernel flipped, zeros outside and before' = size - 1 -
-// before, and then folded: each pixel also receives what its other positions under the border rule receive. With the
-// circular border, reading the gradient circularly folds it already.
+// The transpose is the same sum over the gradient, with the kernel flipped, zeros out of bounds and before' = size - 1
+// - before. Then the border is accumulated: each pixel also receives the sums of all positions out of bounds whose
+// border pixel it is. With the circular border the gradient is read circularly instead.
 template <class T>
 struct Filter2d {
   Planes<T const> x;
@@ -29,16 +28,16 @@ struct Filter2d {
   int depth;                 // planes of a volume
   KernelAxis axis_z, axis_y, axis_x;
   bool flip;
-  Border border, fold;  // fold: constant for none
+  Border border, accumulation;  // accumulation: of the result's border; constant for none
 
   KV_HD int taps() const { return axis_z.size * axis_y.size * axis_x.size; }
   KV_HD Compute<T> const* kernel_of(int64_t plane) const { return kernel + plane / sample_planes * kernel_stride; }
 };
 
-// The gradient to the kernel: the products of the gradient's pixels with the pixels that a tap lays on them. Planes are
-// cut into parts of a few rows of the gradient; the parts of a sample are then summed, always in the same order.
+// The gradient to the kernel: for each tap the sum of the gradient's pixels times the pixels that the tap reads. Planes
+// are divided into parts of a few rows of the gradient. The partial sums of a sample are then added in a fixed order.
 template <class T>
-struct Filter2dTaps {
+struct Filter2dKernelBackward {
   Planes<T const> grad, x;
   Compute<T>* parts;  // (part, z, y, x)
   int64_t part_rows;
@@ -51,16 +50,16 @@ struct Filter2dTaps {
   KV_HD int64_t count() const { return grad.count() * parts_down(); }
 };
 
-// sums[i] = the sum over `parts` of terms[i / size, part, i % size], for `count` sums.
+// sums[i] is the sum over `parts` of terms[i / size, part, i % size], for `count` sums.
 template <class F>
-struct SumParts {
+struct SumPartials {
   F const* terms;
   F* sums;
   int64_t count, parts, size;
 };
 
 KV_KERNEL(filter2d, Filter2d)
-KV_KERNEL(filter2d_taps, Filter2dTaps)
-KV_KERNEL(sum_parts, SumParts)
+KV_KERNEL(filter2d_kernel_backward, Filter2dKernelBackward)
+KV_KERNEL(sum_partials, SumPartials)
 
 }  // namespace kv

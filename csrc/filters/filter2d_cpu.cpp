@@ -1,15 +1,15 @@
 // Cross-correlation with any kernel on the CPU: one loop over blocks of rows in float32 or float64. It reads the image
-// itself where it can; other types and what touches the border are copied into a padded tile first. Rows [begin, end)
-// of all planes in order; compiled once per instruction set.
-#include "filter2d_rows.h"
+// directly where possible; other types and pixels near the border are copied into a padded tile first. Rows [begin,
+// end) of all planes in order; compiled once per instruction set.
+#include "filter2d_cpu.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int kBlockRows = 8;  // results that are worked on together
-constexpr int kRows = 4;       // results that share what is loaded into registers
+constexpr int kBlockRows = 8;  // output rows of a block
+constexpr int kRows = 4;       // output rows that share loads
 
-// Keeps a value in its register: GCC would read it from memory again for every use.
+// Keeps a value in a register: GCC would load it again for each use.
 template <class V>
 KV_HD void keep([[maybe_unused]] V& v) {
 #if defined(__x86_64__)
@@ -17,16 +17,16 @@ KV_HD void keep([[maybe_unused]] V& v) {
 #endif
 }
 
-// out[o][e] = the sum over ky taps k and kx taps i of weights[i][k] * rows[o + k][e + i * step], for `count` rows o of
-// at most kRows, and `size` elements e; added to what is there unless `fresh`. KY is ky where that is small, else 0.
-// The last vector of a row overlaps the one before it, or, where that is not allowed, goes beyond the row.
+// out[o][e] = the sum over ky taps k and kx taps i of weights[i][k] * rows[o + k][e + i * step], for `count` <= kRows
+// rows o and `size` elements e. The sum is added to `out` unless `fresh`. KY is ky where that is small, else 0. The
+// last vector of a row overlaps the previous one if `overlap`; otherwise it ends after the row.
 template <int KY, class F>
 void correlate(F const* const* rows, F const* weights, int ky, int kx, int64_t step, F* out, int64_t out_stride,
                int count, int64_t size, bool fresh, bool overlap) {
   constexpr int N = kLanes<F>;
   using V = Lanes<F, N>;
-  auto const vectors = [&](auto how_many, int64_t e) KV_INLINE {
-    constexpr int M = decltype(how_many)::value;
+  auto const vectors = [&](auto vector_count, int64_t e) KV_INLINE {
+    constexpr int M = decltype(vector_count)::value;
     V sum[kRows][M];
     unroll<kRows>([&](auto o) KV_INLINE {
       unroll<M>([&](auto v) KV_INLINE {
@@ -36,7 +36,7 @@ void correlate(F const* const* rows, F const* weights, int ky, int kx, int64_t s
     for (int i = 0; i < kx; ++i) {
       F const* const w = weights + i * ky;
       auto const add_row = [&](int r, auto first,
-                               auto last) KV_INLINE {  // row r is a tap of the results first ... last - 1
+                               auto last) KV_INLINE {  // the outputs first ... last - 1 read row r
         V x[M];
         unroll<M>([&](auto v) KV_INLINE {
           x[v.value] = load<N>(rows[r] + e + i * step + v.value * N);
@@ -89,7 +89,8 @@ auto correlate_for(int ky) {
   }
 }
 
-// The same pixels of `rows` rows from y on, where they are few: column by column, so that the border is asked once.
+// Copies a few columns of `rows` rows from y on. It goes column by column, so that the border rule along x is evaluated
+// once for each.
 template <class T>
 KV_HD void copy_columns(Planes<T const> const& x, int64_t plane, int64_t y, int64_t rows, Border border, int64_t first,
                         int64_t count, Compute<T>* to, int64_t to_stride) {
@@ -119,31 +120,32 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
   struct Span {
     int64_t first, count;  // pixels
   };
-  // The pixels whose taps reach beyond the image, and those between them.
+  // The outputs whose taps reach out of bounds at either end, and those between them.
   int64_t const after = max(int64_t(0), width - p.x.width + overhang - tx.before);
-  Span const left_rim{0, tx.before}, right_rim{width - after, after}, inside{tx.before, width - after - tx.before};
-  // Where results are folded: the positions beyond the image at which pixels stand, too.
-  bool const folds = p.fold != Border::constant;
-  Span const left{folds ? tx.before - overhang : 0, folds ? overhang - tx.before : 0},
-      right{width, folds ? tx.before : 0};
-  int64_t const above = folds ? ty.size - 1 - ty.before : 0, below = folds ? ty.before : 0;
+  Span const left_edge{0, tx.before}, right_edge{width - after, after}, inside{tx.before, width - after - tx.before};
+  // With accumulation: the positions out of bounds that are added to pixels.
+  bool const accumulates = p.accumulation != Border::constant;
+  Span const left{accumulates ? tx.before - overhang : 0, accumulates ? overhang - tx.before : 0},
+      right{width, accumulates ? tx.before : 0};
+  int64_t const above = accumulates ? ty.size - 1 - ty.before : 0, below = accumulates ? ty.before : 0;
 
   int64_t const sum_stride = max(width, 2 * overhang + overhang) * step + 2 * N,
                 tile_stride = sum_stride + overhang * step;
   int64_t const tile_rows = kBlockRows + ty.size - 1;
   Scratch<F> scratch(tile_rows * tile_stride + 2 * kBlockRows * sum_stride + p.x.row_size() + p.taps());
   F *const tile = scratch.data, *const sums = tile + tile_rows * tile_stride,
-           *const more = sums + kBlockRows * sum_stride, *const zeros = more + kBlockRows * sum_stride,
+           *const partial = sums + kBlockRows * sum_stride, *const zeros = partial + kBlockRows * sum_stride,
            *const weights = zeros + p.x.row_size();
   for (int64_t e = 0; e < p.x.row_size(); ++e) zeros[e] = 0;
-  for (int64_t e = 0; e < tile_rows * tile_stride; ++e) tile[e] = 0;  // vectors go beyond rows; denormals would be slow
+  for (int64_t e = 0; e < tile_rows * tile_stride; ++e)
+    tile[e] = 0;  // vectors may end after rows, and denormals would be slow
   Scratch<F const*> rows(tile_rows + kRows);
   auto const correlate = correlate_for<F>(ty.size);
 
-  F const* kernel = nullptr;  // whose taps `weights` holds, column by column and flipped where that is asked for
-  auto const arrange_weights = [&](F const* given) {
-    if (given == kernel) return;
-    kernel = given;
+  F const* kernel = nullptr;  // `weights` holds its taps column by column, flipped if p.flip
+  auto const arrange_weights = [&](F const* sample_kernel) {
+    if (sample_kernel == kernel) return;
+    kernel = sample_kernel;
     for (int z = 0; z < tz.size; ++z)
       for (int y = 0; y < ty.size; ++y)
         for (int x = 0; x < tx.size; ++x) {
@@ -152,7 +154,7 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
         }
   };
 
-  // out = the results of `count` rows from the rows of pixels at row_at(r).
+  // Filters `count` rows into `out`; row_at(r) is input row r.
   auto const filter_rows = [&](auto row_at, int64_t count, int kz, F* out, int64_t out_stride, int64_t size, bool fresh,
                                bool overlap) {
     int64_t const last = count + ty.size - 2;
@@ -162,8 +164,8 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
                 out_stride, int(min(count - o, int64_t(kRows))), size, fresh, overlap);
   };
 
-  // The results of rows y ... y + count - 1 at two spans, one after the other with a gap of `overhang` pixels. All of
-  // it may lie outside the image.
+  // Filters rows y ... y + count - 1 at two spans of columns, which `out` has next to each other with a gap of
+  // `overhang` pixels. Rows and columns may be out of bounds.
   auto const filter_spans = [&](int64_t plane, int64_t y, int64_t count, Span a, Span b, F* out) {
     int64_t const z = plane % p.depth;
     Span const spans[] = {a, b};
@@ -186,15 +188,16 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
                   false);
       fresh = false;
     };
-    for_each_reader(p.fold, z, int64_t(p.depth), int64_t(tz.size - 1 - tz.before), int64_t(tz.before), [&](int64_t at) {
-      for (int kz = 0; kz < tz.size; ++kz) {
-        int64_t const from = border_index(p.border, at + kz - tz.before, int64_t(p.depth));
-        if (from >= 0) filter_plane(plane - z + from, kz);
-      }
-    });
+    for_each_reader(p.accumulation, z, int64_t(p.depth), int64_t(tz.size - 1 - tz.before), int64_t(tz.before),
+                    [&](int64_t at) {
+                      for (int kz = 0; kz < tz.size; ++kz) {
+                        int64_t const from = border_index(p.border, at + kz - tz.before, int64_t(p.depth));
+                        if (from >= 0) filter_plane(plane - z + from, kz);
+                      }
+                    });
   };
 
-  // Results go to the image itself where its numbers are those computed with and whole vectors of them are there.
+  // Results are written to the image directly if it has the compute type and rows of at least a vector.
   bool const direct = __is_same(T, F) && tz.size == 1 && inside.count * step >= N;
 
   for (int64_t r = begin; r < end;) {
@@ -203,31 +206,31 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
     F* out = sums;
     int64_t out_stride = sum_stride;
 
-    // Adds or stores what two spans of rows q ... q + n - 1 give to the rows of this block.
+    // Filters two spans of rows q ... q + n - 1 and adds or stores the results to the rows of this block.
     auto const merge = [&](int64_t q, int64_t n, Span a, Span b, bool add) {
       if (a.count + b.count == 0) return;
       Span const spans[] = {a, b};
-      filter_spans(plane, q, n, a, b, more);
+      filter_spans(plane, q, n, a, b, partial);
       for (int64_t o = 0; o < n; ++o) {
-        int64_t const row = border_index(p.fold, q + o, height) - y;
+        int64_t const row = border_index(p.accumulation, q + o, height) - y;
         if (row < 0 || row >= count) continue;
-        F const* from = more + o * sum_stride;
+        F const* from = partial + o * sum_stride;
         for (Span const span : spans) {
           if (span.count == 0) continue;
           for (int64_t i = 0; i < span.count; ++i) {
-            F* const to = out + row * out_stride + border_index(p.fold, span.first + i, width) * step;
+            F* const to = out + row * out_stride + border_index(p.accumulation, span.first + i, width) * step;
             for (int64_t c = 0; c < step; ++c) to[c] = add ? to[c] + from[i * step + c] : from[i * step + c];
           }
           from += (span.count + overhang) * step;
         }
       }
     };
-    auto const fold_rows = [&](int64_t first, int64_t last) {
+    auto const accumulate_rows = [&](int64_t first, int64_t last) {
       for (int64_t q = first; q < last; q += kBlockRows) {
         int64_t const n = min(last - q, int64_t(kBlockRows));
         bool meets = false;
         for (int64_t o = 0; o < n; ++o) {
-          int64_t const row = border_index(p.fold, q + o, height) - y;
+          int64_t const row = border_index(p.accumulation, q + o, height) - y;
           meets |= row >= 0 && row < count;
         }
         if (!meets) continue;
@@ -244,13 +247,13 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
           return from < 0 ? zeros : p.x.row(plane, from);
         };
         filter_rows(row_at, count, 0, out + inside.first * step, out_stride, inside.count * step, true, true);
-        merge(y, count, left_rim, right_rim, false);
+        merge(y, count, left_edge, right_edge, false);
       }
     }
     if (!direct) filter_spans(plane, y, count, {0, width}, {0, 0}, sums);
     merge(y, count, left, right, true);
-    fold_rows(-above, 0);
-    fold_rows(height, height + below);
+    accumulate_rows(-above, 0);
+    accumulate_rows(height, height + below);
     if (!direct)
       for (int64_t o = 0; o < count; ++o)
         for_each_vector<T>(0, width * step, [&](auto lanes, int64_t e) {

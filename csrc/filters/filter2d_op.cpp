@@ -6,14 +6,14 @@
 namespace kv {
 namespace {
 
-// How a kernel (B or 1, z?, y, x) lies on images or volumes of `sizes`, those before the filter.
+// The axes of a kernel (B or 1, z?, y, x) over images or volumes that have `sizes` before the filter.
 struct Window {
   Border border;
   KernelAxis z{1, 0}, y{1, 0}, x{1, 0};
 
   Window(char const* op, Tensor const& kernel, std::vector<int64_t> const& sizes, std::string const& border, bool same)
       : border(parse_border(op, border)) {
-    if (!same) this->border = Border::constant;  // 'valid' reads none and folds none
+    if (!same) this->border = Border::constant;  // 'valid' neither reads nor accumulates a border
     size_t const axes = sizes.size() - 2;
     KV_CHECK(kernel.dim() == int64_t(axes) + 1, op, ": expected kernel of ", axes + 1, " axes, got ", kernel.dim());
     KV_CHECK(kernel.size(0) == 1 || kernel.size(0) == sizes[0], op, ": expected a kernel for each of ", sizes[0],
@@ -33,7 +33,7 @@ struct Window {
   int64_t taps() const { return int64_t(z.size) * y.size * x.size; }
 };
 
-KernelAxis flipped(KernelAxis taps) { return {taps.size, taps.size - 1 - taps.before}; }
+KernelAxis flip(KernelAxis taps) { return {taps.size, taps.size - 1 - taps.before}; }
 
 void check_weights(char const* op, Tensor const& kernel, Tensor const& x) {
   KV_CHECK(kernel.scalar_type() == compute_dtype(x), op,
@@ -41,7 +41,7 @@ void check_weights(char const* op, Tensor const& kernel, Tensor const& x) {
   KV_CHECK(kernel.device() == x.device(), op, ": expected kernel on the device of the images");
 }
 
-// The sizes of x, on whose last axes a 'valid' kernel takes (-1) or gives back (1) all its taps but one.
+// The sizes of x plus `sign` (-1, 0, 1) times (kernel size - 1) along the filtered axes.
 std::vector<int64_t> sizes_with(char const* op, Tensor const& x, int64_t axes, Tensor const& kernel, int sign) {
   axes == 2 ? check_images(op, "input", x) : check_volumes(op, "input", x);
   std::vector<int64_t> sizes;
@@ -59,15 +59,15 @@ Planes<T> rows_of(Tensor const& x, Layout layout) {
 }
 int depth_of(Tensor const& x) { return is_image(x) ? 1 : int(x.size(2)); }
 
-// y of `sizes` from x; transposed: the gradient to x from that to y.
+// The filtered input, of `sizes`; transposed: the gradient to the filter's input from that to its output.
 Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::vector<int64_t> const& sizes,
               Window const& window, bool transposed) {
   check_weights(op, kernel, input);
   Layout const layout = readable_layout(input);
   Tensor const x = readable(input, layout), y = empty(sizes, x, layout),
                weights = kernel.is_contiguous() ? kernel : dense(kernel);
-  auto const taps = [&](KernelAxis t) { return transposed ? flipped(t) : t; };
-  bool const folds = transposed && window.border != Border::circular;
+  auto const taps = [&](KernelAxis t) { return transposed ? flip(t) : t; };
+  bool const accumulates = transposed && window.border != Border::circular;
   dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -80,32 +80,32 @@ Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::ve
     p.sample_planes = p.y.count() / max(int64_t(1), y.size(0));
     p.depth = depth_of(x);
     p.flip = transposed;
-    p.border = folds ? Border::constant : window.border;
-    p.fold = folds ? window.border : Border::constant;
+    p.border = accumulates ? Border::constant : window.border;
+    p.accumulation = accumulates ? window.border : Border::constant;
     KV_RUN(filter2d, x, p, p.y.rows(), p.y.row_size() * (1 + p.taps() / 4));
   });
   return y;
 }
 
-Tensor filtered(char const* op, int64_t axes, Tensor const& input, Tensor const& kernel, std::string const& border,
-                bool same) {
+Tensor filter_forward(char const* op, int64_t axes, Tensor const& input, Tensor const& kernel,
+                      std::string const& border, bool same) {
   Window const window(op, kernel, sizes_with(op, input, axes, kernel, 0), border, same);
   return filter(op, input, kernel, sizes_with(op, input, axes, kernel, same ? 0 : -1), window, false);
 }
 
-Tensor transposed(char const* op, int64_t axes, Tensor const& grad, Tensor const& kernel, std::string const& border,
-                  bool same) {
+Tensor filter_backward(char const* op, int64_t axes, Tensor const& grad, Tensor const& kernel,
+                       std::string const& border, bool same) {
   std::vector<int64_t> const sizes = sizes_with(op, grad, axes, kernel, same ? 0 : 1);
   return filter(op, grad, kernel, sizes, Window(op, kernel, sizes, border, same), true);
 }
 
-// The gradient to the kernel of each sample; `kernel` says its sizes and type.
-Tensor kernel_gradient(char const* op, int64_t axes, Tensor const& kernel, Tensor const& grad, Tensor const& input,
+// The gradient to the kernel of each sample; `kernel` has its sizes and type.
+Tensor kernel_backward(char const* op, int64_t axes, Tensor const& kernel, Tensor const& grad, Tensor const& input,
                        std::string const& border, bool same) {
   std::vector<int64_t> sizes = sizes_with(op, input, axes, kernel, 0);
   Window const window(op, kernel, sizes, border, same);
   check_weights(op, kernel, input);
-  bool fits = sizes_with(op, grad, axes, kernel, same ? 0 : 1) == sizes;
+  bool const fits = sizes_with(op, grad, axes, kernel, same ? 0 : 1) == sizes;
   KV_CHECK(fits && grad.scalar_type() == input.scalar_type() && grad.device() == input.device(), op,
            ": grad does not belong to input");
   Layout const layout = readable_layout(input);
@@ -113,41 +113,41 @@ Tensor kernel_gradient(char const* op, int64_t axes, Tensor const& kernel, Tenso
   sizes.resize(axes + 1);
   for (int64_t axis = 1; axis <= axes; ++axis) sizes[axis] = kernel.size(axis);
   Tensor const grad_kernel = empty(sizes, kernel);
-  // Parts have twenty pixels a tap: what they give takes a twentieth of the memory of an image.
+  // A part has twenty pixels for each tap, so that partial sums take a twentieth of an image's memory.
   int64_t const pixels = 20 * window.taps(),
                 part_rows = max(int64_t(32), pixels / max(int64_t(1), g.size(g.dim() - 1)));
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Filter2dTaps<T> p{rows_of<T const>(g, layout),
-                      rows_of<T const>(x, layout),
-                      nullptr,
-                      part_rows,
-                      depth_of(x),
-                      window.z,
-                      window.y,
-                      window.x,
-                      window.border};
+    Filter2dKernelBackward<T> p{rows_of<T const>(g, layout),
+                                rows_of<T const>(x, layout),
+                                nullptr,
+                                part_rows,
+                                depth_of(x),
+                                window.z,
+                                window.y,
+                                window.x,
+                                window.border};
     Tensor const parts = empty({p.count(), p.taps()}, kernel);
     p.parts = static_cast<F*>(parts.mutable_data_ptr());
-    KV_RUN(filter2d_taps, x, p, p.count(), p.grad.row_size() * part_rows * (1 + p.taps() / 4));
-    SumParts<F> const sum{p.parts, static_cast<F*>(grad_kernel.mutable_data_ptr()), grad_kernel.numel(),
-                          p.count() / max(int64_t(1), sizes[0]), p.taps()};
-    KV_RUN(sum_parts, x, sum, sum.count, sum.parts);
+    KV_RUN(filter2d_kernel_backward, x, p, p.count(), p.grad.row_size() * part_rows * (1 + p.taps() / 4));
+    SumPartials<F> const sum{p.parts, static_cast<F*>(grad_kernel.mutable_data_ptr()), grad_kernel.numel(),
+                             p.count() / max(int64_t(1), sizes[0]), p.taps()};
+    KV_RUN(sum_partials, x, sum, sum.count, sum.parts);
   });
   return grad_kernel;
 }
 
-#define KV_FILTER(axes, name, backward, to_kernel)                                                           \
-  Tensor name(Tensor const& input, Tensor const& kernel, std::string const& border, bool same) {             \
-    return filtered(#name, axes, input, kernel, border, same);                                               \
-  }                                                                                                          \
-  Tensor backward(Tensor const& grad, Tensor const& kernel, std::string const& border, bool same) {          \
-    return transposed(#backward, axes, grad, kernel, border, same);                                          \
-  }                                                                                                          \
-  Tensor to_kernel(Tensor const& kernel, Tensor const& grad, Tensor const& input, std::string const& border, \
-                   bool same) {                                                                              \
-    return kernel_gradient(#to_kernel, axes, kernel, grad, input, border, same);                             \
+#define KV_FILTER(axes, name, backward_name, kernel_backward_name)                                       \
+  Tensor name(Tensor const& input, Tensor const& kernel, std::string const& border, bool same) {         \
+    return filter_forward(#name, axes, input, kernel, border, same);                                     \
+  }                                                                                                      \
+  Tensor backward_name(Tensor const& grad, Tensor const& kernel, std::string const& border, bool same) { \
+    return filter_backward(#backward_name, axes, grad, kernel, border, same);                            \
+  }                                                                                                      \
+  Tensor kernel_backward_name(Tensor const& kernel, Tensor const& grad, Tensor const& input,             \
+                              std::string const& border, bool same) {                                    \
+    return kernel_backward(#kernel_backward_name, axes, kernel, grad, input, border, same);              \
   }
 KV_FILTER(2, filter2d, filter2d_backward, filter2d_kernel_backward)
 KV_FILTER(3, filter3d, filter3d_backward, filter3d_kernel_backward)

@@ -1,5 +1,5 @@
-// Tiles of an image in shared memory, for kernels that read every pixel often. Included by filter2d.cu and
-// filter2d_taps.cu.
+// Tiles of an image in shared memory, for kernels that read each pixel many times. Included by filter2d.cu and
+// filter2d_kernel_backward.cu.
 #pragma once
 
 #include "core/launch.cuh"
@@ -8,16 +8,17 @@
 namespace kv::cuda {
 namespace {
 
-constexpr int kWidth = 128, kHeight = 32;  // of a tile, in pixels computed
+constexpr int kWidth = 128, kHeight = 32;  // output pixels of a tile
 constexpr int kWarps = 4, kThreads = 32 * kWarps;
 constexpr int kDown = kHeight / kWarps, kAcross = kWidth / 32;  // pixels of a thread
-constexpr int64_t kMostShared = 100 << 10;                      // bytes of a block: two of them share a multiprocessor
+constexpr int64_t kMaxSharedBytes = 100 << 10;                  // two blocks share a multiprocessor
 
-// The tiles of one channel of a plane, and the pixels around a tile that are read with it: `rows` rows of `pitch`
-// columns, of which `lead` are to the left of the tile. p: the image whose pixels the tiles are.
+// The tiles of one channel of a plane. A tile is read with the pixels around it: `rows` rows of `pitch` columns, of
+// which `lead` are to the left of the tile. `p` is the image that is divided into tiles, `read` the one whose pixels
+// are loaded.
 struct Tiles {
   int across, down, lead, pitch, rows;
-  bool vectorized;  // rows of the image read are vectors of kPixels
+  bool vectorized;  // the rows that are loaded are vectors of kPixels
 
   template <class T, class U>
   Tiles(Planes<T const> const& read, Planes<U> const& p, int before, int after, int rows)
@@ -30,8 +31,8 @@ struct Tiles {
   int64_t bytes(int64_t numbers) const { return 4 * (int64_t(pitch) * rows + rows + numbers); }
 };
 
-// Fills a tile whose first row is y0 of a plane; `sources` has room for a number for each row. V pixels at a time: 1,
-// or kPixels<T> where rows are vectors of as many.
+// Loads a tile whose first row is row y0 of a plane; `sources` is scratch memory of one number for each row. V pixels
+// at a time: kPixels<T> where rows are such vectors, else 1.
 template <int V, class T>
 __device__ __forceinline__ void load_tile_by(float* tile, int* sources, Tiles const& tiles, Planes<T const> const& p,
                                              int64_t plane, int64_t channel, Border border, int x0, int y0) {
@@ -53,13 +54,13 @@ __device__ __forceinline__ void load_tile_by(float* tile, int* sources, Tiles co
     }
     return vector;
   };
-  constexpr int kFlying = V > 1 ? 4 : 8;  // reads of a thread on their way
-  for (int first = threadIdx.x; first < count; first += kFlying * kThreads) {
-    Vector<T, V> vectors[kFlying];
+  constexpr int kInFlight = V > 1 ? 4 : 8;  // loads of a thread in flight
+  for (int first = threadIdx.x; first < count; first += kInFlight * kThreads) {
+    Vector<T, V> vectors[kInFlight];
 #pragma unroll
-    for (int n = 0; n < kFlying; ++n) vectors[n] = fetch(first + n * kThreads);
+    for (int n = 0; n < kInFlight; ++n) vectors[n] = fetch(first + n * kThreads);
 #pragma unroll
-    for (int n = 0; n < kFlying; ++n) {
+    for (int n = 0; n < kInFlight; ++n) {
       int const i = first + n * kThreads;
       Vector<float, V> numbers;
 #pragma unroll

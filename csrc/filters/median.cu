@@ -1,20 +1,20 @@
-// Median blur on CUDA. 3x3 and 5x5 windows: each warp walks down a strip with the sorted rows of its pixels in
-// registers, two outputs a step. Others, and channels-last images: a plain kernel, one thread an element.
+// Median blur on CUDA. For 3x3 and 5x5 windows each warp goes down a strip with the sorted rows of its pixels in
+// registers and computes two output rows a step. Other windows, and channels-last images, take a plain kernel with one
+// thread for each element.
 #include "core/launch.cuh"
 #include "median.h"
 
 namespace kv::cuda {
 namespace {
 
-// Pixels a thread takes: more would not fit into its registers.
+// Pixels of a thread, limited by its registers.
 template <int K>
 constexpr int kMedianPixels = K == 3 ? 4 : 2;
 constexpr int kRows = 32;
 
-// The sorted rows, one row of the image, of the windows of a thread's pixels. Neighbours share what they have in
-// common.
+// One sorted row of the windows of each of a thread's pixels. Adjacent windows share the first sorting step.
 template <int K, int P, class F>
-struct Runs {
+struct SortedRows {
   F v[P][K];
   __device__ __forceinline__ void sort(F const (&row)[P + K - 1]) {
 #pragma unroll
@@ -38,7 +38,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
                                                 : 2) median_strip(MedianBlur<T> p, Strips<kMedianPixels<K>> strips) {
   constexpr int P = kMedianPixels<K>, R = K / 2;
   using F = Compute<T>;
-  using Rows = Runs<K, P, F>;
+  using Rows = SortedRows<K, P, F>;
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
@@ -49,24 +49,24 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
 
   using FetchedRow = typename Strip<R, Aligned, P>::template FetchedRow<T>;
   auto const fetch = [&](int y) {
-    int const inside = border_index(p.border, y, height);
-    return inside < 0 ? FetchedRow{} : strip.fetch(in + inside * p.x.row_stride);
+    int const source = border_index(p.border, y, height);
+    return source < 0 ? FetchedRow{} : strip.fetch(in + source * p.x.row_stride);
   };
-  auto const sort = [&](FetchedRow const& fetched, Rows& runs) {
+  auto const sort = [&](FetchedRow const& fetched, Rows& sorted) {
     F row[P + 2 * R];
     strip.spread(fetched, row);
-    runs.sort(row);
+    sorted.sort(row);
   };
-  // The next two rows are asked for before these are worked on.
-  FetchedRow ahead0 = fetch(y0 + R), ahead1 = fetch(y0 + R + 1);
-  auto const down = [&](int y, Rows& next0, Rows& next1) {
-    FetchedRow const now0 = ahead0, now1 = ahead1;
+  // The next two rows are fetched before the current two are processed.
+  FetchedRow prefetched0 = fetch(y0 + R), prefetched1 = fetch(y0 + R + 1);
+  auto const advance = [&](int y, Rows& next0, Rows& next1) {
+    FetchedRow const fetched0 = prefetched0, fetched1 = prefetched1;
     if (y + 2 < y1) {
-      ahead0 = fetch(y + R + 2);
-      ahead1 = fetch(y + R + 3);
+      prefetched0 = fetch(y + R + 2);
+      prefetched1 = fetch(y + R + 3);
     }
-    sort(now0, next0);
-    sort(now1, next1);
+    sort(fetched0, next0);
+    sort(fetched1, next1);
   };
   auto const store = [&](F const(&first)[P], F const(&second)[P], int y) {
     strip.store(out, first);
@@ -79,7 +79,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
     sort(fetch(y0 - 1), a);
     sort(fetch(y0), b);
     for (int y = y0; y < y1; y += 2) {
-      down(y, c, d);
+      advance(y, c, d);
       F first[P], second[P];
 #pragma unroll
       for (int i = 0; i < P; ++i) {
@@ -102,7 +102,7 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1
     for (int i = 0; i < P; ++i) merge<K, K>(after.v[i], same.v[i], above[i]);
     sort(fetch(y0 + 1), after);
     for (int y = y0; y < y1; y += 2) {
-      down(y, next0, next1);
+      advance(y, next0, next1);
       F first[P], second[P];
 #pragma unroll
       for (int i = 0; i < P; ++i) {
@@ -138,12 +138,12 @@ __global__ void median_any(MedianBlur<T> p) {
   auto const count = [&](auto counts) {
     Key n = 0;
     for (int yy = top; yy <= bottom; ++yy) {
-      int const inside = border_index(p.border, yy, height);
-      if (inside < 0) {
+      int const source = border_index(p.border, yy, height);
+      if (source < 0) {
         n += counts(to_key(T{})) ? Key(p.kx) : Key(0);
         continue;
       }
-      T const* const row = in + inside * p.x.row_stride;
+      T const* const row = in + source * p.x.row_stride;
       if (interior)
         for (int xx = left; xx <= right; ++xx) n += counts(to_key(row[xx * step]));
       else

@@ -1,17 +1,18 @@
 // Median blur: every pixel becomes the median of its window, for an even count the lower of the two in the middle.
 // Included by median_cpu.cpp, median.cu, median_backward.cu and median_op.cpp.
 //
-// Windows of 3x3 and 5x5 take a selection network over whatever value type has a min and a max: lanes on the CPU,
-// floats on CUDA. Sorted pieces are shared by the windows that overlap in them:
+// Windows of 3x3 and 5x5 pixels take a selection network over a value type that has a min and a max: lanes on the CPU,
+// floats on CUDA. Windows that overlap share sorted rows:
 //
 //   row y - 2   . . . . .  ┐
-//   row y - 1   . . . . .  │ ┐      1. each row of a window is sorted: its run, shared by the K windows above each
-//   other; row y       . . o . .  │ │      2. the rows that the windows of two outputs o have in common are merged, and
-//   only row y + 1   . . o . .  │ │         the ranks that can be a median of either are kept; row y + 2   . . . . .  ┘
-//   │      3. each output merges those with its own last row and takes the middle. row y + 3   . . . . .    ┘
+//   row y - 1   . . . . .  │ ┐   1. Each row of a window is sorted. K windows below each other share it.
+//   row y       . . o . .  │ │   2. The rows that the windows of two outputs o have in common are merged. Only the
+//   row y + 1   . . o . .  │ │      ranks that can be a median of either window are kept.
+//   row y + 2   . . . . .  ┘ │   3. Each output merges these with the one row that only its window has, and takes the
+//   row y + 3   . . . . .    ┘      middle.
 //
-// That is 16 and 54 operations a pixel. Larger windows are searched bit by bit: the median is the largest key that
-// enough keys are not below.
+// That takes 16 and 54 operations a pixel. For larger windows the median is found bit by bit: it is the largest key
+// that at most half of the window's keys are below.
 #pragma once
 
 #include "core/border.h"
@@ -30,7 +31,7 @@ struct MedianBlur {
 
 template <class T>
 struct MedianBlurBackward {
-  Planes<T const> grad, x, y;  // y is the result of the forward pass
+  Planes<T const> grad, x, y;  // y: the result of the forward pass
   Planes<T> grad_x;
   int64_t ky, kx;
   Border border;
@@ -39,7 +40,7 @@ struct MedianBlurBackward {
 KV_KERNEL(median_blur, MedianBlur)
 KV_KERNEL(median_blur_backward, MedianBlurBackward)
 
-// Pixels of a window of k before and after its own.
+// Pixels of a window of size k before and after its center.
 KV_HD int64_t median_before(int64_t k) { return (k - 1) / 2; }
 KV_HD int64_t median_after(int64_t k) { return k / 2; }
 
@@ -51,8 +52,8 @@ KV_HD int64_t median_after(int64_t k) { return k / 2; }
 #define KV_UNROLL _Pragma("GCC unroll 32")
 #endif
 
-// On CUDA a NaN wins every exchange and so reaches the median, which depends on each value. Lanes drop it: the CPU
-// marks the windows with NaN itself.
+// On CUDA a NaN wins every exchange and so reaches the median, which depends on each value. Lanes drop NaN, and the CPU
+// kernel marks the windows with NaN afterwards.
 template <class V>
 KV_HD V lower(V a, V b) {
 #if defined(__CUDA_ARCH__)
@@ -89,8 +90,8 @@ KV_HD void exchange(V& a, V& b) {
   a = low;
 }
 
-// A row of a window is sorted in two steps, the first of which neighbouring windows can share: what they have in
-// common, v[1 ... K - 1], then v[0].
+// A row of a window is sorted in two steps. The first sorts v[1 ... K - 1], which two adjacent windows share; the
+// second inserts v[0].
 template <int K, class V>
 KV_HD void sort_common(V (&v)[K]) {
   static_assert(K == 3 || K == 5);
@@ -108,8 +109,8 @@ KV_HD void insert_first(V (&v)[K]) {
   for (int i = 0; i + 1 < K; ++i) exchange(v[i], v[i + 1]);
 }
 
-// Sorted a and b as one sorted z, by Batcher's odd-even merge: the elements at even places are merged, those at odd
-// places are, and one round of exchanges joins the two. Results nobody asks for cost nothing.
+// Merges sorted a and b into sorted z by Batcher's odd-even merge: it merges the elements of even index and those of
+// odd index, and combines the two by one round of exchanges. The compiler removes results that are not used.
 template <int N, int M, class V>
 KV_HD void merge(V const (&a)[N], V const (&b)[M], V (&z)[N + M]) {
   if constexpr (N == 1 && M == 1) {
@@ -143,8 +144,8 @@ KV_HD V median_of_three(V a, V b, V c) {
   return upper(lower(a, b), lower(upper(a, b), c));
 }
 
-// What two outputs have in common. Of the K (K - 1) values, the median of all K K is one of the K + 1 in the middle,
-// since only K are missing.
+// The values that the windows of two outputs have in common, K (K - 1) of them, reduced to the K + 1 in the middle:
+// only K values of a window are missing, so its median is one of these or of those.
 template <int K, class V>
 KV_HD void middle_of_two(V const (&a)[K], V const (&b)[K], V (&middle)[K + 1]) {
   static_assert(K == 3);
@@ -162,7 +163,7 @@ KV_HD void middle_of_two(V const (&a)[2 * K], V const (&b)[2 * K], V (&middle)[K
   for (int i = 0; i <= K; ++i) middle[i] = z[7 + i];
 }
 
-// The median of the common values' middle and one more sorted row.
+// The median of a window from the middle of the common values and its own sorted row.
 template <int K, class V>
 KV_HD V median_of(V const (&middle)[K + 1], V const (&row)[K]) {
   V median = middle[K];
@@ -171,7 +172,7 @@ KV_HD V median_of(V const (&middle)[K + 1], V const (&row)[K]) {
   return median;
 }
 
-// --- keys: integers in the order of the numbers, NaN above all -------------------------------------------------------
+// --- keys: integers that are ordered like the numbers; NaN is the largest --------------------------------------------
 
 template <class T>
 struct median_key {
@@ -189,7 +190,7 @@ constexpr int kMedianKeyBits = 8 * sizeof(T);
 template <class T>
 constexpr MedianKey<T> kMedianKeyOfNan = MedianKey<T>(~uint64_t(0) >> (65 - kMedianKeyBits<T>));
 
-// Floats compare as their bits do, the negative ones the other way round.
+// Floats are ordered like their bits; negative ones in reverse.
 template <class Int>
 KV_HD Int flip_negative(Int bits, Int magnitude) {
   return bits < 0 ? Int(bits ^ magnitude) : bits;
@@ -222,13 +223,13 @@ KV_HD T from_key(MedianKey<T> key) {
   }
 }
 
-// The key of rank `rank` among those that count(key), the number of keys below `key`, knows of. V: one key or lanes.
+// The key of rank `rank`, where count(key) is the number of keys below `key`. V is one key or lanes of them.
 template <class T, class V, class Count>
 KV_HD V select_key(V lowest, MedianKey<T> rank, Count count) {
   V best = lowest;
   for (int bit = kMedianKeyBits<T> - 1; bit >= 0; --bit) {
     MedianKey<T> const below = MedianKey<T>((uint64_t(1) << bit) - 1);
-    V const candidate = best + below + 1;  // two steps: the highest bit alone is no signed number
+    V const candidate = best + below + 1;  // added in two steps: the highest bit alone would overflow
     best = count(candidate) <= rank ? candidate : best;
   }
   return best;
@@ -238,14 +239,14 @@ constexpr MedianKey<T> kLowestMedianKey = -kMedianKeyOfNan<T> - 1;
 
 // --- gradient --------------------------------------------------------------------------------------------------------
 
-// How often the window of output q, [q - before, q + after], reads pixel j of n. For the circular border q may lie
-// outside the image: the outputs repeat with the pixels.
+// How often the window of output q, [q - before, q + after], reads pixel j of n. With the circular border q may be out
+// of bounds, because outputs repeat with the pixels.
 template <class Int>
-KV_HD Int median_reads(Border border, Int q, Int j, Int n, Int before, Int after) {
+KV_HD Int median_read_count(Border border, Int q, Int j, Int n, Int before, Int after) {
   if (border == Border::circular) return j >= q - before && j <= q + after;
-  Int reads = 0;
-  for_each_reader(border, j, n, before, after, [&](Int at) { reads += at >= q - before && at <= q + after; });
-  return reads;
+  Int count = 0;
+  for_each_reader(border, j, n, before, after, [&](Int at) { count += at >= q - before && at <= q + after; });
+  return count;
 }
 
 }  // namespace kv

@@ -1,6 +1,7 @@
-// Backward of the median blur on CUDA, in one launch for every window and layout. A block takes a tile of pixels of one
-// channel. The outputs around them go through shared memory, chunk by chunk: each with its median and the share
-// g / (pixels of the window that are the median). A pixel sums the shares around it whose median it is.
+// Backward pass of the median blur on CUDA: one launch for every window and layout. A block takes a tile of pixels of
+// one channel. The outputs around the tile go through shared memory, chunk by chunk, each with its median and the
+// gradient of one tied pixel, g / (pixels of the window that equal the median). A pixel sums the gradients of the
+// windows whose median it equals.
 #include "core/launch.cuh"
 #include "median.h"
 
@@ -8,11 +9,11 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kTile = 32, kRowsOfThreads = 8, kPixelsDown = kTile / kRowsOfThreads;
-constexpr int kChunkWidth = 64, kChunkHeight = 40;  // 5x5: the tile and its surroundings at once
+constexpr int kChunkWidth = 64, kChunkHeight = 40;  // with 5x5 windows one chunk holds a tile and all outputs around it
 
 template <class F>
-struct Share {
-  F median, share;
+struct TiedGradient {
+  F median, gradient;
 };
 
 // K: the size of a square window known at compile time, or 0.
@@ -20,7 +21,7 @@ template <int K, class T>
 __global__ void __launch_bounds__(kTile* kRowsOfThreads)
     median_backward_tile(MedianBlurBackward<T> p, unsigned across, unsigned down) {
   using F = Compute<T>;
-  __shared__ Share<F> chunk[kChunkHeight][kChunkWidth];
+  __shared__ TiedGradient<F> chunk[kChunkHeight][kChunkWidth];
 
   unsigned const tile = blockIdx.x / across;
   int64_t const channel_plane = tile / down, plane = channel_plane / p.x.step, channel = channel_plane % p.x.step;
@@ -31,7 +32,7 @@ __global__ void __launch_bounds__(kTile* kRowsOfThreads)
   T const* const in = p.x.plane(plane) + channel;
   bool const circular = p.border == Border::circular;
 
-  auto const share_of = [&](int qy, int qx) -> Share<F> {
+  auto const tied_gradient = [&](int qy, int qx) -> TiedGradient<F> {
     if (circular) {
       qy += qy < 0 ? height : qy >= height ? -height : 0;
       qx += qx < 0 ? width : qx >= width ? -width : 0;
@@ -73,18 +74,18 @@ __global__ void __launch_bounds__(kTile* kRowsOfThreads)
     for (int cx = x0 - rx; cx < x_end; cx += kChunkWidth) {
       int const rows = min(kChunkHeight, y_end - cy), columns = min(kChunkWidth, x_end - cx);
       for (int i = threadIdx.y; i < rows; i += kRowsOfThreads)
-        for (int k = threadIdx.x; k < columns; k += kTile) chunk[i][k] = share_of(cy + i, cx + k);
+        for (int k = threadIdx.x; k < columns; k += kTile) chunk[i][k] = tied_gradient(cy + i, cx + k);
       __syncthreads();
 #pragma unroll
       for (int i = 0; i < kPixelsDown; ++i) {
         int const y = y0 + threadIdx.y + i * kRowsOfThreads;
         if (x >= width || y >= height) continue;
-        bool const rim = x <= rx || y <= ry || x >= width - 1 - rx || y >= height - 1 - ry;
+        bool const near_border = x <= rx || y <= ry || x >= width - 1 - rx || y >= height - 1 - ry;
         auto const add = [&](int qy, int qx, F times) {
-          Share<F> const s = chunk[qy - cy][qx - cx];
-          sum[i] += s.median == value[i] ? s.share * times : F(0);
+          TiedGradient<F> const s = chunk[qy - cy][qx - cx];
+          sum[i] += s.median == value[i] ? s.gradient * times : F(0);
         };
-        if (K && !rim) {
+        if (K && !near_border) {
 #pragma unroll
           for (int dy = -ry; dy <= ry; ++dy)
 #pragma unroll
@@ -93,9 +94,9 @@ __global__ void __launch_bounds__(kTile* kRowsOfThreads)
         }
         int const last_y = min(y + ry, cy + rows - 1), last_x = min(x + rx, cx + columns - 1);
         for (int qy = max(y - ry, cy); qy <= last_y; ++qy) {
-          int const reads_y = median_reads(p.border, qy, y, height, before_y, ry);
+          int const reads_y = median_read_count(p.border, qy, y, height, before_y, ry);
           for (int qx = max(x - rx, cx); qx <= last_x; ++qx)
-            add(qy, qx, F(reads_y * median_reads(p.border, qx, x, width, before_x, rx)));
+            add(qy, qx, F(reads_y * median_read_count(p.border, qx, x, width, before_x, rx)));
         }
       }
       __syncthreads();

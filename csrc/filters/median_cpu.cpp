@@ -1,7 +1,7 @@
 // Median blur on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
 //
-// Planes are walked in blocks of columns so narrow that their rows, with the border around them, stay in the cache.
-// Loops run over whole vectors: rows in scratch have room for what is too much.
+// Planes are processed in blocks of columns, narrow enough that the rows of a window, with the border around them, stay
+// in the cache. Loops run over whole vectors: rows in scratch have room for the rest of the last one.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "median.h"
@@ -9,7 +9,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// What rows in scratch hold: bytes as bytes, and keys for the windows that are searched bit by bit.
+// The type of rows in scratch for selection networks: bytes stay bytes. Windows that are searched bit by bit hold keys.
 template <class T>
 struct network_value {
   using type = Compute<T>;
@@ -38,7 +38,7 @@ KV_HD int64_t whole_vectors(int64_t size) {
   return (size + kWidth<F> - 1) / kWidth<F> * kWidth<F>;
 }
 
-// Stored pixels -> what the rows in scratch hold, and back.
+// Converts stored pixels to the type of rows in scratch, and back.
 template <class T, class F>
 KV_HD void unpack(T const* in, int64_t size, F* out) {
   if constexpr (__is_same(T, F))
@@ -52,7 +52,7 @@ KV_HD void unpack(T const* in, int64_t size, F* out) {
     for (int64_t e = 0; e < size; ++e) out[e] = to_key(in[e]);
 }
 template <class T, class F>
-KV_HD void vector(F const* in, int64_t size, T* out) {
+KV_HD void store_row(F const* in, int64_t size, T* out) {
   if constexpr (__is_same(T, F))
     __builtin_memcpy(out, in, size * sizeof(T));
   else if constexpr (__is_same(F, Compute<T>))
@@ -64,7 +64,7 @@ KV_HD void vector(F const* in, int64_t size, T* out) {
     for (int64_t e = 0; e < size; ++e) out[e] = from_key<T>(in[e]);
 }
 
-// Of a value or of a vector.
+// `x` is a value or a vector.
 template <class T, class V>
 KV_HD auto is_nan(V x) {
   if constexpr (__is_same(V, MedianKey<T>) || __is_same(V, Vector<MedianKey<T>>))
@@ -74,21 +74,21 @@ KV_HD auto is_nan(V x) {
 }
 template <class T, class F>
 KV_HD bool has_nan(F const* values, int64_t size) {
-  bool found = false;
+  bool any = false;
   if constexpr (!__is_same(T, uint8_t)) {
     auto nans = Vector<F>{} != Vector<F>{};
     for_each_vector<T, kWidth<F>>(0, size, [&](auto vector, int64_t e) {
       if constexpr (decltype(vector)::value == 1)
-        found |= is_nan<T>(values[e]);
+        any |= is_nan<T>(values[e]);
       else
         nans |= is_nan<T>(at(values + e));
     });
-    for (int i = 0; i < kWidth<F>; ++i) found |= nans[i] != 0;
+    for (int i = 0; i < kWidth<F>; ++i) any |= nans[i] != 0;
   }
-  return found;
+  return any;
 }
 
-// The last `count` rows of a walk down. Row y takes a division to find, the one below it does not.
+// The last `count` rows. row(y) takes a division; the row below a known one does not.
 template <class F>
 struct Ring {
   F* data;
@@ -103,10 +103,10 @@ struct BorderedRows {
   Planes<T const> const& x;
   Border border;
   int64_t ky, kx;
-  int64_t plane = 0, first = 0, size = 0;  // the block: elements [first, first + size) of rows
+  int64_t plane = 0, first = 0, size = 0;  // the current block: elements [first, first + size) of the rows of a plane
   Scratch<F> pixels;
   Scratch<uint8_t> flags;
-  Ring<F> rows;       // from the leftmost pixel of the block's first window on
+  Ring<F> rows;       // rows start at the first pixel of the block's first window
   Ring<uint8_t> nan;  // whether a row holds NaN
 
   KV_HD BorderedRows(Planes<T const> const& x, Border border, int64_t ky, int64_t kx, int64_t block)
@@ -122,15 +122,15 @@ struct BorderedRows {
   KV_HD void fill(int64_t y) const {
     F* const out = rows.row(y);
     int64_t const count = size + (kx - 1) * x.step, start = first - median_before(kx) * x.step;
-    int64_t const inside = border_index(border, y, x.height);
-    if (inside < 0) {
+    int64_t const source_row = border_index(border, y, x.height);
+    if (source_row < 0) {
       unpack_zeros(out, 0, count);
     } else {
-      T const* const in = x.row(plane, inside);
-      prefetch(in + clamp(y + 2, int64_t(0), x.height - 1) * x.row_stride - inside * x.row_stride);
+      T const* const in = x.row(plane, source_row);
+      prefetch(in + clamp(y + 2, int64_t(0), x.height - 1) * x.row_stride - source_row * x.row_stride);
       int64_t const low = max(-start, int64_t(0)), high = min(x.row_size() - start, count);
       unpack(in + start + low, high - low, out + low);
-      auto const beyond = [&](int64_t e) {
+      auto const unpack_border = [&](int64_t e) {
         int64_t const from_left = start + e + median_before(kx) * x.step;  // not negative
         int64_t const pixel = from_left / x.step - median_before(kx), channel = from_left % x.step;
         int64_t const source = border_index(border, pixel, x.width);
@@ -139,12 +139,12 @@ struct BorderedRows {
         else
           unpack(in + source * x.step + channel, 1, out + e);
       };
-      for (int64_t e = 0; e < low; ++e) beyond(e);
-      for (int64_t e = high; e < count; ++e) beyond(e);
+      for (int64_t e = 0; e < low; ++e) unpack_border(e);
+      for (int64_t e = high; e < count; ++e) unpack_border(e);
     }
     *nan.row(y) = has_nan<T>(out, count);
   }
-  // The processor does not foresee where a walk down in blocks reads next.
+  // The hardware does not prefetch the next row of a block.
   KV_HD void prefetch(T const* row) const {
     for (int64_t e = 0; e < size; e += 64 / int64_t(sizeof(T))) __builtin_prefetch(row + first + e);
   }
@@ -153,7 +153,7 @@ struct BorderedRows {
     for (int64_t e = begin; e < end; ++e) unpack(&zero, 1, out + e);
   }
 
-  // Writes row y of the result, unless it stands there already; windows with NaN give NaN.
+  // Writes row y of the result, unless `medians` is that row. Windows with NaN give NaN.
   KV_HD void write(F* medians, int64_t y, T* out) const {
     if constexpr (!__is_same(T, uint8_t))
       for (int64_t yy = y - median_before(ky); yy <= y + median_after(ky); ++yy)
@@ -163,11 +163,11 @@ struct BorderedRows {
               F const value = rows.row(yy)[e + dx * x.step];
               medians[e] = is_nan<T>(value) ? value : medians[e];
             }
-    if ((void*)medians != out) vector(medians, size, out);
+    if ((void*)medians != out) store_row(medians, size, out);
   }
 };
 
-// Calls f(plane, first row, end of rows) for the pieces of planes that rows [begin, end) are.
+// Calls f(plane, first row, end of rows) for the part of each plane in rows [begin, end).
 template <class F>
 KV_HD void for_each_plane(int64_t height, int64_t begin, int64_t end, F f) {
   while (begin < end) {
@@ -177,14 +177,14 @@ KV_HD void for_each_plane(int64_t height, int64_t begin, int64_t end, F f) {
   }
 }
 
-// Elements of a block: long reads, and rows of a 5x5 network that fit into the second cache.
+// Elements of a block: long enough for fast reads, and the rows of a 5x5 network fit into the L2 cache.
 template <class F>
 KV_HD int64_t block_size(int64_t row_size, int64_t step) {
   return min(row_size, max(int64_t(8192 / sizeof(F)), 8 * step));
 }
 
 template <int K, class T>
-void by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
+void median_by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   using F = typename network_value<T>::type;
   using V = Vector<F>;
   constexpr int R = K / 2;
@@ -196,7 +196,7 @@ void by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
     rows.fill(y);
     F *const from = rows.rows.row(y), *const to = runs.row(y);
     int64_t const size = rows.size, from_step = p.x.step,
-                  to_step = stride;  // copies: what is stored may alias the others
+                  to_step = stride;  // local copies, because stores may alias members
     for (int64_t e = 0; e < size; e += kWidth<F>) {
       V v[K];
       KV_UNROLL
@@ -260,7 +260,7 @@ void by_network(MedianBlur<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void by_search(MedianBlur<T> const& p, int64_t begin, int64_t end) {
+void median_by_search(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   using F = MedianKey<T>;
   using V = Vector<F>;
   int64_t const block = block_size<F>(p.x.row_size(), p.x.step);
@@ -291,26 +291,27 @@ void by_search(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
-// 3x3 of types that are computed as they are stored, straight from the image. The median of nine is that of three: the
-// largest minimum, the middle median and the smallest maximum of the columns. Two rows of results share the order of
-// the two pixels that they both have in a column. Rows with NaN are marked afterwards.
+// 3x3 windows of types that are computed as they are stored, directly from the image. The median of nine is the median
+// of three values: the largest minimum, the median of medians and the smallest maximum of the columns. Two rows of
+// results share the comparison of the two pixels that both have in a column. Windows with NaN are marked afterwards.
 template <class T>
-void straight(MedianBlur<T> const& p, int64_t begin, int64_t end) {
+void median_3x3_direct(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   int64_t const step = p.x.step, size = p.x.row_size(), width = p.x.width;
   Scratch<T> scratch(2 * size);
   T *const zeros = scratch.data, *const spare = zeros + size;
   for (int64_t e = 0; e < size; ++e) zeros[e] = T{};
 
-  // Calls f(width, left, e, right) for all elements of a row with their neighbours' places; -1 is a border of zeros.
+  // Calls f(width, left, e, right) for all elements of a row; left and right are the indices of their neighbors, -1 for
+  // 0.
   auto const for_each_element = [=, border = p.border](auto f) {
-    auto const rim = [=](int64_t pixel) {
+    auto const edge = [=](int64_t pixel) {
       int64_t const left = border_index(border, pixel - 1, width), right = border_index(border, pixel + 1, width);
       for (int64_t c = 0; c < step; ++c)
         f(Width<1>{}, left < 0 ? -1 : left * step + c, pixel * step + c, right < 0 ? -1 : right * step + c);
     };
-    rim(0);
+    edge(0);
     for_each_vector<T, kWidth<T>>(step, size - step, [=](auto lanes, int64_t e) { f(lanes, e - step, e, e + step); });
-    rim(width - 1);
+    edge(width - 1);
   };
   auto const pixel = [](auto lanes, T const* row, int64_t at) {
     constexpr int N = decltype(lanes)::value;
@@ -321,8 +322,8 @@ void straight(MedianBlur<T> const& p, int64_t begin, int64_t end) {
 
   for_each_plane(p.x.height, begin, end, [&](int64_t plane, int64_t y_begin, int64_t y_end) {
     auto const row = [&](int64_t y) -> T const* {
-      int64_t const inside = border_index(p.border, y, p.x.height);
-      return inside < 0 ? zeros : p.x.row(plane, inside);
+      int64_t const source = border_index(p.border, y, p.x.height);
+      return source < 0 ? zeros : p.x.row(plane, source);
     };
     T const* rows[4] = {nullptr, nullptr, row(y_begin - 1), row(y_begin)};
     bool nan[4] = {false, false, has_nan<T>(rows[2], size), has_nan<T>(rows[3], size)};
@@ -344,8 +345,8 @@ void straight(MedianBlur<T> const& p, int64_t begin, int64_t end) {
           V const shared_low = lower(b, c), shared_high = upper(b, c);
           KV_UNROLL
           for (int k = 0; k < 2; ++k) {
-            V const own = pixel(lanes, rows[3 * k], columns[i]);
-            V const low = lower(shared_low, own), rest = upper(shared_low, own);
+            V const single = pixel(lanes, rows[3 * k], columns[i]);
+            V const low = lower(shared_low, single), rest = upper(shared_low, single);
             V const high = upper(rest, shared_high);
             middle[k][i] = lower(rest, shared_high);
             largest_low[k] = i == 0 ? low : upper(largest_low[k], low);
@@ -376,33 +377,33 @@ template <class T>
 void median_blur(MedianBlur<T> const& p, int64_t begin, int64_t end) {
   if (p.ky == 3 && p.kx == 3) {
     if constexpr (__is_same(T, typename network_value<T>::type))
-      if (p.x.row_size() >= kWidth<T> + 2 * p.x.step) return straight(p, begin, end);
-    return by_network<3>(p, begin, end);
+      if (p.x.row_size() >= kWidth<T> + 2 * p.x.step) return median_3x3_direct(p, begin, end);
+    return median_by_network<3>(p, begin, end);
   }
-  if (p.ky == 5 && p.kx == 5) return by_network<5>(p, begin, end);
-  by_search(p, begin, end);
+  if (p.ky == 5 && p.kx == 5) return median_by_network<5>(p, begin, end);
+  median_by_search(p, begin, end);
 }
 
-// Streams down the rows. Of each output row its medians and their shares g / (pixels of the window that are the median)
-// go into rings whose rows have a border of r pixels, in which no pixel finds its value: NaN, or the other rim's
-// outputs where the border is circular. A pixel gathers the shares around it; at the rim it counts how often each
-// window reads it.
+// Streams down the rows. The medians of an output row, and the gradients of one tied pixel, g / (pixels of the window
+// that equal the median), are stored in rings. Their rows have a border of r outputs: NaN, which equals no pixel, or
+// with the circular border the outputs of the other end. A pixel gathers the gradients of the windows around it whose
+// median it equals; near the border it counts how often each window reads it.
 template <class T>
 void median_blur_backward(MedianBlurBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const step = p.x.step, size = p.x.row_size(), width = p.x.width, height = p.x.height;
   int64_t const before_y = median_before(p.ky), after_y = median_after(p.ky);
   int64_t const before_x = median_before(p.kx), after_x = median_after(p.kx), ry = after_y, rx = after_x;
-  int64_t const ring = 2 * ry + 1, padded = size + 2 * rx * step;  // the outputs that may read a pixel
+  int64_t const ring = 2 * ry + 1, padded = size + 2 * rx * step;  // rows and elements of outputs that may read a pixel
   BorderedRows<T, F> rows(p.x, p.border, p.ky, p.kx, size);
   rows.size = size;
   Scratch<F> scratch(2 * ring * padded);
   Ring<F> const medians{scratch.data + rx * step, ring, padded};
-  int64_t const to_share = ring * padded;  // from a median to its share
+  int64_t const to_gradient = ring * padded;  // offset from a median to its gradient
 
-  int64_t filled = 0;  // rows of x before this one are in `rows`
+  int64_t filled = 0;  // rows of x before this one are filled in `rows`
   auto const fill = [&](int64_t plane, int64_t q) {
-    F *const m = medians.row(q), *const s = m + to_share;
+    F *const m = medians.row(q), *const s = m + to_gradient;
     int64_t const at_row = p.border == Border::circular ? (q + height) % height : q;
     if (at_row < 0 || at_row >= height) {
       for (int64_t e = -rx * step; e < size + rx * step; ++e) m[e] = F(__builtin_nan(""));
@@ -436,14 +437,14 @@ void median_blur_backward(MedianBlurBackward<T> const& p, int64_t begin, int64_t
 
   for_each_plane(height, begin, end, [&](int64_t plane, int64_t y_begin, int64_t y_end) {
     rows.plane = plane;
-    filled = -after_y - 2 * height;  // none of this plane
+    filled = -after_y - 2 * height;  // no row of this plane
     for (int64_t q = y_begin - ry; q < y_begin + ry; ++q) fill(plane, q);
     for (int64_t j = y_begin; j < y_end; ++j) {
       fill(plane, j + ry);
       F* const top = medians.row(j - ry);
       T const* const x = p.x.row(plane, j);
       T* const out = p.grad_x.row(plane, j);
-      // reads(dx): how often the output dx pixels away reads the pixel, in its row
+      // reads(dx): how often the window of the output dx pixels away reads the pixel, along x
       auto const gather = [&](auto lanes, int64_t e, auto reads) {
         constexpr int N = decltype(lanes)::value;
         using V = Lanes<F, N>;
@@ -451,24 +452,25 @@ void median_blur_backward(MedianBlurBackward<T> const& p, int64_t begin, int64_t
         V sum{};
         F* median = top + e;
         for (int64_t q = j - ry; q <= j + ry; ++q, median = medians.below(median - e) + e) {
-          F const times = F(median_reads(p.border, q, j, height, before_y, after_y));
+          F const times = F(median_read_count(p.border, q, j, height, before_y, after_y));
           for (int64_t dx = -rx; dx <= rx; ++dx)
-            sum += load<N>(median + dx * step) == value ? load<N>(median + to_share + dx * step) * (times * reads(dx))
-                                                        : V{};
+            sum += load<N>(median + dx * step) == value
+                       ? load<N>(median + to_gradient + dx * step) * (times * reads(dx))
+                       : V{};
         }
         store<N>(out + e, sum);
       };
       int64_t const low = min(rx + 1, width) * step, high = max(low, size - (rx + 1) * step);
-      auto const rim = [&](int64_t e) {
+      auto const edge = [&](int64_t e) {
         int64_t const i = e / step;
         gather(Width<1>{}, e,
-               [&](int64_t dx) { return F(median_reads(p.border, i + dx, i, width, before_x, after_x)); });
+               [&](int64_t dx) { return F(median_read_count(p.border, i + dx, i, width, before_x, after_x)); });
       };
-      for (int64_t e = 0; e < low; ++e) rim(e);
+      for (int64_t e = 0; e < low; ++e) edge(e);
       for_each_vector<T>(low, high, [&](auto lanes, int64_t e) {
         gather(lanes, e, [&](int64_t dx) { return F(dx >= -after_x && dx <= before_x); });
       });
-      for (int64_t e = high; e < size; ++e) rim(e);
+      for (int64_t e = high; e < size; ++e) edge(e);
     }
   });
 }

@@ -1,5 +1,5 @@
-// Separable filters on CUDA: what serves any layout, type and size, windows of planar images that are too large or of
-// too many kinds for strips, and the gradient to the weights. The fast kernel is in separable_strip.cuh.
+// Separable filters on CUDA: a kernel for any layout, type and size, a kernel for windows of any size over planar
+// images, and the gradient to the weights. Small windows go to the strip kernel of separable_strip.cuh.
 #include "separable_strip.cuh"
 
 namespace kv::cuda {
@@ -10,7 +10,7 @@ constexpr int kSharedMemory = 200 << 10;  // bytes of a block that we ask for at
 
 template <class F>
 __device__ __forceinline__ void load_weights(Taps<F> const& taps, int64_t sample, F scale, F* weights) {
-  for (int t = threadIdx.x; t < taps.size; t += blockDim.x) weights[t] = tap(taps, sample, t);
+  for (int t = threadIdx.x; t < taps.size; t += blockDim.x) weights[t] = tap_weight(taps, sample, t);
   __syncthreads();
   F sum = 0;
   if (taps.gaussian)
@@ -28,33 +28,35 @@ __device__ __forceinline__ F* shared_memory() {
   return reinterpret_cast<F*>(bytes);
 }
 
-// --- any layout: one thread walks down one column of elements --------------------------------------------------------
+// --- any layout: one thread goes down one column of elements ---------------------------------------------------------
 
-// The rows within `reach` of the one computed, filtered along x, are kept in shared memory: that of a position at the
-// position modulo their number.
+// A ring in shared memory holds the rows within `reach` of the one computed, filtered along x: the row of a position is
+// at the position modulo the ring's size.
 template <class T>
 __global__ void separable_any(Separable<T> const p, int rows, int reach) {
   using F = Compute<T>;
   F *const kx = shared_memory<F>(), *const ky = kx + p.kx.size, *const ring = ky + p.ky.size;
   int const width = int(p.y.width), height = int(p.y.height), in_width = int(p.x.width), in_height = int(p.x.height);
   int64_t const step = p.y.step, across = (p.y.row_size() + blockDim.x - 1) / blockDim.x;
-  int64_t const down = (height + rows - 1) / rows, line = blockIdx.x / across, plane = line / down;
-  int const y0 = int(line - plane * down) * rows, y1 = min(y0 + rows, height);
+  int64_t const down = (height + rows - 1) / rows, tile_row = blockIdx.x / across, plane = tile_row / down;
+  int const y0 = int(tile_row - plane * down) * rows, y1 = min(y0 + rows, height);
   load_weights(p.kx, plane / p.planes, F(1), kx);
   load_weights(p.ky, plane / p.planes, p.alpha, ky);
 
-  int64_t const e = (blockIdx.x - line * across) * blockDim.x + threadIdx.x;
+  int64_t const e = (blockIdx.x - tile_row * across) * blockDim.x + threadIdx.x;
   if (e >= p.y.row_size()) return;
   int const column = int(e / step);
   int64_t const channel = e - column * step;
-  int const kept = 2 * reach + 1;
-  auto const at = [&](int position) -> F& { return ring[(position + kept) % kept * blockDim.x + threadIdx.x]; };
+  int const ring_rows = 2 * reach + 1;
+  auto const at = [&](int position) -> F& {
+    return ring[(position + ring_rows) % ring_rows * blockDim.x + threadIdx.x];
+  };
   for (int position = y0 - reach; position < y1 + reach; ++position) {
     F along_x = 0;
-    int const inside = border_index(p.border, position, in_height);
-    if (inside >= 0) {
-      T const* const row = p.x.row(plane, inside) + channel;
-      for_each_reader(p.fold, column, width, p.kx.front(), p.kx.back(), [&](int q) {
+    int const source = border_index(p.border, position, in_height);
+    if (source >= 0) {
+      T const* const row = p.x.row(plane, source) + channel;
+      for_each_reader(p.accumulation, column, width, p.kx.front(), p.kx.back(), [&](int q) {
         int const left = q - p.kx.before;
         if (left >= 0 && left + p.kx.size <= in_width) {
           T const* const first = row + left * step;
@@ -73,13 +75,13 @@ __global__ void separable_any(Separable<T> const p, int rows, int reach) {
     int const y = position - reach;
     if (y < y0) continue;
     F sum = 0;
-    for_each_reader(p.fold, y, height, p.ky.front(), p.ky.back(), [&](int q) {
-      // Of the rows that are kept, first those up to the end of the ring, then those from its beginning.
+    for_each_reader(p.accumulation, y, height, p.ky.front(), p.ky.back(), [&](int q) {
+      // The window's rows up to the end of the ring, then those from its beginning.
       int const top = q - p.ky.before, first = max(top, y - reach), last = min(top + p.ky.size, y + reach + 1);
       int t = first - top;
       for (int from = first; from < last;) {
         F const* slot = &at(from);
-        int const end = t + min(last - from, kept - (from + kept) % kept);
+        int const end = t + min(last - from, ring_rows - (from + ring_rows) % ring_rows);
         from += end - t;
 #pragma unroll 8
         for (; t < end; ++t, slot += blockDim.x) sum += ky[t] * *slot;
@@ -99,20 +101,20 @@ int launch_any(Separable<T> const& p, CUstream_st* stream) {
   while (threads > 32 && bytes(threads) > kSharedMemory) threads /= 2;
   if (int error = cudaFuncSetAttribute(separable_any<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes(threads)))
     return error;
-  int64_t const lines = p.y.count() * ceil_div(p.y.row_size(), threads);
-  int const rows = strip_height(lines, p.y.height, max(p.ky.size, 8), 1024, 1024);
-  int64_t const blocks = lines * ceil_div(p.y.height, rows);
+  int64_t const tile_columns = p.y.count() * ceil_div(p.y.row_size(), threads);
+  int const rows = strip_height(tile_columns, p.y.height, max(p.ky.size, 8), 1024, 1024);
+  int64_t const blocks = tile_columns * ceil_div(p.y.height, rows);
   separable_any<<<unsigned(blocks), threads, bytes(threads), stream>>>(p, rows, reach);
   return cudaGetLastError();
 }
 
-// --- planar images and windows of any size: a block walks down 128 columns of pixels ---------------------------------
+// --- planar images and windows of any size: a block goes down 128 columns of pixels ----------------------------------
 
 constexpr int kTileWidth = 128, kTileHeight = 64;  // pixels computed at a time, 4 x 8 by a thread
 constexpr int kTileThreads = 256;
-constexpr int kPitch = kTileWidth + 4;  // of rows filtered along x: eight below each other in different banks
+constexpr int kPitch = kTileWidth + 4;  // of rows filtered along x: eight adjacent rows lie in different banks
 
-// N sums over the windows of C numbers beside each other that begin at 0 ... N - 1: the last N numbers are in
+// N sums over windows that begin at 0 ... N - 1, of C adjacent channels of numbers each: the last N numbers are in
 // registers.
 template <int N, int C, class Load>
 __device__ __forceinline__ void filter_windows(float const* weights, int taps, Load load, float (&sums)[N][C]) {
@@ -133,9 +135,10 @@ __device__ __forceinline__ void filter_windows(float const* weights, int taps, L
     }
 }
 
-// What a block keeps: the pixels of 32 rows, the rows that windows along y need, filtered along x, and its weights.
+// Shared memory of a block: the pixels of 32 rows, the rows filtered along x that windows along y need, and the
+// weights.
 struct TileMemory {
-  int across, pitch, rows;  // pixels read of a row, how they are kept, odd: a column in different banks; rows kept
+  int across, pitch, rows;  // pixels read of a row; their pitch, odd: a column lies in different banks; filtered rows
   int kx, ky;
   template <class F>
   TileMemory(Taps<F> const& x, Taps<F> const& y)
@@ -143,19 +146,20 @@ struct TileMemory {
   int numbers() const { return rows * kPitch + 32 * pitch + across + kx + ky; }
 };
 
-// Mirrored: as in separable_strip.cuh, where the pixels of the rim count twice.
+// reflect_backward: the transpose of a reflected border, as in separable_strip.cuh: border pixels count doubled.
 template <class T>
 __global__ void __launch_bounds__(kTileThreads, 2)
-    separable_tiles(__grid_constant__ Separable<T> const p, TileMemory memory, int rows, bool mirrored, bool aligned) {
+    separable_tiles(__grid_constant__ Separable<T> const p, TileMemory memory, int rows, bool reflect_backward,
+                    bool aligned) {
   float *const filtered = shared_memory<float>(), *const pixels = filtered + memory.rows * kPitch;
   float *const kx = pixels + 32 * memory.pitch, *const ky = kx + memory.kx;
   int* const columns = reinterpret_cast<int*>(ky + memory.ky);
   int const width = int(p.y.width), height = int(p.y.height), in_width = int(p.x.width), in_height = int(p.x.height);
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   unsigned const across = unsigned(width + kTileWidth - 1) / kTileWidth, down = unsigned(height + rows - 1) / rows;
-  unsigned const line = blockIdx.x / across, plane = line / down;
-  int const x0 = int(blockIdx.x - line * across) * kTileWidth, y0 = int(line - plane * down) * rows;
-  int const y1 = min(y0 + rows, height), kept = memory.ky - 1;
+  unsigned const tile_row = blockIdx.x / across, plane = tile_row / down;
+  int const x0 = int(blockIdx.x - tile_row * across) * kTileWidth, y0 = int(tile_row - plane * down) * rows;
+  int const y1 = min(y0 + rows, height), overlap = memory.ky - 1;
   for (int i = threadIdx.x; i < memory.across; i += kTileThreads)
     columns[i] =
         i < min(kTileWidth, width - x0) + memory.kx - 1 ? border_index(p.border, x0 - p.kx.before + i, in_width) : -1;
@@ -164,27 +168,28 @@ __global__ void __launch_bounds__(kTileThreads, 2)
   auto const is_end = [](int i, int n) { return i == 0 || i == n - 1; };
 
   for (int y = y0; y < y1; y += kTileHeight) {
-    int const has = y == y0 ? 0 : kept, needs = min(kTileHeight, y1 - y) + kept;
+    int const has = y == y0 ? 0 : overlap, needs = min(kTileHeight, y1 - y) + overlap;
     for (int row = has; row < needs; row += 32) {
-      // A warp brings four rows, then filters 16 columns, a thread one of the rows.
+      // A warp loads four rows, then filters 16 columns; each of its threads filters one of the 32 rows.
       int const first = row + 4 * warp;
       T const* from[4];
-      bool exists[4], twice[4];
+      bool exists[4], doubled[4];
 #pragma unroll
       for (int i = 0; i < 4; ++i) {
         int const source = first + i < needs ? border_index(p.border, y - p.ky.before + first + i, in_height) : -1;
         exists[i] = source >= 0;
-        twice[i] = mirrored && is_end(source, in_height);
+        doubled[i] = reflect_backward && is_end(source, in_height);
         from[i] = p.x.row(plane, max(source, 0));
       }
 #pragma unroll 2
       for (int column = lane; column < memory.across; column += 32) {
         int const source = columns[column];
-        float const scale = mirrored && is_end(source, in_width) ? 2.f : 1.f;
+        float const scale = reflect_backward && is_end(source, in_width) ? 2.f : 1.f;
 #pragma unroll
         for (int i = 0; i < 4; ++i) {
           float const pixel = exists[i] && source >= 0 ? read(from[i][source]) : 0.f;
-          pixels[(4 * warp + i) * memory.pitch + column] = mirrored ? pixel * (twice[i] ? 2 * scale : scale) : pixel;
+          pixels[(4 * warp + i) * memory.pitch + column] =
+              reflect_backward ? pixel * (doubled[i] ? 2 * scale : scale) : pixel;
         }
       }
       __syncthreads();
@@ -217,15 +222,15 @@ __global__ void __launch_bounds__(kTileThreads, 2)
       if (at >= y1) break;
 #pragma unroll
       for (int c = 0; c < 4; ++c) {
-        if (mirrored) sums[n][c] *= (is_end(at, height) ? 0.5f : 1.f) * (is_end(x + c, width) ? 0.5f : 1.f);
+        if (reflect_backward) sums[n][c] *= (is_end(at, height) ? 0.5f : 1.f) * (is_end(x + c, width) ? 0.5f : 1.f);
         if (p.beta != 0 && x + c < width) sums[n][c] += p.beta * read(p.x.row(plane, at)[x + c]);
       }
       store_pixels(p.y.row(plane, at) + x, sums[n], x, width, aligned);
     }
     // The last rows are the first of the next tile.
-    for (int row = 0; row < kept; row += kTileHeight) {
+    for (int row = 0; row < overlap; row += kTileHeight) {
       __syncthreads();
-      for (int i = threadIdx.x; i < min(kTileHeight, kept - row) * kPitch / 4; i += kTileThreads)
+      for (int i = threadIdx.x; i < min(kTileHeight, overlap - row) * kPitch / 4; i += kTileThreads)
         reinterpret_cast<float4*>(filtered + row * kPitch)[i] =
             reinterpret_cast<float4 const*>(filtered + (row + kTileHeight) * kPitch)[i];
     }
@@ -234,16 +239,16 @@ __global__ void __launch_bounds__(kTileThreads, 2)
 }
 
 template <class T>
-int launch_tiles(Separable<T> p, bool mirrored, CUstream_st* stream) {
+int launch_tiles(Separable<T> p, bool reflect_backward, CUstream_st* stream) {
   TileMemory const memory(p.kx, p.ky);
   int const bytes = 4 * memory.numbers(), resident = multiprocessors() * (bytes > kSharedMemory / 2 ? 1 : 2);
   if (int error = cudaFuncSetAttribute(separable_tiles<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;
-  if (mirrored) p.border = Border::reflect;
-  int64_t const lines = p.y.count() * ceil_div(p.y.width, kTileWidth);
-  int const rows = strip_height(lines, p.y.height, max(p.ky.size, 8), resident, resident);
-  separable_tiles<<<unsigned(lines * ceil_div(p.y.height, rows)), kTileThreads, bytes, stream>>>(
-      p, memory, rows, mirrored, is_vectorizable<4>(p.y));
+  if (reflect_backward) p.border = Border::reflect;
+  int64_t const tile_columns = p.y.count() * ceil_div(p.y.width, kTileWidth);
+  int const rows = strip_height(tile_columns, p.y.height, max(p.ky.size, 8), resident, resident);
+  separable_tiles<<<unsigned(tile_columns * ceil_div(p.y.height, rows)), kTileThreads, bytes, stream>>>(
+      p, memory, rows, reflect_backward, is_vectorizable<4>(p.y));
   return cudaGetLastError();
 }
 
@@ -251,37 +256,37 @@ int launch_tiles(Separable<T> p, bool mirrored, CUstream_st* stream) {
 
 static_assert(kWeightsTileWidth == kThreads);
 
-// A block walks down the positions that its tile reads. With g 0 outside of the tile and gv(q, c) the sum over i of
+// A block goes down the positions that its tile reads. With g = 0 out of the tile and gv(q, c) the sum over i of
 // ky[i] g(q + before_y - i, c),
 //
 //   dkx[j] = sum over q, c of gv(q, c) x(q, c - before_x + j)      dky[i] = sum over q, c of g(q + before_y - i, c)
 //   h(q, c)
 //
-// so each position needs one row of x, shared for its neighbours, and of g the last rows, each thread its own column.
-// The sums belong to warps, a weight each, their terms to its threads.
+// so each position needs one row of x in shared memory and the last rows of g, of which each thread has one column.
+// A warp sums for one weight; its threads hold the partial sums.
 template <class T>
-__global__ void __launch_bounds__(kThreads) weights_of_tiles(SeparableWeights<T> const p) {
+__global__ void __launch_bounds__(kThreads) weights_backward_tiles(SeparableWeightsBackward<T> const p) {
   using F = Compute<T>;
-  constexpr int kStride = kThreads + 1;  // of the rows of g: no two of a column in one bank
+  constexpr int kStride = kThreads + 1;  // of the rows of g: a column lies in different banks
   int const taps_x = p.kx.size, taps_y = p.ky.size, taps = taps_x + taps_y, thread = threadIdx.x, lane = thread % 32;
   F *const kx = shared_memory<F>(), *const ky = kx + taps_x, *const x = ky + taps_y, *const h = x + kThreads + taps_x;
   F *const gv = h + kThreads, *const g = gv + kThreads, *const sums = g + taps_y * kStride;
-  int64_t const tile = blockIdx.x, across = p.across(), line = tile / across, plane = line / p.down();
-  int64_t const x0 = (tile - line * across) * kThreads, column = x0 + thread;
-  int const y0 = int((line - plane * p.down()) * p.tile_height), y1 = int(min(y0 + p.tile_height, p.grad.height));
-  bool const inside = column < p.grad.width;
+  int64_t const tile = blockIdx.x, across = p.across(), tile_row = tile / across, plane = tile_row / p.down();
+  int64_t const x0 = (tile - tile_row * across) * kThreads, column = x0 + thread;
+  int const y0 = int((tile_row - plane * p.down()) * p.tile_height), y1 = int(min(y0 + p.tile_height, p.grad.height));
+  bool const in_bounds = column < p.grad.width;
   load_weights(p.kx, plane / p.planes, F(1), kx);
   load_weights(p.ky, plane / p.planes, F(1), ky);
   for (int i = thread; i < 32 * taps; i += kThreads) sums[i] = 0;
   for (int i = 0; i < taps_y; ++i) g[i * kStride + thread] = 0;
 
-  int newest = 0;  // where row q + before_y of g is kept; those above it precede it
+  int newest = 0;  // slot of row q + before_y of g; the rows above it precede it
   auto const row_of_g = [&](int i) { return g + (newest >= i ? newest - i : newest - i + taps_y) * kStride; };
   for (int q = y0 - p.ky.before; q < y1 - p.ky.before + taps_y - 1; ++q) {
     newest = newest + 1 < taps_y ? newest + 1 : 0;
     int const y = q + p.ky.before;
     int64_t const source = border_index(p.border, int64_t(q), p.x.height);
-    g[newest * kStride + thread] = y < y1 && inside ? read(p.grad.row(plane, y)[column]) : F(0);
+    g[newest * kStride + thread] = y < y1 && in_bounds ? read(p.grad.row(plane, y)[column]) : F(0);
     for (int i = thread; i < kThreads + taps_x - 1; i += kThreads) {
       int64_t const at = border_index(p.border, x0 - p.kx.before + i, p.x.width);
       x[i] = source >= 0 && at >= 0 ? read(p.x.row(plane, source)[at]) : F(0);
@@ -290,7 +295,7 @@ __global__ void __launch_bounds__(kThreads) weights_of_tiles(SeparableWeights<T>
     F along_x = 0, along_y = 0;
     for (int j = 0; j < taps_x; ++j) along_x += kx[j] * x[thread + j];
     for (int i = 0; i < taps_y; ++i) along_y += ky[i] * row_of_g(i)[thread];
-    h[thread] = inside ? along_x : F(0);
+    h[thread] = in_bounds ? along_x : F(0);
     gv[thread] = along_y;
     __syncthreads();
     for (int t = thread / 32; t < taps; t += kThreads / 32) {
@@ -314,32 +319,34 @@ template <class T>
 int separable(Separable<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
     bool const symmetric = p.kx.gaussian && p.ky.gaussian;
-    if (has_strips(p.x, p.ky.size, p.kx.size)) {
-      if (p.fold == Border::constant) return separable_strips(p, 1, stream);
+    if (supports_strips(p.x, p.ky.size, p.kx.size)) {
+      if (p.accumulation == Border::constant) return separable_strips(p, 1, stream);
       if constexpr (sizeof(T) > 1)
-        return p.fold == Border::reflect && symmetric ? separable_mirrors(p, 1, stream) : separable_folds(p, stream);
+        return p.accumulation == Border::reflect && symmetric ? separable_reflect_backward_strips(p, 1, stream)
+                                                              : separable_backward_strips(p, stream);
     }
-    bool const mirrored = p.fold == Border::reflect && symmetric;
-    if (p.x.step == 1 && p.y.step == 1 && (p.fold == Border::constant || mirrored) &&
+    bool const reflect_backward = p.accumulation == Border::reflect && symmetric;
+    if (p.x.step == 1 && p.y.step == 1 && (p.accumulation == Border::constant || reflect_backward) &&
         4 * TileMemory(p.kx, p.ky).numbers() <= kSharedMemory)
-      return launch_tiles(p, mirrored, stream);
+      return launch_tiles(p, reflect_backward, stream);
   }
   return launch_any(p, stream);
 }
 
 template <class T>
-int separable_weights(SeparableWeights<T> const& p, CUstream_st* stream) {
+int separable_weights_backward(SeparableWeightsBackward<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
   int const taps = p.kx.size + p.ky.size;
   size_t const bytes = sizeof(F) * (taps + 3 * kThreads + p.kx.size + p.ky.size * (kThreads + 1) + 32 * taps);
-  if (int error = cudaFuncSetAttribute(weights_of_tiles<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
+  if (int error =
+          cudaFuncSetAttribute(weights_backward_tiles<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   unsigned const tiles = unsigned(p.grad.count() * p.down() * p.across());
-  weights_of_tiles<<<tiles, kThreads, bytes, stream>>>(p);
+  weights_backward_tiles<<<tiles, kThreads, bytes, stream>>>(p);
   return cudaGetLastError();
 }
 
 KV_INSTANTIATE_WITH_BYTES(separable, Separable)
-KV_INSTANTIATE(separable_weights, SeparableWeights)
+KV_INSTANTIATE(separable_weights_backward, SeparableWeightsBackward)
 
 }  // namespace kv::cuda

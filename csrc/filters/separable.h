@@ -1,17 +1,18 @@
-// Filtering with the product of a column ky and a row kx of weights, and what is made of it:
+// Separable filters: a column ky times a row kx of weights,
 //
 //   y(r, c) = alpha * sum over i, j of ky[i] kx[j] x(r - before_y + i, c - before_x + j) + beta * x(r, c)
 //
-// filter2d_separable takes the weights from memory, gaussian_blur2d from its sigma, and unsharp_mask is a Gaussian with
-// alpha = -1, beta = 2. Included by separable_*.cpp, separable*.cu and the three *_op.cpp.
+// filter2d_separable takes the weights from memory, gaussian_blur2d computes them from sigma, and unsharp_mask is a
+// Gaussian with alpha = -1, beta = 2. Included by separable_cpu.cpp, separable_glue.h, box.cu and separable*.cu.
 //
-// The transpose is of the same form. Let w be the weights of one axis of n pixels and `full` the filter with w reversed
-// over a gradient that is 0 outside, taken at every position the forward pass may read, -front ... n - 1 + back. Then
-// the gradient of pixel j is the sum of `full` over the positions at which j stands: `full` is folded at the border.
+// The transpose has the same form. Let w be the weights along one axis of n pixels. Let `full` be the filter with w
+// reversed, over a gradient that is 0 out of bounds, at all positions that the forward pass reads, -front ... n - 1 +
+// back. The gradient of pixel j is the sum of `full` over the positions whose border pixel is j: the border is
+// accumulated.
 //
 //   constant   full(j)
 //   circular   full(j) of the gradient continued circularly
-//   replicate  full(j), at the rim also all of `full` outside
+// replicate  full(j), for the first and the last pixel also all of `full` out of bounds
 //   reflect    full(j) + full(-j) + full(2 (n - 1) - j)
 #pragma once
 
@@ -29,21 +30,21 @@ struct Taps {
   int64_t stride;  // 0 when one serves all samples
   F sigma;
   int size;
-  int before;  // how many pixels before the one computed the first weight lies
+  int before;  // pixels from the first weight to the pixel that is computed
   bool gaussian;
   bool reversed;
 
-  KV_HD int front() const { return size - 1 - before; }  // what the pass this one transposes reads before the image
+  // How many pixels before and after the image the pass reads whose transpose this is.
+  KV_HD int front() const { return size - 1 - before; }
   KV_HD int back() const { return before; }
 };
 
 KV_HD float exp(float x) { return __builtin_expf(x); }
 KV_HD double exp(double x) { return __builtin_exp(x); }
 
-// Weight t of a sample; those of a Gaussian are still to be divided by their sum. A sigma that is not positive gives
-// NaN.
+// Weight t of a sample. Those of a Gaussian must still be divided by their sum. A sigma that is not positive gives NaN.
 template <class F>
-KV_HD F tap(Taps<F> const& taps, int64_t sample, int t) {
+KV_HD F tap_weight(Taps<F> const& taps, int64_t sample, int t) {
   F const* const data = taps.data + sample * taps.stride;
   if (!taps.gaussian) return taps.data ? data[taps.reversed ? taps.size - 1 - t : t] : F(1);
   F const sigma = taps.data ? *data : taps.sigma;
@@ -53,7 +54,7 @@ KV_HD F tap(Taps<F> const& taps, int64_t sample, int t) {
   return excess == 0 ? F(1) : exp(-excess / (2 * sigma * sigma));
 }
 
-constexpr int kMostTaps = 701;  // of the CUDA kernel below, by the rows that shared memory holds
+constexpr int kMaxTaps = 701;  // of the CUDA kernels: shared memory holds that many rows
 
 template <class T>
 struct Separable {
@@ -63,20 +64,21 @@ struct Separable {
   int64_t planes;  // of a sample
   Compute<T> alpha, beta;
   Border border;  // of x
-  Border fold;    // how the result is folded, for the transposes of replicate and reflect; constant: it is not
+  Border
+      accumulation;  // the border accumulated into the result by transposes: replicate, reflect, or constant for none
 };
 
-constexpr int kWeightsTileWidth = 128;  // of the CUDA kernel below
+constexpr int kWeightsTileWidth = 128;  // of separable_weights_backward on CUDA
 
 // The gradient to the weights, from the gradient g to the output. With h = x filtered along rows, v along columns,
 //
 //   dkx[j] = sum over r, c of g(r, c) v(r, c - before_x + j)      dky[i] = sum over r, c of g(r, c) h(r - before_y + i,
 //   c)
 //
-// Images are planar. Planes are cut into tiles; each writes its sums, kx before ky, to its row of `sums` (samples,
-// tiles, kx + ky).
+// Images are planar. Each tile of a plane writes its sums, kx before ky, to its row of `sums` (samples, tiles, kx +
+// ky).
 template <class T>
-struct SeparableWeights {
+struct SeparableWeightsBackward {
   Planes<T const> grad, x;
   Taps<Compute<T>> kx, ky;
   int64_t planes;  // of a sample
@@ -90,6 +92,6 @@ struct SeparableWeights {
 };
 
 KV_KERNEL(separable, Separable)
-KV_KERNEL(separable_weights, SeparableWeights)
+KV_KERNEL(separable_weights_backward, SeparableWeightsBackward)
 
 }  // namespace kv

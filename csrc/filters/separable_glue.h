@@ -1,4 +1,5 @@
-// What the entries of filter2d_separable, gaussian_blur2d and unsharp_mask share. Included by their *_op.cpp.
+// Shared by the entries of filter2d_separable, gaussian_blur2d and unsharp_mask. Included by separable_op.cpp,
+// gaussian_op.cpp and unsharp_op.cpp.
 #pragma once
 
 #include "glue/glue.h"
@@ -6,9 +7,9 @@
 
 namespace kv {
 
-// The weights along one axis of a call: a tensor (B or 1, size), or those of a Gaussian whose sigma is a column of a
-// tensor (B or 1, 2) or a number.
-struct Axis {
+// The weights of a call along one axis: a tensor (B or 1, size), or a Gaussian whose sigma is a column of a tensor
+// (B or 1, 2) or a number.
+struct AxisWeights {
   Tensor const* tensor;
   int64_t size;
   bool gaussian = false;
@@ -27,8 +28,8 @@ struct Axis {
   }
 };
 
-// Weights or sigmas for images `x`, as rows in the type that images are computed in.
-inline Tensor checked_rows(char const* op, Tensor const& rows, Tensor const& x) {
+// `rows` contiguous: weights or sigmas of images `x`, (B or 1, n) in the compute type of `x`.
+inline Tensor checked_weights(char const* op, Tensor const& rows, Tensor const& x) {
   KV_CHECK(rows.dim() == 2 && rows.size(1) > 0 && (rows.size(0) == 1 || rows.size(0) == x.size(0)), op,
            ": expected weights or sigmas of shape (B or 1, n)");
   KV_CHECK(rows.scalar_type() == compute_dtype(x) && rows.device() == x.device(), op,
@@ -41,22 +42,22 @@ inline int64_t planes_of_sample(Tensor const& x, Layout layout) {
 }
 
 // alpha * filtered + beta * input, or the transpose of that.
-inline Tensor run_separable(char const* op, Tensor const& input, Axis const& kx, Axis const& ky, Border border,
-                            bool same, bool transposed, double alpha = 1, double beta = 0) {
+inline Tensor run_separable(char const* op, Tensor const& input, AxisWeights const& kx, AxisWeights const& ky,
+                            Border border, bool same, bool transposed, double alpha = 1, double beta = 0) {
   check_images(op, "input", input);
   int64_t const grow_y = same ? 0 : transposed ? ky.size - 1 : 1 - ky.size;
   int64_t const grow_x = same ? 0 : transposed ? kx.size - 1 : 1 - kx.size;
   int64_t const height = input.size(2) + grow_y, width = input.size(3) + grow_x;
   KV_CHECK(height > 0 && width > 0, op, ": the kernel is larger than the input");
 #if defined(KV_CUDA)
-  KV_CHECK(ky.size <= kMostTaps && kx.size <= kMostTaps, op, ": expected a kernel of at most ", kMostTaps,
+  KV_CHECK(ky.size <= kMaxTaps && kx.size <= kMaxTaps, op, ": expected a kernel of at most ", kMaxTaps,
            " weights a side on CUDA, got (", ky.size, ", ", kx.size, ")");
 #endif
   if (same) {
     check_border(op, border, ky.size / 2, height);
     check_border(op, border, kx.size / 2, width);
   }
-  bool const folds = same && transposed && (border == Border::reflect || border == Border::replicate);
+  bool const accumulates = same && transposed && (border == Border::reflect || border == Border::replicate);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty({x.size(0), x.size(1), height, width}, x, layout);
   dispatch_floating_and_uint8(op, x, [&](auto type) {
@@ -69,21 +70,22 @@ inline Tensor run_separable(char const* op, Tensor const& input, Axis const& kx,
                               planes_of_sample(x, layout),
                               F(alpha),
                               F(beta),
-                              same && !folds ? border : Border::constant,
-                              folds ? border : Border::constant};
+                              same && !accumulates ? border : Border::constant,
+                              accumulates ? border : Border::constant};
     KV_RUN(separable, x, params, params.y.rows(), params.y.row_size() * (kx.size + ky.size) / 4);
   });
   return y;
 }
 
-// alpha * Gaussian blur + beta * input, or the transpose of that. sigma: (B or 1, 2) in (y, x) order, else the numbers.
+// alpha * Gaussian blur + beta * input, or the transpose of that. `sigma` is (B or 1, 2) in (y, x) order; without it
+// sigma_y and sigma_x serve all samples.
 inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Tensor> const& sigma, int64_t ky,
                            int64_t kx, double sigma_y, double sigma_x, std::string const& border, bool transposed,
                            double alpha, double beta) {
   check_window(op, ky, kx);
   std::optional<Tensor> rows;
   if (sigma) {
-    rows = checked_rows(op, *sigma, input);
+    rows = checked_weights(op, *sigma, input);
     KV_CHECK(rows->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
   }
   Tensor const* const tensor = rows ? &*rows : nullptr;

@@ -1,11 +1,11 @@
-// The fast separable filter on CUDA: planar images, kernels of equal odd sizes from 3 to 31. Included by
-// separable_<type>.cu and separable_mirror.cu, which say for which types it is compiled.
+// The strip kernel of separable filters on CUDA: planar images, square windows of odd sizes from 3 to 31. Included by
+// separable_<type>.cu and separable_*backward.cu, which instantiate it, and by its callers separable.cu and box.cu.
 //
-// Each warp walks down a strip of 32 P columns, whose rows come by core/row_prefetcher.cuh.
+// Each warp goes down a strip of 32 P columns and prefetches its rows (core/row_prefetcher.cuh).
 //
-// Along y nothing is stored but running sums: of the K - 1 output rows that a row still belongs to, each has had its
-// weighted share of the rows above. A new row adds to all of them, the first one is complete, and the others move up,
-// which costs nothing: sum[i] = sum[i + 1] + weight * row.
+// Along y only running sums are stored, one for each of the K - 1 output rows whose windows are not complete. A new row
+// adds to all of them; then the first sum is complete and the others move up, which costs nothing: sum[i] = sum[i + 1]
+// + weight * row.
 #pragma once
 
 #include "box.h"
@@ -16,54 +16,56 @@ namespace kv::cuda {
 
 // Launch kernels for the size of p.kx, which is that of p.ky. The result is divided by `divisor`.
 //
-//   separable_strips   forward passes and transposes of the like, by this file's kernel
-//   separable_mirrors  transposes of a reflected border with symmetric weights, by this file's kernel, too, or by folds
-//   separable_folds    all transposes that fold the result at the border; separable_fold.cuh
+//   separable_strips                   forward passes, and transposes without border accumulation
+//   separable_reflect_backward_strips  transposes of a reflected border with symmetric weights; unaligned images fall
+//                                      back to the next one
+//   separable_backward_strips          all transposes with border accumulation; separable_backward.cu
 template <class T>
 int separable_strips(Separable<T> const& p, float divisor, CUstream_st* stream);
 template <class T>
-int separable_mirrors(Separable<T> const& p, float divisor, CUstream_st* stream);
+int separable_reflect_backward_strips(Separable<T> const& p, float divisor, CUstream_st* stream);
 template <class T>
-int separable_folds(Separable<T> const& p, CUstream_st* stream);
+int separable_backward_strips(Separable<T> const& p, CUstream_st* stream);
 
-// Whether strips serve images and a window of this size.
+// Whether the strip kernels serve images and a window of this size.
 template <class T>
-bool has_strips(Planes<T const> const& x, int64_t ky, int64_t kx) {
+bool supports_strips(Planes<T const> const& x, int64_t ky, int64_t kx) {
   return kx == ky && kx % 2 == 1 && kx >= 3 && kx <= 31 && x.step == 1 &&
          x.row_stride * int64_t(sizeof(T)) <= INT32_MAX && x.width <= INT32_MAX / 2;
 }
 
 namespace {
 
-constexpr int kLargest = 31;  // has_strips
-constexpr int kWarps = 4;     // of a block, which work alone
+constexpr int kLargest = 31;  // window; see supports_strips
+constexpr int kWarps = 4;     // of a block; they do not synchronize
 
-// Half types and bytes take 8 pixels a thread as long as the sums of 8 fit the registers.
+// Types of 1 and 2 bytes take 8 pixels a thread where the sums of 8 fit into the registers.
 template <class T, int K>
 constexpr int kStripPixels = sizeof(T) < 4 && K <= 11 ? 8 : 4;
 
-// Rows of the ring; all but one are on their way. Where the sums take most registers, a simple ring is worth more.
+// Rows of the ring; all but one are in flight. Where the sums take most registers, a shorter ring is faster.
 template <int K>
 constexpr int kRing = K <= 15 ? 4 : 2;
 
-// Blocks on a multiprocessor: what its registers, 512 for each thread of a block, have room for.
+// Blocks on a multiprocessor, limited by its registers, 512 for each thread of a block.
 template <int K, int P>
 constexpr int kRegisters = P * K + (K <= 7 ? 52 : 64);
 template <int K, int P>
 constexpr int kResident = 512 / (kRegisters<K, P> < 170 ? kRegisters<K, P> : 170);
 
-template <class T, int K, int P, bool Mirrored>
+template <class T, int K, int P, bool ReflectBackward>
 struct alignas(16) WarpMemory {
   T rows[kRing<K>][32 * P + 2 * kHalo];
-  float x[32], y[32];                  // weights; those of y first the one that completes a row
-  float first[Mirrored ? 32 * P : 1];  // how often once more a pixel of the strip reads the first pixel of the row,
-  float last[Mirrored ? 32 * P : 1];   // and the last
+  float x[32], y[32];  // weights; those of y begin with the one that completes a row
+  float first[ReflectBackward ? 32 * P
+                              : 1];  // the weight with which a pixel of the strip reads the first pixel of the row
+  float last[ReflectBackward ? 32 * P : 1];  // a second time, and the same of the last pixel
 };
 
 // The thread's weight, or 0.
 template <class F>
 __device__ __forceinline__ F weight_of_lane(Taps<F> const& taps, int64_t sample, int lane) {
-  F const weight = lane < taps.size ? tap(taps, sample, lane) : F(0);
+  F const weight = lane < taps.size ? tap_weight(taps, sample, lane) : F(0);
   return taps.gaussian ? weight / warp_sum(weight) : weight;
 }
 
@@ -101,23 +103,24 @@ __device__ __forceinline__ void add_row(float const (&h)[P], W weight, float (&s
   }
 }
 
-// `aligned`: rows of input and output are vectors of P pixels, at the same places. Mirrored: the transpose of a
-// reflected border with symmetric weights, D^-1 A D, where A is the forward pass and D doubles the first and the last
-// pixel of an axis; box.h has the reason.
-template <class T, int K, int P, bool Mirrored, class Aligned>
+// `aligned`: rows of input and output are vectors of P pixels that start at the same columns. ReflectBackward: the
+// transpose of a reflected border with symmetric weights. It is D^-1 A D, where A is the forward pass and D doubles the
+// first and the last pixel of an axis; see BoxAxis in box.h.
+template <class T, int K, int P, bool ReflectBackward, class Aligned>
 __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
     separable_strip(__grid_constant__ Separable<T> const p, __grid_constant__ Strips<P> const strips, float divisor,
                     Aligned aligned) {
   constexpr int R = K / 2;
-  __shared__ WarpMemory<T, K, P, Mirrored> memory[kWarps];
-  WarpMemory<T, K, P, Mirrored>& shared = memory[threadIdx.x / 32];
+  __shared__ WarpMemory<T, K, P, ReflectBackward> memory[kWarps];
+  WarpMemory<T, K, P, ReflectBackward>& shared = memory[threadIdx.x / 32];
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
   int const lane = threadIdx.x % 32, x0 = x - P * lane;
   int const width = int(p.y.width), height = int(p.y.height), y1 = min(y0 + int(strips.rows), height);
 
-  int const left = x0 + R - p.kx.before, out_stride = int(p.y.row_stride * sizeof(T));  // left as windows see it
+  int const left = x0 + R - p.kx.before,
+            out_stride = int(p.y.row_stride * sizeof(T));  // windows reach kx / 2 pixels to the left of `left`
   RowPrefetcher<T, P, R, kRing<K>, Aligned> rows(shared.rows, p.x, plane, p.border, p.border, aligned, left,
                                                  y0 - p.ky.before, y1 - y0 + K - 1);
 
@@ -126,18 +129,18 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   float const weight_y = p.alpha * weight_of_lane(p.ky, sample, lane);
   shared.y[lane] = __shfl_sync(0xffffffffu, weight_y, (K - 1 - lane) & 31);
   __syncwarp();
-  constexpr bool kHeld = K <= 7;  // in registers
-  [[maybe_unused]] float held_x[kHeld ? K : 1], held_y[kHeld ? K : 1];
-  if constexpr (kHeld) {
+  constexpr bool kInRegisters = K <= 7;
+  [[maybe_unused]] float weights_x[kInRegisters ? K : 1], weights_y[kInRegisters ? K : 1];
+  if constexpr (kInRegisters) {
 #pragma unroll
-    for (int t = 0; t < K; ++t) held_x[t] = shared.x[t], held_y[t] = shared.y[t];
+    for (int t = 0; t < K; ++t) weights_x[t] = shared.x[t], weights_y[t] = shared.y[t];
   }
 
-  // The rim of a mirrored row counts twice. Pixel 0 also stands at position 2 (width - 1), and the last one at
-  // -(width - 1), where the window of a narrow image may reach.
+  // The first and the last pixel of a row count twice. Pixel 0 is also at position 2 (width - 1) and the last one at
+  // -(width - 1), which windows of a narrow image may reach.
   bool const near_first = x0 == 0, near_last = x0 + 32 * P >= width - R;
-  bool reads_first = false, reads_last = false, on_rim = false;
-  if (Mirrored && (near_first || near_last)) {
+  bool reads_first = false, reads_last = false, on_border = false;
+  if (ReflectBackward && (near_first || near_last)) {
 #pragma unroll
     for (int j = 0; j < P; ++j) {
       int const i = P * lane + j, n = width - 1;
@@ -147,13 +150,13 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
       float const first = weight_for(0) + weight_for(2 * n), last = weight_for(n) + weight_for(-n);
       reads_first |= near_first && first != 0;
       reads_last |= near_last && last != 0;
-      on_rim |= x + j == 0 || x + j == n;
-      shared.first[Mirrored ? i : 0] = first;
-      shared.last[Mirrored ? i : 0] = last;
+      on_border |= x + j == 0 || x + j == n;
+      shared.first[ReflectBackward ? i : 0] = first;
+      shared.last[ReflectBackward ? i : 0] = last;
     }
     __syncwarp();
   }
-  auto const read_again = [&](float const* weights, T pixel, float(&h)[P]) {
+  auto const add_doubled = [&](float const* weights, T pixel, float(&h)[P]) {
 #pragma unroll
     for (int j = 0; j < P; ++j) {
       float const weight = weights[P * lane + j], more = weight * read(pixel);
@@ -167,37 +170,41 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
   float sums[K - 1][P] = {};
 #pragma unroll 1
   for (int i = 0; i < rows.count; ++i) {
-    int const y = y0 + i - (K - 1);  // the row that this one completes
+    int const y = y0 + i - (K - 1);  // the output row that this row completes
     T const* const row = rows.row(i);
 
     float v[P + 2 * kBefore<K, P>], h[P], result[P];
     [[maybe_unused]] float4 four;
     read_windows<K, P>(row, v);
-    filter_row<K>(v, [&](int t) { return kHeld ? held_x[kHeld ? t : 0] : weight_at(shared.x, t, four); }, h);
-    if (reads_first) read_again(shared.first, row[kHalo], h);
-    if (reads_last) read_again(shared.last, row[kHalo + width - 1 - x0], h);
+    filter_row<K>(
+        v, [&](int t) { return kInRegisters ? weights_x[kInRegisters ? t : 0] : weight_at(shared.x, t, four); }, h);
+    if (reads_first) add_doubled(shared.first, row[kHalo], h);
+    if (reads_last) add_doubled(shared.last, row[kHalo + width - 1 - x0], h);
 
-    [[maybe_unused]] bool const row_twice = Mirrored && is_end(border_index(Border::reflect, y + R, height), height);
-    if (row_twice) {
+    [[maybe_unused]] bool const row_doubled =
+        ReflectBackward && is_end(border_index(Border::reflect, y + R, height), height);
+    if (row_doubled) {
 #pragma unroll
       for (int j = 0; j < P; ++j) h[j] *= 2;
     }
-    add_row<K>(h, [&](int t) { return kHeld ? held_y[kHeld ? t : 0] : weight_at(shared.y, t, four); }, sums, result);
+    add_row<K>(
+        h, [&](int t) { return kInRegisters ? weights_y[kInRegisters ? t : 0] : weight_at(shared.y, t, four); }, sums,
+        result);
     if (p.beta != 0) {
 #pragma unroll
       for (int j = 0; j < P; ++j) {
         float pixel = v[kBefore<K, P> + j];
-        if (row_twice) pixel *= 2;
-        if (on_rim && is_end(x + j, width)) pixel *= 2;
+        if (row_doubled) pixel *= 2;
+        if (on_border && is_end(x + j, width)) pixel *= 2;
         sums[R - 1][j] = fmaf(p.beta, pixel, sums[R - 1][j]);
       }
     }
     if (i < K - 1) continue;
-    if (on_rim || (Mirrored && is_end(y, height))) {
+    if (on_border || (ReflectBackward && is_end(y, height))) {
 #pragma unroll
       for (int j = 0; j < P; ++j) {
         if (is_end(y, height)) result[j] /= 2;
-        if (on_rim && is_end(x + j, width)) result[j] /= 2;
+        if (on_border && is_end(x + j, width)) result[j] /= 2;
       }
     }
     if (divisor != 1) {
@@ -209,26 +216,27 @@ __global__ void __launch_bounds__(32 * kWarps, kResident<K, P>)
 }
 
 template <int K, int P, class T>
-int strip_rows(Planes<T> const& y, int64_t blocks_resident) {
-  if (K <= 7) return (K <= 5 ? 3 : 4) * P;  // bound by memory, which likes the warps to be close together
+int rows_per_strip(Planes<T> const& y, int64_t blocks_resident) {
+  if (K <= 7) return (K <= 5 ? 3 : 4) * P;  // limited by memory, which is faster where warps are close to each other
   int64_t const machine = multiprocessors(), resident = machine * blocks_resident * kWarps;
   return strip_height(y.count() * ceil_div(y.width, 32 * P), y.height, K, resident, min(resident, machine * 10));
 }
 
-template <class T, int K, bool Mirrored>
+template <class T, int K, bool ReflectBackward>
 int launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   constexpr int P = kStripPixels<T, K>;
-  Strips<P> const strips(p.y.count(), p.y.height, p.y.width, strip_rows<K, P>(p.y, kResident<K, P>));
+  Strips<P> const strips(p.y.count(), p.y.height, p.y.width, rows_per_strip<K, P>(p.y, kResident<K, P>));
   auto const launch = [&](auto aligned) {
-    separable_strip<T, K, P, Mirrored><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
+    separable_strip<T, K, P, ReflectBackward>
+        <<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p, strips, divisor, aligned);
   };
   bool const aligned = is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && p.kx.before == K / 2;
-  if constexpr (Mirrored) {
-    p.border = p.fold = Border::reflect;
-    if (!aligned) {  // images of odd widths, say: not worth a kernel more for each size and type
+  if constexpr (ReflectBackward) {
+    p.border = p.accumulation = Border::reflect;
+    if (!aligned) {  // such as odd widths: they are not worth another kernel for each size and type
       p.border = Border::constant;
       p.alpha /= divisor, p.beta /= divisor;
-      return separable_folds(p, stream);
+      return separable_backward_strips(p, stream);
     }
     launch(std::true_type{});
   } else {
@@ -237,11 +245,11 @@ int launch_strip(Separable<T> p, float divisor, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-template <class T, bool Mirrored, int K = 3>
+template <class T, bool ReflectBackward, int K = 3>
 int launch_strip_of_size(Separable<T> const& p, float divisor, CUstream_st* stream) {
   if constexpr (K < kLargest)
-    if (p.kx.size != K) return launch_strip_of_size<T, Mirrored, K + 2>(p, divisor, stream);
-  return launch_strip<T, K, Mirrored>(p, divisor, stream);
+    if (p.kx.size != K) return launch_strip_of_size<T, ReflectBackward, K + 2>(p, divisor, stream);
+  return launch_strip<T, K, ReflectBackward>(p, divisor, stream);
 }
 
 }  // namespace

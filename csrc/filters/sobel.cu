@@ -1,12 +1,12 @@
-// Sobel on CUDA. Each warp walks down a strip of 128 columns with its rows in registers, so a pixel is read from device
-// memory once. Channels-last images take a plain kernel, one thread an element.
+// Sobel on CUDA. Each warp goes down a strip of 128 columns with its rows in registers, so each pixel is read from
+// device memory once. Channels-last images take a plain kernel with one thread for each element.
 #include "core/launch.cuh"
 #include "sobel.h"
 
 namespace kv::cuda {
 namespace {
 
-// Rows of a strip, measured on an H200. The backward pass has more to set up and more rows to share.
+// Rows of a strip, chosen by measurements on an H200. The backward pass has a longer setup and reads more rows twice.
 constexpr int kRows = 8, kBackwardRows = 32;
 
 template <class T, bool Aligned>
@@ -25,16 +25,16 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
   F a[P + 2], b[P + 2], c[P + 2];
   strip.load(a, rows.next());
   strip.load(b, rows.next());
-  // Half types have twice the pixels a thread: there more warps hide the wait better than a row fetched ahead.
-  constexpr bool kAhead = P == 4;
-  [[maybe_unused]] typename Strip<1, Aligned, P>::template FetchedRow<T> ahead;
-  if constexpr (kAhead) ahead = strip.fetch(rows.next());
+  // Half types have twice the pixels a thread. There more warps hide latency better than a prefetched row.
+  constexpr bool kPrefetch = P == 4;
+  [[maybe_unused]] typename Strip<1, Aligned, P>::template FetchedRow<T> prefetched;
+  if constexpr (kPrefetch) prefetched = strip.fetch(rows.next());
 #pragma unroll 3
   for (int y = y0; y < y1; ++y) {
-    if constexpr (kAhead) {
-      auto const now = ahead;
-      ahead = strip.fetch(rows.next());
-      strip.spread(now, c);
+    if constexpr (kPrefetch) {
+      auto const fetched = prefetched;
+      prefetched = strip.fetch(rows.next());
+      strip.spread(fetched, c);
     } else {
       strip.load(c, rows.next());
     }
@@ -57,12 +57,12 @@ __global__ void __launch_bounds__(256) sobel_strip(Sobel<T> p, Strips<kPixels<T>
 
 // u = g gx / magnitude and v = g gy / magnitude of one pixel.
 template <class F>
-struct Weighed {
+struct WeightedGradient {
   F u, v;
 };
 template <class F>
-__device__ __forceinline__ Weighed<F> weigh(SobelColumn<F> left, SobelColumn<F> middle, SobelColumn<F> right, F g,
-                                            F scale, F eps) {
+__device__ __forceinline__ WeightedGradient<F> weight_gradient(SobelColumn<F> left, SobelColumn<F> middle,
+                                                               SobelColumn<F> right, F g, F scale, F eps) {
   F gx, gy;
   sobel_gradients(left, middle, right, scale, gx, gy);
   F const squared = gx * gx + gy * gy + eps;
@@ -70,8 +70,8 @@ __device__ __forceinline__ Weighed<F> weigh(SobelColumn<F> left, SobelColumn<F> 
   return {gx * s, gy * s};
 }
 
-// Each thread weighs its own four pixels and gets its neighbours' by shuffle. Where a warp ends inside the image, its
-// end thread weighs one pixel more, for which it reads one column of x beyond.
+// Each thread computes u and v of its own four pixels and gets those of its neighbors by shuffles. Where a warp ends
+// inside the image, its end thread computes one more pixel, for which it reads one more column of x.
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
     sobel_backward_strip(SobelBackward<T> p, Strips<> strips) {
@@ -82,77 +82,79 @@ __global__ void __launch_bounds__(256, sizeof(Compute<T>) == 8 ? 1 : 3)
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + int(strips.rows), height);
   Strip<1, Aligned> const strip(x, width, Border::replicate);
   Strip<0, Aligned> const strip_g(x, width, Border::replicate);
-  bool const more_left = strip.left_end && x > 0, more_right = strip.right_end && x + 4 < width;
-  int const more = more_left ? x - 1 : x + 4;
-  int const beyond = clamp(more_left ? more - 1 : more + 1, 0, width - 1);
+  bool const extra_left = strip.left_end && x > 0, extra_right = strip.right_end && x + 4 < width;
+  int const extra = extra_left ? x - 1 : x + 4;
+  int const outer = clamp(extra_left ? extra - 1 : extra + 1, 0, width - 1);
 
-  // A row comes from the rows of x above, beside and below it. The row above the first one continues it, so its window
-  // is the first row's: the walk starts one row later there, and stays one row longer at the end.
+  // A row of u and v needs the rows of x above, at and below it. The row above the image repeats the first one, so it
+  // has
+  // the first row's window: there the loop starts one row later, and it repeats the last row at the end.
   int const first = max(y0 - 1, 0);
   RowCursor<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
   T* out = p.grad_x.row(plane, y0);
 
-  // No row is fetched ahead: the registers for it would cost more warps than it saves waiting.
-  F a[6], b[6], c[6], g[4], a_beyond, b_beyond, c_beyond{}, g_more{};
-  auto const down_x = [&] {
+  // No row is prefetched: its registers would cost more warps than the prefetch saves latency.
+  F a[6], b[6], c[6], g[4], a_outer, b_outer, c_outer{}, g_extra{};
+  auto const advance_x = [&] {
 #pragma unroll
     for (int i = 0; i < 6; ++i) a[i] = b[i], b[i] = c[i];
-    a_beyond = b_beyond, b_beyond = c_beyond;
+    a_outer = b_outer, b_outer = c_outer;
     T const* const row = rows_x.next();
-    if (more_left || more_right) c_beyond = read(row[beyond]);
+    if (extra_left || extra_right) c_outer = read(row[outer]);
     strip.load(c, row);
   };
-  auto const down = [&] {  // loads before shuffles: a shuffle waits, and nothing is moved across it
+  auto const advance = [&] {  // loads come before shuffles: no load is moved across the barrier of a shuffle
     T const* const row = rows_g.next();
     strip_g.load(g, row);
-    if (more_left || more_right) g_more = read(row[more]);
-    down_x();
+    if (extra_left || extra_right) g_extra = read(row[extra]);
+    advance_x();
   };
 
-  // What the row whose window is a, b, c gives to the gradients of the rows around it.
-  auto const give = [&](F odd, SobelRow<F>(&row)[4]) {
+  // The contributions of the row with the window a, b, c to the gradients of the rows around it.
+  auto const contribute = [&](F sign, SobelRow<F>(&row)[4]) {
     SobelColumn<F> columns[6];
 #pragma unroll
     for (int i = 0; i < 6; ++i) columns[i] = sobel_column(a[i], b[i], c[i]);
-    SobelColumn<F> const far = sobel_column(a_beyond, b_beyond, c_beyond);
-    Weighed<F> w[6];
+    SobelColumn<F> const far = sobel_column(a_outer, b_outer, c_outer);
+    WeightedGradient<F> w[6];
 #pragma unroll
-    for (int i = 1; i < 5; ++i) w[i] = weigh(columns[i - 1], columns[i], columns[i + 1], g[i - 1], p.scale, p.eps);
-    Weighed<F> const end = weigh(more_left ? far : columns[4], more_left ? columns[0] : columns[5],
-                                 more_left ? columns[1] : far, g_more, p.scale, p.eps);
-    // The continuation beyond the rim is odd for u and even for v; see sobel.h.
+    for (int i = 1; i < 5; ++i)
+      w[i] = weight_gradient(columns[i - 1], columns[i], columns[i + 1], g[i - 1], p.scale, p.eps);
+    WeightedGradient<F> const end = weight_gradient(extra_left ? far : columns[4], extra_left ? columns[0] : columns[5],
+                                                    extra_left ? columns[1] : far, g_extra, p.scale, p.eps);
+    // Out of bounds u is odd and v is even; see sobel.h.
     if (!Aligned)
 #pragma unroll
       for (int i = 2; i < 5; ++i)
         if (x + i - 1 == width) w[i] = {-w[i - 1].u, w[i - 1].v};
     w[0] = {__shfl_up_sync(0xffffffffu, w[4].u, 1), __shfl_up_sync(0xffffffffu, w[4].v, 1)};
     w[5] = {__shfl_down_sync(0xffffffffu, w[1].u, 1), __shfl_down_sync(0xffffffffu, w[1].v, 1)};
-    if (strip.left_end) w[0] = more_left ? end : Weighed<F>{-w[1].u, w[1].v};
-    if (strip.right_end) w[5] = more_right ? end : Weighed<F>{-w[4].u, w[4].v};
+    if (strip.left_end) w[0] = extra_left ? end : WeightedGradient<F>{-w[1].u, w[1].v};
+    if (strip.right_end) w[5] = extra_right ? end : WeightedGradient<F>{-w[4].u, w[4].v};
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
       row[i] = sobel_row_vjp(w[i].u, w[i + 2].u, w[i].v, w[i + 1].v, w[i + 2].v);
-      row[i].along *= odd;
+      row[i].along *= sign;
     }
   };
 
-  SobelRow<F> above[4], beside[4], below[4];
-  down_x();
-  down_x();
-  down();
-  give(y0 == 0 ? F(-1) : F(1), above);
-  if (y0 > 0) down();
-  give(F(1), beside);
+  SobelRow<F> above[4], middle[4], below[4];
+  advance_x();
+  advance_x();
+  advance();
+  contribute(y0 == 0 ? F(-1) : F(1), above);
+  if (y0 > 0) advance();
+  contribute(F(1), middle);
   for (int y = y0; y < y1; ++y) {
     bool const last = y + 1 == height;
-    if (!last) down();
-    give(last ? F(-1) : F(1), below);
+    if (!last) advance();
+    contribute(last ? F(-1) : F(1), below);
     F result[4];
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
-      result[i] = sobel_gradients_vjp(above[i], beside[i], below[i], p.scale);
-      above[i] = beside[i];
-      beside[i] = below[i];
+      result[i] = sobel_gradients_vjp(above[i], middle[i], below[i], p.scale);
+      above[i] = middle[i];
+      middle[i] = below[i];
     }
     strip.store(out, result);
     out += p.grad_x.row_stride;
@@ -191,18 +193,18 @@ __global__ void sobel_backward_any(SobelBackward<T> p) {
   SobelRow<F> rows[3];
   for (int dy = 0; dy < 3; ++dy) {
     int64_t const yy = y + dy - 1;
-    bool const outside_y = yy < 0 || yy >= p.x.height;
+    bool const out_of_bounds_y = yy < 0 || yy >= p.x.height;
     F u[3], v[3];
     for (int dx = 0; dx < 3; ++dx) {
       int64_t const ee = e + (dx - 1) * step;
-      bool const outside_x = ee < 0 || ee >= size;
-      int64_t const iy = outside_y ? y : yy, ie = outside_x ? e : ee;
+      bool const out_of_bounds_x = ee < 0 || ee >= size;
+      int64_t const iy = out_of_bounds_y ? y : yy, ie = out_of_bounds_x ? e : ee;
       F gx, gy;
       gradients_at<T>(p.x, p.scale, plane, iy, ie, gx, gy);
       F const squared = gx * gx + gy * gy + p.eps;
       F const s = squared > 0 ? read(p.grad.row(plane, iy)[ie]) * fast_rsqrt(squared) : F(0);
-      u[dx] = gx * (outside_x ? -s : s);
-      v[dx] = gy * (outside_y ? -s : s);
+      u[dx] = gx * (out_of_bounds_x ? -s : s);
+      v[dx] = gy * (out_of_bounds_y ? -s : s);
     }
     rows[dy] = sobel_row_vjp(u[0], u[2], v[0], v[1], v[2]);
   }

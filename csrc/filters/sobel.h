@@ -1,7 +1,7 @@
 // Sobel edge magnitude: sqrt(gx^2 + gy^2 + eps) with the 3x3 gradients
 //
 //        -1 0 1             -1 -2 -1
-//   gx = -2 0 2 * scale  gy =  0  0  0 * scale     scale = 1/8 when normalised, else 1
+//   gx = -2 0 2 * scale  gy =  0  0  0 * scale     scale = 1/8 when normalized, else 1
 //        -1 0 1              1  2  1
 //
 // and the replicate border. Included by sobel_cpu.cpp, sobel.cu and sobel_op.cpp.
@@ -29,7 +29,7 @@ struct SobelBackward {
 KV_KERNEL(sobel, Sobel)
 KV_KERNEL(sobel_backward, SobelBackward)
 
-// What a column of three pixels a, b, c (from above) gives to the two gradients.
+// The contributions of a column of three pixels a, b, c (from top to bottom) to the two gradients.
 template <class V>
 struct SobelColumn {
   V smooth, difference;
@@ -45,10 +45,11 @@ KV_HD void sobel_gradients(SobelColumn<V> left, SobelColumn<V> middle, SobelColu
   gy = (left.difference + middle.difference * 2 + right.difference) * scale;
 }
 
-// Their transpose: the gradient of a pixel from u = dL/dgx and v = dL/dgy of its neighbours, row by row.
+// The transpose: the gradient of a pixel from u = dL/dgx and v = dL/dgy of its neighbors, row by row.
 //
-// At the rim, replicating a pixel reads as: what lies outside is the rim's own value, negated across the axis that is
-// differentiated. So u continues odd in x and even in y, v even in x and odd in y.
+// The transpose of a replicated border extends u and v: a position out of bounds has the value of the border pixel,
+// with its sign changed along the axis that is differentiated. So u is odd in x and even in y; v is even in x and odd
+// in y.
 template <class V>
 struct SobelRow {
   V across, along;
@@ -58,10 +59,10 @@ KV_HD SobelRow<V> sobel_row_vjp(V u_left, V u_right, V v_left, V v_middle, V v_r
   return {u_left - u_right, v_left + v_middle * 2 + v_right};
 }
 template <class V, class S>
-KV_HD V sobel_gradients_vjp(SobelRow<V> above, SobelRow<V> beside, SobelRow<V> below, S scale) {
-  return (above.across + beside.across * 2 + below.across + above.along - below.along) * scale;
+KV_HD V sobel_gradients_vjp(SobelRow<V> above, SobelRow<V> middle, SobelRow<V> below, S scale) {
+  return (above.across + middle.across * 2 + below.across + above.along - below.along) * scale;
 }
 
-// With eps = 0 a flat image has magnitude 0 and no direction; its gradient is 0, as that of |x| at 0.
+// With eps = 0 a flat image has magnitude 0 and no direction. Its gradient is 0, like that of |x| at 0.
 
 }  // namespace kv

@@ -12,7 +12,7 @@ KV_HD SobelColumn<Lanes<Compute<T>, N>> column(T const* a, T const* b, T const* 
   return sobel_column(load<N>(a), load<N>(b), load<N>(c));
 }
 
-// Calls pixel(width, element, left neighbour, right neighbour) over a row with the replicate border.
+// Calls pixel(width, element, left neighbor, right neighbor) over a row with the replicate border.
 template <class T, class F>
 KV_HD void for_each_pixel(int64_t size, int64_t step, F pixel) {
   for (int64_t e = 0; e < step; ++e) pixel(Width<1>{}, e, e, e + step < size ? e + step : e);
@@ -40,8 +40,8 @@ void sobel(Sobel<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// Streams down the rows. Of each, u = g gx / magnitude and v = g gy / magnitude go into one padded row whose ends hold
-// the continuation (see sobel.h), and what they give to the rows around into a ring of three.
+// Streams down the rows. u = g gx / magnitude and v = g gy / magnitude of a row are stored in a padded row whose ends
+// are extended as sobel.h says; their contributions to the rows around are stored in a ring of three.
 template <class T>
 void sobel_backward(SobelBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
@@ -52,13 +52,13 @@ void sobel_backward(SobelBackward<T> const& p, int64_t begin, int64_t end) {
   auto const across = [&](int64_t y) { return scratch.data + 2 * padded + (y + 3) % 3 * size; };
   auto const along = [&](int64_t y) { return across(y) + 3 * size; };
 
-  auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one outside the image
-    int64_t const inside = clamp(y, int64_t(0), height - 1);
-    T const* const b = p.x.row(plane, inside);
-    T const* const a = inside > 0 ? b - p.x.row_stride : b;
-    T const* const c = inside + 1 < height ? b + p.x.row_stride : b;
-    T const* const g = p.grad.row(plane, inside);
-    F const odd = y == inside ? F(1) : F(-1);
+  auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one row out of bounds
+    int64_t const source = clamp(y, int64_t(0), height - 1);
+    T const* const b = p.x.row(plane, source);
+    T const* const a = source > 0 ? b - p.x.row_stride : b;
+    T const* const c = source + 1 < height ? b + p.x.row_stride : b;
+    T const* const g = p.grad.row(plane, source);
+    F const sign = y == source ? F(1) : F(-1);
     for_each_pixel<T>(size, step, [&](auto width, int64_t e, int64_t left, int64_t right) {
       constexpr int N = decltype(width)::value;
       auto const at = [&](int64_t i) { return column<N>(a + i, b + i, c + i); };
@@ -67,7 +67,7 @@ void sobel_backward(SobelBackward<T> const& p, int64_t begin, int64_t end) {
       Lanes<F, N> const magnitude = vsqrt(gx * gx + gy * gy + p.eps);
       Lanes<F, N> const s = magnitude > 0 ? load<N>(g + e) / magnitude : Lanes<F, N>{};
       store<N>(u + e, gx * s);
-      store<N>(v + e, gy * s * odd);
+      store<N>(v + e, gy * s * sign);
     });
     for (int64_t e = 0; e < step; ++e) {
       u[e - step] = -u[e];

@@ -1,24 +1,25 @@
-// Derivatives of an image on CUDA. Each warp walks down a strip of columns, derives every row along x once and keeps as
-// many of those in registers as it needs to derive down, so a pixel is read from device memory once for all channels.
+// Derivatives of an image on CUDA. Each warp goes down a strip of columns. It differentiates each row along x once and
+// keeps the last rows in registers, from which it differentiates along y: a pixel is read from device memory once for
+// all channels.
 #include "core/launch.cuh"
 #include "spatial_gradient.h"
 
 namespace kv::cuda {
 namespace {
 
-// 16 bytes of half pixels a thread where the rows then still fit the registers.
-template <class Member, class T>
-constexpr int kColumns = Member::order == 1 ? kPixels<T> : 4;
-template <class Member>
-constexpr int kRows = Member::reach == 1 ? 8 : 16;
+// Half types take 16 bytes of pixels a thread where the rows still fit into the registers.
+template <class Kernel, class T>
+constexpr int kColumns = Kernel::order == 1 ? kPixels<T> : 4;
+template <class Kernel>
+constexpr int kRows = Kernel::reach == 1 ? 8 : 16;
 
-// Rows move down by renaming registers where the loop is unrolled; the forms that are not the fast path stay small.
-template <class Member, bool Aligned>
-constexpr int kUnroll = Aligned ? 2 * Member::reach + 1 : 1;
+// An unrolled loop renames registers instead of moving rows. The slow path stays small.
+template <class Kernel, bool Aligned>
+constexpr int kUnroll = Aligned ? 2 * Kernel::reach + 1 : 1;
 
-template <class Member, class T, bool Aligned>
-__global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strips<kColumns<Member, T>> strips) {
-  constexpr int P = kColumns<Member, T>, R = Member::reach, channels = Member::order + 1;
+template <class Kernel, class T, bool Aligned>
+__global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strips<kColumns<Kernel, T>> strips) {
+  constexpr int P = kColumns<Kernel, T>, R = Kernel::reach, channels = Kernel::order + 1;
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
@@ -30,23 +31,23 @@ __global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strip
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
 
   F along[2 * R + 1][channels][P];  // rows y - R ... y + R
-  auto ahead = strip.fetch(rows.next());
+  auto prefetched = strip.fetch(rows.next());
   auto const next = [&](F(&to)[channels][P]) {
     F v[P + 2 * R];
-    auto const now = ahead;
-    ahead = strip.fetch(rows.next());
-    strip.spread(now, v);
-    for_each_channel<Member>([&](auto c) {
+    auto const fetched = prefetched;
+    prefetched = strip.fetch(rows.next());
+    strip.spread(fetched, v);
+    for_each_channel<Kernel>([&](auto c) {
 #pragma unroll
       for (int i = 0; i < P; ++i) to[c.value][i] = c.along().dot([&](int k) { return v[i + k]; });
     });
   };
 #pragma unroll
   for (int k = 0; k < 2 * R; ++k) next(along[k]);
-#pragma unroll(kUnroll<Member, Aligned>)
+#pragma unroll(kUnroll<Kernel, Aligned>)
   for (int y = y0; y < y1; ++y) {
     next(along[2 * R]);
-    for_each_channel<Member>([&](auto c) {
+    for_each_channel<Kernel>([&](auto c) {
       F result[P];
 #pragma unroll
       for (int i = 0; i < P; ++i)
@@ -67,12 +68,12 @@ __global__ void __launch_bounds__(256) forward_strip(SpatialGradient<T> p, Strip
 
 template <class T>
 int spatial_gradient(SpatialGradient<T> const& p, CUstream_st* stream) {
-  with_member(p.kind, [&](auto member) {
-    using Member = decltype(member);
-    constexpr int P = kColumns<Member, T>;
-    Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows<Member>);
+  dispatch_kernel(p.kind, [&](auto kernel) {
+    using Kernel = decltype(kernel);
+    constexpr int P = kColumns<Kernel, T>;
+    Strips<P> const strips(p.x.count(), p.x.height, p.x.width, kRows<Kernel>);
     with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
-      forward_strip<Member, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+      forward_strip<Kernel, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   });
   return cudaGetLastError();

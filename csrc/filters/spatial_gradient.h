@@ -8,14 +8,14 @@
 
 namespace kv {
 
-enum class Gradient { sobel1, sobel2, diff1, diff2 };
+enum class DerivativeKind { sobel1, sobel2, diff1, diff2 };
 
-// Channel c of order n is of order c along y and n - c along x.
+// Channel c of a derivative of order n has order c along y and n - c along x.
 template <class T>
 struct SpatialGradient {
   Planes<T const> x;
-  Planes<T> y;  // plane p has its channels at p * (order + 1) and after
-  Gradient kind;
+  Planes<T> y;  // the channels of plane p start at plane p * (order + 1)
+  DerivativeKind kind;
   bool normalized;
 };
 
@@ -23,42 +23,42 @@ template <class T>
 struct SpatialGradientBackward {
   Planes<T const> grad;
   Planes<T> grad_x;
-  Gradient kind;
+  DerivativeKind kind;
   bool normalized;
 };
 
 KV_KERNEL(spatial_gradient, SpatialGradient)
 KV_KERNEL(spatial_gradient_backward, SpatialGradientBackward)
 
-template <class Member, int C>
+template <class Kernel, int C>
 struct Channel {
   static constexpr int value = C;
-  KV_HD static auto down() { return typename Member::template row<C>{}; }
-  KV_HD static auto along() { return typename Member::template row<Member::order - C>{}; }
+  KV_HD static auto down() { return typename Kernel::template row<C>{}; }
+  KV_HD static auto along() { return typename Kernel::template row<Kernel::order - C>{}; }
   template <class F>
   KV_HD static F scale(bool normalized) {
-    constexpr double unit = decltype(down())::unit(C) * decltype(along())::unit(Member::order - C);
+    constexpr double unit = decltype(down())::unit(C) * decltype(along())::unit(Kernel::order - C);
     return normalized ? F(1 / unit) : F(1);
   }
 };
 
-// Calls f(Channel<Member, c>{}) for the channels of a member.
-template <class Member, class F>
+// Calls f(Channel<Kernel, c>{}) for the channels of a derivative kernel.
+template <class Kernel, class F>
 KV_HD void for_each_channel(F f) {
-  f(Channel<Member, 0>{});
-  f(Channel<Member, 1>{});
-  if constexpr (Member::order == 2) f(Channel<Member, 2>{});
+  f(Channel<Kernel, 0>{});
+  f(Channel<Kernel, 1>{});
+  if constexpr (Kernel::order == 2) f(Channel<Kernel, 2>{});
 }
 
-// Calls f with the member `kind` names.
+// Calls f with the derivative kernel of `kind`.
 template <class F>
-auto with_member(Gradient kind, F f) {
+auto dispatch_kernel(DerivativeKind kind, F f) {
   switch (kind) {
-    case Gradient::sobel1:
+    case DerivativeKind::sobel1:
       return f(Sobel1{});
-    case Gradient::sobel2:
+    case DerivativeKind::sobel2:
       return f(Sobel2{});
-    case Gradient::diff1:
+    case DerivativeKind::diff1:
       return f(Diff1{});
     default:
       return f(Diff2{});

@@ -27,12 +27,12 @@ struct SpatialGradient3dBackward {
 KV_KERNEL(spatial_gradient3d, SpatialGradient3d)
 KV_KERNEL(spatial_gradient3d_backward, SpatialGradient3dBackward)
 
-// Channel `Index`, of order X, Y, Z along the axes. at(k, j, i) stands k - 1, j - 1, i - 1 away along z, y, x.
-template <class Member, int Index, int X, int Y, int Z>
+// Channel `Index`, of order X, Y, Z along the axes. at(k, j, i) is the voxel k - 1, j - 1, i - 1 away along z, y, x.
+template <class Kernel, int Index, int X, int Y, int Z>
 struct Channel3d {
   static constexpr int index = Index;
   template <int Along>
-  using Row = typename Member::template row<Along>;
+  using Row = typename Kernel::template row<Along>;
   static constexpr double unit = Row<X>::unit(X) * Row<Y>::unit(Y) * Row<Z>::unit(Z);
 
   template <class F, class At>

@@ -45,8 +45,8 @@ KV_HD void backward(SpatialGradient3dBackward<T> const& p, int64_t begin, int64_
       for (int k = 0; k < 3; ++k)
         for (int j = 0; j < 3; ++j) {
           int64_t const zz = z - 1 + k, yy = y - 1 + j;
-          bool const inside = zz >= 0 && zz < p.depth && yy >= 0 && yy < height;
-          rows[c][k][j] = inside ? p.grad.row((volume * 3 * Order + c) * p.depth + zz, yy) : zeros.data;
+          bool const in_bounds = zz >= 0 && zz < p.depth && yy >= 0 && yy < height;
+          rows[c][k][j] = in_bounds ? p.grad.row((volume * 3 * Order + c) * p.depth + zz, yy) : zeros.data;
         }
     T* const out = p.grad_x.row(plane, y);
     auto const pixel = [&](auto lanes, int64_t e, bool first_x, bool last_x) {

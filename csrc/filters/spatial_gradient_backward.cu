@@ -1,17 +1,17 @@
-// The gradient of derivatives of an image on CUDA; the walk of spatial_gradient.cu.
+// The transpose of derivatives of an image on CUDA; warps go down strips as in spatial_gradient.cu.
 #include "core/launch.cuh"
 #include "spatial_gradient.h"
 
 namespace kv::cuda {
 namespace {
 
-template <class Member>
-constexpr int kRows = Member::reach == 1 ? 16 : 32;
+template <class Kernel>
+constexpr int kRows = Kernel::reach == 1 ? 16 : 32;
 
-// The transpose, in the same order: along the rows of each channel, then down.
-template <class Member, class T, bool Aligned>
+// In the same order as the forward pass: along the rows of each channel, then along y.
+template <class Kernel, class T, bool Aligned>
 __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T> p, Strips<> strips) {
-  constexpr int R = Member::reach, channels = Member::order + 1;
+  constexpr int R = Kernel::reach, channels = Kernel::order + 1;
   using F = Compute<T>;
   int64_t plane;
   int x, y0;
@@ -24,13 +24,13 @@ __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T>
   T* out = p.grad_x.row(plane, y0);
 
   int next_y = y0 - R;
-  typename Strip::FetchedRow<T> ahead[channels];
-  auto const fetch = [&] {  // outside the image there is no gradient
+  typename Strip::FetchedRow<T> prefetched[channels];
+  auto const fetch = [&] {  // out of bounds the gradient is 0
 #pragma unroll
     for (int c = 0; c < channels; ++c) {
-      ahead[c] = {};
+      prefetched[c] = {};
       if (next_y >= 0 && next_y < height)
-        ahead[c] = strip.fetch(grad + c * channel_stride + next_y * p.grad.row_stride);
+        prefetched[c] = strip.fetch(grad + c * channel_stride + next_y * p.grad.row_stride);
     }
     ++next_y;
   };
@@ -38,9 +38,9 @@ __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T>
   auto const next = [&](F(&to)[channels][4]) {
     F v[channels][4 + 2 * R];
 #pragma unroll
-    for (int c = 0; c < channels; ++c) strip.spread(ahead[c], v[c]);
+    for (int c = 0; c < channels; ++c) strip.spread(prefetched[c], v[c]);
     fetch();
-    for_each_channel<Member>([&](auto c) {
+    for_each_channel<Kernel>([&](auto c) {
 #pragma unroll
       for (int i = 0; i < 4; ++i) {
         bool const first = i == 0 && x == 0, last = (i == 3 || !Aligned) && x + i == width - 1;
@@ -55,7 +55,7 @@ __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T>
   for (int y = y0; y < y1; ++y) {
     next(along[2 * R]);
     F result[4]{};
-    for_each_channel<Member>([&](auto c) {
+    for_each_channel<Kernel>([&](auto c) {
 #pragma unroll
       for (int i = 0; i < 4; ++i)
         result[i] += c.down().dot_vjp([&](int k) { return along[k][c.value][i]; }, y == 0, y == height - 1) *
@@ -76,11 +76,11 @@ __global__ void __launch_bounds__(256) backward_strip(SpatialGradientBackward<T>
 
 template <class T>
 int spatial_gradient_backward(SpatialGradientBackward<T> const& p, CUstream_st* stream) {
-  with_member(p.kind, [&](auto member) {
-    using Member = decltype(member);
-    Strips<> const strips(p.grad_x.count(), p.grad_x.height, p.grad_x.width, kRows<Member>);
+  dispatch_kernel(p.kind, [&](auto kernel) {
+    using Kernel = decltype(kernel);
+    Strips<> const strips(p.grad_x.count(), p.grad_x.height, p.grad_x.width, kRows<Kernel>);
     with_alignment<T>(is_vectorizable<4>(p.grad) && is_vectorizable<4>(p.grad_x), [&](auto aligned) {
-      backward_strip<Member, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
+      backward_strip<Kernel, T, aligned.value><<<strips.blocks(), 256, 0, stream>>>(p, strips);
     });
   });
   return cudaGetLastError();

@@ -1,4 +1,4 @@
-// Derivatives of an image on the CPU: first down the columns into padded rows, one a channel, then along those. Rows
+// Derivatives of an image on the CPU: first along y into padded rows, one for each channel, then along these rows. Rows
 // [begin, end) of all planes in order; compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
@@ -7,10 +7,10 @@
 namespace kv::KV_ISA {
 namespace {
 
-template <class Member, class T>
+template <class Kernel, class T>
 KV_HD void forward(SpatialGradient<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  constexpr int R = Member::reach, channels = Member::order + 1;
+  constexpr int R = Kernel::reach, channels = Kernel::order + 1;
   int64_t const width = p.x.width, height = p.x.height, padded = width + 2 * R;
   Scratch<F> scratch(channels * padded);
   for (int64_t r = begin; r < end; ++r) {
@@ -20,12 +20,12 @@ KV_HD void forward(SpatialGradient<T> const& p, int64_t begin, int64_t end) {
 
     for_each_vector<T>(0, width, [&](auto lanes, int64_t e) {
       constexpr int N = decltype(lanes)::value;
-      for_each_channel<Member>([&](auto c) {
+      for_each_channel<Kernel>([&](auto c) {
         auto const v = c.down().dot([&](int i) { return load<N>(rows[i] + e); });
         store<N>(scratch.data + c.value * padded + R + e, v * c.template scale<F>(p.normalized));
       });
     });
-    for_each_channel<Member>([&](auto c) {
+    for_each_channel<Kernel>([&](auto c) {
       F* const v = scratch.data + c.value * padded;
       for (int i = 0; i < R; ++i) {
         v[i] = v[R];
@@ -40,11 +40,11 @@ KV_HD void forward(SpatialGradient<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// The transpose, in the same order: down the columns into rows with zeros around, then along those.
-template <class Member, class T>
+// The transpose, in the same order: along y into rows padded with zeros, then along these rows.
+template <class Kernel, class T>
 KV_HD void backward(SpatialGradientBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  constexpr int R = Member::reach, channels = Member::order + 1;
+  constexpr int R = Kernel::reach, channels = Kernel::order + 1;
   int64_t const width = p.grad_x.width, height = p.grad_x.height, padded = width + 2 * R;
   Scratch<F> scratch(channels * padded);
   Scratch<T> zeros(width);
@@ -53,7 +53,7 @@ KV_HD void backward(SpatialGradientBackward<T> const& p, int64_t begin, int64_t 
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, y = r % height;
     bool const first = y == 0, last = y == height - 1;
-    for_each_channel<Member>([&](auto c) {
+    for_each_channel<Kernel>([&](auto c) {
       F* const v = scratch.data + c.value * padded + R;
       T const* rows[2 * R + 1];
       for (int i = 0; i <= 2 * R; ++i) {
@@ -69,7 +69,7 @@ KV_HD void backward(SpatialGradientBackward<T> const& p, int64_t begin, int64_t 
     auto const pixel = [&](auto lanes, int64_t e, bool first, bool last) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> sum{};
-      for_each_channel<Member>([&](auto c) {
+      for_each_channel<Kernel>([&](auto c) {
         F const* const v = scratch.data + c.value * padded + e;
         sum += c.along().dot_vjp([&](int i) { return load<N>(v + i); }, first, last);
       });
@@ -85,12 +85,12 @@ KV_HD void backward(SpatialGradientBackward<T> const& p, int64_t begin, int64_t 
 
 template <class T>
 void spatial_gradient(SpatialGradient<T> const& p, int64_t begin, int64_t end) {
-  with_member(p.kind, [&](auto member) { forward<decltype(member)>(p, begin, end); });
+  dispatch_kernel(p.kind, [&](auto kernel) { forward<decltype(kernel)>(p, begin, end); });
 }
 
 template <class T>
 void spatial_gradient_backward(SpatialGradientBackward<T> const& p, int64_t begin, int64_t end) {
-  with_member(p.kind, [&](auto member) { backward<decltype(member)>(p, begin, end); });
+  dispatch_kernel(p.kind, [&](auto kernel) { backward<decltype(kernel)>(p, begin, end); });
 }
 
 KV_INSTANTIATE(spatial_gradient, SpatialGradient)

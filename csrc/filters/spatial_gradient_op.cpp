@@ -5,16 +5,16 @@
 namespace kv {
 namespace {
 
-Gradient gradient_of(char const* op, std::string const& mode, int64_t order) {
+DerivativeKind derivative_kind(char const* op, std::string const& mode, int64_t order) {
   KV_CHECK(mode == "sobel" || mode == "diff", op, ": mode must be one of sobel, diff; got '", mode, "'");
   KV_CHECK(order == 1 || order == 2, op, ": order must be 1 or 2; got ", order);
-  if (mode == "sobel") return order == 1 ? Gradient::sobel1 : Gradient::sobel2;
-  return order == 1 ? Gradient::diff1 : Gradient::diff2;
+  if (mode == "sobel") return order == 1 ? DerivativeKind::sobel1 : DerivativeKind::sobel2;
+  return order == 1 ? DerivativeKind::diff1 : DerivativeKind::diff2;
 }
 
 Tensor spatial_gradient(Tensor const& input, std::string const& mode, int64_t order, bool normalized) {
   check_images("spatial_gradient", "input", input);
-  Gradient const kind = gradient_of("spatial_gradient", mode, order);
+  DerivativeKind const kind = derivative_kind("spatial_gradient", mode, order);
   int64_t const b = input.size(0), c = input.size(1), h = input.size(2), w = input.size(3);
   Tensor const x = as_layout(input, Layout::planar), y = empty({b, c, order + 1, h, w}, x);
   dispatch_floating("spatial_gradient", x, [&](auto type) {
@@ -27,7 +27,7 @@ Tensor spatial_gradient(Tensor const& input, std::string const& mode, int64_t or
 
 Tensor spatial_gradient_backward(Tensor const& grad, std::string const& mode, int64_t order, bool normalized) {
   check_volumes("spatial_gradient_backward", "grad", grad);
-  Gradient const kind = gradient_of("spatial_gradient_backward", mode, order);
+  DerivativeKind const kind = derivative_kind("spatial_gradient_backward", mode, order);
   KV_CHECK(grad.size(2) == order + 1, "spatial_gradient_backward: expected grad of ", order + 1, " channels, got ",
            grad.size(2));
   Tensor const g = dense(grad);

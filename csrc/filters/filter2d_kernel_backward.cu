@@ -4,29 +4,29 @@
 namespace kv::cuda {
 namespace {
 
-// Sums each of eight numbers over the threads of a warp; thread i receives sum i % 8.
+// Sums each of eight numbers over the threads of a warp. Thread i returns sum i % 8.
 __device__ __forceinline__ float warp_sums(float (&v)[8]) {
 #pragma unroll
   for (int n = 4; n > 0; n /= 2) {
     bool const upper = threadIdx.x & n;
 #pragma unroll
     for (int i = 0; i < n; ++i) {
-      float const give = upper ? v[i] : v[i + n];
-      v[i] = (upper ? v[i + n] : v[i]) + __shfl_xor_sync(0xffffffffu, give, n);
+      float const sent = upper ? v[i] : v[i + n];
+      v[i] = (upper ? v[i + n] : v[i]) + __shfl_xor_sync(0xffffffffu, sent, n);
     }
   }
   float sum = v[0] + __shfl_xor_sync(0xffffffffu, v[0], 8);
   return sum + __shfl_xor_sync(0xffffffffu, sum, 16);
 }
 
-// One block a part, tile by tile of the gradient, whose pixels are in registers. Below them the rows of the image pass:
-// each meets N rows of the kernel at once.
+// One block for each part. It goes through the tiles of the gradient, whose pixels it has in registers, and reads the
+// rows of the image from shared memory: each is multiplied for N rows of the kernel at once.
 template <class T, int N>
 __global__ void __launch_bounds__(kThreads, 3)
-    taps_tile(__grid_constant__ Filter2dTaps<T> const p, __grid_constant__ Tiles const tiles) {
+    kernel_backward_tile(__grid_constant__ Filter2dKernelBackward<T> const p, __grid_constant__ Tiles const tiles) {
   extern __shared__ __align__(16) float shared[];
   int const kx = p.axis_x.size, ky = p.axis_y.size, taps = kx * ky, lane = threadIdx.x % 32, warp = threadIdx.x / 32;
-  float *const tile = shared, *const sums = tile + tiles.rows * tiles.pitch, *const own_sums = sums + warp * taps;
+  float *const tile = shared, *const sums = tile + tiles.rows * tiles.pitch, *const warp_totals = sums + warp * taps;
   int* const sources = reinterpret_cast<int*>(sums + kWarps * taps);
   for (int i = threadIdx.x; i < kWarps * taps; i += kThreads) sums[i] = 0;
 
@@ -44,7 +44,7 @@ __global__ void __launch_bounds__(kThreads, 3)
           int const x = x0 + 32 * c + lane;
           g[o][c] = y + o < last && x < width ? read(p.grad.row(plane, y + o)[int64_t(x) * step + channel]) : 0.f;
         }
-      __syncthreads();  // the tile before this one is done with
+      __syncthreads();  // all threads have finished the previous tile
       load_tile(tile, sources, tiles, p.x, plane, channel, p.border, x0, y0 - p.axis_y.before);
 
       float const* const window = tile + tiles.lead - p.axis_x.before + lane;
@@ -62,13 +62,13 @@ __global__ void __launch_bounds__(kThreads, 3)
                 for (int k = 0; k < N; ++k) {
                   int const o = r - k;
                   if (o < 0 || o >= kDown) continue;
-                  // Outside of the gradient not even NaN counts.
+                  // Out of the gradient's bounds pixels do not count, even if they are NaN.
                   bool const inside = decltype(whole)::value || (y + o < last && x0 + 32 * c + lane < width);
                   products[k] += inside ? g[o][c] * v : 0.f;
                 }
               }
             float const sum = warp_sums(products);
-            if (lane < N && first_tap + lane < ky) own_sums[(first_tap + lane) * kx + x] += sum;
+            if (lane < N && first_tap + lane < ky) warp_totals[(first_tap + lane) * kx + x] += sum;
           }
       };
       if (y0 + kHeight <= last && x0 + kWidth <= width)
@@ -83,32 +83,33 @@ __global__ void __launch_bounds__(kThreads, 3)
 }
 
 template <int N, class T>
-int launch_taps(Filter2dTaps<T> const& p, Tiles const& tiles, CUstream_st* stream) {
+int launch_tiles(Filter2dKernelBackward<T> const& p, Tiles const& tiles, CUstream_st* stream) {
   int64_t const bytes = tiles.bytes(kWarps * p.taps());
-  auto const kernel = taps_tile<T, N>;
+  auto const kernel = kernel_backward_tile<T, N>;
   if (int const error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)))
     return error;
   kernel<<<unsigned(p.count()), kThreads, bytes, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 
-constexpr int kTapsTogether = 8;  // of a thread, which then reads the gradient once for all of them
+constexpr int kTapsPerThread = 8;  // of a thread, which reads the gradient once for all of them
 
-// Any size and type: one block a part and group of taps.
+// Any size and type: one block for each part and group of taps.
 template <class T>
-__global__ void __launch_bounds__(256) taps_any(__grid_constant__ Filter2dTaps<T> const p, int groups) {
+__global__ void __launch_bounds__(256)
+    kernel_backward_any(__grid_constant__ Filter2dKernelBackward<T> const p, int groups) {
   using F = Compute<T>;
   int64_t const part = blockIdx.x / groups;
-  int const first_tap = int(blockIdx.x - part * groups) * kTapsTogether, taps = p.taps();
+  int const first_tap = int(blockIdx.x - part * groups) * kTapsPerThread, taps = p.taps();
   int64_t const plane = part / p.parts_down(), first = (part - plane * p.parts_down()) * p.part_rows;
   int64_t const size = p.grad.row_size(), step = p.x.step, count = min(p.part_rows, p.grad.height - first) * size;
   int const z = int(plane % p.depth);
-  F sums[kTapsTogether] = {};
+  F sums[kTapsPerThread] = {};
   for (int64_t i = threadIdx.x; i < count; i += 256) {
     int64_t const row = i / size, e = i - row * size, x = e / step, channel = e - x * step;
     F const g = read(p.grad.row(plane, first + row)[e]);
 #pragma unroll
-    for (int t = 0; t < kTapsTogether; ++t) {
+    for (int t = 0; t < kTapsPerThread; ++t) {
       int const tap = first_tap + t, line = tap / p.axis_x.size;
       if (tap >= taps) break;
       int const kx = tap % p.axis_x.size, ky = line % p.axis_y.size, kz = line / p.axis_y.size;
@@ -119,23 +120,23 @@ __global__ void __launch_bounds__(256) taps_any(__grid_constant__ Filter2dTaps<T
         sums[t] += g * read(p.x.row(plane - z + from_z, from_y)[from_x * step + channel]);
     }
   }
-  __shared__ F of_warps[kTapsTogether][8];
+  __shared__ F warp_totals[kTapsPerThread][8];
 #pragma unroll
-  for (int t = 0; t < kTapsTogether; ++t) {
+  for (int t = 0; t < kTapsPerThread; ++t) {
     sums[t] = warp_sum(sums[t]);
-    if (threadIdx.x % 32 == 0) of_warps[t][threadIdx.x / 32] = sums[t];
+    if (threadIdx.x % 32 == 0) warp_totals[t][threadIdx.x / 32] = sums[t];
   }
   __syncthreads();
-  if (threadIdx.x < kTapsTogether && first_tap + int(threadIdx.x) < taps) {
+  if (threadIdx.x < kTapsPerThread && first_tap + int(threadIdx.x) < taps) {
     F sum = 0;
-    for (int warp = 0; warp < 8; ++warp) sum += of_warps[threadIdx.x][warp];
+    for (int warp = 0; warp < 8; ++warp) sum += warp_totals[threadIdx.x][warp];
     p.parts[part * taps + first_tap + threadIdx.x] = sum;
   }
 }
 
-// One warp a sum.
+// One warp for each sum.
 template <class F>
-__global__ void sum_of_parts(SumParts<F> p) {
+__global__ void sum_partials_kernel(SumPartials<F> p) {
   int64_t const i = int64_t(blockIdx.x) * 8 + threadIdx.x / 32;
   if (i >= p.count) return;
   F const* const terms = p.terms + i / p.size * p.parts * p.size + i % p.size;
@@ -148,26 +149,26 @@ __global__ void sum_of_parts(SumParts<F> p) {
 }  // namespace
 
 template <class T>
-int filter2d_taps(Filter2dTaps<T> const& p, CUstream_st* stream) {
+int filter2d_kernel_backward(Filter2dKernelBackward<T> const& p, CUstream_st* stream) {
   if constexpr (!__is_same(T, double)) {
-    int const together = p.axis_y.size <= 5 ? 5 : 8;  // rows of the kernel; the image's below the last one are not used
+    int const kernel_rows = p.axis_y.size <= 5 ? 5 : 8;  // rows of the kernel; the last group may have fewer
     Tiles const tiles(p.x, p.grad, p.axis_x.before, p.axis_x.size - 1 - p.axis_x.before,
-                      int(ceil_div(p.axis_y.size, together)) * together - 1);
-    if (p.axis_z.size == 1 && tiles.bytes(kWarps * p.taps()) <= kMostShared)
-      return together == 5 ? launch_taps<5>(p, tiles, stream) : launch_taps<8>(p, tiles, stream);
+                      int(ceil_div(p.axis_y.size, kernel_rows)) * kernel_rows - 1);
+    if (p.axis_z.size == 1 && tiles.bytes(kWarps * p.taps()) <= kMaxSharedBytes)
+      return kernel_rows == 5 ? launch_tiles<5>(p, tiles, stream) : launch_tiles<8>(p, tiles, stream);
   }
-  int const groups = int(ceil_div(p.taps(), kTapsTogether));
-  taps_any<<<unsigned(p.count() * groups), 256, 0, stream>>>(p, groups);
+  int const groups = int(ceil_div(p.taps(), kTapsPerThread));
+  kernel_backward_any<<<unsigned(p.count() * groups), 256, 0, stream>>>(p, groups);
   return cudaGetLastError();
 }
 
 template <class F>
-int sum_parts(SumParts<F> const& p, CUstream_st* stream) {
-  sum_of_parts<<<unsigned(ceil_div(p.count, 8)), 256, 0, stream>>>(p);
+int sum_partials(SumPartials<F> const& p, CUstream_st* stream) {
+  sum_partials_kernel<<<unsigned(ceil_div(p.count, 8)), 256, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(filter2d_taps, Filter2dTaps)
-KV_INSTANTIATE_COMPUTED(sum_parts, SumParts)
+KV_INSTANTIATE(filter2d_kernel_backward, Filter2dKernelBackward)
+KV_INSTANTIATE_COMPUTED(sum_partials, SumPartials)
 
 }  // namespace kv::cuda

@@ -4,7 +4,7 @@
 namespace kv::cuda {
 namespace {
 
-// One block a row.
+// One block for each row.
 template <class T, bool Joint>
 __global__ void __launch_bounds__(kThreads) bilateral_sigma_sums(BilateralSigmas<T> p) {
   using F = Compute<T>;
@@ -15,7 +15,7 @@ __global__ void __launch_bounds__(kThreads) bilateral_sigma_sums(BilateralSigmas
   Falloff<F> const falloff = p.sigma.at(b);
   F sums[3] = {};
   for (int x = threadIdx.x; x < p.x.width; x += kThreads) {
-    auto const* const centre = pixel(guide, b, p.border, y, x);
+    auto const* const center = pixel(guide, b, p.border, y, x);
     T const* const grad = p.grad.row(b, 0, y) + x * p.grad.step;
     for (int c = 0; c < p.x.channels; c += kChunk) {
       F mean[kChunk], a[kChunk];
@@ -27,27 +27,27 @@ __global__ void __launch_bounds__(kThreads) bilateral_sigma_sums(BilateralSigmas
       for (int dy = -ry; dy <= ry; ++dy)
         for (int dx = -rx; dx <= rx; ++dx) {
           auto const* const from = pixel(p.x, b, p.border, y + dy, x + dx);
-          F const d = distance(guide, p.l1, pixel(guide, b, p.border, y + dy, x + dx), centre);
+          F const d = distance(guide, p.l1, pixel(guide, b, p.border, y + dy, x + dx), center);
           F const square = p.l1 ? d * d : d, square_y = F(dy * dy), square_x = F(dx * dx);
-          F slope = 0;
+          F weight_grad = 0;
           for (int k = 0; k < kChunk; ++k)
-            if (c + k < p.x.channels) slope += a[k] * (value(p.x, from, c + k) - mean[k]);
-          slope *= fast_exp2(falloff.space_y * square_y + falloff.space_x * square_x - square * falloff.color);
-          sums[0] += slope * square;
-          sums[1] += slope * square_y;
-          sums[2] += slope * square_x;
+            if (c + k < p.x.channels) weight_grad += a[k] * (value(p.x, from, c + k) - mean[k]);
+          weight_grad *= fast_exp2(falloff.space_y * square_y + falloff.space_x * square_x - square * falloff.color);
+          sums[0] += weight_grad * square;
+          sums[1] += weight_grad * square_y;
+          sums[2] += weight_grad * square_x;
         }
     }
   }
-  __shared__ F parts[3][kThreads / 32];
+  __shared__ F partials[3][kThreads / 32];
   for (int i = 0; i < 3; ++i) {
     for (int lanes = 16; lanes > 0; lanes /= 2) sums[i] += __shfl_down_sync(0xffffffffu, sums[i], lanes);
-    if (threadIdx.x % 32 == 0) parts[i][threadIdx.x / 32] = sums[i];
+    if (threadIdx.x % 32 == 0) partials[i][threadIdx.x / 32] = sums[i];
   }
   __syncthreads();
   if (threadIdx.x < 3) {
     F sum = 0;
-    for (F const part : parts[threadIdx.x]) sum += part;
+    for (F const partial : partials[threadIdx.x]) sum += partial;
     p.sums[(b * 3 + threadIdx.x) * p.x.height + y] = round_to<T>(sum);
   }
 }

@@ -4,7 +4,7 @@
 namespace kv {
 namespace {
 
-// Of SeparableWeights: a tile of the CUDA kernel is as wide as its blocks, one of the CPU kernel as the image.
+// Of SeparableWeightsBackward: a tile of the CUDA kernel is as wide as its blocks, one of the CPU kernel as the image.
 #if defined(KV_CUDA)
 int64_t tile_width(int64_t) { return kWeightsTileWidth; }
 #else
@@ -13,7 +13,7 @@ int64_t tile_width(int64_t width) { return width; }
 
 Tensor run(char const* op, Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y,
            std::string const& border, bool same, bool transposed) {
-  Tensor const kx = checked_rows(op, kernel_x, input), ky = checked_rows(op, kernel_y, input);
+  Tensor const kx = checked_weights(op, kernel_x, input), ky = checked_weights(op, kernel_y, input);
   return run_separable(op, input, {&kx, kx.size(1)}, {&ky, ky.size(1)}, parse_border(op, border), same, transposed);
 }
 
@@ -33,7 +33,7 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
   char const* const op = "filter2d_separable_weights_backward";
   check_images(op, "input", input);
   check_images(op, "grad", grad);
-  Tensor const row_x = checked_rows(op, kernel_x, input), row_y = checked_rows(op, kernel_y, input);
+  Tensor const row_x = checked_weights(op, kernel_x, input), row_y = checked_weights(op, kernel_y, input);
   int64_t const taps_x = row_x.size(1), taps_y = row_y.size(1);
   KV_CHECK(grad.scalar_type() == input.scalar_type() && grad.device() == input.device() &&
                grad.size(0) == input.size(0) && grad.size(1) == input.size(1) &&
@@ -51,19 +51,20 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    SeparableWeights<T> params{planes<T const>(g, layout),
-                               planes<T const>(x, layout),
-                               Axis{&row_x, taps_x}.template taps<F>(same, false),
-                               Axis{&row_y, taps_y}.template taps<F>(same, false),
-                               x.size(1),
-                               border,
-                               64,
-                               1,
-                               nullptr};
+    SeparableWeightsBackward<T> params{planes<T const>(g, layout),
+                                       planes<T const>(x, layout),
+                                       AxisWeights{&row_x, taps_x}.template taps<F>(same, false),
+                                       AxisWeights{&row_y, taps_y}.template taps<F>(same, false),
+                                       x.size(1),
+                                       border,
+                                       64,
+                                       1,
+                                       nullptr};
     params.tile_width = tile_width(params.grad.width);
     sums = empty({x.size(0), params.tiles(), taps_x + taps_y}, row_x);
     params.sums = static_cast<F*>(sums.mutable_data_ptr());
-    KV_RUN(separable_weights, x, params, x.size(0) * params.tiles(), params.grad.width * 16 * (taps_x + taps_y));
+    KV_RUN(separable_weights_backward, x, params, x.size(0) * params.tiles(),
+           params.grad.width * 16 * (taps_x + taps_y));
   });
   int64_t const tiles[] = {1};
   return torch::stable::sum(sums, tiles);

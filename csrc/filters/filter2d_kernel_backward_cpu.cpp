@@ -1,6 +1,6 @@
-// The gradient to the kernel of a cross-correlation on the CPU: parts [begin, end), and the sums of these. Compiled
+// The gradient to the kernel of a cross-correlation on the CPU: parts [begin, end), and the sums over parts. Compiled
 // once per instruction set.
-#include "filter2d_rows.h"
+#include "filter2d_cpu.h"
 
 namespace kv::KV_ISA {
 namespace {
@@ -18,7 +18,7 @@ void multiply(F const* grad, int64_t grad_stride, int64_t count, F const* rows, 
   for (int n = 0; n < N; ++n) index[n] = F(n);
   int64_t const whole = size / N * N;
   auto const inside = index < F(size - whole);
-  for (int64_t r = 0; r < count + KY - 1; ++r) {  // row r of the image is a tap of the rows r - k of the gradient
+  for (int64_t r = 0; r < count + KY - 1; ++r) {  // the rows r - k of the gradient read row r of the image by tap k
     F const* const x = rows + r * row_stride;
     F const* const g = grad + r * grad_stride;
     auto const add = [&](auto first, auto last) KV_INLINE {  // the taps first ... last - 1
@@ -36,7 +36,8 @@ void multiply(F const* grad, int64_t grad_stride, int64_t count, F const* rows, 
         });
       };
       for (int64_t e = 0; e < whole; e += N) add_vector(e, [&](F const* at) KV_INLINE { return load<N>(at); });
-      if (whole < size)  // the gradient ends in zeros, but 0 times what follows in the image may be NaN
+      if (whole <
+          size)  // the gradient is padded with zeros, but 0 times the pixels that follow in the image may be NaN
         add_vector(whole, [&](F const* at) KV_INLINE { return inside ? load<N>(at) : V{}; });
     };
     if (r >= KY - 1 && r < count)
@@ -53,9 +54,9 @@ void multiply(F const* grad, int64_t grad_stride, int64_t count, F const* rows, 
   });
 }
 
-// Calls f with min(n, 3), known to the compiler.
+// Calls f with min(n, 3) as a constant.
 template <class F>
-KV_HD void up_to_three(int n, F f) {
+KV_HD void dispatch_up_to_three(int n, F f) {
   if (n >= 3)
     f(Width<3>{});
   else if (n == 2)
@@ -67,7 +68,7 @@ KV_HD void up_to_three(int n, F f) {
 }  // namespace
 
 template <class T>
-void filter2d_taps(Filter2dTaps<T> const& p, int64_t begin, int64_t end) {
+void filter2d_kernel_backward(Filter2dKernelBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<F>;
   KernelAxis const tx = p.axis_x, ty = p.axis_y, tz = p.axis_z;
@@ -75,7 +76,7 @@ void filter2d_taps(Filter2dTaps<T> const& p, int64_t begin, int64_t end) {
   int64_t const grad_stride = (width * step + N - 1) / N * N, row_stride = grad_stride + (tx.size - 1) * step;
   int64_t const tile_size = kGradRows * grad_stride + (kGradRows + ty.size - 1) * row_stride;
   Scratch<F> scratch(tile_size);
-  for (int64_t e = 0; e < tile_size; ++e) scratch.data[e] = 0;  // what follows the rows stays 0
+  for (int64_t e = 0; e < tile_size; ++e) scratch.data[e] = 0;  // the padding of the rows stays 0
   F *const grads = scratch.data, *const rows = grads + kGradRows * grad_stride;
 
   for (int64_t part = begin; part < end; ++part) {
@@ -88,15 +89,15 @@ void filter2d_taps(Filter2dTaps<T> const& p, int64_t begin, int64_t end) {
       for (int64_t r = 0; r < count; ++r)
         copy_pixels<T>(p.grad, plane, y + r, Border::constant, 0, width, grads + r * grad_stride);
       for (int kz = 0; kz < tz.size; ++kz) {
-        int64_t const inside = border_index(p.border, z + kz - tz.before, int64_t(p.depth));
-        if (inside < 0) continue;
+        int64_t const source = border_index(p.border, z + kz - tz.before, int64_t(p.depth));
+        if (source < 0) continue;
         for (int64_t r = 0; r < count + ty.size - 1; ++r)
-          copy_pixels<T>(p.x, plane - z + inside, y - ty.before + r, p.border, -tx.before, width + tx.size - 1,
+          copy_pixels<T>(p.x, plane - z + source, y - ty.before + r, p.border, -tx.before, width + tx.size - 1,
                          rows + r * row_stride);
         for (int ky = 0; ky < ty.size; ky += 3)
           for (int kx = 0; kx < tx.size; kx += 3)
-            up_to_three(ty.size - ky, [&](auto across_y) {
-              up_to_three(tx.size - kx, [&](auto across_x) {
+            dispatch_up_to_three(ty.size - ky, [&](auto across_y) {
+              dispatch_up_to_three(tx.size - kx, [&](auto across_x) {
                 multiply<across_y.value, across_x.value>(grads, grad_stride, count, rows + ky * row_stride + kx * step,
                                                          row_stride, step, width * step,
                                                          products + (kz * ty.size + ky) * tx.size + kx, tx.size);
@@ -108,7 +109,7 @@ void filter2d_taps(Filter2dTaps<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class F>
-void sum_parts(SumParts<F> const& p, int64_t begin, int64_t end) {
+void sum_partials(SumPartials<F> const& p, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end; ++i) {
     F const* const terms = p.terms + i / p.size * p.parts * p.size + i % p.size;
     double sum = 0;
@@ -117,7 +118,7 @@ void sum_parts(SumParts<F> const& p, int64_t begin, int64_t end) {
   }
 }
 
-KV_INSTANTIATE(filter2d_taps, Filter2dTaps)
-KV_INSTANTIATE_COMPUTED(sum_parts, SumParts)
+KV_INSTANTIATE(filter2d_kernel_backward, Filter2dKernelBackward)
+KV_INSTANTIATE_COMPUTED(sum_partials, SumPartials)
 
 }  // namespace kv::KV_ISA

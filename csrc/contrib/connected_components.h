@@ -1,6 +1,6 @@
-// Connected regions of masks, corners included: every pixel that is 1 gets 1 + the index of its region's first pixel in
-// the plane, every other 0. Union-find in the labels themselves: while it runs a label leads to a pixel of the region
-// that is no later, and a root to itself. Included by connected_components_cpu.cpp, .cu and _op.cpp.
+// Connected components of masks, 8-connected: each pixel that is 1 gets 1 + the index of its component's first pixel in
+// the plane, all others 0. Union-find runs in the labels themselves: the label of a pixel is its parent, a pixel of the
+// component that is not later; a root is its own parent. Included by connected_components_cpu.cpp, .cu and _op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -11,7 +11,7 @@ namespace kv {
 template <class T>
 struct ConnectedComponents {
   Planes<T const> x;
-  int64_t* labels;  // of all planes, one behind the other
+  int64_t* labels;  // of all planes, contiguous
 };
 
 KV_KERNEL(connected_components, ConnectedComponents)

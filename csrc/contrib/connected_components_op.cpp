@@ -1,4 +1,4 @@
-// Connected regions: schema and entry, for CPU and CUDA alike.
+// Connected components: schema and entry, for CPU and CUDA alike.
 #include "connected_components.h"
 #include "glue/glue.h"
 

@@ -1,5 +1,5 @@
-// Patches on CUDA: a thread copies a vector of a patch's row, or sums one of the image's. What a block knows by itself,
-// the line of patches or the plane, is left out of the counting of rows, which then needs 32 bits.
+// Patches on CUDA: a thread copies a vector of a row of a patch, or sums a vector of a row of the image. Rows are
+// numbered within the group of a block, a row of patches or a plane, so that 32 bits suffice.
 #include "core/launch.cuh"
 #include "patches.h"
 
@@ -8,7 +8,7 @@ namespace {
 
 constexpr int kThreads = 256;
 
-// Division of 32-bit numbers by one that the host knows: a product, whose error is below 1 / divisor.
+// Division of 32-bit numbers by a number that the host knows, as a product with an error below 1 / divisor.
 struct Divisor {
   uint64_t inverse;  // 2^64 / divisor, rounded up
   explicit Divisor(int64_t divisor) : inverse(divisor > 1 ? ~uint64_t(0) / uint64_t(divisor) + 1 : 0) {}
@@ -17,22 +17,22 @@ struct Divisor {
   }
 };
 
-// Rows of `vectors` vectors by blocks: 2^shift threads take the vectors of a row, so each block has kThreads >> shift
-// rows of a group of `rows`.
+// Divides rows of `vectors` vectors among blocks: 2^shift threads take the vectors of a row, so a block has kThreads >>
+// shift rows of a group of `rows`.
 struct Blocks {
   int vectors, shift;
-  unsigned rows, of_group;
+  unsigned rows, blocks_per_group;
   Divisor groups;
   Blocks(int64_t vectors, int64_t rows)
-      : vectors(int(vectors)), shift(0), rows(unsigned(rows)), of_group(0), groups(1) {
+      : vectors(int(vectors)), shift(0), rows(unsigned(rows)), blocks_per_group(0), groups(1) {
     while ((1 << shift) < vectors && (1 << shift) < kThreads) ++shift;
-    of_group = unsigned(ceil_div(rows, kThreads >> shift));
-    groups = Divisor(of_group);
+    blocks_per_group = unsigned(ceil_div(rows, kThreads >> shift));
+    groups = Divisor(blocks_per_group);
   }
-  // False beyond the group's last row.
+  // False after the group's last row.
   __device__ __forceinline__ bool locate(unsigned& group, unsigned& row) const {
     group = groups(blockIdx.x);
-    row = (blockIdx.x - group * of_group) * (kThreads >> shift) + (threadIdx.x >> shift);
+    row = (blockIdx.x - group * blocks_per_group) * (kThreads >> shift) + (threadIdx.x >> shift);
     return row < rows;
   }
   template <class Call>
@@ -48,24 +48,25 @@ struct Divisors {
       : height(g.height), channels(g.channels), down(g.down), step_y(g.step_y), step_x(g.step_x) {}
 };
 
-// A group is a line of patches, (across, C, height) rows.
+// A group is a row of patches, which has (across, C, height) rows of pixels.
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads)
     extract(__grid_constant__ Extract<T> const p, __grid_constant__ Blocks const blocks,
             __grid_constant__ Divisors const by) {
   PatchGrid const& grid = p.grid;
-  unsigned line, row;
-  if (!blocks.locate(line, row)) return;
-  unsigned const sample = by.down(line), i = line - sample * grid.down;
+  unsigned patch_row, row;
+  if (!blocks.locate(patch_row, row)) return;
+  unsigned const sample = by.down(patch_row), i = patch_row - sample * grid.down;
   unsigned const q = by.height(row), j = by.channels(q), channel = q - j * unsigned(grid.channels);
   int const y = int(i) * grid.step_y - grid.top + int(row - q * grid.height), left = int(j) * grid.step_x - grid.left;
-  bool const inside = y >= 0 && y < p.image.height;
-  T const* const from = p.image.row(sample * grid.channels + channel, inside ? y : 0) + left;
-  T* const to = p.patches + (int64_t(line) * blocks.rows + row) * grid.width;
+  bool const in_bounds = y >= 0 && y < p.image.height;
+  T const* const from = p.image.row(sample * grid.channels + channel, in_bounds ? y : 0) + left;
+  T* const to = p.patches + (int64_t(patch_row) * blocks.rows + row) * grid.width;
   blocks.for_each_vector([&](int k) {
     Vector<T, P> vector{};
     int const column = left + k * P;
-    if (inside && column >= 0 && column < p.image.width) vector = *reinterpret_cast<Vector<T, P> const*>(from + k * P);
+    if (in_bounds && column >= 0 && column < p.image.width)
+      vector = *reinterpret_cast<Vector<T, P> const*>(from + k * P);
     *reinterpret_cast<Vector<T, P>*>(to + k * P) = vector;
   });
 }
@@ -109,7 +110,8 @@ __global__ void __launch_bounds__(kThreads)
   });
 }
 
-// Calls f with the pixels of a vector: those of 16 bytes where each is in the same patches as a whole, else one.
+// Calls f with the pixels of a vector: 16 bytes of them where all pixels of each vector are in the same patches, else
+// one.
 template <class T, class F>
 void with_vectors(Planes<T> const& image, void const* patches, PatchGrid const& grid, F f) {
   constexpr int P = 16 / int(sizeof(T));
@@ -126,12 +128,12 @@ void with_vectors(Planes<T> const& image, void const* patches, PatchGrid const& 
 template <class T>
 int extract_patches(Extract<T> const& p, CUstream_st* stream) {
   int64_t const rows = int64_t(p.grid.across) * p.grid.channels * p.grid.height;
-  int64_t const lines = p.image.count() / p.grid.channels * p.grid.down;
+  int64_t const patch_rows = p.image.count() / p.grid.channels * p.grid.down;
   if (rows > UINT32_MAX / 2) return cudaErrorInvalidValue;
   with_vectors(p.image, p.patches, p.grid, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     Blocks const blocks(p.grid.width / P, rows);
-    extract<T, P><<<unsigned(lines * blocks.of_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
+    extract<T, P><<<unsigned(patch_rows * blocks.blocks_per_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
   });
   return cudaGetLastError();
 }
@@ -141,7 +143,8 @@ int combine_patches(Combine<T> const& p, CUstream_st* stream) {
   with_vectors(p.image, p.patches, p.grid, [&](auto pixels) {
     constexpr int P = decltype(pixels)::value;
     Blocks const blocks(p.image.width / P, p.image.height);
-    combine<T, P><<<unsigned(p.image.count() * blocks.of_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
+    combine<T, P>
+        <<<unsigned(p.image.count() * blocks.blocks_per_group), kThreads, 0, stream>>>(p, blocks, Divisors(p.grid));
   });
   return cudaGetLastError();
 }

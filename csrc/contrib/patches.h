@@ -1,6 +1,5 @@
-// Windows of images as a tensor of their own, (B, N, C, height, width) row by row, with zeros beyond the images; and
-// the transpose of that, the sum of all patches where they belong. Included by patches_cpu.cpp, patches.cu and
-// patches_op.cpp.
+// Extraction of windows of images to a tensor (B, N, C, height, width), row by row, with zeros out of bounds; and its
+// transpose, the sum of all patches at their positions. Included by patches_cpu.cpp, patches.cu and patches_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -10,7 +9,7 @@ namespace kv {
 
 struct PatchGrid {
   int64_t channels;
-  int down, across, height, width, step_y, step_x, top, left;  // top, left: pixels beyond the image in the first patch
+  int down, across, height, width, step_y, step_x, top, left;  // top, left: padding before the image
 
   // The row of patches that has row y of plane p, in row i of the grid.
   KV_HD int64_t row(int64_t p, int64_t i, int64_t j, int64_t y) const {

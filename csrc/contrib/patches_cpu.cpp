@@ -8,15 +8,15 @@ namespace kv::KV_ISA {
 template <class T>
 void extract_patches(Extract<T> const& p, int64_t begin, int64_t end) {
   PatchGrid const& grid = p.grid;
-  for (int64_t r = begin; r < end;) {  // plane by plane of the patches
+  for (int64_t r = begin; r < end;) {  // the rows of one channel of a patch
     int64_t const patch = r / grid.height / grid.channels, c = r / grid.height % grid.channels;
     int64_t const j = patch % grid.across, i = patch / grid.across % grid.down,
                   sample = patch / grid.across / grid.down;
     int64_t const top = i * grid.step_y - grid.top, left = j * grid.step_x - grid.left, width = grid.width;
     int64_t const first = clamp(-left, int64_t(0), width), last = clamp(p.image.width - left, first, width);
     T const* const plane = p.image.plane(sample * grid.channels + c) + left;
-    for (int64_t line = r % grid.height; line < grid.height && r < end; ++line, ++r) {
-      int64_t const y = top + line;
+    for (int64_t row = r % grid.height; row < grid.height && r < end; ++row, ++r) {
+      int64_t const y = top + row;
       T* const to = p.patches + r * width;
       if (y < 0 || y >= p.image.height || first == last) {
         __builtin_memset(to, 0, width * sizeof(T));

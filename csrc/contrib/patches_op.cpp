@@ -6,9 +6,9 @@ namespace kv {
 namespace {
 
 // Of images (B, C, size[0], size[1]), with padding (top, bottom, left, right) around them.
-PatchGrid grid_of(char const* op, int64_t channels, std::vector<int64_t> const& size,
-                  std::vector<int64_t> const& window, std::vector<int64_t> const& step,
-                  std::vector<int64_t> const& padding) {
+PatchGrid make_grid(char const* op, int64_t channels, std::vector<int64_t> const& size,
+                    std::vector<int64_t> const& window, std::vector<int64_t> const& step,
+                    std::vector<int64_t> const& padding) {
   KV_CHECK(size.size() == 2 && window.size() == 2 && step.size() == 2 && padding.size() == 4, op,
            ": expected size, window and stride of two numbers and padding of four");
   check_window(op, window[0], window[1]);
@@ -32,7 +32,7 @@ Tensor extract_patches(Tensor const& input, std::vector<int64_t> size, std::vect
                        std::vector<int64_t> stride, std::vector<int64_t> padding) {
   constexpr char const* op = "extract_patches";
   check_images(op, "input", input);
-  PatchGrid const grid = grid_of(op, input.size(1), size, window, stride, padding);
+  PatchGrid const grid = make_grid(op, input.size(1), size, window, stride, padding);
   KV_CHECK(input.size(2) == size[0] && input.size(3) == size[1], op, ": expected input of that size");
   Tensor const x = as_layout(input, Layout::planar);
   Tensor const patches = empty({x.size(0), int64_t(grid.down) * grid.across, x.size(1), grid.height, grid.width}, x);
@@ -48,7 +48,7 @@ Tensor combine_patches(Tensor const& patches, std::vector<int64_t> size, std::ve
                        std::vector<int64_t> stride, std::vector<int64_t> padding) {
   constexpr char const* op = "combine_patches";
   check_volumes(op, "patches", patches);
-  PatchGrid const grid = grid_of(op, patches.size(2), size, window, stride, padding);
+  PatchGrid const grid = make_grid(op, patches.size(2), size, window, stride, padding);
   KV_CHECK(patches.size(1) == int64_t(grid.down) * grid.across && patches.size(3) == grid.height &&
                patches.size(4) == grid.width,
            op, ": expected as many patches of that size as fit the images");

@@ -1,6 +1,6 @@
-// Dilation and erosion on CUDA: flat windows by tiles, along y and then along x; others, and those over channels-last
-// images, by the taps of one element after the other. The gradient goes this way where dilation_3x3.cu and
-// dilation_gradient.cu do not take it.
+// Dilation and erosion on CUDA: flat windows by tiles, along y and then along x; other windows, and channels-last
+// images, tap by tap for each element. The gradient is computed in the same two ways where dilation_3x3.cu and
+// dilation_backward.cu do not support it.
 #include "dilation_tiles.cuh"
 
 namespace kv::cuda {
@@ -8,9 +8,9 @@ namespace {
 
 constexpr int kThreads = 256;
 
-// --- other windows: what is to be done, by taps ----------------------------------------------------------------------
+// --- any window, tap by tap ------------------------------------------------------------------------------------------
 
-// An element of a row, as kernels with a thread for each count them.
+// An element of a row: the i-th of all elements, or a pixel of a planar image.
 struct Element {
   int64_t plane, row, at;
   int column;
@@ -24,30 +24,30 @@ struct Element {
       : plane(plane), row(row), at(column), column(column) {}
 };
 
-// Calls f(value) for the members of the window of an element, with values as they are compared.
+// Calls f(value) for the members of the window of an element, where value is the number that is compared.
 template <class T, class Call>
-__device__ __forceinline__ void for_each_tap(Planes<T const> const& x, Window<Compute<T>> const& window, int64_t planes,
-                                             Element const& e, Call f) {
+__device__ __forceinline__ void for_each_tap(Planes<T const> const& x, StructuringElement<Compute<T>> const& window,
+                                             int64_t planes, Element const& e, Call f) {
   using F = Compute<T>;
   int64_t const sample = e.plane / planes;
   F const sign = window.sign();
   T const* const from = x.plane(e.plane) + e.at;
   for (int i = 0; i < window.height; ++i) {
     int64_t const y = e.row + i - window.top;
-    bool const inside = y >= 0 && y < x.height;
-    T const* const row = from + (inside ? y : 0) * x.row_stride;
+    bool const row_in_bounds = y >= 0 && y < x.height;
+    T const* const row = from + (row_in_bounds ? y : 0) * x.row_stride;
     for (int j = 0; j < window.width; ++j) {
       F const offset = window.offset(sample, i * window.width + j);
       if (offset == minus_infinity<F>()) continue;
       int const shift = j - window.left;
-      bool const in_row = inside && e.column + shift >= 0 && e.column + shift < x.width;
-      f((in_row ? read(row[shift * x.step]) : window.value) * sign + offset);
+      bool const in_bounds = row_in_bounds && e.column + shift >= 0 && e.column + shift < x.width;
+      f((in_bounds ? read(row[shift * x.step]) : window.value) * sign + offset);
     }
   }
 }
 
-// Each of the three says how it serves one element by taps; those of the gradient also for flat windows of planar
-// images where the window stands, what of a pixel goes into it, and what becomes of that.
+// The three jobs below compute one element tap by tap. Those of the gradient also define the combination over flat
+// windows of planar images: where the window is, the value of a pixel, and what is stored of a combined value.
 template <class T>
 struct Maximum {
   using F = Compute<T>;
@@ -56,14 +56,14 @@ struct Maximum {
   KV_HD Planes<T const> const& image() const { return p.x; }
   __device__ __forceinline__ void by_taps(Element const& e) const {
     F most = minus_infinity<F>();
-    for_each_tap<T>(p.x, p.window, p.planes, e, [&](F value) { most = join(most, value); });
+    for_each_tap<T>(p.x, p.window, p.planes, e, [&](F value) { most = combine(most, value); });
     p.y.row(e.plane, e.row)[e.at] = round_to<T>(most * p.window.sign());
   }
 };
 
-// The maximum of every window, and the part of its gradient that each of its ties gets.
+// The maximum of every window, and the gradient of each of its ties.
 template <class T>
-struct FindTies {
+struct WindowMaxima {
   using F = Compute<T>;
   using Value = Ties<F>;
   DilationBackward<T> p;
@@ -78,9 +78,9 @@ struct FindTies {
     return {read(plane[y * p.x.row_stride + x]) * p.window.sign(), F(1)};
   }
   __device__ __forceinline__ void store(Element const& e, Value const& ties) const {
-    F* const found = p.found + 2 * ((e.plane * p.x.height + e.row) * p.x.row_size() + e.at);
-    found[0] = ties.most;
-    found[1] = share(read(p.grad.row(e.plane, e.row)[e.at]), ties.count);
+    F* const entry = p.workspace + 2 * ((e.plane * p.x.height + e.row) * p.x.row_size() + e.at);
+    entry[0] = ties.value;
+    entry[1] = tie_gradient(read(p.grad.row(e.plane, e.row)[e.at]), ties.count);
   }
   __device__ __forceinline__ void by_taps(Element const& e) const {
     Value ties{minus_infinity<F>(), F(0)};
@@ -89,9 +89,9 @@ struct FindTies {
   }
 };
 
-// Their sums. The minimum of maxima is the maximum of what is negated.
+// Sums these gradients for each pixel. A minimum of maxima is computed as the maximum of their negatives.
 template <class T>
-struct SumTies {
+struct SumGradients {
   using F = Compute<T>;
   using Value = Ties<F>;
   DilationBackward<T> p;
@@ -102,21 +102,21 @@ struct SumTies {
 
   __device__ __forceinline__ Value outside() const { return {minus_infinity<F>(), F(0)}; }
   __device__ __forceinline__ F const* source(int64_t plane) const {
-    return p.found + 2 * plane * p.x.height * p.x.row_size();
+    return p.workspace + 2 * plane * p.x.height * p.x.row_size();
   }
   __device__ __forceinline__ Value load(F const* plane, int y, int x) const {
-    F const* const found = plane + 2 * (y * p.x.row_size() + x);
-    F const most = found[0];
-    return most == most ? Value{-most, found[1]} : outside();
+    F const* const entry = plane + 2 * (y * p.x.row_size() + x);
+    F const most = entry[0];
+    return most == most ? Value{-most, entry[1]} : outside();
   }
   __device__ __forceinline__ F own(Element const& e) const {
     return read(p.x.row(e.plane, e.row)[e.at]) * p.window.sign();
   }
   __device__ __forceinline__ void store(Element const& e, Value const& ties) const {
-    p.grad_x.row(e.plane, e.row)[e.at] = round_to<T>(own(e) == -ties.most ? ties.count : F(0));
+    p.grad_x.row(e.plane, e.row)[e.at] = round_to<T>(own(e) == -ties.value ? ties.count : F(0));
   }
   __device__ __forceinline__ void by_taps(Element const& e) const {
-    Window<F> const& window = p.window;
+    StructuringElement<F> const& window = p.window;
     int64_t const sample = e.plane / p.planes;
     F const* const from = source(e.plane);
     F const x = own(e);
@@ -128,8 +128,8 @@ struct SumTies {
         F const offset = window.offset(sample, i * window.width + j);
         int const shift = window.left - j;
         if (offset == minus_infinity<F>() || e.column + shift < 0 || e.column + shift >= p.x.width) continue;
-        F const* const found = from + 2 * ((e.row + down) * p.x.row_size() + e.at + shift * p.x.step);
-        sum += x + offset == found[0] ? found[1] : F(0);
+        F const* const entry = from + 2 * ((e.row + down) * p.x.row_size() + e.at + shift * p.x.step);
+        sum += x + offset == entry[0] ? entry[1] : F(0);
       }
     }
     p.grad_x.row(e.plane, e.row)[e.at] = round_to<T>(sum);
@@ -142,43 +142,43 @@ __global__ void __launch_bounds__(kThreads) by_taps(__grid_constant__ Job const 
   if (i < job.image().rows() * job.image().row_size()) job.by_taps(Element(job.image(), i));
 }
 
-// --- flat windows: a block makes a tile, along y from the image to shared memory, along x from there -----------------
+// --- flat windows: a block computes a tile, along y from the image to shared memory, along x from there --------------
 
 constexpr int kTileWidth = 128, kLargestTile = 256;  // of a window
 
-// Two groups of rows: for windows of 15 x 15 pixels each thread then takes one group along y and one along x.
+// Two groups of rows: for windows of 15 x 15 pixels each thread takes one group along y and one along x.
 constexpr int kMaximaRows = 30, kMaximaThreads = 288, kMaximaStride = kTileWidth + 1;
-// Odd strides, so that the threads of a warp, which take rows, read different banks. Groups may reach behind the last
-// column.
+// Odd strides, so that the threads of a warp, which take different rows, read different banks. Groups may exceed the
+// last column.
 constexpr int maxima_stride(int window) { return (kTileWidth + 15 + window) | 1; }
 
-// Beyond the image stands its rim, which every window that reaches there has anyway, and the value outside joins the
-// result at last.
+// Out of bounds the border pixel is read, which every window that reaches there contains anyway. The value of pixels
+// out of bounds is combined with the result at the end.
 template <class T>
 __global__ void __launch_bounds__(kMaximaThreads, 4)
     maxima_by_tiles(__grid_constant__ Dilation<T> const p, int across, int down) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char bytes[];
-  Window<F> const& window = p.window;
+  StructuringElement<F> const& window = p.window;
   int const height = int(p.x.height), width = int(p.x.width), stride = maxima_stride(window.width);
-  Place const at(across, down, kMaximaRows, kTileWidth);
-  int const y0 = at.y, x0 = at.x, rows = min(kMaximaRows, height - y0), columns = min(kTileWidth, width - x0);
-  if (!is_flat(window, at.plane / p.planes)) {
-    for_each_place(rows, columns, [&](int y, int x) { Maximum<T>{p}.by_taps(Element(at.plane, y0 + y, x0 + x)); });
+  Tile const tile(across, down, kMaximaRows, kTileWidth);
+  int const y0 = tile.y, x0 = tile.x, rows = min(kMaximaRows, height - y0), columns = min(kTileWidth, width - x0);
+  if (!is_flat(window, tile.plane / p.planes)) {
+    for_each_pixel(rows, columns, [&](int y, int x) { Maximum<T>{p}.by_taps(Element(tile.plane, y0 + y, x0 + x)); });
     return;
   }
 
-  F* const along_y = reinterpret_cast<F*>(bytes);   // (rows, stride)
-  F* const found = along_y + kMaximaRows * stride;  // (rows, kMaximaStride)
+  F* const along_y = reinterpret_cast<F*>(bytes);     // (rows, stride)
+  F* const results = along_y + kMaximaRows * stride;  // (rows, kMaximaStride)
   F const sign = window.sign(), outside = window.value * sign;
   int const top = y0 - window.top, left = x0 - window.left, step = int(p.x.row_stride);
-  T const* const source = p.x.plane(at.plane);
-  with_group(window.height, [&](auto group_size) {
+  T const* const source = p.x.plane(tile.plane);
+  dispatch_group_size(window.height, [&](auto group_size) {
     constexpr int N = decltype(group_size)::value;
     for_each_group(columns + window.width - 1, (rows + N - 1) / N, [&](int column, int group) {
       T const* const from = source + clamp(left + column, 0, width - 1);
       int const y = top + group * N;
-      join_windows<N>(
+      combine_windows<N>(
           window.height, [&](int i) { return read(from[unsigned(clamp(y + i, 0, height - 1) * step)]) * sign; },
           [&](int j, F value) {
             if (group * N + j < rows) along_y[(group * N + j) * stride + column] = value;
@@ -186,14 +186,14 @@ __global__ void __launch_bounds__(kMaximaThreads, 4)
     });
   });
   __syncthreads();
-  with_group(window.width, [&](auto group_size) {
+  dispatch_group_size(window.width, [&](auto group_size) {
     constexpr int N = decltype(group_size)::value;
     for_each_group(rows, (columns + N - 1) / N, [&](int row, int group) {
       F const* const from = along_y + row * stride + group * N;
-      join_windows<N>(
+      combine_windows<N>(
           window.width, [&](int i) { return from[i]; },
           [&](int j, F value) {
-            if (group * N + j < columns) found[row * kMaximaStride + group * N + j] = value;
+            if (group * N + j < columns) results[row * kMaximaStride + group * N + j] = value;
           });
     });
   });
@@ -201,11 +201,11 @@ __global__ void __launch_bounds__(kMaximaThreads, 4)
   bool const inside =
       top >= 0 && left >= 0 && top + rows + window.height - 1 <= height && left + columns + window.width - 1 <= width;
   bool const whole = inside || outside == minus_infinity<F>();
-  T* const out = p.y.row(at.plane, y0) + x0;
-  for_each_place(rows, columns, [&](int y, int x) {
-    F most = found[y * kMaximaStride + x];
+  T* const out = p.y.row(tile.plane, y0) + x0;
+  for_each_pixel(rows, columns, [&](int y, int x) {
+    F most = results[y * kMaximaStride + x];
     if (!whole && (top + y < 0 || left + x < 0 || top + y + window.height > height || left + x + window.width > width))
-      most = join(most, outside);
+      most = combine(most, outside);
     out[y * p.y.row_stride + x] = round_to<T>(most * sign);
   });
 }
@@ -213,7 +213,8 @@ __global__ void __launch_bounds__(kMaximaThreads, 4)
 // --- the gradient of flat windows ------------------------------------------------------------------------------------
 
 constexpr int kTiesRows = 32;
-// Windows that a thread takes at once. Along x it is odd, so that the threads of a warp read different banks.
+// Windows that a thread computes at once. Along x the number is odd, so that the threads of a warp read different
+// banks.
 constexpr int kDown = 8, kAcross = 7;
 constexpr int tile_stride(int window) { return kTileWidth + kAcross + window; }
 
@@ -240,15 +241,15 @@ __global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const
   }
 
   Value* const along_y = reinterpret_cast<Value*>(bytes);  // (rows, stride)
-  Value* const found = along_y + kTiesRows * stride;       // (rows, kTileWidth)
+  Value* const results = along_y + kTiesRows * stride;     // (rows, kTileWidth)
   auto const* const source = job.source(plane);
   int const top = y0 - job.top(), left = x0 - job.left();
-  auto const go_down = [&](auto width_of_group) {
-    constexpr int N = decltype(width_of_group)::value;
+  auto const combine_columns = [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
     for_each_group(columns + window.width - 1, (rows + N - 1) / N, [&](int column, int group) {
       int const x = left + column, y = top + group * N;
       bool const inside = x >= 0 && x < width;
-      join_windows<N>(
+      combine_windows<N>(
           window.height,
           [&](int i) { return inside && y + i >= 0 && y + i < height ? job.load(source, y + i, x) : job.outside(); },
           [&](int j, Value const& value) {
@@ -257,33 +258,33 @@ __global__ void __launch_bounds__(kThreads) by_tiles(__grid_constant__ Job const
     });
   };
   if (window.height >= kDown)
-    go_down(std::integral_constant<int, kDown>{});
+    combine_columns(std::integral_constant<int, kDown>{});
   else
-    go_down(std::integral_constant<int, 1>{});
+    combine_columns(std::integral_constant<int, 1>{});
   __syncthreads();
-  auto const go_across = [&](auto width_of_group) {
-    constexpr int N = decltype(width_of_group)::value;
+  auto const combine_rows = [&](auto group_size) {
+    constexpr int N = decltype(group_size)::value;
     int const groups = (columns + N - 1) / N;
     for_each_group(groups, rows, [&](int group, int row) {
       Value const* const from = along_y + row * stride + group * N;
-      join_windows<N>(
+      combine_windows<N>(
           window.width, [&](int i) { return from[i]; },
           [&](int j, Value const& value) {
-            if (group * N + j < columns) found[row * kTileWidth + group * N + j] = value;
+            if (group * N + j < columns) results[row * kTileWidth + group * N + j] = value;
           });
     });
   };
   if (window.width >= kAcross)
-    go_across(std::integral_constant<int, kAcross>{});
+    combine_rows(std::integral_constant<int, kAcross>{});
   else
-    go_across(std::integral_constant<int, 1>{});
+    combine_rows(std::integral_constant<int, 1>{});
   __syncthreads();
-  for_each_pixel([&](Element const& e, int at) { job.store(e, found[at]); });
+  for_each_pixel([&](Element const& e, int at) { job.store(e, results[at]); });
 }
 
-// Doubles go by taps: tiles of theirs would take a quarter of the time that this file takes to compile.
+// float64 has no tiles: they would take a quarter of this file's compile time.
 template <class T>
-bool has_tiles(Planes<T const> const& image, Window<Compute<T>> const& window) {
+bool has_tiles(Planes<T const> const& image, StructuringElement<Compute<T>> const& window) {
   return sizeof(T) < 8 && image.step == 1 && max(window.height, window.width) <= kLargestTile &&
          image.height * image.row_stride <= INT32_MAX;
 }
@@ -320,12 +321,12 @@ int dilation(Dilation<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
-  if (p.found) {
-    if (int error = launch_ties<T>(FindTies<T>{p}, stream)) return error;
-    return launch_ties<T>(SumTies<T>{p}, stream);
+  if (p.workspace) {
+    if (int error = launch_ties<T>(WindowMaxima<T>{p}, stream)) return error;
+    return launch_ties<T>(SumGradients<T>{p}, stream);
   }
   if constexpr (sizeof(T) < 8)
-    if (!is_3x3(p.window)) return dilation_gradient(p, stream);
+    if (!is_3x3(p.window)) return dilation_backward_tiles(p, stream);
   return dilation_3x3_backward(p, stream);
 }
 

@@ -1,19 +1,19 @@
-// Dilation and erosion of images with a structuring element, whose members are where `kernel` is not 0 and whose
-// heights are 0 unless there are some:
+// Dilation and erosion of images with a structuring element. Its members are where `kernel` is not 0; `heights` are
+// optional and 0 for a flat element:
 //
 //   erosion   y(q) = min over members i, j of x(q + (i, j) - origin) - height(i, j)
 //   dilation  y(q) = max over members i, j of x(q - (i, j) + origin) + height(i, j)
 //
-// Both are computed as the maximum over a window of x(q + (i - top, j - left)) + offset(i, j), a dilation with the
-// element turned round, an erosion of -x; members are the offsets above minus infinity. Where all offsets are 0 the
-// window is flat, and larger ones take one axis after the other. NaN wins.
+// Both are computed as the maximum over a window of x(q + (i - top, j - left)) + offset(i, j): a dilation with the
+// reflected element, an erosion with -x. The offset of what is no member is minus infinity. A window whose offsets are
+// all 0 is flat; large flat windows are computed one axis after the other. NaN propagates.
 //
-// The gradient of a maximum goes in equal parts to the taps of its window that have it:
+// The gradient of a maximum is divided evenly among the taps of its window that equal it:
 //
 //   dx(p) = sum over i, j with x(p) + offset(i, j) = y(q) of g(q) / ties(q), where q = p - (i - top, j - left)
 //
-// In a flat window x(p) <= y(q) for all these q, so equality means that y(q) is their minimum, and that is x(p): the
-// sum is one over a window again, of what belongs to the minimum.
+// In a flat window x(p) <= y(q) for all these q. So the q with equality are those where y(q) is the minimum of the
+// window, if that minimum is x(p): the sum is over a window again, of what belongs to its minimum.
 //
 // Included by dilation_cpu.cpp, dilation.cu and dilation_op.cpp.
 #pragma once
@@ -24,11 +24,11 @@
 namespace kv {
 
 template <class F>
-struct Window {
+struct StructuringElement {
   F const *kernel, *heights;              // heights: null for a flat element
   int64_t kernel_stride, heights_stride;  // from sample to sample
   int height, width, top, left;
-  F value;  // of pixels outside of the images
+  F value;  // of pixels out of bounds
   bool erode;
 
   KV_HD F offset(int64_t sample, int i) const {
@@ -43,7 +43,7 @@ template <class T>
 struct Dilation {
   Planes<T const> x;
   Planes<T> y;
-  Window<Compute<T>> window;
+  StructuringElement<Compute<T>> window;
   int64_t planes;  // of a sample
 };
 
@@ -51,58 +51,58 @@ template <class T>
 struct DilationBackward {
   Planes<T const> grad, x;
   Planes<T> grad_x;
-  Window<Compute<T>> window;
+  StructuringElement<Compute<T>> window;
   int64_t planes;
-  Compute<T>*
-      found;  // CUDA: for every element of the rows in their order, its maximum and its gradient's part; or null
+  Compute<T>* workspace;  // CUDA: the maximum of each window and the gradient of one tie, for all elements; or null
 };
 
 template <class F>
-bool is_3x3(Window<F> const& window) {
+bool is_3x3(StructuringElement<F> const& window) {
   return window.height == 3 && window.width == 3 && window.top == 1 && window.left == 1;
 }
 
-// The gradient on CUDA by tiles of the image. Shared memory has two numbers for each of the windows that have a pixel
-// of the tile, before them those pixels that these windows have, and two for each of these windows along y and as many
-// columns as they have. Groups of windows may reach beyond.
-struct GradientTile {
-  static constexpr int kRows = 30, kColumns = 64, kMostBytes = 227 * 1024;
-  int rows, rows_of_pixels, windows, pixels;  // what there is room for; `windows` and `pixels` are those of a row, odd
+// Shared memory of the backward pass by tiles on CUDA. It holds two numbers for each window that reads a pixel of the
+// tile (in the same memory, before them, the pixels of these windows), and two numbers for each of these windows along
+// y and each column of theirs. Groups of windows may exceed a row.
+struct BackwardTileLayout {
+  static constexpr int kRows = 30, kColumns = 64, kMaxBytes = 227 * 1024;
+  int rows, rows_of_pixels, windows, pixels;  // capacities; `windows` and `pixels` are those of a row, odd
   template <class F>
-  KV_HD explicit GradientTile(Window<F> const& window)
+  KV_HD explicit BackwardTileLayout(StructuringElement<F> const& window)
       : rows(kRows + window.height - 1),
         rows_of_pixels(kRows + 2 * (window.height - 1)),
         windows((kColumns + window.width + 14) | 1),
         pixels((kColumns + 2 * window.width + 14) | 1) {}
-  // To what is along y.
+  // Offset of the numbers along y.
   KV_HD int64_t first_bytes() const {
     return max(int64_t(8) * rows * windows, int64_t(4) * rows_of_pixels * (pixels + 1));
   }
   KV_HD int64_t bytes() const { return first_bytes() + int64_t(8) * rows * pixels; }
 };
 
-// Whether the gradient of planar images takes no other memory on CUDA.
+// Whether the backward pass of planar images needs no workspace on CUDA.
 template <class F>
-bool has_own_memory(Window<F> const& window) {
-  return is_3x3(window) || (sizeof(F) == 4 && GradientTile(window).bytes() <= GradientTile::kMostBytes);
+bool needs_no_workspace(StructuringElement<F> const& window) {
+  return is_3x3(window) || (sizeof(F) == 4 && BackwardTileLayout(window).bytes() <= BackwardTileLayout::kMaxBytes);
 }
 
 KV_KERNEL(dilation, Dilation)
 KV_KERNEL(dilation_backward, DilationBackward)
 
+// IEEE 754 maximum: NaN propagates.
 template <class V>
-KV_HD V larger(V a, V b) {
-  V const most = a > b ? a : b;  // b where one is NaN
-  return a != a ? a : most;
+KV_HD V maximum(V a, V b) {
+  V const larger = a > b ? a : b;  // b where one is NaN
+  return a != a ? a : larger;
 }
 
-// The maximum so far, and how many taps have it, or the sum of what they bring.
+// The maximum so far, and how many taps equal it, or the sum of a number over these taps.
 template <class V>
 struct Ties {
-  V most, count;
+  V value, count;
   KV_HD void add(V v, V one) {
-    count = v > most ? one : v == most ? count + one : count;
-    most = larger(most, v);
+    count = v > value ? one : v == value ? count + one : count;
+    value = maximum(value, v);
   }
 };
 

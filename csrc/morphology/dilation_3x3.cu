@@ -1,5 +1,5 @@
-// Dilation and erosion on CUDA by windows of 3 x 3 pixels around the middle, and their gradients: warps walk down
-// strips with the last rows in registers.
+// Dilation and erosion on CUDA with centered windows of 3 x 3 pixels, and their gradients: warps go down strips with
+// the last rows in registers.
 #include "core/reciprocal.cuh"
 #include "dilation.cuh"
 
@@ -17,7 +17,7 @@ struct NineTaps {
   unsigned members;  // bits
   bool flat;
 
-  __device__ __forceinline__ NineTaps(Window<F> const& window, int64_t sample) {
+  __device__ __forceinline__ NineTaps(StructuringElement<F> const& window, int64_t sample) {
     int const lane = threadIdx.x % 32;
     F const own = lane < 9 ? window.offset(sample, lane) : minus_infinity<F>();
     members = __ballot_sync(0xffffffffu, own != minus_infinity<F>());
@@ -28,14 +28,14 @@ struct NineTaps {
   __device__ __forceinline__ bool has(int t) const { return members >> t & 1; }
 };
 
-// The smaller one, or the one that is no NaN.
-__device__ __forceinline__ float lesser(float a, float b) { return fminf(a, b); }
-__device__ __forceinline__ double lesser(double a, double b) { return fmin(a, b); }
-// Rows of images one after the other, from row `y` on, with R pixels beside the thread's: times `sign`, and `outside`
-// where there is nothing. Each thread reads them all: the memory of its neighbours is near, and there is no other end
-// of a warp's row.
+// IEEE 754 minimumNumber: of a number and NaN, the number.
+__device__ __forceinline__ float minimum_number(float a, float b) { return fminf(a, b); }
+__device__ __forceinline__ double minimum_number(double a, double b) { return fmin(a, b); }
+// Reads rows of images in order, from row `first` on: the thread's P pixels and R pixels on either side, times `sign`,
+// and `outside` out of bounds. Each thread loads all of them: the pixels of its neighbors are in the cache, and the
+// ends of a warp need no special case.
 template <class T, int R, bool Aligned>
-struct NearRows {
+struct NeighborRows {
   using F = Compute<T>;
   static constexpr int P = kStrip;
   struct FetchedRow {
@@ -49,8 +49,8 @@ struct NearRows {
   F const sign, outside;
   int y;
 
-  __device__ __forceinline__ NearRows(Planes<T const> const& images, int64_t plane, int column, int first, F sign = 1,
-                                      F outside = 0)
+  __device__ __forceinline__ NeighborRows(Planes<T const> const& images, int64_t plane, int column, int first,
+                                          F sign = 1, F outside = 0)
       : at(images.row(plane, first) + column),
         stride(images.row_stride),
         x(column),
@@ -59,37 +59,37 @@ struct NearRows {
         sign(sign),
         outside(outside),
         y(first) {}
-  // As a window compares them.
-  __device__ __forceinline__ NearRows(Planes<T const> const& images, int64_t plane, int column, int first,
-                                      Window<F> const& window)
-      : NearRows(images, plane, column, first, window.sign(), read(round_to<T>(window.value)) * window.sign()) {}
+  // Rows as the window compares them.
+  __device__ __forceinline__ NeighborRows(Planes<T const> const& images, int64_t plane, int column, int first,
+                                          StructuringElement<F> const& window)
+      : NeighborRows(images, plane, column, first, window.sign(), read(round_to<T>(window.value)) * window.sign()) {}
   __device__ __forceinline__ bool has_row(int y) const { return unsigned(y) < unsigned(height); }
   __device__ __forceinline__ bool has_left() const { return x > 0; }
   __device__ __forceinline__ bool has_right() const { return x + P < width; }
 
   __device__ __forceinline__ FetchedRow next() {
-    FetchedRow found{};
+    FetchedRow fetched{};
     if (has_row(y)) {
       if constexpr (Aligned) {
         if (x < width) {
-          found.own = *reinterpret_cast<Vector<T, P> const*>(at);
-          if (has_left()) found.left = *reinterpret_cast<Vector<T, R> const*>(at - R);
-          if (has_right()) found.right = *reinterpret_cast<Vector<T, R> const*>(at + P);
+          fetched.own = *reinterpret_cast<Vector<T, P> const*>(at);
+          if (has_left()) fetched.left = *reinterpret_cast<Vector<T, R> const*>(at - R);
+          if (has_right()) fetched.right = *reinterpret_cast<Vector<T, R> const*>(at + P);
         }
       } else {
 #pragma unroll
         for (int i = -R; i < P + R; ++i) {
-          T& to = i < 0 ? found.left.v[R + i] : i < P ? found.own.v[i] : found.right.v[i - P];
+          T& to = i < 0 ? fetched.left.v[R + i] : i < P ? fetched.own.v[i] : fetched.right.v[i - P];
           if (x + i >= 0 && x + i < width) to = at[i];
         }
       }
     }
     at += stride, ++y;
-    return found;
+    return fetched;
   }
-  // Of what was read of row y.
+  // The values of a fetched row y.
   __device__ __forceinline__ void spread(FetchedRow const& f, int y, F (&v)[P + 2 * R]) const {
-    F const nothing = has_row(y) ? -F(0) : outside;  // which leaves the sign of a 0
+    F const nothing = has_row(y) ? -F(0) : outside;  // adding -0 keeps the sign of a 0
     F const to_left = has_left() ? nothing : outside, to_right = has_right() ? nothing : outside;
 #pragma unroll
     for (int i = 0; i < P; ++i) v[R + i] = compared(f.own.v[i], x + i, nothing);
@@ -128,38 +128,38 @@ __device__ __forceinline__ void move_up(F (&rows)[3][N]) {
   for (int i = 0; i < N; ++i) rows[0][i] = rows[1][i], rows[1][i] = rows[2][i];
 }
 
-// Rows y0 ... y1 - 1 of a flat window: the maxima of three neighbours, and of three rows of these. Rows are asked for
-// two ahead of the one that is worked on.
+// Rows y0 ... y1 - 1 of a flat window: the maxima of three adjacent pixels, and of three rows of these. Two rows are
+// prefetched.
 template <class T, bool Aligned>
-__device__ __forceinline__ void walk_flat(NearRows<T, 1, Aligned>& rows, Planes<T> const& result, int64_t plane, int y0,
-                                          int y1) {
+__device__ __forceinline__ void dilate_flat(NeighborRows<T, 1, Aligned>& rows, Planes<T> const& result, int64_t plane,
+                                            int y0, int y1) {
   constexpr int P = kStrip;
   using F = Compute<T>;
   T* out = result.row(plane, y0) + rows.x;
-  typename NearRows<T, 1, Aligned>::FetchedRow ahead[2] = {rows.next(), rows.next()};
-  F row[P], two[P];  // the maxima of the last row, and of the last two
+  typename NeighborRows<T, 1, Aligned>::FetchedRow ahead[2] = {rows.next(), rows.next()};
+  F row[P], two[P];  // the maxima of the last row, and of the last two rows
   auto const next = [&](int y, int slot, F(&most)[P]) {
     F v[P + 2];
     rows.spread(ahead[slot], y, v);
     ahead[slot] = rows.next();
     F pair[P + 1];
 #pragma unroll
-    for (int i = 0; i <= P; ++i) pair[i] = join(v[i], v[i + 1]);
+    for (int i = 0; i <= P; ++i) pair[i] = combine(v[i], v[i + 1]);
 #pragma unroll
-    for (int i = 0; i < P; ++i) most[i] = join(pair[i], v[i + 2]);
+    for (int i = 0; i < P; ++i) most[i] = combine(pair[i], v[i + 2]);
   };
   F first[P];
   next(y0 - 1, 0, first);
   next(y0, 1, row);
 #pragma unroll
-  for (int i = 0; i < P; ++i) two[i] = join(first[i], row[i]);
+  for (int i = 0; i < P; ++i) two[i] = combine(first[i], row[i]);
   auto const step = [&](int y, int slot) {
     F below[P], most[P];
     next(y + 1, slot, below);
 #pragma unroll
     for (int i = 0; i < P; ++i) {
-      most[i] = join(two[i], below[i]) * rows.sign;
-      two[i] = join(row[i], below[i]), row[i] = below[i];
+      most[i] = combine(two[i], below[i]) * rows.sign;
+      two[i] = combine(row[i], below[i]), row[i] = below[i];
     }
     store_row<T, Aligned>(out, rows.x, rows.width, most);
     out += result.row_stride;
@@ -172,8 +172,8 @@ __device__ __forceinline__ void walk_flat(NearRows<T, 1, Aligned>& rows, Planes<
 }
 
 template <class T, bool Aligned>
-__device__ __forceinline__ void walk_taps(NearRows<T, 1, Aligned>& rows, NineTaps<Compute<T>> const& taps,
-                                          Planes<T> const& result, int64_t plane, int y0, int y1) {
+__device__ __forceinline__ void dilate_taps(NeighborRows<T, 1, Aligned>& rows, NineTaps<Compute<T>> const& taps,
+                                            Planes<T> const& result, int64_t plane, int y0, int y1) {
   constexpr int P = kStrip;
   using F = Compute<T>;
   T* out = result.row(plane, y0) + rows.x;
@@ -190,7 +190,7 @@ __device__ __forceinline__ void walk_taps(NearRows<T, 1, Aligned>& rows, NineTap
     for (int t = 0; t < 9; ++t)
       if (taps.has(t)) {
 #pragma unroll
-        for (int j = 0; j < P; ++j) most[j] = join(most[j], v[t / 3][j + t % 3] + taps.offset[t]);
+        for (int j = 0; j < P; ++j) most[j] = combine(most[j], v[t / 3][j + t % 3] + taps.offset[t]);
       }
 #pragma unroll
     for (int j = 0; j < P; ++j) most[j] *= rows.sign;
@@ -202,33 +202,33 @@ __device__ __forceinline__ void walk_taps(NearRows<T, 1, Aligned>& rows, NineTap
 
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(kThreads)
-    walk_3x3(__grid_constant__ Dilation<T> const p, __grid_constant__ Strips4 const strips) {
+    dilation_3x3_strip(__grid_constant__ Dilation<T> const p, __grid_constant__ Strips4 const strips) {
   int64_t plane;
   int x, y0;
   if (!strips.locate(plane, x, y0)) return;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height));
   NineTaps<Compute<T>> const taps(p.window, plane / p.planes);
-  NearRows<T, 1, Aligned> rows(p.x, plane, x, y0 - 1, p.window);
+  NeighborRows<T, 1, Aligned> rows(p.x, plane, x, y0 - 1, p.window);
   if (taps.flat)
-    walk_flat(rows, p.y, plane, y0, y1);
+    dilate_flat(rows, p.y, plane, y0, y1);
   else
-    walk_taps(rows, taps, p.y, plane, y0, y1);
+    dilate_taps(rows, taps, p.y, plane, y0, y1);
 }
 
-// Of three numbers the sum of what belongs to those that are `which`.
+// The sum of value_a, value_b and value_c over those of a, b and c that equal `which`.
 template <class F>
-__device__ __forceinline__ F sum_where(F which, F a, F b, F c, F of_a, F of_b, F of_c) {
-  F sum = a == which ? of_a : F(0);
-  sum = b == which ? sum + of_b : sum;
-  return c == which ? sum + of_c : sum;
+__device__ __forceinline__ F sum_where(F which, F a, F b, F c, F value_a, F value_b, F value_c) {
+  F sum = a == which ? value_a : F(0);
+  sum = b == which ? sum + value_b : sum;
+  return c == which ? sum + value_c : sum;
 }
 
-// The gradient of a flat window, each step of three neighbours and then of three rows: the maxima of x with their ties,
-// and the minima of these maxima with their parts. A maximum that is NaN has no part in them. Of each there are two
-// rows, and a new one takes the place of the older, `slot`.
+// The gradient of a flat window, in two steps of three adjacent elements and three rows each: the maxima of x with
+// their tie counts, and the minima of these maxima with their gradients. A maximum that is NaN has none. The last two
+// rows of each are in registers; a new row replaces the older one, `slot`.
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
-    walk_flat_backward(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
+    flat_backward_strip(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
   constexpr int P = kStrip;
   using F = Compute<T>;
   int64_t plane;
@@ -236,13 +236,13 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   if (!strips.locate(plane, x, y0)) return;
   if (!NineTaps<F>(p.window, plane / p.planes).flat) return;
   int const y1 = min(y0 + int(strips.rows), int(p.x.height)), width = int(p.x.width);
-  NearRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2, p.window);
-  NearRows<T, 1, Aligned> grads(p.grad, plane, x, y0 - 1);
+  NeighborRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2, p.window);
+  NeighborRows<T, 1, Aligned> grads(p.grad, plane, x, y0 - 1);
   T* out = p.grad_x.row(plane, y0) + x;
 
-  F most[2][P + 2], ties[2][P + 2];      // of three neighbours in x
-  F least[2][P] = {}, parts[2][P] = {};  // of three neighbouring windows
-  F own[2][P];                           // x itself
+  F most[2][P + 2], ties[2][P + 2];       // of three adjacent pixels
+  F minima[2][P] = {}, parts[2][P] = {};  // of three adjacent windows
+  F own[2][P];                            // x itself
   auto ahead = rows.next();
   auto grad_ahead = grads.next();
   auto const next_x = [&](int y, F(&m)[P + 2], F(&t)[P + 2], F(&mine)[P]) {
@@ -251,7 +251,7 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
     ahead = rows.next();
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) {
-      m[i] = join(join(v[i], v[i + 1]), v[i + 2]);
+      m[i] = combine(combine(v[i], v[i + 1]), v[i + 2]);
       F const one(1), none(0);
       t[i] = (v[i] == m[i] ? one : none) + (v[i + 1] == m[i] ? one : none) + (v[i + 2] == m[i] ? one : none);
     }
@@ -269,7 +269,7 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
 #pragma unroll
     for (int i = 0; i < P + 2; ++i) {
       F const older = most[slot][i], last = most[1 - slot][i];
-      m[i] = join(join(older, last), new_most[i]);
+      m[i] = combine(combine(older, last), new_most[i]);
       part[i] = g[i] * fast_reciprocal(
                            sum_where(m[i], older, last, new_most[i], ties[slot][i], ties[1 - slot][i], new_ties[i]));
       most[slot][i] = new_most[i], ties[slot][i] = new_ties[i];
@@ -277,12 +277,13 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
     F sum[P];
 #pragma unroll
     for (int i = 0; i < P; ++i) {
-      F const older = least[slot][i], last = least[1 - slot][i];
-      F const low = lesser(lesser(m[i], m[i + 1]), m[i + 2]), lowest = lesser(lesser(older, last), low);
-      F const of_low = sum_where(low, m[i], m[i + 1], m[i + 2], part[i], part[i + 1], part[i + 2]);
-      F const of_lowest = sum_where(lowest, older, last, low, parts[slot][i], parts[1 - slot][i], of_low);
-      sum[i] = own[slot][i] == lowest ? of_lowest : F(0);
-      least[slot][i] = low, parts[slot][i] = of_low, own[slot][i] = new_own[i];
+      F const older = minima[slot][i], last = minima[1 - slot][i];
+      F const low = minimum_number(minimum_number(m[i], m[i + 1]), m[i + 2]),
+              lowest = minimum_number(minimum_number(older, last), low);
+      F const value_low = sum_where(low, m[i], m[i + 1], m[i + 2], part[i], part[i + 1], part[i + 2]);
+      F const value_lowest = sum_where(lowest, older, last, low, parts[slot][i], parts[1 - slot][i], value_low);
+      sum[i] = own[slot][i] == lowest ? value_lowest : F(0);
+      minima[slot][i] = low, parts[slot][i] = value_low, own[slot][i] = new_own[i];
     }
     if (q <= y0) return;
     store_row<T, Aligned>(out, x, width, sum);
@@ -295,11 +296,11 @@ __global__ void __launch_bounds__(kFlatThreads, sizeof(Compute<T>) == 8 ? 1 : 4)
   }
 }
 
-// The gradient of another window. Row q of maxima and parts comes from the rows of x around it, row q - 1 of the
-// gradient from the maxima around that.
+// The gradient of a window that is not flat. Row q of maxima and tie gradients is computed from the rows of x around
+// it; row q - 1 of the gradient from the maxima around that row.
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(kThreads)
-    walk_taps_backward(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
+    taps_backward_strip(__grid_constant__ DilationBackward<T> const p, __grid_constant__ Strips4 const strips) {
   constexpr int P = kStrip;
   using F = Compute<T>;
   int64_t plane;
@@ -308,8 +309,8 @@ __global__ void __launch_bounds__(kThreads)
   int const y1 = min(y0 + int(strips.rows), int(p.x.height)), width = int(p.x.width);
   NineTaps<F> const taps(p.window, plane / p.planes);
   if (taps.flat) return;
-  NearRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2, p.window);
-  NearRows<T, 1, Aligned> grads(p.grad, plane, x, y0 - 1);
+  NeighborRows<T, 2, Aligned> rows(p.x, plane, x, y0 - 2, p.window);
+  NeighborRows<T, 1, Aligned> grads(p.grad, plane, x, y0 - 1);
   T* out = p.grad_x.row(plane, y0) + x;
   F v[3][P + 4], most[3][P + 2] = {}, part[3][P + 2] = {};
   rows.load(v[0]);
@@ -325,7 +326,7 @@ __global__ void __launch_bounds__(kThreads)
     for (int t = 0; t < 9; ++t)
       if (taps.has(t)) {
 #pragma unroll
-        for (int i = 0; i < P + 2; ++i) most[2][i] = join(most[2][i], v[t / 3][i + t % 3] + taps.offset[t]);
+        for (int i = 0; i < P + 2; ++i) most[2][i] = combine(most[2][i], v[t / 3][i + t % 3] + taps.offset[t]);
       }
 #pragma unroll
     for (int t = 0; t < 9; ++t)
@@ -334,7 +335,7 @@ __global__ void __launch_bounds__(kThreads)
         for (int i = 0; i < P + 2; ++i) count[i] += v[t / 3][i + t % 3] + taps.offset[t] == most[2][i] ? F(1) : F(0);
       }
 #pragma unroll
-    for (int i = 0; i < P + 2; ++i) part[2][i] = share(g[i], count[i]);
+    for (int i = 0; i < P + 2; ++i) part[2][i] = tie_gradient(g[i], count[i]);
     if (q > y0) {
       F sum[P] = {};
 #pragma unroll
@@ -361,7 +362,7 @@ template <class T>
 int dilation_3x3(Dilation<T> const& p, CUstream_st* stream) {
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
   with_alignment<T>(is_vectorizable<kStrip>(p.x) && is_vectorizable<kStrip>(p.y), [&](auto aligned) {
-    walk_3x3<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
+    dilation_3x3_strip<T, aligned.value><<<strips.blocks(), kThreads, 0, stream>>>(p, strips);
   });
   return cudaGetLastError();
 }
@@ -369,12 +370,13 @@ int dilation_3x3(Dilation<T> const& p, CUstream_st* stream) {
 template <class T>
 int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream) {
   Strips4 const strips(p.x.count(), p.x.height, p.x.width, kRows);
-  Strips4 const long_strips(p.x.count(), p.x.height, p.x.width, kTapsRows);  // few to find that the window is flat
+  Strips4 const long_strips(p.x.count(), p.x.height, p.x.width,
+                            kTapsRows);  // few strips, most of which only find that the window is flat
   bool const aligned =
       is_vectorizable<kStrip>(p.x) && is_vectorizable<kStrip>(p.grad) && is_vectorizable<kStrip>(p.grad_x);
   with_alignment<T>(aligned, [&](auto aligned) {
-    walk_flat_backward<T, aligned.value><<<strips.blocks(kFlatThreads / 32), kFlatThreads, 0, stream>>>(p, strips);
-    walk_taps_backward<T, aligned.value><<<long_strips.blocks(), kThreads, 0, stream>>>(p, long_strips);
+    flat_backward_strip<T, aligned.value><<<strips.blocks(kFlatThreads / 32), kFlatThreads, 0, stream>>>(p, strips);
+    taps_backward_strip<T, aligned.value><<<long_strips.blocks(), kThreads, 0, stream>>>(p, long_strips);
   });
   return cudaGetLastError();
 }

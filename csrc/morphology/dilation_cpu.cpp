@@ -1,6 +1,5 @@
-// Dilation and erosion on the CPU. Flat windows take three maxima a pixel along y, whatever their height, and the
-// logarithm of their width along x; others keep the rows of their window and take a maximum for every tap. Compiled
-// once per instruction set.
+// Dilation and erosion on the CPU. Flat windows cost three maxima a pixel along y, whatever their height, and the
+// logarithm of their width along x. Other windows cost one maximum for each tap. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "dilation.h"
@@ -10,10 +9,10 @@ namespace {
 
 constexpr float kInfinity = __builtin_inff();
 
-// Rows of numbers, each with what lies outside of the image beside it: all of a window's reach.
+// A ring of rows of numbers, each extended by as many pixels out of bounds as a window reads.
 template <class F>
 struct Rows {
-  int64_t const before, stride;  // in numbers; room for a vector more
+  int64_t const before, stride;  // in numbers; a row has room for one more vector
   int const count;
   Scratch<F> memory;
 
@@ -21,20 +20,20 @@ struct Rows {
       : before(before), stride((before + size + after + 79) / 16 * 16), count(count), memory(count * stride) {
     for (int64_t i = 0; i < count * stride; ++i) memory.data[i] = 0;
   }
-  // Row y of an image; the last `count` of them are kept.
+  // Row y of an image, one of the last `count` rows.
   KV_HD F* operator[](int64_t y) const { return memory.data + (y % count + count) % count * stride + before; }
 };
 
-// The members of one sample's window.
+// The members of one sample's structuring element.
 template <class F>
 struct Taps {
-  Window<F> const& window;
+  StructuringElement<F> const& window;
   Scratch<F> offset;
   Scratch<int> row, column;
   int count = 0;
   bool flat = true;
 
-  explicit Taps(Window<F> const& window)
+  explicit Taps(StructuringElement<F> const& window)
       : window(window),
         offset(window.height * window.width),
         row(window.height * window.width),
@@ -53,7 +52,7 @@ struct Taps {
   }
 };
 
-// Rows of x as they are compared: negated for an erosion.
+// Rows of x as a window compares them: negated for an erosion.
 template <class T>
 struct Source {
   using F = Compute<T>;
@@ -61,13 +60,13 @@ struct Source {
   F const sign, value;
   Scratch<T> outside;
 
-  Source(Planes<T const> const& x, Window<F> const& window)
+  Source(Planes<T const> const& x, StructuringElement<F> const& window)
       : x(x), sign(window.sign()), value(window.value * sign), outside(x.row_size()) {
     for (int64_t e = 0; e < x.row_size(); ++e) store<1>(outside.data + e, window.value);
   }
   KV_HD T const* row(int64_t plane, int64_t y) const { return y < 0 || y >= x.height ? outside.data : x.row(plane, y); }
 
-  // Row y into `to`, with the value beside it.
+  // Copies row y to `to` and extends it by the value of pixels out of bounds.
   void copy(int64_t plane, int64_t y, F* to, int64_t before, int64_t after) const {
     T const* const from = row(plane, y);
     int64_t const size = x.row_size();
@@ -80,7 +79,7 @@ struct Source {
   }
 };
 
-// The larger one, for an erosion the smaller one; NaN wins.
+// The maximum, or the minimum for an erosion; NaN propagates.
 template <bool Erode, class V>
 KV_HD V extreme(V a, V b) {
   V most;  // b where one is NaN
@@ -99,16 +98,15 @@ KV_HD V extreme(V a, V b) {
 
 // --- flat windows ----------------------------------------------------------------------------------------------------
 
-constexpr int kSmall = 4;  // windows of up to so many rows take them one by one
+constexpr int kSmall = 4;  // windows of up to so many rows are computed row by row
 
-// Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is small, each `height` rows of windows share what
-// lies in them from the window's first row up to a common row (`above`, suffix maxima), and have the rows behind that
-// in common with the next ones (`below`, the maximum of these so far).
+// Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is low, `height` adjacent windows share a common row:
+// each combines the suffix maxima up to that row (`above`) with the prefix maximum of the rows below it (`below`).
 template <bool Erode, class T>
 void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
-  Window<F> const& window = p.window;
+  StructuringElement<F> const& window = p.window;
   int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before, height = window.height;
   Rows<F> const above(int(height), size, 0, 0), below(1, size, 0, 0), across(1, size, before, after);
@@ -167,7 +165,7 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
         T const* const next = source.row(plane, last + i);
         if (i == 1)
           combine(below[0], nullptr, next);
-        else  // in place, so not by vectors that overlap
+        else  // in place, so vectors must not overlap
           for (int64_t e = 0; e < size; e += N)
             if (e + N <= size)
               store<N>(below[0] + e, extreme<Erode>(load<N>(below[0] + e), load<N>(next + e)));
@@ -187,9 +185,9 @@ void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int
 
 // --- any window ------------------------------------------------------------------------------------------------------
 
-// Where each tap reads row y of the images.
+// The address from which each tap reads for row y of the images.
 template <class F>
-KV_HD void find_rows(Taps<F> const& taps, Rows<F> const& rows, int64_t y, int64_t step, F const** pointers) {
+KV_HD void locate_taps(Taps<F> const& taps, Rows<F> const& rows, int64_t y, int64_t step, F const** pointers) {
   for (int t = 0; t < taps.count; ++t)
     pointers[t] = rows[y - taps.window.top + taps.row.data[t]] + (taps.column.data[t] - taps.window.left) * step;
 }
@@ -198,7 +196,7 @@ template <class T>
 void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> const& taps, int64_t plane, int64_t y0,
               int64_t y1) {
   using F = Compute<T>;
-  Window<F> const& window = p.window;
+  StructuringElement<F> const& window = p.window;
   int64_t const size = p.x.row_size(), step = p.x.step, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before;
   Rows<F> const rows(window.height, size, before, after);
@@ -207,7 +205,7 @@ void tap_rows(Dilation<T> const& p, Source<T> const& source, Taps<Compute<T>> co
     int64_t const last = y - window.top + window.height - 1;
     for (int64_t i = y == y0 ? last - window.height + 1 : last; i <= last; ++i)
       source.copy(plane, i, rows[i], before, after);
-    find_rows(taps, rows, y, step, pointers.data);
+    locate_taps(taps, rows, y, step, pointers.data);
     T* const out = p.y.row(plane, y);
     for_each_vector<T>(0, size, [&](auto width, int64_t e) {
       constexpr int N = decltype(width)::value;
@@ -251,13 +249,12 @@ void dilation(Dilation<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  Window<F> const& window = p.window;
+  StructuringElement<F> const& window = p.window;
   int64_t const size = p.x.row_size(), step = p.x.step, height = p.x.height, before = window.left * step;
   int64_t const after = (window.width - 1) * step - before;
   Source<T> const source(p.x, window);
   Taps<F> taps(window);
-  // Of the rows that windows around the current row have in the middle: maxima, and the parts of their gradients, which
-  // are 0 outside of the image.
+  // Maxima of the windows around the current row, and the gradients of their ties, which are 0 out of bounds.
   Rows<F> const rows(window.height, size, before, after), most(window.height, size, after, before),
       part(window.height, size, after, before);
   Scratch<F const*> pointers(window.height * window.width), parts(window.height * window.width);
@@ -271,7 +268,7 @@ void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end)
       if (q < 0 || q >= height) {
         for (int64_t e = 0; e < size; ++e) part[q][e] = most[q][e] = 0;
       } else {
-        find_rows(taps, rows, q, step, pointers.data);
+        locate_taps(taps, rows, q, step, pointers.data);
         T const* const g = p.grad.row(plane, q);
         for_each_vector<T>(0, size, [&](auto width, int64_t e) {
           constexpr int N = decltype(width)::value;
@@ -279,7 +276,7 @@ void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end)
           Ties<V> ties{broadcast<N>(-F(kInfinity)), V{}};
           for (int t = 0; t < taps.count; ++t)
             ties.add(load<N>(pointers.data[t] + e) + taps.offset.data[t], broadcast<N>(F(1)));
-          store<N>(most[q] + e, ties.most);
+          store<N>(most[q] + e, ties.value);
           store<N>(part[q] + e, V(load<N>(g + e) / (ties.count > 0 ? ties.count : broadcast<N>(F(1)))));
         });
       }

@@ -5,9 +5,8 @@
 namespace kv {
 namespace {
 
-// A structuring element as the kernels read it: (B or 1, height, width), contiguous, in the type that images are
-// computed in.
-Tensor checked(char const* op, char const* name, Tensor const& element, Tensor const& x) {
+// A structuring element as the kernels read it: (B or 1, height, width), contiguous, in the compute type of the images.
+Tensor check_element(char const* op, char const* name, Tensor const& element, Tensor const& x) {
   KV_CHECK(element.dim() == 3 && (element.size(0) == 1 || element.size(0) == x.size(0)) &&
                element.scalar_type() == compute_dtype(x) && element.device() == x.device(),
            op, ": expected ", name, " (B or 1, height, width) in the type that images are computed in");
@@ -15,31 +14,31 @@ Tensor checked(char const* op, char const* name, Tensor const& element, Tensor c
   return dense(element);
 }
 
-struct Element {
+struct CheckedElement {
   Tensor kernel;
   std::optional<Tensor> heights;
   int64_t height, width, top, left;  // of the window
   double value;
   bool erode;
 
-  Element(char const* op, Tensor const& x, Tensor const& of_kernel, std::optional<Tensor> const& of_heights, int64_t y,
-          int64_t x_of_origin, double value, bool erode)
-      : kernel(checked(op, "kernel", of_kernel, x)),
+  CheckedElement(char const* op, Tensor const& x, Tensor const& members, std::optional<Tensor> const& member_heights,
+                 int64_t origin_y, int64_t origin_x, double value, bool erode)
+      : kernel(check_element(op, "kernel", members, x)),
         height(kernel.size(1)),
         width(kernel.size(2)),
-        top(erode ? y : height - 1 - y),
-        left(erode ? x_of_origin : width - 1 - x_of_origin),
+        top(erode ? origin_y : height - 1 - origin_y),
+        left(erode ? origin_x : width - 1 - origin_x),
         value(value),
         erode(erode) {
-    if (of_heights) {
-      heights = checked(op, "heights", *of_heights, x);
+    if (member_heights) {
+      heights = check_element(op, "heights", *member_heights, x);
       KV_CHECK(heights->size(1) == height && heights->size(2) == width, op, ": expected heights of the kernel's size");
     }
-    KV_CHECK(top >= 0 && top < height && left >= 0 && left < width, op, ": expected the origin inside of the kernel");
+    KV_CHECK(top >= 0 && top < height && left >= 0 && left < width, op, ": expected the origin inside the kernel");
   }
 
   template <class F>
-  Window<F> window() const {
+  StructuringElement<F> window() const {
     auto const data = [](Tensor const& t) { return static_cast<F const*>(t.const_data_ptr()); };
     auto const stride = [&](Tensor const& t) { return t.size(0) > 1 ? height * width : int64_t(0); };
     return {data(kernel),   heights ? data(*heights) : nullptr,
@@ -55,7 +54,7 @@ int64_t planes_of_sample(Tensor const& x, Layout layout) { return layout == Layo
 Tensor dilation(Tensor const& input, Tensor const& kernel, std::optional<Tensor> const& heights, int64_t origin_y,
                 int64_t origin_x, double value, bool erode) {
   check_images("dilation", "input", input);
-  Element const element("dilation", input, kernel, heights, origin_y, origin_x, value, erode);
+  CheckedElement const element("dilation", input, kernel, heights, origin_y, origin_x, value, erode);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
   dispatch_floating("dilation", x, [&](auto type) {
@@ -73,7 +72,7 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
   constexpr char const* op = "dilation_backward";
   check_images(op, "input", input);
   check_like(op, "grad", grad, input);
-  Element const element(op, input, kernel, heights, origin_y, origin_x, value, erode);
+  CheckedElement const element(op, input, kernel, heights, origin_y, origin_x, value, erode);
   Layout const layout = layout_of(input);
   Tensor const g = as_layout(grad, layout), x = as_layout(input, layout), grad_x = empty_like(x, layout);
   dispatch_floating(op, x, [&](auto type) {
@@ -85,21 +84,21 @@ Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& 
       KV_RUN(dilation_backward, x, params, params.x.rows(), params.x.row_size() * element.height * element.width / 4);
     };
 #if defined(KV_CUDA)
-    if (layout == Layout::channels_last || !has_own_memory(all.window)) {
-      // Two numbers an element, of so many samples at a time that they take no more memory than x.
+    if (layout == Layout::channels_last || !needs_no_workspace(all.window)) {
+      // The workspace has two numbers for each element of as many samples as take no more memory than x.
       int64_t const samples = x.size(0), numbers = samples ? 2 * x.numel() / samples : 0;
-      int64_t const together = max(int64_t(samples * sizeof(T) / (2 * sizeof(F))), int64_t(1));
-      Tensor const found = empty({together * numbers}, x, Layout::planar, compute_dtype(x));
-      for (int64_t first = 0; first < samples; first += together) {
+      int64_t const samples_at_once = max(int64_t(samples * sizeof(T) / (2 * sizeof(F))), int64_t(1));
+      Tensor const workspace = empty({samples_at_once * numbers}, x, Layout::planar, compute_dtype(x));
+      for (int64_t first = 0; first < samples; first += samples_at_once) {
         DilationBackward<T> params = all;
-        params.found = data_ptr<F>(found);
+        params.workspace = data_ptr<F>(workspace);
         params.window.kernel += first * params.window.kernel_stride;
         if (params.window.heights) params.window.heights += first * params.window.heights_stride;
-        auto const take = [&](auto& planes, Tensor const& of) {
-          planes.data += first * of.stride(0);
-          planes.outer = planes.outer / samples * min(together, samples - first);
+        auto const slice_samples = [&](auto& planes, Tensor const& tensor) {
+          planes.data += first * tensor.stride(0);
+          planes.outer = planes.outer / samples * min(samples_at_once, samples - first);
         };
-        take(params.grad, g), take(params.x, x), take(params.grad_x, grad_x);
+        slice_samples(params.grad, g), slice_samples(params.x, x), slice_samples(params.grad_x, grad_x);
         run(params);
       }
       return;

@@ -1,9 +1,14 @@
-"""The pages of the documentation: examples that run, links and paths that lead somewhere, every public name with its arguments."""
+"""The pages of the documentation: examples that run, links and paths that lead somewhere, every public name with its arguments.
+
+python tests/test_docs.py    # renews the descriptions in docs/reference from the first sentences of the docstrings
+"""
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
+from enum import Enum
 from pathlib import Path
 
 import pytest
@@ -13,9 +18,19 @@ import kvision as K
 from test_public_api import arguments, public_modules, public_names, surface
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("", "benchmarks", "docs", "docs/notes", "docs/reference", "examples/cpp", "third_party")
+FOLDERS = (
+    "",
+    "benchmarks",
+    "docs",
+    "docs/notes",
+    "docs/reference",
+    "docs/reference/geometry",
+    "examples/cpp",
+    "third_party",
+)
 PAGES = [str(path.relative_to(ROOT)) for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
-REFERENCE = "".join(path.read_text() for path in sorted((ROOT / "docs" / "reference").glob("*.md")))
+FOLDER = ROOT / "docs" / "reference"
+REFERENCE = "".join(path.read_text() for path in sorted(FOLDER.rglob("*.md")))
 
 
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,3 +87,22 @@ def test_the_reference_has_no_other_names() -> None:
     documented = set(re.findall(r"^\| `([A-Za-z_]\w*)\(", REFERENCE, re.MULTILINE))
     of_tensors = set(dir(torch.Tensor))  # which an Image has, too
     assert documented <= public | of_tensors, documented - public
+
+
+def renew_descriptions(page: Path) -> None:
+    """Give every function and class in the tables of a page the first sentence of its docstring."""
+    module = importlib.import_module(".".join(("kvision", *page.relative_to(FOLDER).with_suffix("").parts)))
+
+    def renewed(row: re.Match[str]) -> str:
+        value = getattr(module, row[2], None)
+        summary = " ".join((inspect.getdoc(value) or "").split("\n\n")[0].split())
+        hand_written = not summary or ":math:" in summary or (inspect.isclass(value) and issubclass(value, Enum))
+        return row[0] if hand_written else row[1] + re.sub(r":\w+:(`[^`]+`)", r"\1", summary) + " |"
+
+    page.write_text(re.sub(r"^(\| `(\w+)(?:\([^\n]*?\))?` \| )(.*) \|$", renewed, page.read_text(), flags=re.MULTILINE))
+
+
+if __name__ == "__main__":
+    for page in sorted(FOLDER.rglob("*.md")):
+        if page.stem != "kvision":
+            renew_descriptions(page)

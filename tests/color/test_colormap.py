@@ -10,6 +10,7 @@ import torch
 import kvision as K
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 from op_tests import assert_close, instruction_set
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 
 C = K.color
 
@@ -150,3 +151,17 @@ def test_operator(device, backend):
         pytest.skip("of the kernels")
     x, white = torch.rand(2, 3, 4, 5, device=device), torch.ones(2, 3, device=device)
     torch.library.opcheck(torch.ops.kvision.color_table.default, (x, white, torch.rand(1, 3, 6, device=device)))
+
+
+class TestColormapOperators(PointOpTests):
+    calls = {
+        "color_table": [
+            Call(
+                (vector(3, 4, 5), lambda: torch.ones(3), vector(3, 6)),
+                broadcasts=False,
+                differentiable=False,
+                dtypes=SINGLE_AND_DOUBLE,
+                accepted=(" cut along axis -1", "another batch"),
+            )
+        ],
+    }

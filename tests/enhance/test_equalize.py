@@ -13,6 +13,7 @@ from torch import Tensor
 
 import kvision as K
 from op_tests import OpTests, assert_close
+from point_op_tests import Call, PointOpTests, vector
 
 E = K.enhance
 
@@ -250,3 +251,12 @@ def test_clahe_has_a_gradient_where_asked_for(device):
     assert not none.any()
     E.equalize_clahe(x, 0.0, (2, 2), slow_and_differentiable=True).square().sum().backward()
     assert x.grad.isfinite().all() and x.grad.abs().sum() > 0
+
+
+class TestEqualizeOperators(PointOpTests):
+    calls = {
+        "equalize_backward": [
+            Call((vector(3, 4, 5), vector(3, 4, 5), changed), broadcasts=False, differentiable=False)
+            for changed in (None, lambda: torch.tensor([0.0, 1, 2]))
+        ],
+    }

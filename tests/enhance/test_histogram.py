@@ -12,6 +12,7 @@ import kvision as K
 import raw_calls
 from kvision.enhance.histogram import kernel_counts
 from op_tests import assert_close, instruction_set, recorded
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 
 E = K.enhance
 
@@ -261,3 +262,25 @@ def test_bins_against_the_reference(samples, kernel, bins, device):
         for a, b, e in zip(first, second, expected):
             assert torch.equal(a, b)
             assert_close(a, e.to(dtype), tolerance, tolerance * float(e.abs().max()))
+
+
+class TestHistogramOperators(PointOpTests):
+    calls = {
+        "gaussian_counts": [
+            Call(
+                (vector(40), torch.linspace(0, 1, 5)[None], torch.tensor([0.2])),
+                tolerance=50,
+                dtypes=SINGLE_AND_DOUBLE,
+                accepted=(" cut along ",),
+            )
+        ],
+        "grid_counts": [
+            Call(
+                (vector(40),),
+                (0.0, 0.25, 5, "triangular"),
+                tolerance=50,
+                dtypes=SINGLE_AND_DOUBLE,
+                accepted=("cut along", "bins 32768"),
+            )
+        ],
+    }

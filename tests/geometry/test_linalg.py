@@ -9,6 +9,7 @@ from torch import Tensor
 import kvision as K
 from composition_tests import Case, CompositionTests
 from op_tests import assert_close
+from point_op_tests import Call, PointOpTests, vector
 
 G = K.geometry
 P2, P3, MATRIX, POSE = (2, 5, 2), (2, 5, 3), (2, 3, 3), (2, 4, 4)
@@ -116,3 +117,11 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestLinalgOperators(PointOpTests):
+    calls = {
+        "compose_poses": [Call((vector(4, 4),) * 2)],
+        "invert_pose": [Call((vector(4, 4),))],
+        "relative_pose": [Call((vector(4, 4),) * 2)],
+    }

@@ -10,6 +10,7 @@ import kvision as K
 from composition_tests import Case, CompositionTests
 from kvision.geometry.quaternion import average_quaternions
 from op_tests import assert_close
+from point_op_tests import Call, PointOpTests, vector
 
 G = K.geometry
 Q = G.Quaternion
@@ -132,3 +133,9 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestQuaternionOperators(PointOpTests):
+    calls = {
+        "quaternion_product": [Call((vector(4),) * 2)],
+    }

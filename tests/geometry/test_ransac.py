@@ -13,6 +13,7 @@ from kvision.geometry.ransac import _consensus, _contest, _leaders, _verdict
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal
 from kvision.geometry.solvers.affine import affine_of
 from op_tests import assert_close, instruction_set
+from point_op_tests import SINGLE_AND_DOUBLE, SQUARE, Call, PointOpTests, vector
 from view_tests import Scene, homographies, moved, on_planes, rand
 
 N = 400
@@ -338,3 +339,90 @@ def test_opencv_affine():
     model, ours = K.geometry.RANSAC("affine", inl_th=threshold, seed=0)(x, y)
     assert (ours == inliers).double().mean() > 0.99 and (ours & right).sum() > 0.99 * right.sum()
     assert_close(moved(x[None, right], model[None]), moved(x[None, right], least[None]), 0, 0.1)
+
+
+SEEN = rand(2, 77, high=9, seed=1), rand(2, 77, high=9, seed=2)
+SCORES = vector(2)
+
+
+def random_model() -> Tensor:
+    return rand(3, 3, low=-1) + 0.3 * torch.rand(3, 3)
+
+
+# Any number of models may be kept, and C++ asks for axes before it checks how many there are.
+RANSAC_ACCEPTED = ("count ", "least ", "another batch", "without axes", "one axis less")
+
+
+class TestRansacOperators(PointOpTests):
+    """Where models stand for samples; lists of them are merged and cut, so only `consensus` gives each its own result."""
+
+    calls = {
+        "consensus": [
+            Call(
+                (random_model, *SEEN),
+                (3.0, model),
+                broadcasts=False,
+                per_sample=False,
+                differentiable=False,
+                accepted=RANSAC_ACCEPTED,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=200,
+            )
+            for model in ("homography", "fundamental", "essential")
+        ],
+        "contest": [
+            Call(
+                (random_model, SCORES, random_model, SCORES, *SEEN),
+                (3.0, 0.2, 4, False, "homography"),
+                broadcasts=False,
+                per_sample=False,
+                differentiable=False,
+                accepted=RANSAC_ACCEPTED,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=200,
+            )
+        ],
+        "leaders": [
+            Call(
+                (random_model, SCORES),
+                (2, by_number),
+                broadcasts=False,
+                per_sample=False,
+                differentiable=False,
+                accepted=RANSAC_ACCEPTED,
+                dtypes=SINGLE_AND_DOUBLE,
+            )
+            for by_number in (False, True)
+        ],
+        "verdict": [
+            Call(
+                (random_model, vector(9)),
+                (4, "homography"),
+                broadcasts=False,
+                per_sample=False,
+                differentiable=False,
+                accepted=RANSAC_ACCEPTED,
+                dtypes=SINGLE_AND_DOUBLE,
+            )
+        ],
+        "minimal": [
+            Call(
+                (vector(3, 2), vector(3, 2), None),
+                ("affine",),
+                broadcasts=False,
+                differentiable=False,
+                accepted=RANSAC_ACCEPTED,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=200,
+            ),
+            Call(
+                (lambda: SQUARE + 0.5 * torch.rand(4, 2), lambda: SQUARE + 0.5 * torch.rand(4, 2), None),
+                ("homography",),
+                broadcasts=False,
+                differentiable=False,
+                accepted=RANSAC_ACCEPTED,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=200,
+            ),
+        ],
+    }

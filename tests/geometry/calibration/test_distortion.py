@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 import kvision as K
-import raw_calls
 from composition_tests import Case
 from kvision.geometry.calibration.distortion import _map, _map_gradient
 from op_tests import assert_close, instruction_set
+from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near
 from view_tests import CAMERA, LENS, ViewTests, camera, points, rand
 
 G = K.geometry
@@ -67,18 +67,6 @@ def test_derivatives(count, device):
 
     assert torch.autograd.gradcheck(of_lens, leaves, fast_mode=True, check_forward_ad=True)
     assert torch.autograd.gradgradcheck(of_lens, leaves, fast_mode=True)
-
-
-def test_as_operators(device, backend):
-    if backend == "reference":
-        pytest.skip("this test is about the kernels")
-    given = on(device, lenses(14), torch.float32)
-    for op, args in ((_map, [*given, [5, 6]]), (_map_gradient, [torch.rand(2, 2, 5, 6, device=device), *given])):
-        torch.library.opcheck(op.kernel, tuple(args), test_utils=("test_schema", "test_faketensor"))
-        # Any size goes with a gradient, and any coefficients may be given.
-        fine = [f"grad cut along axis {axis}" for axis in (-1, -2)]
-        wrong = [c for c in raw_calls.wrong_calls(op.kernel, args) if c[0] not in fine]
-        assert not raw_calls.taken(op.kernel, wrong)
 
 
 def test_pixels_without_a_gradient_add_nothing(device, backend):
@@ -189,3 +177,33 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+ROWS = near(QUADS), near(CAMERA), near(CAMERA), lambda: 0.1 * LENS + 0.01 * torch.rand(14), near(EYE, 0.01)
+
+
+class TestDistortionOperators(PointOpTests):
+    calls = {
+        "distort": [
+            Call(ROWS, broadcasts=False, accepted=("points cut",), dtypes=SINGLE_AND_DOUBLE, tolerance=20),
+            Call(
+                (*ROWS[:3], lambda: LENS[:5] * torch.rand(5), None),
+                broadcasts=False,
+                accepted=("points cut",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=20,
+            ),
+        ],
+        "undistort": [
+            Call(
+                ROWS,
+                (5,),
+                broadcasts=False,
+                accepted=("points cut",),
+                differentiable=False,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=20,
+            )
+        ],
+        "lens_map": [Call((near(IMAGE_CAMERA[0]), *ROWS[3:]), ([5, 6],), dtypes=SINGLE_AND_DOUBLE, tolerance=50)],
+    }

@@ -5,7 +5,8 @@ import torch
 
 import kvision as K
 from composition_tests import Case
-from view_tests import Scene, ViewTests, camera, finite_gradients, points, rand
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
+from view_tests import CAMERA, Scene, ViewTests, camera, finite_gradients, points, rand
 
 G = K.geometry
 SCENE = Scene(1, 8)
@@ -45,3 +46,19 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+class TestPnpOperators(PointOpTests):
+    calls = {
+        "pose_dlt": [
+            Call(
+                (near(SCENE.points[0]), near(SCENE.x1[0]), near(CAMERA), weights),
+                (1e-9,),
+                broadcasts=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=5000,
+            )
+            for weights in (vector(8), None)
+        ],
+    }

@@ -7,6 +7,7 @@ from torch import Tensor
 import kvision as K
 from composition_tests import Case, CompositionTests
 from op_tests import assert_close
+from point_op_tests import DEGREES, Call, PointOpTests
 
 G = K.geometry
 P2, P3, MATRIX, POSE = (2, 5, 2), (2, 5, 3), (2, 3, 3), (2, 4, 4)
@@ -63,3 +64,9 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestAnglesOperators(PointOpTests):
+    calls = {
+        "angle_to_rotation_matrix": [Call((DEGREES,))],
+    }

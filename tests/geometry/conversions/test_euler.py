@@ -7,6 +7,8 @@ import torch
 
 import kvision as K
 from composition_tests import Case, CompositionTests
+from op_tests import assert_close
+from point_op_tests import NUMBER, Call, PointOpTests
 
 G = K.geometry
 EULER = ((2, 5),)
@@ -53,3 +55,36 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestEulerOperators(PointOpTests):
+    calls = {
+        "quaternion_from_euler": [Call((NUMBER,) * 3)],
+        "euler_from_quaternion": [Call((NUMBER,) * 4)],
+    }
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+def test_any_angle(dtype, device):
+    """Sines, cosines and arc tangents, of large angles, in every octant and where these meet."""
+    exact = torch.cat(
+        [
+            torch.linspace(-20, 20, 4001, dtype=torch.float64),
+            torch.pi / 8 * torch.arange(-40, 41, dtype=torch.float64),
+            torch.tensor([0.0, 1e-300, -1e-8, 12345.678, -9.9e5, 1.1e6, 3e15]),
+        ]
+    )
+    angles = exact.to(dtype).to(device)
+    zero = torch.zeros_like(angles)
+    w, x, _, _ = K.geometry.quaternion_from_euler(angles, zero, zero)
+    half = angles.double() / 2
+    tolerance = 3e-16 if dtype == torch.float64 else 4e-8
+    assert_close(w.double(), half.cos(), 0, tolerance)
+    assert_close(x.double(), half.sin(), 0, tolerance)
+    cosine, sine = half.cos().to(dtype), half.sin().to(dtype)
+    log = K.geometry.quaternion_exp_to_log(torch.stack([cosine, sine, zero, zero], 1))[:, 0].double()
+    angle = torch.atan2(sine.double(), cosine.double())
+    known = sine != 0
+    assert_close(log[known], angle[known], 0, 9e-16 if dtype == torch.float64 else 2e-7)
+    for bad in (torch.inf, -torch.inf, torch.nan):
+        assert K.geometry.quaternion_from_euler(*torch.full((3, 1), bad, device=device))[0].isnan().all()

@@ -11,6 +11,7 @@ from hypothesis import given
 import kvision as K
 from composition_tests import Case, CompositionTests
 from op_tests import assert_close
+from point_op_tests import EYE, Call, PointOpTests, near, vector
 
 G = K.geometry
 V, Q, R = (2, 5, 3), (2, 5, 4), (2, 5, 3, 3)
@@ -187,3 +188,17 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestRotationsOperators(PointOpTests):
+    calls = {
+        "rotation_matrix_to_axis_angle": [Call((near(EYE),))],
+        "axis_angle_to_rotation_matrix": [Call((vector(3, scale=2),))],
+        "quaternion_exponential": [Call((vector(3),), (0.5,))],
+        "quaternion_to_axis_angle": [Call((vector(4),))],
+        "quaternion_to_rotation_matrix": [Call((vector(4),))],
+        "rotation_matrix_to_quaternion": [Call((near(EYE),)), Call((near(-EYE),))],
+        "cross_matrix": [Call((vector(3),))],
+        "normalize_quaternion": [Call((vector(4),), (1e-12,)), Call((vector(4),), (3.0,))],
+        "quaternion_logarithm": [Call((vector(4),))],
+    }

@@ -5,6 +5,7 @@ import torch
 import kvision as K
 from composition_tests import Case
 from op_tests import assert_close
+from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from view_tests import ViewTests, rand
 
 G = K.geometry
@@ -35,3 +36,18 @@ def test_errors_of_many_correspondences_of_one_matrix(device):
             results.append([errors.detach(), *torch.autograd.grad(errors.sum(), leaf)])
     assert all(torch.equal(a, b) for a, b in zip(*results[:2]))
     assert_close(results[0], results[2], 1e-10, 1e-10)
+
+
+class TestDistancesOperators(PointOpTests):
+    calls = {
+        "view_errors": [
+            Call(
+                (vector(9, 2), vector(9, 2), near(EYE)),
+                (kind, squared),
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=200,
+            )
+            for kind, squared in (("sampson", True), ("symmetrical", True), ("right", True), ("left", True))
+        ],
+    }

@@ -7,6 +7,7 @@ import torch
 import kvision as K
 from composition_tests import Case
 from op_tests import assert_close
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from view_tests import CAMERA, Scene, ViewTests, camera, finite_gradients, on_planes, points, rand, rays
 
 G = K.geometry
@@ -98,3 +99,50 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+class TestEssentialOperators(PointOpTests):
+    calls = {
+        "essential_from_fundamental": [Call((vector(3, 3),) * 3)],
+        "camera_motion": [Call((vector(3, 3), vector(3, 1)) * 2)],
+        "essential_from_motions": [Call((vector(3, 3), vector(3, 1)) * 2)],
+    }
+
+
+class TestMotionOperators(PointOpTests):
+    calls = {
+        "nearest_essential": [
+            Call(
+                (near(SCENE.E, 0.1),),
+                accepted=("another dtype", "mask of torch.bool"),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=100,
+            )
+        ],
+        "essential_motions": [
+            Call(
+                (near(SCENE.E, 0.1),),
+                accepted=("another dtype", "mask of torch.bool"),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=100,
+            )
+        ],
+        "motion_choice": [
+            Call(
+                (
+                    near(SCENE.E, 0.001),
+                    near(CAMERA, 0.01),
+                    near(CAMERA, 0.01),
+                    near(SCENE.x1[0], 0.01),
+                    near(SCENE.x2[0], 0.01),
+                    mask,
+                ),
+                broadcasts=False,
+                differentiable=False,
+                accepted=("another dtype", "mask of torch.bool"),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=5000,
+            )
+            for mask in (None, lambda: torch.ones(8, dtype=torch.bool))
+        ],
+    }

@@ -7,6 +7,7 @@ import torch
 import kvision as K
 from composition_tests import Case
 from op_tests import assert_close
+from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from view_tests import Scene, ViewTests, finite_gradients, on_planes, points
 
 G = K.geometry
@@ -58,3 +59,30 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+class TestFundamentalOperators(PointOpTests):
+    calls = {
+        "fundamental_from_essential": [Call((vector(3, 3), near(EYE), near(EYE)))],
+        "fundamental_from_projections": [Call((vector(3, 4),) * 2)],
+    }
+
+
+SIGHTS = [lambda x=x: x[0] + 0.5 * torch.rand_like(x[0]) for x in (Scene(1, 12).x1, Scene(1, 12).x2)]
+
+
+class TestFundamentalDltOperators(PointOpTests):
+    calls = {
+        "fundamental_dlt": [
+            Call(
+                (*SIGHTS, vector(12)),
+                broadcasts=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=2000,
+            ),
+            Call(
+                (*SIGHTS, None), broadcasts=False, accepted=("another dtype",), dtypes=SINGLE_AND_DOUBLE, tolerance=2000
+            ),
+        ],
+    }

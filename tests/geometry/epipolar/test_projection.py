@@ -7,6 +7,7 @@ import torch
 import kvision as K
 from composition_tests import Case
 from op_tests import assert_close
+from point_op_tests import EYE34, Call, PointOpTests, near
 from view_tests import Scene, ViewTests
 
 G = K.geometry
@@ -41,3 +42,9 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+class TestProjectionOperators(PointOpTests):
+    calls = {
+        "camera_of_projection": [Call((near(EYE34),)), Call((near(-EYE34),))],
+    }

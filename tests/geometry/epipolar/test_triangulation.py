@@ -7,6 +7,7 @@ import torch
 import kvision as K
 from composition_tests import Case
 from op_tests import assert_close
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, near
 from view_tests import Scene, ViewTests, finite_gradients, on_planes, rand
 
 G = K.geometry
@@ -67,3 +68,20 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+SCENE = Scene(1, 4)
+
+
+class TestTriangulationOperators(PointOpTests):
+    calls = {
+        "triangulate": [
+            Call(
+                (near(SCENE.x1[0]), near(SCENE.x2[0]), near(SCENE.P1, 0.01), near(SCENE.P2, 0.01)),
+                broadcasts=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=2000,
+            )
+        ],
+    }

@@ -7,6 +7,7 @@ import torch
 import kvision as K
 from composition_tests import Case, on
 from op_tests import assert_close
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 from view_tests import ViewTests, finite_gradients, on_planes, points
 
 G = K.geometry
@@ -103,3 +104,34 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+# Points of both images of a plane, a little off, so that what fits them is unique.
+PLANE = [lambda x=x: x[0] + 0.5 * torch.rand_like(x[0]) for x in on_planes(1, 12)[:2]]
+LINES = [lambda x=x: x().view(6, 2, 2) for x in PLANE]
+
+
+class TestDltOperators(PointOpTests):
+    calls = {
+        "homography_dlt": [
+            Call(
+                (*PLANE, vector(12)),
+                broadcasts=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=500,
+            ),
+            Call(
+                (*PLANE, None), broadcasts=False, accepted=("another dtype",), dtypes=SINGLE_AND_DOUBLE, tolerance=500
+            ),
+        ],
+        "homography_lines_dlt": [
+            Call(
+                (*LINES, vector(6)),
+                broadcasts=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=500,
+            )
+        ],
+    }

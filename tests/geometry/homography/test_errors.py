@@ -7,6 +7,7 @@ import torch
 
 import kvision as K
 from composition_tests import Case
+from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from view_tests import ViewTests, finite_gradients, on_planes
 
 G = K.geometry
@@ -51,3 +52,18 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+class TestErrorsOperators(PointOpTests):
+    calls = {
+        "view_errors": [
+            Call(
+                (vector(9, 2), vector(9, 2), near(EYE)),
+                (kind, squared),
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=200,
+            )
+            for kind, squared in (("transfer", True), ("symmetric_transfer", True), ("sampson_transfer", True))
+        ],
+    }

@@ -5,6 +5,7 @@ import torch
 
 import kvision as K
 from composition_tests import Case
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 from view_tests import ViewTests
 
 G = K.geometry
@@ -29,3 +30,18 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+class TestAffineOperators(PointOpTests):
+    calls = {
+        "affine_fit": [
+            Call(
+                (vector(7, 2), vector(7, 2), weights),
+                broadcasts=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=100,
+            )
+            for weights in (vector(7), None)
+        ],
+    }

@@ -6,6 +6,7 @@ import torch
 import kvision as K
 from kvision.geometry.solvers.null_vector import _eigenvectors
 from op_tests import assert_close
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests, vector
 from view_tests import rand
 
 G = K.geometry
@@ -33,3 +34,34 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+def symmetric(n: int):
+    return lambda: (lambda x: x @ x.mT)(vector(n, n)())
+
+
+class TestNullVectorOperators(PointOpTests):
+    calls = {
+        "null_vector": [
+            Call(
+                (vector(7, 4), weights),
+                broadcasts=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=100,
+            )
+            for weights in (vector(7), None)
+        ],
+        # The sign of a vector is open.
+        "eigenvectors": [
+            Call(
+                (symmetric(n),),
+                differentiable=False,
+                accepted=("another dtype",),
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=20,
+                compared=lambda values, _: values,
+            )
+            for n in (3, 9)
+        ],
+    }

@@ -6,6 +6,7 @@ import torch
 import kvision as K
 from composition_tests import Case, on
 from op_tests import assert_close
+from point_op_tests import SINGLE_AND_DOUBLE, Call, PointOpTests
 from view_tests import ViewTests, finite_gradients
 
 G = K.geometry
@@ -46,3 +47,16 @@ def test_errors(call, error, message):
     with pytest.raises(error, match=message) as caught:
         call()
     assert isinstance(caught.value, K.core.exceptions.BaseError)
+
+
+class TestRootsOperators(PointOpTests):
+    calls = {
+        "real_roots": [
+            Call(
+                (lambda: torch.tensor([2.0, -0.3, -3, 0.2, 0.5]) + 0.1 * torch.rand(5),),
+                differentiable=False,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=20,
+            )
+        ],
+    }

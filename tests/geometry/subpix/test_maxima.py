@@ -8,6 +8,7 @@ import torch
 import kvision as K
 from composition_tests import Case, CompositionTests
 from op_tests import OpTests
+from point_op_tests import Call, PointOpTests, vector
 
 kornia = pytest.importorskip("kornia")
 G = K.geometry
@@ -73,3 +74,13 @@ def test_equal_neighbours_and_nan_are_no_maxima(device):
     assert not G.nms2d(x, (3, 3)).any()
     x[0, 0, 2, 3] = float("nan")
     assert not G.nms2d(x, (3, 3)).any()
+
+
+class TestMaximaOperators(PointOpTests):
+    calls = {
+        name: [
+            Call((vector(3, 6, 7),), ([1, 3, 3], False), differentiable=False, tolerance=0),
+            Call((vector(4, 6, 7),), ([3, 3, 3], True), differentiable=False, tolerance=0),
+        ]
+        for name in ("is_local_maximum", "local_extrema")
+    }

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 import kvision as K
-import raw_calls
 from composition_tests import Case, CompositionTests
 from kvision._ops import FLOATS
 from op_tests import TOLERANCES, OpTests, assert_close, instruction_set
+from point_op_tests import Call, PointOpTests, vector
 
 kornia = pytest.importorskip("kornia")
 G = K.geometry
@@ -97,23 +97,6 @@ def test_gaussians_far_away_or_narrow(device):
     assert G.render_gaussian2d(mean[:0], mean[:0], (6, 7)).shape == (0, 6, 7)
 
 
-def test_gaussians_as_operators(device, backend):
-    if backend == "reference":
-        pytest.skip("this test is about the kernels")
-    rows = [torch.rand(3, 2, device=device), torch.rand(3, 2, device=device) + 0.5]
-    operators = torch.ops.kvision.gaussian_maps.default, torch.ops.kvision.gaussian_maps_backward.default
-    grad = torch.rand_like(operators[0](*rows, 4, 6, True))
-    for op, given in zip(operators, ([*rows, 4, 6, True], [grad, *rows, True])):
-        torch.library.opcheck(op, tuple(given), test_utils=("test_schema", "test_faketensor"))
-        wrong = [
-            call
-            for call in raw_calls.wrong_calls(op, given)
-            if str(2**15) not in call[0] and "without rows" not in call[0]
-        ]
-        taken = raw_calls.taken(op, wrong)
-        assert not taken, "\n".join(taken)
-
-
 def test_spatial_is_kornias(device):
     x = torch.randn(2, 3, 6, 9, dtype=torch.float64, device=device)
     mean, std = torch.rand(2, 4, 2, device=device).double() - 0.5, torch.rand(2, 4, 2, device=device).double() + 0.1
@@ -127,3 +110,12 @@ def test_spatial_is_kornias(device):
             *(module.render_gaussian2d(mean, std, (7, 8), normalized) for module in (G, kornia.geometry.subpix))
         )
     assert_close(G.spatial_softmax2d(x, 0.2), kornia.geometry.subpix.spatial_softmax2d(x, 0.2))
+
+
+class TestSpatialOperators(PointOpTests):
+    calls = {
+        "gaussian_maps": [
+            Call((vector(2), lambda: torch.rand(2) + 0.5), (4, 6, normalized), accepted=("32768",))
+            for normalized in (True, False)
+        ],
+    }

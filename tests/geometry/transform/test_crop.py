@@ -6,6 +6,7 @@ import torch
 import kvision as K
 from kvision.geometry.transform.matrices import crop_matrix
 from op_tests import assert_close
+from point_op_tests import SQUARE, Call, PointOpTests, near
 
 G = K.geometry
 QUADS = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]], [[2.0, 1], [6, 1], [6, 4], [2, 4]]]).double()
@@ -111,3 +112,9 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestCropOperators(PointOpTests):
+    calls = {
+        "quad_shapes": [Call((near(SQUARE), near(SQUARE)))],
+    }

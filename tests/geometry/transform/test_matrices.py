@@ -5,6 +5,8 @@ import torch
 
 import kvision as K
 from op_tests import assert_close
+from point_op_tests import CUBE, DEGREES, EYE, SMALL, Call, PointOpTests, near, vector
+from point_op_tests import SQUARE as RECTANGLE
 
 G = K.geometry
 SQUARE = torch.tensor([[[0.0, 0], [1, 0], [1, 1], [0, 1]]])
@@ -57,3 +59,33 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestMatricesOperators(PointOpTests):
+    calls = {
+        "affine_matrix2d": [
+            Call((DEGREES, vector(2), vector(2), SMALL, SMALL, vector(2)), (-1.0, 0.0, 0.0, 3)),
+            Call((DEGREES, None, vector(2), None, SMALL, None), (1.0, 3.5, 2.0, 2)),
+            Call((DEGREES, None, None, None, None, None), (1.0, 3.5, 2.0, 2)),
+        ],
+        "translation_matrix2d": [Call((vector(2),), (0.0, 0.0, 2)), Call((vector(2),), (0.5, -1.5, 3))],
+        "scale_matrix2d": [Call((vector(2), vector(2)), (0.0, 0.0)), Call((vector(2), None), (3.5, 2.0))],
+        "slant_matrix2d": [Call((vector(2),))],
+        "translation_matrix3d": [Call((vector(3),), (0.5, 0.0, -1.5, 3)), Call((vector(3),), (0.0, 0.0, 0.0, 4))],
+        "affine_matrix3d": [
+            Call((*[DEGREES] * 3, *[vector(3)] * 3, *[SMALL] * 6), (-1.0, 0.0, 0.0, 0.0, 4)),
+            Call((*[DEGREES] * 3, *[None] * 9), (1.0, 3.5, 2.0, 1.0, 3)),
+        ],
+        "shear_matrix2d": [Call((vector(2), SMALL, SMALL)), Call((vector(2), None, SMALL))],
+        "shear_matrix3d": [Call((vector(3), *[SMALL] * 6)), Call((vector(3), *[None] * 5, SMALL))],
+        "invert_affine2d": [Call((near(EYE[:2]),))],
+        "perspective_matrix": [Call((near(RECTANGLE), near(RECTANGLE)))],
+        "perspective_matrix3d": [
+            Call((near(CUBE), near(2 * CUBE)), (0.0, 0.0, 0.0)),
+            Call((near(CUBE), None), (4.0, 3.0, 5.0)),
+        ],
+        "crop_matrix": [
+            Call((near(RECTANGLE), vector(2)), (4.0, 3.0)),
+            Call((near(RECTANGLE), None), (4.0, 1.0)),
+        ],
+    }

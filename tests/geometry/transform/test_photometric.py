@@ -4,6 +4,7 @@ from torch import Tensor
 
 import kvision as K
 from op_tests import assert_close
+from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from warp_tests import WarpTests
 
 G = K.geometry
@@ -106,3 +107,19 @@ def test_normal_equations_of_nothing(device):
     image = torch.ones(1, 1, 4, 4, device=device)
     normal, gradient, loss = G.photometric_normal_equations(image, image, far)
     assert not normal.any() and not gradient.any() and loss.isnan().all()
+
+
+class TestPhotometricOperators(PointOpTests):
+    calls = {
+        "photometric_normal": [
+            Call(
+                (vector(3, 8, 9), vector(3, 8, 9), near(EYE, 0.01)),
+                ("charbonnier", 0.1, True, True),
+                differentiable=False,
+                dtypes=SINGLE_AND_DOUBLE,
+                tolerance=100,
+                broadcasts=False,
+                accepted=(" cut along ",),
+            )
+        ],
+    }

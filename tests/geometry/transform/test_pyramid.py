@@ -6,6 +6,7 @@ import torch
 import kvision as K
 from kvision.geometry.transform.pyramid import _detail
 from op_tests import assert_close
+from point_op_tests import Call, PointOpTests, vector
 from warp_tests import ResizeTests
 
 G = K.geometry
@@ -116,3 +117,13 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+class TestPyramidOperators(PointOpTests):
+    calls = {
+        "pyramid_detail": [
+            Call(
+                (vector(3, 4, 5), vector(3, 8, 10)), (False, "reflect"), broadcasts=False, accepted=("around a pixel",)
+            )
+        ],
+    }

@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 import kvision as K
-import raw_calls
 from composition_tests import Case, CompositionTests
-from kvision.geometry.transform.thin_plate import _map, _map_gradient, _points, _points_gradient, _weights
+from kvision.geometry.transform.thin_plate import _map, _points, _weights
 from op_tests import assert_close, instruction_set
+from point_op_tests import SINGLE_AND_DOUBLE, SQUARE, Call, PointOpTests, vector
 
 G = K.geometry
 
@@ -70,27 +70,6 @@ def test_parts_of_larger_tensors(device):
     parts = both[:, :5], both[:, 5:]
     assert not parts[0].is_contiguous()
     assert_close(_points(points, points[:, :5], *parts), _points(points, *(x.clone() for x in (points[:, :5], *parts))))
-
-
-def test_operators_refuse_bad_arguments():
-    spline = [rand(2, 4, 2), rand(2, 4, 2), rand(2, 3, 2)]
-    for operator, args in (
-        (_points, [rand(2, 5, 2), *spline]),
-        (_points_gradient, [rand(2, 5, 2), rand(2, 5, 2), *spline]),
-        (_map, [*spline, [3, 4], True]),
-        (_map_gradient, [rand(2, 2, 3, 4), *spline, True]),
-        (_weights, [rand(2, 4, 2), rand(2, 7, 2)]),
-    ):
-        # Any number of points goes with a spline, and any size with its gradient.
-        args = [x.float() if isinstance(x, Tensor) else x for x in args]
-        wrong = [c for c in raw_calls.wrong_calls(operator.kernel, args) if c[0] not in FINE.get(operator.name, ())]
-        assert not raw_calls.taken(operator.kernel, wrong)
-
-
-FINE = {
-    "spline_points": ("points cut along axis -2", "points without rows"),
-    "spline_map_backward": ("grad cut along axis -1", "grad cut along axis -2"),
-}
 
 
 # --- values ---------------------------------------------------------------------------------------------------------
@@ -159,3 +138,20 @@ BAD = [
 def test_errors(call, error, message):
     with pytest.raises(error, match=message):
         call()
+
+
+SPLINE = vector(4, 2), vector(4, 2), vector(3, 2)
+
+
+class TestThinPlateOperators(PointOpTests):
+    calls = {
+        "spline_points": [
+            Call(
+                (vector(5, 2), *SPLINE), accepted=("points cut along axis -2",), dtypes=SINGLE_AND_DOUBLE, tolerance=20
+            )
+        ],
+        "spline_map": [Call(SPLINE, ([3, 4], True), accepted=("grad cut",), dtypes=SINGLE_AND_DOUBLE, tolerance=20)],
+        "spline_weights": [
+            Call((lambda: SQUARE / 4 + 0.2 * torch.rand(4, 2), vector(7, 2)), dtypes=SINGLE_AND_DOUBLE, tolerance=100)
+        ],
+    }

@@ -159,7 +159,7 @@ CASES = [
         **nonlinear,
     ),
     case(
-        "saturation_grey",
+        "saturation_gray",
         lambda K, x: K.enhance.adjust_saturation_with_gray_subtraction(x, 1.3),
         Bars(floor=1.12, both=1.3, half=1.7),
         {"torchvision": lambda x: tvision.adjust_saturation(x, 1.3)},

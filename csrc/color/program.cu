@@ -1,4 +1,4 @@
-// Colour programs on CUDA, computing in float.
+// Color programs on CUDA, computing in float.
 #include "program_forward.cuh"
 
 namespace kv::cuda {

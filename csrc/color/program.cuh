@@ -1,30 +1,30 @@
-// Included by program.cu, program_backward.cu and program_double.cu. Colour programs on CUDA: a thread takes P pixels
-// in registers from step to step, and the steps are read one by one, by all threads of a block alike: they are in one
-// sample. What is stored is a matter of loading and storing, by vectors of 16 bytes or less where memory allows it.
+// Color programs on CUDA. Included by program_forward.cuh and program_backward.cuh. A thread keeps P pixels in
+// registers from step to step. All threads of a block work on one sample, so that they read the same step at a time.
+// Storage types are converted on loading and storing, by vectors of up to 16 bytes if the memory is aligned.
 #pragma once
 
 #include "core/launch.cuh"
 
 namespace kv {
 
-// What steps.h needs of numbers. In double logarithms and powers are called: inlined, they take longer to compile than
-// all the rest.
+// The functions of numbers that steps.h uses. In double, logarithms and powers are not inlined: inlined, they take
+// longer to compile than everything else.
 __device__ __forceinline__ float log2_of(float x) { return fast_log2(x); }
 __device__ __forceinline__ float exp2_of(float x) { return fast_exp2(x); }
 inline __device__ __noinline__ double log2_of(double x) { return fast_log2(x); }
 inline __device__ __noinline__ double exp2_of(double x) { return fast_exp2(x); }
 __device__ __forceinline__ float floor_of(float x) { return floorf(x); }
 __device__ __forceinline__ double floor_of(double x) { return floor(x); }
-__device__ __forceinline__ float magnitude(float x) { return fabsf(x); }
-__device__ __forceinline__ double magnitude(double x) { return fabs(x); }
-// Right to 1 in 2^23, and a fifth of the instructions of a division; x times it may exceed 1.
+__device__ __forceinline__ float absolute(float x) { return fabsf(x); }
+__device__ __forceinline__ double absolute(double x) { return fabs(x); }
+// With a relative error of 2^-23, in a fifth of the instructions of a division. x * reciprocal(x) may exceed 1.
 __device__ __forceinline__ float reciprocal(float x) {
   float y;
   asm("rcp.approx.f32 %0, %1;" : "=f"(y) : "f"(x));
   return y;
 }
 __device__ __forceinline__ double reciprocal(double x) { return 1 / x; }
-__device__ __forceinline__ float larger(float a, float b) {
+__device__ __forceinline__ float nan_max(float a, float b) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
   return b <= a ? a : a == a ? b : a;
 #else
@@ -33,17 +33,17 @@ __device__ __forceinline__ float larger(float a, float b) {
   return y;
 #endif
 }
-__device__ __forceinline__ float smaller(float a, float b) {
+__device__ __forceinline__ float nan_min(float a, float b) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-  return -larger(-a, -b);
+  return -nan_max(-a, -b);
 #else
   float y;
   asm("min.NaN.f32 %0, %1, %2;" : "=f"(y) : "f"(a), "f"(b));
   return y;
 #endif
 }
-__device__ __forceinline__ double larger(double a, double b) { return b <= a ? a : a == a ? b : a; }
-__device__ __forceinline__ double smaller(double a, double b) { return -larger(-a, -b); }
+__device__ __forceinline__ double nan_max(double a, double b) { return b <= a ? a : a == a ? b : a; }
+__device__ __forceinline__ double nan_min(double a, double b) { return -nan_max(-a, -b); }
 
 }  // namespace kv
 
@@ -54,14 +54,14 @@ namespace {
 
 constexpr int kThreads = 256;
 template <class F>
-constexpr int kTaken = int(kChunk<F> / kThreads);  // pixels of a thread
+constexpr int kPixelsPerThread = int(kChunk<F> / kThreads);  // pixels
 
-// --- a step over the pixels of a thread ------------------------------------------------------------------------------
+// --- a step on the pixels of a thread --------------------------------------------------------------------------------
 
 template <class F, int C, int P>
-struct Values {
+struct EvaluateStep {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false, kPulls = false;
+  static constexpr bool kParameterGradient = false, kInputGradient = false;
   F (&c)[C][P];
   F const* p;
 
@@ -84,23 +84,23 @@ struct Values {
   }
 };
 
-// g <- g J
+// g <- g J, with the Jacobian J of the step
 template <class F, int C, int P>
-struct Pullback {
+struct StepInputGradient {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false, kPulls = true;
+  static constexpr bool kParameterGradient = false, kInputGradient = true;
   F const (&c)[C][P];
   F (&g)[C][P];
   F const* p;
 
   template <class Formula>
-  __device__ __forceinline__ void each_pulled(Formula f) {
+  __device__ __forceinline__ void each_vjp(Formula f) {
 #pragma unroll
     for (int j = 0; j < P; ++j) {
-      F v[C], pulled[C];
-      for (int k = 0; k < C; ++k) v[k] = c[k][j], pulled[k] = g[k][j];
-      f(v, pulled, p);
-      for (int k = 0; k < C; ++k) g[k][j] = pulled[k];
+      F v[C], grads[C];
+      for (int k = 0; k < C; ++k) v[k] = c[k][j], grads[k] = g[k][j];
+      f(v, grads, p);
+      for (int k = 0; k < C; ++k) g[k][j] = grads[k];
     }
   }
   template <class Formula>
@@ -113,10 +113,10 @@ struct Pullback {
         for (int d = 0; d < C; ++d) v[k].d[d] = F(k == d);
       }
       f(v, p, p);
-      F pulled[C]{};
+      F grads[C]{};
       for (int k = 0; k < C; ++k)
-        for (int d = 0; d < C; ++d) pulled[d] += g[k][j] * v[k].d[d];
-      for (int k = 0; k < C; ++k) g[k][j] = pulled[k];
+        for (int d = 0; d < C; ++d) grads[d] += g[k][j] * v[k].d[d];
+      for (int k = 0; k < C; ++k) g[k][j] = grads[k];
     }
   }
   template <class Formula>
@@ -132,23 +132,23 @@ struct Pullback {
   }
 };
 
-// The gradient of parameter `wanted` of the step, summed over the pixels.
+// The gradient of parameter `index` of the step, summed over the pixels.
 template <class F, int C, int P>
-struct Slope {
+struct StepParameterGradient {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = true, kPulls = false;
+  static constexpr bool kParameterGradient = true, kInputGradient = false;
   F const (&c)[C][P];
   F const (&g)[C][P];
   F const* p;
-  int wanted;
+  int index;
   F sum;
 
   struct Parameters {
-    Dual<F, 1> q[kMostOfAStep];
+    Dual<F, 1> q[kMaxStepTensorParameters];
   };
   __device__ __forceinline__ Parameters parameters() const {
     Parameters all;
-    for (int k = 0; k < kMostOfAStep; ++k) all.q[k] = {p[k], {F(k == wanted)}};
+    for (int k = 0; k < kMaxStepTensorParameters; ++k) all.q[k] = {p[k], {F(k == index)}};
     return all;
   }
   template <class Formula>
@@ -178,11 +178,11 @@ struct Slope {
 
 // --- memory <-> registers --------------------------------------------------------------------------------------------
 
-// F computes with what T stores.
+// Whether F is wide enough to compute with T.
 template <class F, class T>
-constexpr bool kFits = sizeof(T) <= sizeof(F);
+constexpr bool kSupportsStorage = sizeof(T) <= sizeof(F);
 template <class T>
-constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
+constexpr int kScale = sizeof(T) == 1 ? 255 : 1;
 
 // Whether P pixels are vectors in memory.
 template <int P>
@@ -193,53 +193,53 @@ inline bool is_vectorizable(Pixels const& x, int64_t pixels) {
 template <class F, int P>
 inline void set_access(Pixels& x, int64_t pixels) {
   DType const computed = sizeof(F) == 8 ? DType::float64 : DType::float32;
-  x.access = !is_vectorizable<P>(x, pixels)      ? Access::each
-             : x.type == computed && x.step == 1 ? Access::plain
+  x.access = !is_vectorizable<P>(x, pixels)      ? Access::elements
+             : x.type == computed && x.step == 1 ? Access::plain_vectors
                                                  : Access::vectors;
 }
 
-// Planes of pixels as they come from memory, of what is computed in or of halves: asked for in time, they are waited
-// for where they become numbers.
+// Pixels of planes as raw words, of the compute type or a 16-bit type. fetch issues the loads; convert waits for them,
+// so that loads of the next pixels overlap with the steps on these.
 template <class F, int C, int P>
-struct Asked {
+struct PrefetchedPixels {
   static constexpr bool kOfHalves = sizeof(F) == 4;
   template <class T>
-  static constexpr bool kAsks = sizeof(T) == sizeof(F) || kOfHalves;
-  static constexpr uint32_t kSome = 0x3f3f3f3f;  // a number between 0 and 2 in every type
+  static constexpr bool kSupported = sizeof(T) == sizeof(F) || kOfHalves;
+  static constexpr uint32_t kOrdinaryBits = 0x3f3f3f3f;  // a number between 0 and 2 in every type
   uint32_t words[C][4];
 
   static __device__ __forceinline__ bool are_halves(Pixels const& x) {
     return kOfHalves && (x.type == DType::float16 || x.type == DType::bfloat16);
   }
-  static __device__ __forceinline__ bool of(Pixels const& x) {
+  static __device__ __forceinline__ bool supports(Pixels const& x) {
     bool const halves = are_halves(x) && x.access == Access::vectors && x.step == 1;
-    return x.channels == C && (halves || x.access == Access::plain);
+    return x.channels == C && (halves || x.access == Access::plain_vectors);
   }
-  // What pixels are that there are not.
+  // The words of pixels past the end.
   __device__ __forceinline__ void fill(uint32_t word) {
 #pragma unroll
     for (int i = 0; i < 4 * C; ++i) words[i / 4][i % 4] = word;
   }
-  __device__ __forceinline__ void ask(Pixels const& x, int64_t at, int64_t i, int64_t pixels) {
+  __device__ __forceinline__ void fetch(Pixels const& x, int64_t offset, int64_t i, int64_t pixels) {
     if (i >= pixels) return;
     if (are_halves(x))
-      ask_for<Half>(x, at + i);
+      fetch_as<Half>(x, offset + i);
     else
-      ask_for<F>(x, at + i);
+      fetch_as<F>(x, offset + i);
   }
-  __device__ __forceinline__ void take(Pixels const& x, F (&c)[C][P]) const {
+  __device__ __forceinline__ void convert(Pixels const& x, F (&c)[C][P]) const {
     if (!are_halves(x))
-      take_as<F>(c);
+      convert_from<F>(c);
     else if (x.type == DType::float16)
-      take_as<Half>(c);
+      convert_from<Half>(c);
     else
-      take_as<BFloat16>(c);
+      convert_from<BFloat16>(c);
   }
 
   template <class T>
-  __device__ __forceinline__ void ask_for(Pixels const& x, int64_t from) {
-    if constexpr (kAsks<T>) {
-      using Words = Vector<uint32_t, int(P * sizeof(T) / 4)>;  // not taken apart before they are there
+  __device__ __forceinline__ void fetch_as(Pixels const& x, int64_t from) {
+    if constexpr (kSupported<T>) {
+      using Words = Vector<uint32_t, int(P * sizeof(T) / 4)>;  // converted later, so that nothing waits for them here
 #pragma unroll
       for (int k = 0; k < C; ++k, from += x.channel_stride) {
         auto const vector = *reinterpret_cast<Words const*>(static_cast<T const*>(x.data) + from);
@@ -248,8 +248,8 @@ struct Asked {
     }
   }
   template <class T>
-  __device__ __forceinline__ void take_as(F (&c)[C][P]) const {
-    if constexpr (kAsks<T>) {
+  __device__ __forceinline__ void convert_from(F (&c)[C][P]) const {
+    if constexpr (kSupported<T>) {
 #pragma unroll
       for (int k = 0; k < C; ++k) {
         Vector<T, P> vector;
@@ -261,35 +261,35 @@ struct Asked {
   }
 };
 
-// The pixels from i on of a sample, which begins `at` elements into x. Channels that there are not, and what is beyond
-// the end, become `rest`.
+// Loads pixels i, i + 1, ... of a sample that starts at element `offset` of x. Missing channels, and pixels past the
+// end, become `fill`.
 template <class F, int C, int P>
-__device__ __forceinline__ void load_pixels(Pixels const& x, int64_t at, int64_t i, int64_t pixels, F rest,
+__device__ __forceinline__ void load_pixels(Pixels const& x, int64_t offset, int64_t i, int64_t pixels, F fill,
                                             F (&c)[C][P]) {
 #pragma unroll
   for (int k = 0; k < C; ++k)
 #pragma unroll
-    for (int j = 0; j < P; ++j) c[k][j] = rest;
+    for (int j = 0; j < P; ++j) c[k][j] = fill;
   if (i >= pixels) return;
   dispatch_dtype(x.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, T>) {
-      constexpr F unit = F(1. / kUnit<T>);
-      T const* const from = static_cast<T const*>(x.data) + at;
-      if (x.access == Access::each) {
+    if constexpr (kSupportsStorage<F, T>) {
+      constexpr F scale = F(1. / kScale<T>);
+      T const* const from = static_cast<T const*>(x.data) + offset;
+      if (x.access == Access::elements) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
           for (int j = 0; j < P; ++j)
             if (k < x.channels && i + j < pixels)
-              c[k][j] = F(read(from[k * x.channel_stride + (i + j) * x.step])) * unit;
+              c[k][j] = F(read(from[k * x.channel_stride + (i + j) * x.step])) * scale;
       } else if (x.step == 1) {
 #pragma unroll
         for (int k = 0; k < C; ++k) {
           if (k >= x.channels) break;
           auto const vector = *reinterpret_cast<Vector<T, P> const*>(from + k * x.channel_stride + i);
 #pragma unroll
-          for (int j = 0; j < P; ++j) c[k][j] = F(read(vector.v[j])) * unit;
+          for (int j = 0; j < P; ++j) c[k][j] = F(read(vector.v[j])) * scale;
         }
       } else {
         Vector<T, P> vector[C];
@@ -298,18 +298,18 @@ __device__ __forceinline__ void load_pixels(Pixels const& x, int64_t at, int64_t
 #pragma unroll
         for (int k = 0; k < C; ++k)
 #pragma unroll
-          for (int j = 0; j < P; ++j) c[k][j] = F(read(vector[(C * j + k) / P].v[(C * j + k) % P])) * unit;
+          for (int j = 0; j < P; ++j) c[k][j] = F(read(vector[(C * j + k) / P].v[(C * j + k) % P])) * scale;
       }
     }
   });
 }
 
 template <class F, int C, int P>
-__device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_t i, int64_t pixels,
+__device__ __forceinline__ void store_pixels(Pixels const& y, int64_t offset, int64_t i, int64_t pixels,
                                              F const (&c)[C][P]) {
   if (i >= pixels) return;
-  if (y.access == Access::plain) {
-    F* to = static_cast<F*>(y.data) + at + i;
+  if (y.access == Access::plain_vectors) {
+    F* to = static_cast<F*>(y.data) + offset + i;
 #pragma unroll
     for (int k = 0; k < C; ++k, to += y.channel_stride) {
       if (k >= y.channels) break;
@@ -319,10 +319,10 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_
   }
   dispatch_dtype(y.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, T>) {
-      constexpr F unit = kUnit<T>;
-      auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * unit)); };
-      T* const to = static_cast<T*>(y.data) + at;
+    if constexpr (kSupportsStorage<F, T>) {
+      constexpr F scale = kScale<T>;
+      auto const rounded = [&](F v) { return round_to<T>(Compute<T>(v * scale)); };
+      T* const to = static_cast<T*>(y.data) + offset;
       if (y.access != Access::vectors) {
 #pragma unroll
         for (int k = 0; k < C; ++k)
@@ -351,23 +351,23 @@ __device__ __forceinline__ void store_pixels(Pixels const& y, int64_t at, int64_
   });
 }
 
-// --- what is the same for all pixels of a sample, and sums over a block ----------------------------------------------
+// --- parameters and steps of a sample --------------------------------------------------------------------------------
 
 template <class F>
 struct Sample {
-  struct Place {
-    int at;  // of the step in the program
+  struct Entry {
+    int index;  // of the step in the program
     Step step;
-    int first;  // of its parameters
+    int first;  // index of its first parameter
   };
-  F p[kMostParameters + kMostOfAStep];
-  Place order[kMostSteps];
+  F p[kMaxParameters + kMaxStepTensorParameters];
+  Entry order[kMaxSteps];
   int length;
   alignas(16) F sums[kThreads / 32];  // read by vectors, with nothing else in them
-  F mean, mean_slope;                 // and the mean's gradient, for each pixel
+  F mean, grad_mean;                  // the latter per pixel
 
   // Of all threads, to all threads.
-  __device__ __forceinline__ F sum_of_block(F v) {
+  __device__ __forceinline__ F block_sum(F v) {
     v = warp_sum(v);
     __syncthreads();
     if (threadIdx.x % 32 == 0) sums[threadIdx.x / 32] = v;
@@ -379,48 +379,49 @@ struct Sample {
   }
 
   __device__ __forceinline__ void prepare(Program<F> const& program, int64_t b, bool backward) {
-    __syncthreads();  // the sample before may be in use
+    __syncthreads();  // the previous sample may still be in use
     int const t = int(threadIdx.x);
-    int found = program.contrast;
+    int contrast = program.contrast;
     if (!program.order) {
       if (t < program.steps) order[t] = {t, program.step[t], program.first[t]};
       if (t == 0) length = program.steps;
-    } else if (t == 0 || found >= 0) {
+    } else if (t == 0 || contrast >= 0) {
       int n = 0;
-      found = -1;
+      contrast = -1;
       for (int i = 0; i < program.length; ++i) {
-        int const at = program.step_at(b, i);
-        if (at < 0) continue;
-        if (program.step[at] == Step::contrast) found = at;
-        if (t == 0) order[n++] = {at, program.step[at], program.first[at]};
+        int const index = program.step_at(b, i);
+        if (index < 0) continue;
+        if (program.step[index] == Step::contrast) contrast = index;
+        if (t == 0) order[n++] = {index, program.step[index], program.first[index]};
       }
       if (t == 0) length = n;
     }
-    int const of_mean = found < 0 ? -1 : program.first[found] + 1;
-    if (t < kMostParameters + kMostOfAStep && t != of_mean) p[t] = t < program.count ? program.parameter(b, t) : F(0);
-    if (found >= 0 && !(program.measures && !backward)) {
+    int const mean_parameter = contrast < 0 ? -1 : program.first[contrast] + 1;
+    if (t < kMaxParameters + kMaxStepTensorParameters && t != mean_parameter)
+      p[t] = t < program.count ? program.parameter(b, t) : F(0);
+    if (contrast >= 0 && !(program.measures_mean && !backward)) {
       F sum = 0;
-      if (!program.measures) {
+      if (!program.measures_mean) {
         for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];
-        sum = sum_of_block(sum) / F(program.pixels);
+        sum = block_sum(sum) / F(program.pixels);
       }
       if (t == 0) {
         mean = backward ? program.means[b] : sum;
-        mean_slope = sum;
-        p[of_mean] = mean;
+        grad_mean = sum;
+        p[mean_parameter] = mean;
       }
     } else if (t == 0) {
-      mean = mean_slope = 0;
+      mean = grad_mean = 0;
     }
     __syncthreads();
   }
 };
 
-// The sample of the block that is n-th of its grid. After a first run over them, which ended with the last ones, those
-// may still be in the L2.
+// The sample of block n. A second run takes them in reverse, because the last samples of the first run may still be in
+// the L2 cache.
 template <class F>
 __device__ __forceinline__ int64_t sample_of(Program<F> const& p, int64_t n) {
-  return p.contrast >= 0 && !p.measures ? p.samples - 1 - n : n;
+  return p.contrast >= 0 && !p.measures_mean ? p.samples - 1 - n : n;
 }
 
 inline dim3 grid_of(int64_t samples, int64_t across) {

@@ -1,82 +1,95 @@
-// Colour programs: a chain of per-pixel steps in one pass over the image. A conversion is a program of one step.
+// Color programs: a chain of per-pixel steps in one pass over the image. A conversion is a program of one step.
 //
-// A pixel is three channels, which may be planes (NCHW) or neighbours (NHWC); all pixels of a sample are one row here,
-// for nothing depends on where they are. Where every step treats the channels alike, a pixel is one value and a sample
-// may be a plane, an image or all of them. What memory holds is a matter of loading and storing: programs compute in F,
-// float or double, on a chunk of pixels that stays in registers (CUDA) or in the L1 cache (CPU) from step to step.
+// A pixel has three channels, in planes (NCHW) or adjacent (NHWC). All pixels of a sample form one row, because no step
+// depends on a pixel's position. If no step mixes channels, a pixel is one value, and a sample is a plane, an image or
+// the whole batch. Programs compute in F, float or double; storage types are converted when pixels are loaded and
+// stored. A chunk of pixels stays in registers (CUDA) or in the L1 cache (CPU) from step to step.
 //
-// The gradient comes from the same formulas on dual numbers: with derivatives along the channels, a step yields its
-// Jacobian at each pixel, unless what it makes of a gradient is written below it; with a derivative along one of its
-// parameters, how the pixel answers to that.
+// Gradients come from the same formulas on dual numbers. With derivatives along the channels a step gives its Jacobian
+// at each pixel; frequent steps have a vjp below their formula instead. With a derivative along a parameter a step
+// gives the gradient of that parameter.
 #pragma once
 
 #include "core/dtype.h"
 #include "core/isa.h"
+#include "step_list.h"
 
 namespace kv {
 
-// The names in python/kvision/color/program.py, in this order.
+// --- steps -----------------------------------------------------------------------------------------------------------
+
 enum class Step : int {
-  // Conversions, of three channels.
-  affine,      // 13: a 3 x 3 matrix by rows, what is added, and whether to clip to [0, 1]
-  rgb_to_hsv,  // 1: eps
-  hsv_to_rgb,
-  rgb_to_hls,  // 1: eps
-  hls_to_rgb,
-  rgb_to_linear_rgb,
-  linear_rgb_to_rgb,
-  rgb_to_lab,
-  lab_to_rgb,  // 1: whether to clip to [0, 1]
-  rgb_to_luv,  // 1: eps
-  luv_to_rgb,  // 1: eps
-  byte_luma,   // 3 weights, of 15 bits; the result has one channel, so it comes last
-  byte_hsv,
-  // Of three channels, with parameters that may be tensors.
-  weighted_sum,     // 3; the result has one channel, so it comes last
-  byte_sum,         // 3; the same of bytes, rounded half to even; it comes last, too
-  line_rgb,         // 7: factors, what is added, whether to clip
-  standardize_rgb,  // 6: means, standard deviations
-  saturation,       // 1: factor, in HSV
-  saturation_raw,   // 1: factor, of HSV
-  saturation_grey,  // 1: factor of the distance from the luma
-  hue,              // 1: angle in radians
-  hue_raw,          // 1: angle in radians, of HSV
-  // Of any channels.
-  contrast,     // 2: factor of the distance from the mean, the mean as it is at this step (found by the program)
-  line,         // 3: factor, what is added, whether to clip
-  standardize,  // 2: mean, standard deviation
-  gamma,        // 2: exponent, gain
-  log,          // 3: gain, whether to take the inverse, whether to clip
-  sigmoid,      // 3: cutoff, gain, whether to fall
-  solarize,     // 3: threshold, what is added first, whether to add
-  posterize,    // 2: bits, how to round to the stored type
-  threshold,    // 5: threshold, what is above it, what is not, whether the value itself is kept above it, and below it
-  count
+#define KV_STEP(name, number, ...) name = number,
+  KV_COLOR_STEPS(KV_STEP)
+#undef KV_STEP
 };
+
+// A row of the table in step_list.h, which explains the columns.
+enum class StepDomain { rgb, any };
+enum class StepArguments { numbers, tensors };
+enum class StepChannels { same, one };
+enum class StepAffine { never, always, unless_clipped };
+struct StepInfo {
+  int number, parameters;
+  StepDomain domain;
+  StepArguments arguments;
+  StepChannels channels;
+  StepAffine affine;
+};
+constexpr StepInfo kStepTable[] = {
+#define KV_STEP(name, number, parameters, domain, arguments, channels, affine) \
+  {number, parameters, StepDomain::domain, StepArguments::arguments, StepChannels::channels, StepAffine::affine},
+    KV_COLOR_STEPS(KV_STEP)
+#undef KV_STEP
+};
+constexpr int kStepCount = sizeof(kStepTable) / sizeof(*kStepTable);
+
+// The steps for which `is_in` holds, as bits by number: kernels can test a mask, but cannot read the table.
+template <class Predicate>
+constexpr uint64_t step_mask(Predicate is_in) {
+  uint64_t mask = 0;
+  for (int i = 0; i < kStepCount; ++i) mask |= uint64_t(is_in(kStepTable[i])) << i;
+  return mask;
+}
+constexpr bool steps_are_numbered_in_order() {
+  for (int i = 0; i < kStepCount; ++i)
+    if (kStepTable[i].number != i) return false;
+  return true;
+}
+static_assert(steps_are_numbered_in_order() && kStepCount <= 64);
+
+constexpr uint64_t kTensorSteps = step_mask([](StepInfo s) { return s.arguments == StepArguments::tensors; });
+constexpr uint64_t kPerValueSteps = step_mask([](StepInfo s) { return s.domain == StepDomain::any; });
+constexpr uint64_t kOneChannelSteps = step_mask([](StepInfo s) { return s.channels == StepChannels::one; });
+constexpr uint64_t kAffineSteps = step_mask([](StepInfo s) { return s.affine == StepAffine::always; });
+constexpr uint64_t kClippedAffineSteps = step_mask([](StepInfo s) { return s.affine == StepAffine::unless_clipped; });
+
 KV_HD int parameters_of(Step step) {
-  constexpr int8_t counts[] = {13, 1, 0, 1, 0, 0, 0, 0, 1, 1, 1, 3, 0, 3, 3, 7,
-                               6,  1, 1, 1, 1, 1, 2, 3, 2, 2, 3, 3, 3, 2, 5};
-  static_assert(sizeof(counts) == size_t(Step::count), "one for each step");
+#define KV_STEP(name, number, parameters, ...) parameters,
+  constexpr int8_t counts[] = {KV_COLOR_STEPS(KV_STEP)};
+#undef KV_STEP
   return counts[int(step)];
 }
-KV_HD bool takes_tensors(Step step) { return step >= Step::weighted_sum; }
-KV_HD bool is_of_values(Step step) { return step >= Step::contrast; }
-KV_HD bool is_sum(Step step) { return step == Step::weighted_sum || step == Step::byte_sum || step == Step::byte_luma; }
+// Whether parameters of the step can be tensors.
+KV_HD bool takes_tensors(Step step) { return kTensorSteps >> int(step) & 1; }
+// Whether the step treats every value alike, whatever its channel.
+KV_HD bool is_per_value(Step step) { return kPerValueSteps >> int(step) & 1; }
+KV_HD bool gives_one_channel(Step step) { return kOneChannelSteps >> int(step) & 1; }
 // Whether the step, with these parameters, has the same Jacobian everywhere.
 template <class F>
 KV_HD bool is_affine(Step step, F const* parameters) {
-  if (step == Step::affine) return parameters[12] == 0;
-  if (step == Step::line) return parameters[2] == 0;
-  if (step == Step::line_rgb) return parameters[6] == 0;
-  return step == Step::weighted_sum || step == Step::standardize_rgb || step == Step::standardize;
+  if (kAffineSteps >> int(step) & 1) return true;
+  return (kClippedAffineSteps >> int(step) & 1) && parameters[parameters_of(step) - 1] == 0;
 }
 
-constexpr int kMostSteps = 16, kMostParameters = 64, kMostTensors = 6;
-constexpr int kMostOfAStep = 6;  // parameters that can be tensors
+// --- programs --------------------------------------------------------------------------------------------------------
 
-// How a thread of CUDA takes its pixels: each number by itself, or vectors of them, which may be of what is computed in
-// and planes, as most are.
-enum class Access : int { each, vectors, plain };
+constexpr int kMaxSteps = 16, kMaxParameters = 64, kMaxTensors = 6;
+constexpr int kMaxStepTensorParameters = 6;  // parameters of a step that can be tensors
+
+// How a CUDA thread accesses its pixels: element by element, or by vectors. plain_vectors are those of planes in the
+// compute type, the most frequent case.
+enum class Access : int { elements, vectors, plain_vectors };
 
 // Sample b is (b / inner, b % inner). Its pixel i has channel c at data + outer_stride * (b / inner) + inner_stride *
 // (b % inner) + channel_stride * c + step * i. Bytes are 255ths.
@@ -85,7 +98,7 @@ struct Pixels {
   DType type;
   int channels;
   int64_t inner, outer_stride, inner_stride, channel_stride, step;
-  Access access = Access::each;  // set by the launcher
+  Access access = Access::elements;  // set by the launcher
 
   KV_HD int64_t offset(int64_t b) const {
     if (inner == 1) return b * outer_stride;  // no 64-bit division on the GPU
@@ -105,10 +118,10 @@ template <class F>
 KV_HD int64_t chunks_of(int64_t pixels) {
   return (pixels + kChunk<F> - 1) / kChunk<F>;
 }
-// How many share the chunks of a sample. On CUDA blocks take several each, which prepare for the sample once: four
-// rounds of the machine.
+// How many CUDA blocks work on a sample. A block prepares for the sample once and takes several chunks, so that the
+// grid is about four waves. On the CPU it is the number of chunks.
 template <class F>
-KV_HD int64_t shares_of([[maybe_unused]] int64_t samples, int64_t pixels) {
+KV_HD int64_t blocks_per_sample([[maybe_unused]] int64_t samples, int64_t pixels) {
   int64_t const chunks = chunks_of<F>(pixels);
 #if defined(KV_CUDA) || defined(__CUDACC__)
   int64_t const each = clamp(samples * chunks / (4 * 4 * 132), int64_t(1), int64_t(16));
@@ -117,27 +130,26 @@ KV_HD int64_t shares_of([[maybe_unused]] int64_t samples, int64_t pixels) {
   return chunks;
 #endif
 }
-// What is summed up over a sample before its pixels are worked on is kept in so many parts.
+// In how many partial sums the mean of a sample is computed.
 template <class F>
-KV_HD int64_t parts_of([[maybe_unused]] int64_t samples, int64_t pixels) {
+KV_HD int64_t mean_parts_of([[maybe_unused]] int64_t samples, int64_t pixels) {
 #if defined(KV_CUDA) || defined(__CUDACC__)
-  return min(int64_t(1024), shares_of<F>(samples, pixels));
+  return min(int64_t(1024), blocks_per_sample<F>(samples, pixels));
 #else
   return min(int64_t(256), (pixels + 1023) / 1024);
 #endif
 }
 
-// Parameters of the samples, a tensor (B or 1, C or 1, columns), as it is in memory: strides are 0 along axes of
-// size 1.
-struct Rows {
+// A tensor of parameters (B or 1, C or 1, columns). Strides are 0 along axes of size 1.
+struct ParameterTensor {
   void const* data;
   DType type;
-  int first;  // of its columns among those of all tensors
+  int first_column;  // among the columns of all tensors
   int64_t image_stride, channel_stride, stride;
 
   template <class F>
-  KV_HD F at(int64_t image, int64_t channel, int column) const {
-    int64_t const i = image * image_stride + channel * channel_stride + (column - first) * stride;
+  KV_HD F value(int64_t image, int64_t channel, int column) const {
+    int64_t const i = image * image_stride + channel * channel_stride + (column - first_column) * stride;
     if (type == DType::float16) return F(to_float(static_cast<Half const*>(data)[i]));
     if (type == DType::bfloat16) return F(to_float(static_cast<BFloat16 const*>(data)[i]));
     if (type == DType::float32) return F(static_cast<float const*>(data)[i]);
@@ -150,33 +162,33 @@ struct Program {
   Pixels x, y;
   int64_t samples, pixels;  // pixels of a sample
   int steps;
-  Step step[kMostSteps];
-  int first[kMostSteps];  // of its parameters
-  int count;              // of all parameters
-  F numbers[kMostParameters];
-  int column[kMostParameters];  // of the tensors, or -1 for the number
+  Step step[kMaxSteps];
+  int first[kMaxSteps];  // index of the step's first parameter
+  int count;             // of all parameters
+  F numbers[kMaxParameters];
+  int column[kMaxParameters];  // in the tensors, or -1 for the number
 
   int64_t inner;  // samples of an image
-  int tensors;
-  Rows rows[kMostTensors];
-  int64_t const* order;  // an image's steps by position, -1 for none; null: all, one after the other
+  int tensor_count;
+  ParameterTensor tensor[kMaxTensors];
+  int64_t const* order;  // the step at each position of an image, -1 for none; null: all steps in order
   int64_t order_stride;
   int length;
 
-  // Around the mean: a first run `measures` what goes into that step, as `parts` of a sum; the second one adds them up
-  // and keeps the means of the samples, where the backward pass, which has no parts, finds them.
-  int contrast;  // where the first one is among the steps, or -1; of several, a sample's order has one at most
-  bool measures;
-  F grey[3];  // how much of the mean each channel is
+  // For contrast around the mean a first run computes partial sums of the mean, `parts`. The second run adds them up
+  // and stores `means`, which the backward pass reads.
+  int contrast;  // index of the first such step, or -1; if there are several, a sample's order has one at most
+  bool measures_mean;
+  F gray_weights[3];  // of the channels in the mean
   int64_t parts_count;
   F* parts;
   F* means;
 
   KV_HD F parameter(int64_t b, int i) const {
     if (column[i] < 0) return numbers[i];
-    int k = tensors - 1;
-    while (rows[k].first > column[i]) --k;
-    return rows[k].template at<F>(b / inner, b % inner, column[i]);
+    int k = tensor_count - 1;
+    while (tensor[k].first_column > column[i]) --k;
+    return tensor[k].template value<F>(b / inner, b % inner, column[i]);
   }
   KV_HD int step_at(int64_t b, int i) const {
     int64_t const at = order ? order[b / inner * order_stride + i] : i;
@@ -186,14 +198,14 @@ struct Program {
 
 template <class F>
 struct ProgramBackward {
-  Program<F> forward;  // its y is not written; what it measures is the gradient of the mean
+  Program<F> forward;  // y is not written; its first run sums the gradient of the mean
   Pixels grad, grad_x;
-  bool wants_x, reads_x;
-  bool needs_input[kMostSteps];  // of a step: not where its Jacobian is the same for all pixels
-  F* slopes;                     // of the parameters: (samples, shares, columns); null: not wanted
+  bool needs_grad_x, reads_input;
+  bool needs_input[kMaxSteps];  // whether a step's gradient depends on its input
+  F* partial_grads;             // of the parameters: (samples, blocks, columns), or null
   int columns;
 
-  // Up to which of a sample's steps pixels have to be computed again; step_at(i) is the i-th one of the sample.
+  // The last step of a sample whose input has to be computed again. step_at(i) is the i-th step of the sample.
   template <class StepAt>
   KV_HD int last_input(int length, StepAt step_at) const {
     int last = length - 1;
@@ -202,20 +214,20 @@ struct ProgramBackward {
   }
 };
 
-// Sums slopes (N, summands, columns) to (N, columns), `count` of them.
+// Sums (N, summands, columns) to (N, columns), which has `count` elements.
 template <class F>
 struct ProgramReduce {
-  F const* slopes;
-  F* y;
+  F const* partial;
+  F* sums;
   int64_t count, summands, columns;
 
-  KV_HD F const* first(int64_t i) const { return slopes + i / columns * summands * columns + i % columns; }
+  KV_HD F const* first(int64_t i) const { return partial + i / columns * summands * columns + i % columns; }
 };
 
-// How many channels a value is worked on as: in double, which is rare, pixels without the other channels save the
-// compilation of kernels for values.
+// With how many channels a program of values runs. In double, which is rare, values are pixels whose other channels are
+// not used, which saves the compilation of more kernels.
 template <class F>
-constexpr int kValue = sizeof(F) == 4 ? 1 : 3;
+constexpr int kChannelsOfValue = sizeof(F) == 4 ? 1 : 3;
 
 // F is float or double here, whatever is stored.
 KV_KERNEL(program, Program)

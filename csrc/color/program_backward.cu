@@ -1,4 +1,4 @@
-// Gradients of colour programs on CUDA, computing in float.
+// Gradients of color programs on CUDA, computing in float.
 #include "program_backward.cuh"
 
 namespace kv::cuda {

@@ -1,4 +1,4 @@
-// Colour programs on the CPU: a step at a time over a chunk of pixels, which stays in the L1 cache. Compiled once per
+// Color programs on the CPU: a step at a time over a chunk of pixels, which stays in the L1 cache. Compiled once per
 // instruction set.
 #include "core/interleave.h"
 #include "core/lanes.h"
@@ -7,8 +7,8 @@
 namespace kv {
 namespace {
 
-// What steps.h needs of Lanes. In double logarithms and powers are called: inlined, they take longer to compile than
-// all the rest of this file.
+// The functions of Lanes that steps.h uses. In double, logarithms and powers are not inlined: inlined, they take longer
+// to compile than the rest of this file.
 template <class V>
 __attribute__((noinline)) V called_log2(V x) {
   return vlog2<double, sizeof(V) / sizeof(double)>(x);
@@ -38,7 +38,7 @@ KV_HD V floor_of(V x) {
   return vfloor(x);
 }
 template <class V, class F = decltype(V{}[0] + 0)>
-KV_HD V magnitude(V x) {
+KV_HD V absolute(V x) {
   return vabs(x);
 }
 KV_HD float reciprocal(float x) { return 1 / x; }
@@ -49,11 +49,11 @@ KV_HD V reciprocal(V x) {
 }
 // min and max keep a first operand that is NaN.
 template <class V, class F = decltype(V{}[0] + 0)>
-KV_HD V larger(V a, V b) {
+KV_HD V nan_max(V a, V b) {
   return b == b ? max(a, b) : b;
 }
 template <class V, class F = decltype(V{}[0] + 0)>
-KV_HD V smaller(V a, V b) {
+KV_HD V nan_min(V a, V b) {
   return b == b ? min(a, b) : b;
 }
 
@@ -75,7 +75,7 @@ KV_HD Scalar<V> sum_of(V const& v) {
   return sum;
 }
 
-// --- a step over a chunk: channel k of it at k * kChunk, whole vectors up to n ---------------------------------------
+// --- a step over a chunk: channel k starts at k * kChunk, n is rounded up to whole vectors ---------------------------
 
 template <class F>
 struct Chunk {
@@ -86,14 +86,14 @@ struct Chunk {
 };
 
 template <class F, int C>
-struct Values {
+struct EvaluateStep {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false, kPulls = false;
+  static constexpr bool kParameterGradient = false, kInputGradient = false;
   Chunk<F const> c;
-  Chunk<F> to;  // may be c
+  Chunk<F> result;  // may be c
   int64_t n;
   F const* p;
-  bool sums = false;  // to one channel
+  bool one_channel = false;  // of the result
 
   template <class Formula>
   KV_HD void each(Formula f) {
@@ -103,7 +103,7 @@ struct Values {
       for (int k = 0; k < C; ++k) v[k] = load<N>(c.channel(k) + i);
       f(v, p, p);
       for (int k = 0; k < C; ++k)
-        if (k == 0 || !sums) store<N>(to.channel(k) + i, v[k]);
+        if (k == 0 || !one_channel) store<N>(result.channel(k) + i, v[k]);
     }
   }
   template <class Formula>
@@ -113,29 +113,29 @@ struct Values {
       for (int64_t i = 0; i < n; i += N) {
         auto v = load<N>(c.channel(k) + i);
         f(v, k, p, p);
-        store<N>(to.channel(k) + i, v);
+        store<N>(result.channel(k) + i, v);
       }
   }
 };
 
-// g <- g J
+// g <- g J, with the Jacobian J of the step
 template <class F, int C>
-struct Pullback {
+struct StepInputGradient {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = false, kPulls = true;
+  static constexpr bool kParameterGradient = false, kInputGradient = true;
   F const* c;
   F* g;
   int64_t n;
   F const* p;
 
   template <class Formula>
-  KV_HD void each_pulled(Formula f) {
+  KV_HD void each_vjp(Formula f) {
     constexpr int N = kLanes<F>;
     for (int64_t i = 0; i < n; i += N) {
-      Vector<F> v[C], pulled[C];
-      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i), pulled[k] = load<N>(g + k * kChunk<F> + i);
-      f(v, pulled, p);
-      for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, pulled[k]);
+      Vector<F> v[C], grads[C];
+      for (int k = 0; k < C; ++k) v[k] = load<N>(c + k * kChunk<F> + i), grads[k] = load<N>(g + k * kChunk<F> + i);
+      f(v, grads, p);
+      for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, grads[k]);
     }
   }
   template <class Formula>
@@ -143,17 +143,17 @@ struct Pullback {
     constexpr int N = kLanes<F>;
     for (int64_t i = 0; i < n; i += N) {
       Dual<Vector<F>, C> v[C];
-      Vector<F> pulled[C]{};
+      Vector<F> grads[C]{};
       for (int k = 0; k < C; ++k) {
         v[k].value = load<N>(c + k * kChunk<F> + i);
         for (int d = 0; d < C; ++d) v[k].d[d] = broadcast<N>(F(k == d));
       }
       f(v, p, p);
       for (int k = 0; k < C; ++k) {
-        auto const above = load<N>(g + k * kChunk<F> + i);
-        for (int d = 0; d < C; ++d) pulled[d] = pulled[d] + above * v[k].d[d];
+        auto const grad = load<N>(g + k * kChunk<F> + i);
+        for (int d = 0; d < C; ++d) grads[d] = grads[d] + grad * v[k].d[d];
       }
-      for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, pulled[k]);
+      for (int k = 0; k < C; ++k) store<N>(g + k * kChunk<F> + i, grads[k]);
     }
   }
   template <class Formula>
@@ -168,26 +168,26 @@ struct Pullback {
   }
 };
 
-// The gradient of parameter `wanted` of the step, summed over the chunk.
+// The gradient of parameter `index` of the step, summed over the chunk.
 template <class F, int C>
-struct Slope {
+struct StepParameterGradient {
   static constexpr int kChannels = C;
-  static constexpr bool kOfParameters = true, kPulls = false;
+  static constexpr bool kParameterGradient = true, kInputGradient = false;
   F const* c;
   F const* g;
   int64_t n;
   F const* p;
-  int wanted;
+  int index;
   F sum;
 
   using D = Dual<Vector<F>, 1>;
   struct Parameters {
-    D q[kMostOfAStep];
+    D q[kMaxStepTensorParameters];
   };
   KV_HD Parameters parameters() const {
     constexpr int N = kLanes<F>;
     Parameters all;
-    for (int k = 0; k < kMostOfAStep; ++k) all.q[k] = {broadcast<N>(p[k]), {broadcast<N>(F(k == wanted))}};
+    for (int k = 0; k < kMaxStepTensorParameters; ++k) all.q[k] = {broadcast<N>(p[k]), {broadcast<N>(F(k == index))}};
     return all;
   }
   template <class Formula>
@@ -218,35 +218,35 @@ struct Slope {
   }
 };
 
-// Out of line: it is long, and each kind of it is called from several places.
+// Not inlined, because it is long and called from several places.
 template <class P>
-__attribute__((noinline)) void step_over(Step step, P& chunk) {
+__attribute__((noinline)) void run_step_on_chunk(Step step, P& chunk) {
   run_step(step, chunk);
 }
 
 // --- memory <-> chunks -----------------------------------------------------------------------------------------------
 
-// F computes with what T stores.
+// Whether F is wide enough to compute with T.
 template <class F, class T>
-constexpr bool kFits = sizeof(F) == 8 || sizeof(T) < 8;
+constexpr bool kSupportsStorage = sizeof(F) == 8 || sizeof(T) < 8;
 template <class T>
-constexpr int kUnit = sizeof(T) == 1 ? 255 : 1;
+constexpr int kScale = sizeof(T) == 1 ? 255 : 1;
 
-// Three channels beside each other, as pictures have them in files.
+// Three adjacent channels, the layout of image files.
 KV_HD bool is_interleaved(Pixels const& x) { return x.channels == 3 && x.channel_stride == 1 && x.step == 3; }
 
-// Channels that there are not, and what is beyond the end, become `rest`.
+// Missing channels, and elements past the end, become `fill`.
 template <class F>
 __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t b, int64_t first, int64_t count,
-                                          F rest, F* c) {
+                                          F fill, F* c) {
   constexpr int N = kLanes<F>;
   int64_t const n = (count + N - 1) / N * N;
   for (int k = 0; k < channels; ++k)
-    for (int64_t i = k < x.channels ? n - N : 0; i < n; i += N) store<N>(c + k * kChunk<F> + i, broadcast<N>(rest));
+    for (int64_t i = k < x.channels ? n - N : 0; i < n; i += N) store<N>(c + k * kChunk<F> + i, broadcast<N>(fill));
   dispatch_dtype(x.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, T>) {
-      constexpr F unit = F(1. / kUnit<T>);
+    if constexpr (kSupportsStorage<F, T>) {
+      constexpr F scale = F(1. / kScale<T>);
       if (__is_same(F, Compute<T>) && is_interleaved(x)) {
         T const* const from = static_cast<T const*>(x.data) + x.offset(b) + 3 * first;
         for_each_vector<T>(0, count, [&](auto width, int64_t i) {
@@ -254,7 +254,7 @@ __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t
           if constexpr (__is_same(F, Compute<T>)) {
             Lanes<F, M> v[3];
             load_interleaved<M>(from + 3 * i, v);
-            for (int k = 0; k < 3; ++k) store<M>(c + k * kChunk<F> + i, v[k] * unit);
+            for (int k = 0; k < 3; ++k) store<M>(c + k * kChunk<F> + i, v[k] * scale);
           }
         });
         return;
@@ -265,11 +265,11 @@ __attribute__((noinline)) void load_chunk(Pixels const& x, int channels, int64_t
         if (__is_same(F, Compute<T>) && x.step == 1)
           for_each_vector<T>(0, count, [&](auto width, int64_t i) {
             constexpr int M = decltype(width)::value;
-            __builtin_prefetch(from + i + kChunk<F>);  // the next chunk, while the steps go over this one
-            if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
+            __builtin_prefetch(from + i + kChunk<F>);  // the next chunk, while the steps work on this one
+            if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * scale);
           });
         else
-          for (int64_t i = 0; i < count; ++i) to[i] = F(load<1>(from + i * x.step)) * unit;
+          for (int64_t i = 0; i < count; ++i) to[i] = F(load<1>(from + i * x.step)) * scale;
       }
     }
   });
@@ -279,15 +279,15 @@ template <class F>
 __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t first, int64_t count, F const* c) {
   dispatch_dtype(y.type, [&](auto stored) {
     using T = decltype(stored);
-    if constexpr (kFits<F, T>) {
-      constexpr F unit = kUnit<T>;
+    if constexpr (kSupportsStorage<F, T>) {
+      constexpr F scale = kScale<T>;
       if (__is_same(F, Compute<T>) && is_interleaved(y)) {
         T* const to = static_cast<T*>(y.data) + y.offset(b) + 3 * first;
         for_each_vector<T>(0, count, [&](auto width, int64_t i) {
           constexpr int M = decltype(width)::value;
           if constexpr (__is_same(F, Compute<T>)) {
             Lanes<F, M> v[3];
-            for (int k = 0; k < 3; ++k) v[k] = load<M>(c + k * kChunk<F> + i) * unit;
+            for (int k = 0; k < 3; ++k) v[k] = load<M>(c + k * kChunk<F> + i) * scale;
             store_interleaved<M>(to + 3 * i, v);
           }
         });
@@ -300,69 +300,69 @@ __attribute__((noinline)) void store_chunk(Pixels const& y, int64_t b, int64_t f
           for_each_vector<T>(0, count, [&](auto width, int64_t i) {
             constexpr int M = decltype(width)::value;
             __builtin_prefetch(to + i + kChunk<F>, 1);
-            if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * unit);
+            if constexpr (__is_same(F, Compute<T>)) store<M>(to + i, load<M>(from + i) * scale);
           });
         else
-          for (int64_t i = 0; i < count; ++i) store<1>(to + i * y.step, Compute<T>(from[i] * unit));
+          for (int64_t i = 0; i < count; ++i) store<1>(to + i * y.step, Compute<T>(from[i] * scale));
       }
     }
   });
 }
 
-// Whether whole vectors of F make up `count` pixels in memory.
+// Whether `count` pixels in memory are whole vectors of F, so that steps can work on them in place.
 template <class F>
-KV_HD bool is_chunk(Pixels const& x, int64_t count) {
+KV_HD bool is_plain_chunk(Pixels const& x, int64_t count) {
   return x.type == (sizeof(F) == 4 ? DType::float32 : DType::float64) && x.step == 1 && count % kLanes<F> == 0;
 }
 template <class F>
-KV_HD Chunk<F> chunk_of(Pixels const& x, int64_t b, int64_t first) {
+KV_HD Chunk<F> chunk_at(Pixels const& x, int64_t b, int64_t first) {
   return {static_cast<F*>(x.data) + x.offset(b) + first, x.channel_stride};
 }
 
 // --- programs --------------------------------------------------------------------------------------------------------
 
-// What is the same for all pixels of a sample.
+// Parameters and steps of a sample, the same for all its pixels.
 template <class F>
 struct Sample {
-  F p[kMostParameters + kMostOfAStep]{};
-  int order[kMostSteps], length;
-  F mean = 0, mean_slope = 0;  // and the mean's gradient, for each pixel
+  F p[kMaxParameters + kMaxStepTensorParameters]{};
+  int order[kMaxSteps], length;
+  F mean = 0, grad_mean = 0;  // the latter per pixel
 
   KV_HD Sample(Program<F> const& program, int64_t b, bool backward) : length(0) {
     for (int i = 0; i < program.count; ++i) p[i] = program.parameter(b, i);
-    int found = -1;
+    int contrast = -1;
     for (int i = 0; i < program.length; ++i)
       if (int const step = program.step_at(b, i); step >= 0) {
         order[length++] = step;
-        if (program.step[step] == Step::contrast) found = step;
+        if (program.step[step] == Step::contrast) contrast = step;
       }
-    if (found < 0 || (program.measures && !backward)) return;
+    if (contrast < 0 || (program.measures_mean && !backward)) return;
     F sum = 0;
-    for (int64_t i = 0; !program.measures && i < program.parts_count; ++i)
+    for (int64_t i = 0; !program.measures_mean && i < program.parts_count; ++i)
       sum += program.parts[b * program.parts_count + i] / F(program.pixels);
     mean = backward ? program.means[b] : sum;
-    mean_slope = sum;
-    p[program.first[found] + 1] = mean;
+    grad_mean = sum;
+    p[program.first[contrast] + 1] = mean;
   }
 };
 
-// Calls f(sample, b, first pixel, pixels, chunk or part) for the work [begin, end): chunks, or parts for what measures.
-// Where nothing is kept from step to step, the chunks of a sample may come `together`.
+// Calls f(sample, b, first pixel, pixels, chunk or part) for units of work [begin, end): chunks, or parts of the mean.
+// Programs that keep nothing between steps may take all chunks of a sample in one call, `at_once`.
 template <class F, class Work>
-KV_HD void for_each_chunk(Program<F> const& p, bool backward, bool together, int64_t begin, int64_t end, Work f) {
-  if (p.measures)
+KV_HD void for_each_chunk(Program<F> const& p, bool backward, bool at_once, int64_t begin, int64_t end, Work f) {
+  if (p.measures_mean)
     for (int64_t part = begin; part < end; ++part) p.parts[part] = 0;
-  int64_t const chunks = chunks_of<F>(p.pixels), across = p.measures ? p.parts_count : chunks;
+  int64_t const chunks = chunks_of<F>(p.pixels), across = p.measures_mean ? p.parts_count : chunks;
   while (begin < end) {
     int64_t const b = begin / across, last = min(end, (b + 1) * across);
     Sample<F> const s(p, b, backward);
-    if (together) {
+    if (at_once) {
       int64_t const first = (begin - b * across) * kChunk<F>;
       f(s, b, first, min((last - begin) * kChunk<F>, p.pixels - first), begin);
       begin = last;
     }
     for (; begin < last; ++begin)
-      for (int64_t k = begin - b * across; k < chunks; k += p.measures ? across : chunks)
+      for (int64_t k = begin - b * across; k < chunks; k += p.measures_mean ? across : chunks)
         f(s, b, k * kChunk<F>, min(kChunk<F>, p.pixels - k * kChunk<F>), begin);
   }
 }
@@ -372,31 +372,32 @@ void run(Program<F> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<F>;
   Scratch<F> scratch(C * kChunk<F>);
   F* const c = scratch.data;
-  // The first step reads the image and the last one writes the result themselves, where these hold F as chunks do.
-  bool const sums = p.steps > 0 && is_sum(p.step[p.steps - 1]);
-  bool const direct = !p.measures && !p.order && p.steps == 1 && (p.y.channels == C || sums) &&
-                      is_chunk<F>(p.x, p.pixels) && is_chunk<F>(p.y, p.pixels);
+  // The first step reads the image and the last one writes the result in place, if these are planes of F.
+  bool const one_channel = p.steps > 0 && gives_one_channel(p.step[p.steps - 1]);
+  bool const direct = !p.measures_mean && !p.order && p.steps == 1 && (p.y.channels == C || one_channel) &&
+                      is_plain_chunk<F>(p.x, p.pixels) && is_plain_chunk<F>(p.y, p.pixels);
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
-    bool const reads = is_chunk<F>(p.x, count) && s.length > 0 && !p.measures;
-    bool const writes = is_chunk<F>(p.y, count) && s.length > 0 && !p.measures && (p.y.channels == C || sums);
+    bool const reads = is_plain_chunk<F>(p.x, count) && s.length > 0 && !p.measures_mean;
+    bool const writes =
+        is_plain_chunk<F>(p.y, count) && s.length > 0 && !p.measures_mean && (p.y.channels == C || one_channel);
     if (!reads) load_chunk(p.x, C, b, first, count, F(0), c);
     for (int i = 0; i < s.length; ++i) {
       int const k = s.order[i];
-      if (p.measures && p.step[k] == Step::contrast) break;
-      Values<F, C> values{{c}, {c}, count, s.p + p.first[k], is_sum(p.step[k])};
-      if (reads && i == 0) values.c = chunk_of<F const>(p.x, b, first);
-      if (writes && i + 1 == s.length) values.to = chunk_of<F>(p.y, b, first);
-      step_over(p.step[k], values);
+      if (p.measures_mean && p.step[k] == Step::contrast) break;
+      EvaluateStep<F, C> values{{c}, {c}, count, s.p + p.first[k], gives_one_channel(p.step[k])};
+      if (reads && i == 0) values.c = chunk_at<F const>(p.x, b, first);
+      if (writes && i + 1 == s.length) values.result = chunk_at<F>(p.y, b, first);
+      run_step_on_chunk(p.step[k], values);
     }
-    if (p.contrast >= 0 && !p.measures && first == 0) p.means[b] = s.mean;
+    if (p.contrast >= 0 && !p.measures_mean && first == 0) p.means[b] = s.mean;
     if (writes) return;
-    if (!p.measures) return store_chunk(p.y, b, first, count, c);
+    if (!p.measures_mean) return store_chunk(p.y, b, first, count, c);
     Vector<F> sum{};
     int64_t i = 0;
     for (; i + N <= count; i += N)
-      for (int k = 0; k < C; ++k) sum = sum + load<N>(c + k * kChunk<F> + i) * p.grey[k];
+      for (int k = 0; k < C; ++k) sum = sum + load<N>(c + k * kChunk<F> + i) * p.gray_weights[k];
     for (; i < count; ++i)
-      for (int k = 0; k < C; ++k) p.parts[part] += c[k * kChunk<F> + i] * p.grey[k];
+      for (int k = 0; k < C; ++k) p.parts[part] += c[k * kChunk<F> + i] * p.gray_weights[k];
     p.parts[part] += sum_of(sum);
   };
   for_each_chunk(p, false, direct, begin, end, work);
@@ -409,37 +410,37 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
   Scratch<F> scratch(size * (q.length + 1));
   F* const g = scratch.data + size * q.length;
   auto const work = [&](Sample<F> const& s, int64_t b, int64_t first, int64_t count, int64_t part) {
-    if (p.reads_x) load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
+    if (p.reads_input) load_chunk(q.x, C, b, first, count, F(0.5), scratch.data);
     load_chunk(p.grad, C, b, first, count, F(0), g);
     int const last = p.last_input(s.length, [&](int i) { return s.order[i]; });
     for (int i = 0; i < last; ++i) {
       F* const c = scratch.data + size * i;
-      Values<F, C> values{{c}, {c + size}, count, s.p + q.first[s.order[i]]};
-      step_over(q.step[s.order[i]], values);
+      EvaluateStep<F, C> values{{c}, {c + size}, count, s.p + q.first[s.order[i]]};
+      run_step_on_chunk(q.step[s.order[i]], values);
     }
-    for (int i = 0; p.slopes && i < p.columns; ++i) p.slopes[part * p.columns + i] = 0;
+    for (int i = 0; p.partial_grads && i < p.columns; ++i) p.partial_grads[part * p.columns + i] = 0;
     for (int i = s.length; i-- > 0;) {
       int const k = s.order[i];
       F const* const c = scratch.data + size * min(i, last);
-      Slope<F, C> slope{c, g, count, s.p + q.first[k], 1, 0};
-      if (q.measures && q.step[k] == Step::contrast) {
-        step_over(q.step[k], slope);
-        q.parts[part] += slope.sum;
+      StepParameterGradient<F, C> gradient{c, g, count, s.p + q.first[k], 1, 0};
+      if (q.measures_mean && q.step[k] == Step::contrast) {
+        run_step_on_chunk(q.step[k], gradient);
+        q.parts[part] += gradient.sum;
         return;
       }
-      for (int j = 0; p.slopes && takes_tensors(q.step[k]) && j < parameters_of(q.step[k]); ++j) {
+      for (int j = 0; p.partial_grads && takes_tensors(q.step[k]) && j < parameters_of(q.step[k]); ++j) {
         if (q.column[q.first[k] + j] < 0) continue;
-        slope.wanted = j;
-        step_over(q.step[k], slope);
-        p.slopes[part * p.columns + q.column[q.first[k] + j]] += slope.sum;
+        gradient.index = j;
+        run_step_on_chunk(q.step[k], gradient);
+        p.partial_grads[part * p.columns + q.column[q.first[k] + j]] += gradient.sum;
       }
-      Pullback<F, C> pullback{c, g, count, s.p + q.first[k]};
-      step_over(q.step[k], pullback);
+      StepInputGradient<F, C> input_gradient{c, g, count, s.p + q.first[k]};
+      run_step_on_chunk(q.step[k], input_gradient);
       if (q.step[k] == Step::contrast)
         for (int d = 0; d < C; ++d)
-          for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += q.grey[d] * s.mean_slope;
+          for (int64_t j = 0; j < count; ++j) g[d * kChunk<F> + j] += q.gray_weights[d] * s.grad_mean;
     }
-    if (p.wants_x) store_chunk(p.grad_x, b, first, count, g);
+    if (p.needs_grad_x) store_chunk(p.grad_x, b, first, count, g);
   };
   for_each_chunk(q, true, false, begin, end, work);
 }
@@ -448,11 +449,11 @@ void run_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
 
 template <class F>
 void program(Program<F> const& p, int64_t begin, int64_t end) {
-  p.x.channels == 1 ? run<F, kValue<F>>(p, begin, end) : run<F, 3>(p, begin, end);
+  p.x.channels == 1 ? run<F, kChannelsOfValue<F>>(p, begin, end) : run<F, 3>(p, begin, end);
 }
 template <class F>
 void program_backward(ProgramBackward<F> const& p, int64_t begin, int64_t end) {
-  p.forward.x.channels == 1 ? run_backward<F, kValue<F>>(p, begin, end) : run_backward<F, 3>(p, begin, end);
+  p.forward.x.channels == 1 ? run_backward<F, kChannelsOfValue<F>>(p, begin, end) : run_backward<F, 3>(p, begin, end);
 }
 
 template <class F>
@@ -460,7 +461,7 @@ void program_reduce(ProgramReduce<F> const& p, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end; ++i) {
     F sum = 0;
     for (int64_t k = 0; k < p.summands; ++k) sum += p.first(i)[k * p.columns];
-    p.y[i] = sum;
+    p.sums[i] = sum;
   }
 }
 

@@ -1,4 +1,4 @@
-// Colour programs and their gradients on CUDA, computing in double.
+// Color programs and their gradients on CUDA, computing in double.
 #include "program_backward.cuh"
 #include "program_forward.cuh"
 

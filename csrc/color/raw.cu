@@ -1,78 +1,80 @@
-// Demosaicing on CUDA: a thread takes four pixels of a row and reads what is around them from the caches, where the
-// rows of a block of 128 x 8 pixels meet again: three quarters of the traffic are what is written.
+// Demosaicing on CUDA: a thread takes four adjacent pixels and reads their neighborhood through the caches, where the
+// rows of a block of 128 x 8 pixels overlap. Three quarters of the memory traffic are the result.
 #include "raw.h"
 #include "vectors.cuh"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kTaken = 4, kRows = 8;
+constexpr int kPixelsPerThread = 4, kRows = 8;
 
-// Pixels x - 1 ... x + 4 of a row; `left` and `right` are where the outer two stand.
+// Pixels x - 1 ... x + 4 of a row; `left` and `right` are the indices of the outer two.
 template <class T, bool Vectorized>
-__device__ __forceinline__ void load_around(T const* row, int x, int left, int right, int width,
-                                            Compute<T> (&v)[kTaken + 2]) {
+__device__ __forceinline__ void load_row(T const* row, int x, int left, int right, int width,
+                                         Compute<T> (&v)[kPixelsPerThread + 2]) {
   v[0] = read(row[left]);
   if constexpr (Vectorized) {
-    auto const vector = *reinterpret_cast<Vector<T, kTaken> const*>(row + x);
+    auto const vector = *reinterpret_cast<Vector<T, kPixelsPerThread> const*>(row + x);
 #pragma unroll
-    for (int j = 0; j < kTaken; ++j) v[1 + j] = read(vector.v[j]);
+    for (int j = 0; j < kPixelsPerThread; ++j) v[1 + j] = read(vector.v[j]);
   } else {
 #pragma unroll
-    for (int j = 0; j < kTaken; ++j) v[1 + j] = read(row[min(x + j, width - 1)]);
+    for (int j = 0; j < kPixelsPerThread; ++j) v[1 + j] = read(row[min(x + j, width - 1)]);
   }
-  v[kTaken + 1] = read(row[right]);
+  v[kPixelsPerThread + 1] = read(row[right]);
 }
 
 template <class T, bool Vectorized>
-__device__ __forceinline__ void store_taken(T* row, int x, int width, Compute<T> const (&v)[kTaken]) {
+__device__ __forceinline__ void store_pixels(T* row, int x, int width, Compute<T> const (&v)[kPixelsPerThread]) {
   if constexpr (Vectorized) {
     store_vector(row + x, v);
   } else {
 #pragma unroll
-    for (int j = 0; j < kTaken; ++j)
+    for (int j = 0; j < kPixelsPerThread; ++j)
       if (x + j < width) row[x + j] = round_to<T>(v[j]);
   }
 }
 
-// The place of a thread: its first pixel, its row, its image.
-struct Place {
+// The first pixel of a thread, its row and its image.
+struct ThreadPosition {
   int x, y;
   int64_t image;
-  __device__ __forceinline__ Place()
-      : x(int(blockIdx.x * 32 + threadIdx.x) * kTaken), y(int(blockIdx.y * kRows + threadIdx.y)), image(blockIdx.z) {}
+  __device__ __forceinline__ ThreadPosition()
+      : x(int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread),
+        y(int(blockIdx.y * kRows + threadIdx.y)),
+        image(blockIdx.z) {}
 };
 
 template <class T, bool Vectorized>
 __global__ void __launch_bounds__(32 * kRows) run(__grid_constant__ RawToRgb<T> const p, int64_t images) {
   using F = Compute<T>;
-  Place at;
+  ThreadPosition at;
   int const width = int(p.raw.width), height = int(p.raw.height);
   if (at.x >= width || at.y >= height) return;
-  // Of a row that ends inside the pixels taken, the pixel after its last one is within them.
-  int const left = int(mirrored(at.x - 1, width)), right = int(mirrored(min(at.x + kTaken, width), width));
-  int const own = p.own(at.y), phase = p.phase(at.y), planes[] = {own, 1, 2 - own};
+  // In a row that ends within the thread's pixels, the pixel after the last one is one of them.
+  int const left = int(reflected(at.x - 1, width)), right = int(reflected(min(at.x + kPixelsPerThread, width), width));
+  int const row_color = p.row_color(at.y), phase = p.phase(at.y), planes[] = {row_color, 1, 2 - row_color};
   for (; at.image < images; at.image += gridDim.z) {
-    F around[3][kTaken + 2], result[3][kTaken];
+    F around[3][kPixelsPerThread + 2], result[3][kPixelsPerThread];
 #pragma unroll
     for (int k = 0; k < 3; ++k)
-      load_around<T, Vectorized>(p.raw.row(at.image, mirrored(at.y + k - 1, height)), at.x, left, right, width,
-                                 around[k]);
-    if (!Vectorized && width - at.x < kTaken)  // two pixels then, as widths are even
+      load_row<T, Vectorized>(p.raw.row(at.image, reflected(at.y + k - 1, height)), at.x, left, right, width,
+                              around[k]);
+    if (!Vectorized && width - at.x < kPixelsPerThread)  // two pixels then, as widths are even
 #pragma unroll
       for (int k = 0; k < 3; ++k) around[k][3] = around[k][1];
 #pragma unroll
-    for (int j = 0; j < kTaken; ++j) {
+    for (int j = 0; j < kPixelsPerThread; ++j) {
       F v[3][3];
 #pragma unroll
       for (int k = 0; k < 9; ++k) v[k / 3][k % 3] = around[k / 3][j + k % 3];
-      Demosaiced<F> const d(v[0], v[1], v[2]);
+      Demosaic<F> const d(v[0], v[1], v[2]);
 #pragma unroll
-      for (int k = 0; k < 3; ++k) result[k][j] = j % 2 == phase ? d.at_own[k] : d.at_green[k];
+      for (int k = 0; k < 3; ++k) result[k][j] = j % 2 == phase ? d.at_row_color[k] : d.at_green[k];
     }
 #pragma unroll
     for (int k = 0; k < 3; ++k)
-      store_taken<T, Vectorized>(p.rgb.row(3 * at.image + planes[k], at.y), at.x, width, result[k]);
+      store_pixels<T, Vectorized>(p.rgb.row(3 * at.image + planes[k], at.y), at.x, width, result[k]);
   }
 }
 
@@ -80,30 +82,31 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(32 * kRows)
     run_backward(__grid_constant__ RawToRgbBackward<T> const p, int64_t images) {
   using F = Compute<T>;
-  Place at;
+  ThreadPosition at;
   int const width = int(p.grad.width), height = int(p.grad.height);
   if (at.x >= width || at.y >= height) return;
-  int const left = max(at.x - 1, 0), right = min(at.x + kTaken, width - 1);
-  int const own = p.forward.own(at.y), phase = p.forward.phase(at.y);
-  F const up = F(times(at.y - 1, height)), down = F(times(at.y + 1, height));
+  int const left = max(at.x - 1, 0), right = min(at.x + kPixelsPerThread, width - 1);
+  int const row_color = p.forward.row_color(at.y), phase = p.forward.phase(at.y);
+  F const up = F(reader_count(at.y - 1, height)), down = F(reader_count(at.y + 1, height));
   for (; at.image < images; at.image += gridDim.z) {
-    F of_own[3][kTaken + 2], of_green[3][kTaken + 2], result[kTaken];
+    F grad_row_color[3][kPixelsPerThread + 2], grad_green[3][kPixelsPerThread + 2], result[kPixelsPerThread];
 #pragma unroll
     for (int k = 0; k < 3; ++k) {
       int const y = clamp(at.y + k - 1, 0, height - 1);
-      load_around<T, Vectorized>(p.grad.row(3 * at.image + own, y), at.x, left, right, width, of_own[k]);
-      load_around<T, Vectorized>(p.grad.row(3 * at.image + 1, y), at.x, left, right, width, of_green[k]);
+      load_row<T, Vectorized>(p.grad.row(3 * at.image + row_color, y), at.x, left, right, width, grad_row_color[k]);
+      load_row<T, Vectorized>(p.grad.row(3 * at.image + 1, y), at.x, left, right, width, grad_green[k]);
     }
 #pragma unroll
-    for (int j = 0; j < kTaken; ++j) {
-      bool const is_own = j % 2 == phase;
+    for (int j = 0; j < kPixelsPerThread; ++j) {
+      bool const has_row_color = j % 2 == phase;
       F v[3][3];
 #pragma unroll
-      for (int k = 0; k < 9; ++k) v[k / 3][k % 3] = is_own ? of_own[k / 3][j + k % 3] : of_green[k / 3][j + k % 3];
-      result[j] =
-          gathered(is_own, v[0], v[1], v[2], up, down, F(times(at.x + j - 1, width)), F(times(at.x + j + 1, width)));
+      for (int k = 0; k < 9; ++k)
+        v[k / 3][k % 3] = has_row_color ? grad_row_color[k / 3][j + k % 3] : grad_green[k / 3][j + k % 3];
+      result[j] = demosaic_vjp(has_row_color, v[0], v[1], v[2], up, down, F(reader_count(at.x + j - 1, width)),
+                               F(reader_count(at.x + j + 1, width)));
     }
-    store_taken<T, Vectorized>(p.grad_raw.row(at.image, at.y), at.x, width, result);
+    store_pixels<T, Vectorized>(p.grad_raw.row(at.image, at.y), at.x, width, result);
   }
 }
 
@@ -112,8 +115,8 @@ __global__ void __launch_bounds__(32 * kRows)
 template <class T>
 int raw_to_rgb(RawToRgb<T> const& p, CUstream_st* stream) {
   int64_t const images = p.raw.count();
-  dim3 const blocks = blocks_of_vectors<kTaken>(p.raw.width, p.raw.height, kRows, images), threads(32, kRows);
-  if (has_whole_vectors<kTaken>(p.raw) && has_whole_vectors<kTaken>(p.rgb))
+  dim3 const blocks = blocks_of_vectors<kPixelsPerThread>(p.raw.width, p.raw.height, kRows, images), threads(32, kRows);
+  if (has_whole_vectors<kPixelsPerThread>(p.raw) && has_whole_vectors<kPixelsPerThread>(p.rgb))
     run<T, true><<<blocks, threads, 0, stream>>>(p, images);
   else
     run<T, false><<<blocks, threads, 0, stream>>>(p, images);
@@ -123,8 +126,9 @@ int raw_to_rgb(RawToRgb<T> const& p, CUstream_st* stream) {
 template <class T>
 int raw_to_rgb_backward(RawToRgbBackward<T> const& p, CUstream_st* stream) {
   int64_t const images = p.grad_raw.count();
-  dim3 const blocks = blocks_of_vectors<kTaken>(p.grad.width, p.grad.height, kRows, images), threads(32, kRows);
-  if (has_whole_vectors<kTaken>(p.grad) && has_whole_vectors<kTaken>(p.grad_raw))
+  dim3 const blocks = blocks_of_vectors<kPixelsPerThread>(p.grad.width, p.grad.height, kRows, images),
+             threads(32, kRows);
+  if (has_whole_vectors<kPixelsPerThread>(p.grad) && has_whole_vectors<kPixelsPerThread>(p.grad_raw))
     run_backward<T, true><<<blocks, threads, 0, stream>>>(p, images);
   else
     run_backward<T, false><<<blocks, threads, 0, stream>>>(p, images);

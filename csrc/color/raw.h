@@ -1,12 +1,11 @@
-// Demosaicing of Bayer pictures, linearly between the nearest pixels of each colour. Included by raw_cpu.cpp, raw.cu
-// and raw_op.cpp.
+// Bilinear demosaicing of Bayer images. Included by raw_cpu.cpp, raw.cu and raw_op.cpp.
 //
-// A row has green and one other colour, its own: red or blue. With the border that mirrors the mosaic, its neighbours
-// above and below have green and the opposite colour.
+// A row has green pixels and pixels of one other color, red or blue, called the row's color. The rows above and below
+// have green and the opposite color, also at the border, which reflects the mosaic.
 //
-//   at a pixel of the row's colour     own: itself                      green: mean of the four beside   opposite: of
-//   the diagonals at a green pixel                   own: mean of left and right      green: itself opposite: of above
-//   and below
+//                                  row's color              green                    opposite color
+//   at a pixel of the row's color  the pixel                mean of four neighbors   mean of the diagonals
+//   at a green pixel               mean of left and right   the pixel                mean of above and below
 #pragma once
 
 #include "core/isa.h"
@@ -17,16 +16,16 @@ namespace kv {
 template <class T>
 struct RawToRgb {
   Planes<T const> raw;
-  Planes<T> rgb;    // three planes an image
-  int row, column;  // of the red pixel among two by two
+  Planes<T> rgb;    // three planes per image
+  int row, column;  // of the red pixel in a cell of 2 x 2
 
-  // The plane of the row's own colour, 0 or 2, and the parity of its columns.
-  KV_HD int own(int64_t y) const { return y % 2 == row ? 0 : 2; }
+  // The plane of the row's color, 0 or 2, and the parity of the columns that have it.
+  KV_HD int row_color(int64_t y) const { return y % 2 == row ? 0 : 2; }
   KV_HD int phase(int64_t y) const { return y % 2 == row ? column : 1 - column; }
 };
 template <class T>
 struct RawToRgbBackward {
-  RawToRgb<T> forward;  // without data; its sizes are those of both
+  RawToRgb<T> forward;  // sizes and the filter array alone, without data
   Planes<T const> grad;
   Planes<T> grad_raw;
 };
@@ -34,39 +33,38 @@ struct RawToRgbBackward {
 KV_KERNEL(raw_to_rgb, RawToRgb)
 KV_KERNEL(raw_to_rgb_backward, RawToRgbBackward)
 
-// What stands beside pixel i of n, whose border mirrors.
-KV_HD int64_t mirrored(int64_t i, int64_t n) { return i < 0 ? -i : i < n ? i : 2 * (n - 1) - i; }
-// How often pixel i of n is the neighbour of the one before it, or after it, in its transpose: the outermost pixel sees
-// its only neighbour twice.
-KV_HD int times(int64_t neighbour, int64_t n) {
-  return neighbour < 0 || neighbour >= n ? 0 : neighbour == 0 || neighbour == n - 1 ? 2 : 1;
+// The index of pixel i of n with a reflected border.
+KV_HD int64_t reflected(int64_t i, int64_t n) { return i < 0 ? -i : i < n ? i : 2 * (n - 1) - i; }
+// How often a pixel next to `neighbor` reads it: an outermost pixel reads its only neighbor twice.
+KV_HD int reader_count(int64_t neighbor, int64_t n) {
+  return neighbor < 0 || neighbor >= n ? 0 : neighbor == 0 || neighbor == n - 1 ? 2 : 1;
 }
 
-// Of pixels with these neighbours.
+// The colors of a pixel from its 3 x 3 neighborhood, by the kind of the pixel.
 template <class V>
-struct Demosaiced {
-  V at_own[3], at_green[3];  // own, green, opposite
+struct Demosaic {
+  V at_row_color[3], at_green[3];  // row's color, green, opposite color
 
-  KV_HD Demosaiced(V const (&above)[3], V const (&beside)[3], V const (&below)[3]) {
-    V const across = (beside[0] + beside[2]) * 0.5f, down = (above[1] + below[1]) * 0.5f;
+  KV_HD Demosaic(V const (&above)[3], V const (&center)[3], V const (&below)[3]) {
+    V const across = (center[0] + center[2]) * 0.5f, down = (above[1] + below[1]) * 0.5f;
     V const corners = ((above[0] + above[2]) + (below[0] + below[2])) * 0.25f;
-    at_own[0] = at_green[1] = beside[1];
-    at_own[1] = (across + down) * 0.5f;
-    at_own[2] = corners;
+    at_row_color[0] = at_green[1] = center[1];
+    at_row_color[1] = (across + down) * 0.5f;
+    at_row_color[2] = corners;
     at_green[0] = across;
     at_green[2] = down;
   }
 };
 
-// The transpose: the gradient of a pixel of the row's colour from the gradients of that colour around it, or of a green
-// pixel from those of green. Rows and columns count as often as `times` has them.
+// The transpose: the gradient of a pixel from the gradients of its color around it. `has_row_color` is false for green
+// pixels. Rows and columns count as often as reader_count says.
 template <class V, class S>
-KV_HD V gathered(bool own, V const (&above)[3], V const (&beside)[3], V const (&below)[3], S up, S down, S left,
-                 S right) {
-  V const middle = beside[1] + (above[1] * up + below[1] * down) * (own ? S(0.5) : S(0.25));
-  if (!own) return middle + (beside[0] * left + beside[2] * right) * S(0.25);
-  V const before = beside[0] + (above[0] * up + below[0] * down) * S(0.5);
-  V const after = beside[2] + (above[2] * up + below[2] * down) * S(0.5);
+KV_HD V demosaic_vjp(bool has_row_color, V const (&above)[3], V const (&center)[3], V const (&below)[3], S up, S down,
+                     S left, S right) {
+  V const middle = center[1] + (above[1] * up + below[1] * down) * (has_row_color ? S(0.5) : S(0.25));
+  if (!has_row_color) return middle + (center[0] * left + center[2] * right) * S(0.25);
+  V const before = center[0] + (above[0] * up + below[0] * down) * S(0.5);
+  V const after = center[2] + (above[2] * up + below[2] * down) * S(0.5);
   return middle + (before * left + after * right) * S(0.5);
 }
 

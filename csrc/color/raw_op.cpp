@@ -11,21 +11,20 @@ void check_mosaic(char const* op, char const* name, Tensor const& x, int64_t cha
            " channels with even height and width");
 }
 
-// Where the colour filter array has red, by the name that OpenCV gives it.
-struct Red {
+// The position of red in a cell of the color filter array.
+struct RedPosition {
   int row, column;
 };
-Red red_of(char const* op, std::string const& cfa) {
-  if (cfa == "BG") return {0, 0};
-  if (cfa == "GB") return {0, 1};
-  if (cfa == "RG") return {1, 1};
-  KV_CHECK(cfa == "GR", op, ": cfa must be one of BG, GB, RG, GR; got '", cfa, "'");
-  return {1, 0};
+// By the numbers of CFA in python/kvision/color/raw.py: BG, GB, RG, GR, OpenCV's names.
+RedPosition red_position(char const* op, int64_t cfa) {
+  constexpr RedPosition positions[] = {{0, 0}, {0, 1}, {1, 1}, {1, 0}};
+  KV_CHECK(cfa >= 0 && cfa < 4, op, ": cfa must be one of 0 (BG), 1 (GB), 2 (RG), 3 (GR); got ", cfa);
+  return positions[cfa];
 }
 
-Tensor raw_to_rgb(Tensor const& input, std::string cfa) {
+Tensor raw_to_rgb(Tensor const& input, int64_t cfa) {
   check_mosaic("raw_to_rgb", "input", input, 1);
-  Red const red = red_of("raw_to_rgb", cfa);
+  RedPosition const red = red_position("raw_to_rgb", cfa);
   Tensor const x = as_layout(input, Layout::planar), y = empty({x.size(0), 3, x.size(2), x.size(3)}, x);
   dispatch_floating_and_uint8("raw_to_rgb", x, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -35,9 +34,9 @@ Tensor raw_to_rgb(Tensor const& input, std::string cfa) {
   return y;
 }
 
-Tensor raw_to_rgb_backward(Tensor const& grad, std::string cfa) {
+Tensor raw_to_rgb_backward(Tensor const& grad, int64_t cfa) {
   check_mosaic("raw_to_rgb_backward", "grad", grad, 3);
-  Red const red = red_of("raw_to_rgb_backward", cfa);
+  RedPosition const red = red_position("raw_to_rgb_backward", cfa);
   Tensor const g = as_layout(grad, Layout::planar), x = empty({g.size(0), 1, g.size(2), g.size(3)}, g);
   dispatch_floating("raw_to_rgb_backward", g, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -50,7 +49,7 @@ Tensor raw_to_rgb_backward(Tensor const& grad, std::string cfa) {
 
 }  // namespace
 
-KV_OPERATOR(raw_to_rgb, "(Tensor input, str cfa) -> Tensor")
-KV_OPERATOR(raw_to_rgb_backward, "(Tensor grad, str cfa) -> Tensor")
+KV_OPERATOR(raw_to_rgb, "(Tensor input, int cfa) -> Tensor")
+KV_OPERATOR(raw_to_rgb_backward, "(Tensor grad, int cfa) -> Tensor")
 
 }  // namespace kv

@@ -1,4 +1,4 @@
-// Images that threads take in vectors of neighbours in a row. Included by raw.cu and chroma.cu.
+// Images that threads take in vectors of neighbors in a row. Included by raw.cu and yuv.cu.
 #pragma once
 
 #include "core/launch.cuh"
@@ -12,7 +12,7 @@ bool has_whole_vectors(Planes<T> const& x) {
          reinterpret_cast<uintptr_t>(x.data) % (N * sizeof(T)) == 0;
 }
 
-// Blocks of 32 x `rows` threads, each of which takes N neighbours of an image.
+// Blocks of 32 x `rows` threads, each of which takes N neighbors of an image.
 template <int N>
 dim3 blocks_of_vectors(int64_t width, int64_t height, int rows, int64_t images) {
   return dim3(unsigned(ceil_div(width, 32 * N)), unsigned(ceil_div(height, rows)),

@@ -1,7 +1,7 @@
-// Contrast-limited adaptive equalisation in two steps: a table from level to level for every tile of a plane, and
+// Contrast-limited adaptive equalization in two steps: a table from level to level for every tile of a plane, and
 // pixels mapped by the tables of the four tiles around them. Included by clahe_cpu.cpp, clahe.cu, clahe_op.cpp.
 //
-//   +---+---+---+   Tiles, and the cells between their centres: all pixels of a cell are mapped by the same
+//   +---+---+---+   Tiles, and the cells between their centers: all pixels of a cell are mapped by the same
 //   | o-|-o-|-o |   four tables. There is one cell more than tiles along either axis; in those along the rim
 //   +-|-+-|-+-|-+   two tables are the same one.
 //   | o-|-o-|-o |

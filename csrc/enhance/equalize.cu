@@ -1,4 +1,4 @@
-// Equalisation on CUDA. A plane that fits one multiprocessor as bytes is read once: the block that counts its levels
+// Equalization on CUDA. A plane that fits one multiprocessor as bytes is read once: the block that counts its levels
 // keeps them, and maps them when the table is there. Others are counted by several blocks and read again.
 #include "equalize.h"
 #include "levels.cuh"

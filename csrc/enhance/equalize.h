@@ -1,4 +1,4 @@
-// Histogram equalisation of whole planes. Included by equalize_cpu.cpp, equalize.cu and equalize_op.cpp.
+// Histogram equalization of whole planes. Included by equalize_cpu.cpp, equalize.cu and equalize_op.cpp.
 #pragma once
 
 #include "core/isa.h"

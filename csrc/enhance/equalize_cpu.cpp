@@ -1,4 +1,4 @@
-// Equalisation on the CPU: count, make the table, map.
+// Equalization on the CPU: count, make the table, map.
 #include "core/scratch.h"
 #include "equalize.h"
 #include "levels_cpu.h"

@@ -1,4 +1,4 @@
-// Equalisation: schema and entry, for CPU and CUDA alike.
+// Equalization: schema and entry, for CPU and CUDA alike.
 #include "equalize.h"
 #include "flat_glue.h"
 

@@ -27,7 +27,7 @@ __device__ __forceinline__ void place_of(GridCounts<T> const& p, T x, int& bin, 
   bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
 }
 
-// Counts in shared memory, several copies of each where they fit: neighbouring threads, whose samples are often alike,
+// Counts in shared memory, several copies of each where they fit: neighboring threads, whose samples are often alike,
 // add to different ones.
 template <class T>
 __global__ void __launch_bounds__(kThreads) count_piece(GridCounts<T> p, int part, int copies) {

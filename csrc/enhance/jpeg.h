@@ -83,7 +83,7 @@ KV_KERNEL(jpeg_pull_steps, JpegPullSteps)
 // What is worked on at once: four by one squares of 16 pixels, each four blocks of luma and one of each chroma.
 constexpr int kJpegSide = 16, kJpegWidth = 64;
 
-// --- colour ----------------------------------------------------------------------------------------------------------
+// --- color ----------------------------------------------------------------------------------------------------------
 
 constexpr double kJpegRed = 0.299, kJpegGreen = 0.587, kJpegBlue = 0.114;
 constexpr double kJpegFromBlue = 0.564, kJpegFromRed = 0.713;  // how much b - y and r - y are scaled by

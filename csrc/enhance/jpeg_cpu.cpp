@@ -43,7 +43,7 @@ KV_HD void for_each_tile(JpegLevels<F> const& levels, int64_t begin, int64_t end
     for (int x = 0; x < int(levels.width); x += kJpegWidth) f(JpegPlace(levels, r, x));
 }
 
-// Calls f(width, x) for [begin, end), in vectors where pixels are neighbours.
+// Calls f(width, x) for [begin, end), in vectors where pixels are neighbors.
 template <class T, class Call>
 KV_HD void for_each_pixel(int64_t step, int64_t begin, int64_t end, Call const& f) {
   if (step == 1) return for_each_vector<T>(begin, end, f);

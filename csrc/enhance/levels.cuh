@@ -61,7 +61,7 @@ __device__ __forceinline__ void for_each_vector(T const* x, int64_t step, int be
 }
 
 // Counts of levels in shared memory, `Copies` of each: pixels beside each other are alike, and threads that count the
-// same level in the same copy wait for each other. The copies of a level are neighbours, so in different banks.
+// same level in the same copy wait for each other. The copies of a level are neighbors, so in different banks.
 template <int Copies>
 struct LevelCounter {
   static constexpr int kSize = kLevels * Copies;

@@ -67,7 +67,7 @@ struct GivenRow {
   F own[4], sums[4];
 };
 
-// Each thread pulls its own four pixels' gradients and gets its neighbours' by shuffle. Where a warp ends inside the
+// Each thread pulls its own four pixels' gradients and gets its neighbors' by shuffle. Where a warp ends inside the
 // image, its end thread pulls one pixel more, for which it reads one column of x beyond.
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)

@@ -44,7 +44,7 @@ struct SharpnessBackward {
 KV_KERNEL(sharpness, Sharpness)
 KV_KERNEL(sharpness_backward, SharpnessBackward)
 
-// How CUDA cuts a plane into pieces: where neighbours in a row are neighbours in memory by strips that a warp walks
+// How CUDA cuts a plane into pieces: where neighbors in a row are neighbors in memory by strips that a warp walks
 // down, else by tiles.
 constexpr int kTileWidth = 64, kTileHeight = 16, kStripWidth = 128, kStripRows = 32;
 template <class T>
@@ -75,7 +75,7 @@ KV_HD V sharpened(V const& x, V const& smooth, F factor) {
   return clipped(V(x + (x - clipped(smooth, F(0))) * (factor - F(1))), F(0));
 }
 
-// What a gradient g gives to the pixel itself, to what its neighbours' smoothed copy was made of, and to the factor.
+// What a gradient g gives to the pixel itself, to what its neighbors' smoothed copy was made of, and to the factor.
 template <class V>
 struct SharpnessGradient {
   V own, around, factor;

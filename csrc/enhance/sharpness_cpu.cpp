@@ -7,7 +7,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Calls pixel(width, x) for the pixels of a row but its ends, in vectors where they are neighbours.
+// Calls pixel(width, x) for the pixels of a row but its ends, in vectors where they are neighbors.
 template <class T, class F>
 KV_HD void for_each_inner(int64_t width, int64_t step, F pixel) {
   if (step == 1) return for_each_vector<T>(1, max(width - 1, int64_t(1)), pixel);

@@ -1,7 +1,7 @@
 // The Hausdorff loss by erosions, of predictions (B, C, pixels) and labels (B, pixels), pixels being those of images or
 // volumes. What a class differs by, b_0 = (prediction - [it is the label])^2, is eroded k times, each time by
 //
-//   c_i = max(mean of b_(i-1) at a pixel and its direct neighbours, zeros beyond the image - 1/2, 0)
+//   c_i = max(mean of b_(i-1) at a pixel and its direct neighbors, zeros beyond the image - 1/2, 0)
 //   b_i = (c_i - low) / (high - low), of the smallest and largest c_i of the plane; c_i where it is flat
 //
 // and the loss of a pixel is the sum of i^alpha b_i. Backward, with g the slopes by b_i, A the sum of g and D that of g

@@ -85,7 +85,7 @@ struct Sorting {
   __device__ __forceinline__ unsigned digit(Ranked<F> const& r) const { return unsigned(r.key >> shift) % kDigits; }
 };
 
-// A thread's elements of a piece of a segment: one of 32 neighbours that a warp takes at a time, row after row.
+// A thread's elements of a piece of a segment: one of 32 neighbors that a warp takes at a time, row after row.
 template <class F>
 struct Rows {
   static constexpr int kCount = kRankedPiece<F> / kThreads;

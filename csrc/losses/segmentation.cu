@@ -1,4 +1,4 @@
-// Losses of segmentations on CUDA. A thread takes neighbouring pixels, whose logits it reads once, class by class, into
+// Losses of segmentations on CUDA. A thread takes neighboring pixels, whose logits it reads once, class by class, into
 // a column of shared memory that no other thread looks at: there they become exponentials, and from there sums or
 // gradients.
 #include "core/launch.cuh"

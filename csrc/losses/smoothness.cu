@@ -37,7 +37,7 @@ struct Column {
     image = p.image.row(sample * p.channels, y) + x;
   }
   __device__ __forceinline__ void go_down() { ++y, depth += depth_stride, image += image_stride; }
-  // How far away the neighbours are, or 0 where there are none.
+  // How far away the neighbors are, or 0 where there are none.
   __device__ __forceinline__ int to_left() const { return x > 0 ? -1 : 0; }
   __device__ __forceinline__ int to_right() const { return x + 1 < width ? 1 : 0; }
   __device__ __forceinline__ bool has_below() const { return y + 1 < height; }

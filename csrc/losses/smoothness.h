@@ -1,9 +1,9 @@
 // How rough an inverse depth map d (B, 1, H, W) is where its image I (B, C, H, W) has no edges. For every sample it is
-// the sum over all neighbours p, q of
+// the sum over all neighbors p, q of
 //
 //   rough(p, q) = weight * abs(d(q) - d(p)) * exp(-mean over c of abs(I_c(q) - I_c(p)))
 //
-// with one weight along y and one along x. A pixel's gradient is a sum over its neighbours, too: that to d(q) of the
+// with one weight along y and one along x. A pixel's gradient is a sum over its neighbors, too: that to d(q) of the
 // sign of d(q) - d(p) where rough has its size, that to I_c(q) of -rough / C times the sign of I_c(q) - I_c(p); those
 // to p have the other sign. Included by smoothness_cpu.cpp, smoothness.cu and smoothness_op.cpp.
 #pragma once

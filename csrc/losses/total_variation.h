@@ -1,4 +1,4 @@
-// Total variation of image planes: weighted sums of the absolute differences of neighbours along y and along x, a
+// Total variation of image planes: weighted sums of the absolute differences of neighbors along y and along x, a
 // number for each plane, and their gradient, made of signs. Included by total_variation_cpu.cpp, total_variation.cu and
 // total_variation_op.cpp.
 #pragma once

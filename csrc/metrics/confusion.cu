@@ -9,7 +9,7 @@ namespace {
 constexpr int kThreads = 256, kBytes = 32 << 10, kAtOnce = 4;
 constexpr int64_t kPiece = kThreads * kAtOnce * 8;  // pixels
 
-// Several copies of the counts where they fit: neighbouring threads, whose labels are often alike, add to different
+// Several copies of the counts where they fit: neighboring threads, whose labels are often alike, add to different
 // ones. No copies: there is no room.
 template <class T>
 __global__ void __launch_bounds__(kThreads)

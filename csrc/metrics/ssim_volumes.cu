@@ -2,7 +2,7 @@
 //
 // A block has a tile of eight slices, eight rows and 32 columns, and whatever is summed in windows stays in shared
 // memory: first the sums across the slices, of all rows and columns that the tile's windows have, then along y in their
-// place, then along x in registers. Along each axis a thread has eight neighbours.
+// place, then along x in registers. Along each axis a thread has eight neighbors.
 //
 // The gradient is two launches for as many volumes as there is memory for: one writes the derivatives by the means, the
 // other one sums these.

@@ -1,4 +1,4 @@
-// Sums in windows of any size, along one axis of images or volumes on CUDA: a thread has eight neighbours and reads
+// Sums in windows of any size, along one axis of images or volumes on CUDA: a thread has eight neighbors and reads
 // each number that their windows have once.
 #pragma once
 
@@ -7,7 +7,7 @@
 namespace kv::cuda {
 namespace {
 
-constexpr int kSide = 8;  // neighbours of a thread, and rows and slices of a tile
+constexpr int kSide = 8;  // neighbors of a thread, and rows and slices of a tile
 
 template <class F>
 using Double4 = Vector<F, 4>;
@@ -18,7 +18,7 @@ struct __align__(16) Row {
   int there;
 };
 
-// sums[m][j] += weight(t) * read(j + t).v[m] over all t < taps, for eight neighbours j.
+// sums[m][j] += weight(t) * read(j + t).v[m] over all t < taps, for eight neighbors j.
 template <int M, class F, class Weight, class Read>
 __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F (&sums)[M][kSide]) {
   constexpr int N = kSide;

@@ -20,7 +20,7 @@ namespace kvision {
 // numbers. `order` (B or 1, S) of int64 has the step of each position, or -1 for none. The result has the dtype and
 // the layout, "NCHW" or "NHWC", that are asked for; bytes are 255ths.
 struct ColorProgram {
-  // With their parameters, as csrc/color/program.h explains them.
+  // With their parameters, as csrc/color/step_list.h explains them.
   enum Step : int64_t {
     affine,
     rgb_to_hsv,
@@ -33,19 +33,19 @@ struct ColorProgram {
     lab_to_rgb,
     rgb_to_luv,
     luv_to_rgb,
-    byte_luma,
-    byte_hsv,
+    luma_u8_fixed_point,
+    hsv_u8,
     weighted_sum,
-    byte_sum,
-    line_rgb,
+    luma_u8,
+    scale_shift_rgb,
     standardize_rgb,
     saturation,
     saturation_raw,
-    saturation_grey,
+    saturation_gray,
     hue,
     hue_raw,
     contrast,
-    line,
+    scale_shift,
     standardize,
     gamma,
     log,
@@ -226,17 +226,18 @@ inline Tensor ycbcr_to_rgb(Tensor const& image) {
 
 // --- mosaics
 
-inline Tensor raw_to_rgb(Tensor const& input, std::string const& cfa);
+inline Tensor raw_to_rgb(Tensor const& input, int64_t cfa);
 
 // Linear, as is its transpose.
-inline Tensor raw_to_rgb_backward(Tensor const& grad, std::string const& cfa) {
+inline Tensor raw_to_rgb_backward(Tensor const& grad, int64_t cfa) {
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"raw_to_rgb_backward">(grad, cfa)}; };
   auto const gradient = [=](Backward const& b) { return variable_list{raw_to_rgb(b.grads[0], cfa)}; };
   return differentiable({grad}, compute, {}, gradient)[0];
 }
-// RGB images of Bayer mosaics (B, 1, H, W) with even H and W, whose colour filter array is named as in OpenCV.
-inline Tensor raw_to_rgb(Tensor const& input, std::string const& cfa) {
+// RGB images of Bayer mosaics (B, 1, H, W) with even H and W, whose color filter array is 0 (BG), 1 (GB), 2 (RG) or 3
+// (GR), OpenCV's names.
+inline Tensor raw_to_rgb(Tensor const& input, int64_t cfa) {
   using namespace detail;
   auto const compute = [&] { return variable_list{call<"raw_to_rgb">(input, cfa)}; };
   auto const gradient = [=](Backward const& b) { return variable_list{raw_to_rgb_backward(b.grads[0], cfa)}; };
@@ -280,8 +281,8 @@ inline std::tuple<Tensor, Tensor> split_chroma(Tensor const& input, int64_t rows
 
 // Images in the colours of a table (1, 3, n), of which `white` (B, C) shows the last one. The table has no gradient
 // here.
-inline Tensor color_table(Tensor const& input, Tensor const& white, Tensor const& colors) {
-  return detail::call<"color_table">(input.detach(), white.detach(), colors.detach());
+inline Tensor apply_colormap(Tensor const& input, Tensor const& white, Tensor const& colors) {
+  return detail::call<"apply_colormap">(input.detach(), white.detach(), colors.detach());
 }
 
 }  // namespace kvision

@@ -1,4 +1,4 @@
-"""XYZ, Lab, Luv and linear light: known colours, OpenCV's and scikit-image's values."""
+"""XYZ, Lab, Luv and linear light: known colors, OpenCV's and scikit-image's values."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ KNOWN = {  # of CIE 15's formulas, to the digits that rounded matrices agree on
 
 
 @pytest.mark.parametrize("name", KNOWN)
-def test_known_colours(name, device):
+def test_known_colors(name, device):
     for rgb, expected in KNOWN[name].items():
         x = torch.tensor(rgb, dtype=torch.float64, device=device).view(3, 1, 1)
         assert getattr(C, name)(x).flatten().tolist() == pytest.approx(expected, rel=1e-3, abs=0.03)

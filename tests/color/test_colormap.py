@@ -1,4 +1,4 @@
-"""Colour maps and what they are applied to."""
+"""Color maps and what they are applied to."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_tables_are_kornias(name, count):
     assert torch.equal(C.ColorMap(C.ColorMapType[name], count, dtype=torch.float64).colors, table.colors)
 
 
-def test_colours_of_ones_own():
+def test_colors_of_ones_own():
     table = C.ColorMap([(0.0, 0.0, 0.0), (1.0, 0.5, 0)], num_colors=4)
     assert table.name == "custom" and table.colors.dtype == torch.float32
     assert table.colors.T.tolist() == [[0, 0, 0], [0.25, 0.125, 0], [0.75, 0.375, 0], [1, 0.5, 0]]
@@ -42,8 +42,8 @@ def test_levels_are_kornias(count, device):
         assert_close(C.apply_colormap(x, table), kornia.color.apply_colormap(x, theirs), 0, 1e-6)
 
 
-def test_which_colour(device):
-    """The first and the last colour are for 0 and 1 alone."""
+def test_which_color(device):
+    """The first and the last color are for 0 and 1 alone."""
     table = C.ColorMap([[i / 4, 0, 0] for i in range(5)], 5, device=device)
     values = [-1, 0, 1e-6, 0.33, 0.34, 0.66, 0.67, 0.999, 1]
     shown = C.apply_colormap(torch.tensor(values, device=device).view(1, 1, -1), table)
@@ -150,12 +150,12 @@ def test_operator(device, backend):
     if backend == "reference":
         pytest.skip("of the kernels")
     x, white = torch.rand(2, 3, 4, 5, device=device), torch.ones(2, 3, device=device)
-    torch.library.opcheck(torch.ops.kvision.color_table.default, (x, white, torch.rand(1, 3, 6, device=device)))
+    torch.library.opcheck(torch.ops.kvision.apply_colormap.default, (x, white, torch.rand(1, 3, 6, device=device)))
 
 
 class TestColormapOperators(PointOpTests):
     calls = {
-        "color_table": [
+        "apply_colormap": [
             Call(
                 (vector(3, 4, 5), lambda: torch.ones(3), vector(3, 6)),
                 broadcasts=False,

@@ -1,4 +1,4 @@
-"""What every colour conversion must keep: Kornia's values, gradients of any order, leading axes, types, layouts, errors."""
+"""What every color conversion must keep: Kornia's values, gradients of any order, leading axes, types, layouts, errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ C = K.color
 
 @dataclass(frozen=True)
 class Case:
-    of_rgb: Callable[[Tensor], Tensor] = lambda x: x  # its input, from RGB colours
+    of_rgb: Callable[[Tensor], Tensor] = lambda x: x  # its input, from RGB colors
     arguments: tuple[Any, ...] = ()
     module: type[torch.nn.Module] | None = None
     in_forward: bool = False  # the module takes the arguments in forward
@@ -88,13 +88,13 @@ def convert(name: str, case: Case) -> Callable[[Tensor], Tensor]:
 
 
 def lattice(steps: int = 17) -> Tensor:
-    """Every colour of `steps` even levels a channel, black, white, greys and primaries among them: (1, 3, H, W)."""
+    """Every color of `steps` even levels a channel, black, white, grays and primaries among them: (1, 3, H, W)."""
     levels = torch.linspace(0, 1, steps, dtype=torch.float64)
     return torch.cartesian_prod(levels, levels, levels).T.reshape(1, 3, steps * steps, steps)
 
 
 def colors(shape: tuple[int, ...], device: Any, dtype: torch.dtype = torch.float64) -> Tensor:
-    """RGB colours with at least 0.05 between their channels and from the ends of the range: away from all kinks."""
+    """RGB colors with at least 0.05 between their channels and from the ends of the range: away from all kinks."""
     *leading, c, h, w = shape
     steps = torch.rand(*leading, h, w, c + 1, dtype=torch.float64) + 0.4
     ordered = (steps.cumsum(-1) / steps.sum(-1, keepdim=True))[..., :-1]
@@ -161,7 +161,7 @@ def test_derivatives(case, convert, device):
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16], ids=str)
 def test_gradients_are_finite_on_the_whole_cube(case, convert, dtype, device):
-    """Black, white, greys and primaries included."""
+    """Black, white, grays and primaries included."""
     x = case.of_rgb(lattice(9).float()).to(dtype).to(device).requires_grad_()
     y = convert(x)
     assert y.isfinite().all()

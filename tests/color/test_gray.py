@@ -1,4 +1,4 @@
-"""Grey: OpenCV's levels, any weights."""
+"""Gray: OpenCV's levels, any weights."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def check_bytes(convert, code, first: int, device) -> None:
     """All levels of two channels beside one of the first."""
     levels = np.arange(256, dtype=np.uint8)
     array = np.stack(np.meshgrid(np.uint8(first), levels, levels, indexing="ij"), -1)[0]
-    grey = convert(K.image_to_tensor(array).to(device))
-    assert grey.dtype == torch.uint8
-    assert np.array_equal(K.tensor_to_image(grey), cv2.cvtColor(array, code))
+    gray = convert(K.image_to_tensor(array).to(device))
+    assert gray.dtype == torch.uint8
+    assert np.array_equal(K.tensor_to_image(gray), cv2.cvtColor(array, code))
 
 
 @pytest.mark.parametrize("convert, code", CODES)
@@ -71,8 +71,8 @@ def test_weights_of_bytes_round_and_saturate(device):
         ((0.0, 0.0, 2.0), 255),
         ((-1.0, 0.0, 0.0), 0),
     ):
-        grey = C.rgb_to_grayscale(x, torch.tensor(weights, device=device))
-        assert grey.dtype == torch.uint8 and grey.item() == expected
+        gray = C.rgb_to_grayscale(x, torch.tensor(weights, device=device))
+        assert gray.dtype == torch.uint8 and gray.item() == expected
 
 
 def test_weights_elsewhere(device):
@@ -80,11 +80,11 @@ def test_weights_elsewhere(device):
         C.rgb_to_grayscale(torch.rand(3, 4, 5, device=device), torch.ones(3, device="meta"))
 
 
-def test_grey_in_three_channels_has_its_own_memory(device):
-    grey = torch.rand(1, 4, 5, device=device)
-    rgb = C.grayscale_to_rgb(grey)
+def test_gray_in_three_channels_has_its_own_memory(device):
+    gray = torch.rand(1, 4, 5, device=device)
+    rgb = C.grayscale_to_rgb(gray)
     rgb[0] = 2
-    assert torch.equal(rgb[1:], grey.expand(2, -1, -1)) and grey.max() < 1
+    assert torch.equal(rgb[1:], gray.expand(2, -1, -1)) and gray.max() < 1
 
 
 def test_flat_names():

@@ -1,4 +1,4 @@
-"""HSV and HLS: known colours, ties, the seam of the colour wheel, OpenCV's values."""
+"""HSV and HLS: known colors, ties, the seam of the color wheel, OpenCV's values."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ def pixel(*values: float, dtype: torch.dtype = torch.float64) -> torch.Tensor:
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16, torch.bfloat16], ids=str)
 def test_wheel(rgb, sixths, dtype, device):
     x = pixel(*rgb, dtype=dtype).to(device)
-    coloured = float(max(rgb) > min(rgb))
-    hsv = pixel(sixths * TURN / 6, coloured, max(rgb)).to(dtype).to(device)
-    hls = pixel(sixths * TURN / 6, (max(rgb) + min(rgb)) / 2, coloured).to(dtype).to(device)
+    colored = float(max(rgb) > min(rgb))
+    hsv = pixel(sixths * TURN / 6, colored, max(rgb)).to(dtype).to(device)
+    hls = pixel(sixths * TURN / 6, (max(rgb) + min(rgb)) / 2, colored).to(dtype).to(device)
     rtol, atol = (1e-7, 1e-7) if dtype == torch.float64 else (None, None)
     assert_close(C.rgb_to_hsv(x), hsv, rtol, atol)
     assert_close(C.rgb_to_hls(x), hls, rtol, atol)
 
 
-def test_colours_are_those_of_the_standard_library(device):
+def test_colors_are_those_of_the_standard_library(device):
     x = torch.rand(3, 10, 10, dtype=torch.float64)
     hsv, hls = (convert(x.to(device)).cpu() for convert in (C.rgb_to_hsv, C.rgb_to_hls))
     for i, j in itertools.product(range(10), range(10)):
@@ -106,7 +106,7 @@ def test_gradient_at_the_seam(convert, device):
 
 @pytest.mark.parametrize("convert", [C.rgb_to_hsv, C.rgb_to_hls])
 @pytest.mark.parametrize("level", [0.0, 0.25, 0.5, 1.0])
-def test_greys_have_no_hue_and_no_slope_of_it(convert, level, device):
+def test_grays_have_no_hue_and_no_slope_of_it(convert, level, device):
     x = pixel(level, level, level).to(device).requires_grad_()
     y = convert(x)
     assert y[0].item() == 0
@@ -124,7 +124,7 @@ def test_eps(device):
 
 
 @pytest.mark.slow
-def test_every_colour_of_bytes_survives(device):
+def test_every_color_of_bytes_survives(device):
     levels = torch.arange(256, device=device)
     for red in range(256):
         g, b = torch.meshgrid(levels, levels, indexing="ij")

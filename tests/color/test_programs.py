@@ -1,4 +1,4 @@
-"""Conversions that are colour programs: everything the shared suite asks of an operator."""
+"""Conversions that are color programs: everything the shared suite asks of an operator."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class ConversionTests(OpTests):
     operators = ("color_program", "color_program_backward")
     channels = 3
     small = (1, 3, 3, 4)
-    max_size = 12  # a pixel knows no neighbours: what matters is how many there are
+    max_size = 12  # a pixel knows no neighbors: what matters is how many there are
     # Of a hue or a root, half types keep the digits of the number it is taken from.
     tolerances = {torch.float16: (4e-3, 4e-3), torch.bfloat16: (3e-2, 3e-2)}
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)  # of the channels that are converted
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def input(self, shape, dtype, device):
-        """Colours away from greys and from ties of their channels, where gradients jump."""
+        """Colors away from grays and from ties of their channels, where gradients jump."""
         x = torch.rand(shape, dtype=torch.float64)
         if len(shape) > 3 and shape[-3] == 3 and self.scale == (1.0, 1.0, 1.0):
             x = 0.05 + 0.3 * x + torch.tensor([0.3, 0.0, 0.6], dtype=torch.float64)[:, None, None]
@@ -35,7 +35,7 @@ class ConversionTests(OpTests):
         return x.to(dtype).to(device)
 
     def test_wrong_kinds(self, variant, device):
-        """Of colours any number of leading axes is right, and no pixels are, too."""
+        """Of colors any number of leading axes is right, and no pixels are, too."""
         x, kwargs = self.setup(variant, device, torch.float32)
         name = self.function.__name__
         for wrong, error in [([[1.0]], TypeError), (None, TypeError), (x[0, 0], ValueError), (x[:, :2], ValueError)]:

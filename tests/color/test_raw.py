@@ -12,7 +12,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError
 from op_tests import OpTests, assert_close
 
 C = K.color
-# Colours of a cell, row by row.
+# Colors of a cell, row by row.
 CELLS = {C.CFA.BG: "RGGB", C.CFA.GB: "GRBG", C.CFA.RG: "BGGR", C.CFA.GR: "GBRG"}
 
 
@@ -36,7 +36,7 @@ def test_mosaic(cfa, device):
 
 
 def naive(x: torch.Tensor, cfa: C.CFA) -> torch.Tensor:
-    """Each missing colour as the mean of its nearest sites, of 2 or 4, in the mirrored mosaic."""
+    """Each missing color as the mean of its nearest sites, of 2 or 4, in the mirrored mosaic."""
     h, w = x.shape
     y = torch.zeros(3, h, w, dtype=x.dtype)
     for c, color in enumerate("RGB"):

@@ -10,7 +10,7 @@ from op_tests import assert_close
 C = K.color
 
 
-def test_bytes_become_colours(device):
+def test_bytes_become_colors(device):
     levels = torch.arange(256, dtype=torch.uint8, device=device).view(1, 1, 256).expand(3, -1, -1)
     assert_close(C.rgb255_to_rgb(levels), levels.float() / 255)
     assert_close(C.rgb_to_rgb255(C.rgb255_to_rgb(levels)).round().to(torch.uint8), levels)

@@ -15,7 +15,7 @@ from op_tests import OpTests, assert_close
 E = K.enhance
 
 
-def colour(*channels: float) -> Tensor:
+def color(*channels: float) -> Tensor:
     return torch.tensor(channels).view(-1, 1, 1)
 
 
@@ -64,13 +64,13 @@ def test_hue_of_hsv_stays_below_a_turn():
         assert ((0 <= (h := E.adjust_hue_raw(hue, angle)[0])) & (h < 2 * math.pi)).all()
 
 
-def test_saturation_ends_at_grey_and_at_full():
-    x = colour(0.8, 0.4, 0.6)
-    assert_close(E.adjust_saturation(x, 0.0), colour(0.8, 0.8, 0.8))
-    assert_close(E.adjust_saturation(x, -1.0), colour(0.8, 0.8, 0.8))
-    assert_close(E.adjust_saturation(x, 9.0), colour(0.8, 0.0, 0.4))
-    grey = LATTICE[:1].expand(3, -1, -1)
-    assert_close(E.adjust_saturation(grey, 5.0), grey)
+def test_saturation_ends_at_gray_and_at_full():
+    x = color(0.8, 0.4, 0.6)
+    assert_close(E.adjust_saturation(x, 0.0), color(0.8, 0.8, 0.8))
+    assert_close(E.adjust_saturation(x, -1.0), color(0.8, 0.8, 0.8))
+    assert_close(E.adjust_saturation(x, 9.0), color(0.8, 0.0, 0.4))
+    gray = LATTICE[:1].expand(3, -1, -1)
+    assert_close(E.adjust_saturation(gray, 5.0), gray)
 
 
 def test_gamma_of_black_and_below():
@@ -105,7 +105,7 @@ def test_logarithm_and_its_inverse():
     ],
 )
 def test_pil_enhancers(function, name, factor):
-    """PIL rounds its grey and its result to levels."""
+    """PIL rounds its gray and its result to levels."""
     image, enhance = pytest.importorskip("PIL.Image"), pytest.importorskip("PIL.ImageEnhance")
     pixels = torch.randint(0, 256, (40, 50, 3), dtype=torch.uint8)
     expected = np.asarray(getattr(enhance, name)(image.fromarray(pixels.numpy())).enhance(factor))

@@ -104,14 +104,14 @@ class TestFunctions(CompositionTests):
         ):  # the others jump where a product is rounded
             assert_close(y, case.call(x, *parameters).to(dtype))
 
-    def test_gradients_are_finite_on_plain_colours(self, case, device):
-        """Black, white, greys, saturated primaries: where maxima tie and powers have no slope."""
+    def test_gradients_are_finite_on_plain_colors(self, case, device):
+        """Black, white, grays, saturated primaries: where maxima tie and powers have no slope."""
         self.needs_gradient(case)
         like, *parameters = self.values(case, device, torch.float32)
         primary = torch.tensor([1.0, 0, 0][: like.shape[1]], device=device).view(-1, 1, 1)
-        grey = torch.tensor([0.0, 1.0, 0.5, 1 / 3], device=device).view(4, 1, 1, 1)
-        for colour in torch.cat([grey.expand(4, len(primary), 1, 1), primary[None], 1 - primary[None]]):
-            x = colour.expand_as(like).clone().requires_grad_()
+        gray = torch.tensor([0.0, 1.0, 0.5, 1 / 3], device=device).view(4, 1, 1, 1)
+        for color in torch.cat([gray.expand(4, len(primary), 1, 1), primary[None], 1 - primary[None]]):
+            x = color.expand_as(like).clone().requires_grad_()
             values = [x, *(p.clone().requires_grad_() for p in parameters)]
             y = case.call(*values)
             grads = torch.autograd.grad(y.sum(), values, allow_unused=True)

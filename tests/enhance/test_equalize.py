@@ -166,7 +166,7 @@ def test_values_outside_count_as_the_nearest():
 @pytest.mark.parametrize("size, grid", [((64, 64), (8, 8)), ((48, 96), (2, 4)), ((60, 44), (3, 2)), ((64, 64), (1, 1))])
 @pytest.mark.parametrize("clip", [2.0, 40.0])
 def test_clahe_is_opencvs(size, grid, clip):
-    """Up to OpenCV's rounding and its tile centres, half a pixel away."""
+    """Up to OpenCV's rounding and its tile centers, half a pixel away."""
     levels = photo(*size)
     expected = cv2.createCLAHE(clip, grid[::-1]).apply(levels)
     apart = np.abs(255 * E.equalize_clahe(unit(levels), clip, grid)[0, 0].numpy() - expected)

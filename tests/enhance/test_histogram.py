@@ -18,7 +18,7 @@ E = K.enhance
 
 
 def test_counts_of_a_wide_kernel_sum_to_the_pixels(device):
-    """The triangles of neighbouring bins add up to one."""
+    """The triangles of neighboring bins add up to one."""
     x = torch.rand(2, 3, 20, 30, device=device) * 200 + 20
     counts, pdf = E.image_histogram2d(x, return_pdf=True)
     assert_close(counts.sum(-1), torch.full((2, 3), 600.0, device=device))

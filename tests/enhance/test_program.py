@@ -42,8 +42,8 @@ def one_after_the_other(x: Tensor, steps: tuple) -> Tensor:
     return x
 
 
-def colours(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Away from greys and ties, where gradients jump, and so far inside [0, 1] that nothing is clamped below."""
+def colors(shape: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Away from grays and ties, where gradients jump, and so far inside [0, 1] that nothing is clamped below."""
     x = 0.1 * torch.rand(shape, dtype=torch.float64)
     if shape[-3] == 3:
         x = x + torch.tensor([0.5, 0.3, 0.4], dtype=torch.float64)[:, None, None]
@@ -60,11 +60,11 @@ class ProgramTests(OpTests):
     channels = 3
     shape = (2, 3, 9, 14)
     small = (2, 3, 2, 3)
-    max_size = 8  # a pixel knows no neighbours: what matters is how many there are
+    max_size = 8  # a pixel knows no neighbors: what matters is how many there are
     tolerances = {torch.float16: (4e-3, 4e-3), torch.bfloat16: (3e-2, 3e-2), torch.float32: (5e-5, 5e-6)}
 
     def input(self, shape, dtype, device):
-        return super().input(shape, dtype, device) if dtype == torch.uint8 else colours(shape, dtype, device)
+        return super().input(shape, dtype, device) if dtype == torch.uint8 else colors(shape, dtype, device)
 
     def test_wrong_kinds(self, variant, device):
         x, kwargs = self.setup(variant, device, torch.float32)
@@ -79,7 +79,7 @@ def color_jitter(input: Tensor, factor: Tensor | float = 0.8, mean: Tensor | Non
 
 
 class TestColorJitter(ProgramTests):
-    """Numbers and tensors, a mean, and a normalisation with tensors for three channels."""
+    """Numbers and tensors, a mean, and a normalization with tensors for three channels."""
 
     function = staticmethod(color_jitter)
     operators = ("color_program_around_mean", "color_program_backward")
@@ -94,7 +94,7 @@ class TestColorJitter(ProgramTests):
             self.call(x.int(), kwargs)
 
     def check(self, actual, expected):
-        if actual.dtype == torch.uint8:  # a level may round to its neighbour
+        if actual.dtype == torch.uint8:  # a level may round to its neighbor
             actual, expected = (t.to(torch.int16).clamp(1, 254) for t in (actual, expected))
             assert (actual - expected).abs().max() <= 1 if actual.numel() else True
             return

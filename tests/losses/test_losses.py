@@ -210,7 +210,7 @@ class TestTotalVariation(OpTests):
     def test_gradcheck(self, variant, device):
         x = torch.rand(
             self.small, dtype=torch.float64, device=device, requires_grad=True
-        )  # no two neighbours are equal
+        )  # no two neighbors are equal
         assert torch.autograd.gradcheck(L.total_variation, x) and torch.autograd.gradgradcheck(L.total_variation, x)
 
 

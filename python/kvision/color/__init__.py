@@ -1,6 +1,6 @@
-"""Colour conversions of images (*, C, H, W), pixel by pixel.
+"""Color conversions of images (*, C, H, W), pixel by pixel.
 
-Colours are in [0, 1] and hue is in radians unless said otherwise. Computation is in float32, or in float64 for float64
+Colors are in [0, 1] and hue is in radians unless said otherwise. Computation is in float32, or in float64 for float64
 images; half types are stored back.
 """
 

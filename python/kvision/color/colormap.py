@@ -1,4 +1,4 @@
-"""False colours: grey levels shown by a table of colours."""
+"""False colors: gray levels shown by a table of colors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DTYPES = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
 
 class ColorMapType(Enum):
-    """The named colour maps.
+    """The named color maps.
 
     Example:
         >>> import kvision as K
@@ -53,10 +53,10 @@ class ColorMapType(Enum):
 
 
 class ColorMap:
-    """A table of colours.
+    """A table of colors.
 
     Args:
-        base: a ColorMapType or its name, which stand for 64 colours, or a list of colours (r, g, b) in [0, 1].
+        base: a ColorMapType or its name, which stand for 64 colors, or a list of colors (r, g, b) in [0, 1].
         num_colors: size of the table. The base is resampled linearly, as an image of one row would be.
         device: where the table is.
         dtype: floating-point type of the table; default: torch's.
@@ -67,7 +67,7 @@ class ColorMap:
 
     Raises:
         TypeCheckError: a base of another kind, num_colors no int, dtype not floating point.
-        ValueCheckError: an unknown name, colours that are not three numbers, num_colors less than 1.
+        ValueCheckError: an unknown name, colors that are not three numbers, num_colors less than 1.
 
     Example:
         >>> import kvision as K
@@ -111,20 +111,20 @@ class ColorMap:
 def _custom(colors: object) -> Sequence[Sequence[float]]:
     if not isinstance(colors, (list, tuple)):
         raise TypeCheckError(
-            f"ColorMap: expected base to be a name, a ColorMapType or a list of colours, got {type(colors).__name__}"
+            f"ColorMap: expected base to be a name, a ColorMapType or a list of colors, got {type(colors).__name__}"
         )
     for color in colors:
         if not isinstance(color, (list, tuple)) or len(color) != 3:
-            raise ValueCheckError(f"ColorMap: expected base to hold colours (r, g, b), got {color!r}")
+            raise ValueCheckError(f"ColorMap: expected base to hold colors (r, g, b), got {color!r}")
         for c in color:
             _check.number("ColorMap", "base", c)
     if not colors:
-        raise ValueCheckError("ColorMap: expected base to hold at least one colour, got none")
+        raise ValueCheckError("ColorMap: expected base to hold at least one color, got none")
     return colors
 
 
 def _reference(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:
-    """Images (B, C, H, W) in the colours of tables (B or 1, 3, n), `white` (B, C) being what shows the last one."""
+    """Images (B, C, H, W) in the colors of tables (B or 1, 3, n), `white` (B, C) being what shows the last one."""
     x = x / white[..., None, None]
     n = colors.shape[2]
     index = torch.where(x >= 1, n - 1, (x * max(n - 2, 1)).ceil()).clamp(0, n - 1)
@@ -138,21 +138,21 @@ def _fake(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:
     return x.new_empty((b, 3 * c, *size))
 
 
-_table = register("color_table", _reference, fake=_fake)
+_table = register("apply_colormap", _reference, fake=_fake)
 
 
 def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
-    """Show every channel in false colours.
+    """Show every channel in false colors.
 
     Args:
         input_tensor: images (B, C, H, W) or (C, H, W). Floating-point values are in [0, 1]; a channel of an image that
             has greater ones is divided by 255. So are integers, always.
-        colormap: the table of n colours. 0 gives its first colour, 1 its last; what lies between is divided evenly among
+        colormap: the table of n colors. 0 gives its first color, 1 its last; what lies between is divided evenly among
             the others but the last. Values outside [0, 1] count as its ends; NaN gives NaN.
 
     Returns:
-        Images (B, 3 C, H, W) in the type of the table, the colours of the first channel first; B is 1 for (C, H, W).
-        The gradient goes to the colours.
+        Images (B, 3 C, H, W) in the type of the table, the colors of the first channel first; B is 1 for (C, H, W).
+        The gradient goes to the colors.
 
     Raises:
         TypeCheckError: input_tensor is no tensor, colormap no ColorMap.
@@ -161,8 +161,8 @@ def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
 
     Example:
         >>> import torch, kvision as K
-        >>> grey = torch.tensor([[[0.0, 0.5, 1.0]]])
-        >>> K.color.apply_colormap(grey, K.color.ColorMap("autumn"))[0, :, 0]
+        >>> gray = torch.tensor([[[0.0, 0.5, 1.0]]])
+        >>> K.color.apply_colormap(gray, K.color.ColorMap("autumn"))[0, :, 0]
         tensor([[1.0000, 1.0000, 1.0000],
                 [0.0000, 0.4921, 1.0000],
                 [0.0000, 0.0000, 0.0000]])

@@ -1,4 +1,4 @@
-"""The colours of the named colour maps, 64 each, dark end or value 0 first. Those of Matplotlib, which has many from MATLAB."""
+"""The colors of the named color maps, 64 each, dark end or value 0 first. Those of Matplotlib, which has many from MATLAB."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ COUNT = 64
 Color = tuple[float, float, float]
 Stops = tuple[tuple[float, float], ...]  # (position, value), positions from 0 to 1, straight lines between them
 
-# Colours at equal distances.
+# Colors at equal distances.
 _EVEN: dict[str, tuple[Color, ...]] = {
     "autumn": ((1, 0, 0), (1, 1, 0)),
     "winter": ((0, 0, 1), (0, 1, 0.5)),
@@ -56,7 +56,7 @@ _STOPS: dict[str, tuple[Stops, Stops, Stops]] = {
 }
 
 
-def _line(stops: Stops, t: float) -> float:
+def _scale_shift_reference(stops: Stops, t: float) -> float:
     i = min(bisect_right(stops, t, key=lambda stop: stop[0]), len(stops) - 1)
     (a, low), (b, high) = stops[i - 1 : i + 1]
     return low + (high - low) * (t - a) / (b - a)
@@ -68,7 +68,7 @@ def _clamp(*color: float) -> Color:
 
 
 def _pink(t: float) -> Color:
-    r, g, b = (math.sqrt((2 * t + _line(stops, t)) / 3) for stops in _STOPS["hot"])
+    r, g, b = (math.sqrt((2 * t + _scale_shift_reference(stops, t)) / 3) for stops in _STOPS["hot"])
     return r, g, b
 
 
@@ -160,7 +160,7 @@ _SAMPLES = {
 
 
 def colors(name: str) -> Sequence[Color]:
-    """The colours of a map by its name."""
+    """The colors of a map by its name."""
     positions = [i / (COUNT - 1) for i in range(COUNT)]
     if name in _SAMPLES:
         values = [int(v) / 1e6 for v in _SAMPLES[name].split()]
@@ -172,5 +172,5 @@ def colors(name: str) -> Sequence[Color]:
         channels = [tuple((i / (len(even) - 1), c) for i, c in enumerate(channel)) for channel in zip(*even)]
     else:
         channels = list(_STOPS[name])
-    r, g, b = ([_line(stops, t) for t in positions] for stops in channels)
+    r, g, b = ([_scale_shift_reference(stops, t) for t in positions] for stops in channels)
     return list(zip(r, g, b))

@@ -1,4 +1,4 @@
-"""Colour to grey and back."""
+"""Color to gray and back."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def _rounded(x: Tensor, wr: Tensor, wg: Tensor, wb: Tensor) -> Tensor:
 
 
 weighted_sum = step("weighted_sum", _weighted)
-_byte_luma = step("byte_luma", _fixed_point)
-_byte_sum = step("byte_sum", _rounded)
+_luma_u8_fixed_point = step("luma_u8_fixed_point", _fixed_point)
+_luma_u8 = step("luma_u8", _rounded)
 
 
 def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor:
-    """Grey as the weighted sum of red, green and blue.
+    """Gray as the weighted sum of red, green and blue.
 
     Args:
         image: RGB images (*, 3, H, W), floating point or uint8, in any range.
-        rgb_weights: a weight for each channel, (3,); default: 0.299, 0.587, 0.114, whose grey is called luma.
+        rgb_weights: a weight for each channel, (3,); default: 0.299, 0.587, 0.114, whose gray is called luma.
 
     Returns:
-        Grey images (*, 1, H, W) in the type of the image. uint8 has the levels of OpenCV: fixed-point weights of 15 bits
+        Gray images (*, 1, H, W) in the type of the image. uint8 has the levels of OpenCV: fixed-point weights of 15 bits
         where none are given; otherwise rounded half to even and saturated.
 
     Raises:
@@ -67,21 +67,21 @@ def rgb_to_grayscale(image: Tensor, rgb_weights: Tensor | None = None) -> Tensor
     if rgb_weights is not None:
         _check.shape("rgb_to_grayscale", "rgb_weights", rgb_weights, 3)
         _check.same_device("rgb_to_grayscale", image=image, rgb_weights=rgb_weights)
-        weighted = _byte_sum if image.dtype == torch.uint8 else weighted_sum
+        weighted = _luma_u8 if image.dtype == torch.uint8 else weighted_sum
         return apply_on_batch(weighted, image, rgb_weights.reshape(1, 1, 3))
     if image.dtype == torch.uint8:
-        return apply_on_batch(_byte_luma, image, *_BYTE_LUMA)
+        return apply_on_batch(_luma_u8_fixed_point, image, *_BYTE_LUMA)
     return apply_on_batch(weighted_sum, image, *LUMA)
 
 
 def bgr_to_grayscale(image: Tensor) -> Tensor:
-    """Grey as 0.299 R + 0.587 G + 0.114 B, from blue, green and red.
+    """Gray as 0.299 R + 0.587 G + 0.114 B, from blue, green and red.
 
     Args:
         image: BGR images (*, 3, H, W), floating point or uint8, in any range.
 
     Returns:
-        Grey images (*, 1, H, W) in the type of the image; uint8 as :func:`rgb_to_grayscale` gives it.
+        Gray images (*, 1, H, W) in the type of the image; uint8 as :func:`rgb_to_grayscale` gives it.
 
     Raises:
         TypeCheckError: image is no tensor, or of integers other than uint8.
@@ -98,7 +98,7 @@ def bgr_to_grayscale(image: Tensor) -> Tensor:
     _check.channels("bgr_to_grayscale", "image", image, 3)
     _floats_or_bytes("bgr_to_grayscale", image)
     if image.dtype == torch.uint8:
-        return apply_on_batch(_byte_luma, image, *reversed(_BYTE_LUMA))
+        return apply_on_batch(_luma_u8_fixed_point, image, *reversed(_BYTE_LUMA))
     return apply_on_batch(weighted_sum, image, *reversed(LUMA))
 
 
@@ -108,10 +108,10 @@ def _floats_or_bytes(op: str, image: Tensor) -> None:
 
 
 def grayscale_to_rgb(image: Tensor) -> Tensor:
-    """Grey in all three channels.
+    """Gray in all three channels.
 
     Args:
-        image: grey images (*, 1, H, W) of any type.
+        image: gray images (*, 1, H, W) of any type.
 
     Returns:
         RGB images (*, 3, H, W) of the same type, in memory of their own.

@@ -38,7 +38,7 @@ def rgb_to_hls(image: Tensor, eps: float = 1e-8) -> Tensor:
         eps: added to the divisors of hue and saturation that are not 0.
 
     Returns:
-        Images of the same shape: hue in radians in [0, 2 pi), lightness and saturation in [0, 1]. Greys have hue and
+        Images of the same shape: hue in radians in [0, 2 pi), lightness and saturation in [0, 1]. Grays have hue and
         saturation 0. Where channels tie for the highest, red counts before green and green before blue.
 
     Raises:

@@ -12,7 +12,8 @@ from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision._modules import FunctionModule
 from kvision.color.hue import hue, lack
-from kvision.color.program import STEPS, arguments, run, step
+from kvision.color.program import arguments, run, step
+from kvision.color.steps import STEPS
 from kvision.core.exceptions import TypeCheckError
 
 
@@ -47,7 +48,7 @@ def _quotient(x: Tensor, table: Tensor) -> Tensor:
 
 
 _rgb_to_hsv = step("rgb_to_hsv", _reference)
-_byte_hsv = step("byte_hsv", _of_bytes)
+_hsv_u8 = step("hsv_u8", _of_bytes)
 _hsv_to_rgb = step("hsv_to_rgb", _inverse)
 
 
@@ -61,7 +62,7 @@ def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor
             value in [0, 255], as uint8.
 
     Returns:
-        Images of the same shape: hue in radians in [0, 2 pi), saturation and value in [0, 1]. Greys have hue 0, black has
+        Images of the same shape: hue in radians in [0, 2 pi), saturation and value in [0, 1]. Grays have hue 0, black has
         saturation 0. Where channels tie for the highest, red counts before green and green before blue.
 
     Raises:
@@ -79,7 +80,7 @@ def rgb_to_hsv(image: Tensor, eps: float = 1e-8, opencv: bool = False) -> Tensor
     _check.channels("rgb_to_hsv", "image", image, 3)
     eps = _check.number("rgb_to_hsv", "eps", eps, minimum=0)
     if _as_opencv("rgb_to_hsv", image, opencv):
-        return apply_on_batch(_byte_hsv, image)
+        return apply_on_batch(_hsv_u8, image)
     return apply_on_batch(_rgb_to_hsv, floats(image), eps)
 
 
@@ -115,7 +116,7 @@ _TO_RADIANS = arguments([math.tau * 255 / 180, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def _byte_hsv_to_rgb(x: Tensor) -> Tensor:
-    return run(x, [STEPS["line_rgb"], STEPS["hsv_to_rgb"]], _TO_RADIANS)
+    return run(x, [STEPS["scale_shift_rgb"].number, STEPS["hsv_to_rgb"].number], _TO_RADIANS)
 
 
 def _as_opencv(op: str, image: Tensor, opencv: bool) -> bool:

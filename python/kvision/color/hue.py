@@ -1,4 +1,4 @@
-"""Hue, an angle on the colour wheel: red 0, green 2 pi / 3, blue 4 pi / 3. What HSV and HLS have in common.
+"""Hue, an angle on the color wheel: red 0, green 2 pi / 3, blue 4 pi / 3. What HSV and HLS have in common.
 
 In sixths of a turn, with the chroma c, the highest less the lowest channel:
 
@@ -18,14 +18,14 @@ SIXTH = math.pi / 3
 
 
 def hue(x: Tensor, highest: Tensor, chroma: Tensor, eps: float = 0.0) -> Tensor:
-    """Hue (B, H, W) in [0, 2 pi) of colours `x` (B, 3, H, W); `eps` adds to the chroma. Greys: 0, with gradient 0."""
+    """Hue (B, H, W) in [0, 2 pi) of colors `x` (B, 3, H, W); `eps` adds to the chroma. Grays: 0, with gradient 0."""
     r, g, b = x.unbind(1)
-    grey = chroma == 0
-    c = torch.where(grey, 1, chroma + eps)
+    gray = chroma == 0
+    c = torch.where(gray, 1, chroma + eps)
     sixths = torch.where(r == highest, (g - b) / c, torch.where(g == highest, (b - r) / c + 2, (r - g) / c + 4))
     sixths = torch.where(sixths < 0, sixths + 6, sixths)
     sixths = torch.where(sixths >= 6, sixths - 6, sixths)  # what rounds up to a full turn
-    return torch.where(grey, 0, sixths * SIXTH)
+    return torch.where(gray, 0, sixths * SIXTH)
 
 
 def lack(h: Tensor) -> Tensor:

@@ -50,7 +50,7 @@ def rgb_to_lab(image: Tensor) -> Tensor:
         image: sRGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
 
     Returns:
-        Images of the same shape: L in [0, 100], a and b in about [-127, 127]; greys have a and b near 0.
+        Images of the same shape: L in [0, 100], a and b in about [-127, 127]; grays have a and b near 0.
 
     Raises:
         TypeCheckError: image is no tensor.
@@ -72,7 +72,7 @@ def lab_to_rgb(image: Tensor, clip: bool = True) -> Tensor:
 
     Args:
         image: Lab images (*, 3, H, W): L in [0, 100], a and b in about [-127, 127].
-        clip: clamp the result to [0, 1]; many Lab colours lie outside of sRGB.
+        clip: clamp the result to [0, 1]; many Lab colors lie outside of sRGB.
 
     Returns:
         sRGB images of the same shape.

@@ -52,7 +52,7 @@ def rgb_to_luv(image: Tensor, eps: float = 1e-12) -> Tensor:
         eps: added to the divisor X + 15 Y + 3 Z of the chromaticities.
 
     Returns:
-        Images of the same shape: L in [0, 100], u in about [-84, 176], v in about [-135, 108]; greys have u and v near 0.
+        Images of the same shape: L in [0, 100], u in about [-84, 176], v in about [-135, 108]; grays have u and v near 0.
 
     Raises:
         TypeCheckError: image is no tensor, eps no number.

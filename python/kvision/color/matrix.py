@@ -1,4 +1,4 @@
-"""Linear colour transforms: every pixel's channels times a 3 x 3 matrix."""
+"""Linear color transforms: every pixel's channels times a 3 x 3 matrix."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Colour programs: a chain of per-pixel steps as one operator, one pass over the image. A conversion is a program of one.
+"""Color programs: a chain of per-pixel steps as one operator and one pass over the image.
 
-A step is its reference, written beside the public function it serves, and a formula in csrc/color/steps.h. `step` ties
-them together by name.
+A conversion is a program of one step. A step has a row in the table of steps.py, a reference, which is defined next to the
+public function that uses it, and a formula in csrc/color/steps.h. `step` connects them by name.
 """
 
 from __future__ import annotations
@@ -13,62 +13,29 @@ import torch
 from torch import Tensor
 
 from kvision._ops import match_layout, register, saturate_to_byte, with_kernel_casts
+from kvision.color.steps import CONTRAST, NAMES, STEPS
 
-# The enum Step of csrc/color/program.h, and how many numbers each step takes.
-_PARAMETERS = {
-    # Of three channels.
-    "affine": 13,
-    "rgb_to_hsv": 1,
-    "hsv_to_rgb": 0,
-    "rgb_to_hls": 1,
-    "hls_to_rgb": 0,
-    "rgb_to_linear_rgb": 0,
-    "linear_rgb_to_rgb": 0,
-    "rgb_to_lab": 0,
-    "lab_to_rgb": 1,
-    "rgb_to_luv": 1,
-    "luv_to_rgb": 1,
-    "byte_luma": 3,
-    "byte_hsv": 0,
-    # With parameters that may be tensors.
-    "weighted_sum": 3,
-    "byte_sum": 3,
-    "line_rgb": 7,
-    "standardize_rgb": 6,
-    "saturation": 1,
-    "saturation_raw": 1,
-    "saturation_grey": 1,
-    "hue": 1,
-    "hue_raw": 1,
-    # Of any channels.
-    "contrast": 2,
-    "line": 3,
-    "standardize": 2,
-    "gamma": 2,
-    "log": 3,
-    "sigmoid": 3,
-    "solarize": 3,
-    "posterize": 2,
-    "threshold": 5,
-}
-_NAMES = tuple(_PARAMETERS)
-MOST_STEPS, MOST_NUMBERS, MOST_TENSORS = 16, 64, 6  # of a program: kMostSteps, kMostParameters and kMostTensors
-_AROUND_MEAN = _NAMES.index("contrast")
-_OF_VALUES = _NAMES[_AROUND_MEAN + 1 :]
-_ONE_CHANNEL = ("byte_luma", "weighted_sum", "byte_sum")
-STEPS = {name: i for i, name in enumerate(_PARAMETERS)}
+MAX_STEPS, MAX_NUMBERS, MAX_TENSORS = 16, 64, 6  # of a program: kMaxSteps, kMaxParameters and kMaxTensors of program.h
 _references: dict[str, Callable[..., Tensor]] = {}
-_findings: dict[str, Callable[[Tensor], Tensor]] = {}  # what a step's last parameter is, of the image as it is then
+_measurements: dict[str, Callable[[Tensor], Tensor]] = {}  # computes the last parameter of a step
+_PER_VALUE = [name for name, step in STEPS.items() if step.domain == "any" and name != "contrast"]
 
 # --- the operators --------------------------------------------------------------------------------------------------
 #
-# Tensors: the image (B, C, H, W), six for parameters (B or 1, C or 1, P) or None, order (B or 1, S). Then the plan, a list
-# of integers because each argument of an operator costs a call: the result's type (in _TYPES) and layout, -1 for those of
-# the image, the number of steps, the steps, and their columns: where parameters stand that are not numbers, counted along
-# the last axes of all tensors, or -1; none where all are. Then `numbers`, all parameters of all steps.
+# Arguments: the image (B, C, H, W); six tensors of parameters (B or 1, C or 1, P) or None; order (B or 1, S); the plan;
+# and `numbers`, all parameters of all steps. The plan is one list of integers, because every argument of an operator costs
+# time: the dtype of the result (an index into _DTYPES) and its layout, -1 for those of the image; the number of steps; the
+# steps; and for every parameter its column among the last axes of all tensors, or -1 for a number. The columns are missing
+# if all parameters are numbers.
 
 _SAME = -1
-_TYPES = (torch.uint8, torch.float16, torch.bfloat16, torch.float32, torch.float64)  # the enum Storage of program.h
+_DTYPES = (
+    torch.uint8,
+    torch.float16,
+    torch.bfloat16,
+    torch.float32,
+    torch.float64,
+)  # the enum DType of csrc/core/dtype.h
 LAYOUTS = {None: _SAME, torch.contiguous_format: 0, torch.channels_last: 1}
 
 
@@ -79,38 +46,38 @@ class _Plan(NamedTuple):
     columns: Sequence[int]
 
 
-def _read(plan: Sequence[int]) -> _Plan:
+def _parse_plan(plan: Sequence[int]) -> _Plan:
     dtype, layout, count, *rest = plan
-    return _Plan(None if dtype == _SAME else _TYPES[dtype], layout, rest[:count], rest[count:])
+    return _Plan(None if dtype == _SAME else _DTYPES[dtype], layout, rest[:count], rest[count:])
 
 
 def _plan(dtype: torch.dtype | None, layout: int, steps: Sequence[int], columns: Sequence[int]) -> list[int]:
-    return [_SAME if dtype is None else _TYPES.index(dtype), layout, len(steps), *steps, *columns]
+    return [_SAME if dtype is None else _DTYPES.index(dtype), layout, len(steps), *steps, *columns]
 
 
 def _sequential(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
-    """The steps one after the other, or as `order` has them, and the mean around which there was contrast."""
+    """Apply the steps in order, or as `order` says. Also returns the mean that contrast was taken around."""
     *parameters, order, plan, numbers = arguments
-    _, _, steps, columns = _read(plan)
-    tensors = _slots([p for p in parameters if p is not None])
+    _, _, steps, columns = _parse_plan(plan)
+    tensors = _split_columns([p for p in parameters if p is not None])
     calls, first = [], 0
-    for name in (_NAMES[i] for i in steps):
-        slots = range(first, first := first + _PARAMETERS[name])
+    for name in (NAMES[i] for i in steps):
+        slots = range(first, first := first + STEPS[name].parameters)
         calls.append((name, [numbers[i] if not columns or columns[i] < 0 else tensors[columns[i]] for i in slots]))
     mean = x.new_zeros(x.shape[0], 1)
     for k in range(len(calls) if order is None else order.shape[1]):
-        for i, (name, of_step) in enumerate(calls) if order is not None else [(k, calls[k])]:
+        for i, (name, values) in enumerate(calls) if order is not None else [(k, calls[k])]:
             here = None if order is None else (order[:, k] == i)[:, None, None, None]
-            if name in _findings:
-                found = _findings[name](x)
-                of_step = [*of_step[:-1], found]
-                mean = _where(here, found, mean[..., None, None])[..., 0, 0]
-            x = _where(here, _references[name](x, *of_step), x)
+            if name in _measurements:
+                measured = _measurements[name](x)
+                values = [*values[:-1], measured]
+                mean = _where(here, measured, mean[..., None, None])[..., 0, 0]
+            x = _where(here, _references[name](x, *values), x)
     return x, mean
 
 
-def _slots(parameters: Sequence[float | Tensor]) -> list[float | Tensor]:
-    """Parameters with every column of a tensor by itself, as (B or 1, C or 1, 1, 1)."""
+def _split_columns(parameters: Sequence[float | Tensor]) -> list[float | Tensor]:
+    """Parameters with every column of a tensor separate, as (B or 1, C or 1, 1, 1)."""
     slots: list[float | Tensor] = []
     for p in parameters:
         slots += p[..., None, None].unbind(2) if isinstance(p, Tensor) and p.dim() == 3 else [p]
@@ -121,48 +88,48 @@ def _where(here: Tensor | None, new: Tensor, old: Tensor) -> Tensor:
     return new if here is None else torch.where(here, new, old)
 
 
-_computed = with_kernel_casts(_sequential)
+_apply_steps = with_kernel_casts(_sequential)
 
 
 def _reference_around_mean(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
     *_, plan, _ = arguments
-    dtype, layout, *_ = _read(plan)
+    dtype, layout, *_ = _parse_plan(plan)
     stored = dtype or x.dtype
-    y, mean = _computed(_widened(x, stored), *arguments)
+    y, mean = _apply_steps(_to_compute_dtype(x, stored), *arguments)
     y = saturate_to_byte(255 * y) if stored == torch.uint8 else y.to(stored)
-    return _arranged(y, x, layout), mean
+    return _with_layout(y, x, layout), mean
 
 
 def _reference(x: Tensor, *arguments: Any) -> Tensor:
     return _reference_around_mean(x, *arguments)[0]
 
 
-def _pulled_back(grad: Tensor, x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
+def _reference_backward(grad: Tensor, x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
     *parameters, order, _, plan, numbers, of_image, of_parameters = arguments
-    given = [p for p in parameters if p is not None]
-    wide = _widened(x, grad.dtype)
+    tensors = [p for p in parameters if p is not None]
+    promoted = _to_compute_dtype(x, grad.dtype)
 
     def result(x: Tensor, *rows: Tensor) -> Tensor:
-        return _computed(x, *rows, order, plan, numbers)[0]
+        return _apply_steps(x, *rows, order, plan, numbers)[0]
 
-    channels = max((p.shape[1] for p in given), default=1)
-    rows = [p.to(wide.dtype).expand(x.shape[0], channels, -1) for p in given]  # a gradient for each sample
-    vjp_fn = torch.func.vjp(result, wide, *rows)[1]
-    of_x, *of_rows = vjp_fn(grad.to(wide.dtype))
-    none = wide[:, :0, 0, 0]
+    channels = max((p.shape[1] for p in tensors), default=1)
+    rows = [p.to(promoted.dtype).expand(x.shape[0], channels, -1) for p in tensors]  # a gradient for each sample
+    vjp_fn = torch.func.vjp(result, promoted, *rows)[1]
+    grad_x, *grad_rows = vjp_fn(grad.to(promoted.dtype))
+    empty = promoted[:, :0, 0, 0]
     return (
-        match_layout(of_x.to(x.dtype), x) if of_image else none.to(x.dtype),
-        torch.cat(of_rows, 2) if of_parameters else none,
+        match_layout(grad_x.to(x.dtype), x) if of_image else empty.to(x.dtype),
+        torch.cat(grad_rows, 2) if of_parameters else empty,
     )
 
 
-def _widened(x: Tensor, other: torch.dtype) -> Tensor:
-    """`x` in the type that is computed in; bytes are 255ths."""
-    wide = torch.float64 if torch.float64 in (x.dtype, other) else torch.float32
-    return x.to(wide) / 255 if x.dtype == torch.uint8 else x.to(wide)
+def _to_compute_dtype(x: Tensor, other: torch.dtype) -> Tensor:
+    """`x` in the compute dtype; bytes become 255ths."""
+    promoted = torch.float64 if torch.float64 in (x.dtype, other) else torch.float32
+    return x.to(promoted) / 255 if x.dtype == torch.uint8 else x.to(promoted)
 
 
-def _arranged(y: Tensor, x: Tensor, layout: int) -> Tensor:
+def _with_layout(y: Tensor, x: Tensor, layout: int) -> Tensor:
     if layout == _SAME:
         return match_layout(y, x)
     return y.contiguous() if layout == 0 else y.movedim(1, -1).contiguous().movedim(-1, 1)
@@ -170,28 +137,28 @@ def _arranged(y: Tensor, x: Tensor, layout: int) -> Tensor:
 
 def _result(x: Tensor, *arguments: Any) -> Tensor:
     *_, plan, _ = arguments
-    dtype, layout, steps, _ = _read(plan)
-    channels = 1 if steps and _NAMES[steps[-1]] in _ONE_CHANNEL else x.shape[1]
+    dtype, layout, steps, _ = _parse_plan(plan)
+    channels = 1 if steps and STEPS[NAMES[steps[-1]]].channels == "one" else x.shape[1]
     sizes = (x.shape[0], channels, *x.shape[2:])
-    return _arranged(x.new_empty(sizes, dtype=dtype or x.dtype), x, layout)
+    return _with_layout(x.new_empty(sizes, dtype=dtype or x.dtype), x, layout)
 
 
 def _result_and_mean(x: Tensor, *arguments: Any) -> list[Tensor]:
     y = _result(x, *arguments)
-    return [y, x.new_empty((x.shape[0], 1), dtype=_computing(x.dtype, y.dtype))]
+    return [y, x.new_empty((x.shape[0], 1), dtype=_promoted_dtype(x.dtype, y.dtype))]
 
 
 def _gradients(grad: Tensor, x: Tensor, *arguments: Any) -> list[Tensor]:
     *parameters, _, _, _, _, of_image, of_parameters = arguments
-    given = [p for p in parameters if p is not None]
-    of_x = match_layout(torch.empty_like(x), x) if of_image else x.new_empty((x.shape[0], 0))
+    tensors = [p for p in parameters if p is not None]
+    grad_x = match_layout(torch.empty_like(x), x) if of_image else x.new_empty((x.shape[0], 0))
     sizes: tuple[int, ...] = (0,)
     if of_parameters:
-        sizes = (max(p.shape[1] for p in given), sum(p.shape[2] for p in given))
-    return [of_x, x.new_empty((x.shape[0], *sizes), dtype=_computing(x.dtype, grad.dtype))]
+        sizes = (max(p.shape[1] for p in tensors), sum(p.shape[2] for p in tensors))
+    return [grad_x, x.new_empty((x.shape[0], *sizes), dtype=_promoted_dtype(x.dtype, grad.dtype))]
 
 
-def _computing(*types: torch.dtype) -> torch.dtype:
+def _promoted_dtype(*types: torch.dtype) -> torch.dtype:
     return torch.float64 if torch.float64 in types else torch.float32
 
 
@@ -199,15 +166,17 @@ def _backward(
     needs: Sequence[bool], grad: Tensor, x: Tensor, *arguments: Any, mean: Tensor | None = None
 ) -> list[Tensor | None]:
     *parameters, order, plan, numbers = arguments
-    wanted = needs[1 : 1 + MOST_TENSORS]
-    of_x, of_rows = _program_backward(grad, x, *parameters, order, mean, plan, numbers, needs[0], any(wanted))
-    found: list[Tensor | None] = [of_x if needs[0] else None]
+    needs_tensors = needs[1 : 1 + MAX_TENSORS]
+    grad_x, grad_parameters = _program_backward(
+        grad, x, *parameters, order, mean, plan, numbers, needs[0], any(needs_tensors)
+    )
+    grads: list[Tensor | None] = [grad_x if needs[0] else None]
     first = 0
-    for p, wants in zip(parameters, wanted):
-        own = of_rows.narrow(2, first, p.shape[2]) if wants else None
-        found.append(None if own is None else own.sum_to_size(p.shape).to(p.dtype))
+    for p, needs_grad in zip(parameters, needs_tensors):
+        grad_p = grad_parameters.narrow(2, first, p.shape[2]) if needs_grad else None
+        grads.append(None if grad_p is None else grad_p.sum_to_size(p.shape).to(p.dtype))
         first += 0 if p is None else p.shape[2]
-    return found
+    return grads
 
 
 def _backward_around_mean(needs, grad, _, y, mean, *arguments):
@@ -225,13 +194,13 @@ _program_around_mean = register(
     bytes=True,
     casts_outputs=True,
 )
-_program_backward = register("color_program_backward", _pulled_back, fake=_gradients, casts_outputs=True)
+_program_backward = register("color_program_backward", _reference_backward, fake=_gradients, casts_outputs=True)
 
 # --- calls ----------------------------------------------------------------------------------------------------------
 
 
 class Arguments(NamedTuple):
-    """Parameters as the operators take them."""
+    """Parameters in the form of the operators' arguments."""
 
     tensors: tuple[Tensor | None, ...]
     numbers: Sequence[float]
@@ -239,7 +208,7 @@ class Arguments(NamedTuple):
 
 
 def arguments(parameters: Sequence[float | Tensor]) -> Arguments:
-    """Parameters that are numbers, or tensors (B or 1, C or 1, P) for P of them."""
+    """Convert parameters: each is a number, or a tensor (B or 1, C or 1, P) for P parameters."""
     numbers: list[float] = []
     columns: list[int] = []
     tensors: list[Tensor | None] = []
@@ -256,16 +225,16 @@ def arguments(parameters: Sequence[float | Tensor]) -> Arguments:
             numbers.append(p)
     if not tensors:
         return Arguments(_NO_TENSORS, numbers, _NO_COLUMNS)
-    if len(tensors) > MOST_TENSORS:
-        tensors[MOST_TENSORS - 1 :] = [_joined(tensors[MOST_TENSORS - 1 :])]
+    if len(tensors) > MAX_TENSORS:
+        tensors[MAX_TENSORS - 1 :] = [_concatenate(tensors[MAX_TENSORS - 1 :])]
     return Arguments((*tensors, *_NO_TENSORS[len(tensors) :]), numbers, columns)
 
 
-_NO_TENSORS, _NO_COLUMNS = (None,) * MOST_TENSORS, ()
+_NO_TENSORS, _NO_COLUMNS = (None,) * MAX_TENSORS, ()
 
 
-def _joined(tensors: Sequence[Any]) -> Tensor:
-    """Their columns side by side."""
+def _concatenate(tensors: Sequence[Any]) -> Tensor:
+    """The columns of all tensors in one."""
     sizes = torch.broadcast_shapes(*(t.shape[:2] for t in tensors))
     return torch.cat([t.expand(*sizes, -1) for t in tensors], 2)
 
@@ -273,91 +242,99 @@ def _joined(tensors: Sequence[Any]) -> Tensor:
 def run(
     x: Tensor,
     steps: Sequence[int],
-    given: Arguments,
+    parameters: Arguments,
     order: Tensor | None = None,
     dtype: torch.dtype | None = None,
     layout: int = _SAME,
 ) -> Tensor:
-    """A program on images (B, C, H, W), whose result has a dtype and one of LAYOUTS."""
-    means = steps.count(_AROUND_MEAN)
-    if means < 2:
-        return _run(x, steps, given, order, dtype, layout)
+    """Run a program on images (B, C, H, W). The result has `dtype` and one of LAYOUTS."""
+    contrasts = steps.count(CONTRAST)
+    if contrasts < 2:
+        return _run(x, steps, parameters, order, dtype, layout)
     if order is None:
-        return _in_two(x, steps, given, dtype, layout)
-    return _in_turns(means, x, steps, given, order, dtype, layout)
+        return _run_in_two(x, steps, parameters, dtype, layout)
+    return _run_by_order(contrasts, x, steps, parameters, order, dtype, layout)
 
 
 def _run(
     x: Tensor,
     steps: Sequence[int],
-    given: Arguments,
+    parameters: Arguments,
     order: Tensor | None,
     dtype: torch.dtype | None = None,
     layout: int = _SAME,
 ) -> Tensor:
-    means = _AROUND_MEAN in steps
-    operator = _program_around_mean if means else _program
-    of_one_type = dtype is None or (x.dtype == torch.float64) == (dtype == torch.float64)  # which kernels compute in
-    call = operator if of_one_type else operator.reference
-    y = call(x, *given.tensors, order, _plan(dtype, layout, steps, given.columns), given.numbers)
-    return y[0] if means else y
+    has_mean = CONTRAST in steps
+    operator = _program_around_mean if has_mean else _program
+    has_kernel = dtype is None or (x.dtype == torch.float64) == (dtype == torch.float64)  # one compute dtype
+    call = operator if has_kernel else operator.reference
+    y = call(x, *parameters.tensors, order, _plan(dtype, layout, steps, parameters.columns), parameters.numbers)
+    return y[0] if has_mean else y
 
 
-def _in_turns(
-    turns: int, x: Tensor, steps: Sequence[int], given: Arguments, order: Tensor, dtype: torch.dtype | None, layout: int
+def _run_by_order(
+    contrasts: int,
+    x: Tensor,
+    steps: Sequence[int],
+    parameters: Arguments,
+    order: Tensor,
+    dtype: torch.dtype | None,
+    layout: int,
 ) -> Tensor:
-    """A program with several means, in an order that is known to the samples: in each turn up to the next mean."""
+    """Run a program with several means and an order per sample: each turn runs the steps up to the next mean."""
     stored = dtype or x.dtype
-    computed = _computing(x.dtype, stored)
-    around = [order == i for i, step in enumerate(steps) if step == _AROUND_MEAN]
-    turn = torch.stack(around).any(0).long().cumsum(1)  # means up to each position
-    for k in range(1, turns):
+    computed = _promoted_dtype(x.dtype, stored)
+    around = [order == i for i, step in enumerate(steps) if step == CONTRAST]
+    turn = torch.stack(around).any(0).long().cumsum(1)  # number of means up to each position
+    for k in range(1, contrasts):
         here = turn <= 1 if k == 1 else turn == k
-        x = _run(x, steps, given, torch.where(here, order, -1), computed)
-    return _run(x, steps, given, torch.where(turn >= turns, order, -1), stored, layout)
+        x = _run(x, steps, parameters, torch.where(here, order, -1), computed)
+    return _run(x, steps, parameters, torch.where(turn >= contrasts, order, -1), stored, layout)
 
 
-def _in_two(x: Tensor, steps: Sequence[int], given: Arguments, dtype: torch.dtype | None, layout: int) -> Tensor:
-    """A program with several means as two, of which the first one stores what it computes in."""
-    second = steps.index(_AROUND_MEAN, steps.index(_AROUND_MEAN) + 1)
-    slots = sum(_PARAMETERS[_NAMES[i]] for i in steps[:second])
+def _run_in_two(
+    x: Tensor, steps: Sequence[int], parameters: Arguments, dtype: torch.dtype | None, layout: int
+) -> Tensor:
+    """Run a program with several means as two programs. The first one stores its result in the compute dtype."""
+    second = steps.index(CONTRAST, steps.index(CONTRAST) + 1)
+    slots = sum(STEPS[NAMES[i]].parameters for i in steps[:second])
     stored = dtype or x.dtype
-    tensors, numbers, columns = given
+    tensors, numbers, columns = parameters
     first = Arguments(tensors, numbers[:slots], columns[:slots])
-    x = run(x, steps[:second], first, dtype=_computing(x.dtype, stored))
+    x = run(x, steps[:second], first, dtype=_promoted_dtype(x.dtype, stored))
     rest = Arguments(tensors, numbers[slots:], columns[slots:])
     return run(x, steps[second:], rest, dtype=stored, layout=layout)
 
 
 def step(
-    name: str, reference: Callable[..., Tensor], found: Callable[[Tensor], Tensor] | None = None
+    name: str, reference: Callable[..., Tensor], measure: Callable[[Tensor], Tensor] | None = None
 ) -> Callable[..., Tensor]:
-    """The step `name`, defined by `reference(x, *parameters)` on images (B, C, H, W), as a function of the same arguments.
+    """Define the step `name` by `reference(x, *parameters)` on images (B, C, H, W); returns a function of these arguments.
 
     Parameters are numbers, or tensors that broadcast to the image; or tensors (B or 1, C or 1, P) for P parameters. The
-    last one is `found(x)` where that is given.
+    last one is `measure(x)` if that is given.
     """
     _references[name] = reference
     composed = with_kernel_casts(reference)
-    if found is not None:
-        _findings[name] = found
-        composed = with_kernel_casts(lambda x, *parameters: reference(x, *parameters, found(x)))
-    steps, of_values, rest = [_NAMES.index(name)], name in _OF_VALUES, [0.0] * (name in _findings)
+    if measure is not None:
+        _measurements[name] = measure
+        composed = with_kernel_casts(lambda x, *parameters: reference(x, *parameters, measure(x)))
+    steps, per_value, rest = [STEPS[name].number], name in _PER_VALUE, [0.0] * (name in _measurements)
     plan = _plan(None, _SAME, steps, _NO_COLUMNS)
 
-    def of_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
-        fits = x.numel() > 0 or 0 not in x.shape[2:]  # the kernels take no images without pixels
+    def run_one_step(x: Tensor, *parameters: float | Tensor) -> Tensor:
+        fits = x.numel() > 0 or 0 not in x.shape[2:]  # kernels need at least one pixel
         plain = True
         for p in parameters:
             if isinstance(p, Tensor):
                 plain = False
-                fits = fits and p.dim() == 3 and (of_values or p.shape[1] == 1)
+                fits = fits and p.dim() == 3 and (per_value or p.shape[1] == 1)
         if not fits:
-            return composed(x, *_slots(parameters))
-        if plain:  # most calls: straight to the operator
+            return composed(x, *_split_columns(parameters))
+        if plain:  # the most frequent case: no conversion of parameters
             if rest:
                 return _program_around_mean(x, *_NO_TENSORS, None, plan, [*parameters, *rest])[0]
             return _program(x, *_NO_TENSORS, None, plan, parameters)
         return _run(x, steps, arguments([*parameters, *rest]), None)
 
-    return of_one_step
+    return run_one_step

@@ -1,4 +1,4 @@
-"""Bayer mosaics, the raw pictures of sensors: a colour a pixel, repeating every 2 x 2 pixels."""
+"""Bayer mosaics, the raw pictures of sensors: a color a pixel, repeating every 2 x 2 pixels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kvision.filters.border import pad
 
 
 class CFA(Enum):
-    """Colour filter array: how a sensor's colours repeat, named as in OpenCV by the second row's second and third pixel.
+    """Color filter array: how a sensor's colors repeat, named as in OpenCV by the second row's second and third pixel.
 
         BG: R G R G    GB: G R G R    RG: B G B G    GR: G B G B
             G B G B        B G B G        G R G R        R G R G
@@ -35,7 +35,7 @@ class CFA(Enum):
     GR = 3
 
 
-# (row, column) of red in a cell; blue is diagonal to it, green in the two others.
+# (row, column) of red in a cell; blue is diagonal to it, green at the two other pixels.
 _RED = {CFA.BG: (0, 0), CFA.GB: (0, 1), CFA.RG: (1, 1), CFA.GR: (1, 0)}
 
 
@@ -53,10 +53,10 @@ def _mosaic(x: Tensor, row: int, column: int) -> Tensor:
     return mosaic
 
 
-def _reference(x: Tensor, cfa: str) -> Tensor:
-    row, column = _RED[CFA[cfa]]
+def _reference(x: Tensor, cfa: int) -> Tensor:
+    row, column = _RED[CFA(cfa)]
     red, blue = _sites(x, row, column), _sites(x, 1 - row, 1 - column)
-    # A border that mirrors the mosaic repeats each colour's own outermost row and column.
+    # A border that mirrors the mosaic repeats each color's own outermost row and column.
     r, b = (pad(torch.where(own, x, 0), ((1, 1), (1, 1)), "reflect") for own in (red, blue))
     g = pad(torch.where(red | blue, 0, x), ((1, 1), (1, 1)), "reflect")
     green = g[..., 1:-1, 1:-1] + (g[..., :-2, 1:-1] + g[..., 2:, 1:-1] + g[..., 1:-1, :-2] + g[..., 1:-1, 2:]) / 4
@@ -77,7 +77,7 @@ def _binned(x: Tensor, row: int, column: int) -> Tensor:
     return torch.cat([site(row, column), green, site(1 - row, 1 - column)], 1)
 
 
-def _transposed(grad: Tensor, cfa: str) -> Tensor:
+def _transposed(grad: Tensor, cfa: int) -> Tensor:
     vjp_fn = torch.func.vjp(lambda x: _reference(x, cfa), torch.zeros_like(grad[:, :1]))[1]
     return vjp_fn(grad)[0]
 
@@ -109,7 +109,7 @@ _raw_to_rgb_2x2_downscaled = with_kernel_casts(_binned)
 
 
 def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
-    """Keep of every pixel the colour that a sensor's filter lets through.
+    """Keep of every pixel the color that a sensor's filter lets through.
 
     Args:
         image: RGB images (*, 3, H, W) of any type.
@@ -135,9 +135,9 @@ def rgb_to_raw(image: Tensor, cfa: CFA) -> Tensor:
 
 
 def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
-    """Fill in the colours that a sensor's filter held back, linearly between the nearest pixels that have them.
+    """Fill in the colors that a sensor's filter held back, linearly between the nearest pixels that have them.
 
-    Red and blue are means of 2 or 4 neighbours, green of 4. The border mirrors the mosaic. What was measured is kept.
+    Red and blue are means of 2 or 4 neighbors, green of 4. The border mirrors the mosaic. What was measured is kept.
 
     Args:
         image: mosaics (*, 1, H, W), H and W even. uint8 gives uint8 (rounded half to even), other integers float32.
@@ -160,11 +160,11 @@ def raw_to_rgb(image: Tensor, cfa: CFA) -> Tensor:
     """
     _check_mosaic("raw_to_rgb", image)
     _check_cfa("raw_to_rgb", cfa)
-    return apply_on_batch(_raw_to_rgb, pixels(image), cfa.name)
+    return apply_on_batch(_raw_to_rgb, pixels(image), cfa.value)
 
 
 def raw_to_rgb_2x2_downscaled(image: Tensor, cfa: CFA) -> Tensor:
-    """Make one colour of every 2 x 2 pixels: their red, their blue, and the mean of their greens.
+    """Make one color of every 2 x 2 pixels: their red, their blue, and the mean of their greens.
 
     Args:
         image: mosaics (*, 1, H, W), H and W even. uint8 gives uint8 (rounded half to even), other integers float32.

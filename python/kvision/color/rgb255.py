@@ -1,4 +1,4 @@
-"""Colours in [0, 1], colours in [0, 255] and, kept in the latter, unit normals."""
+"""Colors in [0, 1], colors in [0, 255] and, kept in the latter, unit normals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _normals_to_rgb255 = with_kernel_casts(_colors)
 
 
 def rgb_to_rgb255(image: Tensor) -> Tensor:
-    """Scale colours from [0, 1] to [0, 255], clamped.
+    """Scale colors from [0, 1] to [0, 255], clamped.
 
     Args:
         image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32.
@@ -59,7 +59,7 @@ def rgb_to_rgb255(image: Tensor) -> Tensor:
 
 
 def rgb255_to_rgb(image: Tensor) -> Tensor:
-    """Scale colours from [0, 255] to [0, 1].
+    """Scale colors from [0, 255] to [0, 1].
 
     Args:
         image: RGB images (*, 3, H, W) in [0, 255]. Integers give float32.
@@ -81,13 +81,13 @@ def rgb255_to_rgb(image: Tensor) -> Tensor:
 
 
 def rgb255_to_normals(image: Tensor) -> Tensor:
-    """Unit normals from the colours in [0, 255] of a normal map: 2 x / 255 - 1, scaled to length 1.
+    """Unit normals from the colors in [0, 255] of a normal map: 2 x / 255 - 1, scaled to length 1.
 
     Args:
         image: normal maps (*, 3, H, W) in [0, 255], the channels x, y, z. Integers are computed in float32.
 
     Returns:
-        Normals of the same shape, in [-1, 1]; 0 where the colour is 127.5 throughout and so has no direction.
+        Normals of the same shape, in [-1, 1]; 0 where the color is 127.5 throughout and so has no direction.
 
     Raises:
         TypeCheckError: image is no tensor.
@@ -103,7 +103,7 @@ def rgb255_to_normals(image: Tensor) -> Tensor:
 
 
 def normals_to_rgb255(image: Tensor) -> Tensor:
-    """Colours of a normal map from unit normals: 255 (n + 1) / 2, clamped to [0, 255].
+    """Colors of a normal map from unit normals: 255 (n + 1) / 2, clamped to [0, 255].
 
     Args:
         image: normals (*, 3, H, W) in [-1, 1], the channels x, y, z. Integers are computed in float32.

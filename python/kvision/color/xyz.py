@@ -33,13 +33,13 @@ _xyz_to_rgb = affine(RGB_FROM_XYZ)
 def rgb_to_xyz(image: Tensor) -> Tensor:
     """RGB to CIE XYZ by the matrix of the sRGB primaries and the white D65.
 
-    The colours are taken as linear light; those of ordinary pictures are made so by :func:`rgb_to_linear_rgb`.
+    The colors are taken as linear light; those of ordinary pictures are made so by :func:`rgb_to_linear_rgb`.
 
     Args:
         image: RGB images (*, 3, H, W). Integers are computed in float32.
 
     Returns:
-        XYZ images of the same shape; of colours in [0, 1] they are in [0, 0.950456], [0, 1] and [0, 1.088754].
+        XYZ images of the same shape; of colors in [0, 1] they are in [0, 0.950456], [0, 1] and [0, 1.088754].
 
     Raises:
         TypeCheckError: image is no tensor.

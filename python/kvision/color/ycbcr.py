@@ -29,7 +29,7 @@ def rgb_to_ycbcr(image: Tensor) -> Tensor:
         image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
 
     Returns:
-        YCbCr images of the same shape, in [0, 1] up to the rounding of 0.564 and 0.713; greys have chroma 0.5.
+        YCbCr images of the same shape, in [0, 1] up to the rounding of 0.564 and 0.713; grays have chroma 0.5.
 
     Raises:
         TypeCheckError: image is no tensor.

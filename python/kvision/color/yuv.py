@@ -36,7 +36,7 @@ def _split(x: Tensor, rows: int, numbers: Sequence[float]) -> tuple[Tensor, Tens
 
 
 def _join(luma: Tensor, chroma: Tensor, rows: int, numbers: Sequence[float]) -> Tensor:
-    """Colours of luma and of the chroma of the cell, by the three rows of a matrix."""
+    """Colors of luma and of the chroma of the cell, by the three rows of a matrix."""
     whole = chroma.repeat_interleave(rows, 2).repeat_interleave(2, 3).expand(luma.shape[0], -1, -1, -1)
     return mixed(torch.cat([luma, whole], 1), _matrix(numbers))
 
@@ -87,13 +87,13 @@ def _upsampled(luma: Tensor, chroma: Tensor, rows: int) -> Tensor:
 
 
 def rgb_to_yuv(image: Tensor) -> Tensor:
-    """RGB to YUV, as analogue television has it.
+    """RGB to YUV, as analog television has it.
 
     Args:
         image: RGB images (*, 3, H, W) in [0, 1]. Integers are computed in float32, unscaled.
 
     Returns:
-        Images of the same shape: y in [0, 1], u in [-0.436, 0.436], v in [-0.615, 0.615]; greys have u = v = 0.
+        Images of the same shape: y in [0, 1], u in [-0.436, 0.436], v in [-0.615, 0.615]; grays have u = v = 0.
 
     Raises:
         TypeCheckError: image is no tensor.

@@ -1,4 +1,4 @@
-"""Adjustments of images (*, C, H, W): brightness, contrast, colour, histograms, normalisation.
+"""Adjustments of images (*, C, H, W): brightness, contrast, color, histograms, normalization.
 
 Values are in [0, 1] unless said otherwise. Outside of it every function follows its formula, and ends in [0, 1] where it
 clamps; those that need a level or a power take the nearest value they have one for. Parameters are numbers, or tensors

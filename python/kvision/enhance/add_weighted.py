@@ -10,7 +10,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import register, with_kernel_casts
 from kvision.core.exceptions import ShapeError
 from kvision.enhance.batch import as_batch, broadcast, check_broadcast, shaped
-from kvision.enhance.brightness import line
+from kvision.enhance.brightness import scale_shift
 
 
 def _reference(
@@ -38,8 +38,8 @@ def _backward(needs, grad, x, y, alpha, beta, gamma, a, b, c):
         return pixels.sum((2, 3))[..., None].sum_to_size(weight.shape)
 
     return [
-        line(grad, a if alpha is None else alpha, 0.0, False) if needs[0] else None,
-        line(grad, b if beta is None else beta, 0.0, False).sum_to_size(y.shape) if needs[1] else None,
+        scale_shift(grad, a if alpha is None else alpha, 0.0, False) if needs[0] else None,
+        scale_shift(grad, b if beta is None else beta, 0.0, False).sum_to_size(y.shape) if needs[1] else None,
         of_weight(alpha, x) if needs[2] else None,
         of_weight(beta, y) if needs[3] else None,
         of_weight(gamma, None) if needs[4] else None,
@@ -103,7 +103,7 @@ def _weight(name: str, weight: float | Tensor, x: Tensor) -> float | Tensor:
 
 
 class AddWeighted(FunctionModule):
-    """Module form of :func:`add_weighted`; a weight that is an nn.Parameter is learnt.
+    """Module form of :func:`add_weighted`; a weight that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K

@@ -97,7 +97,7 @@ def images(op: str, name: str, x: Tensor, spatial: int = 2) -> None:
         )
 
 
-def colours(op: str, name: str, x: Tensor) -> None:
+def colors(op: str, name: str, x: Tensor) -> None:
     """Raise unless `x` holds floating-point images of three channels, (*, 3, H, W)."""
     _check.channels(op, name, x, 3, ImageError)
     _check.floating(op, name, x)

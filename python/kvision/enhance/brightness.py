@@ -11,18 +11,18 @@ from kvision.color.program import step
 from kvision.enhance.batch import as_batch, floats, parameter, shaped
 
 
-def _line(x: Tensor, factor: float | Tensor, shift: float | Tensor, clip: float | Tensor) -> Tensor:
+def _scale_shift_reference(x: Tensor, factor: float | Tensor, shift: float | Tensor, clip: float | Tensor) -> Tensor:
     y = x * factor + shift
     return y.clamp(0, 1) if clip else y
 
 
-def _line_rgb(x: Tensor, *numbers: float | Tensor) -> Tensor:
+def _scale_shift_rgb_reference(x: Tensor, *numbers: float | Tensor) -> Tensor:
     *p, clip = numbers
-    return torch.cat([_line(c, p[i], p[3 + i], clip) for i, c in enumerate(x.split(1, 1))], 1)
+    return torch.cat([_scale_shift_reference(c, p[i], p[3 + i], clip) for i, c in enumerate(x.split(1, 1))], 1)
 
 
-line = step("line", _line)
-line_rgb = step("line_rgb", _line_rgb)
+scale_shift = step("scale_shift", _scale_shift_reference)
+scale_shift_rgb = step("scale_shift_rgb", _scale_shift_rgb_reference)
 
 
 def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -49,7 +49,7 @@ def adjust_brightness(image: Tensor, factor: float | Tensor, clip_output: bool =
     floats("adjust_brightness", "image", image)
     amount = parameter("adjust_brightness", "factor", factor, image)
     _check.flag("adjust_brightness", "clip_output", clip_output)
-    return shaped(line(as_batch(image), 1.0, amount, clip_output), image)
+    return shaped(scale_shift(as_batch(image), 1.0, amount, clip_output), image)
 
 
 def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -74,11 +74,11 @@ def adjust_brightness_accumulative(image: Tensor, factor: float | Tensor, clip_o
     floats("adjust_brightness_accumulative", "image", image)
     amount = parameter("adjust_brightness_accumulative", "factor", factor, image)
     _check.flag("adjust_brightness_accumulative", "clip_output", clip_output)
-    return shaped(line(as_batch(image), amount, 0.0, clip_output), image)
+    return shaped(scale_shift(as_batch(image), amount, 0.0, clip_output), image)
 
 
 class AdjustBrightness(FunctionModule):
-    """Module form of :func:`adjust_brightness`; a factor that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_brightness`; a factor that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -94,7 +94,7 @@ class AdjustBrightness(FunctionModule):
 
 
 class AdjustBrightnessAccumulative(FunctionModule):
-    """Module form of :func:`adjust_brightness_accumulative`; a factor that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_brightness_accumulative`; a factor that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Contrast-limited adaptive histogram equalisation."""
+"""Contrast-limited adaptive histogram equalization."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kvision.enhance.batch import as_batch, images, shaped
 from kvision.enhance.equalize import LEVELS, equalize_backward, level_counts, levels
 from kvision.enhance.histogram import kernel_counts
 
-_BANDWIDTH = 0.001  # of the smooth histogram; neighbouring levels are 0.0039 apart
+_BANDWIDTH = 0.001  # of the smooth histogram; neighboring levels are 0.0039 apart
 
 
 def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, opencv: bool) -> Tensor:
@@ -49,7 +49,7 @@ def _tile(x: Tensor, rows: int, columns: int, opencv: bool) -> tuple[int, int]:
 
 
 def _mapped(x: Tensor, tables: Tensor, rows: int, columns: int, tile: tuple[int, int], opencv: bool) -> Tensor:
-    """Each pixel by the tables of the four tiles whose centres surround it; (B * C * tiles, 256) tables."""
+    """Each pixel by the tables of the four tiles whose centers surround it; (B * C * tiles, 256) tables."""
     planes = x.flatten(0, 1)
     n, h, w = planes.shape
     tables = tables.reshape(n, rows * columns * LEVELS)
@@ -90,10 +90,10 @@ def _reflected(size: int, padded: int, x: Tensor) -> Tensor:
 
 def _neighbours(size: int, count: int, tile: int, place: float, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """For every pixel of an axis: the tiles before and after it, and the weight of the second one."""
-    centre = (torch.arange(size, device=like.device, dtype=like.dtype) + place) * (1 / tile) - 0.5
-    before = centre.floor()
+    center = (torch.arange(size, device=like.device, dtype=like.dtype) + place) * (1 / tile) - 0.5
+    before = center.floor()
     first, second = before.long().clamp(min=0), (before.long() + 1).clamp(max=count - 1)
-    return first, second, centre - before
+    return first, second, center - before
 
 
 def _tables(counts: Tensor, clip_limit: float, pixels: int) -> Tensor:
@@ -125,10 +125,10 @@ def equalize_clahe(
     slow_and_differentiable: bool = False,
     opencv: bool = False,
 ) -> Tensor:
-    """Equalise every image plane region by region, without making more of noise than a limit allows.
+    """Equalize every image plane region by region, without making more of noise than a limit allows.
 
     The plane, continued by reflection, is covered by a grid of tiles of equal size. A pixel is mapped by the tables of
-    the four nearest tiles, mixed by its distance from their centres.
+    the four nearest tiles, mixed by its distance from their centers.
 
     Args:
         input: (*, C, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0
@@ -136,12 +136,12 @@ def equalize_clahe(
         clip_limit: how many times the mean count a level of a tile may count; 0 for no limit.
         grid_size: tiles along (y, x). Any grid fits any image.
         slow_and_differentiable: count with a smooth kernel, so that the tables have a gradient.
-        opencv: give what `cv2.createCLAHE` gives for the bytes 255 x, divided by 255: centres of tiles are taken half
+        opencv: give what `cv2.createCLAHE` gives for the bytes 255 x, divided by 255: centers of tiles are taken half
             a pixel further on, an axis whose tiles fit is continued where those of the other one do not, and the
             result is rounded to a level. Not with slow_and_differentiable.
 
     Returns:
-        The equalised image, in [0, 1].
+        The equalized image, in [0, 1].
 
     Raises:
         TypeCheckError: input is no floating-point tensor; clip_limit no number; grid_size is not of ints.

@@ -10,10 +10,10 @@ from kvision._modules import FunctionModule
 from kvision.color import rgb_to_grayscale as luma
 from kvision.color.program import step
 from kvision.enhance.batch import as_batch, floats, images, parameter, shaped
-from kvision.enhance.brightness import line
+from kvision.enhance.brightness import scale_shift
 
 
-def _mean_grey(x: Tensor) -> Tensor:
+def _mean_gray(x: Tensor) -> Tensor:
     means = x.mean((2, 3), keepdim=True, dtype=compute_dtype(x))
     return luma(means) if x.shape[1] == 3 else means.mean(1, keepdim=True)
 
@@ -22,12 +22,12 @@ def _reference(x: Tensor, factor: float | Tensor, mean: Tensor) -> Tensor:
     return (x * factor + mean * (1 - factor)).clamp(0, 1)
 
 
-_around_mean = step("contrast", _reference, found=_mean_grey)
+_around_mean = step("contrast", _reference, measure=_mean_gray)
 
 
 def _by_channel(x: Tensor, factor: Tensor) -> Tensor:
     """With a factor (B or 1, C, 1) for each channel, but one mean."""
-    return line(x, factor, _mean_grey(x)[..., 0] * (1 - factor), True)
+    return scale_shift(x, factor, _mean_gray(x)[..., 0] * (1 - factor), True)
 
 
 def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = True) -> Tensor:
@@ -57,16 +57,16 @@ def adjust_contrast(image: Tensor, factor: float | Tensor, clip_output: bool = T
     floats("adjust_contrast", "image", image)
     amount = parameter("adjust_contrast", "factor", factor, image, minimum=0)
     _check.flag("adjust_contrast", "clip_output", clip_output)
-    return shaped(line(as_batch(image), amount, 0.0, clip_output), image)
+    return shaped(scale_shift(as_batch(image), amount, 0.0, clip_output), image)
 
 
 def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
-    """Move the values of an image away from its mean grey, or towards it, which is what PIL and torchvision call contrast.
+    """Move the values of an image away from its mean gray, or towards it, which is what PIL and torchvision call contrast.
 
     Args:
-        image: (*, C, H, W), floating point, in [0, 1]. The grey of three channels is 0.299 R + 0.587 G + 0.114 B, that
+        image: (*, C, H, W), floating point, in [0, 1]. The gray of three channels is 0.299 R + 0.587 G + 0.114 B, that
             of any other number their mean.
-        factor: 1 for no change, 0 for plain grey: a number, or a tensor with the first axes of the image.
+        factor: 1 for no change, 0 for plain gray: a number, or a tensor with the first axes of the image.
 
     Returns:
         image * factor + mean * (1 - factor), clamped to [0, 1], differentiable in image and factor.
@@ -93,7 +93,7 @@ def adjust_contrast_with_mean_subtraction(image: Tensor, factor: float | Tensor)
 
 
 class AdjustContrast(FunctionModule):
-    """Module form of :func:`adjust_contrast`; a factor that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_contrast`; a factor that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -109,7 +109,7 @@ class AdjustContrast(FunctionModule):
 
 
 class AdjustContrastWithMeanSubtraction(FunctionModule):
-    """Module form of :func:`adjust_contrast_with_mean_subtraction`; a factor that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_contrast_with_mean_subtraction`; a factor that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K

@@ -118,7 +118,7 @@ def adjust_sigmoid(image: Tensor, cutoff: float | Tensor = 0.5, gain: float | Te
 
 
 class AdjustGamma(FunctionModule):
-    """Module form of :func:`adjust_gamma`; a gamma or gain that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_gamma`; a gamma or gain that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -134,7 +134,7 @@ class AdjustGamma(FunctionModule):
 
 
 class AdjustLog(FunctionModule):
-    """Module form of :func:`adjust_log`; a gain that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_log`; a gain that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -150,7 +150,7 @@ class AdjustLog(FunctionModule):
 
 
 class AdjustSigmoid(FunctionModule):
-    """Module form of :func:`adjust_sigmoid`; a cutoff or gain that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_sigmoid`; a cutoff or gain that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Histogram equalisation of whole image planes and volumes."""
+"""Histogram equalization of whole image planes and volumes."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def equalize(input: Tensor, opencv: bool = False) -> Tensor:
         opencv: give what `cv2.equalizeHist` gives for the bytes 255 x, divided by 255, in place of PIL's.
 
     Returns:
-        The image with equalised levels, divided by 255. A plane that has no 255 pixels below its brightest level, or
+        The image with equalized levels, divided by 255. A plane that has no 255 pixels below its brightest level, or
         with opencv all pixels in one level, comes back as it is. There is no gradient, except that of the pixels that
         come back as they are.
 
@@ -118,7 +118,7 @@ def equalize3d(input: Tensor) -> Tensor:
         input: (*, D, H, W), floating point, in [0, 1]; values outside count as 0 or 1, and NaN does not count.
 
     Returns:
-        The volumes with equalised levels, as :func:`equalize` gives them.
+        The volumes with equalized levels, as :func:`equalize` gives them.
 
     Raises:
         TypeCheckError: input is no floating-point tensor.

@@ -89,7 +89,7 @@ _gaussian_counts_backward = register("gaussian_counts_backward", vjp(_reference)
 
 
 def _backward(needs, grad, x, centers, bandwidth):
-    """Centers and bandwidth are few, and seldom learnt: theirs is the reference's."""
+    """Centers and bandwidth are few, and seldom learned: theirs is the reference's."""
     found = [None] * 3
     if any(needs[1:]):
         found = _gaussian_counts.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)

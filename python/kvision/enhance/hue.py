@@ -1,4 +1,4 @@
-"""Hue: colours turned around the grey axis of HSV."""
+"""Hue: colors turned around the gray axis of HSV."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision._modules import FunctionModule
 from kvision.color.hue import hue, lack
 from kvision.color.program import step
-from kvision.enhance.batch import as_batch, colours, per_pixel, shaped
+from kvision.enhance.batch import as_batch, colors, per_pixel, shaped
 
 _TURN = 2 * math.pi
 
@@ -56,7 +56,7 @@ def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
         >>> K.enhance.adjust_hue(red, math.pi).flatten()
         tensor([0., 1., 1.])
     """
-    colours("adjust_hue", "image", image)
+    colors("adjust_hue", "image", image)
     amount = per_pixel("adjust_hue", "factor", factor, image)
     return shaped(_adjust_hue(as_batch(image), amount), image)
 
@@ -79,13 +79,13 @@ def adjust_hue_raw(image: Tensor, factor: float | Tensor) -> Tensor:
         >>> K.enhance.adjust_hue_raw(torch.tensor([6.0, 0.4, 0.6]).view(3, 1, 1), 1.0).flatten()
         tensor([0.7168, 0.4000, 0.6000])
     """
-    colours("adjust_hue_raw", "image", image)
+    colors("adjust_hue_raw", "image", image)
     amount = per_pixel("adjust_hue_raw", "factor", factor, image)
     return shaped(_adjust_hue_raw(as_batch(image), amount), image)
 
 
 class AdjustHue(FunctionModule):
-    """Module form of :func:`adjust_hue`; a factor that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_hue`; a factor that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K

@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._modules import FunctionModule
 from kvision.enhance.batch import as_batch, shaped
-from kvision.enhance.brightness import line
+from kvision.enhance.brightness import scale_shift
 
 
 def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
@@ -39,7 +39,7 @@ def invert(image: Tensor, max_val: float | Tensor | None = None) -> Tensor:
         max_val = 1.0 if max_val is None else _check.number("invert", "max_val", max_val)
     if image.is_floating_point() and (not isinstance(max_val, Tensor) or max_val.numel() == 1):
         largest = max_val.reshape(1, 1, 1) if isinstance(max_val, Tensor) else max_val
-        return shaped(line(as_batch(image), -1.0, largest, False), image)
+        return shaped(scale_shift(as_batch(image), -1.0, largest, False), image)
     return torch.as_tensor(max_val).to(image.dtype) - image
 
 

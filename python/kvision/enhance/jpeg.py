@@ -15,7 +15,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import match_layout, register
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
 from kvision.core.exceptions import ShapeError, ValueCheckError
-from kvision.enhance.batch import as_batch, colours
+from kvision.enhance.batch import as_batch, colors
 from kvision.filters.border import pad
 
 # The example tables of ISO/IEC 10918-1, annex K, which most encoders scale by their quality.
@@ -206,7 +206,7 @@ def jpeg_codec_differentiable(
         True
     """
     op = "jpeg_codec_differentiable"
-    colours(op, "input", input)
+    colors(op, "input", input)
     if 0 in input.shape[-2:]:
         raise ShapeError(f"{op}: expected input with H, W of at least 1, got {tuple(input.shape)}")
     x = as_batch(input)
@@ -238,7 +238,7 @@ def jpeg_codec_differentiable(
 
 
 class JPEGCodecDifferentiable(FunctionModule):
-    """Module form of :func:`jpeg_codec_differentiable`; a table that is an nn.Parameter is learnt.
+    """Module form of :func:`jpeg_codec_differentiable`; a table that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K

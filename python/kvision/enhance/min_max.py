@@ -1,4 +1,4 @@
-"""Normalisation by the range of every plane."""
+"""Normalization by the range of every plane."""
 
 from __future__ import annotations
 

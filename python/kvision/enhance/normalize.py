@@ -1,4 +1,4 @@
-"""Normalisation by given statistics, and back."""
+"""Normalization by given statistics, and back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kvision._modules import FunctionModule
 from kvision.color.program import step
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.enhance.batch import shaped
-from kvision.enhance.brightness import line, line_rgb
+from kvision.enhance.brightness import scale_shift, scale_shift_rgb
 
 
 def _to_unit(x: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor:
@@ -39,7 +39,7 @@ def normalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tensor
         std: of the same kinds.
 
     Returns:
-        The normalised data, differentiable in all three. A std of 0 gives infinities.
+        The normalized data, differentiable in all three. A std of 0 gives infinities.
 
     Raises:
         TypeCheckError: data is no real tensor; mean or std is neither number nor tensor.
@@ -69,7 +69,7 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
         std: of the same kinds.
 
     Returns:
-        The data before normalisation, differentiable in all three.
+        The data before normalization, differentiable in all three.
 
     Raises:
         TypeCheckError, ShapeError, DeviceError: as :func:`normalize`.
@@ -81,8 +81,8 @@ def denormalize(data: Tensor, mean: float | Tensor, std: float | Tensor) -> Tens
     """
     x, m, s = _arguments("denormalize", data, mean, std)
     if _is_rgb(x, m, s):
-        return shaped(line_rgb(x, *_columns(s), *_columns(m), False), data)
-    return shaped(line(x, _rows(s), _rows(m), False), data)
+        return shaped(scale_shift_rgb(x, *_columns(s), *_columns(m), False), data)
+    return shaped(scale_shift(x, _rows(s), _rows(m), False), data)
 
 
 def _arguments(

@@ -1,4 +1,4 @@
-"""A chain of colour steps as one module and one pass over the image."""
+"""A chain of color steps as one module and one pass over the image."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._leading import apply_on_batch
-from kvision.color.program import LAYOUTS, MOST_STEPS, STEPS, arguments, run
+from kvision.color.program import LAYOUTS, MAX_STEPS, arguments, run
+from kvision.color.steps import STEPS
 from kvision.core.exceptions import ImageError, ShapeError, TypeCheckError, ValueCheckError
 
 Value = float | Sequence[float] | Tensor
@@ -24,17 +25,17 @@ class _Kind(NamedTuple):
 
 
 _KINDS = {
-    "brightness": _Kind("line", {"factor": 1}, lambda f: (f, 0.0, 1.0)),
-    "shift": _Kind("line", {"shift": 1}, lambda s: (1.0, s, 1.0)),
+    "brightness": _Kind("scale_shift", {"factor": 1}, lambda f: (f, 0.0, 1.0)),
+    "shift": _Kind("scale_shift", {"shift": 1}, lambda s: (1.0, s, 1.0)),
     "contrast": _Kind("contrast", {"factor": 1}, lambda f: (f, 0.0)),
-    "saturation": _Kind("saturation_grey", {"factor": 1}),
+    "saturation": _Kind("saturation_gray", {"factor": 1}),
     "hue": _Kind("hue", {"angle": 1}),
     "gamma": _Kind("gamma", {"gamma": 1}, lambda g: (g, 1.0)),
     "solarize": _Kind("solarize", {"threshold": 1}, lambda t: (t, 0.0, 0.0)),
     "posterize": _Kind("posterize", {"bits": 1}, lambda b: (b, 1.0)),
-    "invert": _Kind("line", {}, lambda: (-1.0, 1.0, 0.0)),
+    "invert": _Kind("scale_shift", {}, lambda: (-1.0, 1.0, 0.0)),
     "normalize": _Kind("standardize_rgb", {"mean": 3, "std": 3}),
-    "denormalize": _Kind("line_rgb", {"mean": 3, "std": 3}, lambda mean, std: (std, mean, 0.0)),
+    "denormalize": _Kind("scale_shift_rgb", {"mean": 3, "std": 3}, lambda mean, std: (std, mean, 0.0)),
 }
 
 
@@ -42,14 +43,14 @@ _NAMES = tuple(_KINDS)
 
 
 class ColorProgram(nn.Module):
-    """A chain of colour steps on RGB images, computed in one pass over memory (two with contrast), with its gradient.
+    """A chain of color steps on RGB images, computed in one pass over memory (two with contrast), with its gradient.
 
     Every step is a name and its parameters:
 
         ("brightness", factor)      factor * x, clamped: adjust_brightness_accumulative
         ("shift", shift)            x + shift, clamped: adjust_brightness
-        ("contrast", factor)        away from the mean grey: adjust_contrast_with_mean_subtraction
-        ("saturation", factor)      away from the grey: adjust_saturation_with_gray_subtraction
+        ("contrast", factor)        away from the mean gray: adjust_contrast_with_mean_subtraction
+        ("saturation", factor)      away from the gray: adjust_saturation_with_gray_subtraction
         ("hue", angle)              turned by an angle in radians: adjust_hue
         ("gamma", gamma)            x ** gamma: adjust_gamma
         ("solarize", threshold)     1 - x from the threshold on: solarize
@@ -63,7 +64,7 @@ class ColorProgram(nn.Module):
 
     Args:
         steps: tuples as above, at most 16. A parameter is a number, or three in a tuple; or a tensor () or (B,), (3,) or
-            (B, 3), of one a sample. An nn.Parameter is learnt.
+            (B, 3), of one a sample. An nn.Parameter is learned.
         dtype: type of the result, floating point or uint8; default: that of the image.
         memory_format: torch.contiguous_format or torch.channels_last, of the result; default: that of the image.
 
@@ -92,8 +93,8 @@ class ColorProgram(nn.Module):
         memory_format: torch.memory_format | None = None,
     ) -> None:
         super().__init__()
-        if len(steps) > MOST_STEPS:
-            raise ValueCheckError(f"ColorProgram: expected at most {MOST_STEPS} steps, got {len(steps)}")
+        if len(steps) > MAX_STEPS:
+            raise ValueCheckError(f"ColorProgram: expected at most {MAX_STEPS} steps, got {len(steps)}")
         if (
             dtype is not None
             and dtype != torch.uint8
@@ -120,7 +121,7 @@ class ColorProgram(nn.Module):
                     self.register_buffer(attribute, value, persistent=False)
             self._steps.append((name, values))
         self._names = [name for name, _ in self._steps]
-        self._program = [STEPS[_KINDS[name].step] for name, _ in self._steps]
+        self._program = [STEPS[_KINDS[name].step].number for name, _ in self._steps]
         # What does not change, of each step and of all of them.
         self._numbers = [
             None if any(isinstance(value, str) for value in values) else _slots(name, values, None)
@@ -174,19 +175,19 @@ class ColorProgram(nn.Module):
         """The parameters of the program: numbers, or tensors (B or 1, 1, P) that fit the image."""
         if not isinstance(parameters, Mapping):
             raise TypeCheckError(f"ColorProgram: expected parameters by the names of steps, got {parameters!r}")
-        found = list(self._numbers)
+        slots_by_step = list(self._numbers)
         for key, value in parameters.items():
-            i = self._place(key)
+            i = self._index(key)
             name, _ = self._steps[i]
             values = (value,) if len(_KINDS[name].parameters) == 1 else value
             _check_values(name, values)
-            found[i] = _slots(name, values, image)
+            slots_by_step[i] = _slots(name, values, image)
         slots: list[float | Tensor] = []
-        for i, of_step in enumerate(found):
-            slots += _slots(*self._values(i), image) if of_step is None else of_step
+        for i, step_slots in enumerate(slots_by_step):
+            slots += _slots(*self._values(i), image) if step_slots is None else step_slots
         return slots
 
-    def _place(self, key: str | int) -> int:
+    def _index(self, key: str | int) -> int:
         """Where the step is that a name or a position means."""
         names = self._names
         if isinstance(key, int) and -len(names) <= key < len(names):
@@ -223,12 +224,12 @@ def _checked(step: Any) -> tuple[str, list[Any]]:
 
 
 def _check_values(name: str, values: Sequence[Any]) -> None:
-    wanted = _KINDS[name].parameters
-    if len(values) != len(wanted):
+    expected_sizes = _KINDS[name].parameters
+    if len(values) != len(expected_sizes):
         raise ValueCheckError(
-            f"ColorProgram: {name} takes {', '.join(wanted) or 'no parameters'}; got {len(values)} of them"
+            f"ColorProgram: {name} takes {', '.join(expected_sizes) or 'no parameters'}; got {len(values)} of them"
         )
-    for (parameter, size), value in zip(wanted.items(), values):
+    for (parameter, size), value in zip(expected_sizes.items(), values):
         if isinstance(value, Tensor):
             _check.numbers("ColorProgram", f"{parameter} of {name}", value)
             continue

@@ -13,7 +13,7 @@ class Rescale(FunctionModule):
     """Multiply by a factor. Sizes are rescaled elsewhere.
 
     Args:
-        factor: a number, or a tensor without axes; an nn.Parameter is learnt.
+        factor: a number, or a tensor without axes; an nn.Parameter is learned.
 
     Raises:
         TypeCheckError: factor is neither; the input is no real tensor.

@@ -1,4 +1,4 @@
-"""Saturation, in HSV or as distance from grey."""
+"""Saturation, in HSV or as distance from gray."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kvision._modules import FunctionModule
 from kvision.color import rgb_to_grayscale as luma
 from kvision.color.program import step
 from kvision.core.exceptions import ImageError
-from kvision.enhance.batch import as_batch, colours, per_pixel, shaped
+from kvision.enhance.batch import as_batch, colors, per_pixel, shaped
 
 
 def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
@@ -18,8 +18,8 @@ def _reference(x: Tensor, factor: float | Tensor) -> Tensor:
     # To scale s is to scale the distances, until the smallest channel reaches 0.
     v = x.amax(1, keepdim=True)
     span = v - x.amin(1, keepdim=True)
-    colourful = span > 0
-    most = torch.where(colourful, v.clamp(min=0) / torch.where(colourful, span, 1), 1)
+    colorful = span > 0
+    most = torch.where(colorful, v.clamp(min=0) / torch.where(colorful, span, 1), 1)
     f = factor.clamp(min=0) if isinstance(factor, Tensor) else max(factor, 0)
     return v - (v - x) * most.clamp(max=f)
 
@@ -29,14 +29,14 @@ def _in_hsv(x: Tensor, factor: float | Tensor) -> Tensor:
     return torch.cat([h, (s * factor).clamp(0, 1), v], 1)
 
 
-def _from_grey(x: Tensor, factor: float | Tensor) -> Tensor:
-    grey = luma(x)
-    return (grey + (x - grey) * factor).clamp(0, 1)
+def _from_gray(x: Tensor, factor: float | Tensor) -> Tensor:
+    gray = luma(x)
+    return (gray + (x - gray) * factor).clamp(0, 1)
 
 
 _adjust_saturation = step("saturation", _reference)
 _adjust_saturation_raw = step("saturation_raw", _in_hsv)
-_adjust_saturation_from_grey = step("saturation_grey", _from_grey)
+_adjust_saturation_from_gray = step("saturation_gray", _from_gray)
 
 
 def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
@@ -44,7 +44,7 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
 
     Args:
         image: (*, 3, H, W), floating point, in [0, 1].
-        factor: 1 for no change, 0 or less for a grey of the largest channel: a number, or a tensor with the first axes
+        factor: 1 for no change, 0 or less for a gray of the largest channel: a number, or a tensor with the first axes
             of the image, such as (B,).
 
     Returns:
@@ -61,7 +61,7 @@ def adjust_saturation(image: Tensor, factor: float | Tensor) -> Tensor:
         >>> K.enhance.adjust_saturation(torch.tensor([0.8, 0.4, 0.6]).view(3, 1, 1), 0.5).flatten()
         tensor([0.8000, 0.6000, 0.7000])
     """
-    colours("adjust_saturation", "image", image)
+    colors("adjust_saturation", "image", image)
     amount = per_pixel("adjust_saturation", "factor", factor, image)
     return shaped(_adjust_saturation(as_batch(image), amount), image)
 
@@ -71,7 +71,7 @@ def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
 
     Args:
         image: (*, 3, H, W), floating point: hue, saturation, value.
-        factor: 1 for no change, 0 for grey: a number, or a tensor with the first axes of the image, such as (B,).
+        factor: 1 for no change, 0 for gray: a number, or a tensor with the first axes of the image, such as (B,).
 
     Returns:
         The HSV image with other saturation, differentiable in image and factor.
@@ -84,20 +84,20 @@ def adjust_saturation_raw(image: Tensor, factor: float | Tensor) -> Tensor:
         >>> K.enhance.adjust_saturation_raw(torch.tensor([3.0, 0.4, 0.6]).view(3, 1, 1), 0.5).flatten()
         tensor([3.0000, 0.2000, 0.6000])
     """
-    colours("adjust_saturation_raw", "image", image)
+    colors("adjust_saturation_raw", "image", image)
     amount = per_pixel("adjust_saturation_raw", "factor", factor, image)
     return shaped(_adjust_saturation_raw(as_batch(image), amount), image)
 
 
 def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tensor) -> Tensor:
-    """Move colours away from their grey, or towards it, which is what PIL and torchvision call saturation.
+    """Move colors away from their gray, or towards it, which is what PIL and torchvision call saturation.
 
     Args:
-        image: (*, 3, H, W), floating point, in [0, 1]; grey images (*, 1, H, W) come back as they are.
-        factor: 1 for no change, 0 for grey: a number, or a tensor with the first axes of the image, such as (B,).
+        image: (*, 3, H, W), floating point, in [0, 1]; gray images (*, 1, H, W) come back as they are.
+        factor: 1 for no change, 0 for gray: a number, or a tensor with the first axes of the image, such as (B,).
 
     Returns:
-        grey + (image - grey) * factor, clamped to [0, 1], differentiable in image and factor; the grey is
+        gray + (image - gray) * factor, clamped to [0, 1], differentiable in image and factor; the gray is
         0.299 R + 0.587 G + 0.114 B.
 
     Raises:
@@ -118,11 +118,11 @@ def adjust_saturation_with_gray_subtraction(image: Tensor, factor: float | Tenso
     amount = per_pixel(op, "factor", factor, image)
     if image.shape[-3] == 1:
         return image
-    return shaped(_adjust_saturation_from_grey(as_batch(image), amount), image)
+    return shaped(_adjust_saturation_from_gray(as_batch(image), amount), image)
 
 
 class AdjustSaturation(FunctionModule):
-    """Module form of :func:`adjust_saturation`; a factor that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_saturation`; a factor that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -138,7 +138,7 @@ class AdjustSaturation(FunctionModule):
 
 
 class AdjustSaturationWithGraySubtraction(FunctionModule):
-    """Module form of :func:`adjust_saturation_with_gray_subtraction`; a factor that is an nn.Parameter is learnt.
+    """Module form of :func:`adjust_saturation_with_gray_subtraction`; a factor that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K

@@ -60,7 +60,7 @@ _composed = with_kernel_casts(_sharpened)  # factors of single pixels
 def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
     """Mix an image with its smoothed copy, or move away from it; PIL's sharpness.
 
-    The copy is smoothed with a 3x3 kernel of ones and a 5 in the centre, over 13. The rim, one pixel wide, stays.
+    The copy is smoothed with a 3x3 kernel of ones and a 5 in the center, over 13. The rim, one pixel wide, stays.
 
     Args:
         input: (*, C, H, W), floating point, in [0, 1].

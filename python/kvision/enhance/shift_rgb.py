@@ -1,4 +1,4 @@
-"""Shift of the colour channels."""
+"""Shift of the color channels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 from kvision import _check
 from kvision.core.exceptions import ImageError, ShapeError
 from kvision.enhance.batch import parameter
-from kvision.enhance.brightness import line_rgb
+from kvision.enhance.brightness import scale_shift_rgb
 
 
 def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b_shift: float | Tensor) -> Tensor:
@@ -20,7 +20,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
         b_shift: what is added to blue.
 
     Returns:
-        The image with other colours, differentiable in image and shifts.
+        The image with other colors, differentiable in image and shifts.
 
     Raises:
         TypeCheckError: image is no floating-point tensor; a shift is neither number nor tensor.
@@ -38,7 +38,7 @@ def shift_rgb(image: Tensor, r_shift: float | Tensor, g_shift: float | Tensor, b
     if image.dim() != 4 or image.shape[1] != 3:
         raise ImageError(f"shift_rgb: expected image of shape (B, 3, H, W), got {tuple(image.shape)}")
     shifts = [_shift(n, s, image) for n, s in (("r_shift", r_shift), ("g_shift", g_shift), ("b_shift", b_shift))]
-    return line_rgb(image, 1.0, 1.0, 1.0, *shifts, 1.0)
+    return scale_shift_rgb(image, 1.0, 1.0, 1.0, *shifts, 1.0)
 
 
 def _shift(name: str, shift: float | Tensor, image: Tensor) -> float | Tensor:

@@ -99,8 +99,8 @@ def zca_mean(
     with torch.autocast(inp.device.type, enabled=False):
         samples = inp.to(compute_dtype(inp)).movedim(dim, 0).flatten(1)
         mean = samples.mean(0, keepdim=True)
-        centred = samples - mean
-        covariance = centred.mT @ centred / (inp.shape[dim] - unbiased)
+        centerd = samples - mean
+        covariance = centerd.mT @ centerd / (inp.shape[dim] - unbiased)
         root, inverse = _Root.apply(covariance, eps)
     return inverse, mean, root if return_inverse else None
 

@@ -35,7 +35,7 @@ def _reference(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool)
 
 
 def _cross_mean(x: Tensor, axes: tuple[int, ...]) -> Tensor:
-    """The mean of every pixel and its direct neighbours, zeros beyond the image."""
+    """The mean of every pixel and its direct neighbors, zeros beyond the image."""
     total = x
     for axis in axes:
         beside = [0, 0] * (x.dim() - 1 - axis) + [1, 1]

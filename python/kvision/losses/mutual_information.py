@@ -16,7 +16,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
 class MIKernel(Enum):
-    """How much a value adds to a bin: over a distance x of at most one radius from its centre.
+    """How much a value adds to a bin: over a distance x of at most one radius from its center.
 
     Example:
         >>> import kvision as K
@@ -51,8 +51,8 @@ def _bins(
     flat = ~(high - low > torch.finfo(signal.dtype).eps)
     last = (count - 1) / radius
     place = torch.where(flat, 0, (signal - low) / torch.where(flat, 1, high - low) * last)
-    centres = torch.arange(count, device=signal.device, dtype=signal.dtype) / radius
-    weights = _weights(kernel, (centres[:, None] - place[..., None, :]).abs(), radius)
+    centers = torch.arange(count, device=signal.device, dtype=signal.dtype) / radius
+    weights = _weights(kernel, (centers[:, None] - place[..., None, :]).abs(), radius)
     return weights if mask is None else torch.where(mask[:, None], weights, 0), low, high, (high - low).isfinite()
 
 

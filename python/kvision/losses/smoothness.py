@@ -1,4 +1,4 @@
-"""Losses of how much neighbouring pixels differ."""
+"""Losses of how much neighboring pixels differ."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
 def _reference(x: Tensor, along_y: float, along_x: float) -> Tensor:
-    """(B, C): for every plane the absolute differences of neighbours, those along y and x each summed with a weight."""
+    """(B, C): for every plane the absolute differences of neighbors, those along y and x each summed with a weight."""
     wide = x.to(compute_dtype(x))
     return along_y * wide.diff(dim=-2).abs().sum((-2, -1)) + along_x * wide.diff(dim=-1).abs().sum((-2, -1))
 
@@ -36,7 +36,7 @@ _total_variation = register("total_variation", _reference, fake=_fake, backward=
 
 
 def _roughness(depth: Tensor, image: Tensor, along_y: float, along_x: float) -> Tensor:
-    """(B,): for every sample what neighbours in depth (B, 1, H, W) differ by, less at the image's edges; weighted sums."""
+    """(B,): for every sample what neighbors in depth (B, 1, H, W) differ by, less at the image's edges; weighted sums."""
     dtype = compute_dtype(image)
     depth, image = depth.to(dtype), image.to(dtype)
 
@@ -76,7 +76,7 @@ _smoothness = register(
 
 
 def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
-    """Compute the total variation of every plane: the absolute differences of neighbours along x and along y, added up.
+    """Compute the total variation of every plane: the absolute differences of neighbors along x and along y, added up.
 
     Args:
         img: (*, H, W); integers are computed in float32.
@@ -118,7 +118,7 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
 def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:
     """Compute how rough an inverse depth map is where the image has no edges.
 
-    It is the mean of abs(dx d) exp(-mean_c abs(dx I)), plus the same along y, with differences of neighbours.
+    It is the mean of abs(dx d) exp(-mean_c abs(dx I)), plus the same along y, with differences of neighbors.
 
     Args:
         idepth: inverse depth d (B, 1, H, W).

@@ -19,7 +19,7 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
     Args:
         boxes_1: (N, 4); integers are computed in float32.
         boxes_2: (M, 4).
-        box_format: 'xyxy' for two corners, 'xywh' for the first corner and the size, 'cxcywh' for centre and size.
+        box_format: 'xyxy' for two corners, 'xywh' for the first corner and the size, 'cxcywh' for center and size.
 
     Returns:
         (N, M), from 0 to 1; NaN for a box whose width or height is not positive, as boxes are not read on the host.

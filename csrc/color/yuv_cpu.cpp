@@ -1,8 +1,8 @@
-// Shared chroma on the CPU: a row of cells at a time. What neighbours in a row share goes through a row in the cache.
-// Compiled once per instruction set.
-#include "chroma.h"
+// YUV 4:2:2 and 4:2:0 on the CPU: a row of cells at a time, with sums of columns in a scratch row. Compiled once per
+// instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
+#include "yuv.h"
 
 namespace kv::KV_ISA {
 
@@ -21,10 +21,10 @@ void split_chroma(SplitChroma<T> const& p, int64_t begin, int64_t end) {
       auto const pixels = [&](auto n, int64_t x) {
         constexpr int N = decltype(n)::value;
         auto const v0 = load<N>(c[0] + x), v1 = load<N>(c[1] + x), v2 = load<N>(c[2] + x);
-        store<N>(luma + x, Lanes<F, N>(weighted(p.m, v0, v1, v2)));
+        store<N>(luma + x, Lanes<F, N>(dot3(p.m, v0, v1, v2)));
         for (int k = 0; k < 2; ++k) {
           F* const sums = scratch.data + k * width + x;
-          Lanes<F, N> const sum = weighted(p.m + 3 + 3 * k, v0, v1, v2);
+          Lanes<F, N> const sum = dot3(p.m + 3 + 3 * k, v0, v1, v2);
           store<N>(sums, r == 0 ? sum : Lanes<F, N>(load<N>(sums) + sum));
         }
       };
@@ -59,7 +59,7 @@ void join_chroma(JoinChroma<T> const& p, int64_t begin, int64_t end) {
       for_each_vector<T>(0, width, [&](auto n, int64_t x) {
         constexpr int N = decltype(n)::value;
         Lanes<F, N> const v = load<N>(luma + x), u0 = load<N>(scratch.data + x), u1 = load<N>(scratch.data + width + x);
-        for (int k = 0; k < 3; ++k) store<N>(c[k] + x, Lanes<F, N>(weighted(p.m + 3 * k, v, u0, u1)));
+        for (int k = 0; k < 3; ++k) store<N>(c[k] + x, Lanes<F, N>(dot3(p.m + 3 * k, v, u0, u1)));
       });
     }
   }

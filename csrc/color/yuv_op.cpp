@@ -1,8 +1,8 @@
-// Shared chroma: schemas and entries, for CPU and CUDA alike.
+// YUV 4:2:2 and 4:2:0: schemas and entries, for CPU and CUDA alike.
 #include <algorithm>
 
-#include "chroma.h"
 #include "glue/glue.h"
+#include "yuv.h"
 
 namespace kv {
 namespace {

@@ -1,4 +1,4 @@
-// Formulas on CUDA: a thread a sample.
+// Formulas on CUDA: one thread for each sample.
 #include "core/launch.cuh"
 #include "geometry/formulas.h"
 
@@ -12,15 +12,15 @@ struct Sample {
   int64_t b;
 
   template <class T>
-  static __device__ __forceinline__ T const* typed(Numbers const& n) {
+  static __device__ __forceinline__ T const* typed(TypedPointer const& n) {
     return static_cast<T const*>(n.data);
   }
-  static __device__ __forceinline__ double number(Numbers const& n, int64_t i) {
+  static __device__ __forceinline__ double number(TypedPointer const& n, int64_t i) {
     if (n.type == DType::float32) return typed<float>(n)[i];
     if (n.type == DType::float64) return typed<double>(n)[i];
     return n.type == DType::float16 ? kv::read(typed<Half>(n)[i]) : kv::read(typed<BFloat16>(n)[i]);
   }
-  static __device__ __forceinline__ void set(Numbers const& n, int64_t i, double x) {
+  static __device__ __forceinline__ void set(TypedPointer const& n, int64_t i, double x) {
     void* const data = const_cast<void*>(n.data);
     if (n.type == DType::float32)
       static_cast<float*>(data)[i] = float(x);
@@ -33,35 +33,35 @@ struct Sample {
   }
 
   template <int N>
-  __device__ __forceinline__ void read(Numbers const& n, int64_t stride, double* x) const {
+  __device__ __forceinline__ void read(TypedPointer const& n, int64_t stride, double* x) const {
 #pragma unroll
     for (int i = 0; i < N; ++i) x[i] = number(n, b * stride + i);
   }
-  // The first `count`; the others are 0.
+  // The first `count` numbers; the others are 0.
   template <int N>
-  __device__ __forceinline__ void read_some(Numbers const& n, int count, double* x) const {
+  __device__ __forceinline__ void read_first(TypedPointer const& n, int count, double* x) const {
 #pragma unroll
     for (int i = 0; i < N; ++i) x[i] = i < count ? number(n, b * count + i) : 0;
   }
   template <int N>
-  __device__ __forceinline__ void write(Numbers const& n, int count, double const* x) const {
+  __device__ __forceinline__ void write(TypedPointer const& n, int count, double const* x) const {
 #pragma unroll
     for (int i = 0; i < N; ++i)
       if (i < count) set(n, b * count + i, x[i]);
   }
-  __device__ __forceinline__ void write_one(Numbers const& n, int64_t width, int i, double x) const {
+  __device__ __forceinline__ void write_one(TypedPointer const& n, int64_t width, int i, double x) const {
     set(n, b * width + i, x);
   }
 };
 
 template <class F>
-__global__ void __launch_bounds__(kThreads) formulas(__grid_constant__ Formulas<F> const p) {
+__global__ void __launch_bounds__(kThreads) evaluate_all(__grid_constant__ FormulaParams<F> const p) {
   int64_t const b = blockIdx.x * int64_t(kThreads) + threadIdx.x;
-  if (b < p.batch) formula_of(p, Sample{b});
+  if (b < p.batch) evaluate_formula(p, Sample{b});
 }
 
 template <class F>
-__global__ void __launch_bounds__(kThreads) formulas_backward(__grid_constant__ Formulas<F> const p) {
+__global__ void __launch_bounds__(kThreads) differentiate_all(__grid_constant__ FormulaParams<F> const p) {
   int64_t const b = blockIdx.x * int64_t(kThreads) + threadIdx.x;
   if (b < p.batch) formula_vjp(p, Sample{b});
 }
@@ -69,14 +69,14 @@ __global__ void __launch_bounds__(kThreads) formulas_backward(__grid_constant__ 
 }  // namespace
 
 template <class F>
-int formula(Formulas<F> const& p, CUstream_st* stream) {
-  formulas<<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
+int formula(FormulaParams<F> const& p, CUstream_st* stream) {
+  evaluate_all<<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class F>
-int formula_backward(Formulas<F> const& p, CUstream_st* stream) {
-  formulas_backward<<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
+int formula_backward(FormulaParams<F> const& p, CUstream_st* stream) {
+  differentiate_all<<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

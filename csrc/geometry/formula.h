@@ -1,21 +1,19 @@
-// Formulas: small matrices and vectors of a sample, as what others of it give, all of a batch in one launch, in double.
+// Formulas: small matrices and vectors of a sample, computed from other ones; a whole batch in one launch, in double.
 //
 // A formula is a struct that says how many numbers go in and come out, and computes them on any value type:
 //
 //   struct Cross {
-//     static constexpr int kInputs = 2, kRequired = 2;    // tensors; those that are always given come first
-//     static constexpr int kNumbers = 6, kOutputs = 3;    // of a sample, in and out
-//     static constexpr int kPlain = 0, kCut = 0;          // plain arguments; 1 if the result's rows are one, too
-//     static constexpr Extent extent(int i) { return {3}; }    // of each tensor, behind the batch
-//     static constexpr Extent result = {3};
-//     template <class V>
-//     static KV_HD void of(V const* x, V* y, Settings const&);    // x: all inputs, one after another
+//     static constexpr int kInputs = 2, kRequired = 2;            // tensors; the required ones come first
+//     static constexpr int kInputSize = 6, kOutputSize = 3;       // numbers of a sample
+//     static constexpr int kScalars = 0, kOptionalLastRow = 0;    // scalar arguments; 1 if the number of rows is one
+//     more static constexpr Extent extent(int i) { return {3}; }       // of each tensor, behind the batch static
+//     constexpr Extent result = {3}; template <class V> static KV_HD void evaluate(V const* x, V* y, FormulaOptions
+//     const&);    // x: all inputs, one after another
 //   };
 //
-// Its gradient is the formula on Duals (core/dual.h); one of many numbers may have a `pull` beside it, which makes that
-// to x of the gradient to y: Duals take it as many times as it has numbers. An input may have one row for all samples,
-// or not be given: then `missing` says what its numbers are. formulas.h has the formulas and the list of the operators
-// they become.
+// The gradient is the formula on Duals (core/dual.h). They evaluate it several times where it has many numbers, so such
+// a formula may have a `vjp` next to `evaluate`. An input may have one row for all samples, or be missing: then
+// `default_value` says what its numbers are. formulas.h has the list of formulas and the operators they become.
 #pragma once
 
 #include "core/dtype.h"
@@ -31,131 +29,150 @@ struct Extent {
 };
 
 // Floating-point numbers of any type, read and written as double.
-struct Numbers {
+struct TypedPointer {
   void const* data = nullptr;
   DType type = DType::float32;
 };
 
-// What a formula is told besides its inputs.
-struct Settings {
-  double tiny, eps;  // of the type that the inputs would be computed in: float32, or float64 for that
-  double number[4];  // the plain arguments of its operator
+// What a formula knows besides its inputs.
+struct FormulaOptions {
+  double min_normal, eps;  // of the type that references compute in: float64 for float64 inputs, else float32
+  double scalars[4];       // the scalar arguments of its operator
 };
 
-// The matrix of a warp that a formula makes of its first inputs, given as in Formulas, by the kernel that warps. Only
-// CUDA's do: formulas.h lists the formulas they know, matrix_formula.cuh has the code.
-enum class MatrixBy : int;  // 0 for a matrix that is given
+// The matrix of a warp, computed from the first inputs of a formula by the kernel that warps. Only kernels on CUDA do
+// so: formulas.h lists the formulas they know, transform/matrix_formula.cuh has the code.
+enum class MatrixBy : int;  // 0 for a matrix that is a tensor
 struct MatrixFormula {
   static constexpr int kInputs = 6;
   MatrixBy by{};
-  Numbers inputs[kInputs];  // of the type that computes
+  TypedPointer inputs[kInputs];  // of the type that computes
   int64_t strides[kInputs];
-  Settings settings;
+  FormulaOptions options;
 };
 
 template <class F>
-struct Formulas {
-  Numbers inputs[F::kInputs];
-  int64_t strides[F::kInputs];  // from a sample to the next, 0 where one serves all
+struct FormulaParams {
+  TypedPointer inputs[F::kInputs];
+  int64_t strides[F::kInputs];  // from a sample to the next; 0 where all samples have the same
   int64_t batch;
-  Settings settings;
-  int outputs;     // how many numbers of the result are wanted: fewer for the first rows of a matrix
-  Numbers result;  // (B, outputs)
-  // For the gradient only: that to the result, and that to all numbers that are given, one after another.
-  Numbers grad, slopes;  // (B, outputs), (B, n)
-  uint64_t given;        // a bit for each number
+  FormulaOptions options;
+  int output_size;      // of a sample; fewer than kOutputSize for the first rows of a matrix
+  TypedPointer result;  // (B, output_size)
+  // For the gradient only: that to the result, and those to all numbers that are present, one after another.
+  TypedPointer grad, grad_inputs;  // (B, output_size), (B, n)
+  uint64_t present;                // a bit for each number
 };
 
-KV_KERNEL(formula, Formulas)
-KV_KERNEL(formula_backward, Formulas)
+KV_KERNEL(formula, FormulaParams)
+KV_KERNEL(formula_backward, FormulaParams)
 
 template <class F, class V>
-concept HasPull = requires(V* v, Settings const& s) { F::pull(v, v, v, s); };
+concept HasVjp = requires(V* v, FormulaOptions const& s) { F::vjp(v, v, v, s); };
 
-// Where the numbers of input i begin among all.
+// The index of the first number of input i.
 template <class F>
-constexpr int offset_of(int i) {
+constexpr int input_offset(int i) {
   int sum = 0;
   for (int k = 0; k < i; ++k) sum += F::extent(k).count();
   return sum;
 }
 
-// How many directions are followed at once: not many, as each takes a register more for every number.
+// Derivatives that are computed at once. Each takes one register more for every number.
 template <class F>
-constexpr int kDirections = F::kNumbers <= 4       ? F::kNumbers
-                            : F::kNumbers >= 16    ? 2
-                            : F::kNumbers % 3 == 0 ? 3
-                                                   : 2;
+constexpr int kDirections = F::kInputSize <= 4       ? F::kInputSize
+                            : F::kInputSize >= 16    ? 2
+                            : F::kInputSize % 3 == 0 ? 3
+                                                     : 2;
 
-// `At` is a sample, or some of them side by side, whose numbers are At::Value: it reads and writes rows. `p` has inputs
-// and strides, those of the first inputs or of all.
-template <class F, int I = 0, class P, class At>
-KV_HD void read_inputs(P const& p, At const& at, typename At::Value* x) {
-  using V = typename At::Value;
+// Row is a sample, or several samples whose numbers are vectors Row::Value: it reads and writes rows. `p` has inputs
+// and strides of all tensors, or of the first ones.
+template <class F, int I = 0, class P, class Row>
+KV_HD void read_inputs(P const& p, Row const& row, typename Row::Value* x) {
+  using V = typename Row::Value;
   if constexpr (I < F::kInputs) {
-    constexpr int first = offset_of<F>(I), count = F::extent(I).count(), known = sizeof(P::inputs) / sizeof(Numbers);
-    bool is_given = true;
+    constexpr int first = input_offset<F>(I), count = F::extent(I).count(),
+                  num_inputs = sizeof(P::inputs) / sizeof(TypedPointer);
+    bool is_present = true;
     if constexpr (I >= F::kRequired) {
-      if constexpr (I < known)
-        is_given = p.inputs[I].data;
+      if constexpr (I < num_inputs)
+        is_present = p.inputs[I].data;
       else
-        is_given = false;
-      if (!is_given)
+        is_present = false;
+      if (!is_present)
 #pragma unroll
-        for (int i = first; i < first + count; ++i) x[i] = V{} + F::missing(i, p.settings);
+        for (int i = first; i < first + count; ++i) x[i] = V{} + F::default_value(i, p.options);
     }
-    if constexpr (I < known)
-      if (is_given) at.template read<count>(p.inputs[I], p.strides[I], x + first);
-    read_inputs<F, I + 1>(p, at, x);
+    if constexpr (I < num_inputs)
+      if (is_present) row.template read<count>(p.inputs[I], p.strides[I], x + first);
+    read_inputs<F, I + 1>(p, row, x);
   }
 }
 
-template <class F, class At>
-KV_HD void formula_of(Formulas<F> const& p, At const& at) {
-  typename At::Value x[F::kNumbers], y[F::kOutputs];
-  read_inputs<F>(p, at, x);
-  F::of(x, y, p.settings);
-  at.template write<F::kOutputs>(p.result, p.outputs, y);
+template <class F, class Row>
+KV_HD void evaluate_formula(FormulaParams<F> const& p, Row const& row) {
+  typename Row::Value x[F::kInputSize], y[F::kOutputSize];
+  read_inputs<F>(p, row, x);
+  F::evaluate(x, y, p.options);
+  row.template write<F::kOutputSize>(p.result, p.output_size, y);
 }
 
-template <class F, class At>
-KV_HD void formula_vjp(Formulas<F> const& p, At const& at) {
-  using V = typename At::Value;
+template <class F, class Row>
+KV_HD void formula_vjp(FormulaParams<F> const& p, Row const& row) {
+  using V = typename Row::Value;
   constexpr int directions = kDirections<F>;
-  V x[F::kNumbers], g[F::kOutputs];
-  read_inputs<F>(p, at, x);
-  at.template read_some<F::kOutputs>(p.grad, p.outputs, g);
-  int64_t const width = __builtin_popcountll(p.given);
+  V x[F::kInputSize], g[F::kOutputSize];
+  read_inputs<F>(p, row, x);
+  row.template read_first<F::kOutputSize>(p.grad, p.output_size, g);
+  int64_t const width = __builtin_popcountll(p.present);
   int column = 0;
-  if constexpr (HasPull<F, V>) {
-    V to[F::kNumbers];
-    F::pull(x, g, to, p.settings);
+  if constexpr (HasVjp<F, V>) {
+    V grads[F::kInputSize];
+    F::vjp(x, g, grads, p.options);
 #pragma unroll
-    for (int i = 0; i < F::kNumbers; ++i)
-      if (p.given >> i & 1) at.write_one(p.slopes, width, column++, to[i]);
+    for (int i = 0; i < F::kInputSize; ++i)
+      if (p.present >> i & 1) row.write_one(p.grad_inputs, width, column++, grads[i]);
   } else {
 #pragma unroll 1
-    for (int first = 0; first < F::kNumbers; first += directions) {
-      unsigned const given = unsigned(p.given >> first) & ((1u << directions) - 1);
-      if (!given) continue;
-      Dual<V, directions> along[F::kNumbers], y[F::kOutputs];
+    for (int first = 0; first < F::kInputSize; first += directions) {
+      unsigned const wanted = unsigned(p.present >> first) & ((1u << directions) - 1);
+      if (!wanted) continue;
+      Dual<V, directions> duals[F::kInputSize], y[F::kOutputSize];
 #pragma unroll
-      for (int i = 0; i < F::kNumbers; ++i) {
-        along[i].value = x[i];
+      for (int i = 0; i < F::kInputSize; ++i) {
+        duals[i].value = x[i];
 #pragma unroll
-        for (int k = 0; k < directions; ++k) along[i].d[k] = V{} + double(i == first + k);
+        for (int k = 0; k < directions; ++k) duals[i].d[k] = V{} + double(i == first + k);
       }
-      F::of(along, y, p.settings);
+      F::evaluate(duals, y, p.options);
 #pragma unroll
       for (int k = 0; k < directions; ++k) {
-        if (!(given >> k & 1)) continue;
+        if (!(wanted >> k & 1)) continue;
         V sum = {};
 #pragma unroll
-        for (int i = 0; i < F::kOutputs; ++i) sum = sum + g[i] * y[i].d[k];
-        at.write_one(p.slopes, width, column++, sum);
+        for (int i = 0; i < F::kOutputSize; ++i) sum = sum + g[i] * y[i].d[k];
+        row.write_one(p.grad_inputs, width, column++, sum);
       }
     }
   }
 }
+
+// --- inputs that many formulas share ----------------------------------------------------------------------------------
+
+// A formula of one vector.
+template <int N, int Rows, int Columns = 0>
+struct VectorInput {
+  static constexpr int kInputs = 1, kRequired = 1, kInputSize = N, kOutputSize = Columns ? Rows * Columns : Rows,
+                       kScalars = 0, kOptionalLastRow = 0;
+  static constexpr Extent extent(int) { return {N}; }
+  static constexpr Extent result = {Rows, Columns};
+};
+
+// A formula of N numbers, each a tensor.
+template <int N>
+struct ScalarInputs {
+  static constexpr int kInputs = N, kRequired = N, kInputSize = N, kScalars = 0, kOptionalLastRow = 0;
+  static constexpr Extent extent(int) { return {}; }
+};
 
 }  // namespace kv

@@ -1,4 +1,4 @@
-// What operators give to formulas. Included by formula_op.cpp and by operators of warps.
+// Arguments of formulas, checked. Included by formula_op.cpp and transform/sampling_glue.h.
 #pragma once
 
 #include <span>
@@ -8,7 +8,7 @@
 
 namespace kv {
 
-inline Numbers numbers_of(char const* op, Tensor const& x) {
+inline TypedPointer typed_pointer(char const* op, Tensor const& x) {
   DType const dtype = dtype_of(op, x);
   KV_CHECK(dtype != DType::uint8, op, ": no kernel for this dtype");
   return {x.const_data_ptr(), dtype};
@@ -34,47 +34,49 @@ inline std::string extent_text(Extent extent) {
   return text + ")";
 }
 
-// The inputs of formula F, checked: of that type, on the device of `like`. One row serves a batch.
+// The inputs of formula F, checked: of type `type`, on the device of `like`. An input of one row serves the batch.
 template <class F>
-struct GivenNumbers {
-  Formulas<F> params{};
-  std::optional<Tensor> kept[F::kInputs];
+struct FormulaArguments {
+  FormulaParams<F> params{};
+  std::optional<Tensor> contiguous[F::kInputs];
   ScalarType type;
 
-  GivenNumbers(char const* op, Tensor const& like, ScalarType type, std::span<std::optional<Tensor> const> inputs,
-               std::span<double const> numbers, int64_t rows)
+  FormulaArguments(char const* op, Tensor const& like, ScalarType type, std::span<std::optional<Tensor> const> inputs,
+                   std::span<double const> scalars, int64_t rows)
       : type(type) {
     bool const is_double = type == ScalarType::Double;
-    params.settings = {is_double ? 0x1p-1022 : 0x1p-126, is_double ? 0x1p-52 : 0x1p-23, {}};
+    params.options = {is_double ? 0x1p-1022 : 0x1p-126, is_double ? 0x1p-52 : 0x1p-23, {}};
     params.batch = 1;
-    KV_CHECK(numbers.size() == F::kPlain, op, ": expected ", F::kPlain, " numbers, got ", numbers.size());
-    std::copy(numbers.begin(), numbers.end(), params.settings.number);
+    KV_CHECK(scalars.size() == F::kScalars, op, ": expected ", F::kScalars, " scalars, got ", scalars.size());
+    std::copy(scalars.begin(), scalars.end(), params.options.scalars);
     constexpr int columns = F::result.columns ? F::result.columns : F::result.count();
-    KV_CHECK(F::kCut ? rows > 0 && rows <= F::result.rows : rows == 0, op, ": expected rows from 1 to ",
+    KV_CHECK(F::kOptionalLastRow ? rows > 0 && rows <= F::result.rows : rows == 0, op, ": expected rows from 1 to ",
              F::result.rows);
-    params.outputs = F::kCut ? int(rows) * columns : F::result.count();
+    params.output_size = F::kOptionalLastRow ? int(rows) * columns : F::result.count();
     for (int i = 0; i < int(inputs.size()); ++i) {
       KV_CHECK(inputs[i] ? i < F::kInputs : i >= F::kRequired, op, ": expected ", F::kRequired, " to ", F::kInputs,
                " tensors");
-      if (inputs[i]) take(op, i, *inputs[i], like);
+      if (inputs[i]) add_input(op, i, *inputs[i], like);
     }
   }
 
   // The axes of a result behind the batch.
-  Extent extent() const { return {F::kCut ? params.outputs / F::result.columns : F::result.rows, F::result.columns}; }
+  Extent extent() const {
+    return {F::kOptionalLastRow ? params.output_size / F::result.columns : F::result.rows, F::result.columns};
+  }
 
   Tensor result(char const* op, Tensor const& like) {
     int64_t const batch = params.batch;
     Extent const e = extent();
     Tensor const y = e.columns ? empty({batch, e.rows, e.columns}, like, Layout::planar, type)
                                : empty({batch, e.rows}, like, Layout::planar, type);
-    params.result = numbers_of(op, y);
-    KV_RUN(formula, y, params, batch, F::kNumbers + 4 * F::kOutputs);
+    params.result = typed_pointer(op, y);
+    KV_RUN(formula, y, params, batch, F::kInputSize + 4 * F::kOutputSize);
     return y;
   }
 
  private:
-  void take(char const* op, int i, Tensor const& x, Tensor const& like) {
+  void add_input(char const* op, int i, Tensor const& x, Tensor const& like) {
     Extent const extent = F::extent(i);
     KV_CHECK(has_extent(x, extent) && x.scalar_type() == type && x.device() == like.device(), op, ": expected tensor ",
              i + 1, " of shape ", extent_text(extent), ", all of one type and device");
@@ -82,10 +84,10 @@ struct GivenNumbers {
              " with 1 or ", params.batch, " rows, got ", x.size(0));
     if (x.size(0) != 1) params.batch = x.size(0);
     Tensor const rows = is_contiguous_row(x) ? x : dense(x);
-    kept[i] = rows;
-    params.inputs[i] = numbers_of(op, rows);
+    contiguous[i] = rows;
+    params.inputs[i] = typed_pointer(op, rows);
     params.strides[i] = x.size(0) == 1 ? 0 : rows.stride(0);
-    params.given |= ((uint64_t(1) << extent.count()) - 1) << offset_of<F>(i);
+    params.present |= ((uint64_t(1) << extent.count()) - 1) << input_offset<F>(i);
   }
 };
 

@@ -1,4 +1,4 @@
-// Formulas: schemas and entries, for CPU and CUDA alike.
+// Formulas: schemas and entries for CPU and CUDA.
 #include "geometry/formula_glue.h"
 
 namespace kv {
@@ -8,42 +8,43 @@ namespace {
 template <class F, int I>
 using FormulaInput = std::conditional_t<(I < F::kRequired || I == 0), Tensor const&, std::optional<Tensor> const&>;
 template <int>
-using PlainNumber = double;
+using ScalarArgument = double;
 template <int>
 using RowCount = int64_t;
 
 template <class F, class Name, class Others = std::make_integer_sequence<int, F::kInputs - 1>,
-          class Plain = std::make_integer_sequence<int, F::kPlain>,
-          class Cut = std::make_integer_sequence<int, F::kCut>>
+          class ScalarSequence = std::make_integer_sequence<int, F::kScalars>,
+          class RowCounts = std::make_integer_sequence<int, F::kOptionalLastRow>>
 struct FormulaEntry;
 template <class F, class Name, int... I, int... K, int... R>
 struct FormulaEntry<F, Name, std::integer_sequence<int, I...>, std::integer_sequence<int, K...>,
                     std::integer_sequence<int, R...>> {
   using Inputs = std::optional<Tensor>[F::kInputs];
-  using Numbers = std::array<double, F::kPlain>;
+  using Scalars = std::array<double, F::kScalars>;
 
-  static Tensor forward(Tensor const& first, FormulaInput<F, I + 1>... others, PlainNumber<K>... numbers,
+  static Tensor forward(Tensor const& first, FormulaInput<F, I + 1>... others, ScalarArgument<K>... scalars,
                         RowCount<R>... rows) {
-    GivenNumbers<F> given(Name::text, first, first.scalar_type(), Inputs{first, others...}, Numbers{numbers...},
-                          (0 + ... + rows));
-    return given.result(Name::text, first);
+    FormulaArguments<F> arguments(Name::text, first, first.scalar_type(), Inputs{first, others...}, Scalars{scalars...},
+                                  (0 + ... + rows));
+    return arguments.result(Name::text, first);
   }
 
   static Tensor backward(Tensor const& grad, Tensor const& first, FormulaInput<F, I + 1>... others,
-                         PlainNumber<K>... numbers, RowCount<R>... rows) {
+                         ScalarArgument<K>... scalars, RowCount<R>... rows) {
     constexpr char const* op = Name::backward;
-    GivenNumbers<F> given(op, first, first.scalar_type(), Inputs{first, others...}, Numbers{numbers...},
-                          (0 + ... + rows));
+    FormulaArguments<F> arguments(op, first, first.scalar_type(), Inputs{first, others...}, Scalars{scalars...},
+                                  (0 + ... + rows));
     int64_t const batch = grad.dim() > 0 ? grad.size(0) : 0;
-    KV_CHECK((given.params.batch == 1 || given.params.batch == batch) && has_extent(grad, given.extent()) &&
+    KV_CHECK((arguments.params.batch == 1 || arguments.params.batch == batch) && has_extent(grad, arguments.extent()) &&
                  grad.scalar_type() == first.scalar_type() && grad.device() == first.device(),
-             op, ": expected grad of shape ", extent_text(given.extent()), ", all of one type and device");
-    given.params.batch = batch;
-    Tensor const dense_grad = dense(grad), slopes = empty({batch, __builtin_popcountll(given.params.given)}, grad);
-    given.params.grad = numbers_of(op, dense_grad);
-    given.params.slopes = numbers_of(op, slopes);
-    KV_RUN(formula_backward, grad, given.params, batch, 2 * F::kNumbers * F::kOutputs);
-    return slopes;
+             op, ": expected grad of shape ", extent_text(arguments.extent()), ", all of one type and device");
+    arguments.params.batch = batch;
+    Tensor const dense_grad = dense(grad),
+                 grad_inputs = empty({batch, __builtin_popcountll(arguments.params.present)}, grad);
+    arguments.params.grad = typed_pointer(op, dense_grad);
+    arguments.params.grad_inputs = typed_pointer(op, grad_inputs);
+    KV_RUN(formula_backward, grad, arguments.params, batch, 2 * F::kInputSize * F::kOutputSize);
+    return grad_inputs;
   }
 };
 

@@ -1,4 +1,4 @@
-// Matrices that kernels on CUDA make of what a formula is given. Included by sampling.cu and warp3d.cu.
+// Matrices that CUDA kernels compute by a formula. Included by sampling.cu and warp3d.cu.
 #pragma once
 
 #include "core/launch.cuh"
@@ -6,13 +6,13 @@
 
 namespace kv::cuda {
 
-// Inputs in the type that computes, which the matrix is rounded to, too: as if a kernel before this one had stored it.
+// Inputs are of the compute type. The matrix is rounded to it, too, as if another kernel had stored it.
 template <class F>
-struct FormulaSample {
+struct MatrixRow {
   using Value = double;
   int64_t b;
   template <int N>
-  __device__ __forceinline__ void read(Numbers const& n, int64_t stride, double* x) const {
+  __device__ __forceinline__ void read(TypedPointer const& n, int64_t stride, double* x) const {
 #pragma unroll
     for (int i = 0; i < N; ++i) x[i] = static_cast<F const*>(n.data)[b * stride + i];
   }
@@ -20,11 +20,11 @@ struct FormulaSample {
 
 template <class Formula, class F>
 __device__ __forceinline__ void make_matrix(MatrixFormula const& p, int64_t b, F* m) {
-  double x[Formula::kNumbers], y[Formula::kOutputs];
-  read_inputs<Formula>(p, FormulaSample<F>{b}, x);
-  Formula::of(x, y, p.settings);
+  double x[Formula::kInputSize], y[Formula::kOutputSize];
+  read_inputs<Formula>(p, MatrixRow<F>{b}, x);
+  Formula::evaluate(x, y, p.options);
 #pragma unroll
-  for (int i = 0; i < Formula::kOutputs; ++i) m[i] = F(y[i]);
+  for (int i = 0; i < Formula::kOutputSize; ++i) m[i] = F(y[i]);
 }
 
 // Called, not inlined: once for each block of threads, and its numbers would take the registers of all of them.

@@ -122,7 +122,7 @@ struct WarpMatrix {
   }
   // By formula F, number `by` of the kernels, which make it themselves with `within`. On the CPU it is made before.
   template <class F>
-  WarpMatrix(char const* op, GivenNumbers<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x,
+  WarpMatrix(char const* op, FormulaArguments<F>& given, [[maybe_unused]] MatrixBy by, Tensor const& x,
              [[maybe_unused]] bool within)
       : rows(given.extent().rows), stride(given.params.batch == 1 ? 0 : rows * given.extent().columns) {
     KV_CHECK(given.params.batch == 1 || given.params.batch == x.size(0), op, ": expected tensors with 1 or ", x.size(0),
@@ -130,7 +130,7 @@ struct WarpMatrix {
 #if defined(KV_CUDA)
     if (within) {
       formula.by = by;
-      formula.settings = given.params.settings;
+      formula.options = given.params.options;
       for (int i = 0; i < std::min(F::kInputs, MatrixFormula::kInputs); ++i) {
         formula.inputs[i] = given.params.inputs[i];
         formula.strides[i] = given.params.strides[i];
@@ -160,11 +160,11 @@ using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
 
 // A case of a chain of ifs over formulas: run(the matrix) where `formula` is that one, of the kernels' formulas as it
 // is of the operators'. Matrices that may have fewer rows have one less than columns.
-#define KV_WARP_BY(name, Formula, signature)                                   \
-  if (formula == #name) {                                                      \
-    GivenNumbers<Formula> given(op, x, compute_dtype(x), inputs, numbers,      \
-                                Formula::kCut ? Formula::result.rows - 1 : 0); \
-    return run(WarpMatrix(op, given, MatrixBy::name, x, within));              \
+#define KV_WARP_BY(name, Formula, signature)                                                   \
+  if (formula == #name) {                                                                      \
+    FormulaArguments<Formula> given(op, x, compute_dtype(x), inputs, numbers,                  \
+                                    Formula::kOptionalLastRow ? Formula::result.rows - 1 : 0); \
+    return run(WarpMatrix(op, given, MatrixBy::name, x, within));                              \
   }
 
 // How warps by a matrix are told what they are to do, in schemas.

@@ -29,7 +29,7 @@ def view_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squ
         count = max(points1.shape[1], points2.shape[1])
         points1, points2 = (x.expand(-1, count, -1) for x in (points1, points2))
     found: Tensor = _view_errors(points1, points2, matrix, kind, squared)
-    return found if len(leading) == 1 and len(found) == leading[0] else found.reshape(*leading, found.shape[1])
+    return found if len(leading) == 1 and found.shape[0] == leading[0] else found.reshape(*leading, found.shape[1])
 
 
 def _one_batch(x: Tensor, leading: Sequence[int]) -> Tensor:
@@ -151,7 +151,7 @@ def _backward(
 def _backward_reference(
     grad: Tensor, points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squared: bool
 ) -> tuple[Tensor, ...]:
-    each = [x.expand(len(grad), -1, -1) for x in (points1, points2, matrix)]
+    each = [x.expand(grad.shape[0], -1, -1) for x in (points1, points2, matrix)]
     return torch.func.vjp(lambda x, y, m: _reference(x, y, m, kind, squared), *each)[1](grad)
 
 

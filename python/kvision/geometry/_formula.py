@@ -1,6 +1,6 @@
 """Operators that make a small matrix or vector of each sample out of others: one launch each, and one for their gradient.
 
-The kernels are formulas, csrc/geometry/formulas.h, whose gradient is computed from them; here stand their references.
+The kernels are formulas, csrc/geometry/formulas.h lists them; their gradients are computed from them. Here are their references.
 """
 
 from __future__ import annotations

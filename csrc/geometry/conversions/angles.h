@@ -1,0 +1,70 @@
+// Functions of an angle, and the formulas of kvision.geometry.conversions.angles. Included by formulas.h and by the
+// other formulas of angles.
+//
+// A value that is 0 / 0 at an angle of 0 is a series in the square of the angle there. The other branch of a `select`
+// may then be NaN, also in the derivatives of a Dual; it is not taken.
+#pragma once
+
+#include "core/trigonometry.h"
+#include "geometry/formula.h"
+
+namespace kv {
+
+// sin(x) / x and cos(x) of x squared.
+template <class V>
+KV_HD void sinc_cos(V const& square, V& sinc, V& cosine) {
+  V const x = square_root(square);
+  V sine;
+  sin_cos(x, sine, cosine);
+  auto const small = square < 1e-3;
+  sinc = select(small, 1. - square * (1 / 6.) * (1. - square * (1 / 20.) * (1. - square * (1 / 42.))), sine / x);
+  cosine = select(small, 1. - square * .5 * (1. - square * (1 / 12.) * (1. - square * (1 / 30.))), cosine);
+}
+
+// atan2(s, c) / s of s squared; 0 where s is 0 and c is not positive.
+template <class V>
+KV_HD V angle_over_sine(V const& sine, V const& cosine, double min_normal) {
+  V const square = cosine * cosine, ratio = sine / square, s = square_root(sine);
+  V const series = (1. - ratio * (1 / 3. - ratio * (1 / 5. - ratio * (1 / 7.)))) / cosine;
+  V const angle = select(sine < min_normal, constant<V>(0), arctan2(s, cosine) / s);
+  return select(cosine > 0., select(sine < square * 1e-4, series, angle), angle);
+}
+
+// Cosine and sine of degrees, exact at quarter turns.
+template <class V>
+KV_HD void cos_sin_degrees(V const& degrees, V& cosine, V& sine) {
+  auto const quarters = rounded(degrees * (1 / 90.));
+  V const rest = subtract_constant(degrees, quarters * 90.) * 0.017453292519943295769;
+  V s, c;
+  sin_cos(rest, s, c);
+  auto const turn = quarters - rounded(quarters * .25) * 4.;  // -2 and 2 are the same
+  V const half_c = select(turn * turn == 4., -c, c), half_s = select(turn * turn == 4., -s, s);
+  cosine = select(turn == 1., -s, select(turn == -1., s, half_c)) + 0.;  // no negative zeros
+  sine = select(turn == 1., c, select(turn == -1., -c, half_s)) + 0.;
+}
+
+template <class V>
+KV_HD V tangent(V const& angle) {
+  V s, c;
+  sin_cos(angle, s, c);
+  return s / c;
+}
+
+template <class V>
+KV_HD V squared_norm(V const* x, int n) {
+  V sum = x[0] * x[0];
+  for (int i = 1; i < n; ++i) sum = sum + x[i] * x[i];
+  return sum;
+}
+
+struct AngleToRotationMatrix : ScalarInputs<1> {
+  static constexpr int kOutputSize = 4;
+  static constexpr Extent result = {2, 2};
+  template <class V>
+  static KV_HD void evaluate(V const* degrees, V* m, FormulaOptions const&) {
+    cos_sin_degrees(degrees[0], m[0], m[1]);
+    m[2] = -m[1] + 0., m[3] = m[0];
+  }
+};
+
+}  // namespace kv

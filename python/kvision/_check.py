@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._torch_compat import in_function_transform
 from kvision.core.exceptions import DeviceError, ShapeError, TypeCheckError, ValueCheckError
 
 BORDERS = ("constant", "reflect", "replicate", "circular")
@@ -117,7 +118,7 @@ def volumes(op: str, name: str, x: Any) -> None:
 
 def values_are_readable(x: Tensor) -> bool:
     """Whether one may look at values without waiting for a device, and without breaking a trace or a transform."""
-    return x.device.type == "cpu" and not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
+    return x.device.type == "cpu" and not (torch.compiler.is_compiling() or in_function_transform())
 
 
 def floating(op: str, name: str, x: Tensor) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from torch.utils._python_dispatch import TorchDispatchMode
+from kvision._torch_compat import TorchDispatchMode
 
 
 def native_operators(call: Callable[[], Any]) -> list[str]:

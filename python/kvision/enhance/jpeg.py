@@ -13,6 +13,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import match_layout, register
+from kvision._torch_compat import in_function_transform
 from kvision.color import rgb_to_ycbcr, ycbcr_to_rgb
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.enhance.batch import as_batch, colors
@@ -82,7 +83,7 @@ def _table(standard: tuple[tuple[int, ...], ...], given: Tensor | None, x: Tenso
     """(B, 8, 8) or (1, 8, 8)."""
     if given is not None:
         return given
-    if type(x) is Tensor and not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active():
+    if type(x) is Tensor and not torch.compiler.is_compiling() and not in_function_transform():
         return _kept_table(standard, x.device, x.dtype)
     return torch.tensor(standard, device=x.device, dtype=x.dtype)[None]  # tracers keep it themselves
 

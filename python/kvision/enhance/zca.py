@@ -211,6 +211,7 @@ class ZCAWhitening(nn.Module):
         self.compute_inv = compute_inv
         for name in ("mean_vector", "transform_matrix", "transform_inv"):
             self.register_buffer(name, None)
+        self.register_load_state_dict_pre_hook(_make_buffers)
 
     def extra_repr(self) -> str:
         return f"dim={self.dim}, eps={self.eps}, unbiased={self.unbiased}"
@@ -247,8 +248,9 @@ class ZCAWhitening(nn.Module):
         if not self.fitted:
             raise RuntimeError("ZCAWhitening: call fit first, or give include_fit=True")
 
-    def _load_from_state_dict(self, state_dict: dict[str, Tensor], prefix: str, *args: Any) -> None:
-        for name in ("mean_vector", "transform_matrix", "transform_inv"):
-            if prefix + name in state_dict and getattr(self, name) is None:
-                setattr(self, name, torch.empty_like(state_dict[prefix + name]))
-        super()._load_from_state_dict(state_dict, prefix, *args)
+
+def _make_buffers(module: nn.Module, state_dict: dict[str, Tensor], prefix: str, *_: Any) -> None:
+    """Before a state is loaded: a module that was not fitted has no tensors to load it into."""
+    for name in ("mean_vector", "transform_matrix", "transform_inv"):
+        if prefix + name in state_dict and getattr(module, name) is None:
+            setattr(module, name, torch.empty_like(state_dict[prefix + name]))

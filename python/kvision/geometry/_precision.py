@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
+from kvision._torch_compat import in_forward_ad, in_function_transform
 from kvision.geometry.linalg import root
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -57,7 +57,7 @@ def wide(x: Tensor) -> Tensor:
 
 def wants_derivative(*tensors: Tensor | None) -> bool:
     """Whether a call on them is to be differentiated: then it is made of operators that have gradients of their own."""
-    if torch._C._are_functorch_transforms_active() or forward_ad._current_level >= 0:
+    if in_function_transform() or in_forward_ad():
         return True
     return torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 
 from kvision import _check
 from kvision._ops import register
+from kvision._torch_compat import in_forward_ad
 from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.linalg import adjugate
 
@@ -127,7 +127,7 @@ def null_vector(rows: Tensor, weights: Tensor | None = None) -> Tensor:
     n is 3, 4, 9 or 12. Where several are as good, one of them; NaN where rows or weights are not finite.
     """
     # Forward mode has no use for a kernel's result: of several as good it may be another one than the reference's tangent's.
-    call = _reference if forward_ad._current_level >= 0 else _null_vector
+    call = _reference if in_forward_ad() else _null_vector
     leading = rows.shape[:-2]
     if len(leading) == 1:
         return call(rows, weights)

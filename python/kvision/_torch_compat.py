@@ -1,0 +1,70 @@
+"""The parts of torch without a public name; every other file of kvision uses public names only.
+
+A comment says which public name would replace each part. tests/test_torch_compat.py asserts that no other file reaches
+a private one, and tools/test_torch_versions.py runs the core of the suite on the oldest and the newest torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
+from torch._functorch.utils import unwrap_dead_wrappers
+from torch._ops import OpOverload
+from torch.autograd import forward_ad
+from torch.utils._python_dispatch import TorchDispatchMode
+
+__all__ = [
+    "TorchDispatchMode",
+    "below_autograd",
+    "function_caller",
+    "has_kernel",
+    "in_forward_ad",
+    "in_function_transform",
+    "kernel_caller",
+    "schema_of",
+    "unwrap_dead_wrappers",
+]
+
+# Whether torch.func.vmap, grad, vjp, jvp or functionalize is active. Waits for a public predicate in torch.func.
+in_function_transform = _are_functorch_transforms_active
+
+# Calls inside skip autograd's dispatch key and reach the kernel. Python's counterpart of the public C++ class
+# at::AutoDispatchBelowAutograd; waits for a public one, such as a context manager in torch.library.
+below_autograd = _AutoDispatchBelowAutograd
+
+# `unwrap_dead_wrappers(tensors)`: the tensors without the wrappers of transforms that have returned. Waits for a
+# ctx.saved_tensors of autograd.Function that unwraps them.
+
+# `TorchDispatchMode`: sees every operator that runs. torch's documentation of extensions describes it, but there is no
+# public module to import it from; waits for torch.utils.python_dispatch.
+
+
+def in_forward_ad() -> bool:
+    """Whether a level of forward-mode differentiation is open. Waits for a public predicate in torch.autograd.forward_ad."""
+    return forward_ad._current_level >= 0
+
+
+def has_kernel(operator: str, dispatch_key: str) -> bool:
+    """Whether `operator`, say "kvision::sobel", has a kernel for a key, say "CUDA". Waits for a query in torch.library."""
+    return torch._C._dispatch_has_kernel_for_dispatch_key(operator, dispatch_key)
+
+
+def schema_of(operator: OpOverload) -> Any:
+    """The schema, which lists `arguments` and `returns`. Waits for a public attribute of OpOverload."""
+    return operator._schema
+
+
+def kernel_caller(operator: OpOverload | None) -> Callable[..., Any] | None:
+    """What `operator` calls, without the Python frame around it. Waits for an OpOverload whose call is in C++."""
+    return getattr(operator, "_op", None)
+
+
+def function_caller(function: type[torch.autograd.Function]) -> Callable[..., Any]:
+    """`function.apply` without its Python part, which binds arguments to their names and serves torch.func only.
+
+    It is the apply of the private base class of autograd.Function. Waits for an apply that is in C++ as a whole.
+    """
+    return super(torch.autograd.Function, function).apply  # type: ignore[misc]  # stubs lack the base class

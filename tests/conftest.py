@@ -19,7 +19,7 @@ import hypothesis
 import pytest
 import torch
 
-import kvision as K
+from kvision import _ops
 from op_tests import OpTests
 
 hypothesis.settings.register_profile("quick", max_examples=30, deadline=None, derandomize=True)
@@ -40,11 +40,11 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def backend(request: pytest.FixtureRequest):
-    """Everything runs on this backend; "native" makes a silent fall-back to the reference an error where it matters."""
+def backend(request: pytest.FixtureRequest) -> str:
+    """Everything runs on this backend, in all threads; "native" is the kernels where there are some."""
     name = request.config.getoption("--backend")
-    with K.backend("reference" if name == "reference" else "auto"):
-        yield name
+    _ops.set_default_backend("reference" if name == "reference" else "auto")
+    return name
 
 
 @pytest.fixture(scope="session")

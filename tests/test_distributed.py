@@ -66,7 +66,7 @@ def work(rank: int, folder: Path) -> None:
 
 def test_processes_learn_what_one_process_learns(tmp_path: Path) -> None:
     command = [sys.executable, __file__, str(tmp_path)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "KVISION_BACKEND": _ops._backend}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "KVISION_BACKEND": _ops.current_backend()}
     workers = [subprocess.Popen([*command, str(rank)], env=environment) for rank in range(PROCESSES)]
     try:
         model = Model()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 import torch
@@ -20,11 +22,11 @@ def run(code: str, **environment: str) -> subprocess.CompletedProcess:
 
 
 def test_backend_is_restored_after_an_error(backend):
-    before = _ops._backend
+    before = _ops.current_backend()
     with pytest.raises(ZeroDivisionError), K.backend("reference"):
-        assert _ops._backend == "reference"
+        assert _ops.current_backend() == "reference"
         raise ZeroDivisionError
-    assert _ops._backend == before
+    assert _ops.current_backend() == before
 
 
 def test_unknown_backend():
@@ -159,3 +161,244 @@ print(megabytes() - before, y.data_ptr() % 64)
 
 def test_graphs_that_torch_keeps_on_disk_are_of_this_version():
     assert f"kvision {K.__version__}" in torch.compiler.config.cache_key_tag
+
+
+# --- the backend of threads and tasks ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def default_backend():
+    before = _ops._default_backend
+    _ops.set_default_backend("auto")
+    yield "auto"
+    _ops.set_default_backend(before)
+
+
+def test_threads_choose_their_own_backend(default_backend):
+    both_inside, results = threading.Barrier(2), {}
+
+    def work(name):
+        before = _ops.current_backend()
+        with K.backend(name):
+            both_inside.wait()
+            results[name] = before, _ops.current_backend(), _ops.serves("sobel", torch.zeros(1, 1, 2, 2, device="cpu"))
+            both_inside.wait()
+
+    threads = [threading.Thread(target=work, args=(name,)) for name in ("reference", "auto")]
+    with K.backend("native"):  # not theirs
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert _ops.current_backend() == "native"
+    kernel = "reference" if "cpu" in _ops.unserved else "native"
+    assert results == {"reference": ("auto", "reference", "reference"), "auto": ("auto", "auto", kernel)}
+    assert not _ops._ask_backend and _ops._blocks == 0
+
+
+def test_tasks_choose_their_own_backend(default_backend):
+    async def work(name, other):
+        with K.backend(name):
+            await asyncio.sleep(0)
+            with K.backend(other):
+                await asyncio.sleep(0)
+                inner = _ops.current_backend()
+            await asyncio.sleep(0)
+            return inner, _ops.current_backend()
+
+    async def outside():
+        await asyncio.sleep(0)
+        return _ops.current_backend()
+
+    async def main():
+        return await asyncio.gather(work("reference", "native"), work("native", "auto"), outside())
+
+    assert asyncio.run(main()) == [("native", "reference"), ("auto", "native"), "auto"]
+    assert not _ops._ask_backend and _ops._blocks == 0
+
+
+def test_blocks_nest_and_survive_errors(default_backend):
+    with K.backend("reference"):
+        with pytest.raises(ZeroDivisionError), K.backend("native"):
+            raise ZeroDivisionError
+        assert _ops.current_backend() == "reference"
+        with pytest.raises(ValueError, match="expected one of"), K.backend("fast"):
+            pass
+        assert _ops.current_backend() == "reference"
+    assert _ops.current_backend() == "auto" and not _ops._ask_backend
+
+
+def test_a_decorated_function_runs_in_its_backend(default_backend):
+    assert K.backend("reference")(_ops.current_backend)() == "reference"
+    assert _ops.current_backend() == "auto"
+
+
+def test_gradients_are_served_as_their_call(default_backend, device):
+    """On whatever thread autograd computes them, in whatever block that is."""
+    if device.type in _ops.unserved:
+        pytest.skip("this test is about the kernels")
+    x = torch.rand(1, 1, 4, 4, device=device, requires_grad=True)
+    backward, served = _ops.operators["sobel"], []
+    original = backward.backward
+    backward.backward = lambda *args: (served.append(_ops.current_backend()), original(*args))[1]
+    try:
+        with K.backend("native"):
+            y = K.filters.sobel(x)
+        y.sum().backward()
+        with K.backend("reference"):
+            K.filters.sobel(x)
+        y = K.filters.sobel(x)
+        with K.backend("native"):
+            y.sum().backward()
+    finally:
+        backward.backward = original
+    assert served == ["native", "auto"]
+
+
+def test_compiled_functions_follow_the_backend(default_backend):
+    if "cpu" in _ops.unserved:
+        pytest.skip("this test is about the kernels")
+    graphs = []
+
+    def compiler(graph, inputs):
+        graphs.append("kvision.sobel" in graph.code)
+        return graph
+
+    torch.compiler.reset()
+    compiled = torch.compile(lambda x: K.filters.sobel(x), backend=compiler, fullgraph=True)
+    inside = torch.compile(lambda x: _sobel_of_reference(x), backend=compiler, fullgraph=True)
+    x = torch.rand(1, 1, 4, 4)
+    compiled(x)
+    with K.backend("reference"):
+        compiled(x)
+        thread = threading.Thread(target=compiled, args=(x,))
+        thread.start()
+        thread.join()
+    compiled(x)
+    assert graphs[:3] == [True, False, True]
+    inside(x)
+    assert not graphs[-1] and _ops.current_backend() == "auto"
+    torch.compiler.reset()
+
+
+def _sobel_of_reference(x):
+    with K.backend("reference"):
+        return K.filters.sobel(x)
+
+
+def test_an_empty_variable_chooses_auto():
+    code = "import kvision as K; print(K._ops.current_backend())"
+    result = run(code, KVISION_BACKEND="")
+    assert result.stdout.strip() == "auto", result.stderr
+
+
+# --- calls that no kernel serves --------------------------------------------------------------------------------------
+
+
+def labels(size):
+    return torch.zeros(size, dtype=torch.int64)
+
+
+UNSUPPORTED = {
+    "focal": lambda: K.losses.focal_loss(torch.zeros(1, 225, 2, 2), labels((1, 2, 2)), reduction="mean"),
+    "overlap": lambda: K.losses.dice_loss(torch.zeros(1, 225, 2, 2), labels((1, 2, 2))),
+    "binary_focal": lambda: K.losses.binary_focal_loss_with_logits(
+        torch.zeros(1, 2, 2, 2), torch.zeros(1, 2, 2, 2), weight=torch.ones(2), reduction="mean"
+    ),
+    "lovasz": lambda: K.losses.lovasz_softmax_loss(torch.zeros(0, 2, 2, 2), labels((0, 2, 2))),
+    "hausdorff": lambda: K.losses.HausdorffERLoss(k=1001)(torch.zeros(1, 2, 2, 2), labels((1, 1, 2, 2))),
+    "smoothness": lambda: K.losses.inverse_depth_smoothness_loss(torch.zeros(1, 2, 2, 2), torch.zeros(1, 3, 2, 2)),
+    "ms_ssim": lambda: K.losses.MS_SSIMLoss(sigmas=(0.5,) * 17)(torch.zeros(1, 1, 4, 4), torch.zeros(1, 1, 4, 4)),
+    "endpoint_error": lambda: K.metrics.aepe(torch.zeros(0, 2), torch.zeros(0, 2)),
+    "split_chroma": lambda: K.color.rgb_to_yuv420(torch.zeros(1, 3, 0, 4)),
+    "join_chroma": lambda: K.color.yuv420_to_rgb(torch.zeros(1, 1, 0, 4), torch.zeros(1, 2, 0, 2)),
+    "apply_colormap": lambda: K.color.apply_colormap(torch.zeros(1, 1, 0, 4), K.color.ColorMap("jet")),
+}
+
+
+@pytest.mark.parametrize("name", UNSUPPORTED)
+def test_native_says_why_no_kernel_serves_the_arguments(name, backend):
+    if backend == "reference" or "cpu" in _ops.unserved:
+        pytest.skip("this test is about the kernels")
+    with K.backend("auto"):
+        UNSUPPORTED[name]()
+    with (
+        K.backend("native"),
+        pytest.raises(RuntimeError, match=f"^{name}: backend 'native' was asked for, but there is"),
+    ):
+        UNSUPPORTED[name]()
+
+
+def test_native_says_why_programs_and_gradients_of_long_rows_are_not_served():
+    program, gradient = (_ops.operators[n].supports for n in ("color_program", "filter2d_separable_weights_backward"))
+    plan = [0, -1, 1, 0]
+    assert program(torch.zeros(1, 3, 2, 2), None, plan, []) is None
+    assert (
+        program(torch.zeros(1, 3, 2, 2, dtype=torch.float64), None, plan, [])
+        == "there is no kernel from torch.float64 to torch.uint8"
+    )
+    long, short, x = torch.zeros(1, 129), torch.zeros(1, 3), torch.zeros(1, 1, 2, 2)
+    assert gradient(long, short, x, x) is None
+    assert "129 taps" in gradient(long, short, x.to("meta"), x)
+    assert gradient(short, short, x.to("meta"), x) is None
+
+
+def test_every_condition_is_stated_in_info():
+    from kvision import info
+
+    text = info.report()
+    conditional = {n: o for n, o in _ops.operators.items() if o.supports or o.nondeterministic}
+    assert len(conditional) >= 19
+    for name, operator in conditional.items():
+        assert isinstance(operator, _ops.ConditionalOperator) and operator.conditions()
+        for condition in operator.conditions():
+            assert condition.endswith(".") and f"  {name}: {condition}\n" in text
+
+
+@pytest.fixture
+def made_operator():
+    def make(reference, **rules):
+        """An operator whose kernel is sobel's."""
+        sobel = _ops.operators["sobel"]
+        operator = _ops.ConditionalOperator("sobel_again", reference, **rules)
+        operator.unserved, operator.kernel, operator._call_kernel = sobel.unserved, sobel.kernel, sobel._call_kernel
+        operator._on_cpu, operator._on_cuda = sobel._on_cpu, sobel._on_cuda
+        return operator
+
+    return make
+
+
+@pytest.mark.parametrize("rule", [True, lambda x, *_: x.shape[2] > 4], ids=["always", "predicate"])
+def test_nondeterministic_kernels_give_way_to_the_reference(made_operator, rule, default_backend, device):
+    if device.type in _ops.unserved:
+        pytest.skip("this test is about the kernels")
+    operator = made_operator(lambda x, *_: torch.full_like(x, 7), nondeterministic=rule)
+    small, large = torch.zeros(1, 1, 2, 2, device=device), torch.zeros(1, 1, 6, 6, device=device)
+
+    def takes_reference(x):
+        return bool((operator(x, False, 0.0) == 7).all())
+
+    assert not takes_reference(small) and not takes_reference(large)
+    torch.use_deterministic_algorithms(True)
+    try:
+        assert takes_reference(large)
+        assert takes_reference(small) == (rule is True)
+        with K.backend("native"), pytest.raises(RuntimeError, match="sobel_again: .*is not deterministic"):
+            operator(large, False, 0.0)
+    finally:
+        torch.use_deterministic_algorithms(False)
+
+
+def test_gradients_that_kernels_sum_by_atomics_are_declared():
+    """On CUDA alone, and for warps only with padding modes whose gradient is not gathered."""
+    names = {n for n, o in _ops.operators.items() if o.nondeterministic}
+    assert names == {
+        "depth_warp_image_gradient",
+        "quadratic_peaks_backward",
+        "remap_image_gradient",
+        "warp3d_volume_gradient",
+        "warp_image_gradient",
+    }
+    x, matrix = torch.zeros(1, 1, 2, 2), torch.zeros(1, 2, 3)
+    for name in names:
+        assert not _ops.operators[name].nondeterministic(x, matrix, [2, 2], "bilinear", "border")

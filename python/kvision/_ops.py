@@ -17,19 +17,28 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import torch
 import torch.compiler.config
 from torch import Tensor, is_grad_enabled
-from torch._C import _are_functorch_transforms_active, _AutoDispatchBelowAutograd
-from torch._functorch.utils import unwrap_dead_wrappers
-from torch.autograd import forward_ad
 from torch.compiler import is_compiling
 
+from kvision._torch_compat import (
+    below_autograd,
+    function_caller,
+    has_kernel,
+    in_forward_ad,
+    in_function_transform,
+    kernel_caller,
+    schema_of,
+    unwrap_dead_wrappers,
+)
 from kvision._version import __version__
 from kvision.core.exceptions import ValueCheckError
 
@@ -83,9 +92,37 @@ def _checked_backend(name: str) -> str:
     return name
 
 
-_backend = _checked_backend(os.environ.get("KVISION_BACKEND", "auto"))
+def set_default_backend(name: str) -> None:
+    """Set what serves calls outside of `backend` blocks, in all threads; KVISION_BACKEND does it when kvision is imported."""
+    global _default_backend, _ask_backend
+    with _blocks_lock:
+        _default_backend = _checked_backend(name)
+        _ask_backend = _blocks > 0 or _default_backend != "auto"
 
-if "cpu" in unserved and _backend == "auto":
+
+class _ThreadBackend(threading.local):
+    """The backend of the block that a thread entered last. torch.compile can guard on it, but not on a ContextVar."""
+
+    def __init__(self) -> None:
+        self.name: str | None = None
+
+
+_task_backend: ContextVar[str | None] = ContextVar("kvision_backend", default=None)
+_thread_backend = _ThreadBackend()
+_blocks, _blocks_lock = 0, threading.Lock()  # how many blocks are open in the process
+# Whether a call has to ask current_backend(), which costs more than this global. False in a process that chooses nothing.
+_ask_backend = False
+_default_backend = "auto"
+set_default_backend(os.environ.get("KVISION_BACKEND") or "auto")
+
+
+def current_backend() -> str:
+    """What this task has chosen: the name of its innermost `backend` block, else the default of the process."""
+    name = _thread_backend.name if is_compiling() else _task_backend.get()
+    return _default_backend if name is None else name
+
+
+if "cpu" in unserved and _default_backend == "auto":
     warnings.warn(
         f"kvision computes everything in plain torch, which is slower: {unserved['cpu']}. `python -m kvision.info` says "
         "what to do; KVISION_BACKEND=reference in the environment accepts it.",
@@ -98,10 +135,20 @@ if "cpu" in unserved and _backend == "auto":
 def backend(name: str) -> Iterator[None]:
     """Choose what serves kvision's operators inside a `with` block.
 
+    The choice holds for the thread and, under asyncio, the task that entered the block; a thread started inside begins
+    with the default of the process. Gradients are served as the call that they belong to was. A function compiled by
+    torch.compile follows the block that its thread entered last, also where tasks take turns in this thread.
+
     Args:
         name: "auto" takes the kernel where there is one and the reference elsewhere; "reference" always takes the
             pure-torch reference; "native" makes a missing kernel an error that says what is missing. The environment
-            variable KVISION_BACKEND sets the choice for the whole process.
+            variable KVISION_BACKEND sets the default of the process.
+
+    Returns:
+        A context manager, which is also a decorator of functions.
+
+    Raises:
+        ValueCheckError: `name` is none of the three.
 
     Example:
         >>> import torch, kvision as K
@@ -110,12 +157,40 @@ def backend(name: str) -> Iterator[None]:
         tensor([[[[0.0010, 0.0010],
                   [0.0010, 0.0010]]]])
     """
-    global _backend
-    previous, _backend = _backend, _checked_backend(name)
+    _checked_backend(name)
+    if is_compiling():
+        with _traced_backend(name):
+            yield
+        return
+    task, thread = _task_backend.get(), _thread_backend.name
+    _count_blocks(1)
+    _task_backend.set(name)
+    _thread_backend.name = name
     try:
         yield
     finally:
-        _backend = previous
+        _task_backend.set(task)  # not reset(): an asynchronous generator may end in another context
+        _thread_backend.name = thread
+        _count_blocks(-1)
+
+
+@contextlib.contextmanager
+def _traced_backend(name: str) -> Iterator[None]:
+    """`backend` in terms that torch.compile traces: neither locks nor ContextVars."""
+    global _ask_backend
+    ask, thread = _ask_backend, _thread_backend.name
+    _ask_backend, _thread_backend.name = True, name
+    try:
+        yield
+    finally:
+        _ask_backend, _thread_backend.name = ask, thread
+
+
+def _count_blocks(change: int) -> None:
+    global _blocks, _ask_backend
+    with _blocks_lock:
+        _blocks += change
+        _ask_backend = _blocks > 0 or _default_backend != "auto"
 
 
 operators: dict[str, Operator] = {}
@@ -128,7 +203,7 @@ def _unserved(name: str) -> dict[str, str]:
         if "cpu" in unserved or device in unserved:
             continue
         declared = hasattr(torch.ops.kvision, name)
-        if not declared or not torch._C._dispatch_has_kernel_for_dispatch_key(f"kvision::{name}", device.upper()):
+        if not declared or not has_kernel(f"kvision::{name}", device.upper()):
             reasons[device] = f"{name} is not in {library}, which is older: build kvision again"
     return reasons
 
@@ -143,7 +218,8 @@ def serves(name: str, x: Tensor) -> str:
 
 def register(name: str, reference: Callable[..., Any], **rules: Any) -> Operator:
     """Tie the kernels of `torch.ops.kvision.<name>` to their reference; see Operator for the rules."""
-    operators[name] = Operator(name, reference, **rules)
+    conditional = rules.get("supports") or rules.get("nondeterministic")
+    operators[name] = (ConditionalOperator if conditional else Operator)(name, reference, **rules)
     return operators[name]
 
 
@@ -169,11 +245,14 @@ class Operator:
         bytes: the kernels take uint8, too.
         labels: the first tensor holds int64 or uint8, and the kernels take no other types.
         native_half: the reference takes half types as they are, because how they round is part of the result.
-        autocast: dtype that floating tensors are cast to under torch.autocast; default: computes as outside of it,
-            which is safe for filters: they store half types but compute in float32.
-        casts_outputs: the reference itself stores its results as the kernels do, say in another type than the first tensor's.
-        deterministic: False when a kernel may give other bits on a second run; torch.use_deterministic_algorithms then
-            raises or warns as it does for torch's own operators.
+        casts_outputs: the reference itself casts its results as the kernels do, say to another type than the first
+            tensor's.
+        supports: `supports(*args)` returns None, or the reason why no kernel serves these arguments: then the reference
+            does, and backend("native") raises with the reason. Its docstring says the same for all arguments;
+            kvision.info() shows the first line.
+        nondeterministic: True, or a function of the arguments that tells whether the kernel may give other bits on a
+            second run. Under torch.use_deterministic_algorithms the reference then serves, whose own operators raise
+            or warn if they are not deterministic either.
     """
 
     def __init__(
@@ -189,9 +268,9 @@ class Operator:
         bytes: bool = False,
         labels: bool = False,
         native_half: bool = False,
-        autocast: torch.dtype | None = None,
         casts_outputs: bool = False,
-        deterministic: bool = True,
+        supports: Callable[..., str | None] | None = None,
+        nondeterministic: bool | Callable[..., bool] = False,
     ) -> None:
         self.name = name
         self.definition = reference
@@ -203,58 +282,59 @@ class Operator:
         self.non_differentiable = non_differentiable
         self.linear = linear
         self.dtypes = (torch.int64, torch.uint8) if labels else (*FLOATS, torch.uint8) if bytes else FLOATS
-        self.autocast = autocast
-        self.deterministic = deterministic
+        self.supports = supports
+        self.nondeterministic = nondeterministic
         self._fake_sizes = fake
         self.unserved = _unserved(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
         self.function = self._make_function()
-        # Function.apply without its Python part, which binds the arguments to their names and serves torch.func only.
-        self._apply = super(torch.autograd.Function, self.function).apply
-        # The same of the kernel, which calls this.
-        self._call_kernel = getattr(self.kernel, "_op", None)
+        self._apply = function_caller(self.function)
+        self._call_kernel: Any = kernel_caller(self.kernel)
         # The types that kernels serve; looked up on every call.
         self._on_cpu, self._on_cuda = (
             frozenset(() if device in self.unserved else self.dtypes) for device in ("cpu", "cuda")
         )
 
-    # In one frame, of names that are found at once: with less of both this was a sixth of the time of a small call.
+    # In one frame, of names that are looked up at once: with less of both this was a sixth of the time of a small call.
     def __call__(self, *args: Any) -> Any:
         x = args[0]
-        if self.autocast is not None and torch.is_autocast_enabled(x.device.type):
-            args = tuple(a.to(self.autocast) if isinstance(a, Tensor) and a.is_floating_point() else a for a in args)
-            x = args[0]
         served = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
-        if (_backend != "auto" or x.dtype not in served) and not self.is_native(x):
+        if (_ask_backend or x.dtype not in served) and not self.is_native(x):
             return self.reference(*args)
         if is_compiling():
             return self.kernel(*args)
-        if not self.deterministic and torch.are_deterministic_algorithms_enabled():
-            self._alert_not_deterministic()
-        if _are_functorch_transforms_active():
+        if in_function_transform():
             return self.function.apply(*args)
         if is_grad_enabled():
             for a in args[: self.tensors]:
                 if a is not None and a.requires_grad:
                     return self._apply(*args)
-        if forward_ad._current_level >= 0:
+        if in_forward_ad():
             return self._apply(*args)
-        with _AutoDispatchBelowAutograd():
+        with below_autograd():
             return self._call_kernel(*args)
 
-    # The one predicate.
+    # The one predicate on devices and types; ConditionalOperator adds one on the other arguments.
     def is_native(self, x: Tensor) -> bool:
         """Whether the kernels serve a call on `x`; raises under backend("native") where they do not."""
-        if _backend == "reference":
+        chosen = current_backend()
+        if chosen == "reference":
             return False
         if x.dtype in (self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()):
             return True
-        if _backend == "native":
+        if chosen == "native":
             device = x.device.type
-            reason = self.unserved.get(device) or f"there is no kernel for {x.dtype} on {device}"
-            raise RuntimeError(f"{self.name}: backend 'native' was asked for, but {reason}; see kvision.info()")
+            self._refuse(self.unserved.get(device) or f"there is no kernel for {x.dtype} on {device}")
         return False
+
+    def conditions(self) -> list[str]:
+        """What has to hold for the kernels to serve a call, besides its device and type."""
+        stated = [(self.supports.__doc__ or "").partition("\n")[0]] if self.supports else []
+        return [*stated, "torch.use_deterministic_algorithms is off."] if self.nondeterministic else stated
+
+    def _refuse(self, reason: str) -> None:
+        raise RuntimeError(f"{self.name}: backend 'native' was asked for, but {reason}; see kvision.info()")
 
     # --- registration with torch ---
 
@@ -272,7 +352,7 @@ class Operator:
         operator = self
 
         def forward(*args: Any) -> Any:
-            with _AutoDispatchBelowAutograd():
+            with below_autograd():
                 return operator._call_kernel(*args)
 
         rules = {
@@ -297,7 +377,7 @@ class Operator:
         """How many arguments are tensors or None; they come first."""
         if self.kernel is None:
             return 0
-        return sum("Tensor" in str(a.type) for a in self.kernel._schema.arguments)
+        return sum("Tensor" in str(a.type) for a in schema_of(self.kernel).arguments)
 
     def _setup_context(self, ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         tensors = inputs[: self.tensors]
@@ -310,9 +390,11 @@ class Operator:
             ctx.mark_non_differentiable(*(_as_tuple(output)[i] for i in self.non_differentiable))
             ctx.set_materialize_grads(False)  # no zeros for these
         ctx.save_for_backward(*tensors)
-        if forward_ad._current_level >= 0:
+        if in_forward_ad():
             ctx.save_for_forward(*tensors)
         ctx.plain = inputs[self.tensors :]
+        # autograd differentiates on a thread of its own for CUDA, which is in no block.
+        ctx.backend = current_backend() if _ask_backend else None
 
     def _is_linear_map(self, tensors: Sequence[Tensor | None]) -> bool:
         """Whether the result is linear in all the tensors there are, that is, in the first one."""
@@ -331,7 +413,11 @@ class Operator:
         grads, saved = unwrap_dead_wrappers(grads), unwrap_dead_wrappers(ctx.saved_tensors)
         if self._is_linear_map(saved):
             saved = (ctx.sizes, *saved[1:])
-        input_grads = self.backward(needs, *grads, *saved, *ctx.plain)
+        if ctx.backend is None and not _ask_backend:
+            input_grads = self.backward(needs, *grads, *saved, *ctx.plain)
+        else:
+            with backend(ctx.backend or _default_backend):
+                input_grads = self.backward(needs, *grads, *saved, *ctx.plain)
         return (*input_grads, *(None,) * (len(needs) - len(input_grads)))
 
     def _jvp(self, ctx: Any, *tangents: Tensor | None) -> Any:
@@ -348,7 +434,7 @@ class Operator:
         if not self.non_differentiable:
             return output_tangents
         rest = iter(output_tangents)
-        outputs = range(len(self.kernel._schema.returns))
+        outputs = range(len(schema_of(self.kernel).returns))
         return tuple(None if i in self.non_differentiable else next(rest) for i in outputs)
 
     def differentiate_reference(self, needs: Sequence[bool], *grads_and_args: Any) -> list[Tensor | None]:
@@ -375,14 +461,41 @@ class Operator:
 
         return f
 
-    def _alert_not_deterministic(self) -> None:
-        if torch.is_deterministic_algorithms_warn_only_enabled():
-            warnings.warn(f"{self.name} does not have a deterministic implementation", stacklevel=3)
-        else:
-            raise RuntimeError(
-                f"{self.name} does not have a deterministic implementation, but you set "
-                "'torch.use_deterministic_algorithms(True)'"
-            )
+
+class ConditionalOperator(Operator):
+    """An operator whose kernel does not serve every call: one with `supports` or `nondeterministic`."""
+
+    def __call__(self, *args: Any) -> Any:
+        reason = self.why_reference(*args)
+        if reason is None:
+            return Operator.__call__(self, *args)
+        if current_backend() == "native":
+            self._refuse(reason)
+        return self.reference(*args)
+
+    def why_reference(self, *args: Any) -> str | None:
+        """The reason why the reference serves these arguments, or None where the kernel may."""
+        if self.supports is not None and (reason := self.supports(*args)) is not None:
+            return reason
+        if self.nondeterministic and torch.are_deterministic_algorithms_enabled():
+            if self.nondeterministic is True or self.nondeterministic(*args):
+                return "its kernel is not deterministic and torch.use_deterministic_algorithms is on"
+        return None
+
+
+def not_empty(x: Tensor, *_: Any) -> str | None:
+    """The first tensor has at least one element."""
+    return None if x.numel() else f"there is no kernel for empty tensors, here {tuple(x.shape)}"
+
+
+def has_pixels(x: Tensor, *_: Any) -> str | None:
+    """Images have at least one pixel."""
+    return None if x.shape[2:].numel() else f"there is no kernel for images without pixels, here {tuple(x.shape)}"
+
+
+def on_cuda(x: Tensor, *_: Any) -> bool:
+    """The `nondeterministic` of operators whose CUDA kernels add by atomics."""
+    return x.is_cuda
 
 
 def transpose(reference: Callable[..., Tensor]) -> Callable[..., Tensor]:

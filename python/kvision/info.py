@@ -108,7 +108,7 @@ def _has_code_for(architectures: str, capability: int) -> bool:
 def _operators() -> Iterator[str]:
     names = sorted(name for name in _ops.operators if "backward" not in name)
     width = max(map(len, names), default=0)
-    yield f"Operators (backend {_ops._backend!r}): what the kernels serve, gradients likewise"
+    yield f"Operators (backend {_ops.current_backend()!r}): what the kernels serve, gradients likewise"
     yield f"  {'':{width}}  {'cpu':42}  cuda"
     for name in names:
         served = [" ".join(_served(name, device)) or "reference" for device in ("cpu", "cuda")]
@@ -116,18 +116,22 @@ def _operators() -> Iterator[str]:
     for operator in _ops.operators.values():  # those for backward, too, which the table leaves out
         yield from (f"  {reason}" for device, reason in operator.unserved.items() if device not in _ops.unserved)
     yield "Everything else is served by the reference: the same results from plain torch, slower."
+    yield ""
+    yield "Conditions: where they do not hold the reference serves, and backend 'native' raises"
+    for name, operator in sorted(_ops.operators.items()):
+        yield from (f"  {name}: {condition}" for condition in operator.conditions())
 
 
 def _served(name: str, device: str) -> list[str]:
     operator = _ops.operators[name]
-    if device in operator.unserved or _ops._backend == "reference":
+    if device in operator.unserved or _ops.current_backend() == "reference":
         return []
     return [str(dtype).removeprefix("torch.") for dtype in _DTYPES if dtype in operator.dtypes]
 
 
 def _next_steps() -> Iterator[str]:
     steps = []
-    if _ops._backend == "reference":
+    if _ops.current_backend() == "reference":
         steps.append("for the kernels, unset KVISION_BACKEND or leave the block `with kvision.backend('reference')`.")
     if "cpu" in _ops.unserved:
         steps.append(

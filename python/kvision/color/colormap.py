@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from kvision import _check
-from kvision._ops import register
+from kvision._ops import has_pixels, register
 from kvision.color import colormap_data
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
@@ -138,7 +138,7 @@ def _fake(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:
     return x.new_empty((b, 3 * c, *size))
 
 
-_table = register("apply_colormap", _reference, fake=_fake)
+_table = register("apply_colormap", _reference, fake=_fake, supports=has_pixels)
 
 
 def apply_colormap(input_tensor: Tensor, colormap: ColorMap) -> Tensor:
@@ -190,8 +190,7 @@ def _apply(x: Tensor, colors: Tensor) -> Tensor:
     else:
         x = x.float()
         white = x.new_full(x.shape[:2], 255)
-    table = _table if x.shape[2:].numel() else _table.reference  # kernels take no images without pixels
-    return table(x, white, colors[None].to(x.dtype)).to(colors.dtype)
+    return _table(x, white, colors[None].to(x.dtype)).to(colors.dtype)
 
 
 class ApplyColorMap(nn.Module):

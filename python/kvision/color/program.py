@@ -183,7 +183,17 @@ def _backward_around_mean(needs, grad, _, y, mean, *arguments):
     return _backward(needs, grad, *arguments, mean=mean)
 
 
-_program = register("color_program", _reference, fake=_result, backward=_backward, bytes=True, casts_outputs=True)
+def _supports(x: Tensor, *arguments: Any) -> str | None:
+    """Images and results are both float64, or neither is: kernels compute in one type."""
+    dtype = arguments[-2][0]
+    if dtype == _SAME or (x.dtype == torch.float64) == (_DTYPES[dtype] == torch.float64):
+        return None
+    return f"there is no kernel from {x.dtype} to {_DTYPES[dtype]}"
+
+
+_program = register(
+    "color_program", _reference, fake=_result, backward=_backward, bytes=True, casts_outputs=True, supports=_supports
+)
 _program_around_mean = register(
     "color_program_around_mean",
     _reference_around_mean,
@@ -193,6 +203,7 @@ _program_around_mean = register(
     non_differentiable=(1,),
     bytes=True,
     casts_outputs=True,
+    supports=_supports,
 )
 _program_backward = register("color_program_backward", _reference_backward, fake=_gradients, casts_outputs=True)
 
@@ -266,9 +277,7 @@ def _run(
 ) -> Tensor:
     has_mean = CONTRAST in steps
     operator = _program_around_mean if has_mean else _program
-    has_kernel = dtype is None or (x.dtype == torch.float64) == (dtype == torch.float64)  # one compute dtype
-    call = operator if has_kernel else operator.reference
-    y = call(x, *parameters.tensors, order, _plan(dtype, layout, steps, parameters.columns), parameters.numbers)
+    y = operator(x, *parameters.tensors, order, _plan(dtype, layout, steps, parameters.columns), parameters.numbers)
     return y[0] if has_mean else y
 
 

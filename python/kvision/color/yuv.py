@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from kvision import _check
 from kvision._dtype import floats
 from kvision._leading import apply_on_batch, flatten_batch
-from kvision._ops import register
+from kvision._ops import has_pixels, register
 from kvision.color.matrix import Matrix, affine, inverse, mixed
 from kvision.core.exceptions import ShapeError
 
@@ -64,12 +64,15 @@ def _backward_of_join(needs, grad, luma, chroma, rows, numbers):
     return of_luma, of_chroma.sum_to_size(chroma.shape)
 
 
-_split_chroma = register("split_chroma", _split, fake=_fake_split, backward=_backward_of_split, linear=True)
+_split_chroma = register(
+    "split_chroma", _split, fake=_fake_split, backward=_backward_of_split, linear=True, supports=has_pixels
+)
 _join_chroma = register(
     "join_chroma",
     _join,
     fake=lambda luma, *_: luma.new_empty((luma.shape[0], 3, *luma.shape[2:])),
     backward=_backward_of_join,
+    supports=has_pixels,
 )
 # The chroma of means is the mean of the chroma.
 _SPLITS = {rows: [w / n for n, row in zip((1, 2 * rows, 2 * rows), YUV_FROM_RGB) for w in row] for rows in (1, 2)}
@@ -77,13 +80,11 @@ _JOINS = [w for row in RGB_FROM_YUV for w in row]
 
 
 def _subsampled(x: Tensor, rows: int) -> tuple[Tensor, Tensor]:
-    split = _split_chroma if x.shape[2:].numel() else _split_chroma.reference  # kernels take no images without pixels
-    return split(x, rows, _SPLITS[rows])
+    return _split_chroma(x, rows, _SPLITS[rows])
 
 
 def _upsampled(luma: Tensor, chroma: Tensor, rows: int) -> Tensor:
-    join = _join_chroma if luma.shape[2:].numel() else _join_chroma.reference
-    return join(luma, chroma.to(luma.dtype), rows, _JOINS)
+    return _join_chroma(luma, chroma.to(luma.dtype), rows, _JOINS)
 
 
 def rgb_to_yuv(image: Tensor) -> Tensor:

@@ -50,6 +50,17 @@ def _weights_size(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, *_: Any) -> 
     return (grad.shape[0], kernel_x.shape[1] + kernel_y.shape[1])
 
 
+_MAX_CUDA_TAPS = 128  # a GPU's shared memory holds the rows of the gradient and the sums
+
+
+def _weights_supports(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, *_: Any) -> str | None:
+    """On CUDA kernels have at most 128 taps."""
+    taps = max(kernel_x.shape[1], kernel_y.shape[1])
+    if taps <= _MAX_CUDA_TAPS or grad.is_cpu:
+        return None
+    return f"there is no kernel for gradients of {taps} taps, only for up to {_MAX_CUDA_TAPS}"
+
+
 def _backward(needs, grad, x, kernel_x, kernel_y, border, same):
     return [
         _transposed(grad, kernel_x, kernel_y, border, same) if needs[0] else None,
@@ -70,10 +81,7 @@ def weight_gradients(
     """The gradients to kernel_x and kernel_y, those that are needed, from the gradient to the filtered `x`."""
     if not (needs[0] or needs[1]):
         return [None, None]
-    largest = max(kernel_x.shape[1], kernel_y.shape[1])
-    fits = grad.device.type == "cpu" or largest <= 128  # a GPU's shared memory holds the rows of g and the sums
-    operator = _weights_backward if fits else _weights_backward.reference
-    both = operator(kernel_x, kernel_y, grad, x, border, same)
+    both = _weights_backward(kernel_x, kernel_y, grad, x, border, same)
     each = both.split((kernel_x.shape[1], kernel_y.shape[1]), 1)
     return [
         (part.sum(0, keepdim=True) if kernel.shape[0] == 1 else part) if need else None
@@ -85,7 +93,9 @@ _filter2d_separable = register("filter2d_separable", _reference, fake=_size, bac
 _transposed = register(
     "filter2d_separable_backward", _transposed_reference, fake=_transposed_size, backward=_transposed_backward
 )
-_weights_backward = register("filter2d_separable_weights_backward", _weights_reference, fake=_weights_size)
+_weights_backward = register(
+    "filter2d_separable_weights_backward", _weights_reference, fake=_weights_size, supports=_weights_supports
+)
 
 
 def filter2d_separable(

@@ -16,8 +16,8 @@ from kvision.losses.reduction import (
     as_arguments,
     check_labels,
     check_weight,
-    has_kernel,
     masked,
+    segmentation_supports,
     selected,
 )
 
@@ -74,7 +74,9 @@ _focal_backward = register(
     fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
-_focal = register("focal", _reference, fake=_fake, backward=_backward, casts_outputs=True)
+_focal = register(
+    "focal", _reference, fake=_fake, backward=_backward, casts_outputs=True, supports=segmentation_supports
+)
 
 
 def focal_loss(
@@ -124,9 +126,8 @@ def focal_loss(
         factor = 1 / count if count else float("nan")
     first, other = (factor, factor) if alpha is None else ((1 - alpha) * factor, alpha * factor)
     weight = None if weight is None else weight[None].to(compute_dtype(pred))
-    operator = _focal if has_kernel(pred) else _focal.reference
     terms = (first, other, gamma, *as_arguments(ignore_index), summed)
-    loss = operator(_as_images(pred, 2)[None], _as_images(target, 1)[None], weight, *terms)
+    loss = _focal(_as_images(pred, 2)[None], _as_images(target, 1)[None], weight, *terms)
     if summed:
         return as_dtype(loss.squeeze(), pred.dtype)
     index = target.clamp(0, pred.shape[1] - 1)[:, None]
@@ -206,16 +207,12 @@ def binary_focal_loss_with_logits(
     else:
         rows = pred.shape[0] * pred.shape[1]
         pixels = pred.numel() // rows if rows else 0
-        operator = _binary if pixels >= _FEW_PIXELS else _binary.reference
         ones = pred.new_ones(pred.shape[1], dtype=compute_dtype(pred))
         of_no = ones if weight is None else weight.to(ones.dtype)
         of_yes = of_no if pos_weight is None else of_no * pos_weight.to(ones.dtype)
         factors = (w.expand(pred.shape[0], -1).reshape(-1) for w in (of_yes, of_no))
-        loss = operator(pred.reshape(rows, pixels), target.reshape(rows, pixels), *factors, *terms)
+        loss = _binary(pred.reshape(rows, pixels), target.reshape(rows, pixels), *factors, *terms)
     return as_dtype(loss.sum() if summed else loss.view(pred.shape), pred.dtype)
-
-
-_FEW_PIXELS = 64  # of a class; rows of less are no work for a block on CUDA
 
 
 def _binary_reference(
@@ -271,13 +268,30 @@ def _binary_gradients(needs, grad, pred, target, yes, no, *plain):
     return found
 
 
+_MIN_PIXELS = 64  # of a class; shorter rows are too little work for a block on CUDA
+
+
+def _binary_supports(pred: Tensor, target: Tensor, yes: Tensor | None, no: Tensor | None, *_: Any) -> str | None:
+    """Factors of classes need at least 64 pixels a class."""
+    if (yes is None and no is None) or pred.shape[1] >= _MIN_PIXELS:
+        return None
+    return f"there is no kernel for factors of classes with {pred.shape[1]} pixels each, only from {_MIN_PIXELS} on"
+
+
 _binary_backward = register(
     "binary_focal_backward",
     _binary_slope,
     fake=lambda grad, pred, *_: pred.new_empty(grad.shape[0], pred.shape[1]),
     casts_outputs=True,
 )
-_binary = register("binary_focal", _binary_reference, fake=_binary_fake, backward=_binary_gradients, casts_outputs=True)
+_binary = register(
+    "binary_focal",
+    _binary_reference,
+    fake=_binary_fake,
+    backward=_binary_gradients,
+    casts_outputs=True,
+    supports=_binary_supports,
+)
 
 
 def _focus(op: str, alpha: float | None, gamma: float) -> tuple[float | None, float]:

@@ -9,11 +9,11 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import register, vjp
+from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.losses.reduction import selected
 
-_MOST_EROSIONS = 1000  # of the kernels
+_MAX_EROSIONS = 1000  # of the kernels
 
 
 def _reference(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> Tensor:
@@ -53,19 +53,25 @@ def _backward(needs, grad, *args):
     return [_hausdorff_backward(grad, *args) if needs[0] else None, None]
 
 
+def _supports(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> str | None:
+    """Predictions have at least one element, and there are at most 1000 erosions."""
+    if k > _MAX_EROSIONS:
+        return f"there is no kernel for {k} erosions, only for up to {_MAX_EROSIONS}"
+    return not_empty(pred)
+
+
 _hausdorff_backward = register(
     "hausdorff_backward",
     vjp(_reference),
     fake=lambda grad, pred, *_: torch.empty_like(pred, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
-_hausdorff = register("hausdorff", _reference, fake=_fake, backward=_backward, casts_outputs=True)
+_hausdorff = register("hausdorff", _reference, fake=_fake, backward=_backward, casts_outputs=True, supports=_supports)
 
 
 def _loss(pred: Tensor, target: Tensor, alpha: float, k: int, reduction: str) -> Tensor:
     wide = as_dtype(pred, compute_dtype(pred))
-    operator = _hausdorff if k <= _MOST_EROSIONS and pred.numel() > 0 else _hausdorff.reference
-    loss = operator(wide, target[:, 0], alpha, k, reduction != "none")
+    loss = _hausdorff(wide, target[:, 0], alpha, k, reduction != "none")
     if reduction == "none":
         loss = loss.movedim(1, 0)[:, :, None]
     else:

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
-from kvision._ops import register, vjp
+from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.losses.reduction import check_labels, check_weight, selected
 
@@ -65,13 +65,13 @@ _lovasz = register(
     saves_results=True,
     non_differentiable=(1,),
     casts_outputs=True,
+    supports=not_empty,
 )
 
 
 def _losses(pred: Tensor, target: Tensor, hinge: bool) -> Tensor:
     """(B, C), in the type that computes."""
-    operator = _lovasz if pred.numel() > 0 else _lovasz.reference
-    return operator(pred, target, hinge)[0]
+    return _lovasz(pred, target, hinge)[0]
 
 
 def lovasz_hinge_loss(pred: Tensor, target: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from kvision.metrics.ssim import _backward, _both_gradients, _like
 from kvision.metrics.ssim import _reference as similarity
 
 # What the kernels have memory for; csrc/metrics/ssim.h.
-_MOST_SCALES, _MOST_WEIGHTS = 16, 400
+_MAX_SCALES, _MAX_WEIGHTS = 16, 400
 
 
 def _reference(
@@ -35,6 +35,15 @@ def _reference(
     return (structure * (1 - similar) + absolute * difference).mean(1)
 
 
+def _supports(x: Tensor, y: Tensor, sigmas: Sequence[float], size: int, *_: float) -> str | None:
+    """Images have channels, there are at most 16 scales, and their windows have at most 400 weights in all."""
+    if len(sigmas) > _MAX_SCALES:
+        return f"there is no kernel for {len(sigmas)} scales, only for up to {_MAX_SCALES}"
+    if len(sigmas) * size > _MAX_WEIGHTS:
+        return f"there is no kernel for {len(sigmas)} windows of {size} pixels, only for {_MAX_WEIGHTS} pixels in all"
+    return None if x.shape[1] > 0 else "there is no kernel for images without channels"
+
+
 _ms_ssim = register(
     "ms_ssim",
     _reference,
@@ -49,6 +58,7 @@ _ms_ssim = register(
         ),
     ),
     casts_outputs=True,
+    supports=_supports,
 )
 
 
@@ -134,6 +144,5 @@ class MS_SSIMLoss(FunctionModule):
         structure = self.compensation * self.alpha
         absolute = self.compensation * (1 - self.alpha) / self.data_range
         arguments = list(map(float, self.sigmas)), size, c1, c2, structure, absolute
-        fits = len(self.sigmas) <= _MOST_SCALES and len(self.sigmas) * size <= _MOST_WEIGHTS and img1.shape[1] > 0
-        loss = (_ms_ssim if fits else _ms_ssim.reference)(img1, img2, *arguments)
+        loss = _ms_ssim(img1, img2, *arguments)
         return as_dtype(reduced(loss, self.reduction), img1.dtype)

@@ -11,7 +11,7 @@ from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
-from kvision.losses.reduction import as_arguments, check_labels, check_weight, has_kernel, masked, selected
+from kvision.losses.reduction import as_arguments, check_labels, check_weight, masked, segmentation_supports, selected
 
 
 def _reference(
@@ -95,6 +95,7 @@ _overlap = register(
     saves_results=True,
     non_differentiable=(1,),
     casts_outputs=True,
+    supports=segmentation_supports,
 )
 
 
@@ -108,9 +109,8 @@ def _loss(
     eps: float,
     ignore_index: int | None,
 ) -> Tensor:
-    operator = _overlap if has_kernel(pred) else _overlap.reference
     terms = (together, alpha, beta, eps, *as_arguments(ignore_index))
-    return as_dtype(operator(pred[None], target[None], weight, *terms)[0].squeeze(), pred.dtype)
+    return as_dtype(_overlap(pred[None], target[None], weight, *terms)[0].squeeze(), pred.dtype)
 
 
 def dice_loss(

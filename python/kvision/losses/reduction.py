@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
 from kvision import _check
+from kvision._ops import not_empty
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -54,9 +57,14 @@ def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torc
     return index, counts if ignore_index is None else counts.masked_fill(target == ignore_index, 0)
 
 
-def has_kernel(pred: Tensor) -> bool:
-    """Whether the kernels of segmentations take these logits; csrc/losses/segmentation_op.cpp."""
-    return pred.shape[1] <= 224 and pred.numel() > 0
+_MAX_CLASSES = 224  # of the kernels; csrc/losses/segmentation_op.cpp
+
+
+def segmentation_supports(pred: Tensor, *_: Any) -> str | None:
+    """Logits have at least one element and at most 224 classes."""
+    if pred.shape[2] > _MAX_CLASSES:
+        return f"there is no kernel for {pred.shape[2]} classes, only for up to {_MAX_CLASSES}"
+    return not_empty(pred)
 
 
 def as_arguments(ignore_index: int | None) -> tuple[int, bool]:

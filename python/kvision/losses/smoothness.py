@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import register, vjp
+from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -66,12 +66,22 @@ _smoothness_slope = register(
     ),
     casts_outputs=True,
 )
+
+
+def _supports(depth: Tensor, image: Tensor, *_: float) -> str | None:
+    """Depth has one channel, and images have at least one element."""
+    if depth.shape[1] != 1:
+        return f"there is no kernel for {depth.shape[1]} maps of depth an image, only for one"
+    return not_empty(image)
+
+
 _smoothness = register(
     "smoothness",
     _roughness,
     fake=lambda depth, *_: depth.new_empty(depth.shape[:1], dtype=compute_dtype(depth)),
     backward=_roughness_backward,
     casts_outputs=True,
+    supports=_supports,
 )
 
 
@@ -153,8 +163,7 @@ def inverse_depth_smoothness_loss(idepth: Tensor, image: Tensor) -> Tensor:
         raise TypeCheckError(f"{op}: expected idepth and image of one type, got {idepth.dtype} and {image.dtype}")
     _check.same_device(op, idepth=idepth, image=image)
     b, maps, h, w = idepth.shape
-    operator = _smoothness if maps == 1 and image.numel() else _smoothness.reference
-    sums = operator(idepth, image, 1 / max(1, b * maps * (h - 1) * w), 1 / max(1, b * maps * h * (w - 1)))
+    sums = _smoothness(idepth, image, 1 / max(1, b * maps * (h - 1) * w), 1 / max(1, b * maps * h * (w - 1)))
     return as_dtype(sums.sum(), idepth.dtype)
 
 

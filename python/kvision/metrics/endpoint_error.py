@@ -11,7 +11,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import register
+from kvision._ops import not_empty, register
 from kvision.core.exceptions import ShapeError
 
 
@@ -53,8 +53,7 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
         x, y = (z.movedim(-1, 1).flatten(2) for z in (x, y))
     else:
         x, y = (z.reshape(1, -1, 2) for z in (x, y))
-    operator = _errors if count else _errors.reference
-    found = operator(x, y, planar, reduction != "none", factor)
+    found = _errors(x, y, planar, reduction != "none", factor)
     return found.view(sizes) if reduction == "none" else as_dtype(found.sum(), x.dtype)
 
 
@@ -93,7 +92,7 @@ _gradient = register(
     fake=lambda grad, input, *_: input.new_empty(grad.shape[0], *input.shape[1:]),
     casts_outputs=True,
 )
-_errors = register("endpoint_error", _reference, fake=_fake, backward=_backward, casts_outputs=True)
+_errors = register("endpoint_error", _reference, fake=_fake, backward=_backward, casts_outputs=True, supports=not_empty)
 
 
 average_endpoint_error = aepe

@@ -46,8 +46,7 @@ def _reference(views, target, depth, projections, *how):
 
 def _backward(needs, grad, _1, _2, _3, loss, to_depth, share, to_projections, *tensors_and_how):
     views, target, depth, projections, *how = tensors_and_how
-    same_bits = needs[0] and grad.is_cuda and torch.are_deterministic_algorithms_enabled()  # the kernel adds by atomics
-    if torch.is_grad_enabled() or same_bits:
+    if torch.is_grad_enabled():
         return _differentiable_backward(needs, grad, views, target, depth, projections, *how)
     found = [None, None, None, None]
     if needs[0] or needs[1]:

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
-from kvision._ops import register
+from kvision._ops import on_cuda, register
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.geometry.camera import PinholeCamera
 from kvision.geometry.depth.points import depth_points
@@ -47,8 +47,6 @@ def _reference(image, depth, projection, interpolation, padding, align_corners):
 
 
 def _backward(needs, grad, image, depth, projection, *how):
-    if needs[0] and grad.is_cuda and torch.are_deterministic_algorithms_enabled():  # the kernel adds by atomics
-        return depth_warp_of.differentiate_reference(needs, grad, image, depth, projection, *how)
     found = [None, None, None]
     if needs[0]:
         wide = grad.to(compute_dtype(grad))
@@ -97,6 +95,7 @@ image_gradient_of = register(
     _image_gradient_reference,
     fake=lambda grad, depth, projection, size, *how: grad.new_empty(*grad.shape[:2], *size),
     backward=_image_gradient_backward,
+    nondeterministic=on_cuda,
 )
 _slopes = register(
     "depth_warp_slopes",

@@ -10,7 +10,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
-from kvision._ops import register
+from kvision._ops import on_cuda, register
 from kvision.core.exceptions import ShapeError, TypeCheckError
 from kvision.geometry.subpix.maxima import nms3d
 from kvision.geometry.subpix.soft_argmax import warn_of_bonus
@@ -110,8 +110,6 @@ def _solve(hessian, right, wanted):
 
 
 def _backward(needs, grad_places, grad_values, x, chosen, *how):
-    if x.is_cuda and torch.are_deterministic_algorithms_enabled():  # the kernel adds by atomics
-        return _peaks.differentiate_reference(needs, grad_places, grad_values, x, chosen, *how)
     return [_peaks_backward(grad_places, grad_values, x, chosen, *how).to(x.dtype), None]
 
 
@@ -135,6 +133,7 @@ _peaks_backward = register(
         x.shape, dtype=torch.float64 if x.dtype == torch.float64 else torch.float32
     ),
     casts_outputs=True,
+    nondeterministic=on_cuda,
 )
 
 # --- functions ------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
-from kvision._ops import Operator, register
+from kvision._ops import Operator, on_cuda, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
@@ -156,8 +156,6 @@ def _warp_reference(image, matrix, fill, size, interpolation, padding, align_cor
 
 
 def _warp_backward(needs, grad, image, matrix, fill, size, *how):
-    if _is_unordered(grad, how[1]):
-        return warp.differentiate_reference(needs, grad, image, matrix, fill, size, *how)
     grads = [None, None, None]
     if needs[0]:
         grads[0] = warp_image_gradient(grad, matrix, list(image.shape[2:]), *how)
@@ -167,11 +165,6 @@ def _warp_backward(needs, grad, image, matrix, fill, size, *how):
         inside = warp(torch.ones_like(image[:, :1]), matrix, None, size, *how)
         grads[2] = _to_fill(grad, inside, fill)
     return grads
-
-
-def _is_unordered(grad: Tensor, padding: str) -> bool:
-    """Whether the gradient to the image would be summed by atomics although torch is asked for the same bits every run."""
-    return grad.is_cuda and padding != "fill" and torch.are_deterministic_algorithms_enabled()
 
 
 def _to_fill(grad: Tensor, inside: Tensor, fill: Tensor) -> Tensor:
@@ -204,6 +197,12 @@ def _matrix_gradient_reference(grad, image, matrix, fill, *how):
     return vjp_fn(grad.to(wide))[0]
 
 
+def _adds_by_atomics(
+    grad: Tensor, matrix: Tensor, size: Sequence[int], interpolation: str, padding: str, *_: bool
+) -> bool:
+    return grad.is_cuda and padding != "fill"
+
+
 warp = register(
     "warp",
     _warp_reference,
@@ -216,6 +215,7 @@ warp_image_gradient = register(
     _image_gradient_reference,
     fake=lambda grad, matrix, size, *how: grad.new_empty(*grad.shape[:2], *size),
     backward=_image_gradient_backward,
+    nondeterministic=_adds_by_atomics,
 )
 _warp_matrix_gradient = register(
     "warp_matrix_gradient",
@@ -305,8 +305,6 @@ def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_co
 
 
 def _remap_backward(needs, grad, image, map_x, map_y, fill, *how):
-    if grad.is_cuda and torch.are_deterministic_algorithms_enabled():
-        return remap.differentiate_reference(needs, grad, image, map_x, map_y, fill, *how)
     grads = [None, None, None, None]
     if needs[0]:
         grads[0] = _remap_image_gradient(grad, map_x, map_y, list(image.shape[2:]), *how)
@@ -358,6 +356,7 @@ _remap_image_gradient = register(
     _remap_image_gradient_reference,
     fake=lambda grad, map_x, map_y, size, *how: grad.new_empty(*grad.shape[:2], *size),
     backward=_remap_image_gradient_backward,
+    nondeterministic=on_cuda,
 )
 _remap_map_gradient = register(
     "remap_map_gradient",

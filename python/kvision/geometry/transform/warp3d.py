@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
-from kvision._ops import register
+from kvision._ops import on_cuda, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
 from kvision.geometry.conversions.pixels import by_axes
@@ -303,8 +303,6 @@ def _to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
 
 
 def _backward(needs, grad, volumes, matrix, size, *how):
-    if grad.is_cuda and torch.are_deterministic_algorithms_enabled():  # the gradient to volumes is summed by atomics
-        return _warp3d.differentiate_reference(needs, grad, volumes, matrix, size, *how)
     grads = [None, None]
     wide = grad.to(matrix.dtype)
     if needs[0]:
@@ -348,6 +346,7 @@ _volume_gradient = register(
     _volume_gradient_reference,
     fake=lambda grad, matrix, size, *how: (*grad.shape[:2], *size),
     backward=_volume_gradient_backward,
+    nondeterministic=on_cuda,
 )
 _matrix_gradient = register(
     "warp3d_matrix_gradient",

@@ -1,37 +1,35 @@
-// Regions and patches. Each function has the arguments of the operator torch.ops.kvision.<name>, which
-// python/kvision/contrib explains.
+// Regions and patches of images (B, C, H, W), as python/kvision/contrib has them.
 #pragma once
 
-#include <vector>
-
-#include "kvision/operator.h"
+#include "kvision/ops/contrib.h"
+#include "kvision/types.h"
 
 namespace kvision {
 
-// The regions of masks (B, C, H, W), corners included: where a mask is 1 the int64 label of its region, which is 1 +
-// the index of its first pixel in the plane, 0 elsewhere.
-inline Tensor connected_components(Tensor const& input) {
-  using namespace detail;
-  return call<"connected_components">(input.detach());
+// The int64 labels of regions where a mask is 1: 1 + the index of the region's first pixel in the plane; 0 elsewhere.
+inline Tensor connected_components_union_find(Tensor const& image) {
+  return ops::connected_components(detail::images("connected_components_union_find", "image", image));
 }
 
-inline Tensor combine_patches(Tensor const&, std::vector<int64_t> const&, std::vector<int64_t> const&,
-                              std::vector<int64_t> const&, std::vector<int64_t> const&);
-
-// (B, N, C, *window): the windows of images (B, C, *size), row by row, with zeros for padding (top, bottom, left,
-// right).
-inline Tensor extract_patches(Tensor const& input, std::vector<int64_t> const& size, std::vector<int64_t> const& window,
-                              std::vector<int64_t> const& stride, std::vector<int64_t> const& padding) {
-  auto const transpose = [=](Tensor const& grad) { return combine_patches(grad, size, window, stride, padding); };
-  return detail::linear<"extract_patches">(input, transpose, size, window, stride, padding);
+// (B, N, C, *window_size): the crops of an image, row by row, that is padded by zeros (y, x).
+inline Tensor extract_tensor_patches(Tensor const& input, Size2d window_size, Size2d stride = 1, Size2d padding = 0) {
+  auto const [py, px] = *padding;
+  return ops::extract_patches(detail::images("extract_tensor_patches", "input", input), detail::image_size(input),
+                              detail::list(window_size), detail::list(stride), {py, py, px, px});
 }
 
-// (B, C, *size): the patches added up where they belong.
-inline Tensor combine_patches(Tensor const& patches, std::vector<int64_t> const& size,
-                              std::vector<int64_t> const& window, std::vector<int64_t> const& stride,
-                              std::vector<int64_t> const& padding) {
-  auto const transpose = [=](Tensor const& grad) { return extract_patches(grad, size, window, stride, padding); };
-  return detail::linear<"combine_patches">(patches, transpose, size, window, stride, padding);
+// (B, C, *original_size): the means of the patches that cover a pixel.
+inline Tensor combine_tensor_patches(Tensor const& patches, Size2d original_size, Size2d window_size, Size2d stride,
+                                     Size2d unpadding = 0) {
+  detail::shaped("combine_tensor_patches", "patches", patches, 5, "(B, N, C, height, width)");
+  auto const [py, px] = *unpadding;
+  auto const combined = [&, py = py, px = px](Tensor const& x) {
+    return ops::combine_patches(x, detail::list(original_size), detail::list(window_size), detail::list(stride),
+                                {py, py, px, px});
+  };
+  if (*stride == *window_size) return combined(patches);
+  Tensor const x = detail::computed(patches, patches), ones = at::ones_like(x.narrow(0, 0, 1).narrow(2, 0, 1));
+  return (combined(x) / combined(ones).clamp_min(1)).to(patches.scalar_type());
 }
 
 }  // namespace kvision

@@ -1,207 +1,76 @@
-// Statistics of whole images. Each function has the arguments of the operator torch.ops.kvision.<name>, which
-// python/kvision/enhance explains, and gradients. Images are (B, C, H, W). A second derivative is an error.
+// Statistics of whole images (B, C, H, W), blends and codecs, as python/kvision/enhance has them. A second derivative
+// is an error.
 #pragma once
 
-#include <ATen/Functions.h>
-#include <ATen/TensorOperators.h>
-
-#include <optional>
-#include <string>
-#include <tuple>
-
-#include "kvision/operator.h"
+#include "kvision/ops/enhance.h"
+#include "kvision/types.h"
 
 namespace kvision {
 
-// The image and, for every plane, whether it was changed: (B, C). Levels have no gradient; what comes back as it is,
-// a plane of one level or NaN, has its own.
-// Of equalize, and without `changed` of equalize_clahe: levels have no gradient, what comes back as it is has its own.
-inline Tensor equalize_backward(Tensor const& grad, Tensor const& output, std::optional<Tensor> const& changed) {
-  auto const transpose = [=](Tensor const& g) { return equalize_backward(g, output, changed); };
-  return detail::linear<"equalize_backward">(grad, transpose, output, changed);
+inline Tensor equalize(Tensor const& input, bool opencv = false) {
+  return std::get<0>(ops::equalize(detail::images("equalize", "input", input), opencv));
+}
+inline Tensor equalize_clahe(Tensor const& input, double clip_limit = 40, Size2d grid_size = 8, bool opencv = false) {
+  return ops::equalize_clahe(detail::images("equalize_clahe", "input", input), clip_limit, grid_size->at(0),
+                             grid_size->at(1), opencv);
 }
 
-inline std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv = false) {
-  using namespace detail;
-  auto const [output, changed] = [&] {
-    at::NoGradGuard no_grad;
-    return call<"equalize", std::tuple<Tensor, Tensor>>(input.detach(), opencv);
-  }();
-  auto const compute = [&] { return variable_list{output}; };
-  auto const gradient = [](Backward const& b) {
-    return variable_list{equalize_backward(b.grads[0], b.saved[0], b.saved[1])};
-  };
-  return {differentiable({input}, compute, {output, changed}, gradient)[0], changed};
+inline Tensor normalize_min_max(Tensor const& input, double min_val = 0, double max_val = 1, double eps = 1e-6) {
+  Tensor const x = detail::floats(detail::images("normalize_min_max", "input", input));
+  return std::get<0>(ops::normalize_min_max(x, min_val, max_val, eps));
 }
 
-inline Tensor equalize_clahe(Tensor const& input, double clip_limit = 40, int64_t rows = 8, int64_t columns = 8,
-                             bool opencv = false) {
-  using namespace detail;
-  Tensor const output = [&] {
-    at::NoGradGuard no_grad;
-    return call<"equalize_clahe">(input.detach(), clip_limit, rows, columns, opencv);
-  }();
-  auto const compute = [&] { return variable_list{output}; };
-  auto const gradient = [](Backward const& b) {
-    return variable_list{equalize_backward(b.grads[0], b.saved[0], std::nullopt)};
-  };
-  return differentiable({input}, compute, {output}, gradient)[0];
+// The densities (B, K) of values (B, D) at points (K,), by Gaussians of a bandwidth; the gradient is to the values.
+inline Tensor histogram(Tensor const& x, Tensor const& bins, Parameter const& bandwidth, double epsilon = 1e-10) {
+  Tensor const values = detail::computed(detail::shaped("histogram", "x", x, 2, "(B, D)"), x);
+  Tensor const width = bandwidth.tensor ? *bandwidth.tensor : at::full({1}, bandwidth.number, values.options());
+  Tensor const counts =
+      ops::gaussian_counts(values, detail::computed(bins, x).unsqueeze(0), detail::computed(width, x).reshape({1}));
+  Tensor const density = counts / x.size(1);
+  return (density / (density.sum(1, true) + epsilon)).to(detail::floats(x).scalar_type());
 }
 
-inline Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tensor const& range, double low,
-                                         double high, double eps) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{call<"normalize_min_max_backward">(grad, input, range, low, high, eps)};
-  };
-  return differentiable({grad, input}, compute, {}, no_second_derivative("normalize_min_max"))[0];
+// The counts of every plane (B, C, n_bins) in bins from `min` to `max`. kernel: "triangular", "epanechnikov" or
+// "uniform".
+inline Tensor image_histogram2d(Tensor const& image, double min = 0, double max = 255, int64_t n_bins = 256,
+                                std::string const& kernel = "triangular") {
+  Tensor const x =
+      detail::computed(detail::images("image_histogram2d", "image", image), image).flatten(2).flatten(0, 1);
+  return ops::grid_counts(x, min, (max - min) / n_bins, n_bins, kernel).view({image.size(0), image.size(1), n_bins});
 }
 
-// The image, and the smallest and largest value of every plane: (B, C, 2), without a gradient.
-inline std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low = 0, double high = 1,
-                                                    double eps = 1e-6) {
-  using namespace detail;
-  auto const compute = [&] {
-    auto [output, range] = call<"normalize_min_max", std::tuple<Tensor, Tensor>>(input, low, high, eps);
-    return variable_list{output, range};
-  };
-  auto const gradient = [=](Backward const& b) {
-    Tensor const range = std::get<1>(normalize_min_max(b.saved[0].detach(), low, high, eps));
-    return variable_list{normalize_min_max_backward(b.grads[0], b.saved[0], range, low, high, eps)};
-  };
-  variable_list const found = differentiable({input}, compute, {input}, gradient);
-  return {found[0], found[1].detach()};
+namespace detail {
+
+// A number for each sample (B,) or channel (B, C) as (B or 1, C or 1, 1).
+inline std::optional<Tensor> factors(Parameter const& x, Tensor const& image) {
+  if (!x.tensor) return {};
+  Tensor const t = computed(*x.tensor, image);
+  return t.dim() == 2 ? t.unsqueeze(2) : t.reshape({-1, 1, 1});
 }
 
-inline Tensor gaussian_counts_backward(Tensor const& grad, Tensor const& x, Tensor const& centers,
-                                       Tensor const& bandwidth) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"gaussian_counts_backward">(grad, x, centers, bandwidth)}; };
-  return differentiable({grad, x, centers, bandwidth}, compute, {}, no_second_derivative("gaussian_counts"))[0];
+}  // namespace detail
+
+// src1 alpha + src2 beta + gamma, by numbers or tensors (B or 1,) or (B or 1, C or 1).
+inline Tensor add_weighted(Tensor const& src1, Parameter const& alpha, Tensor const& src2, Parameter const& beta,
+                           Parameter const& gamma) {
+  Tensor const x = detail::floats(detail::images("add_weighted", "src1", src1)), y = detail::floats(src2);
+  detail::same_shape("add_weighted", "src2", y, x);
+  return ops::mix(x, y, detail::factors(alpha, x), detail::factors(beta, x), detail::factors(gamma, x), alpha.number,
+                  beta.number, gamma.number);
 }
 
-// Of values (N, P), centers (N or 1, K) and bandwidths (N or 1), the sums of Gaussians (N, K). The gradient is that of
-// the values.
-inline Tensor gaussian_counts(Tensor const& x, Tensor const& centers, Tensor const& bandwidth) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"gaussian_counts">(x, centers, bandwidth)}; };
-  auto const gradient = [](Backward const& b) {
-    TORCH_CHECK_NOT_IMPLEMENTED(!b.wanted(1) && !b.wanted(2),
-                                "gaussian_counts: C++ has no gradient of centers or "
-                                "bandwidth; Python's kvision has");
-    return variable_list{gaussian_counts_backward(b.grads[0], b.saved[0], b.saved[1], b.saved[2]), {}, {}};
-  };
-  return differentiable({x, centers, bandwidth}, compute, {x, centers, bandwidth}, gradient)[0];
+inline Tensor sharpness(Tensor const& input, Parameter const& factor) {
+  Tensor const x = detail::images("sharpness", "input", input);
+  return ops::sharpness(x, detail::factors(factor, x), factor.number);
 }
 
-inline Tensor grid_counts_backward(Tensor const& grad, Tensor const& x, double low, double width, int64_t bins,
-                                   std::string const& kernel) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"grid_counts_backward">(grad, x, low, width, bins, kernel)}; };
-  return differentiable({grad, x}, compute, {}, no_second_derivative("grid_counts"))[0];
-}
-
-// Of values (N, P), the counts in bins of a width, the first of which begins at `low`: (N, bins). kernel: "triangular",
-// "epanechnikov" or "uniform".
-inline Tensor grid_counts(Tensor const& x, double low, double width, int64_t bins,
-                          std::string const& kernel = "triangular") {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"grid_counts">(x, low, width, bins, kernel)}; };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{grid_counts_backward(b.grads[0], b.saved[0], low, width, bins, kernel)};
-  };
-  return differentiable({x}, compute, {x}, gradient)[0];
-}
-
-// alpha input + beta other + gamma, by weights (B, C, 1) with axes of size 1 where they are shared, in the type that is
-// computed in; or by the numbers a, b and c in their places.
-inline Tensor mix(Tensor const& input, Tensor const& other, std::optional<Tensor> const& alpha,
-                  std::optional<Tensor> const& beta, std::optional<Tensor> const& gamma, double a, double b, double c) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"mix">(input, other, alpha, beta, gamma, a, b, c)}; };
-  auto const gradient = [=](Backward const& back) {
-    Tensor const &g = back.grads[0], &x = back.saved[0], &y = back.saved[1];
-    auto const scaled = [&](Tensor const& weights, double number) {
-      return weights.defined() ? (g * weights.unsqueeze(3)).to(g.scalar_type()) : g * number;
-    };
-    auto const summed = [&](size_t i, Tensor const& pixels) {
-      return back.wanted(i) ? at::sum_to(pixels, back.saved[i].unsqueeze(3).sizes()).squeeze(3) : Tensor();
-    };
-    return variable_list{scaled(back.saved[2], a), scaled(back.saved[3], b), summed(2, g * x), summed(3, g * y),
-                         summed(4, g)};
-  };
-  variable_list const tensors{input, other, alpha.value_or(Tensor()), beta.value_or(Tensor()),
-                              gamma.value_or(Tensor())};
-  return differentiable(tensors, compute, tensors, gradient)[0];
-}
-
-// The gradients of the image and of every channel's factor, (B, C, 1); without elements where they are not wanted.
-inline std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& input,
-                                                     std::optional<Tensor> const& factor, double number, bool of_image,
-                                                     bool of_factor) {
-  using namespace detail;
-  auto const compute = [&] {
-    auto const [of_x, of_planes] =
-        call<"sharpness_backward", std::tuple<Tensor, Tensor>>(grad, input, factor, number, of_image, of_factor);
-    return variable_list{of_x, of_planes};
-  };
-  auto const found =
-      differentiable({grad, input, factor.value_or(Tensor())}, compute, {}, no_second_derivative("sharpness"));
-  return {found[0], found[1]};
-}
-
-// By a factor (B, C, 1) with axes of size 1 where it is shared, in the type that is computed in; or by the number.
-inline Tensor sharpness(Tensor const& input, std::optional<Tensor> const& factor, double number) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"sharpness">(input, factor, number)}; };
-  auto const gradient = [=](Backward const& b) {
-    Tensor const& f = b.saved[1];
-    auto const given = f.defined() ? std::optional(f) : std::nullopt;
-    auto const [of_x, of_planes] = sharpness_backward(b.grads[0], b.saved[0], given, number, b.wanted(0), b.wanted(1));
-    return variable_list{b.wanted(0) ? of_x : Tensor(), b.wanted(1) ? of_planes.sum_to_size(f.sizes()) : Tensor()};
-  };
-  variable_list const tensors{input, factor.value_or(Tensor())};
-  return differentiable(tensors, compute, tensors, gradient)[0];
-}
-
-// The gradients of the image, and of every image's quality (B, 1) and tables (B, 8, 8); without elements where they are
-// not wanted.
-inline std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Tensor const& input,
-                                                                std::optional<Tensor> const& quality,
-                                                                std::optional<Tensor> const& table_y,
-                                                                std::optional<Tensor> const& table_c, double number,
-                                                                bool of_image, bool of_steps) {
-  using namespace detail;
-  auto const compute = [&] {
-    auto const [of_x, of_quality, of_y, of_c] = call<"jpeg_backward", std::tuple<Tensor, Tensor, Tensor, Tensor>>(
-        grad, input, quality, table_y, table_c, number, of_image, of_steps);
-    return variable_list{of_x, of_quality, of_y, of_c};
-  };
-  variable_list const tensors{grad, input, quality.value_or(Tensor()), table_y.value_or(Tensor()),
-                              table_c.value_or(Tensor())};
-  auto const found = differentiable(tensors, compute, {}, no_second_derivative("jpeg"));
-  return {found[0], found[1], found[2], found[3]};
-}
-
-// By a quality (B,), or the number, and tables (B, 8, 8), or those of the standard; B may be 1.
-inline Tensor jpeg(Tensor const& input, std::optional<Tensor> const& quality, std::optional<Tensor> const& table_y,
-                   std::optional<Tensor> const& table_c, double number) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"jpeg">(input, quality, table_y, table_c, number)}; };
-  auto const gradient = [=](Backward const& b) {
-    auto const given = [&](size_t i) { return b.saved[i].defined() ? std::optional(b.saved[i]) : std::nullopt; };
-    bool const of_steps = b.wanted(1) || b.wanted(2) || b.wanted(3);
-    auto const [of_x, of_quality, of_y, of_c] =
-        jpeg_backward(b.grads[0], b.saved[0], given(1), given(2), given(3), number, b.wanted(0), of_steps);
-    auto const summed = [&](size_t i, Tensor const& t) {
-      return b.wanted(i) ? t.sum_to_size(b.saved[i].sizes()) : Tensor();
-    };
-    return variable_list{b.wanted(0) ? of_x : Tensor(), summed(1, of_quality.flatten()), summed(2, of_y),
-                         summed(3, of_c)};
-  };
-  variable_list const tensors{input, quality.value_or(Tensor()), table_y.value_or(Tensor()),
-                              table_c.value_or(Tensor())};
-  return differentiable(tensors, compute, tensors, gradient)[0];
+// jpeg_quality: from 0 to 100, a number or a tensor (B or 1,); tables (B or 1, 8, 8), or those of the standard.
+inline Tensor jpeg_codec_differentiable(Tensor const& input, Parameter const& jpeg_quality,
+                                        std::optional<Tensor> const& quantization_table_y = {},
+                                        std::optional<Tensor> const& quantization_table_c = {}) {
+  Tensor const x = detail::colors("jpeg_codec_differentiable", "input", input);
+  return ops::jpeg(x, detail::computed(jpeg_quality.tensor, x), detail::computed(quantization_table_y, x),
+                   detail::computed(quantization_table_c, x), jpeg_quality.number);
 }
 
 }  // namespace kvision

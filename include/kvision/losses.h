@@ -1,239 +1,266 @@
-// Losses. Each function has the arguments of the operator torch.ops.kvision.<name>, which
-// python/kvision/losses explains, and gradients to logits (losses, B, C, H, W) and images (B, C, H, W).
-// Labels (losses or 1, B, H, W) are int64; `ignores` says whether `ignored` is one that does not count. A second
-// derivative is an error.
+// Losses, as python/kvision/losses has them. Labels are int64. A second derivative is an error.
 #pragma once
 
-#include <ATen/TensorOperators.h>
-
-#include <optional>
-#include <tuple>
-
-#include "kvision/operator.h"
+#include "kvision/metrics.h"
+#include "kvision/ops/losses.h"
+#include "kvision/types.h"
 
 namespace kvision {
 
-inline Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pred, Tensor const& target,
-                               std::optional<Tensor> const& weight, bool together, double alpha, double beta,
-                               double eps, int64_t ignored, bool ignores) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{
-        call<"overlap_backward">(grad, sums, pred, target, weight, together, alpha, beta, eps, ignored, ignores)};
-  };
-  return differentiable({grad, sums, pred}, compute, {}, no_second_derivative("overlap"))[0];
+// --- segmentation
+
+namespace detail {
+
+// Logits (B, C, H, W) and labels (B, H, W).
+inline void labels(char const* op, Tensor const& pred, Tensor const& target) {
+  images(op, "pred", pred);
+  TORCH_CHECK_VALUE(target.dim() == 3 && target.size(0) == pred.size(0) && target.size(1) == pred.size(2) &&
+                        target.size(2) == pred.size(3),
+                    op, ": expected target of shape (B, H, W) for pred of ", pred.sizes(), ", got ", target.sizes());
+  TORCH_CHECK_TYPE(target.scalar_type() == at::kLong, op, ": expected target of int64, got ", target.scalar_type());
 }
 
-// Losses (losses), and of every sample the sums that they are made of, without a gradient: (losses, B, 3, C), for every
-// class its softmax probability where it is the label, that everywhere, and its pixels. Dice losses have alpha and beta
-// of 0.5 and half their eps, with the classes `together` or not, as Tversky losses have them.
-inline std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target,
-                                          std::optional<Tensor> const& weight = {}, bool together = true,
-                                          double alpha = 0.5, double beta = 0.5, double eps = 5e-9,
-                                          int64_t ignored = -100, bool ignores = true) {
-  using namespace detail;
-  auto const compute = [&] {
-    auto [loss, sums] =
-        call<"overlap", std::tuple<Tensor, Tensor>>(pred, target, weight, together, alpha, beta, eps, ignored, ignores);
-    return variable_list{loss, sums};
-  };
-  auto const gradient = [=](Backward const& b) {
-    Tensor const x = b.saved[0];
-    auto const of_classes = b.saved[2].defined() ? std::optional(b.saved[2]) : std::nullopt;
-    Tensor const sums =
-        std::get<1>(overlap(x.detach(), b.saved[1], of_classes, together, alpha, beta, eps, ignored, ignores));
-    return variable_list{
-        overlap_backward(b.grads[0], sums, x, b.saved[1], of_classes, together, alpha, beta, eps, ignored, ignores)};
-  };
-  variable_list const found = differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient);
-  return {found[0], found[1].detach()};
+inline Tensor overlap(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight, bool over_classes,
+                      double alpha, double beta, double eps, std::optional<int64_t> ignore_index) {
+  Tensor const loss = std::get<0>(ops::overlap(pred.unsqueeze(0), target.unsqueeze(0), weight, over_classes, alpha,
+                                               beta, eps, ignore_index.value_or(0), ignore_index.has_value()));
+  return loss[0].to(pred.scalar_type());
+}
+inline std::optional<Tensor> class_weights(std::optional<Tensor> const& weight, Tensor const& pred) {
+  return weight ? std::optional(computed(*weight, pred).unsqueeze(0)) : std::nullopt;
 }
 
-inline Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target,
-                             std::optional<Tensor> const& weight, double first, double other, double gamma,
-                             int64_t ignored, bool ignores, bool summed) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{
-        call<"focal_backward">(grad, pred, target, weight, first, other, gamma, ignored, ignores, summed)};
-  };
-  return differentiable({grad, pred}, compute, {}, no_second_derivative("focal"))[0];
+}  // namespace detail
+
+struct DiceLossOptions {
+  TORCH_ARG(bool, micro) = true;  // over all classes, or the mean of their losses
+  TORCH_ARG(double, eps) = 1e-8;
+  TORCH_ARG(std::optional<Tensor>, weight);  // (C,)
+  TORCH_ARG(std::optional<int64_t>, ignore_index) = -100;
+};
+inline Tensor dice_loss(Tensor const& pred, Tensor const& target, DiceLossOptions const& options = {}) {
+  detail::labels("dice_loss", pred, target);
+  return detail::overlap(pred, target, detail::class_weights(options.weight(), pred), options.micro(), 0.5, 0.5,
+                         options.eps() / 2, options.ignore_index());
+}
+inline Tensor tversky_loss(Tensor const& pred, Tensor const& target, double alpha = 0.5, double beta = 0.5,
+                           double eps = 1e-8, std::optional<int64_t> ignore_index = -100) {
+  detail::labels("tversky_loss", pred, target);
+  return detail::overlap(pred, target, {}, false, alpha, beta, eps, ignore_index);
 }
 
-// The focal losses of every pixel (losses, B, H, W), or their sums (losses). `first` weighs class 0, `other` the
-// others, and weight (losses or 1, C) all of them.
-inline Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight = {},
-                    double first = 0.5, double other = 0.5, double gamma = 2, int64_t ignored = -100,
-                    bool ignores = true, bool summed = false) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{call<"focal">(pred, target, weight, first, other, gamma, ignored, ignores, summed)};
-  };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{focal_backward(b.grads[0], b.saved[0], b.saved[1],
-                                        b.saved[2].defined() ? std::optional(b.saved[2]) : std::nullopt, first, other,
-                                        gamma, ignored, ignores, summed)};
-  };
-  return differentiable({pred}, compute, {pred, target, weight.value_or(Tensor())}, gradient)[0];
+struct FocalLossOptions {
+  TORCH_ARG(std::optional<double>, alpha) = 0.5;
+  TORCH_ARG(double, gamma) = 2;
+  TORCH_ARG(Reduction, reduction) = Reduction::none;
+  TORCH_ARG(std::optional<Tensor>, weight);  // (C,)
+  TORCH_ARG(std::optional<int64_t>, ignore_index) = -100;
+};
+inline Tensor focal_loss(Tensor const& pred, Tensor const& target, FocalLossOptions const& options = {}) {
+  detail::labels("focal_loss", pred, target);
+  bool const summed = options.reduction() != Reduction::none;
+  double const factor = detail::share(options.reduction(), pred.numel()), alpha = options.alpha().value_or(0);
+  Tensor const loss =
+      ops::focal(pred.unsqueeze(0), target.unsqueeze(0), detail::class_weights(options.weight(), pred),
+                 options.alpha() ? (1 - alpha) * factor : factor, options.alpha() ? alpha * factor : factor,
+                 options.gamma(), options.ignore_index().value_or(0), options.ignore_index().has_value(), summed);
+  if (summed) return loss[0].to(pred.scalar_type());
+  Tensor const index = target.clamp(0, pred.size(1) - 1).unsqueeze(1);
+  return at::zeros_like(pred).scatter(1, index, loss[0].unsqueeze(1).to(pred.scalar_type()));
 }
 
-inline Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& pred, Tensor const& target,
-                              bool hinge) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"lovasz_backward">(grad, slopes, pred, target, hinge)}; };
-  return differentiable({grad, slopes, pred}, compute, {}, no_second_derivative("lovasz"))[0];
+struct BinaryFocalLossOptions {
+  TORCH_ARG(std::optional<double>, alpha) = 0.25;
+  TORCH_ARG(double, gamma) = 2;
+  TORCH_ARG(Reduction, reduction) = Reduction::none;
+  TORCH_ARG(std::optional<Tensor>, pos_weight);  // (C,)
+  TORCH_ARG(std::optional<Tensor>, weight);      // (C,)
+  TORCH_ARG(std::optional<double>, ignore_index) = -100;
+};
+// Of logits and targets (B, C, *).
+inline Tensor binary_focal_loss_with_logits(Tensor const& pred, Tensor const& target,
+                                            BinaryFocalLossOptions const& options = {}) {
+  detail::same_shape("binary_focal_loss_with_logits", "target", target, pred);
+  bool const summed = options.reduction() != Reduction::none, weighted = options.weight() || options.pos_weight();
+  double const factor = detail::share(options.reduction(), pred.numel()), alpha = options.alpha().value_or(0);
+  std::optional<Tensor> yes, no;
+  if (weighted) {
+    Tensor const ones = at::ones({pred.size(1)}, pred.options().dtype(detail::computed_type(pred)));
+    Tensor const each = detail::computed(options.weight(), pred).value_or(ones);
+    auto const of_rows = [&](Tensor const& x) { return x.expand({pred.size(0), -1}).reshape({-1}); };
+    no = of_rows(each);
+    yes = of_rows(each * detail::computed(options.pos_weight(), pred).value_or(ones));
+  }
+  auto const rows = [&](Tensor const& x) { return weighted ? x.flatten(2).flatten(0, 1) : x.reshape({1, -1}); };
+  Tensor const loss = ops::binary_focal(rows(pred), rows(target.to(pred.scalar_type())), yes, no,
+                                        options.alpha() ? alpha * factor : factor,
+                                        options.alpha() ? (1 - alpha) * factor : factor, options.gamma(),
+                                        options.ignore_index().value_or(0), options.ignore_index().has_value(), summed);
+  return (summed ? loss.sum() : loss.view(pred.sizes())).to(pred.scalar_type());
 }
 
-// (B, C): the Lovász losses of every class of logits (B, C, H, W) with labels (B or 1, H, W), int64 or uint8, or the
-// `hinge` losses of one class, whose label is 1; and (B, C, H, W) their slopes by the errors of the pixels, without a
-// gradient.
-inline std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool hinge = false) {
-  using namespace detail;
-  auto const compute = [&] {
-    auto [losses, slopes] = call<"lovasz", std::tuple<Tensor, Tensor>>(pred, target, hinge);
-    return variable_list{losses, slopes};
-  };
-  auto const gradient = [=](Backward const& b) {
-    Tensor const x = b.saved[0], slopes = std::get<1>(lovasz(x.detach(), b.saved[1], hinge));
-    return variable_list{lovasz_backward(b.grads[0], slopes, x, b.saved[1], hinge)};
-  };
-  variable_list const found = differentiable({pred}, compute, {pred, target}, gradient);
-  return {found[0], found[1].detach()};
+inline Tensor lovasz_softmax_loss(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight = {}) {
+  detail::labels("lovasz_softmax_loss", pred, target);
+  Tensor const losses = std::get<0>(ops::lovasz(pred, target, false));
+  return (weight ? losses.mean(0) * *weight : losses).mean().to(pred.scalar_type());
+}
+// Of logits (B, 1, H, W) and labels (B, H, W), 0 or 1.
+inline Tensor lovasz_hinge_loss(Tensor const& pred, Tensor const& target) {
+  detail::labels("lovasz_hinge_loss", pred, target);
+  return std::get<0>(ops::lovasz(pred, target, true)).mean().to(pred.scalar_type());
 }
 
-inline Tensor hausdorff_backward(Tensor const& grad, Tensor const& pred, Tensor const& target, double alpha, int64_t k,
-                                 bool summed) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"hausdorff_backward">(grad, pred, target, alpha, k, summed)}; };
-  return differentiable({grad, pred}, compute, {}, no_second_derivative("hausdorff"))[0];
+// Of probabilities (B, C, H, W) and labels (B, 1, H, W), or those of volumes.
+inline Tensor hausdorff_er_loss(Tensor const& pred, Tensor const& target, double alpha = 2, int64_t k = 10,
+                                Reduction reduction = Reduction::mean) {
+  TORCH_CHECK_VALUE(pred.dim() >= 4 && target.dim() == pred.dim(),
+                    "hausdorff_er_loss: expected target of shape (B, 1, H, W) or (B, 1, D, H, W) for pred of ",
+                    pred.sizes(), ", got ", target.sizes());
+  Tensor const loss =
+      ops::hausdorff(detail::computed(pred, pred), target.select(1, 0), alpha, k, reduction != Reduction::none);
+  if (reduction == Reduction::none) return loss.movedim(1, 0).unsqueeze(2).to(pred.scalar_type());
+  return (loss.sum() * detail::share(reduction, pred.numel())).to(pred.scalar_type());
 }
 
-// What survives k erosions of the squared differences of probabilities (B, C, H, W) or (B, C, D, H, W), float32 or
-// float64, from labels (B or 1, ...), the i-th erosion weighing i^alpha: of every pixel, or the sums (B, C).
-inline Tensor hausdorff(Tensor const& pred, Tensor const& target, double alpha = 2, int64_t k = 10,
-                        bool summed = false) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"hausdorff">(pred, target, alpha, k, summed)}; };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{hausdorff_backward(b.grads[0], b.saved[0], b.saved[1], alpha, k, summed)};
-  };
-  return differentiable({pred}, compute, {pred, target}, gradient)[0];
+// --- images
+
+inline Tensor ssim_loss(Tensor const& img1, Tensor const& img2, int64_t window_size, double max_val = 1,
+                        double eps = 1e-12, Reduction reduction = Reduction::mean, Padding padding = Padding::same) {
+  if (reduction == Reduction::none) return ((1 - ssim(img1, img2, window_size, max_val, eps, padding)) / 2).clamp(0, 1);
+  Tensor const x = detail::floats(detail::images("ssim_loss", "img1", img1)), y = img2.to(x.scalar_type());
+  detail::same_shape("ssim_loss", "img2", y, x);
+  int64_t const less = padding == Padding::valid ? window_size - 1 : 0;
+  int64_t const count = x.size(0) * x.size(1) * (x.size(2) - less) * (x.size(3) - less);
+  Tensor const loss =
+      ops::ssim_loss(x, y, window_size, 1.5, detail::ssim_constant(0.01, max_val), detail::ssim_constant(0.03, max_val),
+                     eps, detail::ssim_border(padding), 0.5 * detail::share(reduction, count), 0);
+  return loss.sum().to(x.scalar_type());
 }
 
-inline Tensor binary_focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target,
-                                    std::optional<Tensor> const& yes, std::optional<Tensor> const& no, double of_yes,
-                                    double of_no, double gamma, double ignored, bool ignores, bool summed,
-                                    bool by_target) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{call<"binary_focal_backward">(grad, pred, target, yes, no, of_yes, of_no, gamma, ignored,
-                                                       ignores, summed, by_target)};
-  };
-  return differentiable({grad, pred, target}, compute, {}, no_second_derivative("binary_focal"))[0];
+struct MsSsimLossOptions {
+  TORCH_ARG(std::vector<double>, sigmas) = { 0.5, 1, 2, 4, 8 };
+  TORCH_ARG(double, data_range) = 1;
+  TORCH_ARG(Pair, K) = Pair({0.01, 0.03});
+  TORCH_ARG(double, alpha) = 0.025;  // the weight of the absolute differences is 1 - alpha
+  TORCH_ARG(double, compensation) = 200;
+  TORCH_ARG(Reduction, reduction) = Reduction::mean;
+};
+inline Tensor ms_ssim_loss(Tensor const& img1, Tensor const& img2, MsSsimLossOptions const& options = {}) {
+  Tensor const x = detail::floats(detail::images("ms_ssim_loss", "img1", img1)), y = img2.to(x.scalar_type());
+  detail::same_shape("ms_ssim_loss", "img2", y, x);
+  int64_t const size = 2 * int64_t(2 * options.sigmas().back()) + 1;
+  auto const constant = [&](int i) { return detail::ssim_constant(options.K()->at(i), options.data_range()); };
+  Tensor const loss =
+      ops::ms_ssim(x, y, options.sigmas(), size, constant(0), constant(1), options.compensation() * options.alpha(),
+                   options.compensation() * (1 - options.alpha()) / options.data_range());
+  return detail::reduced(loss, options.reduction()).to(x.scalar_type());
 }
 
-// The focal losses of logits and targets (rows, size), or their sums (rows); the positive terms are multiplied by
-// of_yes and those of a row by `yes` (rows), without a gradient, the negative ones likewise.
-inline Tensor binary_focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& yes = {},
-                           std::optional<Tensor> const& no = {}, double of_yes = 0.25, double of_no = 0.75,
-                           double gamma = 2, double ignored = -100, bool ignores = true, bool summed = false) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{call<"binary_focal">(pred, target, yes, no, of_yes, of_no, gamma, ignored, ignores, summed)};
-  };
-  auto const gradient = [=](Backward const& b) {
-    auto const factors = [&](size_t i) { return b.saved[i].defined() ? std::optional(b.saved[i]) : std::nullopt; };
-    auto const by = [&](bool target) {
-      return b.wanted(target) ? binary_focal_backward(b.grads[0], b.saved[0], b.saved[1], factors(2), factors(3),
-                                                      of_yes, of_no, gamma, ignored, ignores, summed, target)
-                              : Tensor();
-    };
-    return variable_list{by(false), by(true)};
-  };
-  return differentiable({pred, target}, compute, {pred, target, yes.value_or(Tensor()), no.value_or(Tensor())},
-                        gradient)[0];
+inline Tensor psnr_loss(Tensor const& image, Tensor const& target, double max_val = 1) {
+  return detail::decibels("psnr_loss", image, target, max_val, 10);
 }
 
-inline Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double along_y, double along_x) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"total_variation_backward">(grad, input, along_y, along_x)}; };
-  return differentiable({grad, input}, compute, {}, no_second_derivative("total_variation"))[0];
+inline Tensor charbonnier_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
+  return detail::pointwise("charbonnier_loss", "charbonnier", img1, img2, reduction);
+}
+inline Tensor welsch_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
+  return detail::pointwise("welsch_loss", "welsch", img1, img2, reduction);
+}
+inline Tensor cauchy_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
+  return detail::pointwise("cauchy_loss", "cauchy", img1, img2, reduction);
+}
+inline Tensor geman_mcclure_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
+  return detail::pointwise("geman_mcclure_loss", "geman_mcclure", img1, img2, reduction);
 }
 
-// (B, C): for every plane the absolute differences of neighbours, those along y and along x each summed with a weight.
-inline Tensor total_variation(Tensor const& input, double along_y = 1, double along_x = 1) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"total_variation">(input, along_y, along_x)}; };
-  auto const gradient = [=](Backward const& b) {
-    return variable_list{total_variation_backward(b.grads[0], b.saved[0], along_y, along_x)};
-  };
-  return differentiable({input}, compute, {input}, gradient)[0];
+namespace detail {
+
+inline Tensor divergence(char const* op, std::string const& kind, Tensor const& pred, Tensor const& target,
+                         Reduction reduction) {
+  same_shape(op, "target", target, images(op, "pred", pred));
+  auto const rows = [&](Tensor const& x) { return x.to(pred.scalar_type()).flatten(2).flatten(0, 1); };
+  Tensor const sums = ops::pointwise_sum(rows(pred), rows(target), kind, 1, 0);
+  return reduced(sums.view(pred.sizes().slice(0, 2)), reduction).to(pred.scalar_type());
 }
 
-inline Tensor smoothness_backward(Tensor const& grad, Tensor const& depth, Tensor const& image, double along_y,
-                                  double along_x, bool of_image) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{call<"smoothness_backward">(grad, depth, image, along_y, along_x, of_image)};
-  };
-  return differentiable({grad, depth, image}, compute, {}, no_second_derivative("smoothness"))[0];
+}  // namespace detail
+
+// Of maps (B, C, H, W), each of which adds up to 1.
+inline Tensor kl_div_loss_2d(Tensor const& pred, Tensor const& target, Reduction reduction = Reduction::mean) {
+  return detail::divergence("kl_div_loss_2d", "kl", pred, target, reduction);
+}
+inline Tensor js_div_loss_2d(Tensor const& pred, Tensor const& target, Reduction reduction = Reduction::mean) {
+  return detail::divergence("js_div_loss_2d", "js", pred, target, reduction);
 }
 
-// (B): for every sample what neighbours in depth (B, 1, H, W) differ by, less at the image's edges, summed with a
-// weight along y and one along x.
-inline Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y = 1, double along_x = 1) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"smoothness">(depth, image, along_y, along_x)}; };
-  auto const gradient = [=](Backward const& b) {
-    auto const by = [&](bool image) {
-      return b.wanted(image) ? smoothness_backward(b.grads[0], b.saved[0], b.saved[1], along_y, along_x, image)
-                             : Tensor();
-    };
-    return variable_list{by(false), by(true)};
-  };
-  return differentiable({depth, image}, compute, {depth, image}, gradient)[0];
+// (B, C): the absolute differences of adjacent pixels, summed or for `mean` averaged along each axis.
+inline Tensor total_variation(Tensor const& img, Reduction reduction = Reduction::sum) {
+  Tensor const x = detail::floats(detail::images("total_variation", "img", img));
+  int64_t const h = x.size(2), w = x.size(3);
+  return ops::total_variation(x, detail::share(reduction, std::max<int64_t>(1, (h - 1) * w)),
+                              detail::share(reduction, std::max<int64_t>(1, h * (w - 1))))
+      .to(x.scalar_type());
 }
 
-inline Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Tensor const& ranges,
-                                          Tensor const& input, Tensor const& other,
-                                          std::optional<Tensor> const& input_mask,
-                                          std::optional<Tensor> const& other_mask, std::string const& kernel,
-                                          int64_t bins, double radius, bool normalized, bool by_other) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{call<"mutual_information_backward">(grad, slopes, ranges, input, other, input_mask, other_mask,
-                                                             kernel, bins, radius, normalized, by_other)};
-  };
-  return differentiable({grad, input, other}, compute, {}, no_second_derivative("mutual_information"))[0];
+// Of inverse depth (B, 1, H, W) and images (B, C, H, W).
+inline Tensor inverse_depth_smoothness_loss(Tensor const& idepth, Tensor const& image) {
+  detail::images("inverse_depth_smoothness_loss", "idepth", idepth);
+  detail::images("inverse_depth_smoothness_loss", "image", image);
+  int64_t const b = idepth.size(0), h = idepth.size(2), w = idepth.size(3);
+  return ops::smoothness(idepth, image, 1.0 / std::max<int64_t>(1, b * (h - 1) * w),
+                         1.0 / std::max<int64_t>(1, b * h * (w - 1)))
+      .sum()
+      .to(idepth.scalar_type());
 }
 
-// (B): the negative mutual information of signals (B, N), float32 or float64, of the samples in both masks (B or 1, N).
-// kernel: "xu", "rectangular" or "truncated_gaussian". Then, without gradients, its slopes by the joint histogram
-// (B, bins, bins) and the ranges of both signals (B, 4).
-inline std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tensor const& other,
-                                                             std::optional<Tensor> const& input_mask = {},
-                                                             std::optional<Tensor> const& other_mask = {},
-                                                             std::string const& kernel = "xu", int64_t bins = 64,
-                                                             double radius = 1, bool normalized = false) {
-  using namespace detail;
-  auto const compute = [&] {
-    auto [loss, slopes, ranges] = call<"mutual_information", std::tuple<Tensor, Tensor, Tensor>>(
-        input, other, input_mask, other_mask, kernel, bins, radius, normalized);
-    return variable_list{loss, slopes, ranges};
+enum class MIKernel { xu, rectangular, truncated_gaussian };
+
+struct MutualInformationOptions {
+  TORCH_ARG(std::optional<Tensor>, input_mask);  // (N,) or (H, W): which samples count
+  TORCH_ARG(std::optional<Tensor>, target_mask);
+  TORCH_ARG(MIKernel, kernel_function) = MIKernel::xu;
+  TORCH_ARG(int64_t, num_bins) = 64;
+  TORCH_ARG(double, window_radius) = 1;
+};
+
+namespace detail {
+
+inline Tensor mutual_information(char const* op, int64_t axes, Tensor const& input, Tensor const& target,
+                                 MutualInformationOptions const& options, bool normalized) {
+  same_shape(op, "target", target, input);
+  TORCH_CHECK_VALUE(input.dim() >= axes, op, ": expected input of at least ", axes, " axes, got ", input.sizes());
+  auto const rows = [&](Tensor const& x) {
+    Tensor const flat = computed(x, x).flatten(-axes);
+    return flat.reshape({-1, flat.size(-1)});
   };
-  auto const gradient = [=](Backward const& b) {
-    Tensor const x = b.saved[0], y = b.saved[1];
-    auto const [loss, slopes, ranges] =
-        mutual_information(x.detach(), y.detach(), input_mask, other_mask, kernel, bins, radius, normalized);
-    auto const by = [&, slopes = slopes, ranges = ranges](bool other) {
-      return b.wanted(other) ? mutual_information_backward(b.grads[0], slopes, ranges, x, y, input_mask, other_mask,
-                                                           kernel, bins, radius, normalized, other)
-                             : Tensor();
-    };
-    return variable_list{by(false), by(true)};
+  auto const mask = [](std::optional<Tensor> const& x) {
+    return x ? std::optional(x->to(at::kBool).reshape({1, -1})) : std::nullopt;
   };
-  variable_list const found = differentiable({input, other}, compute, {input, other}, gradient);
-  return {found[0], found[1].detach(), found[2].detach()};
+  std::string const kernel = choice({"xu", "rectangular", "truncated_gaussian"}, int(options.kernel_function()));
+  Tensor const loss = std::get<0>(ops::mutual_information(rows(input), rows(target), mask(options.input_mask()),
+                                                          mask(options.target_mask()), kernel, options.num_bins(),
+                                                          options.window_radius(), normalized));
+  return loss.reshape(input.sizes().slice(0, input.dim() - axes)).to(target.scalar_type());
+}
+
+}  // namespace detail
+
+// The negative mutual information of signals (*, N), or with _2d of images (*, H, W).
+inline Tensor mutual_information_loss(Tensor const& input, Tensor const& target,
+                                      MutualInformationOptions const& options = {}) {
+  return detail::mutual_information("mutual_information_loss", 1, input, target, options, false);
+}
+inline Tensor mutual_information_loss_2d(Tensor const& input, Tensor const& target,
+                                         MutualInformationOptions const& options = {}) {
+  return detail::mutual_information("mutual_information_loss_2d", 2, input, target, options, false);
+}
+inline Tensor normalized_mutual_information_loss(Tensor const& input, Tensor const& target,
+                                                 MutualInformationOptions const& options = {}) {
+  return detail::mutual_information("normalized_mutual_information_loss", 1, input, target, options, true);
+}
+inline Tensor normalized_mutual_information_loss_2d(Tensor const& input, Tensor const& target,
+                                                    MutualInformationOptions const& options = {}) {
+  return detail::mutual_information("normalized_mutual_information_loss_2d", 2, input, target, options, true);
 }
 
 }  // namespace kvision

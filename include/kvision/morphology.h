@@ -1,41 +1,53 @@
-// Morphology. Each function has the arguments of the operator torch.ops.kvision.<name>, which python/kvision/morphology
-// explains, and gradients. Images are (B, C, H, W). A second derivative is an error.
+// Morphology of images (B, C, H, W), as python/kvision/morphology has it. A second derivative is an error.
 #pragma once
 
-#include <ATen/TensorOperators.h>
-
-#include <cmath>
-#include <optional>
-
-#include "kvision/operator.h"
+#include "kvision/ops/morphology.h"
+#include "kvision/types.h"
 
 namespace kvision {
 
-inline Tensor dilation_backward(Tensor const& grad, Tensor const& input, Tensor const& kernel,
-                                std::optional<Tensor> const& heights, int64_t top, int64_t left, double value,
-                                bool erode) {
-  using namespace detail;
-  auto const compute = [&] {
-    return variable_list{call<"dilation_backward">(grad, input, kernel, heights, top, left, value, erode)};
-  };
-  return differentiable({grad, input, heights.value_or(Tensor())}, compute, {}, no_second_derivative("dilation"))[0];
+struct MorphologyOptions {
+  TORCH_ARG(std::optional<Tensor>, structuring_element);  // heights of the members (kH, kW), without a gradient
+  TORCH_ARG(std::optional<Size2d>, origin);               // (y, x) in the kernel, its center if there is none
+  TORCH_ARG(std::optional<double>, border_value);         // what is outside; without it nothing is
+};
+
+namespace detail {
+
+inline Tensor dilated(char const* op, Tensor const& x, Tensor const& kernel, MorphologyOptions const& options,
+                      bool erode) {
+  images(op, "tensor", x);
+  shaped(op, "kernel", kernel, 2, "(kH, kW)");
+  Size2d const origin = options.origin().value_or(Size2d({kernel.size(0) / 2, kernel.size(1) / 2}));
+  auto heights = computed(options.structuring_element(), x);
+  if (heights) same_shape(op, "structuring_element", *heights, kernel);
+  return ops::dilation(x, computed(kernel != 0, x).unsqueeze(0),
+                       heights ? std::optional(heights->unsqueeze(0)) : heights, origin->at(0), origin->at(1),
+                       options.border_value().value_or(erode ? INFINITY : -INFINITY), erode);
 }
 
-// The largest pixel under the members of a structuring element turned round, plus their heights; with `erode` the
-// smallest under the element, minus their heights. Members are where kernel (B or 1, height, width) is not 0, in the
-// type that images are computed in, heights as large; `value` is what lies outside. The gradient is that of the image.
-inline Tensor dilation(Tensor const& input, Tensor const& kernel, std::optional<Tensor> const& heights, int64_t top,
-                       int64_t left, double value = -INFINITY, bool erode = false) {
-  using namespace detail;
-  auto const compute = [&] { return variable_list{call<"dilation">(input, kernel, heights, top, left, value, erode)}; };
-  auto const gradient = [=](Backward const& b) {
-    TORCH_CHECK_NOT_IMPLEMENTED(!b.wanted(1), "dilation: C++ has no gradient of heights; Python's kvision has");
-    auto const saved_heights = b.saved[2].defined() ? std::optional(b.saved[2]) : std::nullopt;
-    return variable_list{dilation_backward(b.grads[0], b.saved[0], b.saved[1], saved_heights, top, left, value, erode),
-                         {}};
-  };
-  Tensor const of_heights = heights.value_or(Tensor());
-  return differentiable({input, of_heights}, compute, {input, kernel, of_heights}, gradient)[0];
+}  // namespace detail
+
+inline Tensor dilation(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
+  return detail::dilated("dilation", tensor, kernel, options, false);
+}
+inline Tensor erosion(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
+  return detail::dilated("erosion", tensor, kernel, options, true);
+}
+inline Tensor opening(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
+  return dilation(erosion(tensor, kernel, options), kernel, options);
+}
+inline Tensor closing(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
+  return erosion(dilation(tensor, kernel, options), kernel, options);
+}
+inline Tensor gradient(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
+  return dilation(tensor, kernel, options) - erosion(tensor, kernel, options);
+}
+inline Tensor top_hat(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
+  return tensor - opening(tensor, kernel, options);
+}
+inline Tensor bottom_hat(Tensor const& tensor, Tensor const& kernel, MorphologyOptions const& options = {}) {
+  return closing(tensor, kernel, options) - tensor;
 }
 
 }  // namespace kvision

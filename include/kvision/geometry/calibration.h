@@ -1,0 +1,108 @@
+// Lenses and poses from points, as python/kvision/geometry/calibration has them. Points are (B, N, 2), camera matrices
+// (B or 1, 3, 3), and dist the first 4, 5, 8, 12 or 14 of k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty.
+#pragma once
+
+#include "kvision/ops/geometry.h"
+#include "kvision/types.h"
+
+namespace kvision {
+
+// The matrix (B, 3, 3) to the plane of a tilted sensor, by angles (B,), or back.
+inline Tensor tilt_projection(Tensor const& taux, Tensor const& tauy, bool return_inverse = false) {
+  Tensor const cx = taux.cos(), sx = taux.sin(), cy = tauy.cos(), sy = tauy.sin(), zero = at::zeros_like(cx),
+               one = at::ones_like(cx), x = -sy * cx, y = sx, z = cy * cx;
+  auto const matrix = [](std::vector<Tensor> const& entries) { return at::stack(entries, -1).unflatten(-1, {3, 3}); };
+  Tensor const rotation = matrix({cy, sy * sx, x, zero, cx, y, sy, -cy * sx, z});
+  if (return_inverse) return rotation.mT().matmul(matrix({1 / z, zero, x / z, zero, 1 / z, y / z, zero, zero, one}));
+  return matrix({z, zero, -x, zero, z, -y, zero, zero, one}).matmul(rotation);
+}
+
+namespace detail {
+
+// A lens in torch's operators, for what is to be differentiated.
+struct Lens {
+  Tensor source, target, dist;  // the camera matrices of the points and of the result
+  std::optional<Tensor> tilt;
+
+  static Tensor entry(Tensor const& m, int64_t i, int64_t k) { return m.select(1, i).narrow(1, k, 1); }
+  std::pair<Tensor, Tensor> normalized(Tensor const& points) const {
+    return {(points.select(2, 0) - entry(source, 0, 2)) / entry(source, 0, 0),
+            (points.select(2, 1) - entry(source, 1, 2)) / entry(source, 1, 1)};
+  }
+  Tensor in_pixels(Tensor const& x, Tensor const& y) const {
+    return at::stack({x * entry(target, 0, 0) + entry(target, 0, 2), y * entry(target, 1, 1) + entry(target, 1, 2)}, 2);
+  }
+  std::pair<Tensor, Tensor> tilted(Tensor const& x, Tensor const& y) const {
+    if (!tilt) return {x, y};
+    auto const row = [&](int64_t i) { return x * entry(*tilt, i, 0) + y * entry(*tilt, i, 1) + entry(*tilt, i, 2); };
+    return {row(0) / row(2), row(1) / row(2)};
+  }
+  // The radial factor and the tangential shift of normalized points.
+  std::tuple<Tensor, Tensor, Tensor> terms(Tensor const& x, Tensor const& y) const {
+    Tensor const all = at::constant_pad_nd(dist, {0, 14 - dist.size(1)}), r2 = x * x + y * y;
+    auto const c = [&](int64_t i) { return all.narrow(1, i, 1); };
+    return {(1 + r2 * (c(0) + r2 * (c(1) + r2 * c(4)))) / (1 + r2 * (c(5) + r2 * (c(6) + r2 * c(7)))),
+            2 * c(2) * x * y + c(3) * (r2 + 2 * x * x) + r2 * (c(8) + r2 * c(9)),
+            c(2) * (r2 + 2 * y * y) + 2 * c(3) * x * y + r2 * (c(10) + r2 * c(11))};
+  }
+  bool is_variable() const {
+    return at::GradMode::is_enabled() && (source.requires_grad() || target.requires_grad() || dist.requires_grad());
+  }
+};
+
+inline std::optional<Tensor> tilt_of(Tensor const& dist, bool inverse) {
+  return dist.size(-1) == 14 ? std::optional(tilt_projection(dist.select(1, 12), dist.select(1, 13), inverse))
+                             : std::nullopt;
+}
+
+}  // namespace detail
+
+// Pixels of an ideal camera `new_K`, or K, to where a lens shows them.
+inline Tensor distort_points(Tensor const& points, Tensor const& K, Tensor const& dist,
+                             std::optional<Tensor> const& new_K = {}) {
+  detail::shaped("distort_points", "points", points, 3, "(B, N, 2)");
+  detail::shaped("distort_points", "dist", dist, 2, "(B or 1, n)");
+  detail::Lens const lens{new_K.value_or(K), K, dist, detail::tilt_of(dist, false)};
+  if (!lens.is_variable() && !points.requires_grad())
+    return ops::distort(points, lens.source, lens.target, dist, lens.tilt);
+  auto const [x, y] = lens.normalized(points);
+  auto const [factor, dx, dy] = lens.terms(x, y);
+  auto const [u, v] = lens.tilted(x * factor + dx, y * factor + dy);
+  return lens.in_pixels(u, v);
+}
+
+// Back from there, by a fixed-point iteration.
+inline Tensor undistort_points(Tensor const& points, Tensor const& K, Tensor const& dist,
+                               std::optional<Tensor> const& new_K = {}, int64_t num_iters = 5) {
+  detail::shaped("undistort_points", "points", points, 3, "(B, N, 2)");
+  detail::shaped("undistort_points", "dist", dist, 2, "(B or 1, n)");
+  detail::Lens const lens{K, new_K.value_or(K), dist, detail::tilt_of(dist, true)};
+  if (!lens.is_variable() && !points.requires_grad())
+    return ops::undistort(points, lens.source, lens.target, dist, lens.tilt, num_iters);
+  auto const [u, v] = lens.normalized(points);
+  auto const [x0, y0] = lens.tilted(u, v);
+  Tensor x = x0, y = y0;
+  for (int64_t i = 0; i < num_iters; ++i) {
+    auto const [factor, dx, dy] = lens.terms(x, y);
+    x = (x0 - dx) / factor;
+    y = (y0 - dy) / factor;
+  }
+  return lens.in_pixels(x, y);
+}
+
+inline Tensor undistort_image(Tensor const& image, Tensor const& K, Tensor const& dist) {
+  detail::images("undistort_image", "image", image);
+  Tensor const coefficients = detail::computed(dist, image);
+  Tensor const map = ops::lens_map(detail::computed(K, image), coefficients, detail::tilt_of(coefficients, false),
+                                   detail::image_size(image));
+  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, "bilinear", "fill", true, false, false);
+}
+
+// The poses [R | t], (B, 3, 4), of cameras that show points (B, N, 3) at pixels (B, N, 2), N of 6 and more.
+inline Tensor solve_pnp_dlt(Tensor const& world_points, Tensor const& img_points, Tensor const& intrinsics,
+                            std::optional<Tensor> const& weights = {}, double svd_eps = 1e-4) {
+  detail::shaped("solve_pnp_dlt", "world_points", world_points, 3, "(B, N, 3)");
+  return ops::pose_dlt(world_points, img_points, intrinsics, weights, svd_eps);
+}
+
+}  // namespace kvision

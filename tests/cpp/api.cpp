@@ -1,0 +1,212 @@
+// What a user of the C++ API sees besides gradients: results, options and their defaults, and errors. Prints what is
+// wrong.
+#include <kvision/kvision.h>
+#include <torch/csrc/autograd/autograd.h>
+#include <torch/types.h>
+
+#include <functional>
+#include <iostream>
+
+using torch::Tensor;
+
+namespace {
+
+int checks = 0, failures = 0;
+
+void expect(std::string const& name, bool holds) {
+  ++checks;
+  if (!holds && ++failures) std::cout << name << ": failed\n";
+}
+
+void expect_close(std::string const& name, Tensor const& result, Tensor const& expected, double atol = 1e-5) {
+  expect(name, result.sizes() == expected.sizes() && torch::allclose(result, expected, 1e-4, atol));
+}
+
+template <class Error = std::exception>
+void expect_error(std::string const& text, std::function<void()> const& f) {
+  ++checks;
+  try {
+    f();
+    std::cout << "no error: " << text << "\n";
+    ++failures;
+  } catch (Error const& error) {
+    std::string const what = error.what();
+    if (what.find(text) == std::string::npos && ++failures)
+      std::cout << "expected " << text << ", got " << what << "\n";
+  }
+}
+
+// Functions without a gradient in C++ say so where one is asked for.
+void expect_no_gradient(std::string const& name, Tensor const& result) {
+  expect_error<c10::NotImplementedError>(name + ": C++ has no gradient", [&] { result.sum().backward(); });
+}
+
+void options() {
+  Tensor const x = torch::rand({2, 3, 8, 6});
+  Tensor const matrix = torch::tensor({1.f, 0.f, 2.f, 0.f, 1.f, 1.f}).view({1, 2, 3});
+  Tensor const shifted = torch::constant_pad_nd(x, {2, -2, 1, -1});
+  expect_close("warp_affine", kvision::warp_affine(x, matrix, {8, 6}), shifted);
+  auto const fill = kvision::WarpOptions()
+                        .mode(kvision::Interpolation::nearest)
+                        .padding_mode(kvision::PaddingMode::fill)
+                        .fill_value(torch::full({3}, 0.5));
+  expect_close("warp_affine with a fill", kvision::warp_affine(x, matrix, {8, 6}, fill),
+               torch::constant_pad_nd(x, {2, -2, 1, -1}, 0.5));
+  auto const border = kvision::WarpOptions().padding_mode(kvision::PaddingMode::border);
+  expect_close("warp_affine with a border", kvision::warp_affine(x, matrix, {8, 6}, border).select(3, 0),
+               torch::cat({x.narrow(2, 0, 1), x.narrow(2, 0, 7)}, 2).select(3, 0));
+  expect_close("one image and two matrices", kvision::warp_affine(x.narrow(0, 0, 1), matrix.repeat({2, 1, 1}), {8, 6}),
+               shifted.narrow(0, 0, 1).expand({2, 3, 8, 6}));
+  expect("options remember", border.padding_mode() == kvision::PaddingMode::border && border.align_corners());
+  expect_close("translate", kvision::translate(x, torch::tensor({{2.f, 1.f}})), shifted);
+
+  Tensor const sigma = torch::tensor({{1.5f, 0.7f}});
+  expect_close("gaussian_blur2d of a tensor", kvision::gaussian_blur2d(x, {5, 3}, sigma),
+               kvision::gaussian_blur2d(x, {5, 3}, {1.5, 0.7}));
+  expect_close("gaussian_blur2d of a variable",
+               kvision::gaussian_blur2d(x, {5, 3}, sigma.clone().requires_grad_()).detach(),
+               kvision::gaussian_blur2d(x, {5, 3}, {1.5, 0.7}));
+  expect_close("one size for both axes", kvision::box_blur(x, 3), kvision::box_blur(x, {3, 3}));
+  expect_close("a kernel", kvision::filter2d(x, torch::ones({1, 3, 3}), kvision::FilterOptions().normalized(true)),
+               kvision::box_blur(x, 3));
+  expect(
+      "a valid kernel",
+      kvision::filter2d(x, torch::ones({1, 3, 3}), kvision::FilterOptions().padding(kvision::Padding::valid)).sizes() ==
+          torch::IntArrayRef({2, 3, 6, 4}));
+  expect_close("a number and a tensor", kvision::add_weighted(x, 0.3, x, torch::tensor({0.2f, 0.2f}), 1.0),
+               0.5 * x + 1);
+  expect_close("bytes", kvision::gaussian_blur2d((255 * x).to(torch::kByte), 3, 1.).to(torch::kFloat),
+               kvision::gaussian_blur2d((255 * x).to(torch::kByte).to(torch::kFloat), 3, 1.), 0.51);
+}
+
+void results() {
+  Tensor const colors = torch::rand({2, 3, 4, 6}) * 0.3 + torch::tensor({0.3f, 0.f, 0.6f}).view({3, 1, 1});
+  expect_close("rgb_to_hsv", kvision::hsv_to_rgb(kvision::rgb_to_hsv(colors)), colors);
+  expect_close("rgb_to_hls", kvision::hls_to_rgb(kvision::rgb_to_hls(colors)), colors);
+  expect_close("rgb_to_linear_rgb", kvision::linear_rgb_to_rgb(kvision::rgb_to_linear_rgb(colors)), colors);
+  expect_close("rgb_to_lab", kvision::lab_to_rgb(kvision::rgb_to_lab(colors)), colors, 1e-3);
+  expect_close("rgb_to_luv", kvision::luv_to_rgb(kvision::rgb_to_luv(colors)), colors, 1e-3);
+  expect_close("rgb_to_ycbcr", kvision::ycbcr_to_rgb(kvision::rgb_to_ycbcr(colors)), colors, 1e-3);
+  expect_close("rgb_to_grayscale", kvision::rgb_to_grayscale(colors), kvision::rgb_to_ycbcr(colors).slice(1, 0, 1));
+  Tensor const flat = colors.narrow(2, 0, 1).narrow(3, 0, 1).repeat({1, 1, 4, 6});
+  auto const [luma, chroma] = kvision::rgb_to_yuv420(flat);
+  expect_close("rgb_to_yuv420", kvision::yuv420_to_rgb(luma, chroma), flat);
+
+  auto const weak = kvision::CannyOptions().hysteresis(false);
+  auto const [magnitude, edges] = kvision::canny(colors, weak);
+  expect("canny", ((edges == 0).logical_or(edges == 0.5).logical_or(edges == 1)).all().item<bool>());
+  Tensor const joined = kvision::ops::canny_hysteresis(torch::tensor({0.5f, 1.f, 0.f, 0.5f}).view({1, 1, 1, 4}));
+  expect("canny_hysteresis", torch::equal(joined, torch::tensor({1.f, 1.f, 0.f, 0.f}).view({1, 1, 1, 4})));
+  Tensor const mask = torch::tensor({1.f, 0.f, 1.f}).view({1, 1, 1, 3});
+  expect("connected components", torch::equal(kvision::connected_components_union_find(mask),
+                                              torch::tensor({1, 0, 3}, torch::kLong).view({1, 1, 1, 3})));
+  Tensor const patches = kvision::extract_tensor_patches(colors, {2, 3}, {1, 1});
+  expect_close("patches and back", kvision::combine_tensor_patches(patches, {4, 6}, {2, 3}, {1, 1}), colors);
+  expect_close("opening", kvision::opening(colors, torch::ones({1, 1})), colors);
+  expect_close("psnr", kvision::psnr(colors, colors + 0.1, 1), torch::tensor(20.f), 1e-3);
+  Tensor const labels = torch::tensor({{0, 1, 1}}, torch::kLong), truth = torch::tensor({{0, 0, 1}}, torch::kLong);
+  expect_close("confusion_matrix", kvision::confusion_matrix(labels, truth, 2).to(torch::kFloat),
+               torch::tensor({1.f, 1.f, 0.f, 1.f}).view({1, 2, 2}));
+  expect_close("mean_iou", kvision::mean_iou(labels, truth, 2), torch::tensor({{0.5f, 0.5f}}));
+  Tensor const boxes = torch::tensor({{0.f, 0.f, 2.f, 2.f}});
+  expect_close("mean_iou_bbox", kvision::mean_iou_bbox(boxes, boxes), torch::ones({1, 1}));
+  expect("nms2d", torch::equal(kvision::nms2d(colors, 3, true), kvision::nms2d(colors, 3) > 0));
+  expect("vflip", torch::equal(kvision::vflip(kvision::hflip(colors)), kvision::rot180(colors)));
+  expect("resize", kvision::resize(colors, {2, 3}, kvision::ResizeOptions().antialias(true)).size(2) == 2);
+  expect_close("pyramid", kvision::pyrup(kvision::pyrdown(colors)) + kvision::build_laplacian_pyramid(colors, 1)[0],
+               colors);
+
+  Tensor const from = torch::rand({2, 9, 2}), shift = torch::tensor({0.5f, 0.f});
+  Tensor const K = torch::tensor({2.f, 0.f, 0.f, 0.f, 2.f, 0.f, 0.f, 0.f, 1.f}).view({1, 3, 3});
+  Tensor const new_K = torch::tensor({4.f, 0.f, 1.f, 0.f, 4.f, 1.f, 0.f, 0.f, 1.f}).view({1, 3, 3});
+  expect_close("undistort_points", kvision::undistort_points(from, K, torch::zeros({1, 4}), new_K), 2 * from + 1);
+  Tensor const dist = 0.1 * torch::rand({2, 14}), variable = from.clone().requires_grad_();
+  expect_close("undistort_points of variables", kvision::undistort_points(variable, K, dist, new_K).detach(),
+               kvision::undistort_points(from, K, dist, new_K));
+  Tensor const distorted = kvision::distort_points(from, K, dist);
+  expect_close("distort_points of variables", kvision::distort_points(variable, K, dist).detach(), distorted);
+  expect_close("distort_points and back", kvision::undistort_points(distorted, K, dist, {}, 60), from, 1e-3);
+  Tensor const eye = torch::eye(3).expand({2, 3, 3}), still = torch::eye(3, 4).expand({2, 3, 4});
+  Tensor const moved = torch::cat({still.narrow(2, 0, 3), still.narrow(2, 0, 1)}, 2);
+  Tensor const space = torch::cat({2 * from, torch::full({2, 9, 1}, 2.f)}, 2);
+  expect_close("triangulate_points", kvision::triangulate_points(still, moved, from, from + shift), space, 1e-3);
+  Tensor const sideways = torch::tensor({{0.f, 0.f, 0.f}, {0.f, 0.f, -1.f}, {0.f, 1.f, 0.f}}).expand({2, 3, 3});
+  auto const motion = kvision::motion_from_essential_choose_solution(sideways, eye, eye, from, from + shift);
+  expect_close("motion_from_essential_choose_solution", std::get<2>(motion), space, 1e-3);
+  Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
+  expect_close("eigenvectors", std::get<0>(kvision::ops::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
+  Tensor const points = from[0].t().contiguous(), one = torch::eye(3).unsqueeze(0);
+  expect_close("consensus", kvision::ops::consensus(one, points, points, 0.1, "homography"), torch::full({1, 2}, 9.f));
+  auto const [best, count] =
+      kvision::ops::leaders(torch::cat({0 * one, one}), torch::tensor({{0.f, 0.f}, {1.f, 1.f}}), 1, true);
+  expect_close("leaders", best, one);
+  expect_close("verdict", std::get<0>(kvision::ops::verdict(best, count, 1, "homography")), one[0]);
+}
+
+void gradients() {
+  // Levels have no gradient, and a plane of one level comes back with its own.
+  Tensor const planes = torch::cat({torch::rand({2, 2, 7, 6}), torch::full({2, 1, 7, 6}, 0.3f)}, 1).requires_grad_();
+  auto const to_planes = [&](Tensor const& y) { return torch::autograd::grad({y.sum()}, {planes})[0].mean({0, 2, 3}); };
+  expect("equalize", torch::equal(to_planes(kvision::equalize(planes, true)), torch::tensor({0.f, 0.f, 1.f})));
+  expect("equalize_clahe", !to_planes(kvision::equalize_clahe(planes)).any().item<bool>());
+  expect("constants", !kvision::connected_components_union_find(planes).requires_grad());
+  auto const [losses, order] = kvision::ops::lovasz(planes, torch::zeros({2, 7, 6}, torch::kLong), false);
+  expect("what is saved for the gradient is constant", losses.requires_grad() && !order.requires_grad());
+  {
+    torch::NoGradGuard no_grad;
+    expect("no graph without gradients", !kvision::sobel(planes).requires_grad());
+  }
+
+  expect_no_gradient("real_roots", kvision::ops::real_roots(torch::tensor({{1.f, -3.f, 2.f}}).requires_grad_()));
+  Tensor const boxes = torch::tensor({{0.f, 0.f, 2.f, 2.f}}).requires_grad_();
+  expect_no_gradient("box_overlaps", kvision::mean_iou_bbox(boxes, boxes));
+  Tensor const points = torch::rand({2, 3, 2}).requires_grad_();
+  expect_no_gradient("minimal", kvision::ops::minimal(points, points, {}, "affine"));
+  Tensor const heights = torch::rand({1, 3, 3}).requires_grad_(), element = torch::ones({3, 3});
+  expect_error<c10::NotImplementedError>("dilation: C++ has no gradient to heights", [&] {
+    kvision::dilation(planes, element, kvision::MorphologyOptions().structuring_element(heights[0])).sum().backward();
+  });
+  expect_error<c10::NotImplementedError>("sobel: C++ has no second derivative of it", [&] {
+    Tensor const y = kvision::sobel(planes);
+    Tensor const first = torch::autograd::grad({(y * y).sum()}, {planes}, {}, std::nullopt, true)[0];
+    torch::autograd::grad({first.sum()}, {planes});
+  });
+  expect("any operator by its name",
+         torch::equal(kvision::ops::call("sobel", {planes.detach(), true, 1e-6})[0], kvision::sobel(planes.detach())));
+}
+
+void errors() {
+  Tensor const x = torch::rand({1, 3, 8, 8}), matrix = torch::eye(3).unsqueeze(0);
+  using Value = c10::ValueError;
+  expect_error<Value>("sobel: expected input of shape (B, C, H, W), got [3, 8, 8]", [&] { kvision::sobel(x[0]); });
+  expect_error<Value>("warp_affine: expected M of shape (B or 1, 2, 3), got [1, 3, 3]",
+                      [&] { kvision::warp_affine(x, matrix, {8, 8}); });
+  expect_error<Value>("warp_perspective: expected a fill_value with padding_mode fill only", [&] {
+    kvision::warp_perspective(x, matrix, {8, 8}, kvision::WarpOptions().fill_value(torch::ones({3})));
+  });
+  expect_error<Value>("rgb_to_hsv: expected image of shape (B, 3, H, W), got [1, 2, 8, 8]",
+                      [&] { kvision::rgb_to_hsv(x.narrow(1, 0, 2)); });
+  expect_error<Value>("ssim: expected img2 of shape [1, 3, 8, 8], got [1, 3, 4, 8]",
+                      [&] { kvision::ssim(x, x.narrow(2, 0, 4), 5); });
+  expect_error<Value>("dice_loss: expected target of shape (B, H, W) for pred of [1, 3, 8, 8], got [8, 8]",
+                      [&] { kvision::dice_loss(x, torch::zeros({8, 8}, torch::kLong)); });
+  expect_error<c10::TypeError>("focal_loss: expected target of int64, got Float",
+                               [&] { kvision::focal_loss(x, torch::zeros({1, 8, 8})); });
+  expect_error<Value>("find_homography_dlt: expected points1 of shape (B, N, 2), got [4, 2]",
+                      [&] { kvision::find_homography_dlt(torch::rand({4, 2}), torch::rand({4, 2})); });
+  expect_error("box_blur", [&] { kvision::box_blur(x, 0); });
+  expect_error("Expected a value of type 'bool' for argument 'normalized'",
+               [&] { kvision::ops::call("sobel", {x, "yes", 1e-6}); });
+}
+
+}  // namespace
+
+int main() {
+  torch::manual_seed(0);
+  options();
+  results();
+  gradients();
+  errors();
+  std::cout << checks << " checks, " << failures << " failures\n";
+  return failures > 0;
+}

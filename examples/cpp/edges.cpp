@@ -1,4 +1,4 @@
-// Blurs a photograph, finds its edges, checks the gradient of it all numerically: edges IN.ppm OUT.ppm
+// Straightens a photograph, blurs it, finds its edges and checks the gradient of it all: edges IN.ppm OUT.ppm
 #include <kvision/kvision.h>
 #include <torch/types.h>
 
@@ -31,16 +31,24 @@ void write_ppm(std::string const& path, torch::Tensor const& image) {
   if (!file) throw std::runtime_error(path + ": cannot be written");
 }
 
-torch::Tensor edges(torch::Tensor const& image) { return kvision::sobel(image); }
+// The edges of an image that is turned by `angle` degrees, (B,), about its middle.
+torch::Tensor edges(torch::Tensor const& image, torch::Tensor const& angle) {
+  auto const options =
+      kvision::TransformOptions().mode(kvision::Interpolation::bilinear).padding_mode(kvision::PaddingMode::reflection);
+  torch::Tensor const straight = kvision::rotate(image, angle, {}, options);
+  return kvision::sobel(kvision::gaussian_blur2d(straight, 5, 1.5));
+}
 
-// The derivative along a random direction, by autograd and by a central difference.
-void check_gradient(torch::Tensor const& image) {
+// The derivative along a random direction of image and angle, by autograd and by a central difference.
+void check_gradient(torch::Tensor const& image, double degrees) {
   torch::Tensor const x = image.to(torch::kDouble).requires_grad_();
-  edges(x).sum().backward();
+  torch::Tensor const angle = torch::full({1}, degrees, torch::kDouble).requires_grad_();
+  edges(x, angle).sum().backward();
   torch::Tensor const direction = torch::randn_like(x), step = 1e-6 * direction;
-  double const analytic = (x.grad() * direction).sum().item<double>();
+  double const analytic = ((x.grad() * direction).sum() + angle.grad().sum()).item<double>();
   torch::NoGradGuard no_grad;
-  double const numeric = ((edges(x + step) - edges(x - step)).sum() / 2e-6).item<double>();
+  torch::Tensor const after = edges(x + step, angle + 1e-6), before = edges(x - step, angle - 1e-6);
+  double const numeric = ((after - before).sum() / 2e-6).item<double>();
   std::cout << "derivative along a random direction: autograd " << analytic << ", numeric " << numeric << "\n";
   if (!(std::abs(analytic - numeric) < 1e-4 * std::abs(numeric))) throw std::runtime_error("the gradient is wrong");
 }
@@ -49,10 +57,11 @@ void check_gradient(torch::Tensor const& image) {
 
 int main(int argc, char** argv) try {
   if (argc != 3) throw std::runtime_error("usage: edges IN.ppm OUT.ppm");
-  torch::Tensor const image = read_ppm(argv[1]), found = edges(image);
-  write_ppm(argv[2], found / found.max());
+  double const degrees = 3;
+  torch::Tensor const image = read_ppm(argv[1]), result = edges(image, torch::full({1}, degrees));
+  write_ppm(argv[2], result / result.max());
   std::cout << argv[1] << " -> " << argv[2] << ", " << image.sizes() << "\n";
-  check_gradient(image.slice(2, 0, 64).slice(3, 0, 64));
+  check_gradient(image.slice(2, 0, 64).slice(3, 0, 64), degrees);
 } catch (std::exception const& error) {
   std::cerr << "edges: " << error.what() << "\n";
   return 1;

@@ -155,7 +155,8 @@ int main() {
           return kvision::yuv420_to_rgb(luma.square(), chroma.square());
         },
         {colors});
-  check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], kvision::CFA::GB); }, {torch::rand({2, 1, 4, 6})});
+  check("raw_to_rgb", [](auto const& t) { return kvision::raw_to_rgb(t[0], kvision::CFA::GB); },
+        {torch::rand({2, 1, 4, 6})});
   using Program = kvision::ColorProgram;
   auto const contrast = [](auto const& t) {
     Program const program{{Program::contrast, Program::gamma}, {0, 0, 0, 0.9}, {0, -1, 1, -1}, {t[1], t[2]}};

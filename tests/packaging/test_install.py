@@ -54,7 +54,8 @@ def test_wheel_serves_every_python(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     assert "-py3-none-linux_" in wheel.name
     assert {"kvision/lib/libkvision.so", "kvision/lib/cmake/kvision/kvision-config.cmake", "kvision/py.typed"} <= names
-    assert {f"kvision/include/kvision/{path.name}" for path in (ROOT / "include/kvision").iterdir()} <= names
+    headers = (path.relative_to(ROOT) for path in (ROOT / "include/kvision").rglob("*.h"))
+    assert {f"kvision/{header}" for header in headers} <= names
     assert not [name for name in names if name.startswith("tests/") or "csrc" in name]
 
 

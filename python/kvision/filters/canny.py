@@ -13,7 +13,8 @@ from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.color.gray import LUMA
-from kvision.color.program import STEPS, arguments, run
+from kvision.color.program import arguments, run
+from kvision.color.steps import STEPS
 from kvision.core.exceptions import ImageError, ValueCheckError
 from kvision.filters.gaussian import _gaussian_blur2d, blur_arguments
 from kvision.filters.sobel import _sobel_backward, root
@@ -138,7 +139,7 @@ def canny(
     x, computed = floats(input), compute_dtype(input)
     dtype = x.dtype
     if x.shape[1] == 3:
-        x = run(x, [STEPS["weighted_sum"]], arguments(LUMA), dtype=computed)
+        x = run(x, [STEPS["weighted_sum"].number], arguments(LUMA), dtype=computed)
     x = as_dtype(x, computed)
     x = _gaussian_blur2d(*blur_arguments("canny", x, kernel_size, sigma, "reflect"))
     magnitude, edges = _canny_suppress(x, low_threshold, high_threshold, eps)

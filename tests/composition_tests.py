@@ -56,6 +56,7 @@ class CompositionTests:
         if not case.differentiable:
             pytest.skip("not differentiable")
 
+    @pytest.mark.derivatives
     def test_derivatives(self, case, device):
         self.needs_gradient(case)
         values = [v.requires_grad_() for v in self.values(case, device)]
@@ -77,6 +78,7 @@ class CompositionTests:
         leaf = first[0].clone().requires_grad_()
         assert_close(torch.func.grad(loss)(*first), torch.autograd.grad(loss(leaf, *first[1:]), leaf)[0])
 
+    @pytest.mark.tracing
     @pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
     def test_compiles_and_exports_whole_with_any_batch(self, name, case, device):
         if name not in (self.compiled or self.cases):

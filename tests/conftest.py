@@ -75,6 +75,19 @@ def cmake() -> str:
     return shutil.which("cmake", path=folders) or pytest.skip("cmake is not installed")
 
 
+# Folders whose tests call operators; the others test files, containers and packaging.
+OPERATORS = ("color", "contrib", "enhance", "filters", "geometry", "losses", "metrics", "morphology")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks by folder: `operators` for those above, for the files next to this one, and for examples in docstrings."""
+    here = Path(__file__).parent
+    for item in items:
+        folder = item.path.relative_to(here).parts[0] if item.path.is_relative_to(here) else None
+        if folder is None or folder in OPERATORS or folder == item.path.name:
+            item.add_marker(pytest.mark.operators)
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Tests of an OpTests class run once for every variant it declares."""
     if metafunc.cls is not None and issubclass(metafunc.cls, OpTests) and "variant" in metafunc.fixturenames:

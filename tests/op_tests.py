@@ -228,6 +228,7 @@ class OpTests:
         if layout == "channels_last" and x.shape[1] > 1 and as_tuple(output)[0].dim() == 4:
             assert as_tuple(output)[0].is_contiguous(memory_format=torch.channels_last)
 
+    @pytest.mark.sweep
     def test_all_small_sizes(self, variant, sizes, device):
         """Values and gradients at every height and width up to max_size."""
         ran = 0
@@ -326,6 +327,7 @@ class OpTests:
         with K.backend("native"):
             self.call(x.requires_grad_(self.differentiable), kwargs)
 
+    @pytest.mark.tracing
     def test_opcheck(self, device, backend):
         """Every operator's first call in full, those of other variants for what their plain arguments decide."""
         self.needs_native(backend)
@@ -386,6 +388,7 @@ class OpTests:
         assert actual.dtype == dtype
         assert_close(actual, expected.to(dtype), 2 * rtol, 2 * atol * max(1.0, float(expected.abs().max())))
 
+    @pytest.mark.derivatives
     def test_gradcheck(self, variant, device):
         self.needs_gradient()
         x, kwargs = self.setup(variant, device, shape=self.small)
@@ -456,6 +459,7 @@ class OpTests:
         (actual,) = torch.autograd.grad((vjp_fn(torch.ones_like(value))[0] ** 2).sum(), leaf)
         assert_close(actual, expected, 1e-7, 1e-7)
 
+    @pytest.mark.derivatives
     def test_hessian(self, variant, device):
         self.needs_gradient()
         x, kwargs = self.setup(variant, device, shape=self.small)
@@ -475,6 +479,7 @@ class OpTests:
 
     # --- production ---
 
+    @pytest.mark.tracing
     def test_compile(self, device, backend):
         """fullgraph with a dynamic batch; values and gradients by inductor. The reference has to be traced, no more."""
         variant = self.variants[0]
@@ -496,6 +501,7 @@ class OpTests:
                 (as_tuple(self.call(b, kwargs))[0] ** 2).sum().backward()
                 assert_close(a.grad, b.grad, *self.tolerances.get(torch.float32, (None, None)))
 
+    @pytest.mark.tracing
     def test_export(self, device):
         variant = self.variants[0]
         x, kwargs = self.setup(variant, device, torch.float32)
@@ -597,6 +603,7 @@ class OpTests:
         """Keyword arguments to fuzz with; the declared variants unless a subclass draws more."""
         return st.sampled_from(self.variants)
 
+    @pytest.mark.fuzz
     def test_fuzz(self, device):
         strides = st.sampled_from(LAYOUTS)
         channels = st.just(self.channels) if self.channels else st.integers(0, 5)

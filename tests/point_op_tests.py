@@ -52,6 +52,7 @@ SQUARE = torch.tensor([[0.0, 0], [4, 0], [4, 3], [0, 3]], dtype=torch.float64)
 CUBE = torch.tensor([[0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4], dtype=torch.float64).T
 
 
+@pytest.mark.native
 class PointOpTests:
     calls: dict[str, list[Call]]
     operators: tuple[str, ...]  # all that the calls and their gradients go through
@@ -185,6 +186,7 @@ class PointOpTests:
 
     # --- derivatives and transforms ---
 
+    @pytest.mark.derivatives
     def test_derivatives(self, name, call, device):
         if not call.differentiable:
             pytest.skip("not differentiable")
@@ -207,6 +209,7 @@ class PointOpTests:
         mapped = torch.func.vmap(f, axes)(*stacked)
         self.check(call, list(mapped), [torch.stack(y) for y in zip(*(f(*x) for x in args))])
 
+    @pytest.mark.tracing
     def test_compile(self, device, backend):
         """All calls in one graph, values and gradients."""
         cases = [(name, calls[0]) for name, calls in self.calls.items()]

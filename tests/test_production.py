@@ -42,6 +42,7 @@ def program(model: nn.Module, device: torch.device) -> torch.export.ExportedProg
     return torch.export.export(model, (image,), dynamic_shapes=({0: torch.export.Dim.DYNAMIC},))
 
 
+@pytest.mark.tracing
 def test_export_with_a_dynamic_batch(
     model: nn.Module, program: torch.export.ExportedProgram, device: torch.device
 ) -> None:
@@ -50,6 +51,7 @@ def test_export_with_a_dynamic_batch(
         assert_close(program.module()(image), model(image))
 
 
+@pytest.mark.tracing
 def test_exported_program_calls_the_operators(program: torch.export.ExportedProgram, backend: str) -> None:
     if backend == "reference" or _ops.unserved.get("cpu"):
         pytest.skip("the reference is traced into torch's own operators")

@@ -40,6 +40,7 @@ def middle(x: Tensor) -> Tensor:
     return torch.tensor([[2.31, 1.17, 0.61]], dtype=torch.float64)
 
 
+@pytest.mark.native
 class WarpTests(OpTests):
     bytes = True
     tolerances = FLOAT_PLACES
@@ -62,6 +63,7 @@ class WarpTests(OpTests):
 
 
 class FormulaWarpTests(WarpTests):
+    @pytest.mark.tracing
     def test_opcheck(self, device, backend):
         """Of the operator alone: those of its gradient are checked where they are tested."""
         self.needs_native(backend)

@@ -153,6 +153,7 @@ def test_round_trips(there, back, wide, narrow, device):
 # ------------------------------------------------------------------------------------------------------------ gradients
 
 
+@pytest.mark.derivatives
 def test_derivatives(case, convert, device):
     x = case.of_rgb(colors((1, 3, 2, 2), device)).requires_grad_()
     assert torch.autograd.gradcheck(convert, x, check_forward_ad=True)
@@ -219,6 +220,7 @@ def test_layouts(case, convert, layout, device):
     assert_close(convert(other), convert(x))
 
 
+@pytest.mark.tracing
 @pytest.mark.parametrize("name", ["rgb_to_hsv", "rgb_to_lab", "rgba_to_rgb"])
 def test_compiles_whole_with_any_batch(case, convert, device):
     torch._dynamo.reset()

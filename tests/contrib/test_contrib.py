@@ -282,6 +282,7 @@ class TestConnectedComponents(OpTests):
         self.needs_native(backend)  # the reference goes on until nothing changes
         super().test_vmap(variant, device)
 
+    @pytest.mark.tracing
     def test_compile(self, device, backend):
         self.needs_native(backend)
         super().test_compile(device, backend)

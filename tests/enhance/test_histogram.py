@@ -121,6 +121,7 @@ def counts_and_gradient(x: Tensor, centers: Tensor, width: float, weights: Tenso
     return counts.detach(), torch.autograd.grad((counts * weights).sum(), x)[0]
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("centers", CENTERS)
 @pytest.mark.parametrize("width", [1e-5, 0.0007, 0.004, 0.02, 0.3, 20.0])
 @pytest.mark.parametrize("samples", [1, 100, 1000, 70_000])
@@ -208,6 +209,7 @@ def test_derivatives_of_the_kernels():
     assert_close(per_sample[2], actual[0], 0, 2e-5 * float(actual[0].abs().max()))
 
 
+@pytest.mark.tracing
 def test_compile_and_graph(device):
     x, centers = torch.rand(2, 400, device=device), torch.linspace(0, 1, 9, device=device)
     torch._dynamo.reset()
@@ -238,6 +240,7 @@ GRIDS = [
 ]
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("kernel, bins", GRIDS)
 @pytest.mark.parametrize("samples", [1, 700, 40_000])
 def test_bins_against_the_reference(samples, kernel, bins, device):

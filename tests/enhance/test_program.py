@@ -313,6 +313,7 @@ def test_parameters_of_a_call(image, device):
         program(image, {"brightness": 1.0})
 
 
+@pytest.mark.tracing
 def test_compiles_whole(image, device):
     torch._dynamo.reset()
     program = E.ColorProgram(*JITTER)

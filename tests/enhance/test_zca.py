@@ -26,6 +26,7 @@ def test_inverse(device):
     assert E.zca_mean(x)[2] is None
 
 
+@pytest.mark.derivatives
 @pytest.mark.parametrize("samples", [8, 3], ids=["full rank", "fewer samples than features"])
 def test_derivatives(samples, device):
     x = torch.randn(samples, 4, dtype=torch.float64, device=device, requires_grad=True)

@@ -76,6 +76,7 @@ def every_form3d(boxes: Tensor, points: Tensor, M: Tensor) -> list[Tensor]:
     return [*found, G.Boxes3D(boxes).to_mask(3, 4, 5)]
 
 
+@pytest.mark.tracing
 def test_all_of_it_compiles_without_a_break(device):
     corners = G.Boxes.from_tensor(xyxy(2, 5)).data.to(device)
     corners3d = G.Boxes3D.from_tensor(xyxy(2, 5, axes=3)).data.to(device)
@@ -86,6 +87,7 @@ def test_all_of_it_compiles_without_a_break(device):
             assert_close(found, expected)
 
 
+@pytest.mark.tracing
 def test_containers_go_into_and_come_out_of_compiled_functions(device):
     M = rigid(2).to(device)
     boxes, points = G.Boxes.from_tensor(xyxy(2, 5).to(device)), G.Keypoints(rand(2, 5, 2).to(device))

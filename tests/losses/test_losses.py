@@ -207,6 +207,7 @@ class TestTotalVariation(OpTests):
             with pytest.raises(error, match="^total_variation: "):
                 self.call(wrong, {})
 
+    @pytest.mark.derivatives
     def test_gradcheck(self, variant, device):
         x = torch.rand(
             self.small, dtype=torch.float64, device=device, requires_grad=True

@@ -36,6 +36,7 @@ class TestSSIM(OpTests):
     # Variances are differences of means of squares, and the similarity divides by them.
     tolerances = {torch.float32: (2e-4, 2e-5)}
 
+    @pytest.mark.tracing
     def test_opcheck(self, device, backend):
         if device.type == "cuda" and torch.__version__.startswith("2.11"):
             pytest.skip("torch 2.11: the second derivative of a convolution on CUDA takes no symbolic sizes")

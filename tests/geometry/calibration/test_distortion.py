@@ -57,6 +57,7 @@ def test_instruction_sets(isa, device, backend):
         test_values_and_gradients(14, torch.float32, device)
 
 
+@pytest.mark.derivatives
 @pytest.mark.parametrize("count", [5, 14])
 def test_derivatives(count, device):
     given = on(device, lenses(count))
@@ -107,6 +108,7 @@ def test_undistortion_is_a_map_and_a_sampling(device, backend):
     assert sorted(names) == ["kvision::lens_map", "kvision::remap"]
 
 
+@pytest.mark.tracing
 def test_compiled(device):
     image, given = torch.rand(2, 3, 9, 8, device=device), on(device, lenses(14), torch.float32)[:2]
     compiled = torch.compile(G.undistort_image, fullgraph=True, backend="aot_eager")

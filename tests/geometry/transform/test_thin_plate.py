@@ -45,6 +45,7 @@ CALLS = {
 }
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("isa", ["avx512", "avx2", "baseline"])
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 @pytest.mark.parametrize("name", CALLS)

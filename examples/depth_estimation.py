@@ -1,14 +1,13 @@
-"""Find the depth of a picture by descent on how much other views, warped by it, differ from it: coarse to fine.
+"""Find the depth of an image by gradient descent on the photometric error of other views, from coarse to fine.
 
     python examples/depth_estimation.py                    scikit-image's stereo pair of a motorcycle
     python examples/depth_estimation.py --data FOLDER      five views of FOLDER/rgbd_livingroom as well
-    python examples/depth_estimation.py --kornia           the same loop with Kornia beside it, at the same iterations
+    python examples/depth_estimation.py --kornia           the same loop with Kornia as well, at the same iterations
 
-What is learnt is inverse depth, a number of [0, 1] for each pixel between the far and the near end of the scene. It begins
-as noise and descends, by SGD with momentum, on the weighted sum of the Kornia paper: SSIM and L1 between the picture and
-each warped view, and how rough inverse depth is where the picture has no edges. Every scene gives a figure, a row a level.
-Depth is measured where there is a true one: the mean of abs(depth - true) / true, and the share of pixels where that is less
-than 10%.
+The parameter is inverse depth, a number in [0, 1] for each pixel between the far and the near end of the scene. It starts as noise.
+SGD with momentum minimizes the weighted sum of the Kornia paper: SSIM and L1 between the image and each warped view, and the
+roughness of inverse depth where the image has no edges. Every scene gives a figure with a row for each level. Errors are measured
+where the true depth is known: the mean of abs(depth - true) / true, and the fraction of pixels where that is less than 10%.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ WINDOW = 5  # of SSIM
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture (1, 3, H, W), V views of the same, and where all were taken: camera matrices (1, 3, 3) and (V, 3, 3), and
-    (V, 4, 4) from the picture's frame to the views'. `truth` (1, 1, H, W) is its depth, 0 where it is not known.
+    """An image (1, 3, H, W), V other views, camera matrices (1, 3, 3) and (V, 3, 3), and poses (V, 4, 4) from the frame of the
+    image to the views'. `truth` (1, 1, H, W) is the depth of the image, 0 where it is not known.
 
-    All depth is between `near` and `far`. At least `share` of the pixels shall be right to 10%.
+    All depth is between `near` and `far`. At least `fraction` of the pixels must be correct to 10%.
     """
 
     name: str
@@ -48,7 +47,7 @@ class Scene:
     truth: Tensor
     near: float
     far: float
-    share: float
+    fraction: float
 
 
 # --- scenes ---------------------------------------------------------------------------------------------------------
@@ -67,7 +66,7 @@ def at_size(camera: Tensor, before: tuple[int, int], after: tuple[int, int]) -> 
 
 
 def motorcycle(device: torch.device, width: int = 320) -> Scene:
-    """Two pictures of the Middlebury stereo data of 2014, of which scikit-image tells the calibration."""
+    """Two images of the Middlebury stereo data of 2014, of which scikit-image tells the calibration."""
     from skimage import data
 
     left, right, disparity = data.stereo_motorcycle()
@@ -85,11 +84,11 @@ def motorcycle(device: torch.device, width: int = 320) -> Scene:
     pictures = [shrunk(K.image_to_tensor(x, keepdim=False).float() / 255, size) for x in (left, right)]
     cameras = (at_size(x, before, size) for x in (camera, other))
     tensors = (x.to(device) for x in (*pictures, *cameras, motion, truth))
-    return Scene("motorcycle", *tensors, near=1.5, far=8.0, share=0.7)
+    return Scene("motorcycle", *tensors, near=1.5, far=8.0, fraction=0.7)
 
 
 def livingroom(folder: Path, device: torch.device, width: int = 320) -> Scene:
-    """Five views that were rendered a few centimetres apart, the third of which is the picture."""
+    """Five views that were rendered a few centimeters apart; the third is the image."""
 
     def numbers(name: str, rows: int) -> Tensor:
         return torch.tensor([float(x) for x in (folder / name).read_text().split()], dtype=torch.float64).view(rows, -1)
@@ -105,7 +104,7 @@ def livingroom(folder: Path, device: torch.device, width: int = 320) -> Scene:
     others = [0, 1, 3, 4]
     motions = torch.stack([torch.linalg.inv(poses[i]) @ poses[2] for i in others]).float()
     tensors = (pictures[2:3], pictures[others], camera, camera.expand(4, 3, 3), motions, truth)
-    return Scene("livingroom", *(x.to(device) for x in tensors), near=0.5, far=5.0, share=0.7)
+    return Scene("livingroom", *(x.to(device) for x in tensors), near=0.5, far=5.0, fraction=0.7)
 
 
 # --- descent --------------------------------------------------------------------------------------------------------
@@ -118,7 +117,7 @@ def sizes(scene: Scene, levels: int) -> list[tuple[int, int]]:
 
 
 def warper_of(scene: Scene, size: tuple[int, int], library: ModuleType) -> Callable[[Tensor, Tensor], Tensor]:
-    """Takes depth (1, 1, h, w) and the views at that size, to the views as the picture's camera sees them."""
+    """A function of depth (1, 1, h, w) and the views at that size that warps the views to the camera of the image."""
     before = tuple(scene.picture.shape[2:])
     count = len(scene.views)
     height, width = (torch.full((count,), float(n), device=scene.views.device) for n in size)
@@ -134,18 +133,18 @@ def warper_of(scene: Scene, size: tuple[int, int], library: ModuleType) -> Calla
     return lambda depth, views: warper(depth.expand(count, -1, -1, -1), views)
 
 
-def depth_of(scene: Scene, place: Tensor) -> Tensor:
-    """Depth of numbers of [0, 1], evenly in inverse depth; outside of these as at the ends, near enough."""
+def depth_of(scene: Scene, inverse_depth: Tensor) -> Tensor:
+    """Depth from inverse depth in [0, 1], clamped a little outside of this range."""
     far, near = 1 / scene.far, 1 / scene.near
-    return 1 / (far + place * (near - far)).clamp(0.5 * far, 2 * near)
+    return 1 / (far + inverse_depth * (near - far)).clamp(0.5 * far, 2 * near)
 
 
-def objective(picture: Tensor, warped: Tensor, place: Tensor, library: ModuleType) -> Tensor:
+def objective(picture: Tensor, warped: Tensor, inverse_depth: Tensor, library: ModuleType) -> Tensor:
     """The paper's weighted sum."""
     pictures = picture.expand_as(warped)
     structure = (1 - library.metrics.ssim(pictures, warped, WINDOW)).mean() / 2
     difference = (pictures - warped).abs().mean()
-    roughness = library.losses.inverse_depth_smoothness_loss(place / place.mean().detach(), picture)
+    roughness = library.losses.inverse_depth_smoothness_loss(inverse_depth / inverse_depth.mean().detach(), picture)
     return STRUCTURE * structure + (1 - STRUCTURE) * difference + SMOOTHNESS * roughness
 
 
@@ -154,18 +153,20 @@ def descend(
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Depth, and the views warped by it, after each level. `step` is called after each iteration."""
     generator = torch.Generator().manual_seed(0)
-    place = torch.rand(1, 1, *sizes(scene, levels)[0], generator=generator).to(scene.picture.device)
+    inverse_depth = torch.rand(1, 1, *sizes(scene, levels)[0], generator=generator).to(scene.picture.device)
     for size in sizes(scene, levels):
         picture, views = shrunk(scene.picture, size), shrunk(scene.views, size)
         warp = warper_of(scene, size, library)
-        place = K.geometry.resize(place, size).detach().requires_grad_()
-        optimizer = torch.optim.SGD([place], RATE * place.numel(), MOMENTUM)  # the objective is a mean over pixels
+        inverse_depth = K.geometry.resize(inverse_depth, size).detach().requires_grad_()
+        optimizer = torch.optim.SGD(
+            [inverse_depth], RATE * inverse_depth.numel(), MOMENTUM
+        )  # the objective is a mean over pixels
         for _ in range(iterations):
             optimizer.zero_grad()
-            objective(picture, warp(depth_of(scene, place), views), place, library).backward()
+            objective(picture, warp(depth_of(scene, inverse_depth), views), inverse_depth, library).backward()
             optimizer.step()
             step()
-        depth = depth_of(scene, place.detach())
+        depth = depth_of(scene, inverse_depth.detach())
         yield depth, warp(depth, views)
 
 
@@ -179,7 +180,7 @@ def errors(scene: Scene, depth: Tensor) -> Tensor:
 
 
 def quality(error: Tensor) -> tuple[float, float]:
-    """Mean error, share of pixels within 10%."""
+    """Mean error, fraction of pixels within 10%."""
     known = error[error.isfinite()]
     return float(known.mean()), float((known < 0.1).float().mean())
 
@@ -216,14 +217,14 @@ def draw(scene: Scene, levels: list[tuple[Tensor, Tensor]], path: Path) -> None:
     show(axes[0, shown + 1], scene.truth, "true depth", **range_of_depth)
     for row, (depth, warped) in zip(axes[1:], levels):
         error = errors(scene, depth)
-        mean, share = quality(error)
+        mean, fraction = quality(error)
         for i in range(shown):
             show(row[i], warped[i : i + 1], "view, warped")
         show(
             row[shown], (warped.mean(0, keepdim=True) - shrunk(scene.picture, tuple(warped.shape[2:]))).abs() * 4, "x 4"
         )
         show(row[shown + 1], depth, f"depth, error {mean:.1%}", **range_of_depth)
-        show(row[shown + 2], error, f"error, {share:.0%} within 10%", cmap="magma", vmin=0, vmax=0.3)
+        show(row[shown + 2], error, f"error, {fraction:.0%} within 10%", cmap="magma", vmin=0, vmax=0.3)
     for axis in axes.flat:
         axis.axis("off")
     figure.tight_layout()
@@ -250,7 +251,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, help="folder with rgbd_livingroom")
     parser.add_argument("--iterations", type=int, default=ITERATIONS, help="on each level")
     parser.add_argument("--levels", type=int, default=LEVELS)
-    parser.add_argument("--width", type=int, default=320, help="of the pictures")
+    parser.add_argument("--width", type=int, default=320, help="of the images")
     parser.add_argument("--kornia", action="store_true", help="run Kornia, too")
     parser.add_argument("--out", type=Path, default=Path("out/depth"), help="where the figures go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
@@ -276,14 +277,14 @@ def main(arguments: list[str] | None = None) -> int:
         for library in libraries:
             levels, seconds = estimate(scene, options.iterations, options.levels, library)
             error = errors(scene, levels[-1][0])
-            mean, share = quality(error)
+            mean, fraction = quality(error)
             steps = options.iterations * options.levels
             print(
-                f"{scene.name:11} {library.__name__:10} error {mean:6.1%}, within 10% {share:4.0%}: {limits(scene, error)}; "
+                f"{scene.name:11} {library.__name__:10} error {mean:6.1%}, within 10% {fraction:4.0%}: {limits(scene, error)}; "
                 f"{seconds:.1f} s, {1000 * seconds / steps:.2f} ms a step"
             )
             if library is K:
-                missed += share < scene.share
+                missed += fraction < scene.fraction
                 draw(scene, levels, options.out / f"{scene.name}.png")
     return 1 if missed else 0
 

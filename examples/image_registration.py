@@ -1,11 +1,11 @@
-"""Find the homography between two pictures by descent on how much they differ, from coarse to fine.
+"""Find the homography between two images by gradient descent on their difference, from coarse to fine.
 
     python examples/image_registration.py                           synthetic pairs of scikit-image's photographs
     python examples/image_registration.py --data FOLDER             real pairs as well: FOLDER/graf, boat, leuven, bikes
     python examples/image_registration.py --solver gauss-newton     in fewer steps than Adam
 
-Every pair gives a figure, a row a level of the pyramid: source, destination, warped source, error. The error of a result
-is that of the corners of the picture, in pixels, against the known homography.
+Every pair gives a figure with a row for each level of the pyramid: source, destination, warped source, error. The error of a result
+is the mean distance of the corners of the image, in pixels, from those of the known homography.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ LEVELS = 4
 
 @dataclass(frozen=True)
 class Pair:
-    """Pictures (1, 1, H, W) and the homography from places of `target` to places of `source`, both in [-1, 1].
+    """Images (1, 1, H, W) and the homography from coordinates of `target` to those of `source`, both in [-1, 1].
 
-    `start` is where the search begins, `limit` the largest mean error of the corners in pixels of the original, of which a
-    pixel here is `pixels`.
+    `start` is the first estimate. `limit` is the largest mean error of the corners in pixels of the original; `pixels` is the size
+    of a pixel here in these.
     """
 
     name: str
@@ -50,7 +50,7 @@ def corners(device: torch.device | str = "cpu") -> Tensor:
 
 
 def synthetic(device: torch.device) -> Iterator[Pair]:
-    """Photographs beside themselves after a homography that moves their corners by up to 8% of their size."""
+    """Photographs and their warps by a homography that moves their corners by up to 8% of their size."""
     from skimage import data
 
     generator = torch.Generator().manual_seed(0)
@@ -71,11 +71,11 @@ def real(folder: Path, device: torch.device) -> Iterator[Pair]:
         ("graf", 2, 10, 2.0),
         ("boat", 3, 10, 2.0),
     ):
-        place = folder / name
-        if not place.is_dir():
+        folder_of_pair = folder / name
+        if not folder_of_pair.is_dir():
             continue
-        first, second = (gray(K.io.load_image(place / f"img{i}.png")[None]).to(device) for i in (1, k))
-        numbers = [float(x) for x in (place / f"H_1_{k}.txt").read_text().split()]
+        first, second = (gray(K.io.load_image(folder_of_pair / f"img{i}.png")[None]).to(device) for i in (1, k))
+        numbers = [float(x) for x in (folder_of_pair / f"H_1_{k}.txt").read_text().split()]
         truth = to_unit(torch.tensor(numbers, dtype=torch.float64).reshape(1, 3, 3), first, second).to(device)
         half = [K.geometry.rescale(image, 0.5, antialias=True) for image in (second, first)]
         signs = corners(device) * torch.tensor([1.0, -1], device=device)
@@ -102,7 +102,7 @@ def unit_of(h: int, w: int) -> Tensor:
 
 
 def normalized(image: Tensor) -> Tensor:
-    """Without what light and exposure change: each place against its surroundings."""
+    """Local contrast, which light and exposure hardly change: each pixel minus the mean of its window, over its deviation."""
     size = (2 * (min(image.shape[2:]) // 16) + 1,) * 2
     mean = K.filters.box_blur(image, size, "replicate")
     spread = K.filters.box_blur((image - mean) ** 2, size, "replicate")

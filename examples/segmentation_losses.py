@@ -2,9 +2,9 @@
 
     python examples/segmentation_losses.py [--out FOLDER] [--device auto|cpu|cuda] [--steps N]
 
-Every image has reddish discs (class 1) and bluish boxes (class 2) over a grey background (class 0), under noise. The same
-small head, from the same weights on, sees the same images with each loss. Printed is the mean intersection over union of images
-that it has not seen; drawn are the curves. All losses get beyond 0.9.
+Every image has reddish discs (class 1) and bluish boxes (class 2) over a gray background (class 0), with noise. The same
+small network is trained from the same weights on the same images with each loss. The program prints the mean intersection
+over union on new images and draws the curves. All losses reach more than 0.9.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ def shapes(count: int, generator: torch.Generator, device: torch.device) -> tupl
     images = 0.4 + 0.2 * torch.rand(count, 1, 1, 1, generator=generator).expand(-1, 3, SIZE, SIZE)
     y, x = torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij")
     for kind in (1, 2, 1, 2):
-        place = torch.rand(count, 4, 1, 1, generator=generator)
-        cy, cx = (place[:, i] * SIZE for i in (0, 1))
-        ry, rx = (3 + 5 * place[:, i] for i in (2, 3))
+        geometry = torch.rand(count, 4, 1, 1, generator=generator)
+        cy, cx = (geometry[:, i] * SIZE for i in (0, 1))
+        ry, rx = (3 + 5 * geometry[:, i] for i in (2, 3))
         away = torch.stack([(y - cy) / ry, (x - cx) / (ry if kind == 1 else rx)])
         inside = away.square().sum(0) < 1 if kind == 1 else away.abs().amax(0) < 1
         shade = 0.3 * torch.rand(count, 1, 1, 1, generator=generator)
-        colour = torch.cat([0.7 + shade, 0.5 * shade + 0.3, 0.6 - shade][:: 1 if kind == 1 else -1], 1)
-        images = torch.where(inside[:, None], colour, images)
+        color = torch.cat([0.7 + shade, 0.5 * shade + 0.3, 0.6 - shade][:: 1 if kind == 1 else -1], 1)
+        images = torch.where(inside[:, None], color, images)
         labels = torch.where(inside, kind, labels)
     return (images + 0.1 * torch.randn(images.shape, generator=generator)).to(device), labels.to(device)
 
@@ -103,19 +103,19 @@ def draw(curves: dict[str, list[float]], path: Path) -> None:
     picture = Image.new("RGB", (width + 180, height + 60), "white")
     pen = ImageDraw.Draw(picture)
     pen.font = ImageFont.load_default(13)
-    colours = ["#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf"]
+    colors = ["#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf"]
     for tenth in range(0, 11, 2):
         y = top + height * (1 - tenth / 10)
         pen.line((left, y, width, y), fill="#dddddd")
         pen.text((left - 30, y - 6), f"{tenth / 10:.1f}", fill="black")
-    for curve, colour in zip(curves.values(), colours):
+    for curve, color in zip(curves.values(), colors):
         points = [
             (left + (width - left) * i / max(1, len(curve) - 1), top + height * (1 - iou))
             for i, iou in enumerate(curve)
         ]
-        pen.line(points, fill=colour, width=2)
-    for i, (name, colour) in enumerate(zip(curves, colours)):
-        pen.text((width + 12, top + 18 * i), f"{name}: {curves[name][-1]:.3f}", fill=colour)
+        pen.line(points, fill=color, width=2)
+    for i, (name, color) in enumerate(zip(curves, colors)):
+        pen.text((width + 12, top + 18 * i), f"{name}: {curves[name][-1]:.3f}", fill=color)
     pen.text((left, top + height + 12), "mean IoU of unseen images over training", fill="black")
     picture.save(path)
 

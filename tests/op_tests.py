@@ -13,6 +13,7 @@ A variant is a dict of keyword arguments. A value that is callable is called wit
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ import pytest
 import torch
 from hypothesis import given
 from torch import Tensor
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 import kvision as K
 import raw_calls
@@ -38,6 +40,22 @@ TOLERANCES = {
 PARAMETER_TOLERANCE = 1e-4
 
 LAYOUTS = ("contiguous", "channels_last", "row_slice", "column_slice", "transposed", "expanded", "misaligned")
+
+FAKE_LAYOUTS = ("contiguous", "channels_last", "row_slice", "transposed")
+GRADIENT_LAYOUTS = ("contiguous", "channels_last", "row_slice", "transposed", "of a sum")
+# Operators whose fake results differ from the real ones, so that torch.compile may refuse them, and the suite that shows it: the
+# fake result has the layout of the first tensor, the real one that of the image, or none for volumes. Strict: the named suite
+# of images fails once they agree.
+FAKE_MISMATCHES = {
+    "dilation_backward": "TestDilation",
+    "equalize_backward": "TestEqualizeOperators",
+    "is_local_maximum": "TestMaximaOperators",
+    "local_extrema": "TestMaximaOperators",
+    "median_blur_backward": "TestMedianBlur",
+    "normalize_min_max_backward": "TestNormalizeMinMax",
+    "sobel_backward": "TestSobel",
+    "ssim_backward": "TestSSIM",
+}
 
 
 def assert_close(actual: Any, expected: Any, rtol: float | None = None, atol: float | None = None) -> None:
@@ -345,6 +363,32 @@ class OpTests:
                 checks[name] = ("test_schema", "test_faketensor")
         assert set(checks) == set(self.operators)
 
+    def test_fake_results_are_laid_out_as_real_ones(self, device, backend):
+        """All pairs of layouts of images and gradients: what torch.compile is promised is what the kernels return.
+
+        Strides count where there is something to stride over: axes of more than one element, results that are not empty.
+        """
+        self.needs_native(backend)
+        differing: dict[str, str] = {}
+        for variant in self.variants:
+            x, kwargs = self.setup(variant, device, torch.float32)
+            layouts = FAKE_LAYOUTS if x.dim() == 4 else ("contiguous",)
+            with recorded() as calls:
+                for layout, grad_layout in itertools.product(layouts, GRADIENT_LAYOUTS):
+                    given = with_layout(x, layout).requires_grad_(self.differentiable)
+                    outputs = as_tuple(self.call(given, kwargs))
+                    if not self.differentiable:
+                        break
+                    results = [y for y in outputs if y.requires_grad]
+                    grads = [gradient_like(y.detach(), grad_layout) for y in results]
+                    torch.autograd.grad(results, given, grads)
+            for name, args in calls:
+                if name not in differing and (difference := fake_differs(name, args)):
+                    differing[name] = difference
+        assert not set(differing) - set(FAKE_MISMATCHES), differing
+        agreeing = {n for n, suite in FAKE_MISMATCHES.items() if suite == type(self).__name__} - set(differing)
+        assert not agreeing, f"take {agreeing} off FAKE_MISMATCHES"
+
     # --- gradients ---
 
     def check_gradients(self, x: Tensor, kwargs: dict[str, Any]) -> None:
@@ -627,6 +671,32 @@ class OpTests:
             self.check(self.call(x, kwargs), expected)
 
         run()
+
+
+def gradient_like(y: Tensor, layout: str) -> Tensor:
+    """Ones in the layouts that gradients come in: those of torch's own backward operators, of sums and of slices."""
+    if layout == "of a sum":
+        return y.new_ones(()).expand_as(y)
+    return with_layout(torch.ones_like(y), layout) if y.dim() == 4 else torch.ones_like(y)
+
+
+def fake_differs(name: str, args: Sequence[Any]) -> str:
+    """How the results of an operator's fake implementation differ from the real ones; empty where they do not."""
+    operator = getattr(torch.ops.kvision, name).default
+    args = [a.detach() if isinstance(a, Tensor) else a for a in args]
+    real = as_tuple(operator(*args))
+    with FakeTensorMode() as mode:
+        fake = as_tuple(operator(*(mode.from_tensor(a) if isinstance(a, Tensor) else a for a in args)))
+    for i, (r, f) in enumerate(zip(real, fake, strict=True)):
+        if describe_layout(f) != describe_layout(r):
+            inputs = ", ".join(str(describe_layout(a)[:2]) for a in args if isinstance(a, Tensor))
+            return f"result {i}: fake {describe_layout(f)}, real {describe_layout(r)}, of {inputs}"
+    return ""
+
+
+def describe_layout(y: Tensor) -> tuple[Any, ...]:
+    strides = [s if n > 1 else 0 for s, n in zip(y.stride(), y.shape)] if y.numel() else []
+    return tuple(y.shape), strides, y.dtype, y.device.type
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ calls of their own: gradients go through them, and `operators` lists them for th
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,7 +20,16 @@ from torch import Tensor
 import kvision as K
 import raw_calls
 from kvision import _ops
-from op_tests import TOLERANCES, as_tuple, assert_close, instruction_set, recorded
+from op_tests import (
+    FAKE_MISMATCHES,
+    TOLERANCES,
+    as_tuple,
+    assert_close,
+    fake_differs,
+    instruction_set,
+    recorded,
+    with_layout,
+)
 
 BATCH = 3
 SINGLE_AND_DOUBLE = (torch.float32, torch.float64)
@@ -246,6 +256,14 @@ class PointOpTests:
             operator = getattr(torch.ops.kvision, called).default
             args = [a.detach() if isinstance(a, Tensor) else a for a in args]
             torch.library.opcheck(operator, tuple(args), test_utils=("test_schema", "test_faketensor"))
+            images = [i for i, a in enumerate(args) if isinstance(a, Tensor) and a.dim() == 4]
+            for layouts in itertools.product(("contiguous", "channels_last"), repeat=len(images)):
+                laid_out = list(args)
+                for i, layout in zip(images, layouts):
+                    laid_out[i] = with_layout(args[i], layout)
+                assert bool(fake_differs(called, laid_out)) <= (called in FAKE_MISMATCHES), fake_differs(
+                    called, laid_out
+                )
             if max(a.dim() for a in args if isinstance(a, Tensor)) < 2:
                 continue  # what is wrong for rows is right for numbers
             fine = ("without rows", "without columns", *call.accepted)

@@ -209,9 +209,7 @@ class TestTotalVariation(OpTests):
 
     @pytest.mark.derivatives
     def test_gradcheck(self, variant, device):
-        x = torch.rand(
-            self.small, dtype=torch.float64, device=device, requires_grad=True
-        )  # no two neighbors are equal
+        x = torch.rand(self.small, dtype=torch.float64, device=device, requires_grad=True)  # no two neighbors are equal
         assert torch.autograd.gradcheck(L.total_variation, x) and torch.autograd.gradgradcheck(L.total_variation, x)
 
 

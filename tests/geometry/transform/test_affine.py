@@ -164,8 +164,13 @@ def test_types(dtype, device):
         expected = call(wide)
         if dtype == torch.uint8:
             expected = expected.round()
-        assert_close(found.float(), expected.to(stored).float(), 1e-2, 1.01)
         assert found.dtype == stored
+        if dtype == torch.uint8:
+            # Sums in another order round to another level only next to the middle of two: a pixel or two of hundreds.
+            levels = (found.int() - expected.int()).abs()
+            assert levels.max() <= 1 and levels.count_nonzero() <= 2
+        else:
+            assert_close(found, expected.to(stored))
 
 
 IMAGE = torch.rand(1, 2, 5, 6, generator=torch.Generator().manual_seed(1)).double()

@@ -59,9 +59,12 @@ def test_registration_finds_the_transform(model, device):
 
 
 def test_registration_with_any_loss(device):
-    """Losses that are not computed in one pass are computed step by step, with nearly the same result."""
+    """Losses that are not computed in one pass are computed step by step, with the same result.
+
+    The model shows the middle of the image: at its border rounding would decide which pixels are inside.
+    """
     source, target = blobs(48, device), blobs(48, device).roll((1, 2), (2, 3))
-    model = torch.eye(3, device=device)[None]
+    model = torch.diag(torch.tensor([0.9, 0.9, 1.0], device=device))[None]
     fused = G.ImageRegistrator().get_single_level_loss(source, target, model)
     plain = G.ImageRegistrator(loss_fn=lambda a, b, reduction: F.l1_loss(a, b, reduction=reduction))
-    assert_close(plain.get_single_level_loss(source, target, model), fused, 0.05, 0)
+    assert_close(plain.get_single_level_loss(source, target, model), fused)

@@ -14,11 +14,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from kvision._modes import BORDER
+
 Call = tuple[str, list[Any]]  # what is wrong with it, its arguments
 
 SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
 # What arguments of these names may be.
 RIGHT = {
+    **{"border": ["0"], "distance": ["0"], "mode": ["0"]},
     **{"top": ["0"], "left": ["0"], "steps": ["0", str(2**15)], "radius": ["0", str(2**15)]},
     **{name: ["0"] for name in ("cfa", "format", "kernel", "kind", "statistic")},  # numbers of choices
     **{"ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]},
@@ -54,7 +57,9 @@ def wrong_calls(operator: Any, args: Sequence[Any]) -> Iterator[Call]:
             yield call(f"{names[i]} cut along axis {axis}", {i: args[i].narrow(axis, 0, args[i].shape[axis] - 1)})
     if "border" in names and all(args[i] for i, name in enumerate(names) if name == "same"):
         pixels = {i: args[i][..., :1, :1] for i in images}
-        yield call("border reflect around a pixel", {**pixels, names.index("border"): "reflect"})
+        border = names.index("border")
+        reflect = "reflect" if isinstance(args[border], str) else BORDER["reflect"]
+        yield call("border reflect around a pixel", {**pixels, border: reflect})
 
 
 def wrong_values(kind: str, value: Any, is_image: bool) -> Iterator[tuple[str, Any]]:

@@ -14,6 +14,7 @@
 
 namespace kv {
 
+// The numbers are stable: operators take them, and exported graphs contain them.
 enum class Border : int { constant = 0, reflect = 1, replicate = 2, circular = 3 };
 
 // The pixel at position i of an axis of n pixels, or -1 for the constant 0. It reflects or repeats once on each side:

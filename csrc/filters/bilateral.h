@@ -24,6 +24,9 @@
 
 namespace kv {
 
+// The numbers are stable: exported graphs contain them.
+enum class ColorDistance : int { l1 = 0, l2 = 1 };
+
 // The rates at which weights fall: 2^(space_y dy^2 + space_x dx^2 - color d^2).
 template <class F>
 struct Falloff {

@@ -14,17 +14,17 @@ struct Arguments {
 
   Arguments(char const* op, Tensor const& input, std::optional<Tensor> const& guidance,
             std::optional<Tensor> const& colors, std::optional<Tensor> const& spaces, int64_t ky, int64_t kx,
-            std::string const& border, std::string const& distance)
+            int64_t border, int64_t distance)
       : x(input),
         guide(guidance ? *guidance : x),
         sigma_color(colors ? dense(*colors) : x),
         sigma_space(spaces ? dense(*spaces) : x),
         joint(guidance.has_value()),
-        l1(distance == "l1"),
+        l1(distance == int64_t(ColorDistance::l1)),
         ky(int(ky)),
         kx(int(kx)),
-        border(parse_border(op, border)) {
-    KV_CHECK(l1 || distance == "l2", op, ": distance must be one of l1, l2; got '", distance, "'");
+        border(to_border(op, border)) {
+    KV_CHECK(l1 || distance == int64_t(ColorDistance::l2), op, ": distance must be 0 (l1) or 1 (l2), got ", distance);
     check_window(op, ky, kx);
     KV_CHECK(ky % 2 == 1 && kx % 2 == 1, op, ": expected odd kernel sizes, got ", ky, ", ", kx);
     check_border(op, this->border, ky / 2, x.size(2));
@@ -59,8 +59,7 @@ struct Arguments {
 
 Tensor bilateral_blur(Tensor const& input, std::optional<Tensor> const& guidance,
                       std::optional<Tensor> const& sigma_color, std::optional<Tensor> const& sigma_space, int64_t ky,
-                      int64_t kx, double color, double space_y, double space_x, std::string const& border,
-                      std::string const& distance) {
+                      int64_t kx, double color, double space_y, double space_x, int64_t border, int64_t distance) {
   check_images("bilateral_blur", "input", input);
   Arguments const a("bilateral_blur", input, guidance, sigma_color, sigma_space, ky, kx, border, distance);
   Tensor const y = empty_like(a.x, layout_of(a.x));
@@ -86,9 +85,8 @@ std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor co
                                                    std::optional<Tensor> const& guidance,
                                                    std::optional<Tensor> const& sigma_color,
                                                    std::optional<Tensor> const& sigma_space, int64_t ky, int64_t kx,
-                                                   double color, double space_y, double space_x,
-                                                   std::string const& border, std::string const& distance, bool needs_x,
-                                                   bool needs_guide) {
+                                                   double color, double space_y, double space_x, int64_t border,
+                                                   int64_t distance, bool needs_x, bool needs_guide) {
   char const* const op = "bilateral_blur_backward";
   check_images(op, "input", input);
   check_like(op, "grad", grad, input);
@@ -122,8 +120,8 @@ std::tuple<Tensor, Tensor> bilateral_blur_backward(Tensor const& grad, Tensor co
 
 Tensor bilateral_blur_sigma_sums(Tensor const& grad, Tensor const& input, std::optional<Tensor> const& guidance,
                                  std::optional<Tensor> const& sigma_color, std::optional<Tensor> const& sigma_space,
-                                 int64_t ky, int64_t kx, double color, double space_y, double space_x,
-                                 std::string const& border, std::string const& distance) {
+                                 int64_t ky, int64_t kx, double color, double space_y, double space_x, int64_t border,
+                                 int64_t distance) {
   char const* const op = "bilateral_blur_sigma_sums";
   check_images(op, "input", input);
   check_like(op, "grad", grad, input);
@@ -152,13 +150,13 @@ Tensor bilateral_blur_sigma_sums(Tensor const& grad, Tensor const& input, std::o
 
 KV_OPERATOR(bilateral_blur,
             "(Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, float color, "
-            "float space_y, float space_x, str border, str distance) -> Tensor")
+            "float space_y, float space_x, int border, int distance) -> Tensor")
 KV_OPERATOR(bilateral_blur_backward,
             "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, "
-            "float color, float space_y, float space_x, str border, str distance, bool wants_input, "
+            "float color, float space_y, float space_x, int border, int distance, bool wants_input, "
             "bool wants_guidance) -> (Tensor, Tensor)")
 KV_OPERATOR(bilateral_blur_sigma_sums,
             "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, "
-            "float color, float space_y, float space_x, str border, str distance) -> Tensor")
+            "float color, float space_y, float space_x, int border, int distance) -> Tensor")
 
 }  // namespace kv

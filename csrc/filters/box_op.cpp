@@ -14,9 +14,9 @@ void check_box(char const* op, Tensor const& x, int64_t ky, int64_t kx, Border b
 }
 
 // (window sum + center * input) / divisor.
-Tensor box_forward(char const* op, Tensor const& input, int64_t ky, int64_t kx, std::string const& border,
-                   double center, double divisor) {
-  Border const rule = parse_border(op, border);
+Tensor box_forward(char const* op, Tensor const& input, int64_t ky, int64_t kx, int64_t border, double center,
+                   double divisor) {
+  Border const rule = to_border(op, border);
   check_box(op, input, ky, kx, rule);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
@@ -30,9 +30,9 @@ Tensor box_forward(char const* op, Tensor const& input, int64_t ky, int64_t kx, 
 }
 
 // The transpose of box_forward.
-Tensor box_backward(char const* op, Tensor const& grad, int64_t ky, int64_t kx, std::string const& border,
-                    double center, double divisor) {
-  Border const rule = parse_border(op, border);
+Tensor box_backward(char const* op, Tensor const& grad, int64_t ky, int64_t kx, int64_t border, double center,
+                    double divisor) {
+  Border const rule = to_border(op, border);
   check_box(op, grad, ky, kx, rule);
   Layout const layout = layout_of(grad);
   Tensor const g = as_layout(grad, layout), grad_x = empty_like(g, layout);
@@ -45,11 +45,11 @@ Tensor box_backward(char const* op, Tensor const& grad, int64_t ky, int64_t kx, 
   return grad_x;
 }
 
-Tensor box_blur(Tensor const& input, int64_t ky, int64_t kx, std::string border) {
+Tensor box_blur(Tensor const& input, int64_t ky, int64_t kx, int64_t border) {
   return box_forward("box_blur", input, ky, kx, border, 0, double(ky) * double(kx));
 }
 
-Tensor box_blur_backward(Tensor const& grad, int64_t ky, int64_t kx, std::string border) {
+Tensor box_blur_backward(Tensor const& grad, int64_t ky, int64_t kx, int64_t border) {
   return box_backward("box_blur_backward", grad, ky, kx, border, 0, double(ky) * double(kx));
 }
 
@@ -58,21 +58,21 @@ double laplacian_divisor(int64_t ky, int64_t kx, bool normalized) {
   return normalized ? 2 * (double(ky) * double(kx) - 1) : 1;
 }
 
-Tensor laplacian(Tensor const& input, int64_t ky, int64_t kx, bool normalized, std::string border) {
+Tensor laplacian(Tensor const& input, int64_t ky, int64_t kx, bool normalized, int64_t border) {
   return box_forward("laplacian", input, ky, kx, border, -double(ky) * double(kx),
                      laplacian_divisor(ky, kx, normalized));
 }
 
-Tensor laplacian_backward(Tensor const& grad, int64_t ky, int64_t kx, bool normalized, std::string border) {
+Tensor laplacian_backward(Tensor const& grad, int64_t ky, int64_t kx, bool normalized, int64_t border) {
   return box_backward("laplacian_backward", grad, ky, kx, border, -double(ky) * double(kx),
                       laplacian_divisor(ky, kx, normalized));
 }
 
 }  // namespace
 
-KV_OPERATOR(box_blur, "(Tensor input, int ky, int kx, str border) -> Tensor")
-KV_OPERATOR(box_blur_backward, "(Tensor grad, int ky, int kx, str border) -> Tensor")
-KV_OPERATOR(laplacian, "(Tensor input, int ky, int kx, bool normalized, str border) -> Tensor")
-KV_OPERATOR(laplacian_backward, "(Tensor grad, int ky, int kx, bool normalized, str border) -> Tensor")
+KV_OPERATOR(box_blur, "(Tensor input, int ky, int kx, int border) -> Tensor")
+KV_OPERATOR(box_blur_backward, "(Tensor grad, int ky, int kx, int border) -> Tensor")
+KV_OPERATOR(laplacian, "(Tensor input, int ky, int kx, bool normalized, int border) -> Tensor")
+KV_OPERATOR(laplacian_backward, "(Tensor grad, int ky, int kx, bool normalized, int border) -> Tensor")
 
 }  // namespace kv

@@ -11,8 +11,8 @@ struct Window {
   Border border;
   KernelAxis z{1, 0}, y{1, 0}, x{1, 0};
 
-  Window(char const* op, Tensor const& kernel, std::vector<int64_t> const& sizes, std::string const& border, bool same)
-      : border(parse_border(op, border)) {
+  Window(char const* op, Tensor const& kernel, std::vector<int64_t> const& sizes, int64_t border, bool same)
+      : border(to_border(op, border)) {
     if (!same) this->border = Border::constant;  // 'valid' neither reads nor accumulates a border
     size_t const axes = sizes.size() - 2;
     KV_CHECK(kernel.dim() == int64_t(axes) + 1, op, ": expected kernel of ", axes + 1, " axes, got ", kernel.dim());
@@ -87,21 +87,21 @@ Tensor filter(char const* op, Tensor const& input, Tensor const& kernel, std::ve
   return y;
 }
 
-Tensor filter_forward(char const* op, int64_t axes, Tensor const& input, Tensor const& kernel,
-                      std::string const& border, bool same) {
+Tensor filter_forward(char const* op, int64_t axes, Tensor const& input, Tensor const& kernel, int64_t border,
+                      bool same) {
   Window const window(op, kernel, sizes_with(op, input, axes, kernel, 0), border, same);
   return filter(op, input, kernel, sizes_with(op, input, axes, kernel, same ? 0 : -1), window, false);
 }
 
-Tensor filter_backward(char const* op, int64_t axes, Tensor const& grad, Tensor const& kernel,
-                       std::string const& border, bool same) {
+Tensor filter_backward(char const* op, int64_t axes, Tensor const& grad, Tensor const& kernel, int64_t border,
+                       bool same) {
   std::vector<int64_t> const sizes = sizes_with(op, grad, axes, kernel, same ? 0 : 1);
   return filter(op, grad, kernel, sizes, Window(op, kernel, sizes, border, same), true);
 }
 
 // The gradient to the kernel of each sample; `kernel` has its sizes and type.
 Tensor kernel_backward(char const* op, int64_t axes, Tensor const& kernel, Tensor const& grad, Tensor const& input,
-                       std::string const& border, bool same) {
+                       int64_t border, bool same) {
   std::vector<int64_t> sizes = sizes_with(op, input, axes, kernel, 0);
   Window const window(op, kernel, sizes, border, same);
   check_weights(op, kernel, input);
@@ -138,27 +138,27 @@ Tensor kernel_backward(char const* op, int64_t axes, Tensor const& kernel, Tenso
   return grad_kernel;
 }
 
-#define KV_FILTER(axes, name, backward_name, kernel_backward_name)                                       \
-  Tensor name(Tensor const& input, Tensor const& kernel, std::string const& border, bool same) {         \
-    return filter_forward(#name, axes, input, kernel, border, same);                                     \
-  }                                                                                                      \
-  Tensor backward_name(Tensor const& grad, Tensor const& kernel, std::string const& border, bool same) { \
-    return filter_backward(#backward_name, axes, grad, kernel, border, same);                            \
-  }                                                                                                      \
-  Tensor kernel_backward_name(Tensor const& kernel, Tensor const& grad, Tensor const& input,             \
-                              std::string const& border, bool same) {                                    \
-    return kernel_backward(#kernel_backward_name, axes, kernel, grad, input, border, same);              \
+#define KV_FILTER(axes, name, backward_name, kernel_backward_name)                                           \
+  Tensor name(Tensor const& input, Tensor const& kernel, int64_t border, bool same) {                        \
+    return filter_forward(#name, axes, input, kernel, border, same);                                         \
+  }                                                                                                          \
+  Tensor backward_name(Tensor const& grad, Tensor const& kernel, int64_t border, bool same) {                \
+    return filter_backward(#backward_name, axes, grad, kernel, border, same);                                \
+  }                                                                                                          \
+  Tensor kernel_backward_name(Tensor const& kernel, Tensor const& grad, Tensor const& input, int64_t border, \
+                              bool same) {                                                                   \
+    return kernel_backward(#kernel_backward_name, axes, kernel, grad, input, border, same);                  \
   }
 KV_FILTER(2, filter2d, filter2d_backward, filter2d_kernel_backward)
 KV_FILTER(3, filter3d, filter3d_backward, filter3d_kernel_backward)
 
 }  // namespace
 
-KV_OPERATOR(filter2d, "(Tensor input, Tensor kernel, str border, bool same) -> Tensor")
-KV_OPERATOR(filter2d_backward, "(Tensor grad, Tensor kernel, str border, bool same) -> Tensor")
-KV_OPERATOR(filter2d_kernel_backward, "(Tensor kernel, Tensor grad, Tensor input, str border, bool same) -> Tensor")
-KV_OPERATOR(filter3d, "(Tensor input, Tensor kernel, str border, bool same) -> Tensor")
-KV_OPERATOR(filter3d_backward, "(Tensor grad, Tensor kernel, str border, bool same) -> Tensor")
-KV_OPERATOR(filter3d_kernel_backward, "(Tensor kernel, Tensor grad, Tensor input, str border, bool same) -> Tensor")
+KV_OPERATOR(filter2d, "(Tensor input, Tensor kernel, int border, bool same) -> Tensor")
+KV_OPERATOR(filter2d_backward, "(Tensor grad, Tensor kernel, int border, bool same) -> Tensor")
+KV_OPERATOR(filter2d_kernel_backward, "(Tensor kernel, Tensor grad, Tensor input, int border, bool same) -> Tensor")
+KV_OPERATOR(filter3d, "(Tensor input, Tensor kernel, int border, bool same) -> Tensor")
+KV_OPERATOR(filter3d_backward, "(Tensor grad, Tensor kernel, int border, bool same) -> Tensor")
+KV_OPERATOR(filter3d_kernel_backward, "(Tensor kernel, Tensor grad, Tensor input, int border, bool same) -> Tensor")
 
 }  // namespace kv

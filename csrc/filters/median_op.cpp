@@ -5,17 +5,17 @@
 namespace kv {
 namespace {
 
-Border checked_border(char const* op, Tensor const& x, int64_t ky, int64_t kx, std::string const& border_name) {
+Border checked_border(char const* op, Tensor const& x, int64_t ky, int64_t kx, int64_t border_mode) {
   check_window(op, ky, kx);
-  Border const border = parse_border(op, border_name);
+  Border const border = to_border(op, border_mode);
   check_border(op, border, median_after(ky), x.size(2));
   check_border(op, border, median_after(kx), x.size(3));
   return border;
 }
 
-Tensor median_blur(Tensor const& input, int64_t ky, int64_t kx, std::string border_name) {
+Tensor median_blur(Tensor const& input, int64_t ky, int64_t kx, int64_t border_mode) {
   check_images("median_blur", "input", input);
-  Border const border = checked_border("median_blur", input, ky, kx, border_name);
+  Border const border = checked_border("median_blur", input, ky, kx, border_mode);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
   dispatch_floating_and_uint8("median_blur", x, [&](auto type) {
@@ -27,11 +27,11 @@ Tensor median_blur(Tensor const& input, int64_t ky, int64_t kx, std::string bord
 }
 
 Tensor median_blur_backward(Tensor const& grad, Tensor const& input, Tensor const& output, int64_t ky, int64_t kx,
-                            std::string border_name) {
+                            int64_t border_mode) {
   check_images("median_blur_backward", "input", input);
   check_like("median_blur_backward", "grad", grad, input);
   check_like("median_blur_backward", "output", output, input);
-  Border const border = checked_border("median_blur_backward", input, ky, kx, border_name);
+  Border const border = checked_border("median_blur_backward", input, ky, kx, border_mode);
   Layout const layout = layout_of(input);
   Tensor const g = as_layout(grad, layout), x = as_layout(input, layout), y = as_layout(output, layout),
                grad_x = empty_like(x, layout);
@@ -51,7 +51,7 @@ Tensor median_blur_backward(Tensor const& grad, Tensor const& input, Tensor cons
 
 }  // namespace
 
-KV_OPERATOR(median_blur, "(Tensor input, int ky, int kx, str border) -> Tensor")
-KV_OPERATOR(median_blur_backward, "(Tensor grad, Tensor input, Tensor output, int ky, int kx, str border) -> Tensor")
+KV_OPERATOR(median_blur, "(Tensor input, int ky, int kx, int border) -> Tensor")
+KV_OPERATOR(median_blur_backward, "(Tensor grad, Tensor input, Tensor output, int ky, int kx, int border) -> Tensor")
 
 }  // namespace kv

@@ -80,8 +80,8 @@ inline Tensor run_separable(char const* op, Tensor const& input, AxisWeights con
 // alpha * Gaussian blur + beta * input, or the transpose of that. `sigma` is (B or 1, 2) in (y, x) order; without it
 // sigma_y and sigma_x serve all samples.
 inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Tensor> const& sigma, int64_t ky,
-                           int64_t kx, double sigma_y, double sigma_x, std::string const& border, bool transposed,
-                           double alpha, double beta) {
+                           int64_t kx, double sigma_y, double sigma_x, int64_t border, bool transposed, double alpha,
+                           double beta) {
   check_window(op, ky, kx);
   std::optional<Tensor> rows;
   if (sigma) {
@@ -89,8 +89,8 @@ inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Te
     KV_CHECK(rows->size(1) == 2, op, ": expected sigma of shape (B or 1, 2)");
   }
   Tensor const* const tensor = rows ? &*rows : nullptr;
-  return run_separable(op, input, {tensor, kx, true, 1, sigma_x}, {tensor, ky, true, 0, sigma_y},
-                       parse_border(op, border), true, transposed, alpha, beta);
+  return run_separable(op, input, {tensor, kx, true, 1, sigma_x}, {tensor, ky, true, 0, sigma_y}, to_border(op, border),
+                       true, transposed, alpha, beta);
 }
 
 }  // namespace kv

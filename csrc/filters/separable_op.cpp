@@ -11,25 +11,25 @@ int64_t tile_width(int64_t) { return kWeightsTileWidth; }
 int64_t tile_width(int64_t width) { return width; }
 #endif
 
-Tensor run(char const* op, Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y,
-           std::string const& border, bool same, bool transposed) {
+Tensor run(char const* op, Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y, int64_t border,
+           bool same, bool transposed) {
   Tensor const kx = checked_weights(op, kernel_x, input), ky = checked_weights(op, kernel_y, input);
-  return run_separable(op, input, {&kx, kx.size(1)}, {&ky, ky.size(1)}, parse_border(op, border), same, transposed);
+  return run_separable(op, input, {&kx, kx.size(1)}, {&ky, ky.size(1)}, to_border(op, border), same, transposed);
 }
 
-Tensor filter2d_separable(Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y, std::string border,
+Tensor filter2d_separable(Tensor const& input, Tensor const& kernel_x, Tensor const& kernel_y, int64_t border,
                           bool same) {
   return run("filter2d_separable", input, kernel_x, kernel_y, border, same, false);
 }
 
-Tensor filter2d_separable_backward(Tensor const& grad, Tensor const& kernel_x, Tensor const& kernel_y,
-                                   std::string border, bool same) {
+Tensor filter2d_separable_backward(Tensor const& grad, Tensor const& kernel_x, Tensor const& kernel_y, int64_t border,
+                                   bool same) {
   return run("filter2d_separable_backward", grad, kernel_x, kernel_y, border, same, true);
 }
 
 // (B, kW + kH): for each sample its gradient to kernel_x, then that to kernel_y.
 Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const& kernel_y, Tensor const& grad,
-                                           Tensor const& input, std::string border_name, bool same) {
+                                           Tensor const& input, int64_t border_mode, bool same) {
   char const* const op = "filter2d_separable_weights_backward";
   check_images(op, "input", input);
   check_images(op, "grad", grad);
@@ -40,7 +40,7 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
                grad.size(2) == input.size(2) - (same ? 0 : taps_y - 1) &&
                grad.size(3) == input.size(3) - (same ? 0 : taps_x - 1),
            op, ": grad does not fit input");
-  Border const named = parse_border(op, border_name), border = same ? named : Border::constant;
+  Border const named = to_border(op, border_mode), border = same ? named : Border::constant;
   if (same) {
     check_border(op, border, taps_y / 2, input.size(2));
     check_border(op, border, taps_x / 2, input.size(3));
@@ -72,10 +72,10 @@ Tensor filter2d_separable_weights_backward(Tensor const& kernel_x, Tensor const&
 
 }  // namespace
 
-KV_OPERATOR(filter2d_separable, "(Tensor input, Tensor kernel_x, Tensor kernel_y, str border, bool same) -> Tensor")
+KV_OPERATOR(filter2d_separable, "(Tensor input, Tensor kernel_x, Tensor kernel_y, int border, bool same) -> Tensor")
 KV_OPERATOR(filter2d_separable_backward,
-            "(Tensor grad, Tensor kernel_x, Tensor kernel_y, str border, bool same) -> Tensor")
+            "(Tensor grad, Tensor kernel_x, Tensor kernel_y, int border, bool same) -> Tensor")
 KV_OPERATOR(filter2d_separable_weights_backward,
-            "(Tensor kernel_x, Tensor kernel_y, Tensor grad, Tensor input, str border, bool same) -> Tensor")
+            "(Tensor kernel_x, Tensor kernel_y, Tensor grad, Tensor input, int border, bool same) -> Tensor")
 
 }  // namespace kv

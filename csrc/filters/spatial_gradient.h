@@ -8,6 +8,9 @@
 
 namespace kv {
 
+// The numbers are stable: exported graphs contain them.
+enum class DerivativeMode : int { sobel = 0, diff = 1 };
+
 enum class DerivativeKind { sobel1, sobel2, diff1, diff2 };
 
 // Channel c of a derivative of order n has order c along y and n - c along x.

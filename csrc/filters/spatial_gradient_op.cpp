@@ -5,14 +5,15 @@
 namespace kv {
 namespace {
 
-DerivativeKind derivative_kind(char const* op, std::string const& mode, int64_t order) {
-  KV_CHECK(mode == "sobel" || mode == "diff", op, ": mode must be one of sobel, diff; got '", mode, "'");
+DerivativeKind derivative_kind(char const* op, int64_t mode, int64_t order) {
+  bool const sobel = mode == int64_t(DerivativeMode::sobel);
+  KV_CHECK(sobel || mode == int64_t(DerivativeMode::diff), op, ": mode must be 0 (sobel) or 1 (diff), got ", mode);
   KV_CHECK(order == 1 || order == 2, op, ": order must be 1 or 2; got ", order);
-  if (mode == "sobel") return order == 1 ? DerivativeKind::sobel1 : DerivativeKind::sobel2;
+  if (sobel) return order == 1 ? DerivativeKind::sobel1 : DerivativeKind::sobel2;
   return order == 1 ? DerivativeKind::diff1 : DerivativeKind::diff2;
 }
 
-Tensor spatial_gradient(Tensor const& input, std::string const& mode, int64_t order, bool normalized) {
+Tensor spatial_gradient(Tensor const& input, int64_t mode, int64_t order, bool normalized) {
   check_images("spatial_gradient", "input", input);
   DerivativeKind const kind = derivative_kind("spatial_gradient", mode, order);
   int64_t const b = input.size(0), c = input.size(1), h = input.size(2), w = input.size(3);
@@ -25,7 +26,7 @@ Tensor spatial_gradient(Tensor const& input, std::string const& mode, int64_t or
   return y;
 }
 
-Tensor spatial_gradient_backward(Tensor const& grad, std::string const& mode, int64_t order, bool normalized) {
+Tensor spatial_gradient_backward(Tensor const& grad, int64_t mode, int64_t order, bool normalized) {
   check_volumes("spatial_gradient_backward", "grad", grad);
   DerivativeKind const kind = derivative_kind("spatial_gradient_backward", mode, order);
   KV_CHECK(grad.size(2) == order + 1, "spatial_gradient_backward: expected grad of ", order + 1, " channels, got ",
@@ -43,7 +44,7 @@ Tensor spatial_gradient_backward(Tensor const& grad, std::string const& mode, in
 
 }  // namespace
 
-KV_OPERATOR(spatial_gradient, "(Tensor input, str mode, int order, bool normalized) -> Tensor")
-KV_OPERATOR(spatial_gradient_backward, "(Tensor grad, str mode, int order, bool normalized) -> Tensor")
+KV_OPERATOR(spatial_gradient, "(Tensor input, int mode, int order, bool normalized) -> Tensor")
+KV_OPERATOR(spatial_gradient_backward, "(Tensor grad, int mode, int order, bool normalized) -> Tensor")
 
 }  // namespace kv

@@ -119,6 +119,12 @@ Border parse_border(char const* op, std::string const& name) {
   return Border::circular;
 }
 
+Border to_border(char const* op, int64_t number) {
+  KV_CHECK(number >= int64_t(Border::constant) && number <= int64_t(Border::circular), op,
+           ": border must be 0 (constant), 1 (reflect), 2 (replicate) or 3 (circular), got ", number);
+  return Border(number);
+}
+
 void check_border(char const* op, Border border, int64_t pad, int64_t size) {
   int64_t const limit = border == Border::reflect ? size - 1 : border == Border::circular ? size : INT64_MAX;
   KV_CHECK(pad <= limit, op, ": a border of ", pad, " pixels does not fit an axis of ", size);

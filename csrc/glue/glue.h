@@ -45,6 +45,8 @@ void check_volumes(char const* op, char const* name, Tensor const& x);
 void check_like(char const* op, char const* name, Tensor const& x, Tensor const& like);
 
 Border parse_border(char const* op, std::string const& name);
+// The border rule of a number; see enum class Border.
+Border to_border(char const* op, int64_t number);
 
 // Borders reflect or repeat the image at most once; see core/border.h.
 void check_border(char const* op, Border border, int64_t pad, int64_t size);

@@ -14,11 +14,11 @@ inline Tensor sobel(Tensor const& input, bool normalized = true, double eps = 1e
   return ops::sobel(detail::floats(detail::images("sobel", "input", input)), normalized, eps);
 }
 
-// (B, C, 2, H, W): d/dx, d/dy; or for order 2 (B, C, 3, H, W): the second ones. mode: "sobel" or "diff".
-inline Tensor spatial_gradient(Tensor const& input, std::string const& mode = "sobel", int64_t order = 1,
+// (B, C, 2, H, W): d/dx, d/dy; or for order 2 (B, C, 3, H, W): the second ones.
+inline Tensor spatial_gradient(Tensor const& input, DerivativeMode mode = DerivativeMode::sobel, int64_t order = 1,
                                bool normalized = true) {
   auto const x = detail::floats(detail::images("spatial_gradient", "input", input));
-  return ops::spatial_gradient(x, mode, order, normalized);
+  return ops::spatial_gradient(x, int64_t(mode), order, normalized);
 }
 // (B, C, 3, D, H, W), or for order 2 (B, C, 6, D, H, W), by central differences.
 inline Tensor spatial_gradient3d(Tensor const& input, int64_t order = 1) {
@@ -28,19 +28,19 @@ inline Tensor spatial_gradient3d(Tensor const& input, int64_t order = 1) {
 inline Tensor laplacian(Tensor const& input, Size2d kernel_size, BorderType border_type = BorderType::reflect,
                         bool normalized = true) {
   return ops::laplacian(detail::images("laplacian", "input", input), kernel_size->at(0), kernel_size->at(1), normalized,
-                        detail::name(border_type));
+                        int64_t(border_type));
 }
 
 // --- blurs
 
 inline Tensor box_blur(Tensor const& input, Size2d kernel_size, BorderType border_type = BorderType::reflect) {
   return ops::box_blur(detail::images("box_blur", "input", input), kernel_size->at(0), kernel_size->at(1),
-                       detail::name(border_type));
+                       int64_t(border_type));
 }
 
 inline Tensor median_blur(Tensor const& input, Size2d kernel_size, BorderType border_type = BorderType::reflect) {
   return ops::median_blur(detail::images("median_blur", "input", input), kernel_size->at(0), kernel_size->at(1),
-                          detail::name(border_type));
+                          int64_t(border_type));
 }
 
 namespace detail {
@@ -52,7 +52,7 @@ inline Tensor bilateral(char const* op, Tensor const& input, std::optional<Tenso
   if (guidance) images(op, "guidance", *guidance);
   return ops::bilateral_blur(input, computed(guidance, input), computed(sigma_color.tensor, input),
                              computed(sigma_space.tensor, input), kernel_size->at(0), kernel_size->at(1),
-                             sigma_color.number, sigma_space.y, sigma_space.x, name(border_type), name(distance));
+                             sigma_color.number, sigma_space.y, sigma_space.x, int64_t(border_type), int64_t(distance));
 }
 
 }  // namespace detail
@@ -76,7 +76,7 @@ inline Tensor joint_bilateral_blur(Tensor const& input, Tensor const& guidance, 
 namespace detail {
 
 // A blur by Gaussians that have a gradient to their sigmas (B or 1, 2).
-inline Tensor gaussian_of_variable(Tensor const& input, Tensor const& sigma, Size2d kernel_size, std::string border) {
+inline Tensor gaussian_of_variable(Tensor const& input, Tensor const& sigma, Size2d kernel_size, int64_t border) {
   auto const weights = [&](int64_t axis) {
     Tensor const width = sigma.to(at::kDouble).narrow(1, axis, 1);
     int64_t const size = kernel_size->at(axis);
@@ -94,7 +94,7 @@ inline bool is_variable(std::optional<Tensor> const& x) {
 inline Tensor gaussian_blur2d(Tensor const& input, Size2d kernel_size, Sigma const& sigma,
                               BorderType border_type = BorderType::reflect) {
   detail::images("gaussian_blur2d", "input", input);
-  std::string const border = detail::name(border_type);
+  int64_t const border = int64_t(border_type);
   if (detail::is_variable(sigma.tensor)) return detail::gaussian_of_variable(input, *sigma.tensor, kernel_size, border);
   return ops::gaussian_blur2d(input, detail::computed(sigma.tensor, input), kernel_size->at(0), kernel_size->at(1),
                               sigma.y, sigma.x, border);
@@ -103,7 +103,7 @@ inline Tensor gaussian_blur2d(Tensor const& input, Size2d kernel_size, Sigma con
 inline Tensor unsharp_mask(Tensor const& input, Size2d kernel_size, Sigma const& sigma,
                            BorderType border_type = BorderType::reflect) {
   detail::images("unsharp_mask", "input", input);
-  std::string const border = detail::name(border_type);
+  int64_t const border = int64_t(border_type);
   if (detail::is_variable(sigma.tensor))
     return 2 * input - detail::gaussian_of_variable(input, *sigma.tensor, kernel_size, border);
   return ops::unsharp_mask(input, detail::computed(sigma.tensor, input), kernel_size->at(0), kernel_size->at(1),
@@ -154,7 +154,7 @@ inline Tensor kernel(Tensor const& x, Tensor const& input, FilterOptions const& 
 inline Tensor filter2d(Tensor const& input, Tensor const& kernel, FilterOptions const& options = {}) {
   detail::images("filter2d", "input", input);
   detail::shaped("filter2d", "kernel", kernel, 3, "(B or 1, kH, kW)");
-  return ops::filter2d(input, detail::kernel(kernel, input, options), detail::name(options.border_type()),
+  return ops::filter2d(input, detail::kernel(kernel, input, options), int64_t(options.border_type()),
                        options.padding() == Padding::same);
 }
 // Of kernels (B or 1, kD, kH, kW).
@@ -162,7 +162,7 @@ inline Tensor filter3d(Tensor const& input, Tensor const& kernel,
                        FilterOptions const& options = FilterOptions().border_type(BorderType::replicate)) {
   detail::volumes("filter3d", "input", input);
   detail::shaped("filter3d", "kernel", kernel, 4, "(B or 1, kD, kH, kW)");
-  return ops::filter3d(input, detail::kernel(kernel, input, options), detail::name(options.border_type()),
+  return ops::filter3d(input, detail::kernel(kernel, input, options), int64_t(options.border_type()),
                        options.padding() == Padding::same);
 }
 // Of kernels (B or 1, kW) along x and (B or 1, kH) along y.
@@ -172,7 +172,7 @@ inline Tensor filter2d_separable(Tensor const& input, Tensor const& kernel_x, Te
   detail::shaped("filter2d_separable", "kernel_x", kernel_x, 2, "(B or 1, kW)");
   detail::shaped("filter2d_separable", "kernel_y", kernel_y, 2, "(B or 1, kH)");
   return ops::filter2d_separable(input, detail::kernel(kernel_x, input, options),
-                                 detail::kernel(kernel_y, input, options), detail::name(options.border_type()),
+                                 detail::kernel(kernel_y, input, options), int64_t(options.border_type()),
                                  options.padding() == Padding::same);
 }
 

@@ -87,7 +87,7 @@ int main() {
   // --- filters
 
   check("sobel", [](auto const& t) { return kvision::sobel(t[0]); }, {x}, false);
-  for (auto const* mode : {"sobel", "diff"})
+  for (auto const mode : {kvision::DerivativeMode::sobel, kvision::DerivativeMode::diff})
     for (int order : {1, 2})
       check("spatial_gradient", [=](auto const& t) { return kvision::spatial_gradient(t[0], mode, order); }, {x});
   for (int order : {1, 2})

@@ -10,14 +10,15 @@ import torch
 
 import kvision as K
 from kvision import _ops
+from kvision._modes import BORDER, COLOR_DISTANCE, DERIVATIVE_MODE
 from op_tests import assert_close
 
 SCHEMAS = {
     "sobel": "(Tensor input, bool normalized, float eps) -> Tensor",
-    "box_blur": "(Tensor input, int ky, int kx, str border) -> Tensor",
-    "gaussian_blur2d": "(Tensor input, Tensor? sigma, int ky, int kx, float sigma_y, float sigma_x, str border) -> Tensor",
-    "median_blur_backward": "(Tensor grad, Tensor input, Tensor output, int ky, int kx, str border) -> Tensor",
-    "spatial_gradient": "(Tensor input, str mode, int order, bool normalized) -> Tensor",
+    "box_blur": "(Tensor input, int ky, int kx, int border) -> Tensor",
+    "gaussian_blur2d": "(Tensor input, Tensor? sigma, int ky, int kx, float sigma_y, float sigma_x, int border) -> Tensor",
+    "median_blur_backward": "(Tensor grad, Tensor input, Tensor output, int ky, int kx, int border) -> Tensor",
+    "spatial_gradient": "(Tensor input, int mode, int order, bool normalized) -> Tensor",
     "canny_suppress": "(Tensor input, float low, float high, float eps) -> (Tensor magnitude, Tensor edges)",
 }
 
@@ -34,12 +35,29 @@ def test_schema(name: str) -> None:
     assert str(getattr(torch.ops.kvision, name).default._schema) == f"kvision::{name}{SCHEMAS[name]}"
 
 
+def test_numbers_of_modes_are_stable() -> None:
+    """Exported programs hold these numbers."""
+    assert BORDER == {"constant": 0, "reflect": 1, "replicate": 2, "circular": 3}
+    assert COLOR_DISTANCE == {"l1": 0, "l2": 1}
+    assert DERIVATIVE_MODE == {"sobel": 0, "diff": 1}
+
+
+@pytest.mark.parametrize("border", [-1, 4, 2**40])
+def test_unknown_number_of_a_mode(border: int, device: torch.device) -> None:
+    x = torch.rand(1, 1, 4, 4, device=device)
+    message = r"box_blur: border must be 0 \(constant\), 1 \(reflect\), 2 \(replicate\) or 3 \(circular\), got"
+    with pytest.raises(RuntimeError, match=message):
+        torch.ops.kvision.box_blur(x, 3, 3, border)
+    with pytest.raises(RuntimeError, match=r"spatial_gradient: mode must be 0 \(sobel\) or 1 \(diff\), got"):
+        torch.ops.kvision.spatial_gradient(x, border, 1, True)
+
+
 def test_arguments_by_name(device: torch.device) -> None:
     x = torch.rand(2, 3, 8, 9, device=device)
     sobel = torch.ops.kvision.sobel(input=x, normalized=False, eps=1e-4)
     assert_close(sobel, K.filters.sobel(x, False, 1e-4))
     blurred = torch.ops.kvision.gaussian_blur2d(
-        input=x, sigma=None, ky=3, kx=5, sigma_y=1.0, sigma_x=2.0, border="reflect"
+        input=x, sigma=None, ky=3, kx=5, sigma_y=1.0, sigma_x=2.0, border=BORDER["reflect"]
     )
     assert_close(blurred, K.filters.gaussian_blur2d(x, (3, 5), (1.0, 2.0)))
 
@@ -69,5 +87,5 @@ def test_gradients_flow(device: torch.device) -> None:
     K.filters.sobel(b).square().sum().backward()
     assert_close(a.grad, b.grad)
     sigma = torch.tensor([[1.0, 2.0]], device=device, requires_grad=True)
-    torch.ops.kvision.gaussian_blur2d(a, sigma, 3, 3, 0.0, 0.0, "reflect").square().sum().backward()
+    torch.ops.kvision.gaussian_blur2d(a, sigma, 3, 3, 0.0, 0.0, BORDER["reflect"]).square().sum().backward()
     assert sigma.grad.abs().min() > 0

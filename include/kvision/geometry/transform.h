@@ -204,7 +204,7 @@ inline Tensor resize(Tensor const& input, Size2d size, ResizeOptions const& opti
       return n > 1 ? int64_t(std::max(4 * sigma(factor), 3.0)) / 2 * 2 + 1 : 1;
     };
     x = ops::gaussian_blur2d(detail::computed(x, x), {}, taps(y_factor, x.size(2)), taps(x_factor, x.size(3)),
-                             sigma(y_factor), sigma(x_factor), "reflect");
+                             sigma(y_factor), sigma(x_factor), int64_t(BorderType::reflect));
   }
   return ops::resize(x, detail::list(size), detail::name(options.interpolation()), options.align_corners(), false,
                      "replicate")
@@ -262,9 +262,9 @@ inline Tensor elastic_transform2d(Tensor const& image, Tensor const& noise,
   detail::images("elastic_transform2d", "noise", noise);
   detail::images("elastic_transform2d", "image", image);
   auto const& sigma = options.sigma();
-  Tensor const blurred =
-      ops::gaussian_blur2d(detail::computed(noise, image), detail::computed(sigma.tensor, image),
-                           options.kernel_size()->at(0), options.kernel_size()->at(1), sigma.y, sigma.x, "constant");
+  Tensor const blurred = ops::gaussian_blur2d(detail::computed(noise, image), detail::computed(sigma.tensor, image),
+                                              options.kernel_size()->at(0), options.kernel_size()->at(1), sigma.y,
+                                              sigma.x, int64_t(BorderType::constant));
   return ops::remap(image, blurred.select(1, 0) * options.alpha()->at(0), blurred.select(1, 1) * options.alpha()->at(1),
                     {}, detail::name(options.mode()), detail::name(options.padding_mode()), options.align_corners(),
                     true, true);

@@ -12,10 +12,10 @@ namespace kvision::ops {
 // ------------------------------------------------------------------------------------------------------------
 
 inline constexpr Operator<"sobel", Tensor(Tensor input, bool normalized, double eps)> sobel{from<"sobel_backward">};
-inline constexpr Operator<"spatial_gradient", Tensor(Tensor input, String mode, int64_t order, bool normalized)>
+inline constexpr Operator<"spatial_gradient", Tensor(Tensor input, int64_t mode, int64_t order, bool normalized)>
     spatial_gradient{linear};
 inline constexpr Operator<"spatial_gradient3d", Tensor(Tensor input, int64_t order)> spatial_gradient3d{linear};
-inline constexpr Operator<"laplacian", Tensor(Tensor input, int64_t ky, int64_t kx, bool normalized, String border)>
+inline constexpr Operator<"laplacian", Tensor(Tensor input, int64_t ky, int64_t kx, bool normalized, int64_t border)>
     laplacian{linear};
 inline constexpr Operator<"canny_suppress", Two(Tensor input, double low, double high, double eps)> canny_suppress{
     [](Backward const& b) -> variable_list {
@@ -27,18 +27,18 @@ inline constexpr Operator<"canny_hysteresis", Tensor(Tensor edges)> canny_hyster
 // --- windows
 // ----------------------------------------------------------------------------------------------------------
 
-inline constexpr Operator<"box_blur", Tensor(Tensor input, int64_t ky, int64_t kx, String border)> box_blur{linear};
+inline constexpr Operator<"box_blur", Tensor(Tensor input, int64_t ky, int64_t kx, int64_t border)> box_blur{linear};
 inline constexpr Operator<"gaussian_blur2d", Tensor(Tensor input, OptionalTensor sigma, int64_t ky, int64_t kx,
-                                                    double sigma_y, double sigma_x, String border)>
+                                                    double sigma_y, double sigma_x, int64_t border)>
     gaussian_blur2d{linear};
 inline constexpr Operator<"unsharp_mask", Tensor(Tensor input, OptionalTensor sigma, int64_t ky, int64_t kx,
-                                                 double sigma_y, double sigma_x, String border)>
+                                                 double sigma_y, double sigma_x, int64_t border)>
     unsharp_mask{linear};
-inline constexpr Operator<"median_blur", Tensor(Tensor input, int64_t ky, int64_t kx, String border)> median_blur{
+inline constexpr Operator<"median_blur", Tensor(Tensor input, int64_t ky, int64_t kx, int64_t border)> median_blur{
     from<"median_blur_backward", 1>};
 inline constexpr Operator<"bilateral_blur", Tensor(Tensor input, OptionalTensor guidance, OptionalTensor sigma_color,
                                                    OptionalTensor sigma_space, int64_t ky, int64_t kx, double color,
-                                                   double space_y, double space_x, String border, String distance)>
+                                                   double space_y, double space_x, int64_t border, int64_t distance)>
     bilateral_blur{[](Backward const& b) -> variable_list {
       variable_list gradients(4);
       if (b.needs(0) || b.needs(1)) {
@@ -78,9 +78,9 @@ inline constexpr Rule correlation{[](Backward const& b) -> variable_list {
 
 }  // namespace detail
 
-inline constexpr Operator<"filter2d", Tensor(Tensor input, Tensor kernel, String border, bool same)> filter2d{
+inline constexpr Operator<"filter2d", Tensor(Tensor input, Tensor kernel, int64_t border, bool same)> filter2d{
     detail::correlation};
-inline constexpr Operator<"filter3d", Tensor(Tensor input, Tensor kernel, String border, bool same)> filter3d{
+inline constexpr Operator<"filter3d", Tensor(Tensor input, Tensor kernel, int64_t border, bool same)> filter3d{
     detail::correlation};
 
 namespace detail {
@@ -102,7 +102,7 @@ inline constexpr Rule separable{[](Backward const& b) -> variable_list {
 }  // namespace detail
 
 inline constexpr Operator<"filter2d_separable",
-                          Tensor(Tensor input, Tensor kernel_x, Tensor kernel_y, String border, bool same)>
+                          Tensor(Tensor input, Tensor kernel_x, Tensor kernel_y, int64_t border, bool same)>
     filter2d_separable{detail::separable};
 
 }  // namespace kvision::ops

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, pixels
+from kvision._modes import BORDER, BORDER_NAMES, COLOR_DISTANCE
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -32,14 +33,14 @@ def _weights(
     color: float,
     sigma_y: float,
     sigma_x: float,
-    border: str,
-    distance: str,
+    border: int,
+    distance: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """For each tap of the windows its weight, its pixel of `x` and its squared distance in colour."""
     guide = x if guidance is None else guidance
-    taps = windows(x, ky, kx, border)
-    difference = (taps if guidance is None else windows(guide, ky, kx, border)) - guide
-    if distance == "l1":
+    taps = windows(x, ky, kx, BORDER_NAMES[border])
+    difference = (taps if guidance is None else windows(guide, ky, kx, BORDER_NAMES[border])) - guide
+    if distance == COLOR_DISTANCE["l1"]:
         squared = difference.abs().sum(2, keepdim=True) ** 2
     else:
         squared = (difference**2).sum(2, keepdim=True)
@@ -205,10 +206,9 @@ def _checked(
     space, sigma_y, sigma_x = sigma_arguments(op, "sigma_space", input, sigma_space)
     _check.border(op, border_type)
     _check.reflectable(op, input, (ky // 2, kx // 2), border_type)
-    _check.choice(op, "color_distance_type", color_distance_type, ("l1", "l2"))
-    return _bilateral_blur(
-        pixels(input), guidance, color, space, ky, kx, number, sigma_y, sigma_x, border_type, color_distance_type
-    )
+    _check.choice(op, "color_distance_type", color_distance_type, tuple(COLOR_DISTANCE))
+    border, distance = BORDER[border_type], COLOR_DISTANCE[color_distance_type]
+    return _bilateral_blur(pixels(input), guidance, color, space, ky, kx, number, sigma_y, sigma_x, border, distance)
 
 
 def _sigma_color(op: str, x: Tensor, value: Tensor | float) -> tuple[Tensor | None, float]:

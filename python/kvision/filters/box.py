@@ -6,14 +6,15 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
+from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
-from kvision.filters.separable import _reference as filter_separably
+from kvision.filters.separable import filter_separably
 
 
-def window_sum(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
+def window_sum(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
     """The sum of the ky x kx window around every pixel; exact for integers below 2^24."""
-    return filter_separably(x, x.new_ones(1, kx), x.new_ones(1, ky), border, True)
+    return filter_separably(x, x.new_ones(1, kx), x.new_ones(1, ky), BORDER_NAMES[border])
 
 
 def divided(x: Tensor, n: int) -> Tensor:
@@ -21,7 +22,7 @@ def divided(x: Tensor, n: int) -> Tensor:
     return x / x.new_full((), n)
 
 
-def _reference(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
+def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
     return divided(window_sum(x, ky, kx, border), ky * kx)
 
 
@@ -66,7 +67,7 @@ def box_blur(
     ky, kx = _check.pair("box_blur", "kernel_size", kernel_size)
     _check.border("box_blur", border_type)
     _check.reflectable("box_blur", input, (ky // 2, kx // 2), border_type)
-    return _box_blur(pixels(input), ky, kx, border_type)
+    return _box_blur(pixels(input), ky, kx, BORDER[border_type])
 
 
 class BoxBlur(FunctionModule):

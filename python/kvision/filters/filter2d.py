@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, pixels
+from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.filters.border import pad, same_pads
@@ -29,19 +30,19 @@ def correlate(x: Tensor, kernel: Tensor, stride: int = 1) -> Tensor:
     return y.reshape(b, c, *y.shape[2:])
 
 
-def _reference(x: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
+def _reference(x: Tensor, kernel: Tensor, border: int, same: bool) -> Tensor:
     if same:
-        x = pad(x, same_pads(kernel.shape[1:]), border)
+        x = pad(x, same_pads(kernel.shape[1:]), BORDER_NAMES[border])
     return correlate(x, kernel)
 
 
-def _transposed(grad: Tensor, kernel: Tensor, border: str, same: bool) -> Tensor:
+def _transposed(grad: Tensor, kernel: Tensor, border: int, same: bool) -> Tensor:
     x = grad.new_zeros(_size(grad, kernel, 0 if same else 1))
     _, vjp_fn = torch.func.vjp(lambda x: _reference(x, kernel, border, same), x)
     return vjp_fn(grad)[0]
 
 
-def _kernel_gradient(kernel: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
+def _kernel_gradient(kernel: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
     zeros = kernel.new_zeros(x.shape[0], *kernel.shape[1:])
     _, vjp_fn = torch.func.vjp(lambda kernel: _reference(x, kernel, border, same), zeros)
     return vjp_fn(grad)[0]
@@ -58,7 +59,7 @@ def register_filter(name: str, bytes: bool = False) -> Operator:
     derivatives for grad, x and kernel.
     """
 
-    def to_kernel(kernel: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
+    def to_kernel(kernel: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
         gradients = kernel_gradient(kernel, grad, x, border, same)
         return gradients.sum(0, keepdim=True) if kernel.shape[0] == 1 else gradients
 
@@ -181,7 +182,7 @@ def filter_images(
     _check.shape(op, "kernel", kernel, "B or 1", "kH", "kW")
     kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
     same = check_padding(op, input, kernel.shape[1:], border_type, padding)
-    return _filter2d(pixels(input), kernel, border_type, same)
+    return _filter2d(pixels(input), kernel, BORDER[border_type], same)
 
 
 def prepare_kernel(op: str, x: Tensor, kernel: Tensor, normalized: bool, behaviour: str) -> Tensor:

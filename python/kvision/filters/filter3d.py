@@ -6,6 +6,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._modes import BORDER
 from kvision.filters.filter2d import check_padding, prepare_kernel, register_filter
 
 _filter3d = register_filter("filter3d")
@@ -74,4 +75,4 @@ def filter_volumes(
     _check.shape(op, "kernel", kernel, "B or 1", "kD", "kH", "kW")
     kernel = prepare_kernel(op, input, kernel, normalized, behaviour)
     check_padding(op, input, kernel.shape[1:], border_type, "same")
-    return _filter3d(floats(input), kernel, border_type, True)
+    return _filter3d(floats(input), kernel, BORDER[border_type], True)

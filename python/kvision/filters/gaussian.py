@@ -7,19 +7,19 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, pixels
+from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian, sigmas
-from kvision.filters.separable import _reference as filter_separably
-from kvision.filters.separable import weight_gradients
+from kvision.filters.separable import filter_separably, weight_gradients
 
 
 def _reference(
-    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float, border: str
+    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float, border: int
 ) -> Tensor:
     kernel_y, kernel_x = axis_kernels(x, sigma, ky, kx, sigma_y, sigma_x)
-    return filter_separably(x, kernel_x, kernel_y, border, True)
+    return filter_separably(x, kernel_x, kernel_y, BORDER_NAMES[border])
 
 
 def _backward(needs, grad, x, sigma, *plain):
@@ -37,7 +37,7 @@ def _transposed_backward(needs, gradgrad, grad, sigma, *plain):
 
 
 def sigma_gradient(
-    grad: Tensor, x: Tensor, sigma: Tensor, ky: int, kx: int, sigma_y: float, sigma_x: float, border: str
+    grad: Tensor, x: Tensor, sigma: Tensor, ky: int, kx: int, sigma_y: float, sigma_x: float, border: int
 ) -> Tensor:
     """The gradient to sigma from the gradient to the blurred `x`, through the weights.
 
@@ -114,16 +114,20 @@ class GaussianBlur2d(FunctionModule):
 
 
 def blur_arguments(
-    op: str, input: Tensor, kernel_size: tuple[int, int] | int, sigma: tuple[float, float] | Tensor | float, border: str
-) -> tuple[Tensor, Tensor | None, int, int, float, float, str]:
+    op: str,
+    input: Tensor,
+    kernel_size: tuple[int, int] | int,
+    sigma: tuple[float, float] | Tensor | float,
+    border_type: str,
+) -> tuple[Tensor, Tensor | None, int, int, float, float, int]:
     """The checked arguments of a Gaussian as its operators take them: sigma as a tensor, or as two floats with None."""
     _check.images(op, "input", input)
     ky, kx = _check.pair(op, "kernel_size", kernel_size)
     _check.odd(op, "kernel_size", (ky, kx))
     tensor, sigma_y, sigma_x = sigma_arguments(op, "sigma", input, sigma)
-    _check.border(op, border)
-    _check.reflectable(op, input, (ky // 2, kx // 2), border)
-    return pixels(input), tensor, ky, kx, sigma_y, sigma_x, border
+    _check.border(op, border_type)
+    _check.reflectable(op, input, (ky // 2, kx // 2), border_type)
+    return pixels(input), tensor, ky, kx, sigma_y, sigma_x, BORDER[border_type]
 
 
 def sigma_arguments(

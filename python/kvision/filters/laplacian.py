@@ -6,13 +6,14 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
+from kvision._modes import BORDER
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
 from kvision.filters.box import divided, window_sum
 from kvision.filters.kernels import laplacian_sizes
 
 
-def _reference(x: Tensor, ky: int, kx: int, normalized: bool, border: str) -> Tensor:
+def _reference(x: Tensor, ky: int, kx: int, normalized: bool, border: int) -> Tensor:
     n = ky * kx
     y = window_sum(x, ky, kx, border) - n * x
     return divided(y, 2 * (n - 1)) if normalized else y
@@ -60,7 +61,7 @@ def laplacian(
     _check.flag("laplacian", "normalized", normalized)
     _check.border("laplacian", border_type)
     _check.reflectable("laplacian", input, (ky // 2, kx // 2), border_type)
-    return _laplacian(pixels(input), ky, kx, normalized, border_type)
+    return _laplacian(pixels(input), ky, kx, normalized, BORDER[border_type])
 
 
 class Laplacian(FunctionModule):

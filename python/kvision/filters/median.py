@@ -7,13 +7,14 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
+from kvision._modes import BORDER, BORDER_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
 from kvision.filters.border import windows
 
 
-def _reference(x: Tensor, ky: int, kx: int, border: str) -> Tensor:
-    taps = windows(x, ky, kx, border)
+def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
+    taps = windows(x, ky, kx, BORDER_NAMES[border])
     median = taps.detach().sort(0).values[(ky * kx - 1) // 2]
     # amax shares its gradient evenly; with the median's sign, so that no median ties with the filling.
     sign = torch.where(median < 0, -1, 1)
@@ -25,7 +26,7 @@ def _backward(needs, grad, y, x, ky, kx, border):
     return [_median_blur_backward(grad, x, y.detach(), ky, kx, border)]
 
 
-def _backward_reference(grad: Tensor, x: Tensor, y: Tensor, ky: int, kx: int, border: str) -> Tensor:
+def _backward_reference(grad: Tensor, x: Tensor, y: Tensor, ky: int, kx: int, border: int) -> Tensor:
     return vjp(_reference)(grad, x, ky, kx, border)
 
 
@@ -61,7 +62,7 @@ def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: 
     ky, kx = _check.pair("median_blur", "kernel_size", kernel_size)
     _check.border("median_blur", border_type)
     _check.reflectable("median_blur", input, (ky // 2, kx // 2), border_type)
-    return _median_blur(pixels(input), ky, kx, border_type)
+    return _median_blur(pixels(input), ky, kx, BORDER[border_type])
 
 
 class MedianBlur(FunctionModule):

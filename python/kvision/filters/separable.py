@@ -10,12 +10,14 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
+from kvision._modes import BORDER, BORDER_NAMES
 from kvision._ops import register
 from kvision.filters.border import pad, same_pads
 from kvision.filters.filter2d import check_padding, correlate, prepare_kernel
 
 
-def _reference(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> Tensor:
+def filter_separably(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool = True) -> Tensor:
+    """Filter `x` (B, C, H, W) along x with the rows of kernel_x (B or 1, kW), then along y with those of kernel_y."""
     for kernel in (kernel_x[:, None, :], kernel_y[:, :, None]):
         if same:
             x = pad(x, same_pads(kernel.shape[1:]), border)
@@ -23,25 +25,29 @@ def _reference(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same:
     return x
 
 
-def _transposed_reference(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> Tensor:
+def _reference(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: int, same: bool) -> Tensor:
+    return filter_separably(x, kernel_x, kernel_y, BORDER_NAMES[border], same)
+
+
+def _transposed_reference(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: int, same: bool) -> Tensor:
     x = grad.new_zeros(_transposed_size(grad, kernel_x, kernel_y, border, same))
     _, vjp_fn = torch.func.vjp(lambda x: _reference(x, kernel_x, kernel_y, border, same), x)
     return vjp_fn(grad)[0]
 
 
-def _weights_reference(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, x: Tensor, border: str, same: bool) -> Tensor:
+def _weights_reference(kernel_x: Tensor, kernel_y: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
     """(B, kW + kH): for each image the gradient to its kernel_x, then that to its kernel_y."""
     kernels = [kernel.expand(x.shape[0], -1) for kernel in (kernel_x, kernel_y)]
     _, vjp_fn = torch.func.vjp(lambda kx, ky: _reference(x, kx, ky, border, same), *kernels)
     return torch.cat(vjp_fn(grad), 1)
 
 
-def _size(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> tuple[int, ...]:
+def _size(x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: int, same: bool) -> tuple[int, ...]:
     b, c, h, w = x.shape
     return (b, c, h, w) if same else (b, c, h - kernel_y.shape[1] + 1, w - kernel_x.shape[1] + 1)
 
 
-def _transposed_size(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool) -> tuple[int, ...]:
+def _transposed_size(grad: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: int, same: bool) -> tuple[int, ...]:
     b, c, h, w = grad.shape
     return (b, c, h, w) if same else (b, c, h + kernel_y.shape[1] - 1, w + kernel_x.shape[1] - 1)
 
@@ -76,7 +82,7 @@ def _transposed_backward(needs, gradgrad, grad, kernel_x, kernel_y, border, same
 
 
 def weight_gradients(
-    needs: Sequence[bool], grad: Tensor, x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: str, same: bool = True
+    needs: Sequence[bool], grad: Tensor, x: Tensor, kernel_x: Tensor, kernel_y: Tensor, border: int, same: bool = True
 ) -> list[Tensor | None]:
     """The gradients to kernel_x and kernel_y, those that are needed, from the gradient to the filtered `x`."""
     if not (needs[0] or needs[1]):
@@ -138,4 +144,4 @@ def filter2d_separable(
     kernel_y = prepare_kernel("filter2d_separable", input, kernel_y, normalized, "corr")
     taps = (kernel_y.shape[1], kernel_x.shape[1])
     same = check_padding("filter2d_separable", input, taps, border_type, padding)
-    return _filter2d_separable(pixels(input), kernel_x, kernel_y, border_type, same)
+    return _filter2d_separable(pixels(input), kernel_x, kernel_y, BORDER[border_type], same)

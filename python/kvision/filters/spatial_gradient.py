@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._modes import DERIVATIVE_MODE, DERIVATIVE_MODE_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.filters.border import pad
@@ -35,22 +36,30 @@ def derivatives(x: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
     return torch.stack(channels, 2)
 
 
+def _reference(x: Tensor, mode: int, order: int, normalized: bool) -> Tensor:
+    return derivatives(x, DERIVATIVE_MODE_NAMES[mode], order, normalized)
+
+
 def _transposed(grad: Tensor, mode: str, order: int, normalized: bool) -> Tensor:
     x = grad.new_zeros(grad.shape[:2] + grad.shape[3:])
     _, vjp_fn = torch.func.vjp(lambda x: derivatives(x, mode, order, normalized), x)
     return vjp_fn(grad)[0]
 
 
+def _backward_reference(grad: Tensor, mode: int, order: int, normalized: bool) -> Tensor:
+    return _transposed(grad, DERIVATIVE_MODE_NAMES[mode], order, normalized)
+
+
 _spatial_gradient = register(
     "spatial_gradient",
-    derivatives,
+    _reference,
     fake=lambda x, mode, order, normalized: (*x.shape[:2], order + 1, *x.shape[2:]),
     backward=lambda needs, grad, x, *args: [_spatial_gradient_backward(grad, *args)],
     linear=True,
 )
 _spatial_gradient_backward = register(
     "spatial_gradient_backward",
-    _transposed,
+    _backward_reference,
     fake=lambda grad, mode, order, normalized: (*grad.shape[:2], *grad.shape[3:]),
     backward=lambda needs, grad, x, *args: [_spatial_gradient(grad, *args)],
     linear=True,
@@ -84,7 +93,7 @@ def spatial_gradient(input: Tensor, mode: str = "sobel", order: int = 1, normali
     _check.images("spatial_gradient", "input", input)
     check_derivative("spatial_gradient", mode, order)
     _check.flag("spatial_gradient", "normalized", normalized)
-    return _spatial_gradient(floats(input), mode, order, normalized)
+    return _spatial_gradient(floats(input), DERIVATIVE_MODE[mode], order, normalized)
 
 
 class SpatialGradient(FunctionModule):

@@ -11,7 +11,7 @@ from kvision.filters.gaussian import blur_arguments, sigma_gradient
 
 
 def _reference(
-    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float, border: str
+    x: Tensor, sigma: Tensor | None, ky: int, kx: int, sigma_y: float, sigma_x: float, border: int
 ) -> Tensor:
     return 2 * x - blur(x, sigma, ky, kx, sigma_y, sigma_x, border)
 

@@ -12,7 +12,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.kernels import gaussian
-from kvision.filters.separable import _reference as filter_separably
+from kvision.filters.separable import filter_separably
 from kvision.losses.reduction import reduced
 from kvision.metrics.ssim import _backward, _both_gradients, _like
 from kvision.metrics.ssim import _reference as similarity

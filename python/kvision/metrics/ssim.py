@@ -23,7 +23,7 @@ from kvision._modules import FunctionModule
 from kvision._ops import Operator, register, vjp
 from kvision.core.exceptions import ShapeError
 from kvision.filters.kernels import gaussian
-from kvision.filters.separable import _reference as filter_separably
+from kvision.filters.separable import filter_separably
 
 SIGMA = 1.5  # of the window, in pixels
 

@@ -1,7 +1,8 @@
-"""Images at places between their pixels: what all warps and maps are made of.
+"""Sampling images between their pixels: what all warps and maps are made of.
 
-Places are in pixels, (0, 0) being the middle of the first one. `sample` is the definition, for images and volumes; the
-operators `warp` (places from a matrix) and `remap` (places from a map) have kernels. Rules of taps: csrc/geometry/transform/sampling.h.
+Sampling coordinates are in pixels; the center of the first one is (0, 0). `sample` defines the result for images and
+volumes. The operators `warp` (coordinates from a matrix) and `remap` (coordinates from maps) have kernels.
+csrc/geometry/transform/sampling.h has the rules of taps and padding.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 // The list of all formulas (formula.h), each with the name and the arguments of its operator. The Python references in
-// python/kvision/geometry/{conversions,linalg,quaternion,transform,epipolar} define what each computes. Included by
-// formula.cu, formula_cpu.cpp, formula_glue.h and transform/matrix_formula.cuh.
+// python/kvision/geometry/{conversions,liegroup,linalg,quaternion,transform,epipolar} define what each computes.
+// Included by formula.cu, formula_cpu.cpp, formula_glue.h and transform/matrix_formula.cuh.
 #pragma once
 
 #include "geometry/conversions/euler.h"
 #include "geometry/conversions/rotations.h"
 #include "geometry/epipolar/matrices.h"
+#include "geometry/liegroup/exponential_maps.h"
 #include "geometry/linalg.h"
 #include "geometry/quaternion.h"
 #include "geometry/transform/matrices.h"
@@ -62,6 +63,14 @@ namespace kv {
   _(essential_from_motions, EssentialFromMotions,                                                                \
     "Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2")                              \
   _(camera_of_projection, CameraOfProjection, "Tensor projection")                                               \
+  _(se2_exp, Se2Exp, "Tensor tangent")                                                                           \
+  _(se2_log, Se2Log, "Tensor motion")                                                                            \
+  _(so3_left_jacobian, So3LeftJacobian, "Tensor tangent")                                                        \
+  _(so3_left_jacobian_inverse, So3LeftJacobianInverse, "Tensor tangent")                                         \
+  _(se3_exp, Se3Exp, "Tensor tangent")                                                                           \
+  _(se3_log, Se3Log, "Tensor motion")                                                                            \
+  _(se3_left_jacobian, Se3LeftJacobian, "Tensor tangent")                                                        \
+  _(se3_left_jacobian_inverse, Se3LeftJacobianInverse, "Tensor tangent")                                         \
   KV_PLANE_FORMULAS(_)                                                                                           \
   KV_SPACE_FORMULAS(_)
 

@@ -113,11 +113,16 @@ struct RotationMatrixToQuaternion : VectorInput<9, 4> {
   }
 };
 
+template <class V>
+KV_HD void skew_matrix(V const* v, V* m) {
+  m[0] = m[4] = m[8] = constant<V>(0);
+  m[1] = -v[2], m[2] = v[1], m[3] = v[2], m[5] = -v[0], m[6] = -v[1], m[7] = v[0];
+}
+
 struct CrossMatrix : VectorInput<3, 3, 3> {
   template <class V>
   static KV_HD void evaluate(V const* v, V* m, FormulaOptions const&) {
-    m[0] = m[4] = m[8] = constant<V>(0);
-    m[1] = -v[2], m[2] = v[1], m[3] = v[2], m[5] = -v[0], m[6] = -v[1], m[7] = v[0];
+    skew_matrix(v, m);
   }
 };
 

@@ -11,6 +11,7 @@ from kvision.geometry import (
     grid,
     homography,
     keypoints,
+    liegroup,
     linalg,
     line,
     plane,
@@ -34,6 +35,7 @@ from kvision.geometry.epipolar import *  # noqa: F403
 from kvision.geometry.grid import *  # noqa: F403
 from kvision.geometry.homography import *  # noqa: F403
 from kvision.geometry.keypoints import *  # noqa: F403
+from kvision.geometry.liegroup import *  # noqa: F403
 from kvision.geometry.linalg import *  # noqa: F403
 from kvision.geometry.line import *  # noqa: F403
 from kvision.geometry.plane import *  # noqa: F403

@@ -21,23 +21,7 @@ import pytest
 from test_public_api import public_modules, public_names
 
 ROOT = Path(__file__).parents[1]
-NOT_YET = """convolve2d
-correlate2d
-convolve3d
-correlate3d
-get_box_kernel1d
-get_box_kernel2d
-get_diff_kernel2d
-get_gaussian_erf_kernel1d
-get_gaussian_kernel1d
-get_gaussian_kernel3d
-get_hanning_kernel1d
-get_hanning_kernel2d
-get_laplacian_kernel1d
-get_laplacian_kernel2d
-get_sobel_kernel2d
-laplacian_1d
-infer_bbox_shape
+NOT_YET = """infer_bbox_shape
 infer_bbox_shape3d
 VideoBoxes
 dx_distort_points_affine

@@ -36,7 +36,7 @@ def _weights(
     border: int,
     distance: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """For each tap of the windows its weight, its pixel of `x` and its squared distance in colour."""
+    """For each tap of the windows its weight, its pixel of `x` and its squared distance in color."""
     guide = x if guidance is None else guidance
     taps = windows(x, ky, kx, BORDER_NAMES[border])
     difference = (taps if guidance is None else windows(guide, ky, kx, BORDER_NAMES[border])) - guide
@@ -74,24 +74,24 @@ def _reference_sigma_sums(grad: Tensor, x: Tensor, *args: Any) -> Tensor:
     weights, taps, squared = _weights(x, *args)
     _, _, _, ky, kx, *_ = args
     total = weights.sum(0)
-    slopes = (grad / total * (taps - (weights * taps).sum(0) / total)).sum(2, keepdim=True) * weights
+    weight_grads = (grad / total * (taps - (weights * taps).sum(0) / total)).sum(2, keepdim=True) * weights
     dy, dx = (torch.arange(k, device=x.device, dtype=x.dtype) - k // 2 for k in (ky, kx))
     dy, dx = (d.flatten()[:, None, None, None, None] for d in torch.meshgrid(dy, dx, indexing="ij"))
-    return torch.stack([(slopes * square).sum((0, 2, 4)) for square in (squared, dy**2, dx**2)], 1)
+    return torch.stack([(weight_grads * square).sum((0, 2, 4)) for square in (squared, dy**2, dx**2)], 1)
 
 
 def _backward(needs: Sequence[bool], grad: Tensor, *args: Any) -> list[Tensor | None]:
     x, _, sigma_color, sigma_space = args[:4]
-    found: list[Any] = [None] * 4
+    grads: list[Any] = [None] * 4
     if needs[0] or needs[1]:
-        found[:2] = _bilateral_blur_backward(grad, *args, needs[0], needs[1])
+        grads[:2] = _bilateral_blur_backward(grad, *args, needs[0], needs[1])
     if needs[2] or needs[3]:
-        wide = compute_dtype(x)  # sums of many products
-        sums = _bilateral_blur_sigma_sums(grad.to(wide), x.to(wide), *args[1:]).sum(2)
-        found[2] = sums[:, 0] / sigma_color**3 if needs[2] else None
-        found[3] = sums[:, 1:] / sigma_space**3 if needs[3] else None
+        promoted = compute_dtype(x)  # sums of many products
+        sums = _bilateral_blur_sigma_sums(grad.to(promoted), x.to(promoted), *args[1:]).sum(2)
+        grads[2] = sums[:, 0] / sigma_color**3 if needs[2] else None
+        grads[3] = sums[:, 1:] / sigma_space**3 if needs[3] else None
     # One guidance or sigma may have served the whole batch.
-    return [g.sum_to_size(a.shape) if need else None for g, a, need in zip(found, args[:4], needs[:4], strict=True)]
+    return [g.sum_to_size(a.shape) if need else None for g, a, need in zip(grads, args[:4], needs[:4], strict=True)]
 
 
 _bilateral_blur = register("bilateral_blur", _reference, backward=_backward, bytes=True)
@@ -109,15 +109,15 @@ def bilateral_blur(
     border_type: str = "reflect",
     color_distance_type: str = "l1",
 ) -> Tensor:
-    """Blur an image with weights that fall with the distance in space and in colour, which keeps edges.
+    """Blur an image with weights that fall with the distance in space and in color, which keeps edges.
 
-    A pixel of the window at distance d in space and c in colour weighs
+    A pixel of the window at distance d in space and c in color weighs
     exp(-d^2 / (2 sigma_space^2)) exp(-c^2 / (2 sigma_color^2)); the weights are divided by their sum.
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even), other integers give float32.
         kernel_size: size of the window, an odd int or (y, x).
-        sigma_color: standard deviation in colour, in units of the input; a number or a tensor (1,) or (B,).
+        sigma_color: standard deviation in color, in units of the input; a number or a tensor (1,) or (B,).
         sigma_space: standard deviation in pixels; a number, (y, x), or a tensor (1, 2) or (B, 2). Tensors may carry
             gradients; where one is not positive the result is NaN, as its values are not read on the host.
         border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
@@ -154,11 +154,11 @@ def joint_bilateral_blur(
     border_type: str = "reflect",
     color_distance_type: str = "l1",
 ) -> Tensor:
-    """Blur an image with weights that fall with the distance in space and in the colours of a second image.
+    """Blur an image with weights that fall with the distance in space and in the colors of a second image.
 
     Args:
         input: image (B, C, H, W).
-        guidance: image (B, any channels, H, W) whose colours are compared, in units of its own.
+        guidance: image (B, any channels, H, W) whose colors are compared, in units of its own.
         kernel_size, sigma_color, sigma_space, border_type, color_distance_type: as :func:`bilateral_blur`.
 
     Returns:

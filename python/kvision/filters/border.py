@@ -1,4 +1,4 @@
-"""What a filter reads beyond the image; the one place where the references pad."""
+"""Padding by the border rules, for all references."""
 
 from __future__ import annotations
 

@@ -17,13 +17,13 @@ def window_sum(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
     return filter_separably(x, x.new_ones(1, kx), x.new_ones(1, ky), BORDER_NAMES[border])
 
 
-def divided(x: Tensor, n: int) -> Tensor:
-    """x / n, rightly rounded: on CUDA, torch multiplies by the reciprocal of a number, which may miss a tie of bytes."""
+def divide_exactly(x: Tensor, n: int) -> Tensor:
+    """x / n, correctly rounded: on CUDA torch multiplies by the reciprocal of a number, which may miss a tie of bytes."""
     return x / x.new_full((), n)
 
 
 def _reference(x: Tensor, ky: int, kx: int, border: int) -> Tensor:
-    return divided(window_sum(x, ky, kx, border), ky * kx)
+    return divide_exactly(window_sum(x, ky, kx, border), ky * kx)
 
 
 def _backward(needs, grad, x, ky, kx, border):

@@ -24,10 +24,10 @@ _TAN_22_5 = math.sqrt(2) - 1
 
 
 def _reference_suppress(x: Tensor, low: float, high: float, eps: float) -> tuple[Tensor, Tensor]:
-    """From a smooth grey image (B, 1, H, W) its gradient magnitude, 0 where that is no ridge, and edges 0, 0.5 or 1.
+    """From a smooth gray image (B, 1, H, W) its gradient magnitude, 0 where that is no ridge, and edges 0, 0.5 or 1.
 
-    A pixel is on a ridge when neither neighbour along its gradient, rounded to 45 degrees, is stronger. Along x and y
-    the first of two equal neighbours stays, on a diagonal none.
+    A pixel is on a ridge when neither neighbor along its gradient, rounded to 45 degrees, is stronger. Along x and y
+    the first of two equal neighbors stays, on a diagonal none.
     """
     h, w = x.shape[-2:]
     gx, gy = derivatives(x, "sobel", 1, normalized=False).unbind(2)
@@ -93,7 +93,7 @@ def canny(
 ) -> tuple[Tensor, Tensor]:
     """Find edges: thin lines along the ridges of the gradient magnitude.
 
-    The image, made grey, is blurred with a Gaussian. Its unnormalised Sobel gradient has the magnitude
+    The image, made gray, is blurred with a Gaussian. Its unnormalized Sobel gradient has the magnitude
     sqrt(gx^2 + gy^2 + eps), which becomes 0 where it is no maximum along the gradient. What is above high_threshold is
     a strong edge, what is above low_threshold a weak one.
 

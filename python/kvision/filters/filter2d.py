@@ -42,7 +42,7 @@ def _transposed(grad: Tensor, kernel: Tensor, border: int, same: bool) -> Tensor
     return vjp_fn(grad)[0]
 
 
-def _kernel_gradient(kernel: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
+def _kernel_backward_reference(kernel: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
     zeros = kernel.new_zeros(x.shape[0], *kernel.shape[1:])
     _, vjp_fn = torch.func.vjp(lambda kernel: _reference(x, kernel, border, same), zeros)
     return vjp_fn(grad)[0]
@@ -59,20 +59,20 @@ def register_filter(name: str, bytes: bool = False) -> Operator:
     derivatives for grad, x and kernel.
     """
 
-    def to_kernel(kernel: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
+    def kernel_backward(kernel: Tensor, grad: Tensor, x: Tensor, border: int, same: bool) -> Tensor:
         gradients = kernel_gradient(kernel, grad, x, border, same)
         return gradients.sum(0, keepdim=True) if kernel.shape[0] == 1 else gradients
 
     def backward(needs, grad, x, kernel, *args):
         return [
             transposed(grad, kernel, *args) if needs[0] else None,
-            to_kernel(kernel, grad, x, *args) if needs[1] else None,
+            kernel_backward(kernel, grad, x, *args) if needs[1] else None,
         ]
 
     def transposed_backward(needs, x, grad, kernel, *args):
         return [
             forward(x, kernel, *args) if needs[0] else None,
-            to_kernel(kernel, grad, x, *args) if needs[1] else None,
+            kernel_backward(kernel, grad, x, *args) if needs[1] else None,
         ]
 
     def kernel_gradient_backward(needs, kernel, _, grad, x, *args):
@@ -98,7 +98,7 @@ def register_filter(name: str, bytes: bool = False) -> Operator:
     # The kernel comes first: the gradient to it has its type, not that of the images.
     kernel_gradient = register(
         f"{name}_kernel_backward",
-        _kernel_gradient,
+        _kernel_backward_reference,
         fake=lambda kernel, grad, x, border, same: (x.shape[0], *kernel.shape[1:]),
         backward=kernel_gradient_backward,
     )
@@ -149,7 +149,20 @@ def filter2d(
 def correlate2d(
     input: Tensor, kernel: Tensor, border_type: str = "reflect", normalized: bool = False, padding: str = "same"
 ) -> Tensor:
-    """Cross-correlate an image with a kernel: `filter2d` with behaviour 'corr'; same arguments, result and errors.
+    """Cross-correlate every channel of an image with one kernel: :func:`filter2d` with behaviour 'corr'.
+
+    Args:
+        input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.
+        kernel: (1, kH, kW), or (B, kH, kW) with a kernel for every image; sizes may be even.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        normalized: divide the kernel by the sum of its absolute values.
+        padding: 'same' keeps the size, 'valid' gives (B, C, H - kH + 1, W - kW + 1) and reads no border.
+
+    Returns:
+        The filtered image; differentiable in image and kernel.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`filter2d`.
 
     Example:
         >>> import torch, kvision as K
@@ -163,7 +176,20 @@ def correlate2d(
 def convolve2d(
     input: Tensor, kernel: Tensor, border_type: str = "reflect", normalized: bool = False, padding: str = "same"
 ) -> Tensor:
-    """Convolve an image with a kernel: `filter2d` with behaviour 'conv'; same arguments, result and errors.
+    """Convolve every channel of an image with one kernel: :func:`filter2d` with behaviour 'conv'.
+
+    Args:
+        input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.
+        kernel: (1, kH, kW), or (B, kH, kW) with a kernel for every image; sizes may be even.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        normalized: divide the kernel by the sum of its absolute values.
+        padding: 'same' keeps the size, 'valid' gives (B, C, H - kH + 1, W - kW + 1) and reads no border.
+
+    Returns:
+        The filtered image; differentiable in image and kernel.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`filter2d`.
 
     Example:
         >>> import torch, kvision as K

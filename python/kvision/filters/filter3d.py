@@ -44,7 +44,19 @@ def filter3d(
 
 
 def correlate3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
-    """Cross-correlate a volume with a kernel: `filter3d` with behaviour 'corr'; same arguments, result and errors.
+    """Cross-correlate every channel of a volume with one kernel: :func:`filter3d` with behaviour 'corr'.
+
+    Args:
+        input: volume (B, C, D, H, W); integers give float32.
+        kernel: (1, kD, kH, kW), or (B, kD, kH, kW) with a kernel for every volume; sizes may be even.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        normalized: divide the kernel by the sum of its absolute values.
+
+    Returns:
+        The filtered volume; differentiable in volume and kernel.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`filter3d`.
 
     Example:
         >>> import torch, kvision as K
@@ -56,7 +68,19 @@ def correlate3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", n
 
 
 def convolve3d(input: Tensor, kernel: Tensor, border_type: str = "replicate", normalized: bool = False) -> Tensor:
-    """Convolve a volume with a kernel: `filter3d` with behaviour 'conv'; same arguments, result and errors.
+    """Convolve every channel of a volume with one kernel: :func:`filter3d` with behaviour 'conv'.
+
+    Args:
+        input: volume (B, C, D, H, W); integers give float32.
+        kernel: (1, kD, kH, kW), or (B, kD, kH, kW) with a kernel for every volume; sizes may be even.
+        border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
+        normalized: divide the kernel by the sum of its absolute values.
+
+    Returns:
+        The filtered volume; differentiable in volume and kernel.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError, DeviceError: as :func:`filter3d`.
 
     Example:
         >>> import torch, kvision as K

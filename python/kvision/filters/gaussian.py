@@ -92,7 +92,7 @@ def gaussian_blur2d(
 
 
 class GaussianBlur2d(FunctionModule):
-    """Module form of :func:`gaussian_blur2d`; a sigma that is an nn.Parameter is learnt.
+    """Module form of :func:`gaussian_blur2d`; a sigma that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -170,5 +170,5 @@ def axis_kernels(
 
 
 def positive(values: Tensor) -> Tensor:
-    """`values`, NaN where they are not positive: a bad sigma spoils its images without a look from the host."""
+    """`values`, NaN where they are not positive: an invalid sigma makes its images NaN without a synchronization."""
     return torch.where(values > 0, values, torch.nan)

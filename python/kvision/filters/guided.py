@@ -73,7 +73,7 @@ def guided_blur(
     eps = _checked_eps(guide, eps)
     full_guide = guide
     if subsample > 1:
-        rows, columns = (_every(n, subsample, guide.device) for n in (h, w))
+        rows, columns = (_subsampled_indices(n, subsample, guide.device) for n in (h, w))
         guide, x = (image[..., rows[:, None], columns] for image in (guide, x))
         ky, kx = ((k - 1) // subsample + 1 for k in (ky, kx))
     _check.border("guided_blur", border_type)
@@ -88,12 +88,12 @@ def guided_blur(
     variance = mean(guide[:, :, None] * guide[:, None]) - mean_guide[:, :, None] * mean_guide[:, None]
     covariance = mean(guide[:, :, None] * x[:, None]) - mean_guide[:, :, None] * mean_x[:, None]
     ridge = torch.eye(guide.shape[1], device=guide.device, dtype=computed)[:, :, None, None] * eps
-    slope = _solve(variance + ridge, covariance)
-    offset = mean_x - (slope * mean_guide[:, :, None]).sum(1)
-    slope, offset = mean(slope), mean(offset)
+    gain = _solve(variance + ridge, covariance)
+    offset = mean_x - (gain * mean_guide[:, :, None]).sum(1)
+    gain, offset = mean(gain), mean(offset)
     if subsample > 1:
-        slope, offset = _enlarged(slope, h, w), _enlarged(offset, h, w)
-    return ((slope * full_guide[:, :, None]).sum(1) + offset).to(stored)
+        gain, offset = _upsample(gain, h, w), _upsample(offset, h, w)
+    return ((gain * full_guide[:, :, None]).sum(1) + offset).to(stored)
 
 
 def _checked_eps(guide: Tensor, eps: float | Tensor) -> Tensor | float:
@@ -109,14 +109,14 @@ def _checked_eps(guide: Tensor, eps: float | Tensor) -> Tensor | float:
     return eps
 
 
-def _every(size: int, step: int, device: torch.device) -> Tensor:
-    """The pixels nearest to the centres of size // step equal parts of an axis, but one at least."""
+def _subsampled_indices(size: int, step: int, device: torch.device) -> Tensor:
+    """The pixels nearest to the centers of size // step equal parts of an axis, but one at least."""
     parts = max(size // step, 1)
     i = torch.arange(parts, device=device)
     return (((2 * i + 1) * size + parts * (1 - step)) // (2 * parts)).clamp(0, size - 1)
 
 
-def _enlarged(planes: Tensor, h: int, w: int) -> Tensor:
+def _upsample(planes: Tensor, h: int, w: int) -> Tensor:
     """(*, H, W) resized bilinearly."""
     return F.interpolate(planes.flatten(0, -3)[:, None], (h, w), mode="bilinear").reshape(*planes.shape[:-2], h, w)
 

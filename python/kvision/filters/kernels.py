@@ -70,12 +70,20 @@ def get_gaussian_kernel1d(
     device: torch.device | None = None,
     dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """Sample a Gaussian at whole pixels and divide by its sum; even sizes only with force_even.
+    """Sample a Gaussian at whole pixels and divide by its sum.
 
-    Args and errors as `gaussian`.
+    Args:
+        kernel_size: number of samples, odd unless force_even.
+        sigma: standard deviation in pixels, a number or a tensor (B, 1); 0 gives an impulse.
+        force_even: allow even sizes.
+        device: of the result; by default that of sigma.
+        dtype: of the result, floating point; by default that of sigma.
 
     Returns:
-        (B, kernel_size).
+        (B, kernel_size) of sum 1, differentiable in sigma.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError: as :func:`gaussian`, or an even size.
 
     Example:
         >>> import kvision as K
@@ -126,10 +134,18 @@ def get_gaussian_kernel3d(
 ) -> Tensor:
     """Multiply the Gaussian kernels of three axes.
 
-    Args and errors as `get_gaussian_kernel2d`, with (z, y, x) and (B, 3) in place of (y, x) and (B, 2).
+    Args:
+        kernel_size: an int or (z, y, x), odd unless force_even.
+        sigma: standard deviation in pixels, a number, (z, y, x), or a tensor (B, 3).
+        force_even: allow even sizes.
+        device: of the result; by default that of sigma.
+        dtype: of the result, floating point; by default that of sigma.
 
     Returns:
-        (B, kD, kH, kW) of sum 1.
+        (B, kD, kH, kW) of sum 1, differentiable in sigma.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError: as :func:`gaussian`, or an even size.
 
     Example:
         >>> import kvision as K
@@ -193,12 +209,20 @@ def get_gaussian_erf_kernel1d(
     device: torch.device | None = None,
     dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """Integrate a Gaussian over every pixel and divide by the sum; even sizes only with force_even.
+    """Integrate a Gaussian over every pixel and divide by the sum.
 
-    Args and errors as `gaussian`; sigma must be positive.
+    Args:
+        kernel_size: number of pixels, odd unless force_even.
+        sigma: standard deviation in pixels, a positive number or a tensor (B, 1).
+        force_even: allow even sizes.
+        device: of the result; by default that of sigma.
+        dtype: of the result, floating point; by default that of sigma.
 
     Returns:
-        (B, kernel_size).
+        (B, kernel_size) of sum 1, differentiable in sigma.
+
+    Raises:
+        TypeCheckError, ShapeError, ValueCheckError: as :func:`gaussian`, or an even size, or a sigma of 0.
 
     Example:
         >>> import kvision as K
@@ -252,10 +276,10 @@ def _sigma_columns(
         if isinstance(checked, Tensor) and checked.is_floating_point():
             dtype = checked.dtype
     _fractions(op, dtype)
-    wide = torch.promote_types(dtype, torch.float32)
+    promoted = torch.promote_types(dtype, torch.float32)
     if isinstance(checked, Tensor):
-        return checked.to(device, wide)[:, :, None].unbind(1), dtype
-    return tuple(torch.full((1, 1), value, device=device, dtype=wide) for value in checked), dtype
+        return checked.to(device, promoted)[:, :, None].unbind(1), dtype
+    return tuple(torch.full((1, 1), value, device=device, dtype=promoted) for value in checked), dtype
 
 
 def _sampled(size: int, sigma: Tensor, mean: Tensor | float | None = None) -> Tensor:
@@ -295,7 +319,15 @@ def _gaussian_product(
 def get_box_kernel1d(
     kernel_size: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
-    """A mean of kernel_size pixels: (1, kernel_size) of 1 / kernel_size.
+    """A mean of kernel_size pixels.
+
+    Args:
+        kernel_size: number of pixels, at least 1.
+        device: of the result; by default torch's default device.
+        dtype: of the result, floating point; by default torch's default dtype.
+
+    Returns:
+        (1, kernel_size) of 1 / kernel_size.
 
     Raises:
         TypeCheckError, ValueCheckError: a kernel_size that is no int of at least 1, an integer dtype.
@@ -313,7 +345,15 @@ def get_box_kernel1d(
 def get_box_kernel2d(
     kernel_size: tuple[int, int] | int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
-    """A mean of a window of kernel_size, an int or (y, x): (1, kH, kW) of 1 / (kH * kW).
+    """A mean of a window of pixels.
+
+    Args:
+        kernel_size: size of the window, an int or (y, x), at least 1.
+        device: of the result; by default torch's default device.
+        dtype: of the result, floating point; by default torch's default dtype.
+
+    Returns:
+        (1, kH, kW) of 1 / (kH * kW).
 
     Raises:
         TypeCheckError, ValueCheckError: a kernel_size that is not of ints of at least 1, an integer dtype.
@@ -329,10 +369,18 @@ def get_box_kernel2d(
 
 
 def laplacian_1d(window_size: int, *, device: torch.device | None = None, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Ones around a centre of 1 - window_size: (window_size,) of sum 0.
+    """Ones around a center of 1 - window_size.
+
+    Args:
+        window_size: number of weights, at least 1.
+        device: of the result; by default torch's default device.
+        dtype: of the result, a type that holds the center.
+
+    Returns:
+        (window_size,) of sum 0.
 
     Raises:
-        TypeCheckError, ValueCheckError: a window_size that is no int of at least 1, a dtype too small for the centre.
+        TypeCheckError, ValueCheckError: a window_size that is no int of at least 1, a dtype too small for the center.
 
     Example:
         >>> import kvision as K
@@ -346,11 +394,19 @@ def laplacian_1d(window_size: int, *, device: torch.device | None = None, dtype:
 def get_laplacian_kernel1d(
     kernel_size: int, *, device: torch.device | None = None, dtype: torch.dtype = torch.float32
 ) -> Tensor:
-    """Ones around a centre of 1 - kernel_size: (kernel_size,) of sum 0.
+    """Ones around a center of 1 - kernel_size.
+
+    Args:
+        kernel_size: number of weights, odd and at least 3.
+        device: of the result; by default torch's default device.
+        dtype: of the result, a type that holds the center.
+
+    Returns:
+        (kernel_size,) of sum 0.
 
     Raises:
         TypeCheckError, ValueCheckError: a kernel_size that is no odd int of at least 3, a dtype that cannot hold the
-            centre.
+            center.
 
     Example:
         >>> import kvision as K
@@ -364,10 +420,18 @@ def get_laplacian_kernel1d(
 def get_laplacian_kernel2d(
     kernel_size: tuple[int, int] | int, *, device: torch.device | None = None, dtype: torch.dtype = torch.float32
 ) -> Tensor:
-    """Ones around a centre of 1 - kH * kW: (kH, kW) of sum 0; kernel_size an int or (y, x).
+    """Ones around a center of 1 - kH * kW.
+
+    Args:
+        kernel_size: an odd int or (y, x), at least 3 along one axis.
+        device: of the result; by default torch's default device.
+        dtype: of the result, a type that holds the center.
+
+    Returns:
+        (kH, kW) of sum 0.
 
     Raises:
-        TypeCheckError, ValueCheckError: sizes that are not odd or all 1, a dtype that cannot hold the centre.
+        TypeCheckError, ValueCheckError: sizes that are not odd or all 1, a dtype that cannot hold the center.
 
     Example:
         >>> import kvision as K
@@ -389,13 +453,13 @@ def laplacian_sizes(op: str, kernel_size: tuple[int, ...] | int, axes: int) -> t
 
 
 def _ones_around(op: str, sizes: tuple[int, ...], device: torch.device | None, dtype: torch.dtype) -> Tensor:
-    centre = 1 - math.prod(sizes)
+    center = 1 - math.prod(sizes)
     _real(op, dtype)
     dtype = dtype or torch.get_default_dtype()
-    if not dtype.is_floating_point and (dtype == torch.bool or torch.iinfo(dtype).min > centre):
-        raise ValueCheckError(f"{op}: expected a dtype that holds {centre}, got {dtype}", actual_value=dtype)
+    if not dtype.is_floating_point and (dtype == torch.bool or torch.iinfo(dtype).min > center):
+        raise ValueCheckError(f"{op}: expected a dtype that holds {center}, got {dtype}", actual_value=dtype)
     kernel = torch.ones(sizes, device=device, dtype=dtype)
-    kernel[tuple(size // 2 for size in sizes)] = centre
+    kernel[tuple(size // 2 for size in sizes)] = center
     return kernel
 
 
@@ -428,7 +492,17 @@ def derivative_rows(mode: str, order: int, axes: int) -> list[tuple[tuple[tuple[
 
 
 def get_sobel_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:
-    """The 3x3 Sobel kernels: (2, 3, 3), derivative along x, then along y; not normalised.
+    """The 3x3 Sobel kernels, not normalized.
+
+    Args:
+        device: of the result; by default torch's default device.
+        dtype: of the result; by default torch's default dtype.
+
+    Returns:
+        (2, 3, 3): the derivative along x, then along y.
+
+    Raises:
+        TypeCheckError: a dtype that is not of real numbers.
 
     Example:
         >>> import kvision as K
@@ -442,7 +516,17 @@ def get_sobel_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype
 
 
 def get_diff_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:
-    """Central differences: (2, 3, 3), derivative along x, then along y; not normalised.
+    """The kernels of central differences, not normalized.
+
+    Args:
+        device: of the result; by default torch's default device.
+        dtype: of the result; by default torch's default dtype.
+
+    Returns:
+        (2, 3, 3): the derivative along x, then along y.
+
+    Raises:
+        TypeCheckError: a dtype that is not of real numbers.
 
     Example:
         >>> import kvision as K
@@ -458,7 +542,7 @@ def get_diff_kernel2d(*, device: torch.device | None = None, dtype: torch.dtype 
 def get_spatial_gradient_kernel2d(
     mode: str, order: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
-    """The kernels of `spatial_gradient`, not normalised.
+    """The kernels of `spatial_gradient`, not normalized.
 
     Args:
         mode: 'sobel' or 'diff'.
@@ -487,7 +571,7 @@ def get_spatial_gradient_kernel2d(
 def get_spatial_gradient_kernel3d(
     mode: str, order: int, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
-    """The kernels of `spatial_gradient3d`, normalised.
+    """The kernels of `spatial_gradient3d`, normalized.
 
     Args:
         mode: 'diff'.
@@ -575,7 +659,15 @@ def get_binary_kernel2d(
 def get_hanning_kernel1d(
     kernel_size: int, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
-    """The symmetric Hann window 0.5 - 0.5 cos(2 pi i / (kernel_size - 1)): (kernel_size,), 0 at both ends.
+    """The symmetric Hann window 0.5 - 0.5 cos(2 pi i / (kernel_size - 1)).
+
+    Args:
+        kernel_size: number of weights, at least 3.
+        device: of the result; by default torch's default device.
+        dtype: of the result, floating point; by default torch's default dtype.
+
+    Returns:
+        (kernel_size,), 0 at both ends.
 
     Raises:
         TypeCheckError, ValueCheckError: a kernel_size that is no int of at least 3, an integer dtype.
@@ -593,7 +685,15 @@ def get_hanning_kernel1d(
 def get_hanning_kernel2d(
     kernel_size: tuple[int, int] | int, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> Tensor:
-    """The product of two Hann windows: (kH, kW); kernel_size an int or (y, x).
+    """The product of the Hann windows of both axes.
+
+    Args:
+        kernel_size: an int or (y, x), at least 3.
+        device: of the result; by default torch's default device.
+        dtype: of the result, floating point; by default torch's default dtype.
+
+    Returns:
+        (kH, kW), 0 at the border.
 
     Raises:
         TypeCheckError, ValueCheckError: a kernel_size that is not of ints of at least 3, an integer dtype.
@@ -613,7 +713,7 @@ def get_hanning_kernel2d(
 def binomial(size: int, device: torch.device, dtype: torch.dtype) -> Tensor:
     """(1, size): a row of Pascal's triangle divided by its sum, made on the device from no host data."""
     i = torch.arange(size, device=device, dtype=torch.float64)
-    row = torch.where(i == 0, 1.0, (size - i) / i).cumprod(0)  # each entry is its neighbour times (size - i) / i
+    row = torch.where(i == 0, 1.0, (size - i) / i).cumprod(0)  # each entry is its neighbor times (size - i) / i
     return (row / row.sum()).to(dtype)[None]
 
 

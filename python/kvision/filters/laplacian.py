@@ -1,4 +1,4 @@
-"""Laplacian with a kernel of ones around a negative centre."""
+"""Laplacian with a kernel of ones around a negative center."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from kvision._dtype import pixels
 from kvision._modes import BORDER
 from kvision._modules import FunctionModule
 from kvision._ops import register, transpose
-from kvision.filters.box import divided, window_sum
+from kvision.filters.box import divide_exactly, window_sum
 from kvision.filters.kernels import laplacian_sizes
 
 
 def _reference(x: Tensor, ky: int, kx: int, normalized: bool, border: int) -> Tensor:
     n = ky * kx
     y = window_sum(x, ky, kx, border) - n * x
-    return divided(y, 2 * (n - 1)) if normalized else y
+    return divide_exactly(y, 2 * (n - 1)) if normalized else y
 
 
 def _backward(needs, grad, x, ky, kx, normalized, border):
@@ -34,7 +34,7 @@ _laplacian_backward = register("laplacian_backward", transpose(_reference), back
 def laplacian(
     input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect", normalized: bool = True
 ) -> Tensor:
-    """Filter an image with ones around a centre of 1 - kH * kW: the sum of every window less kH * kW times its centre.
+    """Filter an image with ones around a center of 1 - kH * kW: the sum of every window less kH * kW times its center.
 
     Args:
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even, saturated), other integers give float32.

@@ -19,14 +19,14 @@ from kvision.filters.filter3d import filter_volumes
 def get_motion_kernel2d(
     kernel_size: int, angle: Tensor | float, direction: Tensor | float = 0.0, mode: str = "nearest"
 ) -> Tensor:
-    """A line through the centre, turned by an angle, with weights that rise or fall along it.
+    """A line through the center, rotated by an angle, with weights that rise or fall along it.
 
     Args:
         kernel_size: length of the line, an odd int of at least 3.
         angle: degrees, counter-clockwise on the screen, 0 is horizontal; a number or a tensor () or (B,).
         direction: in [-1, 1] and clamped to it; 0 gives even weights, 1 weights that fall to 0 from the left end of the
-            unturned line to its right end, -1 the reverse. A number or a tensor () or (B,).
-        mode: how the turned line is sampled: 'nearest', 'bilinear' or 'bicubic'.
+            unrotated line to its right end, -1 the reverse. A number or a tensor () or (B,).
+        mode: how the rotated line is sampled: 'nearest', 'bilinear' or 'bicubic'.
 
     Returns:
         (B, kernel_size, kernel_size) of sum 1, in the type and on the device of the tensors given; differentiable in
@@ -54,7 +54,7 @@ def get_motion_kernel3d(
     direction: Tensor | float = 0.0,
     mode: str = "nearest",
 ) -> Tensor:
-    """A line along x through the centre of a cube, turned in space, with weights that rise or fall along it.
+    """A line along x through the center of a cube, rotated in space, with weights that rise or fall along it.
 
     Args:
         kernel_size: length of the line, an odd int of at least 3.
@@ -93,10 +93,10 @@ def motion_blur(
         input: image (B, C, H, W). uint8 gives uint8 (rounded half to even), other integers give float32.
         kernel_size: length of the motion in pixels, an odd int of at least 3.
         angle: degrees, counter-clockwise on the screen, 0 is horizontal; a number or a tensor () or (B,).
-        direction: in [-1, 1]; 0 is even, 1 weighs the left end of the unturned line most, -1 the right end. A number or
+        direction: in [-1, 1]; 0 is even, 1 weighs the left end of the unrotated line most, -1 the right end. A number or
             a tensor () or (B,).
         border_type: 'constant' (zeros), 'reflect', 'replicate' or 'circular'.
-        mode: how the turned line is sampled: 'nearest', 'bilinear' or 'bicubic'.
+        mode: how the rotated line is sampled: 'nearest', 'bilinear' or 'bicubic'.
 
     Returns:
         The blurred image; differentiable as :func:`get_motion_kernel2d` and in the image.
@@ -169,24 +169,24 @@ def _motion_kernel(
     axes: int,
     image: Tensor | None = None,
 ) -> Tensor:
-    """(B, kernel_size, ...): every pixel of the kernel looks up its weight on the line before it was turned."""
+    """(B, kernel_size, ...): every pixel of the kernel reads its weight on the line before the line is rotated."""
     (size,) = _check.ints(op, "kernel_size", kernel_size, 1, minimum=3)
     _check.odd(op, "kernel_size", (size,))
     _check.choice(op, "mode", mode, ("nearest", "bilinear", "bicubic") if axes == 2 else ("nearest", "bilinear"))
     angle, direction, dtype = _parameters(op, angle, direction, axes, image)
     if mode == "nearest":
         angle = angle.detach().double()  # which of two pixels is nearer can be a matter of the last bits
-    centre = size // 2
-    along, *across = _turned_back(torch.deg2rad(angle), centre)
+    center = size // 2
+    along, *across = _rotate_back(torch.deg2rad(angle), center)
     if mode == "nearest":
-        along, *across = (_to_nearest(p, centre) for p in (along, *across))
+        along, *across = (_round_to_nearest(p, center) for p in (along, *across))
 
     start = (direction.clamp(-1, 1) + 1).reshape(-1, *(1,) * axes) / 2
     kernel = torch.zeros_like(along)
     for offset in _TAPS[mode]:
         tap = along.floor() + offset
-        weight_on_line = start + (1 - 2 * start) * (tap + centre) / (size - 1)
-        kernel = kernel + torch.where(tap.abs() <= centre, weight_on_line * _WEIGHT[mode]((along - tap).abs()), 0)
+        weight_on_line = start + (1 - 2 * start) * (tap + center) / (size - 1)
+        kernel = kernel + torch.where(tap.abs() <= center, weight_on_line * _WEIGHT[mode]((along - tap).abs()), 0)
     for p in across:
         kernel = kernel * _WEIGHT[mode](p.abs())
     return (kernel / kernel.sum(tuple(range(1, axes + 1)), keepdim=True)).to(dtype)
@@ -201,17 +201,17 @@ def _parameters(
 ) -> tuple[Tensor, Tensor, torch.dtype]:
     """angle (B or 1, 1 or 3) and direction (B or 1, 1) in float32 or wider, and the type the kernel shall have.
 
-    Numbers become tensors beside the tensor parameters, or beside the image and in the type it is computed in.
+    Numbers become tensors on the device of the tensor parameters, or on that of the image and in the type it is computed in.
     """
     tensors = {name: p for name, p in (("angle", angle), ("direction", direction)) if isinstance(p, Tensor)}
     _check.same_device(op, **tensors)
     types = [p.dtype for p in tensors.values() if p.is_floating_point()]
     default = torch.get_default_dtype() if image is None else compute_dtype(image)
     dtype = functools.reduce(torch.promote_types, types) if types else default
-    wide = torch.promote_types(dtype, torch.float32)
+    promoted = torch.promote_types(dtype, torch.float32)
     device = next((p.device for p in (*tensors.values(), image) if p is not None), None)
-    angle = _rows(op, "angle", angle, 1 if axes == 2 else 3, device, wide)
-    direction = _rows(op, "direction", direction, 1, device, wide)
+    angle = _rows(op, "angle", angle, 1 if axes == 2 else 3, device, promoted)
+    direction = _rows(op, "direction", direction, 1, device, promoted)
     lengths = (angle.shape[0], direction.shape[0])
     if lengths[0] != lengths[1] and 1 not in lengths:
         raise ShapeError(f"{op}: expected angle and direction of one length, got {lengths[0]} and {lengths[1]}")
@@ -234,9 +234,9 @@ def _rows(op: str, name: str, value: object, count: int, device: torch.device | 
     return torch.stack([torch.full((1,), float(v), device=device, dtype=dtype) for v in numbers], 1)
 
 
-def _turned_back(angle: Tensor, centre: int) -> list[Tensor]:
-    """x, y (, z) from the centre of every pixel of a kernel, turned back by `angle` (B, 1 or 3) radians."""
-    offsets = torch.arange(-centre, centre + 1, device=angle.device, dtype=angle.dtype)
+def _rotate_back(angle: Tensor, center: int) -> list[Tensor]:
+    """x, y (, z) from the center of every pixel of a kernel, rotated back by `angle` (B, 1 or 3) radians."""
+    offsets = torch.arange(-center, center + 1, device=angle.device, dtype=angle.dtype)
     if angle.shape[1] == 1:
         y, x = offsets[:, None], offsets
         cos, sin = angle.cos()[..., None], angle.sin()[..., None]
@@ -245,19 +245,19 @@ def _turned_back(angle: Tensor, centre: int) -> list[Tensor]:
     z, y, x = torch.meshgrid(offsets, offsets, offsets, indexing="ij")
     u, v, w = (component[:, None, None, None] for component in angle.unbind(1))
     square = u**2 + v**2 + w**2
-    still = square == 0
-    t = torch.where(still, 1.0, square).sqrt()
-    sinc = torch.where(still, 1.0, t.sin() / t)
-    versine = torch.where(still, 0.5, 2 * ((t / 2).sin() / t) ** 2)
+    no_rotation = square == 0
+    t = torch.where(no_rotation, 1.0, square).sqrt()
+    sinc = torch.where(no_rotation, 1.0, t.sin() / t)
+    versine = torch.where(no_rotation, 0.5, 2 * ((t / 2).sin() / t) ** 2)
     cos = 1 - square * versine
     dot = versine * (u * x + v * y + w * z)
     cross = (v * z - w * y, w * x - u * z, u * y - v * x)
     return [cos * p - sinc * c + dot * a for p, c, a in zip((x, y, z), cross, (u, v, w))]
 
 
-def _to_nearest(position: Tensor, centre: int) -> Tensor:
-    """The nearest whole pixel; halves, whatever their last bits, go to the even index as counted from the rim."""
-    return ((position * 2**20).round() / 2**20 + centre).round() - centre
+def _round_to_nearest(position: Tensor, center: int) -> Tensor:
+    """The nearest whole pixel; halves, whatever their last bits, go to the even index as counted from the border."""
+    return ((position * 2**20).round() / 2**20 + center).round() - center
 
 
 class MotionBlur(FunctionModule):

@@ -16,7 +16,7 @@ _TEMPERATURE = 0.01
 def otsu_threshold(
     x: Tensor, nbins: int = 256, slow_and_differentiable: bool = False, return_mask: bool = False
 ) -> tuple[Tensor, Tensor]:
-    """Split every image plane in two by the threshold that maximises the variance between the parts.
+    """Split every image plane in two by the threshold that maximizes the variance between the parts.
 
     The values from the smallest to the largest are counted in nbins bins of equal width. The threshold is the upper
     edge of the best bin, or the largest dark value where a bright one lies on that edge. A plane of one value has that
@@ -53,8 +53,8 @@ def otsu_threshold(
     _check.flag("otsu_threshold", "return_mask", return_mask)
     thresholds = _thresholds(planes.detach(), nbins)
     if slow_and_differentiable and x.is_floating_point() and planes.shape[0]:
-        wide = planes if x.dtype == torch.float64 else planes.float()
-        soft = torch.stack([_soft_threshold(plane, nbins) for plane in wide]).to(x.dtype)
+        promoted = planes if x.dtype == torch.float64 else planes.float()
+        soft = torch.stack([_soft_threshold(plane, nbins) for plane in promoted]).to(x.dtype)
         thresholds = thresholds + (soft - soft.detach())
     mask = (planes > thresholds[:, None]).reshape(x.shape)
     return (mask if return_mask else torch.where(mask, x, 0)), thresholds

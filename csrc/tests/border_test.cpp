@@ -1,4 +1,4 @@
-// The index rule against literal sequences, and against its transpose: both must give the same pairs.
+// The index rule against literal sequences, and against its transpose: both must have the same pairs.
 #include "core/border.h"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ void rule_as_drawn() {
     }
 }
 
-void far_positions_stay_inside() {
+void far_positions_stay_in_bounds() {
   for (Border border : {Border::reflect, Border::replicate, Border::circular})
     for (int64_t n : {1, 2, 1000})
       for (int64_t i : {-10'000'000'000L, -10'000'000L, 10'000'000L, 10'000'000'000L}) {
@@ -40,7 +40,7 @@ void far_positions_stay_inside() {
 }
 
 template <class Int>
-void transpose_gives_the_same_pairs() {
+void transpose_has_the_same_pairs() {
   for (Border border : {Border::constant, Border::reflect, Border::replicate, Border::circular})
     for (Int n = 1; n <= 9; ++n) {
       Int const limit = border == Border::reflect ? n - 1 : border == Border::circular ? n : 2 * n;
@@ -65,8 +65,8 @@ void transpose_gives_the_same_pairs() {
 
 int main() {
   rule_as_drawn();
-  far_positions_stay_inside();
-  transpose_gives_the_same_pairs<int>();
-  transpose_gives_the_same_pairs<int64_t>();
+  far_positions_stay_in_bounds();
+  transpose_has_the_same_pairs<int>();
+  transpose_has_the_same_pairs<int64_t>();
   return failures();
 }

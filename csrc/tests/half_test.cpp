@@ -34,7 +34,7 @@ void check(Format format, Store store) {
     T const back = store(f);
     CHECK(std::isnan(f) ? std::isnan(kv::to_float(back)) : back.bits == pattern, pattern, f, back.bits);
   }
-  // All upper halves of a float with lower halves on, beside and between the boundaries of both formats.
+  // All upper halves of a float with lower halves on, next to and between the boundaries of both formats.
   for (uint32_t high = 0; high < 0x10000; ++high)
     for (uint32_t low = 0; low < 0x10000; low += 0x1000)
       for (uint32_t near : {0u, 1u, 0xfffu}) {

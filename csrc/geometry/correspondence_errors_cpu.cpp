@@ -6,28 +6,28 @@
 namespace kv::KV_ISA {
 
 template <class T>
-void view_errors(ViewErrors<T> const& p, int64_t begin, int64_t end) {
+void correspondence_errors(CorrespondenceErrors<T> const& p, int64_t begin, int64_t end) {
   while (begin < end) {
     int64_t const b = begin / p.count, last = min(end, (b + 1) * p.count);
-    small::Relation const relation(p, b);
-    for (; begin < last; ++begin) view_error_of(p, relation, b, begin - b * p.count);
+    small::ErrorModel const model(p, b);
+    for (; begin < last; ++begin) set_error(p, model, b, begin - b * p.count);
   }
 }
 
 template <class T>
-void view_errors_backward(ViewErrors<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t item = begin; item < end; ++item) view_errors_backward_of(p, item, Alone{});
+void correspondence_errors_backward(CorrespondenceErrors<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t chunk = begin; chunk < end; ++chunk) differentiate_chunk(p, chunk, SingleThread{});
 }
 
 template <class T>
-void view_errors_sums(ViewErrors<T> const& p, int64_t begin, int64_t end) {
+void correspondence_errors_sums(CorrespondenceErrors<T> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b)
-    for (int k = 0; k < 9; ++k) view_errors_sum(p, b, k);
+    for (int k = 0; k < 9; ++k) sum_error_chunks(p, b, k);
 }
 
-KV_INSTANTIATE_ONE(view_errors, ViewErrors, double)
-KV_INSTANTIATE_ONE(view_errors_backward, ViewErrors, double)
-KV_INSTANTIATE_ONE(view_errors_sums, ViewErrors, double)
+KV_INSTANTIATE_ONE(correspondence_errors, CorrespondenceErrors, double)
+KV_INSTANTIATE_ONE(correspondence_errors_backward, CorrespondenceErrors, double)
+KV_INSTANTIATE_ONE(correspondence_errors_sums, CorrespondenceErrors, double)
 
 }  // namespace kv::KV_ISA
 #endif

@@ -8,22 +8,22 @@ namespace {
 constexpr int kThreads = 256;
 
 template <class T>
-__device__ __forceinline__ T error_at(Consensus<T> const& p, T const* m, int64_t i) {
-  return error_of<T>(p, m, i, [&](T const* points, int k, int64_t i) { return points[k * p.count + i]; });
+__device__ __forceinline__ T squared_error_at(Consensus<T> const& p, T const* m, int64_t i) {
+  return squared_error<T>(p, m, i, [&](T const* points, int k, int64_t i) { return points[k * p.count + i]; });
 }
 
 // So many threads a model: 32, or those of the block.
 template <class T>
-__global__ void __launch_bounds__(kThreads) count_consensus(Consensus<T> p, int threads) {
+__global__ void __launch_bounds__(kThreads) score_models(Consensus<T> p, int threads) {
   __shared__ T parts[2][kThreads / 32];
   int64_t const candidate = (blockIdx.x * int64_t(kThreads) + threadIdx.x) / threads;
-  if (candidate >= p.candidates) return;
+  if (candidate >= p.num_models) return;
   T m[9], score = 0, count = 0;
 #pragma unroll
   for (int k = 0; k < 9; ++k) m[k] = p.models[candidate * 9 + k];
   for (int64_t i = threadIdx.x % threads; i < p.count; i += threads) {
-    T const e = error_at(p, m, i);
-    if (e <= p.limit) score += 1 - e / p.limit, count += 1;
+    T const e = squared_error_at(p, m, i);
+    if (e <= p.squared_threshold) score += 1 - e / p.squared_threshold, count += 1;
   }
   score = warp_sum(score);
   count = warp_sum(count);
@@ -38,89 +38,91 @@ __global__ void __launch_bounds__(kThreads) count_consensus(Consensus<T> p, int 
 
 // A block takes kThreads correspondences of the model of a rank.
 template <class T>
-__global__ void __launch_bounds__(kThreads) hold_contest(__grid_constant__ Contest<T> const p, unsigned across) {
+__global__ void __launch_bounds__(kThreads)
+    merge_and_weigh(__grid_constant__ MergeTopK<T> const p, unsigned blocks_per_rank) {
   __shared__ int winner;  // the first one where scores are no numbers
-  int64_t const rank = blockIdx.x / across, i = (blockIdx.x - rank * across) * int64_t(kThreads) + threadIdx.x;
+  int64_t const rank = blockIdx.x / blocks_per_rank,
+                i = (blockIdx.x - rank * blocks_per_rank) * int64_t(kThreads) + threadIdx.x;
   if (threadIdx.x == 0) winner = 0;
   __syncthreads();
-  if (threadIdx.x < p.total && p.rank_of(threadIdx.x) == rank) winner = int(threadIdx.x);
+  if (threadIdx.x < p.num_candidates && p.rank_of(threadIdx.x) == rank) winner = int(threadIdx.x);
   __syncthreads();
   if (i == 0) p.copy(winner, rank);
   if (i >= p.count) return;
-  T const e = error_at<T>(p, p.model_of(winner), i);
-  p.weights[rank * p.count + i] = e <= p.limit ? 1 / (1 + e * p.softness) : T(0);
+  T const e = squared_error_at<T>(p, p.model_of(winner), i);
+  p.weights[rank * p.count + i] = e <= p.squared_threshold ? 1 / (1 + e * p.softness) : T(0);
 }
 
-constexpr int kAll = 1024;
+constexpr int kMaxThreads = 1024;
 
 // One block: each rank is the first of what its threads find.
 template <class T>
-__global__ void __launch_bounds__(kAll) find_leaders(__grid_constant__ Leaders<T> const p) {
-  __shared__ int64_t firsts[kAll / 32];
+__global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopKModels<T> const p) {
+  __shared__ int64_t warp_best[kMaxThreads / 32];
   int64_t last = -1;
-  for (int64_t rank = 0; rank < p.kept; ++rank) {
-    int64_t mine = p.next(last, threadIdx.x, kAll);
-    auto const join = [&] {
+  for (int64_t rank = 0; rank < p.top_k; ++rank) {
+    int64_t best = p.next_best(last, threadIdx.x, kMaxThreads);
+    auto const reduce_warp = [&] {
       for (int lane = 16; lane > 0; lane /= 2) {
-        int64_t const other = __shfl_xor_sync(0xffffffffu, mine, lane);
-        if (p.before(other, mine)) mine = other;
+        int64_t const competitor = __shfl_xor_sync(0xffffffffu, best, lane);
+        if (p.is_better(competitor, best)) best = competitor;
       }
     };
-    join();
+    reduce_warp();
     __syncthreads();  // of who reads the last rank's
-    if (threadIdx.x % 32 == 0) firsts[threadIdx.x / 32] = mine;
+    if (threadIdx.x % 32 == 0) warp_best[threadIdx.x / 32] = best;
     __syncthreads();
-    mine = firsts[threadIdx.x % 32];
-    join();
-    last = mine;
+    best = warp_best[threadIdx.x % 32];
+    reduce_warp();
+    last = best;
     if (threadIdx.x == 0) p.copy(last, rank);
   }
 }
 
 template <class T>
-__global__ void __launch_bounds__(kAll) pass_verdict(__grid_constant__ Verdict<T> const p) {
-  __shared__ unsigned parts[kAll / 32];
-  unsigned fitting = 0;
-  for (int64_t i = threadIdx.x; i < p.count; i += kAll) fitting += p.weights[i] > 0;
-  fitting = __reduce_add_sync(0xffffffffu, fitting);
-  if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = fitting;
+__global__ void __launch_bounds__(kMaxThreads) finalize(__grid_constant__ FinalizeModel<T> const p) {
+  __shared__ unsigned parts[kMaxThreads / 32];
+  unsigned num_inliers = 0;
+  for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) num_inliers += p.weights[i] > 0;
+  num_inliers = __reduce_add_sync(0xffffffffu, num_inliers);
+  if (threadIdx.x % 32 == 0) parts[threadIdx.x / 32] = num_inliers;
   __syncthreads();
-  bool const some = int64_t(__reduce_add_sync(0xffffffffu, parts[threadIdx.x % 32])) > p.least;
-  for (int64_t i = threadIdx.x; i < p.count; i += kAll) p.fits[i] = some && p.weights[i] > 0;
-  if (threadIdx.x == 0) p.decide(some);
+  bool const has_consensus = int64_t(__reduce_add_sync(0xffffffffu, parts[threadIdx.x % 32])) > p.min_inliers;
+  for (int64_t i = threadIdx.x; i < p.count; i += kMaxThreads) p.inliers[i] = has_consensus && p.weights[i] > 0;
+  if (threadIdx.x == 0) p.store_model(has_consensus);
 }
 
 }  // namespace
 
 template <class T>
-int leaders(Leaders<T> const& p, CUstream_st* stream) {
-  find_leaders<T><<<1, kAll, 0, stream>>>(p);
+int top_k_models(TopKModels<T> const& p, CUstream_st* stream) {
+  find_top_k<T><<<1, kMaxThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
-int verdict(Verdict<T> const& p, CUstream_st* stream) {
-  pass_verdict<T><<<1, kAll, 0, stream>>>(p);
+int finalize_model(FinalizeModel<T> const& p, CUstream_st* stream) {
+  finalize<T><<<1, kMaxThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
 int consensus(Consensus<T> const& p, CUstream_st* stream) {
-  int const threads = p.candidates < 1024 ? kThreads : 32;
-  count_consensus<T><<<unsigned(ceil_div(p.candidates * threads, kThreads)), kThreads, 0, stream>>>(p, threads);
+  int const threads = p.num_models < 1024 ? kThreads : 32;
+  score_models<T><<<unsigned(ceil_div(p.num_models * threads, kThreads)), kThreads, 0, stream>>>(p, threads);
   return cudaGetLastError();
 }
 
 template <class T>
-int contest(Contest<T> const& p, CUstream_st* stream) {
-  unsigned const across = unsigned(ceil_div(p.count, kThreads));
-  hold_contest<T><<<unsigned(p.kept) * across, kThreads, 0, stream>>>(p, across);
+int merge_top_k(MergeTopK<T> const& p, CUstream_st* stream) {
+  unsigned const blocks_per_rank = unsigned(ceil_div(p.count, kThreads));
+  merge_and_weigh<T><<<unsigned(p.top_k) * blocks_per_rank, kThreads, 0, stream>>>(p, blocks_per_rank);
   return cudaGetLastError();
 }
 
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
-KV_INSTANTIATE_COMPUTED(leaders, Leaders)
-KV_INSTANTIATE_COMPUTED(verdict, Verdict)
-KV_INSTANTIATE_COMPUTED(contest, Contest)
+KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
+KV_INSTANTIATE_COMPUTED(finalize_model, FinalizeModel)
+KV_INSTANTIATE_COMPUTED(merge_top_k, MergeTopK)
 
 }  // namespace kv::cuda

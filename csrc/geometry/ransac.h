@@ -1,17 +1,15 @@
-// How many correspondences fit models, and how well: the sum over those whose squared error e is at most t of 1 - e / t
-// (MSAC; P. Torr and A. Zisserman, 2000), and how many they are. The error is
+// RANSAC's scores of models: the sum of 1 - e / t over correspondences whose squared error e is at most t (MSAC; P.
+// Torr and A. Zisserman, 2000), and their number. The error is
 //
-//   affine, homography       how far the point goes from where it should
+//   affine, homography       the distance of the mapped point from its correspondence
 //   lines                    the mean distance of both ends from the line
-//   the others               Sampson's distance, of both points to the nearest ones that fit, to first order
+//   other models             Sampson's distance: of both points from the nearest ones that fit, to first order
 //
-// A contest finds the best models of two lists, and what correspondences weigh when these are fitted to them: those
-// that fit 1 / (1 + s e), others 0.
+// merge_top_k finds the best models of two lists, and the weights for fitting them to their inliers: 1 / (1 + s e) for
+// inliers, else 0. top_k_models are the best of one long list. finalize_model normalizes the best model and finds its
+// inliers; there is no model where these are no more than a sample.
 //
-// Leaders are the best of many models, before any contest. A verdict is the model that won it, and who fits it: none
-// where these are no more than a sample.
-//
-// What is not a number fits nothing. Included by ransac_cpu.cpp, ransac.cu and ransac_op.cpp.
+// Errors that are NaN are no inliers. Included by ransac_cpu.cpp, ransac.cu and ransac_op.cpp.
 #pragma once
 
 #include "geometry/residuals.h"
@@ -24,81 +22,80 @@ struct Consensus {
   T const *points1, *points2;  // (2 or 4, N): coordinate by coordinate
   T const* models;             // (M, 9)
   Model model;
-  T limit;  // t
-  int64_t candidates, count;
+  T squared_threshold;  // t
+  int64_t num_models, count;
   T* scores;  // (M, 2)
 };
 
 template <class T>
-struct Contest : Consensus<T> {  // models and scores are those of the first list, of which there are `candidates`
-  T const *others, *other_scores;
-  int64_t total, kept;              // candidates of both, and how many are the best: K
-  bool by_count;                    // the number of those who fit ranks models, not the sum
-  T softness;                       // s
-  T *best, *best_scores, *weights;  // (K, 9), (K, 2), (K, N)
+struct MergeTopK : Consensus<T> {  // models and scores are those of the first list, of which there are `candidates`
+  T const *other_models, *other_scores;
+  int64_t num_candidates, top_k;         // candidates of both, and how many are the best: K
+  bool by_count;                         // the number of those who fit ranks models, not the sum
+  T softness;                            // s
+  T *top_models, *top_scores, *weights;  // (K, 9), (K, 2), (K, N)
 
   KV_HD T const* model_of(int64_t i) const {
-    return i < this->candidates ? this->models + 9 * i : others + 9 * (i - this->candidates);
+    return i < this->num_models ? this->models + 9 * i : other_models + 9 * (i - this->num_models);
   }
   KV_HD T const* score_of(int64_t i) const {
-    return i < this->candidates ? this->scores + 2 * i : other_scores + 2 * (i - this->candidates);
+    return i < this->num_models ? this->scores + 2 * i : other_scores + 2 * (i - this->num_models);
   }
-  // How many are better, or as good and before it.
+  // The number of models that are better, or as good with a smaller index.
   KV_HD int64_t rank_of(int64_t i) const {
     T const score = score_of(i)[by_count];
     int64_t rank = 0;
-    for (int64_t k = 0; k < total; ++k) {
-      T const other = score_of(k)[by_count];
-      rank += other > score || (other == score && k < i);
+    for (int64_t k = 0; k < num_candidates; ++k) {
+      T const competitor = score_of(k)[by_count];
+      rank += competitor > score || (competitor == score && k < i);
     }
     return rank;
   }
-  KV_HD void copy(int64_t from, int64_t to) const {
-    for (int k = 0; k < 9; ++k) best[9 * to + k] = model_of(from)[k];
-    for (int k = 0; k < 2; ++k) best_scores[2 * to + k] = score_of(from)[k];
+  KV_HD void copy(int64_t src, int64_t rank) const {
+    for (int k = 0; k < 9; ++k) top_models[9 * rank + k] = model_of(src)[k];
+    for (int k = 0; k < 2; ++k) top_scores[2 * rank + k] = score_of(src)[k];
   }
 };
 
 template <class T>
-struct Leaders {
+struct TopKModels {
   T const *models, *scores;  // (M, 9), (M, 2)
-  int64_t candidates, kept;
+  int64_t num_models, top_k;
   bool by_count;
-  T *best, *best_scores;  // (K, 9), (K, 2)
+  T *top_models, *top_scores;  // (K, 9), (K, 2)
 
   KV_HD T score(int64_t i) const {
-    T const found = scores[2 * i + by_count];
-    return found == found ? found : T(-__builtin_inf());
+    T const value = scores[2 * i + by_count];
+    return value == value ? value : T(-__builtin_inf());
   }
-  // Whether a model comes before another one: it is better, or as good and before it. One that is not there, -1, is
-  // last.
-  KV_HD bool before(int64_t i, int64_t k) const {
+  // Whether model i ranks before model k: it is better, or as good with a smaller index. A missing one, -1, ranks last.
+  KV_HD bool is_better(int64_t i, int64_t k) const {
     if (i < 0 || k < 0) return i >= 0;
-    T const one = score(i), other = score(k);
-    return one > other || (!(one < other) && i < k);
+    T const first = score(i), second = score(k);
+    return first > second || (!(first < second) && i < k);
   }
   // The first after `last`, -1 for the first of all, of those from `i` on in steps; -1 where there is none.
-  KV_HD int64_t next(int64_t last, int64_t i, int64_t step) const {
-    int64_t found = -1;
-    for (; i < candidates; i += step)
-      if ((last < 0 || before(last, i)) && i != last && before(i, found)) found = i;
-    return found;
+  KV_HD int64_t next_best(int64_t last, int64_t i, int64_t step) const {
+    int64_t index = -1;
+    for (; i < num_models; i += step)
+      if ((last < 0 || is_better(last, i)) && i != last && is_better(i, index)) index = i;
+    return index;
   }
-  KV_HD void copy(int64_t from, int64_t to) const {
-    for (int k = 0; k < 9; ++k) best[9 * to + k] = models[9 * from + k];
-    for (int k = 0; k < 2; ++k) best_scores[2 * to + k] = scores[2 * from + k];
+  KV_HD void copy(int64_t src, int64_t rank) const {
+    for (int k = 0; k < 9; ++k) top_models[9 * rank + k] = models[9 * src + k];
+    for (int k = 0; k < 2; ++k) top_scores[2 * rank + k] = scores[2 * src + k];
   }
 };
 
 template <class T>
-struct Verdict {
-  T const *model, *weights;  // (9), (N)
-  int64_t count, least;      // correspondences, and more than how many have to fit
-  bool unit_norm;            // the model becomes of norm 1; else its last number 1, unless that is 0
-  T* found;                  // (9)
-  bool* fits;                // (N)
+struct FinalizeModel {
+  T const *model, *weights;    // (9), (N)
+  int64_t count, min_inliers;  // correspondences, and more than how many have to fit
+  bool unit_norm;              // the model becomes of norm 1; else its last number 1, unless that is 0
+  T* normalized;               // (9)
+  bool* inliers;               // (N)
 
-  KV_HD void decide(bool some) const {
+  KV_HD void store_model(bool has_consensus) const {
     T largest = 0, square = 0;
     for (int k = 0; k < 9; ++k) {
       T const size = model[k] < 0 ? -model[k] : model[k];
@@ -106,19 +103,19 @@ struct Verdict {
       square += model[k] * model[k];
     }
     T const last = model[8] < 0 ? -model[8] : model[8];
-    T const by = unit_norm ? sqrt(square) : last > T(1e-12) * largest ? model[8] : largest > 0 ? largest : 1;
-    for (int k = 0; k < 9; ++k) found[k] = some ? model[k] / by : 0;
+    T const divisor = unit_norm ? sqrt(square) : last > T(1e-12) * largest ? model[8] : largest > 0 ? largest : 1;
+    for (int k = 0; k < 9; ++k) normalized[k] = has_consensus ? model[k] / divisor : 0;
   }
 };
 
 KV_KERNEL(consensus, Consensus)
-KV_KERNEL(leaders, Leaders)
-KV_KERNEL(verdict, Verdict)
-KV_KERNEL(contest, Contest)
+KV_KERNEL(top_k_models, TopKModels)
+KV_KERNEL(finalize_model, FinalizeModel)
+KV_KERNEL(merge_top_k, MergeTopK)
 
-// read(points, k, i) gives coordinate k of the correspondences from i on.
+// read(points, k, i) returns coordinate k of the correspondences from i on.
 template <class V, class T, class Read>
-KV_HD V error_of(Consensus<T> const& p, T const* m, int64_t i, Read read) {
+KV_HD V squared_error(Consensus<T> const& p, T const* m, int64_t i, Read read) {
   V const x = read(p.points1, 0, i), y = read(p.points1, 1, i), u = read(p.points2, 0, i), v = read(p.points2, 1, i);
   if (p.model == Model::lines) {
     V const s = read(p.points2, 2, i), t = read(p.points2, 3, i);

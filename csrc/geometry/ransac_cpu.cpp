@@ -11,9 +11,10 @@ namespace {
 template <int N, class T>
 KV_HD void add_scores(Consensus<T> const& p, T const* m, int64_t i, Lanes<T, N>& score, Lanes<T, N>& count) {
   using V = Lanes<T, N>;
-  V const none{}, e = error_of<V>(p, m, i, [&](T const* x, int k, int64_t i) { return load<N>(x + k * p.count + i); });
-  score += e <= p.limit ? V(1 - e * (1 / p.limit)) : none;
-  count += e <= p.limit ? V(none + 1) : none;
+  V const none{},
+      e = squared_error<V>(p, m, i, [&](T const* x, int k, int64_t i) { return load<N>(x + k * p.count + i); });
+  score += e <= p.squared_threshold ? V(1 - e * (1 / p.squared_threshold)) : none;
+  count += e <= p.squared_threshold ? V(none + 1) : none;
 }
 
 }  // namespace
@@ -35,8 +36,8 @@ void consensus(Consensus<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void contest(Contest<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t winner = 0; winner < p.total; ++winner) {
+void merge_top_k(MergeTopK<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t winner = 0; winner < p.num_candidates; ++winner) {
     int64_t const rank = p.rank_of(winner);
     if (rank < begin || rank >= end) continue;
     p.copy(winner, rank);
@@ -45,33 +46,33 @@ void contest(Contest<T> const& p, int64_t begin, int64_t end) {
       constexpr int N = decltype(lanes)::value;
       using V = Lanes<T, N>;
       auto const read = [&](T const* x, int k, int64_t i) { return load<N>(x + k * p.count + i); };
-      V const none{}, e = error_of<V, T>(p, m, i, read);
-      store<N>(p.weights + rank * p.count + i, V(e <= p.limit ? V(1 / (1 + e * p.softness)) : none));
+      V const none{}, e = squared_error<V, T>(p, m, i, read);
+      store<N>(p.weights + rank * p.count + i, V(e <= p.squared_threshold ? V(1 / (1 + e * p.softness)) : none));
     });
   }
 }
 
-// Nobody shares these two: [begin, end) is all there is.
+// One thread runs these two: [begin, end) is everything.
 template <class T>
-void leaders(Leaders<T> const& p, int64_t, int64_t) {
-  for (int64_t rank = 0, last = -1; rank < p.kept; ++rank) {
-    last = p.next(last, 0, 1);
+void top_k_models(TopKModels<T> const& p, int64_t, int64_t) {
+  for (int64_t rank = 0, last = -1; rank < p.top_k; ++rank) {
+    last = p.next_best(last, 0, 1);
     p.copy(last, rank);
   }
 }
 
 template <class T>
-void verdict(Verdict<T> const& p, int64_t, int64_t) {
-  int64_t fitting = 0;
-  for (int64_t i = 0; i < p.count; ++i) fitting += p.weights[i] > 0;
-  bool const some = fitting > p.least;
-  for (int64_t i = 0; i < p.count; ++i) p.fits[i] = some && p.weights[i] > 0;
-  p.decide(some);
+void finalize_model(FinalizeModel<T> const& p, int64_t, int64_t) {
+  int64_t num_inliers = 0;
+  for (int64_t i = 0; i < p.count; ++i) num_inliers += p.weights[i] > 0;
+  bool const has_consensus = num_inliers > p.min_inliers;
+  for (int64_t i = 0; i < p.count; ++i) p.inliers[i] = has_consensus && p.weights[i] > 0;
+  p.store_model(has_consensus);
 }
 
 KV_INSTANTIATE_COMPUTED(consensus, Consensus)
-KV_INSTANTIATE_COMPUTED(leaders, Leaders)
-KV_INSTANTIATE_COMPUTED(verdict, Verdict)
-KV_INSTANTIATE_COMPUTED(contest, Contest)
+KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
+KV_INSTANTIATE_COMPUTED(finalize_model, FinalizeModel)
+KV_INSTANTIATE_COMPUTED(merge_top_k, MergeTopK)
 
 }  // namespace kv::KV_ISA

@@ -1,4 +1,4 @@
-// What the operators of several views share at the door to torch. Included by their *_op.cpp files.
+// Tensors of float32 or float64 as Reals, and names of models. Included by operators of views, points and splines.
 #pragma once
 
 #include "geometry/solvers/minimal.h"
@@ -12,7 +12,7 @@ inline Reals reals_of(char const* op, Tensor const& x) {
   return {x.const_data_ptr(), x.scalar_type() == ScalarType::Double};
 }
 
-// A tensor, or none, as the kernels read it.
+// A contiguous tensor as kernels read it; without data where an optional tensor is missing.
 struct Contiguous {
   Tensor tensor;
   Reals reals = {nullptr, false};
@@ -22,12 +22,12 @@ struct Contiguous {
   }
 };
 
-// Below this share of a homogeneous point's length its last number counts as 0: the point is at infinity.
-inline double least_share(Contiguous const& x) {
-  return 1e-13 + 4 * (x.reals.wide ? 2.220446049250313e-16 : 1.1920928955078125e-07);
+// A homogeneous point is at infinity where its last number is below this fraction of its length.
+inline double min_homogeneous_weight(Contiguous const& x) {
+  return 1e-13 + 4 * (x.reals.is_double ? 2.220446049250313e-16 : 1.1920928955078125e-07);
 }
 
-inline Model model_of(char const* op, std::string const& name) {
+inline Model parse_model(char const* op, std::string const& name) {
   constexpr char const* names[] = {"affine", "homography", "lines", "fundamental", "fundamental8", "essential"};
   for (int i = 0; i < 6; ++i)
     if (name == names[i]) return Model(i);

@@ -15,10 +15,10 @@ struct Mapped {
       : u(x * m[0] + (y * m[1] + m[2])), v(x * m[3] + (y * m[4] + m[5])), w(x * m[6] + (y * m[7] + m[8])) {}
 };
 
-KV_HD void mapped_vjp(double const* m, double x, double y, double const* g, double* to_point, double* to_matrix) {
+KV_HD void mapped_vjp(double const* m, double x, double y, double const* g, double* grad_point, double* grad_matrix) {
   for (int r = 0; r < 3; ++r) {
-    to_point[0] += g[r] * m[3 * r], to_point[1] += g[r] * m[3 * r + 1];
-    to_matrix[3 * r] += g[r] * x, to_matrix[3 * r + 1] += g[r] * y, to_matrix[3 * r + 2] += g[r];
+    grad_point[0] += g[r] * m[3 * r], grad_point[1] += g[r] * m[3 * r + 1];
+    grad_matrix[3 * r] += g[r] * x, grad_matrix[3 * r + 1] += g[r] * y, grad_matrix[3 * r + 2] += g[r];
   }
 }
 
@@ -30,14 +30,14 @@ KV_HD V transfer_error(F const* m, V x, V y, V u, V v) {
   return (p * p + q * q) / (h.w * h.w);
 }
 
-KV_HD void transfer_error_vjp(double const* m, double const* one, double const* two, double g, double* to_one,
-                              double* to_two, double* to_matrix) {
+KV_HD void transfer_error_vjp(double const* m, double const* one, double const* two, double g, double* grad_one,
+                              double* grad_two, double* grad_matrix) {
   Mapped<double, double> const h(m, one[0], one[1]);
   double const p = h.u / h.w - two[0], q = h.v / h.w - two[1];
-  double const to_u = 2 * g * p / h.w, to_v = 2 * g * q / h.w;
-  double const to[] = {to_u, to_v, -(to_u * h.u + to_v * h.v) / h.w};
-  to_two[0] -= 2 * g * p, to_two[1] -= 2 * g * q;
-  mapped_vjp(m, one[0], one[1], to, to_one, to_matrix);
+  double const grad_u = 2 * g * p / h.w, grad_v = 2 * g * q / h.w;
+  double const grad_h[] = {grad_u, grad_v, -(grad_u * h.u + grad_v * h.v) / h.w};
+  grad_two[0] -= 2 * g * p, grad_two[1] -= 2 * g * q;
+  mapped_vjp(m, one[0], one[1], grad_h, grad_one, grad_matrix);
 }
 
 // The lines (a, b, e) = F (x, y, z) and (c, d, .) = F^T (u, v, t), and r = (u, v, t) F (x, y, z).
@@ -56,17 +56,18 @@ struct Epipolar {
 };
 
 // From the gradients to r and to the squares of both lines' lengths.
-KV_HD void epipolar_vjp(double const* m, double const* one, double const* two, double to_r, double to_second,
-                        double to_first, double* to_one, double* to_two, double* to_matrix) {
+KV_HD void epipolar_vjp(double const* m, double const* one, double const* two, double grad_r, double grad_second,
+                        double grad_first, double* grad_one, double* grad_two, double* grad_matrix) {
   Epipolar<double, double> const l(m, one[0], one[1], one[2], two[0], two[1], two[2]);
   double const line[] = {l.a, l.b, l.e};
-  double const across[] = {to_r * two[0] + 2 * to_second * l.a, to_r * two[1] + 2 * to_second * l.b, to_r * two[2]};
-  double const back[] = {2 * to_first * l.c, 2 * to_first * l.d};
+  double const grad_line2[] = {grad_r * two[0] + 2 * grad_second * l.a, grad_r * two[1] + 2 * grad_second * l.b,
+                               grad_r * two[2]};
+  double const grad_line1[] = {2 * grad_first * l.c, 2 * grad_first * l.d};
   for (int i = 0; i < 3; ++i) {
-    to_two[i] += to_r * line[i] + back[0] * m[3 * i] + back[1] * m[3 * i + 1];
+    grad_two[i] += grad_r * line[i] + grad_line1[0] * m[3 * i] + grad_line1[1] * m[3 * i + 1];
     for (int k = 0; k < 3; ++k) {
-      to_one[k] += across[i] * m[3 * i + k];
-      to_matrix[3 * i + k] += across[i] * one[k] + (k < 2 ? two[i] * back[k] : 0);
+      grad_one[k] += grad_line2[i] * m[3 * i + k];
+      grad_matrix[3 * i + k] += grad_line2[i] * one[k] + (k < 2 ? two[i] * grad_line1[k] : 0);
     }
   }
 }
@@ -96,26 +97,26 @@ struct SampsonTransfer {
         a(r_x * r_x + r_y * r_y + h.w * h.w),
         b(r_x * s_x + r_y * s_y),
         c(s_x * s_x + s_y * s_y + h.w * h.w) {}
-  static KV_HD double above0(double x) { return x < 0 ? 0 : x; }
-  KV_HD double volume() const { return above0(a * c - b * b); }
-  KV_HD double error() const { return above0((c * r * r - 2 * b * r * s + a * s * s) / volume()); }
+  static KV_HD double clamp_to_zero(double x) { return x < 0 ? 0 : x; }
+  KV_HD double volume() const { return clamp_to_zero(a * c - b * b); }
+  KV_HD double error() const { return clamp_to_zero((c * r * r - 2 * b * r * s + a * s * s) / volume()); }
 
-  KV_HD void vjp(double const* m, double const* one, double const* two, double g, double* to_one, double* to_two,
-                 double* to_matrix) const {
+  KV_HD void vjp(double const* m, double const* one, double const* two, double g, double* grad_one, double* grad_two,
+                 double* grad_matrix) const {
     double const e = error();
     g /= volume();
-    double const to_r = 2 * g * (c * r - b * s), to_s = 2 * g * (a * s - b * r);
-    double const to_a = g * (s * s - e * c), to_c = g * (r * r - e * a), to_b = 2 * g * (e * b - r * s);
-    double const to_rows[2][2] = {{2 * r_x * to_a + s_x * to_b, 2 * r_y * to_a + s_y * to_b},
-                                  {2 * s_x * to_c + r_x * to_b, 2 * s_y * to_c + r_y * to_b}};
+    double const grad_r = 2 * g * (c * r - b * s), grad_s = 2 * g * (a * s - b * r);
+    double const grad_a = g * (s * s - e * c), grad_c = g * (r * r - e * a), grad_b = 2 * g * (e * b - r * s);
+    double const grad_rows[2][2] = {{2 * r_x * grad_a + s_x * grad_b, 2 * r_y * grad_a + s_y * grad_b},
+                                    {2 * s_x * grad_c + r_x * grad_b, 2 * s_y * grad_c + r_y * grad_b}};
     for (int k = 0; k < 2; ++k) {
-      to_two[0] -= m[6 + k] * to_rows[1][k], to_two[1] += m[6 + k] * to_rows[0][k];
-      to_matrix[k] += to_rows[1][k], to_matrix[3 + k] -= to_rows[0][k];
-      to_matrix[6 + k] += two[1] * to_rows[0][k] - two[0] * to_rows[1][k];
+      grad_two[0] -= m[6 + k] * grad_rows[1][k], grad_two[1] += m[6 + k] * grad_rows[0][k];
+      grad_matrix[k] += grad_rows[1][k], grad_matrix[3 + k] -= grad_rows[0][k];
+      grad_matrix[6 + k] += two[1] * grad_rows[0][k] - two[0] * grad_rows[1][k];
     }
-    to_two[0] -= h.w * to_s, to_two[1] += h.w * to_r;
-    double const to[] = {to_s, -to_r, 2 * h.w * (to_a + to_c) + two[1] * to_r - two[0] * to_s};
-    mapped_vjp(m, one[0], one[1], to, to_one, to_matrix);
+    grad_two[0] -= h.w * grad_s, grad_two[1] += h.w * grad_r;
+    double const grad_h[] = {grad_s, -grad_r, 2 * h.w * (grad_a + grad_c) + two[1] * grad_r - two[0] * grad_s};
+    mapped_vjp(m, one[0], one[1], grad_h, grad_one, grad_matrix);
   }
 };
 
@@ -131,14 +132,14 @@ KV_HD V line_error(F const* m, V x, V y, V u, V v, V s, V t) {
   return offset < 0 ? -offset : offset;
 }
 
-KV_HD void line_offset_vjp(double const* m, double const* point, double const* ends, double g, double* to_point,
-                           double* to_ends, double* to_matrix) {
+KV_HD void line_offset_vjp(double const* m, double const* point, double const* ends, double g, double* grad_point,
+                           double* grad_ends, double* grad_matrix) {
   Mapped<double, double> const h(m, point[0], point[1]);
-  double const x = h.u / h.w, y = h.v / h.w, along = ends[2] - ends[0], down = ends[3] - ends[1];
-  double const to[] = {g * down / h.w, -g * along / h.w, -g * (down * x - along * y) / h.w};
-  mapped_vjp(m, point[0], point[1], to, to_point, to_matrix);
-  to_ends[0] += g * ((y - ends[1]) - down), to_ends[1] += g * (along - (x - ends[0]));
-  to_ends[2] -= g * (y - ends[1]), to_ends[3] += g * (x - ends[0]);
+  double const x = h.u / h.w, y = h.v / h.w, dx = ends[2] - ends[0], dy = ends[3] - ends[1];
+  double const grad_h[] = {g * dy / h.w, -g * dx / h.w, -g * (dy * x - dx * y) / h.w};
+  mapped_vjp(m, point[0], point[1], grad_h, grad_point, grad_matrix);
+  grad_ends[0] += g * ((y - ends[1]) - dy), grad_ends[1] += g * (dx - (x - ends[0]));
+  grad_ends[2] -= g * (y - ends[1]), grad_ends[3] += g * (x - ends[0]);
 }
 
 }  // namespace kv

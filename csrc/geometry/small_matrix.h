@@ -3,28 +3,28 @@
 #pragma once
 
 #include "core/hd.h"
+#include "core/matrix3.h"
 #include "geometry/thread_group.h"
 
 namespace kv {
 
-// Floating-point numbers of either width, read and written as double: what is made of them is computed in double
-// anyway, and need not be compiled for each.
+// float32 or float64 numbers, read and written as double. Kernels compute in double anyway, so they are compiled once.
 struct Reals {
   void const* data;
-  bool wide;
+  bool is_double;
   KV_HD double operator[](int64_t i) const {
-    return wide ? static_cast<double const*>(data)[i] : double(static_cast<float const*>(data)[i]);
+    return is_double ? static_cast<double const*>(data)[i] : double(static_cast<float const*>(data)[i]);
   }
   KV_HD void set(int64_t i, double x) const {
-    if (wide)
+    if (is_double)
       static_cast<double*>(const_cast<void*>(data))[i] = x;
     else
       static_cast<float*>(const_cast<void*>(data))[i] = float(x);
   }
 };
 
-// Long functions are called on CUDA: inlined into one kernel, the compiler of CUDA 13.0 makes NaN of 9 x 9 matrices and
-// no models of five points, where calls, and one statement more that looks at a matrix, have the CPU's results.
+// Long functions are not inlined on CUDA. Inlined into one kernel, CUDA 13.0 compiles them to wrong code: NaN for 9 x 9
+// matrices and no models from five points. Calls have the CPU's results.
 #if defined(__CUDACC__)
 #define KV_CALLED inline __host__ __device__ __noinline__
 #else
@@ -37,65 +37,65 @@ KV_HD double magnitude(double x) { return x < 0 ? -x : x; }
 KV_HD bool finite(double x) { return x - x == 0; }
 KV_HD double nan() { return __builtin_nan(""); }
 
-// How often loops over large matrices are unrolled on CUDA: their code would be long, and long to compile.
+// The unroll factor of loops over matrices on CUDA. Large ones are not unrolled, which keeps compilation short.
 template <int N>
 constexpr int kUnrolled = N <= 4 ? N : 1;
 
 // --- symmetric matrices, all N x N numbers of them -------------------------------------------------------------------
 
-// Those of a team (thread_group.h) take rows in turns, of matrices that all of them see; alone is alone.
+// The threads of a group (thread_group.h) take rows in turns, of matrices in shared storage.
 
-// Replaces a positive definite matrix by its inverse, sweeping one row after the other; gives the smallest pivot.
-template <int N, class Team = Alone>
-KV_HD double invert(double* m, Team team = {}) {
-  double least = m[0];
+// Inverts a positive definite matrix in place, sweeping row by row, and returns the smallest pivot.
+template <int N, class Group = SingleThread>
+KV_HD double invert(double* m, Group group = {}) {
+  double min_pivot = m[0];
 #pragma unroll 1
   for (int k = 0; k < N; ++k) {
     double const inverse = 1 / m[k * N + k];
-    least = min(least, m[k * N + k]);
+    min_pivot = min(min_pivot, m[k * N + k]);
 #pragma unroll(kUnrolled<N>)
-    for (int i = team.first(); i < N; i += team.step()) {
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
       if (i == k) continue;
       double const factor = m[i * N + k] * inverse;
       for (int j = 0; j < N; ++j)
         if (j != k) m[i * N + j] -= factor * m[k * N + j];
     }
-    team.sync();
-    for (int i = team.first(); i < N; i += team.step()) {
+    group.sync();
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
       if (i != k)
         m[i * N + k] = m[k * N + i] *= inverse;
       else
         m[k * N + k] = -inverse;
     }
-    team.sync();
+    group.sync();
   }
-  for (int i = team.first(); i < N * N; i += team.step()) m[i] = -m[i];
-  team.sync();
-  return least;
+  for (int i = group.thread_rank(); i < N * N; i += group.num_threads()) m[i] = -m[i];
+  group.sync();
+  return min_pivot;
 }
 
-// Divides by the trace; false where that is not above 0 and finite.
-template <int N, class Team = Alone>
-KV_HD bool normalize_trace(double* m, Team team = {}) {
+// Divides a matrix by its trace. False, without a division, where the trace is not positive and finite.
+template <int N, class Group = SingleThread>
+KV_HD bool normalize_trace(double* m, Group group = {}) {
   double trace = 0;
   for (int i = 0; i < N; ++i) trace += m[i * N + i];
-  team.sync();
+  group.sync();
   if (!(trace > 0) || !finite(trace)) return false;
-  for (int i = team.first(); i < N * N; i += team.step()) m[i] /= trace;
-  team.sync();
+  for (int i = group.thread_rank(); i < N * N; i += group.num_threads()) m[i] /= trace;
+  group.sync();
   return true;
 }
 
-// Which of v and -v is meant: a fixed mixture of the entries is positive.
+// The sign of an eigenvector, v or -v, is the one for which a fixed weighted sum of the entries is positive.
 template <int N>
-KV_HD double sign_of(double const* v) {
-  double mixture = 0, weight = 1;
-  for (int i = 0; i < N; ++i, weight *= 0.7) mixture += weight * v[i];
-  return mixture < 0 ? -1 : 1;
+KV_HD double sign_convention(double const* v) {
+  double sum = 0, weight = 1;
+  for (int i = 0; i < N; ++i, weight *= 0.7) sum += weight * v[i];
+  return sum < 0 ? -1 : 1;
 }
 
-// A symmetric matrix, its smallest eigenvector v, and u, what its gradient is made of for the gradient g to v; and what
-// they are found with.
+// A symmetric matrix, its smallest eigenvector v, the gradient g to v, and u, from which the gradient to the matrix
+// follows. The second line is scratch memory.
 template <int N>
 struct EigenSpace {
   double matrix[N * N], v[N], g[N], u[N];
@@ -109,42 +109,42 @@ KV_HD double dot(double const* x, double const* y) {
   return sum;
 }
 // x = M y.
-template <int N, class Team>
-KV_HD void multiply_vector(double const* m, double const* y, double* x, Team team) {
-  for (int i = team.first(); i < N; i += team.step()) x[i] = dot<N>(m + i * N, y);
-  team.sync();
+template <int N, class Group>
+KV_HD void multiply_vector(double const* m, double const* y, double* x, Group group) {
+  for (int i = group.thread_rank(); i < N; i += group.num_threads()) x[i] = dot<N>(m + i * N, y);
+  group.sync();
 }
 
 // To v, the unit eigenvector of the largest eigenvalue of m, a positive semidefinite matrix of trace 1, by
 // squaring it until it is v v^T; the squares of what is smaller vanish. Destroys m, `square` and w.
-template <int N, class Team>
-KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, Team team) {
+template <int N, class Group>
+KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, Group group) {
   for (int step = 0; step < 40; ++step) {
 #pragma unroll(kUnrolled<N>)
-    for (int i = team.first(); i < N; i += team.step()) {
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
       double row[N];
       for (int k = 0; k < N; ++k) row[k] = m[i * N + k];
 #pragma unroll(kUnrolled<N>)
       for (int j = 0; j <= i; ++j) square[i * N + j] = square[j * N + i] = dot<N>(row, m + j * N);
     }
-    team.sync();
+    group.sync();
     double trace = 0;
     for (int i = 0; i < N; ++i) trace += square[i * N + i];
     double const scale = 1 / trace;
-    for (int i = team.first(); i < N * N; i += team.step()) m[i] = square[i] * scale;
-    team.sync();
+    for (int i = group.thread_rank(); i < N * N; i += group.num_threads()) m[i] = square[i] * scale;
+    group.sync();
     if (trace > 1 - 1e-9) break;  // what is left of the others is below 1e-9 of it, and is squared twice more
   }
   int best = 0;
   for (int i = 1; i < N; ++i)
     if (m[i * N + i] > m[best * N + best]) best = i;
-  for (int i = team.first(); i < N; i += team.step()) v[i] = m[i * N + best];
-  team.sync();
+  for (int i = group.thread_rank(); i < N; i += group.num_threads()) v[i] = m[i * N + best];
+  group.sync();
   for (int step = 0; step < 2; ++step) {
-    multiply_vector<N>(m, v, w, team);
-    double const scale = (step == 1 ? sign_of<N>(w) : 1) / sqrt(dot<N>(w, w));
-    for (int i = team.first(); i < N; i += team.step()) v[i] = w[i] * scale;
-    team.sync();
+    multiply_vector<N>(m, v, w, group);
+    double const scale = (step == 1 ? sign_convention<N>(w) : 1) / sqrt(dot<N>(w, w));
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) v[i] = w[i] * scale;
+    group.sync();
   }
 }
 
@@ -152,56 +152,57 @@ KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, 
 // inverse of M + 1e-6, whose digits that shift keeps where several eigenvalues are 0. What rounding adds of others is
 // taken away by Newton's method. NaN where the matrix is not finite; a matrix of zeros has any.
 // Destroys m; the other matrices and r are for it to work with.
-template <int N, class Team>
+template <int N, class Group>
 KV_HD void smallest_eigenvector_in(double* m, double* inverse, double* powers, double* square, double* r, double* v,
-                                   Team team) {
-  bool known = true;
-  for (int i = team.first(); i < N * N; i += team.step()) known = known && finite(m[i]);
-  if (!team.all(known)) {
-    for (int i = team.first(); i < N; i += team.step()) v[i] = nan();
-    team.sync();
+                                   Group group) {
+  bool is_known = true;
+  for (int i = group.thread_rank(); i < N * N; i += group.num_threads()) is_known = is_known && finite(m[i]);
+  if (!group.all(is_known)) {
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) v[i] = nan();
+    group.sync();
     return;
   }
-  team.sync();
-  if (!normalize_trace<N>(m, team)) {
-    for (int i = team.first(); i < N; i += team.step()) m[i * N + i] = 1.0 / N;
-    team.sync();
+  group.sync();
+  if (!normalize_trace<N>(m, group)) {
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) m[i * N + i] = 1.0 / N;
+    group.sync();
   }
-  for (int i = team.first(); i < N * N; i += team.step()) inverse[i] = m[i] + (i % (N + 1) == 0 ? 1e-6 : 0);
-  team.sync();
-  invert<N>(inverse, team);
-  for (int i = team.first(); i < N * N; i += team.step()) powers[i] = inverse[i];
-  team.sync();
-  normalize_trace<N>(powers, team);
-  largest_eigenvector<N>(powers, square, r, v, team);
+  for (int i = group.thread_rank(); i < N * N; i += group.num_threads())
+    inverse[i] = m[i] + (i % (N + 1) == 0 ? 1e-6 : 0);
+  group.sync();
+  invert<N>(inverse, group);
+  for (int i = group.thread_rank(); i < N * N; i += group.num_threads()) powers[i] = inverse[i];
+  group.sync();
+  normalize_trace<N>(powers, group);
+  largest_eigenvector<N>(powers, square, r, v, group);
   for (int step = 0; step < 2; ++step) {
-    multiply_vector<N>(m, v, r, team);
+    multiply_vector<N>(m, v, r, group);
     double const value = dot<N>(r, v);
-    team.sync();
-    for (int i = team.first(); i < N; i += team.step()) r[i] -= value * v[i];
-    team.sync();
-    for (int i = team.first(); i < N; i += team.step()) v[i] -= dot<N>(inverse + i * N, r);
-    team.sync();
+    group.sync();
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) r[i] -= value * v[i];
+    group.sync();
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) v[i] -= dot<N>(inverse + i * N, r);
+    group.sync();
     double const length = sqrt(dot<N>(v, v));
-    team.sync();
-    for (int i = team.first(); i < N; i += team.step()) v[i] /= length;
-    team.sync();
+    group.sync();
+    for (int i = group.thread_rank(); i < N; i += group.num_threads()) v[i] /= length;
+    group.sync();
   }
 }
-template <int N, class Team>
-KV_CALLED void smallest_eigenvector(EigenSpace<N>& space, Team team) {
-  for (int i = team.first(); i < N * N; i += team.step()) space.m[i] = space.matrix[i];
-  team.sync();
-  smallest_eigenvector_in<N>(space.m, space.inverse, space.powers, space.square, space.r, space.v, team);
+template <int N, class Group>
+KV_CALLED void smallest_eigenvector(EigenSpace<N>& space, Group group) {
+  for (int i = group.thread_rank(); i < N * N; i += group.num_threads()) space.m[i] = space.matrix[i];
+  group.sync();
+  smallest_eigenvector_in<N>(space.m, space.inverse, space.powers, space.square, space.r, space.v, group);
 }
 template <int N>
 KV_CALLED void smallest_eigenvector(double* m, double* v) {
   double inverse[N * N], powers[N * N], square[N * N], r[N];
-  smallest_eigenvector_in<N>(m, inverse, powers, square, r, v, Alone{});
+  smallest_eigenvector_in<N>(m, inverse, powers, square, r, v, SingleThread{});
 }
 
-// Turns a symmetric matrix into its eigenvalues, on its diagonal, and their vectors, the columns of `vectors`, by
-// rotations that make one number after the other 0 (C. Jacobi, 1846).
+// Jacobi's method (1846): rotations make a symmetric matrix diagonal. Its diagonal are the eigenvalues, the columns of
+// `vectors` the eigenvectors.
 template <int N>
 KV_CALLED void diagonalize(double* m, double* vectors) {
   for (int i = 0; i < N * N; ++i) vectors[i] = i % (N + 1) == 0;
@@ -216,8 +217,8 @@ KV_CALLED void diagonalize(double* m, double* vectors) {
       for (int q = p + 1; q < N; ++q) {
         double const between = m[p * N + q];
         if (between == 0) continue;
-        double const slope = (m[q * N + q] - m[p * N + p]) / (2 * between);
-        double const t = (slope < 0 ? -1 : 1) / (magnitude(slope) + sqrt(slope * slope + 1));
+        double const cotangent = (m[q * N + q] - m[p * N + p]) / (2 * between);
+        double const t = (cotangent < 0 ? -1 : 1) / (magnitude(cotangent) + sqrt(cotangent * cotangent + 1));
         double const c = 1 / sqrt(t * t + 1), s = t * c;
         for (int k = 0; k < N; ++k) {
           double const x = m[k * N + p], y = m[k * N + q], u = vectors[k * N + p], v = vectors[k * N + q];
@@ -235,99 +236,80 @@ KV_CALLED void diagonalize(double* m, double* vectors) {
 // The gradient to M, symmetric, of its smallest eigenvector v is -(u v^T + v u^T) / 2: gives u = (M - lambda)^+ g.
 // Where other eigenvalues are as small there is none: 0 in their directions.
 // Destroys M.
-template <int N, class Team>
+template <int N, class Group>
 KV_HD void smallest_eigenvector_vjp_in(double* m, double* inverse, double* r, double const* v, double const* g,
-                                       double* u, Team team) {
-  multiply_vector<N>(m, v, r, team);
-  double const value = dot<N>(r, v), along = dot<N>(g, v);
+                                       double* u, Group group) {
+  multiply_vector<N>(m, v, r, group);
+  double const value = dot<N>(r, v), projection = dot<N>(g, v);
   double trace = 0;
   for (int i = 0; i < N; ++i) trace += m[i * N + i];
   // The inverse of M - lambda + trace v v^T is the same across v, unless other directions are null.
-  for (int i = team.first(); i < N; i += team.step()) {
+  for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
     for (int k = 0; k < N; ++k) inverse[i * N + k] = m[i * N + k] - (i == k ? value : 0) + trace * v[i] * v[k];
     u[i] = 0;
   }
-  team.sync();
-  if (invert<N>(inverse, team) > 1e-7 * trace) {
-    for (int i = team.first(); i < N; i += team.step())
-      for (int k = 0; k < N; ++k) u[i] += inverse[i * N + k] * (g[k] - along * v[k]);
-  } else if (team.first() == 0) {
+  group.sync();
+  if (invert<N>(inverse, group) > 1e-7 * trace) {
+    for (int i = group.thread_rank(); i < N; i += group.num_threads())
+      for (int k = 0; k < N; ++k) u[i] += inverse[i * N + k] * (g[k] - projection * v[k]);
+  } else if (group.thread_rank() == 0) {
     diagonalize<N>(m, inverse);
-    double least = m[0];
-    for (int i = 1; i < N; ++i) least = min(least, m[i * N + i]);
+    double min_pivot = m[0];
+    for (int i = 1; i < N; ++i) min_pivot = min(min_pivot, m[i * N + i]);
     for (int k = 0; k < N; ++k) {
-      double const gap = m[k * N + k] - least;
+      double const gap = m[k * N + k] - min_pivot;
       if (!(gap > 1e-13 * trace)) continue;
       double part = 0;
       for (int i = 0; i < N; ++i) part += inverse[i * N + k] * g[i];
       for (int i = 0; i < N; ++i) u[i] += inverse[i * N + k] * (part / gap);
     }
   }
-  team.sync();
+  group.sync();
 }
-template <int N, class Team>
-KV_CALLED void smallest_eigenvector_vjp(EigenSpace<N>& space, Team team) {
-  smallest_eigenvector_vjp_in<N>(space.matrix, space.inverse, space.r, space.v, space.g, space.u, team);
+template <int N, class Group>
+KV_CALLED void smallest_eigenvector_vjp(EigenSpace<N>& space, Group group) {
+  smallest_eigenvector_vjp_in<N>(space.matrix, space.inverse, space.r, space.v, space.g, space.u, group);
 }
 template <int N>
 KV_CALLED void smallest_eigenvector_vjp(double* m, double const* v, double const* g, double* u) {
   double inverse[N * N], r[N];
-  smallest_eigenvector_vjp_in<N>(m, inverse, r, v, g, u, Alone{});
+  smallest_eigenvector_vjp_in<N>(m, inverse, r, v, g, u, SingleThread{});
 }
 
 // --- 3 x 3 -----------------------------------------------------------------------------------------------------------
 
-KV_HD void cross(double const* a, double const* b, double* c) {
-  c[0] = a[1] * b[2] - a[2] * b[1];
-  c[1] = a[2] * b[0] - a[0] * b[2];
-  c[2] = a[0] * b[1] - a[1] * b[0];
-}
-KV_HD double dot3(double const* a, double const* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-KV_HD void multiply(double const* a, double const* b, double* c) {
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) c[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
-}
-
-// The cross products of rows, as rows: the transpose of the inverse, times the determinant.
-KV_HD void cofactors(double const* m, double* c) {
-  cross(m + 3, m + 6, c);
-  cross(m + 6, m, c + 3);
-  cross(m, m + 3, c + 6);
-}
-
-// Removes what a matrix does to its smallest right singular vector v, which is the largest one of its cofactors. False
-// where these are 0: it stays as it is.
-KV_HD bool to_rank_two(double* f, double* v) {
+// Projects a matrix f to the nearest one of rank 2, f - f v v^T. The smallest right singular vector v is the largest
+// one of the cofactors. False, without a change, where these are 0.
+KV_HD bool project_to_rank_two(double* f, double* v) {
   double c[9], square[9], again[9], w[3];
-  cofactors(f, c);
+  cofactors3(f, c);
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) square[3 * i + j] = c[i] * c[j] + c[3 + i] * c[3 + j] + c[6 + i] * c[6 + j];
   if (!normalize_trace<3>(square)) return false;
-  largest_eigenvector<3>(square, again, w, v, Alone{});
+  largest_eigenvector<3>(square, again, w, v, SingleThread{});
   for (int i = 0; i < 9; i += 3) {
-    double const along = dot3(f + i, v);
-    for (int k = 0; k < 3; ++k) f[i + k] -= along * v[k];
+    double const projection = dot3(f + i, v);
+    for (int k = 0; k < 3; ++k) f[i + k] -= projection * v[k];
   }
   return true;
 }
 
 // --- null spaces -----------------------------------------------------------------------------------------------------
 
-// What `rows` equations in nine unknowns leave open: 9 - rows vectors, by elimination with the largest pivot of all.
-// False where the equations depend on one another. Destroys them.
+// The null space of `rows` equations in nine unknowns: 9 - rows vectors, by Gaussian elimination with full pivoting.
+// False where the equations are dependent. Destroys them.
 KV_CALLED bool null_space(double (*a)[9], int rows, double (*space)[9]) {
   int column[9];
   for (int k = 0; k < 9; ++k) column[k] = k;
   double largest = 0;
   for (int k = 0; k < rows; ++k) {
     int row = k, at = k;
-    double most = -1;
+    double largest_entry = -1;
     for (int i = k; i < rows; ++i)
       for (int j = k; j < 9; ++j)
-        if (magnitude(a[i][column[j]]) > most) most = magnitude(a[i][column[j]]), row = i, at = j;
-    if (k == 0) largest = most;
-    if (!(most > 1e-12 * largest) || !finite(most)) return false;
+        if (magnitude(a[i][column[j]]) > largest_entry) largest_entry = magnitude(a[i][column[j]]), row = i, at = j;
+    if (k == 0) largest = largest_entry;
+    if (!(largest_entry > 1e-12 * largest) || !finite(largest_entry)) return false;
     int const c = column[at];
     column[at] = column[k];
     column[k] = c;
@@ -353,20 +335,20 @@ KV_CALLED bool null_space(double (*a)[9], int rows, double (*space)[9]) {
 
 // --- polynomials, the highest power first ----------------------------------------------------------------------------
 
-constexpr int kMostRoots = 10;
+constexpr int kMaxRoots = 10;
 
-KV_HD double value_at(double const* p, int degree, double x, double& slope) {
+KV_HD double evaluate_polynomial(double const* p, int degree, double x, double& derivative) {
   double value = 0;
-  slope = 0;
+  derivative = 0;
   for (int i = 0; i <= degree; ++i) {
-    slope = slope * x + value;
+    derivative = derivative * x + value;
     value = value * x + p[i];
   }
   return value;
 }
 
 // -1, 0 or 1: a value within rounding of 0 counts as 0.
-KV_HD int sign_at(double const* p, int degree, double x) {
+KV_HD int sign_of_polynomial(double const* p, int degree, double x) {
   double value = 0, size = 0;
   for (int i = 0; i <= degree; ++i) {
     value = value * x + p[i];
@@ -375,14 +357,14 @@ KV_HD int sign_at(double const* p, int degree, double x) {
   return magnitude(value) <= 1e-14 * size ? 0 : value < 0 ? -1 : 1;
 }
 
-// The root between two places where the signs differ, by Newton's method, held between them.
+// The root between two points of different sign, by Newton's method with bisection as its safeguard.
 KV_HD double root_between(double const* p, int degree, double low, double high, bool rising) {
   double x = (low + high) / 2;
   for (int step = 0; step < 60 && high - low > 0; ++step) {
-    double slope;
-    double const value = value_at(p, degree, x, slope);
+    double derivative;
+    double const value = evaluate_polynomial(p, degree, x, derivative);
     ((value < 0) == rising ? low : high) = x;
-    double const newton = x - value / slope;
+    double const newton = x - value / derivative;
     double const next = newton >= low && newton <= high ? newton : (low + high) / 2;
     if (next == x) break;
     x = next;
@@ -390,50 +372,52 @@ KV_HD double root_between(double const* p, int degree, double low, double high, 
   return x;
 }
 
-// Roots in [-1, 1], ascending, repeated ones repeated: between two neighbouring roots of its derivative a polynomial
-// has one root or none.
+// Roots in [-1, 1], ascending, with multiplicity. Between neighboring roots of its derivative a polynomial has at most
+// one root.
 KV_CALLED int roots_in_unit(double const* p, int degree, double* roots) {
-  double critical[kMostRoots + 1], derivative[kMostRoots + 1];
+  double critical[kMaxRoots + 1], derivative[kMaxRoots + 1];
   int count = 0;
   for (int d = 1; d <= degree; ++d) {
     for (int i = 0; i <= d; ++i) {
       derivative[i] = p[i];
       for (int k = 0; k < degree - d; ++k) derivative[i] *= double(degree - i - k) / double(degree - k);
     }
-    int found = 0, before = sign_at(derivative, d, -1);
+    int num_roots = 0, sign_low = sign_of_polynomial(derivative, d, -1);
     double low = -1;
     auto const add = [&](double x) {
-      if (found < d) roots[found++] = x;
+      if (num_roots < d) roots[num_roots++] = x;
     };
-    if (before == 0 && !(count > 0 && critical[0] == -1)) add(-1);
+    if (sign_low == 0 && !(count > 0 && critical[0] == -1)) add(-1);
     for (int k = 0; k <= count; ++k) {
       double const high = k < count ? critical[k] : 1;
-      int const after = sign_at(derivative, d, high);
-      if (before * after < 0) add(root_between(derivative, d, low, high, after > 0));
-      if (after == 0) {
+      int const sign_high = sign_of_polynomial(derivative, d, high);
+      if (sign_low * sign_high < 0) add(root_between(derivative, d, low, high, sign_high > 0));
+      if (sign_high == 0) {
         add(high);
         if (k < count && (k == 0 || critical[k] != low)) add(high);  // a root of the derivative counts once more
       }
-      before = after;
+      sign_low = sign_high;
       low = high;
     }
-    count = found;
+    count = num_roots;
     for (int k = 0; k < count; ++k) critical[k] = roots[k];
   }
   return count;
 }
 
-// All real roots, in no order; how many there are. Those outside of [-1, 1] are the mirrored polynomial's.
-KV_CALLED int real_roots(double const* given, int degree, double* roots) {
-  double p[kMostRoots + 1], mirrored[kMostRoots + 1], more[kMostRoots];
+// Returns the number of real roots, which are in no order. Roots outside of [-1, 1] are reciprocals of roots of the
+// mirrored polynomial.
+KV_CALLED int real_roots(double const* coefficients, int degree, double* roots) {
+  double p[kMaxRoots + 1], mirrored[kMaxRoots + 1], mirrored_roots[kMaxRoots];
   double largest = 0;
-  for (int i = 0; i <= degree; ++i) largest = max(largest, magnitude(given[i]));
+  for (int i = 0; i <= degree; ++i) largest = max(largest, magnitude(coefficients[i]));
   if (!(largest > 0) || !finite(largest)) return 0;
-  for (int i = 0; i <= degree; ++i) p[i] = mirrored[degree - i] = given[i] / largest;
+  for (int i = 0; i <= degree; ++i) p[i] = mirrored[degree - i] = coefficients[i] / largest;
   int count = roots_in_unit(p, degree, roots);
-  int const outside = roots_in_unit(mirrored, degree, more);
+  int const outside = roots_in_unit(mirrored, degree, mirrored_roots);
   for (int i = 0; i < outside; ++i)
-    if (magnitude(more[i]) < 1 && more[i] != 0 && count < degree && finite(1 / more[i])) roots[count++] = 1 / more[i];
+    if (magnitude(mirrored_roots[i]) < 1 && mirrored_roots[i] != 0 && count < degree && finite(1 / mirrored_roots[i]))
+      roots[count++] = 1 / mirrored_roots[i];
   return count;
 }
 

@@ -1,18 +1,18 @@
-// Who works on one problem: a thread alone, or the threads of a block, a warp or several, which take correspondences in
-// turns. Included by kernels whose sums are over correspondences.
+// The threads that work on one problem, like a cooperative group: a single thread on the CPU, a block on CUDA. Included
+// by kernels that sum over correspondences, which the threads of a group take in turns.
 //
-//   sum, sums      of all threads' numbers, to all of them, which all call it
-//   Kept<X>        memory for an X that all of them see
-//   few            those who go on where there is less to do: a warp; the others are idle
+//   sum, sums           sums over the threads of the group; every thread calls it and gets the result
+//   SharedStorage<X>    memory for an X that all threads of the group see
+//   first_warp          the threads that continue where there is little work; the others are idle
 #pragma once
 
 #include "core/hd.h"
 
 namespace kv {
 
-struct Alone {
-  KV_HD int first() const { return 0; }
-  KV_HD int step() const { return 1; }
+struct SingleThread {
+  KV_HD int thread_rank() const { return 0; }
+  KV_HD int num_threads() const { return 1; }
   KV_HD void sync() const {}
   KV_HD bool all(bool x) const { return x; }
   KV_HD double sum(double x) const { return x; }
@@ -21,63 +21,63 @@ struct Alone {
     return x;
   }
   template <class X>
-  struct Kept {
+  struct SharedStorage {
     X value;
     KV_HD X& get() { return value; }
   };
-  KV_HD Alone few() const { return {}; }
-  KV_HD bool idle() const { return false; }
+  KV_HD SingleThread first_warp() const { return {}; }
+  KV_HD bool is_idle() const { return false; }
 };
 
 #if defined(__CUDACC__)
-// How many threads take a problem of so many correspondences.
-constexpr int kMostThreads = 256;
-inline unsigned team_size(int64_t count) { return count > kMostThreads ? kMostThreads : 32; }
+// Threads of a block for a problem of `count` correspondences.
+constexpr int kMaxThreads = 256;
+inline unsigned block_size(int64_t count) { return count > kMaxThreads ? kMaxThreads : 32; }
 
 // The first warp of a block.
-struct Warp {
-  __device__ __forceinline__ int first() const { return threadIdx.x; }
-  __device__ __forceinline__ int step() const { return 32; }
+struct FirstWarp {
+  __device__ __forceinline__ int thread_rank() const { return threadIdx.x; }
+  __device__ __forceinline__ int num_threads() const { return 32; }
   __device__ __forceinline__ void sync() const { __syncwarp(); }
   __device__ __forceinline__ bool all(bool x) const { return __all_sync(0xffffffffu, x); }
-  __device__ __forceinline__ bool idle() const { return threadIdx.x >= 32; }
+  __device__ __forceinline__ bool is_idle() const { return threadIdx.x >= 32; }
 };
 
-struct Block {
-  __device__ __forceinline__ int first() const { return threadIdx.x; }
-  __device__ __forceinline__ int step() const { return blockDim.x; }
+struct ThreadBlock {
+  __device__ __forceinline__ int thread_rank() const { return threadIdx.x; }
+  __device__ __forceinline__ int num_threads() const { return blockDim.x; }
   __device__ __forceinline__ void sync() const { __syncthreads(); }
   __device__ __forceinline__ double sum(double x) const {
-    double one[] = {x};
-    return *sums(one);
+    double value[] = {x};
+    return *sums(value);
   }
-  // In memory that the next sums of as many numbers take.
+  // The result stays valid until the next sums of K numbers.
   template <int K>
   __device__ __forceinline__ double const* sums(double (&x)[K]) const {
-    __shared__ double parts[kMostThreads / 32][K];
+    __shared__ double warp_sums[kMaxThreads / 32][K];
 #pragma unroll
     for (double& v : x)
       for (int lane = 16; lane > 0; lane /= 2) v += __shfl_xor_sync(0xffffffffu, v, lane);
-    __syncthreads();  // of who reads the last sums
+    __syncthreads();  // other threads may still read the last sums
     if (threadIdx.x % 32 == 0)
 #pragma unroll
-      for (int k = 0; k < K; ++k) parts[threadIdx.x / 32][k] = x[k];
+      for (int k = 0; k < K; ++k) warp_sums[threadIdx.x / 32][k] = x[k];
     __syncthreads();
     if (blockDim.x > 32) {
       for (unsigned k = threadIdx.x; k < K; k += blockDim.x)
-        for (unsigned w = 1; w < blockDim.x / 32; ++w) parts[0][k] += parts[w][k];
+        for (unsigned w = 1; w < blockDim.x / 32; ++w) warp_sums[0][k] += warp_sums[w][k];
       __syncthreads();
     }
-    return parts[0];
+    return warp_sums[0];
   }
   template <class X>
-  struct Kept {
+  struct SharedStorage {
     static __device__ __forceinline__ X& get() {
       __shared__ X value;
       return value;
     }
   };
-  __device__ __forceinline__ Warp few() const { return {}; }
+  __device__ __forceinline__ FirstWarp first_warp() const { return {}; }
 };
 #endif
 

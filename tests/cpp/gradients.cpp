@@ -503,7 +503,8 @@ int main() {
   for (auto const* kind :
        {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer", "sampson_transfer"})
     check(
-        "view_errors", [=](auto const& t) { return ops::view_errors(t[0], t[1], t[2], kind, true); },
+        "correspondence_errors",
+        [=](auto const& t) { return ops::correspondence_errors(t[0], t[1], t[2], kind, true); },
         {from, torch::rand({1, 9, 3}) + 0.5, matrices + 1}, false);
   check(
       "line_segment_transfer_error_one_way",

@@ -9,8 +9,8 @@ from torch import Tensor
 
 import kvision as K
 from kvision.geometry.homography.dlt import homography_of
-from kvision.geometry.ransac import _consensus, _contest, _leaders, _verdict
-from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal
+from kvision.geometry.ransac import _consensus, _finalize_model, _merge_top_k, _top_k_models
+from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
 from kvision.geometry.solvers.affine import affine_of
 from op_tests import assert_close, instruction_set
 from point_op_tests import SINGLE_AND_DOUBLE, SQUARE, Call, PointOpTests, vector
@@ -145,9 +145,9 @@ def test_minimal_models_are_the_references(model, device):
     size, count = SIZES[model]
     draws = torch.cat([rand(64, size), torch.full((64, 1), float(x.shape[1])).double()], 1)
     x, y, draws = (v.to(device) for v in (x, y, draws))
-    found = minimal(x, y, draws, model)
+    found = minimal_solver(x, y, draws, model)
     with K.backend("reference"):
-        expected = minimal(x, y, draws, model)
+        expected = minimal_solver(x, y, draws, model)
     assert found.shape == expected.shape == (64, count, 3, 3)
     assert torch.equal(found.isnan().flatten(2).any(-1).sum(1), expected.isnan().flatten(2).any(-1).sum(1))
     if model == "affine":
@@ -171,41 +171,41 @@ def test_consensus_is_the_references(model, dtype, device):
 
 @pytest.mark.parametrize("model", ["homography", "lines", "essential"])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_contest_is_the_references(model, dtype, device):
+def test_merge_top_k_is_the_references(model, dtype, device):
     numbers = 4 if model == "lines" else 2
     x, y = (rand(numbers, 301, high=9, seed=s).to(device, dtype) for s in (1, 2))
     models, others = (rand(count, 3, 3, low=-1, seed=count).to(device, dtype) for count in (9, 8))
     others[3] = models[5]  # of two that are as good the first is taken
     scores, other_scores = (_consensus(m, x, y, 3.0, model) for m in (models, others))
-    for by_number, count in ((False, 8), (True, 1), (False, 40)):
-        args = (models, scores, others, other_scores, x, y, 3.0, 0.2, count, by_number, model)
-        found = _contest(*args)
+    for by_count, count in ((False, 8), (True, 1), (False, 40)):
+        args = (models, scores, others, other_scores, x, y, 3.0, 0.2, count, by_count, model)
+        found = _merge_top_k(*args)
         with K.backend("reference"):
-            expected = _contest(*args)
+            expected = _merge_top_k(*args)
         assert_close(found[:2], expected[:2], 0, 0)
         assert_close(found[2], expected[2], 1e-4, 1e-4)
-    alone = _contest(models, scores, others[:0], other_scores[:0], x, y, 3.0, 0.0, 3, False, model)
+    alone = _merge_top_k(models, scores, others[:0], other_scores[:0], x, y, 3.0, 0.0, 3, False, model)
     assert_close(alone[1][:, 0], scores[:, 0].sort(descending=True).values[:3], 0, 0)
     assert_close(alone[2].sum(-1), alone[1][:, 1], 0, 0)
 
 
 @pytest.mark.parametrize("count", [1, 8, 3000])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
-def test_leaders_and_verdicts_are_the_references(count, dtype, device):
+def test_top_k_and_final_models_are_the_references(count, dtype, device):
     models, scores = rand(2500, 3, 3, low=-1), (9 * rand(2500, 2)).round()  # many are as good
     weights = (rand(2500, 1500, low=-1) * (rand(2500, 1) > 0.5)).clamp(min=0)
     models, scores, weights = (x.to(device, dtype) for x in (models, scores, weights))
-    for by_number in (False, True):
-        found = _leaders(models, scores, count, by_number)
+    for by_count in (False, True):
+        found = _top_k_models(models, scores, count, by_count)
         with K.backend("reference"):
-            assert_close(found, _leaders(models, scores, count, by_number), 0, 0)
+            assert_close(found, _top_k_models(models, scores, count, by_count), 0, 0)
     models[5, 2, 2] = 0
     for i in range(8):
         for kind in ("essential", "homography"):
             args = models[i:], weights[i:], 7 if i else 1499, kind
-            found = _verdict(*args)
+            found = _finalize_model(*args)
             with K.backend("reference"):
-                assert_close(found, _verdict(*args), 1e-6, 1e-6)
+                assert_close(found, _finalize_model(*args), 1e-6, 1e-6)
 
 
 def test_one_set_of_points_serves_all_weights(device):
@@ -224,7 +224,7 @@ def test_instruction_sets(isa, device, backend):
         for model in ("lines", "fundamental", "essential"):
             test_minimal_models_are_the_references(model, device)
             test_consensus_is_the_references(model, torch.float32, device)
-            test_contest_is_the_references(model, torch.float32, device)
+            test_merge_top_k_is_the_references(model, torch.float32, device)
         scene = Scene(1, 9)
         assert_close(K.geometry.triangulate_points(scene.P1, scene.P2, scene.x1, scene.x2), scene.points, 1e-7, 1e-7)
 
@@ -235,11 +235,11 @@ def test_operators_refuse_bad_arguments(backend):
     x, ops = torch.rand(1, 9, 2), torch.ops.kvision
     eye, scores = torch.eye(3)[None], torch.zeros(1, 2)
     for call in (
-        lambda: ops.minimal(x, x, None, "homography"),
-        lambda: ops.minimal(x, x[:, :3], None, "affine"),
-        lambda: ops.minimal(x, x, torch.rand(5, 4), "homography"),
-        lambda: ops.minimal(x.half(), x.half(), torch.rand(5, 5), "homography"),
-        lambda: ops.minimal(x, x, torch.rand(5, 5), "sphere"),
+        lambda: ops.minimal_solver(x, x, None, "homography"),
+        lambda: ops.minimal_solver(x, x[:, :3], None, "affine"),
+        lambda: ops.minimal_solver(x, x, torch.rand(5, 4), "homography"),
+        lambda: ops.minimal_solver(x.half(), x.half(), torch.rand(5, 5), "homography"),
+        lambda: ops.minimal_solver(x, x, torch.rand(5, 5), "sphere"),
         lambda: ops.consensus(torch.rand(4, 3, 3), x[0], x[0], 1.0, "homography"),
         lambda: ops.consensus(torch.rand(4, 9), x[0].T, x[0].T, 1.0, "homography"),
         lambda: ops.null_vector(torch.rand(2, 5, 7), None),
@@ -259,9 +259,9 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.distort(x, eye, torch.rand(1, 3, 2), torch.rand(1, 4), None),
         lambda: ops.eigenvectors(torch.rand(2, 5, 5)),
         lambda: ops.eigenvectors(torch.rand(2, 5, 9)),
-        lambda: ops.contest(eye, scores, eye, scores[:, :1], x[0].T, x[0].T, 1.0, 0.0, 1, False, "affine"),
-        lambda: ops.contest(eye, scores, eye[:0], scores[:0], x[0].T, x[0], 1.0, 0.0, 1, False, "affine"),
-        lambda: ops.contest(eye, scores, eye, scores, x[0].T, x[0].T, 1.0, 0.0, 0, False, "affine"),
+        lambda: ops.merge_top_k(eye, scores, eye, scores[:, :1], x[0].T, x[0].T, 1.0, 0.0, 1, False, "affine"),
+        lambda: ops.merge_top_k(eye, scores, eye[:0], scores[:0], x[0].T, x[0], 1.0, 0.0, 1, False, "affine"),
+        lambda: ops.merge_top_k(eye, scores, eye, scores, x[0].T, x[0].T, 1.0, 0.0, 0, False, "affine"),
         lambda: ops.homography_dlt(x, x[:, :3], None),
         lambda: ops.homography_dlt(x, x, torch.rand(1, 8)),
         lambda: ops.homography_lines_dlt(x, x, None),
@@ -275,15 +275,15 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.affine_fit_backward(torch.rand(1, 9), x, x, None),
         lambda: ops.pose_dlt(x, x, eye, None, 0.0),
         lambda: ops.pose_dlt(torch.rand(1, 9, 3), x, eye[:, :2], None, 0.0),
-        lambda: ops.leaders(eye, scores[:, :1], 1, False),
-        lambda: ops.leaders(eye[:0], scores[:0], 1, False),
-        lambda: ops.verdict(eye, torch.rand(2, 9), 4, "affine"),
-        lambda: ops.verdict(eye, torch.rand(1, 9), 4, "sphere"),
-        lambda: ops.view_errors(x, x[:, :4], eye, "sampson", True),
-        lambda: ops.view_errors(x, x, eye, "segments", True),
-        lambda: ops.view_errors(x, x, eye, "sphere", True),
-        lambda: ops.view_errors(x.expand(2, 9, 2), x, eye.expand(3, 3, 3), "transfer", True),
-        lambda: ops.view_errors_backward(torch.rand(1, 8), x, x, eye, "transfer", True),
+        lambda: ops.top_k_models(eye, scores[:, :1], 1, False),
+        lambda: ops.top_k_models(eye[:0], scores[:0], 1, False),
+        lambda: ops.finalize_model(eye, torch.rand(2, 9), 4, "affine"),
+        lambda: ops.finalize_model(eye, torch.rand(1, 9), 4, "sphere"),
+        lambda: ops.correspondence_errors(x, x[:, :4], eye, "sampson", True),
+        lambda: ops.correspondence_errors(x, x, eye, "segments", True),
+        lambda: ops.correspondence_errors(x, x, eye, "sphere", True),
+        lambda: ops.correspondence_errors(x.expand(2, 9, 2), x, eye.expand(3, 3, 3), "transfer", True),
+        lambda: ops.correspondence_errors_backward(torch.rand(1, 8), x, x, eye, "transfer", True),
         lambda: ops.nearest_essential(eye[:, :2]),
         lambda: ops.nearest_essential_backward(eye[0], eye),
         lambda: ops.essential_motions(eye.half()),
@@ -350,7 +350,7 @@ def random_model() -> Tensor:
 
 
 # Any number of models may be kept, and C++ asks for axes before it checks how many there are.
-RANSAC_ACCEPTED = ("count ", "least ", "another batch", "without axes", "one axis less")
+RANSAC_ACCEPTED = ("count ", "min_inliers ", "another batch", "without axes", "one axis less")
 
 
 class TestRansacOperators(PointOpTests):
@@ -370,7 +370,7 @@ class TestRansacOperators(PointOpTests):
             )
             for model in ("homography", "fundamental", "essential")
         ],
-        "contest": [
+        "merge_top_k": [
             Call(
                 (random_model, SCORES, random_model, SCORES, *SEEN),
                 (3.0, 0.2, 4, False, "homography"),
@@ -382,19 +382,19 @@ class TestRansacOperators(PointOpTests):
                 tolerance=200,
             )
         ],
-        "leaders": [
+        "top_k_models": [
             Call(
                 (random_model, SCORES),
-                (2, by_number),
+                (2, by_count),
                 broadcasts=False,
                 per_sample=False,
                 differentiable=False,
                 accepted=RANSAC_ACCEPTED,
                 dtypes=SINGLE_AND_DOUBLE,
             )
-            for by_number in (False, True)
+            for by_count in (False, True)
         ],
-        "verdict": [
+        "finalize_model": [
             Call(
                 (random_model, vector(9)),
                 (4, "homography"),
@@ -405,7 +405,7 @@ class TestRansacOperators(PointOpTests):
                 dtypes=SINGLE_AND_DOUBLE,
             )
         ],
-        "minimal": [
+        "minimal_solver": [
             Call(
                 (vector(3, 2), vector(3, 2), None),
                 ("affine",),

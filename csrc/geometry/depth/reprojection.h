@@ -20,123 +20,112 @@ struct Matrices {
 };
 
 template <class T>
-struct Reprojections {
+struct ReprojectionParams {
   Matrices camera_to, pose_to, camera_from, pose_from;  // (3, 3) and (4, 4); the last may be null: the world's
   int64_t batch;
   bool pinhole;      // of the cameras only focal lengths and principal points are used
   Reals projection;  // (B, 3, 4)
   // For the gradient only: that to the projection, and those to the four, of each sample.
-  Reals grad, to_camera_to, to_pose_to, to_camera_from, to_pose_from;
+  Reals grad, grad_camera_to, grad_pose_to, grad_camera_from, grad_pose_from;
 };
 
-KV_KERNEL(reprojection, Reprojections)
-KV_KERNEL(reprojection_backward, Reprojections)
+KV_KERNEL(reprojection, ReprojectionParams)
+KV_KERNEL(reprojection_backward, ReprojectionParams)
 
 namespace small {
 
 // What a pinhole camera's matrix has beside zeros and a 1.
-KV_HD bool of_pinhole(int i) { return i == 0 || i == 2 || i == 4 || i == 5; }
+KV_HD bool is_pinhole_entry(int i) { return i == 0 || i == 2 || i == 4 || i == 5; }
 
 struct Cameras {
-  double to[9], inverse[9];  // K', K^-1
-  double turn_to[9], move_to[3], turn_from[9], move_from[3];
-  double turn[9], move[3];  // R' R^T, t' - R' R^T t
-  bool regular;
+  double K_to[9], K_from_inverse[9];  // K', K^-1
+  double R_to[9], t_to[3], R_from[9], t_from[3];
+  double R[9], t[3];  // R' R^T, t' - R' R^T t
+  bool is_invertible;
 
   template <class T>
-  KV_HD Cameras(Reprojections<T> const& p, int64_t b) {
-    double from[9], of_rows[9];
-    bool const posed = p.pose_from.data.data;
+  KV_HD Cameras(ReprojectionParams<T> const& p, int64_t b) {
+    double from[9], cofactors[9];
+    bool const has_pose_from = p.pose_from.data.data;
     for (int i = 0; i < 9; ++i) {
-      double const rest = i == 8;
-      bool const given = !p.pinhole || of_pinhole(i);
-      to[i] = given ? p.camera_to.at(b, i / 3, i % 3) : rest;
-      from[i] = given ? p.camera_from.at(b, i / 3, i % 3) : rest;
+      double const otherwise = i == 8;
+      bool const is_read = !p.pinhole || is_pinhole_entry(i);
+      K_to[i] = is_read ? p.camera_to.at(b, i / 3, i % 3) : otherwise;
+      from[i] = is_read ? p.camera_from.at(b, i / 3, i % 3) : otherwise;
     }
     for (int i = 0; i < 3; ++i) {
       for (int k = 0; k < 3; ++k) {
-        turn_to[3 * i + k] = p.pose_to.at(b, i, k);
-        turn_from[3 * i + k] = posed ? p.pose_from.at(b, i, k) : i == k;
+        R_to[3 * i + k] = p.pose_to.at(b, i, k);
+        R_from[3 * i + k] = has_pose_from ? p.pose_from.at(b, i, k) : i == k;
       }
-      move_to[i] = p.pose_to.at(b, i, 3);
-      move_from[i] = posed ? p.pose_from.at(b, i, 3) : 0;
+      t_to[i] = p.pose_to.at(b, i, 3);
+      t_from[i] = has_pose_from ? p.pose_from.at(b, i, 3) : 0;
     }
-    cofactors(from, of_rows);
-    double const determinant = dot3(from, of_rows);
-    regular = determinant != 0 && finite(1 / determinant);
+    cofactors3(from, cofactors);
+    double const determinant = dot3(from, cofactors);
+    is_invertible = determinant != 0 && finite(1 / determinant);
     for (int i = 0; i < 3; ++i)
-      for (int k = 0; k < 3; ++k) inverse[3 * i + k] = of_rows[3 * k + i] / determinant;
+      for (int k = 0; k < 3; ++k) K_from_inverse[3 * i + k] = cofactors[3 * k + i] / determinant;
     for (int i = 0; i < 3; ++i) {
-      for (int k = 0; k < 3; ++k) turn[3 * i + k] = dot3(turn_to + 3 * i, turn_from + 3 * k);
-      move[i] = move_to[i] - dot3(turn + 3 * i, move_from);
+      for (int k = 0; k < 3; ++k) R[3 * i + k] = dot3(R_to + 3 * i, R_from + 3 * k);
+      t[i] = t_to[i] - dot3(R + 3 * i, t_from);
     }
   }
 };
 
-// c = a^T b, c = a b^T.
-KV_HD void multiply_transposed(double const* a, double const* b, double* c) {
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) c[3 * i + j] = a[i] * b[j] + a[3 + i] * b[3 + j] + a[6 + i] * b[6 + j];
-}
-KV_HD void multiply_by_transpose(double const* a, double const* b, double* c) {
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) c[3 * i + j] = dot3(a + 3 * i, b + 3 * j);
-}
-
 }  // namespace small
 
 template <class T>
-KV_HD void reprojection_of(Reprojections<T> const& p, int64_t b) {
+KV_HD void set_reprojection(ReprojectionParams<T> const& p, int64_t b) {
   small::Cameras const c(p, b);
-  double turned[9], seen[9];
-  small::multiply(c.turn, c.inverse, turned);
-  small::multiply(c.to, turned, seen);
+  double R_K_from_inverse[9], A[9];
+  multiply3(c.R, c.K_from_inverse, R_K_from_inverse);
+  multiply3(c.K_to, R_K_from_inverse, A);
   for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) p.projection.set(12 * b + 4 * i + k, seen[3 * i + k]);
-    p.projection.set(12 * b + 4 * i + 3, small::dot3(c.to + 3 * i, c.move));
+    for (int k = 0; k < 3; ++k) p.projection.set(12 * b + 4 * i + k, A[3 * i + k]);
+    p.projection.set(12 * b + 4 * i + 3, dot3(c.K_to + 3 * i, c.t));
   }
 }
 
 // 0 where the camera has no inverse.
 template <class T>
-KV_HD void reprojection_vjp(Reprojections<T> const& p, int64_t b) {
+KV_HD void reprojection_vjp(ReprojectionParams<T> const& p, int64_t b) {
   small::Cameras const c(p, b);
-  double to_a[9], to_b[3], turned[9], to_turned[9], to_turn[9], to_move[3], g[9], h[9];
+  double grad_a[9], grad_b[3], R_K_from_inverse[9], grad_R_K_from_inverse[9], grad_R[9], grad_t[3], g[9], h[9];
   for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) to_a[3 * i + k] = p.grad[12 * b + 4 * i + k];
-    to_b[i] = p.grad[12 * b + 4 * i + 3];
+    for (int k = 0; k < 3; ++k) grad_a[3 * i + k] = p.grad[12 * b + 4 * i + k];
+    grad_b[i] = p.grad[12 * b + 4 * i + 3];
   }
-  auto const set = [&](Reals const& to, int64_t at, double value) { to.set(at, c.regular ? value : 0); };
-  auto const set_camera = [&](Reals const& to, double const* value) {
-    for (int i = 0; i < 9; ++i) set(to, 9 * b + i, !p.pinhole || small::of_pinhole(i) ? value[i] : 0);
+  auto const set = [&](Reals const& dst, int64_t index, double value) { dst.set(index, c.is_invertible ? value : 0); };
+  auto const set_camera = [&](Reals const& dst, double const* value) {
+    for (int i = 0; i < 9; ++i) set(dst, 9 * b + i, !p.pinhole || small::is_pinhole_entry(i) ? value[i] : 0);
   };
-  auto const set_pose = [&](Reals const& to, double const* turn, double const* move) {
+  auto const set_pose = [&](Reals const& dst, double const* grad_rotation, double const* grad_translation) {
     for (int i = 0; i < 16; ++i)
-      set(to, 16 * b + i, i >= 12 ? 0 : i % 4 == 3 ? move[i / 4] : turn[3 * (i / 4) + i % 4]);
+      set(dst, 16 * b + i, i >= 12 ? 0 : i % 4 == 3 ? grad_translation[i / 4] : grad_rotation[3 * (i / 4) + i % 4]);
   };
-  small::multiply(c.turn, c.inverse, turned);
-  small::multiply_by_transpose(to_a, turned, g);
-  for (int i = 0; i < 9; ++i) g[i] += to_b[i / 3] * c.move[i % 3];
-  set_camera(p.to_camera_to, g);
+  multiply3(c.R, c.K_from_inverse, R_K_from_inverse);
+  multiply3<false, true>(grad_a, R_K_from_inverse, g);
+  for (int i = 0; i < 9; ++i) g[i] += grad_b[i / 3] * c.t[i % 3];
+  set_camera(p.grad_camera_to, g);
 
-  small::multiply_transposed(c.to, to_a, to_turned);
-  for (int i = 0; i < 3; ++i) to_move[i] = c.to[i] * to_b[0] + c.to[3 + i] * to_b[1] + c.to[6 + i] * to_b[2];
-  small::multiply_by_transpose(to_turned, c.inverse, to_turn);
-  for (int i = 0; i < 9; ++i) to_turn[i] -= to_move[i / 3] * c.move_from[i % 3];
-  small::multiply(to_turn, c.turn_from, g);
-  set_pose(p.to_pose_to, g, to_move);
+  multiply3<true>(c.K_to, grad_a, grad_R_K_from_inverse);
+  for (int i = 0; i < 3; ++i) grad_t[i] = c.K_to[i] * grad_b[0] + c.K_to[3 + i] * grad_b[1] + c.K_to[6 + i] * grad_b[2];
+  multiply3<false, true>(grad_R_K_from_inverse, c.K_from_inverse, grad_R);
+  for (int i = 0; i < 9; ++i) grad_R[i] -= grad_t[i / 3] * c.t_from[i % 3];
+  multiply3(grad_R, c.R_from, g);
+  set_pose(p.grad_pose_to, g, grad_t);
 
-  double to_move_from[3];
-  small::multiply_transposed(to_turn, c.turn_to, g);
-  for (int i = 0; i < 3; ++i)
-    to_move_from[i] = -(c.turn[i] * to_move[0] + c.turn[3 + i] * to_move[1] + c.turn[6 + i] * to_move[2]);
-  set_pose(p.to_pose_from, g, to_move_from);
+  double grad_t_from[3];
+  multiply3<true>(grad_R, c.R_to, g);
+  for (int i = 0; i < 3; ++i) grad_t_from[i] = -(c.R[i] * grad_t[0] + c.R[3 + i] * grad_t[1] + c.R[6 + i] * grad_t[2]);
+  set_pose(p.grad_pose_from, g, grad_t_from);
 
-  small::multiply_transposed(c.turn, to_turned, g);  // to K^-1
-  small::multiply_transposed(c.inverse, g, h);       // to K: -K^-T g K^-T
-  small::multiply_by_transpose(h, c.inverse, g);
+  multiply3<true>(c.R, grad_R_K_from_inverse, g);  // to K^-1
+  multiply3<true>(c.K_from_inverse, g, h);         // to K: -K^-T g K^-T
+  multiply3<false, true>(h, c.K_from_inverse, g);
   for (double& value : g) value = -value;
-  set_camera(p.to_camera_from, g);
+  set_camera(p.grad_camera_from, g);
 }
 
 }  // namespace kv

@@ -5,17 +5,17 @@
 namespace kv::KV_ISA {
 
 template <class T>
-void reprojection(Reprojections<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t b = begin; b < end; ++b) reprojection_of(p, b);
+void reprojection(ReprojectionParams<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t b = begin; b < end; ++b) set_reprojection(p, b);
 }
 
 template <class T>
-void reprojection_backward(Reprojections<T> const& p, int64_t begin, int64_t end) {
+void reprojection_backward(ReprojectionParams<T> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b) reprojection_vjp(p, b);
 }
 
-KV_INSTANTIATE_ONE(reprojection, Reprojections, double)
-KV_INSTANTIATE_ONE(reprojection_backward, Reprojections, double)
+KV_INSTANTIATE_ONE(reprojection, ReprojectionParams, double)
+KV_INSTANTIATE_ONE(reprojection_backward, ReprojectionParams, double)
 
 }  // namespace kv::KV_ISA
 #endif

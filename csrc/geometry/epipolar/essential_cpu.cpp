@@ -6,7 +6,7 @@ namespace kv::KV_ISA {
 
 template <class T>
 void essential(Essential<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t b = begin; b < end; ++b) essential_of(p, b);
+  for (int64_t b = begin; b < end; ++b) decompose_essential(p, b);
 }
 
 template <class T>
@@ -16,7 +16,7 @@ void essential_backward(Essential<T> const& p, int64_t begin, int64_t end) {
 
 template <class T>
 void motion_choice(MotionChoice<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t b = begin; b < end; ++b) motion_choice_of(p, b, Alone{});
+  for (int64_t b = begin; b < end; ++b) choose_motion(p, b, SingleThread{});
 }
 
 KV_INSTANTIATE_ONE(essential, Essential, double)

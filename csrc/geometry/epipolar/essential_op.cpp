@@ -1,4 +1,4 @@
-// Essential matrices: schemas and entries, for CPU and CUDA alike.
+// Essential matrices: schemas and entries for CPU and CUDA.
 #include "geometry/epipolar/essential.h"
 #include "geometry/reals_glue.h"
 
@@ -10,7 +10,7 @@ void check_matrices(char const* op, char const* name, Tensor const& x, Tensor co
            op, ": expected ", name, " of shape (B, 3, 3) on one device");
 }
 
-Essential<double> of_matrices(Contiguous const& matrices, bool nearest) {
+Essential<double> essential_params(Contiguous const& matrices, bool nearest) {
   Essential<double> params{};
   params.matrix = matrices.reals;
   params.batch = matrices.tensor.size(0);
@@ -23,7 +23,7 @@ Tensor nearest_essential(Tensor const& matrix) {
   check_matrices(op, "matrix", matrix, matrix);
   Contiguous const e(op, matrix);
   Tensor const projected = empty({matrix.size(0), 3, 3}, e.tensor);
-  Essential<double> params = of_matrices(e, true);
+  Essential<double> params = essential_params(e, true);
   params.projected = reals_of(op, projected);
   KV_RUN(essential, e.tensor, params, params.batch, 512);
   return projected;
@@ -34,12 +34,12 @@ Tensor nearest_essential_backward(Tensor const& grad, Tensor const& matrix) {
   check_matrices(op, "matrix", matrix, matrix);
   check_matrices(op, "grad", grad, matrix);
   Contiguous const g(op, grad), e(op, matrix);
-  Tensor const to = empty({matrix.size(0), 3, 3}, e.tensor);
-  Essential<double> params = of_matrices(e, true);
+  Tensor const grad_matrix = empty({matrix.size(0), 3, 3}, e.tensor);
+  Essential<double> params = essential_params(e, true);
   params.grad = g.reals;
-  params.to = reals_of(op, to);
+  params.grad_matrix = reals_of(op, grad_matrix);
   KV_RUN(essential_backward, e.tensor, params, params.batch, 512);
-  return to;
+  return grad_matrix;
 }
 
 std::tuple<Tensor, Tensor> essential_motions(Tensor const& matrix) {
@@ -48,7 +48,7 @@ std::tuple<Tensor, Tensor> essential_motions(Tensor const& matrix) {
   Contiguous const e(op, matrix);
   int64_t const batch = matrix.size(0);
   Tensor const rotations = empty({batch, 4, 3, 3}, e.tensor), directions = empty({batch, 4, 3, 1}, e.tensor);
-  Essential<double> params = of_matrices(e, false);
+  Essential<double> params = essential_params(e, false);
   params.rotations = reals_of(op, rotations);
   params.directions = reals_of(op, directions);
   KV_RUN(essential, e.tensor, params, batch, 512);
@@ -64,13 +64,13 @@ Tensor essential_motions_backward(Tensor const& grad, Tensor const& grad_directi
                grad.device() == matrix.device() && grad_directions.device() == matrix.device(),
            op, ": expected gradients of shapes (B, 4, 3, 3) and (B, 4, 3, 1) on one device");
   Contiguous const g(op, grad), t(op, grad_directions), e(op, matrix);
-  Tensor const to = empty({batch, 3, 3}, e.tensor);
-  Essential<double> params = of_matrices(e, false);
+  Tensor const grad_matrix = empty({batch, 3, 3}, e.tensor);
+  Essential<double> params = essential_params(e, false);
   params.grad = g.reals;
   params.grad_directions = t.reals;
-  params.to = reals_of(op, to);
+  params.grad_matrix = reals_of(op, grad_matrix);
   KV_RUN(essential_backward, e.tensor, params, batch, 512);
-  return to;
+  return grad_matrix;
 }
 
 std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& matrix, Tensor const& camera1,
@@ -91,27 +91,27 @@ std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> motion_choice(Tensor const& m
                      mask->size(1) == count && mask->device() == matrix.device()),
            op, ": expected mask to be bool of shape (B, N) on the device of matrix");
   Contiguous const e(op, matrix), k1(op, camera1), k2(op, camera2), x(op, points1), y(op, points2);
-  std::optional<Tensor> const chosen = mask ? std::optional(dense(*mask)) : std::nullopt;
+  std::optional<Tensor> const dense_mask = mask ? std::optional(dense(*mask)) : std::nullopt;
   Tensor const rotation = empty({batch, 3, 3}, e.tensor), direction = empty({batch, 3, 1}, e.tensor);
-  Tensor const space = empty({batch, count, 3}, e.tensor);
+  Tensor const points = empty({batch, count, 3}, e.tensor);
   Tensor const in_front = empty({batch}, e.tensor, Layout::planar, ScalarType::Long);
-  Tensor const which = empty({batch}, e.tensor, Layout::planar, ScalarType::Long);
+  Tensor const motion_index = empty({batch}, e.tensor, Layout::planar, ScalarType::Long);
   MotionChoice<double> const params{e.reals,
                                     k1.reals,
                                     k2.reals,
                                     x.reals,
                                     y.reals,
-                                    chosen ? data_ptr<bool const>(*chosen) : nullptr,
+                                    dense_mask ? data_ptr<bool const>(*dense_mask) : nullptr,
                                     batch,
                                     count,
-                                    least_share(x),
+                                    min_homogeneous_weight(x),
                                     reals_of(op, rotation),
                                     reals_of(op, direction),
-                                    reals_of(op, space),
+                                    reals_of(op, points),
                                     data_ptr<int64_t>(in_front),
-                                    data_ptr<int64_t>(which)};
+                                    data_ptr<int64_t>(motion_index)};
   KV_RUN(motion_choice, e.tensor, params, batch, 512 + 1024 * count);
-  return {rotation, direction, space, in_front, which};
+  return {rotation, direction, points, in_front, motion_index};
 }
 
 }  // namespace

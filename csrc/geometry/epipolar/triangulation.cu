@@ -1,4 +1,4 @@
-// Triangulation on CUDA: a thread a point, a block a part of them for the gradient.
+// Triangulation on CUDA: one thread for each point, one block for each chunk of points for the gradient.
 #include "core/launch.cuh"
 #include "geometry/epipolar/triangulation.h"
 
@@ -10,17 +10,17 @@ constexpr int kThreads = 128;
 template <class T>
 __global__ void __launch_bounds__(kThreads) triangulate_points(Triangulate<T> p) {
   int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
-  if (i < p.batch * p.count) triangulate_of(p, i);
+  if (i < p.batch * p.count) triangulate_item(p, i);
 }
 
 template <class T>
-__global__ void __launch_bounds__(kMostThreads) find_slopes(__grid_constant__ Triangulate<T> const p) {
-  triangulate_backward_of(p, blockIdx.x, Block{});
+__global__ void __launch_bounds__(kMaxThreads) differentiate_chunks(__grid_constant__ Triangulate<T> const p) {
+  triangulate_chunk_vjp(p, blockIdx.x, ThreadBlock{});
 }
 
 template <class T>
-__global__ void add_parts(__grid_constant__ Triangulate<T> const p) {
-  triangulate_sum(p, blockIdx.x, threadIdx.x);
+__global__ void add_chunks(__grid_constant__ Triangulate<T> const p) {
+  sum_chunks(p, blockIdx.x, threadIdx.x);
 }
 
 }  // namespace
@@ -33,13 +33,13 @@ int triangulate(Triangulate<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int triangulate_backward(Triangulate<T> const& p, CUstream_st* stream) {
-  find_slopes<T><<<unsigned(p.batch * p.part_count()), team_size(p.count), 0, stream>>>(p);
+  differentiate_chunks<T><<<unsigned(p.batch * p.num_chunks()), block_size(p.count), 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
 int triangulate_sums(Triangulate<T> const& p, CUstream_st* stream) {
-  add_parts<T><<<unsigned(p.batch), 24, 0, stream>>>(p);
+  add_chunks<T><<<unsigned(p.batch), 24, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -1,6 +1,6 @@
-// Points in space from their pictures in two images: the null vectors of x P3 - P1, y P3 - P2 of both, P's rows being
-// P1, P2, P3; and the gradient, whose sums over points are those of parts, then of all. Included by
-// triangulation_cpu.cpp, triangulation.cu and triangulation_op.cpp.
+// Triangulates points from their pixels in two images: null vectors of the rows x P3 - P1 and y P3 - P2 of both images,
+// where P1, P2, P3 are the rows of a projection. Gradients to projections are sums over chunks of points, then over
+// chunks. Included by triangulation_cpu.cpp, triangulation.cu and triangulation_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -14,14 +14,14 @@ struct Triangulate {
   Reals points1, points2;            // (B, N, 2)
   Reals projections1, projections2;  // (B, 3, 4)
   int64_t batch, count;
-  double least;  // below this share of a point's length w counts as 0: the point is at infinity
-  Reals points;  // (B, N, 3)
+  double min_weight;  // |w| below this fraction of a homogeneous point's length is 0: the point is at infinity
+  Reals points;       // (B, N, 3)
   // For the gradient only:
-  int64_t part;                                   // points that are summed first
-  Reals grad, to1, to2;                           // (B, N, 3), (B, N, 2)
-  Reals parts, to_projections1, to_projections2;  // (B, parts, 24), (B, 3, 4)
+  int64_t chunk_size;                                      // points of a chunk
+  Reals grad, grad_points1, grad_points2;                  // (B, N, 3), (B, N, 2)
+  Reals chunk_sums, grad_projections1, grad_projections2;  // (B, parts, 24), (B, 3, 4)
 
-  KV_HD int64_t part_count() const { return (count + part - 1) / part; }
+  KV_HD int64_t num_chunks() const { return (count + chunk_size - 1) / chunk_size; }
 };
 
 KV_KERNEL(triangulate, Triangulate)
@@ -30,53 +30,53 @@ KV_KERNEL(triangulate_sums, Triangulate)
 
 namespace small {
 
-// What is 0 for the point seen at `pixel` along an axis of an image of projection P (3, 4).
-KV_HD void seen_row(double pixel, double const* P, int axis, double* row) {
+// A row of the equations: its product with a point is 0 if P (3, 4) projects the point to `pixel` along an axis.
+KV_HD void equation_row(double pixel, double const* P, int axis, double* row) {
   for (int k = 0; k < 4; ++k) row[k] = pixel * P[8 + k] - P[4 * axis + k];
 }
-KV_HD void seen_rows(double const (*pixels)[2], double const (*projections)[12], double* m) {
+KV_HD void equation_matrix(double const (*pixels)[2], double const (*projections)[12], double* m) {
   for (int k = 0; k < 16; ++k) m[k] = 0;
   for (int view = 0; view < 2; ++view)
     for (int axis = 0; axis < 2; ++axis) {
       double row[4];
-      seen_row(pixels[view][axis], projections[view], axis, row);
+      equation_row(pixels[view][axis], projections[view], axis, row);
       for (int k = 0; k < 4; ++k)
         for (int l = 0; l < 4; ++l) m[4 * k + l] += row[k] * row[l];
     }
 }
 
-// The point seen at `pixels`, (x, y) of one image and of the other, by projections (3, 4). NaN where it is at infinity.
-KV_HD void triangulate(double const (*pixels)[2], double const (*projections)[12], double least, double* point) {
+// The point that both projections (3, 4) take to `pixels`, (x, y) of each image. NaN where it is at infinity.
+KV_HD void triangulate(double const (*pixels)[2], double const (*projections)[12], double min_weight, double* point) {
   double m[16], v[4];
-  seen_rows(pixels, projections, m);
+  equation_matrix(pixels, projections, m);
   smallest_eigenvector<4>(m, v);
-  bool const there = magnitude(v[3]) > least;
-  for (int k = 0; k < 3; ++k) point[k] = there ? v[k] / v[3] : nan();
+  bool const is_defined = magnitude(v[3]) > min_weight;
+  for (int k = 0; k < 3; ++k) point[k] = is_defined ? v[k] / v[3] : nan();
 }
 
-// From the gradient g to that point: to the pixels, and to both projections, to which it is added.
-KV_HD void triangulate_vjp(double const (*pixels)[2], double const (*projections)[12], double least, double const* g,
-                           double (*to_pixels)[2], double* to_projections) {
-  double m[16], copy[16], v[4], to_v[4], u[4];
-  seen_rows(pixels, projections, m);
+// From the gradient g to that point: sets the gradient to the pixels, adds that to both projections.
+KV_HD void triangulate_vjp(double const (*pixels)[2], double const (*projections)[12], double min_weight,
+                           double const* g, double (*grad_pixels)[2], double* grad_projections) {
+  double m[16], copy[16], v[4], grad_v[4], u[4];
+  equation_matrix(pixels, projections, m);
   for (int k = 0; k < 16; ++k) copy[k] = m[k];
   smallest_eigenvector<4>(copy, v);
-  bool const there = magnitude(v[3]) > least;
-  to_v[3] = 0;
-  for (int k = 0; k < 3; ++k) to_v[k] = g[k] / v[3], to_v[3] -= to_v[k] * v[k] / v[3];
-  if (there) smallest_eigenvector_vjp<4>(m, v, to_v, u);
+  bool const is_defined = magnitude(v[3]) > min_weight;
+  grad_v[3] = 0;
+  for (int k = 0; k < 3; ++k) grad_v[k] = g[k] / v[3], grad_v[3] -= grad_v[k] * v[k] / v[3];
+  if (is_defined) smallest_eigenvector_vjp<4>(m, v, grad_v, u);
   for (int view = 0; view < 2; ++view)
     for (int axis = 0; axis < 2; ++axis) {
-      to_pixels[view][axis] = 0;
-      if (!there) continue;
-      double row[4], by_v = 0, by_u = 0, *const to = to_projections + 12 * view;
-      seen_row(pixels[view][axis], projections[view], axis, row);
+      grad_pixels[view][axis] = 0;
+      if (!is_defined) continue;
+      double row[4], by_v = 0, by_u = 0, *const grad_projection = grad_projections + 12 * view;
+      equation_row(pixels[view][axis], projections[view], axis, row);
       for (int k = 0; k < 4; ++k) by_v += row[k] * v[k], by_u += row[k] * u[k];
       for (int k = 0; k < 4; ++k) {
-        double const slope = -(by_v * u[k] + by_u * v[k]);
-        to_pixels[view][axis] += slope * projections[view][8 + k];
-        to[8 + k] += slope * pixels[view][axis];
-        to[4 * axis + k] -= slope;
+        double const derivative = -(by_v * u[k] + by_u * v[k]);
+        grad_pixels[view][axis] += derivative * projections[view][8 + k];
+        grad_projection[8 + k] += derivative * pixels[view][axis];
+        grad_projection[4 * axis + k] -= derivative;
       }
     }
 }
@@ -94,37 +94,38 @@ KV_HD void read_projections(Triangulate<T> const& p, int64_t b, double (*project
 }
 
 template <class T>
-KV_HD void triangulate_of(Triangulate<T> const& p, int64_t i) {
+KV_HD void triangulate_item(Triangulate<T> const& p, int64_t i) {
   double pixels[2][2], projections[2][12], point[3];
   read_pixels(p, i, pixels);
   read_projections(p, i / p.count, projections);
-  small::triangulate(pixels, projections, p.least, point);
+  small::triangulate(pixels, projections, p.min_weight, point);
   for (int k = 0; k < 3; ++k) p.points.set(3 * i + k, point[k]);
 }
 
-// The gradients of a part of a problem's points.
-template <class T, class Team>
-KV_HD void triangulate_backward_of(Triangulate<T> const& p, int64_t item, Team team) {
-  int64_t const b = item / p.part_count(), begin = (item - b * p.part_count()) * p.part;
-  double projections[2][12], to_projections[24] = {};
+// The gradients of a chunk of a problem's points.
+template <class T, class Group>
+KV_HD void triangulate_chunk_vjp(Triangulate<T> const& p, int64_t chunk, Group group) {
+  int64_t const b = chunk / p.num_chunks(), begin = (chunk - b * p.num_chunks()) * p.chunk_size;
+  double projections[2][12], grad_projections[24] = {};
   read_projections(p, b, projections);
-  for (int64_t i = begin + team.first(); i < min(begin + p.part, p.count); i += team.step()) {
+  for (int64_t i = begin + group.thread_rank(); i < min(begin + p.chunk_size, p.count); i += group.num_threads()) {
     int64_t const at = b * p.count + i;
-    double pixels[2][2], g[3], to_pixels[2][2];
+    double pixels[2][2], g[3], grad_pixels[2][2];
     read_pixels(p, at, pixels);
     for (int k = 0; k < 3; ++k) g[k] = p.grad[3 * at + k];
-    small::triangulate_vjp(pixels, projections, p.least, g, to_pixels, to_projections);
-    for (int k = 0; k < 2; ++k) p.to1.set(2 * at + k, to_pixels[0][k]), p.to2.set(2 * at + k, to_pixels[1][k]);
+    small::triangulate_vjp(pixels, projections, p.min_weight, g, grad_pixels, grad_projections);
+    for (int k = 0; k < 2; ++k)
+      p.grad_points1.set(2 * at + k, grad_pixels[0][k]), p.grad_points2.set(2 * at + k, grad_pixels[1][k]);
   }
-  double const* const all = team.sums(to_projections);
-  for (int k = team.first(); k < 24; k += team.step()) p.parts.set(24 * item + k, all[k]);
+  double const* const all = group.sums(grad_projections);
+  for (int k = group.thread_rank(); k < 24; k += group.num_threads()) p.chunk_sums.set(24 * chunk + k, all[k]);
 }
 
 template <class T>
-KV_HD void triangulate_sum(Triangulate<T> const& p, int64_t b, int k) {
+KV_HD void sum_chunks(Triangulate<T> const& p, int64_t b, int k) {
   double sum = 0;
-  for (int64_t part = 0; part < p.part_count(); ++part) sum += p.parts[24 * (b * p.part_count() + part) + k];
-  (k < 12 ? p.to_projections1 : p.to_projections2).set(12 * b + k % 12, sum);
+  for (int64_t chunk = 0; chunk < p.num_chunks(); ++chunk) sum += p.chunk_sums[24 * (b * p.num_chunks() + chunk) + k];
+  (k < 12 ? p.grad_projections1 : p.grad_projections2).set(12 * b + k % 12, sum);
 }
 
 }  // namespace kv

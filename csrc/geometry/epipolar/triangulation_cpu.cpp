@@ -6,18 +6,18 @@ namespace kv::KV_ISA {
 
 template <class T>
 void triangulate(Triangulate<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t i = begin; i < end; ++i) triangulate_of(p, i);
+  for (int64_t i = begin; i < end; ++i) triangulate_item(p, i);
 }
 
 template <class T>
 void triangulate_backward(Triangulate<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t item = begin; item < end; ++item) triangulate_backward_of(p, item, Alone{});
+  for (int64_t chunk = begin; chunk < end; ++chunk) triangulate_chunk_vjp(p, chunk, SingleThread{});
 }
 
 template <class T>
 void triangulate_sums(Triangulate<T> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b)
-    for (int k = 0; k < 24; ++k) triangulate_sum(p, b, k);
+    for (int k = 0; k < 24; ++k) sum_chunks(p, b, k);
 }
 
 KV_INSTANTIATE_ONE(triangulate, Triangulate, double)

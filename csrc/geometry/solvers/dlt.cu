@@ -6,50 +6,50 @@ namespace kv::cuda {
 namespace {
 
 template <class Model, class T>
-__global__ void __launch_bounds__(kMostThreads) find_models(__grid_constant__ Dlt<T> const p) {
-  dlt_of(Model{}, p, blockIdx.x, Block{});
+__global__ void __launch_bounds__(kMaxThreads) solve_problems(__grid_constant__ Dlt<T> const p) {
+  solve_dlt(Model{}, p, blockIdx.x, ThreadBlock{});
 }
 
 template <class Model, class T>
-__global__ void __launch_bounds__(kMostThreads) find_models_backward(__grid_constant__ Dlt<T> const p) {
-  dlt_backward_of(Model{}, p, blockIdx.x, Block{});
+__global__ void __launch_bounds__(kMaxThreads) solve_problems_vjp(__grid_constant__ Dlt<T> const p) {
+  solve_dlt_vjp(Model{}, p, blockIdx.x, ThreadBlock{});
 }
 
 template <class T>
-__global__ void __launch_bounds__(kMostThreads) normalize_all(__grid_constant__ NormalizedPoints<T> const p) {
-  normalize_points_of(p, blockIdx.x, Block{});
+__global__ void __launch_bounds__(kMaxThreads) normalize_problems(__grid_constant__ NormalizedPoints<T> const p) {
+  normalize_problem(p, blockIdx.x, ThreadBlock{});
 }
 
 template <class T>
-__global__ void __launch_bounds__(kMostThreads) normalize_all_backward(__grid_constant__ NormalizedPoints<T> const p) {
-  normalize_points_backward_of(p, blockIdx.x, Block{});
+__global__ void __launch_bounds__(kMaxThreads) normalize_problems_vjp(__grid_constant__ NormalizedPoints<T> const p) {
+  normalize_problem_vjp(p, blockIdx.x, ThreadBlock{});
 }
 
 }  // namespace
 
 template <class T>
 int dlt(Dlt<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.batch), threads = team_size(p.count);
-  with_model(p.model, [&](auto model) { find_models<decltype(model)><<<blocks, threads, 0, stream>>>(p); });
+  unsigned const blocks = unsigned(p.batch), threads = block_size(p.count);
+  dispatch_model(p.model, [&](auto model) { solve_problems<decltype(model)><<<blocks, threads, 0, stream>>>(p); });
   return cudaGetLastError();
 }
 
 template <class T>
 int dlt_backward(Dlt<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.batch), threads = team_size(p.count);
-  with_model(p.model, [&](auto model) { find_models_backward<decltype(model)><<<blocks, threads, 0, stream>>>(p); });
+  unsigned const blocks = unsigned(p.batch), threads = block_size(p.count);
+  dispatch_model(p.model, [&](auto model) { solve_problems_vjp<decltype(model)><<<blocks, threads, 0, stream>>>(p); });
   return cudaGetLastError();
 }
 
 template <class T>
 int normalize_points(NormalizedPoints<T> const& p, CUstream_st* stream) {
-  normalize_all<T><<<unsigned(p.batch), team_size(p.count), 0, stream>>>(p);
+  normalize_problems<T><<<unsigned(p.batch), block_size(p.count), 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
 int normalize_points_backward(NormalizedPoints<T> const& p, CUstream_st* stream) {
-  normalize_all_backward<T><<<unsigned(p.batch), team_size(p.count), 0, stream>>>(p);
+  normalize_problems_vjp<T><<<unsigned(p.batch), block_size(p.count), 0, stream>>>(p);
   return cudaGetLastError();
 }
 

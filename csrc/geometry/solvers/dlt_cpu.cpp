@@ -6,26 +6,26 @@ namespace kv::KV_ISA {
 
 template <class T>
 void dlt(Dlt<T> const& p, int64_t begin, int64_t end) {
-  with_model(p.model, [&](auto model) {
-    for (int64_t b = begin; b < end; ++b) dlt_of(model, p, b, Alone{});
+  dispatch_model(p.model, [&](auto model) {
+    for (int64_t b = begin; b < end; ++b) solve_dlt(model, p, b, SingleThread{});
   });
 }
 
 template <class T>
 void dlt_backward(Dlt<T> const& p, int64_t begin, int64_t end) {
-  with_model(p.model, [&](auto model) {
-    for (int64_t b = begin; b < end; ++b) dlt_backward_of(model, p, b, Alone{});
+  dispatch_model(p.model, [&](auto model) {
+    for (int64_t b = begin; b < end; ++b) solve_dlt_vjp(model, p, b, SingleThread{});
   });
 }
 
 template <class T>
 void normalize_points(NormalizedPoints<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t b = begin; b < end; ++b) normalize_points_of(p, b, Alone{});
+  for (int64_t b = begin; b < end; ++b) normalize_problem(p, b, SingleThread{});
 }
 
 template <class T>
 void normalize_points_backward(NormalizedPoints<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t b = begin; b < end; ++b) normalize_points_backward_of(p, b, Alone{});
+  for (int64_t b = begin; b < end; ++b) normalize_problem_vjp(p, b, SingleThread{});
 }
 
 KV_INSTANTIATE_ONE(dlt, Dlt, double)

@@ -46,13 +46,13 @@ struct DltCall {
     return x;
   }
   int64_t columns() const { return params.model == DltModel::pose ? 4 : 3; }
-  Tensor find() {
-    Tensor const found = result({params.batch, 3, columns()}, params.found);
-    KV_RUN(dlt, found, params, params.batch, 4096 + 64 * params.count);
-    return found;
+  Tensor forward() {
+    Tensor const models = result({params.batch, 3, columns()}, params.result);
+    KV_RUN(dlt, models, params, params.batch, 4096 + 64 * params.count);
+    return models;
   }
   // To both points and to the weights.
-  std::tuple<Tensor, Tensor, Tensor> differentiate(Tensor const& grad) {
+  std::tuple<Tensor, Tensor, Tensor> backward(Tensor const& grad) {
     int64_t const batch = params.batch, count = params.count;
     KV_CHECK(points1.tensor.size(0) == batch, op, ": expected points of each problem");
     KV_CHECK(grad.dim() == 3 && grad.size(0) == batch && grad.size(1) == 3 && grad.size(2) == columns() &&
@@ -60,76 +60,76 @@ struct DltCall {
              op, ": expected grad of shape (B, 3, ", columns(), ") on the device of points1");
     Contiguous const g(op, grad);
     params.grad = g.reals;
-    Tensor const grad1 = result(points1.tensor.sizes(), params.grad1),
-                 grad2 = result(points2.tensor.sizes(), params.grad2),
+    Tensor const grad_points1 = result(points1.tensor.sizes(), params.grad_points1),
+                 grad_points2 = result(points2.tensor.sizes(), params.grad_points2),
                  grad_weights = result({batch, count}, params.grad_weights);
-    KV_RUN(dlt_backward, grad1, params, batch, 16384 + 256 * count);
-    return {grad1, grad2, grad_weights};
+    KV_RUN(dlt_backward, grad_points1, params, batch, 16384 + 256 * count);
+    return {grad_points1, grad_points2, grad_weights};
   }
 };
 
 Tensor homography_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
-  return DltCall("homography_dlt", DltModel::homography, points1, points2, weights, {}).find();
+  return DltCall("homography_dlt", DltModel::homography, points1, points2, weights, {}).forward();
 }
 
 std::tuple<Tensor, Tensor, Tensor> homography_dlt_backward(Tensor const& grad, Tensor const& points1,
                                                            Tensor const& points2,
                                                            std::optional<Tensor> const& weights) {
-  return DltCall("homography_dlt_backward", DltModel::homography, points1, points2, weights, {}).differentiate(grad);
+  return DltCall("homography_dlt_backward", DltModel::homography, points1, points2, weights, {}).backward(grad);
 }
 
 Tensor homography_lines_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
-  return DltCall("homography_lines_dlt", DltModel::lines, points1, points2, weights, {}).find();
+  return DltCall("homography_lines_dlt", DltModel::lines, points1, points2, weights, {}).forward();
 }
 
 std::tuple<Tensor, Tensor, Tensor> homography_lines_dlt_backward(Tensor const& grad, Tensor const& points1,
                                                                  Tensor const& points2,
                                                                  std::optional<Tensor> const& weights) {
-  return DltCall("homography_lines_dlt_backward", DltModel::lines, points1, points2, weights, {}).differentiate(grad);
+  return DltCall("homography_lines_dlt_backward", DltModel::lines, points1, points2, weights, {}).backward(grad);
 }
 
 Tensor fundamental_dlt(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
-  return DltCall("fundamental_dlt", DltModel::fundamental, points1, points2, weights, {}).find();
+  return DltCall("fundamental_dlt", DltModel::fundamental, points1, points2, weights, {}).forward();
 }
 
 std::tuple<Tensor, Tensor, Tensor> fundamental_dlt_backward(Tensor const& grad, Tensor const& points1,
                                                             Tensor const& points2,
                                                             std::optional<Tensor> const& weights) {
-  return DltCall("fundamental_dlt_backward", DltModel::fundamental, points1, points2, weights, {}).differentiate(grad);
+  return DltCall("fundamental_dlt_backward", DltModel::fundamental, points1, points2, weights, {}).backward(grad);
 }
 
 Tensor affine_fit(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& weights) {
-  return DltCall("affine_fit", DltModel::affine, points1, points2, weights, {}).find();
+  return DltCall("affine_fit", DltModel::affine, points1, points2, weights, {}).forward();
 }
 
 std::tuple<Tensor, Tensor, Tensor> affine_fit_backward(Tensor const& grad, Tensor const& points1, Tensor const& points2,
                                                        std::optional<Tensor> const& weights) {
-  return DltCall("affine_fit_backward", DltModel::affine, points1, points2, weights, {}).differentiate(grad);
+  return DltCall("affine_fit_backward", DltModel::affine, points1, points2, weights, {}).backward(grad);
 }
 
 Tensor pose_dlt(Tensor const& points, Tensor const& pixels, Tensor const& camera, std::optional<Tensor> const& weights,
-                double flat) {
+                double min_extent) {
   DltCall call("pose_dlt", DltModel::pose, points, pixels, weights, camera);
-  call.params.flat = flat;
-  return call.find();
+  call.params.min_extent = min_extent;
+  return call.forward();
 }
 
 std::tuple<Tensor, Tensor, Tensor, Tensor> pose_dlt_backward(Tensor const& grad, Tensor const& points,
                                                              Tensor const& pixels, Tensor const& camera,
-                                                             std::optional<Tensor> const& weights, double flat) {
+                                                             std::optional<Tensor> const& weights, double min_extent) {
   DltCall call("pose_dlt_backward", DltModel::pose, points, pixels, weights, camera);
-  call.params.flat = flat;
+  call.params.min_extent = min_extent;
   Tensor const grad_camera = call.result({call.params.batch, 3, 3}, call.params.grad_camera);
-  auto const [grad_points, grad_pixels, grad_weights] = call.differentiate(grad);
+  auto const [grad_points, grad_pixels, grad_weights] = call.backward(grad);
   return {grad_points, grad_pixels, grad_camera, grad_weights};
 }
 
 // Points and weights that are to be normalised, checked.
-struct GivenPoints {
+struct NormalizeArguments {
   Contiguous points, weights;
   NormalizedPoints<double> params{};
 
-  GivenPoints(char const* op, Tensor const& x, std::optional<Tensor> const& w, double eps)
+  NormalizeArguments(char const* op, Tensor const& x, std::optional<Tensor> const& w, double eps)
       : points(op, x), weights(op, w) {
     KV_CHECK(x.dim() == 3 && x.size(2) == 2, op, ": expected points of shape (B, N, 2)");
     KV_CHECK(!w || (w->dim() == 2 && w->size(0) == x.size(0) && w->size(1) == x.size(1) && w->device() == x.device()),
@@ -144,10 +144,10 @@ struct GivenPoints {
 
 std::tuple<Tensor, Tensor> normalize_points(Tensor const& points, std::optional<Tensor> const& weights, double eps) {
   constexpr char const* op = "normalize_points";
-  GivenPoints given(op, points, weights, eps);
-  NormalizedPoints<double>& params = given.params;
-  Tensor const normalized = empty({params.batch, params.count, 2}, given.points.tensor);
-  Tensor const matrix = empty({params.batch, 3, 3}, given.points.tensor);
+  NormalizeArguments arguments(op, points, weights, eps);
+  NormalizedPoints<double>& params = arguments.params;
+  Tensor const normalized = empty({params.batch, params.count, 2}, arguments.points.tensor);
+  Tensor const matrix = empty({params.batch, 3, 3}, arguments.points.tensor);
   params.normalized = reals_of(op, normalized);
   params.matrix = reals_of(op, matrix);
   KV_RUN(normalize_points, matrix, params, params.batch, 64 + 32 * params.count);
@@ -158,8 +158,8 @@ std::tuple<Tensor, Tensor> normalize_points_backward(Tensor const& grad, Tensor 
                                                      Tensor const& points, std::optional<Tensor> const& weights,
                                                      double eps) {
   constexpr char const* op = "normalize_points_backward";
-  GivenPoints given(op, points, weights, eps);
-  NormalizedPoints<double>& params = given.params;
+  NormalizeArguments arguments(op, points, weights, eps);
+  NormalizedPoints<double>& params = arguments.params;
   KV_CHECK(grad.dim() == 3 && grad.size(0) == params.batch && grad.size(1) == params.count && grad.size(2) == 2 &&
                grad.device() == points.device(),
            op, ": expected grad of shape (B, N, 2) on the device of points");
@@ -167,36 +167,36 @@ std::tuple<Tensor, Tensor> normalize_points_backward(Tensor const& grad, Tensor 
                grad_matrix.size(2) == 3 && grad_matrix.device() == points.device(),
            op, ": expected grad_matrix of shape (B, 3, 3) on the device of points");
   Contiguous const g(op, grad), g_matrix(op, grad_matrix);
-  Tensor const to_points = empty({params.batch, params.count, 2}, given.points.tensor);
-  Tensor const to_weights = empty({params.batch, params.count}, given.points.tensor);
+  Tensor const grad_points = empty({params.batch, params.count, 2}, arguments.points.tensor);
+  Tensor const grad_weights = empty({params.batch, params.count}, arguments.points.tensor);
   params.grad = g.reals;
   params.grad_matrix = g_matrix.reals;
-  params.to_points = reals_of(op, to_points);
-  params.to_weights = reals_of(op, to_weights);
-  KV_RUN(normalize_points_backward, to_points, params, params.batch, 64 + 128 * params.count);
-  return {to_points, to_weights};
+  params.grad_points = reals_of(op, grad_points);
+  params.grad_weights = reals_of(op, grad_weights);
+  KV_RUN(normalize_points_backward, grad_points, params, params.batch, 64 + 128 * params.count);
+  return {grad_points, grad_weights};
 }
 
 }  // namespace
 
-#define KV_MATCHES "Tensor points1, Tensor points2, Tensor? weights"
-#define KV_PICTURES "Tensor points, Tensor pixels, Tensor camera, Tensor? weights, float flat"
+#define KV_CORRESPONDENCES "Tensor points1, Tensor points2, Tensor? weights"
+#define KV_POSE_ARGUMENTS "Tensor points, Tensor pixels, Tensor camera, Tensor? weights, float flat"
 
-KV_OPERATOR(homography_dlt, "(" KV_MATCHES ") -> Tensor")
-KV_OPERATOR(homography_dlt_backward, "(Tensor grad, " KV_MATCHES ") -> (Tensor, Tensor, Tensor)")
-KV_OPERATOR(homography_lines_dlt, "(" KV_MATCHES ") -> Tensor")
-KV_OPERATOR(homography_lines_dlt_backward, "(Tensor grad, " KV_MATCHES ") -> (Tensor, Tensor, Tensor)")
-KV_OPERATOR(fundamental_dlt, "(" KV_MATCHES ") -> Tensor")
-KV_OPERATOR(fundamental_dlt_backward, "(Tensor grad, " KV_MATCHES ") -> (Tensor, Tensor, Tensor)")
-KV_OPERATOR(affine_fit, "(" KV_MATCHES ") -> Tensor")
-KV_OPERATOR(affine_fit_backward, "(Tensor grad, " KV_MATCHES ") -> (Tensor, Tensor, Tensor)")
-KV_OPERATOR(pose_dlt, "(" KV_PICTURES ") -> Tensor")
-KV_OPERATOR(pose_dlt_backward, "(Tensor grad, " KV_PICTURES ") -> (Tensor, Tensor, Tensor, Tensor)")
+KV_OPERATOR(homography_dlt, "(" KV_CORRESPONDENCES ") -> Tensor")
+KV_OPERATOR(homography_dlt_backward, "(Tensor grad, " KV_CORRESPONDENCES ") -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(homography_lines_dlt, "(" KV_CORRESPONDENCES ") -> Tensor")
+KV_OPERATOR(homography_lines_dlt_backward, "(Tensor grad, " KV_CORRESPONDENCES ") -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(fundamental_dlt, "(" KV_CORRESPONDENCES ") -> Tensor")
+KV_OPERATOR(fundamental_dlt_backward, "(Tensor grad, " KV_CORRESPONDENCES ") -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(affine_fit, "(" KV_CORRESPONDENCES ") -> Tensor")
+KV_OPERATOR(affine_fit_backward, "(Tensor grad, " KV_CORRESPONDENCES ") -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(pose_dlt, "(" KV_POSE_ARGUMENTS ") -> Tensor")
+KV_OPERATOR(pose_dlt_backward, "(Tensor grad, " KV_POSE_ARGUMENTS ") -> (Tensor, Tensor, Tensor, Tensor)")
 KV_OPERATOR(normalize_points, "(Tensor points, Tensor? weights, float eps) -> (Tensor, Tensor)")
 KV_OPERATOR(normalize_points_backward,
             "(Tensor grad, Tensor grad_matrix, Tensor points, Tensor? weights, float eps) -> (Tensor, Tensor)")
 
-#undef KV_MATCHES
-#undef KV_PICTURES
+#undef KV_CORRESPONDENCES
+#undef KV_POSE_ARGUMENTS
 
 }  // namespace kv

@@ -8,19 +8,19 @@ namespace {
 constexpr int kThreads = 64;  // few, so that a round of hypotheses spreads over the device
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) minimal_samples(Minimal<T> p) {
+__global__ void __launch_bounds__(kThreads) solve_samples(Minimal<T> p) {
   int64_t const sample = blockIdx.x * int64_t(kThreads) + threadIdx.x;
-  if (sample < p.samples) minimal_of(p, sample);
+  if (sample < p.samples) solve_minimal_sample(p, sample);
 }
 
 }  // namespace
 
 template <class T>
-int minimal(Minimal<T> const& p, CUstream_st* stream) {
-  minimal_samples<T><<<unsigned(ceil_div(p.samples, kThreads)), kThreads, 0, stream>>>(p);
+int minimal_solver(Minimal<T> const& p, CUstream_st* stream) {
+  solve_samples<T><<<unsigned(ceil_div(p.samples, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_ONE(minimal, Minimal, double)
+KV_INSTANTIATE_ONE(minimal_solver, Minimal, double)
 
 }  // namespace kv::cuda

@@ -33,36 +33,36 @@ struct Minimal {
   Reals models;  // (S, candidates, 9)
 };
 
-KV_KERNEL(minimal, Minimal)
+KV_KERNEL(minimal_solver, Minimal)
 
-namespace minimal_models {
+namespace minimal_solvers {
 
-constexpr int kMostPoints = 8;
+constexpr int kMaxPoints = 8;
 
-using Points = double[kMostPoints][4];  // (x, y), or both ends of a line segment
+using Points = double[kMaxPoints][4];  // (x, y), or both ends of a line segment
 
 // Different ones of `population`, each choice as likely as any other (R. Floyd's method).
 template <class T>
-KV_HD void choose(Minimal<T> const& p, int64_t sample, int size, int64_t* chosen) {
+KV_HD void choose_distinct(Minimal<T> const& p, int64_t sample, int size, int64_t* indices) {
   int64_t const row = sample * (size + 1);
   int64_t const population = clamp(int64_t(p.draws[row + size]), int64_t(size), p.count);
   for (int i = 0; i < size; ++i) {
     int64_t const last = population - size + i;
     int64_t pick = clamp(int64_t(p.draws[row + i] * double(last + 1)), int64_t(0), last);
     for (int k = 0; k < i; ++k)
-      if (chosen[k] == pick) pick = last;
-    chosen[i] = pick;
+      if (indices[k] == pick) pick = last;
+    indices[i] = pick;
   }
 }
 
 // --- affine maps and homographies ------------------------------------------------------------------------------------
 
-KV_HD double area(double const* a, double const* b, double const* c) {
+KV_HD double signed_area(double const* a, double const* b, double const* c) {
   return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
 }
 
 KV_HD void affine(Points const& x, Points const& y, double* m) {
-  double const scale = 1 / area(x[0], x[1], x[2]);
+  double const scale = 1 / signed_area(x[0], x[1], x[2]);
   for (int i = 0; i < 2; ++i) {
     double const u = (y[1][i] - y[0][i]) * scale, v = (y[2][i] - y[0][i]) * scale;
     m[3 * i] = u * (x[2][1] - x[0][1]) - v * (x[1][1] - x[0][1]);
@@ -87,56 +87,54 @@ KV_HD void from_unit_square(Points const& p, double* m) {
 
 // None where three points turn the other way round in the second image: a line between them would go to infinity.
 KV_HD void homography(Points const& x, Points const& y, double* m) {
-  bool possible = true;
+  bool keeps_orientation = true;
   for (int skip = 0; skip < 4; ++skip) {
     int const a = skip == 0, b = skip <= 1 ? 2 : 1, c = skip <= 2 ? 3 : 2;
-    double const one = area(x[a], x[b], x[c]), other = area(y[a], y[b], y[c]);
-    possible = possible && one * other > 0;
+    double const one = signed_area(x[a], x[b], x[c]), other = signed_area(y[a], y[b], y[c]);
+    keeps_orientation = keeps_orientation && one * other > 0;
   }
-  double from[9], to[9], back[9], inverse[9];
-  from_unit_square(x, from);
-  from_unit_square(y, to);
-  small::cofactors(from, back);
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k) inverse[3 * i + k] = back[3 * k + i];
-  small::multiply(to, inverse, m);
-  if (!possible) m[0] = small::nan();
+  double src[9], dst[9], inverse[9];
+  from_unit_square(x, src);
+  from_unit_square(y, dst);
+  adjugate3(src, inverse);
+  multiply3(dst, inverse, m);
+  if (!keeps_orientation) m[0] = small::nan();
 }
 
 // --- equations in nine unknowns --------------------------------------------------------------------------------------
 
 // The mean of points goes to 0 and their mean distance from it to sqrt(2).
-struct Similarity {
+struct Normalization {
   double scale, x, y;
-  KV_HD Similarity(Points& p, int points, int ends) : scale(0), x(0), y(0) {
-    double const share = 1.0 / (points * ends);
+  KV_HD Normalization(Points& p, int points, int ends) : scale(0), x(0), y(0) {
+    double const weight = 1.0 / (points * ends);
     for (int i = 0; i < points; ++i)
-      for (int e = 0; e < 2 * ends; e += 2) x += p[i][e] * share, y += p[i][e + 1] * share;
+      for (int e = 0; e < 2 * ends; e += 2) x += p[i][e] * weight, y += p[i][e + 1] * weight;
     for (int i = 0; i < points; ++i)
       for (int e = 0; e < 2 * ends; e += 2) {
         double const u = p[i][e] -= x, v = p[i][e + 1] -= y;
-        scale += sqrt(u * u + v * v) * share;
+        scale += sqrt(u * u + v * v) * weight;
       }
     scale = 1.4142135623730951 / scale;
     for (int i = 0; i < points; ++i)
       for (int e = 0; e < 2 * ends; ++e) p[i][e] *= scale;
   }
   // m T, of rows.
-  KV_HD void before(double* m) const {
+  KV_HD void multiply_right(double* m) const {
     for (int i = 0; i < 9; i += 3) {
       m[i] *= scale, m[i + 1] *= scale;
       m[i + 2] -= m[i] * x + m[i + 1] * y;
     }
   }
   // T^T m.
-  KV_HD void transposed_after(double* m) const {
+  KV_HD void multiply_left_transposed(double* m) const {
     for (int k = 0; k < 3; ++k) {
       m[k] *= scale, m[3 + k] *= scale;
       m[6 + k] -= m[k] * x + m[3 + k] * y;
     }
   }
   // T^-1 m, up to a factor.
-  KV_HD void inverse_after(double* m) const {
+  KV_HD void multiply_left_inverse(double* m) const {
     for (int k = 0; k < 3; ++k) {
       m[k] += scale * x * m[6 + k];
       m[3 + k] += scale * y * m[6 + k];
@@ -146,12 +144,12 @@ struct Similarity {
 };
 
 KV_CALLED bool lines(Points& x, Points& y, double* m) {
-  Similarity const from(x, 4, 2), to(y, 4, 2);
-  double rows[8][9], space[1][9];
+  Normalization const normalize1(x, 4, 2), normalize2(y, 4, 2);
+  double rows[8][9], null_vectors[1][9];
   for (int i = 0; i < 4; ++i) {
     double const start[] = {y[i][0], y[i][1], 1}, end[] = {y[i][2], y[i][3], 1};
     double line[3];
-    small::cross(start, end, line);
+    cross3(start, end, line);
     for (int e = 0; e < 2; ++e)
       for (int k = 0; k < 3; ++k) {
         rows[2 * i + e][3 * k] = line[k] * x[i][2 * e];
@@ -159,10 +157,10 @@ KV_CALLED bool lines(Points& x, Points& y, double* m) {
         rows[2 * i + e][3 * k + 2] = line[k];
       }
   }
-  if (!small::null_space(rows, 8, space)) return false;
-  for (int k = 0; k < 9; ++k) m[k] = space[0][k];
-  from.before(m);
-  to.inverse_after(m);
+  if (!small::null_space(rows, 8, null_vectors)) return false;
+  for (int k = 0; k < 9; ++k) m[k] = null_vectors[0][k];
+  normalize1.multiply_right(m);
+  normalize2.multiply_left_inverse(m);
   return true;
 }
 
@@ -174,29 +172,29 @@ KV_HD void epipolar_rows(Points const& x, Points const& y, int points, double (*
 }
 
 KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9]) {
-  Similarity const from(x, points, 1), to(y, points, 1);
-  double rows[8][9], space[2][9];
+  Normalization const normalize1(x, points, 1), normalize2(y, points, 1);
+  double rows[8][9], null_vectors[2][9];
   epipolar_rows(x, y, points, rows);
-  if (!small::null_space(rows, points, space)) return 0;
+  if (!small::null_space(rows, points, null_vectors)) return 0;
   int count = 1;
   if (points == 8) {
-    double least[3];
-    for (int k = 0; k < 9; ++k) models[0][k] = space[0][k];
-    small::to_rank_two(models[0], least);
+    double v[3];
+    for (int k = 0; k < 9; ++k) models[0][k] = null_vectors[0][k];
+    small::project_to_rank_two(models[0], v);
   } else {  // det (a D + F) = 0
-    double const *const D = space[0], *const F = space[1];
-    double one[9], other[9], roots[small::kMostRoots];
-    small::cofactors(D, one);
-    small::cofactors(F, other);
-    double cubic[] = {small::dot3(D, one), 0, 0, small::dot3(F, other)};
-    for (int k = 0; k < 9; ++k) cubic[1] += one[k] * F[k], cubic[2] += other[k] * D[k];
+    double const *const D = null_vectors[0], *const F = null_vectors[1];
+    double cofactors_D[9], cofactors_F[9], roots[small::kMaxRoots];
+    cofactors3(D, cofactors_D);
+    cofactors3(F, cofactors_F);
+    double cubic[] = {dot3(D, cofactors_D), 0, 0, dot3(F, cofactors_F)};
+    for (int k = 0; k < 9; ++k) cubic[1] += cofactors_D[k] * F[k], cubic[2] += cofactors_F[k] * D[k];
     count = small::real_roots(cubic, 3, roots);
     for (int i = 0; i < count; ++i)
       for (int k = 0; k < 9; ++k) models[i][k] = roots[i] * D[k] + F[k];
   }
   for (int i = 0; i < count; ++i) {
-    from.before(models[i]);
-    to.transposed_after(models[i]);
+    normalize1.multiply_right(models[i]);
+    normalize2.multiply_left_transposed(models[i]);
   }
   return count;
 }
@@ -206,22 +204,22 @@ KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9])
 // Where the product of two monomials stands: x, y, z, 1 by themselves, then x^2, xy, xz, x, y^2, yz, y, z^2, z, 1 by
 // them, which gives x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2,
 // z, 1.
-KV_HD int quadratic_place(int i, int k) {
-  constexpr unsigned char places[] = {0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9};
-  return places[4 * i + k];
+KV_HD int quadratic_index(int i, int k) {
+  constexpr unsigned char table[] = {0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9};
+  return table[4 * i + k];
 }
-KV_HD int cubic_place(int i, int k) {
-  constexpr unsigned char places[] = {0, 2, 4,  5,  2, 3, 8,  9,  4,  8,  10, 11, 5,  9,  11, 12, 3,  1,  6,  7,
-                                      8, 6, 13, 14, 9, 7, 14, 15, 10, 13, 16, 17, 11, 14, 17, 18, 12, 15, 18, 19};
-  return places[4 * i + k];
+KV_HD int cubic_index(int i, int k) {
+  constexpr unsigned char table[] = {0, 2, 4,  5,  2, 3, 8,  9,  4,  8,  10, 11, 5,  9,  11, 12, 3,  1,  6,  7,
+                                     8, 6, 13, 14, 9, 7, 14, 15, 10, 13, 16, 17, 11, 14, 17, 18, 12, 15, 18, 19};
+  return table[4 * i + k];
 }
 KV_HD void add_product(double const* a, double const* b, double scale, double* to) {
   for (int i = 0; i < 4; ++i)
-    for (int k = 0; k < 4; ++k) to[quadratic_place(i, k)] += scale * a[i] * b[k];
+    for (int k = 0; k < 4; ++k) to[quadratic_index(i, k)] += scale * a[i] * b[k];
 }
 KV_HD void add_cubic(double const* a, double const* b, double* to) {
   for (int i = 0; i < 10; ++i)
-    for (int k = 0; k < 4; ++k) to[cubic_place(i, k)] += a[i] * b[k];
+    for (int k = 0; k < 4; ++k) to[cubic_index(i, k)] += a[i] * b[k];
 }
 
 // det E = 0 and (E E^T - tr(E E^T) / 2) E = 0, for entries e (9, 4) that are linear in x, y, z.
@@ -280,9 +278,9 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
   if (!small::null_space(rows, 5, basis)) return 0;
   for (int v = 0; v < 4; ++v) {  // orthogonal, which keeps digits below
     for (int w = 0; w < v; ++w) {
-      double along = 0;
-      for (int k = 0; k < 9; ++k) along += basis[v][k] * basis[w][k];
-      for (int k = 0; k < 9; ++k) basis[v][k] -= along * basis[w][k];
+      double projection = 0;
+      for (int k = 0; k < 9; ++k) projection += basis[v][k] * basis[w][k];
+      for (int k = 0; k < 9; ++k) basis[v][k] -= projection * basis[w][k];
     }
     double norm = 0;
     for (int k = 0; k < 9; ++k) norm += basis[v][k] * basis[v][k];
@@ -293,10 +291,10 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
   // Equations with z less z times those without: three in x, y, 1, with polynomials in z of degree 3, 3, 4.
   double system[3][3][5];
   for (int r = 0; r < 3; ++r)
-    for (int c = 0, at = 10; c < 3; at += c < 2 ? 3 : 4, ++c) {
+    for (int c = 0, column = 10; c < 3; column += c < 2 ? 3 : 4, ++c) {
       int const size = c < 2 ? 3 : 4;
-      double const *const with = q[4 + 2 * r] + at, *const without = q[5 + 2 * r] + at;
-      for (int i = 0; i <= size; ++i) system[r][c][i] = (i > 0 ? with[i - 1] : 0) - (i < size ? without[i] : 0);
+      double const *const with_z = q[4 + 2 * r] + column, *const without_z = q[5 + 2 * r] + column;
+      for (int i = 0; i <= size; ++i) system[r][c][i] = (i > 0 ? with_z[i - 1] : 0) - (i < size ? without_z[i] : 0);
     }
   double determinant[11] = {};
   for (int r = 0; r < 3; ++r) {
@@ -306,17 +304,18 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
     add_polynomials(system[k][0], 4, system[i][1], 4, -1, minor);
     add_polynomials(minor, 7, system[r][2], 5, 1, determinant);
   }
-  double roots[small::kMostRoots];
-  int const found = small::real_roots(determinant, 10, roots);
+  double roots[small::kMaxRoots];
+  int const num_roots = small::real_roots(determinant, 10, roots);
   int count = 0;
-  for (int n = 0; n < found; ++n) {
-    double at[3][3], best[3] = {}, most = 0, slope;
+  for (int n = 0; n < num_roots; ++n) {
+    double rows[3][3], best[3] = {}, most = 0, derivative;
     for (int r = 0; r < 3; ++r)
-      for (int c = 0; c < 3; ++c) at[r][c] = small::value_at(system[r][c], c < 2 ? 3 : 4, roots[n], slope);
+      for (int c = 0; c < 3; ++c)
+        rows[r][c] = small::evaluate_polynomial(system[r][c], c < 2 ? 3 : 4, roots[n], derivative);
     for (int r = 0; r < 3; ++r) {
       double v[3];
-      small::cross(at[r], at[(r + 1) % 3], v);
-      double const size = small::dot3(v, v);
+      cross3(rows[r], rows[(r + 1) % 3], v);
+      double const size = dot3(v, v);
       if (size > most) most = size, best[0] = v[0], best[1] = v[1], best[2] = v[2];
     }
     if (best[2] == 0) continue;
@@ -333,22 +332,22 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
   return count;
 }
 
-}  // namespace minimal_models
+}  // namespace minimal_solvers
 
 template <class T>
-KV_HD void minimal_of(Minimal<T> const& p, int64_t sample) {
-  using namespace minimal_models;
+KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
+  using namespace minimal_solvers;
   int const size = sample_size(p.model), numbers = p.model == Model::lines ? 4 : 2, most = candidates(p.model);
-  int64_t chosen[kMostPoints];
+  int64_t indices[kMaxPoints];
   if (p.draws.data)
-    choose(p, sample, size, chosen);
+    choose_distinct(p, sample, size, indices);
   else
-    for (int i = 0; i < size; ++i) chosen[i] = sample * size + i;
+    for (int i = 0; i < size; ++i) indices[i] = sample * size + i;
   Points x = {}, y = {};
   for (int i = 0; i < size; ++i)
     for (int k = 0; k < numbers; ++k) {
-      x[i][k] = p.points1[chosen[i] * numbers + k];
-      y[i][k] = p.points2[chosen[i] * numbers + k];
+      x[i][k] = p.points1[indices[i] * numbers + k];
+      y[i][k] = p.points2[indices[i] * numbers + k];
     }
   double models[10][9];
   int count = 1;

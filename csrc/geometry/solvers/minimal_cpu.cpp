@@ -5,11 +5,11 @@
 namespace kv::KV_ISA {
 
 template <class T>
-void minimal(Minimal<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t sample = begin; sample < end; ++sample) minimal_of(p, sample);
+void minimal_solver(Minimal<T> const& p, int64_t begin, int64_t end) {
+  for (int64_t sample = begin; sample < end; ++sample) solve_minimal_sample(p, sample);
 }
 
-KV_INSTANTIATE_ONE(minimal, Minimal, double)
+KV_INSTANTIATE_ONE(minimal_solver, Minimal, double)
 
 }  // namespace kv::KV_ISA
 #endif

@@ -5,10 +5,10 @@
 namespace kv {
 namespace {
 
-Tensor minimal(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& draws,
-               std::string const& model) {
-  constexpr char const* op = "minimal";
-  Model const kind = model_of(op, model);
+Tensor minimal_solver(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& draws,
+                      std::string const& model) {
+  constexpr char const* op = "minimal_solver";
+  Model const kind = parse_model(op, model);
   int64_t const size = sample_size(kind), numbers = kind == Model::lines ? 4 : 2;
   KV_CHECK(points1.dim() == 3 && points1.size(2) == numbers, op, ": expected points1 of shape (B, N, ", numbers, ")");
   check_like(op, "points2", points2, points1);
@@ -20,12 +20,15 @@ Tensor minimal(Tensor const& points1, Tensor const& points2, std::optional<Tenso
   Contiguous const x(op, points1), y(op, points2), u(op, draws);
   Tensor const models = empty({samples, candidates(kind), 3, 3}, x.tensor);
   Minimal<double> const params{x.reals, y.reals, u.reals, kind, samples, points1.size(1), reals_of(op, models)};
-  KV_RUN(minimal, x.tensor, params, samples, kind == Model::essential ? 16384 : kind == Model::homography ? 64 : 1024);
+  KV_RUN(minimal_solver, x.tensor, params, samples,
+         kind == Model::essential    ? 16384
+         : kind == Model::homography ? 64
+                                     : 1024);
   return models;
 }
 
 }  // namespace
 
-KV_OPERATOR(minimal, "(Tensor points1, Tensor points2, Tensor? draws, str model) -> Tensor")
+KV_OPERATOR(minimal_solver, "(Tensor points1, Tensor points2, Tensor? draws, str model) -> Tensor")
 
 }  // namespace kv

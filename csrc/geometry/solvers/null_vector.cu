@@ -1,4 +1,4 @@
-// Null vectors on CUDA: a block a problem.
+// Null vectors on CUDA: one block for each problem.
 #include "core/launch.cuh"
 #include "geometry/solvers/null_vector.h"
 
@@ -6,40 +6,40 @@ namespace kv::cuda {
 namespace {
 
 template <int N, class T>
-__global__ void __launch_bounds__(kMostThreads) null_vectors(NullVector<T> p) {
-  null_vector_of<N>(p, blockIdx.x, Block{});
+__global__ void __launch_bounds__(kMaxThreads) null_vectors(NullVector<T> p) {
+  solve_null_vector<N>(p, blockIdx.x, ThreadBlock{});
 }
 
 template <int N, class T>
-__global__ void __launch_bounds__(kMostThreads) null_vectors_backward(NullVector<T> p) {
-  null_vector_backward_of<N>(p, blockIdx.x, Block{});
+__global__ void __launch_bounds__(kMaxThreads) null_vectors_backward(NullVector<T> p) {
+  null_vector_vjp<N>(p, blockIdx.x, ThreadBlock{});
 }
 
-// A thread a block: matrices of more would not fit into the nearest cache.
+// One thread in a block: matrices of more threads would not fit into L1.
 template <int N, class T>
 __global__ void __launch_bounds__(1) all_eigenvectors(Eigenvectors<T> p) {
-  eigenvectors_of<N>(p, blockIdx.x);
+  solve_eigenvectors<N>(p, blockIdx.x);
 }
 
 }  // namespace
 
 template <class T>
 int null_vector(NullVector<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.batch), threads = team_size(p.m);
-  with_unknowns(p.n, [&](auto n) { null_vectors<decltype(n)::value><<<blocks, threads, 0, stream>>>(p); });
+  unsigned const blocks = unsigned(p.batch), threads = block_size(p.m);
+  dispatch_unknowns(p.n, [&](auto n) { null_vectors<decltype(n)::value><<<blocks, threads, 0, stream>>>(p); });
   return cudaGetLastError();
 }
 
 template <class T>
 int null_vector_backward(NullVector<T> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.batch), threads = team_size(p.m);
-  with_unknowns(p.n, [&](auto n) { null_vectors_backward<decltype(n)::value><<<blocks, threads, 0, stream>>>(p); });
+  unsigned const blocks = unsigned(p.batch), threads = block_size(p.m);
+  dispatch_unknowns(p.n, [&](auto n) { null_vectors_backward<decltype(n)::value><<<blocks, threads, 0, stream>>>(p); });
   return cudaGetLastError();
 }
 
 template <class T>
 int eigenvectors(Eigenvectors<T> const& p, CUstream_st* stream) {
-  with_unknowns(p.n, [&](auto n) { all_eigenvectors<decltype(n)::value><<<unsigned(p.batch), 1, 0, stream>>>(p); });
+  dispatch_unknowns(p.n, [&](auto n) { all_eigenvectors<decltype(n)::value><<<unsigned(p.batch), 1, 0, stream>>>(p); });
   return cudaGetLastError();
 }
 

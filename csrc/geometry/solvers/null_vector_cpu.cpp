@@ -6,22 +6,22 @@ namespace kv::KV_ISA {
 
 template <class T>
 void null_vector(NullVector<T> const& p, int64_t begin, int64_t end) {
-  with_unknowns(p.n, [&](auto n) {
-    for (int64_t b = begin; b < end; ++b) null_vector_of<decltype(n)::value>(p, b, Alone{});
+  dispatch_unknowns(p.n, [&](auto n) {
+    for (int64_t b = begin; b < end; ++b) solve_null_vector<decltype(n)::value>(p, b, SingleThread{});
   });
 }
 
 template <class T>
 void null_vector_backward(NullVector<T> const& p, int64_t begin, int64_t end) {
-  with_unknowns(p.n, [&](auto n) {
-    for (int64_t b = begin; b < end; ++b) null_vector_backward_of<decltype(n)::value>(p, b, Alone{});
+  dispatch_unknowns(p.n, [&](auto n) {
+    for (int64_t b = begin; b < end; ++b) null_vector_vjp<decltype(n)::value>(p, b, SingleThread{});
   });
 }
 
 template <class T>
 void eigenvectors(Eigenvectors<T> const& p, int64_t begin, int64_t end) {
-  with_unknowns(p.n, [&](auto n) {
-    for (int64_t b = begin; b < end; ++b) eigenvectors_of<decltype(n)::value>(p, b);
+  dispatch_unknowns(p.n, [&](auto n) {
+    for (int64_t b = begin; b < end; ++b) solve_eigenvectors<decltype(n)::value>(p, b);
   });
 }
 

@@ -1,4 +1,4 @@
-// Real roots on CUDA: a thread a polynomial.
+// Real roots on CUDA: one thread for each polynomial.
 #include "core/launch.cuh"
 #include "geometry/solvers/roots.h"
 
@@ -8,16 +8,16 @@ namespace {
 constexpr int kThreads = 64;
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) find_roots(RealRoots<T> p) {
+__global__ void __launch_bounds__(kThreads) solve_polynomials(RealRoots<T> p) {
   int64_t const b = blockIdx.x * int64_t(kThreads) + threadIdx.x;
-  if (b < p.batch) real_roots_of(p, b);
+  if (b < p.batch) sorted_real_roots(p, b);
 }
 
 }  // namespace
 
 template <class T>
 int real_roots(RealRoots<T> const& p, CUstream_st* stream) {
-  find_roots<T><<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
+  solve_polynomials<T><<<unsigned(ceil_div(p.batch, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -1,4 +1,4 @@
-// Real roots of polynomials (B, n + 1), the highest power first: n of them, ascending, NaN for those that are missing.
+// Real roots of polynomials (B, n + 1), the highest power first: n of them, ascending, NaN for missing ones.
 // Included by roots_cpu.cpp, roots.cu and roots_op.cpp.
 #pragma once
 
@@ -11,15 +11,15 @@ template <class T>
 struct RealRoots {
   Reals coefficients;
   int64_t batch;
-  int degree;  // at most small::kMostRoots
+  int degree;  // at most small::kMaxRoots
   Reals roots;
 };
 
 KV_KERNEL(real_roots, RealRoots)
 
 template <class T>
-KV_HD void real_roots_of(RealRoots<T> const& p, int64_t b) {
-  double coefficients[small::kMostRoots + 1], roots[small::kMostRoots];
+KV_HD void sorted_real_roots(RealRoots<T> const& p, int64_t b) {
+  double coefficients[small::kMaxRoots + 1], roots[small::kMaxRoots];
   for (int i = 0; i <= p.degree; ++i) coefficients[i] = p.coefficients[b * (p.degree + 1) + i];
   int const count = small::real_roots(coefficients, p.degree, roots);
   for (int i = 1; i < count; ++i)

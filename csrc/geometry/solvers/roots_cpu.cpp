@@ -6,7 +6,7 @@ namespace kv::KV_ISA {
 
 template <class T>
 void real_roots(RealRoots<T> const& p, int64_t begin, int64_t end) {
-  for (int64_t b = begin; b < end; ++b) real_roots_of(p, b);
+  for (int64_t b = begin; b < end; ++b) sorted_real_roots(p, b);
 }
 
 KV_INSTANTIATE_ONE(real_roots, RealRoots, double)

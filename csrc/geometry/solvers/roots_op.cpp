@@ -1,4 +1,4 @@
-// Real roots: schema and entry, for CPU and CUDA alike.
+// Real roots: schema and entry for CPU and CUDA.
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/roots.h"
 
@@ -9,7 +9,7 @@ Tensor real_roots(Tensor const& coefficients) {
   constexpr char const* op = "real_roots";
   KV_CHECK(coefficients.dim() == 2, op, ": expected coefficients of shape (B, n + 1)");
   int64_t const batch = coefficients.size(0), degree = coefficients.size(1) - 1;
-  KV_CHECK(degree >= 1 && degree <= small::kMostRoots, op, ": expected a degree of 1 to ", small::kMostRoots, ", got ",
+  KV_CHECK(degree >= 1 && degree <= small::kMaxRoots, op, ": expected a degree of 1 to ", small::kMaxRoots, ", got ",
            degree);
   Contiguous const c(op, coefficients);
   Tensor const roots = empty({batch, degree}, c.tensor);

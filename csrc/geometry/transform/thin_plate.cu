@@ -188,12 +188,12 @@ __global__ void __launch_bounds__(kThreads) solve(SplineWeights<T> p, bool share
   T* const system = shared ? shared_system : p.systems + blockIdx.x * p.size() * p.width();
   auto const log = [](T x) { return log_of(x); };
   auto const subtract = [](T* row, int64_t k, int64_t rows, int64_t width) {
-    each(Block{}, rows, width - k - 1, [&](int64_t i, int64_t j) {
+    each(ThreadBlock{}, rows, width - k - 1, [&](int64_t i, int64_t j) {
       T* const to = row + (i + 1) * width + k;
       to[1 + j] -= to[0] * row[k + 1 + j];
     });
   };
-  spline_weights_of(p, blockIdx.x, system, Block{}, log, subtract);
+  spline_weights_of(p, blockIdx.x, system, ThreadBlock{}, log, subtract);
 }
 
 }  // namespace

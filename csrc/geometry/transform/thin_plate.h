@@ -92,13 +92,13 @@ KV_HD V plate_slope(V square, V log2) {
 // Calls f(i, j) for all of so many rows and columns, by one thread or by those of a block, all of which then wait for
 // one another.
 template <class F>
-KV_HD void each(Alone, int64_t rows, int64_t columns, F f) {
+KV_HD void each(SingleThread, int64_t rows, int64_t columns, F f) {
   for (int64_t i = 0; i < rows; ++i)
     for (int64_t j = 0; j < columns; ++j) f(i, j);
 }
 #if defined(__CUDACC__)
 template <class F>
-__device__ __forceinline__ void each(Block, int rows, int columns, F f) {
+__device__ __forceinline__ void each(ThreadBlock, int rows, int columns, F f) {
   for (int at = threadIdx.x; at < rows * columns; at += blockDim.x) f(at / columns, at % columns);
   __syncthreads();
 }

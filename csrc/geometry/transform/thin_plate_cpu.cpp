@@ -168,7 +168,7 @@ void spline_weights(SplineWeights<T> const& p, int64_t begin, int64_t end) {
     }
   };
   for (int64_t b = begin; b < end; ++b)
-    spline_weights_of(p, b, p.systems + b * p.size() * p.width(), Alone{}, log, subtract);
+    spline_weights_of(p, b, p.systems + b * p.size() * p.width(), SingleThread{}, log, subtract);
 }
 
 KV_INSTANTIATE_ONE(spline_weights, SplineWeights, double)

@@ -306,26 +306,26 @@ inline constexpr Operator<"essential_motions", Two(Tensor matrix)> essential_mot
 inline constexpr Operator<"motion_choice", Five(Tensor matrix, Tensor camera1, Tensor camera2, Tensor points1,
                                                 Tensor points2, OptionalTensor mask)>
     motion_choice;
-inline constexpr Operator<"view_errors",
+inline constexpr Operator<"correspondence_errors",
                           Tensor(Tensor points1, Tensor points2, Tensor matrix, String kind, bool squared)>
-    view_errors{from<"view_errors_backward">};
+    correspondence_errors{from<"correspondence_errors_backward">};
 
-// --- models and those who agree with them
+// --- RANSAC: models and their inliers
 // -----------------------------------------------------------------------------
 
-inline constexpr Operator<"minimal", Tensor(Tensor points1, Tensor points2, OptionalTensor draws, String model)>
-    minimal;
+inline constexpr Operator<"minimal_solver", Tensor(Tensor points1, Tensor points2, OptionalTensor draws, String model)>
+    minimal_solver;
 inline constexpr Operator<"consensus",
                           Tensor(Tensor models, Tensor points1, Tensor points2, double threshold, String model)>
     consensus{non_differentiable};
-inline constexpr Operator<"leaders", Two(Tensor models, Tensor scores, int64_t count, bool by_number)> leaders{
+inline constexpr Operator<"top_k_models", Two(Tensor models, Tensor scores, int64_t count, bool by_count)> top_k_models{
     non_differentiable};
-inline constexpr Operator<"verdict", Two(Tensor models, Tensor weights, int64_t least, String model)> verdict{
-    non_differentiable};
-inline constexpr Operator<"contest", Three(Tensor models, Tensor scores, Tensor others, Tensor other_scores,
-                                           Tensor points1, Tensor points2, double threshold, double softness,
-                                           int64_t count, bool by_number, String model)>
-    contest{non_differentiable};
+inline constexpr Operator<"finalize_model", Two(Tensor models, Tensor weights, int64_t min_inliers, String model)>
+    finalize_model{non_differentiable};
+inline constexpr Operator<"merge_top_k", Three(Tensor models, Tensor scores, Tensor other_models, Tensor other_scores,
+                                               Tensor points1, Tensor points2, double threshold, double softness,
+                                               int64_t count, bool by_count, String model)>
+    merge_top_k{non_differentiable};
 inline constexpr Operator<"eigenvectors", Two(Tensor matrix)> eigenvectors{non_differentiable};
 inline constexpr Operator<"real_roots", Tensor(Tensor coefficients)> real_roots;
 

@@ -1,4 +1,4 @@
-"""How far correspondences are from what relates two images: one operator for all such errors, with its gradients."""
+"""Errors of correspondences under a fundamental matrix or a homography: one operator for all kinds, and its gradients."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kvision.geometry._precision import length, quotient, wide
 from kvision.geometry.linalg import adjugate, root
 
 
-def view_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squared: bool) -> Tensor:
+def correspondence_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squared: bool) -> Tensor:
     """Errors (*, N) of points (*, N, D), or segments (*, N, 2, 2) of kind "segments", by matrices (*, 3, 3).
 
     "sampson", "symmetrical", "right" and "left": of fundamental matrices, in both images, or from the line in one.
@@ -22,18 +22,18 @@ def view_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squ
     """
     if kind == "segments":
         points1, points2 = points1.flatten(-2), points2.flatten(-2)
-    given = points1, points2, matrix
-    leading = broadcast_shapes(*(x.shape[:-2] for x in given))
-    points1, points2, matrix = (_one_batch(x, leading) for x in given)
+    tensors = points1, points2, matrix
+    leading = broadcast_shapes(*(x.shape[:-2] for x in tensors))
+    points1, points2, matrix = (_one_batch(x, leading) for x in tensors)
     if points1.shape[1] != points2.shape[1]:
         count = max(points1.shape[1], points2.shape[1])
         points1, points2 = (x.expand(-1, count, -1) for x in (points1, points2))
-    found: Tensor = _view_errors(points1, points2, matrix, kind, squared)
-    return found if len(leading) == 1 and found.shape[0] == leading[0] else found.reshape(*leading, found.shape[1])
+    errors: Tensor = _correspondence_errors(points1, points2, matrix, kind, squared)
+    return errors if len(leading) == 1 and errors.shape[0] == leading[0] else errors.reshape(*leading, errors.shape[1])
 
 
 def _one_batch(x: Tensor, leading: Sequence[int]) -> Tensor:
-    """(B, ., .) for the leading axes that all have in common; B of 1 serves all."""
+    """x (*, ., .) as (B, ., .) for the common leading axes; B is 1 where one sample serves all."""
     if x.dim() == 3 and len(leading) == 1:
         return x
     if math.prod(x.shape[:-2]) != 1:
@@ -45,33 +45,33 @@ def _reference(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squa
     x, y, m = wide(points1), wide(points2), wide(matrix)
     if kind in ("sampson", "symmetrical", "right", "left"):
         error = _epipolar(x, y, m, kind)
-        found = error if squared or kind in ("right", "left") else root(error)
+        errors = error if squared or kind in ("right", "left") else root(error)
     elif kind == "segments":
-        error = _from_lines(x, y, m)
-        found = error.square() if squared else error
+        error = _segment_errors(x, y, m)
+        errors = error.square() if squared else error
     else:
         first, second = (p if p.shape[-1] == 2 else quotient(p[..., :2], p[..., 2:], torch.inf) for p in (x, y))
         if kind == "transfer":
-            found = _squares(first, second, m)
-            found = found if squared else root(found)
+            errors = _transfer(first, second, m)
+            errors = errors if squared else root(errors)
         elif kind == "sampson_transfer":
-            found = _sampson_transfer(first, second, m)
-            found = found if squared else root(found)
+            errors = _sampson_transfer(first, second, m)
+            errors = errors if squared else root(errors)
         else:
-            found = _there_and_back(first, second, m, squared, matrix.dtype)
-    return found.to(points1.dtype)
+            errors = _symmetric_transfer(first, second, m, squared, matrix.dtype)
+    return errors.to(points1.dtype)
 
 
-def _across(F: Tensor, points: Tensor) -> tuple[Tensor, ...]:
-    """F x of points (*, N, 2 or 3), number by number."""
+def _multiply(F: Tensor, points: Tensor) -> tuple[Tensor, ...]:
+    """The coordinates of F x for points x (*, N, 2 or 3)."""
     if points.shape[-1] == 3:
         return (F @ points.mT).unbind(-2)
     return (F[..., :2] @ points.mT + F[..., 2:]).unbind(-2)
 
 
 def _epipolar(x: Tensor, y: Tensor, F: Tensor, kind: str) -> Tensor:
-    """By a^2 + b^2 of the lines in the second and in the first image, and the residual y^T F x."""
-    right, left = _across(F, x), _across(F.mT, y)
+    """From a^2 + b^2 of the epipolar lines in the second and the first image, and the residual y^T F x."""
+    right, left = _multiply(F, x), _multiply(F.mT, y)
     residual = right[0] * y[..., 0] + right[1] * y[..., 1] + (right[2] if y.shape[-1] == 2 else right[2] * y[..., 2])
     second, first = right[0].square() + right[1].square(), left[0].square() + left[1].square()
     square = residual.square()
@@ -82,8 +82,8 @@ def _epipolar(x: Tensor, y: Tensor, F: Tensor, kind: str) -> Tensor:
     return quotient(residual.abs(), root(second if kind == "right" else first), torch.inf)
 
 
-def _squares(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
-    u, v, w = _across(H, first)
+def _transfer(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
+    u, v, w = _multiply(H, first)
     finite = torch.where(w == 0, 1, w)
     x, y = second.unbind(-1)
     return torch.where(w == 0, torch.inf, (u / finite - x).square() + (v / finite - y).square())
@@ -93,7 +93,7 @@ def _sampson_transfer(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
     """r (J J^T)^-1 r for p, q, w = H (x, y, 1), r = (v w - q, p - u w) and its derivative J for (x, y, u, v)."""
     largest = H.detach().abs().amax((-2, -1), keepdim=True)
     h = H / torch.where(largest > 0, largest, 1)
-    p, q, w = _across(h, first)
+    p, q, w = _multiply(h, first)
     u, v = second.unbind(-1)
     r, s = v * w - q, p - u * w
     # The derivatives of r and s for (x, y); for (u, v) they are (0, w) and (-w, 0).
@@ -105,33 +105,33 @@ def _sampson_transfer(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
     return quotient(c * r * r - 2 * b * r * s + a * s * s, volume, torch.inf).clamp(min=0)
 
 
-def _there_and_back(first: Tensor, second: Tensor, H: Tensor, squared: bool, dtype: torch.dtype) -> Tensor:
-    back = adjugate(H)  # the inverse up to a factor, of which the error does not depend
-    volume = (H[..., 0, :] * back[..., :, 0]).sum(-1).detach()  # the determinant
+def _symmetric_transfer(first: Tensor, second: Tensor, H: Tensor, squared: bool, dtype: torch.dtype) -> Tensor:
+    inverse = adjugate(H)  # up to a factor, which does not change the error
+    volume = (H[..., 0, :] * inverse[..., :, 0]).sum(-1).detach()  # the determinant
     sides = torch.linalg.vector_norm(H.detach(), dim=-1).prod(-1)
     singular = ~(volume.abs() > torch.finfo(dtype).eps * sides)[..., None, None]
     eye = torch.eye(3, device=H.device, dtype=H.dtype)
-    there = _squares(first, second, torch.where(singular, eye, H))
-    again = _squares(second, first, torch.where(singular, eye, back))
-    error = there + again if squared else root(there + again)
+    forward = _transfer(first, second, torch.where(singular, eye, H))
+    backward = _transfer(second, first, torch.where(singular, eye, inverse))
+    error = forward + backward if squared else root(forward + backward)
     return torch.where(singular[..., 0], torch.finfo(dtype).max, error)
 
 
-def _from_lines(x: Tensor, y: Tensor, H: Tensor) -> Tensor:
-    """The mean distance of both ends of segments (B, N, 4), moved, from the lines of others."""
+def _segment_errors(x: Tensor, y: Tensor, H: Tensor) -> Tensor:
+    """The mean distance of both mapped ends of segments x (B, N, 4) from the lines of segments y."""
     start, end = y[..., :2], y[..., 2:]
     along = end - start
-    far = length(along.detach(), keepdim=True) > 0
+    has_length = length(along.detach(), keepdim=True) > 0
     normal = torch.stack([-along[..., 1], along[..., 0]], -1)
-    normal = torch.where(far, normal / torch.where(far, length(along, keepdim=True), 1), 0)
+    normal = torch.where(has_length, normal / torch.where(has_length, length(along, keepdim=True), 1), 0)
     error = torch.zeros_like(x[..., 0] + H[..., :1, 0])
     for p in (x[..., :2], x[..., 2:]):
-        u, v, w = _across(H, p)
-        there = w != 0
-        finite = torch.where(there, w, 1)
-        offset = normal[..., 0] * (u / finite - start[..., 0]) + normal[..., 1] * (v / finite - start[..., 1])
-        error = error + torch.where(there, offset.abs(), torch.inf) / 2
-    return torch.where(far[..., 0], error, 0)
+        u, v, w = _multiply(H, p)
+        is_finite = w != 0
+        divisor = torch.where(is_finite, w, 1)
+        offset = normal[..., 0] * (u / divisor - start[..., 0]) + normal[..., 1] * (v / divisor - start[..., 1])
+        error = error + torch.where(is_finite, offset.abs(), torch.inf) / 2
+    return torch.where(has_length[..., 0], error, 0)
 
 
 def _backward(
@@ -143,9 +143,9 @@ def _backward(
     kind: str,
     squared: bool,
 ) -> list[Tensor | None]:
-    given = points1, points2, matrix
-    found = _view_errors_backward(grad, *given, kind, squared)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, given)]
+    tensors = points1, points2, matrix
+    grads = _correspondence_errors_backward(grad, *tensors, kind, squared)
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, tensors)]
 
 
 def _backward_reference(
@@ -156,14 +156,14 @@ def _backward_reference(
 
 
 # Of points (B, N, 2 or 3), or segments (B, N, 4), and matrices (B, 3, 3); B of 1 serves all.
-_view_errors = register(
-    "view_errors",
+_correspondence_errors = register(
+    "correspondence_errors",
     _reference,
-    fake=lambda *given: (next((x.shape[0] for x in given[:3] if x.shape[0] != 1), 1), given[0].shape[1]),
+    fake=lambda *tensors: (next((x.shape[0] for x in tensors[:3] if x.shape[0] != 1), 1), tensors[0].shape[1]),
     backward=_backward,
 )
-_view_errors_backward = register(
-    "view_errors_backward",
+_correspondence_errors_backward = register(
+    "correspondence_errors_backward",
     _backward_reference,
-    fake=lambda grad, *given: [(grad.shape[0], *x.shape[1:]) for x in given[:3]],
+    fake=lambda grad, *tensors: [(grad.shape[0], *x.shape[1:]) for x in tensors[:3]],
 )

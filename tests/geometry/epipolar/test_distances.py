@@ -40,7 +40,7 @@ def test_errors_of_many_correspondences_of_one_matrix(device):
 
 class TestDistancesOperators(PointOpTests):
     calls = {
-        "view_errors": [
+        "correspondence_errors": [
             Call(
                 (vector(9, 2), vector(9, 2), near(EYE)),
                 (kind, squared),

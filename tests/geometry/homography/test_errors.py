@@ -56,7 +56,7 @@ def test_errors(call, error, message):
 
 class TestErrorsOperators(PointOpTests):
     calls = {
-        "view_errors": [
+        "correspondence_errors": [
             Call(
                 (vector(9, 2), vector(9, 2), near(EYE)),
                 (kind, squared),

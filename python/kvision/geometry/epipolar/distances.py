@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 from kvision import _check
-from kvision.geometry._correspondence_errors import view_errors
+from kvision.geometry._correspondence_errors import correspondence_errors
 from kvision.geometry._precision import in_full_precision
 from kvision.geometry.epipolar.fundamental import check_points
 
@@ -53,7 +53,7 @@ def sampson_epipolar_distance(
         tensor([2.])
     """
     _check_relation("sampson_epipolar_distance", pts1, pts2, Fm)
-    return view_errors(pts1, pts2, Fm, "sampson", squared)
+    return correspondence_errors(pts1, pts2, Fm, "sampson", squared)
 
 
 @in_full_precision
@@ -84,7 +84,7 @@ def symmetrical_epipolar_distance(
         tensor([8.])
     """
     _check_relation("symmetrical_epipolar_distance", pts1, pts2, Fm)
-    return view_errors(pts1, pts2, Fm, "symmetrical", squared)
+    return correspondence_errors(pts1, pts2, Fm, "symmetrical", squared)
 
 
 @in_full_precision
@@ -111,7 +111,7 @@ def left_to_right_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> T
         tensor([2.])
     """
     _check_relation("left_to_right_epipolar_distance", pts1, pts2, Fm)
-    return view_errors(pts1, pts2, Fm, "right", False)
+    return correspondence_errors(pts1, pts2, Fm, "right", False)
 
 
 @in_full_precision
@@ -138,7 +138,7 @@ def right_to_left_epipolar_distance(pts1: Tensor, pts2: Tensor, Fm: Tensor) -> T
         tensor([2.])
     """
     _check_relation("right_to_left_epipolar_distance", pts1, pts2, Fm)
-    return view_errors(pts1, pts2, Fm, "left", False)
+    return correspondence_errors(pts1, pts2, Fm, "left", False)
 
 
 def _check_relation(op: str, pts1: Tensor, pts2: Tensor, Fm: Tensor) -> None:

@@ -15,7 +15,7 @@ from kvision.geometry._precision import in_full_precision, wide
 from kvision.geometry.epipolar.projection import cross_product_matrix, depth_from_point, projection_from_KRt
 from kvision.geometry.epipolar.triangulation import triangulate_points, triangulated_backward
 from kvision.geometry.linalg import root
-from kvision.geometry.solvers._minimal import five_points, minimal
+from kvision.geometry.solvers._minimal import five_points, minimal_solver
 from kvision.geometry.solvers.correspondences import check_correspondences
 from kvision.geometry.solvers.null_vector import null_vector_3x3
 
@@ -64,7 +64,7 @@ def find_essential(points1: Tensor, points2: Tensor, weights: Tensor | None = No
     """
     check_correspondences("find_essential", points1, points2, weights, least=5)
     if points1.shape[1] == 5:
-        return minimal(points1, points2, None, "essential")
+        return minimal_solver(points1, points2, None, "essential")
     return five_points(points1, points2)
 
 

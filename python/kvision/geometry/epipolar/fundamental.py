@@ -13,7 +13,7 @@ from kvision.geometry._formula import of_all, register_formula
 from kvision.geometry._normalization import to_unit_last
 from kvision.geometry._precision import in_full_precision, length
 from kvision.geometry.linalg import adjugate
-from kvision.geometry.solvers._minimal import eight_points, minimal
+from kvision.geometry.solvers._minimal import eight_points, minimal_solver
 from kvision.geometry.solvers.correspondences import check_correspondences
 
 __all__ = [
@@ -63,7 +63,7 @@ def find_fundamental(points1: Tensor, points2: Tensor, weights: Tensor | None = 
     if method == "7POINT":
         if points1.shape[1] != 7:
             raise ShapeError(f"{op}: expected points1 of shape (B, 7, 2), got {tuple(points1.shape)}")
-        return to_unit_last(minimal(points1, points2, None, "fundamental")).nan_to_num(0.0)
+        return to_unit_last(minimal_solver(points1, points2, None, "fundamental")).nan_to_num(0.0)
     return eight_points(points1, points2, weights)
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._correspondence_errors import view_errors
+from kvision.geometry._correspondence_errors import correspondence_errors
 from kvision.geometry._precision import in_full_precision
 
 __all__ = [
@@ -46,7 +46,7 @@ def oneway_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: bool =
         tensor([[5., 5., 5., 5., 5.]])
     """
     _check_relation("oneway_transfer_error", pts1, pts2, H)
-    return view_errors(pts1, pts2, H, "transfer", squared)
+    return correspondence_errors(pts1, pts2, H, "transfer", squared)
 
 
 @in_full_precision
@@ -75,7 +75,7 @@ def symmetric_transfer_error(pts1: Tensor, pts2: Tensor, H: Tensor, squared: boo
         tensor([[4., 4., 4., 4., 4.]])
     """
     _check_relation("symmetric_transfer_error", pts1, pts2, H)
-    return view_errors(pts1, pts2, H, "symmetric_transfer", squared)
+    return correspondence_errors(pts1, pts2, H, "symmetric_transfer", squared)
 
 
 @in_full_precision
@@ -107,7 +107,7 @@ def sampson_homography_distance(pts1: Tensor, pts2: Tensor, H: Tensor, squared: 
         tensor([[1., 1., 1., 1., 1.]])
     """
     _check_relation("sampson_homography_distance", pts1, pts2, H)
-    return view_errors(pts1, pts2, H, "sampson_transfer", squared)
+    return correspondence_errors(pts1, pts2, H, "sampson_transfer", squared)
 
 
 @in_full_precision
@@ -139,7 +139,7 @@ def line_segment_transfer_error_one_way(ls1: Tensor, ls2: Tensor, H: Tensor, squ
         _check.floating_trailing_shape(op, name, x, "B", "N", 2, 2)
     _check.floating_trailing_shape(op, "H", H, "B", 3, 3)
     _check.same_device(op, ls1=ls1, ls2=ls2, H=H)
-    return view_errors(ls1, ls2, H, "segments", squared)
+    return correspondence_errors(ls1, ls2, H, "segments", squared)
 
 
 def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:

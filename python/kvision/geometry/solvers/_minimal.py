@@ -1,4 +1,4 @@
-"""Models that as few correspondences as possible leave, by name: of given ones, or of samples drawn from all of them."""
+"""Minimal solvers: models from as few correspondences as possible, of given samples or of samples drawn from all points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from kvision.geometry.solvers.polynomials import (
 from kvision.geometry.solvers.roots import real_roots
 from kvision.geometry.transform.matrices import from_unit_square
 
-# How many points a sample has, and how many models it may leave.
+# Points of a sample, and the largest number of models that it has.
 SIZES = {
     "affine": (3, 1),
     "homography": (4, 1),
@@ -34,7 +34,7 @@ SIZES = {
 
 
 def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
-    """(S, candidates, 3, 3) of norm 1, affine maps as they are; NaN for what is missing.
+    """Models (S, candidates, 3, 3) of norm 1, affine maps unscaled; NaN for missing ones.
 
     Of samples (S, m, 2), or (S, m, 4) for line segments; or of points (1, N, ...) and `draws` (S, m + 1), whose rows are m
     numbers in [0, 1) that choose from as many of the first points as the last number says.
@@ -45,20 +45,20 @@ def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, model: st
     if model == "affine":
         return find_affine(points1, points2)[:, None]
     if model == "homography":
-        found = _four_points(points1, points2)
+        models = _four_points(points1, points2)
     elif model == "lines":
-        found = of_lines(points1.unflatten(-1, (2, 2)), points2.unflatten(-1, (2, 2)), None)[:, None]
+        models = of_lines(points1.unflatten(-1, (2, 2)), points2.unflatten(-1, (2, 2)), None)[:, None]
     elif model == "fundamental":
-        found = seven_points(points1, points2)
+        models = seven_points(points1, points2)
     elif model == "fundamental8":
-        found = eight_points(points1, points2, None)[:, None]
+        models = eight_points(points1, points2, None)[:, None]
     else:
         return five_points(points1, points2)
-    return found / torch.linalg.vector_norm(found, dim=(-2, -1), keepdim=True)
+    return models / torch.linalg.vector_norm(models, dim=(-2, -1), keepdim=True)
 
 
 def _distinct(draws: Tensor, count: int) -> Tensor:
-    """Different ones of each row's population, each choice as likely as any other (R. Floyd's method): (S, m)."""
+    """Samples (S, m) of different points of each row's population, uniformly (R. Floyd's method)."""
     size = draws.shape[1] - 1
     population = draws[:, size].long().clamp(size, count)
     chosen: list[Tensor] = []
@@ -75,19 +75,19 @@ def _sizes(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -
     return (points1 if draws is None else draws).shape[0], SIZES[model][1], 3, 3
 
 
-_minimal = register("minimal", _reference, fake=_sizes)
+_minimal_solver = register("minimal_solver", _reference, fake=_sizes)
 
 
-def minimal(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
-    call = _reference if wants_derivative(points1, points2) else _minimal
+def minimal_solver(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
+    call = _reference if wants_derivative(points1, points2) else _minimal_solver
     return call(points1, points2, draws, model)
 
 
 def _four_points(points1: Tensor, points2: Tensor) -> Tensor:
-    """None where three points turn the other way round in the second image: a line between them would go to infinity."""
+    """NaN where three points change their orientation: the homography takes a point between them to infinity."""
     H = from_unit_square(wide(points2)) @ adjugate(from_unit_square(wide(points1)))
-    possible = sample_is_valid_for_homography(points1, points2)
-    return torch.where(possible[:, None, None], H, torch.nan)[:, None].to(points1.dtype)
+    is_valid = sample_is_valid_for_homography(points1, points2)
+    return torch.where(is_valid[:, None, None], H, torch.nan)[:, None].to(points1.dtype)
 
 
 # --- epipolar geometry ------------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ eight_points = register_fit("fundamental_dlt", _eight_points)
 
 
 def seven_points(points1: Tensor, points2: Tensor) -> Tensor:
-    """(B, 3, 3, 3), NaN for those that are missing: a F1 + (1 - a) F2 is of rank 2 for the roots a of a cubic."""
+    """(B, 3, 3, 3), NaN for missing ones: a F1 + (1 - a) F2 is of rank 2 for the roots a of a cubic."""
     x, T1 = normalized(wide(points1), None)
     y, T2 = normalized(wide(points2), None)
     F1, F2 = null_space(epipolar_rows(x, y), 2).unflatten(-2, (3, 3)).unbind(-1)
@@ -120,13 +120,13 @@ def seven_points(points1: Tensor, points2: Tensor) -> Tensor:
 
 
 def epipolar_rows(x: Tensor, y: Tensor) -> Tensor:
-    """(B, N, 9): y^T F x is the product with the entries of F, row by row, for points (B, N, 2)."""
+    """Rows (B, N, 9) for points (B, N, 2): the product with the entries of F is y^T F x."""
     x, y = (torch.cat([p, torch.ones_like(p[..., :1])], -1) for p in (x, y))
     return (y[..., None] * x[..., None, :]).flatten(-2)
 
 
 def of_rank_two(F: Tensor) -> Tensor:
-    """The nearest matrix of rank 2: without what F does to its smallest singular vector."""
+    """The nearest matrix of rank 2: F - F v v^T for its smallest right singular vector v."""
     v = null_vector_3x3(F)
     return F - (F @ v[..., None]) * v[..., None, :]
 
@@ -134,38 +134,38 @@ def of_rank_two(F: Tensor) -> Tensor:
 def five_points(points1: Tensor, points2: Tensor) -> Tensor:
     """det E = 0 and 2 E E^T E = tr(E E^T) E for E = x X + y Y + z Z + W, ten cubic equations in x, y and z."""
     basis = null_space(epipolar_rows(wide(points1), wide(points2)), 4).unflatten(-2, (3, 3))  # (B, 3, 3, 4)
-    known = basis.isfinite().flatten(1).all(-1)[:, None]
-    E = torch.where(known[..., None, None], basis, 0)
+    is_defined = basis.isfinite().flatten(1).all(-1)[:, None]
+    E = torch.where(is_defined[..., None, None], basis, 0)
     # The first ten monomials, of which each equation keeps one: x^2 z, x^2, y^2 z, y^2, xyz, xy are the last of them.
     equations = _constraints(E)
     left, right = equations[..., :10], equations[..., 10:]
     solved = _solved(left, right)
-    known = known & solved.isfinite().flatten(1).all(-1)[:, None]
-    solved = torch.where(known[..., None], solved, 0)
-    # Those with z less z times those without leave three equations in x, y and 1, whose coefficients are polynomials.
+    is_defined = is_defined & solved.isfinite().flatten(1).all(-1)[:, None]
+    solved = torch.where(is_defined[..., None], solved, 0)
+    # Rows with z minus z times rows without z: three equations in x, y and 1, whose coefficients are polynomials in z.
     top, bottom = (rows.split([3, 3, 4], -1) for rows in (solved[:, 4::2], solved[:, 5::2]))
     pad = torch.nn.functional.pad
     system = [pad(t, (1, 0)) - pad(b, (0, 1)) for t, b in zip(top, bottom)]
     z = real_roots(determinant_to_polynomial(torch.cat(system, -1)).flip(-1))
-    found = known & z.isfinite()
-    z = torch.where(found, z, 0)
+    is_root = is_defined & z.isfinite()
+    z = torch.where(is_root, z, 0)
     at_z = torch.stack([_polynomial(p, z) for p in system], -1)  # (B, 10, 3, 3)
     a, b, c = at_z.unbind(-2)
     crosses = torch.stack([torch.linalg.cross(a, b), torch.linalg.cross(b, c), torch.linalg.cross(c, a)], -2)
     best = crosses.detach().square().sum(-1).argmax(-1)[..., None, None].expand(*z.shape, 1, 3)
     xy1 = crosses.gather(-2, best)[..., 0, :]
-    found = found & (xy1[..., 2] != 0)
-    xy = xy1[..., :2] / torch.where(found, xy1[..., 2], 1)[..., None]
+    is_root = is_root & (xy1[..., 2] != 0)
+    xy = xy1[..., :2] / torch.where(is_root, xy1[..., 2], 1)[..., None]
     factors = torch.cat([xy, torch.stack([z, torch.ones_like(z)], -1)], -1)
     candidates = (basis[:, None] * factors[..., None, None, :]).sum(-1)
     candidates = candidates / torch.linalg.vector_norm(candidates, dim=(-2, -1), keepdim=True)
-    return torch.where(found[..., None, None], candidates, torch.nan).to(points1.dtype)
+    return torch.where(is_root[..., None, None], candidates, torch.nan).to(points1.dtype)
 
 
 def _solved(left: Tensor, right: Tensor) -> Tensor:
-    """The solution (B, n, m) of linear equations (B, n, n), not finite where there is none: elimination, row by row.
+    """The solution (B, n, m) of linear equations (B, n, n) by Gaussian elimination; not finite where there is none.
 
-    In torch's operators of one element each, which wait for nothing: solvers of libraries cannot be captured in a graph.
+    It uses pointwise operators only, since CUDA graphs cannot capture library solvers.
     """
     system = torch.cat([left, right], -1)
     order = torch.arange(left.shape[1], device=left.device)
@@ -179,7 +179,7 @@ def _solved(left: Tensor, right: Tensor) -> Tensor:
 
 
 def _constraints(E: Tensor) -> Tensor:
-    """(B, 10, 20), coefficients of monomials as `multiply_deg_two_one_poly` has them, for entries (B, 3, 3, 4)."""
+    """Coefficients (B, 10, 20) of the monomials of `multiply_deg_two_one_poly`, for entries (B, 3, 3, 4) of E."""
     EEt = multiply_deg_one_poly(E[:, :, None], E[:, None]).sum(3)  # (B, 3, 3, 10)
     half_trace = EEt.diagonal(dim1=1, dim2=2).sum(-1) / 2
     eye = torch.eye(3, device=E.device, dtype=E.dtype)
@@ -196,7 +196,7 @@ def _constraints(E: Tensor) -> Tensor:
 
 
 def _polynomial(p: Tensor, z: Tensor) -> Tensor:
-    """Of polynomials (B, 3, n), the highest power first, at z (B, k): (B, k, 3)."""
+    """Evaluate polynomials (B, 3, n), the highest power first, at z (B, k): (B, k, 3)."""
     value = torch.zeros_like(z)[..., None]
     for c in p.unbind(-1):
         value = value * z[..., None] + c[:, None]

@@ -23,7 +23,7 @@ SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
 RIGHT = {
     **{"border": ["0"], "distance": ["0"], "mode": ["0"]},
     **{"top": ["0"], "left": ["0"], "steps": ["0", str(2**15)], "radius": ["0", str(2**15)]},
-    **{name: ["0"] for name in ("cfa", "format", "kernel", "kind", "statistic")},  # numbers of choices
+    **{name: ["0"] for name in ("cfa", "format", "kernel", "kind", "statistic", "padding")},  # numbers of choices
     **{"ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]},
     **{"input_mask": ["of torch.bool"], "other_mask": ["of torch.bool"]},
 }

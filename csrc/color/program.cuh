@@ -3,6 +3,7 @@
 // Storage types are converted on loading and storing, by vectors of up to 16 bytes if the memory is aligned.
 #pragma once
 
+#include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 
 namespace kv {
@@ -366,18 +367,6 @@ struct Sample {
   alignas(16) F sums[kThreads / 32];  // read by vectors, with nothing else in them
   F mean, grad_mean;                  // the latter per pixel
 
-  // Of all threads, to all threads.
-  __device__ __forceinline__ F block_sum(F v) {
-    v = warp_sum(v);
-    __syncthreads();
-    if (threadIdx.x % 32 == 0) sums[threadIdx.x / 32] = v;
-    __syncthreads();
-    F total = 0;
-#pragma unroll
-    for (int i = 0; i < kThreads / 32; ++i) total += sums[i];
-    return total;
-  }
-
   __device__ __forceinline__ void prepare(Program<F> const& program, int64_t b, bool backward) {
     __syncthreads();  // the previous sample may still be in use
     int const t = int(threadIdx.x);
@@ -403,7 +392,7 @@ struct Sample {
       F sum = 0;
       if (!program.measures_mean) {
         for (int64_t i = t; i < program.parts_count; i += kThreads) sum += program.parts[b * program.parts_count + i];
-        sum = block_sum(sum) / F(program.pixels);
+        sum = block_sum_to_all(sum, sums) / F(program.pixels);
       }
       if (t == 0) {
         mean = backward ? program.means[b] : sum;

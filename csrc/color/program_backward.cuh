@@ -93,7 +93,7 @@ __global__ void __launch_bounds__(kThreads, 3) run_backward(__grid_constant__ Pr
       if (p.needs_grad_x && !q.measures_mean) store_pixels(p.grad_x, to, i, q.pixels, g);
     }
     if (q.measures_mean) {
-      partial_mean = sample.block_sum(partial_mean);
+      partial_mean = block_sum_to_all(partial_mean, sample.sums);
       if (threadIdx.x == 0) q.parts[b * gridDim.x + blockIdx.x] = partial_mean;
     } else if (p.partial_grads) {
       __syncthreads();
@@ -112,7 +112,7 @@ __global__ void __launch_bounds__(kThreads) reduce(ProgramReduce<F> const p) {
   __shared__ Sample<F> sample;
   F sum = 0;
   for (int64_t k = threadIdx.x; k < p.summands; k += kThreads) sum += p.first(blockIdx.x)[k * p.columns];
-  sum = sample.block_sum(sum);
+  sum = block_sum_to_all(sum, sample.sums);
   if (threadIdx.x == 0) p.sums[blockIdx.x] = sum;
 }
 

@@ -46,7 +46,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Program<F> con
           if (i + j < p.pixels) partial_mean += c[k][j] * p.gray_weights[k];
     }
     if (p.measures_mean) {
-      partial_mean = sample.block_sum(partial_mean);
+      partial_mean = block_sum_to_all(partial_mean, sample.sums);
       if (threadIdx.x == 0) p.parts[b * gridDim.x + blockIdx.x] = partial_mean;
     } else if (p.contrast >= 0 && blockIdx.x == 0 && threadIdx.x == 0) {
       p.means[b] = sample.mean;

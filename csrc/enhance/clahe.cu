@@ -1,7 +1,7 @@
 // CLAHE on CUDA: one launch makes the tables, one block a tile; one maps the pixels, a few blocks a cell, each with the
 // cell's four tables as one of four bytes an entry in shared memory.
+#include "byte_histogram.cuh"
 #include "clahe.h"
-#include "levels.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -75,7 +75,7 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
     count[i] = min(all, p.limit);
     above += all - count[i];
   }
-  sum_up_to<Threads>(above, total);
+  block_inclusive_scan<Threads>(above, total);
   Excess const spread(total);
   int own = 0;
 #pragma unroll
@@ -83,7 +83,7 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
     if (first + i < kLevels) count[i] += spread.of(first + i);
     own += count[i];
   }
-  int sum = sum_up_to<Threads>(own, total) - own;
+  int sum = block_inclusive_scan<Threads>(own, total) - own;
   F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);
   uint8_t* const table = p.tables + int64_t(blockIdx.x) * kLevels;
   Vector<uint8_t, kEach> levels;
@@ -115,15 +115,15 @@ __device__ __forceinline__ float over_255(float v) {
 __device__ __forceinline__ double over_255(double v) { return v / 255; }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, int pieces) {
+__global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, int chunks) {
   using F = Compute<T>;
   __shared__ uint32_t cell[kLevels];
   int const across = p.across.count + 1, down = p.down.count + 1;
-  unsigned const index = blockIdx.x / pieces, plane = index / unsigned(across * down);
-  int const piece = int(blockIdx.x - index * pieces), place = int(index - plane * unsigned(across * down));
+  unsigned const index = blockIdx.x / chunks, plane = index / unsigned(across * down);
+  int const chunk = int(blockIdx.x - index * chunks), place = int(index - plane * unsigned(across * down));
   int const cy = place / across, cx = place - cy * across;
   int const x0 = p.across.cell(cx), x1 = p.across.cell(cx + 1), top = p.down.cell(cy), rows = p.down.cell(cy + 1) - top;
-  int const y0 = top + int(int64_t(rows) * piece / pieces), y1 = top + int(int64_t(rows) * (piece + 1) / pieces);
+  int const y0 = top + int(int64_t(rows) * chunk / chunks), y1 = top + int(int64_t(rows) * (chunk + 1) / chunks);
   if (x0 >= x1 || y0 >= y1) return;
 
   uint8_t const* const tables = p.tables + int64_t(plane) * p.down.count * p.across.count * kLevels;
@@ -185,9 +185,9 @@ int clahe(Clahe<T> const& p, CUstream_st* stream) {
     make_tables<T, 64><<<tiles, 64, 0, stream>>>(p, aligned);
   else
     make_tables<T, 512><<<tiles, 512, 0, stream>>>(p, aligned);
-  int const pieces = int(ceil_div(tile, 16 << 10));
-  map_cells<<<unsigned(planes * (p.down.count + 1) * (p.across.count + 1) * pieces), kThreads, 0, stream>>>(p, aligned,
-                                                                                                            pieces);
+  int const chunks = int(ceil_div(tile, 16 << 10));
+  map_cells<<<unsigned(planes * (p.down.count + 1) * (p.across.count + 1) * chunks), kThreads, 0, stream>>>(p, aligned,
+                                                                                                            chunks);
   return cudaGetLastError();
 }
 

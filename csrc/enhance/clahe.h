@@ -8,8 +8,8 @@
 //   +---+---+---+
 #pragma once
 
+#include "byte_histogram.h"
 #include "core/isa.h"
-#include "levels.h"
 
 namespace kv {
 

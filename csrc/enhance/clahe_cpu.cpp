@@ -1,9 +1,9 @@
 // CLAHE on the CPU: a plane's tables, then its rows. Pixels become levels row by row, as memory is read fastest, and
 // tiles count these. The four tables of a cell become one of four bytes an entry, so a pixel is one look-up and some
 // vector arithmetic.
+#include "byte_histogram_cpu.h"
 #include "clahe.h"
 #include "core/scratch.h"
-#include "levels_cpu.h"
 
 namespace kv::KV_ISA {
 namespace {
@@ -45,15 +45,15 @@ KV_HD bool make_tables(Clahe<T> const& p, int64_t plane, uint8_t* tables, uint16
   using F = Compute<T>;
   F const scale = F(255) / F(int64_t(p.down.size) * p.across.size);
   int64_t const width = p.across.pixels;
-  T memory[kPiece];
+  T memory[kChunk];
   int32_t nan = 0;
   for (int ty = 0; ty < p.down.count; ++ty) {
     int const y0 = ty * p.down.size, y1 = y0 + p.down.size;
     for (int y = y0; y < min(y1, p.down.pixels); ++y) {
       T const* const row = p.x.row(plane, y);
-      for (int64_t x = 0; x < width; x += kPiece) {
-        int64_t const n = min(kPiece, width - x);
-        levels_of(gathered(row + x * p.x.step, p.x.step, n, memory), n, levels + y * width + x);
+      for (int64_t x = 0; x < width; x += kChunk) {
+        int64_t const n = min(kChunk, width - x);
+        levels_of(gather(row + x * p.x.step, p.x.step, n, memory), n, levels + y * width + x);
       }
     }
     for (int tx = 0; tx < p.across.count; ++tx) {
@@ -120,9 +120,9 @@ KV_HD void map_row(Clahe<T> const& p, int64_t plane, int y, int cy, uint16_t con
   }
   T* const to = p.y.row(plane, y);
   F const wy = p.down.template weight<F>(y, cy);
-  T result[kPiece];
-  for (int64_t x = 0; x < p.across.pixels; x += kPiece) {
-    int64_t const n = min(kPiece, p.across.pixels - x);
+  T result[kChunk];
+  for (int64_t x = 0; x < p.across.pixels; x += kChunk) {
+    int64_t const n = min(kChunk, p.across.pixels - x);
     T* const results = p.y.step == 1 ? to + x : result;
     for_each_vector<T>(0, n, [&](auto width, int64_t i) {
       constexpr int N = decltype(width)::value;

@@ -1,11 +1,11 @@
 // CLAHE: schema and entry, for CPU and CUDA alike.
 #include "clahe.h"
-#include "flat_glue.h"
+#include "plane_views.h"
 
 namespace kv {
 namespace {
 
-constexpr int64_t kMostTiles = (1 << 15) - 1;  // along an axis
+constexpr int64_t kMaxTiles = (1 << 15) - 1;  // along an axis
 
 // Tiles of equal size; where they do not fit the pixels, OpenCV continues the other axis as well.
 TileAxis axis_of(int64_t pixels, int64_t tiles, bool fits, bool opencv) {
@@ -15,10 +15,10 @@ TileAxis axis_of(int64_t pixels, int64_t tiles, bool fits, bool opencv) {
 
 Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int64_t columns, bool opencv) {
   constexpr char const* op = "equalize_clahe";
-  check_flat(op, input);
+  check_planes(op, input);
   int64_t const h = input.size(2), w = input.size(3);
-  KV_CHECK(rows > 0 && columns > 0 && rows <= kMostTiles && columns <= kMostTiles, op, ": expected a grid of 1 to ",
-           kMostTiles, " tiles along each axis, got ", rows, " x ", columns);
+  KV_CHECK(rows > 0 && columns > 0 && rows <= kMaxTiles && columns <= kMaxTiles, op, ": expected a grid of 1 to ",
+           kMaxTiles, " tiles along each axis, got ", rows, " x ", columns);
   bool const fits = h % rows == 0 && w % columns == 0;
   TileAxis const down = axis_of(h, rows, fits, opencv), across = axis_of(w, columns, fits, opencv);
   int64_t const pixels = int64_t(down.size) * across.size;

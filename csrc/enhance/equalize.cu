@@ -1,7 +1,7 @@
 // Equalization on CUDA. A plane that fits one multiprocessor as bytes is read once: the block that counts its levels
 // keeps them, and maps them when the table is there. Others are counted by several blocks and read again.
+#include "byte_histogram.cuh"
 #include "equalize.h"
-#include "levels.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -12,7 +12,7 @@ constexpr int kCountBytes = Counter::kSize * int(sizeof(int32_t));
 template <class T>
 constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // a multiprocessor
 
-// A few large planes keep more multiprocessors busy in pieces.
+// A few large planes keep more multiprocessors busy in chunks.
 constexpr bool fits_one_block(int64_t planes, int64_t pixels) {
   return pixels <= (planes >= 64 ? 192 << 10 : 16 << 10);
 }
@@ -32,7 +32,7 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
   int const level = threadIdx.x;
   if (level == 0) darkest = brightest = 0;
   if (level >= kLevels) count = 0;
-  int const up_to = sum_up_to<kThreads>(count, total);
+  int const up_to = block_inclusive_scan<kThreads>(count, total);
   if (count > 0 && up_to == count) darkest = count;  // all darker ones are empty
   if (count > 0 && up_to == total) brightest = count;
   __syncthreads();
@@ -109,14 +109,14 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   }
 }
 
-// Pieces of planes, `each` pixels a block.
+// Chunks of planes, `each` pixels a block.
 template <class T, bool Vectorized>
-__global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned pieces, int each) {
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned chunks, int each) {
   constexpr int P = kPixels<T>;
   __shared__ int32_t counts[Counter::kSize];
   Counter const counter{counts};
-  unsigned const plane = blockIdx.x / pieces;
-  int64_t const begin = int64_t(blockIdx.x % pieces) * each;
+  unsigned const plane = blockIdx.x / chunks;
+  int64_t const begin = int64_t(blockIdx.x % chunks) * each;
   int const end = int(min(begin + each, p.x.width));
   counter.clear();
   __syncthreads();
@@ -131,11 +131,11 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T>
 }
 
 template <class T, bool Vectorized>
-__global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p, unsigned pieces, int each) {
+__global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p, unsigned chunks, int each) {
   using F = Compute<T>;
   __shared__ __align__(16) unsigned char memory[kCountBytes];
-  unsigned const plane = blockIdx.x / pieces;
-  int64_t const begin = int64_t(blockIdx.x % pieces) * each;
+  unsigned const plane = blockIdx.x / chunks;
+  int64_t const begin = int64_t(blockIdx.x % chunks) * each;
   int const count = threadIdx.x < kLevels ? p.counts[int64_t(plane) * kLevels + threadIdx.x] : 0;
   int counted;
   bool const changes = make_table<F>(count, p.opencv, memory, counted);
@@ -149,11 +149,11 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p
 
 // The gradient is read where it counts: nowhere, in most planes.
 template <class T, bool Vectorized>
-__global__ void __launch_bounds__(kThreads) pull_back(EqualizeBackward<T> p, unsigned pieces, int each) {
+__global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<T> p, unsigned chunks, int each) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  unsigned const plane = blockIdx.x / pieces;
-  int64_t const begin = int64_t(blockIdx.x % pieces) * each;
+  unsigned const plane = blockIdx.x / chunks;
+  int64_t const begin = int64_t(blockIdx.x % chunks) * each;
   int const end = int(min(begin + each, p.grad.width));
   Change const change = p.changed ? Change(int(read(p.changed[plane]))) : Change::but_nan;
   T const* const grad = p.grad.plane(plane);
@@ -180,14 +180,14 @@ __global__ void __launch_bounds__(kThreads) pull_back(EqualizeBackward<T> p, uns
 }
 
 template <bool Vectorized, class T>
-int equalize_in_pieces(Equalize<T> const& p, CUstream_st* stream) {
+int equalize_in_chunks(Equalize<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), pixels = p.x.width;
   // Small enough that all multiprocessors have several, large enough that tables are a small part of the work.
   int64_t const each = clamp((planes * pixels) >> 10, int64_t(8) << 10, int64_t(64) << 10) / 4096 * 4096;
-  unsigned const pieces = unsigned(ceil_div(pixels, each)), blocks = unsigned(planes) * pieces;
+  unsigned const chunks = unsigned(ceil_div(pixels, each)), blocks = unsigned(planes) * chunks;
   if (int const error = cudaMemsetAsync(p.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;
-  count_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
-  map_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+  count_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
+  map_levels<T, Vectorized><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
   return cudaGetLastError();
 }
 
@@ -196,9 +196,9 @@ int equalize_in_pieces(Equalize<T> const& p, CUstream_st* stream) {
 template <class T>
 int equalize(Equalize<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  if (!is_vectorizable<P>(p.x) || !is_vectorizable<P>(p.y)) return equalize_in_pieces<false>(p, stream);
+  if (!is_vectorizable<P>(p.x) || !is_vectorizable<P>(p.y)) return equalize_in_chunks<false>(p, stream);
   int64_t const planes = p.x.count(), pixels = p.x.width;
-  if (!fits_one_block(planes, pixels)) return equalize_in_pieces<true>(p, stream);
+  if (!fits_one_block(planes, pixels)) return equalize_in_chunks<true>(p, stream);
   int const bytes = kCountBytes + int(pixels);
   if (int const error = cudaFuncSetAttribute(equalize_plane<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes))
     return error;
@@ -210,11 +210,11 @@ template <class T>
 int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   int64_t const planes = p.grad.count(), each = kThreads * P * 8;
-  unsigned const pieces = unsigned(ceil_div(p.grad.width, each)), blocks = unsigned(planes) * pieces;
+  unsigned const chunks = unsigned(ceil_div(p.grad.width, each)), blocks = unsigned(planes) * chunks;
   if (is_vectorizable<P>(p.grad) && is_vectorizable<P>(p.output) && is_vectorizable<P>(p.grad_x))
-    pull_back<T, true><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+    equalize_gradients<T, true><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
   else
-    pull_back<T, false><<<blocks, kThreads, 0, stream>>>(p, pieces, int(each));
+    equalize_gradients<T, false><<<blocks, kThreads, 0, stream>>>(p, chunks, int(each));
   return cudaGetLastError();
 }
 

@@ -1,8 +1,8 @@
 // Histogram equalization of whole planes. Included by equalize_cpu.cpp, equalize.cu and equalize_op.cpp.
 #pragma once
 
+#include "byte_histogram.h"
 #include "core/isa.h"
-#include "levels.h"
 
 namespace kv {
 

@@ -1,7 +1,7 @@
 // Equalization on the CPU: count, make the table, map.
+#include "byte_histogram_cpu.h"
 #include "core/scratch.h"
 #include "equalize.h"
-#include "levels_cpu.h"
 
 namespace kv::KV_ISA {
 namespace {
@@ -33,7 +33,7 @@ KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels
 
 template <class T>
 void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
-  T memory[kPiece], table[kLevels + 1];
+  T memory[kChunk], table[kLevels + 1];
   int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
   Scratch<uint16_t> const levels(pixels);  // of a plane: to keep them takes less time than to find them again
   uint16_t const* const level = levels.data;
@@ -41,9 +41,9 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
     T const* const x = p.x.plane(plane);
     T* const y = p.y.plane(plane);
     LevelCounts counts{};
-    for (int64_t i = 0; i < pixels; i += kPiece) {
-      int64_t const n = min(kPiece, pixels - i);
-      levels_of(gathered(x + i * from, from, n, memory), n, levels.data + i);
+    for (int64_t i = 0; i < pixels; i += kChunk) {
+      int64_t const n = min(kChunk, pixels - i);
+      levels_of(gather(x + i * from, from, n, memory), n, levels.data + i);
       counts.add(level + i, n);
     }
     int32_t counted = 0;

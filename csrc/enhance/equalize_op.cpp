@@ -1,12 +1,12 @@
 // Equalization: schema and entry, for CPU and CUDA alike.
 #include "equalize.h"
-#include "flat_glue.h"
+#include "plane_views.h"
 
 namespace kv {
 namespace {
 
 std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
-  check_flat("equalize", input);
+  check_planes("equalize", input);
   Layout const layout = layout_of(input);
   Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), changed = empty({x.size(0), x.size(1)}, x);
 #if defined(KV_CUDA)
@@ -27,19 +27,19 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
 // Where `changed` is given, it is what equalize found; output is what it made.
 Tensor equalize_backward(Tensor const& grad, Tensor const& output, std::optional<Tensor> const& changed) {
   char const* const op = "equalize_backward";
-  check_flat(op, grad);
+  check_planes(op, grad);
   check_like(op, "output", output, grad);
   KV_CHECK(!changed || (changed->dim() == 2 && changed->size(0) == grad.size(0) && changed->size(1) == grad.size(1) &&
                         changed->scalar_type() == grad.scalar_type() && changed->device() == grad.device()),
-           op, ": expected what equalize found of each plane, of the type of grad");
+           op, ": expected what equalize result of each plane, of the type of grad");
   Layout const layout = layout_of(output);
   Tensor const y = dense_planes(output, layout), grad_x = empty_like(y, layout);
-  Tensor const g = dense_planes(as_layout(grad, layout), layout), found = changed ? dense(*changed) : y;
+  Tensor const g = dense_planes(as_layout(grad, layout), layout), result = changed ? dense(*changed) : y;
   dispatch_floating(op, grad, [&](auto type) {
     using T = typename decltype(type)::type;
     EqualizeBackward<T> const params{flat_planes<T const>(g, layout), flat_planes<T const>(y, layout),
                                      flat_planes<T>(grad_x, layout),
-                                     changed ? static_cast<T const*>(found.const_data_ptr()) : nullptr};
+                                     changed ? static_cast<T const*>(result.const_data_ptr()) : nullptr};
     KV_RUN(equalize_backward, grad, params, params.grad.count(), params.grad.width);
   });
   return grad_x;

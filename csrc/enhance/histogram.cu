@@ -1,12 +1,12 @@
-// Sums of Gaussians on CUDA: a block counts a piece of a row. Moments are in shared memory, in fixed point, so that
+// Sums of Gaussians on CUDA: a block counts a chunk of a row. Moments are in shared memory, in fixed point, so that
 // atomic sums of them do not depend on their order.
 #include "histogram.h"
-#include "pieces.cuh"
+#include "row_chunks.cuh"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 1024, kWarps = kThreads / 32, kCells = 4096, kMostParts = 4;
+constexpr int kThreads = 1024, kWarps = kThreads / 32, kCells = 4096, kMaxParts = 4;
 template <class T>
 constexpr int kBytes = sizeof(T) == sizeof(float) ? 4 * kCells * int(sizeof(int)) : 0;  // of shared memory
 constexpr unsigned kAll = 0xffffffffu;
@@ -34,7 +34,7 @@ __device__ __forceinline__ MomentGrid grid_of(float const* centers, int bins, fl
   sorted = __syncthreads_and(sorted);
 #pragma unroll
   for (int i = 0; i < kWarps; ++i) lowest = min(lowest, low[i]), highest = max(highest, high[i]);
-  return MomentGrid(lowest, highest, h, finite ? kCells * kMostParts : 0);
+  return MomentGrid(lowest, highest, h, finite ? kCells * kMaxParts : 0);
 }
 
 // A warp a center.
@@ -122,10 +122,10 @@ __device__ __forceinline__ void count_by_cells(float const* x, int samples, floa
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) count_piece(GaussianCounts<T> p) {
-  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces;
-  T const *const x = p.x + row * p.samples + piece * p.piece, *const centers = p.centers + row * p.center_stride;
-  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+__global__ void __launch_bounds__(kThreads) count_chunk(Histogram<T> p) {
+  int64_t const row = blockIdx.x / p.chunks, chunk = blockIdx.x - row * p.chunks;
+  T const *const x = p.x + row * p.samples + chunk * p.chunk, *const centers = p.centers + row * p.center_stride;
+  int const samples = int(min(p.chunk, p.samples - chunk * p.chunk)), bins = int(p.bins);
   T const h = p.bandwidth[row * p.bandwidth_stride];
   T* const counts = p.partial + int64_t(blockIdx.x) * p.bins;
   if constexpr (sizeof(T) == sizeof(float)) {
@@ -203,12 +203,12 @@ __device__ __forceinline__ void differentiate_by_cells(float const* x, int sampl
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) differentiate_piece(GaussianCountsBackward<T> b) {
-  GaussianCounts<T> const& p = b.forward;
-  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces,
-                at = row * p.samples + piece * p.piece;
+__global__ void __launch_bounds__(kThreads) differentiate_chunk(HistogramBackward<T> b) {
+  Histogram<T> const& p = b.forward;
+  int64_t const row = blockIdx.x / p.chunks, chunk = blockIdx.x - row * p.chunks,
+                at = row * p.samples + chunk * p.chunk;
   T const *const x = p.x + at, *const centers = p.centers + row * p.center_stride, *const grad = b.grad + row * p.bins;
-  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+  int const samples = int(min(p.chunk, p.samples - chunk * p.chunk)), bins = int(p.bins);
   T const h = p.bandwidth[row * p.bandwidth_stride];
   if constexpr (sizeof(T) == sizeof(float)) {
     bool sorted;
@@ -221,26 +221,26 @@ __global__ void __launch_bounds__(kThreads) differentiate_piece(GaussianCountsBa
 }  // namespace
 
 template <class T>
-int gaussian_counts(GaussianCounts<T> const& p, CUstream_st* stream) {
-  if (int const error = cudaFuncSetAttribute(count_piece<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, kBytes<T>))
+int histogram(Histogram<T> const& p, CUstream_st* stream) {
+  if (int const error = cudaFuncSetAttribute(count_chunk<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, kBytes<T>))
     return error;
-  count_piece<<<unsigned(p.rows * p.pieces), kThreads, kBytes<T>, stream>>>(p);
-  if (p.pieces > 1)
-    add_pieces<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p.partial, p.rows, p.pieces, p.bins,
+  count_chunk<<<unsigned(p.rows * p.chunks), kThreads, kBytes<T>, stream>>>(p);
+  if (p.chunks > 1)
+    add_chunks<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p.partial, p.rows, p.chunks, p.bins,
                                                                              p.counts);
   return cudaGetLastError();
 }
 
 template <class T>
-int gaussian_counts_backward(GaussianCountsBackward<T> const& p, CUstream_st* stream) {
+int histogram_backward(HistogramBackward<T> const& p, CUstream_st* stream) {
   if (int const error =
-          cudaFuncSetAttribute(differentiate_piece<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, kBytes<T>))
+          cudaFuncSetAttribute(differentiate_chunk<T>, cudaFuncAttributeMaxDynamicSharedMemorySize, kBytes<T>))
     return error;
-  differentiate_piece<<<unsigned(p.forward.rows * p.forward.pieces), kThreads, kBytes<T>, stream>>>(p);
+  differentiate_chunk<<<unsigned(p.forward.rows * p.forward.chunks), kThreads, kBytes<T>, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_COMPUTED(gaussian_counts, GaussianCounts)
-KV_INSTANTIATE_COMPUTED(gaussian_counts_backward, GaussianCountsBackward)
+KV_INSTANTIATE_COMPUTED(histogram, Histogram)
+KV_INSTANTIATE_COMPUTED(histogram_backward, HistogramBackward)
 
 }  // namespace kv::cuda

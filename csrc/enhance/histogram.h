@@ -12,30 +12,30 @@
 namespace kv {
 
 template <class T>
-struct GaussianCounts {
+struct Histogram {
   T const* x;
   int64_t rows, samples;
   T const *centers, *bandwidth;
   int64_t bins, center_stride, bandwidth_stride;  // from row to row; 0 where all rows have the same ones
   T* counts;
-  int64_t piece, pieces;  // samples of a row that CUDA counts in one block; how many of these a row has
-  T* partial;             // on CUDA, the counts of all pieces
+  int64_t chunk, chunks;  // samples of a row that CUDA counts in one block; how many of these a row has
+  T* partial;             // on CUDA, the counts of all chunks
 };
 
 // Its gradient to x: every sample's sum of grad times the derivative of the Gaussians. By cells as well: each has a
 // cubic polynomial in t, and a sample takes its value.
 template <class T>
-struct GaussianCountsBackward {
-  GaussianCounts<T> forward;  // without counts
+struct HistogramBackward {
+  Histogram<T> forward;  // without counts
   T const* grad;
   T* grad_x;
 };
 
-KV_KERNEL(gaussian_counts, GaussianCounts)
-KV_KERNEL(gaussian_counts_backward, GaussianCountsBackward)
+KV_KERNEL(histogram, Histogram)
+KV_KERNEL(histogram_backward, HistogramBackward)
 
-constexpr float kReach = 6;            // bandwidths; beyond, a Gaussian is 1.5e-8 and less
-constexpr int kMostSamples = 1 << 16;  // in one piece: fixed-point moments then fit 32 bits
+constexpr float kReach = 6;           // bandwidths; beyond, a Gaussian is 1.5e-8 and less
+constexpr int kMaxSamples = 1 << 16;  // in one chunk: fixed-point moments then fit 32 bits
 
 struct MomentGrid {
   float bandwidth, width, inverse;

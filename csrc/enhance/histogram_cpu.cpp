@@ -6,12 +6,12 @@
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int kPiece = 512, kMostCells = 1 << 16;
+constexpr int kChunk = 512, kMaxCells = 1 << 16;
 constexpr int64_t kFewSamples = 256;  // that cells are not worth the trouble for
 
 // Center by center and sample by sample.
 template <class T>
-KV_HD void count_directly(GaussianCounts<T> const& p, T const* x, T const* centers, T h, T* counts) {
+KV_HD void count_directly(Histogram<T> const& p, T const* x, T const* centers, T h, T* counts) {
   for (int64_t k = 0; k < p.bins; ++k) {
     T const center = centers[k];
     double total = 0;
@@ -32,7 +32,7 @@ KV_HD void count_directly(GaussianCounts<T> const& p, T const* x, T const* cente
   }
 }
 
-// The cells of n <= kPiece samples, and their places there; of those outside, the cell behind the last.
+// The cells of n <= kChunk samples, and their places there; of those outside, the cell behind the last.
 KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* cell, float* t) {
   for_each_vector<float>(0, n, [&](auto width, int64_t i) {
     constexpr int N = decltype(width)::value;
@@ -50,10 +50,10 @@ KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* 
 
 // Adds samples to the moments of their cells, four beside each other.
 KV_HD void add_moments(MomentGrid const& grid, float const* x, int64_t n, float* moments) {
-  int32_t cell[kPiece];
-  float t[kPiece];
-  for (int64_t begin = 0; begin < n; begin += kPiece) {
-    int64_t const count = min(int64_t(kPiece), n - begin);
+  int32_t cell[kChunk];
+  float t[kChunk];
+  for (int64_t begin = 0; begin < n; begin += kChunk) {
+    int64_t const count = min(int64_t(kChunk), n - begin);
     cells_of(grid, x + begin, count, cell, t);
     for (int64_t i = 0; i < count; ++i) {
       float* const to = moments + 4 * cell[i];
@@ -82,7 +82,7 @@ KV_HD void count_cells(MomentGrid const& grid, float const* const (&m)[4], float
 }
 
 // The grid of a row, without cells where they do not fit or are not worth the trouble.
-KV_HD MomentGrid grid_of(GaussianCounts<float> const& p, float const* centers, float h) {
+KV_HD MomentGrid grid_of(Histogram<float> const& p, float const* centers, float h) {
   float lowest = centers[0], highest = centers[0];
   bool useful = p.samples > kFewSamples;
   for (int64_t k = 0; k < p.bins; ++k) {
@@ -90,7 +90,7 @@ KV_HD MomentGrid grid_of(GaussianCounts<float> const& p, float const* centers, f
     lowest = centers[k] < lowest ? centers[k] : lowest;
     highest = centers[k] > highest ? centers[k] : highest;
   }
-  return MomentGrid(lowest, highest, h, useful ? kMostCells : 0);
+  return MomentGrid(lowest, highest, h, useful ? kMaxCells : 0);
 }
 
 // Double4 numbers for every cell, for the one behind the last, and for a vector that reaches beyond it; zero at first.
@@ -104,15 +104,15 @@ struct CellMemory {
   KV_HD float* apart(int kind) const { return memory.data + kind * size; }
 };
 
-KV_HD void count_by_cells(GaussianCounts<float> const& p, MomentGrid const& grid, float const* x, float const* centers,
+KV_HD void count_by_cells(Histogram<float> const& p, MomentGrid const& grid, float const* x, float const* centers,
                           float* counts) {
   CellMemory const moments(grid), apart(grid);
   Scratch<double> const sums(p.bins);
   for (int64_t k = 0; k < p.bins; ++k) sums.data[k] = 0;
   float* const m[4] = {apart.apart(0), apart.apart(1), apart.apart(2), apart.apart(3)};
-  for (int64_t i = 0; i < p.samples; i += kMostSamples) {
+  for (int64_t i = 0; i < p.samples; i += kMaxSamples) {
     if (i > 0) moments.clear();
-    add_moments(grid, x + i, min(int64_t(kMostSamples), p.samples - i), moments.memory.data);
+    add_moments(grid, x + i, min(int64_t(kMaxSamples), p.samples - i), moments.memory.data);
     for (int64_t k = 0; k < grid.cells; ++k)
       for (int j = 0; j < 4; ++j) m[j][k] = moments.memory.data[4 * k + j];
     count_cells(grid, m, centers, p.bins, sums.data);
@@ -122,8 +122,7 @@ KV_HD void count_by_cells(GaussianCounts<float> const& p, MomentGrid const& grid
 
 // Sample by sample and center by center.
 template <class T>
-KV_HD void differentiate_directly(GaussianCounts<T> const& p, T const* x, T const* centers, T h, T const* grad,
-                                  T* grad_x) {
+KV_HD void differentiate_directly(Histogram<T> const& p, T const* x, T const* centers, T h, T const* grad, T* grad_x) {
   for_each_vector<T>(0, p.samples, [&](auto width, int64_t i) {
     constexpr int N = decltype(width)::value;
     Lanes<T, N> const v = load<N>(x + i);
@@ -136,7 +135,7 @@ KV_HD void differentiate_directly(GaussianCounts<T> const& p, T const* x, T cons
   });
 }
 
-KV_HD void differentiate_by_cells(GaussianCounts<float> const& p, MomentGrid const& grid, float const* x,
+KV_HD void differentiate_by_cells(Histogram<float> const& p, MomentGrid const& grid, float const* x,
                                   float const* centers, float const* grad, float* grad_x) {
   constexpr int N = kLanes<float>;
   using V = Lanes<float, N>;
@@ -155,10 +154,10 @@ KV_HD void differentiate_by_cells(GaussianCounts<float> const& p, MomentGrid con
   for (int64_t i = 0; i < grid.cells; ++i)
     for (int j = 0; j < 4; ++j) table.memory.data[4 * i + j] = apart.apart(j)[i];
 
-  int32_t cell[kPiece];
-  float t[kPiece];
-  for (int64_t begin = 0; begin < p.samples; begin += kPiece) {
-    int64_t const count = min(int64_t(kPiece), p.samples - begin);
+  int32_t cell[kChunk];
+  float t[kChunk];
+  for (int64_t begin = 0; begin < p.samples; begin += kChunk) {
+    int64_t const count = min(int64_t(kChunk), p.samples - begin);
     cells_of(grid, x + begin, count, cell, t);
     for (int64_t i = 0; i < count; ++i) {
       float const* const c = table.memory.data + 4 * cell[i];
@@ -170,7 +169,7 @@ KV_HD void differentiate_by_cells(GaussianCounts<float> const& p, MomentGrid con
 }  // namespace
 
 template <class T>
-void gaussian_counts(GaussianCounts<T> const& p, int64_t begin, int64_t end) {
+void histogram(Histogram<T> const& p, int64_t begin, int64_t end) {
   for (int64_t row = begin; row < end; ++row) {
     T const *const x = p.x + row * p.samples, *const centers = p.centers + row * p.center_stride;
     T const h = p.bandwidth[row * p.bandwidth_stride];
@@ -187,8 +186,8 @@ void gaussian_counts(GaussianCounts<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void gaussian_counts_backward(GaussianCountsBackward<T> const& b, int64_t begin, int64_t end) {
-  GaussianCounts<T> const& p = b.forward;
+void histogram_backward(HistogramBackward<T> const& b, int64_t begin, int64_t end) {
+  Histogram<T> const& p = b.forward;
   for (int64_t row = begin; row < end; ++row) {
     T const *const x = p.x + row * p.samples, *const centers = p.centers + row * p.center_stride;
     T const h = p.bandwidth[row * p.bandwidth_stride];
@@ -205,7 +204,7 @@ void gaussian_counts_backward(GaussianCountsBackward<T> const& b, int64_t begin,
   }
 }
 
-KV_INSTANTIATE_COMPUTED(gaussian_counts, GaussianCounts)
-KV_INSTANTIATE_COMPUTED(gaussian_counts_backward, GaussianCountsBackward)
+KV_INSTANTIATE_COMPUTED(histogram, Histogram)
+KV_INSTANTIATE_COMPUTED(histogram_backward, HistogramBackward)
 
 }  // namespace kv::KV_ISA

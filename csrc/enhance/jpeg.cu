@@ -21,11 +21,11 @@ struct Chroma {
 };
 
 // Where a block's tile is.
-struct Place {
+struct TilePosition {
   int64_t image;
   int y, x, tile, tiles;
   template <class F>
-  __device__ __forceinline__ explicit Place(JpegLevels<F> const& levels) {
+  __device__ __forceinline__ explicit TilePosition(JpegLevels<F> const& levels) {
     int const across = (int(levels.width) + kJpegWidth - 1) / kJpegWidth;
     tiles = across * (int(levels.height) / kJpegSide);
     image = blockIdx.x / unsigned(tiles);
@@ -48,7 +48,7 @@ __device__ __forceinline__ bool is_inner(int row, int column) {
 }
 
 template <class T>
-__device__ __forceinline__ void load_levels(JpegBlocks<T> const& p, Place const& at, Tile<Compute<T>>& planes,
+__device__ __forceinline__ void load_levels(JpegBlocks<T> const& p, TilePosition const& at, Tile<Compute<T>>& planes,
                                             Chroma<Compute<T>>& chroma) {
   using F = Compute<T>;
   for_each_around([&](int row, int column) {
@@ -84,7 +84,7 @@ struct Double4 {
   int pitch, plane, y, x;  // in the image's plane
   int const lane = int(threadIdx.x) % 32;
 
-  __device__ __forceinline__ Double4(Tile<F>& planes, Place const& at) {
+  __device__ __forceinline__ Double4(Tile<F>& planes, TilePosition const& at) {
     int const warp = int(threadIdx.x) / 32;
     plane = warp < 4 ? 0 : warp - 3;
     if (plane == 0) {
@@ -143,7 +143,7 @@ __global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlo
   __shared__ Tile<F> planes;
   __shared__ Chroma<F> chroma;
   __shared__ F steps[128];
-  Place const at(p.levels);
+  TilePosition const at(p.levels);
   find_steps(p.tables, at.image, steps);
   load_levels(p, at, planes, chroma);
   __syncthreads();
@@ -155,18 +155,18 @@ __global__ void __launch_bounds__(kThreads) run_blocks(__grid_constant__ JpegBlo
   F v[8];
   four.load_column(v);
 #pragma unroll
-  for (int i = 0; i < 8; ++i) v[i] = jpeg_quantised<F>(v[i], steps[(four.plane > 0 ? 64 : 0) + 8 * i + four.lane % 8]);
+  for (int i = 0; i < 8; ++i) v[i] = jpeg_quantized<F>(v[i], steps[(four.plane > 0 ? 64 : 0) + 8 * i + four.lane % 8]);
   four.finish(v, p.levels, at.image);
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) run_pull_blocks(__grid_constant__ JpegPullBlocks<T> const p) {
+__global__ void __launch_bounds__(kThreads) run_blocks_backward(__grid_constant__ JpegBlocksBackward<T> const p) {
   using F = Compute<T>;
   __shared__ Tile<F> planes, grads;
   __shared__ Chroma<F> chroma;
   __shared__ F steps[128], sums[kWarps][64];
   JpegLevels<F> const& levels = p.forward.levels;
-  Place const at(levels);
+  TilePosition const at(levels);
   find_steps(p.forward.tables, at.image, steps);
   load_levels(p.forward, at, planes, chroma);
   __syncthreads();
@@ -181,13 +181,14 @@ __global__ void __launch_bounds__(kThreads) run_pull_blocks(__grid_constant__ Jp
       F doubled[2];
 #pragma unroll
       for (int c = 0; c < 2; ++c) {
-        F const *const near = levels.row(at.image, 1 + c, down.near), *const beside =
-                                                                          levels.row(at.image, 1 + c, down.beside);
-        doubled[c] = (near[across.near] * down.of_near + beside[across.near] * down.of_beside) * across.of_near +
-                     (near[across.beside] * down.of_near + beside[across.beside] * down.of_beside) * across.of_beside;
+        F const *const near = levels.row(at.image, 1 + c, down.near), *const far =
+                                                                          levels.row(at.image, 1 + c, down.far);
+        doubled[c] =
+            (near[across.near] * down.near_weight + far[across.near] * down.far_weight) * across.near_weight +
+            (near[across.far] * down.near_weight + far[across.far] * down.far_weight) * across.far_weight;
       }
       T const* const g = p.grad.row(at.image, 0, y) + x * p.grad.step;
-      of = pull_jpeg_clipped<F>(
+      of = jpeg_clipped_rgb_vjp<F>(
           levels.row(at.image, 0, y)[x], doubled[0], doubled[1],
           JpegColor<F>{{read(g[0]), read(g[p.grad.channel_stride]), read(g[2 * p.grad.channel_stride])}});
     }
@@ -196,184 +197,185 @@ __global__ void __launch_bounds__(kThreads) run_pull_blocks(__grid_constant__ Jp
     for (int c = 0; c < 2; ++c) chroma.v[c][row + 1][column + 1] = of.v[1 + c];
   });
   __syncthreads();
-  halve(chroma, grads, [](F a, F b, F c, F d) { return pull_jpeg_doubled<F>(a, b, c, d); });
+  halve(chroma, grads, [](F a, F b, F c, F d) { return jpeg_doubled_vjp<F>(a, b, c, d); });
   __syncthreads();
 
   Double4<F> const four(planes, at), of_four(grads, at);
   four.transform_rows();
   of_four.transform_rows();
   __syncwarp();
-  F v[8], g[8], slopes[8];
+  F v[8], g[8], gradients[8];
   four.load_column(v);
   of_four.load_column(g);
   bool const inside = four.x + four.lane / 8 * 8 < levels.width_of(four.plane);
 #pragma unroll
   for (int i = 0; i < 8; ++i) {
-    slopes[i] = 0;
-    pull_jpeg_quantised<F>(v[i], steps[(four.plane > 0 ? 64 : 0) + 8 * i + four.lane % 8], g[i], slopes[i]);
-    if (!inside) slopes[i] = 0;
+    gradients[i] = 0;
+    jpeg_quantized_vjp<F>(v[i], steps[(four.plane > 0 ? 64 : 0) + 8 * i + four.lane % 8], g[i], gradients[i]);
+    if (!inside) gradients[i] = 0;
   }
   if (p.grad_levels.data) of_four.finish(g, p.grad_levels, at.image);
-  if (!p.slopes) return;
+  if (!p.gradients) return;
 #pragma unroll
   for (int i = 0; i < 8; ++i) {
-    slopes[i] += __shfl_xor_sync(0xffffffffu, slopes[i], 8);
-    slopes[i] += __shfl_xor_sync(0xffffffffu, slopes[i], 16);
-    if (four.lane < 8) sums[threadIdx.x / 32][8 * i + four.lane] = slopes[i];
+    gradients[i] += __shfl_xor_sync(0xffffffffu, gradients[i], 8);
+    gradients[i] += __shfl_xor_sync(0xffffffffu, gradients[i], 16);
+    if (four.lane < 8) sums[threadIdx.x / 32][8 * i + four.lane] = gradients[i];
   }
   __syncthreads();
   int const i = int(threadIdx.x), k = i % 64;
   if (i < 128)
-    p.slopes[(at.image * p.pieces + at.tile) * 128 + i] =
+    p.gradients[(at.image * p.chunks + at.tile) * 128 + i] =
         i < 64 ? (sums[0][k] + sums[1][k]) + (sums[2][k] + sums[3][k]) : sums[4][k] + sums[5][k];
 }
 
 // --- pixels, four a thread -------------------------------------------------------------------------------------------
 
-constexpr int kTaken = 4, kRows = 8;
+constexpr int kPixelsPerThread = 4, kRows = 8;
 
 // Double4 pixels of a row of chroma, of which the half has the rows and columns near and beside; beyond the half is its
 // border, or nothing.
 template <class F>
 __device__ __forceinline__ void spread(JpegLevels<F> const& levels, int64_t image, int plane, JpegPair<F> const& rows,
-                                       int x, F of_near, F of_beside, bool replicate, F (&v)[kTaken]) {
+                                       int x, F near_weight, F far_weight, bool replicate, F (&v)[kPixelsPerThread]) {
   int const n = int(levels.width) / 2, first = x / 2;
-  F const *const near = levels.row(image, plane, rows.near) + first, *const beside =
-                                                                         levels.row(image, plane, rows.beside) + first;
-  auto const mix = [&](F a, F b) { return a * rows.of_near + b * rows.of_beside; };
-  auto const a = *reinterpret_cast<Vector<F, 2> const*>(near), b = *reinterpret_cast<Vector<F, 2> const*>(beside);
+  F const *const near = levels.row(image, plane, rows.near) + first, *const far =
+                                                                         levels.row(image, plane, rows.far) + first;
+  auto const mix = [&](F a, F b) { return a * rows.near_weight + b * rows.far_weight; };
+  auto const a = *reinterpret_cast<Vector<F, 2> const*>(near), b = *reinterpret_cast<Vector<F, 2> const*>(far);
   F half[4] = {0, mix(a.v[0], b.v[0]), mix(a.v[1], b.v[1]), 0};
   if (first > 0)
-    half[0] = mix(near[-1], beside[-1]);
+    half[0] = mix(near[-1], far[-1]);
   else if (replicate)
     half[0] = half[1];
   if (first + 2 < n)
-    half[3] = mix(near[2], beside[2]);
+    half[3] = mix(near[2], far[2]);
   else if (replicate)
     half[3] = half[2];
 #pragma unroll
-  for (int i = 0; i < kTaken; ++i) v[i] = half[1 + i / 2] * of_near + half[i % 2 ? 2 + i / 2 : i / 2] * of_beside;
+  for (int i = 0; i < kPixelsPerThread; ++i)
+    v[i] = half[1 + i / 2] * near_weight + half[i % 2 ? 2 + i / 2 : i / 2] * far_weight;
 }
 
 template <class T>
-__device__ __forceinline__ void store_taken(Images<T> const& to, int64_t image, int c, int y, int x, bool vectorized,
-                                            Compute<T> const (&v)[kTaken]) {
+__device__ __forceinline__ void store_pixels(Images<T> const& to, int64_t image, int c, int y, int x, bool vectorized,
+                                             Compute<T> const (&v)[kPixelsPerThread]) {
   T* const row = to.row(image, c, y);
   if (vectorized) {
     store_vector(row + x, v);
   } else {
 #pragma unroll
-    for (int i = 0; i < kTaken; ++i)
+    for (int i = 0; i < kPixelsPerThread; ++i)
       if (x + i < to.width) row[(x + i) * to.step] = round_to<T>(v[i]);
   }
 }
 template <class T>
 bool is_vectorizable(Images<T> const& x) {
-  return x.step == 1 && (x.width | x.row_stride | x.channel_stride | x.batch_stride) % kTaken == 0 &&
-         reinterpret_cast<uintptr_t>(x.data) % (kTaken * sizeof(T)) == 0;
+  return x.step == 1 && (x.width | x.row_stride | x.channel_stride | x.batch_stride) % kPixelsPerThread == 0 &&
+         reinterpret_cast<uintptr_t>(x.data) % (kPixelsPerThread * sizeof(T)) == 0;
 }
 template <class T>
 dim3 blocks_of(Images<T> const& x) {
-  return dim3(unsigned(ceil_div(x.width, 32 * kTaken)), unsigned(ceil_div(x.height, kRows)),
+  return dim3(unsigned(ceil_div(x.width, 32 * kPixelsPerThread)), unsigned(ceil_div(x.height, kRows)),
               unsigned(min(x.batch, int64_t(65535))));
 }
 
 template <class T>
 __global__ void __launch_bounds__(32 * kRows) run_pixels(__grid_constant__ JpegPixels<T> const p, bool vectorized) {
   using F = Compute<T>;
-  int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
+  int const x = int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread, y = int(blockIdx.y * kRows + threadIdx.y);
   if (x >= p.y.width || y >= p.y.height) return;
   auto const rows = jpeg_doubled<F>(y, int(p.levels.height));
   for (int64_t image = blockIdx.z; image < p.y.batch; image += gridDim.z) {
-    F chroma[2][kTaken], rgb[3][kTaken];
+    F chroma[2][kPixelsPerThread], rgb[3][kPixelsPerThread];
 #pragma unroll
-    for (int c = 0; c < 2; ++c) spread(p.levels, image, 1 + c, rows, x, rows.of_near, rows.of_beside, true, chroma[c]);
-    auto const luma = *reinterpret_cast<Vector<F, kTaken> const*>(p.levels.row(image, 0, y) + x);
+    for (int c = 0; c < 2; ++c)
+      spread(p.levels, image, 1 + c, rows, x, rows.near_weight, rows.far_weight, true, chroma[c]);
+    auto const luma = *reinterpret_cast<Vector<F, kPixelsPerThread> const*>(p.levels.row(image, 0, y) + x);
 #pragma unroll
-    for (int i = 0; i < kTaken; ++i) {
-      auto const found = jpeg_rgb<F>(luma.v[i], chroma[0][i], chroma[1][i]);
+    for (int i = 0; i < kPixelsPerThread; ++i) {
+      auto const result = jpeg_rgb<F>(luma.v[i], chroma[0][i], chroma[1][i]);
 #pragma unroll
-      for (int c = 0; c < 3; ++c) rgb[c][i] = jpeg_clip<F>(found.v[c]);
+      for (int c = 0; c < 3; ++c) rgb[c][i] = jpeg_clip<F>(result.v[c]);
     }
 #pragma unroll
-    for (int c = 0; c < 3; ++c) store_taken(p.y, image, c, y, x, vectorized, rgb[c]);
+    for (int c = 0; c < 3; ++c) store_pixels(p.y, image, c, y, x, vectorized, rgb[c]);
   }
 }
 
 template <class T>
 __global__ void __launch_bounds__(32 * kRows)
-    run_pull_pixels(__grid_constant__ JpegPullPixels<T> const p, bool vectorized) {
+    run_pixels_backward(__grid_constant__ JpegPixelsBackward<T> const p, bool vectorized) {
   using F = Compute<T>;
   JpegLevels<F> const& levels = p.grad_levels;
-  int const x = int(blockIdx.x * 32 + threadIdx.x) * kTaken, y = int(blockIdx.y * kRows + threadIdx.y);
+  int const x = int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread, y = int(blockIdx.y * kRows + threadIdx.y);
   int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   if (x >= width || y >= height) return;
   // The last row and column stand for those beyond, too.
   int const after = y + 1 < height ? y + 1 : int(levels.height);
-  int const across = x + kTaken < width ? x + kTaken : int(levels.width);
+  int const across = x + kPixelsPerThread < width ? x + kPixelsPerThread : int(levels.width);
   for (int64_t image = blockIdx.z; image < p.grad_x.batch; image += gridDim.z) {
-    F sums[3][kTaken]{};
+    F sums[3][kPixelsPerThread]{};
     for (int row = y; row < after; ++row) {
-      auto const rows = pull_jpeg_halved<F>(row, int(levels.height));
-      for (int column = x; column < across; column += kTaken) {
-        F v[3][kTaken];
-        auto const luma = *reinterpret_cast<Vector<F, kTaken> const*>(levels.row(image, 0, row) + column);
+      auto const rows = jpeg_halved_vjp<F>(row, int(levels.height));
+      for (int column = x; column < across; column += kPixelsPerThread) {
+        F v[3][kPixelsPerThread];
+        auto const luma = *reinterpret_cast<Vector<F, kPixelsPerThread> const*>(levels.row(image, 0, row) + column);
 #pragma unroll
         for (int c = 0; c < 2; ++c) {
           spread(levels, image, 1 + c, rows, column, F(kJpegInner), F(kJpegOuter), false, v[1 + c]);
-          F const *const near = levels.row(image, 1 + c, rows.near), *const beside =
-                                                                         levels.row(image, 1 + c, rows.beside);
+          F const *const near = levels.row(image, 1 + c, rows.near), *const far = levels.row(image, 1 + c, rows.far);
           auto const mirrored = [&](int i) {
-            return (near[i] * rows.of_near + beside[i] * rows.of_beside) * F(kJpegOuter);
+            return (near[i] * rows.near_weight + far[i] * rows.far_weight) * F(kJpegOuter);
           };
           if (column == 0) v[1 + c][1] += mirrored(0);
-          if (column + kTaken == levels.width) v[1 + c][2] += mirrored(int(levels.width) / 2 - 1);
+          if (column + kPixelsPerThread == levels.width) v[1 + c][2] += mirrored(int(levels.width) / 2 - 1);
         }
 #pragma unroll
-        for (int i = 0; i < kTaken; ++i) {
+        for (int i = 0; i < kPixelsPerThread; ++i) {
           v[0][i] = luma.v[i];
           int const to = min(column + i, width - 1) - x;
 #pragma unroll
-          for (int k = 0; k < kTaken; ++k)
+          for (int k = 0; k < kPixelsPerThread; ++k)
             if (k == to)
 #pragma unroll
               for (int c = 0; c < 3; ++c) sums[c][k] += v[c][i];
         }
       }
     }
-    F rgb[3][kTaken];
+    F rgb[3][kPixelsPerThread];
 #pragma unroll
-    for (int i = 0; i < kTaken; ++i) {
-      auto const found = pull_jpeg_levels<F>(sums[0][i], sums[1][i], sums[2][i]);
+    for (int i = 0; i < kPixelsPerThread; ++i) {
+      auto const result = jpeg_levels_vjp<F>(sums[0][i], sums[1][i], sums[2][i]);
 #pragma unroll
-      for (int c = 0; c < 3; ++c) rgb[c][i] = found.v[c];
+      for (int c = 0; c < 3; ++c) rgb[c][i] = result.v[c];
     }
 #pragma unroll
-    for (int c = 0; c < 3; ++c) store_taken(p.grad_x, image, c, y, x, vectorized, rgb[c]);
+    for (int c = 0; c < 3; ++c) store_pixels(p.grad_x, image, c, y, x, vectorized, rgb[c]);
   }
 }
 
 // A block of threads an image, a thread a step.
 template <class F>
-__global__ void __launch_bounds__(128) run_pull_steps(__grid_constant__ JpegPullSteps<F> const p) {
+__global__ void __launch_bounds__(128) run_steps_backward(__grid_constant__ JpegStepsBackward<F> const p) {
   __shared__ F sums[4];
   int64_t const b = blockIdx.x;
   int const i = int(threadIdx.x);
-  F const* const slopes = p.slopes + b * p.pieces * 128 + i;
+  F const* const gradients = p.gradients + b * p.chunks * 128 + i;
   F parts[4]{};
-  int64_t piece = 0;
-  for (; piece + 4 <= p.pieces; piece += 4)
+  int64_t chunk = 0;
+  for (; chunk + 4 <= p.chunks; chunk += 4)
 #pragma unroll
-    for (int k = 0; k < 4; ++k) parts[k] += slopes[(piece + k) * 128];
-  for (; piece < p.pieces; ++piece) parts[0] += slopes[piece * 128];
+    for (int k = 0; k < 4; ++k) parts[k] += gradients[(chunk + k) * 128];
+  for (; chunk < p.chunks; ++chunk) parts[0] += gradients[chunk * 128];
   auto const percent = jpeg_percent(jpeg_quality(p.tables, b));
   F const table = jpeg_table(p.tables, b, i);
-  F const of = ((parts[0] + parts[1]) + (parts[2] + parts[3])) * jpeg_step(table, percent.value).slope;
+  F const of = ((parts[0] + parts[1]) + (parts[2] + parts[3])) * jpeg_step(table, percent.value).derivative;
   (i < 64 ? p.grad_luma : p.grad_chroma)[b * 64 + i % 64] = of * percent.value;
   F const of_warp = warp_sum(of * table);
   if (i % 32 == 0) sums[i / 32] = of_warp;
   __syncthreads();
-  if (i == 0) p.grad_quality[b] = ((sums[0] + sums[1]) + (sums[2] + sums[3])) * percent.slope;
+  if (i == 0) p.grad_quality[b] = ((sums[0] + sums[1]) + (sums[2] + sums[3])) * percent.derivative;
 }
 
 template <class F>
@@ -394,25 +396,25 @@ int jpeg_pixels(JpegPixels<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 template <class T>
-int jpeg_pull_blocks(JpegPullBlocks<T> const& p, CUstream_st* stream) {
-  run_pull_blocks<<<tiles_of(p.forward.levels, p.grad.batch), kThreads, 0, stream>>>(p);
+int jpeg_blocks_backward(JpegBlocksBackward<T> const& p, CUstream_st* stream) {
+  run_blocks_backward<<<tiles_of(p.forward.levels, p.grad.batch), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 template <class T>
-int jpeg_pull_pixels(JpegPullPixels<T> const& p, CUstream_st* stream) {
-  run_pull_pixels<<<blocks_of(p.grad_x), dim3(32, kRows), 0, stream>>>(p, is_vectorizable(p.grad_x));
+int jpeg_pixels_backward(JpegPixelsBackward<T> const& p, CUstream_st* stream) {
+  run_pixels_backward<<<blocks_of(p.grad_x), dim3(32, kRows), 0, stream>>>(p, is_vectorizable(p.grad_x));
   return cudaGetLastError();
 }
 template <class F>
-int jpeg_pull_steps(JpegPullSteps<F> const& p, CUstream_st* stream) {
-  run_pull_steps<<<unsigned(p.batch), 128, 0, stream>>>(p);
+int jpeg_steps_backward(JpegStepsBackward<F> const& p, CUstream_st* stream) {
+  run_steps_backward<<<unsigned(p.batch), 128, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 KV_INSTANTIATE(jpeg_blocks, JpegBlocks)
 KV_INSTANTIATE(jpeg_pixels, JpegPixels)
-KV_INSTANTIATE(jpeg_pull_blocks, JpegPullBlocks)
-KV_INSTANTIATE(jpeg_pull_pixels, JpegPullPixels)
-KV_INSTANTIATE_COMPUTED(jpeg_pull_steps, JpegPullSteps)
+KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
+KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
+KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)
 
 }  // namespace kv::cuda

@@ -54,31 +54,31 @@ struct JpegPixels {
   Images<T> y;
 };
 template <class T>
-struct JpegPullBlocks {
+struct JpegBlocksBackward {
   JpegBlocks<T> forward;
   Images<T const> grad;
   JpegLevels<Compute<T>> grad_levels;  // null: not wanted
-  Compute<T>* slopes;                  // of the steps of luma and chroma: (B, pieces, 128); null: not wanted
-  int64_t pieces;
+  Compute<T>* gradients;               // of the steps of luma and chroma: (B, chunks, 128); null: not wanted
+  int64_t chunks;
 };
 template <class T>
-struct JpegPullPixels {
+struct JpegPixelsBackward {
   JpegLevels<Compute<T>> grad_levels;
   Images<T> grad_x;
 };
 template <class F>
-struct JpegPullSteps {
+struct JpegStepsBackward {
   JpegTables<F> tables;
-  F const* slopes;
-  int64_t batch, pieces;
+  F const* gradients;
+  int64_t batch, chunks;
   F *grad_quality, *grad_luma, *grad_chroma;  // (B), (B, 64), (B, 64)
 };
 
 KV_KERNEL(jpeg_blocks, JpegBlocks)
 KV_KERNEL(jpeg_pixels, JpegPixels)
-KV_KERNEL(jpeg_pull_blocks, JpegPullBlocks)
-KV_KERNEL(jpeg_pull_pixels, JpegPullPixels)
-KV_KERNEL(jpeg_pull_steps, JpegPullSteps)
+KV_KERNEL(jpeg_blocks_backward, JpegBlocksBackward)
+KV_KERNEL(jpeg_pixels_backward, JpegPixelsBackward)
+KV_KERNEL(jpeg_steps_backward, JpegStepsBackward)
 
 // What is worked on at once: four by one squares of 16 pixels, each four blocks of luma and one of each chroma.
 constexpr int kJpegSide = 16, kJpegWidth = 64;
@@ -100,7 +100,7 @@ KV_HD JpegColor<V> jpeg_levels(V const& r, V const& g, V const& b) {
   return {{y * F(255) - F(128), (b - y) * F(255 * kJpegFromBlue) - F(0.5), (r - y) * F(255 * kJpegFromRed) - F(0.5)}};
 }
 template <class F, class V>
-KV_HD JpegColor<V> pull_jpeg_levels(V const& luma, V const& blue, V const& red) {
+KV_HD JpegColor<V> jpeg_levels_vjp(V const& luma, V const& blue, V const& red) {
   V const of_b = blue * F(255 * kJpegFromBlue), of_r = red * F(255 * kJpegFromRed);
   V const y = luma * F(255) - of_b - of_r;
   return {{y * F(kJpegRed) + of_r, y * F(kJpegGreen), y * F(kJpegBlue) + of_b}};
@@ -114,7 +114,7 @@ KV_HD JpegColor<V> jpeg_rgb(V const& luma, V const& blue, V const& red) {
   return {{y + r, y - b * F(kJpegBlue / kJpegGreen) - r * F(kJpegRed / kJpegGreen), y + b}};
 }
 template <class F, class V>
-KV_HD JpegColor<V> pull_jpeg_rgb(V const& r, V const& g, V const& b) {
+KV_HD JpegColor<V> jpeg_rgb_vjp(V const& r, V const& g, V const& b) {
   return {{(r + g + b) * F(1 / 255.), (b - g * F(kJpegBlue / kJpegGreen)) * F(1 / 255. / kJpegFromBlue),
            (r - g * F(kJpegRed / kJpegGreen)) * F(1 / 255. / kJpegFromRed)}};
 }
@@ -125,13 +125,13 @@ KV_HD V jpeg_clip(V const& x) {
 }
 // The gradient g of clipped rgb to the levels.
 template <class F, class V>
-KV_HD JpegColor<V> pull_jpeg_clipped(V const& luma, V const& blue, V const& red, JpegColor<V> g) {
+KV_HD JpegColor<V> jpeg_clipped_rgb_vjp(V const& luma, V const& blue, V const& red, JpegColor<V> g) {
   JpegColor<V> const x = jpeg_rgb<F>(luma, blue, red);
   for (int c = 0; c < 3; ++c) {
     V const none = g.v[c] * F(0);
     g.v[c] = x.v[c] >= F(0) ? (x.v[c] <= F(1) ? g.v[c] : none) : none;
   }
-  return pull_jpeg_rgb<F>(g.v[0], g.v[1], g.v[2]);
+  return jpeg_rgb_vjp<F>(g.v[0], g.v[1], g.v[2]);
 }
 
 // --- half size and back, along one axis ------------------------------------------------------------------------------
@@ -152,16 +152,15 @@ KV_HD V jpeg_halved(V const& a, V const& b, V const& c, V const& d) {
 // A pixel made of two of the half: of the nearest one, and of that beside it, which may be the same.
 template <class F>
 struct JpegPair {
-  int near, beside;
-  F of_near, of_beside;
+  int near, far;
+  F near_weight, far_weight;
 };
 // The transpose: the gradient of pixel i of n from those of its half.
 template <class F>
-KV_HD JpegPair<F> pull_jpeg_halved(int i, int n) {
-  int const near = i / 2, beside = i % 2 ? near + 1 : near - 1;
-  bool const has_beside = beside >= 0 && beside < n / 2, mirrored = i == 1 || i == n - 2;
-  return {near, has_beside ? beside : near, F(mirrored ? kJpegInner + kJpegOuter : kJpegInner),
-          F(has_beside ? kJpegOuter : 0)};
+KV_HD JpegPair<F> jpeg_halved_vjp(int i, int n) {
+  int const near = i / 2, far = i % 2 ? near + 1 : near - 1;
+  bool const has_far = far >= 0 && far < n / 2, mirrored = i == 1 || i == n - 2;
+  return {near, has_far ? far : near, F(mirrored ? kJpegInner + kJpegOuter : kJpegInner), F(has_far ? kJpegOuter : 0)};
 }
 // Pixel i of n, bilinear in its half, whose border is replicated.
 template <class F>
@@ -170,7 +169,7 @@ KV_HD JpegPair<F> jpeg_doubled(int i, int n) {
 }
 // Its transpose: the gradients of pixels 2i - 1 ... 2i + 2, those at the ends standing for those beyond.
 template <class F, class V>
-KV_HD V pull_jpeg_doubled(V const& a, V const& b, V const& c, V const& d) {
+KV_HD V jpeg_doubled_vjp(V const& a, V const& b, V const& c, V const& d) {
   return (b + c) * F(0.75) + (a + d) * F(0.25);
 }
 
@@ -238,15 +237,15 @@ KV_HD V jpeg_round(V const& x) {
   return x < limit ? (x > -limit ? whole : x) : x;
 }
 template <class F, class V>
-KV_HD V jpeg_quantised(V const& coefficient, V const& step) {
+KV_HD V jpeg_quantized(V const& coefficient, V const& step) {
   V const q = coefficient / step, whole = jpeg_round<F>(q), rest = q - whole;
   return (whole + rest * rest * rest) * step;
 }
-// The gradient `g` of that becomes the coefficient's; the step's is added to `slope`.
+// The gradient `g` of that becomes the coefficient's; the step's is added to `derivative`.
 template <class F, class V>
-KV_HD void pull_jpeg_quantised(V const& coefficient, V const& step, V& g, V& slope) {
+KV_HD void jpeg_quantized_vjp(V const& coefficient, V const& step, V& g, V& derivative) {
   V const q = coefficient / step, whole = jpeg_round<F>(q), rest = q - whole, square = rest * rest;
-  slope += g * (whole + square * rest - q * square * F(3));
+  derivative += g * (whole + square * rest - q * square * F(3));
   g = g * square * F(3);
 }
 
@@ -265,31 +264,31 @@ KV_HD int jpeg_standard(bool chroma, int i) {
 
 // A number and its derivative.
 template <class F>
-struct JpegSlope {
-  F value, slope;
+struct JpegDual {
+  F value, derivative;
 };
 template <class F>
-KV_HD JpegSlope<F> jpeg_floor(F x) {
+KV_HD JpegDual<F> jpeg_floor(F x) {
   F const whole = F(__builtin_floor(double(x))), rest = x - whole - F(0.5);
   return {whole + rest * rest * rest, F(3) * rest * rest};
 }
 // The percentage that a quality scales tables by.
 template <class F>
-KV_HD JpegSlope<F> jpeg_percent(F quality) {
+KV_HD JpegDual<F> jpeg_percent(F quality) {
   F const q = quality < F(1) ? F(1) : quality > F(100) ? F(100) : quality;
-  JpegSlope<F> const found = jpeg_floor(q < F(50) ? F(5000) / q : F(200) - F(2) * q);
-  F const slope = q < F(50) ? F(-5000) / (q * q) : F(-2);
-  return {found.value, quality >= F(1) && quality <= F(100) ? found.slope * slope : F(0)};
+  JpegDual<F> const result = jpeg_floor(q < F(50) ? F(5000) / q : F(200) - F(2) * q);
+  F const derivative = q < F(50) ? F(-5000) / (q * q) : F(-2);
+  return {result.value, quality >= F(1) && quality <= F(100) ? result.derivative * derivative : F(0)};
 }
 // A step and its derivative by what the table times the percentage is.
 template <class F>
-KV_HD JpegSlope<F> jpeg_step(F table, F percent) {
+KV_HD JpegDual<F> jpeg_step(F table, F percent) {
   F const x = (table * percent + F(50)) / F(100);
   F const inside = x < F(1) ? F(1) : x > F(255) ? F(255) : x, beyond = x - inside;
   F const left = beyond == F(0) ? F(1) : F(__builtin_exp(-__builtin_fabs(double(beyond))));
   F const more = F(0.02) * (F(1) - left);
-  JpegSlope<F> const step = jpeg_floor(inside + (beyond < F(0) ? -more : more));
-  return {step.value, step.slope * (beyond == F(0) ? F(1) : F(0.02) * left) / F(100)};
+  JpegDual<F> const step = jpeg_floor(inside + (beyond < F(0) ? -more : more));
+  return {step.value, step.derivative * (beyond == F(0) ? F(1) : F(0.02) * left) / F(100)};
 }
 
 template <class F>

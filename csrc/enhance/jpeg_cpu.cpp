@@ -22,12 +22,12 @@ struct JpegTile {
 };
 
 // Where a tile is, in a padded image.
-struct JpegPlace {
+struct JpegTilePosition {
   int64_t b;
   int y, x, height, width, columns;
 
   template <class F>
-  KV_HD JpegPlace(JpegLevels<F> const& levels, int64_t r, int x)
+  KV_HD JpegTilePosition(JpegLevels<F> const& levels, int64_t r, int x)
       : b(r / (levels.height / kJpegSide)),
         y(int(r % (levels.height / kJpegSide)) * kJpegSide),
         x(x),
@@ -40,7 +40,7 @@ struct JpegPlace {
 template <class F, class Call>
 KV_HD void for_each_tile(JpegLevels<F> const& levels, int64_t begin, int64_t end, Call const& f) {
   for (int64_t r = begin; r < end; ++r)
-    for (int x = 0; x < int(levels.width); x += kJpegWidth) f(JpegPlace(levels, r, x));
+    for (int x = 0; x < int(levels.width); x += kJpegWidth) f(JpegTilePosition(levels, r, x));
 }
 
 // Calls f(width, x) for [begin, end), in vectors where pixels are neighbors.
@@ -58,7 +58,7 @@ KV_HD JpegColor<Lanes<Compute<T>, N>> load_color(Images<T const> const& x, int64
 
 // Levels of luma, and of chroma with its rim.
 template <class T>
-KV_HD void load_levels(Images<T const> const& x, JpegPlace const& at, JpegTile<Compute<T>>& tile) {
+KV_HD void load_levels(Images<T const> const& x, JpegTilePosition const& at, JpegTile<Compute<T>>& tile) {
   using F = Compute<T>;
   int const end = min(at.x + at.columns, int(x.width));
   for (int j = -1; j <= kJpegSide; ++j) {
@@ -177,7 +177,7 @@ KV_HD void for_each_block(int columns, Call const& f) {
 }
 // The place of a tile's block among the levels.
 template <class F>
-KV_HD F* block_of(JpegLevels<F> const& levels, JpegPlace const& at, int plane, int y, int x) {
+KV_HD F* block_of(JpegLevels<F> const& levels, JpegTilePosition const& at, int plane, int y, int x) {
   int const scale = plane == 0 ? 1 : 2;
   return levels.row(at.b, plane, at.y / scale + y) + at.x / scale + x;
 }
@@ -193,16 +193,16 @@ struct HalfRow {
   explicit KV_HD HalfRow(int64_t n) : memory(n + 32), data(memory.data + 16), n(n) {}
 
   KV_HD void mix(JpegLevels<F> const& levels, int64_t b, int plane, JpegPair<F> const& rows) const {
-    F const *const near = levels.row(b, plane, rows.near), *const beside = levels.row(b, plane, rows.beside);
+    F const *const near = levels.row(b, plane, rows.near), *const far = levels.row(b, plane, rows.far);
     for (int64_t i = 0; i < n; i += 8)
-      store<8>(data + i, load<8>(near + i) * rows.of_near + load<8>(beside + i) * rows.of_beside);
+      store<8>(data + i, load<8>(near + i) * rows.near_weight + load<8>(far + i) * rows.far_weight);
   }
   // Calls f(vector, x) for pixels x ... x + 7 of 2 n, each made of the nearest and of that beside it.
   template <class Call>
-  KV_HD void spread(F of_near, F of_beside, Call const& f) const {
+  KV_HD void spread(F near_weight, F far_weight, Call const& f) const {
     for (int64_t i = 0; i < n; i += 8) {
-      auto const own = load<8>(data + i) * of_near;
-      auto const even = own + load<8>(data + i - 1) * of_beside, odd = own + load<8>(data + i + 1) * of_beside;
+      auto const own = load<8>(data + i) * near_weight;
+      auto const even = own + load<8>(data + i - 1) * far_weight, odd = own + load<8>(data + i + 1) * far_weight;
       f(__builtin_shufflevector(even, odd, 0, 8, 1, 9, 2, 10, 3, 11), 2 * i);
       f(__builtin_shufflevector(even, odd, 4, 12, 5, 13, 6, 14, 7, 15), 2 * i + 8);
     }
@@ -222,7 +222,7 @@ struct DoubledRow {
       half.mix(levels, b, 1 + c, rows);
       half.data[-1] = half.data[0];
       half.data[half.n] = half.data[half.n - 1];
-      half.spread(rows.of_near, rows.of_beside, [&](auto const& v, int64_t x) { store<8>(of(c) + x, v); });
+      half.spread(rows.near_weight, rows.far_weight, [&](auto const& v, int64_t x) { store<8>(of(c) + x, v); });
     }
   }
 };
@@ -234,7 +234,7 @@ void jpeg_blocks(JpegBlocks<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   JpegTile<F> tile;
   JpegSteps<F> steps;
-  for_each_tile(p.levels, begin, end, [&](JpegPlace const& at) {
+  for_each_tile(p.levels, begin, end, [&](JpegTilePosition const& at) {
     steps.find(p.tables, at.b);
     load_levels(p.x, at, tile);
     halve(tile, at.columns, [](auto const&... v) { return jpeg_halved<F>(v...); });
@@ -242,7 +242,7 @@ void jpeg_blocks(JpegBlocks<T> const& p, int64_t begin, int64_t end) {
       alignas(64) Lanes<F, 8> v[8];
       load_block<F>(tile.at(plane, y, x), tile.pitch(plane), v);
       to_coefficients<F>(v);
-      for (int i = 0; i < 8; ++i) v[i] = jpeg_quantised<F>(v[i], Lanes<F, 8>(load<8>(steps.of[plane > 0][i])));
+      for (int i = 0; i < 8; ++i) v[i] = jpeg_quantized<F>(v[i], Lanes<F, 8>(load<8>(steps.of[plane > 0][i])));
       to_rows<F>(v);
       store_block<F>(block_of(p.levels, at, plane, y, x), p.levels.width_of(plane), v);
     });
@@ -267,7 +267,7 @@ void jpeg_pixels(JpegPixels<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void jpeg_pull_blocks(JpegPullBlocks<T> const& p, int64_t begin, int64_t end) {
+void jpeg_blocks_backward(JpegBlocksBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   JpegLevels<F> const& levels = p.forward.levels;
   JpegTile<F> tile, grads;
@@ -278,16 +278,16 @@ void jpeg_pull_blocks(JpegPullBlocks<T> const& p, int64_t begin, int64_t end) {
   F *const of_luma = memory.data, *const of_chroma = memory.data + kJpegSide * levels.width;
 
   for (int64_t r = begin; r < end; ++r) {
-    JpegPlace const first(levels, r, 0);
+    JpegTilePosition const first(levels, r, 0);
     // The gradients of levels at full size, of these rows and of one beside them.
     for (int j = -1; j <= kJpegSide; ++j) {
       int const y = clamp(first.y + j, 0, first.height - 1);
       bool const inner = j >= 0 && j < kJpegSide;
       F* const to[] = {of_luma + j * levels.width, of_chroma + (j + 1) * row + pad,
                        of_chroma + (kJpegSide + 3 + j) * row + pad};
-      auto const set = [&](auto n, int64_t x, auto const& found) {
+      auto const set = [&](auto n, int64_t x, auto const& result) {
         constexpr int N = decltype(n)::value;
-        for (int c = inner ? 0 : 1; c < 3; ++c) store<N>(to[c] + x, found.v[c]);
+        for (int c = inner ? 0 : 1; c < 3; ++c) store<N>(to[c] + x, result.v[c]);
       };
       int64_t const width = y < p.grad.height ? p.grad.width : 0;
       if (width > 0) chroma.fill(levels, first.b, y);
@@ -296,15 +296,15 @@ void jpeg_pull_blocks(JpegPullBlocks<T> const& p, int64_t begin, int64_t end) {
         constexpr int N = decltype(n)::value;
         using V = Lanes<F, N>;
         set(n, x,
-            pull_jpeg_clipped<F>(V(load<N>(luma + x)), V(load<N>(chroma.of(0) + x)), V(load<N>(chroma.of(1) + x)),
-                                 load_color<N>(p.grad, first.b, y, x)));
+            jpeg_clipped_rgb_vjp<F>(V(load<N>(luma + x)), V(load<N>(chroma.of(0) + x)), V(load<N>(chroma.of(1) + x)),
+                                    load_color<N>(p.grad, first.b, y, x)));
       });
       for (int64_t x = width; x < levels.width; ++x) set(Width<1>{}, x, JpegColor<F>{});
       for (int c = 1; c < 3; ++c) to[c][-1] = to[c][0], to[c][levels.width] = to[c][levels.width - 1];
     }
 
-    F slopes[2][8][8]{};
-    for_each_tile(levels, r, r + 1, [&](JpegPlace const& at) {
+    F gradients[2][8][8]{};
+    for_each_tile(levels, r, r + 1, [&](JpegTilePosition const& at) {
       steps.find(p.forward.tables, at.b);
       load_levels(p.forward.x, at, tile);
       halve(tile, at.columns, [](auto const&... v) { return jpeg_halved<F>(v...); });
@@ -315,7 +315,7 @@ void jpeg_pull_blocks(JpegPullBlocks<T> const& p, int64_t begin, int64_t end) {
         for (int y = 0; y < kJpegSide + 2; ++y)
           for (int x = 0; x < at.columns + 2; ++x)
             grads.chroma[c][y][x] = of_chroma[(c * (kJpegSide + 2) + y) * row + pad - 1 + at.x + x];
-      halve(grads, at.columns, [](auto const&... v) { return pull_jpeg_doubled<F>(v...); });
+      halve(grads, at.columns, [](auto const&... v) { return jpeg_doubled_vjp<F>(v...); });
       for_each_block(at.columns, [&](int plane, int y, int x) {
         alignas(64) Lanes<F, 8> v[8], g[8];
         load_block<F>(tile.at(plane, y, x), tile.pitch(plane), v);
@@ -323,23 +323,23 @@ void jpeg_pull_blocks(JpegPullBlocks<T> const& p, int64_t begin, int64_t end) {
         load_block<F>(grads.at(plane, y, x), tile.pitch(plane), g);
         to_coefficients<F>(g);
         for (int i = 0; i < 8; ++i) {
-          F* const to = slopes[plane > 0][i];
-          Lanes<F, 8> slope = load<8>(to);
-          pull_jpeg_quantised<F>(v[i], Lanes<F, 8>(load<8>(steps.of[plane > 0][i])), g[i], slope);
-          store<8>(to, slope);
+          F* const to = gradients[plane > 0][i];
+          Lanes<F, 8> derivative = load<8>(to);
+          jpeg_quantized_vjp<F>(v[i], Lanes<F, 8>(load<8>(steps.of[plane > 0][i])), g[i], derivative);
+          store<8>(to, derivative);
         }
         if (!p.grad_levels.data) return;
         to_rows<F>(g);
         store_block<F>(block_of(p.grad_levels, at, plane, y, x), levels.width_of(plane), g);
       });
     });
-    if (!p.slopes) continue;
-    for (int i = 0; i < 128; ++i) p.slopes[r * 128 + i] = slopes[i / 64][i % 8][i / 8 % 8];
+    if (!p.gradients) continue;
+    for (int i = 0; i < 128; ++i) p.gradients[r * 128 + i] = gradients[i / 64][i % 8][i / 8 % 8];
   }
 }
 
 template <class T>
-void jpeg_pull_pixels(JpegPullPixels<T> const& p, int64_t begin, int64_t end) {
+void jpeg_pixels_backward(JpegPixelsBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   JpegLevels<F> const& levels = p.grad_levels;
   int64_t const width = levels.width;
@@ -357,7 +357,7 @@ void jpeg_pull_pixels(JpegPullPixels<T> const& p, int64_t begin, int64_t end) {
       F const* const luma = levels.row(b, 0, row);
       for (int64_t x = 0; x < width; x += 8) add(0, load<8>(luma + x), x);
       for (int plane = 1; plane < 3; ++plane) {
-        half.mix(levels, b, plane, pull_jpeg_halved<F>(int(row), int(levels.height)));
+        half.mix(levels, b, plane, jpeg_halved_vjp<F>(int(row), int(levels.height)));
         half.data[-1] = half.data[half.n] = 0;
         half.spread(F(kJpegInner), F(kJpegOuter), [&](auto const& v, int64_t x) { add(plane, v, x); });
         sums[plane][1] += half.data[0] * F(kJpegOuter);
@@ -369,14 +369,14 @@ void jpeg_pull_pixels(JpegPullPixels<T> const& p, int64_t begin, int64_t end) {
     for_each_pixel<T>(p.grad_x.step, 0, p.grad_x.width, [&](auto n, int64_t x) {
       constexpr int N = decltype(n)::value;
       using V = Lanes<F, N>;
-      auto const rgb = pull_jpeg_levels<F>(V(load<N>(sums[0] + x)), V(load<N>(sums[1] + x)), V(load<N>(sums[2] + x)));
+      auto const rgb = jpeg_levels_vjp<F>(V(load<N>(sums[0] + x)), V(load<N>(sums[1] + x)), V(load<N>(sums[2] + x)));
       for (int c = 0; c < 3; ++c) store<N>(p.grad_x.row(b, c, y) + x * p.grad_x.step, rgb.v[c]);
     });
   }
 }
 
 template <class F>
-void jpeg_pull_steps(JpegPullSteps<F> const& p, int64_t begin, int64_t end) {
+void jpeg_steps_backward(JpegStepsBackward<F> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b) {
     auto const percent = jpeg_percent(jpeg_quality(p.tables, b));
     F of_percent = 0;
@@ -384,21 +384,21 @@ void jpeg_pull_steps(JpegPullSteps<F> const& p, int64_t begin, int64_t end) {
       F* const to = (first == 0 ? p.grad_luma : p.grad_chroma) + b * 64;
       for (int i = 0; i < 64; ++i) {
         F sum = 0;
-        for (int64_t piece = 0; piece < p.pieces; ++piece) sum += p.slopes[(b * p.pieces + piece) * 128 + first + i];
+        for (int64_t chunk = 0; chunk < p.chunks; ++chunk) sum += p.gradients[(b * p.chunks + chunk) * 128 + first + i];
         F const table = jpeg_table(p.tables, b, first + i);
-        sum *= jpeg_step(table, percent.value).slope;
+        sum *= jpeg_step(table, percent.value).derivative;
         to[i] = sum * percent.value;
         of_percent += sum * table;
       }
     }
-    p.grad_quality[b] = of_percent * percent.slope;
+    p.grad_quality[b] = of_percent * percent.derivative;
   }
 }
 
 KV_INSTANTIATE(jpeg_blocks, JpegBlocks)
 KV_INSTANTIATE(jpeg_pixels, JpegPixels)
-KV_INSTANTIATE(jpeg_pull_blocks, JpegPullBlocks)
-KV_INSTANTIATE(jpeg_pull_pixels, JpegPullPixels)
-KV_INSTANTIATE_COMPUTED(jpeg_pull_steps, JpegPullSteps)
+KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
+KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
+KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)
 
 }  // namespace kv::KV_ISA

@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-using Maybe = std::optional<Tensor>;
+using OptionalTensor = std::optional<Tensor>;
 
 // Contiguous, and of the type that is computed in: one image's numbers, or all images'.
 Tensor jpeg_numbers(char const* op, char const* name, Tensor const& x, Tensor const& t, bool table) {
@@ -19,10 +19,11 @@ Tensor jpeg_numbers(char const* op, char const* name, Tensor const& x, Tensor co
 
 // What the tables of a call point to.
 struct JpegNumbers {
-  Maybe quality, luma, chroma;
+  OptionalTensor quality, luma, chroma;
   double number;
 
-  JpegNumbers(char const* op, Tensor const& x, Maybe const& q, Maybe const& y, Maybe const& c, double number)
+  JpegNumbers(char const* op, Tensor const& x, OptionalTensor const& q, OptionalTensor const& y,
+              OptionalTensor const& c, double number)
       : number(number) {
     if (q) quality = jpeg_numbers(op, "quality", x, *q, false);
     if (y) luma = jpeg_numbers(op, "table_y", x, *y, true);
@@ -30,8 +31,8 @@ struct JpegNumbers {
   }
   template <class F>
   JpegTables<F> tables() const {
-    auto const data = [](Maybe const& t) { return t ? data_ptr<F const>(*t) : nullptr; };
-    auto const stride = [](Maybe const& t, int64_t n) { return t && t->size(0) > 1 ? n : 0; };
+    auto const data = [](OptionalTensor const& t) { return t ? data_ptr<F const>(*t) : nullptr; };
+    auto const stride = [](OptionalTensor const& t, int64_t n) { return t && t->size(0) > 1 ? n : 0; };
     return {data(quality),    data(luma),         data(chroma), stride(quality, 1),
             stride(luma, 64), stride(chroma, 64), F(number)};
   }
@@ -53,7 +54,8 @@ JpegLevels<F> levels_of(Tensor const& memory, Tensor const& x) {
   return {data_ptr<F>(memory), padded(x.size(2)), padded(x.size(3))};
 }
 
-Tensor jpeg(Tensor const& input, Maybe const& quality, Maybe const& table_y, Maybe const& table_c, double number) {
+Tensor jpeg(Tensor const& input, OptionalTensor const& quality, OptionalTensor const& table_y,
+            OptionalTensor const& table_c, double number) {
   constexpr char const* op = "jpeg";
   check_jpeg(op, input);
   JpegNumbers const numbers(op, input, quality, table_y, table_c, number);
@@ -74,9 +76,10 @@ Tensor jpeg(Tensor const& input, Maybe const& quality, Maybe const& table_y, May
 
 // The gradients of the image, and of every image's quality (B, 1) and tables (B, 8, 8); without elements where they are
 // not wanted.
-std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Tensor const& input, Maybe const& quality,
-                                                         Maybe const& table_y, Maybe const& table_c, double number,
-                                                         bool of_image, bool of_steps) {
+std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Tensor const& input,
+                                                         OptionalTensor const& quality, OptionalTensor const& table_y,
+                                                         OptionalTensor const& table_c, double number, bool of_image,
+                                                         bool of_steps) {
   constexpr char const* op = "jpeg_backward";
   check_jpeg(op, input);
   check_like(op, "grad", grad, input);
@@ -98,24 +101,25 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
     int64_t const units = b * (levels.height / kJpegSide);
     [[maybe_unused]] int64_t const cost = 16 * kJpegSide * levels.width;  // of CPU threads
 #if defined(KV_CUDA)
-    int64_t const pieces = (levels.height / kJpegSide) * ((levels.width + kJpegWidth - 1) / kJpegWidth);
+    int64_t const chunks = (levels.height / kJpegSide) * ((levels.width + kJpegWidth - 1) / kJpegWidth);
 #else
-    int64_t const pieces = levels.height / kJpegSide;
+    int64_t const chunks = levels.height / kJpegSide;
 #endif
-    Tensor const slopes = make({of * b * pieces, 128});
+    Tensor const gradients = make({of * b * chunks, 128});
     JpegBlocks<T> const blocks{images<T const>(x, b), levels, numbers.tables<F>()};
     KV_RUN(jpeg_blocks, x, blocks, units, cost);
-    JpegPullBlocks<T> const pull{blocks, images<T const>(g, b), grad_levels, of_steps ? data_ptr<F>(slopes) : nullptr,
-                                 pieces};
-    KV_RUN(jpeg_pull_blocks, x, pull, units, 2 * cost);
+    JpegBlocksBackward<T> const pull{blocks, images<T const>(g, b), grad_levels,
+                                     of_steps ? data_ptr<F>(gradients) : nullptr, chunks};
+    KV_RUN(jpeg_blocks_backward, x, pull, units, 2 * cost);
     if (of_image) {
-      JpegPullPixels<T> const pixels{grad_levels, images<T>(grad_x, b)};
-      KV_RUN(jpeg_pull_pixels, x, pixels, b * x.size(2), 4 * levels.width);
+      JpegPixelsBackward<T> const pixels{grad_levels, images<T>(grad_x, b)};
+      KV_RUN(jpeg_pixels_backward, x, pixels, b * x.size(2), 4 * levels.width);
     }
     if (of_steps) {
-      JpegPullSteps<F> const steps{blocks.tables,       data_ptr<F>(slopes), b, pieces, data_ptr<F>(grad_quality),
-                                   data_ptr<F>(grad_y), data_ptr<F>(grad_c)};
-      KV_RUN(jpeg_pull_steps, x, steps, b, 128 * pieces);
+      JpegStepsBackward<F> const steps{
+          blocks.tables,       data_ptr<F>(gradients), b, chunks, data_ptr<F>(grad_quality),
+          data_ptr<F>(grad_y), data_ptr<F>(grad_c)};
+      KV_RUN(jpeg_steps_backward, x, steps, b, 128 * chunks);
     }
   });
   return {grad_x, grad_quality, grad_y, grad_c};

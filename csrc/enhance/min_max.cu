@@ -1,7 +1,7 @@
-// Ranges of planes on CUDA. Two launches: every block gives what it finds in its piece of a plane, then puts together
-// what all blocks of the plane found, and maps its piece. The second one goes through the pieces backwards, so that it
+// Ranges of planes on CUDA. Two launches: every block gives what it finds in its chunk of a plane, then puts together
+// what all blocks of the plane found, and maps its chunk. The second one goes through the chunks backwards, so that it
 // meets first what the first one read last, and finds as much of it in the L2 as that holds.
-#include "levels.cuh"
+#include "byte_histogram.cuh"
 #include "min_max.h"
 
 namespace kv::cuda {
@@ -63,29 +63,29 @@ __device__ __forceinline__ S of_block(S mine) {
   return all;
 }
 
-// The same for the pieces of a plane.
+// The same for the chunks of a plane.
 template <class S, class F>
-__device__ __forceinline__ S of_plane(F const* partial, int64_t pieces) {
+__device__ __forceinline__ S of_plane(F const* partial, int64_t chunks) {
   S mine = S::none();
-  for (int64_t i = threadIdx.x; i < pieces; i += kThreads) mine.add(reinterpret_cast<S const*>(partial)[i]);
+  for (int64_t i = threadIdx.x; i < chunks; i += kThreads) mine.add(reinterpret_cast<S const*>(partial)[i]);
   return of_block<S, F>(mine);
 }
 
 struct Place {
-  int64_t plane, piece;
+  int64_t plane, chunk;
   int begin, end;
-  __device__ __forceinline__ Place(unsigned block, int64_t size, int64_t pieces, int64_t pixels)
-      : plane(block / pieces),
-        piece(block - plane * pieces),
-        begin(int(piece * size)),
-        end(int(min(piece * size + size, pixels))) {}
+  __device__ __forceinline__ Place(unsigned block, int64_t size, int64_t chunks, int64_t pixels)
+      : plane(block / chunks),
+        chunk(block - plane * chunks),
+        begin(int(chunk * size)),
+        end(int(min(chunk * size + size, pixels))) {}
 };
 
 template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) find_range(MinMax<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(blockIdx.x, p.piece, p.pieces, p.x.width);
+  Place const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   Range<F> range = Range<F>::none();
   for_each_vector<kThreads, Vectorized, P>(p.x.plane(at.plane), p.x.step, at.begin, at.end,
                                            [&](Vector<T, P> const& vector, int i) {
@@ -102,10 +102,10 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) map_range(MinMax<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(gridDim.x - 1 - blockIdx.x, p.piece, p.pieces, p.x.width);
-  auto const range = of_plane<Range<F>>(p.partial + 2 * at.plane * p.pieces, p.pieces);
+  Place const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
+  auto const range = of_plane<Range<F>>(p.partial + 2 * at.plane * p.chunks, p.chunks);
   F const smallest = range.smallest, low = p.low, factor = p.scale / (range.largest - smallest + p.eps);
-  if (at.piece == 0 && threadIdx.x == 0) {
+  if (at.chunk == 0 && threadIdx.x == 0) {
     p.range[2 * at.plane] = round_to<T>(smallest);
     p.range[2 * at.plane + 1] = round_to<T>(range.largest);
   }
@@ -124,7 +124,7 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(blockIdx.x, p.piece, p.pieces, p.x.width);
+  Place const at(blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
   T const* const grad = p.grad.plane(at.plane);
   Sums<F> sums{};
@@ -149,9 +149,9 @@ template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
   using F = Compute<T>;
   constexpr int P = kPixels<T>;
-  Place const at(gridDim.x - 1 - blockIdx.x, p.piece, p.pieces, p.x.width);
+  Place const at(gridDim.x - 1 - blockIdx.x, p.chunk, p.chunks, p.x.width);
   F const smallest = read(p.range[2 * at.plane]), largest = read(p.range[2 * at.plane + 1]);
-  RangeGradient<F> const to(of_plane<Sums<F>>(p.partial + 4 * at.plane * p.pieces, p.pieces), smallest, largest,
+  RangeGradient<F> const to(of_plane<Sums<F>>(p.partial + 4 * at.plane * p.chunks, p.chunks), smallest, largest,
                             p.scale, p.eps);
   T const* const grad = p.grad.plane(at.plane);
   T* const grad_x = p.grad_x.plane(at.plane);
@@ -174,7 +174,7 @@ __global__ void __launch_bounds__(kThreads) map_gradient(MinMaxBackward<T> p) {
 template <class T>
 int min_max(MinMax<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  unsigned const blocks = unsigned(p.x.count() * p.pieces);
+  unsigned const blocks = unsigned(p.x.count() * p.chunks);
   with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y), [&](auto aligned) {
     find_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
     map_range<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);
@@ -185,7 +185,7 @@ int min_max(MinMax<T> const& p, CUstream_st* stream) {
 template <class T>
 int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  unsigned const blocks = unsigned(p.x.count() * p.pieces);
+  unsigned const blocks = unsigned(p.x.count() * p.chunks);
   with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.grad) && is_vectorizable<P>(p.grad_x),
                     [&](auto aligned) {
                       find_sums<T, aligned.value><<<blocks, kThreads, 0, stream>>>(p);

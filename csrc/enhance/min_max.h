@@ -15,8 +15,8 @@ struct MinMax {
   Planes<T> y;
   T* range;  // smallest and largest of every plane; NaN where it has one
   F low, scale, eps;
-  int64_t piece, pieces;  // CUDA: pixels of a plane that are one block's, and how many of these a plane has
-  F* partial;             // CUDA: the ranges of all pieces
+  int64_t chunk, chunks;  // CUDA: pixels of a plane that are one block's, and how many of these a plane has
+  F* partial;             // CUDA: the ranges of all chunks
 };
 
 template <class T>
@@ -26,8 +26,8 @@ struct MinMaxBackward {
   T const* range;
   Planes<T> grad_x;
   F scale, eps;
-  int64_t piece, pieces;
-  F* partial;  // CUDA: the RangeSums of all pieces
+  int64_t chunk, chunks;
+  F* partial;  // CUDA: the RangeSums of all chunks
 };
 
 KV_KERNEL(min_max, MinMax)

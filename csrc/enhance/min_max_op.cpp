@@ -1,14 +1,14 @@
 // Ranges of planes: schemas and entries, for CPU and CUDA alike.
-#include "flat_glue.h"
 #include "min_max.h"
+#include "plane_views.h"
 
 namespace kv {
 namespace {
 
 // How CUDA cuts planes into blocks' work: enough for all multiprocessors, not too many for the block that adds them up.
-struct Pieces {
+struct Chunks {
   int64_t size, count;
-  Pieces(int64_t planes, int64_t pixels)
+  Chunks(int64_t planes, int64_t pixels)
       : size(max(clamp(planes * pixels / 1024, int64_t(4096), int64_t(16384)), (pixels + 1023) / 1024)),
         count((pixels + size - 1) / size) {
     size = (size + 7) / 8 * 8;
@@ -26,22 +26,22 @@ Tensor working_memory([[maybe_unused]] Tensor const& like, [[maybe_unused]] int6
 }
 
 std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, double high, double eps) {
-  check_flat("normalize_min_max", input);
+  check_planes("normalize_min_max", input);
   Layout const layout = layout_of(input);
   Tensor const x = dense_planes(input, layout), y = empty_like(x, layout), range = empty({x.size(0), x.size(1), 2}, x);
   dispatch_floating("normalize_min_max", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Pieces const pieces(x.size(0) * x.size(1), x.size(2) * x.size(3));
-    Tensor const memory = working_memory<F>(x, 2 * x.size(0) * x.size(1) * pieces.count);
+    Chunks const chunks(x.size(0) * x.size(1), x.size(2) * x.size(3));
+    Tensor const memory = working_memory<F>(x, 2 * x.size(0) * x.size(1) * chunks.count);
     MinMax<T> const params{flat_planes<T const>(x, layout),
                            flat_planes<T>(y, layout),
                            static_cast<T*>(range.mutable_data_ptr()),
                            F(low),
                            F(high - low),
                            F(eps),
-                           pieces.size,
-                           pieces.count,
+                           chunks.size,
+                           chunks.count,
                            static_cast<F*>(memory.mutable_data_ptr())};
     KV_RUN(min_max, x, params, params.x.count(), params.x.width);
   });
@@ -51,7 +51,7 @@ std::tuple<Tensor, Tensor> normalize_min_max(Tensor const& input, double low, do
 Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tensor const& range, double low, double high,
                                   double eps) {
   constexpr char const* op = "normalize_min_max_backward";
-  check_flat(op, input);
+  check_planes(op, input);
   check_like(op, "grad", grad, input);
   KV_CHECK(range.dim() == 3 && range.size(0) == input.size(0) && range.size(1) == input.size(1) && range.size(2) == 2 &&
                range.scalar_type() == input.scalar_type() && range.device() == input.device(),
@@ -62,16 +62,16 @@ Tensor normalize_min_max_backward(Tensor const& grad, Tensor const& input, Tenso
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Pieces const pieces(x.size(0) * x.size(1), x.size(2) * x.size(3));
-    Tensor const memory = working_memory<F>(x, 4 * x.size(0) * x.size(1) * pieces.count);
+    Chunks const chunks(x.size(0) * x.size(1), x.size(2) * x.size(3));
+    Tensor const memory = working_memory<F>(x, 4 * x.size(0) * x.size(1) * chunks.count);
     MinMaxBackward<T> const params{flat_planes<T const>(g, layout),
                                    flat_planes<T const>(x, layout),
                                    static_cast<T const*>(r.const_data_ptr()),
                                    flat_planes<T>(grad_x, layout),
                                    F(high - low),
                                    F(eps),
-                                   pieces.size,
-                                   pieces.count,
+                                   chunks.size,
+                                   chunks.count,
                                    static_cast<F*>(memory.mutable_data_ptr())};
     KV_RUN(min_max_backward, x, params, params.x.count(), 2 * params.x.width);
   });

@@ -1,5 +1,6 @@
 // Sharpness on CUDA. Each warp walks down a strip of columns with its rows in registers, so a pixel is read from device
 // memory once. Channels-last images take plain kernels: a block shares a tile of 64 x 16 pixels with a rim around.
+#include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "sharpness.h"
 
@@ -87,7 +88,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
   int const first = max(y0 - 1, 0);
   RowCursor<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
   // Sums of three along the rows of x and its pixels in this row and the next one; number 4 is the pixel more.
-  F above[5], beside[5], below[5]{}, own[5], next[5]{}, g[4], g_more{}, slope = 0;
+  F above[5], beside[5], below[5]{}, own[5], next[5]{}, g[4], g_more{}, derivative = 0;
   auto const down_x = [&] {
 #pragma unroll
     for (int i = 0; i < 5; ++i) above[i] = beside[i], beside[i] = below[i], own[i] = next[i];
@@ -108,10 +109,10 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     bool const inner = y > 0 && y + 1 < height;
     auto const pull = [&](int i, int at, F grad) {
       F const smooth = smoothed(above[i] + beside[i] + below[i], own[i], F(0));
-      SharpnessGradient<F> of = pull_sharpened(own[i], smooth, grad, factor);
+      SharpenedVjp<F> of = sharpened_vjp(own[i], smooth, grad, factor);
       bool const never_last = Aligned && i < 3;
       if (!inner || (at <= 0 && (i == 0 || i == 4)) || (!never_last && at + 1 >= width))
-        of = {pull_clipped(own[i], grad, F(0)), 0, 0};
+        of = {clipped_vjp(own[i], grad, F(0)), 0, 0};
       return of;
     };
     GivenRow<F> row;
@@ -121,7 +122,7 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
       auto const of = pull(i, x + i, g[i]);
       row.own[i] = of.own + smoothed(F(0), of.around, F(0));
       around[i] = of.around;
-      if (of_strip) slope += of.factor;
+      if (of_strip) derivative += of.factor;
     }
     F const end = more_left || more_right ? pull(4, more, g_more).around : F(0);
     F left = __shfl_up_sync(0xffffffffu, around[3], 1), right = __shfl_down_sync(0xffffffffu, around[0], 1);
@@ -150,10 +151,10 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     before = here;
     here = after;
   }
-  if (!p.slopes) return;
-  slope = warp_sum(slope);
-  unsigned const piece = unsigned(y0) / strips.rows * strips.across + unsigned(x) / kStripWidth;
-  if (threadIdx.x % 32 == 0) p.slopes[plane * p.pieces + piece] = slope;
+  if (!p.gradients) return;
+  derivative = warp_sum(derivative);
+  unsigned const chunk = unsigned(y0) / strips.rows * strips.across + unsigned(x) / kStripWidth;
+  if (threadIdx.x % 32 == 0) p.gradients[plane * p.chunks + chunk] = derivative;
 }
 
 // --- channels-last: tiles --------------------------------------------------------------------------------------------
@@ -228,11 +229,10 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Sharp
   __shared__ Tile<F, 2> image;
   __shared__ Tile<F, 1> around;
   __shared__ Tile<F, 0> own;
-  __shared__ F sums[kThreads / 32];
   Corner<T const> const at(p.x);
   for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
     F const factor = p.factor.of(plane);
-    F slope = 0;
+    F derivative = 0;
     __syncthreads();  // the plane before may be in use
     image.fill([&](int x, int y) { return at.has(x, y) ? read(at.of(p.x, plane, x, y)) : F(0); });
     __syncthreads();
@@ -241,13 +241,13 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Sharp
       bool const is_own = x >= 0 && x < kTileWidth && y >= 0 && y < kTileHeight;
       F const v = image.at(x, y), g = read(at.of(p.grad, plane, x, y));
       if (!at.is_inner(x, y)) {
-        if (is_own) own.v[y][x] = pull_clipped(v, g, F(0));
+        if (is_own) own.v[y][x] = clipped_vjp(v, g, F(0));
         return F(0);
       }
-      auto const of = pull_sharpened(v, smoothed(image.sum_of_nine(x, y), v, F(0)), g, factor);
+      auto const of = sharpened_vjp(v, smoothed(image.sum_of_nine(x, y), v, F(0)), g, factor);
       if (is_own) {
         own.v[y][x] = of.own;
-        slope += of.factor;
+        derivative += of.factor;
       }
       return of.around;
     });
@@ -259,15 +259,9 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Sharp
         to.of(p.grad_x, plane, x, y) =
             round_to<T>(own.at(x, y) + smoothed(around.sum_of_nine(x, y), around.at(x, y), F(0)));
     }
-    if (!p.slopes) continue;
-    slope = warp_sum(slope);
-    if (threadIdx.x % 32 == 0) sums[threadIdx.x / 32] = slope;
-    __syncthreads();
-    if (threadIdx.x == 0) {
-      F sum = 0;
-      for (F const& of_warp : sums) sum += of_warp;
-      p.slopes[plane * p.pieces + blockIdx.x] = sum;
-    }
+    if (!p.gradients) continue;
+    derivative = block_sum<kThreads>(derivative);
+    if (threadIdx.x == 0) p.gradients[plane * p.chunks + blockIdx.x] = derivative;
   }
 }
 

@@ -37,18 +37,18 @@ struct SharpnessBackward {
   Planes<T const> grad, x;
   Planes<T> grad_x;
   Factor<Compute<T>> factor;
-  Compute<T>* slopes;  // of the factor: (planes, pieces); null: not wanted
-  int64_t pieces;
+  Compute<T>* gradients;  // of the factor: (planes, chunks); null: not wanted
+  int64_t chunks;
 };
 
 KV_KERNEL(sharpness, Sharpness)
 KV_KERNEL(sharpness_backward, SharpnessBackward)
 
-// How CUDA cuts a plane into pieces: where neighbors in a row are neighbors in memory by strips that a warp walks
+// How CUDA cuts a plane into chunks: where neighbors in a row are neighbors in memory by strips that a warp walks
 // down, else by tiles.
 constexpr int kTileWidth = 64, kTileHeight = 16, kStripWidth = 128, kStripRows = 32;
 template <class T>
-int64_t sharpness_pieces(Planes<T> const& x) {
+int64_t sharpness_tiles(Planes<T> const& x) {
   int64_t const width = x.step == 1 ? kStripWidth : kTileWidth, height = x.step == 1 ? kStripRows : kTileHeight;
   return (x.width + width - 1) / width * ((x.height + height - 1) / height);
 }
@@ -77,18 +77,18 @@ KV_HD V sharpened(V const& x, V const& smooth, F factor) {
 
 // What a gradient g gives to the pixel itself, to what its neighbors' smoothed copy was made of, and to the factor.
 template <class V>
-struct SharpnessGradient {
+struct SharpenedVjp {
   V own, around, factor;
 };
 template <class V, class F>
-KV_HD SharpnessGradient<V> pull_sharpened(V const& x, V const& smooth, V const& g, F factor) {
+KV_HD SharpenedVjp<V> sharpened_vjp(V const& x, V const& smooth, V const& g, F factor) {
   V const none = g * F(0), apart = x - clipped(smooth, F(0)), y = x + apart * (factor - F(1));
   V const within = y >= F(0) ? (y <= F(1) ? g : none) : none;
   V const to_smooth = smooth >= F(0) ? (smooth <= F(1) ? within : none) : none;
   return {within * factor, to_smooth * (F(1) - factor), within * apart};
 }
 template <class V, class F>
-KV_HD V pull_clipped(V const& x, V const& g, F) {
+KV_HD V clipped_vjp(V const& x, V const& g, F) {
   V const none = g * F(0);
   return x >= F(0) ? (x <= F(1) ? g : none) : none;
 }

@@ -16,8 +16,8 @@ KV_HD void for_each_inner(int64_t width, int64_t step, F pixel) {
 
 // The sum of nine around an element.
 template <int N, class T>
-KV_HD auto sum_of_nine(T const* above, T const* beside, T const* below, int64_t e, int64_t step) {
-  auto const column = [&](int64_t i) { return load<N>(above + i) + load<N>(beside + i) + load<N>(below + i); };
+KV_HD auto sum_of_nine(T const* above, T const* center, T const* below, int64_t e, int64_t step) {
+  auto const column = [&](int64_t i) { return load<N>(above + i) + load<N>(center + i) + load<N>(below + i); };
   return Lanes<Compute<T>, N>(column(e - step) + column(e) + column(e + step));
 }
 
@@ -56,8 +56,8 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
   Scratch<F> scratch(7 * padded);
   auto const own = [&](int64_t y) { return scratch.data + (y + 3) % 3 * padded + 1; };
   auto const around = [&](int64_t y) { return own(y) + 3 * padded; };
-  F* const slopes = scratch.data + 6 * padded;
-  F slope_of[3]{};
+  F* const gradients = scratch.data + 6 * padded;
+  F gradient_of[3]{};
 
   auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one outside the image
     F *const to_own = own(y), *const to_around = around(y);
@@ -65,14 +65,14 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
       constexpr int N = decltype(n)::value;
       store<N>(to_around + i, Lanes<F, N>{});
     });
-    slope_of[(y + 3) % 3] = 0;
+    gradient_of[(y + 3) % 3] = 0;
     if (y < 0 || y >= height) return;
     T const *const x = p.x.row(plane, y), *const g = p.grad.row(plane, y);
     F const factor = p.factor.of(plane);
     auto const rim = [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;
       using V = Lanes<F, N>;
-      store<N>(to_own + i, pull_clipped(V(load<N>(x + i * step)), V(load<N>(g + i * step)), F(0)));
+      store<N>(to_own + i, clipped_vjp(V(load<N>(x + i * step)), V(load<N>(g + i * step)), F(0)));
     };
     rim(Width<1>{}, 0);
     rim(Width<1>{}, width - 1);
@@ -82,16 +82,16 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
       using V = Lanes<F, N>;
       int64_t const e = i * step;
       V const v = load<N>(x + e), sum = sum_of_nine<N>(x - p.x.row_stride, x, x + p.x.row_stride, e, step);
-      auto const of = pull_sharpened(v, V(smoothed(sum, v, F(0))), V(load<N>(g + e)), factor);
+      auto const of = sharpened_vjp(v, V(smoothed(sum, v, F(0))), V(load<N>(g + e)), factor);
       store<N>(to_own + i, of.own);
       store<N>(to_around + i, of.around);
-      store<N>(slopes + i, of.factor);
+      store<N>(gradients + i, of.factor);
     });
-    for (int64_t i = 1; p.slopes && i + 1 < width; ++i) slope_of[(y + 3) % 3] += slopes[i];
+    for (int64_t i = 1; p.gradients && i + 1 < width; ++i) gradient_of[(y + 3) % 3] += gradients[i];
   };
 
   stream_rows(begin, end, height, fill, [&](int64_t plane, int64_t y, int64_t r) {
-    if (p.slopes) p.slopes[r] = slope_of[y % 3];
+    if (p.gradients) p.gradients[r] = gradient_of[y % 3];
     if (!p.grad_x.data) return;
     T* const to = p.grad_x.row(plane, y);
     auto const pixel = [&](auto n, int64_t i) {

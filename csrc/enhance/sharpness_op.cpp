@@ -1,15 +1,15 @@
 // Sharpness: schemas and entries, for CPU and CUDA alike.
 #include "color/program.h"
-#include "flat_glue.h"
+#include "plane_views.h"
 #include "sharpness.h"
 
 namespace kv {
 namespace {
 
-using Maybe = std::optional<Tensor>;
+using OptionalTensor = std::optional<Tensor>;
 
 template <class F>
-Factor<F> factor_of(char const* op, Tensor const& x, Maybe const& factor, double number) {
+Factor<F> factor_of(char const* op, Tensor const& x, OptionalTensor const& factor, double number) {
   if (!factor) return {nullptr, 0, 0, 1, F(number)};
   Tensor const& f = *factor;
   KV_CHECK(f.dim() == 3 && (f.size(0) == 1 || f.size(0) == x.size(0)) && (f.size(1) == 1 || f.size(1) == x.size(1)) &&
@@ -21,8 +21,8 @@ Factor<F> factor_of(char const* op, Tensor const& x, Maybe const& factor, double
           x.size(1), 0};
 }
 
-Tensor sharpness(Tensor const& input, Maybe const& factor, double number) {
-  check_flat("sharpness", input);
+Tensor sharpness(Tensor const& input, OptionalTensor const& factor, double number) {
+  check_planes("sharpness", input);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), y = empty_like(x, layout);
   dispatch_floating("sharpness", x, [&](auto type) {
@@ -35,10 +35,10 @@ Tensor sharpness(Tensor const& input, Maybe const& factor, double number) {
 }
 
 // The gradients of the image and of each channel's factor; without elements where they are not wanted.
-std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& input, Maybe const& factor,
+std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& input, OptionalTensor const& factor,
                                               double number, bool of_image, bool of_factor) {
   constexpr char const* op = "sharpness_backward";
-  check_flat(op, input);
+  check_planes(op, input);
   check_like(op, "grad", grad, input);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout), g = as_layout(grad, layout);
@@ -51,20 +51,20 @@ std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& 
     using F = Compute<T>;
     auto const of_x = channel_planes<T const>(x, layout);
 #if defined(KV_CUDA)
-    int64_t const pieces = sharpness_pieces(of_x);
+    int64_t const chunks = sharpness_tiles(of_x);
 #else
-    int64_t const pieces = x.size(2);
+    int64_t const chunks = x.size(2);
 #endif
-    Tensor const slopes = empty({of_factor ? b * c : 0, pieces}, of_planes);
+    Tensor const gradients = empty({of_factor ? b * c : 0, chunks}, of_planes);
     SharpnessBackward<T> const p{channel_planes<T const>(g, layout),
                                  of_x,
                                  of_image ? channel_planes<T>(grad_x, layout) : Planes<T>{},
                                  factor_of<F>(op, x, factor, number),
-                                 of_factor ? static_cast<F*>(slopes.mutable_data_ptr()) : nullptr,
-                                 pieces};
+                                 of_factor ? static_cast<F*>(gradients.mutable_data_ptr()) : nullptr,
+                                 chunks};
     KV_RUN(sharpness_backward, x, p, p.x.rows(), 6 * p.x.width);
     if (!of_factor) return;
-    ProgramReduce<F> const sums{p.slopes, static_cast<F*>(of_planes.mutable_data_ptr()), b * c, pieces, 1};
+    ProgramReduce<F> const sums{p.gradients, static_cast<F*>(of_planes.mutable_data_ptr()), b * c, chunks, 1};
     KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
   });
   return {grad_x, of_planes};

@@ -18,10 +18,10 @@ struct BinaryFocalTerms {
   bool ignores;
 
   KV_HD BinaryFocalTerms of(int64_t row) const {
-    BinaryFocalTerms found = *this;
-    if (rows_yes) found.yes *= rows_yes[row * yes_stride];
-    if (rows_no) found.no *= rows_no[row * no_stride];
-    return found;
+    BinaryFocalTerms result = *this;
+    if (rows_yes) result.yes *= rows_yes[row * yes_stride];
+    if (rows_no) result.no *= rows_no[row * no_stride];
+    return result;
   }
 };
 
@@ -29,11 +29,11 @@ template <class T>
 struct BinaryFocalSum {
   Pair<T> pair;
   BinaryFocalTerms<Compute<T>> terms;
-  int64_t pieces;             // of a row
-  Compute<T>*partial, *sums;  // (rows, pieces) and (rows); see PointwiseSum
+  int64_t chunks;             // of a row
+  Compute<T>*partial, *sums;  // (rows, chunks) and (rows); see PointwiseSum
 };
 
-// The loss, or its slope by x, or by t if `by_target`, times a gradient.
+// The loss, or its derivative by x, or by t if `by_target`, times a gradient.
 template <class T>
 struct BinaryFocalMap {
   Pair<T> pair;
@@ -64,20 +64,22 @@ struct BinaryFocalPoint {
     if (terms.gamma == 2) return of * of;
     return terms.gamma == 0 ? V(V{} + F(1)) : Math::exp(V(log * terms.gamma));
   }
-  KV_HD V counted(V t, V found) const {
+  KV_HD V counted(V t, V result) const {
     V const zero{};
-    return terms.ignores ? V(t == zero + terms.ignored ? zero : found) : found;
+    return terms.ignores ? V(t == zero + terms.ignored ? zero : result) : result;
   }
   KV_HD V loss(V t) const {
     V const one = V{} + F(1);
     return counted(t, V(-terms.yes * t * q_power * log_p - terms.no * (one - t) * p_power * log_q));
   }
-  KV_HD V slope(V t) const {
+  KV_HD V derivative(V t) const {
     V const one = V{} + F(1), by_yes = q_power * (q - terms.gamma * p * log_p);
     V const by_no = p_power * (terms.gamma * q * log_q - p);
     return counted(t, V(-terms.yes * t * by_yes - terms.no * (one - t) * by_no));
   }
-  KV_HD V slope_by_target(V t) const { return counted(t, V(terms.no * p_power * log_q - terms.yes * q_power * log_p)); }
+  KV_HD V target_derivative(V t) const {
+    return counted(t, V(terms.no * p_power * log_q - terms.yes * q_power * log_p));
+  }
 };
 
 }  // namespace kv

@@ -48,7 +48,7 @@ struct FocalRows {
             F(ignored),
             ignores};
   }
-  int64_t cost() const { return 16 * min(size, kPointPiece); }
+  int64_t cost() const { return 16 * min(size, kPointChunk); }
 };
 
 // Of every element, or the sums of the rows.
@@ -56,22 +56,22 @@ Tensor binary_focal(Tensor const& pred, Tensor const& target, std::optional<Tens
                     std::optional<Tensor> const& no, double of_yes, double of_no, double gamma, double ignored,
                     bool ignores, bool summed) {
   FocalRows const r("binary_focal", pred, target, yes, no, pred);
-  int64_t const pieces = max(point_pieces(r.size), int64_t(1));
+  int64_t const chunks = max(point_chunks(r.size), int64_t(1));
   Tensor const loss = summed ? empty({r.rows}, r.x, Layout::planar, compute_dtype(r.x)) : empty({r.rows, r.size}, r.x);
-  Tensor const partial = empty({summed ? r.rows : 0, pieces}, r.x, Layout::planar, compute_dtype(r.x));
+  Tensor const partial = empty({summed ? r.rows : 0, chunks}, r.x, Layout::planar, compute_dtype(r.x));
   dispatch_floating("binary_focal", r.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const terms = r.terms<F>(of_yes, of_no, gamma, ignored, ignores);
     if (summed) {
-      BinaryFocalSum<T> const params{r.pair<T>(), terms, pieces, data_ptr<F>(partial), data_ptr<F>(loss)};
-      KV_RUN(binary_focal_sum, r.x, params, r.rows * pieces, r.cost());
+      BinaryFocalSum<T> const params{r.pair<T>(), terms, chunks, data_ptr<F>(partial), data_ptr<F>(loss)};
+      KV_RUN(binary_focal_sum, r.x, params, r.rows * chunks, r.cost());
 #if !defined(KV_CUDA)
-      add_pieces(params.partial, r.rows, pieces, Finish<F>{F(1), F(0)}, params.sums);
+      add_chunks(params.partial, r.rows, chunks, FinalizeSum<F>{F(1), F(0)}, params.sums);
 #endif
     } else if (r.size > 0) {
       BinaryFocalMap<T> const params{r.pair<T>(), terms, nullptr, nullptr, false, data_ptr<T>(loss)};
-      KV_RUN(binary_focal_map, r.x, params, r.rows * pieces, r.cost());
+      KV_RUN(binary_focal_map, r.x, params, r.rows * chunks, r.cost());
     }
   });
   return loss;
@@ -98,7 +98,7 @@ Tensor binary_focal_backward(Tensor const& grad, Tensor const& pred, Tensor cons
                                    summed ? data_ptr<F const>(g) : nullptr,
                                    by_target,
                                    data_ptr<T>(grad_x)};
-    KV_RUN(binary_focal_map, r.x, params, r.rows * point_pieces(r.size), r.cost());
+    KV_RUN(binary_focal_map, r.x, params, r.rows * point_chunks(r.size), r.cost());
   });
   return grad_x;
 }

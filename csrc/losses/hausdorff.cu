@@ -2,33 +2,33 @@
 // that those of the launch before have left. Backward the erosions are made again and all kept;
 // then there is a launch for each of them the other way. Planes go through this in groups, so that what is kept is no
 // more than a map of the whole batch.
+#include "core/row_sums.cuh"
 #include "hausdorff.h"
-#include "metrics/sums.cuh"
 
 namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = kSumThreads;
 
-// The K numbers of every piece of a plane together.
+// The K numbers of every chunk of a plane together.
 template <int K, class F, class Op>
-__device__ __forceinline__ void over_pieces(F (&v)[K], F const* numbers, unsigned pieces, Op op) {
-  for (unsigned i = threadIdx.x; i < pieces; i += kThreads)
+__device__ __forceinline__ void reduce_chunks(F (&v)[K], F const* numbers, unsigned chunks, Op op) {
+  for (unsigned i = threadIdx.x; i < chunks; i += kThreads)
 #pragma unroll
     for (int k = 0; k < K; ++k) v[k] = op(v[k], numbers[i * K + k]);
-  over_block(v, op);
+  block_reduce<kSumThreads>(v, op);
 }
 
 // A plane's c_i, and how they become b_i. Blocks leave -low and high.
 template <class F>
 struct Eroded {
   F const* c;
-  Span<F> span;
+  ValueRange<F> span;
   F from, scale;
 
-  __device__ __forceinline__ Eroded(F const* c, F const* numbers, unsigned pieces) : c(c) {
+  __device__ __forceinline__ Eroded(F const* c, F const* numbers, unsigned chunks) : c(c) {
     F ends[2] = {-F(INFINITY), -F(INFINITY)};
-    over_pieces(ends, numbers, pieces, Larger());
+    reduce_chunks(ends, numbers, chunks, NanMax());
     span = {-ends[0], ends[1]}, from = span.from(), scale = span.scale();
   }
   __device__ __forceinline__ F b(int64_t i) const { return (c[i] - from) * scale; }
@@ -52,19 +52,19 @@ __device__ __forceinline__ F mean_around(Extent const& e, unsigned i, Value valu
   return sum * F(1. / 5);
 }
 
-// A block's piece of one of the planes from `first` on.
+// A block's chunk of one of the planes from `first` on.
 template <class F>
 struct Group {
   Differences<F> differences;
   int64_t first;
-  unsigned pieces, size;
+  unsigned chunks, size;
 
-  __device__ __forceinline__ unsigned plane() const { return blockIdx.x / pieces; }
+  __device__ __forceinline__ unsigned plane() const { return blockIdx.x / chunks; }
   // Calls f for the thread's pixels.
   template <class Call>
   __device__ __forceinline__ void for_each(Call f) const {
-    unsigned const start = (blockIdx.x - plane() * pieces) * kErosionPiece;
-    unsigned const end = min(start + kErosionPiece, size);
+    unsigned const start = (blockIdx.x - plane() * chunks) * kErosionChunk;
+    unsigned const end = min(start + kErosionChunk, size);
 #pragma unroll 2
     for (unsigned i = start + threadIdx.x; i < end; i += kThreads) f(i);
   }
@@ -77,7 +77,7 @@ struct Erosion {
   F *to, *to_numbers;            // c_i, or null for the loss alone
   F weight;                      // of b_(i-1) in the loss
   bool begins;                   // the loss
-  F *map, *sums;                 // the loss: of the pixels of all planes, or of the group's pieces; or null
+  F *map, *sums;                 // the loss: of the pixels of all planes, or of the group's chunks; or null
 };
 
 template <class F, bool First>
@@ -91,7 +91,7 @@ __global__ void __launch_bounds__(kThreads) erode(__grid_constant__ Erosion<F> c
       if (p.to) {
         F const mean = mean_around<F>(group.differences.extent, i, value) - F(0.5), c = mean < 0 ? F(0) : mean;
         to[i] = c;
-        ends[0] = Larger()(ends[0], -c), ends[1] = Larger()(ends[1], c);
+        ends[0] = NanMax()(ends[0], -c), ends[1] = NanMax()(ends[1], c);
       }
       if (First) return;
       if (!p.map && !p.sums) return;
@@ -109,16 +109,16 @@ __global__ void __launch_bounds__(kThreads) erode(__grid_constant__ Erosion<F> c
       return d * d;
     });
   } else {
-    Eroded<F> const eroded(p.from + int64_t(plane) * group.size, p.from_numbers + plane * group.pieces * 2,
-                           group.pieces);
+    Eroded<F> const eroded(p.from + int64_t(plane) * group.size, p.from_numbers + plane * group.chunks * 2,
+                           group.chunks);
     work([&](unsigned i) { return eroded.b(i); });
   }
   if (p.to) {
-    over_block(ends, Larger());
+    block_reduce<kSumThreads>(ends, NanMax());
     if (threadIdx.x == 0) p.to_numbers[blockIdx.x * 2] = ends[0], p.to_numbers[blockIdx.x * 2 + 1] = ends[1];
   }
   if (First || !p.sums) return;
-  over_block(loss, Plus());
+  block_reduce<kSumThreads>(loss, Sum());
   if (threadIdx.x == 0) p.sums[blockIdx.x] = p.begins ? loss[0] : p.sums[blockIdx.x] + loss[0];
 }
 
@@ -138,51 +138,51 @@ struct Growth {
 template <class F, bool Last>
 __global__ void __launch_bounds__(kThreads) grow(__grid_constant__ Growth<F> const p) {
   Group<F> const& group = p.group;
-  unsigned const plane = group.plane(), pieces = group.pieces;
+  unsigned const plane = group.plane(), chunks = group.chunks;
   int64_t const offset = int64_t(plane) * group.size, all = group.first * group.size + offset;
   F const of_sum = p.of_sums ? p.grad[group.first + plane] : F(0);
-  F found[4] = {};
+  F result[4] = {};
   auto const work = [&](auto grown) {
-    auto const slope_of = [&](unsigned i) {
+    auto const gradient_of = [&](unsigned i) {
       F const own = Last ? F(0) : (p.of_sums ? of_sum : p.grad[all + i]) * p.weight;
       return own + grown(i);
     };
     if constexpr (Last) {
       group.for_each(
-          [&](unsigned i) { p.out[all + i] = slope_of(i) * 2 * group.differences.at(group.first + plane, i); });
+          [&](unsigned i) { p.out[all + i] = gradient_of(i) * 2 * group.differences.at(group.first + plane, i); });
     } else {
-      Eroded<F> const next(p.next_c + offset, p.next_numbers + plane * pieces * 2, pieces);
-      F const top = SpanSlopes<F>::of(next.span, 0, 0, 1, 1).top;
+      Eroded<F> const next(p.next_c + offset, p.next_numbers + plane * chunks * 2, chunks);
+      F const top = NormalizeVjp<F>::of(next.span, 0, 0, 1, 1).top;
       group.for_each([&](unsigned i) {
-        F const slope = slope_of(i), b = next.b(i);
-        p.next_g[offset + i] = slope;
-        found[0] += slope, found[1] += slope * b, found[2] += b == 0, found[3] += b == top;
+        F const derivative = gradient_of(i), b = next.b(i);
+        p.next_g[offset + i] = derivative;
+        result[0] += derivative, result[1] += derivative * b, result[2] += b == 0, result[3] += b == top;
       });
-      over_block(found, Plus());
+      block_reduce<kSumThreads>(result, Sum());
       if (threadIdx.x == 0)
-        for (int k = 0; k < 4; ++k) p.next_sums[blockIdx.x * 4 + k] = found[k];
+        for (int k = 0; k < 4; ++k) p.next_sums[blockIdx.x * 4 + k] = result[k];
     }
   };
   if (!p.c) {
     work([](unsigned) { return F(0); });
     return;
   }
-  Eroded<F> const eroded(p.c + offset, p.numbers + plane * pieces * 2, pieces);
+  Eroded<F> const eroded(p.c + offset, p.numbers + plane * chunks * 2, chunks);
   F sums[4] = {};
-  over_pieces(sums, p.sums + plane * pieces * 4, pieces, Plus());
-  auto const slopes = SpanSlopes<F>::of(eroded.span, sums[0], sums[1], sums[2], sums[3]);
+  reduce_chunks(sums, p.sums + plane * chunks * 4, chunks, Sum());
+  auto const gradients = NormalizeVjp<F>::of(eroded.span, sums[0], sums[1], sums[2], sums[3]);
   F const* const g = p.g + offset;
   work([&](unsigned i) {
-    return mean_around<F>(group.differences.extent, i, [&](unsigned at) { return slopes(g[at], eroded.b(at)); });
+    return mean_around<F>(group.differences.extent, i, [&](unsigned at) { return gradients(g[at], eroded.b(at)); });
   });
 }
 
 // Calls f(group, planes) for all of them.
 template <class F, class Call>
 int for_each_group(Differences<F> const& d, int64_t at_once, Call f) {
-  unsigned const size = unsigned(d.extent.size()), pieces = unsigned(ceil_div(size, kErosionPiece));
+  unsigned const size = unsigned(d.extent.size()), chunks = unsigned(ceil_div(size, kErosionChunk));
   for (int64_t first = 0; first < d.planes(); first += at_once)
-    f(Group<F>{d, first, pieces, size}, min(at_once, d.planes() - first));
+    f(Group<F>{d, first, chunks, size}, min(at_once, d.planes() - first));
   return cudaGetLastError();
 }
 
@@ -193,7 +193,7 @@ double weight_of(int64_t i, double alpha) { return ::pow(double(i), alpha); }
 template <class F>
 int hausdorff(Hausdorff<F> const& p, CUstream_st* stream) {
   return for_each_group(p.differences, p.at_once, [&](Group<F> const& group, int64_t planes) {
-    unsigned const blocks = unsigned(planes * group.pieces);
+    unsigned const blocks = unsigned(planes * group.chunks);
     F *const sums = p.numbers, *const numbers = sums + blocks;
     auto const map = [&](int64_t i) { return p.maps + i % 2 * planes * group.size; };
     auto const ends = [&](int64_t i) { return numbers + i % 2 * blocks * 2; };
@@ -206,14 +206,14 @@ int hausdorff(Hausdorff<F> const& p, CUstream_st* stream) {
       else
         erode<F, false><<<blocks, kThreads, 0, stream>>>(e);
     }
-    if (!p.map) add_up(sums, planes, int64_t(group.pieces), p.sums + group.first, stream);
+    if (!p.map) sum_chunks(sums, planes, int64_t(group.chunks), p.sums + group.first, stream);
   });
 }
 
 template <class F>
 int hausdorff_backward(HausdorffBackward<F> const& p, CUstream_st* stream) {
   return for_each_group(p.differences, p.at_once, [&](Group<F> const& group, int64_t planes) {
-    unsigned const blocks = unsigned(planes * group.pieces);
+    unsigned const blocks = unsigned(planes * group.chunks);
     F *const sums = p.numbers, *const numbers = sums + 2 * 4 * int64_t(blocks);
     auto const map = [&](int64_t i) { return p.maps + (i - 1) * planes * group.size; };  // of 1 to k, and two more
     auto const ends = [&](int64_t i) { return numbers + (i - 1) * blocks * 2; };

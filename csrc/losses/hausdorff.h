@@ -4,8 +4,8 @@
 //   c_i = max(mean of b_(i-1) at a pixel and its direct neighbors, zeros beyond the image - 1/2, 0)
 //   b_i = (c_i - low) / (high - low), of the smallest and largest c_i of the plane; c_i where it is flat
 //
-// and the loss of a pixel is the sum of i^alpha b_i. Backward, with g the slopes by b_i, A the sum of g and D that of g
-// b_i, c_i gets g / (high - low); the smallest one (D - A) / (high - low) and the largest one -D / (high - low)
+// and the loss of a pixel is the sum of i^alpha b_i. Backward, with g the gradients by b_i, A the sum of g and D that
+// of g b_i, c_i gets g / (high - low); the smallest one (D - A) / (high - low) and the largest one -D / (high - low)
 // besides, shared between equal ones; and nothing where it is 0. The mean is its own transpose.
 //
 // Included by hausdorff_cpu.cpp, hausdorff.cu and hausdorff_op.cpp.
@@ -69,7 +69,7 @@ KV_KERNEL(hausdorff_backward, HausdorffBackward)
 
 // Of a plane's c_i.
 template <class F>
-struct Span {
+struct ValueRange {
   F low, high;
 
   KV_HD bool is_flat() const { return high == low; }
@@ -79,12 +79,12 @@ struct Span {
 
 // What g turns into on its way from b_i to c_i.
 template <class F>
-struct SpanSlopes {
+struct NormalizeVjp {
   F scale, top, of_low, of_high;  // top: the largest b_i
   bool all;                       // no c_i is 0
 
   // Of the sums of g, of g b_i, and of how many pixels are the smallest and the largest ones.
-  KV_HD static SpanSlopes of(Span<F> const& span, F sum, F product, F lowest, F highest) {
+  KV_HD static NormalizeVjp of(ValueRange<F> const& span, F sum, F product, F lowest, F highest) {
     F const scale = span.scale(), top = (span.high - span.low) * scale;
     if (span.is_flat()) return {scale, top, F(0), F(0), span.low > 0};
     return {scale, top, (product - sum) * scale / lowest, -product * scale / highest, span.low > 0};
@@ -92,14 +92,14 @@ struct SpanSlopes {
   template <class V>
   KV_HD V operator()(V g, V b) const {
     V const zero{};
-    V const slope = g * scale + (b == zero ? zero + of_low : zero) + (b == zero + top ? zero + of_high : zero);
-    return all ? slope : V(b > zero ? slope : b <= zero ? zero : b);  // b itself where it is NaN
+    V const derivative = g * scale + (b == zero ? zero + of_low : zero) + (b == zero + top ? zero + of_high : zero);
+    return all ? derivative : V(b > zero ? derivative : b <= zero ? zero : b);  // b itself where it is NaN
   }
 };
 
 // Of CUDA's kernels, which work on `at_once` planes together: pixels of a block, and what is in `maps` and `numbers`
 // for each pixel and block of a plane.
-constexpr int kErosionPiece = 2048;
+constexpr int kErosionChunk = 2048;
 constexpr int64_t kErosionMaps = 2, kErosionNumbers = 5;              // two c_i; low and high of both, and a sum
 constexpr int64_t erosion_maps_backward(int64_t k) { return k + 2; }  // all c_i, and g by two of them
 constexpr int64_t erosion_numbers_backward(int64_t k) { return 2 * k + 2 * 4; }  // and four sums of each g

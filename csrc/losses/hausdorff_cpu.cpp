@@ -9,12 +9,12 @@ namespace {
 
 // Copies of a plane, with a rim.
 template <class F>
-struct Rimmed {
+struct Padded {
   Extent const extent;
   int64_t const pitch, slab, size;
   Scratch<F> memory;
 
-  KV_HD Rimmed(Extent const& e, int64_t count)
+  KV_HD Padded(Extent const& e, int64_t count)
       : extent(e),
         pitch(e.width + 2),
         slab(pitch * (e.height + 2)),
@@ -75,7 +75,7 @@ struct Sum {
 };
 
 template <class F>
-KV_HD void read_differences(Rimmed<F> const& r, Differences<F> const& d, int64_t plane, F* to) {
+KV_HD void load_differences(Padded<F> const& r, Differences<F> const& d, int64_t plane, F* to) {
   r.for_each_row([&](int64_t at, int64_t i) {
     for (int64_t x = 0; x < r.extent.width; ++x) {
       F const difference = d.at(plane, i + x);
@@ -86,11 +86,11 @@ KV_HD void read_differences(Rimmed<F> const& r, Differences<F> const& d, int64_t
 
 // b_(i-1) to b_i.
 template <class F>
-KV_HD Span<F> erode(Rimmed<F> const& r, F const* from, F* to) {
+KV_HD ValueRange<F> erode(Padded<F> const& r, F const* from, F* to) {
   constexpr int N = kLanes<F>;
   F const infinite = F(__builtin_inf());
-  Lanes<F, N> low = broadcast<N>(infinite), high = -low, spoilt{};
-  Span<F> span{infinite, -infinite};
+  Lanes<F, N> low = broadcast<N>(infinite), high = -low, nan_or_zero{};
+  ValueRange<F> span{infinite, -infinite};
   F nan = 0;
   r.for_each([&](auto width, int64_t at, int64_t) {
     constexpr int M = decltype(width)::value;
@@ -100,11 +100,11 @@ KV_HD Span<F> erode(Rimmed<F> const& r, F const* from, F* to) {
     if constexpr (M == 1)
       span.low = min(span.low, c), span.high = max(span.high, c), nan = c == c ? nan : c;
     else
-      low = min(low, c), high = max(high, c), spoilt = c == c ? spoilt : c;
+      low = min(low, c), high = max(high, c), nan_or_zero = c == c ? nan_or_zero : c;
   });
   for (int i = 0; i < N; ++i) {
     if (r.extent.width >= N) span = {min(span.low, low[i]), max(span.high, high[i])};
-    nan = spoilt[i] == spoilt[i] ? nan : spoilt[i];
+    nan = nan_or_zero[i] == nan_or_zero[i] ? nan : nan_or_zero[i];
   }
   if (nan != nan) span = {nan, nan};
   F const first = span.from(), scale = span.scale();
@@ -121,11 +121,11 @@ KV_HD double weight_of(int64_t i, double alpha) { return __builtin_pow(double(i)
 
 template <class F>
 void hausdorff(Hausdorff<F> const& p, int64_t begin, int64_t end) {
-  Rimmed<F> const r(p.differences.extent, 2);
+  Padded<F> const r(p.differences.extent, 2);
   for (int64_t plane = begin; plane < end; ++plane) {
     F* const map = p.map ? p.map + plane * r.extent.size() : nullptr;
     double loss = 0;
-    read_differences(r, p.differences, plane, r.plane(0));
+    load_differences(r, p.differences, plane, r.plane(0));
     for (int64_t i = 1; i <= p.k; ++i) {
       F const* const b = r.plane(i % 2);
       F const weight = F(weight_of(i, p.alpha));
@@ -148,40 +148,40 @@ void hausdorff(Hausdorff<F> const& p, int64_t begin, int64_t end) {
 
 template <class F>
 void hausdorff_backward(HausdorffBackward<F> const& p, int64_t begin, int64_t end) {
-  Rimmed<F> const r(p.differences.extent, p.k + 2);  // b_i, and g in the place of b_0
+  Padded<F> const r(p.differences.extent, p.k + 2);  // b_i, and g in the place of b_0
   int64_t const size = r.extent.size();
-  Scratch<Span<F>> spans(p.k + 1);
+  Scratch<ValueRange<F>> spans(p.k + 1);
   for (int64_t plane = begin; plane < end; ++plane) {
     F *const g = r.plane(0), *const h = r.plane(p.k + 1), *const out = p.grad_pred + plane * size;
-    read_differences(r, p.differences, plane, g);
+    load_differences(r, p.differences, plane, g);
     for (int64_t i = 1; i <= p.k; ++i) spans.data[i] = erode(r, r.plane(i - 1), r.plane(i));
     for (int64_t i = p.k; i >= 0; --i) {
       F const weight = i > 0 ? F(weight_of(i, p.alpha)) : F(0);
       F const *const grad = p.of_sums ? nullptr : p.grad + plane * size, of_sum = p.of_sums ? p.grad[plane] : F(0);
       F const* const b = r.plane(i);
-      F const top = i > 0 ? SpanSlopes<F>::of(spans.data[i], 0, 0, 1, 1).top : F(0);
+      F const top = i > 0 ? NormalizeVjp<F>::of(spans.data[i], 0, 0, 1, 1).top : F(0);
       Sum<F> sum, product, lowest, highest;
       r.for_each([&](auto width, int64_t at, int64_t e) {
         constexpr int M = decltype(width)::value;
         using V = Lanes<F, M>;
         V const zero{}, one = zero + F(1), own = (grad ? load<M>(grad + e) : zero + of_sum) * weight;
-        V const slope = i < p.k ? V(own + r.template mean<M>(h + at)) : own;
+        V const derivative = i < p.k ? V(own + r.template mean<M>(h + at)) : own;
         if (i == 0) {
-          store<M>(out + e, slope);
+          store<M>(out + e, derivative);
           return;
         }
         V const x = load<M>(b + at);
-        store<M>(g + at, slope);
-        sum.template add<M>(slope), product.template add<M>(V(slope * x));
+        store<M>(g + at, derivative);
+        sum.template add<M>(derivative), product.template add<M>(V(derivative * x));
         lowest.template add<M>(V(x == zero ? one : zero)), highest.template add<M>(V(x == zero + top ? one : zero));
       });
       if (i == 0) break;
-      auto const slopes =
-          SpanSlopes<F>::of(spans.data[i], sum.total(), product.total(), lowest.total(), highest.total());
+      auto const gradients =
+          NormalizeVjp<F>::of(spans.data[i], sum.total(), product.total(), lowest.total(), highest.total());
       r.for_each([&](auto width, int64_t at, int64_t) {
         constexpr int M = decltype(width)::value;
         using V = Lanes<F, M>;
-        store<M>(h + at, slopes(V(load<M>(g + at)), V(load<M>(b + at))));
+        store<M>(h + at, gradients(V(load<M>(g + at)), V(load<M>(b + at))));
       });
     }
     for (int64_t i = 0; i < size; ++i) out[i] *= 2 * p.differences.at(plane, i);

@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-constexpr int64_t kMostErosions = 1000;  // as losses/hausdorff.py knows
+constexpr int64_t kMaxErosions = 1000;  // as losses/hausdorff.py knows
 
 // Predictions (B, C, H, W) or (B, C, D, H, W) in a type that computes, and labels (B or 1, ...), contiguous.
 struct LabelledPlanes {
@@ -22,7 +22,7 @@ struct LabelledPlanes {
     for (int64_t axis = 2; fits && axis < axes; ++axis) fits = labels.size(axis - 1) == pred.size(axis);
     KV_CHECK(fits && labels.scalar_type() == ScalarType::Long && labels.device() == pred.device(), op,
              ": expected target of int64 labels (B or 1, ...) on the device of pred");
-    KV_CHECK(k >= 1 && k <= kMostErosions, op, ": expected k from 1 to ", kMostErosions);
+    KV_CHECK(k >= 1 && k <= kMaxErosions, op, ": expected k from 1 to ", kMaxErosions);
     extent = {axes == 5 ? pred.size(2) : 0, pred.size(axes - 2), pred.size(axes - 1)};
     KV_CHECK(extent.size() < int64_t(1) << 31, op, ": expected less than 2^31 pixels in a plane");
   }
@@ -48,10 +48,10 @@ struct LabelledPlanes {
 // machine.
 template <class Params>
 std::pair<Tensor, Tensor> make_room(LabelledPlanes const& x, Params& params, int64_t maps, int64_t numbers) {
-  constexpr int64_t kTogether = 1 << 20;
-  int64_t const n = x.extent.size(), pieces = (n + kErosionPiece - 1) / kErosionPiece;
-  params.at_once = clamp(std::max(kTogether / n, x.planes() / maps), int64_t(1), x.planes());
-  std::pair const room(empty({maps, params.at_once, n}, x.pred), empty({numbers, params.at_once, pieces}, x.pred));
+  constexpr int64_t kElementsAtOnce = 1 << 20;
+  int64_t const n = x.extent.size(), chunks = (n + kErosionChunk - 1) / kErosionChunk;
+  params.at_once = clamp(std::max(kElementsAtOnce / n, x.planes() / maps), int64_t(1), x.planes());
+  std::pair const room(empty({maps, params.at_once, n}, x.pred), empty({numbers, params.at_once, chunks}, x.pred));
   params.maps = static_cast<decltype(params.maps)>(const_cast<void*>(room.first.const_data_ptr()));
   params.numbers = static_cast<decltype(params.numbers)>(const_cast<void*>(room.second.const_data_ptr()));
   return room;

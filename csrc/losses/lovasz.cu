@@ -1,9 +1,9 @@
 // Lovász losses on CUDA. Segments are sorted by their digits, the last one first: a block counts the digits of its
-// piece of a segment, another kernel adds these counts up to where every digit of every piece goes, and then a block
-// sorts its piece in shared memory and writes it there. Equal ones stay as they were, so that all runs give the same
+// chunk of a segment, another kernel adds these counts up to where every digit of every chunk goes, and then a block
+// sorts its chunk in shared memory and writes it there. Equal ones stay as they were, so that all runs give the same
 // bits.
+#include "core/row_sums.cuh"
 #include "lovasz.h"
-#include "metrics/sums.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -50,29 +50,29 @@ __global__ void __launch_bounds__(kThreads)
   gradients_of_pixels<F, LovaszMath<F>>(
       labels.hinge, labels.classes, labels.number<F>(b, i),
       [&](int64_t c) { return read(p.logits[at + c * labels.pixels]); },
-      [&](int64_t c) { return p.slopes[at + c * labels.pixels] * grad[c]; },
+      [&](int64_t c) { return p.gradients[at + c * labels.pixels] * grad[c]; },
       [&](int64_t c, F d) { p.grad_logits[at + c * labels.pixels] = round_to<T>(d); });
 }
 
 // --- sorting ---------------------------------------------------------------------------------------------------------
 
-// Segments from `first` on, in pieces; what is sorted comes from the errors at first, and then from `from`.
+// Segments from `first` on, in chunks; what is sorted comes from the errors at first, and then from `from`.
 template <class F>
 struct Sorting {
   LovaszLabels labels;
   F const* errors;
   int64_t first;
-  unsigned pieces;
+  unsigned chunks;
   Ranked<F> const* from;  // or null
   Ranked<F>* to;
-  uint32_t* counts;  // (segments, pieces, digits), and after them (segments, digits)
+  uint32_t* counts;  // (segments, chunks, digits), and after them (segments, digits)
   uint32_t* starts;
   int shift;  // of the digit
 
-  // The block's segment among those that are sorted, and its piece of it.
-  __device__ __forceinline__ unsigned segment() const { return blockIdx.x / pieces; }
+  // The block's segment among those that are sorted, and its chunk of it.
+  __device__ __forceinline__ unsigned segment() const { return blockIdx.x / chunks; }
   __device__ __forceinline__ int64_t start() const {
-    return int64_t(blockIdx.x - segment() * pieces) * kRankedPiece<F>;
+    return int64_t(blockIdx.x - segment() * chunks) * kRankedChunk<F>;
   }
   // Element i of the segment; beyond its end what comes after all others.
   __device__ __forceinline__ Ranked<F> at(int64_t i) const {
@@ -85,10 +85,10 @@ struct Sorting {
   __device__ __forceinline__ unsigned digit(Ranked<F> const& r) const { return unsigned(r.key >> shift) % kDigits; }
 };
 
-// A thread's elements of a piece of a segment: one of 32 neighbors that a warp takes at a time, row after row.
+// A thread's elements of a chunk of a segment: one of 32 neighbors that a warp takes at a time, row after row.
 template <class F>
 struct Rows {
-  static constexpr int kCount = kRankedPiece<F> / kThreads;
+  static constexpr int kCount = kRankedChunk<F> / kThreads;
   __device__ __forceinline__ static int locate(int row) {
     return (threadIdx.x / 32 * kCount + row) * 32 + threadIdx.x % 32;
   }
@@ -141,19 +141,19 @@ __global__ void __launch_bounds__(kThreads) count_digits(__grid_constant__ Sorti
   __syncthreads();
   unsigned sum = 0;
   for (int w = 0; w < kWarps; ++w) sum += counts[w][threadIdx.x];
-  // What the last piece has too many stands after all others of the last digit: nothing is behind it.
+  // What the last chunk has too many stands after all others of the last digit: nothing is behind it.
   p.counts[int64_t(blockIdx.x) * kDigits + threadIdx.x] = sum;
 }
 
-// A block for each segment: counts (pieces, digits) become those of the pieces before, and starts of the digits. Pieces
+// A block for each segment: counts (chunks, digits) become those of the chunks before, and starts of the digits. Chunks
 // are split between the block's groups of kDigits threads.
-__global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, uint32_t* starts, unsigned pieces) {
+__global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, uint32_t* starts, unsigned chunks) {
   constexpr int kGroups = kScanThreads / kDigits;
   __shared__ unsigned sums[kGroups][kDigits];
   unsigned const digit = threadIdx.x % kDigits, group = threadIdx.x / kDigits;
-  unsigned const share = (pieces + kGroups - 1) / kGroups, first = min(group * share, pieces);
-  unsigned const last = min(first + share, pieces);
-  counts += int64_t(blockIdx.x) * pieces * kDigits + digit;
+  unsigned const share = (chunks + kGroups - 1) / kGroups, first = min(group * share, chunks);
+  unsigned const last = min(first + share, chunks);
+  counts += int64_t(blockIdx.x) * chunks * kDigits + digit;
   unsigned sum = 0;
 #pragma unroll 8
   for (unsigned i = first; i < last; ++i) sum += counts[int64_t(i) * kDigits];
@@ -182,12 +182,12 @@ __global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, ui
 
 template <class F>
 __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sorting<F> const p) {
-  constexpr int kPiece = kRankedPiece<F>;
-  __shared__ unsigned counts[kWarps][kDigits], goes[kDigits], of_warps[kWarps];
-  __shared__ Ranked<F> sorted[kPiece];
+  constexpr int kChunk = kRankedChunk<F>;
+  __shared__ unsigned counts[kWarps][kDigits], goes[kDigits], warp_sums[kWarps];
+  __shared__ Ranked<F> sorted[kChunk];
   Digits<F> const digits(p, counts);
   __syncthreads();
-  // Of the thread's own digit: how many the warps before have, and where the piece's smaller digits end.
+  // Of the thread's own digit: how many the warps before have, and where the chunk's smaller digits end.
   unsigned const digit = threadIdx.x, lane = threadIdx.x % 32;
   unsigned sum = 0;
 #pragma unroll
@@ -202,10 +202,10 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
     unsigned const other = __shfl_up_sync(0xffffffffu, up_to, step);
     up_to += lane >= step ? other : 0;
   }
-  if (lane == 31) of_warps[threadIdx.x / 32] = up_to;
+  if (lane == 31) warp_sums[threadIdx.x / 32] = up_to;
   __syncthreads();
   unsigned start = up_to - sum;
-  for (unsigned w = 0; w < threadIdx.x / 32; ++w) start += of_warps[w];
+  for (unsigned w = 0; w < threadIdx.x / 32; ++w) start += warp_sums[w];
 #pragma unroll
   for (int w = 0; w < kWarps; ++w) counts[w][digit] += start;
   goes[digit] = p.starts[p.segment() * kDigits + digit] + p.counts[int64_t(blockIdx.x) * kDigits + digit] - start;
@@ -216,7 +216,7 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
     sorted[counts[threadIdx.x / 32][p.digit(r)] + digits.before[row]] = r;
   }
   __syncthreads();
-  int const size = int(min(int64_t(kPiece), p.labels.pixels - p.start()));
+  int const size = int(min(int64_t(kChunk), p.labels.pixels - p.start()));
   Ranked<F>* const to = p.to + p.segment() * p.labels.pixels;
 #pragma unroll 4
   for (int i = threadIdx.x; i < size; i += kThreads) {
@@ -225,37 +225,37 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
   }
 }
 
-// --- slopes of what is sorted ----------------------------------------------------------------------------------------
+// --- gradients of what is sorted ----------------------------------------------------------------------------------------
 
 template <class F>
 __global__ void __launch_bounds__(kThreads)
-    count_inside(Ranked<F> const* ranked, int64_t pixels, unsigned pieces, uint32_t* counts) {
-  constexpr int kPiece = kRankedPiece<F>;
-  unsigned const segment = blockIdx.x / pieces;
-  int64_t const start = int64_t(blockIdx.x - segment * pieces) * kPiece;
+    count_inside(Ranked<F> const* ranked, int64_t pixels, unsigned chunks, uint32_t* counts) {
+  constexpr int kChunk = kRankedChunk<F>;
+  unsigned const segment = blockIdx.x / chunks;
+  int64_t const start = int64_t(blockIdx.x - segment * chunks) * kChunk;
   unsigned count = 0;
 #pragma unroll 4
-  for (int64_t i = start + threadIdx.x; i < min(start + kPiece, pixels); i += kThreads)
+  for (int64_t i = start + threadIdx.x; i < min(start + kChunk, pixels); i += kThreads)
     count += ranked[segment * pixels + i].inside();
-  count = block_sum(count);
+  count = block_sum<kSumThreads>(count);
   if (threadIdx.x == 0) counts[blockIdx.x] = count;
 }
 
-// A block for each piece of a segment: slopes of what it holds to the pixels, and the piece's part of the loss.
+// A block for each chunk of a segment: gradients of what it holds to the pixels, and the chunk's part of the loss.
 template <class F>
-__global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked, int64_t pixels, unsigned pieces,
-                                                        uint32_t const* counts, F* slopes, F* partial) {
+__global__ void __launch_bounds__(kThreads) compute_gradients(Ranked<F> const* ranked, int64_t pixels, unsigned chunks,
+                                                              uint32_t const* counts, F* gradients, F* partial) {
   constexpr int kRows = Rows<F>::kCount;
-  __shared__ unsigned sums[2][kWarps], of_warps[kWarps];
-  unsigned const segment = blockIdx.x / pieces, piece = blockIdx.x - segment * pieces;
+  __shared__ unsigned sums[2][kWarps], warp_sums[kWarps];
+  unsigned const segment = blockIdx.x / chunks, chunk = blockIdx.x - segment * chunks;
   unsigned const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  int64_t const start = int64_t(piece) * kRankedPiece<F>;
-  ranked += segment * pixels, slopes += segment * pixels, counts += segment * pieces;
+  int64_t const start = int64_t(chunk) * kRankedChunk<F>;
+  ranked += segment * pixels, gradients += segment * pixels, counts += segment * chunks;
 
-  unsigned mine = 0, before = 0;  // of all pieces, and of those before this one
-  for (unsigned i = threadIdx.x; i < pieces; i += kThreads) {
+  unsigned mine = 0, before = 0;  // of all chunks, and of those before this one
+  for (unsigned i = threadIdx.x; i < chunks; i += kThreads) {
     unsigned const count = counts[i];
-    mine += count, before += i < piece ? count : 0;
+    mine += count, before += i < chunk ? count : 0;
   }
   mine = warp_sum(mine), before = warp_sum(before);
   Ranked<F> element[kRows];
@@ -267,26 +267,26 @@ __global__ void __launch_bounds__(kThreads) find_slopes(Ranked<F> const* ranked,
     inside[row] = __ballot_sync(0xffffffffu, element[row].inside());
     of_warp += __popc(inside[row]);
   }
-  if (lane == 0) sums[0][warp] = mine, sums[1][warp] = before, of_warps[warp] = of_warp;
+  if (lane == 0) sums[0][warp] = mine, sums[1][warp] = before, warp_sums[warp] = of_warp;
   __syncthreads();
-  unsigned all = 0, found = 0;
+  unsigned all = 0, result = 0;
   for (unsigned w = 0; w < kWarps; ++w) {
-    all += sums[0][w], found += sums[1][w];
-    if (w < warp) found += of_warps[w];
+    all += sums[0][w], result += sums[1][w];
+    if (w < warp) result += warp_sums[w];
   }
   F loss = 0;
 #pragma unroll
   for (int row = 0; row < kRows; ++row) {
     int64_t const i = start + Rows<F>::locate(row);
     Ranked<F> const r = element[row];
-    unsigned const with_it = found + __popc(inside[row] & (lanes_before() | 1u << lane));
-    found += __popc(inside[row]);
+    unsigned const with_it = result + __popc(inside[row] & (lanes_before() | 1u << lane));
+    result += __popc(inside[row]);
     if (i >= pixels) continue;
-    F const slope = lovasz_slope<F>(r.inside(), all, with_it, unsigned(i + 1) - with_it);
-    loss += r.error() * slope;
-    slopes[r.pixel()] = slope;
+    F const derivative = jaccard_derivative<F>(r.inside(), all, with_it, unsigned(i + 1) - with_it);
+    loss += r.error() * derivative;
+    gradients[r.pixel()] = derivative;
   }
-  loss = block_sum(loss);
+  loss = block_sum<kSumThreads>(loss);
   if (threadIdx.x == 0) partial[blockIdx.x] = loss;
 }
 
@@ -307,30 +307,30 @@ int lovasz_backward(LovaszBackward<T> const& p, CUstream_st* stream) {
 }
 
 template <class F>
-int lovasz_slopes(LovaszSlopes<F> const& p, CUstream_st* stream) {
+int lovasz_gradients(LovaszGradients<F> const& p, CUstream_st* stream) {
   int64_t const n = p.labels.pixels, segments = p.labels.segments();
-  unsigned const pieces = unsigned(ceil_div(n, kRankedPiece<F>));
+  unsigned const chunks = unsigned(ceil_div(n, kRankedChunk<F>));
   for (int64_t first = 0; first < segments; first += p.at_once) {
     int64_t const count = min(p.at_once, segments - first);
-    unsigned const blocks = unsigned(count * pieces);
+    unsigned const blocks = unsigned(count * chunks);
     Sorting<F> sorting{
-        p.labels, p.slopes, first, pieces, nullptr, p.ranked[0], p.counts, p.counts + int64_t(blocks) * kDigits, 0};
+        p.labels, p.gradients, first, chunks, nullptr, p.ranked[0], p.counts, p.counts + int64_t(blocks) * kDigits, 0};
     for (; sorting.shift < 8 * int(sizeof(F)); sorting.shift += 8) {
       count_digits<<<blocks, kThreads, 0, stream>>>(sorting);
-      scan_digits<<<unsigned(count), kScanThreads, 0, stream>>>(sorting.counts, sorting.starts, pieces);
+      scan_digits<<<unsigned(count), kScanThreads, 0, stream>>>(sorting.counts, sorting.starts, chunks);
       move_digits<<<blocks, kThreads, 0, stream>>>(sorting);
       sorting.from = sorting.to;
       sorting.to = p.ranked[sorting.to == p.ranked[0]];
     }
-    count_inside<<<blocks, kThreads, 0, stream>>>(sorting.from, n, pieces, p.counts);
-    find_slopes<<<blocks, kThreads, 0, stream>>>(sorting.from, n, pieces, p.counts, p.slopes + first * n,
-                                                 p.partial + first * pieces);
+    count_inside<<<blocks, kThreads, 0, stream>>>(sorting.from, n, chunks, p.counts);
+    compute_gradients<<<blocks, kThreads, 0, stream>>>(sorting.from, n, chunks, p.counts, p.gradients + first * n,
+                                                       p.partial + first * chunks);
   }
-  return add_up(p.partial, segments, int64_t(pieces), p.losses, stream);
+  return sum_chunks(p.partial, segments, int64_t(chunks), p.losses, stream);
 }
 
 KV_INSTANTIATE(lovasz_errors, LovaszErrors)
-KV_INSTANTIATE_COMPUTED(lovasz_slopes, LovaszSlopes)
+KV_INSTANTIATE_COMPUTED(lovasz_gradients, LovaszGradients)
 KV_INSTANTIATE(lovasz_backward, LovaszBackward)
 
 }  // namespace kv::cuda

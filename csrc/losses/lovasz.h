@@ -1,5 +1,5 @@
 // Lovász losses of logits (B, C, pixels) with labels (B, pixels): of every class in every image the errors of the
-// pixels from the largest on, each times its slope, which is what its pixel adds to the Jaccard loss of the set of
+// pixels from the largest on, each times its derivative, which is what its pixel adds to the Jaccard loss of the set of
 // those before it. Included by lovasz_cpu.cpp, lovasz.cu and lovasz_op.cpp.
 //
 // With `all` pixels in the region, of which `inside` are among the first ones and `outside` other pixels beside them,
@@ -60,14 +60,14 @@ struct Ranked {
 };
 
 template <class F>
-struct LovaszSlopes {
+struct LovaszGradients {
   LovaszLabels labels;
-  F* slopes;  // (B, C, pixels): errors, which they replace
-  F* losses;  // (B, C)
-  // Working memory of CUDA's kernel: twice so many elements as `at_once` segments have, and counts of their pieces.
+  F* gradients;  // (B, C, pixels): errors, which they replace
+  F* losses;     // (B, C)
+  // Working memory of CUDA's kernel: twice so many elements as `at_once` segments have, and counts of their chunks.
   Ranked<F>* ranked[2];
   uint32_t* counts;
-  F* partial;  // (B C, pieces)
+  F* partial;  // (B C, chunks)
   int64_t at_once;
 };
 
@@ -75,12 +75,12 @@ template <class T>
 struct LovaszBackward {
   LovaszLabels labels;
   T const* logits;
-  Compute<T> const *grad, *slopes;  // (B, C), (B, C, pixels)
+  Compute<T> const *grad, *gradients;  // (B, C), (B, C, pixels)
   T* grad_logits;
 };
 
 KV_KERNEL(lovasz_errors, LovaszErrors)
-KV_KERNEL(lovasz_slopes, LovaszSlopes)
+KV_KERNEL(lovasz_gradients, LovaszGradients)
 KV_KERNEL(lovasz_backward, LovaszBackward)
 
 constexpr int64_t kLovaszBlock = 1024;  // pixels of an image that are worked on together
@@ -88,11 +88,11 @@ constexpr int64_t kLovaszBlock = 1024;  // pixels of an image that are worked on
 // Of CUDA's kernel: how much of a segment a block sorts, and values of a digit.
 constexpr int kRankedThreads = 256, kRankedDigits = 256;
 template <class F>
-constexpr int kRankedPiece = kRankedThreads * (64 / int(sizeof(F)));
+constexpr int kRankedChunk = kRankedThreads * (64 / int(sizeof(F)));
 
-// The slope of a pixel, itself among the `inside` or `outside` first ones.
+// The derivative of a pixel, itself among the `inside` or `outside` first ones.
 template <class F>
-KV_HD F lovasz_slope(bool is_inside, uint32_t all, uint32_t inside, uint32_t outside) {
+KV_HD F jaccard_derivative(bool is_inside, uint32_t all, uint32_t inside, uint32_t outside) {
   if (is_inside) return F(1) / F(all + outside);
   uint32_t const before = all + outside - 1;
   return before == 0 ? F(1) : F(all - inside) / F(before) / F(before + 1);
@@ -119,36 +119,36 @@ struct LovaszSoftmax {
 // Stores the errors of pixels V by store(c, errors). `label` has their labels, or NaN.
 template <class F, class Math, class V, class Load, class Store>
 KV_HD void errors_of_pixels(bool hinge, int64_t classes, V label, Load load, Store store) {
-  V const zero{}, one = zero + F(1), spoilt = label - label;
+  V const zero{}, one = zero + F(1), nan_or_zero = label - label;
   if (hinge) {
     V const x = load(0), e = one - (label == one ? x : V(-x));
-    store(0, V((e < zero ? zero : e) + spoilt));
+    store(0, V((e < zero ? zero : e) + nan_or_zero));
     return;
   }
   LovaszSoftmax<Math, V> const p(classes, load);
   for (int64_t c = 0; c < classes; ++c) {
     V const d = p(load(c)) - (label == zero + F(c) ? one : zero);
-    store(c, V((d < zero ? V(-d) : d) + spoilt));
+    store(c, V((d < zero ? V(-d) : d) + nan_or_zero));
   }
 }
 
-// Stores the gradient to their logits; slope(c) is that of the loss by the errors. With p the probabilities and G the
-// slopes by them, logit c gets p_c (G_c - sum_k p_k G_k).
-template <class F, class Math, class V, class Load, class Slope, class Store>
-KV_HD void gradients_of_pixels(bool hinge, int64_t classes, V label, Load load, Slope slope, Store store) {
-  V const zero{}, one = zero + F(1), spoilt = label - label;
+// Stores the gradient to their logits; derivative(c) is that of the loss by the errors. With p the probabilities and G
+// the gradients by them, logit c gets p_c (G_c - sum_k p_k G_k).
+template <class F, class Math, class V, class Load, class Derivative, class Store>
+KV_HD void gradients_of_pixels(bool hinge, int64_t classes, V label, Load load, Derivative derivative, Store store) {
+  V const zero{}, one = zero + F(1), nan_or_zero = label - label;
   if (hinge) {
-    V const x = load(0), g = slope(0) + spoilt, e = one - (label == one ? x : V(-x));
+    V const x = load(0), g = derivative(0) + nan_or_zero, e = one - (label == one ? x : V(-x));
     V const d = label == one ? V(-g) : g;
-    store(0, e > zero ? d : spoilt);
+    store(0, e > zero ? d : nan_or_zero);
     return;
   }
   LovaszSoftmax<Math, V> const softmax(classes, load);
   auto const by_p = [&](int64_t c, V p) {
-    V const d = p - (label == zero + F(c) ? one : zero), g = slope(c);
+    V const d = p - (label == zero + F(c) ? one : zero), g = derivative(c);
     return V(d > zero ? g : d < zero ? V(-g) : zero);
   };
-  V dot = spoilt;
+  V dot = nan_or_zero;
   for (int64_t c = 0; c < classes; ++c) {
     V const p = softmax(load(c));
     dot += p * by_p(c, p);

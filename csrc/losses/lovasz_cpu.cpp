@@ -1,5 +1,5 @@
-// Lovász losses on the CPU: blocks [begin, end) of pixels for errors and gradients, segments for slopes. Compiled once
-// per instruction set.
+// Lovász losses on the CPU: blocks [begin, end) of pixels for errors and gradients, segments for gradients. Compiled
+// once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "lovasz.h"
@@ -72,27 +72,27 @@ void lovasz_errors(LovaszErrors<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class F>
-void lovasz_slopes(LovaszSlopes<F> const& p, int64_t begin, int64_t end) {
+void lovasz_gradients(LovaszGradients<F> const& p, int64_t begin, int64_t end) {
   LovaszLabels const& labels = p.labels;
   int64_t const n = labels.pixels;
   Scratch<Ranked<F>> memory(2 * n);
   Scratch<uint32_t> counts(kDigits * int(sizeof(F)));
   for (int64_t segment = begin; segment < end; ++segment) {
     int64_t const b = segment / labels.classes, c = segment % labels.classes;
-    F* const slopes = p.slopes + segment * n;
+    F* const gradients = p.gradients + segment * n;
     uint32_t all = 0, inside = 0;
     for (int64_t i = 0; i < n; ++i) {
       bool const own = labels.is_inside(b, c, i);
-      all += own, memory.data[i] = Ranked<F>::of(slopes[i], i, own);
+      all += own, memory.data[i] = Ranked<F>::of(gradients[i], i, own);
     }
     Ranked<F> const* const ranked = sorted(memory.data, memory.data + n, counts.data, n);
     double loss = 0;
     for (int64_t i = 0; i < n; ++i) {
       Ranked<F> const r = ranked[i];
       inside += r.inside();
-      F const slope = lovasz_slope<F>(r.inside(), all, inside, uint32_t(i + 1) - inside);
-      loss += double(r.error()) * slope;
-      slopes[r.pixel()] = slope;
+      F const derivative = jaccard_derivative<F>(r.inside(), all, inside, uint32_t(i + 1) - inside);
+      loss += double(r.error()) * derivative;
+      gradients[r.pixel()] = derivative;
     }
     p.losses[segment] = F(loss);
   }
@@ -109,13 +109,13 @@ void lovasz_backward(LovaszBackward<T> const& p, int64_t begin, int64_t end) {
     F const* const grad = p.grad + b * labels.classes;
     gradients_of_pixels<F, LovaszMath<F, N>>(
         labels.hinge, labels.classes, label, [&](int64_t c) { return V(load<N>(p.logits + at + c * labels.pixels)); },
-        [&](int64_t c) { return V(load<N>(p.slopes + at + c * labels.pixels) * grad[c]); },
+        [&](int64_t c) { return V(load<N>(p.gradients + at + c * labels.pixels) * grad[c]); },
         [&](int64_t c, V d) { store<N>(p.grad_logits + at + c * labels.pixels, d); });
   });
 }
 
 KV_INSTANTIATE(lovasz_errors, LovaszErrors)
-KV_INSTANTIATE_COMPUTED(lovasz_slopes, LovaszSlopes)
+KV_INSTANTIATE_COMPUTED(lovasz_gradients, LovaszGradients)
 KV_INSTANTIATE(lovasz_backward, LovaszBackward)
 
 }  // namespace kv::KV_ISA

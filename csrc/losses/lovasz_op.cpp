@@ -32,37 +32,38 @@ struct LovaszImages {
   int64_t cost() const { return 4 * min(pixels, kLovaszBlock) * classes; }
 };
 
-// The losses (B, C) and the slopes (B, C, H, W) of the loss of a class in an image by the errors.
+// The losses (B, C) and the gradients (B, C, H, W) of the loss of a class in an image by the errors.
 std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool hinge) {
   LovaszImages const x("lovasz", pred, target, hinge);
   auto const type = compute_dtype(pred);
   Tensor const losses = empty({x.batch, x.classes}, pred, Layout::planar, type);
-  Tensor const slopes = empty({x.batch, x.classes, pred.size(2), pred.size(3)}, pred, Layout::planar, type);
+  Tensor const gradients = empty({x.batch, x.classes, pred.size(2), pred.size(3)}, pred, Layout::planar, type);
   dispatch_floating("lovasz", pred, [&](auto of_type) {
     using T = typename decltype(of_type)::type;
     using F = Compute<T>;
-    LovaszErrors<T> const errors{x.labels(), data_ptr<T const>(x.logits), data_ptr<F>(slopes)};
+    LovaszErrors<T> const errors{x.labels(), data_ptr<T const>(x.logits), data_ptr<F>(gradients)};
     KV_RUN(lovasz_errors, pred, errors, x.blocks(), x.cost());
-    LovaszSlopes<F> params{x.labels(), data_ptr<F>(slopes), data_ptr<F>(losses), {}, nullptr, nullptr, 0};
+    LovaszGradients<F> params{x.labels(), data_ptr<F>(gradients), data_ptr<F>(losses), {}, nullptr, nullptr, 0};
 #if defined(KV_CUDA)
-    // So many segments together that their memory, four times that of their slopes, is a map of all, and no less than
-    // what fills the machine.
-    constexpr int64_t kTogether = 1 << 20, kSize = 2 * sizeof(Ranked<F>);
-    int64_t const segments = x.batch * x.classes, pieces = (x.pixels + kRankedPiece<F> - 1) / kRankedPiece<F>;
-    params.at_once = clamp(std::max(kTogether / x.pixels, segments / 4), int64_t(1), segments);
+    // So many segments together that their memory, four times that of their gradients, is a map of all, and no less
+    // than what fills the machine.
+    constexpr int64_t kElementsAtOnce = 1 << 20, kSize = 2 * sizeof(Ranked<F>);
+    int64_t const segments = x.batch * x.classes, chunks = (x.pixels + kRankedChunk<F> - 1) / kRankedChunk<F>;
+    params.at_once = clamp(std::max(kElementsAtOnce / x.pixels, segments / 4), int64_t(1), segments);
     Tensor const ranked = empty({2, params.at_once, x.pixels, kSize / 2}, pred, Layout::planar, ScalarType::Byte);
-    Tensor const counts = empty({params.at_once, pieces + 1, kRankedDigits}, pred, Layout::planar, ScalarType::Int);
-    Tensor const partial = empty({segments, pieces}, pred, Layout::planar, type);
+    Tensor const counts = empty({params.at_once, chunks + 1, kRankedDigits}, pred, Layout::planar, ScalarType::Int);
+    Tensor const partial = empty({segments, chunks}, pred, Layout::planar, type);
     params.ranked[0] = reinterpret_cast<Ranked<F>*>(data_ptr<uint8_t>(ranked));
     params.ranked[1] = params.ranked[0] + params.at_once * x.pixels;
     params.counts = data_ptr<uint32_t>(counts), params.partial = data_ptr<F>(partial);
 #endif
-    KV_RUN(lovasz_slopes, pred, params, x.batch * x.classes, 32 * x.pixels);
+    KV_RUN(lovasz_gradients, pred, params, x.batch * x.classes, 32 * x.pixels);
   });
-  return {losses, slopes};
+  return {losses, gradients};
 }
 
-Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& pred, Tensor const& target, bool hinge) {
+Tensor lovasz_backward(Tensor const& grad, Tensor const& gradients, Tensor const& pred, Tensor const& target,
+                       bool hinge) {
   constexpr char const* op = "lovasz_backward";
   LovaszImages const x(op, pred, target, hinge);
   auto const fits = [&](Tensor const& t) {
@@ -70,10 +71,10 @@ Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& p
   };
   KV_CHECK(grad.dim() == 2 && grad.size(0) == x.batch && grad.size(1) == x.classes && fits(grad), op,
            ": expected grad to be that of the losses");
-  KV_CHECK(slopes.dim() == 4 && slopes.size(0) == x.batch && slopes.size(1) == x.classes &&
-               slopes.size(2) == pred.size(2) && slopes.size(3) == pred.size(3) && fits(slopes),
-           op, ": expected slopes to be those of the losses");
-  Tensor const g = dense(grad), by_errors = dense(slopes);
+  KV_CHECK(gradients.dim() == 4 && gradients.size(0) == x.batch && gradients.size(1) == x.classes &&
+               gradients.size(2) == pred.size(2) && gradients.size(3) == pred.size(3) && fits(gradients),
+           op, ": expected gradients to be those of the losses");
+  Tensor const g = dense(grad), by_errors = dense(gradients);
   Tensor const grad_x = empty({x.batch, x.classes, pred.size(2), pred.size(3)}, pred);
   dispatch_floating(op, pred, [&](auto type) {
     using T = typename decltype(type)::type;
@@ -88,6 +89,6 @@ Tensor lovasz_backward(Tensor const& grad, Tensor const& slopes, Tensor const& p
 }  // namespace
 
 KV_OPERATOR(lovasz, "(Tensor pred, Tensor target, bool hinge) -> (Tensor, Tensor)")
-KV_OPERATOR(lovasz_backward, "(Tensor grad, Tensor slopes, Tensor pred, Tensor target, bool hinge) -> Tensor")
+KV_OPERATOR(lovasz_backward, "(Tensor grad, Tensor gradients, Tensor pred, Tensor target, bool hinge) -> Tensor")
 
 }  // namespace kv

@@ -1,55 +1,55 @@
-// Mutual information on CUDA: ranges of the signals' pieces, joint histograms, what follows from these; backward the
+// Mutual information on CUDA: ranges of the signals' chunks, joint histograms, what follows from these; backward the
 // gradients by places, then what the ends of the ranges get. Histograms are in fixed point, so that atomic sums do not
 // depend on their order: in shared memory, in two words a bin, where they fit.
-#include "metrics/sums.cuh"
+#include "core/row_sums.cuh"
 #include "mutual_information.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = kSumThreads, kFinishThreads = 1024;
+constexpr int kThreads = kSumThreads, kFinalizeThreads = 1024;
 constexpr int kShared = 5632;  // bins of a joint histogram that a block has memory for
 
 __device__ __forceinline__ unsigned fixed_point(float x) { return __float2uint_rn(x); }  // of at most 30 bits
 __device__ __forceinline__ unsigned long long fixed_point(double x) { return __double2ull_rn(x); }
 
 // A block's row, and its samples.
-struct Piece {
+struct Chunk {
   int64_t row, first, last;
 
-  __device__ __forceinline__ Piece(int64_t pieces, int64_t samples) : row(blockIdx.x / pieces) {
-    int64_t const each = ceil_div(samples, pieces), piece = blockIdx.x - row * pieces;
-    first = min(piece * each, samples), last = min(first + each, samples);
+  __device__ __forceinline__ Chunk(int64_t chunks, int64_t samples) : row(blockIdx.x / chunks) {
+    int64_t const each = ceil_div(samples, chunks), chunk = blockIdx.x - row * chunks;
+    first = min(chunk * each, samples), last = min(first + each, samples);
   }
 };
 
 // Ranges are kept as -low and high.
 template <class F>
 __global__ void __launch_bounds__(kThreads) find_ranges(__grid_constant__ MutualInformation<F> const p) {
-  Piece const at(p.pieces, p.samples);
+  Chunk const at(p.chunks, p.samples);
   F ends[] = {-F(INFINITY), -F(INFINITY), -F(INFINITY), -F(INFINITY)};
 #pragma unroll 4
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
     F const x = p.x.at(at.row, i), y = p.y.at(at.row, i);
-    if (p.x.counts(at.row, i)) ends[0] = Larger()(ends[0], -x), ends[1] = Larger()(ends[1], x);
-    if (p.y.counts(at.row, i)) ends[2] = Larger()(ends[2], -y), ends[3] = Larger()(ends[3], y);
+    if (p.x.counts(at.row, i)) ends[0] = NanMax()(ends[0], -x), ends[1] = NanMax()(ends[1], x);
+    if (p.y.counts(at.row, i)) ends[2] = NanMax()(ends[2], -y), ends[3] = NanMax()(ends[3], y);
   }
-  over_block(ends, Larger());
+  block_reduce<kSumThreads>(ends, NanMax());
   if (threadIdx.x < 4) p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = ends[threadIdx.x];
 }
 
 template <class F>
 __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ MutualInformation<F> const p) {
   __shared__ unsigned low_words[kShared], high_words[kShared];
-  Piece const at(p.pieces, p.samples);
+  Chunk const at(p.chunks, p.samples);
   int const bins = p.binning.bins, cells = bins * bins;
   bool const shared = cells <= kShared;
   for (int i = threadIdx.x; shared && i < cells; i += kThreads) low_words[i] = high_words[i] = 0;
   F ends[] = {-F(INFINITY), -F(INFINITY), -F(INFINITY), -F(INFINITY)};
-  for (int64_t i = threadIdx.x; i < p.pieces; i += kThreads)
+  for (int64_t i = threadIdx.x; i < p.chunks; i += kThreads)
 #pragma unroll
-    for (int k = 0; k < 4; ++k) ends[k] = Larger()(ends[k], p.partial[4 * (at.row * p.pieces + i) + k]);
-  over_block(ends, Larger());
+    for (int k = 0; k < 4; ++k) ends[k] = NanMax()(ends[k], p.partial[4 * (at.row * p.chunks + i) + k]);
+  block_reduce<kSumThreads>(ends, NanMax());
   SignalRange<F> const of_x{-ends[0], ends[1]}, of_y{-ends[2], ends[3]};
   if (at.first == 0 && threadIdx.x < 4)
     p.ranges[4 * at.row + threadIdx.x] = threadIdx.x % 2 == 0 ? -ends[threadIdx.x] : ends[threadIdx.x];
@@ -77,35 +77,35 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
   }
   __syncthreads();
   for (int i = threadIdx.x; shared && i < cells; i += kThreads) {
-    unsigned long long const found = static_cast<unsigned long long>(high_words[i]) << 32 | low_words[i];
-    if (found) atomicAdd(counts + i, found);
+    unsigned long long const result = static_cast<unsigned long long>(high_words[i]) << 32 | low_words[i];
+    if (result) atomicAdd(counts + i, result);
   }
 }
 
 // A block for each row.
 template <class F>
-__global__ void __launch_bounds__(kFinishThreads) find_information(__grid_constant__ MutualInformation<F> const p) {
+__global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_constant__ MutualInformation<F> const p) {
   int64_t const row = blockIdx.x;
   int const bins = p.binning.bins, cells = bins * bins, lane = threadIdx.x % 32;
   unsigned long long const* const counts = p.counts + row * cells;
-  F *const slopes = p.slopes + row * cells, *const of_x = p.sums + row * 2 * bins, *const of_y = of_x + bins;
+  F *const gradients = p.gradients + row * cells, *const of_x = p.sums + row * 2 * bins, *const of_y = of_x + bins;
   F const* const ranges = p.ranges + 4 * row;
   bool const sound = SignalRange<F>{ranges[0], ranges[1]}.is_sound() && SignalRange<F>{ranges[2], ranges[3]}.is_sound();
   F const scale = p.binning.top * p.binning.top / F(1ll << p.bits);
   auto const count_of = [&](int i) {
-    F const found = F(counts[i]) * scale;
-    return found < p.least ? p.least : found;
+    F const result = F(counts[i]) * scale;
+    return result < p.least ? p.least : result;
   };
   double of_all[1] = {};
-  for (int k = threadIdx.x / 32; k < bins; k += kFinishThreads / 32) {
+  for (int k = threadIdx.x / 32; k < bins; k += kFinalizeThreads / 32) {
     double sum = 0;
     for (int m = lane; m < bins; m += 32) sum += count_of(k * bins + m);
     sum = warp_sum(sum);
     if (lane == 0) of_x[k] = F(sum), of_all[0] += sum;
   }
   // Several threads share a column, where there are more threads than columns.
-  __shared__ double parts[kFinishThreads];
-  int const share = max(kFinishThreads / bins, 1), columns = kFinishThreads / share;
+  __shared__ double parts[kFinalizeThreads];
+  int const share = max(kFinalizeThreads / bins, 1), columns = kFinalizeThreads / share;
   int const part = int(threadIdx.x) / columns, of_part = int(threadIdx.x) % columns;
   for (int first = 0; first < bins; first += columns) {
     int const m = first + of_part;
@@ -118,34 +118,33 @@ __global__ void __launch_bounds__(kFinishThreads) find_information(__grid_consta
     for (int i = 1; part == 0 && i < share; ++i) sum += parts[i * columns + of_part];
     if (part == 0 && m < bins) of_y[m] = F(sum);
   }
-  over_block<kFinishThreads>(of_all, Plus());  // the sums of other threads are there now, too
+  block_reduce<kFinalizeThreads>(of_all, Sum());  // the sums of other threads are there now, too
   F const all = F(of_all[0]), inverse = 1 / all;
   double entropies[3] = {};
-  for (int i = threadIdx.x; i < 2 * bins; i += kFinishThreads) {
+  for (int i = threadIdx.x; i < 2 * bins; i += kFinalizeThreads) {
     F const share = of_x[i] * inverse, log_of = ::log(share);
     entropies[i < bins ? 1 : 2] -= share * log_of;
   }
-  for (int i = threadIdx.x; i < cells; i += kFinishThreads) {
+  for (int i = threadIdx.x; i < cells; i += kFinalizeThreads) {
     F const share = count_of(i) * inverse;
     entropies[0] -= share * ::log(share);
   }
-  over_block<kFinishThreads>(entropies, Plus());
+  block_reduce<kFinalizeThreads>(entropies, Sum());
   Entropies<F> const h{entropies[0], entropies[1], entropies[2]};
   F const loss = sound ? F(h.loss(p.normalized)) : F(NAN);
   if (threadIdx.x == 0) p.loss[row] = loss;
-  for (int i = threadIdx.x; i < cells; i += kFinishThreads) {
+  for (int i = threadIdx.x; i < cells; i += kFinalizeThreads) {
     int const k = i / bins, m = i - k * bins;
     F const log_x = ::log(of_x[k] * inverse), log_y = ::log(of_y[m] * inverse), log_p = ::log(count_of(i) * inverse);
     bool const too_few = sound && F(counts[i]) * scale < p.least;
-    slopes[i] = too_few ? F(0) : h.slope(p.normalized, loss, log_x, log_y, log_p) * inverse;
+    gradients[i] = too_few ? F(0) : h.derivative(p.normalized, loss, log_x, log_y, log_p) * inverse;
   }
 }
 
-// The gradients by the samples' own places, and what the piece has for the ends.
+// The gradients by the samples' own places, and what the chunk has for the ends.
 template <class F>
-__global__ void __launch_bounds__(kThreads)
-    find_slopes_of_samples(__grid_constant__ MutualInformationBackward<F> const p) {
-  Piece const at(p.pieces, p.samples);
+__global__ void __launch_bounds__(kThreads) sample_gradients(__grid_constant__ MutualInformationBackward<F> const p) {
+  Chunk const at(p.chunks, p.samples);
   Signal<F> const& own = p.by_y ? p.y : p.x;
   SignalRange<F> const range = p.range(at.row, p.by_y);
   bool const flat = range.is_flat(p.binning.epsilon);
@@ -160,23 +159,23 @@ __global__ void __launch_bounds__(kThreads)
     }
     p.out[at.row * p.samples + i] = flat ? F(0) : of_share * inverse;
   }
-  double found[] = {ends.low, ends.high, ends.lowest, ends.highest};
-  over_block(found, Plus());
-  if (threadIdx.x < 4) p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = F(found[threadIdx.x]);
+  double result[] = {ends.low, ends.high, ends.lowest, ends.highest};
+  block_reduce<kSumThreads>(result, Sum());
+  if (threadIdx.x < 4) p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = F(result[threadIdx.x]);
 }
 
 template <class F>
 __global__ void __launch_bounds__(kThreads) add_to_ends(__grid_constant__ MutualInformationBackward<F> const p) {
-  Piece const at(p.pieces, p.samples);
+  Chunk const at(p.chunks, p.samples);
   Signal<F> const& own = p.by_y ? p.y : p.x;
   SignalRange<F> const range = p.range(at.row, p.by_y);
-  F const* const piece = p.partial + 4 * int64_t(blockIdx.x);
-  if (range.is_flat(p.binning.epsilon) || piece[2] + piece[3] == 0) return;  // no end is here
+  F const* const chunk = p.partial + 4 * int64_t(blockIdx.x);
+  if (range.is_flat(p.binning.epsilon) || chunk[2] + chunk[3] == 0) return;  // no end is here
   double ends[4] = {};
-  for (int64_t i = threadIdx.x; i < p.pieces; i += kThreads)
+  for (int64_t i = threadIdx.x; i < p.chunks; i += kThreads)
 #pragma unroll
-    for (int k = 0; k < 4; ++k) ends[k] += p.partial[4 * (at.row * p.pieces + i) + k];
-  over_block(ends, Plus());
+    for (int k = 0; k < 4; ++k) ends[k] += p.partial[4 * (at.row * p.chunks + i) + k];
+  block_reduce<kSumThreads>(ends, Sum());
   F const inverse = 1 / (range.high - range.low);
   F const to_low = F(ends[0] / ends[2]) * inverse, to_high = F(ends[1] / ends[3]) * inverse;
   for (int64_t i = at.first + threadIdx.x; i < at.last; i += kThreads) {
@@ -190,19 +189,19 @@ __global__ void __launch_bounds__(kThreads) add_to_ends(__grid_constant__ Mutual
 
 template <class F>
 int mutual_information(MutualInformation<F> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.rows * p.pieces);
+  unsigned const blocks = unsigned(p.rows * p.chunks);
   size_t const bytes = sizeof(*p.counts) * size_t(p.rows) * p.binning.bins * p.binning.bins;
   if (int const error = cudaMemsetAsync(p.counts, 0, bytes, stream)) return error;
   find_ranges<<<blocks, kThreads, 0, stream>>>(p);
   count_pairs<<<blocks, kThreads, 0, stream>>>(p);
-  find_information<<<unsigned(p.rows), kFinishThreads, 0, stream>>>(p);
+  find_information<<<unsigned(p.rows), kFinalizeThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class F>
 int mutual_information_backward(MutualInformationBackward<F> const& p, CUstream_st* stream) {
-  unsigned const blocks = unsigned(p.rows * p.pieces);
-  find_slopes_of_samples<<<blocks, kThreads, 0, stream>>>(p);
+  unsigned const blocks = unsigned(p.rows * p.chunks);
+  sample_gradients<<<blocks, kThreads, 0, stream>>>(p);
   add_to_ends<<<blocks, kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }

@@ -3,10 +3,10 @@
 // one in its mask, and w 0 beyond 1; and to bins (i, j) of both signals the product J_ij. With p = J / S, S the
 // sum of J, which is at least `least` everywhere, and entropies H of p and of its sums along either axis,
 //
-//   loss = H(p) - H(px) - H(py), with the slopes dloss/dJ_ij = (log px_i + log py_j - log p_ij - loss) / S
+//   loss = H(p) - H(px) - H(py), with the gradients dloss/dJ_ij = (log px_i + log py_j - log p_ij - loss) / S
 //   or, normalized, -(H(px) + H(py)) / H(p), with (log px_i + log py_j + loss log p_ij) / (H(p) S)
 //
-// The slopes are a result of the operator, for its gradient. The loss is NaN where a signal is not finite or has no
+// The gradients are a result of the operator, for its gradient. The loss is NaN where a signal is not finite or has no
 // sample. Included by mutual_information_cpu.cpp, mutual_information.cu and mutual_information_op.cpp.
 #pragma once
 
@@ -16,6 +16,7 @@
 
 namespace kv {
 
+// Graphs contain the numbers; python/kvision/losses/mutual_information.py has the same ones.
 enum class BinKernel : int { xu, rectangular, truncated_gaussian };
 
 // Rows of samples and what counts of them; one row of either may serve all: its stride is 0.
@@ -44,7 +45,7 @@ struct Binning {
     if (kernel == BinKernel::truncated_gaussian) return F(::exp(-t * t / 2));
     return t < F(0.5) ? (F(-1.8) * t - F(0.1)) * t + 1 : (F(1.8) * t - F(3.7)) * t + F(1.9);
   }
-  KV_HD F slope(F t) const {
+  KV_HD F derivative(F t) const {
     if (kernel == BinKernel::rectangular) return 0;
     if (kernel == BinKernel::truncated_gaussian) return F(-t * ::exp(-t * t / 2));
     return t < F(0.5) ? F(-3.6) * t - F(0.1) : F(3.6) * t - F(3.7);
@@ -78,7 +79,7 @@ struct Entropies {
 
   KV_HD double loss(bool normalized) const { return normalized ? -(of_x + of_y) / joint : joint - of_x - of_y; }
   // dloss/dJ, but for the 1 / S.
-  KV_HD F slope(bool normalized, F loss, F log_x, F log_y, F log_p) const {
+  KV_HD F derivative(bool normalized, F loss, F log_x, F log_y, F log_p) const {
     return normalized ? (log_x + log_y + loss * log_p) / F(joint) : log_x + log_y - log_p - loss;
   }
 };
@@ -90,10 +91,10 @@ struct MutualInformation {
   Binning<F> binning;
   F least;
   bool normalized;
-  F *loss, *slopes, *ranges;  // (rows), (rows, bins of x, bins of y), (rows, 4): those of x and of y
-  // CUDA: pieces of a row, ranges of all of them, joint histograms in fixed point, their sums along both axes.
-  int64_t pieces;
-  F* partial;                  // (rows, pieces, 4)
+  F *loss, *gradients, *ranges;  // (rows), (rows, bins of x, bins of y), (rows, 4): those of x and of y
+  // CUDA: chunks of a row, ranges of all of them, joint histograms in fixed point, their sums along both axes.
+  int64_t chunks;
+  F* partial;                  // (rows, chunks, 4)
   unsigned long long* counts;  // (rows, bins, bins)
   int bits;                    // after the point
   F* sums;                     // (rows, 2, bins)
@@ -106,14 +107,14 @@ struct MutualInformationBackward {
   int64_t rows, samples;
   Binning<F> binning;
   bool by_y;
-  F const *grad, *slopes, *ranges;
+  F const *grad, *gradients, *ranges;
   F* out;
-  int64_t pieces;  // CUDA
-  F* partial;      // CUDA: (rows, pieces, 4)
+  int64_t chunks;  // CUDA
+  F* partial;      // CUDA: (rows, chunks, 4)
 
   KV_HD SignalRange<F> range(int64_t row, bool of_y) const {
-    F const* const found = ranges + 4 * row + 2 * of_y;
-    return {found[0], found[1]};
+    F const* const result = ranges + 4 * row + 2 * of_y;
+    return {result[0], result[1]};
   }
   // The gradient to the place of sample i in [0, 1] of its range.
   KV_HD F to_share(int64_t row, int64_t i) const {
@@ -121,7 +122,7 @@ struct MutualInformationBackward {
     SignalRange<F> const of_x = range(row, false), of_y = range(row, true);
     F const share_x = of_x.share(x.at(row, i), binning.epsilon), share_y = of_y.share(y.at(row, i), binning.epsilon);
     F const own = by_y ? share_y : share_x, other = by_y ? share_x : share_y;
-    F const* const table = slopes + row * binning.bins * binning.bins;
+    F const* const table = gradients + row * binning.bins * binning.bins;
     int const step = by_y ? binning.bins : 1, other_step = by_y ? 1 : binning.bins;
     F sum = 0;
     binning.for_each_bin(own, [&](int k, F t) KV_INLINE {
@@ -129,7 +130,7 @@ struct MutualInformationBackward {
       binning.for_each_bin(other, [&](int m, F u) KV_INLINE {
         of_bin += binning.weight(u < 0 ? -u : u) * table[int64_t(k) * other_step + int64_t(m) * step];
       });
-      sum += t == 0 ? F(0) : (t < 0 ? -binning.slope(-t) : binning.slope(t)) * of_bin;
+      sum += t == 0 ? F(0) : (t < 0 ? -binning.derivative(-t) : binning.derivative(t)) * of_bin;
     });
     return grad[row] * binning.top * binning.top * F(binning.bins - 1) * binning.inverse * sum;
   }

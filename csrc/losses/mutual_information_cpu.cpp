@@ -9,14 +9,14 @@ namespace {
 template <class F>
 KV_HD SignalRange<F> range_of(Signal<F> const& s, int64_t row, int64_t samples) {
   F low = F(__builtin_inf()), high = -low;
-  bool spoilt = false;
+  bool nan_or_zero = false;
   for (int64_t i = 0; i < samples; ++i) {
     if (!s.counts(row, i)) continue;
     F const x = s.at(row, i);
-    low = min(low, x), high = max(high, x), spoilt |= x != x;
+    low = min(low, x), high = max(high, x), nan_or_zero |= x != x;
   }
   F const nan = F(__builtin_nan(""));
-  return spoilt ? SignalRange<F>{nan, nan} : SignalRange<F>{low, high};
+  return nan_or_zero ? SignalRange<F>{nan, nan} : SignalRange<F>{low, high};
 }
 
 }  // namespace
@@ -55,19 +55,19 @@ void mutual_information(MutualInformation<F> const& p, int64_t begin, int64_t en
       (i < bins ? h.of_x : h.of_y) -= sums[i] / all * log_of;
       sums[i] = log_of;
     }
-    F* const slopes = p.slopes + row * cells;
+    F* const gradients = p.gradients + row * cells;
     for (int64_t i = 0; i < cells; ++i) {
       double const share = max(joint[i] * scale, double(p.least)) / all, log_of = ::log(share);
       h.joint -= share * log_of;
-      slopes[i] = F(log_of);
+      gradients[i] = F(log_of);
     }
     F const nan = F(__builtin_nan("")), loss = sound ? F(h.loss(p.normalized)) : nan;
     p.loss[row] = loss;
     for (int64_t k = 0; k < bins; ++k)
       for (int64_t m = 0; m < bins; ++m) {
-        F& slope = slopes[k * bins + m];
-        F const found = h.slope(p.normalized, loss, F(sums[k]), F(sums[bins + m]), slope) / F(all);
-        slope = sound && joint[k * bins + m] * scale < p.least ? F(0) : found;
+        F& derivative = gradients[k * bins + m];
+        F const result = h.derivative(p.normalized, loss, F(sums[k]), F(sums[bins + m]), derivative) / F(all);
+        derivative = sound && joint[k * bins + m] * scale < p.least ? F(0) : result;
       }
   }
 }

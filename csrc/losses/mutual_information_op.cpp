@@ -7,8 +7,8 @@
 namespace kv {
 namespace {
 
-constexpr int64_t kMostBins = 1 << 14;
-// On CUDA: as many pieces as a machine has blocks for, of not too few samples.
+constexpr int64_t kMaxBins = 1 << 14;
+// On CUDA: as many chunks as a machine has blocks for, of not too few samples.
 constexpr int64_t kBlocks = 512, kSamplesOfPiece = 1 << 10;
 
 // Two signals (rows, samples), float32 or float64, and their masks.
@@ -40,7 +40,7 @@ struct TwoSignals {
     return {data_ptr<F const>(of), mask ? data_ptr<uint8_t const>(*mask) : nullptr, stride(of),
             mask ? stride(*mask) : 0};
   }
-  int64_t pieces() const {
+  int64_t chunks() const {
     return min((kBlocks + rows - 1) / max(rows, int64_t(1)), (samples + kSamplesOfPiece - 1) / kSamplesOfPiece);
   }
   template <class Call>
@@ -50,32 +50,29 @@ struct TwoSignals {
 };
 
 template <class F>
-Binning<F> binning_of(char const* op, std::string const& kernel, int64_t bins, double radius) {
-  KV_CHECK(bins >= 2 && bins <= kMostBins && radius > 0, op, ": expected 2 to ", kMostBins,
-           " bins and a radius above 0");
-  bool const gaussian = kernel == "truncated_gaussian", xu = kernel == "xu";
-  KV_CHECK(gaussian || xu || kernel == "rectangular", op,
-           ": kernel must be one of xu, rectangular, truncated_gaussian; got '", kernel, "'");
+Binning<F> binning_of(char const* op, int64_t kernel, int64_t bins, double radius) {
+  KV_CHECK(bins >= 2 && bins <= kMaxBins && radius > 0, op, ": expected 2 to ", kMaxBins, " bins and a radius above 0");
+  KV_CHECK(kernel >= 0 && kernel <= 2, op,
+           ": kernel must be one of 0 (xu), 1 (rectangular), 2 (truncated_gaussian); got ", kernel);
+  bool const gaussian = BinKernel(kernel) == BinKernel::truncated_gaussian;
   return {int(bins),
-          xu         ? BinKernel::xu
-          : gaussian ? BinKernel::truncated_gaussian
-                     : BinKernel::rectangular,
+          BinKernel(kernel),
           F(radius),
           F(1 / radius),
           F(gaussian ? 0.39894228040143268 / radius : 1.0),  // 1 / sqrt(2 pi)
           std::numeric_limits<F>::epsilon()};
 }
 
-// The losses (rows), the slopes (rows, bins, bins) and the ranges (rows, 4).
+// The losses (rows), the gradients (rows, bins, bins) and the ranges (rows, 4).
 std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tensor const& other,
                                                       std::optional<Tensor> const& input_mask,
-                                                      std::optional<Tensor> const& other_mask,
-                                                      std::string const& kernel, int64_t bins, double radius,
-                                                      bool normalized) {
+                                                      std::optional<Tensor> const& other_mask, int64_t kernel,
+                                                      int64_t bins, double radius, bool normalized) {
   constexpr char const* op = "mutual_information";
   TwoSignals const x(op, input, other, input_mask, other_mask);
   binning_of<double>(op, kernel, bins, radius);  // before there is memory for it
-  Tensor const loss = empty({x.rows}, x.x), slopes = empty({x.rows, bins, bins}, x.x), ranges = empty({x.rows, 4}, x.x);
+  Tensor const loss = empty({x.rows}, x.x), gradients = empty({x.rows, bins, bins}, x.x),
+               ranges = empty({x.rows, 4}, x.x);
   x.for_type([&](auto type) {
     using F = typename decltype(type)::type;
     MutualInformation<F> params{x.signal<F>(x.x, x.x_mask),
@@ -86,15 +83,15 @@ std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tenso
                                 std::numeric_limits<F>::epsilon(),
                                 normalized,
                                 data_ptr<F>(loss),
-                                data_ptr<F>(slopes),
+                                data_ptr<F>(gradients),
                                 data_ptr<F>(ranges),
-                                x.pieces(),
+                                x.chunks(),
                                 nullptr,
                                 nullptr,
                                 0,
                                 nullptr};
 #if defined(KV_CUDA)
-    Tensor const partial = empty({x.rows, params.pieces, 4}, x.x), sums = empty({x.rows, 2, bins}, x.x);
+    Tensor const partial = empty({x.rows, params.chunks, 4}, x.x), sums = empty({x.rows, 2, bins}, x.x);
     Tensor const counts = empty({x.rows, bins, bins}, x.x, Layout::planar, ScalarType::Long);
     params.partial = data_ptr<F>(partial), params.sums = data_ptr<F>(sums);
     params.counts = data_ptr<unsigned long long>(counts);
@@ -104,23 +101,23 @@ std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tenso
 #endif
     KV_RUN(mutual_information, x.x, params, x.rows, 64 * x.samples + 16 * bins * bins);
   });
-  return {loss, slopes, ranges};
+  return {loss, gradients, ranges};
 }
 
 // To input, or to other.
-Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Tensor const& ranges, Tensor const& input,
-                                   Tensor const& other, std::optional<Tensor> const& input_mask,
-                                   std::optional<Tensor> const& other_mask, std::string const& kernel, int64_t bins,
-                                   double radius, bool normalized, bool by_other) {
+Tensor mutual_information_backward(Tensor const& grad, Tensor const& gradients, Tensor const& ranges,
+                                   Tensor const& input, Tensor const& other, std::optional<Tensor> const& input_mask,
+                                   std::optional<Tensor> const& other_mask, int64_t kernel, int64_t bins, double radius,
+                                   bool normalized, bool by_other) {
   constexpr char const* op = "mutual_information_backward";
-  (void)normalized;  // the slopes know
+  (void)normalized;  // the gradients know
   KV_CHECK(grad.dim() == 1, op, ": expected grad (rows)");
   int64_t const rows = grad.size(0);
   check_sizes(op, "input", input, grad, {rows, input.dim() == 2 ? input.size(1) : 0});
   TwoSignals const x(op, expand_batch(input, rows), other, input_mask, other_mask);
-  check_sizes(op, "slopes", slopes, grad, {rows, bins, bins});
+  check_sizes(op, "gradients", gradients, grad, {rows, bins, bins});
   check_sizes(op, "ranges", ranges, grad, {rows, 4});
-  Tensor const g = dense(grad), s = expand_batch(slopes, rows), r = expand_batch(ranges, rows),
+  Tensor const g = dense(grad), s = expand_batch(gradients, rows), r = expand_batch(ranges, rows),
                out = empty({rows, x.samples}, x.x);
   x.for_type([&](auto type) {
     using F = typename decltype(type)::type;
@@ -134,10 +131,10 @@ Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Ten
                                         data_ptr<F const>(s),
                                         data_ptr<F const>(r),
                                         data_ptr<F>(out),
-                                        x.pieces(),
+                                        x.chunks(),
                                         nullptr};
 #if defined(KV_CUDA)
-    Tensor const partial = empty({rows, params.pieces, 4}, x.x);
+    Tensor const partial = empty({rows, params.chunks, 4}, x.x);
     params.partial = data_ptr<F>(partial);
 #endif
     KV_RUN(mutual_information_backward, x.x, params, rows, 64 * x.samples);
@@ -148,10 +145,10 @@ Tensor mutual_information_backward(Tensor const& grad, Tensor const& slopes, Ten
 }  // namespace
 
 KV_OPERATOR(mutual_information,
-            "(Tensor input, Tensor other, Tensor? input_mask, Tensor? other_mask, str kernel, int bins, float radius, "
+            "(Tensor input, Tensor other, Tensor? input_mask, Tensor? other_mask, int kernel, int bins, float radius, "
             "bool normalized) -> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(mutual_information_backward,
-            "(Tensor grad, Tensor slopes, Tensor ranges, Tensor input, Tensor other, Tensor? input_mask, "
-            "Tensor? other_mask, str kernel, int bins, float radius, bool normalized, bool by_other) -> Tensor")
+            "(Tensor grad, Tensor gradients, Tensor ranges, Tensor input, Tensor other, Tensor? input_mask, "
+            "Tensor? other_mask, int kernel, int bins, float radius, bool normalized, bool by_other) -> Tensor")
 
 }  // namespace kv

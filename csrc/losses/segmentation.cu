@@ -2,7 +2,7 @@
 // a column of shared memory that no other thread looks at: there they become exponentials, and from there sums or
 // gradients.
 #include "core/launch.cuh"
-#include "metrics/sums.cuh"
+#include "core/row_sums.cuh"
 #include "segmentation.h"
 
 namespace kv::cuda {
@@ -11,7 +11,7 @@ namespace {
 constexpr int kThreads = 128;      // of a block, or a half or a quarter, so that it takes
 constexpr int kBytes = 76 * 1024;  // of shared memory, or more with many classes
 constexpr int kAtOnce = 8;         // classes whose memory a thread asks for before it waits
-constexpr int kFinishThreads = 1024;
+constexpr int kFinalizeThreads = 1024;
 
 struct Math {
   __device__ __forceinline__ float exp(float x) const { return fast_exp2(x * kLog2E<float>); }
@@ -112,12 +112,12 @@ struct Pixels {
   }
 };
 
-// Calls f(sample, first pixel) for the vectors of piece `piece` that the thread takes.
+// Calls f(sample, first pixel) for the vectors of chunk `chunk` that the thread takes.
 template <int P, class T, class Call>
-__device__ __forceinline__ void for_each_vector(Logits<T> const& logits, int64_t sample, int64_t piece, Call f) {
-  int64_t const end = min((piece + 1) * logits.piece, logits.pixels);
+__device__ __forceinline__ void for_each_vector(Logits<T> const& logits, int64_t sample, int64_t chunk, Call f) {
+  int64_t const end = min((chunk + 1) * logits.chunk, logits.pixels);
 #pragma unroll 1
-  for (int64_t place = piece * logits.piece + P * int64_t(threadIdx.x); place < end; place += P * int64_t(blockDim.x))
+  for (int64_t place = chunk * logits.chunk + P * int64_t(threadIdx.x); place < end; place += P * int64_t(blockDim.x))
     f(sample, place);
 }
 
@@ -129,13 +129,13 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes), threads = int(blockDim.x), lane = threadIdx.x % 32;
-  int64_t const sample = blockIdx.x / p.logits.pieces, piece = blockIdx.x - sample * p.logits.pieces;
+  int64_t const sample = blockIdx.x / p.logits.chunks, chunk = blockIdx.x - sample * p.logits.chunks;
   Pixels<T, P> pixels(p.logits, shared);
   F* const sums = reinterpret_cast<F*>(shared) + classes * pixels.stride;  // (3, classes, threads)
 #pragma unroll 1
   for (int i = 0; i < 3 * classes; ++i) sums[i * threads + threadIdx.x] = 0;
 
-  for_each_vector<P>(p.logits, sample, piece, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, chunk, [&](int64_t sample, int64_t place) {
     pixels.read_logits(sample, place);
     pixels.exponentiate([](int, Vector<F, P> const&) {});
     F scale[P];
@@ -179,20 +179,20 @@ __device__ __forceinline__ OverlapTotals<F> totals_of(OverlapTerms<F> const& ter
           warp_sum(own.score)};
 }
 
-// A block for each loss: adds up the pieces, and has a warp for each sample.
+// A block for each loss: adds up the chunks, and has a warp for each sample.
 template <class F>
-__global__ void __launch_bounds__(kFinishThreads)
-    finish_overlap(OverlapTerms<F> const terms, int64_t batch, int classes, int64_t pieces, F const* partial, F* sums,
-                   F* loss) {
-  constexpr int kWarps = kFinishThreads / 32;
+__global__ void __launch_bounds__(kFinalizeThreads)
+    finalize_overlap(OverlapTerms<F> const terms, int64_t batch, int classes, int64_t chunks, F const* partial, F* sums,
+                     F* loss) {
+  constexpr int kWarps = kFinalizeThreads / 32;
   __shared__ F losses[kWarps];
   int const bins = 3 * classes, warp = threadIdx.x / 32;
-  sums += blockIdx.x * batch * bins, partial += blockIdx.x * batch * pieces * bins;
-  for (int64_t i = threadIdx.x; i < batch * bins; i += kFinishThreads) {
-    F const* const from = partial + i / bins * pieces * bins + i % bins;
+  sums += blockIdx.x * batch * bins, partial += blockIdx.x * batch * chunks * bins;
+  for (int64_t i = threadIdx.x; i < batch * bins; i += kFinalizeThreads) {
+    F const* const from = partial + i / bins * chunks * bins + i % bins;
     F sum = 0;
 #pragma unroll 16
-    for (int64_t piece = 0; piece < pieces; ++piece) sum += from[piece * bins];
+    for (int64_t chunk = 0; chunk < chunks; ++chunk) sum += from[chunk * bins];
     sums[i] = sum;
   }
   __syncthreads();
@@ -211,7 +211,7 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes);
-  int64_t const sample = blockIdx.x / p.logits.pieces, loss = sample / p.logits.batch;
+  int64_t const sample = blockIdx.x / p.logits.chunks, loss = sample / p.logits.batch;
   Pixels<T, P> pixels(p.logits, shared);
   F* const of_both = reinterpret_cast<F*>(shared) + classes * pixels.stride;
   F* const of_all = of_both + classes;
@@ -220,11 +220,11 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
   F const grad = p.grad[loss] / F(p.logits.batch);
   for (int c = threadIdx.x; c < classes; c += int(blockDim.x)) {
     Region<F> const r = Region<F>::of(sums, classes, c);
-    totals.slopes(p.terms, grad, p.terms.weight_of(loss, c, r), r, of_both[c], of_all[c]);
+    totals.gradients(p.terms, grad, p.terms.weight_of(loss, c, r), r, of_both[c], of_all[c]);
   }
   __syncthreads();
 
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t place) {
     pixels.read_logits(sample, place);
     F dot[P] = {}, scale[P];
     pixels.exponentiate([&](int c, Vector<F, P> const& e) {
@@ -244,8 +244,8 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
       F d[P];
 #pragma unroll
       for (int i = 0; i < P; ++i) {
-        F const slope = e.v[i] * scale[i] * ((c == pixels.label[i] ? own : all) - dot[i]);
-        d[i] = pixels.counts[i] == 0 ? F(0) : slope;
+        F const derivative = e.v[i] * scale[i] * ((c == pixels.label[i] ? own : all) - dot[i]);
+        d[i] = pixels.counts[i] == 0 ? F(0) : derivative;
       }
       store_vector(to, d);
     }
@@ -254,10 +254,10 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
 
 // --- the focal loss --------------------------------------------------------------------------------------------------
 
-// Of the pixels from `place` on: their losses, slopes by log p, and 1 / the sums of exponentials.
+// Of the pixels from `place` on: their losses, gradients by log p, and 1 / the sums of exponentials.
 template <class T, int P>
 __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Compute<T>> const& terms, int64_t sample,
-                                         int64_t place, Compute<T> (&loss)[P], Compute<T> (&slope)[P],
+                                         int64_t place, Compute<T> (&loss)[P], Compute<T> (&derivative)[P],
                                          Compute<T> (&scale)[P]) {
   using F = Compute<T>;
   pixels.read_logits(sample, place);
@@ -271,8 +271,8 @@ __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Comput
 #pragma unroll
   for (int i = 0; i < P; ++i) {
     F const factor = pixels.counts[i] * terms.factor(sample / pixels.logits.batch, pixels.label[i]);
-    focal_of_pixels(factor, terms.gamma, label[i], pixels.most[i], rest[i], Math{}, loss[i], slope[i], scale[i]);
-    if (pixels.counts[i] == 0) loss[i] = slope[i] = 0;
+    focal_of_pixels(factor, terms.gamma, label[i], pixels.most[i], rest[i], Math{}, loss[i], derivative[i], scale[i]);
+    if (pixels.counts[i] == 0) loss[i] = derivative[i] = 0;
   }
 }
 
@@ -280,23 +280,23 @@ template <class T, int P>
 __global__ void __launch_bounds__(kThreads) find_focal(__grid_constant__ Focal<T> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
-  int64_t const sample = blockIdx.x / p.logits.pieces;
+  int64_t const sample = blockIdx.x / p.logits.chunks;
   Pixels<T, P> pixels(p.logits, shared);
   F sum = 0;
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
-    F loss[P], slope[P], scale[P];
-    evaluate(pixels, p.terms, sample, place, loss, slope, scale);
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t place) {
+    F loss[P], derivative[P], scale[P];
+    evaluate(pixels, p.terms, sample, place, loss, derivative, scale);
     if (p.map) store_vector(p.map + sample * p.logits.pixels + place, loss);
 #pragma unroll
     for (int i = 0; i < P; ++i) sum += loss[i];
   });
   if (p.map) return;
-  __shared__ F of_warps[kThreads / 32];
+  __shared__ F warp_sums[kThreads / 32];
   sum = warp_sum(sum);
-  if (threadIdx.x % 32 == 0) of_warps[threadIdx.x / 32] = sum;
+  if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = sum;
   __syncthreads();
   if (threadIdx.x > 0) return;
-  for (int w = 1; w < int(blockDim.x) / 32; ++w) sum += of_warps[w];
+  for (int w = 1; w < int(blockDim.x) / 32; ++w) sum += warp_sums[w];
   p.partial[blockIdx.x] = sum;
 }
 
@@ -305,17 +305,17 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
   using F = Compute<T>;
   extern __shared__ __align__(16) unsigned char shared[];
   int const classes = int(p.logits.classes);
-  int64_t const sample = blockIdx.x / p.logits.pieces;
+  int64_t const sample = blockIdx.x / p.logits.chunks;
   F const of_sum = p.of_sums ? p.grad[sample / p.logits.batch] : F(0);
   Pixels<T, P> pixels(p.logits, shared);
-  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.pieces, [&](int64_t sample, int64_t place) {
-    F loss[P], slope[P], scale[P];
-    evaluate(pixels, p.terms, sample, place, loss, slope, scale);
+  for_each_vector<P>(p.logits, sample, blockIdx.x - sample * p.logits.chunks, [&](int64_t sample, int64_t place) {
+    F loss[P], derivative[P], scale[P];
+    evaluate(pixels, p.terms, sample, place, loss, derivative, scale);
     F const* const grad = p.grad + sample * p.logits.pixels + place;
 #pragma unroll
     for (int i = 0; i < P; ++i) {
-      slope[i] = pixels.counts[i] == 0 ? F(0) : slope[i] * (p.of_sums ? of_sum : grad[i]);
-      scale[i] *= slope[i];
+      derivative[i] = pixels.counts[i] == 0 ? F(0) : derivative[i] * (p.of_sums ? of_sum : grad[i]);
+      scale[i] *= derivative[i];
     }
     T* to = p.grad_logits + sample * classes * p.logits.pixels + place;
 #pragma unroll 4
@@ -323,7 +323,7 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
       Vector<F, P> const e = pixels.get(c);
       F d[P];
 #pragma unroll
-      for (int i = 0; i < P; ++i) d[i] = (c == pixels.label[i] ? slope[i] : F(0)) - e.v[i] * scale[i];
+      for (int i = 0; i < P; ++i) d[i] = (c == pixels.label[i] ? derivative[i] : F(0)) - e.v[i] * scale[i];
       store_vector(to, d);
     }
   });
@@ -350,7 +350,7 @@ int launch(void (*kernel)(Params), Params const& p, int numbers, int more, CUstr
   while (threads > 32 && bytes() > kBytes) threads /= 2;
   if (bytes() > 48 * 1024)
     if (int error = cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, bytes())) return error;
-  kernel<<<unsigned(p.logits.samples() * p.logits.pieces), threads, bytes(), stream>>>(p);
+  kernel<<<unsigned(p.logits.samples() * p.logits.chunks), threads, bytes(), stream>>>(p);
   return cudaGetLastError();
 }
 
@@ -363,8 +363,8 @@ int overlap(Overlap<T> const& p, CUstream_st* stream) {
     return launch<Compute<T>>(sum_classes<T, P>, p, P + 3, 0, stream);
   });
   if (error) return error;
-  finish_overlap<<<unsigned(p.logits.losses), kFinishThreads, 0, stream>>>(
-      p.terms, p.logits.batch, int(p.logits.classes), p.logits.pieces, p.partial, p.sums, p.loss);
+  finalize_overlap<<<unsigned(p.logits.losses), kFinalizeThreads, 0, stream>>>(
+      p.terms, p.logits.batch, int(p.logits.classes), p.logits.chunks, p.partial, p.sums, p.loss);
   return cudaGetLastError();
 }
 
@@ -383,7 +383,7 @@ int focal(Focal<T> const& p, CUstream_st* stream) {
     return launch<Compute<T>>(find_focal<T, P>, p, P, 0, stream);
   });
   if (error || p.map) return error;
-  return add_up(p.partial, p.logits.losses, p.logits.batch * p.logits.pieces, p.sums, stream);
+  return sum_chunks(p.partial, p.logits.losses, p.logits.batch * p.logits.chunks, p.sums, stream);
 }
 
 template <class T>

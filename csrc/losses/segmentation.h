@@ -17,7 +17,7 @@ struct Logits {
   bool one_target;  // for all losses
   int64_t losses, batch, classes, pixels, ignored;
   bool ignores;
-  int64_t piece, pieces;  // pixels that are worked on together, and how many times that is a sample
+  int64_t chunk, chunks;  // pixels that are worked on together, and how many times that is a sample
 
   KV_HD int64_t samples() const { return losses * batch; }
   KV_HD T const* sample(int64_t i) const { return data + i * classes * pixels; }
@@ -29,7 +29,7 @@ struct Logits {
   KV_HD int class_of(int64_t label) const { return int(clamp(label, int64_t(0), classes - 1)); }
 };
 
-constexpr int kPiece = 4096, kShortPiece = 1024;  // the latter where a piece leaves one sum, or none
+constexpr int kChunk = 4096, kShortChunk = 1024;  // the latter where a chunk leaves one sum, or none
 
 // --- how much regions overlap ----------------------------------------------------------------------------------------
 
@@ -90,8 +90,8 @@ struct OverlapTotals {
   KV_HD F loss(OverlapTerms<F> const& terms) const {
     return 1 - (terms.together ? terms.score(all) : weight == 0 ? F(0) : score / weight);
   }
-  // g times the slopes of the loss by what a class has in both and predicted.
-  KV_HD void slopes(OverlapTerms<F> const& terms, F g, F w, Region<F> const& r, F& by_both, F& by_predicted) const {
+  // g times the gradients of the loss by what a class has in both and predicted.
+  KV_HD void gradients(OverlapTerms<F> const& terms, F g, F w, Region<F> const& r, F& by_both, F& by_predicted) const {
     Region<F> const& of = terms.together ? all : r;
     F const d = terms.divisor(of), scale = terms.together ? w : weight == 0 ? F(0) : w / weight;
     bool const flat = scale == 0 || d == 0;
@@ -105,12 +105,12 @@ template <class T>
 struct Overlap {
   Logits<T> logits;
   OverlapTerms<Compute<T>> terms;
-  Compute<T>* partial;     // (losses * B, pieces, 3, C)
+  Compute<T>* partial;     // (losses * B, chunks, 3, C)
   Compute<T>*sums, *loss;  // (losses * B, 3, C) and (losses), by CUDA's kernel; on the CPU the entry makes them
 };
 
-// With p the probabilities and G_c = the slope by predicted + [c is the label] the slope by both, logit c gets
-// p_c (G_c - sum_k p_k G_k).
+// With p the probabilities and G_c = the derivative by predicted + [c is the label] the derivative by both, logit c
+// gets p_c (G_c - sum_k p_k G_k).
 template <class T>
 struct OverlapBackward {
   Logits<T> logits;
@@ -138,7 +138,7 @@ struct Focal {
   Logits<T> logits;
   FocalTerms<Compute<T>> terms;
   Compute<T>* map;            // (losses, B, pixels), or null for sums
-  Compute<T>*partial, *sums;  // (losses * B, pieces) and (losses); see Overlap
+  Compute<T>*partial, *sums;  // (losses * B, chunks) and (losses); see Overlap
 };
 
 template <class T>
@@ -158,23 +158,23 @@ KV_KERNEL(focal_backward, FocalBackward)
 template <class F>
 constexpr F kLog2E = F(1.44269504088896340736);
 template <class F>
-constexpr F kTiny = sizeof(F) == 4 ? F(1.17549435e-38) : F(2.2250738585072014e-308);
+constexpr F kMinNormal = sizeof(F) == 4 ? F(1.17549435e-38) : F(2.2250738585072014e-308);
 
-// The focal loss of pixels and its slope by log p. `label` is the label's logit, `most` the largest one and `rest` the
-// sum of exp(logit - most) over the other classes; Math has exp and log of V. 1 - p and log p keep their digits where p
-// is nearly 1.
+// The focal loss of pixels and its derivative by log p. `label` is the label's logit, `most` the largest one and `rest`
+// the sum of exp(logit - most) over the other classes; Math has exp and log of V. 1 - p and log p keep their digits
+// where p is nearly 1.
 template <class V, class F, class Math>
-KV_HD void focal_of_pixels(V factor, F gamma, V label, V most, V rest, Math math, V& loss, V& slope, V& scale) {
-  V const one = V{} + F(1), tiny = V{} + kTiny<F>;
+KV_HD void focal_of_pixels(V factor, F gamma, V label, V most, V rest, Math math, V& loss, V& derivative, V& scale) {
+  V const one = V{} + F(1), min_normal = V{} + kMinNormal<F>;
   V const own = math.exp(V(label - most)), sum = own + rest, log_sum = math.log(sum);
   scale = one / sum;
   V const wrong = rest * scale, small = sum == one ? rest : V(log_sum * rest / (sum - one));
   V const log_p = (label - most) - (own == one ? small : log_sum);
   V power = one;
-  if (gamma != 0) power = math.exp(V(math.log(wrong > tiny ? wrong : tiny) * gamma));
+  if (gamma != 0) power = math.exp(V(math.log(wrong > min_normal ? wrong : min_normal) * gamma));
   loss = -factor * power * log_p;
   V const falling = power - gamma * power / wrong * own * scale * log_p;
-  slope = -factor * (wrong > tiny ? falling : power);
+  derivative = -factor * (wrong > min_normal ? falling : power);
 }
 
 }  // namespace kv

@@ -7,7 +7,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int kBlock = 256;  // pixels; divides the pieces
+constexpr int kBlock = 256;  // pixels; divides the chunks
 
 // A block of pixels: the exponentials of their logits over the largest one, class by class, their sums, labels and
 // counts. What is ignored has logits of 0.
@@ -71,11 +71,11 @@ struct Block {
   }
 };
 
-// Calls f(sample, first pixel, count) for the blocks of a piece, one after the other.
+// Calls f(sample, first pixel, count) for the blocks of a chunk, one after the other.
 template <class T, class Call>
-KV_HD void for_each_block(Logits<T> const& logits, int64_t piece, Call f) {
-  int64_t const sample = piece / logits.pieces;
-  int64_t const first = piece % logits.pieces * logits.piece, last = min(first + logits.piece, logits.pixels);
+KV_HD void for_each_block(Logits<T> const& logits, int64_t chunk, Call f) {
+  int64_t const sample = chunk / logits.chunks;
+  int64_t const first = chunk % logits.chunks * logits.chunk, last = min(first + logits.chunk, logits.pixels);
   for (int64_t at = first; at < last; at += kBlock) f(sample, at, min(int64_t(kBlock), last - at));
 }
 
@@ -90,7 +90,7 @@ template <class T>
 struct FocalPixels {
   using F = Compute<T>;
   FocalTerms<F> const& terms;
-  F label[kBlock], factor[kBlock], loss[kBlock], slope[kBlock], scale[kBlock];
+  F label[kBlock], factor[kBlock], loss[kBlock], derivative[kBlock], scale[kBlock];
 
   explicit FocalPixels(FocalTerms<F> const& terms) : terms(terms) {
     for (int i = 0; i < kBlock; ++i) label[i] = factor[i] = 0;
@@ -105,12 +105,12 @@ struct FocalPixels {
     block.for_each([&](auto width, int i) {
       constexpr int N = decltype(width)::value;
       using V = Lanes<F, N>;
-      V found, by_log, inverse;
+      V result, by_log, inverse;
       focal_of_pixels(load<N>(factor + i), terms.gamma, load<N>(label + i), load<N>(block.most + i),
-                      load<N>(block.rest + i), Math<F, N>{}, found, by_log, inverse);
+                      load<N>(block.rest + i), Math<F, N>{}, result, by_log, inverse);
       V const counts = load<N>(block.counts + i);
-      store<N>(loss + i, V(counts == 0 ? V{} : found));
-      store<N>(slope + i, V(counts == 0 ? V{} : by_log));
+      store<N>(loss + i, V(counts == 0 ? V{} : result));
+      store<N>(derivative + i, V(counts == 0 ? V{} : by_log));
       store<N>(scale + i, inverse);
     });
   }
@@ -125,9 +125,9 @@ void overlap(Overlap<T> const& p, int64_t begin, int64_t end) {
   int64_t const classes = p.logits.classes;
   Block<T> block(p.logits);
   Scratch<F> sums(3 * classes * N);
-  for (int64_t piece = begin; piece < end; ++piece) {
+  for (int64_t chunk = begin; chunk < end; ++chunk) {
     for (int64_t i = 0; i < 3 * classes * N; ++i) sums.data[i] = 0;
-    for_each_block(p.logits, piece, [&](int64_t sample, int64_t first, int64_t count) {
+    for_each_block(p.logits, chunk, [&](int64_t sample, int64_t first, int64_t count) {
       block.read(sample, first, count);
       block.exponentiate();
       block.for_each([&](auto, int i) {
@@ -144,7 +144,7 @@ void overlap(Overlap<T> const& p, int64_t begin, int64_t end) {
         }
       });
     });
-    F* const partial = p.partial + piece * 3 * classes;
+    F* const partial = p.partial + chunk * 3 * classes;
     for (int64_t c = 0; c < classes; ++c)
       for (int k = 0; k < 3; ++k) {
         F sum = 0;
@@ -161,20 +161,20 @@ void overlap_backward(OverlapBackward<T> const& p, int64_t begin, int64_t end) {
   Block<T> block(p.logits);
   Scratch<F> of_both(classes), of_all(classes);
   F dot[kBlock];
-  int64_t known = -1;  // the sample whose slopes these are
-  auto const find_slopes = [&](int64_t sample) {
+  int64_t known = -1;  // the sample whose gradients these are
+  auto const compute_gradients = [&](int64_t sample) {
     int64_t const loss = sample / p.logits.batch;
     F const* const sums = p.sums + sample * 3 * classes;
     OverlapTotals<F> const totals = OverlapTotals<F>::of(p.terms, sums, classes, loss);
     for (int64_t c = 0; c < classes; ++c) {
       Region<F> const r = Region<F>::of(sums, classes, c);
-      totals.slopes(p.terms, p.grad[loss] / F(p.logits.batch), p.terms.weight_of(loss, c, r), r, of_both.data[c],
-                    of_all.data[c]);
+      totals.gradients(p.terms, p.grad[loss] / F(p.logits.batch), p.terms.weight_of(loss, c, r), r, of_both.data[c],
+                       of_all.data[c]);
     }
     known = sample;
   };
   auto const work = [&](int64_t sample, int64_t first, int64_t count) {
-    if (sample != known) find_slopes(sample);
+    if (sample != known) compute_gradients(sample);
     block.read(sample, first, count);
     block.exponentiate();
     auto const gradient = [&](auto width, int64_t c, int64_t i) {
@@ -208,7 +208,7 @@ void overlap_backward(OverlapBackward<T> const& p, int64_t begin, int64_t end) {
       });
     }
   };
-  for (int64_t piece = begin; piece < end; ++piece) for_each_block(p.logits, piece, work);
+  for (int64_t chunk = begin; chunk < end; ++chunk) for_each_block(p.logits, chunk, work);
 }
 
 template <class T>
@@ -216,9 +216,9 @@ void focal(Focal<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   Block<T> block(p.logits);
   FocalPixels<T> pixels(p.terms);
-  for (int64_t piece = begin; piece < end; ++piece) {
+  for (int64_t chunk = begin; chunk < end; ++chunk) {
     double sum = 0;
-    for_each_block(p.logits, piece, [&](int64_t sample, int64_t first, int64_t count) {
+    for_each_block(p.logits, chunk, [&](int64_t sample, int64_t first, int64_t count) {
       block.read(sample, first, count);
       pixels.evaluate(block, sample / p.logits.batch);
       F* const out = p.map + sample * p.logits.pixels + first;
@@ -228,7 +228,7 @@ void focal(Focal<T> const& p, int64_t begin, int64_t end) {
         else
           sum += pixels.loss[i];
     });
-    if (!p.map) p.partial[piece] = F(sum);
+    if (!p.map) p.partial[chunk] = F(sum);
   }
 }
 
@@ -242,7 +242,7 @@ void focal_backward(FocalBackward<T> const& p, int64_t begin, int64_t end) {
     block.read(sample, first, count);
     pixels.evaluate(block, loss);
     F const* const g = p.of_sums ? p.grad + loss : p.grad + sample * p.logits.pixels + first;
-    for (int i = 0; i < block.size; ++i) pixels.slope[i] *= block.counts[i] == 0 ? F(0) : g[p.of_sums ? 0 : i];
+    for (int i = 0; i < block.size; ++i) pixels.derivative[i] *= block.counts[i] == 0 ? F(0) : g[p.of_sums ? 0 : i];
     for (int64_t c = 0; c < p.logits.classes; ++c) {
       F const* const e = block.of_class(c);
       T* const to = p.grad_logits + (sample * p.logits.classes + c) * p.logits.pixels + first;
@@ -250,12 +250,12 @@ void focal_backward(FocalBackward<T> const& p, int64_t begin, int64_t end) {
         constexpr int N = decltype(width)::value;
         using V = Lanes<F, N>;
         V const own = load<N>(block.label + i) == F(c) ? broadcast<N>(F(1)) : V{};
-        V const d = load<N>(pixels.slope + i) * (own - load<N>(e + i) * load<N>(pixels.scale + i));
+        V const d = load<N>(pixels.derivative + i) * (own - load<N>(e + i) * load<N>(pixels.scale + i));
         store<N>(to + i, V(load<N>(block.counts + i) == 0 ? V{} : d));
       });
     }
   };
-  for (int64_t piece = begin; piece < end; ++piece) for_each_block(p.logits, piece, work);
+  for (int64_t chunk = begin; chunk < end; ++chunk) for_each_block(p.logits, chunk, work);
 }
 
 KV_INSTANTIATE(overlap, Overlap)

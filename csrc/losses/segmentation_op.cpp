@@ -1,12 +1,12 @@
 // Losses of segmentations: schemas and entries, for CPU and CUDA alike.
+#include "core/row_sums.h"
 #include "glue/glue.h"
-#include "metrics/sums.h"
 #include "segmentation.h"
 
 namespace kv {
 namespace {
 
-constexpr int64_t kMostClasses = 224;  // whose numbers a block's shared memory holds on CUDA; more take the reference
+constexpr int64_t kMaxClasses = 224;  // whose numbers a block's shared memory holds on CUDA; more take the reference
 
 // Logits (losses, B, C, H, W) and labels (losses or 1, B, H, W), and what comes with them, contiguous.
 struct Labelled {
@@ -14,15 +14,15 @@ struct Labelled {
   std::optional<Tensor> weight;
   int64_t losses, batch, classes, pixels, ignored;
   bool ignores;
-  int64_t piece, pieces;
+  int64_t chunk, chunks;
 
   Labelled(char const* op, Tensor const& pred, Tensor const& labels, std::optional<Tensor> const& of_classes,
-           int64_t ignored, bool ignores, int piece)
-      : logits(dense(pred)), target(dense(labels)), ignored(ignored), ignores(ignores), piece(piece) {
-    KV_CHECK(pred.dim() == 5 && pred.numel() > 0 && pred.size(2) <= kMostClasses, op,
-             ": expected pred of shape (losses, B, C, H, W) with 1 to ", kMostClasses, " classes");
+           int64_t ignored, bool ignores, int chunk)
+      : logits(dense(pred)), target(dense(labels)), ignored(ignored), ignores(ignores), chunk(chunk) {
+    KV_CHECK(pred.dim() == 5 && pred.numel() > 0 && pred.size(2) <= kMaxClasses, op,
+             ": expected pred of shape (losses, B, C, H, W) with 1 to ", kMaxClasses, " classes");
     losses = pred.size(0), batch = pred.size(1), classes = pred.size(2), pixels = pred.size(3) * pred.size(4);
-    pieces = (pixels + piece - 1) / piece;
+    chunks = (pixels + chunk - 1) / chunk;
     KV_CHECK(labels.dim() == 4 && (labels.size(0) == losses || labels.size(0) == 1) && labels.size(1) == batch &&
                  labels.size(2) == pred.size(3) && labels.size(3) == pred.size(4) &&
                  labels.scalar_type() == ScalarType::Long && labels.device() == pred.device(),
@@ -34,8 +34,8 @@ struct Labelled {
              op, ": expected weight of shape (losses or 1, C) in the type that pred is computed in");
   }
 
-  int64_t all_pieces() const { return losses * batch * pieces; }
-  int64_t cost() const { return 4 * min(pixels, piece) * classes; }
+  int64_t all_pieces() const { return losses * batch * chunks; }
+  int64_t cost() const { return 4 * min(pixels, chunk) * classes; }
   Tensor number(torch::headeronly::IntHeaderOnlyArrayRef sizes) const {
     return empty(sizes, logits, Layout::planar, compute_dtype(logits));
   }
@@ -52,8 +52,8 @@ struct Labelled {
             pixels,
             ignored,
             ignores,
-            piece,
-            pieces};
+            chunk,
+            chunks};
   }
   template <class F>
   OverlapTerms<F> overlap_terms(bool together, double alpha, double beta, double eps) const {
@@ -84,10 +84,10 @@ Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const
 std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
                                    bool together, double alpha, double beta, double eps, int64_t ignored,
                                    bool ignores) {
-  Labelled const x("overlap", pred, target, weight, ignored, ignores, kPiece);
+  Labelled const x("overlap", pred, target, weight, ignored, ignores, kChunk);
   Tensor const loss = x.number({x.losses}), sums = x.number({x.losses, x.batch, 3, x.classes});
-  int64_t const samples = x.losses * x.batch, pieces = x.pieces, bins = 3 * x.classes;
-  Tensor const partial = x.number({samples, pieces, bins});
+  int64_t const samples = x.losses * x.batch, chunks = x.chunks, bins = 3 * x.classes;
+  Tensor const partial = x.number({samples, chunks, bins});
   dispatch_floating("overlap", pred, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
@@ -97,8 +97,8 @@ std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < samples * bins; ++i) {
       double sum = 0;
-      for (int64_t piece = 0; piece < pieces; ++piece)
-        sum += params.partial[(i / bins * pieces + piece) * bins + i % bins];
+      for (int64_t chunk = 0; chunk < chunks; ++chunk)
+        sum += params.partial[(i / bins * chunks + chunk) * bins + i % bins];
       params.sums[i] = F(sum);
     }
     for (int64_t r = 0; r < x.losses; ++r) {
@@ -118,7 +118,7 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
                         std::optional<Tensor> const& weight, bool together, double alpha, double beta, double eps,
                         int64_t ignored, bool ignores) {
   constexpr char const* op = "overlap_backward";
-  Labelled const x(op, pred, target, weight, ignored, ignores, kShortPiece);
+  Labelled const x(op, pred, target, weight, ignored, ignores, kShortChunk);
   Tensor const g = checked(op, "grad", grad, x, {x.losses}),
                of_samples = checked(op, "sums", sums, x, {x.losses, x.batch, 3, x.classes}), grad_x = x.gradient();
   dispatch_floating(op, pred, [&](auto type) {
@@ -134,7 +134,7 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
 // (losses, B, H, W), or the sums of these.
 Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight, double first, double other,
              double gamma, int64_t ignored, bool ignores, bool summed) {
-  Labelled const x("focal", pred, target, weight, ignored, ignores, kShortPiece);
+  Labelled const x("focal", pred, target, weight, ignored, ignores, kShortChunk);
   Tensor const loss = summed ? x.number({x.losses}) : x.number({x.losses, x.batch, pred.size(3), pred.size(4)});
   Tensor const partial = x.number({summed ? x.all_pieces() : 0});
   dispatch_floating("focal", pred, [&](auto type) {
@@ -144,7 +144,7 @@ Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> con
                           data_ptr<F>(partial), summed ? data_ptr<F>(loss) : nullptr};
     KV_RUN(focal, pred, params, x.all_pieces(), x.cost());
 #if !defined(KV_CUDA)
-    if (summed) add_pieces(params.partial, x.losses, x.batch * x.pieces, Finish<F>{F(1), F(0)}, params.sums);
+    if (summed) add_chunks(params.partial, x.losses, x.batch * x.chunks, FinalizeSum<F>{F(1), F(0)}, params.sums);
 #endif
   });
   return loss;
@@ -153,7 +153,7 @@ Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> con
 Tensor focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
                       double first, double other, double gamma, int64_t ignored, bool ignores, bool summed) {
   constexpr char const* op = "focal_backward";
-  Labelled const x(op, pred, target, weight, ignored, ignores, kShortPiece);
+  Labelled const x(op, pred, target, weight, ignored, ignores, kShortChunk);
   Tensor const g = summed ? checked(op, "grad", grad, x, {x.losses})
                           : checked(op, "grad", grad, x, {x.losses, x.batch, pred.size(3), pred.size(4)});
   Tensor const grad_x = x.gradient();

@@ -1,6 +1,6 @@
 // Smoothness of inverse depth on CUDA: threads walk down columns. Neighbours are read again by those they belong to,
 // from the cache.
-#include "metrics/sums.cuh"
+#include "core/row_sums.cuh"
 #include "smoothness.h"
 
 namespace kv::cuda {
@@ -86,7 +86,7 @@ __global__ void __launch_bounds__(kThreads)
              at.rough(has_below, along_y, below - own, p.of.along_y, false);
     }
   }
-  sum = block_sum(sum);
+  sum = block_sum<kSumThreads>(sum);
   if (threadIdx.x == 0) p.partial[blockIdx.x] = sum;
 }
 
@@ -151,7 +151,7 @@ template <class T>
 int smoothness(Smoothness<T> const& p, CUstream_st* stream) {
   Blocks const blocks(p.of.depth);
   sum_roughness<<<blocks.count, kThreads, 0, stream>>>(p, blocks.across, blocks.down);
-  return add_up(p.partial, p.of.depth.count(), p.pieces, p.sums, stream);
+  return sum_chunks(p.partial, p.of.depth.count(), p.chunks, p.sums, stream);
 }
 
 template <class T>

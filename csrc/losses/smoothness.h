@@ -28,9 +28,9 @@ struct DepthAndImage {
 template <class T>
 struct Smoothness {
   DepthAndImage<T> of;
-  int64_t pieces;       // of a sample: its rows on the CPU, blocks on CUDA
-  Compute<T>* partial;  // (B, pieces)
-  Compute<T>* sums;     // (B), by CUDA's kernel; on the CPU the entry adds up the pieces
+  int64_t chunks;       // of a sample: its rows on the CPU, blocks on CUDA
+  Compute<T>* partial;  // (B, chunks)
+  Compute<T>* sums;     // (B), by CUDA's kernel; on the CPU the entry adds up the chunks
 };
 
 template <class T>

@@ -1,6 +1,6 @@
 // Smoothness of inverse depth: schemas and entries, for CPU and CUDA alike.
+#include "core/row_sums.h"
 #include "glue/glue.h"
-#include "metrics/sums.h"
 #include "smoothness.h"
 
 namespace kv {
@@ -28,20 +28,20 @@ Tensor smoothness(Tensor const& depth, Tensor const& image, double along_y, doub
   Tensor const d = as_layout(depth, Layout::planar), x = as_layout(image, Layout::planar);
   int64_t const samples = d.size(0), height = d.size(2), width = d.size(3);
 #if defined(KV_CUDA)
-  int64_t const pieces = (height + kSmoothRows - 1) / kSmoothRows * ((width + kSmoothColumns - 1) / kSmoothColumns);
+  int64_t const chunks = (height + kSmoothRows - 1) / kSmoothRows * ((width + kSmoothColumns - 1) / kSmoothColumns);
 #else
-  int64_t const pieces = height;
+  int64_t const chunks = height;
 #endif
   Tensor const sums = empty({samples}, x, Layout::planar, compute_dtype(x));
-  Tensor const partial = empty({samples, pieces}, x, Layout::planar, compute_dtype(x));
+  Tensor const partial = empty({samples, chunks}, x, Layout::planar, compute_dtype(x));
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    Smoothness<T> const params{depth_and_image<T>(d, x, along_y, along_x), pieces, data_ptr<F>(partial),
+    Smoothness<T> const params{depth_and_image<T>(d, x, along_y, along_x), chunks, data_ptr<F>(partial),
                                data_ptr<F>(sums)};
     KV_RUN(smoothness, x, params, samples * height, (image.size(1) + 1) * width);
 #if !defined(KV_CUDA)
-    add_pieces(params.partial, samples, pieces, Finish<F>{F(1), F(0)}, params.sums);
+    add_chunks(params.partial, samples, chunks, FinalizeSum<F>{F(1), F(0)}, params.sums);
 #endif
   });
   return sums;

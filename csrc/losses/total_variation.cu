@@ -1,5 +1,5 @@
 // Total variation on CUDA: warps walk down strips of the planes, with the rows of Strip.
-#include "metrics/sums.cuh"
+#include "core/row_sums.cuh"
 #include "total_variation.h"
 
 namespace kv::cuda {
@@ -53,13 +53,13 @@ template <class T, bool Aligned>
 __global__ void __launch_bounds__(kSumming, sizeof(T) == 4 ? 3 : 1)
     sum_differences(__grid_constant__ TotalVariation<T> const p, Strips<kPixels<T>> const strips, bool whole) {
   constexpr unsigned kWarps = kSumming / 32;
-  unsigned const warp = threadIdx.x / 32, pieces = strips.across * strips.down;
-  unsigned const first = whole ? blockIdx.x * pieces : blockIdx.x * kWarps;
-  unsigned const end = min(first + (whole ? pieces : kWarps), strips.count);
+  unsigned const warp = threadIdx.x / 32, chunks = strips.across * strips.down;
+  unsigned const first = whole ? blockIdx.x * chunks : blockIdx.x * kWarps;
+  unsigned const end = min(first + (whole ? chunks : kWarps), strips.count);
   Compute<T> sum = 0;
-  for (unsigned piece = first + warp; piece < end; piece += kWarps) {
-    unsigned const plane = piece / pieces, line = (piece - plane * pieces) / strips.across;
-    int const column = int(piece - plane * pieces - line * strips.across) * 32 + int(threadIdx.x % 32);
+  for (unsigned chunk = first + warp; chunk < end; chunk += kWarps) {
+    unsigned const plane = chunk / chunks, line = (chunk - plane * chunks) / strips.across;
+    int const column = int(chunk - plane * chunks - line * strips.across) * 32 + int(threadIdx.x % 32);
     sum += sum_of_strip<T, Aligned>(p, plane, column * kPixels<T>, int(line * strips.rows));
   }
   if (whole) {
@@ -123,7 +123,7 @@ int total_variation(TotalVariation<T> const& p, CUstream_st* stream) {
     unsigned const blocks = whole ? unsigned(planes) : strips.blocks(kSumming / 32);
     sum_differences<T, aligned.value><<<blocks, kSumming, 0, stream>>>(p, strips, whole);
   });
-  return whole ? cudaGetLastError() : add_up(p.partial, planes, p.pieces, p.sums, stream);
+  return whole ? cudaGetLastError() : sum_chunks(p.partial, planes, p.chunks, p.sums, stream);
 }
 
 template <class T>

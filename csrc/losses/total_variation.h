@@ -14,8 +14,8 @@ struct TotalVariation {
   Planes<T const> x;
   Compute<T> along_y, along_x;  // weights
   Compute<T>* sums;
-  int64_t pieces;       // CUDA: strips of a plane
-  Compute<T>* partial;  // CUDA: the sums of all pieces
+  int64_t chunks;       // CUDA: strips of a plane
+  Compute<T>* partial;  // CUDA: the sums of all chunks
 };
 
 template <class T>

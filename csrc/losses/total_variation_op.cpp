@@ -15,15 +15,15 @@ Tensor total_variation(Tensor const& input, double along_y, double along_x) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     int64_t const columns = kVariationColumns<T>, rows = kVariationRows;
-    int64_t const pieces = (height + rows - 1) / rows * ((width + columns - 1) / columns);
+    int64_t const chunks = (height + rows - 1) / rows * ((width + columns - 1) / columns);
 #if defined(KV_CUDA)
-    Tensor const partial = empty({x.size(0), x.size(1), pieces}, x, Layout::planar, compute_dtype(x));
+    Tensor const partial = empty({x.size(0), x.size(1), chunks}, x, Layout::planar, compute_dtype(x));
 #else
     Tensor const& partial = sums;  // not used
 #endif
     TotalVariation<T> const params{
         planes<T const>(x, Layout::planar),       F(along_y), F(along_x),
-        static_cast<F*>(sums.mutable_data_ptr()), pieces,     static_cast<F*>(partial.mutable_data_ptr())};
+        static_cast<F*>(sums.mutable_data_ptr()), chunks,     static_cast<F*>(partial.mutable_data_ptr())};
     KV_RUN(total_variation, x, params, params.x.count(), height * width);
   });
   return sums;

@@ -1,4 +1,4 @@
-// Losses element by element on CUDA: a block takes a piece of a row, each thread four elements of both tensors at a
+// Losses element by element on CUDA: a block takes a chunk of a row, each thread four elements of both tensors at a
 // time.
 #include "pointwise.cuh"
 
@@ -8,20 +8,20 @@ namespace {
 template <class T>
 __global__ void __launch_bounds__(kSumThreads) sum_points(__grid_constant__ PointwiseSum<T> const p, bool vectorized) {
   using F = Compute<T>;
-  sum_piece(p.pair, blockIdx.x / p.pieces, p.pieces, vectorized, p.partial,
+  sum_chunk(p.pair, blockIdx.x / p.chunks, p.chunks, vectorized, p.partial,
             [&](F x, F y) { return point_loss<F, PointMath<F>>(p.kind, x, y); });
 }
 
 template <class T>
 __global__ void __launch_bounds__(kSumThreads)
-    map_points(__grid_constant__ PointwiseMap<T> const p, int64_t pieces, bool vectorized) {
+    map_points(__grid_constant__ PointwiseMap<T> const p, int64_t chunks, bool vectorized) {
   using F = Compute<T>;
   PointLoss const kind = p.kind;
-  int64_t const row = blockIdx.x / pieces;
+  int64_t const row = blockIdx.x / chunks;
   F const of_row = p.grad_of_sum ? p.gradient(row) : F(1);
-  map_piece(p.pair, row, pieces, vectorized, p.out, [&](int64_t e, F x, F y) {
+  map_chunk(p.pair, row, chunks, vectorized, p.out, [&](int64_t e, F x, F y) {
     if (!p.grad && !p.grad_of_sum) return point_loss<F, PointMath<F>>(kind, x, y);
-    return point_slope<F, PointMath<F>>(kind, p.by_other, x, y) * (p.grad ? read(p.grad[e]) : of_row);
+    return point_derivative<F, PointMath<F>>(kind, p.by_other, x, y) * (p.grad ? read(p.grad[e]) : of_row);
   });
 }
 
@@ -30,14 +30,14 @@ __global__ void __launch_bounds__(kSumThreads)
 template <class T>
 int pointwise_sum(PointwiseSum<T> const& p, CUstream_st* stream) {
   int64_t const rows = p.pair.rows;
-  sum_points<<<unsigned(rows * p.pieces), kSumThreads, 0, stream>>>(p, is_vectorizable(p.pair, nullptr));
-  return add_up(p.partial, rows, p.pieces, p.sums, stream, p.finish);
+  sum_points<<<unsigned(rows * p.chunks), kSumThreads, 0, stream>>>(p, is_vectorizable(p.pair, nullptr));
+  return sum_chunks(p.partial, rows, p.chunks, p.sums, stream, p.finalize);
 }
 
 template <class T>
 int pointwise_map(PointwiseMap<T> const& p, CUstream_st* stream) {
-  int64_t const pieces = ceil_div(p.pair.size, kPointPiece);
-  map_points<<<unsigned(p.pair.rows * pieces), kSumThreads, 0, stream>>>(p, pieces, is_vectorizable(p.pair, p.out));
+  int64_t const chunks = ceil_div(p.pair.size, kPointChunk);
+  map_points<<<unsigned(p.pair.rows * chunks), kSumThreads, 0, stream>>>(p, chunks, is_vectorizable(p.pair, p.out));
   return cudaGetLastError();
 }
 

@@ -1,9 +1,9 @@
-// Two tensors on CUDA, element by element: a block takes a piece of a row, each thread four elements of both at a time.
+// Two tensors on CUDA, element by element: a block takes a chunk of a row, each thread four elements of both at a time.
 // Included by *.cu files.
 #pragma once
 
+#include "core/row_sums.cuh"
 #include "pointwise.h"
-#include "sums.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -28,15 +28,15 @@ struct PointMath {
 
 constexpr int kVectorSize = 4;
 
-// Calls f(first element, x, y) for the elements of piece `piece` that the thread takes: with kVectorSize of both where
+// Calls f(first element, x, y) for the elements of chunk `chunk` that the thread takes: with kVectorSize of both where
 // rows are `vectorized`, their starts and ends multiples of a vector, and with single ones elsewhere and of doubles.
 // Not unrolled, as f is long and a multiprocessor has enough threads to keep its memory busy.
 template <class T, class Call>
-__device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row, int64_t piece, bool vectorized,
+__device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row, int64_t chunk, bool vectorized,
                                                 Call f) {
   using F = Compute<T>;
   T const *const x = pair.x + row * pair.x_stride, *const y = pair.y + row * pair.y_stride;
-  int64_t const first = piece * kPointPiece, last = min(first + kPointPiece, pair.size);
+  int64_t const first = chunk * kPointChunk, last = min(first + kPointChunk, pair.size);
   auto const take = [&](auto width) {
     constexpr int P = decltype(width)::value;
 #pragma unroll 1
@@ -55,24 +55,24 @@ __device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row
     take(std::integral_constant<int, 1>{});
 }
 
-// A block's piece: the sum of loss(x, y), to `partial`.
+// A block's chunk: the sum of loss(x, y), to `partial`.
 template <class T, class Loss>
-__device__ __forceinline__ void sum_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool vectorized,
+__device__ __forceinline__ void sum_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, bool vectorized,
                                           Compute<T>* partial, Loss loss) {
   Compute<T> sum = 0;
-  for_each_vector(pair, row, blockIdx.x - row * pieces, vectorized, [&](int64_t, auto const& x, auto const& y) {
+  for_each_vector(pair, row, blockIdx.x - row * chunks, vectorized, [&](int64_t, auto const& x, auto const& y) {
 #pragma unroll
     for (int i = 0; i < int(sizeof(x) / sizeof(*x)); ++i) sum += loss(x[i], y[i]);
   });
-  sum = block_sum(sum);
+  sum = block_sum<kSumThreads>(sum);
   if (threadIdx.x == 0) partial[blockIdx.x] = sum;
 }
 
-// A block's piece: value(element, x, y), to `out`.
+// A block's chunk: value(element, x, y), to `out`.
 template <class T, class Value>
-__device__ __forceinline__ void map_piece(Pair<T> const& pair, int64_t row, int64_t pieces, bool vectorized, T* out,
+__device__ __forceinline__ void map_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, bool vectorized, T* out,
                                           Value value) {
-  for_each_vector(pair, row, blockIdx.x - row * pieces, vectorized, [&](int64_t e, auto const& x, auto const& y) {
+  for_each_vector(pair, row, blockIdx.x - row * chunks, vectorized, [&](int64_t e, auto const& x, auto const& y) {
     constexpr int P = sizeof(x) / sizeof(*x);
     Compute<T> result[P];
 #pragma unroll

@@ -10,13 +10,13 @@
 #pragma once
 
 #include "core/isa.h"
-#include "sums.h"
+#include "core/row_sums.h"
 
 namespace kv {
 
+// Graphs contain the numbers; python/kvision/metrics/pointwise.py has the same ones.
 enum class PointLoss : int { charbonnier, welsch, cauchy, geman_mcclure, square, kl, js };
-
-constexpr char const* kPointLosses[] = {"charbonnier", "welsch", "cauchy", "geman_mcclure", "square", "kl", "js"};
+constexpr int kPointLosses = 7;
 
 // Two tensors (rows, size), one row of which may serve all: then its stride is 0.
 template <class T>
@@ -25,20 +25,20 @@ struct Pair {
   int64_t x_stride, y_stride, rows, size;
 };
 
-constexpr int64_t kPointPiece = 8192;  // elements that are summed together
-constexpr int64_t point_pieces(int64_t size) { return (size + kPointPiece - 1) / kPointPiece; }
+constexpr int64_t kPointChunk = 8192;  // elements that are summed together
+constexpr int64_t point_chunks(int64_t size) { return (size + kPointChunk - 1) / kPointChunk; }
 
 template <class T>
 struct PointwiseSum {
   Pair<T> pair;
   PointLoss kind;
-  int64_t pieces;       // of a row
-  Compute<T>* partial;  // (rows, pieces)
-  Finish<Compute<T>> finish;
-  Compute<T>* sums;  // (rows), by CUDA's kernel; on the CPU the entry adds up the pieces
+  int64_t chunks;       // of a row
+  Compute<T>* partial;  // (rows, chunks)
+  FinalizeSum<Compute<T>> finalize;
+  Compute<T>* sums;  // (rows), by CUDA's kernel; on the CPU the entry adds up the chunks
 };
 
-// What is written for every element: its loss; or its slope by x, or by y if `by_other`, times a gradient.
+// What is written for every element: its loss; or its derivative by x, or by y if `by_other`, times a gradient.
 template <class T>
 struct PointwiseMap {
   Pair<T> pair;
@@ -46,7 +46,7 @@ struct PointwiseMap {
   T const* grad;                  // of every element, or null
   Compute<T> const* grad_of_sum;  // of every row's sum, or null
   Compute<T> const* sums;         // of every row, where decibels need it
-  Finish<Compute<T>> finish;
+  FinalizeSum<Compute<T>> finalize;
   bool by_other;
   T* out;
 
@@ -54,10 +54,10 @@ struct PointwiseMap {
   KV_HD Compute<T> gradient(int64_t row) const {
     using F = Compute<T>;
     F const g = grad_of_sum[row];
-    if (finish.decibels == 0) return g * finish.factor;
+    if (finalize.decibels == 0) return g * finalize.factor;
     F const decibels = sums[row];
-    double const slope = double(finish.decibels) * 0.43429448190325183;  // 1 / log 10
-    return decibels - decibels == 0 ? F(g * finish.factor * slope / ::exp(double(decibels) / slope)) : F(0);
+    double const derivative = double(finalize.decibels) * 0.43429448190325183;  // 1 / log 10
+    return decibels - decibels == 0 ? F(g * finalize.factor * derivative / ::exp(double(decibels) / derivative)) : F(0);
   }
 };
 
@@ -85,8 +85,8 @@ KV_HD V one_minus_exp(V t) {
 template <class F, class Math, class V>
 KV_HD V log_one_plus(V t) {
   V const one = V{} + F(1), u = one + t, log_u = Math::log(u);
-  V const found = u == one ? t : V(log_u * (t / (u - one)));
-  return t > kFar<F> ? log_u : found;
+  V const result = u == one ? t : V(log_u * (t / (u - one)));
+  return t > kFar<F> ? log_u : result;
 }
 
 // What a true probability of 0 adds: nothing, unless the predicted one is none at all.
@@ -127,7 +127,7 @@ KV_HD V point_loss(PointLoss kind, V x, V y) {
 
 // The derivative by x, or by y.
 template <class F, class Math, class V>
-KV_HD V point_slope(PointLoss kind, bool by_y, V x, V y) {
+KV_HD V point_derivative(PointLoss kind, bool by_y, V x, V y) {
   V const zero = V{}, one = zero + F(1), half = zero + F(0.5), d = by_y ? V(y - x) : V(x - y);
   switch (kind) {
     case PointLoss::charbonnier: {

@@ -5,11 +5,8 @@
 namespace kv {
 namespace {
 
-PointLoss kind_of(char const* op, std::string const& name) {
-  constexpr int count = sizeof(kPointLosses) / sizeof(*kPointLosses);
-  int kind = 0;
-  while (kind < count && name != kPointLosses[kind]) ++kind;
-  KV_CHECK(kind < count, op, ": there is no loss '", name, "'");
+PointLoss kind_of(char const* op, int64_t kind) {
+  KV_CHECK(kind >= 0 && kind < kPointLosses, op, ": there is no loss ", kind);
   return PointLoss(kind);
 }
 
@@ -45,11 +42,11 @@ template <class T>
 void run_map([[maybe_unused]] Tensor const& x, PointwiseMap<T> const& params) {
   Pair<T> const& pair = params.pair;
   if (pair.size == 0) return;
-  int64_t const pieces = point_pieces(pair.size);
-  KV_RUN(pointwise_map, x, params, pair.rows * pieces, 8 * min(pair.size, kPointPiece));
+  int64_t const chunks = point_chunks(pair.size);
+  KV_RUN(pointwise_map, x, params, pair.rows * chunks, 8 * min(pair.size, kPointChunk));
 }
 
-Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string const& kind) {
+Tensor pointwise_loss(Tensor const& input, Tensor const& other, int64_t kind) {
   constexpr char const* op = "pointwise_loss";
   int64_t const rows = check_pair(op, input, other, input);
   Tensor const x = dense(input), y = dense(other), loss = empty({rows, x.size(1)}, x);
@@ -61,7 +58,7 @@ Tensor pointwise_loss(Tensor const& input, Tensor const& other, std::string cons
 }
 
 // The gradient to `input`, or to `other`.
-Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other, std::string const& kind,
+Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t kind,
                                bool by_other) {
   constexpr char const* op = "pointwise_loss_backward";
   int64_t const rows = check_pair(op, input, other, grad);
@@ -83,22 +80,21 @@ Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor c
   return grad_x;
 }
 
-Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const& kind, double factor,
-                     double decibels) {
+Tensor pointwise_sum(Tensor const& input, Tensor const& other, int64_t kind, double factor, double decibels) {
   constexpr char const* op = "pointwise_sum";
   int64_t const rows = check_pair(op, input, other, input), size = input.size(1);
   Tensor const x = dense(input), y = dense(other);
-  int64_t const pieces = max(point_pieces(size), int64_t(1));
+  int64_t const chunks = max(point_chunks(size), int64_t(1));
   Tensor const sums = empty({rows}, x, Layout::planar, compute_dtype(x));
-  Tensor const partial = empty({rows, pieces}, x, Layout::planar, compute_dtype(x));
+  Tensor const partial = empty({rows, chunks}, x, Layout::planar, compute_dtype(x));
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    PointwiseSum<T> const params{pair_of<T>(x, y, rows), kind_of(op, kind),        pieces,
+    PointwiseSum<T> const params{pair_of<T>(x, y, rows), kind_of(op, kind),        chunks,
                                  data_ptr<F>(partial),   {F(factor), F(decibels)}, data_ptr<F>(sums)};
-    KV_RUN(pointwise_sum, x, params, rows * pieces, 8 * min(size, kPointPiece));
+    KV_RUN(pointwise_sum, x, params, rows * chunks, 8 * min(size, kPointChunk));
 #if !defined(KV_CUDA)
-    add_pieces(params.partial, rows, pieces, params.finish, params.sums);
+    add_chunks(params.partial, rows, chunks, params.finalize, params.sums);
 #endif
   });
   return sums;
@@ -106,7 +102,7 @@ Tensor pointwise_sum(Tensor const& input, Tensor const& other, std::string const
 
 // The gradient to `input`, or to `other`; `sums` are the results.
 Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor const& input, Tensor const& other,
-                              std::string const& kind, double factor, double decibels, bool by_other) {
+                              int64_t kind, double factor, double decibels, bool by_other) {
   constexpr char const* op = "pointwise_sum_backward";
   int64_t const rows = check_pair(op, input, other, grad);
   check_of_sums(op, "grad", grad, input, rows);
@@ -130,11 +126,11 @@ Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor con
 
 }  // namespace
 
-KV_OPERATOR(pointwise_loss, "(Tensor input, Tensor other, str kind) -> Tensor")
-KV_OPERATOR(pointwise_loss_backward, "(Tensor grad, Tensor input, Tensor other, str kind, bool by_other) -> Tensor")
-KV_OPERATOR(pointwise_sum, "(Tensor input, Tensor other, str kind, float factor, float decibels) -> Tensor")
+KV_OPERATOR(pointwise_loss, "(Tensor input, Tensor other, int kind) -> Tensor")
+KV_OPERATOR(pointwise_loss_backward, "(Tensor grad, Tensor input, Tensor other, int kind, bool by_other) -> Tensor")
+KV_OPERATOR(pointwise_sum, "(Tensor input, Tensor other, int kind, float factor, float decibels) -> Tensor")
 KV_OPERATOR(pointwise_sum_backward,
-            "(Tensor grad, Tensor sums, Tensor input, Tensor other, str kind, float factor, float decibels, "
+            "(Tensor grad, Tensor sums, Tensor input, Tensor other, int kind, float factor, float decibels, "
             "bool by_other) -> Tensor")
 
 }  // namespace kv

@@ -263,24 +263,24 @@ __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Wo
     __syncthreads();
     int const q = y + place.r;
     if (q < max(place.y0, work.offset) || q >= min(place.y1, place.height - work.offset)) continue;
-    float means[4][kRows], found[kRows];
+    float means[4][kRows], result[kRows];
     sum_across<K, R>(rows[place.r], place.x - place.left, work.weights, means);
 #pragma unroll
     for (int j = 0; j < kRows; ++j) {
       SsimTerms<float> const terms({means[0][j], means[1][j], means[2][j], means[3][j]}, work.constants);
-      found[j] = terms.numerator * fast_reciprocal(terms.denominator);
+      result[j] = terms.numerator * fast_reciprocal(terms.denominator);
     }
     if (whole) {
-      unlike += (found[0] + found[1]) + (found[2] + found[3]);
+      unlike += (result[0] + result[1]) + (result[2] + result[3]);
     } else {
 #pragma unroll
       for (int j = 0; j < kRows; ++j)
-        if (place.owns(place.x + j, work.offset)) unlike += found[j];
+        if (place.owns(place.x + j, work.offset)) unlike += result[j];
     }
     if (!out) continue;
     float similarity[kRows];
 #pragma unroll
-    for (int j = 0; j < kRows; ++j) similarity[j] = 1 - found[j];
+    for (int j = 0; j < kRows; ++j) similarity[j] = 1 - result[j];
     write_row(work, place, out + (q - work.offset) * work.result.row_stride, similarity);
   }
   if (!out) {
@@ -327,7 +327,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   // The derivatives by the means of row q, from sums along y.
   auto const differentiate = [&](int q, float const(&summed)[4][kLine], float(&derivatives)[M][kLine]) {
     int const from = border_index(work.border, q, height), at = place.x - place.left;
-    float found[M][kRows] = {};
+    float result[M][kRows] = {};
     if (from >= work.offset && from < height - work.offset) {
       float means[4][kRows], of_pixels[kRows];
       sum_across<K, R>(summed, at, work.weights, means);
@@ -341,8 +341,8 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
         SsimTerms<float> const terms(m, work.constants);
         Means<float> const d = ssim_of_means_vjp(m, terms, fast_reciprocal(terms.denominator), twice * of_pixels[j],
                                                  work.constants.luminance);
-        found[0][j] = d.x, found[1][j] = d.squares, found[2][j] = d.apart;
-        if (M == 4) found[M - 1][j] = d.y;
+        result[0][j] = d.x, result[1][j] = d.squares, result[2][j] = d.apart;
+        if (M == 4) result[M - 1][j] = d.y;
       }
       if (special)
 #pragma unroll
@@ -351,25 +351,25 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
           float const scale = mirrored && at_end(x, width) ? 2.f : 1.f;
           bool const there = x >= work.offset && x < width - work.offset;
 #pragma unroll
-          for (int m = 0; m < M; ++m) found[m][j] = there ? scale * found[m][j] : 0.f;
+          for (int m = 0; m < M; ++m) result[m][j] = there ? scale * result[m][j] : 0.f;
         }
     }
 #pragma unroll
     for (int m = 0; m < M; ++m)
       if (place.x + kRows <= width)
-        *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kBeside]) = {found[m][0], found[m][1], found[m][2],
-                                                                               found[m][3]};
+        *reinterpret_cast<Vector<float, 4>*>(&derivatives[m][at + kBeside]) = {result[m][0], result[m][1], result[m][2],
+                                                                               result[m][3]};
       else
 #pragma unroll
         for (int j = 0; j < kRows; ++j)
-          if (place.x + j < width) derivatives[m][at + kBeside + j] = found[m][j];
+          if (place.x + j < width) derivatives[m][at + kBeside + j] = result[m][j];
     if (group_near_end)
 #pragma unroll
       for (int j = 0; j < kRows; ++j)
         if (place.x + j < width)
           place.for_each_mirror(place.x + j, [&](int to) {
 #pragma unroll
-            for (int m = 0; m < M; ++m) derivatives[m][kBeside + to] = found[m][j];
+            for (int m = 0; m < M; ++m) derivatives[m][kBeside + to] = result[m][j];
           });
   };
 
@@ -498,8 +498,8 @@ int launch(Ssim<T> const& p, CUstream_st* stream) {
   work.loss = p.loss, work.partial = p.partial;
   ssim_forward<K><<<grid.blocks, grid.threads, 0, stream>>>(work);
   if (p.similarity.data) return cudaGetLastError();
-  int64_t const rows = x.count() / p.loss.planes, pieces = grid.blocks / rows * (grid.threads / 32);
-  return add_up(p.partial, rows, pieces, p.sums, stream);
+  int64_t const rows = x.count() / p.loss.planes, chunks = grid.blocks / rows * (grid.threads / 32);
+  return sum_chunks(p.partial, rows, chunks, p.sums, stream);
 }
 
 template <int K, int M>

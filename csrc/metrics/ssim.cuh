@@ -3,8 +3,8 @@
 #pragma once
 
 #include "core/dtype.cuh"
+#include "core/row_sums.cuh"
 #include "ssim.h"
-#include "sums.cuh"
 
 namespace kv::cuda {
 

@@ -26,6 +26,10 @@
 
 namespace kv {
 
+// Windows that pass the border read reflected pixels or zeros; or there are none. Graphs contain the numbers;
+// python/kvision/metrics/ssim.py has the same ones.
+enum class SsimPadding : int { reflect, constant, valid };
+
 template <class F>
 struct SsimConstants {
   F c1, c2, eps;
@@ -124,11 +128,11 @@ struct SsimBackward {
 };
 
 // Windows of several sizes around the pixels of the same images.
-constexpr int kMostSsimScales = 16, kMostSsimWeights = 400;  // of all of them
+constexpr int kMaxSsimScales = 16, kMaxSsimWeights = 400;  // of all of them
 template <class F>
 struct SsimScales {
-  int count, sizes[kMostSsimScales];
-  F const* weights[kMostSsimScales];  // in host memory
+  int count, sizes[kMaxSsimScales];
+  F const* weights[kMaxSsimScales];  // in host memory
 };
 
 // The loss of a sample's pixels: `structure` times the sum over its planes of 1 - the product of the scales'
@@ -164,21 +168,21 @@ bool has_ssim_strips(SsimImages<T> const& p) {
 template <class T>
 bool has_ssim_tiles(SsimImages<T> const& p) {
   int64_t const longest = max(max(p.x.row_stride, p.y.row_stride), p.x.width);
-  return !p.volumes && p.size <= kMostSsimWeights && p.x.height < INT32_MAX / int64_t(sizeof(T)) / longest;
+  return !p.volumes && p.size <= kMaxSsimWeights && p.x.height < INT32_MAX / int64_t(sizeof(T)) / longest;
 }
 
 // The tiles of a plane: so wide that its columns and those beside them that its windows have keep all threads busy.
 struct SsimTiles {
-  static constexpr int kRows = 8, kMostThreads = 320;
+  static constexpr int kRows = 8, kMaxThreads = 320;
   int columns, threads, stride;  // stride: from row to row in shared memory, so that a thread of each reads at once
   int64_t across, down;
 
   SsimTiles(int64_t height, int64_t width, int size) {
     int64_t least = INT64_MAX;
-    int64_t const fewest = (width + kMostThreads - 1) / kMostThreads;
+    int64_t const fewest = (width + kMaxThreads - 1) / kMaxThreads;
     for (int64_t parts = fewest; parts <= 3 * fewest; ++parts) {
       int64_t const each = (width + kRows * parts - 1) / (kRows * parts) * kRows, line = each + size - 1;
-      int64_t const rounds = (line + kMostThreads - 1) / kMostThreads;
+      int64_t const rounds = (line + kMaxThreads - 1) / kMaxThreads;
       int64_t const busy = max((line + 32 * rounds - 1) / (32 * rounds), (each + 31) / 32) * 32;
       int64_t const work = parts * busy * (rounds + 1);
       if (work < least) least = work, columns = int(each), threads = int(busy), across = (width + each - 1) / each;
@@ -187,12 +191,12 @@ struct SsimTiles {
     down = (height + kRows - 1) / kRows;
   }
   int64_t count() const { return across * down; }
-  int64_t pieces() const { return count() * (threads / 32); }
+  int64_t chunks() const { return count() * (threads / 32); }
 };
 
 // The tiles of a volume.
 struct SsimVolumeTiles {
-  static constexpr int kSide = 8, kColumns = 32, kThreads = 256, kMostTaps = 21, kMostBytes = 200 << 10;
+  static constexpr int kSide = 8, kColumns = 32, kThreads = 256, kMaxTaps = 21, kMaxBytes = 200 << 10;
   int64_t across, down, parts, bytes;  // bytes: of shared memory
 
   SsimVolumeTiles(int64_t depth, int64_t height, int64_t width, int size, int64_t number)
@@ -201,12 +205,12 @@ struct SsimVolumeTiles {
         parts((depth + kSide - 1) / kSide),
         bytes(4 * number * kSide * (kSide + size - 1) * (kColumns + size)) {}
   int64_t count() const { return across * down * parts; }
-  int64_t pieces() const { return count() * (kThreads / 32); }
+  int64_t chunks() const { return count() * (kThreads / 32); }
 };
 template <class T>
 bool has_ssim_volume_tiles(SsimImages<T> const& p) {
   SsimVolumeTiles const tiles(p.depth, p.x.height, p.x.width, p.size, sizeof(Compute<T>));
-  return p.volumes && p.size <= tiles.kMostTaps && tiles.bytes <= tiles.kMostBytes &&
+  return p.volumes && p.size <= tiles.kMaxTaps && tiles.bytes <= tiles.kMaxBytes &&
          p.depth < INT32_MAX / int64_t(sizeof(T)) / (p.x.height * p.x.width);
 }
 
@@ -227,16 +231,16 @@ struct SsimBlocks {
     across = (width + 31) / 32, down = (height + rows - 1) / rows, parts = (depth + slices - 1) / slices;
   }
   int64_t count() const { return across * down * parts; }
-  int64_t pieces() const { return count() * rows; }
+  int64_t chunks() const { return count() * rows; }
 };
 
 // CUDA: the most that `partial` has for a plane of an image, or for a volume.
 template <class T>
 int64_t most_ssim_pieces(SsimImages<T> const& p) {
   if (has_ssim_strips(p)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);
-  if (has_ssim_tiles(p)) return SsimTiles(p.x.height, p.x.width, p.size).pieces();
-  if (has_ssim_volume_tiles(p)) return SsimVolumeTiles(p.depth, p.x.height, p.x.width, p.size, 0).pieces();
-  return SsimBlocks(p.depth, p.x.height, p.x.width, p.size, p.volumes ? p.size / 2 : 0, sizeof(Compute<T>)).pieces();
+  if (has_ssim_tiles(p)) return SsimTiles(p.x.height, p.x.width, p.size).chunks();
+  if (has_ssim_volume_tiles(p)) return SsimVolumeTiles(p.depth, p.x.height, p.x.width, p.size, 0).chunks();
+  return SsimBlocks(p.depth, p.x.height, p.x.width, p.size, p.volumes ? p.size / 2 : 0, sizeof(Compute<T>)).chunks();
 }
 
 KV_KERNEL(ssim, Ssim)

@@ -53,12 +53,12 @@ struct Work {
   }
   // What D of ssim.h multiplies a pixel with.
   __device__ __forceinline__ F ends(int z, int y, int x, F factor) const {
-    F found = 1;
-    if (border != Border::reflect) return found;
-    if (y == 0 || y == height - 1) found *= factor;
-    if (x == 0 || x == width - 1) found *= factor;
-    if (deep > 0 && (z == 0 || z == depth - 1)) found *= factor;
-    return found;
+    F result = 1;
+    if (border != Border::reflect) return result;
+    if (y == 0 || y == height - 1) result *= factor;
+    if (x == 0 || x == width - 1) result *= factor;
+    if (deep > 0 && (z == 0 || z == depth - 1)) result *= factor;
+    return result;
   }
 };
 
@@ -66,10 +66,10 @@ struct Work {
 template <class F>
 __device__ __forceinline__ F load(StoredPlanes const& p, DType stored, int64_t plane, int64_t channel, int y, int x) {
   uint8_t const* const row = p.plane(plane) + y * p.row_stride;
-  F found;
+  F result;
   dispatch_floating_dtype<F>(
-      stored, [&](auto type) { found = read(reinterpret_cast<decltype(type) const*>(row)[x * p.step + channel]); });
-  return found;
+      stored, [&](auto type) { result = read(reinterpret_cast<decltype(type) const*>(row)[x * p.step + channel]); });
+  return result;
 }
 template <class F>
 __device__ __forceinline__ void save(StoredPlanes const& p, DType stored, int64_t plane, int64_t channel, int y, int x,
@@ -233,8 +233,8 @@ int ssim_any(Ssim<T> const& p, CUstream_st* stream) {
   int const error = launch<false>(work, volumes_of(work), stream);
   if (error || p.similarity.data) return error;
   SsimBlocks const blocks(work.depth, work.height, work.width, work.size, work.deep, sizeof(F));
-  int64_t const rows = work.x.count() / work.depth / p.loss.planes, pieces = p.loss.planes * blocks.pieces();
-  return add_up(p.partial, rows, pieces, p.sums, stream);
+  int64_t const rows = work.x.count() / work.depth / p.loss.planes, chunks = p.loss.planes * blocks.chunks();
+  return sum_chunks(p.partial, rows, chunks, p.sums, stream);
 }
 
 template <class T>

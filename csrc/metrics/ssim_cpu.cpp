@@ -522,8 +522,8 @@ void ms_ssim(MsSsim<T> const& p, int64_t begin, int64_t end) {
         for_each_padded_vector<T>(width, [&](auto n, int64_t e) {
           constexpr int N = decltype(n)::value;
           SsimTerms<Lanes<F, N>> const terms(means.template at<N>(e), images.constants);
-          Lanes<F, N> const found = 1 - terms.numerator / terms.denominator;
-          store<N>(similar + e, s == 0 ? found : Lanes<F, N>(found * load<N>(similar + e)));
+          Lanes<F, N> const result = 1 - terms.numerator / terms.denominator;
+          store<N>(similar + e, s == 0 ? result : Lanes<F, N>(result * load<N>(similar + e)));
         });
       }
       means.difference(plane, y);

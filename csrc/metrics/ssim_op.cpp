@@ -1,9 +1,9 @@
 // Structural similarity: schemas and entries, for CPU and CUDA alike.
 #include <limits>
 
+#include "core/row_sums.h"
 #include "glue/glue.h"
 #include "ssim.h"
-#include "sums.h"
 
 namespace kv {
 namespace {
@@ -29,13 +29,13 @@ struct Window {
   bool valid;
   Border border;
 
-  Window(char const* op, Tensor const& x, int64_t size, double sigma, std::string const& name)
+  Window(char const* op, Tensor const& x, int64_t size, double sigma, int64_t padding)
       : size(size),
         sigma(sigma),
-        valid(name == "valid"),
-        border(name == "constant" || valid ? Border::constant : Border::reflect) {
-    KV_CHECK(valid || name == "constant" || name == "reflect", op,
-             ": border must be one of reflect, constant, valid; got '", name, "'");
+        valid(SsimPadding(padding) == SsimPadding::valid),
+        border(SsimPadding(padding) == SsimPadding::reflect ? Border::reflect : Border::constant) {
+    KV_CHECK(padding >= 0 && padding <= 2, op, ": padding must be one of 0 (reflect), 1 (constant), 2 (valid); got ",
+             padding);
     check_window(op, size, size);
     KV_CHECK(size % 2 == 1 && sigma > 0, op, ": expected an odd size and a sigma above 0");
     for (int64_t axis = 2; axis < x.dim(); ++axis) {
@@ -46,9 +46,9 @@ struct Window {
   int64_t less() const { return valid ? size - 1 : 0; }
   // The sizes of the similarity of x.
   std::vector<int64_t> sizes(Tensor const& x) const {
-    std::vector<int64_t> found;
-    for (int64_t axis = 0; axis < x.dim(); ++axis) found.push_back(x.size(axis) - (axis < 2 ? 0 : less()));
-    return found;
+    std::vector<int64_t> result;
+    for (int64_t axis = 0; axis < x.dim(); ++axis) result.push_back(x.size(axis) - (axis < 2 ? 0 : less()));
+    return result;
   }
 };
 
@@ -104,9 +104,9 @@ SsimImages<T> images(Tensor const& x, Tensor const& y, Layout layout, Window con
 }
 
 Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,
-            std::string const& border, bool luminance) {
+            int64_t padding, bool luminance) {
   check_pair("ssim", input, other);
-  Window const window("ssim", input, size, sigma, border);
+  Window const window("ssim", input, size, sigma, padding);
   Layout const layout = common_layout(input);
   Tensor const x = conformed(input, layout), y = conformed(other, layout);
   Tensor const similarity = empty(window.sizes(x), x, layout);
@@ -126,10 +126,10 @@ Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma
 
 // A number for each sample of planar images.
 Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,
-                 std::string const& border, double structure, double absolute) {
+                 int64_t padding, double structure, double absolute) {
   constexpr char const* op = "ssim_loss";
   check_pair(op, input, other);
-  Window const window(op, input, size, sigma, border);
+  Window const window(op, input, size, sigma, padding);
   KV_CHECK(absolute == 0 || !window.valid, op, ": absolute differences go with windows around all pixels");
   Tensor const x = conformed(input, Layout::planar), y = conformed(other, Layout::planar);
   int64_t const rows = x.size(0), channels = x.size(1);
@@ -147,17 +147,17 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
                    nullptr,
                    data_ptr<F>(sums)};
 #if defined(KV_CUDA)
-    int64_t const pieces = channels * most_ssim_pieces(params.images);
+    int64_t const chunks = channels * most_ssim_pieces(params.images);
 #else
-    int64_t const pieces = channels * params.images.slices() * nothing.height;
+    int64_t const chunks = channels * params.images.slices() * nothing.height;
 #endif
-    Tensor const partial = empty({rows, pieces}, x, Layout::planar, compute_dtype(x));
+    Tensor const partial = empty({rows, chunks}, x, Layout::planar, compute_dtype(x));
     params.partial = data_ptr<F>(partial);
     KV_RUN(ssim, x, params, rows * channels * params.images.slices() * nothing.height, size * nothing.row_size());
 #if defined(KV_CUDA)
     if (channels == 0) torch::stable::zero_(const_cast<Tensor&>(sums));
 #else
-    add_pieces(params.partial, rows, pieces, Finish<F>{F(1), F(0)}, params.sums);
+    add_chunks(params.partial, rows, chunks, FinalizeSum<F>{F(1), F(0)}, params.sums);
 #endif
   });
   return sums;
@@ -179,10 +179,10 @@ template <class T>
 // The gradient to the first image, and if `grad_other` is given to the second one: with the similarity's, or with those
 // of the losses of the samples.
 Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor const& other, Tensor* grad_other,
-                 int64_t size, double sigma, Constants const& c, std::string const& border,
+                 int64_t size, double sigma, Constants const& c, int64_t padding,
                  std::optional<SsimLoss<double>> const& loss = {}) {
   check_pair(op, input, other);
-  Window const window(op, input, size, sigma, border);
+  Window const window(op, input, size, sigma, padding);
   if (loss) {
     KV_CHECK(grad.dim() == 1 && grad.size(0) == input.size(0) && grad.scalar_type() == compute_dtype(input) &&
                  grad.device() == input.device(),
@@ -233,8 +233,8 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
       params.derivatives = data_ptr<F>(*derivatives);
     }
 #endif
-    int64_t const pieces = params.images.volumes ? grad_x.size(3) : 1;  // of work on the CPU, in rows
-    KV_RUN(ssim_backward, x, params, params.grad_x.rows() / pieces, 2 * size * params.grad_x.row_size() * pieces);
+    int64_t const chunks = params.images.volumes ? grad_x.size(3) : 1;  // of work on the CPU, in rows
+    KV_RUN(ssim_backward, x, params, params.grad_x.rows() / chunks, 2 * size * params.grad_x.row_size() * chunks);
   });
   return grad_x;
 }
@@ -243,11 +243,11 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
 template <class F>
 struct Scales {
   std::vector<std::vector<F>> weights;
-  SsimScales<F> found{};
+  SsimScales<F> result{};
 
   Scales(char const* op, int64_t size, std::vector<double> const& sigmas) {
     int64_t all = 0;
-    KV_CHECK(!sigmas.empty() && sigmas.size() <= kMostSsimScales, op, ": expected 1 to ", kMostSsimScales, " sigmas");
+    KV_CHECK(!sigmas.empty() && sigmas.size() <= kMaxSsimScales, op, ": expected 1 to ", kMaxSsimScales, " sigmas");
     for (double const sigma : sigmas) {
       bool const last = weights.size() + 1 == sigmas.size();
       KV_CHECK(sigma > 0, op, ": expected sigmas above 0");
@@ -259,10 +259,10 @@ struct Scales {
       all += 2 * beside + 1;
       weights.emplace_back(window.begin() + (size / 2 - beside), window.begin() + (size / 2 + beside + 1));
     }
-    KV_CHECK(all <= kMostSsimWeights, op, ": the windows are too large");
+    KV_CHECK(all <= kMaxSsimWeights, op, ": the windows are too large");
     for (auto const& window : weights) {
-      found.sizes[found.count] = int(window.size());
-      found.weights[found.count++] = window.data();
+      result.sizes[result.count] = int(window.size());
+      result.weights[result.count++] = window.data();
     }
   }
 };
@@ -270,7 +270,7 @@ struct Scales {
 Window ms_window(char const* op, Tensor const& x, Tensor const& y, int64_t size, std::vector<double> const& sigmas) {
   check_images(op, "input", x);
   check_pair(op, x, y);
-  return Window(op, x, size, sigmas.empty() ? 0 : sigmas.back(), "constant");
+  return Window(op, x, size, sigmas.empty() ? 0 : sigmas.back(), int64_t(SsimPadding::constant));
 }
 
 // (B, H, W): the mean over the channels.
@@ -287,7 +287,7 @@ Tensor ms_ssim(Tensor const& input, Tensor const& other, std::vector<double> con
     using F = Compute<T>;
     Scales<F> const scales(op, size, sigmas);
     MsSsim<T> const params{images<T>(x, y, Layout::planar, window, scales.weights.back().data(), {c1, c2, 0, true}),
-                           scales.found,
+                           scales.result,
                            {F(structure / channels), F(absolute / channels), channels},
                            data_ptr<F>(map)};
 #if defined(KV_CUDA)
@@ -319,7 +319,7 @@ Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input
     Planes<T> grad_y = planes_for<T>(grad_other ? *grad_other : grad_x, batch, Layout::planar);
     if (!grad_other) grad_y.data = nullptr;
     MsSsimBackward<T> params{images<T>(x, y, Layout::planar, window, scales.weights.back().data(), {c1, c2, 0, true}),
-                             scales.found,
+                             scales.result,
                              {F(structure / channels), F(absolute / channels), channels},
                              data_ptr<F>(g),
                              planes_for<T>(grad_x, batch, Layout::planar),
@@ -328,7 +328,7 @@ Tensor ms_ssim_gradients(char const* op, Tensor const& grad, Tensor const& input
                              0};
 #if defined(KV_CUDA)
     KV_CHECK(has_ssim_tiles(params.images), op, ": the images are too large");
-    params.room = room_for(x, window, params.images, 5 * scales.found.count);
+    params.room = room_for(x, window, params.images, 5 * scales.result.count);
     Tensor const derivatives = empty({params.room}, x, Layout::planar, compute_dtype(x));
     params.derivatives = data_ptr<F>(derivatives);
 #endif
@@ -352,56 +352,55 @@ std::tuple<Tensor, Tensor> ms_ssim_backward_both(Tensor const& grad, Tensor cons
 }
 
 Tensor ssim_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t size, double sigma,
-                     double c1, double c2, double eps, std::string const& border, bool luminance) {
-  return gradients("ssim_backward", grad, input, other, nullptr, size, sigma, {c1, c2, eps, luminance}, border);
+                     double c1, double c2, double eps, int64_t padding, bool luminance) {
+  return gradients("ssim_backward", grad, input, other, nullptr, size, sigma, {c1, c2, eps, luminance}, padding);
 }
 
 std::tuple<Tensor, Tensor> ssim_backward_both(Tensor const& grad, Tensor const& input, Tensor const& other,
                                               int64_t size, double sigma, double c1, double c2, double eps,
-                                              std::string const& border, bool luminance) {
+                                              int64_t padding, bool luminance) {
   Tensor grad_y = input;  // replaced
   Tensor const grad_x =
-      gradients("ssim_backward_both", grad, input, other, &grad_y, size, sigma, {c1, c2, eps, luminance}, border);
+      gradients("ssim_backward_both", grad, input, other, &grad_y, size, sigma, {c1, c2, eps, luminance}, padding);
   return {grad_x, grad_y};
 }
 
 Tensor ssim_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t size, double sigma,
-                          double c1, double c2, double eps, std::string const& border, double structure,
-                          double absolute) {
-  return gradients("ssim_loss_backward", grad, input, other, nullptr, size, sigma, {c1, c2, eps, true}, border,
+                          double c1, double c2, double eps, int64_t padding, double structure, double absolute) {
+  return gradients("ssim_loss_backward", grad, input, other, nullptr, size, sigma, {c1, c2, eps, true}, padding,
                    SsimLoss<double>{structure, absolute, 0});
 }
 
 std::tuple<Tensor, Tensor> ssim_loss_backward_both(Tensor const& grad, Tensor const& input, Tensor const& other,
                                                    int64_t size, double sigma, double c1, double c2, double eps,
-                                                   std::string const& border, double structure, double absolute) {
+                                                   int64_t padding, double structure, double absolute) {
   Tensor grad_y = input;  // replaced
   Tensor const grad_x = gradients("ssim_loss_backward_both", grad, input, other, &grad_y, size, sigma,
-                                  {c1, c2, eps, true}, border, SsimLoss<double>{structure, absolute, 0});
+                                  {c1, c2, eps, true}, padding, SsimLoss<double>{structure, absolute, 0});
   return {grad_x, grad_y};
 }
 
 }  // namespace
 
 KV_OPERATOR(ssim,
-            "(Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, str border, "
+            "(Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, int padding, "
             "bool luminance) -> Tensor")
 KV_OPERATOR(ssim_backward,
             "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
-            "str border, bool luminance) -> Tensor")
+            "int padding, bool luminance) -> Tensor")
 KV_OPERATOR(ssim_backward_both,
             "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
-            "str border, bool luminance) -> (Tensor grad_input, Tensor grad_other)")
+            "int padding, bool luminance) -> (Tensor grad_input, Tensor grad_other)")
 
 KV_OPERATOR(ssim_loss,
-            "(Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, str border, "
+            "(Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, int padding, "
             "float structure, float absolute) -> Tensor")
 KV_OPERATOR(ssim_loss_backward,
             "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
-            "str border, float structure, float absolute) -> Tensor")
+            "int padding, float structure, float absolute) -> Tensor")
 KV_OPERATOR(ssim_loss_backward_both,
             "(Tensor grad, Tensor input, Tensor other, int size, float sigma, float c1, float c2, float eps, "
-            "str border, float structure, float absolute) -> (Tensor grad_input, Tensor grad_other)")
+            "int padding, float structure, float absolute) -> (Tensor grad_input, Tensor grad_other)")
 
 KV_OPERATOR(ms_ssim,
             "(Tensor input, Tensor other, float[] sigmas, int size, float c1, float c2, float structure, "

@@ -36,8 +36,8 @@ struct Work {
   int together;                                // planes that a block takes one after the other
   unsigned across, down;
   int columns, stride;  // of a tile: its pixels, and numbers from a row to the next one in shared memory
-  int scales, sizes[kMostSsimScales];
-  F weights[kMostSsimWeights + kSide];  // of all scales; as arguments of a kernel they are constants
+  int scales, sizes[kMaxSsimScales];
+  F weights[kMaxSsimWeights + kSide];  // of all scales; as arguments of a kernel they are constants
 
   __device__ __forceinline__ bool has_result(int y, int x) const {
     return y >= offset && y < height - offset && x >= offset && x < width - offset;
@@ -51,11 +51,11 @@ struct Work {
   }
   // What D of ssim.h multiplies a pixel with.
   __device__ __forceinline__ F ends(int y, int x, F factor) const {
-    F found = 1;
-    if (border != Border::reflect) return found;
-    if (y == 0 || y == height - 1) found *= factor;
-    if (x == 0 || x == width - 1) found *= factor;
-    return found;
+    F result = 1;
+    if (border != Border::reflect) return result;
+    if (y == 0 || y == height - 1) result *= factor;
+    if (x == 0 || x == width - 1) result *= factor;
+    return result;
   }
 };
 
@@ -83,7 +83,7 @@ struct Place {
   }
 };
 
-using Rows = Row[kMostSsimWeights + kSide];
+using Rows = Row[kMaxSsimWeights + kSide];
 
 // The rows that windows of the last scale have of a tile: of the images, or of the derivatives.
 template <class F>
@@ -135,7 +135,7 @@ __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, i
 
 // The similarity, its loss or the derivatives by the means.
 template <class T>
-__global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_constant__ Work<Compute<T>> const p) {
+__global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) uint8_t shared[];
   Double4<F>* const lines = reinterpret_cast<Double4<F>*>(shared);
@@ -145,7 +145,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
   list_rows(p, place, false, rows);
   int const threads = int(blockDim.x);
   bool const several = p.map || p.of_map;
-  F found[kSide] = {};
+  F result[kSide] = {};
 #pragma unroll 1
   for (int c = 0; c < p.together; ++c) {
     int64_t const plane = place.plane + c;
@@ -237,7 +237,7 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
       };
       sum_tile<1>(p, place, p.scales - 1, start - p.sizes[p.scales - 1], 0, rows, shared, difference, apart);
 #pragma unroll
-      for (int j = 0; j < kSide; ++j) found[j] += p.loss.structure * (1 - similar[j]) + p.loss.absolute * apart[0][j];
+      for (int j = 0; j < kSide; ++j) result[j] += p.loss.structure * (1 - similar[j]) + p.loss.absolute * apart[0][j];
       continue;
     }
     T* const to = p.result.data ? channel<T>(p.result, plane, place.y - p.offset) : nullptr;
@@ -248,10 +248,10 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
       if (to) {
         to[(x - p.offset) * p.result.step] = round_to<T>(1 - similar[j]);
       } else {
-        found[0] += p.loss.structure * similar[j];
+        result[0] += p.loss.structure * similar[j];
         if (p.loss.absolute != 0) {
           auto const [a, b] = pixels(x)(rows[place.y - place.y0 + p.sizes[0] / 2]).v;
-          found[0] += p.loss.absolute * ::fabs(a - b);
+          result[0] += p.loss.absolute * ::fabs(a - b);
         }
       }
     }
@@ -260,17 +260,17 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles(__grid_
     F* const to = p.map + (place.plane / p.together * p.height + place.y) * p.width + place.x;
 #pragma unroll
     for (int j = 0; j < kSide; ++j)
-      if (place.x + j < p.width) to[j] = found[j];
+      if (place.x + j < p.width) to[j] = result[j];
   }
   if (p.partial) {
-    F const sum = warp_sum(found[0]);
+    F const sum = warp_sum(result[0]);
     if (threadIdx.x % 32 == 0) p.partial[blockIdx.x * (threads / 32) + threadIdx.x / 32] = sum;
   }
 }
 
 // The gradients, from the derivatives.
 template <class F>
-__global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles_back(__grid_constant__ Work<F> const p) {
+__global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles_back(__grid_constant__ Work<F> const p) {
   extern __shared__ __align__(16) uint8_t shared[];
   Place const place(p);
   __shared__ Rows rows;
@@ -283,10 +283,10 @@ __global__ void __launch_bounds__(SsimTiles::kMostThreads, 2) ssim_tiles_back(__
     int64_t const first = p.plane_at(s, plane);
     auto const derivatives = [&](int column) {
       int64_t const from = first + column - p.offset;
-      Double4<F> const* const found = p.derivatives + from;
+      Double4<F> const* const result = p.derivatives + from;
       F const* const shares = p.shares + (p.shares ? from : 0);
       return [=, &p](Row const& row) {
-        Double4<F> of_pixel = found[row.x];
+        Double4<F> of_pixel = result[row.x];
         if (p.shares) {
           F const share = shares[row.x];
 #pragma unroll
@@ -425,8 +425,8 @@ int ssim_in_tiles(Ssim<T> const& p, CUstream_st* stream) {
   int const error = launch(ssim_tiles<T>, work, p.images.size, planes_of(work), 0, stream);
   if (error || p.similarity.data) return error;
   SsimTiles const tiles(p.images.x.height, p.images.x.width, p.images.size);
-  int64_t const rows = work.x.count() / p.loss.planes, pieces = p.loss.planes * tiles.pieces();
-  return add_up(p.partial, rows, pieces, p.sums, stream);
+  int64_t const rows = work.x.count() / p.loss.planes, chunks = p.loss.planes * tiles.chunks();
+  return sum_chunks(p.partial, rows, chunks, p.sums, stream);
 }
 
 template <class T>

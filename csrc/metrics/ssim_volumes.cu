@@ -31,7 +31,7 @@ struct Work {
   int64_t first;                 // volume of a launch
   unsigned across, down, parts;  // tiles of a volume
   int taps;
-  F weights[SsimVolumeTiles::kMostTaps + kSide];
+  F weights[SsimVolumeTiles::kMaxTaps + kSide];
 
   __device__ __forceinline__ bool has_result(int z, int y, int x) const {
     return z >= offset && z < depth - offset && y >= offset && y < height - offset && x >= offset && x < width - offset;
@@ -45,12 +45,12 @@ struct Work {
   }
   // What D of ssim.h multiplies a voxel with.
   __device__ __forceinline__ F ends(int z, int y, int x, F factor) const {
-    F found = 1;
-    if (border != Border::reflect) return found;
-    if (z == 0 || z == depth - 1) found *= factor;
-    if (y == 0 || y == height - 1) found *= factor;
-    if (x == 0 || x == width - 1) found *= factor;
-    return found;
+    F result = 1;
+    if (border != Border::reflect) return result;
+    if (z == 0 || z == depth - 1) result *= factor;
+    if (y == 0 || y == height - 1) result *= factor;
+    if (x == 0 || x == width - 1) result *= factor;
+    return result;
   }
 };
 
@@ -64,7 +64,7 @@ template <class T, bool Back>
 __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) uint8_t shared[];
-  __shared__ Row slices[SsimVolumeTiles::kMostTaps + kSide];
+  __shared__ Row slices[SsimVolumeTiles::kMaxTaps + kSide];
   Double4<F>* const sums = reinterpret_cast<Double4<F>*>(shared);  // (slices, rows, columns)
   int const taps = p.taps, R = taps / 2, rows = kSide + taps - 1, columns = kColumns + taps - 1, stride = columns + 1;
   auto const weight = [&](int t) { return p.weights[t]; };
@@ -96,10 +96,10 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
         Double4<F> const* const from = p.derivatives_at(volume, offset, y, x);
         auto const read_slice = [&](int i) {
           Row const slice = slices[i];
-          Double4<F> found = from[slice.x];
+          Double4<F> result = from[slice.x];
 #pragma unroll
-          for (int m = 0; m < 4; ++m) found.v[m] = slice.there ? found.v[m] : F(0);
-          return found;
+          for (int m = 0; m < 4; ++m) result.v[m] = slice.there ? result.v[m] : F(0);
+          return result;
         };
         sum_window<4>(taps, weight, read_slice, across);
       } else {
@@ -135,8 +135,8 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
   int const row = thread % kSide, slice = thread / kSide % kSide, column = thread / (kSide * kSide) * kSide;
   int const z = z0 + slice, y = y0 + row;
   Double4<F> const* const line = sums + (slice * rows + row) * stride + column;
-  F found[4][kSide] = {};
-  sum_window<4>(taps, weight, [&](int i) { return line[i]; }, found);
+  F result[4][kSide] = {};
+  sum_window<4>(taps, weight, [&](int i) { return line[i]; }, result);
   F of_losses = 0;
   if (z < p.depth && y < p.height) {
     int64_t const plane = volume * p.depth + z;
@@ -149,7 +149,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
       for (int j = 0; j < kSide; ++j) {
         int const x = x0 + column + j;
         if (x >= p.width) break;
-        F const sums[] = {found[0][j], found[1][j], found[2][j], found[3][j]};
+        F const sums[] = {result[0][j], result[1][j], result[2][j], result[3][j]};
         if constexpr (Back) {
           F const a = read(xs[x]), b = read(ys[x]), d = a - b, scale = p.ends(z, y, x, F(0.5));
           F const flat = p.loss.absolute * of_loss * (d > 0 ? F(1) : d < 0 ? F(-1) : d);
@@ -226,7 +226,7 @@ int ssim_of_volumes(Ssim<T> const& p, CUstream_st* stream) {
   int const error = launch<T, false>(work, volumes, stream);
   if (error || p.similarity.data) return error;
   SsimVolumeTiles const tiles(work.depth, work.height, work.width, work.taps, sizeof(F));
-  return add_up(p.partial, volumes / p.loss.planes, p.loss.planes * tiles.pieces(), p.sums, stream);
+  return sum_chunks(p.partial, volumes / p.loss.planes, p.loss.planes * tiles.chunks(), p.sums, stream);
 }
 
 template <class T>

@@ -25,7 +25,7 @@ inline Tensor histogram(Tensor const& x, Tensor const& bins, Parameter const& ba
   Tensor const values = detail::computed(detail::shaped("histogram", "x", x, 2, "(B, D)"), x);
   Tensor const width = bandwidth.tensor ? *bandwidth.tensor : at::full({1}, bandwidth.number, values.options());
   Tensor const counts =
-      ops::gaussian_counts(values, detail::computed(bins, x).unsqueeze(0), detail::computed(width, x).reshape({1}));
+      ops::histogram(values, detail::computed(bins, x).unsqueeze(0), detail::computed(width, x).reshape({1}));
   Tensor const density = counts / x.size(1);
   return (density / (density.sum(1, true) + epsilon)).to(detail::floats(x).scalar_type());
 }
@@ -36,7 +36,10 @@ inline Tensor image_histogram2d(Tensor const& image, double min = 0, double max 
                                 std::string const& kernel = "triangular") {
   Tensor const x =
       detail::computed(detail::images("image_histogram2d", "image", image), image).flatten(2).flatten(0, 1);
-  return ops::grid_counts(x, min, (max - min) / n_bins, n_bins, kernel).view({image.size(0), image.size(1), n_bins});
+  int64_t const number =
+      detail::index_of("image_histogram2d", "kernel", kernel, {"triangular", "epanechnikov", "uniform"});
+  return ops::image_histogram2d(x, min, (max - min) / n_bins, n_bins, number)
+      .view({image.size(0), image.size(1), n_bins});
 }
 
 namespace detail {
@@ -55,8 +58,8 @@ inline Tensor add_weighted(Tensor const& src1, Parameter const& alpha, Tensor co
                            Parameter const& gamma) {
   Tensor const x = detail::floats(detail::images("add_weighted", "src1", src1)), y = detail::floats(src2);
   detail::same_shape("add_weighted", "src2", y, x);
-  return ops::mix(x, y, detail::factors(alpha, x), detail::factors(beta, x), detail::factors(gamma, x), alpha.number,
-                  beta.number, gamma.number);
+  return ops::add_weighted(x, y, detail::factors(alpha, x), detail::factors(beta, x), detail::factors(gamma, x),
+                           alpha.number, beta.number, gamma.number);
 }
 
 inline Tensor sharpness(Tensor const& input, Parameter const& factor) {

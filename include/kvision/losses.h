@@ -133,7 +133,7 @@ inline Tensor ssim_loss(Tensor const& img1, Tensor const& img2, int64_t window_s
   int64_t const count = x.size(0) * x.size(1) * (x.size(2) - less) * (x.size(3) - less);
   Tensor const loss =
       ops::ssim_loss(x, y, window_size, 1.5, detail::ssim_constant(0.01, max_val), detail::ssim_constant(0.03, max_val),
-                     eps, detail::ssim_border(padding), 0.5 * detail::share(reduction, count), 0);
+                     eps, detail::ssim_padding(padding), 0.5 * detail::share(reduction, count), 0);
   return loss.sum().to(x.scalar_type());
 }
 
@@ -161,21 +161,21 @@ inline Tensor psnr_loss(Tensor const& image, Tensor const& target, double max_va
 }
 
 inline Tensor charbonnier_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
-  return detail::pointwise("charbonnier_loss", "charbonnier", img1, img2, reduction);
+  return detail::pointwise("charbonnier_loss", detail::charbonnier, img1, img2, reduction);
 }
 inline Tensor welsch_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
-  return detail::pointwise("welsch_loss", "welsch", img1, img2, reduction);
+  return detail::pointwise("welsch_loss", detail::welsch, img1, img2, reduction);
 }
 inline Tensor cauchy_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
-  return detail::pointwise("cauchy_loss", "cauchy", img1, img2, reduction);
+  return detail::pointwise("cauchy_loss", detail::cauchy, img1, img2, reduction);
 }
 inline Tensor geman_mcclure_loss(Tensor const& img1, Tensor const& img2, Reduction reduction = Reduction::none) {
-  return detail::pointwise("geman_mcclure_loss", "geman_mcclure", img1, img2, reduction);
+  return detail::pointwise("geman_mcclure_loss", detail::geman_mcclure, img1, img2, reduction);
 }
 
 namespace detail {
 
-inline Tensor divergence(char const* op, std::string const& kind, Tensor const& pred, Tensor const& target,
+inline Tensor divergence(char const* op, PointLoss kind, Tensor const& pred, Tensor const& target,
                          Reduction reduction) {
   same_shape(op, "target", target, images(op, "pred", pred));
   auto const rows = [&](Tensor const& x) { return x.to(pred.scalar_type()).flatten(2).flatten(0, 1); };
@@ -187,10 +187,10 @@ inline Tensor divergence(char const* op, std::string const& kind, Tensor const& 
 
 // Of maps (B, C, H, W), each of which adds up to 1.
 inline Tensor kl_div_loss_2d(Tensor const& pred, Tensor const& target, Reduction reduction = Reduction::mean) {
-  return detail::divergence("kl_div_loss_2d", "kl", pred, target, reduction);
+  return detail::divergence("kl_div_loss_2d", detail::kl, pred, target, reduction);
 }
 inline Tensor js_div_loss_2d(Tensor const& pred, Tensor const& target, Reduction reduction = Reduction::mean) {
-  return detail::divergence("js_div_loss_2d", "js", pred, target, reduction);
+  return detail::divergence("js_div_loss_2d", detail::js, pred, target, reduction);
 }
 
 // (B, C): the absolute differences of adjacent pixels, summed or for `mean` averaged along each axis.
@@ -236,7 +236,7 @@ inline Tensor mutual_information(char const* op, int64_t axes, Tensor const& inp
   auto const mask = [](std::optional<Tensor> const& x) {
     return x ? std::optional(x->to(at::kBool).reshape({1, -1})) : std::nullopt;
   };
-  std::string const kernel = choice({"xu", "rectangular", "truncated_gaussian"}, int(options.kernel_function()));
+  int64_t const kernel = int64_t(options.kernel_function());
   Tensor const loss = std::get<0>(ops::mutual_information(rows(input), rows(target), mask(options.input_mask()),
                                                           mask(options.target_mask()), kernel, options.num_bins(),
                                                           options.window_radius(), normalized));

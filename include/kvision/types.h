@@ -53,6 +53,13 @@ template <size_t N>
 std::string choice(char const* const (&names)[N], int i) {
   return names[i];
 }
+// The index of a name, which is its number in operators.
+template <size_t N>
+int64_t index_of(char const* op, char const* argument, std::string const& name, char const* const (&names)[N]) {
+  for (size_t i = 0; i < N; ++i)
+    if (name == names[i]) return int64_t(i);
+  TORCH_CHECK_VALUE(false, op, ": there is no ", argument, " '", name, "'");
+}
 inline std::string name(BorderType x) { return choice({"constant", "reflect", "replicate", "circular"}, int(x)); }
 inline std::string name(Interpolation x) {
   return choice({"nearest", "nearest-exact", "area", "bilinear", "bicubic", "lanczos"}, int(x));

@@ -159,7 +159,7 @@ void gradients() {
 
   expect_no_gradient("real_roots", kvision::ops::real_roots(torch::tensor({{1.f, -3.f, 2.f}}).requires_grad_()));
   Tensor const boxes = torch::tensor({{0.f, 0.f, 2.f, 2.f}}).requires_grad_();
-  expect_no_gradient("box_overlaps", kvision::mean_iou_bbox(boxes, boxes));
+  expect_no_gradient("box_iou", kvision::mean_iou_bbox(boxes, boxes));
   Tensor const points = torch::rand({2, 3, 2}).requires_grad_();
   expect_no_gradient("minimal_solver", kvision::ops::minimal_solver(points, points, {}, "affine"));
   Tensor const heights = torch::rand({1, 3, 3}).requires_grad_(), element = torch::ones({3, 3});

@@ -153,7 +153,7 @@ class TestMix(OpTests):
     """Weights are numbers, or tensors in front of which there is the batch."""
 
     function = staticmethod(lambda input, src2, **weights: E.add_weighted(input, src2=src2, **weights))
-    operators = ("mix", "color_program")
+    operators = ("add_weighted", "color_program")
     mixed = ("input", "p0")  # of color_program, as always
     other = staticmethod(lambda x: x.flip(-1))
     variants = [

@@ -106,7 +106,7 @@ def test_memory_grows_with_the_pixels_alone(call):
 
 # --- kernels --------------------------------------------------------------------------------------------------------
 
-OPERATORS = ("gaussian_counts", "gaussian_counts_backward", "grid_counts", "grid_counts_backward")
+OPERATORS = ("histogram", "histogram_backward", "image_histogram2d", "image_histogram2d_backward")
 CENTERS = {
     "even": torch.linspace(-1, 2, 50),
     "uneven": torch.linspace(0, 1.4, 50) ** 2 - 0.5,
@@ -269,7 +269,7 @@ def test_bins_against_the_reference(samples, kernel, bins, device):
 
 class TestHistogramOperators(PointOpTests):
     calls = {
-        "gaussian_counts": [
+        "histogram": [
             Call(
                 (vector(40), torch.linspace(0, 1, 5)[None], torch.tensor([0.2])),
                 tolerance=50,
@@ -277,10 +277,10 @@ class TestHistogramOperators(PointOpTests):
                 accepted=(" cut along ",),
             )
         ],
-        "grid_counts": [
+        "image_histogram2d": [
             Call(
                 (vector(40),),
-                (0.0, 0.25, 5, "triangular"),
+                (0.0, 0.25, 5, 0),
                 tolerance=50,
                 dtypes=SINGLE_AND_DOUBLE,
                 accepted=("cut along", "bins 32768"),

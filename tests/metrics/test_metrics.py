@@ -106,30 +106,30 @@ def test_operators_of_labels_and_boxes(device, backend):
         pytest.skip("this test is about the kernels")
     pred, target = torch.randint(0, 4, (2, 2, 9), device=device)
     utils = torch.library._OPCHECK_DEFAULT_UTILS
-    for wanted in ("overlaps", "rates", "counts"):
-        torch.library.opcheck(torch.ops.kvision.confusion.default, (pred, target, 3, wanted, 1e-6), test_utils=utils)
+    for statistic in range(3):
+        torch.library.opcheck(
+            torch.ops.kvision.confusion_matrix.default, (pred, target, 3, statistic, 1e-6), test_utils=utils
+        )
         utils = ("test_schema", "test_faketensor")
     boxes, others = (torch.rand(2, n, 4, device=device).cumsum(2).requires_grad_() for n in (3, 5))
-    torch.library.opcheck(torch.ops.kvision.box_overlaps.default, (boxes, others, "xywh"))
+    torch.library.opcheck(torch.ops.kvision.box_iou.default, (boxes, others, 1))
     for wrong in (
-        lambda: torch.ops.kvision.confusion(pred, target[:1], 3, "counts", 0.0),
-        lambda: torch.ops.kvision.confusion(pred.int(), target.int(), 3, "counts", 0.0),
-        lambda: torch.ops.kvision.confusion(pred, target, 0, "counts", 0.0),
-        lambda: torch.ops.kvision.confusion(pred, target, 3, "sums", 0.0),
-        lambda: torch.ops.kvision.box_overlaps(boxes[:, :, :3], others, "xywh"),
-        lambda: torch.ops.kvision.box_overlaps(boxes, others.double(), "xywh"),
-        lambda: torch.ops.kvision.box_overlaps(boxes, others, "xyyx"),
+        lambda: torch.ops.kvision.confusion_matrix(pred, target[:1], 3, 0, 0.0),
+        lambda: torch.ops.kvision.confusion_matrix(pred.int(), target.int(), 3, 0, 0.0),
+        lambda: torch.ops.kvision.confusion_matrix(pred, target, 0, 0, 0.0),
+        lambda: torch.ops.kvision.confusion_matrix(pred, target, 3, 3, 0.0),
+        lambda: torch.ops.kvision.box_iou(boxes[:, :, :3], others, 1),
+        lambda: torch.ops.kvision.box_iou(boxes, others.double(), 1),
+        lambda: torch.ops.kvision.box_iou(boxes, others, 3),
     ):
-        with pytest.raises(RuntimeError, match="confusion: |box_overlaps: "):
+        with pytest.raises(RuntimeError, match="confusion_matrix: |box_iou: "):
             wrong()
 
 
 class TestCompositions(CompositionTests):
     cases = {
         "mean_iou_bbox": Case(lambda a, b: M.mean_iou_bbox(a.cumsum(1), b, "xywh"), ((3, 4), (5, 4)), shared=(1,)),
-        "box_overlaps": Case(
-            lambda a, b: _ops.operators["box_overlaps"](a.cumsum(2), b.cumsum(2), "xyxy"), ((2, 3, 4), (2, 4, 4))
-        ),
+        "box_iou": Case(lambda a, b: _ops.operators["box_iou"](a.cumsum(2), b.cumsum(2), 0), ((2, 3, 4), (2, 4, 4))),
         "mean_iou": Case(lambda a: M.mean_iou((4 * a).long(), (3 * a).long(), 3), ((2, 3, 5),), differentiable=False),
     }
 

@@ -28,15 +28,15 @@ inline constexpr Operator<"equalize_clahe",
 
 inline constexpr Operator<"normalize_min_max", Two(Tensor input, double low, double high, double eps)>
     normalize_min_max{from<"normalize_min_max_backward", 1>};
-inline constexpr Operator<"gaussian_counts", Tensor(Tensor x, Tensor centers, Tensor bandwidth)> gaussian_counts{
-    from<"gaussian_counts_backward">};
-inline constexpr Operator<"grid_counts", Tensor(Tensor x, double low, double width, int64_t bins, String kernel)>
-    grid_counts{from<"grid_counts_backward">};
+inline constexpr Operator<"histogram", Tensor(Tensor x, Tensor centers, Tensor bandwidth)> histogram{
+    from<"histogram_backward">};
+inline constexpr Operator<"image_histogram2d", Tensor(Tensor x, double low, double width, int64_t bins, int64_t kernel)>
+    image_histogram2d{from<"image_histogram2d_backward">};
 
 // alpha input + beta other + gamma, by weights (B, C, 1) or by the numbers a, b and c in their places.
-inline constexpr Operator<"mix", Tensor(Tensor input, Tensor other, OptionalTensor alpha, OptionalTensor beta,
-                                        OptionalTensor gamma, double a, double b, double c)>
-    mix{[](Backward const& b) -> variable_list {
+inline constexpr Operator<"add_weighted", Tensor(Tensor input, Tensor other, OptionalTensor alpha, OptionalTensor beta,
+                                                 OptionalTensor gamma, double a, double b, double c)>
+    add_weighted{[](Backward const& b) -> variable_list {
       Tensor const &g = b.grad(), x = b.tensor(0), y = b.tensor(1);
       auto const scaled = [&](size_t weights, size_t number) {
         Tensor const w = b.tensor(weights);

@@ -24,7 +24,7 @@ inline constexpr Operator<"smoothness", Tensor(Tensor depth, Tensor image, doubl
     from_each<"smoothness_backward", "of_image">};
 inline constexpr Operator<"mutual_information",
                           Three(Tensor input, Tensor other, OptionalTensor input_mask, OptionalTensor other_mask,
-                                String kernel, int64_t bins, double radius, bool normalized)>
+                                int64_t kernel, int64_t bins, double radius, bool normalized)>
     mutual_information{from_each<"mutual_information_backward", "by_other", 2>};
 
 }  // namespace kvision::ops

@@ -17,19 +17,20 @@ inline constexpr Rule first_or_both{[](Backward const& b) { return b.call(b.need
 }  // namespace detail
 
 inline constexpr Operator<"ssim", Tensor(Tensor input, Tensor other, int64_t size, double sigma, double c1, double c2,
-                                         double eps, String border, bool luminance)>
+                                         double eps, int64_t padding, bool luminance)>
     ssim{detail::first_or_both<"ssim_backward", "ssim_backward_both">};
-inline constexpr Operator<"ssim_loss", Tensor(Tensor input, Tensor other, int64_t size, double sigma, double c1,
-                                              double c2, double eps, String border, double structure, double absolute)>
+inline constexpr Operator<"ssim_loss",
+                          Tensor(Tensor input, Tensor other, int64_t size, double sigma, double c1, double c2,
+                                 double eps, int64_t padding, double structure, double absolute)>
     ssim_loss{detail::first_or_both<"ssim_loss_backward", "ssim_loss_backward_both">};
 inline constexpr Operator<"ms_ssim", Tensor(Tensor input, Tensor other, Floats sigmas, int64_t size, double c1,
                                             double c2, double structure, double absolute)>
     ms_ssim{detail::first_or_both<"ms_ssim_backward", "ms_ssim_backward_both">};
 
-inline constexpr Operator<"pointwise_loss", Tensor(Tensor input, Tensor other, String kind)> pointwise_loss{
+inline constexpr Operator<"pointwise_loss", Tensor(Tensor input, Tensor other, int64_t kind)> pointwise_loss{
     from_each<"pointwise_loss_backward", "by_other">};
 inline constexpr Operator<"pointwise_sum",
-                          Tensor(Tensor input, Tensor other, String kind, double factor, double decibels)>
+                          Tensor(Tensor input, Tensor other, int64_t kind, double factor, double decibels)>
     pointwise_sum{from_each<"pointwise_sum_backward", "by_other", 1>};
 inline constexpr Operator<"endpoint_error",
                           Tensor(Tensor input, Tensor target, bool planar, bool summed, double factor)>
@@ -37,8 +38,9 @@ inline constexpr Operator<"endpoint_error",
       Tensor const to_input = b.call("endpoint_error_backward")[0];
       return {to_input, -to_input};
     }};
-inline constexpr Operator<"confusion", Tensor(Tensor pred, Tensor target, int64_t classes, String wanted, double eps)>
-    confusion{non_differentiable};
-inline constexpr Operator<"box_overlaps", Tensor(Tensor boxes, Tensor others, String format)> box_overlaps;
+inline constexpr Operator<"confusion_matrix",
+                          Tensor(Tensor pred, Tensor target, int64_t classes, int64_t statistic, double eps)>
+    confusion_matrix{non_differentiable};
+inline constexpr Operator<"box_iou", Tensor(Tensor boxes, Tensor others, int64_t format)> box_iou;
 
 }  // namespace kvision::ops

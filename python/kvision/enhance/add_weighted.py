@@ -46,7 +46,7 @@ def _backward(needs, grad, x, y, alpha, beta, gamma, a, b, c):
     ]
 
 
-_mix = register("mix", _reference, backward=_backward)
+_add_weighted = register("add_weighted", _reference, backward=_backward)
 _composed = with_kernel_casts(_mixed)  # weights of single pixels, images of two types or without pixels
 
 
@@ -92,7 +92,7 @@ def add_weighted(
         return _composed(x, y, *weights)
     tensors = [w.to(compute_dtype(x)) if isinstance(w, Tensor) else None for w in rows]
     numbers = [0.0 if isinstance(w, Tensor) else w for w in rows]
-    return shaped(_mix(as_batch(x), as_batch(y), *tensors, *numbers), x)
+    return shaped(_add_weighted(as_batch(x), as_batch(y), *tensors, *numbers), x)
 
 
 def _weight(name: str, weight: float | Tensor, x: Tensor) -> float | Tensor:

@@ -66,7 +66,7 @@ def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) ->
     """(N, P) values and (K,) centers to (N, K): the sums of the kernel at (x - center) / bandwidth."""
     centers, bandwidth = centers[None], bandwidth.reshape(1)
     if kernel == "gaussian":
-        return _gaussian_counts(x, centers, bandwidth)
+        return _histogram(x, centers, bandwidth)
     return _counts_in_pieces(_KERNELS[kernel], x, centers, bandwidth)
 
 
@@ -85,21 +85,21 @@ def _reference(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
     return _counts_in_pieces(_KERNELS["gaussian"], x, centers, bandwidth)
 
 
-_gaussian_counts_backward = register("gaussian_counts_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
+_histogram_backward = register("histogram_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
 
 
 def _backward(needs, grad, x, centers, bandwidth):
     """Centers and bandwidth are few, and seldom learned: theirs is the reference's."""
     found = [None] * 3
     if any(needs[1:]):
-        found = _gaussian_counts.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
+        found = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
     if needs[0]:
-        found[0] = _gaussian_counts_backward(grad, x, centers, bandwidth)
+        found[0] = _histogram_backward(grad, x, centers, bandwidth)
     return found
 
 
-_gaussian_counts = register(
-    "gaussian_counts", _reference, fake=lambda x, centers, _: (x.shape[0], centers.shape[1]), backward=_backward
+_histogram = register(
+    "histogram", _reference, fake=lambda x, centers, _: (x.shape[0], centers.shape[1]), backward=_backward
 )
 
 
@@ -119,9 +119,12 @@ def _total(parts: Sequence[Tensor]) -> Tensor:
     return functools.reduce(torch.add, parts)
 
 
-def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: str) -> Tensor:
+_GRID_KERNELS = ("triangular", "epanechnikov", "uniform")  # by the numbers of HistogramKernel in csrc
+
+
+def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: int) -> Tensor:
     """kernel_counts of (N, P) at centers one bandwidth apart, by a kernel that ends there: three bins a value at most."""
-    shape = _KERNELS[kernel]
+    shape = _KERNELS[_GRID_KERNELS[kernel]]
     near = ((x.detach() - low) / width - 0.5).round()
     counts = torch.zeros_like(x[:, :1]).expand(-1, bins)
     for offset in (-1, 0, 1):
@@ -133,12 +136,14 @@ def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: str)
     return counts
 
 
-_grid_counts_backward = register("grid_counts_backward", vjp(_reference_grid), fake=lambda grad, x, *_: x.shape)
-_grid_counts = register(
-    "grid_counts",
+_image_histogram2d_backward = register(
+    "image_histogram2d_backward", vjp(_reference_grid), fake=lambda grad, x, *_: x.shape
+)
+_image_histogram2d = register(
+    "image_histogram2d",
     _reference_grid,
     fake=lambda x, low, width, bins, kernel: (x.shape[0], bins),
-    backward=lambda needs, grad, *args: [_grid_counts_backward(grad, *args)],
+    backward=lambda needs, grad, *args: [_image_histogram2d_backward(grad, *args)],
 )
 
 
@@ -291,7 +296,7 @@ def image_histogram2d(
         middles = low + width * (torch.arange(n_bins, device=x.device, dtype=dtype) + 0.5)
         counts = kernel_counts(x, middles, x.new_full((), width), kernel)
     else:
-        counts = _grid_counts(x, low, width, n_bins, kernel)
+        counts = _image_histogram2d(x, low, width, n_bins, _GRID_KERNELS.index(kernel))
     counts = counts.reshape(*image.shape[:-2], counts.shape[1])
     if not return_pdf:
         return counts, torch.zeros_like(counts)

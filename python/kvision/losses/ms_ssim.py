@@ -14,7 +14,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 from kvision.filters.kernels import gaussian
 from kvision.filters.separable import filter_separably
 from kvision.losses.reduction import reduced
-from kvision.metrics.ssim import _backward, _both_gradients, _like
+from kvision.metrics.ssim import CONSTANT, _backward, _both_gradients, _like
 from kvision.metrics.ssim import _reference as similarity
 
 # What the kernels have memory for; csrc/metrics/ssim.h.
@@ -27,9 +27,9 @@ def _reference(
     """(B, H, W): the mean over the channels of 1 - similarity and of abs(x - y) in a window, each times its weight."""
     dtype = compute_dtype(x)
     x, y = x.to(dtype), y.to(dtype)
-    similar = similarity(x, y, size, sigmas[-1], c1, c2, 0.0, "constant", True)
+    similar = similarity(x, y, size, sigmas[-1], c1, c2, 0.0, CONSTANT, True)
     for sigma in sigmas[:-1]:
-        similar = similar * similarity(x, y, size, sigma, c1, c2, 0.0, "constant", False)
+        similar = similar * similarity(x, y, size, sigma, c1, c2, 0.0, CONSTANT, False)
     kernel = gaussian(size, sigmas[-1], device=x.device, dtype=dtype)
     difference = filter_separably((x - y).abs(), kernel, kernel, "constant", True)
     return (structure * (1 - similar) + absolute * difference).mean(1)

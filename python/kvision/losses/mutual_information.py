@@ -29,11 +29,14 @@ class MIKernel(Enum):
     truncated_gaussian = "truncated_gaussian"
 
 
-def _weights(kernel: str, x: Tensor, radius: float) -> Tensor:
+_KERNELS = (MIKernel.xu, MIKernel.rectangular, MIKernel.truncated_gaussian)  # by the numbers of BinKernel in csrc
+
+
+def _weights(kernel: int, x: Tensor, radius: float) -> Tensor:
     """Of distances x in radii."""
-    if kernel == "rectangular":
+    if _KERNELS[kernel] == MIKernel.rectangular:
         return (x <= 1).to(x.dtype)
-    if kernel == "truncated_gaussian":
+    if _KERNELS[kernel] == MIKernel.truncated_gaussian:
         inside = torch.exp(-x.square() / 2) / (radius * math.sqrt(2 * math.pi))
     else:  # two parabolas, with value 1 and 0 at the ends and equal values and slopes in the middle
         inside = torch.where(x < 0.5, (-1.8 * x - 0.1) * x + 1, (1.8 * x - 3.7) * x + 1.9)
@@ -41,7 +44,7 @@ def _weights(kernel: str, x: Tensor, radius: float) -> Tensor:
 
 
 def _bins(
-    signal: Tensor, mask: Tensor | None, kernel: str, count: int, radius: float
+    signal: Tensor, mask: Tensor | None, kernel: int, count: int, radius: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """(B, count, N): what every sample of signals (B, N) adds to every bin; the bins divide the range inside of the mask.
     And the range, and whether it is one."""
@@ -61,7 +64,7 @@ def _reference(
     y: Tensor,
     x_mask: Tensor | None,
     y_mask: Tensor | None,
-    kernel: str,
+    kernel: int,
     bins: int,
     radius: float,
     normalized: bool,
@@ -90,7 +93,7 @@ def _reference(
     return loss[:, 0, 0], slopes.detach(), torch.cat(ranges, 1).detach()
 
 
-def _fake(x: Tensor, y: Tensor, x_mask: Any, y_mask: Any, kernel: str, bins: int, *_: Any) -> list[Any]:
+def _fake(x: Tensor, y: Tensor, x_mask: Any, y_mask: Any, kernel: int, bins: int, *_: Any) -> list[Any]:
     return [(x.shape[0],), (x.shape[0], bins, bins), (x.shape[0], 4)]
 
 
@@ -217,7 +220,7 @@ def _losses(
     dtype = torch.promote_types(compute_dtype(x), compute_dtype(y))
     samples = (s.to(dtype).reshape(-1, s.shape[-1]) for s in (x, y))
     masks = (None if mask is None else mask[None] for mask in (x_mask, y_mask))
-    return _information(*samples, *masks, kernel.value, bins, radius, normalized)[0].reshape(x.shape[:-1])
+    return _information(*samples, *masks, _KERNELS.index(kernel), bins, radius, normalized)[0].reshape(x.shape[:-1])
 
 
 def mutual_information_loss(

@@ -10,7 +10,7 @@ from kvision import _check
 from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import with_kernel_casts
-from kvision.metrics.ssim import checked, checked_volumes, dissimilarity, ssim3d_map, ssim_map
+from kvision.metrics.ssim import VALID, checked, checked_volumes, dissimilarity, ssim3d_map, ssim_map
 
 
 @with_kernel_casts
@@ -59,7 +59,7 @@ def ssim_loss(
 
 
 def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, float, str], reduction: str) -> Tensor:
-    less = size - 1 if arguments[-1] == "valid" else 0
+    less = size - 1 if arguments[-1] == VALID else 0
     count = x.shape[0] * x.shape[1]
     for n in x.shape[2:]:
         count *= n - less

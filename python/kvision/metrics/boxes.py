@@ -12,6 +12,8 @@ from kvision._dtype import floats
 from kvision._ops import register
 from kvision.core.exceptions import ValueCheckError
 
+BOX_FORMATS = ("xyxy", "xywh", "cxcywh")  # by the numbers of BoxFormat in csrc/metrics/boxes.h
+
 
 def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") -> Tensor:
     """Compute the intersection over union of every box of one set with every box of another.
@@ -38,35 +40,35 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
     _check.shape("mean_iou_bbox", "boxes_1", boxes_1, "N", 4)
     _check.shape("mean_iou_bbox", "boxes_2", boxes_2, "M", 4)
     _check.same_device("mean_iou_bbox", boxes_1=boxes_1, boxes_2=boxes_2)
-    _check.choice("mean_iou_bbox", "box_format", box_format, ("xyxy", "xywh", "cxcywh"))
+    _check.choice("mean_iou_bbox", "box_format", box_format, BOX_FORMATS)
     a, b = floats(boxes_1), floats(boxes_2)
     dtype = torch.promote_types(a.dtype, b.dtype)
-    return _box_overlaps(a.to(dtype)[None], b.to(dtype)[None], box_format)[0]
+    return _box_iou(a.to(dtype)[None], b.to(dtype)[None], BOX_FORMATS.index(box_format))[0]
 
 
-def _reference(a: Tensor, b: Tensor, box_format: str) -> Tensor:
+def _reference(a: Tensor, b: Tensor, box_format: int) -> Tensor:
     """(B, N, M) of boxes (B, N, 4) and (B, M, 4)."""
     (low_a, high_a), (low_b, high_b) = _corners(a[:, :, None], box_format), _corners(b[:, None], box_format)
     both = _area(torch.minimum(high_a, high_b) - torch.maximum(low_a, low_b), 0)
     return both / (_area(high_a - low_a) + _area(high_b - low_b) - both)
 
 
-def _corners(boxes: Tensor, box_format: str) -> tuple[Tensor, Tensor]:
+def _corners(boxes: Tensor, box_format: int) -> tuple[Tensor, Tensor]:
     first, second = boxes.split(2, -1)
-    if box_format == "xywh":
+    if BOX_FORMATS[box_format] == "xywh":
         return first, first + second
-    return (first - second / 2, first + second / 2) if box_format == "cxcywh" else (first, second)
+    return (first - second / 2, first + second / 2) if BOX_FORMATS[box_format] == "cxcywh" else (first, second)
 
 
 def _area(size: Tensor, otherwise: float = torch.nan) -> Tensor:
     return torch.where((size > 0).all(-1), size.prod(-1), otherwise)
 
 
-def _fake(a: Tensor, b: Tensor, box_format: str) -> tuple[int, int, int]:
+def _fake(a: Tensor, b: Tensor, box_format: int) -> tuple[int, int, int]:
     return max(a.shape[0], b.shape[0]), a.shape[1], b.shape[1]
 
 
-_box_overlaps = register("box_overlaps", _reference, fake=_fake)
+_box_iou = register("box_iou", _reference, fake=_fake)
 
 
 def mean_average_precision(

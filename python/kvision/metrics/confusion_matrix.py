@@ -9,29 +9,33 @@ from kvision import _check
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
+COUNTS, RATES, IOU = range(3)  # the enum ConfusionStatistic of csrc/metrics/confusion_matrix.h
 
-def _reference(pred: Tensor, target: Tensor, classes: int, wanted: str, eps: float) -> Tensor:
-    """Of labels (B, N): "counts" (B, classes, classes), "rates" of a row, or the "overlaps" (B, classes)."""
+
+def _reference(pred: Tensor, target: Tensor, classes: int, statistic: int, eps: float) -> Tensor:
+    """Of labels (B, N): COUNTS (B, classes, classes), RATES of a row, or the IOU (B, classes)."""
     m = classes + 2  # labels below and above the others are counted, too, and thrown away
     pred, target = pred.long().clamp(-1, classes), target.long().clamp(-1, classes)
     cells = torch.add(pred, target, alpha=m) + (m + 1)
     all_counts = torch.zeros(pred.shape[0], m * m, dtype=torch.int64, device=pred.device)
     all_counts = all_counts.scatter_add(1, cells, torch.ones_like(cells))
     counts = all_counts.view(-1, m, m)[:, 1:-1, 1:-1].float()
-    if wanted == "rates":
+    if statistic == RATES:
         return counts / (counts.sum(2, keepdim=True) + eps)
-    if wanted == "counts":
+    if statistic == COUNTS:
         return counts.contiguous()
     both = counts.diagonal(dim1=1, dim2=2)
     return (both + eps) / (counts.sum(1) + counts.sum(2) - both + eps)
 
 
-def _fake(pred: Tensor, target: Tensor, classes: int, wanted: str, eps: float) -> Tensor:
-    sizes = (classes,) if wanted == "overlaps" else (classes, classes)
+def _fake(pred: Tensor, target: Tensor, classes: int, statistic: int, eps: float) -> Tensor:
+    sizes = (classes,) if statistic == IOU else (classes, classes)
     return pred.new_empty(pred.shape[0], *sizes, dtype=torch.float32)
 
 
-_confusion = register("confusion", _reference, fake=_fake, non_differentiable=(0,), labels=True, casts_outputs=True)
+_confusion = register(
+    "confusion_matrix", _reference, fake=_fake, non_differentiable=(0,), labels=True, casts_outputs=True
+)
 
 
 def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized: bool = False) -> Tensor:
@@ -60,7 +64,7 @@ def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized:
                  [0., 1.]]])
     """
     pred, target, n = _labels("confusion_matrix", pred, target, num_classes)
-    return _confusion(pred, target, n, "rates" if normalized else "counts", 1e-6)
+    return _confusion(pred, target, n, RATES if normalized else COUNTS, 1e-6)
 
 
 def mean_iou(pred: Tensor, target: Tensor, num_classes: int, eps: float = 1e-6) -> Tensor:
@@ -84,7 +88,7 @@ def mean_iou(pred: Tensor, target: Tensor, num_classes: int, eps: float = 1e-6) 
         tensor([[0.5000, 0.5000]])
     """
     pred, target, n = _labels("mean_iou", pred, target, num_classes)
-    return _confusion(pred, target, n, "overlaps", _check.number("mean_iou", "eps", eps, minimum=0))
+    return _confusion(pred, target, n, IOU, _check.number("mean_iou", "eps", eps, minimum=0))
 
 
 def _labels(op: str, pred: Tensor, target: Tensor, num_classes: int) -> tuple[Tensor, Tensor, int]:

@@ -60,13 +60,16 @@ _LOSSES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "js": _js,
 }
 
+# By the numbers of PointLoss in csrc/metrics/pointwise.h.
+_KINDS, _FUNCTIONS = tuple(_LOSSES), tuple(_LOSSES.values())
 
-def _map_reference(x: Tensor, y: Tensor, kind: str) -> Tensor:
-    return _LOSSES[kind](x, y)
+
+def _map_reference(x: Tensor, y: Tensor, kind: int) -> Tensor:
+    return _FUNCTIONS[kind](x, y)
 
 
-def _map_slope(grad: Tensor, x: Tensor, y: Tensor, kind: str, by_other: bool) -> Tensor:
-    vjp_fn = torch.func.vjp(_LOSSES[kind], x.expand_as(grad), y.expand_as(grad))[1]
+def _map_slope(grad: Tensor, x: Tensor, y: Tensor, kind: int, by_other: bool) -> Tensor:
+    vjp_fn = torch.func.vjp(_FUNCTIONS[kind], x.expand_as(grad), y.expand_as(grad))[1]
     return vjp_fn(grad)[by_other]
 
 
@@ -83,9 +86,9 @@ def _of_one_row(grads: list[Tensor | None], y: Tensor) -> list[Tensor | None]:
     return grads
 
 
-def _sum_reference(x: Tensor, y: Tensor, kind: str, factor: float, decibels: float) -> Tensor:
+def _sum_reference(x: Tensor, y: Tensor, kind: int, factor: float, decibels: float) -> Tensor:
     dtype = compute_dtype(x)
-    total = factor * _LOSSES[kind](x.to(dtype), y.to(dtype)).sum(1)
+    total = factor * _FUNCTIONS[kind](x.to(dtype), y.to(dtype)).sum(1)
     if decibels == 0:
         return total
     nothing = total == 0
@@ -93,7 +96,7 @@ def _sum_reference(x: Tensor, y: Tensor, kind: str, factor: float, decibels: flo
 
 
 def _sum_slope(
-    grad: Tensor, sums: Tensor, x: Tensor, y: Tensor, kind: str, factor: float, decibels: float, by_other: bool
+    grad: Tensor, sums: Tensor, x: Tensor, y: Tensor, kind: int, factor: float, decibels: float, by_other: bool
 ) -> Tensor:
     rows = grad.shape[0]
     x, y = x.expand(rows, -1), y.expand(rows, -1)
@@ -137,18 +140,18 @@ def pointwise(kind: str, x: Tensor, y: Tensor, reduction: str) -> Tensor:
     y = as_dtype(y, x.dtype)
     if x.dim() == 4 and x.shape[1] > 1 and x.stride(1) == 1:  # channels-last: in the order of the memory
         return pointwise(kind, x.movedim(1, -1), y.movedim(1, -1), reduction).movedim(-1, 1)
-    return _loss(_rows(x), _rows(y), kind).reshape(x.shape)
+    return _loss(_rows(x), _rows(y), _KINDS.index(kind)).reshape(x.shape)
 
 
 def total(kind: str, x: Tensor, y: Tensor, factor: float, decibels: float = 0.0) -> Tensor:
     """`factor` times the sum of the loss `kind`, or decibels of it, of tensors of one shape, in the type of x."""
     dtype = x.dtype
     y = as_dtype(y, dtype)
-    return as_dtype(_sum(x.reshape(1, -1), y.reshape(1, -1), kind, factor, decibels)[0], dtype)
+    return as_dtype(_sum(x.reshape(1, -1), y.reshape(1, -1), _KINDS.index(kind), factor, decibels)[0], dtype)
 
 
 def sum_of_maps(kind: str, x: Tensor, y: Tensor) -> Tensor:
     """(B, N): the loss `kind` of maps (B, N, H, W), summed over their pixels."""
     rows = x.shape[0] * x.shape[1]
     flat = (z.reshape(rows, x.shape[2] * x.shape[3]) for z in (x, as_dtype(y, x.dtype)))
-    return _sum(*flat, kind, 1.0, 0.0).view(x.shape[:2])
+    return _sum(*flat, _KINDS.index(kind), 1.0, 0.0).view(x.shape[:2])

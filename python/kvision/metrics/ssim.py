@@ -27,6 +27,8 @@ from kvision.filters.separable import filter_separably
 
 SIGMA = 1.5  # of the window, in pixels
 
+REFLECT, CONSTANT, VALID = range(3)  # the enum SsimPadding of csrc/metrics/ssim.h
+
 
 def _similarity(
     mean: Callable[[Tensor], Tensor], x: Tensor, y: Tensor, c1: float, c2: float, eps: float, luminance: bool
@@ -42,11 +44,11 @@ def _similarity(
 
 
 def _reference(
-    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
+    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, padding: int, luminance: bool
 ) -> Tensor:
-    """Of images (B, C, H, W) or volumes (B, C, D, H, W); 'constant' borders are zeros, with 'valid' there are none."""
+    """Of images (B, C, H, W) or volumes (B, C, D, H, W); `padding` is REFLECT, CONSTANT or VALID."""
     kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
-    rule = ("reflect", False) if border == "valid" else (border, True)
+    rule = ("reflect", False) if padding == VALID else (("reflect", "constant")[padding], True)
 
     def mean(z: Tensor) -> Tensor:
         if z.dim() == 4:
@@ -89,8 +91,10 @@ def _backward(one: Operator, both: Operator) -> Callable[..., list[Tensor | None
     return backward
 
 
-def _size(x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, _: bool) -> Any:
-    return (*x.shape[:2], *(n - size + 1 for n in x.shape[2:])) if border == "valid" else x.shape
+def _size(
+    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, padding: int, _: bool
+) -> Any:
+    return (*x.shape[:2], *(n - size + 1 for n in x.shape[2:])) if padding == VALID else x.shape
 
 
 _ssim = register(
@@ -112,14 +116,14 @@ def _loss_reference(
     c1: float,
     c2: float,
     eps: float,
-    border: str,
+    padding: int,
     structure: float,
     absolute: float,
 ) -> Tensor:
     """(B,): for every sample the sums of 1 - similarity and of abs(x - y), each times its weight."""
     dtype = compute_dtype(x)
     x, y = x.to(dtype), y.to(dtype)
-    similar = _reference(x, y, size, sigma, c1, c2, eps, border, True)
+    similar = _reference(x, y, size, sigma, c1, c2, eps, padding, True)
     axes = tuple(range(1, x.dim()))
     return structure * (1 - similar).sum(axes) + absolute * (x - y).abs().sum(axes)
 
@@ -152,7 +156,7 @@ def dissimilarity(
     c1: float,
     c2: float,
     eps: float,
-    border: str,
+    padding: int,
     structure: float,
     absolute: float = 0.0,
 ) -> Tensor:
@@ -164,15 +168,15 @@ def dissimilarity(
     y = as_dtype(y, dtype)
     if b > 1:
         x, y = x.reshape(1, -1, *axes), y.reshape(1, -1, *axes)
-    loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, border, structure, absolute)[0]
+    loss = _ssim_loss(x, y, size, SIGMA, c1, c2, eps, padding, structure, absolute)[0]
     return as_dtype(loss, dtype)
 
 
 def similarity(
-    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, border: str, luminance: bool
+    x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, padding: int, luminance: bool
 ) -> Tensor:
     """The similarity of floating-point images or volumes; see `_reference`."""
-    return _ssim(x, as_dtype(y, x.dtype), size, sigma, c1, c2, eps, border, luminance)
+    return _ssim(x, as_dtype(y, x.dtype), size, sigma, c1, c2, eps, padding, luminance)
 
 
 def ssim(
@@ -252,15 +256,15 @@ def ssim3d_map(
 
 def checked(
     op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
-) -> tuple[float, float, float, str]:
-    """c1, c2, eps and the border of two images."""
+) -> tuple[float, float, float, int]:
+    """c1, c2, eps and the number of the padding of two images."""
     _check.images(op, "img1", img1)
     return _arguments(op, img1, img2, size, max_val, eps, padding)
 
 
 def checked_volumes(
     op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
-) -> tuple[float, float, float, str]:
+) -> tuple[float, float, float, int]:
     """The same of two volumes."""
     _check.volumes(op, "img1", img1)
     return _arguments(op, img1, img2, size, max_val, eps, padding)
@@ -268,8 +272,8 @@ def checked_volumes(
 
 def _arguments(
     op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
-) -> tuple[float, float, float, str]:
-    """c1, c2, eps and the border."""
+) -> tuple[float, float, float, int]:
+    """c1, c2, eps and the number of the padding."""
     _check.numbers(op, "img2", img2)
     if img1.shape != img2.shape:
         _check.same_shape(op, img1=img1, img2=img2)
@@ -286,7 +290,7 @@ def _arguments(
             f"{op}: expected images no smaller than the window of {size}, got {tuple(img1.shape)}",
             actual_shape=img1.shape,
         )
-    return (0.01 * max_val) ** 2, (0.03 * max_val) ** 2, eps, "valid" if padding == "valid" else "reflect"
+    return (0.01 * max_val) ** 2, (0.03 * max_val) ** 2, eps, VALID if padding == "valid" else REFLECT
 
 
 class SSIM(FunctionModule):

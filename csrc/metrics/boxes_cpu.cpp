@@ -1,5 +1,5 @@
 // Overlaps of boxes on the CPU: boxes [begin, end) of the first set. Compiled once per instruction set.
-#include "box_overlaps.h"
+#include "boxes.h"
 #include "core/lanes.h"
 
 namespace kv::KV_ISA {
@@ -15,16 +15,16 @@ KV_HD Corners<Compute<T>> corners_of(T const* box, BoxFormat format) {
 }  // namespace
 
 template <class T>
-void box_overlaps(BoxOverlaps<T> const& p, int64_t begin, int64_t end) {
+void box_iou(BoxIou<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   for (int64_t row = begin; row < end; ++row) {
     Corners<F> const own = corners_of(p.a + 4 * row, p.format);
     T const* const others = p.b + row / p.n * p.m * 4;
     for (int64_t k = 0; k < p.m; ++k)
-      store<1>(p.found + row * p.m + k, Lanes<F, 1>(own.overlap(corners_of(others + 4 * k, p.format))));
+      store<1>(p.result + row * p.m + k, Lanes<F, 1>(own.overlap(corners_of(others + 4 * k, p.format))));
   }
 }
 
-KV_INSTANTIATE(box_overlaps, BoxOverlaps)
+KV_INSTANTIATE(box_iou, BoxIou)
 
 }  // namespace kv::KV_ISA

@@ -1,8 +1,8 @@
 // Levels on CUDA: pixels by vectors, and histograms in shared memory. Included by *.cu files.
 #pragma once
 
+#include "byte_histogram.h"
 #include "core/launch.cuh"
-#include "levels.h"
 
 namespace kv {
 
@@ -82,7 +82,7 @@ struct LevelCounter {
 
 // The sum of `count` over the threads of the block up to this one, and over all of them.
 template <int Threads>
-__device__ __forceinline__ int sum_up_to(int count, int& total) {
+__device__ __forceinline__ int block_inclusive_scan(int count, int& total) {
   __shared__ int sums[Threads / 32];
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32;
   int sum = count;

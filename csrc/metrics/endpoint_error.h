@@ -1,13 +1,14 @@
 // Distances of vectors of two from others, of each or their sums; backward a vector gets its difference over the
-// distance, and nothing where that is 0. Included by endpoint_cpu.cpp, endpoint.cu and endpoint_op.cpp.
+// distance, and nothing where that is 0. Included by endpoint_error_cpu.cpp, endpoint_error.cu and
+// endpoint_error_op.cpp.
 #pragma once
 
 #include "core/isa.h"
-#include "sums.h"
+#include "core/row_sums.h"
 
 namespace kv {
 
-constexpr int64_t kEndpointPiece = 4096;  // vectors that are summed together
+constexpr int64_t kEndpointChunk = 4096;  // vectors that are summed together
 
 // Rows of vectors, a row's components one after the other if `planar`, else those of a vector.
 template <class T>
@@ -16,7 +17,7 @@ struct VectorPairs {
   bool planar;
   int64_t x_stride, y_stride, rows, size;  // strides from row to row, 0 for one that serves all
 
-  KV_HD int64_t pieces() const { return (size + kEndpointPiece - 1) / kEndpointPiece; }
+  KV_HD int64_t chunks() const { return (size + kEndpointChunk - 1) / kEndpointChunk; }
   // Of the first component of vector i in a row; the other one is `beside` it.
   KV_HD int64_t at(int64_t i) const { return planar ? i : 2 * i; }
   KV_HD int64_t beside() const { return planar ? size : 1; }
@@ -26,8 +27,8 @@ template <class T>
 struct EndpointError {
   VectorPairs<T> pairs;
   T* map;                     // (rows, size), or null for
-  Compute<T>*partial, *sums;  // (rows, pieces) and `factor` times (rows), by CUDA's kernel; the CPU's entry adds them
-  Finish<Compute<T>> finish;
+  Compute<T>*partial, *sums;  // (rows, chunks) and `factor` times (rows), by CUDA's kernel; the CPU's entry adds them
+  FinalizeSum<Compute<T>> finalize;
 };
 
 template <class T>

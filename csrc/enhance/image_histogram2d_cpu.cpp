@@ -1,20 +1,20 @@
 // Counts in bins on the CPU.
 #include "core/lanes.h"
 #include "core/scratch.h"
-#include "grid_counts.h"
+#include "image_histogram2d.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int kPiece = 512;
+constexpr int kChunk = 512;
 
 // Calls f(i, bin + 1, t) for the samples that count: `bin`, from -1 on, has its middle below sample i, by t bins.
 template <class T, class F>
-KV_HD void for_each_sample(GridCounts<T> const& p, T const* x, F f) {
-  int32_t bin[kPiece];
-  T t[kPiece];
-  for (int64_t begin = 0; begin < p.samples; begin += kPiece) {
-    int64_t const n = min(int64_t(kPiece), p.samples - begin);
+KV_HD void for_each_sample(ImageHistogram2d<T> const& p, T const* x, F f) {
+  int32_t bin[kChunk];
+  T t[kChunk];
+  for (int64_t begin = 0; begin < p.samples; begin += kChunk) {
+    int64_t const n = min(int64_t(kChunk), p.samples - begin);
     for_each_vector<T>(0, n, [&](auto width, int64_t i) {
       constexpr int N = decltype(width)::value;
       using V = Lanes<T, N>;
@@ -33,7 +33,7 @@ KV_HD void for_each_sample(GridCounts<T> const& p, T const* x, F f) {
 }  // namespace
 
 template <class T>
-void grid_counts(GridCounts<T> const& p, int64_t begin, int64_t end) {
+void image_histogram2d(ImageHistogram2d<T> const& p, int64_t begin, int64_t end) {
   Scratch<double> const sums(p.bins + 4);  // two bins more at either end
   double* const count = sums.data + 1;
   for (int64_t row = begin; row < end; ++row) {
@@ -43,15 +43,15 @@ void grid_counts(GridCounts<T> const& p, int64_t begin, int64_t end) {
       Between<T> const b(t, p.kernel);
       count[bin] += b.first_weight;
       count[bin + 1] += b.next_weight;
-      if (t == 0 && p.kernel == CountKernel::uniform) count[bin - 1] += 1;
+      if (t == 0 && p.kernel == HistogramKernel::uniform) count[bin - 1] += 1;
     });
     for (int64_t k = 0; k < p.bins; ++k) p.counts[row * p.bins + k] = T(count[k + 1]);
   }
 }
 
 template <class T>
-void grid_counts_backward(GridCountsBackward<T> const& b, int64_t begin, int64_t end) {
-  GridCounts<T> const& p = b.forward;
+void image_histogram2d_backward(ImageHistogram2dBackward<T> const& b, int64_t begin, int64_t end) {
+  ImageHistogram2d<T> const& p = b.forward;
   Scratch<T> const grads(p.bins + 4);
   T* const grad = grads.data + 1;
   for (int64_t row = begin; row < end; ++row) {
@@ -64,7 +64,7 @@ void grid_counts_backward(GridCountsBackward<T> const& b, int64_t begin, int64_t
   }
 }
 
-KV_INSTANTIATE_COMPUTED(grid_counts, GridCounts)
-KV_INSTANTIATE_COMPUTED(grid_counts_backward, GridCountsBackward)
+KV_INSTANTIATE_COMPUTED(image_histogram2d, ImageHistogram2d)
+KV_INSTANTIATE_COMPUTED(image_histogram2d_backward, ImageHistogram2dBackward)
 
 }  // namespace kv::KV_ISA

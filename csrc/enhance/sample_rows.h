@@ -19,7 +19,7 @@ inline void check_row_grad(char const* op, Tensor const& grad, Tensor const& x, 
 
 // Calls f with the type of x: float or double.
 template <class F>
-void for_row_type(Tensor const& x, F f) {
+void dispatch_row_dtype(Tensor const& x, F f) {
   if (x.scalar_type() == ScalarType::Double)
     f(Type<double>{});
   else

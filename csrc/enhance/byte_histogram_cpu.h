@@ -1,13 +1,13 @@
-// Levels on the CPU, a piece of a plane at a time. Included by *_cpu.cpp files.
+// Levels on the CPU, a chunk of a plane at a time. Included by *_cpu.cpp files.
 #pragma once
 
+#include "byte_histogram.h"
 #include "core/lanes.h"
-#include "levels.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int64_t kPiece = 512;  // pixels
+constexpr int64_t kChunk = 512;  // pixels
 
 template <class T, int N>
 KV_HD Lanes<int32_t, N> levels_of(Lanes<Compute<T>, N> x) {
@@ -26,9 +26,9 @@ KV_HD Lanes<int32_t, N> levels_of(Lanes<Compute<T>, N> x) {
     return __builtin_convertvector(is_nan ? broadcast<N>(F(kNanLevel)) : x, Lanes<int32_t, N>);
 }
 
-// n <= kPiece pixels that are `step` elements apart, beside each other.
+// n <= kChunk pixels that are `step` elements apart, beside each other.
 template <class T>
-KV_HD T const* gathered(T const* x, int64_t step, int64_t n, T* memory) {
+KV_HD T const* gather(T const* x, int64_t step, int64_t n, T* memory) {
   if (step == 1) return x;
   for (int64_t i = 0; i < n; ++i) memory[i] = x[i * step];
   return memory;

@@ -1,5 +1,5 @@
 // Distances of vectors: schemas and entries, for CPU and CUDA alike.
-#include "endpoint.h"
+#include "endpoint_error.h"
 #include "glue/glue.h"
 
 namespace kv {
@@ -27,29 +27,30 @@ struct VectorRows {
     auto const stride = [&](Tensor const& t) { return t.size(0) == rows ? 2 * size : 0; };
     return {data_ptr<T const>(x), data_ptr<T const>(y), planar, stride(x), stride(y), rows, size};
   }
-  int64_t pieces() const { return (size + kEndpointPiece - 1) / kEndpointPiece; }
-  int64_t cost() const { return 4 * min(size, kEndpointPiece); }
+  int64_t chunks() const { return (size + kEndpointChunk - 1) / kEndpointChunk; }
+  int64_t cost() const { return 4 * min(size, kEndpointChunk); }
 };
 
 // (rows, size), or `factor` times their sums (rows).
 Tensor endpoint_error(Tensor const& input, Tensor const& target, bool planar, bool summed, double factor) {
   VectorRows const r("endpoint_error", input, target, planar, input);
-  Tensor const found = summed ? empty({r.rows}, r.x, Layout::planar, compute_dtype(r.x)) : empty({r.rows, r.size}, r.x);
-  Tensor const partial = empty({summed ? r.rows : 0, r.pieces()}, r.x, Layout::planar, compute_dtype(r.x));
+  Tensor const result =
+      summed ? empty({r.rows}, r.x, Layout::planar, compute_dtype(r.x)) : empty({r.rows, r.size}, r.x);
+  Tensor const partial = empty({summed ? r.rows : 0, r.chunks()}, r.x, Layout::planar, compute_dtype(r.x));
   dispatch_floating("endpoint_error", r.x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     EndpointError<T> const params{r.pairs<T>(),
-                                  summed ? nullptr : data_ptr<T>(found),
+                                  summed ? nullptr : data_ptr<T>(result),
                                   data_ptr<F>(partial),
-                                  summed ? data_ptr<F>(found) : nullptr,
+                                  summed ? data_ptr<F>(result) : nullptr,
                                   {F(factor), F(0)}};
-    KV_RUN(endpoint_error, r.x, params, r.rows * r.pieces(), r.cost());
+    KV_RUN(endpoint_error, r.x, params, r.rows * r.chunks(), r.cost());
 #if !defined(KV_CUDA)
-    if (summed) add_pieces(params.partial, r.rows, r.pieces(), params.finish, params.sums);
+    if (summed) add_chunks(params.partial, r.rows, r.chunks(), params.finalize, params.sums);
 #endif
   });
-  return found;
+  return result;
 }
 
 Tensor endpoint_error_backward(Tensor const& grad, Tensor const& input, Tensor const& target, bool planar, bool summed,
@@ -67,7 +68,7 @@ Tensor endpoint_error_backward(Tensor const& grad, Tensor const& input, Tensor c
     EndpointErrorBackward<T> const params{r.pairs<T>(), summed ? nullptr : data_ptr<T const>(g),
                                           summed ? data_ptr<F const>(g) : nullptr, summed ? F(factor) : F(1),
                                           data_ptr<T>(grad_x)};
-    KV_RUN(endpoint_error_backward, r.x, params, r.rows * r.pieces(), r.cost());
+    KV_RUN(endpoint_error_backward, r.x, params, r.rows * r.chunks(), r.cost());
   });
   return grad_x;
 }

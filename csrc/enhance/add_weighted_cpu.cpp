@@ -1,20 +1,21 @@
 // Mixing two images on the CPU. Compiled once per instruction set.
+#include "add_weighted.h"
 #include "core/lanes.h"
-#include "mix.h"
 
 namespace kv::KV_ISA {
 
 template <class T>
-void mix(Mix<T> const& p, int64_t begin, int64_t end) {
-  int64_t const width = p.x.width, step = p.x.step, chunks = (width + kMixed - 1) / kMixed;
+void add_weighted(AddWeighted<T> const& p, int64_t begin, int64_t end) {
+  int64_t const width = p.x.width, step = p.x.step, chunks = (width + kAddWeightedChunk - 1) / kAddWeightedChunk;
   for (; begin < end; ++begin) {
-    int64_t const plane = begin / chunks, first = begin % chunks * kMixed, last = min(first + kMixed, width);
+    int64_t const plane = begin / chunks, first = begin % chunks * kAddWeightedChunk,
+                  last = min(first + kAddWeightedChunk, width);
     auto const a = p.weight_of(p.alpha, plane), b = p.weight_of(p.beta, plane), c = p.weight_of(p.gamma, plane);
     T const *const x = p.x.plane(plane), *const y = p.y.plane(plane);
-    T* const mixed = p.mixed.plane(plane);
+    T* const result = p.result.plane(plane);
     auto const pixels = [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;
-      store<N>(mixed + i, Lanes<Compute<T>, N>(load<N>(x + i) * a + load<N>(y + i) * b + c));
+      store<N>(result + i, Lanes<Compute<T>, N>(load<N>(x + i) * a + load<N>(y + i) * b + c));
     };
     if (step == 1)
       for_each_vector<T>(first, last, pixels);
@@ -23,6 +24,6 @@ void mix(Mix<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-KV_INSTANTIATE(mix, Mix)
+KV_INSTANTIATE(add_weighted, AddWeighted)
 
 }  // namespace kv::KV_ISA

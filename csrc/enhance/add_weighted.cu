@@ -1,6 +1,6 @@
 // Mixing two images on CUDA: two vectors a thread.
+#include "add_weighted.h"
 #include "core/launch.cuh"
-#include "mix.h"
 
 namespace kv::cuda {
 namespace {
@@ -8,14 +8,14 @@ namespace {
 constexpr int kThreads = 256, kVectors = 2;
 
 template <class T, bool Vectorized>
-__global__ void __launch_bounds__(kThreads) run(__grid_constant__ Mix<T> const p) {
+__global__ void __launch_bounds__(kThreads) run(__grid_constant__ AddWeighted<T> const p) {
   using F = Compute<T>;
   constexpr int P = Vectorized ? kPixels<T> : 1;
   int64_t const first = (blockIdx.x * int64_t(kVectors * kThreads) + threadIdx.x) * P, step = p.x.step;
   for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
     F const a = p.weight_of(p.alpha, plane), b = p.weight_of(p.beta, plane), c = p.weight_of(p.gamma, plane);
     T const *const x = p.x.plane(plane), *const y = p.y.plane(plane);
-    T* const mixed = p.mixed.plane(plane);
+    T* const result = p.result.plane(plane);
     Vector<T, P> xs[kVectors], ys[kVectors];
 #pragma unroll
     for (int k = 0; k < kVectors; ++k) {
@@ -31,7 +31,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Mix<T> const p
       F v[P];
 #pragma unroll
       for (int j = 0; j < P; ++j) v[j] = read(xs[k].v[j]) * a + read(ys[k].v[j]) * b + c;
-      store_vector(mixed + i * step, v);
+      store_vector(result + i * step, v);
     }
   }
 }
@@ -39,9 +39,9 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Mix<T> const p
 }  // namespace
 
 template <class T>
-int mix(Mix<T> const& p, CUstream_st* stream) {
+int add_weighted(AddWeighted<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
-  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && is_vectorizable<P>(p.mixed),
+  with_alignment<T>(is_vectorizable<P>(p.x) && is_vectorizable<P>(p.y) && is_vectorizable<P>(p.result),
                     [&](auto vectorized) {
                       dim3 const blocks(unsigned(ceil_div(p.x.width, kVectors * kThreads * (vectorized.value ? P : 1))),
                                         unsigned(min(p.x.count(), int64_t(65535))));
@@ -50,6 +50,6 @@ int mix(Mix<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(mix, Mix)
+KV_INSTANTIATE(add_weighted, AddWeighted)
 
 }  // namespace kv::cuda

@@ -31,7 +31,7 @@ Planes<T> flat_planes(Tensor const& x, Layout layout) {
 }
 
 // Pixels of a plane are counted in ints.
-inline void check_flat(char const* op, Tensor const& x) {
+inline void check_planes(char const* op, Tensor const& x) {
   check_images(op, "input", x);
   KV_CHECK(x.size(2) <= INT32_MAX / x.size(3), op, ": expected fewer than 2^31 pixels a plane");
 }

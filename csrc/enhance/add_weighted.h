@@ -1,5 +1,5 @@
-// Two images mixed: alpha x + beta y + gamma, with weights that are numbers or the images' or channels' own. Included
-// by mix_cpu.cpp, mix.cu and mix_op.cpp.
+// Two images result: alpha x + beta y + gamma, with weights that are numbers or the images' or channels' own. Included
+// by add_weighted_cpu.cpp, add_weighted.cu and add_weighted_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -8,7 +8,7 @@
 namespace kv {
 
 template <class T>
-struct Mix {
+struct AddWeighted {
   // A weight: the number where there are no data.
   struct Weight {
     Compute<T> const* data;
@@ -16,7 +16,7 @@ struct Mix {
     Compute<T> number;
   };
   Planes<T const> x, y;  // of one row each: inner ones are channels with weights of their own
-  Planes<T> mixed;
+  Planes<T> result;
   Weight alpha, beta, gamma;
 
   KV_HD Compute<T> weight_of(Weight const& w, int64_t plane) const {
@@ -25,9 +25,9 @@ struct Mix {
   }
 };
 
-KV_KERNEL(mix, Mix)
+KV_KERNEL(add_weighted, AddWeighted)
 
 // The unit of work on the CPU.
-constexpr int64_t kMixed = 16384;
+constexpr int64_t kAddWeightedChunk = 16384;
 
 }  // namespace kv

@@ -1,8 +1,8 @@
-// Distances of vectors on the CPU: pieces [begin, end) of all rows. Compiled once per instruction set.
+// Distances of vectors on the CPU: chunks [begin, end) of all rows. Compiled once per instruction set.
 #include <utility>
 
 #include "core/lanes.h"
-#include "endpoint.h"
+#include "endpoint_error.h"
 
 namespace kv::KV_ISA {
 namespace {
@@ -68,9 +68,9 @@ template <class T>
 void endpoint_error(EndpointError<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
-  int64_t const pieces = p.pairs.pieces(), size = p.pairs.size;
+  int64_t const chunks = p.pairs.chunks(), size = p.pairs.size;
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const row = i / pieces, first = i % pieces * kEndpointPiece, last = min(first + kEndpointPiece, size);
+    int64_t const row = i / chunks, first = i % chunks * kEndpointChunk, last = min(first + kEndpointChunk, size);
     if (p.map) {
       for_each_vector<T>(first, last, [&](auto width, int64_t e) {
         constexpr int M = decltype(width)::value;
@@ -91,9 +91,9 @@ void endpoint_error(EndpointError<T> const& p, int64_t begin, int64_t end) {
 template <class T>
 void endpoint_error_backward(EndpointErrorBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  int64_t const pieces = p.pairs.pieces(), size = p.pairs.size;
+  int64_t const chunks = p.pairs.chunks(), size = p.pairs.size;
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const row = i / pieces, first = i % pieces * kEndpointPiece, last = min(first + kEndpointPiece, size);
+    int64_t const row = i / chunks, first = i % chunks * kEndpointChunk, last = min(first + kEndpointChunk, size);
     F const of_row = p.grad ? F(0) : p.grad_of_sum[row] * p.factor;
     for_each_vector<T>(first, last, [&](auto width, int64_t e) {
       constexpr int M = decltype(width)::value;

@@ -19,20 +19,20 @@ struct PointMath {
     constexpr F kSmall = sizeof(F) == 4 ? F(1e-37) : F(1e-300), kScale = F(1 << 30);
     V const zero{}, shift = x < kSmall ? broadcast<N>(F(30)) : zero;
     V const scaled = x < kSmall ? V(x * kScale) : x;
-    V const found = (vlog2<F, N>(scaled) - shift) * F(0.69314718055994530942);
+    V const result = (vlog2<F, N>(scaled) - shift) * F(0.69314718055994530942);
     V const beyond = x < zero ? broadcast<N>(F(__builtin_nan(""))) : broadcast<N>(-F(__builtin_inf()));
-    return x <= zero ? beyond : found;
+    return x <= zero ? beyond : result;
   }
 };
 
-// The sums of pieces [begin, end) of all rows. of_row(row) makes a function of a Width and of vectors of x and y.
+// The sums of chunks [begin, end) of all rows. of_row(row) makes a function of a Width and of vectors of x and y.
 template <class T, class Row>
-KV_HD void sum_pieces(Pair<T> const& pair, int64_t pieces, int64_t begin, int64_t end, Compute<T>* partial,
-                      Row of_row) {
+KV_HD void sum_row_chunks(Pair<T> const& pair, int64_t chunks, int64_t begin, int64_t end, Compute<T>* partial,
+                          Row of_row) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const row = i / pieces, first = i % pieces * kPointPiece, count = min(kPointPiece, pair.size - first);
+    int64_t const row = i / chunks, first = i % chunks * kPointChunk, count = min(kPointChunk, pair.size - first);
     T const *const x = pair.x + row * pair.x_stride + first, *const y = pair.y + row * pair.y_stride + first;
     auto const loss = of_row(row);
     Lanes<F, N> sums{};
@@ -45,16 +45,16 @@ KV_HD void sum_pieces(Pair<T> const& pair, int64_t pieces, int64_t begin, int64_
   }
 }
 
-// Writes pieces [begin, end) of all rows. of_row(row) makes a function of a Width, the first element and vectors of x
+// Writes chunks [begin, end) of all rows. of_row(row) makes a function of a Width, the first element and vectors of x
 // and y.
 template <class T, class Row>
-KV_HD void map_pieces(Pair<T> const& pair, int64_t begin, int64_t end, T* out, Row of_row) {
-  int64_t const pieces = point_pieces(pair.size);
+KV_HD void map_row_chunks(Pair<T> const& pair, int64_t begin, int64_t end, T* out, Row of_row) {
+  int64_t const chunks = point_chunks(pair.size);
   for (int64_t i = begin; i < end; ++i) {
-    int64_t const row = i / pieces, first = i % pieces * kPointPiece, start = row * pair.size;
+    int64_t const row = i / chunks, first = i % chunks * kPointChunk, start = row * pair.size;
     T const *const x = pair.x + row * pair.x_stride, *const y = pair.y + row * pair.y_stride;
     auto const value = of_row(row);
-    for_each_vector<T>(first, min(first + kPointPiece, pair.size), [&](auto width, int64_t e) {
+    for_each_vector<T>(first, min(first + kPointChunk, pair.size), [&](auto width, int64_t e) {
       constexpr int M = decltype(width)::value;
       using V = Lanes<Compute<T>, M>;
       store<M>(out + start + e, V(value(width, start + e, V(load<M>(x + e)), V(load<M>(y + e)))));

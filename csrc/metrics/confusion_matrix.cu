@@ -1,23 +1,23 @@
-// Counts of labels on CUDA: a block counts a piece of a sample in shared memory, and adds what it found to the counts
-// of the sample; more classes than fit there are counted in these. A second kernel makes of them what is wanted.
-#include "confusion.h"
+// Counts of labels on CUDA: a block counts a chunk of a sample in shared memory, and adds what it found to the counts
+// of the sample; more classes than fit there are counted in these. A second kernel makes of them what is statistic.
+#include "confusion_matrix.h"
 #include "core/launch.cuh"
 
 namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = 256, kBytes = 32 << 10, kAtOnce = 4;
-constexpr int64_t kPiece = kThreads * kAtOnce * 8;  // pixels
+constexpr int64_t kChunk = kThreads * kAtOnce * 8;  // pixels
 
 // Several copies of the counts where they fit: neighboring threads, whose labels are often alike, add to different
 // ones. No copies: there is no room.
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    count_labels(__grid_constant__ Confusion<T> const p, int64_t pieces, int copies) {
+    count_labels(__grid_constant__ ConfusionMatrix<T> const p, int64_t chunks, int copies) {
   __shared__ uint32_t shared[kBytes / sizeof(uint32_t)];
   int const cells = p.classes * p.classes;
-  int64_t const sample = blockIdx.x / pieces, first = (blockIdx.x - sample * pieces) * kPiece;
-  int64_t const last = min(first + kPiece, p.pixels);
+  int64_t const sample = blockIdx.x / chunks, first = (blockIdx.x - sample * chunks) * kChunk;
+  int64_t const last = min(first + kChunk, p.pixels);
   uint32_t* const counts = p.counts + sample * cells;
   for (int i = threadIdx.x; i < cells * copies; i += kThreads) shared[i] = 0;
   __syncthreads();
@@ -45,39 +45,40 @@ __global__ void __launch_bounds__(kThreads)
 
 // A warp for each class of a sample.
 template <class T>
-__global__ void __launch_bounds__(kThreads) finish_counts(__grid_constant__ Confusion<T> const p) {
+__global__ void __launch_bounds__(kThreads) finalize_counts(__grid_constant__ ConfusionMatrix<T> const p) {
   int64_t const n = p.classes, row = (blockIdx.x * int64_t(kThreads) + threadIdx.x) / 32, sample = row / n;
   if (sample >= p.samples) return;
   int const lane = threadIdx.x % 32;
   uint32_t const *const own = p.counts + row * n, *const column = p.counts + sample * n * n + (row - sample * n);
   uint32_t labelled = 0, predicted = 0;
-  if (p.wanted != Confused::counts) {
+  if (p.statistic != ConfusionStatistic::counts) {
     for (int64_t k = lane; k < n; k += 32) labelled += own[k], predicted += column[k * n];
     labelled = warp_sum(labelled), predicted = warp_sum(predicted);
   }
-  if (p.wanted == Confused::overlaps) {
-    if (lane == 0) p.found[row] = p.overlap(float(own[row - sample * n]), float(labelled), float(predicted));
+  if (p.statistic == ConfusionStatistic::iou) {
+    if (lane == 0) p.result[row] = p.overlap(float(own[row - sample * n]), float(labelled), float(predicted));
     return;
   }
   for (int64_t k = lane; k < n; k += 32)
-    p.found[row * n + k] = p.wanted == Confused::counts ? float(own[k]) : p.rate(float(own[k]), float(labelled));
+    p.result[row * n + k] =
+        p.statistic == ConfusionStatistic::counts ? float(own[k]) : p.rate(float(own[k]), float(labelled));
 }
 
 }  // namespace
 
 template <class T>
-int confusion(Confusion<T> const& p, CUstream_st* stream) {
-  int64_t const cells = int64_t(p.classes) * p.classes, pieces = ceil_div(p.pixels, kPiece);
+int confusion_matrix(ConfusionMatrix<T> const& p, CUstream_st* stream) {
+  int64_t const cells = int64_t(p.classes) * p.classes, chunks = ceil_div(p.pixels, kChunk);
   int copies = 32;
   while (copies * cells > int64_t(kBytes / sizeof(uint32_t))) copies /= 2;
   if (int const error = cudaMemsetAsync(p.counts, 0, size_t(p.samples * cells) * sizeof(uint32_t), stream))
     return error;
-  if (pieces > 0) count_labels<<<unsigned(p.samples * pieces), kThreads, 0, stream>>>(p, pieces, copies);
-  finish_counts<<<unsigned(ceil_div(p.samples * p.classes * 32, kThreads)), kThreads, 0, stream>>>(p);
+  if (chunks > 0) count_labels<<<unsigned(p.samples * chunks), kThreads, 0, stream>>>(p, chunks, copies);
+  finalize_counts<<<unsigned(ceil_div(p.samples * p.classes * 32, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_ONE(confusion, Confusion, int64_t)
-KV_INSTANTIATE_ONE(confusion, Confusion, uint8_t)
+KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, int64_t)
+KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, uint8_t)
 
 }  // namespace kv::cuda

@@ -1,23 +1,24 @@
 // Which labels are taken for which: for every sample the counts of pairs of a true and a predicted class, and what is
-// made of them. A pixel with a label of no class does not count. Included by confusion_cpu.cpp, confusion.cu and
-// confusion_op.cpp.
+// made of them. A pixel with a label of no class does not count. Included by confusion_matrix_cpu.cpp,
+// confusion_matrix.cu and confusion_matrix_op.cpp.
 #pragma once
 
 #include "core/isa.h"
 
 namespace kv {
 
-// The counts; divided by the sum of their row; or the intersection over union of each class.
-enum class Confused : int { counts, rates, overlaps };
+// The counts; divided by the sum of their row; or the intersection over union of each class. Graphs contain the
+// numbers; python/kvision/metrics/confusion_matrix.py has the same ones.
+enum class ConfusionStatistic : int { counts, rates, iou };
 
 template <class T>
-struct Confusion {
+struct ConfusionMatrix {
   T const *pred, *target;  // (samples, pixels)
   int64_t samples, pixels;
   int classes;
-  Confused wanted;
+  ConfusionStatistic statistic;
   float eps;
-  float* found;      // (samples, classes, classes), or of overlaps (samples, classes)
+  float* result;     // (samples, classes, classes), or of iou (samples, classes)
   uint32_t* counts;  // CUDA: (samples, classes, classes)
 
   // Where a pair of labels counts, or -1.
@@ -32,6 +33,6 @@ struct Confusion {
   }
 };
 
-KV_KERNEL(confusion, Confusion)
+KV_KERNEL(confusion_matrix, ConfusionMatrix)
 
 }  // namespace kv

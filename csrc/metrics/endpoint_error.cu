@@ -1,14 +1,14 @@
-// Distances of vectors on CUDA: a block takes a piece of a row.
-#include "endpoint.h"
-#include "sums.cuh"
+// Distances of vectors on CUDA: a block takes a chunk of a row.
+#include "core/row_sums.cuh"
+#include "endpoint_error.h"
 
 namespace kv::cuda {
 namespace {
 
-// Calls f(vector, its difference) for those of the block's piece that the thread takes.
+// Calls f(vector, its difference) for those of the block's chunk that the thread takes.
 template <class T, class Call>
-__device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int64_t row, int64_t piece, Call f) {
-  int64_t const first = piece * kEndpointPiece, last = min(first + kEndpointPiece, p.size);
+__device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int64_t row, int64_t chunk, Call f) {
+  int64_t const first = chunk * kEndpointChunk, last = min(first + kEndpointChunk, p.size);
   T const *const x = p.x + row * p.x_stride, *const y = p.y + row * p.y_stride;
 #pragma unroll 4
   for (int64_t i = first + threadIdx.x; i < last; i += kSumThreads) {
@@ -20,9 +20,9 @@ __device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int
 template <class T>
 __global__ void __launch_bounds__(kSumThreads) find_endpoint_errors(__grid_constant__ EndpointError<T> const p) {
   using F = Compute<T>;
-  int64_t const pieces = p.pairs.pieces(), row = blockIdx.x / pieces;
+  int64_t const chunks = p.pairs.chunks(), row = blockIdx.x / chunks;
   F sum = 0;
-  for_each_difference(p.pairs, row, blockIdx.x - row * pieces, [&](int64_t i, F u, F v) {
+  for_each_difference(p.pairs, row, blockIdx.x - row * chunks, [&](int64_t i, F u, F v) {
     F const error = fast_sqrt(u * u + v * v);
     if (p.map)
       p.map[row * p.pairs.size + i] = round_to<T>(error);
@@ -30,7 +30,7 @@ __global__ void __launch_bounds__(kSumThreads) find_endpoint_errors(__grid_const
       sum += error;
   });
   if (p.map) return;
-  sum = block_sum(sum);
+  sum = block_sum<kSumThreads>(sum);
   if (threadIdx.x == 0) p.partial[blockIdx.x] = sum;
 }
 
@@ -38,9 +38,9 @@ template <class T>
 __global__ void __launch_bounds__(kSumThreads)
     find_endpoint_gradients(__grid_constant__ EndpointErrorBackward<T> const p) {
   using F = Compute<T>;
-  int64_t const pieces = p.pairs.pieces(), row = blockIdx.x / pieces;
+  int64_t const chunks = p.pairs.chunks(), row = blockIdx.x / chunks;
   F const of_row = p.grad ? F(0) : p.grad_of_sum[row] * p.factor;
-  for_each_difference(p.pairs, row, blockIdx.x - row * pieces, [&](int64_t i, F u, F v) {
+  for_each_difference(p.pairs, row, blockIdx.x - row * chunks, [&](int64_t i, F u, F v) {
     F const error = fast_sqrt(u * u + v * v), g = p.grad ? read(p.grad[row * p.pairs.size + i]) : of_row;
     F const scale = error == 0 ? F(0) : g / error;
     T* const to = p.grad_x + 2 * row * p.pairs.size + p.pairs.at(i);
@@ -52,14 +52,14 @@ __global__ void __launch_bounds__(kSumThreads)
 
 template <class T>
 int endpoint_error(EndpointError<T> const& p, CUstream_st* stream) {
-  int64_t const rows = p.pairs.rows, pieces = p.pairs.pieces();
-  find_endpoint_errors<<<unsigned(rows * pieces), kSumThreads, 0, stream>>>(p);
-  return p.map ? cudaGetLastError() : add_up(p.partial, rows, pieces, p.sums, stream, p.finish);
+  int64_t const rows = p.pairs.rows, chunks = p.pairs.chunks();
+  find_endpoint_errors<<<unsigned(rows * chunks), kSumThreads, 0, stream>>>(p);
+  return p.map ? cudaGetLastError() : sum_chunks(p.partial, rows, chunks, p.sums, stream, p.finalize);
 }
 
 template <class T>
 int endpoint_error_backward(EndpointErrorBackward<T> const& p, CUstream_st* stream) {
-  find_endpoint_gradients<<<unsigned(p.pairs.rows * p.pairs.pieces()), kSumThreads, 0, stream>>>(p);
+  find_endpoint_gradients<<<unsigned(p.pairs.rows * p.pairs.chunks()), kSumThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 

@@ -1,7 +1,7 @@
-// Counts in bins on CUDA: a block counts a piece of a row in shared memory, in fixed point, so that atomic sums do not
+// Counts in bins on CUDA: a block counts a chunk of a row in shared memory, in fixed point, so that atomic sums do not
 // depend on their order. Bins that do not fit there are counted part by part.
-#include "grid_counts.h"
-#include "pieces.cuh"
+#include "image_histogram2d.h"
+#include "row_chunks.cuh"
 
 namespace kv::cuda {
 namespace {
@@ -21,7 +21,7 @@ struct Fixed<double> {
 };
 
 template <class T>
-__device__ __forceinline__ void place_of(GridCounts<T> const& p, T x, int& bin, T& t) {
+__device__ __forceinline__ void place_of(ImageHistogram2d<T> const& p, T x, int& bin, T& t) {
   T const place = (x - p.low) * p.inverse + T(0.5), whole = floor(place);
   t = place - whole;
   bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
@@ -30,13 +30,13 @@ __device__ __forceinline__ void place_of(GridCounts<T> const& p, T x, int& bin, 
 // Counts in shared memory, several copies of each where they fit: neighboring threads, whose samples are often alike,
 // add to different ones.
 template <class T>
-__global__ void __launch_bounds__(kThreads) count_piece(GridCounts<T> p, int part, int copies) {
+__global__ void __launch_bounds__(kThreads) count_chunk(ImageHistogram2d<T> p, int part, int copies) {
   using Sum = typename Fixed<T>::type;
   __shared__ __align__(16) unsigned char memory[kBytes];
   Sum* const counts = reinterpret_cast<Sum*>(memory);
-  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces;
-  T const* const x = p.x + row * p.samples + piece * p.piece;
-  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+  int64_t const row = blockIdx.x / p.chunks, chunk = blockIdx.x - row * p.chunks;
+  T const* const x = p.x + row * p.samples + chunk * p.chunk;
+  int const samples = int(min(p.chunk, p.samples - chunk * p.chunk)), bins = int(p.bins);
   for (int first = 0; first < bins; first += part) {
     __syncthreads();
     for (int i = threadIdx.x; i < part * copies; i += kThreads) counts[i] = 0;
@@ -63,7 +63,7 @@ __global__ void __launch_bounds__(kThreads) count_piece(GridCounts<T> p, int par
         Between<T> const b(t, p.kernel);
         add(bin, b.first_weight);
         add(bin + 1, b.next_weight);
-        if (t == 0 && p.kernel == CountKernel::uniform) add(bin - 1, 1);
+        if (t == 0 && p.kernel == HistogramKernel::uniform) add(bin - 1, 1);
       }
     }
     __syncthreads();
@@ -76,11 +76,11 @@ __global__ void __launch_bounds__(kThreads) count_piece(GridCounts<T> p, int par
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) differentiate(GridCountsBackward<T> b) {
-  GridCounts<T> const& p = b.forward;
-  int64_t const row = blockIdx.x / p.pieces, piece = blockIdx.x - row * p.pieces,
-                at = row * p.samples + piece * p.piece;
-  int const samples = int(min(p.piece, p.samples - piece * p.piece)), bins = int(p.bins);
+__global__ void __launch_bounds__(kThreads) differentiate(ImageHistogram2dBackward<T> b) {
+  ImageHistogram2d<T> const& p = b.forward;
+  int64_t const row = blockIdx.x / p.chunks, chunk = blockIdx.x - row * p.chunks,
+                at = row * p.samples + chunk * p.chunk;
+  int const samples = int(min(p.chunk, p.samples - chunk * p.chunk)), bins = int(p.bins);
   T const* const grad = b.grad + row * p.bins;
   auto const grad_of = [&](int bin) { return bin >= 0 && bin < bins ? grad[bin] : T(0); };
 #pragma unroll 4
@@ -97,24 +97,24 @@ __global__ void __launch_bounds__(kThreads) differentiate(GridCountsBackward<T> 
 }  // namespace
 
 template <class T>
-int grid_counts(GridCounts<T> const& p, CUstream_st* stream) {
+int image_histogram2d(ImageHistogram2d<T> const& p, CUstream_st* stream) {
   int const fit = kBytes / int(sizeof(typename Fixed<T>::type)), part = int(min(p.bins, int64_t(fit)));
   int copies = 1;
   while (copies < 16 && 2 * copies * part <= fit) copies *= 2;
-  count_piece<<<unsigned(p.rows * p.pieces), kThreads, 0, stream>>>(p, part, copies);
-  if (p.pieces > 1)
-    add_pieces<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p.partial, p.rows, p.pieces, p.bins,
+  count_chunk<<<unsigned(p.rows * p.chunks), kThreads, 0, stream>>>(p, part, copies);
+  if (p.chunks > 1)
+    add_chunks<<<unsigned(ceil_div(p.rows * p.bins, 256)), 256, 0, stream>>>(p.partial, p.rows, p.chunks, p.bins,
                                                                              p.counts);
   return cudaGetLastError();
 }
 
 template <class T>
-int grid_counts_backward(GridCountsBackward<T> const& p, CUstream_st* stream) {
-  differentiate<<<unsigned(p.forward.rows * p.forward.pieces), kThreads, 0, stream>>>(p);
+int image_histogram2d_backward(ImageHistogram2dBackward<T> const& p, CUstream_st* stream) {
+  differentiate<<<unsigned(p.forward.rows * p.forward.chunks), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_COMPUTED(grid_counts, GridCounts)
-KV_INSTANTIATE_COMPUTED(grid_counts_backward, GridCountsBackward)
+KV_INSTANTIATE_COMPUTED(image_histogram2d, ImageHistogram2d)
+KV_INSTANTIATE_COMPUTED(image_histogram2d_backward, ImageHistogram2dBackward)
 
 }  // namespace kv::cuda

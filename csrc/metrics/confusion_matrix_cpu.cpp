@@ -1,11 +1,11 @@
 // Counts of labels on the CPU: samples [begin, end). Compiled once per instruction set.
-#include "confusion.h"
+#include "confusion_matrix.h"
 #include "core/scratch.h"
 
 namespace kv::KV_ISA {
 
 template <class T>
-void confusion(Confusion<T> const& p, int64_t begin, int64_t end) {
+void confusion_matrix(ConfusionMatrix<T> const& p, int64_t begin, int64_t end) {
   int64_t const n = p.classes;
   Scratch<uint32_t> const memory(n * n);
   uint32_t* const counts = memory.data;
@@ -19,20 +19,20 @@ void confusion(Confusion<T> const& p, int64_t begin, int64_t end) {
     for (int64_t row = 0; row < n; ++row) {
       uint32_t labelled = 0, predicted = 0;
       for (int64_t k = 0; k < n; ++k) labelled += counts[row * n + k], predicted += counts[k * n + row];
-      if (p.wanted == Confused::overlaps) {
-        p.found[sample * n + row] = p.overlap(float(counts[row * n + row]), float(labelled), float(predicted));
+      if (p.statistic == ConfusionStatistic::iou) {
+        p.result[sample * n + row] = p.overlap(float(counts[row * n + row]), float(labelled), float(predicted));
         continue;
       }
-      float* const to = p.found + (sample * n + row) * n;
+      float* const to = p.result + (sample * n + row) * n;
       for (int64_t k = 0; k < n; ++k) {
         float const count = float(counts[row * n + k]);
-        to[k] = p.wanted == Confused::counts ? count : p.rate(count, float(labelled));
+        to[k] = p.statistic == ConfusionStatistic::counts ? count : p.rate(count, float(labelled));
       }
     }
   }
 }
 
-KV_INSTANTIATE_ONE(confusion, Confusion, int64_t)
-KV_INSTANTIATE_ONE(confusion, Confusion, uint8_t)
+KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, int64_t)
+KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, uint8_t)
 
 }  // namespace kv::KV_ISA

@@ -1,23 +1,24 @@
-// The intersection over union of every box of one set with every one of another. Included by box_overlaps_cpu.cpp,
-// box_overlaps.cu and box_overlaps_op.cpp.
+// The intersection over union of every box of one set with every one of another. Included by boxes_cpu.cpp,
+// boxes.cu and boxes_op.cpp.
 #pragma once
 
 #include "core/isa.h"
 
 namespace kv {
 
-// Two corners; the first one and the size; the middle and the size.
+// Two corners; the first one and the size; the center and the size. Graphs contain the numbers;
+// python/kvision/metrics/boxes.py has the same ones.
 enum class BoxFormat : int { xyxy, xywh, cxcywh };
 
 template <class T>
-struct BoxOverlaps {
+struct BoxIou {
   T const *a, *b;  // (batch, n, 4), (batch, m, 4)
   int64_t batch, n, m;
   BoxFormat format;
-  T* found;  // (batch, n, m)
+  T* result;  // (batch, n, m)
 };
 
-KV_KERNEL(box_overlaps, BoxOverlaps)
+KV_KERNEL(box_iou, BoxIou)
 
 template <class F>
 struct Corners {

@@ -1,11 +1,11 @@
 // Mixing two images: schema and entry, for CPU and CUDA alike.
+#include "add_weighted.h"
 #include "glue/glue.h"
-#include "mix.h"
 
 namespace kv {
 namespace {
 
-using Maybe = std::optional<Tensor>;
+using OptionalTensor = std::optional<Tensor>;
 
 // `x` itself, or a dense copy.
 Tensor whole(Tensor const& x, Layout layout) {
@@ -14,32 +14,32 @@ Tensor whole(Tensor const& x, Layout layout) {
   return y.size(0) == 1 || y.stride(0) == y.size(2) * y.stride(2) ? y : as_layout(dense(y), layout);
 }
 
-Tensor mix(Tensor const& input, Tensor const& other, Maybe const& alpha, Maybe const& beta, Maybe const& gamma,
-           double a, double b, double c) {
-  check_images("mix", "input", input);
+Tensor add_weighted(Tensor const& input, Tensor const& other, OptionalTensor const& alpha, OptionalTensor const& beta,
+                    OptionalTensor const& gamma, double a, double b, double c) {
+  check_images("add_weighted", "input", input);
   bool const one = other.dim() == 4 && other.size(0) == 1 && input.size(0) > 1;  // for all images
   bool same = other.dim() == 4 && (one || other.size(0) == input.size(0)) && other.device() == input.device() &&
               other.scalar_type() == input.scalar_type();
   for (int64_t axis = 1; axis < 4; ++axis) same = same && other.size(axis) == input.size(axis);
-  KV_CHECK(same, "mix: other differs in shape, dtype or device from input");
+  KV_CHECK(same, "add_weighted: other differs in shape, dtype or device from input");
   Layout const layout = layout_of(input);
   bool const last = layout == Layout::channels_last;
-  Tensor const x = whole(input, layout), y = whole(other, layout), mixed = empty_like(x, layout);
+  Tensor const x = whole(input, layout), y = whole(other, layout), result = empty_like(x, layout);
   bool by_image = one, by_channel = false;
-  for (Maybe const* given : {&alpha, &beta, &gamma}) {
+  for (OptionalTensor const* given : {&alpha, &beta, &gamma}) {
     if (!*given) continue;
     Tensor const& w = **given;
     KV_CHECK(w.dim() == 3 && (w.size(0) == 1 || w.size(0) == x.size(0)) && (w.size(1) == 1 || w.size(1) == x.size(1)) &&
                  w.size(2) == 1,
-             "mix: expected weights of shape (B, C, 1) or with axes of size 1");
+             "add_weighted: expected weights of shape (B, C, 1) or with axes of size 1");
     KV_CHECK(w.scalar_type() == (x.scalar_type() == ScalarType::Double ? ScalarType::Double : ScalarType::Float) &&
                  w.device() == x.device(),
-             "mix: expected weights of the type that is computed in, on the device of input");
+             "add_weighted: expected weights of the type that is computed in, on the device of input");
     by_image = by_image || w.size(0) > 1;
     by_channel = by_channel || w.size(1) > 1;
   }
   int64_t const images = x.size(0), channels = x.size(1), pixels = x.size(2) * x.size(3), of_image = channels * pixels;
-  dispatch_floating("mix", x, [&](auto type) {
+  dispatch_floating("add_weighted", x, [&](auto type) {
     using T = typename decltype(type)::type;
     // Everything is one row, or an image is, or a channel.
     auto const rows = [&]<class U>(Type<U>, Tensor const& t) -> Planes<U> {
@@ -49,21 +49,22 @@ Tensor mix(Tensor const& input, Tensor const& other, Maybe const& alpha, Maybe c
       if (by_image) return {data, images, 1, image, 0, 0, 1, of_image, 1};
       return {data, 1, 1, 0, 0, 0, 1, images * of_image, 1};
     };
-    auto const weight = [&](Maybe const& w, double number) -> typename Mix<T>::Weight {
+    auto const weight = [&](OptionalTensor const& w, double number) -> typename AddWeighted<T>::Weight {
       if (!w) return {nullptr, 0, 0, Compute<T>(number)};
       return {static_cast<Compute<T> const*>(w->const_data_ptr()), w->size(0) > 1 ? w->stride(0) : 0,
               w->size(1) > 1 ? w->stride(1) : 0, 0};
     };
-    Mix<T> const p{rows(Type<T const>{}, x), rows(Type<T const>{}, y), rows(Type<T>{}, mixed),
-                   weight(alpha, a),         weight(beta, b),          weight(gamma, c)};
-    KV_RUN(mix, x, p, p.x.count() * ((p.x.width + kMixed - 1) / kMixed), kMixed);
+    AddWeighted<T> const p{rows(Type<T const>{}, x), rows(Type<T const>{}, y), rows(Type<T>{}, result),
+                           weight(alpha, a),         weight(beta, b),          weight(gamma, c)};
+    KV_RUN(add_weighted, x, p, p.x.count() * ((p.x.width + kAddWeightedChunk - 1) / kAddWeightedChunk),
+           kAddWeightedChunk);
   });
-  return mixed;
+  return result;
 }
 
 }  // namespace
 
-KV_OPERATOR(mix,
+KV_OPERATOR(add_weighted,
             "(Tensor input, Tensor other, Tensor? alpha, Tensor? beta, Tensor? gamma, float a, float b, float c)"
             " -> Tensor")
 

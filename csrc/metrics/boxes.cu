@@ -1,5 +1,5 @@
 // Overlaps of boxes on CUDA: a thread for each pair.
-#include "box_overlaps.h"
+#include "boxes.h"
 #include "core/launch.cuh"
 
 namespace kv::cuda {
@@ -15,21 +15,21 @@ __device__ __forceinline__ Corners<Compute<T>> corners_of(T const* box, BoxForma
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) find_overlaps(__grid_constant__ BoxOverlaps<T> const p) {
+__global__ void __launch_bounds__(kThreads) find_overlaps(__grid_constant__ BoxIou<T> const p) {
   int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x, row = i / p.m, k = i - row * p.m;
   if (row >= p.batch * p.n) return;
   Corners const own = corners_of(p.a + 4 * row, p.format);
-  p.found[i] = round_to<T>(own.overlap(corners_of(p.b + (row / p.n * p.m + k) * 4, p.format)));
+  p.result[i] = round_to<T>(own.overlap(corners_of(p.b + (row / p.n * p.m + k) * 4, p.format)));
 }
 
 }  // namespace
 
 template <class T>
-int box_overlaps(BoxOverlaps<T> const& p, CUstream_st* stream) {
+int box_iou(BoxIou<T> const& p, CUstream_st* stream) {
   find_overlaps<<<unsigned(ceil_div(p.batch * p.n * p.m, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(box_overlaps, BoxOverlaps)
+KV_INSTANTIATE(box_iou, BoxIou)
 
 }  // namespace kv::cuda

@@ -1,0 +1,69 @@
+// Reductions over the threads of a block, with results that do not depend on timing. Included by *.cu files.
+#pragma once
+
+#include "launch.cuh"
+
+namespace kv::cuda {
+namespace {
+
+// The sum over the threads of a block, returned to the first one. Warps are added up in order.
+template <int Threads, class F>
+__device__ __forceinline__ F block_sum(F x) {
+  constexpr int kWarps = Threads / 32;
+  __shared__ F warp_sums[kWarps];
+  x = warp_sum(x);
+  if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = x;
+  __syncthreads();
+  F sum = 0;
+  for (int w = 0; w < kWarps; ++w) sum += warp_sums[w];
+  return sum;
+}
+
+// The sum over the threads of a block, returned to all of them. `memory` has a number per warp.
+template <int Warps, class F>
+__device__ __forceinline__ F block_sum_to_all(F x, F (&memory)[Warps]) {
+  x = warp_sum(x);
+  __syncthreads();  // the memory may be in use for another sum
+  if (threadIdx.x % 32 == 0) memory[threadIdx.x / 32] = x;
+  __syncthreads();
+  F total = 0;
+#pragma unroll
+  for (int w = 0; w < Warps; ++w) total += memory[w];
+  return total;
+}
+
+// Operations for block_reduce.
+struct NanMax {
+  template <class F>
+  __device__ __forceinline__ F operator()(F a, F b) const {
+    return a != a || a > b ? a : b;  // NaN if either is NaN
+  }
+};
+struct Sum {
+  template <class F>
+  __device__ __forceinline__ F operator()(F a, F b) const {
+    return a + b;
+  }
+};
+// Reduces K numbers over the threads of a block, and returns the results to all of them.
+template <int Threads, int K, class F, class Op>
+__device__ __forceinline__ void block_reduce(F (&v)[K], Op op) {
+  constexpr int kWarps = Threads / 32;
+  __shared__ F warp_results[K][kWarps];
+  __syncthreads();  // the memory may be in use for another reduction
+#pragma unroll
+  for (int k = 0; k < K; ++k) {
+#pragma unroll
+    for (int lane = 16; lane > 0; lane /= 2) v[k] = op(v[k], __shfl_xor_sync(0xffffffffu, v[k], lane));
+    if (threadIdx.x % 32 == 0) warp_results[k][threadIdx.x / 32] = v[k];
+  }
+  __syncthreads();
+#pragma unroll
+  for (int k = 0; k < K; ++k) {
+    v[k] = warp_results[k][0];
+    for (int w = 1; w < kWarps; ++w) v[k] = op(v[k], warp_results[k][w]);
+  }
+}
+
+}  // namespace
+}  // namespace kv::cuda

@@ -183,9 +183,8 @@ __global__ void __launch_bounds__(kThreads) run_blocks_backward(__grid_constant_
       for (int c = 0; c < 2; ++c) {
         F const *const near = levels.row(at.image, 1 + c, down.near), *const far =
                                                                           levels.row(at.image, 1 + c, down.far);
-        doubled[c] =
-            (near[across.near] * down.near_weight + far[across.near] * down.far_weight) * across.near_weight +
-            (near[across.far] * down.near_weight + far[across.far] * down.far_weight) * across.far_weight;
+        doubled[c] = (near[across.near] * down.near_weight + far[across.near] * down.far_weight) * across.near_weight +
+                     (near[across.far] * down.near_weight + far[across.far] * down.far_weight) * across.far_weight;
       }
       T const* const g = p.grad.row(at.image, 0, y) + x * p.grad.step;
       of = jpeg_clipped_rgb_vjp<F>(

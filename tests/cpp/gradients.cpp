@@ -287,7 +287,7 @@ int main() {
       "crop_and_resize", [](auto const& t) { return kvision::crop_and_resize(t[0], t[1], {4, 3}); }, {x, quads}, false);
   check("center_crop by half a pixel", [](auto const& t) { return kvision::center_crop(t[0], {4, 5}); }, {x}, false);
   check("center_crop", [](auto const& t) { return kvision::center_crop(t[0], {5, 4}); }, {x});
-  check("crop beyond the image", [](auto const& t) { return ops::window(t[0], {-1, 1}, {4, 5}); }, {x});
+  check("crop beyond the image", [](auto const& t) { return ops::crop(t[0], {-1, 1}, {4, 5}); }, {x});
   check("hflip", [](auto const& t) { return kvision::hflip(t[0]); }, {x});
   check(
       "elastic_transform2d",
@@ -552,7 +552,7 @@ int main() {
       "undistort_image", [&](auto const& t) { return kvision::undistort_image(to_double(x), t[0], t[1]); },
       {torch::rand({1, 3, 3}) + 3, 0.01 * torch::rand({2, 8})}, false);
   check(
-      "lens_map of a tilted sensor", [](auto const& t) { return ops::lens_map(t[0], t[1], t[2], {3, 5}); },
+      "undistort_map of a tilted sensor", [](auto const& t) { return ops::undistort_map(t[0], t[1], t[2], {3, 5}); },
       {torch::rand({1, 3, 3}) + 3, 0.1 * torch::rand({2, 14}), torch::eye(3) + 0.1 * torch::rand({2, 3, 3})}, false);
 
   std::cout << checks << " derivatives, " << failures << " failures\n";

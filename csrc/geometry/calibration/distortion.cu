@@ -15,7 +15,7 @@ __device__ __forceinline__ void pixel_at(LensPoints<T> const& p, unsigned i, T& 
   y = T(row);
 }
 
-template <class T, bool There>
+template <class T, bool Distorts>
 __global__ void __launch_bounds__(kThreads) through_lens(LensPoints<T> p) {
   int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
   if (i >= p.batch * p.count) return;
@@ -26,24 +26,24 @@ __global__ void __launch_bounds__(kThreads) through_lens(LensPoints<T> p) {
   else
     pixel_at(p, unsigned(i - b * p.count), x, y);
   Lens<T> const lens(p, b);
-  There ? lens.distort(x, y) : lens.undistort(x, y);
+  Distorts ? lens.distort(x, y) : lens.undistort(x, y);
   int64_t const to = p.points ? 2 * i : i + b * p.count;
   p.result[to] = x, p.result[to + (p.points ? 1 : p.count)] = y;
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) slope_parts(__grid_constant__ LensSlopes<T> const p) {
+__global__ void __launch_bounds__(kThreads) undistort_map_backward_parts(__grid_constant__ LensBackward<T> const p) {
   __shared__ T warps[kThreads / 32][kLensSums];
   int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
-  int64_t const last = min(p.count, (part + 1) * kLensPart);
+  int64_t const last = min(p.count, (part + 1) * kLensChunk);
   T const* const grad = p.grad + 2 * b * p.count;
   Lens<T> const lens(p, b);
   T sums[kLensSums] = {};
 #pragma unroll 1
-  for (int64_t i = part * kLensPart + threadIdx.x; i < last; i += kThreads) {
+  for (int64_t i = part * kLensChunk + threadIdx.x; i < last; i += kThreads) {
     T x, y;
     pixel_at(p, unsigned(i), x, y);
-    lens.add_slopes(x, y, grad[i], grad[p.count + i], sums);
+    lens.accumulate_grads(x, y, grad[i], grad[p.count + i], sums);
   }
 #pragma unroll
   for (int i = 0; i < kLensSums; ++i) {
@@ -59,7 +59,7 @@ __global__ void __launch_bounds__(kThreads) slope_parts(__grid_constant__ LensSl
 
 // A warp a sample.
 template <class T>
-__global__ void sum_parts(LensSlopes<T> p) {
+__global__ void sum_parts(LensBackward<T> p) {
   int64_t const b = blockIdx.x;
   int const i = int(threadIdx.x);
   if (i == kLensSums) p.set_zeros(b);
@@ -72,32 +72,32 @@ __global__ void sum_parts(LensSlopes<T> p) {
 }  // namespace
 
 template <class T>
-int undistort(LensPoints<T> const& p, CUstream_st* stream) {
+int undistort_points(LensPoints<T> const& p, CUstream_st* stream) {
   through_lens<T, false><<<unsigned(ceil_div(p.batch * p.count, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
-int distort(LensPoints<T> const& p, CUstream_st* stream) {
+int distort_points(LensPoints<T> const& p, CUstream_st* stream) {
   through_lens<T, true><<<unsigned(ceil_div(p.batch * p.count, kThreads)), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
-int lens_slopes(LensSlopes<T> const& p, CUstream_st* stream) {
-  slope_parts<<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
+int undistort_map_backward(LensBackward<T> const& p, CUstream_st* stream) {
+  undistort_map_backward_parts<<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
-int lens_sums(LensSlopes<T> const& p, CUstream_st* stream) {
+int reduce_lens_grads(LensBackward<T> const& p, CUstream_st* stream) {
   sum_parts<<<unsigned(p.batch), 32, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_COMPUTED(undistort, LensPoints)
-KV_INSTANTIATE_COMPUTED(distort, LensPoints)
-KV_INSTANTIATE_COMPUTED(lens_slopes, LensSlopes)
-KV_INSTANTIATE_COMPUTED(lens_sums, LensSlopes)
+KV_INSTANTIATE_COMPUTED(undistort_points, LensPoints)
+KV_INSTANTIATE_COMPUTED(distort_points, LensPoints)
+KV_INSTANTIATE_COMPUTED(undistort_map_backward, LensBackward)
+KV_INSTANTIATE_COMPUTED(reduce_lens_grads, LensBackward)
 
 }  // namespace kv::cuda

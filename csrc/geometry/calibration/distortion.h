@@ -13,13 +13,13 @@ namespace kv {
 
 template <class T>
 struct LensPoints {
-  T const* points;           // (B, N, 2) in pixels; or null: the pixels of an image of that width, results (B, 2, N)
-  T const *camera, *wanted;  // (3, 3) of the points and of the result
-  T const* coefficients;     // (given): the first ones, others are 0
-  T const* tilt;             // (3, 3), to the plane of a tilted sensor, or back from it; or null
+  T const* points;  // (B, N, 2) in pixels; or null: the pixels of an image of that width, results (B, 2, N)
+  T const *camera, *new_camera;  // (3, 3) of the points and of the result
+  T const* coefficients;         // (coefficient_count): the first ones, others are 0
+  T const* tilt;                 // (3, 3), to the plane of a tilted sensor, or back from it; or null
   // From the numbers of a problem to the next one's: 0 where all have the same.
-  int64_t camera_stride, wanted_stride, coefficients_stride, tilt_stride;
-  int given, steps;
+  int64_t camera_stride, new_camera_stride, coefficients_stride, tilt_stride;
+  int coefficient_count, steps;
   int64_t batch, count;
   T* result;  // (B, N, 2)
   int64_t width;
@@ -28,87 +28,87 @@ struct LensPoints {
 // The gradients of such a map to its lens, whose camera matrix is both that of the points and of the result: first sums
 // for parts of the pixels of a sample, then these together.
 constexpr int kLensSums = 25;  // focal lengths, center, 12 coefficients, tilt
-constexpr int kLensPart = 4096;
-inline int64_t lens_parts(int64_t count) { return (count + kLensPart - 1) / kLensPart; }
+constexpr int kLensChunk = 4096;
+inline int64_t lens_parts(int64_t count) { return (count + kLensChunk - 1) / kLensChunk; }
 
 template <class T>
-struct LensSlopes : LensPoints<T> {
+struct LensBackward : LensPoints<T> {
   T const* grad;  // (B, 2, N)
   T* sums;        // (B, parts, kLensSums)
   int64_t parts;
-  T *to_camera, *to_coefficients, *to_tilt;  // (B, 3, 3), (B, given), (B, 3, 3) or null
+  T *grad_camera, *grad_coefficients, *grad_tilt;  // (B, 3, 3), (B, coefficient_count), (B, 3, 3) or null
 
   KV_HD void set(int64_t b, int i, double sum) const {
     constexpr int entries[] = {0, 4, 2, 5};
     if (i < 4)
-      to_camera[9 * b + entries[i]] = T(sum);
-    else if (i >= 16 && to_tilt)
-      to_tilt[9 * b + i - 16] = T(sum);
-    else if (i < 16 && i - 4 < this->given)
-      to_coefficients[this->given * b + i - 4] = T(sum);
+      grad_camera[9 * b + entries[i]] = T(sum);
+    else if (i >= 16 && grad_tilt)
+      grad_tilt[9 * b + i - 16] = T(sum);
+    else if (i < 16 && i - 4 < this->coefficient_count)
+      grad_coefficients[this->coefficient_count * b + i - 4] = T(sum);
   }
   // What has no part in the map.
   KV_HD void set_zeros(int64_t b) const {
     for (int i = 0; i < 9; ++i)
-      if (i != 0 && i != 2 && i != 4 && i != 5) to_camera[9 * b + i] = 0;
-    for (int i = 12; i < this->given; ++i) to_coefficients[this->given * b + i] = 0;
+      if (i != 0 && i != 2 && i != 4 && i != 5) grad_camera[9 * b + i] = 0;
+    for (int i = 12; i < this->coefficient_count; ++i) grad_coefficients[this->coefficient_count * b + i] = 0;
   }
 };
 
-KV_KERNEL(undistort, LensPoints)
-KV_KERNEL(distort, LensPoints)
-KV_KERNEL(lens_slopes, LensSlopes)
-KV_KERNEL(lens_sums, LensSlopes)
+KV_KERNEL(undistort_points, LensPoints)
+KV_KERNEL(distort_points, LensPoints)
+KV_KERNEL(undistort_map_backward, LensBackward)
+KV_KERNEL(reduce_lens_grads, LensBackward)
 
 // A problem's lens.
 template <class T>
 struct Lens {
   LensPoints<T> const& p;
-  T const *k, *wanted, *tilt;
+  T const *k, *new_camera, *tilt;
   T c[12];
 
   KV_HD Lens(LensPoints<T> const& p, int64_t b)
       : p(p),
         k(p.camera + b * p.camera_stride),
-        wanted(p.wanted + b * p.wanted_stride),
+        new_camera(p.new_camera + b * p.new_camera_stride),
         tilt(p.tilt ? p.tilt + b * p.tilt_stride : nullptr) {
-    for (int i = 0; i < 12; ++i) c[i] = i < p.given ? p.coefficients[b * p.coefficients_stride + i] : T(0);
+    for (int i = 0; i < 12; ++i) c[i] = i < p.coefficient_count ? p.coefficients[b * p.coefficients_stride + i] : T(0);
   }
   template <class V>
-  KV_HD void to_plane(V& x, V& y) const {
+  KV_HD void normalize(V& x, V& y) const {
     x = (x - k[2]) / k[0];
     y = (y - k[5]) / k[4];
   }
   template <class V>
   KV_HD void to_pixels(V& x, V& y) const {
-    x = x * wanted[0] + wanted[2];
-    y = y * wanted[4] + wanted[5];
+    x = x * new_camera[0] + new_camera[2];
+    y = y * new_camera[4] + new_camera[5];
   }
   template <class V>
-  KV_HD void turn(V& x, V& y) const {
+  KV_HD void apply_tilt(V& x, V& y) const {
     if (!tilt) return;
     V const w = x * tilt[6] + y * tilt[7] + tilt[8], u = (x * tilt[0] + y * tilt[1] + tilt[2]) / w;
     y = (x * tilt[3] + y * tilt[4] + tilt[5]) / w;
     x = u;
   }
-  // The shift, and the factor before it as what is above a line and below it.
+  // The shift, and the factor before it as what is numerator a line and denominator it.
   template <class V>
-  KV_HD void terms(V x, V y, V& above, V& below, V& dx, V& dy) const {
+  KV_HD void terms(V x, V y, V& numerator, V& denominator, V& dx, V& dy) const {
     V const r2 = x * x + y * y;
-    above = 1 + r2 * (c[0] + r2 * (c[1] + r2 * c[4]));
-    below = 1 + r2 * (c[5] + r2 * (c[6] + r2 * c[7]));
+    numerator = 1 + r2 * (c[0] + r2 * (c[1] + r2 * c[4]));
+    denominator = 1 + r2 * (c[5] + r2 * (c[6] + r2 * c[7]));
     dx = 2 * c[2] * x * y + c[3] * (r2 + 2 * x * x) + r2 * (c[8] + r2 * c[9]);
     dy = c[2] * (r2 + 2 * y * y) + 2 * c[3] * x * y + r2 * (c[10] + r2 * c[11]);
   }
   template <class V>
   KV_HD void undistort(V& x, V& y) const {
-    to_plane(x, y);
-    turn(x, y);
+    normalize(x, y);
+    apply_tilt(x, y);
     V const x0 = x, y0 = y;
     for (int step = 0; step < p.steps; ++step) {
-      V above, below, dx, dy;
-      terms(x, y, above, below, dx, dy);
-      V const inverse = below / above;
+      V numerator, denominator, dx, dy;
+      terms(x, y, numerator, denominator, dx, dy);
+      V const inverse = denominator / numerator;
       x = (x0 - dx) * inverse;
       y = (y0 - dy) * inverse;
     }
@@ -116,50 +116,55 @@ struct Lens {
   }
   template <class V>
   KV_HD void distort(V& x, V& y) const {
-    V above, below, dx, dy;
-    to_plane(x, y);
-    terms(x, y, above, below, dx, dy);
-    V const factor = above / below;
+    V numerator, denominator, dx, dy;
+    normalize(x, y);
+    terms(x, y, numerator, denominator, dx, dy);
+    V const factor = numerator / denominator;
     x = x * factor + dx;
     y = y * factor + dy;
-    turn(x, y);
+    apply_tilt(x, y);
     to_pixels(x, y);
   }
   // Adds to the sums what a pixel whose place has the gradient (u, v) gives.
   template <class V>
-  KV_HD void add_slopes(V x, V y, V u, V v, V (&to)[kLensSums]) const {
-    auto const none = (u == 0) & (v == 0);  // wherever its place is
-    x = none ? V(V{} + k[2]) : x;
-    y = none ? V(V{} + k[5]) : y;
-    to_plane(x, y);
-    V above, below, dx, dy;
-    terms(x, y, above, below, dx, dy);
-    V const inverse = 1 / below, factor = above * inverse, on_x = x * factor + dx, on_y = y * factor + dy;
-    V seen_x = on_x, seen_y = on_y;
-    turn(seen_x, seen_y);
-    to[0] += u * seen_x, to[1] += v * seen_y, to[2] += u, to[3] += v;
-    V to_x = u * wanted[0], to_y = v * wanted[4];
+  KV_HD void accumulate_grads(V x, V y, V u, V v, V (&sums)[kLensSums]) const {
+    auto const has_no_grad = (u == 0) & (v == 0);  // its coordinates may be inf
+    x = has_no_grad ? V(V{} + k[2]) : x;
+    y = has_no_grad ? V(V{} + k[5]) : y;
+    normalize(x, y);
+    V numerator, denominator, dx, dy;
+    terms(x, y, numerator, denominator, dx, dy);
+    V const inverse = 1 / denominator, factor = numerator * inverse, distorted_x = x * factor + dx,
+            distorted_y = y * factor + dy;
+    V tilted_x = distorted_x, tilted_y = distorted_y;
+    apply_tilt(tilted_x, tilted_y);
+    sums[0] += u * tilted_x, sums[1] += v * tilted_y, sums[2] += u, sums[3] += v;
+    V grad_x = u * new_camera[0], grad_y = v * new_camera[4];
     if (tilt) {
-      V const scale = 1 / (on_x * tilt[6] + on_y * tilt[7] + tilt[8]),
-              rows[] = {to_x * scale, to_y * scale, -(to_x * seen_x + to_y * seen_y) * scale};
-      to_x = to_y = V{};
+      V const scale = 1 / (distorted_x * tilt[6] + distorted_y * tilt[7] + tilt[8]),
+              rows[] = {grad_x * scale, grad_y * scale, -(grad_x * tilted_x + grad_y * tilted_y) * scale};
+      grad_x = grad_y = V{};
       for (int i = 0; i < 3; ++i) {
-        to[16 + 3 * i] += rows[i] * on_x, to[17 + 3 * i] += rows[i] * on_y, to[18 + 3 * i] += rows[i];
-        to_x += rows[i] * tilt[3 * i], to_y += rows[i] * tilt[3 * i + 1];
+        sums[16 + 3 * i] += rows[i] * distorted_x, sums[17 + 3 * i] += rows[i] * distorted_y,
+            sums[18 + 3 * i] += rows[i];
+        grad_x += rows[i] * tilt[3 * i], grad_y += rows[i] * tilt[3 * i + 1];
       }
     }
     V const r2 = x * x + y * y, r4 = r2 * r2;
-    V const to_above = (to_x * x + to_y * y) * inverse, to_below = -to_above * factor;
-    to[4] += to_above * r2, to[5] += to_above * r4, to[8] += to_above * r4 * r2;
-    to[9] += to_below * r2, to[10] += to_below * r4, to[11] += to_below * r4 * r2;
-    to[6] += to_x * (2 * x * y) + to_y * (r2 + 2 * y * y), to[7] += to_x * (r2 + 2 * x * x) + to_y * (2 * x * y);
-    to[12] += to_x * r2, to[13] += to_x * r4, to[14] += to_y * r2, to[15] += to_y * r4;
-    V const to_r2 = to_above * (c[0] + r2 * (2 * c[1] + 3 * c[4] * r2)) +
-                    to_below * (c[5] + r2 * (2 * c[6] + 3 * c[7] * r2)) + to_x * (c[3] + c[8] + 2 * c[9] * r2) +
-                    to_y * (c[2] + c[10] + 2 * c[11] * r2);
-    V const back_x = (to_x * (factor + 2 * c[2] * y + 4 * c[3] * x) + 2 * c[3] * to_y * y + 2 * to_r2 * x) * (1 / k[0]);
-    V const back_y = (to_y * (factor + 2 * c[3] * x + 4 * c[2] * y) + 2 * c[2] * to_x * x + 2 * to_r2 * y) * (1 / k[4]);
-    to[0] -= back_x * x, to[1] -= back_y * y, to[2] -= back_x, to[3] -= back_y;
+    V const grad_numerator = (grad_x * x + grad_y * y) * inverse, grad_denominator = -grad_numerator * factor;
+    sums[4] += grad_numerator * r2, sums[5] += grad_numerator * r4, sums[8] += grad_numerator * r4 * r2;
+    sums[9] += grad_denominator * r2, sums[10] += grad_denominator * r4, sums[11] += grad_denominator * r4 * r2;
+    sums[6] += grad_x * (2 * x * y) + grad_y * (r2 + 2 * y * y),
+        sums[7] += grad_x * (r2 + 2 * x * x) + grad_y * (2 * x * y);
+    sums[12] += grad_x * r2, sums[13] += grad_x * r4, sums[14] += grad_y * r2, sums[15] += grad_y * r4;
+    V const grad_r2 = grad_numerator * (c[0] + r2 * (2 * c[1] + 3 * c[4] * r2)) +
+                      grad_denominator * (c[5] + r2 * (2 * c[6] + 3 * c[7] * r2)) +
+                      grad_x * (c[3] + c[8] + 2 * c[9] * r2) + grad_y * (c[2] + c[10] + 2 * c[11] * r2);
+    V const grad_plane_x =
+        (grad_x * (factor + 2 * c[2] * y + 4 * c[3] * x) + 2 * c[3] * grad_y * y + 2 * grad_r2 * x) * (1 / k[0]);
+    V const grad_plane_y =
+        (grad_y * (factor + 2 * c[3] * x + 4 * c[2] * y) + 2 * c[2] * grad_x * x + 2 * grad_r2 * y) * (1 / k[4]);
+    sums[0] -= grad_plane_x * x, sums[1] -= grad_plane_y * y, sums[2] -= grad_plane_x, sums[3] -= grad_plane_y;
   }
 };
 

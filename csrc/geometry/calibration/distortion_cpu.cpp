@@ -18,7 +18,7 @@ KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T,
   }
 }
 
-template <bool There, int N, class T>
+template <bool Distorts, int N, class T>
 KV_HD void through(Lens<T> const& lens, int64_t b, int64_t i) {
   auto const& p = lens.p;
   Lanes<T, N> x, y;
@@ -29,7 +29,7 @@ KV_HD void through(Lens<T> const& lens, int64_t b, int64_t i) {
   } else {
     for (int k = 0; k < N; ++k) x[k] = p.points[2 * (i + k)], y[k] = p.points[2 * (i + k) + 1];
   }
-  There ? lens.distort(x, y) : lens.undistort(x, y);
+  Distorts ? lens.distort(x, y) : lens.undistort(x, y);
   if (!p.points) {
     store<N>(p.result + b * p.count + i, x);
     store<N>(p.result + (b + 1) * p.count + i, y);
@@ -47,14 +47,14 @@ KV_HD int64_t run_end(LensPoints<T> const& p, int64_t i, int64_t end) {
   return p.points ? last : min(last, i + p.width - i % p.count % p.width);
 }
 
-template <bool There, class T>
+template <bool Distorts, class T>
 KV_HD void through_lenses(LensPoints<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<T>;
   for (int64_t i = begin; i < end;) {
     int64_t const b = i / p.count, last = run_end(p, i, end);
     Lens<T> const lens(p, b);
-    for (; i + N <= last; i += N) through<There, N>(lens, b, i);
-    for (; i < last; ++i) through<There, 1>(lens, b, i);
+    for (; i + N <= last; i += N) through<Distorts, N>(lens, b, i);
+    for (; i < last; ++i) through<Distorts, 1>(lens, b, i);
   }
 }
 
@@ -62,31 +62,31 @@ template <int N, class T>
 KV_HD void add_pixels(Lens<T> const& lens, T const* grad, int64_t i, Lanes<T, N> (&sums)[kLensSums]) {
   Lanes<T, N> x, y;
   pixels_at<N>(lens.p, i, x, y);
-  lens.add_slopes(x, y, Lanes<T, N>(load<N>(grad + i)), Lanes<T, N>(load<N>(grad + lens.p.count + i)), sums);
+  lens.accumulate_grads(x, y, Lanes<T, N>(load<N>(grad + i)), Lanes<T, N>(load<N>(grad + lens.p.count + i)), sums);
 }
 
 }  // namespace
 
 template <class T>
-void undistort(LensPoints<T> const& p, int64_t begin, int64_t end) {
+void undistort_points(LensPoints<T> const& p, int64_t begin, int64_t end) {
   through_lenses<false>(p, begin, end);
 }
 
 template <class T>
-void distort(LensPoints<T> const& p, int64_t begin, int64_t end) {
+void distort_points(LensPoints<T> const& p, int64_t begin, int64_t end) {
   through_lenses<true>(p, begin, end);
 }
 
 // Parts [begin, end) of all samples.
 template <class T>
-void lens_slopes(LensSlopes<T> const& p, int64_t begin, int64_t end) {
+void undistort_map_backward(LensBackward<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<T>;
   for (int64_t part = begin; part < end; ++part) {
-    int64_t const b = part / p.parts, last = min(p.count, (part % p.parts + 1) * kLensPart);
+    int64_t const b = part / p.parts, last = min(p.count, (part % p.parts + 1) * kLensChunk);
     Lens<T> const lens(p, b);
     Lanes<T, N> sums[kLensSums] = {};
     T rest[kLensSums] = {};
-    for (int64_t i = part % p.parts * kLensPart; i < last;) {
+    for (int64_t i = part % p.parts * kLensChunk; i < last;) {
       int64_t const stop = min(last, i + p.width - i % p.width);
       for (; i + N <= stop; i += N) add_pixels<N>(lens, p.grad + 2 * b * p.count, i, sums);
       for (; i < stop; ++i) add_pixels<1>(lens, p.grad + 2 * b * p.count, i, rest);
@@ -100,7 +100,7 @@ void lens_slopes(LensSlopes<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void lens_sums(LensSlopes<T> const& p, int64_t begin, int64_t end) {
+void reduce_lens_grads(LensBackward<T> const& p, int64_t begin, int64_t end) {
   for (int64_t b = begin; b < end; ++b) {
     p.set_zeros(b);
     for (int i = 0; i < kLensSums; ++i) {
@@ -111,9 +111,9 @@ void lens_sums(LensSlopes<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-KV_INSTANTIATE_COMPUTED(undistort, LensPoints)
-KV_INSTANTIATE_COMPUTED(distort, LensPoints)
-KV_INSTANTIATE_COMPUTED(lens_slopes, LensSlopes)
-KV_INSTANTIATE_COMPUTED(lens_sums, LensSlopes)
+KV_INSTANTIATE_COMPUTED(undistort_points, LensPoints)
+KV_INSTANTIATE_COMPUTED(distort_points, LensPoints)
+KV_INSTANTIATE_COMPUTED(undistort_map_backward, LensBackward)
+KV_INSTANTIATE_COMPUTED(reduce_lens_grads, LensBackward)
 
 }  // namespace kv::KV_ISA

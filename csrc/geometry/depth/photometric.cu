@@ -21,7 +21,7 @@ __global__ void __launch_bounds__(kThreads)
     if (there) {
       Reprojection<F> const projection(p.projections + b * p.projection_stride + i * p.projection_view_stride);
       DepthPlace<T> const place(p, projection, b, y, x);
-      Window<2, F> const window(p, place.u, place.v);
+      TapWindow<2, F> const window(p, place.u, place.v);
       if (window.inside) {
         F wx[2], wy[2], to_u = 0, to_v = 0;
         tap_weights(window.tx, wx);
@@ -45,7 +45,7 @@ __global__ void __launch_bounds__(kThreads)
         add_to_projection(g, place.x, place.y, place.d, sums);
       }
     }
-    add_block(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);
+    store_block_sums(sums, p.sums + (int64_t(blockIdx.x) * p.views + i) * kProjectionSums);
   }
   if (there) p.to_depth[(b * p.target.height + y) * p.target.width + x] = to_depth;
 }

@@ -51,7 +51,7 @@ void photometric_depth(PhotometricDepth<T> const& p, int64_t begin, int64_t end)
   using F = Compute<T>;
   int64_t const height = p.target.height, width = p.target.width, row_sums = p.views * kProjectionSums;
   for (double *sum = p.sums + row_sums * begin, *last = p.sums + row_sums * end; sum < last; ++sum) *sum = 0;
-  for_each_piece(begin, end, height, width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+  for_each_row_chunk(begin, end, height, width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
     F* const to_depth = p.to_depth + (b * height + y) * width;
     for (int64_t x = first; x < first + count; ++x) to_depth[x] = 0;
     for (int i = 0; i < p.views; ++i) {

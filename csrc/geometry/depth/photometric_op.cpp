@@ -21,9 +21,9 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
            op, ": target does not fit the views");
   KV_CHECK(projections.dim() == 4 && projections.size(1) == count, op, ": projections do not fit the views");
   Depths const depths(op, depth, projections, views);
-  Size const source = size_of(op, {views.size(3), views.size(4)}), output = depths.size();
+  Size const source = checked_size(op, {views.size(3), views.size(4)}), output = depths.size();
   KV_CHECK(target.size(2) == output.height && target.size(3) == output.width, op, ": depth does not fit the target");
-  SamplingArguments const how(op, "bilinear", "fill", true, views, {});
+  SamplingOptions const how(op, "bilinear", "fill", true, views, {});
   int64_t const parts = projection_parts(output);
   Tensor const loss = empty({batch}, depths.depth), share = empty({batch}, depths.depth);
   Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);

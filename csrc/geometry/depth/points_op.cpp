@@ -7,7 +7,7 @@ namespace {
 
 // Cameras (B, 3, 3), one for all or for each image; each of them contiguous.
 Tensor cameras_of(char const* op, Tensor const& camera, Tensor const& image) {
-  KV_CHECK(goes_with(camera, image, 3) && camera.size(1) == 3 && camera.size(2) == 3, op,
+  KV_CHECK(matches_image(camera, image, 3) && camera.size(1) == 3 && camera.size(2) == 3, op,
            ": camera does not fit the images");
   return camera.stride(1) == 3 && camera.stride(2) == 1 ? camera : dense(camera);
 }
@@ -23,7 +23,7 @@ DepthPoints<T> points_of(Tensor const& depth, Tensor const& y, Tensor const& cam
 Tensor checked(char const* op, Tensor const& depth, Tensor const& camera) {
   check_images(op, "depth", depth);
   KV_CHECK(depth.size(1) == 1, op, ": expected depth of shape (B, 1, H, W), got ", depth.size(1), " channels");
-  size_of(op, depth);
+  checked_size(op, depth);
   return cameras_of(op, camera, depth);
 }
 
@@ -45,7 +45,7 @@ Tensor depth_points_backward(Tensor const& grad, Tensor const& camera, bool dist
   char const* const op = "depth_points_backward";
   check_images(op, "grad", grad);
   KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
-  size_of(op, grad);
+  checked_size(op, grad);
   Tensor const cameras = cameras_of(op, camera, grad);
   int64_t const batch = grad.size(0);
   Tensor const to_depth = empty({batch, 1, grad.size(2), grad.size(3)}, grad);
@@ -74,7 +74,7 @@ Tensor checked_gradient(char const* op, Tensor const& grad, Tensor const& depth,
   check_images(op, "depth", depth);
   KV_CHECK(grad.size(1) == 3, op, ": expected grad of shape (B, 3, H, W), got ", grad.size(1), " channels");
   check_sizes(op, "depth", depth, grad, {grad.size(0), 1, grad.size(2), grad.size(3)});
-  size_of(op, grad);
+  checked_size(op, grad);
   return cameras_of(op, camera, grad);
 }
 

@@ -81,7 +81,7 @@ __global__ void __launch_bounds__(kThreads)
         projection.vjp(place.x, place.y, place.u, place.v, place.scale, to_u, to_v, g);
     add_to_projection(g, place.x, place.y, place.d, sums);
   }
-  add_block(sums, p.sums + int64_t(blockIdx.x) * kProjectionSums);
+  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kProjectionSums);
 }
 
 // Into zeros, by atomics.
@@ -117,7 +117,7 @@ __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
     double sums[2] = {};
     for (int64_t i = threadIdx.x; i < count; i += kThreads)
       for (int k = 0; k < 2; ++k) sums[k] += from[i * kProjectionSums + 12 + k];
-    add_block(sums, total);
+    store_block_sums(sums, total);
     __syncthreads();
     double const terms = total[1] * double(p.channels);
     share = terms > 0 ? 1 / terms : 0;
@@ -131,7 +131,7 @@ __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
     double sums[12] = {};
     for (int64_t part = threadIdx.x; part < p.parts; part += kThreads)
       for (int i = 0; i < 12; ++i) sums[i] += from[(part * p.views + view) * kProjectionSums + i];
-    add_block(sums, total);
+    store_block_sums(sums, total);
     if (threadIdx.x < 12) p.grad[(b * p.views + view) * 12 + threadIdx.x] = T(total[threadIdx.x] * share);
   }
 }

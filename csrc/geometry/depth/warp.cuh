@@ -33,9 +33,9 @@ struct DepthPlace {
     projection.at(this->x, this->y, d, u, v, scale);
     d = d - d == 0 ? d : F(0);  // there is no place then, and nothing shall come of it
   }
-  __device__ __forceinline__ Window<2, F> window(DepthPlaces<T> const& p) const {
+  __device__ __forceinline__ TapWindow<2, F> window(DepthPlaces<T> const& p) const {
     bool const nearest = p.interpolation == Interpolation::nearest;
-    return Window<2, F>(p, nearest ? ::rint(u) : u, nearest ? ::rint(v) : v);
+    return TapWindow<2, F>(p, nearest ? ::rint(u) : u, nearest ? ::rint(v) : v);
   }
 };
 

@@ -7,7 +7,7 @@ namespace {
 
 // A tap of weight 0 is no part of the value, whatever it holds.
 template <int N, class T>
-KV_HD auto value_of(DepthPlaces<T> const& p, Window<2, N, T> const& window, T const* plane) {
+KV_HD auto value_of(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, T const* plane) {
   using F = Compute<T>;
   using V = Lanes<F, N>;
   V wx[2], wy[2], a[2][2];
@@ -46,7 +46,7 @@ KV_HD void store_apart(T* to, int64_t step, V values) {
 
 template <class T>
 void depth_warp(DepthWarp<T> const& p, int64_t begin, int64_t end) {
-  for_each_piece(begin, end, p.y.height, p.y.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+  for_each_row_chunk(begin, end, p.y.height, p.y.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
     auto const projection = p.projection(b);
     for_each_place(p, first, count, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
@@ -65,7 +65,7 @@ void depth_warp_slopes(DepthWarpSlopes<T> const& p, int64_t begin, int64_t end) 
   for (double *sum = p.sums + kProjectionSums * begin, *last = p.sums + kProjectionSums * end; sum < last; ++sum)
     *sum = 0;
   int64_t const height = p.grad.height, width = p.grad.width;
-  for_each_piece(begin, end, height, width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+  for_each_row_chunk(begin, end, height, width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
     auto const projection = p.projection(b);
     ProjectionSums<F> sums{};
     for_each_place(p, first, count, [&](auto lanes, int64_t x) {

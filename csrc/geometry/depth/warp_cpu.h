@@ -16,7 +16,7 @@ struct DepthPlace {
   V x, d, u, v, scale;
 
   KV_HD DepthPlace(DepthPlaces<T> const& p, Reprojection<F> const& projection, int64_t b, int64_t y, int64_t column) {
-    x = count_from<N, F>(column);
+    x = iota<N, F>(column);
     F const* const from = p.depth.row(b, 0, y) + column * p.depth.step;
     if (N == 1 || p.depth.step == 1) {
       d = load<N>(from);
@@ -31,8 +31,8 @@ struct DepthPlace {
     constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);
     return p.interpolation == Interpolation::nearest ? V((place + shift) - shift) : place;
   }
-  KV_HD Window<2, N, T> window(DepthPlaces<T> const& p) const {
-    Window<2, N, T> w;
+  KV_HD TapWindow<2, N, T> window(DepthPlaces<T> const& p) const {
+    TapWindow<2, N, T> w;
     w.set(p, sampled(p, u), sampled(p, v), p.x.row_stride, p.x.step);
     return w;
   }
@@ -40,7 +40,7 @@ struct DepthPlace {
 
 // The four taps of a window in a channel.
 template <int N, class T>
-KV_HD void read_taps(DepthPlaces<T> const& p, Window<2, N, T> const& window, T const* plane,
+KV_HD void read_taps(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, T const* plane,
                      Lanes<Compute<T>, N> (&a)[2][2]) {
   for (int j = 0; j < 2; ++j)
     if (window.inside)
@@ -52,12 +52,12 @@ KV_HD void read_taps(DepthPlaces<T> const& p, Window<2, N, T> const& window, T c
 // What the pixels of a row give to a projection.
 template <class F>
 struct ProjectionSums {
-  Lanes<F, kPlaces<F>> plain[3], by_d[3], by_x[3], distance;
+  Lanes<F, kCoordLanes<F>> plain[3], by_d[3], by_x[3], distance;
   int64_t count;
 
   // Of N pixels.
   template <int N, class V>
-  KV_HD static void add_to(Lanes<F, kPlaces<F>>& total, V some) {
+  KV_HD static void add_to(Lanes<F, kCoordLanes<F>>& total, V some) {
     if constexpr (N == 1)
       total[0] += some;
     else
@@ -71,9 +71,9 @@ struct ProjectionSums {
       add_to<N>(by_x[k], V(g[k] * d * x));
     }
   }
-  KV_HD static double total_of(Lanes<F, kPlaces<F>> lanes) {
+  KV_HD static double total_of(Lanes<F, kCoordLanes<F>> lanes) {
     double sum = 0;
-    for (int i = 0; i < kPlaces<F>; ++i) sum += lanes[i];
+    for (int i = 0; i < kCoordLanes<F>; ++i) sum += lanes[i];
     return sum;
   }
   KV_HD void add_row(int64_t y, double* sums) const {
@@ -92,7 +92,7 @@ struct ProjectionSums {
 // Calls f(lanes, column) for the columns of a piece, each once: vectors and what is left of them.
 template <class T, class Call>
 KV_HD void for_each_place(DepthPlaces<T> const& p, int64_t first, int64_t count, Call f) {
-  with_lanes(p.x, count, [&](auto lanes) {
+  dispatch_lanes(p.x, count, [&](auto lanes) {
     constexpr int N = decltype(lanes)::value;
     int64_t e = 0;
     for (; e + N <= count; e += N) f(lanes, first + e);

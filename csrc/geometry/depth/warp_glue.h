@@ -12,19 +12,19 @@ struct Depths {
 
   Depths(char const* op, Tensor const& depth, Tensor const& projections, Tensor const& image)
       : depth(depth), projection(projections) {
-    KV_CHECK(goes_with(depth, image, 4) && depth.size(1) == 1, op, ": depth does not fit the image");
-    size_of(op, depth);
+    KV_CHECK(matches_image(depth, image, 4) && depth.size(1) == 1, op, ": depth does not fit the image");
+    checked_size(op, depth);
     bool const fits =
-        goes_with(projections, image, projections.dim()) && projections.size(-2) == 3 && projections.size(-1) == 4;
+        matches_image(projections, image, projections.dim()) && projections.size(-2) == 3 && projections.size(-1) == 4;
     KV_CHECK(fits, op, ": projection does not fit the image");
     projection = dense(projections);
   }
   Size size() const { return {depth.size(2), depth.size(3)}; }
 
   template <class T>
-  void set(DepthPlaces<T>& p, SamplingArguments const& how, Size source, int64_t batch) const {
+  void set(DepthPlaces<T>& p, SamplingOptions const& how, Size source, int64_t batch) const {
     using F = Compute<T>;
-    static_cast<Sampling<T>&>(p) = how.of<T>(source, Places<F>{});
+    static_cast<Sampling<T>&>(p) = how.of<T>(source, SampleCoords<F>{});
     p.depth = images<F const>(depth, batch);
     p.projections = data_ptr<F const>(projection);
     p.projection_stride = projection.size(0) == 1 ? 0 : projection.stride(0);

@@ -4,9 +4,9 @@
 namespace kv {
 namespace {
 
-SamplingArguments how_of(char const* op, std::string const& interpolation, std::string const& padding,
-                         bool align_corners, Tensor const& x) {
-  SamplingArguments const how(op, interpolation, padding, align_corners, x, {});
+SamplingOptions how_of(char const* op, std::string const& interpolation, std::string const& padding, bool align_corners,
+                       Tensor const& x) {
+  SamplingOptions const how(op, interpolation, padding, align_corners, x, {});
   KV_CHECK(how.interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
   return how;
 }
@@ -15,8 +15,8 @@ Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projec
                   std::string const& padding, bool align_corners) {
   char const* const op = "depth_warp";
   check_images(op, "image", image);
-  Size const source = size_of(op, image);
-  SamplingArguments const how = how_of(op, interpolation, padding, align_corners, image);
+  Size const source = checked_size(op, image);
+  SamplingOptions const how = how_of(op, interpolation, padding, align_corners, image);
   KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
   Depths const depths(op, depth, projection, image);
   Size const output = depths.size();
@@ -39,15 +39,15 @@ Tensor depth_warp_image_gradient(Tensor const& grad, Tensor const& depth, Tensor
                                  std::string const& padding, bool align_corners) {
   char const* const op = "depth_warp_image_gradient";
   check_images(op, "grad", grad);
-  Size const source = size_of(op, size);
-  SamplingArguments const how = how_of(op, interpolation, padding, align_corners, grad);
+  Size const source = checked_size(op, size);
+  SamplingOptions const how = how_of(op, interpolation, padding, align_corners, grad);
   KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
   Depths const depths(op, depth, projection, grad);
   Size const output = depths.size();
   KV_CHECK(grad.size(2) == output.height && grad.size(3) == output.width, op, ": grad does not fit the depth");
   int64_t const batch = grad.size(0), channels = grad.size(1);
   Tensor const grad_x = empty({batch, channels, source.height, source.width}, grad);
-  for_computed(op, grad, [&](auto type) {
+  dispatch_compute_dtype(op, grad, [&](auto type) {
     using F = typename decltype(type)::type;
     DepthWarpTranspose<F> params{};
     depths.set(params, how, source, batch);
@@ -65,8 +65,8 @@ std::tuple<Tensor, Tensor> depth_warp_slopes(Tensor const& grad, Tensor const& i
   char const* const op = "depth_warp_slopes";
   check_images(op, "image", image);
   check_images(op, "grad", grad);
-  Size const source = size_of(op, image);
-  SamplingArguments const how = how_of(op, interpolation, padding, align_corners, image);
+  Size const source = checked_size(op, image);
+  SamplingOptions const how = how_of(op, interpolation, padding, align_corners, image);
   KV_CHECK(projection.dim() == 3, op, ": expected projection of 3 axes, got ", projection.dim());
   Depths const depths(op, depth, projection, grad);
   Size const output = depths.size();

@@ -1,4 +1,4 @@
-// Flips and windows on CUDA: each thread moves 16 bytes of a few rows, or one element of them where rows are not
+// Flips and crops on CUDA: each thread moves 16 bytes of a few rows, or one element of them where rows are not
 // aligned.
 #include "core/launch.cuh"
 #include "geometry/transform/flip.h"

@@ -1,4 +1,4 @@
-// Flips and windows on the CPU: a vector at a time, whatever its bits are.
+// Flips and crops on the CPU: a vector at a time, whatever its bits are.
 #include <cstring>
 
 #include "core/lanes.h"

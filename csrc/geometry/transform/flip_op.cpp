@@ -1,4 +1,4 @@
-// Flips and windows of images: schemas and entries, for CPU and CUDA alike.
+// Flips and crops of images: schemas and entries, for CPU and CUDA alike.
 #include "geometry/transform/flip.h"
 #include "glue/glue.h"
 
@@ -28,20 +28,20 @@ Tensor flip(Tensor const& input, bool columns, bool rows) {
   return run_flip("flip", input, input.size(2), input.size(3), columns, rows, 0, 0);
 }
 
-// The window of `size` that begins at pixel `corner`, which may be outside.
-Tensor window(Tensor const& input, std::vector<int64_t> corner, std::vector<int64_t> size) {
+// The crop of `size` that begins at pixel `corner`, which may be outside.
+Tensor crop(Tensor const& input, std::vector<int64_t> corner, std::vector<int64_t> size) {
   constexpr int64_t kLargest = 1 << 30;
-  KV_CHECK(corner.size() == 2 && size.size() == 2, "window: expected two numbers for corner and size");
+  KV_CHECK(corner.size() == 2 && size.size() == 2, "crop: expected two numbers for corner and size");
   for (int i = 0; i < 2; ++i)
     KV_CHECK(size[i] > 0 && size[i] <= kLargest && corner[i] >= -kLargest && corner[i] <= kLargest,
-             "window: expected sides of 1 to ", kLargest, " pixels and a corner as near, got ", size[i], " and ",
+             "crop: expected sides of 1 to ", kLargest, " pixels and a corner as near, got ", size[i], " and ",
              corner[i]);
-  return run_flip("window", input, size[0], size[1], false, false, corner[0], corner[1]);
+  return run_flip("crop", input, size[0], size[1], false, false, corner[0], corner[1]);
 }
 
 }  // namespace
 
 KV_OPERATOR(flip, "(Tensor input, bool columns, bool rows) -> Tensor")
-KV_OPERATOR(window, "(Tensor input, int[] corner, int[] size) -> Tensor")
+KV_OPERATOR(crop, "(Tensor input, int[] corner, int[] size) -> Tensor")
 
 }  // namespace kv

@@ -7,16 +7,16 @@ namespace {
 
 // Calls pixel(y, x, the window of its place, the place) for the thread's pixels whose places lie between pixels.
 template <class T, class Pixel>
-__device__ __forceinline__ void for_each_seen(Photometric<T> const& p, PlacesOf<Compute<T>> const& places,
+__device__ __forceinline__ void for_each_seen(Photometric<T> const& p, TileCoords<Compute<T>> const& places,
                                               Pixel pixel) {
   using F = Compute<T>;
   int const x = places.tile.x + column_in_tile();
 #pragma unroll 1
   for (int y = places.tile.y + row_in_tile();
-       x < p.target.width && y < min(places.tile.y + kTile, int(p.target.height)); y += kRunRows) {
+       x < p.target.width && y < min(places.tile.y + kTile, int(p.target.height)); y += kRowStep) {
     F u, v;
     places.at(y, x, u, v);
-    Window<2, F> const window(p, u, v);
+    TapWindow<2, F> const window(p, u, v);
     if (window.inside) pixel(y, x, window, u, v);
   }
 }
@@ -24,7 +24,7 @@ __device__ __forceinline__ void for_each_seen(Photometric<T> const& p, PlacesOf<
 // Calls channel(residual, its derivatives along both axes).
 template <class T, class F, class Channel>
 __device__ __forceinline__ void for_each_channel(Photometric<T> const& p, int64_t b, int y, int x,
-                                                 Window<2, F> const& window, Channel channel) {
+                                                 TapWindow<2, F> const& window, Channel channel) {
   int64_t const row = p.source.row_stride, step = p.source.step;
   F wx[2], wy[2];
   tap_weights(window.tx, wx);
@@ -43,14 +43,14 @@ __device__ __forceinline__ void for_each_channel(Photometric<T> const& p, int64_
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, Tiles tiles) {
+__global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, TileGrid tiles) {
   using F = Compute<T>;
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  if (threadIdx.x == 0) tile.init(tiles, p.coords);
   __syncthreads();
-  PlacesOf<F> const places(p.places, tile);
+  TileCoords<F> const places(p.coords, tile);
   F sums[kPhotometricSums] = {};
-  for_each_seen(p, places, [&](int y, int x, Window<2, F> const& window, F u, F v) {
+  for_each_seen(p, places, [&](int y, int x, TapWindow<2, F> const& window, F u, F v) {
     F to_u = 0, to_v = 0;
     for_each_channel(p, places.tile.b, y, x, window, [&](F r, F along_x, F along_y) {
       F slope;
@@ -68,18 +68,18 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
     }
     sums[10] += 1;
   });
-  add_block(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
+  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kPhotometricSums);
 }
 
 template <class F>
-__global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormal<F> p, Tiles tiles) {
+__global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormal<F> p, TileGrid tiles) {
   __shared__ Tile<F> tile;
-  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  if (threadIdx.x == 0) tile.init(tiles, p.coords);
   __syncthreads();
-  PlacesOf<F> const places(p.places, tile);
-  F const* const last_line = p.places.matrices + places.tile.b * p.places.matrix_stride + 6;
+  TileCoords<F> const places(p.coords, tile);
+  F const* const last_line = p.coords.matrices + places.tile.b * p.coords.matrix_stride + 6;
   F sums[kNormalSums] = {};
-  for_each_seen(p, places, [&](int row, int column, Window<2, F> const& window, F to_x, F to_y) {
+  for_each_seen(p, places, [&](int row, int column, TapWindow<2, F> const& window, F to_x, F to_y) {
     F xx = 0, xy = 0, yy = 0, by_x = 0, by_y = 0;
     for_each_channel(p, places.tile.b, row, column, window, [&](F r, F along_x, F along_y) {
       F slope;
@@ -109,7 +109,7 @@ __global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormal<F> p,
     }
     sums[46] += 1;
   });
-  add_block(sums, p.sums + int64_t(blockIdx.x) * kNormalSums);
+  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kNormalSums);
 }
 
 // Calls take(sample, its N sums) by one thread of a block.
@@ -120,7 +120,7 @@ __device__ __forceinline__ void add_parts(double const* all, int64_t parts, Take
   double sums[N] = {};
   for (int64_t part = threadIdx.x; part < parts; part += kThreads)
     for (int i = 0; i < N; ++i) sums[i] += all[(b * parts + part) * N + i];
-  add_block(sums, total);
+  store_block_sums(sums, total);
   __syncthreads();
   if (threadIdx.x == 0) take(b, total);
 }
@@ -139,8 +139,8 @@ __global__ void normal_samples(PhotometricNormalTotal<T> p) {
 
 template <class T>
 int photometric(Photometric<T> const& p, CUstream_st* stream) {
-  Tiles const tiles(p.target.batch, p.target.height, p.target.width, 1);
-  photometric_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  TileGrid const tiles(p.target.batch, p.target.height, p.target.width, 1);
+  photometric_tiles<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 
@@ -152,8 +152,8 @@ int photometric_total(PhotometricTotal<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int photometric_normal(PhotometricNormal<T> const& p, CUstream_st* stream) {
-  Tiles const tiles(p.target.batch, p.target.height, p.target.width, 1);
-  normal_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
+  TileGrid const tiles(p.target.batch, p.target.height, p.target.width, 1);
+  normal_tiles<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 

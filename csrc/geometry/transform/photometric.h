@@ -30,7 +30,7 @@ struct Photometric : Sampling<T> {
 // Adds the parts up. NaN where no pixel of the target is in the source.
 template <class T>
 struct PhotometricTotal {
-  Places<T> places;
+  SampleCoords<T> coords;
   double const* sums;
   int64_t parts, batch, channels;
   T *loss, *grad;  // (B), (B, 3, 3)
@@ -128,7 +128,7 @@ KV_HD void photometric_total_of(PhotometricTotal<T> const& p, int64_t b, double*
   double const terms = sums[10] * double(p.channels);
   p.loss[b] = T(sums[9] / terms);
   for (int i = 0; i < 9; ++i) sums[i] = terms > 0 ? sums[i] / terms : 0;  // a mean of nothing has no slope
-  homography_vjp(p.places.matrices + b * p.places.matrix_stride, p.places.use, sums, p.grad + b * 9);
+  homography_vjp(p.coords.matrices + b * p.coords.matrix_stride, p.coords.use, sums, p.grad + b * 9);
 }
 
 }  // namespace kv

@@ -8,7 +8,7 @@ namespace {
 
 template <class F>
 struct Totals {
-  Lanes<F, kPlaces<F>> plain[3], by_x[3], distance;
+  Lanes<F, kCoordLanes<F>> plain[3], by_x[3], distance;
   int64_t count;
 };
 
@@ -23,10 +23,10 @@ KV_HD void add_to(V& total, Some some) {
 
 // Calls channel(residual, its derivatives along both axes) for N places, if they lie between pixels.
 template <int N, class T, class Channel>
-KV_HD bool look(Photometric<T> const& p, PlaceRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
+KV_HD bool look(Photometric<T> const& p, CoordRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
                 int64_t e, Channel channel) {
   using V = Lanes<Compute<T>, N>;
-  Window<2, N, T> window;
+  TapWindow<2, N, T> window;
   window.set(p, load<N>(places.u + e), load<N>(places.v + e), p.source.row_stride, p.source.step);
   if (!window.inside) return false;
   V wx[2], wy[2];
@@ -51,7 +51,7 @@ KV_HD bool look(Photometric<T> const& p, PlaceRow<Compute<T>> const& places, int
 }
 
 template <int N, class T>
-KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map, PlaceRow<Compute<T>> const& places,
+KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map, CoordRow<Compute<T>> const& places,
                       int64_t b, int64_t y, int64_t first, int64_t e, Totals<Compute<T>>& totals) {
   using F = Compute<T>;
   using V = Lanes<F, N>;
@@ -68,7 +68,7 @@ KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map
     return;
   }
   V const u = load<N>(places.u + e), v = load<N>(places.v + e);
-  V const x = count_from<N, F>(first + e), scale = 1 / map.weight(x, F(y));
+  V const x = iota<N, F>(first + e), scale = 1 / map.weight(x, F(y));
   V const g[] = {to_u * scale, to_v * scale, -(to_u * u + to_v * v) * scale};
   for (int k = 0; k < 3; ++k) {
     add_to<N>(totals.plain[k], g[k]);
@@ -81,12 +81,12 @@ KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map
 // For the normal equations: of a row, the lines' six times 1, x and x^2, the gradient's three times 1 and x.
 template <class F>
 struct NormalTotals {
-  Lanes<F, kPlaces<F>> line[6][3], gradient[3][2], distance;
+  Lanes<F, kCoordLanes<F>> line[6][3], gradient[3][2], distance;
   int64_t count;
 };
 
 template <int N, class F>
-KV_HD void add_normals(PhotometricNormal<F> const& p, F const* last_line, PlaceRow<F> const& places, int64_t b,
+KV_HD void add_normals(PhotometricNormal<F> const& p, F const* last_line, CoordRow<F> const& places, int64_t b,
                        int64_t y, int64_t first, int64_t e, NormalTotals<F>& totals) {
   using V = Lanes<F, N>;
   V xx{}, xy{}, yy{}, by_x{}, by_y{}, sum{};
@@ -105,7 +105,7 @@ KV_HD void add_normals(PhotometricNormal<F> const& p, F const* last_line, PlaceR
       for (int64_t n = 0; n < N; ++n) add_normals<1>(p, last_line, places, b, y, first, e + n, totals);
     return;
   }
-  V const x = count_from<N, F>(first + e) * p.x_scale + p.x_offset;
+  V const x = iota<N, F>(first + e) * p.x_scale + p.x_offset;
   V const u = load<N>(places.u + e) * p.u_scale + p.u_offset, v = load<N>(places.v + e) * p.v_scale + p.v_offset;
   V const weight = x * last_line[0] + ((F(y) * p.y_scale + p.y_offset) * last_line[1] + last_line[2]);
   V line[6], gradient[3];
@@ -138,27 +138,29 @@ void photometric(Photometric<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   for (double *sum = p.sums + kPhotometricSums * begin, *last = p.sums + kPhotometricSums * end; sum < last; ++sum)
     *sum = 0;
-  PlaceRow<F> places;
-  for_each_piece(begin, end, p.target.height, p.target.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
-    places.fill(p.places, b, y, first, count);
-    auto const map = seen_from<F>(homography(p.places.matrices + b * p.places.matrix_stride, p.places.use), 0, 0, 0, 0);
-    Totals<F> totals{};
-    with_lanes(p.source, count, [&](auto lanes) {
-      constexpr int N = decltype(lanes)::value;
-      int64_t e = 0;
-      for (; e + N <= count; e += N) add_places<N>(p, map, places, b, y, first, e, totals);
-      for (; e < count; ++e) add_places<1>(p, map, places, b, y, first, e, totals);
-    });
-    double* const sums = p.sums + kPhotometricSums * (b * p.target.height + y);
-    for (int k = 0; k < 3; ++k) {
-      double const plain = total_of(totals.plain[k]);
-      sums[3 * k] += total_of(totals.by_x[k]);
-      sums[3 * k + 1] += plain * double(y);
-      sums[3 * k + 2] += plain;
-    }
-    sums[9] += total_of(totals.distance);
-    sums[10] += double(totals.count);
-  });
+  CoordRow<F> places;
+  for_each_row_chunk(
+      begin, end, p.target.height, p.target.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+        places.fill(p.coords, b, y, first, count);
+        auto const map =
+            bind_to_tile<F>(homography(p.coords.matrices + b * p.coords.matrix_stride, p.coords.use), 0, 0, 0, 0);
+        Totals<F> totals{};
+        dispatch_lanes(p.source, count, [&](auto lanes) {
+          constexpr int N = decltype(lanes)::value;
+          int64_t e = 0;
+          for (; e + N <= count; e += N) add_places<N>(p, map, places, b, y, first, e, totals);
+          for (; e < count; ++e) add_places<1>(p, map, places, b, y, first, e, totals);
+        });
+        double* const sums = p.sums + kPhotometricSums * (b * p.target.height + y);
+        for (int k = 0; k < 3; ++k) {
+          double const plain = total_of(totals.plain[k]);
+          sums[3 * k] += total_of(totals.by_x[k]);
+          sums[3 * k + 1] += plain * double(y);
+          sums[3 * k + 2] += plain;
+        }
+        sums[9] += total_of(totals.distance);
+        sums[10] += double(totals.count);
+      });
 }
 
 template <class T>
@@ -174,33 +176,34 @@ void photometric_total(PhotometricTotal<T> const& p, int64_t begin, int64_t end)
 template <class T>
 void photometric_normal(PhotometricNormal<T> const& p, int64_t begin, int64_t end) {
   for (double *sum = p.sums + kNormalSums * begin, *last = p.sums + kNormalSums * end; sum < last; ++sum) *sum = 0;
-  PlaceRow<T> places;
-  for_each_piece(begin, end, p.target.height, p.target.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
-    places.fill(p.places, b, y, first, count);
-    T const* const last_line = p.places.matrices + b * p.places.matrix_stride + 6;
-    NormalTotals<T> totals{};
-    with_lanes(p.source, count, [&](auto lanes) {
-      constexpr int N = decltype(lanes)::value;
-      int64_t e = 0;
-      for (; e + N <= count; e += N) add_normals<N>(p, last_line, places, b, y, first, e, totals);
-      for (; e < count; ++e) add_normals<1>(p, last_line, places, b, y, first, e, totals);
-    });
-    double* const sums = p.sums + kNormalSums * (b * p.target.height + y);
-    double const at = double(y) * p.y_scale + p.y_offset;
-    for (int k = 0; k < 6; ++k) {
-      double const one = total_of(totals.line[k][0]), x = total_of(totals.line[k][1]);
-      double const products[] = {total_of(totals.line[k][2]), x * at, x, one * at * at, one * at, one};
-      for (int i = 0; i < 6; ++i) sums[6 * k + i] += products[i];
-    }
-    for (int k = 0; k < 3; ++k) {
-      double const one = total_of(totals.gradient[k][0]);
-      sums[36 + 3 * k] += total_of(totals.gradient[k][1]);
-      sums[36 + 3 * k + 1] += one * at;
-      sums[36 + 3 * k + 2] += one;
-    }
-    sums[45] += total_of(totals.distance);
-    sums[46] += double(totals.count);
-  });
+  CoordRow<T> places;
+  for_each_row_chunk(
+      begin, end, p.target.height, p.target.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+        places.fill(p.coords, b, y, first, count);
+        T const* const last_line = p.coords.matrices + b * p.coords.matrix_stride + 6;
+        NormalTotals<T> totals{};
+        dispatch_lanes(p.source, count, [&](auto lanes) {
+          constexpr int N = decltype(lanes)::value;
+          int64_t e = 0;
+          for (; e + N <= count; e += N) add_normals<N>(p, last_line, places, b, y, first, e, totals);
+          for (; e < count; ++e) add_normals<1>(p, last_line, places, b, y, first, e, totals);
+        });
+        double* const sums = p.sums + kNormalSums * (b * p.target.height + y);
+        double const at = double(y) * p.y_scale + p.y_offset;
+        for (int k = 0; k < 6; ++k) {
+          double const one = total_of(totals.line[k][0]), x = total_of(totals.line[k][1]);
+          double const products[] = {total_of(totals.line[k][2]), x * at, x, one * at * at, one * at, one};
+          for (int i = 0; i < 6; ++i) sums[6 * k + i] += products[i];
+        }
+        for (int k = 0; k < 3; ++k) {
+          double const one = total_of(totals.gradient[k][0]);
+          sums[36 + 3 * k] += total_of(totals.gradient[k][1]);
+          sums[36 + 3 * k + 1] += one * at;
+          sums[36 + 3 * k + 2] += one;
+        }
+        sums[45] += total_of(totals.distance);
+        sums[46] += double(totals.count);
+      });
 }
 
 template <class T>

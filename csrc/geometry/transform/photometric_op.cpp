@@ -8,7 +8,7 @@ namespace {
 // The arguments of both operators, checked.
 struct Arguments {
   Size from, to;
-  SamplingArguments sampling;
+  SamplingOptions sampling;
   Matrix matrix;
   int64_t batch, channels, parts;
 
@@ -20,7 +20,7 @@ struct Arguments {
         matrix(op, matrix, source, false, normalized, align_corners, from, to),
         batch(source.size(0)),
         channels(source.size(1)),
-        parts(slope_parts(to, 1)) {
+        parts(coords_backward_parts(to, 1)) {
     KV_CHECK((target.size(0) == 1 || source.size(0) == target.size(0)) && source.size(1) == target.size(1) &&
                  source.scalar_type() == target.scalar_type() && source.device() == target.device(),
              op, ": target does not fit source");
@@ -28,12 +28,12 @@ struct Arguments {
   }
   static Size checked(char const* op, char const* name, Tensor const& x) {
     check_images(op, name, x);
-    return size_of(op, x);
+    return checked_size(op, x);
   }
   template <class T>
   Photometric<T> of(Tensor const& source, Tensor const& target, std::string const& distance, double eps,
                     Tensor const& sums) const {
-    return {sampling.of<T>(from, matrix.places<Compute<T>>()),
+    return {sampling.of<T>(from, matrix.coords<Compute<T>>()),
             images<T const>(source, batch),
             images<T const>(target, batch),
             distance_of(sampling.op, distance),
@@ -53,7 +53,7 @@ std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& targe
     using F = Compute<T>;
     Photometric<T> const params = a.of<T>(source, target, distance, eps, sums);
     KV_RUN(photometric, source, params, a.batch * a.to.height, 8 * a.channels * a.to.width);
-    PhotometricTotal<F> const total{params.places, params.sums,       a.parts,          a.batch,
+    PhotometricTotal<F> const total{params.coords, params.sums,       a.parts,          a.batch,
                                     a.channels,    data_ptr<F>(loss), data_ptr<F>(grad)};
     KV_RUN(photometric_total, source, total, a.batch, kPhotometricSums * a.parts);
   });
@@ -67,7 +67,7 @@ std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tens
   Tensor const sums = empty({a.batch, a.parts, kNormalSums}, source, Layout::planar, ScalarType::Double);
   Tensor const loss = empty({a.batch}, a.matrix.tensor), gradient = empty({a.batch, 8}, loss);
   Tensor const normal = empty({a.batch, 8, 8}, loss);
-  for_computed("photometric_normal", source, [&](auto type) {
+  dispatch_compute_dtype("photometric_normal", source, [&](auto type) {
     using T = typename decltype(type)::type;
     PhotometricNormal<T> params{a.of<T>(source, target, distance, eps, sums), 1, 0, 1, 0, 1, 0, 1, 0};
     if (normalized) {

@@ -12,15 +12,15 @@ struct Map {
       bool align_corners)
       : x(map_x), y(map_y), normalized(normalized), moves(moves), align_corners(align_corners) {
     for (Tensor const& map : {x, y})
-      KV_CHECK(goes_with(map, image, 3) && map.size(1) == x.size(1) && map.size(2) == x.size(2), op,
+      KV_CHECK(matches_image(map, image, 3) && map.size(1) == x.size(1) && map.size(2) == x.size(2), op,
                ": map_x, map_y do not fit the image or one another");
-    size_of(op, {x.size(1), x.size(2)});
+    checked_size(op, {x.size(1), x.size(2)});
   }
   Size size() const { return {x.size(1), x.size(2)}; }
 
   template <class F>
-  Places<F> places(Size source, int64_t batch) const {
-    Places<F> p{};
+  SampleCoords<F> coords(Size source, int64_t batch) const {
+    SampleCoords<F> p{};
     p.x = plane<F const>(x, batch);
     p.y = plane<F const>(y, batch);
     matrix::Unit const units[] = {{source.width, align_corners}, {source.height, align_corners}};
@@ -43,14 +43,14 @@ Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std:
              std::string const& interpolation, std::string const& padding, bool align_corners, bool normalized,
              bool moves) {
   check_images("remap", "image", image);
-  Size const source = size_of("remap", image);
-  SamplingArguments const a("remap", interpolation, padding, align_corners, image, fill);
+  Size const source = checked_size("remap", image);
+  SamplingOptions const a("remap", interpolation, padding, align_corners, image, fill);
   Map const map("remap", map_x, map_y, image, normalized, moves, align_corners);
   int64_t const batch = image.size(0), channels = image.size(1), height = map.size().height, width = map.size().width;
   Tensor const y = empty({batch, channels, height, width}, image, layout_of(image));
   dispatch_floating_and_uint8("remap", image, [&](auto type) {
     using T = typename decltype(type)::type;
-    Sample<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)), images<T const>(image, batch),
+    Sample<T> const params{a.of<T>(source, map.coords<Compute<T>>(source, batch)), images<T const>(image, batch),
                            images<T>(y, batch)};
     check_planes("remap", params.x);
     check_planes("remap", params.y);
@@ -59,35 +59,36 @@ Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std:
   return y;
 }
 
-Tensor remap_image_gradient(Tensor const& grad, Tensor const& map_x, Tensor const& map_y, std::vector<int64_t> size,
+Tensor remap_image_backward(Tensor const& grad, Tensor const& map_x, Tensor const& map_y, std::vector<int64_t> size,
                             std::string const& interpolation, std::string const& padding, bool align_corners,
                             bool normalized, bool moves) {
-  char const* const op = "remap_image_gradient";
+  char const* const op = "remap_image_backward";
   check_images(op, "grad", grad);
-  Size const source = size_of(op, size);
-  SamplingArguments const a(op, interpolation, padding, align_corners, grad, {});
+  Size const source = checked_size(op, size);
+  SamplingOptions const a(op, interpolation, padding, align_corners, grad, {});
   Map const map(op, map_x, map_y, grad, normalized, moves, align_corners);
   KV_CHECK(grad.size(2) == map.size().height && grad.size(3) == map.size().width, op, ": grad does not fit the map");
   int64_t const batch = grad.size(0), channels = grad.size(1);
   return image_gradient(
       op, grad, source, false, [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
         using T = typename decltype(type)::type;
-        SampleTranspose<T> const params{a.of<T>(source, map.places<Compute<T>>(source, batch)),
-                                        images<T const>(from, batch), images<T>(to, batch), data_ptr<Compute<T>>(sums)};
-        KV_RUN(sample_transpose, from, params, batch * channels, 8 * grad.size(2) * grad.size(3));
+        SampleImageBackward<T> const params{a.of<T>(source, map.coords<Compute<T>>(source, batch)),
+                                            images<T const>(from, batch), images<T>(to, batch),
+                                            data_ptr<Compute<T>>(sums)};
+        KV_RUN(sample_image_backward, from, params, batch * channels, 8 * grad.size(2) * grad.size(3));
       });
 }
 
 // For every sample, also where one map serves them all.
-std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& image, Tensor const& map_x,
+std::tuple<Tensor, Tensor> remap_map_backward(Tensor const& grad, Tensor const& image, Tensor const& map_x,
                                               Tensor const& map_y, std::optional<Tensor> const& fill,
                                               std::string const& interpolation, std::string const& padding,
                                               bool align_corners, bool normalized, bool moves) {
-  char const* const op = "remap_map_gradient";
+  char const* const op = "remap_map_backward";
   check_images(op, "image", image);
   check_images(op, "grad", grad);
-  Size const source = size_of(op, image);
-  SamplingArguments const a(op, interpolation, padding, align_corners, image, fill);
+  Size const source = checked_size(op, image);
+  SamplingOptions const a(op, interpolation, padding, align_corners, image, fill);
   Map const map(op, map_x, map_y, image, normalized, moves, align_corners);
   check_gradient(op, grad, image);
   KV_CHECK(grad.size(2) == map.size().height && grad.size(3) == map.size().width, op, ": grad does not fit the map");
@@ -97,16 +98,16 @@ std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& 
   dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    SampleSlopes<T> const params{a.of<T>(source, map.places<F>(source, batch)),
-                                 images<T const>(image, batch),
-                                 images<T const>(grad, batch),
-                                 Map::plane<F>(grad_x, batch),
-                                 Map::plane<F>(grad_y, batch),
-                                 nullptr,
-                                 0};
+    SampleCoordsBackward<T> const params{a.of<T>(source, map.coords<F>(source, batch)),
+                                         images<T const>(image, batch),
+                                         images<T const>(grad, batch),
+                                         Map::plane<F>(grad_x, batch),
+                                         Map::plane<F>(grad_y, batch),
+                                         nullptr,
+                                         0};
     check_planes(op, params.x);
     check_planes(op, params.grad);
-    KV_RUN(sample_slopes, image, params, batch * grad.size(2), 8 * image.size(1) * grad.size(3));
+    KV_RUN(sample_coords_backward, image, params, batch * grad.size(2), 8 * image.size(1) * grad.size(3));
   });
   return {grad_x, grad_y};
 }
@@ -116,8 +117,8 @@ std::tuple<Tensor, Tensor> remap_map_gradient(Tensor const& grad, Tensor const& 
 #define KV_HOW "str interpolation, str padding, bool align_corners, bool normalized, bool moves"
 
 KV_OPERATOR(remap, "(Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, " KV_HOW ") -> Tensor")
-KV_OPERATOR(remap_image_gradient, "(Tensor grad, Tensor map_x, Tensor map_y, int[] size, " KV_HOW ") -> Tensor")
-KV_OPERATOR(remap_map_gradient,
+KV_OPERATOR(remap_image_backward, "(Tensor grad, Tensor map_x, Tensor map_y, int[] size, " KV_HOW ") -> Tensor")
+KV_OPERATOR(remap_map_backward,
             "(Tensor grad, Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, " KV_HOW ") -> (Tensor, Tensor)")
 
 #undef KV_HOW

@@ -20,11 +20,11 @@ struct ResizeTiles {
 
 // Not inline, as they take most of the time to compile.
 template <class F>
-__device__ __noinline__ Reads<F> find_reads(ResizeAxis const& axis, int index) {
-  return reads_of<F>(axis, index);
+__device__ __noinline__ Contributors<F> find_contributors(ResizeAxis const& axis, int index) {
+  return contributors<F>(axis, index);
 }
 template <class F>
-__device__ __noinline__ F find_weight(ResizeAxis const& axis, Reads<F> const reads, int index, int k) {
+__device__ __noinline__ F find_weight(ResizeAxis const& axis, Contributors<F> const reads, int index, int k) {
   return weight_at(axis, reads, index, k);
 }
 
@@ -41,20 +41,20 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
   int const e0 = int(blockIdx.x - q * tiles.across) * W, y0 = int(q - group * tiles.down) * tiles.rows;
 
   extern __shared__ float memory[];
-  float* const weights_x = memory;                          // by tap and element
-  float* const weights_y = weights_x + p.columns.most * W;  // by row and tap
-  float* const line = weights_y + p.rows.most * tiles.rows + warp * tiles.span;
-  int* const first_x = reinterpret_cast<int*>(memory + p.columns.most * W + p.rows.most * tiles.rows +
+  float* const weights_x = memory;                              // by tap and element
+  float* const weights_y = weights_x + p.columns.max_taps * W;  // by row and tap
+  float* const line = weights_y + p.rows.max_taps * tiles.rows + warp * tiles.span;
+  int* const first_x = reinterpret_cast<int*>(memory + p.columns.max_taps * W + p.rows.max_taps * tiles.rows +
                                               kWarps * tiles.span);  // by element, and where the last one ends
-  Reads<float>* const bands_y = reinterpret_cast<Reads<float>*>(first_x + W + 2);
+  Contributors<float>* const bands_y = reinterpret_cast<Contributors<float>*>(first_x + W + 2);
   for (int i = threadIdx.x; i < W + tiles.rows; i += kThreads) {
     bool const column = i < W;
     int const e = min(e0 + i, size - 1), x = e / step, y = min(y0 + i - W, int(p.y.height) - 1);
     ResizeAxis const& axis = column ? p.columns : p.rows;
     int const index = column ? x : y, stride = column ? W : 1;
-    float* const to = column ? weights_x + i : weights_y + (i - W) * p.rows.most;
-    Reads<float> const band = find_reads<float>(axis, index);
-    for (int k = 0; k < axis.most; ++k) to[k * stride] = k < band.count ? find_weight(axis, band, index, k) : 0;
+    float* const to = column ? weights_x + i : weights_y + (i - W) * p.rows.max_taps;
+    Contributors<float> const band = find_contributors<float>(axis, index);
+    for (int k = 0; k < axis.max_taps; ++k) to[k * stride] = k < band.count ? find_weight(axis, band, index, k) : 0;
     if (column) first_x[i] = band.first * step + e - x * step;
     if (!column) bands_y[i - W] = band;
     if (i == W - 1) first_x[W] = (band.first + band.count) * step;
@@ -68,7 +68,7 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
   for (int i = 0; i < P; ++i) {
     first[i] = first_x[32 * i + lane] - from;
 #pragma unroll
-    for (int k = 0; k < K; ++k) weights[i][k] = k < p.columns.most ? weights_x[k * W + 32 * i + lane] : 0;
+    for (int k = 0; k < K; ++k) weights[i][k] = k < p.columns.max_taps ? weights_x[k * W + 32 * i + lane] : 0;
   }
   auto const mean = [&](int i, auto term) {
     float sum = 0;
@@ -76,7 +76,7 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
 #pragma unroll
       for (int k = 0; k < K; ++k) sum += term(line[first[i] + k * step], weights[i][k]);
     } else {
-      for (int k = 0; k < p.columns.most; ++k) sum += term(line[first[i] + k * step], weights_x[k * W + lane]);
+      for (int k = 0; k < p.columns.max_taps; ++k) sum += term(line[first[i] + k * step], weights_x[k * W + lane]);
     }
     return sum;
   };
@@ -87,8 +87,8 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
     int const row = n % tiles.rows;
     int64_t const plane = plane0 + n / tiles.rows;
     if (y0 + row >= p.y.height) continue;
-    Reads<float> const band = bands_y[row];
-    float const* const weights_of_row = weights_y + row * p.rows.most;
+    Contributors<float> const band = bands_y[row];
+    float const* const weights_of_row = weights_y + row * p.rows.max_taps;
     T const* const source = p.x.row(plane, band.first) + from;
     constexpr int U = 4;
     for (int c = lane; c < length; c += 32 * U) {
@@ -121,7 +121,7 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
       if (!(sum - sum == 0)) sum = mean(i, [](float value, float weight) { return weight != 0 ? value * weight : 0; });
       if (e0 + 32 * i + lane >= size) break;
       T* const to = out + 32 * i + lane;
-      *to = round_to<T>(p.base ? float(read(*p.base_at(to))) - sum : sum);
+      *to = round_to<T>(p.minuend ? float(read(*p.minuend_at(to))) - sum : sum);
     }
     __syncwarp();
   }
@@ -136,7 +136,7 @@ __global__ void resize_any(__grid_constant__ Resize<T> const p) {
   if (i >= p.y.rows() * size) return;
   int64_t const e = i % size, r = i / size, plane = r / p.y.height;
   int const y = int(r - plane * p.y.height), x = int(e / step);
-  Reads<F> const rows = find_reads<F>(p.rows, y), columns = find_reads<F>(p.columns, x);
+  Contributors<F> const rows = find_contributors<F>(p.rows, y), columns = find_contributors<F>(p.columns, x);
   T const* const source = p.x.row(plane, rows.first) + columns.first * step + e - x * step;
   F sum = 0;
   for (int l = 0; l < columns.count; ++l) {
@@ -149,7 +149,7 @@ __global__ void resize_any(__grid_constant__ Resize<T> const p) {
     sum += line * weight_x;
   }
   T* const to = p.y.row(plane, y) + e;
-  *to = round_to<T>(p.base ? F(read(*p.base_at(to))) - sum : sum);
+  *to = round_to<T>(p.minuend ? F(read(*p.minuend_at(to))) - sum : sum);
 }
 
 // --- launches --------------------------------------------------------------------------------------------------------
@@ -160,8 +160,8 @@ int64_t span_of(Resize<T> const& p, int64_t elements) {
   ResizeAxis const& a = p.columns;
   int64_t const step = p.x.step, pixels = (elements - 1) / step + 1;
   int64_t const across =
-      a.num == 0 ? p.x.width : ceil_of(pixels * (a.transposed ? a.den : a.num), a.transposed ? a.num : a.den);
-  return min(across + a.most + 2, p.x.width) * step;
+      a.num == 0 ? p.x.width : ceil_div(pixels * (a.backward ? a.den : a.num), a.backward ? a.num : a.den);
+  return min(across + a.max_taps + 2, p.x.width) * step;
 }
 
 template <int K, class T>
@@ -174,9 +174,9 @@ bool launch_tiles(Resize<T> const& p, CUstream_st* stream) {
   tiles.down = unsigned(ceil_div(p.y.height, tiles.rows));
   tiles.planes = int(clamp(p.y.count() * tiles.across * tiles.down >> 12, int64_t(1), int64_t(16)));
   // What is read with weight 0 beyond a band is the line's own.
-  int64_t const span = span_of(p, W) + (K ? K : p.columns.most) * p.x.step;
-  int64_t const numbers = int64_t(p.columns.most) * W + int64_t(p.rows.most) * tiles.rows + kWarps * span;
-  int64_t const bytes = 4 * (numbers + W + 2) + int64_t(sizeof(Reads<float>)) * tiles.rows;
+  int64_t const span = span_of(p, W) + (K ? K : p.columns.max_taps) * p.x.step;
+  int64_t const numbers = int64_t(p.columns.max_taps) * W + int64_t(p.rows.max_taps) * tiles.rows + kWarps * span;
+  int64_t const bytes = 4 * (numbers + W + 2) + int64_t(sizeof(Contributors<float>)) * tiles.rows;
   if (bytes > 48 << 10) return false;
   tiles.span = int(span);
   unsigned const blocks = unsigned(ceil_div(p.y.count(), tiles.planes)) * tiles.across * tiles.down;
@@ -190,12 +190,14 @@ template <class T>
 int resize(Resize<T> const& p, CUstream_st* stream) {
   bool done = false;
   if constexpr (sizeof(T) < 8) {
-    if (int const error = resize_octave(p, stream); error != kNotServed) return error;
-    if (int const error = resize_linear(p, stream); error != kNotServed) return error;
+    if (int const error = resize_octave(p, stream); error != kUnsupported) return error;
+    if (int const error = resize_linear(p, stream); error != kUnsupported) return error;
     if constexpr (sizeof(T) > 1)
-      if (int const error = resize_linear_transpose(p, stream); error != kNotServed) return error;
-    int const most = max(p.rows.most, p.columns.most);
-    done = most <= 4 ? launch_tiles<4>(p, stream) : most <= 8 ? launch_tiles<8>(p, stream) : launch_tiles<0>(p, stream);
+      if (int const error = resize_linear_backward(p, stream); error != kUnsupported) return error;
+    int const max_taps = max(p.rows.max_taps, p.columns.max_taps);
+    done = max_taps <= 4   ? launch_tiles<4>(p, stream)
+           : max_taps <= 8 ? launch_tiles<8>(p, stream)
+                           : launch_tiles<0>(p, stream);
   }
   if (!done) resize_any<<<unsigned(ceil_div(p.y.rows() * p.y.row_size(), 256)), 256, 0, stream>>>(p);
   return cudaGetLastError();

@@ -14,7 +14,7 @@
 // the image and are divided by their sum, as Pillow's; bilinear and bicubic find the rim's pixel there.
 //
 // Places are fractions of integers, c = (origin + i num) / den, so that bands are exact at any size, and those of the
-// gradient, which has the transposed weights, are the same ones seen from the other side.
+// gradient, which has the backward weights, are the same ones seen from the other side.
 #pragma once
 
 #include "core/border.h"
@@ -23,28 +23,30 @@
 
 namespace kv {
 
-enum class Window : int { nearest, nearest_exact, area, bilinear, bicubic, lanczos, pyrdown, pyrup };
+enum class ResizeFilter : int { nearest, nearest_exact, area, bilinear, bicubic, lanczos, pyrdown, pyrup };
 
 struct ResizeAxis {
-  Window window;
+  ResizeFilter filter;
   Border border;  // of a pyramid's blur
-  bool antialias, transposed;
+  bool antialias, backward;
   int source, result;        // sizes of the image and of what it is resized to
   int64_t origin, num, den;  // of places
   int64_t unit;              // of the window's x, in 1 / den
   double per_den, per_num;   // 1 / den, 1 / num or 0
-  int most;                  // no band has more pixels
+  int max_taps;              // no band has more pixels
 
-  ResizeAxis(Window window, int64_t source, int64_t result, bool align_corners, bool antialias, bool transposed,
+  ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias, bool backward,
              Border border = Border::replicate);
-  KV_HD int64_t place(int i) const { return origin + i * num; }
+  KV_HD int64_t center(int i) const { return origin + i * num; }
   // n / den rounded down. Divisions of integers take CUDA a hundred instructions.
-  KV_HD int64_t whole(int64_t n) const {
+  KV_HD int64_t floor_div(int64_t n) const {
     int64_t const q = int64_t(double(n) * per_den), rest = n - q * den;
     return rest < 0 ? q - 1 : rest < den ? q : q + 1;
   }
   // Whether the rim's pixel stands for what is beyond it.
-  KV_HD bool folds() const { return (window == Window::bilinear || window == Window::bicubic) && !antialias; }
+  KV_HD bool clamps_taps() const {
+    return (filter == ResizeFilter::bilinear || filter == ResizeFilter::bicubic) && !antialias;
+  }
 };
 
 template <class T>
@@ -52,42 +54,44 @@ struct Resize {
   Planes<T const> x;
   Planes<T> y;
   ResizeAxis rows, columns;
-  T const* base = nullptr;  // laid out as y, which then is this minus the resized image
-  KV_HD T const* base_at(T const* of_y) const { return base + (of_y - y.data); }
+  T const* minuend = nullptr;  // laid out as y, which then is this minus the resized image
+  KV_HD T const* minuend_at(T const* y_element) const { return minuend + (y_element - y.data); }
 };
 
 KV_KERNEL(resize, Resize)
 
 namespace cuda {
 // For some sizes and windows; the others are not served.
-constexpr int kNotServed = -1;
+constexpr int kUnsupported = -1;
 template <class T>
 int resize_octave(Resize<T> const& p, CUstream_st* stream);
 template <class T>
 int resize_linear(Resize<T> const& p, CUstream_st* stream);
 template <class T>
-int resize_linear_transpose(Resize<T> const& p, CUstream_st* stream);
+int resize_linear_backward(Resize<T> const& p, CUstream_st* stream);
 }  // namespace cuda
 
 // --- sizes -----------------------------------------------------------------------------------------------------------
 
-inline int64_t ceil_of(int64_t a, int64_t b) { return (a + b - 1) / b; }
+inline int64_t div_up(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
 // Half of the window's width, in its own x.
-KV_HD int support_of(Window window) { return window == Window::bilinear ? 1 : window == Window::bicubic ? 2 : 3; }
+KV_HD int filter_radius(ResizeFilter filter) {
+  return filter == ResizeFilter::bilinear ? 1 : filter == ResizeFilter::bicubic ? 2 : 3;
+}
 
-inline ResizeAxis::ResizeAxis(Window window, int64_t source, int64_t result, bool align_corners, bool antialias,
-                              bool transposed, Border border)
-    : window(window),
+inline ResizeAxis::ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias,
+                              bool backward, Border border)
+    : filter(filter),
       border(border),
       antialias(antialias),
-      transposed(transposed),
+      backward(backward),
       source(int(source)),
       result(int(result)),
       origin(source - result),
       num(2 * source),
       den(2 * result) {
-  if (align_corners && window >= Window::bilinear) {
+  if (align_corners && filter >= ResizeFilter::bilinear) {
     origin = 0;
     num = result > 1 ? source - 1 : 0;
     den = result > 1 ? result - 1 : 1;
@@ -96,27 +100,27 @@ inline ResizeAxis::ResizeAxis(Window window, int64_t source, int64_t result, boo
   per_den = 1. / double(den);
   per_num = num ? 1. / double(num) : 0;
   bool const shrinks = num > den;
-  int64_t wide, seen;  // pixels in a band, and bands that a pixel is in
-  switch (window) {
-    case Window::nearest:
-    case Window::nearest_exact:
-      wide = 1, seen = ceil_of(result, source);
+  int64_t taps, readers;  // pixels in a band, and bands that a pixel is in
+  switch (filter) {
+    case ResizeFilter::nearest:
+    case ResizeFilter::nearest_exact:
+      taps = 1, readers = div_up(result, source);
       break;
-    case Window::area:
-      wide = source % result ? source / result + 2 : source / result;
-      seen = shrinks ? 2 : ceil_of(result, source) + 1;
+    case ResizeFilter::area:
+      taps = source % result ? source / result + 2 : source / result;
+      readers = shrinks ? 2 : div_up(result, source) + 1;
       break;
-    case Window::pyrdown:
-      wide = 6, seen = num ? ceil_of(6 * den, num) : result;
+    case ResizeFilter::pyrdown:
+      taps = 6, readers = num ? div_up(6 * den, num) : result;
       break;
-    case Window::pyrup:
-      wide = 4, seen = num ? ceil_of(2 * den, num) + 4 : result;
+    case ResizeFilter::pyrup:
+      taps = 4, readers = num ? div_up(2 * den, num) + 4 : result;
       break;
     default:  // windows are 0 at both ends
-      wide = ceil_of(2 * support_of(window) * unit, den);
-      seen = num ? ceil_of(2 * support_of(window) * unit, num) : result;
+      taps = div_up(2 * filter_radius(filter) * unit, den);
+      readers = num ? div_up(2 * filter_radius(filter) * unit, num) : result;
   }
-  most = int(transposed ? min(seen, result) : min(wide, source));
+  max_taps = int(backward ? min(readers, result) : min(taps, source));
 }
 
 // --- windows ---------------------------------------------------------------------------------------------------------
@@ -132,10 +136,10 @@ KV_HD F sin_pi(F x) {  // by its series; 0 at the integers
 }
 
 template <class F>
-KV_HD F window_at(ResizeAxis const& a, F x) {
+KV_HD F filter_at(ResizeAxis const& a, F x) {
   x = x < 0 ? -x : x;
-  if (a.window == Window::bilinear) return x < 1 ? 1 - x : F(0);
-  if (a.window == Window::bicubic) {
+  if (a.filter == ResizeFilter::bilinear) return x < 1 ? 1 - x : F(0);
+  if (a.filter == ResizeFilter::bicubic) {
     F const k = a.antialias ? F(-0.5) : F(-0.75);  // Pillow's and OpenCV's
     if (x <= 1) return ((k + 2) * x - (k + 3)) * x * x + 1;
     return x < 2 ? k * (((x - 5) * x + 8) * x - 4) : F(0);
@@ -166,14 +170,14 @@ struct Band {
 
 // Both taps of a place, clamped to the image, and the second one's weight.
 template <class F>
-struct Pair {
+struct LinearTaps {
   int a, b;
   F t;
   KV_HD F weight(int j) const { return (j == a ? 1 - t : F(0)) + (j == b ? t : F(0)); }
 };
 template <class F>
-KV_HD Pair<F> pair_at(ResizeAxis const& a, int i) {
-  int64_t const n = a.place(i), first = a.whole(n), rest = n - first * a.den;
+KV_HD LinearTaps<F> linear_taps(ResizeAxis const& a, int i) {
+  int64_t const n = a.center(i), first = a.floor_div(n), rest = n - first * a.den;
   int const at = int(first), last = a.source - 1;
   return {clamp(at, 0, last), clamp(rest ? at + 1 : at, 0, last), F(rest) / F(a.den)};
 }
@@ -181,49 +185,49 @@ KV_HD Pair<F> pair_at(ResizeAxis const& a, int i) {
 template <class F>
 KV_HD Band<F> extent(ResizeAxis const& a, int i) {
   int const last = a.source - 1;
-  switch (a.window) {
-    case Window::nearest:
-    case Window::nearest_exact: {
-      int const at = int(a.whole(i * a.num + (a.window == Window::nearest ? 0 : a.source)));
+  switch (a.filter) {
+    case ResizeFilter::nearest:
+    case ResizeFilter::nearest_exact: {
+      int const at = int(a.floor_div(i * a.num + (a.filter == ResizeFilter::nearest ? 0 : a.source)));
       return {at, at, 1};
     }
-    case Window::area: {
-      int const from = int(a.whole(i * a.num)), to = int(a.whole(i * a.num + a.num - 1));
+    case ResizeFilter::area: {
+      int const from = int(a.floor_div(i * a.num)), to = int(a.floor_div(i * a.num + a.num - 1));
       return {from, to, F(1) / F(to - from + 1)};
     }
-    case Window::pyrdown: {
-      Pair<F> const p = pair_at<F>(a, i);
+    case ResizeFilter::pyrdown: {
+      LinearTaps<F> const p = linear_taps<F>(a, i);
       return {max(p.a - 2, 0), min(p.b + 2, last), 1};
     }
-    case Window::pyrup: {
-      Pair<F> const from = pair_at<F>(a, max(i - 2, 0)), to = pair_at<F>(a, min(i + 2, a.result - 1));
+    case ResizeFilter::pyrup: {
+      LinearTaps<F> const from = linear_taps<F>(a, max(i - 2, 0)), to = linear_taps<F>(a, min(i + 2, a.result - 1));
       return {from.a, to.b, 1};
     }
     default: {
-      int64_t const n = a.place(i), reach = support_of(a.window) * a.unit;
-      return {int(max(a.whole(n - reach) + 1, int64_t(0))), int(min(a.whole(n + reach - 1), int64_t(last))), 1};
+      int64_t const n = a.center(i), reach = filter_radius(a.filter) * a.unit;
+      return {int(max(a.floor_div(n - reach) + 1, int64_t(0))), int(min(a.floor_div(n + reach - 1), int64_t(last))), 1};
     }
   }
 }
 
 // A pixel's weight in pixel i of the result, before it is divided by their sum.
 template <class F>
-KV_HD F raw_weight(ResizeAxis const& a, int i, int j) {
+KV_HD F unnormalized_weight(ResizeAxis const& a, int i, int j) {
   // Places are at most half a pixel outside.
-  int const from = a.folds() && j == 0 ? -2 : j, to = a.folds() && j == a.source - 1 ? j + 2 : j;
+  int const from = a.clamps_taps() && j == 0 ? -2 : j, to = a.clamps_taps() && j == a.source - 1 ? j + 2 : j;
   F sum = 0;
 #pragma unroll 1
-  for (int t = from; t <= to; ++t) sum += window_at(a, F(t * a.den - a.place(i)) / F(a.unit));
+  for (int t = from; t <= to; ++t) sum += filter_at(a, F(t * a.den - a.center(i)) / F(a.unit));
   return sum;
 }
 
 template <class F>
-KV_HD Band<F> band_of(ResizeAxis const& a, int i) {
+KV_HD Band<F> normalized_band(ResizeAxis const& a, int i) {
   Band<F> band = extent<F>(a, i);
-  if (a.window >= Window::bilinear && a.window <= Window::lanczos && !a.folds()) {
+  if (a.filter >= ResizeFilter::bilinear && a.filter <= ResizeFilter::lanczos && !a.clamps_taps()) {
     F sum = 0;
 #pragma unroll 1
-    for (int j = band.first; j <= band.last; ++j) sum += raw_weight<F>(a, i, j);
+    for (int j = band.first; j <= band.last; ++j) sum += unnormalized_weight<F>(a, i, j);
     band.norm = 1 / sum;
   }
   return band;
@@ -231,33 +235,33 @@ KV_HD Band<F> band_of(ResizeAxis const& a, int i) {
 
 // The weight of source pixel j in pixel i of the result, whose band holds it.
 template <class F>
-KV_HD F weight_of(ResizeAxis const& a, Band<F> const& band, int i, int j) {
-  if (a.window <= Window::area) return band.norm;
-  if (a.window == Window::pyrdown) {
-    Pair<F> const p = pair_at<F>(a, i);
+KV_HD F band_weight(ResizeAxis const& a, Band<F> const& band, int i, int j) {
+  if (a.filter <= ResizeFilter::area) return band.norm;
+  if (a.filter == ResizeFilter::pyrdown) {
+    LinearTaps<F> const p = linear_taps<F>(a, i);
     return (1 - p.t) * blur_weight<F>(a.border, p.a, j, a.source) + p.t * blur_weight<F>(a.border, p.b, j, a.source);
   }
-  if (a.window == Window::pyrup) {
+  if (a.filter == ResizeFilter::pyrup) {
     F sum = 0;
 #pragma unroll 1
     for (int q = max(i - 2, 0); q <= min(i + 2, a.result - 1); ++q)
-      sum += blur_weight<F>(a.border, i, q, a.result) * pair_at<F>(a, q).weight(j);
+      sum += blur_weight<F>(a.border, i, q, a.result) * linear_taps<F>(a, q).weight(j);
     return sum;
   }
-  return raw_weight<F>(a, i, j) * band.norm;
+  return unnormalized_weight<F>(a, i, j) * band.norm;
 }
 
 // The pixels that pixel `index` of what a kernel writes is made of: count of them, from the first one on. Those of a
 // gradient are pixels of the result, in whose bands source pixel `index` is; there may be none.
 template <class F>
-struct Reads {
+struct Contributors {
   int first, count;
   F norm;  // of an image's band
 };
 template <class F>
-KV_HD Reads<F> reads_of(ResizeAxis const& a, int index) {
-  if (!a.transposed) {
-    Band<F> const band = band_of<F>(a, index);
+KV_HD Contributors<F> contributors(ResizeAxis const& a, int index) {
+  if (!a.backward) {
+    Band<F> const band = normalized_band<F>(a, index);
     return {band.first, band.last - band.first + 1, band.norm};
   }
   // From about the right place on, bands move to the right with i.
@@ -265,15 +269,15 @@ KV_HD Reads<F> reads_of(ResizeAxis const& a, int index) {
   while (i > 0 && extent<F>(a, i - 1).last >= index) --i;
   while (i < a.result && extent<F>(a, i).last < index) ++i;
   int count = 0;
-  while (count < a.most && i + count < a.result && extent<F>(a, i + count).first <= index) ++count;
+  while (count < a.max_taps && i + count < a.result && extent<F>(a, i + count).first <= index) ++count;
   return {i, count, 1};
 }
 // The weight of the k-th of them.
 template <class F>
-KV_HD F weight_at(ResizeAxis const& a, Reads<F> const& reads, int index, int k) {
+KV_HD F weight_at(ResizeAxis const& a, Contributors<F> const& reads, int index, int k) {
   int const at = reads.first + k;
-  if (!a.transposed) return weight_of(a, Band<F>{reads.first, reads.first + reads.count - 1, reads.norm}, index, at);
-  return weight_of(a, band_of<F>(a, at), at, index);
+  if (!a.backward) return band_weight(a, Band<F>{reads.first, reads.first + reads.count - 1, reads.norm}, index, at);
+  return band_weight(a, normalized_band<F>(a, at), at, index);
 }
 
 }  // namespace kv

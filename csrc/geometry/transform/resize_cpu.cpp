@@ -27,8 +27,8 @@ KV_HD V permuted(V a, Index index) {
 
 // The weights of a pixel, `stride` apart. Not inline: they take most of the time to compile.
 template <class F>
-[[gnu::noinline]] Reads<F> write_weights(F* to, int64_t stride, ResizeAxis const& axis, int64_t index) {
-  Reads<F> const reads = reads_of<F>(axis, int(index));
+[[gnu::noinline]] Contributors<F> write_weights(F* to, int64_t stride, ResizeAxis const& axis, int64_t index) {
+  Contributors<F> const reads = contributors<F>(axis, int(index));
   for (int k = 0; k < reads.count; ++k) to[k * stride] = weight_at(axis, reads, int(index), k);
   return reads;
 }
@@ -39,10 +39,10 @@ struct RowBands {
   int64_t height, first;
   int taps;
   Scratch<F> weights;
-  Scratch<Reads<F>> reads;
+  Scratch<Contributors<F>> reads;
 
   RowBands(ResizeAxis const& axis, int64_t height, int64_t begin, int64_t count)
-      : height(height), first(begin), taps(axis.most), weights(count * taps), reads(count) {
+      : height(height), first(begin), taps(axis.max_taps), weights(count * taps), reads(count) {
     for (int64_t i = 0; i < count; ++i)
       reads.data[i] = write_weights(weights.data + i * taps, 1, axis, (begin + i) % height);
   }
@@ -63,7 +63,7 @@ struct ColumnBands {
   ColumnBands(ResizeAxis const& axis, int64_t size, int64_t step)
       : size(size),
         groups((size + N - 1) / N),
-        taps(axis.most),
+        taps(axis.max_taps),
         from(groups),
         distances(groups * N),
         weights(groups * taps * N) {
@@ -85,10 +85,10 @@ struct ColumnBands {
   KV_HD int64_t start(int64_t group) const { return min(group * N, size - N); }
 };
 
-// A row of the result from its line, or `base` minus it. Vectors: how many loads hold what a group reads at a time, 0
-// for more than two. Taps: how many there are, 0 for any number. Says whether all of the row is finite.
+// A row of the result from its line, or `minuend` minus it. Vectors: how many loads hold what a group reads at a time,
+// 0 for more than two. Taps: how many there are, 0 for any number. Says whether all of the row is finite.
 template <int Vectors, int Taps, int N, class T, class F>
-KV_HD bool write_row(T* out, T const* base, F const* line, ColumnBands<F, N> const& columns, int64_t step) {
+KV_HD bool write_row(T* out, T const* minuend, F const* line, ColumnBands<F, N> const& columns, int64_t step) {
   using V = Lanes<F, N>;
   int const taps = Taps ? Taps : columns.taps;
   V check{};
@@ -110,7 +110,7 @@ KV_HD bool write_row(T* out, T const* base, F const* line, ColumnBands<F, N> con
       sum += value * load<N>(weights);
     }
     check += sum - sum;
-    if (base) sum = load<N>(base + columns.start(g)) - sum;
+    if (minuend) sum = load<N>(minuend + columns.start(g)) - sum;
     store<N>(out + columns.start(g), sum);
   }
   if constexpr (N == 1) {
@@ -124,7 +124,7 @@ KV_HD bool write_row(T* out, T const* base, F const* line, ColumnBands<F, N> con
 
 // The same, but what a tap of weight 0 holds is no part of the value, not even if it is NaN or inf.
 template <int N, class T, class F>
-[[gnu::noinline]] void write_row_with_care(T* out, T const* base, F const* line, ColumnBands<F, N> const& columns,
+[[gnu::noinline]] void write_row_with_care(T* out, T const* minuend, F const* line, ColumnBands<F, N> const& columns,
                                            int64_t step) {
   for (int64_t g = 0; g < columns.groups; ++g)
     for (int i = 0; i < N; ++i) {
@@ -134,7 +134,7 @@ template <int N, class T, class F>
         F const weight = columns.weights.data[(g * columns.taps + k) * N + i];
         if (weight != 0) sum += *from * weight;
       }
-      if (base) sum = load<1>(base + columns.start(g) + i) - sum;
+      if (minuend) sum = load<1>(minuend + columns.start(g) + i) - sum;
       store<1>(out + columns.start(g) + i, sum);
     }
 }
@@ -149,24 +149,24 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
   Scratch<F> line(size + beyond);
   for (int64_t e = size; e < size + beyond; ++e) line.data[e] = 0;
 
-  auto const write_with = [&](T* out, T const* base, auto vectors) {
+  auto const write_with = [&](T* out, T const* minuend, auto vectors) {
     constexpr int M = decltype(vectors)::value;
-    if (columns.taps == 1) return write_row<M, 1>(out, base, line.data, columns, step);
-    if (columns.taps == 2) return write_row<M, 2>(out, base, line.data, columns, step);
-    if (columns.taps == 4) return write_row<M, 4>(out, base, line.data, columns, step);
-    return write_row<M, 0>(out, base, line.data, columns, step);
+    if (columns.taps == 1) return write_row<M, 1>(out, minuend, line.data, columns, step);
+    if (columns.taps == 2) return write_row<M, 2>(out, minuend, line.data, columns, step);
+    if (columns.taps == 4) return write_row<M, 4>(out, minuend, line.data, columns, step);
+    return write_row<M, 0>(out, minuend, line.data, columns, step);
   };
-  auto const write = [&](T* out, T const* base) {
-    if (columns.spread < N) return write_with(out, base, Width<1>{});
+  auto const write = [&](T* out, T const* minuend) {
+    if (columns.spread < N) return write_with(out, minuend, Width<1>{});
     if constexpr (N > 1) {
-      if (columns.spread < 2 * N) return write_with(out, base, Width<2>{});
-      return write_row<0, 0>(out, base, line.data, columns, step);
+      if (columns.spread < 2 * N) return write_with(out, minuend, Width<2>{});
+      return write_row<0, 0>(out, minuend, line.data, columns, step);
     }
     return true;
   };
   for (int64_t r = begin; r < end; ++r) {
     int64_t const plane = r / height, i = rows.at(r);
-    Reads<F> const band = rows.reads.data[i];
+    Contributors<F> const band = rows.reads.data[i];
     F const* const weights = rows.weights.data + i * rows.taps;
     T const* const first = p.x.row(plane, band.first);
     auto const add_up = [&](auto sum_at) {
@@ -189,8 +189,8 @@ void resize_rows(Resize<T> const& p, int64_t begin, int64_t end) {
         return sum;
       });
     T* const out = p.y.row(plane, r - plane * height);
-    T const* const base = p.base ? p.base_at(out) : nullptr;
-    if (!write(out, base)) write_row_with_care(out, base, line.data, columns, step);
+    T const* const minuend = p.minuend ? p.minuend_at(out) : nullptr;
+    if (!write(out, minuend)) write_row_with_care(out, minuend, line.data, columns, step);
   }
 }
 

@@ -12,8 +12,8 @@ namespace {
 constexpr int kWarps = 4, kColumns = 4;
 
 // Not inline, as places take most of the time to compile.
-__device__ __noinline__ Pair<float> pair_of(ResizeAxis const& axis, int i) {
-  if (axis.window == Window::bilinear) return pair_at<float>(axis, i);
+__device__ __noinline__ LinearTaps<float> linear_taps_of(ResizeAxis const& axis, int i) {
+  if (axis.filter == ResizeFilter::bilinear) return linear_taps<float>(axis, i);
   int const at = extent<float>(axis, i).first;
   return {at, at, 0};
 }
@@ -47,13 +47,14 @@ __global__ void __launch_bounds__(32 * kWarps)
 #pragma unroll
   for (int i = 0; i < kColumns; ++i) {
     int const e = min(column + 32 * i, size - 1), x = e / step;
-    Pair<float> const pair = pair_of(p.columns, x);
+    LinearTaps<float> const pair = linear_taps_of(p.columns, x);
     left[i] = pair.a * step + e - x * step;
     right[i] = pair.b * step + e - x * step;
     t[i] = pair.a < pair.b ? pair.t : 0.5f;  // one pixel, twice: not with weight 0, which would make NaN of inf
   }
   int const height = int(p.y.height), rows = min(int(strips.rows), height - top);
-  Pair<float> const of_lane = pair_of(p.rows, min(top + lane, height - 1));  // each thread knows those of one row
+  LinearTaps<float> const of_lane =
+      linear_taps_of(p.rows, min(top + lane, height - 1));  // each thread knows those of one row
   float const t_of_lane = of_lane.a < of_lane.b ? of_lane.t : 0;
 
   uintptr_t const in = reinterpret_cast<uintptr_t>(p.x.plane(plane));
@@ -151,12 +152,12 @@ template <class T>
 int resize_linear(Resize<T> const& p, CUstream_st* stream) {
   auto const served = [](ResizeAxis const& a) {
     // Where an image grows, antialiased windows are the others.
-    return !a.transposed &&
-           (a.window <= Window::nearest_exact || (a.window == Window::bilinear && (!a.antialias || a.num <= a.den)));
+    return !a.backward && (a.filter <= ResizeFilter::nearest_exact ||
+                           (a.filter == ResizeFilter::bilinear && (!a.antialias || a.num <= a.den)));
   };
   if (!served(p.rows) || !served(p.columns) ||
       max(p.x.row_stride * int64_t(sizeof(T)), p.y.row_size()) > INT32_MAX - 128)
-    return kNotServed;
+    return kUnsupported;
   int rows = 32;  // there must be enough strips for the machine
   int64_t const across = ceil_div(p.y.row_size(), 32 * kColumns);
   while (rows > 4 && p.y.count() * across * ceil_div(p.y.height, rows) < 12000) rows /= 2;

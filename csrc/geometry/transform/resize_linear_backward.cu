@@ -14,13 +14,13 @@ constexpr int kTaps = 8;     // of a pixel along x, at most
 constexpr int kColumns = 4;  // that a thread writes, 32 apart, at most
 
 // Not inline, as places take most of the time to compile.
-__device__ __noinline__ Pair<float> pair_of(ResizeAxis const& axis, int i) {
-  if (axis.window == Window::bilinear) return pair_at<float>(axis, i);
+__device__ __noinline__ LinearTaps<float> linear_taps_of(ResizeAxis const& axis, int i) {
+  if (axis.filter == ResizeFilter::bilinear) return linear_taps<float>(axis, i);
   int const at = extent<float>(axis, i).first;
   return {at, at, 0};
 }
-__device__ __noinline__ Reads<float> find_reads(ResizeAxis const& axis, int index) {
-  return reads_of<float>(axis, index);
+__device__ __noinline__ Contributors<float> find_contributors(ResizeAxis const& axis, int index) {
+  return contributors<float>(axis, index);
 }
 
 // The strips: `width` columns of some rows of a plane, a warp each.
@@ -30,8 +30,8 @@ struct SourceStrips {
 };
 
 struct WarpMemory {
-  Pair<float> pairs[kSpan];   // of the columns of the gradient
-  float line[kSpan + kTaps];  // of sums
+  LinearTaps<float> pairs[kSpan];  // of the columns of the gradient
+  float line[kSpan + kTaps];       // of sums
 };
 
 template <class T>
@@ -48,10 +48,10 @@ __global__ void __launch_bounds__(32 * kWarps)
   auto& [pairs, line] = memory[warp];
 
   // The columns of the gradient that the strip reads, from a whole vector on.
-  int const begin = find_reads(p.columns, x0).first & -kOwn, own = begin + kOwn * lane, width = int(p.x.width);
+  int const begin = find_contributors(p.columns, x0).first & -kOwn, own = begin + kOwn * lane, width = int(p.x.width);
 #pragma unroll
   for (int i = 0; i < kOwn; ++i) {
-    pairs[32 * i + lane] = pair_of(p.columns, min(begin + 32 * i + lane, width - 1));
+    pairs[32 * i + lane] = linear_taps_of(p.columns, min(begin + 32 * i + lane, width - 1));
     ring[i][lane] = {};
   }
   if (lane < kTaps) line[kSpan + lane] = 0;
@@ -61,13 +61,13 @@ __global__ void __launch_bounds__(32 * kWarps)
 #pragma unroll
   for (int i = 0; i < kColumns; ++i) {
     int const x = min(x0 + 32 * i + lane, x1 - 1);
-    Reads<float> const reads = find_reads(p.columns, x);
+    Contributors<float> const reads = find_contributors(p.columns, x);
     first[i] = reads.first - begin;
 #pragma unroll
     for (int k = 0; k < kTaps; ++k) weights[i][k] = k < reads.count ? pairs[first[i] + k].weight(x) : 0;
   }
 
-  Reads<float> const of_top = find_reads(p.rows, y0), of_bottom = find_reads(p.rows, y1 - 1);
+  Contributors<float> const of_top = find_contributors(p.rows, y0), of_bottom = find_contributors(p.rows, y1 - 1);
   int const rows = of_bottom.first + of_bottom.count - of_top.first, stride = int(p.x.row_stride * sizeof(T));
   T const* const from = p.x.row(plane, of_top.first) + own;
   int next = 0;
@@ -92,7 +92,7 @@ __global__ void __launch_bounds__(32 * kWarps)
         float sum = 0;
 #pragma unroll
         for (int k = 0; k < kTaps; ++k) {
-          if (k >= p.columns.most) break;
+          if (k >= p.columns.max_taps) break;
           sum += weights[i][k] * line[first[i] + k];
         }
         if (!(sum - sum == 0)) {  // what a tap of weight 0 holds is no part of the value
@@ -109,10 +109,10 @@ __global__ void __launch_bounds__(32 * kWarps)
     ++y;
   };
 
-  Pair<float> of_lane;  // each thread knows those of one of 32 rows
+  LinearTaps<float> of_lane;  // each thread knows those of one of 32 rows
 #pragma unroll 1
   for (int r = 0; r <= rows; ++r) {
-    if (r % 32 == 0) of_lane = pair_of(p.rows, min(of_top.first + r + lane, int(p.x.height) - 1));
+    if (r % 32 == 0) of_lane = linear_taps_of(p.rows, min(of_top.first + r + lane, int(p.x.height) - 1));
     int const a = r < rows ? __shfl_sync(0xffffffffu, of_lane.a, r) : y1;
     int const b = __shfl_sync(0xffffffffu, of_lane.b, r);
     float const t = __shfl_sync(0xffffffffu, a < b ? of_lane.t : 0, r);
@@ -134,17 +134,18 @@ __global__ void __launch_bounds__(32 * kWarps)
 }  // namespace
 
 template <class T>
-int resize_linear_transpose(Resize<T> const& p, CUstream_st* stream) {
+int resize_linear_backward(Resize<T> const& p, CUstream_st* stream) {
   ResizeAxis const &rows = p.rows, &columns = p.columns;
   auto const served = [](ResizeAxis const& a) {
-    return a.transposed && a.num > 0 && a.num <= a.den && a.window <= Window::bilinear && a.window != Window::area;
+    return a.backward && a.num > 0 && a.num <= a.den && a.filter <= ResizeFilter::bilinear &&
+           a.filter != ResizeFilter::area;
   };
-  if (!served(rows) || !served(columns) || columns.most > kTaps || !is_vectorizable<kOwn>(p.x) || p.y.step != 1 ||
+  if (!served(rows) || !served(columns) || columns.max_taps > kTaps || !is_vectorizable<kOwn>(p.x) || p.y.step != 1 ||
       p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX)
-    return kNotServed;
+    return kUnsupported;
   // So many columns that their reads are in kSpan columns of the gradient, as whole sectors of memory.
   int64_t const width = min(int64_t(kSpan), (kSpan - kOwn) * columns.num / columns.den - 1) / 16 * 16;
-  if (width < 32) return kNotServed;
+  if (width < 32) return kUnsupported;
   SourceStrips strips{int(width), 32, unsigned(ceil_div(p.y.width, width)), 0, 0};  // enough for the machine
   int64_t const across = p.y.count() * strips.across;
   while (strips.rows > 4 && across * ceil_div(p.y.height, strips.rows) < 8000) strips.rows /= 2;
@@ -154,8 +155,8 @@ int resize_linear_transpose(Resize<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-template int resize_linear_transpose(Resize<float> const&, CUstream_st*);
-template int resize_linear_transpose(Resize<Half> const&, CUstream_st*);
-template int resize_linear_transpose(Resize<BFloat16> const&, CUstream_st*);
+template int resize_linear_backward(Resize<float> const&, CUstream_st*);
+template int resize_linear_backward(Resize<Half> const&, CUstream_st*);
+template int resize_linear_backward(Resize<BFloat16> const&, CUstream_st*);
 
 }  // namespace kv::cuda

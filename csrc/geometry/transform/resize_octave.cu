@@ -45,7 +45,7 @@ struct OctaveWeights {
   int const rim = rim_of(doubles), inner = rim + kinds_of(doubles), rows = rim + inner;
   for (int i = 0; i < rows * taps; ++i) at[i] = 0;
   for (int i = 0; i < inner; ++i) {
-    Reads<float> const reads = reads_of<float>(axis, i);
+    Contributors<float> const reads = contributors<float>(axis, i);
     float* const from = at + i * taps + reads.first - window_start(doubles, i, taps);
     for (int k = 0; k < reads.count; ++k) from[k] = weight_at(axis, reads, i, k);
   }
@@ -118,7 +118,8 @@ __global__ void __launch_bounds__(32 * kWarps)
 template <class T, int M>
 __global__ void __launch_bounds__(32 * kWarps)
     doubled(__grid_constant__ Planes<T const> const x, __grid_constant__ Planes<T> const y,
-            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kVectorSize<T> / 2> strips, T const* base) {
+            __grid_constant__ OctaveWeights<true, M> const weights, Strips<kVectorSize<T> / 2> strips,
+            T const* minuend) {
   constexpr int P = kVectorSize<T>, C = P / 2, R = M / 2, kMiddle = kBefore<2 * R + 1, C>, kEnd = rim_of(true);
   __shared__ Ring<T, C> rings[kWarps];
   int64_t plane;
@@ -170,8 +171,8 @@ __global__ void __launch_bounds__(32 * kWarps)
 #pragma unroll
         for (int k = 1; k < M; ++k) sums[p] += weights_y[odd][k] * along_x[from + k][p];
       }
-      if (M == 4 && base && 2 * column < width) {  // M: pyrup's
-        Vector<T, P> const from = *reinterpret_cast<Vector<T, P> const*>(base + (out - y.data));
+      if (M == 4 && minuend && 2 * column < width) {  // M: pyrup's
+        Vector<T, P> const from = *reinterpret_cast<Vector<T, P> const*>(minuend + (out - y.data));
 #pragma unroll
         for (int p = 0; p < P; ++p) sums[p] = read(from.v[p]) - sums[p];
       }
@@ -184,19 +185,19 @@ __global__ void __launch_bounds__(32 * kWarps)
 // Whether an axis is halved or doubled by windows whose rim is narrow enough.
 inline bool is_octave(ResizeAxis const& a) {
   bool const twice = a.source == 2 * a.result || 2 * a.source == a.result,
-             wide_rim = a.window == Window::bicubic && a.antialias && a.transposed;
-  return twice && a.num == 2 * a.source && a.window >= Window::bilinear && !wide_rim &&
+             wide_rim = a.filter == ResizeFilter::bicubic && a.antialias && a.backward;
+  return twice && a.num == 2 * a.source && a.filter >= ResizeFilter::bilinear && !wide_rim &&
          min(a.source, a.result) >= kLeast;
 }
 
 template <class T, bool Doubles, int Taps>
 int launch(Resize<T> const& p, CUstream_st* stream) {
   constexpr int P = kVectorSize<T>, C = P / 2;
-  if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kNotServed;
+  if (p.x.row_stride * int64_t(sizeof(T)) > INT32_MAX) return kUnsupported;
   if (!(Doubles ? is_vectorizable<C>(p.x) && is_vectorizable<P>(p.y)
                 : is_vectorizable<P>(p.x) && is_vectorizable<C>(p.y)))
-    return kNotServed;
-  if (reinterpret_cast<uintptr_t>(p.base) % alignof(Vector<T, P>) != 0) return kNotServed;
+    return kUnsupported;
+  if (reinterpret_cast<uintptr_t>(p.minuend) % alignof(Vector<T, P>) != 0) return kUnsupported;
   int64_t const height = Doubles ? p.x.height : p.y.height, width = Doubles ? p.x.width : p.y.width;
   // Long strips repeat fewer rows; there must be enough of them for the machine.
   int rows = 32;
@@ -205,7 +206,7 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
   OctaveWeights<Doubles, Taps> weights;
   write_weights(weights.at[0], Doubles, Taps, p.rows);
   if constexpr (Doubles)
-    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.base);
+    doubled<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips, p.minuend);
   else
     halve<T, Taps><<<strips.blocks(kWarps), 32 * kWarps, 0, stream>>>(p.x, p.y, weights, strips);
   return cudaGetLastError();
@@ -215,11 +216,11 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
 
 template <class T>
 int resize_octave(Resize<T> const& p, CUstream_st* stream) {
-  if (!is_octave(p.rows) || !is_octave(p.columns) || p.rows.most != p.columns.most) return kNotServed;
+  if (!is_octave(p.rows) || !is_octave(p.columns) || p.rows.max_taps != p.columns.max_taps) return kUnsupported;
   bool const doubles = p.y.height > p.x.height;
-  if (doubles != (p.y.width > p.x.width)) return kNotServed;
+  if (doubles != (p.y.width > p.x.width)) return kUnsupported;
   constexpr bool kGradients = sizeof(T) > 1;  // of bytes are none
-  switch (doubles ? -p.rows.most : p.rows.most) {
+  switch (doubles ? -p.rows.max_taps : p.rows.max_taps) {
     case 2:
       return launch<T, false, 2>(p, stream);
     case 4:
@@ -232,7 +233,7 @@ int resize_octave(Resize<T> const& p, CUstream_st* stream) {
       return launch<T, true, 4>(p, stream);
   }
   if constexpr (kGradients) {
-    switch (doubles ? -p.rows.most : p.rows.most) {
+    switch (doubles ? -p.rows.max_taps : p.rows.max_taps) {
       case 8:
         return launch<T, false, 8>(p, stream);
       case -1:
@@ -241,7 +242,7 @@ int resize_octave(Resize<T> const& p, CUstream_st* stream) {
         return launch<T, true, 3>(p, stream);
     }
   }
-  return kNotServed;
+  return kUnsupported;
 }
 
 template int resize_octave(Resize<float> const&, CUstream_st*);

@@ -8,67 +8,67 @@ namespace {
 
 constexpr int64_t kLongestSide = 1 << 30;  // places are counted in fractions of pixels, in 64 bits
 
-Window window_of(char const* op, std::string const& name) {
+ResizeFilter parse_filter(char const* op, std::string const& name) {
   constexpr char const* kNames[] = {"nearest", "nearest-exact", "area",    "bilinear",
                                     "bicubic", "lanczos",       "pyrdown", "pyrup"};
   for (int i = 0; i < 8; ++i)
-    if (name == kNames[i]) return Window(i);
-  KV_CHECK(false, op, ": no window is called '", name, "'");
+    if (name == kNames[i]) return ResizeFilter(i);
+  KV_CHECK(false, op, ": no resize filter is called '", name, "'");
 }
 
-// From images to images of `size`, or the gradient to images of `size`; `base` minus that where there is one.
+// From images to images of `size`, or the gradient to images of `size`; `minuend` minus that where there is one.
 Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& size, std::string const& name,
-               bool align_corners, bool antialias, std::string const& border_name, bool transposed,
-               Tensor const* base = nullptr) {
-  check_images(op, transposed ? "grad" : "input", input);
+               bool align_corners, bool antialias, std::string const& border_name, bool backward,
+               Tensor const* minuend = nullptr) {
+  check_images(op, backward ? "grad" : "input", input);
   KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
-  Window const window = window_of(op, name);
+  ResizeFilter const filter = parse_filter(op, name);
   Border const border = parse_border(op, border_name);
   auto const axis = [&](int64_t from, int64_t to) {
     KV_CHECK(from <= kLongestSide && to > 0 && to <= kLongestSide, op, ": expected sides of 1 to ", kLongestSide,
              " pixels, got ", from, " and ", to);
-    int64_t const source = transposed ? to : from, result = transposed ? from : to;
-    if (window == Window::pyrdown || window == Window::pyrup) {
+    int64_t const source = backward ? to : from, result = backward ? from : to;
+    if (filter == ResizeFilter::pyrdown || filter == ResizeFilter::pyrup) {
       // What a circular border finds is not near.
       KV_CHECK(border != Border::circular, op, ": a pyramid's border must be constant, reflect or replicate");
-      check_border(op, border, 2, window == Window::pyrdown ? source : result);
-      KV_CHECK(window == Window::pyrdown || result == 2 * source, op, ": pyrup doubles sides, got ", source, " and ",
-               result);
+      check_border(op, border, 2, filter == ResizeFilter::pyrdown ? source : result);
+      KV_CHECK(filter == ResizeFilter::pyrdown || result == 2 * source, op, ": pyrup doubles sides, got ", source,
+               " and ", result);
     }
-    return ResizeAxis(window, source, result, align_corners, antialias, transposed, border);
+    return ResizeAxis(filter, source, result, align_corners, antialias, backward, border);
   };
   ResizeAxis const rows = axis(input.size(2), size[0]), columns = axis(input.size(3), size[1]);
   Layout const layout = layout_of(input);
   Tensor const x = as_layout(input, layout);
   Tensor const y = empty({x.size(0), x.size(1), size[0], size[1]}, x, layout);
-  if (base) check_like(op, "image", *base, y);
+  if (minuend) check_like(op, "image", *minuend, y);
   // In the same places as y.
-  Tensor const image = !base ? y
+  Tensor const image = !minuend ? y
                        : layout == Layout::channels_last
-                           ? torch::stable::contiguous(*base, torch::headeronly::MemoryFormat::ChannelsLast)
-                           : dense(*base);
+                           ? torch::stable::contiguous(*minuend, torch::headeronly::MemoryFormat::ChannelsLast)
+                           : dense(*minuend);
   auto const run = [&](auto type) {
     using T = typename decltype(type)::type;
     Resize<T> const params{planes<T const>(x, layout), planes<T>(y, layout), rows, columns,
-                           base ? data_ptr<T const>(image) : nullptr};
+                           minuend ? data_ptr<T const>(image) : nullptr};
     KV_RUN(resize, x, params, params.y.row_size() ? params.y.rows() : 0,
-           rows.most * params.x.row_size() + columns.most * params.y.row_size());
+           rows.max_taps * params.x.row_size() + columns.max_taps * params.y.row_size());
   };
-  if (transposed || base)
+  if (backward || minuend)
     dispatch_floating(op, x, run);
   else
     dispatch_floating_and_uint8(op, x, run);
   return y;
 }
 
-Tensor resize(Tensor const& input, std::vector<int64_t> size, std::string const& window, bool align_corners,
+Tensor resize(Tensor const& input, std::vector<int64_t> size, std::string const& filter, bool align_corners,
               bool antialias, std::string const& border) {
-  return resized("resize", input, size, window, align_corners, antialias, border, false);
+  return resized("resize", input, size, filter, align_corners, antialias, border, false);
 }
 
-Tensor resize_backward(Tensor const& grad, std::vector<int64_t> size, std::string const& window, bool align_corners,
+Tensor resize_backward(Tensor const& grad, std::vector<int64_t> size, std::string const& filter, bool align_corners,
                        bool antialias, std::string const& border) {
-  return resized("resize_backward", grad, size, window, align_corners, antialias, border, true);
+  return resized("resize_backward", grad, size, filter, align_corners, antialias, border, true);
 }
 
 // What an image has that the next smaller one of its pyramid has not.
@@ -80,7 +80,7 @@ Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_cor
 
 }  // namespace
 
-#define KV_HOW "int[] size, str window, bool align_corners, bool antialias, str border"
+#define KV_HOW "int[] size, str filter, bool align_corners, bool antialias, str border"
 KV_OPERATOR(resize, "(Tensor input, " KV_HOW ") -> Tensor")
 KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
 KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, str border) -> Tensor")

@@ -29,10 +29,10 @@ __device__ __forceinline__ F mean(T const* taps, int pitch, int step, F tx, F ty
 // N channels of a place, from the image itself. Tap by tap at the rim, and where a tap of weight 0 may be NaN or inf,
 // which is no part of the value.
 template <int K, int N, class T, class F>
-__device__ __noinline__ void sample_where_it_is(Sample<T> const& p, Tile<F> const& tile, int first, int y, int x) {
+__device__ __noinline__ void sample_unstaged(Sample<T> const& p, Tile<F> const& tile, int first, int y, int x) {
   F u, v, wx[K], wy[K], poison = 0;
-  PlacesOf<F>(p.places, tile).at(y, x, u, v);
-  Window<K, F> const window(p, u, v);
+  TileCoords<F>(p.coords, tile).at(y, x, u, v);
+  TapWindow<K, F> const window(p, u, v);
   tap_weights(window.tx, wx);
   tap_weights(window.ty, wy);
   int64_t const row = p.x.row_stride, step = p.x.step;
@@ -50,7 +50,7 @@ __device__ __noinline__ void sample_where_it_is(Sample<T> const& p, Tile<F> cons
 #pragma unroll 1
   for (int k = 0; k < N; ++k) {
     T const* const plane = p.x.row(tile.b, first + k, 0);
-    F const fill = p.fill_of(tile.b, first + k);
+    F const fill = p.fill_value(tile.b, first + k);
     F sum = 0;
     window.for_each(p, row, step, [&](int j, int i, int64_t at) {
       F const weight = wx[i] * wy[j];
@@ -69,62 +69,64 @@ constexpr int kBlocks = sizeof(T) == 8 ? 2
 // comes from would cost 2 to 4 % of their time.
 template <class T, int K, bool ByFormula>
 __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
-    sample_tiles(__grid_constant__ Sample<T> const p, Tiles tiles, bool aligned) {
+    sample_tiles(__grid_constant__ Sample<T> const p, TileGrid tiles, bool aligned) {
   using F = Compute<T>;
-  __shared__ View<F> view;
+  __shared__ BlockTiles<F> block;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.y.width), height = int(p.y.height);
   if constexpr (ByFormula) {
     F made[9];
-    view.template open<K>(tiles, p, width, height, [&](int64_t b) {
+    block.template prepare<K>(tiles, p, width, height, [&](int64_t b) {
       make_plane_matrix(p.formula, b, made);
       return made;
     });
   } else {
-    view.template open<K>(tiles, p, width, height);
+    block.template prepare<K>(tiles, p, width, height);
   }
 
 #pragma unroll 1
-  for (int number = 0; number < int(tiles.row) && view.tiles[number].x < width; ++number) {
-    Tile<F> const& tile = view.tiles[number];
-    void* const kept = shared_pixels + Patch<T>::bytes(p.x.channels);
-    Patch<T> const patch(shared_pixels, view.template look<K>(number, p, width, height, kept), p, F());
-    int const origin = patch.origin(tile.u, tile.v);
+  for (int number = 0; number < int(tiles.per_block) && block.tiles[number].x < width; ++number) {
+    Tile<F> const& tile = block.tiles[number];
+    void* const kept = shared_pixels + SourceTile<T>::bytes(p.x.channels);
+    SourceTile<T> const source_tile(shared_pixels, block.template tap_bounds<K>(number, p, width, height, kept), p,
+                                    F());
+    int const origin = source_tile.origin(tile.u, tile.v);
     int64_t const b = tile.b;
     int const x = tile.x + column_in_tile<T>(), y = tile.y + row_in_tile<T>();
-    in_groups<Patch<T>::kChannels>(p.x.channels, [&](int first, auto number) {
+    for_each_channel_group<SourceTile<T>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
-      if (patch.fits)
-        patch.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
-                               [&](int c) { return p.fill ? round_to<T>(p.fill_of(b, c)) : T{}; });
+      if (source_tile.fits)
+        source_tile.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
+                                     [&](int c) { return p.fill ? round_to<T>(p.fill_value(b, c)) : T{}; });
       if (x >= width) return;
       F poison = 0;  // NaN where a tap is no finite number
-      if (patch.fits) {
-        Runs<F> const runs(tile, p.places, kept, column_in_tile<T>(), row_in_tile<T>());
+      if (source_tile.fits) {
+        ThreadCoords<F> const thread_coords(tile, p.coords, kept, column_in_tile<T>(), row_in_tile<T>());
         T* planes[N];
 #pragma unroll
         for (int k = 0; k < N; ++k) planes[k] = p.y.row(b, first + k, 0);
         int to = y * int(p.y.row_stride) + x * int(p.y.step);  // a plane has less than 2^31 elements
 #pragma unroll 1
-        for (int run = 0; run < kRuns && y + run * kRunRows < height; ++run, to += kRunRows * int(p.y.row_stride)) {
+        for (int run = 0; run < kPixelsPerThread && y + run * kRowStep < height;
+             ++run, to += kRowStep * int(p.y.row_stride)) {
           F u, v, tx, ty, wx[K], wy[K];
-          runs.at(run, u, v);
+          thread_coords.at(run, u, v);
           int const column = near_tap<K>(u, tx), row = near_tap<K>(v, ty);
-          T const* const taps = patch.pixels + (row * Patch<T>::kPitch + column + origin);
+          T const* const taps = source_tile.pixels + (row * SourceTile<T>::kPitch + column + origin);
           tap_weights(tx, wx);
           tap_weights(ty, wy);
 #pragma unroll
           for (int k = 0; k < N; ++k) {
-            F const sum = mean<K>(taps + k * Patch<T>::kSize, Patch<T>::kPitch, 1, tx, ty, wx, wy);
+            F const sum = mean<K>(taps + k * SourceTile<T>::kSize, SourceTile<T>::kPitch, 1, tx, ty, wx, wy);
             if constexpr (sizeof(T) > 1 && K > 1) poison += sum * 0;
             planes[k][to] = round_to<T>(sum);
           }
         }
       }
-      if (!patch.fits || poison != 0)
+      if (!source_tile.fits || poison != 0)
 #pragma unroll 1
-        for (int run = 0; run < kRuns && y + run * kRunRows < height; ++run)
-          sample_where_it_is<K, N>(p, tile, first, y + run * kRunRows, x);
+        for (int run = 0; run < kPixelsPerThread && y + run * kRowStep < height; ++run)
+          sample_unstaged<K, N>(p, tile, first, y + run * kRowStep, x);
     });
   }
 }
@@ -133,11 +135,12 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
 
 template <class T>
 int sample(Sample<T> const& p, CUstream_st* stream) {
-  Tiles const tiles(p.y.batch, p.y.height, p.y.width, tile_row(p.y.batch, p.y.height, p.y.width));
+  TileGrid const tiles(p.y.batch, p.y.height, p.y.width, tiles_per_block(p.y.batch, p.y.height, p.y.width));
   auto const run = [&](auto kernel) {
-    kernel<<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, rows_are_aligned(p.x));
+    kernel<<<tiles.blocks, kThreads, SourceTile<T>::bytes(p.x.channels, p.coords), stream>>>(p, tiles,
+                                                                                             rows_are_aligned(p.x));
   };
-  with_taps(p.interpolation, [&](auto taps) {
+  dispatch_taps(p.interpolation, [&](auto taps) {
     constexpr int K = taps.value;
     p.formula.by == MatrixBy::given ? run(sample_tiles<T, K, false>) : run(sample_tiles<T, K, true>);
   });

@@ -1,6 +1,6 @@
 // Tiles of places and windows of taps on CUDA. Included by sampling*.cu.
 //
-// A block takes a tile of kTile x kTile places, a warp 8 x 4 of them at a time: the taps of a turned image then lie in
+// A block takes a tile of kTile x kTile coords, a warp 8 x 4 of them at a time: the taps of a turned image then lie in
 // few rows, and what a warp writes still fills whole sectors of memory.
 #pragma once
 
@@ -10,19 +10,20 @@
 namespace kv::cuda {
 
 constexpr int kThreads = 256;
-constexpr int kRuns = kTile * kTile / kThreads;  // places a thread takes
-constexpr int kRunRows = kTile / kRuns;          // rows from one to the next
+constexpr int kPixelsPerThread = kTile * kTile / kThreads;  // places a thread takes
+constexpr int kRowStep = kTile / kPixelsPerThread;          // rows from one to the next
 
 // --- tiles -----------------------------------------------------------------------------------------------------------
 
-// Of an output, in rows, which a block takes tile by tile: what precedes the first one costs as much time as a tile.
-struct Tiles {
-  unsigned row, across, down, count;
-  Tiles(int64_t batch, int64_t height, int64_t width, int row)
-      : row(unsigned(row)),
-        across(unsigned(ceil_div(width, row * kTile))),
+// The tiles of an output. A block takes `per_block` adjacent ones in turns: what precedes the first tile costs as much
+// time as a tile.
+struct TileGrid {
+  unsigned per_block, across, down, blocks;
+  TileGrid(int64_t batch, int64_t height, int64_t width, int per_block)
+      : per_block(unsigned(per_block)),
+        across(unsigned(ceil_div(width, per_block * kTile))),
         down(unsigned(ceil_div(height, kTile))),
-        count(unsigned(batch * across * down)) {}
+        blocks(unsigned(batch * across * down)) {}
 };
 
 // A tile, in shared memory, made by one thread: its sample, its first place, and where its places go.
@@ -33,28 +34,28 @@ struct Tile {
   int x, y, u, v;
 
   // The block's tile of that number.
-  __device__ __forceinline__ void locate(Tiles const& tiles, int number) {
+  __device__ __forceinline__ void locate(TileGrid const& tiles, int number) {
     unsigned const row = blockIdx.x / tiles.across, sample = row / tiles.down;
     b = sample;
-    x = (int((blockIdx.x - row * tiles.across) * tiles.row) + number) * kTile;
+    x = (int((blockIdx.x - row * tiles.across) * tiles.per_block) + number) * kTile;
     y = int(row - sample * tiles.down) * kTile;
     u = v = 0;
   }
   // By a map to an image of that size.
-  __device__ __forceinline__ void see(Homography<double> const& whole, Size const& size) {
+  __device__ __forceinline__ void bind(Homography<double> const& whole, Size const& size) {
     double first_u, first_v;
-    whole.at(double(x), double(y), first_u, first_v);
+    whole.apply(double(x), double(y), first_u, first_v);
     u = origin_near(first_u, size.width);
     v = origin_near(first_v, size.height);
-    map = seen_from<F>(whole, x, y, u, v);
+    map = bind_to_tile<F>(whole, x, y, u, v);
   }
-  __device__ __forceinline__ void open(Tiles const& tiles, Places<F> const& places, int number = 0) {
+  __device__ __forceinline__ void init(TileGrid const& tiles, SampleCoords<F> const& coords, int number = 0) {
     locate(tiles, number);
-    if (!places.has_map()) see(homography(places.matrices + b * places.matrix_stride, places.use), places.use.source);
+    if (!coords.has_map()) bind(homography(coords.matrices + b * coords.matrix_stride, coords.use), coords.use.source);
   }
 };
 
-// The first place of a thread in its tile; the others are kRunRows below each other. A warp takes 8 x 4 places, of
+// The first place of a thread in its tile; the others are kRowStep below each other. A warp takes 8 x 4 coords, of
 // types of two bytes 16 x 2: what it writes then fills sectors of memory.
 template <class T = float>
 __device__ __forceinline__ int column_in_tile() {
@@ -71,17 +72,18 @@ __device__ __forceinline__ int row_in_tile() {
 
 // Where the places of a tile are, from its matrix or the maps.
 template <class F>
-struct PlacesOf {
-  Places<F> const& places;
+struct TileCoords {
+  SampleCoords<F> const& coords;
   Tile<F> tile;
-  __device__ __forceinline__ PlacesOf(Places<F> const& places, Tile<F> const& tile) : places(places), tile(tile) {}
+  __device__ __forceinline__ TileCoords(SampleCoords<F> const& coords, Tile<F> const& tile)
+      : coords(coords), tile(tile) {}
   // Counted from the tile's (u, v).
   __device__ __forceinline__ void near(int y, int x, F& u, F& v) const {
-    if (!places.has_map()) {
-      tile.map.at(F(x - tile.x), F(y - tile.y), u, v);
+    if (!coords.has_map()) {
+      tile.map.apply(F(x - tile.x), F(y - tile.y), u, v);
     } else {
-      u = places.x.row(tile.b, 0, y)[x * places.x.step] * places.scale[0] + (F(x) * places.own + places.offset[0]);
-      v = places.y.row(tile.b, 0, y)[x * places.y.step] * places.scale[1] + (F(y) * places.own + places.offset[1]);
+      u = coords.x.row(tile.b, 0, y)[x * coords.x.step] * coords.scale[0] + (F(x) * coords.own + coords.offset[0]);
+      v = coords.y.row(tile.b, 0, y)[x * coords.y.step] * coords.scale[1] + (F(y) * coords.own + coords.offset[1]);
     }
   }
   __device__ __forceinline__ void at(int y, int x, F& u, F& v) const {
@@ -97,13 +99,13 @@ struct PlacesOf {
 
 // The K x K taps around a place.
 template <int K, class F>
-struct Window {
+struct TapWindow {
   F tx, ty;
   int x, y;  // the first tap
   bool inside;
 
   template <class T>
-  __device__ __forceinline__ Window(Sampling<T> const& p, F u, F v) {
+  __device__ __forceinline__ TapWindow(Sampling<T> const& p, F u, F v) {
     bool const reflects = p.x_axis.padding == Padding::reflection;  // and the other axis, too
     x = first_tap<K, F>(reflects ? reflected(p.x_axis, u) : clamped(p.x_axis, u), tx);
     y = first_tap<K, F>(reflects ? reflected(p.y_axis, v) : clamped(p.y_axis, v), ty);
@@ -125,7 +127,7 @@ struct Window {
 
 // Calls run with the number of taps along an axis, as a type.
 template <class F>
-void with_taps(Interpolation interpolation, F run) {
+void dispatch_taps(Interpolation interpolation, F run) {
   switch (interpolation) {
     case Interpolation::nearest:
       return run(std::integral_constant<int, 1>{});
@@ -138,7 +140,7 @@ void with_taps(Interpolation interpolation, F run) {
 
 // The sums of a block's threads, by its first ones. All threads call it.
 template <int N, class F>
-__device__ __forceinline__ void add_block(F const (&sums)[N], double* to) {
+__device__ __forceinline__ void store_block_sums(F const (&sums)[N], double* to) {
   __shared__ F parts[N][kThreads / 32];
   __syncthreads();  // the sums before these have been read
 #pragma unroll
@@ -156,12 +158,12 @@ __device__ __forceinline__ void add_block(F const (&sums)[N], double* to) {
 
 // The sums of that many parts, of N numbers each, for the first thread of a block. All threads call it.
 template <int N>
-__device__ __forceinline__ double* add_parts(double const* parts, int64_t count) {
+__device__ __forceinline__ double* sum_partials(double const* parts, int64_t count) {
   __shared__ double total[N];
   double sums[N] = {};
   for (int64_t part = threadIdx.x; part < count; part += kThreads)
     for (int i = 0; i < N; ++i) sums[i] += parts[part * N + i];
-  add_block(sums, total);
+  store_block_sums(sums, total);
   __syncthreads();
   return total;
 }

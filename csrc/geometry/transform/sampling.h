@@ -37,12 +37,12 @@ struct Axis {
 
 // Where places come from: a matrix for each sample, or a map with a place for each pixel of the output.
 template <class F>
-struct Places {
+struct SampleCoords {
   F const* matrices;      // or null, also for matrices that a formula makes
   int64_t matrix_stride;  // 0 where one serves the batch
   MatrixUse use;
   Images<F const> x, y;  // maps of one channel
-  // x in pixels is scale * n + offset + own * the pixel's own x: maps are in pixels or in [-1, 1], of places, or of
+  // x in pixels is scale * n + offset + own * the pixel's own x: maps are in pixels or in [-1, 1], of coords, or of
   // moves from where a pixel is itself.
   F scale[2], offset[2], own;
 
@@ -53,11 +53,11 @@ template <class T>
 struct Sampling {
   Interpolation interpolation;
   Axis<Compute<T>> x_axis, y_axis;
-  Places<Compute<T>> places;
+  SampleCoords<Compute<T>> coords;
   Compute<T> const* fill;                          // or null for 0
   int64_t fill_batch_stride, fill_channel_stride;  // 0 where one number serves all
 
-  KV_HD Compute<T> fill_of(int64_t b, int c) const {
+  KV_HD Compute<T> fill_value(int64_t b, int c) const {
     return fill ? fill[b * fill_batch_stride + c * fill_channel_stride] : Compute<T>(0);
   }
 };
@@ -69,10 +69,10 @@ struct Sample : Sampling<T> {
   MatrixFormula formula{};
 };
 
-// The gradients to the places. They go to the maps or, times the derivatives of the places by the matrix, into sums:
+// The gradients to the coords. They go to the maps or, times the derivatives of the places by the matrix, into sums:
 // `parts` of nine a sample.
 template <class T>
-struct SampleSlopes : Sampling<T> {
+struct SampleCoordsBackward : Sampling<T> {
   Images<T const> x, grad;
   Images<Compute<T>> grad_x, grad_y;
   double* sums;
@@ -81,8 +81,8 @@ struct SampleSlopes : Sampling<T> {
 
 // Adds the sums up and takes them to the matrices.
 template <class T>
-struct MatrixGradient {
-  Places<T> places;
+struct WarpMatrixBackward {
+  SampleCoords<T> coords;
   double const* sums;
   int64_t parts, batch;
   T* grad;  // (B, rows, 3)
@@ -90,24 +90,24 @@ struct MatrixGradient {
 
 // The gradient to the image.
 template <class T>
-struct SampleTranspose : Sampling<T> {
+struct SampleImageBackward : Sampling<T> {
   Images<T const> grad;
   Images<T> grad_x;  // dense
   // Where kernels on CUDA that scatter add up instead, of the same size.
   Compute<T>* sums;
 };
 
-// On CUDA a block of threads takes tiles of the output, up to kTileRow of them beside each other: fewer where all
-// together are few, for every multiprocessor to have some.
-constexpr int kTile = 32, kTileRow = 4;
-inline int tile_row(int64_t batch, int64_t height, int64_t width) {
+// On CUDA a block of threads takes tiles of the output, up to kMaxTilesPerBlock of them beside each other: fewer where
+// all together are few, for every multiprocessor to have some.
+constexpr int kTile = 32, kMaxTilesPerBlock = 4;
+inline int tiles_per_block(int64_t batch, int64_t height, int64_t width) {
   int64_t const tiles = batch * ((height + kTile - 1) / kTile) * ((width + kTile - 1) / kTile);
-  return tiles >= 16384 ? kTileRow : tiles >= 4096 ? kTileRow / 2 : 1;
+  return tiles >= 16384 ? kMaxTilesPerBlock : tiles >= 4096 ? kMaxTilesPerBlock / 2 : 1;
 }
 
 KV_KERNEL(sample, Sample)
-KV_KERNEL(sample_slopes, SampleSlopes)
-KV_KERNEL(sample_transpose, SampleTranspose)
-KV_KERNEL(matrix_gradient, MatrixGradient)
+KV_KERNEL(sample_coords_backward, SampleCoordsBackward)
+KV_KERNEL(sample_image_backward, SampleImageBackward)
+KV_KERNEL(warp_matrix_backward, WarpMatrixBackward)
 
 }  // namespace kv

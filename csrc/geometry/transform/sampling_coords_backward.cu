@@ -6,15 +6,15 @@ namespace {
 
 // What the taps of a place and its gradients give to the gradient of the place itself.
 template <int K, class F>
-struct Slopes {
+struct CoordGrads {
   F wx[K], wy[K], dx[K], dy[K];
   F along_x = 0, along_y = 0;
 
   __device__ __forceinline__ void set(F tx, F ty) {
     tap_weights(tx, wx);
     tap_weights(ty, wy);
-    tap_slopes(tx, dx);
-    tap_slopes(ty, dy);
+    tap_derivatives(tx, dx);
+    tap_derivatives(ty, dy);
   }
   // Of values(j, i), with the gradient g.
   template <class Values>
@@ -39,117 +39,122 @@ struct Slopes {
 
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
-    slope_tiles(__grid_constant__ SampleSlopes<T> const p, Tiles tiles, bool aligned) {
+    coords_backward_tiles(__grid_constant__ SampleCoordsBackward<T> const p, TileGrid tiles, bool aligned) {
   using F = Compute<T>;
-  __shared__ View<F> view;
+  __shared__ BlockTiles<F> block;
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.grad.width), height = int(p.grad.height);
-  view.template open<K>(tiles, p, width, height);
+  block.template prepare<K>(tiles, p, width, height);
 
   F sums[9] = {};
 #pragma unroll 1
-  for (int number = 0; number < int(tiles.row) && view.tiles[number].x < width; ++number) {
-    Tile<F> const& tile = view.tiles[number];
-    PlacesOf<F> const places(p.places, tile);
-    void* const kept = shared_pixels + Patch<T>::bytes(p.x.channels);
-    Patch<T> const patch(shared_pixels, view.template look<K>(number, p, width, height, kept), p, F());
-    int const origin = patch.origin(tile.u, tile.v);
+  for (int number = 0; number < int(tiles.per_block) && block.tiles[number].x < width; ++number) {
+    Tile<F> const& tile = block.tiles[number];
+    TileCoords<F> const coords(p.coords, tile);
+    void* const kept = shared_pixels + SourceTile<T>::bytes(p.x.channels);
+    SourceTile<T> const source_tile(shared_pixels, block.template tap_bounds<K>(number, p, width, height, kept), p,
+                                    F());
+    int const origin = source_tile.origin(tile.u, tile.v);
     int64_t const b = tile.b;
     int const x = tile.x + column_in_tile<T>();
-    in_groups<Patch<T>::kChannels>(p.x.channels, [&](int first, auto number) {
+    for_each_channel_group<SourceTile<T>::kChannels>(p.x.channels, [&](int first, auto number) {
       constexpr int N = number.value;
-      if (patch.fits)
-        patch.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
-                               [&](int c) { return p.fill ? round_to<T>(p.fill_of(b, c)) : T{}; });
-      Runs<F> const runs(tile, p.places, kept, column_in_tile<T>(), row_in_tile<T>());
+      if (source_tile.fits)
+        source_tile.template load<N>(p.x, b, first, p.x_axis, p.y_axis, aligned,
+                                     [&](int c) { return p.fill ? round_to<T>(p.fill_value(b, c)) : T{}; });
+      ThreadCoords<F> const thread_coords(tile, p.coords, kept, column_in_tile<T>(), row_in_tile<T>());
 #pragma unroll 1
-      for (int run = 0; run < kRuns; ++run) {
-        int const y = tile.y + row_in_tile<T>() + run * kRunRows;
+      for (int run = 0; run < kPixelsPerThread; ++run) {
+        int const y = tile.y + row_in_tile<T>() + run * kRowStep;
         if (x >= width || y >= height) break;
         T const* const grad = p.grad.row(b, first, y) + x * p.grad.step;
         F g[N];
 #pragma unroll
         for (int k = 0; k < N; ++k) g[k] = F(read(grad[k * p.grad.channel_stride]));
         F u, v;
-        Slopes<K, F> slopes;
-        if (patch.fits) {
+        CoordGrads<K, F> grads;
+        if (source_tile.fits) {
           F tx, ty;
-          runs.at(run, u, v);
+          thread_coords.at(run, u, v);
           int const column = near_tap<K>(u, tx), row = near_tap<K>(v, ty);
-          T const* const taps = patch.pixels + (row * Patch<T>::kPitch + column + origin);
-          slopes.set(tx, ty);
+          T const* const taps = source_tile.pixels + (row * SourceTile<T>::kPitch + column + origin);
+          grads.set(tx, ty);
 #pragma unroll
           for (int k = 0; k < N; ++k)
-            slopes.add([&](int j, int i) { return read(taps[k * Patch<T>::kSize + j * Patch<T>::kPitch + i]); }, g[k]);
+            grads.add(
+                [&](int j, int i) { return read(taps[k * SourceTile<T>::kSize + j * SourceTile<T>::kPitch + i]); },
+                g[k]);
         } else {
-          places.near(y, x, u, v);
+          coords.near(y, x, u, v);
         }
         u += F(tile.u);
         v += F(tile.v);
-        if (!patch.fits) {
-          Window<K, F> const window(p, u, v);
-          slopes.set(window.tx, window.ty);
+        if (!source_tile.fits) {
+          TapWindow<K, F> const window(p, u, v);
+          grads.set(window.tx, window.ty);
 #pragma unroll 1
           for (int k = 0; k < N; ++k) {
             F values[K][K];
             T const* const plane = p.x.row(b, first + k, 0);
-            F const fill = p.fill_of(b, first + k), gradient = F(read(grad[k * p.grad.channel_stride]));
+            F const fill = p.fill_value(b, first + k), gradient = F(read(grad[k * p.grad.channel_stride]));
             window.for_each(p, p.x.row_stride, p.x.step,
                             [&](int j, int i, int64_t at) { values[j][i] = at < 0 ? fill : F(read(plane[at])); });
-            slopes.add([&](int j, int i) { return values[j][i]; }, gradient);
+            grads.add([&](int j, int i) { return values[j][i]; }, gradient);
           }
         }
-        if (!p.places.has_map()) {
-          F const scale = reciprocal(places.weight(y, x)), to_u = slopes.along_x * scale, to_v = slopes.along_y * scale;
+        if (!p.coords.has_map()) {
+          F const scale = reciprocal(coords.weight(y, x)), to_u = grads.along_x * scale, to_v = grads.along_y * scale;
           F to_map[] = {to_u, to_v, -(to_u * u + to_v * v)};
 #pragma unroll
           for (int i = 0; i < 3; ++i) {
-            if (to_map[i] - to_map[i] != 0) to_map[i] = 0;  // a place at infinity has no slope
+            if (to_map[i] - to_map[i] != 0) to_map[i] = 0;  // coordinates at infinity have no gradient
             sums[3 * i] += to_map[i] * F(x);
             sums[3 * i + 1] += to_map[i] * F(y);
             sums[3 * i + 2] += to_map[i];
           }
         } else {
           F &to_x = p.grad_x.row(b, 0, y)[x], &to_y = p.grad_y.row(b, 0, y)[x];
-          to_x = slopes.along_x * p.places.scale[0] + (first > 0 ? to_x : 0);
-          to_y = slopes.along_y * p.places.scale[1] + (first > 0 ? to_y : 0);
+          to_x = grads.along_x * p.coords.scale[0] + (first > 0 ? to_x : 0);
+          to_y = grads.along_y * p.coords.scale[1] + (first > 0 ? to_y : 0);
         }
       }
     });
   }
-  if (p.places.has_map()) return;
-  add_block(sums, p.sums + int64_t(blockIdx.x) * 9);
+  if (p.coords.has_map()) return;
+  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * 9);
 }
 
 // A block a sample.
 template <class T>
-__global__ void matrix_samples(MatrixGradient<T> p) {
+__global__ void reduce_matrix_grads(WarpMatrixBackward<T> p) {
   int64_t const b = blockIdx.x;
-  double* const total = add_parts<9>(p.sums + b * p.parts * 9, p.parts);
-  MatrixUse const& use = p.places.use;
+  double* const total = sum_partials<9>(p.sums + b * p.parts * 9, p.parts);
+  MatrixUse const& use = p.coords.use;
   if (threadIdx.x == 0)
-    homography_vjp(p.places.matrices + b * p.places.matrix_stride, use, total, p.grad + b * 3 * use.rows);
+    homography_vjp(p.coords.matrices + b * p.coords.matrix_stride, use, total, p.grad + b * 3 * use.rows);
 }
 
 }  // namespace
 
 template <class T>
-int sample_slopes(SampleSlopes<T> const& p, CUstream_st* stream) {
-  Tiles const tiles(p.grad.batch, p.grad.height, p.grad.width, tile_row(p.grad.batch, p.grad.height, p.grad.width));
-  with_taps(p.interpolation, [&](auto taps) {
-    slope_tiles<T, taps.value>
-        <<<tiles.count, kThreads, Patch<T>::bytes(p.x.channels, p.places), stream>>>(p, tiles, rows_are_aligned(p.x));
+int sample_coords_backward(SampleCoordsBackward<T> const& p, CUstream_st* stream) {
+  TileGrid const tiles(p.grad.batch, p.grad.height, p.grad.width,
+                       tiles_per_block(p.grad.batch, p.grad.height, p.grad.width));
+  dispatch_taps(p.interpolation, [&](auto taps) {
+    coords_backward_tiles<T, taps.value>
+        <<<tiles.blocks, kThreads, SourceTile<T>::bytes(p.x.channels, p.coords), stream>>>(p, tiles,
+                                                                                           rows_are_aligned(p.x));
   });
   return cudaGetLastError();
 }
 
 template <class T>
-int matrix_gradient(MatrixGradient<T> const& p, CUstream_st* stream) {
-  matrix_samples<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
+int warp_matrix_backward(WarpMatrixBackward<T> const& p, CUstream_st* stream) {
+  reduce_matrix_grads<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(sample_slopes, SampleSlopes)
-KV_INSTANTIATE_COMPUTED(matrix_gradient, MatrixGradient)
+KV_INSTANTIATE(sample_coords_backward, SampleCoordsBackward)
+KV_INSTANTIATE_COMPUTED(warp_matrix_backward, WarpMatrixBackward)
 
 }  // namespace kv::cuda

@@ -14,13 +14,13 @@ constexpr int kRowsAhead = 4;
 // The value in one channel. A tap of weight 0 is no part of it, whatever it holds. Where taps are multiplied anyway,
 // NaN and inf show in the sum, which is then done again.
 template <int K, int N, class T>
-struct Value : Window<K, N, T> {
-  using typename Window<K, N, T>::F;
-  using typename Window<K, N, T>::V;
+struct Value : TapWindow<K, N, T> {
+  using typename TapWindow<K, N, T>::F;
+  using typename TapWindow<K, N, T>::V;
   V wx[K], wy[K];
 
   KV_HD void set(Sample<T> const& p, V u, V v) {
-    Window<K, N, T>::set(p, u, v, p.x.row_stride, p.x.step);
+    TapWindow<K, N, T>::set(p, u, v, p.x.row_stride, p.x.step);
     tap_weights(this->tx, wx);
     tap_weights(this->ty, wy);
   }
@@ -67,16 +67,16 @@ struct Value : Window<K, N, T> {
 };
 
 template <int K, int N, class T>
-void sample_piece(Sample<T> const& p, PlaceRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
+void sample_chunk(Sample<T> const& p, CoordRow<Compute<T>> const& coords, int64_t b, int64_t y, int64_t first,
                   int64_t count) {
   T const* const planes = p.x.row(b, 0, 0);
   T* const row = p.y.row(b, 0, y) + first * p.y.step;
   for (int64_t i = 0; i * N < count; ++i) {
-    int64_t const e = start_of<N>(i, count);
+    int64_t const e = vector_start<N>(i, count);
     Value<K, N, T> value;
-    value.set(p, load<N>(places.u + e), load<N>(places.v + e));
+    value.set(p, load<N>(coords.u + e), load<N>(coords.v + e));
     for (int c = 0; c < p.x.channels; ++c) {
-      auto const found = value.at(p, planes + c * p.x.channel_stride, p.fill_of(b, c));
+      auto const found = value.at(p, planes + c * p.x.channel_stride, p.fill_value(b, c));
       T* const out = row + c * p.y.channel_stride + e * p.y.step;
       __builtin_prefetch(out + p.y.row_stride, 1);
       if (N == 1 || p.y.step == 1) {
@@ -90,10 +90,11 @@ void sample_piece(Sample<T> const& p, PlaceRow<Compute<T>> const& places, int64_
 
 template <int K, class T>
 void sample_rows(Sample<T> const& p, int64_t begin, int64_t end) {
-  PlaceRow<Compute<T>> places;
-  for_each_piece(begin, end, p.y.height, p.y.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
-    places.fill(p.places, b, y, first, count);
-    with_lanes(p.x, count, [&](auto lanes) { sample_piece<K, decltype(lanes)::value>(p, places, b, y, first, count); });
+  CoordRow<Compute<T>> coords;
+  for_each_row_chunk(begin, end, p.y.height, p.y.width, [&](int64_t b, int64_t y, int64_t first, int64_t count) {
+    coords.fill(p.coords, b, y, first, count);
+    dispatch_lanes(p.x, count,
+                   [&](auto lanes) { sample_chunk<K, decltype(lanes)::value>(p, coords, b, y, first, count); });
   });
 }
 

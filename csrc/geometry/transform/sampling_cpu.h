@@ -1,4 +1,4 @@
-// Pieces of rows of places, and windows of taps, on the CPU. Included by sampling*_cpu.cpp, inside of no namespace.
+// Pieces of rows of coords, and windows of taps, on the CPU. Included by sampling*_cpu.cpp, inside of no namespace.
 #pragma once
 
 #include "core/lanes.h"
@@ -10,7 +10,7 @@ namespace {
 // --- places ----------------------------------------------------------------------------------------------------------
 
 template <int N, class F>
-KV_HD Lanes<F, N> count_from(int64_t first) {
+KV_HD Lanes<F, N> iota(int64_t first) {
   if constexpr (N == 1) {
     return F(first);
   } else {
@@ -24,41 +24,41 @@ KV_HD Lanes<F, N> count_from(int64_t first) {
 // shows pieces of many rows of its source, which the next row needs again, and which are more than the caches hold if
 // it is long.
 constexpr int64_t kTileRows = 32, kTileColumns = 128;
-template <class Piece>
-KV_HD void for_each_piece(int64_t begin, int64_t end, int64_t height, int64_t width, Piece piece) {
+template <class Body>
+KV_HD void for_each_row_chunk(int64_t begin, int64_t end, int64_t height, int64_t width, Body body) {
   while (begin < end) {
     int64_t const b = begin / height, last = min(min(end, (b + 1) * height), begin + kTileRows);
     for (int64_t x = 0; x < width; x += kTileColumns)
-      for (int64_t r = begin; r < last; ++r) piece(b, r - b * height, x, min(width - x, kTileColumns));
+      for (int64_t r = begin; r < last; ++r) body(b, r - b * height, x, min(width - x, kTileColumns));
     begin = last;
   }
 }
 
 // The places of pieces of rows of the output, one after the other.
 template <class F>
-struct PlaceRow {
+struct CoordRow {
   F u[kTileColumns], v[kTileColumns];
 
-  void fill(Places<F> const& places, int64_t b, int64_t y, int64_t first, int64_t count) {
-    if (places.has_map()) {
-      F const own = places.own;
-      copy(places.x, b, y, first, count, places.scale[0], F(first) * own + places.offset[0], own, u);
-      copy(places.y, b, y, first, count, places.scale[1], F(y) * own + places.offset[1], F(0), v);
+  void fill(SampleCoords<F> const& coords, int64_t b, int64_t y, int64_t first, int64_t count) {
+    if (coords.has_map()) {
+      F const own = coords.own;
+      copy(coords.x, b, y, first, count, coords.scale[0], F(first) * own + coords.offset[0], own, u);
+      copy(coords.y, b, y, first, count, coords.scale[1], F(y) * own + coords.offset[1], F(0), v);
       return;
     }
     if (sample != b) {
-      map = homography(places.matrices + b * places.matrix_stride, places.use);
+      map = homography(coords.matrices + b * coords.matrix_stride, coords.use);
       sample = b;
     }
     double first_u, first_v;
-    map.at(double(first), double(y), first_u, first_v);
-    Size const source = places.use.source;
+    map.apply(double(first), double(y), first_u, first_v);
+    Size const source = coords.use.source;
     F const from_u = F(origin_near(first_u, source.width)), from_v = F(origin_near(first_v, source.height));
-    auto const near = seen_from<F>(map, double(first), double(y), from_u, from_v);
+    auto const near = bind_to_tile<F>(map, double(first), double(y), from_u, from_v);
     for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
       constexpr int N = decltype(lanes)::value;
       Lanes<F, N> to_u, to_v;
-      near.at(count_from<N, F>(x), F(0), to_u, to_v);
+      near.apply(iota<N, F>(x), F(0), to_u, to_v);
       store<N>(u + x, Lanes<F, N>(to_u + from_u));
       store<N>(v + x, Lanes<F, N>(to_v + from_v));
     });
@@ -78,29 +78,29 @@ struct PlaceRow {
       for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
         constexpr int N = decltype(lanes)::value;
         __builtin_prefetch(from + 2 * map.row_stride + x);  // a later piece of the tile
-        store<N>(to + x, Lanes<F, N>(load<N>(from + x) * scale + (count_from<N, F>(x) * step + offset)));
+        store<N>(to + x, Lanes<F, N>(load<N>(from + x) * scale + (iota<N, F>(x) * step + offset)));
       });
   }
 };
 
 // How many places a vector has. Filling 64 bytes element by element takes longer than filling 32 twice.
 template <class T>
-constexpr int kPlaces = (kVectorBytes < 32 ? kVectorBytes : 32) / int(sizeof(Compute<T>));
+constexpr int kCoordLanes = (kVectorBytes < 32 ? kVectorBytes : 32) / int(sizeof(Compute<T>));
 
 // Calls windows(number of lanes) for a piece of a row. Offsets within a plane are ints in vectors, so huge planes go
 // one by one, as do pieces shorter than a vector.
 template <class T, class F>
-KV_HD void with_lanes(Images<T const> const& x, int64_t count, F windows) {
+KV_HD void dispatch_lanes(Images<T const> const& x, int64_t count, F windows) {
   int64_t const reach = x.height * x.row_stride + x.width * x.step;
-  if (count < kPlaces<T> || reach > INT32_MAX || reach < INT32_MIN)
+  if (count < kCoordLanes<T> || reach > INT32_MAX || reach < INT32_MIN)
     windows(Width<1>{});
   else
-    windows(Width<kPlaces<T>>{});
+    windows(Width<kCoordLanes<T>>{});
 }
 
 // Where the i-th vector of N out of `count` places begins; the last one overlaps the one before it.
 template <int N>
-KV_HD int64_t start_of(int64_t i, int64_t count) {
+KV_HD int64_t vector_start(int64_t i, int64_t count) {
   return min(i * N, count - N);
 }
 
@@ -223,9 +223,9 @@ KV_HD bool all(M mask) {
 
 // --- windows ---------------------------------------------------------------------------------------------------------
 
-// The K x K taps around N places.
+// The K x K taps around N coords.
 template <int K, int N, class T>
-struct Window {
+struct TapWindow {
   using F = Compute<T>;
   using V = Lanes<F, N>;
   using I = Lanes<int, N>;
@@ -255,9 +255,9 @@ struct Window {
     I const zero{}, last_x = zero + (p.x_axis.size - 1), last_y = zero + (p.y_axis.size - 1);
     auto const exists = mask_for<F, N>((px >= 0) & (px <= last_x) & (py >= 0) & (py <= last_y));
     I const cx = min(last_x, max(zero, px)), cy = min(last_y, max(zero, py));
-    Offsets<N> places;
-    places.set(offset<N>(cy, cx, image.row_stride, image.step));
-    V const value = gather<N>(plane, places);
+    Offsets<N> coords;
+    coords.set(offset<N>(cy, cx, image.row_stride, image.step));
+    V const value = gather<N>(plane, coords);
     return exists ? value : V(V{} + fill);
   }
 };

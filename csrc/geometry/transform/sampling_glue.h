@@ -9,14 +9,14 @@
 
 namespace kv {
 
-inline Interpolation interpolation_of(char const* op, std::string const& name) {
+inline Interpolation parse_interpolation(char const* op, std::string const& name) {
   if (name == "nearest") return Interpolation::nearest;
   if (name == "bilinear") return Interpolation::bilinear;
   KV_CHECK(name == "bicubic", op, ": interpolation must be one of nearest, bilinear, bicubic; got '", name, "'");
   return Interpolation::bicubic;
 }
 
-inline Padding padding_of(char const* op, std::string const& name) {
+inline Padding parse_padding(char const* op, std::string const& name) {
   if (name == "fill") return Padding::fill;
   if (name == "border") return Padding::border;
   KV_CHECK(name == "reflection", op, ": padding must be one of fill, border, reflection; got '", name, "'");
@@ -26,18 +26,18 @@ inline Padding padding_of(char const* op, std::string const& name) {
 // Sides of images fit an int with what lies around them, and a float's whole numbers nearly so.
 constexpr int64_t kLargestSide = 1 << 30;
 
-inline Size size_of(char const* op, std::vector<int64_t> const& size) {
+inline Size checked_size(char const* op, std::vector<int64_t> const& size) {
   KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
   for (int64_t side : size)
     KV_CHECK(side > 0 && side <= kLargestSide, op, ": expected a size of 1 to ", kLargestSide, " pixels, got ", side);
   return {size[0], size[1]};
 }
 
-inline Size size_of(char const* op, Tensor const& x) { return size_of(op, {x.size(2), x.size(3)}); }
+inline Size checked_size(char const* op, Tensor const& x) { return checked_size(op, {x.size(2), x.size(3)}); }
 
 // Of a map that an operator makes.
 inline Size map_size(char const* op, std::vector<int64_t> const& sides) {
-  Size const size = size_of(op, sides);
+  Size const size = checked_size(op, sides);
   KV_CHECK(size.height * size.width <= INT32_MAX, op, ": expected a map of less than 2^31 pixels");
   return size;
 }
@@ -52,7 +52,7 @@ void check_planes([[maybe_unused]] char const* op, [[maybe_unused]] Images<T> co
 }
 
 // Into how many sums the slopes of an output go: one for a row of tiles on CUDA, one for each row of pixels on the CPU.
-inline int64_t slope_parts(Size output, [[maybe_unused]] int row) {
+inline int64_t coords_backward_parts(Size output, [[maybe_unused]] int row) {
 #if defined(KV_CUDA)
   auto const parts = [](int64_t size, int64_t part) { return (size + part - 1) / part; };
   return parts(output.height, kTile) * parts(output.width, row * kTile);
@@ -62,13 +62,13 @@ inline int64_t slope_parts(Size output, [[maybe_unused]] int row) {
 }
 
 // Whether t has what an image x goes with: numbers in the type that computes, for each sample or for all.
-inline bool goes_with(Tensor const& t, Tensor const& x, int64_t axes) {
+inline bool matches_image(Tensor const& t, Tensor const& x, int64_t axes) {
   return t.dim() == axes && t.scalar_type() == compute_dtype(x) && t.device() == x.device() &&
          (t.size(0) == 1 || t.size(0) == x.size(0));
 }
 
 template <class F>
-void for_computed(char const* op, Tensor const& x, F f) {
+void dispatch_compute_dtype(char const* op, Tensor const& x, F f) {
   if (x.scalar_type() == ScalarType::Float) return f(Type<float>{});
   KV_CHECK(x.scalar_type() == ScalarType::Double, op, ": expected float32 or float64");
   f(Type<double>{});
@@ -94,13 +94,13 @@ Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unu
   return half && !gathers ? torch::stable::copy_(grad_x, sums) : grad_x;
 #else
   if (!half) {
-    for_computed(op, grad, [&](auto type) { run(type, grad, grad_x, grad_x); });
+    dispatch_compute_dtype(op, grad, [&](auto type) { run(type, grad, grad_x, grad_x); });
     return grad_x;
   }
   Tensor wide = empty(grad.sizes(), grad, layout_of(grad), ScalarType::Float);
   Tensor const sums = empty(sizes, grad, Layout::planar, ScalarType::Float);
   torch::stable::copy_(wide, grad);
-  for_computed(op, wide, [&](auto type) { run(type, wide, sums, sums); });
+  dispatch_compute_dtype(op, wide, [&](auto type) { run(type, wide, sums, sums); });
   return torch::stable::copy_(grad_x, sums);
 #endif
 }
@@ -115,7 +115,7 @@ struct WarpMatrix {
   // Of images or volumes x, whose places have that many coordinates.
   WarpMatrix(char const* op, Tensor const& given, Tensor const& x, int axes)
       : tensor(given), rows(int(given.dim() > 1 ? given.size(1) : 0)) {
-    KV_CHECK(goes_with(given, x, 3) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1, op,
+    KV_CHECK(matches_image(given, x, 3) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1, op,
              ": matrix does not fit what is warped");
     tensor = dense(given);
     stride = given.size(0) == 1 ? 0 : rows * (axes + 1);
@@ -148,7 +148,7 @@ struct WarpMatrix {
 
 // Whether a kernel on CUDA makes the matrices itself: each block of threads waits for its own, which of many blocks
 // takes longer than a launch before them.
-inline bool is_made_within(int64_t batch, Size output) {
+inline bool is_computed_in_kernel(int64_t batch, Size output) {
   auto const tiles = [](int64_t size) { return (size + kTile - 1) / kTile; };
   return batch * tiles(output.height) * tiles(output.width) <= 1024;
 }
@@ -168,7 +168,7 @@ using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
   }
 
 // How warps by a matrix are told what they are to do, in schemas.
-#define KV_WARP_HOW "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
+#define KV_WARP_OPTIONS "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
 
 // The matrix of a warp of images, and what it means.
 struct Matrix : WarpMatrix {
@@ -180,8 +180,8 @@ struct Matrix : WarpMatrix {
          Size source, Size output)
       : Matrix(WarpMatrix(op, given, x, 2), inverse, normalized, align_corners, source, output) {}
   template <class F>
-  Places<F> places() const {
-    Places<F> p{};
+  SampleCoords<F> coords() const {
+    SampleCoords<F> p{};
     p.matrices = data<F>();
     p.matrix_stride = stride;
     p.use = use;
@@ -190,32 +190,32 @@ struct Matrix : WarpMatrix {
 };
 
 // How an image of `source` is read, and for which gradient; what is read of it is up to the caller.
-struct SamplingArguments {
+struct SamplingOptions {
   char const* op;
   Interpolation interpolation;
   Padding padding;
   bool align_corners;
   std::optional<Tensor> fill;
 
-  SamplingArguments(char const* op, std::string const& interpolation, std::string const& padding, bool align_corners,
-                    Tensor const& x, std::optional<Tensor> const& fill)
+  SamplingOptions(char const* op, std::string const& interpolation, std::string const& padding, bool align_corners,
+                  Tensor const& x, std::optional<Tensor> const& fill)
       : op(op),
-        interpolation(interpolation_of(op, interpolation)),
-        padding(padding_of(op, padding)),
+        interpolation(parse_interpolation(op, interpolation)),
+        padding(parse_padding(op, padding)),
         align_corners(align_corners),
         fill(fill) {
     if (!fill) return;
-    KV_CHECK(goes_with(*fill, x, 2) && (fill->size(1) == 1 || fill->size(1) == x.size(1)), op,
+    KV_CHECK(matches_image(*fill, x, 2) && (fill->size(1) == 1 || fill->size(1) == x.size(1)), op,
              ": fill does not fit the image");
   }
 
   template <class T>
-  Sampling<T> of(Size source, Places<Compute<T>> const& places) const {
+  Sampling<T> of(Size source, SampleCoords<Compute<T>> const& coords) const {
     using F = Compute<T>;
     return {interpolation,
             {int(source.width), padding, align_corners},
             {int(source.height), padding, align_corners},
-            places,
+            coords,
             fill ? data_ptr<F const>(*fill) : nullptr,
             fill && fill->size(0) > 1 ? fill->stride(0) : 0,
             fill && fill->size(1) > 1 ? fill->stride(1) : 0};

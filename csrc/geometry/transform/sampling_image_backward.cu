@@ -17,33 +17,33 @@ namespace {
 
 // How many candidates beside each other are looked at together: for a turn that keeps sizes, all of them.
 template <int K>
-constexpr int kTogether = K == 4 ? 3 : K + 1;
+constexpr int kCandidatesPerStep = K == 4 ? 3 : K + 1;
 
 // A tile of the source, in shared memory: where the places are that have its pixels as taps.
 template <class F>
-struct Sources {
-  Homography<F> map, back;  // from places, which count from (u, v), to pixels, which count from (x, y), and back
+struct GatherTile {
+  Homography<F> map, back;  // from coords, which count from (u, v), to pixels, which count from (x, y), and back
   int64_t b;
   int x, y, u, v;
   F reach_x, reach_y;  // from where a pixel goes
   int columns, rows;   // to look at, from there on
-  Box places;          // that all pixels look at
+  TapBounds coords;    // that all pixels look at
 
   // By four threads of the first half of a warp, of which each takes a corner, and the whole warp. Where the horizon is
   // near, all places are looked at.
   template <int K, class T>
-  __device__ __forceinline__ void open(Tiles const& tiles, SampleTranspose<T> const& p, int number) {
+  __device__ __forceinline__ void init(TileGrid const& tiles, SampleImageBackward<T> const& p, int number) {
     constexpr F reach = F(K) / 2;
     Tile<F> tile;  // of a warp from the source to the output
     tile.locate(tiles, number);
     // Half of the warp inverts, half does not: both take as long as one.
-    MatrixUse const use = threadIdx.x & 16 ? p.places.use : other_way(p.places.use);
-    Homography<double> const way = homography(p.places.matrices + tile.b * p.places.matrix_stride, use);
+    MatrixUse const use = threadIdx.x & 16 ? p.coords.use : inverse_use(p.coords.use);
+    Homography<double> const way = homography(p.coords.matrices + tile.b * p.coords.matrix_stride, use);
     Homography<double> whole;
 #pragma unroll
     for (int i = 0; i < 9; ++i) whole.m[i] = __shfl_xor_sync(0xffffffffu, way.m[i], 16);
     whole.affine = way.affine;  // both ways
-    tile.see(way, use.source);
+    tile.bind(way, use.source);
     b = tile.b;
     x = tile.x;
     y = tile.y;
@@ -53,13 +53,13 @@ struct Sources {
     F const at_x = F(threadIdx.x & 1 ? min(kTile, int(p.grad_x.width) - x) - 1 : 0);
     F const at_y = F(threadIdx.x & 2 ? min(kTile, int(p.grad_x.height) - y) - 1 : 0);
     F corner_u, corner_v, low = back.weight(at_x, at_y), high = low;
-    back.at(at_x, at_y, corner_u, corner_v);
+    back.apply(at_x, at_y, corner_u, corner_v);
     reach_x = reach_y = 0;
 #pragma unroll
     for (int i = 0; i < 4; ++i) {
       F const to_x = at_x + (i & 1 ? reach : -reach), to_y = at_y + (i & 2 ? reach : -reach);
       F to_u, to_v;
-      back.at(to_x, to_y, to_u, to_v);
+      back.apply(to_x, to_y, to_u, to_v);
       reach_x = max(reach_x, vabs(to_u - corner_u));
       reach_y = max(reach_y, vabs(to_v - corner_v));
       low = min(low, back.weight(to_x, to_y));
@@ -76,29 +76,29 @@ struct Sources {
     // between the corners.
     F const least = min(vabs(low), vabs(high)), most = max(vabs(low), vabs(high));
     F const more = back.affine ? F(1) : most / least * (most / least);
-    reach_x = reach_x * more + F(kMargin);
-    reach_y = reach_y * more + F(kMargin);
-    places = Box::empty();
-    places.template add<2>(corner_u - reach_x, corner_v - reach_y, F(kMargin),
+    reach_x = reach_x * more + F(kCoordRounding);
+    reach_y = reach_y * more + F(kCoordRounding);
+    coords = TapBounds::empty();
+    coords.template add<2>(corner_u - reach_x, corner_v - reach_y, F(kCoordRounding),
                            F(1 << 20));  // near where pixels begin to look
-    places.template join<4>();
+    coords.template merge_lanes<4>();
     int const width = int(p.grad.width), height = int(p.grad.height);
-    bool const near = low * high > 0 && reach_x < F(width) && reach_y < F(height) && places.right < INT_MAX / 4;
+    bool const near = low * high > 0 && reach_x < F(width) && reach_y < F(height) && coords.right < INT_MAX / 4;
     columns = near ? int(2 * reach_x) + 1 : width;
     rows = near ? int(2 * reach_y) + 1 : height;
     if (near) {
-      places.move(u, v);
-      places.right += (columns + kTogether<K> - 1) / kTogether<K> * kTogether<K> - 1;
-      places.bottom += rows - 1;
+      coords.move(u, v);
+      coords.right += (columns + kCandidatesPerStep<K> - 1) / kCandidatesPerStep<K> * kCandidatesPerStep<K> - 1;
+      coords.bottom += rows - 1;
     } else {
-      places = Box::all();
+      coords = TapBounds::all();
       reach_x = reach_y = 0;
       u = v = 0;
 #pragma unroll
       for (int i = 0; i < 9; ++i) back.m[i] = i == 8;
       back.affine = true;
     }
-    map = seen_from<F>(whole, u, v, x, y);
+    map = bind_to_tile<F>(whole, u, v, x, y);
   }
 };
 
@@ -124,16 +124,16 @@ __device__ __forceinline__ double reciprocal_or_nan(double x) { return 1 / x; }
 
 // The gradient of N channels of a pixel (x, y) in its tile, from the gradients where they are.
 template <int K, int N, class T, class F>
-__device__ __noinline__ void gather_where_they_are(SampleTranspose<T> const& p, Sources<F> const& tile, int first,
-                                                   int y, int x) {
+__device__ __noinline__ void gather_unstaged(SampleImageBackward<T> const& p, GatherTile<F> const& tile, int first,
+                                             int y, int x) {
   F center_u, center_v, first_u, first_v, sums[N] = {};
-  tile.back.at(F(x), F(y), center_u, center_v);
+  tile.back.apply(F(x), F(y), center_u, center_v);
   int const u0 = above(center_u - tile.reach_x, first_u), v0 = above(center_v - tile.reach_y, first_v);
   int const width = int(p.grad.width), height = int(p.grad.height);
   for (int v = max(v0, -tile.v); v < min(v0 + tile.rows, height - tile.v); ++v)
     for (int u = max(u0, -tile.u); u < min(u0 + tile.columns, width - tile.u); ++u) {
       F place_x, place_y;
-      tile.map.at(F(u), F(v), place_x, place_y);
+      tile.map.apply(F(u), F(v), place_x, place_y);
       F const weight = weight_at<K>(place_x, x) * weight_at<K>(place_y, y);
       if (weight == 0) continue;
       T const* const grad = p.grad.row(tile.b, first, v + tile.v) + (u + tile.u) * p.grad.step;
@@ -165,47 +165,48 @@ __device__ __forceinline__ void clear_tile(Images<T> const& to, int64_t b, int x
 
 template <class T, int K>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
-    gather_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles, bool aligned, bool aligned_out) {
+    gather_tiles(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles, bool aligned, bool aligned_out) {
   using F = Compute<T>;
-  using Gradients = Patch<T>;
-  __shared__ Sources<F> shared_tiles[kTileRow];
+  using Gradients = SourceTile<T>;
+  __shared__ GatherTile<F> shared_tiles[kMaxTilesPerBlock];
   extern __shared__ __align__(16) unsigned char shared_pixels[];
   int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   if (threadIdx.x < 32) {
-    int const number = threadIdx.x / 4 % kTileRow;
-    Sources<F> tile;
-    tile.template open<K>(tiles, p, number);
-    if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kTileRow) shared_tiles[number] = tile;
+    int const number = threadIdx.x / 4 % kMaxTilesPerBlock;
+    GatherTile<F> tile;
+    tile.template init<K>(tiles, p, number);
+    if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kMaxTilesPerBlock) shared_tiles[number] = tile;
   }
   __syncthreads();
   Axis<F> const x_axis{int(p.grad.width), Padding::fill, true}, y_axis{int(p.grad.height), Padding::fill, true};
 #pragma unroll 1
-  for (int number = 0; number < int(tiles.row) && shared_tiles[number].x < width; ++number) {
-    Sources<F> const& tile = shared_tiles[number];
-    if (tile.places.right < 0 || tile.places.left >= int(p.grad.width) || tile.places.bottom < 0 ||
-        tile.places.top >= int(p.grad.height)) {
+  for (int number = 0; number < int(tiles.per_block) && shared_tiles[number].x < width; ++number) {
+    GatherTile<F> const& tile = shared_tiles[number];
+    if (tile.coords.right < 0 || tile.coords.left >= int(p.grad.width) || tile.coords.bottom < 0 ||
+        tile.coords.top >= int(p.grad.height)) {
       clear_tile(p.grad_x, tile.b, tile.x, tile.y, aligned_out);
       continue;
     }
-    Gradients const patch(shared_pixels, tile.places);
+    Gradients const source_tile(shared_pixels, tile.coords);
     int const x = column_in_tile<T>();
-    in_groups<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
+    for_each_channel_group<Gradients::kChannels>(p.grad.channels, [&](int first, auto channels) {
       constexpr int N = channels.value;
-      if (patch.fits) patch.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
+      if (source_tile.fits)
+        source_tile.template load<N>(p.grad, tile.b, first, x_axis, y_axis, aligned, [](int) { return T{}; });
       if (tile.x + x >= width) return;
       F poison = 0;  // NaN where one of the gradients is no finite number: it may have had no weight
       T* planes[N];
 #pragma unroll
       for (int k = 0; k < N; ++k) planes[k] = p.grad_x.row(tile.b, first + k, 0);
       int to = (tile.y + row_in_tile<T>()) * width + tile.x + x;
-      int const origin = patch.origin(tile.u, tile.v);
+      int const origin = source_tile.origin(tile.u, tile.v);
 #pragma unroll 1
-      for (int y = row_in_tile<T>(); patch.fits && y < min(kTile, height - tile.y);
-           y += kRunRows, to += kRunRows * width) {
+      for (int y = row_in_tile<T>(); source_tile.fits && y < min(kTile, height - tile.y);
+           y += kRowStep, to += kRowStep * width) {
         F center_u, center_v, first_u, first_v, sums[N] = {};
-        tile.back.at(F(x), F(y), center_u, center_v);
+        tile.back.apply(F(x), F(y), center_u, center_v);
         int const u = above(center_u - tile.reach_x, first_u), v = above(center_v - tile.reach_y, first_v);
-        T const* row = patch.pixels + (v * Gradients::kPitch + u + origin);
+        T const* row = source_tile.pixels + (v * Gradients::kPitch + u + origin);
         auto const gather = [&](auto affine) {
           F const(&m)[9] = tile.map.m;
           F from_x = first_u * m[0] + (first_v * m[1] + m[2]), from_y = first_u * m[3] + (first_v * m[4] + m[5]);
@@ -220,9 +221,9 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
             F place_x = from_x, place_y = from_y, weight = from_weight;
             T const* grad = row;
 #pragma unroll 1
-            for (int i = 0; i < tile.columns; i += kTogether<K>)
+            for (int i = 0; i < tile.columns; i += kCandidatesPerStep<K>)
 #pragma unroll
-              for (int n = 0; n < kTogether<K>; ++n, ++grad) {
+              for (int n = 0; n < kCandidatesPerStep<K>; ++n, ++grad) {
                 F const scale = affine.value ? F(1) : reciprocal_or_nan(weight);
                 F const share = weight_at<K>(place_x * scale, pixel_x) * weight_at<K>(place_y * scale, pixel_y);
 #pragma unroll
@@ -243,19 +244,19 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
           planes[k][to] = round_to<T>(sums[k]);
         }
       }
-      if (!patch.fits || poison != 0)
+      if (!source_tile.fits || poison != 0)
 #pragma unroll 1
-        for (int y = row_in_tile<T>(); y < min(kTile, height - tile.y); y += kRunRows)
-          gather_where_they_are<K, N>(p, tile, first, y, x);
+        for (int y = row_in_tile<T>(); y < min(kTile, height - tile.y); y += kRowStep)
+          gather_unstaged<K, N>(p, tile, first, y, x);
     });
   }
 }
 
 // --- scatter ---------------------------------------------------------------------------------------------------------
 
-constexpr int kScatterWarps = 4;                   // of a block, which work alone
-constexpr int kPieceWidth = 16, kPieceHeight = 8;  // places that a warp takes at a time
-constexpr int kPieceRuns = kPieceWidth * kPieceHeight / 32;
+constexpr int kScatterWarps = 4;                         // of a block, which work alone
+constexpr int kBlockletWidth = 16, kBlockletHeight = 8;  // places that a warp takes at a time
+constexpr int kCoordsPerLane = kBlockletWidth * kBlockletHeight / 32;
 
 // A warp's sums, in shared memory: of pixels in rows of `pitch`, for some channels.
 template <class F>
@@ -295,7 +296,7 @@ __device__ __noinline__ F reflected_near(Axis<F> const& axis, F x, int origin) {
 
 // N channels of one place, to the sums where they are.
 template <int K, int N, class T, class F>
-__device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* sums, F u, F v, Tile<F> const& tile,
+__device__ __forceinline__ void scatter_place(SampleImageBackward<T> const& p, F* sums, F u, F v, Tile<F> const& tile,
                                               F const (&g)[N]) {
   F wx[K], wy[K], tx, ty;
   int const column = first_tap<K, F>(u, tx) + tile.u, row = first_tap<K, F>(v, ty) + tile.v;
@@ -346,12 +347,12 @@ __device__ __forceinline__ void scatter_place(SampleTranspose<T> const& p, F* su
 //   3 2 3 2
 template <class T, int K>
 __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
-    scatter_tiles(__grid_constant__ SampleTranspose<T> const p, Tiles tiles) {
+    scatter_tiles(__grid_constant__ SampleImageBackward<T> const p, TileGrid tiles) {
   using F = Compute<T>;
   constexpr int kCells = Sums<F>::kCells;
   __shared__ Tile<F> tile;
   extern __shared__ __align__(16) unsigned char shared_sums[];
-  if (threadIdx.x == 0) tile.open(tiles, p.places);
+  if (threadIdx.x == 0) tile.init(tiles, p.coords);
   __syncthreads();
   int const lane = threadIdx.x % 32, warp = threadIdx.x / 32, lane_x = lane % 8, lane_y = lane / 8;
   int const width = int(p.grad.width), height = int(p.grad.height),
@@ -359,41 +360,41 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
   F* const sums = reinterpret_cast<F*>(shared_sums) + warp * pixels;
   int* const numbers =
       reinterpret_cast<int*>(reinterpret_cast<F*>(shared_sums) + kScatterWarps * pixels) + warp * kCells;
-  PlacesOf<F> const places(p.places, tile);
+  TileCoords<F> const coords(p.coords, tile);
   bool const filled = p.x_axis.padding == Padding::fill, reflects = p.x_axis.padding == Padding::reflection;
   // The places next to the image that stand for all beyond them; of a reflection, for none.
   F const first_u = reflects ? -INFINITY : F(-4 - tile.u), last_u = reflects ? INFINITY : F(p.x_axis.size + 3 - tile.u);
   F const first_v = reflects ? -INFINITY : F(-4 - tile.v), last_v = reflects ? INFINITY : F(p.y_axis.size + 3 - tile.v);
 #pragma unroll 1
-  for (int piece = warp; piece < kTile * kTile / (kPieceWidth * kPieceHeight); piece += kScatterWarps) {
-    int const x0 = tile.x + piece % (kTile / kPieceWidth) * kPieceWidth + 2 * lane_x;
-    int const y0 = tile.y + piece / (kTile / kPieceWidth) * kPieceHeight + 2 * lane_y;
+  for (int piece = warp; piece < kTile * kTile / (kBlockletWidth * kBlockletHeight); piece += kScatterWarps) {
+    int const x0 = tile.x + piece % (kTile / kBlockletWidth) * kBlockletWidth + 2 * lane_x;
+    int const y0 = tile.y + piece / (kTile / kBlockletWidth) * kBlockletHeight + 2 * lane_y;
     auto const x_of = [&](int run) { return x0 + ((lane_y + run) & 1); };
     auto const y_of = [&](int run) { return y0 + run / 2; };
 
     // Where the places are, which of them have taps, and the box of the first ones.
-    F u[kPieceRuns], v[kPieceRuns];
-    if (!p.places.has_map()) {
+    F u[kCoordsPerLane], v[kCoordsPerLane];
+    if (!p.coords.has_map()) {
 #pragma unroll
-      for (int run = 0; run < kPieceRuns; ++run)
-        tile.map.at(F(x_of(run) - tile.x), F(y_of(run) - tile.y), u[run], v[run]);
+      for (int run = 0; run < kCoordsPerLane; ++run)
+        tile.map.apply(F(x_of(run) - tile.x), F(y_of(run) - tile.y), u[run], v[run]);
     } else {
 #pragma unroll
-      for (int run = 0; run < kPieceRuns; ++run)
-        places.near(min(y_of(run), height - 1), min(x_of(run), width - 1), u[run], v[run]);
+      for (int run = 0; run < kCoordsPerLane; ++run)
+        coords.near(min(y_of(run), height - 1), min(x_of(run), width - 1), u[run], v[run]);
     }
     if (reflects) {
 #pragma unroll
-      for (int run = 0; run < kPieceRuns; ++run) {
+      for (int run = 0; run < kCoordsPerLane; ++run) {
         u[run] = reflected_near(p.x_axis, u[run], tile.u);
         v[run] = reflected_near(p.y_axis, v[run], tile.v);
       }
     }
-    Box box = Box::empty();
+    TapBounds box = TapBounds::empty();
     unsigned count = 0;
     bool far = false;
 #pragma unroll
-    for (int run = 0; run < kPieceRuns; ++run) {
+    for (int run = 0; run < kCoordsPerLane; ++run) {
       u[run] = vclamp(u[run], first_u, last_u);
       v[run] = vclamp(v[run], first_v, last_v);
       F t;
@@ -415,23 +416,23 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
     int const columns = box.right - left + K, pitch = columns <= 20 ? 20 : ((columns + 3) & -8) | 4;
     bool const fits = !far && rows * pitch <= kCells;
 
-    in_groups<Sums<F>::kChannels>(p.grad.channels, [&](int first, auto channels) {
+    for_each_channel_group<Sums<F>::kChannels>(p.grad.channels, [&](int first, auto channels) {
       constexpr int N = channels.value;
       T const* const grad = p.grad.row(tile.b, first, 0);
       auto const offset_of = [&](int run) { return y_of(run) * int(p.grad.row_stride) + x_of(run) * int(p.grad.step); };
-      F g[kPieceRuns][N];
+      F g[kCoordsPerLane][N];
 #pragma unroll
-      for (int run = 0; run < kPieceRuns; ++run)
+      for (int run = 0; run < kCoordsPerLane; ++run)
 #pragma unroll
         for (int k = 0; k < N; ++k)
           g[run][k] = count >> run & 1 ? F(read(grad[k * p.grad.channel_stride + offset_of(run)])) : F(0);
       F* const to = p.sums + tile.b * p.grad_x.batch_stride + first * p.grad_x.channel_stride;
-      F to_u[kPieceRuns], to_v[kPieceRuns];
+      F to_u[kCoordsPerLane], to_v[kCoordsPerLane];
 #pragma unroll
-      for (int run = 0; run < kPieceRuns; ++run) to_u[run] = u[run], to_v[run] = v[run];
+      for (int run = 0; run < kCoordsPerLane; ++run) to_u[run] = u[run], to_v[run] = v[run];
       auto const next_run = [&] {
 #pragma unroll
-        for (int next = 1; next < kPieceRuns; ++next) {
+        for (int next = 1; next < kCoordsPerLane; ++next) {
           to_u[next - 1] = to_u[next], to_v[next - 1] = to_v[next];
 #pragma unroll
           for (int k = 0; k < N; ++k) g[next - 1][k] = g[next][k];
@@ -439,7 +440,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       };
       if (!fits) {
 #pragma unroll 1
-        for (int run = 0; run < kPieceRuns; ++run, next_run())
+        for (int run = 0; run < kCoordsPerLane; ++run, next_run())
           if (count >> run & 1) scatter_place<K, N>(p, to, to_u[0], to_v[0], tile, g[0]);
         return;
       }
@@ -450,7 +451,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       __syncwarp();
 
 #pragma unroll 1
-      for (int run = 0; run < kPieceRuns; ++run, next_run()) {
+      for (int run = 0; run < kCoordsPerLane; ++run, next_run()) {
         F tx, ty, wx[K], wy[K];
         int const column = near_tap<K>(to_u[0], tx), row = near_tap<K>(to_v[0], ty);
         int const at = (row - top) * pitch + (column - left);
@@ -508,25 +509,25 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
 }
 
 template <class T>
-void gather(SampleTranspose<T> const& p, CUstream_st* stream) {
+void gather(SampleImageBackward<T> const& p, CUstream_st* stream) {
   auto const& x = p.grad_x;
-  Tiles const tiles(x.batch, x.height, x.width, tile_row(x.batch, x.height, x.width));
-  with_taps(p.interpolation, [&](auto taps) {
-    gather_tiles<T, taps.value><<<tiles.count, kThreads, Patch<T>::bytes(p.grad.channels), stream>>>(
+  TileGrid const tiles(x.batch, x.height, x.width, tiles_per_block(x.batch, x.height, x.width));
+  dispatch_taps(p.interpolation, [&](auto taps) {
+    gather_tiles<T, taps.value><<<tiles.blocks, kThreads, SourceTile<T>::bytes(p.grad.channels), stream>>>(
         p, tiles, rows_are_aligned(p.grad), rows_are_aligned(p.grad_x));
   });
 }
 
 template <class T>
-int scatter(SampleTranspose<T> const& p, CUstream_st* stream) {
+int scatter(SampleImageBackward<T> const& p, CUstream_st* stream) {
   using F = Compute<T>;
   int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
   cudaError_t const error = cudaMemsetAsync(p.sums, 0, size_t(count) * sizeof(F), stream);
   if (error != cudaSuccess) return error;
   auto const& x = p.grad;
-  Tiles const tiles(x.batch, x.height, x.width, 1);
-  with_taps(p.interpolation, [&](auto taps) {
-    scatter_tiles<T, taps.value><<<tiles.count, 32 * kScatterWarps, Sums<F>::bytes(x.channels), stream>>>(p, tiles);
+  TileGrid const tiles(x.batch, x.height, x.width, 1);
+  dispatch_taps(p.interpolation, [&](auto taps) {
+    scatter_tiles<T, taps.value><<<tiles.blocks, 32 * kScatterWarps, Sums<F>::bytes(x.channels), stream>>>(p, tiles);
   });
   return cudaSuccess;
 }
@@ -534,8 +535,8 @@ int scatter(SampleTranspose<T> const& p, CUstream_st* stream) {
 }  // namespace
 
 template <class T>
-int sample_transpose(SampleTranspose<T> const& p, CUstream_st* stream) {
-  bool const gathers = !p.places.has_map() && p.x_axis.padding == Padding::fill;
+int sample_image_backward(SampleImageBackward<T> const& p, CUstream_st* stream) {
+  bool const gathers = !p.coords.has_map() && p.x_axis.padding == Padding::fill;
   if (gathers)
     gather(p, stream);
   else if (int const error = scatter(p, stream))
@@ -543,6 +544,6 @@ int sample_transpose(SampleTranspose<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(sample_transpose, SampleTranspose)
+KV_INSTANTIATE(sample_image_backward, SampleImageBackward)
 
 }  // namespace kv::cuda

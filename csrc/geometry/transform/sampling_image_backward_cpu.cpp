@@ -6,18 +6,18 @@ namespace kv::KV_ISA {
 namespace {
 
 template <int K, class T>
-void add_piece(SampleTranspose<T> const& p, PlaceRow<T> const& places, int64_t width, T const* grad, T* plane) {
+void scatter_chunk(SampleImageBackward<T> const& p, CoordRow<T> const& coords, int64_t width, T const* grad, T* plane) {
   using F = Compute<T>;
-  constexpr int N = kPlaces<F>;
+  constexpr int N = kCoordLanes<F>;
   using V = Lanes<F, N>;
   for (int64_t e = 0; e < width; e += N) {
     int const count = int(min(int64_t(N), width - e));
     V u{}, v{};
     for (int i = 0; i < count; ++i) {
-      u[i] = places.u[e + i];
-      v[i] = places.v[e + i];
+      u[i] = coords.u[e + i];
+      v[i] = coords.v[e + i];
     }
-    Window<K, N, T> window;
+    TapWindow<K, N, T> window;
     window.set(p, u, v);
     V wx[K], wy[K];
     tap_weights(window.tx, wx);
@@ -41,35 +41,35 @@ void add_piece(SampleTranspose<T> const& p, PlaceRow<T> const& places, int64_t w
 }
 
 template <int K, class T>
-void transpose_planes(SampleTranspose<T> const& p, int64_t begin, int64_t end) {
-  PlaceRow<T> places;
+void scatter_planes(SampleImageBackward<T> const& p, int64_t begin, int64_t end) {
+  CoordRow<T> coords;
   for (int64_t r = begin; r < end; ++r) {
     int64_t const b = r / p.grad.channels;
     int const c = int(r % p.grad.channels);
     T* const plane = p.grad_x.row(b, c, 0);
     for (T *at = plane, *last = plane + p.grad_x.height * p.grad_x.width; at < last; ++at) *at = 0;
-    for_each_piece(0, p.grad.height, p.grad.height, p.grad.width,
-                   [&](int64_t, int64_t y, int64_t first, int64_t count) {
-                     places.fill(p.places, b, y, first, count);
-                     add_piece<K>(p, places, count, p.grad.row(b, c, y) + first * p.grad.step, plane);
-                   });
+    for_each_row_chunk(0, p.grad.height, p.grad.height, p.grad.width,
+                       [&](int64_t, int64_t y, int64_t first, int64_t count) {
+                         coords.fill(p.coords, b, y, first, count);
+                         scatter_chunk<K>(p, coords, count, p.grad.row(b, c, y) + first * p.grad.step, plane);
+                       });
   }
 }
 
 }  // namespace
 
 template <class T>
-void sample_transpose(SampleTranspose<T> const& p, int64_t begin, int64_t end) {
+void sample_image_backward(SampleImageBackward<T> const& p, int64_t begin, int64_t end) {
   switch (p.interpolation) {
     case Interpolation::nearest:
-      return transpose_planes<1>(p, begin, end);
+      return scatter_planes<1>(p, begin, end);
     case Interpolation::bilinear:
-      return transpose_planes<2>(p, begin, end);
+      return scatter_planes<2>(p, begin, end);
     case Interpolation::bicubic:
-      return transpose_planes<4>(p, begin, end);
+      return scatter_planes<4>(p, begin, end);
   }
 }
 
-KV_INSTANTIATE_COMPUTED(sample_transpose, SampleTranspose)
+KV_INSTANTIATE_COMPUTED(sample_image_backward, SampleImageBackward)
 
 }  // namespace kv::KV_ISA

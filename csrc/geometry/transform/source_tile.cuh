@@ -28,15 +28,15 @@ __device__ __forceinline__ int near_tap(double x, double& t) {
 }
 
 // Columns and rows, ends included.
-struct Box {
+struct TapBounds {
   int left, top, right, bottom;
 
-  static __device__ __forceinline__ Box empty() { return {INT_MAX, INT_MAX, -INT_MAX, -INT_MAX}; }
-  static __device__ __forceinline__ Box all() { return {-INT_MAX / 4, -INT_MAX / 4, INT_MAX / 4, INT_MAX / 4}; }
+  static __device__ __forceinline__ TapBounds empty() { return {INT_MAX, INT_MAX, -INT_MAX, -INT_MAX}; }
+  static __device__ __forceinline__ TapBounds all() { return {-INT_MAX / 4, -INT_MAX / 4, INT_MAX / 4, INT_MAX / 4}; }
   // That of the taps of places as near as `margin`; all, where these are no numbers or farther away than `far`.
   template <int K, class F>
   __device__ __forceinline__ void add(F u, F v, F margin, F far) {
-    Box box = all();
+    TapBounds box = all();
     F t;
     if (u > -far && u < far && v > -far && v < far)
       box = {near_tap<K>(u - margin, t), near_tap<K>(v - margin, t), near_tap<K>(u + margin, t) + K - 1,
@@ -54,7 +54,7 @@ struct Box {
   }
   // The box around those of N neighbouring threads.
   template <int N>
-  __device__ __forceinline__ void join() {
+  __device__ __forceinline__ void merge_lanes() {
 #pragma unroll
     for (int lane = N / 2; lane > 0; lane /= 2) {
       left = min(left, __shfl_xor_sync(0xffffffffu, left, lane));
@@ -66,28 +66,29 @@ struct Box {
 };
 
 // What rounding does to places within the reach of a patch, and more.
-constexpr float kMargin = 1.f / 64;
+constexpr float kCoordRounding = 1.f / 64;
 // What is farther from the image is left to those who look at places one by one: sums over patches of its border would
 // only be rounding.
-constexpr int kFarPlaces = 4096;
+constexpr int kFarCoord = 4096;
 
 // A thread's places in a tile, counted from the tile's (u, v).
 template <class F>
-struct Runs {
+struct ThreadCoords {
   F u, v, weight, u_step, v_step, weight_step;  // of the first one, and from one to the next
   F const* found;                               // in a map, u and v, or null
   bool affine;
 
-  __device__ __forceinline__ Runs(Tile<F> const& tile, Places<F> const& places, void const* kept, int column, int row)
-      : found(places.has_map() ? static_cast<F const*>(kept) + threadIdx.x : nullptr), affine(tile.map.affine) {
+  __device__ __forceinline__ ThreadCoords(Tile<F> const& tile, SampleCoords<F> const& coords, void const* kept,
+                                          int column, int row)
+      : found(coords.has_map() ? static_cast<F const*>(kept) + threadIdx.x : nullptr), affine(tile.map.affine) {
     F const x = F(column), y = F(row);
     F const(&m)[9] = tile.map.m;
     u = x * m[0] + (y * m[1] + m[2]);
     v = x * m[3] + (y * m[4] + m[5]);
     weight = x * m[6] + (y * m[7] + m[8]);
-    u_step = m[1] * kRunRows;
-    v_step = m[4] * kRunRows;
-    weight_step = m[7] * kRunRows;
+    u_step = m[1] * kRowStep;
+    v_step = m[4] * kRowStep;
+    weight_step = m[7] * kRowStep;
   }
   __device__ __forceinline__ void at(int run, F& x, F& y) const {
     if (found) {
@@ -106,38 +107,39 @@ struct Runs {
 
 // A block's tiles and the boxes of their taps, in shared memory.
 template <class F>
-struct View {
-  Tile<F> tiles[kTileRow];
-  Box taps[kTileRow];
+struct BlockTiles {
+  Tile<F> tiles[kMaxTilesPerBlock];
+  TapBounds taps[kMaxTilesPerBlock];
 
   // By all threads of a block, of an output of that size. By a matrix, taps lie between those of a tile's corners
   // unless the horizon runs through it.
   template <int K, class T>
-  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height) {
-    auto const given = [&](int64_t b) { return p.places.matrices + b * p.places.matrix_stride; };
-    open<K>(count, p, width, height, given);
+  __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int width, int height) {
+    auto const given = [&](int64_t b) { return p.coords.matrices + b * p.coords.matrix_stride; };
+    prepare<K>(count, p, width, height, given);
   }
   // By the matrices that `matrix(sample)` gives.
   template <int K, class T, class Matrix>
-  __device__ __forceinline__ void open(Tiles const& count, Sampling<T> const& p, int width, int height, Matrix matrix) {
+  __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int width, int height,
+                                          Matrix matrix) {
     if (threadIdx.x < 32) {
-      int const number = threadIdx.x / 4 % kTileRow;
+      int const number = threadIdx.x / 4 % kMaxTilesPerBlock;
       Tile<F> tile;
       tile.locate(count, number);
-      Box box = Box::empty();
-      if (!p.places.has_map()) {
-        tile.see(homography(matrix(tile.b), p.places.use), p.places.use.source);
+      TapBounds box = TapBounds::empty();
+      if (!p.coords.has_map()) {
+        tile.bind(homography(matrix(tile.b), p.coords.use), p.coords.use.source);
         F const x = F(threadIdx.x & 1 ? min(kTile, width - tile.x) - 1 : 0);
         F const y = F(threadIdx.x & 2 ? min(kTile, height - tile.y) - 1 : 0);
         F u, v;
-        tile.map.at(x, y, u, v);
-        box.add<K>(u, v, F(kMargin), F(kFarPlaces));
-        box.join<4>();
+        tile.map.apply(x, y, u, v);
+        box.add<K>(u, v, F(kCoordRounding), F(kFarCoord));
+        box.merge_lanes<4>();
         box.move(tile.u, tile.v);
         unsigned const before = __ballot_sync(0xffffffffu, tile.map.weight(x, y) > 0) >> 4 * number & 15;
-        if (before != 0 && before != 15) box = Box::all();
+        if (before != 0 && before != 15) box = TapBounds::all();
       }
-      if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kTileRow) {
+      if (threadIdx.x % 4 == 0 && threadIdx.x < 4 * kMaxTilesPerBlock) {
         tiles[number] = tile;
         taps[number] = box;
       }
@@ -147,19 +149,19 @@ struct View {
   // The box of a tile's taps. By maps, places are looked at one by one, at the taps that they have next to the image,
   // and kept.
   template <int K, class T>
-  __device__ __forceinline__ Box look(int number, Sampling<T> const& p, int width, int height, void* kept) {
-    if (!p.places.has_map()) return taps[number];
+  __device__ __forceinline__ TapBounds tap_bounds(int number, Sampling<T> const& p, int width, int height, void* kept) {
+    if (!p.coords.has_map()) return taps[number];
     Tile<F> const& tile = tiles[number];
-    PlacesOf<F> const places(p.places, tile);
+    TileCoords<F> const coords(p.coords, tile);
     F* const found = static_cast<F*>(kept) + threadIdx.x;
     int const x = tile.x + column_in_tile<T>();
-    Box box = Box::empty();
+    TapBounds box = TapBounds::empty();
 #pragma unroll
-    for (int run = 0; run < kRuns; ++run) {
-      int const y = tile.y + row_in_tile<T>() + run * kRunRows;
+    for (int run = 0; run < kPixelsPerThread; ++run) {
+      int const y = tile.y + row_in_tile<T>() + run * kRowStep;
       F u = 0, v = 0;
       if (x < width && y < height) {
-        places.near(y, x, u, v);
+        coords.near(y, x, u, v);
         u = clamped(p.x_axis, u);
         v = clamped(p.y_axis, v);
         box.add<K>(u, v, F(0), F(1 << 20));
@@ -167,7 +169,7 @@ struct View {
       found[2 * run * kThreads] = u;
       found[(2 * run + 1) * kThreads] = v;
     }
-    box.join<32>();
+    box.merge_lanes<32>();
     if (threadIdx.x % 32 == 0) {
       atomicMin(&taps[number].left, box.left);
       atomicMin(&taps[number].top, box.top);
@@ -180,7 +182,7 @@ struct View {
 };
 
 template <class T>
-struct Patch {
+struct SourceTile {
   static constexpr int kVectorSize = 16 / int(sizeof(T));
   // Room for a tile of kTile x kTile, turned by any angle. Double4 rows one below the other are in different banks.
   static constexpr int kPitch = sizeof(T) == 1 ? 80 : sizeof(T) == 2 ? 72 : 56, kRows = 52;
@@ -195,7 +197,7 @@ struct Patch {
   bool fits;
 
   // Of a box that has something in it.
-  __device__ __forceinline__ Patch(void* pixels, Box const& box)
+  __device__ __forceinline__ SourceTile(void* pixels, TapBounds const& box)
       : pixels(static_cast<T*>(pixels)),
         left(box.left & -kVectorSize),
         top(box.top),
@@ -204,7 +206,8 @@ struct Patch {
         fits(columns <= min(kPitch, kColumns * kVectorSize) && rows <= kRows) {}
   // Of the taps in the box; where these leave the image, that they can be put there.
   template <class S, class F>
-  __device__ __forceinline__ Patch(void* pixels, Box const& box, Sampling<S> const& p, F) : Patch(pixels, box) {
+  __device__ __forceinline__ SourceTile(void* pixels, TapBounds const& box, Sampling<S> const& p, F)
+      : SourceTile(pixels, box) {
     bool const inside = box.left >= 0 && box.top >= 0 && box.right < p.x_axis.size && box.bottom < p.y_axis.size;
     // Reflected places are in no order, and what fills the outside may be no number of the image's type.
     fits = fits && (inside || (p.x_axis.padding != Padding::reflection && (sizeof(T) == sizeof(F) || !p.fill)));
@@ -212,8 +215,8 @@ struct Patch {
   // What it takes, and behind it, at `end`, the places of maps.
   static KV_HD size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
   template <class F>
-  static size_t bytes(int channels, Places<F> const& places) {
-    return bytes(channels) + (places.has_map() ? 2 * kTile * kTile * sizeof(F) : 0);
+  static size_t bytes(int channels, SampleCoords<F> const& coords) {
+    return bytes(channels) + (coords.has_map() ? 2 * kTile * kTile * sizeof(F) : 0);
   }
 
   // For taps of places that count from (u, v).
@@ -283,7 +286,7 @@ struct Patch {
 
 // Calls take(first, number) for all channels, some at a time, the number as a type.
 template <int N, class Take>
-__device__ __forceinline__ void in_groups(int channels, Take take) {
+__device__ __forceinline__ void for_each_channel_group(int channels, Take take) {
   int first = 0;
 #pragma unroll 1
   for (; first + N <= channels; first += N) take(first, std::integral_constant<int, N>{});

@@ -17,8 +17,8 @@ KV_TAPS double vfloor(double x) { return ::floor(x); }
 KV_TAPS float vabove(float x, float low) { return ::fmaxf(x, low); }
 KV_TAPS double vabove(double x, double low) { return ::fmax(x, low); }
 // A number of at most 1, or 0 where it is less or NaN.
-KV_TAPS float vshare(float x) { return __saturatef(x); }
-KV_TAPS double vshare(double x) { return ::fmax(x, 0.); }
+KV_TAPS float vsaturate(float x) { return __saturatef(x); }
+KV_TAPS double vsaturate(double x) { return ::fmax(x, 0.); }
 KV_TAPS float vclamp(float x, float low, float high) { return ::fminf(::fmaxf(x, low), high); }
 KV_TAPS double vclamp(double x, double low, double high) { return ::fmin(::fmax(x, low), high); }
 KV_TAPS float vabs(float x) { return ::fabsf(x); }
@@ -32,7 +32,7 @@ KV_TAPS int floor_to_int(double x) {
   return __double2int_rd(x);
 }
 template <class F>
-KV_TAPS F to_number(int i) {
+KV_TAPS F to_float(int i) {
   return F(i);
 }
 #else
@@ -46,7 +46,7 @@ KV_HD V vclamp(V x, V low, V high) {
   return min(high, max(low, x));
 }
 template <class F, class I>
-KV_HD auto to_number(I i) {
+KV_HD auto to_float(I i) {
   if constexpr (sizeof(I) == sizeof(int))
     return F(i);
   else
@@ -60,7 +60,7 @@ KV_HD auto floor_to_int(V x) {
   } else {
     using I = Lanes<int, sizeof(V) / sizeof(F)>;
     I const i = __builtin_convertvector(x, I);  // towards 0
-    return I(i + __builtin_convertvector(to_number<F>(i) > x, I));
+    return I(i + __builtin_convertvector(to_float<F>(i) > x, I));
   }
 }
 #endif
@@ -112,7 +112,7 @@ KV_TAPS auto first_tap(V x, V& t) {
     return floor_to_int<F>(V((x + shift) - shift));
   } else {
     auto const whole = floor_to_int<F>(x);
-    t = x - to_number<F>(whole);
+    t = x - to_float<F>(whole);
     return K == 4 ? whole - 1 : whole;
   }
 }
@@ -136,7 +136,7 @@ KV_TAPS void tap_weights(V t, V (&w)[K]) {
 
 // The derivatives of these weights.
 template <int K, class V>
-KV_TAPS void tap_slopes(V t, V (&d)[K]) {
+KV_TAPS void tap_derivatives(V t, V (&d)[K]) {
   V const one = V{} + 1;
   if constexpr (K == 1) {
     d[0] = V{};
@@ -161,7 +161,7 @@ KV_TAPS F weight_at(F place, int pixel) {
     return first_tap<1, F>(vclamp(place, F(pixel - 1), F(pixel + 1)), t) == pixel;
   } else {
     F const distance = vabs(place - F(pixel));
-    if constexpr (K == 2) return vshare(1 - distance);
+    if constexpr (K == 2) return vsaturate(1 - distance);
     F const s = 2 - distance;
     F const near = (distance * 1.25f - 2.25f) * distance * distance + 1, far = (1 - distance) * s * s * 0.75f;
     return distance < 1 ? near : s > 0 ? far : 0;

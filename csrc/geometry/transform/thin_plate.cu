@@ -1,4 +1,4 @@
-// Thin-plate splines on CUDA: a block takes a part of a sample's points, a thread four of them and all centres; weights
+// Thin-plate splines on CUDA: a block takes a part of a sample's points, a thread four of them and all centers; weights
 // take a block a sample.
 #include "core/launch.cuh"
 #include "geometry/transform/thin_plate.h"
@@ -7,11 +7,11 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
-constexpr int kEach = kSplinePart / kThreads;  // points of a thread
-constexpr int kCentres = 32;                   // whose sums are in shared memory at once
+constexpr int kEach = kThinPlateChunk / kThreads;  // points of a thread
+constexpr int kCentres = 32;                       // whose sums are in shared memory at once
 
 __device__ __forceinline__ double log_of(double x) { return ::log2(x); }
-// Of numbers that are at least kLeastSquare; of others it is not used.
+// Of numbers that are at least kMinSquare; of others it is not used.
 __device__ __forceinline__ float log_of(float x) {
   float y;
   asm("lg2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
@@ -25,8 +25,8 @@ struct Points {
   T const *centers, *weights, *affine;
   T x[kEach], y[kEach];
 
-  __device__ __forceinline__ Points(Spline<T> const& p, unsigned parts) : b(blockIdx.x / parts) {
-    first = int64_t(blockIdx.x - unsigned(b) * parts) * kSplinePart + threadIdx.x;
+  __device__ __forceinline__ Points(ThinPlate<T> const& p, unsigned parts) : b(blockIdx.x / parts) {
+    first = int64_t(blockIdx.x - unsigned(b) * parts) * kThinPlateChunk + threadIdx.x;
     centers = p.centers + b * p.center_stride;
     weights = p.weights + b * p.weight_stride;
     affine = p.affine + b * p.affine_stride;
@@ -48,7 +48,7 @@ struct Points {
 };
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) spline_points(__grid_constant__ Spline<T> const p, unsigned parts) {
+__global__ void __launch_bounds__(kThreads) thin_plate_points(__grid_constant__ ThinPlate<T> const p, unsigned parts) {
   Points<T> const points(p, parts);
   T const* const a = points.affine;
   T u[kEach], v[kEach];
@@ -58,13 +58,13 @@ __global__ void __launch_bounds__(kThreads) spline_points(__grid_constant__ Spli
     v[k] = points.x[k] * a[3] + (points.y[k] * a[5] + a[1]);
   }
 #pragma unroll 2
-  for (int64_t n = 0; n < 2 * p.centres; n += 2) {
+  for (int64_t n = 0; n < 2 * p.center_count; n += 2) {
     T const at_x = points.centers[n], at_y = points.centers[n + 1];
     T const weight_x = points.weights[n], weight_y = points.weights[n + 1];
 #pragma unroll
     for (int k = 0; k < kEach; ++k) {
       T const dx = points.x[k] - at_x, dy = points.y[k] - at_y, square = dx * dx + dy * dy;
-      T const value = plate<T>(square, log_of(square));
+      T const value = radial_basis<T>(square, log_of(square));
       u[k] += value * weight_x;
       v[k] += value * weight_y;
     }
@@ -80,11 +80,11 @@ __global__ void __launch_bounds__(kThreads) spline_points(__grid_constant__ Spli
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    spline_points_backward(__grid_constant__ Spline<T> const p, unsigned parts) {
+    thin_plate_points_backward(__grid_constant__ ThinPlate<T> const p, unsigned parts) {
   __shared__ T shared_sums[kWarps][4 * kCentres];
   Points<T> const points(p, parts);
   T const* const a = points.affine;
-  T* const sums = p.sums + blockIdx.x * (4 * p.centres + 6);
+  T* const sums = p.sums + blockIdx.x * (4 * p.center_count + 6);
   int const warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   T u[kEach], v[kEach], to_x[kEach], to_y[kEach], affine[6] = {};
 #pragma unroll
@@ -119,10 +119,10 @@ __global__ void __launch_bounds__(kThreads)
   };
 #pragma unroll
   for (int i = 0; i < 6; ++i) put(i, affine[i]);
-  add(6, [&](int i) { return 4 * p.centres + i; });
+  add(6, [&](int i) { return 4 * p.center_count + i; });
 #pragma unroll 1
-  for (int64_t first = 0; first < p.centres; first += kCentres) {
-    int const count = int(min(p.centres - first, int64_t(kCentres)));
+  for (int64_t first = 0; first < p.center_count; first += kCentres) {
+    int const count = int(min(p.center_count - first, int64_t(kCentres)));
 #pragma unroll 1
     for (int n = 0; n < count; ++n) {
       int64_t const at = 2 * (first + n);
@@ -132,8 +132,8 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
       for (int k = 0; k < kEach; ++k) {
         T const dx = points.x[k] - at_x, dy = points.y[k] - at_y, square = dx * dx + dy * dy, log = log_of(square);
-        T const value = plate<T>(square, log);
-        T const along = (u[k] * weight_x + v[k] * weight_y) * plate_slope<T>(square, log);
+        T const value = radial_basis<T>(square, log);
+        T const along = (u[k] * weight_x + v[k] * weight_y) * radial_basis_derivative<T>(square, log);
         to_x[k] += along * dx;
         to_y[k] += along * dy;
         found[0] -= along * dx;
@@ -146,22 +146,22 @@ __global__ void __launch_bounds__(kThreads)
     }
     add(4 * count, [&](int i) {
       int const part = i % 4;
-      return 2 * (first + i / 4) + part % 2 + part / 2 * 2 * p.centres;
+      return 2 * (first + i / 4) + part % 2 + part / 2 * 2 * p.center_count;
     });
   }
-  if (!p.to_points) return;
+  if (!p.grad_points) return;
 #pragma unroll
   for (int k = 0; k < kEach; ++k) {
     int64_t const i = points.first + k * kThreads;
     if (i >= p.count) continue;
-    p.to_points[2 * (points.b * p.count + i)] = to_x[k];
-    p.to_points[2 * (points.b * p.count + i) + 1] = to_y[k];
+    p.grad_points[2 * (points.b * p.count + i)] = to_x[k];
+    p.grad_points[2 * (points.b * p.count + i) + 1] = to_y[k];
   }
 }
 
 // A block for 32 sums of a sample, of which its warps take parts in turns.
 template <class T>
-__global__ void __launch_bounds__(kThreads) sum_parts(SplineSums<T> p, unsigned blocks) {
+__global__ void __launch_bounds__(kThreads) sum_parts(ThinPlateReduction<T> p, unsigned blocks) {
   __shared__ double parts[kWarps][32];
   int64_t const b = blockIdx.x / blocks, width = p.width(), i = int64_t(blockIdx.x % blocks) * 32 + threadIdx.x % 32;
   double sum = 0;
@@ -178,12 +178,12 @@ __global__ void __launch_bounds__(kThreads) sum_parts(SplineSums<T> p, unsigned 
 // Systems that fit are solved in shared memory.
 constexpr size_t kShared = 48 << 10;
 template <class T>
-size_t bytes(SplineWeights<T> const& p) {
+size_t bytes(ThinPlateWeights<T> const& p) {
   return size_t(p.size() * p.width()) * sizeof(T);
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) solve(SplineWeights<T> p, bool shared) {
+__global__ void __launch_bounds__(kThreads) solve(ThinPlateWeights<T> p, bool shared) {
   extern __shared__ double shared_system[];
   T* const system = shared ? shared_system : p.systems + blockIdx.x * p.size() * p.width();
   auto const log = [](T x) { return log_of(x); };
@@ -193,42 +193,42 @@ __global__ void __launch_bounds__(kThreads) solve(SplineWeights<T> p, bool share
       to[1 + j] -= to[0] * row[k + 1 + j];
     });
   };
-  spline_weights_of(p, blockIdx.x, system, ThreadBlock{}, log, subtract);
+  solve_thin_plate_weights(p, blockIdx.x, system, ThreadBlock{}, log, subtract);
 }
 
 }  // namespace
 
 template <class T>
-int spline(Spline<T> const& p, CUstream_st* stream) {
-  int64_t const parts = spline_parts(p.count);
-  spline_points<<<unsigned(p.batch * parts), kThreads, 0, stream>>>(p, unsigned(parts));
+int thin_plate(ThinPlate<T> const& p, CUstream_st* stream) {
+  int64_t const parts = thin_plate_chunks(p.count);
+  thin_plate_points<<<unsigned(p.batch * parts), kThreads, 0, stream>>>(p, unsigned(parts));
   return cudaGetLastError();
 }
 
 template <class T>
-int spline_backward(Spline<T> const& p, CUstream_st* stream) {
-  int64_t const parts = spline_parts(p.count);
-  spline_points_backward<<<unsigned(p.batch * parts), kThreads, 0, stream>>>(p, unsigned(parts));
+int thin_plate_backward(ThinPlate<T> const& p, CUstream_st* stream) {
+  int64_t const parts = thin_plate_chunks(p.count);
+  thin_plate_points_backward<<<unsigned(p.batch * parts), kThreads, 0, stream>>>(p, unsigned(parts));
   return cudaGetLastError();
 }
 
 template <class T>
-int spline_sums(SplineSums<T> const& p, CUstream_st* stream) {
+int reduce_thin_plate_grads(ThinPlateReduction<T> const& p, CUstream_st* stream) {
   int64_t const blocks = ceil_div(p.width(), 32);
   sum_parts<<<unsigned(p.batch * blocks), kThreads, 0, stream>>>(p, unsigned(blocks));
   return cudaGetLastError();
 }
 
 template <class T>
-int spline_weights(SplineWeights<T> const& p, CUstream_st* stream) {
+int thin_plate_weights(ThinPlateWeights<T> const& p, CUstream_st* stream) {
   bool const shared = bytes(p) <= kShared;
   solve<<<unsigned(p.batch), kThreads, shared ? bytes(p) : 0, stream>>>(p, shared);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE_COMPUTED(spline, Spline)
-KV_INSTANTIATE_COMPUTED(spline_backward, Spline)
-KV_INSTANTIATE_COMPUTED(spline_sums, SplineSums)
-KV_INSTANTIATE_ONE(spline_weights, SplineWeights, double)
+KV_INSTANTIATE_COMPUTED(thin_plate, ThinPlate)
+KV_INSTANTIATE_COMPUTED(thin_plate_backward, ThinPlate)
+KV_INSTANTIATE_COMPUTED(reduce_thin_plate_grads, ThinPlateReduction)
+KV_INSTANTIATE_ONE(thin_plate_weights, ThinPlateWeights, double)
 
 }  // namespace kv::cuda

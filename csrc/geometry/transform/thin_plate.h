@@ -1,6 +1,6 @@
 // Thin-plate splines. A place p goes to
 //
-//   a_0 + p_x a_1 + p_y a_2 + sum of w_c U(|p - c|^2) over the centres c,     U(s) = s log(s) / 2
+//   a_0 + p_x a_1 + p_y a_2 + sum of w_c U(|p - c|^2) over the centers c,     U(s) = s log(s) / 2
 //
 // Included by thin_plate_cpu.cpp, thin_plate.cu and thin_plate_op.cpp.
 #pragma once
@@ -12,19 +12,19 @@
 namespace kv {
 
 template <class T>
-struct Spline {
+struct ThinPlate {
   T const* points;                      // (B, count, 2), or null: the pixels of an image, in [-1, 1]
-  T const *centers, *weights, *affine;  // (B, centres, 2), (B, centres, 2), (B, 3, 2)
+  T const *centers, *weights, *affine;  // (B, centers, 2), (B, centers, 2), (B, 3, 2)
   int64_t point_stride, center_stride, weight_stride, affine_stride;  // 0 where one serves all samples
   int64_t width;                                                      // of that image
   T middle[2], scale[2];                                              // of a pixel x: (x - middle) * scale
-  int64_t batch, count, centres;
+  int64_t batch, count, center_count;
   bool planar;  // results are (B, 2, count), not (B, count, 2)
   T* result;
   // For the gradient only: that to the result; those to points; and those to the rest, of parts of the points of each
-  // sample, (B, parts, 4 * centres + 6).
+  // sample, (B, parts, 4 * centers + 6).
   T const* grad;
-  T* to_points;
+  T* grad_points;
   T* sums;
 
   KV_HD int64_t at(int64_t b, int64_t i, int axis) const {
@@ -34,57 +34,57 @@ struct Spline {
 };
 
 // How many points go into one sum.
-constexpr int kSplinePart = 1024;
-inline int64_t spline_parts(int64_t count) { return (count + kSplinePart - 1) / kSplinePart; }
+constexpr int kThinPlateChunk = 1024;
+inline int64_t thin_plate_chunks(int64_t count) { return (count + kThinPlateChunk - 1) / kThinPlateChunk; }
 
-// Adds the parts up: to (B, centres, 2), (B, centres, 2), (B, 3, 2).
+// Adds the parts up: to (B, centers, 2), (B, centers, 2), (B, 3, 2).
 template <class T>
-struct SplineSums {
+struct ThinPlateReduction {
   T const* sums;
-  int64_t batch, parts, centres;
-  T *to_centers, *to_weights, *to_affine;
+  int64_t batch, parts, center_count;
+  T *grad_centers, *grad_weights, *grad_affine;
 
-  KV_HD int64_t width() const { return 4 * centres + 6; }
+  KV_HD int64_t width() const { return 4 * center_count + 6; }
   KV_HD void set(int64_t b, int64_t i, double value) const {
-    int64_t const n = 2 * centres;
-    T* const to = i < n       ? to_centers + b * n + i
-                  : i < 2 * n ? to_weights + b * n + i - n
-                              : to_affine + b * 6 + i - 2 * n;
+    int64_t const n = 2 * center_count;
+    T* const to = i < n       ? grad_centers + b * n + i
+                  : i < 2 * n ? grad_weights + b * n + i - n
+                              : grad_affine + b * 6 + i - 2 * n;
     *to = T(value);
   }
 };
 
-// The weights with which a spline has the values `right` at its centres, and three sums of them; in double.
+// The weights with which a spline has the values `right` at its centers, and three sums of them; in double.
 template <class T>
-struct SplineWeights {
-  Reals centers, right, result;  // (B, centres, 2), (B, centres + 3, 2) twice
-  int64_t center_stride, right_stride;
-  int64_t batch, centres;
+struct ThinPlateWeights {
+  Reals centers, rhs, result;  // (B, centers, 2), (B, centers + 3, 2) twice
+  int64_t center_stride, rhs_stride;
+  int64_t batch, center_count;
   T* systems;  // (B, size, width): room to work in
 
-  KV_HD int64_t size() const { return centres + 3; }
+  KV_HD int64_t size() const { return center_count + 3; }
   KV_HD int64_t width() const { return (size() + 2 + 7) / 8 * 8; }  // whole vectors
 };
 
-KV_KERNEL(spline, Spline)
-KV_KERNEL(spline_backward, Spline)
-KV_KERNEL(spline_sums, SplineSums)
-KV_KERNEL(spline_weights, SplineWeights)
+KV_KERNEL(thin_plate, ThinPlate)
+KV_KERNEL(thin_plate_backward, ThinPlate)
+KV_KERNEL(reduce_thin_plate_grads, ThinPlateReduction)
+KV_KERNEL(thin_plate_weights, ThinPlateWeights)
 
 // --- U ---------------------------------------------------------------------------------------------------------------
 
 // Of squares less than these U is nothing, and the logarithms of kernels may be anything.
 template <class F>
-constexpr F kLeastSquare = sizeof(F) == 4 ? F(1e-36) : F(1e-300);
+constexpr F kMinSquare = sizeof(F) == 4 ? F(1e-36) : F(1e-300);
 
 // U(s), and its derivative by p over p - c, from s and log2(s).
 template <class F, class V>
-KV_HD V plate(V square, V log2) {
-  return square > kLeastSquare<F> ? V(square * log2 * F(0.34657359027997265)) : V{};
+KV_HD V radial_basis(V square, V log2) {
+  return square > kMinSquare<F> ? V(square * log2 * F(0.34657359027997265)) : V{};
 }
 template <class F, class V>
-KV_HD V plate_slope(V square, V log2) {
-  return square > kLeastSquare<F> ? V(log2 * F(0.69314718055994531) + 1) : V{};
+KV_HD V radial_basis_derivative(V square, V log2) {
+  return square > kMinSquare<F> ? V(log2 * F(0.69314718055994531) + 1) : V{};
 }
 
 // --- weights ---------------------------------------------------------------------------------------------------------
@@ -111,20 +111,21 @@ __device__ __forceinline__ void each(ThreadBlock, int rows, int columns, F f) {
 // by elimination with the largest pivot of each column. `subtract(row, k, rows, width)` subtracts a row with a 1 at k
 // from that many rows below it so that they have a 0 there; of these nothing up to k is read again.
 template <class T, class Team, class Log, class Subtract>
-KV_HD void spline_weights_of(SplineWeights<T> const& p, int64_t b, T* system, Team team, Log log2, Subtract subtract) {
+KV_HD void solve_thin_plate_weights(ThinPlateWeights<T> const& p, int64_t b, T* system, Team team, Log log2,
+                                    Subtract subtract) {
   int64_t const n = p.size(), width = p.width();
   auto const center = [&](int64_t i, int axis) { return p.centers[b * p.center_stride + 2 * i + axis]; };
   each(team, n, width, [&](int64_t i, int64_t j) {
     int64_t const low = min(i, j), high = max(i, j);
     T value = 0;
     if (j >= n) {
-      if (j < n + 2) value = p.right[b * p.right_stride + 2 * i + j - n];
-    } else if (low >= p.centres) {
-    } else if (high >= p.centres) {
-      value = high == p.centres ? 1 : center(low, int(high - p.centres - 1));
+      if (j < n + 2) value = p.rhs[b * p.rhs_stride + 2 * i + j - n];
+    } else if (low >= p.center_count) {
+    } else if (high >= p.center_count) {
+      value = high == p.center_count ? 1 : center(low, int(high - p.center_count - 1));
     } else {
       T const dx = center(i, 0) - center(j, 0), dy = center(i, 1) - center(j, 1), square = dx * dx + dy * dy;
-      value = plate<T>(square, log2(square));
+      value = radial_basis<T>(square, log2(square));
     }
     system[i * width + j] = value;
   });

@@ -14,13 +14,13 @@ struct Part {
   using V = Lanes<T, N>;
   int64_t b, first, count;
   T const *centers, *weights, *affine;
-  alignas(64) T x[kSplinePart], y[kSplinePart];
+  alignas(64) T x[kThinPlateChunk], y[kThinPlateChunk];
 
-  KV_HD Part(Spline<T> const& p, int64_t number) {
-    int64_t const parts = spline_parts(p.count);
+  KV_HD Part(ThinPlate<T> const& p, int64_t number) {
+    int64_t const parts = thin_plate_chunks(p.count);
     b = number / parts;
-    first = (number - b * parts) * kSplinePart;
-    count = min(p.count - first, int64_t(kSplinePart));
+    first = (number - b * parts) * kThinPlateChunk;
+    count = min(p.count - first, int64_t(kThinPlateChunk));
     centers = p.centers + b * p.center_stride;
     weights = p.weights + b * p.weight_stride;
     affine = p.affine + b * p.affine_stride;
@@ -52,18 +52,18 @@ KV_HD auto total(V v) {
 }
 
 template <class T>
-void spline_part(Spline<T> const& p, int64_t number) {
+void spline_part(ThinPlate<T> const& p, int64_t number) {
   constexpr int N = Part<T>::N;
   using V = typename Part<T>::V;
   Part<T> const part(p, number);
   T const* const a = part.affine;
-  alignas(64) T to_x[kSplinePart], to_y[kSplinePart];
+  alignas(64) T to_x[kThinPlateChunk], to_y[kThinPlateChunk];
   for (int64_t i = 0; i < part.count; i += N) {
     V const x = load<N>(part.x + i), y = load<N>(part.y + i);
     V u = x * a[2] + (y * a[4] + a[0]), v = x * a[3] + (y * a[5] + a[1]);
-    for (int64_t n = 0; n < 2 * p.centres; n += 2) {
+    for (int64_t n = 0; n < 2 * p.center_count; n += 2) {
       V const dx = x - part.centers[n], dy = y - part.centers[n + 1], square = dx * dx + dy * dy;
-      V const value = plate<T>(square, vlog2<T, N>(square));
+      V const value = radial_basis<T>(square, vlog2<T, N>(square));
       u += value * part.weights[n];
       v += value * part.weights[n + 1];
     }
@@ -76,19 +76,19 @@ void spline_part(Spline<T> const& p, int64_t number) {
 }
 
 template <class T>
-void spline_part_backward(Spline<T> const& p, int64_t number) {
+void spline_part_backward(ThinPlate<T> const& p, int64_t number) {
   constexpr int N = Part<T>::N;
   using V = typename Part<T>::V;
   Part<T> const part(p, number);
   T const* const a = part.affine;
-  alignas(64) T u[kSplinePart], v[kSplinePart], to_x[kSplinePart], to_y[kSplinePart];
+  alignas(64) T u[kThinPlateChunk], v[kThinPlateChunk], to_x[kThinPlateChunk], to_y[kThinPlateChunk];
   T const *const from_u = p.grad + p.at(part.b, part.first, 0), *const from_v = p.grad + p.at(part.b, part.first, 1);
-  int64_t const step = p.planar ? 1 : 2, width = 4 * p.centres + 6;
+  int64_t const step = p.planar ? 1 : 2, width = 4 * p.center_count + 6;
   for (int64_t i = 0; i < part.count; ++i) u[i] = from_u[i * step], v[i] = from_v[i * step];
   part.end(u);
   part.end(v);
-  T *const to_centers = p.sums + number * width, *const to_weights = to_centers + 2 * p.centres,
-           *const to_affine = to_weights + 2 * p.centres;
+  T *const grad_centers = p.sums + number * width, *const grad_weights = grad_centers + 2 * p.center_count,
+           *const grad_affine = grad_weights + 2 * p.center_count;
   V affine[6] = {};
   for (int64_t i = 0; i < part.count; i += N) {
     V const x = load<N>(part.x + i), y = load<N>(part.y + i), gu = load<N>(u + i), gv = load<N>(v + i);
@@ -101,14 +101,14 @@ void spline_part_backward(Spline<T> const& p, int64_t number) {
     store<N>(to_x + i, V(gu * a[2] + gv * a[3]));
     store<N>(to_y + i, V(gu * a[4] + gv * a[5]));
   }
-  for (int i = 0; i < 6; ++i) to_affine[i] = total(affine[i]);
-  for (int64_t n = 0; n < 2 * p.centres; n += 2) {
+  for (int i = 0; i < 6; ++i) grad_affine[i] = total(affine[i]);
+  for (int64_t n = 0; n < 2 * p.center_count; n += 2) {
     V sums[4] = {};
     for (int64_t i = 0; i < part.count; i += N) {
       V const dx = load<N>(part.x + i) - part.centers[n], dy = load<N>(part.y + i) - part.centers[n + 1];
-      V const square = dx * dx + dy * dy, log = vlog2<T, N>(square), value = plate<T>(square, log);
+      V const square = dx * dx + dy * dy, log = vlog2<T, N>(square), value = radial_basis<T>(square, log);
       V const gu = load<N>(u + i), gv = load<N>(v + i);
-      V const along = (gu * part.weights[n] + gv * part.weights[n + 1]) * plate_slope<T>(square, log);
+      V const along = (gu * part.weights[n] + gv * part.weights[n + 1]) * radial_basis_derivative<T>(square, log);
       store<N>(to_x + i, V(load<N>(to_x + i) + along * dx));
       store<N>(to_y + i, V(load<N>(to_y + i) + along * dy));
       sums[0] -= along * dx;
@@ -116,12 +116,12 @@ void spline_part_backward(Spline<T> const& p, int64_t number) {
       sums[2] += value * gu;
       sums[3] += value * gv;
     }
-    to_centers[n] = total(sums[0]), to_centers[n + 1] = total(sums[1]);
-    to_weights[n] = total(sums[2]), to_weights[n + 1] = total(sums[3]);
+    grad_centers[n] = total(sums[0]), grad_centers[n + 1] = total(sums[1]);
+    grad_weights[n] = total(sums[2]), grad_weights[n + 1] = total(sums[3]);
   }
-  if (p.to_points)
+  if (p.grad_points)
     for (int64_t i = 0; i < part.count; ++i) {
-      T* const to = p.to_points + 2 * (part.b * p.count + part.first + i);
+      T* const to = p.grad_points + 2 * (part.b * p.count + part.first + i);
       to[0] = to_x[i], to[1] = to_y[i];
     }
 }
@@ -129,17 +129,17 @@ void spline_part_backward(Spline<T> const& p, int64_t number) {
 }  // namespace
 
 template <class T>
-void spline(Spline<T> const& p, int64_t begin, int64_t end) {
+void thin_plate(ThinPlate<T> const& p, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end; ++i) spline_part(p, i);
 }
 
 template <class T>
-void spline_backward(Spline<T> const& p, int64_t begin, int64_t end) {
+void thin_plate_backward(ThinPlate<T> const& p, int64_t begin, int64_t end) {
   for (int64_t i = begin; i < end; ++i) spline_part_backward(p, i);
 }
 
 template <class T>
-void spline_sums(SplineSums<T> const& p, int64_t begin, int64_t end) {
+void reduce_thin_plate_grads(ThinPlateReduction<T> const& p, int64_t begin, int64_t end) {
   int64_t const width = p.width();
   for (int64_t b = begin; b < end; ++b)
     for (int64_t i = 0; i < width; ++i) {
@@ -149,13 +149,13 @@ void spline_sums(SplineSums<T> const& p, int64_t begin, int64_t end) {
     }
 }
 
-KV_INSTANTIATE_COMPUTED(spline, Spline)
-KV_INSTANTIATE_COMPUTED(spline_backward, Spline)
-KV_INSTANTIATE_COMPUTED(spline_sums, SplineSums)
+KV_INSTANTIATE_COMPUTED(thin_plate, ThinPlate)
+KV_INSTANTIATE_COMPUTED(thin_plate_backward, ThinPlate)
+KV_INSTANTIATE_COMPUTED(reduce_thin_plate_grads, ThinPlateReduction)
 
 #if !defined(__AVX512F__)
 template <class T>
-void spline_weights(SplineWeights<T> const& p, int64_t begin, int64_t end) {
+void thin_plate_weights(ThinPlateWeights<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<T>;
   auto const log = [](T x) { return vlog2<T, 1>(x); };
   // By whole vectors, also of what is not read again.
@@ -168,10 +168,10 @@ void spline_weights(SplineWeights<T> const& p, int64_t begin, int64_t end) {
     }
   };
   for (int64_t b = begin; b < end; ++b)
-    spline_weights_of(p, b, p.systems + b * p.size() * p.width(), SingleThread{}, log, subtract);
+    solve_thin_plate_weights(p, b, p.systems + b * p.size() * p.width(), SingleThread{}, log, subtract);
 }
 
-KV_INSTANTIATE_ONE(spline_weights, SplineWeights, double)
+KV_INSTANTIATE_ONE(thin_plate_weights, ThinPlateWeights, double)
 #endif
 
 }  // namespace kv::KV_ISA

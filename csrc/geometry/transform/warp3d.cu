@@ -12,7 +12,7 @@ __device__ __forceinline__ Homography3<Compute<T>> map_of(Warp3d<T> const& p, in
   return homography3(p.matrices + b * p.matrix_stride, p.use);
 }
 template <class T>
-__device__ __forceinline__ Homography3<Compute<T>> map_of(Warp3dValue<T> const& p, int64_t b) {
+__device__ __forceinline__ Homography3<Compute<T>> map_of(Warp3dForward<T> const& p, int64_t b) {
   Compute<T> made[16];
   Compute<T> const* matrix = p.matrices + b * p.matrix_stride;
   if (p.formula.by != MatrixBy::given) {
@@ -37,19 +37,19 @@ __device__ __forceinline__ void for_each_voxel(P const& p, Voxel voxel) {
   for (int64_t at = part * kVoxelsOfPart + threadIdx.x; at < last; at += kThreads) {
     int64_t const row = at / size.width;
     F const x = F(at - row * size.width), y = F(row % size.height), z = F(row / size.height);
-    F place[3];
-    F const weight = map.at(x, y, z, place);
-    voxel(b, at, x, y, z, place, weight);
+    F coords[3];
+    F const weight = map.apply(x, y, z, coords);
+    voxel(b, at, x, y, z, coords, weight);
   }
 }
 
 // As many blocks at once as without formulas, whose code would take twice the registers.
 template <int K, class T>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 3)
-    value_parts(__grid_constant__ Warp3dValue<T> const p) {
+    forward_parts(__grid_constant__ Warp3dForward<T> const p) {
   using F = Compute<T>;
-  for_each_voxel(p, [&](int64_t b, int64_t at, F, F, F, F const(&place)[3], F) {
-    Taps3<K, F> const taps(p, place);
+  for_each_voxel(p, [&](int64_t b, int64_t at, F, F, F, F const(&coords)[3], F) {
+    TapWindow3<K, F> const taps(p, coords);
 #pragma unroll 1
     for (int64_t c = b * p.channels; c < (b + 1) * p.channels; ++c)
       p.y[c * p.output_voxels() + at] =
@@ -58,9 +58,9 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 3)
 }
 
 template <int K, class F>
-__global__ void __launch_bounds__(kThreads) transpose_parts(__grid_constant__ Warp3dTranspose<F> const p) {
-  for_each_voxel(p, [&](int64_t b, int64_t at, F, F, F, F const(&place)[3], F) {
-    Taps3<K, F> const taps(p, place);
+__global__ void __launch_bounds__(kThreads) volume_backward_parts(__grid_constant__ Warp3dVolumeBackward<F> const p) {
+  for_each_voxel(p, [&](int64_t b, int64_t at, F, F, F, F const(&coords)[3], F) {
+    TapWindow3<K, F> const taps(p, coords);
 #pragma unroll 1
     for (int64_t c = b * p.channels; c < (b + 1) * p.channels; ++c) {
       F* const plane = p.x + c * p.source_voxels();
@@ -74,25 +74,25 @@ __global__ void __launch_bounds__(kThreads) transpose_parts(__grid_constant__ Wa
 }
 
 template <class F>
-__global__ void __launch_bounds__(kThreads) slope_parts(__grid_constant__ Warp3dSlopes<F> const p) {
+__global__ void __launch_bounds__(kThreads) coords_backward_parts(__grid_constant__ Warp3dCoordsBackward<F> const p) {
   F sums[16] = {};
   if (p.interpolation != Interpolation::nearest)
-    for_each_voxel(p, [&](int64_t b, int64_t at, F x, F y, F z, F const(&place)[3], F weight) {
-      Taps3<2, F> const taps(p, place);
-      F to_place[3] = {};
+    for_each_voxel(p, [&](int64_t b, int64_t at, F x, F y, F z, F const(&coords)[3], F weight) {
+      TapWindow3<2, F> const taps(p, coords);
+      F grad_coords[3] = {};
 #pragma unroll 1
       for (int64_t c = b * p.channels; c < (b + 1) * p.channels; ++c)
-        taps.add_slopes(p.x + c * p.source_voxels(), p.y[c * p.output_voxels() + at], to_place);
-      add_to_matrix3(to_place, place, weight, x, y, z, sums);
+        taps.accumulate_coord_grads(p.x + c * p.source_voxels(), p.y[c * p.output_voxels() + at], grad_coords);
+      accumulate_matrix_grad3(grad_coords, coords, weight, x, y, z, sums);
     });
-  add_block(sums, p.sums + int64_t(blockIdx.x) * 16);
+  store_block_sums(sums, p.sums + int64_t(blockIdx.x) * 16);
 }
 
 // A block a sample.
 template <class F>
-__global__ void matrix_samples(Warp3dMatrix<F> p) {
+__global__ void reduce_matrix_grads(Warp3dMatrixBackward<F> p) {
   int64_t const b = blockIdx.x;
-  double* const total = add_parts<16>(p.sums + b * p.parts * 16, p.parts);
+  double* const total = sum_partials<16>(p.sums + b * p.parts * 16, p.parts);
   if (threadIdx.x == 0) homography3_vjp(p.matrices + b * p.matrix_stride, p.use, total, p.grad + b * 4 * p.use.rows);
 }
 
@@ -109,36 +109,36 @@ int launch(Interpolation interpolation, Run run) {
 }  // namespace
 
 template <class T>
-int warp3d(Warp3dValue<T> const& p, CUstream_st* stream) {
+int warp3d(Warp3dForward<T> const& p, CUstream_st* stream) {
   return launch(p.interpolation, [&](auto taps) {
-    value_parts<taps.value, T><<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
+    forward_parts<taps.value, T><<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
   });
 }
 
 template <class T>
-int warp3d_transpose(Warp3dTranspose<T> const& p, CUstream_st* stream) {
+int warp3d_volume_backward(Warp3dVolumeBackward<T> const& p, CUstream_st* stream) {
   size_t const bytes = size_t(p.batch * p.channels * p.source_voxels()) * sizeof(T);
   if (cudaError_t const error = cudaMemsetAsync(p.x, 0, bytes, stream)) return error;
   return launch(p.interpolation, [&](auto taps) {
-    transpose_parts<taps.value, T><<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
+    volume_backward_parts<taps.value, T><<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
   });
 }
 
 template <class T>
-int warp3d_slopes(Warp3dSlopes<T> const& p, CUstream_st* stream) {
-  slope_parts<T><<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
+int warp3d_coords_backward(Warp3dCoordsBackward<T> const& p, CUstream_st* stream) {
+  coords_backward_parts<T><<<unsigned(p.batch * p.parts), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
 template <class T>
-int warp3d_matrix(Warp3dMatrix<T> const& p, CUstream_st* stream) {
-  matrix_samples<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
+int warp3d_matrix_backward(Warp3dMatrixBackward<T> const& p, CUstream_st* stream) {
+  reduce_matrix_grads<T><<<unsigned(p.batch), kThreads, 0, stream>>>(p);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(warp3d, Warp3dValue)
-KV_INSTANTIATE_COMPUTED(warp3d_transpose, Warp3dTranspose)
-KV_INSTANTIATE_COMPUTED(warp3d_slopes, Warp3dSlopes)
-KV_INSTANTIATE_COMPUTED(warp3d_matrix, Warp3dMatrix)
+KV_INSTANTIATE(warp3d, Warp3dForward)
+KV_INSTANTIATE_COMPUTED(warp3d_volume_backward, Warp3dVolumeBackward)
+KV_INSTANTIATE_COMPUTED(warp3d_coords_backward, Warp3dCoordsBackward)
+KV_INSTANTIATE_COMPUTED(warp3d_matrix_backward, Warp3dMatrixBackward)
 
 }  // namespace kv::cuda

@@ -43,24 +43,24 @@ constexpr int64_t kVoxelsOfPart = 4096;
 
 // The value; in the type that computes, the gradient to the volume and the parts of that to the matrices.
 template <class T>
-struct Warp3dValue : Warp3d<T> {
+struct Warp3dForward : Warp3d<T> {
   MatrixFormula formula{};
 };
 template <class T>
-struct Warp3dTranspose : Warp3d<T> {};
+struct Warp3dVolumeBackward : Warp3d<T> {};
 template <class T>
-struct Warp3dSlopes : Warp3d<T> {};
+struct Warp3dCoordsBackward : Warp3d<T> {};
 
 // Adds the parts up and takes them to the matrices.
 template <class T>
-struct Warp3dMatrix : Warp3d<T> {
+struct Warp3dMatrixBackward : Warp3d<T> {
   T* grad;  // (B, rows, 4)
 };
 
-KV_KERNEL(warp3d, Warp3dValue)
-KV_KERNEL(warp3d_transpose, Warp3dTranspose)
-KV_KERNEL(warp3d_slopes, Warp3dSlopes)
-KV_KERNEL(warp3d_matrix, Warp3dMatrix)
+KV_KERNEL(warp3d, Warp3dForward)
+KV_KERNEL(warp3d_volume_backward, Warp3dVolumeBackward)
+KV_KERNEL(warp3d_coords_backward, Warp3dCoordsBackward)
+KV_KERNEL(warp3d_matrix_backward, Warp3dMatrixBackward)
 
 // --- the map ---------------------------------------------------------------------------------------------------------
 
@@ -142,13 +142,13 @@ template <class F>
 struct Homography3 {
   F m[16];
 
-  KV_HD F line(int i, F x, F y, F z) const {
+  KV_HD F row(int i, F x, F y, F z) const {
     return x * m[4 * i] + (y * m[4 * i + 1] + (z * m[4 * i + 2] + m[4 * i + 3]));
   }
   // The place, and what its coordinates were divided by.
-  KV_HD F at(F x, F y, F z, F (&place)[3]) const {
-    F const weight = line(3, x, y, z);
-    for (int i = 0; i < 3; ++i) place[i] = line(i, x, y, z) / weight;
+  KV_HD F apply(F x, F y, F z, F (&coords)[3]) const {
+    F const weight = row(3, x, y, z);
+    for (int i = 0; i < 3; ++i) coords[i] = row(i, x, y, z) / weight;
     return weight;
   }
 };
@@ -190,17 +190,17 @@ KV_HD void homography3_vjp(F const* given, MatrixUse3 const& use, double* g, F* 
   for (int i = 0; i < 4 * use.rows; ++i) grad[i] = F(g[i]);
 }
 
-// What a voxel of the output, whose place has the gradient `to_place`, gives to the sums of its matrix.
+// What a voxel of the output, whose place has the gradient `grad_coords`, gives to the sums of its matrix.
 template <class F, class Sum>
-KV_HD void add_to_matrix3(F const (&to_place)[3], F const (&place)[3], F weight, F x, F y, F z, Sum* sums) {
+KV_HD void accumulate_matrix_grad3(F const (&grad_coords)[3], F const(&coords)[3], F weight, F x, F y, F z, Sum* sums) {
   F const at[] = {x, y, z, F(1)};
-  F to_line[4] = {};
+  F grad_rows[4] = {};
   for (int i = 0; i < 3; ++i) {
-    to_line[i] = to_place[i] / weight;
-    to_line[3] -= to_line[i] * place[i];
+    grad_rows[i] = grad_coords[i] / weight;
+    grad_rows[3] -= grad_rows[i] * coords[i];
   }
   for (int i = 0; i < 4; ++i) {
-    F const g = to_line[i] - to_line[i] == 0 ? to_line[i] : F(0);  // a place at infinity has no slope
+    F const g = grad_rows[i] - grad_rows[i] == 0 ? grad_rows[i] : F(0);  // coordinates at infinity have no gradient
     for (int k = 0; k < 4; ++k) sums[4 * i + k] += Sum(g * at[k]);
   }
 }

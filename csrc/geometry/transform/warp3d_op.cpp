@@ -37,8 +37,8 @@ struct Warp {
       : op(op),
         volumes(dense(volumes)),
         matrix(matrix),
-        interpolation(interpolation_of(op, interpolation)),
-        padding(padding_of(op, padding)),
+        interpolation(parse_interpolation(op, interpolation)),
+        padding(parse_padding(op, padding)),
         use{matrix.rows, inverse, normalized, align_corners, source, output} {
     KV_CHECK(this->interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
   }
@@ -57,7 +57,7 @@ Tensor warped_volumes(Warp const& w) {
   Tensor const y = empty({w.batch(), w.channels(), size.depth, size.height, size.width}, w.volumes);
   dispatch_floating(w.op, w.volumes, [&](auto type) {
     using T = typename decltype(type)::type;
-    Warp3dValue<T> const params{w.of<T>(w.volumes, y), w.matrix.formula};
+    Warp3dForward<T> const params{w.of<T>(w.volumes, y), w.matrix.formula};
     KV_RUN(warp3d, y, params, y.numel() > 0 ? w.batch() * size.depth * size.height : 0, 16 * w.channels() * size.width);
   });
   return y;
@@ -88,26 +88,26 @@ Tensor warp3d_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::o
   return x;
 }
 
-Tensor warp3d_volume_gradient(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
+Tensor warp3d_volume_backward(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
                               std::string const& interpolation, std::string const& padding, bool align_corners,
                               bool inverse, bool normalized) {
-  char const* const op = "warp3d_volume_gradient";
+  char const* const op = "warp3d_volume_backward";
   check_volumes(op, "grad", grad);
   Warp const w(op, grad, {op, matrix, grad, 3}, size3_of(op, size), size3_of(op, grad), interpolation, padding,
                align_corners, inverse, normalized);
   Tensor const grad_x = empty({w.batch(), w.channels(), size[0], size[1], size[2]}, grad);
-  for_computed(op, grad, [&](auto type) {
+  dispatch_compute_dtype(op, grad, [&](auto type) {
     using F = typename decltype(type)::type;
-    Warp3dTranspose<F> const params{w.of<F>(grad_x, w.volumes)};
-    KV_RUN(warp3d_transpose, grad, params, w.batch() * w.channels(), 16 * params.output_voxels());
+    Warp3dVolumeBackward<F> const params{w.of<F>(grad_x, w.volumes)};
+    KV_RUN(warp3d_volume_backward, grad, params, w.batch() * w.channels(), 16 * params.output_voxels());
   });
   return grad_x;
 }
 
-Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor const& matrix,
+Tensor warp3d_matrix_backward(Tensor const& grad, Tensor const& volumes, Tensor const& matrix,
                               std::string const& interpolation, std::string const& padding, bool align_corners,
                               bool inverse, bool normalized) {
-  char const* const op = "warp3d_matrix_gradient";
+  char const* const op = "warp3d_matrix_backward";
   check_volumes(op, "volumes", volumes);
   check_volumes(op, "grad", grad);
   check_gradient(op, grad, volumes);
@@ -117,24 +117,24 @@ Tensor warp3d_matrix_gradient(Tensor const& grad, Tensor const& volumes, Tensor 
   int64_t const parts = parts_of(w.use.output);
   Tensor const sums = empty({w.batch(), parts, 16}, grad, Layout::planar, ScalarType::Double);
   Tensor const grad_matrix = empty({w.batch(), w.use.rows, 4}, w.matrix.tensor);
-  for_computed(op, volumes, [&](auto type) {
+  dispatch_compute_dtype(op, volumes, [&](auto type) {
     using F = typename decltype(type)::type;
-    Warp3dSlopes<F> slopes{w.of<F>(w.volumes, y)};
-    slopes.sums = data_ptr<double>(sums);
-    KV_RUN(warp3d_slopes, volumes, slopes, w.batch() * w.use.output.depth * w.use.output.height,
+    Warp3dCoordsBackward<F> params{w.of<F>(w.volumes, y)};
+    params.sums = data_ptr<double>(sums);
+    KV_RUN(warp3d_coords_backward, volumes, params, w.batch() * w.use.output.depth * w.use.output.height,
            32 * w.channels() * w.use.output.width);
-    Warp3dMatrix<F> total{w.of<F>(grad_matrix, grad_matrix), data_ptr<F>(grad_matrix)};
-    total.sums = slopes.sums;
-    KV_RUN(warp3d_matrix, volumes, total, w.batch(), 16 * parts);
+    Warp3dMatrixBackward<F> total{w.of<F>(grad_matrix, grad_matrix), data_ptr<F>(grad_matrix)};
+    total.sums = params.sums;
+    KV_RUN(warp3d_matrix_backward, volumes, total, w.batch(), 16 * parts);
   });
   return grad_matrix;
 }
 
 }  // namespace
 
-KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
-KV_OPERATOR(warp3d_by_formula, "(Tensor volumes, " KV_BY_FORMULA KV_WARP_HOW ") -> Tensor")
-KV_OPERATOR(warp3d_volume_gradient, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_HOW ") -> Tensor")
-KV_OPERATOR(warp3d_matrix_gradient, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_WARP_HOW ") -> Tensor")
+KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, int[] size, " KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp3d_by_formula, "(Tensor volumes, " KV_BY_FORMULA KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp3d_volume_backward, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp3d_matrix_backward, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_WARP_OPTIONS ") -> Tensor")
 
 }  // namespace kv

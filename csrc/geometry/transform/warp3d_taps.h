@@ -13,19 +13,19 @@
 namespace kv {
 
 template <int K, class F>
-struct Taps3 {
+struct TapWindow3 {
   int64_t at[3][K];  // offset of the voxel, or -1 where there is none
-  F weight[3][K], slope[3][K];
+  F weight[3][K], derivative[3][K];
 
   template <class T>
-  KV_TAPS3 Taps3(Warp3d<T> const& p, F const (&place)[3]) {
+  KV_TAPS3 TapWindow3(Warp3d<T> const& p, F const(&coords)[3]) {
     int64_t stride = 1;
     for (int i = 0; i < 3; ++i) {
       Axis<F> const axis = p.axis(i);
       F t;
-      int const first = first_tap<K, F>(near_image(axis, place[i]), t);
+      int const first = first_tap<K, F>(near_image(axis, coords[i]), t);
       tap_weights(t, weight[i]);
-      tap_slopes(t, slope[i]);
+      tap_derivatives(t, derivative[i]);
       for (int k = 0; k < K; ++k) {
         int const voxel = pixel_at(axis, first + k);
         at[i][k] = unsigned(voxel) < unsigned(axis.size) ? voxel * stride : -1;
@@ -51,12 +51,12 @@ struct Taps3 {
     });
     return sum;
   }
-  KV_TAPS3 void add_slopes(F const* x, F g, F (&to_place)[3]) const {
+  KV_TAPS3 void accumulate_coord_grads(F const* x, F g, F (&grad_coords)[3]) const {
     for_each([&](int64_t at, int i, int j, int k) {
       F const value = g * x[at];
-      to_place[0] += value * slope[0][i] * weight[1][j] * weight[2][k];
-      to_place[1] += value * weight[0][i] * slope[1][j] * weight[2][k];
-      to_place[2] += value * weight[0][i] * weight[1][j] * slope[2][k];
+      grad_coords[0] += value * derivative[0][i] * weight[1][j] * weight[2][k];
+      grad_coords[1] += value * weight[0][i] * derivative[1][j] * weight[2][k];
+      grad_coords[2] += value * weight[0][i] * weight[1][j] * derivative[2][k];
     });
   }
 };

@@ -42,7 +42,7 @@ struct Homography {
   bool affine;  // the last row is 0, 0, 1
 
   template <class V>
-  KV_HD void at(V x, F y, V& u, V& v) const {
+  KV_HD void apply(V x, F y, V& u, V& v) const {
     u = x * m[0] + (y * m[1] + m[2]);
     v = x * m[3] + (y * m[4] + m[5]);
     if (affine) return;
@@ -163,7 +163,7 @@ KV_HD Homography<double> homography(F const* given, MatrixUse const& use) {
 }
 
 // Of the same matrix, from pixels of the source to pixels of the output.
-KV_HD MatrixUse other_way(MatrixUse use) {
+KV_HD MatrixUse inverse_use(MatrixUse use) {
   use.inverse = !use.inverse;
   Size const source = use.source;
   use.source = use.output;
@@ -174,7 +174,7 @@ KV_HD MatrixUse other_way(MatrixUse use) {
 // The same map between coordinates that count from (x, y), and from (u, v) where it goes to. In float these are right
 // to a few millionths of their distance from there; those of a large image, from its corner, only to half a thousandth.
 template <class F>
-KV_HD Homography<F> seen_from(Homography<double> const& h, double x, double y, double u, double v) {
+KV_HD Homography<F> bind_to_tile(Homography<double> const& h, double x, double y, double u, double v) {
   double m[9];
   for (int i = 0; i < 9; i += 3) {
     m[i] = h.m[i];

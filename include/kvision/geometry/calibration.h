@@ -64,7 +64,7 @@ inline Tensor distort_points(Tensor const& points, Tensor const& K, Tensor const
   detail::shaped("distort_points", "dist", dist, 2, "(B or 1, n)");
   detail::Lens const lens{new_K.value_or(K), K, dist, detail::tilt_of(dist, false)};
   if (!lens.is_variable() && !points.requires_grad())
-    return ops::distort(points, lens.source, lens.target, dist, lens.tilt);
+    return ops::distort_points(points, lens.source, lens.target, dist, lens.tilt);
   auto const [x, y] = lens.normalized(points);
   auto const [factor, dx, dy] = lens.terms(x, y);
   auto const [u, v] = lens.tilted(x * factor + dx, y * factor + dy);
@@ -78,7 +78,7 @@ inline Tensor undistort_points(Tensor const& points, Tensor const& K, Tensor con
   detail::shaped("undistort_points", "dist", dist, 2, "(B or 1, n)");
   detail::Lens const lens{K, new_K.value_or(K), dist, detail::tilt_of(dist, true)};
   if (!lens.is_variable() && !points.requires_grad())
-    return ops::undistort(points, lens.source, lens.target, dist, lens.tilt, num_iters);
+    return ops::undistort_points(points, lens.source, lens.target, dist, lens.tilt, num_iters);
   auto const [u, v] = lens.normalized(points);
   auto const [x0, y0] = lens.tilted(u, v);
   Tensor x = x0, y = y0;
@@ -93,7 +93,7 @@ inline Tensor undistort_points(Tensor const& points, Tensor const& K, Tensor con
 inline Tensor undistort_image(Tensor const& image, Tensor const& K, Tensor const& dist) {
   detail::images("undistort_image", "image", image);
   Tensor const coefficients = detail::computed(dist, image);
-  Tensor const map = ops::lens_map(detail::computed(K, image), coefficients, detail::tilt_of(coefficients, false),
+  Tensor const map = ops::undistort_map(detail::computed(K, image), coefficients, detail::tilt_of(coefficients, false),
                                    detail::image_size(image));
   return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, "bilinear", "fill", true, false, false);
 }

@@ -143,7 +143,7 @@ inline Tensor crop_and_resize(Tensor const& input_tensor, Tensor const& boxes, S
 inline Tensor center_crop(Tensor const& input_tensor, Size2d size, TransformOptions const& options = {}) {
   detail::images("center_crop", "input_tensor", input_tensor);
   int64_t const y = input_tensor.size(2) - size->at(0), x = input_tensor.size(3) - size->at(1);
-  if (y % 2 == 0 && x % 2 == 0) return ops::window(input_tensor, {y / 2, x / 2}, detail::list(size));
+  if (y % 2 == 0 && x % 2 == 0) return ops::crop(input_tensor, {y / 2, x / 2}, detail::list(size));
   return detail::warp_by_formula("center_crop", input_tensor, "translation_matrix2d", {x / 2.0, y / 2.0}, {},
                                  detail::list(size), options, false);
 }
@@ -275,19 +275,19 @@ inline std::tuple<Tensor, Tensor> get_tps_transform(Tensor const& points_src, Te
   detail::shaped("get_tps_transform", "points_src", points_src, 3, "(B, N, 2)");
   detail::shaped("get_tps_transform", "points_dst", points_dst, 3, "(B, N, 2)");
   int64_t const n = points_src.size(1);
-  Tensor const both = ops::spline_weights(points_src, at::constant_pad_nd(points_dst, {0, 0, 0, 3}));
+  Tensor const both = ops::thin_plate_weights(points_src, at::constant_pad_nd(points_dst, {0, 0, 0, 3}));
   return {both.narrow(1, 0, n), both.narrow(1, n, 3)};
 }
 inline Tensor warp_points_tps(Tensor const& points_src, Tensor const& kernel_centers, Tensor const& kernel_weights,
                               Tensor const& affine_weights) {
-  return ops::spline_points(detail::shaped("warp_points_tps", "points_src", points_src, 3, "(B, N, 2)"), kernel_centers,
+  return ops::thin_plate_points(detail::shaped("warp_points_tps", "points_src", points_src, 3, "(B, N, 2)"), kernel_centers,
                             kernel_weights, affine_weights);
 }
 inline Tensor warp_image_tps(Tensor const& image, Tensor const& kernel_centers, Tensor const& kernel_weights,
                              Tensor const& affine_weights, bool align_corners = false,
                              PaddingMode padding_mode = PaddingMode::zeros) {
   detail::images("warp_image_tps", "image", image);
-  Tensor const map = ops::spline_map(detail::computed(kernel_centers, image), detail::computed(kernel_weights, image),
+  Tensor const map = ops::thin_plate_map(detail::computed(kernel_centers, image), detail::computed(kernel_weights, image),
                                      detail::computed(affine_weights, image), detail::image_size(image), align_corners);
   return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, "bilinear", detail::name(padding_mode),
                     align_corners, true, false);

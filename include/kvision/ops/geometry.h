@@ -30,16 +30,16 @@ inline constexpr Operator<"warp",
     warp{[](Backward const& b) -> variable_list {
       Tensor const fill = b.tensor(2);
       auto const inside = [&](Tensor const& ones) { return b.call(warp, {{"image", ones}, {"fill", {}}})[0]; };
-      return {b.needs(0) ? b.call("warp_image_gradient", {{"size", b.image_size()}})[0] : Tensor(),
-              b.needs(1) ? b.call("warp_matrix_gradient")[0] : Tensor(),
+      return {b.needs(0) ? b.call("warp_image_backward", {{"size", b.image_size()}})[0] : Tensor(),
+              b.needs(1) ? b.call("warp_matrix_backward")[0] : Tensor(),
               b.needs(2) ? detail::to_fill(b, fill, inside) : Tensor()};
     }};
 inline constexpr Operator<"remap",
                           Tensor(Tensor image, Tensor map_x, Tensor map_y, OptionalTensor fill, String interpolation,
                                  String padding, bool align_corners, bool normalized, bool moves)>
     remap{[](Backward const& b) -> variable_list {
-      variable_list gradients{b.needs(0) ? b.call("remap_image_gradient", {{"size", b.image_size()}})[0] : Tensor()};
-      variable_list const maps = b.needs(1) || b.needs(2) ? b.call("remap_map_gradient") : variable_list(2);
+      variable_list gradients{b.needs(0) ? b.call("remap_image_backward", {{"size", b.image_size()}})[0] : Tensor()};
+      variable_list const maps = b.needs(1) || b.needs(2) ? b.call("remap_map_backward") : variable_list(2);
       gradients.insert(gradients.end(), maps.begin(), maps.end());
       auto const inside = [&](Tensor const& ones) { return b.call(remap, {{"image", ones}, {"fill", {}}})[0]; };
       gradients.push_back(b.needs(3) ? detail::to_fill(b, b.tensor(3), inside) : Tensor());
@@ -49,8 +49,8 @@ inline constexpr Operator<"warp3d", Tensor(Tensor volumes, Tensor matrix, Ints s
                                            String padding, bool align_corners, bool inverse, bool normalized)>
     warp3d{[](Backward const& b) -> variable_list {
       Tensor const x = b.tensor(0), m = b.tensor(1), grad = detail::cast(b.grad(), m);
-      return {b.needs(0) ? b.call("warp3d_volume_gradient", {{"grad", grad}, {"size", b.image_size()}})[0] : Tensor(),
-              b.needs(1) ? b.call("warp3d_matrix_gradient", {{"grad", grad}, {"volumes", detail::cast(x, m)}})[0]
+      return {b.needs(0) ? b.call("warp3d_volume_backward", {{"grad", grad}, {"size", b.image_size()}})[0] : Tensor(),
+              b.needs(1) ? b.call("warp3d_matrix_backward", {{"grad", grad}, {"volumes", detail::cast(x, m)}})[0]
                          : Tensor()};
     }};
 
@@ -103,13 +103,13 @@ inline constexpr Operator<"warp_by_formula", Tensor(Tensor image, OptionalTensor
                                                     OptionalTensor d, OptionalTensor e, OptionalTensor f,
                                                     String formula, Floats numbers, Ints size, String interpolation,
                                                     String padding, bool align_corners, bool inverse, bool normalized)>
-    warp_by_formula{detail::by_formula<"warp_image_gradient", "warp_matrix_gradient", 2>};
+    warp_by_formula{detail::by_formula<"warp_image_backward", "warp_matrix_backward", 2>};
 inline constexpr Operator<"warp3d_by_formula",
                           Tensor(Tensor volumes, OptionalTensor a, OptionalTensor b, OptionalTensor c, OptionalTensor d,
                                  OptionalTensor e, OptionalTensor f, String formula, Floats numbers, Ints size,
                                  String interpolation, String padding, bool align_corners, bool inverse,
                                  bool normalized)>
-    warp3d_by_formula{detail::by_formula<"warp3d_volume_gradient", "warp3d_matrix_gradient", 3>};
+    warp3d_by_formula{detail::by_formula<"warp3d_volume_backward", "warp3d_matrix_backward", 3>};
 
 // --- resizing
 // ---------------------------------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ inline constexpr Operator<"pyramid_detail", Tensor(Tensor smaller, Tensor image,
         0, false};
 inline constexpr Operator<"flip", Tensor(Tensor input, bool columns, bool rows)> flip{
     [](Backward const& b) { return b.call(flip, {{"input", b.grad()}}); }, 0, false};
-inline constexpr Operator<"window", Tensor(Tensor input, Ints corner, Ints size)> window{
+inline constexpr Operator<"crop", Tensor(Tensor input, Ints corner, Ints size)> crop{
     [](Backward const& b) {
       auto const corner = b.arguments[1].toIntVector();
       return b.call(window, {{"input", b.grad()}, {"corner", Ints{-corner[0], -corner[1]}}, {"size", b.image_size()}});
@@ -150,22 +150,22 @@ inline constexpr Operator<"window", Tensor(Tensor input, Ints corner, Ints size)
 // --- splines
 // ----------------------------------------------------------------------------------------------------------
 
-inline constexpr Operator<"spline_points", Tensor(Tensor points, Tensor centers, Tensor weights, Tensor affine)>
-    spline_points{from<"spline_points_backward">};
-inline constexpr Operator<"spline_map",
+inline constexpr Operator<"thin_plate_points", Tensor(Tensor points, Tensor centers, Tensor weights, Tensor affine)>
+    thin_plate_points{from<"thin_plate_points_backward">};
+inline constexpr Operator<"thin_plate_map",
                           Tensor(Tensor centers, Tensor weights, Tensor affine, Ints size, bool align_corners)>
-    spline_map{from<"spline_map_backward">};
+    thin_plate_map{from<"thin_plate_map_backward">};
 
 // The system is symmetric, and what it multiplies is the spline at its own centers, and its weights' sums.
-inline constexpr Operator<"spline_weights", Tensor(Tensor centers, Tensor right)> spline_weights{
+inline constexpr Operator<"thin_plate_weights", Tensor(Tensor centers, Tensor rhs)> thin_plate_weights{
     [](Backward const& b) -> variable_list {
       Tensor const x = b.tensor(0);
       int64_t const n = x.size(1);
-      Tensor const to_right = b.call(spline_weights, {{"right", b.grad()}})[0];
+      Tensor const to_right = b.call(thin_plate_weights, {{"rhs", b.grad()}})[0];
       if (!b.needs(0)) return {Tensor(), to_right};
       Tensor const both = b.call(spline_weights)[0], weights = both.narrow(1, 0, n);
       variable_list const to =
-          call("spline_points_backward", {to_right.narrow(1, 0, n), x, x, weights, both.narrow(1, n, 3)});
+          call("thin_plate_points_backward", {to_right.narrow(1, 0, n), x, x, weights, both.narrow(1, n, 3)});
       return {-(to[0] + to[1] + weights.matmul(to_right.narrow(1, n + 1, 2).mT())), to_right};
     }};
 
@@ -263,14 +263,14 @@ inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tenso
 
 inline constexpr Operator<"map_points", Tensor(Tensor points, OptionalTensor depth, Tensor matrix, String kind)>
     map_points{[](Backward const& b) { return b.call("map_points_backward", {{"to_matrix", b.needs(2)}}); }};
-inline constexpr Operator<"lens_map", Tensor(Tensor camera, Tensor coefficients, OptionalTensor tilt, Ints size)>
-    lens_map{from<"lens_map_backward">};
+inline constexpr Operator<"undistort_map", Tensor(Tensor camera, Tensor coefficients, OptionalTensor tilt, Ints size)>
+    undistort_map{from<"undistort_map_backward">};
 
 // Python differentiates these; C++ does in kvision::undistort_points and distort_points.
-inline constexpr Operator<"distort",
-                          Tensor(Tensor points, Tensor camera, Tensor wanted, Tensor coefficients, OptionalTensor tilt)>
+inline constexpr Operator<"distort_points",
+                          Tensor(Tensor points, Tensor camera, Tensor new_camera, Tensor coefficients, OptionalTensor tilt)>
     distort;
-inline constexpr Operator<"undistort", Tensor(Tensor points, Tensor camera, Tensor wanted, Tensor coefficients,
+inline constexpr Operator<"undistort_points", Tensor(Tensor points, Tensor camera, Tensor new_camera, Tensor coefficients,
                                               OptionalTensor tilt, int64_t steps)>
     undistort;
 

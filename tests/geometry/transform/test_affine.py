@@ -20,7 +20,7 @@ CUBE = torch.tensor([[0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] *
 class TestRotate(FormulaWarpTests):
     function = staticmethod(G.rotate)
     operators = (
-        *("warp_by_formula", "warp_image_gradient", "warp_matrix_gradient"),
+        *("warp_by_formula", "warp_image_backward", "warp_matrix_backward"),
         *("affine_matrix2d", "affine_matrix2d_backward"),
     )
     max_size = 7

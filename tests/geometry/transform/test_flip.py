@@ -54,7 +54,7 @@ class TestWindow(OpTests):
     """The operator behind crops of whole pixels and their gradients."""
 
     function = staticmethod(lambda x, corner, size: _window(x, corner, size))
-    operators = ("window",)
+    operators = ("crop",)
     bytes = True
     max_size = 7
     variants = [{"corner": [0, -1], "size": [2, 5]}, {"corner": [-1, 0], "size": [9, 4]}]

@@ -25,7 +25,7 @@ def target(x: Tensor) -> Tensor:
 
 class TestPhotometric(WarpTests):
     function = staticmethod(G.photometric_homography_loss)
-    operators = ("photometric", "warp", "warp_image_gradient")
+    operators = ("photometric", "warp", "warp_image_backward")
     max_size = 7
     bytes = False
     small = (1, 2, 5, 6)

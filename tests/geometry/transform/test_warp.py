@@ -16,7 +16,7 @@ from warp_tests import WarpTests, affine, homography, one
 G = K.geometry
 MODES = ("bilinear", "nearest", "bicubic")
 PADDINGS = ("zeros", "border", "reflection")
-WARP = ("warp", "warp_image_gradient", "warp_matrix_gradient")
+WARP = ("warp", "warp_image_backward", "warp_matrix_backward")
 
 
 class TestWarpAffine(WarpTests):
@@ -66,7 +66,7 @@ def unit_homography(x: Tensor) -> Tensor:
 
 class TestRemap(WarpTests):
     function = staticmethod(G.remap)
-    operators = ("remap", "remap_image_gradient", "remap_map_gradient")
+    operators = ("remap", "remap_image_backward", "remap_map_backward")
     max_size = 7
     variants = [
         {"map_x": lambda x: places(x, 3), "map_y": lambda x: places(x, 2)},

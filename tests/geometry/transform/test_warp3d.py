@@ -26,7 +26,7 @@ def homography(x: Tensor) -> Tensor:
 
 class TestWarpPerspective3d(WarpTests):
     function = staticmethod(G.warp_perspective3d)
-    operators = ("warp3d", "warp3d_volume_gradient", "warp3d_matrix_gradient")
+    operators = ("warp3d", "warp3d_volume_backward", "warp3d_matrix_backward")
     bytes = False
     variants = [
         {"M": homography, "dsize": (4, 5, 9)},
@@ -45,7 +45,7 @@ class TestWarpPerspective3d(WarpTests):
 class TestRotate3d(FormulaWarpTests):
     function = staticmethod(G.rotate3d)
     operators = (
-        *("warp3d_by_formula", "warp3d_volume_gradient", "warp3d_matrix_gradient"),
+        *("warp3d_by_formula", "warp3d_volume_backward", "warp3d_matrix_backward"),
         *("affine_matrix3d", "affine_matrix3d_backward"),
     )
     bytes = False

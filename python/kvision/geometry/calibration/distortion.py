@@ -261,17 +261,17 @@ def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor,
     return found if len(found) == 3 else (*found, grad.new_empty(grad.shape[0], 0, 3))
 
 
-_undistort = register("undistort", _undistorted)
-_distort = register("distort", _distorted)
+_undistort = register("undistort_points", _undistorted)
+_distort = register("distort_points", _distorted)
 # Where a lens shows the pixels of an image of a size: x and y, (B, 2, H, W).
 _map = register(
-    "lens_map",
+    "undistort_map",
     _map_reference,
     fake=lambda camera, coefficients, tilt, size: (batch_of(camera, coefficients, tilt), 2, *size),
     backward=_map_backward,
 )
 _map_gradient = register(
-    "lens_map_backward",
+    "undistort_map_backward",
     _map_gradient_reference,
     fake=lambda grad, camera, coefficients, tilt: [
         (grad.shape[0], 3, 3),

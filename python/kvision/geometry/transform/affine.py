@@ -43,7 +43,7 @@ def affine(
     """
     images = _images("affine", tensor)
     _check.shape("affine", "matrix", matrix, "B", 2, 3)
-    sampling.check_how("affine", mode, padding_mode, align_corners)
+    sampling.check_options("affine", mode, padding_mode, align_corners)
     matrix = sampling.cast_to_image("affine", images, "matrix", matrix)
     padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
     result = sampling.warp(images, matrix, None, list(images.shape[2:]), mode, padding, align_corners, True, False)
@@ -212,12 +212,12 @@ def _images(op: str, tensor: Any) -> Tensor:
 
 
 def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, numbers, *given):
-    sampling.check_how(op, mode, padding_mode, align_corners)
+    sampling.check_options(op, mode, padding_mode, align_corners)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     six = given + (None,) * (6 - len(given))
     size = list(images.shape[2:])
-    how = (size, mode, padding, align_corners, True, False)
-    result = sampling.warp_by_formula(images, *six, formula, numbers, *how)
+    options = (size, mode, padding, align_corners, True, False)
+    result = sampling.warp_by_formula(images, *six, formula, numbers, *options)
     return result[0] if tensor.dim() == 3 else result
 
 
@@ -393,5 +393,5 @@ class Affine(FunctionModule):
         sx, sy = (None, None) if shear is None else shear.unbind(-1)
         middle, x, y = _center("Affine", images, self.center)
         tensors = (angle, translation, factor, sx, sy, middle)
-        how = (self.mode, self.padding_mode, self.align_corners)
-        return _by_formula("Affine", input, images, *how, "affine_matrix2d", [1.0, x, y], *tensors)
+        options = (self.mode, self.padding_mode, self.align_corners)
+        return _by_formula("Affine", input, images, *options, "affine_matrix2d", [1.0, x, y], *tensors)

@@ -40,21 +40,21 @@ def _quad_shapes_reference(quads, others):
 _quad_shapes = register_formula("quad_shapes", _quad_shapes_reference, lambda *args: (6,))
 
 
-def _window_reference(input, corner, size):
+def _crop_pixels_reference(input, corner, size):
     (y, x), (h, w), (height, width) = corner, size, input.shape[2:]
     return F.pad(input, (-x, x + w - width, -y, y + h - height))
 
 
-def _window_backward(needs, grad, sizes, corner, size):
-    return [_window(grad, [-c for c in corner], list(sizes[2:]))]
+def _crop_pixels_backward(needs, grad, sizes, corner, size):
+    return [_crop_pixels(grad, [-c for c in corner], list(sizes[2:]))]
 
 
 # The pixels of a rectangle, zeros where it reaches outside. The transpose puts them where they came from.
-_window = register(
-    "window",
-    _window_reference,
+_crop_pixels = register(
+    "crop",
+    _crop_pixels_reference,
     fake=lambda input, corner, size: (*input.shape[:2], *size),
-    backward=_window_backward,
+    backward=_crop_pixels_backward,
     linear=True,
     bytes=True,
 )
@@ -159,7 +159,7 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     """The quadrangles `boxes` on the rectangle of `size` that begins at `first` (B, 2), None for the first pixel."""
     _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "B", 4, 2)
-    sampling.check_how(op, mode, padding_mode, align_corners)
+    sampling.check_options(op, mode, padding_mode, align_corners)
     images = pixels(input_tensor)
     boxes = sampling.cast_to_image(op, images, "boxes", boxes)
     if first is not None:
@@ -167,8 +167,8 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     h, w = size
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     numbers = [float(max(w - 1, 1)), float(max(h - 1, 1))]
-    how = (list(size), mode, padding, align_corners, False, False)
-    return sampling.warp_by_formula(images, boxes, first, None, None, None, None, "crop_matrix", numbers, *how)
+    options = (list(size), mode, padding, align_corners, False, False)
+    return sampling.warp_by_formula(images, boxes, first, None, None, None, None, "crop_matrix", numbers, *options)
 
 
 def crop_by_transform_mat(
@@ -229,14 +229,14 @@ def center_crop(
     """
     _check.images("center_crop", "input_tensor", input_tensor)
     h, w = _check.ints("center_crop", "size", size, 2)
-    sampling.check_how("center_crop", mode, padding_mode, align_corners)
+    sampling.check_options("center_crop", mode, padding_mode, align_corners)
     images = pixels(input_tensor)
     y, x = images.shape[2] - h, images.shape[3] - w
     if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
-        return _window(images, [y // 2, x // 2], [h, w])
+        return _crop_pixels(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
-    how = ([h, w], mode, padding, align_corners, False, False)
-    return sampling.warp_by_formula(images, *[None] * 6, "translation_matrix2d", [x / 2, y / 2], *how)
+    options = ([h, w], mode, padding, align_corners, False, False)
+    return sampling.warp_by_formula(images, *[None] * 6, "translation_matrix2d", [x / 2, y / 2], *options)
 
 
 def crop_by_indices(

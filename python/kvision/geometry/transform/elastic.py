@@ -58,7 +58,7 @@ def elastic_transform2d(
     op = "elastic_transform2d"
     _check.images(op, "image", image)
     _check.shape(op, "noise", noise, "B", 2, *image.shape[2:])
-    sampling.check_how(op, mode, padding_mode, align_corners)
+    sampling.check_options(op, mode, padding_mode, align_corners)
     images = pixels(image)
     noise = sampling.cast_to_image(op, images, "noise", noise)
     if isinstance(sigma, Tensor) or not _are_numbers(sigma):

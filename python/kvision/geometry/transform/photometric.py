@@ -21,25 +21,25 @@ _DISTANCES = ("l1", "l2", "charbonnier")
 def _loss(source, target, matrix, distance, eps, align_corners, normalized):
     """(B,): the separate steps, of which csrc/geometry/transform/photometric.h makes one."""
     source, target = source.to(matrix.dtype), target.to(matrix.dtype)
-    places = sampling.places_of(
+    coords = sampling.source_coords(
         matrix.expand(len(source), -1, -1), target.shape[2:], source.shape[2:], align_corners, False, normalized
     )
-    residual = sampling.sample(source, places, "bilinear", "fill", align_corners) - target
+    residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
     if distance == "l1":
         found = residual.abs()
     elif distance == "l2":
         found = residual * residual
     else:
         found = (residual * residual + eps * eps).sqrt()
-    seen = _seen(places, source)
+    seen = _seen(coords, source)
     total = torch.where(seen, found, 0).sum((1, 2, 3))
     return total / (seen.sum((1, 2, 3)) * source.shape[1])
 
 
-def _seen(places, source):
+def _seen(coords, source):
     """Which places (B, 1, h, w) lie between four pixels."""
     height, width = source.shape[2:]
-    u, v = (x.detach() for x in places)
+    u, v = (x.detach() for x in coords)
     return ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
 
 
@@ -65,7 +65,7 @@ def _image_gradients(grad, source, target, matrix, distance, eps, align_corners,
     x, y = source.to(matrix.dtype), target.to(matrix.dtype)
     (*size,), matrices = y.shape[2:], matrix.expand(len(x), -1, -1)
     sampled = "bilinear", "fill", align_corners, False, normalized
-    seen = _seen(sampling.places_of(matrices, size, x.shape[2:], *sampled[2:]), x)
+    seen = _seen(sampling.source_coords(matrices, size, x.shape[2:], *sampled[2:]), x)
     residual = sampling.warp(x, matrices, None, size, *sampled) - y
     if distance == "l1":
         slope = residual.sign()
@@ -75,7 +75,7 @@ def _image_gradients(grad, source, target, matrix, distance, eps, align_corners,
         slope = residual / (residual * residual + eps * eps).sqrt()
     share = grad / (seen.sum((1, 2, 3)) * x.shape[1])
     slope = torch.where(seen, slope * share[:, None, None, None], 0)
-    of_source = sampling.warp_image_gradient(slope, matrices, [*x.shape[2:]], *sampled)
+    of_source = sampling.warp_image_backward(slope, matrices, [*x.shape[2:]], *sampled)
     return of_source.to(source.dtype), -slope.to(target.dtype)
 
 
@@ -110,9 +110,9 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
     size, (*source_size,) = target.shape[2:], source.shape[2:]
 
     def residuals(m: Tensor) -> Any:
-        places = sampling.places_of(m, size, source_size, align_corners, False, normalized)
-        residual = sampling.sample(source, places, "bilinear", "fill", align_corners) - target
-        return residual.flatten(1), (residual, _seen(places, source))
+        coords = sampling.source_coords(m, size, source_size, align_corners, False, normalized)
+        residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
+        return residual.flatten(1), (residual, _seen(coords, source))
 
     # The derivative by each number of the matrix, but for the last one.
     columns = []

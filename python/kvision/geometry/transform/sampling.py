@@ -31,7 +31,7 @@ PADDINGS = ("zeros", "border", "reflection", "fill")
 
 def sample(
     image: Tensor,
-    places: Sequence[Tensor],
+    coords: Sequence[Tensor],
     interpolation: str,
     padding: str,
     align_corners: bool,
@@ -42,22 +42,22 @@ def sample(
     `padding` is 'border', 'reflection', or 'fill' with the numbers `fill` (B or 1, C or 1), None for 0.
     """
     batch, channels, *sizes = image.shape
-    taps = [_taps(x, n, interpolation, padding, align_corners) for x, n in zip(reversed(places), sizes)]
+    taps = [_taps(x, n, interpolation, padding, align_corners) for x, n in zip(reversed(coords), sizes)]
     pixels = image.flatten(2)
     outside: Any = 0.0 if fill is None else fill[..., None]
     total: Any = 0.0
-    for window in itertools.product(*taps):
+    for tap in itertools.product(*taps):
         index: Any = 0
         weight: Any = 1.0
         exists: Any = True
-        for size, (i, w, inside) in zip(sizes, window):
+        for size, (i, w, inside) in zip(sizes, tap):
             index, weight, exists = index * size + i, weight * w, exists & inside
         flat = index.flatten(1)[:, None].expand(batch, channels, -1)
         value = torch.where(exists.flatten(1)[:, None], pixels.gather(2, flat), outside)
         weight = weight.flatten(1)[:, None]
         # A tap of weight 0 is no part of the value, whatever it holds.
         total = total + weight * torch.where((weight == 0) & ~value.isfinite(), 0.0, value)
-    result: Tensor = total.unflatten(2, places[0].shape[1:])
+    result: Tensor = total.unflatten(2, coords[0].shape[1:])
     return result
 
 
@@ -105,21 +105,21 @@ def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tens
 # --- places of a matrix ---------------------------------------------------------------------------------------------
 
 
-def places_of(
+def source_coords(
     matrix: Tensor, output: Sequence[int], source: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
 ) -> list[Tensor]:
     """Where the pixels of the output lie in the source: x and y, (B, h, w)."""
-    wide = matrices.wide(matrix)
-    if wide.shape[1] == 2:
-        wide = homogeneous(wide)
+    promoted = matrices.wide(matrix)
+    if promoted.shape[1] == 2:
+        promoted = homogeneous(promoted)
     if inverse:
-        wide = adjugate(wide)
+        promoted = adjugate(promoted)
     if normalized:
-        wide = from_unit(source, align_corners, wide) @ wide @ to_unit(output, align_corners, wide)
-    wide = wide / _scale(wide.detach())
-    (h, w), m = output, wide[..., None, None]
-    x = torch.arange(w, dtype=wide.dtype, device=wide.device)
-    y = torch.arange(h, dtype=wide.dtype, device=wide.device)[:, None]
+        promoted = from_unit(source, align_corners, promoted) @ promoted @ to_unit(output, align_corners, promoted)
+    promoted = promoted / _scale(promoted.detach())
+    (h, w), m = output, promoted[..., None, None]
+    x = torch.arange(w, dtype=promoted.dtype, device=promoted.device)
+    y = torch.arange(h, dtype=promoted.dtype, device=promoted.device)[:, None]
     u, v, depth = (m[:, i, 0] * x + (m[:, i, 1] * y + m[:, i, 2]) for i in range(3))
     horizon = depth == 0
     depth = torch.where(horizon, 1, depth)
@@ -152,50 +152,50 @@ def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
 
 def _warp_reference(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized):
     matrix = matrix.expand(image.shape[0], -1, -1)
-    places = places_of(matrix, size, image.shape[2:], align_corners, inverse, normalized)
-    return sample(image, places, interpolation, padding, align_corners, fill)
+    coords = source_coords(matrix, size, image.shape[2:], align_corners, inverse, normalized)
+    return sample(image, coords, interpolation, padding, align_corners, fill)
 
 
-def _warp_backward(needs, grad, image, matrix, fill, size, *how):
+def _warp_backward(needs, grad, image, matrix, fill, size, *options):
     grads = [None, None, None]
     if needs[0]:
-        grads[0] = warp_image_gradient(grad, matrix, list(image.shape[2:]), *how)
+        grads[0] = warp_image_backward(grad, matrix, list(image.shape[2:]), *options)
     if needs[1]:
-        grads[1] = _warp_matrix_gradient(grad, image, matrix, fill, *how).sum_to_size(matrix.shape)
+        grads[1] = _warp_matrix_backward(grad, image, matrix, fill, *options).sum_to_size(matrix.shape)
     if needs[2]:
-        inside = warp(torch.ones_like(image[:, :1]), matrix, None, size, *how)
-        grads[2] = _to_fill(grad, inside, fill)
+        inside = warp(torch.ones_like(image[:, :1]), matrix, None, size, *options)
+        grads[2] = _grad_fill(grad, inside, fill)
     return grads
 
 
-def _to_fill(grad: Tensor, inside: Tensor, fill: Tensor) -> Tensor:
-    wide = fill.dtype
-    return (grad.to(wide) * (1 - inside.to(wide))).sum((2, 3)).sum_to_size(fill.shape)
+def _grad_fill(grad: Tensor, inside: Tensor, fill: Tensor) -> Tensor:
+    promoted = fill.dtype
+    return (grad.to(promoted) * (1 - inside.to(promoted))).sum((2, 3)).sum_to_size(fill.shape)
 
 
-def _image_gradient_reference(grad, matrix, size, *how):
+def _warp_image_backward_reference(grad, matrix, size, *options):
     def of_image(image: Tensor) -> Tensor:
-        return _warp_reference(image, matrix, None, grad.shape[2:], *how)
+        return _warp_reference(image, matrix, None, grad.shape[2:], *options)
 
     _, vjp_fn = torch.func.vjp(of_image, matrix.new_zeros(*grad.shape[:2], *size))
     return vjp_fn(grad.to(matrix.dtype))[0].to(grad.dtype)
 
 
-def _image_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
-    found = warp_image_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
+def _warp_image_backward_vjp(needs, grad_grad, grad, matrix, size, *options):
+    grads = warp_image_backward.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *options)
     if needs[0]:
-        found[0] = warp(grad_grad, matrix, None, list(grad.shape[2:]), *how)
-    return found
+        grads[0] = warp(grad_grad, matrix, None, list(grad.shape[2:]), *options)
+    return grads
 
 
-def _matrix_gradient_reference(grad, image, matrix, fill, *how):
-    wide = matrix.dtype
+def _matrix_backward_reference(grad, image, matrix, fill, *options):
+    promoted = matrix.dtype
 
     def of_matrix(matrix: Tensor) -> Tensor:
-        return _warp_reference(image.to(wide), matrix, fill, grad.shape[2:], *how)
+        return _warp_reference(image.to(promoted), matrix, fill, grad.shape[2:], *options)
 
     _, vjp_fn = torch.func.vjp(of_matrix, matrix.expand(image.shape[0], -1, -1))
-    return vjp_fn(grad.to(wide))[0]
+    return vjp_fn(grad.to(promoted))[0]
 
 
 def _adds_by_atomics(
@@ -207,20 +207,20 @@ def _adds_by_atomics(
 warp = register(
     "warp",
     _warp_reference,
-    fake=lambda image, matrix, fill, size, *how: (*image.shape[:2], *size),
+    fake=lambda image, matrix, fill, size, *options: (*image.shape[:2], *size),
     backward=_warp_backward,
     bytes=True,
 )
-warp_image_gradient = register(
-    "warp_image_gradient",
-    _image_gradient_reference,
-    fake=lambda grad, matrix, size, *how: grad.new_empty(*grad.shape[:2], *size),
-    backward=_image_gradient_backward,
+warp_image_backward = register(
+    "warp_image_backward",
+    _warp_image_backward_reference,
+    fake=lambda grad, matrix, size, *options: grad.new_empty(*grad.shape[:2], *size),
+    backward=_warp_image_backward_vjp,
     nondeterministic=_adds_by_atomics,
 )
-_warp_matrix_gradient = register(
-    "warp_matrix_gradient",
-    _matrix_gradient_reference,
+_warp_matrix_backward = register(
+    "warp_matrix_backward",
+    _matrix_backward_reference,
     fake=lambda grad, image, matrix, *rest: matrix.new_empty(image.shape[0], *matrix.shape[1:]),
     casts_outputs=True,
 )
@@ -252,18 +252,18 @@ def register_warp_by_formula(by: Operator, formulas: dict[str, Formula], *unused
         return formula, (*tensors, *args[7], *formula.rows), args[8:]
 
     def reference(image: Tensor, *args: Any) -> Tensor:
-        formula, given, how = split(image, args)
-        warped: Tensor = by.definition(image, formula.matrix.definition(*given), *unused, *how)
+        formula, given, options = split(image, args)
+        warped: Tensor = by.definition(image, formula.matrix.definition(*given), *unused, *options)
         return warped
 
     def backward(needs: Sequence[bool], grad: Tensor, image: Tensor, *args: Any) -> list[Tensor | None]:
-        formula, given, how = split(image, args)
+        formula, given, options = split(image, args)
         to_matrix = any(needs[1:7])
-        needed = (needs[0], to_matrix, *[False] * (len(unused) + len(how)))
-        found = by.backward(needed, grad, image, formula.matrix(*given), *unused, *how)
+        needed = (needs[0], to_matrix, *[False] * (len(unused) + len(options)))
+        grads = by.backward(needed, grad, image, formula.matrix(*given), *unused, *options)
         if not to_matrix:
-            return [found[0]]
-        return [found[0], *formula.matrix.backward(needs[1:], found[1], *given)[:6]]
+            return [grads[0]]
+        return [grads[0], *formula.matrix.backward(needs[1:], grads[1], *given)[:6]]
 
     return register(
         f"{by.name}_by_formula",
@@ -290,59 +290,59 @@ warp_by_formula = register_warp_by_formula(
 # --- remap ----------------------------------------------------------------------------------------------------------
 
 
-def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, moves):
-    places = []
-    for axis, (places_, size) in enumerate(((map_x, image.shape[3]), (map_y, image.shape[2]))):
-        places_ = places_.expand(image.shape[0], -1, -1)
+def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_corners, normalized, displacements):
+    coords = []
+    for axis, (coord, size) in enumerate(((map_x, image.shape[3]), (map_y, image.shape[2]))):
+        coord = coord.expand(image.shape[0], -1, -1)
         if normalized:
-            places_ = places_ * ((size - 1 if align_corners else size) / 2)
-        if moves:
-            own = torch.arange(places_.shape[2 - axis], dtype=places_.dtype, device=places_.device)
-            places_ = places_ + (own[:, None] if axis else own)
+            coord = coord * ((size - 1 if align_corners else size) / 2)
+        if displacements:
+            index = torch.arange(coord.shape[2 - axis], dtype=coord.dtype, device=coord.device)
+            coord = coord + (index[:, None] if axis else index)
         elif normalized:
-            places_ = places_ + (size - 1) / 2
-        places.append(places_)
-    return sample(image, places, interpolation, padding, align_corners, fill)
+            coord = coord + (size - 1) / 2
+        coords.append(coord)
+    return sample(image, coords, interpolation, padding, align_corners, fill)
 
 
-def _remap_backward(needs, grad, image, map_x, map_y, fill, *how):
+def _remap_backward(needs, grad, image, map_x, map_y, fill, *options):
     grads = [None, None, None, None]
     if needs[0]:
-        grads[0] = _remap_image_gradient(grad, map_x, map_y, list(image.shape[2:]), *how)
+        grads[0] = _remap_image_backward(grad, map_x, map_y, list(image.shape[2:]), *options)
     if needs[1] or needs[2]:
-        found = _remap_map_gradient(grad, image, map_x, map_y, fill, *how)
-        grads[1:3] = (g.sum_to_size(map_x.shape) for g in found)
+        map_grads = _remap_map_backward(grad, image, map_x, map_y, fill, *options)
+        grads[1:3] = (g.sum_to_size(map_x.shape) for g in map_grads)
     if needs[3]:
-        inside = remap(torch.ones_like(image[:, :1]), map_x, map_y, None, *how)
-        grads[3] = _to_fill(grad, inside, fill)
+        inside = remap(torch.ones_like(image[:, :1]), map_x, map_y, None, *options)
+        grads[3] = _grad_fill(grad, inside, fill)
     return grads
 
 
-def _remap_image_gradient_reference(grad, map_x, map_y, size, *how):
+def _remap_image_backward_reference(grad, map_x, map_y, size, *options):
     def of_image(image: Tensor) -> Tensor:
-        return _remap_reference(image, map_x, map_y, None, *how)
+        return _remap_reference(image, map_x, map_y, None, *options)
 
     _, vjp_fn = torch.func.vjp(of_image, map_x.new_zeros(*grad.shape[:2], *size))
     return vjp_fn(grad.to(map_x.dtype))[0].to(grad.dtype)
 
 
-def _remap_image_gradient_backward(needs, grad_grad, grad, map_x, map_y, size, *how):
+def _remap_image_backward_vjp(needs, grad_grad, grad, map_x, map_y, size, *options):
     kept = (False, *needs[1:])
-    found = _remap_image_gradient.differentiate_reference(kept, grad_grad, grad, map_x, map_y, size, *how)
+    grads = _remap_image_backward.differentiate_reference(kept, grad_grad, grad, map_x, map_y, size, *options)
     if needs[0]:
-        found[0] = remap(grad_grad, map_x, map_y, None, *how)
-    return found
+        grads[0] = remap(grad_grad, map_x, map_y, None, *options)
+    return grads
 
 
-def _map_gradient_reference(grad, image, map_x, map_y, fill, *how):
-    wide = map_x.dtype
+def _map_backward_reference(grad, image, map_x, map_y, fill, *options):
+    promoted = map_x.dtype
 
     def of_map(map_x: Tensor, map_y: Tensor) -> Tensor:
-        return _remap_reference(image.to(wide), map_x, map_y, fill, *how)
+        return _remap_reference(image.to(promoted), map_x, map_y, fill, *options)
 
     maps = (m.expand(image.shape[0], -1, -1) for m in (map_x, map_y))
     _, vjp_fn = torch.func.vjp(of_map, *maps)
-    return vjp_fn(grad.to(wide))
+    return vjp_fn(grad.to(promoted))
 
 
 remap = register(
@@ -352,16 +352,16 @@ remap = register(
     backward=_remap_backward,
     bytes=True,
 )
-_remap_image_gradient = register(
-    "remap_image_gradient",
-    _remap_image_gradient_reference,
-    fake=lambda grad, map_x, map_y, size, *how: grad.new_empty(*grad.shape[:2], *size),
-    backward=_remap_image_gradient_backward,
+_remap_image_backward = register(
+    "remap_image_backward",
+    _remap_image_backward_reference,
+    fake=lambda grad, map_x, map_y, size, *options: grad.new_empty(*grad.shape[:2], *size),
+    backward=_remap_image_backward_vjp,
     nondeterministic=on_cuda,
 )
-_remap_map_gradient = register(
-    "remap_map_gradient",
-    _map_gradient_reference,
+_remap_map_backward = register(
+    "remap_map_backward",
+    _map_backward_reference,
     fake=lambda grad, image, map_x, *rest: [map_x.new_empty(image.shape[0], *map_x.shape[1:]) for _ in range(2)],
     casts_outputs=True,
 )
@@ -369,7 +369,7 @@ _remap_map_gradient = register(
 # --- arguments ------------------------------------------------------------------------------------------------------
 
 
-def check_how(op: str, mode: Any, padding_mode: Any, align_corners: Any) -> None:
+def check_options(op: str, mode: Any, padding_mode: Any, align_corners: Any) -> None:
     """Raise unless these are an interpolation, a padding and a bool."""
     if mode not in INTERPOLATIONS:
         _check.choice(op, "mode", mode, INTERPOLATIONS)

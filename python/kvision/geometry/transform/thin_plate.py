@@ -70,13 +70,13 @@ def _batch(*given: Tensor) -> int:
 
 
 _points = register(
-    "spline_points",
+    "thin_plate_points",
     _points_reference,
     fake=lambda points, *spline: (_batch(points, *spline), *points.shape[1:]),
     backward=_points_backward,
 )
 _points_gradient = register(
-    "spline_points_backward",
+    "thin_plate_points_backward",
     _points_gradient_reference,
     fake=lambda grad, points, centers, weights, affine: [
         (grad.shape[0], *x.shape[1:]) for x in (points, centers, weights, affine)
@@ -84,13 +84,13 @@ _points_gradient = register(
 )
 # Of the pixels of an image in [-1, 1]: (B, 2, h, w).
 _map = register(
-    "spline_map",
+    "thin_plate_map",
     _map_reference,
     fake=lambda centers, weights, affine, size, _: (_batch(centers, weights, affine), 2, *size),
     backward=_map_backward,
 )
 _map_gradient = register(
-    "spline_map_backward",
+    "thin_plate_map_backward",
     _map_gradient_reference,
     fake=lambda grad, *given: [(grad.shape[0], *x.shape[1:]) for x in given[:3]],
 )
@@ -119,7 +119,7 @@ def _weights_backward(needs, grad, found, centers, right):
 # The weights (B, N + 3, 2), of centres (B, N, 2) and then of the affine part, with values `right` at the centres and
 # three sums.
 _weights = register(
-    "spline_weights",
+    "thin_plate_weights",
     _weights_reference,
     fake=lambda centers, right: (_batch(centers, right), *right.shape[1:]),
     backward=_weights_backward,
@@ -244,7 +244,7 @@ def warp_image_tps(
     op = "warp_image_tps"
     _check.images(op, "image", image)
     _check_spline(op, kernel_centers, kernel_weights, affine_weights)
-    sampling.check_how(op, "bilinear", padding_mode, align_corners)
+    sampling.check_options(op, "bilinear", padding_mode, align_corners)
     images = pixels(image)
     spline = (sampling.cast_to_image(op, images, "spline", x) for x in (kernel_centers, kernel_weights, affine_weights))
     x, y = _map(*spline, list(image.shape[2:]), align_corners).unbind(1)

@@ -84,7 +84,7 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
     _check.images(op, "src", src)
     _check.shape(op, "M", M, "B", rows, 3)
     size = _check.ints(op, "dsize", dsize, 2)
-    sampling.check_how(op, mode, padding_mode, align_corners)
+    sampling.check_options(op, mode, padding_mode, align_corners)
     src, M = broadcast_batch(op, src, "M", M)
     padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value)
     return sampling.warp(src, M, fill, list(size), mode, padding, align_corners, True, False)
@@ -141,7 +141,7 @@ def homography_warp(
     _check.images(op, "patch_src", patch_src)
     _check.shape(op, "src_homo_dst", src_homo_dst, "B", 3, 3)
     size = _check.ints(op, "dsize", dsize, 2)
-    sampling.check_how(op, mode, padding_mode, align_corners)
+    sampling.check_options(op, mode, padding_mode, align_corners)
     if padding_mode == "fill":
         _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag(op, "normalized_coordinates", normalized_coordinates)
@@ -194,7 +194,7 @@ def remap(
     if 0 in map_x.shape[1:]:
         raise ShapeError(f"remap: expected map_x with H, W of at least 1, got {tuple(map_x.shape)}")
     align_corners = False if align_corners is None else align_corners
-    sampling.check_how("remap", mode, padding_mode, align_corners)
+    sampling.check_options("remap", mode, padding_mode, align_corners)
     if padding_mode == "fill":
         _check.choice("remap", "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag("remap", "normalized_coordinates", normalized_coordinates)

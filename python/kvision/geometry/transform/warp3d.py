@@ -238,10 +238,10 @@ def _warp(
     inverse: bool = True,
     normalized: bool = False,
 ) -> Tensor:
-    how = _how(op, dsize, mode, padding_mode, align_corners)
+    options = _how(op, dsize, mode, padding_mode, align_corners)
     volumes = floats(volumes)
     matrix = sampling.cast_to_image(op, volumes, "matrix", matrix)
-    return _warp3d(volumes, matrix, *how, inverse, normalized)
+    return _warp3d(volumes, matrix, *options, inverse, normalized)
 
 
 def by_formula(
@@ -257,9 +257,9 @@ def by_formula(
     *given: Tensor | None,
 ) -> Tensor:
     """Warp volumes by the matrix that a formula makes of up to six tensors, in the type that computes, and numbers."""
-    how = _how(op, dsize, mode, padding_mode, align_corners)
+    options = _how(op, dsize, mode, padding_mode, align_corners)
     six = given + (None,) * (6 - len(given))
-    return _warp3d_by_formula(floats(volumes), *six, formula, numbers, *how, inverse, False)
+    return _warp3d_by_formula(floats(volumes), *six, formula, numbers, *options, inverse, False)
 
 
 def _how(op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_corners: bool) -> tuple[Any, ...]:
@@ -283,9 +283,9 @@ def _reference(volumes, matrix, size, interpolation, padding, align_corners, inv
         m = _from_unit(source, align_corners, m) @ m @ _to_unit(output, align_corners, m)
     axes = [torch.arange(n, dtype=matrix.dtype, device=matrix.device) for n in size]
     z, y, x = torch.meshgrid(*axes, indexing="ij")
-    places = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
-    places = [p.expand(volumes.shape[0], -1, -1, -1) for p in places]
-    return sampling.sample(volumes, places, interpolation, padding, align_corners)
+    coords = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
+    coords = [p.expand(volumes.shape[0], -1, -1, -1) for p in coords]
+    return sampling.sample(volumes, coords, interpolation, padding, align_corners)
 
 
 def _from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
@@ -302,34 +302,34 @@ def _to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     return by_axes(lines, like.device, like.dtype)
 
 
-def _backward(needs, grad, volumes, matrix, size, *how):
+def _backward(needs, grad, volumes, matrix, size, *options):
     grads = [None, None]
-    wide = grad.to(matrix.dtype)
+    promoted = grad.to(matrix.dtype)
     if needs[0]:
-        grads[0] = _volume_gradient(wide, matrix, list(volumes.shape[2:]), *how).to(grad.dtype)
+        grads[0] = _volume_backward(promoted, matrix, list(volumes.shape[2:]), *options).to(grad.dtype)
     if needs[1]:
-        grads[1] = _matrix_gradient(wide, volumes.to(matrix.dtype), matrix, *how).sum_to_size(matrix.shape)
+        grads[1] = _matrix_backward(promoted, volumes.to(matrix.dtype), matrix, *options).sum_to_size(matrix.shape)
     return grads
 
 
-def _volume_gradient_reference(grad, matrix, size, *how):
+def _volume_backward_reference(grad, matrix, size, *options):
     def of_volumes(volumes: Tensor) -> Tensor:
-        return _reference(volumes, matrix, grad.shape[2:], *how)
+        return _reference(volumes, matrix, grad.shape[2:], *options)
 
     _, vjp_fn = torch.func.vjp(of_volumes, grad.new_zeros(*grad.shape[:2], *size))
     return vjp_fn(grad)[0]
 
 
-def _volume_gradient_backward(needs, grad_grad, grad, matrix, size, *how):
-    found = _volume_gradient.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *how)
+def _volume_backward_vjp(needs, grad_grad, grad, matrix, size, *options):
+    grads = _volume_backward.differentiate_reference((False, *needs[1:]), grad_grad, grad, matrix, size, *options)
     if needs[0]:
-        found[0] = _warp3d(grad_grad, matrix, list(grad.shape[2:]), *how)
-    return found
+        grads[0] = _warp3d(grad_grad, matrix, list(grad.shape[2:]), *options)
+    return grads
 
 
-def _matrix_gradient_reference(grad, volumes, matrix, *how):
+def _matrix_backward_reference(grad, volumes, matrix, *options):
     def of_matrix(matrix: Tensor) -> Tensor:
-        return _reference(volumes, matrix, grad.shape[2:], *how)
+        return _reference(volumes, matrix, grad.shape[2:], *options)
 
     _, vjp_fn = torch.func.vjp(of_matrix, matrix.expand(volumes.shape[0], -1, -1))
     return vjp_fn(grad)[0]
@@ -338,20 +338,20 @@ def _matrix_gradient_reference(grad, volumes, matrix, *how):
 _warp3d = register(
     "warp3d",
     _reference,
-    fake=lambda volumes, matrix, size, *how: (*volumes.shape[:2], *size),
+    fake=lambda volumes, matrix, size, *options: (*volumes.shape[:2], *size),
     backward=_backward,
 )
-_volume_gradient = register(
-    "warp3d_volume_gradient",
-    _volume_gradient_reference,
-    fake=lambda grad, matrix, size, *how: (*grad.shape[:2], *size),
-    backward=_volume_gradient_backward,
+_volume_backward = register(
+    "warp3d_volume_backward",
+    _volume_backward_reference,
+    fake=lambda grad, matrix, size, *options: (*grad.shape[:2], *size),
+    backward=_volume_backward_vjp,
     nondeterministic=on_cuda,
 )
-_matrix_gradient = register(
-    "warp3d_matrix_gradient",
-    _matrix_gradient_reference,
-    fake=lambda grad, volumes, matrix, *how: matrix.new_empty(volumes.shape[0], *matrix.shape[1:]),
+_matrix_backward = register(
+    "warp3d_matrix_backward",
+    _matrix_backward_reference,
+    fake=lambda grad, volumes, matrix, *options: matrix.new_empty(volumes.shape[0], *matrix.shape[1:]),
 )
 _warp3d_by_formula = sampling.register_warp_by_formula(
     _warp3d,

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import kvision as K
-from kvision.geometry.transform.crop import _window
+from kvision.geometry.transform.crop import _crop_pixels
 from op_tests import OpTests, instruction_set
 
 G = K.geometry
@@ -53,7 +53,7 @@ class TestRot180(FlipTests):
 class TestWindow(OpTests):
     """The operator behind crops of whole pixels and their gradients."""
 
-    function = staticmethod(lambda x, corner, size: _window(x, corner, size))
+    function = staticmethod(lambda x, corner, size: _crop_pixels(x, corner, size))
     operators = ("crop",)
     bytes = True
     max_size = 7

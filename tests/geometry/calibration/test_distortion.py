@@ -186,7 +186,7 @@ ROWS = near(QUADS), near(CAMERA), near(CAMERA), lambda: 0.1 * LENS + 0.01 * torc
 
 class TestDistortionOperators(PointOpTests):
     calls = {
-        "distort": [
+        "distort_points": [
             Call(ROWS, broadcasts=False, accepted=("points cut",), dtypes=SINGLE_AND_DOUBLE, tolerance=20),
             Call(
                 (*ROWS[:3], lambda: LENS[:5] * torch.rand(5), None),
@@ -196,7 +196,7 @@ class TestDistortionOperators(PointOpTests):
                 tolerance=20,
             ),
         ],
-        "undistort": [
+        "undistort_points": [
             Call(
                 ROWS,
                 (5,),
@@ -207,5 +207,5 @@ class TestDistortionOperators(PointOpTests):
                 tolerance=20,
             )
         ],
-        "lens_map": [Call((near(IMAGE_CAMERA[0]), *ROWS[3:]), ([5, 6],), dtypes=SINGLE_AND_DOUBLE, tolerance=50)],
+        "undistort_map": [Call((near(IMAGE_CAMERA[0]), *ROWS[3:]), ([5, 6],), dtypes=SINGLE_AND_DOUBLE, tolerance=50)],
     }

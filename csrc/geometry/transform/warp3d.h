@@ -192,7 +192,8 @@ KV_HD void homography3_vjp(F const* given, MatrixUse3 const& use, double* g, F* 
 
 // What a voxel of the output, whose place has the gradient `grad_coords`, gives to the sums of its matrix.
 template <class F, class Sum>
-KV_HD void accumulate_matrix_grad3(F const (&grad_coords)[3], F const(&coords)[3], F weight, F x, F y, F z, Sum* sums) {
+KV_HD void accumulate_matrix_grad3(F const (&grad_coords)[3], F const (&coords)[3], F weight, F x, F y, F z,
+                                   Sum* sums) {
   F const at[] = {x, y, z, F(1)};
   F grad_rows[4] = {};
   for (int i = 0; i < 3; ++i) {

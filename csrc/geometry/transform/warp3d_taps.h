@@ -18,7 +18,7 @@ struct TapWindow3 {
   F weight[3][K], derivative[3][K];
 
   template <class T>
-  KV_TAPS3 TapWindow3(Warp3d<T> const& p, F const(&coords)[3]) {
+  KV_TAPS3 TapWindow3(Warp3d<T> const& p, F const (&coords)[3]) {
     int64_t stride = 1;
     for (int i = 0; i < 3; ++i) {
       Axis<F> const axis = p.axis(i);

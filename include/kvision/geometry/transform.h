@@ -280,15 +280,16 @@ inline std::tuple<Tensor, Tensor> get_tps_transform(Tensor const& points_src, Te
 }
 inline Tensor warp_points_tps(Tensor const& points_src, Tensor const& kernel_centers, Tensor const& kernel_weights,
                               Tensor const& affine_weights) {
-  return ops::thin_plate_points(detail::shaped("warp_points_tps", "points_src", points_src, 3, "(B, N, 2)"), kernel_centers,
-                            kernel_weights, affine_weights);
+  return ops::thin_plate_points(detail::shaped("warp_points_tps", "points_src", points_src, 3, "(B, N, 2)"),
+                                kernel_centers, kernel_weights, affine_weights);
 }
 inline Tensor warp_image_tps(Tensor const& image, Tensor const& kernel_centers, Tensor const& kernel_weights,
                              Tensor const& affine_weights, bool align_corners = false,
                              PaddingMode padding_mode = PaddingMode::zeros) {
   detail::images("warp_image_tps", "image", image);
-  Tensor const map = ops::thin_plate_map(detail::computed(kernel_centers, image), detail::computed(kernel_weights, image),
-                                     detail::computed(affine_weights, image), detail::image_size(image), align_corners);
+  Tensor const map =
+      ops::thin_plate_map(detail::computed(kernel_centers, image), detail::computed(kernel_weights, image),
+                          detail::computed(affine_weights, image), detail::image_size(image), align_corners);
   return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, "bilinear", detail::name(padding_mode),
                     align_corners, true, false);
 }

@@ -143,7 +143,7 @@ inline constexpr Operator<"flip", Tensor(Tensor input, bool columns, bool rows)>
 inline constexpr Operator<"crop", Tensor(Tensor input, Ints corner, Ints size)> crop{
     [](Backward const& b) {
       auto const corner = b.arguments[1].toIntVector();
-      return b.call(window, {{"input", b.grad()}, {"corner", Ints{-corner[0], -corner[1]}}, {"size", b.image_size()}});
+      return b.call(crop, {{"input", b.grad()}, {"corner", Ints{-corner[0], -corner[1]}}, {"size", b.image_size()}});
     },
     0, false};
 
@@ -163,7 +163,7 @@ inline constexpr Operator<"thin_plate_weights", Tensor(Tensor centers, Tensor rh
       int64_t const n = x.size(1);
       Tensor const to_right = b.call(thin_plate_weights, {{"rhs", b.grad()}})[0];
       if (!b.needs(0)) return {Tensor(), to_right};
-      Tensor const both = b.call(spline_weights)[0], weights = both.narrow(1, 0, n);
+      Tensor const both = b.call(thin_plate_weights)[0], weights = both.narrow(1, 0, n);
       variable_list const to =
           call("thin_plate_points_backward", {to_right.narrow(1, 0, n), x, x, weights, both.narrow(1, n, 3)});
       return {-(to[0] + to[1] + weights.matmul(to_right.narrow(1, n + 1, 2).mT())), to_right};
@@ -267,12 +267,12 @@ inline constexpr Operator<"undistort_map", Tensor(Tensor camera, Tensor coeffici
     undistort_map{from<"undistort_map_backward">};
 
 // Python differentiates these; C++ does in kvision::undistort_points and distort_points.
-inline constexpr Operator<"distort_points",
-                          Tensor(Tensor points, Tensor camera, Tensor new_camera, Tensor coefficients, OptionalTensor tilt)>
-    distort;
-inline constexpr Operator<"undistort_points", Tensor(Tensor points, Tensor camera, Tensor new_camera, Tensor coefficients,
-                                              OptionalTensor tilt, int64_t steps)>
-    undistort;
+inline constexpr Operator<"distort_points", Tensor(Tensor points, Tensor camera, Tensor new_camera, Tensor coefficients,
+                                                   OptionalTensor tilt)>
+    distort_points;
+inline constexpr Operator<"undistort_points", Tensor(Tensor points, Tensor camera, Tensor new_camera,
+                                                     Tensor coefficients, OptionalTensor tilt, int64_t steps)>
+    undistort_points;
 
 // --- least squares
 // ----------------------------------------------------------------------------------------------------

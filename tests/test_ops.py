@@ -395,9 +395,9 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
     assert names == {
         "depth_warp_image_gradient",
         "quadratic_peaks_backward",
-        "remap_image_gradient",
-        "warp3d_volume_gradient",
-        "warp_image_gradient",
+        "remap_image_backward",
+        "warp3d_volume_backward",
+        "warp_image_backward",
     }
     x, matrix = torch.zeros(1, 1, 2, 2), torch.zeros(1, 2, 3)
     for name in names:

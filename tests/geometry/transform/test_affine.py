@@ -115,8 +115,8 @@ def test_unknown_formulas(wrong, device, backend):
         ([(1, 2), (1, 2)], [0.0, 0.0], "expected 0 to 1 tensors"),
         ([(1, 3)], [0.0, 0.0], r"expected tensor 1 of shape \(B, 2\)"),
         ([(3, 2)], [0.0, 0.0], "expected tensors with 1 or 2 rows, got 3"),
-        ([(1, 2)], [0.0], "expected 2 numbers, got 1"),
-        ([(1, 2)], [0.0] * 9, "expected 2 numbers, got 9"),
+        ([(1, 2)], [0.0], "expected 2 scalars, got 1"),
+        ([(1, 2)], [0.0] * 9, "expected 2 scalars, got 9"),
     ],
 )
 def test_wrong_inputs_of_a_formula(given, plain, message, device, backend):

@@ -218,8 +218,7 @@ def serves(name: str, x: Tensor) -> str:
 
 def register(name: str, reference: Callable[..., Any], **rules: Any) -> Operator:
     """Tie the kernels of `torch.ops.kvision.<name>` to their reference; see Operator for the rules."""
-    conditional = rules.get("supports") or rules.get("nondeterministic")
-    operators[name] = (ConditionalOperator if conditional else Operator)(name, reference, **rules)
+    operators[name] = Operator(name, reference, **rules)
     return operators[name]
 
 
@@ -302,6 +301,12 @@ class Operator:
         served = self._on_cpu if x.is_cpu else self._on_cuda if x.is_cuda else ()
         if (_ask_backend or x.dtype not in served) and not self.is_native(x):
             return self.reference(*args)
+        if self.supports is not None and (reason := self.supports(*args)) is not None:
+            return self._call_reference(reason, args)
+        if self.nondeterministic and torch.are_deterministic_algorithms_enabled():
+            if self.nondeterministic is True or self.nondeterministic(*args):
+                reason = "its kernel is not deterministic and torch.use_deterministic_algorithms is on"
+                return self._call_reference(reason, args)
         if is_compiling():
             return self.kernel(*args)
         if in_function_transform():
@@ -315,7 +320,7 @@ class Operator:
         with below_autograd():
             return self._call_kernel(*args)
 
-    # The one predicate on devices and types; ConditionalOperator adds one on the other arguments.
+    # The one predicate on devices and types; `supports` is the one on all arguments.
     def is_native(self, x: Tensor) -> bool:
         """Whether the kernels serve a call on `x`; raises under backend("native") where they do not."""
         chosen = current_backend()
@@ -332,6 +337,12 @@ class Operator:
         """What has to hold for the kernels to serve a call, besides its device and type."""
         stated = [(self.supports.__doc__ or "").partition("\n")[0]] if self.supports else []
         return [*stated, "torch.use_deterministic_algorithms is off."] if self.nondeterministic else stated
+
+    def _call_reference(self, reason: str, args: Sequence[Any]) -> Any:
+        """Call the reference, because of `reason`; raises under backend("native")."""
+        if _ask_backend and current_backend() == "native":
+            self._refuse(reason)
+        return self.reference(*args)
 
     def _refuse(self, reason: str) -> None:
         raise RuntimeError(f"{self.name}: backend 'native' was asked for, but {reason}; see kvision.info()")
@@ -460,27 +471,6 @@ class Operator:
             return tuple(y for i, y in enumerate(output) if i not in excluded) if excluded else output
 
         return f
-
-
-class ConditionalOperator(Operator):
-    """An operator whose kernel does not serve every call: one with `supports` or `nondeterministic`."""
-
-    def __call__(self, *args: Any) -> Any:
-        reason = self.why_reference(*args)
-        if reason is None:
-            return Operator.__call__(self, *args)
-        if current_backend() == "native":
-            self._refuse(reason)
-        return self.reference(*args)
-
-    def why_reference(self, *args: Any) -> str | None:
-        """The reason why the reference serves these arguments, or None where the kernel may."""
-        if self.supports is not None and (reason := self.supports(*args)) is not None:
-            return reason
-        if self.nondeterministic and torch.are_deterministic_algorithms_enabled():
-            if self.nondeterministic is True or self.nondeterministic(*args):
-                return "its kernel is not deterministic and torch.use_deterministic_algorithms is on"
-        return None
 
 
 def not_empty(x: Tensor, *_: Any) -> str | None:

@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
 from kvision._modules import FunctionModule
-from kvision._ops import not_empty, register, vjp
+from kvision._ops import register, vjp
 from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
@@ -72,7 +72,7 @@ def _supports(depth: Tensor, image: Tensor, *_: float) -> str | None:
     """Depth has one channel, and images have at least one element."""
     if depth.shape[1] != 1:
         return f"there is no kernel for {depth.shape[1]} maps of depth an image, only for one"
-    return not_empty(image)
+    return None if image.numel() else "there is no kernel for images without elements"
 
 
 _smoothness = register(

@@ -4,7 +4,7 @@
     >>> K.filters.sobel(torch.rand(1, 3, 8, 8)).shape
     torch.Size([1, 3, 8, 8])
 
-`kvision.info()` tells what was built and what serves which device.
+`kvision.info()` prints what was built and which types of which device the kernels serve.
 """
 
 import importlib
@@ -28,7 +28,7 @@ from kvision import (
 from kvision._ops import backend
 from kvision._version import __version__
 
-# The names that have a home at the top level, too: those of the Kornia paper's examples and those Kornia 0.9 has there.
+# Names at the top level: those in the examples of Kornia's paper, and those that Kornia 0.9 has there.
 from kvision.color import bgr_to_rgb, rgb_to_grayscale
 from kvision.contrib import extract_tensor_patches
 from kvision.enhance import normalize
@@ -119,6 +119,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name == "info":  # imported late, because `python -m kvision.info` warns when it is loaded before it runs
+    if name == "info":  # imported late: `python -m kvision.info` warns about a module that is loaded before it runs
         return importlib.import_module("kvision.info")
     raise AttributeError(f"module 'kvision' has no attribute {name!r}")

@@ -117,7 +117,7 @@ def volumes(op: str, name: str, x: Any) -> None:
 
 
 def values_are_readable(x: Tensor) -> bool:
-    """Whether one may look at values without waiting for a device, and without breaking a trace or a transform."""
+    """Whether values of `x` can be read without waiting for a device, and without breaking a trace or a transform."""
     return x.device.type == "cpu" and not (torch.compiler.is_compiling() or in_function_transform())
 
 
@@ -203,7 +203,7 @@ def fits_float(value: float) -> bool:
 
 
 def reflectable(op: str, x: Tensor, pads: Sequence[int], border_type: str) -> None:
-    """Raise ShapeError where a border of `pads` pixels along the trailing axes of `x` would reach past the other rim.
+    """Raise ShapeError where a border of `pads` pixels along the trailing axes of `x` would reach past the opposite edge.
 
     'reflect' needs more pixels than it mirrors, 'circular' as many as it repeats; torch's padding has the same limits.
     """

@@ -1,4 +1,4 @@
-"""The number types an operator on images takes and computes in; _ops.with_kernel_casts has how it stores its result."""
+"""The types that operators on images take and compute in; _ops.with_kernel_casts casts the results."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ def floats(x: Tensor) -> Tensor:
 
 
 def pixels(x: Tensor) -> Tensor:
-    """`x` as an operator with uint8 results takes it: floating point or uint8, other integers as float32."""
+    """`x`, or its float32 copy where it holds integers other than uint8: the input of operators with uint8 results."""
     return x if x.is_floating_point() or x.dtype == torch.uint8 else x.float()
 
 
 def compute_dtype(x: Tensor) -> torch.dtype:
-    """The type an operator on images `x` computes in: float64 for float64, otherwise float32."""
+    """The type in which operators on images `x` compute: float64 for float64, otherwise float32."""
     return torch.float64 if x.dtype == torch.float64 else torch.float32
 
 
 def as_dtype(x: Tensor, dtype: torch.dtype) -> Tensor:
-    """`x` in this type; where it has that, no call of torch's finds it out."""
+    """`x.to(dtype)`, without a call of torch where `x` has this type."""
     return x if x.dtype == dtype else x.to(dtype)

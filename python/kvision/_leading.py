@@ -1,4 +1,4 @@
-"""Leading axes of any number: images (*, C, H, W) for operators on batches (B, C, H, W), and shapes that broadcast."""
+"""Any number of leading axes: images (*, C, H, W) for operators on batches (B, C, H, W), and shapes that broadcast."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def apply_on_batch(operator: Callable[..., Any], image: Tensor, *args: Any) -> Any:
-    """`operator(image, *args)` on the flattened batch of `image`; its results get the leading axes of `image` back."""
+    """Call `operator` on `image` with its leading axes flattened to one batch, and restore them in the results."""
     if image.dim() == 4:
         return operator(image, *args)
     leading = image.shape[:-3]
@@ -26,16 +26,16 @@ def apply_on_batch(operator: Callable[..., Any], image: Tensor, *args: Any) -> A
 def broadcast_shapes(*shapes: Sequence[int]) -> Sequence[int]:
     """The shape that all `shapes` broadcast to.
 
-    torch.broadcast_shapes takes as long as a kernel on few points, and most of the time the shapes are equal.
+    Equal shapes, the usual case, do not call torch.broadcast_shapes, which takes as long as a kernel on few points.
     """
     common = shapes[0] or shapes[-1]
     return common if all(s == common or not s for s in shapes) else torch.broadcast_shapes(*shapes)
 
 
 def expand_to_batch(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
-    """Expand x (*, ...) to the axes `leading` and flatten these; the last `axes` axes of `x` belong to one sample.
+    """Expand x (*, ...) to the axes `leading` and flatten these; the last `axes` axes of `x` are those of one sample.
 
-    An `x` that holds one sample for all gets a batch of size 1 instead.
+    One sample for the whole batch is not expanded: the result has a batch of size 1.
     """
     sample_shape = x.shape[x.dim() - axes :]
     if x.dim() == axes or x.numel() == sample_shape.numel():

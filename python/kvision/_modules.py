@@ -10,7 +10,7 @@ from torch import Tensor, nn
 class FunctionModule(nn.Module):
     """Keeps the arguments of a function as attributes and shows them in its repr.
 
-    A plain tensor becomes a buffer outside of the state dict and so moves with the module; an nn.Parameter is learnt.
+    A plain tensor becomes a buffer, which moves with the module and is not in its state dict. An nn.Parameter stays one.
 
     Example:
         >>> FunctionModule(kernel_size=3)

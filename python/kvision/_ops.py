@@ -93,7 +93,7 @@ def _checked_backend(name: str) -> str:
 
 
 def set_default_backend(name: str) -> None:
-    """Set what serves calls outside of `backend` blocks, in all threads; KVISION_BACKEND does it when kvision is imported."""
+    """Choose what serves calls outside of `backend` blocks, in all threads; KVISION_BACKEND is the first choice."""
     global _default_backend, _ask_backend
     with _blocks_lock:
         _default_backend = _checked_backend(name)
@@ -209,7 +209,7 @@ def _unserved(name: str) -> dict[str, str]:
 
 
 def serves(name: str, x: Tensor) -> str:
-    """Which backend serves operator `name` on a tensor like `x`: "native" or "reference"."""
+    """What serves operator `name` on tensors of the device and type of `x`: "native" or "reference"."""
     return "native" if operators[name].is_native(x) else "reference"
 
 

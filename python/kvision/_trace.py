@@ -1,4 +1,4 @@
-"""Which of kvision's operators ran their kernels during a call. For the demo and the benchmarks, not for fast paths."""
+"""Records which operators of kvision a call ran natively; for the demo and the benchmarks, too slow for other calls."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from kvision._torch_compat import TorchDispatchMode
 
 
 def native_operators(call: Callable[[], Any]) -> list[str]:
-    """Names of the operators that `call` had served by kernels, in order; empty where the references did all."""
+    """Names of the operators whose kernels served `call`, in order; empty where references served all of it."""
     with _Recorder() as recorder:
         call()
     return list(dict.fromkeys(recorder.names))

@@ -1,6 +1,6 @@
-"""What this kvision is made of, and what serves which call: `kvision.info()` and `python -m kvision.info`.
+"""Versions, libraries and what the kernels serve: `kvision.info()` and `python -m kvision.info`.
 
-The module itself can be called, so the two are one name; kvision/__init__.py imports it when it is first asked for.
+The module itself is callable, so that both are one name. kvision/__init__.py imports it on first use.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from kvision._version import __version__
 
 try:
     from kvision import _C
-except ImportError:  # not built, or built for another Python; only what is reported here depends on it
+except ImportError:  # not built, or built for another Python; only this report uses it
     _C = None
 
 _PACKAGE = Path(__file__).parent
@@ -29,7 +29,10 @@ _DTYPES = (*_ops.FLOATS, torch.uint8, torch.int64)
 
 
 def report() -> str:
-    """The text that `kvision.info()` prints.
+    """The text that `kvision.info()` prints: versions, libraries, what the kernels serve, what to do about the rest.
+
+    Returns:
+        Lines of text.
 
     Example:
         >>> import kvision as K
@@ -95,7 +98,8 @@ def _gpus() -> Iterator[str]:
 def _has_code_for(architectures: str, capability: int) -> bool:
     """Whether one of CMake's architectures, say "80-real;90", runs on a GPU of this compute capability.
 
-    Machine code serves its generation from its number on; PTX, which is in "90" and not in "90-real", all later ones.
+    Machine code runs on GPUs of its generation whose number is as high or higher. PTX runs on all later ones, too; "90" has
+    it, "90-real" does not.
     """
     for architecture in architectures.split(";"):
         number, _, kind = architecture.partition("-")
@@ -113,7 +117,7 @@ def _operators() -> Iterator[str]:
     for name in names:
         served = [" ".join(_served(name, device)) or "reference" for device in ("cpu", "cuda")]
         yield f"  {name:{width}}  {served[0]:42}  {served[1]}"
-    for operator in _ops.operators.values():  # those for backward, too, which the table leaves out
+    for operator in _ops.operators.values():  # with backward operators, which the table omits
         yield from (f"  {reason}" for device, reason in operator.unserved.items() if device not in _ops.unserved)
     yield "Everything else is served by the reference: the same results from plain torch, slower."
     yield ""
@@ -166,7 +170,13 @@ def main() -> None:
 
 class _Callable(types.ModuleType):
     def __call__(self) -> None:
-        """Print what was built, what serves which device and dtype, why not the rest, and what to do about it."""
+        """Print what was built, which types the kernels serve on which device, why not others, and what to do about it.
+
+        Example:
+            >>> import kvision as K
+            >>> K.info()  # doctest: +ELLIPSIS
+            kvision ...
+        """
         print(report())
 
 

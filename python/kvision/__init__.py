@@ -4,65 +4,68 @@
     >>> K.filters.sobel(torch.rand(1, 3, 8, 8)).shape
     torch.Size([1, 3, 8, 8])
 
-`kvision.info()` prints what was built and which types of which device the kernels serve.
+`kvision.info()` prints what was built and which types of which device the kernels serve. A module is imported, and registers
+its operators, when it is first used.
 """
 
-import importlib
-from typing import Any
+from __future__ import annotations
 
-from kvision import (
-    color,
-    constants,
-    contrib,
-    core,
-    enhance,
-    filters,
-    geometry,
-    image,
-    io,
-    losses,
-    metrics,
-    morphology,
-    utils,
-)
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from kvision import _ops, constants  # constants now: its tensor must not be made inside of a FakeTensorMode
 from kvision._ops import backend
 from kvision._version import __version__
 
-# Names at the top level: those in the examples of Kornia's paper, and those that Kornia 0.9 has there.
-from kvision.color import bgr_to_rgb, rgb_to_grayscale
-from kvision.contrib import extract_tensor_patches
-from kvision.enhance import normalize
-from kvision.filters import gaussian_blur2d, sobel
-from kvision.geometry import (
-    ConvQuadInterp3d,
-    DepthWarper,
-    HomographyWarper,
-    ScalePyramid,
-    find_homography_dlt_iterated,
-    get_perspective_transform,
-    homography_warp,
-    normal_transform_pixel,
-    pyrdown,
-    warp_perspective,
-)
-from kvision.image import (
-    draw_convex_polygon,
-    draw_line,
-    draw_point2d,
-    draw_rectangle,
-    image_to_string,
-    image_to_tensor,
-    print_image,
-    tensor_to_image,
-)
-from kvision.losses import dice_loss, focal_loss, psnr_loss, ssim_loss, tversky_loss
-from kvision.utils import (
-    get_cuda_device_if_available,
-    get_cuda_or_mps_device_if_available,
-    get_mps_device_if_available,
-    is_autocast_enabled,
-    xla_is_available,
-)
+if TYPE_CHECKING:
+    from kvision import (
+        color,
+        contrib,
+        core,
+        enhance,
+        filters,
+        geometry,
+        image,
+        io,
+        losses,
+        metrics,
+        morphology,
+        utils,
+    )
+    from kvision.color import bgr_to_rgb, rgb_to_grayscale
+    from kvision.contrib import extract_tensor_patches
+    from kvision.enhance import normalize  # type: ignore[no-redef]  # the name of a module of enhance as well
+    from kvision.filters import gaussian_blur2d, sobel  # type: ignore[no-redef]
+    from kvision.geometry import (
+        ConvQuadInterp3d,
+        DepthWarper,
+        HomographyWarper,
+        ScalePyramid,
+        find_homography_dlt_iterated,
+        get_perspective_transform,
+        homography_warp,
+        normal_transform_pixel,
+        pyrdown,
+        warp_perspective,
+    )
+    from kvision.image import (
+        draw_convex_polygon,
+        draw_line,
+        draw_point2d,
+        draw_rectangle,
+        image_to_string,
+        image_to_tensor,
+        print_image,
+        tensor_to_image,
+    )
+    from kvision.losses import dice_loss, focal_loss, psnr_loss, ssim_loss, tversky_loss
+    from kvision.utils import (
+        get_cuda_device_if_available,
+        get_cuda_or_mps_device_if_available,
+        get_mps_device_if_available,
+        is_autocast_enabled,
+        xla_is_available,
+    )
 
 __all__ = [
     "ConvQuadInterp3d",
@@ -117,8 +120,54 @@ __all__ = [
     "xla_is_available",
 ]
 
+# Names at the top level, and their modules: those in the examples of Kornia's paper, and those that Kornia 0.9 has there.
+_HOMES = {
+    "bgr_to_rgb": "color",
+    "rgb_to_grayscale": "color",
+    "extract_tensor_patches": "contrib",
+    "normalize": "enhance",
+    "gaussian_blur2d": "filters",
+    "sobel": "filters",
+    "ConvQuadInterp3d": "geometry",
+    "DepthWarper": "geometry",
+    "HomographyWarper": "geometry",
+    "ScalePyramid": "geometry",
+    "find_homography_dlt_iterated": "geometry",
+    "get_perspective_transform": "geometry",
+    "homography_warp": "geometry",
+    "normal_transform_pixel": "geometry",
+    "pyrdown": "geometry",
+    "warp_perspective": "geometry",
+    "draw_convex_polygon": "image",
+    "draw_line": "image",
+    "draw_point2d": "image",
+    "draw_rectangle": "image",
+    "image_to_string": "image",
+    "image_to_tensor": "image",
+    "print_image": "image",
+    "tensor_to_image": "image",
+    "dice_loss": "losses",
+    "focal_loss": "losses",
+    "psnr_loss": "losses",
+    "ssim_loss": "losses",
+    "tversky_loss": "losses",
+    "get_cuda_device_if_available": "utils",
+    "get_cuda_or_mps_device_if_available": "utils",
+    "get_mps_device_if_available": "utils",
+    "is_autocast_enabled": "utils",
+    "xla_is_available": "utils",
+}
+
 
 def __getattr__(name: str) -> Any:
-    if name == "info":  # imported late: `python -m kvision.info` warns about a module that is loaded before it runs
-        return importlib.import_module("kvision.info")
+    if name in _HOMES:
+        value = getattr(importlib.import_module(f"kvision.{_HOMES[name]}"), name)
+        globals()[name] = value
+        return value
+    if name in __all__:
+        return importlib.import_module(f"kvision.{name}")
     raise AttributeError(f"module 'kvision' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

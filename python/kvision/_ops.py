@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import os
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 import torch.compiler.config
@@ -30,7 +31,9 @@ from torch import Tensor, is_grad_enabled
 from torch.compiler import is_compiling
 
 from kvision._torch_compat import (
+    before_first_lookup,
     below_autograd,
+    find_operator,
     function_caller,
     has_kernel,
     in_forward_ad,
@@ -193,16 +196,13 @@ def _count_blocks(change: int) -> None:
         _ask_backend = _blocks > 0 or _default_backend != "auto"
 
 
-operators: dict[str, Operator] = {}
-
-
 def _unserved(name: str) -> dict[str, str]:
     """Device type -> why no kernel serves operator `name` there: the whole library, or an older one that lacks it."""
     reasons = dict(unserved)
     for device, library in _LIBRARIES.items():
         if "cpu" in unserved or device in unserved:
             continue
-        declared = hasattr(torch.ops.kvision, name)
+        declared = find_operator("kvision", name) is not None
         if not declared or not has_kernel(f"kvision::{name}", device.upper()):
             reasons[device] = f"{name} is not in {library}, which is older: build kvision again"
     return reasons
@@ -210,16 +210,45 @@ def _unserved(name: str) -> dict[str, str]:
 
 def serves(name: str, x: Tensor) -> str:
     """What serves operator `name` on tensors of the device and type of `x`: "native" or "reference"."""
-    return "native" if operators[name].is_native(x) else "reference"
+    return "native" if all_operators()[name].is_native(x) else "reference"
 
 
 # --- operators ------------------------------------------------------------------------------------------------------
 
+# The operators of the modules imported until now; `_ops.operators` imports the others as well.
+_registered: dict[str, Operator] = {}
+
+if TYPE_CHECKING:
+    operators: dict[str, Operator]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "operators":
+        return all_operators()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def import_modules() -> None:
+    """Import what `import kvision` leaves until it is used, so that all operators are registered."""
+    package = importlib.import_module("kvision")
+    for name in package.__all__:
+        getattr(package, name)
+
+
+def all_operators() -> dict[str, Operator]:
+    """Those of all modules, by name."""
+    import_modules()
+    return _registered
+
+
+# A program of torch.export names operators of modules that nobody may have imported; it looks them up in torch.ops.
+before_first_lookup("kvision", import_modules)
+
 
 def register(name: str, reference: Callable[..., Any], **rules: Any) -> Operator:
     """Tie the kernels of `torch.ops.kvision.<name>` to their reference; see Operator for the rules."""
-    operators[name] = Operator(name, reference, **rules)
-    return operators[name]
+    _registered[name] = Operator(name, reference, **rules)
+    return _registered[name]
 
 
 class Operator:
@@ -353,7 +382,7 @@ class Operator:
         if "cpu" in self.unserved:
             return None
         qualified = f"kvision::{self.name}"
-        kernel = getattr(torch.ops.kvision, self.name).default
+        kernel = find_operator("kvision", self.name).default
         torch.library.register_fake(qualified, self._fake)
         torch.library.register_vmap(qualified, functools.partial(_flatten_vmap, kernel))
         torch.library.register_autograd(qualified, self._backward, setup_context=self._setup_context)

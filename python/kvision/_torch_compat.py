@@ -18,7 +18,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 __all__ = [
     "TorchDispatchMode",
+    "before_first_lookup",
     "below_autograd",
+    "find_operator",
     "function_caller",
     "has_kernel",
     "in_forward_ad",
@@ -50,6 +52,38 @@ def in_forward_ad() -> bool:
 def has_kernel(operator: str, dispatch_key: str) -> bool:
     """Whether `operator`, say "kvision::sobel", has a kernel for a key, say "CUDA". Waits for a query in torch.library."""
     return torch._C._dispatch_has_kernel_for_dispatch_key(operator, dispatch_key)
+
+
+def find_operator(namespace: str, name: str) -> Any:
+    """`torch.ops.<namespace>.<name>`, None where it is not declared, without the hook of before_first_lookup.
+
+    Waits for what before_first_lookup waits for.
+    """
+    operators = getattr(torch.ops, namespace)
+    if name not in vars(operators):
+        try:
+            return type(operators).__getattr__(operators, name)
+        except AttributeError:
+            return None
+    return getattr(operators, name)
+
+
+def before_first_lookup(namespace: str, prepare: Callable[[], None]) -> None:
+    """Call `prepare` when an operator of `torch.ops.<namespace>` that find_operator has not found yet is looked up.
+
+    Waits for a lazy torch.library.register_fake and register_autograd. A namespace of torch.ops is a module, so that it
+    can have a __getattr__ of its own; torch's, that of its class, comes after it.
+    """
+    operators = getattr(torch.ops, namespace)
+
+    def __getattr__(name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)  # asked of every module
+        prepare()
+        vars(operators).pop("__getattr__", None)
+        return getattr(operators, name)
+
+    operators.__getattr__ = __getattr__
 
 
 def schema_of(operator: OpOverload) -> Any:

@@ -36,6 +36,8 @@ $(READY): constraints.txt pyproject.toml setup.py
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(f"kvision needs Python 3.10 or newer; $(PYTHON) is {v.major}.{v.minor}: set PYTHON=" if v < (3, 10) else 0)'
 	$(PYTHON) -m venv .venv
 	$(PIP) setuptools cmake ninja pybind11 torch
+	@# Before pip, which would hide how far the compiler is, and which then finds everything built.
+	$(BIN)/python setup.py --quiet build_native --editable-mode
 	$(PIP) --no-build-isolation --editable '.[dev]'
 	$(BIN)/python -m kvision.info
 	@touch $@

@@ -3,7 +3,8 @@
 Environment:
     KVISION_BUILD   auto (the default): pure Python, saying why, where there is no compiler or no torch to build with;
                     native: that is an error; reference: pure Python. Code that does not compile is always an error.
-    CMAKE_ARGS      passed on to CMake, say "-DKVISION_CUDA=OFF" or "-DCMAKE_CUDA_ARCHITECTURES=89".
+    KVISION_CUDA    AUTO (the default): the CUDA kernels where a GPU is visible and nvcc is found; ON, or OFF.
+    CMAKE_ARGS      passed on to CMake, say "-DKVISION_ISA=avx2" or "-DCMAKE_CUDA_ARCHITECTURES=89".
     CXX, CUDACXX    the compilers, read by CMake.
 """
 
@@ -27,6 +28,9 @@ ROOT = Path(__file__).parent.resolve()
 BUILD = os.environ.get("KVISION_BUILD", "auto")
 if BUILD not in ("auto", "native", "reference"):
     sys.exit(f"KVISION_BUILD must be one of auto, native, reference; got {BUILD!r}")
+CUDA = os.environ.get("KVISION_CUDA") or "AUTO"
+if CUDA not in ("AUTO", "ON", "OFF"):
+    sys.exit(f"KVISION_CUDA must be one of AUTO, ON, OFF; got {CUDA!r}")
 
 
 def torch_root() -> Path | None:
@@ -52,7 +56,9 @@ class BuildNative(Command):
     """Build the libraries into the package: for an editable one in build/cmake, kept for ninja; else from scratch."""
 
     description = "build the C++ and CUDA libraries with CMake"
-    user_options: list[tuple[str, str, str]] = []
+    # setuptools sets editable_mode for `pip install --editable`; the Makefile builds with it before pip, which hides progress.
+    user_options = [("editable-mode", None, "build into python/kvision, in build/cmake")]
+    boolean_options = ["editable-mode"]
     editable_mode = False
 
     def initialize_options(self) -> None:
@@ -91,12 +97,17 @@ class BuildNative(Command):
             *(cmake, "-S", ROOT, "-B", folder, "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={ninja}"),
             *("-U", "TorchStable_*", f"-DTORCH_ROOT={torch}", f"-DPython_EXECUTABLE={sys.executable}"),
             *("-DCMAKE_INSTALL_LIBDIR=lib", f"-DKVISION_INPLACE={'ON' if self.editable_mode else 'OFF'}"),
+            f"-DKVISION_CUDA={CUDA}",
             *shlex.split(os.environ.get("CMAKE_ARGS", "")),
         ]
         if subprocess.run(configure).returncode != 0:
             return "CMake found no C++20 compiler or no torch it can build with (its output: pip install -v)"
+        left_out = folder / "cuda_left_out.txt"  # written by CMakeLists.txt
+        note = f"kvision: {left_out.read_text()}\n" if left_out.exists() else ""
+        print(f"{note}kvision: compiling takes minutes; [n/m] counts what is done", flush=True)
         if subprocess.run([cmake, "--build", folder]).returncode != 0:
             sys.exit("kvision: the build failed. KVISION_BUILD=reference installs pure Python instead.")
+        print(note, end="", flush=True)
         if not self.editable_mode:
             for component in ([], ["--component", "python"]):
                 subprocess.run([cmake, "--install", folder, "--prefix", package, *component], check=True)

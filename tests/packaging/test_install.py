@@ -117,3 +117,30 @@ def test_without_a_compiler_it_is_pure_python(tmp_path: Path, capfd: pytest.Capt
 def test_native_can_be_demanded(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="KVISION_BUILD=native, but"):
         build_wheel(tmp_path, CXX="/nonexistent", KVISION_BUILD="native")
+
+
+def test_cuda_is_left_out_where_no_gpu_is_visible(cmake: str, tmp_path: Path) -> None:
+    """Compiling it takes as long as all else; who wants it all the same asks for it."""
+    if any(Path(name).exists() for name in ("/dev/nvidia0", "/proc/driver/nvidia")):
+        pytest.skip("a GPU is visible")
+    torch_root = Path(torch.__file__).parent
+    configure = (
+        cmake,
+        "-S",
+        ROOT,
+        "-B",
+        tmp_path,
+        f"-DTORCH_ROOT={torch_root}",
+        f"-DPython_EXECUTABLE={sys.executable}",
+    )
+    output = run(*configure, CUDACXX="/nonexistent/nvcc", KVISION_CUDA="AUTO")
+    sentence = "the CUDA kernels are left out, since no GPU is visible; KVISION_CUDA=ON in the environment builds them"
+    assert f"-- kvision: {sentence}" in output
+    assert (tmp_path / "cuda_left_out.txt").read_text() == sentence
+    output = run(*configure, "-DKVISION_CUDA=OFF")
+    assert sentence not in output and not (tmp_path / "cuda_left_out.txt").exists()
+
+
+def test_a_wrong_choice_of_cuda_is_an_error() -> None:
+    with pytest.raises(AssertionError, match="KVISION_CUDA must be one of AUTO, ON, OFF; got 'maybe'"):
+        run(sys.executable, "setup.py", "--version", KVISION_CUDA="maybe")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -83,6 +85,21 @@ def test_a_bad_file_is_named_without_a_traceback(content, photos, tmp_path, caps
     assert demo.main([str(photos[0]), str(bad), "--out", str(tmp_path / "out")]) == 2
     message = capsys.readouterr().err
     assert message.startswith("kvision.demo: ") and str(bad) in message and message.count("\n") == 1
+
+
+@pytest.mark.parametrize("package, name", [("tqdm", "tqdm"), ("PIL", "PIL"), ("skimage", "scikit-image")])
+def test_a_missing_package_is_said_with_how_to_get_it(package: str, name: str, tmp_path: Path) -> None:
+    program = f"""
+import runpy, sys
+sys.modules[{package!r}] = None
+sys.argv = ["kvision.demo", "--device", "cpu", "--out", {str(tmp_path)!r}]
+runpy.run_module("kvision.demo", run_name="__main__")
+"""
+    result = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 1
+    assert result.stderr == f'kvision.demo needs {name}: pip install "kvision[demo]"\n'
 
 
 def test_an_output_folder_that_is_a_file_is_named(photos, capsys):

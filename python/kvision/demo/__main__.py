@@ -12,15 +12,22 @@ import cv2
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-from tqdm import tqdm
 
 import kvision
 from kvision._trace import native_operators
 from kvision.core.exceptions import DeviceError, ImageError
-from kvision.demo import color, filters, gallery, geometry, morphology
-from kvision.demo.restore import Restoration, blur, restore
-from kvision.demo.sheet import Column, Sheet, run
 from kvision.io import get_sample_images, load_image, write_image
+
+try:
+    from tqdm import tqdm
+
+    from kvision.demo import color, filters, gallery, geometry, morphology
+    from kvision.demo.restore import Restoration, blur, restore
+    from kvision.demo.sheet import Column, Sheet, run
+except ModuleNotFoundError as error:
+    if __name__ != "__main__":
+        raise
+    sys.exit(f'kvision.demo needs {error.name}: pip install "kvision[demo]"')
 
 SHEETS = [filters.SHEET, color.SHEET, geometry.SHEET, morphology.SHEET]
 SAMPLES = ("astronaut", "chelsea", "coffee", "rocket")
@@ -34,7 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         device = chosen_device(options.device)
         names, photos = load(options.images)
         options.out.mkdir(parents=True, exist_ok=True)
-    except (OSError, ImportError, DeviceError, ImageError) as error:
+    except ImportError:  # of the photographs
+        print('kvision.demo needs scikit-image: pip install "kvision[demo]"', file=sys.stderr)
+        return 1
+    except (OSError, DeviceError, ImageError) as error:
         print(f"kvision.demo: {error}", file=sys.stderr)
         return 2
     photos = photos.to(device)

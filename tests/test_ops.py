@@ -393,8 +393,8 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
     """On CUDA alone, and for warps only with padding modes whose gradient is not gathered."""
     names = {n for n, o in _ops.operators.items() if o.nondeterministic}
     assert names == {
-        "depth_warp_image_gradient",
-        "quadratic_peaks_backward",
+        "depth_warp_image_backward",
+        "conv_quad_interp3d_backward",
         "remap_image_backward",
         "warp3d_volume_backward",
         "warp_image_backward",

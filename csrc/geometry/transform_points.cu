@@ -8,7 +8,7 @@ constexpr int kThreads = 256;
 
 template <class Map, class T>
 __global__ void __launch_bounds__(kThreads)
-    map_of(__grid_constant__ Points<T> const p, int64_t runs_of_matrix, int64_t runs, bool fours) {
+    map_of(__grid_constant__ TransformPoints<T> const p, int64_t runs_of_matrix, int64_t runs, bool fours) {
   using F = Compute<T>;
   int64_t const run = blockIdx.x * int64_t(kThreads) + threadIdx.x;
   if (run >= runs) return;
@@ -28,7 +28,7 @@ __global__ void __launch_bounds__(kThreads)
 }  // namespace
 
 template <class T>
-int map_points(Points<T> const& p, CUstream_st* stream) {
+int transform_points(TransformPoints<T> const& p, CUstream_st* stream) {
   int64_t const runs_of_matrix = ceil_div(p.count, kRun), runs = runs_of_matrix * (p.total / p.count);
   unsigned const blocks = unsigned(ceil_div(runs, kThreads));
   bool const fours = in_fours(p.count, p.points, p.depth, static_cast<T const*>(p.y));
@@ -37,6 +37,6 @@ int map_points(Points<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(map_points, Points)
+KV_INSTANTIATE(transform_points, TransformPoints)
 
 }  // namespace kv::cuda

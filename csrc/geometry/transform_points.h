@@ -21,7 +21,7 @@ namespace kv {
 enum class PointMap { plane, space, image, project, unproject, meet };
 
 template <class T>
-struct Points {
+struct TransformPoints {
   T const *points, *depth;  // depth: of unproject
   Compute<T> const* matrices;
   T* y;
@@ -31,7 +31,7 @@ struct Points {
 };
 
 template <class T>
-struct PointsBackward {
+struct TransformPointsBackward {
   T const *grad, *points, *depth;
   Compute<T> const* matrices;
   T *to_points, *to_depth;
@@ -43,8 +43,8 @@ struct PointsBackward {
   KV_HD int64_t parts() const { return (count + part - 1) / part; }
 };
 
-KV_KERNEL(map_points, Points)
-KV_KERNEL(map_points_backward, PointsBackward)
+KV_KERNEL(transform_points, TransformPoints)
+KV_KERNEL(transform_points_backward, TransformPointsBackward)
 
 // 1 / z and whether z divides.
 template <class V>

@@ -8,7 +8,7 @@ constexpr int kThreads = 256;
 
 template <class Map, class T>
 __global__ void __launch_bounds__(kThreads)
-    gradients_of(__grid_constant__ PointsBackward<T> const p, int64_t parts, bool fours) {
+    gradients_of(__grid_constant__ TransformPointsBackward<T> const p, int64_t parts, bool fours) {
   using F = Compute<T>;
   __shared__ F shared[Map::entries][kThreads / 32];
   int64_t const matrix = blockIdx.x / parts, begin = (blockIdx.x - matrix * parts) * p.part;
@@ -65,7 +65,7 @@ __global__ void add_parts(F const* partial, int64_t parts, int entries, F* sums)
 }  // namespace
 
 template <class T>
-int map_points_backward(PointsBackward<T> const& p, CUstream_st* stream) {
+int transform_points_backward(TransformPointsBackward<T> const& p, CUstream_st* stream) {
   int64_t const parts = p.parts(), wanted = ceil_div(ceil_div(min(p.part, p.count), kRun), 32) * 32;
   unsigned const threads = unsigned(min(wanted, int64_t(kThreads))), blocks = unsigned(p.matrices_count * parts);
   bool const fours =
@@ -80,6 +80,6 @@ int map_points_backward(PointsBackward<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(map_points_backward, PointsBackward)
+KV_INSTANTIATE(transform_points_backward, TransformPointsBackward)
 
 }  // namespace kv::cuda

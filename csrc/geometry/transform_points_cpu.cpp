@@ -48,7 +48,7 @@ KV_HD void for_each_once(int64_t begin, int64_t end, Call f) {
 }  // namespace
 
 template <class T>
-void map_points(Points<T> const& p, int64_t begin, int64_t end) {
+void transform_points(TransformPoints<T> const& p, int64_t begin, int64_t end) {
   with_map(p.map, [&](auto map) {
     using Map = decltype(map);
     for (int64_t i = begin; i < end;) {
@@ -67,7 +67,7 @@ void map_points(Points<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void map_points_backward(PointsBackward<T> const& p, int64_t begin, int64_t end) {
+void transform_points_backward(TransformPointsBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   with_map(p.map, [&](auto map) {
     using Map = decltype(map);
@@ -107,7 +107,7 @@ void map_points_backward(PointsBackward<T> const& p, int64_t begin, int64_t end)
   });
 }
 
-KV_INSTANTIATE(map_points, Points)
-KV_INSTANTIATE(map_points_backward, PointsBackward)
+KV_INSTANTIATE(transform_points, TransformPoints)
+KV_INSTANTIATE(transform_points_backward, TransformPointsBackward)
 
 }  // namespace kv::KV_ISA

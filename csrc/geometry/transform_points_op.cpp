@@ -63,7 +63,7 @@ struct Given {
 #if !defined(KV_CUDA)
 // The sums of the parts; the CUDA kernel adds them itself.
 template <class T>
-void add_parts(PointsBackward<T> const& p, int64_t entries) {
+void add_parts(TransformPointsBackward<T> const& p, int64_t entries) {
   int64_t const parts = p.parts();
   for (int64_t i = 0; i < p.matrices_count * entries; ++i) {
     double sum = 0;
@@ -73,30 +73,30 @@ void add_parts(PointsBackward<T> const& p, int64_t entries) {
 }
 #endif
 
-Tensor map_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix,
-                  std::string const& kind) {
-  Given const given("map_points", points, depth, matrix, kind);
+Tensor transform_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix,
+                        std::string const& kind) {
+  Given const given("transform_points", points, depth, matrix, kind);
   Tensor const y = empty({points.size(0), points.size(1), given.out}, points);
-  dispatch_floating("map_points", points, [&](auto type) {
+  dispatch_floating("transform_points", points, [&](auto type) {
     using T = typename decltype(type)::type;
-    Points<T> const params{data_ptr<T const>(given.points),
-                           data_ptr<T const>(given.depth),
-                           data_ptr<Compute<T> const>(given.matrix),
-                           data_ptr<T>(y),
-                           given.entries(),
-                           given.count(),
-                           given.total(),
-                           given.map,
-                           given.distance};
-    KV_RUN(map_points, points, params, params.total, 8);
+    TransformPoints<T> const params{data_ptr<T const>(given.points),
+                                    data_ptr<T const>(given.depth),
+                                    data_ptr<Compute<T> const>(given.matrix),
+                                    data_ptr<T>(y),
+                                    given.entries(),
+                                    given.count(),
+                                    given.total(),
+                                    given.map,
+                                    given.distance};
+    KV_RUN(transform_points, points, params, params.total, 8);
   });
   return y;
 }
 
-std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tensor const& points,
-                                                       std::optional<Tensor> const& depth, Tensor const& matrix,
-                                                       std::string const& kind, bool to_matrix) {
-  char const* const op = "map_points_backward";
+std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad, Tensor const& points,
+                                                             std::optional<Tensor> const& depth, Tensor const& matrix,
+                                                             std::string const& kind, bool to_matrix) {
+  char const* const op = "transform_points_backward";
   Given const given(op, points, depth, matrix, kind);
   KV_CHECK(grad.dim() == 3 && grad.size(0) == points.size(0) && grad.size(1) == points.size(1) &&
                grad.size(2) == given.out && grad.scalar_type() == points.scalar_type() &&
@@ -121,21 +121,21 @@ std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tenso
   dispatch_floating(op, points, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    PointsBackward<T> const params{data_ptr<T const>(g),
-                                   data_ptr<T const>(given.points),
-                                   data_ptr<T const>(given.depth),
-                                   data_ptr<F const>(given.matrix),
-                                   data_ptr<T>(to_points),
-                                   data_ptr<T>(to_depth),
-                                   to_matrix ? data_ptr<F>(partial) : nullptr,
-                                   to_matrix ? data_ptr<F>(sums) : nullptr,
-                                   given.matrices() == 1 ? 0 : entries,
-                                   count,
-                                   matrices,
-                                   part,
-                                   given.map,
-                                   given.distance};
-    KV_RUN(map_points_backward, points, params, matrices * parts, 16 * part);
+    TransformPointsBackward<T> const params{data_ptr<T const>(g),
+                                            data_ptr<T const>(given.points),
+                                            data_ptr<T const>(given.depth),
+                                            data_ptr<F const>(given.matrix),
+                                            data_ptr<T>(to_points),
+                                            data_ptr<T>(to_depth),
+                                            to_matrix ? data_ptr<F>(partial) : nullptr,
+                                            to_matrix ? data_ptr<F>(sums) : nullptr,
+                                            given.matrices() == 1 ? 0 : entries,
+                                            count,
+                                            matrices,
+                                            part,
+                                            given.map,
+                                            given.distance};
+    KV_RUN(transform_points_backward, points, params, matrices * parts, 16 * part);
 #if !defined(KV_CUDA)
     if (to_matrix) add_parts(params, entries);
 #endif
@@ -148,8 +148,8 @@ std::tuple<Tensor, Tensor, Tensor> map_points_backward(Tensor const& grad, Tenso
 
 }  // namespace
 
-KV_OPERATOR(map_points, "(Tensor points, Tensor? depth, Tensor matrix, str kind) -> Tensor")
-KV_OPERATOR(map_points_backward,
+KV_OPERATOR(transform_points, "(Tensor points, Tensor? depth, Tensor matrix, str kind) -> Tensor")
+KV_OPERATOR(transform_points_backward,
             "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, str kind, bool to_matrix) -> (Tensor, Tensor, "
             "Tensor)")
 

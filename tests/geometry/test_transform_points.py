@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
-from kvision.geometry._transform_points import _map_points, transformed
+from kvision.geometry._transform_points import _transform_points, transformed
 from op_tests import OpTests, assert_close
 
 G = K.geometry
@@ -28,7 +28,7 @@ def cameras(x: Tensor) -> Tensor:
 
 
 class PointMaps(OpTests):
-    operators = ("map_points", "map_points_backward")
+    operators = ("transform_points", "transform_points_backward")
     mixed = ("grad", "points", "depth")
     accepted = ("points without rows", "points cut along axis -2", "matrix cut along axis -2")  # fewer points, (3, 4)
     channels = 3
@@ -107,7 +107,7 @@ def test_numbers_of_points(kind, axes, sizes, count, device):
         leaves = [x.to(device).requires_grad_() for x in given]
 
         def both(leaves):
-            y = _map_points(leaves[0], leaves[2] if len(leaves) > 2 else None, leaves[1], kind)
+            y = _transform_points(leaves[0], leaves[2] if len(leaves) > 2 else None, leaves[1], kind)
             weights = torch.linspace(0, 1, y.numel(), device=device, dtype=y.dtype).reshape(y.shape)
             return y, *torch.autograd.grad((y * weights).sum(), leaves)
 

@@ -222,7 +222,8 @@ __global__ void __launch_bounds__(kThreads)
 constexpr int kRunsEach = 4;
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) sum_to_cameras(__grid_constant__ DepthCamera<T> const p, bool fours) {
+__global__ void __launch_bounds__(kThreads)
+    sum_to_cameras(__grid_constant__ DepthPointsCameraBackward<T> const p, bool fours) {
   using F = Compute<T>;
   int64_t const b = blockIdx.x / p.parts, part = blockIdx.x - b * p.parts;
   int const width = int(p.grad.width), height = int(p.grad.height), across = (width + kRun - 1) / kRun;
@@ -258,7 +259,7 @@ __global__ void __launch_bounds__(kThreads) sum_to_cameras(__grid_constant__ Dep
 
 // A block a camera, a warp each of its sums.
 template <class T>
-__global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthCamera<T> const p) {
+__global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPointsCameraBackward<T> const p) {
   int64_t const b = blockIdx.x;
   int const k = threadIdx.x / 32;
   __shared__ double sums[4];
@@ -303,7 +304,7 @@ int depth_normals_backward(DepthNormalsBackward<T> const& p, CUstream_st* stream
 }
 
 template <class T>
-int depth_camera(DepthCamera<T> const& p, CUstream_st* stream) {
+int depth_points_camera_backward(DepthPointsCameraBackward<T> const& p, CUstream_st* stream) {
   bool const fours = in_fours(p.grad) && in_fours(p.depth);
   sum_to_cameras<T><<<unsigned(p.grad.batch * p.parts), kThreads, 0, stream>>>(p, fours);
   finish_cameras<T><<<unsigned(p.grad.batch), 128, 0, stream>>>(p);
@@ -314,6 +315,6 @@ KV_INSTANTIATE(depth_points, DepthPoints)
 KV_INSTANTIATE(depth_points_backward, DepthPointsBackward)
 KV_INSTANTIATE(depth_normals, DepthPoints)
 KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
-KV_INSTANTIATE(depth_camera, DepthCamera)
+KV_INSTANTIATE(depth_points_camera_backward, DepthPointsCameraBackward)
 
 }  // namespace kv::cuda

@@ -46,7 +46,7 @@ struct DepthNormalsBackward {
 
 // From the gradient to points.
 template <class T>
-struct DepthCamera {
+struct DepthPointsCameraBackward {
   Images<T const> grad, depth;
   Compute<T> const* cameras;
   int64_t camera_stride;
@@ -60,7 +60,7 @@ KV_KERNEL(depth_points, DepthPoints)
 KV_KERNEL(depth_points_backward, DepthPointsBackward)
 KV_KERNEL(depth_normals, DepthPoints)
 KV_KERNEL(depth_normals_backward, DepthNormalsBackward)
-KV_KERNEL(depth_camera, DepthCamera)
+KV_KERNEL(depth_points_camera_backward, DepthPointsCameraBackward)
 
 template <class V>
 KV_HD V inverse_root(V x) {

@@ -152,7 +152,7 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
 
 // A row a part: its pixels in vectors, then those that are left.
 template <class T>
-void depth_camera(DepthCamera<T> const& p, int64_t begin, int64_t end) {
+void depth_points_camera_backward(DepthPointsCameraBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
   for (int64_t r = begin; r < end; ++r) {
@@ -182,6 +182,6 @@ KV_INSTANTIATE(depth_points, DepthPoints)
 KV_INSTANTIATE(depth_points_backward, DepthPointsBackward)
 KV_INSTANTIATE(depth_normals, DepthPoints)
 KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
-KV_INSTANTIATE(depth_camera, DepthCamera)
+KV_INSTANTIATE(depth_points_camera_backward, DepthPointsCameraBackward)
 
 }  // namespace kv::KV_ISA

@@ -102,13 +102,13 @@ Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor co
 }
 
 // To points (B, 3, H, W).
-Tensor depth_normals_to_points(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
-  return normals_gradient("depth_normals_to_points", grad, depth, camera, distance, true);
+Tensor depth_normals_points_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  return normals_gradient("depth_normals_points_backward", grad, depth, camera, distance, true);
 }
 
 // The gradient to the camera of each image (B, 3, 3), also where one serves all, from that to its points.
-Tensor depth_camera(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
-  constexpr char const* op = "depth_camera";
+Tensor depth_points_camera_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
+  constexpr char const* op = "depth_points_camera_backward";
   Tensor const cameras = checked_gradient(op, grad, depth, camera);
   int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
   Tensor const to_camera = empty({batch, 3, 3}, cameras);
@@ -121,15 +121,15 @@ Tensor depth_camera(Tensor const& grad, Tensor const& depth, Tensor const& camer
   dispatch_floating(op, depth, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    DepthCamera<T> const params{images<T const>(grad, batch),
-                                images<T const>(depth, batch),
-                                data_ptr<F const>(cameras),
-                                stride_of(cameras),
-                                distance,
-                                parts,
-                                data_ptr<double>(partial),
-                                data_ptr<F>(to_camera)};
-    KV_RUN(depth_camera, depth, params, batch * parts, 8 * width);
+    DepthPointsCameraBackward<T> const params{images<T const>(grad, batch),
+                                              images<T const>(depth, batch),
+                                              data_ptr<F const>(cameras),
+                                              stride_of(cameras),
+                                              distance,
+                                              parts,
+                                              data_ptr<double>(partial),
+                                              data_ptr<F>(to_camera)};
+    KV_RUN(depth_points_camera_backward, depth, params, batch * parts, 8 * width);
 #if !defined(KV_CUDA)
     for (int64_t b = 0; b < batch; ++b) {
       double sums[4] = {};
@@ -148,7 +148,7 @@ KV_OPERATOR(depth_points, "(Tensor depth, Tensor camera, bool distance, bool las
 KV_OPERATOR(depth_points_backward, "(Tensor grad, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_normals, "(Tensor depth, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_normals_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
-KV_OPERATOR(depth_normals_to_points, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
-KV_OPERATOR(depth_camera, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_normals_points_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
+KV_OPERATOR(depth_points_camera_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
 
 }  // namespace kv

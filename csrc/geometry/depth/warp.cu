@@ -41,7 +41,7 @@ __global__ void __launch_bounds__(kThreads) warp_tiles(__grid_constant__ DepthWa
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    slope_tiles(__grid_constant__ DepthWarpSlopes<T> const p, DepthTiles tiles) {
+    slope_tiles(__grid_constant__ DepthWarpCoordsBackward<T> const p, DepthTiles tiles) {
   using F = Compute<T>;
   int64_t b;
   int y, x;
@@ -87,7 +87,7 @@ __global__ void __launch_bounds__(kThreads)
 // Into zeros, by atomics.
 template <class F>
 __global__ void __launch_bounds__(kThreads)
-    scatter_tiles(__grid_constant__ DepthWarpTranspose<F> const p, DepthTiles tiles) {
+    scatter_tiles(__grid_constant__ DepthWarpImageBackward<F> const p, DepthTiles tiles) {
   int64_t b;
   int y, x;
   tiles.locate(b, y, x);
@@ -146,14 +146,14 @@ int depth_warp(DepthWarp<T> const& p, CUstream_st* stream) {
 }
 
 template <class T>
-int depth_warp_slopes(DepthWarpSlopes<T> const& p, CUstream_st* stream) {
+int depth_warp_coords_backward(DepthWarpCoordsBackward<T> const& p, CUstream_st* stream) {
   DepthTiles const tiles(p.grad.batch, p.grad.height, p.grad.width);
   slope_tiles<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 
 template <class F>
-int depth_warp_transpose(DepthWarpTranspose<F> const& p, CUstream_st* stream) {
+int depth_warp_image_backward(DepthWarpImageBackward<F> const& p, CUstream_st* stream) {
   int64_t const count = p.grad_x.batch * p.grad_x.channels * p.grad_x.height * p.grad_x.width;
   if (int const error = cudaMemsetAsync(p.grad_x.data, 0, size_t(count) * sizeof(F), stream)) return error;
   DepthTiles const tiles(p.grad.batch, p.grad.height, p.grad.width);
@@ -168,8 +168,8 @@ int projection_total(ProjectionTotal<T> const& p, CUstream_st* stream) {
 }
 
 KV_INSTANTIATE(depth_warp, DepthWarp)
-KV_INSTANTIATE(depth_warp_slopes, DepthWarpSlopes)
-KV_INSTANTIATE_COMPUTED(depth_warp_transpose, DepthWarpTranspose)
+KV_INSTANTIATE(depth_warp_coords_backward, DepthWarpCoordsBackward)
+KV_INSTANTIATE_COMPUTED(depth_warp_image_backward, DepthWarpImageBackward)
 KV_INSTANTIATE_COMPUTED(projection_total, ProjectionTotal)
 
 }  // namespace kv::cuda

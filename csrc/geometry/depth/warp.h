@@ -67,7 +67,7 @@ struct DepthWarp : DepthPlaces<T> {
 
 // The gradients to depths and projections. The latter are in parts: 14 numbers each, of which two are not used here.
 template <class T>
-struct DepthWarpSlopes : DepthPlaces<T> {
+struct DepthWarpCoordsBackward : DepthPlaces<T> {
   Images<T const> grad;
   Compute<T>* to_depth;  // (B, h, w)
   double* sums;          // (B, parts, 14)
@@ -76,7 +76,7 @@ struct DepthWarpSlopes : DepthPlaces<T> {
 
 // The gradient to the image.
 template <class T>
-struct DepthWarpTranspose : DepthPlaces<T> {
+struct DepthWarpImageBackward : DepthPlaces<T> {
   Images<T const> grad;
   Images<T> grad_x;  // dense
 };
@@ -94,8 +94,8 @@ struct ProjectionTotal {
 };
 
 KV_KERNEL(depth_warp, DepthWarp)
-KV_KERNEL(depth_warp_slopes, DepthWarpSlopes)
-KV_KERNEL(depth_warp_transpose, DepthWarpTranspose)
+KV_KERNEL(depth_warp_coords_backward, DepthWarpCoordsBackward)
+KV_KERNEL(depth_warp_image_backward, DepthWarpImageBackward)
 KV_KERNEL(projection_total, ProjectionTotal)
 
 // On CUDA a block of threads takes 32 x 8 pixels.

@@ -60,7 +60,7 @@ void depth_warp(DepthWarp<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void depth_warp_slopes(DepthWarpSlopes<T> const& p, int64_t begin, int64_t end) {
+void depth_warp_coords_backward(DepthWarpCoordsBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   for (double *sum = p.sums + kProjectionSums * begin, *last = p.sums + kProjectionSums * end; sum < last; ++sum)
     *sum = 0;
@@ -99,7 +99,7 @@ void depth_warp_slopes(DepthWarpSlopes<T> const& p, int64_t begin, int64_t end) 
 }
 
 template <class T>
-void depth_warp_transpose(DepthWarpTranspose<T> const& p, int64_t begin, int64_t end) {
+void depth_warp_image_backward(DepthWarpImageBackward<T> const& p, int64_t begin, int64_t end) {
   for (int64_t r = begin; r < end; ++r) {
     int64_t const b = r / p.grad.channels;
     int const c = int(r % p.grad.channels);
@@ -156,8 +156,8 @@ void projection_total(ProjectionTotal<T> const& p, int64_t begin, int64_t end) {
 }
 
 KV_INSTANTIATE(depth_warp, DepthWarp)
-KV_INSTANTIATE(depth_warp_slopes, DepthWarpSlopes)
-KV_INSTANTIATE_COMPUTED(depth_warp_transpose, DepthWarpTranspose)
+KV_INSTANTIATE(depth_warp_coords_backward, DepthWarpCoordsBackward)
+KV_INSTANTIATE_COMPUTED(depth_warp_image_backward, DepthWarpImageBackward)
 KV_INSTANTIATE_COMPUTED(projection_total, ProjectionTotal)
 
 }  // namespace kv::KV_ISA

@@ -34,10 +34,10 @@ Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projec
   return y;
 }
 
-Tensor depth_warp_image_gradient(Tensor const& grad, Tensor const& depth, Tensor const& projection,
+Tensor depth_warp_image_backward(Tensor const& grad, Tensor const& depth, Tensor const& projection,
                                  std::vector<int64_t> size, std::string const& interpolation,
                                  std::string const& padding, bool align_corners) {
-  char const* const op = "depth_warp_image_gradient";
+  char const* const op = "depth_warp_image_backward";
   check_images(op, "grad", grad);
   Size const source = checked_size(op, size);
   SamplingOptions const how = how_of(op, interpolation, padding, align_corners, grad);
@@ -49,20 +49,20 @@ Tensor depth_warp_image_gradient(Tensor const& grad, Tensor const& depth, Tensor
   Tensor const grad_x = empty({batch, channels, source.height, source.width}, grad);
   dispatch_compute_dtype(op, grad, [&](auto type) {
     using F = typename decltype(type)::type;
-    DepthWarpTranspose<F> params{};
+    DepthWarpImageBackward<F> params{};
     depths.set(params, how, source, batch);
     params.grad = images<F const>(grad, batch);
     params.grad_x = images<F>(grad_x, batch);
-    KV_RUN(depth_warp_transpose, grad, params, batch * channels, 16 * output.height * output.width);
+    KV_RUN(depth_warp_image_backward, grad, params, batch * channels, 16 * output.height * output.width);
   });
   return grad_x;
 }
 
 // For every sample, also where one depth or projection serves them all.
-std::tuple<Tensor, Tensor> depth_warp_slopes(Tensor const& grad, Tensor const& image, Tensor const& depth,
-                                             Tensor const& projection, std::string const& interpolation,
-                                             std::string const& padding, bool align_corners) {
-  char const* const op = "depth_warp_slopes";
+std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor const& image, Tensor const& depth,
+                                                      Tensor const& projection, std::string const& interpolation,
+                                                      std::string const& padding, bool align_corners) {
+  char const* const op = "depth_warp_coords_backward";
   check_images(op, "image", image);
   check_images(op, "grad", grad);
   Size const source = checked_size(op, image);
@@ -81,14 +81,14 @@ std::tuple<Tensor, Tensor> depth_warp_slopes(Tensor const& grad, Tensor const& i
   dispatch_floating(op, image, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    DepthWarpSlopes<T> params{};
+    DepthWarpCoordsBackward<T> params{};
     depths.set(params, how, source, batch);
     params.x = images<T const>(image, batch);
     params.grad = images<T const>(grad, batch);
     params.to_depth = data_ptr<F>(to_depth);
     params.sums = data_ptr<double>(sums);
     params.parts = parts;
-    KV_RUN(depth_warp_slopes, image, params, batch * output.height, 16 * image.size(1) * output.width);
+    KV_RUN(depth_warp_coords_backward, image, params, batch * output.height, 16 * image.size(1) * output.width);
     ProjectionTotal<F> const total{data_ptr<double const>(sums), parts,   batch,  1, int(image.size(1)),
                                    data_ptr<F>(to_projection),   nullptr, nullptr};
     KV_RUN(projection_total, image, total, batch, 12 * parts);
@@ -101,9 +101,9 @@ std::tuple<Tensor, Tensor> depth_warp_slopes(Tensor const& grad, Tensor const& i
 #define KV_HOW "str interpolation, str padding, bool align_corners"
 
 KV_OPERATOR(depth_warp, "(Tensor image, Tensor depth, Tensor projection, " KV_HOW ") -> Tensor")
-KV_OPERATOR(depth_warp_image_gradient,
+KV_OPERATOR(depth_warp_image_backward,
             "(Tensor grad, Tensor depth, Tensor projection, int[] size, " KV_HOW ") -> Tensor")
-KV_OPERATOR(depth_warp_slopes,
+KV_OPERATOR(depth_warp_coords_backward,
             "(Tensor grad, Tensor image, Tensor depth, Tensor projection, " KV_HOW ") -> (Tensor, Tensor)")
 
 #undef KV_HOW

@@ -13,7 +13,7 @@ constexpr int kRows = 11, kStripThreads = 64;
 // Any window. Blocks of 32 x 8 elements of a plane's rows, planes last.
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    any_window(__grid_constant__ LocalMaxima<T> const p, unsigned across, unsigned down) {
+    any_window(__grid_constant__ Nms<T> const p, unsigned across, unsigned down) {
   using F = Compute<T>;
   unsigned const line = blockIdx.x / across;
   int64_t const plane = line / down;
@@ -122,7 +122,7 @@ struct Row {
 
 template <class T, int R, int D, bool Minima>
 __global__ void __launch_bounds__(kStripThreads)
-    strips_down(__grid_constant__ LocalMaxima<T> const p, Strips<kPixels<T>> const strips) {
+    strips_down(__grid_constant__ Nms<T> const p, Strips<kPixels<T>> const strips) {
   constexpr int P = kPixels<T>, kPlanes = 2 * D + 1;
   int64_t plane;
   int x, y0;
@@ -173,7 +173,7 @@ __global__ void __launch_bounds__(kStripThreads)
 
 // In vectors, the last of which may be cut short.
 template <class T>
-__global__ void __launch_bounds__(kThreads) keep(Marked<T> const p, bool vectorized) {
+__global__ void __launch_bounds__(kThreads) keep(ApplyNmsMask<T> const p, bool vectorized) {
   constexpr int P = kPixels<T>;
   int64_t const first = (blockIdx.x * int64_t(kThreads) + threadIdx.x) * P;
   if (vectorized && first + P <= p.count) {
@@ -190,7 +190,7 @@ __global__ void __launch_bounds__(kThreads) keep(Marked<T> const p, bool vectori
 }  // namespace
 
 template <class T>
-int keep_marked(Marked<T> const& p, CUstream_st* stream) {
+int apply_nms_mask(ApplyNmsMask<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   uintptr_t const at = reinterpret_cast<uintptr_t>(p.x) | reinterpret_cast<uintptr_t>(p.kept);
   bool const vectorized = at % alignof(Vector<T, P>) == 0 && reinterpret_cast<uintptr_t>(p.flags) % P == 0;
@@ -199,7 +199,7 @@ int keep_marked(Marked<T> const& p, CUstream_st* stream) {
 }
 
 template <class T>
-int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
+int nms(Nms<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   auto const reaches = [&](int d, int r) {
     return p.before[0] == d && p.after[0] == d && p.before[1] == r && p.after[1] == r && p.before[2] == r &&
@@ -221,7 +221,7 @@ int local_maxima(LocalMaxima<T> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(local_maxima, LocalMaxima)
-KV_INSTANTIATE(keep_marked, Marked)
+KV_INSTANTIATE(nms, Nms)
+KV_INSTANTIATE(apply_nms_mask, ApplyNmsMask)
 
 }  // namespace kv::cuda

@@ -9,7 +9,7 @@
 namespace kv {
 
 template <class T>
-struct LocalMaxima {
+struct Nms {
   Planes<T const> x;
   Planes<T> y;                     // x at the maxima, 0 elsewhere; or without data
   Planes<uint8_t> maxima, minima;  // whether an element is one; or without data
@@ -27,14 +27,14 @@ struct LocalMaxima {
 
 // What is marked by flags that are not 0, and 0 elsewhere: the gradient of maxima. Dense.
 template <class T>
-struct Marked {
+struct ApplyNmsMask {
   T const* x;
   uint8_t const* flags;
   T* kept;
   int64_t count;
 };
 
-KV_KERNEL(local_maxima, LocalMaxima)
-KV_KERNEL(keep_marked, Marked)
+KV_KERNEL(nms, Nms)
+KV_KERNEL(apply_nms_mask, ApplyNmsMask)
 
 }  // namespace kv

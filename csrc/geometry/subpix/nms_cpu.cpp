@@ -32,7 +32,7 @@ KV_HD T* row_of(Planes<T> const& planes, int64_t plane, int64_t row) {
 }  // namespace
 
 template <class T>
-void local_maxima(LocalMaxima<T> const& p, int64_t begin, int64_t end) {
+void nms(Nms<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const step = p.x.step, size = p.x.row_size();
   for (int64_t r = begin; r < end; ++r) {
@@ -72,7 +72,7 @@ void local_maxima(LocalMaxima<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void keep_marked(Marked<T> const& p, int64_t begin, int64_t end) {
+void apply_nms_mask(ApplyNmsMask<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   for_each_vector<T>(begin, end, [&](auto lanes, int64_t i) {
     constexpr int N = decltype(lanes)::value;
@@ -82,7 +82,7 @@ void keep_marked(Marked<T> const& p, int64_t begin, int64_t end) {
   });
 }
 
-KV_INSTANTIATE(local_maxima, LocalMaxima)
-KV_INSTANTIATE(keep_marked, Marked)
+KV_INSTANTIATE(nms, Nms)
+KV_INSTANTIATE(apply_nms_mask, ApplyNmsMask)
 
 }  // namespace kv::KV_ISA

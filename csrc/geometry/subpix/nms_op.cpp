@@ -11,7 +11,7 @@ void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const
   Tensor const x = volumes ? dense(input) : as_layout(input, layout);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    LocalMaxima<T> params{};
+    Nms<T> params{};
     params.x = planes<T const>(x, layout);
     if (values) params.y = planes<T>(*values, layout);
     if (maxima) params.maxima = planes<uint8_t>(*maxima, layout);
@@ -23,7 +23,7 @@ void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const
       params.before[axis] = int(window[axis] - 1) / 2;
       params.after[axis] = int(window[axis]) / 2;
     }
-    KV_RUN(local_maxima, x, params, params.x.rows(), params.x.row_size() * (1 + area / 8));
+    KV_RUN(nms, x, params, params.x.rows(), params.x.row_size() * (1 + area / 8));
   });
 }
 
@@ -42,17 +42,17 @@ Tensor flags_like(Tensor const& x, Layout layout) {
 }
 
 // The maxima, and where they are: none of that unless `marked`.
-std::tuple<Tensor, Tensor> local_maxima(Tensor const& input, std::vector<int64_t> window, bool volumes, bool marked) {
-  Layout const layout = layout_for("local_maxima", input, window, volumes);
+std::tuple<Tensor, Tensor> nms(Tensor const& input, std::vector<int64_t> window, bool volumes, bool marked) {
+  Layout const layout = layout_for("nms", input, window, volumes);
   Tensor const values = empty_like(input, layout);
   Tensor const maxima =
       marked ? flags_like(input, layout) : empty({input.size(0), 0}, input, Layout::planar, ScalarType::Byte);
-  find_maxima("local_maxima", input, window, volumes, &values, marked ? &maxima : nullptr, nullptr, layout);
+  find_maxima("nms", input, window, volumes, &values, marked ? &maxima : nullptr, nullptr, layout);
   return {values, maxima};
 }
 
-Tensor keep_marked(Tensor const& input, Tensor const& flags) {
-  char const* const op = "keep_marked";
+Tensor apply_nms_mask(Tensor const& input, Tensor const& flags) {
+  char const* const op = "apply_nms_mask";
   check_images(op, "input", input);
   bool fits = flags.dim() == 4 && flags.scalar_type() == ScalarType::Byte && flags.device() == input.device();
   for (int64_t i = 0; fits && i < 4; ++i) fits = flags.size(i) == input.size(i) || (i == 0 && flags.size(0) == 1);
@@ -66,31 +66,31 @@ Tensor keep_marked(Tensor const& input, Tensor const& flags) {
   Tensor const x = flat(input), marks = flat(flags), kept = empty_like(input, layout);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    Marked<T> const params{data_ptr<T const>(x), data_ptr<uint8_t const>(marks), data_ptr<T>(kept), kept.numel()};
-    KV_RUN(keep_marked, x, params, params.count, 1);
+    ApplyNmsMask<T> const params{data_ptr<T const>(x), data_ptr<uint8_t const>(marks), data_ptr<T>(kept), kept.numel()};
+    KV_RUN(apply_nms_mask, x, params, params.count, 1);
   });
   return kept;
 }
 
-Tensor is_local_maximum(Tensor const& input, std::vector<int64_t> window, bool volumes) {
-  Layout const layout = layout_for("is_local_maximum", input, window, volumes);
+Tensor nms_mask(Tensor const& input, std::vector<int64_t> window, bool volumes) {
+  Layout const layout = layout_for("nms_mask", input, window, volumes);
   Tensor const maxima = flags_like(input, layout);
-  find_maxima("is_local_maximum", input, window, volumes, nullptr, &maxima, nullptr, layout);
+  find_maxima("nms_mask", input, window, volumes, nullptr, &maxima, nullptr, layout);
   return maxima;
 }
 
-std::tuple<Tensor, Tensor> local_extrema(Tensor const& input, std::vector<int64_t> window, bool volumes) {
-  Layout const layout = layout_for("local_extrema", input, window, volumes);
+std::tuple<Tensor, Tensor> nms_minmax_masks(Tensor const& input, std::vector<int64_t> window, bool volumes) {
+  Layout const layout = layout_for("nms_minmax_masks", input, window, volumes);
   Tensor const maxima = flags_like(input, layout), minima = flags_like(input, layout);
-  find_maxima("local_extrema", input, window, volumes, nullptr, &maxima, &minima, layout);
+  find_maxima("nms_minmax_masks", input, window, volumes, nullptr, &maxima, &minima, layout);
   return {maxima, minima};
 }
 
 }  // namespace
 
-KV_OPERATOR(local_maxima, "(Tensor input, int[] window, bool volumes, bool marked) -> (Tensor, Tensor)")
-KV_OPERATOR(keep_marked, "(Tensor input, Tensor flags) -> Tensor")
-KV_OPERATOR(is_local_maximum, "(Tensor input, int[] window, bool volumes) -> Tensor")
-KV_OPERATOR(local_extrema, "(Tensor input, int[] window, bool volumes) -> (Tensor, Tensor)")
+KV_OPERATOR(nms, "(Tensor input, int[] window, bool volumes, bool marked) -> (Tensor, Tensor)")
+KV_OPERATOR(apply_nms_mask, "(Tensor input, Tensor flags) -> Tensor")
+KV_OPERATOR(nms_mask, "(Tensor input, int[] window, bool volumes) -> Tensor")
+KV_OPERATOR(nms_minmax_masks, "(Tensor input, int[] window, bool volumes) -> (Tensor, Tensor)")
 
 }  // namespace kv

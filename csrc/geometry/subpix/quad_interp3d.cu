@@ -12,7 +12,7 @@ constexpr int kThreads = 256;
 struct Tiles {
   unsigned across, down, count;
   template <class T>
-  explicit Tiles(QuadraticPeaks<T> const& p)
+  explicit Tiles(ConvQuadInterp3d<T> const& p)
       : across(unsigned(ceil_div(p.size[2], 32))),
         down(unsigned(ceil_div(p.size[1], 8))),
         count(unsigned(p.volumes * p.size[0] * across * down)) {}
@@ -20,7 +20,7 @@ struct Tiles {
 
 // Calls use(volume, z, y, x) for the thread's voxel.
 template <class T, class Use>
-__device__ __forceinline__ void at_voxel(QuadraticPeaks<T> const& p, Tiles const& tiles, Use use) {
+__device__ __forceinline__ void at_voxel(ConvQuadInterp3d<T> const& p, Tiles const& tiles, Use use) {
   unsigned const line = blockIdx.x / tiles.across, plane = line / tiles.down, volume = plane / unsigned(p.size[0]);
   int const y = int(line - plane * tiles.down) * 8 + threadIdx.x / 32;
   int const x = int(blockIdx.x - line * tiles.across) * 32 + threadIdx.x % 32;
@@ -28,7 +28,7 @@ __device__ __forceinline__ void at_voxel(QuadraticPeaks<T> const& p, Tiles const
 }
 
 template <class T, class Use>
-__device__ __forceinline__ void at_peak(QuadraticPeaks<T> const& p, T const* volume, int64_t number, int z, int y,
+__device__ __forceinline__ void at_peak(ConvQuadInterp3d<T> const& p, T const* volume, int64_t number, int z, int y,
                                         int x, Use use) {
   auto const value = [](T const& v) { return read(v); };
   if (p.chosen ? p.chosen[number] != 0 : is_peak(volume, p.size, z, y, x, value))
@@ -36,7 +36,7 @@ __device__ __forceinline__ void at_peak(QuadraticPeaks<T> const& p, T const* vol
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) peaks_of(__grid_constant__ QuadraticPeaks<T> const p, Tiles tiles) {
+__global__ void __launch_bounds__(kThreads) peaks_of(__grid_constant__ ConvQuadInterp3d<T> const p, Tiles tiles) {
   using F = Compute<T>;
   at_voxel(p, tiles, [&](int64_t volume, int z, int y, int x) {
     int64_t const width = p.size[2], plane = p.size[1] * width, size = p.size[0] * plane;
@@ -58,9 +58,9 @@ __global__ void __launch_bounds__(kThreads) peaks_of(__grid_constant__ Quadratic
 // Into zeros.
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    peaks_backward(__grid_constant__ QuadraticPeaksBackward<T> const p, Tiles tiles) {
+    peaks_backward(__grid_constant__ ConvQuadInterp3dBackward<T> const p, Tiles tiles) {
   using F = Compute<T>;
-  QuadraticPeaks<T> const& f = p.forward;
+  ConvQuadInterp3d<T> const& f = p.forward;
   at_voxel(f, tiles, [&](int64_t volume, int z, int y, int x) {
     int64_t const width = f.size[2], plane = f.size[1] * width, size = f.size[0] * plane;
     int64_t const at = z * plane + y * width + x, number = volume * size + at;
@@ -82,23 +82,23 @@ __global__ void __launch_bounds__(kThreads)
 }  // namespace
 
 template <class T>
-int quadratic_peaks(QuadraticPeaks<T> const& p, CUstream_st* stream) {
+int conv_quad_interp3d(ConvQuadInterp3d<T> const& p, CUstream_st* stream) {
   Tiles const tiles(p);
   peaks_of<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 
 template <class T>
-int quadratic_peaks_backward(QuadraticPeaksBackward<T> const& p, CUstream_st* stream) {
+int conv_quad_interp3d_backward(ConvQuadInterp3dBackward<T> const& p, CUstream_st* stream) {
   Tiles const tiles(p.forward);
-  QuadraticPeaks<T> const& f = p.forward;
+  ConvQuadInterp3d<T> const& f = p.forward;
   size_t const voxels = size_t(f.volumes) * size_t(f.size[0]) * size_t(f.size[1]) * size_t(f.size[2]);
   if (int const error = cudaMemsetAsync(p.grad_x, 0, voxels * sizeof(Compute<T>), stream)) return error;
   peaks_backward<T><<<tiles.count, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(quadratic_peaks, QuadraticPeaks)
-KV_INSTANTIATE(quadratic_peaks_backward, QuadraticPeaksBackward)
+KV_INSTANTIATE(conv_quad_interp3d, ConvQuadInterp3d)
+KV_INSTANTIATE(conv_quad_interp3d_backward, ConvQuadInterp3dBackward)
 
 }  // namespace kv::cuda

@@ -14,7 +14,7 @@
 namespace kv {
 
 template <class T>
-struct QuadraticPeaks {
+struct ConvQuadInterp3d {
   T const* x;             // (n, D, H, W)
   uint8_t const* chosen;  // the same: which voxels are looked at; null for the strict maxima
   T *places, *values;     // (n, 3, D, H, W), scale (z), x, y; (n, D, H, W)
@@ -27,14 +27,14 @@ struct QuadraticPeaks {
 
 // Gradients to the voxels: what comes to the places and values of a peak goes to the 19 voxels it was made of.
 template <class T>
-struct QuadraticPeaksBackward {
-  QuadraticPeaks<T> forward;  // but its results
+struct ConvQuadInterp3dBackward {
+  ConvQuadInterp3d<T> forward;  // but its results
   T const *grad_places, *grad_values;
   Compute<T>* grad_x;
 };
 
-KV_KERNEL(quadratic_peaks, QuadraticPeaks)
-KV_KERNEL(quadratic_peaks_backward, QuadraticPeaksBackward)
+KV_KERNEL(conv_quad_interp3d, ConvQuadInterp3d)
+KV_KERNEL(conv_quad_interp3d_backward, ConvQuadInterp3dBackward)
 
 // Along x, y, z.
 template <class F>
@@ -119,7 +119,7 @@ struct Quadratic {
 // Where the search that begins at a voxel ends: the number of the centre's voxel, its fit through `use`, or nothing.
 // Read is memory -> number.
 template <class T, class Read, class Use>
-KV_HD void find_peak(QuadraticPeaks<T> const& p, T const* volume, int z, int y, int x, Read read, Use use) {
+KV_HD void find_peak(ConvQuadInterp3d<T> const& p, T const* volume, int z, int y, int x, Read read, Use use) {
   using F = Compute<T>;
   int const plane = p.size[1] * p.size[2], row = p.size[2], start[3] = {x, y, z}, ends[3] = {row, p.size[1], p.size[0]};
   int c[3] = {x, y, z};

@@ -7,7 +7,7 @@ namespace kv::KV_ISA {
 namespace {
 
 template <class T, class Use>
-KV_HD void for_each_peak(QuadraticPeaks<T> const& p, int64_t volume, int z, int y, Use use) {
+KV_HD void for_each_peak(ConvQuadInterp3d<T> const& p, int64_t volume, int z, int y, Use use) {
   auto const read = [](T const& x) { return load<1>(&x); };
   int64_t const plane = int64_t(p.size[1]) * p.size[2];
   T const* const x = p.x + volume * p.size[0] * plane;
@@ -21,7 +21,7 @@ KV_HD void for_each_peak(QuadraticPeaks<T> const& p, int64_t volume, int z, int 
 }  // namespace
 
 template <class T>
-void quadratic_peaks(QuadraticPeaks<T> const& p, int64_t begin, int64_t end) {
+void conv_quad_interp3d(ConvQuadInterp3d<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const width = p.size[2], plane = p.size[1] * width, volume_size = p.size[0] * plane;
   for (int64_t r = begin; r < end; ++r) {
@@ -47,9 +47,9 @@ void quadratic_peaks(QuadraticPeaks<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void quadratic_peaks_backward(QuadraticPeaksBackward<T> const& p, int64_t begin, int64_t end) {
+void conv_quad_interp3d_backward(ConvQuadInterp3dBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
-  QuadraticPeaks<T> const& f = p.forward;
+  ConvQuadInterp3d<T> const& f = p.forward;
   int64_t const width = f.size[2], plane = f.size[1] * width, size = f.size[0] * plane;
   for (int64_t volume = begin; volume < end; ++volume) {
     F* const grad_x = p.grad_x + volume * size;
@@ -68,7 +68,7 @@ void quadratic_peaks_backward(QuadraticPeaksBackward<T> const& p, int64_t begin,
   }
 }
 
-KV_INSTANTIATE(quadratic_peaks, QuadraticPeaks)
-KV_INSTANTIATE(quadratic_peaks_backward, QuadraticPeaksBackward)
+KV_INSTANTIATE(conv_quad_interp3d, ConvQuadInterp3d)
+KV_INSTANTIATE(conv_quad_interp3d_backward, ConvQuadInterp3dBackward)
 
 }  // namespace kv::KV_ISA

@@ -29,7 +29,7 @@ struct Peaks {
     chosen = expand_batch(*which, batch);
   }
   template <class T>
-  QuadraticPeaks<T> of(T* places, T* values) const {
+  ConvQuadInterp3d<T> of(T* places, T* values) const {
     return {data_ptr<T const>(x),
             chosen ? data_ptr<uint8_t const>(*chosen) : nullptr,
             places,
@@ -43,26 +43,26 @@ struct Peaks {
   }
 };
 
-std::tuple<Tensor, Tensor> quadratic_peaks(Tensor const& input, std::optional<Tensor> const& chosen, int64_t steps,
-                                           double largest_shift, int64_t radius, bool along_scale) {
-  check_volumes("quadratic_peaks", "input", input);
-  Peaks const peaks("quadratic_peaks", input, input.size(0), chosen, steps, largest_shift, radius, along_scale);
+std::tuple<Tensor, Tensor> conv_quad_interp3d(Tensor const& input, std::optional<Tensor> const& chosen, int64_t steps,
+                                              double largest_shift, int64_t radius, bool along_scale) {
+  check_volumes("conv_quad_interp3d", "input", input);
+  Peaks const peaks("conv_quad_interp3d", input, input.size(0), chosen, steps, largest_shift, radius, along_scale);
   Tensor const& x = peaks.x;
   Tensor const places = empty({x.size(0), x.size(1), 3, x.size(2), x.size(3), x.size(4)}, x);
   Tensor const values = empty({x.size(0), x.size(1), x.size(2), x.size(3), x.size(4)}, x);
-  dispatch_floating("quadratic_peaks", x, [&](auto type) {
+  dispatch_floating("conv_quad_interp3d", x, [&](auto type) {
     using T = typename decltype(type)::type;
     auto const params = peaks.of<T>(data_ptr<T>(places), data_ptr<T>(values));
-    KV_RUN(quadratic_peaks, x, params, params.volumes * params.size[0] * params.size[1], 16 * x.size(4));
+    KV_RUN(conv_quad_interp3d, x, params, params.volumes * params.size[0] * params.size[1], 16 * x.size(4));
   });
   return {places, values};
 }
 
 // In the type that computes.
-Tensor quadratic_peaks_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input,
-                                std::optional<Tensor> const& chosen, int64_t steps, double largest_shift,
-                                int64_t radius, bool along_scale) {
-  char const* const op = "quadratic_peaks_backward";
+Tensor conv_quad_interp3d_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input,
+                                   std::optional<Tensor> const& chosen, int64_t steps, double largest_shift,
+                                   int64_t radius, bool along_scale) {
+  char const* const op = "conv_quad_interp3d_backward";
   KV_CHECK(grad_places.dim() == 6, op, ": expected grad_places of 6 axes, got ", grad_places.dim());
   int64_t const batch = grad_places.size(0);
   Peaks const peaks(op, input, batch, chosen, steps, largest_shift, radius, along_scale);
@@ -75,9 +75,9 @@ Tensor quadratic_peaks_backward(Tensor const& grad_places, Tensor const& grad_va
                               wide ? ScalarType::Double : ScalarType::Float);
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
-    QuadraticPeaksBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_ptr<T const>(to_places),
-                                           data_ptr<T const>(to_values), data_ptr<Compute<T>>(grad_x)};
-    KV_RUN(quadratic_peaks_backward, x, params, params.forward.volumes, 16 * x.size(2) * x.size(3) * x.size(4));
+    ConvQuadInterp3dBackward<T> const params{peaks.of<T>(nullptr, nullptr), data_ptr<T const>(to_places),
+                                             data_ptr<T const>(to_values), data_ptr<Compute<T>>(grad_x)};
+    KV_RUN(conv_quad_interp3d_backward, x, params, params.forward.volumes, 16 * x.size(2) * x.size(3) * x.size(4));
   });
   return grad_x;
 }
@@ -86,8 +86,8 @@ Tensor quadratic_peaks_backward(Tensor const& grad_places, Tensor const& grad_va
 
 #define KV_HOW "Tensor? chosen, int steps, float largest_shift, int radius, bool along_scale"
 
-KV_OPERATOR(quadratic_peaks, "(Tensor input, " KV_HOW ") -> (Tensor, Tensor)")
-KV_OPERATOR(quadratic_peaks_backward, "(Tensor grad_places, Tensor grad_values, Tensor input, " KV_HOW ") -> Tensor")
+KV_OPERATOR(conv_quad_interp3d, "(Tensor input, " KV_HOW ") -> (Tensor, Tensor)")
+KV_OPERATOR(conv_quad_interp3d_backward, "(Tensor grad_places, Tensor grad_values, Tensor input, " KV_HOW ") -> Tensor")
 
 #undef KV_HOW
 

@@ -35,7 +35,7 @@ struct BlockAxes {
   GaussianAxis<F> x, y;
 
   template <class T>
-  __device__ __forceinline__ BlockAxes(GaussianMaps<T> const& p, int64_t plane)
+  __device__ __forceinline__ BlockAxes(RenderGaussian2d<T> const& p, int64_t plane)
       : x(gaussian_axis(p, plane, 0, [](T v) { return read(v); })),
         y(gaussian_axis(p, plane, 1, [](T v) { return read(v); })) {
     F sums[6] = {};
@@ -56,7 +56,7 @@ struct BlockAxes {
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    draw(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool vectorized) {
+    draw(__grid_constant__ RenderGaussian2d<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   int64_t const plane = blockIdx.x / pieces;
   BlockAxes<F> const axes(p, plane);
@@ -74,7 +74,7 @@ __global__ void __launch_bounds__(kThreads)
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    draw_backward(__grid_constant__ GaussianMaps<T> const p, unsigned pieces, bool vectorized) {
+    draw_backward(__grid_constant__ RenderGaussian2d<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   int64_t const plane = blockIdx.x / pieces;
   BlockAxes<F> const axes(p, plane);
@@ -105,7 +105,7 @@ __global__ void __launch_bounds__(kThreads)
 }
 
 template <class T>
-__global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ GaussianMaps<T> const p, unsigned pieces) {
+__global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ RenderGaussian2d<T> const p, unsigned pieces) {
   Compute<T> sums[4] = {};
   for (unsigned i = threadIdx.x; i < pieces; i += kThreads)
 #pragma unroll
@@ -119,21 +119,21 @@ __global__ void __launch_bounds__(kThreads) add_pieces(__grid_constant__ Gaussia
 }  // namespace
 
 template <class T>
-int gaussian_maps(GaussianMaps<T> const& p, CUstream_st* stream) {
+int render_gaussian2d(RenderGaussian2d<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.pieces());
   draw<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.maps}));
   return cudaGetLastError();
 }
 
 template <class T>
-int gaussian_maps_backward(GaussianMaps<T> const& p, CUstream_st* stream) {
+int render_gaussian2d_backward(RenderGaussian2d<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.pieces());
   draw_backward<<<unsigned(p.planes) * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(p.width, {p.grad}));
   if (pieces > 1) add_pieces<<<unsigned(p.planes), kThreads, 0, stream>>>(p, pieces);
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(gaussian_maps, GaussianMaps)
-KV_INSTANTIATE(gaussian_maps_backward, GaussianMaps)
+KV_INSTANTIATE(render_gaussian2d, RenderGaussian2d)
+KV_INSTANTIATE(render_gaussian2d_backward, RenderGaussian2d)
 
 }  // namespace kv::cuda

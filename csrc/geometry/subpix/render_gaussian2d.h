@@ -15,7 +15,7 @@
 namespace kv {
 
 template <class T>
-struct GaussianMaps {
+struct RenderGaussian2d {
   using F = Compute<T>;
   T const *mean, *std;                  // (planes, 2), x before y
   int64_t mean_stride, std_stride;      // 0 where one serves all
@@ -30,8 +30,8 @@ struct GaussianMaps {
   KV_HD int64_t pieces() const { return (height + rows - 1) / rows; }
 };
 
-KV_KERNEL(gaussian_maps, GaussianMaps)
-KV_KERNEL(gaussian_maps_backward, GaussianMaps)
+KV_KERNEL(render_gaussian2d, RenderGaussian2d)
+KV_KERNEL(render_gaussian2d_backward, RenderGaussian2d)
 
 // Sums over an axis, of w, w u and w q.
 template <class F>
@@ -66,7 +66,7 @@ struct GaussianAxis {
 
 // `read` makes a number of what is stored.
 template <class T, class Read>
-KV_HD GaussianAxis<Compute<T>> gaussian_axis(GaussianMaps<T> const& p, int64_t plane, int which, Read read) {
+KV_HD GaussianAxis<Compute<T>> gaussian_axis(RenderGaussian2d<T> const& p, int64_t plane, int which, Read read) {
   Compute<T> const mean = read(p.mean[plane * p.mean_stride + which]), std = read(p.std[plane * p.std_stride + which]);
   return which == 0 ? GaussianAxis<Compute<T>>(p.along_x, p.width, mean, std)
                     : GaussianAxis<Compute<T>>(p.along_y, p.height, mean, std);

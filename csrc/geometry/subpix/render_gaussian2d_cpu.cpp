@@ -27,7 +27,7 @@ KV_HD void for_each_pixel(int64_t size, Call f) {
 }
 
 template <class T>
-KV_HD GaussianAxis<Compute<T>> axis_of(GaussianMaps<T> const& p, int64_t plane, int which) {
+KV_HD GaussianAxis<Compute<T>> axis_of(RenderGaussian2d<T> const& p, int64_t plane, int which) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
   GaussianAxis<F> axis = gaussian_axis(p, plane, which, [](T x) { return F(load<1>(&x)); });
@@ -52,7 +52,7 @@ KV_HD GaussianAxis<Compute<T>> axis_of(GaussianMaps<T> const& p, int64_t plane, 
 }  // namespace
 
 template <class T>
-void gaussian_maps(GaussianMaps<T> const& p, int64_t begin, int64_t end) {
+void render_gaussian2d(RenderGaussian2d<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   F across[kColumns];
   for (int64_t i = begin; i < end; ++i) {
@@ -78,7 +78,7 @@ void gaussian_maps(GaussianMaps<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void gaussian_maps_backward(GaussianMaps<T> const& p, int64_t begin, int64_t end) {
+void render_gaussian2d_backward(RenderGaussian2d<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
   F across[3][kColumns];  // w, and w times what u and q are more than their means
@@ -121,7 +121,7 @@ void gaussian_maps_backward(GaussianMaps<T> const& p, int64_t begin, int64_t end
   }
 }
 
-KV_INSTANTIATE(gaussian_maps, GaussianMaps)
-KV_INSTANTIATE(gaussian_maps_backward, GaussianMaps)
+KV_INSTANTIATE(render_gaussian2d, RenderGaussian2d)
+KV_INSTANTIATE(render_gaussian2d_backward, RenderGaussian2d)
 
 }  // namespace kv::KV_ISA

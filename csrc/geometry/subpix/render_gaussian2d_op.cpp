@@ -24,9 +24,9 @@ struct GivenGaussians {
     planes = m.size(0) == 1 ? s.size(0) : m.size(0);
   }
   template <class T>
-  GaussianMaps<T> params() const {
+  RenderGaussian2d<T> params() const {
     using F = Compute<T>;
-    GaussianMaps<T> p{};
+    RenderGaussian2d<T> p{};
     p.mean = data_ptr<T const>(mean);
     p.std = data_ptr<T const>(std);
     p.mean_stride = mean.size(0) == 1 ? 0 : 2;
@@ -43,23 +43,23 @@ struct GivenGaussians {
   }
 };
 
-Tensor gaussian_maps(Tensor const& mean, Tensor const& std, int64_t height, int64_t width, bool normalized) {
-  constexpr char const* op = "gaussian_maps";
+Tensor render_gaussian2d(Tensor const& mean, Tensor const& std, int64_t height, int64_t width, bool normalized) {
+  constexpr char const* op = "render_gaussian2d";
   GivenGaussians const given(op, mean, std, height, width, normalized);
   Tensor const maps = empty({given.planes, height, width}, given.mean);
   dispatch_floating(op, given.mean, [&](auto type) {
     using T = typename decltype(type)::type;
-    GaussianMaps<T> p = given.params<T>();
+    RenderGaussian2d<T> p = given.params<T>();
     p.maps = data_ptr<T>(maps);
-    KV_RUN(gaussian_maps, maps, p, p.planes * p.pieces(), 2 * p.rows * width);
+    KV_RUN(render_gaussian2d, maps, p, p.planes * p.pieces(), 2 * p.rows * width);
   });
   return maps;
 }
 
 // To the mean and the standard deviation of each map, also where one serves all.
-std::tuple<Tensor, Tensor> gaussian_maps_backward(Tensor const& grad, Tensor const& mean, Tensor const& std,
-                                                  bool normalized) {
-  constexpr char const* op = "gaussian_maps_backward";
+std::tuple<Tensor, Tensor> render_gaussian2d_backward(Tensor const& grad, Tensor const& mean, Tensor const& std,
+                                                      bool normalized) {
+  constexpr char const* op = "render_gaussian2d_backward";
   KV_CHECK(grad.dim() == 3 && grad.scalar_type() == mean.scalar_type() && grad.device() == mean.device(), op,
            ": expected grad of shape (P, H, W), of mean's type and device");
   GivenGaussians const given(op, mean, std, grad.size(1), grad.size(2), normalized);
@@ -68,13 +68,13 @@ std::tuple<Tensor, Tensor> gaussian_maps_backward(Tensor const& grad, Tensor con
                to_std = empty({given.planes, 2}, given.mean);
   dispatch_floating(op, given.mean, [&](auto type) {
     using T = typename decltype(type)::type;
-    GaussianMaps<T> p = given.params<T>();
+    RenderGaussian2d<T> p = given.params<T>();
     Tensor const partial = empty({p.planes, p.pieces(), 4}, g, Layout::planar, compute_dtype(g));
     p.grad = data_ptr<T const>(g);
     p.partial = data_ptr<Compute<T>>(partial);
     p.to_mean = data_ptr<T>(to_mean);
     p.to_std = data_ptr<T>(to_std);
-    KV_RUN(gaussian_maps_backward, g, p, p.planes * p.pieces(), 2 * p.rows * p.width);
+    KV_RUN(render_gaussian2d_backward, g, p, p.planes * p.pieces(), 2 * p.rows * p.width);
 #if !defined(KV_CUDA)
     for (int64_t i = 0; i < 4 * p.planes; ++i) {
       Compute<T> sum = 0;
@@ -94,7 +94,7 @@ std::tuple<Tensor, Tensor> gaussian_maps_backward(Tensor const& grad, Tensor con
 
 }  // namespace
 
-KV_OPERATOR(gaussian_maps, "(Tensor mean, Tensor std, int height, int width, bool normalized) -> Tensor")
-KV_OPERATOR(gaussian_maps_backward, "(Tensor grad, Tensor mean, Tensor std, bool normalized) -> (Tensor, Tensor)")
+KV_OPERATOR(render_gaussian2d, "(Tensor mean, Tensor std, int height, int width, bool normalized) -> Tensor")
+KV_OPERATOR(render_gaussian2d_backward, "(Tensor grad, Tensor mean, Tensor std, bool normalized) -> (Tensor, Tensor)")
 
 }  // namespace kv

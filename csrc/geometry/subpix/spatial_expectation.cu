@@ -38,7 +38,7 @@ __device__ __forceinline__ PlaceSums<F> over_block(PlaceSums<F> sums, bool softm
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    find_places(__grid_constant__ MeanPlace<T> const p, unsigned pieces, bool vectorized) {
+    find_places(__grid_constant__ SpatialExpectation<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
@@ -78,7 +78,7 @@ __global__ void __launch_bounds__(kThreads)
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
-    find_place_gradients(__grid_constant__ MeanPlaceBackward<T> const p, unsigned pieces, bool vectorized) {
+    find_place_gradients(__grid_constant__ SpatialExpectationBackward<T> const p, unsigned pieces, bool vectorized) {
   using F = Compute<T>;
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
@@ -99,7 +99,7 @@ __global__ void __launch_bounds__(kThreads)
 }  // namespace
 
 template <class T>
-int mean_place(MeanPlace<T> const& p, CUstream_st* stream) {
+int spatial_expectation(SpatialExpectation<T> const& p, CUstream_st* stream) {
   HeatMaps<T> const& maps = p.maps;
   unsigned const pieces = unsigned(maps.pieces()), planes = unsigned(maps.planes);
   find_places<<<planes * pieces, kThreads, 0, stream>>>(p, pieces, is_vectorizable<T>(maps.width, {maps.data}));
@@ -108,14 +108,14 @@ int mean_place(MeanPlace<T> const& p, CUstream_st* stream) {
 }
 
 template <class T>
-int mean_place_backward(MeanPlaceBackward<T> const& p, CUstream_st* stream) {
+int spatial_expectation_backward(SpatialExpectationBackward<T> const& p, CUstream_st* stream) {
   unsigned const pieces = unsigned(p.maps.pieces());
   find_place_gradients<<<unsigned(p.maps.planes) * pieces, kThreads, 0, stream>>>(
       p, pieces, is_vectorizable<T>(p.maps.width, {p.maps.data, p.grad_input}));
   return cudaGetLastError();
 }
 
-KV_INSTANTIATE(mean_place, MeanPlace)
-KV_INSTANTIATE(mean_place_backward, MeanPlaceBackward)
+KV_INSTANTIATE(spatial_expectation, SpatialExpectation)
+KV_INSTANTIATE(spatial_expectation_backward, SpatialExpectationBackward)
 
 }  // namespace kv::cuda

@@ -67,21 +67,21 @@ struct PlaceSums {
 };
 
 template <class T>
-struct MeanPlace {
+struct SpatialExpectation {
   HeatMaps<T> maps;
   PlaceSums<Compute<T>>* partial;  // (planes, pieces)
   Compute<T>*places, *parts;       // (planes, 2), by CUDA's kernel; on the CPU the entry makes them
 };
 
 template <class T>
-struct MeanPlaceBackward {
+struct SpatialExpectationBackward {
   HeatMaps<T> maps;
   Compute<T> const *grad, *places, *parts;  // (planes, 2)
   T* grad_input;
 };
 
-KV_KERNEL(mean_place, MeanPlace)
-KV_KERNEL(mean_place_backward, MeanPlaceBackward)
+KV_KERNEL(spatial_expectation, SpatialExpectation)
+KV_KERNEL(spatial_expectation_backward, SpatialExpectationBackward)
 
 // The gradient of the pixels of a plane, of values V at places x and y.
 template <class T>
@@ -90,7 +90,7 @@ struct PlaceSlopes {
   bool softmax;
   F of_x, of_y, of_mean, most, factor;
 
-  KV_HD PlaceSlopes(MeanPlaceBackward<T> const& p, int64_t plane)
+  KV_HD PlaceSlopes(SpatialExpectationBackward<T> const& p, int64_t plane)
       : softmax(p.maps.softmax), of_x(p.grad[2 * plane]), of_y(p.grad[2 * plane + 1]), of_mean(0), most(0), factor(1) {
     if (!softmax) return;
     of_mean = of_x * p.places[2 * plane] + of_y * p.places[2 * plane + 1];

@@ -25,7 +25,7 @@ struct ScaledExp {
 }  // namespace
 
 template <class T>
-void mean_place(MeanPlace<T> const& p, int64_t begin, int64_t end) {
+void spatial_expectation(SpatialExpectation<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
   HeatMaps<T> const& maps = p.maps;
@@ -73,7 +73,7 @@ void mean_place(MeanPlace<T> const& p, int64_t begin, int64_t end) {
 }
 
 template <class T>
-void mean_place_backward(MeanPlaceBackward<T> const& p, int64_t begin, int64_t end) {
+void spatial_expectation_backward(SpatialExpectationBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   HeatMaps<T> const& maps = p.maps;
   ScaledExp<F> const exp{maps.scale};
@@ -93,7 +93,7 @@ void mean_place_backward(MeanPlaceBackward<T> const& p, int64_t begin, int64_t e
   }
 }
 
-KV_INSTANTIATE(mean_place, MeanPlace)
-KV_INSTANTIATE(mean_place_backward, MeanPlaceBackward)
+KV_INSTANTIATE(spatial_expectation, SpatialExpectation)
+KV_INSTANTIATE(spatial_expectation_backward, SpatialExpectationBackward)
 
 }  // namespace kv::KV_ISA

@@ -31,19 +31,19 @@ void check_maps(char const* op, Tensor const& x, bool softmax, double scale) {
 
 // The places (B, C, 2), x before y, and (B, C, 2) of the softmax its largest value and the sum of exponentials over
 // that.
-std::tuple<Tensor, Tensor> mean_place(Tensor const& input, bool softmax, double scale, bool normalized) {
-  check_maps("mean_place", input, softmax, scale);
+std::tuple<Tensor, Tensor> spatial_expectation(Tensor const& input, bool softmax, double scale, bool normalized) {
+  check_maps("spatial_expectation", input, softmax, scale);
   Tensor const x = dense(input);
   Tensor const places = empty({x.size(0), x.size(1), 2}, x, Layout::planar, compute_dtype(x));
   Tensor const parts = empty({x.size(0), x.size(1), 2}, x, Layout::planar, compute_dtype(x));
-  dispatch_floating("mean_place", x, [&](auto type) {
+  dispatch_floating("spatial_expectation", x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
     auto const maps = heat_maps<T>(x, softmax, scale, normalized);
     Tensor const partial = empty({maps.planes, maps.pieces(), 4}, x, Layout::planar, compute_dtype(x));
-    MeanPlace<T> const params{maps, reinterpret_cast<PlaceSums<F>*>(data_ptr<F>(partial)), data_ptr<F>(places),
-                              data_ptr<F>(parts)};
-    KV_RUN(mean_place, x, params, maps.planes * maps.pieces(), 4 * maps.rows * maps.width);
+    SpatialExpectation<T> const params{maps, reinterpret_cast<PlaceSums<F>*>(data_ptr<F>(partial)), data_ptr<F>(places),
+                                       data_ptr<F>(parts)};
+    KV_RUN(spatial_expectation, x, params, maps.planes * maps.pieces(), 4 * maps.rows * maps.width);
 #if !defined(KV_CUDA)
     for (int64_t plane = 0; plane < maps.planes; ++plane) {
       auto sums = PlaceSums<F>::nothing(softmax);
@@ -56,9 +56,9 @@ std::tuple<Tensor, Tensor> mean_place(Tensor const& input, bool softmax, double 
   return {places, parts};
 }
 
-Tensor mean_place_backward(Tensor const& grad, Tensor const& places, Tensor const& parts, Tensor const& input,
-                           bool softmax, double scale, bool normalized) {
-  constexpr char const* op = "mean_place_backward";
+Tensor spatial_expectation_backward(Tensor const& grad, Tensor const& places, Tensor const& parts, Tensor const& input,
+                                    bool softmax, double scale, bool normalized) {
+  constexpr char const* op = "spatial_expectation_backward";
   check_maps(op, input, softmax, scale);
   Tensor const x = dense(input);
   auto const checked = [&](char const* name, Tensor const& t) {
@@ -72,9 +72,10 @@ Tensor mean_place_backward(Tensor const& grad, Tensor const& places, Tensor cons
   dispatch_floating(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     using F = Compute<T>;
-    MeanPlaceBackward<T> const params{heat_maps<T>(x, softmax, scale, normalized), data_ptr<F const>(g),
-                                      data_ptr<F const>(means), data_ptr<F const>(of_sum), data_ptr<T>(grad_x)};
-    KV_RUN(mean_place_backward, x, params, params.maps.planes * params.maps.pieces(),
+    SpatialExpectationBackward<T> const params{heat_maps<T>(x, softmax, scale, normalized), data_ptr<F const>(g),
+                                               data_ptr<F const>(means), data_ptr<F const>(of_sum),
+                                               data_ptr<T>(grad_x)};
+    KV_RUN(spatial_expectation_backward, x, params, params.maps.planes * params.maps.pieces(),
            2 * params.maps.rows * params.maps.width);
   });
   return grad_x;
@@ -82,8 +83,8 @@ Tensor mean_place_backward(Tensor const& grad, Tensor const& places, Tensor cons
 
 }  // namespace
 
-KV_OPERATOR(mean_place, "(Tensor input, bool softmax, float scale, bool normalized) -> (Tensor, Tensor)")
-KV_OPERATOR(mean_place_backward,
+KV_OPERATOR(spatial_expectation, "(Tensor input, bool softmax, float scale, bool normalized) -> (Tensor, Tensor)")
+KV_OPERATOR(spatial_expectation_backward,
             "(Tensor grad, Tensor places, Tensor parts, Tensor input, bool softmax, float scale, bool normalized) -> "
             "Tensor")
 

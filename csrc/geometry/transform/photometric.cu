@@ -72,7 +72,7 @@ __global__ void __launch_bounds__(kThreads) photometric_tiles(Photometric<T> p, 
 }
 
 template <class F>
-__global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormal<F> p, TileGrid tiles) {
+__global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormalEquations<F> p, TileGrid tiles) {
   __shared__ Tile<F> tile;
   if (threadIdx.x == 0) tile.init(tiles, p.coords);
   __syncthreads();
@@ -151,7 +151,7 @@ int photometric_total(PhotometricTotal<T> const& p, CUstream_st* stream) {
 }
 
 template <class T>
-int photometric_normal(PhotometricNormal<T> const& p, CUstream_st* stream) {
+int photometric_normal_equations(PhotometricNormalEquations<T> const& p, CUstream_st* stream) {
   TileGrid const tiles(p.target.batch, p.target.height, p.target.width, 1);
   normal_tiles<T><<<tiles.blocks, kThreads, 0, stream>>>(p, tiles);
   return cudaGetLastError();
@@ -164,7 +164,7 @@ int photometric_normal_total(PhotometricNormalTotal<T> const& p, CUstream_st* st
 }
 
 KV_INSTANTIATE(photometric, Photometric)
-KV_INSTANTIATE_COMPUTED(photometric_normal, PhotometricNormal)
+KV_INSTANTIATE_COMPUTED(photometric_normal_equations, PhotometricNormalEquations)
 KV_INSTANTIATE_COMPUTED(photometric_normal_total, PhotometricNormalTotal)
 KV_INSTANTIATE_COMPUTED(photometric_total, PhotometricTotal)
 

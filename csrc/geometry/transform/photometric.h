@@ -43,7 +43,7 @@ struct PhotometricTotal {
 constexpr int kNormalSums = 47;
 
 template <class T>
-struct PhotometricNormal : Photometric<T> {
+struct PhotometricNormalEquations : Photometric<T> {
   T x_scale, x_offset, y_scale, y_offset;  // pixels of the target are scale * pixel + offset there
   T u_scale, u_offset, v_scale, v_offset;  // and those of the source
 };
@@ -57,7 +57,7 @@ struct PhotometricNormalTotal {
 
 KV_KERNEL(photometric, Photometric)
 KV_KERNEL(photometric_total, PhotometricTotal)
-KV_KERNEL(photometric_normal, PhotometricNormal)
+KV_KERNEL(photometric_normal_equations, PhotometricNormalEquations)
 KV_KERNEL(photometric_normal_total, PhotometricNormalTotal)
 
 // The distance and its derivative; both are 0 at 0 for l1.

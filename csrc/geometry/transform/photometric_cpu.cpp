@@ -86,7 +86,7 @@ struct NormalTotals {
 };
 
 template <int N, class F>
-KV_HD void add_normals(PhotometricNormal<F> const& p, F const* last_line, CoordRow<F> const& places, int64_t b,
+KV_HD void add_normals(PhotometricNormalEquations<F> const& p, F const* last_line, CoordRow<F> const& places, int64_t b,
                        int64_t y, int64_t first, int64_t e, NormalTotals<F>& totals) {
   using V = Lanes<F, N>;
   V xx{}, xy{}, yy{}, by_x{}, by_y{}, sum{};
@@ -174,7 +174,7 @@ void photometric_total(PhotometricTotal<T> const& p, int64_t begin, int64_t end)
 }
 
 template <class T>
-void photometric_normal(PhotometricNormal<T> const& p, int64_t begin, int64_t end) {
+void photometric_normal_equations(PhotometricNormalEquations<T> const& p, int64_t begin, int64_t end) {
   for (double *sum = p.sums + kNormalSums * begin, *last = p.sums + kNormalSums * end; sum < last; ++sum) *sum = 0;
   CoordRow<T> places;
   for_each_row_chunk(
@@ -217,7 +217,7 @@ void photometric_normal_total(PhotometricNormalTotal<T> const& p, int64_t begin,
 }
 
 KV_INSTANTIATE(photometric, Photometric)
-KV_INSTANTIATE_COMPUTED(photometric_normal, PhotometricNormal)
+KV_INSTANTIATE_COMPUTED(photometric_normal_equations, PhotometricNormalEquations)
 KV_INSTANTIATE_COMPUTED(photometric_normal_total, PhotometricNormalTotal)
 KV_INSTANTIATE_COMPUTED(photometric_total, PhotometricTotal)
 

@@ -60,16 +60,16 @@ std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& targe
   return {loss, grad};
 }
 
-std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tensor const& target, Tensor const& matrix,
-                                                      std::string const& distance, double eps, bool align_corners,
-                                                      bool normalized) {
-  Arguments const a("photometric_normal", source, target, matrix, align_corners, normalized);
+std::tuple<Tensor, Tensor, Tensor> photometric_normal_equations(Tensor const& source, Tensor const& target,
+                                                                Tensor const& matrix, std::string const& distance,
+                                                                double eps, bool align_corners, bool normalized) {
+  Arguments const a("photometric_normal_equations", source, target, matrix, align_corners, normalized);
   Tensor const sums = empty({a.batch, a.parts, kNormalSums}, source, Layout::planar, ScalarType::Double);
   Tensor const loss = empty({a.batch}, a.matrix.tensor), gradient = empty({a.batch, 8}, loss);
   Tensor const normal = empty({a.batch, 8, 8}, loss);
-  dispatch_compute_dtype("photometric_normal", source, [&](auto type) {
+  dispatch_compute_dtype("photometric_normal_equations", source, [&](auto type) {
     using T = typename decltype(type)::type;
-    PhotometricNormal<T> params{a.of<T>(source, target, distance, eps, sums), 1, 0, 1, 0, 1, 0, 1, 0};
+    PhotometricNormalEquations<T> params{a.of<T>(source, target, distance, eps, sums), 1, 0, 1, 0, 1, 0, 1, 0};
     if (normalized) {
       auto const to_unit = [&](int64_t size, T& scale, T& offset) {
         matrix::Unit const unit(size, align_corners);
@@ -81,7 +81,7 @@ std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tens
       to_unit(a.from.width, params.u_scale, params.u_offset);
       to_unit(a.from.height, params.v_scale, params.v_offset);
     }
-    KV_RUN(photometric_normal, source, params, a.batch * a.to.height, 16 * a.channels * a.to.width);
+    KV_RUN(photometric_normal_equations, source, params, a.batch * a.to.height, 16 * a.channels * a.to.width);
     PhotometricNormalTotal<T> const total{
         params.sums, a.parts, a.batch, a.channels, data_ptr<T>(loss), data_ptr<T>(gradient), data_ptr<T>(normal)};
     KV_RUN(photometric_normal_total, source, total, a.batch, kNormalSums * a.parts);
@@ -95,7 +95,7 @@ std::tuple<Tensor, Tensor, Tensor> photometric_normal(Tensor const& source, Tens
   "(Tensor source, Tensor target, Tensor matrix, str distance, float eps, bool align_corners, bool normalized)"
 
 KV_OPERATOR(photometric, KV_HOW " -> (Tensor, Tensor)")
-KV_OPERATOR(photometric_normal, KV_HOW " -> (Tensor, Tensor, Tensor)")
+KV_OPERATOR(photometric_normal_equations, KV_HOW " -> (Tensor, Tensor, Tensor)")
 
 #undef KV_HOW
 

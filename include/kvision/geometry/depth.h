@@ -29,7 +29,7 @@ inline Tensor depth_from_plane_equation(Tensor const& plane_normals, Tensor cons
   Tensor const plane = at::cat({entry(0, 0), entry(1, 1), entry(0, 2), entry(1, 2), plane_normals, plane_offsets,
                                 at::full_like(plane_offsets, eps)},
                                1);
-  return ops::map_points(points_uv, {}, plane.unsqueeze(1), "meet").squeeze(2);
+  return ops::transform_points(points_uv, {}, plane.unsqueeze(1), "meet").squeeze(2);
 }
 
 // The source where the pixels of the depth of the destination are seen in it, by the motion (B, 4, 4) between the two.

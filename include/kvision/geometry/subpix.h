@@ -16,19 +16,19 @@ inline Tensor to_bool(Tensor const& flags) { return flags.to(at::kBool); }
 inline Tensor nms2d(Tensor const& input, Size2d kernel_size, bool mask_only = false) {
   Tensor const x = detail::floats(detail::images("nms2d", "input", input));
   std::vector<int64_t> const window{1, kernel_size->at(0), kernel_size->at(1)};
-  if (mask_only) return detail::to_bool(ops::is_local_maximum(x, window, false));
-  return std::get<0>(ops::local_maxima(x, window, false, false));
+  if (mask_only) return detail::to_bool(ops::nms_mask(x, window, false));
+  return std::get<0>(ops::nms(x, window, false, false));
 }
 inline Tensor nms3d(Tensor const& input, Size3d kernel_size, bool mask_only = false) {
   Tensor const x = detail::floats(detail::volumes("nms3d", "input", input)).flatten(0, 1);
   auto const window = detail::list(kernel_size);
-  if (mask_only) return detail::to_bool(ops::is_local_maximum(x, window, true)).view(input.sizes());
-  return std::get<0>(ops::local_maxima(x, window, true, false)).view(input.sizes());
+  if (mask_only) return detail::to_bool(ops::nms_mask(x, window, true)).view(input.sizes());
+  return std::get<0>(ops::nms(x, window, true, false)).view(input.sizes());
 }
 // Where there are maxima and minima among 3 x 3 x 3 voxels.
 inline std::tuple<Tensor, Tensor> nms3d_minmax(Tensor const& input) {
   Tensor const x = detail::floats(detail::volumes("nms3d_minmax", "input", input)).flatten(0, 1);
-  auto const [maxima, minima] = ops::local_extrema(x, {3, 3, 3}, true);
+  auto const [maxima, minima] = ops::nms_minmax_masks(x, {3, 3, 3}, true);
   return {detail::to_bool(maxima).view(input.sizes()), detail::to_bool(minima).view(input.sizes())};
 }
 
@@ -36,7 +36,7 @@ namespace detail {
 
 inline Tensor spatial_expectation(char const* op, Tensor const& input, bool softmax, double scale, bool normalized) {
   Tensor const x = floats(images(op, "input", input));
-  return std::get<0>(ops::mean_place(x, softmax, scale, normalized)).to(x.scalar_type());
+  return std::get<0>(ops::spatial_expectation(x, softmax, scale, normalized)).to(x.scalar_type());
 }
 
 }  // namespace detail
@@ -52,8 +52,8 @@ inline Tensor spatial_soft_argmax2d(Tensor const& input, double temperature = 1,
 // Gaussians (N, *size) of means and standard deviations (N or 1, 2), x before y, each of which adds up to 1.
 inline Tensor render_gaussian2d(Tensor const& mean, Tensor const& std, Size2d size,
                                 bool normalized_coordinates = true) {
-  return ops::gaussian_maps(detail::shaped("render_gaussian2d", "mean", mean, 2, "(N, 2)"), std, size->at(0),
-                            size->at(1), normalized_coordinates);
+  return ops::render_gaussian2d(detail::shaped("render_gaussian2d", "mean", mean, 2, "(N, 2)"), std, size->at(0),
+                                size->at(1), normalized_coordinates);
 }
 
 template <int axes>
@@ -93,9 +93,9 @@ struct QuadInterpOptions {
 // Positions (z, x, y) of the maxima of volumes between voxels, (B, C, 3, D, H, W), and the values there.
 inline std::tuple<Tensor, Tensor> conv_quad_interp3d(Tensor const& input, QuadInterpOptions const& options = {}) {
   auto const& mask = options.precomputed_nms_mask();
-  return ops::quadratic_peaks(detail::floats(detail::volumes("conv_quad_interp3d", "input", input)),
-                              mask ? std::optional(mask->to(at::kByte)) : std::nullopt, options.n_iters(),
-                              options.max_subpixel_shift(), options.dilation_radius(), options.allow_scale_steps());
+  return ops::conv_quad_interp3d(detail::floats(detail::volumes("conv_quad_interp3d", "input", input)),
+                                 mask ? std::optional(mask->to(at::kByte)) : std::nullopt, options.n_iters(),
+                                 options.max_subpixel_shift(), options.dilation_radius(), options.allow_scale_steps());
 }
 
 }  // namespace kvision

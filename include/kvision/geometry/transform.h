@@ -344,9 +344,9 @@ inline std::tuple<Tensor, Tensor, Tensor> photometric_normal_equations(Tensor co
                                                                        Tensor const& src_homo_dst,
                                                                        PhotometricOptions const& options = {}) {
   detail::images("photometric_normal_equations", "source", source);
-  return ops::photometric_normal(source, target, detail::computed(src_homo_dst, source),
-                                 detail::name(options.distance()), options.eps(), options.align_corners(),
-                                 options.normalized_coordinates());
+  return ops::photometric_normal_equations(source, target, detail::computed(src_homo_dst, source),
+                                           detail::name(options.distance()), options.eps(), options.align_corners(),
+                                           options.normalized_coordinates());
 }
 
 }  // namespace kvision

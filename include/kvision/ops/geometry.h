@@ -180,9 +180,10 @@ inline constexpr Operator<"photometric", Two(Tensor source, Tensor target, Tenso
                   return {Tensor(), Tensor(), detail::once("photometric", to_matrix, {b.grad(), b.tensor(2)})};
                 },
                 1};
-inline constexpr Operator<"photometric_normal", Three(Tensor source, Tensor target, Tensor matrix, String distance,
-                                                      double eps, bool align_corners, bool normalized)>
-    photometric_normal{non_differentiable};
+inline constexpr Operator<"photometric_normal_equations",
+                          Three(Tensor source, Tensor target, Tensor matrix, String distance, double eps,
+                                bool align_corners, bool normalized)>
+    photometric_normal_equations{non_differentiable};
 inline constexpr Operator<"photometric_depth", Four(Tensor views, Tensor target, Tensor depth, Tensor projections,
                                                     String distance, double eps)>
     photometric_depth{[](Backward const& b) -> variable_list {
@@ -198,29 +199,28 @@ inline constexpr Operator<"photometric_depth", Four(Tensor views, Tensor target,
 // --- peaks
 // ------------------------------------------------------------------------------------------------------------
 
-inline constexpr Operator<"keep_marked", Tensor(Tensor input, Tensor flags)> keep_marked{
-    [](Backward const& b) { return b.call(keep_marked, {{"input", b.grad()}}); }, 0, false};
-inline constexpr Operator<"is_local_maximum", Tensor(Tensor input, Ints window, bool volumes)> is_local_maximum{
+inline constexpr Operator<"apply_nms_mask", Tensor(Tensor input, Tensor flags)> apply_nms_mask{
+    [](Backward const& b) { return b.call(apply_nms_mask, {{"input", b.grad()}}); }, 0, false};
+inline constexpr Operator<"nms_mask", Tensor(Tensor input, Ints window, bool volumes)> nms_mask{non_differentiable};
+inline constexpr Operator<"nms_minmax_masks", Two(Tensor input, Ints window, bool volumes)> nms_minmax_masks{
     non_differentiable};
-inline constexpr Operator<"local_extrema", Two(Tensor input, Ints window, bool volumes)> local_extrema{
-    non_differentiable};
-inline constexpr Operator<"local_maxima", Two(Tensor input, Ints window, bool volumes, bool marked)> local_maxima{
+inline constexpr Operator<"nms", Two(Tensor input, Ints window, bool volumes, bool marked)> nms{
     [](Backward const& b) -> variable_list {
-      Tensor const flags = b.results[0].numel() > 0 ? b.results[0] : b.call(is_local_maximum)[0];
-      return {keep_marked(b.grad(), flags)};
+      Tensor const flags = b.results[0].numel() > 0 ? b.results[0] : b.call(nms_mask)[0];
+      return {apply_nms_mask(b.grad(), flags)};
     },
     1};
-inline constexpr Operator<"mean_place", Two(Tensor input, bool softmax, double scale, bool normalized)> mean_place{
-    from<"mean_place_backward", 2>};
-inline constexpr Operator<"gaussian_maps",
+inline constexpr Operator<"spatial_expectation", Two(Tensor input, bool softmax, double scale, bool normalized)>
+    spatial_expectation{from<"spatial_expectation_backward", 2>};
+inline constexpr Operator<"render_gaussian2d",
                           Tensor(Tensor mean, Tensor std, int64_t height, int64_t width, bool normalized)>
-    gaussian_maps{from<"gaussian_maps_backward">};
+    render_gaussian2d{from<"render_gaussian2d_backward">};
 inline constexpr Operator<"soft_argmax", Two(Tensor input, Ints window, Ints stride, Ints padding, double temperature,
                                              bool normalized, bool scale_too, bool with_values)>
     soft_argmax{from<"soft_argmax_backward">};
-inline constexpr Operator<"quadratic_peaks", Two(Tensor input, OptionalTensor chosen, int64_t steps,
-                                                 double largest_shift, int64_t radius, bool along_scale)>
-    quadratic_peaks{from<"quadratic_peaks_backward">};
+inline constexpr Operator<"conv_quad_interp3d", Two(Tensor input, OptionalTensor chosen, int64_t steps,
+                                                    double largest_shift, int64_t radius, bool along_scale)>
+    conv_quad_interp3d{from<"conv_quad_interp3d_backward">};
 
 // --- depth
 // ------------------------------------------------------------------------------------------------------------
@@ -230,7 +230,7 @@ namespace detail {
 // Of the points of depth, from their gradient (B, 3, H, W).
 inline variable_list depth_points_gradients(Backward const& b, Tensor const& grad) {
   return {b.needs(0) ? b.call("depth_points_backward", {{"grad", grad}})[0] : Tensor(),
-          b.needs(1) ? b.call("depth_camera", {{"grad", grad}})[0] : Tensor()};
+          b.needs(1) ? b.call("depth_points_camera_backward", {{"grad", grad}})[0] : Tensor()};
 }
 
 }  // namespace detail
@@ -242,7 +242,7 @@ inline constexpr Operator<"depth_points", Tensor(Tensor depth, Tensor camera, bo
 inline constexpr Operator<"depth_normals", Tensor(Tensor depth, Tensor camera, bool distance)> depth_normals{
     [](Backward const& b) -> variable_list {
       if (!b.needs(1)) return b.call("depth_normals_backward");
-      return detail::depth_points_gradients(b, b.call("depth_normals_to_points")[0]);
+      return detail::depth_points_gradients(b, b.call("depth_normals_points_backward")[0]);
     }};
 inline constexpr Operator<"reprojection", Tensor(Tensor camera_to, Tensor pose_to, Tensor camera_from,
                                                  OptionalTensor pose_from, bool pinhole)>
@@ -251,9 +251,9 @@ inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tenso
                                                String padding, bool align_corners)>
     depth_warp{[](Backward const& b) -> variable_list {
       auto const type = b.grad().scalar_type() == at::kDouble ? at::kDouble : at::kFloat;
-      variable_list const maps = b.needs(1) || b.needs(2) ? b.call("depth_warp_slopes") : variable_list(2);
+      variable_list const maps = b.needs(1) || b.needs(2) ? b.call("depth_warp_coords_backward") : variable_list(2);
       return {b.needs(0)
-                  ? b.call("depth_warp_image_gradient", {{"grad", b.grad().to(type)}, {"size", b.image_size()}})[0]
+                  ? b.call("depth_warp_image_backward", {{"grad", b.grad().to(type)}, {"size", b.image_size()}})[0]
                   : Tensor(),
               maps[0], maps[1]};
     }};
@@ -261,8 +261,9 @@ inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tenso
 // --- points
 // -----------------------------------------------------------------------------------------------------------
 
-inline constexpr Operator<"map_points", Tensor(Tensor points, OptionalTensor depth, Tensor matrix, String kind)>
-    map_points{[](Backward const& b) { return b.call("map_points_backward", {{"to_matrix", b.needs(2)}}); }};
+inline constexpr Operator<"transform_points", Tensor(Tensor points, OptionalTensor depth, Tensor matrix, String kind)>
+    transform_points{
+        [](Backward const& b) { return b.call("transform_points_backward", {{"to_matrix", b.needs(2)}}); }};
 inline constexpr Operator<"undistort_map", Tensor(Tensor camera, Tensor coefficients, OptionalTensor tilt, Ints size)>
     undistort_map{from<"undistort_map_backward">};
 

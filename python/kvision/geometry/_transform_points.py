@@ -43,7 +43,7 @@ def _shape(points, depth, matrix, kind):
 
 
 def _backward(needs, grad, points, depth, matrix, kind):
-    to_points, to_depth, to_matrix = _map_points_backward(grad, points, depth, matrix, kind, needs[2])
+    to_points, to_depth, to_matrix = _transform_points_backward(grad, points, depth, matrix, kind, needs[2])
     to_matrix = to_matrix.sum_to_size(matrix.shape) if needs[2] else None
     return [to_points, to_depth if depth is not None else None, to_matrix]
 
@@ -69,13 +69,15 @@ def _backward_shapes(grad, points, depth, matrix, kind, to_matrix):
     return [points.shape, to_depth, to_matrix]
 
 
-_map_points = register("map_points", _reference, fake=_shape, backward=_backward)
-_map_points_backward = register("map_points_backward", _backward_reference, fake=_backward_shapes, casts_outputs=True)
+_transform_points = register("transform_points", _reference, fake=_shape, backward=_backward)
+_transform_points_backward = register(
+    "transform_points_backward", _backward_reference, fake=_backward_shapes, casts_outputs=True
+)
 
 
 def met(points: Tensor, plane: Tensor) -> Tensor:
     """Depths (B, N) of planes at pixels (B, N, 2), by rows (B or 1, 9): focal lengths, principal point, normal, offset, eps."""
-    depth: Tensor = _map_points(points, None, plane[:, None], "meet")
+    depth: Tensor = _transform_points(points, None, plane[:, None], "meet")
     return depth[..., 0]
 
 
@@ -89,9 +91,9 @@ def transformed(points: Tensor, matrix: Tensor) -> Tensor:
     batch = matrix.shape[0]
     matrix = as_dtype(matrix, compute_dtype(points))
     if points.dim() == 3 and points.shape[0] == batch:  # as most calls are
-        return _map_points(points, None, matrix, "transform")
+        return _transform_points(points, None, matrix, "transform")
     flat = points.reshape(batch, prod(points.shape[:-1]) // batch if batch else 0, points.shape[-1])
-    y = _map_points(flat, None, matrix, "transform")
+    y = _transform_points(flat, None, matrix, "transform")
     return y.reshape(*points.shape[:-1], y.shape[-1])
 
 
@@ -102,7 +104,7 @@ def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str)
     leading = points.shape[:-1]
     if points.dim() == camera_matrix.dim() == 3 and points.shape[0] == camera_matrix.shape[0]:  # as most calls are
         if depth is None or depth.shape[:-1] == leading:
-            return _map_points(points, depth, camera_matrix, kind)
+            return _transform_points(points, depth, camera_matrix, kind)
     cameras: tuple[int, ...] = camera_matrix.shape[:-2]
     if len(cameras) < len(leading):
         cameras = (*cameras, 1)
@@ -121,5 +123,5 @@ def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str)
     if cameras[:own] != tuple(leading[:own]):
         matrix = matrix.reshape(*cameras[:own], 3, 3).expand(*leading[:own], 3, 3)
     depth = None if depth is None else depth.reshape(outer, inner, 1)
-    y = _map_points(points.reshape(outer, inner, points.shape[-1]), depth, matrix.reshape(outer, 3, 3), kind)
+    y = _transform_points(points.reshape(outer, inner, points.shape[-1]), depth, matrix.reshape(outer, 3, 3), kind)
     return y.reshape(*leading, y.shape[-1])

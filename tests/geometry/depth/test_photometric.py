@@ -49,7 +49,7 @@ def target(x: Tensor) -> Tensor:
 
 
 class TestPhotometricDepth(WarpTests):
-    operators = ("photometric_depth", "depth_warp", "depth_warp_image_gradient")
+    operators = ("photometric_depth", "depth_warp", "depth_warp_image_backward")
     bytes = False
     max_size = 7
     small = (1, 1, 4, 4)

@@ -56,7 +56,7 @@ class Points(OpTests):
 
 class TestDepthTo3d(Points):
     function = staticmethod(G.depth_to_3d)
-    operators = ("depth_points", "depth_points_backward", "depth_camera")
+    operators = ("depth_points", "depth_points_backward", "depth_points_camera_backward")
     tolerances = {torch.float32: (2e-5, 1e-5)}
 
     def test_nan_stays_in_its_window(self, variant, device):
@@ -68,7 +68,8 @@ class TestDepthTo3d(Points):
 class TestDepthToNormals(TestDepthTo3d):
     function = staticmethod(G.depth_to_normals)
     operators = tuple(
-        "depth_normals depth_normals_backward depth_normals_to_points depth_points_backward depth_camera".split()
+        "depth_normals depth_normals_backward depth_normals_points_backward depth_points_backward "
+        "depth_points_camera_backward".split()
     )
 
     def input(self, shape, dtype, device):

@@ -38,8 +38,8 @@ class TestWarpFrameDepth(WarpTests):
     function = staticmethod(G.warp_frame_depth)
     small = (1, 1, 4, 4)
     operators = tuple(
-        "depth_points depth_points_backward depth_camera depth_warp depth_warp_image_gradient depth_warp_slopes "
-        "reprojection reprojection_backward".split()
+        "depth_points depth_points_backward depth_points_camera_backward depth_warp depth_warp_image_backward "
+        "depth_warp_coords_backward reprojection reprojection_backward".split()
     )
     bytes = False
     max_size = 7

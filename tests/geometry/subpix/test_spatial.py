@@ -19,7 +19,7 @@ G = K.geometry
 class TestSpatialSoftArgmax2d(OpTests):
     function = staticmethod(G.spatial_soft_argmax2d)
     module = G.SpatialSoftArgmax2d
-    operators = ("mean_place", "mean_place_backward")
+    operators = ("spatial_expectation", "spatial_expectation_backward")
     mixed = ("input",)  # places of half types are computed in float32
     max_size = 9
     variants = [{}, {"normalized_coordinates": False, "temperature": 0.2}]
@@ -30,7 +30,7 @@ class TestSpatialSoftArgmax2d(OpTests):
 
 class TestSpatialExpectation2d(OpTests):
     function = staticmethod(G.spatial_expectation2d)
-    operators = ("mean_place", "mean_place_backward")
+    operators = ("spatial_expectation", "spatial_expectation_backward")
     mixed = ("input",)
     max_size = 9
     variants = [{"normalized_coordinates": True}]
@@ -114,7 +114,7 @@ def test_spatial_is_kornias(device):
 
 class TestSpatialOperators(PointOpTests):
     calls = {
-        "gaussian_maps": [
+        "render_gaussian2d": [
             Call((vector(2), lambda: torch.rand(2) + 0.5), (4, 6, normalized), accepted=("32768",))
             for normalized in (True, False)
         ],

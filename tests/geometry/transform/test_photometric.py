@@ -111,7 +111,7 @@ def test_normal_equations_of_nothing(device):
 
 class TestPhotometricOperators(PointOpTests):
     calls = {
-        "photometric_normal": [
+        "photometric_normal_equations": [
             Call(
                 (vector(3, 8, 9), vector(3, 8, 9), near(EYE, 0.01)),
                 ("charbonnier", 0.1, True, True),

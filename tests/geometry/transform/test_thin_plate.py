@@ -151,7 +151,9 @@ class TestThinPlateOperators(PointOpTests):
                 (vector(5, 2), *SPLINE), accepted=("points cut along axis -2",), dtypes=SINGLE_AND_DOUBLE, tolerance=20
             )
         ],
-        "thin_plate_map": [Call(SPLINE, ([3, 4], True), accepted=("grad cut",), dtypes=SINGLE_AND_DOUBLE, tolerance=20)],
+        "thin_plate_map": [
+            Call(SPLINE, ([3, 4], True), accepted=("grad cut",), dtypes=SINGLE_AND_DOUBLE, tolerance=20)
+        ],
         "thin_plate_weights": [
             Call((lambda: SQUARE / 4 + 0.2 * torch.rand(4, 2), vector(7, 2)), dtypes=SINGLE_AND_DOUBLE, tolerance=100)
         ],

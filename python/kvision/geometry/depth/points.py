@@ -105,7 +105,7 @@ _to_depth = register(
     backward=_to_depth_backward,
 )
 _to_camera = register(
-    "depth_camera",
+    "depth_points_camera_backward",
     _points_to_camera,
     fake=lambda grad, depth, camera, _: camera.new_empty(grad.shape[0], 3, 3),
     casts_outputs=True,
@@ -119,7 +119,7 @@ _depth_normals = register(
 _normals_to_depth = register(
     "depth_normals_backward", vjp(_normals), fake=lambda grad, *how: (grad.shape[0], 1, *grad.shape[2:])
 )
-_normals_to_points = register("depth_normals_to_points", _normals_transposed)
+_normals_to_points = register("depth_normals_points_backward", _normals_transposed)
 
 # --- points ---------------------------------------------------------------------------------------------------------
 

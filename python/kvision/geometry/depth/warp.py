@@ -91,14 +91,14 @@ depth_warp_of = register(
     backward=_backward,
 )
 image_gradient_of = register(
-    "depth_warp_image_gradient",
+    "depth_warp_image_backward",
     _image_gradient_reference,
     fake=lambda grad, depth, projection, size, *how: grad.new_empty(*grad.shape[:2], *size),
     backward=_image_gradient_backward,
     nondeterministic=on_cuda,
 )
 _slopes = register(
-    "depth_warp_slopes",
+    "depth_warp_coords_backward",
     _slopes_reference,
     fake=lambda grad, image, depth, projection, *how: [
         depth.new_empty(len(grad), *depth.shape[1:]),

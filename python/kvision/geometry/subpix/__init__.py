@@ -1,7 +1,7 @@
 """Peaks of images and volumes: where they are, and where they are between pixels."""
 
-from kvision.geometry.subpix.maxima import NonMaximaSuppression2d, NonMaximaSuppression3d, nms2d, nms3d, nms3d_minmax
-from kvision.geometry.subpix.quadratic import (
+from kvision.geometry.subpix.nms import NonMaximaSuppression2d, NonMaximaSuppression3d, nms2d, nms3d, nms3d_minmax
+from kvision.geometry.subpix.quad_interp3d import (
     AdaptiveQuadInterp3d,
     ConvQuadInterp3d,
     IterativeQuadInterp3d,

@@ -126,13 +126,13 @@ def _slope(grad: Tensor, places: Tensor, parts: Tensor, input: Tensor, *args: An
 
 
 _mean_place_backward = register(
-    "mean_place_backward",
+    "spatial_expectation_backward",
     _slope,
     fake=lambda grad, places, parts, input, *_: torch.empty_like(input, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
 _mean_place = register(
-    "mean_place",
+    "spatial_expectation",
     _mean_place_reference,
     fake=_fake,
     backward=_backward,
@@ -246,13 +246,13 @@ def _gaussian_slopes_reference(grad: Tensor, mean: Tensor, std: Tensor, normaliz
 
 
 _gaussian_maps = register(
-    "gaussian_maps",
+    "render_gaussian2d",
     _gaussian_reference,
     fake=lambda mean, std, height, width, _: (batch_of(mean, std), height, width),
     backward=_gaussian_backward,
 )
 _gaussian_slopes = register(
-    "gaussian_maps_backward", _gaussian_slopes_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2
+    "render_gaussian2d_backward", _gaussian_slopes_reference, fake=lambda grad, *_: [(grad.shape[0], 2)] * 2
 )
 
 

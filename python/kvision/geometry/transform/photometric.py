@@ -138,7 +138,7 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
 
 
 _normal = register(
-    "photometric_normal",
+    "photometric_normal_equations",
     _normal_reference,
     fake=lambda source, target, matrix, *how: [(len(source), 8, 8), (len(source), 8), (len(source),)],
     non_differentiable=(0, 1, 2),

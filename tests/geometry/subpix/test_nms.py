@@ -17,7 +17,7 @@ G = K.geometry
 class TestNms2d(OpTests):
     function = staticmethod(G.nms2d)
     module = G.NonMaximaSuppression2d
-    operators = ("local_maxima", "keep_marked")
+    operators = ("nms", "apply_nms_mask")
     mixed = ("input",)  # flags have a type of their own
     variants = [{"kernel_size": (3, 3)}, {"kernel_size": (5, 5)}, {"kernel_size": (2, 5)}]
     max_size = 9
@@ -37,7 +37,7 @@ class TestNms2d(OpTests):
 class TestNms3d(OpTests):
     function = staticmethod(G.nms3d)
     module = G.NonMaximaSuppression3d
-    operators = ("local_maxima", "keep_marked")
+    operators = ("nms", "apply_nms_mask")
     mixed = ("input",)  # flags have a type of their own
     variants = [{"kernel_size": (3, 3, 3)}, {"kernel_size": (1, 2, 5)}]
     shape = (2, 3, 5, 9, 12)
@@ -49,7 +49,7 @@ IMAGE = (2, 3, 5, 7)
 VOLUME = (2, 1, 4, 6, 7)
 
 
-class TestMaximaFunctions(CompositionTests):
+class TestNmsFunctions(CompositionTests):
     cases = {
         "nms3d_minmax": Case(lambda x: torch.stack(G.nms3d_minmax(x), 1).float(), (VOLUME,), differentiable=False),
         "nms2d mask": Case(lambda x: G.nms2d(x, (3, 3), mask_only=True).float(), (IMAGE,), differentiable=False),
@@ -76,11 +76,11 @@ def test_equal_neighbours_and_nan_are_no_maxima(device):
     assert not G.nms2d(x, (3, 3)).any()
 
 
-class TestMaximaOperators(PointOpTests):
+class TestNmsOperators(PointOpTests):
     calls = {
         name: [
             Call((vector(3, 6, 7),), ([1, 3, 3], False), differentiable=False, tolerance=0),
             Call((vector(4, 6, 7),), ([3, 3, 3], True), differentiable=False, tolerance=0),
         ]
-        for name in ("is_local_maximum", "local_extrema")
+        for name in ("nms_mask", "nms_minmax_masks")
     }

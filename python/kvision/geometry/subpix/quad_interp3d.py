@@ -12,7 +12,7 @@ from kvision._dtype import floats
 from kvision._modules import FunctionModule
 from kvision._ops import on_cuda, register
 from kvision.core.exceptions import ShapeError, TypeCheckError
-from kvision.geometry.subpix.maxima import nms3d
+from kvision.geometry.subpix.nms import nms3d
 from kvision.geometry.subpix.soft_argmax import warn_of_bonus
 
 __all__ = [
@@ -121,13 +121,13 @@ def _gradient(grad_places, grad_values, x, chosen, *how):
 
 
 _peaks = register(
-    "quadratic_peaks",
+    "conv_quad_interp3d",
     _reference,
     fake=lambda x, *how: [(*x.shape[:2], 3, *x.shape[2:]), x.shape],
     backward=_backward,
 )
 _peaks_backward = register(
-    "quadratic_peaks_backward",
+    "conv_quad_interp3d_backward",
     _gradient,
     fake=lambda places, values, x, *how: x.new_empty(
         x.shape, dtype=torch.float64 if x.dtype == torch.float64 else torch.float32

@@ -30,7 +30,7 @@ def smooth(shape: tuple[int, ...]) -> Tensor:
 class TestConvQuadInterp3d(OpTests):
     function = staticmethod(G.conv_quad_interp3d)
     module = G.ConvQuadInterp3d
-    operators = ("quadratic_peaks", "quadratic_peaks_backward")
+    operators = ("conv_quad_interp3d", "conv_quad_interp3d_backward")
     shape = (2, 2, 5, 10, 13)
     small = (1, 1, 3, 5, 4)
     max_size = 5

@@ -74,7 +74,7 @@ def _marked_backward(needs, grad, x, flags):
 
 
 _maxima = register(
-    "local_maxima",
+    "nms",
     _reference,
     fake=lambda x, window, volumes, marked: [x.shape, _empty_flags(x) if marked else _no_flags(x)],
     backward=_backward,
@@ -83,11 +83,11 @@ _maxima = register(
     casts_outputs=True,
 )
 _keep_marked = register(
-    "keep_marked", lambda x, flags: torch.where(flags != 0, x, 0), backward=_marked_backward, linear=True
+    "apply_nms_mask", lambda x, flags: torch.where(flags != 0, x, 0), backward=_marked_backward, linear=True
 )
-_maximum = register("is_local_maximum", _flags, fake=_empty_flags, casts_outputs=True)
+_maximum = register("nms_mask", _flags, fake=_empty_flags, casts_outputs=True)
 _extrema = register(
-    "local_extrema",
+    "nms_minmax_masks",
     lambda x, *how: tuple(_flags(v, *how) for v in (x, -x)),
     fake=lambda x, *how: [_empty_flags(x), _empty_flags(x)],
     casts_outputs=True,

@@ -125,14 +125,14 @@ inline constexpr Rule resized{[](Backward const& b) {
 
 }  // namespace detail
 
-inline constexpr Operator<"resize", Tensor(Tensor input, Ints size, String window, bool align_corners, bool antialias,
+inline constexpr Operator<"resize", Tensor(Tensor input, Ints size, String filter, bool align_corners, bool antialias,
                                            String border)>
     resize{detail::resized};
 inline constexpr Operator<"pyramid_detail", Tensor(Tensor smaller, Tensor image, bool align_corners, String border)>
     pyramid_detail{
         [](Backward const& b) -> variable_list {
           c10::IValue const size = b.image_size();
-          return {b.needs(0) ? -b.call("resize_backward", {{"size", size}, {"window", "pyrup"}, {"antialias", false}},
+          return {b.needs(0) ? -b.call("resize_backward", {{"size", size}, {"filter", "pyrup"}, {"antialias", false}},
                                        detail::resized)[0]
                              : Tensor(),
                   b.grad()};

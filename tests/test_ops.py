@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -346,13 +347,27 @@ def test_native_says_why_programs_and_gradients_of_long_rows_are_not_served():
 def test_every_condition_is_stated_in_info():
     from kvision import info
 
-    text = info.report()
+    text = info.report(operators=True)
     conditional = {n: o for n, o in _ops.operators.items() if o.supports or o.nondeterministic}
     assert len(conditional) >= 19
     for name, operator in conditional.items():
         assert operator.conditions()
         for condition in operator.conditions():
             assert condition.endswith(".") and f"  {name}: {condition}\n" in text
+
+
+def test_info_fits_a_screen():
+    """80 columns, but for a path, and 40 lines; the table of operators is for those who ask."""
+    from kvision import info
+
+    text = info.report()
+    lines = text.splitlines()
+    assert len(lines) <= 40 and all(len(line) <= 80 for line in lines if "/" not in line)
+    assert re.search(r"cpu   copies [\d.]+ GB/s", text) and float(re.search(r"copies ([\d.]+)", text)[1]) > 0
+    assert "--operators" in text and "gaussian_blur2d" not in text
+    if info._C is not None:
+        assert f"{info._C.active_isa()} (in use)" in " ".join(text.split())
+    assert "\n  gaussian_blur2d " in info.report(operators=True)
 
 
 @pytest.fixture

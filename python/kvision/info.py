@@ -10,6 +10,8 @@ import ctypes
 import platform
 import shutil
 import sys
+import textwrap
+import time
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,18 +30,28 @@ _PACKAGE = Path(__file__).parent
 _DTYPES = (*_ops.FLOATS, torch.uint8, torch.int64)
 
 
-def report() -> str:
+def report(operators: bool = False) -> str:
     """The text that `kvision.info()` prints: versions, libraries, what the kernels serve, what to do about the rest.
 
+    Args:
+        operators: with the table of all operators, and the conditions under which their kernels serve a call.
+
     Returns:
-        Lines of text.
+        Lines of text, 80 columns wide without the table.
 
     Example:
         >>> import kvision as K
         >>> print(K.info.report())  # doctest: +ELLIPSIS
         kvision ...
     """
-    return "\n".join([*_versions(), "", *_libraries(), "", *_operators(), "", *_next_steps()])
+    parts = [_versions(), _libraries(), _speed(), _operators() if operators else _operator_counts(), _next_steps()]
+    return "\n\n".join("\n".join(part if operators else map(_wrapped, part)) for part in parts)
+
+
+def _wrapped(line: str) -> str:
+    """In 80 columns, continued four to the right of where the line begins."""
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    return textwrap.fill(line, 80, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _versions() -> Iterator[str]:
@@ -109,6 +121,50 @@ def _has_code_for(architectures: str, capability: int) -> bool:
     return False
 
 
+def _speed() -> Iterator[str]:
+    yield "Memory: what an operator that reads an image and writes one can reach"
+    yield f"  cpu   copies {_copy_speed('cpu'):.1f} GB/s, read and written, with {torch.get_num_threads()} threads"
+    if torch.cuda.is_available():
+        yield f"  cuda  copies {_copy_speed('cuda'):.0f} GB/s, read and written"
+
+
+def _copy_speed(device: str) -> float:
+    """Gigabytes read and written in a second, by the fastest of five copies of 64 MiB, more than a cache holds."""
+    source = torch.zeros(2**26, dtype=torch.uint8, device=device)
+    target = torch.zeros_like(source)
+    seconds = []
+    for _ in range(5):
+        _synchronize(device)
+        begin = time.perf_counter()
+        target.copy_(source)
+        _synchronize(device)
+        seconds.append(time.perf_counter() - begin)
+    return 2 * source.numel() / min(seconds) / 1e9
+
+
+def _synchronize(device: str) -> None:
+    if device == "cuda":
+        torch.cuda.synchronize()
+
+
+def _operator_counts() -> Iterator[str]:
+    names = [name for name in _ops.operators if "backward" not in name]
+    yield f"Operators (backend {_ops.current_backend()!r}): python -m kvision.info --operators lists them"
+    for device in ("cpu", "cuda"):
+        yield f"  {device:5} kernels serve {sum(bool(_served(name, device)) for name in names)} of {len(names)}"
+    missing = list(_missing_operators())
+    yield from missing[:3]
+    if len(missing) > 3:
+        yield f"  and {len(missing) - 3} more"
+    yield "  The reference serves the rest: the same results from plain torch, slower."
+
+
+def _missing_operators() -> Iterator[str]:
+    """Why single operators, those for backward too, have no kernel on a device that others have kernels for."""
+    for operator in _ops.operators.values():
+        yield from (f"  {reason}" for device, reason in operator.unserved.items() if device not in _ops.unserved)
+
+
 def _operators() -> Iterator[str]:
     names = sorted(name for name in _ops.operators if "backward" not in name)
     width = max(map(len, names), default=0)
@@ -117,8 +173,7 @@ def _operators() -> Iterator[str]:
     for name in names:
         served = [" ".join(_served(name, device)) or "reference" for device in ("cpu", "cuda")]
         yield f"  {name:{width}}  {served[0]:42}  {served[1]}"
-    for operator in _ops.operators.values():  # with backward operators, which the table omits
-        yield from (f"  {reason}" for device, reason in operator.unserved.items() if device not in _ops.unserved)
+    yield from _missing_operators()
     yield "Everything else is served by the reference: the same results from plain torch, slower."
     yield ""
     yield "Conditions: where they do not hold the reference serves, and backend 'native' raises"
@@ -162,10 +217,12 @@ def main() -> None:
         action="store_true",
         help="print the folders where CMake's find_package finds kvision and torch, for -DCMAKE_PREFIX_PATH",
     )
-    if parser.parse_args().cmake_prefix_path:
+    parser.add_argument("--operators", action="store_true", help="print the table of all operators as well")
+    options = parser.parse_args()
+    if options.cmake_prefix_path:
         print(f"{_PACKAGE};{torch.utils.cmake_prefix_path}")
     else:
-        print(report())
+        print(report(options.operators))
 
 
 class _Callable(types.ModuleType):

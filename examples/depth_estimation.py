@@ -256,6 +256,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/depth"), help="where the figures go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     options = parser.parse_args(arguments)
+    if torch.device(options.device).type == "cuda" and not torch.cuda.is_available():
+        parser.error("--device cuda: torch finds no CUDA device")
+    if options.data and not (options.data / "rgbd_livingroom").is_dir():
+        parser.error(f"--data {options.data}: expected a folder with rgbd_livingroom, there is none")
     device = torch.device(options.device)
     options.out.mkdir(parents=True, exist_ok=True)
     scenes = [motorcycle(device, options.width)]
@@ -286,6 +290,7 @@ def main(arguments: list[str] | None = None) -> int:
             if library is K:
                 missed += fraction < scene.fraction
                 draw(scene, levels, options.out / f"{scene.name}.png")
+    print(f"figures are in {options.out}")
     return 1 if missed else 0
 
 

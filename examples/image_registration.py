@@ -23,6 +23,8 @@ from torch import Tensor
 import kvision as K
 
 LEVELS = 4
+# Real pairs: folder, number of the second image, pixels that the first estimate is off at every corner, the limit of the error.
+REAL = (("leuven", 4, 0, 1.0), ("bikes", 3, 0, 1.0), ("graf", 2, 10, 2.0), ("boat", 3, 10, 2.0))
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,7 @@ def synthetic(device: torch.device) -> Iterator[Pair]:
 
 def real(folder: Path, device: torch.device) -> Iterator[Pair]:
     """Pairs with a measured homography. The two with a large change of view start 10 pixels beside it at every corner."""
-    for name, k, far, limit in (
-        ("leuven", 4, 0, 1.0),
-        ("bikes", 3, 0, 1.0),
-        ("graf", 2, 10, 2.0),
-        ("boat", 3, 10, 2.0),
-    ):
+    for name, k, far, limit in REAL:
         folder_of_pair = folder / name
         if not folder_of_pair.is_dir():
             continue
@@ -181,14 +178,20 @@ def draw(pair: Pair, levels: list[Tensor], path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--solver", choices=tuple(SOLVERS), default="adam")
     parser.add_argument("--iterations", type=int, help="on each level; default: 200 of Adam, 20 of Gauss-Newton")
     parser.add_argument("--data", type=Path, help="folder of real pairs")
     parser.add_argument("--out", type=Path, default=Path("out/registration"), help="where the figures go")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
+    if torch.device(options.device).type == "cuda" and not torch.cuda.is_available():
+        parser.error("--device cuda: torch finds no CUDA device")
+    if options.data and not any((options.data / name).is_dir() for name, *_ in REAL):
+        parser.error(
+            f"--data {options.data}: expected a folder with {', '.join(name for name, *_ in REAL)}, there is none"
+        )
     device = torch.device(options.device)
     iterations = options.iterations or SOLVERS[options.solver][1]
     options.out.mkdir(parents=True, exist_ok=True)
@@ -208,6 +211,7 @@ def main() -> int:
             flush=True,
         )
         draw(pair, levels, options.out / f"{pair.name}_{options.solver}.png")
+    print(f"figures are in {options.out}")
     return 1 if missed else 0
 
 

@@ -126,6 +126,8 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
     parser.add_argument("--steps", type=int, default=120)
     options = parser.parse_args(arguments)
+    if options.device == "cuda" and not torch.cuda.is_available():
+        parser.error("--device cuda: torch finds no CUDA device")
     auto = "cuda" if torch.cuda.is_available() else "cpu"
     device = torch.device(auto if options.device == "auto" else options.device)
     curves = {}
@@ -134,7 +136,7 @@ def main(arguments: list[str] | None = None) -> dict[str, float]:
         print(f"{name:20} IoU {curves[name][-1]:.3f}", flush=True)
     options.out.mkdir(parents=True, exist_ok=True)
     draw(curves, options.out / "curves.png")
-    print(options.out / "curves.png")
+    print(f"the figure is {options.out / 'curves.png'}")
     return {name: curve[-1] for name, curve in curves.items()}
 
 

@@ -71,3 +71,23 @@ def test_depth_of_a_room(data, device, tmp_path: Path):
     assert "without texture" in depth.limits(scene, error)
     depth.draw(scene, levels, tmp_path / "room.png")
     assert (tmp_path / "room.png").stat().st_size > 0
+
+
+NAMES = ("image_registration", "depth_estimation", "segmentation_losses")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+@pytest.mark.parametrize("name", NAMES)
+def test_a_missing_device_is_said(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        example(name).main(["--device", "cuda"])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.endswith("error: --device cuda: torch finds no CUDA device\n")
+
+
+@pytest.mark.parametrize("name", NAMES[:2])
+def test_a_wrong_folder_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        example(name).main(["--data", str(tmp_path / "wrong"), "--device", "cpu"])
+    assert stopped.value.code == 2
+    assert f"error: --data {tmp_path / 'wrong'}: expected a folder with " in capsys.readouterr().err.splitlines()[-1]

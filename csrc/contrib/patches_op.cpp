@@ -64,7 +64,7 @@ Tensor combine_patches(Tensor const& patches, std::vector<int64_t> size, std::ve
 
 }  // namespace
 
-KV_OPERATOR(extract_patches, "(Tensor input, int[] size, int[] window, int[] stride, int[] padding) -> Tensor")
-KV_OPERATOR(combine_patches, "(Tensor patches, int[] size, int[] window, int[] stride, int[] padding) -> Tensor")
+KV_OPERATOR(extract_patches, "(Tensor input, SymInt[] size, int[] window, int[] stride, SymInt[] padding) -> Tensor")
+KV_OPERATOR(combine_patches, "(Tensor patches, SymInt[] size, int[] window, int[] stride, SymInt[] padding) -> Tensor")
 
 }  // namespace kv

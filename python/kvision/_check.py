@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Integral
 from typing import Any
 
 import torch
@@ -227,7 +228,8 @@ def pair(op: str, name: str, value: Any, minimum: int = 1) -> tuple[int, int]:
 def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[int, ...]:
     """`value`, an int or `count` of them, as a tuple of `count` ints of at least `minimum`.
 
-    The maximum is LARGEST_INT, and LARGEST_WINDOW for the sizes of a window.
+    The maximum is LARGEST_INT, and LARGEST_WINDOW for the sizes of a window. NumPy's integers become ints. A symbolic
+    size of torch.export and torch.compile stays symbolic; the kernels check its maximum when the graph runs.
     """
     maximum = LARGEST_INT if count == 1 else LARGEST_WINDOW
     values = (value,) * count if type(value) is int else value
@@ -237,15 +239,25 @@ def ints(op: str, name: str, value: Any, count: int, minimum: int = 1) -> tuple[
             fits = fits and type(n) is int and minimum <= n <= maximum
     if fits:
         return tuple(values)
-    if not isinstance(values, (tuple, list)) or set(map(type, values)) != {int}:
+    if is_int(value):
+        values = (value,) * count
+    if not isinstance(values, (tuple, list)) or not values or not all(map(is_int, values)):
         raise TypeCheckError(f"{op}: expected {name} to be {_ints(count)}, got {value!r}", actual_type=type(value))
-    if len(values) != count or min(values) < minimum:
+    values = tuple(n if isinstance(n, torch.SymInt) else int(n) for n in values)
+    if len(values) != count or any(n < minimum for n in values):
         raise ValueCheckError(
             f"{op}: expected {name} to be {_ints(count)} of at least {minimum}, got {value!r}", actual_value=value
         )
+    if all(isinstance(n, torch.SymInt) or n <= maximum for n in values):
+        return values
     raise ValueCheckError(
         f"{op}: expected {name} to be {_ints(count)} of at most {maximum}, got {value!r}", actual_value=value
     )
+
+
+def is_int(value: Any) -> bool:
+    """Whether `value` is an integer: Python's, NumPy's or a symbolic one, but no bool."""
+    return type(value) is int or (isinstance(value, (Integral, torch.SymInt)) and not isinstance(value, bool))
 
 
 def _ints(count: int) -> str:

@@ -42,6 +42,6 @@ Tensor crop(Tensor const& input, std::vector<int64_t> corner, std::vector<int64_
 }  // namespace
 
 KV_OPERATOR(flip, "(Tensor input, bool columns, bool rows) -> Tensor")
-KV_OPERATOR(crop, "(Tensor input, int[] corner, int[] size) -> Tensor")
+KV_OPERATOR(crop, "(Tensor input, SymInt[] corner, SymInt[] size) -> Tensor")
 
 }  // namespace kv

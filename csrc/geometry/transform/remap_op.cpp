@@ -117,7 +117,7 @@ std::tuple<Tensor, Tensor> remap_map_backward(Tensor const& grad, Tensor const& 
 #define KV_HOW "str interpolation, str padding, bool align_corners, bool normalized, bool moves"
 
 KV_OPERATOR(remap, "(Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, " KV_HOW ") -> Tensor")
-KV_OPERATOR(remap_image_backward, "(Tensor grad, Tensor map_x, Tensor map_y, int[] size, " KV_HOW ") -> Tensor")
+KV_OPERATOR(remap_image_backward, "(Tensor grad, Tensor map_x, Tensor map_y, SymInt[] size, " KV_HOW ") -> Tensor")
 KV_OPERATOR(remap_map_backward,
             "(Tensor grad, Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, " KV_HOW ") -> (Tensor, Tensor)")
 

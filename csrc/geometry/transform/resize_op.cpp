@@ -80,7 +80,7 @@ Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_cor
 
 }  // namespace
 
-#define KV_HOW "int[] size, str filter, bool align_corners, bool antialias, str border"
+#define KV_HOW "SymInt[] size, str filter, bool align_corners, bool antialias, str border"
 KV_OPERATOR(resize, "(Tensor input, " KV_HOW ") -> Tensor")
 KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
 KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, str border) -> Tensor")

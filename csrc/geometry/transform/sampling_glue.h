@@ -155,7 +155,7 @@ inline bool is_computed_in_kernel(int64_t batch, Size output) {
 
 // How a formula and what it is given are told in schemas, and the C++ arguments for them.
 #define KV_BY_FORMULA \
-  "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, str formula, float[] numbers, int[] size, "
+  "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, str formula, float[] numbers, SymInt[] size, "
 using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
 
 // A case of a chain of ifs over formulas: run(the matrix) where `formula` is that one, of the kernels' formulas as it

@@ -132,9 +132,9 @@ Tensor warp3d_matrix_backward(Tensor const& grad, Tensor const& volumes, Tensor 
 
 }  // namespace
 
-KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, int[] size, " KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp3d, "(Tensor volumes, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp3d_by_formula, "(Tensor volumes, " KV_BY_FORMULA KV_WARP_OPTIONS ") -> Tensor")
-KV_OPERATOR(warp3d_volume_backward, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp3d_volume_backward, "(Tensor grad, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp3d_matrix_backward, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_WARP_OPTIONS ") -> Tensor")
 
 }  // namespace kv

@@ -103,9 +103,9 @@ Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor cons
 
 }  // namespace
 
-KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, int[] size, " KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp, "(Tensor image, Tensor matrix, Tensor? fill, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp_by_formula, "(Tensor image, " KV_BY_FORMULA KV_WARP_OPTIONS ") -> Tensor")
-KV_OPERATOR(warp_image_backward, "(Tensor grad, Tensor matrix, int[] size, " KV_WARP_OPTIONS ") -> Tensor")
+KV_OPERATOR(warp_image_backward, "(Tensor grad, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp_matrix_backward,
             "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, " KV_WARP_OPTIONS ") -> Tensor")
 

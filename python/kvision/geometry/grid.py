@@ -48,7 +48,8 @@ def create_meshgrid(
     _check.flag(op, "align_corners", align_corners)
     sizes = {"height": height, "width": width}
     y, x = (_axis(op, name, n, normalized_coordinates, align_corners, device, dtype) for name, n in sizes.items())
-    return torch.stack([x.expand(height, width), y[:, None].expand(height, width)], -1)[None]
+    y, x = torch.broadcast_tensors(y[:, None], x)
+    return torch.stack([x, y], -1)[None]
 
 
 def create_meshgrid3d(
@@ -90,7 +91,7 @@ def create_meshgrid3d(
 
 
 def _axis(op, name, size, normalized, align_corners, device, dtype):
-    _check.ints(op, name, size, 1)
+    (size,) = _check.ints(op, name, size, 1)
     dtype = dtype or torch.get_default_dtype()
     # Half types count to 2048 at most.
     i = torch.arange(size, device=device, dtype=torch.float64 if dtype == torch.float64 else torch.float32)

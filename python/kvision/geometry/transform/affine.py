@@ -236,7 +236,10 @@ def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float,
     if center is not None:
         center = _vector(op, images, "center", center, 2)
     h, w = images.shape[2:]
-    return center, (w - 1) / 2, (h - 1) / 2
+    x, y = (w - 1) / 2, (h - 1) / 2
+    if isinstance(x, torch.SymFloat) or isinstance(y, torch.SymFloat):
+        return sampling.symbolic_point(images, x, y) if center is None else center, 0.0, 0.0
+    return center, x, y
 
 
 # --- modules --------------------------------------------------------------------------------------------------------

@@ -232,11 +232,16 @@ def center_crop(
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
     images = pixels(input_tensor)
     y, x = images.shape[2] - h, images.shape[3] - w
-    if y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
+    symbolic = isinstance(y, torch.SymInt) or isinstance(x, torch.SymInt)  # it is not known whether they are even
+    if not symbolic and y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _crop_pixels(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
     options = ([h, w], mode, padding, align_corners, False, False)
-    return sampling.warp_by_formula(images, *[None] * 6, "translation_matrix2d", [x / 2, y / 2], *options)
+    if symbolic:
+        shift, numbers = sampling.symbolic_point(images, x / 2, y / 2), [0.0, 0.0]
+    else:
+        shift, numbers = None, [x / 2, y / 2]
+    return sampling.warp_by_formula(images, shift, *[None] * 5, "translation_matrix2d", numbers, *options)
 
 
 def crop_by_indices(

@@ -74,7 +74,7 @@ def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = F
     _check.images("pyrdown", "input", input)
     _check.flag("pyrdown", "align_corners", align_corners)
     factor = _check.number("pyrdown", "factor", factor)
-    size = [int(side / factor) if factor > 0 else 0 for side in input.shape[2:]]
+    size = [math.trunc(side / factor) if factor > 0 else 0 for side in input.shape[2:]]
     if 0 in size:
         raise ShapeError(f"pyrdown: expected factor to leave a pixel of {tuple(input.shape[2:])}, got {factor}")
     if border_type == "circular":

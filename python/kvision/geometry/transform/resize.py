@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -176,7 +178,7 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
     if align_corners is not None:
         _check.flag(op, "align_corners", align_corners)
     h, w = input.shape[-2:]
-    if type(size) is int:
+    if _check.is_int(size):
         height, width = _from_side(_check.ints(op, "size", size, 1)[0], h, w, side)
     else:
         height, width = _check.ints(op, "size", size, 2)
@@ -206,9 +208,14 @@ def _check_images(op: str, input: Tensor) -> None:
 
 
 def _from_side(size: int, h: int, w: int, side: str) -> tuple[int, int]:
-    vertical = side == "vert" or (side == "short" and h <= w) or (side == "long" and h > w)
-    # In floats, as Kornia has it: the product with the ratio is rounded down.
-    return (size, max(1, int(size * (w / h)))) if vertical else (max(1, int(size / (w / h))), size)
+    # In floats, as Kornia has it: the product with the ratio is rounded down. The other side of a short one is no shorter.
+    height, width = math.trunc(size / (w / h)), math.trunc(size * (w / h))
+    larger, smaller = (max, min) if type(h) is int and type(w) is int else (torch.sym_max, torch.sym_min)
+    if side == "short":
+        return larger(size, height), larger(size, width)
+    if side == "long":
+        return smaller(size, larger(1, height)), smaller(size, larger(1, width))
+    return (size, larger(1, width)) if side == "vert" else (larger(1, height), size)
 
 
 def _blurred(x: Tensor, *factors: float) -> Tensor:
@@ -254,7 +261,7 @@ def _rescale(input, factor, interpolation, align_corners, antialias):
     if len(factors) != 2:
         raise TypeCheckError(f"rescale: expected factor to be a number or two, got {factor!r}")
     y, x = (_check.number("rescale", "factor", f, minimum=0) for f in factors)
-    size = (int(input.shape[-2] * y), int(input.shape[-1] * x))
+    size = (math.trunc(input.shape[-2] * y), math.trunc(input.shape[-1] * x))
     if 0 in size:
         raise ValueCheckError(f"rescale: expected factor to leave a pixel of {tuple(input.shape[-2:])}, got {factor!r}")
     return _resize("rescale", input, size, interpolation, align_corners, "short", antialias)

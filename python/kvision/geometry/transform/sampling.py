@@ -404,6 +404,11 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
     return "fill", as_dtype(fill_value, dtype)
 
 
+def symbolic_point(image: Tensor, x: float, y: float) -> Tensor:
+    """(1, 2), symbolic coordinates for the images: a plain argument of an operator would fix their value in the graph."""
+    return torch.stack([image.new_full((), value, dtype=compute_dtype(image)) for value in (x, y)])[None]
+
+
 def cast_to_image(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
     """A matrix, map or parameter of images as the operators take it: in the type that computes, one for all or for each."""
     _check.same_device(op, image=image, **{name: x})

@@ -1,0 +1,101 @@
+"""Export and compilation with batch, height and width left open: sizes that are symbolic, and NumPy's integers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from torch.export import Dim
+
+import kvision as K
+from op_tests import assert_close
+
+G = K.geometry
+HOMOGRAPHY = torch.tensor([[[1.0, 0.1, 1.0], [0.05, 1.0, -1.0], [0.0, 0.0, 1.0]]])
+
+CALLS = {
+    "resize": lambda x: G.resize(x, (x.shape[-2] // 2, x.shape[-1] * 3 // 2)),
+    "resize-vert": lambda x: G.resize(x, x.shape[-2] // 2, side="vert"),
+    "resize-short": lambda x: G.resize(x, 10),
+    "resize-long": lambda x: G.resize(x, 10, side="long"),
+    "warp_perspective": lambda x: G.warp_perspective(x, HOMOGRAPHY.to(x), (x.shape[-2] // 2, x.shape[-1])),
+    "homography_warp": lambda x: G.homography_warp(x, HOMOGRAPHY.to(x), (x.shape[-2], x.shape[-1] // 2)),
+    "center_crop": lambda x: G.center_crop(x, (x.shape[-2] // 2, x.shape[-1] // 2)),
+    "create_meshgrid": lambda x: x[:, 0, :, :, None] + G.create_meshgrid(x.shape[-2], x.shape[-1], device=x.device),
+    "resize_to_be_divisible": lambda x: G.resize_to_be_divisible(x, 4),
+    "rescale": lambda x: G.rescale(x, (0.5, 1.3)),
+    "rotate": lambda x: G.rotate(x, torch.tensor(20.0, device=x.device)),
+    "pyrdown": G.pyrdown,
+    "extract_tensor_patches": lambda x: K.contrib.extract_tensor_patches(x, (4, 5), stride=2, padding=1),
+}
+
+
+class Call(nn.Module):
+    def __init__(self, call):
+        super().__init__()
+        self.call = call
+
+    def forward(self, x):
+        return self.call(x)
+
+
+@pytest.mark.tracing
+@pytest.mark.parametrize("name", CALLS)
+def test_export_with_dynamic_batch_and_size(name, device):
+    """The graph of one size gives the values of the eager call at others: odd, even, larger, of the other orientation."""
+    x = torch.rand(2, 3, 20, 24, device=device)
+    axes = {0: Dim("B", min=1), 2: Dim("H", min=8), 3: Dim("W", min=8)}
+    graph = torch.export.export(Call(CALLS[name]), (x,), dynamic_shapes=(axes,)).module()
+    for b, h, w in ((2, 20, 24), (3, 33, 26), (1, 17, 45)):
+        x = torch.rand(b, 3, h, w, device=device)
+        assert_close(graph(x), CALLS[name](x))
+
+
+@pytest.mark.tracing
+def test_compile_with_dynamic_sizes(device):
+    """Values and gradients, through one graph for all sizes."""
+    torch._dynamo.reset()
+    graphs = []
+
+    def backend(graph, inputs):
+        graphs.append(graph)
+        return graph.forward
+
+    call = torch.compile(CALLS["resize"], dynamic=True, fullgraph=True, backend=backend)
+    for h, w in ((20, 24), (33, 26), (17, 45)):
+        x = torch.rand(2, 3, h, w, device=device, requires_grad=True)
+        y, expected = call(x), CALLS["resize"](x)
+        assert_close(y, expected)
+        assert_close(*(torch.autograd.grad(z.square().sum(), x)[0] for z in (y, expected)))
+    assert len(graphs) == 1
+
+
+def test_sizes_may_be_numpy_integers(device):
+    x = torch.rand(1, 3, 9, 12, device=device)
+    four, five = np.int64(4), np.int32(5)
+    matrix = HOMOGRAPHY.to(device)
+    for call in (
+        lambda h, w: G.resize(x, (h, w)),
+        lambda h, w: G.resize(x, h),
+        lambda h, w: G.warp_perspective(x, matrix, (h, w)),
+        lambda h, w: G.homography_warp(x, matrix, (h, w)),
+        lambda h, w: G.center_crop(x, (h, w)),
+        lambda h, w: G.create_meshgrid(h, w),
+        lambda h, w: G.resize_to_be_divisible(x, h),
+        lambda h, w: K.contrib.extract_tensor_patches(x, (h, w), stride=h, padding=w),
+        lambda h, w: K.filters.box_blur(x, (w, w)),
+    ):
+        assert torch.equal(call(four, five), call(4, 5))
+
+
+@pytest.mark.parametrize("size", [True, (True, 2), 2.0, (2, np.float32(2)), np.bool_(True), "22", ()])
+def test_sizes_of_other_kinds_are_refused(size):
+    with pytest.raises(TypeError, match="resize: expected size to be an int or 2 ints, got "):
+        G.resize(torch.rand(1, 1, 4, 4), size)
+
+
+@pytest.mark.parametrize("size", [np.int64(0), (np.int64(4), np.int64(2**40)), (np.int64(2),)])
+def test_numpy_integers_out_of_range_are_refused(size):
+    with pytest.raises(ValueError, match="resize: expected size to be an int"):
+        G.resize(torch.rand(1, 1, 4, 4), size)

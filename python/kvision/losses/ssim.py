@@ -58,7 +58,7 @@ def ssim_loss(
     return _reduced(img1, img2, window_size, arguments, reduction)
 
 
-def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, float, str], reduction: str) -> Tensor:
+def _reduced(x: Tensor, y: Tensor, size: int, arguments: tuple[float, float, float, int], reduction: str) -> Tensor:
     less = size - 1 if arguments[-1] == VALID else 0
     count = x.shape[0] * x.shape[1]
     for n in x.shape[2:]:

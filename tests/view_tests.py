@@ -75,7 +75,7 @@ def rays(x: Tensor, seen: Tensor) -> Tensor:
 
 
 def camera(x: Tensor) -> Tensor:
-    return on(x.device, CAMERA).to(x.dtype).expand(len(x), 3, 3)
+    return on(x.device, CAMERA).to(x.dtype).expand(x.shape[0], 3, 3)
 
 
 class NoSolvers(TorchDispatchMode):

@@ -21,41 +21,7 @@ import pytest
 from test_public_api import public_modules, public_names
 
 ROOT = Path(__file__).parents[1]
-NOT_YET = """infer_bbox_shape
-infer_bbox_shape3d
-VideoBoxes
-dx_distort_points_affine
-dx_distort_points_kannala_brandt
-undistort_points_affine
-undistort_points_kannala_brandt
-dx_project_points_orthographic
-dx_project_points_z1
-project_points_orthographic
-project_points_z1
-unproject_points_orthographic
-deg2rad
-rad2deg
-ColmapQTVecs_to_ARKitQTVecs
-convert_affinematrix_to_homography
-convert_affinematrix_to_homography3d
-convert_points_to_homogeneous
-denormalize_homography
-denormalize_homography3d
-denormalize_pixel_coordinates
-denormalize_pixel_coordinates3d
-normal_transform_pixel3d
-camtoworld_graphics_to_vision_Rt
-camtoworld_vision_to_graphics_4x4
-camtoworld_vision_to_graphics_Rt
-matrix4x4_to_Rt
-worldtocam_to_camtoworld_Rt
-normalize_quaternion
-Keypoints3D
-batched_squared_norm
-load_pointcloud_ply
-load_pointcloud_ply_binary
-save_pointcloud_ply_binary
-crop_by_transform_mat
+NOT_YET = """crop_by_transform_mat
 crop_by_transform_mat3d
 hflip
 rot180
@@ -68,10 +34,7 @@ resize_to_be_divisible
 warp_affine
 affine3d
 warp_affine3d
-warp_grid3d
-Scalar
-Vector2
-Vector3""".split()
+warp_grid3d""".split()
 SECTIONS = ("Args", "Returns", "Raises", "Example")
 
 

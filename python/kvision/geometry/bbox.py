@@ -1,6 +1,7 @@
-"""Boxes as tensors of their corners (x, y) or (x, y, z), both ends included: a box of pixels 0 to 9 is 10 wide.
+"""Boxes as tensors of their corners (x, y) or (x, y, z).
 
-The corners of a rectangle go clockwise from the top left; those of a box in space do so in front, then behind.
+Corners are inclusive: a box from pixel 0 to pixel 9 is 10 wide. The corners of a rectangle go clockwise from the top left.
+The corners of a 3D box are those of its front face, then those of its back face, in the same order.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ __all__ = [
 
 
 def corners(near: Tensor, far: Tensor) -> Tensor:
-    """The 4 or 8 corners (*, V, D) of boxes from their first to their last one, (*, D) each."""
+    """The 4 or 8 corners (*, V, D) of boxes from their first and their last corner, (*, D) each."""
     x, y, *z = zip(near.unbind(-1), far.unbind(-1))
     around = [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])]
     vertices = [(*corner, *depth) for depth in itertools.product(*z) for corner in around]
@@ -40,20 +41,20 @@ def corners(near: Tensor, far: Tensor) -> Tensor:
 
 
 def bbox_generator(x_start: Tensor, y_start: Tensor, width: Tensor, height: Tensor) -> Tensor:
-    """The corners of rectangles from where they begin and their sizes.
+    """The corners of rectangles from their top left corners and sizes.
 
     Args:
-        x_start: a number or (B,).
-        y_start: of the same shape and type.
-        width: a number or (B,), of the same type.
-        height: as `width`.
+        x_start: left edges, of shape () or (B,).
+        y_start: top edges, of the shape and type of `x_start`.
+        width: widths in pixels, of shape () or (B,) and the type of `x_start`.
+        height: heights in pixels, of shape () or (B,) and the type of `x_start`.
 
     Returns:
-        (B, 4, 2); the last pixel of a box is at start + size - 1.
+        Corners of shape (B, 4, 2). The last pixel of a box is at start + size - 1.
 
     Raises:
-        TypeError: not tensors of real numbers of one type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a tensor of real numbers, or the types differ.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -69,22 +70,22 @@ def bbox_generator(x_start: Tensor, y_start: Tensor, width: Tensor, height: Tens
 def bbox_generator3d(
     x_start: Tensor, y_start: Tensor, z_start: Tensor, width: Tensor, height: Tensor, depth: Tensor
 ) -> Tensor:
-    """The corners of boxes in space from where they begin and their sizes.
+    """The corners of 3D boxes from their first corners and sizes.
 
     Args:
-        x_start: a number or (B,).
-        y_start: of the same shape and type.
-        z_start: of the same shape and type.
-        width: a number or (B,), of the same type.
-        height: as `width`.
-        depth: as `width`.
+        x_start: left edges, of shape () or (B,).
+        y_start: top edges, of the shape and type of `x_start`.
+        z_start: front edges, of the shape and type of `x_start`.
+        width: widths in voxels, of shape () or (B,) and the type of `x_start`.
+        height: heights in voxels, of shape () or (B,) and the type of `x_start`.
+        depth: depths in voxels, of shape () or (B,) and the type of `x_start`.
 
     Returns:
-        (B, 8, 3); the last voxel of a box is at start + size - 1.
+        Corners of shape (B, 8, 3). The last voxel of a box is at start + size - 1.
 
     Raises:
-        TypeError: not tensors of real numbers of one type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a tensor of real numbers, or the types differ.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -115,11 +116,17 @@ def _generated(op: str, **tensors: Tensor) -> Tensor:
 
 
 def infer_bbox_shape(boxes: Tensor) -> tuple[Tensor, Tensor]:
-    """The heights and widths (B,) of rectangles (B, 4, 2), both ends included.
+    """The heights and widths of rectangles with inclusive corners.
+
+    Args:
+        boxes: corners of shape (B, 4, 2).
+
+    Returns:
+        Heights and widths, each of shape (B,).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `boxes` is not a tensor of real numbers.
+        ValueError: `boxes` is not of shape (B, 4, 2).
 
     Example:
         >>> import torch, kvision as K
@@ -132,11 +139,17 @@ def infer_bbox_shape(boxes: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def infer_bbox_shape3d(boxes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The depths, heights and widths (B,) of boxes in space (B, 8, 3), both ends included.
+    """The depths, heights and widths of 3D boxes with inclusive corners.
+
+    Args:
+        boxes: corners of shape (B, 8, 3).
+
+    Returns:
+        Depths, heights and widths, each of shape (B,).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `boxes` is not a tensor of real numbers.
+        ValueError: `boxes` is not of shape (B, 8, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -150,16 +163,17 @@ def infer_bbox_shape3d(boxes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def validate_bbox(boxes: Tensor) -> bool:
-    """Whether opposite sides of quadrangles are equal within 1e-4. Waits for the device.
+    """Whether opposite sides of quadrangles are equal within 1e-4. This waits for the device.
 
     Args:
-        boxes: (B, 4, 2) or (B, N, 4, 2).
+        boxes: corners of shape (B, 4, 2) or (B, N, 4, 2).
 
     Returns:
-        True for parallelograms alone; False for another shape, and for what is not finite.
+        True if all quadrangles are parallelograms. False otherwise, for tensors of other shapes and for values that are not
+        finite.
 
     Raises:
-        TypeError: no tensor of real numbers.
+        TypeError: `boxes` is not a tensor of real numbers.
 
     Example:
         >>> import torch, kvision as K
@@ -169,21 +183,21 @@ def validate_bbox(boxes: Tensor) -> bool:
     _check.numbers("validate_bbox", "boxes", boxes)
     if boxes.dim() not in (3, 4) or boxes.shape[-2:] != (4, 2):
         return False
-    return bool((_uneven(boxes, [(0, 1, 3, 2)]) <= 1e-4).all())
+    return bool((_edge_differences(boxes, [(0, 1, 3, 2)]) <= 1e-4).all())
 
 
 def validate_bbox3d(boxes: Tensor) -> bool:
-    """Raise unless parallel edges of boxes in space are equal within 1e-4. Waits for the device.
+    """Raise an error unless parallel edges of 3D boxes are equal within 1e-4. This waits for the device.
 
     Args:
-        boxes: (B, 8, 3) or (B, N, 8, 3).
+        boxes: corners of shape (B, 8, 3) or (B, N, 8, 3).
 
     Returns:
         True.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape, edges that differ, or what is not finite.
+        TypeError: `boxes` is not a tensor of real numbers.
+        ValueError: `boxes` is not of a shape of Args, parallel edges differ, or a value is not finite.
 
     Example:
         >>> import torch, kvision as K
@@ -195,32 +209,32 @@ def validate_bbox3d(boxes: Tensor) -> bool:
         raise ShapeError(
             f"validate_bbox3d: expected boxes of shape (B, 8, 3) or (B, N, 8, 3), got {tuple(boxes.shape)}"
         )
-    # In front, behind, and from front to behind.
-    if not bool((_uneven(boxes, [(0, 1, 3, 2), (4, 5, 7, 6), (0, 4, 1, 5), (0, 4, 3, 7)]) <= 1e-4).all()):
+    # The front face, the back face, and the edges between both.
+    if not bool((_edge_differences(boxes, [(0, 1, 3, 2), (4, 5, 7, 6), (0, 4, 1, 5), (0, 4, 3, 7)]) <= 1e-4).all()):
         raise ValueCheckError("validate_bbox3d: expected boxes with parallel edges of one length")
     return True
 
 
-def _uneven(boxes: Tensor, edges: list[tuple[int, int, int, int]]) -> Tensor:
-    """By how much edges a b and c d differ, NaN where one is not finite."""
+def _edge_differences(boxes: Tensor, edges: list[tuple[int, int, int, int]]) -> Tensor:
+    """The differences between edges a b and c d; NaN where one is not finite."""
     v = floats(boxes).unbind(-2)
     return torch.stack([(v[b] - v[a] - v[d] + v[c]).abs() for a, b, c, d in edges])
 
 
 def bbox_to_mask(boxes: Tensor, width: int, height: int) -> Tensor:
-    """Masks of rectangles, 1 where they are, both ends included.
+    """Masks of rectangles with inclusive corners: 1 inside, 0 outside.
 
     Args:
-        boxes: (B, 4, 2).
-        width: of the masks, in pixels.
-        height: of the masks, in pixels.
+        boxes: corners of shape (B, 4, 2).
+        width: width of the masks, in pixels.
+        height: height of the masks, in pixels.
 
     Returns:
-        (B, H, W), of the type of `boxes`. Without gradient.
+        Masks of shape (B, H, W), of the type of `boxes`. They carry no gradient.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: another shape, or a size below 1.
+        TypeError: `boxes` is not a tensor of real numbers, or a size is not an int.
+        ValueError: `boxes` is not of shape (B, 4, 2), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -235,18 +249,18 @@ def bbox_to_mask(boxes: Tensor, width: int, height: int) -> Tensor:
 
 
 def bbox_to_mask3d(boxes: Tensor, size: tuple[int, int, int]) -> Tensor:
-    """Masks of boxes in space, 1 where they are, both ends included.
+    """Masks of 3D boxes with inclusive corners: 1 inside, 0 outside.
 
     Args:
-        boxes: (B, 8, 3).
+        boxes: corners of shape (B, 8, 3).
         size: depth, height and width of the masks, in voxels.
 
     Returns:
-        (B, 1, D, H, W), of the type of `boxes`. Without gradient.
+        Masks of shape (B, 1, D, H, W), of the type of `boxes`. They carry no gradient.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: another shape, or a size below 1.
+        TypeError: `boxes` is not a tensor of real numbers, or a size is not an int.
+        ValueError: `boxes` is not of shape (B, 8, 3), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -260,7 +274,7 @@ def bbox_to_mask3d(boxes: Tensor, size: tuple[int, int, int]) -> Tensor:
 
 
 def mask_between(near: Tensor, far: Tensor, size: tuple[int, ...]) -> Tensor:
-    """Which pixels of `size` are from `near` to `far`, (*, D) each as (x, y) or (x, y, z), both included: (*, *size)."""
+    """Masks (*, *size) of the pixels between `near` and `far`, inclusive, (*, D) each as (x, y) or (x, y, z)."""
     near, far = near.detach().to(compute_dtype(near)), far.detach().to(compute_dtype(far))
     mask = near.new_ones((), dtype=torch.bool)
     for axis, n in enumerate(reversed(size)):
@@ -278,21 +292,23 @@ def mask_between(near: Tensor, far: Tensor, size: tuple[int, ...]) -> Tensor:
 def transform_bbox(
     trans_mat: Tensor, boxes: Tensor, mode: str = "xyxy", restore_coordinates: bool | None = None
 ) -> Tensor:
-    """Boxes after homographies.
+    """Transform boxes by homographies.
 
     Args:
-        trans_mat: (B, 3, 3), or (1, 3, 3) for all boxes.
-        boxes: (B, N, 4), or (N, 4) with B equal to N or 1, in the form `mode`; or corners (B, N, 4, 2).
-        mode: 'xyxy' for the first and the last corner, 'xywh' for the first one and the size, that is, their difference.
-        restore_coordinates: None or True give the least box around the moved corners; False moves the first and the last
-            corner alone, whichever way they lie then. Corners (B, N, 4, 2) are moved in any case.
+        trans_mat: homographies of shape (B, 3, 3), or (1, 3, 3) for all boxes.
+        boxes: boxes in the form `mode`, of shape (B, N, 4), or (N, 4) with B equal to N or 1; or corners of shape
+            (B, N, 4, 2).
+        mode: 'xyxy' for the first and the last corner, 'xywh' for the first corner and the size, which is the difference of
+            both corners.
+        restore_coordinates: None and True return the bounding box of the transformed corners. False transforms the first and
+            the last corner only, and keeps their order. Corners (B, N, 4, 2) are transformed in every case.
 
     Returns:
-        The shape and form of `boxes`.
+        Boxes of the shape and form of `boxes`.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, an unknown mode, or not on one device.
+        TypeError: `trans_mat` or `boxes` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, `mode` is unknown, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -330,26 +346,27 @@ def transform_bbox(
     return torch.cat([first, last - first if mode == "xywh" else last], -1)
 
 
-NMS_BLOCK = 1024  # boxes that are compared with one another at once
+NMS_BLOCK = 1024  # boxes of a block, all pairs of which are compared at once
 
 
 def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
-    """Keep, from the best score on, the boxes that overlap none kept before by more than a threshold.
+    """Non-maximum suppression: keep boxes in descending order of score, unless they overlap a kept one by more than a threshold.
 
-    The result's size depends on the boxes, so this waits for the device, some ten times for a thousand boxes; and it cannot
-    be traced.
+    The size of the result depends on the values of the boxes. The function therefore waits for the device, some ten times for
+    a thousand boxes, and cannot be traced.
 
     Args:
-        boxes: (N, 4), first and last corner as (x, y, x, y), whose difference is the size.
-        scores: (N,).
-        iou_threshold: the share of their union that two boxes may have in common. A box without area overlaps none.
+        boxes: boxes (x1, y1, x2, y2) of shape (N, 4), whose size is the difference of both corners.
+        scores: scores of shape (N,).
+        iou_threshold: the intersection over union above which the box of the lower score is suppressed. A box without area
+            overlaps no other box.
 
     Returns:
-        The indices of the kept boxes, int64, best first; of equal scores, in the order of `boxes`.
+        The indices of the kept boxes, int64, in descending order of score. Equal scores keep the order of `boxes`.
 
     Raises:
-        TypeError: not two tensors of real numbers, or no number.
-        ValueError: other shapes, or not on one device.
+        TypeError: `boxes` or `scores` is not a tensor of real numbers, or `iou_threshold` is not a number.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -362,8 +379,8 @@ def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
     _check.same_device("nms", boxes=boxes, scores=scores)
     threshold = _check.number("nms", "iou_threshold", iou_threshold)
     order = scores.detach().argsort(descending=True, stable=True)
-    wide = torch.float32 if boxes.is_floating_point() and boxes.dtype != torch.float64 else torch.float64
-    best = boxes.detach().to(wide)[order]
+    dtype = torch.float32 if boxes.is_floating_point() and boxes.dtype != torch.float64 else torch.float64
+    best = boxes.detach().to(dtype)[order]
     kept = best[:0]
     chosen = []
     for block in best.split(NMS_BLOCK):
@@ -375,7 +392,7 @@ def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
 
 
 def _overlap(a: Tensor, b: Tensor, threshold: float) -> Tensor:
-    """Which boxes of `a` (N, 4) and `b` (M, 4) have more than a share of their union in common: (N, M)."""
+    """Masks (N, M) of the pairs of `a` (N, 4) and `b` (M, 4) whose intersection over union exceeds a threshold."""
     low = torch.maximum(a[:, None, :2], b[:, :2])
     high = torch.minimum(a[:, None, 2:], b[:, 2:])
     both = (high - low).clamp_min(0).prod(-1)
@@ -384,9 +401,9 @@ def _overlap(a: Tensor, b: Tensor, threshold: float) -> Tensor:
 
 
 def _greedy(overlaps: Tensor, free: Tensor) -> Tensor:
-    """Which of the boxes `free` (N,) are kept if each one excludes the later ones that it `overlaps` (N, N).
+    """The mask of kept boxes among the candidates `free` (N,): a kept box suppresses the later ones that it `overlaps` (N, N).
 
-    All at once and again until nothing changes: after k rounds the boxes are right whose chains of exclusions have k links.
+    All boxes are updated at once, until no box changes. After k rounds all chains of up to k suppressions are resolved.
     """
     excludes = overlaps.float().T
     keep = free

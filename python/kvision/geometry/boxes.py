@@ -1,4 +1,4 @@
-"""Boxes of images and of volumes as objects that know their form and move with their images."""
+"""Boxes of images and volumes as objects, which keep their mode and are transformed with their images."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ class Boxes(_Boxes):
         mode: the form that :meth:`to_tensor` gives by default.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape or an unknown mode.
+        TypeError: `boxes` is not a tensor of real numbers.
+        ValueError: `boxes` is not of a shape of Args or the mode is unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -156,7 +156,7 @@ class Boxes(_Boxes):
 
         Raises:
             TypeError: not of tensors or numbers.
-            ValueError: another shape, an unknown mode, or bad boxes.
+            ValueError: `boxes` is not of a shape of Args, an unknown mode, or bad boxes.
         """
         mode = cls._known(mode)
         if isinstance(boxes, Tensor):
@@ -274,10 +274,11 @@ class Boxes(_Boxes):
         return self._changed(data, inplace, keep & self._mask())
 
     def trim(self, correspondence_preserve: bool = False, inplace: bool = False) -> Boxes:
-        """Boxes without the places that are 0, because they were filtered out or are padding. Waits for the device.
+        """Remove boxes that are 0, because they were filtered out or are padding. This waits for the device.
 
         Args:
-            correspondence_preserve: drop only places that are 0 in all images; else boxes move up first.
+            correspondence_preserve: remove only boxes whose index is 0 in all images. Otherwise the boxes of each image move to
+                its first indices before.
             inplace: change this object.
         """
         mask = self._mask()
@@ -285,16 +286,16 @@ class Boxes(_Boxes):
         if not correspondence_preserve:
             order = (~mask).to(torch.uint8).argsort(dim=-1, stable=True)
         mask = mask.take_along_dim(order, -1)
-        some = mask.any(0) if self._is_batched else mask
-        data = self._data.take_along_dim(order[..., None, None], -3)[..., some, :, :]
-        valid = mask[..., some]
+        any_image = mask.any(0) if self._is_batched else mask
+        data = self._data.take_along_dim(order[..., None, None], -3)[..., any_image, :, :]
+        valid = mask[..., any_image]
         if not inplace:
             return self._like(data, valid, None)
         self._data, self._valid, self._counts = data, valid, None
         return self
 
     def transform_boxes(self, M: Tensor, inplace: bool = False) -> Boxes:
-        """Boxes after homographies (B, 3, 3), or (3, 3) for all images; `inplace` changes this object."""
+        """Transform boxes by homographies (B, 3, 3), or (3, 3) for all images. `inplace` changes this object."""
         return self._transformed("transform_boxes", M, inplace)
 
     def transform_boxes_(self, M: Tensor) -> Boxes:
@@ -302,11 +303,11 @@ class Boxes(_Boxes):
         return self.transform_boxes(M, inplace=True)
 
     def translate(self, size: Tensor, method: str = "warp", inplace: bool = False) -> Boxes:
-        """Boxes moved by (x, y).
+        """Translate boxes by (x, y).
 
         Args:
-            size: (B, 2), or (1, 2) for all images.
-            method: 'warp' or 'fast', which are the same.
+            size: translations of shape (B, 2), or (1, 2) for all images.
+            method: 'warp' or 'fast', which give the same result.
             inplace: change this object.
         """
         op = f"{type(self).__name__}.translate"
@@ -316,9 +317,14 @@ class Boxes(_Boxes):
 
 
 class VideoBoxes(Boxes):
-    """Boxes of videos: :class:`Boxes` of all their frames, (B * T, N, 4, 2), which come out as (B, T, ...).
+    """Boxes of videos, stored as the :class:`Boxes` of all frames, (B * T, N, 4, 2).
 
-    Objects are made by :meth:`from_tensor`; indices choose videos.
+    Create objects with :meth:`from_tensor`. Methods return tensors of shape (B, T, ...). An index selects videos.
+
+    Args:
+        boxes: corners of all frames, of shape (B * T, N, 4, 2).
+        raise_if_not_floating_point: raise an error for integers. Otherwise they are converted to float32.
+        mode: the value of :attr:`mode`.
 
     Example:
         >>> import torch, kvision as K
@@ -333,9 +339,9 @@ class VideoBoxes(Boxes):
     def from_tensor(cls, boxes: Tensor, validate_boxes: bool = True) -> VideoBoxes:  # type: ignore[override]
         """Boxes from corners (B, T, N, 4, 2), both ends included; see :meth:`Boxes.from_tensor`."""
         _check.shape(cls.__name__, "boxes", boxes, "B", "T", "N", 4, 2)
-        made = cls(cls._vertices(boxes.flatten(0, 1), "vertices_plus", validate_boxes), False)
-        made.temporal_channel_size = boxes.shape[1]
-        return made
+        video_boxes = cls(cls._vertices(boxes.flatten(0, 1), "vertices_plus", validate_boxes), False)
+        video_boxes.temporal_channel_size = boxes.shape[1]
+        return video_boxes
 
     def _like(self, data, valid, counts):
         other = super()._like(data, valid, counts)
@@ -346,9 +352,9 @@ class VideoBoxes(Boxes):
         return x.reshape(x.shape[0] // self.temporal_channel_size, self.temporal_channel_size, *x.shape[1:])
 
     def __getitem__(self, key: Any) -> VideoBoxes:
-        chosen = slice(key, key + 1 or None) if isinstance(key, int) else key
-        valid = None if self._valid is None else self._of_videos(self._valid)[chosen].flatten(0, 1)
-        return self._like(self._of_videos(self._data)[chosen].flatten(0, 1), valid, None)
+        videos = slice(key, key + 1 or None) if isinstance(key, int) else key
+        valid = None if self._valid is None else self._of_videos(self._valid)[videos].flatten(0, 1)
+        return self._like(self._of_videos(self._data)[videos].flatten(0, 1), valid, None)
 
     def __setitem__(self, key: Any, value: VideoBoxes) -> None:
         def write(into: Tensor, x: Tensor) -> None:
@@ -372,7 +378,7 @@ class VideoBoxes(Boxes):
 class Boxes3D(_Boxes):
     """Boxes of volumes, as corners (x, y, z) in voxels.
 
-    Corners go clockwise from the top left, in front and then behind, and are kept with both ends included.
+    Corners are inclusive. They go clockwise from the top left, first of the front face and then of the back face.
 
     Args:
         boxes: corners (N, 8, 3) or (B, N, 8, 3). No mode is converted here: :meth:`from_tensor` does.
@@ -380,8 +386,8 @@ class Boxes3D(_Boxes):
         mode: what :attr:`mode` says.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape or an unknown mode.
+        TypeError: `boxes` is not a tensor of real numbers.
+        ValueError: `boxes` is not of a shape of Args or the mode is unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -408,14 +414,14 @@ class Boxes3D(_Boxes):
             validate_boxes: see :meth:`Boxes.from_tensor`.
 
         Raises:
-            TypeError: no tensor of real numbers.
-            ValueError: another shape, an unknown mode, or bad boxes.
+            TypeError: `boxes` is not a tensor of real numbers.
+            ValueError: `boxes` is not of a shape of Args, an unknown mode, or bad boxes.
         """
         mode = cls._known(mode)
         return cls(cls._vertices(boxes, mode, validate_boxes), False, mode)
 
     def to_tensor(self, mode: str = "xyzxyz") -> Tensor:
-        """The least upright boxes around the corners, (N, 6) or (B, N, 6), in one of the forms of :meth:`from_tensor`."""
+        """Axis-aligned bounding boxes of the corners, (N, 6) or (B, N, 6), in one of the forms of :meth:`from_tensor`."""
         return self._in_mode(self._known(mode))
 
     def get_boxes_shape(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -424,11 +430,11 @@ class Boxes3D(_Boxes):
         return depth, height, width
 
     def to_mask(self, depth: int, height: int, width: int) -> Tensor:
-        """Masks (N, D, H, W) or (B, N, D, H, W) of the upright boxes around the corners, ends rounded. No gradient."""
+        """Masks (N, D, H, W) or (B, N, D, H, W) of the axis-aligned bounding boxes, rounded to voxels. No gradient."""
         return self._mask_of(depth=depth, height=height, width=width)
 
     def transform_boxes(self, M: Tensor, inplace: bool = False) -> Boxes3D:
-        """Boxes after homographies of space (B, 4, 4), or (4, 4) for all volumes; `inplace` changes this object."""
+        """Transform boxes by homographies of space (B, 4, 4), or (4, 4) for all volumes. `inplace` changes this object."""
         return self._transformed("transform_boxes", M, inplace)
 
     def transform_boxes_(self, M: Tensor) -> Boxes3D:

@@ -33,8 +33,8 @@ def create_meshgrid(
         (1, H, W, 2) as (x, y).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a size below 1.
+        TypeError: an argument does not have its documented type.
+        ValueError: a size is below 1.
 
     Example:
         >>> import kvision as K
@@ -74,8 +74,8 @@ def create_meshgrid3d(
         (1, D, H, W, 3) as (z, x, y), which is Kornia's order.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a size below 1.
+        TypeError: an argument does not have its documented type.
+        ValueError: a size is below 1.
 
     Example:
         >>> import kvision as K

@@ -1,4 +1,4 @@
-"""Key points of images and volumes as objects that move with their images."""
+"""Keypoints of images and volumes as objects, which are transformed with their images."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class _Keypoints(Collection):
 
     @classmethod
     def from_tensor(cls: type[Self], keypoints: Tensor | Sequence[Tensor]) -> Self:
-        """The same as the class itself."""
+        """Keypoints from a tensor; the same as calling the class."""
         return cls(keypoints)
 
     def to_tensor(self, as_padded_sequence: bool = False) -> Tensor | list[Tensor]:
-        """The points; where they were given as a list, a list, or one padded tensor with `as_padded_sequence`."""
+        """The points as a tensor. Points from a list give a list, or one padded tensor with `as_padded_sequence`."""
         return self._data if as_padded_sequence else self._unpadded(self._data)
 
     def transform_keypoints(self: Self, M: Tensor, inplace: bool = False) -> Self:
-        """Points after homographies, one for each image or one for all; `inplace` changes this object."""
+        """The points mapped by homographies, one for each image or one for all. `inplace` changes this object."""
         return self._transformed("transform_keypoints", M, inplace)
 
     def transform_keypoints_(self: Self, M: Tensor) -> Self:
@@ -37,18 +37,18 @@ class _Keypoints(Collection):
 
 
 class Keypoints(_Keypoints):
-    """Points (x, y) of images, in pixels.
+    """Keypoints (x, y) of images, in pixels.
 
-    Methods that are not `inplace` leave the object as it is, except :meth:`pad` and :meth:`unpad`; none changes the tensor it
-    was made of.
+    Methods return a new object, unless they are `inplace`. :meth:`pad` and :meth:`unpad` change the object. No method changes
+    the tensor passed to the constructor.
 
     Args:
-        keypoints: (N, 2), (B, N, 2), or a list with (N, 2) for each image.
-        raise_if_not_floating_point: refuse integers; else they become float32.
+        keypoints: points of shape (N, 2) or (B, N, 2), or a list of tensors (N, 2), one for each image.
+        raise_if_not_floating_point: raise an error for integers. Otherwise they are converted to float32.
 
     Raises:
-        TypeError: no tensor of real numbers, or integers.
-        ValueError: another shape.
+        TypeError: `keypoints` is not a tensor of real numbers, or is of integers with `raise_if_not_floating_point`.
+        ValueError: `keypoints` is not of a shape of Args.
 
     Example:
         >>> import torch, kvision as K
@@ -62,7 +62,17 @@ class Keypoints(_Keypoints):
 
 
 class Keypoints3D(_Keypoints):
-    """Points (x, y, z) of volumes, in voxels: (N, 3), (B, N, 3) or a list with (N, 3) for each volume; see :class:`Keypoints`.
+    """Keypoints (x, y, z) of volumes, in voxels.
+
+    The methods are those of :class:`Keypoints`.
+
+    Args:
+        keypoints: points of shape (N, 3) or (B, N, 3), or a list of tensors (N, 3), one for each volume.
+        raise_if_not_floating_point: raise an error for integers. Otherwise they are converted to float32.
+
+    Raises:
+        TypeError: `keypoints` is not a tensor of real numbers, or is of integers with `raise_if_not_floating_point`.
+        ValueError: `keypoints` is not of a shape of Args.
 
     Example:
         >>> import torch, kvision as K

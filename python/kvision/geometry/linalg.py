@@ -29,18 +29,18 @@ __all__ = [
 
 
 def compose_transformations(trans_01: Tensor, trans_12: Tensor) -> Tensor:
-    """Follow one transformation by another: T_01 T_12 = T_02, where T_ab takes points of frame b to frame a.
+    """Compose transformations: T_01 T_12 = T_02, where T_ab maps points of frame b to frame a.
 
     Args:
-        trans_01: (*, 4, 4); its last row is taken for 0 0 0 1.
-        trans_12: (*, 4, 4), leading axes broadcast.
+        trans_01: transformations of shape (*, 4, 4). Their last row is assumed to be 0 0 0 1.
+        trans_12: transformations of shape (*, 4, 4). Leading axes broadcast.
 
     Returns:
-        (*, 4, 4).
+        Transformations of shape (*, 4, 4).
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `trans_01` or `trans_12` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -58,17 +58,17 @@ def _composed_reference(first: Tensor, second: Tensor) -> Tensor:
 
 
 def inverse_transformation(trans_12: Tensor) -> Tensor:
-    """Invert rigid transformations: R and t give R^T and -R^T t.
+    """Invert rigid transformations: (R, t) becomes (R^T, -R^T t).
 
     Args:
-        trans_12: (*, 4, 4), a rotation and a translation; its last row is taken for 0 0 0 1.
+        trans_12: rigid transformations of shape (*, 4, 4). Their last row is assumed to be 0 0 0 1.
 
     Returns:
-        (*, 4, 4).
+        Transformations of shape (*, 4, 4).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `trans_12` is not a tensor of real numbers.
+        ValueError: `trans_12` is not of shape (*, 4, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -87,18 +87,18 @@ def _inverted_reference(pose: Tensor) -> Tensor:
 
 
 def relative_transformation(trans_01: Tensor, trans_02: Tensor) -> Tensor:
-    """The transformation between two frames that are known from a third: T_01^-1 T_02 = T_12.
+    """The transformation between two frames from their transformations to a third: T_01^-1 T_02 = T_12.
 
     Args:
-        trans_01: (*, 4, 4), rigid; its last row is taken for 0 0 0 1.
-        trans_02: (*, 4, 4), leading axes broadcast.
+        trans_01: rigid transformations of shape (*, 4, 4). Their last row is assumed to be 0 0 0 1.
+        trans_02: transformations of shape (*, 4, 4). Leading axes broadcast.
 
     Returns:
-        (*, 4, 4).
+        Transformations of shape (*, 4, 4).
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `trans_01` or `trans_02` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -135,18 +135,19 @@ def _check_pair(op: str, **poses: Tensor) -> None:
 def transform_points(trans_01: Tensor, points_1: Tensor) -> Tensor:
     """Apply homogeneous transformations to points: multiply, then divide by the last coordinate.
 
-    Where that coordinate is 0 within 1e-8 the point stays undivided.
+    A point whose last coordinate has a magnitude of at most 1e-8 is not divided.
 
     Args:
-        trans_01: (D + 1, D + 1), or (1, D + 1, D + 1) for all points, or (B, D + 1, D + 1).
-        points_1: (*, D), or (B, *, D) with a matrix for each sample. Integers give the type of the matrix.
+        trans_01: one matrix for all points, of shape (D + 1, D + 1) or (1, D + 1, D + 1), or one for each sample, of shape
+            (B, D + 1, D + 1).
+        points_1: points of shape (*, D), or (B, *, D) with a matrix for each sample. Integers give the type of the matrix.
 
     Returns:
-        The shape of `points_1`.
+        Points of the shape of `points_1`.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `trans_01` or `points_1` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -175,23 +176,23 @@ def transform_points(trans_01: Tensor, points_1: Tensor) -> Tensor:
 
 
 def adjugate(matrix: Tensor) -> Tensor:
-    """The inverse of (*, 3, 3) up to its determinant, a factor which a homography does not have."""
+    """The adjugate of (*, 3, 3): the inverse times the determinant. A homography is defined up to such a factor."""
     a, b, c = matrix.unbind(-2)
     columns = [torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)]
     return torch.stack(columns, -1)
 
 
 def inverse3x3(matrix: Tensor) -> Tensor:
-    """The inverse of (*, 3, 3) in closed form; inf or NaN where there is none."""
-    found = adjugate(matrix)
-    return found / (matrix[..., 0, :] * found[..., :, 0]).sum(-1)[..., None, None]
+    """The inverse of (*, 3, 3) in closed form. Singular matrices give inf or NaN."""
+    adjugates = adjugate(matrix)
+    return adjugates / (matrix[..., 0, :] * adjugates[..., :, 0]).sum(-1)[..., None, None]
 
 
 def dominant_eigenvector(matrix: Tensor) -> Tensor:
     """Unit eigenvectors (*, n) of the largest eigenvalues of symmetric, positive matrices (*, n, n); 0 for the matrix 0.
 
-    Squared again and again, a matrix becomes a multiple of v v^T. No solver is asked, so nothing waits for the device, and the
-    gradient is finite however the other eigenvalues lie. Eigenvalues that differ by less than 1e-4 of them give a mixture.
+    Repeated squaring turns a matrix into a multiple of v v^T. No solver is called, so nothing waits for the device. The gradient
+    is finite for all other eigenvalues. Eigenvectors of eigenvalues whose relative difference is below 1e-4 are mixed.
     """
     for _ in range(18):
         trace = matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
@@ -208,19 +209,19 @@ def dominant_eigenvector(matrix: Tensor) -> Tensor:
 
 
 def point_line_distance(point: Tensor, line: Tensor, eps: float = 1e-9) -> Tensor:
-    """The distance of points from lines a x + b y + c = 0.
+    """The distance between points and lines a x + b y + c = 0.
 
     Args:
-        point: (*, 2) as (x, y), or (*, 3) as (x, y, w) in homogeneous coordinates.
-        line: (*, 3) as (a, b, c), of any length; leading axes broadcast.
-        eps: not used; the distance does not depend on the length of `line`.
+        point: points (x, y) of shape (*, 2), or homogeneous points (x, y, w) of shape (*, 3).
+        line: lines (a, b, c) of shape (*, 3), of any scale. Leading axes broadcast.
+        eps: not used; accepted for compatibility, as the distance does not depend on the scale of `line`.
 
     Returns:
-        (*), inf for a point at infinity and for a line without a direction (a = b = 0).
+        Distances of shape (*). They are inf for points at infinity and for lines without a direction (a = b = 0).
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `point` or `line` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -247,24 +248,24 @@ def _point_line_distance(point: Tensor, line: Tensor) -> Tensor:
         above, squared = above + offset * w, squared * w * w
     else:
         above = above + offset
-    nowhere = squared == 0
-    return torch.where(nowhere, torch.inf, above.abs() / torch.where(nowhere, 1, squared).sqrt())
+    degenerate = squared == 0
+    return torch.where(degenerate, torch.inf, above.abs() / torch.where(degenerate, 1, squared).sqrt())
 
 
 def batched_dot_product(x: Tensor, y: Tensor, keepdim: bool = False) -> Tensor:
     """The dot product along the last axis.
 
     Args:
-        x: (*, D).
-        y: (*, D), leading axes broadcast.
-        keepdim: keep the axis, with one entry.
+        x: vectors of shape (*, D).
+        y: vectors of shape (*, D). Leading axes broadcast.
+        keepdim: keep the last axis, with one entry.
 
     Returns:
-        (*), or (*, 1).
+        Dot products of shape (*), or (*, 1) with `keepdim`.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `x` or `y` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -276,7 +277,18 @@ def batched_dot_product(x: Tensor, y: Tensor, keepdim: bool = False) -> Tensor:
 
 
 def batched_squared_norm(x: Tensor, keepdim: bool = False) -> Tensor:
-    """The sum of squares along the last axis: (*, D) gives (*), or (*, 1) with `keepdim`.
+    """The sum of squares along the last axis.
+
+    Args:
+        x: vectors of shape (*, D).
+        keepdim: keep the last axis, with one entry.
+
+    Returns:
+        Squared norms of shape (*), or (*, 1) with `keepdim`.
+
+    Raises:
+        TypeError: `x` is not a tensor of real numbers.
+        ValueError: `x` has no axis.
 
     Example:
         >>> import torch, kvision as K
@@ -291,20 +303,20 @@ squared_norm = batched_squared_norm
 
 
 def euclidean_distance(x: Tensor, y: Tensor, keepdim: bool = False, eps: float = 1e-6) -> Tensor:
-    """The distance of points, with a gradient of 0 where they are equal.
+    """The Euclidean distance between points. Its gradient is 0 where they are equal.
 
     Args:
-        x: (*, D).
-        y: (*, D), leading axes broadcast.
+        x: points of shape (*, D).
+        y: points of shape (*, D). Leading axes broadcast.
         keepdim: keep the last axis, with one entry.
-        eps: not used; the distance is exact.
+        eps: not used; accepted for compatibility, as the distance is exact.
 
     Returns:
-        (*), or (*, 1).
+        Distances of shape (*), or (*, 1) with `keepdim`.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `x` or `y` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -321,7 +333,7 @@ def _distance(x: Tensor, y: Tensor, keepdim: bool) -> Tensor:
 
 
 def normalized(x: Tensor) -> Tensor:
-    """Vectors (*, D) of length 1 in the same directions; 0 stays 0."""
+    """Unit vectors (*, D) in the directions of `x`. The vector 0 remains 0."""
     return with_kernel_casts(lambda v: v / divisor(root(batched_squared_norm(v, keepdim=True)), 0))(floats(x))
 
 

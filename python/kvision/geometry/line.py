@@ -27,8 +27,8 @@ class ParametrizedLine(FunctionModule):
         direction: (*, D), of length 1 where distances are to be distances.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes.
+        TypeError: `origin` or `direction` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -112,8 +112,8 @@ def fit_line(points: Tensor, weights: Tensor | None = None) -> ParametrizedLine:
         all points are the same.
 
     Raises:
-        TypeError: no tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `points` or `weights` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -26,8 +26,8 @@ class Hyperplane(FunctionModule):
         d: offsets (*); a Scalar or a tensor.
 
     Raises:
-        TypeError: no tensors.
-        ValueError: other shapes.
+        TypeError: `n` or `d` is not a tensor.
+        ValueError: a shape is not as in Args.
 
     Example:
         >>> import torch, kvision as K
@@ -97,8 +97,8 @@ def fit_plane(points: Vector3 | Tensor) -> Hyperplane:
         Planes (*). Points on a line have many planes; one of them comes out, or one with the normal 0.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `points` is not a tensor of real numbers.
+        ValueError: `points` is not of shape (*, N, 3).
 
     Example:
         >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Point clouds in PLY files."""
+"""Reading and writing point clouds in PLY files."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
 
 
 def save_pointcloud_ply(filename: str | os.PathLike[str], pointcloud: Tensor) -> None:
-    """Write points to a PLY file as text, from which they come back exactly.
+    """Write points to an ASCII PLY file, without loss of precision.
 
     Args:
-        filename: ends in .ply; an old file is replaced.
-        pointcloud: (*, 3), of any real type.
+        filename: a path that ends in .ply. An existing file is replaced.
+        pointcloud: points of shape (*, 3), of any real type. They are stored as float64.
 
     Raises:
-        TypeError: no tensor of real numbers, or another kind of name.
-        ValueError: another shape, or another ending.
+        TypeError: `pointcloud` is not a tensor of real numbers, or `filename` is not a str or a path.
+        ValueError: `pointcloud` is not of shape (*, 3), or `filename` does not end in .ply.
 
     Example:
         >>> import tempfile, torch, kvision as K
@@ -59,7 +59,15 @@ def save_pointcloud_ply(filename: str | os.PathLike[str], pointcloud: Tensor) ->
 
 
 def save_pointcloud_ply_binary(filename: str | os.PathLike[str], pointcloud: Tensor) -> None:
-    """Write points (*, 3) to a binary PLY file, little-endian; else as :func:`save_pointcloud_ply`.
+    """Write points to a binary, little-endian PLY file.
+
+    Args:
+        filename: a path that ends in .ply. An existing file is replaced.
+        pointcloud: points of shape (*, 3), of any real type. They are stored as float64.
+
+    Raises:
+        TypeError: `pointcloud` is not a tensor of real numbers, or `filename` is not a str or a path.
+        ValueError: `pointcloud` is not of shape (*, 3), or `filename` does not end in .ply.
 
     Example:
         >>> import tempfile, torch, kvision as K
@@ -96,19 +104,28 @@ def _header(kind: str, count: int) -> str:
 
 
 def load_pointcloud_ply(filename: str | os.PathLike[str], header_size: int | None = None) -> Tensor:
-    """Read the points of a PLY file that is text.
+    """Read the points of an ASCII PLY file.
+
+    Elements and properties other than x, y and z of the vertices are skipped.
 
     Args:
-        filename: ends in .ply. Elements and properties other than the vertices' x, y and z are passed over.
-        header_size: not used; the header says where it ends.
+        filename: a path that ends in .ply.
+        header_size: not used; accepted for compatibility, as the header marks its end.
 
     Returns:
-        (N, 3), float32.
+        Points of shape (N, 3), float32.
 
     Raises:
-        TypeError: another kind of name.
-        ValueError: another ending, or no PLY file of this format.
+        TypeError: `filename` is not a str or a path.
+        ValueError: `filename` does not end in .ply, or the file is not a PLY file of this format.
         OSError: the file cannot be read.
+
+    Example:
+        >>> import tempfile, torch, kvision as K
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     K.geometry.pointcloud.save_pointcloud_ply(folder + "/cloud.ply", torch.ones(1, 3))
+        ...     K.geometry.pointcloud.load_pointcloud_ply(folder + "/cloud.ply")
+        tensor([[1., 1., 1.]])
     """
     op = "load_pointcloud_ply"
     with _path(op, filename).open("rb") as file:
@@ -117,14 +134,37 @@ def load_pointcloud_ply(filename: str | os.PathLike[str], header_size: int | Non
             file.readline()
         try:
             lines = [file.readline().split() for _ in range(vertex.rows)]
-            points = [[float(line[i]) for i in vertex.places] for line in lines]
+            points = [[float(line[i]) for i in vertex.xyz_columns] for line in lines]
         except (IndexError, ValueError) as error:
             raise ValueCheckError(f"{op}: expected {vertex.rows} vertices in {str(filename)!r}, {error}") from error
     return torch.tensor(points, dtype=torch.float32).reshape(-1, 3)
 
 
 def load_pointcloud_ply_binary(filename: str | os.PathLike[str], header_size: int | None = None) -> Tensor:
-    """Read the points (N, 3), float32, of a binary PLY file of either byte order; else as :func:`load_pointcloud_ply`."""
+    """Read the points of a binary PLY file, of either byte order.
+
+    Elements and properties other than x, y and z of the vertices are skipped.
+
+    Args:
+        filename: a path that ends in .ply.
+        header_size: not used; accepted for compatibility, as the header marks its end.
+
+    Returns:
+        Points of shape (N, 3), float32.
+
+    Raises:
+        TypeError: `filename` is not a str or a path.
+        ValueError: `filename` does not end in .ply, the file is not a PLY file of this format, or an element up to the
+            vertices has properties that are lists.
+        OSError: the file cannot be read.
+
+    Example:
+        >>> import tempfile, torch, kvision as K
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     K.geometry.pointcloud.save_pointcloud_ply_binary(folder + "/cloud.ply", torch.ones(1, 3))
+        ...     K.geometry.pointcloud.load_pointcloud_ply_binary(folder + "/cloud.ply")
+        tensor([[1., 1., 1.]])
+    """
     op = "load_pointcloud_ply_binary"
     with _path(op, filename).open("rb") as file:
         kind, before, vertex = _read_header(op, file, FORMATS[1:])
@@ -138,16 +178,16 @@ def load_pointcloud_ply_binary(filename: str | os.PathLike[str], header_size: in
     table = torch.frombuffer(data, dtype=torch.uint8).reshape(vertex.rows, stride)
     swapped = (kind == FORMATS[1]) != (sys.byteorder == "little")
     columns = []
-    for place in vertex.places:
-        dtype = vertex.types[place]
-        start = sum(t.itemsize for t in vertex.types[:place])
+    for index in vertex.xyz_columns:
+        dtype = vertex.types[index]
+        start = sum(t.itemsize for t in vertex.types[:index])
         column = table[:, start : start + dtype.itemsize]
         columns.append((column.flip(1) if swapped else column).contiguous().view(dtype)[:, 0].float())
     return torch.stack(columns, 1)
 
 
 class _Element(NamedTuple):
-    """A part of a PLY file: a table with named columns. A column of lists has no type."""
+    """An element of a PLY file: a table with named columns. Columns of lists have no type."""
 
     name: str
     rows: int
@@ -156,7 +196,7 @@ class _Element(NamedTuple):
     lists: list[str]
 
     @property
-    def places(self) -> tuple[int, int, int]:
+    def xyz_columns(self) -> tuple[int, int, int]:
         x, y, z = (self.columns.index(axis) for axis in "xyz")
         return x, y, z
 
@@ -179,15 +219,15 @@ def _read_header(op: str, file: BinaryIO, formats: tuple[str, ...]) -> tuple[str
         match line.decode("ascii", "replace").split():
             case ["end_header"]:
                 break
-            case ["format", found, _]:
-                kind = found
+            case ["format", name, _]:
+                kind = name
             case ["element", name, count] if count.isdecimal():
                 elements.append(_Element(name, int(count), [], [], []))
             case ["property", "list", _, _, name] if elements:
                 elements[-1].lists.append(name)
-            case ["property", of, name] if elements and of in TYPES:
+            case ["property", dtype, name] if elements and dtype in TYPES:
                 elements[-1].columns.append(name)
-                elements[-1].types.append(TYPES[of])
+                elements[-1].types.append(TYPES[dtype])
             case ["comment" | "obj_info", *_]:
                 pass
             case []:

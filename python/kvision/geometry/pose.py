@@ -26,8 +26,8 @@ class NamedPose:
         frame_dst: the name of the frame that points go to; None makes one up.
 
     Raises:
-        TypeError: no floating-point tensor.
-        ValueError: another shape.
+        TypeError: `dst_from_src` is not a floating-point tensor.
+        ValueError: `dst_from_src` is not of a shape of Args.
 
     Example:
         >>> import torch, kvision as K

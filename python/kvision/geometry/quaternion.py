@@ -39,8 +39,8 @@ class Quaternion(FunctionModule):
         data: (*, 4) as (w, x, y, z).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `data` is not a tensor of real numbers.
+        ValueError: `data` is not of shape (*, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -304,8 +304,8 @@ def average_quaternions(Q: Quaternion, w: Tensor | None = None) -> Quaternion:
         (1, 4), of length 1, with its largest entry positive.
 
     Raises:
-        TypeError: no Quaternion.
-        ValueError: other shapes, or not on one device.
+        TypeError: `Q` is not a Quaternion.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Source: F. Markley et al., "Averaging quaternions" (2007).
 

@@ -1,4 +1,4 @@
-"""Scalars and vectors as objects that are tensors with names for their entries."""
+"""Scalars and vectors as tensor wrappers with named entries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ Self = TypeVar("Self", bound="_Vector")
 
 
 class Scalar(TensorWrapper):
-    """Numbers, a tensor of any shape.
+    """A tensor of scalars.
+
+    Args:
+        data: scalars, of any shape.
 
     Example:
         >>> import torch
@@ -37,7 +40,7 @@ class _Vector(TensorWrapper):
 
     @classmethod
     def _wrap(cls, value: Any) -> Any:
-        """Results that are no vectors, such as a sum, are plain tensors."""
+        """Results that are not vectors, such as a sum, are plain tensors."""
         if isinstance(value, Tensor) and (value.dim() == 0 or value.shape[-1] != cls._width):
             return value
         return super()._wrap(value)
@@ -53,15 +56,15 @@ class _Vector(TensorWrapper):
         return self._data[..., 1]
 
     def normalized(self: Self) -> Self:
-        """Vectors of length 1 in the same directions; 0 stays 0."""
+        """Unit vectors in the same directions. The vector 0 remains 0."""
         return type(self)(normalized(self._data))
 
     def dot(self: Self, right: Self) -> Scalar:
-        """The dot products (*) with other vectors."""
+        """The dot products with other vectors, of shape (*)."""
         return Scalar(batched_dot_product(self._data, right.data))
 
     def squared_norm(self) -> Scalar:
-        """The squares (*) of the lengths."""
+        """The squared norms, of shape (*)."""
         return Scalar(batched_squared_norm(self._data))
 
     @classmethod
@@ -71,11 +74,13 @@ class _Vector(TensorWrapper):
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> Self:
-        """Vectors of a shape (*) whose entries are uniform in [0, 1)."""
+        """Vectors of shape (*shape, D) with entries drawn uniformly from [0, 1)."""
         return cls(torch.rand((*(shape or ()), cls._width), device=device, dtype=dtype))
 
     @classmethod
-    def _of(cls: type[Self], coords: tuple[Tensor | float, ...], device: Any, dtype: torch.dtype | None) -> Self:
+    def _from_entries(
+        cls: type[Self], coords: tuple[Tensor | float, ...], device: Any, dtype: torch.dtype | None
+    ) -> Self:
         if all(isinstance(c, Tensor) for c in coords):
             return cls(torch.stack(coords, -1).to(device=device, dtype=dtype))  # type: ignore[arg-type]  # all are tensors
         if any(isinstance(c, Tensor) for c in coords):
@@ -84,11 +89,14 @@ class _Vector(TensorWrapper):
 
 
 class Vector2(_Vector):
-    """Vectors (*, 2) as (x, y).
+    """Vectors (x, y).
+
+    Args:
+        vector: a tensor of shape (*, 2).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `vector` is not a tensor of real numbers.
+        ValueError: `vector` is not of shape (*, 2).
 
     Example:
         >>> from kvision.geometry.vector import Vector2
@@ -106,16 +114,19 @@ class Vector2(_Vector):
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> Vector2:
-        """Vectors of their entries, tensors (*) or numbers."""
-        return cls._of((x, y), device, dtype)
+        """Vectors from their entries: all tensors of shape (*), or all numbers."""
+        return cls._from_entries((x, y), device, dtype)
 
 
 class Vector3(_Vector):
-    """Vectors (*, 3) as (x, y, z).
+    """Vectors (x, y, z).
+
+    Args:
+        vector: a tensor of shape (*, 3).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `vector` is not a tensor of real numbers.
+        ValueError: `vector` is not of shape (*, 3).
 
     Example:
         >>> from kvision.geometry.vector import Vector3
@@ -140,5 +151,5 @@ class Vector3(_Vector):
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> Vector3:
-        """Vectors of their entries, tensors (*) or numbers."""
-        return cls._of((x, y, z), device, dtype)
+        """Vectors from their entries: all tensors of shape (*), or all numbers."""
+        return cls._from_entries((x, y, z), device, dtype)

@@ -1,4 +1,4 @@
-"""From the plane at depth 1 to pixels and back: pinhole cameras, and fisheye cameras as Kannala and Brandt describe them."""
+"""Maps between the plane at depth 1 and pixels: pinhole cameras, and the fisheye model of Kannala and Brandt."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import floats
 from kvision._ops import with_kernel_casts
-from kvision.geometry.conversions.series import angle_per_sine, angle_per_tangent_slope, cos, sinc, squared
+from kvision.geometry.conversions.series import angle_per_sine, angle_per_tangent_derivative, cos, sinc, squared
 
 __all__ = [
     "distort_points_affine",
@@ -23,18 +23,18 @@ __all__ = [
 
 
 def distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
-    """Points of the plane at depth 1 to pixels of a pinhole camera: f * p + c.
+    """Map points of the plane at depth 1 to pixels of a pinhole camera: f * p + c.
 
     Args:
-        projected_points_in_camera_z1_plane: (*, 2).
-        params: (*, 4) as (fx, fy, cx, cy), leading axes broadcast.
+        projected_points_in_camera_z1_plane: points (x, y) in the plane at depth 1, of shape (*, 2). Integers give float32.
+        params: camera parameters (fx, fy, cx, cy) of shape (*, 4). Leading axes broadcast.
 
     Returns:
-        (*, 2).
+        Points (x, y) of shape (*, 2), in pixels.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -50,7 +50,18 @@ def _to_pixels(points: Tensor, params: Tensor) -> Tensor:
 
 
 def undistort_points_affine(distorted_points_in_camera: Tensor, params: Tensor) -> Tensor:
-    """Pixels (*, 2) of a pinhole camera to the plane at depth 1: the inverse of :func:`distort_points_affine`.
+    """Map pixels of a pinhole camera to the plane at depth 1: the inverse of :func:`distort_points_affine`.
+
+    Args:
+        distorted_points_in_camera: points (x, y) in pixels, of shape (*, 2). Integers give float32.
+        params: camera parameters (fx, fy, cx, cy) of shape (*, 4). Leading axes broadcast.
+
+    Returns:
+        Points (x, y) of shape (*, 2), in the plane at depth 1.
+
+    Raises:
+        TypeError: `distorted_points_in_camera` or `params` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -67,7 +78,18 @@ def _from_pixels(pixels: Tensor, params: Tensor) -> Tensor:
 
 
 def dx_distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
-    """The Jacobians (*, 2, 2) of :func:`distort_points_affine`.
+    """The Jacobian of :func:`distort_points_affine` with respect to its points.
+
+    Args:
+        projected_points_in_camera_z1_plane: points (x, y) in the plane at depth 1, of shape (*, 2). Integers give float32.
+        params: camera parameters (fx, fy, cx, cy) of shape (*, 4). Leading axes broadcast.
+
+    Returns:
+        Jacobians of shape (*, 2, 2), whose rows belong to the pixel's x and y.
+
+    Raises:
+        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -83,21 +105,21 @@ def dx_distort_points_affine(projected_points_in_camera_z1_plane: Tensor, params
 
 
 def distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
-    """Points of the plane at depth 1 to pixels of a fisheye camera.
+    """Map points of the plane at depth 1 to pixels of a fisheye camera.
 
-    A point at an angle theta from the axis is at f * theta * (1 + k0 theta^2 + k1 theta^4 + k2 theta^6 + k3 theta^8) from the
-    principal point, in its direction. This is the model of OpenCV's fisheye module.
+    A point at an angle theta from the optical axis keeps its direction from the principal point. Its distance from there
+    becomes f * theta * (1 + k0 theta^2 + k1 theta^4 + k2 theta^6 + k3 theta^8). This is the model of OpenCV's fisheye module.
 
     Args:
-        projected_points_in_camera_z1_plane: (*, 2).
-        params: (*, 8) as (fx, fy, cx, cy, k0, k1, k2, k3), leading axes broadcast.
+        projected_points_in_camera_z1_plane: points (x, y) in the plane at depth 1, of shape (*, 2). Integers give float32.
+        params: camera parameters (fx, fy, cx, cy, k0, k1, k2, k3) of shape (*, 8). Leading axes broadcast.
 
     Returns:
-        (*, 2).
+        Points (x, y) of shape (*, 2), in pixels.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Source: J. Kannala, S. Brandt, "A generic camera model and calibration method for conventional, wide-angle, and fish-eye
     lenses" (2006).
@@ -109,22 +131,22 @@ def distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, p
         tensor([398.5398, 240.0000])
     """
     points = _points("distort_points_kannala_brandt", projected_points_in_camera_z1_plane, params, 8)
-    return _fisheye(points, params)
+    return _distort_fisheye(points, params)
 
 
 @with_kernel_casts
-def _fisheye(points: Tensor, params: Tensor) -> Tensor:
-    return _to_pixels(points * _stretch(squared(points), params), params)
+def _distort_fisheye(points: Tensor, params: Tensor) -> Tensor:
+    return _to_pixels(points * _radial_scale(squared(points), params), params)
 
 
-def _stretch(square: Tensor, params: Tensor) -> Tensor:
-    """How much farther from the principal point a point is than at its distance, which is given squared."""
+def _radial_scale(square: Tensor, params: Tensor) -> Tensor:
+    """The radial scale of points by their squared distance from the optical axis: distorted over undistorted radius."""
     per_radius = angle_per_sine(square, torch.ones_like(square))
     return per_radius * _polynomial(per_radius.square() * square, params)
 
 
 def _polynomial(square: Tensor, params: Tensor, weights: tuple[int, ...] = (1, 1, 1, 1)) -> Tensor:
-    """1 + k0 s + k1 s^2 + k2 s^3 + k3 s^4, each coefficient times its weight."""
+    """1 + w0 k0 s + w1 k1 s^2 + w2 k2 s^3 + w3 k3 s^4, of s = `square` and `weights` w."""
     k = params[..., 4:].split(1, -1)
     total = k[3] * weights[3]
     for i in (2, 1, 0):
@@ -133,9 +155,20 @@ def _polynomial(square: Tensor, params: Tensor, weights: tuple[int, ...] = (1, 1
 
 
 def undistort_points_kannala_brandt(distorted_points_in_camera: Tensor, params: Tensor) -> Tensor:
-    """Pixels (*, 2) of a fisheye camera to the plane at depth 1: the inverse of :func:`distort_points_kannala_brandt`.
+    """Map pixels of a fisheye camera to the plane at depth 1: the inverse of :func:`distort_points_kannala_brandt`.
 
-    Twelve Newton steps, of which the last two carry the gradients.
+    The inverse is computed by twelve Newton steps. Gradients flow through the last two.
+
+    Args:
+        distorted_points_in_camera: points (x, y) in pixels, of shape (*, 2). Integers give float32.
+        params: camera parameters (fx, fy, cx, cy, k0, k1, k2, k3) of shape (*, 8). Leading axes broadcast.
+
+    Returns:
+        Points (x, y) of shape (*, 2), in the plane at depth 1.
+
+    Raises:
+        TypeError: `distorted_points_in_camera` or `params` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -144,14 +177,14 @@ def undistort_points_kannala_brandt(distorted_points_in_camera: Tensor, params: 
         tensor([1.0000, 0.0000])
     """
     pixels = _points("undistort_points_kannala_brandt", distorted_points_in_camera, params, 8)
-    return _unfisheye(pixels, params)
+    return _undistort_fisheye(pixels, params)
 
 
 @with_kernel_casts
-def _unfisheye(pixels: Tensor, params: Tensor) -> Tensor:
+def _undistort_fisheye(pixels: Tensor, params: Tensor) -> Tensor:
     points = _from_pixels(pixels, params)
     square = squared(points)
-    # The angle is `ratio` times the distance in the image: ratio * polynomial(angle^2) = 1.
+    # The angle is `ratio` times the distorted radius: ratio * polynomial(angle^2) = 1.
     ratio = torch.ones_like(square)
     fixed = square.detach(), params.detach()
     for _ in range(10):
@@ -168,7 +201,18 @@ def _newton(ratio: Tensor, square: Tensor, params: Tensor) -> Tensor:
 
 
 def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor, params: Tensor) -> Tensor:
-    """The Jacobians (*, 2, 2) of :func:`distort_points_kannala_brandt`.
+    """The Jacobian of :func:`distort_points_kannala_brandt` with respect to its points.
+
+    Args:
+        projected_points_in_camera_z1_plane: points (x, y) in the plane at depth 1, of shape (*, 2). Integers give float32.
+        params: camera parameters (fx, fy, cx, cy, k0, k1, k2, k3) of shape (*, 8). Leading axes broadcast.
+
+    Returns:
+        Jacobians of shape (*, 2, 2), whose rows belong to the pixel's x and y.
+
+    Raises:
+        TypeError: `projected_points_in_camera_z1_plane` or `params` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -184,18 +228,18 @@ def dx_distort_points_kannala_brandt(projected_points_in_camera_z1_plane: Tensor
 @with_kernel_casts
 def _fisheye_jacobian(points: Tensor, params: Tensor) -> Tensor:
     square = squared(points)
-    # As in _stretch, and the derivatives by the distance squared: of the angle per distance, of the angle squared, of all.
-    per_radius, per_radius_slope = angle_per_sine(square, torch.ones_like(square)), angle_per_tangent_slope(square)
+    # As in _radial_scale. The derivatives are with respect to the squared distance.
+    per_radius, grad_per_radius = angle_per_sine(square, torch.ones_like(square)), angle_per_tangent_derivative(square)
     angle = per_radius.square() * square
-    angle_slope = per_radius.square() + 2 * per_radius * per_radius_slope * square
+    grad_angle = per_radius.square() + 2 * per_radius * grad_per_radius * square
     polynomial = _polynomial(angle, params)
-    stretch = per_radius * polynomial
+    scale = per_radius * polynomial
     k = params[..., 4:].split(1, -1)
-    by_angle = k[0] + angle * (2 * k[1] + angle * (3 * k[2] + angle * 4 * k[3]))
-    slope = per_radius_slope * polynomial + per_radius * by_angle * angle_slope
-    straight = torch.diag_embed(stretch.expand(*stretch.shape[:-1], 2))
-    bent = 2 * slope[..., None] * points[..., :, None] * points[..., None, :]
-    return params[..., :2, None] * (straight + bent)
+    grad_polynomial = k[0] + angle * (2 * k[1] + angle * (3 * k[2] + angle * 4 * k[3]))
+    grad_scale = grad_per_radius * polynomial + per_radius * grad_polynomial * grad_angle
+    isotropic = torch.diag_embed(scale.expand(*scale.shape[:-1], 2))
+    radial = 2 * grad_scale[..., None] * points[..., :, None] * points[..., None, :]
+    return params[..., :2, None] * (isotropic + radial)
 
 
 def _points(op: str, points: Tensor, params: Tensor, count: int) -> Tensor:

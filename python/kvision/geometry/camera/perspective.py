@@ -26,8 +26,8 @@ def project_points(point_3d: Tensor, camera_matrix: Tensor) -> Tensor:
         (*, 2) as (x, y), the middle of the first pixel being (0, 0).
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `point_3d` or `camera_matrix` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -53,8 +53,8 @@ def unproject_points(point_2d: Tensor, depth: Tensor, camera_matrix: Tensor, nor
         (*, 3) as (x, y, z).
 
     Raises:
-        TypeError: not tensors of real numbers, or `normalize` is no bool.
-        ValueError: other shapes, or not on one device.
+        TypeError: `point_2d`, `depth` or `camera_matrix` is not a tensor of real numbers, or `normalize` is not a bool.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -31,8 +31,8 @@ class PinholeCamera:
         width: of the images, (B,).
 
     Raises:
-        TypeError: not tensors of real numbers, or matrices of integers.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a tensor of real numbers, or matrices of integers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

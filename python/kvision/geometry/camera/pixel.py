@@ -25,8 +25,8 @@ def pixel2cam(depth: Tensor, intrinsics_inv: Tensor, pixel_coords: Tensor) -> Te
         (B, H, W, 3).
 
     Raises:
-        TypeError: not tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `depth`, `intrinsics_inv` or `pixel_coords` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -55,8 +55,8 @@ def cam2pixel(cam_coords_src: Tensor, dst_proj_src: Tensor, eps: float = 1e-12) 
         Pixels (B, H, W, 2) as (x, y).
 
     Raises:
-        TypeError: not tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `cam_coords_src` or `dst_proj_src` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

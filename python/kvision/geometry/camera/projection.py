@@ -1,4 +1,4 @@
-"""Projections without a camera matrix: to the plane at depth 1, and along parallel rays."""
+"""Projections without a camera matrix: perspective onto the plane at depth 1, and orthographic."""
 
 from __future__ import annotations
 
@@ -20,11 +20,17 @@ __all__ = [
 
 
 def project_points_z1(points_in_camera: Tensor) -> Tensor:
-    """Project points (*, 3) of a camera's frame to the plane at depth 1: (x / z, y / z), (*, 2); not finite where z is 0.
+    """Project points in a camera's frame onto the plane at depth 1: (x / z, y / z).
+
+    Args:
+        points_in_camera: points (x, y, z) in the camera's frame, of shape (*, 3). Integers give float32.
+
+    Returns:
+        Projected points of shape (*, 2). They are not finite where z is 0.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `points_in_camera` is not a tensor of real numbers.
+        ValueError: `points_in_camera` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -37,18 +43,18 @@ def project_points_z1(points_in_camera: Tensor) -> Tensor:
 
 
 def unproject_points_z1(points_in_cam_canonical: Tensor, extension: Tensor | None = None) -> Tensor:
-    """Find the points of a camera's frame whose projections to the plane at depth 1 are known.
+    """Back-project points of the plane at depth 1 to points in a camera's frame.
 
     Args:
-        points_in_cam_canonical: (*, 2).
-        extension: their depths, (*) or (*, 1); None for 1.
+        points_in_cam_canonical: points (x, y) in the plane at depth 1, of shape (*, 2). Integers give float32.
+        extension: depths of the points, of shape (*) or (*, 1). None means depth 1.
 
     Returns:
-        (*, 3).
+        Points (x, y, z) of shape (*, 3).
 
     Raises:
-        TypeError: not tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `points_in_cam_canonical` or `extension` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -66,7 +72,17 @@ def unproject_points_z1(points_in_cam_canonical: Tensor, extension: Tensor | Non
 
 
 def dx_project_points_z1(points_in_camera: Tensor) -> Tensor:
-    """The Jacobians (*, 2, 3) of :func:`project_points_z1` at points (*, 3).
+    """The Jacobian of :func:`project_points_z1` with respect to its points.
+
+    Args:
+        points_in_camera: points (x, y, z) in the camera's frame, of shape (*, 3). Integers give float32.
+
+    Returns:
+        Jacobians of shape (*, 2, 3), whose rows belong to the projected x and y.
+
+    Raises:
+        TypeError: `points_in_camera` is not a tensor of real numbers.
+        ValueError: `points_in_camera` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -83,11 +99,17 @@ def dx_project_points_z1(points_in_camera: Tensor) -> Tensor:
 
 
 def project_points_orthographic(points_in_camera: Tensor) -> Tensor:
-    """Project points (*, 3) along z: (x, y), (*, 2).
+    """Project points in a camera's frame orthographically, along z.
+
+    Args:
+        points_in_camera: points (x, y, z) in the camera's frame, of shape (*, 3).
+
+    Returns:
+        Points (x, y) of shape (*, 2), of the type of `points_in_camera`.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `points_in_camera` is not a tensor of real numbers.
+        ValueError: `points_in_camera` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -99,11 +121,18 @@ def project_points_orthographic(points_in_camera: Tensor) -> Tensor:
 
 
 def unproject_points_orthographic(points_in_camera: Tensor, extension: Tensor) -> Tensor:
-    """Put points (*, 2) at depths (*) or (*, 1): (*, 3).
+    """Append depths to orthographically projected points: the inverse of :func:`project_points_orthographic`.
+
+    Args:
+        points_in_camera: points (x, y) of shape (*, 2).
+        extension: depths of the points, of shape (*) or (*, 1).
+
+    Returns:
+        Points (x, y, z) of shape (*, 3), of the type of `points_in_camera`.
 
     Raises:
-        TypeError: not tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `points_in_camera` or `extension` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -118,7 +147,17 @@ def unproject_points_orthographic(points_in_camera: Tensor, extension: Tensor) -
 
 
 def dx_project_points_orthographic(points_in_camera: Tensor) -> Tensor:
-    """The derivative (*, 1) of :func:`project_points_orthographic` at points (*, 3): 1 for both coordinates.
+    """The derivative of :func:`project_points_orthographic`, which is 1 for both coordinates.
+
+    Args:
+        points_in_camera: points (x, y, z) in the camera's frame, of shape (*, 3).
+
+    Returns:
+        Ones of shape (*, 1), of the type of `points_in_camera`.
+
+    Raises:
+        TypeError: `points_in_camera` is not a tensor of real numbers.
+        ValueError: `points_in_camera` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K

@@ -24,8 +24,8 @@ class StereoCamera:
             that is so, because it would wait for them.
 
     Raises:
-        TypeError: not two floating-point tensors of one type.
-        ValueError: other shapes or values, or not on one device.
+        TypeError: `rectified_left_camera` or `rectified_right_camera` is not a floating-point tensor, or the types differ.
+        ValueError: a shape or value is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -111,8 +111,8 @@ class StereoCamera:
             finite, (B, H, W, 1).
 
         Raises:
-            TypeError: no floating-point tensor.
-            ValueError: another shape, or not on the device of the cameras.
+            TypeError: `disparity_tensor` is not a floating-point tensor.
+            ValueError: `disparity_tensor` is not of shape (B, H, W, 1), or not on the device of the cameras.
         """
         op = f"{type(self).__name__}.reproject_disparity_to_3D"
         _check.shape(op, "disparity_tensor", disparity_tensor, "B", "H", "W", 1)

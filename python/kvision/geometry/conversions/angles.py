@@ -15,10 +15,16 @@ __all__ = ["angle_to_rotation_matrix", "cart2pol", "deg2rad", "pol2cart", "rad2d
 
 
 def rad2deg(tensor: Tensor) -> Tensor:
-    """Radians to degrees: a tensor of any shape; integers give float32.
+    """Convert radians to degrees.
+
+    Args:
+        tensor: angles in radians, of any shape. Integers give float32.
+
+    Returns:
+        The angles in degrees, of the shape of `tensor`.
 
     Raises:
-        TypeError: no tensor of real numbers.
+        TypeError: `tensor` is not a tensor of real numbers.
 
     Example:
         >>> import torch, kvision as K
@@ -30,10 +36,16 @@ def rad2deg(tensor: Tensor) -> Tensor:
 
 
 def deg2rad(tensor: Tensor) -> Tensor:
-    """Degrees to radians: a tensor of any shape; integers give float32.
+    """Convert degrees to radians.
+
+    Args:
+        tensor: angles in degrees, of any shape. Integers give float32.
+
+    Returns:
+        The angles in radians, of the shape of `tensor`.
 
     Raises:
-        TypeError: no tensor of real numbers.
+        TypeError: `tensor` is not a tensor of real numbers.
 
     Example:
         >>> import torch, kvision as K
@@ -45,18 +57,18 @@ def deg2rad(tensor: Tensor) -> Tensor:
 
 
 def pol2cart(rho: Tensor, phi: Tensor) -> tuple[Tensor, Tensor]:
-    """Polar coordinates to x and y.
+    """Convert polar to Cartesian coordinates.
 
     Args:
         rho: distances from the origin, of any shape.
         phi: angles in radians, of a shape that broadcasts with that of `rho`.
 
     Returns:
-        x and y.
+        x and y, of the common shape.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: shapes that do not broadcast.
+        TypeError: `rho` or `phi` is not a tensor of real numbers.
+        ValueError: the shapes do not broadcast.
 
     Example:
         >>> import torch, kvision as K
@@ -69,19 +81,19 @@ def pol2cart(rho: Tensor, phi: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def cart2pol(x: Tensor, y: Tensor, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
-    """x and y to polar coordinates; the gradient at the origin is 0.
+    """Convert Cartesian to polar coordinates. The gradient at the origin is 0.
 
     Args:
-        x: of any shape.
-        y: of a shape that broadcasts with that of `x`.
-        eps: not used; nothing has to be kept from 0.
+        x: horizontal coordinates, of any shape.
+        y: vertical coordinates, of a shape that broadcasts with that of `x`.
+        eps: not used; accepted for compatibility, as the result is exact without it.
 
     Returns:
         Distances from the origin and angles in radians, from -pi to pi.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: shapes that do not broadcast.
+        TypeError: `x` or `y` is not a tensor of real numbers.
+        ValueError: the shapes do not broadcast.
 
     Example:
         >>> import torch, kvision as K
@@ -91,7 +103,7 @@ def cart2pol(x: Tensor, y: Tensor, eps: float = 1e-8) -> tuple[Tensor, Tensor]:
     _check_pair("cart2pol", x=x, y=y)
     x, y = floats(x), floats(y)
     origin = (x == 0) & (y == 0)
-    x = torch.where(origin, 1, x)  # neither function has a derivative there
+    x = torch.where(origin, 1, x)  # hypot and atan2 have no derivative at the origin
     return torch.where(origin, 0, torch.hypot(x, y)), torch.where(origin, 0, torch.atan2(y, x))
 
 
@@ -102,16 +114,18 @@ def _check_pair(op: str, **tensors: Tensor) -> None:
 
 
 def angle_to_rotation_matrix(angle: Tensor) -> Tensor:
-    """Rotations of the plane, counter-clockwise as one sees it where y points down; quarter turns are exact.
+    """Rotation matrices of the plane from angles.
+
+    A positive angle rotates counter-clockwise in an image, whose y axis points down. Multiples of 90 degrees are exact.
 
     Args:
-        angle: degrees, of any shape (*); integers give float32.
+        angle: angles in degrees, of any shape (*). Integers give float32.
 
     Returns:
-        (*, 2, 2), [[cos, sin], [-sin, cos]].
+        Matrices [[cos, sin], [-sin, cos]] of shape (*, 2, 2).
 
     Raises:
-        TypeError: no tensor of real numbers.
+        TypeError: `angle` is not a tensor of real numbers.
 
     Example:
         >>> import torch, kvision as K
@@ -132,11 +146,11 @@ _rotation2d = register_formula("angle_to_rotation_matrix", _rotation2d_reference
 
 
 def cos_sin(degrees: Tensor) -> tuple[Tensor, Tensor]:
-    """Cosine and sine, exact at quarter turns."""
+    """Cosine and sine, exact at multiples of 90 degrees."""
     quarters = (degrees.detach() / 90).round()
     rest = torch.deg2rad(degrees - 90 * quarters)
     c, s = rest.cos(), rest.sin()
-    turn = quarters.remainder(4)
-    cosine = torch.where(turn == 0, c, torch.where(turn == 1, -s, torch.where(turn == 2, -c, s)))
-    sine = torch.where(turn == 0, s, torch.where(turn == 1, c, torch.where(turn == 2, -s, -c)))
+    quadrant = quarters.remainder(4)
+    cosine = torch.where(quadrant == 0, c, torch.where(quadrant == 1, -s, torch.where(quadrant == 2, -c, s)))
+    sine = torch.where(quadrant == 0, s, torch.where(quadrant == 1, c, torch.where(quadrant == 2, -s, -c)))
     return cosine + 0, sine + 0  # no negative zeros

@@ -1,4 +1,4 @@
-"""Poses of ARKit, which are of a graphics camera to the world, and of COLMAP, which are of the world to a vision camera."""
+"""Conversions between ARKit's poses (graphics camera to world) and COLMAP's (world to vision camera)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,20 @@ __all__ = ["ARKitQTVecs_to_ColmapQTVecs", "ColmapQTVecs_to_ARKitQTVecs"]
 
 
 def ARKitQTVecs_to_ColmapQTVecs(qvec: Tensor, tvec: Tensor) -> tuple[Tensor, Tensor]:
-    """ARKit's poses as COLMAP's.
+    """Convert ARKit's camera poses to COLMAP's.
+
+    ARKit's camera has y up and z backwards; COLMAP's has y down and z forwards.
 
     Args:
-        qvec: quaternions (*, 4) as (w, x, y, z), camera to world.
-        tvec: (*, 3, 1), the places of the cameras in the world.
+        qvec: quaternions (w, x, y, z) of shape (*, 4), camera to world.
+        tvec: positions of the cameras in the world, of shape (*, 3, 1).
 
     Returns:
         Unit quaternions (*, 4), of either sign, and translations (*, 3, 1), world to camera.
 
     Raises:
-        TypeError: not two floating-point tensors.
-        ValueError: other shapes, or not on one device.
+        TypeError: `qvec` or `tvec` is not a floating-point tensor.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -42,7 +44,18 @@ def ARKitQTVecs_to_ColmapQTVecs(qvec: Tensor, tvec: Tensor) -> tuple[Tensor, Ten
 
 
 def ColmapQTVecs_to_ARKitQTVecs(qvec: Tensor, tvec: Tensor) -> tuple[Tensor, Tensor]:
-    """COLMAP's poses as ARKit's: the inverse of :func:`ARKitQTVecs_to_ColmapQTVecs`, of the same shapes.
+    """Convert COLMAP's camera poses to ARKit's: the inverse of :func:`ARKitQTVecs_to_ColmapQTVecs`.
+
+    Args:
+        qvec: quaternions (w, x, y, z) of shape (*, 4), world to camera.
+        tvec: translations, world to camera, of shape (*, 3, 1).
+
+    Returns:
+        Unit quaternions (*, 4), of either sign, camera to world, and positions (*, 3, 1) of the cameras in the world.
+
+    Raises:
+        TypeError: `qvec` or `tvec` is not a floating-point tensor.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Rotations of space as turns about the fixed axes x, y and z: roll, pitch and yaw."""
+"""Euler angles: rotations about the fixed axes x, y and z by roll, pitch and yaw."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ __all__ = ["euler_from_quaternion", "quaternion_from_euler"]
 
 
 def quaternion_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Unit quaternions of turns about the fixed axes x, then y, then z.
+    """Convert Euler angles about the fixed axes x, then y, then z to unit quaternions.
 
     Args:
-        roll: about x, in radians, of any shape; integers give float32.
-        pitch: about y, of the same shape.
-        yaw: about z, of the same shape.
+        roll: angles about x, in radians, of any shape. Integers give float32.
+        pitch: angles about y, in radians, of the shape of `roll`.
+        yaw: angles about z, in radians, of the shape of `roll`.
 
     Returns:
-        w, x, y and z.
+        The components w, x, y and z, each of the shape of `roll`.
 
     Raises:
-        TypeError: not tensors of real numbers.
-        ValueError: not of one shape, or not on one device.
+        TypeError: an angle is not a tensor of real numbers.
+        ValueError: the shapes differ, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -56,30 +56,31 @@ _from_euler = register_formula("quaternion_from_euler", _from_euler_reference, l
 
 
 def _columns(operator: Operator, *numbers: Tensor) -> tuple[Tensor, ...]:
-    """What a formula of numbers (*) gives, as tensors (*)."""
+    """Apply a formula of scalars to tensors (*), and return its results as tensors (*)."""
     shape, dtype = numbers[0].shape, floats(numbers[0]).dtype
-    found = operator(*(as_dtype(x if x.dim() == 1 else x.reshape(-1), dtype) for x in numbers))
-    columns = found.unbind(1)
+    columns = operator(*(as_dtype(x if x.dim() == 1 else x.reshape(-1), dtype) for x in numbers)).unbind(1)
     return columns if len(shape) == 1 else tuple(c.reshape(shape) for c in columns)
 
 
 def euler_from_quaternion(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Turns about the fixed axes x, then y, then z, of quaternions.
+    """Convert quaternions to Euler angles about the fixed axes x, then y, then z.
 
-    Where the pitch is a quarter turn only a sum of the others is determined: the roll is 0 then, and gradients go to the yaw.
+    At gimbal lock, where the pitch is pi / 2 or -pi / 2, only the sum or the difference of roll and yaw is determined. The roll
+    is then 0, and the yaw receives the gradients.
 
     Args:
-        w: the real part, of any shape; quaternions are of any length. Integers give float32.
-        x: of the same shape.
-        y: of the same shape.
-        z: of the same shape.
+        w: real parts of the quaternions, of any shape. Quaternions may have any norm. Integers give float32.
+        x: first imaginary parts, of the shape of `w`.
+        y: second imaginary parts, of the shape of `w`.
+        z: third imaginary parts, of the shape of `w`.
 
     Returns:
-        Roll, pitch and yaw in radians: from -pi to pi, the pitch from -pi / 2 to pi / 2.
+        Roll, pitch and yaw in radians, each of the shape of `w`. Roll and yaw are in [-pi, pi], the pitch is in
+        [-pi / 2, pi / 2].
 
     Raises:
-        TypeError: not tensors of real numbers.
-        ValueError: not of one shape, or not on one device.
+        TypeError: a component is not a tensor of real numbers.
+        ValueError: the shapes differ, or the tensors are on different devices.
 
     Source: E. Bernardes, S. Viollet, "Quaternion to Euler angles conversion" (2022).
 
@@ -95,22 +96,22 @@ def euler_from_quaternion(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[T
 
 
 def _euler_reference(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    # (yaw + roll) / 2 is the angle of (a, b), (yaw - roll) / 2 that of (c, d); of lengths p and m, the pitch is between them.
+    # (yaw + roll) / 2 is the angle of (a, b), (yaw - roll) / 2 that of (c, d). The pitch follows from their norms p^0.5, m^0.5.
     a, b, c, d = w - y, x + z, w + y, z - x
     p, m = a * a + b * b, c * c + d * d
-    least = (4 * torch.finfo(w.dtype).eps) ** 2 * (p + m)
-    up, down = p <= least, m <= least  # locked, or both for the quaternion 0
+    threshold = (4 * torch.finfo(w.dtype).eps) ** 2 * (p + m)
+    up, down = p <= threshold, m <= threshold  # gimbal lock; both for the quaternion 0
     total, difference = _angle(b, a, up), _angle(d, c, down)
     total, difference = torch.where(up & ~down, difference, total), torch.where(down, total, difference)
     locked = up | down
     lengths = (torch.where(locked, 1, m).sqrt(), torch.where(locked, 1, p).sqrt())
     pitch = 2 * torch.atan2(*lengths) - math.pi / 2
     pole = (up.to(w.dtype) - down.to(w.dtype)) * (math.pi / 2)
-    angles = [_within_pi(total - difference), torch.where(locked, pole, pitch), _within_pi(total + difference)]
+    angles = [_wrap_to_pi(total - difference), torch.where(locked, pole, pitch), _wrap_to_pi(total + difference)]
     return torch.stack(angles, -1)
 
 
-def _within_pi(angle: Tensor) -> Tensor:
+def _wrap_to_pi(angle: Tensor) -> Tensor:
     return angle - 2 * math.pi * (angle.detach() / (2 * math.pi)).round()
 
 

@@ -20,11 +20,17 @@ __all__ = [
 
 
 def convert_points_to_homogeneous(points: Tensor) -> Tensor:
-    """Append a coordinate 1 to points: (*, D) gives (*, D + 1).
+    """Append a coordinate 1 to points.
+
+    Args:
+        points: points of shape (*, D).
+
+    Returns:
+        Homogeneous points of shape (*, D + 1), of the type of `points`.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: no axis of coordinates.
+        TypeError: `points` is not a tensor of real numbers.
+        ValueError: `points` has no axis of coordinates.
 
     Example:
         >>> import torch, kvision as K
@@ -41,15 +47,15 @@ def convert_points_from_homogeneous(points: Tensor, eps: float = 1e-8) -> Tensor
     """Divide points by their last coordinate and drop it.
 
     Args:
-        points: (*, D) with D of at least 2; integers give float32.
-        eps: a last coordinate of at most this magnitude does not divide: such a point only loses it.
+        points: homogeneous points of shape (*, D), D at least 2. Integers give float32.
+        eps: a point whose last coordinate has at most this magnitude is not divided.
 
     Returns:
-        (*, D - 1).
+        Points of shape (*, D - 1).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `points` is not a tensor of real numbers.
+        ValueError: `points` is not of shape (*, D) with D of at least 2, or `eps` is negative.
 
     Example:
         >>> import torch, kvision as K
@@ -70,16 +76,22 @@ def _divided(points: Tensor, eps: float) -> Tensor:
 
 
 def divisor(z: Tensor, eps: float = 1e-8) -> Tensor:
-    """What points are divided by: `z`, or 1 where it is 0 within `eps`, with a gradient of 0 there."""
+    """The divisor of homogeneous points: `z`, or 1 where |z| is at most `eps`, with gradient 0 there."""
     return torch.where(z.abs() > eps, z, 1)
 
 
 def convert_affinematrix_to_homography(A: Tensor) -> Tensor:
-    """Affine maps (*, 2, 3) of the plane as homographies (*, 3, 3): with a row 0 0 1 below.
+    """Append the row 0 0 1 to affine matrices of the plane.
+
+    Args:
+        A: affine matrices of shape (*, 2, 3).
+
+    Returns:
+        Homographies of shape (*, 3, 3), of the type of `A`.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `A` is not a tensor of real numbers.
+        ValueError: `A` is not of shape (*, 2, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -93,11 +105,17 @@ def convert_affinematrix_to_homography(A: Tensor) -> Tensor:
 
 
 def convert_affinematrix_to_homography3d(A: Tensor) -> Tensor:
-    """Affine maps (*, 3, 4) of space as homographies (*, 4, 4): with a row 0 0 0 1 below.
+    """Append the row 0 0 0 1 to affine matrices of space.
+
+    Args:
+        A: affine matrices of shape (*, 3, 4).
+
+    Returns:
+        Homographies of shape (*, 4, 4), of the type of `A`.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `A` is not a tensor of real numbers.
+        ValueError: `A` is not of shape (*, 3, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -109,7 +127,7 @@ def convert_affinematrix_to_homography3d(A: Tensor) -> Tensor:
 
 
 def homogeneous(matrix: Tensor) -> Tensor:
-    """(*, n, n + 1) with the row 0 ... 0 1 below."""
+    """Append the row 0 ... 0 1 to matrices (*, n, n + 1)."""
     last = matrix.new_zeros(*matrix.shape[:-2], 1, matrix.shape[-1])
     last[..., -1] = 1
     return torch.cat([matrix, last], -2)

@@ -1,7 +1,7 @@
-"""Pixel coordinates, coordinates in [-1, 1], and those of a camera's image plane at depth 1.
+"""Pixel coordinates, normalized coordinates in [-1, 1], and coordinates in a camera's image plane at depth 1.
 
-The middle of the first pixel is (0, 0). -1 and 1 are the middles of the outermost pixels of an axis; an axis of one pixel has
-its origin there and keeps its scale, so that all these maps can be inverted.
+The center of the first pixel is (0, 0). -1 and 1 are the centers of the outermost pixels of an axis. On an axis of one pixel,
+that pixel is the origin and the scale is 1, so that all these maps are invertible.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Line = tuple[float, float]  # scale and offset
 
 
 def to_unit(size: int, align_corners: bool = True) -> Line:
-    """Pixels of an axis to [-1, 1]: from the middle of the first to that of the last one, or from edge to edge."""
+    """Map the pixels of an axis to [-1, 1]: the centers of its outermost pixels, or their outer edges."""
     length = max(size - 1, 0) if align_corners else size
     scale = 2 / length if length > 0 else 1.0
     return scale, -scale * (size - 1) / 2
@@ -49,20 +49,22 @@ def inverted(line: Line) -> Line:
 
 
 def normalize_pixel_coordinates(pixel_coordinates: Tensor, height: int, width: int, eps: float = 1e-8) -> Tensor:
-    """Pixels to [-1, 1], the middles of the outermost ones; the only pixel of an axis is 0.
+    """Map pixel coordinates to [-1, 1], the centers of the outermost pixels.
+
+    The only pixel of an axis of length 1 maps to 0.
 
     Args:
-        pixel_coordinates: (*, 2) as (x, y); integers give float32.
-        height: of the image, in pixels.
-        width: of the image, in pixels.
-        eps: not used; an axis of one pixel needs none.
+        pixel_coordinates: points (x, y) of shape (*, 2). Integers give float32.
+        height: height of the image, in pixels.
+        width: width of the image, in pixels.
+        eps: not used; accepted for compatibility.
 
     Returns:
-        (*, 2).
+        Normalized points (x, y) of shape (*, 2).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: another shape, or a size below 1.
+        TypeError: `pixel_coordinates` is not a tensor of real numbers, or a size is not an int.
+        ValueError: `pixel_coordinates` is not of shape (*, 2), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -74,7 +76,20 @@ def normalize_pixel_coordinates(pixel_coordinates: Tensor, height: int, width: i
 
 
 def denormalize_pixel_coordinates(pixel_coordinates: Tensor, height: int, width: int, eps: float = 1e-8) -> Tensor:
-    """[-1, 1] to pixels (*, 2) as (x, y): the inverse of :func:`normalize_pixel_coordinates`.
+    """Map [-1, 1] to pixel coordinates: the inverse of :func:`normalize_pixel_coordinates`.
+
+    Args:
+        pixel_coordinates: normalized points (x, y) of shape (*, 2). Integers give float32.
+        height: height of the image, in pixels.
+        width: width of the image, in pixels.
+        eps: not used; accepted for compatibility.
+
+    Returns:
+        Points (x, y) of shape (*, 2), in pixels.
+
+    Raises:
+        TypeError: `pixel_coordinates` is not a tensor of real numbers, or a size is not an int.
+        ValueError: `pixel_coordinates` is not of shape (*, 2), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -88,21 +103,23 @@ def denormalize_pixel_coordinates(pixel_coordinates: Tensor, height: int, width:
 def normalize_pixel_coordinates3d(
     pixel_coordinates: Tensor, depth: int, height: int, width: int, eps: float = 1e-8
 ) -> Tensor:
-    """Voxels to [-1, 1], the middles of the outermost ones; the only voxel of an axis is 0.
+    """Map voxel coordinates to [-1, 1], the centers of the outermost voxels.
+
+    The only voxel of an axis of length 1 maps to 0.
 
     Args:
-        pixel_coordinates: (*, 3) as (z, x, y); integers give float32.
-        depth: of the volume, in voxels.
-        height: of the volume, in voxels.
-        width: of the volume, in voxels.
-        eps: not used; an axis of one voxel needs none.
+        pixel_coordinates: points (z, x, y) of shape (*, 3). Integers give float32.
+        depth: depth of the volume, in voxels.
+        height: height of the volume, in voxels.
+        width: width of the volume, in voxels.
+        eps: not used; accepted for compatibility.
 
     Returns:
-        (*, 3) as (z, x, y).
+        Normalized points (z, x, y) of shape (*, 3).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: another shape, or a size below 1.
+        TypeError: `pixel_coordinates` is not a tensor of real numbers, or a size is not an int.
+        ValueError: `pixel_coordinates` is not of shape (*, 3), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -116,7 +133,21 @@ def normalize_pixel_coordinates3d(
 def denormalize_pixel_coordinates3d(
     pixel_coordinates: Tensor, depth: int, height: int, width: int, eps: float = 1e-8
 ) -> Tensor:
-    """[-1, 1] to voxels (*, 3) as (z, x, y): the inverse of :func:`normalize_pixel_coordinates3d`.
+    """Map [-1, 1] to voxel coordinates: the inverse of :func:`normalize_pixel_coordinates3d`.
+
+    Args:
+        pixel_coordinates: normalized points (z, x, y) of shape (*, 3). Integers give float32.
+        depth: depth of the volume, in voxels.
+        height: height of the volume, in voxels.
+        width: width of the volume, in voxels.
+        eps: not used; accepted for compatibility.
+
+    Returns:
+        Points (z, x, y) of shape (*, 3), in voxels.
+
+    Raises:
+        TypeError: `pixel_coordinates` is not a tensor of real numbers, or a size is not an int.
+        ValueError: `pixel_coordinates` is not of shape (*, 3), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -150,22 +181,22 @@ def normal_transform_pixel(
     dtype: torch.dtype | None = None,
     align_corners: bool = True,
 ) -> Tensor:
-    """The matrix that takes pixels to [-1, 1].
+    """The matrix that maps pixel coordinates to [-1, 1].
 
     Args:
-        height: of the image, in pixels.
-        width: of the image, in pixels.
-        eps: not used; an axis of one pixel needs none.
-        device: of the result.
-        dtype: of the result.
-        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+        height: height of the image, in pixels.
+        width: width of the image, in pixels.
+        eps: not used; accepted for compatibility.
+        device: device of the result.
+        dtype: type of the result.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
 
     Returns:
-        (1, 3, 3), for columns (x, y, 1).
+        A matrix of shape (1, 3, 3), applied to columns (x, y, 1).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a size below 1.
+        TypeError: a size is not an int, or `align_corners` is not a bool.
+        ValueError: a size is below 1.
 
     Example:
         >>> import kvision as K
@@ -187,15 +218,22 @@ def normal_transform_pixel3d(
     device: torch.device | str | None = None,
     dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """The matrix (1, 4, 4) that takes voxels (x, y, z, 1) to [-1, 1], the middles of the outermost ones.
+    """The matrix that maps voxel coordinates to [-1, 1], the centers of the outermost voxels.
 
     Args:
-        depth: of the volume, in voxels.
-        height: of the volume, in voxels.
-        width: of the volume, in voxels.
-        eps: not used; an axis of one voxel needs none.
-        device: of the result.
-        dtype: of the result.
+        depth: depth of the volume, in voxels.
+        height: height of the volume, in voxels.
+        width: width of the volume, in voxels.
+        eps: not used; accepted for compatibility.
+        device: device of the result.
+        dtype: type of the result.
+
+    Returns:
+        A matrix of shape (1, 4, 4), applied to columns (x, y, z, 1).
+
+    Raises:
+        TypeError: a size is not an int.
+        ValueError: a size is below 1.
 
     Example:
         >>> import kvision as K
@@ -212,7 +250,7 @@ def _lines(op: str, align_corners: bool, **sizes: int) -> list[Line]:
 
 
 def by_axes(lines: Sequence[Line], device: torch.device | str | None, dtype: torch.dtype | None) -> Tensor:
-    """The matrix (n + 1, n + 1) that maps each of n axes by its line, filled in where it is: nothing is copied there."""
+    """The matrix (n + 1, n + 1) that scales and shifts each of n axes, filled on its device, without a copy from the host."""
     n = len(lines)
     matrix = torch.eye(n + 1, device=device, dtype=dtype)
     for axis, (scale, offset) in enumerate(lines):
@@ -227,20 +265,20 @@ def normalize_homography(
     dsize_dst: tuple[int, int],
     align_corners: bool = True,
 ) -> Tensor:
-    """A homography between the pixels of two images as one between their coordinates in [-1, 1].
+    """Convert homographies between pixel coordinates to homographies between coordinates in [-1, 1].
 
     Args:
-        dst_pix_trans_src_pix: (*, 3, 3), source pixels (x, y, 1) to destination pixels.
+        dst_pix_trans_src_pix: matrices of shape (*, 3, 3) that map source pixels (x, y, 1) to destination pixels.
         dsize_src: height and width of the source image.
         dsize_dst: height and width of the destination image.
-        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
 
     Returns:
-        (*, 3, 3), source to destination.
+        Matrices of shape (*, 3, 3) that map normalized source coordinates to normalized destination coordinates.
 
     Raises:
-        TypeError: no floating-point tensor, or another argument of another kind.
-        ValueError: another shape, or a size below 1.
+        TypeError: `dst_pix_trans_src_pix` is not a floating-point tensor, a size is not an int, or `align_corners` is not a bool.
+        ValueError: `dst_pix_trans_src_pix` is not of shape (*, 3, 3), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -258,7 +296,23 @@ def denormalize_homography(
     dsize_dst: tuple[int, int],
     align_corners: bool = True,
 ) -> Tensor:
-    """A homography (*, 3, 3) in [-1, 1] as one between pixels: the inverse of :func:`normalize_homography`.
+    """Convert homographies between coordinates in [-1, 1] to homographies between pixel coordinates.
+
+    This is the inverse of :func:`normalize_homography`.
+
+    Args:
+        dst_pix_trans_src_pix: matrices of shape (*, 3, 3) that map normalized source coordinates (x, y, 1) to normalized
+            destination coordinates.
+        dsize_src: height and width of the source image.
+        dsize_dst: height and width of the destination image.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
+
+    Returns:
+        Matrices of shape (*, 3, 3) that map source pixels to destination pixels.
+
+    Raises:
+        TypeError: `dst_pix_trans_src_pix` is not a floating-point tensor, a size is not an int, or `align_corners` is not a bool.
+        ValueError: `dst_pix_trans_src_pix` is not of shape (*, 3, 3), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -271,19 +325,19 @@ def denormalize_homography(
 def normalize_homography3d(
     dst_pix_trans_src_pix: Tensor, dsize_src: tuple[int, int, int], dsize_dst: tuple[int, int, int]
 ) -> Tensor:
-    """A homography between the voxels of two volumes as one between their coordinates in [-1, 1].
+    """Convert homographies between voxel coordinates to homographies between coordinates in [-1, 1].
 
     Args:
-        dst_pix_trans_src_pix: (*, 4, 4), source voxels (x, y, z, 1) to destination voxels.
+        dst_pix_trans_src_pix: matrices of shape (*, 4, 4) that map source voxels (x, y, z, 1) to destination voxels.
         dsize_src: depth, height and width of the source volume.
         dsize_dst: depth, height and width of the destination volume.
 
     Returns:
-        (*, 4, 4), source to destination.
+        Matrices of shape (*, 4, 4) that map normalized source coordinates to normalized destination coordinates.
 
     Raises:
-        TypeError: no floating-point tensor, or another argument of another kind.
-        ValueError: another shape, or a size below 1.
+        TypeError: `dst_pix_trans_src_pix` is not a floating-point tensor, or a size is not an int.
+        ValueError: `dst_pix_trans_src_pix` is not of shape (*, 4, 4), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -296,7 +350,22 @@ def normalize_homography3d(
 def denormalize_homography3d(
     dst_pix_trans_src_pix: Tensor, dsize_src: tuple[int, int, int], dsize_dst: tuple[int, int, int]
 ) -> Tensor:
-    """A homography (*, 4, 4) in [-1, 1] as one between voxels: the inverse of :func:`normalize_homography3d`.
+    """Convert homographies between coordinates in [-1, 1] to homographies between voxel coordinates.
+
+    This is the inverse of :func:`normalize_homography3d`.
+
+    Args:
+        dst_pix_trans_src_pix: matrices of shape (*, 4, 4) that map normalized source coordinates (x, y, z, 1) to normalized
+            destination coordinates.
+        dsize_src: depth, height and width of the source volume.
+        dsize_dst: depth, height and width of the destination volume.
+
+    Returns:
+        Matrices of shape (*, 4, 4) that map source voxels to destination voxels.
+
+    Raises:
+        TypeError: `dst_pix_trans_src_pix` is not a floating-point tensor, or a size is not an int.
+        ValueError: `dst_pix_trans_src_pix` is not of shape (*, 4, 4), or a size is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -328,19 +397,19 @@ def _between(matrix: Tensor, before: Sequence[Line], after: Sequence[Line]) -> T
 
 
 def normalize_points_with_intrinsics(point_2d: Tensor, camera_matrix: Tensor) -> Tensor:
-    """Pixels to a camera's image plane at depth 1: (p - c) / f. Skew is ignored.
+    """Map pixel coordinates to a camera's image plane at depth 1: (p - c) / f. Skew is ignored.
 
     Args:
-        point_2d: (*, 2) as (x, y); integers give float32.
-        camera_matrix: (*, 3, 3), leading axes broadcast. With fewer of them than the points each matrix serves all points
-            of an axis before the coordinates: (B, 3, 3) goes with (B, N, 2).
+        point_2d: points (x, y) of shape (*, 2), in pixels. Integers give float32.
+        camera_matrix: camera matrices of shape (*, 3, 3). Leading axes broadcast. With fewer leading axes than `point_2d`,
+            each matrix applies to all points of the axis before the coordinates: (B, 3, 3) goes with (B, N, 2).
 
     Returns:
-        (*, 2).
+        Points (x, y) of shape (*, 2), in the image plane at depth 1.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `point_2d` or `camera_matrix` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -354,18 +423,18 @@ def normalize_points_with_intrinsics(point_2d: Tensor, camera_matrix: Tensor) ->
 
 
 def denormalize_points_with_intrinsics(point_2d_norm: Tensor, camera_matrix: Tensor) -> Tensor:
-    """Points of a camera's image plane at depth 1 to pixels: f * p + c. Skew is ignored.
+    """Map points in a camera's image plane at depth 1 to pixel coordinates: f * p + c. Skew is ignored.
 
     Args:
-        point_2d_norm: (*, 2) as (x, y); integers give float32.
-        camera_matrix: (*, 3, 3); see :func:`normalize_points_with_intrinsics`.
+        point_2d_norm: points (x, y) of shape (*, 2). Integers give float32.
+        camera_matrix: camera matrices of shape (*, 3, 3), which broadcast as in :func:`normalize_points_with_intrinsics`.
 
     Returns:
-        (*, 2).
+        Points (x, y) of shape (*, 2), in pixels.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `point_2d_norm` or `camera_matrix` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -1,6 +1,6 @@
-"""Poses as a rotation and a translation, or as one matrix; of cameras to the world and back, in vision's and graphics' axes.
+"""Poses as a rotation and a translation or as one matrix, their inverses, and the axes of vision and graphics cameras.
 
-Vision's camera has x to the right, y down and z forwards; graphics' has y up and z backwards.
+A vision camera has x to the right, y down and z forwards. A graphics camera has x to the right, y up and z backwards.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ __all__ = [
 
 
 def Rt_to_matrix4x4(R: Tensor, t: Tensor) -> Tensor:
-    """Put a rotation and a translation into one matrix.
+    """Combine rotations and translations to pose matrices.
 
     Args:
-        R: (*, 3, 3).
-        t: (*, 3, 1).
+        R: rotations of shape (*, 3, 3).
+        t: translations of shape (*, 3, 1).
 
     Returns:
-        (*, 4, 4), with 0 0 0 1 as its last row.
+        Poses of shape (*, 4, 4), whose last row is 0 0 0 1.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, or not on one device.
+        TypeError: `R` or `t` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -49,11 +49,17 @@ def Rt_to_matrix4x4(R: Tensor, t: Tensor) -> Tensor:
 
 
 def matrix4x4_to_Rt(extrinsics: Tensor) -> tuple[Tensor, Tensor]:
-    """Take the rotation (*, 3, 3) and the translation (*, 3, 1) out of a pose (*, 4, 4), as views of it.
+    """Split pose matrices into rotations and translations.
+
+    Args:
+        extrinsics: poses of shape (*, 4, 4).
+
+    Returns:
+        Rotations of shape (*, 3, 3) and translations of shape (*, 3, 1), both views of `extrinsics`.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `extrinsics` is not a tensor of real numbers.
+        ValueError: `extrinsics` is not of shape (*, 4, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -66,19 +72,22 @@ def matrix4x4_to_Rt(extrinsics: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def camtoworld_to_worldtocam_Rt(R: Tensor, t: Tensor, check_rotation: bool = False) -> tuple[Tensor, Tensor]:
-    """Invert poses: (R, t) gives (R^T, -R^T t), whichever way they lead.
+    """Invert poses: (R, t) becomes (R^T, -R^T t).
+
+    The formula is the same for camera-to-world and world-to-camera poses.
 
     Args:
-        R: (*, 3, 3).
-        t: (*, 3, 1).
-        check_rotation: refuse matrices that are no rotations, which waits for the device.
+        R: rotation matrices of shape (*, 3, 3).
+        t: translations of shape (*, 3, 1).
+        check_rotation: raise an error for matrices that are not rotations. This waits for the device.
 
     Returns:
-        (*, 3, 3) and (*, 3, 1).
+        Rotations of shape (*, 3, 3) and translations of shape (*, 3, 1) of the inverse poses.
 
     Raises:
-        TypeError: not two tensors of real numbers.
-        ValueError: other shapes, not on one device, or no rotations.
+        TypeError: `R` or `t` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices, or with
+            `check_rotation` a matrix is not a rotation.
 
     Example:
         >>> import torch, kvision as K
@@ -90,7 +99,20 @@ def camtoworld_to_worldtocam_Rt(R: Tensor, t: Tensor, check_rotation: bool = Fal
 
 
 def worldtocam_to_camtoworld_Rt(R: Tensor, t: Tensor, check_rotation: bool = False) -> tuple[Tensor, Tensor]:
-    """Invert poses (*, 3, 3) and (*, 3, 1), as :func:`camtoworld_to_worldtocam_Rt` does.
+    """Invert poses: (R, t) becomes (R^T, -R^T t), as in :func:`camtoworld_to_worldtocam_Rt`.
+
+    Args:
+        R: rotation matrices of shape (*, 3, 3).
+        t: translations of shape (*, 3, 1).
+        check_rotation: raise an error for matrices that are not rotations. This waits for the device.
+
+    Returns:
+        Rotations of shape (*, 3, 3) and translations of shape (*, 3, 1) of the inverse poses.
+
+    Raises:
+        TypeError: `R` or `t` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices, or with
+            `check_rotation` a matrix is not a rotation.
 
     Example:
         >>> import torch, kvision as K
@@ -105,26 +127,26 @@ def _inverse(op: str, R: Tensor, t: Tensor, check_rotation: bool) -> tuple[Tenso
     _check_pose(op, R, t)
     if check_rotation:
         check_is_rotation(op, "R", R)
-    return R.mT.clone(), _turned_back(t, R)
+    return R.mT.clone(), _rotate_back(t, R)
 
 
 @with_kernel_casts
-def _turned_back(t: Tensor, R: Tensor) -> Tensor:
+def _rotate_back(t: Tensor, R: Tensor) -> Tensor:
     return -(R * t).sum(-2)[..., None]
 
 
 def camtoworld_graphics_to_vision_4x4(extrinsics_graphics: Tensor) -> Tensor:
-    """Camera-to-world poses of a graphics camera as those of a vision camera: its y and z axes turn round.
+    """Convert camera-to-world poses of a graphics camera to those of a vision camera, by flipping its y and z axes.
 
     Args:
-        extrinsics_graphics: (*, 4, 4).
+        extrinsics_graphics: camera-to-world poses of shape (*, 4, 4).
 
     Returns:
-        (*, 4, 4), the second and third column negated.
+        Poses of shape (*, 4, 4), with the second and third column negated.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `extrinsics_graphics` is not a tensor of real numbers.
+        ValueError: `extrinsics_graphics` is not of shape (*, 4, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -132,11 +154,21 @@ def camtoworld_graphics_to_vision_4x4(extrinsics_graphics: Tensor) -> Tensor:
         tensor([[ 1., -1., -1.,  1.]])
     """
     _check.trailing_shape("camtoworld_graphics_to_vision_4x4", "extrinsics_graphics", extrinsics_graphics, 4, 4)
-    return _flipped(extrinsics_graphics)
+    return _flip_y_z(extrinsics_graphics)
 
 
 def camtoworld_vision_to_graphics_4x4(extrinsics_vision: Tensor) -> Tensor:
-    """Camera-to-world poses (*, 4, 4) of a vision camera as those of a graphics camera: the same flip of y and z.
+    """Convert camera-to-world poses of a vision camera to those of a graphics camera, by flipping its y and z axes.
+
+    Args:
+        extrinsics_vision: camera-to-world poses of shape (*, 4, 4).
+
+    Returns:
+        Poses of shape (*, 4, 4), with the second and third column negated.
+
+    Raises:
+        TypeError: `extrinsics_vision` is not a tensor of real numbers.
+        ValueError: `extrinsics_vision` is not of shape (*, 4, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -144,11 +176,22 @@ def camtoworld_vision_to_graphics_4x4(extrinsics_vision: Tensor) -> Tensor:
         tensor([[ 1., -1., -1.,  1.]])
     """
     _check.trailing_shape("camtoworld_vision_to_graphics_4x4", "extrinsics_vision", extrinsics_vision, 4, 4)
-    return _flipped(extrinsics_vision)
+    return _flip_y_z(extrinsics_vision)
 
 
 def camtoworld_graphics_to_vision_Rt(R: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-    """:func:`camtoworld_graphics_to_vision_4x4` of a rotation (*, 3, 3) and a translation (*, 3, 1), which it keeps.
+    """Convert camera-to-world poses of a graphics camera to those of a vision camera, by flipping its y and z axes.
+
+    Args:
+        R: rotations, camera to world, of shape (*, 3, 3).
+        t: translations, camera to world, of shape (*, 3, 1).
+
+    Returns:
+        Rotations of shape (*, 3, 3), with the second and third column negated, and a copy of `t`.
+
+    Raises:
+        TypeError: `R` or `t` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -157,11 +200,22 @@ def camtoworld_graphics_to_vision_Rt(R: Tensor, t: Tensor) -> tuple[Tensor, Tens
         tensor([[ 1., -1., -1.]])
     """
     _check_pose("camtoworld_graphics_to_vision_Rt", R, t)
-    return _flipped(R), t.clone()
+    return _flip_y_z(R), t.clone()
 
 
 def camtoworld_vision_to_graphics_Rt(R: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-    """:func:`camtoworld_vision_to_graphics_4x4` of a rotation (*, 3, 3) and a translation (*, 3, 1), which it keeps.
+    """Convert camera-to-world poses of a vision camera to those of a graphics camera, by flipping its y and z axes.
+
+    Args:
+        R: rotations, camera to world, of shape (*, 3, 3).
+        t: translations, camera to world, of shape (*, 3, 1).
+
+    Returns:
+        Rotations of shape (*, 3, 3), with the second and third column negated, and a copy of `t`.
+
+    Raises:
+        TypeError: `R` or `t` is not a tensor of real numbers.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -170,10 +224,10 @@ def camtoworld_vision_to_graphics_Rt(R: Tensor, t: Tensor) -> tuple[Tensor, Tens
         tensor([[ 1., -1., -1.]])
     """
     _check_pose("camtoworld_vision_to_graphics_Rt", R, t)
-    return _flipped(R), t.clone()
+    return _flip_y_z(R), t.clone()
 
 
-def _flipped(matrix: Tensor) -> Tensor:
+def _flip_y_z(matrix: Tensor) -> Tensor:
     right, up, back, *rest = matrix.unbind(-1)
     return torch.stack([right, 0 - up, 0 - back, *rest], -1)  # no negative zeros
 

@@ -1,7 +1,7 @@
 """Rotations of space as axis and angle, quaternions (w, x, y, z) and matrices.
 
-Everything has finite gradients, at no rotation and at half turns too: what is 0 / 0 there is a series or is
-left out by `where`, on both sides of it, so that no infinite derivative is multiplied by 0.
+All gradients are finite, also at the identity and at rotations by pi. Quotients that are 0 / 0 there are replaced by a series, or
+masked by `where` both before and after the division, so that no infinite derivative is multiplied by 0.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ __all__ = [
 
 
 def axis_angle_to_rotation_matrix(axis_angle: Tensor) -> Tensor:
-    """Rotation matrices of axes times angles, by Rodrigues' formula.
+    """Convert axis-angle vectors to rotation matrices, by Rodrigues' formula.
 
     Args:
-        axis_angle: (*, 3), the axis, as long as the angle in radians; integers give float32.
+        axis_angle: rotation axes scaled by the angle in radians, of shape (*, 3). Integers give float32.
 
     Returns:
-        (*, 3, 3).
+        Matrices of shape (*, 3, 3).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `axis_angle` is not a tensor of real numbers.
+        ValueError: `axis_angle` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -54,10 +54,10 @@ def axis_angle_to_rotation_matrix(axis_angle: Tensor) -> Tensor:
         tensor([ 0, -1,  0])
     """
     _check.trailing_shape("axis_angle_to_rotation_matrix", "axis_angle", axis_angle, 3)
-    return of_rows(_turn, floats(axis_angle), 1)
+    return of_rows(_rodrigues, floats(axis_angle), 1)
 
 
-def _turn_reference(v: Tensor) -> Tensor:
+def _rodrigues_reference(v: Tensor) -> Tensor:
     square = squared(v)
     versine = sinc(square / 4).square() / 2  # (1 - cos) / angle^2
     xx, yy, zz = (v * v * versine).unbind(-1)
@@ -67,21 +67,21 @@ def _turn_reference(v: Tensor) -> Tensor:
     return torch.stack(entries, -1).unflatten(-1, (3, 3))
 
 
-_turn = register_formula("axis_angle_to_rotation_matrix", _turn_reference, lambda *args: (3, 3))
+_rodrigues = register_formula("axis_angle_to_rotation_matrix", _rodrigues_reference, lambda *args: (3, 3))
 
 
 def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
-    """Unit quaternions of axes times angles.
+    """Convert axis-angle vectors to unit quaternions.
 
     Args:
-        axis_angle: (*, 3), the axis, as long as the angle in radians; integers give float32.
+        axis_angle: rotation axes scaled by the angle in radians, of shape (*, 3). Integers give float32.
 
     Returns:
-        (*, 4) as (w, x, y, z), with w = cos(angle / 2), of either sign.
+        Quaternions (w, x, y, z) of shape (*, 4), with w = cos(angle / 2), of either sign.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `axis_angle` is not a tensor of real numbers.
+        ValueError: `axis_angle` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -92,9 +92,9 @@ def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
     return of_rows(_exponential, floats(axis_angle), 1, 0.5)
 
 
-def _exponential_reference(v: Tensor, part: float) -> Tensor:
-    """The quaternion that turns by twice `part` times the length of `v`."""
-    v = v * part
+def _exponential_reference(v: Tensor, factor: float) -> Tensor:
+    """The quaternion that rotates about `v` by twice `factor` times its norm."""
+    v = v * factor
     square = squared(v)
     return torch.cat([cos(square), v * sinc(square)], -1)
 
@@ -103,17 +103,17 @@ _exponential = register_formula("quaternion_exponential", _exponential_reference
 
 
 def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
-    """Axes times angles of quaternions.
+    """Convert quaternions to axis-angle vectors.
 
     Args:
-        quaternion: (*, 4) as (w, x, y, z), of any length; integers give float32.
+        quaternion: quaternions (w, x, y, z) of shape (*, 4), of any norm. Integers give float32.
 
     Returns:
-        (*, 3) of a length from 0 to pi; 0 for the quaternion 0.
+        Axis-angle vectors of shape (*, 3), whose norm is in [0, pi]. The quaternion 0 gives 0.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `quaternion` is not a tensor of real numbers.
+        ValueError: `quaternion` is not of shape (*, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -126,8 +126,8 @@ def quaternion_to_axis_angle(quaternion: Tensor) -> Tensor:
 
 def _axis_angle_reference(q: Tensor) -> Tensor:
     w, v = q[..., :1], q[..., 1:]
-    back = torch.where(w < 0, -1, 1)  # q and -q are one rotation
-    return 2 * back * v * angle_per_sine(squared(v), back * w)
+    sign = torch.where(w < 0, -1, 1)  # q and -q are the same rotation
+    return 2 * sign * v * angle_per_sine(squared(v), sign * w)
 
 
 _axis_angle = register_formula("quaternion_to_axis_angle", _axis_angle_reference, lambda *args: (3,))
@@ -137,17 +137,17 @@ _axis_angle = register_formula("quaternion_to_axis_angle", _axis_angle_reference
 
 
 def quaternion_to_rotation_matrix(quaternion: Tensor) -> Tensor:
-    """Rotation matrices of quaternions.
+    """Convert quaternions to rotation matrices.
 
     Args:
-        quaternion: (*, 4) as (w, x, y, z), of any length; integers give float32.
+        quaternion: quaternions (w, x, y, z) of shape (*, 4), of any norm. Integers give float32.
 
     Returns:
-        (*, 3, 3); the identity for the quaternion 0.
+        Matrices of shape (*, 3, 3). The quaternion 0 gives the identity.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `quaternion` is not a tensor of real numbers.
+        ValueError: `quaternion` is not of shape (*, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -174,19 +174,20 @@ _matrix = register_formula("quaternion_to_rotation_matrix", _matrix_reference, l
 
 
 def rotation_matrix_to_quaternion(rotation_matrix: Tensor, eps: float = 1e-8, check_rotation: bool = False) -> Tensor:
-    """Unit quaternions of rotation matrices, computed from the largest of their components.
+    """Convert rotation matrices to unit quaternions. The largest component is computed first.
 
     Args:
-        rotation_matrix: (*, 3, 3); integers give float32.
-        eps: not used; nothing small is divided by.
-        check_rotation: refuse matrices that are no rotations, which waits for the device.
+        rotation_matrix: rotation matrices of shape (*, 3, 3). Integers give float32.
+        eps: not used; accepted for compatibility.
+        check_rotation: raise an error for matrices that are not rotations. This waits for the device.
 
     Returns:
-        (*, 4) as (w, x, y, z); w is not negative up to an angle of 2 pi / 3, beyond that the largest of x, y and z is not.
+        Quaternions (w, x, y, z) of shape (*, 4). Up to an angle of 2 pi / 3, w is not negative. For larger angles the largest of
+        x, y and z is not negative.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape, or no rotations.
+        TypeError: `rotation_matrix` is not a tensor of real numbers.
+        ValueError: `rotation_matrix` is not of shape (*, 3, 3), or with `check_rotation` a matrix is not a rotation.
 
     Source: S. W. Shepperd, "Quaternion from rotation matrix" (1978).
 
@@ -229,18 +230,18 @@ _quaternion = register_formula("rotation_matrix_to_quaternion", _quaternion_refe
 
 
 def rotation_matrix_to_axis_angle(rotation_matrix: Tensor, check_rotation: bool = False) -> Tensor:
-    """Axes times angles of rotation matrices.
+    """Convert rotation matrices to axis-angle vectors.
 
     Args:
-        rotation_matrix: (*, 3, 3); integers give float32.
-        check_rotation: refuse matrices that are no rotations, which waits for the device.
+        rotation_matrix: rotation matrices of shape (*, 3, 3). Integers give float32.
+        check_rotation: raise an error for matrices that are not rotations. This waits for the device.
 
     Returns:
-        (*, 3) of a length from 0 to pi, in radians.
+        Axis-angle vectors of shape (*, 3), whose norm in radians is in [0, pi].
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape, or no rotations.
+        TypeError: `rotation_matrix` is not a tensor of real numbers.
+        ValueError: `rotation_matrix` is not of shape (*, 3, 3), or with `check_rotation` a matrix is not a rotation.
 
     Example:
         >>> import torch, kvision as K
@@ -259,17 +260,17 @@ _axis_angle_of_matrix = register_formula(
 
 
 def vector_to_skew_symmetric_matrix(vec: Tensor) -> Tensor:
-    """The matrices of cross products: [v] x = v cross x.
+    """Convert vectors to their cross product matrices: [v] x = v cross x.
 
     Args:
-        vec: (*, 3).
+        vec: vectors of shape (*, 3).
 
     Returns:
-        (*, 3, 3).
+        Matrices of shape (*, 3, 3).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `vec` is not a tensor of real numbers.
+        ValueError: `vec` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -295,11 +296,18 @@ _cross_matrix = register_formula("cross_matrix", _cross_matrix_reference, lambda
 
 
 def normalize_quaternion(quaternion: Tensor, eps: float = 1e-12) -> Tensor:
-    """Divide quaternions (*, 4) by their length, or by `eps` where they are shorter; integers give float32.
+    """Divide quaternions by their norm, or by `eps` where the norm is smaller.
+
+    Args:
+        quaternion: quaternions (w, x, y, z) of shape (*, 4). Integers give float32.
+        eps: lower bound of the divisor.
+
+    Returns:
+        Quaternions of shape (*, 4).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape, or a negative `eps`.
+        TypeError: `quaternion` is not a tensor of real numbers, or `eps` is not a number.
+        ValueError: `quaternion` is not of shape (*, 4), or `eps` is negative.
 
     Example:
         >>> import torch, kvision as K
@@ -320,18 +328,18 @@ _unit = register_formula("normalize_quaternion", _unit_reference, lambda *args: 
 
 
 def quaternion_log_to_exp(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
-    """Unit quaternions of their logarithms.
+    """The exponential map: convert logarithms of unit quaternions to unit quaternions.
 
     Args:
-        quaternion: (*, 3), the axis, as long as half the angle in radians; integers give float32.
-        eps: not used; nothing is divided by 0.
+        quaternion: rotation axes scaled by half the angle in radians, of shape (*, 3). Integers give float32.
+        eps: not used; accepted for compatibility.
 
     Returns:
-        (*, 4) as (w, x, y, z).
+        Quaternions (w, x, y, z) of shape (*, 4).
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `quaternion` is not a tensor of real numbers.
+        ValueError: `quaternion` is not of shape (*, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -343,19 +351,19 @@ def quaternion_log_to_exp(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
 
 
 def quaternion_exp_to_log(quaternion: Tensor, eps: float = 1e-8) -> Tensor:
-    """Logarithms of quaternions.
+    """The logarithm of quaternions.
 
     Args:
-        quaternion: (*, 4) as (w, x, y, z), of any length; integers give float32.
-        eps: not used; nothing is divided by 0.
+        quaternion: quaternions (w, x, y, z) of shape (*, 4), of any norm. Integers give float32.
+        eps: not used; accepted for compatibility.
 
     Returns:
-        (*, 3) of a length from 0 to pi: half the angle in radians. A negative w has more than a quarter turn of it; 0 for
-        (w, 0, 0, 0) of either sign.
+        Rotation axes scaled by half the angle in radians, of shape (*, 3). Their norm is in [0, pi], and above pi / 2 for a
+        negative w. (w, 0, 0, 0) of either sign gives 0.
 
     Raises:
-        TypeError: no tensor of real numbers.
-        ValueError: another shape.
+        TypeError: `quaternion` is not a tensor of real numbers.
+        ValueError: `quaternion` is not of shape (*, 4).
 
     Example:
         >>> import torch, kvision as K
@@ -374,7 +382,7 @@ def _logarithm_reference(q: Tensor) -> Tensor:
 _logarithm = register_formula("quaternion_logarithm", _logarithm_reference, lambda *args: (3,))
 
 
-# The names of Kornia 0.4.
+# Aliases with the names of Kornia 0.4.
 angle_axis_to_quaternion = axis_angle_to_quaternion
 angle_axis_to_rotation_matrix = axis_angle_to_rotation_matrix
 quaternion_to_angle_axis = quaternion_to_axis_angle

@@ -1,4 +1,4 @@
-"""Functions of a length that are smooth in its square, and so have derivatives where the length is 0."""
+"""Functions of a norm that are smooth in its square, and therefore differentiable where the norm is 0."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def sinc(square: Tensor) -> Tensor:
-    """sin(x) / x of x squared, which has derivatives at 0."""
+    """sin(x) / x as a function of x squared, differentiable at 0."""
     small = square < 1e-3
     x = torch.where(small, 1, square).sqrt()
     series = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
@@ -15,12 +15,12 @@ def sinc(square: Tensor) -> Tensor:
 
 
 def cos(square: Tensor) -> Tensor:
-    """cos(x) of x squared, which has derivatives at 0: 1 - 2 sin(x / 2)^2."""
+    """cos(x) as a function of x squared, differentiable at 0: 1 - 2 sin(x / 2)^2."""
     return 1 - square / 2 * sinc(square / 4).square()
 
 
 def angle_per_sine(sine: Tensor, cosine: Tensor) -> Tensor:
-    """atan2(s, c) / s of `sine`, s squared, which has derivatives at 0; 0 where s is 0 and c is not positive."""
+    """atan2(s, c) / s, where `sine` is s squared, differentiable at 0. It is 0 where s is 0 and c is not positive."""
     small = (cosine > 0) & (sine < 1e-4 * cosine.square())
     c = torch.where(small, cosine, 1)
     ratio = torch.where(small, sine, 0) / c.square()
@@ -31,8 +31,8 @@ def angle_per_sine(sine: Tensor, cosine: Tensor) -> Tensor:
     return torch.where(small, series, torch.where(none, 0, angle / s))
 
 
-def angle_per_tangent_slope(tangent: Tensor) -> Tensor:
-    """The derivative of atan(t) / t by t squared, of `tangent`, t squared; it has derivatives at 0."""
+def angle_per_tangent_derivative(tangent: Tensor) -> Tensor:
+    """The derivative of atan(t) / t with respect to t squared, where `tangent` is t squared; differentiable at 0."""
     small = tangent < 1e-3
     series = -1 / 3 + tangent * (2 / 5 - tangent * (3 / 7 - tangent * (4 / 9 - tangent * (5 / 11))))
     square = torch.where(small, 1, tangent)

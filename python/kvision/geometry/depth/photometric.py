@@ -135,8 +135,8 @@ def photometric_depth_loss(
         (B,), of the type of `views`; NaN where no pixel of the target is seen.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape or name is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

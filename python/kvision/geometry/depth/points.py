@@ -149,8 +149,8 @@ def depth_to_3d(depth: Tensor, camera_matrix: Tensor, normalize_points: bool = F
         (B, 3, H, W), x to the right, y down and z forwards, of the type of `depth`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -180,8 +180,8 @@ def depth_to_normals(depth: Tensor, camera_matrix: Tensor, normalize_points: boo
         (B, 3, H, W), of the type of `depth`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -220,7 +220,7 @@ def unproject_meshgrid(
         (*, H, W, 3) as (x, y, z).
 
     Raises:
-        TypeError: an argument is of another kind.
+        TypeError: an argument does not have its documented type.
         ValueError: `camera_matrix` is not (*, 3, 3); a size is not positive.
 
     Example:
@@ -262,8 +262,8 @@ def depth_to_3d_v2(
         (*, H, W, 3) as (x, y, z), of the type of `depth`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -315,8 +315,8 @@ def depth_from_disparity(disparity: Tensor, baseline: float | Tensor, focal: flo
         disparity is 0.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -376,8 +376,8 @@ def depth_from_plane_equation(
         (B, N), of the type of `plane_normals`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

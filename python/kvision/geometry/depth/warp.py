@@ -197,8 +197,8 @@ def warp_frame_depth(
         (B, C, h, w), of the type of `image_src`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -246,8 +246,8 @@ class DepthWarper(nn.Module):
         align_corners: the reflection is about the middles of the outermost pixels, not their outer edges.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: an unknown mode; called before the source's camera is known.
+        TypeError: an argument does not have its documented type.
+        ValueError: the mode is unknown; called before the source's camera is known.
 
     Example:
         >>> import torch, kvision as K
@@ -369,8 +369,8 @@ def depth_warp(
         (B, C, H, W), of the type of `patch_dst`; 0 outside of the images.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape is not as above; tensors on different devices.
+        TypeError: an argument does not have its documented type.
+        ValueError: a shape is not as in Args, or the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -21,3 +21,26 @@ from kvision.geometry.subpix.spatial import (
     spatial_soft_argmax2d,
     spatial_softmax2d,
 )
+
+# Without the submodules: `nms` would hide the function of that name in kvision.geometry.
+__all__ = [
+    "AdaptiveQuadInterp3d",
+    "ConvQuadInterp3d",
+    "ConvSoftArgmax2d",
+    "ConvSoftArgmax3d",
+    "IterativeQuadInterp3d",
+    "NonMaximaSuppression2d",
+    "NonMaximaSuppression3d",
+    "SpatialSoftArgmax2d",
+    "conv_quad_interp3d",
+    "conv_soft_argmax2d",
+    "conv_soft_argmax3d",
+    "iterative_quad_interp3d",
+    "nms2d",
+    "nms3d",
+    "nms3d_minmax",
+    "render_gaussian2d",
+    "spatial_expectation2d",
+    "spatial_soft_argmax2d",
+    "spatial_softmax2d",
+]

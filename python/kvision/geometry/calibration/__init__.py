@@ -1,4 +1,4 @@
-"""Lenses and poses of cameras."""
+"""Camera calibration: lens distortion and camera poses."""
 
 from kvision.geometry.calibration.distortion import (
     distort_points,

@@ -1,12 +1,12 @@
-"""What lenses do to pictures: radial, tangential, thin-prism and tilt distortion, OpenCV's model.
+"""Lens distortion in OpenCV's model: radial, tangential, thin-prism and tilt distortion.
 
-A point (x, y) of the plane z = 1 before the camera goes to
+A point (x, y) of the plane z = 1 in front of the camera is mapped to
 
     (x, y) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
     + (2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4,  p1 (r^2 + 2 y^2) + 2 p2 x y + s3 r^2 + s4 r^4),  r^2 = x^2 + y^2
 
-and through the projection of a sensor that is tilted by tx and ty. Coefficients stand in the order k1, k2, p1, p2, k3,
-k4, k5, k6, s1, s2, s3, s4, tx, ty; the first 4, 5, 8, 12 or all 14 of them may be given.
+and then projected to a sensor that is tilted by tx and ty. The order of the coefficients is k1, k2, p1, p2, k3, k4, k5,
+k6, s1, s2, s3, s4, tx, ty; the first 4, 5, 8, 12 or all 14 of them may be given.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ _COUNTS = (4, 5, 8, 12, 14)
 
 @in_full_precision
 def tilt_projection(taux: Tensor, tauy: Tensor, return_inverse: bool = False) -> Tensor:
-    """Make the projections from a sensor's plane to that of one tilted about x, then about y.
+    """Compute the projections from a sensor's plane to that of a sensor tilted about x, then about y.
 
     Args:
         taux: angles about x in radians, (*) or (*, 1), floating point.
         tauy: angles about y, in the same shape.
-        return_inverse: the inverse projections instead.
+        return_inverse: return the inverse projections.
 
     Returns:
         (*, 3, 3).
 
     Raises:
-        TypeCheckError: no floating-point tensors, no bool.
-        ShapeError: different shapes.
-        DeviceError: tensors on different devices.
+        TypeCheckError: `taux` or `tauy` is no floating-point tensor; `return_inverse` is no bool.
+        ShapeError: `taux` and `tauy` have different shapes.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -77,21 +77,22 @@ def tilt_projection(taux: Tensor, tauy: Tensor, return_inverse: bool = False) ->
 
 @in_full_precision
 def distort_points(points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None) -> Tensor:
-    """Move points to where a lens with distortion shows them.
+    """Map undistorted points to the pixels where a lens with distortion images them.
 
     Args:
         points: (*, N, 2) as (x, y) in pixels, floating point.
         K: camera matrices, (*, 3, 3).
         dist: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty, of which 4, 5, 8, 12 or 14 are given, (*, n).
-        new_K: camera matrices of the given points, (*, 3, 3); default: `K`, which is that of the result.
+        new_K: camera matrices of `points`, (*, 3, 3); None for `K`, the camera matrices of the result.
 
     Returns:
         (*, N, 2) in pixels.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, another number of coefficients.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is no floating-point tensor.
+        ShapeError: `points` is not (*, N, 2); `K` or `new_K` is not (*, 3, 3); `dist` has a number of coefficients
+            other than 4, 5, 8, 12 and 14.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -120,7 +121,7 @@ def _distorted(points: Tensor, new_K: Tensor, K: Tensor, dist: Tensor, tilt: Ten
 
 
 def _coefficients(dist: Tensor) -> tuple[Tensor, ...]:
-    """Each (*, 1), zeros for those that are not given."""
+    """The 14 coefficients, each (*, 1); those that `dist` does not have are 0."""
     return torch.nn.functional.pad(dist, (0, 14 - dist.shape[-1])).split(1, -1)
 
 
@@ -146,7 +147,7 @@ def _in_pixels(x: Tensor, y: Tensor, K: Tensor) -> Tensor:
 
 
 def _projected(x: Tensor, y: Tensor, matrix: Tensor) -> tuple[Tensor, Tensor]:
-    """By matrices (*, 3, 3), for x and y (*, N)."""
+    """x and y (*, N) projected by matrices (*, 3, 3)."""
     m = [[matrix[..., i, k, None] for k in range(3)] for i in range(3)]
     u, v, w = (row[0] * x + row[1] * y + row[2] for row in m)
     return u / w, v / w
@@ -156,25 +157,26 @@ def _projected(x: Tensor, y: Tensor, matrix: Tensor) -> tuple[Tensor, Tensor]:
 def undistort_points(
     points: Tensor, K: Tensor, dist: Tensor, new_K: Tensor | None = None, num_iters: int = 5
 ) -> Tensor:
-    """Move points from where a lens with distortion shows them to where one without would.
+    """Map points from the pixels where a lens with distortion images them to those of a lens without.
 
-    The inverse of `distort_points`, by as many steps of a fixed-point iteration as are asked for.
+    This inverts :func:`distort_points` by `num_iters` steps of a fixed-point iteration.
 
     Args:
         points: (*, N, 2) as (x, y) in pixels, floating point.
         K: camera matrices, (*, 3, 3).
         dist: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty, of which 4, 5, 8, 12 or 14 are given, (*, n).
-        new_K: camera matrices of the result, (*, 3, 3); default: `K`, which is that of the given points.
-        num_iters: how many steps, at least 0.
+        new_K: camera matrices of the result, (*, 3, 3); None for `K`, the camera matrices of `points`.
+        num_iters: number of steps, at least 0.
 
     Returns:
         (*, N, 2) in pixels.
 
     Raises:
-        TypeCheckError: no floating-point tensors, no int.
-        ShapeError: other shapes, another number of coefficients.
+        TypeCheckError: a tensor is no floating-point tensor; `num_iters` is no int.
+        ShapeError: `points` is not (*, N, 2); `K` or `new_K` is not (*, 3, 3); `dist` has a number of coefficients
+            other than 4, 5, 8, 12 and 14.
         ValueCheckError: `num_iters` is below 0.
-        DeviceError: tensors on different devices.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -219,7 +221,7 @@ def _through_lens(
 
 
 def _of_all(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
-    """(B, ...), the leading axes broadcast and made one, before the last `axes`."""
+    """(B, ...): all axes before the last `axes`, broadcast to `leading` and flattened."""
     ends = x.shape[-axes:]
     return x.expand(*leading, *ends).reshape(math.prod(leading), *ends)
 
@@ -263,7 +265,7 @@ def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor,
 
 _undistort = register("undistort_points", _undistorted)
 _distort = register("distort_points", _distorted)
-# Where a lens shows the pixels of an image of a size: x and y, (B, 2, H, W).
+# Distorted coordinates x and y of the pixels of an image of a size: (B, 2, H, W).
 _map = register(
     "undistort_map",
     _map_reference,
@@ -282,20 +284,22 @@ _map_gradient = register(
 
 
 def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
-    """Show images of a lens with distortion as one without would.
+    """Resample images of a lens with distortion as a lens without would show them.
 
     Args:
         image: (*, C, H, W), floating point.
         K: camera matrices, (*, 3, 3).
-        dist: coefficients as in `distort_points`, (*, n). One image (1, C, H, W) may come with (3, 3) and (n,).
+        dist: coefficients in the order of :func:`distort_points`, (*, n) with n one of 4, 5, 8, 12 and 14. One image
+            (1, C, H, W) may come with (3, 3) and (n,).
 
     Returns:
-        In the shape of `image`, bilinear, 0 outside of the image.
+        (*, C, H, W), interpolated bilinearly; 0 where the sampling coordinates are out of the image.
 
     Raises:
-        TypeCheckError: no floating-point tensors.
-        ShapeError: other shapes, another number of coefficients.
-        DeviceError: tensors on different devices.
+        TypeCheckError: an argument is no floating-point tensor.
+        ShapeError: `image` is not (*, C, H, W); `K` is not (*, 3, 3); the leading axes differ; `dist` has a number of
+            coefficients other than 4, 5, 8, 12 and 14.
+        DeviceError: the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Poses from points in space and their pictures."""
+"""Camera poses from points in space and their projections."""
 
 from __future__ import annotations
 
@@ -26,32 +26,33 @@ def solve_pnp_dlt(
     weights: Tensor | None = None,
     svd_eps: float = 1e-4,
 ) -> Tensor:
-    """Find the poses of cameras that show points in space where they are seen, by direct linear transformation.
+    """Estimate camera poses from points in space and their projections, by direct linear transformation.
 
     Args:
-        world_points: (B, N, 3), floating point, at least six of them, not in one plane.
+        world_points: (B, N, 3), floating point, at least six points that are not coplanar.
         img_points: (B, N, 2) as (x, y) in pixels.
         intrinsics: camera matrices, (B, 3, 3), upper triangular.
         weights: of the errors (not of their squares), (B, N); a point of weight 0 does not count.
-        svd_eps: points count as in one plane when their smallest singular value is below that, after they were scaled
-            to a mean distance of sqrt(3) from their mean.
+        svd_eps: points count as coplanar when their smallest singular value is below this, after scaling to a mean
+            distance of sqrt(3) from their mean.
 
     Returns:
-        [R | t] from world to camera, (B, 3, 4), R being a rotation. NaN for points in one plane, which takes no waiting
-        for the device.
+        [R | t] from world to camera, (B, 3, 4), R being a rotation. Coplanar points give NaN, without
+        waiting for the device.
 
     Raises:
-        TypeCheckError: no floating-point tensors, no number.
-        ShapeError: other shapes, fewer than six points.
-        DeviceError: tensors on different devices.
+        TypeCheckError: points or `intrinsics` are no floating-point tensors; `svd_eps` is no number.
+        ShapeError: `world_points` is not (B, N, 3) with at least six points; `img_points` is not (B, N, 2); `intrinsics` is
+            not (B, 3, 3); `weights` is not (B, N).
+        DeviceError: the tensors are on different devices.
 
     Source: R. Hartley and A. Zisserman, "Multiple View Geometry" (2003), section 7.1.
 
     Example:
         >>> import torch, kvision as K
         >>> points = torch.rand(1, 8, 3, dtype=torch.float64) + torch.tensor([0.0, 0.0, 2.0])
-        >>> pictures = points[..., :2] / points[..., 2:]
-        >>> pose = K.geometry.solve_pnp_dlt(points, pictures, torch.eye(3).double()[None])
+        >>> projections = points[..., :2] / points[..., 2:]
+        >>> pose = K.geometry.solve_pnp_dlt(points, projections, torch.eye(3).double()[None])
         >>> (pose - torch.eye(3, 4)).abs().max() < 1e-5
         tensor(True)
     """
@@ -119,7 +120,7 @@ def _before_camera(points: Tensor, K: Tensor) -> Tensor:
 
 
 def _pose(P: Tensor) -> Tensor:
-    """[R | t] of P up to its scale and sign: the columns of R one after the other, the first one giving the scale."""
+    """[R | t] of P up to scale and sign: R by Gram-Schmidt on the columns; the length of the first one is the scale."""
     a, b, c, t = P.unbind(-1)
     mirrored = (torch.linalg.cross(a, b) * c).sum(-1, keepdim=True) < 0
     a, b, c, t = (torch.where(mirrored, -v, v) for v in (a, b, c, t))

@@ -1,4 +1,4 @@
-"""Non-maxima suppression: what is above all that is around it."""
+"""Non-maxima suppression in windows of images and volumes."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ def _is_maximum(x, window, volumes):
             found = found.narrow(axis, start, length)
         return found
 
-    centre = look((0, 0, 0))
-    above = torch.ones_like(centre, dtype=torch.bool)
+    center = look((0, 0, 0))
+    above = torch.ones_like(center, dtype=torch.bool)
     for offset in itertools.product(*(range(-b, a + 1) for b, a in zip(before, after))):
         if any(offset):
-            above = above & (centre > look(offset))
+            above = above & (center > look(offset))
     reach = [side for b, a in zip(reversed(before), reversed(after)) for side in (b, a)]
     return F.pad(above, reach if volumes else reach[:4])
 
 
 def _flags(x, window, volumes):
-    """The same as 0 and 1 of uint8."""
+    """_is_maximum as 0 and 1 of uint8."""
     return match_layout(_is_maximum(x, window, volumes).to(torch.uint8), x)
 
 
@@ -56,7 +56,7 @@ def _empty_flags(x, *how):
 
 
 def _reference(x, window, volumes, marked):
-    """The maxima, and where they are; none of that unless `marked`."""
+    """The maxima, 0 elsewhere, and their flags; no flags unless `marked`."""
     flags = _flags(x, window, volumes)
     return match_layout(torch.where(flags != 0, x, 0), x), flags if marked else _no_flags(x)
 
@@ -108,22 +108,22 @@ def _as_bool(flags):
 
 
 def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) -> Tensor:
-    """Keep what is above all others of its window and set the rest to 0.
+    """Keep the pixels that are above all others of their window and set the rest to 0.
 
-    The window reaches (k - 1) // 2 pixels back and k // 2 ahead. Pixels whose window reaches out of the image are no
-    maxima, nor are equal neighbours, NaN, and what NaN is beside. The gradient goes to the maxima.
+    The window reaches (k - 1) // 2 pixels back and k // 2 ahead. Pixels whose window reaches out of the image are
+    no maxima, nor are equal neighbors, NaN, and pixels with NaN in their window. The gradient goes to the maxima.
 
     Args:
         input: images (B, C, H, W). Integers are computed in float32.
         kernel_size: height and width of the window.
-        mask_only: tell where the maxima are instead.
+        mask_only: return whether each pixel is a maximum instead of the values.
 
     Returns:
-        (B, C, H, W), of the type of `input`, or bool with `mask_only`.
+        (B, C, H, W), of the dtype of `input`, or bool with `mask_only`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: `input` is not (B, C, H, W); `kernel_size` is not two positive numbers.
+        TypeError: `input` is no tensor of real numbers; `kernel_size` is not two ints; `mask_only` is no bool.
+        ValueError: `input` is not (B, C, H, W); an entry of `kernel_size` is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -139,19 +139,22 @@ def nms2d(input: Tensor, kernel_size: tuple[int, int], mask_only: bool = False) 
 
 
 def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = False) -> Tensor:
-    """Keep what is above all others of its window of a volume and set the rest to 0; else as :func:`nms2d`.
+    """Keep the voxels that are above all others of their window and set the rest to 0.
+
+    The window reaches (k - 1) // 2 voxels back and k // 2 ahead. Voxels whose window reaches out of the volume are
+    no maxima, nor are equal neighbors, NaN, and voxels with NaN in their window. The gradient goes to the maxima.
 
     Args:
-        input: volumes (B, C, D, H, W).
+        input: volumes (B, C, D, H, W). Integers are computed in float32.
         kernel_size: depth, height and width of the window.
-        mask_only: tell where the maxima are instead.
+        mask_only: return whether each voxel is a maximum instead of the values.
 
     Returns:
-        (B, C, D, H, W), of the type of `input`, or bool with `mask_only`.
+        (B, C, D, H, W), of the dtype of `input`, or bool with `mask_only`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: `input` is not (B, C, D, H, W); `kernel_size` is not three positive numbers.
+        TypeError: `input` is no tensor of real numbers; `kernel_size` is not three ints; `mask_only` is no bool.
+        ValueError: `input` is not (B, C, D, H, W); an entry of `kernel_size` is below 1.
 
     Example:
         >>> import torch, kvision as K
@@ -168,13 +171,14 @@ def nms3d(input: Tensor, kernel_size: tuple[int, int, int], mask_only: bool = Fa
 
 
 def nms3d_minmax(input: Tensor) -> tuple[Tensor, Tensor]:
-    """Where a volume is above, and where it is below all of the 26 voxels around, in one pass.
+    """Find the voxels above, and those below, all of the 26 voxels around them, in one pass.
 
     Args:
         input: volumes (B, C, D, H, W). Integers are computed in float32.
 
     Returns:
-        Whether a voxel is a maximum and whether it is a minimum, bool (B, C, D, H, W). None is on the volume's faces.
+        Two bool tensors (B, C, D, H, W): whether a voxel is a maximum, and whether it is a minimum. Voxels on the faces
+        of the volume are neither.
 
     Raises:
         TypeError: `input` is no tensor of real numbers.

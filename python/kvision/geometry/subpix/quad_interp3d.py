@@ -1,4 +1,4 @@
-"""Peaks of volumes between their voxels: the top of the quadratic through the 27 voxels around."""
+"""Subvoxel peaks of volumes: the extremum of the quadratic through 3 x 3 x 3 voxels."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = [
     "iterative_quad_interp3d",
 ]
 
-_ANYWHERE = 2**31 - 1  # a radius that nothing reaches
+_ANYWHERE = 2**31 - 1  # a radius without limit
 _MODES = ("patch", "conv", "auto")
 
 # --- the definition -------------------------------------------------------------------------------------------------
@@ -33,16 +33,16 @@ def _reference(x, chosen, steps, largest_shift, radius, along_scale):
     grid = _grid(x)
     if min(x.shape[2:]) < 3:
         return torch.stack([g.expand(x.shape) for g in grid], 2).to(x.dtype), x.clone()
-    centre, settled = _search(x.detach(), chosen, steps, largest_shift, radius, along_scale)
-    value, slopes, hessian = _quadratic(x, centre)
+    center, settled = _search(x.detach(), chosen, steps, largest_shift, radius, along_scale)
+    value, slopes, hessian = _quadratic(x, center)
     shift, _ = _solve(hessian, [-g for g in slopes], settled)
     rise = sum(g * s for g, s in zip(slopes, shift)) / 2
-    places = [torch.where(settled, c + s, g) for c, s, g in zip(centre, shift, grid)]
-    return torch.stack(places, 2).to(x.dtype), torch.where(settled, value + rise, x)
+    coords = [torch.where(settled, c + s, g) for c, s, g in zip(center, shift, grid)]
+    return torch.stack(coords, 2).to(x.dtype), torch.where(settled, value + rise, x)
 
 
 def _grid(x):
-    """Numbers of the voxels along scale, x, y, as they broadcast."""
+    """Indices of the voxels along scale, x, y, in shapes that broadcast."""
     d, h, w = (torch.arange(n, device=x.device) for n in x.shape[2:])
     return d[:, None, None], w, h[:, None]
 
@@ -50,13 +50,13 @@ def _grid(x):
 def _search(x, chosen, steps, largest_shift, radius, along_scale):
     """Where the search from each voxel ends, (scale, x, y), and whether it settles there."""
     start, ends = _grid(x), (x.shape[2] - 2, x.shape[4] - 2, x.shape[3] - 2)
-    centre = [g.expand(x.shape) for g in start]
+    center = [g.expand(x.shape) for g in start]
     searching = nms3d(x, (3, 3, 3), mask_only=True) if chosen is None else chosen != 0
     settled = torch.zeros_like(searching)
-    final = [c.clamp(1, n) for c, n in zip(centre, ends)]
+    final = [c.clamp(1, n) for c, n in zip(center, ends)]
     for _ in range(steps):
-        inside = [c.clamp(1, n) for c, n in zip(centre, ends)]
-        for c, i, s in zip(centre, inside, start):
+        inside = [c.clamp(1, n) for c, n in zip(center, ends)]
+        for c, i, s in zip(center, inside, start):
             searching = searching & (c == i) & ((c - s).abs() <= radius)
         _, slopes, hessian = _quadratic(x, inside)
         shift, solved = _solve(hessian, [-g for g in slopes], searching)
@@ -70,13 +70,13 @@ def _search(x, chosen, steps, largest_shift, radius, along_scale):
         settled = settled | here
         final = [torch.where(here, c, f) for c, f in zip(inside, final)]
         searching = searching & moved
-        centre = [c + b for c, b in zip(centre, by)]
+        center = [c + b for c, b in zip(center, by)]
     return final, settled
 
 
-def _quadratic(x, centre):
-    """Value, slopes along scale, x, y and the Hessian of x at voxels `centre`, by differences."""
-    (_, h, w), (cz, cx, cy) = x.shape[2:], centre
+def _quadratic(x, center):
+    """Value, gradient along scale, x, y and Hessian of x at voxels `center`, by finite differences."""
+    (_, h, w), (cz, cx, cy) = x.shape[2:], center
     flat, middle = x.flatten(2), ((cz * h + cy) * w + cx).flatten(2)
     units = (h * w, 1, w)
 
@@ -95,7 +95,7 @@ def _quadratic(x, centre):
 
 
 def _solve(hessian, right, wanted):
-    """The solution of a symmetric system where it is wanted, else 0; and whether there is one."""
+    """The solution of a symmetric system where `wanted`, else 0; and whether it exists."""
     h = hessian
     largest = torch.stack([abs(h[i][j]) for i in range(3) for j in range(i + 1)]).amax(0).detach()
     unit = torch.where(wanted & (largest > 0), largest, 1)
@@ -109,13 +109,13 @@ def _solve(hessian, right, wanted):
     return [sum(c * r for c, r in zip(row, right)) * scale for row in cofactors], solved
 
 
-def _backward(needs, grad_places, grad_values, x, chosen, *how):
-    return [_peaks_backward(grad_places, grad_values, x, chosen, *how).to(x.dtype), None]
+def _backward(needs, grad_coords, grad_values, x, chosen, *how):
+    return [_peaks_backward(grad_coords, grad_values, x, chosen, *how).to(x.dtype), None]
 
 
-def _gradient(grad_places, grad_values, x, chosen, *how):
+def _gradient(grad_coords, grad_values, x, chosen, *how):
     wide = torch.float64 if x.dtype == torch.float64 else torch.float32
-    x, grads = x.to(wide), (grad_places.to(wide), grad_values.to(wide))
+    x, grads = x.to(wide), (grad_coords.to(wide), grad_values.to(wide))
     _, vjp_fn = torch.func.vjp(lambda x: _reference(x, chosen, *how), x)
     return vjp_fn(grads)[0]
 
@@ -129,7 +129,7 @@ _peaks = register(
 _peaks_backward = register(
     "conv_quad_interp3d_backward",
     _gradient,
-    fake=lambda places, values, x, *how: x.new_empty(
+    fake=lambda coords, values, x, *how: x.new_empty(
         x.shape, dtype=torch.float64 if x.dtype == torch.float64 else torch.float32
     ),
     casts_outputs=True,
@@ -148,27 +148,31 @@ def conv_quad_interp3d(
     dilation_radius: int = 1,
     allow_scale_steps: bool = True,
 ) -> tuple[Tensor, Tensor]:
-    """Place the maxima of volumes between voxels: at the top of the quadratic through the 27 voxels around.
+    """Refine the maxima of volumes to subvoxel accuracy, at the top of the quadratic through 3 x 3 x 3 voxels.
 
-    Where that is further than `max_subpixel_shift` away along an axis, the centre moves by a voxel that way and the
-    quadratic is fitted again. A maximum that has not settled after `n_iters` fits, whose quadratic has no top, or that
-    wanders off stays at its voxel, as does all that is no maximum. Gradients are those of the last fit.
+    Where the top is more than `max_subpixel_shift` away along an axis, the center moves by a voxel in that
+    direction and the quadratic is fitted again. A maximum keeps its voxel if it has not converged after `n_iters`
+    fits, if its quadratic has no top, or if its center moves away by more than `dilation_radius`. All other voxels
+    keep their coordinates and values. Gradients are those of the last fit.
 
     Args:
         input: volumes (B, C, D, H, W), scale along D. Integers are computed in float32.
-        n_iters: how many fits at most.
-        strict_maxima_bonus: for compatibility, without effect but a DeprecationWarning.
-        max_subpixel_shift: in voxels.
-        precomputed_nms_mask: bool (B, C, D, H, W): the voxels to start at. None for the strict maxima of 3 x 3 x 3.
-        dilation_radius: how many voxels a centre may move away along an axis.
-        allow_scale_steps: it may move along D, too.
+        n_iters: maximum number of fits, at least 0.
+        strict_maxima_bonus: no effect, kept for compatibility; a value other than None gives a DeprecationWarning.
+        max_subpixel_shift: largest offset from the center along an axis at which a fit is accepted, in voxels.
+        precomputed_nms_mask: bool (B, C, D, H, W), the voxels to refine. None for the strict maxima of 3 x 3 x 3
+            voxels.
+        dilation_radius: largest distance along an axis that a center may move, in voxels.
+        allow_scale_steps: let centers move along D, too.
 
     Returns:
-        Places (B, C, 3, D, H, W) in the order scale, x, y, in voxels; values there (B, C, D, H, W).
+        Coordinates (B, C, 3, D, H, W) in the order scale, x, y, in voxels, and the values there (B, C, D, H, W).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: `input` is not (B, C, D, H, W), the mask is not like it, a number is negative.
+        TypeError: `input` is no tensor of real numbers; the mask is not bool; `n_iters` or `dilation_radius` is no int;
+            `max_subpixel_shift` or `strict_maxima_bonus` is no number; `allow_scale_steps` is no bool.
+        ValueError: `input` is not (B, C, D, H, W); the mask does not have the shape and device of `input`; `n_iters`,
+            `max_subpixel_shift` or `dilation_radius` is negative.
 
     Source: M. Brown and D. Lowe, "Invariant features from interest point groups" (2002).
 
@@ -176,8 +180,8 @@ def conv_quad_interp3d(
         >>> import torch, kvision as K
         >>> z, y, x = torch.meshgrid([torch.arange(5.0)] * 3, indexing="ij")
         >>> bump = -((x - 2.25) ** 2 + (y - 2) ** 2 + (z - 1.75) ** 2)
-        >>> places, values = K.geometry.conv_quad_interp3d(bump[None, None])
-        >>> places[0, 0, :, 2, 2, 2], values[0, 0, 2, 2, 2].round(decimals=4) + 0
+        >>> coords, values = K.geometry.conv_quad_interp3d(bump[None, None])
+        >>> coords[0, 0, :, 2, 2, 2], values[0, 0, 2, 2, 2].round(decimals=4) + 0
         (tensor([1.7500, 2.2500, 2.0000]), tensor(0.))
     """
     op = "conv_quad_interp3d"
@@ -197,28 +201,31 @@ def iterative_quad_interp3d(
     precomputed_nms_mask: Tensor | None = None,
     max_candidates: int | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Place the maxima of volumes between voxels, however far they move; else as :func:`conv_quad_interp3d`.
+    """Refine the maxima of volumes as :func:`conv_quad_interp3d`, without a limit to the distance that centers move.
 
     Args:
         input: volumes (B, C, D, H, W), scale along D. Integers are computed in float32.
-        n_iters: how many fits at most.
-        strict_maxima_bonus: for compatibility, without effect but a DeprecationWarning.
-        max_subpixel_shift: in voxels.
-        allow_scale_steps: centres may move along D, too.
-        precomputed_nms_mask: bool (B, C, D, H, W): the voxels to start at. None for the strict maxima of 3 x 3 x 3.
-        max_candidates: how many maxima of a volume, the largest ones, are refined. None for all.
+        n_iters: maximum number of fits, at least 0.
+        strict_maxima_bonus: no effect, kept for compatibility; a value other than None gives a DeprecationWarning.
+        max_subpixel_shift: largest offset from the center along an axis at which a fit is accepted, in voxels.
+        allow_scale_steps: let centers move along D, too.
+        precomputed_nms_mask: bool (B, C, D, H, W), the voxels to refine. None for the strict maxima of 3 x 3 x 3
+            voxels.
+        max_candidates: number of maxima of a volume, the largest ones, that are refined. None for all.
 
     Returns:
-        Places (B, C, 3, D, H, W) in the order scale, x, y, in voxels; values there (B, C, D, H, W).
+        Coordinates (B, C, 3, D, H, W) in the order scale, x, y, in voxels, and the values there (B, C, D, H, W).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: `input` is not (B, C, D, H, W), the mask is not like it, a number is negative.
+        TypeError: `input` is no tensor of real numbers; the mask is not bool; `n_iters` or `max_candidates` is no int;
+            `max_subpixel_shift` or `strict_maxima_bonus` is no number; `allow_scale_steps` is no bool.
+        ValueError: `input` is not (B, C, D, H, W); the mask does not have the shape and device of `input`; `n_iters`,
+            `max_subpixel_shift` or `max_candidates` is negative.
 
     Example:
         >>> import torch, kvision as K
-        >>> places, values = K.geometry.iterative_quad_interp3d(torch.rand(1, 2, 4, 5, 6))
-        >>> places.shape, values.shape
+        >>> coords, values = K.geometry.iterative_quad_interp3d(torch.rand(1, 2, 4, 5, 6))
+        >>> coords.shape, values.shape
         (torch.Size([1, 2, 3, 4, 5, 6]), torch.Size([1, 2, 4, 5, 6]))
     """
     op = "iterative_quad_interp3d"
@@ -267,8 +274,8 @@ class ConvQuadInterp3d(FunctionModule):
 
     Example:
         >>> import torch, kvision as K
-        >>> places, values = K.ConvQuadInterp3d(10)(torch.rand(1, 1, 3, 5, 6))
-        >>> places.shape
+        >>> coords, values = K.ConvQuadInterp3d(10)(torch.rand(1, 1, 3, 5, 6))
+        >>> coords.shape
         torch.Size([1, 1, 3, 3, 5, 6])
     """
 
@@ -305,7 +312,7 @@ class IterativeQuadInterp3d(FunctionModule):
 
     Example:
         >>> import torch, kvision as K
-        >>> places, values = K.geometry.IterativeQuadInterp3d(max_candidates=8)(torch.rand(1, 1, 3, 5, 6))
+        >>> coords, values = K.geometry.IterativeQuadInterp3d(max_candidates=8)(torch.rand(1, 1, 3, 5, 6))
         >>> values.shape
         torch.Size([1, 1, 3, 5, 6])
     """
@@ -339,21 +346,21 @@ class IterativeQuadInterp3d(FunctionModule):
 
 
 class AdaptiveQuadInterp3d(FunctionModule):
-    """:func:`conv_quad_interp3d` or :func:`iterative_quad_interp3d`, which take the same time here.
+    """:func:`conv_quad_interp3d` or :func:`iterative_quad_interp3d`; both take the same time in kvision.
 
     Args:
         mode: 'conv' for the first, 'patch' for the second, 'auto' for the first on CUDA and the second elsewhere, as
             Kornia chooses.
-        n_iters, strict_maxima_bonus, max_subpixel_shift, allow_scale_steps: of both.
-        dilation_radius: of the first.
-        max_candidates: of the second.
+        n_iters, strict_maxima_bonus, max_subpixel_shift, allow_scale_steps: arguments of both functions.
+        dilation_radius: argument of :func:`conv_quad_interp3d`.
+        max_candidates: argument of :func:`iterative_quad_interp3d`.
 
     Raises:
-        ValueError: an unknown mode.
+        ValueError: `mode` is unknown.
 
     Example:
         >>> import torch, kvision as K
-        >>> places, values = K.geometry.AdaptiveQuadInterp3d()(torch.rand(1, 1, 3, 5, 6))
+        >>> coords, values = K.geometry.AdaptiveQuadInterp3d()(torch.rand(1, 1, 3, 5, 6))
         >>> values.shape
         torch.Size([1, 1, 3, 5, 6])
     """

@@ -49,12 +49,12 @@ def _outputs(x, window, stride, padding, temperature, normalized, scale_too, wit
     return [(*x.shape[:2], 3 if scale_too else 2, d, h, w), (*x.shape[:2], d if with_values else 0, h, w)]
 
 
-def _gradient(grad_places, grad_values, x, *how):
-    return vjp(_reference)((grad_places, grad_values), x, *how)
+def _gradient(grad_coords, grad_values, x, *how):
+    return vjp(_reference)((grad_coords, grad_values), x, *how)
 
 
-def _backward(needs, grad_places, grad_values, x, *how):
-    return [_soft_argmax_backward(grad_places, grad_values, x, *how)]
+def _backward(needs, grad_coords, grad_values, x, *how):
+    return [_soft_argmax_backward(grad_coords, grad_values, x, *how)]
 
 
 _soft_argmax = register("soft_argmax", _reference, fake=_outputs, backward=_backward)
@@ -71,26 +71,29 @@ def conv_soft_argmax2d(
     eps: float = 1e-8,
     output_value: bool = False,
 ) -> Tensor | tuple[Tensor, Tensor]:
-    """The mean place in every window of an image, under the softmax of its values; and their mean.
+    """Compute the expected coordinates in every window of an image under the softmax of its values.
 
-    Pixels beyond the image have no weight.
+    Pixels out of bounds have no weight.
 
     Args:
         input: images (B, C, H, W). Integers are computed in float32.
         kernel_size: height and width of a window.
-        stride: from a window to the next one.
-        padding: how far windows reach out of the image, at most half of `kernel_size`.
-        temperature: values are divided by it, a positive number or a tensor of one, which is not checked.
-        normalized_coordinates: coordinates from -1 to 1, the middles of the outermost pixels; else pixels.
-        eps: for compatibility, without effect.
-        output_value: return the means of values, too.
+        stride: step between windows along each axis.
+        padding: how far windows reach out of the image along each axis, at most half of `kernel_size`.
+        temperature: divisor of the values: a positive number, or a tensor of one number, whose sign is not checked.
+        normalized_coordinates: coordinates from -1 to 1, the centers of the outermost pixels; else pixels.
+        eps: no effect, kept for compatibility.
+        output_value: also return the expected values.
 
     Returns:
-        Places (B, C, 2, H', W'), x before y, and with `output_value` the means (B, C, H', W').
+        Coordinates (B, C, 2, H', W'), x before y, and with `output_value` the expected values (B, C, H', W').
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or number is not as above.
+        TypeError: `input` is no tensor of real numbers; `kernel_size`, `stride` or `padding` is not two ints;
+            `temperature` is no number or tensor; `eps` is no number; a flag is no bool.
+        ValueError: `input` is not (B, C, H, W); an entry of `kernel_size` or `stride` is below 1; `padding` is negative
+            or more than half of `kernel_size`; the padded image is smaller than a window; `temperature` is not positive
+            or not one number.
 
     Example:
         >>> import torch, kvision as K
@@ -112,8 +115,8 @@ def conv_soft_argmax2d(
         False,
         output_value,
     )
-    places: Tensor = found[0].squeeze(3)
-    return (places, found[1].squeeze(2)) if output_value else places
+    coords: Tensor = found[0].squeeze(3)
+    return (coords, found[1].squeeze(2)) if output_value else coords
 
 
 def conv_soft_argmax3d(
@@ -127,33 +130,38 @@ def conv_soft_argmax3d(
     output_value: bool = True,
     strict_maxima_bonus: float | None = None,
 ) -> Tensor | tuple[Tensor, Tensor]:
-    """The mean place in every window of a volume, under the softmax of its values; and their mean.
+    """Compute the expected coordinates in every window of a volume under the softmax of its values.
+
+    Voxels out of bounds have no weight.
 
     Args:
         input: volumes (B, C, D, H, W). Integers are computed in float32.
         kernel_size: depth, height and width of a window.
-        stride: from a window to the next one.
-        padding: how far windows reach out of the volume, at most half of `kernel_size`.
-        temperature: values are divided by it, a positive number or a tensor of one, which is not checked.
-        normalized_coordinates: coordinates from -1 to 1, the middles of the outermost voxels; else voxels.
-        eps: for compatibility, without effect.
-        output_value: return the means of values, too.
-        strict_maxima_bonus: for compatibility, without effect but a DeprecationWarning.
+        stride: step between windows along each axis.
+        padding: how far windows reach out of the volume along each axis, at most half of `kernel_size`.
+        temperature: divisor of the values: a positive number, or a tensor of one number, whose sign is not checked.
+        normalized_coordinates: coordinates from -1 to 1, the centers of the outermost voxels; else voxels.
+        eps: no effect, kept for compatibility.
+        output_value: also return the expected values.
+        strict_maxima_bonus: no effect, kept for compatibility; a value other than None gives a DeprecationWarning.
 
     Returns:
-        Places (B, C, 3, D', H', W') in the order scale (depth), x, y, and with `output_value` the means
+        Coordinates (B, C, 3, D', H', W') in the order scale (depth), x, y, and with `output_value` the expected values
         (B, C, D', H', W').
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or number is not as above.
+        TypeError: `input` is no tensor of real numbers; `kernel_size`, `stride` or `padding` is not three ints;
+            `temperature` is no number or tensor; `eps` is no number; a flag is no bool.
+        ValueError: `input` is not (B, C, D, H, W); an entry of `kernel_size` or `stride` is below 1; `padding` is
+            negative or more than half of `kernel_size`; the padded volume is smaller than a window; `temperature` is
+            not positive or not one number.
 
     Example:
         >>> import torch, kvision as K
         >>> x = torch.zeros(1, 1, 3, 3, 4)
         >>> x[0, 0, 1, 1, 2] = 20
-        >>> places, values = K.geometry.conv_soft_argmax3d(x)
-        >>> places[0, 0, :, 1, 1, 1].round(decimals=2), values[0, 0, 1, 1, 1].round()
+        >>> coords, values = K.geometry.conv_soft_argmax3d(x)
+        >>> coords[0, 0, :, 1, 1, 1].round(decimals=2), values[0, 0, 1, 1, 1].round()
         (tensor([1., 2., 1.]), tensor(20.))
     """
     op = "conv_soft_argmax3d"
@@ -175,7 +183,7 @@ def conv_soft_argmax3d(
 
 
 def warn_of_bonus(op: str, strict_maxima_bonus: Any, stacklevel: int = 3) -> None:
-    """Warn where the bonus that Kornia 0.4 added to strict maxima is asked for."""
+    """Warn if `strict_maxima_bonus`, which Kornia 0.4 added to strict maxima, is not None."""
     if strict_maxima_bonus is not None:
         _check.number(op, "strict_maxima_bonus", strict_maxima_bonus)
         message = f"{op}: strict_maxima_bonus has no effect; nms3d tells where the strict maxima are"
@@ -203,8 +211,8 @@ def _of_windows(
     divisor = positive(op, x, temperature)
     if not isinstance(divisor, Tensor):
         return _soft_argmax(x, window, stride, padding, divisor, normalized, scale_too, with_values)
-    places, values = _soft_argmax(x / divisor, window, stride, padding, 1.0, normalized, scale_too, with_values)
-    return places, values * divisor
+    coords, values = _soft_argmax(x / divisor, window, stride, padding, 1.0, normalized, scale_too, with_values)
+    return coords, values * divisor
 
 
 def _fit(op: str, window: Sequence[int], padding: Sequence[int], size: Sequence[int]) -> None:
@@ -264,8 +272,8 @@ class ConvSoftArgmax3d(FunctionModule):
 
     Example:
         >>> import torch, kvision as K
-        >>> places, values = K.geometry.ConvSoftArgmax3d()(torch.rand(1, 1, 3, 8, 9))
-        >>> places.shape, values.shape
+        >>> coords, values = K.geometry.ConvSoftArgmax3d()(torch.rand(1, 1, 3, 8, 9))
+        >>> coords.shape, values.shape
         (torch.Size([1, 1, 3, 3, 8, 9]), torch.Size([1, 1, 3, 8, 9]))
     """
 

@@ -1,4 +1,4 @@
-"""Heat maps and the places they stand for: softmax, expectation, and Gaussians drawn at a place.
+"""Heat maps and their coordinates: softmax, expectation, and rendered Gaussians.
 
 Source: A. Nibali et al., "Numerical coordinate regression with convolutional neural networks" (2018).
 """
@@ -28,7 +28,7 @@ __all__ = [
 
 
 def positive(op: str, x: Tensor, temperature: Any) -> Tensor | float:
-    """A temperature as a number, or as a tensor without axes, of the type and on the device that computes `x`."""
+    """A temperature as a number, or as a tensor without axes, in the dtype of the computation and on the device of `x`."""
     if not isinstance(temperature, Tensor):
         found = _check.number(op, "temperature", temperature)
         if not found > 0:
@@ -44,18 +44,19 @@ def positive(op: str, x: Tensor, temperature: Any) -> Tensor | float:
 
 
 def spatial_softmax2d(input: Tensor, temperature: Tensor | float | None = None) -> Tensor:
-    """The softmax over the pixels of each channel.
+    """Compute the softmax over the pixels of each channel.
 
     Args:
         input: heat maps (B, C, H, W). Integers are computed in float32.
-        temperature: values are divided by it, a positive number or a tensor of one, which is not checked; None for 1.
+        temperature: divisor of the values: a positive number, or a tensor of one number, whose sign is not checked;
+            None for 1.
 
     Returns:
         (B, C, H, W); each channel adds up to 1.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: `input` is not (B, C, H, W); a temperature is not positive or not one number.
+        TypeError: `input` is no tensor of real numbers; `temperature` is no number or tensor.
+        ValueError: `input` is not (B, C, H, W); `temperature` is not positive or not one number.
 
     Example:
         >>> import torch, kvision as K
@@ -75,17 +76,19 @@ def _softmax(op: str, input: Tensor, temperature: Tensor | float | None) -> Tens
 
 
 def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) -> Tensor:
-    """The mean place of the pixels of each channel, weighted by their values, which are taken as they are.
+    """Compute the expected coordinates of each channel, weighted by its values.
+
+    The values are not normalized: a channel whose sum is s gives s times the mean coordinates.
 
     Args:
         input: probabilities (B, C, H, W). Integers are computed in float32.
-        normalized_coordinates: coordinates from -1 to 1, the middles of the outermost pixels; else pixels.
+        normalized_coordinates: coordinates from -1 to 1, the centers of the outermost pixels; else pixels.
 
     Returns:
         (B, C, 2), x before y.
 
     Raises:
-        TypeError: an argument is of another kind.
+        TypeError: `input` is no tensor of real numbers; `normalized_coordinates` is no bool.
         ValueError: `input` is not (B, C, H, W).
 
     Example:
@@ -101,8 +104,8 @@ def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) ->
 
 
 def _mean_place_reference(input: Tensor, softmax: bool, scale: float, normalized: bool) -> tuple[Tensor, Tensor]:
-    """(B, C, 2): the mean place of the pixels of images (B, C, H, W), weighted by their values or the softmax of `scale`
-    times these; and (B, C, 2) the largest value and the sum of exponentials over that, which the softmax is made of."""
+    """The expected coordinates (B, C, 2) of images (B, C, H, W), weighted by their values or the softmax of `scale` times
+    these; and the largest value and the sum of exponentials relative to it, (B, C, 2), from which the softmax follows."""
     p = input.to(compute_dtype(input))
     parts = p.new_zeros(*p.shape[:2], 2)
     if softmax:
@@ -121,14 +124,14 @@ def _backward(needs, grad, _, *args):
     return [_mean_place_backward(grad, *args)]
 
 
-def _slope(grad: Tensor, places: Tensor, parts: Tensor, input: Tensor, *args: Any) -> Tensor:
+def _slope(grad: Tensor, coords: Tensor, parts: Tensor, input: Tensor, *args: Any) -> Tensor:
     return vjp(lambda x: _mean_place_reference(x, *args)[0])(grad, input)
 
 
 _mean_place_backward = register(
     "spatial_expectation_backward",
     _slope,
-    fake=lambda grad, places, parts, input, *_: torch.empty_like(input, memory_format=torch.contiguous_format),
+    fake=lambda grad, coords, parts, input, *_: torch.empty_like(input, memory_format=torch.contiguous_format),
     casts_outputs=True,
 )
 _mean_place = register(
@@ -150,19 +153,21 @@ def _axis(n: int, normalized: bool, like: Tensor) -> Tensor:
 def spatial_soft_argmax2d(
     input: Tensor, temperature: Tensor | float | None = None, normalized_coordinates: bool = True
 ) -> Tensor:
-    """The mean place in each channel under the softmax of its pixels: a maximum's place that has a gradient.
+    """Compute the expected coordinates of each channel under the softmax of its pixels: a differentiable argmax.
 
     Args:
         input: heat maps (B, C, H, W). Integers are computed in float32.
-        temperature: values are divided by it, a positive number or a tensor of one, which is not checked; None for 1.
-        normalized_coordinates: coordinates from -1 to 1, the middles of the outermost pixels; else pixels.
+        temperature: divisor of the values: a positive number, or a tensor of one number, whose sign is not checked;
+            None for 1.
+        normalized_coordinates: coordinates from -1 to 1, the centers of the outermost pixels; else pixels.
 
     Returns:
         (B, C, 2), x before y.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: `input` is not (B, C, H, W); a temperature is not positive or not one number.
+        TypeError: `input` is no tensor of real numbers; `temperature` is no number or tensor; `normalized_coordinates`
+            is no bool.
+        ValueError: `input` is not (B, C, H, W); `temperature` is not positive or not one number.
 
     Example:
         >>> import torch, kvision as K
@@ -184,23 +189,25 @@ def spatial_soft_argmax2d(
 
 
 def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normalized_coordinates: bool = True) -> Tensor:
-    """Heat maps of Gaussians, each of which adds up to 1.
+    """Render heat maps of Gaussians, each with a sum of 1.
 
-    Where the mean is far outside, all of the weight is on the pixels that are next to it.
+    If the mean is far out of the map, all of the weight is on the pixels that are nearest to it.
 
     Args:
         mean: (*, 2), x before y.
         std: (*, 2) standard deviations along x and y, of the type and device of `mean`, to which it is broadcast.
         size: height and width of the maps.
-        normalized_coordinates: `mean` and `std` are in coordinates from -1 to 1, the middles of the outermost pixels;
+        normalized_coordinates: `mean` and `std` are in coordinates from -1 to 1, the centers of the outermost pixels;
             else in pixels.
 
     Returns:
-        (*, H, W), of the type of `mean`.
+        (*, H, W), of the dtype of `mean`.
 
     Raises:
-        TypeError: an argument is of another kind, or `std` of another type than `mean`.
-        ValueError: the last axis of `mean` or `std` has not 2 numbers; they are on different devices.
+        TypeError: `mean` or `std` is no floating-point tensor; `std` does not have the dtype of `mean`; `size` is not
+            two ints; `normalized_coordinates` is no bool.
+        ValueError: `mean` or `std` is not (*, 2); an entry of `size` is below 1;
+            the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -224,7 +231,7 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
 
 
 def _gaussian_reference(mean: Tensor, std: Tensor, height: int, width: int, normalized: bool) -> Tensor:
-    """(P, H, W) of (P, 2)."""
+    """Maps (P, H, W) for means and deviations (P, 2)."""
     axes = []
     for i, n in enumerate((width, height)):
         distance = (_axis(n, normalized, mean) - mean[:, i, None]) / std[:, i, None]

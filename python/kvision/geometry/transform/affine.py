@@ -26,14 +26,15 @@ def affine(
         matrix: (B, 2, 3), or (1, 2, 3) for all images: image pixels (x, y) to result pixels.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        The shape and type of `tensor`.
+        Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `tensor` or `matrix` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `matrix` is not (B, 2, 3) or (1, 2, 3);
+            `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -58,22 +59,23 @@ def rotate(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Turn images counter-clockwise, as one sees them, keeping their size.
+    """Rotate images counter-clockwise as displayed, keeping their size.
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        angle: degrees (B,), or one for all images. Quarter turns are exact.
-        center: (B, 2) or (1, 2) as (x, y); None for the middle of the image.
+        angle: degrees, (B,), or one number (1,) or () for all images. Multiples of 90 degrees are exact.
+        center: (B, 2) or (1, 2) as (x, y); None for the center of the image.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        The shape and type of `tensor`.
+        Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `tensor`, `angle` or `center` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `angle` is not (B,), (1,) or (); `center`
+            is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -97,21 +99,22 @@ def translate(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Move images by pixels, keeping their size.
+    """Translate images by pixels, keeping their size.
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        translation: (B, 2), or (1, 2) for all images: to the right and down.
+        translation: pixels to the right and down, (B, 2), or (1, 2) for all images.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        The shape and type of `tensor`.
+        Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `tensor` or `translation` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `translation` is not (B, 2) or (1, 2);
+            `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -134,22 +137,24 @@ def scale(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Magnify images about a centre, keeping their size.
+    """Scale images about a center, keeping their size.
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
         scale_factor: (B, 2) along x and y, or (B, 1) or (B,) for both; one row serves all images.
-        center: (B, 2) or (1, 2) as (x, y); None for the middle of the image.
+        center: (B, 2) or (1, 2) as (x, y); None for the center of the image.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        The shape and type of `tensor`.
+        Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `tensor`, `scale_factor` or `center` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `scale_factor` is not (B, 2), (B, 1) or
+            (B,), with B or 1 rows; `center` is not (B, 2) or (1, 2); `mode` or `padding_mode` is unknown; the tensors
+            are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -172,22 +177,23 @@ def scale(
 def shear(
     tensor: Tensor, shear: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = False
 ) -> Tensor:
-    """Shear images about their first pixel: x + shear_x * y, y + shear_y * x.
+    """Shear images about the center of their first pixel: (x, y) goes to (x + shear_x * y, y + shear_y * x).
 
     Args:
         tensor: images (B, C, H, W) or (C, H, W), floating point or uint8. Other integers are computed in float32.
-        shear: (B, 2), or (1, 2) for all images: pixels by which a row moves against the one above, and a column against
-            the one to the left.
+        shear: (B, 2), or (1, 2) for all images: pixels by which a row moves against the row above, and a column against
+            the column to its left.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        The shape and type of `tensor`.
+        Images of the shape and dtype of `tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `tensor` or `shear` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, H, W) or (C, H, W), or H or W is 0; `shear` is not (B, 2) or (1, 2); `mode`
+            or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -200,11 +206,11 @@ def shear(
     return _by_formula("shear", tensor, images, mode, padding_mode, align_corners, "slant_matrix2d", [], shear)
 
 
-# --- what they share ------------------------------------------------------------------------------------------------
+# --- shared by the functions ------------------------------------------------------------------------------------------
 
 
 def _images(op: str, tensor: Any) -> Tensor:
-    """(B, C, H, W) of images or of one."""
+    """Images (B, C, H, W) or one image (C, H, W) as (B, C, H, W)."""
     _check.numbers(op, "tensor", tensor)
     if tensor.dim() not in (3, 4) or 0 in tensor.shape[-2:]:
         raise ShapeError(f"{op}: expected tensor of shape (B, C, H, W) or (C, H, W), got {tuple(tensor.shape)}")
@@ -222,7 +228,7 @@ def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, 
 
 
 def _vector(op: str, images: Tensor, name: str, x: Any, *axes: int) -> Tensor:
-    """A parameter (B, *axes) in the type that computes; one of that shape without B serves all images."""
+    """A parameter (B, *axes) in the dtype of the computation; one of shape `axes` serves all images."""
     _check.numbers(op, name, x)
     if x.dim() == len(axes):
         x = x[None]
@@ -232,7 +238,7 @@ def _vector(op: str, images: Tensor, name: str, x: Any, *axes: int) -> Tensor:
 
 
 def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float, float]:
-    """Centres (B, 2) or (1, 2), or None and the middle of the image."""
+    """Centers (B, 2) or (1, 2), or None and the center of the image."""
     if center is not None:
         center = _vector(op, images, "center", center, 2)
     h, w = images.shape[2:]
@@ -246,7 +252,7 @@ def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float,
 
 
 class Rotate(FunctionModule):
-    """Module form of :func:`rotate`; an `angle` that is an nn.Parameter is learnt.
+    """Module form of :func:`rotate`; an `angle` that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -269,7 +275,7 @@ class Rotate(FunctionModule):
 
 
 class Translate(FunctionModule):
-    """Module form of :func:`translate`; a `translation` that is an nn.Parameter is learnt.
+    """Module form of :func:`translate`; a `translation` that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -291,7 +297,7 @@ class Translate(FunctionModule):
 
 
 class Scale(FunctionModule):
-    """Module form of :func:`scale`; a `scale_factor` that is an nn.Parameter is learnt.
+    """Module form of :func:`scale`; a `scale_factor` that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -316,7 +322,7 @@ class Scale(FunctionModule):
 
 
 class Shear(FunctionModule):
-    """Module form of :func:`shear`; a `shear` that is an nn.Parameter is learnt.
+    """Module form of :func:`shear`; a `shear` that is an nn.Parameter is learned.
 
     Example:
         >>> import torch, kvision as K
@@ -334,17 +340,17 @@ class Shear(FunctionModule):
 
 
 class Affine(FunctionModule):
-    """Shear, scale, turn and move images; what is an nn.Parameter is learnt.
+    """Shear, scale, rotate and translate images; an argument that is an nn.Parameter is learned.
 
     Args:
         angle: (B,) in degrees, counter-clockwise.
         translation: (B, 2) in pixels.
         scale_factor: (B, 2).
         shear: (B, 2) in radians; see :func:`get_shear_matrix2d`.
-        center: (B, 2); None for the middle of the image.
+        center: (B, 2); None for the center of the image.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Raises:
         RuntimeError: none of the first four is given, or their batch sizes differ.

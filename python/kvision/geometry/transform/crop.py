@@ -35,8 +35,8 @@ def _quad_shapes_reference(quads, others):
     return torch.cat([x.expand(batch, 2) for x in each], 1)
 
 
-# Of quadrangles (B, 4, 2) and others: by how much opposite sides differ, x and y of each, and how wide and high the others
-# are, (B, 6). What crop_by_boxes has to know on the host, which it so waits for once.
+# For quadrangles `quads` and `others` (B, 4, 2): the differences (x, y) of opposite sides of both, and width and height of
+# `others`, (B, 6). crop_by_boxes reads these on the host, with a single wait for the device.
 _quad_shapes = register_formula("quad_shapes", _quad_shapes_reference, lambda *args: (6,))
 
 
@@ -49,7 +49,7 @@ def _crop_pixels_backward(needs, grad, sizes, corner, size):
     return [_crop_pixels(grad, [-c for c in corner], list(sizes[2:]))]
 
 
-# The pixels of a rectangle, zeros where it reaches outside. The transpose puts them where they came from.
+# The pixels of a rectangle, zeros where it reaches out of the image. The backward pass is the crop by the opposite corner.
 _crop_pixels = register(
     "crop",
     _crop_pixels_reference,
@@ -68,22 +68,24 @@ def crop_and_resize(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Show what is in a quadrangle of each image at a size: its corners go to the corner pixels of the result.
+    """Resample a quadrangle of each image to a size; its corners go to the corner pixels of the result.
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
         boxes: (B, 4, 2), or (1, 4, 2) for all images.
         size: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
-        padding_mode: 'zeros', 'border' or 'reflection', for boxes that reach outside.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        padding_mode: 'zeros', 'border' or 'reflection', for boxes that reach out of the image.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        (B, C, h, w), of the type of `input_tensor`.
+        (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `input_tensor` or `boxes` is no tensor of real numbers; `size` is not two ints; `align_corners` is no
+            bool.
+        ValueError: `input_tensor` is not (B, C, H, W); `boxes` is not (B, 4, 2) or (1, 4, 2); an entry of `size` is
+            below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -107,25 +109,27 @@ def crop_by_boxes(
     align_corners: bool = True,
     validate_boxes: bool = True,
 ) -> Tensor:
-    """Show what is in one box of each image in another box of the result, which is as large as that box.
+    """Resample one box of each image into another box of the result, which has the size of that box.
 
     The size of the result is read from `dst_box`, which waits for the device; :func:`crop_and_resize` does not.
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
         src_box: (B, 4, 2), or (1, 4, 2) for all images.
-        dst_box: (B, 4, 2), or (1, 4, 2), of one size.
+        dst_box: (B, 4, 2), or (1, 4, 2), boxes that all have the same size.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
-        validate_boxes: refuse boxes that are no rectangles.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
+        validate_boxes: raise ValueError for boxes that are no rectangles.
 
     Returns:
-        (B, C, h, w), of the type of `input_tensor`.
+        (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above, the boxes are no rectangles, or `dst_box` has several sizes.
+        TypeError: `input_tensor` or a box is no tensor of real numbers; `align_corners` or `validate_boxes` is no bool.
+        ValueError: `input_tensor` is not (B, C, H, W); a box is not (B, 4, 2) or (1, 4, 2); a box is no rectangle and
+            `validate_boxes` is set; the boxes of `dst_box` have different sizes; `mode` or `padding_mode` is unknown;
+            the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -156,7 +160,7 @@ def crop_by_boxes(
 
 
 def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners):
-    """The quadrangles `boxes` on the rectangle of `size` that begins at `first` (B, 2), None for the first pixel."""
+    """Resample the quadrangles `boxes` to the rectangle of `size` that begins at `first` (B, 2); None for (0, 0)."""
     _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "B", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
@@ -179,7 +183,27 @@ def crop_by_transform_mat(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Warp images by (B, 3, 3) or (B, 2, 3) and keep the first rows and columns of the result: another name for warps.
+    """Warp images and keep the first rows and columns of the result.
+
+    This is :func:`warp_perspective` for matrices (B, 3, 3) and :func:`warp_affine` for (B, 2, 3).
+
+    Args:
+        input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        transform: (B, 3, 3) or (B, 2, 3), from pixels (x, y) of the image to those of the result; one matrix serves all
+            images.
+        out_size: height and width of the result.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: 'zeros', 'border', 'reflection', or 'fill', which is the same as 'zeros' here.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
+
+    Returns:
+        (B, C, h, w), of the dtype of `input_tensor`.
+
+    Raises:
+        TypeError: `input_tensor` or `transform` is no tensor of real numbers; `out_size` is not two ints;
+            `align_corners` is no bool.
+        ValueError: `input_tensor` is not (B, C, H, W); `transform` is not (B, 3, 3) or (B, 2, 3); an entry of
+            `out_size` is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -205,21 +229,24 @@ def center_crop(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Keep what is around the middle of images; between pixels where the sizes differ by an odd number.
+    """Crop images around their center.
+
+    The crop lies between pixels, and is interpolated, where the sizes differ by an odd number.
 
     Args:
         input_tensor: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
         size: height and width of the result.
-        mode: 'bilinear', 'nearest' or 'bicubic', for what is between pixels.
+        mode: 'bilinear', 'nearest' or 'bicubic', where the crop lies between pixels.
         padding_mode: 'zeros', 'border' or 'reflection', for sizes larger than the image.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        (B, C, h, w), of the type of `input_tensor`.
+        (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `input_tensor` is no tensor of real numbers; `size` is not two ints; `align_corners` is no bool.
+        ValueError: `input_tensor` is not (B, C, H, W); an entry of `size` is below 1; `mode` or `padding_mode` is
+            unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -253,23 +280,27 @@ def crop_by_indices(
     antialias: bool = False,
     shape_compensation: str = "resize",
 ) -> Tensor:
-    """Cut rectangles of whole pixels out of images. Reads the boxes, which waits for the device.
+    """Crop rectangles of whole pixels.
+
+    The boxes are read on the host, which waits for the device.
 
     Args:
         input_tensor: images (B, C, H, W).
-        src_box: (B, 4, 2) in whole pixels.
-        size: height and width of the result; None takes the boxes', which must be of one size.
+        src_box: (B, 4, 2), whole pixels, the last ones included.
+        size: height and width of the result; None for the size of the boxes, which must then all be equal.
         interpolation: see :func:`resize`.
         align_corners: see :func:`resize`.
         antialias: see :func:`resize`.
-        shape_compensation: for boxes of another size than `size`: 'resize' them, or 'pad' with zeros on the right and below.
+        shape_compensation: for boxes whose size is not `size`: 'resize' them, or 'pad' them with zeros on the right and
+            below.
 
     Returns:
-        (B, C, h, w), of the type of `input_tensor`.
+        (B, C, h, w), of the dtype of `input_tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `input_tensor` or `src_box` is no tensor of real numbers; `size` is not two ints.
+        ValueError: `input_tensor` is not (B, C, H, W); `src_box` is not (B, 4, 2); the boxes have different sizes and
+            `size` is None; an entry of `size` is below 1; `shape_compensation` or `interpolation` is unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -304,13 +335,15 @@ def crop_by_indices(
 
 
 class CenterCrop2D(FunctionModule):
-    """Keep what is around the middle of images.
+    """Crop images around their center.
 
     Args:
         size: height and width, or one number for both.
         align_corners: see :func:`center_crop`.
-        resample: 'nearest', 'bilinear' or 'bicubic' in any case, or a name of an enumeration, for `cropping_mode` 'resample'.
-        cropping_mode: 'slice' for whole pixels, towards the top left; 'resample' for :func:`center_crop`.
+        resample: interpolation of `cropping_mode` 'resample': 'nearest', 'bilinear' or 'bicubic' in upper or lower
+            case, or an enum member of that name.
+        cropping_mode: 'slice' takes whole pixels, nearer to the top left where the difference is odd; 'resample' calls
+            :func:`center_crop`.
 
     Example:
         >>> import torch, kvision as K

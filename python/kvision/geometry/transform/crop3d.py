@@ -20,21 +20,23 @@ def crop_and_resize3d(
     interpolation: str = "bilinear",
     align_corners: bool = False,
 ) -> Tensor:
-    """Show what is in a box of each volume at a size: its corners go to the corner voxels of the result.
+    """Resample a box of each volume to a size; its corners go to the corner voxels of the result.
 
     Args:
         tensor: volumes (B, C, D, H, W). Integers are computed in float32.
-        boxes: (B, 8, 3), or (1, 8, 3) for all volumes, with some extent along every axis.
+        boxes: (B, 8, 3), or (1, 8, 3) for all volumes, larger than 0 along every axis.
         size: depth, height and width of the result.
         interpolation: 'bilinear', in all three directions, or 'nearest'.
-        align_corners: of no effect; the corners are middles of voxels.
+        align_corners: no effect on the result: corners of boxes are centers of voxels, and the padding is zeros.
 
     Returns:
         (B, C, d, h, w).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `tensor` or `boxes` is no tensor of real numbers; `size` is not three ints; `align_corners` is no
+            bool.
+        ValueError: `tensor` is not (B, C, D, H, W); `boxes` is not (B, 8, 3) or (1, 8, 3); an entry of `size` is below
+            1; `interpolation` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -53,23 +55,24 @@ def crop_and_resize3d(
 def crop_by_boxes3d(
     tensor: Tensor, src_box: Tensor, dst_box: Tensor, interpolation: str = "bilinear", align_corners: bool = False
 ) -> Tensor:
-    """Show what is in one box of each volume in another box of the result, which is as large as that box.
+    """Resample one box of each volume into another box of the result, which has the size of that box.
 
     The size of the result is read from `dst_box`, which waits for the device.
 
     Args:
         tensor: volumes (B, C, D, H, W). Integers are computed in float32.
         src_box: (B, 8, 3), or (1, 8, 3) for all volumes.
-        dst_box: (B, 8, 3), or (1, 8, 3), of one size.
+        dst_box: (B, 8, 3), or (1, 8, 3), boxes that all have the same size.
         interpolation: 'bilinear', in all three directions, or 'nearest'.
-        align_corners: of no effect; the corners are middles of voxels.
+        align_corners: no effect on the result: corners of boxes are centers of voxels, and the padding is zeros.
 
     Returns:
         (B, C, d, h, w).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above, or `dst_box` has several sizes.
+        TypeError: `tensor` or a box is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, D, H, W); a box is not (B, 8, 3) or (1, 8, 3); the boxes of `dst_box` have
+            different sizes; `interpolation` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -96,7 +99,27 @@ def crop_by_transform_mat3d(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Warp volumes by (B, 4, 4) or (B, 3, 4) and keep the first voxels of the result: another name for warps.
+    """Warp volumes and keep the first voxels of the result.
+
+    This is :func:`warp_perspective3d` for matrices (B, 4, 4) and :func:`warp_affine3d` for (B, 3, 4).
+
+    Args:
+        tensor: volumes (B, C, D, H, W). Integers are computed in float32.
+        transform: (B, 4, 4) or (B, 3, 4), from voxels (x, y, z) of the volume to those of the result; one matrix serves
+            all volumes.
+        out_size: depth, height and width of the result.
+        mode: 'bilinear', in all three directions, or 'nearest'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: mirror at the centers of the outermost voxels, not at their edges. Only 'reflection' uses it.
+
+    Returns:
+        (B, C, d, h, w).
+
+    Raises:
+        TypeError: `tensor` or `transform` is no tensor of real numbers; `out_size` is not three ints; `align_corners`
+            is no bool.
+        ValueError: `tensor` is not (B, C, D, H, W); `transform` is not (B, 4, 4) or (B, 3, 4); an entry of `out_size`
+            is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -115,20 +138,22 @@ def crop_by_transform_mat3d(
 def center_crop3d(
     tensor: Tensor, size: tuple[int, int, int], interpolation: str = "bilinear", align_corners: bool = True
 ) -> Tensor:
-    """Keep what is around the middle of volumes; between voxels where the sizes differ by an odd number.
+    """Crop volumes around their center.
+
+    The crop lies between voxels, and is interpolated, where the sizes differ by an odd number.
 
     Args:
         tensor: volumes (B, C, D, H, W). Integers are computed in float32.
         size: depth, height and width of the result.
         interpolation: 'bilinear', in all three directions, or 'nearest'.
-        align_corners: of no effect.
+        align_corners: no effect on the result: the padding is zeros.
 
     Returns:
         (B, C, d, h, w).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `tensor` is no tensor of real numbers; `size` is not three ints; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, D, H, W); an entry of `size` is below 1; `interpolation` is unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -143,7 +168,7 @@ def center_crop3d(
 
 
 def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
-    """The boxes `src_box` in the boxes `dst_box`, None for that of the whole result."""
+    """Resample the boxes `src_box` into the boxes `dst_box`; None for the whole result."""
     _check.shape(op, "src_box", src_box, "B", 8, 3)
     volumes = floats(tensor)
     boxes = [sampling.cast_to_image(op, volumes, "src_box", src_box)]

@@ -27,24 +27,26 @@ def elastic_transform2d(
     mode: str = "bilinear",
     padding_mode: str = "zeros",
 ) -> Tensor:
-    """Bend images by a field of random moves that is smooth: noise after a Gaussian blur.
+    """Deform images by a smooth random displacement field: noise after a Gaussian blur.
 
     Args:
         image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
-        noise: (B, 2, H, W), moves along x and y, in units of half the image's width and height.
-        kernel_size: of the blur, (y, x), odd.
-        sigma: of the blur, (y, x), positive; a tensor gets a gradient.
-        alpha: how much of the noise is taken, (x, y); a tensor gets a gradient.
-        align_corners: the image reaches from the middle of its first pixel to that of its last one, not from edge to edge.
+        noise: displacements along x and y, (B, 2, H, W), in units of half the image's width and height.
+        kernel_size: size of the blur's kernel, (y, x), odd.
+        sigma: standard deviations of the blur in pixels, (y, x), positive; a tensor gets a gradient.
+        alpha: factors of the noise, (x, y); a tensor gets a gradient.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
 
     Returns:
-        (B, C, H, W), of the type of `image`.
+        (B, C, H, W), of the dtype of `image`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `image` or `noise` is no tensor of real numbers; `kernel_size` is not two ints; `sigma` or `alpha` is
+            not two numbers or a tensor; `align_corners` is no bool.
+        ValueError: `image` is not (B, C, H, W); `noise` is not (B, 2, H, W); an entry of `kernel_size` is even; `sigma`
+            is not positive; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Source: P. Simard, D. Steinkraus and J. Platt, "Best practices for convolutional neural networks" (2003).
 
@@ -64,7 +66,7 @@ def elastic_transform2d(
     if isinstance(sigma, Tensor) or not _are_numbers(sigma):
         sigma = _two(op, "sigma", sigma, images)[None]
     arguments = blur_arguments(op, noise, kernel_size, sigma, "constant")
-    # Of the noise, so that its blur is the map.
+    # The noise is scaled before the blur, so that the result of the blur is the map.
     if not _are_numbers(alpha) or alpha[0] != alpha[1]:
         noise = noise * _two(op, "alpha", alpha, images)[:, None, None]
     elif alpha[0] != 1:
@@ -90,4 +92,6 @@ def _two(op: str, name: str, x: Tensor | Sequence[float], like: Tensor) -> Tenso
 def _number(op: str, name: str, value: Tensor | float, like: Tensor, dtype: torch.dtype) -> Tensor:
     if isinstance(value, Tensor):
         return value.to(like.device, dtype)
-    return like.new_full((), _check.number(op, name, value), dtype=dtype)  # made there: a copy would wait
+    return like.new_full(
+        (), _check.number(op, name, value), dtype=dtype
+    )  # created on the device: a copy would wait for it

@@ -1,4 +1,4 @@
-"""Flips and half turns."""
+"""Flips and rotations by 180 degrees."""
 
 from __future__ import annotations
 
@@ -24,7 +24,17 @@ flipped = register("flip", _reference, backward=_backward, linear=True, bytes=Tr
 
 
 def hflip(input: Tensor) -> Tensor:
-    """Reverse the columns of images (*, H, W).
+    """Flip images horizontally: reverse their columns.
+
+    Args:
+        input: images (*, H, W), of any real dtype.
+
+    Returns:
+        (*, H, W), of the dtype of `input`.
+
+    Raises:
+        TypeError: `input` is no dense tensor of real numbers.
+        ValueError: `input` has fewer than two axes.
 
     Example:
         >>> import torch, kvision as K
@@ -36,7 +46,17 @@ def hflip(input: Tensor) -> Tensor:
 
 
 def vflip(input: Tensor) -> Tensor:
-    """Reverse the rows of images (*, H, W).
+    """Flip images vertically: reverse their rows.
+
+    Args:
+        input: images (*, H, W), of any real dtype.
+
+    Returns:
+        (*, H, W), of the dtype of `input`.
+
+    Raises:
+        TypeError: `input` is no dense tensor of real numbers.
+        ValueError: `input` has fewer than two axes.
 
     Example:
         >>> import torch, kvision as K
@@ -48,7 +68,17 @@ def vflip(input: Tensor) -> Tensor:
 
 
 def rot180(input: Tensor) -> Tensor:
-    """Turn images (*, H, W) by 180 degrees.
+    """Rotate images by 180 degrees: reverse their rows and columns.
+
+    Args:
+        input: images (*, H, W), of any real dtype.
+
+    Returns:
+        (*, H, W), of the dtype of `input`.
+
+    Raises:
+        TypeError: `input` is no dense tensor of real numbers.
+        ValueError: `input` has fewer than two axes.
 
     Example:
         >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Warpers: homographies applied to images at a size that is known before."""
+"""Modules that warp images by homographies to a fixed size."""
 
 from __future__ import annotations
 
@@ -13,7 +13,15 @@ __all__ = ["BaseWarper", "HomographyWarper"]
 
 
 class BaseWarper(nn.Module):
-    """What :class:`ImageRegistrator` makes to warp images of one size; `forward(patch_src, src_homo_dst)` is for subclasses.
+    """Base class of the modules that :class:`ImageRegistrator` warps images with.
+
+    Subclasses define `forward(patch_src, src_homo_dst)`.
+
+    Args:
+        height: of the result, in pixels.
+        width: of the result, in pixels.
+        args: passed on to :class:`torch.nn.Module`.
+        kwargs: passed on to :class:`torch.nn.Module`.
 
     Example:
         >>> import kvision as K
@@ -34,12 +42,12 @@ class HomographyWarper(BaseWarper):
     """Module form of :func:`homography_warp`, for results of one size.
 
     Args:
-        height: of the result.
-        width: of the result.
+        height: of the result, in pixels.
+        width: of the result, in pixels.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
         normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
-        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
 
     Example:
         >>> import torch, kvision as K
@@ -71,12 +79,12 @@ class HomographyWarper(BaseWarper):
         )
 
     def precompute_warp_grid(self, src_homo_dst: Tensor) -> None:
-        """Keep a homography (B, 3, 3) for calls without one. No grid is made: it would take longer to read."""
+        """Keep a homography (B, 3, 3) for calls without one. No grid is computed: reading it would take longer."""
         _check.shape("HomographyWarper", "src_homo_dst", src_homo_dst, "B", 3, 3)
         self._homography = src_homo_dst
 
     def forward(self, patch_src: Tensor, src_homo_dst: Tensor | None = None) -> Tensor:
-        """Warp images (B, C, H, W) by homographies (B, 3, 3), by default the kept ones."""
+        """Warp images (B, C, H, W) by homographies (B, 3, 3); None for those of precompute_warp_grid."""
         homography = self._homography if src_homo_dst is None else src_homo_dst
         if homography is None:
             raise RuntimeError("HomographyWarper: expected src_homo_dst, or a call of precompute_warp_grid before")

@@ -1,7 +1,7 @@
 """Matrices of geometric transforms, as the warps take them.
 
-Angles and shears that are tensors (B,), centres and translations (B, 2) or (B, 3) as (x, y) or (x, y, z). Everything is
-differentiable and nothing waits for the device.
+Angles and shears are tensors (B,). Centers and translations are (B, 2) or (B, 3), in the order (x, y) or (x, y, z).
+Every function is differentiable, and none waits for the device.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ def _given(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
     return {name: (x, 0) for name, x in vectors.items() if x is not None}
 
 
-# --- the operators: references, and what they stand for --------------------------------------------------------------
+# --- the operators: references and registrations ---------------------------------------------------------------------
 
 
-def _affine2d_reference(degrees, translation, scale, shear_x, shear_y, center, turn, x, y, rows):
-    """Shear, scale and turn about a centre, (x, y) where none is given, then move: (B, rows, 3), 2 or 3 of these."""
-    c, s = cos_sin(turn * degrees)
+def _affine2d_reference(degrees, translation, scale, shear_x, shear_y, center, sign, x, y, rows):
+    """Shear, scale and rotate about a center, by default (x, y), then translate: (B, rows, 3), with 2 or 3 rows."""
+    c, s = cos_sin(sign * degrees)
     linear = matrix_of([[c, s], [-s, c]], degrees)
     if scale is not None:
         linear = linear * scale[:, None]
@@ -93,7 +93,7 @@ def _shears(shear_x: Tensor | None, shear_y: Tensor | None, like: Tensor) -> Ten
 
 
 def _placed(linear, translation, center, otherwise, rows):
-    """A linear map (B, n, n) about a centre, then moved: `rows` of the homography (B, n + 1, n + 1)."""
+    """A linear map (B, n, n) about a center, then translated: the first `rows` rows of the homography (B, n + 1, n + 1)."""
     batch, n = batch_of(linear, translation, center), linear.shape[1]
     if center is None:
         center = torch.stack([linear.new_full((1,), c) for c in otherwise], -1)
@@ -138,7 +138,7 @@ def _perspective_reference(points_src, points_dst):
 
 
 def _crop_matrix_reference(quads, first, across, down):
-    """From the result, so that a side of one pixel, which has no length, needs no case."""
+    """From pixels of the result to those of the image. In this direction a side of one pixel needs no special case."""
     matrix = from_unit_square(wide(quads))
     last = matrix[:, 2:, 2:]
     right, downwards, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
@@ -166,12 +166,12 @@ def _from_simplex(points: Tensor) -> Tensor:
     return p[..., :4] * weights.mT
 
 
-def _affine3d_reference(x, y, z, translation, scale, center, xy, xz, yx, yz, zx, zy, turn, cx, cy, cz, rows):
-    """Shear, scale and turn about a centre, (cx, cy, cz) where none is given, then move: (B, rows, 4), 3 or 4 of these."""
+def _affine3d_reference(x, y, z, translation, scale, center, xy, xz, yx, yz, zx, zy, sign, cx, cy, cz, rows):
+    """Shear, scale and rotate about a center, by default (cx, cy, cz), then translate: (B, rows, 4), with 3 or 4 rows."""
     shears = (xy, xz, yx, yz, zx, zy)
     batch = batch_of(x, y, z, translation, scale, center, *shears)
     axis = torch.stack([angle.expand(batch) for angle in (x, y, z)], -1)
-    linear = axis_angle_to_rotation_matrix(torch.deg2rad(turn * axis))
+    linear = axis_angle_to_rotation_matrix(torch.deg2rad(sign * axis))
     if scale is not None:
         linear = linear * scale[:, None]
     if any(s is not None for s in shears):
@@ -192,7 +192,7 @@ def _shear3d_reference(center, *angles):
     return _placed(_shears3d(angles, center[:1, 0]), None, center, (), 4)
 
 
-# What is not given, or has one row for all, is so in the kernels; a caller that turns, moves or scales needs one launch.
+# The kernels take absent arguments and those with one row for all samples as they are: a matrix needs one launch.
 affine_matrix2d = register_formula("affine_matrix2d", _affine2d_reference, lambda *args: (args[-1], 3))
 translation_matrix2d = register_formula("translation_matrix2d", _translation_reference, lambda *args: (args[-1], 3))
 scale_matrix2d = register_formula("scale_matrix2d", _scale2d_reference, lambda *args: (2, 3))
@@ -204,27 +204,28 @@ _shear_matrix3d = register_formula("shear_matrix3d", _shear3d_reference, lambda 
 _invert_affine2d = register_formula("invert_affine2d", _inverse2d_reference, lambda *args: (2, 3))
 _perspective_matrix = register_formula("perspective_matrix", _perspective_reference, lambda *args: (3, 3))
 perspective_matrix3d = register_formula("perspective_matrix3d", _perspective3d_reference, lambda *args: (4, 4))
-# From pixels of a result to those of the quadrangles (B, 4, 2) shown in the rectangle of it that begins at `first` (B, 2),
-# at 0, 0 for None, and is `across` and `down` larger than a pixel.
+# From pixels of the result to the quadrangles (B, 4, 2) that are resampled into a rectangle of it. The rectangle begins at
+# `first` (B, 2), None for (0, 0); its last pixel is `across` columns and `down` rows after its first.
 crop_matrix = register_formula("crop_matrix", _crop_matrix_reference, lambda *args: (3, 3))
 
 # --- two dimensions -------------------------------------------------------------------------------------------------
 
 
 def get_rotation_matrix2d(center: Tensor, angle: Tensor, scale: Tensor) -> Tensor:
-    """The affine map that scales, then turns about a centre.
+    """Compute affine matrices that scale, then rotate about a center.
 
     Args:
         center: (B, 2) as (x, y).
-        angle: (B,) in degrees, counter-clockwise as one sees it. Quarter turns are exact.
+        angle: (B,) in degrees, counter-clockwise as displayed. Multiples of 90 degrees are exact.
         scale: (B, 2) along x and y.
 
     Returns:
         (B, 2, 3), source pixels to result pixels.
 
     Raises:
-        TypeError: not tensors of one floating-point type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `center` is not (B, 2); `angle` is not (B,); `scale` is not (B, 2); the batch sizes differ; the
+            tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -237,7 +238,17 @@ def get_rotation_matrix2d(center: Tensor, angle: Tensor, scale: Tensor) -> Tenso
 
 
 def get_translation_matrix2d(translations: Tensor) -> Tensor:
-    """The homography that moves by (x, y) pixels: (B, 2) gives (B, 3, 3).
+    """Compute homographies that translate by (x, y) pixels.
+
+    Args:
+        translations: (B, 2) as (x, y), floating point, in pixels.
+
+    Returns:
+        (B, 3, 3), source pixels to result pixels.
+
+    Raises:
+        TypeError: `translations` is no floating-point tensor.
+        ValueError: `translations` is not (B, 2).
 
     Example:
         >>> import torch, kvision as K
@@ -251,19 +262,20 @@ def get_translation_matrix2d(translations: Tensor) -> Tensor:
 
 
 def get_shear_matrix2d(center: Tensor, sx: Tensor | None = None, sy: Tensor | None = None) -> Tensor:
-    """The homography that shears along x, then along y, about a centre.
+    """Compute homographies that shear along x, then along y, about a center.
 
     Args:
         center: (B, 2) as (x, y).
-        sx: (B,) angles in radians, None for 0.
-        sy: the same.
+        sx: angles of the shear along x in radians, (B,); None for 0.
+        sy: angles of the shear along y in radians, (B,); None for 0.
 
     Returns:
         (B, 3, 3) with the linear part [[1, -tan sx], [-tan sy, 1 + tan sx tan sy]].
 
     Raises:
-        TypeError: not tensors of one floating-point type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `center` is not (B, 2); `sx` is not (B,); `sy` is not (B,); the batch sizes differ; the tensors are
+            on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -282,22 +294,23 @@ def get_affine_matrix2d(
     sx: Tensor | None = None,
     sy: Tensor | None = None,
 ) -> Tensor:
-    """The homography that shears, scales and turns about a centre, then moves.
+    """Compute homographies that shear, scale and rotate about a center, then translate.
 
     Args:
         translations: (B, 2) in pixels as (x, y).
-        center: (B, 2).
+        center: (B, 2) as (x, y), in pixels.
         scale: (B, 2) along x and y.
-        angle: (B,) in degrees, clockwise as one sees it.
-        sx: (B,) shear in radians; see :func:`get_shear_matrix2d`.
-        sy: the same.
+        angle: (B,) in degrees, clockwise as displayed.
+        sx: angles of the shear along x in radians, (B,), as :func:`get_shear_matrix2d` takes them; None for 0.
+        sy: angles of the shear along y in radians, (B,); None for 0.
 
     Returns:
         (B, 3, 3), source pixels to result pixels.
 
     Raises:
-        TypeError: not tensors of one floating-point type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `translations` is not (B, 2); `center` is not (B, 2); `scale` is not (B, 2); `angle` is not (B,);
+            `sx` is not (B,); `sy` is not (B,); the batch sizes differ; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -313,7 +326,7 @@ def get_affine_matrix2d(
 
 
 def invert_affine_transform(matrix: Tensor) -> Tensor:
-    """Invert affine maps.
+    """Invert affine matrices.
 
     Args:
         matrix: (B, 2, 3).
@@ -322,8 +335,8 @@ def invert_affine_transform(matrix: Tensor) -> Tensor:
         (B, 2, 3); inf or NaN where there is no inverse.
 
     Raises:
-        TypeError: no floating-point tensor.
-        ValueError: another shape.
+        TypeError: `matrix` is no floating-point tensor.
+        ValueError: `matrix` is not (B, 2, 3).
 
     Example:
         >>> import torch, kvision as K
@@ -337,18 +350,19 @@ def invert_affine_transform(matrix: Tensor) -> Tensor:
 
 
 def get_perspective_transform(points_src: Tensor, points_dst: Tensor) -> Tensor:
-    """The homography that takes four points to four others, in closed form.
+    """Compute the homographies that map four points to four others, in closed form.
 
     Args:
         points_src: (B, 4, 2) as (x, y), in order around a quadrangle.
-        points_dst: where they go, (B, 4, 2).
+        points_dst: the points that they map to, (B, 4, 2).
 
     Returns:
         (B, 3, 3) whose last entry is 1. NaN or inf where three of four points are on a line.
 
     Raises:
-        TypeError: no floating-point tensors, or of two types.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `points_src` is not (B, 4, 2); `points_dst` does not have the shape of `points_src`; the tensors are
+            on different devices.
 
     Source: P. Heckbert, "Fundamentals of Texture Mapping and Image Warping" (1989), section 2.2.3.
 
@@ -380,7 +394,7 @@ def from_unit_square(points: Tensor) -> Tensor:
 
     u, v, skew = p1 - p2, p3 - p2, p0 - p1 + p2 - p3
     g, h, w = area(skew, v), area(u, skew), area(u, v)
-    # Of a box without area all three are 0; it goes on as a parallelogram does.
+    # For a box without area all three are 0; it is treated as a parallelogram.
     flat = (w == 0) & (skew == 0).all(-1, keepdim=True)
     w = torch.where(flat, 1, w)
     columns = [w * (p1 - p0) + g * p1, w * (p3 - p0) + h * p3, w * p0]
@@ -391,7 +405,7 @@ def from_unit_square(points: Tensor) -> Tensor:
 
 
 def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> Tensor:
-    """The affine map of space that scales, then turns about a centre.
+    """Compute affine matrices of space that scale, then rotate about a center.
 
     Args:
         center: (B, 3) as (x, y, z).
@@ -399,11 +413,12 @@ def get_projective_transform(center: Tensor, angles: Tensor, scales: Tensor) -> 
         scales: (B, 3) along x, y and z.
 
     Returns:
-        (B, 3, 4).
+        (B, 3, 4), source voxels to result voxels.
 
     Raises:
-        TypeError: not tensors of one floating-point type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `center` is not (B, 3); `angles` is not (B, 3); `scales` is not (B, 3); the batch sizes differ; the
+            tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -424,23 +439,24 @@ def get_shear_matrix3d(
     szx: Tensor | None = None,
     szy: Tensor | None = None,
 ) -> Tensor:
-    """The homography of space that shears along z, then y, then x, about a centre.
+    """Compute homographies of space that shear along z, then y, then x, about a center.
 
     Args:
         center: (B, 3) as (x, y, z).
-        sxy: (B,) angle in radians by which y moves with x, None for 0; the others likewise.
-        sxz: z with x.
-        syx: x with y.
-        syz: z with y.
-        szx: x with z.
-        szy: y with z.
+        sxy: angle in radians by which y moves with x, (B,); None for 0.
+        sxz: angle in radians by which z moves with x, (B,); None for 0.
+        syx: angle in radians by which x moves with y, (B,); None for 0.
+        syz: angle in radians by which z moves with y, (B,); None for 0.
+        szx: angle in radians by which x moves with z, (B,); None for 0.
+        szy: angle in radians by which y moves with z, (B,); None for 0.
 
     Returns:
         (B, 4, 4).
 
     Raises:
-        TypeError: not tensors of one floating-point type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `center` is not (B, 3); an angle is not (B,); the batch sizes differ; the tensors are on different
+            devices.
 
     Example:
         >>> import torch, kvision as K
@@ -464,27 +480,28 @@ def get_affine_matrix3d(
     szx: Tensor | None = None,
     szy: Tensor | None = None,
 ) -> Tensor:
-    """The homography of space that shears, scales and turns about a centre, then moves.
+    """Compute homographies of space that shear, scale and rotate about a center, then translate.
 
     Args:
         translations: (B, 3) in voxels as (x, y, z).
-        center: (B, 3).
-        scale: (B, 3).
-        angles: (B, 3), the axis of rotation times the angle in degrees; it turns the other way than
+        center: (B, 3) as (x, y, z), in voxels.
+        scale: (B, 3) along x, y and z.
+        angles: (B, 3), the axis of rotation times the angle in degrees; the rotation is opposite to that of
             :func:`get_projective_transform`.
-        sxy: (B,) shear in radians; see :func:`get_shear_matrix3d` for this and the others.
-        sxz: likewise.
-        syx: likewise.
-        syz: likewise.
-        szx: likewise.
-        szy: likewise.
+        sxy: angle in radians by which y moves with x, (B,); None for 0.
+        sxz: angle in radians by which z moves with x, (B,); None for 0.
+        syx: angle in radians by which x moves with y, (B,); None for 0.
+        syz: angle in radians by which z moves with y, (B,); None for 0.
+        szx: angle in radians by which x moves with z, (B,); None for 0.
+        szy: angle in radians by which y moves with z, (B,); None for 0.
 
     Returns:
-        (B, 4, 4).
+        (B, 4, 4), source voxels to result voxels.
 
     Raises:
-        TypeError: not tensors of one floating-point type.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `translations`, `center`, `scale` or `angles` is not (B, 3); a shear is not (B,); the batch sizes
+            differ; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -495,25 +512,26 @@ def get_affine_matrix3d(
     shears = {"sxy": sxy, "sxz": sxz, "syx": syx, "syz": syz, "szx": szx, "szy": szy}
     parts = {"translations": (translations, 3), "center": (center, 3), "scale": (scale, 3), "angles": (angles, 3)}
     _batch("get_affine_matrix3d", **parts, **_given(**shears))
-    turns = angles.unbind(-1)
-    return affine_matrix3d(*turns, translations, scale, center, *shears.values(), -1.0, 0.0, 0.0, 0.0, 4)
+    rotation = angles.unbind(-1)
+    return affine_matrix3d(*rotation, translations, scale, center, *shears.values(), -1.0, 0.0, 0.0, 0.0, 4)
 
 
 def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
-    """The homography of space that takes the corners of a box to others.
+    """Compute the homographies of space that map the corners of a box to others.
 
-    Five of the corners, the first three, the sixth and the eighth, determine it.
+    Five of the corners determine it: the first three, the sixth and the eighth.
 
     Args:
         src: (B, 8, 3) as (x, y, z): the front four corners in order around, then the back four.
-        dst: where they go, (B, 8, 3).
+        dst: the points that they map to, (B, 8, 3).
 
     Returns:
         (B, 4, 4) whose last entry is 1. NaN or inf where four of the five corners are in a plane.
 
     Raises:
-        TypeError: no floating-point tensors, or of two types.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is not a floating-point tensor; the tensors have different dtypes.
+        ValueError: `src` is not (B, 8, 3); `dst` does not have the shape of `src`; the tensors are on different
+            devices.
 
     Example:
         >>> import torch, kvision as K
@@ -534,7 +552,18 @@ def get_perspective_transform3d(src: Tensor, dst: Tensor) -> Tensor:
 
 
 def projection_from_Rt(rmat: Tensor, tvec: Tensor) -> Tensor:
-    """Put a rotation (*, 3, 3) and a translation (*, 3, 1) side by side: (*, 3, 4).
+    """Concatenate rotations and translations to projection matrices [R | t].
+
+    Args:
+        rmat: rotations (*, 3, 3).
+        tvec: translations (*, 3, 1), with the same leading axes.
+
+    Returns:
+        (*, 3, 4).
+
+    Raises:
+        TypeError: `rmat` or `tvec` is no tensor of real numbers.
+        ValueError: `rmat` is not (*, 3, 3); `tvec` is not (*, 3, 1); their leading axes differ.
 
     Example:
         >>> import torch, kvision as K

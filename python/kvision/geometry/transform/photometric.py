@@ -1,4 +1,4 @@
-"""How far a warped image is from another one, in one pass over both."""
+"""Photometric error between a warped image and a target, in one pass over both."""
 
 from __future__ import annotations
 
@@ -19,46 +19,47 @@ _DISTANCES = ("l1", "l2", "charbonnier")
 
 
 def _loss(source, target, matrix, distance, eps, align_corners, normalized):
-    """(B,): the separate steps, of which csrc/geometry/transform/photometric.h makes one."""
+    """The loss (B,), in the separate steps that csrc/geometry/transform/photometric.h fuses."""
     source, target = source.to(matrix.dtype), target.to(matrix.dtype)
     coords = sampling.source_coords(
         matrix.expand(len(source), -1, -1), target.shape[2:], source.shape[2:], align_corners, False, normalized
     )
     residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
     if distance == "l1":
-        found = residual.abs()
+        error = residual.abs()
     elif distance == "l2":
-        found = residual * residual
+        error = residual * residual
     else:
-        found = (residual * residual + eps * eps).sqrt()
+        error = (residual * residual + eps * eps).sqrt()
     seen = _seen(coords, source)
-    total = torch.where(seen, found, 0).sum((1, 2, 3))
+    total = torch.where(seen, error, 0).sum((1, 2, 3))
     return total / (seen.sum((1, 2, 3)) * source.shape[1])
 
 
 def _seen(coords, source):
-    """Which places (B, 1, h, w) lie between four pixels."""
+    """Which sampling coordinates (B, 1, h, w) lie between four pixels."""
     height, width = source.shape[2:]
     u, v = (x.detach() for x in coords)
     return ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
 
 
-def _reference(source, target, matrix, *how):
+def _reference(source, target, matrix, *options):
     matrices = matrix.expand(len(source), -1, -1)
-    loss, vjp_fn = torch.func.vjp(lambda m: _loss(source, target, m, *how), matrices)
+    loss, vjp_fn = torch.func.vjp(lambda m: _loss(source, target, m, *options), matrices)
     return loss, vjp_fn(torch.ones_like(loss))[0]
 
 
-def _backward(needs, grad, _, loss, slope, source, target, matrix, *how):
+def _backward(needs, grad, _, loss, matrix_grads, source, target, matrix, *options):
     if torch.is_grad_enabled():
-        return _differentiable_backward(needs, grad, source, target, matrix, *how)
-    of_source = of_target = of_matrix = None
+        return _differentiable_backward(needs, grad, source, target, matrix, *options)
+    grad_source = grad_target = grad_matrix = None
     if needs[0] or needs[1]:
-        of_source, of_target = _image_gradients(grad, source, target, matrix, *how)
+        grad_source, grad_target = _image_gradients(grad, source, target, matrix, *options)
     if needs[2]:
-        of_matrix = slope * (grad if len(grad) == 1 else grad.view(-1, 1, 1))  # each step costs as much as the kernel
-        of_matrix = of_matrix if len(matrix) == len(slope) else of_matrix.sum_to_size(matrix.shape)
-    return [of_source if needs[0] else None, of_target if needs[1] else None, of_matrix]
+        # Every torch call costs as much as the kernel.
+        grad_matrix = matrix_grads * (grad if len(grad) == 1 else grad.view(-1, 1, 1))
+        grad_matrix = grad_matrix if len(matrix) == len(matrix_grads) else grad_matrix.sum_to_size(matrix.shape)
+    return [grad_source if needs[0] else None, grad_target if needs[1] else None, grad_matrix]
 
 
 def _image_gradients(grad, source, target, matrix, distance, eps, align_corners, normalized):
@@ -68,18 +69,18 @@ def _image_gradients(grad, source, target, matrix, distance, eps, align_corners,
     seen = _seen(sampling.source_coords(matrices, size, x.shape[2:], *sampled[2:]), x)
     residual = sampling.warp(x, matrices, None, size, *sampled) - y
     if distance == "l1":
-        slope = residual.sign()
+        grad_residual = residual.sign()
     elif distance == "l2":
-        slope = 2 * residual
+        grad_residual = 2 * residual
     else:
-        slope = residual / (residual * residual + eps * eps).sqrt()
-    share = grad / (seen.sum((1, 2, 3)) * x.shape[1])
-    slope = torch.where(seen, slope * share[:, None, None, None], 0)
-    of_source = sampling.warp_image_backward(slope, matrices, [*x.shape[2:]], *sampled)
-    return of_source.to(source.dtype), -slope.to(target.dtype)
+        grad_residual = residual / (residual * residual + eps * eps).sqrt()
+    weights = grad / (seen.sum((1, 2, 3)) * x.shape[1])
+    grad_residual = torch.where(seen, grad_residual * weights[:, None, None, None], 0)
+    grad_source = sampling.warp_image_backward(grad_residual, matrices, [*x.shape[2:]], *sampled)
+    return grad_source.to(source.dtype), -grad_residual.to(target.dtype)
 
 
-def _differentiable_backward(needs, grad, source, target, matrix, *how):
+def _differentiable_backward(needs, grad, source, target, matrix, *options):
     tensors = (source, target, matrix)
     where = [i for i, need in enumerate(needs) if need]
 
@@ -87,17 +88,17 @@ def _differentiable_backward(needs, grad, source, target, matrix, *how):
         full = list(tensors)
         for i, value in zip(where, values):
             full[i] = value
-        return _loss(*full, *how)
+        return _loss(*full, *options)
 
     _, vjp_fn = torch.func.vjp(f, *(tensors[i] for i in where))
-    found = dict(zip(where, vjp_fn(grad)))
-    return [found.get(i) for i in range(3)]
+    grads = dict(zip(where, vjp_fn(grad)))
+    return [grads.get(i) for i in range(3)]
 
 
 _photometric = register(
     "photometric",
     _reference,
-    fake=lambda source, target, matrix, *how: [matrix.new_empty(len(source)), matrix.new_empty(len(source), 3, 3)],
+    fake=lambda source, target, matrix, *options: [matrix.new_empty(len(source)), matrix.new_empty(len(source), 3, 3)],
     backward=_backward,
     saves_results=True,
     non_differentiable=(1,),
@@ -114,7 +115,7 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
         residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
         return residual.flatten(1), (residual, _seen(coords, source))
 
-    # The derivative by each number of the matrix, but for the last one.
+    # The derivative by every entry of the matrix but the last.
     columns = []
     for i in range(8):
         direction = torch.zeros_like(matrices)
@@ -131,16 +132,16 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
         value = (r * r + eps * eps).sqrt()
         weight = 1 / value
     terms = seen.sum(1)
-    some = terms.clamp_min(1)
+    divisor = terms.clamp_min(1)
     weighted = jacobian * (weight * seen)[:, None]
-    normal = weighted @ jacobian.mT / some[:, None, None]
-    return normal, (weighted @ r[..., None])[..., 0] / some[:, None], (value * seen).sum(1) / terms
+    normal = weighted @ jacobian.mT / divisor[:, None, None]
+    return normal, (weighted @ r[..., None])[..., 0] / divisor[:, None], (value * seen).sum(1) / terms
 
 
 _normal = register(
     "photometric_normal_equations",
     _normal_reference,
-    fake=lambda source, target, matrix, *how: [(len(source), 8, 8), (len(source), 8), (len(source),)],
+    fake=lambda source, target, matrix, *options: [(len(source), 8, 8), (len(source), 8), (len(source),)],
     non_differentiable=(0, 1, 2),
 )
 
@@ -154,27 +155,29 @@ def photometric_homography_loss(
     align_corners: bool = False,
     normalized_coordinates: bool = True,
 ) -> Tensor:
-    """The mean distance of a target from an image warped onto it, with its gradient to the homography, in one pass.
+    """Compute the mean photometric error of warped images against targets, and its gradient, in one pass.
 
-    The mean is over the pixels of the target that the homography takes between four pixels of the source. How many
-    these are counts as constant for the gradient. Nothing as large as an image is written.
+    The mean is over the pixels of the target that the homography maps between four pixels of the source. Their
+    number is constant for the gradient. Nothing of the size of an image is written.
 
     Args:
-        source: images (B, C, H, W), the ones that are warped. Integers are computed in float32.
+        source: images (B, C, H, W) that are warped. Integers are computed in float32.
         target: images (B, C, h, w).
-        src_homo_dst: (B, 3, 3), or (1, 3, 3) for all images: places of the target to places of the source, as
+        src_homo_dst: (B, 3, 3), or (1, 3, 3) for all images: coordinates in the target to coordinates in the source, as
             :func:`homography_warp` takes it.
-        distance: of two values: 'l1', the absolute difference; 'l2', its square; 'charbonnier', sqrt(r^2 + eps^2).
-        eps: of the latter.
-        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+        distance: error of a residual r: 'l1', |r|; 'l2', r^2; 'charbonnier', sqrt(r^2 + eps^2).
+        eps: of 'charbonnier', at least 0.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
         normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
 
     Returns:
-        (B,), of the type of `source`; NaN where no pixel of the target is in the source.
+        (B,), of the dtype of `source`, float32 for integers; NaN where no pixel of the target is in the source.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `source`, `target` or `src_homo_dst` is no tensor of real numbers; `eps` is no number;
+            `align_corners` or `normalized_coordinates` is no bool.
+        ValueError: `source` is not (B, C, H, W); `target` is not (B, C, h, w); `src_homo_dst` is not (B, 3, 3) or (1,
+            3, 3); `distance` is unknown; `eps` is negative; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -186,11 +189,11 @@ def photometric_homography_loss(
         (tensor([0.5000]), torch.Size([1, 3, 3]))
     """
     op = "photometric_homography_loss"
-    stored = source.dtype if isinstance(source, Tensor) and source.is_floating_point() else torch.float32
-    how = distance, eps, align_corners, normalized_coordinates
-    found: Any = _photometric(*_checked(op, source, target, src_homo_dst, *how), *how)
-    loss: Tensor = found[0]
-    return loss if loss.dtype == stored else loss.to(stored)
+    dtype = source.dtype if isinstance(source, Tensor) and source.is_floating_point() else torch.float32
+    options = distance, eps, align_corners, normalized_coordinates
+    results: Any = _photometric(*_checked(op, source, target, src_homo_dst, *options), *options)
+    loss: Tensor = results[0]
+    return loss if loss.dtype == dtype else loss.to(dtype)
 
 
 def photometric_normal_equations(
@@ -202,27 +205,30 @@ def photometric_normal_equations(
     align_corners: bool = False,
     normalized_coordinates: bool = True,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A step of Gauss and Newton for :func:`photometric_homography_loss`, in one pass over both images.
+    """Compute the normal equations of a Gauss-Newton step for :func:`photometric_homography_loss`, in one pass.
 
-    The unknowns are the first eight numbers of the homography; its last one stays. The step to add to them is the solution
-    x of `normal x = -gradient`. Residuals r are weighted by w = d'(r) / r: `normal` is the mean of w J J^T over the pixels
-    that are seen, `gradient` that of w r J. Nothing here has a gradient itself.
+    The unknowns are the first eight entries of the homography; the last one stays. The step to add to them is the
+    solution x of `normal x = -gradient`. Residuals r are weighted by w = d'(r) / r, with the distance d. `normal`
+    is the mean of w J J^T over the pixels that the homography maps into the source, and `gradient` is the mean of w
+    r J. The results have no gradients.
 
     Args:
-        source: as there; half types are computed in float32.
-        target: as there.
-        src_homo_dst: as there.
-        distance: as there.
-        eps: of 'charbonnier'; for 'l1', residuals that are smaller weigh as much as this one.
-        align_corners: as there.
-        normalized_coordinates: as there.
+        source: images (B, C, H, W) that are warped. Integers and half types are computed in float32.
+        target: images (B, C, h, w).
+        src_homo_dst: (B, 3, 3), or (1, 3, 3) for all images: coordinates in the target to coordinates in the source.
+        distance: error of a residual r: 'l1', |r|; 'l2', r^2; 'charbonnier', sqrt(r^2 + eps^2).
+        eps: of 'charbonnier', at least 0; for 'l1', smaller residuals get the weight of a residual of this size.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
+        normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
 
     Returns:
-        normal (B, 8, 8), gradient (B, 8) and the distance (B,), of the type of the homography that computes.
+        normal (B, 8, 8), gradient (B, 8) and the mean error (B,), in float64 for float64 images and in float32 else.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as there.
+        TypeError: `source`, `target` or `src_homo_dst` is no tensor of real numbers; `eps` is no number;
+            `align_corners` or `normalized_coordinates` is no bool.
+        ValueError: `source` is not (B, C, H, W); `target` is not (B, C, h, w); `src_homo_dst` is not (B, 3, 3) or (1,
+            3, 3); `distance` is unknown; `eps` is negative; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -232,14 +238,16 @@ def photometric_normal_equations(
         torch.Size([1, 8])
     """
     op = "photometric_normal_equations"
-    how = distance, eps, align_corners, normalized_coordinates
-    source, target, matrix = _checked(op, source, target, src_homo_dst, *how)
-    found: tuple[Tensor, Tensor, Tensor] = _normal(source.to(matrix.dtype), target.to(matrix.dtype), matrix, *how)
-    return found
+    options = distance, eps, align_corners, normalized_coordinates
+    source, target, matrix = _checked(op, source, target, src_homo_dst, *options)
+    equations: tuple[Tensor, Tensor, Tensor] = _normal(
+        source.to(matrix.dtype), target.to(matrix.dtype), matrix, *options
+    )
+    return equations
 
 
 def _checked(op, source, target, src_homo_dst, distance, eps, align_corners, normalized_coordinates):
-    """The images, of one type, and the homography as the operators take them."""
+    """The images, in one dtype, and the homography as the operators take them."""
     _check.images(op, "source", source)
     _check.images(op, "target", target)
     _check.shape(op, "src_homo_dst", src_homo_dst, "B", 3, 3)
@@ -250,8 +258,8 @@ def _checked(op, source, target, src_homo_dst, distance, eps, align_corners, nor
     source, target = floats(source), floats(target)
     _check.same_device(op, source=source, target=target)
     if source.dtype != target.dtype:
-        together = torch.promote_types(source.dtype, target.dtype)
-        source, target = source.to(together), target.to(together)
+        common_dtype = torch.promote_types(source.dtype, target.dtype)
+        source, target = source.to(common_dtype), target.to(common_dtype)
     if source.shape[:2] != target.shape[:2]:
         raise ShapeError(
             f"{op}: expected target of shape {(*source.shape[:2], 'h', 'w')}, got {tuple(target.shape)}",

@@ -40,7 +40,7 @@ def _detail_backward(needs, grad, smaller, image, align_corners, border):
     return [-resized_backward(grad, list(smaller.shape[2:]), *how) if needs[0] else None, grad if needs[1] else None]
 
 
-# What an image has that the next smaller one has not.
+# The difference of an image and the pyrup of the next smaller level.
 _detail = register(
     "pyramid_detail", _detail_reference, fake=lambda smaller, image, *how: image.shape, backward=_detail_backward
 )
@@ -49,20 +49,21 @@ _detail = register(
 
 
 def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = False, factor: float = 2.0) -> Tensor:
-    """Blur images with a binomial window of 5 x 5 and make them smaller, by bilinear interpolation.
+    """Blur images with a binomial 5 x 5 kernel and downsample them by bilinear interpolation.
 
     Args:
         input: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
-        border_type: of the blur, 'constant', 'reflect', 'replicate' or 'circular'.
-        align_corners: keep the middles of the corner pixels where they are, not the image's edges.
-        factor: by which both sides are divided, rounded down.
+        border_type: border of the blur: 'constant', 'reflect', 'replicate' or 'circular'.
+        align_corners: align the centers of the corner pixels, not the edges of the images.
+        factor: divides both sides, which are rounded down.
 
     Returns:
-        (B, C, H / factor, W / factor), of the type of `input`.
+        (B, C, H / factor, W / factor), of the dtype of `input`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above, or a side would be 0.
+        TypeError: `input` is no tensor of real numbers; `align_corners` is no bool; `factor` is no number.
+        ValueError: `input` is not (B, C, H, W); `border_type` is unknown; the image is too small for a 'reflect' or
+            'circular' border of 2 pixels; a side of the result would be 0.
 
     Source: P. Burt and E. Adelson, "The Laplacian pyramid as a compact image code" (1983).
 
@@ -85,19 +86,20 @@ def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = F
 
 
 def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = False) -> Tensor:
-    """Make images twice as large, by bilinear interpolation, and blur them with a binomial window of 5 x 5.
+    """Upsample images to twice their size by bilinear interpolation and blur them with a binomial 5 x 5 kernel.
 
     Args:
         input: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
-        border_type: of the blur, 'constant', 'reflect', 'replicate' or 'circular'.
-        align_corners: keep the middles of the corner pixels where they are, not the image's edges.
+        border_type: border of the blur: 'constant', 'reflect', 'replicate' or 'circular'.
+        align_corners: align the centers of the corner pixels, not the edges of the images.
 
     Returns:
-        (B, C, 2 H, 2 W), of the type of `input`.
+        (B, C, 2 H, 2 W), of the dtype of `input`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `input` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `input` is not (B, C, H, W); `border_type` is unknown; the result is too small for a 'reflect' or
+            'circular' border of 2 pixels.
 
     Example:
         >>> import torch, kvision as K
@@ -110,7 +112,7 @@ def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = Fal
     if border_type == "circular":
         return _blur("pyrup", resize(input, (size[0], size[1]), align_corners=align_corners), border_type)
     _check.border("pyrup", border_type)
-    _check.reflectable("pyrup", input, (1, 1), border_type)  # 2 of the result's
+    _check.reflectable("pyrup", input, (1, 1), border_type)  # 2 pixels of the result
     return resized(pixels(input), size, "pyrup", align_corners, False, border_type)
 
 
@@ -118,14 +120,28 @@ def _blur(op: str, image: Tensor, border_type: str) -> Tensor:
     _check.reflectable(op, image, (2, 2), border_type)
     dtype = image.dtype if image.dtype == torch.float64 else torch.float32
     d = torch.arange(-2, 3, dtype=dtype, device=image.device).abs()
-    kernel = ((6 - 1.5 * d - 0.5 * d * d) / 16)[None]  # 1 4 6 4 1, made on the device
+    kernel = ((6 - 1.5 * d - 0.5 * d * d) / 16)[None]  # 1 4 6 4 1, computed on the device
     return filter2d_separable(image, kernel, kernel, border_type)
 
 
 def build_pyramid(
     input: Tensor, max_level: int, border_type: str = "reflect", align_corners: bool = False
 ) -> list[Tensor]:
-    """Images (B, C, H, W) and their :func:`pyrdown`, `max_level` of them, the largest first.
+    """Compute a Gaussian pyramid: each level is the :func:`pyrdown` of the level before.
+
+    Args:
+        input: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        max_level: number of levels, at least 1, with the images themselves.
+        border_type: border of the blur: 'constant', 'reflect', 'replicate' or 'circular'.
+        align_corners: align the centers of the corner pixels, not the edges of the images.
+
+    Returns:
+        A list of `max_level` levels (B, C, h, w), the largest first; the first one is `input`.
+
+    Raises:
+        TypeError: `input` is no tensor of real numbers; `max_level` is no int; `align_corners` is no bool.
+        ValueError: `input` is not (B, C, H, W); `max_level` is below 1; `border_type` is unknown; a level is too small
+            for a 'reflect' or 'circular' border of 2 pixels.
 
     Example:
         >>> import torch, kvision as K
@@ -143,23 +159,24 @@ def build_pyramid(
 def build_laplacian_pyramid(
     input: Tensor, max_level: int, border_type: str = "reflect", align_corners: bool = False
 ) -> list[Tensor]:
-    """What each of `max_level` sizes of an image adds to the next smaller one, the largest first; the last one is an image.
+    """Compute a Laplacian pyramid: the difference of each level of a Gaussian pyramid and the next one's :func:`pyrup`.
 
-    Adding up, with :func:`pyrup`, gives the images back. Images that cannot be halved often enough are first reflected
-    to the next powers of 2 on the right and below.
+    The last level is that of the Gaussian pyramid. Adding the levels up, with :func:`pyrup`, restores the images.
+    Images that cannot be halved often enough are first reflected to the next powers of 2 on the right and below.
 
     Args:
-        input: images (B, C, H, W).
-        max_level: how many levels.
-        border_type: of the blur, 'constant', 'reflect', 'replicate' or 'circular'.
-        align_corners: see :func:`pyrdown`.
+        input: images (B, C, H, W). Integers are computed in float32.
+        max_level: number of levels, at least 1.
+        border_type: border of the blur: 'constant', 'reflect', 'replicate' or 'circular'.
+        align_corners: align the centers of the corner pixels, not the edges of the images.
 
     Returns:
-        A list of (B, C, h, w).
+        A list of `max_level` levels (B, C, h, w), the largest first.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `input` is no tensor of real numbers; `max_level` is no int; `align_corners` is no bool.
+        ValueError: `input` is not (B, C, H, W); `max_level` is below 1; `border_type` is unknown; a level is too small
+            for a 'reflect' or 'circular' border of 2 pixels.
 
     Source: P. Burt and E. Adelson, "The Laplacian pyramid as a compact image code" (1983).
 
@@ -224,14 +241,14 @@ class PyrUp(FunctionModule):
 
 
 class ScalePyramid(nn.Module):
-    """Images blurred more and more, and halved whenever the blur has doubled: the scale space of SIFT.
+    """The scale space of SIFT: octaves of increasingly blurred images, each half the size of the one before.
 
     Args:
-        n_levels: levels in which the blur doubles.
-        init_sigma: blur of the first level, in pixels of its octave; images are taken to have 0.5.
-        min_size: octaves end where the shorter side would not be longer than this.
-        double_image: start at twice the size.
-        extra_levels: levels of an octave beyond `n_levels`.
+        n_levels: levels of an octave in which the blur doubles.
+        init_sigma: blur of the first level, in pixels of its octave; images are assumed to have a blur of 0.5.
+        min_size: there is no further octave whose shorter side would be at most this, in pixels.
+        double_image: begin with the images at twice their size.
+        extra_levels: levels of an octave in addition to `n_levels`.
 
     `forward` takes images (B, C, H, W) and returns three lists with an entry for each octave: its levels
     (B, C, n_levels + extra_levels, h, w), their blur in pixels of the octave, (B, n_levels + extra_levels), and how many
@@ -271,11 +288,11 @@ class ScalePyramid(nn.Module):
         )
 
     def get_kernel_size(self, sigma: float) -> int:
-        """The odd size of the window for a blur: it ends four sigmas away."""
+        """The odd size of the blur's kernel, which ends four sigmas from its center."""
         return int(8 * sigma + 1) // 2 * 2 + 1
 
     def get_first_level(self, input: Tensor) -> tuple[Tensor, float, float]:
-        """The first level, its blur, and how many pixels of the image one of its is."""
+        """The first level, its blur, and the size of one of its pixels in pixels of the image."""
         image, sigma, distance = input, 0.5, 1.0
         if self.double_image:
             h, w = input.shape[2:]
@@ -296,7 +313,7 @@ class ScalePyramid(nn.Module):
         octaves: tuple[list[Tensor], list[Tensor], list[Tensor]] = ([], [], [])
         count = self.n_levels + self.extra_levels
         scales = [base * self.sigma_step**i for i in range(count)]
-        # Made on the device: nothing waits for a copy.
+        # Computed on the device: a copy would wait for it.
         sigmas = (
             (base * self.sigma_step ** torch.arange(count, device=level.device)).to(level.dtype).expand(len(x), count)
         )

@@ -1,4 +1,4 @@
-"""Registration: the geometric transform between two images, found by descent on how much they differ."""
+"""Registration: the geometric transform between two images, by gradient descent on their difference."""
 
 from __future__ import annotations
 
@@ -22,12 +22,15 @@ from kvision.geometry.transform.resize import resize
 
 __all__ = ["BaseModel", "Homography", "ImageRegistrator", "Similarity"]
 
-_FUSED = {F.l1_loss: "l1", F.mse_loss: "l2"}  # losses that one pass over both images gives
-_LOOK_EVERY = 10  # iterations after which the loss is read, which waits for the device
+_FUSED = {F.l1_loss: "l1", F.mse_loss: "l2"}  # losses that photometric_homography_loss computes
+_LOOK_EVERY = 10  # iterations between two reads of the loss, which wait for the device
 
 
 class BaseModel(nn.Module):
-    """What :class:`ImageRegistrator` learns: `forward()` gives the transform, `forward_inverse()` its inverse.
+    """Base class of the transforms that :class:`ImageRegistrator` learns.
+
+    Subclasses define `forward()`, which returns the transform, `forward_inverse()`, which returns its inverse, and
+    `reset_model()`.
 
     Example:
         >>> import kvision as K
@@ -36,19 +39,19 @@ class BaseModel(nn.Module):
     """
 
     def reset_model(self) -> None:
-        """Back to the identity."""
+        """Reset the transform to the identity."""
         raise NotImplementedError(f"{type(self).__name__}: reset_model is for subclasses to define")
 
     def forward(self) -> Tensor:
         raise NotImplementedError(f"{type(self).__name__}: forward is for subclasses to define")
 
     def forward_inverse(self) -> Tensor:
-        """The transform the other way round."""
+        """The inverse transform."""
         raise NotImplementedError(f"{type(self).__name__}: forward_inverse is for subclasses to define")
 
 
 class Homography(BaseModel):
-    """A homography (1, 3, 3) whose nine numbers are learnt.
+    """A homography (1, 3, 3) whose nine entries are learned.
 
     Example:
         >>> import kvision as K
@@ -61,21 +64,21 @@ class Homography(BaseModel):
         self.model = nn.Parameter(torch.eye(3))
 
     def reset_model(self) -> None:
-        """Back to the identity."""
+        """Reset the transform to the identity."""
         nn.init.eye_(self.model)
 
     def forward(self) -> Tensor:
-        """(1, 3, 3), its last number 1."""
+        """(1, 3, 3), with a last entry of 1."""
         return (self.model / self.model[2, 2])[None]
 
     def forward_inverse(self) -> Tensor:
-        """(1, 3, 3), its last number 1."""
+        """(1, 3, 3), with a last entry of 1."""
         inverse = adjugate(self.model)
         return (inverse / inverse[2, 2])[None]
 
 
 class Similarity(BaseModel):
-    """A rotation, a scale and a shift, of which some are learnt.
+    """A rotation, a scale and a translation, each of which is learned or constant.
 
     Args:
         rotation: learn the angle `rot`, in degrees.
@@ -96,21 +99,21 @@ class Similarity(BaseModel):
         super().__init__()
         self._ratio = 1.0
         starts = {"rot": torch.zeros(1), "scale": torch.ones(1), "shift": torch.zeros(1, 2, 1)}
-        for (name, start), learnt in zip(starts.items(), (rotation, scale, shift)):
-            _check.flag("Similarity", name, learnt)
-            if learnt:
+        for (name, start), learned in zip(starts.items(), (rotation, scale, shift)):
+            _check.flag("Similarity", name, learned)
+            if learned:
                 self.register_parameter(name, nn.Parameter(start))
             else:
                 self.register_buffer(name, start)
 
     def reset_model(self) -> None:
-        """Back to the identity."""
+        """Reset the transform to the identity."""
         nn.init.zeros_(self.rot)
         nn.init.ones_(self.scale)
         nn.init.zeros_(self.shift)
 
     def set_image_shape(self, height: int, width: int) -> None:
-        """Turn pixels, not the square [-1, 1] x [-1, 1]; :class:`ImageRegistrator` calls it."""
+        """Rotate in pixels, not in the square [-1, 1] x [-1, 1]; :class:`ImageRegistrator` calls this."""
         self._ratio = height / width
 
     def forward(self) -> Tensor:
@@ -135,18 +138,19 @@ _MODELS: dict[str, Callable[[], BaseModel]] = {
 
 
 class ImageRegistrator(nn.Module):
-    """Finds the transform between two images: descent on their difference, from the coarsest level of a pyramid on.
+    """Register two images: gradient descent on their difference, from the coarsest level of a pyramid to the finest.
 
     Args:
         model_type: 'homography', 'similarity', 'translation', 'scale', 'rotation', or a :class:`BaseModel`.
-        optimizer: made as `optimizer(parameters, lr=lr)`.
+        optimizer: class of the optimizer, constructed as `optimizer(parameters, lr=lr)`.
         loss_fn: called as `loss_fn(warped, image, reduction="none")`.
-        pyramid_levels: sizes of the images.
-        lr: of the optimizer.
-        num_iterations: at most, on each level.
-        tolerance: a level ends when the loss changes by less from one iteration to the next. It is looked at every tenth
-            iteration, because that waits for the device; 0 never looks.
-        warper: class of the warpers, made as `warper(height, width)`; needed with a model of one's own.
+        pyramid_levels: number of levels of the pyramid.
+        lr: learning rate of the optimizer.
+        num_iterations: maximum number of iterations on each level.
+        tolerance: a level ends when the loss changes by less from one iteration to the next. It is compared every tenth
+            iteration, because that waits for the device; 0 never compares.
+        warper: class of the warpers, constructed as `warper(height, width)`; required when `model_type` is a
+            :class:`BaseModel`.
         allow_shape_mismatch: resize the first image to the size of the second one.
 
     Example:
@@ -189,11 +193,11 @@ class ImageRegistrator(nn.Module):
         self.allow_shape_mismatch = allow_shape_mismatch
 
     def reset_model(self) -> None:
-        """Back to the identity."""
+        """Reset the transform to the identity."""
         self.model.reset_model()
 
     def get_single_level_loss(self, img_src: Tensor, img_dst: Tensor, transform_model: Tensor) -> Tensor:
-        """The mean difference of `img_src`, warped, and `img_dst`, where the warped image is."""
+        """The mean loss of `img_src`, warped, against `img_dst`, over the pixels that the warped image covers."""
         if img_src.shape != img_dst.shape:
             raise ShapeError(
                 f"ImageRegistrator: expected images of one shape, got {tuple(img_src.shape)} and {tuple(img_dst.shape)}"
@@ -209,7 +213,7 @@ class ImageRegistrator(nn.Module):
     def register(
         self, src_img: Tensor, dst_img: Tensor, verbose: bool = False, output_intermediate_models: bool = False
     ) -> Any:
-        """The transform from places of `dst_img` to places of `src_img`, in coordinates from -1 to 1.
+        """The transform from coordinates in `dst_img` to coordinates in `src_img`, from -1 to 1.
 
         Args:
             src_img: (B, C, H, W).
@@ -218,7 +222,7 @@ class ImageRegistrator(nn.Module):
             output_intermediate_models: also return the transform after each level.
 
         Returns:
-            What the model gives, (1, 3, 3), and maybe a list of these.
+            The model's transform, (1, 3, 3), and with `output_intermediate_models` a list of these.
         """
         op = "ImageRegistrator"
         _check.images(op, "src_img", src_img)
@@ -257,9 +261,9 @@ class ImageRegistrator(nn.Module):
             optimizer.step()
 
     def warp_src_into_dst(self, src_img: Tensor) -> Tensor:
-        """The first image as the second one shows it."""
+        """`src_img` warped to the coordinates of the second image."""
         return self.warper(*src_img.shape[-2:])(src_img, self.model())
 
     def warp_dst_into_src(self, dst_img: Tensor) -> Tensor:
-        """The second image as the first one shows it."""
+        """`dst_img` warped to the coordinates of the first image."""
         return self.warper(*dst_img.shape[-2:])(dst_img, self.model.forward_inverse())

@@ -1,4 +1,4 @@
-"""Images at other sizes."""
+"""Resampling of images to other sizes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ __all__ = ["Rescale", "Resize", "rescale", "resize", "resize_to_be_divisible"]
 _INTERPOLATIONS = ("bilinear", "nearest", "nearest-exact", "bicubic", "area", "lanczos")
 _SIDES = ("short", "long", "vert", "horz")
 
-# --- the definition: csrc/geometry/resize.h has it in a table -------------------------------------------------------
+# --- the definition: csrc/geometry/transform/resize.h has it in a table ---------------------------------------------
 
-# Of a result's pixels: index (n, k) and weight (n, k) of the k pixels that each is made of.
+# Indices (n, k) and weights (n, k) of the k source pixels of each pixel of the result.
 Taps = tuple[Tensor, Tensor]
 
 
@@ -44,13 +44,13 @@ def _weighted(image: Tensor, axis: int, taps: Taps) -> Tensor:
     total = torch.zeros((), dtype=image.dtype, device=image.device)
     for index, weight in zip(taps[0].unbind(1), taps[1].to(image.dtype).unbind(1)):
         value, weight = image.index_select(axis, index), weight.reshape(shape)
-        # A tap of weight 0 is no part of the value, whatever it holds.
+        # A tap of weight 0 contributes nothing, even if it is inf or NaN.
         total = total + weight * torch.where((weight == 0) & ~value.isfinite(), 0.0, value)
     return total
 
 
 def _taps(window: str, source: int, result: int, align_corners: bool, antialias: bool, like: Tensor) -> Taps:
-    """Places are fractions of integers, so that windows begin at the right pixel at any size."""
+    """Taps of an axis. Coordinates are fractions of integers, so that the first tap is exact at any size."""
     i = torch.arange(result, device=like.device)[:, None]
     if window in ("nearest", "nearest-exact", "area"):
         first, last = i * source // result, -((i + 1) * -source // result) - 1
@@ -63,14 +63,14 @@ def _taps(window: str, source: int, result: int, align_corners: bool, antialias:
         origin, num, den = source - result, 2 * source, 2 * result
     else:
         origin, num, den = 0, *((source - 1, result - 1) if result > 1 else (0, 1))
-    place = origin + num * i
+    coord = origin + num * i
     unit = max(num, den) if antialias else den
     support = {"bilinear": 1, "bicubic": 2, "lanczos": 3}[window]
-    first = (place - support * unit) // den + 1
+    first = (coord - support * unit) // den + 1
     index = first + torch.arange(-(-2 * support * unit // den), device=like.device)
-    weight = _window(window, (index * den - place).to(like.dtype) / unit, antialias)
+    weight = _window(window, (index * den - coord).to(like.dtype) / unit, antialias)
     inside = index.clamp(0, source - 1)
-    if antialias or window == "lanczos":  # what is beyond the image is left out
+    if antialias or window == "lanczos":  # taps out of bounds have no weight
         weight = torch.where(index == inside, weight, 0.0)
         weight = weight / weight.sum(1, keepdim=True)
     return inside, weight
@@ -81,16 +81,16 @@ def _window(window: str, x: Tensor, antialias: bool) -> Tensor:
     if window == "bilinear":
         return (1 - x).clamp(min=0)
     if window == "lanczos":
-        # Exactly 0 at other pixels than the middle one.
+        # Exactly 0 at integers other than 0.
         return torch.where(x == x.round(), (x == 0).to(x.dtype), torch.sinc(x) * torch.sinc(x / 3) * (x < 3))
-    a = -0.5 if antialias else -0.75  # Pillow's and OpenCV's
+    a = -0.5 if antialias else -0.75  # as Pillow and OpenCV
     near = ((a + 2) * x - (a + 3)) * x * x + 1
     far = a * (((x - 5) * x + 8) * x - 4)
     return torch.where(x <= 1, near, torch.where(x < 2, far, 0.0))
 
 
 def _blur_taps(n: int, border: str, like: Tensor) -> Taps:
-    """Of 1 4 6 4 1 on an axis of n pixels."""
+    """Taps of the kernel 1 4 6 4 1 on an axis of n pixels."""
     d = torch.arange(-2, 3, device=like.device)
     index = torch.arange(n, device=like.device)[:, None] + d
     weight = ((6 - 1.5 * d.abs() - 0.5 * d * d) / 16).to(like.dtype).expand(n, 5)
@@ -142,22 +142,25 @@ def resize(
 
     Args:
         input: images (*, H, W), floating point or uint8. Other integers are computed in float32.
-        size: height and width, or one side; the other one then keeps the image's proportions, rounded down.
-        interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (of the nearest middle, as OpenCV's INTER_NEAREST_EXACT)
-            'area' (means of whole pixels), or 'lanczos' (windows of 3 pixels either way, as Pillow).
-        align_corners: keep the middles of the corner pixels where they are, for 'bilinear', 'bicubic' and 'lanczos'. None
-            or False keeps the image's edges.
-        side: which one an int is: 'short', 'long', 'vert' (height) or 'horz' (width).
-        antialias: widen the window of 'bilinear', 'bicubic' and 'lanczos' as much as the image shrinks, as torch and
-            Pillow do; 'bicubic' then is theirs also where it does not. 'gaussian' blurs an image that shrinks, with sigma
-            (factor - 1) / 2.
+        size: height and width, or one side; the other side then keeps the aspect ratio, rounded down.
+        interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact' (the pixel with the nearest center, as OpenCV's
+            INTER_NEAREST_EXACT), 'area' (means of whole pixels), or 'lanczos' (a kernel of 3 pixels to either side, as
+            Pillow).
+        align_corners: align the centers of the corner pixels, for 'bilinear', 'bicubic' and 'lanczos'. None or False
+            aligns the edges of the images.
+        side: the side that an int `size` is: 'short', 'long', 'vert' (height) or 'horz' (width).
+        antialias: True scales the kernel of 'bilinear', 'bicubic' and 'lanczos' by the factor that the image shrinks
+            by, as torch and Pillow do; 'bicubic' then has their coefficient also where the image does not shrink.
+            'gaussian' blurs images that shrink, with sigma (factor - 1) / 2.
 
     Returns:
-        (*, h, w), of the type of `input`; uint8 is rounded half to even and saturated.
+        (*, h, w), of the dtype of `input`; uint8 is rounded half to even and saturated.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `input` is no tensor of real numbers; `size` is not one or two ints; `align_corners` is no bool or
+            None; `antialias` is no bool or 'gaussian'.
+        ValueError: `input` is not (*, H, W) with H, W of at least 1; `size` is below 1; `interpolation` or `side` is
+            unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -231,21 +234,23 @@ def rescale(
     align_corners: bool | None = None,
     antialias: bool | str = False,
 ) -> Tensor:
-    """Resample images to a multiple of their size, rounded down; else as :func:`resize`.
+    """Resample images to a multiple of their size, rounded down.
 
     Args:
-        input: images (*, H, W).
-        factor: of both sides, or of (height, width).
-        interpolation: see :func:`resize`.
-        align_corners: see :func:`resize`.
-        antialias: see :func:`resize`.
+        input: images (*, H, W), floating point or uint8. Other integers are computed in float32.
+        factor: one factor for both sides, or (height, width).
+        interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact', 'area' or 'lanczos'; see :func:`resize`.
+        align_corners: align the centers of the corner pixels, not the edges of the images; see :func:`resize`.
+        antialias: True, False or 'gaussian'; see :func:`resize`.
 
     Returns:
-        (*, h, w), of the type of `input`.
+        (*, h, w), of the dtype of `input`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a side would be 0, or a shape or name is not as above.
+        TypeError: `input` is no tensor of real numbers; `factor` is not one or two numbers; `align_corners` is no bool
+            or None; `antialias` is no bool or 'gaussian'.
+        ValueError: `input` is not (*, H, W) with H, W of at least 1; a factor is negative; a side of the result would
+            be 0; `interpolation` is unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -275,7 +280,24 @@ def resize_to_be_divisible(
     side: str = "short",
     antialias: bool | str = False,
 ) -> Tensor:
-    """Resample images so that both sides are the nearest multiples of a number, at least one; else as :func:`resize`.
+    """Resample images so that both sides are the nearest multiples of a number, at least one multiple.
+
+    Args:
+        input: images (*, H, W), floating point or uint8. Other integers are computed in float32.
+        divisible_factor: the number that divides both sides of the result, at least 1.
+        interpolation: 'bilinear', 'bicubic', 'nearest', 'nearest-exact', 'area' or 'lanczos'; see :func:`resize`.
+        align_corners: align the centers of the corner pixels, not the edges of the images; see :func:`resize`.
+        side: no effect on the result, which has a height and a width.
+        antialias: True, False or 'gaussian'; see :func:`resize`.
+
+    Returns:
+        (*, h, w), of the dtype of `input`.
+
+    Raises:
+        TypeError: `input` is no tensor of real numbers; `divisible_factor` is no int; `align_corners` is no bool or
+            None; `antialias` is no bool or 'gaussian'.
+        ValueError: `input` is not (*, H, W) with H, W of at least 1; `divisible_factor` is below 1; `interpolation` or
+            `side` is unknown.
 
     Example:
         >>> import torch, kvision as K
@@ -315,7 +337,7 @@ class Resize(FunctionModule):
 
 
 class Rescale(FunctionModule):
-    """Module form of :func:`rescale`; here `align_corners` is True unless told otherwise.
+    """Module form of :func:`rescale`; the default of `align_corners` is True here.
 
     Example:
         >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Sampling images between their pixels: what all warps and maps are made of.
+"""Sampling of images between their pixels, which all warps and maps share.
 
 Sampling coordinates are in pixels; the center of the first one is (0, 0). `sample` defines the result for images and
 volumes. The operators `warp` (coordinates from a matrix) and `remap` (coordinates from maps) have kernels.
@@ -37,7 +37,7 @@ def sample(
     align_corners: bool,
     fill: Tensor | None = None,
 ) -> Tensor:
-    """Values of `image` (B, C, *S) at `places`, one tensor (B, *O) for each axis of S, the last axis first.
+    """Values of `image` (B, C, *S) at `coords`, one tensor (B, *O) for each axis of S, the last axis first.
 
     `padding` is 'border', 'reflection', or 'fill' with the numbers `fill` (B or 1, C or 1), None for 0.
     """
@@ -55,7 +55,7 @@ def sample(
         flat = index.flatten(1)[:, None].expand(batch, channels, -1)
         value = torch.where(exists.flatten(1)[:, None], pixels.gather(2, flat), outside)
         weight = weight.flatten(1)[:, None]
-        # A tap of weight 0 is no part of the value, whatever it holds.
+        # A tap of weight 0 contributes nothing, even if it is inf or NaN.
         total = total + weight * torch.where((weight == 0) & ~value.isfinite(), 0.0, value)
     result: Tensor = total.unflatten(2, coords[0].shape[1:])
     return result
@@ -64,7 +64,7 @@ def sample(
 def _taps(
     x: Tensor, size: int, interpolation: str, padding: str, align_corners: bool
 ) -> list[tuple[Tensor, Tensor, Tensor]]:
-    """The taps of places along an axis: index of the pixel, weight, whether it exists."""
+    """The taps along an axis: index of the pixel, weight, whether it is in bounds."""
     x = _near_image(x, size, padding, align_corners)
     if interpolation == "nearest":
         first, weights = x.detach().round(), [1 + 0 * x]  # a gradient of 0, where torch would have none
@@ -92,23 +92,23 @@ def _taps(
 
 
 def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tensor:
-    """Places of the same value that are near the image; NaN lies far outside, to the left."""
+    """Coordinates of the same value that are near the image; NaN is out of bounds, to the left."""
     if padding != "reflection":
         return torch.where(x > -4, x, -4.0).clamp(max=size + 3)
     period = 2 * (size - 1 if align_corners else size)
     if period == 0:
-        return 0 * x.nan_to_num()  # one pixel is everywhere
+        return 0 * x.nan_to_num()  # the only pixel is read everywhere
     folded = x - period * (x.detach() / period).floor()
     return torch.where(folded.isfinite(), folded, 0.0).clamp(0, period)
 
 
-# --- places of a matrix ---------------------------------------------------------------------------------------------
+# --- sampling coordinates of a matrix -------------------------------------------------------------------------------
 
 
 def source_coords(
     matrix: Tensor, output: Sequence[int], source: Sequence[int], align_corners: bool, inverse: bool, normalized: bool
 ) -> list[Tensor]:
-    """Where the pixels of the output lie in the source: x and y, (B, h, w)."""
+    """Sampling coordinates in the source of the pixels of the output: x and y, (B, h, w)."""
     promoted = matrices.wide(matrix)
     if promoted.shape[1] == 2:
         promoted = homogeneous(promoted)
@@ -134,14 +134,14 @@ def _scale(m: Tensor) -> Tensor:
 
 
 def from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
-    """Pixels from [-1, 1]: from the middle of the first to that of the last one, or from edge to edge."""
+    """Pixels from [-1, 1]: between the centers of the first and the last pixel, or between their outer edges."""
     less = 1 if align_corners else 0
     return by_axes([((n - less) / 2, (n - 1) / 2) for n in reversed(size)], like.device, like.dtype)
 
 
 def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     less = 1 if align_corners else 0
-    # The only pixel of an axis stands in its middle.
+    # The only pixel of an axis is at 0.
     scales = [2 / (n - less) if n > less else 0.0 for n in size]
     lines = [(scale, -scale * (n - 1) / 2) for scale, n in zip(scales, size)]
     return by_axes(lines[::-1], like.device, like.dtype)
@@ -229,7 +229,7 @@ _warp_matrix_backward = register(
 
 
 class Formula(NamedTuple):
-    """A formula of a matrix as warps use it: its operator, how many tensors it takes, its last argument if that is rows."""
+    """A formula of a matrix as warps use it: its operator, its number of tensors, and its number of rows, if it takes one."""
 
     matrix: Operator
     tensors: int
@@ -237,10 +237,10 @@ class Formula(NamedTuple):
 
 
 def register_warp_by_formula(by: Operator, formulas: dict[str, Formula], *unused: None, **rules: Any) -> Operator:
-    """Operator `by`, a warp, without the matrix: made in the same launch, from up to six tensors, a name and numbers.
+    """A warp whose matrix a formula computes in the same launch, from up to six tensors and numbers; `by` is the warp.
 
-    Takes the images, six tensors or None, the name of the formula, its plain arguments, then what `by` takes behind its
-    matrix and the tensors `unused`.
+    Takes the images, six tensors or None, the name of the formula, its plain arguments, then the arguments of `by` after
+    its matrix and the tensors `unused`.
     """
 
     def split(image: Tensor, args: Sequence[Any]) -> tuple[Formula, tuple[Any, ...], Sequence[Any]]:
@@ -386,7 +386,7 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
         return "fill", None
     dtype = compute_dtype(image)
     if isinstance(fill_value, (int, float)):
-        fill_value = image.new_full((), fill_value, dtype=dtype)  # made there: a copy would wait
+        fill_value = image.new_full((), fill_value, dtype=dtype)  # created on the device: a copy would wait for it
     elif not isinstance(fill_value, Tensor):
         fill_value = torch.as_tensor(fill_value, dtype=dtype, device=image.device)
     _check.numbers(op, "fill_value", fill_value)
@@ -410,7 +410,7 @@ def symbolic_point(image: Tensor, x: float, y: float) -> Tensor:
 
 
 def cast_to_image(op: str, image: Tensor, name: str, x: Tensor) -> Tensor:
-    """A matrix, map or parameter of images as the operators take it: in the type that computes, one for all or for each."""
+    """A matrix, map or parameter as the operators take it: in the dtype of the computation, with 1 or B rows."""
     _check.same_device(op, image=image, **{name: x})
     if x.shape[0] not in (1, image.shape[0]):
         raise ShapeError(

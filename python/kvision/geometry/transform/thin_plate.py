@@ -1,4 +1,4 @@
-"""Thin-plate splines: smooth maps that take given points to given others and bend as little as that allows."""
+"""Thin-plate splines: the maps of least bending energy between corresponding points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kvision.geometry.transform import matrices, sampling
 
 __all__ = ["get_tps_transform", "warp_image_tps", "warp_points_tps"]
 
-# --- where a spline takes points ------------------------------------------------------------------------------------
+# --- points mapped by a spline --------------------------------------------------------------------------------------
 
 
 def _kernel(p: Tensor, q: Tensor) -> Tensor:
@@ -33,27 +33,27 @@ def _map_reference(centers, weights, affine, size, align_corners):
 
 
 def _unit(size: int, align_corners: bool, like: Tensor) -> Tensor:
-    """The pixels of an axis in [-1, 1]."""
+    """Coordinates of the pixels of an axis in [-1, 1]."""
     less = 1 if align_corners else 0
     middle = torch.arange(size, dtype=like.dtype, device=like.device) - (size - 1) / 2
     return middle * (2 / max(size - less, 1))
 
 
-def _points_backward(needs, grad, *given):
-    return _summed(needs, _points_gradient(grad, *given), given)
+def _points_backward(needs, grad, *args):
+    return _summed(needs, _points_gradient(grad, *args), args)
 
 
-def _map_backward(needs, grad, *given):
-    *spline, _, align_corners = given
+def _map_backward(needs, grad, *args):
+    *spline, _, align_corners = args
     return _summed(needs, _map_gradient(grad, *spline, align_corners), spline)
 
 
-def _summed(needs, found, given):
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, given)]
+def _summed(needs, grads, args):
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, args)]
 
 
-def _points_gradient_reference(grad, *given):
-    _, vjp_fn = torch.func.vjp(_points_reference, *(x.expand(grad.shape[0], -1, -1) for x in given))
+def _points_gradient_reference(grad, *args):
+    _, vjp_fn = torch.func.vjp(_points_reference, *(x.expand(grad.shape[0], -1, -1) for x in args))
     return vjp_fn(grad)
 
 
@@ -65,8 +65,8 @@ def _map_gradient_reference(grad, centers, weights, affine, align_corners):
     return vjp_fn(grad)
 
 
-def _batch(*given: Tensor) -> int:
-    return next((x.shape[0] for x in given if x.shape[0] != 1), 1)
+def _batch(*args: Tensor) -> int:
+    return next((x.shape[0] for x in args if x.shape[0] != 1), 1)
 
 
 _points = register(
@@ -82,7 +82,7 @@ _points_gradient = register(
         (grad.shape[0], *x.shape[1:]) for x in (points, centers, weights, affine)
     ],
 )
-# Of the pixels of an image in [-1, 1]: (B, 2, h, w).
+# The spline's values at the pixels of an image in [-1, 1]: (B, 2, h, w).
 _map = register(
     "thin_plate_map",
     _map_reference,
@@ -92,10 +92,10 @@ _map = register(
 _map_gradient = register(
     "thin_plate_map_backward",
     _map_gradient_reference,
-    fake=lambda grad, *given: [(grad.shape[0], *x.shape[1:]) for x in given[:3]],
+    fake=lambda grad, *args: [(grad.shape[0], *x.shape[1:]) for x in args[:3]],
 )
 
-# --- the spline that takes points to others -------------------------------------------------------------------------
+# --- the spline of corresponding points -----------------------------------------------------------------------------
 
 
 def _weights_reference(centers, right):
@@ -105,18 +105,18 @@ def _weights_reference(centers, right):
     return torch.linalg.solve_ex(system.double(), right.double())[0].to(centers.dtype)
 
 
-def _weights_backward(needs, grad, found, centers, right):
-    """The system is symmetric, and what it multiplies is the spline at its own centres, and its weights' sums."""
-    to_right = _weights(centers, grad)
-    to_centers = None
+def _weights_backward(needs, grad, spline, centers, right):
+    """The system is symmetric, and what it multiplies is the spline at its own centers, and its weights' sums."""
+    grad_right = _weights(centers, grad)
+    grad_centers = None
     if needs[0]:
-        (to, rest), (weights, affine) = ((x[:, :-3], x[:, -3:]) for x in (to_right, found))
+        (to, rest), (weights, affine) = ((x[:, :-3], x[:, -3:]) for x in (grad_right, spline))
         at_points, at_centers, _, _ = _points_gradient(to, centers, centers, weights, affine)
-        to_centers = -(at_points + at_centers + weights @ rest[:, 1:].mT).sum_to_size(centers.shape)
-    return [to_centers, to_right.sum_to_size(right.shape) if needs[1] else None]
+        grad_centers = -(at_points + at_centers + weights @ rest[:, 1:].mT).sum_to_size(centers.shape)
+    return [grad_centers, grad_right.sum_to_size(right.shape) if needs[1] else None]
 
 
-# The weights (B, N + 3, 2), of centres (B, N, 2) and then of the affine part, with values `right` at the centres and
+# The weights (B, N + 3, 2), of centers (B, N, 2) and then of the affine part, with values `right` at the centers and
 # three sums.
 _weights = register(
     "thin_plate_weights",
@@ -130,19 +130,21 @@ _weights = register(
 
 
 def get_tps_transform(points_src: Tensor, points_dst: Tensor) -> tuple[Tensor, Tensor]:
-    """The spline that takes points to others.
+    """Compute the thin-plate splines that map points to others.
 
     Args:
-        points_src: (B, N, 2), at least three and not all on a line. Best in [-1, 1].
-        points_dst: where they go, (B, N, 2).
+        points_src: (B, N, 2), floating point, at least three and not all on a line. Coordinates in [-1, 1] give the
+            best accuracy.
+        points_dst: the points that they map to, (B, N, 2).
 
     Returns:
         Weights of the kernels around `points_src`, (B, N, 2), and of the affine part, (B, 3, 2). Solved in float64; where
         there is no solution they are NaN, inf or arbitrary.
 
     Raises:
-        TypeError: no floating-point tensors.
-        ValueError: other shapes, or not on one device.
+        TypeError: `points_src` or `points_dst` is no floating-point tensor.
+        ValueError: `points_src` is not (B, N, 2); `points_dst` does not have the shape of `points_src`; the tensors are
+            on different devices.
 
     Source: F. Bookstein, "Principal warps: thin-plate splines and the decomposition of deformations" (1989).
 
@@ -167,20 +169,21 @@ def get_tps_transform(points_src: Tensor, points_dst: Tensor) -> tuple[Tensor, T
 def warp_points_tps(
     points_src: Tensor, kernel_centers: Tensor, kernel_weights: Tensor, affine_weights: Tensor
 ) -> Tensor:
-    """Where a spline takes points.
+    """Map points by thin-plate splines.
 
     Args:
-        points_src: (B, M, 2).
+        points_src: points (B, M, 2).
         kernel_centers: (B, N, 2), `points_src` of :func:`get_tps_transform`.
-        kernel_weights: (B, N, 2) from there.
-        affine_weights: (B, 3, 2) from there.
+        kernel_weights: (B, N, 2), the first result of :func:`get_tps_transform`.
+        affine_weights: (B, 3, 2), the second result of :func:`get_tps_transform`.
 
     Returns:
         (B, M, 2).
 
     Raises:
-        TypeError: no tensors.
-        ValueError: other shapes, or not on one device.
+        TypeError: an argument is no tensor of real numbers.
+        ValueError: `points_src` is not (B, M, 2); `kernel_centers` is not (B, N, 2); `kernel_weights` does not have its
+            shape; `affine_weights` is not (B, 3, 2); the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -195,8 +198,8 @@ def warp_points_tps(
     _check.same_device(op, points_src=points_src, kernel_centers=kernel_centers)
     points = floats(points_src)
     dtype = compute_dtype(points)
-    given = (as_dtype(x, dtype) for x in (points, kernel_centers, kernel_weights, affine_weights))
-    return as_dtype(_points(*given), points.dtype)
+    args = (as_dtype(x, dtype) for x in (points, kernel_centers, kernel_weights, affine_weights))
+    return as_dtype(_points(*args), points.dtype)
 
 
 def _check_spline(op: str, centers: Tensor, weights: Tensor, affine: Tensor) -> None:
@@ -214,24 +217,25 @@ def warp_image_tps(
     align_corners: bool = False,
     padding_mode: str = "zeros",
 ) -> Tensor:
-    """Show at every pixel the place of the image that a spline takes it to, in coordinates from -1 to 1.
+    """Resample images at the coordinates that thin-plate splines map the pixels of the result to.
 
-    So the spline is the one from points of the result to points of the image.
+    The splines map points of the result to points of the image, in coordinates from -1 to 1.
 
     Args:
         image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
         kernel_centers: (B, N, 2), `points_src` of :func:`get_tps_transform`.
-        kernel_weights: (B, N, 2) from there.
-        affine_weights: (B, 3, 2) from there.
-        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
+        kernel_weights: (B, N, 2), the first result of :func:`get_tps_transform`.
+        affine_weights: (B, 3, 2), the second result of :func:`get_tps_transform`.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
         padding_mode: 'zeros', 'border' or 'reflection'.
 
     Returns:
-        (B, C, H, W), of the type of `image`.
+        (B, C, H, W), of the dtype of `image`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: a tensor is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `image` is not (B, C, H, W); `kernel_centers` is not (B, N, 2); `kernel_weights` does not have its
+            shape; `affine_weights` is not (B, 3, 2); `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K

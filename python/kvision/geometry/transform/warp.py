@@ -26,26 +26,28 @@ def warp_perspective(
 ) -> Tensor:
     """Warp images by homographies from their pixels to those of the result.
 
-    A pixel (x, y) of the result shows the place M^-1 (x, y, 1) of the image. A multiple of M is the same warp. Places are
-    computed in float32, in float64 for float64 images.
+    The pixel (x, y) of the result is the image sampled at M^-1 (x, y, 1). A multiple of M is the same warp.
+    Sampling coordinates are computed in float32, for float64 images in float64.
 
     Args:
         src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
-        M: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices. Pixels are (x, y), the middle of
-            the first one being (0, 0).
+        M: (B, 3, 3), or (1, 3, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
+            the first one is (0, 0).
         dsize: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
-        padding_mode: what lies outside of the image: 'zeros', 'border' (the outermost pixels go on), 'reflection', or
-            'fill' for `fill_value`.
-        align_corners: reflect about the middles of the outermost pixels, not about their edges. No other mode cares.
-        fill_value: a number, (C,) for one a channel, or (B, C, 1, 1); None for 0.
+        padding_mode: values out of bounds: 'zeros', 'border' (replicates the outermost pixels), 'reflection', or 'fill'
+            for `fill_value`.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Ignored by padding modes other
+            than 'reflection'.
+        fill_value: a number, (C,) for one per channel, or (B, C, 1, 1); None for 0.
 
     Returns:
-        (B, C, h, w), of the type of `src`; uint8 is rounded half to even and saturated.
+        (B, C, h, w), of the dtype of `src`; uint8 is rounded half to even and saturated.
 
     Raises:
-        TypeError: `src` or `M` is no tensor of real numbers, or another argument of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not two ints; `align_corners` is no bool.
+        ValueError: `src` is not (B, C, H, W); `M` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize` is below 1; `mode`
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -67,7 +69,30 @@ def warp_affine(
     align_corners: bool = True,
     fill_value: Tensor | Sequence[float] | float | None = None,
 ) -> Tensor:
-    """Warp images by affine maps (B, 2, 3) from their pixels to those of the result; else as :func:`warp_perspective`.
+    """Warp images by affine matrices from their pixels to those of the result.
+
+    The pixel (x, y) of the result is the image sampled at M^-1 (x, y, 1), with (0, 0, 1) as third row of M.
+    Sampling coordinates are computed in float32, for float64 images in float64.
+
+    Args:
+        src: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
+        M: (B, 2, 3), or (1, 2, 3) for all images; one image also serves many matrices. Pixels are (x, y); the center of
+            the first one is (0, 0).
+        dsize: height and width of the result.
+        mode: 'bilinear', 'nearest' or 'bicubic'.
+        padding_mode: values out of bounds: 'zeros', 'border' (replicates the outermost pixels), 'reflection', or 'fill'
+            for `fill_value`.
+        align_corners: mirror at the centers of the outermost pixels, not at their edges. Ignored by padding modes other
+            than 'reflection'.
+        fill_value: a number, (C,) for one per channel, or (B, C, 1, 1); None for 0.
+
+    Returns:
+        (B, C, h, w), of the dtype of `src`; uint8 is rounded half to even and saturated.
+
+    Raises:
+        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not two ints; `align_corners` is no bool.
+        ValueError: `src` is not (B, C, H, W); `M` is not (B, 2, 3) or (1, 2, 3); an entry of `dsize` is below 1; `mode`
+            or `padding_mode` is unknown; `fill_value` has none of these shapes; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -91,7 +116,7 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
 
 
 def broadcast_batch(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, Tensor]:
-    """Images and their matrices or maps as the operators take them; one image is made to serve many of these."""
+    """Images and their matrices or maps as the operators take them; one image is expanded to serve many of these."""
     image = pixels(image)
     if image.shape[0] == 1 != other.shape[0]:
         image = image.expand(other.shape[0], -1, -1, -1)
@@ -108,7 +133,7 @@ def homography_warp(
     normalized_coordinates: bool = True,
     normalized_homography: bool = True,
 ) -> Tensor:
-    """Warp images by homographies from the result's places to the image's, in coordinates from -1 to 1.
+    """Warp images by homographies from coordinates in the result to coordinates in the image, from -1 to 1.
 
     This is the inverse of the matrix that :func:`warp_perspective` takes.
 
@@ -118,16 +143,18 @@ def homography_warp(
         dsize: height and width of the result.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: -1 and 1 are the middles of the outermost pixels, not their outer edges.
-        normalized_coordinates: coordinates are from -1 to 1; else they are pixels.
-        normalized_homography: the same; both have to be set.
+        align_corners: -1 and 1 are the centers of the outermost pixels, not their outer edges.
+        normalized_coordinates: coordinates are from -1 to 1; False: they are pixels.
+        normalized_homography: False: coordinates are pixels, whatever `normalized_coordinates` is.
 
     Returns:
-        (B, C, h, w), of the type of `patch_src`.
+        (B, C, h, w), of the dtype of `patch_src`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `patch_src` or `src_homo_dst` is no tensor of real numbers; `dsize` is not two ints; `align_corners`,
+            `normalized_coordinates` or `normalized_homography` is no bool.
+        ValueError: `patch_src` is not (B, C, H, W); `src_homo_dst` is not (B, 3, 3) or (1, 3, 3); an entry of `dsize`
+            is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -161,25 +188,27 @@ def remap(
     align_corners: bool | None = None,
     normalized_coordinates: bool = False,
 ) -> Tensor:
-    """Show at every pixel of the result the place of the image that a map names there.
+    """Resample an image at the coordinates in map_x and map_y.
 
     Args:
         image: images (B, C, H, W), floating point or uint8. Other integers are computed in float32.
-        map_x: columns (B, h, w), or (1, h, w) for all images; one image also serves many maps.
-        map_y: rows, of the same shape.
+        map_x: x of the sampling coordinates, (B, h, w), or (1, h, w) for all images; one image also serves many maps.
+        map_y: y of the sampling coordinates, of the same shape.
         mode: 'bilinear', 'nearest' or 'bicubic'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost pixels, and let -1 and 1 be these middles, not the outer
-            edges. None is False.
-        normalized_coordinates: the map's numbers run from -1 to 1 over the image. Else they are pixels, the middle of the
-            first one being (0, 0).
+        align_corners: -1 and 1, and the lines at which 'reflection' mirrors, are the centers of the outermost pixels,
+            not their outer edges. None is False.
+        normalized_coordinates: the coordinates run from -1 to 1 over the image. Else they are pixels, and the center of
+            the first one is (0, 0).
 
     Returns:
-        (B, C, h, w), of the type of `image`.
+        (B, C, h, w), of the dtype of `image`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `image`, `map_x` or `map_y` is no tensor of real numbers; `align_corners` is no bool or None;
+            `normalized_coordinates` is no bool.
+        ValueError: `image` is not (B, C, H, W); `map_x` is not (B, h, w) or (1, h, w), or h or w is 0; `map_y` does not
+            have the shape of `map_x`; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -205,18 +234,18 @@ def remap(
 
 
 def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
-    """Places of a grid after homographies.
+    """Transform the points of a grid by homographies.
 
     Args:
-        grid: (x, y) places (1, H, W, 2), or (B, H, W, 2).
+        grid: points (x, y), (1, H, W, 2) or (B, H, W, 2). Integers are computed in float32.
         src_homo_dst: (B, 3, 3), or (1, 3, 3) for all grids.
 
     Returns:
-        (B, H, W, 2), as :func:`transform_points` has it.
+        (B, H, W, 2), as :func:`transform_points` transforms points.
 
     Raises:
-        TypeError: no tensors.
-        ValueError: other shapes.
+        TypeError: `grid` or `src_homo_dst` is no tensor of real numbers.
+        ValueError: `grid` is not (B, H, W, 2); `src_homo_dst` is not (B, 3, 3); the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -230,13 +259,13 @@ def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
 
 
 def transformed_grid(grid: Tensor, matrix: Tensor) -> Tensor:
-    """Homogeneous maps (B or 1, n + 1, n + 1) of places (B or 1, *, n)."""
+    """Points (B or 1, *, n) transformed by homographies (B or 1, n + 1, n + 1)."""
     batch = grid.shape[0] if matrix.shape[0] == 1 else matrix.shape[0]
     return transformed(grid if grid.shape[0] == batch else grid.expand(batch, *grid.shape[1:]), matrix)
 
 
 def transform_grid(grid: Tensor, matrix: Tensor) -> Tensor:
-    """Homogeneous maps (B, n + 1, n + 1) of places (B, *, n)."""
+    """Points (B, *, n) transformed by homographies (B, n + 1, n + 1)."""
     m = matrix.to(grid.dtype)
     m = m.reshape(len(m), *(1,) * (grid.dim() - 2), *m.shape[1:])
     moved = (m[..., :-1] * grid[..., None, :]).sum(-1) + m[..., -1]

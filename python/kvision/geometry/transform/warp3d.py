@@ -1,4 +1,4 @@
-"""Warps of volumes (B, C, D, H, W). Places and matrices are (x, y, z), sizes (depth, height, width)."""
+"""Warps of volumes (B, C, D, H, W). Coordinates and matrices are (x, y, z), sizes (depth, height, width)."""
 
 from __future__ import annotations
 
@@ -43,14 +43,15 @@ def warp_perspective3d(
         dsize: depth, height and width of the result.
         flags: 'bilinear', in all three directions, or 'nearest'.
         border_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost voxels, not about their edges.
+        align_corners: mirror at the centers of the outermost voxels, not at their edges. Only 'reflection' uses it.
 
     Returns:
         (B, C, d, h, w).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not three ints; `align_corners` is no bool.
+        ValueError: `src` is not (B, C, D, H, W); `M` is not (B, 4, 4), (1, 4, 4) or (4, 4); an entry of `dsize` is
+            below 1; `flags` or `border_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -76,7 +77,23 @@ def warp_affine3d(
     padding_mode: str = "zeros",
     align_corners: bool = True,
 ) -> Tensor:
-    """Warp volumes by affine maps (B, 3, 4) from their voxels to those of the result; else as :func:`warp_perspective3d`.
+    """Warp volumes by affine matrices from their voxels to those of the result.
+
+    Args:
+        src: volumes (B, C, D, H, W). Integers are computed in float32.
+        M: (B, 3, 4), or (1, 3, 4) for all volumes.
+        dsize: depth, height and width of the result.
+        flags: 'bilinear', in all three directions, or 'nearest'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: mirror at the centers of the outermost voxels, not at their edges. Only 'reflection' uses it.
+
+    Returns:
+        (B, C, d, h, w).
+
+    Raises:
+        TypeError: `src` or `M` is no tensor of real numbers; `dsize` is not three ints; `align_corners` is no bool.
+        ValueError: `src` is not (B, C, D, H, W); `M` is not (B, 3, 4) or (1, 3, 4); an entry of `dsize` is below 1;
+            `flags` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -92,7 +109,22 @@ def warp_affine3d(
 def affine3d(
     tensor: Tensor, matrix: Tensor, mode: str = "bilinear", padding_mode: str = "zeros", align_corners: bool = False
 ) -> Tensor:
-    """Warp volumes (B, C, D, H, W) or (C, D, H, W) by affine maps (B, 3, 4), keeping their size.
+    """Warp volumes by affine matrices, keeping their size.
+
+    Args:
+        tensor: volumes (B, C, D, H, W) or (C, D, H, W). Integers are computed in float32.
+        matrix: (B, 3, 4), or (1, 3, 4) for all volumes: voxels (x, y, z) of the volume to those of the result.
+        mode: 'bilinear', in all three directions, or 'nearest'.
+        padding_mode: 'zeros', 'border' or 'reflection'.
+        align_corners: mirror at the centers of the outermost voxels, not at their edges. Only 'reflection' uses it.
+
+    Returns:
+        Volumes of the shape of `tensor`.
+
+    Raises:
+        TypeError: `tensor` or `matrix` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, D, H, W) or (C, D, H, W); `matrix` is not (B, 3, 4) or (1, 3, 4); `mode` or
+            `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -116,24 +148,25 @@ def rotate3d(
     padding_mode: str = "zeros",
     align_corners: bool = False,
 ) -> Tensor:
-    """Turn volumes about an axis through a centre, keeping their size.
+    """Rotate volumes about an axis through a center, keeping their size.
 
     Args:
         tensor: volumes (B, C, D, H, W) or (C, D, H, W). Integers are computed in float32.
-        yaw: (B,) or one number: x of the axis of rotation times the angle in degrees.
-        pitch: y of it.
-        roll: z of it.
-        center: (B, 3) or (1, 3) as (x, y, z); None for the middle of the volume.
+        yaw: x of the axis of rotation times the angle in degrees, (B,) or one number.
+        pitch: y of the axis of rotation times the angle in degrees, (B,) or one number.
+        roll: z of the axis of rotation times the angle in degrees, (B,) or one number.
+        center: (B, 3) or (1, 3) as (x, y, z); None for the center of the volume.
         mode: 'bilinear' or 'nearest'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: reflect about the middles of the outermost voxels, not about their edges.
+        align_corners: mirror at the centers of the outermost voxels, not at their edges. Only 'reflection' uses it.
 
     Returns:
-        The shape of `tensor`.
+        Volumes of the shape of `tensor`.
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape or name is not as above.
+        TypeError: `tensor`, an angle or `center` is no tensor of real numbers; `align_corners` is no bool.
+        ValueError: `tensor` is not (B, C, D, H, W) or (C, D, H, W); an angle has neither B nor 1 numbers; `center` is
+            not (B, 3) or (1, 3); `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -171,7 +204,7 @@ def homography_warp3d(
     align_corners: bool = False,
     normalized_coordinates: bool = True,
 ) -> Tensor:
-    """Warp volumes by homographies from the result's places to the volume's, in coordinates from -1 to 1.
+    """Warp volumes by homographies from coordinates in the result to coordinates in the volume, from -1 to 1.
 
     Args:
         patch_src: volumes (B, C, D, H, W). Integers are computed in float32.
@@ -179,15 +212,17 @@ def homography_warp3d(
         dsize: depth, height and width of the result.
         mode: 'bilinear' or 'nearest'.
         padding_mode: 'zeros', 'border' or 'reflection'.
-        align_corners: -1 and 1 are the middles of the outermost voxels, not their outer edges.
-        normalized_coordinates: else coordinates are voxels.
+        align_corners: -1 and 1 are the centers of the outermost voxels, not their outer edges.
+        normalized_coordinates: coordinates are from -1 to 1; False: they are voxels.
 
     Returns:
         (B, C, d, h, w).
 
     Raises:
-        TypeError: an argument is of another kind.
-        ValueError: a shape, size or name is not as above.
+        TypeError: `patch_src` or `src_homo_dst` is no tensor of real numbers; `dsize` is not three ints;
+            `align_corners` or `normalized_coordinates` is no bool.
+        ValueError: `patch_src` is not (B, C, D, H, W); `src_homo_dst` is not (B, 4, 4) or (1, 4, 4); an entry of
+            `dsize` is below 1; `mode` or `padding_mode` is unknown; the tensors are on different devices.
 
     Example:
         >>> import torch, kvision as K
@@ -203,7 +238,19 @@ def homography_warp3d(
 
 
 def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
-    """Places of a grid (1, D, H, W, 3) or (B, D, H, W, 3) after homographies (B, 4, 4): (B, D, H, W, 3) as (x, y, z).
+    """Transform the points of a grid by homographies of space.
+
+    Args:
+        grid: points (x, y, z), (1, D, H, W, 3) or (B, D, H, W, 3). Integers are computed in float32.
+        src_homo_dst: (B, 4, 4), or (1, 4, 4) for all grids.
+
+    Returns:
+        (B, D, H, W, 3) as (x, y, z).
+
+    Raises:
+        TypeError: `grid` or `src_homo_dst` is no tensor of real numbers.
+        ValueError: `grid` is not (B, D, H, W, 3); `src_homo_dst` is not (B, 4, 4); the tensors are on different
+            devices.
 
     Example:
         >>> import torch, kvision as K
@@ -216,11 +263,11 @@ def warp_grid3d(grid: Tensor, src_homo_dst: Tensor) -> Tensor:
     return transformed_grid(floats(grid), src_homo_dst)
 
 
-# --- what they share ------------------------------------------------------------------------------------------------
+# --- shared by the functions ------------------------------------------------------------------------------------------
 
 
 def _volumes(op: str, tensor: Tensor) -> Tensor:
-    """(B, C, D, H, W) of volumes or of one."""
+    """Volumes (B, C, D, H, W) or one volume (C, D, H, W) as (B, C, D, H, W)."""
     _check.numbers(op, "tensor", tensor)
     volumes = tensor[None] if tensor.dim() == 4 else tensor
     _check.volumes(op, "tensor", volumes)
@@ -256,7 +303,7 @@ def by_formula(
     numbers: list[float],
     *given: Tensor | None,
 ) -> Tensor:
-    """Warp volumes by the matrix that a formula makes of up to six tensors, in the type that computes, and numbers."""
+    """Warp volumes by the matrix that a formula computes from numbers and up to six tensors in the dtype of the computation."""
     options = _how(op, dsize, mode, padding_mode, align_corners)
     six = given + (None,) * (6 - len(given))
     return _warp3d_by_formula(floats(volumes), *six, formula, numbers, *options, inverse, False)
@@ -296,7 +343,7 @@ def _from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor
 
 def _to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
     less = 1 if align_corners else 0
-    # The only voxel of an axis stands in its middle.
+    # The only voxel of an axis is at 0.
     scales = [2 / (n - less) if n > less else 0.0 for n in reversed(size)]
     lines = [(scale, -scale * (n - 1) / 2) for scale, n in zip(scales, reversed(size))]
     return by_axes(lines, like.device, like.dtype)

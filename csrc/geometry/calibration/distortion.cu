@@ -1,4 +1,4 @@
-// Lenses on CUDA: a thread a point; a block a part of the pixels of a map for its gradient.
+// Lens distortion on CUDA. A thread maps one point; for the gradient of a map, a block sums over a chunk of its pixels.
 #include "core/launch.cuh"
 #include "geometry/calibration/distortion.h"
 
@@ -7,7 +7,7 @@ namespace {
 
 constexpr int kThreads = 128;
 
-// Of an image, which has less than 2^31.
+// Pixels of an image, which has fewer than 2^31.
 template <class T>
 __device__ __forceinline__ void pixel_at(LensPoints<T> const& p, unsigned i, T& x, T& y) {
   unsigned const row = i / unsigned(p.width);
@@ -57,7 +57,7 @@ __global__ void __launch_bounds__(kThreads) undistort_map_backward_parts(__grid_
   p.sums[int64_t(blockIdx.x) * kLensSums + threadIdx.x] = sum;
 }
 
-// A warp a sample.
+// One warp per sample.
 template <class T>
 __global__ void sum_parts(LensBackward<T> p) {
   int64_t const b = blockIdx.x;

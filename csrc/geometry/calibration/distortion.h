@@ -1,10 +1,10 @@
-// Points to where a lens with distortion shows them,
+// Lens distortion: maps undistorted points to distorted ones,
 //
 //   (x, y) (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) + shift(x, y)
 //
-// for (x, y) on the plane z = 1 before the camera, r^2 = x^2 + y^2. Coefficients stand in the order k1, k2, p1, p2, k3,
-// k4, k5, k6, s1, s2, s3, s4. And from there to where one without would show them: steps of a fixed-point iteration.
-// Included by distortion_cpu.cpp, distortion.cu and distortion_op.cpp.
+// for (x, y) on the plane z = 1 in front of the camera, r^2 = x^2 + y^2. The order of the coefficients is k1, k2, p1,
+// p2, k3, k4, k5, k6, s1, s2, s3, s4. The inverse map, undistortion, takes steps of a fixed-point iteration. Included
+// by distortion_cpu.cpp, distortion.cu and distortion_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -14,10 +14,10 @@ namespace kv {
 template <class T>
 struct LensPoints {
   T const* points;  // (B, N, 2) in pixels; or null: the pixels of an image of that width, results (B, 2, N)
-  T const *camera, *new_camera;  // (3, 3) of the points and of the result
-  T const* coefficients;         // (coefficient_count): the first ones, others are 0
+  T const *camera, *new_camera;  // (3, 3) for the points and for the result
+  T const* coefficients;         // (coefficient_count): the first ones; the others are 0
   T const* tilt;                 // (3, 3), to the plane of a tilted sensor, or back from it; or null
-  // From the numbers of a problem to the next one's: 0 where all have the same.
+  // Strides from a sample to the next, 0 where one lens serves all.
   int64_t camera_stride, new_camera_stride, coefficients_stride, tilt_stride;
   int coefficient_count, steps;
   int64_t batch, count;
@@ -25,8 +25,8 @@ struct LensPoints {
   int64_t width;
 };
 
-// The gradients of such a map to its lens, whose camera matrix is both that of the points and of the result: first sums
-// for parts of the pixels of a sample, then these together.
+// The gradients of a map with respect to its lens. One camera matrix serves the points and the result. Chunks of the
+// pixels of a sample are summed first, then the chunks are added up.
 constexpr int kLensSums = 25;  // focal lengths, center, 12 coefficients, tilt
 constexpr int kLensChunk = 4096;
 inline int64_t lens_parts(int64_t count) { return (count + kLensChunk - 1) / kLensChunk; }
@@ -47,7 +47,7 @@ struct LensBackward : LensPoints<T> {
     else if (i < 16 && i - 4 < this->coefficient_count)
       grad_coefficients[this->coefficient_count * b + i - 4] = T(sum);
   }
-  // What has no part in the map.
+  // Constants of the map.
   KV_HD void set_zeros(int64_t b) const {
     for (int i = 0; i < 9; ++i)
       if (i != 0 && i != 2 && i != 4 && i != 5) grad_camera[9 * b + i] = 0;
@@ -60,7 +60,7 @@ KV_KERNEL(distort_points, LensPoints)
 KV_KERNEL(undistort_map_backward, LensBackward)
 KV_KERNEL(reduce_lens_grads, LensBackward)
 
-// A problem's lens.
+// The lens of a sample.
 template <class T>
 struct Lens {
   LensPoints<T> const& p;
@@ -91,7 +91,7 @@ struct Lens {
     y = (x * tilt[3] + y * tilt[4] + tilt[5]) / w;
     x = u;
   }
-  // The shift, and the factor before it as what is numerator a line and denominator it.
+  // The shift, and the radial factor as numerator and denominator.
   template <class V>
   KV_HD void terms(V x, V y, V& numerator, V& denominator, V& dx, V& dy) const {
     V const r2 = x * x + y * y;
@@ -125,7 +125,7 @@ struct Lens {
     apply_tilt(x, y);
     to_pixels(x, y);
   }
-  // Adds to the sums what a pixel whose place has the gradient (u, v) gives.
+  // Adds to the sums the contribution of a pixel whose coordinates have the gradient (u, v).
   template <class V>
   KV_HD void accumulate_grads(V x, V y, V u, V v, V (&sums)[kLensSums]) const {
     auto const has_no_grad = (u == 0) & (v == 0);  // its coordinates may be inf

@@ -1,4 +1,4 @@
-// Lenses on the CPU: points [begin, end) of all problems, by vectors. Compiled once per instruction set.
+// Lens distortion on the CPU: points [begin, end) of all samples, by vectors. Compiled once per instruction set.
 #include "core/lanes.h"
 // After it, for vectors.
 #include "geometry/calibration/distortion.h"
@@ -6,7 +6,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// N of the pixels of an image, beside each other.
+// N adjacent pixels of an image.
 template <int N, class T>
 KV_HD void pixels_at(LensPoints<T> const& p, int64_t i, Lanes<T, N>& x, Lanes<T, N>& y) {
   int64_t const row = i / p.width;
@@ -40,7 +40,7 @@ KV_HD void through(Lens<T> const& lens, int64_t b, int64_t i) {
   }
 }
 
-// The end of the points after i that are in one lens, and of an image in one row.
+// The end of the points from i on that share a lens and, in an image, a row.
 template <class T>
 KV_HD int64_t run_end(LensPoints<T> const& p, int64_t i, int64_t end) {
   int64_t const last = min(end, (i / p.count + 1) * p.count);
@@ -77,7 +77,7 @@ void distort_points(LensPoints<T> const& p, int64_t begin, int64_t end) {
   through_lenses<true>(p, begin, end);
 }
 
-// Parts [begin, end) of all samples.
+// Chunks [begin, end) of all samples.
 template <class T>
 void undistort_map_backward(LensBackward<T> const& p, int64_t begin, int64_t end) {
   constexpr int N = kLanes<T>;

@@ -1,4 +1,4 @@
-// Lenses: schemas and entries, for CPU and CUDA alike.
+// Lens distortion: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/calibration/distortion.h"
 #include "geometry/reals_glue.h"
 #include "geometry/transform/sampling_glue.h"
@@ -6,7 +6,7 @@
 namespace kv {
 namespace {
 
-// The numbers of lenses, (B, ...) or (1, ...) for all of a batch, checked.
+// The checked parameters of lenses, (B, ...), or (1, ...) for all of a batch.
 struct LensInputs {
   char const* op;
   Contiguous camera, new_camera, coefficients, tilt;
@@ -54,7 +54,7 @@ struct LensInputs {
   }
 };
 
-// Points (B, N, 2). Runs a kernel, `run_kernel(points, params, count)`.
+// Runs the kernel `run_kernel(points, params, count)` on points (B, N, 2).
 template <class Run>
 Tensor through_lens(char const* op, Tensor const& points, Tensor const& camera, Tensor const& new_camera,
                     Tensor const& coefficients, std::optional<Tensor> const& tilt, int64_t steps, Run run_kernel) {
@@ -91,7 +91,7 @@ Tensor distort_points(Tensor const& points, Tensor const& camera, Tensor const& 
   return through_lens("distort_points", points, camera, new_camera, coefficients, tilt, 0, run);
 }
 
-// How many samples a lens is of.
+// The batch size of a lens.
 int64_t lens_batch(char const* op, Tensor const& camera, Tensor const& coefficients,
                    std::optional<Tensor> const& tilt) {
   int64_t batch = 1;
@@ -118,7 +118,7 @@ Tensor undistort_map(Tensor const& camera, Tensor const& coefficients, std::opti
   return result;
 }
 
-// Of each sample, also where one lens serves all.
+// Gradients per sample, also where one lens serves all.
 std::tuple<Tensor, Tensor, Tensor> undistort_map_backward(Tensor const& grad, Tensor const& camera,
                                                           Tensor const& coefficients,
                                                           std::optional<Tensor> const& tilt) {

@@ -1,12 +1,11 @@
-// Flips and crops on CUDA: each thread moves 16 bytes of a few rows, or one element of them where rows are not
-// aligned.
+// Flips and crops on CUDA. Each thread copies 16 bytes of a few rows, or single elements where rows are not aligned.
 #include "core/launch.cuh"
 #include "geometry/transform/flip.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kRows = 4;  // in flight at a time
+constexpr int kRows = 4;  // in flight per thread
 
 // Blocks of rows of a plane are `across` vectors wide; there are `down` in a plane.
 template <class T, int P>
@@ -35,7 +34,7 @@ __global__ void __launch_bounds__(256) flip_rows(__grid_constant__ Flip<T> const
 #pragma unroll
       for (int l = 0; l < P; ++l) vector.v[l] = vectors[k].v[P - 1 - l];
     T* const to = out + k * p.y.row_stride;
-    if constexpr (sizeof(vector) == 16)  // streaming, as store_vector
+    if constexpr (sizeof(vector) == 16)  // a streaming store, as store_vector
       __stcs(reinterpret_cast<uint4*>(to), *reinterpret_cast<uint4 const*>(&vector));
     else
       *reinterpret_cast<Vector<T, P>*>(to) = vector;

@@ -1,5 +1,6 @@
-// Images whose columns, rows or both are reversed, and windows of images: copies of pixels, and zeros where there are
-// none. The transpose of a flip is itself, that of a window the one that shows its pixels where they came from.
+// Flips, which reverse columns, rows or both, and crops of images. Pixels out of bounds are 0. The backward pass of a
+// flip is the flip; that of a crop is the crop by the opposite corner. Included by flip_cpu.cpp, flip.cu and
+// flip_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -12,7 +13,7 @@ struct Flip {
   Planes<T const> x;
   Planes<T> y;
   bool columns, rows;         // reversed
-  int64_t top = 0, left = 0;  // the place in x, which is not reversed then, of the first pixel of y
+  int64_t top = 0, left = 0;  // of a crop: the position in x of the first pixel of y; neither axis is reversed then
 };
 
 KV_KERNEL(flip, Flip)

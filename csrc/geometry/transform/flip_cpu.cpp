@@ -1,4 +1,4 @@
-// Flips and crops on the CPU: a vector at a time, whatever its bits are.
+// Flips and crops on the CPU: copies of whole vectors, regardless of the element type.
 #include <cstring>
 
 #include "core/lanes.h"
@@ -41,8 +41,8 @@ KV_HD RowVector<T> reversed(T const* from) {
   return __builtin_shuffle(*reinterpret_cast<RowVector<T> const*>(from), last_first);
 }
 
-// From both ends at once: a load that follows a store to the same place of another page waits for it on many
-// processors, and where images begin at the same places of pages that would be every other load.
+// Copies from both ends at once. On many processors a load waits for an earlier store with the same offset in another
+// page. Where source and result begin at the same offsets, that would be every other load.
 template <class T>
 void reverse_row(T const* from, T* to, int64_t size) {
   constexpr int N = kRowLanes<T>;
@@ -56,7 +56,7 @@ void reverse_row(T const* from, T* to, int64_t size) {
   for (int64_t f = size - e; e < f; ++e) to[e] = from[size - 1 - e];
 }
 
-// A vector to an address that is a multiple of its size, past the caches.
+// Stores a vector to an aligned address, bypassing the caches.
 #if defined(__x86_64__)
 typedef long long Words2 __attribute__((vector_size(16)));
 typedef long long Words4 __attribute__((vector_size(32)));
@@ -77,7 +77,7 @@ KV_HD void store_past_caches(void* to, V v) {
 #endif
 }
 
-// The same for images that no cache has room for. Nothing is read of what is written, and the row below is on its way.
+// The same for images larger than the caches: non-temporal stores, and a prefetch of the row below.
 template <class T>
 void reverse_row_past_caches(T const* from, T* to, int64_t size) {
   constexpr int N = kRowLanes<T>;
@@ -90,7 +90,7 @@ void reverse_row_past_caches(T const* from, T* to, int64_t size) {
   for (; e < size; ++e) to[e] = from[size - 1 - e];
 }
 
-// C: the channels of a pixel, 0 for any number. Elements go one by one, so they do that in memory of their own.
+// C: the channels of a pixel, 0 for any number. Elements are reversed one by one, in a buffer.
 template <int C, class T>
 void reverse_pixels(T const* from, T* to, int64_t size, int64_t step, T* line) {
   int64_t const channels = C ? C : step;
@@ -101,7 +101,7 @@ void reverse_pixels(T const* from, T* to, int64_t size, int64_t step, T* line) {
   memcpy(to, reversed, size_t(size) * sizeof(T));
 }
 
-// Elements left ... of a row of `in_size`, and zeros beyond it.
+// The elements from `left` on of a row of `in_size`; zeros out of bounds.
 template <class T>
 void copy_window(T const* from, int64_t in_size, int64_t left, T* to, int64_t size) {
   int64_t const begin = clamp(-left, int64_t(0), size), end = clamp(in_size - left, begin, size);
@@ -136,7 +136,7 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
       reverse_pixels<0>(from, to, size, step, line.data);
   }
 #if defined(__x86_64__)
-  if (large) __builtin_ia32_sfence();  // before another thread is told
+  if (large) __builtin_ia32_sfence();  // before another thread reads the result
 #endif
 }
 

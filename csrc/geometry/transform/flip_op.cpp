@@ -1,4 +1,4 @@
-// Flips and crops of images: schemas and entries, for CPU and CUDA alike.
+// Flips and crops of images: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/transform/flip.h"
 #include "glue/glue.h"
 
@@ -13,7 +13,7 @@ Tensor run_flip(char const* op, Tensor const& input, int64_t height, int64_t wid
   dispatch_floating_and_uint8(op, x, [&](auto type) {
     using T = typename decltype(type)::type;
     Flip<T> params{planes<T const>(x, layout), planes<T>(y, layout), columns, rows, top, left};
-    if (!columns && x.numel()) {  // a row's elements stay in order, so that channels need no care
+    if (!columns && x.numel()) {  // elements of a row keep their order, so channels may be interleaved
       params.left *= params.x.step;
       params.x.width = params.x.row_size(), params.y.width = params.y.row_size();
       params.x.step = params.y.step = 1;
@@ -28,7 +28,7 @@ Tensor flip(Tensor const& input, bool columns, bool rows) {
   return run_flip("flip", input, input.size(2), input.size(3), columns, rows, 0, 0);
 }
 
-// The crop of `size` that begins at pixel `corner`, which may be outside.
+// The crop of `size` that begins at pixel `corner`, which may be out of bounds.
 Tensor crop(Tensor const& input, std::vector<int64_t> corner, std::vector<int64_t> size) {
   constexpr int64_t kLargest = 1 << 30;
   KV_CHECK(corner.size() == 2 && size.size() == 2, "crop: expected two numbers for corner and size");

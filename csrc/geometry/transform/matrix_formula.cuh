@@ -6,7 +6,7 @@
 
 namespace kv::cuda {
 
-// Inputs are of the compute type. The matrix is rounded to it, too, as if another kernel had stored it.
+// Inputs are of the compute type. The matrix is rounded to it, as if another kernel had stored it.
 template <class F>
 struct MatrixRow {
   using Value = double;
@@ -27,7 +27,7 @@ __device__ __forceinline__ void make_matrix(MatrixFormula const& p, int64_t b, F
   for (int i = 0; i < Formula::kOutputSize; ++i) m[i] = F(y[i]);
 }
 
-// Called, not inlined: once for each block of threads, and its numbers would take the registers of all of them.
+// Not inlined: one thread of a block calls it once, and inlining would raise the register count of all threads.
 #define KV_CASE(name, Formula, inputs) \
   case MatrixBy::name:                 \
     return make_matrix<Formula>(p, b, m);

@@ -1,11 +1,11 @@
-// The photometric distance on CUDA: a block a tile of the target, then one block a sample adds the tiles up.
+// The photometric error on CUDA. A block sums over a tile of the target; then one block per sample adds up the tiles.
 #include "geometry/transform/photometric.h"
 #include "geometry/transform/sampling.cuh"
 
 namespace kv::cuda {
 namespace {
 
-// Calls pixel(y, x, the window of its place, the place) for the thread's pixels whose places lie between pixels.
+// Calls pixel(y, x, window, coordinates) for the thread's pixels whose sampling coordinates lie between four pixels.
 template <class T, class Pixel>
 __device__ __forceinline__ void for_each_seen(Photometric<T> const& p, TileCoords<Compute<T>> const& places,
                                               Pixel pixel) {
@@ -21,7 +21,7 @@ __device__ __forceinline__ void for_each_seen(Photometric<T> const& p, TileCoord
   }
 }
 
-// Calls channel(residual, its derivatives along both axes).
+// Calls channel(residual, derivatives along both axes).
 template <class T, class F, class Channel>
 __device__ __forceinline__ void for_each_channel(Photometric<T> const& p, int64_t b, int y, int x,
                                                  TapWindow<2, F> const& window, Channel channel) {
@@ -112,7 +112,7 @@ __global__ void __launch_bounds__(kThreads) normal_tiles(PhotometricNormalEquati
   store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kNormalSums);
 }
 
-// Calls take(sample, its N sums) by one thread of a block.
+// Calls take(sample, N sums) from one thread of a block.
 template <int N, class Take>
 __device__ __forceinline__ void add_parts(double const* all, int64_t parts, Take take) {
   __shared__ double total[N];

@@ -1,13 +1,14 @@
-// How far an image, warped by a homography, is from another one, and the gradient of that to the homography, in one
-// pass over both: the mean over the pixels (x, y) of the target whose place in the source lies between four pixels, and
-// over channels, of
+// The photometric error between an image warped by a homography and a target, and its gradient with respect to the
+// homography, in one pass over both. It is the mean over channels, and over the pixels (x, y) of the target whose
+// sampling coordinates lie between four pixels of the source, of
 //
-//   l1           |r|                        r = source(place) - target(x, y), bilinear
+//   l1           |r|                        r = source(coordinates) - target(x, y), bilinear
 //   l2           r^2
 //   charbonnier  sqrt(r^2 + eps^2)
 //
-// Which pixels these are counts as constant for the gradient. Or, for a step of Gauss and Newton, the normal equations
-// of the homography's first eight numbers. Included by photometric_cpu.cpp, photometric.cu and photometric_op.cpp.
+// The set of these pixels is constant for the gradient. A second kernel computes the normal equations of a Gauss-Newton
+// step for the homography's first eight entries. Included by photometric_cpu.cpp, photometric.cu and
+// photometric_op.cpp.
 #pragma once
 
 #include "geometry/transform/sampling.h"
@@ -16,7 +17,7 @@ namespace kv {
 
 enum class Distance : int { l1, l2, charbonnier };
 
-constexpr int kPhotometricSums = 11;  // the gradient's nine, the distances', how many pixels
+constexpr int kPhotometricSums = 11;  // nine of the gradient, the sum of errors, the number of pixels
 
 template <class T>
 struct Photometric : Sampling<T> {
@@ -27,7 +28,7 @@ struct Photometric : Sampling<T> {
   int64_t parts;
 };
 
-// Adds the parts up. NaN where no pixel of the target is in the source.
+// Adds up the parts. NaN where no pixel of the target is in the source.
 template <class T>
 struct PhotometricTotal {
   SampleCoords<T> coords;
@@ -36,16 +37,17 @@ struct PhotometricTotal {
   T *loss, *grad;  // (B), (B, 3, 3)
 };
 
-// For the normal equations: the mean over channels of w (d r / d place) (d r / d place)^T, with the weight w that makes
-// w r the derivative of the distance, is a symmetric (2, 2); by (1, 0, -u) and (0, 1, -v) it becomes one (3, 3) for the
-// lines of the matrix, whose six numbers are summed times those of (x, y, 1)^T (x, y, 1). Then the gradient's nine, the
-// distances, how many pixels. All in the caller's coordinates, (x, y) of the target and (u, v) of the source.
+// The sums of the normal equations. Let w be the weight with which w r is the derivative of the error. The mean over
+// channels of w (d r / d coords) (d r / d coords)^T is a symmetric (2, 2). By (1, 0, -u) and (0, 1, -v) it becomes a
+// (3, 3) for the rows of the matrix. Its six entries times those of (x, y, 1)^T (x, y, 1) are summed. Then follow nine
+// sums of the gradient, the errors and the number of pixels. Coordinates are the caller's, (x, y) and (u, v) of the
+// source.
 constexpr int kNormalSums = 47;
 
 template <class T>
 struct PhotometricNormalEquations : Photometric<T> {
-  T x_scale, x_offset, y_scale, y_offset;  // pixels of the target are scale * pixel + offset there
-  T u_scale, u_offset, v_scale, v_offset;  // and those of the source
+  T x_scale, x_offset, y_scale, y_offset;  // target coordinates are scale * pixel + offset
+  T u_scale, u_offset, v_scale, v_offset;  // source coordinates likewise
 };
 
 template <class T>
@@ -60,7 +62,7 @@ KV_KERNEL(photometric_total, PhotometricTotal)
 KV_KERNEL(photometric_normal_equations, PhotometricNormalEquations)
 KV_KERNEL(photometric_normal_total, PhotometricNormalTotal)
 
-// The distance and its derivative; both are 0 at 0 for l1.
+// The error of a residual and its derivative; for l1 both are 0 at 0.
 template <class V, class F>
 KV_HD V distance_of(Distance distance, V r, F eps, V& slope) {
   V const zero{};
@@ -82,7 +84,7 @@ KV_HD V distance_of(Distance distance, V r, F eps, V& slope) {
   return root;
 }
 
-// What makes weight * r the derivative: reweighted least squares.
+// The weight with which weight * r is the derivative: iteratively reweighted least squares.
 template <class V, class F>
 KV_HD V weight_of(Distance distance, V r, F eps) {
   V const zero{}, one = zero + 1;
@@ -95,7 +97,7 @@ KV_HD V weight_of(Distance distance, V r, F eps) {
 #endif
 }
 
-// The lines' share of a pixel, from the (2, 2) of its place, xx, xy, yy, and w r d r / d place.
+// The contribution of a pixel to the rows, from its (2, 2), xx, xy, yy, and w r d r / d coords.
 template <class V>
 KV_HD void to_lines(V xx, V xy, V yy, V by_x, V by_y, V u, V v, V weight, V (&line)[6], V (&gradient)[3]) {
   V const zero{}, scale = (zero + 1) / weight, square = scale * scale;
@@ -127,7 +129,7 @@ template <class T>
 KV_HD void photometric_total_of(PhotometricTotal<T> const& p, int64_t b, double* sums) {
   double const terms = sums[10] * double(p.channels);
   p.loss[b] = T(sums[9] / terms);
-  for (int i = 0; i < 9; ++i) sums[i] = terms > 0 ? sums[i] / terms : 0;  // a mean of nothing has no slope
+  for (int i = 0; i < 9; ++i) sums[i] = terms > 0 ? sums[i] / terms : 0;  // an empty mean has no gradient
   homography_vjp(p.coords.matrices + b * p.coords.matrix_stride, p.coords.use, sums, p.grad + b * 9);
 }
 

@@ -1,4 +1,4 @@
-// The photometric distance on the CPU: rows [begin, end) of all targets in order. Compiled once per instruction set.
+// The photometric error on the CPU: rows [begin, end) of all targets in order. Compiled once per instruction set.
 #include "geometry/transform/sampling_cpu.h"
 // After it, for vsqrt.
 #include "geometry/transform/photometric.h"
@@ -12,7 +12,7 @@ struct Totals {
   int64_t count;
 };
 
-// Adds numbers of N places to those of a whole vector.
+// Adds the values of N coordinates to those of a full vector.
 template <int N, class V, class Some>
 KV_HD void add_to(V& total, Some some) {
   if constexpr (N == 1)
@@ -21,7 +21,7 @@ KV_HD void add_to(V& total, Some some) {
     total += some;
 }
 
-// Calls channel(residual, its derivatives along both axes) for N places, if they lie between pixels.
+// Calls channel(residual, derivatives along both axes) for N sampling coordinates that lie between pixels.
 template <int N, class T, class Channel>
 KV_HD bool look(Photometric<T> const& p, CoordRow<Compute<T>> const& places, int64_t b, int64_t y, int64_t first,
                 int64_t e, Channel channel) {
@@ -78,7 +78,7 @@ KV_HD void add_places(Photometric<T> const& p, Homography<Compute<T>> const& map
   totals.count += N;
 }
 
-// For the normal equations: of a row, the lines' six times 1, x and x^2, the gradient's three times 1 and x.
+// Sums over a row for the normal equations: six of the matrix rows times 1, x, x^2, three of the gradient times 1, x.
 template <class F>
 struct NormalTotals {
   Lanes<F, kCoordLanes<F>> line[6][3], gradient[3][2], distance;

@@ -1,11 +1,11 @@
-// The photometric distance: schema and entry, for CPU and CUDA alike.
+// The photometric error: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/photometric_glue.h"
 #include "geometry/transform/photometric.h"
 
 namespace kv {
 namespace {
 
-// The arguments of both operators, checked.
+// The checked arguments of both operators.
 struct Arguments {
   Size from, to;
   SamplingOptions sampling;

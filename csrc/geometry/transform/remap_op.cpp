@@ -1,4 +1,4 @@
-// Sampling at the places of a map: schemas and entries, for CPU and CUDA alike.
+// Sampling at the coordinates of a map: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/transform/sampling_glue.h"
 
 namespace kv {
@@ -79,7 +79,7 @@ Tensor remap_image_backward(Tensor const& grad, Tensor const& map_x, Tensor cons
       });
 }
 
-// For every sample, also where one map serves them all.
+// Gradients per sample, also where one map serves all.
 std::tuple<Tensor, Tensor> remap_map_backward(Tensor const& grad, Tensor const& image, Tensor const& map_x,
                                               Tensor const& map_y, std::optional<Tensor> const& fill,
                                               std::string const& interpolation, std::string const& padding,

@@ -1,8 +1,8 @@
-// Resizing on CUDA, as on the CPU: a warp adds up the rows of a band to one line, in shared memory, of which the pixels
-// of its row then are weighted means. Memory is read and written in order, whatever the sizes; rows that neighbouring
-// bands share are in the L1. The weights are computed once for all rows and planes of a block's tile.
+// Resizing on CUDA. A warp adds up the weighted rows of a band to one line in shared memory; the pixels of its output
+// row are weighted means of that line. Memory is read and written in order at any size; rows that adjacent bands have
+// in common are in the L1. The weights are computed once for all rows and planes of a block's tile.
 //
-// What is most often asked for has kernels of its own: resize_octave.cu, resize_linear.cu, resize_linear_backward.cu.
+// Frequent cases have specialized kernels: resize_octave.cu, resize_linear.cu, resize_linear_backward.cu.
 #include "core/launch.cuh"
 #include "geometry/transform/resize.h"
 
@@ -11,11 +11,11 @@ namespace {
 
 constexpr int kWarps = 8, kThreads = 32 * kWarps;
 
-// The work of a block: some elements of some rows of some planes.
+// The tile of a block: ranges of elements, rows and planes.
 struct ResizeTiles {
   unsigned across, down;
   int rows, planes;
-  int span;  // elements that a line has room for
+  int span;  // capacity of a line in elements
 };
 
 // Not inline, as they take most of the time to compile.
@@ -117,7 +117,7 @@ __global__ void __launch_bounds__(kThreads, K > 4 ? 3 : 4)
 #pragma unroll
     for (int i = 0; i < P; ++i) {
       float sum = mean(i, [](float value, float weight) { return value * weight; });
-      // What a tap of weight 0 holds is no part of the value.
+      // A tap of weight 0 contributes nothing, even if it is inf or NaN.
       if (!(sum - sum == 0)) sum = mean(i, [](float value, float weight) { return weight != 0 ? value * weight : 0; });
       if (e0 + 32 * i + lane >= size) break;
       T* const to = out + 32 * i + lane;
@@ -154,7 +154,7 @@ __global__ void resize_any(__grid_constant__ Resize<T> const p) {
 
 // --- launches --------------------------------------------------------------------------------------------------------
 
-// How many elements of x lie between the first and the last that `elements` neighbours of y read.
+// The largest range of elements of x that `elements` adjacent elements of y read.
 template <class T>
 int64_t span_of(Resize<T> const& p, int64_t elements) {
   ResizeAxis const& a = p.columns;
@@ -169,11 +169,11 @@ bool launch_tiles(Resize<T> const& p, CUstream_st* stream) {
   constexpr int W = 32 * kTurns<K>;
   ResizeTiles tiles;
   tiles.across = unsigned(ceil_div(p.y.row_size(), W));
-  // Tables serve more rows and planes where there is work for all of the device anyway.
+  // Tables serve more rows and planes where there are enough blocks to fill the device.
   tiles.rows = p.y.rows() * tiles.across > (1 << 15) ? 32 : 8;
   tiles.down = unsigned(ceil_div(p.y.height, tiles.rows));
   tiles.planes = int(clamp(p.y.count() * tiles.across * tiles.down >> 12, int64_t(1), int64_t(16)));
-  // What is read with weight 0 beyond a band is the line's own.
+  // Elements after a band that are read with weight 0 are still within the line.
   int64_t const span = span_of(p, W) + (K ? K : p.columns.max_taps) * p.x.step;
   int64_t const numbers = int64_t(p.columns.max_taps) * W + int64_t(p.rows.max_taps) * tiles.rows + kWarps * span;
   int64_t const bytes = 4 * (numbers + W + 2) + int64_t(sizeof(Contributors<float>)) * tiles.rows;

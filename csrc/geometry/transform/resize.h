@@ -1,5 +1,6 @@
-// Resizing, one axis after the other: a pixel of the result is a weighted mean of a band of source pixels around its
-// place c. Stated once, here, for CPU and CUDA, images and their gradients.
+// Resizing, one axis after the other: a pixel of the result is the weighted mean of a band of source pixels around its
+// coordinate c. CPU and CUDA, images and their gradients share these definitions. Included by resize*.cpp and
+// resize*.cu.
 //
 //   nearest        floor(i in / out)
 //   nearest_exact  floor((i + 1/2) in / out)
@@ -10,11 +11,11 @@
 //   pyrdown        bilinear, of the image blurred by 1 4 6 4 1
 //   pyrup          1 4 6 4 1, of the image resized by bilinear
 //
-// Antialiased windows are stretched by in / out where that is more than 1. They and Lanczos' leave out what is beyond
-// the image and are divided by their sum, as Pillow's; bilinear and bicubic find the rim's pixel there.
+// Antialiased windows are stretched by in / out where that is more than 1. They and Lanczos windows have no taps out of
+// bounds and are divided by their sum, as in Pillow; bilinear and bicubic replicate the border there.
 //
-// Places are fractions of integers, c = (origin + i num) / den, so that bands are exact at any size, and those of the
-// gradient, which has the backward weights, are the same ones seen from the other side.
+// Coordinates are fractions of integers, c = (origin + i num) / den, so that bands are exact at any size. The backward
+// pass inverts the same bands and uses the same weights.
 #pragma once
 
 #include "core/border.h"
@@ -30,10 +31,10 @@ struct ResizeAxis {
   Border border;  // of a pyramid's blur
   bool antialias, backward;
   int source, result;        // sizes of the image and of what it is resized to
-  int64_t origin, num, den;  // of places
+  int64_t origin, num, den;  // of coordinates
   int64_t unit;              // of the window's x, in 1 / den
   double per_den, per_num;   // 1 / den, 1 / num or 0
-  int max_taps;              // no band has more pixels
+  int max_taps;              // the largest number of pixels in a band
 
   ResizeAxis(ResizeFilter filter, int64_t source, int64_t result, bool align_corners, bool antialias, bool backward,
              Border border = Border::replicate);
@@ -43,7 +44,7 @@ struct ResizeAxis {
     int64_t const q = int64_t(double(n) * per_den), rest = n - q * den;
     return rest < 0 ? q - 1 : rest < den ? q : q + 1;
   }
-  // Whether the rim's pixel stands for what is beyond it.
+  // Whether taps out of bounds read the border pixel.
   KV_HD bool clamps_taps() const {
     return (filter == ResizeFilter::bilinear || filter == ResizeFilter::bicubic) && !antialias;
   }
@@ -54,7 +55,7 @@ struct Resize {
   Planes<T const> x;
   Planes<T> y;
   ResizeAxis rows, columns;
-  T const* minuend = nullptr;  // laid out as y, which then is this minus the resized image
+  T const* minuend = nullptr;  // with the layout of y, which is then minuend - resized image
   KV_HD T const* minuend_at(T const* y_element) const { return minuend + (y_element - y.data); }
 };
 
@@ -75,7 +76,7 @@ int resize_linear_backward(Resize<T> const& p, CUstream_st* stream);
 
 inline int64_t div_up(int64_t a, int64_t b) { return (a + b - 1) / b; }
 
-// Half of the window's width, in its own x.
+// Half of the window's width, in units of x.
 KV_HD int filter_radius(ResizeFilter filter) {
   return filter == ResizeFilter::bilinear ? 1 : filter == ResizeFilter::bicubic ? 2 : 3;
 }
@@ -140,7 +141,7 @@ KV_HD F filter_at(ResizeAxis const& a, F x) {
   x = x < 0 ? -x : x;
   if (a.filter == ResizeFilter::bilinear) return x < 1 ? 1 - x : F(0);
   if (a.filter == ResizeFilter::bicubic) {
-    F const k = a.antialias ? F(-0.5) : F(-0.75);  // Pillow's and OpenCV's
+    F const k = a.antialias ? F(-0.5) : F(-0.75);  // as Pillow and OpenCV
     if (x <= 1) return ((k + 2) * x - (k + 3)) * x * x + 1;
     return x < 2 ? k * (((x - 5) * x + 8) * x - 4) : F(0);
   }
@@ -161,14 +162,14 @@ KV_HD F blur_weight(Border border, int t, int j, int n) {
 
 // --- bands -----------------------------------------------------------------------------------------------------------
 
-// The source pixels that pixel i of the result is made of.
+// The band of source pixels of pixel i of the result.
 template <class F>
 struct Band {
   int first, last;
   F norm;
 };
 
-// Both taps of a place, clamped to the image, and the second one's weight.
+// Both taps of a coordinate, clamped to the image, and the weight of the second one.
 template <class F>
 struct LinearTaps {
   int a, b;
@@ -213,7 +214,7 @@ KV_HD Band<F> extent(ResizeAxis const& a, int i) {
 // A pixel's weight in pixel i of the result, before it is divided by their sum.
 template <class F>
 KV_HD F unnormalized_weight(ResizeAxis const& a, int i, int j) {
-  // Places are at most half a pixel outside.
+  // Coordinates are at most half a pixel out of bounds.
   int const from = a.clamps_taps() && j == 0 ? -2 : j, to = a.clamps_taps() && j == a.source - 1 ? j + 2 : j;
   F sum = 0;
 #pragma unroll 1
@@ -251,8 +252,8 @@ KV_HD F band_weight(ResizeAxis const& a, Band<F> const& band, int i, int j) {
   return unnormalized_weight<F>(a, i, j) * band.norm;
 }
 
-// The pixels that pixel `index` of what a kernel writes is made of: count of them, from the first one on. Those of a
-// gradient are pixels of the result, in whose bands source pixel `index` is; there may be none.
+// The `count` pixels, from the first one on, that a kernel reads for pixel `index` of its output. In the backward pass
+// they are the pixels of the result whose bands contain source pixel `index`; there may be none.
 template <class F>
 struct Contributors {
   int first, count;
@@ -264,7 +265,7 @@ KV_HD Contributors<F> contributors(ResizeAxis const& a, int index) {
     Band<F> const band = normalized_band<F>(a, index);
     return {band.first, band.last - band.first + 1, band.norm};
   }
-  // From about the right place on, bands move to the right with i.
+  // An estimate to start the search from: bands move to the right with i.
   int i = int(clamp(double(index * a.den - a.origin) * a.per_num, 0., double(a.result - 1)));
   while (i > 0 && extent<F>(a, i - 1).last >= index) --i;
   while (i < a.result && extent<F>(a, i).last < index) ++i;

@@ -1,8 +1,8 @@
-// Resizing on the CPU, a row of the result at a time: the rows of its band are added up to one line, of which its
-// pixels then are weighted means. The weights along both axes are computed before, once for all planes.
+// Resizing on the CPU, a row of the result at a time. The weighted rows of its band are added up to one line, and its
+// pixels are weighted means of that line. The weights along both axes are computed once for all planes.
 //
-// Where the pixels that a vector of the result begins at are near one another, as they are unless an image shrinks a
-// lot, one or two loads and a permutation read them, and again for the pixels next to them.
+// The first taps of a vector of the result are close together unless the image shrinks a lot. One or two loads and a
+// permutation then read them, and likewise the second taps and so on.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "geometry/transform/resize.h"
@@ -122,7 +122,7 @@ KV_HD bool write_row(T* out, T const* minuend, F const* line, ColumnBands<F, N> 
   }
 }
 
-// The same, but what a tap of weight 0 holds is no part of the value, not even if it is NaN or inf.
+// The same, but a tap of weight 0 contributes nothing, even if it is NaN or inf.
 template <int N, class T, class F>
 [[gnu::noinline]] void write_row_with_care(T* out, T const* minuend, F const* line, ColumnBands<F, N> const& columns,
                                            int64_t step) {

@@ -1,8 +1,8 @@
 // Bilinear and nearest images of any size on CUDA: means of at most two pixels along each axis.
 //
-// A warp walks down a strip of 32 columns by kColumns of the result, 32 columns apart in a thread. Of each row of the
-// image that it comes by it keeps the means along x, of which two rows are one of the result. Where an image grows, its
-// rows come to shared memory by asynchronous copies, some rows ahead; else pixels are asked for a row ahead.
+// A warp traverses a strip of 32 * kColumns columns of the result downwards; the columns of a thread are 32 apart. It
+// keeps the means along x of two rows of the image, which are blended to a row of the result. Where an image grows, its
+// rows are prefetched to shared memory by asynchronous copies; else pixels are loaded a row ahead.
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize.h"
 
@@ -11,7 +11,7 @@ namespace {
 
 constexpr int kWarps = 4, kColumns = 4;
 
-// Not inline, as places take most of the time to compile.
+// Not inlined: the coordinates take most of the compile time.
 __device__ __noinline__ LinearTaps<float> linear_taps_of(ResizeAxis const& axis, int i) {
   if (axis.filter == ResizeFilter::bilinear) return linear_taps<float>(axis, i);
   int const at = extent<float>(axis, i).first;
@@ -26,7 +26,7 @@ __device__ __forceinline__ T element(uintptr_t row, int i) {
   return *reinterpret_cast<T const*>(&bits);
 }
 
-// The pixels that a thread's columns are made of, as they are in a row.
+// The taps of a thread's columns in a row.
 template <class T>
 struct PixelPairs {
   T left[kColumns], right[kColumns];
@@ -108,7 +108,7 @@ __global__ void __launch_bounds__(32 * kWarps)
 
   float upper[kColumns], lower[kColumns];  // of rows a and b
   int a = -1, b = -1;
-  // What becomes of them for a row of the result: what is not there yet is asked for.
+  // The state for a row of the result; missing rows are requested.
   PixelPairs<T> next_upper, next_lower;
   bool moves, has_upper, has_lower;
   float weight;  // of the lower one

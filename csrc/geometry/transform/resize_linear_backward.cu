@@ -1,8 +1,8 @@
-// The gradients of bilinear and nearest images that grow, on CUDA: a pixel of the source is in few of the result.
+// The backward pass of bilinear and nearest upsampling on CUDA: few pixels of the result read a pixel of the source.
 //
-// A warp walks down the gradient, of which each thread has four columns. Along y nothing is stored but two sums: a row
-// of the gradient adds to that of the source row above its place and to that of the one below. A row that has its sum
-// becomes a line in shared memory, of which its pixels take what is theirs along x.
+// A warp traverses the gradient downwards; each thread has four columns. Along y it keeps only two sums: a row of the
+// gradient adds to those of the source rows above and below its coordinate. A complete sum is written to a line in
+// shared memory, from which the pixels of its row gather along x.
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize.h"
 
@@ -13,7 +13,7 @@ constexpr int kWarps = 4, kOwn = 4, kSpan = 32 * kOwn, kRing = 4;
 constexpr int kTaps = 8;     // of a pixel along x, at most
 constexpr int kColumns = 4;  // that a thread writes, 32 apart, at most
 
-// Not inline, as places take most of the time to compile.
+// Not inlined: the coordinates take most of the compile time.
 __device__ __noinline__ LinearTaps<float> linear_taps_of(ResizeAxis const& axis, int i) {
   if (axis.filter == ResizeFilter::bilinear) return linear_taps<float>(axis, i);
   int const at = extent<float>(axis, i).first;
@@ -95,7 +95,7 @@ __global__ void __launch_bounds__(32 * kWarps)
           if (k >= p.columns.max_taps) break;
           sum += weights[i][k] * line[first[i] + k];
         }
-        if (!(sum - sum == 0)) {  // what a tap of weight 0 holds is no part of the value
+        if (!(sum - sum == 0)) {  // a tap of weight 0 contributes nothing
           sum = 0;
 #pragma unroll
           for (int k = 0; k < kTaps; ++k) sum += weights[i][k] != 0 ? weights[i][k] * line[first[i] + k] : 0;

@@ -1,13 +1,13 @@
-// Resizing by exactly two along both axes on CUDA, where a pyramid's time goes, and their gradients, which are the same
-// things the other way round.
+// Resizing by exactly two along both axes on CUDA, which dominates the time of pyramids, and its backward pass, which
+// exchanges halving and doubling.
 //
 //   halving     pixel i is made of the K pixels from 2 i - (K / 2 - 1) on: 2 bilinear, 4 antialiased or bicubic, 6 of
 //               pyrdown, 8 of the gradient of pyrup
 //   doubling    pixels 2 i and 2 i + 1 are each made of M of the pixels around i, the odd one's window being the even
 //               one's mirror image: 2 bilinear, 4 of pyrup, 1 and 3 of the gradients of bilinear and of pyrdown
 //
-// So that windows lie where the compiler knows, and weights are the same everywhere but at the rim. A warp walks down a
-// strip of 32 vectors of the larger image; each row is weighted along x once, and along y from registers.
+// The compiler knows the offsets of the windows, and weights are equal everywhere but at the border. A warp traverses a
+// strip of 32 vectors of the larger image downwards; each row is weighted along x once, and along y from registers.
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize.h"
 
@@ -17,9 +17,9 @@ namespace {
 constexpr int kWarps = 4;
 template <class T>
 constexpr int kVectorSize = sizeof(T) < 4 ? 8 : 4;  // a thread's pixels of the larger image
-constexpr int kLeast = 16;                          // pixels along an axis, so that one end's rim is not the other's
+constexpr int kLeast = 16;                          // pixels along an axis: both borders are disjoint
 
-// Pixels at a rim, whose windows differ, and kinds of them within.
+// Pixels at a border, whose windows differ, and kinds of pixels in the interior.
 constexpr int rim_of(bool doubles) { return doubles ? 4 : 2; }
 constexpr int kinds_of(bool doubles) { return doubles ? 2 : 1; }
 
@@ -33,7 +33,7 @@ template <bool Doubles, int Taps>
 struct OctaveWeights {
   static constexpr int kRim = rim_of(Doubles), kRows = 2 * kRim + kinds_of(Doubles);
   float at[kRows][Taps];
-  // Those of pixel i of n. A pixel outside has some, too, which no one sees.
+  // The weights of pixel i of n. Those of a pixel out of bounds are never used.
   __device__ __forceinline__ float const* of(int i, int n) const {
     int const inner = Doubles ? kRim + i % 2 : kRim;
     return at[i < kRim ? max(i, 0) : i < n - kRim ? inner : min(i - n + kRows, kRows - 1)];
@@ -53,7 +53,7 @@ struct OctaveWeights {
 }
 
 template <class T, int P>
-using Ring = T[4][32 * P + 2 * kHalo];  // three rows are on their way
+using Ring = T[4][32 * P + 2 * kHalo];  // three rows are in flight
 
 template <class T, int K>
 __global__ void __launch_bounds__(32 * kWarps)
@@ -94,7 +94,7 @@ __global__ void __launch_bounds__(32 * kWarps)
         for (int k = 1; k < K; ++k) along_x[r][c] += weights_x[c][k] * v[kFirst + 2 * c + k];
       }
     }
-    if (i == top || i <= kEnd + R || i >= height - kEnd) {  // elsewhere they are what they were
+    if (i == top || i <= kEnd + R || i >= height - kEnd) {  // elsewhere the weights do not change
 #pragma unroll
       for (int t = 0; t <= R; ++t) {
         float const* const from = weights.of(i - t, height);
@@ -153,7 +153,7 @@ __global__ void __launch_bounds__(32 * kWarps)
       for (int k = 1; k < M; ++k) along_x[2 * R][p] += weights_x[p][k] * window[k];
     }
     if (i < top) continue;
-    if (i == top || 2 * i <= kEnd || 2 * i >= height - kEnd) {  // elsewhere they are what they were
+    if (i == top || 2 * i <= kEnd || 2 * i >= height - kEnd) {  // elsewhere the weights do not change
 #pragma unroll
       for (int odd = 0; odd < 2; ++odd) {
         float const* const from = weights.of(2 * i + odd, height);
@@ -182,7 +182,7 @@ __global__ void __launch_bounds__(32 * kWarps)
   }
 }
 
-// Whether an axis is halved or doubled by windows whose rim is narrow enough.
+// Whether an axis is halved or doubled by windows with a border that is narrow enough.
 inline bool is_octave(ResizeAxis const& a) {
   bool const twice = a.source == 2 * a.result || 2 * a.source == a.result,
              wide_rim = a.filter == ResizeFilter::bicubic && a.antialias && a.backward;
@@ -199,7 +199,7 @@ int launch(Resize<T> const& p, CUstream_st* stream) {
     return kUnsupported;
   if (reinterpret_cast<uintptr_t>(p.minuend) % alignof(Vector<T, P>) != 0) return kUnsupported;
   int64_t const height = Doubles ? p.x.height : p.y.height, width = Doubles ? p.x.width : p.y.width;
-  // Long strips repeat fewer rows; there must be enough of them for the machine.
+  // Long strips read fewer rows twice, but there must be enough strips to fill the device.
   int rows = 32;
   while (rows > 4 && p.y.count() * ceil_div(width, 32 * C) * ceil_div(height, rows) < 3000) rows /= 2;
   Strips<C> const strips(p.y.count(), height, width, rows);

@@ -1,4 +1,4 @@
-// Resizing: schemas and entries, for CPU and CUDA alike.
+// Resizing: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/transform/resize.h"
 #include "glue/batch.h"
 #include "glue/glue.h"
@@ -6,7 +6,7 @@
 namespace kv {
 namespace {
 
-constexpr int64_t kLongestSide = 1 << 30;  // places are counted in fractions of pixels, in 64 bits
+constexpr int64_t kLongestSide = 1 << 30;  // coordinates are 64-bit fractions of pixels
 
 ResizeFilter parse_filter(char const* op, std::string const& name) {
   constexpr char const* kNames[] = {"nearest", "nearest-exact", "area",    "bilinear",
@@ -29,7 +29,7 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
              " pixels, got ", from, " and ", to);
     int64_t const source = backward ? to : from, result = backward ? from : to;
     if (filter == ResizeFilter::pyrdown || filter == ResizeFilter::pyrup) {
-      // What a circular border finds is not near.
+      // A circular border reads the opposite side, which is out of reach.
       KV_CHECK(border != Border::circular, op, ": a pyramid's border must be constant, reflect or replicate");
       check_border(op, border, 2, filter == ResizeFilter::pyrdown ? source : result);
       KV_CHECK(filter == ResizeFilter::pyrdown || result == 2 * source, op, ": pyrup doubles sides, got ", source,
@@ -42,7 +42,7 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
   Tensor const x = as_layout(input, layout);
   Tensor const y = empty({x.size(0), x.size(1), size[0], size[1]}, x, layout);
   if (minuend) check_like(op, "image", *minuend, y);
-  // In the same places as y.
+  // With the layout of y.
   Tensor const image = !minuend ? y
                        : layout == Layout::channels_last
                            ? torch::stable::contiguous(*minuend, torch::headeronly::MemoryFormat::ChannelsLast)
@@ -71,7 +71,7 @@ Tensor resize_backward(Tensor const& grad, std::vector<int64_t> size, std::strin
   return resized("resize_backward", grad, size, filter, align_corners, antialias, border, true);
 }
 
-// What an image has that the next smaller one of its pyramid has not.
+// A level of a Laplacian pyramid: the image minus the pyrup of the next smaller one.
 Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_corners, std::string const& border) {
   check_images("pyramid_detail", "smaller", smaller);
   return resized("pyramid_detail", smaller, {2 * smaller.size(2), 2 * smaller.size(3)}, "pyrup", align_corners, false,

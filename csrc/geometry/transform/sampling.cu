@@ -1,5 +1,5 @@
-// Sampling on CUDA: a thread takes places of a tile one after the other, and of each all channels. Their taps are read
-// from a patch in shared memory, or where they are when the tile looks at more of the image than a patch holds.
+// Sampling on CUDA: a thread takes sampling coordinates of a tile one after the other, and all channels of each. Taps
+// are read from a source tile in shared memory, or from global memory when the taps exceed what a source tile holds.
 #include "geometry/transform/matrix_formula.cuh"
 #include "geometry/transform/source_tile.cuh"
 
@@ -26,8 +26,8 @@ __device__ __forceinline__ F mean(T const* taps, int pitch, int step, F tx, F ty
   }
 }
 
-// N channels of a place, from the image itself. Tap by tap at the rim, and where a tap of weight 0 may be NaN or inf,
-// which is no part of the value.
+// N channels at a sampling coordinate, from global memory. Tap by tap at the border, and where a tap of weight 0, which
+// contributes nothing, may be NaN or inf.
 template <int K, int N, class T, class F>
 __device__ __noinline__ void sample_unstaged(Sample<T> const& p, Tile<F> const& tile, int first, int y, int x) {
   F u, v, wx[K], wy[K], poison = 0;
@@ -65,8 +65,8 @@ constexpr int kBlocks = sizeof(T) == 8 ? 2
                         : K == 4       ? 4
                                        : 5;  // on a multiprocessor at once; six are slower
 
-// The kernel that makes its matrices is another one: all blocks wait for theirs first, and only to choose where it
-// comes from would cost 2 to 4 % of their time.
+// A separate kernel computes its matrices by a formula: its blocks wait for theirs first, and a run-time choice of
+// where a matrix comes from would cost 2 to 4 % of the time.
 template <class T, int K, bool ByFormula>
 __global__ void __launch_bounds__(kThreads, kBlocks<T, K>)
     sample_tiles(__grid_constant__ Sample<T> const p, TileGrid tiles, bool aligned) {

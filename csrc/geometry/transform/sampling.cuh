@@ -1,6 +1,6 @@
-// Tiles of places and windows of taps on CUDA. Included by sampling*.cu.
+// Tiles of sampling coordinates and windows of taps on CUDA. Included by sampling*.cu.
 //
-// A block takes a tile of kTile x kTile coords, a warp 8 x 4 of them at a time: the taps of a turned image then lie in
+// A block takes a tile of kTile x kTile coords, a warp 8 x 4 of them at a time: the taps of a rotated image then lie in
 // few rows, and what a warp writes still fills whole sectors of memory.
 #pragma once
 
@@ -10,13 +10,13 @@
 namespace kv::cuda {
 
 constexpr int kThreads = 256;
-constexpr int kPixelsPerThread = kTile * kTile / kThreads;  // places a thread takes
+constexpr int kPixelsPerThread = kTile * kTile / kThreads;  // sampling coordinates of a thread
 constexpr int kRowStep = kTile / kPixelsPerThread;          // rows from one to the next
 
 // --- tiles -----------------------------------------------------------------------------------------------------------
 
-// The tiles of an output. A block takes `per_block` adjacent ones in turns: what precedes the first tile costs as much
-// time as a tile.
+// The tiles of an output. A block takes `per_block` adjacent ones in turn, because the setup before the first tile
+// takes as long as a tile.
 struct TileGrid {
   unsigned per_block, across, down, blocks;
   TileGrid(int64_t batch, int64_t height, int64_t width, int per_block)
@@ -26,7 +26,8 @@ struct TileGrid {
         blocks(unsigned(batch * across * down)) {}
 };
 
-// A tile, in shared memory, made by one thread: its sample, its first place, and where its places go.
+// A tile, in shared memory, written by one thread: its sample, its first pixel, and the map of its sampling
+// coordinates.
 template <class F>
 struct Tile {
   Homography<F> map;  // counts from (x, y), to (u, v)
@@ -55,8 +56,8 @@ struct Tile {
   }
 };
 
-// The first place of a thread in its tile; the others are kRowStep below each other. A warp takes 8 x 4 coords, of
-// types of two bytes 16 x 2: what it writes then fills sectors of memory.
+// The first pixel of a thread in its tile; the next ones are kRowStep rows further down each. A warp takes 8 x 4
+// coords, of types of two bytes 16 x 2: what it writes then fills sectors of memory.
 template <class T = float>
 __device__ __forceinline__ int column_in_tile() {
   constexpr int across = sizeof(T) == 2 ? 16 : 8;
@@ -68,9 +69,9 @@ __device__ __forceinline__ int row_in_tile() {
   return threadIdx.x % 32 / across + threadIdx.x / (32 * down) * down;
 }
 
-// --- places ----------------------------------------------------------------------------------------------------------
+// --- sampling coordinates --------------------------------------------------------------------------------------------
 
-// Where the places of a tile are, from its matrix or the maps.
+// The sampling coordinates of a tile, from its matrix or the maps.
 template <class F>
 struct TileCoords {
   SampleCoords<F> const& coords;
@@ -91,13 +92,13 @@ struct TileCoords {
     u += F(tile.u);
     v += F(tile.v);
   }
-  // What divides the coordinates there.
+  // The divisor of the coordinates.
   __device__ __forceinline__ F weight(int y, int x) const { return tile.map.weight(F(x - tile.x), F(y - tile.y)); }
 };
 
 // --- windows ---------------------------------------------------------------------------------------------------------
 
-// The K x K taps around a place.
+// The K x K taps around a sampling coordinate.
 template <int K, class F>
 struct TapWindow {
   F tx, ty;
@@ -106,7 +107,7 @@ struct TapWindow {
 
   template <class T>
   __device__ __forceinline__ TapWindow(Sampling<T> const& p, F u, F v) {
-    bool const reflects = p.x_axis.padding == Padding::reflection;  // and the other axis, too
+    bool const reflects = p.x_axis.padding == Padding::reflection;  // then the other axis reflects, too
     x = first_tap<K, F>(reflects ? reflected(p.x_axis, u) : clamped(p.x_axis, u), tx);
     y = first_tap<K, F>(reflects ? reflected(p.y_axis, v) : clamped(p.y_axis, v), ty);
     inside = x >= 0 && x <= p.x_axis.size - K && y >= 0 && y <= p.y_axis.size - K;

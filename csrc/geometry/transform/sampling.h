@@ -1,21 +1,23 @@
-// Sampling: the value of an image at a place between its pixels, and its derivative along both axes. Stated once, here
-// and in taps.h, for warps and maps, CPU and CUDA, values and gradients.
+// Sampling: the value of an image at coordinates between its pixels, and its derivative along both axes. This file and
+// taps.h define it for warps and maps, CPU and CUDA, values and gradients. Included by taps.h, warp3d.h, photometric.h,
+// sampling_glue.h and geometry/depth/warp.h.
 //
-// Along an axis a place x has 1, 2 or 4 taps, the pixels around it, with weights of t = x - floor(x):
+// Along an axis a coordinate x has 1, 2 or 4 taps, the pixels around it, with weights of t = x - floor(x):
 //
 //   nearest    round(x), half to even
 //   bilinear   floor(x), floor(x) + 1                       1 - t, t
 //   bicubic    floor(x) - 1 ... floor(x) + 2                Keys' cubic with a = -3/4, as OpenCV and torch have it
 //
-// Taps outside of the image follow the padding; none is read there:
+// Taps out of bounds follow the padding; memory out of bounds is never read:
 //
 //   fill         f f | a b c d | f f     one number a channel, or 0
 //   border       a a | a b c d | d d
-//   reflection   c b | a b c d | c b     with align_corners, about the middles of the outermost pixels
+//   reflection   c b | a b c d | c b     with align_corners, about the centers of the outermost pixels
 //                b a | a b c d | d c     without, about their edges
 //
-// Values and gradients are those of torch's grid_sample, whose coordinates follow the same rules before there are taps.
-// Only where it has a kink, at the middle of an outermost pixel, does the border's gradient take the image's side.
+// Values and gradients are those of torch's grid_sample, which applies the same rules to coordinates instead of taps.
+// With border padding there is a kink at the center of an outermost pixel; the gradient there is that of the inner
+// side.
 #pragma once
 
 #include "core/images.h"
@@ -35,15 +37,15 @@ struct Axis {
   bool align_corners;
 };
 
-// Where places come from: a matrix for each sample, or a map with a place for each pixel of the output.
+// The source of sampling coordinates: a matrix for each sample, or a map with coordinates for each pixel of the output.
 template <class F>
 struct SampleCoords {
-  F const* matrices;      // or null, also for matrices that a formula makes
+  F const* matrices;      // or null, also for matrices that a formula computes
   int64_t matrix_stride;  // 0 where one serves the batch
   MatrixUse use;
   Images<F const> x, y;  // maps of one channel
-  // x in pixels is scale * n + offset + own * the pixel's own x: maps are in pixels or in [-1, 1], of coords, or of
-  // moves from where a pixel is itself.
+  // x in pixels is scale * n + offset + own * the pixel's own x: maps are in pixels or in [-1, 1], and hold
+  // coordinates or displacements from the pixel's own position.
   F scale[2], offset[2], own;
 
   KV_HD bool has_map() const { return x.data; }
@@ -69,8 +71,8 @@ struct Sample : Sampling<T> {
   MatrixFormula formula{};
 };
 
-// The gradients to the coords. They go to the maps or, times the derivatives of the places by the matrix, into sums:
-// `parts` of nine a sample.
+// The gradients of the coordinates. They are written to the maps or, times the derivatives of the coordinates by the
+// matrix, added to `parts` of nine sums per sample.
 template <class T>
 struct SampleCoordsBackward : Sampling<T> {
   Images<T const> x, grad;
@@ -79,7 +81,7 @@ struct SampleCoordsBackward : Sampling<T> {
   int64_t parts;
 };
 
-// Adds the sums up and takes them to the matrices.
+// Adds up the sums and computes the gradients of the matrices from them.
 template <class T>
 struct WarpMatrixBackward {
   SampleCoords<T> coords;
@@ -88,17 +90,17 @@ struct WarpMatrixBackward {
   T* grad;  // (B, rows, 3)
 };
 
-// The gradient to the image.
+// The gradient of the image.
 template <class T>
 struct SampleImageBackward : Sampling<T> {
   Images<T const> grad;
   Images<T> grad_x;  // dense
-  // Where kernels on CUDA that scatter add up instead, of the same size.
+  // The buffer, of the same size, that scattering CUDA kernels add to instead.
   Compute<T>* sums;
 };
 
-// On CUDA a block of threads takes tiles of the output, up to kMaxTilesPerBlock of them beside each other: fewer where
-// all together are few, for every multiprocessor to have some.
+// On CUDA a block of threads takes tiles of the output, up to kMaxTilesPerBlock adjacent ones: fewer where
+// there are few tiles, so that every multiprocessor has some.
 constexpr int kTile = 32, kMaxTilesPerBlock = 4;
 inline int tiles_per_block(int64_t batch, int64_t height, int64_t width) {
   int64_t const tiles = batch * ((height + kTile - 1) / kTile) * ((width + kTile - 1) / kTile);

@@ -1,10 +1,10 @@
-// The gradient to places and matrices on CUDA; see sampling.h.
+// The gradients of sampling coordinates and matrices on CUDA; see sampling.h.
 #include "geometry/transform/source_tile.cuh"
 
 namespace kv::cuda {
 namespace {
 
-// What the taps of a place and its gradients give to the gradient of the place itself.
+// The gradient of sampling coordinates, from their taps and the gradients of the output.
 template <int K, class F>
 struct CoordGrads {
   F wx[K], wy[K], dx[K], dy[K];
@@ -124,7 +124,7 @@ __global__ void __launch_bounds__(kThreads, K == 4 || sizeof(T) == 8 ? 2 : 4)
   store_block_sums(sums, p.sums + int64_t(blockIdx.x) * 9);
 }
 
-// A block a sample.
+// One block per sample.
 template <class T>
 __global__ void reduce_matrix_grads(WarpMatrixBackward<T> p) {
   int64_t const b = blockIdx.x;

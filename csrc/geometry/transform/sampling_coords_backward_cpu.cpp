@@ -1,4 +1,5 @@
-// The gradient to the coords, and to the matrices they come from, on the CPU. Compiled once per instruction set.
+// The gradients of sampling coordinates, and of the matrices they come from, on the CPU. Compiled once per instruction
+// set.
 #include "geometry/transform/sampling_cpu.h"
 
 namespace kv::KV_ISA {
@@ -46,7 +47,7 @@ struct CoordDerivatives : TapWindow<K, N, T> {
   }
 };
 
-// A piece of a row of the output, and the gradients d loss / d place there.
+// A chunk of a row of the output, and the gradients of its sampling coordinates.
 template <class F>
 struct RowChunk {
   int64_t b, y, first, count;
@@ -95,7 +96,7 @@ void coord_grads(SampleCoordsBackward<T> const& p, RowChunk<F>& chunk) {
   }
 }
 
-// What it gives to the nine numbers of its matrix.
+// The contribution of the chunk to the nine sums of its matrix.
 template <class F>
 void accumulate_matrix_grad(Homography<F> const& map, RowChunk<F> const& chunk, double* sums) {
   double plain[3] = {}, by_x[3] = {};

@@ -1,18 +1,19 @@
 // Sampling on the CPU: rows [begin, end) of all outputs in order. Compiled once per instruction set.
 //
-// First the places of a piece of a row, then its pixels by vectors, each with its taps and weights for all channels.
-// Where all taps are inside of the image they are read as they are; elsewhere each finds its pixel or the fill.
+// A chunk of a row is processed at a time: first its sampling coordinates, then its pixels by vectors, with taps and
+// weights shared by all channels. Where all taps are in bounds they are read directly; else each is padded or filled.
 #include "geometry/transform/sampling_cpu.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-// The next row of places mostly has its taps below those of this one. Rows of a tile are too many, and too short, for
-// the processor to foresee that, so the row that far from the first tap is asked for, and the next one of the output.
+// The taps of the next row of coordinates are mostly below those of this one. Rows of a tile are too many, and too
+// short, for the hardware prefetcher, so the row at that distance from the first tap and the next output row are
+// prefetched.
 constexpr int kRowsAhead = 4;
 
-// The value in one channel. A tap of weight 0 is no part of it, whatever it holds. Where taps are multiplied anyway,
-// NaN and inf show in the sum, which is then done again.
+// The value in one channel. A tap of weight 0 contributes nothing, even if it is inf or NaN. Where such taps are
+// multiplied anyway, the sum becomes NaN and is then computed again.
 template <int K, int N, class T>
 struct Value : TapWindow<K, N, T> {
   using typename TapWindow<K, N, T>::F;

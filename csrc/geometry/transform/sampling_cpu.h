@@ -1,4 +1,5 @@
-// Pieces of rows of coords, and windows of taps, on the CPU. Included by sampling*_cpu.cpp, inside of no namespace.
+// Chunks of rows of sampling coordinates, and windows of taps, on the CPU. Included by sampling*_cpu.cpp, inside of no
+// namespace.
 #pragma once
 
 #include "core/lanes.h"
@@ -7,7 +8,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// --- places ----------------------------------------------------------------------------------------------------------
+// --- sampling coordinates --------------------------------------------------------------------------------------------
 
 template <int N, class F>
 KV_HD Lanes<F, N> iota(int64_t first) {
@@ -20,9 +21,9 @@ KV_HD Lanes<F, N> iota(int64_t first) {
   }
 }
 
-// Calls piece(sample, y, first column, columns) for rows [begin, end) of a batch, in tiles: a row of a turned image
-// shows pieces of many rows of its source, which the next row needs again, and which are more than the caches hold if
-// it is long.
+// Calls piece(sample, y, first column, columns) for rows [begin, end) of a batch, in tiles. A row of a rotated
+// image reads from many rows of its source, and the next row reads them again. Without tiles, long rows would read more
+// than the caches hold.
 constexpr int64_t kTileRows = 32, kTileColumns = 128;
 template <class Body>
 KV_HD void for_each_row_chunk(int64_t begin, int64_t end, int64_t height, int64_t width, Body body) {
@@ -34,7 +35,7 @@ KV_HD void for_each_row_chunk(int64_t begin, int64_t end, int64_t height, int64_
   }
 }
 
-// The places of pieces of rows of the output, one after the other.
+// The sampling coordinates of chunks of rows of the output, one after the other.
 template <class F>
 struct CoordRow {
   F u[kTileColumns], v[kTileColumns];
@@ -77,18 +78,18 @@ struct CoordRow {
     else
       for_each_vector<F>(0, count, [&](auto lanes, int64_t x) {
         constexpr int N = decltype(lanes)::value;
-        __builtin_prefetch(from + 2 * map.row_stride + x);  // a later piece of the tile
+        __builtin_prefetch(from + 2 * map.row_stride + x);  // a later chunk of the tile
         store<N>(to + x, Lanes<F, N>(load<N>(from + x) * scale + (iota<N, F>(x) * step + offset)));
       });
   }
 };
 
-// How many places a vector has. Filling 64 bytes element by element takes longer than filling 32 twice.
+// The number of coordinates in a vector. Filling 64 bytes element by element takes longer than filling 32 twice.
 template <class T>
 constexpr int kCoordLanes = (kVectorBytes < 32 ? kVectorBytes : 32) / int(sizeof(Compute<T>));
 
-// Calls windows(number of lanes) for a piece of a row. Offsets within a plane are ints in vectors, so huge planes go
-// one by one, as do pieces shorter than a vector.
+// Calls windows(number of lanes) for a chunk of a row. Offsets within a plane are ints in vectors, so huge planes are
+// processed one coordinate at a time, as are chunks shorter than a vector.
 template <class T, class F>
 KV_HD void dispatch_lanes(Images<T const> const& x, int64_t count, F windows) {
   int64_t const reach = x.height * x.row_stride + x.width * x.step;
@@ -98,7 +99,7 @@ KV_HD void dispatch_lanes(Images<T const> const& x, int64_t count, F windows) {
     windows(Width<kCoordLanes<T>>{});
 }
 
-// Where the i-th vector of N out of `count` places begins; the last one overlaps the one before it.
+// The index at which the i-th vector of N out of `count` coordinates begins; the last one overlaps the one before it.
 template <int N>
 KV_HD int64_t vector_start(int64_t i, int64_t count) {
   return min(i * N, count - N);
@@ -128,7 +129,7 @@ struct Offsets<1> {
   KV_HD int64_t operator[](int) const { return value; }
 };
 
-// Two neighbours in one.
+// Two adjacent elements in one access.
 template <class Bits, class T>
 KV_HD Bits load_bits(T const* p) {
   static_assert(sizeof(Bits) == 2 * sizeof(T));
@@ -223,7 +224,7 @@ KV_HD bool all(M mask) {
 
 // --- windows ---------------------------------------------------------------------------------------------------------
 
-// The K x K taps around N coords.
+// The K x K taps around N sampling coordinates.
 template <int K, int N, class T>
 struct TapWindow {
   using F = Compute<T>;
@@ -231,9 +232,9 @@ struct TapWindow {
   using I = Lanes<int, N>;
   V tx, ty;
   I x, y;            // the first taps
-  bool inside;       // all taps of all places are pixels
-  bool outside;      // all of them are the fill
-  Offsets<N> first;  // where the first taps are in a plane, if they are inside
+  bool inside;       // all taps are in bounds
+  bool outside;      // all taps are the fill
+  Offsets<N> first;  // offsets of the first taps in a plane, if they are in bounds
 
   KV_HD void set(Sampling<T> const& p, V u, V v, int64_t row_stride = 0, int64_t step = 0) {
     x = first_tap<K, F>(near_image(p.x_axis, u), tx);
@@ -245,11 +246,11 @@ struct TapWindow {
     first.set(offset<N>(y, x, row_stride, step));
   }
 
-  // Tap (j, i), read where it is known to be a pixel.
+  // Tap (j, i), which is in bounds.
   KV_HD V read(Images<T const> const& image, T const* plane, int j, int i) const {
     return gather<N>(plane + j * image.row_stride + i * image.step, first);
   }
-  // Tap (j, i), whatever is there.
+  // Tap (j, i), in bounds or padded.
   KV_HD V find(Sampling<T> const& p, Images<T const> const& image, T const* plane, F fill, int j, int i) const {
     I const px = pixel_at(p.x_axis, I(x + i)), py = pixel_at(p.y_axis, I(y + j));
     I const zero{}, last_x = zero + (p.x_axis.size - 1), last_y = zero + (p.y_axis.size - 1);

@@ -1,4 +1,4 @@
-// What the operators that sample have in common: names, checks, axes and fills. Included by warp_op.cpp and
+// Shared by the operators that sample: names of options, argument checks, axes and fills. Included by warp_op.cpp and
 // remap_op.cpp.
 #pragma once
 
@@ -51,7 +51,8 @@ void check_planes([[maybe_unused]] char const* op, [[maybe_unused]] Images<T> co
 #endif
 }
 
-// Into how many sums the slopes of an output go: one for a row of tiles on CUDA, one for each row of pixels on the CPU.
+// The number of partial sums of the gradients of an output: one for a row of tiles on CUDA, one for each row of pixels
+// on the CPU.
 inline int64_t coords_backward_parts(Size output, [[maybe_unused]] int row) {
 #if defined(KV_CUDA)
   auto const parts = [](int64_t size, int64_t part) { return (size + part - 1) / part; };
@@ -61,7 +62,7 @@ inline int64_t coords_backward_parts(Size output, [[maybe_unused]] int row) {
 #endif
 }
 
-// Whether t has what an image x goes with: numbers in the type that computes, for each sample or for all.
+// Whether t can accompany an image x: of the compute type, with one row for each sample or for all.
 inline bool matches_image(Tensor const& t, Tensor const& x, int64_t axes) {
   return t.dim() == axes && t.scalar_type() == compute_dtype(x) && t.device() == x.device() &&
          (t.size(0) == 1 || t.size(0) == x.size(0));
@@ -105,14 +106,14 @@ Tensor image_gradient(char const* op, Tensor const& grad, Size size, [[maybe_unu
 #endif
 }
 
-// The matrix of a warp: a tensor, or on CUDA numbers that the kernel makes it of.
+// The matrix of a warp: a tensor, or on CUDA the inputs of a formula by which the kernel computes it.
 struct WarpMatrix {
   Tensor tensor;
   MatrixFormula formula{};
   int rows;
   int64_t stride;  // from a sample to the next, 0 where one serves all
 
-  // Of images or volumes x, whose places have that many coordinates.
+  // For images or volumes x, with this number of axes.
   WarpMatrix(char const* op, Tensor const& given, Tensor const& x, int axes)
       : tensor(given), rows(int(given.dim() > 1 ? given.size(1) : 0)) {
     KV_CHECK(matches_image(given, x, 3) && (rows == axes || rows == axes + 1) && given.size(2) == axes + 1, op,
@@ -146,14 +147,14 @@ struct WarpMatrix {
   }
 };
 
-// Whether a kernel on CUDA makes the matrices itself: each block of threads waits for its own, which of many blocks
-// takes longer than a launch before them.
+// Whether a CUDA kernel computes the matrices itself. Each of its blocks waits for its matrix; with many blocks that
+// takes longer than a separate launch before them.
 inline bool is_computed_in_kernel(int64_t batch, Size output) {
   auto const tiles = [](int64_t size) { return (size + kTile - 1) / kTile; };
   return batch * tiles(output.height) * tiles(output.width) <= 1024;
 }
 
-// How a formula and what it is given are told in schemas, and the C++ arguments for them.
+// A formula and its inputs in operator schemas, and the C++ arguments for them.
 #define KV_BY_FORMULA \
   "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, str formula, float[] numbers, SymInt[] size, "
 using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
@@ -167,7 +168,7 @@ using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
     return run(WarpMatrix(op, given, MatrixBy::name, x, within));                              \
   }
 
-// How warps by a matrix are told what they are to do, in schemas.
+// The options of warps by a matrix in operator schemas.
 #define KV_WARP_OPTIONS "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
 
 // The matrix of a warp of images, and what it means.

@@ -1,13 +1,13 @@
-// The gradient to the image on CUDA, in one of two ways.
+// The gradient of the image on CUDA, by one of two methods.
 //
-// Gather: a pixel of the source looks for the places that have it as a tap. By the map the other way round they lie
-// around the one where it goes, as far as its neighbours do: few, and as many for all pixels of a tile. The same bits
-// every run, nothing is written twice. For warps by a matrix whose outside is the fill: else pixels at the rim would be
-// taps of places all around.
+// Gather: a pixel of the source reads the gradients of all output pixels that have it as a tap. The inverse map gives
+// their neighborhood, which is small and of equal size for all pixels of a tile. Results are deterministic, and each is
+// written once. It serves warps by a matrix with fill padding; with other paddings, border pixels would be taps of all
+// output pixels out of bounds.
 //
-// Scatter: a warp adds a piece of the places to their taps, in sums of its own in shared memory, which are then added
-// by atomics to zeros in the type that computes. Where the piece looks at more of the image than these hold, there at
-// once.
+// Scatter: a warp adds a blocklet of the output to its taps, in private sums in shared memory. These are then added by
+// atomics to a zeroed buffer of the compute type. Where the taps of the blocklet exceed the sums, the warp adds
+// directly to the buffer.
 #include "geometry/transform/source_tile.cuh"
 
 namespace kv::cuda {
@@ -15,22 +15,22 @@ namespace {
 
 // --- gather ----------------------------------------------------------------------------------------------------------
 
-// How many candidates beside each other are looked at together: for a turn that keeps sizes, all of them.
+// The number of adjacent candidates that are tested together: for a rotation without scaling, all of them.
 template <int K>
 constexpr int kCandidatesPerStep = K == 4 ? 3 : K + 1;
 
-// A tile of the source, in shared memory: where the places are that have its pixels as taps.
+// A tile of the source, in shared memory: the output pixels that may have its pixels as taps.
 template <class F>
 struct GatherTile {
   Homography<F> map, back;  // from coords, which count from (u, v), to pixels, which count from (x, y), and back
   int64_t b;
   int x, y, u, v;
-  F reach_x, reach_y;  // from where a pixel goes
-  int columns, rows;   // to look at, from there on
-  TapBounds coords;    // that all pixels look at
+  F reach_x, reach_y;  // from the output coordinate of a pixel
+  int columns, rows;   // of candidates, from there on
+  TapBounds coords;    // candidates of all pixels
 
   // By four threads of the first half of a warp, of which each takes a corner, and the whole warp. Where the horizon is
-  // near, all places are looked at.
+  // near, all output pixels are candidates.
   template <int K, class T>
   __device__ __forceinline__ void init(TileGrid const& tiles, SampleImageBackward<T> const& p, int number) {
     constexpr F reach = F(K) / 2;
@@ -80,7 +80,7 @@ struct GatherTile {
     reach_y = reach_y * more + F(kCoordRounding);
     coords = TapBounds::empty();
     coords.template add<2>(corner_u - reach_x, corner_v - reach_y, F(kCoordRounding),
-                           F(1 << 20));  // near where pixels begin to look
+                           F(1 << 20));  // near the first candidates
     coords.template merge_lanes<4>();
     int const width = int(p.grad.width), height = int(p.grad.height);
     bool const near = low * high > 0 && reach_x < F(width) && reach_y < F(height) && coords.right < INT_MAX / 4;
@@ -102,7 +102,7 @@ struct GatherTile {
   }
 };
 
-// The next whole number.
+// The next integer.
 __device__ __forceinline__ int above(float x, float& whole) {
   constexpr float kLarge = 0x1.8p23f;
   float const sum = __fadd_ru(x, kLarge);
@@ -114,7 +114,7 @@ __device__ __forceinline__ int above(double x, double& whole) {
   return int(whole);
 }
 
-// 1 / x, of a weight; NaN, which is no place, where there is none.
+// 1 / x, of a weight; NaN, which is no valid coordinate, where there is none.
 __device__ __forceinline__ float reciprocal_or_nan(float x) {
   float y;
   asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
@@ -255,13 +255,13 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 5)
 // --- scatter ---------------------------------------------------------------------------------------------------------
 
 constexpr int kScatterWarps = 4;                         // of a block, which work alone
-constexpr int kBlockletWidth = 16, kBlockletHeight = 8;  // places that a warp takes at a time
+constexpr int kBlockletWidth = 16, kBlockletHeight = 8;  // output pixels that a warp takes at a time
 constexpr int kCoordsPerLane = kBlockletWidth * kBlockletHeight / 32;
 
 // A warp's sums, in shared memory: of pixels in rows of `pitch`, for some channels.
 template <class F>
 struct Sums {
-  static constexpr int kCells = 576;  // of a channel: a piece turned by any angle, or 1.5 times as large
+  static constexpr int kCells = 576;  // of a channel: a blocklet rotated by any angle, or 1.5 times as large
   static constexpr int kChannels = sizeof(F) == 8 ? 1 : 3;  // at a time
   static __host__ __device__ int channels(int of) { return min(of, kChannels); }
   static size_t bytes(int of) { return kScatterWarps * kCells * (channels(of) * sizeof(F) + sizeof(int)); }
@@ -286,15 +286,15 @@ __device__ __forceinline__ void add_four(F* to, Vector<F, 4> const& sums) {
   }
 }
 
-// A place of the same value, of a reflection, whose taps pixel_at knows. Counts from `origin`; NaN is 0. One near the
-// image stays where it is: its neighbours are there, too.
+// A coordinate of the same value under reflection, whose taps pixel_at supports. Relative to `origin`; NaN is 0. A
+// coordinate near the image does not change, so that adjacent ones stay adjacent.
 template <class F>
 __device__ __noinline__ F reflected_near(Axis<F> const& axis, F x, int origin) {
   F const first = F(-origin), reach = F(axis.size < 8 ? 1 : axis.size / 2);
   return x >= first - reach && x < first + (F(axis.size - 1) + reach) ? x : reflected(axis, x + F(origin)) - F(origin);
 }
 
-// N channels of one place, to the sums where they are.
+// Adds N channels of one output pixel directly to the sums in memory.
 template <int K, int N, class T, class F>
 __device__ __forceinline__ void scatter_place(SampleImageBackward<T> const& p, F* sums, F u, F v, Tile<F> const& tile,
                                               F const (&g)[N]) {
@@ -339,10 +339,11 @@ __device__ __forceinline__ void scatter_place(SampleImageBackward<T> const& p, F
   }
 }
 
-// The places of a run are two apart, so that hardly two of them have a tap in common, and in banks of their own:
+// The output pixels of a run are two apart, so that few of them have a tap in common, and their sums in different
+// banks:
 //
-//   0 1 0 1      those that do take turns: each leaves its number where its first tap is, and the one whose number
-//   2 3 2 3      stays adds. Nothing but the warp itself sees its sums: plain additions, where atomics on floats are
+//   0 1 0 1      those that do take turns: each writes its index to the cell of its first tap, and the one whose
+//   2 3 2 3      index stays adds. Only the warp itself accesses its sums: plain additions, where atomics on floats are
 //   1 0 1 0      loops.
 //   3 2 3 2
 template <class T, int K>
@@ -362,7 +363,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
       reinterpret_cast<int*>(reinterpret_cast<F*>(shared_sums) + kScatterWarps * pixels) + warp * kCells;
   TileCoords<F> const coords(p.coords, tile);
   bool const filled = p.x_axis.padding == Padding::fill, reflects = p.x_axis.padding == Padding::reflection;
-  // The places next to the image that stand for all beyond them; of a reflection, for none.
+  // The coordinates next to the image that represent all those out of bounds; none under reflection.
   F const first_u = reflects ? -INFINITY : F(-4 - tile.u), last_u = reflects ? INFINITY : F(p.x_axis.size + 3 - tile.u);
   F const first_v = reflects ? -INFINITY : F(-4 - tile.v), last_v = reflects ? INFINITY : F(p.y_axis.size + 3 - tile.v);
 #pragma unroll 1
@@ -372,7 +373,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
     auto const x_of = [&](int run) { return x0 + ((lane_y + run) & 1); };
     auto const y_of = [&](int run) { return y0 + run / 2; };
 
-    // Where the places are, which of them have taps, and the box of the first ones.
+    // The sampling coordinates, which of them have taps, and the bounding box of the first taps.
     F u[kCoordsPerLane], v[kCoordsPerLane];
     if (!p.coords.has_map()) {
 #pragma unroll
@@ -444,7 +445,7 @@ __global__ void __launch_bounds__(32 * kScatterWarps, sizeof(T) == 8 ? 4 : 6)
           if (count >> run & 1) scatter_place<K, N>(p, to, to_u[0], to_v[0], tile, g[0]);
         return;
       }
-      __syncwarp();  // for those who read the sums before these
+      __syncwarp();  // before the previous sums are overwritten
       for (int i = 4 * lane; i < rows * pitch; i += 4 * 32)
 #pragma unroll
         for (int k = 0; k < N; ++k) *reinterpret_cast<Vector<F, 4>*>(sums + k * kCells + i) = {};

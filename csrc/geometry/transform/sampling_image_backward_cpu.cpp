@@ -1,4 +1,4 @@
-// The gradient to the image on the CPU: planes [begin, end) of all images in order, each by one thread, so that sums
+// The gradient of the image on the CPU: planes [begin, end) of all images in order, each by one thread, so that sums
 // are the same in every run. Compiled once per instruction set.
 #include "geometry/transform/sampling_cpu.h"
 

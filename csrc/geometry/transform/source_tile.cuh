@@ -1,8 +1,8 @@
-// The part of an image that a tile of places looks at, in shared memory. Included by sampling*.cu.
+// Source tiles: the pixels of an image that a tile of the output reads, in shared memory. Included by sampling*.cu.
 //
-// Pixels come there once, in vectors of 16 bytes where rows allow, with what the padding puts around the image; taps
-// are then at offsets known to the compiler. From global memory a turned tile would ask for as many lines as it has
-// rows, once for each tap.
+// Pixels are loaded once, in vectors of 16 bytes where rows are aligned, together with their padding; the compiler then
+// knows the offsets of the taps. From global memory, each tap of a rotated tile would load as many cache lines as the
+// tile has rows.
 #pragma once
 
 #include <cuda_pipeline.h>
@@ -13,8 +13,8 @@
 
 namespace kv::cuda {
 
-// The first of the K taps of a place less than 2^21 away, and what is left of it. A sum with so large a number has the
-// whole one in its last bits.
+// The first of the K taps of a coordinate below 2^21 in magnitude, and the fraction. The sum with a large constant has
+// the integer in its last bits.
 template <int K>
 __device__ __forceinline__ int near_tap(float x, float& t) {
   constexpr float kLarge = 0x1.8p23f;
@@ -33,7 +33,7 @@ struct TapBounds {
 
   static __device__ __forceinline__ TapBounds empty() { return {INT_MAX, INT_MAX, -INT_MAX, -INT_MAX}; }
   static __device__ __forceinline__ TapBounds all() { return {-INT_MAX / 4, -INT_MAX / 4, INT_MAX / 4, INT_MAX / 4}; }
-  // That of the taps of places as near as `margin`; all, where these are no numbers or farther away than `far`.
+  // The bounds of the taps of coordinates within `margin`; everything, if these are NaN or farther away than `far`.
   template <int K, class F>
   __device__ __forceinline__ void add(F u, F v, F margin, F far) {
     TapBounds box = all();
@@ -52,7 +52,7 @@ struct TapBounds {
     right += x;
     bottom += y;
   }
-  // The box around those of N neighbouring threads.
+  // The bounding box of those of N adjacent threads.
   template <int N>
   __device__ __forceinline__ void merge_lanes() {
 #pragma unroll
@@ -65,17 +65,17 @@ struct TapBounds {
   }
 };
 
-// What rounding does to places within the reach of a patch, and more.
+// An upper bound of the rounding error of coordinates within the reach of a source tile.
 constexpr float kCoordRounding = 1.f / 64;
-// What is farther from the image is left to those who look at places one by one: sums over patches of its border would
-// only be rounding.
+// Coordinates farther from the image are processed one by one: sums over source tiles of the border would be rounding
+// errors only.
 constexpr int kFarCoord = 4096;
 
-// A thread's places in a tile, counted from the tile's (u, v).
+// A thread's sampling coordinates in a tile, relative to the tile's (u, v).
 template <class F>
 struct ThreadCoords {
-  F u, v, weight, u_step, v_step, weight_step;  // of the first one, and from one to the next
-  F const* found;                               // in a map, u and v, or null
+  F u, v, weight, u_step, v_step, weight_step;  // of the first one, and steps between two
+  F const* found;                               // coordinates u and v from a map, or null
   bool affine;
 
   __device__ __forceinline__ ThreadCoords(Tile<F> const& tile, SampleCoords<F> const& coords, void const* kept,
@@ -118,7 +118,7 @@ struct BlockTiles {
     auto const given = [&](int64_t b) { return p.coords.matrices + b * p.coords.matrix_stride; };
     prepare<K>(count, p, width, height, given);
   }
-  // By the matrices that `matrix(sample)` gives.
+  // By the matrices that `matrix(sample)` returns.
   template <int K, class T, class Matrix>
   __device__ __forceinline__ void prepare(TileGrid const& count, Sampling<T> const& p, int width, int height,
                                           Matrix matrix) {
@@ -146,8 +146,8 @@ struct BlockTiles {
     }
     __syncthreads();
   }
-  // The box of a tile's taps. By maps, places are looked at one by one, at the taps that they have next to the image,
-  // and kept.
+  // The bounding box of a tile's taps. The coordinates of maps are read one by one, clamped to next to the image, and
+  // stored.
   template <int K, class T>
   __device__ __forceinline__ TapBounds tap_bounds(int number, Sampling<T> const& p, int width, int height, void* kept) {
     if (!p.coords.has_map()) return taps[number];
@@ -184,7 +184,8 @@ struct BlockTiles {
 template <class T>
 struct SourceTile {
   static constexpr int kVectorSize = 16 / int(sizeof(T));
-  // Room for a tile of kTile x kTile, turned by any angle. Double4 rows one below the other are in different banks.
+  // The capacity suffices for a tile of kTile x kTile rotated by any angle. Double4 rows one below the other are in
+  // different banks.
   static constexpr int kPitch = sizeof(T) == 1 ? 80 : sizeof(T) == 2 ? 72 : 56, kRows = 52;
   static constexpr int kSize = kPitch * kRows;
   static constexpr int kChannels = sizeof(T) == 8 ? 1 : 3;  // at a time
@@ -196,7 +197,7 @@ struct SourceTile {
   int left, top, columns, rows;
   bool fits;
 
-  // Of a box that has something in it.
+  // For a box that is not empty.
   __device__ __forceinline__ SourceTile(void* pixels, TapBounds const& box)
       : pixels(static_cast<T*>(pixels)),
         left(box.left & -kVectorSize),
@@ -204,29 +205,29 @@ struct SourceTile {
         columns(box.right - left + 1),
         rows(box.bottom - top + 1),
         fits(columns <= min(kPitch, kColumns * kVectorSize) && rows <= kRows) {}
-  // Of the taps in the box; where these leave the image, that they can be put there.
+  // Whether the taps in the box fit; where some are out of bounds, whether their padding can be stored.
   template <class S, class F>
   __device__ __forceinline__ SourceTile(void* pixels, TapBounds const& box, Sampling<S> const& p, F)
       : SourceTile(pixels, box) {
     bool const inside = box.left >= 0 && box.top >= 0 && box.right < p.x_axis.size && box.bottom < p.y_axis.size;
-    // Reflected places are in no order, and what fills the outside may be no number of the image's type.
+    // Reflected coordinates are not monotonic, and the fill may not be representable in the image's type.
     fits = fits && (inside || (p.x_axis.padding != Padding::reflection && (sizeof(T) == sizeof(F) || !p.fill)));
   }
-  // What it takes, and behind it, at `end`, the places of maps.
+  // Bytes of the source tile; the coordinates of maps are stored after it, at `end`.
   static KV_HD size_t bytes(int channels) { return size_t(min(channels, kChannels)) * kSize * sizeof(T); }
   template <class F>
   static size_t bytes(int channels, SampleCoords<F> const& coords) {
     return bytes(channels) + (coords.has_map() ? 2 * kTile * kTile * sizeof(F) : 0);
   }
 
-  // For taps of places that count from (u, v).
+  // For taps of coordinates relative to (u, v).
   __device__ __forceinline__ int origin(int u, int v) const { return (v - top) * kPitch + (u - left); }
 
-  // Brings N channels from `first` on; fill(channel) is what stands where there is no pixel.
+  // Loads N channels from `first` on; fill(channel) is the value out of bounds.
   template <int N, class F, class Fill>
   __device__ __forceinline__ void load(Images<T const> const& x, int64_t b, int first, Axis<F> const& x_axis,
                                        Axis<F> const& y_axis, bool aligned, Fill fill) const {
-    __syncthreads();  // for those who read what is there now
+    __syncthreads();  // before the current contents are overwritten
     int const column = threadIdx.x % kColumns * kVectorSize, from = left + column;
     bool const within = from >= 0 && from + kVectorSize <= x_axis.size, whole = aligned && within;
     bool const filled = y_axis.padding == Padding::fill, beside = from + kVectorSize <= 0 || from >= x_axis.size;

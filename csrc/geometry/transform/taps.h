@@ -1,4 +1,4 @@
-// The taps of a place along an axis: which pixels, their weights and the derivatives of these; sampling.h has the
+// The taps of a coordinate along an axis: which pixels, their weights and the derivatives of these; sampling.h has the
 // rules. Included by kernels. V is F or lanes of it, I int or lanes of it.
 #pragma once
 
@@ -65,10 +65,10 @@ KV_HD auto floor_to_int(V x) {
 }
 #endif
 
-// --- places and pixels -----------------------------------------------------------------------------------------------
+// --- coordinates and pixels ------------------------------------------------------------------------------------------
 
-// A place of the same value that is near the image, so that its taps are ints: of the fill or the border, NaN lies far
-// outside, to the left; of the reflection.
+// A coordinate of the same value that is near the image, so that its taps fit ints: for the fill and the border, where
+// NaN is out of bounds to the left, and for the reflection.
 template <class F, class V>
 KV_TAPS V clamped(Axis<F> const& axis, V x) {
   V const zero{};
@@ -87,7 +87,7 @@ KV_TAPS V near_image(Axis<F> const& axis, V x) {
   return axis.padding == Padding::reflection ? reflected(axis, x) : clamped(axis, x);
 }
 
-// The pixel at tap i, or i itself where it is outside and shows the fill.
+// The pixel of tap i, or i itself where it is out of bounds and reads the fill.
 template <class F, class I>
 KV_TAPS I pixel_at(Axis<F> const& axis, I i) {
   if (axis.padding == Padding::fill) return i;
@@ -103,7 +103,7 @@ KV_TAPS I pixel_at(Axis<F> const& axis, I i) {
 
 // --- weights ---------------------------------------------------------------------------------------------------------
 
-// The first of K taps, and what is left of x, which is near the image.
+// The first of K taps, and the fraction of x, which is near the image.
 template <int K, class F, class V>
 KV_TAPS auto first_tap(V x, V& t) {
   if constexpr (K == 1) {
@@ -153,7 +153,7 @@ KV_TAPS void tap_derivatives(V t, V (&d)[K]) {
 }
 
 #if defined(__CUDACC__)
-// The weight that a place has for one pixel, as tap_weights has it; 0 where it is none of its taps.
+// The weight of one pixel at a coordinate, equal to that of tap_weights; 0 where it is no tap of the coordinate.
 template <int K, class F>
 KV_TAPS F weight_at(F place, int pixel) {
   if constexpr (K == 1) {

@@ -1,5 +1,5 @@
-// Thin-plate splines on CUDA: a block takes a part of a sample's points, a thread four of them and all centers; weights
-// take a block a sample.
+// Thin-plate splines on CUDA. A block takes a chunk of a sample's points, a thread four of them and all centers. One
+// block per sample solves for the weights.
 #include "core/launch.cuh"
 #include "geometry/transform/thin_plate.h"
 
@@ -159,7 +159,7 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-// A block for 32 sums of a sample, of which its warps take parts in turns.
+// A block adds up 32 sums of a sample; its warps take parts in turn.
 template <class T>
 __global__ void __launch_bounds__(kThreads) sum_parts(ThinPlateReduction<T> p, unsigned blocks) {
   __shared__ double parts[kWarps][32];

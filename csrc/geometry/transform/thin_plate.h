@@ -1,4 +1,4 @@
-// Thin-plate splines. A place p goes to
+// Thin-plate splines. A point p is mapped to
 //
 //   a_0 + p_x a_1 + p_y a_2 + sum of w_c U(|p - c|^2) over the centers c,     U(s) = s log(s) / 2
 //
@@ -33,7 +33,7 @@ struct ThinPlate {
   KV_HD T pixel(int axis, int64_t i) const { return (T(i) - middle[axis]) * scale[axis]; }
 };
 
-// How many points go into one sum.
+// The number of points in one partial sum.
 constexpr int kThinPlateChunk = 1024;
 inline int64_t thin_plate_chunks(int64_t count) { return (count + kThinPlateChunk - 1) / kThinPlateChunk; }
 
@@ -60,7 +60,7 @@ struct ThinPlateWeights {
   Reals centers, rhs, result;  // (B, centers, 2), (B, centers + 3, 2) twice
   int64_t center_stride, rhs_stride;
   int64_t batch, center_count;
-  T* systems;  // (B, size, width): room to work in
+  T* systems;  // (B, size, width): workspace
 
   KV_HD int64_t size() const { return center_count + 3; }
   KV_HD int64_t width() const { return (size() + 2 + 7) / 8 * 8; }  // whole vectors
@@ -73,11 +73,11 @@ KV_KERNEL(thin_plate_weights, ThinPlateWeights)
 
 // --- U ---------------------------------------------------------------------------------------------------------------
 
-// Of squares less than these U is nothing, and the logarithms of kernels may be anything.
+// For smaller squares U is negligible, and the logarithms of the kernels are undefined.
 template <class F>
 constexpr F kMinSquare = sizeof(F) == 4 ? F(1e-36) : F(1e-300);
 
-// U(s), and its derivative by p over p - c, from s and log2(s).
+// U(s), and its derivative with respect to p divided by p - c, from s and log2(s).
 template <class F, class V>
 KV_HD V radial_basis(V square, V log2) {
   return square > kMinSquare<F> ? V(square * log2 * F(0.34657359027997265)) : V{};
@@ -139,7 +139,7 @@ KV_HD void solve_thin_plate_weights(ThinPlateWeights<T> const& p, int64_t b, T* 
         pivot = other;
       }
     }
-    each(team, 0, 1, [](int64_t, int64_t) {});  // all have looked
+    each(team, 0, 1, [](int64_t, int64_t) {});  // all threads have read the pivot
     T *const first = system + k * width, *const other = system + chosen * width;
     each(team, 1, n + 2 - k, [&](int64_t, int64_t j) {
       T const value = other[k + j] / pivot;

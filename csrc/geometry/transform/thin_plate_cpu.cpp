@@ -1,4 +1,4 @@
-// Thin-plate splines on the CPU: parts of the points of all samples [begin, end), by vectors; weights by sample.
+// Thin-plate splines on the CPU: chunks [begin, end) of the points of all samples, by vectors; weights by sample.
 // Compiled once per instruction set.
 #include "core/lanes.h"
 // After it, for vectors.
@@ -7,7 +7,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// A part of a sample's points, and zeros behind it that make the last vector whole.
+// A chunk of a sample's points, zero-padded to whole vectors.
 template <class T>
 struct Part {
   static constexpr int N = kLanes<T>;

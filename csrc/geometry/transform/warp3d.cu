@@ -1,5 +1,5 @@
-// Warps of volumes on CUDA: a block takes a run of an output's voxels, a thread one after the other and of each all
-// channels. The gradient to the volume is summed by atomics.
+// Warps of volumes on CUDA. A block takes a chunk of an output's voxels, a thread one voxel after the other with all
+// channels of each. The gradient of the volume is summed by atomics.
 #include "geometry/transform/matrix_formula.cuh"
 #include "geometry/transform/sampling.cuh"
 #include "geometry/transform/warp3d_taps.h"
@@ -22,7 +22,7 @@ __device__ __forceinline__ Homography3<Compute<T>> map_of(Warp3dForward<T> const
   return homography3(matrix, p.use);
 }
 
-// Calls voxel(sample, offset in the output, x, y, z, place, its weight) for the thread's ones.
+// Calls voxel(sample, offset in the output, x, y, z, coordinates, divisor) for the thread's voxels.
 template <class P, class Voxel>
 __device__ __forceinline__ void for_each_voxel(P const& p, Voxel voxel) {
   using F = Compute<decltype(stored_in(p))>;
@@ -43,7 +43,7 @@ __device__ __forceinline__ void for_each_voxel(P const& p, Voxel voxel) {
   }
 }
 
-// As many blocks at once as without formulas, whose code would take twice the registers.
+// Limits the registers, so that as many blocks are resident as without formulas, whose code would need twice as many.
 template <int K, class T>
 __global__ void __launch_bounds__(kThreads, sizeof(T) == 8 ? 2 : 3)
     forward_parts(__grid_constant__ Warp3dForward<T> const p) {
@@ -88,7 +88,7 @@ __global__ void __launch_bounds__(kThreads) coords_backward_parts(__grid_constan
   store_block_sums(sums, p.sums + int64_t(blockIdx.x) * 16);
 }
 
-// A block a sample.
+// One block per sample.
 template <class F>
 __global__ void reduce_matrix_grads(Warp3dMatrixBackward<F> p) {
   int64_t const b = blockIdx.x;

@@ -1,5 +1,5 @@
 // Warps of volumes by a matrix: trilinear or nearest, with the rules of sampling.h along each of the three axes, and
-// nothing (0) around the volume for the fill. Places and matrices are (x, y, z). Included by warp3d_cpu.cpp, warp3d.cu
+// 0 around the volume for the fill. Coordinates and matrices are (x, y, z). Included by warp3d_cpu.cpp, warp3d.cu
 // and warp3d_op.cpp.
 #pragma once
 
@@ -12,7 +12,7 @@ struct Size3 {
   KV_HD int64_t along(int axis) const { return axis == 0 ? width : axis == 1 ? height : depth; }
 };
 
-// What a caller's matrix means, as MatrixUse.
+// The meaning of a caller's matrix, as MatrixUse.
 struct MatrixUse3 {
   int rows;  // 4, or 3 for an affine one
   bool inverse, normalized, align_corners;
@@ -38,10 +38,10 @@ struct Warp3d {
   KV_HD Axis<Compute<T>> axis(int i) const { return {int(use.source.along(i)), padding, use.align_corners}; }
 };
 
-// How many voxels of a sample a block of threads takes on CUDA.
+// The number of voxels of a sample that a block takes on CUDA.
 constexpr int64_t kVoxelsOfPart = 4096;
 
-// The value; in the type that computes, the gradient to the volume and the parts of that to the matrices.
+// The value; in the compute type, the gradient of the volume and the partial sums of the gradient of the matrices.
 template <class T>
 struct Warp3dForward : Warp3d<T> {
   MatrixFormula formula{};
@@ -51,7 +51,7 @@ struct Warp3dVolumeBackward : Warp3d<T> {};
 template <class T>
 struct Warp3dCoordsBackward : Warp3d<T> {};
 
-// Adds the parts up and takes them to the matrices.
+// Adds up the parts and computes the gradients of the matrices from them.
 template <class T>
 struct Warp3dMatrixBackward : Warp3d<T> {
   T* grad;  // (B, rows, 4)
@@ -87,7 +87,7 @@ KV_HD void invert4(double const* m, double* inverse) {
   for (int i = 0; i < 16; ++i) inverse[i] = cofactors[i] * scale;
 }
 
-// The gradient to m from that to its inverse: -inverse^T g inverse^T.
+// The gradient of m from that of its inverse: -inverse^T g inverse^T.
 KV_HD void invert4_vjp(double const* inverse, double const* g, double* grad) {
   double product[16];
   for (int i = 0; i < 4; ++i)
@@ -109,7 +109,7 @@ KV_HD void to_voxels(double* m, MatrixUse3 const& use) {
   for (int i = 0; i < 3; ++i) {
     Unit const from(use.output.along(i), use.align_corners);
     for (int row = 0; row < 16; row += 4) {
-      m[row + i] = from.scale > 0 ? m[row + i] / from.scale : 0;  // the only voxel of an axis stands in its middle
+      m[row + i] = from.scale > 0 ? m[row + i] / from.scale : 0;  // the only voxel of an axis is at 0
       m[row + 3] -= m[row + i] * from.offset;
     }
   }
@@ -145,7 +145,7 @@ struct Homography3 {
   KV_HD F row(int i, F x, F y, F z) const {
     return x * m[4 * i] + (y * m[4 * i + 1] + (z * m[4 * i + 2] + m[4 * i + 3]));
   }
-  // The place, and what its coordinates were divided by.
+  // The coordinates, and their divisor.
   KV_HD F apply(F x, F y, F z, F (&coords)[3]) const {
     F const weight = row(3, x, y, z);
     for (int i = 0; i < 3; ++i) coords[i] = row(i, x, y, z) / weight;
@@ -190,7 +190,8 @@ KV_HD void homography3_vjp(F const* given, MatrixUse3 const& use, double* g, F* 
   for (int i = 0; i < 4 * use.rows; ++i) grad[i] = F(g[i]);
 }
 
-// What a voxel of the output, whose place has the gradient `grad_coords`, gives to the sums of its matrix.
+// Adds the contribution of an output voxel, whose coordinates have the gradient `grad_coords`, to the sums of its
+// matrix.
 template <class F, class Sum>
 KV_HD void accumulate_matrix_grad3(F const (&grad_coords)[3], F const (&coords)[3], F weight, F x, F y, F z,
                                    Sum* sums) {

@@ -1,5 +1,5 @@
-// Warps of volumes on the CPU: rows [begin, end) of all outputs in order; the gradient to the volume goes by planes of
-// channels, each by one thread, so that sums are the same in every run. Compiled once per instruction set.
+// Warps of volumes on the CPU: rows [begin, end) of all outputs in order; for the gradient of the volume, one thread
+// takes each channel, so that sums are the same in every run. Compiled once per instruction set.
 #include "core/lanes.h"
 // After it, for lanes.
 #include "geometry/transform/warp3d_taps.h"
@@ -7,7 +7,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Calls voxel(sample, offset in the output, x, y, z, place, its weight) along a row of the output.
+// Calls voxel(sample, offset in the output, x, y, z, coordinates, divisor) along a row of the output.
 template <class T, class Voxel>
 KV_HD void for_each_voxel(Warp3d<T> const& p, int64_t row, Voxel voxel) {
   using F = Compute<T>;

@@ -1,4 +1,4 @@
-// Warps of volumes: schemas and entries, for CPU and CUDA alike.
+// Warps of volumes: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/transform/sampling_glue.h"
 #include "geometry/transform/warp3d.h"
 
@@ -14,7 +14,7 @@ Size3 size3_of(char const* op, std::vector<int64_t> const& size) {
 
 Size3 size3_of(char const* op, Tensor const& x) { return size3_of(op, {x.size(2), x.size(3), x.size(4)}); }
 
-// Parts of a sample: runs of voxels on CUDA, rows on the CPU.
+// Parts of a sample: chunks of voxels on CUDA, rows on the CPU.
 int64_t parts_of(Size3 const& output) {
 #if defined(KV_CUDA)
   return (output.depth * output.height * output.width + kVoxelsOfPart - 1) / kVoxelsOfPart;
@@ -23,7 +23,7 @@ int64_t parts_of(Size3 const& output) {
 #endif
 }
 
-// A warp of dense volumes like `volumes`, and its parameters; what is read and written is up to the caller.
+// A warp of dense volumes like `volumes`, and its parameters; the caller sets the tensors that are read and written.
 struct Warp {
   char const* op;
   Tensor volumes;

@@ -1,4 +1,4 @@
-// The taps of a place in a volume. Included by warp3d_cpu.cpp, inside of no namespace, and by warp3d.cu.
+// The taps of sampling coordinates in a volume. Included by warp3d_cpu.cpp, inside of no namespace, and by warp3d.cu.
 #pragma once
 
 #include "geometry/transform/taps.h"
@@ -14,7 +14,7 @@ namespace kv {
 
 template <int K, class F>
 struct TapWindow3 {
-  int64_t at[3][K];  // offset of the voxel, or -1 where there is none
+  int64_t at[3][K];  // offset of the voxel, or -1 out of bounds
   F weight[3][K], derivative[3][K];
 
   template <class T>
@@ -41,7 +41,7 @@ struct TapWindow3 {
         for (int i = 0; i < K; ++i)
           if (at[0][i] >= 0 && at[1][j] >= 0 && at[2][k] >= 0) tap(at[0][i] + at[1][j] + at[2][k], i, j, k);
   }
-  // A tap of weight 0 is no part of the value, whatever it holds.
+  // A tap of weight 0 contributes nothing, even if it is inf or NaN.
   template <class T, class Read>
   KV_TAPS3 F value(T const* x, Read read) const {
     F sum = 0;

@@ -1,5 +1,5 @@
-// The map of a warp, from pixels of the output to pixels of the source, out of the matrix that a caller gives; and the
-// gradient back to it. In double, once a sample: what matters is that coordinates, in float, are right to their last
+// The map of a warp from pixels of the output to pixels of the source, computed from the caller's matrix, and the
+// gradient of that matrix. Computed in double, once per sample, so that coordinates in float are correct to their last
 // bits.
 #pragma once
 
@@ -11,17 +11,17 @@ struct Size {
   int64_t height, width;
 };
 
-// What a caller's matrix means.
+// The meaning of a caller's matrix.
 struct MatrixUse {
   int rows;      // 3, or 2 for an affine one
   bool inverse;  // it maps source to output
-  // It maps [-1, 1] to [-1, 1]: from the middle of the first pixel to that of the last one with align_corners, from
-  // edge to edge without.
+  // It maps [-1, 1] to [-1, 1]: between the centers of the first and the last pixel with align_corners, between their
+  // outer edges without.
   bool normalized, align_corners;
   Size source, output;
 };
 
-// 1 / x; of a float on CUDA without what numbers of no use as a weight would cost there.
+// 1 / x; for floats on CUDA without the slow path for values that are no valid weights.
 template <class V>
 KV_HD V reciprocal(V x) {
 #if defined(__CUDA_ARCH__)
@@ -29,13 +29,13 @@ KV_HD V reciprocal(V x) {
     float y;
     asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
     float const rest = ::fmaf(-x, y, 1);
-    return rest == rest ? ::fmaf(y, rest, y) : y;  // 0 and inf have theirs
+    return rest == rest ? ::fmaf(y, rest, y) : y;  // y is exact for 0 and inf
   }
 #endif
   return 1 / x;
 }
 
-// (x, y, 1) goes to m (x, y, 1), divided by its last number.
+// Maps (x, y, 1) to m (x, y, 1), divided by its last entry.
 template <class F>
 struct Homography {
   F m[9];
@@ -73,14 +73,14 @@ KV_HD void transpose(double* m) {
     }
 }
 
-// The inverse up to a factor, which a homography does not have: the cross products of the rows are its columns.
+// The inverse up to a factor, which does not matter for a homography: its columns are the cross products of the rows.
 KV_HD void adjugate(double const* m, double* a) {
   cross(m + 3, m + 6, a);
   cross(m + 6, m, a + 3);
   cross(m, m + 3, a + 6);
   transpose(a);
 }
-// The gradient to m from that to its adjugate: row r0 is in r2 x r0 and r0 x r1, and so on.
+// The gradient of m from that of its adjugate: row r0 enters r2 x r0 and r0 x r1, and so on.
 KV_HD void adjugate_vjp(double const* m, double* g, double* grad) {
   transpose(g);
   for (int i = 0; i < 3; ++i) {
@@ -105,8 +105,7 @@ KV_HD void to_pixels(double* m, MatrixUse const& use) {
   Unit const to[] = {{use.source.width, use.align_corners}, {use.source.height, use.align_corners}};
   for (int row = 0; row < 9; row += 3)
     for (int i = 0; i < 2; ++i) {
-      m[row + i] =
-          from[i].scale > 0 ? m[row + i] / from[i].scale : 0;  // the only pixel of an axis stands in its middle
+      m[row + i] = from[i].scale > 0 ? m[row + i] / from[i].scale : 0;  // the only pixel of an axis is at 0
       m[row + 2] -= m[row + i] * from[i].offset;
     }
   for (int k = 0; k < 3; ++k)
@@ -132,8 +131,8 @@ KV_HD void load(F const* given, int rows, double* m) {
   for (int i = 0; i < 9; ++i) m[i] = i < 3 * rows ? double(given[i]) : i == 8;
 }
 
-// A factor that leaves coordinates in the range of float: the map does not depend on it, nor does its gradient. The
-// last number becomes 1 where it can, so that affine maps stay so and whole numbers stay whole.
+// A factor that keeps coordinates in the range of float; neither the map nor its gradient depends on it. The last entry
+// becomes 1 where possible, so that affine maps stay affine and integers stay integers.
 KV_HD double scale_of(double const* m) {
   double largest = 0;
   for (int i = 0; i < 9; ++i) largest = max(largest, m[i] < 0 ? -m[i] : m[i]);
@@ -162,7 +161,7 @@ KV_HD Homography<double> homography(F const* given, MatrixUse const& use) {
   return h;
 }
 
-// Of the same matrix, from pixels of the source to pixels of the output.
+// The inverse map of the same matrix, from pixels of the source to pixels of the output.
 KV_HD MatrixUse inverse_use(MatrixUse use) {
   use.inverse = !use.inverse;
   Size const source = use.source;
@@ -171,8 +170,8 @@ KV_HD MatrixUse inverse_use(MatrixUse use) {
   return use;
 }
 
-// The same map between coordinates that count from (x, y), and from (u, v) where it goes to. In float these are right
-// to a few millionths of their distance from there; those of a large image, from its corner, only to half a thousandth.
+// The same map between coordinates relative to (x, y) and to (u, v). In float their error is a few millionths of the
+// distance from there; relative to the corner of a large image it would be half a thousandth of a pixel.
 template <class F>
 KV_HD Homography<F> bind_to_tile(Homography<double> const& h, double x, double y, double u, double v) {
   double m[9];
@@ -191,11 +190,11 @@ KV_HD Homography<F> bind_to_tile(Homography<double> const& h, double x, double y
   return near;
 }
 
-// A pixel to count from, of an axis of that size, near a place. An even one, for halves to be rounded to even from
-// there, too.
+// The origin of relative coordinates on an axis of that size, near a coordinate. It is even, so that halves are rounded
+// to the same even pixel.
 KV_HD int origin_near(double place, int64_t size) { return 2 * int((place > 0 ? min(place, double(size)) : 0) / 2); }
 
-// The gradient to the matrix that a caller gives, from that to the numbers of homography(given, use).
+// The gradient of the caller's matrix, from that of the entries of homography(given, use).
 template <class F>
 KV_HD void homography_vjp(F const* given, MatrixUse const& use, double* g, F* grad) {
   double m[9], a[9], to_given[9];

@@ -1,4 +1,4 @@
-"""Operators that make a small matrix or vector of each sample out of others: one launch each, and one for their gradient.
+"""Operators that compute a small matrix or vector for each sample: one kernel launch each, and one for the gradient.
 
 The kernels are formulas, csrc/geometry/formulas.h lists them; their gradients are computed from them. Here are their references.
 """
@@ -20,24 +20,24 @@ from kvision._ops import Operator, register
 def register_formula(name: str, reference: Callable[..., Tensor], result: Callable[..., tuple[int, ...]]) -> Operator:
     """The operator of a formula of tensors (B, ...) or (1, ...); `result` gives the axes behind the batch from all arguments.
 
-    Its gradient comes as one tensor (B, n): those of all tensors that are given, one after another.
+    Its gradient comes as one tensor (B, n): the gradients of all tensor arguments, concatenated.
     """
 
     def backward(needs: Any, grad: Tensor, *args: Any) -> list[Tensor | None]:
-        found = slopes(grad, *args)
+        joint = backward_op(grad, *args)
         grads: list[Tensor | None] = []
-        at = 0
+        offset = 0
         for need, x in zip(needs, args):
             if not isinstance(x, Tensor):
                 grads.append(None)
                 continue
             width = math.prod(x.shape[1:])
-            part = found if width == found.shape[1] else found[:, at : at + width]
-            at += width
+            part = joint if width == joint.shape[1] else joint[:, offset : offset + width]
+            offset += width
             grads.append(part.reshape(-1, *x.shape[1:]).sum_to_size(x.shape) if need else None)
         return grads
 
-    def slopes_reference(grad: Tensor, *args: Any) -> Tensor:
+    def backward_reference(grad: Tensor, *args: Any) -> Tensor:
         where = [i for i, x in enumerate(args) if isinstance(x, Tensor)]
 
         def of_tensors(*tensors: Tensor) -> Tensor:
@@ -50,35 +50,35 @@ def register_formula(name: str, reference: Callable[..., Tensor], result: Callab
         vjp_fn = torch.func.vjp(of_tensors, *each)[1]
         return torch.cat([g.reshape(grad.shape[0], math.prod(g.shape[1:])) for g in vjp_fn(grad)], 1)
 
-    slopes = register(
+    backward_op = register(
         f"{name}_backward",
-        slopes_reference,
+        backward_reference,
         fake=lambda grad, *args: (grad.shape[0], sum(math.prod(x.shape[1:]) for x in args if isinstance(x, Tensor))),
     )
     return register(name, reference, fake=lambda *args: (batch_of(*args), *result(*args)), backward=backward)
 
 
 def batch_of(*args: Any) -> int:
-    """How many samples tensors are of, one row of which serves all."""
+    """The common batch size of tensors, of which those of one row broadcast."""
     return next((x.shape[0] for x in args if isinstance(x, Tensor) and x.shape[0] != 1), 1)
 
 
 def of_rows(operator: Operator, x: Tensor, axes: int, *plain: Any) -> Tensor:
     """A formula of one tensor (*, ...) whose last `axes` axes are a sample's."""
     if x.dim() == axes + 1:
-        found: Tensor = operator(x, *plain)
-        return found
+        output: Tensor = operator(x, *plain)
+        return output
     first = x.dim() - axes
-    found = operator(x.reshape(math.prod(x.shape[:first]), *x.shape[first:]), *plain)
-    return found.reshape(*x.shape[:first], *found.shape[1:])
+    output = operator(x.reshape(math.prod(x.shape[:first]), *x.shape[first:]), *plain)
+    return output.reshape(*x.shape[:first], *output.shape[1:])
 
 
 def of_all(operator: Operator, axes: int, first: Tensor, *others: Tensor) -> Tensor:
     """A formula of tensors (*, ...) whose leading axes broadcast, `axes` others being a sample's, in the first one's type."""
-    given = [first, *(as_dtype(x, first.dtype) for x in others)]
-    if all(x.dim() == axes + 1 for x in given):
-        found: Tensor = operator(*given)
-        return found
-    shape = broadcast_shapes(*(x.shape[:-axes] for x in given))
-    found = operator(*(expand_to_batch(x, shape, axes) for x in given))
-    return found.reshape(*shape, *found.shape[1:])
+    tensors = [first, *(as_dtype(x, first.dtype) for x in others)]
+    if all(x.dim() == axes + 1 for x in tensors):
+        output: Tensor = operator(*tensors)
+        return output
+    shape = broadcast_shapes(*(x.shape[:-axes] for x in tensors))
+    output = operator(*(expand_to_batch(x, shape, axes) for x in tensors))
+    return output.reshape(*shape, *output.shape[1:])

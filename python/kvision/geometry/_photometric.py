@@ -1,4 +1,4 @@
-"""What losses that compare warped images share: distances and their slopes, what is seen, gradients from slopes."""
+"""Functions of the losses that compare warped images: distances, their derivatives, masks and weighted gradients."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ def distance_of(residual: Tensor, distance: str, eps: float) -> Tensor:
     return residual * residual if distance == "l2" else (residual * residual + eps * eps).sqrt()
 
 
-def slope_of(residual: Tensor, distance: str, eps: float) -> Tensor:
+def distance_derivative(residual: Tensor, distance: str, eps: float) -> Tensor:
     """The derivative of :func:`distance_of`."""
     if distance == "l1":
         return residual.sign()
     return 2 * residual if distance == "l2" else residual / (residual * residual + eps * eps).sqrt()
 
 
-def seen(places: Sequence[Tensor], image: Tensor) -> Tensor:
-    """Which places (u, v), each (B, h, w), lie between four pixels of an image (B, C, H, W): (B, 1, h, w)."""
+def in_bounds_mask(coords: Sequence[Tensor], image: Tensor) -> Tensor:
+    """Mask (B, 1, h, w) of the coordinates (u, v), (B, h, w) each, that lie between four pixels of an image (B, C, H, W)."""
     height, width = image.shape[2:]
-    u, v = (x.detach() for x in places)
+    u, v = (x.detach() for x in coords)
     return ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
 
 
-def gradient_from(slopes: Tensor, grad: Tensor, tensor: Tensor) -> Tensor:
-    """The gradient to `tensor`, (B, ...) or (1, ...) for all samples, from its slopes in each sample and what these weigh.
+def weighted_gradient(derivatives: Tensor, grad: Tensor, tensor: Tensor) -> Tensor:
+    """The gradient of `tensor`, (B, ...) or (1, ...) for all samples, from its derivatives in each sample times their weights.
 
-    One sample and no sum are the common case, in which each step of torch's costs as much as a kernel.
+    One sample without a sum is the common case, in which each torch operation costs as much as a kernel.
     """
-    found = slopes * (grad if len(grad) == 1 else grad.view(-1, *[1] * (slopes.dim() - 1)))
-    return found if found.shape == tensor.shape else found.sum_to_size(tensor.shape)
+    weighted = derivatives * (grad if len(grad) == 1 else grad.view(-1, *[1] * (derivatives.dim() - 1)))
+    return weighted if weighted.shape == tensor.shape else weighted.sum_to_size(tensor.shape)

@@ -11,8 +11,8 @@ from kvision import _check
 from kvision._dtype import compute_dtype, floats
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
-from kvision.geometry._photometric import DISTANCES, distance_of, gradient_from, seen, slope_of
-from kvision.geometry.depth.warp import depth_warp_of, image_gradient_of, places_of
+from kvision.geometry._photometric import DISTANCES, distance_derivative, distance_of, in_bounds_mask, weighted_gradient
+from kvision.geometry.depth.warp import depth_warp_of, image_gradient_of, source_coords
 from kvision.geometry.transform import sampling
 from kvision.geometry.transform.sampling import cast_to_image
 
@@ -26,77 +26,77 @@ def _loss(views, target, depth, projections, distance, eps):
     terms: Any = 0
     for i in range(count):
         view = views[:, i].to(depth.dtype)
-        places = places_of(depth.expand(batch, -1, -1, -1), projections[:, i].expand(batch, -1, -1))
-        residual = sampling.sample(view, places, "bilinear", "fill", True) - target.to(depth.dtype)
-        inside = seen(places, view)
+        coords = source_coords(depth.expand(batch, -1, -1, -1), projections[:, i].expand(batch, -1, -1))
+        residual = sampling.sample(view, coords, "bilinear", "fill", True) - target.to(depth.dtype)
+        inside = in_bounds_mask(coords, view)
         total = total + torch.where(inside, distance_of(residual, distance, eps), 0).sum((1, 2, 3))
         terms = terms + inside.sum((1, 2, 3)) * views.shape[2]
     return total / terms, terms
 
 
-def _reference(views, target, depth, projections, *how):
+def _reference(views, target, depth, projections, *options):
     batch = len(views)
-    places = depth.expand(batch, -1, -1, -1), projections.expand(batch, -1, -1, -1)
-    loss, vjp_fn, terms = torch.func.vjp(lambda d, p: _loss(views, target, d, p, *how), *places, has_aux=True)
+    tensors = depth.expand(batch, -1, -1, -1), projections.expand(batch, -1, -1, -1)
+    loss, vjp_fn, terms = torch.func.vjp(lambda d, p: _loss(views, target, d, p, *options), *tensors, has_aux=True)
     to_depth, to_projections = vjp_fn(torch.ones_like(loss))
-    share = torch.where(terms > 0, 1, 0) / torch.where(terms > 0, terms, 1).to(loss.dtype)
+    weight = torch.where(terms > 0, 1, 0) / torch.where(terms > 0, terms, 1).to(loss.dtype)
     of_sum = torch.where(terms > 0, terms, 0).to(loss.dtype)[:, None, None, None]
-    return loss, to_depth.nan_to_num() * of_sum, share, to_projections.nan_to_num()
+    return loss, to_depth.nan_to_num() * of_sum, weight, to_projections.nan_to_num()
 
 
-def _backward(needs, grad, _1, _2, _3, loss, to_depth, share, to_projections, *tensors_and_how):
-    views, target, depth, projections, *how = tensors_and_how
+def _backward(needs, grad, _1, _2, _3, loss, to_depth, weight, to_projections, *tensors_and_options):
+    views, target, depth, projections, *options = tensors_and_options
     if torch.is_grad_enabled():
-        return _differentiable_backward(needs, grad, views, target, depth, projections, *how)
-    found = [None, None, None, None]
+        return _differentiable_backward(needs, grad, views, target, depth, projections, *options)
+    grads = [None, None, None, None]
     if needs[0] or needs[1]:
-        found[:2] = _image_gradients(needs, grad * share, views, target, depth, projections, *how)
+        grads[:2] = _image_gradients(needs, grad * weight, views, target, depth, projections, *options)
     if needs[2]:
-        found[2] = gradient_from(to_depth, grad * share, depth)
+        grads[2] = weighted_gradient(to_depth, grad * weight, depth)
     if needs[3]:
-        found[3] = gradient_from(to_projections, grad, projections)
-    return found
+        grads[3] = weighted_gradient(to_projections, grad, projections)
+    return grads
 
 
-def _image_gradients(needs, share, views, target, depth, projections, distance, eps):
+def _image_gradients(needs, weight, views, target, depth, projections, distance, eps):
     batch, count = views.shape[:2]
     wide = compute_dtype(views)
-    to_views, to_target = [], 0.0
+    grad_views, grad_target = [], 0.0
     for i in range(count):
         view, projection = views[:, i].to(wide), projections[:, i]
-        places = places_of(depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
+        coords = source_coords(depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
         residual = depth_warp_of(view, depth, projection, "bilinear", "fill", True) - target.to(wide)
-        slope = slope_of(residual, distance, eps) * share[:, None, None, None]
-        slope = torch.where(seen(places, view), slope, 0)
-        to_target = to_target - slope
+        grad_residual = distance_derivative(residual, distance, eps) * weight[:, None, None, None]
+        grad_residual = torch.where(in_bounds_mask(coords, view), grad_residual, 0)
+        grad_target = grad_target - grad_residual
         if needs[0]:
             size = [*view.shape[2:]]
-            to_views.append(image_gradient_of(slope, depth, projection, size, "bilinear", "fill", True))
+            grad_views.append(image_gradient_of(grad_residual, depth, projection, size, "bilinear", "fill", True))
     return (
-        torch.stack(to_views, 1).to(views.dtype) if needs[0] else None,
-        to_target.to(target.dtype).sum_to_size(target.shape) if needs[1] else None,
+        torch.stack(grad_views, 1).to(views.dtype) if needs[0] else None,
+        grad_target.to(target.dtype).sum_to_size(target.shape) if needs[1] else None,
     )
 
 
-def _differentiable_backward(needs, grad, *tensors_and_how):
-    tensors, how = tensors_and_how[:4], tensors_and_how[4:]
+def _differentiable_backward(needs, grad, *tensors_and_options):
+    tensors, options = tensors_and_options[:4], tensors_and_options[4:]
     where = [i for i, need in enumerate(needs) if need]
 
     def f(*values: Tensor) -> Tensor:
         full = list(tensors)
         for i, value in zip(where, values):
             full[i] = value
-        return _loss(*full, *how)[0]
+        return _loss(*full, *options)[0]
 
     _, vjp_fn = torch.func.vjp(f, *(tensors[i] for i in where))
-    found = dict(zip(where, vjp_fn(grad)))
-    return [found.get(i) for i in range(4)]
+    grads = dict(zip(where, vjp_fn(grad)))
+    return [grads.get(i) for i in range(4)]
 
 
 _photometric = register(
     "photometric_depth",
     _reference,
-    fake=lambda views, target, depth, projections, *how: [
+    fake=lambda views, target, depth, projections, *options: [
         depth.new_empty(len(views)),
         depth.new_empty(len(views), *depth.shape[1:]),
         depth.new_empty(len(views)),
@@ -119,20 +119,20 @@ def photometric_depth_loss(
 ) -> Tensor:
     """The mean distance of a target from views warped onto it by its depth, with gradients, in one pass over all.
 
-    The mean is over the views and those pixels of the target that are seen between four pixels of a view. How many
+    The mean is over the views and those pixels of the target that lie between four pixels of a view. How many
     these are counts as constant for the gradient. Nothing as large as an image is written but the gradient to depth.
 
     Args:
         views: images (B, V, C, H, W), V of each sample. Integers are computed in float32.
         target: images (B, C, h, w), one for all samples or one for each.
         depth: of the target, z, (B, 1, h, w), likewise.
-        projections: (B, V, 3, 4), likewise: [A | b], where pixel (x, y) of the target at depth d is seen in a view at
+        projections: (B, V, 3, 4), likewise: [A | b], where pixel (x, y) of the target at depth d is projected into a view at
             (u, v), (u, v, 1) being proportional to d A (x, y, 1) + b. :attr:`DepthWarper.projection` has them.
         distance: of two values: 'l1', the absolute difference; 'l2', its square; 'charbonnier', sqrt(r^2 + eps^2).
         eps: of the latter.
 
     Returns:
-        (B,), of the type of `views`; NaN where no pixel of the target is seen.
+        (B,), of the type of `views`; NaN where no pixel of the target is projected into a view.
 
     Raises:
         TypeError: an argument does not have its documented type.
@@ -169,6 +169,6 @@ def photometric_depth_loss(
     _check.same_device(op, views=views, target=target)
     depth = cast_to_image(op, views, "depth", depth)
     projections = cast_to_image(op, views, "projections", projections)
-    found: Any = _photometric(views, target, depth, projections, distance, eps)
-    loss: Tensor = found[0].to(stored)
+    outputs: Any = _photometric(views, target, depth, projections, distance, eps)
+    loss: Tensor = outputs[0].to(stored)
     return loss

@@ -1,4 +1,4 @@
-"""Images seen from another camera, by the depth of what it sees."""
+"""Warping of images to another camera's view by its depth."""
 
 from __future__ import annotations
 
@@ -24,63 +24,63 @@ _PADDINGS = ("zeros", "border", "reflection")
 # --- the definition -------------------------------------------------------------------------------------------------
 
 
-def places_of(depth: Tensor, projection: Tensor) -> list[Tensor]:
-    """Where pixels of depth images (B, 1, h, w) lie in another one: u and v, (B, h, w); NaN behind its camera.
+def source_coords(depth: Tensor, projection: Tensor) -> list[Tensor]:
+    """Coordinates u and v, (B, h, w), of the pixels of depth images (B, 1, h, w) in a source image; NaN behind its camera.
 
     (u, v, 1) is proportional to d A (x, y, 1) + b with `projection` = [A | b], (B, 3, 4).
     """
     h, w = depth.shape[2:]
     x = torch.arange(w, dtype=depth.dtype, device=depth.device)
     y = torch.arange(h, dtype=depth.dtype, device=depth.device)[:, None]
-    # What is not finite leads nowhere. It is set to 0, for a gradient of 0 times it would be NaN.
-    known, regular = depth[:, 0].isfinite(), projection.isfinite().flatten(1).all(1)[:, None, None]
-    d, m = torch.where(known, depth[:, 0], 0), torch.where(regular, projection, 0)[..., None, None]
+    # Values that are not finite have no coordinates. They are set to 0, since their product with a gradient of 0 is NaN.
+    finite_depth, finite_projection = depth[:, 0].isfinite(), projection.isfinite().flatten(1).all(1)[:, None, None]
+    d, m = torch.where(finite_depth, depth[:, 0], 0), torch.where(finite_projection, projection, 0)[..., None, None]
     u, v, z = ((m[:, k, 0] * x + (m[:, k, 1] * y + m[:, k, 2])) * d + m[:, k, 3] for k in range(3))
-    in_front = known & (z > 0) & (u / z).isfinite() & (v / z).isfinite()
+    in_front = finite_depth & (z > 0) & (u / z).isfinite() & (v / z).isfinite()
     u, v, z = (torch.where(in_front, value, 1) for value in (u, v, z))
     return [torch.where(in_front, value / z, torch.nan) for value in (u, v)]
 
 
 def _reference(image, depth, projection, interpolation, padding, align_corners):
     depth, projection = depth.expand(len(image), -1, -1, -1), projection.expand(len(image), -1, -1)
-    return sampling.sample(image, places_of(depth, projection), interpolation, padding, align_corners)
+    return sampling.sample(image, source_coords(depth, projection), interpolation, padding, align_corners)
 
 
-def _backward(needs, grad, image, depth, projection, *how):
-    found = [None, None, None]
+def _backward(needs, grad, image, depth, projection, *options):
+    grads = [None, None, None]
     if needs[0]:
         wide = grad.to(compute_dtype(grad))
-        found[0] = image_gradient_of(wide, depth, projection, list(image.shape[2:]), *how).to(grad.dtype)
+        grads[0] = image_gradient_of(wide, depth, projection, list(image.shape[2:]), *options).to(grad.dtype)
     if needs[1] or needs[2]:
-        slopes = _slopes(grad, image, depth, projection, *how)
-        found[1:] = (g.sum_to_size(x.shape) for g, x in zip(slopes, (depth, projection)))
-    return found
+        coord_grads = _coords_backward(grad, image, depth, projection, *options)
+        grads[1:] = (g.sum_to_size(x.shape) for g, x in zip(coord_grads, (depth, projection)))
+    return grads
 
 
-def _image_gradient_reference(grad, depth, projection, size, *how):
+def _image_gradient_reference(grad, depth, projection, size, *options):
     def of_image(image: Tensor) -> Tensor:
-        return _reference(image, depth, projection, *how)
+        return _reference(image, depth, projection, *options)
 
     _, vjp_fn = torch.func.vjp(of_image, grad.new_zeros(*grad.shape[:2], *size))
     return vjp_fn(grad)[0]
 
 
-def _image_gradient_backward(needs, grad_grad, grad, depth, projection, size, *how):
-    kept = (False, *needs[1:])
-    found = image_gradient_of.differentiate_reference(kept, grad_grad, grad, depth, projection, size, *how)
+def _image_gradient_backward(needs, grad_grad, grad, depth, projection, size, *options):
+    needs_coords = (False, *needs[1:])
+    grads = image_gradient_of.differentiate_reference(needs_coords, grad_grad, grad, depth, projection, size, *options)
     if needs[0]:
-        found[0] = depth_warp_of(grad_grad, depth, projection, *how)
-    return found
+        grads[0] = depth_warp_of(grad_grad, depth, projection, *options)
+    return grads
 
 
-def _slopes_reference(grad, image, depth, projection, *how):
+def _coords_backward_reference(grad, image, depth, projection, *options):
     wide, batch = depth.dtype, len(grad)
 
-    def of_places(depth: Tensor, projection: Tensor) -> Tensor:
-        return _reference(image.to(wide).expand(batch, -1, -1, -1), depth, projection, *how)
+    def of_coords(depth: Tensor, projection: Tensor) -> Tensor:
+        return _reference(image.to(wide).expand(batch, -1, -1, -1), depth, projection, *options)
 
     expanded = depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1)
-    _, vjp_fn = torch.func.vjp(of_places, *expanded)
+    _, vjp_fn = torch.func.vjp(of_coords, *expanded)
     return vjp_fn(grad.to(wide))
 
 
@@ -93,14 +93,14 @@ depth_warp_of = register(
 image_gradient_of = register(
     "depth_warp_image_backward",
     _image_gradient_reference,
-    fake=lambda grad, depth, projection, size, *how: grad.new_empty(*grad.shape[:2], *size),
+    fake=lambda grad, depth, projection, size, *options: grad.new_empty(*grad.shape[:2], *size),
     backward=_image_gradient_backward,
     nondeterministic=on_cuda,
 )
-_slopes = register(
+_coords_backward = register(
     "depth_warp_coords_backward",
-    _slopes_reference,
-    fake=lambda grad, image, depth, projection, *how: [
+    _coords_backward_reference,
+    fake=lambda grad, image, depth, projection, *options: [
         depth.new_empty(len(grad), *depth.shape[1:]),
         projection.new_empty(len(grad), 3, 4),
     ],
@@ -112,13 +112,13 @@ _slopes = register(
 
 def _reprojection_reference(camera_to, pose_to, camera_from, pose_from, pinhole):
     to, source = (_pinhole(k) if pinhole else k for k in (camera_to, camera_from))
-    turn, move = pose_to[:, :3, :3], pose_to[:, :3, 3:]
+    rotation, translation = pose_to[:, :3, :3], pose_to[:, :3, 3:]
     if pose_from is not None:
-        turn = turn @ pose_from[:, :3, :3].mT
-        move = move - turn @ pose_from[:, :3, 3:]
-    turned, moved = to @ turn @ inverse3x3(source), to @ move
-    batch = moved.shape[0] if turned.shape[0] == 1 else turned.shape[0]
-    return torch.cat([turned.expand(batch, -1, -1), moved.expand(batch, -1, -1)], 2)
+        rotation = rotation @ pose_from[:, :3, :3].mT
+        translation = translation - rotation @ pose_from[:, :3, 3:]
+    A, b = to @ rotation @ inverse3x3(source), to @ translation
+    batch = b.shape[0] if A.shape[0] == 1 else A.shape[0]
+    return torch.cat([A.expand(batch, -1, -1), b.expand(batch, -1, -1)], 2)
 
 
 def _pinhole(camera: Tensor) -> Tensor:
@@ -128,13 +128,13 @@ def _pinhole(camera: Tensor) -> Tensor:
     return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], 1).unflatten(1, (3, 3))
 
 
-def _reprojection_backward(needs, grad, *given):
-    found = _reprojection_slopes(grad, *given)
-    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, found, given)]
+def _reprojection_backward(needs, grad, *args):
+    grads = _reprojection_backward_op(grad, *args)
+    return [g.sum_to_size(x.shape) if need else None for need, g, x in zip(needs, grads, args)]
 
 
-def _reprojection_slopes_reference(grad, *given):
-    *tensors, pinhole = given
+def _reprojection_backward_reference(grad, *args):
+    *tensors, pinhole = args
     batch = len(grad)
     if tensors[3] is None:
         tensors[3] = torch.eye(4, dtype=grad.dtype, device=grad.device)[None]
@@ -146,17 +146,17 @@ def _reprojection_slopes_reference(grad, *given):
 
 
 # From pixels of a camera (B, 3, 3) to those of another, their poses being (B, 4, 4), the first one the world's where it
-# is None: (B, 3, 4), as `places_of` takes it.
+# is None: (B, 3, 4), as `source_coords` takes it.
 _reprojection = register(
     "reprojection",
     _reprojection_reference,
-    fake=lambda *given: (next((x.shape[0] for x in given[:4] if x is not None and x.shape[0] != 1), 1), 3, 4),
+    fake=lambda *args: (next((x.shape[0] for x in args[:4] if x is not None and x.shape[0] != 1), 1), 3, 4),
     backward=_reprojection_backward,
 )
-_reprojection_slopes = register(
+_reprojection_backward_op = register(
     "reprojection_backward",
-    _reprojection_slopes_reference,
-    fake=lambda grad, *given: [(grad.shape[0], side, side) for side in (3, 4, 3, 4)],
+    _reprojection_backward_reference,
+    fake=lambda grad, *args: [(grad.shape[0], side, side) for side in (3, 4, 3, 4)],
 )
 
 
@@ -171,8 +171,8 @@ def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str
         image = image.expand(batch, -1, -1, -1)
     depth = sampling.cast_to_image(op, image, "depth", depth)
     projection = sampling.cast_to_image(op, image, "projection", projection)
-    found: Tensor = depth_warp_of(image, depth, projection, mode, "fill" if padding == "zeros" else padding, align)
-    return found
+    warped: Tensor = depth_warp_of(image, depth, projection, mode, "fill" if padding == "zeros" else padding, align)
+    return warped
 
 
 def warp_frame_depth(
@@ -247,7 +247,7 @@ class DepthWarper(nn.Module):
 
     Raises:
         TypeError: an argument does not have its documented type.
-        ValueError: the mode is unknown; called before the source's camera is known.
+        ValueError: the mode is unknown; called before the source's camera is finite_depth.
 
     Example:
         >>> import torch, kvision as K
@@ -292,8 +292,8 @@ class DepthWarper(nn.Module):
         """Take the source's camera, and the way from its pixels to the destination's; returns the warper itself."""
         _check_camera(type(self).__name__, "pinhole_src", pinhole_src)
         there, here = self._pinhole_dst, pinhole_src
-        given = there.intrinsics[:, :3, :3], there.extrinsics, here.intrinsics[:, :3, :3], here.extrinsics
-        self._projection = _reprojection(*(x.to(compute_dtype(given[0])) for x in given), False)
+        cameras = there.intrinsics[:, :3, :3], there.extrinsics, here.intrinsics[:, :3, :3], here.extrinsics
+        self._projection = _reprojection(*(x.to(compute_dtype(cameras[0])) for x in cameras), False)
         return self
 
     @property
@@ -318,14 +318,14 @@ class DepthWarper(nn.Module):
         return (step / moved.norm(dim=1)).min()
 
     def warp_grid(self, depth_src: Tensor) -> Tensor:
-        """Where the source's pixels (B, 1, H, W) are seen, (B, H, W, 2) as (x, y), -1 and 1 being the middles of the
+        """Where the source's pixels (B, 1, H, W) are in_bounds_mask, (B, H, W, 2) as (x, y), -1 and 1 being the middles of the
         outermost pixels of an image of the warper's size; NaN behind the camera."""
         depth_src = self._checked(depth_src)
         projection = self.projection.to(depth_src.dtype)
         batch = max(len(depth_src), len(projection))
-        places = places_of(depth_src.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
+        coords = source_coords(depth_src.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
         sizes = (self.width, self.height)
-        return torch.stack([2 * p / (n - 1) - 1 if n > 1 else p - 1 for p, n in zip(places, sizes)], -1)
+        return torch.stack([2 * p / (n - 1) - 1 if n > 1 else p - 1 for p, n in zip(coords, sizes)], -1)
 
     def _checked(self, depth: Any) -> Tensor:
         _check.shape(type(self).__name__, "depth_src", depth, "B", 1, self.height, self.width)

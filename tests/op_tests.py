@@ -43,19 +43,6 @@ LAYOUTS = ("contiguous", "channels_last", "row_slice", "column_slice", "transpos
 
 FAKE_LAYOUTS = ("contiguous", "channels_last", "row_slice", "transposed")
 GRADIENT_LAYOUTS = ("contiguous", "channels_last", "row_slice", "transposed", "of a sum")
-# Operators whose fake results differ from the real ones, so that torch.compile may refuse them, and the suite that shows it: the
-# fake result has the layout of the first tensor, the real one that of the image, or none for volumes. Strict: the named suite
-# of images fails once they agree.
-FAKE_MISMATCHES = {
-    "dilation_backward": "TestDilation",
-    "equalize_backward": "TestEqualizeOperators",
-    "nms_mask": "TestNmsOperators",
-    "nms_minmax_masks": "TestNmsOperators",
-    "median_blur_backward": "TestMedianBlur",
-    "normalize_min_max_backward": "TestNormalizeMinMax",
-    "sobel_backward": "TestSobel",
-    "ssim_backward": "TestSSIM",
-}
 
 
 def assert_close(actual: Any, expected: Any, rtol: float | None = None, atol: float | None = None) -> None:
@@ -385,9 +372,7 @@ class OpTests:
             for name, args in calls:
                 if name not in differing and (difference := fake_differs(name, args)):
                     differing[name] = difference
-        assert not set(differing) - set(FAKE_MISMATCHES), differing
-        agreeing = {n for n, suite in FAKE_MISMATCHES.items() if suite == type(self).__name__} - set(differing)
-        assert not agreeing, f"take {agreeing} off FAKE_MISMATCHES"
+        assert not differing, differing
 
     # --- gradients ---
 

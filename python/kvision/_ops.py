@@ -263,6 +263,8 @@ class Operator:
             and rounded to the type of the first tensor (bytes: half to even, saturated).
         fake: shape rule, the result's sizes from the arguments; default: the sizes of the first tensor. May return a
             list of sizes for several results, and an empty tensor instead of sizes where more than these differs.
+        layout_of: the tensor, by index, whose memory format the results have: the image's in backward operators that
+            read it.
         backward: `backward(needs, grads..., *args) -> gradients of the tensor arguments`, in order, written with
             registered operators, so that it can itself be differentiated; `needs[i]` tells whether the i-th is wanted,
             and None stands for one that is not. Default: the reference is differentiated.
@@ -289,6 +291,7 @@ class Operator:
         reference: Callable[..., Any],
         *,
         fake: Callable[..., Sequence[Any]] | None = None,
+        layout_of: int = 0,
         backward: Callable[..., Sequence[Tensor | None]] | None = None,
         saves_results: bool = False,
         non_differentiable: Sequence[int] = (),
@@ -303,7 +306,9 @@ class Operator:
         self.name = name
         self.definition = reference
         self.reference = (
-            without_autocast_and_tf32(reference) if casts_outputs else with_kernel_casts(reference, native_half)
+            without_autocast_and_tf32(reference)
+            if casts_outputs
+            else with_kernel_casts(reference, native_half, layout_of)
         )
         self.backward = backward or self.differentiate_reference
         self.saves_results = saves_results
@@ -313,6 +318,7 @@ class Operator:
         self.supports = supports
         self.nondeterministic = nondeterministic
         self._fake_sizes = fake
+        self._layout_of = layout_of
         self.unserved = _unserved(name)
         self.kernel = self._bind()
         self.tensors = self._count_tensors()
@@ -405,8 +411,8 @@ class Operator:
         return type(self.name, (torch.autograd.Function,), {k: staticmethod(v) for k, v in rules.items()})
 
     def _fake(self, *args: Any) -> Any:
-        x = args[0]
-        sizes = x.shape if self._fake_sizes is None else self._fake_sizes(*args)
+        x = args[self._layout_of]
+        sizes = args[0].shape if self._fake_sizes is None else self._fake_sizes(*args)
         if isinstance(sizes, list):
             return tuple(_empty(x, s) for s in sizes)
         return _empty(x, sizes)
@@ -596,7 +602,9 @@ def without_autocast_and_tf32(reference: Callable[..., Any]) -> Callable[..., An
     return wrapped
 
 
-def with_kernel_casts(reference: Callable[..., Any], native_half: bool = False) -> Callable[..., Any]:
+def with_kernel_casts(
+    reference: Callable[..., Any], native_half: bool = False, layout_of: int = 0
+) -> Callable[..., Any]:
     """The reference with the kernels' rules: half types and bytes compute in float32, no autocast or TF32, their layout.
 
     With `native_half` the reference takes half types as they are.
@@ -615,7 +623,7 @@ def with_kernel_casts(reference: Callable[..., Any], native_half: bool = False) 
         else:
             promoted = (a.float() if isinstance(a, Tensor) and a.dtype in _PROMOTED else a for a in args)
         store = saturate_to_byte if dtype == torch.uint8 else lambda y: y.to(dtype)
-        return _map(lambda y: match_layout(store(y), x), reference(*promoted))
+        return _map(lambda y: match_layout(store(y), args[layout_of]), reference(*promoted))
 
     return wrapped
 

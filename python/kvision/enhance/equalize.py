@@ -64,7 +64,7 @@ def _pulled_back(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tensor
     return grad.masked_fill(equalized, 0)
 
 
-equalize_backward = register("equalize_backward", _pulled_back, native_half=True)
+equalize_backward = register("equalize_backward", _pulled_back, native_half=True, layout_of=1)
 
 
 def _backward(needs, grad, _, output, changed, *args):

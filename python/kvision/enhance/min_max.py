@@ -27,7 +27,7 @@ def _reference_backward(grad: Tensor, x: Tensor, range: Tensor, low: float, high
     return vjp(_stretch)(grad, x, low, high, eps)
 
 
-_normalize_min_max_backward = register("normalize_min_max_backward", _reference_backward)
+_normalize_min_max_backward = register("normalize_min_max_backward", _reference_backward, layout_of=1)
 
 
 def _backward(needs, grad, _, output, range, *args):

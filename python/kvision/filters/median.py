@@ -31,7 +31,7 @@ def _backward_reference(grad: Tensor, x: Tensor, y: Tensor, ky: int, kx: int, bo
 
 
 _median_blur = register("median_blur", _reference, backward=_backward, saves_results=True, bytes=True)
-_median_blur_backward = register("median_blur_backward", _backward_reference)
+_median_blur_backward = register("median_blur_backward", _backward_reference, layout_of=1)
 
 
 def median_blur(input: Tensor, kernel_size: tuple[int, int] | int, border_type: str = "reflect") -> Tensor:

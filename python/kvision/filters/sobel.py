@@ -33,7 +33,7 @@ def _backward(needs, grad, x, normalized, eps):
 
 
 _sobel = register("sobel", _reference, backward=_backward)
-_sobel_backward = register("sobel_backward", vjp(_reference))
+_sobel_backward = register("sobel_backward", vjp(_reference), layout_of=1)
 
 
 def sobel(input: Tensor, normalized: bool = True, eps: float = 1e-6) -> Tensor:

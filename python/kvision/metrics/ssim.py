@@ -102,8 +102,8 @@ _ssim = register(
     _reference,
     fake=_size,
     backward=_backward(
-        register("ssim_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape),
-        register("ssim_backward_both", _both_gradients(_reference), fake=lambda grad, x, *_: [x.shape, x.shape]),
+        register("ssim_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape, layout_of=1),
+        register("ssim_backward_both", _both_gradients(_reference), fake=lambda grad, x, *_: [x.shape, x.shape], layout_of=1),
     ),
 )
 

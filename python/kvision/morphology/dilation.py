@@ -51,7 +51,7 @@ def _backward(needs, grad, x, kernel, heights, *plain):
     return [_dilation_backward(grad, x, kernel, heights, *plain) if needs[0] else None, None, grad_heights]
 
 
-_dilation_backward = register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape)
+_dilation_backward = register("dilation_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape, layout_of=1)
 _dilation = register("dilation", _reference, backward=_backward)
 
 

@@ -51,8 +51,14 @@ def _flags(x, window, volumes):
     return match_layout(_is_maximum(x, window, volumes).to(torch.uint8), x)
 
 
-def _empty_flags(x, *how):
-    return match_layout(x.new_empty(x.shape, dtype=torch.uint8), x)
+def _empty(x, volumes, dtype=None):
+    """An empty result for images in their layout; those of volumes are contiguous."""
+    result = x.new_empty(x.shape, dtype=dtype)
+    return result if volumes else match_layout(result, x)
+
+
+def _empty_flags(x, window, volumes):
+    return _empty(x, volumes, torch.uint8)
 
 
 def _reference(x, window, volumes, marked):
@@ -76,7 +82,7 @@ def _marked_backward(needs, grad, x, flags):
 _maxima = register(
     "nms",
     _reference,
-    fake=lambda x, window, volumes, marked: [x.shape, _empty_flags(x) if marked else _no_flags(x)],
+    fake=lambda x, window, volumes, marked: [_empty(x, volumes), _empty_flags(x, window, volumes) if marked else _no_flags(x)],
     backward=_backward,
     saves_results=True,
     non_differentiable=(1,),
@@ -89,7 +95,7 @@ _maximum = register("nms_mask", _flags, fake=_empty_flags, casts_outputs=True)
 _extrema = register(
     "nms_minmax_masks",
     lambda x, *how: tuple(_flags(v, *how) for v in (x, -x)),
-    fake=lambda x, *how: [_empty_flags(x), _empty_flags(x)],
+    fake=lambda x, *options: [_empty_flags(x, *options) for _ in range(2)],
     casts_outputs=True,
 )
 

@@ -12,6 +12,7 @@
 #include "kvision/geometry/depth.h"
 #include "kvision/geometry/epipolar.h"
 #include "kvision/geometry/homography.h"
+#include "kvision/geometry/liegroup.h"
 #include "kvision/geometry/subpix.h"
 #include "kvision/geometry/transform.h"
 #include "kvision/losses.h"

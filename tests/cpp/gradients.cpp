@@ -447,6 +447,14 @@ int main() {
       "euler_from_quaternion",
       [](auto const& t) { return std::get<2>(kvision::euler_from_quaternion(t[0], t[1], t[2], t[3])); },
       {tangent + 1, 0.2 * tangent, 0.3 * torch::rand({2}), 0.3 * torch::rand({2})}, false);
+  check("se2_exp", [](auto const& t) { return kvision::se2_exp(t[0]); }, {three}, false);
+  check("se2_log", [](auto const& t) { return kvision::se2_log(t[0]); }, {quaternion}, false);
+  Tensor const six = torch::cat({three, 0.5 * three.roll(1, 1)}, 1);
+  for (auto const function : {kvision::so3_left_jacobian, kvision::so3_left_jacobian_inverse})
+    check("a Jacobian of SO(3)", [=](auto const& t) { return function(t[0]); }, {three}, false);
+  for (auto const function : {kvision::se3_exp, kvision::se3_left_jacobian, kvision::se3_left_jacobian_inverse})
+    check("a map of SE(3)", [=](auto const& t) { return function(t[0]); }, {six}, false);
+  check("se3_log", [](auto const& t) { return kvision::se3_log(t[0]); }, {torch::cat({quaternion, three}, 1)}, false);
   check(
       "vector_to_skew_symmetric_matrix", [](auto const& t) { return kvision::vector_to_skew_symmetric_matrix(t[0]); },
       {three}, false);

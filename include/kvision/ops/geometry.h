@@ -401,6 +401,17 @@ inline constexpr Operator<"camera_motion",
                           Tensor(Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2)>
     camera_motion{side_by_side};
 inline constexpr Operator<"camera_of_projection", Tensor(Tensor projection)> camera_of_projection{side_by_side};
+
+// --- Lie groups
+
+inline constexpr Operator<"se2_exp", Tensor(Tensor tangent)> se2_exp{side_by_side};
+inline constexpr Operator<"se2_log", Tensor(Tensor motion)> se2_log{side_by_side};
+inline constexpr Operator<"so3_left_jacobian", Tensor(Tensor tangent)> so3_left_jacobian{side_by_side};
+inline constexpr Operator<"so3_left_jacobian_inverse", Tensor(Tensor tangent)> so3_left_jacobian_inverse{side_by_side};
+inline constexpr Operator<"se3_exp", Tensor(Tensor tangent)> se3_exp{side_by_side};
+inline constexpr Operator<"se3_log", Tensor(Tensor motion)> se3_log{side_by_side};
+inline constexpr Operator<"se3_left_jacobian", Tensor(Tensor tangent)> se3_left_jacobian{side_by_side};
+inline constexpr Operator<"se3_left_jacobian_inverse", Tensor(Tensor tangent)> se3_left_jacobian_inverse{side_by_side};
 inline constexpr Operator<"essential_from_motions",
                           Tensor(Tensor rotation1, Tensor translation1, Tensor rotation2, Tensor translation2)>
     essential_from_motions{side_by_side};

@@ -11,27 +11,10 @@ from torch import Tensor
 
 import kvision as K
 from kvision.geometry.liegroup import Se2, Se3, So2, So3
-from point_op_tests import Call, PointOpTests, vector
 
 GROUPS = {"So2": So2, "So3": So3, "Se2": Se2, "Se3": Se3}
 SIZES = {"So2": (), "So3": (3,), "Se2": (3,), "Se3": (6,)}
 ANGLES = [0.0, 1e-8, 1e-3, 0.5, 0.999, 1.001, 2.0, 3.0, math.pi - 1e-6]
-
-
-MOTION = torch.tensor([0.8, 0.3, -0.4, 0.2, 0.0, 0.0, 0.0], dtype=torch.float64)
-
-
-class TestExponentialMaps(PointOpTests):
-    calls = {
-        "se2_exp": [Call((vector(3),))],
-        "se2_log": [Call((vector(4),))],
-        "so3_left_jacobian": [Call((vector(3),)), Call((vector(3, scale=3),))],
-        "so3_left_jacobian_inverse": [Call((vector(3),)), Call((vector(3, scale=3),))],
-        "se3_exp": [Call((vector(6),)), Call((vector(6, scale=3),))],
-        "se3_log": [Call((lambda: MOTION + 0.3 * torch.rand(7, dtype=torch.float64),))],
-        "se3_left_jacobian": [Call((vector(6),)), Call((vector(6, scale=2),))],
-        "se3_left_jacobian_inverse": [Call((vector(6),)), Call((vector(6, scale=2),))],
-    }
 
 
 def tangent(name: str, angle: float, leading: tuple[int, ...] = (), dtype: torch.dtype = torch.float64) -> Tensor:

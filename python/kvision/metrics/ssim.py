@@ -103,7 +103,9 @@ _ssim = register(
     fake=_size,
     backward=_backward(
         register("ssim_backward", vjp(_reference), fake=lambda grad, x, *_: x.shape, layout_of=1),
-        register("ssim_backward_both", _both_gradients(_reference), fake=lambda grad, x, *_: [x.shape, x.shape], layout_of=1),
+        register(
+            "ssim_backward_both", _both_gradients(_reference), fake=lambda grad, x, *_: [x.shape, x.shape], layout_of=1
+        ),
     ),
 )
 

@@ -40,8 +40,10 @@ class Se2(LieGroup):
         >>> move = Se2.exp(torch.tensor([1.0, 0.0, torch.pi / 2]))
         >>> (move * torch.tensor([0.0, 0.0])).detach()
         tensor([0.6366, 0.6366])
-        >>> move.log().detach()
-        tensor([1.0000, 0.0000, 1.5708])
+        >>> (move * move.inverse()).matrix().detach().round().long()
+        tensor([[1, 0, 0],
+                [0, 1, 0],
+                [0, 0, 1]])
     """
 
     def __init__(self, rotation: So2, translation: Vector2 | Tensor) -> None:

@@ -47,10 +47,10 @@ class Se3(LieGroup):
         >>> import torch, kvision as K
         >>> Se3 = K.geometry.liegroup.Se3
         >>> screw = Se3.exp(torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, torch.pi]))
-        >>> (screw * torch.tensor([1.0, 0.0, 0.0])).detach().round()
-        tensor([-1., 0., 1.])
-        >>> (screw.inverse() * screw).log().detach()
-        tensor([0., 0., 0., 0., 0., 0.])
+        >>> (screw * torch.tensor([1.0, 2.0, 3.0])).round().long()
+        tensor([-1, -2,  4])
+        >>> screw.interpolate(screw * screw, 0.5).t.detach()
+        tensor([0.0000, 0.0000, 1.5000])
     """
 
     def __init__(self, rotation: Quaternion | So3, translation: Vector3 | Tensor) -> None:

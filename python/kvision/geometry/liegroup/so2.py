@@ -30,10 +30,10 @@ class So2(LieGroup):
     Example:
         >>> import torch, kvision as K
         >>> quarter = K.geometry.liegroup.So2.exp(torch.tensor(torch.pi / 2))
-        >>> (quarter * torch.tensor([1.0, 0.0])).detach().round()
-        tensor([-0., 1.])
-        >>> (quarter * quarter).log().detach()
-        tensor(3.1416)
+        >>> (quarter * torch.tensor([1.0, 2.0])).round().long()
+        tensor([-2,  1])
+        >>> quarter.inverse().log().detach()
+        tensor(-1.5708)
     """
 
     def __init__(self, z: Tensor) -> None:

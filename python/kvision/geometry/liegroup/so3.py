@@ -41,11 +41,12 @@ class So3(LieGroup):
 
     Example:
         >>> import torch, kvision as K
-        >>> quarter = K.geometry.liegroup.So3.exp(torch.tensor([0.0, 0.0, torch.pi / 2]))
-        >>> (quarter * torch.tensor([1.0, 0.0, 0.0])).round()
-        tensor([0., 1., 0.])
-        >>> (quarter * quarter).log()
-        tensor([0.0000, 0.0000, 3.1416])
+        >>> So3 = K.geometry.liegroup.So3
+        >>> quarter = So3.exp(torch.tensor([0.0, 0.0, torch.pi / 2]))
+        >>> (quarter * torch.tensor([1.0, 2.0, 3.0])).round().long()
+        tensor([-2,  1,  3])
+        >>> (quarter * So3.rot_z(torch.tensor(1.0))).log()
+        tensor([0.0000, 0.0000, 2.5708])
     """
 
     def __init__(self, q: Quaternion) -> None:

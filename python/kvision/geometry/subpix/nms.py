@@ -82,7 +82,10 @@ def _marked_backward(needs, grad, x, flags):
 _maxima = register(
     "nms",
     _reference,
-    fake=lambda x, window, volumes, marked: [_empty(x, volumes), _empty_flags(x, window, volumes) if marked else _no_flags(x)],
+    fake=lambda x, window, volumes, marked: [
+        _empty(x, volumes),
+        _empty_flags(x, window, volumes) if marked else _no_flags(x),
+    ],
     backward=_backward,
     saves_results=True,
     non_differentiable=(1,),

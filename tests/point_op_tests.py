@@ -203,7 +203,8 @@ class PointOpTests:
         leaves = [x.requires_grad_() for x in self.floats(args)]
         f = self.of_tensors(name, call, args)
         assert torch.autograd.gradcheck(f, leaves, fast_mode=True, check_forward_ad=True)
-        assert torch.autograd.gradgradcheck(f, leaves, fast_mode=True)
+        # Second derivatives are torch's, whose scattered additions on CUDA come in any order.
+        assert torch.autograd.gradgradcheck(f, leaves, fast_mode=True, nondet_tol=1e-12 if device.type == "cuda" else 0)
 
     def test_vmap(self, name, call, device):
         if not call.per_sample:

@@ -23,11 +23,13 @@ SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
 RIGHT = {
     **{"border": ["0"], "distance": ["0"], "mode": ["0"]},
     **{"top": ["0"], "left": ["0"], "steps": ["0", str(2**15)], "radius": ["0", str(2**15)]},
-    **{name: ["0"] for name in ("cfa", "format", "kernel", "kind", "statistic", "padding")},  # numbers of choices
+    **{
+        name: ["0"]
+        for name in ("cfa", "filter", "format", "interpolation", "kernel", "kind", "model", "statistic", "padding")
+    },  # numbers of choices
     **{"ignored": [str(n) for n in SIZES], "target": ["of torch.int64"]},
     **{"input_mask": ["of torch.bool"], "other_mask": ["of torch.bool"]},
 }
-NAMES = ("", "mirror", "Reflect", "constant ")
 DTYPES = (torch.int64, torch.bool, torch.complex64, torch.float8_e4m3fn)
 
 
@@ -58,8 +60,7 @@ def wrong_calls(operator: Any, args: Sequence[Any]) -> Iterator[Call]:
     if "border" in names and all(args[i] for i, name in enumerate(names) if name == "same"):
         pixels = {i: args[i][..., :1, :1] for i in images}
         border = names.index("border")
-        reflect = "reflect" if isinstance(args[border], str) else BORDER["reflect"]
-        yield call("border reflect around a pixel", {**pixels, border: reflect})
+        yield call("border reflect around a pixel", {**pixels, border: BORDER["reflect"]})
 
 
 def wrong_values(kind: str, value: Any, is_image: bool) -> Iterator[tuple[str, Any]]:
@@ -75,8 +76,6 @@ def wrong_values(kind: str, value: Any, is_image: bool) -> Iterator[tuple[str, A
         yield from ((f"of {n} axes", torch.ones((1,) * n)) for n in (0, 5))
     elif kind == "int":
         yield from ((str(n), n) for n in SIZES)
-    elif kind == "str":
-        yield from ((repr(name), name) for name in NAMES)
 
 
 def taken(operator: Any, calls: Sequence[Call]) -> list[str]:

@@ -14,6 +14,7 @@ import torch
 
 import kvision as K
 from kvision import _ops
+from kvision._modes import INTERPOLATION, PADDING
 
 
 def run(code: str, **environment: str) -> subprocess.CompletedProcess:
@@ -100,6 +101,13 @@ def test_every_operator_has_a_readable_schema(backend):
         if operator.kernel is not None:
             schema = operator.kernel._schema
             assert all(not a.name.startswith("_") and a.name for a in schema.arguments), name
+
+
+def test_no_operator_takes_strings(backend):
+    """Torch's stable C interface leaks memory for each string argument of a call."""
+    for name, operator in _ops.operators.items():
+        if operator.kernel is not None:
+            assert all("str" not in str(a.type) for a in operator.kernel._schema.arguments), name
 
 
 def test_functional_transforms_compose(device):
@@ -416,4 +424,6 @@ def test_gradients_that_kernels_sum_by_atomics_are_declared():
     }
     x, matrix = torch.zeros(1, 1, 2, 2), torch.zeros(1, 2, 3)
     for name in names:
-        assert not _ops.operators[name].nondeterministic(x, matrix, [2, 2], "bilinear", "border")
+        assert not _ops.operators[name].nondeterministic(
+            x, matrix, [2, 2], INTERPOLATION["bilinear"], PADDING["border"]
+        )

@@ -8,15 +8,12 @@ namespace {
 // Correspondences that are summed before anything else is.
 constexpr int64_t kErrorsChunk = 2048;
 
-ErrorKind parse_error_kind(char const* op, std::string const& name) {
-  constexpr char const* names[] = {"sampson",          "symmetrical", "right", "left", "transfer", "symmetric_transfer",
-                                   "sampson_transfer", "segments"};
-  for (int i = 0; i < 8; ++i)
-    if (name == names[i]) return ErrorKind(i);
-  fail({op,
-        ": kind must be one of sampson, symmetrical, right, left, transfer, symmetric_transfer, sampson_transfer, "
-        "segments; got '",
-        name, "'"});
+ErrorKind parse_error_kind(char const* op, int64_t number) {
+  KV_CHECK(number >= int64_t(ErrorKind::sampson) && number <= int64_t(ErrorKind::segments), op,
+           ": kind must be 0 (sampson), 1 (symmetrical), 2 (right), 3 (left), 4 (transfer), 5 (symmetric_transfer), "
+           "6 (sampson_transfer) or 7 (segments), got ",
+           number);
+  return ErrorKind(number);
 }
 
 // Points and matrices, checked; one of each serves a batch.
@@ -24,8 +21,7 @@ struct ErrorArguments {
   Contiguous points1, points2, matrix;
   CorrespondenceErrors<double> params{};
 
-  ErrorArguments(char const* op, Tensor const& x, Tensor const& y, Tensor const& m, std::string const& kind,
-                 bool squared)
+  ErrorArguments(char const* op, Tensor const& x, Tensor const& y, Tensor const& m, int64_t kind, bool squared)
       : points1(op, x), points2(op, y), matrix(op, m) {
     params.kind = parse_error_kind(op, kind);
     params.squared = squared;
@@ -57,8 +53,8 @@ struct ErrorArguments {
   }
 };
 
-Tensor correspondence_errors(Tensor const& points1, Tensor const& points2, Tensor const& matrix,
-                             std::string const& kind, bool squared) {
+Tensor correspondence_errors(Tensor const& points1, Tensor const& points2, Tensor const& matrix, int64_t kind,
+                             bool squared) {
   constexpr char const* op = "correspondence_errors";
   ErrorArguments arguments(op, points1, points2, matrix, kind, squared);
   CorrespondenceErrors<double>& params = arguments.params;
@@ -71,7 +67,7 @@ Tensor correspondence_errors(Tensor const& points1, Tensor const& points2, Tenso
 // For each problem, also where one of the three serves all.
 std::tuple<Tensor, Tensor, Tensor> correspondence_errors_backward(Tensor const& grad, Tensor const& points1,
                                                                   Tensor const& points2, Tensor const& matrix,
-                                                                  std::string const& kind, bool squared) {
+                                                                  int64_t kind, bool squared) {
   constexpr char const* op = "correspondence_errors_backward";
   ErrorArguments arguments(op, points1, points2, matrix, kind, squared);
   CorrespondenceErrors<double>& params = arguments.params;
@@ -99,7 +95,7 @@ std::tuple<Tensor, Tensor, Tensor> correspondence_errors_backward(Tensor const& 
 
 }  // namespace
 
-#define KV_ERROR_ARGUMENTS "Tensor points1, Tensor points2, Tensor matrix, str kind, bool squared"
+#define KV_ERROR_ARGUMENTS "Tensor points1, Tensor points2, Tensor matrix, int kind, bool squared"
 
 KV_OPERATOR(correspondence_errors, "(" KV_ERROR_ARGUMENTS ") -> Tensor")
 KV_OPERATOR(correspondence_errors_backward, "(Tensor grad, " KV_ERROR_ARGUMENTS ") -> (Tensor, Tensor, Tensor)")

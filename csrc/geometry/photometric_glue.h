@@ -6,11 +6,10 @@
 
 namespace kv {
 
-inline Distance distance_of(char const* op, std::string const& name) {
-  if (name == "l1") return Distance::l1;
-  if (name == "l2") return Distance::l2;
-  KV_CHECK(name == "charbonnier", op, ": distance must be one of l1, l2, charbonnier; got '", name, "'");
-  return Distance::charbonnier;
+inline Distance parse_distance(char const* op, int64_t number) {
+  KV_CHECK(number >= int64_t(Distance::l1) && number <= int64_t(Distance::charbonnier), op,
+           ": distance must be 0 (l1), 1 (l2) or 2 (charbonnier), got ", number);
+  return Distance(number);
 }
 
 }  // namespace kv

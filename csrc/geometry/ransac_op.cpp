@@ -25,8 +25,7 @@ void dispatch_reals(Contiguous const& x, F f) {
   x.reals.is_double ? f(Type<double>{}) : f(Type<float>{});
 }
 
-Tensor consensus(Tensor const& models, Tensor const& points1, Tensor const& points2, double threshold,
-                 std::string const& model) {
+Tensor consensus(Tensor const& models, Tensor const& points1, Tensor const& points2, double threshold, int64_t model) {
   constexpr char const* op = "consensus";
   Contiguous const m(op, models), x(op, points1), y(op, points2);
   Tensor const scores = empty({models.size(0), 2}, m.tensor);
@@ -44,7 +43,7 @@ Tensor consensus(Tensor const& models, Tensor const& points1, Tensor const& poin
 std::tuple<Tensor, Tensor, Tensor> merge_top_k(Tensor const& models, Tensor const& scores, Tensor const& other_models,
                                                Tensor const& other_scores, Tensor const& points1, Tensor const& points2,
                                                double threshold, double softness, int64_t count, bool by_count,
-                                               std::string const& model) {
+                                               int64_t model) {
   constexpr char const* op = "merge_top_k";
   Contiguous const m(op, models), s(op, scores), n(op, other_models), t(op, other_scores), x(op, points1),
       y(op, points2);
@@ -107,7 +106,7 @@ std::tuple<Tensor, Tensor> top_k_models(Tensor const& models, Tensor const& scor
 // The first of models (M, 3, 3) and which of N correspondences have a weight above 0 for it; nothing where these are
 // `least` or fewer. Essential matrices have norm 1, other models a last number of 1.
 std::tuple<Tensor, Tensor> finalize_model(Tensor const& models, Tensor const& weights, int64_t min_inliers,
-                                          std::string const& model) {
+                                          int64_t model) {
   constexpr char const* op = "finalize_model";
   KV_CHECK(models.dim() == 3 && models.size(0) > 0 && models.size(1) == 3 && models.size(2) == 3, op,
            ": expected models of shape (M, 3, 3)");
@@ -134,10 +133,10 @@ std::tuple<Tensor, Tensor> finalize_model(Tensor const& models, Tensor const& we
 }  // namespace
 
 KV_OPERATOR(top_k_models, "(Tensor models, Tensor scores, int count, bool by_count) -> (Tensor, Tensor)")
-KV_OPERATOR(finalize_model, "(Tensor models, Tensor weights, int min_inliers, str model) -> (Tensor, Tensor)")
-KV_OPERATOR(consensus, "(Tensor models, Tensor points1, Tensor points2, float threshold, str model) -> Tensor")
+KV_OPERATOR(finalize_model, "(Tensor models, Tensor weights, int min_inliers, int model) -> (Tensor, Tensor)")
+KV_OPERATOR(consensus, "(Tensor models, Tensor points1, Tensor points2, float threshold, int model) -> Tensor")
 KV_OPERATOR(merge_top_k,
             "(Tensor models, Tensor scores, Tensor other_models, Tensor other_scores, Tensor points1, Tensor points2, "
-            "float threshold, float softness, int count, bool by_count, str model) -> (Tensor, Tensor, Tensor)")
+            "float threshold, float softness, int count, bool by_count, int model) -> (Tensor, Tensor, Tensor)")
 
 }  // namespace kv

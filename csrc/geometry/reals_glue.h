@@ -1,4 +1,4 @@
-// Tensors of float32 or float64 as Reals, and names of models. Included by operators of views, points and splines.
+// Tensors of float32 or float64 as Reals, and numbers of models. Included by operators of views, points and splines.
 #pragma once
 
 #include "geometry/solvers/minimal.h"
@@ -27,12 +27,12 @@ inline double min_homogeneous_weight(Contiguous const& x) {
   return 1e-13 + 4 * (x.reals.is_double ? 2.220446049250313e-16 : 1.1920928955078125e-07);
 }
 
-inline Model parse_model(char const* op, std::string const& name) {
-  constexpr char const* names[] = {"affine", "homography", "lines", "fundamental", "fundamental8", "essential"};
-  for (int i = 0; i < 6; ++i)
-    if (name == names[i]) return Model(i);
-  fail(
-      {op, ": model must be one of affine, homography, lines, fundamental, fundamental8, essential; got '", name, "'"});
+inline Model parse_model(char const* op, int64_t number) {
+  KV_CHECK(number >= int64_t(Model::affine) && number <= int64_t(Model::essential), op,
+           ": model must be 0 (affine), 1 (homography), 2 (lines), 3 (fundamental), 4 (fundamental8) or 5 (essential), "
+           "got ",
+           number);
+  return Model(number);
 }
 
 }  // namespace kv

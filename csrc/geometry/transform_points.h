@@ -3,10 +3,10 @@
 //   transform   y = (M (p, 1)) without its last entry w, divided by w
 //   project     y = f (px, py) / pz + c
 //   unproject   y = d ray,  ray = ((u - cx) / fx, (v - cy) / fy, 1), over its length where d is the distance
-//   meet        y = d / (n . ray), where the ray meets the plane n . p = d
+//   intersect        y = d / (n . ray), where the ray meets the plane n . p = d
 //
-// A divisor that is 0 within 1e-8 is taken for 1, but that of `meet`, of which eps with its sign is the least. Below
-// each map stand its gradients to the point and to the matrix.
+// A divisor that is 0 within 1e-8 is taken for 1, but that of `intersect`, of which eps with its sign is the least.
+// Below each map stand its gradients to the point and to the matrix.
 //
 // Included by transform_points_cpu.cpp, transform_points.cu, transform_points_backward.cu and transform_points_op.cpp.
 #pragma once
@@ -18,7 +18,7 @@
 
 namespace kv {
 
-enum class PointMap { plane, space, image, project, unproject, meet };
+enum class PointMap { plane, space, image, project, unproject, intersect };
 
 template <class T>
 struct TransformPoints {
@@ -203,7 +203,7 @@ KV_HD void with_map(PointMap map, F f) {
       return f(Transform<3, 2>{});
     case PointMap::project:
       return f(Project{});
-    case PointMap::meet:
+    case PointMap::intersect:
       return f(Meet{});
     default:
       return f(Unproject{});

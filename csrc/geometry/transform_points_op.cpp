@@ -5,6 +5,9 @@
 namespace kv {
 namespace {
 
+// The numbers of the argument `kind`; transforms become the plane, space or image of PointMap by the matrix.
+enum class PointMapKind : int64_t { transform, project, unproject, unproject_distance, intersect };
+
 template <class T>
 T* data_ptr(std::optional<Tensor> const& x) {
   return x ? static_cast<T*>(const_cast<void*>(x->const_data_ptr())) : nullptr;
@@ -18,30 +21,34 @@ struct Given {
   bool distance = false;
   int64_t out = 3;
 
-  Given(char const* op, Tensor const& p, std::optional<Tensor> const& d, Tensor const& m, std::string const& kind)
+  Given(char const* op, Tensor const& p, std::optional<Tensor> const& d, Tensor const& m, int64_t kind)
       : points(p), matrix(m) {
     KV_CHECK(p.dim() == 3 && m.dim() == 3 && (m.size(0) == 1 || m.size(0) == p.size(0)) &&
                  m.scalar_type() == compute_dtype(p) && m.device() == p.device(),
              op, ": matrix does not fit the points");
     int64_t const in = p.size(2), rows = m.size(1), columns = m.size(2);
-    bool const camera = rows == 3 && columns == 3, unprojects = kind == "unproject" || kind == "unproject_distance";
-    if (kind == "transform") {
+    KV_CHECK(kind >= int64_t(PointMapKind::transform) && kind <= int64_t(PointMapKind::intersect), op,
+             ": kind must be 0 (transform), 1 (project), 2 (unproject), 3 (unproject_distance) or 4 (intersect), got ",
+             kind);
+    auto const named = PointMapKind(kind);
+    distance = named == PointMapKind::unproject_distance;
+    bool const camera = rows == 3 && columns == 3, unprojects = named == PointMapKind::unproject || distance;
+    if (named == PointMapKind::transform) {
       bool const plane = camera && in == 2, space = columns == 4 && in == 3 && (rows == 3 || rows == 4);
       KV_CHECK(plane || space, op, ": there is no map of ", in, " numbers by ", rows, " x ", columns);
       map = plane ? PointMap::plane : rows == 4 ? PointMap::space : PointMap::image;
       out = rows - 1;
-    } else if (kind == "project") {
+    } else if (named == PointMapKind::project) {
       KV_CHECK(camera && in == 3, op, ": expected points (B, N, 3) and cameras (B, 3, 3)");
       map = PointMap::project;
       out = 2;
-    } else if (kind == "meet") {
+    } else if (named == PointMapKind::intersect) {
       KV_CHECK(in == 2 && rows == 1 && columns == 9, op, ": expected points (B, N, 2) and planes (B, 1, 9)");
-      map = PointMap::meet;
+      map = PointMap::intersect;
       out = 1;
     } else {
       KV_CHECK(unprojects && camera && in == 2, op, ": expected points (B, N, 2) and cameras (B, 3, 3)");
       map = PointMap::unproject;
-      distance = kind == "unproject_distance";
     }
     KV_CHECK(d.has_value() == unprojects, op, ": depth is for unproject");
     if (d) {
@@ -73,8 +80,7 @@ void add_parts(TransformPointsBackward<T> const& p, int64_t entries) {
 }
 #endif
 
-Tensor transform_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix,
-                        std::string const& kind) {
+Tensor transform_points(Tensor const& points, std::optional<Tensor> const& depth, Tensor const& matrix, int64_t kind) {
   Given const given("transform_points", points, depth, matrix, kind);
   Tensor const y = empty({points.size(0), points.size(1), given.out}, points);
   dispatch_floating("transform_points", points, [&](auto type) {
@@ -95,7 +101,7 @@ Tensor transform_points(Tensor const& points, std::optional<Tensor> const& depth
 
 std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad, Tensor const& points,
                                                              std::optional<Tensor> const& depth, Tensor const& matrix,
-                                                             std::string const& kind, bool to_matrix) {
+                                                             int64_t kind, bool to_matrix) {
   char const* const op = "transform_points_backward";
   Given const given(op, points, depth, matrix, kind);
   KV_CHECK(grad.dim() == 3 && grad.size(0) == points.size(0) && grad.size(1) == points.size(1) &&
@@ -148,9 +154,9 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
 
 }  // namespace
 
-KV_OPERATOR(transform_points, "(Tensor points, Tensor? depth, Tensor matrix, str kind) -> Tensor")
+KV_OPERATOR(transform_points, "(Tensor points, Tensor? depth, Tensor matrix, int kind) -> Tensor")
 KV_OPERATOR(transform_points_backward,
-            "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, str kind, bool to_matrix) -> (Tensor, Tensor, "
+            "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, int kind, bool to_matrix) -> (Tensor, Tensor, "
             "Tensor)")
 
 }  // namespace kv

@@ -111,14 +111,6 @@ ScalarType scalar_type_of(DType dtype) {
   return kTypes[int(dtype)];
 }
 
-Border parse_border(char const* op, std::string const& name) {
-  if (name == "reflect") return Border::reflect;
-  if (name == "replicate") return Border::replicate;
-  if (name == "constant") return Border::constant;
-  KV_CHECK(name == "circular", op, ": border must be one of constant, reflect, replicate, circular; got '", name, "'");
-  return Border::circular;
-}
-
 Border to_border(char const* op, int64_t number) {
   KV_CHECK(number >= int64_t(Border::constant) && number <= int64_t(Border::circular), op,
            ": border must be 0 (constant), 1 (reflect), 2 (replicate) or 3 (circular), got ", number);

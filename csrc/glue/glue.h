@@ -44,7 +44,6 @@ void check_images(char const* op, char const* name, Tensor const& x);
 void check_volumes(char const* op, char const* name, Tensor const& x);
 void check_like(char const* op, char const* name, Tensor const& x, Tensor const& like);
 
-Border parse_border(char const* op, std::string const& name);
 // The border rule of a number; see enum class Border.
 Border to_border(char const* op, int64_t number);
 

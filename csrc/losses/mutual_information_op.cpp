@@ -148,7 +148,7 @@ KV_OPERATOR(mutual_information,
             "(Tensor input, Tensor other, Tensor? input_mask, Tensor? other_mask, int kernel, int bins, float radius, "
             "bool normalized) -> (Tensor, Tensor, Tensor)")
 KV_OPERATOR(mutual_information_backward,
-            "(Tensor grad, Tensor gradients, Tensor ranges, Tensor input, Tensor other, Tensor? input_mask, "
+            "(Tensor grad, Tensor count_gradients, Tensor ranges, Tensor input, Tensor other, Tensor? input_mask, "
             "Tensor? other_mask, int kernel, int bins, float radius, bool normalized, bool by_other) -> Tensor")
 
 }  // namespace kv

@@ -49,10 +49,6 @@ struct Sigma {
 
 namespace detail {
 
-template <size_t N>
-std::string choice(char const* const (&names)[N], int i) {
-  return names[i];
-}
 // The index of a name, which is its number in operators.
 template <size_t N>
 int64_t index_of(char const* op, char const* argument, std::string const& name, char const* const (&names)[N]) {
@@ -60,12 +56,8 @@ int64_t index_of(char const* op, char const* argument, std::string const& name, 
     if (name == names[i]) return int64_t(i);
   TORCH_CHECK_VALUE(false, op, ": there is no ", argument, " '", name, "'");
 }
-inline std::string name(BorderType x) { return choice({"constant", "reflect", "replicate", "circular"}, int(x)); }
-inline std::string name(Interpolation x) {
-  return choice({"nearest", "nearest-exact", "area", "bilinear", "bicubic", "lanczos"}, int(x));
-}
-inline std::string name(PaddingMode x) { return choice({"fill", "border", "reflection", "fill"}, int(x)); }
-inline std::string name(Distance x) { return choice({"l1", "l2", "charbonnier"}, int(x)); }
+// A padding as operators take it: zeros are a fill, of 0.
+inline int64_t padding_number(PaddingMode x) { return x == PaddingMode::fill ? 0 : int64_t(x); }
 
 // The type that an image is computed in, which matrices, sigmas and weights of it have.
 inline at::ScalarType computed_type(Tensor const& image) {

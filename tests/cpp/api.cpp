@@ -136,11 +136,14 @@ void results() {
   Tensor const levels = torch::tensor({1.f, 2.f, 3.f}).expand({2, 3});
   expect_close("eigenvectors", std::get<0>(kvision::ops::eigenvectors(torch::diag_embed(levels.flip(1)))), levels);
   Tensor const points = from[0].t().contiguous(), one = torch::eye(3).unsqueeze(0);
-  expect_close("consensus", kvision::ops::consensus(one, points, points, 0.1, "homography"), torch::full({1, 2}, 9.f));
+  expect_close("consensus", kvision::ops::consensus(one, points, points, 0.1, int64_t(kvision::ops::Model::homography)),
+               torch::full({1, 2}, 9.f));
   auto const [best, count] =
       kvision::ops::top_k_models(torch::cat({0 * one, one}), torch::tensor({{0.f, 0.f}, {1.f, 1.f}}), 1, true);
   expect_close("top_k_models", best, one);
-  expect_close("finalize_model", std::get<0>(kvision::ops::finalize_model(best, count, 1, "homography")), one[0]);
+  expect_close("finalize_model",
+               std::get<0>(kvision::ops::finalize_model(best, count, 1, int64_t(kvision::ops::Model::homography))),
+               one[0]);
 }
 
 void gradients() {
@@ -161,7 +164,8 @@ void gradients() {
   Tensor const boxes = torch::tensor({{0.f, 0.f, 2.f, 2.f}}).requires_grad_();
   expect_no_gradient("box_iou", kvision::mean_iou_bbox(boxes, boxes));
   Tensor const points = torch::rand({2, 3, 2}).requires_grad_();
-  expect_no_gradient("minimal_solver", kvision::ops::minimal_solver(points, points, {}, "affine"));
+  expect_no_gradient("minimal_solver",
+                     kvision::ops::minimal_solver(points, points, {}, int64_t(kvision::ops::Model::affine)));
   Tensor const heights = torch::rand({1, 3, 3}).requires_grad_(), element = torch::ones({3, 3});
   expect_error<c10::NotImplementedError>("dilation: C++ has no gradient to heights", [&] {
     kvision::dilation(planes, element, kvision::MorphologyOptions().structuring_element(heights[0])).sum().backward();

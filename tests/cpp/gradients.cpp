@@ -264,10 +264,9 @@ int main() {
     check(
         "remap", [=](auto const& t) { return kvision::remap(t[0], t[1], t[2], kvision::RemapOptions().mode(mode)); },
         {x, map, map.flip(1).contiguous()}, false);
-    auto const name = mode == Interpolation::bilinear ? "bilinear" : "bicubic";
     check(
         "remap with a fill",
-        [=](auto const& t) { return ops::remap(t[0], t[1], t[2], t[3], name, "fill", true, false, false); },
+        [=](auto const& t) { return ops::remap(t[0], t[1], t[2], t[3], int64_t(mode), 0, true, false, false); },
         {x, map, map.flip(1).contiguous(), torch::rand({2, 1})}, false);
     auto const resize = kvision::ResizeOptions().interpolation(mode);
     check("resize", [=](auto const& t) { return kvision::resize(t[0], {3, 8}, resize); }, {x});
@@ -398,7 +397,8 @@ int main() {
       {torch::rand({2, 3}) + 0.5, torch::rand({2, 1}) + 0.5, torch::rand({2, 5, 2}), matrix.expand({2, 3, 3})}, false);
   Tensor const projection = torch::cat({matrix, torch::tensor({0.11, -0.07, 0.03}).view({1, 3, 1})}, 2);
   check(
-      "depth_warp", [](auto const& t) { return ops::depth_warp(t[0], t[1], t[2], "bilinear", "fill", true); },
+      "depth_warp",
+      [](auto const& t) { return ops::depth_warp(t[0], t[1], t[2], int64_t(Interpolation::bilinear), 0, true); },
       {x, depth, projection}, false);
   check(
       "reprojection", [](auto const& t) { return ops::reprojection(t[0], t[1], t[2], t[3], true); },
@@ -508,8 +508,7 @@ int main() {
       "solve_pnp_dlt of weights", [](auto const& t) { return kvision::solve_pnp_dlt(t[0], t[1], t[2], t[3]); },
       {solid, from, pinhole, weights + 0.5}, false);
   Tensor const matrices = torch::rand({2, 3, 3});
-  for (auto const* kind :
-       {"sampson", "symmetrical", "right", "left", "transfer", "symmetric_transfer", "sampson_transfer"})
+  for (int64_t kind = 0; kind < int64_t(ops::CorrespondenceError::segments); ++kind)
     check(
         "correspondence_errors",
         [=](auto const& t) { return ops::correspondence_errors(t[0], t[1], t[2], kind, true); },

@@ -19,7 +19,6 @@ OPERATORS = "".join(path.read_text() for path in sorted((ROOT / "include/kvision
 TYPES = {
     "Tensor": "Tensor",
     "OptionalTensor": "Optional[Tensor]",
-    "String": "str",
     "int64_t": "int",
     "double": "float",
     "bool": "bool",

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from kvision._modes import MODEL
 from kvision.geometry.homography.dlt import homography_of
 from kvision.geometry.ransac import _consensus, _finalize_model, _merge_top_k, _top_k_models
 from kvision.geometry.solvers._minimal import SIZES, eight_points, minimal_solver
@@ -162,9 +163,9 @@ def test_consensus_is_the_references(model, dtype, device):
     x, y = (rand(numbers, 77, high=9, seed=s).to(device, dtype) for s in (1, 2))
     models = rand(40, 3, 3, low=-1, seed=3).to(device, dtype)
     models[7, 1, 1] = float("nan")
-    found = _consensus(models, x, y, 3.0, model)
+    found = _consensus(models, x, y, 3.0, MODEL[model])
     with K.backend("reference"):
-        expected = _consensus(models, x, y, 3.0, model)
+        expected = _consensus(models, x, y, 3.0, MODEL[model])
     assert_close(found[:, 1], expected[:, 1])
     assert_close(found, expected, 1e-4, 1e-3)
 
@@ -176,15 +177,15 @@ def test_merge_top_k_is_the_references(model, dtype, device):
     x, y = (rand(numbers, 301, high=9, seed=s).to(device, dtype) for s in (1, 2))
     models, others = (rand(count, 3, 3, low=-1, seed=count).to(device, dtype) for count in (9, 8))
     others[3] = models[5]  # of two that are as good the first is taken
-    scores, other_scores = (_consensus(m, x, y, 3.0, model) for m in (models, others))
+    scores, other_scores = (_consensus(m, x, y, 3.0, MODEL[model]) for m in (models, others))
     for by_count, count in ((False, 8), (True, 1), (False, 40)):
-        args = (models, scores, others, other_scores, x, y, 3.0, 0.2, count, by_count, model)
+        args = (models, scores, others, other_scores, x, y, 3.0, 0.2, count, by_count, MODEL[model])
         found = _merge_top_k(*args)
         with K.backend("reference"):
             expected = _merge_top_k(*args)
         assert_close(found[:2], expected[:2], 0, 0)
         assert_close(found[2], expected[2], 1e-4, 1e-4)
-    alone = _merge_top_k(models, scores, others[:0], other_scores[:0], x, y, 3.0, 0.0, 3, False, model)
+    alone = _merge_top_k(models, scores, others[:0], other_scores[:0], x, y, 3.0, 0.0, 3, False, MODEL[model])
     assert_close(alone[1][:, 0], scores[:, 0].sort(descending=True).values[:3], 0, 0)
     assert_close(alone[2].sum(-1), alone[1][:, 1], 0, 0)
 
@@ -202,7 +203,7 @@ def test_top_k_and_final_models_are_the_references(count, dtype, device):
     models[5, 2, 2] = 0
     for i in range(8):
         for kind in ("essential", "homography"):
-            args = models[i:], weights[i:], 7 if i else 1499, kind
+            args = models[i:], weights[i:], 7 if i else 1499, MODEL[kind]
             found = _finalize_model(*args)
             with K.backend("reference"):
                 assert_close(found, _finalize_model(*args), 1e-6, 1e-6)
@@ -235,13 +236,13 @@ def test_operators_refuse_bad_arguments(backend):
     x, ops = torch.rand(1, 9, 2), torch.ops.kvision
     eye, scores = torch.eye(3)[None], torch.zeros(1, 2)
     for call in (
-        lambda: ops.minimal_solver(x, x, None, "homography"),
-        lambda: ops.minimal_solver(x, x[:, :3], None, "affine"),
-        lambda: ops.minimal_solver(x, x, torch.rand(5, 4), "homography"),
-        lambda: ops.minimal_solver(x.half(), x.half(), torch.rand(5, 5), "homography"),
-        lambda: ops.minimal_solver(x, x, torch.rand(5, 5), "sphere"),
-        lambda: ops.consensus(torch.rand(4, 3, 3), x[0], x[0], 1.0, "homography"),
-        lambda: ops.consensus(torch.rand(4, 9), x[0].T, x[0].T, 1.0, "homography"),
+        lambda: ops.minimal_solver(x, x, None, MODEL["homography"]),
+        lambda: ops.minimal_solver(x, x[:, :3], None, MODEL["affine"]),
+        lambda: ops.minimal_solver(x, x, torch.rand(5, 4), MODEL["homography"]),
+        lambda: ops.minimal_solver(x.half(), x.half(), torch.rand(5, 5), MODEL["homography"]),
+        lambda: ops.minimal_solver(x, x, torch.rand(5, 5), 6),
+        lambda: ops.consensus(torch.rand(4, 3, 3), x[0], x[0], 1.0, MODEL["homography"]),
+        lambda: ops.consensus(torch.rand(4, 9), x[0].T, x[0].T, 1.0, MODEL["homography"]),
         lambda: ops.null_vector(torch.rand(2, 5, 7), None),
         lambda: ops.null_vector(torch.rand(2, 5, 9), torch.rand(2, 4)),
         lambda: ops.null_vector_backward(torch.rand(2, 9), torch.rand(2, 4), torch.rand(2, 5, 9), None),
@@ -250,18 +251,18 @@ def test_operators_refuse_bad_arguments(backend):
         lambda: ops.triangulate_backward(x, x, x, torch.rand(1, 3, 4), torch.rand(1, 3, 4)),
         lambda: ops.triangulate_backward(torch.rand(1, 9, 3), x, x, torch.rand(1, 3, 4), torch.rand(1, 3, 3)),
         lambda: ops.real_roots(torch.rand(2, 12)),
-        lambda: ops.undistort(x, torch.rand(1, 3, 2), eye, torch.rand(1, 4), None, 5),
-        lambda: ops.undistort(x, eye, eye, torch.rand(1, 15), None, 5),
-        lambda: ops.undistort(x, eye, eye, torch.rand(1, 4), eye.double(), 5),
-        lambda: ops.undistort(x, eye, eye, torch.rand(1, 4), None, -1),
-        lambda: ops.undistort(x.half(), eye.half(), eye.half(), torch.rand(1, 4).half(), None, 5),
-        lambda: ops.distort(x, eye, eye, torch.rand(1, 15), None),
-        lambda: ops.distort(x, eye, torch.rand(1, 3, 2), torch.rand(1, 4), None),
+        lambda: ops.undistort_points(x, torch.rand(1, 3, 2), eye, torch.rand(1, 4), None, 5),
+        lambda: ops.undistort_points(x, eye, eye, torch.rand(1, 15), None, 5),
+        lambda: ops.undistort_points(x, eye, eye, torch.rand(1, 4), eye.double(), 5),
+        lambda: ops.undistort_points(x, eye, eye, torch.rand(1, 4), None, -1),
+        lambda: ops.undistort_points(x.half(), eye.half(), eye.half(), torch.rand(1, 4).half(), None, 5),
+        lambda: ops.distort_points(x, eye, eye, torch.rand(1, 15), None),
+        lambda: ops.distort_points(x, eye, torch.rand(1, 3, 2), torch.rand(1, 4), None),
         lambda: ops.eigenvectors(torch.rand(2, 5, 5)),
         lambda: ops.eigenvectors(torch.rand(2, 5, 9)),
-        lambda: ops.merge_top_k(eye, scores, eye, scores[:, :1], x[0].T, x[0].T, 1.0, 0.0, 1, False, "affine"),
-        lambda: ops.merge_top_k(eye, scores, eye[:0], scores[:0], x[0].T, x[0], 1.0, 0.0, 1, False, "affine"),
-        lambda: ops.merge_top_k(eye, scores, eye, scores, x[0].T, x[0].T, 1.0, 0.0, 0, False, "affine"),
+        lambda: ops.merge_top_k(eye, scores, eye, scores[:, :1], x[0].T, x[0].T, 1.0, 0.0, 1, False, MODEL["affine"]),
+        lambda: ops.merge_top_k(eye, scores, eye[:0], scores[:0], x[0].T, x[0], 1.0, 0.0, 1, False, MODEL["affine"]),
+        lambda: ops.merge_top_k(eye, scores, eye, scores, x[0].T, x[0].T, 1.0, 0.0, 0, False, MODEL["affine"]),
         lambda: ops.homography_dlt(x, x[:, :3], None),
         lambda: ops.homography_dlt(x, x, torch.rand(1, 8)),
         lambda: ops.homography_lines_dlt(x, x, None),
@@ -360,7 +361,7 @@ class TestRansacOperators(PointOpTests):
         "consensus": [
             Call(
                 (random_model, *SEEN),
-                (3.0, model),
+                (3.0, MODEL[model]),
                 broadcasts=False,
                 per_sample=False,
                 differentiable=False,
@@ -373,7 +374,7 @@ class TestRansacOperators(PointOpTests):
         "merge_top_k": [
             Call(
                 (random_model, SCORES, random_model, SCORES, *SEEN),
-                (3.0, 0.2, 4, False, "homography"),
+                (3.0, 0.2, 4, False, MODEL["homography"]),
                 broadcasts=False,
                 per_sample=False,
                 differentiable=False,
@@ -397,7 +398,7 @@ class TestRansacOperators(PointOpTests):
         "finalize_model": [
             Call(
                 (random_model, vector(9)),
-                (4, "homography"),
+                (4, MODEL["homography"]),
                 broadcasts=False,
                 per_sample=False,
                 differentiable=False,
@@ -408,7 +409,7 @@ class TestRansacOperators(PointOpTests):
         "minimal_solver": [
             Call(
                 (vector(3, 2), vector(3, 2), None),
-                ("affine",),
+                (MODEL["affine"],),
                 broadcasts=False,
                 differentiable=False,
                 accepted=RANSAC_ACCEPTED,
@@ -417,7 +418,7 @@ class TestRansacOperators(PointOpTests):
             ),
             Call(
                 (lambda: SQUARE + 0.5 * torch.rand(4, 2), lambda: SQUARE + 0.5 * torch.rand(4, 2), None),
-                ("homography",),
+                (MODEL["homography"],),
                 broadcasts=False,
                 differentiable=False,
                 accepted=RANSAC_ACCEPTED,

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from kvision._modes import POINT_MAP
 from kvision.geometry._transform_points import _transform_points, transformed
 from op_tests import OpTests, assert_close
 
@@ -92,7 +93,7 @@ class TestMeet(PointMaps):
 
 KINDS = [
     *(("transform", 2, (3, 3)), ("transform", 3, (4, 4)), ("transform", 3, (3, 4)), ("project", 3, (3, 3))),
-    *(("unproject", 2, (3, 3)), ("unproject_distance", 2, (3, 3)), ("meet", 2, (1, 9))),
+    *(("unproject", 2, (3, 3)), ("unproject_distance", 2, (3, 3)), ("intersect", 2, (1, 9))),
 ]
 
 
@@ -107,7 +108,7 @@ def test_numbers_of_points(kind, axes, sizes, count, device):
         leaves = [x.to(device).requires_grad_() for x in given]
 
         def both(leaves):
-            y = _transform_points(leaves[0], leaves[2] if len(leaves) > 2 else None, leaves[1], kind)
+            y = _transform_points(leaves[0], leaves[2] if len(leaves) > 2 else None, leaves[1], POINT_MAP[kind])
             weights = torch.linspace(0, 1, y.numel(), device=device, dtype=y.dtype).reshape(y.shape)
             return y, *torch.autograd.grad((y * weights).sum(), leaves)
 

@@ -10,7 +10,7 @@ namespace {
 // depth times the number of terms, one over that number, and its slopes to the projections.
 std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views, Tensor const& target,
                                                              Tensor const& depth, Tensor const& projections,
-                                                             std::string const& distance, double eps) {
+                                                             int64_t distance, double eps) {
   char const* const op = "photometric_depth";
   KV_CHECK(views.dim() == 5, op, ": expected views of 5 axes, got ", views.dim());
   check_images(op, "target", target);
@@ -23,7 +23,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
   Depths const depths(op, depth, projections, views);
   Size const source = checked_size(op, {views.size(3), views.size(4)}), output = depths.size();
   KV_CHECK(target.size(2) == output.height && target.size(3) == output.width, op, ": depth does not fit the target");
-  SamplingOptions const how(op, "bilinear", "fill", true, views, {});
+  SamplingOptions const how(op, Interpolation::bilinear, Padding::fill, true, views, {});
   int64_t const parts = projection_parts(output);
   Tensor const loss = empty({batch}, depths.depth), share = empty({batch}, depths.depth);
   Tensor const to_depth = empty({batch, 1, output.height, output.width}, depths.depth);
@@ -48,7 +48,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
     params.view_stride = views.stride(1);
     params.projection_view_stride = 12;
     params.views = int(count);
-    params.distance = distance_of(op, distance);
+    params.distance = parse_distance(op, distance);
     params.eps = F(eps);
     params.to_depth = data_ptr<F>(to_depth);
     params.sums = data_ptr<double>(sums);
@@ -70,7 +70,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views
 }  // namespace
 
 KV_OPERATOR(photometric_depth,
-            "(Tensor views, Tensor target, Tensor depth, Tensor projections, str distance, float eps) -> "
+            "(Tensor views, Tensor target, Tensor depth, Tensor projections, int distance, float eps) -> "
             "(Tensor, Tensor, Tensor, Tensor)")
 
 }  // namespace kv

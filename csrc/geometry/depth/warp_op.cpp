@@ -4,15 +4,14 @@
 namespace kv {
 namespace {
 
-SamplingOptions how_of(char const* op, std::string const& interpolation, std::string const& padding, bool align_corners,
-                       Tensor const& x) {
+SamplingOptions how_of(char const* op, int64_t interpolation, int64_t padding, bool align_corners, Tensor const& x) {
   SamplingOptions const how(op, interpolation, padding, align_corners, x, {});
-  KV_CHECK(how.interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
+  KV_CHECK(how.interpolation != Interpolation::bicubic, op, ": interpolation must be 0 (nearest) or 3 (bilinear)");
   return how;
 }
 
-Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projection, std::string const& interpolation,
-                  std::string const& padding, bool align_corners) {
+Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projection, int64_t interpolation,
+                  int64_t padding, bool align_corners) {
   char const* const op = "depth_warp";
   check_images(op, "image", image);
   Size const source = checked_size(op, image);
@@ -35,8 +34,8 @@ Tensor depth_warp(Tensor const& image, Tensor const& depth, Tensor const& projec
 }
 
 Tensor depth_warp_image_backward(Tensor const& grad, Tensor const& depth, Tensor const& projection,
-                                 std::vector<int64_t> size, std::string const& interpolation,
-                                 std::string const& padding, bool align_corners) {
+                                 std::vector<int64_t> size, int64_t interpolation, int64_t padding,
+                                 bool align_corners) {
   char const* const op = "depth_warp_image_backward";
   check_images(op, "grad", grad);
   Size const source = checked_size(op, size);
@@ -60,8 +59,8 @@ Tensor depth_warp_image_backward(Tensor const& grad, Tensor const& depth, Tensor
 
 // For every sample, also where one depth or projection serves them all.
 std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor const& image, Tensor const& depth,
-                                                      Tensor const& projection, std::string const& interpolation,
-                                                      std::string const& padding, bool align_corners) {
+                                                      Tensor const& projection, int64_t interpolation, int64_t padding,
+                                                      bool align_corners) {
   char const* const op = "depth_warp_coords_backward";
   check_images(op, "image", image);
   check_images(op, "grad", grad);
@@ -98,7 +97,7 @@ std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor
 
 }  // namespace
 
-#define KV_HOW "str interpolation, str padding, bool align_corners"
+#define KV_HOW "int interpolation, int padding, bool align_corners"
 
 KV_OPERATOR(depth_warp, "(Tensor image, Tensor depth, Tensor projection, " KV_HOW ") -> Tensor")
 KV_OPERATOR(depth_warp_image_backward,

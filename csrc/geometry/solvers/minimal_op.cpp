@@ -5,8 +5,7 @@
 namespace kv {
 namespace {
 
-Tensor minimal_solver(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& draws,
-                      std::string const& model) {
+Tensor minimal_solver(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& draws, int64_t model) {
   constexpr char const* op = "minimal_solver";
   Model const kind = parse_model(op, model);
   int64_t const size = sample_size(kind), numbers = kind == Model::lines ? 4 : 2;
@@ -29,6 +28,6 @@ Tensor minimal_solver(Tensor const& points1, Tensor const& points2, std::optiona
 
 }  // namespace
 
-KV_OPERATOR(minimal_solver, "(Tensor points1, Tensor points2, Tensor? draws, str model) -> Tensor")
+KV_OPERATOR(minimal_solver, "(Tensor points1, Tensor points2, Tensor? draws, int model) -> Tensor")
 
 }  // namespace kv

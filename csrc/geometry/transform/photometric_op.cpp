@@ -16,7 +16,7 @@ struct Arguments {
             bool normalized)
       : from(checked(op, "source", source)),
         to(checked(op, "target", target)),
-        sampling(op, "bilinear", "fill", align_corners, source, {}),
+        sampling(op, Interpolation::bilinear, Padding::fill, align_corners, source, {}),
         matrix(op, matrix, source, false, normalized, align_corners, from, to),
         batch(source.size(0)),
         channels(source.size(1)),
@@ -31,12 +31,12 @@ struct Arguments {
     return checked_size(op, x);
   }
   template <class T>
-  Photometric<T> of(Tensor const& source, Tensor const& target, std::string const& distance, double eps,
+  Photometric<T> of(Tensor const& source, Tensor const& target, int64_t distance, double eps,
                     Tensor const& sums) const {
     return {sampling.of<T>(from, matrix.coords<Compute<T>>()),
             images<T const>(source, batch),
             images<T const>(target, batch),
-            distance_of(sampling.op, distance),
+            parse_distance(sampling.op, distance),
             Compute<T>(eps),
             data_ptr<double>(sums),
             parts};
@@ -44,7 +44,7 @@ struct Arguments {
 };
 
 std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& target, Tensor const& matrix,
-                                       std::string const& distance, double eps, bool align_corners, bool normalized) {
+                                       int64_t distance, double eps, bool align_corners, bool normalized) {
   Arguments const a("photometric", source, target, matrix, align_corners, normalized);
   Tensor const sums = empty({a.batch, a.parts, kPhotometricSums}, source, Layout::planar, ScalarType::Double);
   Tensor const loss = empty({a.batch}, a.matrix.tensor), grad = empty({a.batch, 3, 3}, a.matrix.tensor);
@@ -61,8 +61,8 @@ std::tuple<Tensor, Tensor> photometric(Tensor const& source, Tensor const& targe
 }
 
 std::tuple<Tensor, Tensor, Tensor> photometric_normal_equations(Tensor const& source, Tensor const& target,
-                                                                Tensor const& matrix, std::string const& distance,
-                                                                double eps, bool align_corners, bool normalized) {
+                                                                Tensor const& matrix, int64_t distance, double eps,
+                                                                bool align_corners, bool normalized) {
   Arguments const a("photometric_normal_equations", source, target, matrix, align_corners, normalized);
   Tensor const sums = empty({a.batch, a.parts, kNormalSums}, source, Layout::planar, ScalarType::Double);
   Tensor const loss = empty({a.batch}, a.matrix.tensor), gradient = empty({a.batch, 8}, loss);
@@ -92,7 +92,7 @@ std::tuple<Tensor, Tensor, Tensor> photometric_normal_equations(Tensor const& so
 }  // namespace
 
 #define KV_HOW \
-  "(Tensor source, Tensor target, Tensor matrix, str distance, float eps, bool align_corners, bool normalized)"
+  "(Tensor source, Tensor target, Tensor matrix, int distance, float eps, bool align_corners, bool normalized)"
 
 KV_OPERATOR(photometric, KV_HOW " -> (Tensor, Tensor)")
 KV_OPERATOR(photometric_normal_equations, KV_HOW " -> (Tensor, Tensor, Tensor)")

@@ -40,8 +40,7 @@ struct Map {
 };
 
 Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std::optional<Tensor> const& fill,
-             std::string const& interpolation, std::string const& padding, bool align_corners, bool normalized,
-             bool moves) {
+             int64_t interpolation, int64_t padding, bool align_corners, bool normalized, bool moves) {
   check_images("remap", "image", image);
   Size const source = checked_size("remap", image);
   SamplingOptions const a("remap", interpolation, padding, align_corners, image, fill);
@@ -60,8 +59,7 @@ Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_y, std:
 }
 
 Tensor remap_image_backward(Tensor const& grad, Tensor const& map_x, Tensor const& map_y, std::vector<int64_t> size,
-                            std::string const& interpolation, std::string const& padding, bool align_corners,
-                            bool normalized, bool moves) {
+                            int64_t interpolation, int64_t padding, bool align_corners, bool normalized, bool moves) {
   char const* const op = "remap_image_backward";
   check_images(op, "grad", grad);
   Size const source = checked_size(op, size);
@@ -82,8 +80,8 @@ Tensor remap_image_backward(Tensor const& grad, Tensor const& map_x, Tensor cons
 // Gradients per sample, also where one map serves all.
 std::tuple<Tensor, Tensor> remap_map_backward(Tensor const& grad, Tensor const& image, Tensor const& map_x,
                                               Tensor const& map_y, std::optional<Tensor> const& fill,
-                                              std::string const& interpolation, std::string const& padding,
-                                              bool align_corners, bool normalized, bool moves) {
+                                              int64_t interpolation, int64_t padding, bool align_corners,
+                                              bool normalized, bool moves) {
   char const* const op = "remap_map_backward";
   check_images(op, "image", image);
   check_images(op, "grad", grad);
@@ -114,7 +112,7 @@ std::tuple<Tensor, Tensor> remap_map_backward(Tensor const& grad, Tensor const& 
 
 }  // namespace
 
-#define KV_HOW "str interpolation, str padding, bool align_corners, bool normalized, bool moves"
+#define KV_HOW "int interpolation, int padding, bool align_corners, bool normalized, bool moves"
 
 KV_OPERATOR(remap, "(Tensor image, Tensor map_x, Tensor map_y, Tensor? fill, " KV_HOW ") -> Tensor")
 KV_OPERATOR(remap_image_backward, "(Tensor grad, Tensor map_x, Tensor map_y, SymInt[] size, " KV_HOW ") -> Tensor")

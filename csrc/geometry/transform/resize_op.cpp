@@ -8,22 +8,22 @@ namespace {
 
 constexpr int64_t kLongestSide = 1 << 30;  // coordinates are 64-bit fractions of pixels
 
-ResizeFilter parse_filter(char const* op, std::string const& name) {
-  constexpr char const* kNames[] = {"nearest", "nearest-exact", "area",    "bilinear",
-                                    "bicubic", "lanczos",       "pyrdown", "pyrup"};
-  for (int i = 0; i < 8; ++i)
-    if (name == kNames[i]) return ResizeFilter(i);
-  KV_CHECK(false, op, ": no resize filter is called '", name, "'");
+ResizeFilter parse_filter(char const* op, int64_t number) {
+  KV_CHECK(number >= int64_t(ResizeFilter::nearest) && number <= int64_t(ResizeFilter::pyrup), op,
+           ": filter must be 0 (nearest), 1 (nearest-exact), 2 (area), 3 (bilinear), 4 (bicubic), 5 (lanczos), "
+           "6 (pyrdown) or 7 (pyrup), got ",
+           number);
+  return ResizeFilter(number);
 }
 
 // From images to images of `size`, or the gradient to images of `size`; `minuend` minus that where there is one.
-Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& size, std::string const& name,
-               bool align_corners, bool antialias, std::string const& border_name, bool backward,
+Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& size, int64_t filter_number,
+               bool align_corners, bool antialias, int64_t border_number, bool backward,
                Tensor const* minuend = nullptr) {
   check_images(op, backward ? "grad" : "input", input);
   KV_CHECK(size.size() == 2, op, ": expected a size of height and width, got ", size.size(), " numbers");
-  ResizeFilter const filter = parse_filter(op, name);
-  Border const border = parse_border(op, border_name);
+  ResizeFilter const filter = parse_filter(op, filter_number);
+  Border const border = to_border(op, border_number);
   auto const axis = [&](int64_t from, int64_t to) {
     KV_CHECK(from <= kLongestSide && to > 0 && to <= kLongestSide, op, ": expected sides of 1 to ", kLongestSide,
              " pixels, got ", from, " and ", to);
@@ -61,29 +61,29 @@ Tensor resized(char const* op, Tensor const& input, std::vector<int64_t> const& 
   return y;
 }
 
-Tensor resize(Tensor const& input, std::vector<int64_t> size, std::string const& filter, bool align_corners,
-              bool antialias, std::string const& border) {
+Tensor resize(Tensor const& input, std::vector<int64_t> size, int64_t filter, bool align_corners, bool antialias,
+              int64_t border) {
   return resized("resize", input, size, filter, align_corners, antialias, border, false);
 }
 
-Tensor resize_backward(Tensor const& grad, std::vector<int64_t> size, std::string const& filter, bool align_corners,
-                       bool antialias, std::string const& border) {
+Tensor resize_backward(Tensor const& grad, std::vector<int64_t> size, int64_t filter, bool align_corners,
+                       bool antialias, int64_t border) {
   return resized("resize_backward", grad, size, filter, align_corners, antialias, border, true);
 }
 
 // A level of a Laplacian pyramid: the image minus the pyrup of the next smaller one.
-Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_corners, std::string const& border) {
+Tensor pyramid_detail(Tensor const& smaller, Tensor const& image, bool align_corners, int64_t border) {
   check_images("pyramid_detail", "smaller", smaller);
-  return resized("pyramid_detail", smaller, {2 * smaller.size(2), 2 * smaller.size(3)}, "pyrup", align_corners, false,
-                 border, false, &image);
+  return resized("pyramid_detail", smaller, {2 * smaller.size(2), 2 * smaller.size(3)}, int64_t(ResizeFilter::pyrup),
+                 align_corners, false, border, false, &image);
 }
 
 }  // namespace
 
-#define KV_HOW "SymInt[] size, str filter, bool align_corners, bool antialias, str border"
+#define KV_HOW "SymInt[] size, int filter, bool align_corners, bool antialias, int border"
 KV_OPERATOR(resize, "(Tensor input, " KV_HOW ") -> Tensor")
 KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
-KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, str border) -> Tensor")
+KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, int border) -> Tensor")
 #undef KV_HOW
 
 }  // namespace kv

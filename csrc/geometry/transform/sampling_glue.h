@@ -3,24 +3,26 @@
 #pragma once
 
 #include "geometry/formula_glue.h"
+#include "geometry/transform/resize.h"
 #include "geometry/transform/sampling.h"
 #include "glue/batch.h"
 #include "glue/images.h"
 
 namespace kv {
 
-inline Interpolation parse_interpolation(char const* op, std::string const& name) {
-  if (name == "nearest") return Interpolation::nearest;
-  if (name == "bilinear") return Interpolation::bilinear;
-  KV_CHECK(name == "bicubic", op, ": interpolation must be one of nearest, bilinear, bicubic; got '", name, "'");
+// Interpolations have the numbers of the filters that resize images.
+inline Interpolation parse_interpolation(char const* op, int64_t number) {
+  if (number == int64_t(ResizeFilter::nearest)) return Interpolation::nearest;
+  if (number == int64_t(ResizeFilter::bilinear)) return Interpolation::bilinear;
+  KV_CHECK(number == int64_t(ResizeFilter::bicubic), op,
+           ": interpolation must be 0 (nearest), 3 (bilinear) or 4 (bicubic), got ", number);
   return Interpolation::bicubic;
 }
 
-inline Padding parse_padding(char const* op, std::string const& name) {
-  if (name == "fill") return Padding::fill;
-  if (name == "border") return Padding::border;
-  KV_CHECK(name == "reflection", op, ": padding must be one of fill, border, reflection; got '", name, "'");
-  return Padding::reflection;
+inline Padding parse_padding(char const* op, int64_t number) {
+  KV_CHECK(number >= int64_t(Padding::fill) && number <= int64_t(Padding::reflection), op,
+           ": padding must be 0 (fill), 1 (border) or 2 (reflection), got ", number);
+  return Padding(number);
 }
 
 // Sides of images fit an int with what lies around them, and a float's whole numbers nearly so.
@@ -156,20 +158,20 @@ inline bool is_computed_in_kernel(int64_t batch, Size output) {
 
 // A formula and its inputs in operator schemas, and the C++ arguments for them.
 #define KV_BY_FORMULA \
-  "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, str formula, float[] numbers, SymInt[] size, "
+  "Tensor? a, Tensor? b, Tensor? c, Tensor? d, Tensor? e, Tensor? f, int formula, float[] numbers, SymInt[] size, "
 using FormulaInputs = std::optional<Tensor>[MatrixFormula::kInputs];
 
 // A case of a chain of ifs over formulas: run(the matrix) where `formula` is that one, of the kernels' formulas as it
 // is of the operators'. Matrices that may have fewer rows have one less than columns.
 #define KV_WARP_BY(name, Formula, signature)                                                   \
-  if (formula == #name) {                                                                      \
+  if (formula == int64_t(MatrixBy::name)) {                                                    \
     FormulaArguments<Formula> given(op, x, compute_dtype(x), inputs, numbers,                  \
                                     Formula::kOptionalLastRow ? Formula::result.rows - 1 : 0); \
     return run(WarpMatrix(op, given, MatrixBy::name, x, within));                              \
   }
 
 // The options of warps by a matrix in operator schemas.
-#define KV_WARP_OPTIONS "str interpolation, str padding, bool align_corners, bool inverse, bool normalized"
+#define KV_WARP_OPTIONS "int interpolation, int padding, bool align_corners, bool inverse, bool normalized"
 
 // The matrix of a warp of images, and what it means.
 struct Matrix : WarpMatrix {
@@ -198,13 +200,13 @@ struct SamplingOptions {
   bool align_corners;
   std::optional<Tensor> fill;
 
-  SamplingOptions(char const* op, std::string const& interpolation, std::string const& padding, bool align_corners,
-                  Tensor const& x, std::optional<Tensor> const& fill)
-      : op(op),
-        interpolation(parse_interpolation(op, interpolation)),
-        padding(parse_padding(op, padding)),
-        align_corners(align_corners),
-        fill(fill) {
+  SamplingOptions(char const* op, int64_t interpolation, int64_t padding, bool align_corners, Tensor const& x,
+                  std::optional<Tensor> const& fill)
+      : SamplingOptions(op, parse_interpolation(op, interpolation), parse_padding(op, padding), align_corners, x,
+                        fill) {}
+  SamplingOptions(char const* op, Interpolation interpolation, Padding padding, bool align_corners, Tensor const& x,
+                  std::optional<Tensor> const& fill)
+      : op(op), interpolation(interpolation), padding(padding), align_corners(align_corners), fill(fill) {
     if (!fill) return;
     KV_CHECK(matches_image(*fill, x, 2) && (fill->size(1) == 1 || fill->size(1) == x.size(1)), op,
              ": fill does not fit the image");

@@ -33,14 +33,14 @@ struct Warp {
   MatrixUse3 use;
 
   Warp(char const* op, Tensor const& volumes, WarpMatrix const& matrix, Size3 source, Size3 output,
-       std::string const& interpolation, std::string const& padding, bool align_corners, bool inverse, bool normalized)
+       int64_t interpolation, int64_t padding, bool align_corners, bool inverse, bool normalized)
       : op(op),
         volumes(dense(volumes)),
         matrix(matrix),
         interpolation(parse_interpolation(op, interpolation)),
         padding(parse_padding(op, padding)),
         use{matrix.rows, inverse, normalized, align_corners, source, output} {
-    KV_CHECK(this->interpolation != Interpolation::bicubic, op, ": interpolation must be one of nearest, bilinear");
+    KV_CHECK(this->interpolation != Interpolation::bicubic, op, ": interpolation must be 0 (nearest) or 3 (bilinear)");
   }
   int64_t batch() const { return volumes.size(0); }
   int64_t channels() const { return volumes.size(1); }
@@ -63,8 +63,8 @@ Tensor warped_volumes(Warp const& w) {
   return y;
 }
 
-Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<int64_t> size, std::string const& interpolation,
-              std::string const& padding, bool align_corners, bool inverse, bool normalized) {
+Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<int64_t> size, int64_t interpolation,
+              int64_t padding, bool align_corners, bool inverse, bool normalized) {
   check_volumes("warp3d", "volumes", volumes);
   return warped_volumes({"warp3d", volumes, WarpMatrix("warp3d", matrix, volumes, 3), size3_of("warp3d", volumes),
                          size3_of("warp3d", size), interpolation, padding, align_corners, inverse, normalized});
@@ -72,9 +72,9 @@ Tensor warp3d(Tensor const& volumes, Tensor const& matrix, std::vector<int64_t> 
 
 Tensor warp3d_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
                          std::optional<Tensor> const& c, std::optional<Tensor> const& d, std::optional<Tensor> const& e,
-                         std::optional<Tensor> const& f, std::string const& formula, std::vector<double> numbers,
-                         std::vector<int64_t> size, std::string const& interpolation, std::string const& padding,
-                         bool align_corners, bool inverse, bool normalized) {
+                         std::optional<Tensor> const& f, int64_t formula, std::vector<double> numbers,
+                         std::vector<int64_t> size, int64_t interpolation, int64_t padding, bool align_corners,
+                         bool inverse, bool normalized) {
   char const* const op = "warp3d_by_formula";
   check_volumes(op, "volumes", x);
   Size3 const source = size3_of(op, x), output = size3_of(op, size);
@@ -84,13 +84,13 @@ Tensor warp3d_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::o
   };
   constexpr bool within = true;
   KV_SPACE_FORMULAS(KV_WARP_BY)
-  KV_CHECK(false, op, ": no formula of volumes is called '", formula, "'");
+  KV_CHECK(false, op, ": no formula of volumes has the number ", formula);
   return x;
 }
 
 Tensor warp3d_volume_backward(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
-                              std::string const& interpolation, std::string const& padding, bool align_corners,
-                              bool inverse, bool normalized) {
+                              int64_t interpolation, int64_t padding, bool align_corners, bool inverse,
+                              bool normalized) {
   char const* const op = "warp3d_volume_backward";
   check_volumes(op, "grad", grad);
   Warp const w(op, grad, {op, matrix, grad, 3}, size3_of(op, size), size3_of(op, grad), interpolation, padding,
@@ -104,9 +104,8 @@ Tensor warp3d_volume_backward(Tensor const& grad, Tensor const& matrix, std::vec
   return grad_x;
 }
 
-Tensor warp3d_matrix_backward(Tensor const& grad, Tensor const& volumes, Tensor const& matrix,
-                              std::string const& interpolation, std::string const& padding, bool align_corners,
-                              bool inverse, bool normalized) {
+Tensor warp3d_matrix_backward(Tensor const& grad, Tensor const& volumes, Tensor const& matrix, int64_t interpolation,
+                              int64_t padding, bool align_corners, bool inverse, bool normalized) {
   char const* const op = "warp3d_matrix_backward";
   check_volumes(op, "volumes", volumes);
   check_volumes(op, "grad", grad);

@@ -20,8 +20,7 @@ Tensor warped(Tensor const& image, SamplingOptions const& a, Matrix const& m) {
 }
 
 Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> const& fill, std::vector<int64_t> size,
-            std::string const& interpolation, std::string const& padding, bool align_corners, bool inverse,
-            bool normalized) {
+            int64_t interpolation, int64_t padding, bool align_corners, bool inverse, bool normalized) {
   check_images("warp", "image", image);
   Size const output = checked_size("warp", size), source = checked_size("warp", image);
   SamplingOptions const a("warp", interpolation, padding, align_corners, image, fill);
@@ -30,9 +29,9 @@ Tensor warp(Tensor const& image, Tensor const& matrix, std::optional<Tensor> con
 
 Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::optional<Tensor> const& b,
                        std::optional<Tensor> const& c, std::optional<Tensor> const& d, std::optional<Tensor> const& e,
-                       std::optional<Tensor> const& f, std::string const& formula, std::vector<double> numbers,
-                       std::vector<int64_t> size, std::string const& interpolation, std::string const& padding,
-                       bool align_corners, bool inverse, bool normalized) {
+                       std::optional<Tensor> const& f, int64_t formula, std::vector<double> numbers,
+                       std::vector<int64_t> size, int64_t interpolation, int64_t padding, bool align_corners,
+                       bool inverse, bool normalized) {
   char const* const op = "warp_by_formula";
   check_images(op, "image", x);
   Size const output = checked_size(op, size), source = checked_size(op, x);
@@ -43,13 +42,12 @@ Tensor warp_by_formula(Tensor const& x, std::optional<Tensor> const& a, std::opt
   };
   bool const within = is_computed_in_kernel(x.size(0), output);
   KV_PLANE_FORMULAS(KV_WARP_BY)
-  KV_CHECK(false, op, ": no formula of images is called '", formula, "'");
+  KV_CHECK(false, op, ": no formula of images has the number ", formula);
   return x;
 }
 
-Tensor warp_image_backward(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size,
-                           std::string const& interpolation, std::string const& padding, bool align_corners,
-                           bool inverse, bool normalized) {
+Tensor warp_image_backward(Tensor const& grad, Tensor const& matrix, std::vector<int64_t> size, int64_t interpolation,
+                           int64_t padding, bool align_corners, bool inverse, bool normalized) {
   char const* const op = "warp_image_backward";
   check_images(op, "grad", grad);
   Size const source = checked_size(op, size), output = checked_size(op, grad);
@@ -57,7 +55,8 @@ Tensor warp_image_backward(Tensor const& grad, Tensor const& matrix, std::vector
   Matrix const m(op, matrix, grad, inverse, normalized, align_corners, source, output);
   int64_t const batch = grad.size(0), channels = grad.size(1);
   return image_gradient(
-      op, grad, source, padding == "fill", [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
+      op, grad, source, a.padding == Padding::fill,
+      [&](auto type, Tensor const& from, Tensor const& to, Tensor const& sums) {
         using T = typename decltype(type)::type;
         SampleImageBackward<T> const params{a.of<T>(source, m.coords<Compute<T>>()), images<T const>(from, batch),
                                             images<T>(to, batch), data_ptr<Compute<T>>(sums)};
@@ -68,8 +67,8 @@ Tensor warp_image_backward(Tensor const& grad, Tensor const& matrix, std::vector
 }
 
 Tensor warp_matrix_backward(Tensor const& grad, Tensor const& image, Tensor const& matrix,
-                            std::optional<Tensor> const& fill, std::string const& interpolation,
-                            std::string const& padding, bool align_corners, bool inverse, bool normalized) {
+                            std::optional<Tensor> const& fill, int64_t interpolation, int64_t padding,
+                            bool align_corners, bool inverse, bool normalized) {
   char const* const op = "warp_matrix_backward";
   check_images(op, "image", image);
   check_images(op, "grad", grad);

@@ -95,7 +95,8 @@ inline Tensor undistort_image(Tensor const& image, Tensor const& K, Tensor const
   Tensor const coefficients = detail::computed(dist, image);
   Tensor const map = ops::undistort_map(detail::computed(K, image), coefficients, detail::tilt_of(coefficients, false),
                                         detail::image_size(image));
-  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, "bilinear", "fill", true, false, false);
+  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, int64_t(Interpolation::bilinear),
+                    detail::padding_number(PaddingMode::zeros), true, false, false);
 }
 
 // The poses [R | t], (B, 3, 4), of cameras that show points (B, N, 3) at pixels (B, N, 2), N of 6 and more.

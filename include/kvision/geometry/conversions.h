@@ -65,18 +65,18 @@ inline Tensor const& points(char const* op, char const* name, Tensor const& x) {
 // By homographies (B or 1, D + 1, D + 1).
 inline Tensor transform_points(Tensor const& trans_01, Tensor const& points_1) {
   Tensor const x = detail::floats(detail::points("transform_points", "points_1", points_1));
-  return ops::transform_points(x, {}, detail::computed(trans_01, x), "transform");
+  return ops::transform_points(x, {}, detail::computed(trans_01, x), int64_t(ops::PointMap::transform));
 }
 inline Tensor project_points(Tensor const& point_3d, Tensor const& camera_matrix) {
   Tensor const x = detail::floats(detail::points("project_points", "point_3d", point_3d));
-  return ops::transform_points(x, {}, detail::computed(camera_matrix, x), "project");
+  return ops::transform_points(x, {}, detail::computed(camera_matrix, x), int64_t(ops::PointMap::project));
 }
 // At depth (B, N, 1), which is z, or with `normalize` a distance.
 inline Tensor unproject_points(Tensor const& point_2d, Tensor const& depth, Tensor const& camera_matrix,
                                bool normalize = false) {
   Tensor const x = detail::floats(detail::points("unproject_points", "point_2d", point_2d));
   return ops::transform_points(x, detail::computed(depth, x), detail::computed(camera_matrix, x),
-                               normalize ? "unproject_distance" : "unproject");
+                               int64_t(normalize ? ops::PointMap::unproject_distance : ops::PointMap::unproject));
 }
 
 }  // namespace kvision

@@ -29,7 +29,7 @@ inline Tensor depth_from_plane_equation(Tensor const& plane_normals, Tensor cons
   Tensor const plane = at::cat({entry(0, 0), entry(1, 1), entry(0, 2), entry(1, 2), plane_normals, plane_offsets,
                                 at::full_like(plane_offsets, eps)},
                                1);
-  return ops::transform_points(points_uv, {}, plane.unsqueeze(1), "meet").squeeze(2);
+  return ops::transform_points(points_uv, {}, plane.unsqueeze(1), int64_t(ops::PointMap::intersect)).squeeze(2);
 }
 
 // The source where the pixels of the depth of the destination are seen in it, by the motion (B, 4, 4) between the two.
@@ -38,7 +38,8 @@ inline Tensor warp_frame_depth(Tensor const& image_src, Tensor const& depth_dst,
   Tensor const x = detail::floats(detail::images("warp_frame_depth", "image_src", image_src));
   Tensor const camera = detail::computed(camera_matrix, x);
   Tensor const projection = ops::reprojection(camera, detail::computed(src_trans_dst, x), camera, {}, true);
-  return ops::depth_warp(x, detail::computed(depth_dst, x), projection, "bilinear", "fill", true);
+  return ops::depth_warp(x, detail::computed(depth_dst, x), projection, int64_t(Interpolation::bilinear),
+                         detail::padding_number(PaddingMode::zeros), true);
 }
 
 // The mean distance (B,) of targets (B, C, h, w) from views (B, V, C, H, W) warped by depth and projections (B or 1, V,
@@ -47,7 +48,7 @@ inline Tensor photometric_depth_loss(Tensor const& views, Tensor const& target, 
                                      Tensor const& projections, Distance distance = Distance::l1, double eps = 1e-3) {
   detail::shaped("photometric_depth_loss", "views", views, 5, "(B, V, C, H, W)");
   return std::get<0>(ops::photometric_depth(views, target, detail::computed(depth, views),
-                                            detail::computed(projections, views), detail::name(distance), eps));
+                                            detail::computed(projections, views), int64_t(distance), eps));
 }
 
 }  // namespace kvision

@@ -70,17 +70,17 @@ inline std::tuple<Tensor, Tensor> normalize_points(Tensor const& points, double 
 // --- distances (B, N)
 
 inline Tensor sampson_epipolar_distance(Tensor const& pts1, Tensor const& pts2, Tensor const& Fm, bool squared = true) {
-  return ops::correspondence_errors(pts1, pts2, Fm, "sampson", squared);
+  return ops::correspondence_errors(pts1, pts2, Fm, int64_t(ops::CorrespondenceError::sampson), squared);
 }
 inline Tensor symmetrical_epipolar_distance(Tensor const& pts1, Tensor const& pts2, Tensor const& Fm,
                                             bool squared = true) {
-  return ops::correspondence_errors(pts1, pts2, Fm, "symmetrical", squared);
+  return ops::correspondence_errors(pts1, pts2, Fm, int64_t(ops::CorrespondenceError::symmetrical), squared);
 }
 inline Tensor left_to_right_epipolar_distance(Tensor const& pts1, Tensor const& pts2, Tensor const& Fm) {
-  return ops::correspondence_errors(pts1, pts2, Fm, "right", false);
+  return ops::correspondence_errors(pts1, pts2, Fm, int64_t(ops::CorrespondenceError::right), false);
 }
 inline Tensor right_to_left_epipolar_distance(Tensor const& pts1, Tensor const& pts2, Tensor const& Fm) {
-  return ops::correspondence_errors(pts1, pts2, Fm, "left", false);
+  return ops::correspondence_errors(pts1, pts2, Fm, int64_t(ops::CorrespondenceError::left), false);
 }
 
 }  // namespace kvision

@@ -23,14 +23,15 @@ inline Tensor find_homography_lines_dlt(Tensor const& ls1, Tensor const& ls2,
 
 // How far points (B, N, 2) under homographies are from others, (B, N).
 inline Tensor oneway_transfer_error(Tensor const& pts1, Tensor const& pts2, Tensor const& H, bool squared = true) {
-  return ops::correspondence_errors(pts1, pts2, H, "transfer", squared);
+  return ops::correspondence_errors(pts1, pts2, H, int64_t(ops::CorrespondenceError::transfer), squared);
 }
 inline Tensor symmetric_transfer_error(Tensor const& pts1, Tensor const& pts2, Tensor const& H, bool squared = true) {
-  return ops::correspondence_errors(pts1, pts2, H, "symmetric_transfer", squared);
+  return ops::correspondence_errors(pts1, pts2, H, int64_t(ops::CorrespondenceError::symmetric_transfer), squared);
 }
 inline Tensor line_segment_transfer_error_one_way(Tensor const& ls1, Tensor const& ls2, Tensor const& H,
                                                   bool squared = false) {
-  return ops::correspondence_errors(ls1.flatten(2), ls2.flatten(2), H, "segments", squared);
+  return ops::correspondence_errors(ls1.flatten(2), ls2.flatten(2), H, int64_t(ops::CorrespondenceError::segments),
+                                    squared);
 }
 
 }  // namespace kvision

@@ -54,19 +54,19 @@ inline Tensor warp(char const* op, Tensor const& src, Tensor const& M, int64_t r
   TORCH_CHECK_VALUE(!fill || options.padding_mode() == PaddingMode::fill, op,
                     ": expected a fill_value with padding_mode fill only");
   if (fill && fill->dim() < 2) fill = fill->reshape({1, -1});
-  return ops::warp(image, computed(M, image), fill, list(dsize), name(options.mode()), name(options.padding_mode()),
-                   options.align_corners(), inverse, normalized);
+  return ops::warp(image, computed(M, image), fill, list(dsize), int64_t(options.mode()),
+                   detail::padding_number(options.padding_mode()), options.align_corners(), inverse, normalized);
 }
 
-inline Tensor warp_by_formula(char const* op, Tensor const& tensor, std::string const& formula,
+inline Tensor warp_by_formula(char const* op, Tensor const& tensor, ops::WarpFormula formula,
                               std::vector<double> const& numbers, std::vector<std::optional<Tensor>> tensors,
                               std::vector<int64_t> const& size, TransformOptions const& options, bool inverse = true) {
   tensors.resize(6);
   for (auto& x : tensors) x = computed(x, tensor);
   auto const run = [&](auto const& by_formula) {
-    return by_formula(tensor, tensors[0], tensors[1], tensors[2], tensors[3], tensors[4], tensors[5], formula, numbers,
-                      size, name(options.mode()), name(options.padding_mode()), options.align_corners(), inverse,
-                      false);
+    return by_formula(tensor, tensors[0], tensors[1], tensors[2], tensors[3], tensors[4], tensors[5], int64_t(formula),
+                      numbers, size, int64_t(options.mode()), detail::padding_number(options.padding_mode()),
+                      options.align_corners(), inverse, false);
   };
   if (size.size() == 3) return volumes(op, "tensor", tensor), run(ops::warp3d_by_formula);
   return images(op, "tensor", tensor), run(ops::warp_by_formula);
@@ -103,8 +103,8 @@ inline Tensor remap(Tensor const& image, Tensor const& map_x, Tensor const& map_
   detail::images("remap", "image", image);
   detail::same_shape("remap", "map_y", map_y, detail::shaped("remap", "map_x", map_x, 3, "(B or 1, h, w)"));
   Tensor const images = detail::broadcast_batch(image, map_x);
-  return ops::remap(images, detail::computed(map_x, image), detail::computed(map_y, image), {},
-                    detail::name(options.mode()), detail::name(options.padding_mode()), options.align_corners(),
+  return ops::remap(images, detail::computed(map_x, image), detail::computed(map_y, image), {}, int64_t(options.mode()),
+                    detail::padding_number(options.padding_mode()), options.align_corners(),
                     options.normalized_coordinates(), false);
 }
 
@@ -116,36 +116,37 @@ inline Tensor affine(Tensor const& tensor, Tensor const& matrix, TransformOption
 // Counterclockwise by degrees (B or 1,), about a center (B or 1, 2) or the middle.
 inline Tensor rotate(Tensor const& tensor, Tensor const& angle, std::optional<Tensor> const& center = {},
                      TransformOptions const& options = {}) {
-  return detail::warp_by_formula("rotate", tensor, "affine_matrix2d", detail::middle(tensor, {1}),
+  return detail::warp_by_formula("rotate", tensor, ops::WarpFormula::affine_matrix2d, detail::middle(tensor, {1}),
                                  {angle, {}, {}, {}, {}, center}, detail::image_size(tensor), options);
 }
 inline Tensor translate(Tensor const& tensor, Tensor const& translation, TransformOptions const& options = {}) {
-  return detail::warp_by_formula("translate", tensor, "translation_matrix2d", {0, 0}, {translation},
+  return detail::warp_by_formula("translate", tensor, ops::WarpFormula::translation_matrix2d, {0, 0}, {translation},
                                  detail::image_size(tensor), options);
 }
 // By factors (B or 1, 2) along x and y.
 inline Tensor scale(Tensor const& tensor, Tensor const& scale_factor, std::optional<Tensor> const& center = {},
                     TransformOptions const& options = {}) {
-  return detail::warp_by_formula("scale", tensor, "scale_matrix2d", detail::middle(tensor), {scale_factor, center},
-                                 detail::image_size(tensor), options);
+  return detail::warp_by_formula("scale", tensor, ops::WarpFormula::scale_matrix2d, detail::middle(tensor),
+                                 {scale_factor, center}, detail::image_size(tensor), options);
 }
 inline Tensor shear(Tensor const& tensor, Tensor const& shear,
                     TransformOptions const& options = TransformOptions().align_corners(false)) {
-  return detail::warp_by_formula("shear", tensor, "slant_matrix2d", {}, {shear}, detail::image_size(tensor), options);
+  return detail::warp_by_formula("shear", tensor, ops::WarpFormula::slant_matrix2d, {}, {shear},
+                                 detail::image_size(tensor), options);
 }
 // The quadrangles (B, 4, 2) of images, from the upper left corner clockwise, as images of a size.
 inline Tensor crop_and_resize(Tensor const& input_tensor, Tensor const& boxes, Size2d size,
                               TransformOptions const& options = {}) {
   auto const extent = [&](int i) { return double(std::max<int64_t>(size->at(i) - 1, 1)); };
-  return detail::warp_by_formula("crop_and_resize", input_tensor, "crop_matrix", {extent(1), extent(0)}, {boxes},
-                                 detail::list(size), options, false);
+  return detail::warp_by_formula("crop_and_resize", input_tensor, ops::WarpFormula::crop_matrix, {extent(1), extent(0)},
+                                 {boxes}, detail::list(size), options, false);
 }
 inline Tensor center_crop(Tensor const& input_tensor, Size2d size, TransformOptions const& options = {}) {
   detail::images("center_crop", "input_tensor", input_tensor);
   int64_t const y = input_tensor.size(2) - size->at(0), x = input_tensor.size(3) - size->at(1);
   if (y % 2 == 0 && x % 2 == 0) return ops::crop(input_tensor, {y / 2, x / 2}, detail::list(size));
-  return detail::warp_by_formula("center_crop", input_tensor, "translation_matrix2d", {x / 2.0, y / 2.0}, {},
-                                 detail::list(size), options, false);
+  return detail::warp_by_formula("center_crop", input_tensor, ops::WarpFormula::translation_matrix2d,
+                                 {x / 2.0, y / 2.0}, {}, detail::list(size), options, false);
 }
 
 inline Tensor hflip(Tensor const& input) { return ops::flip(detail::images("hflip", "input", input), true, false); }
@@ -157,8 +158,8 @@ namespace detail {
 inline Tensor warp3d(char const* op, Tensor const& src, Tensor const& M, Size3d dsize, TransformOptions const& options,
                      bool inverse, bool normalized) {
   Tensor const x = floats(volumes(op, "src", src));
-  return ops::warp3d(x, computed(shaped(op, "M", M, 3, "(B or 1, 3 or 4, 4)"), x), list(dsize), name(options.mode()),
-                     name(options.padding_mode()), options.align_corners(), inverse, normalized);
+  return ops::warp3d(x, computed(shaped(op, "M", M, 3, "(B or 1, 3 or 4, 4)"), x), list(dsize), int64_t(options.mode()),
+                     detail::padding_number(options.padding_mode()), options.align_corners(), inverse, normalized);
 }
 
 }  // namespace detail
@@ -183,7 +184,7 @@ inline Tensor homography_warp3d(Tensor const& patch_src, Tensor const& src_homo_
 inline Tensor rotate3d(Tensor const& tensor, Tensor const& yaw, Tensor const& pitch, Tensor const& roll,
                        std::optional<Tensor> const& center = {},
                        TransformOptions const& options = TransformOptions().align_corners(false)) {
-  return detail::warp_by_formula("rotate3d", tensor, "affine_matrix3d", detail::middle(tensor, {1}),
+  return detail::warp_by_formula("rotate3d", tensor, ops::WarpFormula::affine_matrix3d, detail::middle(tensor, {1}),
                                  {yaw, pitch, roll, {}, {}, center}, detail::image_size(tensor), options);
 }
 
@@ -206,8 +207,8 @@ inline Tensor resize(Tensor const& input, Size2d size, ResizeOptions const& opti
     x = ops::gaussian_blur2d(detail::computed(x, x), {}, taps(y_factor, x.size(2)), taps(x_factor, x.size(3)),
                              sigma(y_factor), sigma(x_factor), int64_t(BorderType::reflect));
   }
-  return ops::resize(x, detail::list(size), detail::name(options.interpolation()), options.align_corners(), false,
-                     "replicate")
+  return ops::resize(x, detail::list(size), int64_t(options.interpolation()), options.align_corners(), false,
+                     int64_t(BorderType::replicate))
       .to(input.scalar_type());
 }
 inline Tensor rescale(Tensor const& input, Pair factor, ResizeOptions const& options = {}) {
@@ -218,13 +219,13 @@ inline Tensor rescale(Tensor const& input, Pair factor, ResizeOptions const& opt
 // Half and twice as large, with the Gaussian kernel of 5 x 5 of image pyramids.
 inline Tensor pyrdown(Tensor const& input, BorderType border_type = BorderType::reflect, bool align_corners = false) {
   detail::images("pyrdown", "input", input);
-  return ops::resize(input, {input.size(2) / 2, input.size(3) / 2}, "pyrdown", align_corners, false,
-                     detail::name(border_type));
+  return ops::resize(input, {input.size(2) / 2, input.size(3) / 2}, ops::kPyrDown, align_corners, false,
+                     int64_t(border_type));
 }
 inline Tensor pyrup(Tensor const& input, BorderType border_type = BorderType::reflect, bool align_corners = false) {
   detail::images("pyrup", "input", input);
-  return ops::resize(input, {2 * input.size(2), 2 * input.size(3)}, "pyrup", align_corners, false,
-                     detail::name(border_type));
+  return ops::resize(input, {2 * input.size(2), 2 * input.size(3)}, ops::kPyrUp, align_corners, false,
+                     int64_t(border_type));
 }
 inline std::vector<Tensor> build_pyramid(Tensor const& input, int64_t max_level,
                                          BorderType border_type = BorderType::reflect, bool align_corners = false) {
@@ -242,7 +243,7 @@ inline std::vector<Tensor> build_laplacian_pyramid(Tensor const& input, int64_t 
                     input.sizes());
   std::vector<Tensor> levels = build_pyramid(detail::floats(input), max_level + 1, border_type, align_corners);
   for (int64_t i = 0; i < max_level; ++i)
-    levels[i] = ops::pyramid_detail(levels[i + 1], levels[i], align_corners, detail::name(border_type));
+    levels[i] = ops::pyramid_detail(levels[i + 1], levels[i], align_corners, int64_t(border_type));
   return levels;
 }
 
@@ -266,8 +267,8 @@ inline Tensor elastic_transform2d(Tensor const& image, Tensor const& noise,
                                               options.kernel_size()->at(0), options.kernel_size()->at(1), sigma.y,
                                               sigma.x, int64_t(BorderType::constant));
   return ops::remap(image, blurred.select(1, 0) * options.alpha()->at(0), blurred.select(1, 1) * options.alpha()->at(1),
-                    {}, detail::name(options.mode()), detail::name(options.padding_mode()), options.align_corners(),
-                    true, true);
+                    {}, int64_t(options.mode()), detail::padding_number(options.padding_mode()),
+                    options.align_corners(), true, true);
 }
 
 // The weights (B, N, 2) and the affine part (B, 3, 2) of splines that take points (B, N, 2) to others.
@@ -290,8 +291,8 @@ inline Tensor warp_image_tps(Tensor const& image, Tensor const& kernel_centers, 
   Tensor const map =
       ops::thin_plate_map(detail::computed(kernel_centers, image), detail::computed(kernel_weights, image),
                           detail::computed(affine_weights, image), detail::image_size(image), align_corners);
-  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, "bilinear", detail::name(padding_mode),
-                    align_corners, true, false);
+  return ops::remap(image, map.select(1, 0), map.select(1, 1), {}, int64_t(Interpolation::bilinear),
+                    detail::padding_number(padding_mode), align_corners, true, false);
 }
 
 // --- matrices, of one type and B or 1
@@ -336,7 +337,7 @@ inline Tensor photometric_homography_loss(Tensor const& source, Tensor const& ta
                                           PhotometricOptions const& options = {}) {
   detail::images("photometric_homography_loss", "source", source);
   return std::get<0>(ops::photometric(source, target, detail::computed(src_homo_dst, source),
-                                      detail::name(options.distance()), options.eps(), options.align_corners(),
+                                      int64_t(options.distance()), options.eps(), options.align_corners(),
                                       options.normalized_coordinates()));
 }
 // The normal equations (B, 8, 8), the gradient (B, 8) and the distance (B) of a Gauss-Newton step.
@@ -345,7 +346,7 @@ inline std::tuple<Tensor, Tensor, Tensor> photometric_normal_equations(Tensor co
                                                                        PhotometricOptions const& options = {}) {
   detail::images("photometric_normal_equations", "source", source);
   return ops::photometric_normal_equations(source, target, detail::computed(src_homo_dst, source),
-                                           detail::name(options.distance()), options.eps(), options.align_corners(),
+                                           int64_t(options.distance()), options.eps(), options.align_corners(),
                                            options.normalized_coordinates());
 }
 

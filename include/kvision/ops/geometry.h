@@ -8,6 +8,31 @@
 
 namespace kvision::ops {
 
+// Numbers of modes. They are those of Python and never change.
+enum class PointMap : int64_t { transform, project, unproject, unproject_distance, intersect };
+enum class Model : int64_t { affine, homography, lines, fundamental, fundamental8, essential };
+enum class CorrespondenceError : int64_t {
+  sampson,
+  symmetrical,
+  right,
+  left,
+  transfer,
+  symmetric_transfer,
+  sampson_transfer,
+  segments
+};
+enum class WarpFormula : int64_t {
+  affine_matrix2d = 1,
+  translation_matrix2d,
+  scale_matrix2d,
+  slant_matrix2d,
+  crop_matrix,
+  affine_matrix3d,
+  translation_matrix3d,
+  perspective_matrix3d
+};
+inline constexpr int64_t kPyrDown = 6, kPyrUp = 7;  // filters of resize; the others have the numbers of Interpolation
+
 // --- warps
 // ------------------------------------------------------------------------------------------------------------
 
@@ -25,8 +50,8 @@ inline Tensor cast(Tensor const& x, Tensor const& like) { return x.to(like.scala
 }  // namespace detail
 
 inline constexpr Operator<"warp",
-                          Tensor(Tensor image, Tensor matrix, OptionalTensor fill, Ints size, String interpolation,
-                                 String padding, bool align_corners, bool inverse, bool normalized)>
+                          Tensor(Tensor image, Tensor matrix, OptionalTensor fill, Ints size, int64_t interpolation,
+                                 int64_t padding, bool align_corners, bool inverse, bool normalized)>
     warp{[](Backward const& b) -> variable_list {
       Tensor const fill = b.tensor(2);
       auto const inside = [&](Tensor const& ones) { return b.call(warp, {{"image", ones}, {"fill", {}}})[0]; };
@@ -35,8 +60,8 @@ inline constexpr Operator<"warp",
               b.needs(2) ? detail::to_fill(b, fill, inside) : Tensor()};
     }};
 inline constexpr Operator<"remap",
-                          Tensor(Tensor image, Tensor map_x, Tensor map_y, OptionalTensor fill, String interpolation,
-                                 String padding, bool align_corners, bool normalized, bool moves)>
+                          Tensor(Tensor image, Tensor map_x, Tensor map_y, OptionalTensor fill, int64_t interpolation,
+                                 int64_t padding, bool align_corners, bool normalized, bool moves)>
     remap{[](Backward const& b) -> variable_list {
       variable_list gradients{b.needs(0) ? b.call("remap_image_backward", {{"size", b.image_size()}})[0] : Tensor()};
       variable_list const maps = b.needs(1) || b.needs(2) ? b.call("remap_map_backward") : variable_list(2);
@@ -45,8 +70,8 @@ inline constexpr Operator<"remap",
       gradients.push_back(b.needs(3) ? detail::to_fill(b, b.tensor(3), inside) : Tensor());
       return gradients;
     }};
-inline constexpr Operator<"warp3d", Tensor(Tensor volumes, Tensor matrix, Ints size, String interpolation,
-                                           String padding, bool align_corners, bool inverse, bool normalized)>
+inline constexpr Operator<"warp3d", Tensor(Tensor volumes, Tensor matrix, Ints size, int64_t interpolation,
+                                           int64_t padding, bool align_corners, bool inverse, bool normalized)>
     warp3d{[](Backward const& b) -> variable_list {
       Tensor const x = b.tensor(0), m = b.tensor(1), grad = detail::cast(b.grad(), m);
       return {b.needs(0) ? b.call("warp3d_volume_backward", {{"grad", grad}, {"size", b.image_size()}})[0] : Tensor(),
@@ -55,6 +80,17 @@ inline constexpr Operator<"warp3d", Tensor(Tensor volumes, Tensor matrix, Ints s
     }};
 
 namespace detail {
+
+// The operators of WarpFormula, by its numbers.
+inline constexpr char const* kWarpFormulas[] = {"",
+                                                "affine_matrix2d",
+                                                "translation_matrix2d",
+                                                "scale_matrix2d",
+                                                "slant_matrix2d",
+                                                "crop_matrix",
+                                                "affine_matrix3d",
+                                                "translation_matrix3d",
+                                                "perspective_matrix3d"};
 
 // A warp by the matrix of a formula: the gradients to image and matrix, and from the matrix to the tensors a to f of
 // the formula.
@@ -65,7 +101,7 @@ inline constexpr Rule by_formula{[](Backward const& b) -> variable_list {
     auto const is_it = [&](c10::Argument const& a) { return a.name() == name; };
     return b.arguments[std::find_if(names.begin(), names.end(), is_it) - names.begin()];
   };
-  auto const formula = find(value("formula").toStringRef());
+  auto const formula = find(kWarpFormulas[value("formula").toInt()]);
   auto const numbers = value("numbers").toDoubleVector();
   size_t next_tensor = 1, next_number = 0;
   Arguments arguments;
@@ -101,13 +137,13 @@ inline constexpr Rule by_formula{[](Backward const& b) -> variable_list {
 
 inline constexpr Operator<"warp_by_formula", Tensor(Tensor image, OptionalTensor a, OptionalTensor b, OptionalTensor c,
                                                     OptionalTensor d, OptionalTensor e, OptionalTensor f,
-                                                    String formula, Floats numbers, Ints size, String interpolation,
-                                                    String padding, bool align_corners, bool inverse, bool normalized)>
+                                                    int64_t formula, Floats numbers, Ints size, int64_t interpolation,
+                                                    int64_t padding, bool align_corners, bool inverse, bool normalized)>
     warp_by_formula{detail::by_formula<"warp_image_backward", "warp_matrix_backward", 2>};
 inline constexpr Operator<"warp3d_by_formula",
                           Tensor(Tensor volumes, OptionalTensor a, OptionalTensor b, OptionalTensor c, OptionalTensor d,
-                                 OptionalTensor e, OptionalTensor f, String formula, Floats numbers, Ints size,
-                                 String interpolation, String padding, bool align_corners, bool inverse,
+                                 OptionalTensor e, OptionalTensor f, int64_t formula, Floats numbers, Ints size,
+                                 int64_t interpolation, int64_t padding, bool align_corners, bool inverse,
                                  bool normalized)>
     warp3d_by_formula{detail::by_formula<"warp3d_volume_backward", "warp3d_matrix_backward", 3>};
 
@@ -125,14 +161,14 @@ inline constexpr Rule resized{[](Backward const& b) {
 
 }  // namespace detail
 
-inline constexpr Operator<"resize", Tensor(Tensor input, Ints size, String filter, bool align_corners, bool antialias,
-                                           String border)>
+inline constexpr Operator<"resize", Tensor(Tensor input, Ints size, int64_t filter, bool align_corners, bool antialias,
+                                           int64_t border)>
     resize{detail::resized};
-inline constexpr Operator<"pyramid_detail", Tensor(Tensor smaller, Tensor image, bool align_corners, String border)>
+inline constexpr Operator<"pyramid_detail", Tensor(Tensor smaller, Tensor image, bool align_corners, int64_t border)>
     pyramid_detail{
         [](Backward const& b) -> variable_list {
           c10::IValue const size = b.image_size();
-          return {b.needs(0) ? -b.call("resize_backward", {{"size", size}, {"filter", "pyrup"}, {"antialias", false}},
+          return {b.needs(0) ? -b.call("resize_backward", {{"size", size}, {"filter", kPyrUp}, {"antialias", false}},
                                        detail::resized)[0]
                              : Tensor(),
                   b.grad()};
@@ -173,7 +209,7 @@ inline constexpr Operator<"thin_plate_weights", Tensor(Tensor centers, Tensor rh
 // -----------------------------------------------------------------------------------------------------
 
 // Their gradients are saved with the loss.
-inline constexpr Operator<"photometric", Two(Tensor source, Tensor target, Tensor matrix, String distance, double eps,
+inline constexpr Operator<"photometric", Two(Tensor source, Tensor target, Tensor matrix, int64_t distance, double eps,
                                              bool align_corners, bool normalized)>
     photometric{[](Backward const& b) -> variable_list {
                   Tensor const to_matrix = b.grad().view({-1, 1, 1}) * b.results[0];
@@ -181,11 +217,11 @@ inline constexpr Operator<"photometric", Two(Tensor source, Tensor target, Tenso
                 },
                 1};
 inline constexpr Operator<"photometric_normal_equations",
-                          Three(Tensor source, Tensor target, Tensor matrix, String distance, double eps,
+                          Three(Tensor source, Tensor target, Tensor matrix, int64_t distance, double eps,
                                 bool align_corners, bool normalized)>
     photometric_normal_equations{non_differentiable};
 inline constexpr Operator<"photometric_depth", Four(Tensor views, Tensor target, Tensor depth, Tensor projections,
-                                                    String distance, double eps)>
+                                                    int64_t distance, double eps)>
     photometric_depth{[](Backward const& b) -> variable_list {
                         Tensor const& grad = b.grad();
                         variable_list const tensors{grad, b.tensor(2), b.tensor(3)};
@@ -247,8 +283,8 @@ inline constexpr Operator<"depth_normals", Tensor(Tensor depth, Tensor camera, b
 inline constexpr Operator<"reprojection", Tensor(Tensor camera_to, Tensor pose_to, Tensor camera_from,
                                                  OptionalTensor pose_from, bool pinhole)>
     reprojection{from<"reprojection_backward">};
-inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tensor projection, String interpolation,
-                                               String padding, bool align_corners)>
+inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tensor projection, int64_t interpolation,
+                                               int64_t padding, bool align_corners)>
     depth_warp{[](Backward const& b) -> variable_list {
       auto const type = b.grad().scalar_type() == at::kDouble ? at::kDouble : at::kFloat;
       variable_list const maps = b.needs(1) || b.needs(2) ? b.call("depth_warp_coords_backward") : variable_list(2);
@@ -261,7 +297,7 @@ inline constexpr Operator<"depth_warp", Tensor(Tensor image, Tensor depth, Tenso
 // --- points
 // -----------------------------------------------------------------------------------------------------------
 
-inline constexpr Operator<"transform_points", Tensor(Tensor points, OptionalTensor depth, Tensor matrix, String kind)>
+inline constexpr Operator<"transform_points", Tensor(Tensor points, OptionalTensor depth, Tensor matrix, int64_t kind)>
     transform_points{
         [](Backward const& b) { return b.call("transform_points_backward", {{"to_matrix", b.needs(2)}}); }};
 inline constexpr Operator<"undistort_map", Tensor(Tensor camera, Tensor coefficients, OptionalTensor tilt, Ints size)>
@@ -308,24 +344,24 @@ inline constexpr Operator<"motion_choice", Five(Tensor matrix, Tensor camera1, T
                                                 Tensor points2, OptionalTensor mask)>
     motion_choice;
 inline constexpr Operator<"correspondence_errors",
-                          Tensor(Tensor points1, Tensor points2, Tensor matrix, String kind, bool squared)>
+                          Tensor(Tensor points1, Tensor points2, Tensor matrix, int64_t kind, bool squared)>
     correspondence_errors{from<"correspondence_errors_backward">};
 
 // --- RANSAC: models and their inliers
 // -----------------------------------------------------------------------------
 
-inline constexpr Operator<"minimal_solver", Tensor(Tensor points1, Tensor points2, OptionalTensor draws, String model)>
+inline constexpr Operator<"minimal_solver", Tensor(Tensor points1, Tensor points2, OptionalTensor draws, int64_t model)>
     minimal_solver;
 inline constexpr Operator<"consensus",
-                          Tensor(Tensor models, Tensor points1, Tensor points2, double threshold, String model)>
+                          Tensor(Tensor models, Tensor points1, Tensor points2, double threshold, int64_t model)>
     consensus{non_differentiable};
 inline constexpr Operator<"top_k_models", Two(Tensor models, Tensor scores, int64_t count, bool by_count)> top_k_models{
     non_differentiable};
-inline constexpr Operator<"finalize_model", Two(Tensor models, Tensor weights, int64_t min_inliers, String model)>
+inline constexpr Operator<"finalize_model", Two(Tensor models, Tensor weights, int64_t min_inliers, int64_t model)>
     finalize_model{non_differentiable};
 inline constexpr Operator<"merge_top_k", Three(Tensor models, Tensor scores, Tensor other_models, Tensor other_scores,
                                                Tensor points1, Tensor points2, double threshold, double softness,
-                                               int64_t count, bool by_count, String model)>
+                                               int64_t count, bool by_count, int64_t model)>
     merge_top_k{non_differentiable};
 inline constexpr Operator<"eigenvectors", Two(Tensor matrix)> eigenvectors{non_differentiable};
 inline constexpr Operator<"real_roots", Tensor(Tensor coefficients)> real_roots;

@@ -29,11 +29,10 @@ using torch::autograd::variable_list;
 
 namespace ops {
 
-// What a schema calls Tensor?, int[], float[] and str.
+// What a schema calls Tensor?, int[] and float[].
 using OptionalTensor = std::optional<Tensor>;
 using Ints = std::vector<int64_t>;
 using Floats = std::vector<double>;
-using String = std::string;
 
 using Arguments = std::vector<c10::IValue>;
 using NamedArguments = std::initializer_list<std::pair<std::string_view, c10::IValue>>;
@@ -158,7 +157,7 @@ inline variable_list run(c10::OperatorHandle const& op, Rule const& rule, Argume
 // A gradient that was computed from `tensors` without an operator, and cannot be differentiated again.
 struct Once : torch::autograd::Function<Once> {
   static variable_list forward(torch::autograd::AutogradContext* ctx, at::TensorList, Tensor const& gradient,
-                               String const& name) {
+                               std::string const& name) {
     ctx->saved_data["name"] = name;
     return {gradient};
   }
@@ -168,7 +167,7 @@ struct Once : torch::autograd::Function<Once> {
   }
 };
 
-inline Tensor once(String const& name, Tensor const& gradient, variable_list const& tensors) {
+inline Tensor once(std::string const& name, Tensor const& gradient, variable_list const& tensors) {
   if (!at::GradMode::is_enabled()) return gradient;
   return Once::apply(at::TensorList(tensors), gradient.detach(), name)[0];
 }

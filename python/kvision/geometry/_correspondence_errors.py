@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from kvision._leading import broadcast_shapes
+from kvision._modes import CORRESPONDENCE_ERROR, CORRESPONDENCE_ERROR_NAMES
 from kvision._ops import register
 from kvision.geometry._precision import length, quotient, wide
 from kvision.geometry.linalg import adjugate, root
@@ -28,7 +29,7 @@ def correspondence_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind
     if points1.shape[1] != points2.shape[1]:
         count = max(points1.shape[1], points2.shape[1])
         points1, points2 = (x.expand(-1, count, -1) for x in (points1, points2))
-    errors: Tensor = _correspondence_errors(points1, points2, matrix, kind, squared)
+    errors: Tensor = _correspondence_errors(points1, points2, matrix, CORRESPONDENCE_ERROR[kind], squared)
     return errors if len(leading) == 1 and errors.shape[0] == leading[0] else errors.reshape(*leading, errors.shape[1])
 
 
@@ -41,7 +42,8 @@ def _one_batch(x: Tensor, leading: Sequence[int]) -> Tensor:
     return x.reshape(-1, *x.shape[-2:])
 
 
-def _reference(points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squared: bool) -> Tensor:
+def _reference(points1: Tensor, points2: Tensor, matrix: Tensor, number: int, squared: bool) -> Tensor:
+    kind = CORRESPONDENCE_ERROR_NAMES[number]
     x, y, m = wide(points1), wide(points2), wide(matrix)
     if kind in ("sampson", "symmetrical", "right", "left"):
         error = _epipolar(x, y, m, kind)
@@ -140,7 +142,7 @@ def _backward(
     points1: Tensor,
     points2: Tensor,
     matrix: Tensor,
-    kind: str,
+    kind: int,
     squared: bool,
 ) -> list[Tensor | None]:
     tensors = points1, points2, matrix
@@ -149,7 +151,7 @@ def _backward(
 
 
 def _backward_reference(
-    grad: Tensor, points1: Tensor, points2: Tensor, matrix: Tensor, kind: str, squared: bool
+    grad: Tensor, points1: Tensor, points2: Tensor, matrix: Tensor, kind: int, squared: bool
 ) -> tuple[Tensor, ...]:
     each = [x.expand(grad.shape[0], -1, -1) for x in (points1, points2, matrix)]
     return torch.func.vjp(lambda x, y, m: _reference(x, y, m, kind, squared), *each)[1](grad)

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._modes import POINT_MAP, POINT_MAP_NAMES
 from kvision._ops import register
 from kvision.geometry.conversions.homogeneous import divisor
 from kvision.geometry.conversions.pixels import focal_and_center
@@ -17,13 +18,14 @@ from kvision.geometry.conversions.pixels import focal_and_center
 
 def _reference(points, depth, matrix, kind):
     """`points` (B, N, D), `depth` (B, N, 1) or None, `matrix` (B or 1, ., .); maps: csrc/geometry/transform_points.h."""
+    kind = POINT_MAP_NAMES[kind]
     if kind == "transform":
         columns = matrix.unsqueeze(1).unbind(-1)
         moved = columns[-1]
         for x, column in zip(points.split(1, -1), columns):  # no matrix product: it would round as torch is told to
             moved = moved + x * column
         return moved[..., :-1] / divisor(moved[..., -1:])
-    if kind == "meet":
+    if kind == "intersect":
         focal, center, normal, offset, eps = matrix.split((2, 2, 3, 1, 1), -1)
         ray = (points - center) / focal
         along = (ray * normal[..., :2]).sum(-1, keepdim=True) + normal[..., 2:]
@@ -38,7 +40,7 @@ def _reference(points, depth, matrix, kind):
 
 
 def _shape(points, depth, matrix, kind):
-    width = {"transform": matrix.shape[1] - 1, "project": 2, "meet": 1}.get(kind, 3)
+    width = {"transform": matrix.shape[1] - 1, "project": 2, "intersect": 1}.get(POINT_MAP_NAMES[kind], 3)
     return (*points.shape[:2], width)
 
 
@@ -77,7 +79,7 @@ _transform_points_backward = register(
 
 def met(points: Tensor, plane: Tensor) -> Tensor:
     """Depths (B, N) of planes at pixels (B, N, 2), by rows (B or 1, 9): focal lengths, principal point, normal, offset, eps."""
-    depth: Tensor = _transform_points(points, None, plane[:, None], "meet")
+    depth: Tensor = _transform_points(points, None, plane[:, None], POINT_MAP["intersect"])
     return depth[..., 0]
 
 
@@ -91,9 +93,9 @@ def transformed(points: Tensor, matrix: Tensor) -> Tensor:
     batch = matrix.shape[0]
     matrix = as_dtype(matrix, compute_dtype(points))
     if points.dim() == 3 and points.shape[0] == batch:  # as most calls are
-        return _transform_points(points, None, matrix, "transform")
+        return _transform_points(points, None, matrix, POINT_MAP["transform"])
     flat = points.reshape(batch, prod(points.shape[:-1]) // batch if batch else 0, points.shape[-1])
-    y = _transform_points(flat, None, matrix, "transform")
+    y = _transform_points(flat, None, matrix, POINT_MAP["transform"])
     return y.reshape(*points.shape[:-1], y.shape[-1])
 
 
@@ -104,7 +106,7 @@ def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str)
     leading = points.shape[:-1]
     if points.dim() == camera_matrix.dim() == 3 and points.shape[0] == camera_matrix.shape[0]:  # as most calls are
         if depth is None or depth.shape[:-1] == leading:
-            return _transform_points(points, depth, camera_matrix, kind)
+            return _transform_points(points, depth, camera_matrix, POINT_MAP[kind])
     cameras: tuple[int, ...] = camera_matrix.shape[:-2]
     if len(cameras) < len(leading):
         cameras = (*cameras, 1)
@@ -123,5 +125,7 @@ def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str)
     if cameras[:own] != tuple(leading[:own]):
         matrix = matrix.reshape(*cameras[:own], 3, 3).expand(*leading[:own], 3, 3)
     depth = None if depth is None else depth.reshape(outer, inner, 1)
-    y = _transform_points(points.reshape(outer, inner, points.shape[-1]), depth, matrix.reshape(outer, 3, 3), kind)
+    y = _transform_points(
+        points.reshape(outer, inner, points.shape[-1]), depth, matrix.reshape(outer, 3, 3), POINT_MAP[kind]
+    )
     return y.reshape(*leading, y.shape[-1])

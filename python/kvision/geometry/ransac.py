@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from kvision import _check
+from kvision._modes import MODEL, MODEL_NAMES
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.geometry._normalization import to_unit_last
@@ -53,9 +54,9 @@ def _errors(models: Tensor, points1: Tensor, points2: Tensor, model: str) -> Ten
     return sampson_epipolar_distance(points1[None], points2[None], models)
 
 
-def _consensus_reference(models: Tensor, points1: Tensor, points2: Tensor, threshold: float, model: str) -> Tensor:
+def _consensus_reference(models: Tensor, points1: Tensor, points2: Tensor, threshold: float, model: int) -> Tensor:
     """Scores (M, 2) of models (M, 3, 3) for points (2 or 4, N): the sum of 1 - e / t^2 over inliers, and their number."""
-    errors = _errors(models, *_points(points1, points2, model), model)
+    errors = _errors(models, *_points(points1, points2, model), MODEL_NAMES[model])
     inliers = errors <= threshold**2
     gains = torch.where(inliers, 1 - errors / threshold**2, 0)
     return torch.stack([gains.sum(-1), inliers.sum(-1).to(gains.dtype)], -1)
@@ -72,14 +73,14 @@ def _merge_top_k_reference(
     softness: float,
     count: int,
     by_count: bool,
-    model: str,
+    model: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The best `count` of two lists of models by their consensus, of equal ones the first: models, their consensus, and
     the weights (count, N) of correspondences: 1 / (1 + softness e) of those who agree, 0 of other_models."""
     models, scores = torch.cat([models, other_models]), torch.cat([scores, other_scores])
     order = scores[:, int(by_count)].argsort(descending=True, stable=True)[:count]
     models, scores = models[order], scores[order]
-    errors = _errors(models, *_points(points1, points2, model), model)
+    errors = _errors(models, *_points(points1, points2, model), MODEL_NAMES[model])
     return models, scores, torch.where(errors <= threshold**2, 1 / (1 + softness * errors), 0)
 
 
@@ -89,17 +90,17 @@ def _top_k_models_reference(models: Tensor, scores: Tensor, count: int, by_count
     return models[order], scores[order]
 
 
-def _finalize_model_reference(models: Tensor, weights: Tensor, min_inliers: int, model: str) -> tuple[Tensor, Tensor]:
+def _finalize_model_reference(models: Tensor, weights: Tensor, min_inliers: int, model: int) -> tuple[Tensor, Tensor]:
     """The first model, normalized, and its inliers, which have weights above 0; zeros for `min_inliers` or fewer of them."""
     inliers = weights[0] > 0
     has_consensus = inliers.sum() > min_inliers
     first = models[:1]
-    first = first / torch.linalg.vector_norm(first) if model == "essential" else to_unit_last(first)
+    first = first / torch.linalg.vector_norm(first) if model == MODEL["essential"] else to_unit_last(first)
     return torch.where(has_consensus, first[0], 0), inliers & has_consensus
 
 
-def _points(points1: Tensor, points2: Tensor, model: str) -> tuple[Tensor, Tensor]:
-    shape = (-1, 2, 2) if model == "lines" else (-1, 2)
+def _points(points1: Tensor, points2: Tensor, model: int) -> tuple[Tensor, Tensor]:
+    shape = (-1, 2, 2) if model == MODEL["lines"] else (-1, 2)
     return points1.T.reshape(shape), points2.T.reshape(shape)
 
 
@@ -295,17 +296,17 @@ class RANSAC(nn.Module):
         rows = points[0][0].T.contiguous(), points[1][0].T.contiguous()
         generator = None if self.seed is None else torch.Generator(kp1.device).manual_seed(self.seed)
         batch = self.resolve_batch_size(len(kp1), kp1.device)
-        by_count = self.score_type == "ransac"
+        by_count, number = self.score_type == "ransac", MODEL[self.model]
         models, scores = kp1.new_empty(0, 3, 3), kp1.new_empty(0, 2)
 
         def scored(candidates: Tensor) -> tuple[Tensor, Tensor]:
             candidates = candidates.to(kp1.dtype)
-            return candidates, _consensus(candidates, *rows, self.inl_th, self.model)
+            return candidates, _consensus(candidates, *rows, self.inl_th, number)
 
         def merge(
             scored_models: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor], softness: float, count: int
         ) -> Any:
-            return _merge_top_k(*scored_models, *other, *rows, self.inl_th, softness, count, by_count, self.model)
+            return _merge_top_k(*scored_models, *other, *rows, self.inl_th, softness, count, by_count, number)
 
         num_drawn, num_required = 0, self.sample_budget
         while num_drawn < num_required:
@@ -327,7 +328,7 @@ class RANSAC(nn.Module):
         models, scores, weights = merge((models, scores), (models[:0], scores[:0]), softness, 1)
         for _ in range(self.refine_iters):
             models, scores, weights = merge(scored(self._fitted(kp1, kp2, weights)), (models, scores), softness, 1)
-        model, inliers = _finalize_model(models, weights, self.minimal_sample_size, self.model)
+        model, inliers = _finalize_model(models, weights, self.minimal_sample_size, number)
         return model, inliers
 
     def _draws(

@@ -14,7 +14,8 @@ ROTATIONS = torch.stack([rotation(0.3, 0.1, -0.2), rotation(1.0, -2.0, 0.5)])
 CAMERAS = CAMERA.expand(2, 3, 3)
 IMAGES = rand(2, 3, 20, 30)
 WORLD = rand(2, 9, 3, high=3)
-SEEN = (WORLD @ ROTATIONS[0].T + torch.tensor([0.0, 0, 5])) @ CAMERA.T
+PROJECTED = (WORLD @ ROTATIONS[0].T + torch.tensor([0.0, 0, 5])) @ CAMERA.T
+SEEN = PROJECTED[..., :2] / PROJECTED[..., 2:] + 0.3 * rand(2, 9, 2, low=-1)
 
 # Home, name, arguments, keyword arguments.
 CALLS = [

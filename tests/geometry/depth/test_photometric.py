@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from kvision._modes import INTERPOLATION, PADDING
 from op_tests import assert_close
 from warp_tests import FLOAT_PLACES, WarpTests, one
 
@@ -89,7 +90,7 @@ def test_is_the_mean_over_the_warped_views(distance, device):
     total = terms = 0
     for i in range(2):
         warped, seen = (
-            G.depth.warp.depth_warp_of(v, d, projections[:, i], "bilinear", "fill", True)
+            G.depth.warp.depth_warp_of(v, d, projections[:, i], INTERPOLATION["bilinear"], PADDING["fill"], True)
             for v in (views[:, i], torch.ones_like(y))
         )
         difference, seen = warped - y, (seen > 1 - 1e-9).double()

@@ -4,6 +4,7 @@ import torch
 
 import kvision as K
 from composition_tests import Case
+from kvision._modes import CORRESPONDENCE_ERROR
 from op_tests import assert_close
 from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from view_tests import ViewTests, rand
@@ -43,7 +44,7 @@ class TestDistancesOperators(PointOpTests):
         "correspondence_errors": [
             Call(
                 (vector(9, 2), vector(9, 2), near(EYE)),
-                (kind, squared),
+                (CORRESPONDENCE_ERROR[kind], squared),
                 accepted=("another dtype",),
                 dtypes=SINGLE_AND_DOUBLE,
                 tolerance=200,

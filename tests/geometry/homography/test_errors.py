@@ -7,6 +7,7 @@ import torch
 
 import kvision as K
 from composition_tests import Case
+from kvision._modes import CORRESPONDENCE_ERROR
 from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from view_tests import ViewTests, finite_gradients, on_planes
 
@@ -59,7 +60,7 @@ class TestErrorsOperators(PointOpTests):
         "correspondence_errors": [
             Call(
                 (vector(9, 2), vector(9, 2), near(EYE)),
-                (kind, squared),
+                (CORRESPONDENCE_ERROR[kind], squared),
                 accepted=("another dtype",),
                 dtypes=SINGLE_AND_DOUBLE,
                 tolerance=200,

@@ -7,12 +7,14 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from kvision._modes import INTERPOLATION, PADDING, WARP_FORMULA
 from kvision.geometry.transform import matrices, sampling, warp3d
 from op_tests import assert_close
 from warp_tests import FormulaWarpTests, degrees, one, point
 
 G = K.geometry
-HOW, HOW3 = ("bilinear", "fill", True, True, False), ("bilinear", "border", True, False, False)
+HOW = INTERPOLATION["bilinear"], PADDING["fill"], True, True, False
+HOW3 = INTERPOLATION["bilinear"], PADDING["border"], True, False, False
 QUADS = torch.tensor([[[1.3, 1.1], [5.2, 0.7], [4.9, 3.8], [0.9, 4.2]]])
 CUBE = torch.tensor([[0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] * 4]).T[None]
 
@@ -69,11 +71,11 @@ def test_gives_what_a_matrix_and_a_warp_do(name, dtype, device):
             pytest.skip("volumes are numbers")
         x = torch.rand(2, 2, 4, 5, 6).to(dtype).to(device)
         expected = warp3d._warp3d(x, matrix, [5, 4, 7], *HOW3)
-        found = warp3d._warp3d_by_formula(x, *given, *rest, name, plain, [5, 4, 7], *HOW3)
+        found = warp3d._warp3d_by_formula(x, *given, *rest, WARP_FORMULA[name], plain, [5, 4, 7], *HOW3)
     else:
         x = (torch.rand(2, 3, 8, 9) * (255 if dtype == torch.uint8 else 1)).to(dtype).to(device)
         expected = sampling.warp(x, matrix, None, [7, 10], *HOW)
-        found = sampling.warp_by_formula(x, *given, *rest, name, plain, [7, 10], *HOW)
+        found = sampling.warp_by_formula(x, *given, *rest, WARP_FORMULA[name], plain, [7, 10], *HOW)
     if device.type == "cpu":
         assert torch.equal(found, expected)
     else:
@@ -100,12 +102,12 @@ def test_crops_between_pixels_and_their_gradient(channels_last, device):
     )  # sums by atomics
 
 
-@pytest.mark.parametrize("wrong", ["", "warp", "perspective_matrix3d", "perspective_matrix", "affine_matrix2d "])
+@pytest.mark.parametrize("wrong", [0, WARP_FORMULA["perspective_matrix3d"], 9, -1, 2**32 + 1])
 def test_unknown_formulas(wrong, device, backend):
     if backend == "reference":
         pytest.skip("this test is about the kernels")
     x = torch.rand(1, 1, 4, 4, device=device)
-    with pytest.raises(RuntimeError, match="warp_by_formula: no formula of images is called"):
+    with pytest.raises(RuntimeError, match="warp_by_formula: no formula of images has the number"):
         torch.ops.kvision.warp_by_formula(x, x[:, 0, 0, :2], *[None] * 5, wrong, [], [4, 4], *HOW)
 
 
@@ -126,7 +128,7 @@ def test_wrong_inputs_of_a_formula(given, plain, message, device, backend):
     six = [*tensors, *[None] * (6 - len(tensors))]
     with pytest.raises(RuntimeError, match="^warp_by_formula: " + message):
         torch.ops.kvision.warp_by_formula(
-            torch.rand(2, 1, 4, 4, device=device), *six, "translation_matrix2d", plain, [4, 4], *HOW
+            torch.rand(2, 1, 4, 4, device=device), *six, WARP_FORMULA["translation_matrix2d"], plain, [4, 4], *HOW
         )
 
 

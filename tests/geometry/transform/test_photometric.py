@@ -3,6 +3,7 @@ import torch
 from torch import Tensor
 
 import kvision as K
+from kvision._modes import PHOTOMETRIC_DISTANCE
 from op_tests import assert_close
 from point_op_tests import EYE, SINGLE_AND_DOUBLE, Call, PointOpTests, near, vector
 from warp_tests import WarpTests
@@ -114,7 +115,7 @@ class TestPhotometricOperators(PointOpTests):
         "photometric_normal_equations": [
             Call(
                 (vector(3, 8, 9), vector(3, 8, 9), near(EYE, 0.01)),
-                ("charbonnier", 0.1, True, True),
+                (PHOTOMETRIC_DISTANCE["charbonnier"], 0.1, True, True),
                 differentiable=False,
                 dtypes=SINGLE_AND_DOUBLE,
                 tolerance=100,

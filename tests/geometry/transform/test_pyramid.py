@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import kvision as K
+from kvision._modes import BORDER
 from kvision.geometry.transform.pyramid import _detail
 from op_tests import assert_close
 from point_op_tests import Call, PointOpTests, vector
@@ -55,7 +56,7 @@ def test_pyramids_are_a_blur_and_a_resize(border, device):
 @pytest.mark.parametrize("border", ["reflect", "constant", "replicate"])
 @pytest.mark.parametrize("size", [(5, 7), (24, 136)], ids=str)
 def test_details_are_differences(size, border, device, backend):
-    how = (False, border)
+    how = (False, BORDER[border])
     smaller = torch.rand(2, 3, *size, device=device)
     image = torch.rand(2, 3, *(2 * n for n in size), device=device)
     for dtype in (torch.float32, torch.float64, torch.float16, torch.bfloat16):
@@ -123,7 +124,10 @@ class TestPyramidOperators(PointOpTests):
     calls = {
         "pyramid_detail": [
             Call(
-                (vector(3, 4, 5), vector(3, 8, 10)), (False, "reflect"), broadcasts=False, accepted=("around a pixel",)
+                (vector(3, 4, 5), vector(3, 8, 10)),
+                (False, BORDER["reflect"]),
+                broadcasts=False,
+                accepted=("around a pixel",),
             )
         ],
     }

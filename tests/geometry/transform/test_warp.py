@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import kvision as K
+from kvision._modes import INTERPOLATION, PADDING
 from kvision.geometry.transform.sampling import remap
 from op_tests import assert_close, instruction_set
 from warp_tests import WarpTests, affine, homography, one
@@ -135,8 +136,10 @@ def test_moves_are_places_beside_the_pixels(mode, align_corners, isa, device):
     weight = torch.rand(2, 3, 17, 133, **like)
     grid = F.affine_grid(torch.eye(2, 3, **like)[None], (1, 1, 17, 133), align_corners).movedim(-1, 1)
     with instruction_set(isa) if device.type == "cpu" else contextlib.nullcontext():
-        ours = remap(x, *moves.unbind(1), None, mode, "fill", align_corners, True, True)
-        theirs = remap(x, *(grid + moves).unbind(1), None, mode, "fill", align_corners, True, False)
+        ours = remap(x, *moves.unbind(1), None, INTERPOLATION[mode], PADDING["fill"], align_corners, True, True)
+        theirs = remap(
+            x, *(grid + moves).unbind(1), None, INTERPOLATION[mode], PADDING["fill"], align_corners, True, False
+        )
         assert_close(ours, theirs)
         for ours_, theirs_ in zip(*(torch.autograd.grad((y * weight).sum(), (x, moves)) for y in (ours, theirs))):
             assert_close(ours_, theirs_)

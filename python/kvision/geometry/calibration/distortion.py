@@ -21,6 +21,7 @@ from torch import Tensor
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
 from kvision._leading import broadcast_shapes
+from kvision._modes import INTERPOLATION, PADDING
 from kvision._ops import Operator, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._formula import batch_of
@@ -329,7 +330,7 @@ def undistort_image(image: Tensor, K: Tensor, dist: Tensor) -> Tensor:
     K, dist = as_dtype(K, dtype), as_dtype(dist, dtype)
     tilt = tilt_projection(dist[:, 12:13], dist[:, 13:]) if dist.shape[-1] == 14 else None
     x, y = _map(K, dist, tilt, [h, w]).unbind(1)
-    result: Tensor = sampling.remap(flat, x, y, None, "bilinear", "fill", True, False, False)
+    result: Tensor = sampling.remap(flat, x, y, None, INTERPOLATION["bilinear"], PADDING["fill"], True, False, False)
     return result if result.shape == image.shape else result.reshape(image.shape)
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
+from kvision._modes import INTERPOLATION, PADDING, PHOTOMETRIC_DISTANCE, PHOTOMETRIC_DISTANCE_NAMES
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._photometric import DISTANCES, distance_derivative, distance_of, in_bounds_mask, weighted_gradient
@@ -17,6 +18,8 @@ from kvision.geometry.transform import sampling
 from kvision.geometry.transform.sampling import cast_to_image
 
 __all__ = ["photometric_depth_loss"]
+
+_OPTIONS = INTERPOLATION["bilinear"], PADDING["fill"], True  # of warps by depth
 
 
 def _loss(views, target, depth, projections, distance, eps):
@@ -29,7 +32,9 @@ def _loss(views, target, depth, projections, distance, eps):
         coords = source_coords(depth.expand(batch, -1, -1, -1), projections[:, i].expand(batch, -1, -1))
         residual = sampling.sample(view, coords, "bilinear", "fill", True) - target.to(depth.dtype)
         inside = in_bounds_mask(coords, view)
-        total = total + torch.where(inside, distance_of(residual, distance, eps), 0).sum((1, 2, 3))
+        total = total + torch.where(inside, distance_of(residual, PHOTOMETRIC_DISTANCE_NAMES[distance], eps), 0).sum(
+            (1, 2, 3)
+        )
         terms = terms + inside.sum((1, 2, 3)) * views.shape[2]
     return total / terms, terms
 
@@ -65,13 +70,15 @@ def _image_gradients(needs, weight, views, target, depth, projections, distance,
     for i in range(count):
         view, projection = views[:, i].to(wide), projections[:, i]
         coords = source_coords(depth.expand(batch, -1, -1, -1), projection.expand(batch, -1, -1))
-        residual = depth_warp_of(view, depth, projection, "bilinear", "fill", True) - target.to(wide)
-        grad_residual = distance_derivative(residual, distance, eps) * weight[:, None, None, None]
+        residual = depth_warp_of(view, depth, projection, *_OPTIONS) - target.to(wide)
+        grad_residual = (
+            distance_derivative(residual, PHOTOMETRIC_DISTANCE_NAMES[distance], eps) * weight[:, None, None, None]
+        )
         grad_residual = torch.where(in_bounds_mask(coords, view), grad_residual, 0)
         grad_target = grad_target - grad_residual
         if needs[0]:
             size = [*view.shape[2:]]
-            grad_views.append(image_gradient_of(grad_residual, depth, projection, size, "bilinear", "fill", True))
+            grad_views.append(image_gradient_of(grad_residual, depth, projection, size, *_OPTIONS))
     return (
         torch.stack(grad_views, 1).to(views.dtype) if needs[0] else None,
         grad_target.to(target.dtype).sum_to_size(target.shape) if needs[1] else None,
@@ -169,6 +176,6 @@ def photometric_depth_loss(
     _check.same_device(op, views=views, target=target)
     depth = cast_to_image(op, views, "depth", depth)
     projections = cast_to_image(op, views, "projections", projections)
-    outputs: Any = _photometric(views, target, depth, projections, distance, eps)
+    outputs: Any = _photometric(views, target, depth, projections, PHOTOMETRIC_DISTANCE[distance], eps)
     loss: Tensor = outputs[0].to(stored)
     return loss

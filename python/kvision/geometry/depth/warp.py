@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import compute_dtype, floats
+from kvision._modes import INTERPOLATION, INTERPOLATION_NAMES, PADDING, PADDING_NAMES
 from kvision._ops import on_cuda, register
 from kvision.core.exceptions import TypeCheckError, ValueCheckError
 from kvision.geometry.camera import PinholeCamera
@@ -43,7 +44,13 @@ def source_coords(depth: Tensor, projection: Tensor) -> list[Tensor]:
 
 def _reference(image, depth, projection, interpolation, padding, align_corners):
     depth, projection = depth.expand(len(image), -1, -1, -1), projection.expand(len(image), -1, -1)
-    return sampling.sample(image, source_coords(depth, projection), interpolation, padding, align_corners)
+    return sampling.sample(
+        image,
+        source_coords(depth, projection),
+        INTERPOLATION_NAMES[interpolation],
+        PADDING_NAMES[padding],
+        align_corners,
+    )
 
 
 def _backward(needs, grad, image, depth, projection, *options):
@@ -171,7 +178,8 @@ def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str
         image = image.expand(batch, -1, -1, -1)
     depth = sampling.cast_to_image(op, image, "depth", depth)
     projection = sampling.cast_to_image(op, image, "projection", projection)
-    warped: Tensor = depth_warp_of(image, depth, projection, mode, "fill" if padding == "zeros" else padding, align)
+    number = PADDING["fill" if padding == "zeros" else padding]
+    warped: Tensor = depth_warp_of(image, depth, projection, INTERPOLATION[mode], number, align)
     return warped
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from kvision._modes import MODEL, MODEL_NAMES
 from kvision._ops import register
 from kvision.geometry._normalization import normalized, to_unit_last
 from kvision.geometry._precision import wants_derivative, wide
@@ -33,12 +34,13 @@ SIZES = {
 }
 
 
-def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
+def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, number: int) -> Tensor:
     """Models (S, candidates, 3, 3) of norm 1, affine maps unscaled; NaN for missing ones.
 
     Of samples (S, m, 2), or (S, m, 4) for line segments; or of points (1, N, ...) and `draws` (S, m + 1), whose rows are m
     numbers in [0, 1) that choose from as many of the first points as the last number says.
     """
+    model = MODEL_NAMES[number]
     if draws is not None:
         chosen = _distinct(draws, points1.shape[1])
         points1, points2 = points1[0][chosen], points2[0][chosen]
@@ -71,8 +73,8 @@ def _distinct(draws: Tensor, count: int) -> Tensor:
     return torch.stack(chosen, -1)
 
 
-def _sizes(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> tuple[int, ...]:
-    return (points1 if draws is None else draws).shape[0], SIZES[model][1], 3, 3
+def _sizes(points1: Tensor, points2: Tensor, draws: Tensor | None, model: int) -> tuple[int, ...]:
+    return (points1 if draws is None else draws).shape[0], SIZES[MODEL_NAMES[model]][1], 3, 3
 
 
 _minimal_solver = register("minimal_solver", _reference, fake=_sizes)
@@ -80,7 +82,7 @@ _minimal_solver = register("minimal_solver", _reference, fake=_sizes)
 
 def minimal_solver(points1: Tensor, points2: Tensor, draws: Tensor | None, model: str) -> Tensor:
     call = _reference if wants_derivative(points1, points2) else _minimal_solver
-    return call(points1, points2, draws, model)
+    return call(points1, points2, draws, MODEL[model])
 
 
 def _four_points(points1: Tensor, points2: Tensor) -> Tensor:

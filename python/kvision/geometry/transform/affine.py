@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
+from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform import sampling
@@ -47,7 +48,9 @@ def affine(
     sampling.check_options("affine", mode, padding_mode, align_corners)
     matrix = sampling.cast_to_image("affine", images, "matrix", matrix)
     padding, _ = sampling.padding_and_fill("affine", images, padding_mode, None)
-    result = sampling.warp(images, matrix, None, list(images.shape[2:]), mode, padding, align_corners, True, False)
+    result = sampling.warp(
+        images, matrix, None, list(images.shape[2:]), INTERPOLATION[mode], padding, align_corners, True, False
+    )
     return result[0] if tensor.dim() == 3 else result
 
 
@@ -222,8 +225,8 @@ def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, 
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     six = given + (None,) * (6 - len(given))
     size = list(images.shape[2:])
-    options = (size, mode, padding, align_corners, True, False)
-    result = sampling.warp_by_formula(images, *six, formula, numbers, *options)
+    options = (size, INTERPOLATION[mode], padding, align_corners, True, False)
+    result = sampling.warp_by_formula(images, *six, WARP_FORMULA[formula], numbers, *options)
     return result[0] if tensor.dim() == 3 else result
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import pixels
+from kvision._modes import INTERPOLATION, WARP_FORMULA
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError, ValueCheckError
@@ -171,8 +172,8 @@ def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corner
     h, w = size
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
     numbers = [float(max(w - 1, 1)), float(max(h - 1, 1))]
-    options = (list(size), mode, padding, align_corners, False, False)
-    return sampling.warp_by_formula(images, boxes, first, None, None, None, None, "crop_matrix", numbers, *options)
+    options = (list(size), INTERPOLATION[mode], padding, align_corners, False, False)
+    return sampling.warp_by_formula(images, boxes, first, *[None] * 4, WARP_FORMULA["crop_matrix"], numbers, *options)
 
 
 def crop_by_transform_mat(
@@ -263,12 +264,12 @@ def center_crop(
     if not symbolic and y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _crop_pixels(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)
-    options = ([h, w], mode, padding, align_corners, False, False)
+    options = ([h, w], INTERPOLATION[mode], padding, align_corners, False, False)
     if symbolic:
         shift, numbers = sampling.symbolic_point(images, x / 2, y / 2), [0.0, 0.0]
     else:
         shift, numbers = None, [x / 2, y / 2]
-    return sampling.warp_by_formula(images, shift, *[None] * 5, "translation_matrix2d", numbers, *options)
+    return sampling.warp_by_formula(images, shift, *[None] * 5, WARP_FORMULA["translation_matrix2d"], numbers, *options)
 
 
 def crop_by_indices(

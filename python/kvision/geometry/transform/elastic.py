@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
+from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import TypeCheckError
 from kvision.filters.gaussian import _gaussian_blur2d as blur
 from kvision.filters.gaussian import blur_arguments
@@ -73,7 +74,7 @@ def elastic_transform2d(
         noise = noise * alpha[0]
     right, down = blur(noise, *arguments[1:]).unbind(1)
     padding, _ = sampling.padding_and_fill(op, images, padding_mode, None)
-    return sampling.remap(images, right, down, None, mode, padding, align_corners, True, True)
+    return sampling.remap(images, right, down, None, INTERPOLATION[mode], padding, align_corners, True, True)
 
 
 def _are_numbers(x: Tensor | Sequence[float]) -> bool:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats
+from kvision._modes import INTERPOLATION, PADDING, PHOTOMETRIC_DISTANCE
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.transform import sampling
@@ -25,9 +26,9 @@ def _loss(source, target, matrix, distance, eps, align_corners, normalized):
         matrix.expand(len(source), -1, -1), target.shape[2:], source.shape[2:], align_corners, False, normalized
     )
     residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
-    if distance == "l1":
+    if distance == PHOTOMETRIC_DISTANCE["l1"]:
         error = residual.abs()
-    elif distance == "l2":
+    elif distance == PHOTOMETRIC_DISTANCE["l2"]:
         error = residual * residual
     else:
         error = (residual * residual + eps * eps).sqrt()
@@ -65,12 +66,12 @@ def _backward(needs, grad, _, loss, matrix_grads, source, target, matrix, *optio
 def _image_gradients(grad, source, target, matrix, distance, eps, align_corners, normalized):
     x, y = source.to(matrix.dtype), target.to(matrix.dtype)
     (*size,), matrices = y.shape[2:], matrix.expand(len(x), -1, -1)
-    sampled = "bilinear", "fill", align_corners, False, normalized
+    sampled = INTERPOLATION["bilinear"], PADDING["fill"], align_corners, False, normalized
     seen = _seen(sampling.source_coords(matrices, size, x.shape[2:], *sampled[2:]), x)
     residual = sampling.warp(x, matrices, None, size, *sampled) - y
-    if distance == "l1":
+    if distance == PHOTOMETRIC_DISTANCE["l1"]:
         grad_residual = residual.sign()
-    elif distance == "l2":
+    elif distance == PHOTOMETRIC_DISTANCE["l2"]:
         grad_residual = 2 * residual
     else:
         grad_residual = residual / (residual * residual + eps * eps).sqrt()
@@ -124,9 +125,9 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
         columns.append(column)
     jacobian = torch.stack(columns, 1)
     r, seen = residual.flatten(1), seen.expand_as(residual).flatten(1).to(matrix.dtype)
-    if distance == "l1":
+    if distance == PHOTOMETRIC_DISTANCE["l1"]:
         value, weight = r.abs(), 1 / r.abs().clamp_min(eps)
-    elif distance == "l2":
+    elif distance == PHOTOMETRIC_DISTANCE["l2"]:
         value, weight = r * r, torch.full_like(r, 2)
     else:
         value = (r * r + eps * eps).sqrt()
@@ -191,7 +192,8 @@ def photometric_homography_loss(
     op = "photometric_homography_loss"
     dtype = source.dtype if isinstance(source, Tensor) and source.is_floating_point() else torch.float32
     options = distance, eps, align_corners, normalized_coordinates
-    results: Any = _photometric(*_checked(op, source, target, src_homo_dst, *options), *options)
+    tensors = _checked(op, source, target, src_homo_dst, *options)
+    results: Any = _photometric(*tensors, PHOTOMETRIC_DISTANCE[distance], *options[1:])
     loss: Tensor = results[0]
     return loss if loss.dtype == dtype else loss.to(dtype)
 
@@ -241,7 +243,7 @@ def photometric_normal_equations(
     options = distance, eps, align_corners, normalized_coordinates
     source, target, matrix = _checked(op, source, target, src_homo_dst, *options)
     equations: tuple[Tensor, Tensor, Tensor] = _normal(
-        source.to(matrix.dtype), target.to(matrix.dtype), matrix, *options
+        source.to(matrix.dtype), target.to(matrix.dtype), matrix, PHOTOMETRIC_DISTANCE[distance], *options[1:]
     )
     return equations
 

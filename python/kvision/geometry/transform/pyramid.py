@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from kvision import _check
 from kvision._dtype import pixels
+from kvision._modes import BORDER, INTERPOLATION
 from kvision._modules import FunctionModule
 from kvision._ops import register
 from kvision.core.exceptions import ShapeError
@@ -32,11 +33,11 @@ __all__ = [
 
 def _detail_reference(smaller, image, align_corners, border):
     size = [2 * side for side in smaller.shape[2:]]
-    return image - resize_reference(smaller, size, "pyrup", align_corners, False, border)
+    return image - resize_reference(smaller, size, INTERPOLATION["pyrup"], align_corners, False, border)
 
 
 def _detail_backward(needs, grad, smaller, image, align_corners, border):
-    how = ("pyrup", align_corners, False, border)
+    how = (INTERPOLATION["pyrup"], align_corners, False, border)
     return [-resized_backward(grad, list(smaller.shape[2:]), *how) if needs[0] else None, grad if needs[1] else None]
 
 
@@ -82,7 +83,7 @@ def pyrdown(input: Tensor, border_type: str = "reflect", align_corners: bool = F
         return resize(_blur("pyrdown", input, border_type), (size[0], size[1]), align_corners=align_corners)
     _check.border("pyrdown", border_type)
     _check.reflectable("pyrdown", input, (2, 2), border_type)
-    return resized(pixels(input), size, "pyrdown", align_corners, False, border_type)
+    return resized(pixels(input), size, INTERPOLATION["pyrdown"], align_corners, False, BORDER[border_type])
 
 
 def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = False) -> Tensor:
@@ -113,7 +114,7 @@ def pyrup(input: Tensor, border_type: str = "reflect", align_corners: bool = Fal
         return _blur("pyrup", resize(input, (size[0], size[1]), align_corners=align_corners), border_type)
     _check.border("pyrup", border_type)
     _check.reflectable("pyrup", input, (1, 1), border_type)  # 2 pixels of the result
-    return resized(pixels(input), size, "pyrup", align_corners, False, border_type)
+    return resized(pixels(input), size, INTERPOLATION["pyrup"], align_corners, False, BORDER[border_type])
 
 
 def _blur(op: str, image: Tensor, border_type: str) -> Tensor:
@@ -205,7 +206,7 @@ def _level(image: Tensor, smaller: Tensor, border_type: str, align_corners: bool
     if border_type == "circular":
         return image - pyrup(smaller, border_type, align_corners)
     _check.reflectable("build_laplacian_pyramid", smaller, (1, 1), border_type)
-    return _detail(smaller, image, align_corners, border_type)
+    return _detail(smaller, image, align_corners, BORDER[border_type])
 
 
 class PyrDown(FunctionModule):

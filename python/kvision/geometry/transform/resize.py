@@ -9,6 +9,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import compute_dtype, pixels
+from kvision._modes import BORDER, BORDER_NAMES, INTERPOLATION, INTERPOLATION_NAMES
 from kvision._modules import FunctionModule
 from kvision._ops import register, saturate_to_byte
 from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
@@ -25,7 +26,8 @@ _SIDES = ("short", "long", "vert", "horz")
 Taps = tuple[Tensor, Tensor]
 
 
-def resize_reference(input, size, window, align_corners, antialias, border):
+def resize_reference(input, size, filter, align_corners, antialias, border):
+    window, border = INTERPOLATION_NAMES[filter], BORDER_NAMES[border]
     for axis, result in ((2, size[0]), (3, size[1])):
         n = input.shape[axis]
         steps = [_taps("bilinear" if window.startswith("pyr") else window, n, result, align_corners, antialias, input)]
@@ -192,7 +194,14 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
         if height < h or width < w:
             images = _blurred(images.to(compute_dtype(images)), h / height, w / width)
         antialias = False
-    found = resized(pixels(images), [height, width], interpolation, align_corners or False, antialias, "replicate")
+    found = resized(
+        pixels(images),
+        [height, width],
+        INTERPOLATION[interpolation],
+        align_corners or False,
+        antialias,
+        BORDER["replicate"],
+    )
     if input.dtype == torch.uint8 and found.dtype != torch.uint8:
         found = saturate_to_byte(found)
     if found.dim() != input.dim():

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype
+from kvision._modes import INTERPOLATION_NAMES, PADDING, PADDING_NAMES, WARP_FORMULA
 from kvision._ops import Operator, on_cuda, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -153,7 +154,7 @@ def to_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
 def _warp_reference(image, matrix, fill, size, interpolation, padding, align_corners, inverse, normalized):
     matrix = matrix.expand(image.shape[0], -1, -1)
     coords = source_coords(matrix, size, image.shape[2:], align_corners, inverse, normalized)
-    return sample(image, coords, interpolation, padding, align_corners, fill)
+    return sample(image, coords, INTERPOLATION_NAMES[interpolation], PADDING_NAMES[padding], align_corners, fill)
 
 
 def _warp_backward(needs, grad, image, matrix, fill, size, *options):
@@ -199,9 +200,9 @@ def _matrix_backward_reference(grad, image, matrix, fill, *options):
 
 
 def _adds_by_atomics(
-    grad: Tensor, matrix: Tensor, size: Sequence[int], interpolation: str, padding: str, *_: bool
+    grad: Tensor, matrix: Tensor, size: Sequence[int], interpolation: int, padding: int, *_: bool
 ) -> bool:
-    return grad.is_cuda and padding != "fill"
+    return grad.is_cuda and padding != PADDING["fill"]
 
 
 warp = register(
@@ -239,12 +240,14 @@ class Formula(NamedTuple):
 def register_warp_by_formula(by: Operator, formulas: dict[str, Formula], *unused: None, **rules: Any) -> Operator:
     """A warp whose matrix a formula computes in the same launch, from up to six tensors and numbers; `by` is the warp.
 
-    Takes the images, six tensors or None, the name of the formula, its plain arguments, then the arguments of `by` after
+    Takes the images, six tensors or None, the number of the formula, its plain arguments, then the arguments of `by` after
     its matrix and the tensors `unused`.
     """
 
+    by_number = {WARP_FORMULA[name]: formula for name, formula in formulas.items()}
+
     def split(image: Tensor, args: Sequence[Any]) -> tuple[Formula, tuple[Any, ...], Sequence[Any]]:
-        formula = formulas[args[6]]
+        formula = by_number[args[6]]
         first = args[0]
         if first is None:  # a translation
             first = torch.zeros(1, len(args[7]), dtype=compute_dtype(image), device=image.device)
@@ -302,7 +305,7 @@ def _remap_reference(image, map_x, map_y, fill, interpolation, padding, align_co
         elif normalized:
             coord = coord + (size - 1) / 2
         coords.append(coord)
-    return sample(image, coords, interpolation, padding, align_corners, fill)
+    return sample(image, coords, INTERPOLATION_NAMES[interpolation], PADDING_NAMES[padding], align_corners, fill)
 
 
 def _remap_backward(needs, grad, image, map_x, map_y, fill, *options):
@@ -378,12 +381,12 @@ def check_options(op: str, mode: Any, padding_mode: Any, align_corners: Any) -> 
     _check.flag(op, "align_corners", align_corners)
 
 
-def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any) -> tuple[str, Tensor | None]:
+def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any) -> tuple[int, Tensor | None]:
     """The padding and the fill as the operators take them."""
     if padding_mode in ("border", "reflection"):
-        return padding_mode, None
+        return PADDING[padding_mode], None
     if padding_mode == "zeros" or fill_value is None:
-        return "fill", None
+        return PADDING["fill"], None
     dtype = compute_dtype(image)
     if isinstance(fill_value, (int, float)):
         fill_value = image.new_full((), fill_value, dtype=dtype)  # created on the device: a copy would wait for it
@@ -401,7 +404,7 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
         raise ShapeError(
             f"{op}: expected fill_value of shape (), ({c},) or ({b}, {c}, 1, 1), got {tuple(shape)}", actual_shape=shape
         )
-    return "fill", as_dtype(fill_value, dtype)
+    return PADDING["fill"], as_dtype(fill_value, dtype)
 
 
 def symbolic_point(image: Tensor, x: float, y: float) -> Tensor:

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import floats, pixels
+from kvision._modes import INTERPOLATION
 from kvision.core.exceptions import ShapeError
 from kvision.geometry._transform_points import transformed
 from kvision.geometry.transform import sampling
@@ -112,7 +113,7 @@ def _warp(op, src, M, rows, dsize, mode, padding_mode, align_corners, fill_value
     sampling.check_options(op, mode, padding_mode, align_corners)
     src, M = broadcast_batch(op, src, "M", M)
     padding, fill = sampling.padding_and_fill(op, src, padding_mode, fill_value)
-    return sampling.warp(src, M, fill, list(size), mode, padding, align_corners, True, False)
+    return sampling.warp(src, M, fill, list(size), INTERPOLATION[mode], padding, align_corners, True, False)
 
 
 def broadcast_batch(op: str, image: Tensor, name: str, other: Tensor) -> tuple[Tensor, Tensor]:
@@ -176,7 +177,9 @@ def homography_warp(
     image, matrix = broadcast_batch(op, patch_src, "src_homo_dst", src_homo_dst)
     normalized = normalized_coordinates and normalized_homography
     padding, _ = sampling.padding_and_fill(op, image, padding_mode, None)
-    return sampling.warp(image, matrix, None, list(size), mode, padding, align_corners, False, normalized)
+    return sampling.warp(
+        image, matrix, None, list(size), INTERPOLATION[mode], padding, align_corners, False, normalized
+    )
 
 
 def remap(
@@ -230,7 +233,9 @@ def remap(
     image, map_x = broadcast_batch("remap", image, "map_x", map_x)
     map_y = sampling.cast_to_image("remap", image, "map_y", map_y)
     padding, _ = sampling.padding_and_fill("remap", image, padding_mode, None)
-    return sampling.remap(image, map_x, map_y, None, mode, padding, align_corners, normalized_coordinates, False)
+    return sampling.remap(
+        image, map_x, map_y, None, INTERPOLATION[mode], padding, align_corners, normalized_coordinates, False
+    )
 
 
 def warp_grid(grid: Tensor, src_homo_dst: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from kvision import _check
 from kvision._dtype import as_dtype, compute_dtype, floats
+from kvision._modes import INTERPOLATION, INTERPOLATION_NAMES, PADDING, PADDING_NAMES, WARP_FORMULA
 from kvision._ops import on_cuda, register
 from kvision.core.exceptions import ShapeError
 from kvision.geometry.conversions.homogeneous import homogeneous
@@ -306,7 +307,7 @@ def by_formula(
     """Warp volumes by the matrix that a formula computes from numbers and up to six tensors in the dtype of the computation."""
     options = _how(op, dsize, mode, padding_mode, align_corners)
     six = given + (None,) * (6 - len(given))
-    return _warp3d_by_formula(floats(volumes), *six, formula, numbers, *options, inverse, False)
+    return _warp3d_by_formula(floats(volumes), *six, WARP_FORMULA[formula], numbers, *options, inverse, False)
 
 
 def _how(op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_corners: bool) -> tuple[Any, ...]:
@@ -314,7 +315,8 @@ def _how(op: str, dsize: tuple[int, ...], mode: str, padding_mode: str, align_co
     _check.choice(op, "mode", mode, sampling.INTERPOLATIONS[:2])
     _check.choice(op, "padding_mode", padding_mode, sampling.PADDINGS[:3])
     _check.flag(op, "align_corners", align_corners)
-    return list(size), mode, "fill" if padding_mode == "zeros" else padding_mode, align_corners
+    padding = PADDING["fill" if padding_mode == "zeros" else padding_mode]
+    return list(size), INTERPOLATION[mode], padding, align_corners
 
 
 # --- the operators --------------------------------------------------------------------------------------------------
@@ -332,7 +334,7 @@ def _reference(volumes, matrix, size, interpolation, padding, align_corners, inv
     z, y, x = torch.meshgrid(*axes, indexing="ij")
     coords = transform_grid(torch.stack([x, y, z], -1)[None], m.to(matrix.dtype)).unbind(-1)
     coords = [p.expand(volumes.shape[0], -1, -1, -1) for p in coords]
-    return sampling.sample(volumes, coords, interpolation, padding, align_corners)
+    return sampling.sample(volumes, coords, INTERPOLATION_NAMES[interpolation], PADDING_NAMES[padding], align_corners)
 
 
 def _from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:

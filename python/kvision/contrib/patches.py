@@ -236,6 +236,8 @@ def _windows(op: str, window_size: Any, stride: Any) -> tuple[tuple[int, int], t
 
 
 def _pads(op: str, name: str, value: Any) -> Pad:
+    if type(value) is int and value >= 0:
+        return (value, value, value, value)
     sides = (value, value) if _check.is_int(value) else value
     if not isinstance(sides, (tuple, list)) or len(sides) not in (2, 4) or not all(map(_check.is_int, sides)):
         raise TypeCheckError(f"{op}: expected {name} to be an int, 2 or 4 ints, got {value!r}", actual_type=type(value))

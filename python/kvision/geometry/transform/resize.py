@@ -183,7 +183,7 @@ def _resize(op, input, size, interpolation, align_corners, side, antialias):
     if align_corners is not None:
         _check.flag(op, "align_corners", align_corners)
     h, w = input.shape[-2:]
-    if _check.is_int(size):
+    if not isinstance(size, (tuple, list)) and _check.is_int(size):
         height, width = _from_side(_check.ints(op, "size", size, 1)[0], h, w, side)
     else:
         height, width = _check.ints(op, "size", size, 2)

@@ -1,4 +1,5 @@
-// 3 x 3 matrices, row by row, and vectors of three numbers. V is a number, Lanes or a Dual. Included by geometry's kernels.
+// 3 x 3 matrices, row by row, and vectors of three numbers. V is a number, Lanes or a Dual. Included by geometry's
+// kernels.
 #pragma once
 
 #include "hd.h"

@@ -100,8 +100,8 @@ KV_HD V extreme(V a, V b) {
 
 constexpr int kSmall = 4;  // windows of up to so many rows are computed row by row
 
-// Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is low, `height` adjacent windows share a common row:
-// each combines the suffix maxima up to that row (`above`) with the prefix maximum of the rows below it (`below`).
+// Output rows y0 ... y1 - 1 of a plane. Along y, unless the window is low, `height` adjacent windows share a common
+// row: each combines the suffix maxima up to that row (`above`) with the prefix maximum of the rows below it (`below`).
 template <bool Erode, class T>
 void flat_rows(Dilation<T> const& p, Source<T> const& source, int64_t plane, int64_t y0, int64_t y1) {
   using F = Compute<T>;

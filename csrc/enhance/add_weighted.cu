@@ -1,4 +1,4 @@
-// Mixing two images on CUDA: two vectors a thread.
+// CUDA kernel for add_weighted: each thread computes two vectors.
 #include "add_weighted.h"
 #include "core/launch.cuh"
 

@@ -1,5 +1,5 @@
-// Two images result: alpha x + beta y + gamma, with weights that are numbers or the images' or channels' own. Included
-// by add_weighted_cpu.cpp, add_weighted.cu and add_weighted_op.cpp.
+// Parameters of add_weighted, alpha x + beta y + gamma. A weight is a number, or a tensor with one value per image or
+// per channel. Included by add_weighted_cpu.cpp, add_weighted.cu and add_weighted_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -9,13 +9,13 @@ namespace kv {
 
 template <class T>
 struct AddWeighted {
-  // A weight: the number where there are no data.
+  // A weight: `number` if there is no tensor.
   struct Weight {
     Compute<T> const* data;
     int64_t of_image, of_channel;  // strides
     Compute<T> number;
   };
-  Planes<T const> x, y;  // of one row each: inner ones are channels with weights of their own
+  Planes<T const> x, y;  // one row per plane; an inner plane is a channel with its own weights
   Planes<T> result;
   Weight alpha, beta, gamma;
 

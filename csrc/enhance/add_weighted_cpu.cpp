@@ -1,4 +1,4 @@
-// Mixing two images on the CPU. Compiled once per instruction set.
+// CPU kernel for add_weighted. Compiled once per instruction set.
 #include "add_weighted.h"
 #include "core/lanes.h"
 

@@ -1,4 +1,4 @@
-// Mixing two images: schema and entry, for CPU and CUDA alike.
+// add_weighted: schema and operator, for CPU and CUDA.
 #include "add_weighted.h"
 #include "glue/glue.h"
 
@@ -7,7 +7,7 @@ namespace {
 
 using OptionalTensor = std::optional<Tensor>;
 
-// `x` itself, or a dense copy.
+// `x`, copied only if it is not dense.
 Tensor whole(Tensor const& x, Layout layout) {
   if (layout == Layout::planar) return dense(x);
   Tensor const y = as_layout(x, layout);
@@ -17,7 +17,7 @@ Tensor whole(Tensor const& x, Layout layout) {
 Tensor add_weighted(Tensor const& input, Tensor const& other, OptionalTensor const& alpha, OptionalTensor const& beta,
                     OptionalTensor const& gamma, double a, double b, double c) {
   check_images("add_weighted", "input", input);
-  bool const one = other.dim() == 4 && other.size(0) == 1 && input.size(0) > 1;  // for all images
+  bool const one = other.dim() == 4 && other.size(0) == 1 && input.size(0) > 1;  // one image broadcast to the batch
   bool same = other.dim() == 4 && (one || other.size(0) == input.size(0)) && other.device() == input.device() &&
               other.scalar_type() == input.scalar_type();
   for (int64_t axis = 1; axis < 4; ++axis) same = same && other.size(axis) == input.size(axis);
@@ -41,7 +41,7 @@ Tensor add_weighted(Tensor const& input, Tensor const& other, OptionalTensor con
   int64_t const images = x.size(0), channels = x.size(1), pixels = x.size(2) * x.size(3), of_image = channels * pixels;
   dispatch_floating("add_weighted", x, [&](auto type) {
     using T = typename decltype(type)::type;
-    // Everything is one row, or an image is, or a channel.
+    // Rows as long as possible: the whole tensor, an image, or a channel.
     auto const rows = [&]<class U>(Type<U>, Tensor const& t) -> Planes<U> {
       int64_t const image = t.size(0) == images ? of_image : 0;
       auto* const data = static_cast<U*>(const_cast<void*>(t.const_data_ptr()));

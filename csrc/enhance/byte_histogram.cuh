@@ -1,4 +1,4 @@
-// Levels on CUDA: pixels by vectors, and histograms in shared memory. Included by *.cu files.
+// Histograms of 8-bit levels in shared memory, and vectorized loads of pixels. Included by *.cu files.
 #pragma once
 
 #include "byte_histogram.h"
@@ -16,7 +16,8 @@ __device__ __forceinline__ int level_of(T stored) {
   return x < 255 ? int(x) : 255;
 }
 
-// P pixels of a flat plane from the i-th on, those from `end` on 0. Vectorized: they are aligned, and none is missing.
+// Loads P pixels of a flat plane from index i; pixels from `end` on are 0. Vectorized: the pixels are aligned, and all
+// are before `end`.
 template <bool Vectorized, int P, class T>
 __device__ __forceinline__ Vector<T, P> load_pixels(T const* x, int64_t step, int i, int end) {
   Vector<T, P> vector{};
@@ -41,7 +42,8 @@ __device__ __forceinline__ void store_pixels(T* y, int64_t step, int i, int end,
   }
 }
 
-// Calls f(vector, i) for the pixels [begin, end) of a plane, a vector a thread and several of them asked for at once.
+// Calls f(vector, i) for the pixels [begin, end) of a plane. Each thread issues several vector loads before it uses
+// one.
 template <int Threads, bool Vectorized, int P, class T, class F>
 __device__ __forceinline__ void for_each_vector(T const* x, int64_t step, int begin, int end, F f) {
   constexpr int kAtOnce = Vectorized ? 4 : 1;
@@ -60,8 +62,9 @@ __device__ __forceinline__ void for_each_vector(T const* x, int64_t step, int be
   }
 }
 
-// Counts of levels in shared memory, `Copies` of each: pixels beside each other are alike, and threads that count the
-// same level in the same copy wait for each other. The copies of a level are neighbors, so in different banks.
+// Level counts in shared memory, with `Copies` counters per level. Neighboring pixels often have the same level, and
+// atomic additions to the same counter are serialized. The copies of a level are adjacent, so they are in different
+// banks.
 template <int Copies>
 struct LevelCounter {
   static constexpr int kSize = kLevels * Copies;
@@ -80,7 +83,7 @@ struct LevelCounter {
   }
 };
 
-// The sum of `count` over the threads of the block up to this one, and over all of them.
+// An inclusive prefix sum of `count` over the threads of the block, and the total.
 template <int Threads>
 __device__ __forceinline__ int block_inclusive_scan(int count, int& total) {
   __shared__ int sums[Threads / 32];
@@ -91,7 +94,7 @@ __device__ __forceinline__ int block_inclusive_scan(int count, int& total) {
     int const before = __shfl_up_sync(0xffffffffu, sum, d);
     if (lane >= d) sum += before;
   }
-  __syncthreads();  // the memory may be in use for another sum
+  __syncthreads();  // an earlier sum may still use the memory
   if (lane == 31) sums[warp] = sum;
   __syncthreads();
   total = 0;

@@ -1,6 +1,6 @@
-// Images as 8-bit levels: what equalize and equalize_clahe count. The level of a pixel is floor(255 x), the product
-// rounded to the type of the image, values outside [0, 1] saturated; a NaN has a level of its own, which does not
-// count.
+// Quantization of images to 8-bit levels, shared by equalize and equalize_clahe. The level of a pixel is floor(255 x):
+// the product is rounded to the type of the image, and values outside [0, 1] saturate. NaN has a separate level, which
+// histograms leave out.
 #pragma once
 
 #include "core/half.h"

@@ -1,4 +1,4 @@
-// Levels on the CPU, a chunk of a plane at a time. Included by *_cpu.cpp files.
+// Histograms of 8-bit levels on the CPU, computed in chunks of a plane. Included by *_cpu.cpp files.
 #pragma once
 
 #include "byte_histogram.h"
@@ -26,7 +26,7 @@ KV_HD Lanes<int32_t, N> levels_of(Lanes<Compute<T>, N> x) {
     return __builtin_convertvector(is_nan ? broadcast<N>(F(kNanLevel)) : x, Lanes<int32_t, N>);
 }
 
-// n <= kChunk pixels that are `step` elements apart, beside each other.
+// Quantizes n <= kChunk pixels with stride `step` to contiguous levels.
 template <class T>
 KV_HD T const* gather(T const* x, int64_t step, int64_t n, T* memory) {
   if (step == 1) return x;
@@ -46,7 +46,7 @@ KV_HD void levels_of(T const* x, int64_t n, uint16_t* level) {
   });
 }
 
-// Counts levels in four tables in turns: a count that waits for the one before it, of the same level, is slow.
+// Counts levels in four tables in turn: increments of one counter in a row would each wait for the one before.
 struct LevelCounts {
   int32_t of[4][kLevels + 1];
   KV_HD void add(uint16_t const* level, int64_t n) {

@@ -1,13 +1,13 @@
-// CLAHE on CUDA: one launch makes the tables, one block a tile; one maps the pixels, a few blocks a cell, each with the
-// cell's four tables as one of four bytes an entry in shared memory.
+// CLAHE on CUDA. The first launch builds the tables, one block per tile. The second one maps the pixels, a few blocks
+// per cell: each block interleaves the cell's four tables in shared memory, four bytes per entry.
 #include "byte_histogram.cuh"
 #include "clahe.h"
 
 namespace kv::cuda {
 namespace {
 
-// Goes over a rectangle of width x height pixels, P beside each other at once: load(x, y) reads them, and what at(x)
-// returns is called with (y, vector) for those of one column, which stays the thread's own.
+// Traverses a rectangle of width x height pixels in vectors of P neighbors. load(x, y) reads a vector; at(x) returns a
+// function that is called with (y, vector) for the vectors of one column, and its state stays in the thread.
 template <int Threads, int P, class Load, class At>
 __device__ __forceinline__ void for_each_vector(int width, int height, Load load, At at) {
   constexpr int kAtOnce = 4;
@@ -29,7 +29,7 @@ __device__ __forceinline__ void for_each_vector(int width, int height, Load load
   }
 }
 
-// Whether pixels [begin, end) of a row are whole vectors.
+// Whether pixels [begin, end) of a row consist of whole aligned vectors.
 template <int P>
 __device__ __forceinline__ bool rows_are_aligned(bool aligned, int begin, int end) {
   return aligned && begin % P == 0 && end % P == 0;
@@ -39,7 +39,7 @@ template <class T, int Threads>
 __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned) {
   using F = Compute<T>;
   using Counter = LevelCounter<Threads / 32>;
-  constexpr int kEach = Threads < kLevels ? kLevels / Threads : 1;  // levels a thread
+  constexpr int kEach = Threads < kLevels ? kLevels / Threads : 1;  // levels per thread
   __shared__ int32_t counts[Counter::kSize];
   Counter const counter{counts};
   unsigned const tiles = unsigned(p.down.count * p.across.count), plane = blockIdx.x / tiles;
@@ -95,18 +95,18 @@ __global__ void __launch_bounds__(Threads) make_tables(Clahe<T> p, bool aligned)
   if (first < kLevels) *reinterpret_cast<Vector<uint8_t, kEach>*>(table + first) = levels;
 }
 
-constexpr int kThreads = 64;  // what a block prepares for its cell is most of the work of more
+constexpr int kThreads = 64;  // larger blocks spend most of their time on the cell's tables
 
-// Byte k of four, as a number.
+// Byte k of four, as a floating-point number.
 template <class F>
 __device__ __forceinline__ F byte_of(uint32_t four, int k) {
-  if constexpr (sizeof(F) == 4)  // 2^23 and the byte: a conversion would take four times as long
+  if constexpr (sizeof(F) == 4)  // 2^23 plus the byte, as bits: a conversion instruction takes four times as long
     return __uint_as_float(__byte_perm(four, 0x4b000000u, 0x7440 + k)) - F(1 << 23);
   else
     return F(four >> 8 * k & 255);
 }
-// v / 255, rounded as a division of floats is, with a third of its instructions (P. Markstein, "Computation of
-// elementary functions on the IBM RISC System/6000 processor", 1990).
+// v / 255, rounded like a float division, in a third of its instructions (P. Markstein, "Computation of elementary
+// functions on the IBM RISC System/6000 processor", 1990).
 __device__ __forceinline__ float over_255(float v) {
   constexpr float one = 1.f / 255;
   float const q = v * one;
@@ -137,7 +137,7 @@ __global__ void __launch_bounds__(kThreads) map_cells(Clahe<T> p, bool aligned, 
                  d = word(p.down.after(cy), p.across.after(cx), i);
 #pragma unroll
   for (int k = 0; k < 4; ++k) {
-    unsigned const pick = k | (k + 4) << 4;  // byte k of both
+    unsigned const pick = k | (k + 4) << 4;  // byte k of both words
     cell[4 * i + k] = __byte_perm(__byte_perm(a, b, pick), __byte_perm(c, d, pick), 0x5410);
   }
   __syncthreads();

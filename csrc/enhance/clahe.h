@@ -1,9 +1,10 @@
-// Contrast-limited adaptive equalization in two steps: a table from level to level for every tile of a plane, and
-// pixels mapped by the tables of the four tiles around them. Included by clahe_cpu.cpp, clahe.cu, clahe_op.cpp.
+// Contrast-limited adaptive histogram equalization in two steps: a table from level to level for every tile of a plane,
+// then an interpolation of every pixel between the tables of the four nearest tiles. Included by clahe_cpu.cpp,
+// clahe.cu and clahe_op.cpp.
 //
-//   +---+---+---+   Tiles, and the cells between their centers: all pixels of a cell are mapped by the same
-//   | o-|-o-|-o |   four tables. There is one cell more than tiles along either axis; in those along the rim
-//   +-|-+-|-+-|-+   two tables are the same one.
+//   +---+---+---+   Tiles, and the cells between their centers. All pixels of a cell use the same four tables.
+//   | o-|-o-|-o |   Either axis has one cell more than it has tiles. In cells along the border, two of the
+//   +-|-+-|-+-|-+   tables are the same.
 //   | o-|-o-|-o |
 //   +---+---+---+
 #pragma once
@@ -13,8 +14,8 @@
 
 namespace kv {
 
-// a * b, rounded. The compiler does not join it with a sum into one step, so the result has the same bits on every
-// processor, and those of OpenCV where it is asked for them.
+// a * b, rounded: the compiler must not contract it with a sum into an fma. The result then has the same bits on every
+// processor, and OpenCV's bits where these are requested.
 template <class V, class W>
 KV_HD V product(V a, W b) {
 #if defined(__CUDA_ARCH__)
@@ -33,25 +34,25 @@ KV_HD V product(V a, W b) {
 #endif
 }
 
-// The tiles or the cells along one axis.
+// The tiles or cells along one axis.
 struct TileAxis {
-  int count, size;  // tiles, and pixels of each; together they may be more than `pixels`
+  int count, size;  // tiles, and pixels of each; count * size may exceed `pixels`
   int pixels;
-  bool half;  // pixel i is at i + 1/2; OpenCV has it at i
+  bool half;  // the center of pixel i is at i + 1/2; OpenCV: at i
 
-  // The first pixel of a cell; of the one behind the last, the number of pixels.
+  // The first pixel of a cell; for the index after the last cell, the number of pixels.
   KV_HD int cell(int i) const {
     int64_t const twice = int64_t(size) * (2 * i - 1) - half;
     return int(clamp((twice + 1) >> 1, int64_t(0), int64_t(pixels)));
   }
   KV_HD int before(int cell) const { return max(cell - 1, 0); }
   KV_HD int after(int cell) const { return min(cell, count - 1); }
-  // How much of a pixel is the later tile's.
+  // The interpolation weight of the later tile.
   template <class F>
   KV_HD F weight(int i, int cell) const {
     return product(F(i) + (half ? F(0.5) : F(0)), 1 / F(size)) - F(0.5) - F(cell - 1);
   }
-  // The plane goes on by reflection, as often as it takes.
+  // The pixel index after repeated reflection at the borders.
   KV_HD int reflected(int i) const {
     if (i < pixels) return i;
     int const period = max(2 * (pixels - 1), 1);
@@ -62,18 +63,18 @@ struct TileAxis {
 
 template <class T>
 struct Clahe {
-  Planes<T const> x;  // a plane is a channel
+  Planes<T const> x;  // one plane per channel
   Planes<T> y;
   TileAxis down, across;
-  int32_t limit;    // of a tile's counts
+  int32_t limit;    // the clip limit of a tile's counts
   bool to_levels;   // the result is rounded to levels
-  uint8_t* tables;  // kLevels for every tile of every plane, on CUDA only
+  uint8_t* tables;  // CUDA: kLevels for every tile of every plane
 };
 
 KV_KERNEL(clahe, Clahe)
 
-// What is above the limit in all counts is spread: an equal share for every level, and the rest, as OpenCV does it, one
-// by one to levels at equal distances.
+// Redistribution of the counts above the clip limit: an equal amount for every level. OpenCV adds the remainder one by
+// one to levels at equal distances.
 struct Excess {
   int32_t share, rest, distance, inverse;
   KV_HD explicit Excess(int32_t excess)
@@ -87,7 +88,8 @@ struct Excess {
   }
 };
 
-// The pixel that the tables of the tiles before and after it, up (a, b) and down (c, d), make into these levels.
+// The levels in the tables of the four nearest tiles, above (a, b) and below (c, d), interpolated to the resulting
+// pixel.
 template <class V, class W>
 KV_HD V mixed(V a, V b, V c, V d, W x, W y) {
   auto const between = [](V u, V v, W w) { return product(u, 1 - w) + product(v, w); };

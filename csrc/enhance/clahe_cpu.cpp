@@ -1,6 +1,6 @@
-// CLAHE on the CPU: a plane's tables, then its rows. Pixels become levels row by row, as memory is read fastest, and
-// tiles count these. The four tables of a cell become one of four bytes an entry, so a pixel is one look-up and some
-// vector arithmetic.
+// CLAHE on the CPU: a plane's tables, then its rows. Pixels are quantized row by row, which is the fastest order for
+// memory, and histograms of tiles count these levels. The four tables of a cell are interleaved, four bytes per entry:
+// a pixel needs one look-up and some vector arithmetic. Compiled once per instruction set.
 #include "byte_histogram_cpu.h"
 #include "clahe.h"
 #include "core/scratch.h"
@@ -10,7 +10,7 @@ namespace {
 
 template <class V, class F>
 KV_HD V round_even(V v, F) {
-  constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);  // whose last place is 1
+  constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);  // its last bit has the value 1
   return (v + shift) - shift;
 }
 
@@ -39,7 +39,7 @@ KV_HD void make_table(LevelCounts const& counts, int32_t limit, F scale, uint8_t
   }
 }
 
-// Makes the tables of a plane, and the levels of its pixels; returns whether one is NaN.
+// Computes the tables of a plane and the levels of its pixels; returns whether a pixel is NaN.
 template <class T>
 KV_HD bool make_tables(Clahe<T> const& p, int64_t plane, uint8_t* tables, uint16_t* levels) {
   using F = Compute<T>;
@@ -82,7 +82,7 @@ KV_HD Lanes<F, N> byte_of(uint32_t const* four, int place) {
         Lanes<F, N>);
 }
 
-// The four tables of a cell in one.
+// The four tables of a cell, interleaved.
 template <class T>
 KV_HD void make_cell(Clahe<T> const& p, int cy, int cx, uint8_t const* tables, uint32_t* cell) {
   auto const table = [&](int ty, int tx) { return tables + (ty * p.across.count + tx) * kLevels; };
@@ -91,7 +91,7 @@ KV_HD void make_cell(Clahe<T> const& p, int cy, int cx, uint8_t const* tables, u
                        *const c = table(p.down.after(cy), p.across.before(cx)),
                        *const d = table(p.down.after(cy), p.across.after(cx));
   using Double4 = Lanes<uint32_t, 8>;
-  auto const bytes = [](uint8_t const* p) {  // through 16 bits: GCC takes a wider step byte by byte
+  auto const bytes = [](uint8_t const* p) {  // through 16 bits: GCC does a wider conversion byte by byte
     auto const half = __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, 8> const*>(p), Lanes<uint16_t, 8>);
     return __builtin_convertvector(half, Double4);
   };
@@ -100,7 +100,7 @@ KV_HD void make_cell(Clahe<T> const& p, int cy, int cx, uint8_t const* tables, u
   cell[kNanLevel] = 0;
 }
 
-// What the rows of a plane are mapped with.
+// The tables of a plane, and how to map its rows by them.
 template <class F>
 struct ClaheRow {
   static constexpr int kCell = kLevels + 1;

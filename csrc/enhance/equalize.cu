@@ -1,5 +1,6 @@
-// Equalization on CUDA. A plane that fits one multiprocessor as bytes is read once: the block that counts its levels
-// keeps them, and maps them when the table is there. Others are counted by several blocks and read again.
+// Histogram equalization on CUDA. A plane whose levels fit the shared memory of one multiprocessor is read once: one
+// block counts its levels, keeps them as bytes and maps them with the table. Larger planes are counted by several
+// blocks and read again.
 #include "byte_histogram.cuh"
 #include "equalize.h"
 
@@ -10,14 +11,14 @@ constexpr int kThreads = 384;
 using Counter = LevelCounter<8>;
 constexpr int kCountBytes = Counter::kSize * int(sizeof(int32_t));
 template <class T>
-constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // a multiprocessor
+constexpr int kBlocks = sizeof(T) == 8 ? 2 : 3;  // per multiprocessor
 
-// A few large planes keep more multiprocessors busy in chunks.
+// A few large planes use more multiprocessors if they are split into chunks.
 constexpr bool fits_one_block(int64_t planes, int64_t pixels) {
   return pixels <= (planes >= 64 ? 192 << 10 : 16 << 10);
 }
 
-// The table from level to value, as many copies of it as fit the memory of the counts.
+// The table from level to value, in as many copies as fit the memory of the counts.
 template <class F>
 struct Table {
   static constexpr int kTables = kCountBytes / (kLevels * int(sizeof(F)));
@@ -25,7 +26,8 @@ struct Table {
   __device__ __forceinline__ F operator[](int level) const { return values[level * kTables + threadIdx.x % kTables]; }
 };
 
-// From the count of thread i's level, for i < kLevels, to the table, in `memory`. False where the plane stays as it is.
+// Builds the table in `memory` from the counts; thread i < kLevels has the count of level i. False if the plane stays
+// unchanged.
 template <class F>
 __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory, int& total) {
   __shared__ int darkest, brightest;
@@ -33,7 +35,7 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
   if (level == 0) darkest = brightest = 0;
   if (level >= kLevels) count = 0;
   int const up_to = block_inclusive_scan<kThreads>(count, total);
-  if (count > 0 && up_to == count) darkest = count;  // all darker ones are empty
+  if (count > 0 && up_to == count) darkest = count;  // all darker levels are empty
   if (count > 0 && up_to == total) brightest = count;
   __syncthreads();
   Curve const curve{opencv, total, darkest, brightest};
@@ -47,7 +49,7 @@ __device__ __forceinline__ bool make_table(int count, bool opencv, void* memory,
   return curve.changes();
 }
 
-// Maps the pixels [begin, end) of a plane; without a table they stay as they are.
+// Maps the pixels [begin, end) of a plane; without a table, copies them.
 template <bool Vectorized, class T>
 __device__ __forceinline__ void map_pixels(Equalize<T> const& p, int64_t plane, int begin, int end, bool has_table,
                                            Table<Compute<T>> table) {
@@ -71,7 +73,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   constexpr int P = kPixels<T>;
   extern __shared__ __align__(16) unsigned char memory[];
   Counter const counter{reinterpret_cast<int32_t*>(memory)};
-  unsigned char* const levels = memory + kCountBytes;  // one a pixel, in vectors
+  unsigned char* const levels = memory + kCountBytes;  // one per pixel, in vectors
   int const n = int(p.x.width);
 
   counter.clear();
@@ -97,7 +99,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   if (threadIdx.x == 0)
     p.changed[blockIdx.x] = round_to<T>(F(int(!changes ? Change::none : has_nan ? Change::but_nan : Change::all)));
 
-  // A byte has no room for NaN.
+  // A byte cannot represent NaN.
   if (has_nan || !changes) return map_pixels<true>(p, blockIdx.x, 0, n, changes, table);
   T* const y = p.y.plane(blockIdx.x);
   for (int i = int(threadIdx.x) * P; i < n; i += kThreads * P) {
@@ -109,7 +111,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) equalize_plane(Equalize<
   }
 }
 
-// Chunks of planes, `each` pixels a block.
+// Chunks of planes, `each` pixels per block.
 template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads, kBlocks<T>) count_levels(Equalize<T> p, unsigned chunks, int each) {
   constexpr int P = kPixels<T>;
@@ -147,7 +149,7 @@ __global__ void __launch_bounds__(kThreads, kBlocks<T>) map_levels(Equalize<T> p
                          Table<F>{reinterpret_cast<F*>(memory)});
 }
 
-// The gradient is read where it counts: nowhere, in most planes.
+// The gradient is read only where it passes: nowhere, for most planes.
 template <class T, bool Vectorized>
 __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<T> p, unsigned chunks, int each) {
   using F = Compute<T>;
@@ -182,7 +184,7 @@ __global__ void __launch_bounds__(kThreads) equalize_gradients(EqualizeBackward<
 template <bool Vectorized, class T>
 int equalize_in_chunks(Equalize<T> const& p, CUstream_st* stream) {
   int64_t const planes = p.x.count(), pixels = p.x.width;
-  // Small enough that all multiprocessors have several, large enough that tables are a small part of the work.
+  // Small enough for several blocks on every multiprocessor, large enough that the tables cost little.
   int64_t const each = clamp((planes * pixels) >> 10, int64_t(8) << 10, int64_t(64) << 10) / 4096 * 4096;
   unsigned const chunks = unsigned(ceil_div(pixels, each)), blocks = unsigned(planes) * chunks;
   if (int const error = cudaMemsetAsync(p.counts, 0, planes * kLevels * sizeof(int32_t), stream)) return error;

@@ -1,4 +1,4 @@
-// Equalization on the CPU: count, make the table, map.
+// Histogram equalization on the CPU: count, build the table, map. Compiled once per instruction set.
 #include "byte_histogram_cpu.h"
 #include "core/scratch.h"
 #include "equalize.h"
@@ -6,7 +6,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// What every level becomes, and NaN. False where the plane stays as it is.
+// Builds the table from level to value, with an entry for NaN. False if the plane stays unchanged.
 template <class T>
 KV_HD bool make_table(LevelCounts const& counts, bool opencv, T (&table)[kLevels + 1], int32_t& counted) {
   using F = Compute<T>;
@@ -35,7 +35,7 @@ template <class T>
 void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
   T memory[kChunk], table[kLevels + 1];
   int64_t const pixels = p.x.width, from = p.x.step, to = p.y.step;
-  Scratch<uint16_t> const levels(pixels);  // of a plane: to keep them takes less time than to find them again
+  Scratch<uint16_t> const levels(pixels);  // of a plane: keeping them takes less time than quantizing twice
   uint16_t const* const level = levels.data;
   for (int64_t plane = begin; plane < end; ++plane) {
     T const* const x = p.x.plane(plane);
@@ -55,7 +55,7 @@ void equalize(Equalize<T> const& p, int64_t begin, int64_t end) {
       continue;
     }
     int64_t i = 0;
-    for (; to == 1 && i + 4 <= pixels; i += 4) {  // four look-ups on their way at once
+    for (; to == 1 && i + 4 <= pixels; i += 4) {  // four independent look-ups in flight
       T const a = table[level[i]], b = table[level[i + 1]], c = table[level[i + 2]], d = table[level[i + 3]];
       y[i] = a, y[i + 1] = b, y[i + 2] = c, y[i + 3] = d;
     }

@@ -1,4 +1,4 @@
-// Equalization: schema and entry, for CPU and CUDA alike.
+// Histogram equalization: schema and operator, for CPU and CUDA.
 #include "equalize.h"
 #include "plane_views.h"
 
@@ -24,7 +24,7 @@ std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
   return {y, changed};
 }
 
-// Where `changed` is given, it is what equalize found; output is what it made.
+// `changed`, if it has data, is the Change per plane that equalize stored; output is its result.
 Tensor equalize_backward(Tensor const& grad, Tensor const& output, std::optional<Tensor> const& changed) {
   char const* const op = "equalize_backward";
   check_planes(op, grad);

@@ -1,5 +1,5 @@
-// Sums of Gaussians on CUDA: a block counts a chunk of a row. Moments are in shared memory, in fixed point, so that
-// atomic sums of them do not depend on their order.
+// Sums of Gaussians on CUDA: each block counts a chunk of a row. Moments are fixed-point sums in shared memory, so that
+// the order of atomic additions does not change the result.
 #include "histogram.h"
 #include "row_chunks.cuh"
 
@@ -11,7 +11,7 @@ template <class T>
 constexpr int kBytes = sizeof(T) == sizeof(float) ? 4 * kCells * int(sizeof(int)) : 0;  // of shared memory
 constexpr unsigned kAll = 0xffffffffu;
 
-// The grid of a row, without cells where they do not fit. `sorted`: whether centers ascend.
+// The grid of a row; it has no cells if they do not fit. `sorted`: centers ascend.
 __device__ __forceinline__ MomentGrid grid_of(float const* centers, int bins, float h, bool& sorted) {
   __shared__ float low[kWarps], high[kWarps];
   bool finite = true;
@@ -37,7 +37,7 @@ __device__ __forceinline__ MomentGrid grid_of(float const* centers, int bins, fl
   return MomentGrid(lowest, highest, h, finite ? kCells * kMaxParts : 0);
 }
 
-// A warp a center.
+// One warp per center.
 template <class T>
 __device__ __forceinline__ void count_directly(T const* x, int samples, T const* centers, T h, int bins, T* counts) {
   for (int k = threadIdx.x / 32; k < bins; k += kWarps) {
@@ -52,13 +52,14 @@ __device__ __forceinline__ void count_directly(T const* x, int samples, T const*
   }
 }
 
-// Moments of the cells of one part of the grid, each kCells of them.
+// Moments of kCells cells, a part of the grid.
 struct Moments {
   int* sums;
-  static constexpr float kScale1 = 1 << 15, kScale2 = 1 << 16, kScale3 = 1 << 17;  // |t| <= 1/2: none exceeds 2^14
+  static constexpr float kScale1 = 1 << 15, kScale2 = 1 << 16,
+                         kScale3 = 1 << 17;  // |t| <= 1/2: no scaled term exceeds 2^14
 
-  // All threads of a warp; those without a sample have a cell below 0. Where samples are alike, so are their cells, and
-  // threads that add to the same one wait for each other: then one adds for all.
+  // Called by all threads of a warp; a thread without a sample passes a negative cell. Equal samples have equal cells,
+  // and atomic additions to one cell are serialized: then one thread adds for the whole warp.
   __device__ __forceinline__ void add(int cell, float t) const {
     bool const alike = __all_sync(kAll, cell == __shfl_sync(kAll, cell, 0));
     if (cell < 0) return;
@@ -136,7 +137,7 @@ __global__ void __launch_bounds__(kThreads) count_chunk(Histogram<T> p) {
   count_directly(x, samples, centers, h, bins, counts);
 }
 
-// A thread a sample.
+// One thread per sample.
 template <class T>
 __device__ __forceinline__ void differentiate_directly(T const* x, int samples, T const* centers, T h, int bins,
                                                        T const* grad, T* grad_x) {
@@ -150,7 +151,7 @@ __device__ __forceinline__ void differentiate_directly(T const* x, int samples, 
   }
 }
 
-// The first of ascending centers that is not below x.
+// The index of the first of the ascending centers that is not below x.
 __device__ __forceinline__ int first_from(float const* centers, int bins, float x) {
   int begin = 0, end = bins;
   while (begin < end) {

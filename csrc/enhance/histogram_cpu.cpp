@@ -1,4 +1,4 @@
-// Sums of Gaussians on the CPU.
+// Sums of Gaussians on the CPU. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "histogram.h"
@@ -7,9 +7,9 @@ namespace kv::KV_ISA {
 namespace {
 
 constexpr int kChunk = 512, kMaxCells = 1 << 16;
-constexpr int64_t kFewSamples = 256;  // that cells are not worth the trouble for
+constexpr int64_t kFewSamples = 256;  // rows this short take less time without cells
 
-// Center by center and sample by sample.
+// One pass over all samples for each center.
 template <class T>
 KV_HD void count_directly(Histogram<T> const& p, T const* x, T const* centers, T h, T* counts) {
   for (int64_t k = 0; k < p.bins; ++k) {
@@ -32,7 +32,8 @@ KV_HD void count_directly(Histogram<T> const& p, T const* x, T const* centers, T
   }
 }
 
-// The cells of n <= kChunk samples, and their places there; of those outside, the cell behind the last.
+// The cells of n <= kChunk samples and the offsets within them; samples outside the grid get the cell after the last
+// one.
 KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* cell, float* t) {
   for_each_vector<float>(0, n, [&](auto width, int64_t i) {
     constexpr int N = decltype(width)::value;
@@ -48,7 +49,7 @@ KV_HD void cells_of(MomentGrid const& grid, float const* x, int64_t n, int32_t* 
   });
 }
 
-// Adds samples to the moments of their cells, four beside each other.
+// Adds samples to the moments of their cells; a cell's four moments are adjacent.
 KV_HD void add_moments(MomentGrid const& grid, float const* x, int64_t n, float* moments) {
   int32_t cell[kChunk];
   float t[kChunk];
@@ -72,7 +73,8 @@ KV_HD void count_cells(MomentGrid const& grid, float const* const (&m)[4], float
   for (int i = 0; i < N; ++i) step[i] = float(i) * grid.width;
   for (int64_t k = 0; k < bins; ++k) {
     V sum{};
-    for (int i = grid.begin(centers[k]), end = grid.end(centers[k]); i < end; i += N) {  // further cells do no harm
+    for (int i = grid.begin(centers[k]), end = grid.end(centers[k]); i < end;
+         i += N) {  // cells out of reach add next to nothing
       V const u = (step + (grid.middle(i) - centers[k])) * per;
       sum = sum + vexp2<float, N>(u * u * float(-kHalfLog2E)) *
                       weighted(u, w, load<N>(m[0] + i), load<N>(m[1] + i), load<N>(m[2] + i), load<N>(m[3] + i));
@@ -81,7 +83,7 @@ KV_HD void count_cells(MomentGrid const& grid, float const* const (&m)[4], float
   }
 }
 
-// The grid of a row, without cells where they do not fit or are not worth the trouble.
+// The grid of a row; it has no cells if they do not fit or do not pay off.
 KV_HD MomentGrid grid_of(Histogram<float> const& p, float const* centers, float h) {
   float lowest = centers[0], highest = centers[0];
   bool useful = p.samples > kFewSamples;
@@ -93,7 +95,7 @@ KV_HD MomentGrid grid_of(Histogram<float> const& p, float const* centers, float 
   return MomentGrid(lowest, highest, h, useful ? kMaxCells : 0);
 }
 
-// Double4 numbers for every cell, for the one behind the last, and for a vector that reaches beyond it; zero at first.
+// Four numbers for every cell, for the one after the last, and for a vector that extends beyond it; initially zero.
 struct CellMemory {
   int64_t size;
   Scratch<float> memory;
@@ -120,7 +122,7 @@ KV_HD void count_by_cells(Histogram<float> const& p, MomentGrid const& grid, flo
   for (int64_t k = 0; k < p.bins; ++k) counts[k] = float(sums.data[k]);
 }
 
-// Sample by sample and center by center.
+// One pass over all centers for each sample.
 template <class T>
 KV_HD void differentiate_directly(Histogram<T> const& p, T const* x, T const* centers, T h, T const* grad, T* grad_x) {
   for_each_vector<T>(0, p.samples, [&](auto width, int64_t i) {

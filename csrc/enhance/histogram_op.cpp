@@ -1,4 +1,4 @@
-// Sums of Gaussians: schemas and entries, for CPU and CUDA alike.
+// Sums of Gaussians: schemas and operators, for CPU and CUDA.
 #include "histogram.h"
 #include "sample_rows.h"
 
@@ -12,7 +12,7 @@ void check_fits_rows(char const* op, char const* name, Tensor const& t, Tensor c
            " differs in dtype or device from x");
 }
 
-// Tensors as the kernels read them: rows one behind the other.
+// The arguments as the kernels read them: with contiguous rows.
 struct Samples {
   Tensor x, centers, bandwidth;
   int64_t rows, samples, bins;

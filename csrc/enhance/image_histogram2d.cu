@@ -1,5 +1,6 @@
-// Counts in bins on CUDA: a block counts a chunk of a row in shared memory, in fixed point, so that atomic sums do not
-// depend on their order. Bins that do not fit there are counted part by part.
+// Histograms with compact kernels on CUDA: each block counts a chunk of a row in shared memory. Counts are fixed-point
+// sums, so that the order of atomic additions does not change the result. Bins that do not fit shared memory are
+// counted in several parts.
 #include "image_histogram2d.h"
 #include "row_chunks.cuh"
 
@@ -8,7 +9,7 @@ namespace {
 
 constexpr int kThreads = 256, kBytes = 32 << 10;
 
-// Fixed point: 2^14 samples of at most 1 fit.
+// Fixed point: the sum of 2^14 samples, each at most 1, fits.
 template <class T>
 struct Fixed {
   using type = unsigned;
@@ -27,8 +28,8 @@ __device__ __forceinline__ void place_of(ImageHistogram2d<T> const& p, T x, int&
   bin = whole >= 0 && whole <= T(p.bins + 1) ? int(whole) - 1 : -2;  // NaN is in no bin
 }
 
-// Counts in shared memory, several copies of each where they fit: neighboring threads, whose samples are often alike,
-// add to different ones.
+// Counts in shared memory, in several copies where they fit: neighboring threads often have equal samples, and add to
+// different copies.
 template <class T>
 __global__ void __launch_bounds__(kThreads) count_chunk(ImageHistogram2d<T> p, int part, int copies) {
   using Sum = typename Fixed<T>::type;

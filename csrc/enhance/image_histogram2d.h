@@ -1,5 +1,5 @@
-// Counts of a row's samples in bins one bandwidth apart, by a kernel that ends there: a sample between the middles of
-// two bins counts for these two. Included by image_histogram2d_cpu.cpp, image_histogram2d.cu and
+// Histograms whose kernel reaches exactly one bandwidth, the distance of the bins: a sample between the centers of two
+// bins counts for these two only. Included by image_histogram2d_cpu.cpp, image_histogram2d.cu and
 // image_histogram2d_op.cpp.
 #pragma once
 
@@ -7,23 +7,23 @@
 
 namespace kv {
 
-// Graphs contain the numbers; python/kvision/enhance/histogram.py has the same ones.
+// Exported graphs contain these numbers; python/kvision/enhance/histogram.py repeats them.
 enum class HistogramKernel : int { triangular, epanechnikov, uniform };
 
 template <class T>
 struct ImageHistogram2d {
   T const* x;
   int64_t rows, samples, bins;
-  T low, inverse;  // where the first bin begins; 1 / the width of a bin
+  T low, inverse;  // lower bound of the first bin; 1 / the width of a bin
   HistogramKernel kernel;
   T* counts;
-  int64_t chunk, chunks;  // samples of a row that CUDA counts in one block; how many of these a row has
-  T* partial;             // on CUDA, the counts of all chunks
+  int64_t chunk, chunks;  // samples of a row per CUDA block; the number of such chunks in a row
+  T* partial;             // CUDA: the counts of all chunks
 };
 
 template <class T>
 struct ImageHistogram2dBackward {
-  ImageHistogram2d<T> forward;  // without counts
+  ImageHistogram2d<T> forward;  // its counts are unused
   T const* grad;
   T* grad_x;
 };
@@ -31,8 +31,8 @@ struct ImageHistogram2dBackward {
 KV_KERNEL(image_histogram2d, ImageHistogram2d)
 KV_KERNEL(image_histogram2d_backward, ImageHistogram2dBackward)
 
-// At t in [0, 1) from the middle of bin `first` to that of the next one: what the sample counts for both. At t = 0 it
-// is the end of the uniform kernel of the bin before them, too.
+// The weights of a sample for two adjacent bins; t in [0, 1) is its distance from the center of bin `first` towards the
+// next center, in bins. At t = 0 the sample is also on the boundary of the previous bin's uniform kernel.
 template <class T>
 struct Between {
   T t, first_weight, next_weight;
@@ -44,8 +44,9 @@ struct Between {
   }
 };
 
-// The derivative to the place of the sample, from the gradients of the counts of the bin before both, and of both. At
-// t = 0 the triangular kernel has its tip, and the bin before ends: both sides count there.
+// The derivative with respect to the sample's position, from the gradients of the counts of the previous bin, `first`
+// and `next`. At t = 0 the triangular kernel has its peak and the support of the previous bin's kernel ends; the
+// one-sided derivatives are added there.
 template <class T>
 KV_HD T between_backward(T t, HistogramKernel kernel, T before, T first, T next) {
   if (kernel == HistogramKernel::uniform) return 0;

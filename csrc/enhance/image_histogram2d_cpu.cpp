@@ -1,4 +1,4 @@
-// Counts in bins on the CPU.
+// Histograms with compact kernels on the CPU. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "image_histogram2d.h"
@@ -8,7 +8,8 @@ namespace {
 
 constexpr int kChunk = 512;
 
-// Calls f(i, bin + 1, t) for the samples that count: `bin`, from -1 on, has its middle below sample i, by t bins.
+// Calls f(i, bin + 1, t) for the samples that count. `bin`, at least -1, is the last bin whose center is not above
+// sample i; t is the distance from that center in bins.
 template <class T, class F>
 KV_HD void for_each_sample(ImageHistogram2d<T> const& p, T const* x, F f) {
   int32_t bin[kChunk];
@@ -34,7 +35,7 @@ KV_HD void for_each_sample(ImageHistogram2d<T> const& p, T const* x, F f) {
 
 template <class T>
 void image_histogram2d(ImageHistogram2d<T> const& p, int64_t begin, int64_t end) {
-  Scratch<double> const sums(p.bins + 4);  // two bins more at either end
+  Scratch<double> const sums(p.bins + 4);  // two additional bins at either end
   double* const count = sums.data + 1;
   for (int64_t row = begin; row < end; ++row) {
     for (int64_t k = 0; k < p.bins + 4; ++k) sums.data[k] = 0;

@@ -1,11 +1,11 @@
-// Counts in bins: schemas and entries, for CPU and CUDA alike.
+// Histograms with compact kernels: schemas and operators, for CPU and CUDA.
 #include "image_histogram2d.h"
 #include "sample_rows.h"
 
 namespace kv {
 namespace {
 
-constexpr int64_t kSamplesAtOnce = 1 << 14;  // in one chunk: fixed-point counts then fit 32 bits
+constexpr int64_t kSamplesAtOnce = 1 << 14;  // per chunk: fixed-point counts then fit 32 bits
 
 HistogramKernel check_kernel(char const* op, int64_t kernel) {
   KV_CHECK(kernel >= 0 && kernel <= 2, op,

@@ -1,6 +1,7 @@
-// What JPEG does, on CUDA. A block of threads takes four squares of 16 x 16 pixels: six warps, each with 32 x 8 values
-// of luma or halved chroma, which are four blocks. In shared memory a thread transforms a row of eight, then a column,
-// where the coefficients are, then a row again. What is before and after the blocks takes four pixels a thread.
+// The JPEG approximation on CUDA. A block of threads processes four squares of 16 x 16 pixels. Each of its six warps
+// has 32 x 8 values of luma or of downsampled chroma, which are four 8 x 8 blocks. A thread transforms a row of eight
+// in shared memory, then a column, where it quantizes the coefficients, then a row again. Before and after the blocks,
+// a thread processes four pixels.
 #include "core/launch.cuh"
 #include "jpeg.h"
 
@@ -9,7 +10,8 @@ namespace {
 
 constexpr int kWarps = 6, kThreads = 32 * kWarps;
 
-// Values of a tile, chroma with a rim of one pixel. Rows are so long that those of four blocks are in different banks.
+// Values of a tile; chroma has a halo of one pixel. Rows are padded so that the rows of four blocks are in different
+// banks.
 template <class F>
 struct Tile {
   F luma[kJpegSide][kJpegWidth + 1];
@@ -20,7 +22,7 @@ struct Chroma {
   F v[2][kJpegSide + 2][kJpegWidth + 3];
 };
 
-// Where a block's tile is.
+// The position of a block's tile.
 struct TilePosition {
   int64_t image;
   int y, x, tile, tiles;
@@ -35,7 +37,7 @@ struct TilePosition {
   }
 };
 
-// Calls f(row, column) for the pixels of a tile and its rim, from -1 on.
+// Calls f(row, column) for the pixels of a tile and its halo, from -1 on.
 template <class Call>
 __device__ __forceinline__ void for_each_around(Call const& f) {
   for (int row = int(threadIdx.x) / 32 - 1; row <= kJpegSide; row += kWarps)
@@ -63,7 +65,7 @@ __device__ __forceinline__ void load_levels(JpegBlocks<T> const& p, TilePosition
   });
 }
 
-// What reads four pixels along both axes, for every second one.
+// Downsampling: reads four pixels along both axes for every second pixel.
 template <class F, class Combine>
 __device__ __forceinline__ void halve(Chroma<F> const& chroma, Tile<F>& planes, Combine const& combine) {
   for (int i = int(threadIdx.x); i < kJpegSide * kJpegWidth / 2; i += kThreads) {
@@ -77,11 +79,11 @@ __device__ __forceinline__ void halve(Chroma<F> const& chroma, Tile<F>& planes, 
   }
 }
 
-// A warp's four blocks.
+// The four blocks of a warp.
 template <class F>
 struct Double4 {
   F* data;
-  int pitch, plane, y, x;  // in the image's plane
+  int pitch, plane, y, x;  // in the plane of the image
   int const lane = int(threadIdx.x) % 32;
 
   __device__ __forceinline__ Double4(Tile<F>& planes, TilePosition const& at) {
@@ -114,7 +116,7 @@ struct Double4 {
     for (int i = 0; i < 8; ++i) v[i] = data[i * pitch + lane];
     jpeg_transform<F>(v);
   }
-  // Coefficients of a column back to values, and the rows of blocks inside the image to memory.
+  // Transforms a column of coefficients back to values, and stores the rows of blocks that are inside the image.
   __device__ __forceinline__ void finish(F (&v)[8], JpegLevels<F> const& levels, int64_t image) const {
     jpeg_inverse<F>(v);
 #pragma unroll
@@ -228,12 +230,12 @@ __global__ void __launch_bounds__(kThreads) run_blocks_backward(__grid_constant_
         i < 64 ? (sums[0][k] + sums[1][k]) + (sums[2][k] + sums[3][k]) : sums[4][k] + sums[5][k];
 }
 
-// --- pixels, four a thread -------------------------------------------------------------------------------------------
+// --- pixels, four per thread -----------------------------------------------------------------------------------------
 
 constexpr int kPixelsPerThread = 4, kRows = 8;
 
-// Double4 pixels of a row of chroma, of which the half has the rows and columns near and beside; beyond the half is its
-// border, or nothing.
+// Four upsampled pixels of a row of chroma, interpolated between a near and a far row and column of the downsampled
+// plane. Out of bounds that plane replicates its border, or is zero.
 template <class F>
 __device__ __forceinline__ void spread(JpegLevels<F> const& levels, int64_t image, int plane, JpegPair<F> const& rows,
                                        int x, F near_weight, F far_weight, bool replicate, F (&v)[kPixelsPerThread]) {
@@ -310,7 +312,7 @@ __global__ void __launch_bounds__(32 * kRows)
   int const x = int(blockIdx.x * 32 + threadIdx.x) * kPixelsPerThread, y = int(blockIdx.y * kRows + threadIdx.y);
   int const width = int(p.grad_x.width), height = int(p.grad_x.height);
   if (x >= width || y >= height) return;
-  // The last row and column stand for those beyond, too.
+  // The last row and column also serve the pixels out of bounds.
   int const after = y + 1 < height ? y + 1 : int(levels.height);
   int const across = x + kPixelsPerThread < width ? x + kPixelsPerThread : int(levels.width);
   for (int64_t image = blockIdx.z; image < p.grad_x.batch; image += gridDim.z) {
@@ -354,7 +356,7 @@ __global__ void __launch_bounds__(32 * kRows)
   }
 }
 
-// A block of threads an image, a thread a step.
+// One block of threads per image, one thread per quantization step.
 template <class F>
 __global__ void __launch_bounds__(128) run_steps_backward(__grid_constant__ JpegStepsBackward<F> const p) {
   __shared__ F sums[4];

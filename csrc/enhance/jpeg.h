@@ -1,16 +1,16 @@
-// What JPEG does to an image. Included by jpeg_cpu.cpp, jpeg.cu and jpeg_op.cpp.
+// The differentiable JPEG approximation. Included by jpeg_cpu.cpp, jpeg.cu and jpeg_op.cpp.
 //
-//   rgb --> luma ----------------------------> blocks --> luma -----------> rgb
-//       \-> chroma --> halved along both axes > blocks --> chroma, doubled /
+//   rgb --> luma -------------------------------> blocks --> luma --------------> rgb
+//       \-> chroma --> downsampled on both axes > blocks --> chroma, upsampled /
 //
-// Blocks are 8 x 8 values C = D X D', whose cosine transform is rounded to steps, D' f(C / s) s D with
+// Blocks are 8 x 8 values C = D X D'. Their cosine transform is quantized with the steps s, D' f(C / s) s D, where
 //
 //   f(q) = round(q) + (q - round(q))^3
 //
-// All but the first and last arrow stay inside of a block; these read one pixel beside it. So an image takes two
-// passes, and in between there is half of it as levels: planes of luma, and of blue and red chroma at half size, the
-// sides multiples of 16, the middle at 0. A gradient takes three passes: the first one again, then from the gradient of
-// rgb to that of the first levels, which stay inside of the blocks, then to the image.
+// All arrows but the first and the last stay inside a block; these two read one adjacent pixel. An image therefore
+// takes two passes, with half of its size stored in between as levels: planes of luma, and of blue and red chroma at
+// half size, whose sides are multiples of 16 and whose mid-gray is 0. The gradient takes three passes: the first one
+// again; from the gradient of rgb to that of the levels before the blocks; and from these levels to the image.
 #pragma once
 
 #include "core/images.h"
@@ -18,8 +18,8 @@
 
 namespace kv {
 
-// Per image: one quality and 64 numbers a table. A stride of 0 is one for all, null the number, or the standard's
-// table.
+// Tables per image: one quality, and 64 numbers for each table. A stride of 0 broadcasts one to all images. A null
+// pointer means the scalar quality, or the table of the standard.
 template <class F>
 struct JpegTables {
   F const *quality, *luma, *chroma;
@@ -57,8 +57,8 @@ template <class T>
 struct JpegBlocksBackward {
   JpegBlocks<T> forward;
   Images<T const> grad;
-  JpegLevels<Compute<T>> grad_levels;  // null: not wanted
-  Compute<T>* gradients;               // of the steps of luma and chroma: (B, chunks, 128); null: not wanted
+  JpegLevels<Compute<T>> grad_levels;  // null: not needed
+  Compute<T>* gradients;  // of the quantization steps of luma and chroma: (B, chunks, 128); null: not needed
   int64_t chunks;
 };
 template <class T>
@@ -80,15 +80,15 @@ KV_KERNEL(jpeg_blocks_backward, JpegBlocksBackward)
 KV_KERNEL(jpeg_pixels_backward, JpegPixelsBackward)
 KV_KERNEL(jpeg_steps_backward, JpegStepsBackward)
 
-// What is worked on at once: four by one squares of 16 pixels, each four blocks of luma and one of each chroma.
+// The unit of work: four squares of 16 pixels in a row, each of four blocks of luma and one of each chroma.
 constexpr int kJpegSide = 16, kJpegWidth = 64;
 
-// --- color ----------------------------------------------------------------------------------------------------------
+// --- color -----------------------------------------------------------------------------------------------------------
 
 constexpr double kJpegRed = 0.299, kJpegGreen = 0.587, kJpegBlue = 0.114;
-constexpr double kJpegFromBlue = 0.564, kJpegFromRed = 0.713;  // how much b - y and r - y are scaled by
+constexpr double kJpegFromBlue = 0.564, kJpegFromRed = 0.713;  // the factors of b - y and r - y
 
-// Luma, blue and red chroma; or r, g, b.
+// RGB to luma, blue and red chroma; and back.
 template <class V>
 struct JpegColor {
   V v[3];
@@ -106,7 +106,7 @@ KV_HD JpegColor<V> jpeg_levels_vjp(V const& luma, V const& blue, V const& red) {
   return {{y * F(kJpegRed) + of_r, y * F(kJpegGreen), y * F(kJpegBlue) + of_b}};
 }
 
-// Not clipped.
+// RGB before clipping.
 template <class F, class V>
 KV_HD JpegColor<V> jpeg_rgb(V const& luma, V const& blue, V const& red) {
   V const y = (luma + F(128)) * F(1 / 255.);
@@ -120,10 +120,10 @@ KV_HD JpegColor<V> jpeg_rgb_vjp(V const& r, V const& g, V const& b) {
 }
 template <class F, class V>
 KV_HD V jpeg_clip(V const& x) {
-  V const none = x * F(0);  // NaN stays
+  V const none = x * F(0);  // NaN stays NaN
   return x < F(0) ? none : x > F(1) ? none + F(1) : x;
 }
-// The gradient g of clipped rgb to the levels.
+// The gradient with respect to the levels, from the gradient g of clipped rgb.
 template <class F, class V>
 KV_HD JpegColor<V> jpeg_clipped_rgb_vjp(V const& luma, V const& blue, V const& red, JpegColor<V> g) {
   JpegColor<V> const x = jpeg_rgb<F>(luma, blue, red);
@@ -134,14 +134,15 @@ KV_HD JpegColor<V> jpeg_clipped_rgb_vjp(V const& luma, V const& blue, V const& r
   return jpeg_rgb_vjp<F>(g.v[0], g.v[1], g.v[2]);
 }
 
-// --- half size and back, along one axis ------------------------------------------------------------------------------
+// --- downsampling and upsampling along one axis ----------------------------------------------------------------------
 
-// Pixel i of the half is the mean of two between which a Gaussian of sigma 0.5 has smoothed, of four pixels
+// Downsampling: a Gaussian of sigma 0.5 smooths the image, and pixel i is the mean of two smoothed ones. It has four
+// taps:
 //
 //   2i - 1   2i   2i + 1   2i + 2
 //     a       b      b       a        a = e^-2 b / (1 + e^-2)
 //
-// and the border mirrors the image without its last pixel.
+// The border reflects the image without repeating its last pixel.
 constexpr double kJpegOuter = 0.5 * 0.13533528323661269 / (1 + 2 * 0.13533528323661269);
 constexpr double kJpegInner = 0.5 - kJpegOuter;
 template <class F, class V>
@@ -149,25 +150,26 @@ KV_HD V jpeg_halved(V const& a, V const& b, V const& c, V const& d) {
   return (a + d) * F(kJpegOuter) + (b + c) * F(kJpegInner);
 }
 
-// A pixel made of two of the half: of the nearest one, and of that beside it, which may be the same.
+// An interpolation between two pixels of the downsampled image: the near one and the far one, which may be equal.
 template <class F>
 struct JpegPair {
   int near, far;
   F near_weight, far_weight;
 };
-// The transpose: the gradient of pixel i of n from those of its half.
+// The transpose of downsampling: the gradient of pixel i of n, from the gradients of downsampled pixels.
 template <class F>
 KV_HD JpegPair<F> jpeg_halved_vjp(int i, int n) {
   int const near = i / 2, far = i % 2 ? near + 1 : near - 1;
   bool const has_far = far >= 0 && far < n / 2, mirrored = i == 1 || i == n - 2;
   return {near, has_far ? far : near, F(mirrored ? kJpegInner + kJpegOuter : kJpegInner), F(has_far ? kJpegOuter : 0)};
 }
-// Pixel i of n, bilinear in its half, whose border is replicated.
+// Upsampling: pixel i of n, bilinear in the downsampled image, whose border is replicated.
 template <class F>
 KV_HD JpegPair<F> jpeg_doubled(int i, int n) {
   return {i / 2, i % 2 ? min(i / 2 + 1, n / 2 - 1) : max(i / 2 - 1, 0), F(0.75), F(0.25)};
 }
-// Its transpose: the gradients of pixels 2i - 1 ... 2i + 2, those at the ends standing for those beyond.
+// The transpose of upsampling, of the gradients of pixels 2i - 1 ... 2i + 2; the first and last pixel also serve those
+// out of bounds.
 template <class F, class V>
 KV_HD V jpeg_doubled_vjp(V const& a, V const& b, V const& c, V const& d) {
   return (b + c) * F(0.75) + (a + d) * F(0.25);
@@ -191,7 +193,7 @@ KV_HD constexpr F jpeg_cosine(int frequency, int i) {
   int const turn = (2 * i + 1) * frequency % 32, m = turn > 16 ? 32 - turn : turn;  // in 16ths of pi
   return F(m > 8 ? -half_cos[16 - m] : half_cos[m]);
 }
-// Frequency k of the sums (k even) or differences of x[i] and x[7 - i].
+// Coefficient k of eight values, from the sums (k even) or differences (k odd) of x[i] and x[7 - i].
 template <class F, int k, class V>
 KV_HD V jpeg_frequency(V const (&x)[4]) {
   constexpr F a = jpeg_cosine<F>(k, 0), b = jpeg_cosine<F>(k, 1), c = jpeg_cosine<F>(k, 2), d = jpeg_cosine<F>(k, 3);
@@ -210,7 +212,7 @@ KV_HD void jpeg_transform(V (&v)[8]) {
   v[6] = jpeg_frequency<F, 6>(sums);
   v[7] = jpeg_frequency<F, 7>(differences);
 }
-// Values i and 7 - i.
+// The inverse: values i and 7 - i.
 template <class F, int i, class V>
 KV_HD void jpeg_values(V const (&frequencies)[8], V& value, V& opposite) {
   constexpr F a = jpeg_cosine<F>(0, i), b = jpeg_cosine<F>(2, i), c = jpeg_cosine<F>(4, i), d = jpeg_cosine<F>(6, i);
@@ -229,7 +231,7 @@ KV_HD void jpeg_inverse(V (&v)[8]) {
   jpeg_values<F, 3>(frequencies, v[3], v[4]);
 }
 
-// Half to even. Numbers from 2^22 (2^51) on may stay.
+// Rounds half to even. Numbers from 2^22 (float64: 2^51) on may stay as they are.
 template <class F, class V>
 KV_HD V jpeg_round(V const& x) {
   constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52), limit = shift / F(3);
@@ -241,7 +243,7 @@ KV_HD V jpeg_quantized(V const& coefficient, V const& step) {
   V const q = coefficient / step, whole = jpeg_round<F>(q), rest = q - whole;
   return (whole + rest * rest * rest) * step;
 }
-// The gradient `g` of that becomes the coefficient's; the step's is added to `derivative`.
+// The vjp: `g` becomes the gradient of the coefficient, and the gradient of the step is added to `derivative`.
 template <class F, class V>
 KV_HD void jpeg_quantized_vjp(V const& coefficient, V const& step, V& g, V& derivative) {
   V const q = coefficient / step, whole = jpeg_round<F>(q), rest = q - whole, square = rest * rest;
@@ -249,7 +251,7 @@ KV_HD void jpeg_quantized_vjp(V const& coefficient, V const& step, V& g, V& deri
   g = g * square * F(3);
 }
 
-// --- steps -----------------------------------------------------------------------------------------------------------
+// --- quantization steps ----------------------------------------------------------------------------------------------
 
 // The example tables of ISO/IEC 10918-1, annex K. `i`: vertical frequency times 8, plus the horizontal one.
 KV_HD int jpeg_standard(bool chroma, int i) {
@@ -262,7 +264,7 @@ KV_HD int jpeg_standard(bool chroma, int i) {
   return i / 8 < 4 && i % 8 < 4 ? first[i / 8 * 4 + i % 8] : 99;
 }
 
-// A number and its derivative.
+// A value and its derivative.
 template <class F>
 struct JpegDual {
   F value, derivative;
@@ -272,7 +274,7 @@ KV_HD JpegDual<F> jpeg_floor(F x) {
   F const whole = F(__builtin_floor(double(x))), rest = x - whole - F(0.5);
   return {whole + rest * rest * rest, F(3) * rest * rest};
 }
-// The percentage that a quality scales tables by.
+// The percentage by which a quality scales the tables.
 template <class F>
 KV_HD JpegDual<F> jpeg_percent(F quality) {
   F const q = quality < F(1) ? F(1) : quality > F(100) ? F(100) : quality;
@@ -280,7 +282,7 @@ KV_HD JpegDual<F> jpeg_percent(F quality) {
   F const derivative = q < F(50) ? F(-5000) / (q * q) : F(-2);
   return {result.value, quality >= F(1) && quality <= F(100) ? result.derivative * derivative : F(0)};
 }
-// A step and its derivative by what the table times the percentage is.
+// A quantization step and its derivative with respect to the table times the percentage.
 template <class F>
 KV_HD JpegDual<F> jpeg_step(F table, F percent) {
   F const x = (table * percent + F(50)) / F(100);
@@ -295,7 +297,7 @@ template <class F>
 KV_HD F jpeg_quality(JpegTables<F> const& t, int64_t b) {
   return t.quality ? t.quality[b * t.quality_stride] : t.number;
 }
-// Number i of the table for luma, i - 64 of that for chroma.
+// Entry i of the table for luma, or i - 64 of the table for chroma.
 template <class F>
 KV_HD F jpeg_table(JpegTables<F> const& t, int64_t b, int i) {
   F const* const table = i < 64 ? t.luma : t.chroma;

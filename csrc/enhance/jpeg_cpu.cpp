@@ -1,4 +1,5 @@
-// What JPEG does, on the CPU: 16 rows of an image at a time, by tiles of 64 columns. Compiled once per instruction set.
+// The JPEG approximation on the CPU: 16 rows of an image at a time, in tiles of 64 columns. Compiled once per
+// instruction set.
 #include "core/border.h"
 #include "core/lanes.h"
 #include "core/scratch.h"
@@ -7,8 +8,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Values and gradients of a tile. Chroma has a rim of one pixel; rows are longer than that, so that vectors may end
-// beyond it.
+// Values and gradients of a tile. Chroma has a halo of one pixel; rows are padded so that vectors may extend beyond it.
 template <class F>
 struct JpegTile {
   static constexpr int kPitch = kJpegWidth + 16;
@@ -16,12 +16,12 @@ struct JpegTile {
   F chroma[2][kJpegSide + 2][kPitch];
   F half[2][kJpegSide / 2][kJpegWidth / 2];
 
-  // Of a plane, and of chroma its half.
+  // The size of a plane, and of downsampled chroma.
   KV_HD F* at(int plane, int y, int x) { return plane == 0 ? &luma[y][x] : &half[plane - 1][y][x]; }
   KV_HD static int pitch(int plane) { return plane == 0 ? kJpegWidth : kJpegWidth / 2; }
 };
 
-// Where a tile is, in a padded image.
+// The position of a tile in a padded image.
 struct JpegTilePosition {
   int64_t b;
   int y, x, height, width, columns;
@@ -36,14 +36,14 @@ struct JpegTilePosition {
         columns(min(kJpegWidth, width - x)) {}
 };
 
-// Calls f(place) for the tiles of units [begin, end).
+// Calls f(tile) for the tiles of units [begin, end).
 template <class F, class Call>
 KV_HD void for_each_tile(JpegLevels<F> const& levels, int64_t begin, int64_t end, Call const& f) {
   for (int64_t r = begin; r < end; ++r)
     for (int x = 0; x < int(levels.width); x += kJpegWidth) f(JpegTilePosition(levels, r, x));
 }
 
-// Calls f(width, x) for [begin, end), in vectors where pixels are neighbors.
+// Calls f(width, x) for [begin, end), in vectors where pixels are contiguous.
 template <class T, class Call>
 KV_HD void for_each_pixel(int64_t step, int64_t begin, int64_t end, Call const& f) {
   if (step == 1) return for_each_vector<T>(begin, end, f);
@@ -56,7 +56,7 @@ KV_HD JpegColor<Lanes<Compute<T>, N>> load_color(Images<T const> const& x, int64
   return {{load<N>(at), load<N>(at + x.channel_stride), load<N>(at + 2 * x.channel_stride)}};
 }
 
-// Levels of luma, and of chroma with its rim.
+// Levels of luma, and of chroma with its halo.
 template <class T>
 KV_HD void load_levels(Images<T const> const& x, JpegTilePosition const& at, JpegTile<Compute<T>>& tile) {
   using F = Compute<T>;
@@ -88,7 +88,7 @@ KV_HD V every_second(V const& a, V const& b) {
                                  first + 14);
 }
 
-// What reads four pixels along both axes, for every second one: the half of a tile's chroma and its rim.
+// Downsampling: reads four pixels along both axes for every second pixel of a tile's chroma and its halo.
 template <class F, class Combine>
 KV_HD void halve(JpegTile<F>& tile, int columns, Combine const& combine) {
   F rows[JpegTile<F>::kPitch];
@@ -131,7 +131,7 @@ KV_HD void transpose(V (&v)[8]) {
   }
 }
 
-// The rows of a block become columns of coefficients.
+// Transforms the rows of a block and transposes them to columns of coefficients.
 template <class F, class V>
 KV_HD void to_coefficients(V (&v)[8]) {
   jpeg_transform<F>(v);
@@ -154,7 +154,7 @@ KV_HD void store_block(F* to, int64_t pitch, Lanes<F, 8> const (&v)[8]) {
   for (int i = 0; i < 8; ++i) store<8>(to + i * pitch, v[i]);
 }
 
-// The steps of luma and chroma, a column of coefficients a row.
+// The quantization steps of luma and chroma, transposed: one row per column of coefficients.
 template <class F>
 struct JpegSteps {
   F of[2][8][8];
@@ -175,16 +175,16 @@ KV_HD void for_each_block(int columns, Call const& f) {
     for (int y = 0; y < (plane == 0 ? kJpegSide : kJpegSide / 2); y += 8)
       for (int x = 0; x < (plane == 0 ? columns : columns / 2); x += 8) f(plane, y, x);
 }
-// The place of a tile's block among the levels.
+// The position of a tile's block in the planes of levels.
 template <class F>
 KV_HD F* block_of(JpegLevels<F> const& levels, JpegTilePosition const& at, int plane, int y, int x) {
   int const scale = plane == 0 ? 1 : 2;
   return levels.row(at.b, plane, at.y / scale + y) + at.x / scale + x;
 }
 
-// --- rows of chroma at twice their size ------------------------------------------------------------------------------
+// --- upsampled rows of chroma ----------------------------------------------------------------------------------------
 
-// `n` pixels, a multiple of 8, one beside them on either side, and what a vector reads beyond.
+// `n` pixels, a multiple of 8, with one more on either side and padding for vector loads.
 template <class F>
 struct HalfRow {
   Scratch<F> memory;
@@ -197,7 +197,7 @@ struct HalfRow {
     for (int64_t i = 0; i < n; i += 8)
       store<8>(data + i, load<8>(near + i) * rows.near_weight + load<8>(far + i) * rows.far_weight);
   }
-  // Calls f(vector, x) for pixels x ... x + 7 of 2 n, each made of the nearest and of that beside it.
+  // Calls f(vector, x) for pixels x ... x + 7 of 2 n, each interpolated between its near and its far pixel.
   template <class Call>
   KV_HD void spread(F near_weight, F far_weight, Call const& f) const {
     for (int64_t i = 0; i < n; i += 8) {
@@ -209,7 +209,7 @@ struct HalfRow {
   }
 };
 
-// The chroma of a row of pixels.
+// The upsampled chroma of a row of pixels.
 template <class F>
 struct DoubledRow {
   HalfRow<F> half;
@@ -279,7 +279,7 @@ void jpeg_blocks_backward(JpegBlocksBackward<T> const& p, int64_t begin, int64_t
 
   for (int64_t r = begin; r < end; ++r) {
     JpegTilePosition const first(levels, r, 0);
-    // The gradients of levels at full size, of these rows and of one beside them.
+    // The gradients of full-size levels, in these rows and the adjacent one.
     for (int j = -1; j <= kJpegSide; ++j) {
       int const y = clamp(first.y + j, 0, first.height - 1);
       bool const inner = j >= 0 && j < kJpegSide;
@@ -349,7 +349,7 @@ void jpeg_pixels_backward(JpegPixelsBackward<T> const& p, int64_t begin, int64_t
     int64_t const b = r / p.grad_x.height, y = r % p.grad_x.height;
     F* const sums[] = {memory.data, memory.data + width, memory.data + 2 * width};
     int64_t const after = y + 1 < p.grad_x.height ? y + 1 : levels.height;
-    for (int64_t row = y; row < after; ++row) {  // the last row stands for those below it, too
+    for (int64_t row = y; row < after; ++row) {  // the last row also serves the rows out of bounds
       auto const add = [&](int plane, auto const& v, int64_t x) {
         F* const to = sums[plane] + x;
         store<8>(to, row == y ? v : load<8>(to) + v);

@@ -1,4 +1,4 @@
-// What JPEG does: schemas and entries, for CPU and CUDA alike.
+// The JPEG approximation: schemas and operators, for CPU and CUDA.
 #include "glue/images.h"
 #include "jpeg.h"
 
@@ -7,7 +7,7 @@ namespace {
 
 using OptionalTensor = std::optional<Tensor>;
 
-// Contiguous, and of the type that is computed in: one image's numbers, or all images'.
+// Contiguous and in the computing type, for one image or for all images.
 Tensor jpeg_numbers(char const* op, char const* name, Tensor const& x, Tensor const& t, bool table) {
   bool const sizes = t.dim() == (table ? 3 : 1) && (t.size(0) == 1 || t.size(0) == x.size(0)) &&
                      (!table || (t.size(1) == 8 && t.size(2) == 8));
@@ -17,7 +17,7 @@ Tensor jpeg_numbers(char const* op, char const* name, Tensor const& x, Tensor co
   return dense(t);
 }
 
-// What the tables of a call point to.
+// The data pointers of the tables.
 struct JpegNumbers {
   OptionalTensor quality, luma, chroma;
   double number;
@@ -74,8 +74,8 @@ Tensor jpeg(Tensor const& input, OptionalTensor const& quality, OptionalTensor c
   return y;
 }
 
-// The gradients of the image, and of every image's quality (B, 1) and tables (B, 8, 8); without elements where they are
-// not wanted.
+// The gradients of the image, and of every image's quality (B, 1) and tables (B, 8, 8). A gradient that is not needed
+// has no elements.
 std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Tensor const& input,
                                                          OptionalTensor const& quality, OptionalTensor const& table_y,
                                                          OptionalTensor const& table_c, double number, bool of_image,
@@ -99,7 +99,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> jpeg_backward(Tensor const& grad, Ten
     using F = Compute<T>;
     auto const levels = levels_of<F>(memory, x), grad_levels = levels_of<F>(grad_memory, x);
     int64_t const units = b * (levels.height / kJpegSide);
-    [[maybe_unused]] int64_t const cost = 16 * kJpegSide * levels.width;  // of CPU threads
+    [[maybe_unused]] int64_t const cost = 16 * kJpegSide * levels.width;  // per CPU task
 #if defined(KV_CUDA)
     int64_t const chunks = (levels.height / kJpegSide) * ((levels.width + kJpegWidth - 1) / kJpegWidth);
 #else

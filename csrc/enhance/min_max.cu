@@ -1,6 +1,6 @@
-// Ranges of planes on CUDA. Two launches: every block gives what it finds in its chunk of a plane, then puts together
-// what all blocks of the plane found, and maps its chunk. The second one goes through the chunks backwards, so that it
-// meets first what the first one read last, and finds as much of it in the L2 as that holds.
+// The range of planes on CUDA, in two launches. In the first one each block reduces its chunk of a plane. In the second
+// one each block combines the results of all chunks of the plane, then maps its chunk. The second launch traverses the
+// chunks backwards: it starts with what the first one read last, which is still in the L2 cache.
 #include "byte_histogram.cuh"
 #include "min_max.h"
 
@@ -10,7 +10,7 @@ namespace {
 constexpr int kThreads = 256, kWarps = kThreads / 32;
 constexpr unsigned kAll = 0xffffffffu;
 
-// The one of both that is smaller, or NaN.
+// The smaller one of both, or NaN.
 template <class F>
 __device__ __forceinline__ F smaller(F a, F b) {
   return a < b || a != a ? a : b;
@@ -42,7 +42,7 @@ struct Sums : RangeSums<F> {
   }
 };
 
-// Puts together what all threads of the block have, in an order that is always the same.
+// Combines the results of all threads of a block in a fixed order.
 template <class S, class F>
 __device__ __forceinline__ S of_block(S mine) {
   static_assert(sizeof(S) == S::kValues * sizeof(F));
@@ -63,7 +63,7 @@ __device__ __forceinline__ S of_block(S mine) {
   return all;
 }
 
-// The same for the chunks of a plane.
+// Combines the results of a plane's chunks in a fixed order.
 template <class S, class F>
 __device__ __forceinline__ S of_plane(F const* partial, int64_t chunks) {
   S mine = S::none();
@@ -141,7 +141,7 @@ __global__ void __launch_bounds__(kThreads) find_sums(MinMaxBackward<T> p) {
   if (threadIdx.x == 0) reinterpret_cast<Sums<F>*>(p.partial)[blockIdx.x] = sums;
 }
 
-// Not to be fused with the sum that it goes into: in a flat plane terms of the size of 1 / eps cancel.
+// Must not be contracted with the sum that follows: in a flat plane, terms of the size of 1 / eps cancel.
 __device__ __forceinline__ float product(float a, float b) { return __fmul_rn(a, b); }
 __device__ __forceinline__ double product(double a, double b) { return __dmul_rn(a, b); }
 

@@ -1,5 +1,5 @@
-// The range of every plane mapped to a given one, and its gradient: two passes, the first of which finds what the
-// second needs to know of the plane. Included by min_max_cpu.cpp, min_max.cu and min_max_op.cpp.
+// Min-max normalization of every plane and its gradient, in two passes: the first reduces a plane, the second maps it.
+// Included by min_max_cpu.cpp, min_max.cu and min_max_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -11,11 +11,11 @@ namespace kv {
 template <class T>
 struct MinMax {
   using F = Compute<T>;
-  Planes<T const> x;  // flat: a plane is a row
+  Planes<T const> x;  // flat: each plane is one row
   Planes<T> y;
-  T* range;  // smallest and largest of every plane; NaN where it has one
+  T* range;  // minimum and maximum of every plane; NaN if the plane has one
   F low, scale, eps;
-  int64_t chunk, chunks;  // CUDA: pixels of a plane that are one block's, and how many of these a plane has
+  int64_t chunk, chunks;  // CUDA: pixels of a plane per block, and the number of such chunks in a plane
   F* partial;             // CUDA: the ranges of all chunks
 };
 
@@ -33,8 +33,8 @@ struct MinMaxBackward {
 KV_KERNEL(min_max, MinMax)
 KV_KERNEL(min_max_backward, MinMaxBackward)
 
-// What the gradient needs of a plane: sums of grad and of grad * (x - smallest), and how many pixels are smallest and
-// largest, which share their gradient.
+// Sums of a plane that the gradient needs: of grad, of grad * (x - smallest), and the numbers of pixels with the
+// smallest and the largest value, among which the gradient of these is split.
 template <class F>
 struct RangeSums {
   F grad, product, smallest, largest;

@@ -1,11 +1,11 @@
-// Ranges of planes on the CPU.
+// The range of planes on the CPU. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "min_max.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-// Calls f(index constant N, element) for n pixels `step` elements apart: whole vectors, then single ones.
+// Calls f(index constant N, element) for n pixels with stride `step`: whole vectors, then single elements.
 template <class T, class F>
 KV_HD void for_each_pixel(int64_t n, int64_t step, F f) {
   constexpr int N = kLanes<T>;
@@ -15,7 +15,7 @@ KV_HD void for_each_pixel(int64_t n, int64_t step, F f) {
   for (; i < n; ++i) f(Width<1>{}, i * step);
 }
 
-// The sum of a vector's lanes, in their order.
+// The sum of a vector's lanes, in order.
 template <class V, int N>
 KV_HD double sum_of(V const& v) {
   if constexpr (N == 1) {

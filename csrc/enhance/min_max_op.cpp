@@ -1,11 +1,11 @@
-// Ranges of planes: schemas and entries, for CPU and CUDA alike.
+// Min-max normalization: schemas and operators, for CPU and CUDA.
 #include "min_max.h"
 #include "plane_views.h"
 
 namespace kv {
 namespace {
 
-// How CUDA cuts planes into blocks' work: enough for all multiprocessors, not too many for the block that adds them up.
+// CUDA: splits planes into chunks, enough for all multiprocessors, and few enough for the block that combines them.
 struct Chunks {
   int64_t size, count;
   Chunks(int64_t planes, int64_t pixels)
@@ -15,7 +15,7 @@ struct Chunks {
   }
 };
 
-// Working memory for CUDA: numbers in the type that T computes in.
+// CUDA: working memory, in the type that T is computed in.
 template <class F>
 Tensor working_memory([[maybe_unused]] Tensor const& like, [[maybe_unused]] int64_t count) {
 #if defined(KV_CUDA)

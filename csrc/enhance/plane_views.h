@@ -1,18 +1,19 @@
-// Image planes channel by channel, with or without rows, for statistics of planes. Included by *_op.cpp files.
+// Views of the planes of an image, channel by channel, with or without rows, for statistics per plane. Included by
+// *_op.cpp files.
 #pragma once
 
 #include "glue/glue.h"
 
 namespace kv {
 
-// `x` itself, or a dense copy: all pixels of a plane are then one row.
+// `x`, copied only if it is not dense: all pixels of a plane then form one row.
 inline Tensor dense_planes(Tensor const& x, Layout layout) {
   bool const last = layout == Layout::channels_last;
   if (last ? x.stride(2) == x.size(3) * x.size(1) : x.stride(3) == 1 && x.stride(2) == x.size(3)) return x;
   return last ? as_layout(dense(x), layout) : dense(x);
 }
 
-// The planes of an image tensor, each channel by itself in both layouts.
+// The planes of an image tensor, one per channel in both layouts.
 template <class T>
 Planes<T> channel_planes(Tensor const& x, Layout layout) {
   Planes<T> p = planes<T>(x, layout);
@@ -20,7 +21,7 @@ Planes<T> channel_planes(Tensor const& x, Layout layout) {
   return p;
 }
 
-// Those of a dense tensor, each as one row: pixel i is i * step elements behind the first one.
+// The planes of a dense tensor, each as one row: pixel i is at i * step elements from the first one.
 template <class T>
 Planes<T> flat_planes(Tensor const& x, Layout layout) {
   Planes<T> p = channel_planes<T>(x, layout);
@@ -30,7 +31,7 @@ Planes<T> flat_planes(Tensor const& x, Layout layout) {
   return p;
 }
 
-// Pixels of a plane are counted in ints.
+// Kernels count the pixels of a plane in int.
 inline void check_planes(char const* op, Tensor const& x) {
   check_images(op, "input", x);
   KV_CHECK(x.size(2) <= INT32_MAX / x.size(3), op, ": expected fewer than 2^31 pixels a plane");

@@ -1,11 +1,11 @@
-// Rows that several blocks count. Included by *.cu files.
+// Reduction of counts over the chunks of a row, one chunk per block. Included by *.cu files.
 #pragma once
 
 #include "core/launch.cuh"
 
 namespace kv {
 
-// partial (rows, chunks, bins) summed over chunks, always in the same order. Blocks of 256 threads, one a count.
+// Sums partial (rows, chunks, bins) over chunks in a fixed order. Blocks of 256 threads, one count per thread.
 template <class T>
 __global__ void add_chunks(T const* partial, int64_t rows, int64_t chunks, int64_t bins, T* counts) {
   int64_t const i = blockIdx.x * int64_t(256) + threadIdx.x, row = i / bins, k = i - row * bins;

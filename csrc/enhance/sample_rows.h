@@ -1,4 +1,4 @@
-// Rows of samples (rows, samples), for counts of each row. Included by *_op.cpp files.
+// Checks and dispatch for tensors (rows, samples), of which each row is counted. Included by *_op.cpp files.
 #pragma once
 
 #include "glue/glue.h"

@@ -1,5 +1,6 @@
-// Sharpness on CUDA. Each warp walks down a strip of columns with its rows in registers, so a pixel is read from device
-// memory once. Channels-last images take plain kernels: a block shares a tile of 64 x 16 pixels with a rim around.
+// Sharpness on CUDA. Each warp traverses a strip of columns downwards and keeps its rows in registers, so a pixel is
+// read from device memory once. Channels-last images take simpler kernels: a block stages a tile of 64 x 16 pixels with
+// its halo in shared memory.
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 #include "sharpness.h"
@@ -27,8 +28,8 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
   T* out = p.y.row(plane, y0);
   F const factor = p.factor.of(plane);
 
-  F above[P], beside[P], own[P], next[P];  // sums of three along the rows, and pixels of this row and the next one
-  auto ahead = strip.fetch(rows.next());   // a row is on its way while one is worked on
+  F above[P], beside[P], own[P], next[P];  // horizontal sums of three, and the pixels of this row and the next one
+  auto ahead = strip.fetch(rows.next());   // prefetches a row while another one is processed
   auto const down = [&](F(&sums)[P]) {
     auto const now = ahead;
     ahead = strip.fetch(rows.next());
@@ -62,14 +63,14 @@ __global__ void __launch_bounds__(kThreads, sizeof(T) == 8   ? 1
   }
 }
 
-// What a row of gradients gives: to its own pixels, and to those around, summed along the row.
+// The contributions of a row of gradients: to the pixels themselves, and to their neighbors, summed along the row.
 template <class F>
 struct GivenRow {
   F own[4], sums[4];
 };
 
-// Each thread pulls its own four pixels' gradients and gets its neighbors' by shuffle. Where a warp ends inside the
-// image, its end thread pulls one pixel more, for which it reads one column of x beyond.
+// Each thread computes the gradients of four pixels and gets those of its neighbors by shuffle. Where a warp ends
+// inside the image, its end thread computes one pixel more, for which it reads one more column of x.
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
     run_backward_strip(__grid_constant__ SharpnessBackward<T> const p, Strips<> const strips) {
@@ -87,7 +88,8 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
 
   int const first = max(y0 - 1, 0);
   RowCursor<T> rows_x(p.x, plane, first - 1), rows_g(p.grad, plane, first);
-  // Sums of three along the rows of x and its pixels in this row and the next one; number 4 is the pixel more.
+  // Horizontal sums of three in three rows of x, and the pixels of this row and the next one; element 4 is the
+  // additional pixel.
   F above[5], beside[5], below[5]{}, own[5], next[5]{}, g[4], g_more{}, derivative = 0;
   auto const down_x = [&] {
 #pragma unroll
@@ -159,13 +161,13 @@ __global__ void __launch_bounds__(kThreads, sizeof(Compute<T>) == 8 ? 1 : 3)
 
 // --- channels-last: tiles --------------------------------------------------------------------------------------------
 
-// A tile of one value a pixel, with a rim of R pixels, place by place.
+// A tile with one value per pixel and a halo of R pixels.
 template <class F, int R>
 struct Tile {
   static constexpr int kWidth = kTileWidth + 2 * R, kHeight = kTileHeight + 2 * R;
   F v[kHeight][kWidth];
 
-  // Calls f(x, y) -> value for all of its pixels, from -R on.
+  // Sets all of its pixels, from -R on, to f(x, y).
   template <class Value>
   __device__ __forceinline__ void fill(Value f) {
     for (int i = int(threadIdx.x); i < kWidth * kHeight; i += kThreads)
@@ -180,7 +182,7 @@ struct Tile {
   }
 };
 
-// Where a block's tile is in its planes.
+// The position of a block's tile in its planes.
 template <class T>
 struct Corner {
   int x, y, width, height;
@@ -208,7 +210,7 @@ __global__ void __launch_bounds__(kThreads) run(__grid_constant__ Sharpness<T> c
   Corner<T> const to(p.y);
   for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
     F const factor = p.factor.of(plane);
-    __syncthreads();  // the plane before may be in use
+    __syncthreads();  // the previous plane may still be in use
     tile.fill([&](int x, int y) { return at.has(x, y) ? read(at.of(p.x, plane, x, y)) : F(0); });
     __syncthreads();
 #pragma unroll
@@ -233,7 +235,7 @@ __global__ void __launch_bounds__(kThreads) run_backward(__grid_constant__ Sharp
   for (int64_t plane = blockIdx.y; plane < p.x.count(); plane += gridDim.y) {
     F const factor = p.factor.of(plane);
     F derivative = 0;
-    __syncthreads();  // the plane before may be in use
+    __syncthreads();  // the previous plane may still be in use
     image.fill([&](int x, int y) { return at.has(x, y) ? read(at.of(p.x, plane, x, y)) : F(0); });
     __syncthreads();
     around.fill([&](int x, int y) {

@@ -1,11 +1,10 @@
-// Sharpness: an image moved away from its smoothed copy s, or towards it, by a factor f,
+// Sharpness: an image extrapolated away from its smoothed copy s, or interpolated towards it, by a factor f:
 //
 //                                      | 1 1 1 |
 //   y = clip(x + (x - s) (f - 1))   s = | 1 5 1 | x / 13, clipped
 //                                      | 1 1 1 |
 //
-// but for the rim, one pixel wide, which only is clipped. Included by sharpness_cpu.cpp, sharpness.cu and
-// sharpness_op.cpp.
+// The border, one pixel wide, is only clipped. Included by sharpness_cpu.cpp, sharpness.cu and sharpness_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -13,7 +12,7 @@
 
 namespace kv {
 
-// The number where there are no data.
+// A scalar if there is no tensor.
 template <class F>
 struct Factor {
   F const* data;
@@ -28,7 +27,7 @@ struct Factor {
 
 template <class T>
 struct Sharpness {
-  Planes<T const> x;  // channel by channel
+  Planes<T const> x;  // one plane per channel
   Planes<T> y;
   Factor<Compute<T>> factor;
 };
@@ -37,15 +36,15 @@ struct SharpnessBackward {
   Planes<T const> grad, x;
   Planes<T> grad_x;
   Factor<Compute<T>> factor;
-  Compute<T>* gradients;  // of the factor: (planes, chunks); null: not wanted
+  Compute<T>* gradients;  // of the factor: (planes, chunks); null: not needed
   int64_t chunks;
 };
 
 KV_KERNEL(sharpness, Sharpness)
 KV_KERNEL(sharpness_backward, SharpnessBackward)
 
-// How CUDA cuts a plane into chunks: where neighbors in a row are neighbors in memory by strips that a warp walks
-// down, else by tiles.
+// How CUDA splits a plane into chunks: strips of columns, one per warp, where pixels of a row are contiguous; otherwise
+// tiles.
 constexpr int kTileWidth = 64, kTileHeight = 16, kStripWidth = 128, kStripRows = 32;
 template <class T>
 int64_t sharpness_tiles(Planes<T> const& x) {
@@ -66,16 +65,16 @@ KV_HD V clipped(V const& x, F) {
     return y;
   }
 #endif
-  V const none = x * F(0);  // NaN stays
+  V const none = x * F(0);  // NaN stays NaN
   return x < F(0) ? none : x > F(1) ? none + F(1) : x;
 }
-// `smooth` as it comes from `smoothed`.
+// `smooth` is the result of `smoothed`.
 template <class V, class F>
 KV_HD V sharpened(V const& x, V const& smooth, F factor) {
   return clipped(V(x + (x - clipped(smooth, F(0))) * (factor - F(1))), F(0));
 }
 
-// What a gradient g gives to the pixel itself, to what its neighbors' smoothed copy was made of, and to the factor.
+// The contributions of a gradient g to the pixel itself, to the pixels of its smoothing stencil, and to the factor.
 template <class V>
 struct SharpenedVjp {
   V own, around, factor;

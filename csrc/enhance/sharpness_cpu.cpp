@@ -1,4 +1,4 @@
-// Sharpness on the CPU: rows [begin, end) of all planes in order. Compiled once per instruction set.
+// Sharpness on the CPU: rows [begin, end), counted through all planes. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "core/stream.h"
@@ -7,14 +7,14 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Calls pixel(width, x) for the pixels of a row but its ends, in vectors where they are neighbors.
+// Calls pixel(width, x) for the inner pixels of a row, in vectors where they are contiguous.
 template <class T, class F>
 KV_HD void for_each_inner(int64_t width, int64_t step, F pixel) {
   if (step == 1) return for_each_vector<T>(1, max(width - 1, int64_t(1)), pixel);
   for (int64_t x = 1; x + 1 < width; ++x) pixel(Width<1>{}, x);
 }
 
-// The sum of nine around an element.
+// The sum of the 3x3 neighborhood of an element.
 template <int N, class T>
 KV_HD auto sum_of_nine(T const* above, T const* center, T const* below, int64_t e, int64_t step) {
   auto const column = [&](int64_t i) { return load<N>(above + i) + load<N>(center + i) + load<N>(below + i); };
@@ -48,7 +48,8 @@ void sharpness(Sharpness<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// Streams down the rows: what each gives to its own pixels, to those around and to the factor is kept for three rows.
+// Traverses the rows and keeps the contributions of three: to their pixels, to the neighbors of these, and to the
+// factor.
 template <class T>
 void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
@@ -59,7 +60,7 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
   F* const gradients = scratch.data + 6 * padded;
   F gradient_of[3]{};
 
-  auto const fill = [&](int64_t plane, int64_t y) {  // row y, which may be one outside the image
+  auto const fill = [&](int64_t plane, int64_t y) {  // row y, possibly out of bounds
     F *const to_own = own(y), *const to_around = around(y);
     for_each_vector<F>(-1, width + 1, [&](auto n, int64_t i) {
       constexpr int N = decltype(n)::value;

@@ -1,4 +1,4 @@
-// Sharpness: schemas and entries, for CPU and CUDA alike.
+// Sharpness: schemas and operators, for CPU and CUDA.
 #include "color/program.h"
 #include "plane_views.h"
 #include "sharpness.h"
@@ -34,7 +34,7 @@ Tensor sharpness(Tensor const& input, OptionalTensor const& factor, double numbe
   return y;
 }
 
-// The gradients of the image and of each channel's factor; without elements where they are not wanted.
+// The gradients of the image and of the factor of each channel. A gradient that is not needed has no elements.
 std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& input, OptionalTensor const& factor,
                                               double number, bool of_image, bool of_factor) {
   constexpr char const* op = "sharpness_backward";

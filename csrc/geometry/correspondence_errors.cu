@@ -1,4 +1,4 @@
-// Errors of correspondences on CUDA: a thread a correspondence, a block a part of them for the gradient.
+// Errors of correspondences on CUDA: one thread for each correspondence, one block for each chunk for the gradient.
 #include "core/launch.cuh"
 #include "geometry/correspondence_errors.h"
 

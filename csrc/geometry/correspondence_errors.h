@@ -1,16 +1,16 @@
-// How far correspondences are from matrices, and the gradients to both points and to the matrix.
+// Errors of correspondences under the matrix that relates two images, and their gradients to both points and to it.
 //
-//   sampson, symmetrical     of a fundamental matrix: r^2 / (a + b), r^2 / a + r^2 / b for the residual r and the
-//   squares
-//                            a, b of its lines in both images
-//   right, left              |r| / sqrt(a), |r| / sqrt(b)
-//   transfer                 of a homography: the squared distance of where the point goes
-//   symmetric_transfer       and of where its inverse takes the other one
-//   sampson_transfer         how far both points are from the nearest ones that fit, to first order
-//   segments                 the mean distance of both ends from the other segment's line
+//   sampson              of a fundamental matrix: r^2 / (a + b), for the residual r and the squared lengths a, b of
+//                        the normals of the epipolar lines in the second and the first image
+//   symmetrical          r^2 / a + r^2 / b
+//   right, left          |r| / sqrt(a), |r| / sqrt(b): the distance from the epipolar line in one image
+//   transfer             of a homography: the squared distance of the mapped point from its correspondence
+//   symmetric_transfer   transfer plus that of the inverse from the second image to the first
+//   sampson_transfer     the squared distance of both points from the nearest exact correspondence, to first order
+//   segments             the mean distance of a mapped segment's ends from the line of the other segment
 //
-// Sums over correspondences are those of parts, then of all. In double. Included by correspondence_errors_cpu.cpp,
-// correspondence_errors.cu and correspondence_errors_op.cpp.
+// Computes in double. Sums over correspondences are those of chunks, then of all chunks. Included by
+// correspondence_errors_cpu.cpp, correspondence_errors.cu and correspondence_errors_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -34,16 +34,16 @@ enum class ErrorKind : int {
 template <class T>
 struct CorrespondenceErrors {
   Reals points1, points2, matrix;           // (B, N, 2, 3 or 4), (B, 3, 3)
-  int axes1, axes2;                         // numbers of a point
-  int64_t stride1, stride2, matrix_stride;  // strides of B, 0 where one serves all
-  int64_t batch, count, chunk_size;         // part: correspondences that are summed first
+  int axes1, axes2;                         // coordinates of a point
+  int64_t stride1, stride2, matrix_stride;  // batch strides, 0 if all problems share one
+  int64_t batch, count, chunk_size;         // chunk_size: correspondences of a chunk
   ErrorKind kind;
   bool squared;
-  double rounding, largest;  // of the type: its eps, and the error of a homography without an inverse
+  double rounding, largest;  // rounding: eps of the type; largest: the error if a homography has no inverse
   Reals errors;              // (B, N)
   // For the gradient only:
   Reals grad, grad_points1, grad_points2, chunk_sums,
-      grad_matrix;  // (B, N), (B, N, .), (B, N, .), (B, parts, 9), (B, 9)
+      grad_matrix;  // (B, N), (B, N, .), (B, N, .), (B, chunks, 9), (B, 9)
 
   KV_HD int64_t num_chunks() const { return (count + chunk_size - 1) / chunk_size; }
 };
@@ -56,13 +56,14 @@ namespace small {
 
 KV_HD double infinity() { return __builtin_inf(); }
 
-// What relates the images of a problem, and a correspondence's error by it.
+// The matrix of a problem, and the error of a correspondence under it.
 struct ErrorModel {
   ErrorKind kind;
   bool squared, singular, homogeneous;
   double largest, scale;
   double m[9],
-      inverse[9];  // the matrix over its scale, which Sampson's distance does not have; a multiple of the inverse
+      inverse[9];  // m: the matrix over `scale`, which sampson_transfer does not depend on; inverse: a multiple of the
+                   // inverse
 
   template <class T>
   KV_HD ErrorModel(CorrespondenceErrors<T> const& p, int64_t b)
@@ -88,7 +89,7 @@ struct ErrorModel {
     singular = !(magnitude(dot3(m, rows)) > p.rounding * sides);
   }
 
-  // A point as it is given, homogeneous ones of homographies by their last number.
+  // Reads a point. Homogeneous points of homographies are divided by their last coordinate; false if that is 0.
   KV_HD bool read(Reals const& points, int axes, int64_t at, double* x) const {
     x[2] = 1;
     for (int k = 0; k < axes; ++k) x[k] = points[at + k];
@@ -114,7 +115,7 @@ struct ErrorModel {
     double const x = ends[2] - ends[0], y = ends[3] - ends[1];
     return sqrt(x * x + y * y);
   }
-  // Its square where that is a sum of squares, else as it is.
+  // The squared error for kinds that are sums of squares, the error for the others.
   KV_HD double value(double const* x, double const* y) const {
     if (homogeneous) {
       Epipolar<double, double> const l(m, x[0], x[1], x[2], y[0], y[1], y[2]);
@@ -149,7 +150,7 @@ struct ErrorModel {
                      : sqrt(error_value);
   }
 
-  // From the gradient g to the error.
+  // Adds to the gradients, from the gradient g to the error.
   KV_HD void vjp(double const* x, double const* y, double g, double* grad_x, double* grad_y, double* grad_m,
                  double* grad_back) const {
     if (singular) return;
@@ -168,7 +169,7 @@ struct ErrorModel {
       }
       return;
     }
-    if (is_sum_of_squares() && !squared) {  // through the root, which has no slope at 0
+    if (is_sum_of_squares() && !squared) {  // through the square root, whose gradient at 0 is taken as 0
       double const error_value = value(x, y);
       if (!(error_value > 0) || error_value == infinity()) return;
       g /= 2 * sqrt(error_value);
@@ -219,7 +220,7 @@ KV_HD void set_error(CorrespondenceErrors<T> const& p, small::ErrorModel const& 
   p.errors.set(b * p.count + i, is_finite1 && is_finite2 ? model.error(x, y) : small::infinity());
 }
 
-// The gradients of a part of a problem's correspondences.
+// The gradients of a chunk of a problem's correspondences.
 template <class T, class Group>
 KV_HD void differentiate_chunk(CorrespondenceErrors<T> const& p, int64_t chunk, Group group) {
   int64_t const num_chunks = p.num_chunks(), b = chunk / num_chunks, begin = (chunk - b * num_chunks) * p.chunk_size;
@@ -241,7 +242,7 @@ KV_HD void differentiate_chunk(CorrespondenceErrors<T> const& p, int64_t chunk, 
     double rows[9], grad_row[3];
     for (double& sum : grad_back) sum = group.sum(sum);
     for (int i = 0; i < 9; ++i) rows[i] = grad_back[3 * (i % 3) + i / 3];
-    for (int r = 0; r < 3; ++r) {  // row r of the cofactors is the product of the two rows after it
+    for (int r = 0; r < 3; ++r) {  // row r of the cofactors is the cross product of the two rows after it
       double const *const g = rows + 3 * r, *const one = model.m + 3 * ((r + 1) % 3),
                           *const two = model.m + 3 * ((r + 2) % 3);
       cross3(two, g, grad_row);

@@ -1,5 +1,5 @@
-// Errors of correspondences on the CPU: correspondences [begin, end) of all problems, parts of them for the gradient.
-// In double, which AVX-512 leaves to AVX2.
+// Errors of correspondences on the CPU: correspondences [begin, end) of all problems, chunks of them for the gradient.
+// In double: the AVX-512 build uses the AVX2 code.
 #include "geometry/correspondence_errors.h"
 
 #if !defined(__AVX512F__)

@@ -1,11 +1,11 @@
-// Errors of correspondences: schemas and entries, for CPU and CUDA alike.
+// Errors of correspondences: schemas and entries for CPU and CUDA.
 #include "geometry/correspondence_errors.h"
 #include "geometry/reals_glue.h"
 
 namespace kv {
 namespace {
 
-// Correspondences that are summed before anything else is.
+// Correspondences of a chunk, over which gradients to matrices are summed first.
 constexpr int64_t kErrorsChunk = 2048;
 
 ErrorKind parse_error_kind(char const* op, int64_t number) {
@@ -16,7 +16,7 @@ ErrorKind parse_error_kind(char const* op, int64_t number) {
   return ErrorKind(number);
 }
 
-// Points and matrices, checked; one of each serves a batch.
+// Points and matrices, checked; each has one row for the whole batch, or one for each problem.
 struct ErrorArguments {
   Contiguous points1, points2, matrix;
   CorrespondenceErrors<double> params{};
@@ -64,7 +64,7 @@ Tensor correspondence_errors(Tensor const& points1, Tensor const& points2, Tenso
   return errors;
 }
 
-// For each problem, also where one of the three serves all.
+// Gradients of every problem, also for arguments that all problems share.
 std::tuple<Tensor, Tensor, Tensor> correspondence_errors_backward(Tensor const& grad, Tensor const& points1,
                                                                   Tensor const& points2, Tensor const& matrix,
                                                                   int64_t kind, bool squared) {

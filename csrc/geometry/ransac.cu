@@ -1,4 +1,5 @@
-// Consensus on CUDA: a warp a model, or a block where models are few; its threads take correspondences in turns.
+// RANSAC's scores on CUDA: a warp for each model, or a block if models are few. Its threads take correspondences in
+// turns.
 #include "core/launch.cuh"
 #include "geometry/ransac.h"
 
@@ -12,7 +13,7 @@ __device__ __forceinline__ T squared_error_at(Consensus<T> const& p, T const* m,
   return squared_error<T>(p, m, i, [&](T const* points, int k, int64_t i) { return points[k * p.count + i]; });
 }
 
-// So many threads a model: 32, or those of the block.
+// The number of threads of a model: 32, or all of the block.
 template <class T>
 __global__ void __launch_bounds__(kThreads) score_models(Consensus<T> p, int threads) {
   __shared__ T parts[2][kThreads / 32];
@@ -36,11 +37,11 @@ __global__ void __launch_bounds__(kThreads) score_models(Consensus<T> p, int thr
   if (threadIdx.x % threads == 0) p.scores[2 * candidate] = score, p.scores[2 * candidate + 1] = count;
 }
 
-// A block takes kThreads correspondences of the model of a rank.
+// A block computes the weights of kThreads correspondences for the model of one rank.
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     merge_and_weigh(__grid_constant__ MergeTopK<T> const p, unsigned blocks_per_rank) {
-  __shared__ int winner;  // the first one where scores are no numbers
+  __shared__ int winner;  // stays 0, the first model, where NaN scores leave a rank empty
   int64_t const rank = blockIdx.x / blocks_per_rank,
                 i = (blockIdx.x - rank * blocks_per_rank) * int64_t(kThreads) + threadIdx.x;
   if (threadIdx.x == 0) winner = 0;
@@ -55,7 +56,7 @@ __global__ void __launch_bounds__(kThreads)
 
 constexpr int kMaxThreads = 1024;
 
-// One block: each rank is the first of what its threads find.
+// One block: each rank is the best of what its threads select.
 template <class T>
 __global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopKModels<T> const p) {
   __shared__ int64_t warp_best[kMaxThreads / 32];
@@ -69,7 +70,7 @@ __global__ void __launch_bounds__(kMaxThreads) find_top_k(__grid_constant__ TopK
       }
     };
     reduce_warp();
-    __syncthreads();  // of who reads the last rank's
+    __syncthreads();  // other threads may still read the last rank's model
     if (threadIdx.x % 32 == 0) warp_best[threadIdx.x / 32] = best;
     __syncthreads();
     best = warp_best[threadIdx.x % 32];

@@ -1,15 +1,15 @@
-// RANSAC's scores of models: the sum of 1 - e / t over correspondences whose squared error e is at most t (MSAC; P.
-// Torr and A. Zisserman, 2000), and their number. The error is
+// Scores of models for RANSAC: the sum of 1 - e / t over correspondences whose squared error e is at most t (MSAC; P.
+// Torr and A. Zisserman, 2000), and the number of these inliers. The error is
 //
-//   affine, homography       the distance of the mapped point from its correspondence
-//   lines                    the mean distance of both ends from the line
-//   other models             Sampson's distance: of both points from the nearest ones that fit, to first order
+//   affine, homography   the distance of the mapped point from its correspondence
+//   lines                the mean distance of both mapped ends from the line
+//   other models         Sampson's distance: of both points from the nearest exact correspondence, to first order
 //
-// merge_top_k finds the best models of two lists, and the weights for fitting them to their inliers: 1 / (1 + s e) for
-// inliers, else 0. top_k_models are the best of one long list. finalize_model normalizes the best model and finds its
-// inliers; there is no model where these are no more than a sample.
+// merge_top_k selects the best models of two lists, and computes weights for fitting them to their inliers: 1 / (1 + s
+// e) for inliers, else 0. top_k_models selects the best models of one long list. finalize_model normalizes the best
+// model and marks its inliers; there is no model if these are no more than a minimal sample.
 //
-// Errors that are NaN are no inliers. Included by ransac_cpu.cpp, ransac.cu and ransac_op.cpp.
+// An error that is NaN is no inlier. Included by ransac_cpu.cpp, ransac.cu and ransac_op.cpp.
 #pragma once
 
 #include "geometry/residuals.h"
@@ -19,7 +19,7 @@ namespace kv {
 
 template <class T>
 struct Consensus {
-  T const *points1, *points2;  // (2 or 4, N): coordinate by coordinate
+  T const *points1, *points2;  // (2 or 4, N), one row for each coordinate
   T const* models;             // (M, 9)
   Model model;
   T squared_threshold;  // t
@@ -28,10 +28,10 @@ struct Consensus {
 };
 
 template <class T>
-struct MergeTopK : Consensus<T> {  // models and scores are those of the first list, of which there are `candidates`
+struct MergeTopK : Consensus<T> {  // the first list is in models and scores: num_models of them
   T const *other_models, *other_scores;
-  int64_t num_candidates, top_k;         // candidates of both, and how many are the best: K
-  bool by_count;                         // the number of those who fit ranks models, not the sum
+  int64_t num_candidates, top_k;         // models of both lists, and K, the number of best models
+  bool by_count;                         // whether the number of inliers ranks models, not the sum
   T softness;                            // s
   T *top_models, *top_scores, *weights;  // (K, 9), (K, 2), (K, N)
 
@@ -41,7 +41,7 @@ struct MergeTopK : Consensus<T> {  // models and scores are those of the first l
   KV_HD T const* score_of(int64_t i) const {
     return i < this->num_models ? this->scores + 2 * i : other_scores + 2 * (i - this->num_models);
   }
-  // The number of models that are better, or as good with a smaller index.
+  // The number of models that rank before model i: with a better score, or an equal one and a smaller index.
   KV_HD int64_t rank_of(int64_t i) const {
     T const score = score_of(i)[by_count];
     int64_t rank = 0;
@@ -68,13 +68,14 @@ struct TopKModels {
     T const value = scores[2 * i + by_count];
     return value == value ? value : T(-__builtin_inf());
   }
-  // Whether model i ranks before model k: it is better, or as good with a smaller index. A missing one, -1, ranks last.
+  // Whether model i ranks before model k: its score is better, or equal and its index smaller. A missing one, -1, ranks
+  // last.
   KV_HD bool is_better(int64_t i, int64_t k) const {
     if (i < 0 || k < 0) return i >= 0;
     T const first = score(i), second = score(k);
     return first > second || (!(first < second) && i < k);
   }
-  // The first after `last`, -1 for the first of all, of those from `i` on in steps; -1 where there is none.
+  // Of the models i, i + step, ..., the best one that ranks after `last` (-1: after none), or -1 if there is none.
   KV_HD int64_t next_best(int64_t last, int64_t i, int64_t step) const {
     int64_t index = -1;
     for (; i < num_models; i += step)
@@ -90,8 +91,8 @@ struct TopKModels {
 template <class T>
 struct FinalizeModel {
   T const *model, *weights;    // (9), (N)
-  int64_t count, min_inliers;  // correspondences, and more than how many have to fit
-  bool unit_norm;              // the model becomes of norm 1; else its last number 1, unless that is 0
+  int64_t count, min_inliers;  // correspondences; a model needs more inliers than min_inliers
+  bool unit_norm;              // whether the model is scaled to norm 1, else to a last entry of 1 unless that is 0
   T* normalized;               // (9)
   bool* inliers;               // (N)
 

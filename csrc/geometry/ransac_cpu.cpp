@@ -1,13 +1,13 @@
-// Consensus on the CPU: models [begin, end), correspondences by vectors. Compiled once per instruction set.
+// RANSAC's scores on the CPU: models [begin, end), correspondences in vectors. Compiled once per instruction set.
 #include "core/lanes.h"
-// After it, for vectors.
+// Included after core/lanes.h, whose vectors it uses.
 #include "geometry/ransac.h"
 
 namespace kv::KV_ISA {
 
 namespace {
 
-// What the correspondences from i on add to both scores.
+// The contribution of the correspondences from i on to both scores.
 template <int N, class T>
 KV_HD void add_scores(Consensus<T> const& p, T const* m, int64_t i, Lanes<T, N>& score, Lanes<T, N>& count) {
   using V = Lanes<T, N>;
@@ -52,7 +52,7 @@ void merge_top_k(MergeTopK<T> const& p, int64_t begin, int64_t end) {
   }
 }
 
-// One thread runs these two: [begin, end) is everything.
+// One thread runs the two functions below: [begin, end) is the whole range.
 template <class T>
 void top_k_models(TopKModels<T> const& p, int64_t, int64_t) {
   for (int64_t rank = 0, last = -1; rank < p.top_k; ++rank) {

@@ -5,7 +5,7 @@
 namespace kv {
 namespace {
 
-// Points (2 or 4, N), and the threshold of their errors, for models (M, 3, 3).
+// Points (2 or 4, N) and the threshold of their errors, for models (M, 3, 3), checked.
 template <class T>
 Consensus<T> consensus_params(char const* op, Contiguous const& models, Contiguous const& points1,
                               Contiguous const& points2, double threshold, Model kind) {
@@ -38,8 +38,8 @@ Tensor consensus(Tensor const& models, Tensor const& points1, Tensor const& poin
   return scores;
 }
 
-// The best `count` of two lists of models by their consensus, those with most who fit or those with the largest sum;
-// that consensus; and the weights of the correspondences.
+// The best `count` models of two lists, ranked by the number of inliers or by the sum; their scores; and the weights of
+// the correspondences.
 std::tuple<Tensor, Tensor, Tensor> merge_top_k(Tensor const& models, Tensor const& scores, Tensor const& other_models,
                                                Tensor const& other_scores, Tensor const& points1, Tensor const& points2,
                                                double threshold, double softness, int64_t count, bool by_count,
@@ -83,7 +83,7 @@ std::tuple<Tensor, Tensor, Tensor> merge_top_k(Tensor const& models, Tensor cons
   return {top_models, top_scores, weights};
 }
 
-// The `count` models (M, 3, 3) of the best scores (M, 2), and these scores.
+// The `count` models (M, 3, 3) with the best scores (M, 2), and these scores.
 std::tuple<Tensor, Tensor> top_k_models(Tensor const& models, Tensor const& scores, int64_t count, bool by_count) {
   constexpr char const* op = "top_k_models";
   KV_CHECK(models.dim() == 3 && models.size(1) == 3 && models.size(2) == 3, op, ": expected models of shape (M, 3, 3)");
@@ -103,8 +103,8 @@ std::tuple<Tensor, Tensor> top_k_models(Tensor const& models, Tensor const& scor
   return {top_models, top_scores};
 }
 
-// The first of models (M, 3, 3) and which of N correspondences have a weight above 0 for it; nothing where these are
-// `least` or fewer. Essential matrices have norm 1, other models a last number of 1.
+// Normalizes the first of models (M, 3, 3), and marks which of N correspondences have a weight above 0 for it; no model
+// and no inliers if these are min_inliers or fewer. Essential matrices get norm 1, other models a last entry of 1.
 std::tuple<Tensor, Tensor> finalize_model(Tensor const& models, Tensor const& weights, int64_t min_inliers,
                                           int64_t model) {
   constexpr char const* op = "finalize_model";

@@ -1,4 +1,4 @@
-// Tensors of float32 or float64 as Reals, and numbers of models. Included by operators of views, points and splines.
+// Tensors of float32 or float64 as Reals, and constants of models. Included by operators of views, points and splines.
 #pragma once
 
 #include "geometry/solvers/minimal.h"
@@ -12,7 +12,7 @@ inline Reals reals_of(char const* op, Tensor const& x) {
   return {x.const_data_ptr(), x.scalar_type() == ScalarType::Double};
 }
 
-// A contiguous tensor as kernels read it; without data where an optional tensor is missing.
+// The Reals of a contiguous tensor; without data for a missing optional tensor.
 struct Contiguous {
   Tensor tensor;
   Reals reals = {nullptr, false};
@@ -22,7 +22,7 @@ struct Contiguous {
   }
 };
 
-// A homogeneous point is at infinity where its last number is below this fraction of its length.
+// A homogeneous point is at infinity if its last coordinate is below this fraction of its length.
 inline double min_homogeneous_weight(Contiguous const& x) {
   return 1e-13 + 4 * (x.reals.is_double ? 2.220446049250313e-16 : 1.1920928955078125e-07);
 }

@@ -1,5 +1,5 @@
-// How far a correspondence is from what relates two images, squared where it says so, and below each its gradient in
-// double: to both points, to which `a` and `b` are added, and to the nine numbers of the matrix. V is a number or
+// Residuals of correspondences under the matrix that relates two images, squared where the comment says so. Below each
+// is its vjp in double: it adds to the gradients of both points and of the nine entries of the matrix. V is a number or
 // Lanes.
 #pragma once
 
@@ -22,7 +22,7 @@ KV_HD void mapped_vjp(double const* m, double x, double y, double const* g, doub
   }
 }
 
-// The squared distance of where a homography takes (x, y) from (u, v).
+// The squared distance of the point that a homography maps (x, y) to, from (u, v).
 template <class V, class F>
 KV_HD V transfer_error(F const* m, V x, V y, V u, V v) {
   Mapped<V, F> const h(m, x, y);
@@ -40,7 +40,7 @@ KV_HD void transfer_error_vjp(double const* m, double const* one, double const* 
   mapped_vjp(m, one[0], one[1], grad_h, grad_one, grad_matrix);
 }
 
-// The lines (a, b, e) = F (x, y, z) and (c, d, .) = F^T (u, v, t), and r = (u, v, t) F (x, y, z).
+// The epipolar lines (a, b, e) = F (x, y, z) and (c, d, .) = F^T (u, v, t), and r = (u, v, t) F (x, y, z).
 template <class V, class F>
 struct Epipolar {
   V a, b, e, c, d, r;
@@ -55,7 +55,7 @@ struct Epipolar {
   KV_HD V first() const { return c * c + d * d; }
 };
 
-// From the gradients to r and to the squares of both lines' lengths.
+// From the gradients to r and to the squared lengths of both lines' normals.
 KV_HD void epipolar_vjp(double const* m, double const* one, double const* two, double grad_r, double grad_second,
                         double grad_first, double* grad_one, double* grad_two, double* grad_matrix) {
   Epipolar<double, double> const l(m, one[0], one[1], one[2], two[0], two[1], two[2]);
@@ -72,7 +72,7 @@ KV_HD void epipolar_vjp(double const* m, double const* one, double const* two, d
   }
 }
 
-// Sampson's distance, squared: how far both points are from the nearest ones that fit, to first order.
+// Sampson's distance, squared: that of both points from the nearest exact correspondence, to first order.
 template <class V, class F>
 KV_HD V sampson_error(F const* m, V x, V y, V u, V v) {
   V const one = V{} + 1;
@@ -81,7 +81,7 @@ KV_HD V sampson_error(F const* m, V x, V y, V u, V v) {
 }
 
 // Sampson's distance from a homography, squared: r (J J^T)^-1 r for r = (v w - q, p - u w), where (p, q, w) = H (x, y,
-// 1), and its derivative J for (x, y, u, v). a, b, b, c are the numbers of J J^T.
+// 1), and J is the Jacobian of r by (x, y, u, v). J J^T has the entries a, b, b, c.
 struct SampsonTransfer {
   Mapped<double, double> h;
   double r, s, r_x, r_y, s_x, s_y, a, b, c;
@@ -120,7 +120,7 @@ struct SampsonTransfer {
   }
 };
 
-// Of the line through (u, v) and (s, t), from where (x, y) goes: the distance times the segment's length, with a sign.
+// The signed distance of H (x, y) from the line through (u, v) and (s, t), times the length of that segment.
 template <class V, class F>
 KV_HD V line_offset(F const* m, V x, V y, V u, V v, V s, V t) {
   Mapped<V, F> const h(m, x, y);

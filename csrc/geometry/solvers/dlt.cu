@@ -1,4 +1,4 @@
-// Direct linear transformation on CUDA: a block a problem.
+// Direct linear transformation on CUDA: one block for each problem.
 #include "core/launch.cuh"
 #include "geometry/solvers/dlt.h"
 

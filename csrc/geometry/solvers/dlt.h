@@ -1,22 +1,23 @@
-// Direct linear transformation: what relates correspondences, as the least squares of equations that are linear in its
-// numbers, in one pass of few numbers; and its gradient.
+// Direct linear transformation (DLT): estimates a model from correspondences by linear least squares, and its gradient.
+// One pass over the correspondences sums a small matrix.
 //
-//   n = s (p - m)            each image's weighted mean m goes to 0, its mean distance d to sqrt(D): s = sqrt(D) / (d +
-//                            eps) for points of D numbers
-//   M = sum w r r^T          of the rows r of each correspondence; h is the smallest eigenvector of M
+//   n = s (p - m)        normalized points of an image. m is their weighted mean, and s = sqrt(D) / (d + eps) scales
+//                        their mean distance d from it to sqrt(D), for points of D coordinates.
+//   M = sum w r r^T      over the rows r of all correspondences. h is the eigenvector of M's smallest eigenvalue.
 //
-// A homography takes n1 = (u, v, 1) to (x, y) = n2, a camera points of space (u, v, w, 1):
-//   r = (0, -n1, y n1), (n1, 0, -x n1), and T2^-1 h T1 in pixels
-// One that takes both ends n1 of segments to lines l = (x, y, 1) x (x', y', 1) of others has l^T h n1 = 0:
-//   r = the products of l and n1
+// A homography maps n1 = (u, v, 1) to (x, y) = n2, a camera maps points of space n1 = (u, v, w, 1):
+//   r = (0, -n1, y n1), (n1, 0, -x n1). The result is T2^-1 h T1 in pixels.
+// A homography of segments maps both ends n1 of a segment to the line l = (x, y, 1) x (x', y', 1) through the ends of
+// the other one, l^T h n1 = 0:
+//   r = the products of l and n1.
 // A fundamental matrix has n2^T F n1 = 0 for n2 = (x, y, 1):
-//   r = the products of n2 and n1, and T2^T h T1, h without what it does to its smallest singular vector
+//   r = the products of n2 and n1. The result is T2^T F T1, where F is the matrix of rank 2 that is nearest to h.
 //
-// An affine map is no such case, but the same to its callers: A (p1 - m1) is the least squares of p2 - m2.
+// An affine map needs no eigenvector, but has the same interface: A (p1 - m1) is fitted to p2 - m2 by least squares.
 //
-// Homographies and fundamental matrices are divided by their last number unless that is 0. A camera becomes a pose: its
-// pictures are K^-1 (x, y, 1), the columns of its rotation are made orthogonal one after the other, and the first one
-// gives the scale.
+// Homographies and fundamental matrices are divided by their last entry unless that is 0. A camera becomes a pose: its
+// image points are K^-1 (x, y, 1). The columns of its rotation are made orthogonal one after the other, and the first
+// one determines the scale.
 //
 // Included by dlt_cpu.cpp, dlt.cu and dlt_op.cpp.
 #pragma once
@@ -32,11 +33,11 @@ enum class DltModel : int { homography, lines, fundamental, pose, affine };
 template <class T>
 struct Dlt {
   DltModel model;
-  Reals points1, points2, weights;  // (B, N, 2), (B, N, 3) of a pose; (B, N, 2); (B, N) or null. Of lines (B, N, 2, 2)
-  Reals camera;                     // (B, 3, 3) of a pose
-  int64_t batch, count, stride;     // from the points of a problem to the next one's: 0 where all have the same
-  double min_extent;                // points of a pose whose least extent is below that have none
-  Reals result;                     // (B, 3, 3), (B, 3, 4) of a pose
+  Reals points1, points2, weights;  // (B, N, 2), pose: (B, N, 3); (B, N, 2); (B, N) or null. Lines: (B, N, 2, 2)
+  Reals camera;                     // pose: (B, 3, 3)
+  int64_t batch, count, stride;     // stride: between the points of two problems, 0 if all share them
+  double min_extent;                // points of a pose with a smaller extent in some direction count as planar: no pose
+  Reals result;                     // (B, 3, 3), pose: (B, 3, 4)
   // For the gradient only:
   Reals grad, grad_points1, grad_points2, grad_weights, grad_camera;
 };
@@ -44,7 +45,7 @@ struct Dlt {
 KV_KERNEL(dlt, Dlt)
 KV_KERNEL(dlt_backward, Dlt)
 
-// Points as they are normalised above, on their own, and the matrix that does it.
+// Only normalizes points, as above, and returns the matrix of the normalization.
 template <class T>
 struct NormalizedPoints {
   Reals points, weights;  // (B, N, 2), (B, N) or null
@@ -62,7 +63,8 @@ namespace dlt_models {
 
 constexpr double kEps = 1e-8;
 
-// The weights of one problem as they stand in M, and as shares of the means: none below 0, alike where all are 0.
+// The weights of a problem: as factors in M, and as fractions of their sum for means. Negative weights count as 0. If
+// all are 0, the weights are uniform.
 struct Weights {
   Reals weights;
   int64_t first, count;
@@ -95,7 +97,8 @@ struct Weights {
   KV_HD double fraction(int64_t i) const { return is_weighted() ? positive(i) * inverse : uniform; }
 };
 
-// (x, y) of K^-1 (px, py, 1) at z = 1, for an upper triangular K, or pixels as they are.
+// Pixels (px, py) to image points (x, y) of K^-1 (px, py, 1) at z = 1, for an upper triangular K. Without a camera the
+// pixels stay as they are.
 struct Calibration {
   Reals camera;
   int64_t offset;
@@ -105,7 +108,7 @@ struct Calibration {
     p[1] = (p[1] * k(8) - k(5)) / k(4);
     p[0] = (p[0] * k(8) - k(2) - k(1) * p[1]) / k(0);
   }
-  // g, the gradient to the result (x, y), becomes that to the pixel p; adds that to K's six numbers to `sums`.
+  // Turns the gradient g to (x, y) into that to the pixel p, and adds that to K's six entries to `sums`.
   KV_HD void vjp(double const* p, double const* xy, double* g, double* sums) const {
     double const grad_u = g[0] / k(0), grad_v = (g[1] - grad_u * k(1)) / k(4);
     sums[0] -= grad_u * xy[0], sums[1] -= grad_u * xy[1], sums[2] -= grad_u;
@@ -115,7 +118,7 @@ struct Calibration {
   }
 };
 
-// The points of one image, D numbers each, and what normalises them.
+// The points of one image, D coordinates each, and their normalization.
 template <int D>
 struct Image {
   Reals points;
@@ -125,7 +128,7 @@ struct Image {
 
   static KV_HD double root() { return D == 2 ? 1.4142135623730951 : 1.7320508075688772; }
 
-  // With so many points of a weight.
+  // kPoints is the number of points that share a weight.
   template <int kPoints, class Group>
   KV_HD void normalize(Weights const& w, double eps, Group group) {
     double sum[D] = {}, total = 0, at[D];
@@ -151,12 +154,12 @@ struct Image {
   }
 };
 
-// The gradient to an image's points: that to the normalised ones, and that to the scale and the mean by other ways.
-// First it is summed up, by `add` and `finish`, then to_point has it.
+// The gradient to an image's points: directly from the normalized points, and through the scale and the mean.
+// Call `add` for every point, then `finish`, then `grad_point`.
 template <int D>
 struct ImageGradients {
   double scale, mean[D];
-  double distance, mean_direction[D];  // apart: the mean of (p - m) / |p - m|
+  double distance, mean_direction[D];  // gradient to the mean distance; mean of (p - m) / |p - m|
 
   KV_HD ImageGradients() : scale(0), mean{}, distance(0), mean_direction{} {}
   KV_HD void add(Image<D> const& image, int64_t i, double fraction, double const* g) {
@@ -187,7 +190,7 @@ struct ImageGradients {
   }
 };
 
-// Of correspondences that have so many points each.
+// The weights and both images of a problem whose correspondences have kPoints points each.
 template <int D, int kPoints = 1>
 struct Problem {
   static constexpr int kColumns = D + 1;
@@ -203,8 +206,8 @@ struct Problem {
     image1.template normalize<kPoints>(weights, kEps, group);
     image2.template normalize<kPoints>(weights, kEps, group);
   }
-  KV_HD double fraction(int64_t i) const { return weights.fraction(i) / kPoints; }  // of a point of correspondence i
-  // Both normalised, with a 1.
+  KV_HD double fraction(int64_t i) const { return weights.fraction(i) / kPoints; }  // of one point of correspondence i
+  // Sets the normalized points of both images, homogeneous with a last coordinate of 1.
   KV_HD void normalized(int64_t i, double* n1, double* n2) const {
     image1.centered(i, n1);
     image2.centered(i, n2);
@@ -212,14 +215,14 @@ struct Problem {
     for (int k = 0; k < 2; ++k) n2[k] *= image2.scale;
     n1[D] = n2[2] = 1;
   }
-  // h T1, for a matrix of three rows.
+  // Sets m = h T1 for a matrix h of three rows.
   KV_HD void denormalize_right(double const* h, double* m) const {
     for (int r = 0; r < 3; ++r, h += kColumns, m += kColumns) {
       m[D] = h[D];
       for (int k = 0; k < D; ++k) m[k] = image1.scale * h[k], m[D] -= m[k] * image1.mean[k];
     }
   }
-  // From the gradient g to that: to h, in place, and to the first image.
+  // Turns the gradient g to h T1 into that to h, in place, and adds to the gradient of the first image.
   KV_HD void denormalize_right_vjp(double const* h, double* g, ImageGradients<D>& grad_image1) const {
     for (int r = 0; r < 3; ++r, h += kColumns, g += kColumns)
       for (int k = 0; k < D; ++k) {
@@ -238,17 +241,17 @@ KV_HD double product(double const* a, double const* b) {
   return sum;
 }
 
-// Where a symmetric matrix has its number (i, k) among those on and below the diagonal, row by row.
+// The index of entry (i, k) of a symmetric matrix that stores its lower triangle row by row.
 KV_HD int packed_index(int i, int k) { return i > k ? i * (i + 1) / 2 + k : k * (k + 1) / 2 + i; }
 
-// --- what takes points of D numbers to the second image --------------------------------------------------------------
+// --- maps from points of D coordinates to the second image -----------------------------------------------------------
 
 template <int D>
 struct Projective {
   static constexpr int kAxes = D, kPoints = 1, C = D + 1, kUnknowns = 3 * C;
 
-  // M, which all of the team see, has five different blocks, of which two are 0: sums of w, -w x, -w y, w (x^2 + y^2)
-  // times n1 n1^T.
+  // Sets M, in memory that the group shares. It has five different blocks, of which two are 0: sums of w, -w x, -w y
+  // and w (x^2 + y^2) times n1 n1^T.
   template <class Group>
   static KV_CALLED void normal_matrix(Problem<D> const& problem, Group group, double* m) {
     constexpr int kSums = C * (C + 1) / 2;
@@ -274,7 +277,7 @@ struct Projective {
     group.sync();
   }
 
-  // Of -u^T (sum w r r^T) h to a correspondence: gives it to w, and to the normalised points in g1 and g2.
+  // The gradient of -u^T (sum w r r^T) h to a correspondence: returns that to w, sets those to the normalized points.
   static KV_HD double row_vjp(double w, double const* u, double const* h, double const* n1, double const* n2,
                               double* g1, double* g2) {
     double const x = n2[0], y = n2[1], square = x * x + y * y;
@@ -292,13 +295,13 @@ struct Projective {
     return -(a[0] * c[0] + a[1] * c[1] + square * a[2] * c[2] - x * cross_x - y * cross_y);
   }
 
-  // What is found of h: h itself.
+  // Constrains the eigenvector h to a valid model. Here every h is valid.
   static KV_HD void constrain(double const* h, double* f) {
     for (int i = 0; i < kUnknowns; ++i) f[i] = h[i];
   }
   static KV_HD void constrain_vjp(double const*, double*) {}
 
-  // T2^-1 times a matrix, up to a factor.
+  // Sets m to T2^-1 times a matrix, up to scale.
   static KV_HD void denormalize_left(Image<2> const& image2, double const* denormalize_right, double* m) {
     double const* const last = denormalize_right + 2 * C;
     for (int k = 0; k < C; ++k) {
@@ -318,7 +321,7 @@ struct Projective {
   }
 };
 
-// What a matrix is divided by: its last number, or its largest one where that is 0.
+// The number that a matrix is divided by: its last entry, or the largest magnitude where that entry is 0.
 KV_HD double divisor(double const* m, bool& last) {
   double largest = 0;
   for (int i = 0; i < 9; ++i) largest = max(largest, small::magnitude(m[i]));
@@ -349,8 +352,8 @@ struct Homography : Projective<2> {
   }
 };
 
-// To m, which all of the team see, the sum of w l l^T times n1 n1^T: of six different products of each. `pair` gives w,
-// n1 and l, numbers of three, of a point of either.
+// Sets m, in memory that the group shares, to the sum of w l l^T times n1 n1^T; each factor has six different entries.
+// `pair` returns w and sets n1 and l, three numbers each, of a point.
 template <class Group, class Pair>
 KV_HD void sum_products(int64_t count, Group group, Pair pair, double* m) {
   double sums[36] = {};
@@ -370,7 +373,7 @@ KV_HD void sum_products(int64_t count, Group group, Pair pair, double* m) {
   group.sync();
 }
 
-// --- homographies of segments, whose points are their ends -----------------------------------------------------------
+// --- homographies of segments, from their ends to lines --------------------------------------------------------------
 
 struct Lines : Homography {
   static constexpr int kPoints = 2;
@@ -381,7 +384,7 @@ struct Lines : Homography {
       double start[3], end[3], other[3];
       problem.normalized(i ^ 1, other, start);
       problem.normalized(i, n1, end);
-      cross3(start, end, line);  // of either sign
+      cross3(start, end, line);  // its sign does not matter
       return problem.weights[i / 2];
     };
     sum_products(2 * problem.weights.count, group, end, m);
@@ -415,7 +418,8 @@ struct Lines : Homography {
 
 // --- poses -----------------------------------------------------------------------------------------------------------
 
-// Of a camera (3, 4) of any scale and sign: the columns of a rotation, one after the other, and the translation.
+// Turns a camera (3, 4) of any scale and sign into a pose: the columns of the rotation are made orthogonal one after
+// the other.
 struct GramSchmidt {
   double sign, size, along, second_size;
   double first[3], second[3], third[3], b[3], t[3];
@@ -471,7 +475,8 @@ struct Pose : Projective<3> {
     }
   }
 
-  // Whether the points are in no plane: by the least singular value of the normalised ones, weights being 1 on average.
+  // Whether the points lie in no plane: decided by the smallest singular value of the normalized points, with weights
+  // that are 1 on average.
   template <class T, class Group>
   static KV_CALLED bool is_solvable(Dlt<T> const& p, Problem<3> const& problem, Group group) {
     double sums[6] = {}, used = 0, m[9], copy[9], v[3];
@@ -528,7 +533,7 @@ struct Fundamental {
     for (int i = 0; i < 9; ++i) f[i] = h[i];
     small::project_to_rank_two(f, v);
   }
-  // Of F - F v v^T for the smallest eigenvector v of F^T F.
+  // The gradient of F - F v v^T, where v is the eigenvector of the smallest eigenvalue of F^T F.
   static KV_CALLED void constrain_vjp(double const* h, double* g) {
     double f[9], v[3], square[9], grad_v[3], u[3], fv[3], gv[3], fu[3];
     for (int i = 0; i < 9; ++i) f[i] = h[i];
@@ -545,7 +550,7 @@ struct Fundamental {
       for (int k = 0; k < 3; ++k) g[3 * r + k] -= gv[r] * v[k] + fu[r] * v[k] + fv[r] * u[k];
   }
 
-  // T2^T times a matrix.
+  // Sets m to T2^T times a matrix.
   static KV_HD void denormalize_left(Image<2> const& image2, double const* denormalize_right, double* m) {
     for (int k = 0; k < 3; ++k) {
       for (int r = 0; r < 2; ++r) m[3 * r + k] = image2.scale * denormalize_right[3 * r + k];
@@ -658,7 +663,7 @@ KV_HD void solve_dlt_vjp(Model, Dlt<T> const& p, int64_t b, Group group) {
   }
   group.sync();
 
-  // The gradients to the points of correspondence i, normalised; gives that to its weight.
+  // Sets the gradients to the normalized points of correspondence i, and returns that to its weight.
   auto const row_gradients = [&](int64_t i, double* g1, double* g2) KV_INLINE {
     double n1[kPoints * (D + 1)], n2[kPoints * 3];
     for (int e = 0; e < kPoints; ++e) problem.normalized(kPoints * i + e, n1 + (D + 1) * e, n2 + 3 * e);
@@ -675,7 +680,7 @@ KV_HD void solve_dlt_vjp(Model, Dlt<T> const& p, int64_t b, Group group) {
   grad_image1.finish(image1, group);
   grad_image2.finish(image2, group);
 
-  // To points, and to shares, whose sum is 1.
+  // Gradients to points and to fractions; the fractions sum to 1.
   double mean_grad = 0, grad_camera[6] = {};
   auto const grad_fraction = [&](int64_t i) KV_INLINE {
     double sum = 0;
@@ -732,7 +737,7 @@ KV_HD void solve_dlt_vjp(dlt_models::Affine, Dlt<T> const& p, int64_t b, Group g
   dlt_models::Problem<2> const problem(p, b, group);
   dlt_models::AffineFit const map(problem, group);
   dlt_models::Weights const& weights = problem.weights;
-  // To S, to C, and to both means.
+  // Gradients to S, to C and to both means.
   double grad_map[4], grad_across[4], grad_square[4], grad_mean1[2] = {}, grad_mean2[2];
   for (int r = 0; r < 2; ++r) {
     double const shift = map.is_singular ? 0 : p.grad[9 * b + 3 * r + 2];
@@ -752,7 +757,7 @@ KV_HD void solve_dlt_vjp(dlt_models::Affine, Dlt<T> const& p, int64_t b, Group g
       grad_square[2 * i + k] =
           map.is_singular ? 0 : -(grad_across[2 * i] * map.linear[k] + grad_across[2 * i + 1] * map.linear[2 + k]);
 
-  // Of a correspondence: what both points' gradients are over its share; gives that to the share.
+  // Of a correspondence: sets the gradients to both points, divided by its fraction, and returns that to the fraction.
   auto const row_gradients = [&](int64_t i, double* g1, double* g2) KV_INLINE {
     double x[2], y[2], grad_fraction = 0;
     problem.image1.centered(i, x);
@@ -835,7 +840,7 @@ KV_HD void normalize_problem_vjp(NormalizedPoints<T> const& p, int64_t b, Group 
   }
 }
 
-// Calls f with the steps of a model.
+// Calls f with the functions of a model.
 template <class F>
 KV_HD void dispatch_model(DltModel model, F f) {
   switch (model) {

@@ -5,8 +5,8 @@
 namespace kv {
 namespace {
 
-// What one call has: points, weights and cameras, checked. The number of problems is that of weights, where one has the
-// points of all.
+// The arguments of a call, checked: points, weights and cameras. The number of problems is that of the weights if all
+// problems share the points.
 struct DltCall {
   char const* op;
   Contiguous points1, points2, weights, camera;
@@ -51,7 +51,7 @@ struct DltCall {
     KV_RUN(dlt, models, params, params.batch, 4096 + 64 * params.count);
     return models;
   }
-  // To both points and to the weights.
+  // Gradients to both points and to the weights.
   std::tuple<Tensor, Tensor, Tensor> backward(Tensor const& grad) {
     int64_t const batch = params.batch, count = params.count;
     KV_CHECK(points1.tensor.size(0) == batch, op, ": expected points of each problem");
@@ -124,7 +124,7 @@ std::tuple<Tensor, Tensor, Tensor, Tensor> pose_dlt_backward(Tensor const& grad,
   return {grad_points, grad_pixels, grad_camera, grad_weights};
 }
 
-// Points and weights that are to be normalised, checked.
+// Points and weights for normalization, checked.
 struct NormalizeArguments {
   Contiguous points, weights;
   NormalizedPoints<double> params{};

@@ -1,4 +1,4 @@
-// The binary focal loss on CUDA.
+// Binary focal loss on CUDA.
 #include "binary_focal.h"
 #include "metrics/pointwise.cuh"
 

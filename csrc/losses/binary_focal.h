@@ -1,5 +1,5 @@
-// The focal loss of logits x with targets t, 0 or 1 or between, element by element, or its sums; with p the sigmoid of
-// x:
+// Binary focal loss of logits x with targets t in [0, 1], for every element or summed over rows. With p the sigmoid of
+// x, and with the factors yes and no of the two terms:
 //
 //   -yes (1 - p)^gamma t log p - no p^gamma (1 - t) log(1 - p)
 //
@@ -12,7 +12,7 @@ namespace kv {
 
 template <class F>
 struct BinaryFocalTerms {
-  F const *rows_yes, *rows_no;  // factors of the rows, or null
+  F const *rows_yes, *rows_no;  // factors per row, or null
   int64_t yes_stride, no_stride;
   F yes, no, gamma, ignored;
   bool ignores;
@@ -33,13 +33,13 @@ struct BinaryFocalSum {
   Compute<T>*partial, *sums;  // (rows, chunks) and (rows); see PointwiseSum
 };
 
-// The loss, or its derivative by x, or by t if `by_target`, times a gradient.
+// The loss of every element; or its derivative with respect to x, or t if `by_target`, times a gradient.
 template <class T>
 struct BinaryFocalMap {
   Pair<T> pair;
   BinaryFocalTerms<Compute<T>> terms;
-  T const* grad;                  // of every element, or null
-  Compute<T> const* grad_of_sum;  // of every row's sum, or null
+  T const* grad;                  // per element, or null
+  Compute<T> const* grad_of_sum;  // per row, or null
   bool by_target;
   T* out;
 };
@@ -47,11 +47,11 @@ struct BinaryFocalMap {
 KV_KERNEL(binary_focal_sum, BinaryFocalSum)
 KV_KERNEL(binary_focal_map, BinaryFocalMap)
 
-// What the loss is made of, at logits V.
+// The terms of the loss at a vector V of logits.
 template <class F, class Math, class V>
 struct BinaryFocalPoint {
   BinaryFocalTerms<F> const& terms;
-  V p, q, log_p, log_q, p_power, q_power;  // of p and of q = 1 - p
+  V p, q, log_p, log_q, p_power, q_power;  // powers of p and of q = 1 - p
 
   KV_HD BinaryFocalPoint(BinaryFocalTerms<F> const& terms, V x) : terms(terms) {
     V const zero{}, one = zero + F(1), size = x < zero ? V(-x) : x, u = Math::exp(V(-size)), sum = one + u;

@@ -1,4 +1,4 @@
-// The binary focal loss on the CPU: chunks [begin, end) of all rows. Compiled once per instruction set.
+// Binary focal loss on the CPU: chunks [begin, end) of all rows. Compiled once per instruction set.
 #include "binary_focal.h"
 #include "metrics/pointwise_cpu.h"
 

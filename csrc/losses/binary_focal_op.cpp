@@ -1,11 +1,11 @@
-// The binary focal loss: schemas and entries, for CPU and CUDA alike.
+// Binary focal loss: schemas and operators, for CPU and CUDA.
 #include "binary_focal.h"
 #include "glue/glue.h"
 
 namespace kv {
 namespace {
 
-// Logits and targets (rows, size), and factors of the rows; one row may serve as many results as there are.
+// Logits and targets (rows, size), and factors per row. A tensor with a single row is broadcast.
 struct FocalRows {
   Tensor x, target;
   std::optional<Tensor> yes, no;
@@ -30,7 +30,7 @@ struct FocalRows {
   bool is_of_rows(Tensor const& t) const {
     return t.dim() == 1 && t.scalar_type() == compute_dtype(x) && t.device() == x.device();
   }
-  // 0 for one row that serves all.
+  // The stride of rows; 0 if a single row is broadcast.
   int64_t stride(Tensor const& t, int64_t of) const { return t.size(0) == rows ? of : 0; }
   template <class T>
   Pair<T> pair() const {
@@ -51,7 +51,7 @@ struct FocalRows {
   int64_t cost() const { return 16 * min(size, kPointChunk); }
 };
 
-// Of every element, or the sums of the rows.
+// The losses of all elements, or their sums over rows.
 Tensor binary_focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& yes,
                     std::optional<Tensor> const& no, double of_yes, double of_no, double gamma, double ignored,
                     bool ignores, bool summed) {
@@ -77,7 +77,7 @@ Tensor binary_focal(Tensor const& pred, Tensor const& target, std::optional<Tens
   return loss;
 }
 
-// The gradient to `pred`, or to `target`.
+// The gradient with respect to `pred`, or to `target`.
 Tensor binary_focal_backward(Tensor const& grad, Tensor const& pred, Tensor const& target,
                              std::optional<Tensor> const& yes, std::optional<Tensor> const& no, double of_yes,
                              double of_no, double gamma, double ignored, bool ignores, bool summed, bool by_target) {

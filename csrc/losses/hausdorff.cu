@@ -1,7 +1,7 @@
-// The Hausdorff loss on CUDA: a launch for each erosion, whose blocks begin by finding the smallest and largest numbers
-// that those of the launch before have left. Backward the erosions are made again and all kept;
-// then there is a launch for each of them the other way. Planes go through this in groups, so that what is kept is no
-// more than a map of the whole batch.
+// Hausdorff loss on CUDA. Each erosion is one launch, whose blocks first reduce the minima and maxima that the blocks
+// of the previous launch stored. The backward pass recomputes and stores all erosions, then traverses them in reverse,
+// one launch each. Planes are processed in groups, so that the working memory is no larger than a map of the whole
+// batch.
 #include "core/row_sums.cuh"
 #include "hausdorff.h"
 
@@ -10,7 +10,7 @@ namespace {
 
 constexpr int kThreads = kSumThreads;
 
-// The K numbers of every chunk of a plane together.
+// Reduces the K numbers of every chunk of a plane.
 template <int K, class F, class Op>
 __device__ __forceinline__ void reduce_chunks(F (&v)[K], F const* numbers, unsigned chunks, Op op) {
   for (unsigned i = threadIdx.x; i < chunks; i += kThreads)
@@ -19,7 +19,7 @@ __device__ __forceinline__ void reduce_chunks(F (&v)[K], F const* numbers, unsig
   block_reduce<kSumThreads>(v, op);
 }
 
-// A plane's c_i, and how they become b_i. Blocks leave -low and high.
+// The c_i of a plane, and the normalization from c_i to b_i. Blocks store -low and high.
 template <class F>
 struct Eroded {
   F const* c;
@@ -34,7 +34,7 @@ struct Eroded {
   __device__ __forceinline__ F b(int64_t i) const { return (c[i] - from) * scale; }
 };
 
-// The mean of what value(i) is at pixel i and around it.
+// The mean of value(i) at pixel i and its direct neighbors.
 template <class F, class Value>
 __device__ __forceinline__ F mean_around(Extent const& e, unsigned i, Value value) {
   unsigned const width = unsigned(e.width), height = unsigned(e.height), row = i / width, x = i - row * width;
@@ -52,7 +52,7 @@ __device__ __forceinline__ F mean_around(Extent const& e, unsigned i, Value valu
   return sum * F(1. / 5);
 }
 
-// A block's chunk of one of the planes from `first` on.
+// The chunk of a block, in one of the planes from `first` on.
 template <class F>
 struct Group {
   Differences<F> differences;
@@ -73,11 +73,11 @@ struct Group {
 template <class F>
 struct Erosion {
   Group<F> group;
-  F const *from, *from_numbers;  // c_(i-1), or null for differences
-  F *to, *to_numbers;            // c_i, or null for the loss alone
+  F const *from, *from_numbers;  // c_(i-1); null: the first erosion reads differences
+  F *to, *to_numbers;            // c_i; null: only the loss is computed
   F weight;                      // of b_(i-1) in the loss
-  bool begins;                   // the loss
-  F *map, *sums;                 // the loss: of the pixels of all planes, or of the group's chunks; or null
+  bool begins;                   // sets the loss rather than adding to it
+  F *map, *sums;                 // the loss per pixel of all planes, or per chunk of the group; or null
 };
 
 template <class F, bool First>
@@ -122,17 +122,17 @@ __global__ void __launch_bounds__(kThreads) erode(__grid_constant__ Erosion<F> c
   if (threadIdx.x == 0) p.sums[blockIdx.x] = p.begins ? loss[0] : p.sums[blockIdx.x] + loss[0];
 }
 
-// From g of b_i to that of b_(i-1), or to the gradient.
+// One step of the backward pass: from g of b_i to g of b_(i-1), or to the gradient of the prediction.
 template <class F>
 struct Growth {
   Group<F> group;
-  F const *c, *numbers, *g, *sums;  // of i; null for none
-  F const *next_c, *next_numbers;   // of i - 1; null for differences
+  F const *c, *numbers, *g, *sums;  // of step i; null: there is none
+  F const *next_c, *next_numbers;   // of step i - 1; null: differences
   F *next_g, *next_sums;
   F weight;       // of b_(i-1) in the loss
-  F const* grad;  // of the pixels of all planes, or of the planes if of_sums
+  F const* grad;  // per pixel of all planes, or per plane if of_sums
   bool of_sums;
-  F* out;  // the gradient
+  F* out;  // the gradient of the prediction
 };
 
 template <class F, bool Last>
@@ -177,7 +177,7 @@ __global__ void __launch_bounds__(kThreads) grow(__grid_constant__ Growth<F> con
   });
 }
 
-// Calls f(group, planes) for all of them.
+// Calls f(group, planes) for all groups.
 template <class F, class Call>
 int for_each_group(Differences<F> const& d, int64_t at_once, Call f) {
   unsigned const size = unsigned(d.extent.size()), chunks = unsigned(ceil_div(size, kErosionChunk));
@@ -215,7 +215,9 @@ int hausdorff_backward(HausdorffBackward<F> const& p, CUstream_st* stream) {
   return for_each_group(p.differences, p.at_once, [&](Group<F> const& group, int64_t planes) {
     unsigned const blocks = unsigned(planes * group.chunks);
     F *const sums = p.numbers, *const numbers = sums + 2 * 4 * int64_t(blocks);
-    auto const map = [&](int64_t i) { return p.maps + (i - 1) * planes * group.size; };  // of 1 to k, and two more
+    auto const map = [&](int64_t i) {
+      return p.maps + (i - 1) * planes * group.size;
+    };  // map i of 1 to k, and two more
     auto const ends = [&](int64_t i) { return numbers + (i - 1) * blocks * 2; };
     auto const sums_of = [&](int64_t i) { return sums + i % 2 * blocks * 4; };
     for (int64_t i = 1; i <= p.k; ++i) {

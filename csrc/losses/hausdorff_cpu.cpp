@@ -1,5 +1,5 @@
-// The Hausdorff loss on the CPU: planes [begin, end), each in a few copies with a rim of zeros. Compiled once per
-// instruction set.
+// Hausdorff loss on the CPU: planes [begin, end), each in a few copies padded with zeros. Compiled once per instruction
+// set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "hausdorff.h"
@@ -7,7 +7,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Copies of a plane, with a rim.
+// Copies of a plane, padded with zeros.
 template <class F>
 struct Padded {
   Extent const extent;
@@ -24,7 +24,7 @@ struct Padded {
   }
   KV_HD F* plane(int64_t i) const { return memory.data + i * size; }
 
-  // Calls f(first element of a row in a copy, and in the plane).
+  // Calls f(first element of a row in a copy, first element in the plane).
   template <class Call>
   KV_HD void for_each_row(Call f) const {
     int64_t const rows = extent.size() / extent.width;
@@ -33,7 +33,7 @@ struct Padded {
       f((extent.depth > 0 ? z + 1 : 0) * slab + (y + 1) * pitch + 1, row * extent.width);
     }
   }
-  // Calls f(width, element of a copy, and of the plane) for vectors, none of which overlap.
+  // Calls f(width, element of a copy, element of the plane) for vectors, which do not overlap.
   template <class Call>
   KV_HD void for_each(Call f) const {
     constexpr int N = kLanes<F>;
@@ -43,7 +43,7 @@ struct Padded {
       for (; x < extent.width; ++x) f(Width<1>{}, at + x, i + x);
     });
   }
-  // The mean of what is around an element.
+  // The mean of an element and its direct neighbors.
   template <int N>
   KV_HD Lanes<F, N> mean(F const* at) const {
     using V = Lanes<F, N>;
@@ -53,7 +53,7 @@ struct Padded {
   }
 };
 
-// Sums of vectors and of single numbers.
+// Sums in vectors, and of the remaining elements.
 template <class F>
 struct Sum {
   static constexpr int N = kLanes<F>;
@@ -84,7 +84,7 @@ KV_HD void load_differences(Padded<F> const& r, Differences<F> const& d, int64_t
   });
 }
 
-// b_(i-1) to b_i.
+// One erosion, b_(i-1) to b_i.
 template <class F>
 KV_HD ValueRange<F> erode(Padded<F> const& r, F const* from, F* to) {
   constexpr int N = kLanes<F>;
@@ -148,7 +148,7 @@ void hausdorff(Hausdorff<F> const& p, int64_t begin, int64_t end) {
 
 template <class F>
 void hausdorff_backward(HausdorffBackward<F> const& p, int64_t begin, int64_t end) {
-  Padded<F> const r(p.differences.extent, p.k + 2);  // b_i, and g in the place of b_0
+  Padded<F> const r(p.differences.extent, p.k + 2);  // b_i, and g in the memory of b_0
   int64_t const size = r.extent.size();
   Scratch<ValueRange<F>> spans(p.k + 1);
   for (int64_t plane = begin; plane < end; ++plane) {

@@ -1,13 +1,13 @@
-// The Hausdorff loss: schemas and entries, for CPU and CUDA alike.
+// Hausdorff loss: schemas and operators, for CPU and CUDA.
 #include "glue/glue.h"
 #include "hausdorff.h"
 
 namespace kv {
 namespace {
 
-constexpr int64_t kMaxErosions = 1000;  // as losses/hausdorff.py knows
+constexpr int64_t kMaxErosions = 1000;  // python/kvision/losses/hausdorff.py has the same limit
 
-// Predictions (B, C, H, W) or (B, C, D, H, W) in a type that computes, and labels (B or 1, ...), contiguous.
+// Predictions (B, C, H, W) or (B, C, D, H, W) in float32 or float64, and labels (B or 1, ...), contiguous.
 struct LabelledPlanes {
   Tensor pred, target;
   Extent extent;
@@ -44,8 +44,7 @@ struct LabelledPlanes {
 };
 
 #if defined(KV_CUDA)
-// Memory of planes that are worked on together: so many that it is a map of all, and no less than what fills the
-// machine.
+// Working memory for a group of planes: as large as a map of the batch, but at least enough to occupy the GPU.
 template <class Params>
 std::pair<Tensor, Tensor> make_room(LabelledPlanes const& x, Params& params, int64_t maps, int64_t numbers) {
   constexpr int64_t kElementsAtOnce = 1 << 20;
@@ -58,7 +57,7 @@ std::pair<Tensor, Tensor> make_room(LabelledPlanes const& x, Params& params, int
 }
 #endif
 
-// Of every pixel, or the sums (B, C) of the planes.
+// The loss of every pixel, or the sums (B, C) over planes.
 Tensor hausdorff(Tensor const& pred, Tensor const& target, double alpha, int64_t k, bool summed) {
   LabelledPlanes const x("hausdorff", pred, target, k);
   Tensor const loss = summed ? empty({pred.size(0), pred.size(1)}, x.pred) : empty(x.pred.sizes(), x.pred);

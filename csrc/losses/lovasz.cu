@@ -1,7 +1,7 @@
-// Lovász losses on CUDA. Segments are sorted by their digits, the last one first: a block counts the digits of its
-// chunk of a segment, another kernel adds these counts up to where every digit of every chunk goes, and then a block
-// sorts its chunk in shared memory and writes it there. Equal ones stay as they were, so that all runs give the same
-// bits.
+// Lovász losses on CUDA. Segments are sorted by a stable radix sort from the least significant digit. A block counts
+// the digits of its chunk of a segment. A second kernel turns these counts into offsets, by prefix sums over chunks and
+// digits. Then a block sorts its chunk in shared memory and scatters it to the offsets. Equal keys keep their order, so
+// that all runs give the same bits.
 #include "core/row_sums.cuh"
 #include "lovasz.h"
 
@@ -22,7 +22,7 @@ struct LovaszMath {
   }
 };
 
-// --- errors and gradients: a thread for each pixel -------------------------------------------------------------------
+// --- errors and gradients: one thread per pixel ----------------------------------------------------------------------
 
 template <class T>
 __global__ void __launch_bounds__(kThreads)
@@ -56,7 +56,7 @@ __global__ void __launch_bounds__(kThreads)
 
 // --- sorting ---------------------------------------------------------------------------------------------------------
 
-// Segments from `first` on, in chunks; what is sorted comes from the errors at first, and then from `from`.
+// Chunks of the segments from `first` on; the first pass reads the errors, and later passes read `from`.
 template <class F>
 struct Sorting {
   LovaszLabels labels;
@@ -65,16 +65,16 @@ struct Sorting {
   unsigned chunks;
   Ranked<F> const* from;  // or null
   Ranked<F>* to;
-  uint32_t* counts;  // (segments, chunks, digits), and after them (segments, digits)
+  uint32_t* counts;  // (segments, chunks, digits), followed by (segments, digits)
   uint32_t* starts;
-  int shift;  // of the digit
+  int shift;  // of the digit, in bits
 
-  // The block's segment among those that are sorted, and its chunk of it.
+  // The index of the block's segment within the group, and of its chunk within the segment.
   __device__ __forceinline__ unsigned segment() const { return blockIdx.x / chunks; }
   __device__ __forceinline__ int64_t start() const {
     return int64_t(blockIdx.x - segment() * chunks) * kRankedChunk<F>;
   }
-  // Element i of the segment; beyond its end what comes after all others.
+  // Element i of the segment; past its end, a key that sorts last.
   __device__ __forceinline__ Ranked<F> at(int64_t i) const {
     if (i >= labels.pixels) return {typename Ranked<F>::Bits(-1), 0};
     if (from) return from[segment() * labels.pixels + i];
@@ -85,7 +85,7 @@ struct Sorting {
   __device__ __forceinline__ unsigned digit(Ranked<F> const& r) const { return unsigned(r.key >> shift) % kDigits; }
 };
 
-// A thread's elements of a chunk of a segment: one of 32 neighbors that a warp takes at a time, row after row.
+// The elements of a thread in a chunk: one of 32 adjacent elements per row of its warp, row after row.
 template <class F>
 struct Rows {
   static constexpr int kCount = kRankedChunk<F> / kThreads;
@@ -94,7 +94,7 @@ struct Rows {
   }
 };
 
-// The threads of the warp that have the same digit.
+// A mask of the threads of the warp that have the same digit.
 __device__ __forceinline__ unsigned same_digit(unsigned digit) {
   unsigned same = 0xffffffffu;
 #pragma unroll
@@ -107,8 +107,8 @@ __device__ __forceinline__ unsigned same_digit(unsigned digit) {
 
 __device__ __forceinline__ unsigned lanes_before() { return (1u << threadIdx.x % 32) - 1; }
 
-// How many elements of a warp's rows have each digit, to `counts`, and of every row how many before it have the
-// thread's.
+// Adds the digits of a warp's rows to `counts`, and returns for every row the number of earlier elements with the
+// thread's digit.
 template <class F>
 struct Digits {
   static constexpr int kRows = Rows<F>::kCount;
@@ -141,12 +141,12 @@ __global__ void __launch_bounds__(kThreads) count_digits(__grid_constant__ Sorti
   __syncthreads();
   unsigned sum = 0;
   for (int w = 0; w < kWarps; ++w) sum += counts[w][threadIdx.x];
-  // What the last chunk has too many stands after all others of the last digit: nothing is behind it.
+  // Padding of the last chunk is sorted behind all elements of the last digit, where nothing follows.
   p.counts[int64_t(blockIdx.x) * kDigits + threadIdx.x] = sum;
 }
 
-// A block for each segment: counts (chunks, digits) become those of the chunks before, and starts of the digits. Chunks
-// are split between the block's groups of kDigits threads.
+// One block per segment turns counts (chunks, digits) into the counts of the preceding chunks and the start of each
+// digit. The groups of kDigits threads in a block split the chunks.
 __global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, uint32_t* starts, unsigned chunks) {
   constexpr int kGroups = kScanThreads / kDigits;
   __shared__ unsigned sums[kGroups][kDigits];
@@ -167,7 +167,7 @@ __global__ void __launch_bounds__(kScanThreads) scan_digits(uint32_t* counts, ui
     counts[int64_t(i) * kDigits] = before;
     before += count;
   }
-  // The last group has them all; those of smaller digits by a scan in shared memory.
+  // The last group has the totals; a scan in shared memory sums those of smaller digits.
   __syncthreads();
   if (group == kGroups - 1) sums[0][digit] = before;
   __syncthreads();
@@ -187,7 +187,7 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
   __shared__ Ranked<F> sorted[kChunk];
   Digits<F> const digits(p, counts);
   __syncthreads();
-  // Of the thread's own digit: how many the warps before have, and where the chunk's smaller digits end.
+  // For the digit of the thread: the count in preceding warps, and the end of the chunk's smaller digits.
   unsigned const digit = threadIdx.x, lane = threadIdx.x % 32;
   unsigned sum = 0;
 #pragma unroll
@@ -225,7 +225,7 @@ __global__ void __launch_bounds__(kThreads, 3) move_digits(__grid_constant__ Sor
   }
 }
 
-// --- gradients of what is sorted ----------------------------------------------------------------------------------------
+// --- gradients of sorted segments ------------------------------------------------------------------------------------
 
 template <class F>
 __global__ void __launch_bounds__(kThreads)
@@ -241,7 +241,8 @@ __global__ void __launch_bounds__(kThreads)
   if (threadIdx.x == 0) counts[blockIdx.x] = count;
 }
 
-// A block for each chunk of a segment: gradients of what it holds to the pixels, and the chunk's part of the loss.
+// One block per chunk of a segment: scatters the gradients of its elements to the pixels, and sums its part of the
+// loss.
 template <class F>
 __global__ void __launch_bounds__(kThreads) compute_gradients(Ranked<F> const* ranked, int64_t pixels, unsigned chunks,
                                                               uint32_t const* counts, F* gradients, F* partial) {
@@ -252,7 +253,7 @@ __global__ void __launch_bounds__(kThreads) compute_gradients(Ranked<F> const* r
   int64_t const start = int64_t(chunk) * kRankedChunk<F>;
   ranked += segment * pixels, gradients += segment * pixels, counts += segment * chunks;
 
-  unsigned mine = 0, before = 0;  // of all chunks, and of those before this one
+  unsigned mine = 0, before = 0;  // the totals of all chunks, and of the preceding ones
   for (unsigned i = threadIdx.x; i < chunks; i += kThreads) {
     unsigned const count = counts[i];
     mine += count, before += i < chunk ? count : 0;

@@ -1,14 +1,15 @@
-// Lovász losses of logits (B, C, pixels) with labels (B, pixels): of every class in every image the errors of the
-// pixels from the largest on, each times its derivative, which is what its pixel adds to the Jaccard loss of the set of
-// those before it. Included by lovasz_cpu.cpp, lovasz.cu and lovasz_op.cpp.
+// Lovász losses of logits (B, C, pixels) with labels (B, pixels). The errors of every class in every image are sorted
+// in descending order. The loss is their sum, each error times the amount by which its pixel increases the Jaccard loss
+// of the pixels before it. Included by lovasz_cpu.cpp, lovasz.cu and lovasz_op.cpp.
 //
-// With `all` pixels in the region, of which `inside` are among the first ones and `outside` other pixels beside them,
-// the loss of the first is 1 - (all - inside) / (all + outside). So a pixel of the region adds 1 / (all + outside), and
-// one of the others (all - inside) / ((all + outside - 1) (all + outside)): counts of what was sorted, and no
-// differences of numbers near 1.
+// Let the region have `all` pixels, and let the first pixels comprise `inside` of them and `outside` others. The
+// Jaccard loss of the first pixels is 1 - (all - inside) / (all + outside). A pixel of the region adds 1 / (all +
+// outside), and any other pixel (all - inside) / ((all + outside - 1) (all + outside)). Both are computed from integer
+// counts, without differences of numbers near 1.
 //
-// Errors are what the labels (1 or 0) differ from the softmax by, or `hinge`, with one class, relu(1 - x) inside of the
-// region and relu(1 + x) outside. A label that is none makes the error NaN, which is sorted before all numbers.
+// Errors are the absolute differences of the one-hot labels and the softmax. With `hinge` there is one class, and the
+// errors are relu(1 - x) inside the region and relu(1 + x) outside. A label that is not a class makes the error NaN,
+// which sorts before all numbers.
 #pragma once
 
 #include <type_traits>
@@ -18,8 +19,8 @@
 namespace kv {
 
 struct LovaszLabels {
-  void const* target;             // int64, or bytes
-  bool bytes, one_target, hinge;  // one for all images
+  void const* target;             // int64, or uint8 if `bytes`
+  bool bytes, one_target, hinge;  // one_target: one for all images
   int64_t batch, classes, pixels;
 
   KV_HD int64_t segments() const { return batch * classes; }
@@ -27,7 +28,7 @@ struct LovaszLabels {
     int64_t const at = (one_target ? 0 : b) * pixels + i;
     return bytes ? int64_t(static_cast<uint8_t const*>(target)[at]) : static_cast<int64_t const*>(target)[at];
   }
-  // NaN for a label that is none.
+  // The label as a floating-point number; NaN if it is not a class.
   template <class F>
   KV_HD F number(int64_t b, int64_t i) const {
     int64_t const label = at(b, i);
@@ -43,8 +44,8 @@ struct LovaszErrors {
   Compute<T>* errors;  // (B, C, pixels)
 };
 
-// What a segment, the pixels of a class in an image, is sorted by: bits of the error, the smaller the larger it is; and
-// 2 pixel + [in the region].
+// An element of a segment; a segment is the pixels of one class in one image. The key is ascending for descending
+// errors. `place` is 2 pixel + [in the region].
 template <class F>
 struct Ranked {
   using Bits = std::conditional_t<sizeof(F) == 4, uint32_t, uint64_t>;
@@ -62,9 +63,9 @@ struct Ranked {
 template <class F>
 struct LovaszGradients {
   LovaszLabels labels;
-  F* gradients;  // (B, C, pixels): errors, which they replace
+  F* gradients;  // (B, C, pixels): errors on entry, gradients on return
   F* losses;     // (B, C)
-  // Working memory of CUDA's kernel: twice so many elements as `at_once` segments have, and counts of their chunks.
+  // CUDA: two buffers for the elements of `at_once` segments, and counts of their chunks.
   Ranked<F>* ranked[2];
   uint32_t* counts;
   F* partial;  // (B C, chunks)
@@ -83,14 +84,14 @@ KV_KERNEL(lovasz_errors, LovaszErrors)
 KV_KERNEL(lovasz_gradients, LovaszGradients)
 KV_KERNEL(lovasz_backward, LovaszBackward)
 
-constexpr int64_t kLovaszBlock = 1024;  // pixels of an image that are worked on together
+constexpr int64_t kLovaszBlock = 1024;  // pixels of an image per task
 
-// Of CUDA's kernel: how much of a segment a block sorts, and values of a digit.
+// CUDA: the threads that sort a chunk of a segment, and the values of a digit.
 constexpr int kRankedThreads = 256, kRankedDigits = 256;
 template <class F>
 constexpr int kRankedChunk = kRankedThreads * (64 / int(sizeof(F)));
 
-// The derivative of a pixel, itself among the `inside` or `outside` first ones.
+// The derivative of the loss by the error of a pixel; `inside` and `outside` count the pixels up to and including it.
 template <class F>
 KV_HD F jaccard_derivative(bool is_inside, uint32_t all, uint32_t inside, uint32_t outside) {
   if (is_inside) return F(1) / F(all + outside);
@@ -98,7 +99,7 @@ KV_HD F jaccard_derivative(bool is_inside, uint32_t all, uint32_t inside, uint32
   return before == 0 ? F(1) : F(all - inside) / F(before) / F(before + 1);
 }
 
-// The softmax of pixels V, whose logits are load(c).
+// The softmax of pixels V; load(c) returns their logits of class c.
 template <class Math, class V>
 struct LovaszSoftmax {
   V most, scale;
@@ -116,7 +117,7 @@ struct LovaszSoftmax {
   KV_HD V operator()(V x) const { return Math::exp(V(x - most)) * scale; }
 };
 
-// Stores the errors of pixels V by store(c, errors). `label` has their labels, or NaN.
+// Passes the errors of pixels V to store(c, errors). `label` has their labels, or NaN.
 template <class F, class Math, class V, class Load, class Store>
 KV_HD void errors_of_pixels(bool hinge, int64_t classes, V label, Load load, Store store) {
   V const zero{}, one = zero + F(1), nan_or_zero = label - label;
@@ -132,8 +133,8 @@ KV_HD void errors_of_pixels(bool hinge, int64_t classes, V label, Load load, Sto
   }
 }
 
-// Stores the gradient to their logits; derivative(c) is that of the loss by the errors. With p the probabilities and G
-// the gradients by them, logit c gets p_c (G_c - sum_k p_k G_k).
+// Stores the gradient of their logits; derivative(c) is the derivative of the loss by the errors of class c. With p the
+// probabilities and G the gradients by them, logit c receives p_c (G_c - sum_k p_k G_k).
 template <class F, class Math, class V, class Load, class Derivative, class Store>
 KV_HD void gradients_of_pixels(bool hinge, int64_t classes, V label, Load load, Derivative derivative, Store store) {
   V const zero{}, one = zero + F(1), nan_or_zero = label - label;

@@ -1,5 +1,5 @@
-// Lovász losses on the CPU: blocks [begin, end) of pixels for errors and gradients, segments for gradients. Compiled
-// once per instruction set.
+// Lovász losses on the CPU: blocks [begin, end) of pixels for errors and for gradients of the logits, segments [begin,
+// end) for the sorted errors. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "lovasz.h"
@@ -15,7 +15,7 @@ struct LovaszMath {
   KV_HD static Lanes<F, N> exp(Lanes<F, N> x) { return vexp2<F, N>(x * F(1.44269504088896340736)); }
 };
 
-// Calls f(image, pixel, their labels) for vectors of the pixels of blocks [begin, end).
+// Calls f(image, pixel, labels) for vectors of the pixels of blocks [begin, end).
 template <class T, class Call>
 KV_HD void for_each_pixel(LovaszLabels const& labels, int64_t begin, int64_t end, Call f) {
   using F = Compute<T>;
@@ -31,7 +31,7 @@ KV_HD void for_each_pixel(LovaszLabels const& labels, int64_t begin, int64_t end
   }
 }
 
-// By its key, the smallest first, equal ones as they were: to the result, one of both.
+// A stable radix sort by ascending key; returns the buffer with the result, one of both.
 template <class F>
 KV_HD Ranked<F>* sorted(Ranked<F>* from, Ranked<F>* to, uint32_t* counts, int64_t n) {
   constexpr int kPasses = (8 * sizeof(F) + kDigitBits - 1) / kDigitBits;
@@ -41,7 +41,7 @@ KV_HD Ranked<F>* sorted(Ranked<F>* from, Ranked<F>* to, uint32_t* counts, int64_
   for (int pass = 0; pass < kPasses; ++pass) {
     uint32_t* const at = counts + pass * kDigits;
     int const shift = pass * kDigitBits;
-    if (at[(from[0].key >> shift) % kDigits] == n) continue;  // one digit in all of them
+    if (at[(from[0].key >> shift) % kDigits] == n) continue;  // all elements have the same digit
     uint32_t sum = 0;
     for (int i = 0; i < kDigits; ++i) {
       uint32_t const count = at[i];

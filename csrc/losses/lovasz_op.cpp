@@ -1,4 +1,4 @@
-// Lovász losses: schemas and entries, for CPU and CUDA alike.
+// Lovász losses: schemas and operators, for CPU and CUDA.
 #include "glue/glue.h"
 #include "lovasz.h"
 
@@ -32,7 +32,7 @@ struct LovaszImages {
   int64_t cost() const { return 4 * min(pixels, kLovaszBlock) * classes; }
 };
 
-// The losses (B, C) and the gradients (B, C, H, W) of the loss of a class in an image by the errors.
+// The losses (B, C), and the derivatives (B, C, H, W) of each loss by its errors.
 std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool hinge) {
   LovaszImages const x("lovasz", pred, target, hinge);
   auto const type = compute_dtype(pred);
@@ -45,8 +45,8 @@ std::tuple<Tensor, Tensor> lovasz(Tensor const& pred, Tensor const& target, bool
     KV_RUN(lovasz_errors, pred, errors, x.blocks(), x.cost());
     LovaszGradients<F> params{x.labels(), data_ptr<F>(gradients), data_ptr<F>(losses), {}, nullptr, nullptr, 0};
 #if defined(KV_CUDA)
-    // So many segments together that their memory, four times that of their gradients, is a map of all, and no less
-    // than what fills the machine.
+    // A group of segments: its memory, four times that of its gradients, is as large as a map of the batch, but at
+    // least enough to occupy the GPU.
     constexpr int64_t kElementsAtOnce = 1 << 20, kSize = 2 * sizeof(Ranked<F>);
     int64_t const segments = x.batch * x.classes, chunks = (x.pixels + kRankedChunk<F> - 1) / kRankedChunk<F>;
     params.at_once = clamp(std::max(kElementsAtOnce / x.pixels, segments / 4), int64_t(1), segments);

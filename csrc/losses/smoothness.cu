@@ -1,5 +1,5 @@
-// Smoothness of inverse depth on CUDA: threads walk down columns. Neighbours are read again by those they belong to,
-// from the cache.
+// Smoothness of inverse depth on CUDA: each thread traverses a column downwards. Neighbors are read again, from the
+// cache, by the threads whose pixels they are.
 #include "core/row_sums.cuh"
 #include "smoothness.h"
 
@@ -9,7 +9,7 @@ namespace {
 constexpr int kThreads = kSmoothColumns;
 static_assert(kThreads == kSumThreads);
 
-// A block's part of a sample, and a thread's column of it.
+// The part of a sample that a block processes, and the column of a thread.
 template <class T>
 struct Column {
   using F = Compute<T>;
@@ -37,18 +37,18 @@ struct Column {
     image = p.image.row(sample * p.channels, y) + x;
   }
   __device__ __forceinline__ void go_down() { ++y, depth += depth_stride, image += image_stride; }
-  // How far away the neighbors are, or 0 where there are none.
+  // The offsets of the neighbors; 0 where there is none.
   __device__ __forceinline__ int to_left() const { return x > 0 ? -1 : 0; }
   __device__ __forceinline__ int to_right() const { return x + 1 < width ? 1 : 0; }
   __device__ __forceinline__ bool has_below() const { return y + 1 < height; }
 
-  // What is rough where `apart` is the sum of the image's absolute differences, and that of the depth is `difference`;
-  // or with `signs` the sign of the latter instead of its size.
+  // The smoothness term: `apart` is the sum of the image's absolute differences, and `difference` that of the depth.
+  // With `signs`, the sign of the difference replaces its absolute value.
   __device__ __forceinline__ F rough(bool exists, F apart, F difference, F weight, bool signs) const {
     if (!exists) return F(0);
     return (signs ? sign_of(difference) : F(fabs(difference))) * fast_exp2(apart * exponent) * weight;
   }
-  // Of the edge to the row below.
+  // The term of the edge to the row below.
   __device__ __forceinline__ F below(F weight, bool signs) const {
     F apart = 0;
 #pragma unroll 4

@@ -1,11 +1,12 @@
-// How rough an inverse depth map d (B, 1, H, W) is where its image I (B, C, H, W) has no edges. For every sample it is
-// the sum over all neighbors p, q of
+// Edge-aware smoothness of an inverse depth map d (B, 1, H, W) with its image I (B, C, H, W). For every sample it is
+// the sum over all pairs of neighbors p, q of
 //
 //   rough(p, q) = weight * abs(d(q) - d(p)) * exp(-mean over c of abs(I_c(q) - I_c(p)))
 //
-// with one weight along y and one along x. A pixel's gradient is a sum over its neighbors, too: that to d(q) of the
-// sign of d(q) - d(p) where rough has its size, that to I_c(q) of -rough / C times the sign of I_c(q) - I_c(p); those
-// to p have the other sign. Included by smoothness_cpu.cpp, smoothness.cu and smoothness_op.cpp.
+// with one weight along y and one along x. The gradient of a pixel is a sum over its neighbors as well. The gradient of
+// d(q) is rough with sign(d(q) - d(p)) in the place of abs(d(q) - d(p)). The gradient of I_c(q) is -rough / C *
+// sign(I_c(q) - I_c(p)). Those of p have the opposite sign. Included by smoothness_cpu.cpp, smoothness.cu and
+// smoothness_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -21,33 +22,34 @@ struct DepthAndImage {
   Compute<T> along_y, along_x;  // weights
 
   KV_HD int64_t channel_stride() const { return image.inner == 1 ? image.outer_stride : image.inner_stride; }
-  // Times a sum of absolute differences it is the exponent to base 2.
+  // Times a sum of absolute differences, this is the exponent to base 2.
   KV_HD Compute<T> exponent() const { return Compute<T>(-1.4426950408889634) / Compute<T>(channels); }
 };
 
 template <class T>
 struct Smoothness {
   DepthAndImage<T> of;
-  int64_t chunks;       // of a sample: its rows on the CPU, blocks on CUDA
+  int64_t chunks;       // of a sample: rows on the CPU, blocks on CUDA
   Compute<T>* partial;  // (B, chunks)
-  Compute<T>* sums;     // (B), by CUDA's kernel; on the CPU the entry adds up the chunks
+  Compute<T>* sums;     // (B), written by the CUDA kernel; on the CPU the operator sums the chunks
 };
 
 template <class T>
 struct SmoothnessBackward {
   DepthAndImage<T> of;
   Compute<T> const* grad;  // of the sums
-  Planes<T> out;           // to the depth, or to the image
+  Planes<T> out;           // the gradient of the depth or of the image
   bool of_image;
 };
 
-// CUDA: what a block takes.
+// CUDA: the part of a sample per block.
 constexpr int kSmoothRows = 16, kSmoothColumns = 256;
 
 KV_KERNEL(smoothness, Smoothness)
 KV_KERNEL(smoothness_backward, SmoothnessBackward)
 
-// What an edge brings to the gradient of a pixel of the image. Edges beyond the image are 0, whatever is read there.
+// The contribution of an edge to the gradient of a pixel of the image. Edges out of bounds contribute 0, whatever was
+// read.
 template <class V>
 KV_HD V part_of(V rough, V difference) {
   return rough == 0 ? V{} : V(rough * sign_of(difference));

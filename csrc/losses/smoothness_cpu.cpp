@@ -6,8 +6,8 @@
 namespace kv::KV_ISA {
 namespace {
 
-// to[e] for e < n: what is rough between the pixels of row y and those `right` columns and `down` rows from them; or
-// with `signs` the sign of the depth's difference instead of its size.
+// For e < n sets to[e] to the smoothness term of pixel e of row y and the pixel `right` columns and `down` rows from
+// it. With `signs`, the sign of the depth's difference replaces its absolute value.
 template <class T>
 KV_HD void find_edges(DepthAndImage<T> const& p, int64_t sample, int64_t y, int64_t right, int64_t down, int64_t n,
                       Compute<T> weight, bool signs, Compute<T>* to) {
@@ -72,7 +72,7 @@ void smoothness_backward(SmoothnessBackward<T> const& p, int64_t begin, int64_t 
   DepthAndImage<T> const& of = p.of;
   int64_t const height = of.depth.height, width = of.depth.width;
   bool const signs = !p.of_image;
-  // Edges along x start with one beyond the image, and end with one.
+  // The first and the last edge along x are out of bounds.
   Scratch<F> along_x(width + 1), first(width), second(width);
   F *const x = along_x.data + 1, *up = first.data, *down = second.data;
   x[-1] = x[width - 1] = 0;

@@ -1,4 +1,4 @@
-// Smoothness of inverse depth: schemas and entries, for CPU and CUDA alike.
+// Smoothness of inverse depth: schemas and operators, for CPU and CUDA.
 #include "core/row_sums.h"
 #include "glue/glue.h"
 #include "smoothness.h"

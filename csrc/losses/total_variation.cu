@@ -1,4 +1,4 @@
-// Total variation on CUDA: warps walk down strips of the planes, with the rows of Strip.
+// Total variation on CUDA: warps traverse strips of the planes downwards, with the rows of Strip.
 #include "core/row_sums.cuh"
 #include "total_variation.h"
 
@@ -7,17 +7,17 @@ namespace {
 
 constexpr int kThreads = 256, kSumming = 512;
 
-// The differences v[j] - v[j + 1] of a row that starts one pixel left of column x, 0 where one is outside of it.
+// The differences v[j] - v[j + 1] of a row that starts one pixel left of column x; 0 if either pixel is out of bounds.
 template <class F, int P>
 __device__ __forceinline__ void differences(F const (&v)[P + 2], int x, int width, F (&d)[P + 1]) {
 #pragma unroll
   for (int j = 0; j <= P; ++j) d[j] = x + j > 0 && x + j < width ? v[j] - v[j + 1] : F(0);
 }
 
-// The sum over a strip's pixels of the differences to the next ones along y and along x.
+// The sum of absolute differences of a strip's pixels to their next neighbors along y and along x.
 template <class T, bool Aligned>
 __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, int64_t plane, int x, int y0) {
-  constexpr int P = kPixels<T>, kAhead = 2;  // rows on their way
+  constexpr int P = kPixels<T>, kAhead = 2;  // kAhead: rows that are prefetched
   using F = Compute<T>;
   int const width = int(p.x.width), height = int(p.x.height), y1 = min(y0 + kVariationRows, height);
   Strip<1, Aligned, P> const strip(x, width, Border::replicate);
@@ -29,7 +29,7 @@ __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, i
   };
   strip.load(v, rows.next());
   add_row();
-  for (int y = y0 + 1; y <= y1; y += kAhead) {  // the last one is the first of the strip below
+  for (int y = y0 + 1; y <= y1; y += kAhead) {  // the last one is the first row of the strip below
     typename Strip<1, Aligned, P>::template FetchedRow<T> fetched[kAhead];
 #pragma unroll
     for (int r = 0; r < kAhead; ++r) fetched[r] = strip.fetch(rows.next());
@@ -48,7 +48,7 @@ __device__ __forceinline__ Compute<T> sum_of_strip(TotalVariation<T> const& p, i
   return p.along_y * along_y + p.along_x * along_x;
 }
 
-// A warp sums a strip; or, of `whole` planes, a block sums one of them, and its warps take turns at the strips.
+// Each warp sums a strip. For `whole` planes each block sums a plane, and its warps take strips in turn.
 template <class T, bool Aligned>
 __global__ void __launch_bounds__(kSumming, sizeof(T) == 4 ? 3 : 1)
     sum_differences(__grid_constant__ TotalVariation<T> const p, Strips<kPixels<T>> const strips, bool whole) {
@@ -85,7 +85,7 @@ __global__ void __launch_bounds__(kThreads)
   RowCursor<T> rows(p.x, plane, y0 - 1);
   T* out = p.grad_x.row(plane, y0);
   F v[P + 2], below[P + 2], sign_above[P];
-  strip.load(below, rows.next());  // the row above, for now
+  strip.load(below, rows.next());  // the row above, until the first step
   strip.load(v, rows.next());
 #pragma unroll
   for (int j = 0; j < P; ++j) sign_above[j] = y0 > 0 ? sign_of(v[j + 1] - below[j + 1]) : F(0);
@@ -116,7 +116,7 @@ int total_variation(TotalVariation<T> const& p, CUstream_st* stream) {
   constexpr int P = kPixels<T>;
   static_assert(kVariationColumns<T> == 32 * P);
   int64_t const planes = p.x.count(), machine = multiprocessors();
-  // Planes that fill the machine evenly need no second launch.
+  // Planes that occupy the GPU evenly need no second launch.
   bool const whole = planes >= 2 * machine && 10 * ceil_div(planes, machine) * machine <= 11 * planes;
   Strips<P> const strips(planes, p.x.height, p.x.width, kVariationRows);
   with_alignment<T>(is_vectorizable<P>(p.x), [&](auto aligned) {

@@ -1,5 +1,5 @@
-// Total variation of image planes: weighted sums of the absolute differences of neighbors along y and along x, a
-// number for each plane, and their gradient, made of signs. Included by total_variation_cpu.cpp, total_variation.cu and
+// Total variation of image planes: the weighted sum of the absolute differences of neighbors along y and along x, one
+// number per plane, and its gradient, a sum of signs. Included by total_variation_cpu.cpp, total_variation.cu and
 // total_variation_op.cpp.
 #pragma once
 
@@ -26,7 +26,7 @@ struct TotalVariationBackward {
   Planes<T> grad_x;
 };
 
-// CUDA: what a warp sums.
+// CUDA: the part of a plane per warp.
 constexpr int kVariationRows = 16;
 template <class T>
 constexpr int kVariationColumns = 32 * (sizeof(T) == 2 ? 8 : 4);

@@ -1,4 +1,4 @@
-// Total variation on the CPU: planes [begin, end), and rows of all planes for the gradient. Compiled once per
+// Total variation on the CPU: planes [begin, end), or for the gradient rows of all planes. Compiled once per
 // instruction set.
 #include "core/lanes.h"
 #include "total_variation.h"

@@ -1,4 +1,4 @@
-// Total variation: schemas and entries, for CPU and CUDA alike.
+// Total variation: schemas and operators, for CPU and CUDA.
 #include "glue/glue.h"
 #include "total_variation.h"
 
@@ -19,7 +19,7 @@ Tensor total_variation(Tensor const& input, double along_y, double along_x) {
 #if defined(KV_CUDA)
     Tensor const partial = empty({x.size(0), x.size(1), chunks}, x, Layout::planar, compute_dtype(x));
 #else
-    Tensor const& partial = sums;  // not used
+    Tensor const& partial = sums;  // unused
 #endif
     TotalVariation<T> const params{
         planes<T const>(x, Layout::planar),       F(along_y), F(along_x),

@@ -1,4 +1,4 @@
-"""Errors of correspondences under a fundamental matrix or a homography: one operator for all kinds, and its gradients."""
+"""Errors of correspondences under a fundamental matrix or a homography. One operator computes all kinds of error."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def correspondence_errors(points1: Tensor, points2: Tensor, matrix: Tensor, kind
 
 
 def _one_batch(x: Tensor, leading: Sequence[int]) -> Tensor:
-    """x (*, ., .) as (B, ., .) for the common leading axes; B is 1 where one sample serves all."""
+    """Flatten the leading axes of x to (B, ., .) of the common leading shape; B is 1 where one sample broadcasts."""
     if x.dim() == 3 and len(leading) == 1:
         return x
     if math.prod(x.shape[:-2]) != 1:
@@ -72,7 +72,7 @@ def _multiply(F: Tensor, points: Tensor) -> tuple[Tensor, ...]:
 
 
 def _epipolar(x: Tensor, y: Tensor, F: Tensor, kind: str) -> Tensor:
-    """From a^2 + b^2 of the epipolar lines in the second and the first image, and the residual y^T F x."""
+    """The error from a^2 + b^2 of the epipolar lines in the second and the first image and the residual y^T F x."""
     right, left = _multiply(F, x), _multiply(F.mT, y)
     residual = right[0] * y[..., 0] + right[1] * y[..., 1] + (right[2] if y.shape[-1] == 2 else right[2] * y[..., 2])
     second, first = right[0].square() + right[1].square(), left[0].square() + left[1].square()
@@ -92,13 +92,13 @@ def _transfer(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
 
 
 def _sampson_transfer(first: Tensor, second: Tensor, H: Tensor) -> Tensor:
-    """r (J J^T)^-1 r for p, q, w = H (x, y, 1), r = (v w - q, p - u w) and its derivative J for (x, y, u, v)."""
+    """The Sampson error r^T (J J^T)^-1 r of r = (v w - q, p - u w), (p, q, w) = H (x, y, 1), J = dr / d(x, y, u, v)."""
     largest = H.detach().abs().amax((-2, -1), keepdim=True)
     h = H / torch.where(largest > 0, largest, 1)
     p, q, w = _multiply(h, first)
     u, v = second.unbind(-1)
     r, s = v * w - q, p - u * w
-    # The derivatives of r and s for (x, y); for (u, v) they are (0, w) and (-w, 0).
+    # The derivatives of r and s by (x, y). Those by (u, v) are (0, w) and (-w, 0).
     rows = h[..., :, None, :2]
     r_xy = v[..., None] * rows[..., 2, :, :] - rows[..., 1, :, :]
     s_xy = rows[..., 0, :, :] - u[..., None] * rows[..., 2, :, :]
@@ -120,7 +120,7 @@ def _symmetric_transfer(first: Tensor, second: Tensor, H: Tensor, squared: bool,
 
 
 def _segment_errors(x: Tensor, y: Tensor, H: Tensor) -> Tensor:
-    """The mean distance of both mapped ends of segments x (B, N, 4) from the lines of segments y."""
+    """The mean distance of the mapped endpoints of segments x (B, N, 4) from the lines through segments y."""
     start, end = y[..., :2], y[..., 2:]
     along = end - start
     has_length = length(along.detach(), keepdim=True) > 0
@@ -157,7 +157,7 @@ def _backward_reference(
     return torch.func.vjp(lambda x, y, m: _reference(x, y, m, kind, squared), *each)[1](grad)
 
 
-# Of points (B, N, 2 or 3), or segments (B, N, 4), and matrices (B, 3, 3); B of 1 serves all.
+# Takes points (B, N, 2 or 3) or segments (B, N, 4), and matrices (B, 3, 3). A batch of 1 broadcasts.
 _correspondence_errors = register(
     "correspondence_errors",
     _reference,

@@ -1,6 +1,7 @@
 """Operators that compute a small matrix or vector for each sample: one kernel launch each, and one for the gradient.
 
-The kernels are formulas, csrc/geometry/formulas.h lists them; their gradients are computed from them. Here are their references.
+csrc/geometry/formulas.h lists the formulas of the kernels, from which their gradients are derived. This file has the
+references.
 """
 
 from __future__ import annotations

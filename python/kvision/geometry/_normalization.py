@@ -1,4 +1,4 @@
-"""The range in which linear equations about points are well conditioned."""
+"""Normalization of points, which makes linear equations about them well conditioned."""
 
 from __future__ import annotations
 

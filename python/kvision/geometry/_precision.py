@@ -1,4 +1,4 @@
-"""How the geometry of a few points computes: half types in float32, rounded once, and nothing else under autocast."""
+"""Precision of the geometry of few points: half types are computed in float32 and rounded once; autocast is off."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def in_full_precision(function: F) -> F:
     def wrapped(*args: Any, **kwargs: Any) -> Any:
         tensors = [a for a in (*args, *kwargs.values()) if isinstance(a, Tensor)]
         if not tensors:
-            return function(*args, **kwargs)  # which says what is wrong
+            return function(*args, **kwargs)  # raises the error for a missing tensor
         first = tensors[0]
         device = first.device.type
         if device != "meta" and torch.is_autocast_enabled(device):
@@ -62,7 +62,7 @@ def wants_derivative(*tensors: Tensor | None) -> bool:
     return torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
 
 
-# --- values at the rim of where a function is defined, with gradients that are finite ---------------------------------
+# --- values at the boundary of a function's domain, with finite gradients ---------------------------------------------
 
 
 def quotient(a: Tensor, b: Tensor, otherwise: float) -> Tensor:

@@ -1,4 +1,4 @@
-"""Points through matrices, one for many points: the operator behind transform_points, cameras, boxes and key points."""
+"""Transforms of many points by one matrix: the operator behind transform_points, cameras, boxes and keypoints."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _reference(points, depth, matrix, kind):
     if kind == "transform":
         columns = matrix.unsqueeze(1).unbind(-1)
         moved = columns[-1]
-        for x, column in zip(points.split(1, -1), columns):  # no matrix product: it would round as torch is told to
+        for x, column in zip(points.split(1, -1), columns):  # no matmul: torch's settings decide its precision
             moved = moved + x * column
         return moved[..., :-1] / divisor(moved[..., -1:])
     if kind == "intersect":
@@ -65,7 +65,7 @@ def _backward_reference(grad, points, depth, matrix, kind, to_matrix):
 
 
 def _backward_shapes(grad, points, depth, matrix, kind, to_matrix):
-    """The gradient to the matrix is of each sample, also where one matrix serves all."""
+    """The gradient of the matrix has one row a sample, even where one matrix broadcasts over the batch."""
     to_depth = points.new_empty(*points.shape[:2], 0 if depth is None else 1)
     to_matrix = matrix.new_empty(points.shape[0], matrix.shape[1] if to_matrix else 0, matrix.shape[2])
     return [points.shape, to_depth, to_matrix]
@@ -92,7 +92,7 @@ def transformed(points: Tensor, matrix: Tensor) -> Tensor:
         matrix = matrix[None]
     batch = matrix.shape[0]
     matrix = as_dtype(matrix, compute_dtype(points))
-    if points.dim() == 3 and points.shape[0] == batch:  # as most calls are
+    if points.dim() == 3 and points.shape[0] == batch:  # the common case
         return _transform_points(points, None, matrix, POINT_MAP["transform"])
     flat = points.reshape(batch, prod(points.shape[:-1]) // batch if batch else 0, points.shape[-1])
     y = _transform_points(flat, None, matrix, POINT_MAP["transform"])
@@ -100,11 +100,11 @@ def transformed(points: Tensor, matrix: Tensor) -> Tensor:
 
 
 def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str) -> Tensor:
-    """Points (*, D) by cameras (*, 3, 3), leading axes broadcast; with fewer of them a camera serves the points' last axis."""
+    """Points (*, D) by cameras (*, 3, 3). Leading axes broadcast; with fewer, a camera applies to the last axis."""
     camera_matrix = as_dtype(camera_matrix, compute_dtype(points))
     depth = None if depth is None else as_dtype(depth, points.dtype)
     leading = points.shape[:-1]
-    if points.dim() == camera_matrix.dim() == 3 and points.shape[0] == camera_matrix.shape[0]:  # as most calls are
+    if points.dim() == camera_matrix.dim() == 3 and points.shape[0] == camera_matrix.shape[0]:  # the common case
         if depth is None or depth.shape[:-1] == leading:
             return _transform_points(points, depth, camera_matrix, POINT_MAP[kind])
     cameras: tuple[int, ...] = camera_matrix.shape[:-2]
@@ -117,7 +117,7 @@ def seen(points: Tensor, depth: Tensor | None, camera_matrix: Tensor, kind: str)
         leading = torch.broadcast_shapes(leading, depth.shape[:-1])
         points, depth = points.expand(*leading, points.shape[-1]), depth.expand(*leading, 1)
     cameras = (*(1,) * (len(leading) - len(cameras)), *cameras)
-    own = len(cameras)  # axes along which cameras differ; those behind have points of one camera
+    own = len(cameras)  # leading axes along which cameras differ; the others have one camera
     while own > 0 and cameras[own - 1] == 1:
         own -= 1
     outer, inner = prod(leading[:own]), prod(leading[own:])

@@ -209,14 +209,14 @@ def validate_bbox3d(boxes: Tensor) -> bool:
         raise ShapeError(
             f"validate_bbox3d: expected boxes of shape (B, 8, 3) or (B, N, 8, 3), got {tuple(boxes.shape)}"
         )
-    # The front face, the back face, and the edges between both.
+    # The edges of the front face, of the back face, and between the two.
     if not bool((_edge_differences(boxes, [(0, 1, 3, 2), (4, 5, 7, 6), (0, 4, 1, 5), (0, 4, 3, 7)]) <= 1e-4).all()):
         raise ValueCheckError("validate_bbox3d: expected boxes with parallel edges of one length")
     return True
 
 
 def _edge_differences(boxes: Tensor, edges: list[tuple[int, int, int, int]]) -> Tensor:
-    """The differences between edges a b and c d; NaN where one is not finite."""
+    """The difference of the edges a b and c d; NaN where one is not finite."""
     v = floats(boxes).unbind(-2)
     return torch.stack([(v[b] - v[a] - v[d] + v[c]).abs() for a, b, c, d in edges])
 
@@ -346,7 +346,7 @@ def transform_bbox(
     return torch.cat([first, last - first if mode == "xywh" else last], -1)
 
 
-NMS_BLOCK = 1024  # boxes of a block, all pairs of which are compared at once
+NMS_BLOCK = 1024  # size of a block of boxes, whose pairs are compared at once
 
 
 def nms(boxes: Tensor, scores: Tensor, iou_threshold: float) -> Tensor:
@@ -401,7 +401,7 @@ def _overlap(a: Tensor, b: Tensor, threshold: float) -> Tensor:
 
 
 def _greedy(overlaps: Tensor, free: Tensor) -> Tensor:
-    """The mask of kept boxes among the candidates `free` (N,): a kept box suppresses the later ones that it `overlaps` (N, N).
+    """The mask of kept boxes among candidates `free` (N,): a kept box suppresses later ones that it `overlaps` (N, N).
 
     All boxes are updated at once, until no box changes. After k rounds all chains of up to k suppressions are resolved.
     """

@@ -21,7 +21,7 @@ __all__ = ["Boxes", "Boxes3D", "VideoBoxes"]
 class _Boxes(Collection):
     """Boxes by their corners, both ends included, in two or three dimensions."""
 
-    # Two corners less the end, two corners, first corner and size, all corners less the end, all corners.
+    # Two corners with an exclusive end, two corners, corner and size, all corners with an exclusive end, all corners.
     modes: ClassVar[tuple[str, str, str, str, str]]
 
     def __init__(self, boxes: Tensor | Sequence[Tensor], raise_if_not_floating_point: bool, mode: str) -> None:
@@ -42,7 +42,7 @@ class _Boxes(Collection):
 
     @classmethod
     def _exclusive(cls) -> tuple[str, str]:
-        """The forms whose last corner is past the box."""
+        """The modes whose end is exclusive."""
         return cls.modes[0], cls.modes[3]
 
     @property
@@ -52,7 +52,7 @@ class _Boxes(Collection):
 
     @classmethod
     def _vertices(cls, boxes: Tensor, mode: str, validate_boxes: bool) -> Tensor:
-        """Boxes in a form as corners, both ends included."""
+        """Convert boxes of a mode to corners, both ends included."""
         axes = cls.item[-1]
         of_corners = mode.startswith("vertices")
         last = cls.item if of_corners else (2 * axes,)
@@ -213,7 +213,7 @@ class Boxes(_Boxes):
             counts, data = None, torch.cat([self._data, boxes._data], -3)
             all_valid = self._valid is None and boxes._valid is None
             valid = None if all_valid else torch.cat([self._mask(), boxes._mask()], -1)
-        else:  # the padding of an image stays behind its boxes
+        else:  # padding entries stay after the boxes of their image
             pairs = [x._counts or [x._data.shape[1]] * len(x._data) for x in (self, boxes)]
             counts = [i + j for i, j in zip(*pairs)]
 
@@ -333,7 +333,7 @@ class VideoBoxes(Boxes):
         (torch.Size([10, 3, 4, 2]), torch.Size([2, 5, 3, 4]))
     """
 
-    temporal_channel_size: int  # frames of a video
+    temporal_channel_size: int  # (B, T, ...): frames of a video
 
     @classmethod
     def from_tensor(cls, boxes: Tensor, validate_boxes: bool = True) -> VideoBoxes:  # type: ignore[override]

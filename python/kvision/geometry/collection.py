@@ -1,4 +1,4 @@
-"""What boxes and key points have in common: points of images in a tensor, each image with a number of its own of them."""
+"""Base class of boxes and keypoints: items of a batch of images in one tensor, with a count for each image."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Collection:
 
     def __init__(self, name: str, items: Tensor | Sequence[Tensor], raise_if_not_floating_point: bool) -> None:
         op = type(self).__name__
-        self._counts: list[int] | None = None  # of each image, where a list was given
-        self._valid: Tensor | None = None  # which items are some, (B, N) or (N,); None for all
+        self._counts: list[int] | None = None  # items of each image, for list input
+        self._valid: Tensor | None = None  # mask (B, N) or (N,) of items that are not padding; None for all
         if not isinstance(items, (list, tuple)):
             data: Any = items
         elif items:
@@ -51,13 +51,13 @@ class Collection:
         self._data = floats(data)
 
     def _like(self: Self, data: Tensor, valid: Tensor | None, counts: list[int] | None) -> Self:
-        """A collection of this kind with other items. Kinds that have more to pass on extend it."""
-        other = type(self)(data, False)  # type: ignore[call-arg]  # of a kind that names its items
+        """A collection of the same class with other items. Subclasses with more attributes extend it."""
+        other = type(self)(data, False)  # type: ignore[call-arg]  # subclasses name this argument
         other._valid, other._counts = valid, counts
         return other
 
     def _changed(self: Self, data: Tensor, inplace: bool, valid: Tensor | None = None) -> Self:
-        """This object, or another one, with items in other places."""
+        """Replace the items by `data`, in this object or in a copy."""
         valid = self._valid if valid is None else valid
         if not inplace:
             return self._like(data, valid, self._counts)
@@ -81,7 +81,7 @@ class Collection:
         self._data = data
 
     def _put(self: Self, value: Self, write: Any) -> Tensor | None:
-        """Which items are some after those of `value` are written among them."""
+        """The mask of valid items after `write` stores those of `value`; None if all are valid."""
         if self._valid is None and value._valid is None:
             return None
         valid = self._mask().clone()
@@ -136,10 +136,10 @@ class Collection:
     def index_put(
         self: Self, indices: tuple[Tensor, ...] | list[Tensor], values: Tensor | Self, inplace: bool = False
     ) -> Self:
-        """Items with others in some places.
+        """Items with others at some positions.
 
         Args:
-            indices: of places of :attr:`data`, as torch.Tensor.index_put takes them.
+            indices: of positions in :attr:`data`, as torch.Tensor.index_put takes them.
             values: what comes there.
             inplace: change this object.
 
@@ -153,7 +153,7 @@ class Collection:
         return self._changed(self._data.index_put(indices, values._data), inplace, valid)
 
     def pad(self: Self, padding_size: Tensor) -> Self:
-        """Move the items of this object as images do that get a rim.
+        """Shift the items by the padding of their images.
 
         Args:
             padding_size: (B, 4) as (left, right, top, bottom), or (B, 6) with (front, back) in space; (1, ...) for all.
@@ -164,7 +164,7 @@ class Collection:
         return self._changed(self._data + self._offsets("pad", padding_size), True)
 
     def unpad(self: Self, padding_size: Tensor) -> Self:
-        """Move the items of this object as images do that lose a rim: the inverse of :meth:`pad`."""
+        """Shift the items back when the padding of their images is removed: the inverse of :meth:`pad`."""
         return self._changed(self._data - self._offsets("unpad", padding_size), True)
 
     def _offsets(self, method: str, padding_size: Tensor) -> Tensor:
@@ -173,7 +173,7 @@ class Collection:
         return self._of_images(op, "padding_size", padding_size[:, ::2])
 
     def _of_images(self, op: str, name: str, vectors: Tensor) -> Tensor:
-        """Vectors (B, D) or (1, D) of images so that they broadcast with their items."""
+        """Reshape vectors (B, D) or (1, D) of images so that they broadcast with the items."""
         images = self._data.shape[0] if self._is_batched else 1
         if vectors.shape[0] not in (1, images):
             raise ShapeError(f"{op}: expected {name} with 1 or {images} rows, got {tuple(vectors.shape)}")
@@ -192,7 +192,7 @@ class Collection:
         return self._changed(transformed(self._data, M), inplace)
 
     def _unpadded(self, padded: Tensor) -> Tensor | list[Tensor]:
-        """What was given as a list as a list."""
+        """Return list input as a list without its padding."""
         if self._counts is None:
             return padded
         return [items[:n] for items, n in zip(padded, self._counts)]

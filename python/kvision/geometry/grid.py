@@ -93,7 +93,7 @@ def create_meshgrid3d(
 def _axis(op, name, size, normalized, align_corners, device, dtype):
     (size,) = _check.ints(op, name, size, 1)
     dtype = dtype or torch.get_default_dtype()
-    # Half types count to 2048 at most.
+    # Half types represent integers exactly up to 2048 at most.
     i = torch.arange(size, device=device, dtype=torch.float64 if dtype == torch.float64 else torch.float32)
     if normalized:
         i = (2 * i - (size - 1)) / (max(size - 1, 1) if align_corners else size)

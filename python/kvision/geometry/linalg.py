@@ -116,7 +116,7 @@ def _relative_reference(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _translation(pose: Tensor) -> Tensor:
-    """(*, 3, 4), all 0 but the last column."""
+    """A matrix (*, 3, 4) with a translation in the last column and 0 elsewhere."""
     return torch.cat([torch.zeros_like(pose[..., :3, :3]), pose[..., :3, 3:]], -1)
 
 

@@ -210,7 +210,7 @@ class _Element(NamedTuple):
 
 
 def _read_header(op: str, file: BinaryIO, formats: tuple[str, ...]) -> tuple[str, list[_Element], _Element]:
-    """The format, the elements before the vertices, and the vertices."""
+    """Read the format, the elements before the vertices, and the vertex element."""
     kind, elements = "", []
     if file.readline().strip() != b"ply":
         raise ValueCheckError(f"{op}: expected a PLY file, {file.name!r} is none")

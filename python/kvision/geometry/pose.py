@@ -1,4 +1,4 @@
-"""Poses that know which frames they lead from and to."""
+"""Poses with the names of their source and target frames."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class NamedPose:
         return f"NamedPose({self._pose}, frame_src={self._frame_src!r}, frame_dst={self._frame_dst!r})"
 
     def __mul__(self, other: NamedPose) -> NamedPose:
-        """First the other pose, then this one, which must begin where that ends."""
+        """Apply `other` first, then this pose, whose source frame must be the target frame of `other`."""
         if not isinstance(other, NamedPose):
             raise TypeCheckError(f"NamedPose: expected a NamedPose to follow, got {type(other).__name__}")
         if self._frame_src != other._frame_dst:

@@ -55,7 +55,7 @@ class Quaternion(FunctionModule):
         _check.trailing_shape("Quaternion", "data", data, 4)
         super().__init__(data=data)
 
-    # --- ways to make them ------------------------------------------------------------------------------------------
+    # --- constructors -----------------------------------------------------------------------------------------------
 
     @classmethod
     def identity(
@@ -110,7 +110,7 @@ class Quaternion(FunctionModule):
         """Axes times angles (*, 3) in radians."""
         return cls(axis_angle_to_quaternion(axis_angle))
 
-    # --- what they are ----------------------------------------------------------------------------------------------
+    # --- properties -------------------------------------------------------------------------------------------------
 
     @property
     def q(self) -> Tensor:
@@ -194,7 +194,7 @@ class Quaternion(FunctionModule):
     def __getitem__(self, index: Any) -> Quaternion:
         return Quaternion(self.data[index])
 
-    # --- what comes of them -----------------------------------------------------------------------------------------
+    # --- operations -------------------------------------------------------------------------------------------------
 
     def normalize(self) -> Quaternion:
         """Quaternions of length 1; 0 stays 0."""
@@ -251,7 +251,7 @@ class Quaternion(FunctionModule):
         return Quaternion(with_kernel_casts(_power)(floats(self.data), _column(t)))
 
     def _quaternion(self, value: Quaternion | Tensor | float) -> Tensor:
-        """A quaternion, or a real one, as (*, 4)."""
+        """A quaternion or a real number as (*, 4)."""
         if isinstance(value, Quaternion):
             return value.data
         real = torch.ones_like(self.data[..., :1]) * _column(value)
@@ -259,7 +259,7 @@ class Quaternion(FunctionModule):
 
 
 def _column(value: Tensor | float) -> Tensor | float:
-    """Numbers (*) so that they multiply (*, 4)."""
+    """Numbers (*) reshaped to multiply (*, 4)."""
     return value[..., None] if isinstance(value, Tensor) and value.dim() > 0 else value
 
 
@@ -287,7 +287,7 @@ def _product(p: Tensor, q: Tensor) -> Tensor:
 
 def _power(q: Tensor, t: Tensor | float) -> Tensor:
     log = quaternion_exp_to_log(q)
-    # A negative number has no axis; any one does.
+    # A negative real number is a rotation by 2 pi, for which any axis is right.
     negative = (q[..., :1] < 0) & (q[..., 1:] == 0).all(-1, keepdim=True)
     log = torch.cat([torch.where(negative, math.pi, log[..., :1]), log[..., 1:]], -1)
     return root(batched_squared_norm(q, keepdim=True)) ** t * quaternion_log_to_exp(t * log)

@@ -1,8 +1,8 @@
-"""Models of two views from correspondences of which many are wrong.
+"""RANSAC: models of two views from correspondences with many outliers.
 
-A round draws samples, makes the models they leave and counts who agrees with each: two operators, whatever the number of
-hypotheses. On a GPU one round has them all and nothing is read back. On the CPU, where reading costs nothing, rounds are
-smaller and end as soon as the best model is as sure as was asked for.
+A round draws minimal samples, solves for their models and scores each model by its inliers. That takes two operators,
+whatever the number of hypotheses. On a GPU one round has all hypotheses and the host reads nothing back. On the CPU,
+where reading is free, rounds are smaller and end as soon as the best model reaches the requested confidence.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from kvision.geometry.solvers.affine import affine_of
 
 __all__ = ["RANSAC"]
 
-# Names of models in the API and in kernels.
+# Model names of the API -> those of the kernels.
 _MODELS = {
     "affine": "affine",
     "homography": "homography",
@@ -39,7 +39,7 @@ _MODELS = {
     "fundamental_8pt": "fundamental8",
     "essential": "essential",
 }
-_REFINED = 8  # hypotheses that are fitted to their inliers
+_REFINED = 8  # number of hypotheses that are refined on their inliers
 _BATCH = 2048  # hypotheses of one `max_iter` round for batch_size "auto"
 
 
@@ -55,7 +55,7 @@ def _errors(models: Tensor, points1: Tensor, points2: Tensor, model: str) -> Ten
 
 
 def _consensus_reference(models: Tensor, points1: Tensor, points2: Tensor, threshold: float, model: int) -> Tensor:
-    """Scores (M, 2) of models (M, 3, 3) for points (2 or 4, N): the sum of 1 - e / t^2 over inliers, and their number."""
+    """Scores (M, 2) of models (M, 3, 3) for points (2 or 4, N): sums of 1 - e / t^2 over inliers, inlier counts."""
     errors = _errors(models, *_points(points1, points2, model), MODEL_NAMES[model])
     inliers = errors <= threshold**2
     gains = torch.where(inliers, 1 - errors / threshold**2, 0)
@@ -75,8 +75,8 @@ def _merge_top_k_reference(
     by_count: bool,
     model: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The best `count` of two lists of models by their consensus, of equal ones the first: models, their consensus, and
-    the weights (count, N) of correspondences: 1 / (1 + softness e) of those who agree, 0 of other_models."""
+    """Merge two lists of models into the `count` best by score; the first of equal ones wins. Returns models, their
+    scores and weights (count, N) of correspondences: 1 / (1 + softness e) for inliers, 0 for outliers."""
     models, scores = torch.cat([models, other_models]), torch.cat([scores, other_scores])
     order = scores[:, int(by_count)].argsort(descending=True, stable=True)[:count]
     models, scores = models[order], scores[order]
@@ -85,13 +85,13 @@ def _merge_top_k_reference(
 
 
 def _top_k_models_reference(models: Tensor, scores: Tensor, count: int, by_count: bool) -> tuple[Tensor, Tensor]:
-    """The `count` models of the best scores, and these scores; the first of equal ones wins."""
+    """The `count` models with the best scores, and these scores. The first of equal ones wins."""
     order = scores[:, int(by_count)].argsort(descending=True, stable=True)[:count]
     return models[order], scores[order]
 
 
 def _finalize_model_reference(models: Tensor, weights: Tensor, min_inliers: int, model: int) -> tuple[Tensor, Tensor]:
-    """The first model, normalized, and its inliers, which have weights above 0; zeros for `min_inliers` or fewer of them."""
+    """Normalize the first model and find its inliers, which have weights above 0. Zeros for `min_inliers` or fewer."""
     inliers = weights[0] > 0
     has_consensus = inliers.sum() > min_inliers
     first = models[:1]
@@ -240,7 +240,7 @@ class RANSAC(nn.Module):
             return int(self.batch_size)
         if device.type != "cpu":
             return self.sample_budget
-        # Rounds of similar work: minimal models of few points are faster, and more of them find a better model.
+        # Rounds take similar time. Models with few points are faster to solve, so their rounds have more hypotheses.
         first = {"essential": 64, "fundamental": 256, "fundamental8": 256, "lines": 512}
         return min(self.sample_budget, first.get(self.model, 1024))
 
@@ -334,7 +334,7 @@ class RANSAC(nn.Module):
     def _draws(
         self, count: int, population: int, num_drawn: int, like: Tensor, generator: torch.Generator | None
     ) -> Tensor:
-        """(count, m + 1): m random numbers of a sample, then the number of first points that they choose from."""
+        """Draw samples (count, m + 1): m random numbers, then how many of the first points they choose from."""
         size = self.minimal_sample_size
         shape = (count, size + 1)
         draws = torch.rand(shape, device=like.device, dtype=torch.float32, generator=generator)
@@ -345,7 +345,7 @@ class RANSAC(nn.Module):
             first = (torch.searchsorted(ends, number) + size).clamp(max=population)
             draws[:, size] = first
             takes_newest = number <= ends[-1]
-            draws[:, size - 1] = torch.where(takes_newest, 1 - 2.0**-24, draws[:, size - 1])  # the newest point
+            draws[:, size - 1] = torch.where(takes_newest, 1 - 2.0**-24, draws[:, size - 1])  # chooses the newest point
         return draws
 
     def _fitted(self, kp1: Tensor, kp2: Tensor, weights: Tensor) -> Tensor:

@@ -122,7 +122,7 @@ def _distorted(points: Tensor, new_K: Tensor, K: Tensor, dist: Tensor, tilt: Ten
 
 
 def _coefficients(dist: Tensor) -> tuple[Tensor, ...]:
-    """The 14 coefficients, each (*, 1); those that `dist` does not have are 0."""
+    """The 14 coefficients, each (*, 1). Coefficients missing in `dist` are 0."""
     return torch.nn.functional.pad(dist, (0, 14 - dist.shape[-1])).split(1, -1)
 
 
@@ -148,7 +148,7 @@ def _in_pixels(x: Tensor, y: Tensor, K: Tensor) -> Tensor:
 
 
 def _projected(x: Tensor, y: Tensor, matrix: Tensor) -> tuple[Tensor, Tensor]:
-    """x and y (*, N) projected by matrices (*, 3, 3)."""
+    """Project x and y (*, N) by matrices (*, 3, 3)."""
     m = [[matrix[..., i, k, None] for k in range(3)] for i in range(3)]
     u, v, w = (row[0] * x + row[1] * y + row[2] for row in m)
     return u / w, v / w
@@ -199,7 +199,7 @@ def undistort_points(
 def _through_lens(
     operator: Operator, points: Tensor, camera: Tensor, wanted: Tensor, dist: Tensor, tilt: Tensor | None, *plain: int
 ) -> Tensor:
-    """An operator on points (B, N, 2) and lenses of (B, ...), or (1, ...) for all, for any leading axes."""
+    """Call an operator on points (B, N, 2) and lenses (B or 1, ...) with inputs of any leading axes."""
     leading: Sequence[int] = points.shape[:-2]
     if not camera.dim() == wanted.dim() == dist.dim() + 1 == 2:
         leading = broadcast_shapes(leading, camera.shape[:-2], wanted.shape[:-2], dist.shape[:-1])
@@ -222,7 +222,7 @@ def _through_lens(
 
 
 def _of_all(x: Tensor, leading: Sequence[int], axes: int) -> Tensor:
-    """(B, ...): all axes before the last `axes`, broadcast to `leading` and flattened."""
+    """Broadcast all axes before the last `axes` to `leading` and flatten them: (B, ...)."""
     ends = x.shape[-axes:]
     return x.expand(*leading, *ends).reshape(math.prod(leading), *ends)
 
@@ -266,7 +266,7 @@ def _map_gradient_reference(grad: Tensor, *lens: Tensor | None) -> tuple[Tensor,
 
 _undistort = register("undistort_points", _undistorted)
 _distort = register("distort_points", _distorted)
-# Distorted coordinates x and y of the pixels of an image of a size: (B, 2, H, W).
+# The distorted coordinates x and y of all pixels of an image: (B, 2, H, W).
 _map = register(
     "undistort_map",
     _map_reference,

@@ -112,7 +112,7 @@ _pose_dlt_backward = register(
 
 
 def _before_camera(points: Tensor, K: Tensor) -> Tensor:
-    """K^-1 (x, y, 1) for an upper triangular K, at z = 1."""
+    """Solve K X = (x, y, 1) for an upper triangular K and scale X to z = 1."""
     z = K[:, 2, 2, None]
     y = (points[..., 1] - K[:, 1, 2, None] / z) * z / K[:, 1, 1, None]
     x = ((points[..., 0] - K[:, 0, 2, None] / z) * z - K[:, 0, 1, None] * y) / K[:, 0, 0, None]
@@ -120,7 +120,7 @@ def _before_camera(points: Tensor, K: Tensor) -> Tensor:
 
 
 def _pose(P: Tensor) -> Tensor:
-    """[R | t] of P up to scale and sign: R by Gram-Schmidt on the columns; the length of the first one is the scale."""
+    """Find [R | t] from P up to scale and sign. Gram-Schmidt gives R; the first column's length is the scale."""
     a, b, c, t = P.unbind(-1)
     mirrored = (torch.linalg.cross(a, b) * c).sum(-1, keepdim=True) < 0
     a, b, c, t = (torch.where(mirrored, -v, v) for v in (a, b, c, t))
@@ -136,7 +136,7 @@ def _nonzero(size: Tensor) -> Tensor:
 
 
 def _extent(X: Tensor, weights: Tensor | None) -> Tensor:
-    """The smallest singular value (B,) of points (B, N, 3), where weights are 1 on average."""
+    """The smallest singular value (B,) of weighted points (B, N, 3). Weights are scaled to a mean of 1."""
     X = X.detach()
     if weights is None:
         weighted = X

@@ -1,4 +1,4 @@
-"""Cameras: how points of space come to pixels, and back."""
+"""Cameras: projection of points in space to pixels, and back-projection."""
 
 from kvision.geometry.camera.distortion import (
     distort_points_affine,

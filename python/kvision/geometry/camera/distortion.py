@@ -140,7 +140,7 @@ def _distort_fisheye(points: Tensor, params: Tensor) -> Tensor:
 
 
 def _radial_scale(square: Tensor, params: Tensor) -> Tensor:
-    """The radial scale of points by their squared distance from the optical axis: distorted over undistorted radius."""
+    """The distorted over the undistorted radius, as a function of the squared distance from the optical axis."""
     per_radius = angle_per_sine(square, torch.ones_like(square))
     return per_radius * _polynomial(per_radius.square() * square, params)
 

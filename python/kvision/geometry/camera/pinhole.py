@@ -224,7 +224,7 @@ def _projection(intrinsics: Tensor, extrinsics: Tensor) -> Tensor:
 
 @with_kernel_casts
 def _unprojection(intrinsics: Tensor, extrinsics: Tensor) -> Tensor:
-    """(x z, y z, z) of the image plane to the world."""
+    """The matrices that map (x z, y z, z) of the image plane to the world."""
     projection = intrinsics[:, :3, :3] @ extrinsics[:, :3]
     back = inverse3x3(projection[..., :3])
     return homogeneous(torch.cat([back, -back @ projection[..., 3:]], -1))

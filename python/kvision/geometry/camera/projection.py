@@ -169,7 +169,7 @@ def dx_project_points_orthographic(points_in_camera: Tensor) -> Tensor:
 
 
 def _depth(op: str, points: Tensor, extension: Tensor) -> Tensor:
-    """Depths (*) or (*, 1) as (*, 1)."""
+    """Depths of shape (*) or (*, 1) as (*, 1)."""
     _check.numbers(op, "extension", extension)
     _check.same_device(op, points=points, extension=extension)
     if extension.dim() == points.dim() - 1:

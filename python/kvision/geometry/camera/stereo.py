@@ -140,7 +140,7 @@ def _reprojection(left: Tensor, right: Tensor) -> Tensor:
 
 @with_kernel_casts
 def _reprojected(disparity: Tensor, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
-    """The points, and 1 where they were divided."""
+    """The points, and 1 where the homogeneous division applied."""
     Q = _reprojection(left, right).to(disparity.dtype)[:, None, None]
     _, height, width, _ = disparity.shape
     pixels = create_meshgrid(height, width, False, disparity.device, disparity.dtype)

@@ -96,7 +96,7 @@ def euler_from_quaternion(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> tuple[T
 
 
 def _euler_reference(w: Tensor, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    # (yaw + roll) / 2 is the angle of (a, b), (yaw - roll) / 2 that of (c, d). The pitch follows from their norms p^0.5, m^0.5.
+    # (yaw + roll) / 2 is the angle of (a, b), (yaw - roll) / 2 that of (c, d). Their norms p^0.5, m^0.5 give the pitch.
     a, b, c, d = w - y, x + z, w + y, z - x
     p, m = a * a + b * b, c * c + d * d
     threshold = (4 * torch.finfo(w.dtype).eps) ** 2 * (p + m)

@@ -245,7 +245,7 @@ def normal_transform_pixel3d(
 
 
 def _lines(op: str, align_corners: bool, **sizes: int) -> list[Line]:
-    """Pixels to [-1, 1] for every axis, x first, of sizes that begin with the last axis."""
+    """Scale and offset from pixels to [-1, 1] for each axis, x first; sizes begin with that of the last axis."""
     return [to_unit(_check.ints(op, name, n, 1)[0], align_corners) for name, n in reversed(sizes.items())]
 
 

@@ -93,7 +93,7 @@ def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
 
 
 def _exponential_reference(v: Tensor, factor: float) -> Tensor:
-    """The quaternion that rotates about `v` by twice `factor` times its norm."""
+    """The quaternion of a rotation about `v` by twice `factor` times the norm of `v`."""
     v = v * factor
     square = squared(v)
     return torch.cat([cos(square), v * sinc(square)], -1)

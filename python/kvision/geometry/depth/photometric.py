@@ -1,4 +1,4 @@
-"""How far views of a scene, warped by its depth, are from another one, in one pass over all."""
+"""Photometric error between views of a scene, warped by its depth, and a target view, in one pass over all."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from kvision.geometry.transform.sampling import cast_to_image
 
 __all__ = ["photometric_depth_loss"]
 
-_OPTIONS = INTERPOLATION["bilinear"], PADDING["fill"], True  # of warps by depth
+_OPTIONS = INTERPOLATION["bilinear"], PADDING["fill"], True  # options of depth_warp
 
 
 def _loss(views, target, depth, projections, distance, eps):
-    """(B,): the separate steps, of which csrc/geometry/depth/photometric.h makes one; and their number of terms."""
+    """The loss (B,), in the separate steps that csrc/geometry/depth/photometric.h fuses, and its number of terms."""
     batch, count = views.shape[:2]
     total: Any = 0.0
     terms: Any = 0

@@ -89,7 +89,7 @@ def _normals_transposed(grad, depth, camera, distance):
     return vjp(_normals_of)(grad, _points(depth, camera, distance))
 
 
-# With `last` (B, H, W, 3).
+# The result is (B, H, W, 3) with `last`.
 depth_points = register(
     "depth_points",
     _points,
@@ -125,7 +125,7 @@ _normals_to_points = register("depth_normals_points_backward", _normals_transpos
 
 
 def _depth_and_camera(op: str, depth: Any, camera_matrix: Any, normalize_points: Any) -> tuple[Tensor, Tensor]:
-    """Depth, and cameras as the operators take them; one of either serves the other's batch."""
+    """Depth and cameras in the layout of the operators. A batch of 1 of either broadcasts to the other."""
     _check.shape(op, "depth", depth, "B", 1, "H", "W")
     _check.images(op, "depth", depth)
     _check.shape(op, "camera_matrix", camera_matrix, "B", 3, 3)
@@ -291,7 +291,7 @@ def depth_to_3d_v2(
 
 
 def _points_last(depth: Tensor, camera: Tensor, distance: bool) -> Tensor:
-    """The points (*, H, W, 3) of depth (*, H, W) and cameras (*, 3, 3), leading axes broadcast."""
+    """Points (*, H, W, 3) from depth (*, H, W) and cameras (*, 3, 3). Leading axes broadcast."""
     camera, size = as_dtype(camera, compute_dtype(depth)), depth.shape[-2:]
     leading = torch.broadcast_shapes(depth.shape[:-2], camera.shape[:-2])
     depths = depth.expand(*leading, *size).reshape(math.prod(leading), 1, *size)
@@ -299,7 +299,7 @@ def _points_last(depth: Tensor, camera: Tensor, distance: bool) -> Tensor:
     return points.reshape(*leading, *size, 3)
 
 
-# --- depth of other things ------------------------------------------------------------------------------------------
+# --- depth from other quantities ------------------------------------------------------------------------------------
 
 
 def depth_from_disparity(disparity: Tensor, baseline: float | Tensor, focal: float | Tensor) -> Tensor:

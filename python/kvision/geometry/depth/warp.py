@@ -1,4 +1,4 @@
-"""Warping of images to another camera's view by its depth."""
+"""Warps of images to another camera's view by the depth of that view."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def source_coords(depth: Tensor, projection: Tensor) -> list[Tensor]:
     h, w = depth.shape[2:]
     x = torch.arange(w, dtype=depth.dtype, device=depth.device)
     y = torch.arange(h, dtype=depth.dtype, device=depth.device)[:, None]
-    # Values that are not finite have no coordinates. They are set to 0, since their product with a gradient of 0 is NaN.
+    # Pixels whose values are not finite have no coordinates. They are 0 here, because NaN times a gradient of 0 is NaN.
     finite_depth, finite_projection = depth[:, 0].isfinite(), projection.isfinite().flatten(1).all(1)[:, None, None]
     d, m = torch.where(finite_depth, depth[:, 0], 0), torch.where(finite_projection, projection, 0)[..., None, None]
     u, v, z = ((m[:, k, 0] * x + (m[:, k, 1] * y + m[:, k, 2])) * d + m[:, k, 3] for k in range(3))
@@ -129,7 +129,7 @@ def _reprojection_reference(camera_to, pose_to, camera_from, pose_from, pinhole)
 
 
 def _pinhole(camera: Tensor) -> Tensor:
-    """A camera matrix (B, 3, 3) with nothing but its focal lengths and principal point."""
+    """A camera matrix (B, 3, 3) reduced to its focal lengths and principal point."""
     fx, fy, cx, cy = (camera[:, i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     zero, one = torch.zeros_like(fx), torch.ones_like(fx)
     return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one], 1).unflatten(1, (3, 3))
@@ -152,8 +152,8 @@ def _reprojection_backward_reference(grad, *args):
     return tuple(torch.where((determinant == 0)[:, None, None], 0, g) for g in vjp_fn(grad))
 
 
-# From pixels of a camera (B, 3, 3) to those of another, their poses being (B, 4, 4), the first one the world's where it
-# is None: (B, 3, 4), as `source_coords` takes it.
+# The projection (B, 3, 4) from pixels of one camera (B, 3, 3) to those of another, as `source_coords` takes it.
+# Poses are (B, 4, 4). The first pose is the identity where it is None.
 _reprojection = register(
     "reprojection",
     _reprojection_reference,
@@ -171,7 +171,7 @@ _reprojection_backward_op = register(
 
 
 def _warped(op: str, image: Tensor, depth: Tensor, projection: Tensor, mode: str, padding: str, align: bool) -> Tensor:
-    """`image` (B, C, H, W) by `depth` (B, 1, h, w) and `projection` (B, 3, 4); one of each serves a batch."""
+    """Warp `image` (B, C, H, W) by `depth` (B, 1, h, w) and `projection` (B, 3, 4). Batches of 1 broadcast."""
     image = floats(image)
     batch = max(image.shape[0], depth.shape[0], projection.shape[0]) if image.shape[0] else 0
     if image.shape[0] == 1 and batch > 1:

@@ -1,4 +1,4 @@
-"""How far correspondences are from fundamental matrices."""
+"""Epipolar distances of correspondences under fundamental matrices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Essential matrices: x2^T E x1 = 0 for the pictures of one point in the coordinates of two cameras, E = [t]x R."""
+"""Essential matrices: x2^T E x1 = 0 for the projections x1, x2 of one point in camera coordinates, E = [t]x R."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _from_fundamental_reference(F: Tensor, K1: Tensor, K2: Tensor) -> Tensor:
 _from_fundamental = register_formula("essential_from_fundamental", _from_fundamental_reference, lambda *args: (3, 3))
 
 
-# --- and poses ------------------------------------------------------------------------------------------------------
+# --- essential matrices and poses -----------------------------------------------------------------------------------
 
 
 @in_full_precision
@@ -179,7 +179,7 @@ def _motion(R1: Tensor, t1: Tensor, R2: Tensor, t2: Tensor) -> tuple[Tensor, Ten
 
 
 def _camera_motion_reference(*given: Tensor) -> Tensor:
-    """The rows of the rotation, then the translation: (B, 4, 3)."""
+    """The three rows of the rotation and the translation: (B, 4, 3)."""
     R, t = _motion(*given)
     return torch.cat([R.expand(t.shape[0], 3, 3), t.mT], -2)
 
@@ -227,20 +227,20 @@ def _nearest_gradient(needs: Sequence[bool], grad: Tensor, E: Tensor) -> tuple[T
     return (_nearest_backward(grad, E),)
 
 
-# `project_to_essential` of (B, 3, 3).
+# The operator behind `project_to_essential`; takes (B, 3, 3).
 nearest_essential = register("nearest_essential", _nearest_reference, backward=_nearest_gradient)
 _nearest_backward = register("nearest_essential_backward", vjp(_nearest_reference))
 
 
 def _polar(E: Tensor) -> tuple[Tensor, Tensor]:
-    """u1 v1^T + u2 v2^T of the singular vectors, and the sum of both singular values.
+    """u1 v1^T + u2 v2^T of the two largest singular values' vectors, and the sum of both singular values.
 
-    In closed form, because the vectors themselves have no derivative where the values are equal, as they should be.
-    In the plane that E keeps, S = E^T E has the root (S + d P) / s for the determinant d^2 of S, s = sqrt(tr S + 2 d),
-    and the plane's projection P.
+    The form is closed, because singular vectors have no derivative where the values are equal, as those of E are.
+    On the row space of E, S = E^T E has the square root (S + d P) / s with the determinant d^2 of S there,
+    s = sqrt(tr S + 2 d), and the projection P onto the row space.
     """
     v = null_vector_3x3(E)[..., None]
-    F = E - (E @ v) @ v.mT  # without the smallest one
+    F = E - (E @ v) @ v.mT  # E without its smallest singular value
     S = F.mT @ F
     trace = S.diagonal(dim1=-2, dim2=-1).sum(-1)
     d = root(((trace.square() - S.square().sum((-2, -1))) / 2).clamp(min=0))
@@ -278,11 +278,11 @@ def decompose_essential_matrix(E_mat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _motions_reference(E: Tensor) -> tuple[Tensor, Tensor]:
-    """Rotations (B, 4, 3, 3) and directions (B, 4, 3, 1) of (B, 3, 3), as `motion_from_essential` has them."""
+    """The rotations (B, 4, 3, 3) and directions (B, 4, 3, 1) of `motion_from_essential` for E (B, 3, 3)."""
     E, dtype = wide(E), E.dtype
     isometry, _ = _polar(E)
     t = null_vector_3x3(E.mT)
-    # A turn by a right angle about t either way, and along t what makes it a rotation.
+    # [t]x rotates by 90 degrees about t, one way or the other. `_completion` adds the component along t.
     turned = cross_product_matrix(t) @ isometry
     axis = _completion(turned, t)
     first, second = turned + axis, axis - turned
@@ -310,7 +310,7 @@ _motions_backward = register(
 
 
 def _completion(A: Tensor, t: Tensor) -> Tensor:
-    """t v^T such that A, which takes the plane across v to that across t, becomes a rotation: its cofactors."""
+    """The cofactors of A: t v^T, which completes A, an isometry from the plane normal to v, to a rotation."""
     a, b, c = A.unbind(-2)
     return torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], -2)
 
@@ -423,7 +423,7 @@ def motion_from_essential_choose_solution(
 def _choice_reference(
     E: Tensor, K1: Tensor, K2: Tensor, x1: Tensor, x2: Tensor, mask: Tensor | None
 ) -> tuple[Tensor, ...]:
-    """`motion_from_essential_choose_solution` of matrices (B, 3, 3) and points (B, N, 2), and which of four it is."""
+    """`motion_from_essential_choose_solution` of E (B, 3, 3) and points (B, N, 2), and the index of the solution."""
     R, t = _motions(E)
     eye = torch.eye(3, device=R.device, dtype=R.dtype).expand_as(R)
     P1, P2 = (
@@ -460,7 +460,7 @@ def _choice_gradient(
     x2: Tensor,
     mask: Tensor | None,
 ) -> list[Tensor | None]:
-    """Through the points to the motion, and through the one that was chosen to the matrix."""
+    """Gradients of the points through the triangulation, and of the matrix through the chosen motion."""
     to_R, to_t, to_X = (
         torch.zeros_like(y) if g is None else g for g, y in ((grad, R), (grad_direction, t), (grad_points, X))
     )

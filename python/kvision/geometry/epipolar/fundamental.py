@@ -1,4 +1,4 @@
-"""Fundamental matrices: x2^T F x1 = 0 for the pictures x1 and x2 of one point, in pixels."""
+"""Fundamental matrices: x2^T F x1 = 0 for the projections x1 and x2 of one point, in pixels."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
         P2: those of the second image, (*, 3, 4).
 
     Returns:
-        (*, 3, 3), whose entries are 4 x 4 minors of both; 0 for two cameras at one place.
+        (*, 3, 3), whose entries are 4 x 4 minors of both; 0 for two cameras with the same center.
 
     Raises:
         TypeCheckError: no floating-point tensors.
@@ -145,13 +145,13 @@ def fundamental_from_projections(P1: Tensor, P2: Tensor) -> Tensor:
 
 
 def _from_projections_reference(P1: Tensor, P2: Tensor) -> Tensor:
-    # The determinant of four rows is that of two for each pair of columns, times that of the others for the rest.
+    # Laplace expansion: a 4 x 4 determinant is a signed sum of products of complementary 2 x 2 minors.
     columns, rest = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)), ((2, 3), (3, 1), (1, 2), (0, 3), (2, 0), (0, 1))
     return _minors(P2, rest) @ _minors(P1, columns).mT + 0  # no negative zeros
 
 
 def _minors(P: Tensor, columns: Sequence[tuple[int, int]]) -> Tensor:
-    """Of projections without one row each, for pairs of columns: (*, 3, pairs)."""
+    """The 2 x 2 minors (*, 3, pairs) of projections: one row omitted, for each pair of columns."""
     a, b = P.roll(-1, -2), P.roll(-2, -2)
     return torch.stack([a[..., i] * b[..., k] - a[..., k] * b[..., i] for i, k in columns], -1)
 

@@ -1,4 +1,4 @@
-"""Points and matrices in the range in which linear equations about them are well conditioned."""
+"""Normalization of points and matrices, which makes linear equations about them well conditioned."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def normalize_points(points: Tensor, eps: float = 1e-8, weights: Tensor | None =
     Args:
         points: (B, N, 2) as (x, y), floating point.
         eps: added to the mean distance, for points that are all one.
-        weights: of the points in both means, (B, N); those below 0 count as 0, and if all are 0 they count alike.
+        weights: of the points in both means, (B, N); those below 0 count as 0, and if all are 0 they count equally.
 
     Returns:
         The points, (B, N, 2), and the similarity (B, 3, 3) that takes the given ones there.

@@ -1,4 +1,4 @@
-"""Cameras as projection matrices P = K [R | t], and what they are made of."""
+"""Cameras as projection matrices P = K [R | t], and their decomposition."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def KRt_from_projection(P: Tensor, eps: float = 1e-6) -> tuple[Tensor, Tensor, T
 
 def _parts_reference(P: Tensor) -> Tensor:
     """The rows of K, those of R, and t: (B, 7, 3)."""
-    # From the last row on each is, up to a positive length, the part of a row across those below it.
+    # RQ decomposition: from the last row up, a row of R is the normalized component orthogonal to the rows below it.
     a, b, c = wide(P)[..., :3].unbind(-2)
     f, third = _unit(c)
     e = (b * third).sum(-1)

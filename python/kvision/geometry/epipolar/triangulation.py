@@ -1,4 +1,4 @@
-"""Points in space from their pictures in two images."""
+"""Triangulation: points in space from their projections in two images."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def triangulate_points(P1: Tensor, P2: Tensor, points1: Tensor, points2: Tensor,
 
 
 def _reference(x1: Tensor, x2: Tensor, P1: Tensor, P2: Tensor) -> Tensor:
-    """(B, N, 3) of points (B, N, 2) and projections (B, 3, 4)."""
+    """Points in space (B, N, 3) from image points (B, N, 2) and projections (B, 3, 4)."""
     rows = [wide(x)[..., None] * wide(P)[:, None, 2:] - wide(P)[:, None, :2] for x, P in ((x1, P1), (x2, P2))]
     X = null_vector(torch.cat(rows, -2))
     w = X[..., 3:]

@@ -1,4 +1,4 @@
-"""Homographies from correspondences, and how well they fit."""
+"""Homographies from correspondences, and their errors."""
 
 from kvision.geometry.homography.dlt import (
     find_homography_dlt,

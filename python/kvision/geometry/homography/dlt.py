@@ -1,6 +1,6 @@
 """Homographies from correspondences, by direct linear transformation: the least squares of linear equations.
 
-Points are normalised first: their mean goes to 0 and their mean distance from it to sqrt(2), in each image.
+Points are normalized first, in each image: to a mean of 0 and a mean distance of sqrt(2) from it.
 
 Source: R. Hartley, "In defense of the eight-point algorithm" (1997); R. Hartley and A. Zisserman, "Multiple View
 Geometry" (2003), section 4.1.
@@ -74,7 +74,7 @@ homography_of = register_fit("homography_dlt", _reference)
 
 
 def _homography(rows: Tensor, weights: Tensor | None, T1: Tensor, T2: Tensor, dtype: torch.dtype) -> Tensor:
-    """That of normalised points, in pixels again."""
+    """Convert a homography of normalized points to pixels."""
     H = null_vector(rows, weights).unflatten(-1, (3, 3)) @ T1
     # The inverse of T2 = [[s, 0, a], [0, s, b], [0, 0, 1]], up to its scale.
     s, shift = T2[:, :1, :1], T2[:, :2, 2:]
@@ -166,7 +166,7 @@ def _lines_reference(ls1: Tensor, ls2: Tensor, weights: Tensor | None) -> Tensor
     return _homography(rows, of_ends, T1, T2, ls1.dtype)
 
 
-# Of segments (B, N, 2, 2).
+# Takes segments (B, N, 2, 2).
 of_lines = register_fit("homography_lines_dlt", _lines_reference)
 
 

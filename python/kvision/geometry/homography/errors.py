@@ -1,4 +1,4 @@
-"""How far correspondences are from homographies."""
+"""Transfer errors of correspondences under homographies."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
 
 
 def _turns(points: Tensor) -> Tensor:
-    """Which way round the triangles of four points (B, 4, 2) go: (B, 4) of -1, 0, 1."""
+    """The orientation, -1, 0 or 1, of the four triangles of points (B, 4, 2): (B, 4)."""
     a, b, c, d = points[:, :4].unbind(1)
     signs = []
     for p, q, r in ((a, b, c), (a, b, d), (a, c, d), (b, c, d)):

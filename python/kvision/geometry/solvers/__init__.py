@@ -1,4 +1,4 @@
-"""Solvers of small systems of equations, batch by batch."""
+"""Batched solvers of small systems of equations."""
 
 from kvision.geometry.solvers.affine import find_affine
 from kvision.geometry.solvers.null_vector import null_vector_3x4

@@ -1,4 +1,4 @@
-"""Minimal solvers: models from as few correspondences as possible, of given samples or of samples drawn from all points."""
+"""Minimal solvers: models from the fewest correspondences, for samples of points or for draws from all points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kvision.geometry.solvers.polynomials import (
 from kvision.geometry.solvers.roots import real_roots
 from kvision.geometry.transform.matrices import from_unit_square
 
-# Points of a sample, and the largest number of models that it has.
+# Points of a sample, and the largest number of models that a sample has.
 SIZES = {
     "affine": (3, 1),
     "homography": (4, 1),
@@ -35,10 +35,10 @@ SIZES = {
 
 
 def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, number: int) -> Tensor:
-    """Models (S, candidates, 3, 3) of norm 1, affine maps unscaled; NaN for missing ones.
+    """Models (S, candidates, 3, 3) of norm 1; affine maps are not scaled. Missing candidates are NaN.
 
-    Of samples (S, m, 2), or (S, m, 4) for line segments; or of points (1, N, ...) and `draws` (S, m + 1), whose rows are m
-    numbers in [0, 1) that choose from as many of the first points as the last number says.
+    Takes samples (S, m, 2), or (S, m, 4) for line segments. Or takes points (1, N, ...) and `draws` (S, m + 1): a row has
+    m numbers in [0, 1) that choose from the first points, and last how many points these are.
     """
     model = MODEL_NAMES[number]
     if draws is not None:
@@ -60,7 +60,7 @@ def _reference(points1: Tensor, points2: Tensor, draws: Tensor | None, number: i
 
 
 def _distinct(draws: Tensor, count: int) -> Tensor:
-    """Samples (S, m) of different points of each row's population, uniformly (R. Floyd's method)."""
+    """Samples (S, m) of distinct points, uniform over each row's population, by R. Floyd's method."""
     size = draws.shape[1] - 1
     population = draws[:, size].long().clamp(size, count)
     chosen: list[Tensor] = []
@@ -86,7 +86,7 @@ def minimal_solver(points1: Tensor, points2: Tensor, draws: Tensor | None, model
 
 
 def _four_points(points1: Tensor, points2: Tensor) -> Tensor:
-    """NaN where three points change their orientation: the homography takes a point between them to infinity."""
+    """Homographies of four points. NaN where three points change orientation: a point between them maps to infinity."""
     H = from_unit_square(wide(points2)) @ adjugate(from_unit_square(wide(points1)))
     is_valid = sample_is_valid_for_homography(points1, points2)
     return torch.where(is_valid[:, None, None], H, torch.nan)[:, None].to(points1.dtype)
@@ -103,7 +103,7 @@ def _eight_points(points1: Tensor, points2: Tensor, weights: Tensor | None) -> T
     return to_unit_last(T2.mT @ of_rank_two(F) @ T1).to(points1.dtype)
 
 
-# The fundamental matrices (B, 3, 3) of least squares.
+# The least-squares fundamental matrices (B, 3, 3).
 eight_points = register_fit("fundamental_dlt", _eight_points)
 
 
@@ -138,13 +138,13 @@ def five_points(points1: Tensor, points2: Tensor) -> Tensor:
     basis = null_space(epipolar_rows(wide(points1), wide(points2)), 4).unflatten(-2, (3, 3))  # (B, 3, 3, 4)
     is_defined = basis.isfinite().flatten(1).all(-1)[:, None]
     E = torch.where(is_defined[..., None, None], basis, 0)
-    # The first ten monomials, of which each equation keeps one: x^2 z, x^2, y^2 z, y^2, xyz, xy are the last of them.
+    # Each equation keeps one of the first ten monomials. The last six of them are x^2 z, x^2, y^2 z, y^2, xyz, xy.
     equations = _constraints(E)
     left, right = equations[..., :10], equations[..., 10:]
     solved = _solved(left, right)
     is_defined = is_defined & solved.isfinite().flatten(1).all(-1)[:, None]
     solved = torch.where(is_defined[..., None], solved, 0)
-    # Rows with z minus z times rows without z: three equations in x, y and 1, whose coefficients are polynomials in z.
+    # A row with z minus z times the row without: three equations in x, y and 1 with polynomials in z as coefficients.
     top, bottom = (rows.split([3, 3, 4], -1) for rows in (solved[:, 4::2], solved[:, 5::2]))
     pad = torch.nn.functional.pad
     system = [pad(t, (1, 0)) - pad(b, (0, 1)) for t, b in zip(top, bottom)]
@@ -165,7 +165,7 @@ def five_points(points1: Tensor, points2: Tensor) -> Tensor:
 
 
 def _solved(left: Tensor, right: Tensor) -> Tensor:
-    """The solution (B, n, m) of linear equations (B, n, n) by Gaussian elimination; not finite where there is none.
+    """Solve linear equations (B, n, n) for (B, n, m) by Gaussian elimination. Not finite if singular.
 
     It uses pointwise operators only, since CUDA graphs cannot capture library solvers.
     """
@@ -181,7 +181,7 @@ def _solved(left: Tensor, right: Tensor) -> Tensor:
 
 
 def _constraints(E: Tensor) -> Tensor:
-    """Coefficients (B, 10, 20) of the monomials of `multiply_deg_two_one_poly`, for entries (B, 3, 3, 4) of E."""
+    """Coefficients (B, 10, 20) of the constraints on E (B, 3, 3, 4), as `multiply_deg_two_one_poly` orders monomials."""
     EEt = multiply_deg_one_poly(E[:, :, None], E[:, None]).sum(3)  # (B, 3, 3, 10)
     half_trace = EEt.diagonal(dim1=1, dim2=2).sum(-1) / 2
     eye = torch.eye(3, device=E.device, dtype=E.dtype)

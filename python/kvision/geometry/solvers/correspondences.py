@@ -1,4 +1,4 @@
-"""Points and weights as every function that fits a model to them takes them."""
+"""Checks and shapes of points and weights, for every function that fits a model to them."""
 
 from __future__ import annotations
 

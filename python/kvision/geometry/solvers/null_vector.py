@@ -1,4 +1,4 @@
-"""Null vectors: what a homogeneous system leaves open, in the sense of least squares."""
+"""Null vectors: least-squares solutions of homogeneous systems."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def null_vector_3x4(A: Tensor) -> Tensor:
 
 # --- the smallest singular vector -----------------------------------------------------------------------------------
 
-# Below this share of a matrix's trace the gap between two eigenvalues is rounding: a direction in between is neither
-# better nor worse, and carries no gradient.
+# A gap between two eigenvalues below this fraction of the trace is rounding. Directions between their eigenvectors are
+# then equally good and get no gradient.
 _GAP = 1e-13
 
 
-# Of symmetric matrices (B, n, n), n being 3, 4, 9 or 12: eigenvalues (B, n), ascending, and vectors as columns (B, n, n).
+# Takes symmetric matrices (B, n, n), n = 3, 4, 9 or 12. Returns ascending eigenvalues (B, n), eigenvectors as columns.
 _eigenvectors = register(
     "eigenvectors",
     lambda matrix: tuple(torch.linalg.eigh(matrix)),
@@ -69,9 +69,9 @@ def _reference(rows: Tensor, weights: Tensor | None, found: Tensor | None = None
 def _smallest_eigenvector(matrix: Tensor, found: Tensor | None) -> Tensor:
     """The unit eigenvector (*, n) of symmetric matrices (*, n, n) for the smallest eigenvalue; NaN if not finite.
 
-    Where several are as good it is `found`, if that is given. The decomposition itself carries no gradient, since that of
-    its other vectors may not exist. Two steps of Newton's method from its solution change nothing but add the first and
-    the second derivative.
+    Where several are equally good, the result is `found` if that is not None. The decomposition carries no gradient,
+    because the gradient of the other eigenvectors may not exist. Two steps of Newton's method from the solution leave its
+    value as it is and add the first and the second derivative.
     """
     size = matrix.detach().diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
     M = matrix / torch.where(size > 0, size, 1)
@@ -90,7 +90,7 @@ def _smallest_eigenvector(matrix: Tensor, found: Tensor | None) -> Tensor:
 
 
 def _sign(v: Tensor) -> Tensor:
-    """Which of v and -v is meant: a fixed mixture of the entries is positive."""
+    """The sign that makes a fixed combination of the entries positive, which chooses between v and -v."""
     mixture = (v * 0.7 ** torch.arange(v.shape[-1], device=v.device, dtype=v.dtype)).sum(-1)
     return torch.where(mixture < 0, -1.0, 1.0).to(v.dtype)
 
@@ -126,7 +126,7 @@ def null_vector(rows: Tensor, weights: Tensor | None = None) -> Tensor:
 
     n is 3, 4, 9 or 12. Where several are as good, one of them; NaN where rows or weights are not finite.
     """
-    # Forward mode has no use for a kernel's result: of several as good it may be another one than the reference's tangent's.
+    # Forward mode calls the reference, because the kernel may choose another of several equally good vectors.
     call = _reference if in_forward_ad() else _null_vector
     leading = rows.shape[:-2]
     if len(leading) == 1:
@@ -136,7 +136,7 @@ def null_vector(rows: Tensor, weights: Tensor | None = None) -> Tensor:
 
 
 def null_vector_3x3(matrix: Tensor) -> Tensor:
-    """`null_vector` of (*, 3, 3) as what is most parallel to its cofactors: squares lose digits of a badly scaled matrix."""
+    """`null_vector` of (*, 3, 3) as the vector most parallel to its cofactors. Squares would lose digits."""
     cofactors = adjugate(matrix).mT
     largest = cofactors.detach().abs().amax((-2, -1), keepdim=True)
     cofactors = cofactors / torch.where(largest > 0, largest, 1)
@@ -152,7 +152,7 @@ def null_space(rows: Tensor, count: int) -> Tensor:
     """
     size = torch.linalg.vector_norm(rows.detach(), dim=(-2, -1), keepdim=True)
     vectors: list[Tensor] = []
-    for _ in range(count):  # what was found before counts as a further equation
+    for _ in range(count):  # earlier vectors are added as equations
         vectors.append(null_vector(torch.cat([rows, *(size * v[..., None, :] for v in vectors)], -2)))
     found = torch.stack(vectors[::-1], -1)
     spare = null_vector(torch.cat([rows, *(size * v[..., None, :] for v in vectors)], -2).detach())

@@ -1,6 +1,6 @@
-"""Products of polynomials in three unknowns, and the determinant that leaves one: the algebra of five points.
+"""Products of polynomials in three unknowns, and a determinant with one unknown: the algebra of the five-point method.
 
-Monomials of degree two stand in the order x^2, xy, xz, x, y^2, yz, y, z^2, z, 1; those of degree three in the order x^3,
+Monomials of degree two have the order x^2, xy, xz, x, y^2, yz, y, z^2, z, 1; those of degree three in the order x^3,
 y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2, z, 1.
 
 Source: D. Nister, "An Efficient Solution to the Five-Point Relative Pose Problem" (2004).
@@ -25,7 +25,7 @@ _CUBIC = (
 
 
 def _terms(left: tuple[str, ...], right: tuple[str, ...], product: tuple[str, ...]) -> list[list[tuple[int, int]]]:
-    """For every monomial of the product the pairs of factors that it is made of."""
+    """The pairs of factors that contribute to each monomial of the product."""
     return [
         [(i, k) for i, a in enumerate(left) for k, b in enumerate(right) if "".join(sorted(a + b)) == monomial]
         for monomial in product

@@ -39,7 +39,7 @@ def solve_quadratic(coeffs: Tensor) -> Tensor:
     discriminant = b * b - 4 * a * c
     q = -0.5 * (b + torch.where(b < 0, -1.0, 1.0).to(b.dtype) * root(discriminant.clamp(min=0)))
     linear = a == 0
-    other = torch.where(q == 0, 0, c / torch.where(q == 0, 1, q))  # the root of the linear equation, too
+    other = torch.where(q == 0, 0, c / torch.where(q == 0, 1, q))  # also the root of the linear equation
     one = q / torch.where(linear, 1, a)
     first, second = torch.where(b < 0, one, other), torch.where(b < 0, other, one)
     double = -b / (2 * torch.where(linear, 1, a))
@@ -98,7 +98,7 @@ def solve_quartic(coeffs: Tensor) -> Tensor:
 
 
 def _scaled(coeffs: Tensor) -> Tensor:
-    """Divided by a power of two, so that products neither overflow nor vanish; a polynomial of zeros stays so."""
+    """Scale by a power of two, so that products neither overflow nor underflow. A zero polynomial stays 0."""
     largest = coeffs.detach().abs().amax(-1, keepdim=True)
     return coeffs / 2.0 ** torch.frexp(largest).exponent
 
@@ -110,7 +110,7 @@ def _reference(coeffs: Tensor) -> Tensor:
     found = _isolated(_scaled(wide(coeffs)))
     return torch.where((coeffs == 0).all(-1, keepdim=True), torch.nan, found).to(
         coeffs.dtype
-    )  # all numbers are roots of 0
+    )  # every number is a root of the zero polynomial
 
 
 _real_roots = register(
@@ -144,20 +144,21 @@ def _value_and_slope(p: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
     return value, slope
 
 
-# Where a polynomial touches 0 between two roots or beside none is rounding: within this share of its terms' sum.
+# A value below this fraction of the sum of the absolute terms counts as 0. Whether the curve crosses, touches or
+# misses 0 there is rounding.
 _TOUCH = 1e-14
 _STEPS = 40
 
 
 def _isolated(p: Tensor) -> Tensor:
-    """As `real_roots`, to the last bits where roots are simple: outside of [-1, 1] they are those of the mirror's 1 / x."""
+    """`real_roots`, to the last bits where roots are simple. Outside of [-1, 1] they are inverse roots of the reversed one."""
     inside, outside = _in_unit(p), 1 / _in_unit(p.flip(-1))
     beyond = torch.where((outside.abs() > 1) & outside.isfinite(), outside, torch.nan)
     return torch.cat([inside, beyond], -1).sort(-1).values[..., : p.shape[-1] - 1]  # NaN at the end
 
 
 def _in_unit(p: Tensor) -> Tensor:
-    """Roots in [-1, 1]: between two neighbouring roots of its derivative a polynomial has one root or none."""
+    """Roots in [-1, 1]: between two adjacent roots of its derivative a polynomial has one root or none."""
     n = p.shape[-1] - 1
     powers = torch.arange(n, -1, -1, device=p.device, dtype=p.dtype)
     found = p.new_zeros(*p.shape[:-1], 0)
@@ -170,7 +171,7 @@ def _in_unit(p: Tensor) -> Tensor:
 
 
 def _between(p: Tensor, critical: Tensor) -> Tensor:
-    """Roots of p in [-1, 1] from those of its derivative, ascending, NaN at the end."""
+    """Roots of p in [-1, 1] from those of its derivative. Both are ascending, with NaN at the end."""
     rim = p.new_ones(*p.shape[:-1], 1)
     ends = torch.cat([-rim, critical.nan_to_num(1.0), rim], -1)
     value = _value_and_slope(p, ends)[0]
@@ -180,14 +181,14 @@ def _between(p: Tensor, critical: Tensor) -> Tensor:
     crosses = sign[..., :-1] * sign[..., 1:] < 0
     rising = sign[..., 1:] > 0
     x = (low + high) / 2
-    for _ in range(_STEPS):  # Newton's method, held between the ends
+    for _ in range(_STEPS):  # Newton's method, with bisection where a step leaves [low, high]
         at, slope = _value_and_slope(p, x)
         right = (at < 0) == rising
         low, high = torch.where(right, x, low), torch.where(right, high, x)
         step = x - at / torch.where(slope == 0, 1, slope)
         x = torch.where((step >= low) & (step <= high) & (slope != 0), step, (low + high) / 2)
     simple = torch.where(crosses, x, torch.nan)
-    # A root of the derivative that is one of p, too, counts once more than there.
+    # A root of the derivative that is also a root of p has a multiplicity one higher in p.
     touches = flat[..., 1:-1] & critical.isfinite()
     repeated = torch.where(touches, critical, torch.nan)
     again = torch.where(touches & (critical != ends[..., :-2]), critical, torch.nan)

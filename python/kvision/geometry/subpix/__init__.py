@@ -1,4 +1,4 @@
-"""Peaks of images and volumes: where they are, and where they are between pixels."""
+"""Peaks of images and volumes, at pixels and between them."""
 
 from kvision.geometry.subpix.nms import NonMaximaSuppression2d, NonMaximaSuppression3d, nms2d, nms3d, nms3d_minmax
 from kvision.geometry.subpix.quad_interp3d import (
@@ -22,7 +22,7 @@ from kvision.geometry.subpix.spatial import (
     spatial_softmax2d,
 )
 
-# Without the submodules: `nms` would hide the function of that name in kvision.geometry.
+# Submodules are left out, because `nms` would hide the function of that name in kvision.geometry.
 __all__ = [
     "AdaptiveQuadInterp3d",
     "ConvQuadInterp3d",

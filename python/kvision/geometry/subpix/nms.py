@@ -20,7 +20,7 @@ __all__ = ["NonMaximaSuppression2d", "NonMaximaSuppression3d", "nms2d", "nms3d",
 
 
 def _is_maximum(x, window, volumes):
-    """Whether an element is above all others of its window (z, y, x). Images (B, C, H, W), or volumes (B, D, H, W)."""
+    """The elements above all others of their window (z, y, x) of images (B, C, H, W) or volumes (B, D, H, W)."""
     before, after = [(k - 1) // 2 for k in window], [k // 2 for k in window]
     sizes = x.shape[1:] if volumes else (1, *x.shape[2:])
     if any(k > n for k, n in zip(window, sizes)):
@@ -47,12 +47,12 @@ def _is_maximum(x, window, volumes):
 
 
 def _flags(x, window, volumes):
-    """_is_maximum as 0 and 1 of uint8."""
+    """The mask of _is_maximum as uint8."""
     return match_layout(_is_maximum(x, window, volumes).to(torch.uint8), x)
 
 
 def _empty(x, volumes, dtype=None):
-    """An empty result for images in their layout; those of volumes are contiguous."""
+    """Allocate a result, for images in their layout and for volumes contiguous."""
     result = x.new_empty(x.shape, dtype=dtype)
     return result if volumes else match_layout(result, x)
 
@@ -62,7 +62,7 @@ def _empty_flags(x, window, volumes):
 
 
 def _reference(x, window, volumes, marked):
-    """The maxima, 0 elsewhere, and their flags; no flags unless `marked`."""
+    """The maxima, with 0 elsewhere, and their mask, which is empty unless `marked`."""
     flags = _flags(x, window, volumes)
     return match_layout(torch.where(flags != 0, x, 0), x), flags if marked else _no_flags(x)
 
@@ -110,7 +110,7 @@ def _found(x, window, volumes, mask_only):
 
 
 def _as_bool(flags):
-    # A view of bytes as bool costs nothing; but inductor does not compile what comes after it (torch 2.13), and vmap does
+    # A view of bytes as bool is free, but inductor does not compile the operators after it (torch 2.13), and vmap does
     # not know it (torch 2.11).
     viewable = not (torch.compiler.is_compiling() or in_function_transform())
     return flags.view(torch.bool) if viewable else flags != 0
@@ -208,7 +208,7 @@ def nms3d_minmax(input: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _stacked(input: Tensor) -> Tensor:
-    """Volumes as the operators take them: (B * C, D, H, W)."""
+    """Volumes in the layout of the operators: (B * C, D, H, W)."""
     return floats(input).flatten(0, 1).contiguous()
 
 

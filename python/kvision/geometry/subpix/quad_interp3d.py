@@ -23,7 +23,7 @@ __all__ = [
     "iterative_quad_interp3d",
 ]
 
-_ANYWHERE = 2**31 - 1  # a radius without limit
+_ANYWHERE = 2**31 - 1  # an unlimited search radius
 _MODES = ("patch", "conv", "auto")
 
 # --- the definition -------------------------------------------------------------------------------------------------
@@ -48,7 +48,7 @@ def _grid(x):
 
 
 def _search(x, chosen, steps, largest_shift, radius, along_scale):
-    """Where the search from each voxel ends, (scale, x, y), and whether it settles there."""
+    """The voxel (scale, x, y) at which the search from each voxel ends, and whether the search converges there."""
     start, ends = _grid(x), (x.shape[2] - 2, x.shape[4] - 2, x.shape[3] - 2)
     center = [g.expand(x.shape) for g in start]
     searching = nms3d(x, (3, 3, 3), mask_only=True) if chosen is None else chosen != 0
@@ -95,7 +95,7 @@ def _quadratic(x, center):
 
 
 def _solve(hessian, right, wanted):
-    """The solution of a symmetric system where `wanted`, else 0; and whether it exists."""
+    """Solve a symmetric system where `wanted`, else return 0; and return whether the solution exists."""
     h = hessian
     largest = torch.stack([abs(h[i][j]) for i in range(3) for j in range(i + 1)]).amax(0).detach()
     unit = torch.where(wanted & (largest > 0), largest, 1)

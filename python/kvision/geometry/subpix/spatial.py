@@ -104,8 +104,8 @@ def spatial_expectation2d(input: Tensor, normalized_coordinates: bool = True) ->
 
 
 def _mean_place_reference(input: Tensor, softmax: bool, scale: float, normalized: bool) -> tuple[Tensor, Tensor]:
-    """The expected coordinates (B, C, 2) of images (B, C, H, W), weighted by their values or the softmax of `scale` times
-    these; and the largest value and the sum of exponentials relative to it, (B, C, 2), from which the softmax follows."""
+    """The expected coordinates (B, C, 2) of images (B, C, H, W), weighted by their values or by the softmax of
+    `scale` times the values. Also (B, C, 2): the maximum, and the sum of exponentials relative to it, for the softmax."""
     p = input.to(compute_dtype(input))
     parts = p.new_zeros(*p.shape[:2], 2)
     if softmax:
@@ -231,7 +231,7 @@ def render_gaussian2d(mean: Tensor, std: Tensor, size: tuple[int, int], normaliz
 
 
 def _gaussian_reference(mean: Tensor, std: Tensor, height: int, width: int, normalized: bool) -> Tensor:
-    """Maps (P, H, W) for means and deviations (P, 2)."""
+    """Gaussian maps (P, H, W) with means and standard deviations (P, 2)."""
     axes = []
     for i, n in enumerate((width, height)):
         distance = (_axis(n, normalized, mean) - mean[:, i, None]) / std[:, i, None]

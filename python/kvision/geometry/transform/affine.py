@@ -231,7 +231,7 @@ def _by_formula(op, tensor, images, mode, padding_mode, align_corners, formula, 
 
 
 def _vector(op: str, images: Tensor, name: str, x: Any, *axes: int) -> Tensor:
-    """A parameter (B, *axes) in the dtype of the computation; one of shape `axes` serves all images."""
+    """A parameter (B, *axes) in the compute dtype. A parameter of shape `axes` applies to all images."""
     _check.numbers(op, name, x)
     if x.dim() == len(axes):
         x = x[None]
@@ -241,7 +241,7 @@ def _vector(op: str, images: Tensor, name: str, x: Any, *axes: int) -> Tensor:
 
 
 def _center(op: str, images: Tensor, center: Any) -> tuple[Tensor | None, float, float]:
-    """Centers (B, 2) or (1, 2), or None and the center of the image."""
+    """Centers (B, 2) or (1, 2); the center of the image for None."""
     if center is not None:
         center = _vector(op, images, "center", center, 2)
     h, w = images.shape[2:]

@@ -50,7 +50,7 @@ def _crop_pixels_backward(needs, grad, sizes, corner, size):
     return [_crop_pixels(grad, [-c for c in corner], list(sizes[2:]))]
 
 
-# The pixels of a rectangle, zeros where it reaches out of the image. The backward pass is the crop by the opposite corner.
+# The pixels of a rectangle, 0 outside of the image. The backward pass is a crop at the negated corner.
 _crop_pixels = register(
     "crop",
     _crop_pixels_reference,
@@ -161,7 +161,7 @@ def crop_by_boxes(
 
 
 def _crop(op, input_tensor, boxes, first, size, mode, padding_mode, align_corners):
-    """Resample the quadrangles `boxes` to the rectangle of `size` that begins at `first` (B, 2); None for (0, 0)."""
+    """Resample the quadrangles `boxes` to the rectangle of `size` with first pixel `first` (B, 2); None for (0, 0)."""
     _check.images(op, "input_tensor", input_tensor)
     _check.shape(op, "boxes", boxes, "B", 4, 2)
     sampling.check_options(op, mode, padding_mode, align_corners)
@@ -260,7 +260,7 @@ def center_crop(
     sampling.check_options("center_crop", mode, padding_mode, align_corners)
     images = pixels(input_tensor)
     y, x = images.shape[2] - h, images.shape[3] - w
-    symbolic = isinstance(y, torch.SymInt) or isinstance(x, torch.SymInt)  # it is not known whether they are even
+    symbolic = isinstance(y, torch.SymInt) or isinstance(x, torch.SymInt)  # their parity is unknown
     if not symbolic and y >= 0 and x >= 0 and y % 2 == 0 and x % 2 == 0:
         return _crop_pixels(images, [y // 2, x // 2], [h, w])
     padding, _ = sampling.padding_and_fill("center_crop", images, padding_mode, None)

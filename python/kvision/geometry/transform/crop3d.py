@@ -168,7 +168,7 @@ def center_crop3d(
 
 
 def _crop(op, tensor, src_box, dst_box, size, interpolation, align_corners):
-    """Resample the boxes `src_box` into the boxes `dst_box`; None for the whole result."""
+    """Resample the boxes `src_box` into the boxes `dst_box`; None stands for the whole result."""
     _check.shape(op, "src_box", src_box, "B", 8, 3)
     volumes = floats(tensor)
     boxes = [sampling.cast_to_image(op, volumes, "src_box", src_box)]

@@ -67,7 +67,7 @@ def elastic_transform2d(
     if isinstance(sigma, Tensor) or not _are_numbers(sigma):
         sigma = _two(op, "sigma", sigma, images)[None]
     arguments = blur_arguments(op, noise, kernel_size, sigma, "constant")
-    # The noise is scaled before the blur, so that the result of the blur is the map.
+    # The noise is scaled before the blur, so that no step follows the blur.
     if not _are_numbers(alpha) or alpha[0] != alpha[1]:
         noise = noise * _two(op, "alpha", alpha, images)[:, None, None]
     elif alpha[0] != 1:
@@ -95,4 +95,4 @@ def _number(op: str, name: str, value: Tensor | float, like: Tensor, dtype: torc
         return value.to(like.device, dtype)
     return like.new_full(
         (), _check.number(op, name, value), dtype=dtype
-    )  # created on the device: a copy would wait for it
+    )  # created on the device, without a copy from the host

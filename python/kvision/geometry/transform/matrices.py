@@ -77,7 +77,7 @@ def _given(**vectors: Tensor | None) -> dict[str, tuple[Tensor, int]]:
 
 
 def _affine2d_reference(degrees, translation, scale, shear_x, shear_y, center, sign, x, y, rows):
-    """Shear, scale and rotate about a center, by default (x, y), then translate: (B, rows, 3), with 2 or 3 rows."""
+    """Shear, scale and rotate about a center, by default (x, y), then translate: (B, rows, 3), rows = 2 or 3."""
     c, s = cos_sin(sign * degrees)
     linear = matrix_of([[c, s], [-s, c]], degrees)
     if scale is not None:
@@ -93,7 +93,7 @@ def _shears(shear_x: Tensor | None, shear_y: Tensor | None, like: Tensor) -> Ten
 
 
 def _placed(linear, translation, center, otherwise, rows):
-    """A linear map (B, n, n) about a center, then translated: the first `rows` rows of the homography (B, n + 1, n + 1)."""
+    """Apply a linear map (B, n, n) about a center, then translate: `rows` rows of the homography (B, n + 1, n + 1)."""
     batch, n = batch_of(linear, translation, center), linear.shape[1]
     if center is None:
         center = torch.stack([linear.new_full((1,), c) for c in otherwise], -1)
@@ -138,7 +138,7 @@ def _perspective_reference(points_src, points_dst):
 
 
 def _crop_matrix_reference(quads, first, across, down):
-    """From pixels of the result to those of the image. In this direction a side of one pixel needs no special case."""
+    """The map from result pixels to image pixels. In this direction a side of one pixel needs no special case."""
     matrix = from_unit_square(wide(quads))
     last = matrix[:, 2:, 2:]
     right, downwards, origin = (matrix / torch.where(last == 0, 1, last)).split(1, -1)
@@ -154,7 +154,7 @@ def _perspective3d_reference(points_src, points_dst, *extent):
     if points_dst is None:
         last = matrix_of([list(extent)], points_src[:1])[:, 0]
         points_dst = corners(torch.zeros_like(last), last)
-    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four in a plane
+    p, q = (wide(torch.cat([x[:, :3], x[:, 5::2]], 1)) for x in (points_src, points_dst))  # no four of them coplanar
     matrix = _from_simplex(q) @ torch.linalg.inv_ex(_from_simplex(p))[0]
     return (matrix / matrix[:, 3:, 3:]).to(points_src.dtype)
 
@@ -192,7 +192,7 @@ def _shear3d_reference(center, *angles):
     return _placed(_shears3d(angles, center[:1, 0]), None, center, (), 4)
 
 
-# The kernels take absent arguments and those with one row for all samples as they are: a matrix needs one launch.
+# The kernels take None and broadcast arguments directly, so that a matrix needs one launch.
 affine_matrix2d = register_formula("affine_matrix2d", _affine2d_reference, lambda *args: (args[-1], 3))
 translation_matrix2d = register_formula("translation_matrix2d", _translation_reference, lambda *args: (args[-1], 3))
 scale_matrix2d = register_formula("scale_matrix2d", _scale2d_reference, lambda *args: (2, 3))
@@ -204,8 +204,8 @@ _shear_matrix3d = register_formula("shear_matrix3d", _shear3d_reference, lambda 
 _invert_affine2d = register_formula("invert_affine2d", _inverse2d_reference, lambda *args: (2, 3))
 _perspective_matrix = register_formula("perspective_matrix", _perspective_reference, lambda *args: (3, 3))
 perspective_matrix3d = register_formula("perspective_matrix3d", _perspective3d_reference, lambda *args: (4, 4))
-# From pixels of the result to the quadrangles (B, 4, 2) that are resampled into a rectangle of it. The rectangle begins at
-# `first` (B, 2), None for (0, 0); its last pixel is `across` columns and `down` rows after its first.
+# Maps from pixels of the result to the quadrangles (B, 4, 2) that are resampled into a rectangle of the result. Its
+# first pixel is `first` (B, 2), None for (0, 0). Its last pixel is `across` columns and `down` rows further.
 crop_matrix = register_formula("crop_matrix", _crop_matrix_reference, lambda *args: (3, 3))
 
 # --- two dimensions -------------------------------------------------------------------------------------------------

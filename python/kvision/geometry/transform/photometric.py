@@ -38,7 +38,7 @@ def _loss(source, target, matrix, distance, eps, align_corners, normalized):
 
 
 def _seen(coords, source):
-    """Which sampling coordinates (B, 1, h, w) lie between four pixels."""
+    """The mask (B, 1, h, w) of sampling coordinates that lie between four pixels of the source."""
     height, width = source.shape[2:]
     u, v = (x.detach() for x in coords)
     return ((u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))[:, None]
@@ -57,7 +57,7 @@ def _backward(needs, grad, _, loss, matrix_grads, source, target, matrix, *optio
     if needs[0] or needs[1]:
         grad_source, grad_target = _image_gradients(grad, source, target, matrix, *options)
     if needs[2]:
-        # Every torch call costs as much as the kernel.
+        # A torch call costs as much as the kernel, so there are as few as possible.
         grad_matrix = matrix_grads * (grad if len(grad) == 1 else grad.view(-1, 1, 1))
         grad_matrix = grad_matrix if len(matrix) == len(matrix_grads) else grad_matrix.sum_to_size(matrix.shape)
     return [grad_source if needs[0] else None, grad_target if needs[1] else None, grad_matrix]
@@ -116,7 +116,7 @@ def _normal_reference(source, target, matrix, distance, eps, align_corners, norm
         residual = sampling.sample(source, coords, "bilinear", "fill", align_corners) - target
         return residual.flatten(1), (residual, _seen(coords, source))
 
-    # The derivative by every entry of the matrix but the last.
+    # The derivatives by all entries of the matrix but the last.
     columns = []
     for i in range(8):
         direction = torch.zeros_like(matrices)
@@ -249,7 +249,7 @@ def photometric_normal_equations(
 
 
 def _checked(op, source, target, src_homo_dst, distance, eps, align_corners, normalized_coordinates):
-    """The images, in one dtype, and the homography as the operators take them."""
+    """The images in one dtype, and the homography in the layout of the operators."""
     _check.images(op, "source", source)
     _check.images(op, "target", target)
     _check.shape(op, "src_homo_dst", src_homo_dst, "B", 3, 3)

@@ -314,7 +314,7 @@ class ScalePyramid(nn.Module):
         octaves: tuple[list[Tensor], list[Tensor], list[Tensor]] = ([], [], [])
         count = self.n_levels + self.extra_levels
         scales = [base * self.sigma_step**i for i in range(count)]
-        # Computed on the device: a copy would wait for it.
+        # Computed on the device, because a copy from the host would wait for it.
         sigmas = (
             (base * self.sigma_step ** torch.arange(count, device=level.device)).to(level.dtype).expand(len(x), count)
         )

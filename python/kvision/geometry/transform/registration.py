@@ -22,8 +22,8 @@ from kvision.geometry.transform.resize import resize
 
 __all__ = ["BaseModel", "Homography", "ImageRegistrator", "Similarity"]
 
-_FUSED = {F.l1_loss: "l1", F.mse_loss: "l2"}  # losses that photometric_homography_loss computes
-_LOOK_EVERY = 10  # iterations between two reads of the loss, which wait for the device
+_FUSED = {F.l1_loss: "l1", F.mse_loss: "l2"}  # losses with a fused photometric_homography_loss
+_LOOK_EVERY = 10  # iterations between two reads of the loss; a read waits for the device
 
 
 class BaseModel(nn.Module):

@@ -72,7 +72,7 @@ def _taps(window: str, source: int, result: int, align_corners: bool, antialias:
     index = first + torch.arange(-(-2 * support * unit // den), device=like.device)
     weight = _window(window, (index * den - coord).to(like.dtype) / unit, antialias)
     inside = index.clamp(0, source - 1)
-    if antialias or window == "lanczos":  # taps out of bounds have no weight
+    if antialias or window == "lanczos":  # taps out of bounds have weight 0
         weight = torch.where(index == inside, weight, 0.0)
         weight = weight / weight.sum(1, keepdim=True)
     return inside, weight
@@ -83,7 +83,7 @@ def _window(window: str, x: Tensor, antialias: bool) -> Tensor:
     if window == "bilinear":
         return (1 - x).clamp(min=0)
     if window == "lanczos":
-        # Exactly 0 at integers other than 0.
+        # The value is exactly 0 at integers other than 0.
         return torch.where(x == x.round(), (x == 0).to(x.dtype), torch.sinc(x) * torch.sinc(x / 3) * (x < 3))
     a = -0.5 if antialias else -0.75  # as Pillow and OpenCV
     near = ((a + 2) * x - (a + 3)) * x * x + 1
@@ -220,7 +220,7 @@ def _check_images(op: str, input: Tensor) -> None:
 
 
 def _from_side(size: int, h: int, w: int, side: str) -> tuple[int, int]:
-    # In floats, as Kornia has it: the product with the ratio is rounded down. The other side of a short one is no shorter.
+    # Computed in floats, as in Kornia: products are rounded down. A side next to a short one is at least `size`.
     height, width = math.trunc(size / (w / h)), math.trunc(size * (w / h))
     larger, smaller = (max, min) if type(h) is int and type(w) is int else (torch.sym_max, torch.sym_min)
     if side == "short":

@@ -68,7 +68,7 @@ def _taps(
     """The taps along an axis: index of the pixel, weight, whether it is in bounds."""
     x = _near_image(x, size, padding, align_corners)
     if interpolation == "nearest":
-        first, weights = x.detach().round(), [1 + 0 * x]  # a gradient of 0, where torch would have none
+        first, weights = x.detach().round(), [1 + 0 * x]  # its gradient is 0, where torch gives none
     else:
         first = x.detach().floor()
         t = x - first
@@ -93,12 +93,12 @@ def _taps(
 
 
 def _near_image(x: Tensor, size: int, padding: str, align_corners: bool) -> Tensor:
-    """Coordinates of the same value that are near the image; NaN is out of bounds, to the left."""
+    """Equivalent coordinates in or near the image, with the same sampled value. NaN is out of bounds, to the left."""
     if padding != "reflection":
         return torch.where(x > -4, x, -4.0).clamp(max=size + 3)
     period = 2 * (size - 1 if align_corners else size)
     if period == 0:
-        return 0 * x.nan_to_num()  # the only pixel is read everywhere
+        return 0 * x.nan_to_num()  # all coordinates read the only pixel
     folded = x - period * (x.detach() / period).floor()
     return torch.where(folded.isfinite(), folded, 0.0).clamp(0, period)
 
@@ -389,7 +389,7 @@ def padding_and_fill(op: str, image: Tensor, padding_mode: str, fill_value: Any)
         return PADDING["fill"], None
     dtype = compute_dtype(image)
     if isinstance(fill_value, (int, float)):
-        fill_value = image.new_full((), fill_value, dtype=dtype)  # created on the device: a copy would wait for it
+        fill_value = image.new_full((), fill_value, dtype=dtype)  # created on the device, without a copy from the host
     elif not isinstance(fill_value, Tensor):
         fill_value = torch.as_tensor(fill_value, dtype=dtype, device=image.device)
     _check.numbers(op, "fill_value", fill_value)

@@ -107,7 +107,7 @@ def _weights_reference(centers, right):
 
 
 def _weights_backward(needs, grad, spline, centers, right):
-    """The system is symmetric, and what it multiplies is the spline at its own centers, and its weights' sums."""
+    """The system is symmetric. It maps the weights to the spline at its centers and the sums of weights."""
     grad_right = _weights(centers, grad)
     grad_centers = None
     if needs[0]:
@@ -117,8 +117,8 @@ def _weights_backward(needs, grad, spline, centers, right):
     return [grad_centers, grad_right.sum_to_size(right.shape) if needs[1] else None]
 
 
-# The weights (B, N + 3, 2), of centers (B, N, 2) and then of the affine part, with values `right` at the centers and
-# three sums.
+# The weights (B, N + 3, 2) of centers (B, N, 2), then of the affine part. The right side `right` has the values at the
+# centers and three sums.
 _weights = register(
     "thin_plate_weights",
     _weights_reference,

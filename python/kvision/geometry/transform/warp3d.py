@@ -338,7 +338,7 @@ def _reference(volumes, matrix, size, interpolation, padding, align_corners, inv
 
 
 def _from_unit(size: Sequence[int], align_corners: bool, like: Tensor) -> Tensor:
-    """Voxels from [-1, 1]."""
+    """The map from [-1, 1] to voxel indices."""
     less = 1 if align_corners else 0
     return by_axes([((n - less) / 2, (n - 1) / 2) for n in reversed(size)], like.device, like.dtype)
 

@@ -1,6 +1,7 @@
-// Mutual information on CUDA: ranges of the signals' chunks, joint histograms, what follows from these; backward the
-// gradients by places, then what the ends of the ranges get. Histograms are in fixed point, so that atomic sums do not
-// depend on their order: in shared memory, in two words a bin, where they fit.
+// Mutual information on CUDA. Forward: the ranges of the signals' chunks, joint histograms, then the loss and its
+// gradients. Backward: the gradients of the samples' positions, then the contributions of the minimum and maximum of
+// each range. Histograms are fixed-point sums, so that the order of atomic additions does not change the result. They
+// are in shared memory where they fit, with two words per bin.
 #include "core/row_sums.cuh"
 #include "mutual_information.h"
 
@@ -8,12 +9,12 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = kSumThreads, kFinalizeThreads = 1024;
-constexpr int kShared = 5632;  // bins of a joint histogram that a block has memory for
+constexpr int kShared = 5632;  // bins of a joint histogram that fit a block's shared memory
 
-__device__ __forceinline__ unsigned fixed_point(float x) { return __float2uint_rn(x); }  // of at most 30 bits
+__device__ __forceinline__ unsigned fixed_point(float x) { return __float2uint_rn(x); }  // at most 30 bits
 __device__ __forceinline__ unsigned long long fixed_point(double x) { return __double2ull_rn(x); }
 
-// A block's row, and its samples.
+// The row of a block, and its samples.
 struct Chunk {
   int64_t row, first, last;
 
@@ -82,7 +83,7 @@ __global__ void __launch_bounds__(kThreads) count_pairs(__grid_constant__ Mutual
   }
 }
 
-// A block for each row.
+// One block per row.
 template <class F>
 __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_constant__ MutualInformation<F> const p) {
   int64_t const row = blockIdx.x;
@@ -103,7 +104,7 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
     sum = warp_sum(sum);
     if (lane == 0) of_x[k] = F(sum), of_all[0] += sum;
   }
-  // Several threads share a column, where there are more threads than columns.
+  // If there are more threads than columns, several threads split a column.
   __shared__ double parts[kFinalizeThreads];
   int const share = max(kFinalizeThreads / bins, 1), columns = kFinalizeThreads / share;
   int const part = int(threadIdx.x) / columns, of_part = int(threadIdx.x) % columns;
@@ -118,7 +119,7 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
     for (int i = 1; part == 0 && i < share; ++i) sum += parts[i * columns + of_part];
     if (part == 0 && m < bins) of_y[m] = F(sum);
   }
-  block_reduce<kFinalizeThreads>(of_all, Sum());  // the sums of other threads are there now, too
+  block_reduce<kFinalizeThreads>(of_all, Sum());  // its barrier also publishes the sums of other threads
   F const all = F(of_all[0]), inverse = 1 / all;
   double entropies[3] = {};
   for (int i = threadIdx.x; i < 2 * bins; i += kFinalizeThreads) {
@@ -141,7 +142,7 @@ __global__ void __launch_bounds__(kFinalizeThreads) find_information(__grid_cons
   }
 }
 
-// The gradients by the samples' own places, and what the chunk has for the ends.
+// The gradients through the samples' positions, and the chunk's sums for the ends of the range.
 template <class F>
 __global__ void __launch_bounds__(kThreads) sample_gradients(__grid_constant__ MutualInformationBackward<F> const p) {
   Chunk const at(p.chunks, p.samples);
@@ -170,7 +171,7 @@ __global__ void __launch_bounds__(kThreads) add_to_ends(__grid_constant__ Mutual
   Signal<F> const& own = p.by_y ? p.y : p.x;
   SignalRange<F> const range = p.range(at.row, p.by_y);
   F const* const chunk = p.partial + 4 * int64_t(blockIdx.x);
-  if (range.is_flat(p.binning.epsilon) || chunk[2] + chunk[3] == 0) return;  // no end is here
+  if (range.is_flat(p.binning.epsilon) || chunk[2] + chunk[3] == 0) return;  // the chunk has no minimum and no maximum
   double ends[4] = {};
   for (int64_t i = threadIdx.x; i < p.chunks; i += kThreads)
 #pragma unroll

@@ -1,13 +1,13 @@
-// Mutual information of two signals, by a joint histogram that varies smoothly with both. A sample x adds to bin k of
-// its signal w(|(x - low) / (high - low) * (bins - 1) - k| / radius), low and high being the smallest and the largest
-// one in its mask, and w 0 beyond 1; and to bins (i, j) of both signals the product J_ij. With p = J / S, S the
-// sum of J, which is at least `least` everywhere, and entropies H of p and of its sums along either axis,
+// Mutual information of two signals, by a joint histogram that is differentiable in both. A sample x adds w(|(x - low)
+// / (high - low) * (bins - 1) - k| / radius) to bin k of its signal; low and high are the minimum and maximum within
+// its mask, and w is 0 for arguments above 1. The product of both signals' weights is added to bin J_ij. With p = J /
+// S, where S is the sum of J and p is at least `least`, and with the entropies H of p and of its two marginals:
 //
 //   loss = H(p) - H(px) - H(py), with the gradients dloss/dJ_ij = (log px_i + log py_j - log p_ij - loss) / S
 //   or, normalized, -(H(px) + H(py)) / H(p), with (log px_i + log py_j + loss log p_ij) / (H(p) S)
 //
-// The gradients are a result of the operator, for its gradient. The loss is NaN where a signal is not finite or has no
-// sample. Included by mutual_information_cpu.cpp, mutual_information.cu and mutual_information_op.cpp.
+// The operator returns these gradients, and its backward pass reads them. The loss is NaN if a signal is not finite or
+// has no sample. Included by mutual_information_cpu.cpp, mutual_information.cu and mutual_information_op.cpp.
 #pragma once
 
 #include <math.h>
@@ -16,10 +16,10 @@
 
 namespace kv {
 
-// Graphs contain the numbers; python/kvision/losses/mutual_information.py has the same ones.
+// Exported graphs contain these numbers; python/kvision/losses/mutual_information.py repeats them.
 enum class BinKernel : int { xu, rectangular, truncated_gaussian };
 
-// Rows of samples and what counts of them; one row of either may serve all: its stride is 0.
+// Rows of samples and their mask. A stride of 0 broadcasts a single row.
 template <class F>
 struct Signal {
   F const* samples;
@@ -30,16 +30,16 @@ struct Signal {
   KV_HD F at(int64_t row, int64_t i) const { return samples[row * stride + i]; }
 };
 
-// How samples are spread over bins.
+// The assignment of samples to bins.
 template <class F>
 struct Binning {
   int bins;
   BinKernel kernel;
   F radius, inverse;  // in bins; 1 / it
-  F top;              // what weights are multiplied with
-  F epsilon;          // a signal whose range is no larger is flat
+  F top;              // the factor of all weights
+  F epsilon;          // a signal with a range of at most epsilon is flat
 
-  // Of a distance of at most 1.
+  // The weight at a distance t of at most 1.
   KV_HD F weight(F t) const {
     if (kernel == BinKernel::rectangular) return 1;
     if (kernel == BinKernel::truncated_gaussian) return F(::exp(-t * t / 2));
@@ -50,7 +50,7 @@ struct Binning {
     if (kernel == BinKernel::truncated_gaussian) return F(-t * ::exp(-t * t / 2));
     return t < F(0.5) ? F(-3.6) * t - F(0.1) : F(3.6) * t - F(3.7);
   }
-  // Calls f(bin, signed distance in radii) for the bins that a sample at `share` of its range adds to.
+  // Calls f(bin, signed distance in radii) for the bins to which a sample at fraction `share` of its range adds.
   template <class Call>
   KV_HD void for_each_bin(F share, Call f) const {
     F const place = share * F(bins - 1);
@@ -62,13 +62,13 @@ struct Binning {
   }
 };
 
-// The range of a row of a signal.
+// The minimum and maximum of a row of a signal.
 template <class F>
 struct SignalRange {
   F low, high;
 
   KV_HD bool is_flat(F epsilon) const { return !(high - low > epsilon); }
-  // Where there are samples, and all are finite.
+  // There are samples, and all are finite.
   KV_HD bool is_sound() const { return (high - low) - (high - low) == 0; }
   KV_HD F share(F x, F epsilon) const { return is_flat(epsilon) ? F(0) : (x - low) / (high - low); }
 };
@@ -78,7 +78,7 @@ struct Entropies {
   double joint, of_x, of_y;
 
   KV_HD double loss(bool normalized) const { return normalized ? -(of_x + of_y) / joint : joint - of_x - of_y; }
-  // dloss/dJ, but for the 1 / S.
+  // S dloss/dJ.
   KV_HD F derivative(bool normalized, F loss, F log_x, F log_y, F log_p) const {
     return normalized ? (log_x + log_y + loss * log_p) / F(joint) : log_x + log_y - log_p - loss;
   }
@@ -91,16 +91,16 @@ struct MutualInformation {
   Binning<F> binning;
   F least;
   bool normalized;
-  F *loss, *gradients, *ranges;  // (rows), (rows, bins of x, bins of y), (rows, 4): those of x and of y
-  // CUDA: chunks of a row, ranges of all of them, joint histograms in fixed point, their sums along both axes.
+  F *loss, *gradients, *ranges;  // (rows), (rows, bins of x, bins of y), (rows, 4): low and high of x, then of y
+  // CUDA: chunks of a row, ranges of all chunks, joint histograms in fixed point, their marginals.
   int64_t chunks;
   F* partial;                  // (rows, chunks, 4)
   unsigned long long* counts;  // (rows, bins, bins)
-  int bits;                    // after the point
+  int bits;                    // fractional bits
   F* sums;                     // (rows, 2, bins)
 };
 
-// To x, or if `by_y` to y.
+// The gradient with respect to x, or to y if `by_y`.
 template <class F>
 struct MutualInformationBackward {
   Signal<F> x, y;
@@ -116,7 +116,7 @@ struct MutualInformationBackward {
     F const* const result = ranges + 4 * row + 2 * of_y;
     return {result[0], result[1]};
   }
-  // The gradient to the place of sample i in [0, 1] of its range.
+  // The gradient with respect to the position of sample i, a fraction in [0, 1] of its range.
   KV_HD F to_share(int64_t row, int64_t i) const {
     if (!x.counts(row, i) || !y.counts(row, i)) return 0;
     SignalRange<F> const of_x = range(row, false), of_y = range(row, true);
@@ -136,7 +136,8 @@ struct MutualInformationBackward {
   }
 };
 
-// What the ends of a range get: the sums of the gradients by shares u, times u - 1 and -u; shared between equal ones.
+// The gradients of a range's minimum and maximum: the sums over all samples of the gradient by its fraction u, times u
+// - 1 and times -u. They are split among the samples that equal the minimum or the maximum.
 template <class F>
 struct EndSums {
   double low, high, lowest, highest;

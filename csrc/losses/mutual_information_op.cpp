@@ -1,4 +1,4 @@
-// Mutual information: schemas and entries, for CPU and CUDA alike.
+// Mutual information: schemas and operators, for CPU and CUDA.
 #include <limits>
 
 #include "glue/batch.h"
@@ -8,7 +8,7 @@ namespace kv {
 namespace {
 
 constexpr int64_t kMaxBins = 1 << 14;
-// On CUDA: as many chunks as a machine has blocks for, of not too few samples.
+// CUDA: as many chunks as the GPU can run blocks, each with enough samples.
 constexpr int64_t kBlocks = 512, kSamplesOfPiece = 1 << 10;
 
 // Two signals (rows, samples), float32 or float64, and their masks.
@@ -63,14 +63,14 @@ Binning<F> binning_of(char const* op, int64_t kernel, int64_t bins, double radiu
           std::numeric_limits<F>::epsilon()};
 }
 
-// The losses (rows), the gradients (rows, bins, bins) and the ranges (rows, 4).
+// The losses (rows), their gradients (rows, bins, bins) and the ranges (rows, 4).
 std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tensor const& other,
                                                       std::optional<Tensor> const& input_mask,
                                                       std::optional<Tensor> const& other_mask, int64_t kernel,
                                                       int64_t bins, double radius, bool normalized) {
   constexpr char const* op = "mutual_information";
   TwoSignals const x(op, input, other, input_mask, other_mask);
-  binning_of<double>(op, kernel, bins, radius);  // before there is memory for it
+  binning_of<double>(op, kernel, bins, radius);  // checked before memory is allocated
   Tensor const loss = empty({x.rows}, x.x), gradients = empty({x.rows, bins, bins}, x.x),
                ranges = empty({x.rows, 4}, x.x);
   x.for_type([&](auto type) {
@@ -104,13 +104,13 @@ std::tuple<Tensor, Tensor, Tensor> mutual_information(Tensor const& input, Tenso
   return {loss, gradients, ranges};
 }
 
-// To input, or to other.
+// The gradient with respect to `input`, or to `other`.
 Tensor mutual_information_backward(Tensor const& grad, Tensor const& gradients, Tensor const& ranges,
                                    Tensor const& input, Tensor const& other, std::optional<Tensor> const& input_mask,
                                    std::optional<Tensor> const& other_mask, int64_t kernel, int64_t bins, double radius,
                                    bool normalized, bool by_other) {
   constexpr char const* op = "mutual_information_backward";
-  (void)normalized;  // the gradients know
+  (void)normalized;  // already part of the gradients
   KV_CHECK(grad.dim() == 1, op, ": expected grad (rows)");
   int64_t const rows = grad.size(0);
   check_sizes(op, "input", input, grad, {rows, input.dim() == 2 ? input.size(1) : 0});

@@ -1,6 +1,6 @@
-// Losses of segmentations on CUDA. A thread takes neighboring pixels, whose logits it reads once, class by class, into
-// a column of shared memory that no other thread looks at: there they become exponentials, and from there sums or
-// gradients.
+// Losses of segmentations on CUDA. A thread processes adjacent pixels. It reads their logits once, class by class, into
+// a column of shared memory that only this thread accesses. There the logits become exponentials, from which it
+// computes sums or gradients.
 #include "core/launch.cuh"
 #include "core/row_sums.cuh"
 #include "segmentation.h"
@@ -8,9 +8,9 @@
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 128;      // of a block, or a half or a quarter, so that it takes
-constexpr int kBytes = 76 * 1024;  // of shared memory, or more with many classes
-constexpr int kAtOnce = 8;         // classes whose memory a thread asks for before it waits
+constexpr int kThreads = 128;      // per block; fewer, a half or a quarter, to stay within
+constexpr int kBytes = 76 * 1024;  // this much shared memory, or more with many classes
+constexpr int kAtOnce = 8;         // classes whose loads a thread issues before it waits
 constexpr int kFinalizeThreads = 1024;
 
 struct Math {
@@ -20,11 +20,11 @@ struct Math {
   __device__ __forceinline__ double log(double x) const { return ::log(x); }
 };
 
-// The larger one, or the one that is no NaN, which its exponential still is.
+// The larger of both; if one is NaN, the other one: the exponential of the NaN remains NaN.
 __device__ __forceinline__ float largest(float a, float b) { return fmaxf(a, b); }
 __device__ __forceinline__ double largest(double a, double b) { return fmax(a, b); }
 
-// A thread's P pixels of a sample: their labels, how much they count, and their column of shared memory.
+// The P pixels of a thread in a sample: their labels, their counts (1, 0 or NaN), and their column of shared memory.
 template <class T, int P>
 struct Pixels {
   using F = Compute<T>;
@@ -43,10 +43,10 @@ struct Pixels {
   __device__ __forceinline__ void set(int c, Vector<F, P> const& v) const {
     *reinterpret_cast<Vector<F, P>*>(column + c * stride) = v;
   }
-  // A number of pixel i in class c, not as one of a vector.
+  // The value of pixel i in class c, as a scalar.
   __device__ __forceinline__ F& at(int c, int i) const { return column[c * stride + i]; }
 
-  // Logits of the pixels from `place` on to the column, 0 where they are ignored.
+  // Loads the logits of the pixels from `place` on into the column; 0 where the label is ignored.
   __device__ __forceinline__ void read_logits(int64_t sample, int64_t place) {
     int const classes = int(logits.classes);
     auto const labels = *reinterpret_cast<Vector<int64_t, P> const*>(logits.labels(sample) + place);
@@ -64,7 +64,7 @@ struct Pixels {
         Vector<F, P> x;
 #pragma unroll
         for (int i = 0; i < P; ++i) x.v[i] = read(vectors[k].v[i]), most[i] = largest(x.v[i], most[i]);
-        set(min(c + k, classes - 1), x);  // the last class again rather than a branch
+        set(min(c + k, classes - 1), x);  // clamped to the last class instead of a branch
       }
     }
 #pragma unroll
@@ -78,7 +78,7 @@ struct Pixels {
     }
   }
 
-  // Calls f(first class, vectors) for the columns of all classes, four at a time, so that a thread waits once for them.
+  // Calls f(first class, vectors) for the column, four classes at a time, so that a thread waits once for four loads.
   template <class Call>
   __device__ __forceinline__ void for_each_class(Call f) const {
     int c = 0;
@@ -95,7 +95,7 @@ struct Pixels {
     while (c < int(logits.classes)) call(std::integral_constant<int, 1>{});
   }
 
-  // Logits to their exponentials over the largest one, each of which is given to f(class, vector) as well.
+  // Replaces logits by their exponentials relative to the maximum, and passes each to f(class, vector).
   template <class Call>
   __device__ __forceinline__ void exponentiate(Call f) {
 #pragma unroll
@@ -112,7 +112,7 @@ struct Pixels {
   }
 };
 
-// Calls f(sample, first pixel) for the vectors of chunk `chunk` that the thread takes.
+// Calls f(sample, first pixel) for the vectors of chunk `chunk` that the thread processes.
 template <int P, class T, class Call>
 __device__ __forceinline__ void for_each_vector(Logits<T> const& logits, int64_t sample, int64_t chunk, Call f) {
   int64_t const end = min((chunk + 1) * logits.chunk, logits.pixels);
@@ -121,9 +121,9 @@ __device__ __forceinline__ void for_each_vector(Logits<T> const& logits, int64_t
     f(sample, place);
 }
 
-// --- how much regions overlap ----------------------------------------------------------------------------------------
+// --- overlap of regions ----------------------------------------------------------------------------------------------
 
-// Every thread has sums of its own, so that they are added up in the same order whatever the labels are.
+// Every thread has its own sums, so that the order of additions does not depend on the labels.
 template <class T, int P>
 __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overlap<T> const p) {
   using F = Compute<T>;
@@ -169,7 +169,7 @@ __global__ void __launch_bounds__(kThreads) sum_classes(__grid_constant__ Overla
   }
 }
 
-// The totals of a sample, by a warp, to all of its threads.
+// The totals of a sample, computed by one warp and returned to all of its threads.
 template <class F>
 __device__ __forceinline__ OverlapTotals<F> totals_of(OverlapTerms<F> const& terms, F const* sums, int classes,
                                                       int64_t loss) {
@@ -179,7 +179,7 @@ __device__ __forceinline__ OverlapTotals<F> totals_of(OverlapTerms<F> const& ter
           warp_sum(own.score)};
 }
 
-// A block for each loss: adds up the chunks, and has a warp for each sample.
+// One block per loss sums the chunks, with one warp per sample.
 template <class F>
 __global__ void __launch_bounds__(kFinalizeThreads)
     finalize_overlap(OverlapTerms<F> const terms, int64_t batch, int classes, int64_t chunks, F const* partial, F* sums,
@@ -254,14 +254,14 @@ __global__ void __launch_bounds__(kThreads) find_overlap_backward(__grid_constan
 
 // --- the focal loss --------------------------------------------------------------------------------------------------
 
-// Of the pixels from `place` on: their losses, gradients by log p, and 1 / the sums of exponentials.
+// For the pixels from `place` on: their losses, the gradients by log p, and the reciprocal sums of exponentials.
 template <class T, int P>
 __device__ __forceinline__ void evaluate(Pixels<T, P>& pixels, FocalTerms<Compute<T>> const& terms, int64_t sample,
                                          int64_t place, Compute<T> (&loss)[P], Compute<T> (&derivative)[P],
                                          Compute<T> (&scale)[P]) {
   using F = Compute<T>;
   pixels.read_logits(sample, place);
-  F label[P], rest[P] = {};  // rest: of the other classes
+  F label[P], rest[P] = {};  // rest: the sum over the other classes
 #pragma unroll
   for (int i = 0; i < P; ++i) label[i] = pixels.at(pixels.label[i], i);
   pixels.exponentiate([&](int c, Vector<F, P> const& e) {
@@ -331,7 +331,7 @@ __global__ void __launch_bounds__(kThreads) find_focal_backward(__grid_constant_
 
 // --- launching -------------------------------------------------------------------------------------------------------
 
-// Calls f with how many pixels a thread takes: four where `other` and all that the logits are made of allow it.
+// Calls f with the number of pixels per thread: four if the alignment of `other` and of the logits allows it.
 template <class T, class Call>
 int with_vectors(Logits<T> const& logits, void const* other, Call f) {
   auto const aligned = [](void const* at) { return reinterpret_cast<uintptr_t>(at) % 16 == 0; };
@@ -341,7 +341,8 @@ int with_vectors(Logits<T> const& logits, void const* other, Call f) {
   return f(std::integral_constant<int, 1>{});
 }
 
-// A kernel whose threads need `numbers` numbers of shared memory for each class, and its block `more`.
+// A kernel whose threads each need `numbers` values of shared memory per class, and whose block needs `more` values per
+// class in addition.
 template <class F, class Params>
 int launch(void (*kernel)(Params), Params const& p, int numbers, int more, CUstream_st* stream) {
   int64_t const classes = p.logits.classes;

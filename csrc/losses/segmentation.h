@@ -1,8 +1,8 @@
 // Losses of logits (losses, B, C, pixels) with labels (losses, B, pixels): Dice and Tversky losses, and the focal loss
-// of every pixel or its sum. No softmax and no one-hot target is kept. Included by segmentation_cpu.cpp,
+// of every pixel or its sum. Neither the softmax nor a one-hot target is stored. Included by segmentation_cpu.cpp,
 // segmentation.cu and segmentation_op.cpp.
 //
-// A label counts 1, an ignored one 0, and one that is no class NaN, which spoils what it is in.
+// A valid label counts 1, an ignored one 0. A label that is not a class counts NaN, which makes its result NaN.
 #pragma once
 
 #include "core/hd.h"
@@ -14,10 +14,10 @@ template <class T>
 struct Logits {
   T const* data;
   int64_t const* target;
-  bool one_target;  // for all losses
+  bool one_target;  // one for all losses
   int64_t losses, batch, classes, pixels, ignored;
   bool ignores;
-  int64_t chunk, chunks;  // pixels that are worked on together, and how many times that is a sample
+  int64_t chunk, chunks;  // pixels per task, and the number of chunks in a sample
 
   KV_HD int64_t samples() const { return losses * batch; }
   KV_HD T const* sample(int64_t i) const { return data + i * classes * pixels; }
@@ -29,27 +29,28 @@ struct Logits {
   KV_HD int class_of(int64_t label) const { return int(clamp(label, int64_t(0), classes - 1)); }
 };
 
-constexpr int kChunk = 4096, kShortChunk = 1024;  // the latter where a chunk leaves one sum, or none
+constexpr int kChunk = 4096, kShortChunk = 1024;  // the latter if a chunk has one sum or none
 
-// --- how much regions overlap ----------------------------------------------------------------------------------------
+// --- overlap of regions ----------------------------------------------------------------------------------------------
 
-// Of a class, or of all: the sums of its probability where it is the label and of that everywhere, and its pixels.
+// Sums of one class or of all classes: the probability on the pixels with this label, the probability on all pixels,
+// and the number of pixels with this label.
 template <class F>
 struct Region {
   F both, predicted, labelled;
 
-  // Class c of sums (3, C).
+  // The sums of class c, from (3, C).
   KV_HD static Region of(F const* sums, int64_t classes, int64_t c) {
     return {sums[c], sums[classes + c], sums[2 * classes + c]};
   }
 };
 
-// The score of a region is both / (both + alpha (predicted - both) + beta (labelled - both) + eps), and 0 of nothing.
-// The loss of a sample is 1 - that of its weighed sums over the classes, or 1 - the weighed mean of the scores of the
-// classes that it has, which is 1 where it has none.
+// The score of a region is both / (both + alpha (predicted - both) + beta (labelled - both) + eps), and 0 if the
+// divisor is 0. With `together` the loss of a sample is 1 - the score of the weighted sums over its classes. Otherwise
+// it is 1 - the weighted mean of the scores of the classes that occur in its labels, or 1 if none does.
 template <class F>
 struct OverlapTerms {
-  F const* weight;        // of the classes, or null
+  F const* weight;        // per class, or null
   int64_t weight_stride;  // from loss to loss
   bool together;
   F alpha, beta, eps;
@@ -67,13 +68,13 @@ struct OverlapTerms {
   }
 };
 
-// Sums over the classes of a sample.
+// Weighted sums over the classes of a sample.
 template <class F>
 struct OverlapTotals {
-  Region<F> all;    // together
-  F weight, score;  // or not
+  Region<F> all;    // if `together`
+  F weight, score;  // otherwise
 
-  // Of every `step`-th class from `first` on.
+  // Sums every `step`-th class from `first` on.
   KV_HD static OverlapTotals of(OverlapTerms<F> const& terms, F const* sums, int64_t classes, int64_t loss,
                                 int64_t first = 0, int64_t step = 1) {
     OverlapTotals totals{};
@@ -90,7 +91,7 @@ struct OverlapTotals {
   KV_HD F loss(OverlapTerms<F> const& terms) const {
     return 1 - (terms.together ? terms.score(all) : weight == 0 ? F(0) : score / weight);
   }
-  // g times the gradients of the loss by what a class has in both and predicted.
+  // g times the derivatives of the loss by a class's `both` and `predicted`.
   KV_HD void gradients(OverlapTerms<F> const& terms, F g, F w, Region<F> const& r, F& by_both, F& by_predicted) const {
     Region<F> const& of = terms.together ? all : r;
     F const d = terms.divisor(of), scale = terms.together ? w : weight == 0 ? F(0) : w / weight;
@@ -105,12 +106,13 @@ template <class T>
 struct Overlap {
   Logits<T> logits;
   OverlapTerms<Compute<T>> terms;
-  Compute<T>* partial;     // (losses * B, chunks, 3, C)
-  Compute<T>*sums, *loss;  // (losses * B, 3, C) and (losses), by CUDA's kernel; on the CPU the entry makes them
+  Compute<T>* partial;  // (losses * B, chunks, 3, C)
+  Compute<T>*sums,
+      *loss;  // (losses * B, 3, C) and (losses), written by the CUDA kernel; on the CPU the operator computes them
 };
 
-// With p the probabilities and G_c = the derivative by predicted + [c is the label] the derivative by both, logit c
-// gets p_c (G_c - sum_k p_k G_k).
+// With p the probabilities, and G_c the derivative by `predicted` plus, if c is the label, the derivative by `both`:
+// logit c receives p_c (G_c - sum_k p_k G_k).
 template <class T>
 struct OverlapBackward {
   Logits<T> logits;
@@ -121,10 +123,11 @@ struct OverlapBackward {
 
 // --- the focal loss --------------------------------------------------------------------------------------------------
 
-// -f (1 - p)^gamma log p of the label's p, where f is `first` for class 0 and `other` for the others, times its weight.
+// The focal loss is -f (1 - p)^gamma log p with the probability p of the label. f is `first` for class 0 and `other`
+// for the other classes, times the weight of the class.
 template <class F>
 struct FocalTerms {
-  F const* weight;        // of the classes, or null
+  F const* weight;        // per class, or null
   int64_t weight_stride;  // from loss to loss
   F first, other, gamma;
 
@@ -137,8 +140,8 @@ template <class T>
 struct Focal {
   Logits<T> logits;
   FocalTerms<Compute<T>> terms;
-  Compute<T>* map;            // (losses, B, pixels), or null for sums
-  Compute<T>*partial, *sums;  // (losses * B, chunks) and (losses); see Overlap
+  Compute<T>* map;            // (losses, B, pixels); null: only sums
+  Compute<T>*partial, *sums;  // (losses * B, chunks) and (losses), as in Overlap
 };
 
 template <class T>
@@ -160,9 +163,9 @@ constexpr F kLog2E = F(1.44269504088896340736);
 template <class F>
 constexpr F kMinNormal = sizeof(F) == 4 ? F(1.17549435e-38) : F(2.2250738585072014e-308);
 
-// The focal loss of pixels and its derivative by log p. `label` is the label's logit, `most` the largest one and `rest`
-// the sum of exp(logit - most) over the other classes; Math has exp and log of V. 1 - p and log p keep their digits
-// where p is nearly 1.
+// The focal loss of pixels and its derivative by log p. `label` is the logit of the label, `most` the maximum logit,
+// and `rest` the sum of exp(logit - most) over the other classes. Math has exp and log of V. 1 - p and log p stay
+// accurate where p is nearly 1.
 template <class V, class F, class Math>
 KV_HD void focal_of_pixels(V factor, F gamma, V label, V most, V rest, Math math, V& loss, V& derivative, V& scale) {
   V const one = V{} + F(1), min_normal = V{} + kMinNormal<F>;

@@ -1,4 +1,4 @@
-// Losses of segmentations on the CPU, blocks of pixels at a time: a block's logits come class by class, its
+// Losses of segmentations on the CPU, in blocks of pixels: a block's logits are read class by class, and its
 // exponentials stay in the cache. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
@@ -7,16 +7,16 @@
 namespace kv::KV_ISA {
 namespace {
 
-constexpr int kBlock = 256;  // pixels; divides the chunks
+constexpr int kBlock = 256;  // pixels; divides the chunk sizes
 
-// A block of pixels: the exponentials of their logits over the largest one, class by class, their sums, labels and
-// counts. What is ignored has logits of 0.
+// A block of pixels: for every class the exponentials of the logits relative to the maximum, their sums, labels and
+// counts. Ignored pixels have logits of 0.
 template <class T>
 struct Block {
   using F = Compute<T>;
   Logits<T> const& logits;
   Scratch<F> exponentials;
-  F most[kBlock], sum[kBlock], rest[kBlock];  // rest: the sum without the label's
+  F most[kBlock], sum[kBlock], rest[kBlock];  // rest: the sum over all classes but the label
   F counts[kBlock], label[kBlock];
   int size = 0;
 
@@ -26,7 +26,7 @@ struct Block {
   }
   KV_HD F* of_class(int64_t c) { return exponentials.data + c * kBlock; }
 
-  // Calls f(width, pixel) for all pixels of the block, by vectors that may reach behind its end.
+  // Calls f(width, pixel) for all pixels of the block, in vectors that may extend past its end.
   template <class Call>
   KV_HD void for_each(Call f) const {
     for (int i = 0; i < size; i += kLanes<T>) f(Width<kLanes<T>>{}, i);
@@ -36,7 +36,7 @@ struct Block {
     size = int(count);
     int64_t const* const target = logits.labels(sample) + first;
     for (int i = 0; i < size; ++i) counts[i] = logits.counts(target[i]), label[i] = F(logits.class_of(target[i]));
-    for (int i = size; i < kBlock; ++i) counts[i] = 0;  // vectors reach there
+    for (int i = size; i < kBlock; ++i) counts[i] = 0;  // vectors extend up to here
     for (int64_t c = 0; c < logits.classes; ++c) {
       T const* const from = logits.sample(sample) + c * logits.pixels + first;
       F* const to = of_class(c);
@@ -54,7 +54,7 @@ struct Block {
     }
   }
 
-  // Logits to exponentials.
+  // Replaces logits by exponentials.
   void exponentiate() {
     for (int i = 0; i < kBlock; ++i) sum[i] = rest[i] = 0;
     for (int64_t c = 0; c < logits.classes; ++c) {
@@ -71,7 +71,7 @@ struct Block {
   }
 };
 
-// Calls f(sample, first pixel, count) for the blocks of a chunk, one after the other.
+// Calls f(sample, first pixel, count) for the blocks of a chunk in order.
 template <class T, class Call>
 KV_HD void for_each_block(Logits<T> const& logits, int64_t chunk, Call f) {
   int64_t const sample = chunk / logits.chunks;
@@ -161,7 +161,7 @@ void overlap_backward(OverlapBackward<T> const& p, int64_t begin, int64_t end) {
   Block<T> block(p.logits);
   Scratch<F> of_both(classes), of_all(classes);
   F dot[kBlock];
-  int64_t known = -1;  // the sample whose gradients these are
+  int64_t known = -1;  // the sample whose derivatives are current
   auto const compute_gradients = [&](int64_t sample) {
     int64_t const loss = sample / p.logits.batch;
     F const* const sums = p.sums + sample * 3 * classes;
@@ -193,7 +193,7 @@ void overlap_backward(OverlapBackward<T> const& p, int64_t begin, int64_t end) {
       constexpr int N = decltype(width)::value;
       using V = Lanes<F, N>;
       V const inverse = broadcast<N>(F(1)) / load<N>(block.sum + i);
-      store<N>(block.sum + i, inverse);  // no longer needed as it was
+      store<N>(block.sum + i, inverse);  // replaces the sum, which is no longer needed
       store<N>(dot + i, V(load<N>(dot + i) * inverse));
     });
     for (int64_t c = 0; c < classes; ++c) {

@@ -1,4 +1,4 @@
-// Losses of segmentations: schemas and entries, for CPU and CUDA alike.
+// Losses of segmentations: schemas and operators, for CPU and CUDA.
 #include "core/row_sums.h"
 #include "glue/glue.h"
 #include "segmentation.h"
@@ -6,9 +6,9 @@
 namespace kv {
 namespace {
 
-constexpr int64_t kMaxClasses = 224;  // whose numbers a block's shared memory holds on CUDA; more take the reference
+constexpr int64_t kMaxClasses = 224;  // the most that fit a block's shared memory on CUDA; more take the reference
 
-// Logits (losses, B, C, H, W) and labels (losses or 1, B, H, W), and what comes with them, contiguous.
+// Logits (losses, B, C, H, W), labels (losses or 1, B, H, W), and their parameters, contiguous.
 struct Labelled {
   Tensor logits, target;
   std::optional<Tensor> weight;
@@ -70,7 +70,7 @@ struct Labelled {
   int64_t weight_stride() const { return weight && weight->size(0) > 1 ? classes : 0; }
 };
 
-// A number for each of `sizes`, as the logits are computed.
+// Checks that x has the shape `sizes` and the type that the logits are computed in; returns it dense.
 Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const& like,
                std::initializer_list<int64_t> sizes) {
   bool fits = x.dim() == int64_t(sizes.size()) && x.scalar_type() == compute_dtype(like.logits) &&
@@ -80,7 +80,7 @@ Tensor checked(char const* op, char const* name, Tensor const& x, Labelled const
   return dense(x);
 }
 
-// The losses (losses), and of every sample (losses, B, 3, C) the sums that they are made of.
+// The losses (losses), and the sums (losses, B, 3, C) of every sample from which they are computed.
 std::tuple<Tensor, Tensor> overlap(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight,
                                    bool together, double alpha, double beta, double eps, int64_t ignored,
                                    bool ignores) {
@@ -131,7 +131,7 @@ Tensor overlap_backward(Tensor const& grad, Tensor const& sums, Tensor const& pr
   return grad_x;
 }
 
-// (losses, B, H, W), or the sums of these.
+// The losses (losses, B, H, W) of all pixels, or their sums.
 Tensor focal(Tensor const& pred, Tensor const& target, std::optional<Tensor> const& weight, double first, double other,
              double gamma, int64_t ignored, bool ignores, bool summed) {
   Labelled const x("focal", pred, target, weight, ignored, ignores, kShortChunk);

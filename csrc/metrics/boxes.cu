@@ -1,4 +1,4 @@
-// Overlaps of boxes on CUDA: a thread for each pair.
+// Intersection over union of boxes on CUDA: one thread per pair.
 #include "boxes.h"
 #include "core/launch.cuh"
 

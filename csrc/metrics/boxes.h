@@ -1,13 +1,12 @@
-// The intersection over union of every box of one set with every one of another. Included by boxes_cpu.cpp,
-// boxes.cu and boxes_op.cpp.
+// Intersection over union of all pairs of boxes of two sets. Included by boxes_cpu.cpp, boxes.cu and boxes_op.cpp.
 #pragma once
 
 #include "core/isa.h"
 
 namespace kv {
 
-// Two corners; the first one and the size; the center and the size. Graphs contain the numbers;
-// python/kvision/metrics/boxes.py has the same ones.
+// Two corners; the first corner and the size; the center and the size. Exported graphs contain these numbers;
+// python/kvision/metrics/boxes.py repeats them.
 enum class BoxFormat : int { xyxy, xywh, cxcywh };
 
 template <class T>
@@ -31,12 +30,12 @@ struct Corners {
     x1 = x0 + width / 2, y1 = y0 + height / 2;
     x0 -= width / 2, y0 -= height / 2;
   }
-  // NaN of a box without one.
+  // NaN if the box has no area.
   KV_HD F area() const {
     F const width = x1 - x0, height = y1 - y0;
     return width > 0 && height > 0 ? width * height : F(__builtin_nan(""));
   }
-  // Of boxes with areas.
+  // Of boxes with positive areas.
   KV_HD F overlap(Corners const& other) const {
     F const width = min(x1, other.x1) - max(x0, other.x0), height = min(y1, other.y1) - max(y0, other.y0);
     F const both = width > 0 && height > 0 ? width * height : F(0);

@@ -1,4 +1,4 @@
-// Overlaps of boxes on the CPU: boxes [begin, end) of the first set. Compiled once per instruction set.
+// Intersection over union of boxes on the CPU: boxes [begin, end) of the first set. Compiled once per instruction set.
 #include "boxes.h"
 #include "core/lanes.h"
 

@@ -1,4 +1,4 @@
-// Overlaps of boxes: schema and entry, for CPU and CUDA alike.
+// Intersection over union of boxes: schema and operator, for CPU and CUDA.
 #include "boxes.h"
 #include "glue/batch.h"
 
@@ -10,7 +10,7 @@ BoxFormat check_format(int64_t format) {
   return BoxFormat(format);
 }
 
-// One of either may serve a batch.
+// A batch of size 1 is broadcast.
 Tensor box_iou(Tensor const& boxes, Tensor const& others, int64_t format) {
   constexpr char const* op = "box_iou";
   KV_CHECK(boxes.dim() == 3 && others.dim() == 3 && boxes.size(2) == 4, op, ": expected boxes (batch, n, 4)");

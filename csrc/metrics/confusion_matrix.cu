@@ -1,5 +1,6 @@
-// Counts of labels on CUDA: a block counts a chunk of a sample in shared memory, and adds what it found to the counts
-// of the sample; more classes than fit there are counted in these. A second kernel makes of them what is statistic.
+// Confusion matrices on CUDA. A block counts a chunk of a sample in shared memory and adds its counts to those of the
+// sample; counts of too many classes for shared memory are added directly. A second kernel computes the statistic from
+// the counts.
 #include "confusion_matrix.h"
 #include "core/launch.cuh"
 
@@ -9,8 +10,8 @@ namespace {
 constexpr int kThreads = 256, kBytes = 32 << 10, kAtOnce = 4;
 constexpr int64_t kChunk = kThreads * kAtOnce * 8;  // pixels
 
-// Several copies of the counts where they fit: neighboring threads, whose labels are often alike, add to different
-// ones. No copies: there is no room.
+// Counts in shared memory, in several copies where they fit: neighboring threads often have equal labels, and add to
+// different copies. Without room for one copy there is none.
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     count_labels(__grid_constant__ ConfusionMatrix<T> const p, int64_t chunks, int copies) {
@@ -43,7 +44,7 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-// A warp for each class of a sample.
+// One warp per class of a sample.
 template <class T>
 __global__ void __launch_bounds__(kThreads) finalize_counts(__grid_constant__ ConfusionMatrix<T> const p) {
   int64_t const n = p.classes, row = (blockIdx.x * int64_t(kThreads) + threadIdx.x) / 32, sample = row / n;

@@ -1,5 +1,5 @@
-// Which labels are taken for which: for every sample the counts of pairs of a true and a predicted class, and what is
-// made of them. A pixel with a label of no class does not count. Included by confusion_matrix_cpu.cpp,
+// Confusion matrices: for every sample the counts of pairs of a true and a predicted class, and the statistics derived
+// from them. A pixel is left out if either label is not a class. Included by confusion_matrix_cpu.cpp,
 // confusion_matrix.cu and confusion_matrix_op.cpp.
 #pragma once
 
@@ -7,8 +7,8 @@
 
 namespace kv {
 
-// The counts; divided by the sum of their row; or the intersection over union of each class. Graphs contain the
-// numbers; python/kvision/metrics/confusion_matrix.py has the same ones.
+// The counts; the counts divided by the sum of their row; or the intersection over union of each class. Exported graphs
+// contain these numbers; python/kvision/metrics/confusion_matrix.py repeats them.
 enum class ConfusionStatistic : int { counts, rates, iou };
 
 template <class T>
@@ -18,10 +18,10 @@ struct ConfusionMatrix {
   int classes;
   ConfusionStatistic statistic;
   float eps;
-  float* result;     // (samples, classes, classes), or of iou (samples, classes)
+  float* result;     // (samples, classes, classes); iou: (samples, classes)
   uint32_t* counts;  // CUDA: (samples, classes, classes)
 
-  // Where a pair of labels counts, or -1.
+  // The index of the count of a pair of labels, or -1.
   KV_HD int64_t cell(T predicted, T labelled) const {
     bool const counts =
         uint64_t(int64_t(predicted)) < uint64_t(classes) && uint64_t(int64_t(labelled)) < uint64_t(classes);

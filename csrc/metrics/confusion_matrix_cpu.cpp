@@ -1,4 +1,4 @@
-// Counts of labels on the CPU: samples [begin, end). Compiled once per instruction set.
+// Confusion matrices on the CPU: samples [begin, end). Compiled once per instruction set.
 #include "confusion_matrix.h"
 #include "core/scratch.h"
 

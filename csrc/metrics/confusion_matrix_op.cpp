@@ -1,11 +1,11 @@
-// Counts of labels: schema and entry, for CPU and CUDA alike.
+// Confusion matrices: schema and operator, for CPU and CUDA.
 #include "confusion_matrix.h"
 #include "glue/glue.h"
 
 namespace kv {
 namespace {
 
-constexpr int64_t kMaxLabels = 1 << 15;  // their pairs fit 32 bits
+constexpr int64_t kMaxLabels = 1 << 15;  // the index of a pair fits 32 bits
 
 ConfusionStatistic check_statistic(int64_t statistic) {
   KV_CHECK(statistic >= 0 && statistic <= 2,

@@ -1,11 +1,11 @@
-// Distances of vectors on CUDA: a block takes a chunk of a row.
+// Endpoint errors on CUDA: one block per chunk of a row.
 #include "core/row_sums.cuh"
 #include "endpoint_error.h"
 
 namespace kv::cuda {
 namespace {
 
-// Calls f(vector, its difference) for those of the block's chunk that the thread takes.
+// Calls f(vector, its difference) for the flow vectors of the block's chunk that the thread processes.
 template <class T, class Call>
 __device__ __forceinline__ void for_each_difference(VectorPairs<T> const& p, int64_t row, int64_t chunk, Call f) {
   int64_t const first = chunk * kEndpointChunk, last = min(first + kEndpointChunk, p.size);

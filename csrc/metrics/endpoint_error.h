@@ -1,6 +1,6 @@
-// Distances of vectors of two from others, of each or their sums; backward a vector gets its difference over the
-// distance, and nothing where that is 0. Included by endpoint_error_cpu.cpp, endpoint_error.cu and
-// endpoint_error_op.cpp.
+// Endpoint errors, the distances between two fields of 2-vectors, for every vector or summed over rows. The gradient of
+// a vector is its difference divided by the distance, and 0 where the distance is 0. Included by
+// endpoint_error_cpu.cpp, endpoint_error.cu and endpoint_error_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -8,17 +8,17 @@
 
 namespace kv {
 
-constexpr int64_t kEndpointChunk = 4096;  // vectors that are summed together
+constexpr int64_t kEndpointChunk = 4096;  // vectors per partial sum
 
-// Rows of vectors, a row's components one after the other if `planar`, else those of a vector.
+// Rows of vectors. `planar`: a row has all first components, then all second ones; otherwise components alternate.
 template <class T>
 struct VectorPairs {
   T const *x, *y;
   bool planar;
-  int64_t x_stride, y_stride, rows, size;  // strides from row to row, 0 for one that serves all
+  int64_t x_stride, y_stride, rows, size;  // strides from row to row; 0 broadcasts one row
 
   KV_HD int64_t chunks() const { return (size + kEndpointChunk - 1) / kEndpointChunk; }
-  // Of the first component of vector i in a row; the other one is `beside` it.
+  // The index of the first component of vector i in a row; the second component is `beside` elements after it.
   KV_HD int64_t at(int64_t i) const { return planar ? i : 2 * i; }
   KV_HD int64_t beside() const { return planar ? size : 1; }
 };
@@ -26,15 +26,16 @@ struct VectorPairs {
 template <class T>
 struct EndpointError {
   VectorPairs<T> pairs;
-  T* map;                     // (rows, size), or null for
-  Compute<T>*partial, *sums;  // (rows, chunks) and `factor` times (rows), by CUDA's kernel; the CPU's entry adds them
+  T* map;                     // (rows, size); null: only sums
+  Compute<T>*partial, *sums;  // (rows, chunks), and `factor` times the sums (rows), written by the CUDA kernel; on the
+                              // CPU the operator adds chunks
   FinalizeSum<Compute<T>> finalize;
 };
 
 template <class T>
 struct EndpointErrorBackward {
   VectorPairs<T> pairs;
-  T const* grad;                  // (rows, size), or null for
+  T const* grad;                  // (rows, size), or null
   Compute<T> const* grad_of_sum;  // (rows)
   Compute<T> factor;
   T* grad_x;

@@ -1,4 +1,4 @@
-// Distances of vectors on the CPU: chunks [begin, end) of all rows. Compiled once per instruction set.
+// Endpoint errors on the CPU: chunks [begin, end) of all rows. Compiled once per instruction set.
 #include <utility>
 
 #include "core/lanes.h"
@@ -7,13 +7,13 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Those elements of two vectors that have the places I, counted through both.
+// The lanes I of two vectors, counted through both.
 template <int... I, class V>
 KV_HD V chosen(V a, V b) {
   return __builtin_shufflevector(a, b, I...);
 }
 
-// Both components of M vectors.
+// Both components of M 2-vectors.
 template <class F, int M>
 struct Components {
   using V = Lanes<F, M>;

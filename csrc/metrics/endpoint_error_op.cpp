@@ -1,11 +1,11 @@
-// Distances of vectors: schemas and entries, for CPU and CUDA alike.
+// Endpoint errors: schemas and operators, for CPU and CUDA.
 #include "endpoint_error.h"
 #include "glue/glue.h"
 
 namespace kv {
 namespace {
 
-// (rows, 2, size) if planar, else (rows, size, 2); one row may serve as many results as there are.
+// Shape (rows, 2, size) if planar, else (rows, size, 2). A tensor with a single row is broadcast.
 struct VectorRows {
   Tensor x, y;
   bool planar;
@@ -31,7 +31,7 @@ struct VectorRows {
   int64_t cost() const { return 4 * min(size, kEndpointChunk); }
 };
 
-// (rows, size), or `factor` times their sums (rows).
+// The endpoint errors (rows, size), or `factor` times their sums (rows).
 Tensor endpoint_error(Tensor const& input, Tensor const& target, bool planar, bool summed, double factor) {
   VectorRows const r("endpoint_error", input, target, planar, input);
   Tensor const result =

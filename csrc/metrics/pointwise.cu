@@ -1,5 +1,4 @@
-// Losses element by element on CUDA: a block takes a chunk of a row, each thread four elements of both tensors at a
-// time.
+// Elementwise losses on CUDA: one block per chunk of a row, four elements of both tensors per thread and step.
 #include "pointwise.cuh"
 
 namespace kv::cuda {

@@ -1,5 +1,5 @@
-// Two tensors on CUDA, element by element: a block takes a chunk of a row, each thread four elements of both at a time.
-// Included by *.cu files.
+// Traversal of two tensors on CUDA, element by element: one block per chunk of a row, four elements of both per thread
+// and step. Included by *.cu files.
 #pragma once
 
 #include "core/row_sums.cuh"
@@ -28,9 +28,10 @@ struct PointMath {
 
 constexpr int kVectorSize = 4;
 
-// Calls f(first element, x, y) for the elements of chunk `chunk` that the thread takes: with kVectorSize of both where
-// rows are `vectorized`, their starts and ends multiples of a vector, and with single ones elsewhere and of doubles.
-// Not unrolled, as f is long and a multiprocessor has enough threads to keep its memory busy.
+// Calls f(first element, x, y) for the elements of chunk `chunk` that the thread processes: with vectors of kVectorSize
+// if rows are `vectorized`, which means that they start and end at multiples of a vector; otherwise, and for doubles,
+// with single elements. The loop is not unrolled: f is long, and a multiprocessor has enough threads to hide memory
+// latency.
 template <class T, class Call>
 __device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row, int64_t chunk, bool vectorized,
                                                 Call f) {
@@ -55,7 +56,7 @@ __device__ __forceinline__ void for_each_vector(Pair<T> const& pair, int64_t row
     take(std::integral_constant<int, 1>{});
 }
 
-// A block's chunk: the sum of loss(x, y), to `partial`.
+// Stores the sum of loss(x, y) over the block's chunk in `partial`.
 template <class T, class Loss>
 __device__ __forceinline__ void sum_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, bool vectorized,
                                           Compute<T>* partial, Loss loss) {
@@ -68,7 +69,7 @@ __device__ __forceinline__ void sum_chunk(Pair<T> const& pair, int64_t row, int6
   if (threadIdx.x == 0) partial[blockIdx.x] = sum;
 }
 
-// A block's chunk: value(element, x, y), to `out`.
+// Stores value(element, x, y) in `out` for the block's chunk.
 template <class T, class Value>
 __device__ __forceinline__ void map_chunk(Pair<T> const& pair, int64_t row, int64_t chunks, bool vectorized, T* out,
                                           Value value) {

@@ -1,5 +1,5 @@
-// Losses of two tensors, element by element, and their sums: robust losses of the difference d = x - y, its square, and
-// divergences of probabilities. Which one is known when it runs. Included by pointwise_cpu.cpp, pointwise.cu and
+// Elementwise losses of two tensors and their sums over rows: robust losses of the difference d = x - y, its square,
+// and divergences of probabilities. The loss is a run-time argument. Included by pointwise_cpu.cpp, pointwise.cu and
 // pointwise_op.cpp.
 //
 //   charbonnier    sqrt(d^2 + 1) - 1          kl   y log(y / x)
@@ -14,18 +14,18 @@
 
 namespace kv {
 
-// Graphs contain the numbers; python/kvision/metrics/pointwise.py has the same ones.
+// Exported graphs contain these numbers; python/kvision/metrics/pointwise.py repeats them.
 enum class PointLoss : int { charbonnier, welsch, cauchy, geman_mcclure, square, kl, js };
 constexpr int kPointLosses = 7;
 
-// Two tensors (rows, size), one row of which may serve all: then its stride is 0.
+// Two tensors (rows, size). A stride of 0 broadcasts a single row.
 template <class T>
 struct Pair {
   T const *x, *y;
   int64_t x_stride, y_stride, rows, size;
 };
 
-constexpr int64_t kPointChunk = 8192;  // elements that are summed together
+constexpr int64_t kPointChunk = 8192;  // elements per partial sum
 constexpr int64_t point_chunks(int64_t size) { return (size + kPointChunk - 1) / kPointChunk; }
 
 template <class T>
@@ -35,22 +35,23 @@ struct PointwiseSum {
   int64_t chunks;       // of a row
   Compute<T>* partial;  // (rows, chunks)
   FinalizeSum<Compute<T>> finalize;
-  Compute<T>* sums;  // (rows), by CUDA's kernel; on the CPU the entry adds up the chunks
+  Compute<T>* sums;  // (rows), written by the CUDA kernel; on the CPU the operator adds the chunks
 };
 
-// What is written for every element: its loss; or its derivative by x, or by y if `by_other`, times a gradient.
+// The output of every element: the loss; or its derivative by x, or by y if `by_other`, times a gradient.
 template <class T>
 struct PointwiseMap {
   Pair<T> pair;
   PointLoss kind;
-  T const* grad;                  // of every element, or null
-  Compute<T> const* grad_of_sum;  // of every row's sum, or null
-  Compute<T> const* sums;         // of every row, where decibels need it
+  T const* grad;                  // per element, or null
+  Compute<T> const* grad_of_sum;  // per row, or null
+  Compute<T> const* sums;         // per row, for the gradient of decibels
   FinalizeSum<Compute<T>> finalize;
   bool by_other;
   T* out;
 
-  // The gradient of a row's plain sum. That of decibels is that many / (log 10 * sum), and none where nothing differs.
+  // The gradient of the plain sum of a row. For decibels it is finalize.decibels / (log 10 * sum), and 0 where the rows
+  // are equal.
   KV_HD Compute<T> gradient(int64_t row) const {
     using F = Compute<T>;
     F const g = grad_of_sum[row];
@@ -64,7 +65,7 @@ struct PointwiseMap {
 KV_KERNEL(pointwise_sum, PointwiseSum)
 KV_KERNEL(pointwise_map, PointwiseMap)
 
-// Beyond it 1 is nothing beside d^2, whose square still fits the type.
+// Above this bound 1 is negligible next to d^2, and d^4 is still finite.
 template <class F>
 constexpr F kFar = sizeof(F) == 4 ? F(1e9) : F(1e70);
 
@@ -74,9 +75,8 @@ KV_HD V not_far(V d) {
   return d > far ? far : d < -far ? -far : d;
 }
 
-// 1 - exp(-t) and log(1 + t) for t from 0 on, which keep the digits of small t: an error of u = exp(-t) or 1 + t is
-// made up for by the same error of log u or u - 1. Math has functions of V, of which divide is for divisors of at
-// least 1.
+// 1 - exp(-t) and log(1 + t) for t >= 0, accurate for small t: a rounding error of u = exp(-t) or u = 1 + t cancels
+// against the same error in log u or u - 1. Math has functions of V; its divide requires divisors of at least 1.
 template <class F, class Math, class V>
 KV_HD V one_minus_exp(V t) {
   V const one = V{} + F(1), most = V{} + F(80), bounded = t > most ? most : t, u = Math::exp(V(-bounded));
@@ -89,7 +89,7 @@ KV_HD V log_one_plus(V t) {
   return t > kFar<F> ? log_u : result;
 }
 
-// What a true probability of 0 adds: nothing, unless the predicted one is none at all.
+// The contribution of a true probability of 0: zero, or NaN if the predicted probability is invalid.
 template <class F, class V>
 KV_HD V of_nothing(V x) {
   V const zero = V{}, nan = zero + F(__builtin_nan(""));
@@ -125,7 +125,7 @@ KV_HD V point_loss(PointLoss kind, V x, V y) {
   }
 }
 
-// The derivative by x, or by y.
+// The derivative by x or by y.
 template <class F, class Math, class V>
 KV_HD V point_derivative(PointLoss kind, bool by_y, V x, V y) {
   V const zero = V{}, one = zero + F(1), half = zero + F(0.5), d = by_y ? V(y - x) : V(x - y);

@@ -1,5 +1,5 @@
-// Losses element by element on the CPU: chunks [begin, end) of all rows for sums, blocks of a row's elements for maps.
-// Compiled once per instruction set.
+// Elementwise losses on the CPU: chunks [begin, end) of all rows for sums, blocks of a row for maps. Compiled once per
+// instruction set.
 #include "pointwise_cpu.h"
 
 #include "pointwise.h"

@@ -1,5 +1,5 @@
-// Losses element by element on the CPU: functions of vectors that they are made of, and how they go through two
-// tensors. Included by *_cpu.cpp files.
+// Elementwise losses on the CPU: math functions of vectors, and the traversal of two tensors. Included by *_cpu.cpp
+// files.
 #pragma once
 
 #include "core/lanes.h"
@@ -14,7 +14,7 @@ struct PointMath {
   KV_HD static V exp(V x) { return vexp2<F, N>(x * F(1.44269504088896340736)); }
   KV_HD static V sqrt(V x) { return vsqrt(x); }
   KV_HD static V divide(V x, V y) { return x / y; }
-  // Of all numbers, those below the normal ones included.
+  // Of all numbers, including subnormal ones.
   KV_HD static V log(V x) {
     constexpr F kSmall = sizeof(F) == 4 ? F(1e-37) : F(1e-300), kScale = F(1 << 30);
     V const zero{}, shift = x < kSmall ? broadcast<N>(F(30)) : zero;
@@ -25,7 +25,7 @@ struct PointMath {
   }
 };
 
-// The sums of chunks [begin, end) of all rows. of_row(row) makes a function of a Width and of vectors of x and y.
+// Sums chunks [begin, end) of all rows. of_row(row) returns a function of a Width and of vectors of x and y.
 template <class T, class Row>
 KV_HD void sum_row_chunks(Pair<T> const& pair, int64_t chunks, int64_t begin, int64_t end, Compute<T>* partial,
                           Row of_row) {
@@ -45,8 +45,8 @@ KV_HD void sum_row_chunks(Pair<T> const& pair, int64_t chunks, int64_t begin, in
   }
 }
 
-// Writes chunks [begin, end) of all rows. of_row(row) makes a function of a Width, the first element and vectors of x
-// and y.
+// Writes chunks [begin, end) of all rows. of_row(row) returns a function of a Width, the index of the first element,
+// and vectors of x and y.
 template <class T, class Row>
 KV_HD void map_row_chunks(Pair<T> const& pair, int64_t begin, int64_t end, T* out, Row of_row) {
   int64_t const chunks = point_chunks(pair.size);

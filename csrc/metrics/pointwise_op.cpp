@@ -1,4 +1,4 @@
-// Losses element by element: schemas and entries, for CPU and CUDA alike.
+// Elementwise losses: schemas and operators, for CPU and CUDA.
 #include "glue/glue.h"
 #include "pointwise.h"
 
@@ -10,7 +10,7 @@ PointLoss kind_of(char const* op, int64_t kind) {
   return PointLoss(kind);
 }
 
-// Of contiguous tensors.
+// Views of contiguous tensors.
 template <class T>
 Pair<T> pair_of(Tensor const& x, Tensor const& y, int64_t rows) {
   int64_t const size = x.size(1);
@@ -22,7 +22,7 @@ Pair<T> pair_of(Tensor const& x, Tensor const& y, int64_t rows) {
           size};
 }
 
-// Of as many results as `like` has rows.
+// Checks views against the number of rows of `like`, to which they are broadcast.
 int64_t check_pair(char const* op, Tensor const& x, Tensor const& y, Tensor const& like) {
   KV_CHECK(like.dim() > 0 && x.dim() == 2 && y.dim() == 2 && x.size(1) == y.size(1) &&
                x.scalar_type() == y.scalar_type() && x.device() == y.device(),
@@ -57,7 +57,7 @@ Tensor pointwise_loss(Tensor const& input, Tensor const& other, int64_t kind) {
   return loss;
 }
 
-// The gradient to `input`, or to `other`.
+// The gradient with respect to `input`, or to `other`.
 Tensor pointwise_loss_backward(Tensor const& grad, Tensor const& input, Tensor const& other, int64_t kind,
                                bool by_other) {
   constexpr char const* op = "pointwise_loss_backward";
@@ -100,7 +100,7 @@ Tensor pointwise_sum(Tensor const& input, Tensor const& other, int64_t kind, dou
   return sums;
 }
 
-// The gradient to `input`, or to `other`; `sums` are the results.
+// The gradient with respect to `input`, or to `other`; `sums` are the forward results.
 Tensor pointwise_sum_backward(Tensor const& grad, Tensor const& sums, Tensor const& input, Tensor const& other,
                               int64_t kind, double factor, double decibels, bool by_other) {
   constexpr char const* op = "pointwise_sum_backward";

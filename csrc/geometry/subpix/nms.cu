@@ -1,5 +1,5 @@
-// Local maxima on CUDA. Windows of 3 x 3, 5 x 5 and 3 x 3 x 3 are walked down in registers; for others, and for
-// channels-last images, a thread takes the window of one element.
+// Local maxima on CUDA. For windows of 3 x 3, 5 x 5 and 3 x 3 x 3, threads traverse the rows from above and keep the
+// state in registers. For other windows, and for channels-last images, a thread reads the window of one element.
 #include "core/launch.cuh"
 #include "geometry/subpix/nms.h"
 
@@ -7,10 +7,11 @@ namespace kv::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-// Of a strip: small blocks, which share a device evenly, and few enough for 16 maps of 640 x 480 to be on it at once.
+// Of a strip: small blocks, which spread evenly over a device, and few enough that those of 16 maps of 640 x 480 run at
+// once.
 constexpr int kRows = 11, kStripThreads = 64;
 
-// Any window. Blocks of 32 x 8 elements of a plane's rows, planes last.
+// For any window: blocks of 32 x 8 elements of a plane's rows. Planes are the last dimension of the grid.
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     any_window(__grid_constant__ Nms<T> const p, unsigned across, unsigned down) {
@@ -41,7 +42,7 @@ __global__ void __launch_bounds__(kThreads)
   if (p.minima.data) p.minima.row(plane, y)[at] = below;
 }
 
-// The larger one, NaN where either is.
+// The larger number, NaN if either one is NaN.
 __device__ __forceinline__ float larger(float a, float b) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 800
   float y;
@@ -52,14 +53,15 @@ __device__ __forceinline__ float larger(float a, float b) {
 #endif
 }
 
-// P pixels' way down windows of (2R + 1)^2 pixels of one plane or, with D = 1, of three: rows come from above, one
-// after the other.
+// The state of P neighboring pixels while their windows of (2R + 1)^2 pixels move down one plane or, with D = 1, three
+// planes: `next` takes one row after the other, from above.
 template <int R, int D, int P>
 struct Climb {
-  float candidates[R + 1][P];  // what is above all before it in its window and beside it, for R + 1 rows; NaN elsewhere
-  float above[P], previous[P];  // the largest of the last R rows, and of the last one
+  float candidates[R + 1][P];  // elements above all others in the first rows of their window up to their row, for R + 1
+                               // rows; NaN elsewhere
+  float above[P], previous[P];  // the largest of the last R rows, and of the last row
 
-  // A row of each plane, times the sign.
+  // Takes a row of each plane, times the sign.
   __device__ __forceinline__ void next(float const (&v)[2 * D + 1][P + 2 * R], float sign) {
 #pragma unroll
     for (int n = 0; n < P; ++n) {
@@ -68,7 +70,8 @@ struct Climb {
       for (int k = 0; k <= 2 * D; ++k) {
         auto const at = [&](int i) { return sign * v[k][n + i]; };
         beside[k] = larger(at(0), at(2 * R));
-        if (R == 2) beside[k] = larger(larger(at(0), at(1)), larger(at(3), at(4)));  // pairs serve two pixels
+        if (R == 2)
+          beside[k] = larger(larger(at(0), at(1)), larger(at(3), at(4)));  // two neighboring pixels share a pair
         row[k] = larger(beside[k], at(R));
       }
       if (D == 1) {
@@ -83,13 +86,13 @@ struct Climb {
       previous[n] = row[D];
     }
   }
-  // The pixel in the row R above the last.
+  // The pixel in the row that is R above the last one.
   __device__ __forceinline__ float middle(int n) const { return candidates[0][n]; }
   __device__ __forceinline__ bool is_summit(int n) const { return candidates[0][n] > above[n]; }
 };
 
-// P elements of a row, and R on either side that the ends of a warp read themselves. What lies outside is NaN, which
-// nothing is above.
+// P elements of a row, and R elements on either side, which the ends of a warp read themselves. Out-of-bounds elements
+// are NaN, and nothing is above NaN.
 template <class T, int R, int P>
 struct Row {
   Vector<T, P> own;
@@ -171,7 +174,7 @@ __global__ void __launch_bounds__(kStripThreads)
   }
 }
 
-// In vectors, the last of which may be cut short.
+// In vectors; the last one may be incomplete.
 template <class T>
 __global__ void __launch_bounds__(kThreads) keep(ApplyNmsMask<T> const p, bool vectorized) {
   constexpr int P = kPixels<T>;

@@ -1,6 +1,6 @@
-// Which elements of images or volumes are above, or below, all others of their window. The window reaches (k - 1) / 2
-// elements back and k / 2 ahead along an axis; where it does not fit there is no maximum. NaN is neither above nor
-// below anything. Included by nms_cpu.cpp, nms.cu and nms_op.cpp.
+// Local maxima and minima of images or volumes: elements that are above, or below, all others of their window. The
+// window reaches (k - 1) / 2 elements back and k / 2 ahead along an axis. Where it crosses the border there is no
+// maximum. NaN is neither above nor below anything. Included by nms_cpu.cpp, nms.cu and nms_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -11,12 +11,12 @@ namespace kv {
 template <class T>
 struct Nms {
   Planes<T const> x;
-  Planes<T> y;                     // x at the maxima, 0 elsewhere; or without data
-  Planes<uint8_t> maxima, minima;  // whether an element is one; or without data
-  int64_t depth;                   // planes of a volume, 1 of an image
+  Planes<T> y;                     // x at the maxima, 0 elsewhere; no data if not requested
+  Planes<uint8_t> maxima, minima;  // whether an element is one; no data if not requested
+  int64_t depth;                   // planes of a volume, 1 for an image
   int before[3], after[3];         // how far the window reaches along z, y, x
 
-  // The columns [first, last) of a row in which the window fits, none if it does not fit into the planes and rows.
+  // The columns [first, last) of a row whose windows are inside; none if the window crosses the border along z or y.
   KV_HD void fitting(int64_t plane, int64_t row, int64_t& first, int64_t& last) const {
     int64_t const z = depth > 1 ? plane % depth : 0;
     bool const fits = z >= before[0] && z < depth - after[0] && row >= before[1] && row < x.height - after[1];
@@ -25,7 +25,7 @@ struct Nms {
   }
 };
 
-// What is marked by flags that are not 0, and 0 elsewhere: the gradient of maxima. Dense.
+// Keeps the elements whose flags are not 0, and sets the others to 0: the gradient of maxima. Contiguous.
 template <class T>
 struct ApplyNmsMask {
   T const* x;

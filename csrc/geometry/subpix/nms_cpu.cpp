@@ -5,7 +5,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// A comparison as 0 and 1.
+// The result of a comparison as 0 and 1.
 template <int N, class M>
 KV_HD void store_flags(uint8_t* to, M mask) {
   if constexpr (N == 1)
@@ -23,7 +23,7 @@ KV_HD Lanes<F, N> load_flags(uint8_t const* from) {
     return __builtin_convertvector(*reinterpret_cast<Lanes<uint8_t, N> const*>(from), Lanes<F, N>);
 }
 
-// An output's row, or none.
+// A row of an output, or null if the output is not requested.
 template <class T>
 KV_HD T* row_of(Planes<T> const& planes, int64_t plane, int64_t row) {
   return planes.data ? planes.row(plane, row) : nullptr;

@@ -1,5 +1,4 @@
-// Local maxima: schemas and entries, for CPU and CUDA alike. A volume's planes are the channels of an image, which is
-// read planar.
+// Local maxima: schemas and entries for CPU and CUDA. The planes of a volume become the channels of a planar image.
 #include "geometry/subpix/nms.h"
 #include "glue/batch.h"
 
@@ -36,12 +35,12 @@ Layout layout_for(char const* op, Tensor const& input, std::vector<int64_t> cons
   return volumes ? Layout::planar : layout_of(input);
 }
 
-// 0 and 1.
+// Flags of 0 and 1.
 Tensor flags_like(Tensor const& x, Layout layout) {
   return empty({x.size(0), x.size(1), x.size(2), x.size(3)}, x, layout, ScalarType::Byte);
 }
 
-// The maxima, and where they are: none of that unless `marked`.
+// The maxima, and flags of where they are; these are empty unless `marked`.
 std::tuple<Tensor, Tensor> nms(Tensor const& input, std::vector<int64_t> window, bool volumes, bool marked) {
   Layout const layout = layout_for("nms", input, window, volumes);
   Tensor const values = empty_like(input, layout);

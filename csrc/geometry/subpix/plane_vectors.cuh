@@ -1,4 +1,4 @@
-// The pixels of a piece of a plane on CUDA, a few rows that a block takes, four of them at a time. Included by
+// Traverses a chunk of a plane on CUDA: a block takes a few rows, its threads take four pixels at a time. Included by
 // spatial_expectation.cu and render_gaussian2d.cu.
 #pragma once
 
@@ -10,8 +10,8 @@ namespace kv::cuda {
 
 constexpr int kThreads = 256, kVectorSize = 4;
 
-// Calls f(count, first pixel of the plane, its column and row) for the block's pixels, in vectors where planes are
-// `vectorized`. `maps` has the width and height of planes of T, and the rows of a piece.
+// Calls f(count, index in the plane, column, row) for the block's pixels, in vectors if planes are `vectorized`. `maps`
+// has the width and height of planes of T, and the rows of a chunk.
 template <class T, class Maps, class Call>
 __device__ __forceinline__ void for_each_vector(Maps const& maps, int64_t piece, bool vectorized, Call f) {
   unsigned const width = unsigned(maps.width), start = unsigned(piece * maps.rows) * width;
@@ -30,8 +30,8 @@ __device__ __forceinline__ void for_each_vector(Maps const& maps, int64_t piece,
     take(std::integral_constant<int, 1>{});
 }
 
-// Whether vectors of planes that begin there, or of none, begin at multiples of their size, and none has pixels of two
-// rows.
+// Whether planes at these addresses (null: none) can be read in vectors: all are aligned, and no vector has pixels of
+// two rows.
 template <class T>
 bool is_vectorizable(int64_t width, std::initializer_list<void const*> planes) {
   for (void const* at : planes)

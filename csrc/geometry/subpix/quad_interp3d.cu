@@ -1,5 +1,4 @@
-// Peaks between voxels on CUDA: a thread a voxel. The gradients of peaks are added by atomics, as they may share
-// voxels.
+// Subvoxel peaks on CUDA: one thread for each voxel. Peaks may share voxels, so their gradients are added with atomics.
 #include "core/launch.cuh"
 #include "geometry/subpix/quad_interp3d.h"
 
@@ -8,7 +7,7 @@ namespace {
 
 constexpr int kThreads = 256;
 
-// Blocks of 32 x 8 voxels of a plane, planes last.
+// Blocks of 32 x 8 voxels of a plane. Planes are the last dimension of the grid.
 struct Tiles {
   unsigned across, down, count;
   template <class T>
@@ -55,7 +54,7 @@ __global__ void __launch_bounds__(kThreads) peaks_of(__grid_constant__ ConvQuadI
   });
 }
 
-// Into zeros.
+// Adds into a gradient that starts as zeros.
 template <class T>
 __global__ void __launch_bounds__(kThreads)
     peaks_backward(__grid_constant__ ConvQuadInterp3dBackward<T> const p, Tiles tiles) {

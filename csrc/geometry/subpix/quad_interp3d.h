@@ -1,12 +1,12 @@
-// Peaks of a volume between its voxels: the stationary point of the quadratic through the 3 x 3 x 3 voxels around, by
-// differences,
+// Subvoxel peaks of a volume: the stationary point of the quadratic through the 3 x 3 x 3 voxels around a voxel c,
+// whose gradient g and Hessian H are finite differences,
 //
-//   x(c + s) = x(c) + g . s + s . H s / 2          s = -H^-1 g,  x(c + s) = x(c) + g . s / 2
+//   x(c + s) = x(c) + g . s + s . H s / 2           s = -H^-1 g, x(c + s) = x(c) + g . s / 2
 //
-// A peak that lies further than `largest_shift` along an axis moves its centre c by a voxel that way and is looked for
-// again, `steps` times in all, inside of the volume and at most `radius` voxels away. What does not settle, or has no
-// stationary point, stays where it is. Included by quad_interp3d_cpu.cpp, quad_interp3d.cu and
-// quad_interp3d_op.cpp.
+// If the peak is farther than `largest_shift` along an axis, the center c moves one voxel in that direction and the fit
+// is repeated. There are at most `steps` fits; c stays inside the volume and at most `radius` voxels from the start. If
+// the search does not converge, or H is singular, the result is the voxel itself. Included by quad_interp3d_cpu.cpp,
+// quad_interp3d.cu and quad_interp3d_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -16,19 +16,19 @@ namespace kv {
 template <class T>
 struct ConvQuadInterp3d {
   T const* x;             // (n, D, H, W)
-  uint8_t const* chosen;  // the same: which voxels are looked at; null for the strict maxima
-  T *places, *values;     // (n, 3, D, H, W), scale (z), x, y; (n, D, H, W)
+  uint8_t const* chosen;  // (n, D, H, W), the voxels to refine; null for the strict maxima
+  T *places, *values;     // coordinates (n, 3, D, H, W): scale (z), x, y; values (n, D, H, W)
   int64_t volumes;
   int size[3];  // D, H, W
   int steps, radius;
-  bool along_scale;  // the centre may move along z
+  bool along_scale;  // whether the center may move along z
   Compute<T> largest_shift;
 };
 
-// Gradients to the voxels: what comes to the places and values of a peak goes to the 19 voxels it was made of.
+// Gradients to the voxels: those to a peak's coordinates and value go to the 19 voxels of its fit.
 template <class T>
 struct ConvQuadInterp3dBackward {
-  ConvQuadInterp3d<T> forward;  // but its results
+  ConvQuadInterp3d<T> forward;  // without its results
   T const *grad_places, *grad_values;
   Compute<T>* grad_x;
 };
@@ -36,15 +36,15 @@ struct ConvQuadInterp3dBackward {
 KV_KERNEL(conv_quad_interp3d, ConvQuadInterp3d)
 KV_KERNEL(conv_quad_interp3d_backward, ConvQuadInterp3dBackward)
 
-// Along x, y, z.
+// The quadratic around a voxel. Axes are in the order x, y, z.
 template <class F>
 struct Quadratic {
-  F g[3];                   // the slope
-  F diagonal[3], mixed[3];  // of H: xx, yy, zz; yz, xz, xy, each opposite to the axis it leaves out
+  F g[3];                   // the gradient
+  F diagonal[3], mixed[3];  // of H: xx, yy, zz; yz, xz, xy, index a without axis a
   F shift[3];
   bool solved;
 
-  // at(dx, dy, dz) reads x beside the centre.
+  // at(dx, dy, dz) reads the voxel at this offset from the center.
   template <class At>
   KV_HD explicit Quadratic(At at) {
     F const centre = at(0, 0, 0);
@@ -64,7 +64,7 @@ struct Quadratic {
     for (int a = 0; a < 3; ++a) shift[a] = -shift[a];
   }
 
-  // s = H^-1 r, by cofactors of H over its largest number; not solved where H is as good as singular.
+  // s = H^-1 r, by the cofactors of H over its largest magnitude. Sets `done` to false if H is singular up to rounding.
   KV_HD void solve(F const (&r)[3], F (&s)[3], bool& done) const {
     F largest = 0;
     for (int a = 0; a < 3; ++a) {
@@ -85,7 +85,7 @@ struct Quadratic {
   }
   KV_HD F rise() const { return (g[0] * shift[0] + g[1] * shift[1] + g[2] * shift[2]) * F(0.5); }
 
-  // Calls add(dx, dy, dz, number) for the gradient to the voxels from that to the shift and to the value:
+  // Calls add(dx, dy, dz, grad) for the gradient to each voxel, from that to the shift and to the value:
   //   d(shift) = -H^-1 (dg + dH shift)         d(value) = dx(c) + shift . dg + shift . dH shift / 2
   template <class Add>
   KV_HD void vjp(F const (&grad_shift)[3], F grad_value, Add add) const {
@@ -116,8 +116,8 @@ struct Quadratic {
   }
 };
 
-// Where the search that begins at a voxel ends: the number of the centre's voxel, its fit through `use`, or nothing.
-// Read is memory -> number.
+// Searches for the peak from a voxel. Calls use(center, fit) with the last center (x, y, z) and its Quadratic, or does
+// nothing if there is no peak. `read` converts an element to a number.
 template <class T, class Read, class Use>
 KV_HD void find_peak(ConvQuadInterp3d<T> const& p, T const* volume, int z, int y, int x, Read read, Use use) {
   using F = Compute<T>;
@@ -146,7 +146,7 @@ KV_HD void find_peak(ConvQuadInterp3d<T> const& p, T const* volume, int z, int y
   }
 }
 
-// Whether a voxel is above the 26 around it.
+// Whether a voxel is above its 26 neighbors.
 template <class T, class Read>
 KV_HD bool is_peak(T const* volume, int const (&size)[3], int z, int y, int x, Read read) {
   if (z < 1 || z > size[0] - 2 || y < 1 || y > size[1] - 2 || x < 1 || x > size[2] - 2) return false;

@@ -1,4 +1,4 @@
-// Peaks between voxels on the CPU: rows [begin, end) of all volumes, volumes in the backward pass. Compiled once per
+// Subvoxel peaks on the CPU: rows [begin, end) of all volumes; whole volumes in the backward pass. Compiled once per
 // instruction set.
 #include "core/lanes.h"
 #include "geometry/subpix/quad_interp3d.h"

@@ -1,4 +1,4 @@
-// Peaks between voxels: schemas and entries, for CPU and CUDA alike. Volumes (B, C, D, H, W) are read contiguous.
+// Subvoxel peaks: schemas and entries for CPU and CUDA. Volumes (B, C, D, H, W) are read contiguous.
 #include "geometry/subpix/quad_interp3d.h"
 #include "glue/batch.h"
 
@@ -58,7 +58,7 @@ std::tuple<Tensor, Tensor> conv_quad_interp3d(Tensor const& input, std::optional
   return {places, values};
 }
 
-// In the type that computes.
+// The gradient is in the compute type.
 Tensor conv_quad_interp3d_backward(Tensor const& grad_places, Tensor const& grad_values, Tensor const& input,
                                    std::optional<Tensor> const& chosen, int64_t steps, double largest_shift,
                                    int64_t radius, bool along_scale) {

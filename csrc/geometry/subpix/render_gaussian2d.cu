@@ -1,24 +1,24 @@
-// Heat maps of Gaussians on CUDA: a block for a few rows of a plane, whose threads first sum up both axes, then take
-// four pixels at a time; another kernel adds up the gradients of planes that have several pieces.
+// Heat maps of Gaussians on CUDA: one block for a few rows of a plane. Its threads first sum the weights of both axes,
+// then take four pixels at a time. A second kernel adds the gradients of planes that have several chunks.
 #include "geometry/subpix/plane_vectors.cuh"
 #include "geometry/subpix/render_gaussian2d.h"
 
 namespace kv::cuda {
 namespace {
 
-// The weight of a pixel, over the largest one's.
+// The weight of a pixel, relative to the largest one.
 template <class F>
 __device__ __forceinline__ F weight_of(F q) {
   return fast_exp2(q * F(-.5 * 1.44269504088896340736));
 }
 
-// The sums of a block's threads, to all of them.
+// The sums over a block's threads; every thread gets them.
 template <int K, class F>
 __device__ __forceinline__ void over_block(F (&v)[K]) {
   __shared__ F of_warps[kThreads / 32][K];
 #pragma unroll
   for (F& x : v) x = warp_sum(x);
-  __syncthreads();  // of who reads the last sums
+  __syncthreads();  // other threads may still read the last sums
   if (threadIdx.x % 32 == 0)
 #pragma unroll
     for (int k = 0; k < K; ++k) of_warps[threadIdx.x / 32][k] = v[k];

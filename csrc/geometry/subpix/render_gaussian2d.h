@@ -1,11 +1,11 @@
-// Heat maps of Gaussians, each of which adds up to 1, and the gradients to their means and standard deviations. A map
-// is the product of a softmax along x and one along y: for pixels at X, with d = (X - mean) / std,
+// Heat maps of Gaussians, each of which sums to 1, and the gradients to their means and standard deviations. A map is
+// the product of a softmax along x and one along y. For a pixel at coordinate X, with d = (X - mean) / std:
 //
-//   w = exp(-(d^2 - d0^2) / 2) over the sum of these           d0: of the nearest pixel, the largest of all
-//   dw / dmean = w (u - mean of u) / std                       u = d - d0
-//   dw / dstd  = w (q - mean of q) / std                       q = d^2 - d0^2 = u (u + 2 d0)
+//   w = exp(-(d^2 - d0^2) / 2) / sum of these         d0: d of the nearest pixel, whose weight is largest
+//   dw / dmean = w (u - mean of u) / std              u = d - d0
+//   dw / dstd = w (q - mean of q) / std               q = d^2 - d0^2 = u (u + 2 d0)
 //
-// the means being those under w. Included by render_gaussian2d_cpu.cpp, render_gaussian2d.cu and
+// Means of u and q are weighted by w. Included by render_gaussian2d_cpu.cpp, render_gaussian2d.cu and
 // render_gaussian2d_op.cpp.
 #pragma once
 
@@ -18,14 +18,14 @@ template <class T>
 struct RenderGaussian2d {
   using F = Compute<T>;
   T const *mean, *std;                  // (planes, 2), x before y
-  int64_t mean_stride, std_stride;      // 0 where one serves all
-  int64_t planes, height, width, rows;  // rows of a piece
+  int64_t mean_stride, std_stride;      // 0 if all maps share one
+  int64_t planes, height, width, rows;  // rows of a chunk
   PlaceAxis<F> along_x, along_y;
   T* maps;  // (planes, height, width)
   // For the gradient only:
   T const* grad;
-  F* partial;           // (planes, pieces, 4): to the mean, x before y, then to the standard deviation
-  T *to_mean, *to_std;  // (planes, 2), by CUDA's kernel; on the CPU the entry makes them
+  F* partial;           // (planes, chunks, 4): gradients to the mean, x before y, then to the standard deviation
+  T *to_mean, *to_std;  // (planes, 2), set by the CUDA kernel; on the CPU the operator sums them
 
   KV_HD int64_t pieces() const { return (height + rows - 1) / rows; }
 };
@@ -33,7 +33,7 @@ struct RenderGaussian2d {
 KV_KERNEL(render_gaussian2d, RenderGaussian2d)
 KV_KERNEL(render_gaussian2d_backward, RenderGaussian2d)
 
-// Sums over an axis, of w, w u and w q.
+// Sums of w, w u and w q over an axis.
 template <class F>
 struct GaussianSums {
   F all, u, q;
@@ -41,8 +41,8 @@ struct GaussianSums {
 
 template <class F>
 struct GaussianAxis {
-  F nearest, slope, start, inverse;  // the nearest pixel, of u along pixels, d0, 1 / std
-  F share, mean_u, mean_q;           // 1 over the sum of w, and its means
+  F nearest, slope, start, inverse;  // nearest pixel, step of u between pixels, d0, 1 / std
+  F share, mean_u, mean_q;           // 1 / sum of w; weighted means of u and q
 
   KV_HD GaussianAxis(PlaceAxis<F> const& places, int64_t size, F mean, F std)
       : inverse(1 / std), share(0), mean_u(0), mean_q(0) {
@@ -64,7 +64,7 @@ struct GaussianAxis {
   }
 };
 
-// `read` makes a number of what is stored.
+// `read` converts an element to a number.
 template <class T, class Read>
 KV_HD GaussianAxis<Compute<T>> gaussian_axis(RenderGaussian2d<T> const& p, int64_t plane, int which, Read read) {
   Compute<T> const mean = read(p.mean[plane * p.mean_stride + which]), std = read(p.std[plane * p.std_stride + which]);

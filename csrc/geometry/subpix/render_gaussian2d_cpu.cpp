@@ -1,5 +1,5 @@
-// Heat maps of Gaussians on the CPU: pieces [begin, end) of all planes, each a few rows, of which columns are worked on
-// that fit into the nearest cache with what their weights are. Compiled once per instruction set.
+// Heat maps of Gaussians on the CPU: chunks [begin, end) of all planes, each a few rows. Works on as many columns at
+// once as fit into the first-level cache with their weights. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "geometry/subpix/render_gaussian2d.h"
 
@@ -13,7 +13,7 @@ KV_HD Lanes<F, N> weight_of(Lanes<F, N> q) {
   return vexp2<F, N>(q * F(-.5 * 1.44269504088896340736));
 }
 
-// Calls f(width, pixel, numbers of pixels) for [0, size), each pixel once: q may be inf where w is 0.
+// Calls f(width, first pixel, pixel indices) for [0, size), each pixel exactly once: q may be inf where w is 0.
 template <class T, class Call>
 KV_HD void for_each_pixel(int64_t size, Call f) {
   using F = Compute<T>;
@@ -81,7 +81,7 @@ template <class T>
 void render_gaussian2d_backward(RenderGaussian2d<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   constexpr int N = kLanes<T>;
-  F across[3][kColumns];  // w, and w times what u and q are more than their means
+  F across[3][kColumns];  // w, w (u - mean of u), w (q - mean of q)
   for (int64_t i = begin; i < end; ++i) {
     int64_t const plane = i / p.pieces(), first = i % p.pieces() * p.rows, last = min(first + p.rows, p.height);
     auto const x = axis_of(p, plane, 0), y = axis_of(p, plane, 1);

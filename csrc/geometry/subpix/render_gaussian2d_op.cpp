@@ -1,11 +1,11 @@
-// Heat maps of Gaussians: schemas and entries, for CPU and CUDA alike.
+// Heat maps of Gaussians: schemas and entries for CPU and CUDA.
 #include "geometry/subpix/render_gaussian2d.h"
 #include "glue/glue.h"
 
 namespace kv {
 namespace {
 
-// Means and standard deviations (P, 2), or (1, 2) for all, checked.
+// Means and standard deviations (P, 2), or (1, 2) for all maps, checked.
 struct GivenGaussians {
   Tensor mean, std;
   int64_t planes, height, width;
@@ -34,7 +34,7 @@ struct GivenGaussians {
     p.planes = planes;
     p.height = height;
     p.width = width;
-    // Both axes are summed up once for each piece.
+    // Every chunk sums the weights of both axes once.
     int64_t const piece = std::max<int64_t>(kPlacePiece, 16 * (height + width));
     p.rows = clamp(piece / width, int64_t(1), height);
     p.along_x = PlaceAxis<F>::of(width, normalized);
@@ -56,7 +56,7 @@ Tensor render_gaussian2d(Tensor const& mean, Tensor const& std, int64_t height, 
   return maps;
 }
 
-// To the mean and the standard deviation of each map, also where one serves all.
+// Gradients to the mean and the standard deviation of each map, also if all maps share them.
 std::tuple<Tensor, Tensor> render_gaussian2d_backward(Tensor const& grad, Tensor const& mean, Tensor const& std,
                                                       bool normalized) {
   constexpr char const* op = "render_gaussian2d_backward";

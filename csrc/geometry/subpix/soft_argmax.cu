@@ -1,5 +1,6 @@
-// The soft argmax of windows on CUDA: a thread a window, a thread a voxel in the backward pass. Windows of 3 x 3 and
-// 5 x 5 around every pixel of float images share their exponentials and are walked down in registers.
+// The soft argmax of windows on CUDA: one thread for each window, one for each voxel in the backward pass. Windows of
+// 3 x 3 and 5 x 5 around every pixel of float images share their exponentials; threads traverse the rows from above and
+// keep the state in registers.
 #include "core/launch.cuh"
 #include "geometry/subpix/soft_argmax.h"
 
@@ -9,14 +10,14 @@ namespace {
 constexpr int kThreads = 256;
 constexpr double kLog2E = 1.44269504088896340736;
 
-// Of volumes of a size: blocks of 32 x 8 voxels of a plane, planes last.
+// Blocks of 32 x 8 voxels of a plane, for volumes of any size. Planes are the last dimension of the grid.
 struct Tiles {
   unsigned across, down, count;
   Tiles(int64_t volumes, int const (&size)[3])
       : across(unsigned(ceil_div(size[2], 32))),
         down(unsigned(ceil_div(size[1], 8))),
         count(unsigned(volumes * size[0] * across * down)) {}
-  // False outside of the volumes.
+  // False if the thread is outside of the volumes.
   __device__ __forceinline__ bool locate(int const (&size)[3], int64_t& volume, int& z, int& y, int& x) const {
     unsigned const line = blockIdx.x / across, plane = line / down;
     volume = plane / unsigned(size[0]);
@@ -68,9 +69,11 @@ __global__ void __launch_bounds__(kThreads) windows_of(__grid_constant__ SoftArg
 // --- windows around every pixel of images ----------------------------------------------------------------------------
 
 constexpr int kRun = 4, kRows = 15, kStripThreads = 128;
-constexpr float kMostExponent = 90;  // of base 2, beside a strip's largest: rounding it costs 3e-6 of a weight
+constexpr float kMostExponent =
+    90;  // largest range of exponents, of base 2, in a strip: rounding them costs 3e-6 of a weight
 
-// Double4 numbers of a thread and R of each neighbour's: sums of 2R + 1, and of these times how many are before them.
+// The numbers of a thread's columns, and R of each neighboring thread's: sums of 2R + 1 of them, and sums weighted by
+// the index in the window.
 template <int R>
 struct Across {
   float v[kRun + 2 * R];
@@ -97,13 +100,13 @@ struct Across {
   }
 };
 
-// A warp's columns and rows of an image: threads take kRun columns each, of which the outermost `Help` on either side
-// only help their neighbours. All windows of it share exponentials beside its largest number.
+// A warp's columns and rows of an image. A thread takes kRun columns. The outermost `Help` threads on either side only
+// provide columns to their neighbors. All windows of a strip share exponentials, relative to its largest number.
 template <int Help>
 struct ImageStrip {
   int height, width, x, y0, y1;
   unsigned plane;
-  bool there, writes;  // whether the thread's columns are in the image, and are its own
+  bool there, writes;  // whether the thread's columns are in the image, and whether it writes them
   int64_t size;
   float const* image;
   float sharpness, from;
@@ -113,7 +116,7 @@ struct ImageStrip {
     int64_t const strips = w.volumes * ceil_div(w.size[2], kColumns) * ceil_div(w.size[1], kRows);
     return dim3(unsigned(ceil_div(strips, kStripThreads / 32)));
   }
-  // False beyond the last strip.
+  // False after the last strip.
   __device__ __forceinline__ bool locate(Windows const& w, float const* data, float temperature) {
     height = w.size[1], width = w.size[2];
     unsigned const warp = blockIdx.x * (kStripThreads / 32) + threadIdx.x / 32, lane = threadIdx.x % 32;
@@ -131,8 +134,8 @@ struct ImageStrip {
     sharpness = float(kLog2E) / temperature;
     return true;
   }
-  // Of rows from `reach` above on: false where numbers are too far apart to share exponentials, or so large that what
-  // they are beside is no longer one of them.
+  // Finds the largest number of the strip and of `reach` rows above and below. False if the range is too large for
+  // shared exponentials, or if numbers are so large that rounding their exponents loses precision.
   __device__ __forceinline__ bool find_largest(int reach) {
     float most = -INFINITY, least = INFINITY;
 #pragma unroll 4
@@ -140,7 +143,8 @@ struct ImageStrip {
       if (!there) break;
       Vector<float, kRun> const v = load(image, y);
 #pragma unroll
-      for (int i = 0; i < kRun; ++i) most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // NaN is left out
+      for (int i = 0; i < kRun; ++i)
+        most = ::fmax(most, v.v[i]), least = ::fmin(least, v.v[i]);  // fmax and fmin ignore NaN
     }
 #pragma unroll
     for (int step = 16; step > 0; step /= 2) {
@@ -157,7 +161,7 @@ struct ImageStrip {
   __device__ __forceinline__ Vector<float, kRun> row(int y) const {
     return has(y) ? load(image, y) : Vector<float, kRun>{};
   }
-  // The exponentials of row y, which is v, and these times x; 0 outside of the image.
+  // The exponentials of row y, whose numbers are v, and their products with v; 0 outside of the image.
   template <bool Products>
   __device__ __forceinline__ void weights_of(Vector<float, kRun> const& v, int y, float (&weight)[kRun],
                                              float (&product)[kRun]) const {
@@ -170,7 +174,8 @@ struct ImageStrip {
   }
 };
 
-// Weights are summed down columns first, then along rows. Where they are not shared each window takes its own.
+// Sums weights down columns first, then along rows. Strips that cannot share exponentials compute each window by
+// itself.
 template <int R, bool Values>
 __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ SoftArgmax<float> const p) {
   constexpr int K = 2 * R + 1;
@@ -183,7 +188,7 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
       for (int n = 0; n < kRun; ++n) one_window(p, strip.plane, 0, y, x + n);
     return;
   }
-  float weights[K][kRun], products[K][kRun];  // of the rows of a window; times x
+  float weights[K][kRun], products[K][kRun];  // of the rows of a window; products: weights times x
 #pragma unroll
   for (int j = 0; j < K - 1; ++j) {
     int const y = y0 - R + j;
@@ -196,7 +201,7 @@ __global__ void __launch_bounds__(kStripThreads) strips_down(__grid_constant__ S
   for (int i = 0; i < kRows; ++i) {
     int const y = y0 + i;
     if (y >= strip.y1) break;
-    float totals[kRun], moments[kRun], values[kRun];  // down columns
+    float totals[kRun], moments[kRun], values[kRun];  // sums down columns
 #pragma unroll
     for (int n = 0; n < kRun; ++n) {
 #pragma unroll
@@ -292,7 +297,7 @@ __global__ void __launch_bounds__(kThreads) voxels_of(__grid_constant__ SoftArgm
   p.grad_x[at] = round_to<T>(sum);
 }
 
-// The gradient of one voxel, from all windows that it is in.
+// The gradient of one voxel, from all windows that contain it.
 __device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, int64_t plane, int vy, int vx) {
   Windows const& w = p.windows;
   float const* const image = p.x + plane * w.voxels();
@@ -310,9 +315,9 @@ __device__ __forceinline__ float one_pixel(SoftArgmaxBackward<float> const& p, i
   return sum;
 }
 
-// Of a window with the total S and the moments X and Y, whose place has the gradients gx and gy, each pixel (j, i) gets
-// exp (a i + b j + c), a = gx / S, b = gy / S, c = -(gx X + gy Y) / S^2: summed down columns first, over the windows
-// that a pixel is in, then along rows.
+// A window has the sum of weights S and the moments X and Y. From the gradients gx and gy to its coordinates each pixel
+// (j, i) of it gets exp (a i + b j + c) for a = gx / S, b = gy / S, c = -(gx X + gy Y) / S^2. These are summed over the
+// windows that contain a pixel: down columns first, then along rows.
 template <int R>
 __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ SoftArgmaxBackward<float> const p) {
   constexpr int K = 2 * R + 1;
@@ -330,9 +335,9 @@ __global__ void __launch_bounds__(kStripThreads) strips_back(__grid_constant__ S
   float const* const grad_x = p.grad_places + 2 * strip.plane * size + x;
   float const* const grad_y = grad_x + size;
   float weights[K][kRun] = {}, none[kRun];
-  float constants[K][kRun] = {}, slopes[K][kRun] = {};  // b j + c, and a, of the pixels whose windows are not all there
+  float constants[K][kRun] = {}, slopes[K][kRun] = {};  // b j + c, and a, summed for pixels that still miss windows
   float const per_temperature = 1 / p.temperature;
-  // Rows on their way: of the image, and of the gradients to windows.
+  // The next rows, read ahead: of the image, and of the gradients to windows.
   auto const grad_row = [&](float const* plane, int y) {
     return strip.has(y) ? strip.load(plane, y) : Vector<float, kRun>{};
   };

@@ -1,16 +1,17 @@
-// The soft argmax of every window of a volume, an image being one of depth 1: under the weights
+// The soft argmax of every window of a volume (an image has depth 1). The weights of a window are
 //
-//   w(v) = exp(x(v) / temperature) / sum of these       over the voxels of the window that are in the volume
+//   w(v) = exp(x(v) / temperature) / sum of these      over the voxels v of the window that are in the volume
 //
-// the mean place, and the mean of x. Places are scale * index + offset.
+// and the results are the means under w of the coordinates, scale * index + offset, and of x.
 //
-// The gradient of a voxel v is a sum over the windows that it is in, of weights and records of these alone:
+// The gradient of a voxel v is a sum over the windows that contain it. Each term depends on v and on a record of the
+// window:
 //
-//   dx(v) = sum of w(v) (g_value + (g_place . (v - start) + g_value x(v) + rest) / temperature)
-//   rest  = -(g_place . (place - start) + g_value value)
+//   dx(v) = sum of w(v) (g_value + (g_coords . (v - start) + g_value x(v) + rest) / temperature)
+//           rest = -(g_coords . (coords - start) + g_value value)
 //
-// so a backward pass makes the records first, then gathers. On CUDA windows around every pixel of float images share
-// their exponentials, and both are one pass. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
+// A backward pass computes the records first, then gathers. On CUDA, windows around every pixel of float images share
+// their exponentials, and both steps are one pass. Included by soft_argmax_cpu.cpp, soft_argmax.cu and
 // soft_argmax_op.cpp.
 #pragma once
 
@@ -20,13 +21,13 @@ namespace kv {
 
 struct Windows {
   int64_t volumes;
-  int axes;                                              // of a place: 2, (x, y), or 3, (z, x, y)
-  int size[3], out[3], window[3], stride[3], before[3];  // along z, y, x; padding is before and after
+  int axes;                                              // coordinates of a result: 2, (x, y), or 3, (z, x, y)
+  int size[3], out[3], window[3], stride[3], before[3];  // along z, y, x; padding is on both sides
 
   KV_HD int64_t voxels() const { return int64_t(size[0]) * size[1] * size[2]; }
   KV_HD int64_t area() const { return int64_t(window[0]) * window[1] * window[2]; }
   KV_HD int64_t places() const { return int64_t(out[0]) * out[1] * out[2]; }
-  // Of what axis (0, 1, 2 for z, y, x) a place's number tells.
+  // The axis (0, 1, 2 for z, y, x) of a result's coordinate.
   KV_HD int axis_of(int number) const { return axes == 3 && number == 0 ? 0 : number == axes - 1 ? 1 : 2; }
 };
 
@@ -39,10 +40,10 @@ struct SoftArgmax {
   T *places, *values;  // (n, axes, D', H', W'), (n, D', H', W') or null
 };
 
-// What of a window the gradients of its voxels need. `most` is the largest x, which the exponents are beside.
+// What the gradients of a window's voxels depend on. `most` is the largest x, which exponents are relative to.
 template <class V>
 struct WindowRecord {
-  V most, place[3], value, rest;  // but most, divided by the sum of the exponentials
+  V most, place[3], value, rest;  // all but `most` are divided by the sum of exponentials
 };
 constexpr int kRecord = 6;
 
@@ -51,16 +52,16 @@ struct SoftArgmaxBackward {
   Windows windows;
   Compute<T> temperature;
   Compute<T> scale[3];
-  T const *grad_places, *grad_values, *x;  // or null for no gradient of the values
+  T const *grad_places, *grad_values, *x;  // grad_values: null without a gradient of the values
   T* grad_x;
-  Compute<T>* records;  // (6, n, D', H', W'); none for one pass
+  Compute<T>* records;  // (6, n, D', H', W'); null if one pass does both steps
 };
 
 KV_KERNEL(soft_argmax, SoftArgmax)
 KV_KERNEL(soft_argmax_records, SoftArgmaxBackward)
 KV_KERNEL(soft_argmax_backward, SoftArgmaxBackward)
 
-// How far windows reach, if they are 3 x 3 or 5 x 5 around every pixel of images that are read in fours, else 0.
+// The radius of windows of 3 x 3 or 5 x 5 around every pixel of images that can be read in vectors of four, else 0.
 template <class... Data>
 int reach_of(Windows const& w, Data const*... data) {
   int const r = w.before[1];
@@ -70,14 +71,14 @@ int reach_of(Windows const& w, Data const*... data) {
   return fits && ((reinterpret_cast<uintptr_t>(data) % 16 == 0) && ...) ? r : 0;
 }
 
-// Indices [first, last) of a window that begins at `start`, counted from there, that are on an axis of n.
+// Of the window of output `out`: its start, and the indices [first, last) in the window that are inside an axis of n.
 struct Span {
   int start, first, last;
   KV_HD Span(int out, int stride, int before, int window, int n)
       : start(out * stride - before), first(max(0, -start)), last(min(window, n - start)) {}
 };
 
-// The outputs [first, last) whose window has index i.
+// The outputs [first, last) whose windows contain index i.
 struct Readers {
   int first, last;
   KV_HD Readers(int i, int stride, int before, int window, int out)
@@ -85,7 +86,7 @@ struct Readers {
         last(min(out, (i + before) / stride + 1)) {}
 };
 
-// The sums of a window. `at(k, j, i)` reads x there; exp2 is the caller's.
+// The sums of a window. `at(k, j, i)` reads x at an index of the window; exp2 depends on the device.
 template <class V>
 struct WindowSums {
   V most, total, index[3], value;
@@ -116,7 +117,7 @@ struct WindowSums {
   }
 };
 
-// The record of a window, `grad` being that to a place's axis.
+// The record of a window. `grad` has the gradients to the coordinates, by axis.
 template <class V, class F>
 KV_HD WindowRecord<V> record_of(WindowSums<V> const& sums, V const (&grad)[3], V grad_value) {
   V const scale = F(1) / sums.total;
@@ -132,7 +133,7 @@ KV_HD WindowRecord<V> record_of(WindowSums<V> const& sums, V const (&grad)[3], V
   return r;
 }
 
-// What a window gives to the gradient of its voxel (k, j, i) with value v, e being its exponential.
+// What a window contributes to the gradient of its voxel (k, j, i), whose value is v and whose exponential is e.
 template <class V, class F>
 KV_HD V share_of(WindowRecord<V> const& r, V v, V e, F k, F j, F i, F per_temperature) {
   V const slope = r.place[0] * k + r.place[1] * j + r.place[2] * i + r.value * v + r.rest;

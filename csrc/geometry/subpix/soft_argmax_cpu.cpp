@@ -1,5 +1,5 @@
-// The soft argmax of windows on the CPU: rows [begin, end) of the outputs, of the inputs in the backward pass. Vectors
-// where windows are neighbours and in the volume. Compiled once per instruction set.
+// The soft argmax of windows on the CPU: rows [begin, end) of the outputs, of the inputs in the backward pass. Uses
+// vectors for adjacent windows inside the volume. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "geometry/subpix/soft_argmax.h"
 
@@ -119,7 +119,8 @@ void soft_argmax_backward(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t
       constexpr int N = decltype(lanes)::value;
       using V = Lanes<F, N>;
       V const v = load<N>(p.x + r * w.size[2] + x);
-      // Those of the first voxel of a vector; the others' are beside them, where vectors are taken.
+      // Windows that contain the first voxel of a vector. Those of the other voxels follow them, because vectors are
+      // only used where the stride is 1.
       Readers const xs(x, w.stride[2], w.before[2], w.window[2], w.out[2]);
       V sum{};
       for (int z = zs.first; z < zs.last; ++z)
@@ -137,7 +138,7 @@ void soft_argmax_backward(SoftArgmaxBackward<T> const& p, int64_t begin, int64_t
           }
       store<N>(p.grad_x + r * w.size[2] + x, sum);
     };
-    // Voxels all of whose windows are there.
+    // Only voxels [first, last), all of whose windows exist, are computed in vectors.
     int const first = w.stride[2] > 1 ? w.size[2] : min(max(w.window[2] - 1 - w.before[2], 0), w.size[2]);
     int const last = max(min(w.out[2] - w.before[2], w.size[2]), first);
     for (int x = 0; x < first; ++x) voxel(Width<1>{}, x);

@@ -1,5 +1,5 @@
-// Mean places on CUDA: a block for a few rows of a plane, whose threads take four pixels at a time and read them once,
-// with sums over the largest one so far; another kernel, with a block for each plane, puts pieces together.
+// Mean coordinates on CUDA: one block for a few rows of a plane. Its threads read four pixels at a time, once, and keep
+// sums relative to the largest number so far. A second kernel, with a block for each plane, combines the chunks.
 #include "geometry/subpix/plane_vectors.cuh"
 #include "geometry/subpix/spatial_expectation.h"
 
@@ -17,7 +17,7 @@ struct ScaledExp {
   }
 };
 
-// The sums of a block's threads, to the first one.
+// The sums over a block's threads; the first thread gets them.
 template <class F>
 __device__ __forceinline__ PlaceSums<F> over_block(PlaceSums<F> sums, bool softmax, ScaledExp<F> const& exp) {
   __shared__ PlaceSums<F> of_warps[kThreads / 32];

@@ -1,15 +1,15 @@
-// The mean place of the pixels of planes, weighted by their values p or by the softmax of `scale` times them; backward
-// pixel i, at X, gets g X of the gradient g, or of the softmax scale p (g X - g mean). Included by
-// spatial_expectation_cpu.cpp, spatial_expectation.cu and spatial_expectation_op.cpp.
+// The mean coordinates of the pixels of planes, weighted by their values p, or by the softmax p of `scale` times them.
+// In the backward pass a pixel at X gets g X from the gradient g, or scale p (g X - g mean) with the softmax. Included
+// by spatial_expectation_cpu.cpp, spatial_expectation.cu and spatial_expectation_op.cpp.
 #pragma once
 
 #include "core/isa.h"
 
 namespace kv {
 
-constexpr int64_t kPlacePiece = 8192;  // pixels, or a row of more, that are worked on together
+constexpr int64_t kPlacePiece = 8192;  // pixels of a chunk, or one row if that has more
 
-// An axis: the places of its pixels.
+// The coordinates of the pixels along an axis.
 template <class F>
 struct PlaceAxis {
   F first, step;
@@ -28,7 +28,7 @@ template <class T>
 struct HeatMaps {
   using F = Compute<T>;
   T const* data;                        // (planes, height, width)
-  int64_t planes, height, width, rows;  // rows of a piece
+  int64_t planes, height, width, rows;  // rows of a chunk
   PlaceAxis<F> along_x, along_y;
   bool softmax;
   F scale;
@@ -36,8 +36,8 @@ struct HeatMaps {
   KV_HD int64_t pieces() const { return (height + rows - 1) / rows; }
 };
 
-// Sums over pixels: of their weights, and of these times their places. Those of a softmax are exponentials over the one
-// of `most`.
+// Sums over pixels: of their weights, and of the weights times the coordinates. The weights of a softmax are
+// exponentials relative to that of `most`.
 template <class F>
 struct PlaceSums {
   F most, sum, x, y;
@@ -45,7 +45,7 @@ struct PlaceSums {
   KV_HD static PlaceSums nothing(bool softmax) {
     return {softmax ? (sizeof(F) == 4 ? F(-3.4e38) : F(-1.7e308)) : F(0), F(0), F(0), F(0)};
   }
-  // With exp(largest - most) of `most` alone.
+  // Makes the sums relative to `largest`. exp(d) is the exponential of the softmax scale times d.
   template <class Exp>
   KV_HD void rescale(F largest, Exp exp) {
     F const factor = exp(most - largest);
@@ -59,7 +59,7 @@ struct PlaceSums {
     }
     sum += other.sum, x += other.x, y += other.y;
   }
-  // To a plane's place and what its softmax is made of.
+  // Stores a plane's coordinates, and the largest number and the sum of its softmax.
   KV_HD void store(F* place, F* parts, bool softmax) const {
     place[0] = softmax ? x / sum : x, place[1] = softmax ? y / sum : y;
     parts[0] = most, parts[1] = sum;
@@ -69,8 +69,8 @@ struct PlaceSums {
 template <class T>
 struct SpatialExpectation {
   HeatMaps<T> maps;
-  PlaceSums<Compute<T>>* partial;  // (planes, pieces)
-  Compute<T>*places, *parts;       // (planes, 2), by CUDA's kernel; on the CPU the entry makes them
+  PlaceSums<Compute<T>>* partial;  // (planes, chunks)
+  Compute<T>*places, *parts;       // (planes, 2), set by the CUDA kernel; on the CPU the operator sets them
 };
 
 template <class T>
@@ -83,7 +83,7 @@ struct SpatialExpectationBackward {
 KV_KERNEL(spatial_expectation, SpatialExpectation)
 KV_KERNEL(spatial_expectation_backward, SpatialExpectationBackward)
 
-// The gradient of the pixels of a plane, of values V at places x and y.
+// The gradient of the pixels of a plane, from their values and their coordinates x and y.
 template <class T>
 struct PlaceSlopes {
   using F = Compute<T>;

@@ -1,4 +1,4 @@
-// Mean places on the CPU: pieces [begin, end) of all planes, each a few rows. Compiled once per instruction set.
+// Mean coordinates on the CPU: chunks [begin, end) of all planes, each a few rows. Compiled once per instruction set.
 #include "core/lanes.h"
 #include "geometry/subpix/spatial_expectation.h"
 

@@ -1,4 +1,4 @@
-// Mean places: schemas and entries, for CPU and CUDA alike.
+// Mean coordinates: schemas and entries for CPU and CUDA.
 #include <math.h>
 
 #include "geometry/subpix/spatial_expectation.h"
@@ -7,7 +7,7 @@
 namespace kv {
 namespace {
 
-// Of images (B, C, H, W), contiguous.
+// The maps of images (B, C, H, W), contiguous.
 template <class T>
 HeatMaps<T> heat_maps(Tensor const& x, bool softmax, double scale, bool normalized) {
   using F = Compute<T>;
@@ -29,8 +29,8 @@ void check_maps(char const* op, Tensor const& x, bool softmax, double scale) {
   KV_CHECK(!softmax || scale > 0, op, ": expected scale to be positive, got ", scale);
 }
 
-// The places (B, C, 2), x before y, and (B, C, 2) of the softmax its largest value and the sum of exponentials over
-// that.
+// The coordinates (B, C, 2), x before y. For a softmax also (B, C, 2): its largest value, and the sum of exponentials
+// relative to that value.
 std::tuple<Tensor, Tensor> spatial_expectation(Tensor const& input, bool softmax, double scale, bool normalized) {
   check_maps("spatial_expectation", input, softmax, scale);
   Tensor const x = dense(input);

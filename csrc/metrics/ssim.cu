@@ -1,48 +1,48 @@
-// Structural similarity on CUDA: planar images, windows of 3 to 11 pixels, one launch each way; other files have
-// the others.
+// Structural similarity on CUDA for planar images and windows of 3 to 11 pixels, with one launch each way. ssim.cuh
+// lists the files of the other cases.
 //
-// A block walks down its columns, four rows at a time. Along y each thread has a column, and running sums in registers:
-// a new row adds to all the rows that it belongs to, of which it completes the first. Those go to shared memory, and
-// along x each thread has four columns of one of the four rows, so that it reads vectors there and shares them between
-// its windows; what windows read beyond the image is filled in where the rows are written. The gradient does both
-// twice, with the means and with the derivatives by them. Nothing depends on how pixels are stored but reading and
-// writing them, so that is found out when it runs.
+// A block traverses its columns downwards, four rows at a time. Along y each thread has one column, with running sums
+// in registers: a new row adds to the sums of all rows whose windows contain it, and completes the first of them.
+// Completed rows go to shared memory. Along x each thread has four columns of one of the four rows, so that it loads
+// vectors and shares them between its windows. Pixels that windows read out of bounds are filled in when the rows are
+// written. The gradient does both steps twice: for the means, and for the derivatives by them. Only loads and stores
+// depend on the dtype and the layout of the pixels, which are therefore run-time arguments.
 #include "ssim.cuh"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 256;         // of a block, at most
-constexpr int kRows = 4;              // taken together, and as many columns of a thread along x
-constexpr int kLine = kThreads + 16;  // numbers of a row in shared memory
+constexpr int kThreads = 256;         // per block, at most
+constexpr int kRows = 4;              // processed together; also the columns of a thread along x
+constexpr int kLine = kThreads + 16;  // elements of a row in shared memory
 
-// Rows and columns are those of the images throughout: of a 'valid' similarity the first is at `offset`.
+// Row and column indices are those of the images; a 'valid' similarity starts at `offset`.
 template <int K>
 struct Work {
   StoredPlanes x, y, result,
-      other_result;   // the similarity; or the gradients to x and to y, the latter without data if unwanted
+      other_result;   // the similarity; or the gradients of x and y, the latter without data if not needed
   StoredPlanes grad;  // of the similarity
   Border border;
   int offset;
   DType stored;
-  bool vectors;  // results, and gradients of the similarity, can be written and read as vectors of kRows
+  bool vectors;  // results and gradients of the similarity are accessed in vectors of kRows
   SsimConstants<float> constants;
   SsimLoss<float> loss;
   float* partial;
   float const* of_loss;
-  unsigned across, down;  // blocks of a plane
-  int rows;               // of a block
-  float weights[K];       // as arguments of a kernel they are constants, which cost no registers
+  unsigned across, down;  // blocks per plane
+  int rows;               // per block
+  float weights[K];       // kernel arguments are constants, which cost no registers
 };
 
-// Where a block stands, and its threads: along y each has the column `column`, along x those from `x` on of row `r` of
-// the rows that are taken together. Blocks overlap by what their windows reach beyond them.
+// The position of a block and its threads. Along y each thread has the column `column`; along x it has the columns from
+// `x` on of row `r` of the rows that are processed together. Adjacent blocks overlap by the reach of their windows.
 template <int K>
 struct Place {
   int64_t plane;
-  int left, column, r, x, y0, y1, width, height, first, last;  // the block's own columns: from `first` to before `last`
+  int left, column, r, x, y0, y1, width, height, first, last;  // the block writes columns from `first` to before `last`
 
-  // `reach`: columns on either side of the block whose results are not right; a multiple of kRows.
+  // `reach`: columns on either side of the block whose results are incomplete; a multiple of kRows.
   __device__ __forceinline__ Place(Work<K> const& work, int reach)
       : width(int(work.x.width)), height(int(work.x.height)) {
     unsigned const line = blockIdx.x / work.across, block = blockIdx.x - line * work.across;
@@ -60,8 +60,7 @@ struct Place {
   __device__ __forceinline__ bool owns(int c, int offset = 0) const {
     return c >= max(first, offset) && c < min(last, width - offset);
   }
-  // Calls f(where else in its line the number of column `c` stands, from the block's left on) for a pixel's mirror
-  // images at both ends of a row.
+  // Calls f(index in the block's row) for every reflection of column `c` at the two ends of an image row.
   template <class F>
   __device__ __forceinline__ void for_each_mirror(int c, F f) const {
     constexpr int R = K / 2;
@@ -74,7 +73,7 @@ struct Place {
   }
 };
 
-// The sums along y of a column: of the K - 1 rows that a row still belongs to, of which it completes the first.
+// The running sums along y of a column, for the K - 1 rows that are incomplete; a new row completes the first.
 template <int M, int K>
 struct RunningSums {
   float sums[M][K - 1] = {};
@@ -87,11 +86,12 @@ struct RunningSums {
   }
 };
 
-// Double4 rows of M numbers a column.
+// Four rows of M values per column.
 template <int M>
 using Rows = float[kRows][M][kLine];
 
-// The sums over the windows around kRows columns; the first is at line[m][at + Beside], `at` a multiple of kRows.
+// The sums over the windows around kRows columns; the first one is at line[m][at + Beside], and `at` is a multiple of
+// kRows.
 template <int K, int Beside, int M>
 __device__ __forceinline__ void sum_across(float const (&line)[M][kLine], int at, float const (&weights)[K],
                                            float (&sums)[M][kRows]) {
@@ -112,7 +112,7 @@ __device__ __forceinline__ void sum_across(float const (&line)[M][kLine], int at
     }
 }
 
-// A column of both images, from one row to the next; beyond them it is the last one, of which nothing is kept.
+// A column of both images, read row by row; out of bounds columns read the last one, and their results are dropped.
 struct Pixels {
   uint8_t const *x, *y;  // in row `next`
   int64_t const x_stride, y_stride;
@@ -121,7 +121,7 @@ struct Pixels {
   DType const stored;
   int next;
 
-  // From row `first` on; those behind `last` are not needed.
+  // Starts at row `first`; rows after `last` are not needed.
   template <int K>
   __device__ __forceinline__ Pixels(Work<K> const& work, Place<K> const& place, int first, int last)
       : x_stride(work.x.row_stride),
@@ -169,7 +169,7 @@ struct Pixels {
   }
 };
 
-// Writes what a thread has of a row along x, of the columns that the block owns and that are in the result.
+// Writes a thread's columns of a row along x, of which only those that the block owns and that are in the result.
 template <int K>
 __device__ __forceinline__ void write_row(Work<K> const& work, Place<K> const& place, uint8_t* row,
                                           float const (&values)[kRows]) {
@@ -186,7 +186,7 @@ __device__ __forceinline__ void write_row(Work<K> const& work, Place<K> const& p
   });
 }
 
-// As much of a row of gradients, of which there are `offset` columns less on either side; the others stay as they are.
+// Reads the same part of a row of gradients, which has `offset` columns less on either side; other elements stay.
 template <int K>
 __device__ __forceinline__ void read_row(Work<K> const& work, Place<K> const& place, uint8_t const* row,
                                          float (&values)[kRows]) {
@@ -229,7 +229,7 @@ __device__ __forceinline__ void take_rows(float const (&xs)[kRows], float const 
     });
 }
 
-// Columns that are not right beside a block whose windows go along x once.
+// Incomplete columns on either side of a block whose windows are applied along x once.
 template <int K>
 constexpr int kReach = (K / 2 + kRows - 1) / kRows * kRows;
 template <int K>
@@ -251,7 +251,7 @@ __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Wo
   float apart = 0, unlike = 0, a[kRows], b[kRows];
   pixels.fetch(a, b);
 #pragma unroll 1
-  for (int y = place.y0 - 2 * R, next = 0; y < place.y1; y += kRows, next ^= 1) {  // the rows that are completed
+  for (int y = place.y0 - 2 * R, next = 0; y < place.y1; y += kRows, next ^= 1) {  // y: the rows that are completed
     Rows<4>& rows = memory[next];
     if (work.loss.absolute != 0 && owns_column) {
 #pragma unroll
@@ -289,17 +289,17 @@ __global__ void __launch_bounds__(kThreads, 3) ssim_forward(__grid_constant__ Wo
   }
 }
 
-// Shared memory of the gradient, twice, so that everything between two barriers reads what was written before the
-// first.
+// Shared memory of the gradient, double-buffered: everything between two barriers reads what was written before the
+// first one.
 template <int M>
 struct GradientRows {
-  Rows<4> summed[2];       // along y: towards the means
+  Rows<4> summed[2];       // sums along y for the means
   Rows<M> derivatives[2];  // by the means
-  Rows<M> across[2];       // their sums along x
+  Rows<M> across[2];       // sums of derivatives along x
 };
 
-// M: 3 for the gradient to x, 4 for both. Double4 rows go through the stages one after the other: while they are at the
-// first one, the rows before are at the next one.
+// M: 3 for the gradient of x, 4 for both. Groups of four rows are pipelined through the stages: while one group is in
+// the first stage, the previous group is in the second one.
 template <int K, int M>
 __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ Work<K> const work) {
   constexpr int R = K / 2, kBeside = kReach<K>;
@@ -315,7 +315,8 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   bool const mirrored = work.border == Border::reflect;
   bool const near_end = mirrored && place.is_near_end(place.column, 1);
   bool const group_near_end = mirrored && place.is_near_end(place.x, kRows);
-  bool const special = place.x <= work.offset || place.x + kRows >= width - work.offset;  // columns that are
+  bool const special = place.x <= work.offset ||
+                       place.x + kRows >= width - work.offset;  // some columns are first or last ones of the result
   bool const owns_column = place.owns(place.column);
   auto const at_end = [](int i, int n) { return i == 0 || i == n - 1; };
   float const column_scale = mirrored && at_end(place.column, width) ? 0.5f : 1.f;
@@ -324,7 +325,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   uint8_t *const to_x = work.result.plane(place.plane), *const to_y =
                                                             M == 4 ? work.other_result.plane(place.plane) : nullptr;
 
-  // The derivatives by the means of row q, from sums along y.
+  // The derivatives by the means in row q, from the sums along y.
   auto const differentiate = [&](int q, float const(&summed)[4][kLine], float(&derivatives)[M][kLine]) {
     int const from = border_index(work.border, q, height), at = place.x - place.left;
     float result[M][kRows] = {};
@@ -373,7 +374,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
           });
   };
 
-  // Rows of the gradients from y on, from their pixels and the sums along x of the derivatives in the rows that
+  // Rows of the gradients from y on, from the pixels and from the sums along x of the derivatives in the rows that
   // complete them.
   auto const finish = [&](int y, float(&a)[kRows], float(&b)[kRows], Rows<M> const& across) {
     float signs[kRows] = {};
@@ -422,8 +423,8 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_gradients(__grid_constant__ 
   int const steps = (y1 - y0 + 4 * R + kRows - 1) / kRows;
 #pragma unroll 1
   for (int i = 0; i < steps + 3; ++i) {
-    // The first row of means at the first stage. Rows before y0 - R are not needed, and nobody reads what becomes of
-    // them.
+    // The first row of means enters the first stage. Rows before y0 - R are not needed, and their results are never
+    // read.
     int const q = y0 - 3 * R + kRows * i, now = i % 2, before = 1 - now;
     int const complete = q - 3 * kRows - R;
     float own_a[kRows], own_b[kRows];
@@ -450,8 +451,8 @@ struct Grid {
   unsigned across, down, blocks;
   int rows, threads;
 
-  // Of planes, by blocks of which `resident` fit a multiprocessor, and that many keep it busy. A block takes `more`
-  // rows than it completes: as many rows as leave the least work to each multiprocessor.
+  // Splits planes into blocks, of which `resident` fit a multiprocessor and keep it busy. A block reads `more` rows
+  // than it completes. The number of rows per block minimizes the work of each multiprocessor.
   Grid(int64_t planes, int64_t height, int64_t width, int reach, int more, int resident) {
     threads = int(min(ceil_div(width, 32) * 32, int64_t(kThreads)));
     int64_t const rest = max(width - threads, int64_t(0));
@@ -469,7 +470,7 @@ struct Grid {
   }
 };
 
-// Whether the rows of images are multiples of a vector apart, the first one included.
+// Whether all rows of images are aligned to vectors.
 template <class T>
 bool has_vectors(Planes<T> const& p) {
   constexpr int64_t size = sizeof(T), bytes = kRows * size;
@@ -522,7 +523,7 @@ int launch(SsimBackward<T> const& p, CUstream_st* stream) {
   return p.grad_y.data ? launch_gradients<K, 4>(work, grid, stream) : launch_gradients<K, 3>(work, grid, stream);
 }
 
-// Kernels of the size of the window; not for double.
+// One kernel per window size; float64 takes other kernels.
 template <class T, class Params>
 int launch_size(Params const& p, CUstream_st* stream) {
   if constexpr (sizeof(T) < 8) {

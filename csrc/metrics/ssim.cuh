@@ -1,5 +1,6 @@
-// What the files of structural similarity on CUDA share: ssim.cu has small windows over planar images, ssim_tiles.cu
-// images in windows of other sizes and at several scales, ssim_volumes.cu volumes, ssim_any.cu whatever else there is.
+// Strided planes for the files of structural similarity on CUDA: ssim.cu has small windows over planar images,
+// ssim_tiles.cu images with other windows and several scales, ssim_volumes.cu volumes, and ssim_any.cu the remaining
+// cases. Included by these *.cu files.
 #pragma once
 
 #include "core/dtype.cuh"

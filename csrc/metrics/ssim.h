@@ -4,20 +4,20 @@
 //   B = var x + var y + c2    b = var (x - y)                 structure 1 - b / B
 //   similarity = ((A - a) (B - b) + eps) / (A B + eps) = 1 - (A b + a (B - b)) / (A B + eps)
 //
-// Without luminance A is 1 and a is 0. What is computed is how unlike they are, the last fraction: it keeps its digits
-// where images are nearly equal, has exactly 0 where they are, and below that it is cut off, so that no similarity
-// exceeds 1, whatever is rounded. Included by ssim_cpu.cpp, ssim.cu and ssim_op.cpp.
+// Without luminance A is 1 and a is 0. The kernels compute the dissimilarity, which is the last fraction. It stays
+// accurate where images are nearly equal and is exactly 0 where they are equal. Negative values are clamped to 0, so
+// that no similarity exceeds 1 despite rounding. Included by ssim_cpu.cpp, ssim_op.cpp and the CUDA files.
 //
-// The gradient takes the derivatives of the similarity by the means, times the gradient g of the result, through the
-// transpose of the means:
+// The gradient applies the transpose of the means to the derivatives of the similarity by the means, times the gradient
+// g of the result:
 //
 //   dx = M(dmx) + x M(dsquares) + (x - y) M(dapart)
 //   dy = M(dmy) + y M(dsquares) - (x - y) M(dapart)
 //
-// dsquares and dapart being twice the derivatives by these means. The means are symmetric but for the border. With
-// zeros around the image the transpose is the same, of a 'valid' window it has zeros around the result, and of a
+// dsquares and dapart are twice the derivatives by these means. The transpose differs from the means M only at the
+// border. With zeros around the image it is the same operator. For 'valid' windows it pads the result with zeros. For a
 // reflected border it is D^-1 A D, where A are the means and D doubles the first and the last pixel of an axis;
-// filters/box.h has the reason.
+// filters/box.h has the proof.
 #pragma once
 
 #include "core/border.h"
@@ -26,17 +26,17 @@
 
 namespace kv {
 
-// Windows that pass the border read reflected pixels or zeros; or there are none. Graphs contain the numbers;
-// python/kvision/metrics/ssim.py has the same ones.
+// Windows that cross the border read reflected pixels or zeros; or no window crosses it. Exported graphs contain these
+// numbers; python/kvision/metrics/ssim.py repeats them.
 enum class SsimPadding : int { reflect, constant, valid };
 
 template <class F>
 struct SsimConstants {
   F c1, c2, eps;
-  F luminance;  // 1; or 0 without it, and c1 is 1 then
+  F luminance;  // 1; or 0 for similarity without luminance, where c1 is 1
 };
 
-// The means, or the derivatives by them.
+// The means, or the derivatives by the means.
 template <class V>
 struct Means {
   V x, y, squares, apart;
@@ -47,11 +47,11 @@ KV_HD V at_least_0(V x) {
   return max(x, V{});
 }
 #if defined(__CUDA_ARCH__)
-// One instruction, which makes a NaN 0; but then there is one in a mean, too, and from there in A.
+// One instruction, which replaces NaN by 0; a mean is NaN as well then, and with it A.
 __device__ __forceinline__ float at_least_0(float x) { return fmaxf(x, 0); }
 #endif
 
-// What the formulas above name; 1 - similarity = numerator / denominator.
+// The terms of the formulas above; 1 - similarity = numerator / denominator.
 template <class V>
 struct SsimTerms {
   V A, a, B, b, difference, variance_of_both, variance_of_difference, numerator, denominator;
@@ -68,7 +68,7 @@ struct SsimTerms {
   }
 };
 
-// `inverse` is that of the denominator, g the gradient of the similarity.
+// `inverse` is 1 / denominator, g the gradient of the similarity.
 template <class V, class F>
 KV_HD Means<V> ssim_of_means_vjp(Means<V> const& m, SsimTerms<V> const& t, V inverse, V g, F luminance) {
   V const zero = V{}, unlike = t.numerator * inverse, scale = -2 * g * inverse, of_luminance = luminance * scale;
@@ -80,15 +80,15 @@ KV_HD Means<V> ssim_of_means_vjp(Means<V> const& m, SsimTerms<V> const& t, V inv
   return {m.x * of_both + of_difference, m.y * of_both - of_difference, d_B, d_b};
 }
 
-// Two images of one layout and their window. `border` is reflect, or constant for zeros; with `valid`, where it is
-// constant, no window passes the images, and the similarity is smaller by size - 1 pixels.
+// Two images of one layout and their window. `border` is reflect, or constant for zeros. With `valid`, where `border`
+// is constant, windows stay inside the images and the similarity is smaller by size - 1 pixels.
 template <class T>
 struct SsimImages {
   Planes<T const> x, y;
   Compute<T> const* weights;  // `size` of them, in host memory
-  double sigma;               // that they are made of
+  double sigma;               // of the window
   int size;
-  bool volumes;   // windows go across the planes, too, of which `depth` follow one another
+  bool volumes;   // windows extend across planes as well, in groups of `depth`
   int64_t depth;  // 1 for images
   Border border;
   bool valid;
@@ -98,46 +98,46 @@ struct SsimImages {
   KV_HD int64_t slices() const { return volumes && valid ? depth - size + 1 : depth; }  // of the similarity
 };
 
-// A loss for each row of planes, one row behind the other: the sum of 1 - similarity times `structure`, and that of
-// abs(x - y) times `absolute`.
+// A loss for each row of planes, rows being consecutive: `structure` times the sum of 1 - similarity, plus `absolute`
+// times the sum of abs(x - y).
 template <class F>
 struct SsimLoss {
   F structure, absolute;
   int64_t planes;  // of a row
 };
 
-// Either the similarity, or where that has no data the loss.
+// Computes the similarity, or the loss if the similarity has no data.
 template <class T>
 struct Ssim {
   SsimImages<T> images;
   Planes<T> similarity;
   SsimLoss<Compute<T>> loss;
-  Compute<T>* partial;  // what is summed: on the CPU a number for each row of the similarity, on CUDA for each warp
+  Compute<T>* partial;  // partial sums: on the CPU per row of the similarity, on CUDA per warp
   Compute<T>* sums;     // CUDA: of the rows
 };
 
 template <class T>
 struct SsimBackward {
   SsimImages<T> images;
-  Planes<T const> grad;      // of the similarity; without data it is that of the loss
+  Planes<T const> grad;      // of the similarity; without data, the gradient of the loss is used
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
   SsimLoss<Compute<T>> loss;
-  Compute<T> const* of_loss;  // the gradient of each row's
-  Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: memory for those by the means
-  int64_t room;               // numbers of it
+  Compute<T> const* of_loss;  // the gradient of each row's loss
+  Compute<T>* derivatives;    // CUDA, unless has_ssim_strips: working memory for the derivatives by the means
+  int64_t room;               // its number of elements
 };
 
-// Windows of several sizes around the pixels of the same images.
-constexpr int kMaxSsimScales = 16, kMaxSsimWeights = 400;  // of all of them
+// Windows of several scales around the pixels of the same images.
+constexpr int kMaxSsimScales = 16, kMaxSsimWeights = 400;  // over all scales
 template <class F>
 struct SsimScales {
   int count, sizes[kMaxSsimScales];
   F const* weights[kMaxSsimScales];  // in host memory
 };
 
-// The loss of a sample's pixels: `structure` times the sum over its planes of 1 - the product of the scales'
-// similarities, of which only the last one has luminance, and `absolute` times that of abs(x - y) in its window. The
-// window of `images` is that of the last scale, borders are zeros.
+// The loss of a sample's pixels: `structure` times the sum over its planes of 1 - the product of the similarities of
+// all scales, plus `absolute` times the mean of abs(x - y) in the last window, summed over planes. Only the last scale
+// has luminance. The window of `images` is that of the last scale, and borders are zeros.
 template <class T>
 struct MsSsim {
   SsimImages<T> images;
@@ -153,12 +153,12 @@ struct MsSsimBackward {
   SsimLoss<Compute<T>> loss;
   Compute<T> const* of_map;  // the gradient of the map
   Planes<T> grad_x, grad_y;  // grad_y.data is null where it is not needed
-  Compute<T>* derivatives;   // CUDA: memory for those by the means
-  int64_t room;              // numbers of it
+  Compute<T>* derivatives;   // CUDA: working memory for the derivatives by the means
+  int64_t room;              // its number of elements
 };
 
-// CUDA has kernels of four kinds: by strips for small windows over planar images (ssim.cu), by tiles for images and for
-// volumes in windows of any usual size (ssim_tiles.cu, ssim_volumes.cu), and for all the others (ssim_any.cu).
+// CUDA has four kinds of kernels: strips for small windows over planar images (ssim.cu), tiles for images and for
+// volumes with windows of usual sizes (ssim_tiles.cu, ssim_volumes.cu), and one for all remaining cases (ssim_any.cu).
 template <class T>
 bool has_ssim_strips(SsimImages<T> const& p) {
   bool const usual = p.size >= 3 && p.size <= 11;
@@ -171,10 +171,10 @@ bool has_ssim_tiles(SsimImages<T> const& p) {
   return !p.volumes && p.size <= kMaxSsimWeights && p.x.height < INT32_MAX / int64_t(sizeof(T)) / longest;
 }
 
-// The tiles of a plane: so wide that its columns and those beside them that its windows have keep all threads busy.
+// The tiles of a plane, wide enough that the columns of a tile and of its halo occupy all threads.
 struct SsimTiles {
   static constexpr int kRows = 8, kMaxThreads = 320;
-  int columns, threads, stride;  // stride: from row to row in shared memory, so that a thread of each reads at once
+  int columns, threads, stride;  // stride of rows in shared memory, chosen so that a thread of each row reads at once
   int64_t across, down;
 
   SsimTiles(int64_t height, int64_t width, int size) {
@@ -214,7 +214,7 @@ bool has_ssim_volume_tiles(SsimImages<T> const& p) {
          p.depth < INT32_MAX / int64_t(sizeof(T)) / (p.x.height * p.x.width);
 }
 
-// The parts of a volume, or of an image, of `slices` slices and `rows` rows by 32 columns.
+// Splits a volume, or an image, into parts of `slices` slices and `rows` rows by 32 columns.
 struct SsimBlocks {
   int rows, slices;
   int64_t across, down, parts, bytes;  // bytes: of shared memory
@@ -223,7 +223,7 @@ struct SsimBlocks {
     auto const memory = [&] {
       int64_t const threads = 32 * rows, ring = deep > 0 ? (2 * deep + 1) * threads : 0;
       return number *
-             (4 * (rows * (32 + size - 1) + threads + ring) + (size + 3) / 4 * 4);  // weights are read by fours
+             (4 * (rows * (32 + size - 1) + threads + ring) + (size + 3) / 4 * 4);  // weights are read in fours
     };
     while (rows > 1 && memory() > (100 << 10)) rows /= 2;
     bytes = memory();
@@ -234,7 +234,7 @@ struct SsimBlocks {
   int64_t chunks() const { return count() * rows; }
 };
 
-// CUDA: the most that `partial` has for a plane of an image, or for a volume.
+// CUDA: the maximum size of `partial` per plane of an image, or per volume.
 template <class T>
 int64_t most_ssim_pieces(SsimImages<T> const& p) {
   if (has_ssim_strips(p)) return (p.x.width / 240 + 1) * 8 * (p.x.height / 8 + 1);

@@ -1,14 +1,13 @@
-// Structural similarity on CUDA for everything that the other files do not take: windows of more pixels than these have
-// memory for.
+// Structural similarity on CUDA for the cases that the other files do not support: windows too large for their memory.
 //
-// A block has 32 columns and up to eight rows, a thread for each pixel, and four numbers a pixel that are summed in the
-// windows: those of the means, or for the gradient the derivatives by them. It takes as many rows at a time: their
-// numbers go to shared memory, are summed along x from there, and each thread adds those of its column that the window
-// of its pixel has. Slice by slice of a volume the sums go to a ring, of which each thread has a part, and are
-// summed across the slices.
+// A block has 32 columns and up to eight rows, with one thread per pixel. Four values per pixel are summed in the
+// windows: those of the means, or for the gradient the derivatives by the means. A block processes as many rows at a
+// time as it has: their values go to shared memory and are summed along x from there, and each thread adds the sums of
+// its column that are in the window of its pixel. For volumes the sums of each slice go to a ring buffer, split between
+// the threads, and are summed across the slices.
 //
-// The derivatives are written by one launch and summed by another, so that no pixel's mean is computed twice; of so
-// many volumes at a time as there is memory for.
+// One launch writes the derivatives and another one sums them, so that no mean is computed twice. Volumes are processed
+// in groups that fit the working memory.
 #include "ssim.cuh"
 
 namespace kv::cuda {
@@ -19,25 +18,24 @@ constexpr int kColumns = 32;
 template <class F>
 using Double4 = Vector<F, 4>;
 
-// Places are those of the image or volume throughout: of a 'valid' similarity the first is at `offset`, along the axes
-// that the window has.
+// Indices are those of the image or volume; a 'valid' similarity starts at `offset` along the axes of the window.
 template <class F>
 struct Work {
   StoredPlanes x, y;
-  StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if unwanted
+  StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if not needed
   StoredPlanes grad;                  // of the similarity
-  Double4<F>* derivatives;            // by the means, one behind the other: written, or summed
+  Double4<F>* derivatives;            // by the means, contiguous: output of one launch, input of the other
   DType stored;
   Border border;
-  int size, offset, offset_z, depth, height, width, deep;  // deep: what the window has on either side across planes
+  int size, offset, offset_z, depth, height, width, deep;  // deep: the window's radius across planes
   double sigma;
   SsimConstants<F> constants;
   SsimLoss<F> loss;
   F* partial;
   F const* of_loss;
-  unsigned across, down, parts;  // blocks of a volume
-  int64_t first;                 // volume of a launch
-  int slices;                    // of a part
+  unsigned across, down, parts;  // blocks per volume
+  int64_t first;                 // volume of the launch
+  int slices;                    // per part
 
   __device__ __forceinline__ bool has_result(int z, int y, int x) const {
     return y >= offset && y < height - offset && x >= offset && x < width - offset && z >= offset_z &&
@@ -51,7 +49,7 @@ struct Work {
     int64_t const row = slice * (height - 2 * offset) + y - offset;
     return derivatives[row * (width - 2 * offset) + column - offset];
   }
-  // What D of ssim.h multiplies a pixel with.
+  // The factor of a pixel in D of ssim.h.
   __device__ __forceinline__ F ends(int z, int y, int x, F factor) const {
     F result = 1;
     if (border != Border::reflect) return result;
@@ -62,7 +60,7 @@ struct Work {
   }
 };
 
-// Pixel x of a volume, in row y of a plane of it.
+// The element for pixel x in row y of a plane of a volume.
 template <class F>
 __device__ __forceinline__ F load(StoredPlanes const& p, DType stored, int64_t plane, int64_t channel, int y, int x) {
   uint8_t const* const row = p.plane(plane) + y * p.row_stride;
@@ -81,7 +79,7 @@ __device__ __forceinline__ void save(StoredPlanes const& p, DType stored, int64_
   });
 }
 
-// Back: the gradients, from the derivatives; otherwise these, or the similarity or its loss.
+// Back: computes the gradients from the derivatives; otherwise the derivatives, the similarity or its loss.
 template <class F, bool Back>
 __global__ void __launch_bounds__(kColumns * 8) sum_windows(__grid_constant__ Work<F> const p) {
   extern __shared__ __align__(16) uint8_t shared[];

@@ -1,7 +1,7 @@
-// Structural similarity on the CPU. Rows of the two images become rows of the four means, along y straight from the
-// images and along x from there. The backward pass keeps the derivatives of as many rows as the window has, filtered
-// along x. Volumes go along z first, and at last in the backward pass, which keeps as many slices of them. Compiled
-// once per instruction set.
+// Structural similarity on the CPU. The means of a row are computed along y directly from the two images, then along x.
+// The backward pass keeps the derivatives of as many rows as the window has, filtered along x. Volumes are filtered
+// along z first; their backward pass filters along z last, and keeps as many slices as the window has. Compiled once
+// per instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
 #include "ssim.h"
@@ -9,8 +9,8 @@
 namespace kv::KV_ISA {
 namespace {
 
-// out[e] = sum over t of weights[t] * rows[t][e] for e < count. Along y the rows are those of an image, along x they
-// are one row, shifted. Not inline: it is most of the work, and used by both passes along both axes.
+// out[e] = sum over t of weights[t] * rows[t][e] for e < count. Along y the rows are rows of an image; along x they are
+// shifted copies of one row. Not inline: it is most of the work, and both passes call it along both axes.
 template <class F>
 __attribute__((noinline)) void sum_rows(F const* const* rows, F const* weights, int size, int64_t count, F* out) {
   constexpr int N = kLanes<F>, U = 6;
@@ -30,10 +30,10 @@ __attribute__((noinline)) void sum_rows(F const* const* rows, F const* weights, 
     });
 }
 
-// Rows of numbers with room beside them, all of one size.
+// Rows of one size with a margin on either side.
 template <class F>
 struct Rows {
-  int64_t const size, step, margin, stride;  // in numbers; step: from a pixel to the next one
+  int64_t const size, step, margin, stride;  // in elements; step: from one pixel to the next
   Scratch<F> memory;
 
   KV_HD Rows(int count, int64_t size, int64_t step, int64_t beside)
@@ -45,7 +45,7 @@ struct Rows {
 
   KV_HD F* operator[](int64_t i) const { return memory.data + i * stride + margin; }
 
-  // Fills in what lies beside row i of `width` pixels, `left` and `right` of them.
+  // Fills the margins of row i, which has `width` pixels: `left` and `right` pixels of them.
   KV_HD void extend(int64_t i, Border border, int64_t width, int64_t left, int64_t right) const {
     F* const row = (*this)[i];
     for (int64_t at = -left; at < width + right; at = at == -1 ? width : at + 1) {
@@ -54,7 +54,7 @@ struct Rows {
     }
   }
 
-  // Filters row i along x, with `before` pixels in front of each, to `count` numbers.
+  // Filters row i along x to `count` elements; each window starts `before` pixels earlier.
   KV_HD void filter(int64_t i, F const* weights, int taps, int64_t before, F const** shifted, int64_t count,
                     F* out) const {
     for (int t = 0; t < taps; ++t) shifted[t] = (*this)[i] + (t - before) * step;
@@ -62,9 +62,9 @@ struct Rows {
   }
 };
 
-enum { kX, kSquares, kApart, kY, kMeans };  // rows of means and of derivatives, in this order
+enum { kX, kSquares, kApart, kY, kMeans };  // order of the rows of means and of derivatives
 
-// The means of one row after the other.
+// Computes the means, one row after the other.
 template <class T>
 struct MeansOfRows {
   using F = Compute<T>;
@@ -75,7 +75,7 @@ struct MeansOfRows {
   Scratch<F> weights;
   Scratch<T const*> pointers;
   Scratch<T> zeros;
-  int64_t of_plane = -1, last = -1;  // along z there are the rows up to the last one of this plane
+  int64_t of_plane = -1, last = -1;  // along z, rows are filled up to `last` of plane `of_plane`
 
   MeansOfRows(SsimImages<T> const& p, int64_t width)
       : p(p),
@@ -90,7 +90,7 @@ struct MeansOfRows {
     for (int64_t e = 0; e < p.x.row_size(); ++e) zeros.data[e] = T{};
   }
 
-  // The sums of as many rows of both images, given in `pointers`, to rows from `first` on.
+  // Sums the terms of the rows of both images in `pointers` into rows from `first` on.
   void sum_images(Rows<F> const& to, int64_t first) const {
     T const *const *const xs = pointers.data, *const *const ys = xs + p.size;
     for_each_vector<T>(0, p.x.row_size(), [&](auto width, int64_t e) {
@@ -116,7 +116,7 @@ struct MeansOfRows {
     for (int t = 0; t < p.size; ++t) point(t, plane, border_index(p.border, y - p.before() + t, p.x.height));
     sum_images(along_y, 0);
   }
-  // The same of slice z of a volume, from rows along z.
+  // The same for slice z of a volume, from rows along z.
   void sum_along_z_and_y(int64_t plane, int64_t y) {
     int64_t const volume = plane / p.slices(), z = plane % p.slices(), first = y - p.before();
     if (plane != of_plane || last < first - 1) of_plane = plane, last = max(first, int64_t(0)) - 1;
@@ -140,7 +140,7 @@ struct MeansOfRows {
     }
   }
 
-  // Row y of a plane of the similarity.
+  // Writes row y of a plane of the similarity.
   void row(int64_t plane, int64_t y) {
     p.volumes ? sum_along_z_and_y(plane, y) : sum_along_y(plane, y);
     for (int m = 0; m < kMeans; ++m) {
@@ -149,7 +149,7 @@ struct MeansOfRows {
     }
   }
 
-  // The means of abs(x - y) in row y of a plane, to row 0.
+  // Stores the means of abs(x - y) in row y of a plane in row 0.
   void difference(int64_t plane, int64_t y) {
     T const *const *const xs = pointers.data, *const *const ys = xs + p.size;
     for (int t = 0; t < p.size; ++t) point(t, plane, border_index(p.border, y - p.before() + t, p.x.height));
@@ -169,7 +169,7 @@ struct MeansOfRows {
   }
 };
 
-// Writes row y of a plane of the gradients, from the sums of the derivatives. absolute(n, e) is the derivative by
+// Writes row y of a plane of the gradients, from the sums of the derivatives. absolute(n, e) returns the derivative by
 // abs(x - y).
 template <class T, class Absolute>
 KV_HD void write_gradients(SsimImages<T> const& images, Planes<T> const& grad_x, Planes<T> const& grad_y, int64_t plane,
@@ -190,13 +190,13 @@ KV_HD void write_gradients(SsimImages<T> const& images, Planes<T> const& grad_x,
   });
 }
 
-// What comes back to rows from the derivatives by their means.
+// The transpose of the means: sums the derivatives of all windows that contain a row.
 template <class T>
 struct GradientRows {
   using F = Compute<T>;
   SsimBackward<T> const& p;
   SsimImages<T> const& images;
-  int const size, lead, used;  // rows y - lead ... y - lead + size - 1 come back to row y
+  int const size, lead, used;  // rows y - lead ... y - lead + size - 1 contribute to row y
   bool const mirrored;
   int64_t const step, width, height;
   MeansOfRows<T> means;
@@ -222,7 +222,7 @@ struct GradientRows {
         pointers(size),
         weights(size) {}
 
-  // D of the transpose; see ssim.h.
+  // D of the transpose in ssim.h.
   KV_HD bool at_rim(int64_t i, int64_t n) const { return mirrored && (i == 0 || i == n - 1); }
   KV_HD void scale_ends(F* row, int64_t n, F factor) const {
     for (int64_t c = 0; mirrored && c < step; ++c) {
@@ -234,7 +234,7 @@ struct GradientRows {
     return p.grad.data ? F(0) : p.of_loss[plane / images.slices() / p.loss.planes];
   }
 
-  // The derivatives in row q of a plane, along x.
+  // The derivatives in row q of a plane, filtered along x.
   void fill(int64_t plane, int64_t q) {
     int64_t const columns = p.grad.width;
     T const* const g = p.grad.data ? p.grad.row(plane, q) : nullptr;
@@ -261,8 +261,8 @@ struct GradientRows {
     }
   }
 
-  // `count` numbers of the sums along an axis at i of n, of which `rows` have derivatives; `row(j)` is where those of j
-  // are.
+  // Sums along an axis at index i of n, `count` elements wide. Derivatives exist for `rows` indices; `row(j)` points to
+  // those of j.
   template <class Row>
   KV_HD void sum_along(int64_t i, int64_t n, int64_t rows, Row row, int64_t count, F* out) {
     int taps = 0;
@@ -275,11 +275,11 @@ struct GradientRows {
     sum_rows(pointers.data, weights.data, taps, count, out);
   }
 
-  // Calls f(plane, y) for rows [begin, end), counted through all planes of the similarity, with their sums.
+  // Calls f(plane, y) with the sums of rows [begin, end), counted through all planes of the similarity.
   template <class Call>
   KV_HD void for_each(int64_t begin, int64_t end, Call f) {
     int64_t const rows = p.grad.height;
-    int64_t filled = -1;  // the last row of the plane whose derivatives are kept
+    int64_t filled = -1;  // the last row of the plane whose derivatives are stored
     for (int64_t r = begin; r < end; ++r) {
       int64_t const plane = r / height, y = r % height;
       if (r == begin || y == 0) filled = max(y - lead, int64_t(0)) - 1;
@@ -299,14 +299,14 @@ struct GradientRows {
   }
 };
 
-// The images, in the windows of one scale after the other.
+// The means in the windows of one scale after the other.
 template <class T>
 struct ImagesAtScales {
   using F = Compute<T>;
   SsimImages<T> images;
   SsimScales<F> const& scales;
   SsimConstants<F> const constants;
-  MeansOfRows<T> means;  // of `images`; their memory is that of the largest window
+  MeansOfRows<T> means;  // of `images`; their memory fits the largest window
 
   ImagesAtScales(SsimImages<T> const& p, SsimScales<F> const& scales)
       : images(p), scales(scales), constants(p.constants), means(images, p.x.width) {}
@@ -318,14 +318,14 @@ struct ImagesAtScales {
   }
 };
 
-// Calls f(index constant N, element) for whole vectors, of Rows alone: beyond the last number these have room. f may
-// read what it writes.
+// Calls f(index constant N, element) for whole vectors, only over Rows, whose margins make room for the last vector. f
+// may work in place.
 template <class T, class F>
 KV_HD void for_each_padded_vector(int64_t size, F f) {
   for (int64_t e = 0; e < size; e += kLanes<T>) f(Width<kLanes<T>>{}, e);
 }
 
-// What comes back to rows of the images from the derivatives at all scales.
+// The transpose of the means of all scales: sums the derivatives of all windows that contain a row.
 template <class T>
 struct MsGradientRows {
   using F = Compute<T>;
@@ -353,7 +353,7 @@ struct MsGradientRows {
         pointers(count * size),
         weights(count * size) {}
 
-  // The derivatives in row q of a plane, along x.
+  // The derivatives in row q of a plane, filtered along x.
   void fill(int64_t plane, int64_t q) {
     SsimImages<T> const& images = at_scales.images;
     for (int s = 0; s < count; ++s) {
@@ -397,14 +397,14 @@ struct MsGradientRows {
     });
     along_x(0, kept_differences[q % size]);
   }
-  // Filters a row of derivatives in the window of the scale that was taken.
+  // Filters a row of derivatives in the window of the current scale.
   void along_x(int row, F* out) {
     SsimImages<T> const& images = at_scales.images;
     derivatives.extend(row, images.border, width, images.before(), images.before());
     derivatives.filter(row, images.weights, images.size, images.before(), pointers.data, width, out);
   }
 
-  // Sums over rows around y what `row(s, q)` has kept of scales from `first` on.
+  // Sums the rows around y that `row(s, q)` has stored, for scales from `first` on.
   template <class Row>
   void sum_down(int64_t y, int first, Row row, F* out) {
     int taps = 0;
@@ -419,7 +419,7 @@ struct MsGradientRows {
 
   // Rows [begin, end) of all planes.
   void write(int64_t begin, int64_t end) {
-    int64_t filled = -1;  // the last row of the plane whose derivatives are kept
+    int64_t filled = -1;  // the last row of the plane whose derivatives are stored
     int const R = size / 2;
     for (int64_t r = begin; r < end; ++r) {
       int64_t const plane = r / height, y = r % height;
@@ -483,9 +483,10 @@ void ssim_backward(SsimBackward<T> const& p, int64_t begin, int64_t end) {
 
   using F = Compute<T>;
   int64_t const depth = p.images.depth, slices = p.images.slices(), height = rows.height, width = rows.width;
-  Rows<F> const kept(rows.size * rows.used * height, width, 1, 0);  // of as many slices, along x and y
+  Rows<F> const kept(rows.size * rows.used * height, width, 1,
+                     0);  // of as many slices as the window has, filtered along x and y
   auto const row_of = [&](int64_t q, int m, int64_t y) { return kept[(q % rows.size * rows.used + m) * height + y]; };
-  int64_t filled = -1;  // the last slice of the volume that is kept
+  int64_t filled = -1;  // the last slice of the volume that is stored
   for (int64_t plane = begin; plane < end; ++plane) {
     int64_t const volume = plane / depth, z = plane % depth;
     if (plane == begin || z == 0) filled = max(z - rows.lead, int64_t(0)) - 1;

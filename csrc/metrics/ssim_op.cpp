@@ -1,4 +1,4 @@
-// Structural similarity: schemas and entries, for CPU and CUDA alike.
+// Structural similarity: schemas and operators, for CPU and CUDA.
 #include <limits>
 
 #include "core/row_sums.h"
@@ -8,7 +8,7 @@
 namespace kv {
 namespace {
 
-// The window's weights, in the type that is computed in.
+// The weights of the window, in the computing type.
 template <class F>
 std::vector<F> gaussian_window(int64_t size, double sigma) {
   std::vector<double> weights(size);
@@ -44,7 +44,7 @@ struct Window {
     }
   }
   int64_t less() const { return valid ? size - 1 : 0; }
-  // The sizes of the similarity of x.
+  // The shape of the similarity of x.
   std::vector<int64_t> sizes(Tensor const& x) const {
     std::vector<int64_t> result;
     for (int64_t axis = 0; axis < x.dim(); ++axis) result.push_back(x.size(axis) - (axis < 2 ? 0 : less()));
@@ -52,7 +52,7 @@ struct Window {
   }
 };
 
-// One `other` may serve all images.
+// A batch of size 1 in `other` is broadcast.
 void check_pair(char const* op, Tensor const& x, Tensor const& y) {
   if (x.dim() == 5)
     check_volumes(op, "input", x);
@@ -66,7 +66,7 @@ void check_pair(char const* op, Tensor const& x, Tensor const& y) {
 Layout common_layout(Tensor const& x) { return x.dim() == 5 ? Layout::planar : layout_of(x); }
 Tensor conformed(Tensor const& x, Layout layout) { return x.dim() == 5 ? dense(x) : as_layout(x, layout); }
 
-// The planes of images, or of volumes one behind the other; one of either may serve a batch.
+// The planes of images or of stacked volumes. A batch of size 1 is broadcast.
 template <class T>
 Planes<T> planes_for(Tensor const& y, int64_t batch, Layout layout) {
   if (y.dim() == 4 && y.size(0) == batch) return planes<T>(y, layout);
@@ -124,7 +124,7 @@ Tensor ssim(Tensor const& input, Tensor const& other, int64_t size, double sigma
   return similarity;
 }
 
-// A number for each sample of planar images.
+// Checks a tensor with one number per sample of planar images.
 Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double sigma, double c1, double c2, double eps,
                  int64_t padding, double structure, double absolute) {
   constexpr char const* op = "ssim_loss";
@@ -163,8 +163,8 @@ Tensor ssim_loss(Tensor const& input, Tensor const& other, int64_t size, double 
   return sums;
 }
 
-// How many numbers the gradient has memory for, of those that are `each` for a pixel of the similarity of x: no more
-// than x has, unless that is little, or less than it can do with: one volume, or with tiles some rows of an image.
+// The size of the gradient's working memory, of which a pixel of the similarity of x needs `each` elements. It is at
+// most the size of x, unless that is small or below the minimum: one volume, or for tiles some rows of an image.
 template <class T>
 [[maybe_unused]] int64_t room_for(Tensor const& x, Window const& window, SsimImages<T> const& images, int64_t each) {
   constexpr int64_t little = 1 << 25, number = sizeof(Compute<T>);
@@ -176,8 +176,8 @@ template <class T>
   return min(max(max(little, x.numel() * int64_t(sizeof(T))) / number, least), max(all, int64_t(1)));
 }
 
-// The gradient to the first image, and if `grad_other` is given to the second one: with the similarity's, or with those
-// of the losses of the samples.
+// The gradient of the first image, and with `grad_other` also of the second one: from the gradient of the similarity,
+// or from the gradients of the samples' losses.
 Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor const& other, Tensor* grad_other,
                  int64_t size, double sigma, Constants const& c, int64_t padding,
                  std::optional<SsimLoss<double>> const& loss = {}) {
@@ -233,13 +233,13 @@ Tensor gradients(char const* op, Tensor const& grad, Tensor const& input, Tensor
       params.derivatives = data_ptr<F>(*derivatives);
     }
 #endif
-    int64_t const chunks = params.images.volumes ? grad_x.size(3) : 1;  // of work on the CPU, in rows
+    int64_t const chunks = params.images.volumes ? grad_x.size(3) : 1;  // tasks of the CPU, in rows
     KV_RUN(ssim_backward, x, params, params.grad_x.rows() / chunks, 2 * size * params.grad_x.row_size() * chunks);
   });
   return grad_x;
 }
 
-// Windows of several scales: of those that fall off within `size` pixels as much as float numbers can tell.
+// Windows of several scales. All but the last one are trimmed to the weights that matter in type F.
 template <class F>
 struct Scales {
   std::vector<std::vector<F>> weights;
@@ -273,7 +273,7 @@ Window ms_window(char const* op, Tensor const& x, Tensor const& y, int64_t size,
   return Window(op, x, size, sigmas.empty() ? 0 : sigmas.back(), int64_t(SsimPadding::constant));
 }
 
-// (B, H, W): the mean over the channels.
+// The loss (B, H, W), the mean over the channels.
 Tensor ms_ssim(Tensor const& input, Tensor const& other, std::vector<double> const& sigmas, int64_t size, double c1,
                double c2, double structure, double absolute) {
   constexpr char const* op = "ms_ssim";

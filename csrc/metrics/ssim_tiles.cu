@@ -1,55 +1,55 @@
-// Structural similarity on CUDA in windows of any size over images of any layout and type, at one scale or the product
-// of several.
+// Structural similarity on CUDA with windows of any size, for images of any layout and dtype, at one scale or as the
+// product of several.
 //
-// A block has a tile of eight rows. Along y each thread sums for the eight pixels of a column what the windows have of
-// it, from rows that it reads one after the other: each goes to all the pixels that it belongs to. The sums go to
-// shared memory, and along x each thread takes eight pixels of one row in the same way. One scale follows the other;
-// what a pixel has found of them stays in registers.
+// A block has a tile of eight rows. Along y each thread sums the windows of the eight pixels of a column: it reads the
+// rows one after the other and adds each to all windows that contain it. The sums go to shared memory, and along x each
+// thread sums the windows of eight pixels of a row in the same way. Scales are processed one after the other, with the
+// intermediate results of a pixel in registers.
 //
-// The gradient is two launches for as many planes, or rows of a plane, as there is memory for: one writes the
-// derivatives by the means, and where there are several scales what each is multiplied with, the other one sums these.
+// The gradient takes two launches for as many planes, or rows of a plane, as the working memory holds. The first one
+// writes the derivatives by the means, and for several scales the factor of each scale. The second one sums them.
 #include "ssim_window.cuh"
 
 namespace kv::cuda {
 namespace {
 
-// Rows and columns are those of the images throughout: of a 'valid' similarity the first is at `offset`.
+// Row and column indices are those of the images; a 'valid' similarity starts at `offset`.
 template <class F>
 struct Work {
   StoredPlanes x, y;
-  StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if unwanted
+  StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if not needed
   StoredPlanes grad;                  // of the similarity
   DType stored;
   Border border;
   int offset, height, width;
-  SsimConstants<F> constants;  // of the last scale: the others have no luminance
+  SsimConstants<F> constants;  // of the last scale; the others have no luminance
   SsimLoss<F> loss;
   F* partial;
   F const* of_loss;
-  F* map;                   // of several scales: the loss, of which the planes of a sample have the mean
-  F const* of_map;          // its gradient
-  Double4<F>* derivatives;  // by the means: of the scales, one behind the other
-  F* shares;                // of several scales: what the derivatives are multiplied with
-  int64_t first, band;      // planes of a launch
-  int top, bottom;          // its rows
-  int stored_top, stored_bottom, stored_rows;  // those with derivatives, and the most that there can be
-  int together;                                // planes that a block takes one after the other
+  F* map;                                      // several scales: the loss, the mean over the planes of a sample
+  F const* of_map;                             // its gradient
+  Double4<F>* derivatives;                     // by the means, scale after scale
+  F* shares;                                   // several scales: the factors of the derivatives
+  int64_t first, band;                         // first plane and number of planes of a launch
+  int top, bottom;                             // first and last row of the launch
+  int stored_top, stored_bottom, stored_rows;  // rows with derivatives, and their maximum number
+  int together;                                // planes that a block processes one after the other
   unsigned across, down;
-  int columns, stride;  // of a tile: its pixels, and numbers from a row to the next one in shared memory
+  int columns, stride;  // of a tile: its pixels, and the stride of rows in shared memory
   int scales, sizes[kMaxSsimScales];
-  F weights[kMaxSsimWeights + kSide];  // of all scales; as arguments of a kernel they are constants
+  F weights[kMaxSsimWeights + kSide];  // of all scales; kernel arguments are constants
 
   __device__ __forceinline__ bool has_result(int y, int x) const {
     return y >= offset && y < height - offset && x >= offset && x < width - offset;
   }
-  // Where the derivatives of a plane begin, and one of its pixels from there.
+  // The start of a plane's derivatives, and the index of a pixel from there.
   __device__ __forceinline__ int64_t plane_at(int scale, int64_t plane) const {
     return (scale * band + plane - first) * (int64_t(stored_rows) * (width - 2 * offset));
   }
   __device__ __forceinline__ int64_t pixel_at(int row, int column) const {
     return int64_t(row - stored_top) * (width - 2 * offset) + (column - offset);
   }
-  // What D of ssim.h multiplies a pixel with.
+  // The factor of a pixel in D of ssim.h.
   __device__ __forceinline__ F ends(int y, int x, F factor) const {
     F result = 1;
     if (border != Border::reflect) return result;
@@ -59,17 +59,17 @@ struct Work {
   }
 };
 
-// The first pixel of a plane. Planes are counted through all channels, also where these stand side by side.
+// The first pixel of a plane. Planes are counted through all channels, also where channels are interleaved.
 template <class T>
 __device__ __forceinline__ T* channel(StoredPlanes const& p, int64_t plane, int64_t row = 0) {
   uint8_t* const first = p.plane(p.step == 1 ? plane : plane / p.step) + row * p.row_stride;
   return reinterpret_cast<T*>(first) + (p.step == 1 ? 0 : plane % p.step);
 }
 
-// Where a block stands, and its threads along x: each has the pixels of row y from column x on.
+// The position of a block, and of its threads along x: each has the pixels of row y from column x on.
 struct Place {
   int64_t plane;
-  int x0, y0, x, y, line;  // line: where its row starts in shared memory
+  int x0, y0, x, y, line;  // line: start of its row in shared memory
   bool within;
 
   template <class F>
@@ -85,7 +85,7 @@ struct Place {
 
 using Rows = Row[kMaxSsimWeights + kSide];
 
-// The rows that windows of the last scale have of a tile: of the images, or of the derivatives.
+// The rows in the last scale's windows of a tile: of the images, or of the derivatives.
 template <class F>
 __device__ __forceinline__ void list_rows(Work<F> const& p, Place const& place, bool derivatives, Rows& rows) {
   int const taps = p.sizes[p.scales - 1], above = place.y0 - taps / 2;
@@ -98,9 +98,8 @@ __device__ __forceinline__ void list_rows(Work<F> const& p, Place const& place, 
   }
 }
 
-// The sums over windows of scale s around the pixels of `place`, added to `sums`. value(column) makes a function of a
-// Row that has what is summed. All rows are read, also for those beyond: a branch would make each wait for the one
-// before.
+// Adds to `sums` the sums over windows of scale s around the pixels of `place`. value(column) returns a function from a
+// Row to the summands. Rows out of bounds are read as well: a branch would make each load wait for the previous one.
 template <int M, class F, class Value>
 __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, int s, int start, int offset,
                                          Rows const& all_rows, void* shared, Value value, F (&sums)[M][kSide]) {
@@ -108,7 +107,7 @@ __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, i
   int const taps = p.sizes[s], left = place.x0 - taps / 2;
   Row const* const rows = all_rows + (p.sizes[p.scales - 1] - taps) / 2;
   auto const weight = [&](int t) { return p.weights[start + t]; };
-  __syncthreads();  // the rows are there, and what was in the lines before has been read
+  __syncthreads();  // publishes the rows, and waits for the readers of earlier lines
 #pragma unroll 1
   for (int c = int(threadIdx.x); c < p.columns + taps - 1; c += int(blockDim.x)) {
     int const column = border_index(p.border, left + c, p.width);
@@ -133,13 +132,13 @@ __device__ __forceinline__ void sum_tile(Work<F> const& p, Place const& place, i
   if (place.within) sum_window<M>(taps, weight, [&](int i) { return lines[place.line + i]; }, sums);
 }
 
-// The similarity, its loss or the derivatives by the means.
+// Computes the similarity, its loss or the derivatives by the means.
 template <class T>
 __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
   extern __shared__ __align__(16) uint8_t shared[];
   Double4<F>* const lines = reinterpret_cast<Double4<F>*>(shared);
-  F* const factors = reinterpret_cast<F*>(lines + kSide * p.stride) + threadIdx.x;  // of each scale's pixels
+  F* const factors = reinterpret_cast<F*>(lines + kSide * p.stride) + threadIdx.x;  // per scale and pixel
   Place const place(p);
   __shared__ Rows rows;
   list_rows(p, place, false, rows);
@@ -175,7 +174,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
       sum_tile<4>(p, place, s, start, 0, rows, shared, values, means);
       SsimConstants<F> constants = p.constants;
       if (s + 1 < p.scales) constants.c1 = 1, constants.luminance = 0;
-      if (p.derivatives) __syncthreads();  // the lines are taken for them
+      if (p.derivatives) __syncthreads();  // the derivatives reuse the lines
       if (place.within) {
 #pragma unroll
         for (int j = 0; j < kSide; ++j) {
@@ -268,7 +267,7 @@ __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles(__grid_c
   }
 }
 
-// The gradients, from the derivatives.
+// Computes the gradients from the derivatives.
 template <class F>
 __global__ void __launch_bounds__(SsimTiles::kMaxThreads, 2) ssim_tiles_back(__grid_constant__ Work<F> const p) {
   extern __shared__ __align__(16) uint8_t shared[];
@@ -357,8 +356,7 @@ Work<Compute<T>> work_of(SsimImages<T> const& images, SsimScales<Compute<T>> con
   return work;
 }
 
-// Launches `kernel` for `planes` from work.first on; a block has memory for `factors` numbers for each pixel of a
-// thread.
+// Launches `kernel` for `planes` from work.first on; a block has memory for `factors` values per pixel of a thread.
 template <class F, class Kernel>
 int launch(Kernel kernel, Work<F>& work, int size, int64_t planes, int factors, CUstream_st* stream) {
   SsimTiles const tiles(work.bottom - work.top, work.width, size);
@@ -375,7 +373,7 @@ int64_t planes_of(Work<F> const& work) {
   return work.x.count() * work.x.step;
 }
 
-// How many planes go together, of at most `band`: those that keep the multiprocessors busiest.
+// The number of planes per block, at most `band`, that keeps the multiprocessors busiest.
 int64_t busiest(int64_t band, int64_t planes, int64_t blocks_of_plane) {
   if (band >= planes) return planes;
   int64_t const machine = multiprocessors();
@@ -386,7 +384,7 @@ int64_t busiest(int64_t band, int64_t planes, int64_t blocks_of_plane) {
   return best;
 }
 
-// Both launches of the gradient, for as many planes, or rows of one, as there is room for the derivatives of.
+// Both launches of the gradient, for as many planes, or rows of a plane, as the memory for derivatives holds.
 template <class T>
 int launch_gradients(Work<Compute<T>>& work, int size, int64_t room, Compute<T>* derivatives, CUstream_st* stream) {
   using F = Compute<T>;

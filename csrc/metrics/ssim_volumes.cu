@@ -1,11 +1,11 @@
 // Structural similarity of volumes on CUDA.
 //
-// A block has a tile of eight slices, eight rows and 32 columns, and whatever is summed in windows stays in shared
-// memory: first the sums across the slices, of all rows and columns that the tile's windows have, then along y in their
-// place, then along x in registers. Along each axis a thread has eight neighbors.
+// A block has a tile of eight slices, eight rows and 32 columns, and keeps all sums in shared memory. First it sums
+// across the slices, for all rows and columns in the tile's windows, then along y in place, then along x in registers.
+// Along each axis a thread has eight adjacent elements.
 //
-// The gradient is two launches for as many volumes as there is memory for: one writes the derivatives by the means, the
-// other one sums these.
+// The gradient takes two launches for as many volumes as the working memory holds: one writes the derivatives by the
+// means, the other one sums them.
 #include "ssim_window.cuh"
 
 namespace kv::cuda {
@@ -13,11 +13,11 @@ namespace {
 
 constexpr int kThreads = SsimVolumeTiles::kThreads, kColumns = SsimVolumeTiles::kColumns;
 
-// Places are those of the volume throughout: of a 'valid' similarity the first is at `offset` along every axis.
+// Indices are those of the volume; a 'valid' similarity starts at `offset` along every axis.
 template <class F>
 struct Work {
   StoredPlanes x, y;
-  StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if unwanted
+  StoredPlanes result, other_result;  // the similarity; or the gradients, the latter without data if not needed
   StoredPlanes grad;                  // of the similarity
   DType stored;
   Border border;
@@ -26,10 +26,10 @@ struct Work {
   SsimLoss<F> loss;
   F* partial;
   F const* of_loss;
-  Double4<F>* derivatives;       // by the means: written, or summed
-  unsigned x_slice, y_slice;     // bytes from a slice to the next one
-  int64_t first;                 // volume of a launch
-  unsigned across, down, parts;  // tiles of a volume
+  Double4<F>* derivatives;       // by the means: output of one launch, input of the other
+  unsigned x_slice, y_slice;     // strides of slices in bytes
+  int64_t first;                 // volume of the launch
+  unsigned across, down, parts;  // tiles per volume
   int taps;
   F weights[SsimVolumeTiles::kMaxTaps + kSide];
 
@@ -43,7 +43,7 @@ struct Work {
     int64_t const row = result_plane(volume - first, z) * (height - 2 * offset) + y - offset;
     return derivatives + row * (width - 2 * offset) + x - offset;
   }
-  // What D of ssim.h multiplies a voxel with.
+  // The factor of a voxel in D of ssim.h.
   __device__ __forceinline__ F ends(int z, int y, int x, F factor) const {
     F result = 1;
     if (border != Border::reflect) return result;
@@ -59,7 +59,7 @@ __device__ __forceinline__ T* row_of(StoredPlanes const& p, int64_t plane, int64
   return reinterpret_cast<T*>(p.plane(plane) + row * p.row_stride);
 }
 
-// Back: the gradients, from the derivatives; otherwise these, or the similarity or its loss.
+// Back: computes the gradients from the derivatives; otherwise the derivatives, the similarity or its loss.
 template <class T, bool Back>
 __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Work<Compute<T>> const p) {
   using F = Compute<T>;
@@ -131,7 +131,7 @@ __global__ void __launch_bounds__(kThreads, 2) ssim_volumes(__grid_constant__ Wo
   }
   __syncthreads();
 
-  // Neighbouring threads have rows of their own: what they read at once lies in different banks.
+  // Neighboring threads have different rows: their simultaneous reads are from different banks.
   int const row = thread % kSide, slice = thread / kSide % kSide, column = thread / (kSide * kSide) * kSide;
   int const z = z0 + slice, y = y0 + row;
   Double4<F> const* const line = sums + (slice * rows + row) * stride + column;

@@ -1,5 +1,5 @@
-// Sums in windows of any size, along one axis of images or volumes on CUDA: a thread has eight neighbors and reads
-// each number that their windows have once.
+// Window sums of any size along one axis of images or volumes on CUDA: a thread computes eight adjacent sums and reads
+// each element of their windows once. Included by ssim_tiles.cu and ssim_volumes.cu.
 #pragma once
 
 #include "ssim.cuh"
@@ -7,18 +7,18 @@
 namespace kv::cuda {
 namespace {
 
-constexpr int kSide = 8;  // neighbors of a thread, and rows and slices of a tile
+constexpr int kSide = 8;  // adjacent sums of a thread; also the rows and slices of a tile
 
 template <class F>
 using Double4 = Vector<F, 4>;
 
-// Where a row or slice begins: in bytes in the images, or as a number of results; and whether there is one.
+// The offset of a row or slice, in bytes in the images and in elements in the result, and whether it exists.
 struct __align__(16) Row {
   unsigned x, y;
   int there;
 };
 
-// sums[m][j] += weight(t) * read(j + t).v[m] over all t < taps, for eight neighbors j.
+// sums[m][j] += weight(t) * read(j + t).v[m] over all t < taps, for eight adjacent j.
 template <int M, class F, class Weight, class Read>
 __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F (&sums)[M][kSide]) {
   constexpr int N = kSide;

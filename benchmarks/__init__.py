@@ -1,1 +1,1 @@
-"""How fast kvision is, beside the speed of memory and beside its peers: `python -m benchmarks --help`, README.md."""
+"""Benchmarks of kvision against memory bandwidth and other libraries: `python -m benchmarks --help`, README.md."""

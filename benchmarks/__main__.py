@@ -1,4 +1,4 @@
-"""`python -m benchmarks [NAMES] ...`: the cases beside the copy bandwidth and beside every peer installed."""
+"""`python -m benchmarks [NAMES] ...`: the cases, next to the copy bandwidth and every installed peer."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def parse_dtypes(text: str) -> list[torch.dtype]:
 
 
 def copied(size: Size, dtype: torch.dtype, stopwatch: object) -> str:
-    """On a CPU, how long a plain copy of such a batch takes: below the floor where the batch fits the cache."""
+    """Time of a plain copy of such a batch on a CPU. It is below the floor where the batch fits the cache."""
     if not isinstance(stopwatch, CpuClock):
         return ""
     source = torch.ones(size, dtype=dtype).view(torch.uint8).numpy()

@@ -1,6 +1,6 @@
-"""What one benchmark is: a call, the bytes it must move, the same work in the peers' words, and the bars it must clear.
+"""A benchmark case: a call, the bytes it must move, the same work in the peers' API, and its performance bars.
 
-A file in benchmarks/cases/ lists the cases of one module; nothing else has to know about them.
+A file in benchmarks/cases/ lists the cases of one module. No other list names them.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ Traffic = Callable[[Sequence[Tensor], Sequence[Tensor]], int]
 
 
 def photographs(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    """One batch of that size in [0, 1] with the statistics of photographs; see `dead_leaves`."""
+    """A batch of this size in [0, 1] with the statistics of photographs, from `dead_leaves`."""
     leaves = dead_leaves(size[-3:]).to(device=device, dtype=dtype)
     batch = torch.empty(size, dtype=dtype, device=device)
-    for index, sample in enumerate(batch):  # samples differ by a shift: one picture serves gigabytes
+    for index, sample in enumerate(batch):  # samples are shifts of one image, so that gigabytes are quick to make
         sample.copy_(leaves.roll((7 * index, 13 * index), (-2, -1)))
     return (batch,)
 
 
 @lru_cache(maxsize=4)
 def dead_leaves(size: Size, leaves: int = 400) -> Tensor:
-    """A (C, H, W) picture of discs that hide one another, many small and few large, under a little sensor noise.
+    """A (C, H, W) image of overlapping discs, many small and few large, with a little sensor noise.
 
-    Like a photograph it has flat regions, sharp edges and something at every scale. White noise would be all edges,
-    which no edge detector meets in practice and which makes every median as hard as it can be.
+    Like a photograph it has flat regions, sharp edges and structure at every scale. White noise would be all edges,
+    which is unrealistic for an edge detector and the worst case of every median.
     """
     channels, height, width = size
     random = torch.Generator().manual_seed(0)
@@ -52,27 +52,27 @@ def nbytes(tensors: Sequence[Tensor]) -> int:
 
 
 def forward_traffic(inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> int:
-    """Inputs read once, outputs written once."""
+    """Bytes of a forward: inputs are read once and outputs are written once."""
     return nbytes(inputs) + nbytes(outputs)
 
 
 def linear_backward(inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> int:
-    """The backward of a linear map: the output's gradient read, the input's gradient written."""
+    """Bytes of a linear map's backward: the output's gradient is read and the input's gradient is written."""
     return nbytes(outputs) + nbytes(inputs)
 
 
 def nonlinear_backward(inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> int:
-    """The backward of any other map: as for a linear one, and the input read again."""
+    """Bytes of any other backward: those of a linear one, and the input is read again."""
     return linear_backward(inputs, outputs) + nbytes(inputs)
 
 
 @dataclass(frozen=True)
 class Bars:
-    """Limits a case must keep to. `None` sets no limit; README.md says what each is measured against.
+    """Performance limits of a case. `None` sets no limit. README.md defines what each is measured against.
 
     On a GPU: `floor` and `both` bound forward and forward + backward as multiples of their floors, `backward` bounds
-    the backward as a multiple of the forward's time, `launches` the kernels of a forward, `half` is the least speed-up
-    of float16 over float32. On a CPU: `opencv` and `kornia` bound the forward as a multiple of that peer's time.
+    the backward as a multiple of the forward's time, `launches` the kernels of a forward, `half` is the minimum
+    speed-up of float16 over float32. On a CPU: `opencv` and `kornia` bound the forward by multiples of a peer's time.
     """
 
     floor: float | None = None
@@ -86,11 +86,11 @@ class Bars:
 
 @dataclass(frozen=True)
 class Case:
-    """One piece of work and everybody's way to do it.
+    """A benchmark: one task as a call of kvision and as calls of its peers.
 
     `call` is kvision's public call on the tensors of `inputs(size, dtype, device)`; the first one gets the gradient.
-    `peers` maps a peer's name to the same work written for it (peers.py says what each is handed). `result` picks the
-    tensor that peers are compared with where a call returns several. A backward's bytes are stated by `backward`.
+    `peers` maps a peer's name to the same task in its API; peers.py defines its arguments. `result` selects the tensor
+    to compare where a call returns several. `forward` and `backward` give the bytes of the two passes.
     """
 
     name: str
@@ -101,4 +101,4 @@ class Case:
     result: Callable[[Any], Tensor] = lambda output: output
     forward: Traffic = forward_traffic
     backward: Traffic = linear_backward
-    rim: int = 1  # pixels from the image's edge within which a peer's other border rule may show
+    rim: int = 1  # border width in pixels within which a peer's border rule may differ

@@ -1,4 +1,6 @@
-"""Points through cameras and lenses beside OpenCV, one thread, from few of them, which only a call costs, to many.
+"""Projection and distortion of points against OpenCV on one thread, for few points to many.
+
+With few points the overhead of a call dominates.
 
 python -m benchmarks.few_points
 """
@@ -20,7 +22,7 @@ Calls = dict[str, tuple[Callable[[], Any], Callable[[], Any]]]
 
 
 def calls(count: int) -> Calls:
-    """kvision's and OpenCV's, by name, each on its own arrays."""
+    """The calls of kvision and OpenCV by name, each on arrays of its library."""
     random = torch.Generator().manual_seed(0)
     X = torch.rand(count, 3, generator=random) * 2 + torch.tensor([-1.0, -1, 4])
     camera = torch.tensor([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
@@ -49,7 +51,7 @@ def calls(count: int) -> Calls:
 
 
 def least(contestants: tuple[Callable[[], Any], ...], seconds: float = 0.5) -> list[float]:
-    """The least microseconds of each, called in turns."""
+    """The minimum time of each call in microseconds; calls alternate."""
     best = [float("inf")] * len(contestants)
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or best[0] == float("inf"):

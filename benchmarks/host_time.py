@@ -1,7 +1,8 @@
-"""`python -m benchmarks.host_time [NAMES]`: what the call of a case costs the host, its kernels running behind.
+"""`python -m benchmarks.host_time [NAMES]`: host time of a case's call, with its kernels still queued.
 
 On one GPU, 1x3x256x256 float32, in microseconds: the public call without a gradient, the operators under it alone, and
-the public call with a graph, beside torch's product in the same run. The least of several blocks: others only add time.
+the public call with a graph, next to torch's product in the same run. Times are the minimum of several blocks,
+because other load only adds time.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def microseconds(call: Callable[[], Any]) -> float:
 
 
 def operators_of(call: Callable[[], Any]) -> list[tuple[_ops.Operator, tuple[Any, ...]]]:
-    """The operators that a call goes through, with their arguments."""
+    """The operators that a call dispatches, with their arguments."""
     seen: list[tuple[_ops.Operator, tuple[Any, ...]]] = []
     called = _ops.Operator.__call__
 

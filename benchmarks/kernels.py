@@ -2,10 +2,10 @@
 
 On one GPU, whose `ncu` must be on the PATH (or in CUDA_HOME/bin) and allowed to read the counters. One line a kernel:
 
-    us       its time                        L1%, fma%, alu%, xu%, lsu%  the share of the time that the wavefronts of
+    us       its time                        L1%, fma%, alu%, xu%, lsu%  the fraction of the time that wavefronts of
     Minst    million instructions of a warp                              the L1 and these pipes are busy
-    issue%   issue slots used                stalls                      warps that wait at an issue, by what for
-    warps%   warps there, of those that fit  rdMB, wrMB                  megabytes of device memory
+    issue%   issue slots used                stalls                      warps that wait at an issue, by reason
+    warps%   resident warps, of the maximum  rdMB, wrMB                  megabytes of device memory
 
 and registers of a thread, threads of a block, blocks, and bytes of shared memory of a block.
 """
@@ -64,7 +64,7 @@ _INSIDE = "KVISION_BENCHMARKS_UNDER_NCU"
 
 
 def run(names: list[str], size: tuple[int, ...], dtype: torch.dtype) -> None:
-    """What ncu watches: each case forward and backward, once each after a call that is not watched."""
+    """The program that ncu profiles: each case once forward and backward, after a call that is not profiled."""
     for name in names:
         first, *rest = ALL[name].inputs(size, dtype, torch.device("cuda"))
         ALL[name].call(first, *rest)
@@ -75,7 +75,7 @@ def run(names: list[str], size: tuple[int, ...], dtype: torch.dtype) -> None:
         leaf = first.detach().requires_grad_()
         outputs = [y for y in tensors_of(ALL[name].call(leaf, *rest)) if y.requires_grad]
         grads = [torch.ones_like(y) for y in outputs]
-        with _watched():  # torch's engine works in a thread of its own, where no range of this one is seen
+        with _watched():  # torch's autograd engine runs in another thread, outside of this thread's range
             torch.autograd.grad(outputs, leaf, grads)
 
 
@@ -89,7 +89,7 @@ def _watched() -> Iterator[None]:
 
 
 def rows(report: str) -> Iterator[str]:
-    """A line for each kernel in the CSV that ncu wrote."""
+    """Parse ncu's CSV into a row for each kernel."""
     lines = report[report.index('"ID"') :].splitlines()
     kernels: dict[str, dict[str, str]] = {}
     for row in csv.DictReader(lines):

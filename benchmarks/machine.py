@@ -1,4 +1,4 @@
-"""What a result must say about where it came from."""
+"""Metadata of a result: hardware, versions, command and commit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kvision._ops import unserved
 def describe(device: torch.device, peers: Iterable[str]) -> dict[str, Any]:
     """Hardware, versions, threads, command, date and commit, ready for JSON.
 
-    `kernels` is the backend asked for, or the reason why kvision's kernels are not there and the references run.
+    `kernels` is the requested backend, or the reason why kvision's kernels are missing and the references run.
     """
     return {
         "hardware": hardware(device),
@@ -52,7 +52,7 @@ def cpu_name() -> str:
 
 
 def command() -> str:
-    """The command line as it can be typed again."""
+    """The command line, quoted for a shell."""
     module = sys.modules["__main__"].__spec__
     program = f"-m {module.name.removesuffix('.__main__')}" if module else sys.argv[0]
     return " ".join(["python", program, *sys.argv[1:]])

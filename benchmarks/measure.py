@@ -22,9 +22,9 @@ FORWARD, BACKWARD, BOTH = "forward", "backward", "forward+backward"
 class Row:
     """One library's figures for one stage of a case; a `failure` replaces them. Times are seconds.
 
-    `value` is the time that is judged (Clock.value), `floor` the time the bytes alone take. `extra` is the GPU memory
-    held beyond what was there and what is returned, in units of input + output; `launches` counts what one call puts
-    on the device; `host` is the host's time for a call on one image.
+    `value` is the time that bars apply to (Clock.value), `floor` the time of the memory traffic alone. `extra` is the
+    peak GPU memory beyond inputs and results, in units of input + output; `launches` counts the kernels, fills and copies
+    of one call; `host` is the host's time for a call on one image.
     """
 
     case: str
@@ -58,11 +58,11 @@ def measure(
     backward: bool = False,
     batch_one: bool = False,
 ) -> Iterator[Row]:
-    """Measure `case` at one size. `bandwidth`, bytes a second, makes its floors; `batch_one` adds the host's time."""
+    """Measure `case` at one size. `bandwidth`, bytes a second, sets the floors. `batch_one` adds the host time."""
     where = (case.name, "x".join(map(str, size)), name_of(dtype))
     on_gpu = device.type == "cuda"
     if on_gpu:
-        torch.cuda.empty_cache()  # the last case's blocks would count against this one's
+        torch.cuda.empty_cache()  # the previous case's cached blocks would count for this case
     inputs = case.inputs(size, dtype, device)
     outputs = tensors_of(case.call(*inputs))
     floors = {
@@ -81,7 +81,7 @@ def measure(
             candidate = peer.bind(case.peers[peer.name], inputs, case.result)
             signs[peer.name] = agreement(ours, candidate.result(), case.rim)
             bound[peer.name] = candidate
-        except Exception as error:  # a peer may fail in any way; the table says so and goes on
+        except Exception as error:  # a peer may fail in any way; the table reports it and continues
             yield Row(*where, peer.name, FORWARD, failure=_words(error))
     del ours
 
@@ -127,7 +127,7 @@ def measure(
 
 
 class Step:
-    """Forward and backward of `work` with respect to its first input, apart and, when called, together."""
+    """Forward and backward of `work` by its first input: separate as methods, both when called."""
 
     def __init__(self, work: Callable[..., Any], inputs: Sequence[Tensor]) -> None:
         self._work, self._leaf, self._rest = work, inputs[0].detach().requires_grad_(), inputs[1:]

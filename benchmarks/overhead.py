@@ -1,7 +1,7 @@
-"""`python -m benchmarks.overhead`: what a public call costs when there is next to nothing to compute.
+"""`python -m benchmarks.overhead`: the overhead of public calls, measured on tiny inputs.
 
 Public calls that between them run every operator, at 16 elements on one CPU thread: forward without a gradient, forward
-that records one, and forward + backward, in microseconds, beside aten's mul in the same run.
+that records one, and forward + backward, in microseconds, next to aten's mul in the same run.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ CALLS = [
 
 
 def microseconds(call: Call, calls: int, blocks: int) -> float:
-    """Mean time of `calls` calls in the quickest of `blocks` blocks: a busy machine only ever adds time."""
+    """Mean time of `calls` calls in the fastest of `blocks` blocks, because other load only adds time."""
     call()
     found = []
     for _ in range(blocks):

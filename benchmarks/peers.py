@@ -1,6 +1,6 @@
-"""The libraries kvision is measured beside: what each is handed, how its threads are set, whether its results agree.
+"""The libraries that kvision is compared with: their inputs, number of threads, and agreement of results.
 
-Every peer gets its inputs ready-made in the layout it likes best. Tensor libraries are called once on the batch.
+Every peer gets its inputs in its fastest layout, prepared in advance. Tensor libraries are called once on the batch.
 NumPy libraries and OpenCV go image by image over contiguous (H, W, C) arrays; OpenCV writes into outputs and scratch
 that were allocated beforehand, and scratch is shared by the images, so that it stays in the cache.
 """
@@ -25,7 +25,7 @@ Work = Callable[..., Any]
 
 @dataclass(frozen=True)
 class Bound:
-    """Work bound to its inputs: `call` does it once, `result` gives what it computed as a (B, C, ...) tensor."""
+    """Work bound to its inputs: `call` runs it once, `result` converts its output to a (B, C, ...) tensor."""
 
     call: Call
     result: Callable[[], Tensor]
@@ -33,7 +33,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class Peer:
-    """A library to compare with. `bind(work, inputs, result)` makes its call; `tensors` says it works on tensors."""
+    """A library to compare with. `bind(work, inputs, result)` creates its call. `tensors` marks tensor libraries."""
 
     name: str
     module: str
@@ -53,7 +53,7 @@ class Peer:
 
 
 def tensors(work: Work, inputs: Sequence[Tensor], result: Callable[[Any], Tensor]) -> Bound:
-    """`work(*inputs)` on the batch."""
+    """Call `work(*inputs)` on the batch."""
 
     def call() -> Any:
         return work(*inputs)
@@ -62,7 +62,7 @@ def tensors(work: Work, inputs: Sequence[Tensor], result: Callable[[Any], Tensor
 
 
 def arrays(work: Work, inputs: Sequence[Tensor], result: Callable[[Any], Tensor]) -> Bound:
-    """`work(image, ...)` for each sample, a new array each time."""
+    """Call `work(image, ...)` for each sample; each call allocates its result."""
     samples = _samples(inputs)
 
     def call() -> list[Any]:
@@ -72,9 +72,9 @@ def arrays(work: Work, inputs: Sequence[Tensor], result: Callable[[Any], Tensor]
 
 
 def opencv(work: Work, inputs: Sequence[Tensor], result: Callable[[Any], Tensor]) -> Bound:
-    """`work(image, ..., out, *scratch)` for each sample. A first `work(image, ...)` shows what there is to allocate.
+    """Call `work(image, ..., out, *scratch)` for each sample. A first `work(image, ...)` allocates output and scratch.
 
-    Work returns its output, or a tuple of its output and its scratch arrays; an output is an array or a list of them.
+    `work` returns its output, or a tuple of its output and its scratch arrays; an output is an array or a list of them.
     """
     samples = _samples(inputs)
     first = work(*samples[0])
@@ -93,7 +93,7 @@ def opencv(work: Work, inputs: Sequence[Tensor], result: Callable[[Any], Tensor]
 
 
 def pillow(work: Work, inputs: Sequence[Tensor], result: Callable[[Any], Tensor]) -> Bound:
-    """`work(image)` for each sample, an 8-bit RGB image; the result is an image or an array."""
+    """Call `work(image)` for each sample, an 8-bit RGB image. The result is an image or an array."""
     from PIL import Image
 
     images = [Image.fromarray(np.rint(sample[0] * 255).astype(np.uint8)) for sample in _samples(inputs)]
@@ -118,19 +118,19 @@ PEERS = {
 
 
 def optional(module: str) -> ModuleType | None:
-    """The module, or None where it is not installed. Cases name their peers' functions through it."""
+    """Import a module, or return None where it is not installed. Cases name their peers' functions through it."""
     return importlib.import_module(module) if importlib.util.find_spec(module.split(".")[0]) else None
 
 
 def set_threads(threads: int) -> None:
-    """Let torch and OpenCV use that many threads; the other peers have no threads of their own."""
+    """Let torch and OpenCV use that many threads; the other peers are single-threaded."""
     torch.set_num_threads(threads)
     if PEERS["opencv"].installed:
         importlib.import_module("cv2").setNumThreads(threads)
 
 
 def agreement(ours: Tensor, theirs: Tensor, rim: int) -> str:
-    """How close two results are, relative to the range of ours, in one sign.
+    """How close two results are, relative to the range of ours, as one character.
 
     `=` equal up to rounding (1e-3, 1e-2 for half types), `b` equal but for `rim` pixels along the border, `~` close
     (mean error up to 1e-2), `x` different.
@@ -142,7 +142,7 @@ def agreement(ours: Tensor, theirs: Tensor, rim: int) -> str:
     error = (ours - theirs).abs() / (ours.max() - ours.min())
     inner = error[..., rim:-rim, rim:-rim] if rim else error
     for sign, figure, limit in (("=", error.max(), exact), ("b", _max(inner), exact), ("~", error.mean(), 1e-2)):
-        if figure <= limit:  # never true of NaN
+        if figure <= limit:  # false for NaN
             return sign
     return "x"
 
@@ -152,7 +152,7 @@ def _max(x: Tensor) -> Tensor:
 
 
 def _samples(inputs: Sequence[Tensor]) -> list[tuple[np.ndarray, ...]]:
-    """Per sample its arrays: (H, W, C) for an image, (H, W) if C is 1. An input of batch 1 goes with every sample."""
+    """The arrays of each sample: (H, W, C) for an image, (H, W) if C is 1. An input of batch 1 is repeated."""
     batch = max(map(len, inputs))
     return list(zip(*([_array(sample) for sample in x.expand(batch, *x.shape[1:])] for x in inputs)))
 
@@ -165,14 +165,14 @@ def _array(sample: Tensor) -> np.ndarray:
 
 
 def _batch(outputs: Sequence[Any]) -> Tensor:
-    """(H, W) as (B, 1, H, W), (H, W, C) as (B, C, H, W), a list of n of these as (B, C, n, H, W); 255 as 1."""
+    """Stack results (H, W) to (B, 1, H, W), (H, W, C) to (B, C, H, W), lists of n to (B, C, n, H, W). Bytes are scaled."""
     return torch.stack([_tensor(output) for output in outputs])
 
 
 def _tensor(output: Any) -> Tensor:
     if isinstance(output, list):
         return torch.stack([_tensor(plane) for plane in output], 1)
-    image = torch.from_numpy(np.array(output))  # a copy: an image's own memory is read-only
+    image = torch.from_numpy(np.array(output))  # a copy, because the memory of a Pillow image is read-only
     if image.dtype == torch.uint8:
         image = image / 255
     return image.unsqueeze(0) if image.ndim == 2 else image.permute(2, 0, 1)

@@ -1,6 +1,6 @@
 """`python -m benchmarks.plots`: the plots of docs/performance.md, from the committed results, to docs/pictures.
 
-No measurement is made here: every number is read from a table in benchmarks/results.
+Nothing is measured here. Every number comes from a table in benchmarks/results.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Cases = list[tuple[str, list[float | None]]]  # a case and its value at each siz
 
 
 class Row(NamedTuple):
-    """One library at one case: milliseconds (median and minimum) and the median over the floor."""
+    """One library in one case: milliseconds (median and minimum) and the median over the floor."""
 
     size: str
     case: str

@@ -1,4 +1,4 @@
-"""Rotations, poses and matrices of transforms, of one and of many, beside Kornia: one thread of the CPU, or a GPU.
+"""Rotations, poses and transform matrices against Kornia, for one sample and many: one CPU thread, or a GPU.
 
 python -m benchmarks.small_matrices [--device cuda]
 """
@@ -21,7 +21,7 @@ Call = Callable[[], Any]
 
 
 def of_rows(count: int, device: str) -> dict[str, tuple[Tensor, ...]]:
-    """Arguments of functions that both have, by name."""
+    """Arguments of functions that both libraries have, by name."""
     random = torch.Generator().manual_seed(0)
     v, q = (torch.randn(count, n, generator=random).to(device) for n in (3, 4))
     R = G.axis_angle_to_rotation_matrix(v)
@@ -78,7 +78,7 @@ def with_gradient(f: Callable[..., Tensor], args: tuple[Any, ...]) -> Call:
 
 
 def waiting(call: Call, device: str) -> Call:
-    """`call` until the device is through with it."""
+    """Run `call` and wait for the device."""
 
     def finished() -> None:
         call()
@@ -100,7 +100,7 @@ def main() -> None:
             for kind, made in kinds.items() if of == "rows" else [("", forward)]:
                 pair = [made(getattr(library, name), args) for library in (G, kornia)]
                 pair = [waiting(call, device) for call in pair]
-                for call in pair:  # what a first call loads and reserves
+                for call in pair:  # warm-up: modules, allocator
                     call()
                 ours, theirs = least(tuple(pair), 0.2)
                 print(f"{count:8} {name + ' ' + kind:44} {ours:12.1f} {theirs:12.1f}", flush=True)

@@ -1,7 +1,7 @@
 """`python -m benchmarks.sobel_figure`: the Sobel figure of the Kornia paper (Riba et al., WACV 2020) on this machine.
 
 Median wall time of the Sobel magnitude of a batch of RGB images of 256x256, for batches of 1 to 128, for every library
-installed and, where there is a GPU, on it too; a GPU call counts until its result is there. Writes sobel.csv,
+installed and, where there is a GPU, on it too; the time of a GPU call ends when its result is ready. Writes sobel.csv,
 sobel.json and, where matplotlib is installed, sobel.png.
 """
 
@@ -28,11 +28,11 @@ from benchmarks.table import number
 from benchmarks.timing import Call
 
 CASE = ALL["sobel"]
-LEAST = 3  # repeats, however slow a library is
+LEAST = 3  # minimum number of repeats for slow libraries
 
 
 def contestants(batch: int, side: int) -> Iterator[tuple[str, Call]]:
-    """(name, call) of every library on every device it runs on."""
+    """(name, call) of every library on each of its devices."""
     for device in ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]:
         inputs = CASE.inputs((batch, 3, side, side), torch.float32, torch.device(device))
         for library, work in {KVISION: CASE.call, **CASE.peers}.items():

@@ -1,4 +1,4 @@
-"""Rows, verdicts and losses as text."""
+"""Text tables of rows, bars and faster peers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CUDA_COLUMNS = (*COLUMNS, ("extra", 7), ("launches", 9), ("host", 7))
 
 
 class Table:
-    """Lays rows out as they come; a row that repeats the case or the stage of the row above leaves that cell empty."""
+    """Formats rows one by one; a row that repeats the case or the stage of the row above leaves that cell empty."""
 
     def __init__(self, cuda: bool) -> None:
         self._columns = CUDA_COLUMNS if cuda else COLUMNS
@@ -77,7 +77,7 @@ def number(x: float | None) -> str | None:
 
 
 def heading(machine: dict[str, Any], bandwidth: float) -> str:
-    """Where the figures come from, in three lines."""
+    """The metadata of the results in three lines."""
     versions = "  ".join(f"{name} {version}" for name, version in machine["peers"].items())
     return (
         f"{machine['hardware']}  copy {bandwidth / 1e9:.4g} GB/s  threads {machine['threads']}  {machine['date']}\n"
@@ -87,7 +87,7 @@ def heading(machine: dict[str, Any], bandwidth: float) -> str:
 
 
 def summary(verdicts: Sequence[Verdict], lost: Sequence[Loss]) -> str:
-    """Bars, one line a case and size, missed ones in capitals; then every peer that is faster than kvision."""
+    """Bars, a line for each case and size, missed ones in capitals. Then every peer that is faster than kvision."""
     lines = [f"bars: {sum(v.met for v in verdicts)} met, {sum(not v.met for v in verdicts)} missed (measured/bar)"]
     for place in dict.fromkeys((v.case, v.size, v.dtype) for v in verdicts):
         here = (v for v in verdicts if (v.case, v.size, v.dtype) == place)

@@ -1,7 +1,7 @@
-"""Time, memory and launches of a call, and the copy bandwidth that times are held against.
+"""Time, memory and launches of a call, and the copy bandwidth, which defines their floors.
 
 GPU times are CUDA events around one call that starts with none of its data in the L2 cache and the host far ahead.
-CPU times are wall time of one call after another, in whatever state that leaves the caches.
+CPU times are wall times of successive calls, with the caches as the previous call leaves them.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class Timing:
 class Clock:
     """Times calls on one device.
 
-    `race` takes several contestants and gives each a share of every round, so that a machine that slows down for a
-    while slows them all. A contestant is a call, or a pair (setup, call): setup runs before each timed call, untimed,
-    and its value is handed to the call.
+    `race` takes several contestants and times each in every round, so that a temporary slowdown of the machine
+    affects them all. A contestant is a call, or a pair (setup, call): setup runs before each timed call, untimed,
+    and its result is the argument of the call.
     """
 
     rounds = 3
-    least = 2  # timed calls a round, however slow they are
+    least = 2  # minimum number of timed calls a round
 
     def __init__(self, seconds: float = 0.5) -> None:
         self.seconds = seconds
@@ -55,7 +55,7 @@ class Clock:
         pairs = [c if isinstance(c, tuple) else (_nothing, _ignoring(c)) for c in contestants]
         seconds: list[list[float]] = [[] for _ in pairs]
         gc.collect()
-        gc.disable()  # a collection inside a timed call would be charged to it
+        gc.disable()  # garbage collection inside a timed call would add to its time
         try:
             for _ in range(self.rounds):
                 for (setup, call), collected in zip(pairs, seconds):
@@ -69,11 +69,11 @@ class Clock:
         return self.race([call])[0]
 
     def value(self, timing: Timing) -> float:
-        """The figure that bars and ratios are judged by."""
+        """The statistic that bars and ratios use."""
         raise NotImplementedError
 
     def copy_bandwidth(self) -> float:
-        """Bytes a second of a plain copy, read and written bytes both counted, far outside the caches."""
+        """Bytes a second of a plain copy much larger than the caches. Reads and writes both count."""
         raise NotImplementedError
 
     def _round(self, setup: Call, call: Callable[[Any], Any], budget: float) -> list[float]:
@@ -82,7 +82,7 @@ class Clock:
 
 class CpuClock(Clock):
     def value(self, timing: Timing) -> float:
-        """The minimum: whatever else runs on the machine only ever adds time."""
+        """The minimum, because other load on the machine only adds time."""
         return timing.minimum
 
     def copy_bandwidth(self, megabytes: int = 512) -> float:
@@ -106,10 +106,10 @@ class CpuClock(Clock):
 
 class CudaClock(Clock):
     """CUDA events. Before each timed call a buffer larger than the L2 cache is written and the GPU is put to sleep for
-    longer than the host needs to enqueue the call, so the events see the device's work and never a wait for the host.
+    longer than the host needs to enqueue the call, so that the events do not include a wait for the host.
     """
 
-    most = 200  # timed calls a round; a median needs no more
+    most = 200  # timed calls a round, enough for a median
 
     def __init__(self, seconds: float = 0.5) -> None:
         super().__init__(seconds)
@@ -120,7 +120,7 @@ class CudaClock(Clock):
         self._cycles_per_second = cycles / self._events(lambda: torch.cuda._sleep(cycles))
 
     def value(self, timing: Timing) -> float:
-        """The median: the device runs nothing else, and its clocks vary both ways."""
+        """The median, because nothing else runs on the device and its clock varies in both directions."""
         return timing.median
 
     def copy_bandwidth(self, megabytes: int = 2048) -> float:
@@ -167,7 +167,7 @@ def clock(device: torch.device, seconds: float = 0.5) -> Clock:
 
 
 def host_seconds(call: Call, calls: int = 25, blocks: int = 15) -> float:
-    """Wall time per call while the device runs behind: what a call costs the host."""
+    """Wall time per call without synchronization: the host's cost of a call."""
     call()
     seconds = []
     for _ in range(blocks):
@@ -181,7 +181,7 @@ def host_seconds(call: Call, calls: int = 25, blocks: int = 15) -> float:
 
 
 def extra_bytes(call: Call) -> int:
-    """GPU memory that `call` holds at its peak beyond what was there before and beyond what it returns."""
+    """Peak GPU memory of `call` beyond the memory in use before it and its results."""
     call()
     torch.cuda.synchronize()
     before = torch.cuda.memory_allocated()

@@ -1,4 +1,4 @@
-"""Which bars are met, which are missed, and which peers are faster."""
+"""Checks of bars against measurements, and the peers that are faster than kvision."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from benchmarks.case import Case
 from benchmarks.measure import BACKWARD, BOTH, FORWARD, KVISION, Row
 
 HOST = 15e-6  # seconds of host time for one call on one image, GPU
-TIE = 1.02  # a peer faster by less than this is not called faster
+TIE = 1.02  # a peer has to be faster by more than this to be reported
 EXTRA = 0.05  # GPU memory of forward + backward beyond input, output and gradients, in units of input + output
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One bar: what was measured, its limit, and whether it holds. `least` bars are lower limits."""
+    """One bar: the measurement, the limit, and whether the bar is met. `least` marks lower limits."""
 
     case: str
     size: str
@@ -44,7 +44,7 @@ class Loss:
 
 
 def judge(cases: Iterable[Case], rows: Sequence[Row], cuda: bool) -> list[Verdict]:
-    """Hold the rows against the bars of their cases. Bars are for float32; `half` compares with float16."""
+    """Compare the rows with the bars of their cases. Bars are for float32; `half` compares with float16."""
     bars_of = {case.name: case.bars for case in cases}
     verdicts = []
     for name, size in dict.fromkeys((row.case, row.size) for row in rows):

@@ -1,4 +1,4 @@
-"""All cases by name. Every file in this folder that defines CASES takes part."""
+"""All cases by name. Every file in this folder that defines CASES is included."""
 
 from __future__ import annotations
 

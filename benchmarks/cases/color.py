@@ -23,7 +23,7 @@ tvision = optional("torchvision.transforms.functional")
 def conversion(
     name: str, function: str, bars: Bars, code: str, peers: dict[str, Any] | None = None, **more: Any
 ) -> Case:
-    """A case of `function` of kvision.color and kornia.color, and of the cvtColor with this code."""
+    """A case of `function` in kvision.color and kornia.color, and of OpenCV's cvtColor with this code."""
 
     def convert(K: Any, x: Tensor) -> Tensor:
         return getattr(K.color, function)(x)
@@ -36,7 +36,7 @@ def conversion(
 
 
 def converted(function: str) -> Callable[[Size, torch.dtype, torch.device], tuple[Tensor, ...]]:
-    """Photographs that `function` has converted, for the way back."""
+    """Photographs converted by `function`, as inputs of the inverse conversion."""
 
     def inputs(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
         return tuple(getattr(kvision.color, function)(x) for x in photographs(size, dtype, device))
@@ -45,7 +45,7 @@ def converted(function: str) -> Callable[[Size, torch.dtype, torch.device], tupl
 
 
 def in_degrees(hsv: Tensor) -> Tensor:
-    """The hue as OpenCV has it."""
+    """Convert the hue to OpenCV's degrees."""
     return torch.cat([hsv[:, :1] * (180 / math.pi), hsv[:, 1:]], 1)
 
 
@@ -112,7 +112,7 @@ CASES = [
         "rgb_to_ycbcr",
         Bars(floor=1.12, both=1.3, half=1.7, opencv=1.0),
         "RGB2YCrCb",
-        result=lambda y: y[:, [0, 2, 1]],  # the order of OpenCV
+        result=lambda y: y[:, [0, 2, 1]],  # OpenCV's channel order
     ),
     conversion("rgb_to_xyz", "rgb_to_xyz", Bars(floor=1.12, both=1.3, half=1.7), "RGB2XYZ"),
     Case(

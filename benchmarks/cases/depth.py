@@ -1,4 +1,4 @@
-"""Peaks and depth. Bars are those the modules are to reach; they are meant for images of one channel, say 16x1x480x640."""
+"""Peaks and depth. Bars are the modules' targets, for images of one channel, for example 16x1x480x640."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ kornia = optional("kornia")
 
 
 def case(name: str, call: Callable[..., Any], bars: Bars, **more: Any) -> Case:
-    """A case whose `call(geometry, input)` reads the same in kvision and in Kornia."""
+    """A case whose `call(geometry, input)` is the same for kvision and Kornia."""
     return Case(
         name,
         partial(call, kvision.geometry),
@@ -28,7 +28,7 @@ def case(name: str, call: Callable[..., Any], bars: Bars, **more: Any) -> Case:
 
 
 def volumes(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    """Five scales of a smooth channel, whose maxima are few and have one place each."""
+    """Five scales of a smooth channel, with few and unique maxima."""
     batch, _, h, w = images
     smooth = kvision.filters.gaussian_blur2d(photographs((batch, 1, h, w), dtype, device)[0], (13, 13), (2.0, 2.0))
     return (torch.stack([scale * smooth for scale in (0.5, 0.8, 1.0, 0.85, 0.4)], 2),)

@@ -26,13 +26,13 @@ IMAGENET = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 
 @cache
 def imagenet(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """ImageNet's mean and standard deviation where the images are, as a training loop keeps them."""
+    """ImageNet's mean and standard deviation on the images' device, as a training loop keeps them."""
     mean, std = (torch.tensor(values, dtype=dtype, device=device) for values in IMAGENET)
     return mean, std
 
 
 def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Callable[..., Any]], **more: Any) -> Case:
-    """A case whose `call(library, input)` reads the same in kvision and in Kornia."""
+    """A case whose `call(library, input)` is the same for kvision and Kornia."""
     return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
 
 
@@ -41,7 +41,7 @@ def two_images(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Te
     return x, x.flip(-1)
 
 
-# -- adjustments. What OpenCV has no function for is made of those it has.
+# -- adjustments. Where OpenCV has no such function, several of its functions are combined.
 
 
 def brightness_opencv(x, out=None):
@@ -60,11 +60,11 @@ def contrast_mean_opencv(x, out=None, grey=None):
     return cv2.max(cv2.min(out, (1,) * 4, out), (0,) * 4, out), grey
 
 
-# -- chains of steps: augmentation as it is before a network
+# -- chains of steps: augmentation in front of a network
 
 
 def jitter(name: str, contrast: bool, bars: Bars) -> Case:
-    """Brightness, maybe contrast, saturation, hue, and the normalisation of ImageNet; the same for all images."""
+    """Brightness, optionally contrast, saturation, hue, ImageNet's normalization; the same factors for all images."""
     steps = (
         ("brightness", 1.2),
         ("contrast", 0.7),
@@ -91,7 +91,7 @@ def jitter(name: str, contrast: bool, bars: Bars) -> Case:
 
 
 def jitter_each() -> Case:
-    """Other factors for each image."""
+    """The steps of `jitter`, with separate factors for each image."""
     program = kvision.enhance.ColorProgram(("brightness", 1.0), ("saturation", 1.0), ("hue", 0.0), ("gamma", 1.0))
 
     def inputs(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
@@ -113,7 +113,7 @@ def jitter_each() -> Case:
 
 
 def of_planes(equalize: Callable[[Any], Any]) -> Callable[..., Any]:
-    """OpenCV equalizes planes of bytes; from the same float image, whose levels are floor(255 x)."""
+    """Equalize planes by OpenCV, which takes bytes: floor(255 x) of the same float image."""
 
     def work(x, out=None, levels=None):
         levels = np.empty(x.shape, np.uint8) if levels is None else levels

@@ -1,4 +1,4 @@
-"""The filters module: windows of 3 to 31 pixels, linear ones, ranks, edges. Bars are those the module was built to."""
+"""The filters module: linear filters, medians and edges, of 3 to 31 pixels. Bars are the module's targets."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ linear = partial(Bars, backward=1.3)
 
 
 def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Callable[..., Any]], **more: Any) -> Case:
-    """A case whose `call(library, input)` reads the same in kvision and in Kornia."""
+    """A case whose `call(library, input)` is the same for kvision and Kornia."""
     return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
 
 
@@ -68,7 +68,7 @@ def sobel_pil(image):
 
 
 def without_eps(magnitude: Tensor) -> Tensor:
-    """What the other libraries compute: they have no eps under the root."""
+    """The magnitude of the other libraries, which have no eps under the root."""
     return (magnitude.square() - 1e-6).clamp(min=0).sqrt()
 
 
@@ -128,7 +128,7 @@ def median(size: int, bars: Bars) -> Case:
 
 
 def canny_opencv(x, out=None, gray=None, gray8=None, blurred=None):
-    """From the same float image; OpenCV finds edges in 8 bits only, so the rest of the way is in 8 bits."""
+    """Canny by OpenCV from the same float image. Its edge detector takes 8 bits, so the later steps do too."""
     gray = cv2.cvtColor(x, cv2.COLOR_RGB2GRAY, gray)
     gray8 = cv2.convertScaleAbs(gray, gray8, 255)
     blurred = cv2.GaussianBlur(gray8, (5, 5), 1, blurred, 1, cv2.BORDER_REFLECT_101)
@@ -143,7 +143,7 @@ def canny_skimage(x):
 
 
 def any_kernel(name: str, size: int, bars: Bars, shared: bool = True) -> Case:
-    """One kernel of full rank for all images, or one each."""
+    """One kernel of full rank for all images, or one for each image."""
 
     def inputs(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
         kernel = torch.rand(1 if shared else images[0], size, size, generator=torch.Generator().manual_seed(1))
@@ -206,7 +206,7 @@ CASES = [
         lambda K, x: K.filters.bilateral_blur(x, (5, 5), 0.1, (1.5, 1.5)),
         Bars(floor=3.0, opencv=1.0),
         {
-            # d=5 is a disc of 13 pixels to OpenCV and 25 to everyone else
+            # d=5 is a disc of 13 pixels in OpenCV and a square of 25 in the others
             "opencv": lambda x, out=None: cv2.bilateralFilter(x, 5, 0.1, 1.5, out, cv2.BORDER_REFLECT_101),
             "skimage": lambda x: skrestoration.denoise_bilateral(x, 5, 0.1, 1.5, mode="symmetric", channel_axis=-1),
         },

@@ -1,4 +1,4 @@
-"""Warps, resizes, crops and pyramids. Bars are those the module is to reach; benchmarks/results says which ones it does."""
+"""Warps, resizes, crops and pyramids. Bars are the module's targets; benchmarks/results shows which are met."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Inputs = Callable[[Size, torch.dtype, torch.device], tuple[Tensor, ...]]
 
 
 def case(name: str, call: Callable[..., Any], bars: Bars, opencv: Callable[..., Any] | None, **more: Any) -> Case:
-    """A case whose `call(geometry, input)` reads the same in kvision and in Kornia."""
+    """A case whose `call(geometry, input)` is the same for kvision and Kornia."""
     peers = {"kornia": partial(call, kornia.geometry if kornia else None)}
     if opencv:
         peers["opencv"] = opencv
@@ -28,7 +28,7 @@ def case(name: str, call: Callable[..., Any], bars: Bars, opencv: Callable[..., 
 
 
 def turns(images: Size, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """An affine map (2, 3) for each sample: a turn of 5 to 30 degrees and a little scale, about the middle."""
+    """An affine map (2, 3) for each sample: a rotation by 5 to 30 degrees and a small scale, about the center."""
     batch, _, h, w = images
     angle = torch.linspace(5, 30, batch)
     center = torch.tensor([[(w - 1) / 2, (h - 1) / 2]]).expand(batch, 2)
@@ -63,7 +63,7 @@ def with_boxes(images: Size, dtype: torch.dtype, device: torch.device) -> tuple[
 
 
 def size_of(x: Any) -> tuple[int, int]:
-    """Height and width of a tensor (B, C, H, W) or an array (H, W, C)."""
+    """The height and width of a tensor (B, C, H, W) or an array (H, W, C)."""
     return tuple(x.shape[-2:]) if isinstance(x, Tensor) else tuple(x.shape[:2])
 
 

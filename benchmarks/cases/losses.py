@@ -1,4 +1,7 @@
-"""Losses, metrics, morphology, patches: what training loops call every step. Losses are benchmarked as they are trained."""
+"""Losses, metrics, morphology and patches, which training loops call in every step.
+
+Losses are measured as in training.
+"""
 
 from __future__ import annotations
 
@@ -22,17 +25,17 @@ CLASSES = 21
 
 
 def case(name: str, call: Callable[..., Any], bars: Bars, peers: dict[str, Callable[..., Any]], **more: Any) -> Case:
-    """A case whose `call(library, inputs...)` reads the same in kvision and in Kornia."""
+    """A case whose `call(library, inputs...)` is the same for kvision and Kornia."""
     return Case(name, partial(call, kvision), {"kornia": partial(call, kornia), **peers}, bars, **more)
 
 
 def beside_zero(y: Tensor) -> Tensor:
-    """Losses as peers are compared by: relative to the range of the result, which a single number has none of."""
+    """Append a zero to losses. Results are compared relative to their range, and a single number has none."""
     return torch.cat([y.new_zeros(1), y.flatten()])
 
 
 def of_loss(inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> int:
-    """The backward of a loss: all inputs read, the gradient of the first one written."""
+    """Bytes of a loss's backward: all inputs are read and the gradient of the first one is written."""
     return nbytes(inputs) + nbytes(inputs[:1])
 
 
@@ -42,7 +45,7 @@ def pairs(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor,
 
 
 def segmentation(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    """Logits of 21 classes over as many pixels, and labels."""
+    """Logits of 21 classes with as many pixels in total, and labels."""
     b, _, h, w = size
     generator = torch.Generator(device).manual_seed(0)
     logits = torch.randn((max(1, b // 8), CLASSES, h, w), dtype=torch.float32, device=device, generator=generator)
@@ -61,7 +64,7 @@ def depth_and_image(size: Size, dtype: torch.dtype, device: torch.device) -> tup
 
 
 def window(height: int, width: int, x: Tensor) -> Tensor:
-    """Made in the call, as users do: one of its launches."""
+    """A structuring element, created in the call as by users. It counts as one launch."""
     return torch.ones(height, width, device=x.device)
 
 
@@ -173,7 +176,7 @@ CASES = [
     Case(
         "components",
         lambda x: kvision.contrib.connected_components(x),
-        {},  # labels differ from library to library
+        {},  # the numbering of labels differs between libraries
         Bars(launches=None),
         masks,
     ),

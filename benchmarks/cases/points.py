@@ -1,4 +1,4 @@
-"""Points through matrices: as many points a sample as the images have pixels; 1x3x1024x1024 is a million."""
+"""Transforms of points by matrices. A sample has as many points as an image has pixels: a million for 1x3x1024x1024."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ kornia = optional("kornia")
 
 
 def points(images: Size, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """In front of a camera."""
+    """Points in front of a camera."""
     count = images[2] * images[3]
     random = torch.Generator().manual_seed(0)
     one = torch.rand(count, 3, generator=random) + torch.tensor([-0.5, -0.5, 1.0])

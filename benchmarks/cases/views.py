@@ -1,4 +1,4 @@
-"""Geometry of a few points: not bytes but launches and waiting are what it costs. Bars are against the peers."""
+"""Geometry of few points, whose cost is launches and synchronization, not bytes. Bars are relative to the peers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ kornia = optional("kornia")
 
 
 def planes(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """As many problems as a batch has images times their rows, of eight points each, on planes, with some noise."""
+    """Correspondences of planes with noise: a problem of eight points for each row of each image."""
     count = size[0] * size[1]
     random = torch.Generator().manual_seed(0)
     points = torch.rand(count, 8, 2, generator=random) * 100
@@ -28,7 +28,7 @@ def planes(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor
 
 
 def matches(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-    """2000 matches of one plane, half of them wrong."""
+    """2000 matches of one plane, half of them outliers."""
     random = torch.Generator().manual_seed(0)
     points = torch.rand(2000, 2, generator=random) * 500
     moved = (points * 1.1 + 5) / (1 + points @ torch.tensor([[2e-4], [1e-4]]))
@@ -38,7 +38,7 @@ def matches(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tenso
 
 
 def views(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, ...]:
-    """100 000 points before two cameras, and the cameras."""
+    """100 000 points in front of two cameras, and the cameras."""
     random = torch.Generator().manual_seed(0)
     X = torch.rand(100_000, 3, generator=random) * 2 + torch.tensor([-1.0, -1.0, 4.0])
     P1, P2 = torch.eye(3, 4), torch.eye(3, 4)
@@ -48,7 +48,7 @@ def views(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor,
 
 
 def corners(homography: Tensor) -> Tensor:
-    """Where those of a square of 500 pixels go. Entries tell less: one makes up for another."""
+    """Map the corners of a square of 500 pixels. They compare homographies better than matrix entries do."""
     square = homography.new_tensor([[0, 0, 1], [500, 0, 1], [0, 500, 1], [500, 500, 1]])
     moved = square @ homography.mT
     return moved[..., :2] / moved[..., 2:]
@@ -62,7 +62,7 @@ def lens(size: Size, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, 
 
 
 def case(name: str, call: Any, bars: Bars, **more: Any) -> Case:
-    """A case whose `call(geometry, input, ...)` reads the same in kvision and in Kornia."""
+    """A case whose `call(geometry, input, ...)` is the same for kvision and Kornia."""
     peers = {"kornia": partial(call, kornia.geometry if kornia else None)}
     return Case(name, partial(call, kvision.geometry), peers, bars, **more)
 

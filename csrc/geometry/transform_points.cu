@@ -1,4 +1,4 @@
-// Points through matrices on CUDA.
+// Points transformed by matrices on CUDA.
 #include "geometry/transform_points.cuh"
 
 namespace kv::cuda {

@@ -1,5 +1,5 @@
-// Double4 neighbouring points of a thread, 16 bytes an access where it can. Included by transform_points.cu and
-// transform_points_backward.cu.
+// Loads and stores adjacent points of a thread, in accesses of 16 bytes where possible. Included by transform_points.cu
+// and transform_points_backward.cu.
 #pragma once
 
 #include "core/launch.cuh"
@@ -9,14 +9,14 @@ namespace kv::cuda {
 
 constexpr int kRun = 4;
 
-// Whether the points of every matrix can be read in fours.
+// Whether the points of every matrix can be read in vectors of four.
 template <class T>
 bool in_fours(int64_t count, T const* a, T const* b, T const* c) {
   uintptr_t const at = reinterpret_cast<uintptr_t>(a) | reinterpret_cast<uintptr_t>(b) | reinterpret_cast<uintptr_t>(c);
   return count % kRun == 0 && at % alignof(Vector<T, kRun>) == 0;
 }
 
-// K numbers of each point from point `first` on, of which there are n; into the columns from `column` on.
+// Reads K coordinates of each point from point `first` on, n points at most, into the columns from `column` on.
 template <int K, class T, class F, int W>
 __device__ __forceinline__ void load_points(T const* from, int64_t first, int n, bool fours, F (&p)[kRun][W],
                                             int column = 0) {
@@ -55,7 +55,7 @@ __device__ __forceinline__ void store_points(T* to, int64_t first, int n, bool f
         if (i < n) to[i * K + k] = round_to<T>(p[i][column + k]);
   }
 }
-// What a map takes: the points, and the depths of unproject.
+// The arguments of a map: the points, and for unproject their depths.
 template <class Map, class T, class F>
 __device__ __forceinline__ void load_arguments(T const* points, T const* depth, int64_t first, int n, bool fours,
                                                F (&p)[kRun][Map::in]) {

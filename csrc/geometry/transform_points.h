@@ -1,12 +1,12 @@
-// Points through matrices, one for many points: what homographies and cameras do to them.
+// Points transformed by homographies and cameras; one matrix serves many points.
 //
-//   transform   y = (M (p, 1)) without its last entry w, divided by w
+//   transform   y = M (p, 1) without its last entry w, divided by w
 //   project     y = f (px, py) / pz + c
-//   unproject   y = d ray,  ray = ((u - cx) / fx, (v - cy) / fy, 1), over its length where d is the distance
-//   intersect        y = d / (n . ray), where the ray meets the plane n . p = d
+//   unproject   y = d ray, ray = ((u - cx) / fx, (v - cy) / fy, 1), divided by its length if d is the distance
+//   intersect   y = d / (n . ray), where the ray meets the plane n . p = d
 //
-// A divisor that is 0 within 1e-8 is taken for 1, but that of `intersect`, of which eps with its sign is the least.
-// Below each map stand its gradients to the point and to the matrix.
+// A divisor of magnitude up to 1e-8 is replaced by 1. That of `intersect` has magnitude eps at least and keeps its
+// sign. Each map has a vjp to the point and to the matrix.
 //
 // Included by transform_points_cpu.cpp, transform_points.cu, transform_points_backward.cu and transform_points_op.cpp.
 #pragma once
@@ -22,10 +22,10 @@ enum class PointMap { plane, space, image, project, unproject, intersect };
 
 template <class T>
 struct TransformPoints {
-  T const *points, *depth;  // depth: of unproject
+  T const *points, *depth;  // depth: for unproject only
   Compute<T> const* matrices;
   T* y;
-  int64_t matrix_stride, count, total;  // points of a matrix, points of all
+  int64_t matrix_stride, count, total;  // count: points of a matrix; total: all points
   PointMap map;
   bool distance;
 };
@@ -35,8 +35,8 @@ struct TransformPointsBackward {
   T const *grad, *points, *depth;
   Compute<T> const* matrices;
   T *to_points, *to_depth;
-  Compute<T>*partial, *to_matrix;  // (matrices, parts, entries) and their sums; none where nobody asks
-  int64_t matrix_stride, count, matrices_count, part;  // a part: points that one block or thread sums
+  Compute<T>*partial, *to_matrix;  // (matrices, chunks, entries) and their sums; null without a gradient to matrices
+  int64_t matrix_stride, count, matrices_count, part;  // part: points of a chunk, which one block or thread sums
   PointMap map;
   bool distance;
 
@@ -46,7 +46,7 @@ struct TransformPointsBackward {
 KV_KERNEL(transform_points, TransformPoints)
 KV_KERNEL(transform_points_backward, TransformPointsBackward)
 
-// 1 / z and whether z divides.
+// Returns 1 / z, or 1 if z is too small to divide by. `divides` is 1 or 0 accordingly.
 template <class V>
 KV_HD V divider(V z, V& divides) {
   V const one = V{} + 1, magnitude = z < 0 ? -z : z;
@@ -62,7 +62,7 @@ KV_HD V point_root(V x) {
 #endif
 }
 
-// M (Out + 1, In + 1).
+// M is (Out + 1, In + 1).
 template <int In, int Out>
 struct Transform {
   static constexpr int in = In, out = Out, entries = (In + 1) * (Out + 1);
@@ -105,7 +105,7 @@ struct Transform {
   }
 };
 
-// The camera matrix fx . cx / . fy cy / . . . of both: its other entries are not read.
+// The camera matrix of Project and Unproject is (fx . cx / . fy cy / . . .); the other entries are not read.
 struct Project {
   static constexpr int in = 3, out = 2, entries = 9;
 

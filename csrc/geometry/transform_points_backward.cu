@@ -1,4 +1,4 @@
-// Gradients of points through matrices on CUDA: a block takes a part of a matrix's points and sums for the matrix.
+// Gradients of transformed points on CUDA: a block takes a chunk of a matrix's points and sums the matrix's gradient.
 #include "geometry/transform_points.cuh"
 
 namespace kv::cuda {
@@ -52,7 +52,7 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-// The sums of the parts, a warp for an entry, always in the same order.
+// Adds the sums of all chunks, one warp for each entry, always in the same order.
 template <class F>
 __global__ void add_parts(F const* partial, int64_t parts, int entries, F* sums) {
   int64_t const matrix = blockIdx.x / entries, e = blockIdx.x - matrix * entries;

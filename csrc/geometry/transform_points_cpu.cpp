@@ -1,13 +1,13 @@
-// Points through matrices on the CPU: points [begin, end) of all matrices, parts of them for the gradients. Compiled
-// once per instruction set.
+// Points transformed by matrices on the CPU: points [begin, end) of all matrices, chunks of them for the gradients.
+// Compiled once per instruction set.
 #include "core/lanes.h"
-// After it, for vsqrt.
+// Included after core/lanes.h, whose vsqrt it uses.
 #include "geometry/transform_points.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-// K numbers of each of N points, into the vectors from `column` on.
+// Reads K coordinates of each of N points into the vectors from `column` on.
 template <int N, int K, class T, class V, int W>
 KV_HD void load_points(T const* from, V (&p)[W], int column = 0) {
   for (int k = 0; k < K; ++k) {
@@ -36,7 +36,7 @@ KV_HD void load_arguments(T const* points, T const* depth, int64_t first, V (&p)
   }
 }
 
-// Calls f(lanes, i) for vectors of [begin, end) and what is left of it, each point once.
+// Calls f(lanes, i) for vectors of [begin, end), then for single points, each point once.
 template <class T, class Call>
 KV_HD void for_each_once(int64_t begin, int64_t end, Call f) {
   constexpr int N = kLanes<T>;

@@ -1,11 +1,11 @@
-// Points through matrices: schemas and entries, for CPU and CUDA alike.
+// Points transformed by matrices: schemas and entries for CPU and CUDA.
 #include "geometry/transform_points.h"
 #include "glue/glue.h"
 
 namespace kv {
 namespace {
 
-// The numbers of the argument `kind`; transforms become the plane, space or image of PointMap by the matrix.
+// The values of the argument `kind`. For `transform`, the shape of the matrix selects PointMap's plane, space or image.
 enum class PointMapKind : int64_t { transform, project, unproject, unproject_distance, intersect };
 
 template <class T>
@@ -63,12 +63,12 @@ struct Given {
   int64_t matrices() const { return matrix.size(0); }
   int64_t entries() const { return matrix.size(1) * matrix.size(2); }
   int64_t total() const { return points.size(0) * points.size(1); }
-  // The points of a matrix; there are some.
+  // The points of one matrix; 0 without matrices.
   int64_t count() const { return matrices() > 0 ? total() / matrices() : 0; }
 };
 
 #if !defined(KV_CUDA)
-// The sums of the parts; the CUDA kernel adds them itself.
+// Adds the sums of chunks. The CUDA kernel adds them itself.
 template <class T>
 void add_parts(TransformPointsBackward<T> const& p, int64_t entries) {
   int64_t const parts = p.parts();
@@ -109,10 +109,10 @@ std::tuple<Tensor, Tensor, Tensor> transform_points_backward(Tensor const& grad,
                grad.device() == points.device(),
            op, ": expected grad to be that of the points");
   Tensor const g = dense(grad);
-  // For each sample, also where one matrix serves all: whoever maps over samples needs it so.
+  // One gradient for each sample, also if one matrix serves all: vmap over samples needs them apart.
   int64_t const count = points.size(1), matrices = points.size(0), entries = given.entries();
 #if defined(KV_CUDA)
-  // As many blocks as keep the device busy, each of one thousand points or more.
+  // Enough blocks to keep the device busy, each with at least one thousand points.
   int64_t const blocks = matrices < 1024 ? (1024 + matrices - 1) / (matrices > 0 ? matrices : 1) : 1;
   int64_t const thousands = (count / blocks + 1023) / 1024, part = 1024 * (thousands > 0 ? thousands : 1);
 #else

@@ -1,4 +1,5 @@
-// The photometric distance of views by depth on CUDA: a thread a pixel of the target, view by view.
+// The photometric distance of views by depth on CUDA: one thread for each pixel of the target, which loops over the
+// views.
 #include "geometry/depth/photometric.h"
 #include "geometry/depth/warp.cuh"
 

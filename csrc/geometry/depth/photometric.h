@@ -1,10 +1,10 @@
-// How far several images, warped by the depth of another one, are from it, and the gradients of that to depth and
-// projections, in one pass over all: the mean over the views of a sample and the pixels of its target whose place in
-// the view lies between four pixels, and over channels, of a distance; transform/photometric.h has these, warp.h the
-// places.
+// The photometric distance of several views, warped by the depth of a target image, from that target, and its gradients
+// to depth and projections, in one pass. It is the mean of a distance (transform/photometric.h) over the views of a
+// sample, over channels, and over the pixels of the target whose sampling coordinates (warp.h) lie between four pixels
+// of the view.
 //
-// Which pixels these are counts as constant for the gradient. Included by photometric_cpu.cpp,
-// photometric.cu and photometric_op.cpp.
+// For the gradient, the set of these pixels is constant. Included by photometric_cpu.cpp, photometric.cu and
+// photometric_op.cpp.
 #pragma once
 
 #include "geometry/depth/warp.h"
@@ -19,11 +19,11 @@ struct PhotometricDepth : DepthPlaces<T> {  // x is the first view of each sampl
   int views;
   Distance distance;
   Compute<T> eps;
-  Compute<T>* to_depth;  // (B, h, w), of the sum
-  double* sums;          // (B, parts, views, 14)
+  Compute<T>* to_depth;  // (B, h, w), gradient of the sum, not of the mean
+  double* sums;          // (B, chunks, views, 14)
   int64_t parts;
 
-  // A view as a source by itself.
+  // View i as the only source.
   KV_HD DepthPlaces<T> view(int i) const {
     DepthPlaces<T> p = *this;
     p.x.data += i * view_stride;

@@ -1,13 +1,13 @@
 // The photometric distance of views by depth on the CPU: rows [begin, end) of all targets in order. Compiled once per
 // instruction set.
 #include "geometry/depth/warp_cpu.h"
-// After it, for vsqrt.
+// Needs core/lanes.h, which the header above includes.
 #include "geometry/depth/photometric.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-// N pixels: their distances, the slopes of these to the place, and how many places are seen.
+// N pixels: their distances, the gradients of these to the sampling coordinates, and the number of visible pixels.
 template <int N, class T, class V>
 KV_HD int compare(PhotometricDepth<T> const& p, DepthPlaces<T> const& view, DepthPlace<N, T> const& place, int64_t b,
                   int64_t y, int64_t x, V& distance, V& to_u, V& to_v) {

@@ -1,4 +1,4 @@
-// The photometric distance of views by depth: schema and entry, for CPU and CUDA alike.
+// The photometric distance of views by depth: schema and entry for CPU and CUDA.
 #include "geometry/depth/photometric.h"
 #include "geometry/depth/warp_glue.h"
 #include "geometry/photometric_glue.h"
@@ -6,8 +6,8 @@
 namespace kv {
 namespace {
 
-// Views (B, V, C, H, W), targets (B, C, h, w), depths (B, 1, h, w), projections (B, V, 3, 4). The loss, its slopes to
-// depth times the number of terms, one over that number, and its slopes to the projections.
+// Views (B, V, C, H, W), targets (B, C, h, w), depths (B, 1, h, w), projections (B, V, 3, 4). Returns the loss, its
+// gradient to depth times the number of terms, one over that number, and its gradient to the projections.
 std::tuple<Tensor, Tensor, Tensor, Tensor> photometric_depth(Tensor const& views, Tensor const& target,
                                                              Tensor const& depth, Tensor const& projections,
                                                              int64_t distance, double eps) {

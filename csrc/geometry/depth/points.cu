@@ -1,4 +1,5 @@
-// Points and normals of depth images on CUDA: a thread four neighbouring pixels, 16 bytes an access where it can.
+// Points and normals of depth images on CUDA: a thread takes four adjacent pixels, in accesses of 16 bytes where
+// possible.
 #include "core/launch.cuh"
 #include "geometry/depth/points.h"
 
@@ -7,14 +8,14 @@ namespace {
 
 constexpr int kThreads = 256, kRun = 4;  // pixels of a thread
 
-// Groups of kRun pixels of a batch of images, one after the other.
+// Groups of kRun adjacent pixels of a batch of images, in row-major order.
 struct Runs {
   unsigned across;
   int64_t count;
   Runs(int64_t batch, int64_t height, int64_t width)
       : across(unsigned(ceil_div(width, kRun))), count(batch * height * across) {}
   unsigned blocks() const { return unsigned(ceil_div(count, kThreads)); }
-  // The thread's sample, row and first column.
+  // Sets the thread's sample, row and first column.
   __device__ __forceinline__ bool locate(int64_t height, int64_t& b, int& y, int& x) const {
     int64_t const i = blockIdx.x * int64_t(kThreads) + threadIdx.x;
     if (i >= count) return false;
@@ -26,7 +27,7 @@ struct Runs {
   }
 };
 
-// Whether rows can be read in fours.
+// Whether rows can be read in vectors of four.
 template <class T>
 bool in_fours(Images<T> const& p) {
   int64_t const bytes = sizeof(T) * kRun > 16 ? 16 : sizeof(T) * kRun;
@@ -35,7 +36,7 @@ bool in_fours(Images<T> const& p) {
          fits(p.row_stride) && p.step == 1 && p.width % kRun == 0;
 }
 
-// The rim stands beside itself.
+// Reads kRun pixels from column x on. Columns past the border replicate it.
 template <class T, class F>
 __device__ __forceinline__ void load_run(T const* row, int64_t step, int x, int width, bool fours, F (&v)[kRun]) {
   Vector<std::remove_const_t<T>, kRun> vector{};
@@ -109,7 +110,7 @@ __global__ void __launch_bounds__(kThreads)
   Rays<F> const rays(p.cameras + b * p.camera_stride, p.distance);
   int const rows[] = {max(y - 1, 0), y, min(y + 1, height - 1)};
   auto const across = [&](int i) { return rays.across(F(clamp(x + i - 1, 0, width - 1))); };
-  F z[kRun + 2][3], down[3], normals[3][kRun];  // z of the pixels and around them
+  F z[kRun + 2][3], down[3], normals[3][kRun];  // z of the pixels and of their neighbors
 #pragma unroll
   for (int j = 0; j < 3; ++j) {
     T const* const row = p.depth.row(b, 0, rows[j]);
@@ -127,7 +128,7 @@ __global__ void __launch_bounds__(kThreads)
 #pragma unroll
   for (int i = 0; i < kRun; ++i) {
     F along_x[3], along_y[3], normal[3];
-    slopes_of(column(i), column(i + 1), column(i + 2), along_x, along_y);  // each of them is made once
+    slopes_of(column(i), column(i + 1), column(i + 2), along_x, along_y);  // each derivative is computed once
     normal_of(along_x, along_y, normal);
 #pragma unroll
     for (int k = 0; k < 3; ++k) normals[k][i] = normal[k];
@@ -136,8 +137,8 @@ __global__ void __launch_bounds__(kThreads)
   for (int k = 0; k < 3; ++k) store_run(p.y.row(b, k, y), p.y.step, x, width, write_fours, normals[k]);
 }
 
-// A block takes a tile of kAcross x Tall pixels: first the gradients to the derivatives of it and of what is around it,
-// then, from those, a thread the gradient of Tall / 8 pixels below one another.
+// A block takes a tile of kAcross x Tall pixels. First it computes the gradients to the derivatives in the tile and its
+// border. From those, each thread computes the gradients of Tall / 8 pixels of a column.
 constexpr int kAcross = 32;
 
 template <class T, int Tall>
@@ -185,7 +186,7 @@ __global__ void __launch_bounds__(kThreads)
   int const left = threadIdx.x % 32, x = x0 + left, top = int(threadIdx.x / 32) * kRows;
   if (x >= width) return;
   Taken<F> const beside(x, width);
-  F ray[3], differences[kRows + 2][3], means[kRows + 2][3];  // of each row around the pixels
+  F ray[3], differences[kRows + 2][3], means[kRows + 2][3];  // of each row of the pixels and of their neighbors
 #pragma unroll
   for (int j = 0; j < kRows + 2; ++j)
 #pragma unroll
@@ -218,7 +219,7 @@ __global__ void __launch_bounds__(kThreads)
   }
 }
 
-// Sums of a part of an image's pixels: a thread kRunsEach runs of them.
+// Sums over a chunk of an image's pixels. A thread takes kRunsEach groups of kRun pixels.
 constexpr int kRunsEach = 4;
 
 template <class T>
@@ -257,7 +258,7 @@ __global__ void __launch_bounds__(kThreads)
   p.partial[4 * int64_t(blockIdx.x) + threadIdx.x] = sum;
 }
 
-// A block a camera, a warp each of its sums.
+// A block sums the gradient of a camera; each of its warps takes one sum.
 template <class T>
 __global__ void __launch_bounds__(128) finish_cameras(__grid_constant__ DepthPointsCameraBackward<T> const p) {
   int64_t const b = blockIdx.x;

@@ -1,10 +1,11 @@
-// Points and normals of the pixels of depth images, by the camera's numbers fx, fy, cx, cy:
+// Points and normals of the pixels of depth images, for cameras fx, fy, cx, cy:
 //
-//   point(x, y) = d ray,  ray = ((x - cx) / fx, (y - cy) / fy, 1), over its length where depth is the distance
-//   normal      = dx x dy over its length, the Sobel derivatives of the points, with the border replicated
+//   point(x, y) = d ray      ray = ((x - cx) / fx, (y - cy) / fy, 1), divided by its length if depth is the distance
+//   normal = dx x dy         divided by its length; dx, dy are Sobel derivatives of the points with replicated border
 //
-// The gradient of normals goes to the derivatives of a pixel first, and from those around a pixel to its point. That to
-// the camera comes from the one to points: sums over pixels are those of parts, then of all.
+// The gradient of normals goes first to the derivatives at each pixel, then from the derivatives around a pixel to its
+// point. The gradient to the camera follows from that to the points, summed over the pixels of chunks, then over
+// chunks.
 //
 // Included by points_cpu.cpp, points.cu and points_op.cpp.
 #pragma once
@@ -20,10 +21,10 @@ namespace kv {
 template <class T>
 struct DepthPoints {
   Images<T const> depth;  // one channel
-  Images<T> y;            // three
+  Images<T> y;            // three channels
   Compute<T> const* cameras;
-  int64_t camera_stride;  // 0 where one serves the batch
-  bool distance;          // depth is the distance from the camera, not z
+  int64_t camera_stride;  // 0 if all images share one
+  bool distance;          // whether depth is the distance from the camera, not z
 };
 
 template <class T>
@@ -38,22 +39,22 @@ struct DepthPointsBackward {
 template <class T>
 struct DepthNormalsBackward {
   Images<T const> grad, depth;
-  Images<T> to;  // to depth, or to points: three channels
+  Images<T> to;  // gradient to depth, or to points: three channels
   Compute<T> const* cameras;
   int64_t camera_stride;
   bool distance, to_points;
 };
 
-// From the gradient to points.
+// The gradient to the cameras, from that to the points.
 template <class T>
 struct DepthPointsCameraBackward {
   Images<T const> grad, depth;
   Compute<T> const* cameras;
   int64_t camera_stride;
   bool distance;
-  int64_t parts;          // of an image: of runs of pixels on CUDA, rows on the CPU
-  double* partial;        // (B, parts, 4)
-  Compute<T>* to_camera;  // (B, 3, 3), by CUDA's kernel; on the CPU the entry makes them
+  int64_t parts;          // chunks of an image: of groups of pixels on CUDA, rows on the CPU
+  double* partial;        // (B, chunks, 4)
+  Compute<T>* to_camera;  // (B, 3, 3), set by the CUDA kernel; on the CPU the operator sums them
 };
 
 KV_KERNEL(depth_points, DepthPoints)
@@ -77,13 +78,13 @@ struct Rays {
   bool unit;
 
   KV_HD Rays(F const* k, bool unit) : fx(1 / k[0]), fy(1 / k[4]), cx(k[2]), cy(k[5]), unit(unit) {}
-  // At z = 1.
+  // The first coordinate of a pixel's ray at z = 1, and the second one.
   template <class V>
   KV_HD V across(V x) const {
     return (x - cx) * fx;
   }
   KV_HD F down(F y) const { return (y - cy) * fy; }
-  // The z of a point that is (u, v) there.
+  // The z of the point at depth d whose ray at z = 1 is (u, v, 1).
   template <class V>
   KV_HD V z_of(V u, F v, V d) const {
     return unit ? V(d * inverse_root(V(u * u + (v * v + 1)))) : d;
@@ -95,8 +96,8 @@ struct Rays {
     ray[1] = down(y) * z;
     ray[2] = z;
   }
-  // From the gradient g to d times the ray to the camera: -fx times the first and the third sum are those to its fx and
-  // cx, -fy times the others those to fy and cy.
+  // Adds to sums for the gradient to the camera, from the gradient g to the point d ray. The gradients to fx and cx are
+  // -fx times sums 0 and 2, those to fy and cy are -fy times sums 1 and 3, where fx and fy are the stored reciprocals.
   template <class V>
   KV_HD void add_slopes(V x, F y, V d, V const (&g)[3], V (&sums)[4]) const {
     V const u = across(x), v = V{} + down(y), z = z_of(u, down(y), V(V{} + 1));
@@ -112,8 +113,8 @@ struct Rays {
   }
 };
 
-// Three points below one another, (u z, v z, z) with three v and z: their means, weighted 1, 2, 1, and the difference
-// of the last one and the first.
+// Three vertically adjacent points (u z, v z, z), each with its v and z: their mean, weighted 1, 2, 1, and the last
+// point minus the first.
 template <class V>
 struct PointColumn {
   V mean[3], difference[3];
@@ -130,7 +131,7 @@ struct PointColumn {
   }
 };
 
-// Eight times the derivatives of the points around, from their columns.
+// Eight times the Sobel derivatives, from three columns of points.
 template <class V>
 KV_HD void slopes_of(PointColumn<V> const& left, PointColumn<V> const& middle, PointColumn<V> const& right,
                      V (&along_x)[3], V (&along_y)[3]) {
@@ -149,7 +150,7 @@ KV_HD V dot_of(V const (&a)[3], V const (&b)[3]) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-// Returns what the normal was multiplied by, at most kSteepest.
+// The largest factor that normal_of multiplies by. It returns the factor.
 constexpr float kSteepest = 1e12f;
 
 template <class V>
@@ -170,8 +171,8 @@ KV_HD void normal_vjp(V const (&along_x)[3], V const (&along_y)[3], V const (&gr
   cross_of(g, along_x, to_y);
 }
 
-// How often the derivative at i - 1 to i + 1 along an axis takes the point at i, which stands beyond the rim as well:
-// by its differences and by its means.
+// The coefficients of the point at i in the derivatives at i - 1, i, i + 1 along an axis: in their differences and in
+// their means. At the border the replicated points count, too.
 template <class F>
 struct Taken {
   F difference[3], mean[3];

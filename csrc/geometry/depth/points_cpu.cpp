@@ -2,7 +2,7 @@
 // instruction set.
 #include "core/lanes.h"
 #include "core/scratch.h"
-// After it, for vsqrt.
+// Included after core/lanes.h, whose vsqrt it uses.
 #include "geometry/depth/points.h"
 
 namespace kv::KV_ISA {
@@ -19,7 +19,7 @@ KV_HD Lanes<F, N> columns_from(int64_t first) {
   }
 }
 
-// Vectors where pixels are beside one another in both images, single ones elsewhere.
+// Calls f for vectors if pixels are adjacent in both images, else for single pixels.
 template <class T, class A, class B, class Call>
 KV_HD void for_each_pixel(A const& a, B const& b, int64_t begin, int64_t end, Call f) {
   if (a.step == 1 && b.step == 1)
@@ -28,8 +28,8 @@ KV_HD void for_each_pixel(A const& a, B const& b, int64_t begin, int64_t end, Ca
     for (int64_t x = begin; x < end; ++x) f(Width<1>{}, x);
 }
 
-// Calls f(lanes, x, along_x, along_y) with the derivatives of points along a row of depth, once a pixel, vectors where
-// pixels are beside one another in `other`, too.
+// Calls f(lanes, x, along_x, along_y) with the derivatives of points along a row of depth, once for each pixel. Uses
+// vectors if pixels are adjacent in `other`, too.
 template <class T, class P, class Other, class Call>
 KV_HD void for_each_slope(P const& p, Other const& other, int64_t b, int64_t y, Call f) {
   using F = Compute<T>;
@@ -106,7 +106,8 @@ template <class T>
 void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
   int64_t const height = p.depth.height, width = p.depth.width, padded = width + 2;
-  Scratch<F> const scratch(3 * 6 * padded);  // of three rows, the gradients to both derivatives; 0 beside the image
+  Scratch<F> const scratch(3 * 6 *
+                           padded);  // for three rows, the gradients to both derivatives; 0 outside of the image
   for (int64_t i = 0; i < 3 * 6 * padded; ++i) scratch.data[i] = 0;
   auto const slopes = [&](int64_t y, int k) { return scratch.data + ((y + 3) % 3 * 6 + k) * padded + 1; };
   auto const fill = [&](int64_t b, int64_t y) {
@@ -150,7 +151,7 @@ void depth_normals_backward(DepthNormalsBackward<T> const& p, int64_t begin, int
   }
 }
 
-// A row a part: its pixels in vectors, then those that are left.
+// A chunk is a row: its pixels in vectors, then the remaining ones.
 template <class T>
 void depth_points_camera_backward(DepthPointsCameraBackward<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;

@@ -1,11 +1,11 @@
-// Points and normals of depth images: schemas and entries, for CPU and CUDA alike.
+// Points and normals of depth images: schemas and entries for CPU and CUDA.
 #include "geometry/depth/points.h"
 #include "geometry/transform/sampling_glue.h"
 
 namespace kv {
 namespace {
 
-// Cameras (B, 3, 3), one for all or for each image; each of them contiguous.
+// Cameras (B, 3, 3), one for each image or one for all, each contiguous.
 Tensor cameras_of(char const* op, Tensor const& camera, Tensor const& image) {
   KV_CHECK(matches_image(camera, image, 3) && camera.size(1) == 3 && camera.size(2) == 3, op,
            ": camera does not fit the images");
@@ -27,7 +27,7 @@ Tensor checked(char const* op, Tensor const& depth, Tensor const& camera) {
   return cameras_of(op, camera, depth);
 }
 
-// (B, 3, H, W), or with coordinates last (B, H, W, 3).
+// Three channels (B, 3, H, W), or (B, H, W, 3) with coordinates last.
 Tensor depth_points(Tensor const& depth, Tensor const& camera, bool distance, bool last) {
   Tensor const cameras = checked("depth_points", depth, camera);
   int64_t const batch = depth.size(0), h = depth.size(2), w = depth.size(3);
@@ -68,7 +68,7 @@ Tensor depth_normals(Tensor const& depth, Tensor const& camera, bool distance) {
   return y;
 }
 
-// The cameras, checked with the depth and a gradient of its pixels' points or normals.
+// Checks cameras, depth and a gradient of the pixels' points or normals.
 Tensor checked_gradient(char const* op, Tensor const& grad, Tensor const& depth, Tensor const& camera) {
   check_images(op, "grad", grad);
   check_images(op, "depth", depth);
@@ -101,19 +101,20 @@ Tensor depth_normals_backward(Tensor const& grad, Tensor const& depth, Tensor co
   return normals_gradient("depth_normals_backward", grad, depth, camera, distance, false);
 }
 
-// To points (B, 3, H, W).
+// Gradient to points (B, 3, H, W).
 Tensor depth_normals_points_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
   return normals_gradient("depth_normals_points_backward", grad, depth, camera, distance, true);
 }
 
-// The gradient to the camera of each image (B, 3, 3), also where one serves all, from that to its points.
+// The gradient to the camera of each image (B, 3, 3), also if all share one, from the gradient to its points.
 Tensor depth_points_camera_backward(Tensor const& grad, Tensor const& depth, Tensor const& camera, bool distance) {
   constexpr char const* op = "depth_points_camera_backward";
   Tensor const cameras = checked_gradient(op, grad, depth, camera);
   int64_t const batch = grad.size(0), height = grad.size(2), width = grad.size(3);
   Tensor const to_camera = empty({batch, 3, 3}, cameras);
 #if defined(KV_CUDA)
-  int64_t const parts = ((width + 3) / 4 * height + 1023) / 1024;  // of 256 threads' four runs of four pixels
+  int64_t const parts =
+      ((width + 3) / 4 * height + 1023) / 1024;  // a chunk: 256 threads, four groups of four pixels each
 #else
   int64_t const parts = height;
 #endif

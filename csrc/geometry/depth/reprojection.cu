@@ -1,4 +1,4 @@
-// Reprojections on CUDA: a thread a sample.
+// Reprojections on CUDA: one thread for each sample.
 #include "core/launch.cuh"
 #include "geometry/depth/reprojection.h"
 

@@ -1,10 +1,10 @@
-// From the pixels of one camera, at a depth, to those of another: with K and K' the matrices of the cameras, (R, t) and
-// (R', t') their poses, rotations and translations from the world to each,
+// The projection from the pixels of one camera, at a depth, to the pixels of another one. For the cameras' matrices K,
+// K' and their poses (R, t), (R', t') from the world,
 //
-//   A = K' R' R^T K^-1,   b = K' (t' - R' R^T t),   projection = [A | b]
+//   A = K' R' R^T K^-1, b = K' (t' - R' R^T t), projection = [A | b].
 //
-// which warp.h says how to use. In double: it is a matrix a sample. Included by reprojection_cpu.cpp,
-// reprojection.cu and reprojection_op.cpp.
+// warp.h defines how it maps a pixel. Computes in double, because there is only one matrix for each sample. Included by
+// reprojection_cpu.cpp, reprojection.cu and reprojection_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -12,20 +12,20 @@
 
 namespace kv {
 
-// A matrix for each sample, or one for all.
+// One matrix for each sample, or one for all.
 struct Matrices {
   Reals data;
-  int64_t sample, row;  // strides, the former 0 where one serves all
+  int64_t sample, row;  // strides; sample is 0 if all share one matrix
   KV_HD double at(int64_t b, int i, int k) const { return data[b * sample + i * row + k]; }
 };
 
 template <class T>
 struct ReprojectionParams {
-  Matrices camera_to, pose_to, camera_from, pose_from;  // (3, 3) and (4, 4); the last may be null: the world's
+  Matrices camera_to, pose_to, camera_from, pose_from;  // (3, 3) and (4, 4); pose_from may be null: the world frame
   int64_t batch;
-  bool pinhole;      // of the cameras only focal lengths and principal points are used
+  bool pinhole;      // whether only focal lengths and principal points of the cameras are used
   Reals projection;  // (B, 3, 4)
-  // For the gradient only: that to the projection, and those to the four, of each sample.
+  // For the gradient only: those to the projection and to the four matrices of each sample.
   Reals grad, grad_camera_to, grad_pose_to, grad_camera_from, grad_pose_from;
 };
 
@@ -34,7 +34,7 @@ KV_KERNEL(reprojection_backward, ReprojectionParams)
 
 namespace small {
 
-// What a pinhole camera's matrix has beside zeros and a 1.
+// The entries of a pinhole camera's matrix that are not fixed to 0 or 1.
 KV_HD bool is_pinhole_entry(int i) { return i == 0 || i == 2 || i == 4 || i == 5; }
 
 struct Cameras {
@@ -87,7 +87,7 @@ KV_HD void set_reprojection(ReprojectionParams<T> const& p, int64_t b) {
   }
 }
 
-// 0 where the camera has no inverse.
+// The gradient is 0 if the camera has no inverse.
 template <class T>
 KV_HD void reprojection_vjp(ReprojectionParams<T> const& p, int64_t b) {
   small::Cameras const c(p, b);

@@ -1,4 +1,4 @@
-// Reprojections on the CPU: samples [begin, end). In double, which AVX-512 leaves to AVX2.
+// Reprojections on the CPU: samples [begin, end). In double: the AVX-512 build uses the AVX2 code.
 #include "geometry/depth/reprojection.h"
 
 #if !defined(__AVX512F__)

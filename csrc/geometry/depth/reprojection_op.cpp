@@ -1,11 +1,11 @@
-// From one camera's pixels to another's: schemas and entries, for CPU and CUDA alike.
+// Projections between cameras: schemas and entries for CPU and CUDA.
 #include "geometry/depth/reprojection.h"
 #include "geometry/reals_glue.h"
 
 namespace kv {
 namespace {
 
-// The four, checked; one of each serves a batch.
+// The four matrices, checked; a single one of each serves the batch.
 struct ReprojectionArguments {
   ReprojectionParams<double> params{};
 
@@ -20,7 +20,7 @@ struct ReprojectionArguments {
       KV_CHECK(params.batch == 1 || x.size(0) == 1 || x.size(0) == params.batch, op, ": expected ", name, " with 1 or ",
                params.batch, " rows, got ", x.size(0));
       if (x.size(0) != 1) params.batch = x.size(0);
-      Tensor const rows = x.stride(2) == 1 ? x : dense(x);  // say a part of larger matrices
+      Tensor const rows = x.stride(2) == 1 ? x : dense(x);  // for example a block of larger matrices
       contiguous[count++] = rows;
       return Matrices{reals_of(op, rows), x.size(0) == 1 ? 0 : rows.stride(0), rows.stride(1)};
     };
@@ -46,7 +46,7 @@ Tensor reprojection(Tensor const& camera_to, Tensor const& pose_to, Tensor const
   return projection;
 }
 
-// For each sample, also where one of the four serves all.
+// Gradients for each sample, also for matrices that all samples share.
 std::tuple<Tensor, Tensor, Tensor, Tensor> reprojection_backward(Tensor const& grad, Tensor const& camera_to,
                                                                  Tensor const& pose_to, Tensor const& camera_from,
                                                                  std::optional<Tensor> const& pose_from, bool pinhole) {

@@ -1,4 +1,4 @@
-// Warps by depth on CUDA: a thread a pixel of the output, all its channels.
+// Warps by depth on CUDA: one thread for each pixel of the output, which loops over its channels.
 #include "geometry/depth/warp.cuh"
 
 namespace kv::cuda {
@@ -26,7 +26,7 @@ __global__ void __launch_bounds__(kThreads) warp_tiles(__grid_constant__ DepthWa
       F const a00 = read(from[0]), a01 = read(from[step]), a10 = read(from[row]), a11 = read(from[row + step]);
       sum = (a00 * wx[0] + a01 * wx[1]) * wy[0] + (a10 * wx[0] + a11 * wx[1]) * wy[1];
     }
-    if (!window.inside || sum - sum != 0) {  // a tap of weight 0 is no part of the value, whatever it holds
+    if (!window.inside || sum - sum != 0) {  // a tap of weight 0 does not contribute, even if it is NaN or inf
       sum = 0;
       window.for_each(p, row, step, [&](int j, int i, int64_t at) {
         F const weight = wx[i] * wy[j];
@@ -84,7 +84,7 @@ __global__ void __launch_bounds__(kThreads)
   store_block_sums(sums, p.sums + int64_t(blockIdx.x) * kProjectionSums);
 }
 
-// Into zeros, by atomics.
+// Adds with atomics into a gradient that starts as zeros.
 template <class F>
 __global__ void __launch_bounds__(kThreads)
     scatter_tiles(__grid_constant__ DepthWarpImageBackward<F> const p, DepthTiles tiles) {
@@ -106,7 +106,7 @@ __global__ void __launch_bounds__(kThreads)
   });
 }
 
-// A block a sample.
+// One block for each sample.
 template <class T>
 __global__ void __launch_bounds__(kThreads) total_of(ProjectionTotal<T> p) {
   __shared__ double total[12];

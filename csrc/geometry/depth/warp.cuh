@@ -1,4 +1,4 @@
-// Places by depth on CUDA. Included by warp.cu and photometric.cu.
+// Sampling coordinates from depth on CUDA. Included by warp.cu and photometric.cu.
 #pragma once
 
 #include "geometry/depth/warp.h"
@@ -6,14 +6,14 @@
 
 namespace kv::cuda {
 
-// A block's pixels: 32 x 8 of them, rows of a warp each.
+// The pixels of a block: 32 x 8, one warp for each row.
 struct DepthTiles {
   unsigned across, down, count;
   DepthTiles(int64_t batch, int64_t height, int64_t width)
       : across(unsigned(ceil_div(width, kDepthTileWidth))),
         down(unsigned(ceil_div(height, kDepthTileHeight))),
         count(unsigned(batch * across * down)) {}
-  // The sample of the block, the thread's pixel.
+  // Sets the block's sample and the thread's pixel.
   __device__ __forceinline__ void locate(int64_t& b, int& y, int& x) const {
     unsigned const row = blockIdx.x / across;
     b = row / down;
@@ -22,7 +22,7 @@ struct DepthTiles {
   }
 };
 
-// A pixel's place in a source, and what its gradients need.
+// A pixel's sampling coordinates (u, v) in a source, and the numbers that its gradients need.
 template <class T>
 struct DepthPlace {
   using F = Compute<T>;
@@ -31,7 +31,7 @@ struct DepthPlace {
                                         int x)
       : x(F(x)), y(F(y)), d(p.depth.row(b, 0, y)[x * p.depth.step]) {
     projection.at(this->x, this->y, d, u, v, scale);
-    d = d - d == 0 ? d : F(0);  // there is no place then, and nothing shall come of it
+    d = d - d == 0 ? d : F(0);  // without finite depth (u, v) is not valid; d must then not make gradients NaN
   }
   __device__ __forceinline__ TapWindow<2, F> window(DepthPlaces<T> const& p) const {
     bool const nearest = p.interpolation == Interpolation::nearest;
@@ -39,7 +39,7 @@ struct DepthPlace {
   }
 };
 
-// The twelve products that a pixel gives to the gradient of a projection.
+// Adds the twelve products that a pixel contributes to the gradient of a projection.
 template <class F>
 __device__ __forceinline__ void add_to_projection(F const (&g)[3], F x, F y, F d, F* sums) {
 #pragma unroll

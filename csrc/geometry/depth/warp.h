@@ -1,11 +1,10 @@
-// Warps by depth: the pixel (x, y) of the output at depth d is seen in the source at
+// Warps by depth: the pixel (x, y) of the output, at depth d, is sampled from the source at
 //
-//   (u, v) = (U, V) / W,   (U, V, W) = d A (x, y, 1) + b,   projection = [A | b]
+//   (u, v) = (U, V) / W, (U, V, W) = d A (x, y, 1) + b, projection = [A | b],
 //
-// where A = K' R K^-1 and b = K' t for cameras K and K' and the motion (R, t) between them. What is not in front of
-// the source's camera, W > 0, is outside of its image, and has no gradient. Bilinear, or the nearest pixel; paddings
-// are those of transform/sampling.h. Included by warp_cpu.cpp, warp.cu, warp_op.cpp and
-// photometric.h.
+// where A = K' R K^-1 and b = K' t for cameras K and K' and the motion (R, t) between them. A point that is not in
+// front of the source's camera, W > 0, is out of bounds and has no gradient. Interpolation is bilinear or nearest;
+// padding modes are those of transform/sampling.h. Included by warp_cpu.cpp, warp.cu, warp_op.cpp and photometric.h.
 #pragma once
 
 #include "geometry/transform/sampling.h"
@@ -19,12 +18,12 @@ struct Reprojection {
   KV_HD explicit Reprojection(F const* given) {
     for (int i = 0; i < 12; ++i) m[i] = given[i];
   }
-  // A's row times (x, y, 1).
+  // A row of A times (x, y, 1).
   template <class V>
   KV_HD V ray(int row, V x, F y) const {
     return x * m[4 * row] + (y * m[4 * row + 1] + m[4 * row + 2]);
   }
-  // NaN behind the camera. `scale` is 1 / W.
+  // Sets (u, v), NaN behind the camera. `scale` is 1 / W.
   template <class V>
   KV_HD void at(V x, F y, V d, V& u, V& v, V& scale) const {
     V const w = ray(2, x, y) * d + m[11];
@@ -32,7 +31,7 @@ struct Reprojection {
     u = (ray(0, x, y) * d + m[3]) * scale;
     v = (ray(1, x, y) * d + m[7]) * scale;
   }
-  // The gradient to (U, V, W) from that to (u, v), none where it is not finite; returns that to d.
+  // Turns the gradient to (u, v) into that to (U, V, W), 0 if it is not finite, and returns the gradient to d.
   template <class V>
   KV_HD V vjp(V x, F y, V u, V v, V scale, V to_u, V to_v, V (&g)[3]) const {
     g[0] = to_u * scale;
@@ -43,17 +42,17 @@ struct Reprojection {
       g[k] = g[k] - g[k] == 0 ? g[k] : V{};
       to_d += g[k] * ray(k, x, y);
     }
-    return to_d - to_d == 0 ? to_d : V{};  // a projection may be NaN
+    return to_d - to_d == 0 ? to_d : V{};  // the projection may be NaN
   }
 };
 
-// An image, depths of the output's pixels, and what leads from these to places in the image.
+// An image, the depths of the output's pixels, and the projections that map these to sampling coordinates.
 template <class T>
 struct DepthPlaces : Sampling<T> {
   Images<T const> x;
   Images<Compute<T> const> depth;  // one channel
   Compute<T> const* projections;
-  int64_t projection_stride;  // 0 where one serves the batch
+  int64_t projection_stride;  // 0 if the batch shares one
 
   KV_HD Reprojection<Compute<T>> projection(int64_t b) const {
     return Reprojection<Compute<T>>(projections + b * projection_stride);
@@ -65,12 +64,12 @@ struct DepthWarp : DepthPlaces<T> {
   Images<T> y;
 };
 
-// The gradients to depths and projections. The latter are in parts: 14 numbers each, of which two are not used here.
+// The gradients to depths and projections. The latter are 14 sums for each chunk; the last two are not used here.
 template <class T>
 struct DepthWarpCoordsBackward : DepthPlaces<T> {
   Images<T const> grad;
   Compute<T>* to_depth;  // (B, h, w)
-  double* sums;          // (B, parts, 14)
+  double* sums;          // (B, chunks, 14)
   int64_t parts;
 };
 
@@ -78,19 +77,19 @@ struct DepthWarpCoordsBackward : DepthPlaces<T> {
 template <class T>
 struct DepthWarpImageBackward : DepthPlaces<T> {
   Images<T const> grad;
-  Images<T> grad_x;  // dense
+  Images<T> grad_x;  // contiguous
 };
 
-constexpr int kProjectionSums = 14;  // the projection's twelve, the distances', how many pixels
+constexpr int kProjectionSums = 14;  // twelve of the projection, the sum of distances, the number of pixels
 
-// Adds the parts of samples and views up: gradients to projections, as they are or, where there is a loss, over the
-// number of terms, which is that of pixels times channels.
+// Adds the sums of chunks for samples and views: gradients to projections. With a loss these are divided by the number
+// of terms, which is that of pixels times channels.
 template <class T>
 struct ProjectionTotal {
-  double const* sums;  // (B, parts, views, 14)
+  double const* sums;  // (B, chunks, views, 14)
   int64_t parts, batch;
   int views, channels;
-  T *grad, *loss, *share;  // (B, views, 3, 4), (B), 1 / terms (B); the last two or null
+  T *grad, *loss, *share;  // (B, views, 3, 4), (B), 1 / terms (B); loss and 1 / terms may be null
 };
 
 KV_KERNEL(depth_warp, DepthWarp)
@@ -98,7 +97,7 @@ KV_KERNEL(depth_warp_coords_backward, DepthWarpCoordsBackward)
 KV_KERNEL(depth_warp_image_backward, DepthWarpImageBackward)
 KV_KERNEL(projection_total, ProjectionTotal)
 
-// On CUDA a block of threads takes 32 x 8 pixels.
+// The tile of a block on CUDA: 32 x 8 pixels.
 constexpr int kDepthTileWidth = 32, kDepthTileHeight = 8;
 
 }  // namespace kv

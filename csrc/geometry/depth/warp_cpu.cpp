@@ -5,7 +5,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// A tap of weight 0 is no part of the value, whatever it holds.
+// A tap of weight 0 does not contribute, even if it is NaN or inf.
 template <int N, class T>
 KV_HD auto value_of(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, T const* plane) {
   using F = Compute<T>;

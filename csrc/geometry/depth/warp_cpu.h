@@ -1,14 +1,14 @@
-// Places by depth on the CPU. Included by warp_cpu.cpp and photometric_cpu.cpp, inside of no namespace.
+// Sampling coordinates from depth on the CPU. Included by warp_cpu.cpp and photometric_cpu.cpp, outside of namespaces.
 #pragma once
 
 #include "geometry/transform/sampling_cpu.h"
-// After it, for lanes.
+// Needs core/lanes.h, which the header above includes.
 #include "geometry/depth/warp.h"
 
 namespace kv::KV_ISA {
 namespace {
 
-// N places and what their gradients need.
+// The sampling coordinates (u, v) of N pixels, and the numbers that their gradients need.
 template <int N, class T>
 struct DepthPlace {
   using F = Compute<T>;
@@ -24,9 +24,9 @@ struct DepthPlace {
       for (int n = 0; n < N; ++n) d[n] = from[n * p.depth.step];
     }
     projection.at(x, F(y), d, u, v, scale);
-    d = d - d == 0 ? d : V{};  // there is no place then, and nothing shall come of it
+    d = d - d == 0 ? d : V{};  // without finite depth (u, v) is not valid; d must then not make gradients NaN
   }
-  // Where it is sampled: the nearest pixel's middle, half to even, or itself.
+  // The coordinate to sample at: rounded half to even for nearest, else unchanged.
   KV_HD V sampled(DepthPlaces<T> const& p, V place) const {
     constexpr F shift = sizeof(F) == 4 ? F(0x1.8p23) : F(0x1.8p52);
     return p.interpolation == Interpolation::nearest ? V((place + shift) - shift) : place;
@@ -38,7 +38,7 @@ struct DepthPlace {
   }
 };
 
-// The four taps of a window in a channel.
+// Reads the four taps of a channel.
 template <int N, class T>
 KV_HD void read_taps(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, T const* plane,
                      Lanes<Compute<T>, N> (&a)[2][2]) {
@@ -49,13 +49,13 @@ KV_HD void read_taps(DepthPlaces<T> const& p, TapWindow<2, N, T> const& window, 
       for (int i = 0; i < 2; ++i) a[j][i] = window.find(p, p.x, plane, Compute<T>(0), j, i);
 }
 
-// What the pixels of a row give to a projection.
+// The sums over the pixels of a row for the gradient to a projection.
 template <class F>
 struct ProjectionSums {
   Lanes<F, kCoordLanes<F>> plain[3], by_d[3], by_x[3], distance;
   int64_t count;
 
-  // Of N pixels.
+  // Adds the numbers of N pixels.
   template <int N, class V>
   KV_HD static void add_to(Lanes<F, kCoordLanes<F>>& total, V some) {
     if constexpr (N == 1)
@@ -89,7 +89,7 @@ struct ProjectionSums {
   }
 };
 
-// Calls f(lanes, column) for the columns of a piece, each once: vectors and what is left of them.
+// Calls f(lanes, column) for the columns of a chunk, each once: in vectors, then one by one.
 template <class T, class Call>
 KV_HD void for_each_place(DepthPlaces<T> const& p, int64_t first, int64_t count, Call f) {
   dispatch_lanes(p.x, count, [&](auto lanes) {

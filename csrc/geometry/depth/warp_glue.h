@@ -1,4 +1,4 @@
-// What the operators that warp by depth have in common. Included by warp_op.cpp and photometric_op.cpp.
+// Checks and sizes that the operators that warp by depth share. Included by warp_op.cpp and photometric_op.cpp.
 #pragma once
 
 #include "geometry/depth/warp.h"
@@ -6,7 +6,7 @@
 
 namespace kv {
 
-// Depths (B, 1, h, w) and projections (B, 3, 4) of images, checked; one serves a batch.
+// Depths (B, 1, h, w) and projections (B, 3, 4) of images, checked; a single one serves the batch.
 struct Depths {
   Tensor depth, projection;
 
@@ -31,7 +31,7 @@ struct Depths {
   }
 };
 
-// Into how many sums the gradients to a projection go: one a tile on CUDA, one a row on the CPU.
+// The number of chunks for the gradient to a projection: one for each tile on CUDA, for each row on the CPU.
 inline int64_t projection_parts(Size output) {
 #if defined(KV_CUDA)
   auto const tiles = [](int64_t side, int tile) { return (side + tile - 1) / tile; };

@@ -1,4 +1,4 @@
-// Warps by depth: schemas and entries, for CPU and CUDA alike.
+// Warps by depth: schemas and entries for CPU and CUDA.
 #include "geometry/depth/warp_glue.h"
 
 namespace kv {
@@ -57,7 +57,7 @@ Tensor depth_warp_image_backward(Tensor const& grad, Tensor const& depth, Tensor
   return grad_x;
 }
 
-// For every sample, also where one depth or projection serves them all.
+// Gradients of every sample, also if all share one depth or projection.
 std::tuple<Tensor, Tensor> depth_warp_coords_backward(Tensor const& grad, Tensor const& image, Tensor const& depth,
                                                       Tensor const& projection, int64_t interpolation, int64_t padding,
                                                       bool align_corners) {

@@ -1,19 +1,22 @@
-// Formulas: small matrices and vectors of a sample, computed from other ones; a whole batch in one launch, in double.
+// Formulas: small matrices and vectors, computed for every sample of a batch in one launch, in double.
 //
-// A formula is a struct that says how many numbers go in and come out, and computes them on any value type:
+// A formula is a struct with the sizes of its inputs and its result, and a function for any value type:
 //
 //   struct Cross {
-//     static constexpr int kInputs = 2, kRequired = 2;            // tensors; the required ones come first
-//     static constexpr int kInputSize = 6, kOutputSize = 3;       // numbers of a sample
-//     static constexpr int kScalars = 0, kOptionalLastRow = 0;    // scalar arguments; 1 if the number of rows is one
-//     more static constexpr Extent extent(int i) { return {3}; }       // of each tensor, behind the batch static
-//     constexpr Extent result = {3}; template <class V> static KV_HD void evaluate(V const* x, V* y, FormulaOptions
-//     const&);    // x: all inputs, one after another
+//     static constexpr int kInputs = 2, kRequired = 2;          // tensors; the required ones come first
+//     static constexpr int kInputSize = 6, kOutputSize = 3;     // numbers of a sample
+//     static constexpr int kScalars = 0;                        // scalar arguments
+//     static constexpr int kOptionalLastRow = 0;                // 1 if the number of rows is one more scalar argument
+//     static constexpr Extent extent(int i) { return {3}; }     // of each tensor, without the batch
+//     static constexpr Extent result = {3};
+//     template <class V>
+//     static KV_HD void evaluate(V const* x, V* y, FormulaOptions const&);  // x: all inputs, one after another
 //   };
 //
-// The gradient is the formula on Duals (core/dual.h). They evaluate it several times where it has many numbers, so such
-// a formula may have a `vjp` next to `evaluate`. An input may have one row for all samples, or be missing: then
-// `default_value` says what its numbers are. formulas.h has the list of formulas and the operators they become.
+// The gradient evaluates the formula on Duals (core/dual.h), several times if the inputs have many numbers. A formula
+// with many inputs may define a `vjp` next to `evaluate` instead. An input may have one row for all samples. An
+// optional input may be missing: its numbers are then those of `default_value`. formulas.h lists the formulas and their
+// operators.
 #pragma once
 
 #include "core/dtype.h"
@@ -34,19 +37,19 @@ struct TypedPointer {
   DType type = DType::float32;
 };
 
-// What a formula knows besides its inputs.
+// The arguments of a formula that are not tensors.
 struct FormulaOptions {
   double min_normal, eps;  // of the type that references compute in: float64 for float64 inputs, else float32
   double scalars[4];       // the scalar arguments of its operator
 };
 
-// The matrix of a warp, computed from the first inputs of a formula by the kernel that warps. Only kernels on CUDA do
-// so: formulas.h lists the formulas they know, transform/matrix_formula.cuh has the code.
+// The matrix of a warp, computed by the kernel of the warp from the first inputs of a formula. Only CUDA kernels do so.
+// formulas.h lists the formulas that they support; transform/matrix_formula.cuh has the code.
 enum class MatrixBy : int;  // 0 for a matrix that is a tensor
 struct MatrixFormula {
   static constexpr int kInputs = 6;
   MatrixBy by{};
-  TypedPointer inputs[kInputs];  // of the type that computes
+  TypedPointer inputs[kInputs];  // of the compute type
   int64_t strides[kInputs];
   FormulaOptions options;
 };
@@ -54,12 +57,13 @@ struct MatrixFormula {
 template <class F>
 struct FormulaParams {
   TypedPointer inputs[F::kInputs];
-  int64_t strides[F::kInputs];  // from a sample to the next; 0 where all samples have the same
+  int64_t strides[F::kInputs];  // between samples; 0 if all samples share a row
   int64_t batch;
   FormulaOptions options;
   int output_size;      // of a sample; fewer than kOutputSize for the first rows of a matrix
   TypedPointer result;  // (B, output_size)
-  // For the gradient only: that to the result, and those to all numbers that are present, one after another.
+  // For the gradient only: that to the result, and those to the numbers of all inputs that are present, one after
+  // another.
   TypedPointer grad, grad_inputs;  // (B, output_size), (B, n)
   uint64_t present;                // a bit for each number
 };
@@ -78,15 +82,15 @@ constexpr int input_offset(int i) {
   return sum;
 }
 
-// Derivatives that are computed at once. Each takes one register more for every number.
+// Derivatives of one evaluation. Each one takes an additional register for every number.
 template <class F>
 constexpr int kDirections = F::kInputSize <= 4       ? F::kInputSize
                             : F::kInputSize >= 16    ? 2
                             : F::kInputSize % 3 == 0 ? 3
                                                      : 2;
 
-// Row is a sample, or several samples whose numbers are vectors Row::Value: it reads and writes rows. `p` has inputs
-// and strides of all tensors, or of the first ones.
+// Reads the inputs. Row reads and writes the rows of one sample, or of several samples as vectors Row::Value. `p` has
+// the inputs and strides of all tensors, or of the first ones.
 template <class F, int I = 0, class P, class Row>
 KV_HD void read_inputs(P const& p, Row const& row, typename Row::Value* x) {
   using V = typename Row::Value;

@@ -1,4 +1,4 @@
-// Formulas on the CPU: samples [begin, end), four at a time. In double, which AVX-512 leaves to AVX2.
+// Formulas on the CPU: samples [begin, end), four at a time. In double: the AVX-512 build uses the AVX2 code.
 #include "core/lanes.h"
 #include "geometry/formulas.h"
 
@@ -6,7 +6,7 @@
 namespace kv::KV_ISA {
 namespace {
 
-// Up to four samples from `begin` on. Missing ones at the end are read as the last sample, and are not written.
+// Up to four samples from `begin` on. Past the end the last sample is read again, and nothing is written.
 struct Samples {
   using Value = Double4;
   int64_t begin;

@@ -19,7 +19,7 @@ inline bool has_extent(Tensor const& x, Extent extent) {
   return x.dim() == 1 + axes && (axes < 1 || x.size(1) == extent.rows) && (axes < 2 || x.size(2) == extent.columns);
 }
 
-// Whether the numbers of a sample are next to each other.
+// Whether the numbers of a sample are contiguous.
 inline bool is_contiguous_row(Tensor const& x) {
   int64_t step = 1;
   for (int64_t axis = x.dim() - 1; axis > 0; step *= x.size(axis--))
@@ -34,7 +34,8 @@ inline std::string extent_text(Extent extent) {
   return text + ")";
 }
 
-// The inputs of formula F, checked: of type `type`, on the device of `like`. An input of one row serves the batch.
+// The inputs of formula F, checked: of type `type`, on the device of `like`. An input of one row serves the whole
+// batch.
 template <class F>
 struct FormulaArguments {
   FormulaParams<F> params{};
@@ -60,7 +61,7 @@ struct FormulaArguments {
     }
   }
 
-  // The axes of a result behind the batch.
+  // The axes of a result without the batch.
   Extent extent() const {
     return {F::kOptionalLastRow ? params.output_size / F::result.columns : F::result.rows, F::result.columns};
   }

@@ -4,7 +4,7 @@
 namespace kv {
 namespace {
 
-// The operator and its gradient, whose arguments are those of the formula.
+// The operator of a formula and its gradient, whose arguments are those of the formula.
 template <class F, int I>
 using FormulaInput = std::conditional_t<(I < F::kRequired || I == 0), Tensor const&, std::optional<Tensor> const&>;
 template <int>

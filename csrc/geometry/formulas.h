@@ -15,7 +15,7 @@ namespace kv {
 
 // --- the operators: name, formula, arguments -------------------------------------------------------------------------
 
-// Formulas that warps of images know, then those that warps of volumes know.
+// Formulas that kernels of image warps can compute, then those of volume warps.
 #define KV_PLANE_FORMULAS(_)                                                                                 \
   _(affine_matrix2d, AffineMatrix2d,                                                                         \
     "Tensor degrees, Tensor? translation, Tensor? scale, Tensor? shear_x, Tensor? shear_y, Tensor? center, " \

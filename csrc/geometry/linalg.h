@@ -1,4 +1,4 @@
-// Rigid transformations of space, (4, 4) matrices whose last rows are taken for 0 0 0 1: formulas of
+// Rigid transformations of space, (4, 4) matrices whose last row is assumed to be 0 0 0 1: formulas of
 // kvision.geometry.linalg. Included by formulas.h.
 #pragma once
 

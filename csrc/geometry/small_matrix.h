@@ -1,5 +1,5 @@
-// Small matrices and polynomials, in double: the least squares of homogeneous equations, null spaces, real roots.
-// Included by the kernels of several views, for CPU and CUDA alike.
+// Small matrices and polynomials in double: homogeneous least squares, null spaces, real roots. Included by the CPU and
+// CUDA kernels of geometry that solve equations.
 #pragma once
 
 #include "core/hd.h"
@@ -8,7 +8,8 @@
 
 namespace kv {
 
-// float32 or float64 numbers, read and written as double. Kernels compute in double anyway, so they are compiled once.
+// float32 or float64 numbers, read and written as double. Kernels compute in double for both, so they are compiled
+// once.
 struct Reals {
   void const* data;
   bool is_double;
@@ -23,8 +24,8 @@ struct Reals {
   }
 };
 
-// Long functions are not inlined on CUDA. Inlined into one kernel, CUDA 13.0 compiles them to wrong code: NaN for 9 x 9
-// matrices and no models from five points. Calls have the CPU's results.
+// Keeps long functions from being inlined on CUDA. If inlined into one kernel, CUDA 13.0 compiles them to wrong code:
+// NaN for 9 x 9 matrices, and no models from five points. With calls the results are those of the CPU.
 #if defined(__CUDACC__)
 #define KV_CALLED inline __host__ __device__ __noinline__
 #else
@@ -37,11 +38,12 @@ KV_HD double magnitude(double x) { return x < 0 ? -x : x; }
 KV_HD bool finite(double x) { return x - x == 0; }
 KV_HD double nan() { return __builtin_nan(""); }
 
-// The unroll factor of loops over matrices on CUDA. Large ones are not unrolled, which keeps compilation short.
+// The unroll factor of loops over matrices on CUDA. Loops over large matrices are not unrolled, for short compile
+// times.
 template <int N>
 constexpr int kUnrolled = N <= 4 ? N : 1;
 
-// --- symmetric matrices, all N x N numbers of them -------------------------------------------------------------------
+// --- symmetric matrices, stored as all N x N entries -----------------------------------------------------------------
 
 // The threads of a group (thread_group.h) take rows in turns, of matrices in shared storage.
 
@@ -74,7 +76,7 @@ KV_HD double invert(double* m, Group group = {}) {
   return min_pivot;
 }
 
-// Divides a matrix by its trace. False, without a division, where the trace is not positive and finite.
+// Divides a matrix by its trace. Returns false, and leaves it unchanged, unless the trace is positive and finite.
 template <int N, class Group = SingleThread>
 KV_HD bool normalize_trace(double* m, Group group = {}) {
   double trace = 0;
@@ -94,8 +96,8 @@ KV_HD double sign_convention(double const* v) {
   return sum < 0 ? -1 : 1;
 }
 
-// A symmetric matrix, its smallest eigenvector v, the gradient g to v, and u, from which the gradient to the matrix
-// follows. The second line is scratch memory.
+// Memory for a symmetric matrix, the eigenvector v of its smallest eigenvalue, the gradient g to v, and u, which
+// determines the gradient to the matrix. The second line is scratch memory.
 template <int N>
 struct EigenSpace {
   double matrix[N * N], v[N], g[N], u[N];
@@ -115,8 +117,8 @@ KV_HD void multiply_vector(double const* m, double const* y, double* x, Group gr
   group.sync();
 }
 
-// To v, the unit eigenvector of the largest eigenvalue of m, a positive semidefinite matrix of trace 1, by
-// squaring it until it is v v^T; the squares of what is smaller vanish. Destroys m, `square` and w.
+// Sets v to the unit eigenvector of the largest eigenvalue of m, a positive semidefinite matrix of trace 1. Squares m
+// until it is v v^T, because powers of smaller eigenvalues vanish. Destroys m, `square` and w.
 template <int N, class Group>
 KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, Group group) {
   for (int step = 0; step < 40; ++step) {
@@ -133,7 +135,7 @@ KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, 
     double const scale = 1 / trace;
     for (int i = group.thread_rank(); i < N * N; i += group.num_threads()) m[i] = square[i] * scale;
     group.sync();
-    if (trace > 1 - 1e-9) break;  // what is left of the others is below 1e-9 of it, and is squared twice more
+    if (trace > 1 - 1e-9) break;  // the other eigenvalues are below 1e-9 of the largest; two more products follow
   }
   int best = 0;
   for (int i = 1; i < N; ++i)
@@ -148,10 +150,10 @@ KV_HD void largest_eigenvector(double* m, double* square, double* w, double* v, 
   }
 }
 
-// To v, the unit eigenvector of the smallest eigenvalue of a positive semidefinite matrix: of the largest one of the
-// inverse of M + 1e-6, whose digits that shift keeps where several eigenvalues are 0. What rounding adds of others is
-// taken away by Newton's method. NaN where the matrix is not finite; a matrix of zeros has any.
-// Destroys m; the other matrices and r are for it to work with.
+// Sets v to the unit eigenvector of the smallest eigenvalue of a positive semidefinite matrix M: that of the largest
+// eigenvalue of the inverse of M + 1e-6. The shift keeps digits if several eigenvalues are 0. Newton's method then
+// removes what rounding adds of other eigenvectors. NaN if M is not finite; any vector if M is 0. Destroys m; the other
+// matrices and r are scratch memory.
 template <int N, class Group>
 KV_HD void smallest_eigenvector_in(double* m, double* inverse, double* powers, double* square, double* r, double* v,
                                    Group group) {
@@ -201,8 +203,8 @@ KV_CALLED void smallest_eigenvector(double* m, double* v) {
   smallest_eigenvector_in<N>(m, inverse, powers, square, r, v, SingleThread{});
 }
 
-// Jacobi's method (1846): rotations make a symmetric matrix diagonal. Its diagonal are the eigenvalues, the columns of
-// `vectors` the eigenvectors.
+// Jacobi's method (1846): rotations make a symmetric matrix diagonal. Its diagonal becomes the eigenvalues, and the
+// columns of `vectors` become the eigenvectors.
 template <int N>
 KV_CALLED void diagonalize(double* m, double* vectors) {
   for (int i = 0; i < N * N; ++i) vectors[i] = i % (N + 1) == 0;
@@ -233,9 +235,9 @@ KV_CALLED void diagonalize(double* m, double* vectors) {
   }
 }
 
-// The gradient to M, symmetric, of its smallest eigenvector v is -(u v^T + v u^T) / 2: gives u = (M - lambda)^+ g.
-// Where other eigenvalues are as small there is none: 0 in their directions.
-// Destroys M.
+// Computes u = (M - lambda)^+ g, from the gradient g to the eigenvector v of M's smallest eigenvalue. The gradient to
+// M, symmetric, is -(u v^T + v u^T) / 2. In directions of other eigenvalues that are as small it is undefined, and set
+// to 0. Destroys M.
 template <int N, class Group>
 KV_HD void smallest_eigenvector_vjp_in(double* m, double* inverse, double* r, double const* v, double const* g,
                                        double* u, Group group) {
@@ -243,7 +245,8 @@ KV_HD void smallest_eigenvector_vjp_in(double* m, double* inverse, double* r, do
   double const value = dot<N>(r, v), projection = dot<N>(g, v);
   double trace = 0;
   for (int i = 0; i < N; ++i) trace += m[i * N + i];
-  // The inverse of M - lambda + trace v v^T is the same across v, unless other directions are null.
+  // On vectors orthogonal to v the pseudoinverse is the inverse of M - lambda + trace v v^T, unless other directions
+  // are null.
   for (int i = group.thread_rank(); i < N; i += group.num_threads()) {
     for (int k = 0; k < N; ++k) inverse[i * N + k] = m[i * N + k] - (i == k ? value : 0) + trace * v[i] * v[k];
     u[i] = 0;
@@ -278,8 +281,9 @@ KV_CALLED void smallest_eigenvector_vjp(double* m, double const* v, double const
 
 // --- 3 x 3 -----------------------------------------------------------------------------------------------------------
 
-// Projects a matrix f to the nearest one of rank 2, f - f v v^T. The smallest right singular vector v is the largest
-// one of the cofactors. False, without a change, where these are 0.
+// Projects a matrix f to the nearest one of rank 2, f - f v v^T. The right singular vector v of the smallest singular
+// value is that of the largest one of the cofactor matrix. Returns false, and leaves f unchanged, if the cofactors are
+// 0.
 KV_HD bool project_to_rank_two(double* f, double* v) {
   double c[9], square[9], again[9], w[3];
   cofactors3(f, c);
@@ -297,7 +301,7 @@ KV_HD bool project_to_rank_two(double* f, double* v) {
 // --- null spaces -----------------------------------------------------------------------------------------------------
 
 // The null space of `rows` equations in nine unknowns: 9 - rows vectors, by Gaussian elimination with full pivoting.
-// False where the equations are dependent. Destroys them.
+// Returns false if the equations are linearly dependent. Destroys the equations.
 KV_CALLED bool null_space(double (*a)[9], int rows, double (*space)[9]) {
   int column[9];
   for (int k = 0; k < 9; ++k) column[k] = k;
@@ -357,7 +361,7 @@ KV_HD int sign_of_polynomial(double const* p, int degree, double x) {
   return magnitude(value) <= 1e-14 * size ? 0 : value < 0 ? -1 : 1;
 }
 
-// The root between two points of different sign, by Newton's method with bisection as its safeguard.
+// The root between two points where the polynomial has different signs, by Newton's method safeguarded by bisection.
 KV_HD double root_between(double const* p, int degree, double low, double high, bool rising) {
   double x = (low + high) / 2;
   for (int step = 0; step < 60 && high - low > 0; ++step) {

@@ -1,9 +1,9 @@
-// The threads that work on one problem, like a cooperative group: a single thread on the CPU, a block on CUDA. Included
-// by kernels that sum over correspondences, which the threads of a group take in turns.
+// The threads that work on one problem, like a cooperative group: a single thread on the CPU, a block on CUDA. The
+// threads take correspondences in turns. Included by kernels that sum over correspondences.
 //
-//   sum, sums           sums over the threads of the group; every thread calls it and gets the result
-//   SharedStorage<X>    memory for an X that all threads of the group see
-//   first_warp          the threads that continue where there is little work; the others are idle
+//   sum, sums          sums over the threads of the group; every thread calls it and gets the result
+//   SharedStorage<X>   memory for an X that all threads of the group share
+//   first_warp         the threads that continue if there is little work; the others are idle
 #pragma once
 
 #include "core/hd.h"
@@ -30,7 +30,7 @@ struct SingleThread {
 };
 
 #if defined(__CUDACC__)
-// Threads of a block for a problem of `count` correspondences.
+// The number of threads of a block for a problem of `count` correspondences.
 constexpr int kMaxThreads = 256;
 inline unsigned block_size(int64_t count) { return count > kMaxThreads ? kMaxThreads : 32; }
 

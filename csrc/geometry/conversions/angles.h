@@ -1,8 +1,8 @@
 // Functions of an angle, and the formulas of kvision.geometry.conversions.angles. Included by formulas.h and by the
 // other formulas of angles.
 //
-// A value that is 0 / 0 at an angle of 0 is a series in the square of the angle there. The other branch of a `select`
-// may then be NaN, also in the derivatives of a Dual; it is not taken.
+// Where a value is 0 / 0 at an angle of 0, a series in the square of the angle replaces it near 0. The branch that a
+// `select` does not take may then be NaN, also in the derivatives of a Dual.
 #pragma once
 
 #include "core/trigonometry.h"
@@ -37,7 +37,7 @@ KV_HD void cos_sin_degrees(V const& degrees, V& cosine, V& sine) {
   V const rest = subtract_constant(degrees, quarters * 90.) * 0.017453292519943295769;
   V s, c;
   sin_cos(rest, s, c);
-  auto const turn = quarters - rounded(quarters * .25) * 4.;  // -2 and 2 are the same
+  auto const turn = quarters - rounded(quarters * .25) * 4.;  // -2 and 2 are the same turn
   V const half_c = select(turn * turn == 4., -c, c), half_s = select(turn * turn == 4., -s, s);
   cosine = select(turn == 1., -s, select(turn == -1., s, half_c)) + 0.;  // no negative zeros
   sine = select(turn == 1., c, select(turn == -1., -c, half_s)) + 0.;

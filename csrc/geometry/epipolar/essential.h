@@ -1,11 +1,11 @@
-// Essential matrices E = [t]x R, by singular values E = U diag(s1, s2, s3) V^T with rotations U, V:
+// Essential matrices E = [t]x R, by their singular value decomposition E = U diag(s1, s2, s3) V^T with rotations U, V:
 //
-//   motions    R = U Z V^T for Z = (0, -1, 0), (1, 0, 0), (0, 0, 1) and its transpose, t = u3 of either sign
-//   nearest    U diag(s, s, 0) V^T, s the mean of s1 and s2
-//   choice     the motion that has most points in front of both cameras, and these points
+//   motions   R = U Z V^T for Z = (0, -1, 0), (1, 0, 0), (0, 0, 1) and its transpose, t = u3 of either sign
+//   nearest   U diag(s, s, 0) V^T, where s is the mean of s1 and s2
+//   choice    the motion with the most points in front of both cameras, and these points
 //
-// R, the nearest matrix and their gradients do not depend on the choice of singular vectors where s1 = s2. For dU = U
-// X, dV = V Y and A = U^T dE V gradients need X12 - Y12 = (A12 - A21) / (s1 + s2), X_i3 and Y_i3 only.
+// R, the nearest matrix and their gradients do not depend on the choice of singular vectors if s1 = s2. With dU = U X,
+// dV = V Y and A = U^T dE V, gradients need only X12 - Y12 = (A12 - A21) / (s1 + s2), X_i3 and Y_i3.
 //
 // Included by essential_cpu.cpp, essential.cu and essential_op.cpp.
 #pragma once
@@ -19,10 +19,11 @@ template <class T>
 struct Essential {
   Reals matrix;  // (B, 3, 3)
   int64_t batch;
-  bool nearest;                              // whether to compute the nearest essential matrix, else the motions
-  Reals rotations, directions;               // (B, 4, 3, 3), (B, 4, 3)
-  Reals projected;                           // (B, 3, 3)
-  Reals grad, grad_directions, grad_matrix;  // for the gradient: of rotations or of the nearest, and to the matrix
+  bool nearest;                 // whether to compute the nearest essential matrix, else the motions
+  Reals rotations, directions;  // (B, 4, 3, 3), (B, 4, 3)
+  Reals projected;              // (B, 3, 3)
+  Reals grad, grad_directions,
+      grad_matrix;  // for the gradient: to rotations or to the nearest matrix, to directions, and to the matrix
 };
 
 template <class T>
@@ -31,9 +32,9 @@ struct MotionChoice {
   Reals points1, points2;          // (B, N, 2)
   bool const* mask;                // (B, N), or null
   int64_t batch, count;
-  double min_weight;                  // as triangulation.h has it
+  double min_weight;                  // as in triangulation.h
   Reals rotation, direction, points;  // (B, 3, 3), (B, 3), (B, N, 3)
-  int64_t *in_front, *motion_index;   // (B): how many are in front, of which of the four
+  int64_t *in_front, *motion_index;   // (B): the number of points in front, the index of the motion, 0 to 3
 };
 
 KV_KERNEL(essential, Essential)

@@ -1,4 +1,4 @@
-// Essential matrices on the CPU: problems [begin, end). In double, which AVX-512 leaves to AVX2.
+// Essential matrices on the CPU: problems [begin, end). In double: the AVX-512 build uses the AVX2 code.
 #include "geometry/epipolar/essential.h"
 
 #if !defined(__AVX512F__)

@@ -19,7 +19,7 @@ struct Triangulate {
   // For the gradient only:
   int64_t chunk_size;                                      // points of a chunk
   Reals grad, grad_points1, grad_points2;                  // (B, N, 3), (B, N, 2)
-  Reals chunk_sums, grad_projections1, grad_projections2;  // (B, parts, 24), (B, 3, 4)
+  Reals chunk_sums, grad_projections1, grad_projections2;  // (B, chunks, 24), (B, 3, 4)
 
   KV_HD int64_t num_chunks() const { return (count + chunk_size - 1) / chunk_size; }
 };
@@ -54,7 +54,7 @@ KV_HD void triangulate(double const (*pixels)[2], double const (*projections)[12
   for (int k = 0; k < 3; ++k) point[k] = is_defined ? v[k] / v[3] : nan();
 }
 
-// From the gradient g to that point: sets the gradient to the pixels, adds that to both projections.
+// From the gradient g to that point: sets the gradient to the pixels, and adds to the gradient of both projections.
 KV_HD void triangulate_vjp(double const (*pixels)[2], double const (*projections)[12], double min_weight,
                            double const* g, double (*grad_pixels)[2], double* grad_projections) {
   double m[16], copy[16], v[4], grad_v[4], u[4];

@@ -1,4 +1,4 @@
-// Triangulation on the CPU: points [begin, end) of all problems. In double, which AVX-512 leaves to AVX2.
+// Triangulation on the CPU: points [begin, end) of all problems. In double: the AVX-512 build uses the AVX2 code.
 #include "geometry/epipolar/triangulation.h"
 
 #if !defined(__AVX512F__)

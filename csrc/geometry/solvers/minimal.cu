@@ -1,11 +1,11 @@
-// Minimal models on CUDA: a thread a sample.
+// Minimal solvers on CUDA: one thread for each sample.
 #include "core/launch.cuh"
 #include "geometry/solvers/minimal.h"
 
 namespace kv::cuda {
 namespace {
 
-constexpr int kThreads = 64;  // few, so that a round of hypotheses spreads over the device
+constexpr int kThreads = 64;  // few threads, so that a round of hypotheses spreads over the device
 
 template <class T>
 __global__ void __launch_bounds__(kThreads) solve_samples(Minimal<T> p) {

@@ -1,13 +1,14 @@
-// Models that as few correspondences as possible leave: of given ones, or of samples that are drawn from all of them.
+// Minimal solvers: models from as few correspondences as possible, which are arguments or are drawn at random from all
+// correspondences.
 //
-//   affine                   3 points           1 map, last row 0, 0, 1
-//   homography               4 points           1, from the unit square to both quadrangles
-//   lines                    4 line segments    1 homography that takes the ends to the lines
-//   fundamental              7 points           1 to 3 matrices of rank 2
-//   fundamental8             8 points           1, of the nearest one of rank 2 in normalised coordinates
-//   essential                5 points           up to 10 of norm 1 (D. Nister, 2004), in the cameras' coordinates
+//   affine         3 points          1 map, last row 0, 0, 1
+//   homography     4 points          1, composed of the maps from the unit square to both quadrilaterals
+//   lines          4 line segments   1 homography that maps the ends of segments to lines
+//   fundamental    7 points          1 to 3 matrices of rank 2
+//   fundamental8   8 points          1, projected to rank 2 in normalized coordinates
+//   essential      5 points          up to 10 of norm 1 (D. Nister, 2004), in normalized camera coordinates
 //
-// What is missing is NaN. Included by minimal_cpu.cpp, minimal.cu and minimal_op.cpp.
+// Missing models are NaN. Included by minimal_cpu.cpp, minimal.cu and minimal_op.cpp.
 #pragma once
 
 #include "core/isa.h"
@@ -23,8 +24,9 @@ KV_HD int sample_size(Model m) {
 }
 KV_HD int candidates(Model m) { return m == Model::essential ? 10 : m == Model::fundamental ? 3 : 1; }
 
-// With `draws`, (S, m + 1): every row has m numbers in [0, 1) that choose from as many of the first points as its last
-// number says; the points are then (1, N, .). Without, sample s is made of the points (S, m, .).
+// With `draws`, (S, m + 1), the points are (1, N, .). Each row of draws has m numbers in [0, 1), which select a sample
+// among the first points; the last number of the row says how many first points. Without draws, sample s is the points
+// (s, m, .) of (S, m, .).
 template <class T>
 struct Minimal {
   Reals points1, points2, draws;  // draws.data may be null
@@ -41,7 +43,7 @@ constexpr int kMaxPoints = 8;
 
 using Points = double[kMaxPoints][4];  // (x, y), or both ends of a line segment
 
-// Different ones of `population`, each choice as likely as any other (R. Floyd's method).
+// Chooses distinct indices below `population`; all choices are equally likely (R. Floyd's method).
 template <class T>
 KV_HD void choose_distinct(Minimal<T> const& p, int64_t sample, int size, int64_t* indices) {
   int64_t const row = sample * (size + 1);
@@ -72,7 +74,7 @@ KV_HD void affine(Points const& x, Points const& y, double* m) {
   m[6] = m[7] = 0, m[8] = small::finite(scale) ? 1 : small::nan();
 }
 
-// The homography that takes (0, 0), (1, 0), (1, 1), (0, 1) to four points (P. Heckbert, 1989).
+// The homography from (0, 0), (1, 0), (1, 1), (0, 1) to four points (P. Heckbert, 1989).
 KV_HD void from_unit_square(Points const& p, double* m) {
   double const u[] = {p[1][0] - p[2][0], p[1][1] - p[2][1]}, v[] = {p[3][0] - p[2][0], p[3][1] - p[2][1]};
   double const skew[] = {p[0][0] - p[1][0] - v[0], p[0][1] - p[1][1] - v[1]};
@@ -85,7 +87,7 @@ KV_HD void from_unit_square(Points const& p, double* m) {
   m[6] = g, m[7] = h, m[8] = w;
 }
 
-// None where three points turn the other way round in the second image: a line between them would go to infinity.
+// No model if three points have the opposite orientation in the second image: a line between them would go to infinity.
 KV_HD void homography(Points const& x, Points const& y, double* m) {
   bool keeps_orientation = true;
   for (int skip = 0; skip < 4; ++skip) {
@@ -103,7 +105,7 @@ KV_HD void homography(Points const& x, Points const& y, double* m) {
 
 // --- equations in nine unknowns --------------------------------------------------------------------------------------
 
-// The mean of points goes to 0 and their mean distance from it to sqrt(2).
+// Normalizes points: their mean becomes 0 and their mean distance from it sqrt(2). T is the matrix of this map.
 struct Normalization {
   double scale, x, y;
   KV_HD Normalization(Points& p, int points, int ends) : scale(0), x(0), y(0) {
@@ -119,7 +121,7 @@ struct Normalization {
     for (int i = 0; i < points; ++i)
       for (int e = 0; e < 2 * ends; ++e) p[i][e] *= scale;
   }
-  // m T, of rows.
+  // m T, for the rows of m.
   KV_HD void multiply_right(double* m) const {
     for (int i = 0; i < 9; i += 3) {
       m[i] *= scale, m[i + 1] *= scale;
@@ -201,9 +203,9 @@ KV_CALLED int fundamental(Points& x, Points& y, int points, double (*models)[9])
 
 // --- five points -----------------------------------------------------------------------------------------------------
 
-// Where the product of two monomials stands: x, y, z, 1 by themselves, then x^2, xy, xz, x, y^2, yz, y, z^2, z, 1 by
-// them, which gives x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy, x z^2, xz, x, y z^2, yz, y, z^3, z^2,
-// z, 1.
+// Index tables of monomials. The product of two of x, y, z, 1 is one of x^2, xy, xz, x, y^2, yz, y, z^2, z, 1. The
+// product of one of these ten and one of x, y, z, 1 is one of x^3, y^3, x^2 y, x y^2, x^2 z, x^2, y^2 z, y^2, xyz, xy,
+// x z^2, xz, x, y z^2, yz, y, z^3, z^2, z, 1.
 KV_HD int quadratic_index(int i, int k) {
   constexpr unsigned char table[] = {0, 1, 2, 3, 1, 4, 5, 6, 2, 5, 7, 8, 3, 6, 8, 9};
   return table[4 * i + k];
@@ -222,7 +224,8 @@ KV_HD void add_cubic(double const* a, double const* b, double* to) {
     for (int k = 0; k < 4; ++k) to[cubic_index(i, k)] += a[i] * b[k];
 }
 
-// det E = 0 and (E E^T - tr(E E^T) / 2) E = 0, for entries e (9, 4) that are linear in x, y, z.
+// The coefficients of det E = 0 and (E E^T - tr(E E^T) / 2) E = 0, for entries e (9, 4) of E that are linear in x, y,
+// z.
 KV_CALLED void constraints(double const (*e)[4], double (*q)[20]) {
   for (int r = 0; r < 10; ++r)
     for (int k = 0; k < 20; ++k) q[r][k] = 0;
@@ -245,7 +248,7 @@ KV_CALLED void constraints(double const (*e)[4], double (*q)[20]) {
   }
 }
 
-// Ten equations to the ten first monomials, one each; false where they depend on one another.
+// Gauss-Jordan elimination: solves ten equations for the first ten monomials. False if they are linearly dependent.
 KV_CALLED bool eliminate(double (*q)[20]) {
   for (int k = 0; k < 10; ++k) {
     int row = k;
@@ -276,7 +279,7 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
   double rows[5][9], basis[4][9], e[9][4], q[10][20];
   epipolar_rows(x, y, 5, rows);
   if (!small::null_space(rows, 5, basis)) return 0;
-  for (int v = 0; v < 4; ++v) {  // orthogonal, which keeps digits below
+  for (int v = 0; v < 4; ++v) {  // an orthonormal basis, for accuracy below
     for (int w = 0; w < v; ++w) {
       double projection = 0;
       for (int k = 0; k < 9; ++k) projection += basis[v][k] * basis[w][k];
@@ -288,7 +291,8 @@ KV_CALLED int essential(Points const& x, Points const& y, double (*models)[9]) {
   }
   constraints(e, q);
   if (!eliminate(q)) return 0;
-  // Equations with z less z times those without: three in x, y, 1, with polynomials in z of degree 3, 3, 4.
+  // Each equation with z minus z times that without: three equations in x, y, 1, whose coefficients are polynomials in
+  // z of degree 3, 3, 4.
   double system[3][3][5];
   for (int r = 0; r < 3; ++r)
     for (int c = 0, column = 10; c < 3; column += c < 2 ? 3 : 4, ++c) {

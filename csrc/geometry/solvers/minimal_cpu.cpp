@@ -1,4 +1,4 @@
-// Minimal models on the CPU: samples [begin, end). In double, which AVX-512 leaves to AVX2.
+// Minimal solvers on the CPU: samples [begin, end). In double: the AVX-512 build uses the AVX2 code.
 #include "geometry/solvers/minimal.h"
 
 #if !defined(__AVX512F__)

@@ -15,7 +15,7 @@ __global__ void __launch_bounds__(kMaxThreads) null_vectors_backward(NullVector<
   null_vector_vjp<N>(p, blockIdx.x, ThreadBlock{});
 }
 
-// One thread in a block: matrices of more threads would not fit into L1.
+// One thread for each block: the matrices of more threads do not fit into L1.
 template <int N, class T>
 __global__ void __launch_bounds__(1) all_eigenvectors(Eigenvectors<T> p) {
   solve_eigenvectors<N>(p, blockIdx.x);

@@ -1,4 +1,4 @@
-// Null vectors on the CPU: problems [begin, end). In double, which AVX-512 leaves to AVX2.
+// Null vectors on the CPU: problems [begin, end). In double: the AVX-512 build uses the AVX2 code.
 #include "geometry/solvers/null_vector.h"
 
 #if !defined(__AVX512F__)

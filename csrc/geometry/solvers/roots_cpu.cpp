@@ -1,4 +1,4 @@
-// Real roots on the CPU: polynomials [begin, end). In double, which AVX-512 leaves to AVX2.
+// Real roots on the CPU: polynomials [begin, end). In double: the AVX-512 build uses the AVX2 code.
 #include "geometry/solvers/roots.h"
 
 #if !defined(__AVX512F__)

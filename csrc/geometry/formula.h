@@ -161,7 +161,7 @@ KV_HD void formula_vjp(FormulaParams<F> const& p, Row const& row) {
   }
 }
 
-// --- common input layouts ---------------------------------------------------------------------------------------------
+// --- common input layouts --------------------------------------------------------------------------------------------
 
 // A formula of one vector.
 template <int N, int Rows, int Columns = 0>

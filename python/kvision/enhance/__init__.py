@@ -1,8 +1,9 @@
 """Adjustments of images (*, C, H, W): brightness, contrast, color, histograms, normalization.
 
-Values are in [0, 1] unless said otherwise. Outside of it every function follows its formula, and ends in [0, 1] where it
-clamps; those that need a level or a power take the nearest value they have one for. Parameters are numbers, or tensors
-with the first axes of the images, (B,) for one a sample. Computation is in float32, or in float64 for float64 images.
+Values are in [0, 1] unless said otherwise. Other values follow the formula of the function as well, and are clamped to
+[0, 1] where it says so; functions of 8-bit levels or of powers use the nearest value with a level or a power.
+Parameters are numbers, or tensors with the leading axes of the images: (B,) has one value per sample.
+Computation is in float32, or in float64 for float64 images.
 """
 
 from kvision.enhance.add_weighted import AddWeighted, add_weighted

@@ -23,7 +23,7 @@ def _reference(
     b: float,
     c: float,
 ) -> Tensor:
-    """Images (B, C, H, W) by weights (B or 1, C or 1, 1), which numbers stand for where there are none."""
+    """Images (B, C, H, W) with weights (B or 1, C or 1, 1); a weight that is None is replaced by its number."""
     return _mixed(x, y, *(n if w is None else w[..., None] for w, n in ((alpha, a), (beta, b), (gamma, c))))
 
 
@@ -53,7 +53,7 @@ _composed = with_kernel_casts(_mixed)  # weights of single pixels, images of two
 def add_weighted(
     src1: Tensor, alpha: float | Tensor, src2: Tensor, beta: float | Tensor, gamma: float | Tensor
 ) -> Tensor:
-    """Mix two images: src1 * alpha + src2 * beta + gamma.
+    """Add two images with weights: src1 * alpha + src2 * beta + gamma.
 
     Args:
         src1: an image of any shape; integers are computed in float32.
@@ -64,7 +64,7 @@ def add_weighted(
         gamma: of the same kinds as alpha.
 
     Returns:
-        The mix, not clamped, in the type of src1; differentiable in all five.
+        The weighted sum, not clamped, in the type of src1; differentiable in all five arguments.
 
     Raises:
         TypeCheckError: an image is no real tensor; a weight is neither number nor tensor.

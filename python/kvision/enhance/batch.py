@@ -1,4 +1,4 @@
-"""Images of any rank as one batch, and the parameters that go with them."""
+"""Images of any rank as one batch, and parameters that broadcast to it."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from kvision.core.exceptions import ImageError, ShapeError
 
 
 def as_batch(x: Tensor) -> Tensor:
-    """(*, C, H, W) as (B, C, H, W): the axes in front joined, or added where there are fewer than four."""
+    """Reshape (*, C, H, W) to (B, C, H, W): flatten the leading axes, or add some if there are fewer than four."""
     return flatten_batch(x if x.dim() > 2 else x.reshape((1,) * (3 - x.dim()) + x.shape))
 
 
 def shaped(y: Tensor, x: Tensor) -> Tensor:
-    """The result of a step on as_batch(x) with the axes of `x`."""
+    """Reshape a result for as_batch(x) to the axes of `x`."""
     return y if y.dim() == x.dim() else y.reshape(x.shape)
 
 
 def parameter(op: str, name: str, value: float | Tensor, x: Tensor, minimum: float = -math.inf) -> float | Tensor:
-    """A parameter of images `x` as a step on as_batch(x) takes it: a number, or a tensor (B or 1, C or 1, 1).
+    """Return a parameter of images `x` as a step on as_batch(x) takes it: a number, or a tensor (B or 1, C or 1, 1).
 
     The axes of a tensor are the first ones of `x`, of the same size or 1: (B,) has one value a sample, (B, C) one a
     channel; one a pixel gives (B, C, H, W). Only numbers are compared with `minimum`: a look at a tensor would wait for
@@ -60,7 +60,7 @@ def check_broadcast(op: str, name: str, value: Tensor, x: Tensor) -> None:
 
 
 def broadcast(value: Tensor, x: Tensor) -> Tensor:
-    """What broadcasts to images `x`, as a step on as_batch(x) takes it."""
+    """Return a value that broadcasts to images `x` as a step on as_batch(x) takes it."""
     missing = (1,) * (max(x.dim(), 3) - value.dim())
     value = value.reshape(*missing, *value.shape)
     if value.dim() > 4 and value.shape[:-3].numel() > 1:
@@ -70,7 +70,7 @@ def broadcast(value: Tensor, x: Tensor) -> Tensor:
 
 
 def per_pixel(op: str, name: str, value: float | Tensor, x: Tensor) -> float | Tensor:
-    """A parameter that all channels of a pixel share."""
+    """Return a parameter with one value for all channels of a pixel."""
     found = parameter(op, name, value, x)
     if isinstance(found, Tensor) and found.shape[1] != 1:
         raise ShapeError(f"{op}: expected one {name} for all channels, got {tuple(value.shape)}")  # type: ignore[union-attr]

@@ -16,7 +16,7 @@ _BANDWIDTH = 0.001  # of the smooth histogram; neighboring levels are 0.0039 apa
 
 
 def _reference(x: Tensor, clip_limit: float, rows: int, columns: int, opencv: bool) -> Tensor:
-    """(B, C, H, W): every plane by itself."""
+    """Equalize every plane of (B, C, H, W) separately."""
     tile = _tile(x, rows, columns, opencv)
     tiles = _split(x.flatten(0, 1), rows, columns, tile)
     counts = level_counts(levels(tiles), ~tiles.isnan()).to(_wide(x))
@@ -31,7 +31,7 @@ _equalize_clahe = register("equalize_clahe", _reference, backward=_backward, sav
 
 
 def _reference_smooth(x: Tensor, clip_limit: float, rows: int, columns: int) -> Tensor:
-    """The same from smooth counts, whose tables are not rounded: they have a gradient."""
+    """Equalize from smooth histograms with tables that are not rounded, so that there is a gradient."""
     tile = _tile(x, rows, columns, False)
     counts = _smooth_counts(_split(x.flatten(0, 1), rows, columns, tile))
     return _mapped(x, _tables(counts, clip_limit, tile[0] * tile[1]), rows, columns, tile, False)
@@ -41,7 +41,7 @@ _equalize_clahe_smooth = with_kernel_casts(_reference_smooth, native_half=True)
 
 
 def _tile(x: Tensor, rows: int, columns: int, opencv: bool) -> tuple[int, int]:
-    """The size of the tiles. Where they do not fit, OpenCV continues both axes, also the one that they fit."""
+    """The size of the tiles. If one axis is not a multiple of its tiles, OpenCV pads both axes."""
     h, w = x.shape[2:]
     if opencv and (h % rows or w % columns):
         return h // rows + 1, w // columns + 1
@@ -49,7 +49,7 @@ def _tile(x: Tensor, rows: int, columns: int, opencv: bool) -> tuple[int, int]:
 
 
 def _mapped(x: Tensor, tables: Tensor, rows: int, columns: int, tile: tuple[int, int], opencv: bool) -> Tensor:
-    """Each pixel by the tables of the four tiles whose centers surround it; (B * C * tiles, 256) tables."""
+    """Map each pixel by the tables (B * C * tiles, 256) of the four tiles whose centers surround it."""
     planes = x.flatten(0, 1)
     n, h, w = planes.shape
     tables = tables.reshape(n, rows * columns * LEVELS)
@@ -65,7 +65,7 @@ def _mapped(x: Tensor, tables: Tensor, rows: int, columns: int, tile: tuple[int,
     top = mapped(y0, x0) * (1 - wx) + mapped(y0, x1) * wx
     bottom = mapped(y1, x0) * (1 - wx) + mapped(y1, x1) * wx
     wy = wy[:, None]
-    mixed = top * (1 - wy) + bottom * wy  # in OpenCV's order: it may end half-way between two levels
+    mixed = top * (1 - wy) + bottom * wy  # OpenCV's order, which decides ties of rounding
     y = ((mixed.round() if opencv else mixed) / 255).to(x.dtype).reshape(x.shape)
     return torch.where(x.isnan(), x, y)
 
@@ -75,21 +75,21 @@ def _wide(x: Tensor) -> torch.dtype:
 
 
 def _split(x: Tensor, rows: int, columns: int, tile: tuple[int, int]) -> Tensor:
-    """(N, H, W), continued by reflection, as (N * rows * columns, pixels of a tile)."""
+    """Pad (N, H, W) by reflection and split it into (N * rows * columns, pixels of a tile)."""
     n, h, w = x.shape
     x = x[:, _reflected(h, rows * tile[0], x)][:, :, _reflected(w, columns * tile[1], x)]
     return x.reshape(n, rows, tile[0], columns, tile[1]).transpose(2, 3).reshape(n * rows * columns, tile[0] * tile[1])
 
 
 def _reflected(size: int, padded: int, x: Tensor) -> Tensor:
-    """Indices 0 to padded - 1, folded at both ends of `size` pixels as often as it takes."""
+    """Indices 0 to padded - 1, reflected at both ends of `size` pixels as often as necessary."""
     period = max(2 * (size - 1), 1)
     i = torch.arange(padded, device=x.device) % period
     return torch.minimum(i, period - i) if size > 1 else torch.zeros_like(i)
 
 
 def _neighbours(size: int, count: int, tile: int, place: float, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """For every pixel of an axis: the tiles before and after it, and the weight of the second one."""
+    """For every pixel of an axis: the tile before it, the tile after it, and the weight of the latter."""
     center = (torch.arange(size, device=like.device, dtype=like.dtype) + place) * (1 / tile) - 0.5
     before = center.floor()
     first, second = before.long().clamp(min=0), (before.long() + 1).clamp(max=count - 1)
@@ -97,12 +97,12 @@ def _neighbours(size: int, count: int, tile: int, place: float, like: Tensor) ->
 
 
 def _tables(counts: Tensor, clip_limit: float, pixels: int) -> Tensor:
-    """(T, 256) counts as tables from level to level: what exceeds the limit is spread over all levels, then summed up."""
+    """Tables from level to level: counts (T, 256) above the limit are redistributed, then accumulated."""
     if clip_limit > 0:
         limit = max(clip_limit * pixels // LEVELS, 1)
         excess = (counts - limit).relu().sum(1, keepdim=True)
         rest = excess % LEVELS
-        # As OpenCV does: an equal share for every level, and the rest one by one to levels at equal distances.
+        # OpenCV adds an equal amount to every level, and the remainder one by one to levels at equal distances.
         distance = torch.div(LEVELS, rest.detach().clamp(min=1), rounding_mode="floor").clamp(min=1)
         level = torch.arange(LEVELS, device=counts.device)
         spared = (level % distance == 0) & (torch.div(level, distance, rounding_mode="floor") < rest)
@@ -125,7 +125,7 @@ def equalize_clahe(
     slow_and_differentiable: bool = False,
     opencv: bool = False,
 ) -> Tensor:
-    """Equalize every image plane region by region, without making more of noise than a limit allows.
+    """Equalize the histogram of every image plane tile by tile, with a limit on the contrast (CLAHE).
 
     The plane, continued by reflection, is covered by a grid of tiles of equal size. A pixel is mapped by the tables of
     the four nearest tiles, mixed by its distance from their centers.

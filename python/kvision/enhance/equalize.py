@@ -22,14 +22,14 @@ def levels(x: Tensor) -> Tensor:
 
 
 def level_counts(level: Tensor, counted: Tensor) -> Tensor:
-    """How often each level occurs: (*, P) levels and which of them count, as (*, 256)."""
+    """Histograms (*, 256) of levels (*, P), with a mask of those that count."""
     zero = torch.zeros_like(level[..., :1]).expand(*level.shape[:-1], LEVELS)
     return zero.scatter_add(-1, level, counted.to(level.dtype))
 
 
 def _reference(x: Tensor, opencv: bool) -> tuple[Tensor, Tensor]:
-    """(B, C, H, W) planes by themselves, and (B, C): 0 for planes that stay as they are, 1 for those that change, 2 for
-    those that change but for NaN."""
+    """Equalize every plane of (B, C, H, W); also return (B, C): 0 for planes that are unchanged, 1 for planes that are
+    mapped, 2 for planes that are mapped except for their NaN."""
     flat = x.flatten(2)
     level, number = levels(flat), ~flat.isnan()
     table, changes = (_opencv_table if opencv else _pil_table)(level_counts(level, number))
@@ -39,7 +39,7 @@ def _reference(x: Tensor, opencv: bool) -> tuple[Tensor, Tensor]:
 
 
 def _pil_table(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """A whole number of pixels makes one output level, and the brightest level that is not empty is left out."""
+    """PIL: one output level takes a whole number of pixels; the brightest level that is not empty is not counted."""
     bins = torch.arange(LEVELS, device=counts.device)
     brightest = torch.where(counts > 0, bins, 0).amax(-1, keepdim=True)
     step = (counts.sum(-1, keepdim=True) - counts.gather(-1, brightest)) // 255
@@ -48,7 +48,7 @@ def _pil_table(counts: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _opencv_table(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """The darkest level that is not empty is left out, and levels are rounded."""
+    """OpenCV: the darkest level that is not empty is not counted, and levels are rounded."""
     darkest = counts.gather(-1, (counts > 0).int().argmax(-1, keepdim=True))
     counted = counts.sum(-1, keepdim=True) - darkest
     up_to = (counts.cumsum(-1) - darkest).clamp(min=0)
@@ -57,7 +57,7 @@ def _opencv_table(counts: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _pulled_back(grad: Tensor, output: Tensor, changed: Tensor | None) -> Tensor:
-    """Levels have no gradient; what comes back as it is has its own."""
+    """Levels have zero gradient; pixels that are returned unchanged pass theirs."""
     equalized = ~output.isnan()
     if changed is not None:
         equalized &= (changed > 0)[..., None, None]
@@ -88,7 +88,7 @@ def equalize(input: Tensor, opencv: bool = False) -> Tensor:
     Args:
         input: (*, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0 or
             1, and NaN does not count.
-        opencv: give what `cv2.equalizeHist` gives for the bytes 255 x, divided by 255, in place of PIL's.
+        opencv: return the result of `cv2.equalizeHist` for the bytes 255 x, divided by 255, instead of PIL's.
 
     Returns:
         The image with equalized levels, divided by 255. A plane that has no 255 pixels below its brightest level, or

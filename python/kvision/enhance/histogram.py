@@ -23,7 +23,7 @@ _KERNELS: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 class _Recomputed(torch.autograd.Function):
-    """`f(*tensors)`, computed again for its gradient, so that nothing between is kept."""
+    """`f(*tensors)`, recomputed in the backward pass, so that no intermediate result is stored."""
 
     generate_vmap_rule = True
 
@@ -53,17 +53,17 @@ class _Recomputed(torch.autograd.Function):
 
 
 def recomputed(f: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
-    # torch.compile plans itself what to keep, and cannot follow a Function with forward mode.
+    # torch.compile decides itself what to store, and cannot trace a Function with forward mode.
     return f(*tensors) if torch.compiler.is_compiling() else _Recomputed.apply(f, *tensors)
 
 
 def pieces(pixels: int, bins: int) -> int:
-    """Into how many pieces to cut the pixels, so that one of them times the bins is no more than a few images."""
+    """The number of chunks of pixels; a chunk times the bins has at most the size of a few images."""
     return max(min(pixels, bins // 8), 1)
 
 
 def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) -> Tensor:
-    """(N, P) values and (K,) centers to (N, K): the sums of the kernel at (x - center) / bandwidth."""
+    """Sum the kernel at (x - center) / bandwidth over values (N, P) for centers (K,), to (N, K)."""
     centers, bandwidth = centers[None], bandwidth.reshape(1)
     if kernel == "gaussian":
         return _histogram(x, centers, bandwidth)
@@ -71,12 +71,12 @@ def kernel_counts(x: Tensor, centers: Tensor, bandwidth: Tensor, kernel: str) ->
 
 
 def _counts_in_pieces(shape: Callable[[Tensor], Tensor], x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
-    """As kernel_counts, with centers (N, K) or (1, K) and bandwidths (N,) or (1,)."""
+    """Compute kernel_counts with centers (N, K) or (1, K) and bandwidths (N,) or (1,)."""
 
     def counts(x: Tensor, centers: Tensor, bandwidth: Tensor) -> Tensor:
         return shape((x[:, None] - centers[..., None]).abs() / bandwidth[:, None, None]).sum(2)
 
-    x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # too far away to count
+    x = torch.where(x.isnan(), torch.finfo(x.dtype).max ** 0.5, x)  # out of reach of every center
     parts = x.chunk(pieces(x.shape[1], centers.shape[1]), 1)
     return _total([recomputed(counts, part, centers, bandwidth) for part in parts])
 
@@ -89,7 +89,7 @@ _histogram_backward = register("histogram_backward", vjp(_reference), fake=lambd
 
 
 def _backward(needs, grad, x, centers, bandwidth):
-    """Centers and bandwidth are few, and seldom learned: theirs is the reference's."""
+    """The kernel computes the gradient of x. Centers and bandwidth, seldom learned, take the reference."""
     found = [None] * 3
     if any(needs[1:]):
         found = _histogram.differentiate_reference((False, *needs[1:]), grad, x, centers, bandwidth)
@@ -104,7 +104,7 @@ _histogram = register(
 
 
 def joint_counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Tensor:
-    """(N, P) twice and (K,) bins to (N, K, K): the sums of the products of two Gaussians."""
+    """Sum the products of two Gaussians over pairs of values (N, P) for bins (K,), to (N, K, K)."""
     gaussian = _KERNELS["gaussian"]
 
     def counts(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor) -> Tensor:
@@ -123,7 +123,8 @@ _GRID_KERNELS = ("triangular", "epanechnikov", "uniform")  # by the numbers of H
 
 
 def _reference_grid(x: Tensor, low: float, width: float, bins: int, kernel: int) -> Tensor:
-    """kernel_counts of (N, P) at centers one bandwidth apart, by a kernel that ends there: three bins a value at most."""
+    """Compute kernel_counts of (N, P) for centers one bandwidth apart and a kernel that is 0 beyond one bandwidth:
+    a value adds to at most three bins."""
     shape = _KERNELS[_GRID_KERNELS[kernel]]
     near = ((x.detach() - low) / width - 0.5).round()
     counts = torch.zeros_like(x[:, :1]).expand(-1, bins)
@@ -148,7 +149,7 @@ _image_histogram2d = register(
 
 
 def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10) -> Tensor:
-    """Estimate the density of values at given points, with a Gaussian kernel.
+    """Estimate the density of values at the centers `bins`, with a Gaussian kernel.
 
     Args:
         x: samples (B, D).
@@ -178,7 +179,7 @@ def histogram(x: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10
 
 
 def histogram2d(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor, epsilon: float = 1e-10) -> Tensor:
-    """Estimate the joint density of pairs of values on a grid of given points, with a Gaussian kernel.
+    """Estimate the joint density of pairs of values on the grid of the centers `bins`, with a Gaussian kernel.
 
     Args:
         x1: the first values of the samples (B, D).
@@ -213,7 +214,7 @@ def histogram2d(x1: Tensor, x2: Tensor, bins: Tensor, bandwidth: Tensor, epsilon
 
 
 def _arguments(op: str, x: Tensor, bins: Tensor, bandwidth: Tensor) -> tuple[Tensor, Tensor, Tensor, torch.dtype]:
-    """Samples, bins and bandwidth in the type to compute in, and the type of the result."""
+    """Samples, bins and bandwidth in the computing type, and the type of the result."""
     _check.shape(op, "bins", bins, "K")
     if not isinstance(bandwidth, Tensor):
         bandwidth = torch.full((), _check.number(op, "bandwidth", bandwidth), device=x.device)

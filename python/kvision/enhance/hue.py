@@ -1,4 +1,4 @@
-"""Hue: colors turned around the gray axis of HSV."""
+"""Hue: colors rotated around the gray axis of HSV."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _adjust_hue_raw = step("hue_raw", _in_hsv)
 
 
 def adjust_hue(image: Tensor, factor: float | Tensor) -> Tensor:
-    """Turn the hue of an RGB image by an angle.
+    """Rotate the hue of an RGB image by an angle.
 
     Args:
         image: (*, 3, H, W), floating point, in [0, 1].

@@ -1,4 +1,4 @@
-"""What JPEG does to an image, with gradients."""
+"""Differentiable approximation of JPEG compression."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _CHROMINANCE = (
 def _reference(
     x: Tensor, quality: Tensor | None, table_y: Tensor | None, table_c: Tensor | None, number: float
 ) -> Tensor:
-    """Images (B, 3, H, W) by qualities (B or 1,), or a number where there are none, and tables (B or 1, 8, 8)."""
+    """Images (B, 3, H, W) with qualities (B or 1,), or a number if these are None, and tables (B or 1, 8, 8)."""
     h, w = x.shape[2:]
     if quality is None:
         quality = torch.full((1,), number, device=x.device, dtype=x.dtype)
@@ -54,7 +54,7 @@ def _reference(
 
 
 def _halved(x: Tensor) -> Tensor:
-    """Every second pixel along both axes, between which a Gaussian of sigma 0.5 and the mean of 2 x 2 has smoothed."""
+    """Downsample by 2 along both axes: a Gaussian of sigma 0.5, then the mean of 2 x 2 pixels."""
     side = math.exp(-2.0)
     x = pad(x, ((1, 1), (1, 1)), "reflect")
     x = (side * (x[..., :-2, :] + x[..., 2:, :]) + x[..., 1:-1, :]) / (1 + 2 * side)
@@ -63,7 +63,7 @@ def _halved(x: Tensor) -> Tensor:
 
 
 def _through_blocks(x: Tensor, steps: Tensor) -> Tensor:
-    """(B, C, H, W) levels, rounded to whole steps (B, 8, 8) in the cosine transform of every 8 x 8 block."""
+    """Quantize the cosine transform of every 8 x 8 block of levels (B, C, H, W) with the steps (B, 8, 8)."""
     b, c, h, w = x.shape
     dct = _dct(x)
     steps = steps[:, None, None, None]
@@ -73,30 +73,30 @@ def _through_blocks(x: Tensor, steps: Tensor) -> Tensor:
 
 
 def _dct(like: Tensor) -> Tensor:
-    """The orthonormal cosine transform of 8 values: a row for every frequency."""
+    """The orthonormal cosine transform of 8 values: one row per frequency."""
     i = torch.arange(8, device=like.device, dtype=like.dtype)
     rows = torch.cos((2 * i + 1) * i[:, None] * (math.pi / 16)) / 2
     return torch.where(i[:, None] == 0, math.sqrt(1 / 8), rows)
 
 
 def _table(standard: tuple[tuple[int, ...], ...], given: Tensor | None, x: Tensor) -> Tensor:
-    """(B, 8, 8) or (1, 8, 8)."""
+    """A table (B, 8, 8), or the standard one (1, 8, 8)."""
     if given is not None:
         return given
     if type(x) is Tensor and not torch.compiler.is_compiling() and not in_function_transform():
         return _kept_table(standard, x.device, x.dtype)
-    return torch.tensor(standard, device=x.device, dtype=x.dtype)[None]  # tracers keep it themselves
+    return torch.tensor(standard, device=x.device, dtype=x.dtype)[None]  # a tracer stores it as a constant
 
 
 @functools.cache
 def _kept_table(standard: tuple[tuple[int, ...], ...], device: torch.device, dtype: torch.dtype) -> Tensor:
-    """Copied to its device once: every copy waits for the device, and a CUDA graph cannot hold one."""
+    """The standard table, cached per device: a copy waits for the device, and a CUDA graph cannot capture it."""
     with torch.inference_mode(False):
         return torch.tensor(standard, device=device, dtype=dtype)[None]
 
 
 def _steps(quality: Tensor, table: Tensor) -> Tensor:
-    """The table scaled as libjpeg does: to 100% at quality 50, to 1 at 100, and to ever more below."""
+    """Scale the table like libjpeg: 100% at quality 50, all ones at 100, and larger steps at lower qualities."""
     q = quality.clamp(1, 100)
     percent = _soft_floor(torch.where(q < 50, 5000 / q, 200 - 2 * q))[:, None, None]
     return _soft_floor(_soft_clip((table * percent + 50) / 100, 1, 255))
@@ -113,7 +113,7 @@ def _soft_floor(x: Tensor) -> Tensor:
 
 
 def _soft_clip(x: Tensor, low: float, high: float) -> Tensor:
-    """Values outside end at most 0.02 beyond, and keep some gradient."""
+    """Clip softly: values outside end at most 0.02 out of bounds and keep a nonzero gradient."""
     inside = x.clamp(low, high)
     return inside + 0.02 * (torch.sign(x - inside) * (1 - torch.exp(-(x - inside).abs())))
 
@@ -175,7 +175,7 @@ def jpeg_codec_differentiable(
     quantization_table_y: Tensor | None = None,
     quantization_table_c: Tensor | None = None,
 ) -> Tensor:
-    """Lose what JPEG loses: chroma at half size (4:2:0), and 8 x 8 cosine coefficients rounded to multiples of a table.
+    """Approximate JPEG compression: 4:2:0 chroma subsampling, and quantized cosine coefficients of 8 x 8 blocks.
 
     Rounding is x -> round(x) + (x - round(x)) ** 3, and its like for the table, so that there is a gradient. The sides
     are continued to multiples of 16 by their last pixels.

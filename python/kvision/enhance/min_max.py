@@ -19,7 +19,7 @@ def _stretch(x: Tensor, low: float, high: float, eps: float) -> Tensor:
 
 
 def _reference(x: Tensor, low: float, high: float, eps: float) -> tuple[Tensor, Tensor]:
-    """(B, C, H, W) planes by themselves, and their ranges (B, C, 2), which only the gradient asks for."""
+    """Normalize every plane of (B, C, H, W); also return the ranges (B, C, 2), which the gradient reads."""
     return _stretch(x, low, high, eps), torch.stack([x.amin((-2, -1)), x.amax((-2, -1))], -1)
 
 

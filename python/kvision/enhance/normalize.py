@@ -1,4 +1,4 @@
-"""Normalization by given statistics, and back."""
+"""Normalization by mean and standard deviation, and its inverse."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _arguments(
 
 
 def _is_rgb(x: Tensor, *parameters: float | Tensor) -> bool:
-    """Whether they are a number or three numbers for pixels of three channels, which are faster than planes."""
+    """Whether there are three channels, and one or three numbers per statistic: this takes a faster kernel."""
     if x.shape[1] != 3:
         return False
     for p in parameters:
@@ -105,14 +105,14 @@ def _is_rgb(x: Tensor, *parameters: float | Tensor) -> bool:
 
 
 def _columns(p: float | Tensor) -> Sequence[float | Tensor]:
-    """A parameter of three channels side by side."""
+    """A parameter with its three channels in the last axis."""
     if not isinstance(p, Tensor):
         return (p,) * 3
     return (p if p.shape[2] == 3 else p.expand(-1, -1, 3),)
 
 
 def _rows(p: float | Tensor) -> float | Tensor:
-    """A parameter channel by channel."""
+    """A parameter with one row per channel."""
     return p.mT if isinstance(p, Tensor) and p.dim() == 3 else p
 
 

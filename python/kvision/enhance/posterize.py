@@ -1,4 +1,4 @@
-"""Posterisation: fewer levels."""
+"""Posterization: fewer levels."""
 
 from __future__ import annotations
 

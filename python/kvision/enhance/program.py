@@ -20,8 +20,8 @@ Value = float | Sequence[float] | Tensor
 
 class _Kind(NamedTuple):
     step: str
-    parameters: dict[str, int] = {}  # by name, and how many numbers each one is
-    arguments: Callable[..., tuple[Any, ...]] = lambda *values: values  # of the step, from its parameters
+    parameters: dict[str, int] = {}  # names and sizes
+    arguments: Callable[..., tuple[Any, ...]] = lambda *values: values  # from parameters to the arguments of the step
 
 
 _KINDS = {
@@ -107,7 +107,7 @@ class ColorProgram(nn.Module):
             )
         self.dtype, self.memory_format = dtype, memory_format
         self._layout = LAYOUTS[memory_format]
-        self._steps: list[tuple[str, list[Any]]] = []  # with the names of their attributes for tensors
+        self._steps: list[tuple[str, list[Any]]] = []  # a tensor is represented by its attribute's name
         for i, given in enumerate(steps):
             name, values = _checked(given)
             for k, parameter in enumerate(_KINDS[name].parameters):
@@ -122,7 +122,7 @@ class ColorProgram(nn.Module):
             self._steps.append((name, values))
         self._names = [name for name, _ in self._steps]
         self._program = [STEPS[_KINDS[name].step].number for name, _ in self._steps]
-        # What does not change, of each step and of all of them.
+        # Cached for parameters that are constant: the slots of each step, and the arguments of the whole program.
         self._numbers = [
             None if any(isinstance(value, str) for value in values) else _slots(name, values, None)
             for name, values in self._steps
@@ -188,7 +188,7 @@ class ColorProgram(nn.Module):
         return slots
 
     def _index(self, key: str | int) -> int:
-        """Where the step is that a name or a position means."""
+        """The index of a step from its name or index."""
         names = self._names
         if isinstance(key, int) and -len(names) <= key < len(names):
             return key
@@ -241,7 +241,7 @@ def _check_values(name: str, values: Sequence[Any]) -> None:
 
 
 def _slots(name: str, values: Sequence[Any], image: Tensor | None) -> list[float | Tensor]:
-    """The parameters of a step as the program has them."""
+    """The parameters of a step in the slots of the program."""
     kind = _KINDS[name]
     slots: list[float | Tensor] = []
     fitting = []
@@ -274,7 +274,7 @@ def _fitting(name: str, parameter: str, size: int, value: Value, image: Any) -> 
 
 
 def _order(order: Tensor | None, enabled: Tensor | None, steps: int, image: Tensor) -> Tensor | None:
-    """The step of each position, (B or 1, S), -1 for none; None for all of them as they come."""
+    """The step at each position, (B or 1, S), -1 for none; None for all steps in order."""
     batch = math.prod(image.shape[:-3])
     for name, x, kind in (("order", order, torch.int64), ("enabled", enabled, torch.bool)):
         if x is None:

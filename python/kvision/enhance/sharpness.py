@@ -1,4 +1,4 @@
-"""Sharpness: an image and its smoothed copy, mixed."""
+"""Sharpness: interpolation between an image and its smoothed copy, or extrapolation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kvision.enhance.batch import as_batch, images, parameter, shaped
 
 
 def _sharpened(x: Tensor, factor: float | Tensor) -> Tensor:
-    if min(x.shape[2:]) < 3:  # nothing but rim; the gradient of the factor is 0
+    if min(x.shape[2:]) < 3:  # only border pixels: the gradient of the factor is 0
         return x.clamp(0, 1) + 0 * factor
     rows = x[..., :-2, :] + x[..., 1:-1, :] + x[..., 2:, :]
     inner = x[..., 1:-1, 1:-1]
@@ -24,7 +24,7 @@ def _sharpened(x: Tensor, factor: float | Tensor) -> Tensor:
 
 
 def _reference(x: Tensor, factor: Tensor | None, number: float) -> Tensor:
-    """Images (B, C, H, W) by a factor (B or 1, C or 1, 1), or by a number where there is none."""
+    """Images (B, C, H, W) with a factor (B or 1, C or 1, 1), or a number if it is None."""
     return _sharpened(x, number if factor is None else factor[..., None])
 
 
@@ -58,9 +58,10 @@ _composed = with_kernel_casts(_sharpened)  # factors of single pixels
 
 
 def sharpness(input: Tensor, factor: float | Tensor) -> Tensor:
-    """Mix an image with its smoothed copy, or move away from it; PIL's sharpness.
+    """Interpolate between an image and its smoothed copy, or extrapolate; PIL's sharpness.
 
-    The copy is smoothed with a 3x3 kernel of ones and a 5 in the center, over 13. The rim, one pixel wide, stays.
+    The copy is smoothed with a 3x3 kernel of ones and a 5 in the center, over 13. The border, one pixel wide,
+    is unchanged.
 
     Args:
         input: (*, C, H, W), floating point, in [0, 1].

@@ -1,4 +1,4 @@
-"""Solarisation: bright pixels inverted."""
+"""Solarization: bright pixels inverted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thresholds, of OpenCV's kinds."""
+"""Thresholding with OpenCV's types."""
 
 from __future__ import annotations
 
@@ -110,18 +110,18 @@ def threshold(
 
 
 def _values(type: int, thresh: Value, maxval: Value) -> tuple[Value, Value, Value]:
-    """The threshold, and what the result is above it and elsewhere, where that is not the input."""
+    """The threshold, and the constant results above it and elsewhere, where these are not the input."""
     above = maxval if type == ThresholdType.THRESH_BINARY else thresh if type == ThresholdType.THRESH_TRUNC else 0.0
     return thresh, above, maxval if type == ThresholdType.THRESH_BINARY_INV else 0.0
 
 
 def _kept(type: int) -> tuple[bool, bool]:
-    """Whether the input is kept above the threshold, and elsewhere."""
+    """Whether the result is the input above the threshold, and elsewhere."""
     return type == ThresholdType.THRESH_TOZERO, type in (ThresholdType.THRESH_TRUNC, ThresholdType.THRESH_TOZERO_INV)
 
 
 def _stored(value: Tensor, dtype: torch.dtype) -> Tensor:
-    """A value in a type of integers, which saturates."""
+    """A value saturated to the range of an integer type."""
     low, high = (0, 1) if dtype == torch.bool else (torch.iinfo(dtype).min, torch.iinfo(dtype).max)
     return value.clamp(low, high).to(dtype)
 

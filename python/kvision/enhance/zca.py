@@ -1,4 +1,4 @@
-"""ZCA whitening: the rotation and scaling nearest to none that leaves features uncorrelated."""
+"""ZCA whitening: the whitening transform that is closest to the identity."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class _Solution(torch.autograd.Function):
 def zca_mean(
     inp: Tensor, dim: int = 0, unbiased: bool = True, eps: float = 1e-6, return_inverse: bool = False
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Find the ZCA transform of data: the inverse square root of its covariance.
+    """Compute the ZCA transform of data: the inverse square root of its covariance.
 
     Args:
         inp: data of any shape; integers are computed in float32.
@@ -250,7 +250,7 @@ class ZCAWhitening(nn.Module):
 
 
 def _make_buffers(module: nn.Module, state_dict: dict[str, Tensor], prefix: str, *_: Any) -> None:
-    """Before a state is loaded: a module that was not fitted has no tensors to load it into."""
+    """Create buffers before a state is loaded: a module that was not fitted has none."""
     for name in ("mean_vector", "transform_matrix", "transform_inv"):
         if prefix + name in state_dict and getattr(module, name) is None:
             setattr(module, name, torch.empty_like(state_dict[prefix + name]))

@@ -1,7 +1,7 @@
 """Losses: of segmentations, images, probability maps and signals.
 
-Segmentations are logits (B, C, H, W) with int64 labels (B, H, W). Every loss is differentiable, in half types too, which it
-computes in float32, and waits for no device.
+Segmentations are logits (B, C, H, W) with int64 labels (B, H, W). Every loss is differentiable and does not synchronize
+with the device. Half types are computed in float32.
 """
 
 from kvision.losses.divergence import js_div_loss_2d, kl_div_loss_2d

@@ -1,4 +1,4 @@
-"""Focal losses: cross entropy that looks away from what is already right."""
+"""Focal losses: cross entropy that reduces the weight of pixels that are already classified well."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def _reference(
     factor = counts * torch.full_like(counts, other).masked_fill(index == 0, first)
     loss = (-factor * _power(-torch.expm1(log_p), gamma) * log_p).view(target.shape)
     if weight is not None:
-        # An index and not gather(), whose gradient is summed in any order on CUDA.
+        # Indexing instead of gather(), whose gradient is nondeterministic on CUDA.
         of_loss = classes * torch.arange(losses, device=pred.device).view(-1, 1, 1, 1)
         loss = loss * weight.expand(losses, -1).flatten()[index.view(target.shape) + of_loss]
     return loss.sum((1, 2, 3)) if summed else loss
 
 
 def _power(x: Tensor, gamma: float) -> Tensor:
-    """x ** gamma for x from 0 on, with a finite slope at 0."""
+    """x ** gamma for x >= 0, with a finite derivative at 0."""
     return x.clamp_min(torch.finfo(x.dtype).tiny) ** gamma
 
 
@@ -88,13 +88,13 @@ def focal_loss(
     weight: Tensor | None = None,
     ignore_index: int | None = -100,
 ) -> Tensor:
-    """Compute the softmax focal loss -a (1 - p)^gamma log p, where p is the probability of a pixel's own class.
+    """Compute the softmax focal loss -a (1 - p)^gamma log p, where p is the probability of a pixel's label.
 
     Args:
         pred: logits (B, C, *).
         target: labels (B, *) in [0, C), int64. Another label makes the loss NaN, as labels are not read on the host.
         alpha: a of the classes from 1 on, 1 - alpha that of class 0; None for 1 everywhere.
-        gamma: how much less a pixel weighs that is right already, at least 0; 0 gives cross entropy.
+        gamma: how strongly the weight of well-classified pixels is reduced, at least 0; 0 gives cross entropy.
         reduction: 'none', 'mean' (over all B * C * pixels) or 'sum'.
         weight: factors of the classes (C,).
         ignore_index: label of the pixels that add nothing; None for no such label.
@@ -135,7 +135,7 @@ def focal_loss(
 
 
 def _as_images(x: Tensor, first: int) -> Tensor:
-    """The axes from `first` on as two."""
+    """Flatten to two axes, from `first` on."""
     if x.dim() == first + 2:
         return x
     x = x.flatten(first) if x.dim() > first else x.unsqueeze(first)
@@ -152,7 +152,7 @@ def binary_focal_loss_with_logits(
     weight: Tensor | None = None,
     ignore_index: int | None = -100,
 ) -> Tensor:
-    """Compute the focal loss of C independent yes-or-no questions.
+    """Compute the binary focal loss of C independent labels, from logits.
 
     With p = sigmoid(pred) and the target t it is -alpha (1 - p)^gamma t log p - (1 - alpha) p^gamma (1 - t) log(1 - p).
 
@@ -160,7 +160,7 @@ def binary_focal_loss_with_logits(
         pred: logits (B, C, *).
         target: 0 or 1, or a probability, in the shape of pred.
         alpha: factor of the positive term, 1 - alpha that of the negative one; None for 1 in both.
-        gamma: how much less a pixel weighs that is right already, at least 0.
+        gamma: how strongly the weight of well-classified pixels is reduced, at least 0.
         reduction: 'none', 'mean' or 'sum'.
         pos_weight: more factors of the positive terms (C,).
         weight: factors of the classes (C,).
@@ -268,11 +268,11 @@ def _binary_gradients(needs, grad, pred, target, yes, no, *plain):
     return found
 
 
-_MIN_PIXELS = 64  # of a class; shorter rows are too little work for a block on CUDA
+_MIN_PIXELS = 64  # per class; shorter rows leave a CUDA block too little work
 
 
 def _binary_supports(pred: Tensor, target: Tensor, yes: Tensor | None, no: Tensor | None, *_: Any) -> str | None:
-    """Factors of classes need at least 64 pixels a class."""
+    """Weights of classes require at least 64 pixels per class."""
     if (yes is None and no is None) or pred.shape[1] >= _MIN_PIXELS:
         return None
     return f"there is no kernel for factors of classes with {pred.shape[1]} pixels each, only from {_MIN_PIXELS} on"

@@ -1,4 +1,4 @@
-"""A Hausdorff distance that one can minimise, from erosions of what differs."""
+"""Differentiable estimate of the Hausdorff distance, by erosions of the difference."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from kvision._ops import not_empty, register, vjp
 from kvision.core.exceptions import ShapeError, ValueCheckError
 from kvision.losses.reduction import selected
 
-_MAX_EROSIONS = 1000  # of the kernels
+_MAX_EROSIONS = 1000  # limit of the kernels
 
 
 def _reference(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool) -> Tensor:
-    """(B, C, *): how much of (pred - label)^2 survives k soft erosions, the i-th one weighing i ** alpha; with labels (B, *).
-    With `summed` (B, C), the sums of that."""
+    """(B, C, *): the sum of (pred - label)^2 after 1 to k soft erosions, the i-th one with weight i ** alpha; labels
+    are (B, *). With `summed`, its sums (B, C)."""
     classes, axes = pred.shape[1], tuple(range(2, pred.dim()))
     index, counts = selected(target.expand(pred.shape[0], *target.shape[1:]), classes, None, pred.dtype)
     own = index[:, None] == torch.arange(classes, device=pred.device).view(-1, *(1,) * len(axes))
@@ -35,7 +35,7 @@ def _reference(pred: Tensor, target: Tensor, alpha: float, k: int, summed: bool)
 
 
 def _cross_mean(x: Tensor, axes: tuple[int, ...]) -> Tensor:
-    """The mean of every pixel and its direct neighbors, zeros beyond the image."""
+    """The mean of every pixel and its direct neighbors, zeros out of bounds."""
     total = x
     for axis in axes:
         beside = [0, 0] * (x.dim() - 1 - axis) + [1, 1]

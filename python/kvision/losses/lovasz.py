@@ -16,8 +16,8 @@ from kvision.losses.reduction import check_labels, check_weight, selected
 
 
 def _reference(pred: Tensor, target: Tensor, hinge: bool) -> tuple[Tensor, Tensor]:
-    """(B, C): the Lovász extension of the Jaccard loss of every class, of the errors of logits (B, C, H, W); and (B, C, H,
-    W): its slopes by the errors. With `hinge` there is one class, whose label is 1, and 0 is everything else."""
+    """(B, C): the Lovász extension of the Jaccard loss for the errors of logits (B, C, H, W), for every class; and
+    (B, C, H, W): its gradients by the errors. With `hinge` there is one class with label 1; 0 is the background."""
     wide = pred.to(compute_dtype(pred)).flatten(2)
     first, classes = (1, 2) if hinge else (0, pred.shape[1])
     target = target.expand(pred.shape[0], -1, -1).flatten(1).long()
@@ -31,7 +31,7 @@ def _reference(pred: Tensor, target: Tensor, hinge: bool) -> tuple[Tensor, Tenso
 
 
 def _slopes(labels: Tensor) -> Tensor:
-    """What each pixel adds to the Jaccard loss of the set of those before it; `labels` are 1 in the region, or 0."""
+    """The increase of the Jaccard loss by each pixel over the pixels before it; `labels` are 1 in the region, or 0."""
     inside = labels.cumsum(-1)
     region, size = inside[..., -1:], torch.arange(1, labels.shape[-1] + 1, device=labels.device, dtype=labels.dtype)
     jaccard = 1 - (region - inside) / (region + size - inside)
@@ -70,7 +70,7 @@ _lovasz = register(
 
 
 def _losses(pred: Tensor, target: Tensor, hinge: bool) -> Tensor:
-    """(B, C), in the type that computes."""
+    """The losses (B, C), in the computing type."""
     return _lovasz(pred, target, hinge)[0]
 
 

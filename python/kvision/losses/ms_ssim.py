@@ -1,4 +1,4 @@
-"""Structural similarity at several scales, mixed with absolute differences."""
+"""Weighted sum of multi-scale structural dissimilarity and absolute differences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kvision.losses.reduction import reduced
 from kvision.metrics.ssim import CONSTANT, _backward, _both_gradients, _like
 from kvision.metrics.ssim import _reference as similarity
 
-# What the kernels have memory for; csrc/metrics/ssim.h.
+# Limits of the kernels; csrc/metrics/ssim.h.
 _MAX_SCALES, _MAX_WEIGHTS = 16, 400
 
 
@@ -138,7 +138,7 @@ class MS_SSIMLoss(FunctionModule):
             )
         img1, img2 = floats(img1), as_dtype(floats(img2), floats(img1).dtype)
         if len(img1) < len(img2):
-            img1, img2 = img2, img1  # one of img2 may serve all images
+            img1, img2 = img2, img1  # img2 may be one image for the whole batch
         size = 2 * int(2 * self.sigmas[-1]) + 1
         c1, c2 = ((k * self.data_range) ** 2 for k in self.K)
         structure = self.compensation * self.alpha

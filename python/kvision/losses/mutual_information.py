@@ -1,4 +1,4 @@
-"""Mutual information of signals, from a joint histogram that varies smoothly with both."""
+"""Mutual information of signals, from a differentiable joint histogram."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError, ValueCheckError
 
 
 class MIKernel(Enum):
-    """How much a value adds to a bin: over a distance x of at most one radius from its center.
+    """The weight of a value in a bin, as a function of its distance x from the center, at most one radius.
 
     Example:
         >>> import kvision as K
@@ -33,12 +33,12 @@ _KERNELS = (MIKernel.xu, MIKernel.rectangular, MIKernel.truncated_gaussian)  # b
 
 
 def _weights(kernel: int, x: Tensor, radius: float) -> Tensor:
-    """Of distances x in radii."""
+    """The weights for distances x in radii."""
     if _KERNELS[kernel] == MIKernel.rectangular:
         return (x <= 1).to(x.dtype)
     if _KERNELS[kernel] == MIKernel.truncated_gaussian:
         inside = torch.exp(-x.square() / 2) / (radius * math.sqrt(2 * math.pi))
-    else:  # two parabolas, with value 1 and 0 at the ends and equal values and slopes in the middle
+    else:  # two parabolas, with values 1 and 0 at the ends; continuously differentiable in the middle
         inside = torch.where(x < 0.5, (-1.8 * x - 0.1) * x + 1, (1.8 * x - 3.7) * x + 1.9)
     return torch.where(x <= 1, inside, 0)
 
@@ -46,8 +46,8 @@ def _weights(kernel: int, x: Tensor, radius: float) -> Tensor:
 def _bins(
     signal: Tensor, mask: Tensor | None, kernel: int, count: int, radius: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """(B, count, N): what every sample of signals (B, N) adds to every bin; the bins divide the range inside of the mask.
-    And the range, and whether it is one."""
+    """(B, count, N): the weight of every sample of signals (B, N) in every bin of the range within the mask; also the
+    range, and whether it is valid."""
     low = signal if mask is None else signal.masked_fill(~mask, torch.inf)
     high = signal if mask is None else signal.masked_fill(~mask, -torch.inf)
     low, high = low.amin(-1, keepdim=True), high.amax(-1, keepdim=True)
@@ -69,8 +69,8 @@ def _reference(
     radius: float,
     normalized: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """(B): the negative mutual information of signals (B, N); (B, bins, bins): its slopes by the joint histogram; (B, 4):
-    the ranges of both."""
+    """(B): the negative mutual information of signals (B, N); (B, bins, bins): its gradients by the joint histogram;
+    (B, 4): the ranges of both."""
     (of_x, *range_x, x_sound), (of_y, *range_y, y_sound) = (
         _bins(s, mask, kernel, bins, radius) for s, mask in ((x, x_mask), (y, y_mask))
     )
@@ -123,7 +123,7 @@ _information = register(
 
 
 class _FromRef(nn.Module):
-    _axes = 1  # of a signal
+    _axes = 1  # axes of a signal
     _normalized = False
     reference: Tensor
     mask: Tensor | None
@@ -216,7 +216,7 @@ def _losses(
     radius: float,
     normalized: bool,
 ) -> Tensor:
-    """(*), of signals (*, N) and masks (N,)."""
+    """The losses (*) of signals (*, N) with masks (N,)."""
     dtype = torch.promote_types(compute_dtype(x), compute_dtype(y))
     samples = (s.to(dtype).reshape(-1, s.shape[-1]) for s in (x, y))
     masks = (None if mask is None else mask[None] for mask in (x_mask, y_mask))

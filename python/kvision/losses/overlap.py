@@ -1,4 +1,4 @@
-"""Losses of how much regions overlap: Dice and Tversky."""
+"""Losses based on the overlap of regions: Dice and Tversky."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ def _reference(
     ignored: int,
     ignores: bool,
 ) -> tuple[Tensor, Tensor]:
-    """The losses (losses,) of logits (losses, B, C, H, W), and the sums (losses, B, 3, C) that they are made of.
+    """The losses (losses,) of logits (losses, B, C, H, W), and the sums (losses, B, 3, C) from which they are computed.
 
-    With P of every class the sum of its probability where it is the label, that everywhere, and its pixels, the score is
-    P[0] / (P[0] + alpha (P[1] - P[0]) + beta (P[2] - P[0]) + eps), and 0 of nothing.
+    For every class, P[0] is the sum of its probability over pixels with its label, P[1] that over all pixels, and P[2]
+    the number of pixels with its label. The score is P[0] / (P[0] + alpha (P[1] - P[0]) + beta (P[2] - P[0]) + eps),
+    and 0 if the divisor is 0.
     """
     sums = _sums(pred, target, ignored if ignores else None)
     weight = sums.new_ones(1, pred.shape[2]) if weight is None else weight
@@ -36,7 +37,7 @@ def _reference(
     if together:
         scores = _score((sums * weight[:, :, None]).sum(3), alpha, beta, eps)
     else:
-        weight = torch.where(sums[:, :, 2] == 0, 0, weight)  # of classes that a sample does not have
+        weight = torch.where(sums[:, :, 2] == 0, 0, weight)  # classes that do not occur in a sample
         total = weight.sum(2)
         scores = (weight * _score(sums.movedim(2, 3), alpha, beta, eps)).sum(2)
         scores = torch.where(total == 0, 0, scores / torch.where(total == 0, 1, total))

@@ -1,4 +1,4 @@
-"""Peak signal-to-noise ratio, as something to minimise."""
+"""Peak signal-to-noise ratio as a loss."""
 
 from __future__ import annotations
 

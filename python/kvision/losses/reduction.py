@@ -1,4 +1,4 @@
-"""What losses have in common: how a map becomes a number, and what a label selects."""
+"""Shared by losses: reduction of a map to a number, and checks and masks of labels."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def check_weight(op: str, name: str, weight: Tensor | None, pred: Tensor) -> Non
 
 
 def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """The labels as indices of `classes`, and how much each pixel counts: 1, where ignored 0, NaN for no class at all.
+    """The labels as indices of `classes`, and the count of each pixel: 1, 0 if ignored, NaN if not a class.
 
     A label that is none spoils the loss instead of raising: a look at the labels would wait for their device.
     """
@@ -57,7 +57,7 @@ def selected(target: Tensor, classes: int, ignore_index: int | None, dtype: torc
     return index, counts if ignore_index is None else counts.masked_fill(target == ignore_index, 0)
 
 
-_MAX_CLASSES = 224  # of the kernels; csrc/losses/segmentation_op.cpp
+_MAX_CLASSES = 224  # limit of the kernels; csrc/losses/segmentation_op.cpp
 
 
 def segmentation_supports(pred: Tensor, *_: Any) -> str | None:
@@ -68,10 +68,10 @@ def segmentation_supports(pred: Tensor, *_: Any) -> str | None:
 
 
 def as_arguments(ignore_index: int | None) -> tuple[int, bool]:
-    """The ignored label as operators take it, and whether there is one."""
+    """The arguments of operators for the ignored label: its value, and whether there is one."""
     return ignore_index or 0, ignore_index is not None
 
 
 def masked(pred: Tensor, counts: Tensor) -> Tensor:
-    """The scores, 0 for all classes where a pixel is ignored: nothing of it reaches the loss, not even a NaN."""
+    """Set the scores of ignored pixels to 0, so that not even a NaN of theirs reaches the loss."""
     return pred.masked_fill((counts == 0)[:, None], 0)

@@ -1,4 +1,4 @@
-"""Losses of differences that care less about large ones."""
+"""Robust losses of differences, which reduce the influence of outliers."""
 
 from __future__ import annotations
 

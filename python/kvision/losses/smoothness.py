@@ -1,4 +1,4 @@
-"""Losses of how much neighboring pixels differ."""
+"""Smoothness losses: differences of neighboring pixels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kvision.core.exceptions import ShapeError, TypeCheckError
 
 
 def _reference(x: Tensor, along_y: float, along_x: float) -> Tensor:
-    """(B, C): for every plane the absolute differences of neighbors, those along y and x each summed with a weight."""
+    """(B, C): the weighted sums of absolute differences of neighbors along y and along x, for every plane."""
     wide = x.to(compute_dtype(x))
     return along_y * wide.diff(dim=-2).abs().sum((-2, -1)) + along_x * wide.diff(dim=-1).abs().sum((-2, -1))
 
@@ -36,7 +36,7 @@ _total_variation = register("total_variation", _reference, fake=_fake, backward=
 
 
 def _roughness(depth: Tensor, image: Tensor, along_y: float, along_x: float) -> Tensor:
-    """(B,): for every sample what neighbors in depth (B, 1, H, W) differ by, less at the image's edges; weighted sums."""
+    """(B,): weighted sums of absolute differences of neighbors in depth (B, 1, H, W), reduced at edges of the image."""
     dtype = compute_dtype(image)
     depth, image = depth.to(dtype), image.to(dtype)
 
@@ -116,7 +116,7 @@ def total_variation(img: Tensor, reduction: str = "sum") -> Tensor:
     if h == 0 or w == 0:
         return x.sum((-2, -1))
     weights = (1.0, 1.0)
-    if reduction == "mean":  # of no differences it is 0
+    if reduction == "mean":  # 0 if there are no differences
         weights = 1 / max(1, (h - 1) * w), 1 / max(1, h * (w - 1))
     if x.dim() == 4:
         sums = _total_variation(x, *weights)

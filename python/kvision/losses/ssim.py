@@ -78,9 +78,9 @@ def l1_ssim_loss(
     max_val: float = 1.0,
     eps: float = 1e-12,
 ) -> Tensor:
-    """Mix absolute differences with structural similarity: (1 - ssim_weight) mean|x - y| + ssim_weight (1 - mean ssim).
+    """Add absolute differences and structural similarity: (1 - ssim_weight) mean|x - y| + ssim_weight (1 - mean ssim).
 
-    The loss of reconstruction, of Gaussian splatting say, in one pass over the images each way, which keeps nothing.
+    The reconstruction loss of Gaussian splatting, for example. It reads the images once each way and stores no map.
 
     Args:
         img1: image (B, C, H, W); integers are computed in float32.

@@ -1,4 +1,4 @@
-"""How often the right class is among the best."""
+"""Top-k accuracy of classification."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kvision.core.exceptions import ShapeError
 
 
 def accuracy(pred: Tensor, target: Tensor, topk: Sequence[int] = (1,)) -> list[Tensor]:
-    """Compute how many per cent of the samples have their class among the k best, for every k.
+    """Compute the percentage of samples whose class is among the k best, for every k.
 
     Args:
         pred: scores (B, C).

@@ -27,7 +27,7 @@ class AverageMeter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything.
+        """Reset the sum and the count to 0.
 
         Example:
             >>> import kvision as K
@@ -40,7 +40,7 @@ class AverageMeter:
         self.val, self.sum, self.count = 0, 0, 0
 
     def update(self, val: float | Tensor, n: int = 1) -> None:
-        """Add a value that stands for `n` samples.
+        """Add the average value of `n` samples.
 
         Example:
             >>> import torch, kvision as K

@@ -1,4 +1,4 @@
-"""Overlap of boxes, and how well detections find them."""
+"""Intersection over union of boxes, and average precision of detections."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def mean_iou_bbox(boxes_1: Tensor, boxes_2: Tensor, box_format: str = "xyxy") ->
 
 
 def _reference(a: Tensor, b: Tensor, box_format: int) -> Tensor:
-    """(B, N, M) of boxes (B, N, 4) and (B, M, 4)."""
+    """The intersections over union (B, N, M) of boxes (B, N, 4) and (B, M, 4)."""
     (low_a, high_a), (low_b, high_b) = _corners(a[:, :, None], box_format), _corners(b[:, None], box_format)
     both = _area(torch.minimum(high_a, high_b) - torch.maximum(low_a, low_b), 0)
     return both / (_area(high_a - low_a) + _area(high_b - low_b) - both)
@@ -141,7 +141,7 @@ def mean_average_precision(
     precisions = torch.stack([_average(right, label == c, (true_label == c).sum()) for c in range(1, n_classes)])
     there = precisions >= 0
     mean = torch.where(there.any(), precisions.where(there, 0).sum() / there.sum().clamp_min(1), -1)
-    *found, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the one time that the device is waited for
+    *found, is_wrong = torch.cat([precisions, wrong[None]]).tolist()  # the only synchronization with the device
     if is_wrong:
         raise ValueCheckError(f"{op}: expected labels in [0, {n_classes})")
     return mean, dict(enumerate(found, 1))
@@ -152,7 +152,7 @@ def _images(boxes: Sequence[Tensor]) -> Tensor:
 
 
 def _right(detected: Tensor, true: Tensor, possible: Tensor, threshold: float) -> Tensor:
-    """Which detections, from the best one on, are the first of a true box that they overlap."""
+    """Which detections, in descending order of score, are the first to match their true box."""
     if true.shape[0] == 0:
         return torch.zeros_like(detected[:, 0])
     overlap, box = mean_iou_bbox(detected, true).where(possible, -1).max(1)

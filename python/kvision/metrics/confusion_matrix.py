@@ -1,4 +1,4 @@
-"""Which labels are taken for which, and the overlap of classes that follows from it."""
+"""Confusion matrix of labels, and intersection over union of classes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ COUNTS, RATES, IOU = range(3)  # the enum ConfusionStatistic of csrc/metrics/con
 
 
 def _reference(pred: Tensor, target: Tensor, classes: int, statistic: int, eps: float) -> Tensor:
-    """Of labels (B, N): COUNTS (B, classes, classes), RATES of a row, or the IOU (B, classes)."""
-    m = classes + 2  # labels below and above the others are counted, too, and thrown away
+    """For labels (B, N): COUNTS (B, classes, classes), RATES of each row, or the IOU (B, classes)."""
+    m = classes + 2  # labels below and above the classes are counted as well, then dropped
     pred, target = pred.long().clamp(-1, classes), target.long().clamp(-1, classes)
     cells = torch.add(pred, target, alpha=m) + (m + 1)
     all_counts = torch.zeros(pred.shape[0], m * m, dtype=torch.int64, device=pred.device)
@@ -39,7 +39,7 @@ _confusion = register(
 
 
 def confusion_matrix(pred: Tensor, target: Tensor, num_classes: int, normalized: bool = False) -> Tensor:
-    """Count for every pair of classes the pixels of the one that are taken for the other.
+    """Count the pixels with each pair of true and predicted classes.
 
     Args:
         pred: labels (B, *) in [0, num_classes), integers. A pixel with another label, in pred or target, is not counted:
@@ -92,7 +92,7 @@ def mean_iou(pred: Tensor, target: Tensor, num_classes: int, eps: float = 1e-6) 
 
 
 def _labels(op: str, pred: Tensor, target: Tensor, num_classes: int) -> tuple[Tensor, Tensor, int]:
-    """(B, N), both of int64 or both of uint8."""
+    """Both labels as (B, N), both int64 or both uint8."""
     for name, x in (("pred", pred), ("target", target)):
         _check.numbers(op, name, x)
         if x.is_floating_point() or x.dtype == torch.bool:

@@ -72,7 +72,7 @@ def mean_bad_pixel_error(
     valid_mask: Tensor | None = None,
     reduction: str = "mean",
 ) -> Tensor:
-    """Compute the share of pixels whose disparity is off by more than a threshold.
+    """Compute the fraction of pixels whose disparity error exceeds a threshold.
 
     Args:
         input: disparities of any shape, floating point.
@@ -105,7 +105,7 @@ def kitti_d1_error(
     valid_mask: Tensor | None = None,
     reduction: str = "mean",
 ) -> Tensor:
-    """Compute the share of pixels whose disparity is off by more than a number of pixels and a share of the true one.
+    """Compute the fraction of pixels whose disparity error exceeds both an absolute and a relative threshold.
 
     Args:
         input: disparities of any shape, floating point.
@@ -170,7 +170,7 @@ def _absolute(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str
 @with_kernel_casts
 def _root_mean_squared(input: Tensor, target: Tensor, mask: Tensor | None, reduction: str) -> Tensor:
     square = _reduced((input - target).square(), mask, reduction)
-    perfect = square == 0  # where the root has no slope
+    perfect = square == 0  # where the root has no derivative
     return torch.where(perfect, 0, torch.where(perfect, 1, square).sqrt())
 
 

@@ -1,4 +1,4 @@
-"""Error of optical flow."""
+"""Endpoint error of optical flow."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def aepe(input: Tensor, target: Tensor, reduction: str = "mean") -> Tensor:
 
 def _reference(input: Tensor, target: Tensor, planar: bool, summed: bool, factor: float) -> Tensor:
     """(rows, size): the distances of vectors (rows, size, 2), or (rows, 2, size) if planar; or `factor` times their sums."""
-    tiny = torch.finfo(compute_dtype(input)).tiny  # at 0 the root has no slope; that of this even power of 2 is exact
+    tiny = torch.finfo(compute_dtype(input)).tiny  # sqrt has no derivative at 0; sqrt(tiny) is exact
     difference = input.to(compute_dtype(input)) - target.to(compute_dtype(input))
     error = difference.square().sum(1 if planar else 2).add(tiny).sqrt() - tiny**0.5
     return factor * error.sum(1) if summed else error.to(input.dtype)
@@ -77,7 +77,7 @@ def _backward(needs, grad, input, target, *plain):
 
 
 def _of_rows(grad: Tensor, like: Tensor) -> Tensor:
-    """The gradient of what may have one row for all."""
+    """The gradient of a tensor whose single row may be broadcast."""
     return grad if grad.shape == like.shape else grad.sum(0, keepdim=True)
 
 

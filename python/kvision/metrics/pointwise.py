@@ -1,7 +1,7 @@
-"""Losses of two tensors element by element, and their sums, as kernels that make nothing else.
+"""Elementwise losses of two tensors and their sums, without intermediate tensors.
 
-The sum is the operator of every loss that is one number: `factor` times it, or where there are `decibels` that many times
-the logarithm of that to base 10.
+The sum is the operator of every loss that is one number: the result is `factor` times the sum, or if `decibels` is not
+0 its logarithm to base 10 times `decibels`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from kvision._ops import register
 
 def _charbonnier(x: Tensor, y: Tensor) -> Tensor:
     d = x - y
-    return d * (d / (torch.hypot(d, torch.ones_like(d)) + 1))  # sqrt(...) - 1 would lose the small ones
+    return d * (d / (torch.hypot(d, torch.ones_like(d)) + 1))  # sqrt(...) - 1 would cancel for small d
 
 
 def _welsch(x: Tensor, y: Tensor) -> Tensor:
@@ -40,7 +40,7 @@ def _square(x: Tensor, y: Tensor) -> Tensor:
 
 
 def _kl(q: Tensor, p: Tensor) -> Tensor:
-    nothing = (p == 0) & (q >= 0)  # neither a value nor a gradient, but a NaN in q stays one
+    nothing = (p == 0) & (q >= 0)  # no value and no gradient, but a NaN in q stays NaN
     p, q = p.masked_fill(nothing, 1), q.masked_fill(nothing, 1)
     return p * (p.log() - q.log())
 
@@ -79,7 +79,7 @@ def _map_backward(needs, grad, x, y, kind):
 
 
 def _of_one_row(grads: list[Tensor | None], y: Tensor) -> list[Tensor | None]:
-    """The gradients, that to `y` summed where it has one row for all."""
+    """The gradients; that of `y` is summed if its single row is broadcast."""
     of_y = grads[1]
     if of_y is not None and of_y.shape != y.shape:
         grads[1] = of_y.sum(0, keepdim=True)

@@ -66,9 +66,9 @@ def angle_error_vec(v1: Tensor, v2: Tensor) -> Tensor:
 
 
 def _degrees(sine: Tensor, cosine: Tensor) -> Tensor:
-    """The angle whose sine is the length of a vector; NaN where one of both is."""
+    """The angle whose sine is the length of a vector; NaN where an input is NaN."""
     squared = sine.square().sum(-1)
-    straight = squared == 0  # where the length has no slope
+    straight = squared == 0  # where the length has no derivative
     length = torch.where(straight, 0, torch.where(straight, 1, squared).sqrt())
     return torch.rad2deg(torch.atan2(length, cosine))
 
@@ -148,10 +148,10 @@ def _check_pair(op: str, name: str, x: Tensor, other_name: str, other: Tensor, l
 
 
 def auc_from_errors(errors: Tensor, thresholds: float | Sequence[float] = (1, 3, 5, 10)) -> dict[float, float]:
-    """Compute the area under the curve of recall over error, up to each threshold and as a share of it in per cent.
+    """Compute the area under the curve of recall over error, up to each threshold, as a percentage of it.
 
-    The curve goes straight from (0, 0) to the first error and from each error to the next one, where the recall is the
-    share of errors up to there, and on from the last one below the threshold at its height.
+    The recall at an error is the fraction of errors up to it. The curve is linear from (0, 0) to the first error and
+    from each error to the next one, and constant from the last error below the threshold on.
 
     Args:
         errors: at least 0, of any shape.

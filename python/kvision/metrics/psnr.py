@@ -37,7 +37,7 @@ def psnr(image: Tensor, target: Tensor, max_val: float) -> Tensor:
 
 
 def decibels_of_ratio(op: str, image: Tensor, target: Tensor, max_val: float, decibels: float) -> Tensor:
-    """That many decibels times log10 of the mean square error in units of max_val^2."""
+    """`decibels` times log10 of the mean square error in units of max_val^2."""
     _check.numbers(op, "image", image)
     _check.numbers(op, "target", target)
     if image.shape != target.shape:

@@ -1,12 +1,12 @@
 """Structural similarity.
 
-With the Gaussian means of a window, E, the two factors of the similarity are written so that neither exceeds 1, whatever
-is rounded, and equal images have exactly 1:
+With the Gaussian means of a window, E, the two factors of the similarity are written such that neither exceeds 1
+despite rounding, and that equal images have exactly 1:
 
-    luminance   1 - (E x - E y)^2 / (E x^2 + E y^2 + c1), the squares being those of the means
+    luminance   1 - (E x - E y)^2 / (E x^2 + E y^2 + c1), with squares of the means
     structure   1 - var(x - y) / (var x + var y + c2)
 
-That takes four means, of x, y, x^2 + y^2 and (x - y)^2, where the textbook's form takes five.
+This form takes four means, of x, y, x^2 + y^2 and (x - y)^2; the textbook's takes five.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _similarity(
 def _reference(
     x: Tensor, y: Tensor, size: int, sigma: float, c1: float, c2: float, eps: float, padding: int, luminance: bool
 ) -> Tensor:
-    """Of images (B, C, H, W) or volumes (B, C, D, H, W); `padding` is REFLECT, CONSTANT or VALID."""
+    """The similarity of images (B, C, H, W) or volumes (B, C, D, H, W); `padding` is REFLECT, CONSTANT or VALID."""
     kernel = gaussian(size, sigma, device=x.device, dtype=x.dtype)
     rule = ("reflect", False) if padding == VALID else (("reflect", "constant")[padding], True)
 
@@ -56,14 +56,14 @@ def _reference(
         b, c, d, _, _ = z.shape
         z = filter_separably(z.flatten(1, 2), kernel, kernel, *rule)
         h, w = z.shape[2:]
-        z = z.reshape(b, c, d, h * w)  # slices as rows, which leaves the axis across them to the column
+        z = z.reshape(b, c, d, h * w)  # slices become rows, so that the column filters across them
         return filter_separably(z, torch.ones_like(kernel[:, :1]), kernel, *rule).unflatten(3, (h, w))
 
     return _similarity(mean, x, y, c1, c2, eps, luminance)
 
 
 def _both_gradients(reference: Callable[..., Tensor]) -> Callable[..., tuple[Tensor, Tensor]]:
-    """The gradients of `reference` to both images, as an operator's reference."""
+    """The reference of a backward operator: the gradients of `reference` with respect to both images."""
 
     def gradients(grad: Tensor, x: Tensor, y: Tensor, *plain: Any) -> tuple[Tensor, Tensor]:
         vjp_fn = torch.func.vjp(lambda x, y: reference(x, y, *plain), x, y.expand_as(x))[1]
@@ -74,7 +74,7 @@ def _both_gradients(reference: Callable[..., Tensor]) -> Callable[..., tuple[Ten
 
 
 def _backward(one: Operator, both: Operator) -> Callable[..., list[Tensor | None]]:
-    """The backward rule from the operators of the gradients to the first image and to both."""
+    """The backward rule, from the operators for the gradient of the first image and for the gradients of both."""
 
     def backward(needs, grad, x, y, *plain):
         grad_x = grad_y = None
@@ -84,7 +84,7 @@ def _backward(one: Operator, both: Operator) -> Callable[..., list[Tensor | None
             grad_x = one(grad, x, y, *plain)
         else:
             grad_y = one(grad, y.expand_as(x), x, *plain)  # it is symmetric
-        if grad_y is not None and y.shape != x.shape:  # one serves all
+        if grad_y is not None and y.shape != x.shape:  # y is broadcast
             grad_y = grad_y.sum(0, keepdim=True)
         return [grad_x, grad_y]
 
@@ -122,7 +122,7 @@ def _loss_reference(
     structure: float,
     absolute: float,
 ) -> Tensor:
-    """(B,): for every sample the sums of 1 - similarity and of abs(x - y), each times its weight."""
+    """(B,): the weighted sum of 1 - similarity and of abs(x - y) for every sample."""
     dtype = compute_dtype(x)
     x, y = x.to(dtype), y.to(dtype)
     similar = _reference(x, y, size, sigma, c1, c2, eps, padding, True)
@@ -162,10 +162,10 @@ def dissimilarity(
     structure: float,
     absolute: float = 0.0,
 ) -> Tensor:
-    """Over all pixels of images or volumes the sums of 1 - similarity and of abs(x - y), each times its weight."""
+    """The weighted sum of 1 - similarity and of abs(x - y) over all pixels of images or volumes."""
     b, c, *axes = x.shape
     if b == 0 or c == 0:
-        return structure * x.sum()  # of nothing; of which the mean is NaN
+        return structure * x.sum()  # no pixels: the mean is NaN
     dtype = x.dtype
     y = as_dtype(y, dtype)
     if b > 1:
@@ -259,7 +259,7 @@ def ssim3d_map(
 def checked(
     op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
 ) -> tuple[float, float, float, int]:
-    """c1, c2, eps and the number of the padding of two images."""
+    """Check two images; return c1, c2, eps and the number of the padding."""
     _check.images(op, "img1", img1)
     return _arguments(op, img1, img2, size, max_val, eps, padding)
 
@@ -267,7 +267,7 @@ def checked(
 def checked_volumes(
     op: str, img1: Tensor, img2: Tensor, size: int, max_val: float, eps: float, padding: str
 ) -> tuple[float, float, float, int]:
-    """The same of two volumes."""
+    """Check two volumes; return c1, c2, eps and the number of the padding."""
     _check.volumes(op, "img1", img1)
     return _arguments(op, img1, img2, size, max_val, eps, padding)
 

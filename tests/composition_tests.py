@@ -1,4 +1,4 @@
-"""What every function made of other operators must satisfy. Functions with kernels of their own: op_tests.py.
+"""Inherited tests of functions composed of other operators. Functions with a dedicated kernel: op_tests.py.
 
     class TestCompositions(CompositionTests):
         cases = {"guided_blur": Case(lambda g, x: F.guided_blur(g, x, 3, 0.1), (IMAGE, IMAGE))}
@@ -21,8 +21,8 @@ from op_tests import assert_close
 
 class Case(NamedTuple):
     call: Callable[..., Tensor]
-    shapes: tuple[tuple[int, ...], ...]  # of its tensors; the first is an image and sets the type of the result
-    shared: tuple[int, ...] = ()  # those that serve the whole batch, by index; the others have it in front
+    shapes: tuple[tuple[int, ...], ...]  # of the tensors; the first is an image and sets the dtype of the result
+    shared: tuple[int, ...] = ()  # indices of tensors without the batch axis
     differentiable: bool = True
 
 
@@ -60,7 +60,7 @@ class CompositionTests:
     def test_derivatives(self, case, device):
         self.needs_gradient(case)
         values = [v.requires_grad_() for v in self.values(case, device)]
-        # Along random directions, which a wrong gradient does not survive. On CUDA torch adds up some of them in any order.
+        # fast_mode checks along random directions. On CUDA torch sums some gradients in any order.
         noise = 0.0 if device.type == "cpu" else 1e-9
         assert torch.autograd.gradcheck(case.call, values, check_forward_ad=True, fast_mode=True, nondet_tol=noise)
         assert torch.autograd.gradgradcheck(case.call, values, fast_mode=True, nondet_tol=noise)
@@ -124,7 +124,7 @@ class CompositionTests:
             assert values[0].grad.shape == values[0].shape
 
     def test_input_is_not_modified(self, case, device):
-        """Nor is a result the memory of its input."""
+        """A result does not alias its input either."""
         values = self.values(case, device)
         before, versions = [v.clone() for v in values], [v._version for v in values]
         case.call(*values).add_(1)

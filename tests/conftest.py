@@ -7,12 +7,12 @@ import shutil
 import sysconfig
 from pathlib import Path
 
-# Tests run side by side: one thread each, or half of the time goes into threads that wait for one another. What depends
-# on their number sets it. Before torch is imported, and for the processes that tests start.
+# Tests run in parallel, each with one thread: more threads would spend half of the time in waits for one another. Tests
+# that depend on the number of threads set it. The variable is set before torch is imported, also for child processes.
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["OMP_NUM_THREADS"] = "1"
 
-# Graphs that torch kept when the operators had other schemas or gradients would be called again: it tells them apart by name.
+# torch keys cached graphs by operator names, so it would reuse graphs from before a schema or gradient changed.
 os.environ["TORCHINDUCTOR_FX_GRAPH_CACHE"] = os.environ["TORCHINDUCTOR_AUTOGRAD_CACHE"] = "0"
 
 import hypothesis
@@ -41,7 +41,7 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 
 @pytest.fixture(autouse=True, scope="session")
 def backend(request: pytest.FixtureRequest) -> str:
-    """Everything runs on this backend, in all threads; "native" is the kernels where there are some."""
+    """Run the tests on this backend, in all threads. "native" uses the kernels where they exist."""
     name = request.config.getoption("--backend")
     _ops.set_default_backend("reference" if name == "reference" else "auto")
     return name
@@ -59,7 +59,7 @@ def seed() -> None:
 
 @pytest.fixture(scope="session")
 def data() -> Path:
-    """The optional folder of sample pictures beside the repository."""
+    """The optional folder of sample images next to the repository."""
     folder = Path(__file__).parents[2] / "shared" / "data"
     if not folder.is_dir():
         pytest.skip("the optional sample data is not there")
@@ -80,7 +80,7 @@ OPERATORS = ("color", "contrib", "enhance", "filters", "geometry", "losses", "me
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks by folder: `operators` for those above, for the files next to this one, and for examples in docstrings."""
+    """Mark tests by folder: `operators` for the folders above, the files next to this one, and docstring examples."""
     here = Path(__file__).parent
     for item in items:
         folder = item.path.relative_to(here).parts[0] if item.path.is_relative_to(here) else None

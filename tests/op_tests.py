@@ -1,4 +1,4 @@
-"""What every operator must satisfy. An operator's test file subclasses OpTests and states its calls; it inherits the rest.
+"""Inherited tests of every operator. An operator's test file subclasses OpTests and declares its calls.
 
     class TestSobel(OpTests):
         function = staticmethod(K.filters.sobel)
@@ -6,7 +6,7 @@
         operators = ("sobel", "sobel_backward")
         variants = [{}, {"normalized": False}]
 
-A variant is a dict of keyword arguments. A value that is callable is called with the input and makes a tensor for it, say
+A variant is a dict of keyword arguments. A callable value is called with the input and returns a tensor, for example
 `"kernel": lambda x: torch.rand(x.shape[0], 3, 3)`; it is moved to the input's device and takes part in the gradient tests.
 """
 
@@ -36,7 +36,7 @@ TOLERANCES = {
     torch.bfloat16: (1.6e-2, 1.6e-2),
     torch.uint8: (0, 0),
 }
-# What a sum over thousands of products in float32 may lose, relative to the largest result: gradients of parameters.
+# Tolerance of parameter gradients, float32 sums of thousands of products, relative to the largest result.
 PARAMETER_TOLERANCE = 1e-4
 
 LAYOUTS = ("contiguous", "channels_last", "row_slice", "column_slice", "transposed", "expanded", "misaligned")
@@ -80,7 +80,7 @@ def as_tuple(output: Any) -> tuple[Tensor, ...]:
 
 
 def does_not_wait(device: torch.device, calls: Sequence[Callable[[], Any]]) -> None:
-    """None of the calls waits for a GPU, but for the first time."""
+    """Check that no call but the first synchronizes with the GPU."""
     for call in calls:
         call()
     if device.type != "cuda":
@@ -95,7 +95,7 @@ def does_not_wait(device: torch.device, calls: Sequence[Callable[[], Any]]) -> N
 
 @contextlib.contextmanager
 def instruction_set(name: str) -> Iterator[None]:
-    """The CPU's kernels use that one inside; skips the test where the processor has none such."""
+    """Use this instruction set for CPU kernels inside the block. Skips the test if the processor lacks it."""
     from kvision import _C
 
     if not _C.isa_supported(name):
@@ -116,15 +116,13 @@ class OpTests:
     errors: list[tuple[dict[str, Any], type[Exception], str]] = []  # keyword arguments, exception, part of the message
     differentiable = True
     bytes = False  # uint8 in, uint8 out
-    mixed: tuple[str, ...] = ()  # arguments of the operators that may be of another type than the others
-    accepted: tuple[str, ...] = ()  # calls of raw_calls.py, by name, that are no mistake here
+    mixed: tuple[str, ...] = ()  # operator arguments whose dtype may differ from the others'
+    accepted: tuple[str, ...] = ()  # names of calls in raw_calls.py that are valid for this operator
     max_size = 33  # all sizes up to this are swept
-    channels: int | None = None  # the only number of them that the function takes
+    channels: int | None = None  # the only number of channels that the function takes
     shape: tuple[int, ...] = (2, 3, 13, 18)
     small: tuple[int, ...] = (1, 2, 4, 5)  # for numerical derivatives
-    tolerances: dict[
-        torch.dtype, tuple[float, float]
-    ] = {}  # where an operator needs its own, with the reason beside it
+    tolerances: dict[torch.dtype, tuple[float, float]] = {}  # overrides for an operator, with the reason next to it
 
     # --- what a subclass may override ---
 
@@ -169,7 +167,7 @@ class OpTests:
         return names, [x, *(kwargs[n] for n in names)]
 
     def of_tensors(self, kwargs: dict[str, Any], names: list[str]) -> Any:
-        """The call as a function of its tensors; several results are joined by those that carry a gradient."""
+        """The call as a function of its tensors, to one result or a tuple."""
 
         def f(x: Tensor, *values: Tensor) -> Any:
             output = as_tuple(self.call(x, {**kwargs, **dict(zip(names, values))}))
@@ -185,7 +183,7 @@ class OpTests:
         return list(torch.autograd.grad(loss, values))
 
     def exercise(self, x: Tensor, kwargs: dict[str, Any]) -> None:
-        """Calls what there is to be called: with gradients to all tensors, and to the first one alone."""
+        """Run forward and backward, with gradients for all tensors and for the first one alone."""
         outputs = as_tuple(self.call(x, kwargs))
         if self.differentiable:
             self.gradients(x, kwargs, [torch.ones_like(o) for o in outputs])
@@ -239,7 +237,7 @@ class OpTests:
         ran = 0
         swept = [n for n in range(1, self.max_size + 1) if sizes == "all" or n in (1, 2, 3, 5, 8, 9, 17, self.max_size)]
         for h in swept:
-            # A few widths for every height, and every width for a few heights: all sizes of both axes meet both cases.
+            # A few widths for every height, and every width for a few heights.
             for w in swept if h in (1, 2, 5, self.max_size) else {1, h, (h * 7) % self.max_size + 1}:
                 x = self.input((1, self.channels or 2, *self.shape[2:-2], h, w), torch.float32, device)
                 kwargs = self.arguments(variant, x)
@@ -326,7 +324,7 @@ class OpTests:
             assert all(torch.equal(a, b) for a, b in zip(outputs[0], other))
 
     def test_serves_natively(self, variant, device, backend):
-        """No fall-back in disguise: with backend "native" a missing kernel would raise."""
+        """Kernels serve all calls: with backend "native" a missing kernel raises an error."""
         self.needs_native(backend)
         x, kwargs = self.setup(variant, device, torch.float32)
         with K.backend("native"):
@@ -334,7 +332,7 @@ class OpTests:
 
     @pytest.mark.tracing
     def test_opcheck(self, device, backend):
-        """Every operator's first call in full, those of other variants for what their plain arguments decide."""
+        """All checks on each operator's first call; on other variants only those that non-tensor arguments affect."""
         self.needs_native(backend)
         checks: dict[str, tuple[str, ...]] = {}
         for variant in self.variants:
@@ -351,9 +349,9 @@ class OpTests:
         assert set(checks) == set(self.operators)
 
     def test_fake_results_are_laid_out_as_real_ones(self, device, backend):
-        """All pairs of layouts of images and gradients: what torch.compile is promised is what the kernels return.
+        """Strides of fake and real results agree for all layouts of images and gradients, as torch.compile requires.
 
-        Strides count where there is something to stride over: axes of more than one element, results that are not empty.
+        Strides are compared on axes of more than one element of results that are not empty.
         """
         self.needs_native(backend)
         differing: dict[str, str] = {}
@@ -425,7 +423,7 @@ class OpTests:
         values = [v.requires_grad_() for v in values]
         f = self.of_tensors(kwargs, names)
         assert torch.autograd.gradcheck(f, values, nondet_tol=0.0)
-        # Along random directions, which a wrong derivative does not survive, as all of them would be a product of sizes.
+        # fast_mode checks along random directions, because all entries of the Jacobian would be a product of sizes.
         # Second derivatives may be the reference's, and torch's padding sums its gradient in any order on CUDA.
         noise = 0.0 if device.type == "cpu" else 1e-9
         assert torch.autograd.gradgradcheck(f, values, fast_mode=True, nondet_tol=noise)
@@ -474,7 +472,7 @@ class OpTests:
         assert_close(per_sample[1], expected)
 
     def test_pullback_is_differentiable(self, variant, device):
-        """What torch.func.vjp returns is called after it, by code that differentiates it in the ordinary way."""
+        """The function from torch.func.vjp is called outside of it and differentiated by torch.autograd."""
         self.needs_gradient()
         x, kwargs = self.setup(variant, device, shape=self.small)
 
@@ -510,7 +508,7 @@ class OpTests:
 
     @pytest.mark.tracing
     def test_compile(self, device, backend):
-        """fullgraph with a dynamic batch; values and gradients by inductor. The reference has to be traced, no more."""
+        """fullgraph with a dynamic batch; values and gradients by inductor. The reference only has to be traceable."""
         variant = self.variants[0]
         x, kwargs = self.setup(variant, device, torch.float32)
         torch._dynamo.reset()
@@ -572,7 +570,7 @@ class OpTests:
         assert_close(tuple(c.detach() for c in captured), tuple(e.detach() for e in step()))
 
     def test_current_stream(self, variant, device):
-        """Kernels wait for what is before them on the stream they are called on, and for nothing else."""
+        """Kernels wait for earlier work on the current stream, and for no other work."""
         if device.type != "cuda":
             pytest.skip("needs --device cuda")
         x, kwargs = self.setup(variant, device, torch.float32)
@@ -580,7 +578,7 @@ class OpTests:
         late = torch.zeros_like(x)
         torch.cuda.synchronize()
         with torch.cuda.stream(torch.cuda.Stream()):
-            torch.cuda._sleep(20_000_000)  # some 10 ms, in which another stream would read the zeros
+            torch.cuda._sleep(20_000_000)  # about 10 ms, during which another stream would read the zeros
             late.copy_(x)
             output = self.call(late, kwargs)
             torch.cuda.current_stream().synchronize()
@@ -611,7 +609,7 @@ class OpTests:
             assert str(caught.value).startswith(self.function.__name__ + ": "), str(caught.value)
 
     def test_operators_refuse_bad_arguments(self, device, backend):
-        """Called without their Python functions, as C++ and exported programs do."""
+        """Operators are called without the checks of the Python functions, as by C++ and exported programs."""
         self.needs_native(backend)
         with recorded() as calls:
             for variant in self.variants:
@@ -659,7 +657,7 @@ class OpTests:
 
 
 def gradient_like(y: Tensor, layout: str) -> Tensor:
-    """Ones in the layouts that gradients come in: those of torch's own backward operators, of sums and of slices."""
+    """Ones in the layouts of real gradients: those from torch's backward operators, from sums and from slices."""
     if layout == "of a sum":
         return y.new_ones(()).expand_as(y)
     return with_layout(torch.ones_like(y), layout) if y.dim() == 4 else torch.ones_like(y)

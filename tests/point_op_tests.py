@@ -1,10 +1,10 @@
-"""What every operator on points and small matrices must satisfy. Operators on images: op_tests.py.
+"""Inherited tests of operators on points and small matrices. Operators on images: op_tests.py.
 
     class TestEulerOperators(PointOpTests):
         calls = {"quaternion_from_euler": [Call((NUMBER,) * 3)]}
 
-`calls` has a list of calls for each operator, by its name in torch.ops.kvision. The operator's backward operators need no
-calls of their own: gradients go through them, and `operators` lists them for the claim in test_suites.py.
+`calls` has a list of calls for each operator, by its name in torch.ops.kvision. Backward operators need no
+separate calls, because gradients use them. `operators` lists them for the check in test_suites.py.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ SINGLE_AND_DOUBLE = (torch.float32, torch.float64)
 
 
 class Call(NamedTuple):
-    inputs: tuple[Callable[[], Tensor] | Tensor | None, ...]  # makes a sample's row; a tensor serves all samples; None
+    inputs: tuple[Callable[[], Tensor] | Tensor | None, ...]  # creates a sample's row; a tensor is shared; None
     options: tuple[Any, ...] = ()
     broadcasts: bool = True  # whether an input of one row serves all samples
     per_sample: bool = True  # whether a sample's result depends on its own rows alone
     differentiable: bool = True
     dtypes: tuple[torch.dtype, ...] = _ops.FLOATS
     tolerance: float = 4  # multiple of TOLERANCES
-    accepted: tuple[str, ...] = ()  # calls of raw_calls.py, by a part of their name, that are no mistake here
+    accepted: tuple[str, ...] = ()  # parts of names of calls in raw_calls.py that are valid here
     compared: Callable[..., Any] = lambda *results: results  # the part of the results that is unique
 
 
@@ -64,7 +64,7 @@ CUBE = torch.tensor([[0.0, 1, 1, 0] * 2, [0.0, 0, 1, 1] * 2, [0.0] * 4 + [1.0] *
 @pytest.mark.native
 class PointOpTests:
     calls: dict[str, list[Call]]
-    operators: tuple[str, ...]  # all that the calls and their gradients go through
+    operators: tuple[str, ...]  # all operators that the calls and their gradients use
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -154,7 +154,7 @@ class PointOpTests:
 
     @pytest.mark.parametrize("isa", ["baseline", "avx2", "avx512"])
     def test_any_batch(self, name, call, isa, device, backend):
-        """Samples are computed several at a time; none of them, one, and what is left over are computed as well."""
+        """Kernels vectorize over samples. Empty batches, single samples and remainders are computed as well."""
         self.needs_kernels(backend, device, "cpu")
         dtype = call.dtypes[0]
         args = self.rows(call, 9, device, dtype)
@@ -203,7 +203,7 @@ class PointOpTests:
         leaves = [x.requires_grad_() for x in self.floats(args)]
         f = self.of_tensors(name, call, args)
         assert torch.autograd.gradcheck(f, leaves, fast_mode=True, check_forward_ad=True)
-        # Second derivatives are torch's, whose scattered additions on CUDA come in any order.
+        # Second derivatives are torch's, whose scattered additions on CUDA have no fixed order.
         assert torch.autograd.gradgradcheck(f, leaves, fast_mode=True, nondet_tol=1e-12 if device.type == "cuda" else 0)
 
     def test_vmap(self, name, call, device):
@@ -245,7 +245,7 @@ class PointOpTests:
     # --- as torch's operators ---
 
     def test_as_operators(self, name, call, device, backend):
-        """The operator and its backward operators: schemas, fake results, and bad arguments, which C++ refuses itself."""
+        """The operator and its backward operators: schemas, fake results, and bad arguments, which C++ rejects."""
         self.needs_kernels(backend, device)
         with recorded() as calls:
             self.with_gradients(name, call, self.rows(call, BATCH, device, call.dtypes[0]))
@@ -263,7 +263,7 @@ class PointOpTests:
                     laid_out[i] = with_layout(args[i], layout)
                 assert not fake_differs(called, laid_out)
             if max(a.dim() for a in args if isinstance(a, Tensor)) < 2:
-                continue  # what is wrong for rows is right for numbers
+                continue  # a wrong shape for rows is valid for numbers
             fine = ("without rows", "without columns", *call.accepted)
             wrong = [c for c in raw_calls.wrong_calls(operator, args) if not any(f in c[0] for f in fine)]
             taken = raw_calls.taken(operator, wrong)

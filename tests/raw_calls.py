@@ -1,6 +1,6 @@
-"""Wrong calls of torch.ops.kvision.*, as C++ and exported programs may make them: the Python functions' checks are not there.
+"""Invalid calls of torch.ops.kvision.*, which skip the checks of the Python functions as C++ and exported programs do.
 
-A kernel that runs on bad arguments may end the process, so on the CPU calls are tried in a forked one.
+A kernel with bad arguments may crash the process, so calls on the CPU run in a forked process.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from kvision._modes import BORDER
 
-Call = tuple[str, list[Any]]  # what is wrong with it, its arguments
+Call = tuple[str, list[Any]]  # what is wrong with the call, its arguments
 
 SIZES = (0, -1, -(2**40), 2**15, 2**31, 2**62)
 # What arguments of these names may be.
@@ -34,7 +34,7 @@ DTYPES = (torch.int64, torch.bool, torch.complex64, torch.float8_e4m3fn)
 
 
 def wrong_calls(operator: Any, args: Sequence[Any]) -> Iterator[Call]:
-    """Calls that the operator has to refuse, made out of one that works."""
+    """Invalid calls that the operator has to reject, derived from a valid one."""
     names = [a.name for a in operator._schema.arguments]
     tensors = [i for i, a in enumerate(args) if isinstance(a, Tensor)]
     rank = max(args[i].dim() for i in tensors)
@@ -48,7 +48,7 @@ def wrong_calls(operator: Any, args: Sequence[Any]) -> Iterator[Call]:
             if what not in RIGHT.get(argument.name, ()):
                 yield call(f"{argument.name} {what}", {i: value})
 
-    # Right by themselves, but not beside the others.
+    # Tensors that are valid alone but inconsistent with the others.
     for i in tensors if len(tensors) > 1 else []:
         x, batch = args[i], max(args[k].shape[0] for k in tensors if k != i)
         yield call(f"{names[i]} of another dtype", {i: x.double()})
@@ -79,14 +79,14 @@ def wrong_values(kind: str, value: Any, is_image: bool) -> Iterator[tuple[str, A
 
 
 def taken(operator: Any, calls: Sequence[Call]) -> list[str]:
-    """The calls that do not end in a RuntimeError that begins with the operator's name, and what they end in."""
+    """The calls that do not raise a RuntimeError that starts with the operator's name, and their outcomes."""
     if any(isinstance(a, Tensor) and a.is_cuda for _, args in calls for a in args):
         return [f"{what}: {end}" for what, args in calls if (end := how_it_ends(operator, args))]
     reader, writer = os.pipe()
     child = os.fork()
     if child == 0:
         faulthandler.disable()
-        torch.set_num_threads(1)  # torch's other threads are not in this process
+        torch.set_num_threads(1)  # a forked process has none of torch's worker threads
         signal.alarm(60)
         for what, args in calls:
             os.write(writer, f"{what}: ".encode())
@@ -100,7 +100,7 @@ def taken(operator: Any, calls: Sequence[Call]) -> list[str]:
 
 
 def how_it_ends(operator: Any, args: Sequence[Any]) -> str:
-    """Empty where it ends as it should."""
+    """The outcome of a call. Empty if the call is rejected as expected."""
     name = operator._schema.name.removeprefix("kvision::")
     try:
         operator(*args)

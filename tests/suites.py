@@ -1,8 +1,8 @@
-"""All inherited suites of the tests, and a program that calls every variant of theirs once, for compute-sanitizer:
+"""All inherited test suites, and a program that calls each of their variants once, for compute-sanitizer:
 
     PYTHONPATH=python:tests:. compute-sanitizer --tool memcheck python -m suites --device cuda
 
-Images are small, and each call is made forward and backward. The reference checks nothing here: what the tool reports counts.
+Images are small, and each call is made forward and backward. Results are not compared; the tool's report is the result.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from op_tests import OpTests
 from point_op_tests import PointOpTests
 
 TESTS = Path(__file__).parent
-SMALL = (2, 3, 9, 11)  # of images, odd, so that no row is a whole number of vectors
+SMALL = (2, 3, 9, 11)  # image sizes are odd, so that no row is a whole number of vectors
 
 
 def load() -> None:
-    """Import kvision's modules, which registers all operators, and all test files, which defines all suites."""
+    """Import kvision's modules, which register all operators, and the test files, which define all suites."""
     for module in pkgutil.walk_packages(K.__path__, "kvision."):
         if not module.name.startswith("kvision.demo") and module.name != "kvision._C":
             importlib.import_module(module.name)
@@ -38,7 +38,7 @@ def load() -> None:
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
         try:
             spec.loader.exec_module(module)
-        except BaseException as error:  # a file that is skipped as a whole, where a package is missing
+        except BaseException as error:  # a file that is skipped because a package is missing
             if type(error).__name__ != "Skipped":
                 raise
 
@@ -50,10 +50,10 @@ def subclasses(cls: type) -> Iterator[type]:
 
 
 def calls(device: torch.device) -> Iterator[tuple[str, Callable[[], object]]]:
-    """What every suite calls, with its name."""
+    """The calls of every suite, with their names."""
     for cls in dict.fromkeys(subclasses(OpTests)):
         if not hasattr(cls, "function"):
-            continue  # a suite that others inherit
+            continue  # a base suite
         suite = cls()
         shape = SMALL if len(cls.shape) == 4 and cls.shape == OpTests.shape else cls.shape
         dtypes = (torch.float32, torch.float16, *([torch.uint8] if cls.bytes else []))

@@ -1,4 +1,4 @@
-"""The demo, start to end, on small pictures."""
+"""The demo from start to end, on small images."""
 
 from __future__ import annotations
 

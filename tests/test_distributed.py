@@ -21,7 +21,7 @@ STEPS = 3
 
 
 class Model(nn.Module):
-    """A learnt blur and a learnt kernel between convolutions."""
+    """A learned blur and a learned kernel between convolutions."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -53,7 +53,7 @@ def images() -> Tensor:
 
 
 def work(rank: int, folder: Path) -> None:
-    """One of the processes: trains on its share of the images."""
+    """One of the processes, which trains on its part of the images."""
     torch.set_num_threads(1)
     store = dist.FileStore(str(folder / "store"), PROCESSES)
     dist.init_process_group("gloo", store=store, rank=rank, world_size=PROCESSES)

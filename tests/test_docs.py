@@ -1,4 +1,4 @@
-"""The pages of the documentation: examples that run, links and paths that lead somewhere, every public name with its arguments.
+"""The pages of the documentation: examples that run, links and paths that exist, every public name with its arguments.
 
 python tests/test_docs.py    # renews the descriptions in docs/reference from the first sentences of the docstrings
 """
@@ -58,7 +58,7 @@ def test_quickstart_runs(photo: None) -> None:
 
 
 def test_coverage_of_kornia_is_as_written() -> None:
-    """Modules of which docs/migrating_from_kornia.md says that all names are missing are missing, the others exist."""
+    """Modules that docs/migrating_from_kornia.md lists as missing are missing; the others exist."""
     rows = re.findall(
         r"^\| `(\w+)` \| (\d+) \| (\d+) \| (.*?) ?\|$",
         (ROOT / "docs/migrating_from_kornia.md").read_text(),
@@ -87,7 +87,7 @@ def test_links_lead_somewhere(page: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_paths_exist(page: str) -> None:
-    """Files a page names in backticks, of this repository by their first folder."""
+    """Paths in backticks on a page exist if their first folder is one of this repository."""
     folders = "|".join(path.name for path in ROOT.iterdir() if path.is_dir() and path.name not in ("build", "out"))
     for path in re.findall(rf"`((?:{folders})/[\w./-]*\w)`", (ROOT / page).read_text()):
         assert (ROOT / path).exists() or list(ROOT.glob(path + "*")), path
@@ -117,7 +117,7 @@ def test_the_reference_has_no_other_names() -> None:
 
 
 def renew_descriptions(page: Path) -> None:
-    """Give every function and class in the tables of a page the first sentence of its docstring."""
+    """Write the first sentence of each docstring into the tables of a page."""
     module = importlib.import_module(".".join(("kvision", *page.relative_to(FOLDER).with_suffix("").parts)))
 
     def renewed(row: re.Match[str]) -> str:

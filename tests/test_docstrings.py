@@ -25,7 +25,7 @@ SECTIONS = ("Args", "Returns", "Raises", "Example")
 
 
 def public_objects() -> dict[str, Any]:
-    """Functions and classes by the name of the module that defines them and their own, each once."""
+    """Public functions and classes by the names of their module and themselves, each once."""
     objects = {}
     for module in public_modules():
         for name in public_names(module):
@@ -37,7 +37,7 @@ def public_objects() -> dict[str, Any]:
 
 @lru_cache
 def checking_functions(module: str) -> set[str]:
-    """Functions of a file that raise or call a check of arguments, themselves or through others of the file."""
+    """Functions of a file that raise or check arguments, directly or through other functions of the file."""
     functions = {node.name: node for node in parse(module).body if isinstance(node, ast.FunctionDef)}
     checking = {name for name, node in functions.items() if any(map(is_check, ast.walk(node)))}
     while callers := {name for name, node in functions.items() if name not in checking and calls(node) & checking}:
@@ -68,7 +68,7 @@ def sections(text: str) -> dict[str, str]:
 
 
 def missing(value: Any) -> Iterator[str]:
-    """Sections that a docstring ought to have, and arguments that its Args do not describe.
+    """Required sections that a docstring lacks, and arguments that its Args do not describe.
 
     A class that is the module form of a function may refer to that function for its arguments.
     """

@@ -1,4 +1,4 @@
-"""Export and compilation with batch, height and width left open: sizes that are symbolic, and NumPy's integers."""
+"""Export and compilation with dynamic batch, height and width: symbolic sizes, and NumPy's integers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Call(nn.Module):
 @pytest.mark.tracing
 @pytest.mark.parametrize("name", CALLS)
 def test_export_with_dynamic_batch_and_size(name, device):
-    """The graph of one size gives the values of the eager call at others: odd, even, larger, of the other orientation."""
+    """A graph exported at one size gives the eager values at others: odd, even, larger, transposed."""
     x = torch.rand(2, 3, 20, 24, device=device)
     axes = {0: Dim("B", min=1), 2: Dim("H", min=8), 3: Dim("W", min=8)}
     graph = torch.export.export(Call(CALLS[name]), (x,), dynamic_shapes=(axes,)).module()

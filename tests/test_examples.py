@@ -1,4 +1,4 @@
-"""The examples in Python run, and show what they say."""
+"""The Python examples run, and their output is as stated."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 def example(name: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
+    sys.modules[name] = module  # dataclasses read their module from sys.modules
     spec.loader.exec_module(module)
     return module
 

@@ -1,4 +1,4 @@
-"""`import kvision` is quick: modules, with the operators that they register, are imported when they are first used."""
+"""`import kvision` is fast: modules and their operators are imported on first use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MODULES = [name for name in K.__all__ if name not in K._HOMES and name not in ("
 
 
 def printed(program: str, **environment: str) -> str:
-    """What a fresh process prints."""
+    """The output of a fresh process."""
     command = [sys.executable, "-c", program]
     result = subprocess.run(
         command, env={**os.environ, **environment}, capture_output=True, text=True, timeout=300, check=False
@@ -30,7 +30,7 @@ def printed(program: str, **environment: str) -> str:
 
 
 def test_import_adds_little_to_that_of_torch() -> None:
-    """150 ms is what a user is promised; the processor's time counts, as tests run next to each other."""
+    """The limit promised to users is 150 ms. The test measures CPU time, because tests run in parallel."""
     program = "import time, torch; begin = time.process_time(); import kvision; print(time.process_time() - begin)"
     seconds = [float(printed(program)) for _ in range(3)]
     assert statistics.median(seconds) < 0.15
@@ -48,7 +48,7 @@ def test_import_loads_only_what_all_calls_need() -> None:
 
 @pytest.mark.parametrize("name", MODULES)
 def test_a_module_can_be_the_first(name: str) -> None:
-    """Whatever a program uses first: no order of imports is needed."""
+    """A program may use any module first; no order of imports is needed."""
     program = f"import kvision; print(kvision.{name}.__name__); import kvision.{name}"
     assert printed(program).strip() == f"kvision.{name}"
 
@@ -63,7 +63,7 @@ def test_all_names_are_there() -> None:
 
 
 def test_type_checkers_read_the_same_names() -> None:
-    """Those imported for them at the top of kvision/__init__.py, and where these have their home."""
+    """The names imported for type checkers in kvision/__init__.py are those of their modules."""
     tree = ast.parse(Path(K.__file__).read_text())
     block = next(node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
     names = {alias.name: node.module for node in block.body for alias in node.names}

@@ -1,4 +1,4 @@
-"""kvision.migrate: which names of Kornia it finds in a source, and what it says about them."""
+"""kvision.migrate: the names of Kornia that it finds in a source, and its report about them."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_an_unknown_keyword_is_named() -> None:
 
 
 def test_the_page_of_differences_has_rows_for_every_module() -> None:
-    """Headings and tables of docs/differences.md are as the script reads them, and its names exist."""
+    """Headings and tables of docs/differences.md have the format that the script parses, and its names exist."""
     rows = migrate.differences()
     modules = {module for row in rows for module in row.modules}
     assert modules == {module for section in migrate._SECTIONS.values() for module in section}

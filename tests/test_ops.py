@@ -1,4 +1,4 @@
-"""The operator path itself: which backend serves, and what happens when a library is missing."""
+"""The dispatch of operators: choice of the backend, and behavior when a library is missing."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ for _ in range(30):
     y = K.filters.gaussian_blur2d(x, 5, (1.0, 1.0))
 print(megabytes() - before, y.data_ptr() % 64)
 """
-    for _ in range(3):  # whether memory is lost depends on where things happen to lie
+    for _ in range(3):  # whether memory leaks depends on addresses
         grown, misaligned = run(code).stdout.split()
         assert float(grown) < 30 and int(misaligned) == 0  # a result is 12 MB
 
@@ -243,7 +243,7 @@ def test_a_decorated_function_runs_in_its_backend(default_backend):
 
 
 def test_gradients_are_served_as_their_call(default_backend, device):
-    """On whatever thread autograd computes them, in whatever block that is."""
+    """A backward pass uses the backend of its forward call, on any thread and in any block."""
     if device.type in _ops.unserved:
         pytest.skip("this test is about the kernels")
     x = torch.rand(1, 1, 4, 4, device=device, requires_grad=True)
@@ -365,7 +365,7 @@ def test_every_condition_is_stated_in_info():
 
 
 def test_info_fits_a_screen():
-    """80 columns, but for a path, and 40 lines; the table of operators is for those who ask."""
+    """The report has at most 80 columns, except for a path, and 40 lines. The table of operators is optional."""
     from kvision import info
 
     text = info.report()
@@ -381,7 +381,7 @@ def test_info_fits_a_screen():
 @pytest.fixture
 def made_operator():
     def make(reference, **rules):
-        """An operator whose kernel is sobel's."""
+        """Register an operator that calls sobel's kernel."""
         sobel = _ops.operators["sobel"]
         operator = _ops.Operator("sobel_again", reference, **rules)
         operator.unserved, operator.kernel, operator._call_kernel = sobel.unserved, sobel.kernel, sobel._call_kernel
@@ -413,7 +413,7 @@ def test_nondeterministic_kernels_give_way_to_the_reference(made_operator, rule,
 
 
 def test_gradients_that_kernels_sum_by_atomics_are_declared():
-    """On CUDA alone, and for warps only with padding modes whose gradient is not gathered."""
+    """They are declared on CUDA only, and for warps only with padding modes whose gradient is not a gather."""
     names = {n for n, o in _ops.operators.items() if o.nondeterministic}
     assert names == {
         "depth_warp_image_backward",

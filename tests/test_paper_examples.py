@@ -1,4 +1,4 @@
-"""The calls that Kornia's survey paper shows, for the modules there are: flat names, positional arguments, OpenCV's arrays."""
+"""The calls in Kornia's survey paper, for the modules that exist: flat names, positional arguments, OpenCV's arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from op_tests import assert_close
 
 @pytest.fixture
 def array(tmp_path: Path) -> np.ndarray:
-    """As cv2.imread gives it: uint8 (H, W, 3)."""
+    """An image in the format of cv2.imread: uint8 (H, W, 3)."""
     path = str(tmp_path / "photo.png")
     cv2.imwrite(path, cv2.cvtColor(skimage.data.astronaut()[:120, :160], cv2.COLOR_RGB2BGR))
     return cv2.imread(path, cv2.IMREAD_COLOR)
@@ -57,7 +57,7 @@ def test_flat_names_and_modules(image: Tensor) -> None:
     ],
 )
 def test_batches(function: str, module: str, arguments: tuple, image: Tensor) -> None:
-    """A batch is filtered as its images are, by the function and by the module."""
+    """Function and module give the same results for a batch as for its images one by one."""
     batch = torch.cat([image, image.flip(-1), 1 - image])
     filtered = getattr(K.filters, function)(batch, *arguments)
     for x, y in zip(batch.split(1), filtered.split(1)):
@@ -72,7 +72,7 @@ def test_any_kernel_and_volumes(image: Tensor, device: torch.device) -> None:
 
 
 def test_filters_are_layers(image: Tensor, device: torch.device) -> None:
-    """Between convolutions, and the loss flows back through them."""
+    """Filters work between convolutions, and gradients flow through them."""
     layers = K.filters.GaussianBlur2d((5, 5), (1.0, 1.0)), nn.Conv2d(3, 2, 3), K.filters.Sobel()
     model = nn.Sequential(*layers).to(device)
     image.requires_grad_()

@@ -1,7 +1,7 @@
 """Photographs through kvision and through OpenCV, SciPy, scikit-image and Kornia.
 
-PARITY is the one table of what kvision promises beside other libraries: which call equals which, and how closely. What
-differs by definition is in docs/differences.md; borders and sizes of every kind are in the tests of each filter.
+PARITY is the table of parity with other libraries: which call equals which, and the tolerance. docs/differences.md
+lists what differs by definition. The tests of each filter cover borders and sizes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Parity(NamedTuple):
     theirs: Callable[[Any], Any]  # of (H, W, C); of (1, C, H, W) for Kornia
     dtype: type = np.float32  # values in [0, 1], or bytes
     tolerance: tuple[float, float] = FLOAT  # relative, absolute
-    outliers: float = 0.0  # the share of pixels that may be farther off
+    outliers: float = 0.0  # the fraction of pixels that may exceed the tolerance
 
 
 def hypot_of(derivative: Callable[[Any, int, int], Any]) -> Callable[[Any], Any]:
@@ -52,7 +52,7 @@ def laplacian_kernel(size: int) -> Any:
 
 
 def canny_of_opencv(p: Any) -> Any:
-    """From derivatives in 16 bits, because its own blur and derivatives of bytes lose the faint edges."""
+    """Canny by OpenCV from 16-bit derivatives, because its blur and derivatives of bytes lose faint edges."""
     blurred = cv2.GaussianBlur(np.ascontiguousarray(p[..., 0]), (5, 5), 1, borderType=MIRROR)
     dx, dy = (cv2.Sobel(blurred, cv2.CV_32F, *d, borderType=REPLICATE) for d in [(1, 0), (0, 1)])
     scale = 8000  # the largest derivative is 4
@@ -81,7 +81,7 @@ PARITY = {
     "gaussian 31, OpenCV": Parity(
         lambda x: F.gaussian_blur2d(x, 31, 5.0), lambda p: cv2.GaussianBlur(p, (31, 31), 5.0, borderType=MIRROR)
     ),
-    "gaussian 5 of bytes, OpenCV": Parity(  # which computes it in fixed point
+    "gaussian 5 of bytes, OpenCV": Parity(  # OpenCV computes it in fixed point
         lambda x: F.gaussian_blur2d(x, 5, 1.5),
         lambda p: cv2.GaussianBlur(p, (5, 5), 1.5, borderType=MIRROR),
         np.uint8,
@@ -146,7 +146,7 @@ PARITY = {
         planes(lambda p: scipy.ndimage.convolve(p, laplacian_kernel(5) / 48, mode="mirror")),
     ),
     "laplacian 5, Kornia": Parity(lambda x: F.laplacian(x, 5), lambda x: kornia.filters.laplacian(x, 5)),
-    "bilateral 9, OpenCV": Parity(  # whose window is a disc, so its corners must not matter, and whose weights are a table
+    "bilateral 9, OpenCV": Parity(  # OpenCV has a disc, so corners must not count, and a table of weights
         lambda x: F.bilateral_blur(x, 9, 0.3, (0.8, 0.8)),
         lambda p: cv2.bilateralFilter(p, d=9, sigmaColor=0.3, sigmaSpace=0.8, borderType=MIRROR),
         tolerance=(0, 2e-4),

@@ -16,7 +16,7 @@ from op_tests import assert_close
 
 
 class Sharpness(nn.Module):
-    """A pipeline as an application has it: filters, a learnt threshold, a reduction."""
+    """A typical pipeline of an application: filters, a learned threshold, a reduction."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The public names, where they are found, and their arguments are those of public_api.txt: what users' code relies on.
+"""The public names, their modules and their arguments, on which users' code relies, are those of public_api.txt.
 
 A deliberate change comes with a new list, a line in CHANGELOG.md, and one in docs/differences.md where it departs from
 Kornia:
@@ -27,17 +27,17 @@ LIST = Path(__file__).with_name("public_api.txt")
 def public_modules() -> Iterator[ModuleType]:
     yield K
     yield from (getattr(K, name) for name in K.__all__ if is_plain_module(getattr(K, name)))
-    yield from map(importlib.import_module, ("kvision.core.exceptions", "kvision.core.ops"))  # homes in Kornia, too
+    yield from map(importlib.import_module, ("kvision.core.exceptions", "kvision.core.ops"))  # modules of Kornia
 
 
 def public_names(module: ModuleType) -> list[str]:
-    """What `from module import *` brings, less modules and what is imported from elsewhere."""
+    """The names of `from module import *`, without modules and names imported from other packages."""
     names = getattr(module, "__all__", None) or [n for n, v in vars(module).items() if n[0] != "_" and is_ours(v)]
     return [name for name in names if not is_plain_module(getattr(module, name))]
 
 
 def is_plain_module(value: Any) -> bool:
-    """kvision.info is one that is called."""
+    """Whether the value is a module that is not callable; kvision.info is a callable one."""
     return inspect.ismodule(value) and not callable(value)
 
 
@@ -49,9 +49,7 @@ def arguments(function: Any) -> str:
     signature = inspect.signature(function)
     plain = [p.replace(annotation=p.empty) for p in signature.parameters.values() if p.name != "self"]
     text = str(signature.replace(parameters=plain, return_annotation=signature.empty))
-    return re.sub(
-        r"<(?:function|class) '?([\w.]+)'?[^>]*>", r"\1", text
-    )  # defaults by their names, not their addresses
+    return re.sub(r"<(?:function|class) '?([\w.]+)'?[^>]*>", r"\1", text)  # defaults by name, without addresses
 
 
 def lines(name: str, value: Any) -> Iterator[str]:
@@ -94,10 +92,10 @@ def test_the_public_api_is_the_listed_one() -> None:
 
 
 def test_top_level_names_are_those_of_their_modules() -> None:
-    """A flat name is a second place of the same thing, never a second behaviour."""
+    """A flat name is an alias of the same object and never behaves differently."""
     homes = [K.color, K.contrib, K.enhance, K.filters, K.geometry, K.image, K.losses, K.utils]
     for name in public_names(K):
-        if name not in ("__version__", "backend", "info"):  # whose place is the top level
+        if name not in ("__version__", "backend", "info"):  # defined at the top level
             assert any(getattr(home, name, None) is getattr(K, name) for home in homes), name
 
 

@@ -20,7 +20,7 @@ def is_private(name: str) -> bool:
     return name.startswith("_") and not name.startswith("__")
 
 
-# Private attributes of torch's objects, whatever the variable that holds one is called.
+# Private attributes of torch's objects, matched under any variable name.
 PRIVATE = {
     name
     for owner in (
@@ -41,7 +41,7 @@ PRIVATE = {
 
 
 def private_uses(source: str) -> Iterator[str]:
-    """Where `source` reaches a private part of torch, one line each."""
+    """The uses of private parts of torch in `source`, one line each."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             modules = [alias.name for alias in node.names]

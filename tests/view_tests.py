@@ -1,4 +1,4 @@
-"""Functions of several views: the suite of compositions with no call of a solver, scenes and correspondences in float64."""
+"""Functions of several views: CompositionTests without library solvers, and scenes and correspondences in float64."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def rand(*shape: int, low: float = 0.0, high: float = 1.0, seed: int = 0) -> Ten
 
 
 def rotation(*angles: float) -> Tensor:
-    """(3, 3), by an axis-angle vector."""
+    """A rotation matrix (3, 3) from an axis-angle vector."""
     return torch.linalg.matrix_exp(K.geometry.cross_product_matrix(torch.tensor(angles).double()))
 
 
@@ -41,7 +41,7 @@ def on_planes(batch: int, count: int, noise: float = 0.0, seed: int = 0) -> tupl
 
 
 class Scene:
-    """Points (B, N, 3) before two cameras, in both images (B, N, 2)."""
+    """Points (B, N, 3) in front of two cameras, and their projections in both images (B, N, 2)."""
 
     def __init__(self, batch: int, count: int, noise: float = 0.0, seed: int = 0) -> None:
         self.points = rand(batch, count, 3, seed=seed) * torch.tensor([4.0, 3.0, 4.0]) + torch.tensor([-2.0, -1.5, 4.0])
@@ -55,7 +55,7 @@ class Scene:
         self.x1, self.x2 = (moved_by(P, self.points) + s for P, s in zip((self.P1, self.P2), shift))
 
     def normalized(self) -> tuple[Tensor, Tensor]:
-        """Both images in the cameras' coordinates."""
+        """The points of both images in normalized camera coordinates."""
         inverse = torch.linalg.inv(CAMERA)
         return moved(self.x1, inverse), moved(self.x2, inverse)
 
@@ -79,7 +79,7 @@ def camera(x: Tensor) -> Tensor:
 
 
 class NoSolvers(TorchDispatchMode):
-    """An error for what torch asks a library of linear algebra for: on a GPU it waits, and no graph can be captured."""
+    """Raise an error for calls of linear algebra libraries, which wait for a GPU and prevent graph capture."""
 
     def __torch_dispatch__(self, call, types, args=(), kwargs=None):
         name = call.name().removeprefix("aten::").lstrip("_")
@@ -96,7 +96,7 @@ class ViewTests(CompositionTests):
             assert_close(case.call(*values), expected, 1e-5, 1e-5)
 
     def derivatives(self, case: Case, values: list[Tensor]) -> list[Tensor]:
-        """The result, gradients, and gradients of a norm of these."""
+        """The result, its gradients, and the gradients of a norm of the gradients."""
         leaves = [v.detach().requires_grad_() for v in values]
         output = case.call(*leaves)
         first = torch.autograd.grad(output.nan_to_num(0.0).square().sum(), leaves, create_graph=True, allow_unused=True)
@@ -128,7 +128,7 @@ class ViewTests(CompositionTests):
 
 
 def finite_gradients(function, *args: Tensor) -> Tensor:
-    """The result of a call whose gradients are all finite."""
+    """Return the result of a call and check that all its gradients are finite."""
     leaves = [a.clone().requires_grad_() for a in args]
     output = function(*leaves)
     safe = torch.where(output.detach().isfinite() & (output.detach().abs() < 1e30), output, 0)

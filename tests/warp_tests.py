@@ -1,4 +1,4 @@
-"""What tests of warps share: matrices, and what the suite cannot know about them."""
+"""Base classes for tests of warps and resizes, and their matrices."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from torch import Tensor
 
 from op_tests import OpTests, recorded
 
-# Places are float32 numbers of some tens: neighbouring pixels of noise differ by 1.
+# Sampling coordinates are float32 numbers of some tens, and adjacent pixels of noise differ by up to 1.
 FLOAT_PLACES = {torch.float32: (2e-5, 2e-5), torch.uint8: (0, 1)}
 
 
 def affine(x: Tensor) -> Tensor:
-    """Maps of source to result, (B, 2, 3), a little turned and shifted, another one for each sample."""
+    """Affine maps (B, 2, 3) from source to result, with a small rotation and shift that differ by sample."""
     moves = torch.tensor([[0.9137, 0.2341, 1.3717], [-0.1309, 1.0739, -1.6133]], dtype=torch.float64)
     return moves + 0.0317 * torch.arange(len(x))[:, None, None]
 
@@ -24,7 +24,7 @@ def homography(x: Tensor) -> Tensor:
 
 
 def one(matrix):
-    """One for all samples."""
+    """Matrices (1, ., .) of the first sample, for all samples."""
     return lambda x: matrix(x[:1])
 
 
@@ -47,14 +47,14 @@ class WarpTests(OpTests):
 
     @pytest.fixture(autouse=True)
     def same_bits_where_asked(self, device, request):
-        """On CUDA some gradients to images are sums by atomics, unless torch is asked for the same bits every run."""
+        """On CUDA some image gradients are sums by atomics, unless torch is set to deterministic algorithms."""
         asks = request.function.__name__ in ("test_threads_and_runs_give_the_same_bits", "test_gradcheck")
         torch.use_deterministic_algorithms(device.type == "cuda" and asks, warn_only=True)
         yield
         torch.use_deterministic_algorithms(False)
 
     def test_operators_refuse_bad_arguments(self, device, backend, monkeypatch):
-        """An image may have any size beside its result's, so that neither is wrong when it is cut."""
+        """An image and its result may differ in size, so that a cropped tensor is valid."""
         import raw_calls
 
         every = raw_calls.wrong_calls
@@ -65,7 +65,7 @@ class WarpTests(OpTests):
 class FormulaWarpTests(WarpTests):
     @pytest.mark.tracing
     def test_opcheck(self, device, backend):
-        """Of the operator alone: those of its gradient are checked where they are tested."""
+        """Check the operator alone; the operators of its gradient have separate tests."""
         self.needs_native(backend)
         x, kwargs = self.setup(self.variants[0], device, torch.float32)
         with recorded() as calls:
@@ -77,11 +77,11 @@ class FormulaWarpTests(WarpTests):
 class ResizeTests(OpTests):
     operators = ("resize", "resize_backward")
     bytes = True
-    # Weights are fractions of small integers, so many means lie just between two bytes.
+    # Weights are fractions of small integers, so many means are halfway between two bytes.
     tolerances = {torch.uint8: (0, 1)}
 
     def test_operators_refuse_bad_arguments(self, device, backend, monkeypatch):
-        """An image may have any size beside its result's, and only pyramids have a border."""
+        """An image and its result may differ in size, and only pyramids have a border."""
         import raw_calls
 
         every, fine = raw_calls.wrong_calls, (" cut along ", " around a pixel")

@@ -1,4 +1,4 @@
-"""Proves from the built files what the design promises; exit status 1 where a promise is broken.
+"""Checks the invariants of the design on the built files. The exit status is 1 if one is violated.
 
 - The libraries need torch's stable C interface and the C and C++ runtimes, nothing else of torch or CUDA. So one build
   serves every torch from 2.11 on, and the CPU library loads where there is no CUDA.
@@ -20,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 LIBRARIES = ROOT / "python/kvision/lib"
 
-# Versioned symbols of the C, C++ and compiler runtimes; torch's C interface; hooks every library of GCC may leave open.
+# Versioned symbols of the C, C++ and compiler runtimes, torch's C interface, and hooks that GCC leaves optional.
 ALLOWED = re.compile(
     r".+@(GLIBC|GLIBCXX|CXXABI|GCC)_[\w.]+|(aoti_)?torch_\w+|_ITM_(de)?registerTMCloneTable|__gmon_start__|__cxa_finalize"
 )
@@ -53,13 +53,13 @@ def needed_libraries(library: Path, torch: set[str]) -> Iterator[str]:
 
 
 def build_folder() -> Path | None:
-    """The CMake folder of an editable install, or of a build by hand."""
+    """The CMake folder of an editable install or of a manual build."""
     folders = (ROOT / "build/cmake", ROOT / "build")
     return next((folder for folder in folders if (folder / "CMakeFiles/kvision_baseline.dir").is_dir()), None)
 
 
 def shared_symbols(build: Path) -> Iterator[str]:
-    """Symbols that the objects of two instruction sets define, and ones outside of their set's namespace."""
+    """Symbols that objects of two instruction sets define, and those outside of their set's namespace."""
     defined: dict[str, set[str]] = {}
     for isa in ("baseline", "avx2", "avx512"):
         objects = sorted((build / f"CMakeFiles/kvision_{isa}.dir").rglob("*_cpu.cpp.o"))
@@ -75,7 +75,7 @@ def shared_symbols(build: Path) -> Iterator[str]:
 
 
 def torch_includes() -> Iterator[str]:
-    """Files that include torch though they are no door to it."""
+    """Files that include torch outside of the glue and the *_op.cpp files."""
     for path in sorted((ROOT / "csrc").rglob("*.*")):
         if path.parent.name == "glue" or path.name.endswith("_op.cpp"):
             continue
@@ -84,7 +84,7 @@ def torch_includes() -> Iterator[str]:
 
 
 def audit() -> Iterator[str]:
-    """One line for each promise that is broken."""
+    """One line for each violated invariant."""
     cpu, cuda = LIBRARIES / "libkvision.so", LIBRARIES / "libkvision_cuda.so"
     yield from torch_includes()
     yield from undefined_symbols(cpu)

@@ -1,4 +1,4 @@
-"""Map every operator to its kernel, its reference, its test and its page by equal folders and stems, or fail.
+"""Map every operator to its kernel, reference, test and page by equal folders and stems. Fails if one is missing.
 
     python tools/map_names.py          # what is missing
     python tools/map_names.py sobel    # where everything about an operator or a public function is
@@ -19,9 +19,9 @@ REFERENCES, KERNELS, TESTS, PAGES = (ROOT / f for f in ("python/kvision", "csrc"
 REGISTERED = re.compile(r'\bregister(?:_filter|_fit|_formula)?\(\s*"(\w+)"')
 DECLARED = re.compile(r"^KV_OPERATOR\(\s*(\w+)\s*,", re.MULTILINE)
 TABULATED = re.compile(r"^  _\((\w+), \w+,", re.MULTILINE)  # a row of a table of formulas in a header
-MOST_STEMS = 40  # of a folder of csrc: a stem is four files, and a reader looks for stems
+MOST_STEMS = 40  # limit for a folder of csrc; a stem is about four files
 
-# What has no place of its own by these rules -> why.
+# Operators and functions exempt from these rules -> the reason.
 EXCEPTIONS = {
     **dict.fromkeys(
         (
@@ -51,7 +51,7 @@ EXCEPTIONS = {
 
 
 def registered() -> dict[str, Path]:
-    """Operator -> the Python file, relative to the package, that registers it; by the name's beginning for f-strings."""
+    """Operator -> the Python file, relative to the package, that registers it. f-strings count by their start."""
     return {
         name: path.relative_to(REFERENCES).with_suffix("")
         for path in sorted(REFERENCES.rglob("*.py"))
@@ -61,7 +61,7 @@ def registered() -> dict[str, Path]:
 
 
 def declared() -> dict[str, Path]:
-    """Operator -> the stem, relative to csrc, of the C++ files that have its kernel; formulas are rows of tables."""
+    """Operator -> the stem, relative to csrc, of the C++ files that have its kernel. Formulas are rows of tables."""
     kernels = {
         name: path.relative_to(KERNELS).with_suffix("")
         for path in sorted(KERNELS.rglob("*.h"))
@@ -76,7 +76,7 @@ def declared() -> dict[str, Path]:
 
 
 def owner(name: str, references: dict[str, Path]) -> Path | None:
-    """The file that registers an operator, by its own name or by that which helpers of registration add a suffix to."""
+    """The file that registers an operator, by its name or by the name without a suffix that a helper adds."""
     for suffix in ("", "_backward", "_kernel_backward", "_by_formula"):
         if found := references.get(name.removesuffix(suffix)):
             return found
@@ -84,7 +84,7 @@ def owner(name: str, references: dict[str, Path]) -> Path | None:
 
 
 def page(reference: Path) -> Path | None:
-    """The page of the file, of its folder, or of a folder above."""
+    """The page of the file, of its folder, or of a parent folder."""
     for place in (reference, *reference.parents[:-1]):
         for found in (PAGES / f"{place}.md", PAGES / place / "README.md", PAGES / place / "index.md"):
             if found.exists():

@@ -5,7 +5,7 @@ parts of torch that kvision reaches and of two filters. Nothing is compiled: the
 torch's stable ABI only, so the built ones have to work with every torch from the oldest supported one on.
 
 Default: the oldest version that pyproject.toml admits and the newest that pip finds. Run it before a release. An
-environment is used again; a new one takes minutes. For Linux PyPI has CUDA builds of torch, 3 GB to download and 6 GB
+environment is reused; a new one takes minutes. For Linux PyPI has CUDA builds of torch, 3 GB to download and 6 GB
 on disk, which need all of NVIDIA's packages to be imported. `--index https://download.pytorch.org/whl/cpu` takes the CPU
 builds from PyTorch's own index instead: 0.2 GB.
 """
@@ -27,7 +27,7 @@ PACKAGES = ("numpy", "opencv-python-headless>=4.12", "scikit-image", "scipy", "k
 
 
 class FailedError(Exception):
-    """A command failed; the message is what it printed."""
+    """A command failed. The message is its output."""
 
 
 def oldest() -> str:
@@ -48,7 +48,7 @@ def newest(index: list[str]) -> str:
 
 
 def run(*command: str | Path, **variables: str) -> str:
-    """What the command prints; raises FailedError with it."""
+    """Return the command's output. Raises FailedError with the output if it fails."""
     done = subprocess.run(
         [str(part) for part in command],
         cwd=ROOT,
@@ -64,7 +64,7 @@ def run(*command: str | Path, **variables: str) -> str:
 
 
 def python_with_torch(version: str, index: list[str]) -> Path:
-    """The Python of the environment with this version of torch, which is made where it is not complete."""
+    """The Python of the environment with this version of torch. Creates the environment if it is not complete."""
     folder = ROOT / "build" / f"torch-{version}"
     python, complete = folder / "bin" / "python", folder / "complete"
     if not complete.exists():
@@ -77,7 +77,7 @@ def python_with_torch(version: str, index: list[str]) -> Path:
 
 
 def test(version: str, tests: list[str], index: list[str]) -> bool:
-    """Run the tests on one version and print a line with the result; whether all of them passed."""
+    """Run the tests on one version and print a line with the result. Returns whether all tests passed."""
     try:
         python = python_with_torch(version, index)
     except FailedError as error:

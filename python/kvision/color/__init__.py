@@ -1,7 +1,7 @@
 """Color conversions of images (*, C, H, W), pixel by pixel.
 
 Colors are in [0, 1] and hue is in radians unless said otherwise. Computation is in float32, or in float64 for float64
-images; half types are stored back.
+images; half types are rounded once, at the end.
 """
 
 from kvision.color.colormap import ApplyColorMap, ColorMap, ColorMapType, apply_colormap

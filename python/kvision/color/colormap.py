@@ -124,7 +124,7 @@ def _custom(colors: object) -> Sequence[Sequence[float]]:
 
 
 def _reference(x: Tensor, white: Tensor, colors: Tensor) -> Tensor:
-    """Images (B, C, H, W) in the colors of tables (B or 1, 3, n), `white` (B, C) being what shows the last one."""
+    """Color images (B, C, H, W) by tables (B or 1, 3, n). The value `white` (B, C) gets the last color."""
     x = x / white[..., None, None]
     n = colors.shape[2]
     index = torch.where(x >= 1, n - 1, (x * max(n - 2, 1)).ceil()).clamp(0, n - 1)

@@ -1,4 +1,4 @@
-"""The colors of the named color maps, 64 each, dark end or value 0 first. Those of Matplotlib, which has many from MATLAB."""
+"""The colors of the named color maps, 64 each, from value 0 on. They are Matplotlib's, which has many from MATLAB."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 COUNT = 64
 
 Color = tuple[float, float, float]
-Stops = tuple[tuple[float, float], ...]  # (position, value), positions from 0 to 1, straight lines between them
+Stops = tuple[tuple[float, float], ...]  # (position, value) with positions from 0 to 1, linear in between
 
-# Colors at equal distances.
+# Equidistant colors.
 _EVEN: dict[str, tuple[Color, ...]] = {
     "autumn": ((1, 0, 0), (1, 1, 0)),
     "winter": ((0, 0, 1), (0, 1, 0.5)),
@@ -22,7 +22,7 @@ _EVEN: dict[str, tuple[Color, ...]] = {
     "seismic": ((0, 0, 0.3), (0, 0, 1), (1, 1, 1), (1, 0, 0), (0.5, 0, 0)),
 }
 
-# Stops of red, green and blue.
+# Piecewise linear red, green and blue.
 _STOPS: dict[str, tuple[Stops, Stops, Stops]] = {
     "bone": (
         ((0, 0), (0.746032, 0.652778), (1, 1)),

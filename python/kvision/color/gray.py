@@ -12,7 +12,7 @@ from kvision.color.program import step
 from kvision.core.exceptions import TypeCheckError
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601
-_BYTE_LUMA = (9798.0, 19235.0, 3735.0)  # the same in 32768ths
+_BYTE_LUMA = (9798.0, 19235.0, 3735.0)  # the same weights in 32768ths
 
 
 def _weighted(x: Tensor, wr: float | Tensor, wg: float | Tensor, wb: float | Tensor) -> Tensor:
@@ -21,7 +21,7 @@ def _weighted(x: Tensor, wr: float | Tensor, wg: float | Tensor, wb: float | Ten
 
 
 def _fixed_point(x: Tensor, wr: float, wg: float, wb: float) -> Tensor:
-    """OpenCV's 15-bit luma of bytes over 255; no sum reaches 2^24, so float32 has it exactly."""
+    """OpenCV's 15-bit luma of bytes over 255. Sums stay below 2^24, so float32 is exact."""
     r, g, b = (255 * x).round().split(1, 1)
     return ((wr * r + wg * g + wb * b + 16384) / 32768).floor() / 255
 

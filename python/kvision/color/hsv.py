@@ -30,7 +30,7 @@ def _inverse(x: Tensor) -> Tensor:
 
 
 def _of_bytes(x: Tensor) -> Tensor:
-    """OpenCV's HSV of bytes over 255: its quotients are products with rounded tables in 4096ths."""
+    """OpenCV's HSV of bytes over 255. It divides by products with rounded tables in 4096ths."""
     levels = (255 * x).round()
     value = levels.amax(1)
     chroma = value - levels.amin(1)
@@ -42,7 +42,7 @@ def _of_bytes(x: Tensor) -> Tensor:
 
 
 def _quotient(x: Tensor, table: Tensor) -> Tensor:
-    """floor(x * table / 4096 + 1 / 2), in two parts, for float32 has no numbers of 28 bits."""
+    """floor(x * table / 4096 + 1 / 2), in two parts, because float32 cannot represent 28 bits."""
     high = (table / 4096).floor()
     return x * high + (x * (table - 4096 * high) / 4096 + 0.5).floor()
 

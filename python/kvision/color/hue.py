@@ -1,6 +1,6 @@
-"""Hue, an angle on the color wheel: red 0, green 2 pi / 3, blue 4 pi / 3. What HSV and HLS have in common.
+"""Hue, an angle on the color wheel: red 0, green 2 pi / 3, blue 4 pi / 3. HSV and HLS share it.
 
-In sixths of a turn, with the chroma c, the highest less the lowest channel:
+In units of 60 degrees, with the chroma c, the maximum minus the minimum of the channels:
 
     red is highest      (g - b) / c
     green is highest    (b - r) / c + 2
@@ -24,7 +24,7 @@ def hue(x: Tensor, highest: Tensor, chroma: Tensor, eps: float = 0.0) -> Tensor:
     c = torch.where(gray, 1, chroma + eps)
     sixths = torch.where(r == highest, (g - b) / c, torch.where(g == highest, (b - r) / c + 2, (r - g) / c + 4))
     sixths = torch.where(sixths < 0, sixths + 6, sixths)
-    sixths = torch.where(sixths >= 6, sixths - 6, sixths)  # what rounds up to a full turn
+    sixths = torch.where(sixths >= 6, sixths - 6, sixths)  # values that round up to 360 degrees
     return torch.where(gray, 0, sixths * SIXTH)
 
 

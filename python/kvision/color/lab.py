@@ -12,7 +12,7 @@ from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
 
-# The cube root, with a straight line below this. The line's numbers are rounded as OpenCV has them.
+# Below this threshold a linear function replaces the cube root. Its coefficients are rounded as in OpenCV.
 DARKEST, SLOPE, FOOT = 0.008856, 7.787, 4 / 29
 DARKEST_ROOT = 0.2068966
 

@@ -1,4 +1,4 @@
-"""The transfer function of sRGB: from the values of ordinary pictures to linear light and back."""
+"""The transfer function of sRGB: from gamma-encoded values to linear light and back."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kvision._dtype import floats
 from kvision._leading import apply_on_batch
 from kvision.color.program import step
 
-# The clamps keep the root's and the power's gradients finite where the other branch is taken.
+# The clamps keep the gradients of the root and the power finite where `where` selects the other branch.
 
 
 def decoded(x: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from kvision.color.linear import decoded, encoded
 from kvision.color.program import step
 from kvision.color.xyz import WHITE, rgb_of_xyz, xyz_of_rgb
 
-# Lightness is a cube root, with a straight line for luminance below this.
+# Lightness is the cube root of luminance, and linear for luminance below this threshold.
 DARKEST, SLOPE = 0.008856, 903.3
 DARKEST_LIGHTNESS = 7.999625
 _SUM = WHITE[0] + 15 * WHITE[1] + 3 * WHITE[2]

@@ -56,7 +56,7 @@ def _plan(dtype: torch.dtype | None, layout: int, steps: Sequence[int], columns:
 
 
 def _sequential(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
-    """Apply the steps in order, or as `order` says. Also returns the mean that contrast was taken around."""
+    """Apply the steps in order, or in the order of `order`. Also returns the mean that contrast used."""
     *parameters, order, plan, numbers = arguments
     _, _, steps, columns = _parse_plan(plan)
     tensors = _split_columns([p for p in parameters if p is not None])
@@ -77,7 +77,7 @@ def _sequential(x: Tensor, *arguments: Any) -> tuple[Tensor, Tensor]:
 
 
 def _split_columns(parameters: Sequence[float | Tensor]) -> list[float | Tensor]:
-    """Parameters with every column of a tensor separate, as (B or 1, C or 1, 1, 1)."""
+    """Split tensors of parameters into their columns, each (B or 1, C or 1, 1, 1)."""
     slots: list[float | Tensor] = []
     for p in parameters:
         slots += p[..., None, None].unbind(2) if isinstance(p, Tensor) and p.dim() == 3 else [p]
@@ -184,7 +184,7 @@ def _backward_around_mean(needs, grad, _, y, mean, *arguments):
 
 
 def _supports(x: Tensor, *arguments: Any) -> str | None:
-    """Images and results are both float64, or neither is: kernels compute in one type."""
+    """The kernels compute in one type: image and result are both float64, or neither is."""
     dtype = arguments[-2][0]
     if dtype == _SAME or (x.dtype == torch.float64) == (_DTYPES[dtype] == torch.float64):
         return None
@@ -245,7 +245,7 @@ _NO_TENSORS, _NO_COLUMNS = (None,) * MAX_TENSORS, ()
 
 
 def _concatenate(tensors: Sequence[Any]) -> Tensor:
-    """The columns of all tensors in one."""
+    """Concatenate the columns of all tensors."""
     sizes = torch.broadcast_shapes(*(t.shape[:2] for t in tensors))
     return torch.cat([t.expand(*sizes, -1) for t in tensors], 2)
 
@@ -290,7 +290,7 @@ def _run_by_order(
     dtype: torch.dtype | None,
     layout: int,
 ) -> Tensor:
-    """Run a program with several means and an order per sample: each turn runs the steps up to the next mean."""
+    """Run a program with several means and an order per sample: each pass runs the steps up to the next mean."""
     stored = dtype or x.dtype
     computed = _promoted_dtype(x.dtype, stored)
     around = [order == i for i, step in enumerate(steps) if step == CONTRAST]
@@ -340,7 +340,7 @@ def step(
                 fits = fits and p.dim() == 3 and (per_value or p.shape[1] == 1)
         if not fits:
             return composed(x, *_split_columns(parameters))
-        if plain:  # the most frequent case: no conversion of parameters
+        if plain:  # the most common case needs no conversion of parameters
             if rest:
                 return _program_around_mean(x, *_NO_TENSORS, None, plan, [*parameters, *rest])[0]
             return _program(x, *_NO_TENSORS, None, plan, parameters)

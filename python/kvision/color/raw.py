@@ -1,4 +1,4 @@
-"""Bayer mosaics, the raw pictures of sensors: a color a pixel, repeating every 2 x 2 pixels."""
+"""Bayer mosaics, the raw images of sensors: one color a pixel, in a pattern of 2 x 2 pixels."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _mosaic(x: Tensor, row: int, column: int) -> Tensor:
 def _reference(x: Tensor, cfa: int) -> Tensor:
     row, column = _RED[CFA(cfa)]
     red, blue = _sites(x, row, column), _sites(x, 1 - row, 1 - column)
-    # A border that mirrors the mosaic repeats each color's own outermost row and column.
+    # A reflected border of the mosaic repeats the outermost row and column of each color.
     r, b = (pad(torch.where(own, x, 0), ((1, 1), (1, 1)), "reflect") for own in (red, blue))
     g = pad(torch.where(red | blue, 0, x), ((1, 1), (1, 1)), "reflect")
     green = g[..., 1:-1, 1:-1] + (g[..., :-2, 1:-1] + g[..., 2:, 1:-1] + g[..., 1:-1, :-2] + g[..., 1:-1, 2:]) / 4
@@ -64,7 +64,7 @@ def _reference(x: Tensor, cfa: int) -> Tensor:
 
 
 def _between(p: Tensor) -> Tensor:
-    """Linear between every second row and column of the padded plane `p`, which is 0 elsewhere."""
+    """Interpolate linearly between every second row and column of the padded plane `p`, which is 0 elsewhere."""
     p = p[..., 1:-1, :] + (p[..., :-2, :] + p[..., 2:, :]) / 2
     return p[..., 1:-1] + (p[..., :-2] + p[..., 2:]) / 2
 

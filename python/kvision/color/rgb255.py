@@ -1,4 +1,4 @@
-"""Colors in [0, 1], colors in [0, 255] and, kept in the latter, unit normals."""
+"""Conversions of colors between [0, 1] and [0, 255], and of unit normals stored in [0, 255]."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _unscaled(x: Tensor) -> Tensor:
 def _normals(x: Tensor) -> Tensor:
     n = x / 255 * 2 - 1
     squares = (n * n).sum(1, keepdim=True)
-    return n / torch.where(squares == 0, 1, squares).sqrt()  # no direction stays none
+    return n / torch.where(squares == 0, 1, squares).sqrt()  # the zero vector stays zero
 
 
 def _colors(n: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Adding an alpha channel, and composing with a background to lose it."""
+"""Adding an alpha channel, and removing it by composition with a background."""
 
 from __future__ import annotations
 
@@ -129,12 +129,12 @@ def _color(color: tuple[float, ...] | list[float], image: Tensor) -> Tensor:
     if len(color) != 3:
         raise ValueCheckError(f"rgba_to_rgb: expected background_color to be three numbers, got {color!r}")
     numbers = [_check.number("rgba_to_rgb", "background_color", c) for c in color]
-    # Filled on the device: a copy to it would be waited for.
+    # Filled on the device, because a copy from the host would wait for it.
     return torch.cat([image.new_full((1, 1, 1, 1), n, dtype=compute_dtype(image)) for n in numbers], 1)
 
 
 def _background(background: Tensor, image: Tensor) -> Tensor:
-    """`background` as (B, 3, H, W), or with axes of size 1 that serve the whole image."""
+    """`background` as (B, 3, H, W), or with axes of size 1 that broadcast over the image."""
     *leading, _, h, w = image.shape
     own = background.shape
     fits = own[-2] in (1, h) and own[-1] in (1, w) and len(own) <= image.dim()

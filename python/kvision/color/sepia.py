@@ -1,4 +1,4 @@
-"""The brown of old photographs."""
+"""Sepia: the brown tone of old photographs."""
 
 from __future__ import annotations
 

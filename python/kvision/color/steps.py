@@ -1,4 +1,4 @@
-"""The steps of color programs, in one table: csrc/color/step_list.h has the same one, and a test compares both.
+"""The steps of color programs, in one table: csrc/color/step_list.h has the same table, and a test compares both.
 
 Numbers are stable, because exported graphs contain them. A new step takes the next number, at the end of both tables.
 """
@@ -13,7 +13,7 @@ class Step(NamedTuple):
 
     number: int
     parameters: int
-    domain: str  # rgb: needs three channels; any: treats every value alike
+    domain: str  # rgb: needs three channels; any: the same for all channels
     arguments: str  # numbers: parameters are the same for all samples; tensors: they may be tensors
     channels: str  # of the result: same as before, or one
     affine: str  # always, unless_clipped or never
@@ -53,4 +53,4 @@ STEPS = {
     "threshold": Step(30, 5, "any", "tensors", "same", "never"),
 }
 NAMES = {step.number: name for name, step in STEPS.items()}
-CONTRAST = STEPS["contrast"].number  # its last parameter is the mean of the image as it is then
+CONTRAST = STEPS["contrast"].number  # the last parameter is the mean of the image before this step

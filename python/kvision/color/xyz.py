@@ -33,7 +33,7 @@ _xyz_to_rgb = affine(RGB_FROM_XYZ)
 def rgb_to_xyz(image: Tensor) -> Tensor:
     """RGB to CIE XYZ by the matrix of the sRGB primaries and the white D65.
 
-    The colors are taken as linear light; those of ordinary pictures are made so by :func:`rgb_to_linear_rgb`.
+    The colors must be linear light. :func:`rgb_to_linear_rgb` converts gamma-encoded colors.
 
     Args:
         image: RGB images (*, 3, H, W). Integers are computed in float32.

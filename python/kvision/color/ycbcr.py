@@ -1,4 +1,4 @@
-"""Luma and its differences from blue and red."""
+"""YCbCr: luma, and the differences of blue and red from it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kvision._leading import apply_on_batch
 from kvision.color.gray import LUMA, weighted_sum
 from kvision.color.matrix import affine
 
-# How much b - y and r - y are scaled by to fit [-0.5, 0.5].
+# The scales of b - y and r - y that map them to [-0.5, 0.5].
 BLUE, RED = 0.564, 0.713
 _R, _G, _B = LUMA
 # Of r, g and b, and back; green is such that the luma is y.

@@ -26,17 +26,17 @@ _rgb_to_yuv = affine(YUV_FROM_RGB)
 _yuv_to_rgb = affine(RGB_FROM_YUV)
 
 
-# --- chroma that cells of one or two rows of two pixels share ---------------------------------------------------------
+# --- chroma shared by cells of 1 x 2 or 2 x 2 pixels -----------------------------------------------------------------
 
 
 def _split(x: Tensor, rows: int, numbers: Sequence[float]) -> tuple[Tensor, Tensor]:
-    """Luma of pixels and chroma of the sums of cells, by the three rows of a matrix."""
+    """Split RGB into the luma of pixels and the chroma of summed cells, by the three rows of a matrix."""
     y = mixed(x, _matrix(numbers))
     return y[:, :1], y[:, 1:].unflatten(2, (-1, rows)).unflatten(4, (-1, 2)).sum((3, 5))
 
 
 def _join(luma: Tensor, chroma: Tensor, rows: int, numbers: Sequence[float]) -> Tensor:
-    """Colors of luma and of the chroma of the cell, by the three rows of a matrix."""
+    """Join the luma of pixels and the chroma of cells to colors, by the three rows of a matrix."""
     whole = chroma.repeat_interleave(rows, 2).repeat_interleave(2, 3).expand(luma.shape[0], -1, -1, -1)
     return mixed(torch.cat([luma, whole], 1), _matrix(numbers))
 
@@ -74,7 +74,7 @@ _join_chroma = register(
     backward=_backward_of_join,
     supports=has_pixels,
 )
-# The chroma of means is the mean of the chroma.
+# Chroma is linear, so the chroma of a mean is the mean of the chroma.
 _SPLITS = {rows: [w / n for n, row in zip((1, 2 * rows, 2 * rows), YUV_FROM_RGB) for w in row] for rows in (1, 2)}
 _JOINS = [w for row in RGB_FROM_YUV for w in row]
 

@@ -16,8 +16,8 @@ from kvision.core.exceptions import ShapeError
 def _reference(x: Tensor) -> Tensor:
     """int64 labels of masks (B, C, H, W): 1 + the index of the first pixel in its plane, 0 where the mask is not 1.
 
-    Every pixel has a root, at first itself. A root moves to the lowest root adjacent to its region, and every pixel to the
-    root of its root, until nothing moves.
+    Pointer jumping: every pixel starts as its root. A root links to the lowest root adjacent to its region,
+    and every pixel links to the root of its root, until nothing changes.
     """
     inside = x == 1
     nothing = x.numel()

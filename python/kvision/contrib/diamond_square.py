@@ -64,7 +64,7 @@ def diamond_square(
         _per_plane(op, name, value, b, c, device, dtype)
         for name, value in (("roughness", roughness), ("random_scale", random_scale))
     )
-    # Sides of 2 ** n + 1 pixels, which halve until the shorter one has 3.
+    # The sides have 2 ** n + 1 pixels and halve until the shorter one has 3.
     steps = [max(1, math.ceil(math.log2(max(n, 3) - 1))) for n in (h, w)]
     doublings = min(steps) - 1
     rows, columns = (2 ** (n - doublings) + 1 for n in steps)
@@ -93,7 +93,7 @@ def _per_plane(
 
 
 def _seed(noise: Tensor, upright: bool) -> Tensor:
-    """Noise (N, 1, 2, n) at every second pixel of a grid of 3 x (2 n - 1), or of its transpose, and means between."""
+    """Noise (N, 1, 2, n) at every second pixel of a grid of 3 x (2 n - 1), or its transpose, and means in between."""
     planes, _, _, n = noise.shape
     x = noise.new_zeros(planes, 1, 3, 2 * n - 1)
     x[..., ::2, ::2] = noise
@@ -102,14 +102,14 @@ def _seed(noise: Tensor, upright: bool) -> Tensor:
 
 
 def _diamonds(x: Tensor) -> Tensor:
-    """The middles of four, filled with their mean."""
+    """The diamond step: the center of four pixels gets their mean."""
     y = x.clone()
     y[..., 1::2, 1::2] = (x[..., :-1:2, :-1:2] + x[..., :-1:2, 2::2] + x[..., 2::2, :-1:2] + x[..., 2::2, 2::2]) / 4
     return y
 
 
 def _squares(x: Tensor) -> Tensor:
-    """The other new pixels, filled with the mean of the four adjacent pixels, of three at the border."""
+    """The square step: the other new pixels get the mean of their four adjacent pixels, of three at the border."""
     padded = F.pad(x, (1, 1, 1, 1))
     h, w = x.shape[-2:]
     total = padded[..., :h, 1:-1] + padded[..., 2:, 1:-1] + padded[..., 1:-1, :w] + padded[..., 1:-1, 2:]

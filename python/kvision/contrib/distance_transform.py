@@ -1,4 +1,4 @@
-"""How far it is to the nearest pixel of a mask."""
+"""Distance transforms: the distance to the nearest pixel of a mask."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def distance_transform(image: Tensor, kernel_size: int = 3, h: float = 0.35, exa
     distances = [math.hypot(*place) for place in product(range(-(size // 2), size // 2 + 1), repeat=axes)]
     if not h > 0 or math.exp(-max(distances) / h) < torch.finfo(torch.float32).tiny:
         raise ValueCheckError(f"{op}: expected a larger h for a kernel_size of {size}, got {h!r}", actual_value=h)
-    if sum(math.exp(-d / h) for d in distances) - 1 > 0.999:  # a source all around would seem to be at the pixel
+    if sum(math.exp(-d / h) for d in distances) - 1 > 0.999:  # else sources all around would give distance 0
         raise ValueCheckError(f"{op}: expected a smaller h for a kernel_size of {size}, got {h!r}", actual_value=h)
     return _approximate(image, size, h)
 
@@ -81,14 +81,14 @@ def _approximate(x: Tensor, size: int, h: float) -> Tensor:
         within = -h * torch.where(reached, near, 0.5).log()
         total = total + torch.where(reached, step * (size // 2) + within, 0)
         grown = torch.where(reached, 1, grown)
-        if _check.values_are_readable(x) and not reached.any():  # nor will any later step
+        if _check.values_are_readable(x) and not reached.any():  # later steps will not either
             break
     return total
 
 
 @with_kernel_casts
 def _exact(x: Tensor) -> Tensor:
-    """The squared distance along one axis after the other: each the lower envelope of parabolas over the one before."""
+    """The squared distance, axis by axis: each step is a lower envelope of parabolas on the previous result."""
     squared = torch.where(x == 1, torch.zeros_like(x), torch.inf)
     for axis in range(2, x.dim()):
         n, below = x.shape[axis], squared

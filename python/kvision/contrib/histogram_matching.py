@@ -1,4 +1,4 @@
-"""Histogram matching: the values of one image get the distribution of another."""
+"""Histogram matching: gives the values of one image the distribution of another."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def histogram_matching(source: Tensor, template: Tensor) -> Tensor:
 
 
 def _ranks(ordered: Tensor) -> Tensor:
-    """The rank of each of these increasing values: the fraction of values up to the last one that equals it."""
+    """The rank of each of the sorted values: the fraction of values that are not above it."""
     n = ordered.numel()
     last = torch.arange(1, n + 1, device=ordered.device)
     last[:-1].masked_fill_(ordered[1:] == ordered[:-1], n)

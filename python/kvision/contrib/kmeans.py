@@ -1,4 +1,4 @@
-"""Clusters of points."""
+"""K-means clustering of points."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class KMeans:
 
 
 def _wide(x: Tensor) -> Tensor:
-    """What is computed with: float32 for half types, float64 for integers."""
+    """Convert to the compute dtype: float32 for half types, float64 for integers."""
     if x.is_floating_point():
         return x.to(torch.promote_types(x.dtype, torch.float32))
     return x.double()
@@ -146,5 +146,5 @@ def _wide(x: Tensor) -> Tensor:
 
 def _nearest(x: Tensor, centers: Tensor) -> Tensor:
     dtype = torch.promote_types(_wide(x).dtype, _wide(centers).dtype)
-    exact = "donot_use_mm_for_euclid_dist"  # the other way cancels where points are far from 0
+    exact = "donot_use_mm_for_euclid_dist"  # the expanded form cancels for points far from 0
     return torch.cdist(x.to(dtype), centers.to(dtype), compute_mode=exact).argmin(1)

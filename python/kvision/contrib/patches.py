@@ -20,7 +20,7 @@ Pad = tuple[int, int, int, int]  # top, bottom, left, right
 def _extract_reference(
     x: Tensor, size: Sequence[int], window: Sequence[int], stride: Sequence[int], padding: Sequence[int]
 ) -> Tensor:
-    """(B, N, C, height, width), patches row by row; zeros outside of images of that size."""
+    """Patches (B, N, C, height, width), row by row, with zeros outside of the image."""
     top, bottom, left, right = padding
     x = F.pad(x, (left, right, top, bottom)) if any(padding) else x
     patches = x.unfold(2, window[0], stride[0]).unfold(3, window[1], stride[1])  # a view
@@ -30,7 +30,7 @@ def _extract_reference(
 def _combine_reference(
     patches: Tensor, size: Sequence[int], window: Sequence[int], stride: Sequence[int], padding: Sequence[int]
 ) -> Tensor:
-    """(B, C, *size): the patches added up where they belong."""
+    """Sum the patches at their positions: (B, C, *size)."""
     top, bottom, left, right = padding
     height, width = size[0] + top + bottom, size[1] + left + right
     grid = patches.unflatten(1, ((height - window[0]) // stride[0] + 1, (width - window[1]) // stride[1] + 1))
@@ -219,7 +219,7 @@ def combine_tensor_patches(
 
 
 def _added(x: Tensor, index: int, axis: int, step: int) -> Tensor:
-    """The slices along `index` added up where they belong, each `step` further along `axis`; `index` is gone."""
+    """Sum the slices along the axis `index`, each shifted by `step` along `axis`. The result has no axis `index`."""
     count, size = x.shape[index], x.shape[axis]
     length = (count - 1) * step + size
     slices = enumerate(x.unbind(index))

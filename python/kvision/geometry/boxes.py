@@ -47,7 +47,7 @@ class _Boxes(Collection):
 
     @property
     def mode(self) -> str:
-        """The form the boxes were given in."""
+        """The mode of the boxes that the constructor took."""
         return self._mode
 
     @classmethod
@@ -171,8 +171,8 @@ class Boxes(_Boxes):
         """The least upright boxes around the corners, in one of the forms of :meth:`from_tensor`.
 
         Args:
-            mode: the form, None for that which the boxes were given in.
-            as_padded_sequence: keep boxes that were given as a list in one tensor, with zeros where an image has no more.
+            mode: the mode of the result, None for that of the constructor.
+            as_padded_sequence: return boxes from a list as one tensor, padded with zeros.
 
         Returns:
             (N, 4) or (B, N, 4), corners (N, 4, 2) or (B, N, 4, 2), or a list. Boxes that were filtered out are 0.

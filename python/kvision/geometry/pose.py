@@ -95,7 +95,7 @@ class NamedPose:
 
     @property
     def pose(self) -> Tensor:
-        """The transformations, of the shape they were given in."""
+        """The transformations, in the shape of the constructor's argument."""
         return self._pose
 
     @property

@@ -88,9 +88,9 @@ def draw_line(image: Tensor, p1: Tensor, p2: Tensor, color: Any) -> Tensor:
         )
     delta = end - start
     steps = delta.abs().amax(1)
-    line = torch.arange(len(steps)).repeat_interleave(steps + 1)  # one entry a pixel: the line it belongs to
-    t = torch.arange(len(line)) - (steps.cumsum(0) - steps)[line] - line  # and its step on that line
-    # start + t * delta / n rounded in integers, halves up: a float step would land to either side of an exact half.
+    line = torch.arange(len(steps)).repeat_interleave(steps + 1)  # one entry a pixel: the index of its line
+    t = torch.arange(len(line)) - (steps.cumsum(0) - steps)[line] - line  # and its step along that line
+    # start + t * delta / n, rounded half up in integers: float steps would round an exact half either way.
     t, n = t[:, None], steps.clamp_min(1)[line, None]
     _plot(image, start[line] + (2 * t * delta[line] + n).div(2 * n, rounding_mode="floor"), colors)
     return image
@@ -185,8 +185,8 @@ def draw_convex_polygon(images: Tensor, polygons: Tensor | Sequence[Tensor], col
         return images
     x0, y0 = vertices.unbind(-1)
     x1, y1 = vertices.roll(-1, 2).unbind(-1)
-    # Where the edge from (x0, y0) to (x1, y1) meets each row: (B, H, K). A horizontal edge counts with its start; its
-    # end is the start of the next one. Dividing last keeps a crossing exact that falls on a pixel's center.
+    # The x at which the edge from (x0, y0) to (x1, y1) crosses each row: (B, H, K). A horizontal edge adds its start;
+    # its end is the start of the next one. Dividing last keeps a crossing exact that falls on a pixel's center.
     y = torch.arange(images.shape[2], device=images.device, dtype=vertices.dtype)[:, None]
     crossing = x0 + (y - y0) * (x1 - x0) / torch.where(y0 == y1, 1, y1 - y0)
     reached = (torch.minimum(y0, y1) <= y) & (y <= torch.maximum(y0, y1))
@@ -200,7 +200,7 @@ def draw_convex_polygon(images: Tensor, polygons: Tensor | Sequence[Tensor], col
 def _vertices(op: str, polygons: Any, images: Tensor) -> Tensor:
     """`polygons` as one floating-point tensor (B, K, 2) on the device of `images`.
 
-    In a list the shorter ones repeat their last vertex; one without any becomes NaN, which no row reaches.
+    Shorter polygons of a list repeat their last vertex. A polygon without vertices becomes NaN, which no row crosses.
     """
     if isinstance(polygons, (list, tuple)):
         for i, polygon in enumerate(polygons):
@@ -252,7 +252,7 @@ def _nearest_pixels(op: str, name: str, coordinates: Tensor) -> Tensor:
 
 
 def _colors(op: str, name: str, color: Any, image: Tensor, items: Sequence[int] = ()) -> Tensor:
-    """`color` as (*items, C), in the image's dtype and on its device: a color an item, one color, or one value."""
+    """Expand `color`, one for each item, one color or one value, to (*items, C) in the image's dtype and device."""
     try:
         color = torch.as_tensor(color)
     except (TypeError, ValueError, RuntimeError) as error:

@@ -1,4 +1,4 @@
-"""An image together with what its numbers mean: color space, bit depth, order of the axes."""
+"""An image with its pixel format: color space, bit depth, order of the axes."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from kvision.core.exceptions import ImageError, TypeCheckError, ValueCheckError
 __all__ = ["image_to_string", "print_image"]
 
 # xterm's palette from 16 on: a cube of 6 x 6 x 6 colors with these levels, then 24 grays 8, 18, ... 238. The 16
-# colors before them are whatever the user's theme makes of them.
+# colors before them depend on the user's theme.
 _CUBE = (0, 95, 135, 175, 215, 255)
 
 
@@ -90,7 +90,7 @@ def print_image(image: Tensor | str | os.PathLike[str], max_width: int = 96) -> 
 
 
 def _nearest_codes(rgb: Tensor) -> Tensor:
-    """Palette numbers (H, W) of the colors nearest to (3, H, W) values from 0 to 255; the lowest of equally near."""
+    """Palette indices (H, W) of the nearest colors to values (3, H, W) from 0 to 255. Ties take the lowest index."""
     levels = torch.tensor(_CUBE, dtype=rgb.dtype)
     cube = torch.bucketize(rgb, (levels[1:] + levels[:-1]) / 2)  # nearest for each channel is nearest in the cube
     gray = ((rgb.mean(0) - 8) / 10 - 0.5).ceil().clamp(0, 23)

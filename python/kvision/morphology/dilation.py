@@ -1,11 +1,11 @@
 """Dilation and erosion, from which all of morphology is made.
 
-Both are one operator: with members i, j of an element where its kernel is not 0,
+Both are one operator. With offsets i, j where the kernel of the structuring element is not 0,
 
     erosion   y(q) = min over i, j of x(q + (i, j) - origin) - height(i, j)
     dilation  y(q) = max over i, j of x(q - (i, j) + origin) + height(i, j)
 
-Pixels that share a maximum share its gradient evenly.
+Pixels with the same maximum get equal parts of its gradient.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from kvision.core.exceptions import TypeCheckError, ValueCheckError
 def _reference(
     x: Tensor, kernel: Tensor, heights: Tensor | None, origin_y: int, origin_x: int, value: float, erode: bool
 ) -> Tensor:
-    """`kernel` and `heights` are (B or 1, height, width), `value` is what lies outside of the images."""
+    """`kernel` and `heights` are (B or 1, height, width), `value` is the pixel outside of the images."""
     h, w = x.shape[-2:]
     ky, kx = kernel.shape[1:]
     worst = torch.inf if erode else -torch.inf
@@ -39,7 +39,7 @@ def _reference(
             tap = padded[..., y : y + h, x_ : x_ + w]
             if heights is not None:
                 tap = tap - heights[at] if erode else tap + heights[at]
-            taps.append(torch.where(kernel[at] == 0, worst, tap))  # never chosen, an infinite pixel included
+            taps.append(torch.where(kernel[at] == 0, worst, tap))  # never chosen, even if the pixel is infinite
     return torch.stack(taps).amin(0) if erode else torch.stack(taps).amax(0)
 
 
@@ -142,7 +142,7 @@ def erosion(
     return eroded(tensor, *element)
 
 
-# The element of a call: its members and heights (1, kH, kW), its origin, and the number beyond the image or None.
+# The structuring element of a call: mask and heights (1, kH, kW), origin, and the value outside of the image or None.
 Element = tuple[Tensor, Tensor | None, tuple[int, int], float | None]
 
 

@@ -23,12 +23,12 @@ def reconstruction(
     """Let a seed grow under a mask: dilate it and take the smaller one of both, again and again.
 
     Args:
-        seed: images (B, C, H, W), floating point; where they exceed the mask they are cut to it first.
+        seed: images (B, C, H, W), floating point; values above the mask are clamped to it first.
         mask: images in the same shape.
-        kernel: members of the flat structuring element, of odd size and with its center; None for 3 x 3.
+        kernel: the mask of the flat structuring element, of odd size and with its center set; None for 3 x 3.
         method: 'dilation', or 'erosion' for a seed that shrinks above the mask.
-        num_iters: how often; None for as often as something changes, which waits for the device.
-        check_every: how many steps there are from one look at that to the next.
+        num_iters: the number of steps; None iterates until nothing changes, which waits for the device.
+        check_every: number of steps between two checks for convergence.
         engine: for compatibility, 'auto', 'unfold' or 'shift'; the result is the same.
 
     Returns:

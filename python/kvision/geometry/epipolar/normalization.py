@@ -27,7 +27,7 @@ def normalize_points(points: Tensor, eps: float = 1e-8, weights: Tensor | None =
         weights: of the points in both means, (B, N); those below 0 count as 0, and if all are 0 they count equally.
 
     Returns:
-        The points, (B, N, 2), and the similarity (B, 3, 3) that takes the given ones there.
+        The points, (B, N, 2), and the similarity (B, 3, 3) that maps the input to them.
 
     Raises:
         TypeCheckError: no floating-point tensors.

@@ -150,7 +150,7 @@ def sample_is_valid_for_homography(points1: Tensor, points2: Tensor) -> Tensor:
         points2: where they go, in the same shape.
 
     Returns:
-        (B,) bool: every three of them turn the same way round in both images.
+        (B,) bool: every three of them have the same orientation in both images.
 
     Raises:
         TypeCheckError: no floating-point tensors.

@@ -38,7 +38,7 @@ def check_correspondences(
 
 
 def shares(points: Tensor, weights: Tensor | None) -> Tensor:
-    """What each of the points (B, N, D) is of a mean, (B, N, 1) or a number; alike where all weights are 0."""
+    """The weight of each point (B, N, D) in a mean, (B, N, 1) or a number. Equal weights where all `weights` are 0."""
     if weights is None:
         return points.new_full((), 1 / max(1, points.shape[1]))
     w = torch.where(weights < 0, 0, weights)

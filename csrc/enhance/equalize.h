@@ -6,7 +6,7 @@
 
 namespace kv {
 
-// What equalization did to a plane: left it unchanged, mapped it, or mapped it except for pixels that are NaN.
+// The effect on a plane: it is unchanged, mapped, or mapped except for pixels that are NaN.
 enum class Change : int { none, all, but_nan };
 
 template <class T>

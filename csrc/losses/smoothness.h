@@ -4,7 +4,7 @@
 //   rough(p, q) = weight * abs(d(q) - d(p)) * exp(-mean over c of abs(I_c(q) - I_c(p)))
 //
 // with one weight along y and one along x. The gradient of a pixel is a sum over its neighbors as well. The gradient of
-// d(q) is rough with sign(d(q) - d(p)) in the place of abs(d(q) - d(p)). The gradient of I_c(q) is -rough / C *
+// d(q) is rough with sign(d(q) - d(p)) instead of abs(d(q) - d(p)). The gradient of I_c(q) is -rough / C *
 // sign(I_c(q) - I_c(p)). Those of p have the opposite sign. Included by smoothness_cpu.cpp, smoothness.cu and
 // smoothness_op.cpp.
 #pragma once

@@ -133,12 +133,12 @@ def equalize_clahe(
     Args:
         input: (*, C, H, W), floating point, in [0, 1]. A value x has the level floor(255 x); values outside count as 0
             or 1, and NaN does not count.
-        clip_limit: how many times the mean count a level of a tile may count; 0 for no limit.
+        clip_limit: maximum count of a level in a tile, as a multiple of the mean count; 0 for no limit.
         grid_size: tiles along (y, x). Any grid fits any image.
         slow_and_differentiable: count with a smooth kernel, so that the tables have a gradient.
-        opencv: give what `cv2.createCLAHE` gives for the bytes 255 x, divided by 255: centers of tiles are taken half
-            a pixel further on, an axis whose tiles fit is continued where those of the other one do not, and the
-            result is rounded to a level. Not with slow_and_differentiable.
+        opencv: return the result of `cv2.createCLAHE` for the bytes 255 x, divided by 255: the centers of tiles are
+            half a pixel later, both axes are padded if one is not a multiple of its tiles, and the result is rounded
+            to a level. Not with slow_and_differentiable.
 
     Returns:
         The equalized image, in [0, 1].

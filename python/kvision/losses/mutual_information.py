@@ -234,8 +234,8 @@ def mutual_information_loss(
 ) -> Tensor:
     """Compute the negative mutual information of two signals.
 
-    The values of both are spread over num_bins bins each, which divide the range that a signal has inside of its mask; a
-    value adds to the bins within window_radius of it. The mutual information is that of the joint histogram of the samples
+    The range of each signal within its mask is divided into num_bins bins; a value adds to the bins within
+    window_radius of it. The mutual information is that of the joint histogram of the samples
     that are in both masks, in nats.
 
     Args:

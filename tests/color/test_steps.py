@@ -73,6 +73,7 @@ CHAIN = (("brightness", 1.2), ("contrast", 0.8), ("hue", 0.3), ("normalize", (0.
 PLAN = [-1, -1, 4, 23, 22, 20, 16]
 
 
+@pytest.mark.native
 @pytest.mark.skipif("cpu" in _ops.unserved, reason="the operators are declared by libkvision.so")
 def test_exported_programs_outlive_new_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     image = torch.rand(2, 3, 5, 7)

@@ -64,6 +64,7 @@ class TestEulerOperators(PointOpTests):
     }
 
 
+@pytest.mark.native
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
 def test_any_angle(dtype, device):
     """Sines, cosines and arc tangents, of large angles, in every octant and where these meet."""

@@ -72,6 +72,7 @@ def test_values_and_gradients_are_those_of_grid_sample(mode, padding, align_corn
         assert_close(ours_, theirs_)
 
 
+@pytest.mark.native
 def test_is_one_operator(device):
     volumes, matrix = torch.rand(2, 1, 4, 5, 6, device=device), homography(torch.ones(2, 1)).float().to(device)
     affine = matrix[:, :3].clone()

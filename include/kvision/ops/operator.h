@@ -191,7 +191,7 @@ inline Arguments match(Backward const& b, c10::OperatorHandle const& op, NamedAr
       matched.push_back(it->second);
     else if (auto const it = std::find_if(known.begin(), known.end(), is_it); it != known.end())
       matched.push_back(b.arguments[it - known.begin()]);
-    else if (argument.name().starts_with("grad"))
+    else if (argument.name() == "grad" || argument.name() == "gradient" || argument.name().starts_with("grad_"))
       matched.push_back(b.grads.at(next_grad++));
     else if (is_tensor(argument) && next_result < b.results.size())
       matched.push_back(b.results[next_result++]);

@@ -27,6 +27,8 @@ class LieGroup(nn.Module):
     already requires a gradient stays part of its graph.
     """
 
+    tangent_axes = 1  # of a tangent vector; 0 where it is a number
+
     def _store(self, name: str, x: Tensor) -> None:
         is_plain = not (x.requires_grad or in_function_transform() or in_forward_ad() or torch.compiler.is_compiling())
         if isinstance(x, nn.Parameter) or is_plain:
@@ -73,12 +75,12 @@ class LieGroup(nn.Module):
             name = type(self).__name__
             raise TypeCheckError(f"{name}.interpolate: expected other to be a {name}, got {type(other).__name__}")
         tangent = (self.inverse() * other).log()
-        if isinstance(t, Tensor) and t.dim() > 0 and type(self).__name__ != "So2":
-            t = t[..., None]
+        if isinstance(t, Tensor) and t.dim() > 0:
+            t = t.reshape(*t.shape, *(1,) * self.tangent_axes)
         return self.retract(t * tangent)
 
-    def __mul__(self, right: Any) -> Any:
-        raise NotImplementedError
+    @abstractmethod
+    def __mul__(self, right: Any) -> Any: ...
 
 
 def check_translation(group: str, translation: Any, n: int) -> None:

@@ -36,6 +36,8 @@ class So2(LieGroup):
         tensor(-1.5708)
     """
 
+    tangent_axes = 0
+
     def __init__(self, z: Tensor) -> None:
         super().__init__()
         if not isinstance(z, Tensor) or not z.is_complex():

@@ -1,8 +1,10 @@
 // The list of all formulas (formula.h), each with the name and the arguments of its operator. The Python references in
-// python/kvision/geometry/{conversions,liegroup,linalg,quaternion,transform,epipolar} define what each computes.
+// python/kvision/geometry/{conversions,liegroup,linalg,quaternion,transform,epipolar} and python/kvision/feature define
+// what each computes.
 // Included by formula.cu, formula_cpu.cpp, formula_glue.h and transform/matrix_formula.cuh.
 #pragma once
 
+#include "feature/laf.h"
 #include "geometry/conversions/euler.h"
 #include "geometry/conversions/rotations.h"
 #include "geometry/epipolar/matrices.h"
@@ -71,6 +73,14 @@ namespace kv {
   _(se3_log, Se3Log, "Tensor motion")                                                                            \
   _(se3_left_jacobian, Se3LeftJacobian, "Tensor tangent")                                                        \
   _(se3_left_jacobian_inverse, Se3LeftJacobianInverse, "Tensor tangent")                                         \
+  _(laf_scale, LafScale, "Tensor laf")                                                                           \
+  _(rotate_laf, RotateLaf, "Tensor laf, Tensor degrees")                                                         \
+  _(set_laf_orientation, SetLafOrientation, "Tensor laf, Tensor degrees")                                        \
+  _(laf_from_parts, LafFromParts, "Tensor center, Tensor? scale, Tensor? degrees")                               \
+  _(scale_laf_parts, ScaleLafParts, "Tensor laf, float shape, float x, float y")                                 \
+  _(make_upright, MakeUpright, "Tensor laf, float eps")                                                          \
+  _(ellipse_to_laf, EllipseToLaf, "Tensor ellipse")                                                              \
+  _(perspective_transform_laf, PerspectiveTransformLaf, "Tensor homography, Tensor laf")                         \
   KV_PLANE_FORMULAS(_)                                                                                           \
   KV_SPACE_FORMULAS(_)
 

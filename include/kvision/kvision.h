@@ -6,6 +6,7 @@
 #include "kvision/color.h"
 #include "kvision/contrib.h"
 #include "kvision/enhance.h"
+#include "kvision/feature.h"
 #include "kvision/filters.h"
 #include "kvision/geometry/calibration.h"
 #include "kvision/geometry/conversions.h"

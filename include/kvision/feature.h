@@ -1,0 +1,75 @@
+// Local features, as python/kvision/feature has them. Frames (LAFs) are (B, N, 2, 3). A second derivative is an error.
+#pragma once
+
+#include "kvision/ops/feature.h"
+#include "kvision/types.h"
+
+namespace kvision {
+
+namespace detail {
+
+inline Tensor frames(char const* op, char const* name, Tensor const& laf) {
+  TORCH_CHECK_VALUE(laf.dim() == 4 && laf.size(2) == 2 && laf.size(3) == 3, op, ": expected ", name,
+                    " of shape (B, N, 2, 3), got ", laf.sizes());
+  return floats(laf);
+}
+// A number of each frame, as one axis of the frames' type.
+inline Tensor of_frames(char const* op, char const* name, Tensor const& x, Tensor const& laf) {
+  TORCH_CHECK_VALUE(x.numel() == laf.size(0) * laf.size(1), op, ": expected ", name, " with a number for each of ",
+                    laf.size(0) * laf.size(1), " frames, got ", x.sizes());
+  return x.reshape({-1}).to(laf.scalar_type());
+}
+inline Tensor rows_of_frames(Tensor const& laf) { return laf.reshape({-1, 2, 3}); }
+
+}  // namespace detail
+
+inline Tensor get_laf_center(Tensor const& laf) { return detail::frames("get_laf_center", "LAF", laf).select(-1, 2); }
+inline Tensor get_laf_scale(Tensor const& laf) {
+  Tensor const x = detail::frames("get_laf_scale", "LAF", laf);
+  return ops::laf_scale(detail::rows_of_frames(x)).view({x.size(0), x.size(1), 1, 1});
+}
+// Frames of centers (B, N, 2), scales (B, N, 1, 1) and degrees (B, N, 1).
+inline Tensor laf_from_center_scale_ori(Tensor const& xy, std::optional<Tensor> const& scale = {},
+                                        std::optional<Tensor> const& ori = {}) {
+  char const* op = "laf_from_center_scale_ori";
+  detail::shaped(op, "xy", xy, 3, "(B, N, 2)");
+  Tensor const x = detail::floats(xy);
+  auto part = [&](char const* name, std::optional<Tensor> const& y) {
+    return y ? std::optional(detail::of_frames(op, name, *y, x)) : y;
+  };
+  return ops::laf_from_parts(x.reshape({-1, 2}), part("scale", scale), part("ori", ori))
+      .view({x.size(0), x.size(1), 2, 3});
+}
+inline Tensor rotate_laf(Tensor const& laf, Tensor const& angles_degrees) {
+  Tensor const x = detail::frames("rotate_laf", "LAF", laf);
+  Tensor const degrees = detail::of_frames("rotate_laf", "angles_degrees", angles_degrees, x);
+  return ops::rotate_laf(detail::rows_of_frames(x), degrees).view(x.sizes());
+}
+inline Tensor set_laf_orientation(Tensor const& laf, Tensor const& angles_degrees) {
+  Tensor const x = detail::frames("set_laf_orientation", "LAF", laf);
+  Tensor const degrees = detail::of_frames("set_laf_orientation", "angles_degrees", angles_degrees, x);
+  return ops::set_laf_orientation(detail::rows_of_frames(x), degrees).view(x.sizes());
+}
+inline Tensor scale_laf(Tensor const& laf, double scale_coef) {
+  Tensor const x = detail::frames("scale_laf", "laf", laf);
+  return ops::scale_laf_parts(detail::rows_of_frames(x), scale_coef, 1, 1).view(x.sizes());
+}
+inline Tensor make_upright(Tensor const& laf, double eps = 1e-9) {
+  Tensor const x = detail::frames("make_upright", "laf", laf);
+  return ops::make_upright(detail::rows_of_frames(x), eps).view(x.sizes());
+}
+// Frames of ellipses (B, N, 5): x, y, a, b, c.
+inline Tensor ellipse_to_laf(Tensor const& ells) {
+  detail::shaped("ellipse_to_laf", "ells", ells, 3, "(B, N, 5)");
+  return ops::ellipse_to_laf(detail::floats(ells).reshape({-1, 5})).view({ells.size(0), ells.size(1), 2, 3});
+}
+inline Tensor perspective_transform_lafs(Tensor const& trans_01, Tensor const& lafs_1) {
+  Tensor const x = detail::frames("perspective_transform_lafs", "lafs_1", lafs_1);
+  TORCH_CHECK_VALUE(
+      trans_01.dim() == 3 && trans_01.size(0) == x.size(0) && trans_01.size(1) == 3 && trans_01.size(2) == 3,
+      "perspective_transform_lafs: expected trans_01 of shape (B, 3, 3), got ", trans_01.sizes());
+  Tensor const each = trans_01.to(x.scalar_type()).unsqueeze(1).expand({x.size(0), x.size(1), 3, 3});
+  return ops::perspective_transform_laf(each.reshape({-1, 3, 3}), detail::rows_of_frames(x)).view(x.sizes());
+}
+
+}  // namespace kvision

@@ -1,0 +1,26 @@
+"""Local features: detectors, local affine frames (LAFs), patches, descriptors and their matches.
+
+Frames are (B, N, 2, 3), one of N slots for each feature; a frame of zeros is an empty slot. Responses keep (B, C, H, W).
+Everything but the choice of features is differentiable.
+"""
+
+from kvision.feature.laf import (
+    denormalize_laf,
+    ellipse_to_laf,
+    get_laf_center,
+    get_laf_orientation,
+    get_laf_scale,
+    laf_from_center_scale_ori,
+    laf_from_three_points,
+    laf_is_filled,
+    laf_is_inside_image,
+    laf_is_valid,
+    laf_to_boundary_points,
+    laf_to_three_points,
+    make_upright,
+    normalize_laf,
+    perspective_transform_lafs,
+    rotate_laf,
+    scale_laf,
+    set_laf_orientation,
+)

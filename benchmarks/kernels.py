@@ -113,7 +113,7 @@ def _number(value: str | None) -> float:
 
 
 def _short(kernel: str) -> str:
-    """`sample_tiles<float, 2>` of void kv::cuda::(anonymous namespace)::sample_tiles<float, (int)2>(kv::Sample<float>)."""
+    """`sample_tiles<float, 2>` of void kv::filters::cuda::(anonymous namespace)::sample_tiles<float, (int)2>(...)."""
     kernel = re.sub(r"^void |\(anonymous namespace\)::|<?unnamed>::|\b\w+::|\((int|bool|unsigned long)\)", "", kernel)
     return kernel.partition("(")[0][:36]
 

@@ -19,6 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 LIBRARIES = ROOT / "python/kvision/lib"
+ISAS = ("baseline", "avx2", "avx512")
 
 # Versioned symbols of the C, C++ and compiler runtimes, torch's C interface, and hooks that GCC leaves optional.
 ALLOWED = re.compile(
@@ -55,20 +56,20 @@ def needed_libraries(library: Path, torch: set[str]) -> Iterator[str]:
 def build_folder() -> Path | None:
     """The CMake folder of an editable install or of a manual build."""
     folders = (ROOT / "build/cmake", ROOT / "build")
-    return next((folder for folder in folders if (folder / "CMakeFiles/kvision_baseline.dir").is_dir()), None)
+    return next((f for f in folders for isa in ISAS if (f / f"CMakeFiles/kvision_{isa}.dir").is_dir()), None)
 
 
 def shared_symbols(build: Path) -> Iterator[str]:
     """Symbols that objects of two instruction sets define, and those outside of their set's namespace."""
     defined: dict[str, set[str]] = {}
-    for isa in ("baseline", "avx2", "avx512"):
+    for isa in ISAS:
         objects = sorted((build / f"CMakeFiles/kvision_{isa}.dir").rglob("*_cpu.cpp.o"))
         if objects:
             lines = run("nm", "--defined-only", "--extern-only", *objects).splitlines()
             defined[isa] = {line.split()[2] for line in lines if len(line.split()) == 3}
             for symbol in demangled(sorted(defined[isa])):
-                if f"kv::{isa}::" not in symbol:
-                    yield f"{isa}: defines {symbol} outside of namespace kv::{isa}"
+                if not re.search(rf"\bkv::(\w+::)?{isa}::", symbol):
+                    yield f"{isa}: defines {symbol} outside of namespace kv::MODULE::{isa}"
     for a, b in itertools.combinations(defined, 2):
         for symbol in demangled(sorted(defined[a] & defined[b])):
             yield f"{a} and {b} both define {symbol}"

@@ -2,7 +2,7 @@
 #include "colormap.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 namespace {
 
 constexpr int kThreads = 256, kPixelsPerThread = 4;  // pixels of a thread
@@ -38,4 +38,4 @@ int apply_colormap(Colormap<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_COMPUTED(apply_colormap, Colormap)
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

@@ -5,7 +5,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::color {
 
 template <class T>
 struct Colormap {
@@ -32,4 +32,4 @@ KV_HD int color_index(F v, int n) {
   return min(lower + (F(lower) < position), n - 1);
 }
 
-}  // namespace kv
+}  // namespace kv::color

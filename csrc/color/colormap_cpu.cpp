@@ -1,7 +1,7 @@
 // Colormaps on the CPU: rows [begin, end) of all channels in order. Compiled once per instruction set.
 #include "colormap.h"
 
-namespace kv::KV_ISA {
+namespace kv::color::KV_ISA {
 
 template <class T>
 void apply_colormap(Colormap<T> const& p, int64_t begin, int64_t end) {
@@ -21,4 +21,4 @@ void apply_colormap(Colormap<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_COMPUTED(apply_colormap, Colormap)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::color::KV_ISA

@@ -2,7 +2,7 @@
 #include "colormap.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::color {
 namespace {
 
 // Images (B, C, H, W), the value in each of their channels that shows the last color (B, C), and tables (B or 1, 3, n),
@@ -41,4 +41,4 @@ Tensor apply_colormap(Tensor const& input, Tensor const& white, Tensor const& co
 
 KV_OPERATOR(apply_colormap, "(Tensor input, Tensor white, Tensor colors) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::color

@@ -1,8 +1,8 @@
 // Color programs on CUDA, computing in float.
 #include "program_forward.cuh"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 
 KV_INSTANTIATE_ONE(program, Program, float)
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

@@ -6,7 +6,7 @@
 #include "core/block_reduce.cuh"
 #include "core/launch.cuh"
 
-namespace kv {
+namespace kv::color {
 
 // The functions of numbers that steps.h uses. In double, logarithms and powers are not inlined: inlined, they take
 // longer to compile than everything else.
@@ -46,11 +46,11 @@ __device__ __forceinline__ float nan_min(float a, float b) {
 __device__ __forceinline__ double nan_max(double a, double b) { return b <= a ? a : a == a ? b : a; }
 __device__ __forceinline__ double nan_min(double a, double b) { return -nan_max(-a, -b); }
 
-}  // namespace kv
+}  // namespace kv::color
 
 #include "steps.h"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -418,4 +418,4 @@ inline dim3 grid_of(int64_t samples, int64_t across) {
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

@@ -14,7 +14,7 @@
 #include "core/isa.h"
 #include "step_list.h"
 
-namespace kv {
+namespace kv::color {
 
 // --- steps -----------------------------------------------------------------------------------------------------------
 
@@ -234,4 +234,4 @@ KV_KERNEL(program, Program)
 KV_KERNEL(program_backward, ProgramBackward)
 KV_KERNEL(program_reduce, ProgramReduce)
 
-}  // namespace kv
+}  // namespace kv::color

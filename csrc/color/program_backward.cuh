@@ -5,7 +5,7 @@
 
 #include "program.cuh"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 namespace {
 
 template <class F, int C>
@@ -137,4 +137,4 @@ int program_reduce(ProgramReduce<F> const& p, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

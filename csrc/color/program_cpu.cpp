@@ -4,7 +4,7 @@
 #include "core/lanes.h"
 #include "core/scratch.h"
 
-namespace kv {
+namespace kv::color {
 namespace {
 
 // The functions of Lanes that steps.h uses. In double, logarithms and powers are not inlined: inlined, they take longer
@@ -58,11 +58,11 @@ KV_HD V nan_min(V a, V b) {
 }
 
 }  // namespace
-}  // namespace kv
+}  // namespace kv::color
 
 #include "steps.h"
 
-namespace kv::KV_ISA {
+namespace kv::color::KV_ISA {
 namespace {
 
 template <class F>
@@ -469,4 +469,4 @@ KV_INSTANTIATE_COMPUTED(program, Program)
 KV_INSTANTIATE_COMPUTED(program_backward, ProgramBackward)
 KV_INSTANTIATE_COMPUTED(program_reduce, ProgramReduce)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::color::KV_ISA

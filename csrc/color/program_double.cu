@@ -2,10 +2,10 @@
 #include "program_backward.cuh"
 #include "program_forward.cuh"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 
 KV_INSTANTIATE_ONE(program, Program, double)
 KV_INSTANTIATE_ONE(program_backward, ProgramBackward, double)
 KV_INSTANTIATE_ONE(program_reduce, ProgramReduce, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

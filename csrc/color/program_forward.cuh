@@ -4,7 +4,7 @@
 
 #include "program.cuh"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 namespace {
 
 template <class F, int C>
@@ -69,4 +69,4 @@ int program(Program<F> const& params, CUstream_st* stream) {
   return cudaGetLastError();
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

@@ -2,10 +2,9 @@
 #include <algorithm>
 #include <span>
 
-#include "glue/glue.h"
-#include "program.h"
+#include "program_glue.h"
 
-namespace kv {
+namespace kv::color {
 namespace {
 
 using OptionalTensor = std::optional<Tensor>;
@@ -358,7 +357,7 @@ std::tuple<Tensor, Tensor> color_program_backward(Tensor const& grad, Tensor con
     if (!of_parameters) return;
     ProgramReduce<F> const sums{p.partial_grads, static_cast<F*>(grad_parameters.mutable_data_ptr()),
                                 b * rows * p.columns, samples.inner / rows * blocks, p.columns};
-    KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
+    reduce_gradients(x, sums);
   });
   return {grad_x, grad_parameters};
 }
@@ -372,4 +371,4 @@ KV_OPERATOR(color_program_backward,
             "(Tensor grad, Tensor input, " KV_PROGRAM
             "Tensor? means, int[] plan, float[] numbers, bool of_image, bool of_parameters) -> (Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::color

@@ -3,7 +3,7 @@
 #include "raw.h"
 #include "vectors.cuh"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 namespace {
 
 constexpr int kPixelsPerThread = 4, kRows = 8;
@@ -138,4 +138,4 @@ int raw_to_rgb_backward(RawToRgbBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE_WITH_BYTES(raw_to_rgb, RawToRgb)
 KV_INSTANTIATE(raw_to_rgb_backward, RawToRgbBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

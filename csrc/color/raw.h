@@ -11,7 +11,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::color {
 
 template <class T>
 struct RawToRgb {
@@ -68,4 +68,4 @@ KV_HD V demosaic_vjp(bool has_row_color, V const (&above)[3], V const (&center)[
   return middle + (before * left + after * right) * S(0.5);
 }
 
-}  // namespace kv
+}  // namespace kv::color

@@ -3,7 +3,7 @@
 #include "core/lanes.h"
 #include "raw.h"
 
-namespace kv::KV_ISA {
+namespace kv::color::KV_ISA {
 namespace {
 
 // Even lanes of a, odd lanes of b.
@@ -98,4 +98,4 @@ void raw_to_rgb_backward(RawToRgbBackward<T> const& p, int64_t begin, int64_t en
 KV_INSTANTIATE_WITH_BYTES(raw_to_rgb, RawToRgb)
 KV_INSTANTIATE(raw_to_rgb_backward, RawToRgbBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::color::KV_ISA

@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "raw.h"
 
-namespace kv {
+namespace kv::color {
 namespace {
 
 void check_mosaic(char const* op, char const* name, Tensor const& x, int64_t channels) {
@@ -52,4 +52,4 @@ Tensor raw_to_rgb_backward(Tensor const& grad, int64_t cfa) {
 KV_OPERATOR(raw_to_rgb, "(Tensor input, int cfa) -> Tensor")
 KV_OPERATOR(raw_to_rgb_backward, "(Tensor grad, int cfa) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::color

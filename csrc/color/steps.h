@@ -12,7 +12,7 @@
 #include "core/dual.h"
 #include "program.h"
 
-namespace kv {
+namespace kv::color {
 
 template <class V, int N>
 KV_HD Dual<V, N> log2_of(Dual<V, N> a) {
@@ -734,4 +734,4 @@ KV_HD void run_step(Step step, P& pixels) {
 #undef KV_VALUES
 }
 
-}  // namespace kv
+}  // namespace kv::color

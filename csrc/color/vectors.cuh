@@ -3,7 +3,7 @@
 
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 
 // Whether all rows are vectors of N elements.
 template <int N, class T>
@@ -19,4 +19,4 @@ dim3 blocks_of_vectors(int64_t width, int64_t height, int rows, int64_t images) 
               unsigned(min(images, int64_t(65535))));
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

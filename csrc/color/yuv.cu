@@ -2,7 +2,7 @@
 #include "vectors.cuh"
 #include "yuv.h"
 
-namespace kv::cuda {
+namespace kv::color::cuda {
 namespace {
 
 constexpr int kPixelsPerThread = 4, kRows = 8;
@@ -126,4 +126,4 @@ int join_chroma(JoinChroma<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(split_chroma, SplitChroma)
 KV_INSTANTIATE(join_chroma, JoinChroma)
 
-}  // namespace kv::cuda
+}  // namespace kv::color::cuda

@@ -9,7 +9,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::color {
 
 template <class T>
 struct SplitChroma {
@@ -34,4 +34,4 @@ KV_HD V dot3(F const* m, V const& a, V const& b, V const& c) {
   return a * m[0] + b * m[1] + c * m[2];
 }
 
-}  // namespace kv
+}  // namespace kv::color

@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "yuv.h"
 
-namespace kv::KV_ISA {
+namespace kv::color::KV_ISA {
 
 template <class T>
 void split_chroma(SplitChroma<T> const& p, int64_t begin, int64_t end) {
@@ -68,4 +68,4 @@ void join_chroma(JoinChroma<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(split_chroma, SplitChroma)
 KV_INSTANTIATE(join_chroma, JoinChroma)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::color::KV_ISA

@@ -4,7 +4,7 @@
 #include "glue/glue.h"
 #include "yuv.h"
 
-namespace kv {
+namespace kv::color {
 namespace {
 
 void check_cells(char const* op, Tensor const& x, int64_t channels, int64_t rows, std::vector<double> const& matrix) {
@@ -62,4 +62,4 @@ Tensor join_chroma(Tensor const& luma, Tensor const& chroma, int64_t rows, std::
 KV_OPERATOR(split_chroma, "(Tensor input, int rows, float[] matrix) -> (Tensor, Tensor)")
 KV_OPERATOR(join_chroma, "(Tensor luma, Tensor chroma, int rows, float[] matrix) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::color

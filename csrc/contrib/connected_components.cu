@@ -3,7 +3,7 @@
 #include "connected_components.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::contrib::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -103,4 +103,4 @@ int connected_components(ConnectedComponents<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_WITH_BYTES(connected_components, ConnectedComponents)
 
-}  // namespace kv::cuda
+}  // namespace kv::contrib::cuda

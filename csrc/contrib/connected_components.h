@@ -6,7 +6,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::contrib {
 
 template <class T>
 struct ConnectedComponents {
@@ -16,4 +16,4 @@ struct ConnectedComponents {
 
 KV_KERNEL(connected_components, ConnectedComponents)
 
-}  // namespace kv
+}  // namespace kv::contrib

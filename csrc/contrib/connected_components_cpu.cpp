@@ -3,7 +3,7 @@
 #include "connected_components.h"
 #include "core/lanes.h"
 
-namespace kv::KV_ISA {
+namespace kv::contrib::KV_ISA {
 namespace {
 
 // Labels are 1 + the index of the parent. Paths are halved on the way.
@@ -49,4 +49,4 @@ void connected_components(ConnectedComponents<T> const& p, int64_t begin, int64_
 
 KV_INSTANTIATE_WITH_BYTES(connected_components, ConnectedComponents)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::contrib::KV_ISA

@@ -2,7 +2,7 @@
 #include "connected_components.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::contrib {
 namespace {
 
 Tensor connected_components(Tensor const& input) {
@@ -24,4 +24,4 @@ Tensor connected_components(Tensor const& input) {
 
 KV_OPERATOR(connected_components, "(Tensor input) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::contrib

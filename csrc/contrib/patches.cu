@@ -3,7 +3,7 @@
 #include "core/launch.cuh"
 #include "patches.h"
 
-namespace kv::cuda {
+namespace kv::contrib::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -152,4 +152,4 @@ int combine_patches(Combine<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE_WITH_BYTES(extract_patches, Extract)
 KV_INSTANTIATE(combine_patches, Combine)
 
-}  // namespace kv::cuda
+}  // namespace kv::contrib::cuda

@@ -5,7 +5,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::contrib {
 
 struct PatchGrid {
   int64_t channels;
@@ -38,4 +38,4 @@ struct Combine {
 KV_KERNEL(extract_patches, Extract)
 KV_KERNEL(combine_patches, Combine)
 
-}  // namespace kv
+}  // namespace kv::contrib

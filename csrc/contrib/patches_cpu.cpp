@@ -3,7 +3,7 @@
 #include "core/scratch.h"
 #include "patches.h"
 
-namespace kv::KV_ISA {
+namespace kv::contrib::KV_ISA {
 
 template <class T>
 void extract_patches(Extract<T> const& p, int64_t begin, int64_t end) {
@@ -61,4 +61,4 @@ void combine_patches(Combine<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE_WITH_BYTES(extract_patches, Extract)
 KV_INSTANTIATE(combine_patches, Combine)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::contrib::KV_ISA

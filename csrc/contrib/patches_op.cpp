@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "patches.h"
 
-namespace kv {
+namespace kv::contrib {
 namespace {
 
 // Of images (B, C, size[0], size[1]), with padding (top, bottom, left, right) around them.
@@ -67,4 +67,4 @@ Tensor combine_patches(Tensor const& patches, std::vector<int64_t> size, std::ve
 KV_OPERATOR(extract_patches, "(Tensor input, SymInt[] size, int[] window, int[] stride, SymInt[] padding) -> Tensor")
 KV_OPERATOR(combine_patches, "(Tensor patches, SymInt[] size, int[] window, int[] stride, SymInt[] padding) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::contrib

@@ -3,7 +3,7 @@
 
 #include "launch.cuh"
 
-namespace kv::cuda {
+namespace kv {
 namespace {
 
 // The sum over the threads of a block, returned to the first one. Warps are added up in order.
@@ -66,4 +66,4 @@ __device__ __forceinline__ void block_reduce(F (&v)[K], Op op) {
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv

@@ -5,7 +5,7 @@
 #include "dtype.h"
 #include "launch.cuh"
 
-namespace kv::cuda {
+namespace kv {
 
 template <class T>
 constexpr DType kDType = sizeof(T) == 8       ? DType::float64
@@ -26,4 +26,4 @@ __device__ __forceinline__ void dispatch_floating_dtype(DType dtype, Call f) {
     f(BFloat16{});
 }
 
-}  // namespace kv::cuda
+}  // namespace kv

@@ -1,13 +1,14 @@
 // Instruction sets. Every *_cpu.cpp is compiled once for each, into its own namespace KV_ISA; the best one that the
 // processor has is chosen when the library is loaded, and can be chosen by name (environment KVISION_ISA, kvision._C).
+// Code of csrc/M is in namespace kv::M, that of csrc/core and csrc/glue in kv.
 //
 // An operator's header declares its kernel once, for CPU and CUDA:
 //
 //   KV_KERNEL(sobel, Sobel)     // template <class T> void sobel(Sobel<T> const&, int64_t begin, int64_t end) on CPU,
 //                               // template <class T> int sobel(Sobel<T> const&, CUstream_st*) on CUDA
 //
-// *_cpu.cpp defines it inside `namespace kv::KV_ISA`, *.cu inside `namespace kv::cuda`; each ends in
-// KV_INSTANTIATE(...). The glue calls KV_RUN (glue.h), which picks the namespace.
+// *_cpu.cpp defines it inside `namespace kv::filters::KV_ISA`, *.cu inside `namespace kv::filters::cuda`; each ends in
+// KV_INSTANTIATE(...). The glue calls KV_RUN (glue.h), which picks the namespace among those of the module.
 #pragma once
 
 #include "half.h"
@@ -35,17 +36,17 @@ Isa active_isa();  // module.cpp
   do {                                                                 \
     if constexpr (::kv::kHasAvx512<decltype(::kv::stored_in(params))>) \
       if (::kv::active_isa() == ::kv::Isa::avx512) {                   \
-        ::kv::avx512::name(params, begin, end);                        \
+        avx512::name(params, begin, end);                              \
         break;                                                         \
       }                                                                \
     if (::kv::active_isa() == ::kv::Isa::baseline)                     \
-      ::kv::baseline::name(params, begin, end);                        \
+      baseline::name(params, begin, end);                              \
     else                                                               \
-      ::kv::avx2::name(params, begin, end);                            \
+      avx2::name(params, begin, end);                                  \
   } while (0)
 #else
 #define KV_DECLARE_ALL_CPU(name, Params) KV_DECLARE_CPU(KV_ONLY_ISA, name, Params)
-#define KV_FOR_ISA(name, ...) ::kv::KV_ONLY_ISA::name(__VA_ARGS__)
+#define KV_FOR_ISA(name, ...) KV_ONLY_ISA::name(__VA_ARGS__)
 #endif
 
 // AVX-512 serves the types that most images have; compiled for all of them it would take a sixth of the whole build.

@@ -1,7 +1,7 @@
 // 1 / x in one approximate instruction with an error of about 2^-22. Included by *.cu files.
 #pragma once
 
-namespace kv::cuda {
+namespace kv {
 namespace {
 
 __device__ __forceinline__ float fast_reciprocal(float x) {
@@ -12,4 +12,4 @@ __device__ __forceinline__ float fast_reciprocal(float x) {
 __device__ __forceinline__ double fast_reciprocal(double x) { return 1 / x; }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv

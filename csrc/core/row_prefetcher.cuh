@@ -13,7 +13,7 @@
 
 #include "launch.cuh"
 
-namespace kv::cuda {
+namespace kv {
 namespace {
 
 constexpr int kHalo = 16;  // pixels on either side of a strip; lanes 0 to 15 serve the left side, the others the right
@@ -193,4 +193,4 @@ inline int strip_height(int64_t columns, int64_t height, int taps, int64_t resid
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv

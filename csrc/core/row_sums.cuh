@@ -6,7 +6,7 @@
 #include "reciprocal.cuh"
 #include "row_sums.h"
 
-namespace kv::cuda {
+namespace kv {
 namespace {
 
 constexpr int kSumThreads = 256;
@@ -31,4 +31,4 @@ int sum_chunks(F const* partial, int64_t rows, int64_t chunks, F* sums, CUstream
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv

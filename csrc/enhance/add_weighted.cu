@@ -2,7 +2,7 @@
 #include "add_weighted.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kThreads = 256, kVectors = 2;
@@ -52,4 +52,4 @@ int add_weighted(AddWeighted<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(add_weighted, AddWeighted)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

@@ -5,7 +5,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::enhance {
 
 template <class T>
 struct AddWeighted {
@@ -30,4 +30,4 @@ KV_KERNEL(add_weighted, AddWeighted)
 // The unit of work on the CPU.
 constexpr int64_t kAddWeightedChunk = 16384;
 
-}  // namespace kv
+}  // namespace kv::enhance

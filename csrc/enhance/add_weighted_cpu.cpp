@@ -2,7 +2,7 @@
 #include "add_weighted.h"
 #include "core/lanes.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 
 template <class T>
 void add_weighted(AddWeighted<T> const& p, int64_t begin, int64_t end) {
@@ -26,4 +26,4 @@ void add_weighted(AddWeighted<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE(add_weighted, AddWeighted)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

@@ -2,7 +2,7 @@
 #include "add_weighted.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 using OptionalTensor = std::optional<Tensor>;
@@ -68,4 +68,4 @@ KV_OPERATOR(add_weighted,
             "(Tensor input, Tensor other, Tensor? alpha, Tensor? beta, Tensor? gamma, float a, float b, float c)"
             " -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -4,7 +4,7 @@
 #include "byte_histogram.h"
 #include "core/launch.cuh"
 
-namespace kv {
+namespace kv::enhance {
 
 template <class T>
 __device__ __forceinline__ int level_of(T stored) {
@@ -106,4 +106,4 @@ __device__ __forceinline__ int block_inclusive_scan(int count, int& total) {
   return sum;
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -6,8 +6,8 @@
 #include "core/half.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::enhance {
 
 constexpr int kLevels = 256, kNanLevel = 256;
 
-}  // namespace kv
+}  // namespace kv::enhance

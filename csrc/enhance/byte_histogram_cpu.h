@@ -4,7 +4,7 @@
 #include "byte_histogram.h"
 #include "core/lanes.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 constexpr int64_t kChunk = 512;  // pixels
@@ -63,4 +63,4 @@ struct LevelCounts {
 };
 
 }  // namespace
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

@@ -3,7 +3,7 @@
 #include "byte_histogram.cuh"
 #include "clahe.h"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 // Traverses a rectangle of width x height pixels in vectors of P neighbors. load(x, y) reads a vector; at(x) returns a
@@ -193,4 +193,4 @@ int clahe(Clahe<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(clahe, Clahe)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

@@ -12,7 +12,7 @@
 #include "byte_histogram.h"
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::enhance {
 
 // a * b, rounded: the compiler must not contract it with a sum into an fma. The result then has the same bits on every
 // processor, and OpenCV's bits where these are requested.
@@ -96,4 +96,4 @@ KV_HD V mixed(V a, V b, V c, V d, W x, W y) {
   return between(between(a, b, x), between(c, d, x), y);
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

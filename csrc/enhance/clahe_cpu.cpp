@@ -5,7 +5,7 @@
 #include "clahe.h"
 #include "core/scratch.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 template <class V, class F>
@@ -166,4 +166,4 @@ void clahe(Clahe<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE(clahe, Clahe)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

@@ -2,7 +2,7 @@
 #include "clahe.h"
 #include "plane_views.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 constexpr int64_t kMaxTiles = (1 << 15) - 1;  // along an axis
@@ -47,4 +47,4 @@ Tensor equalize_clahe(Tensor const& input, double clip_limit, int64_t rows, int6
 
 KV_OPERATOR(equalize_clahe, "(Tensor input, float clip_limit, int rows, int columns, bool opencv) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -4,7 +4,7 @@
 #include "byte_histogram.cuh"
 #include "equalize.h"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kThreads = 384;
@@ -223,4 +223,4 @@ int equalize_backward(EqualizeBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(equalize, Equalize)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

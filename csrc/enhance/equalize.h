@@ -4,7 +4,7 @@
 #include "byte_histogram.h"
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::enhance {
 
 // The effect on a plane: it is unchanged, mapped, or mapped except for pixels that are NaN.
 enum class Change : int { none, all, but_nan };
@@ -46,4 +46,4 @@ struct Curve {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::enhance

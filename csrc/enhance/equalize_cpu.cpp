@@ -3,7 +3,7 @@
 #include "core/scratch.h"
 #include "equalize.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 // Builds the table from level to value, with an entry for NaN. False if the plane stays unchanged.
@@ -92,4 +92,4 @@ void equalize_backward(EqualizeBackward<T> const& p, int64_t begin, int64_t end)
 KV_INSTANTIATE(equalize, Equalize)
 KV_INSTANTIATE(equalize_backward, EqualizeBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

@@ -2,7 +2,7 @@
 #include "equalize.h"
 #include "plane_views.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 std::tuple<Tensor, Tensor> equalize(Tensor const& input, bool opencv) {
@@ -50,4 +50,4 @@ Tensor equalize_backward(Tensor const& grad, Tensor const& output, std::optional
 KV_OPERATOR(equalize, "(Tensor input, bool opencv) -> (Tensor output, Tensor changed)")
 KV_OPERATOR(equalize_backward, "(Tensor grad, Tensor output, Tensor? changed) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::enhance

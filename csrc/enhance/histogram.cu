@@ -3,7 +3,7 @@
 #include "histogram.h"
 #include "row_chunks.cuh"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kThreads = 1024, kWarps = kThreads / 32, kCells = 4096, kMaxParts = 4;
@@ -76,8 +76,9 @@ struct Moments {
     atomicAdd(sums + cell + 3 * kCells, m3);
   }
   __device__ __forceinline__ float weighted(int cell, float u, float w) const {
-    return kv::weighted(u, w, float(sums[cell]), float(sums[cell + kCells]) * (1 / kScale1),
-                        float(sums[cell + 2 * kCells]) * (1 / kScale2), float(sums[cell + 3 * kCells]) * (1 / kScale3));
+    return enhance::weighted(u, w, float(sums[cell]), float(sums[cell + kCells]) * (1 / kScale1),
+                             float(sums[cell + 2 * kCells]) * (1 / kScale2),
+                             float(sums[cell + 3 * kCells]) * (1 / kScale3));
   }
 };
 
@@ -244,4 +245,4 @@ int histogram_backward(HistogramBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE_COMPUTED(histogram, Histogram)
 KV_INSTANTIATE_COMPUTED(histogram_backward, HistogramBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

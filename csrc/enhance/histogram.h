@@ -10,7 +10,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::enhance {
 
 template <class T>
 struct Histogram {
@@ -85,4 +85,4 @@ KV_HD void derivative(V u, W w, V (&c)[4]) {
 
 constexpr double kHalfLog2E = 0.72134752044448170368;  // exp(-u^2 / 2) = 2^(-kHalfLog2E u^2)
 
-}  // namespace kv
+}  // namespace kv::enhance

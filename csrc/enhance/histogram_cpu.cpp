@@ -3,7 +3,7 @@
 #include "core/scratch.h"
 #include "histogram.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 constexpr int kChunk = 512, kMaxCells = 1 << 16;
@@ -209,4 +209,4 @@ void histogram_backward(HistogramBackward<T> const& b, int64_t begin, int64_t en
 KV_INSTANTIATE_COMPUTED(histogram, Histogram)
 KV_INSTANTIATE_COMPUTED(histogram_backward, HistogramBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

@@ -2,7 +2,7 @@
 #include "histogram.h"
 #include "sample_rows.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 void check_fits_rows(char const* op, char const* name, Tensor const& t, Tensor const& x, int64_t axes) {
@@ -84,4 +84,4 @@ Tensor histogram_backward(Tensor const& grad, Tensor const& x, Tensor const& cen
 KV_OPERATOR(histogram, "(Tensor x, Tensor centers, Tensor bandwidth) -> Tensor")
 KV_OPERATOR(histogram_backward, "(Tensor grad, Tensor x, Tensor centers, Tensor bandwidth) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::enhance

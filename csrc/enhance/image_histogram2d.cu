@@ -4,7 +4,7 @@
 #include "image_histogram2d.h"
 #include "row_chunks.cuh"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kThreads = 256, kBytes = 32 << 10;
@@ -118,4 +118,4 @@ int image_histogram2d_backward(ImageHistogram2dBackward<T> const& p, CUstream_st
 KV_INSTANTIATE_COMPUTED(image_histogram2d, ImageHistogram2d)
 KV_INSTANTIATE_COMPUTED(image_histogram2d_backward, ImageHistogram2dBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

@@ -5,7 +5,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::enhance {
 
 // Exported graphs contain these numbers; python/kvision/enhance/histogram.py repeats them.
 enum class HistogramKernel : int { triangular, epanechnikov, uniform };
@@ -55,4 +55,4 @@ KV_HD T between_backward(T t, HistogramKernel kernel, T before, T first, T next)
   return next - (t == 0 ? ends : first);
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -3,7 +3,7 @@
 #include "core/scratch.h"
 #include "image_histogram2d.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 constexpr int kChunk = 512;
@@ -68,4 +68,4 @@ void image_histogram2d_backward(ImageHistogram2dBackward<T> const& b, int64_t be
 KV_INSTANTIATE_COMPUTED(image_histogram2d, ImageHistogram2d)
 KV_INSTANTIATE_COMPUTED(image_histogram2d_backward, ImageHistogram2dBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

@@ -2,7 +2,7 @@
 #include "image_histogram2d.h"
 #include "sample_rows.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 constexpr int64_t kSamplesAtOnce = 1 << 14;  // per chunk: fixed-point counts then fit 32 bits
@@ -78,4 +78,4 @@ KV_OPERATOR(image_histogram2d, "(Tensor x, float low, float width, int bins, int
 KV_OPERATOR(image_histogram2d_backward,
             "(Tensor grad, Tensor x, float low, float width, int bins, int kernel) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::enhance

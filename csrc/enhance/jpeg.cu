@@ -5,7 +5,7 @@
 #include "core/launch.cuh"
 #include "jpeg.h"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kWarps = 6, kThreads = 32 * kWarps;
@@ -418,4 +418,4 @@ KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
 KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
 KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

@@ -16,7 +16,7 @@
 #include "core/images.h"
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::enhance {
 
 // Tables per image: one quality, and 64 numbers for each table. A stride of 0 broadcasts one to all images. A null
 // pointer means the scalar quality, or the table of the standard.
@@ -305,4 +305,4 @@ KV_HD F jpeg_table(JpegTables<F> const& t, int64_t b, int i) {
   return table[b * (i < 64 ? t.luma_stride : t.chroma_stride) + i % 64];
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -5,7 +5,7 @@
 #include "core/scratch.h"
 #include "jpeg.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 // Values and gradients of a tile. Chroma has a halo of one pixel; rows are padded so that vectors may extend beyond it.
@@ -401,4 +401,4 @@ KV_INSTANTIATE(jpeg_blocks_backward, JpegBlocksBackward)
 KV_INSTANTIATE(jpeg_pixels_backward, JpegPixelsBackward)
 KV_INSTANTIATE_COMPUTED(jpeg_steps_backward, JpegStepsBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

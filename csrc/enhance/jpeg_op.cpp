@@ -2,7 +2,7 @@
 #include "glue/images.h"
 #include "jpeg.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 using OptionalTensor = std::optional<Tensor>;
@@ -132,4 +132,4 @@ KV_OPERATOR(jpeg_backward,
             "(Tensor grad, Tensor input, Tensor? quality, Tensor? table_y, Tensor? table_c, float number,"
             " bool of_image, bool of_steps) -> (Tensor, Tensor, Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::enhance

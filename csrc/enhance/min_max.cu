@@ -4,7 +4,7 @@
 #include "byte_histogram.cuh"
 #include "min_max.h"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
@@ -197,4 +197,4 @@ int min_max_backward(MinMaxBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(min_max, MinMax)
 KV_INSTANTIATE(min_max_backward, MinMaxBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

@@ -5,7 +5,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::enhance {
 
 // y = (x - smallest) * scale / (largest - smallest + eps) + low
 template <class T>
@@ -52,4 +52,4 @@ struct RangeGradient {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -2,7 +2,7 @@
 #include "core/lanes.h"
 #include "min_max.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 // Calls f(index constant N, element) for n pixels with stride `step`: whole vectors, then single elements.
@@ -116,4 +116,4 @@ void min_max_backward(MinMaxBackward<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(min_max, MinMax)
 KV_INSTANTIATE(min_max_backward, MinMaxBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

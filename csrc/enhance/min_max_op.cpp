@@ -2,7 +2,7 @@
 #include "min_max.h"
 #include "plane_views.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 // CUDA: splits planes into chunks, enough for all multiprocessors, and few enough for the block that combines them.
@@ -84,4 +84,4 @@ KV_OPERATOR(normalize_min_max, "(Tensor input, float low, float high, float eps)
 KV_OPERATOR(normalize_min_max_backward,
             "(Tensor grad, Tensor input, Tensor range, float low, float high, float eps) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -4,7 +4,7 @@
 
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::enhance {
 
 // `x`, copied only if it is not dense: all pixels of a plane then form one row.
 inline Tensor dense_planes(Tensor const& x, Layout layout) {
@@ -37,4 +37,4 @@ inline void check_planes(char const* op, Tensor const& x) {
   KV_CHECK(x.size(2) <= INT32_MAX / x.size(3), op, ": expected fewer than 2^31 pixels a plane");
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -3,7 +3,7 @@
 
 #include "core/launch.cuh"
 
-namespace kv {
+namespace kv::enhance {
 
 // Sums partial (rows, chunks, bins) over chunks in a fixed order. Blocks of 256 threads, one count per thread.
 template <class T>
@@ -15,4 +15,4 @@ __global__ void add_chunks(T const* partial, int64_t rows, int64_t chunks, int64
   counts[i] = sum;
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

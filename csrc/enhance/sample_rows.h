@@ -3,7 +3,7 @@
 
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::enhance {
 
 inline void check_rows(char const* op, Tensor const& x) {
   KV_CHECK(x.dim() == 2, op, ": expected x of 2 axes, got ", x.dim());
@@ -26,4 +26,4 @@ void dispatch_row_dtype(Tensor const& x, F f) {
     f(Type<float>{});
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -5,7 +5,7 @@
 #include "core/launch.cuh"
 #include "sharpness.h"
 
-namespace kv::cuda {
+namespace kv::enhance::cuda {
 namespace {
 
 constexpr int kThreads = 256, kForwardRows = 8;
@@ -304,4 +304,4 @@ int sharpness_backward(SharpnessBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(sharpness, Sharpness)
 KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::enhance::cuda

@@ -10,7 +10,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::enhance {
 
 // A scalar if there is no tensor.
 template <class F>
@@ -92,4 +92,4 @@ KV_HD V clipped_vjp(V const& x, V const& g, F) {
   return x >= F(0) ? (x <= F(1) ? g : none) : none;
 }
 
-}  // namespace kv
+}  // namespace kv::enhance

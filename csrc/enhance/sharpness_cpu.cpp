@@ -4,7 +4,7 @@
 #include "core/stream.h"
 #include "sharpness.h"
 
-namespace kv::KV_ISA {
+namespace kv::enhance::KV_ISA {
 namespace {
 
 // Calls pixel(width, x) for the inner pixels of a row, in vectors where they are contiguous.
@@ -111,4 +111,4 @@ void sharpness_backward(SharpnessBackward<T> const& p, int64_t begin, int64_t en
 KV_INSTANTIATE(sharpness, Sharpness)
 KV_INSTANTIATE(sharpness_backward, SharpnessBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::enhance::KV_ISA

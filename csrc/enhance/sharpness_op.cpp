@@ -1,9 +1,9 @@
 // Sharpness: schemas and operators, for CPU and CUDA.
-#include "color/program.h"
+#include "color/program_glue.h"
 #include "plane_views.h"
 #include "sharpness.h"
 
-namespace kv {
+namespace kv::enhance {
 namespace {
 
 using OptionalTensor = std::optional<Tensor>;
@@ -64,8 +64,8 @@ std::tuple<Tensor, Tensor> sharpness_backward(Tensor const& grad, Tensor const& 
                                  chunks};
     KV_RUN(sharpness_backward, x, p, p.x.rows(), 6 * p.x.width);
     if (!of_factor) return;
-    ProgramReduce<F> const sums{p.gradients, static_cast<F*>(of_planes.mutable_data_ptr()), b * c, chunks, 1};
-    KV_RUN(program_reduce, x, sums, sums.count, sums.summands);
+    color::ProgramReduce<F> const sums{p.gradients, static_cast<F*>(of_planes.mutable_data_ptr()), b * c, chunks, 1};
+    color::reduce_gradients(x, sums);
   });
   return {grad_x, of_planes};
 }
@@ -77,4 +77,4 @@ KV_OPERATOR(sharpness_backward,
             "(Tensor grad, Tensor input, Tensor? factor, float number, bool of_image, bool of_factor)"
             " -> (Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::enhance

@@ -1,7 +1,7 @@
 // Bilateral blur on CUDA; see bilateral.cuh.
 #include "bilateral.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 constexpr int kRun = 8;
@@ -89,4 +89,4 @@ int bilateral_blur(Bilateral<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_WITH_BYTES(bilateral_blur, Bilateral)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

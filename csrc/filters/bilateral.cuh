@@ -8,7 +8,7 @@
 #include "bilateral.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // The pixel at position i, or -1 for the constant 0. With the circular border it may be more than one image away.
@@ -225,4 +225,4 @@ __device__ __forceinline__ F sum_window(Params const& p, Falloff<F> const& fallo
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

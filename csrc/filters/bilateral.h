@@ -22,7 +22,7 @@
 #include "core/images.h"
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::filters {
 
 // The numbers are stable: exported graphs contain them.
 enum class ColorDistance : int { l1 = 0, l2 = 1 };
@@ -94,4 +94,4 @@ KV_KERNEL(bilateral_blur, Bilateral)
 KV_KERNEL(bilateral_blur_backward, BilateralBackward)
 KV_KERNEL(bilateral_blur_sigma_sums, BilateralSigmas)
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -1,7 +1,7 @@
 // The gradients of the bilateral blur to its images on CUDA; see bilateral.cuh and bilateral.h.
 #include "bilateral.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // Calls f(i) for every position i whose border pixel is j of n, j itself first, as for_each_reader does. There is a
@@ -308,4 +308,4 @@ int bilateral_blur_backward(BilateralBackward<T> const& p, CUstream_st* stream) 
 
 KV_INSTANTIATE(bilateral_blur_backward, BilateralBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -6,7 +6,7 @@
 #include "core/lanes.h"
 #include "core/scratch.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 // --- rows ------------------------------------------------------------------------------------------------------------
@@ -533,4 +533,4 @@ KV_INSTANTIATE_WITH_BYTES(bilateral_blur, Bilateral)
 KV_INSTANTIATE(bilateral_blur_backward, BilateralBackward)
 KV_INSTANTIATE(bilateral_blur_sigma_sums, BilateralSigmas)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

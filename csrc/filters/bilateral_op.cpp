@@ -2,7 +2,7 @@
 #include "bilateral.h"
 #include "glue/images.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 // The checked arguments that all entries have in common.
@@ -159,4 +159,4 @@ KV_OPERATOR(bilateral_blur_sigma_sums,
             "(Tensor grad, Tensor input, Tensor? guidance, Tensor? sigma_color, Tensor? sigma_space, int ky, int kx, "
             "float color, float space_y, float space_x, int border, int distance) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

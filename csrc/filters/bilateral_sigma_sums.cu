@@ -1,7 +1,7 @@
 // The gradients of the bilateral blur to its sigmas on CUDA, as sums over rows; see bilateral.h.
 #include "bilateral.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // One block for each row.
@@ -66,4 +66,4 @@ int bilateral_blur_sigma_sums(BilateralSigmas<T> const& p, CUstream_st* stream) 
 
 KV_INSTANTIATE(bilateral_blur_sigma_sums, BilateralSigmas)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

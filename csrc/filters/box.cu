@@ -7,7 +7,7 @@
 #include "core/launch.cuh"
 #include "separable_strip.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // --- windows of any size ---------------------------------------------------------------------------------------------
@@ -302,4 +302,4 @@ int box_backward(Box<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE_WITH_BYTES(box, Box)
 KV_INSTANTIATE(box_backward, Box)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -8,7 +8,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::filters {
 
 // y = (sum of x over the ky x kx window + center * x) / divisor.
 template <class T>
@@ -71,4 +71,4 @@ KV_HD V quotient(V sum, F divisor, F reciprocal) {
     return sum * reciprocal;
 }
 
-}  // namespace kv
+}  // namespace kv::filters

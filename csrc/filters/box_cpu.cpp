@@ -4,7 +4,7 @@
 #include "core/lanes.h"
 #include "core/scratch.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 // Calls f(width, e) for vectors and then single elements of [0, size), each element once, so that results may be
@@ -285,4 +285,4 @@ void box_backward(Box<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE_WITH_BYTES(box, Box)
 KV_INSTANTIATE(box_backward, Box)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

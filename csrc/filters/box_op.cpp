@@ -2,7 +2,7 @@
 #include "box.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 void check_box(char const* op, Tensor const& x, int64_t ky, int64_t kx, Border border) {
@@ -75,4 +75,4 @@ KV_OPERATOR(box_blur_backward, "(Tensor grad, int ky, int kx, int border) -> Ten
 KV_OPERATOR(laplacian, "(Tensor input, int ky, int kx, bool normalized, int border) -> Tensor")
 KV_OPERATOR(laplacian_backward, "(Tensor grad, int ky, int kx, bool normalized, int border) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -2,7 +2,7 @@
 #include "canny.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 constexpr int kRows = 16;
@@ -215,4 +215,4 @@ int canny_hysteresis(CannyHysteresis<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(canny_suppress, CannySuppress)
 KV_INSTANTIATE(canny_hysteresis, CannyHysteresis)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

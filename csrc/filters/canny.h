@@ -5,7 +5,7 @@
 
 #include "sobel.h"
 
-namespace kv {
+namespace kv::filters {
 
 // magnitude: sqrt(gx^2 + gy^2 + eps) of the unnormalized Sobel gradient on ridges, else 0.
 // edges: 0 below `low`, 0.5 between, 1 above `high`.
@@ -41,4 +41,4 @@ KV_HD auto is_ridge(V gx, V gy, V a0, V a1, V a2, V b0, V b1, V b2, V c0, V c1, 
   return (b1 > first) & ((b1 > second) | ((b1 == second) & (mostly_x | mostly_y))) & (b1 > eps);
 }
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "core/stream.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 
 // Streams down the rows. Rings hold the squared magnitudes of three rows, with one more pixel at either end, and the
 // gradients of two rows.
@@ -122,4 +122,4 @@ void canny_hysteresis(CannyHysteresis<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(canny_suppress, CannySuppress)
 KV_INSTANTIATE(canny_hysteresis, CannyHysteresis)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

@@ -2,7 +2,7 @@
 #include "canny.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 std::tuple<Tensor, Tensor> canny_suppress(Tensor const& input, double low, double high, double eps) {
@@ -43,4 +43,4 @@ Tensor canny_hysteresis(Tensor const& edges) {
 KV_OPERATOR(canny_suppress, "(Tensor input, float low, float high, float eps) -> (Tensor magnitude, Tensor edges)")
 KV_OPERATOR(canny_hysteresis, "(Tensor edges) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -7,7 +7,7 @@
 
 #include "core/hd.h"
 
-namespace kv {
+namespace kv::filters {
 
 // A row of weights centered on a pixel. Pixels under a zero weight are not read.
 template <int... W>
@@ -93,4 +93,4 @@ using Sobel2 = Derivative<2, WeightRow<1, 4, 6, 4, 1>, WeightRow<-1, -2, 0, 2, 1
 using Diff1 = Derivative<1, WeightRow<0, 1, 0>, WeightRow<-1, 0, 1>>;
 using Diff2 = Derivative<2, WeightRow<0, 1, 0>, WeightRow<-1, 0, 1>, WeightRow<1, -2, 1>>;
 
-}  // namespace kv
+}  // namespace kv::filters

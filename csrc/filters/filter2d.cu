@@ -3,7 +3,7 @@
 // for each element.
 #include "filter2d_tile.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 
 // Launches the kernel of filter2d_strip.cu if it supports p, and returns whether it did.
 template <class T>
@@ -199,4 +199,4 @@ int filter2d(Filter2d<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_WITH_BYTES(filter2d, Filter2d)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

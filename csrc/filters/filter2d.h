@@ -6,7 +6,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::filters {
 
 // A kernel along one axis: tap k of output i reads pixel i + k - before. Pixels out of bounds follow a border rule.
 struct KernelAxis {
@@ -62,4 +62,4 @@ KV_KERNEL(filter2d, Filter2d)
 KV_KERNEL(filter2d_kernel_backward, Filter2dKernelBackward)
 KV_KERNEL(sum_partials, SumPartials)
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -3,7 +3,7 @@
 // end) of all planes in order; compiled once per instruction set.
 #include "filter2d_cpu.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 constexpr int kBlockRows = 8;  // output rows of a block
@@ -266,4 +266,4 @@ void filter2d(Filter2d<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_WITH_BYTES(filter2d, Filter2d)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

@@ -6,7 +6,7 @@
 #include "core/scratch.h"
 #include "filter2d.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 // Calls f(Width<0>{}) ... f(Width<N - 1>{}). Loops that are unrolled this early let the compiler keep the arrays that
@@ -46,4 +46,4 @@ KV_HD void copy_pixels(Planes<T const> const& x, int64_t plane, int64_t y, Borde
 }
 
 }  // namespace
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

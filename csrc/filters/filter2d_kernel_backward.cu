@@ -1,7 +1,7 @@
 // The gradient to the kernel of a cross-correlation on CUDA: partial sums, and the sums of these.
 #include "filter2d_tile.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // Sums each of eight numbers over the threads of a warp. Thread i returns sum i % 8.
@@ -171,4 +171,4 @@ int sum_partials(SumPartials<F> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(filter2d_kernel_backward, Filter2dKernelBackward)
 KV_INSTANTIATE_COMPUTED(sum_partials, SumPartials)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -2,7 +2,7 @@
 // once per instruction set.
 #include "filter2d_cpu.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 constexpr int kGradRows = 16;  // rows of the gradient that share a tile
@@ -121,4 +121,4 @@ void sum_partials(SumPartials<F> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(filter2d_kernel_backward, Filter2dKernelBackward)
 KV_INSTANTIATE_COMPUTED(sum_partials, SumPartials)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

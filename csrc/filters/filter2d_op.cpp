@@ -3,7 +3,7 @@
 #include "filter2d.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 // The axes of a kernel (B or 1, z?, y, x) over images or volumes that have `sizes` before the filter.
@@ -161,4 +161,4 @@ KV_OPERATOR(filter3d, "(Tensor input, Tensor kernel, int border, bool same) -> T
 KV_OPERATOR(filter3d_backward, "(Tensor grad, Tensor kernel, int border, bool same) -> Tensor")
 KV_OPERATOR(filter3d_kernel_backward, "(Tensor kernel, Tensor grad, Tensor input, int border, bool same) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

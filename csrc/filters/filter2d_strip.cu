@@ -11,7 +11,7 @@
 #include "core/row_prefetcher.cuh"
 #include "filter2d.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 constexpr int kWarps = 4;  // of a block; they do not synchronize
@@ -158,4 +158,4 @@ template bool try_filter2d_strips(Filter2d<Half> const&, CUstream_st*);
 template bool try_filter2d_strips(Filter2d<BFloat16> const&, CUstream_st*);
 template bool try_filter2d_strips(Filter2d<uint8_t> const&, CUstream_st*);
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

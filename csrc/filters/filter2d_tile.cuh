@@ -5,7 +5,7 @@
 #include "core/launch.cuh"
 #include "filter2d.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 constexpr int kWidth = 128, kHeight = 32;  // output pixels of a tile
@@ -79,4 +79,4 @@ __device__ __forceinline__ void load_tile(float* tile, int* sources, Tiles const
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

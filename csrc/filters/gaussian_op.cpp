@@ -1,7 +1,7 @@
 // gaussian_blur2d: schemas and entries, for CPU and CUDA alike.
 #include "separable_glue.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 Tensor gaussian_blur2d(Tensor const& input, std::optional<Tensor> const& sigma, int64_t ky, int64_t kx, double sigma_y,
@@ -21,4 +21,4 @@ KV_OPERATOR(gaussian_blur2d,
 KV_OPERATOR(gaussian_blur2d_backward,
             "(Tensor grad, Tensor? sigma, int ky, int kx, float sigma_y, float sigma_x, int border) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -4,7 +4,7 @@
 #include "core/launch.cuh"
 #include "median.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // Pixels of a thread, limited by its registers.
@@ -185,4 +185,4 @@ int median_blur(MedianBlur<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_WITH_BYTES(median_blur, MedianBlur)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -19,7 +19,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::filters {
 
 template <class T>
 struct MedianBlur {
@@ -249,4 +249,4 @@ KV_HD Int median_read_count(Border border, Int q, Int j, Int n, Int before, Int 
   return count;
 }
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -5,7 +5,7 @@
 #include "core/launch.cuh"
 #include "median.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 constexpr int kTile = 32, kRowsOfThreads = 8, kPixelsDown = kTile / kRowsOfThreads;
@@ -127,4 +127,4 @@ int median_blur_backward(MedianBlurBackward<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(median_blur_backward, MedianBlurBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -6,7 +6,7 @@
 #include "core/scratch.h"
 #include "median.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 // The type of rows in scratch for selection networks: bytes stay bytes. Windows that are searched bit by bit hold keys.
@@ -478,4 +478,4 @@ void median_blur_backward(MedianBlurBackward<T> const& p, int64_t begin, int64_t
 KV_INSTANTIATE_WITH_BYTES(median_blur, MedianBlur)
 KV_INSTANTIATE(median_blur_backward, MedianBlurBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

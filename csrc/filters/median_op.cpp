@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "median.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 Border checked_border(char const* op, Tensor const& x, int64_t ky, int64_t kx, int64_t border_mode) {
@@ -54,4 +54,4 @@ Tensor median_blur_backward(Tensor const& grad, Tensor const& input, Tensor cons
 KV_OPERATOR(median_blur, "(Tensor input, int ky, int kx, int border) -> Tensor")
 KV_OPERATOR(median_blur_backward, "(Tensor grad, Tensor input, Tensor output, int ky, int kx, int border) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

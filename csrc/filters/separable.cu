@@ -2,7 +2,7 @@
 // images, and the gradient to the weights. Small windows go to the strip kernel of separable_strip.cuh.
 #include "separable_strip.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 constexpr int kThreads = 128;
@@ -349,4 +349,4 @@ int separable_weights_backward(SeparableWeightsBackward<T> const& p, CUstream_st
 KV_INSTANTIATE_WITH_BYTES(separable, Separable)
 KV_INSTANTIATE(separable_weights_backward, SeparableWeightsBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

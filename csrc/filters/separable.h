@@ -20,7 +20,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::filters {
 
 // The weights along one axis.
 template <class F>
@@ -94,4 +94,4 @@ struct SeparableWeightsBackward {
 KV_KERNEL(separable, Separable)
 KV_KERNEL(separable_weights_backward, SeparableWeightsBackward)
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -11,7 +11,7 @@
 //               side and are equal.
 #include "separable_strip.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 template <class T, int K, int P>
@@ -159,4 +159,4 @@ template int separable_backward_strips(Separable<float> const&, CUstream_st*);
 template int separable_backward_strips(Separable<Half> const&, CUstream_st*);
 template int separable_backward_strips(Separable<BFloat16> const&, CUstream_st*);
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

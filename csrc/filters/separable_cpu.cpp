@@ -5,7 +5,7 @@
 #include "core/scratch.h"
 #include "separable.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 template <class F>
@@ -267,4 +267,4 @@ void separable_weights_backward(SeparableWeightsBackward<T> const& p, int64_t be
 KV_INSTANTIATE_WITH_BYTES(separable, Separable)
 KV_INSTANTIATE(separable_weights_backward, SeparableWeightsBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

@@ -1,11 +1,11 @@
 // The strip kernel of separable_strip.cuh, for float.
 #include "separable_strip.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 
 template <>
 int separable_strips(Separable<float> const& p, float divisor, CUstream_st* stream) {
   return launch_strip_of_size<float, false>(p, divisor, stream);
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -5,7 +5,7 @@
 #include "glue/glue.h"
 #include "separable.h"
 
-namespace kv {
+namespace kv::filters {
 
 // The weights of a call along one axis: a tensor (B or 1, size), or a Gaussian whose sigma is a column of a tensor
 // (B or 1, 2) or a number.
@@ -93,4 +93,4 @@ inline Tensor run_gaussian(char const* op, Tensor const& input, std::optional<Te
                        true, transposed, alpha, beta);
 }
 
-}  // namespace kv
+}  // namespace kv::filters

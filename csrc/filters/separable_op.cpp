@@ -1,7 +1,7 @@
 // filter2d_separable: schemas and entries, for CPU and CUDA alike.
 #include "separable_glue.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 // Of SeparableWeightsBackward: a tile of the CUDA kernel is as wide as its blocks, one of the CPU kernel as the image.
@@ -78,4 +78,4 @@ KV_OPERATOR(filter2d_separable_backward,
 KV_OPERATOR(filter2d_separable_weights_backward,
             "(Tensor kernel_x, Tensor kernel_y, Tensor grad, Tensor input, int border, bool same) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

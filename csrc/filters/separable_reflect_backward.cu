@@ -1,7 +1,7 @@
 // Transposes of a reflected border by the strip kernel of separable_strip.cuh, for the types that have gradients.
 #include "separable_strip.cuh"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 
 template <class T>
 int separable_reflect_backward_strips(Separable<T> const& p, float divisor, CUstream_st* stream) {
@@ -12,4 +12,4 @@ template int separable_reflect_backward_strips(Separable<float> const&, float, C
 template int separable_reflect_backward_strips(Separable<Half> const&, float, CUstream_st*);
 template int separable_reflect_backward_strips(Separable<BFloat16> const&, float, CUstream_st*);
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -12,7 +12,7 @@
 #include "core/row_prefetcher.cuh"
 #include "separable.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 
 // Launch kernels for the size of p.kx, which is that of p.ky. The result is divided by `divisor`.
 //
@@ -254,4 +254,4 @@ int launch_strip_of_size(Separable<T> const& p, float divisor, CUstream_st* stre
 
 }  // namespace
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

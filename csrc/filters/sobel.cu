@@ -3,7 +3,7 @@
 #include "core/launch.cuh"
 #include "sobel.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // Rows of a strip, chosen by measurements on an H200. The backward pass has a longer setup and reads more rows twice.
@@ -241,4 +241,4 @@ int sobel_backward(SobelBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(sobel, Sobel)
 KV_INSTANTIATE(sobel_backward, SobelBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

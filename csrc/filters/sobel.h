@@ -10,7 +10,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::filters {
 
 template <class T>
 struct Sobel {
@@ -65,4 +65,4 @@ KV_HD V sobel_gradients_vjp(SobelRow<V> above, SobelRow<V> middle, SobelRow<V> b
 
 // With eps = 0 a flat image has magnitude 0 and no direction. Its gradient is 0, like that of |x| at 0.
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -4,7 +4,7 @@
 #include "core/stream.h"
 #include "sobel.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 template <int N, class T>
@@ -97,4 +97,4 @@ void sobel_backward(SobelBackward<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(sobel, Sobel)
 KV_INSTANTIATE(sobel_backward, SobelBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "sobel.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 Tensor sobel(Tensor const& input, bool normalized, double eps) {
@@ -38,4 +38,4 @@ Tensor sobel_backward(Tensor const& grad, Tensor const& input, bool normalized, 
 KV_OPERATOR(sobel, "(Tensor input, bool normalized, float eps) -> Tensor")
 KV_OPERATOR(sobel_backward, "(Tensor grad, Tensor input, bool normalized, float eps) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

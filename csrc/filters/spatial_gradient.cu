@@ -4,7 +4,7 @@
 #include "core/launch.cuh"
 #include "spatial_gradient.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // Half types take 16 bytes of pixels a thread where the rows still fit into the registers.
@@ -81,4 +81,4 @@ int spatial_gradient(SpatialGradient<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(spatial_gradient, SpatialGradient)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -6,7 +6,7 @@
 #include "core/view.h"
 #include "derivative.h"
 
-namespace kv {
+namespace kv::filters {
 
 // The numbers are stable: exported graphs contain them.
 enum class DerivativeMode : int { sobel = 0, diff = 1 };
@@ -68,4 +68,4 @@ auto dispatch_kernel(DerivativeKind kind, F f) {
   }
 }
 
-}  // namespace kv
+}  // namespace kv::filters

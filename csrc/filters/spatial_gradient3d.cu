@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "spatial_gradient3d.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 // Blocks of 32 by 8 voxels of a plane, planes last.
@@ -92,4 +92,4 @@ int spatial_gradient3d_backward(SpatialGradient3dBackward<T> const& p, CUstream_
 KV_INSTANTIATE(spatial_gradient3d, SpatialGradient3d)
 KV_INSTANTIATE(spatial_gradient3d_backward, SpatialGradient3dBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

@@ -6,7 +6,7 @@
 #include "core/view.h"
 #include "derivative.h"
 
-namespace kv {
+namespace kv::filters {
 
 template <class T>
 struct SpatialGradient3d {
@@ -74,4 +74,4 @@ KV_HD void for_each_channel3d(F f) {
   }
 }
 
-}  // namespace kv
+}  // namespace kv::filters

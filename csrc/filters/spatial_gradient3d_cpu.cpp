@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "spatial_gradient3d.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 template <int Order, class T>
@@ -83,4 +83,4 @@ void spatial_gradient3d_backward(SpatialGradient3dBackward<T> const& p, int64_t 
 KV_INSTANTIATE(spatial_gradient3d, SpatialGradient3d)
 KV_INSTANTIATE(spatial_gradient3d_backward, SpatialGradient3dBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

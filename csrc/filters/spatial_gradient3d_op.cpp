@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "spatial_gradient3d.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 void check_order(char const* op, int64_t order) {
@@ -44,4 +44,4 @@ Tensor spatial_gradient3d_backward(Tensor const& grad, int64_t order) {
 KV_OPERATOR(spatial_gradient3d, "(Tensor input, int order) -> Tensor")
 KV_OPERATOR(spatial_gradient3d_backward, "(Tensor grad, int order) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "spatial_gradient.h"
 
-namespace kv::cuda {
+namespace kv::filters::cuda {
 namespace {
 
 template <class Kernel>
@@ -88,4 +88,4 @@ int spatial_gradient_backward(SpatialGradientBackward<T> const& p, CUstream_st* 
 
 KV_INSTANTIATE(spatial_gradient_backward, SpatialGradientBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::filters::cuda

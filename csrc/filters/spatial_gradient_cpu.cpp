@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "spatial_gradient.h"
 
-namespace kv::KV_ISA {
+namespace kv::filters::KV_ISA {
 namespace {
 
 template <class Kernel, class T>
@@ -96,4 +96,4 @@ void spatial_gradient_backward(SpatialGradientBackward<T> const& p, int64_t begi
 KV_INSTANTIATE(spatial_gradient, SpatialGradient)
 KV_INSTANTIATE(spatial_gradient_backward, SpatialGradientBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::filters::KV_ISA

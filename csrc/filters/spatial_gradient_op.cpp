@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "spatial_gradient.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 DerivativeKind derivative_kind(char const* op, int64_t mode, int64_t order) {
@@ -47,4 +47,4 @@ Tensor spatial_gradient_backward(Tensor const& grad, int64_t mode, int64_t order
 KV_OPERATOR(spatial_gradient, "(Tensor input, int mode, int order, bool normalized) -> Tensor")
 KV_OPERATOR(spatial_gradient_backward, "(Tensor grad, int mode, int order, bool normalized) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

@@ -1,7 +1,7 @@
 // unsharp_mask: schemas and entries, for CPU and CUDA alike.
 #include "separable_glue.h"
 
-namespace kv {
+namespace kv::filters {
 namespace {
 
 Tensor unsharp_mask(Tensor const& input, std::optional<Tensor> const& sigma, int64_t ky, int64_t kx, double sigma_y,
@@ -21,4 +21,4 @@ KV_OPERATOR(unsharp_mask,
 KV_OPERATOR(unsharp_mask_backward,
             "(Tensor grad, Tensor? sigma, int ky, int kx, float sigma_y, float sigma_x, int border) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::filters

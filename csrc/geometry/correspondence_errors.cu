@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/correspondence_errors.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 128;
@@ -49,4 +49,4 @@ KV_INSTANTIATE_ONE(correspondence_errors, CorrespondenceErrors, double)
 KV_INSTANTIATE_ONE(correspondence_errors_backward, CorrespondenceErrors, double)
 KV_INSTANTIATE_ONE(correspondence_errors_sums, CorrespondenceErrors, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -18,7 +18,7 @@
 #include "geometry/small_matrix.h"
 #include "geometry/thread_group.h"
 
-namespace kv {
+namespace kv::geometry {
 
 enum class ErrorKind : int {
   sampson,
@@ -262,4 +262,4 @@ KV_HD void sum_error_chunks(CorrespondenceErrors<T> const& p, int64_t b, int k) 
   p.grad_matrix.set(9 * b + k, sum);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 #include "geometry/correspondence_errors.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void correspondence_errors(CorrespondenceErrors<T> const& p, int64_t begin, int64_t end) {
@@ -29,5 +29,5 @@ KV_INSTANTIATE_ONE(correspondence_errors, CorrespondenceErrors, double)
 KV_INSTANTIATE_ONE(correspondence_errors_backward, CorrespondenceErrors, double)
 KV_INSTANTIATE_ONE(correspondence_errors_sums, CorrespondenceErrors, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

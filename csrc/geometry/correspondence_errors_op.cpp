@@ -2,7 +2,7 @@
 #include "geometry/correspondence_errors.h"
 #include "geometry/reals_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // Correspondences of a chunk, over which gradients to matrices are summed first.
@@ -102,4 +102,4 @@ KV_OPERATOR(correspondence_errors_backward, "(Tensor grad, " KV_ERROR_ARGUMENTS 
 
 #undef KV_ERROR_ARGUMENTS
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/formulas.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 64;
@@ -82,4 +82,4 @@ int formula_backward(FormulaParams<F> const& p, CUstream_st* stream) {
 
 KV_FORMULAS(KV_INSTANTIATE_FORMULA)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

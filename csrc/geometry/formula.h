@@ -23,7 +23,7 @@
 #include "core/dual.h"
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // The axes of a sample's input or result: none for a number, one for a vector, two for a matrix.
 struct Extent {
@@ -179,4 +179,4 @@ struct ScalarInputs {
   static constexpr Extent extent(int) { return {}; }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 #include "geometry/formulas.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // Up to four samples from `begin` on. Past the end the last sample is read again, and nothing is written.
@@ -97,5 +97,5 @@ void formula_backward(FormulaParams<F> const& p, int64_t begin, int64_t end) {
 
 KV_FORMULAS(KV_INSTANTIATE_FORMULA)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

@@ -6,7 +6,7 @@
 #include "geometry/formulas.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::geometry {
 
 inline TypedPointer typed_pointer(char const* op, Tensor const& x) {
   DType const dtype = dtype_of(op, x);
@@ -92,4 +92,4 @@ struct FormulaArguments {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

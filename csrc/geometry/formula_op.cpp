@@ -1,7 +1,7 @@
 // Formulas: schemas and entries for CPU and CUDA.
 #include "geometry/formula_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The operator of a formula and its gradient, whose arguments are those of the formula.
@@ -66,4 +66,4 @@ KV_FORMULAS(KV_FORMULA_OPERATOR)
 
 #undef KV_FORMULA_OPERATOR
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -13,7 +13,7 @@
 #include "geometry/quaternion.h"
 #include "geometry/transform/matrices.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // --- the operators: name, formula, arguments -------------------------------------------------------------------------
 
@@ -92,4 +92,4 @@ enum class MatrixBy : int { given, KV_PLANE_FORMULAS(KV_NAME_FORMULA) KV_SPACE_F
   KV_INSTANTIATE_ONE(formula, FormulaParams, Formula) \
   KV_INSTANTIATE_ONE(formula_backward, FormulaParams, Formula)
 
-}  // namespace kv
+}  // namespace kv::geometry

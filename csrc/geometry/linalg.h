@@ -4,7 +4,7 @@
 
 #include "geometry/formula.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <int N>
 struct PoseInputs {
@@ -103,4 +103,4 @@ struct RelativePose : PoseInputs<2> {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

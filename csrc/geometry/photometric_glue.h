@@ -4,7 +4,7 @@
 #include "geometry/transform/photometric.h"
 #include "geometry/transform/sampling_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 
 inline Distance parse_distance(char const* op, int64_t number) {
   KV_CHECK(number >= int64_t(Distance::l1) && number <= int64_t(Distance::charbonnier), op,
@@ -12,4 +12,4 @@ inline Distance parse_distance(char const* op, int64_t number) {
   return Distance(number);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 
 #include "geometry/formula.h"
 
-namespace kv {
+namespace kv::geometry {
 
 struct QuaternionProduct {
   static constexpr int kInputs = 2, kRequired = 2, kInputSize = 8, kOutputSize = 4, kScalars = 0, kOptionalLastRow = 0;
@@ -19,4 +19,4 @@ struct QuaternionProduct {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

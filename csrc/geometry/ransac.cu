@@ -3,7 +3,7 @@
 #include "core/launch.cuh"
 #include "geometry/ransac.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -126,4 +126,4 @@ KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
 KV_INSTANTIATE_COMPUTED(finalize_model, FinalizeModel)
 KV_INSTANTIATE_COMPUTED(merge_top_k, MergeTopK)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -15,7 +15,7 @@
 #include "geometry/residuals.h"
 #include "geometry/solvers/minimal.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct Consensus {
@@ -127,4 +127,4 @@ KV_HD V squared_error(Consensus<T> const& p, T const* m, int64_t i, Read read) {
   return p.model <= Model::homography ? transfer_error(m, x, y, u, v) : sampson_error(m, x, y, u, v);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

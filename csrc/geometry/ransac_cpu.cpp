@@ -3,7 +3,7 @@
 // Included after core/lanes.h, whose vectors it uses.
 #include "geometry/ransac.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 namespace {
 
@@ -75,4 +75,4 @@ KV_INSTANTIATE_COMPUTED(top_k_models, TopKModels)
 KV_INSTANTIATE_COMPUTED(finalize_model, FinalizeModel)
 KV_INSTANTIATE_COMPUTED(merge_top_k, MergeTopK)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

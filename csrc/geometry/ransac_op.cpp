@@ -2,7 +2,7 @@
 #include "geometry/ransac.h"
 #include "geometry/reals_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // Points (2 or 4, N) and the threshold of their errors, for models (M, 3, 3), checked.
@@ -139,4 +139,4 @@ KV_OPERATOR(merge_top_k,
             "(Tensor models, Tensor scores, Tensor other_models, Tensor other_scores, Tensor points1, Tensor points2, "
             "float threshold, float softness, int count, bool by_count, int model) -> (Tensor, Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -4,7 +4,7 @@
 #include "geometry/solvers/minimal.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::geometry {
 
 inline Reals reals_of(char const* op, Tensor const& x) {
   KV_CHECK(x.scalar_type() == ScalarType::Float || x.scalar_type() == ScalarType::Double, op,
@@ -35,4 +35,4 @@ inline Model parse_model(char const* op, int64_t number) {
   return Model(number);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

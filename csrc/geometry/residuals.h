@@ -5,7 +5,7 @@
 
 #include "core/hd.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // H (x, y, 1).
 template <class V, class F>
@@ -142,4 +142,4 @@ KV_HD void line_offset_vjp(double const* m, double const* point, double const* e
   grad_ends[2] -= g * (y - ends[1]), grad_ends[3] += g * (x - ends[0]);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

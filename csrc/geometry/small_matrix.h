@@ -6,7 +6,7 @@
 #include "core/matrix3.h"
 #include "geometry/thread_group.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // float32 or float64 numbers, read and written as double. Kernels compute in double for both, so they are compiled
 // once.
@@ -426,4 +426,4 @@ KV_CALLED int real_roots(double const* coefficients, int degree, double* roots) 
 }
 
 }  // namespace small
-}  // namespace kv
+}  // namespace kv::geometry

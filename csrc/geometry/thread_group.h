@@ -8,7 +8,7 @@
 
 #include "core/hd.h"
 
-namespace kv {
+namespace kv::geometry {
 
 struct SingleThread {
   KV_HD int thread_rank() const { return 0; }
@@ -81,4 +81,4 @@ struct ThreadBlock {
 };
 #endif
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -1,7 +1,7 @@
 // Points transformed by matrices on CUDA.
 #include "geometry/transform_points.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -39,4 +39,4 @@ int transform_points(TransformPoints<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(transform_points, TransformPoints)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -5,7 +5,7 @@
 #include "core/launch.cuh"
 #include "geometry/transform_points.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 
 constexpr int kRun = 4;
 
@@ -67,4 +67,4 @@ __device__ __forceinline__ void load_arguments(T const* points, T const* depth, 
   }
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -16,7 +16,7 @@
 #include "core/lanes.h"
 #endif
 
-namespace kv {
+namespace kv::geometry {
 
 enum class PointMap { plane, space, image, project, unproject, intersect };
 
@@ -210,4 +210,4 @@ KV_HD void with_map(PointMap map, F f) {
   }
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -1,7 +1,7 @@
 // Gradients of transformed points on CUDA: a block takes a chunk of a matrix's points and sums the matrix's gradient.
 #include "geometry/transform_points.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -82,4 +82,4 @@ int transform_points_backward(TransformPointsBackward<T> const& p, CUstream_st* 
 
 KV_INSTANTIATE(transform_points_backward, TransformPointsBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -4,7 +4,7 @@
 // Included after core/lanes.h, whose vsqrt it uses.
 #include "geometry/transform_points.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // Reads K coordinates of each of N points into the vectors from `column` on.
@@ -110,4 +110,4 @@ void transform_points_backward(TransformPointsBackward<T> const& p, int64_t begi
 KV_INSTANTIATE(transform_points, TransformPoints)
 KV_INSTANTIATE(transform_points_backward, TransformPointsBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -2,7 +2,7 @@
 #include "geometry/transform_points.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The values of the argument `kind`. For `transform`, the shape of the matrix selects PointMap's plane, space or image.
@@ -159,4 +159,4 @@ KV_OPERATOR(transform_points_backward,
             "(Tensor grad, Tensor points, Tensor? depth, Tensor matrix, int kind, bool to_matrix) -> (Tensor, Tensor, "
             "Tensor)")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -147,7 +147,7 @@ CUstream_st* current_stream(Tensor const& x);
   do {                                                                               \
     if ((rows) > 0) {                                                                \
       torch::stable::accelerator::DeviceGuard guard((x).get_device_index());         \
-      int const error = ::kv::cuda::name(params, ::kv::current_stream(x));           \
+      int const error = cuda::name(params, ::kv::current_stream(x));                 \
       KV_CHECK(error == 0, #name, ": CUDA error: ", ::kv::cuda_error_string(error)); \
     }                                                                                \
   } while (0)

@@ -2,7 +2,10 @@
 #include "binary_focal.h"
 #include "metrics/pointwise.cuh"
 
-namespace kv::cuda {
+namespace kv::losses::cuda {
+
+using namespace metrics::cuda;
+
 namespace {
 
 template <class T>
@@ -49,4 +52,4 @@ int binary_focal_map(BinaryFocalMap<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(binary_focal_sum, BinaryFocalSum)
 KV_INSTANTIATE(binary_focal_map, BinaryFocalMap)
 
-}  // namespace kv::cuda
+}  // namespace kv::losses::cuda

@@ -8,7 +8,12 @@
 
 #include "metrics/pointwise.h"
 
-namespace kv {
+namespace kv::losses {
+
+using metrics::kPointChunk;
+using metrics::log_one_plus;
+using metrics::Pair;
+using metrics::point_chunks;
 
 template <class F>
 struct BinaryFocalTerms {
@@ -82,4 +87,4 @@ struct BinaryFocalPoint {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -2,7 +2,9 @@
 #include "binary_focal.h"
 #include "metrics/pointwise_cpu.h"
 
-namespace kv::KV_ISA {
+namespace kv::losses::KV_ISA {
+
+using namespace metrics::KV_ISA;
 
 template <class T>
 void binary_focal_sum(BinaryFocalSum<T> const& p, int64_t begin, int64_t end) {
@@ -33,4 +35,4 @@ void binary_focal_map(BinaryFocalMap<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(binary_focal_sum, BinaryFocalSum)
 KV_INSTANTIATE(binary_focal_map, BinaryFocalMap)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::losses::KV_ISA

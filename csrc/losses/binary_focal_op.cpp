@@ -2,7 +2,7 @@
 #include "binary_focal.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::losses {
 namespace {
 
 // Logits and targets (rows, size), and factors per row. A tensor with a single row is broadcast.
@@ -113,4 +113,4 @@ KV_OPERATOR(
     "(Tensor grad, Tensor pred, Tensor target, Tensor? yes, Tensor? no, float of_yes, float of_no, float gamma, "
     "float ignored, bool ignores, bool summed, bool by_target) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::losses

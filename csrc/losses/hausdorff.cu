@@ -5,7 +5,7 @@
 #include "core/row_sums.cuh"
 #include "hausdorff.h"
 
-namespace kv::cuda {
+namespace kv::losses::cuda {
 namespace {
 
 constexpr int kThreads = kSumThreads;
@@ -247,4 +247,4 @@ int hausdorff_backward(HausdorffBackward<F> const& p, CUstream_st* stream) {
 KV_INSTANTIATE_COMPUTED(hausdorff, Hausdorff)
 KV_INSTANTIATE_COMPUTED(hausdorff_backward, HausdorffBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::losses::cuda

@@ -14,7 +14,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::losses {
 
 // The size of a plane: a volume, or an image if depth is 0.
 struct Extent {
@@ -105,4 +105,4 @@ constexpr int64_t kErosionMaps = 2, kErosionNumbers = 5;              // two c_i
 constexpr int64_t erosion_maps_backward(int64_t k) { return k + 2; }  // all c_i, and two g
 constexpr int64_t erosion_numbers_backward(int64_t k) { return 2 * k + 2 * 4; }  // and four sums of both g
 
-}  // namespace kv
+}  // namespace kv::losses

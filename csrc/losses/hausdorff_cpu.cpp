@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "hausdorff.h"
 
-namespace kv::KV_ISA {
+namespace kv::losses::KV_ISA {
 namespace {
 
 // Copies of a plane, padded with zeros.
@@ -191,4 +191,4 @@ void hausdorff_backward(HausdorffBackward<F> const& p, int64_t begin, int64_t en
 KV_INSTANTIATE_COMPUTED(hausdorff, Hausdorff)
 KV_INSTANTIATE_COMPUTED(hausdorff_backward, HausdorffBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::losses::KV_ISA

@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "hausdorff.h"
 
-namespace kv {
+namespace kv::losses {
 namespace {
 
 constexpr int64_t kMaxErosions = 1000;  // python/kvision/losses/hausdorff.py has the same limit
@@ -99,4 +99,4 @@ Tensor hausdorff_backward(Tensor const& grad, Tensor const& pred, Tensor const& 
 KV_OPERATOR(hausdorff, "(Tensor pred, Tensor target, float alpha, int k, bool summed) -> Tensor")
 KV_OPERATOR(hausdorff_backward, "(Tensor grad, Tensor pred, Tensor target, float alpha, int k, bool summed) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::losses

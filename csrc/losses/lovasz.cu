@@ -5,7 +5,7 @@
 #include "core/row_sums.cuh"
 #include "lovasz.h"
 
-namespace kv::cuda {
+namespace kv::losses::cuda {
 namespace {
 
 constexpr int kThreads = kRankedThreads, kWarps = kThreads / 32, kDigits = kRankedDigits;
@@ -334,4 +334,4 @@ KV_INSTANTIATE(lovasz_errors, LovaszErrors)
 KV_INSTANTIATE_COMPUTED(lovasz_gradients, LovaszGradients)
 KV_INSTANTIATE(lovasz_backward, LovaszBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::losses::cuda

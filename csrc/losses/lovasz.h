@@ -16,7 +16,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::losses {
 
 struct LovaszLabels {
   void const* target;             // int64, or uint8 if `bytes`
@@ -160,4 +160,4 @@ KV_HD void gradients_of_pixels(bool hinge, int64_t classes, V label, Load load, 
   }
 }
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "lovasz.h"
 
-namespace kv::KV_ISA {
+namespace kv::losses::KV_ISA {
 namespace {
 
 constexpr int kDigitBits = 11, kDigits = 1 << kDigitBits;
@@ -118,4 +118,4 @@ KV_INSTANTIATE(lovasz_errors, LovaszErrors)
 KV_INSTANTIATE_COMPUTED(lovasz_gradients, LovaszGradients)
 KV_INSTANTIATE(lovasz_backward, LovaszBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::losses::KV_ISA

@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "lovasz.h"
 
-namespace kv {
+namespace kv::losses {
 namespace {
 
 // Logits (B, C, H, W) and labels (B or 1, H, W), contiguous.
@@ -91,4 +91,4 @@ Tensor lovasz_backward(Tensor const& grad, Tensor const& gradients, Tensor const
 KV_OPERATOR(lovasz, "(Tensor pred, Tensor target, bool hinge) -> (Tensor, Tensor)")
 KV_OPERATOR(lovasz_backward, "(Tensor grad, Tensor gradients, Tensor pred, Tensor target, bool hinge) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -5,7 +5,7 @@
 #include "core/row_sums.cuh"
 #include "mutual_information.h"
 
-namespace kv::cuda {
+namespace kv::losses::cuda {
 namespace {
 
 constexpr int kThreads = kSumThreads, kFinalizeThreads = 1024;
@@ -210,4 +210,4 @@ int mutual_information_backward(MutualInformationBackward<F> const& p, CUstream_
 KV_INSTANTIATE_COMPUTED(mutual_information, MutualInformation)
 KV_INSTANTIATE_COMPUTED(mutual_information_backward, MutualInformationBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::losses::cuda

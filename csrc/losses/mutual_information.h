@@ -14,7 +14,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::losses {
 
 // Exported graphs contain these numbers; python/kvision/losses/mutual_information.py repeats them.
 enum class BinKernel : int { xu, rectangular, truncated_gaussian };
@@ -149,4 +149,4 @@ struct EndSums {
 KV_KERNEL(mutual_information, MutualInformation)
 KV_KERNEL(mutual_information_backward, MutualInformationBackward)
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -3,7 +3,7 @@
 #include "core/scratch.h"
 #include "mutual_information.h"
 
-namespace kv::KV_ISA {
+namespace kv::losses::KV_ISA {
 namespace {
 
 template <class F>
@@ -106,4 +106,4 @@ void mutual_information_backward(MutualInformationBackward<F> const& p, int64_t 
 KV_INSTANTIATE_COMPUTED(mutual_information, MutualInformation)
 KV_INSTANTIATE_COMPUTED(mutual_information_backward, MutualInformationBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::losses::KV_ISA

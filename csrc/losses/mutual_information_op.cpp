@@ -4,7 +4,7 @@
 #include "glue/batch.h"
 #include "mutual_information.h"
 
-namespace kv {
+namespace kv::losses {
 namespace {
 
 constexpr int64_t kMaxBins = 1 << 14;
@@ -151,4 +151,4 @@ KV_OPERATOR(mutual_information_backward,
             "(Tensor grad, Tensor count_gradients, Tensor ranges, Tensor input, Tensor other, Tensor? input_mask, "
             "Tensor? other_mask, int kernel, int bins, float radius, bool normalized, bool by_other) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -5,7 +5,7 @@
 #include "core/row_sums.cuh"
 #include "segmentation.h"
 
-namespace kv::cuda {
+namespace kv::losses::cuda {
 namespace {
 
 constexpr int kThreads = 128;      // per block; fewer, a half or a quarter, to stay within
@@ -400,4 +400,4 @@ KV_INSTANTIATE(overlap_backward, OverlapBackward)
 KV_INSTANTIATE(focal, Focal)
 KV_INSTANTIATE(focal_backward, FocalBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::losses::cuda

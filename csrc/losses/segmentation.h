@@ -8,7 +8,7 @@
 #include "core/hd.h"
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::losses {
 
 template <class T>
 struct Logits {
@@ -180,4 +180,4 @@ KV_HD void focal_of_pixels(V factor, F gamma, V label, V most, V rest, Math math
   derivative = -factor * (wrong > min_normal ? falling : power);
 }
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "segmentation.h"
 
-namespace kv::KV_ISA {
+namespace kv::losses::KV_ISA {
 namespace {
 
 constexpr int kBlock = 256;  // pixels; divides the chunk sizes
@@ -263,4 +263,4 @@ KV_INSTANTIATE(overlap_backward, OverlapBackward)
 KV_INSTANTIATE(focal, Focal)
 KV_INSTANTIATE(focal_backward, FocalBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::losses::KV_ISA

@@ -3,7 +3,7 @@
 #include "glue/glue.h"
 #include "segmentation.h"
 
-namespace kv {
+namespace kv::losses {
 namespace {
 
 constexpr int64_t kMaxClasses = 224;  // the most that fit a block's shared memory on CUDA; more take the reference
@@ -182,4 +182,4 @@ KV_OPERATOR(focal_backward,
             "(Tensor grad, Tensor pred, Tensor target, Tensor? weight, float first, float other, float gamma, "
             "int ignored, bool ignores, bool summed) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::losses

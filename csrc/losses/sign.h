@@ -3,7 +3,7 @@
 
 #include "core/hd.h"
 
-namespace kv {
+namespace kv::losses {
 
 // 0 at 0; NaN stays NaN.
 template <class V>
@@ -11,4 +11,4 @@ KV_HD V sign_of(V d) {
   return d > 0 ? V{} + 1 : d < 0 ? V{} - 1 : d;
 }
 
-}  // namespace kv
+}  // namespace kv::losses

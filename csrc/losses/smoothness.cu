@@ -3,7 +3,7 @@
 #include "core/row_sums.cuh"
 #include "smoothness.h"
 
-namespace kv::cuda {
+namespace kv::losses::cuda {
 namespace {
 
 constexpr int kThreads = kSmoothColumns;
@@ -164,4 +164,4 @@ int smoothness_backward(SmoothnessBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(smoothness, Smoothness)
 KV_INSTANTIATE(smoothness_backward, SmoothnessBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::losses::cuda

@@ -13,7 +13,7 @@
 #include "core/view.h"
 #include "sign.h"
 
-namespace kv {
+namespace kv::losses {
 
 template <class T>
 struct DepthAndImage {
@@ -55,4 +55,4 @@ KV_HD V part_of(V rough, V difference) {
   return rough == 0 ? V{} : V(rough * sign_of(difference));
 }
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -3,7 +3,7 @@
 #include "core/scratch.h"
 #include "smoothness.h"
 
-namespace kv::KV_ISA {
+namespace kv::losses::KV_ISA {
 namespace {
 
 // For e < n sets to[e] to the smoothness term of pixel e of row y and the pixel `right` columns and `down` rows from
@@ -126,4 +126,4 @@ void smoothness_backward(SmoothnessBackward<T> const& p, int64_t begin, int64_t 
 KV_INSTANTIATE(smoothness, Smoothness)
 KV_INSTANTIATE(smoothness_backward, SmoothnessBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::losses::KV_ISA

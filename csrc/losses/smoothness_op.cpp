@@ -3,7 +3,7 @@
 #include "glue/glue.h"
 #include "smoothness.h"
 
-namespace kv {
+namespace kv::losses {
 namespace {
 
 void check_depth(char const* op, Tensor const& depth, Tensor const& image) {
@@ -71,4 +71,4 @@ KV_OPERATOR(smoothness, "(Tensor depth, Tensor image, float along_y, float along
 KV_OPERATOR(smoothness_backward,
             "(Tensor grad, Tensor depth, Tensor image, float along_y, float along_x, bool of_image) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::losses

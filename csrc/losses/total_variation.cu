@@ -2,7 +2,7 @@
 #include "core/row_sums.cuh"
 #include "total_variation.h"
 
-namespace kv::cuda {
+namespace kv::losses::cuda {
 namespace {
 
 constexpr int kThreads = 256, kSumming = 512;
@@ -139,4 +139,4 @@ int total_variation_backward(TotalVariationBackward<T> const& p, CUstream_st* st
 KV_INSTANTIATE(total_variation, TotalVariation)
 KV_INSTANTIATE(total_variation_backward, TotalVariationBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::losses::cuda

@@ -7,7 +7,7 @@
 #include "core/view.h"
 #include "sign.h"
 
-namespace kv {
+namespace kv::losses {
 
 template <class T>
 struct TotalVariation {
@@ -34,4 +34,4 @@ constexpr int kVariationColumns = 32 * (sizeof(T) == 2 ? 8 : 4);
 KV_KERNEL(total_variation, TotalVariation)
 KV_KERNEL(total_variation_backward, TotalVariationBackward)
 
-}  // namespace kv
+}  // namespace kv::losses

@@ -3,7 +3,7 @@
 #include "core/lanes.h"
 #include "total_variation.h"
 
-namespace kv::KV_ISA {
+namespace kv::losses::KV_ISA {
 namespace {
 
 // The sum of abs(a[i] - b[i]) for i < n.
@@ -64,4 +64,4 @@ void total_variation_backward(TotalVariationBackward<T> const& p, int64_t begin,
 KV_INSTANTIATE(total_variation, TotalVariation)
 KV_INSTANTIATE(total_variation_backward, TotalVariationBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::losses::KV_ISA

@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "total_variation.h"
 
-namespace kv {
+namespace kv::losses {
 namespace {
 
 Tensor total_variation(Tensor const& input, double along_y, double along_x) {
@@ -52,4 +52,4 @@ Tensor total_variation_backward(Tensor const& grad, Tensor const& input, double 
 KV_OPERATOR(total_variation, "(Tensor input, float along_y, float along_x) -> Tensor")
 KV_OPERATOR(total_variation_backward, "(Tensor grad, Tensor input, float along_y, float along_x) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::losses

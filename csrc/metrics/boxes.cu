@@ -2,7 +2,7 @@
 #include "boxes.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -32,4 +32,4 @@ int box_iou(BoxIou<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(box_iou, BoxIou)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

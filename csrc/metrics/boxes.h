@@ -3,7 +3,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::metrics {
 
 // Two corners; the first corner and the size; the center and the size. Exported graphs contain these numbers;
 // python/kvision/metrics/boxes.py repeats them.
@@ -43,4 +43,4 @@ struct Corners {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::metrics

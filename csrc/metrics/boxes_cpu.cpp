@@ -2,7 +2,7 @@
 #include "boxes.h"
 #include "core/lanes.h"
 
-namespace kv::KV_ISA {
+namespace kv::metrics::KV_ISA {
 namespace {
 
 template <class T>
@@ -27,4 +27,4 @@ void box_iou(BoxIou<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE(box_iou, BoxIou)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::metrics::KV_ISA

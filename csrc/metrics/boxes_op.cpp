@@ -2,7 +2,7 @@
 #include "boxes.h"
 #include "glue/batch.h"
 
-namespace kv {
+namespace kv::metrics {
 namespace {
 
 BoxFormat check_format(int64_t format) {
@@ -31,4 +31,4 @@ Tensor box_iou(Tensor const& boxes, Tensor const& others, int64_t format) {
 
 KV_OPERATOR(box_iou, "(Tensor boxes, Tensor others, int format) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::metrics

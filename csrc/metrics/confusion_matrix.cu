@@ -4,7 +4,7 @@
 #include "confusion_matrix.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 constexpr int kThreads = 256, kBytes = 32 << 10, kAtOnce = 4;
@@ -82,4 +82,4 @@ int confusion_matrix(ConfusionMatrix<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, int64_t)
 KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, uint8_t)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

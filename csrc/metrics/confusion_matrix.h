@@ -5,7 +5,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::metrics {
 
 // The counts; the counts divided by the sum of their row; or the intersection over union of each class. Exported graphs
 // contain these numbers; python/kvision/metrics/confusion_matrix.py repeats them.
@@ -35,4 +35,4 @@ struct ConfusionMatrix {
 
 KV_KERNEL(confusion_matrix, ConfusionMatrix)
 
-}  // namespace kv
+}  // namespace kv::metrics

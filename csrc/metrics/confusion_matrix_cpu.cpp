@@ -2,7 +2,7 @@
 #include "confusion_matrix.h"
 #include "core/scratch.h"
 
-namespace kv::KV_ISA {
+namespace kv::metrics::KV_ISA {
 
 template <class T>
 void confusion_matrix(ConfusionMatrix<T> const& p, int64_t begin, int64_t end) {
@@ -35,4 +35,4 @@ void confusion_matrix(ConfusionMatrix<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, int64_t)
 KV_INSTANTIATE_ONE(confusion_matrix, ConfusionMatrix, uint8_t)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::metrics::KV_ISA

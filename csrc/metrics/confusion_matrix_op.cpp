@@ -2,7 +2,7 @@
 #include "confusion_matrix.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::metrics {
 namespace {
 
 constexpr int64_t kMaxLabels = 1 << 15;  // the index of a pair fits 32 bits
@@ -46,4 +46,4 @@ Tensor confusion_matrix(Tensor const& pred, Tensor const& target, int64_t classe
 
 KV_OPERATOR(confusion_matrix, "(Tensor pred, Tensor target, int classes, int statistic, float eps) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::metrics

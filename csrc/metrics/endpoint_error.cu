@@ -2,7 +2,7 @@
 #include "core/row_sums.cuh"
 #include "endpoint_error.h"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 // Calls f(vector, its difference) for the flow vectors of the block's chunk that the thread processes.
@@ -66,4 +66,4 @@ int endpoint_error_backward(EndpointErrorBackward<T> const& p, CUstream_st* stre
 KV_INSTANTIATE(endpoint_error, EndpointError)
 KV_INSTANTIATE(endpoint_error_backward, EndpointErrorBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

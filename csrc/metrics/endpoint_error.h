@@ -6,7 +6,7 @@
 #include "core/isa.h"
 #include "core/row_sums.h"
 
-namespace kv {
+namespace kv::metrics {
 
 constexpr int64_t kEndpointChunk = 4096;  // vectors per partial sum
 
@@ -44,4 +44,4 @@ struct EndpointErrorBackward {
 KV_KERNEL(endpoint_error, EndpointError)
 KV_KERNEL(endpoint_error_backward, EndpointErrorBackward)
 
-}  // namespace kv
+}  // namespace kv::metrics

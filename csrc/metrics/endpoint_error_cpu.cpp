@@ -4,7 +4,7 @@
 #include "core/lanes.h"
 #include "endpoint_error.h"
 
-namespace kv::KV_ISA {
+namespace kv::metrics::KV_ISA {
 namespace {
 
 // The lanes I of two vectors, counted through both.
@@ -110,4 +110,4 @@ void endpoint_error_backward(EndpointErrorBackward<T> const& p, int64_t begin, i
 KV_INSTANTIATE(endpoint_error, EndpointError)
 KV_INSTANTIATE(endpoint_error_backward, EndpointErrorBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::metrics::KV_ISA

@@ -2,7 +2,7 @@
 #include "endpoint_error.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::metrics {
 namespace {
 
 // Shape (rows, 2, size) if planar, else (rows, size, 2). A tensor with a single row is broadcast.
@@ -79,4 +79,4 @@ KV_OPERATOR(endpoint_error, "(Tensor input, Tensor target, bool planar, bool sum
 KV_OPERATOR(endpoint_error_backward,
             "(Tensor grad, Tensor input, Tensor target, bool planar, bool summed, float factor) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::metrics

@@ -1,7 +1,7 @@
 // Elementwise losses on CUDA: one block per chunk of a row, four elements of both tensors per thread and step.
 #include "pointwise.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 template <class T>
@@ -43,4 +43,4 @@ int pointwise_map(PointwiseMap<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(pointwise_sum, PointwiseSum)
 KV_INSTANTIATE(pointwise_map, PointwiseMap)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

@@ -5,7 +5,7 @@
 #include "core/row_sums.cuh"
 #include "pointwise.h"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 template <class F>
@@ -91,4 +91,4 @@ bool is_vectorizable(Pair<T> const& pair, void const* other) {
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

@@ -12,7 +12,7 @@
 #include "core/isa.h"
 #include "core/row_sums.h"
 
-namespace kv {
+namespace kv::metrics {
 
 // Exported graphs contain these numbers; python/kvision/metrics/pointwise.py repeats them.
 enum class PointLoss : int { charbonnier, welsch, cauchy, geman_mcclure, square, kl, js };
@@ -155,4 +155,4 @@ KV_HD V point_derivative(PointLoss kind, bool by_y, V x, V y) {
   }
 }
 
-}  // namespace kv
+}  // namespace kv::metrics

@@ -4,7 +4,7 @@
 
 #include "pointwise.h"
 
-namespace kv::KV_ISA {
+namespace kv::metrics::KV_ISA {
 template <class T>
 void pointwise_sum(PointwiseSum<T> const& p, int64_t begin, int64_t end) {
   using F = Compute<T>;
@@ -32,4 +32,4 @@ void pointwise_map(PointwiseMap<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(pointwise_sum, PointwiseSum)
 KV_INSTANTIATE(pointwise_map, PointwiseMap)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::metrics::KV_ISA

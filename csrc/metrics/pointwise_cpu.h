@@ -5,7 +5,7 @@
 #include "core/lanes.h"
 #include "pointwise.h"
 
-namespace kv::KV_ISA {
+namespace kv::metrics::KV_ISA {
 namespace {
 
 template <class F, int N>
@@ -63,4 +63,4 @@ KV_HD void map_row_chunks(Pair<T> const& pair, int64_t begin, int64_t end, T* ou
 }
 
 }  // namespace
-}  // namespace kv::KV_ISA
+}  // namespace kv::metrics::KV_ISA

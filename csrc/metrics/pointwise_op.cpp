@@ -2,7 +2,7 @@
 #include "glue/glue.h"
 #include "pointwise.h"
 
-namespace kv {
+namespace kv::metrics {
 namespace {
 
 PointLoss kind_of(char const* op, int64_t kind) {
@@ -133,4 +133,4 @@ KV_OPERATOR(pointwise_sum_backward,
             "(Tensor grad, Tensor sums, Tensor input, Tensor other, int kind, float factor, float decibels, "
             "bool by_other) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::metrics

@@ -9,7 +9,7 @@
 // depend on the dtype and the layout of the pixels, which are therefore run-time arguments.
 #include "ssim.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 constexpr int kThreads = 256;         // per block, at most
@@ -562,4 +562,4 @@ int ssim_backward(SsimBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(ssim, Ssim)
 KV_INSTANTIATE(ssim_backward, SsimBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

@@ -7,7 +7,7 @@
 #include "core/row_sums.cuh"
 #include "ssim.h"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 
 // Planes with strides in bytes.
 using StoredPlanes = Planes<uint8_t>;
@@ -38,4 +38,4 @@ int ssim_any(Ssim<T> const& p, CUstream_st* stream);
 template <class T>
 int ssim_any_backward(SsimBackward<T> const& p, CUstream_st* stream);
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

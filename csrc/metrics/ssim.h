@@ -24,7 +24,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::metrics {
 
 // Windows that cross the border read reflected pixels or zeros; or no window crosses it. Exported graphs contain these
 // numbers; python/kvision/metrics/ssim.py repeats them.
@@ -248,4 +248,4 @@ KV_KERNEL(ssim_backward, SsimBackward)
 KV_KERNEL(ms_ssim, MsSsim)
 KV_KERNEL(ms_ssim_backward, MsSsimBackward)
 
-}  // namespace kv
+}  // namespace kv::metrics

@@ -10,7 +10,7 @@
 // in groups that fit the working memory.
 #include "ssim.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 constexpr int kColumns = 32;
@@ -263,4 +263,4 @@ KV_SSIM_ANY(double)
 KV_SSIM_ANY(Half)
 KV_SSIM_ANY(BFloat16)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

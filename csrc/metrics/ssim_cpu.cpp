@@ -6,7 +6,7 @@
 #include "core/scratch.h"
 #include "ssim.h"
 
-namespace kv::KV_ISA {
+namespace kv::metrics::KV_ISA {
 namespace {
 
 // out[e] = sum over t of weights[t] * rows[t][e] for e < count. Along y the rows are rows of an image; along x they are
@@ -549,4 +549,4 @@ KV_INSTANTIATE(ssim_backward, SsimBackward)
 KV_INSTANTIATE(ms_ssim, MsSsim)
 KV_INSTANTIATE(ms_ssim_backward, MsSsimBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::metrics::KV_ISA

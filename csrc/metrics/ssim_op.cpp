@@ -5,7 +5,7 @@
 #include "glue/glue.h"
 #include "ssim.h"
 
-namespace kv {
+namespace kv::metrics {
 namespace {
 
 // The weights of the window, in the computing type.
@@ -412,4 +412,4 @@ KV_OPERATOR(ms_ssim_backward_both,
             "(Tensor grad, Tensor input, Tensor other, float[] sigmas, int size, float c1, float c2, float structure, "
             "float absolute) -> (Tensor grad_input, Tensor grad_other)")
 
-}  // namespace kv
+}  // namespace kv::metrics

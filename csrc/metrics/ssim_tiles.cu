@@ -10,7 +10,7 @@
 // writes the derivatives by the means, and for several scales the factor of each scale. The second one sums them.
 #include "ssim_window.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 // Row and column indices are those of the images; a 'valid' similarity starts at `offset`.
@@ -462,4 +462,4 @@ KV_SSIM_TILES(BFloat16)
 KV_INSTANTIATE(ms_ssim, MsSsim)
 KV_INSTANTIATE(ms_ssim_backward, MsSsimBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

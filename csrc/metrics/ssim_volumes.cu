@@ -8,7 +8,7 @@
 // means, the other one sums them.
 #include "ssim_window.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 constexpr int kThreads = SsimVolumeTiles::kThreads, kColumns = SsimVolumeTiles::kColumns;
@@ -257,4 +257,4 @@ KV_SSIM_VOLUMES(double)
 KV_SSIM_VOLUMES(Half)
 KV_SSIM_VOLUMES(BFloat16)
 
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

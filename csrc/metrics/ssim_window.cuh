@@ -4,7 +4,7 @@
 
 #include "ssim.cuh"
 
-namespace kv::cuda {
+namespace kv::metrics::cuda {
 namespace {
 
 constexpr int kSide = 8;  // adjacent sums of a thread; also the rows and slices of a tile
@@ -71,4 +71,4 @@ __device__ __forceinline__ void sum_window(int taps, Weight weight, Read read, F
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv::metrics::cuda

@@ -3,7 +3,7 @@
 // dilation_backward.cu do not support it.
 #include "dilation_tiles.cuh"
 
-namespace kv::cuda {
+namespace kv::morphology::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -333,4 +333,4 @@ int dilation_backward(DilationBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(dilation, Dilation)
 KV_INSTANTIATE(dilation_backward, DilationBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::morphology::cuda

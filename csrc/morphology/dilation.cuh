@@ -6,7 +6,7 @@
 #include "core/launch.cuh"
 #include "dilation.h"
 
-namespace kv::cuda {
+namespace kv::morphology::cuda {
 namespace {
 
 template <class F>
@@ -45,4 +45,4 @@ int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream);
 template <class T>
 int dilation_backward_tiles(DilationBackward<T> const& p, CUstream_st* stream);
 
-}  // namespace kv::cuda
+}  // namespace kv::morphology::cuda

@@ -21,7 +21,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::morphology {
 
 template <class F>
 struct StructuringElement {
@@ -106,4 +106,4 @@ struct Ties {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::morphology

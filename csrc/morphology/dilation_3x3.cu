@@ -3,7 +3,7 @@
 #include "core/reciprocal.cuh"
 #include "dilation.cuh"
 
-namespace kv::cuda {
+namespace kv::morphology::cuda {
 namespace {
 
 constexpr int kThreads = 256, kFlatThreads = 128;
@@ -384,4 +384,4 @@ int dilation_3x3_backward(DilationBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(dilation_3x3, Dilation)
 KV_INSTANTIATE(dilation_3x3_backward, DilationBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::morphology::cuda

@@ -5,7 +5,7 @@
 #include "core/dtype.cuh"
 #include "dilation_tiles.cuh"
 
-namespace kv::cuda {
+namespace kv::morphology::cuda {
 namespace {
 
 constexpr int kBackwardThreads = 288;
@@ -178,4 +178,4 @@ template int dilation_backward_tiles(DilationBackward<float> const&, CUstream_st
 template int dilation_backward_tiles(DilationBackward<Half> const&, CUstream_st*);
 template int dilation_backward_tiles(DilationBackward<BFloat16> const&, CUstream_st*);
 
-}  // namespace kv::cuda
+}  // namespace kv::morphology::cuda

@@ -4,7 +4,7 @@
 #include "core/scratch.h"
 #include "dilation.h"
 
-namespace kv::KV_ISA {
+namespace kv::morphology::KV_ISA {
 namespace {
 
 constexpr float kInfinity = __builtin_inff();
@@ -305,4 +305,4 @@ void dilation_backward(DilationBackward<T> const& p, int64_t begin, int64_t end)
 KV_INSTANTIATE(dilation, Dilation)
 KV_INSTANTIATE(dilation_backward, DilationBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::morphology::KV_ISA

@@ -2,7 +2,7 @@
 #include "dilation.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::morphology {
 namespace {
 
 // A structuring element as the kernels read it: (B or 1, height, width), contiguous, in the compute type of the images.
@@ -118,4 +118,4 @@ KV_OPERATOR(dilation_backward,
             "(Tensor grad, Tensor input, Tensor kernel, Tensor? heights, int top, int left, float value, "
             "bool erode) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::morphology

@@ -4,7 +4,7 @@
 
 #include "dilation.cuh"
 
-namespace kv::cuda {
+namespace kv::morphology::cuda {
 namespace {
 
 // Combines the windows of `size` elements that begin at 0, 1, ... N - 1. They have elements N - 1 to size - 1 in
@@ -87,4 +87,4 @@ int launch_tiles(void (*kernel)(Params, int, int), Params const& params, Image c
 }
 
 }  // namespace
-}  // namespace kv::cuda
+}  // namespace kv::morphology::cuda

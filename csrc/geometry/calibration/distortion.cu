@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/calibration/distortion.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 128;
@@ -100,4 +100,4 @@ KV_INSTANTIATE_COMPUTED(distort_points, LensPoints)
 KV_INSTANTIATE_COMPUTED(undistort_map_backward, LensBackward)
 KV_INSTANTIATE_COMPUTED(reduce_lens_grads, LensBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

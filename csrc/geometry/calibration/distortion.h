@@ -9,7 +9,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct LensPoints {
@@ -168,4 +168,4 @@ struct Lens {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 // After it, for vectors.
 #include "geometry/calibration/distortion.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // N adjacent pixels of an image.
@@ -116,4 +116,4 @@ KV_INSTANTIATE_COMPUTED(distort_points, LensPoints)
 KV_INSTANTIATE_COMPUTED(undistort_map_backward, LensBackward)
 KV_INSTANTIATE_COMPUTED(reduce_lens_grads, LensBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -3,7 +3,7 @@
 #include "geometry/reals_glue.h"
 #include "geometry/transform/sampling_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The checked parameters of lenses, (B, ...), or (1, ...) for all of a batch.
@@ -160,4 +160,4 @@ KV_OPERATOR(undistort_map_backward,
 
 #undef KV_LENS
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -8,7 +8,7 @@
 #include "core/trigonometry.h"
 #include "geometry/formula.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // sin(x) / x and cos(x) of x squared.
 template <class V>
@@ -67,4 +67,4 @@ struct AngleToRotationMatrix : ScalarInputs<1> {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 
 #include "geometry/conversions/angles.h"
 
-namespace kv {
+namespace kv::geometry {
 
 struct QuaternionFromEuler : ScalarInputs<3> {
   static constexpr int kOutputSize = 4;
@@ -58,4 +58,4 @@ struct EulerFromQuaternion : ScalarInputs<4> {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -4,7 +4,7 @@
 
 #include "geometry/conversions/angles.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // O. Rodrigues (1840): cos + (1 - cos) a a^T + sin [a].
 template <class V>
@@ -136,4 +136,4 @@ struct RotationMatrixToAxisAngle : VectorInput<9, 3> {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 #include "geometry/depth/photometric.h"
 #include "geometry/depth/warp.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 template <class T>
@@ -62,4 +62,4 @@ int photometric_depth(PhotometricDepth<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE(photometric_depth, PhotometricDepth)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

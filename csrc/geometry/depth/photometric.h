@@ -10,7 +10,7 @@
 #include "geometry/depth/warp.h"
 #include "geometry/transform/photometric.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct PhotometricDepth : DepthPlaces<T> {  // x is the first view of each sample
@@ -34,4 +34,4 @@ struct PhotometricDepth : DepthPlaces<T> {  // x is the first view of each sampl
 
 KV_KERNEL(photometric_depth, PhotometricDepth)
 
-}  // namespace kv
+}  // namespace kv::geometry

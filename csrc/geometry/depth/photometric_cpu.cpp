@@ -4,7 +4,7 @@
 // Needs core/lanes.h, which the header above includes.
 #include "geometry/depth/photometric.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // N pixels: their distances, the gradients of these to the sampling coordinates, and the number of visible pixels.
@@ -76,4 +76,4 @@ void photometric_depth(PhotometricDepth<T> const& p, int64_t begin, int64_t end)
 
 KV_INSTANTIATE(photometric_depth, PhotometricDepth)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

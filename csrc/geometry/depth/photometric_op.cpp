@@ -3,7 +3,7 @@
 #include "geometry/depth/warp_glue.h"
 #include "geometry/photometric_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // Views (B, V, C, H, W), targets (B, C, h, w), depths (B, 1, h, w), projections (B, V, 3, 4). Returns the loss, its
@@ -73,4 +73,4 @@ KV_OPERATOR(photometric_depth,
             "(Tensor views, Tensor target, Tensor depth, Tensor projections, int distance, float eps) -> "
             "(Tensor, Tensor, Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::geometry

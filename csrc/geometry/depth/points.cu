@@ -3,7 +3,7 @@
 #include "core/launch.cuh"
 #include "geometry/depth/points.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256, kRun = 4;  // pixels of a thread
@@ -318,4 +318,4 @@ KV_INSTANTIATE(depth_normals, DepthPoints)
 KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
 KV_INSTANTIATE(depth_points_camera_backward, DepthPointsCameraBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -16,7 +16,7 @@
 #include "core/lanes.h"
 #endif
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct DepthPoints {
@@ -182,4 +182,4 @@ struct Taken {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -5,7 +5,7 @@
 // Included after core/lanes.h, whose vsqrt it uses.
 #include "geometry/depth/points.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 template <int N, class F>
@@ -185,4 +185,4 @@ KV_INSTANTIATE(depth_normals, DepthPoints)
 KV_INSTANTIATE(depth_normals_backward, DepthNormalsBackward)
 KV_INSTANTIATE(depth_points_camera_backward, DepthPointsCameraBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -2,7 +2,7 @@
 #include "geometry/depth/points.h"
 #include "geometry/transform/sampling_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // Cameras (B, 3, 3), one for each image or one for all, each contiguous.
@@ -152,4 +152,4 @@ KV_OPERATOR(depth_normals_backward, "(Tensor grad, Tensor depth, Tensor camera, 
 KV_OPERATOR(depth_normals_points_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
 KV_OPERATOR(depth_points_camera_backward, "(Tensor grad, Tensor depth, Tensor camera, bool distance) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::geometry

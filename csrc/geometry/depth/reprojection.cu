@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/depth/reprojection.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 32;
@@ -36,4 +36,4 @@ int reprojection_backward(ReprojectionParams<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE_ONE(reprojection, ReprojectionParams, double)
 KV_INSTANTIATE_ONE(reprojection_backward, ReprojectionParams, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

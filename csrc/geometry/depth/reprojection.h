@@ -10,7 +10,7 @@
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // One matrix for each sample, or one for all.
 struct Matrices {
@@ -128,4 +128,4 @@ KV_HD void reprojection_vjp(ReprojectionParams<T> const& p, int64_t b) {
   set_camera(p.grad_camera_from, g);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

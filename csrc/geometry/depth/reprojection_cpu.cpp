@@ -2,7 +2,7 @@
 #include "geometry/depth/reprojection.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void reprojection(ReprojectionParams<T> const& p, int64_t begin, int64_t end) {
@@ -17,5 +17,5 @@ void reprojection_backward(ReprojectionParams<T> const& p, int64_t begin, int64_
 KV_INSTANTIATE_ONE(reprojection, ReprojectionParams, double)
 KV_INSTANTIATE_ONE(reprojection_backward, ReprojectionParams, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

@@ -2,7 +2,7 @@
 #include "geometry/depth/reprojection.h"
 #include "geometry/reals_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The four matrices, checked; a single one of each serves the batch.
@@ -78,4 +78,4 @@ KV_OPERATOR(reprojection_backward, "(Tensor grad, " KV_CAMERAS ") -> (Tensor, Te
 
 #undef KV_CAMERAS
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -1,7 +1,7 @@
 // Warps by depth on CUDA: one thread for each pixel of the output, which loops over its channels.
 #include "geometry/depth/warp.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 template <class T>
@@ -172,4 +172,4 @@ KV_INSTANTIATE(depth_warp_coords_backward, DepthWarpCoordsBackward)
 KV_INSTANTIATE_COMPUTED(depth_warp_image_backward, DepthWarpImageBackward)
 KV_INSTANTIATE_COMPUTED(projection_total, ProjectionTotal)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

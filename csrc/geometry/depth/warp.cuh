@@ -4,7 +4,7 @@
 #include "geometry/depth/warp.h"
 #include "geometry/transform/sampling.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 
 // The pixels of a block: 32 x 8, one warp for each row.
 struct DepthTiles {
@@ -52,4 +52,4 @@ __device__ __forceinline__ void add_to_projection(F const (&g)[3], F x, F y, F d
   }
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

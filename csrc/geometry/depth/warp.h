@@ -9,7 +9,7 @@
 
 #include "geometry/transform/sampling.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class F>
 struct Reprojection {
@@ -100,4 +100,4 @@ KV_KERNEL(projection_total, ProjectionTotal)
 // The tile of a block on CUDA: 32 x 8 pixels.
 constexpr int kDepthTileWidth = 32, kDepthTileHeight = 8;
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 // once per instruction set.
 #include "geometry/depth/warp_cpu.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // A tap of weight 0 does not contribute, even if it is NaN or inf.
@@ -160,4 +160,4 @@ KV_INSTANTIATE(depth_warp_coords_backward, DepthWarpCoordsBackward)
 KV_INSTANTIATE_COMPUTED(depth_warp_image_backward, DepthWarpImageBackward)
 KV_INSTANTIATE_COMPUTED(projection_total, ProjectionTotal)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -5,7 +5,7 @@
 // Needs core/lanes.h, which the header above includes.
 #include "geometry/depth/warp.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // The sampling coordinates (u, v) of N pixels, and the numbers that their gradients need.
@@ -101,4 +101,4 @@ KV_HD void for_each_place(DepthPlaces<T> const& p, int64_t first, int64_t count,
 }
 
 }  // namespace
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

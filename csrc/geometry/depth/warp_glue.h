@@ -4,7 +4,7 @@
 #include "geometry/depth/warp.h"
 #include "geometry/transform/sampling_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // Depths (B, 1, h, w) and projections (B, 3, 4) of images, checked; a single one serves the batch.
 struct Depths {
@@ -41,4 +41,4 @@ inline int64_t projection_parts(Size output) {
 #endif
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -1,7 +1,7 @@
 // Warps by depth: schemas and entries for CPU and CUDA.
 #include "geometry/depth/warp_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 SamplingOptions how_of(char const* op, int64_t interpolation, int64_t padding, bool align_corners, Tensor const& x) {
@@ -107,4 +107,4 @@ KV_OPERATOR(depth_warp_coords_backward,
 
 #undef KV_HOW
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/epipolar/essential.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 64;
@@ -48,4 +48,4 @@ KV_INSTANTIATE_ONE(essential, Essential, double)
 KV_INSTANTIATE_ONE(essential_backward, Essential, double)
 KV_INSTANTIATE_ONE(motion_choice, MotionChoice, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

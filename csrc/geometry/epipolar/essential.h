@@ -13,7 +13,7 @@
 #include "geometry/epipolar/triangulation.h"
 #include "geometry/thread_group.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct Essential {
@@ -247,4 +247,4 @@ KV_HD void choose_motion(MotionChoice<T> const& p, int64_t b, Group group) {
   p.motion_index[b] = best;
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

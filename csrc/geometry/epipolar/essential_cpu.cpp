@@ -2,7 +2,7 @@
 #include "geometry/epipolar/essential.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void essential(Essential<T> const& p, int64_t begin, int64_t end) {
@@ -23,5 +23,5 @@ KV_INSTANTIATE_ONE(essential, Essential, double)
 KV_INSTANTIATE_ONE(essential_backward, Essential, double)
 KV_INSTANTIATE_ONE(motion_choice, MotionChoice, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

@@ -2,7 +2,7 @@
 #include "geometry/epipolar/essential.h"
 #include "geometry/reals_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 void check_matrices(char const* op, char const* name, Tensor const& x, Tensor const& like) {
@@ -124,4 +124,4 @@ KV_OPERATOR(motion_choice,
             "(Tensor matrix, Tensor camera1, Tensor camera2, Tensor points1, Tensor points2, Tensor? mask) -> "
             "(Tensor, Tensor, Tensor, Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::geometry

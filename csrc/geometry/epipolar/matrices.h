@@ -5,7 +5,7 @@
 #include "core/matrix3.h"
 #include "geometry/formula.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // y = right^T m left, and the gradients to all three.
 template <class V>
@@ -241,4 +241,4 @@ struct CameraOfProjection : VectorInput<12, 7, 3> {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/epipolar/triangulation.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 128;
@@ -47,4 +47,4 @@ KV_INSTANTIATE_ONE(triangulate, Triangulate, double)
 KV_INSTANTIATE_ONE(triangulate_backward, Triangulate, double)
 KV_INSTANTIATE_ONE(triangulate_sums, Triangulate, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

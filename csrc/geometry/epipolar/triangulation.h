@@ -7,7 +7,7 @@
 #include "geometry/small_matrix.h"
 #include "geometry/thread_group.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct Triangulate {
@@ -128,4 +128,4 @@ KV_HD void sum_chunks(Triangulate<T> const& p, int64_t b, int k) {
   (k < 12 ? p.grad_projections1 : p.grad_projections2).set(12 * b + k % 12, sum);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

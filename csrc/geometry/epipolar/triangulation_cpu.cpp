@@ -2,7 +2,7 @@
 #include "geometry/epipolar/triangulation.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void triangulate(Triangulate<T> const& p, int64_t begin, int64_t end) {
@@ -24,5 +24,5 @@ KV_INSTANTIATE_ONE(triangulate, Triangulate, double)
 KV_INSTANTIATE_ONE(triangulate_backward, Triangulate, double)
 KV_INSTANTIATE_ONE(triangulate_sums, Triangulate, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

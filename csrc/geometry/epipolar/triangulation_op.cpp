@@ -2,7 +2,7 @@
 #include "geometry/epipolar/triangulation.h"
 #include "geometry/reals_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // Points of a chunk, over which gradients to projections are summed first.
@@ -78,4 +78,4 @@ KV_OPERATOR(triangulate_backward, "(Tensor grad, " KV_TRIANGULATION ") -> (Tenso
 
 #undef KV_TRIANGULATION
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -14,7 +14,7 @@
 #include "core/matrix3.h"
 #include "geometry/conversions/rotations.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // --- functions of the squared angle ----------------------------------------------------------------------------------
 
@@ -239,4 +239,4 @@ struct Se2Log : VectorInput<4, 3> {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/solvers/dlt.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 template <class Model, class T>
@@ -58,4 +58,4 @@ KV_INSTANTIATE_ONE(dlt_backward, Dlt, double)
 KV_INSTANTIATE_ONE(normalize_points, NormalizedPoints, double)
 KV_INSTANTIATE_ONE(normalize_points_backward, NormalizedPoints, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -26,7 +26,7 @@
 #include "geometry/small_matrix.h"
 #include "geometry/thread_group.h"
 
-namespace kv {
+namespace kv::geometry {
 
 enum class DltModel : int { homography, lines, fundamental, pose, affine };
 
@@ -857,4 +857,4 @@ KV_HD void dispatch_model(DltModel model, F f) {
   }
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

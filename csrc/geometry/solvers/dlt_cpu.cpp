@@ -2,7 +2,7 @@
 #include "geometry/solvers/dlt.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void dlt(Dlt<T> const& p, int64_t begin, int64_t end) {
@@ -33,5 +33,5 @@ KV_INSTANTIATE_ONE(dlt_backward, Dlt, double)
 KV_INSTANTIATE_ONE(normalize_points, NormalizedPoints, double)
 KV_INSTANTIATE_ONE(normalize_points_backward, NormalizedPoints, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

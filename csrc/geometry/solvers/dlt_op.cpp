@@ -2,7 +2,7 @@
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/dlt.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The arguments of a call, checked: points, weights and cameras. The number of problems is that of the weights if all
@@ -199,4 +199,4 @@ KV_OPERATOR(normalize_points_backward,
 #undef KV_CORRESPONDENCES
 #undef KV_POSE_ARGUMENTS
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/solvers/minimal.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 64;  // few threads, so that a round of hypotheses spreads over the device
@@ -23,4 +23,4 @@ int minimal_solver(Minimal<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_ONE(minimal_solver, Minimal, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -14,7 +14,7 @@
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
 
-namespace kv {
+namespace kv::geometry {
 
 enum class Model : int { affine, homography, lines, fundamental, fundamental8, essential };
 
@@ -381,4 +381,4 @@ KV_HD void solve_minimal_sample(Minimal<T> const& p, int64_t sample) {
   }
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

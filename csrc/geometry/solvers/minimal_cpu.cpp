@@ -2,7 +2,7 @@
 #include "geometry/solvers/minimal.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void minimal_solver(Minimal<T> const& p, int64_t begin, int64_t end) {
@@ -11,5 +11,5 @@ void minimal_solver(Minimal<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_ONE(minimal_solver, Minimal, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

@@ -2,7 +2,7 @@
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/minimal.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 Tensor minimal_solver(Tensor const& points1, Tensor const& points2, std::optional<Tensor> const& draws, int64_t model) {
@@ -30,4 +30,4 @@ Tensor minimal_solver(Tensor const& points1, Tensor const& points2, std::optiona
 
 KV_OPERATOR(minimal_solver, "(Tensor points1, Tensor points2, Tensor? draws, int model) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/solvers/null_vector.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 template <int N, class T>
@@ -47,4 +47,4 @@ KV_INSTANTIATE_ONE(null_vector, NullVector, double)
 KV_INSTANTIATE_ONE(null_vector_backward, NullVector, double)
 KV_INSTANTIATE_ONE(eigenvectors, Eigenvectors, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -7,7 +7,7 @@
 #include "geometry/small_matrix.h"
 #include "geometry/thread_group.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct NullVector {
@@ -109,4 +109,4 @@ KV_HD void dispatch_unknowns(int n, F f) {
   n == 3 ? f(Unknowns<3>{}) : n == 4 ? f(Unknowns<4>{}) : n == 9 ? f(Unknowns<9>{}) : f(Unknowns<12>{});
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "geometry/solvers/null_vector.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void null_vector(NullVector<T> const& p, int64_t begin, int64_t end) {
@@ -29,5 +29,5 @@ KV_INSTANTIATE_ONE(null_vector, NullVector, double)
 KV_INSTANTIATE_ONE(null_vector_backward, NullVector, double)
 KV_INSTANTIATE_ONE(eigenvectors, Eigenvectors, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

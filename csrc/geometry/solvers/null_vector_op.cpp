@@ -2,7 +2,7 @@
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/null_vector.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 void check_rows(char const* op, Tensor const& rows) {
@@ -63,4 +63,4 @@ KV_OPERATOR(null_vector, "(Tensor rows, Tensor? weights) -> Tensor")
 KV_OPERATOR(null_vector_backward, "(Tensor grad, Tensor vector, Tensor rows, Tensor? weights) -> (Tensor, Tensor)")
 KV_OPERATOR(eigenvectors, "(Tensor matrix) -> (Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::geometry

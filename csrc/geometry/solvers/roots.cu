@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/solvers/roots.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 64;
@@ -23,4 +23,4 @@ int real_roots(RealRoots<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_ONE(real_roots, RealRoots, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

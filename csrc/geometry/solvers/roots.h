@@ -5,7 +5,7 @@
 #include "core/isa.h"
 #include "geometry/small_matrix.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct RealRoots {
@@ -31,4 +31,4 @@ KV_HD void sorted_real_roots(RealRoots<T> const& p, int64_t b) {
   for (int i = 0; i < p.degree; ++i) p.roots.set(b * p.degree + i, i < count ? roots[i] : small::nan());
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

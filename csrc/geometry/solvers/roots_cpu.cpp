@@ -2,7 +2,7 @@
 #include "geometry/solvers/roots.h"
 
 #if !defined(__AVX512F__)
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 
 template <class T>
 void real_roots(RealRoots<T> const& p, int64_t begin, int64_t end) {
@@ -11,5 +11,5 @@ void real_roots(RealRoots<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_ONE(real_roots, RealRoots, double)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA
 #endif

@@ -2,7 +2,7 @@
 #include "geometry/reals_glue.h"
 #include "geometry/solvers/roots.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 Tensor real_roots(Tensor const& coefficients) {
@@ -22,4 +22,4 @@ Tensor real_roots(Tensor const& coefficients) {
 
 KV_OPERATOR(real_roots, "(Tensor coefficients) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::geometry

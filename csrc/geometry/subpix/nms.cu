@@ -3,7 +3,7 @@
 #include "core/launch.cuh"
 #include "geometry/subpix/nms.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -227,4 +227,4 @@ int nms(Nms<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(nms, Nms)
 KV_INSTANTIATE(apply_nms_mask, ApplyNmsMask)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -6,7 +6,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct Nms {
@@ -37,4 +37,4 @@ struct ApplyNmsMask {
 KV_KERNEL(nms, Nms)
 KV_KERNEL(apply_nms_mask, ApplyNmsMask)
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/lanes.h"
 #include "geometry/subpix/nms.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // The result of a comparison as 0 and 1.
@@ -85,4 +85,4 @@ void apply_nms_mask(ApplyNmsMask<T> const& p, int64_t begin, int64_t end) {
 KV_INSTANTIATE(nms, Nms)
 KV_INSTANTIATE(apply_nms_mask, ApplyNmsMask)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -2,7 +2,7 @@
 #include "geometry/subpix/nms.h"
 #include "glue/batch.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 void find_maxima(char const* op, Tensor const& input, std::vector<int64_t> const& window, bool volumes,
@@ -92,4 +92,4 @@ KV_OPERATOR(apply_nms_mask, "(Tensor input, Tensor flags) -> Tensor")
 KV_OPERATOR(nms_mask, "(Tensor input, int[] window, bool volumes) -> Tensor")
 KV_OPERATOR(nms_minmax_masks, "(Tensor input, int[] window, bool volumes) -> (Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -6,7 +6,7 @@
 
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 
 constexpr int kThreads = 256, kVectorSize = 4;
 
@@ -39,4 +39,4 @@ bool is_vectorizable(int64_t width, std::initializer_list<void const*> planes) {
   return width % kVectorSize == 0;
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

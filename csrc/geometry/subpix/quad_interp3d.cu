@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/subpix/quad_interp3d.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -100,4 +100,4 @@ int conv_quad_interp3d_backward(ConvQuadInterp3dBackward<T> const& p, CUstream_s
 KV_INSTANTIATE(conv_quad_interp3d, ConvQuadInterp3d)
 KV_INSTANTIATE(conv_quad_interp3d_backward, ConvQuadInterp3dBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -11,7 +11,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct ConvQuadInterp3d {
@@ -160,4 +160,4 @@ KV_HD bool is_peak(T const* volume, int const (&size)[3], int z, int y, int x, R
   return true;
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

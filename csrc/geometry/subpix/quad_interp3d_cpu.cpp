@@ -3,7 +3,7 @@
 #include "core/lanes.h"
 #include "geometry/subpix/quad_interp3d.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 template <class T, class Use>
@@ -71,4 +71,4 @@ void conv_quad_interp3d_backward(ConvQuadInterp3dBackward<T> const& p, int64_t b
 KV_INSTANTIATE(conv_quad_interp3d, ConvQuadInterp3d)
 KV_INSTANTIATE(conv_quad_interp3d_backward, ConvQuadInterp3dBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

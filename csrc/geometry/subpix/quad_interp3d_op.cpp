@@ -2,7 +2,7 @@
 #include "geometry/subpix/quad_interp3d.h"
 #include "glue/batch.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The arguments, checked and contiguous.
@@ -91,4 +91,4 @@ KV_OPERATOR(conv_quad_interp3d_backward, "(Tensor grad_places, Tensor grad_value
 
 #undef KV_HOW
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 #include "geometry/subpix/plane_vectors.cuh"
 #include "geometry/subpix/render_gaussian2d.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 // The weight of a pixel, relative to the largest one.
@@ -136,4 +136,4 @@ int render_gaussian2d_backward(RenderGaussian2d<T> const& p, CUstream_st* stream
 KV_INSTANTIATE(render_gaussian2d, RenderGaussian2d)
 KV_INSTANTIATE(render_gaussian2d_backward, RenderGaussian2d)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -12,7 +12,7 @@
 #include "core/isa.h"
 #include "geometry/subpix/spatial_expectation.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct RenderGaussian2d {
@@ -72,4 +72,4 @@ KV_HD GaussianAxis<Compute<T>> gaussian_axis(RenderGaussian2d<T> const& p, int64
                     : GaussianAxis<Compute<T>>(p.along_y, p.height, mean, std);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

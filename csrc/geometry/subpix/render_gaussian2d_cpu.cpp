@@ -3,7 +3,7 @@
 #include "core/lanes.h"
 #include "geometry/subpix/render_gaussian2d.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 constexpr int64_t kColumns = 512;
@@ -124,4 +124,4 @@ void render_gaussian2d_backward(RenderGaussian2d<T> const& p, int64_t begin, int
 KV_INSTANTIATE(render_gaussian2d, RenderGaussian2d)
 KV_INSTANTIATE(render_gaussian2d_backward, RenderGaussian2d)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

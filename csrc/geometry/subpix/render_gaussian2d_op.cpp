@@ -2,7 +2,7 @@
 #include "geometry/subpix/render_gaussian2d.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // Means and standard deviations (P, 2), or (1, 2) for all maps, checked.
@@ -97,4 +97,4 @@ std::tuple<Tensor, Tensor> render_gaussian2d_backward(Tensor const& grad, Tensor
 KV_OPERATOR(render_gaussian2d, "(Tensor mean, Tensor std, int height, int width, bool normalized) -> Tensor")
 KV_OPERATOR(render_gaussian2d_backward, "(Tensor grad, Tensor mean, Tensor std, bool normalized) -> (Tensor, Tensor)")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -4,7 +4,7 @@
 #include "core/launch.cuh"
 #include "geometry/subpix/soft_argmax.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256;
@@ -444,4 +444,4 @@ KV_INSTANTIATE(soft_argmax, SoftArgmax)
 KV_INSTANTIATE(soft_argmax_records, SoftArgmaxBackward)
 KV_INSTANTIATE(soft_argmax_backward, SoftArgmaxBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -17,7 +17,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::geometry {
 
 struct Windows {
   int64_t volumes;
@@ -140,4 +140,4 @@ KV_HD V share_of(WindowRecord<V> const& r, V v, V e, F k, F j, F i, F per_temper
   return e * (r.value + slope * per_temperature);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 #include "core/lanes.h"
 #include "geometry/subpix/soft_argmax.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 struct Row {
@@ -151,4 +151,4 @@ KV_INSTANTIATE(soft_argmax, SoftArgmax)
 KV_INSTANTIATE(soft_argmax_records, SoftArgmaxBackward)
 KV_INSTANTIATE(soft_argmax_backward, SoftArgmaxBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

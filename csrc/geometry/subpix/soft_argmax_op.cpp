@@ -2,7 +2,7 @@
 #include "geometry/subpix/soft_argmax.h"
 #include "glue/batch.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 using Ints = std::vector<int64_t>;
@@ -111,4 +111,4 @@ KV_OPERATOR(soft_argmax_backward, "(Tensor grad_places, Tensor grad_values, Tens
 
 #undef KV_HOW
 
-}  // namespace kv
+}  // namespace kv::geometry

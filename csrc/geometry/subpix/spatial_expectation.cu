@@ -3,7 +3,7 @@
 #include "geometry/subpix/plane_vectors.cuh"
 #include "geometry/subpix/spatial_expectation.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 template <class F>
@@ -118,4 +118,4 @@ int spatial_expectation_backward(SpatialExpectationBackward<T> const& p, CUstrea
 KV_INSTANTIATE(spatial_expectation, SpatialExpectation)
 KV_INSTANTIATE(spatial_expectation_backward, SpatialExpectationBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -5,7 +5,7 @@
 
 #include "core/isa.h"
 
-namespace kv {
+namespace kv::geometry {
 
 constexpr int64_t kPlacePiece = 8192;  // pixels of a chunk, or one row if that has more
 
@@ -103,4 +103,4 @@ struct PlaceSlopes {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/lanes.h"
 #include "geometry/subpix/spatial_expectation.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 template <int N, class F>
@@ -96,4 +96,4 @@ void spatial_expectation_backward(SpatialExpectationBackward<T> const& p, int64_
 KV_INSTANTIATE(spatial_expectation, SpatialExpectation)
 KV_INSTANTIATE(spatial_expectation_backward, SpatialExpectationBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -4,7 +4,7 @@
 #include "geometry/subpix/spatial_expectation.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The maps of images (B, C, H, W), contiguous.
@@ -88,4 +88,4 @@ KV_OPERATOR(spatial_expectation_backward,
             "(Tensor grad, Tensor places, Tensor parts, Tensor input, bool softmax, float scale, bool normalized) -> "
             "Tensor")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -2,7 +2,7 @@
 #include "core/launch.cuh"
 #include "geometry/transform/flip.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kRows = 4;  // in flight per thread
@@ -61,4 +61,4 @@ int flip(Flip<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_WITH_BYTES(flip, Flip)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

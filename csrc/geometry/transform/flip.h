@@ -6,7 +6,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct Flip {
@@ -18,4 +18,4 @@ struct Flip {
 
 KV_KERNEL(flip, Flip)
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -5,7 +5,7 @@
 #include "core/scratch.h"
 #include "geometry/transform/flip.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 constexpr int64_t kCacheBytes = 4 << 20;
@@ -142,4 +142,4 @@ void flip(Flip<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_WITH_BYTES(flip, Flip)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -2,7 +2,7 @@
 #include "geometry/transform/flip.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 Tensor run_flip(char const* op, Tensor const& input, int64_t height, int64_t width, bool columns, bool rows,
@@ -44,4 +44,4 @@ Tensor crop(Tensor const& input, std::vector<int64_t> corner, std::vector<int64_
 KV_OPERATOR(flip, "(Tensor input, bool columns, bool rows) -> Tensor")
 KV_OPERATOR(crop, "(Tensor input, SymInt[] corner, SymInt[] size) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::geometry

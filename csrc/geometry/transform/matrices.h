@@ -5,7 +5,7 @@
 #include "core/matrix3.h"
 #include "geometry/conversions/rotations.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // The affine map x -> linear (x - center) + center + translation in n dimensions, as n + 1 rows of n + 1 numbers.
 template <int n, class V>
@@ -274,4 +274,4 @@ struct QuadShapes {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

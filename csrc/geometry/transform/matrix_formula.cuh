@@ -4,7 +4,7 @@
 #include "core/launch.cuh"
 #include "geometry/formulas.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 
 // Inputs are of the compute type. The matrix is rounded to it, as if another kernel had stored it.
 template <class F>
@@ -52,4 +52,4 @@ __device__ __noinline__ void make_space_matrix(MatrixFormula const& p, int64_t b
 
 #undef KV_CASE
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -2,7 +2,7 @@
 #include "geometry/transform/photometric.h"
 #include "geometry/transform/sampling.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 // Calls pixel(y, x, window, coordinates) for the thread's pixels whose sampling coordinates lie between four pixels.
@@ -168,4 +168,4 @@ KV_INSTANTIATE_COMPUTED(photometric_normal_equations, PhotometricNormalEquations
 KV_INSTANTIATE_COMPUTED(photometric_normal_total, PhotometricNormalTotal)
 KV_INSTANTIATE_COMPUTED(photometric_total, PhotometricTotal)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

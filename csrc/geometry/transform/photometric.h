@@ -13,7 +13,7 @@
 
 #include "geometry/transform/sampling.h"
 
-namespace kv {
+namespace kv::geometry {
 
 enum class Distance : int { l1, l2, charbonnier };
 
@@ -133,4 +133,4 @@ KV_HD void photometric_total_of(PhotometricTotal<T> const& p, int64_t b, double*
   homography_vjp(p.coords.matrices + b * p.coords.matrix_stride, p.coords.use, sums, p.grad + b * 9);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 // After it, for vsqrt.
 #include "geometry/transform/photometric.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 template <class F>
@@ -221,4 +221,4 @@ KV_INSTANTIATE_COMPUTED(photometric_normal_equations, PhotometricNormalEquations
 KV_INSTANTIATE_COMPUTED(photometric_normal_total, PhotometricNormalTotal)
 KV_INSTANTIATE_COMPUTED(photometric_total, PhotometricTotal)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

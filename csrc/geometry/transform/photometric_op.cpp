@@ -2,7 +2,7 @@
 #include "geometry/photometric_glue.h"
 #include "geometry/transform/photometric.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // The checked arguments of both operators.
@@ -99,4 +99,4 @@ KV_OPERATOR(photometric_normal_equations, KV_HOW " -> (Tensor, Tensor, Tensor)")
 
 #undef KV_HOW
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -1,7 +1,7 @@
 // Sampling at the coordinates of a map: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/transform/sampling_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 struct Map {
@@ -121,4 +121,4 @@ KV_OPERATOR(remap_map_backward,
 
 #undef KV_HOW
 
-}  // namespace kv
+}  // namespace kv::geometry

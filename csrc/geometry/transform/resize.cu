@@ -6,7 +6,7 @@
 #include "core/launch.cuh"
 #include "geometry/transform/resize.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kWarps = 8, kThreads = 32 * kWarps;
@@ -205,4 +205,4 @@ int resize(Resize<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_WITH_BYTES(resize, Resize)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

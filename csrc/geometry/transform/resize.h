@@ -22,7 +22,7 @@
 #include "core/isa.h"
 #include "core/view.h"
 
-namespace kv {
+namespace kv::geometry {
 
 enum class ResizeFilter : int { nearest, nearest_exact, area, bilinear, bicubic, lanczos, pyrdown, pyrup };
 
@@ -281,4 +281,4 @@ KV_HD F weight_at(ResizeAxis const& a, Contributors<F> const& reads, int index, 
   return band_weight(a, normalized_band<F>(a, at), at, index);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -7,7 +7,7 @@
 #include "core/scratch.h"
 #include "geometry/transform/resize.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 template <int N, class V, class Index>
@@ -207,4 +207,4 @@ void resize(Resize<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_WITH_BYTES(resize, Resize)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -6,7 +6,7 @@
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kWarps = 4, kColumns = 4;
@@ -178,4 +178,4 @@ template int resize_linear(Resize<Half> const&, CUstream_st*);
 template int resize_linear(Resize<BFloat16> const&, CUstream_st*);
 template int resize_linear(Resize<uint8_t> const&, CUstream_st*);
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

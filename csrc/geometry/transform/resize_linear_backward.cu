@@ -6,7 +6,7 @@
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kWarps = 4, kOwn = 4, kSpan = 32 * kOwn, kRing = 4;
@@ -159,4 +159,4 @@ template int resize_linear_backward(Resize<float> const&, CUstream_st*);
 template int resize_linear_backward(Resize<Half> const&, CUstream_st*);
 template int resize_linear_backward(Resize<BFloat16> const&, CUstream_st*);
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -11,7 +11,7 @@
 #include "core/row_prefetcher.cuh"
 #include "geometry/transform/resize.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kWarps = 4;
@@ -250,4 +250,4 @@ template int resize_octave(Resize<Half> const&, CUstream_st*);
 template int resize_octave(Resize<BFloat16> const&, CUstream_st*);
 template int resize_octave(Resize<uint8_t> const&, CUstream_st*);
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

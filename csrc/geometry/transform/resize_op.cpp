@@ -3,7 +3,7 @@
 #include "glue/batch.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 constexpr int64_t kLongestSide = 1 << 30;  // coordinates are 64-bit fractions of pixels
@@ -86,4 +86,4 @@ KV_OPERATOR(resize_backward, "(Tensor grad, " KV_HOW ") -> Tensor")
 KV_OPERATOR(pyramid_detail, "(Tensor smaller, Tensor image, bool align_corners, int border) -> Tensor")
 #undef KV_HOW
 
-}  // namespace kv
+}  // namespace kv::geometry

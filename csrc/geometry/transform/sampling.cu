@@ -3,7 +3,7 @@
 #include "geometry/transform/matrix_formula.cuh"
 #include "geometry/transform/source_tile.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 // The value of K x K taps, rows `pitch` apart and pixels `step`, with the weights of (tx, ty).
@@ -149,4 +149,4 @@ int sample(Sample<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_WITH_BYTES(sample, Sample)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

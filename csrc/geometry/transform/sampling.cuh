@@ -7,7 +7,7 @@
 #include "core/launch.cuh"
 #include "geometry/transform/taps.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 
 constexpr int kThreads = 256;
 constexpr int kPixelsPerThread = kTile * kTile / kThreads;  // sampling coordinates of a thread
@@ -169,4 +169,4 @@ __device__ __forceinline__ double* sum_partials(double const* parts, int64_t cou
   return total;
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

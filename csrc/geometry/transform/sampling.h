@@ -25,7 +25,7 @@
 #include "geometry/formula.h"
 #include "geometry/transform/warp_matrix.h"
 
-namespace kv {
+namespace kv::geometry {
 
 enum class Interpolation : int { nearest = 1, bilinear = 2, bicubic = 4 };  // the number of taps along an axis
 enum class Padding : int { fill, border, reflection };
@@ -112,4 +112,4 @@ KV_KERNEL(sample_coords_backward, SampleCoordsBackward)
 KV_KERNEL(sample_image_backward, SampleImageBackward)
 KV_KERNEL(warp_matrix_backward, WarpMatrixBackward)
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -1,7 +1,7 @@
 // The gradients of sampling coordinates and matrices on CUDA; see sampling.h.
 #include "geometry/transform/source_tile.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 // The gradient of sampling coordinates, from their taps and the gradients of the output.
@@ -157,4 +157,4 @@ int warp_matrix_backward(WarpMatrixBackward<T> const& p, CUstream_st* stream) {
 KV_INSTANTIATE(sample_coords_backward, SampleCoordsBackward)
 KV_INSTANTIATE_COMPUTED(warp_matrix_backward, WarpMatrixBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -2,7 +2,7 @@
 // set.
 #include "geometry/transform/sampling_cpu.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // The derivatives of one channel's value along both axes.
@@ -160,4 +160,4 @@ void warp_matrix_backward(WarpMatrixBackward<T> const& p, int64_t begin, int64_t
 KV_INSTANTIATE(sample_coords_backward, SampleCoordsBackward)
 KV_INSTANTIATE_COMPUTED(warp_matrix_backward, WarpMatrixBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -4,7 +4,7 @@
 // weights shared by all channels. Where all taps are in bounds they are read directly; else each is padded or filled.
 #include "geometry/transform/sampling_cpu.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // The taps of the next row of coordinates are mostly below those of this one. Rows of a tile are too many, and too
@@ -115,4 +115,4 @@ void sample(Sample<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_WITH_BYTES(sample, Sample)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

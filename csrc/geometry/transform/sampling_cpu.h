@@ -5,7 +5,7 @@
 #include "core/lanes.h"
 #include "geometry/transform/taps.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // --- sampling coordinates --------------------------------------------------------------------------------------------
@@ -264,4 +264,4 @@ struct TapWindow {
 };
 
 }  // namespace
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -8,7 +8,7 @@
 #include "glue/batch.h"
 #include "glue/images.h"
 
-namespace kv {
+namespace kv::geometry {
 
 // Interpolations have the numbers of the filters that resize images.
 inline Interpolation parse_interpolation(char const* op, int64_t number) {
@@ -225,4 +225,4 @@ struct SamplingOptions {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry

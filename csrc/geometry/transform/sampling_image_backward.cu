@@ -10,7 +10,7 @@
 // directly to the buffer.
 #include "geometry/transform/source_tile.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 // --- gather ----------------------------------------------------------------------------------------------------------
@@ -547,4 +547,4 @@ int sample_image_backward(SampleImageBackward<T> const& p, CUstream_st* stream) 
 
 KV_INSTANTIATE(sample_image_backward, SampleImageBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -2,7 +2,7 @@
 // are the same in every run. Compiled once per instruction set.
 #include "geometry/transform/sampling_cpu.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 template <int K, class T>
@@ -72,4 +72,4 @@ void sample_image_backward(SampleImageBackward<T> const& p, int64_t begin, int64
 
 KV_INSTANTIATE_COMPUTED(sample_image_backward, SampleImageBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -11,7 +11,7 @@
 
 #include "geometry/transform/sampling.cuh"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 
 // The first of the K taps of a coordinate below 2^21 in magnitude, and the fraction. The sum with a large constant has
 // the integer in its last bits.
@@ -304,4 +304,4 @@ bool rows_are_aligned(Images<T> const& x) {
          x.channel_stride % vector == 0 && x.batch_stride % vector == 0;
 }
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

@@ -7,7 +7,7 @@
 #include "core/lanes.h"
 #endif
 
-namespace kv {
+namespace kv::geometry {
 
 #if defined(__CUDACC__)
 #define KV_TAPS __device__ __forceinline__
@@ -171,4 +171,4 @@ KV_TAPS F weight_at(F place, int pixel) {
 
 #undef KV_TAPS
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -3,7 +3,7 @@
 #include "core/launch.cuh"
 #include "geometry/transform/thin_plate.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 constexpr int kThreads = 256, kWarps = kThreads / 32;
@@ -231,4 +231,4 @@ KV_INSTANTIATE_COMPUTED(thin_plate_backward, ThinPlate)
 KV_INSTANTIATE_COMPUTED(reduce_thin_plate_grads, ThinPlateReduction)
 KV_INSTANTIATE_ONE(thin_plate_weights, ThinPlateWeights, double)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

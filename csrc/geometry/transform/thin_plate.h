@@ -9,7 +9,7 @@
 #include "geometry/small_matrix.h"
 #include "geometry/thread_group.h"
 
-namespace kv {
+namespace kv::geometry {
 
 template <class T>
 struct ThinPlate {
@@ -154,4 +154,4 @@ KV_HD void solve_thin_plate_weights(ThinPlateWeights<T> const& p, int64_t b, T* 
   each(team, n, 2, [&](int64_t i, int64_t j) { p.result.set(2 * (b * n + i) + j, system[i * width + n + j]); });
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -4,7 +4,7 @@
 // After it, for vectors.
 #include "geometry/transform/thin_plate.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // A chunk of a sample's points, zero-padded to whole vectors.
@@ -174,4 +174,4 @@ void thin_plate_weights(ThinPlateWeights<T> const& p, int64_t begin, int64_t end
 KV_INSTANTIATE_ONE(thin_plate_weights, ThinPlateWeights, double)
 #endif
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

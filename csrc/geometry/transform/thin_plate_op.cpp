@@ -3,7 +3,7 @@
 #include "geometry/transform/sampling_glue.h"
 #include "geometry/transform/thin_plate.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 // A spline's tensors, checked; one of each serves a batch.
@@ -208,4 +208,4 @@ KV_OPERATOR(thin_plate_weights, "(Tensor centers, Tensor rhs) -> Tensor")
 
 #undef KV_THIN_PLATE
 
-}  // namespace kv
+}  // namespace kv::geometry

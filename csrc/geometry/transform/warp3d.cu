@@ -4,7 +4,7 @@
 #include "geometry/transform/sampling.cuh"
 #include "geometry/transform/warp3d_taps.h"
 
-namespace kv::cuda {
+namespace kv::geometry::cuda {
 namespace {
 
 template <class T>
@@ -141,4 +141,4 @@ KV_INSTANTIATE_COMPUTED(warp3d_volume_backward, Warp3dVolumeBackward)
 KV_INSTANTIATE_COMPUTED(warp3d_coords_backward, Warp3dCoordsBackward)
 KV_INSTANTIATE_COMPUTED(warp3d_matrix_backward, Warp3dMatrixBackward)
 
-}  // namespace kv::cuda
+}  // namespace kv::geometry::cuda

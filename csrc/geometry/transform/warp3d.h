@@ -5,7 +5,7 @@
 
 #include "geometry/transform/sampling.h"
 
-namespace kv {
+namespace kv::geometry {
 
 struct Size3 {
   int64_t depth, height, width;
@@ -207,4 +207,4 @@ KV_HD void accumulate_matrix_grad3(F const (&grad_coords)[3], F const (&coords)[
   }
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -4,7 +4,7 @@
 // After it, for lanes.
 #include "geometry/transform/warp3d_taps.h"
 
-namespace kv::KV_ISA {
+namespace kv::geometry::KV_ISA {
 namespace {
 
 // Calls voxel(sample, offset in the output, x, y, z, coordinates, divisor) along a row of the output.
@@ -94,4 +94,4 @@ KV_INSTANTIATE_COMPUTED(warp3d_volume_backward, Warp3dVolumeBackward)
 KV_INSTANTIATE_COMPUTED(warp3d_coords_backward, Warp3dCoordsBackward)
 KV_INSTANTIATE_COMPUTED(warp3d_matrix_backward, Warp3dMatrixBackward)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::geometry::KV_ISA

@@ -2,7 +2,7 @@
 #include "geometry/transform/sampling_glue.h"
 #include "geometry/transform/warp3d.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 Size3 size3_of(char const* op, std::vector<int64_t> const& size) {
@@ -136,4 +136,4 @@ KV_OPERATOR(warp3d_by_formula, "(Tensor volumes, " KV_BY_FORMULA KV_WARP_OPTIONS
 KV_OPERATOR(warp3d_volume_backward, "(Tensor grad, Tensor matrix, SymInt[] size, " KV_WARP_OPTIONS ") -> Tensor")
 KV_OPERATOR(warp3d_matrix_backward, "(Tensor grad, Tensor volumes, Tensor matrix, " KV_WARP_OPTIONS ") -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -10,7 +10,7 @@
 #define KV_TAPS3 KV_HD
 #endif
 
-namespace kv {
+namespace kv::geometry {
 
 template <int K, class F>
 struct TapWindow3 {
@@ -61,6 +61,6 @@ struct TapWindow3 {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::geometry
 
 #undef KV_TAPS3

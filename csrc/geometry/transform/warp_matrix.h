@@ -5,7 +5,7 @@
 
 #include "core/hd.h"
 
-namespace kv {
+namespace kv::geometry {
 
 struct Size {
   int64_t height, width;
@@ -216,4 +216,4 @@ KV_HD void homography_vjp(F const* given, MatrixUse const& use, double* g, F* gr
   for (int i = 0; i < 3 * use.rows; ++i) grad[i] = F(to_given[i]);
 }
 
-}  // namespace kv
+}  // namespace kv::geometry

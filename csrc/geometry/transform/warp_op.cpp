@@ -1,7 +1,7 @@
 // Warps by a matrix: schemas and entry points of the operators, for CPU and CUDA.
 #include "geometry/transform/sampling_glue.h"
 
-namespace kv {
+namespace kv::geometry {
 namespace {
 
 Tensor warped(Tensor const& image, SamplingOptions const& a, Matrix const& m) {
@@ -108,4 +108,4 @@ KV_OPERATOR(warp_image_backward, "(Tensor grad, Tensor matrix, SymInt[] size, " 
 KV_OPERATOR(warp_matrix_backward,
             "(Tensor grad, Tensor image, Tensor matrix, Tensor? fill, " KV_WARP_OPTIONS ") -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::geometry

@@ -7,7 +7,9 @@
 
 #include "geometry/conversions/angles.h"
 
-namespace kv {
+namespace kv::feature {
+
+using namespace geometry;
 
 // A formula of a frame to `Rows` x `Columns` numbers.
 template <int Rows, int Columns = 0>
@@ -157,4 +159,4 @@ struct PerspectiveTransformLaf {
   }
 };
 
-}  // namespace kv
+}  // namespace kv::feature

@@ -73,14 +73,14 @@ namespace kv::geometry {
   _(se3_log, Se3Log, "Tensor motion")                                                                            \
   _(se3_left_jacobian, Se3LeftJacobian, "Tensor tangent")                                                        \
   _(se3_left_jacobian_inverse, Se3LeftJacobianInverse, "Tensor tangent")                                         \
-  _(laf_scale, LafScale, "Tensor laf")                                                                           \
-  _(rotate_laf, RotateLaf, "Tensor laf, Tensor degrees")                                                         \
-  _(set_laf_orientation, SetLafOrientation, "Tensor laf, Tensor degrees")                                        \
-  _(laf_from_parts, LafFromParts, "Tensor center, Tensor? scale, Tensor? degrees")                               \
-  _(scale_laf_parts, ScaleLafParts, "Tensor laf, float shape, float x, float y")                                 \
-  _(make_upright, MakeUpright, "Tensor laf, float eps")                                                          \
-  _(ellipse_to_laf, EllipseToLaf, "Tensor ellipse")                                                              \
-  _(perspective_transform_laf, PerspectiveTransformLaf, "Tensor homography, Tensor laf")                         \
+  _(laf_scale, feature::LafScale, "Tensor laf")                                                                  \
+  _(rotate_laf, feature::RotateLaf, "Tensor laf, Tensor degrees")                                                \
+  _(set_laf_orientation, feature::SetLafOrientation, "Tensor laf, Tensor degrees")                               \
+  _(laf_from_parts, feature::LafFromParts, "Tensor center, Tensor? scale, Tensor? degrees")                      \
+  _(scale_laf_parts, feature::ScaleLafParts, "Tensor laf, float shape, float x, float y")                        \
+  _(make_upright, feature::MakeUpright, "Tensor laf, float eps")                                                 \
+  _(ellipse_to_laf, feature::EllipseToLaf, "Tensor ellipse")                                                     \
+  _(perspective_transform_laf, feature::PerspectiveTransformLaf, "Tensor homography, Tensor laf")                \
   KV_PLANE_FORMULAS(_)                                                                                           \
   KV_SPACE_FORMULAS(_)
 

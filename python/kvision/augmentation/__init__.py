@@ -1,0 +1,1 @@
+"""Random augmentation of images with their masks, boxes, key points and labels."""

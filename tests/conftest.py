@@ -76,7 +76,7 @@ def cmake() -> str:
 
 
 # Folders whose tests call operators; the others test files, containers and packaging.
-OPERATORS = ("color", "contrib", "enhance", "filters", "geometry", "losses", "metrics", "morphology")
+OPERATORS = ("augmentation", "color", "contrib", "enhance", "filters", "geometry", "losses", "metrics", "morphology")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

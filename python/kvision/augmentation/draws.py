@@ -12,7 +12,9 @@ chosen gets the values that leave an image as it is, so that one launch serves c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import math
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -42,9 +44,11 @@ KINDS = {
     "beta": Kind(7, 3, 1),  # alpha, beta, identity
     "normal": Kind(8, 3, 1),  # mean, standard deviation, identity
 }
+_NAMES = tuple(KINDS)
 MAX_DRAWS, MAX_NUMBERS = 64, 256  # of a launch: kMaxDraws and kMaxDrawNumbers of draws.h
 CHOSEN, BATCH_SAMPLE = 0, 0xFFFFFFFF  # the draw that decides about p; the sample that decides about p_batch
 TRIES = 10  # for a crop that lies in the image
+GAMMA_TRIES = 8  # each is accepted with a probability above .95
 
 
 class Draw(NamedTuple):
@@ -71,10 +75,11 @@ def integer(lowest: int, highest: int, identity: int = 0, step: int = 1) -> Draw
 # --- the plan -------------------------------------------------------------------------------------------------------
 #
 # Arguments of the operator: the images, of which device and batch size are read; keys (K,) int64 on the CPU or the
-# images' device; seeds (B,) int64, which replace the keys, or None; the plan; and the numbers. The plan is the number of
-# columns, then FIELDS integers for each draw. The numbers of a draw begin with p and p_batch.
+# images' device; seeds (B,) int64 on the images' device, which replace the keys, or None; the plan; and the numbers. The
+# plan is the number of columns, then for each request HEADER integers and the kinds of its draws. The numbers of a request
+# are p, p_batch and those of its draws.
 
-FIELDS = 7  # key, position in the chain, index of the draw, kind, first column, first number, same_on_batch
+HEADER = 5  # key, position in the chain, same_on_batch, index of the first draw, number of draws
 
 
 class Request(NamedTuple):
@@ -95,15 +100,20 @@ class Plan(NamedTuple):
 
 
 def make_plan(requests: Sequence[Request], one_key: bool = False, position: int = 0) -> Plan:
-    """Plan the draws of requests, of which each has its own key, or its own position in the chain under one key."""
-    plan, numbers, firsts, column = [0], [], [], 0
-    for i, request in enumerate(requests):
+    """Plan the draws of requests, of which each has its own key, or its own position in the chain under one key.
+
+    The operator takes plans of at most MAX_DRAWS draws and MAX_NUMBERS numbers.
+    """
+    plan, firsts, column = [0], [], 0
+    numbers: list[float] = []
+    for i, (draws, p, p_batch, same_on_batch) in enumerate(requests):
         firsts.append(column)
         key, place = (0, position + i) if one_key else (i, 0)
-        for index, draw in enumerate(request.draws, start=1):
-            kind = KINDS[draw.kind]
-            plan += [key, place, index, kind.number, column, len(numbers), int(request.same_on_batch)]
-            numbers += [request.p, request.p_batch, *draw.numbers]
+        plan += (key, place, int(same_on_batch), 1, len(draws))
+        numbers += (p, p_batch)
+        for draw in draws:
+            plan.append(KINDS[draw.kind].number)
+            numbers += draw.numbers
             column += draw.columns
     plan[0] = column
     return Plan(plan, numbers, firsts)
@@ -147,63 +157,79 @@ def is_chosen_batch(key: int, position: int, p_batch: float) -> bool:
 # --- the operator ---------------------------------------------------------------------------------------------------
 
 
-def _reference(images: Tensor, keys: Tensor, seeds: Tensor | None, plan: Sequence[int], numbers: Sequence[float]) -> Tensor:
+def _reference(
+    images: Tensor, keys: Tensor, seeds: Tensor | None, plan: Sequence[int], numbers: Sequence[float]
+) -> Tensor:
     batch, device = images.shape[0], images.device
     sample = torch.arange(batch, device=device)
     keys = keys.to(device)
     columns: list[Tensor] = []
-    for i in range(1, len(plan), FIELDS):
-        key, position, index, kind, _, number, same = plan[i : i + FIELDS]
-        p, p_batch, *rest = numbers[number:]
-        key = keys[key] if seeds is None else seeds.to(device)
+    at, number = 1, 0
+    while at < len(plan):
+        key, position, same, first, count = plan[at : at + HEADER]
+        kinds, at = plan[at + HEADER : at + HEADER + count], at + HEADER + count
+        p, p_batch = numbers[number : number + 2]
+        number += 2
         # A seed is one of a sample: its index in the batch takes no part.
-        at = torch.zeros_like(sample) if same or seeds is not None else sample
-
-        def words(draw: int, block: int, at: Tensor | int = at, key: Any = key, position: int = position) -> Any:
-            return philox(key, (torch.full_like(sample, draw), block, at, position))
-
-        chosen = (unit(words(CHOSEN, 0)[0]) < p) & (unit(words(CHOSEN, 0, BATCH_SAMPLE)[0]) < p_batch)
-        evaluate = _EVALUATIONS[kind]
-        for value, identity in evaluate(lambda block, index=index, words=words: words(index, block), rest):
-            columns.append(torch.where(chosen, value, identity))
+        source = _Source(
+            keys[key] if seeds is None else seeds.expand(batch),
+            torch.zeros_like(sample) if same or seeds is not None else sample,
+            position,
+        )
+        whole_batch = source._replace(sample=torch.full_like(sample, BATCH_SAMPLE))
+        chosen = (unit(source.words(CHOSEN)[0]) < p) & (unit(whole_batch.words(CHOSEN)[0]) < p_batch)
+        for index, kind in enumerate(kinds, start=first):
+            name = _NAMES[kind]
+            rest = numbers[number : number + KINDS[name].numbers]
+            number += len(rest)
+            for value, identity in _VALUES[name](functools.partial(source.words, index), rest):
+                columns.append(torch.where(chosen, value, identity))
     if not columns:
         return images.new_empty(batch, 0, dtype=torch.float32)
-    return torch.stack(torch.broadcast_tensors(*columns), 1).float()
+    return torch.stack(columns, 1).float()
 
 
-def _uniform(word: Tensor, lowest: float, highest: float) -> Tensor:
-    return lowest + unit(word) * (highest - lowest)
+class _Source(NamedTuple):
+    """What the words of samples depend on besides the draw."""
+
+    key: Tensor
+    sample: Tensor
+    position: int
+
+    def words(self, draw: int, block: int = 0) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return philox(self.key, (torch.full_like(self.sample, draw), block, self.sample, self.position))
 
 
-def _up_to(word: Tensor, count: Any) -> Tensor:
-    """An integer below `count`: the upper word of its product with a word."""
-    return (word * count) >> 32
+# Each of the functions below takes the words of a draw, by block, and its numbers. It gives pairs of a column, and of the
+# value in it for samples that are not chosen.
+_Words = Callable[..., tuple[Tensor, Tensor, Tensor, Tensor]]
+_Columns = list[tuple[Tensor, float]]
 
 
-def _evaluate_chosen(words, numbers):
-    return [(torch.ones_like(words(0)[0], dtype=torch.float64), 0.0)]
+def _chosen(words: _Words, numbers: Sequence[float]) -> _Columns:
+    return [(torch.ones_like(unit(words()[0])), 0.0)]
 
 
-def _evaluate_uniform(words, numbers):
-    lowest, highest, identity = numbers[:3]
-    return [(_uniform(words(0)[0], lowest, highest), identity)]
+def _uniform(words: _Words, numbers: Sequence[float]) -> _Columns:
+    lowest, highest, identity = numbers
+    return [(_between(words()[0], lowest, highest), identity)]
 
 
-def _evaluate_integer(words, numbers):
-    lowest, step, count, identity = numbers[:4]
-    return [(lowest + step * _up_to(words(0)[0], int(count)).double(), identity)]
+def _integer(words: _Words, numbers: Sequence[float]) -> _Columns:
+    lowest, step, count, identity = numbers
+    return [(lowest + step * _up_to(words()[0], int(count)).double(), identity)]
 
 
-def _evaluate_exponential_of_uniform(words, numbers):
-    lowest, highest, identity = numbers[:3]
-    return [(_uniform(words(0)[0], lowest, highest).exp(), identity)]
+def _exponential_of_uniform(words: _Words, numbers: Sequence[float]) -> _Columns:
+    lowest, highest, identity = numbers
+    return [(_between(words()[0], lowest, highest).exp(), identity)]
 
 
-def _evaluate_permutation(words, numbers):
+def _permutation(words: _Words, numbers: Sequence[float]) -> _Columns:
     """The shuffle of Durstenfeld: entry i trades places with one of entries i to n - 1."""
-    count, first, step = numbers[:3]
+    count, first, step = numbers
     n = int(count)
-    entries = torch.arange(n, device=words(0)[0].device).expand(len(words(0)[0]), n).clone()
+    entries = torch.arange(n, device=words()[0].device).expand(len(words()[0]), n).clone()
     for i in range(n - 1):
         other = (i + _up_to(words(i // 4)[i % 4], n - i))[:, None]
         mine, theirs = entries[:, i : i + 1].clone(), entries.gather(1, other)
@@ -212,105 +238,111 @@ def _evaluate_permutation(words, numbers):
     return [(entries[:, i].double(), first + step * i) for i in range(n)]
 
 
-def _evaluate_resized_crop(words, numbers):
-    least, most, log_least, log_most, height, width = numbers[:6]
-    w, h, ratio = _largest_crop(height, width, log_least, log_most)
-    sides = torch.full_like(unit(words(0)[0]), w), torch.full_like(unit(words(0)[0]), h)
-    position, found = words(0)[2:], torch.zeros_like(words(0)[0], dtype=torch.bool)
-    for block in range(TRIES):
-        a, b, *at = words(block)
-        area, aspect = _uniform(a, least, most) * (height * width), _uniform(b, log_least, log_most).exp()
-        new = (area * aspect).sqrt().round(), (area / aspect).sqrt().round()
-        fits = ~found & (new[0] >= 1) & (new[0] <= width) & (new[1] >= 1) & (new[1] <= height)
-        sides = tuple(torch.where(fits, x, y) for x, y in zip(new, sides))
-        position = tuple(torch.where(fits, x, y) for x, y in zip(at, position))
+def _resized_crop(words: _Words, numbers: Sequence[float]) -> _Columns:
+    """The first try that lies in the image; else the largest crop of an allowed aspect, in the center."""
+    least, most, log_least, log_most, height, width = numbers
+    w, h = (torch.full_like(unit(words()[0]), side) for side in _largest_crop(height, width, log_least, log_most))
+    x, y = ((width - w) / 2).floor(), ((height - h) / 2).floor()
+    found = torch.zeros_like(w, dtype=torch.bool)
+    for attempt in range(TRIES):
+        a, b, c, d = words(attempt)
+        area, aspect = _between(a, least, most) * (height * width), _between(b, log_least, log_most).exp()
+        new_w, new_h = (area * aspect).sqrt().round(), (area / aspect).sqrt().round()
+        fits = ~found & (new_w >= 1) & (new_w <= width) & (new_h >= 1) & (new_h <= height)
+        new = _offset(c, width, new_w), _offset(d, height, new_h), new_w, new_h
+        x, y, w, h = (torch.where(fits, tried, kept) for tried, kept in zip(new, (x, y, w, h)))
         found = found | fits
-    corner = (
-        torch.where(found, _up_to(word, (size - side).long() + 1).double(), ((size - side) / 2).floor())
-        for word, size, side in zip(position, (width, height), sides)
-    )
-    return list(zip((*corner, *sides), (0.0, 0.0, width, height)))
+    return [(x, 0.0), (y, 0.0), (w, width), (h, height)]
 
 
-def _largest_crop(height: float, width: float, log_least: float, log_most: float) -> tuple[float, float, float]:
-    """Width, height and aspect of the largest crop of an allowed aspect, where no try has given one that fits."""
+def _largest_crop(height: float, width: float, log_least: float, log_most: float) -> tuple[float, float]:
+    """Width and height."""
     least, most = torch.tensor([log_least, log_most], dtype=torch.float64).exp().tolist()
-    aspect = min(max(width / height, least), most)
     if width / height < least:
-        return width, max(float(round(width / least)), 1.0), aspect
+        return width, max(float(round(width / least)), 1.0)
     if width / height > most:
-        return max(float(round(height * most)), 1.0), height, aspect
-    return width, height, aspect
+        return max(float(round(height * most)), 1.0), height
+    return width, height
 
 
-def _evaluate_rectangle(words, numbers):
-    least, most, low, high, height, width = numbers[:6]
-    a, b, x, y = words(0)
-    area = _uniform(a, least, most) * (height * width)
-    u = unit(b)
+def _rectangle(words: _Words, numbers: Sequence[float]) -> _Columns:
+    least, most, low, high, height, width = numbers
+    a, b, c, d = words()
+    area, u = _between(a, least, most) * (height * width), unit(b)
     if low < 1 < high:  # as often wide as high
         aspect = torch.where(u < 0.5, low + 2 * u * (1 - low), 1 + (2 * u - 1) * (high - 1))
     else:
         aspect = low + u * (high - low)
     w = (area / aspect).sqrt().round().clamp(1, width)
     h = (area * aspect).sqrt().round().clamp(1, height)
-    corner = (_up_to(x, (width - w).long() + 1).double(), _up_to(y, (height - h).long() + 1).double())
-    return [(value, 0.0) for value in (*corner, w, h)]
+    return [(value, 0.0) for value in (_offset(c, width, w), _offset(d, height, h), w, h)]
 
 
-def _evaluate_beta(words, numbers):
+def _beta(words: _Words, numbers: Sequence[float]) -> _Columns:
     """The ratio of a gamma variate to the sum of two, from their logarithms."""
-    alpha, beta, identity = numbers[:3]
-    first, second = _log_gamma_variate(words, alpha, 0), _log_gamma_variate(words, beta, 1 << 16)
-    return [((first - second).sigmoid(), identity)]
+    alpha, beta, identity = numbers
+    return [((_log_gamma_variate(words, alpha, 0) - _log_gamma_variate(words, beta, 1 << 16)).sigmoid(), identity)]
 
 
-def _log_gamma_variate(words, alpha: float, block: int) -> Tensor:
+def _log_gamma_variate(words: _Words, alpha: float, block: int) -> Tensor:
     """The logarithm of a variate of the gamma distribution (Marsaglia and Tsang, ACM TOMS 26, 2000)."""
-    boosted = alpha + 1 if alpha < 1 else alpha
-    d = boosted - 1 / 3
-    c = 1 / (9 * d) ** 0.5
-    log, found = None, None
-    for k in range(GAMMA_TRIES):
-        a, b, e, f = words(block + k)
-        x = _normal(a, b)
-        v = (1 + c * x).clamp(min=0) ** 3
-        u = unit(e) + 2.0**-33
-        new = v.log()
-        accepted = (v > 0) & (u.log() < 0.5 * x * x + d - d * v + d * new)
-        log = torch.where(found, log, torch.where(accepted, new, 0)) if k else torch.where(accepted, new, 0)
-        found = found | accepted if k else accepted
-        if k == 0 and alpha < 1:
-            boost = (unit(f) + 2.0**-33).log() / alpha
-    return log + torch.log(torch.tensor(d, dtype=torch.float64)).item() + (boost if alpha < 1 else 0)
+    d = (alpha + 1 if alpha < 1 else alpha) - 1 / 3
+    c = 1 / math.sqrt(9 * d)
+    log_v = torch.zeros_like(unit(words(block)[0]))
+    found = torch.zeros_like(log_v, dtype=torch.bool)
+    for attempt in range(GAMMA_TRIES):
+        first, second, third, _ = words(block + attempt)
+        x = _normal_variate(first, second)
+        v = (1 + c * x) ** 3
+        log = v.log()
+        accepted = ~found & (v > 0) & (_open_unit(third).log() < 0.5 * x * x + d + d * (log - v))
+        log_v = torch.where(accepted, log, log_v)
+        found = found | accepted
+    boost = _open_unit(words(block)[3]).log() / alpha if alpha < 1 else 0
+    return log_v + math.log(d) + boost
 
 
-GAMMA_TRIES = 8  # each is accepted with a probability above .95
+def _normal(words: _Words, numbers: Sequence[float]) -> _Columns:
+    mean, deviation, identity = numbers
+    a, b, _, _ = words()
+    return [(mean + deviation * _normal_variate(a, b), identity)]
 
 
-def _normal(a: Tensor, b: Tensor) -> Tensor:
+def _normal_variate(a: Tensor, b: Tensor) -> Tensor:
     """A variate of the standard normal distribution from two words, by the transform of Box and Muller."""
-    radius = (-2 * (unit(a) + 2.0**-33).log()).sqrt()
-    return radius * (2 * torch.pi * unit(b)).cos()
+    return (-2 * _open_unit(a).log()).sqrt() * (2 * torch.pi * unit(b)).cos()
 
 
-def _evaluate_normal(words, numbers):
-    mean, deviation, identity = numbers[:3]
-    a, b, _, _ = words(0)
-    return [(mean + deviation * _normal(a, b), identity)]
+def _between(word: Tensor, lowest: float, highest: float) -> Tensor:
+    return lowest + unit(word) * (highest - lowest)
 
 
-_EVALUATIONS = (
-    _evaluate_chosen,
-    _evaluate_uniform,
-    _evaluate_integer,
-    _evaluate_exponential_of_uniform,
-    _evaluate_permutation,
-    _evaluate_resized_crop,
-    _evaluate_rectangle,
-    _evaluate_beta,
-    _evaluate_normal,
-)
+def _up_to(word: Tensor, count: Any) -> Tensor:
+    """An integer below `count`: the upper word of its product with a word."""
+    return (word * count) >> 32
+
+
+def _offset(word: Tensor, size: float, side: Tensor) -> Tensor:
+    """The position of a window among those in [0, size): a whole number."""
+    return _up_to(word, (size - side).long() + 1).double()
+
+
+def _open_unit(word: Tensor) -> Tensor:
+    """The number in (0, 1) of a word."""
+    return unit(word) + 2.0**-33
+
+
+_VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
+    "chosen": _chosen,
+    "uniform": _uniform,
+    "integer": _integer,
+    "exponential_of_uniform": _exponential_of_uniform,
+    "permutation": _permutation,
+    "resized_crop": _resized_crop,
+    "rectangle": _rectangle,
+    "beta": _beta,
+    "normal": _normal,
+}
 
 draw_parameters = register(
     "draw_parameters",

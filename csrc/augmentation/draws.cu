@@ -1,0 +1,27 @@
+// Random parameters on CUDA: one thread for each draw of each sample. The threads of a block have the same draw.
+#include "augmentation/draws.h"
+#include "core/launch.cuh"
+
+namespace kv::cuda {
+namespace {
+
+constexpr int kDrawThreads = 64;
+
+template <class T>
+__global__ void __launch_bounds__(kDrawThreads) draw_all(__grid_constant__ DrawParameters<T> const p) {
+  int64_t const b = blockIdx.x * int64_t(kDrawThreads) + threadIdx.x;
+  if (b < p.batch) draw_sample(p, p.draws[blockIdx.y], b);
+}
+
+}  // namespace
+
+template <class T>
+int draw_parameters(DrawParameters<T> const& p, CUstream_st* stream) {
+  dim3 const blocks(unsigned(ceil_div(p.batch, kDrawThreads)), unsigned(p.count));
+  draw_all<<<blocks, kDrawThreads, 0, stream>>>(p);
+  return cudaGetLastError();
+}
+
+KV_INSTANTIATE_ONE(draw_parameters, DrawParameters, float)
+
+}  // namespace kv::cuda

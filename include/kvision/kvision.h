@@ -19,3 +19,4 @@
 #include "kvision/losses.h"
 #include "kvision/metrics.h"
 #include "kvision/morphology.h"
+#include "kvision/ops/augmentation.h"

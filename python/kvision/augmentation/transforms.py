@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from kvision._ops import register
+from kvision._ops import register, vjp
 from kvision.geometry.conversions.angles import cos_sin
 from kvision.geometry.transform.matrices import from_unit_square, matrix_of
 
@@ -21,7 +21,7 @@ from kvision.geometry.transform.matrices import from_unit_square, matrix_of
 #   matrix: nine entries by rows.
 KINDS = {"affine": (0, 9), "perspective": (1, 16), "crop": (2, 7), "matrix": (3, 9)}
 _NAMES = tuple(KINDS)
-MAX_TRANSFORMS, MAX_NUMBERS = 16, 160  # of a chain: kMaxTransforms and kMaxTransformNumbers of transforms.h
+MAX_TRANSFORMS = 16  # of a launch: kMaxTransforms of transforms.h, which has room for as many of the largest kind
 
 
 class Transform(NamedTuple):
@@ -79,7 +79,7 @@ def _affine(inputs: list[Tensor]) -> Tensor:
     c, s = cos_sin(angle)
     a, b = torch.deg2rad(shear_x).tan(), torch.deg2rad(shear_y).tan()
     right, down = (scale_x * c, -scale_x * s), (scale_y * s, scale_y * c)
-    rows = []
+    rows: list[list[Tensor | float]] = []
     for r, d, center, offset in zip(right, down, (center_x, center_y), (x, y)):
         # The columns of the linear map: those of the rotation and scale, times [[1, -a], [-b, 1 + a b]].
         first = r - b * d
@@ -101,7 +101,10 @@ def _perspective(inputs: list[Tensor]) -> Tensor:
         a,
     )
     matrix = from_unit_square(destination) @ adjugate
-    return matrix / matrix[:, 2:, 2:]
+    matrix = matrix / matrix[:, 2:, 2:]
+    # Exactly the identity where the points are the same, with the derivatives of the formula.
+    same = (source == destination).flatten(1).all(1)[:, None, None]
+    return matrix + torch.where(same, torch.eye(3, dtype=matrix.dtype, device=a.device) - matrix, 0.0).detach()
 
 
 def _crop(inputs: list[Tensor]) -> Tensor:
@@ -126,22 +129,34 @@ _MATRICES = {
     "matrix": lambda inputs: torch.stack(inputs, -1).reshape(-1, 3, 3),
 }
 
+_transform_matrix_backward = register(
+    "transform_matrix_backward",
+    vjp(_reference),
+    fake=lambda grad, columns, plan, numbers: columns.shape,
+    layout_of=1,
+)
 _transform_matrix = register(
     "transform_matrix",
     _reference,
     fake=lambda columns, plan, numbers: (columns.shape[0], 3, 3),
+    backward=lambda needs, grad, columns, plan, numbers: [_transform_matrix_backward(grad, columns, plan, numbers)],
 )
+
+
+def make_plan(transforms: Sequence[Transform]) -> tuple[list[int], list[float]]:
+    """The plan of at most MAX_TRANSFORMS transforms, and their numbers."""
+    plan: list[int] = []
+    numbers: list[float] = []
+    for kind, inputs, columns in transforms:
+        plan.append(KINDS[kind][0])
+        plan += columns
+        numbers += inputs
+    return plan, numbers
 
 
 def transform_matrix(columns: Tensor, transforms: Sequence[Transform]) -> Tensor:
     """The homographies (B, 3, 3) of a chain, of which the first transform is applied first, from columns (B, P)."""
+    matrix: Tensor = _transform_matrix(columns, *make_plan(transforms[:MAX_TRANSFORMS]))
     if len(transforms) > MAX_TRANSFORMS:
-        first = transform_matrix(columns, transforms[:MAX_TRANSFORMS])
-        return transform_matrix(columns, transforms[MAX_TRANSFORMS:]) @ first
-    plan: list[int] = []
-    numbers: list[float] = []
-    for kind, inputs, indices in transforms:
-        plan += [KINDS[kind][0], *indices]
-        numbers += inputs
-    matrix: Tensor = _transform_matrix(columns, plan, numbers)
+        matrix = transform_matrix(columns, transforms[MAX_TRANSFORMS:]) @ matrix
     return matrix

@@ -2,7 +2,7 @@
 #include "augmentation/draws.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::augmentation::cuda {
 namespace {
 
 constexpr int kDrawThreads = 64;
@@ -24,4 +24,4 @@ int draw_parameters(DrawParameters<T> const& p, CUstream_st* stream) {
 
 KV_INSTANTIATE_ONE(draw_parameters, DrawParameters, float)
 
-}  // namespace kv::cuda
+}  // namespace kv::augmentation::cuda

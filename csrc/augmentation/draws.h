@@ -7,7 +7,7 @@
 #include "core/philox.h"
 #include "core/same_bits.h"
 
-namespace kv {
+namespace kv::augmentation {
 
 // The numbers are those of KINDS in draws.py.
 enum class DrawKind : uint8_t {
@@ -227,4 +227,4 @@ KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
   }
 }
 
-}  // namespace kv
+}  // namespace kv::augmentation

@@ -1,7 +1,7 @@
 // Random parameters on the CPU: samples [begin, end). Compiled once per instruction set.
 #include "augmentation/draws.h"
 
-namespace kv::KV_ISA {
+namespace kv::augmentation::KV_ISA {
 
 template <class T>
 void draw_parameters(DrawParameters<T> const& p, int64_t begin, int64_t end) {
@@ -11,4 +11,4 @@ void draw_parameters(DrawParameters<T> const& p, int64_t begin, int64_t end) {
 
 KV_INSTANTIATE_ONE(draw_parameters, DrawParameters, float)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::augmentation::KV_ISA

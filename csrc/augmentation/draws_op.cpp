@@ -2,7 +2,7 @@
 #include "augmentation/draws.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::augmentation {
 namespace {
 
 constexpr char const* kDrawOperator = "draw_parameters";
@@ -96,4 +96,4 @@ Tensor draw_parameters(Tensor const& images, Tensor const& keys, std::optional<T
 
 KV_OPERATOR(draw_parameters, "(Tensor images, Tensor keys, Tensor? seeds, int[] plan, float[] numbers) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::augmentation

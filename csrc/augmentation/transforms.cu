@@ -3,7 +3,7 @@
 #include "augmentation/transforms.h"
 #include "core/launch.cuh"
 
-namespace kv::cuda {
+namespace kv::augmentation::cuda {
 namespace {
 
 constexpr int kTransformThreads = 64;
@@ -54,4 +54,4 @@ int transform_matrix_backward(TransformMatrix<T> const& p, CUstream_st* stream) 
 KV_INSTANTIATE(transform_matrix, TransformMatrix)
 KV_INSTANTIATE(transform_matrix_backward, TransformMatrix)
 
-}  // namespace kv::cuda
+}  // namespace kv::augmentation::cuda

@@ -6,7 +6,7 @@
 #include "core/isa.h"
 #include "geometry/transform/matrices.h"
 
-namespace kv {
+namespace kv::augmentation {
 
 // The numbers are those of KINDS in transforms.py.
 enum class TransformKind : uint8_t { affine, perspective, crop, matrix };
@@ -65,7 +65,7 @@ KV_HD void set_value_where(M mask, V& a, double x) {
 // Inputs: four source points, four destination points. Exactly the identity where they are the same.
 template <class V>
 KV_HD void perspective_matrix(V const* x, V* m) {
-  PerspectiveMatrix::evaluate(x, m, FormulaOptions{});
+  geometry::PerspectiveMatrix::evaluate(x, m, geometry::FormulaOptions{});
   auto same = x[0] == x[8];
   for (int i = 1; i < 8; ++i) same = same & (x[i] == x[8 + i]);
   for (int i = 0; i < 9; ++i) set_value_where(same, m[i], i % 4 == 0);
@@ -85,7 +85,7 @@ KV_HD void evaluate_chain(TransformMatrix<T> const& p, V* m, Read const& read) {
     switch (p.kinds[k]) {
       case TransformKind::affine:
         for (int i = 5; i < 7; ++i) x[i] = x[i] * 0.017453292519943295769;  // AffineMatrix2d takes shears in radians
-        AffineMatrix2d::evaluate(x, next, FormulaOptions{0, 0, {1, 0, 0, 0}});
+        geometry::AffineMatrix2d::evaluate(x, next, geometry::FormulaOptions{0, 0, {1, 0, 0, 0}});
         break;
       case TransformKind::perspective:
         perspective_matrix(x, next);
@@ -103,4 +103,4 @@ KV_HD void evaluate_chain(TransformMatrix<T> const& p, V* m, Read const& read) {
   for (int i = 0; i < 9; ++i) m[i] = m[i] + 0.;  // no negative zeros
 }
 
-}  // namespace kv
+}  // namespace kv::augmentation

@@ -3,7 +3,7 @@
 // Included after core/lanes.h, whose vectors it uses.
 #include "augmentation/transforms.h"
 
-namespace kv::KV_ISA {
+namespace kv::augmentation::KV_ISA {
 namespace {
 
 // Up to four samples from `begin` on. Past the end the last sample is read again, and nothing is written.
@@ -58,4 +58,4 @@ void transform_matrix_backward(TransformMatrix<T> const& p, int64_t begin, int64
 KV_INSTANTIATE(transform_matrix, TransformMatrix)
 KV_INSTANTIATE(transform_matrix_backward, TransformMatrix)
 
-}  // namespace kv::KV_ISA
+}  // namespace kv::augmentation::KV_ISA

@@ -2,7 +2,7 @@
 #include "augmentation/transforms.h"
 #include "glue/glue.h"
 
-namespace kv {
+namespace kv::augmentation {
 namespace {
 
 // The plan has for each transform its kind and the columns of its inputs.
@@ -74,4 +74,4 @@ Tensor transform_matrix_backward(Tensor const& grad, Tensor const& columns, std:
 KV_OPERATOR(transform_matrix, "(Tensor columns, int[] plan, float[] numbers) -> Tensor")
 KV_OPERATOR(transform_matrix_backward, "(Tensor grad, Tensor columns, int[] plan, float[] numbers) -> Tensor")
 
-}  // namespace kv
+}  // namespace kv::augmentation

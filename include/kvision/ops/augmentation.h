@@ -1,5 +1,5 @@
-// Random parameters and the matrices that they give. Arguments are those of torch.ops.kvision, plans and numbers those of
-// python/kvision/augmentation/draws.py and transforms.py.
+// Random parameters and the matrices that they give. Arguments are those of torch.ops.kvision, plans and numbers those
+// of python/kvision/augmentation/draws.py and transforms.py.
 #pragma once
 
 #include "kvision/ops/operator.h"

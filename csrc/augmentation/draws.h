@@ -19,13 +19,14 @@ enum class DrawKind : uint8_t {
   resized_crop,
   rectangle,
   beta,
-  normal
+  normal,
+  uniform_and_affine
 };
-constexpr int kDrawKinds = 9;
+constexpr int kDrawKinds = 10;
 
 // How many numbers a kind takes, and how many columns it gives: 0 for as many as its first number says.
-constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3};
-constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1};
+constexpr int kDrawNumbers[kDrawKinds] = {0, 3, 4, 3, 3, 6, 6, 3, 3, 5};
+constexpr int kDrawColumns[kDrawKinds] = {1, 1, 1, 1, 0, 4, 4, 1, 1, 2};
 
 constexpr int kMaxDraws = 64, kMaxDrawNumbers = 256;  // of a launch, whose parameters take less than 4 KB
 
@@ -223,6 +224,11 @@ KV_HD void draw_sample(DrawParameters<T> const& p, Draw const& d, int64_t b) {
       } else {
         result[0] = T(n[2]);
       }
+      break;
+    case DrawKind::uniform_and_affine:
+      // The second column is made of the first one as it is stored.
+      result[0] = T(chosen ? uniform_of(source.words(d.index).w[0], n[0], n[1]) : n[4]);
+      result[1] = T(fused(n[2], chosen ? double(result[0]) : n[4], n[3]));
       break;
   }
 }

@@ -25,7 +25,7 @@ from kvision.augmentation.draws import (
 from op_tests import instruction_set
 from point_op_tests import Call, PointOpTests, vector
 
-KEYS = torch.tensor([0x123456789ABCDEF, -3, 2**62, 11])
+KEYS = torch.tensor([0x123456789ABCDEF, -3, 2**62, 11, 5])
 N = 20000
 
 CROP = Draw("resized_crop", (0.08, 1.0, math.log(3 / 4), math.log(4 / 3), 97, 131))
@@ -38,6 +38,7 @@ EXACT = [
     Request([Draw("exponential_of_uniform", (-0.3, 0.4, 1.0)), Draw("permutation", (6, 0, 1)), uniform(0, 1)], 0.9),
     Request([CROP, TALL, RECTANGLE, WIDE, Draw("permutation", (1, 0, 0))], 0.9),
     Request([uniform(0, 1), Draw("permutation", (9, 8, -1))], 1.0, 1.0, True),
+    Request([Draw("uniform_and_affine", (-0.3, 0.3, 0.7, 0.1, 0.25))], 0.9),
 ]
 ROUNDED = [
     Request([Draw("beta", (0.4, 0.4, 0.1)), Draw("beta", (3.0, 2.0, 0.1)), Draw("normal", (1.0, 2.0, 0.0))], 0.9)
@@ -167,8 +168,10 @@ def test_samples_that_are_not_chosen_get_the_identity(kind, device):
         "resized_crop": CROP,
         "rectangle": RECTANGLE,
         "integer": integer(1, 4, 9),
+        "uniform_and_affine": Draw("uniform_and_affine", (0.0, 1.0, 2.0, 0.5, 9.0)),
     }.get(kind, Draw(kind, (0.5, 0.75, 9.0)))
     identity = {"chosen": [0], "permutation": [5, 5.5, 6], "resized_crop": [0, 0, 131, 97], "rectangle": [0] * 4}
+    identity["uniform_and_affine"] = [9, 18.5]
     expected = torch.tensor([identity.get(kind, [9.0])], dtype=torch.float32, device=device)
     for p, p_batch in ((0.0, 1.0), (1.0, 0.0)):
         assert torch.equal(drawn([Request([draw], p, p_batch)], 4, device), expected.expand(4, -1))
@@ -220,6 +223,12 @@ def test_integer(device):
     (values,) = columns(device, integer(-3, 12, step=3))
     found, counts = values.unique(return_counts=True)
     assert found.tolist() == [-3, 0, 3, 6, 9, 12] and evenly(counts)
+
+
+def test_uniform_and_affine(device):
+    values, others = columns(device, Draw("uniform_and_affine", (-0.3, 0.3, 0.7, 0.1, 0.25)))
+    assert follows(values, stats.uniform(-0.3, 0.6))
+    assert torch.equal(others, (0.7 * values + 0.1).float().double())
 
 
 @pytest.mark.parametrize("p", [0.1, 0.5, 0.9])
@@ -331,11 +340,11 @@ def test_plans_are_checked(device):
     too_many = make_plan([Request([uniform(0, 1)] * (MAX_DRAWS + 1))])
     too_long = make_plan([Request([CROP] * (MAX_NUMBERS // 6 + 1))])
     bad = [
-        (KEYS[:3], plan, numbers, "a key from 0 to 2, got 3"),
+        (KEYS[:4], plan, numbers, "a key from 0 to 3, got 4"),
         (KEYS, plan[:-1], numbers, "the plan ends within a request"),
         (KEYS, [plan[0] - 1, *plan[1:]], numbers, "more columns than"),
         (KEYS, [plan[0] + 1, *plan[1:]], numbers, "the draws take"),
-        (KEYS, [*plan[:-1], 9], numbers, "a kind of draw from 0 to 8, got 9"),
+        (KEYS, [*plan[:-1], 10], numbers, "a kind of draw from 0 to 9, got 10"),
         (KEYS, plan, numbers[:-4], "expected more numbers"),
         (KEYS, *too_many[:2], "the number of draws from 0 to 64, got 65"),
         (KEYS, *too_long[:2], "at most 256 numbers"),

@@ -43,6 +43,8 @@ KINDS = {
     "rectangle": Kind(6, 6, 4),  # lowest and highest area, lowest and highest aspect, height, width: x, y, w, h
     "beta": Kind(7, 3, 1),  # alpha, beta, identity
     "normal": Kind(8, 3, 1),  # mean, standard deviation, identity
+    # Lowest, highest, scale, offset, identity of a real number v: v and scale * v + offset.
+    "uniform_and_affine": Kind(9, 5, 2),
 }
 _NAMES = tuple(KINDS)
 MAX_DRAWS, MAX_NUMBERS = 64, 256  # of a launch: kMaxDraws and kMaxDrawNumbers of draws.h
@@ -308,6 +310,12 @@ def _normal(words: _Words, numbers: Sequence[float]) -> _Columns:
     return [(mean + deviation * _normal_variate(a, b), identity)]
 
 
+def _uniform_and_affine(words: _Words, numbers: Sequence[float]) -> _Columns:
+    lowest, highest, scale, offset, identity = numbers
+    value = _between(words()[0], lowest, highest).float().double()  # as it is stored
+    return [(value, identity), (value * scale + offset, scale * identity + offset)]
+
+
 def _normal_variate(a: Tensor, b: Tensor) -> Tensor:
     """A variate of the standard normal distribution from two words, by the transform of Box and Muller."""
     return (-2 * _open_unit(a).log()).sqrt() * (2 * torch.pi * unit(b)).cos()
@@ -342,6 +350,7 @@ _VALUES: dict[str, Callable[[_Words, Sequence[float]], _Columns]] = {
     "rectangle": _rectangle,
     "beta": _beta,
     "normal": _normal,
+    "uniform_and_affine": _uniform_and_affine,
 }
 
 draw_parameters = register(
